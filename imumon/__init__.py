@@ -1,0 +1,42 @@
+"""imumon: watch, record and understand an IMU or AHRS on the bench.
+
+Conventions, valid in every module, file and table
+---------------------------------------------------
+
+Flow, one way::
+
+    port -> bytes + arrival time -> wire recorder (the truth)
+              '-> decoder -> clock -> SampleBlock -> estimators in order -> view, recorder, tables
+
+Live, replay and simulation differ only in what stands at the left end.
+
+Time
+    Always int64 nanoseconds.  ``device_time_ns`` is the device's own clock, unwrapped, as the device counts it
+    (it starts anew in a new ``segment``); ``arrival_time_ns`` is the Unix time at which the last byte of the
+    packet was read from the port; ``host_time_ns`` is the device clock mapped to Unix time by the lower hull
+    of arrival minus device time: the estimate of the time of validity, never later than the arrival.
+
+Units
+    SI inside: angular rate rad/s, specific force m/s², angle rad, pressure Pa, temperature °C.  Latitude and
+    longitude are degrees.  The magnetic field is µT, or arbitrary units where the device has none; the unit is
+    in the metadata of every table.  Degrees and °/h appear only where a person reads.
+
+Frames
+    Body axes as in the manual of the device, FLU (x forward, y left, z up) or FRD (x forward, y right,
+    z down); the device file says which.  Navigation frame east-north-up (ENU).  Accelerometers measure
+    specific force: at rest and level, +9.81 m/s² along the axis that points up.
+
+Attitude
+    ``q_{w,x,y,z}`` as the device reports it, scalar first, rotating body vectors into the device's reference
+    frame; ``roll, pitch, yaw`` in rad as the device reports them.  Heading is clockwise from north.
+
+Missing values
+    NaN in float columns; a quantity that the device never sends has no column.
+"""
+
+from imumon.blocks import SampleBlock
+from imumon.errors import ImumonError, Reason
+
+__version__ = "0.1.0"
+
+__all__ = ["ImumonError", "Reason", "SampleBlock", "__version__"]

@@ -1,0 +1,110 @@
+"""SampleBlock: n samples as a struct of arrays, the only thing that flows down the pipeline."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+ColumnArray = npt.NDArray[Any]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SampleBlock:
+    """Samples in order of arrival, one array per column.
+
+    Parameters
+    ----------
+    columns : mapping of str to array, each of shape (n,)
+        float64 or int64, named and in the units of `imumon.columns.KNOWN`.  Not to be written to.
+
+    Raises
+    ------
+    ValueError
+        When the arrays differ in length.
+    """
+
+    columns: Mapping[str, ColumnArray]
+
+    def __post_init__(self) -> None:
+        """Check that all columns have the same length."""
+        lengths = {len(values) for values in self.columns.values()}
+        if len(lengths) > 1:
+            raise ValueError(f"columns of different length in one block: {sorted(lengths)}")
+
+    def __len__(self) -> int:
+        """Return the number of samples."""
+        return next((len(values) for values in self.columns.values()), 0)
+
+    def __contains__(self, name: object) -> bool:
+        """Tell whether there is a column of this name."""
+        return name in self.columns
+
+    def __getitem__(self, name: str) -> ColumnArray:
+        """Return the column of this name, shape (n,)."""
+        return self.columns[name]
+
+    @property
+    def gyro(self) -> FloatArray | None:
+        """Angular rate in rad/s, (n, 3), or None."""
+        return self.vector("gyro")
+
+    @property
+    def accel(self) -> FloatArray | None:
+        """Specific force in m/s², (n, 3), or None."""
+        return self.vector("accel")
+
+    @property
+    def mag(self) -> FloatArray | None:
+        """Magnetic field, (n, 3), or None."""
+        return self.vector("mag")
+
+    @property
+    def temperature(self) -> FloatArray | None:
+        """Temperature in °C, (n, 1) or (n, 3) when there is one per axis, or None."""
+        if "temperature" in self.columns:
+            return np.asarray(self.columns["temperature"])[:, np.newaxis]
+        return self.vector("temperature")
+
+    @property
+    def quaternion(self) -> FloatArray | None:
+        """Reported attitude w, x, y, z, body to reference, (n, 4), or None."""
+        return self.vector("q", "wxyz")
+
+    def vector(self, name: str, axes: str = "xyz") -> FloatArray | None:
+        """Return ``name_x, name_y, ...`` stacked to (n, len(axes)), or None when one is missing."""
+        parts = [self.columns.get(f"{name}_{axis}") for axis in axes]
+        if any(part is None for part in parts):
+            return None
+        return np.column_stack([part for part in parts if part is not None])
+
+    def with_columns(self, extra: Mapping[str, ColumnArray]) -> SampleBlock:
+        """Return a block that has these columns as well (or instead, where the name exists)."""
+        return SampleBlock({**self.columns, **extra})
+
+    def rows(self, start: int, stop: int) -> SampleBlock:
+        """Return samples start..stop as views."""
+        return SampleBlock({name: values[start:stop] for name, values in self.columns.items()})
+
+
+def concatenate(blocks: Iterable[SampleBlock]) -> SampleBlock:
+    """Join blocks that have the same columns, in order.
+
+    Raises
+    ------
+    ValueError
+        When a block lacks a column of the first one or has another.
+    """
+    parts = list(blocks)
+    if not parts:
+        return SampleBlock({})
+    names = list(parts[0].columns)
+    for part in parts[1:]:
+        if list(part.columns) != names:
+            raise ValueError(f"blocks with different columns: {names} and {list(part.columns)}")
+    return SampleBlock({name: np.concatenate([part[name] for part in parts]) for name in names})

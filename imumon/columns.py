@@ -1,0 +1,53 @@
+"""Names, units and types of the columns that samples, tables and recordings have."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+ColumnType = Literal["float64", "int64"]
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """A column: its name, unit (as pint writes it; "1" when dimensionless), type and meaning."""
+
+    name: str
+    unit: str
+    dtype: ColumnType = "float64"
+    description: str = ""
+
+
+def _vector(name: str, unit: str, description: str, axes: str = "xyz") -> list[Column]:
+    return [Column(f"{name}_{axis}", unit, description=f"{description}, {axis}") for axis in axes]
+
+
+KNOWN: dict[str, Column] = {
+    column.name: column
+    for column in [
+        Column("device_time_ns", "ns", "int64", "device clock, unwrapped; starts anew in each segment"),
+        Column("arrival_time_ns", "ns", "int64", "Unix time at which the packet's last byte was read"),
+        Column("host_time_ns", "ns", "int64", "device clock mapped to Unix time by the lower hull"),
+        Column("segment", "1", "int64", "counts restarts of the device's clock or counter, from 0"),
+        Column("packet_counter", "1", "int64", "packet counter as the device sends it"),
+        Column("device_ticks", "1", "int64", "device clock as the device sends it, in its own ticks"),
+        *_vector("gyro", "rad/s", "angular rate"),
+        *_vector("accel", "m/s^2", "specific force"),
+        *_vector("mag", "uT", "magnetic field"),
+        Column("temperature", "degC", description="sensor temperature"),
+        *_vector("temperature", "degC", "sensor temperature of the axis"),
+        *_vector("q", "1", "attitude quaternion, body to the device's reference frame", "wxyz"),
+        Column("roll", "rad", description="roll as the device reports it"),
+        Column("pitch", "rad", description="pitch as the device reports it"),
+        Column("yaw", "rad", description="yaw as the device reports it"),
+        Column("pressure", "Pa", description="static pressure"),
+        Column("latitude", "deg", description="geodetic latitude, WGS-84"),
+        Column("longitude", "deg", description="geodetic longitude, WGS-84"),
+        Column("altitude", "m", description="altitude as the device reports it"),
+        Column("status", "1", "int64", "status word as the device sends it"),
+    ]
+}
+"""The canonical columns.  A device may add others; these names always mean this."""
+
+TIME_COLUMNS = ("device_time_ns", "arrival_time_ns", "host_time_ns", "segment", "packet_counter")
+"""Columns that every decoded table begins with (where the source can tell them)."""

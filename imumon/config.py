@@ -1,0 +1,128 @@
+"""YAML files read strictly: unknown keys refused, every error with file, line and what was expected."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from imumon.errors import ImumonError, Reason
+
+Location = tuple[str | int, ...]
+
+
+class StrictModel(BaseModel):
+    """Base of everything that is read from YAML: unknown keys refused, immutable, no silent conversions."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+def load_yaml(path: Path, model: type[Model]) -> Model:
+    """Read a YAML file into a pydantic model.
+
+    Raises
+    ------
+    ImumonError
+        BAD_CONFIG, naming file and line, what was found and what was expected.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise ImumonError(Reason.BAD_CONFIG, f"{path}: cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise ImumonError(Reason.BAD_CONFIG, f"{path}: is not UTF-8 text (byte {error.start})") from error
+    return parse_yaml(text, model, str(path))
+
+
+def parse_yaml(text: str, model: type[Model], source: str) -> Model:
+    """Parse YAML text into a pydantic model; `source` names it in errors.
+
+    Raises
+    ------
+    ImumonError
+        BAD_CONFIG, naming source and line, what was found and what was expected.
+    """
+    try:
+        root = yaml.compose(text, Loader=yaml.SafeLoader)
+        data = yaml.safe_load(text)
+    except yaml.MarkedYAMLError as error:
+        line = error.problem_mark.line + 1 if error.problem_mark else 1
+        problem = error.problem or "not YAML"
+        raise ImumonError(Reason.BAD_CONFIG, f"{source}:{line}: not valid YAML: {problem}") from error
+    except yaml.YAMLError as error:
+        raise ImumonError(Reason.BAD_CONFIG, f"{source}: not valid YAML: {error}") from error
+    _refuse_duplicate_keys(root, source)
+    if not isinstance(data, dict):
+        raise ImumonError(Reason.BAD_CONFIG, f"{source}:1: expected a mapping of keys, got {_kind(data)}")
+    try:
+        return model.model_validate(data)
+    except ValidationError as error:
+        lines = [_describe(item, root, source) for item in error.errors()]
+        raise ImumonError(Reason.BAD_CONFIG, "\n".join(lines)) from error
+
+
+def _describe(item: Any, root: yaml.Node, source: str) -> str:
+    location: Location = tuple(item["loc"])
+    line, path = _locate(root, location)
+    where = f"{source}:{line}: {path}: " if path else f"{source}:{line}: "
+    message = str(item["msg"]).removeprefix("Value error, ")
+    if item["type"] == "extra_forbidden":
+        return f"{where}unknown key"
+    if item["type"] == "missing":
+        return f"{where}this key is required"
+    if item["type"] == "value_error":
+        return where + message
+    found = repr(item["input"])
+    found = found if len(found) <= 60 else found[:57] + "..."
+    return f"{where}{message}, got {found}"
+
+
+def _locate(root: yaml.Node, location: Location) -> tuple[int, str]:
+    """Follow a pydantic location as far as the document goes; return line and printable path.
+
+    Locations contain tags of unions that the document does not have; they are passed over.  The last step may
+    be a key that is missing, which is shown although it cannot be followed.
+    """
+    node, line, path = root, root.start_mark.line + 1, ""
+    for index, step in enumerate(location):
+        last = index == len(location) - 1
+        if isinstance(node, yaml.MappingNode):
+            found = next(((k, v) for k, v in node.value if k.value == str(step)), None)
+            if found is not None:
+                node, line = found[1], found[0].start_mark.line + 1
+                path += f".{step}" if path else str(step)
+            elif last and step not in _UNION_TAGS:
+                path += f".{step}" if path else str(step)
+        elif isinstance(node, yaml.SequenceNode) and isinstance(step, int) and step < len(node.value):
+            node = node.value[step]
+            line = node.start_mark.line + 1
+            path += f"[{step}]"
+    return line, path
+
+
+_UNION_TAGS = {"str", "int", "float", "bool", "function-after", "function-before", "[key]"}
+
+
+def _refuse_duplicate_keys(node: yaml.Node | None, source: str) -> None:
+    """Refuse a mapping that names a key twice, which YAML loaders silently accept."""
+    if isinstance(node, yaml.MappingNode):
+        seen: set[str] = set()
+        for key, value in node.value:
+            if isinstance(key, yaml.ScalarNode):
+                if key.value in seen:
+                    line = key.start_mark.line + 1
+                    raise ImumonError(Reason.BAD_CONFIG, f"{source}:{line}: key {key.value!r} is there twice")
+                seen.add(key.value)
+            _refuse_duplicate_keys(value, source)
+    elif isinstance(node, yaml.SequenceNode):
+        for value in node.value:
+            _refuse_duplicate_keys(value, source)
+
+
+def _kind(data: object) -> str:
+    return "an empty file" if data is None else f"a {type(data).__name__}"

@@ -1,0 +1,69 @@
+"""The one error class of imumon, its reasons, and the exit codes they lead to."""
+
+from __future__ import annotations
+
+from enum import Enum
+
+EXIT_OK = 0
+"""The command did what was asked."""
+EXIT_NEGATIVE = 1
+"""The command ran, and the answer is no (a verification that differs, a device that was not detected)."""
+EXIT_USAGE = 2
+"""Wrong command line, or a wrong file written by a person (device, map, pipeline YAML)."""
+EXIT_PORT = 3
+"""The port cannot be opened, was lost for good, or stayed silent."""
+EXIT_DATA = 4
+"""A recording, capture or table cannot be read, or holds nothing that can be decoded."""
+
+
+class Reason(Enum):
+    """Why an operation failed; the value is the exit code of the command line."""
+
+    def __new__(cls, label: str, exit_code: int) -> Reason:
+        """Make a member whose value is its label and that knows its exit code."""
+        member = object.__new__(cls)
+        member._value_ = label
+        return member
+
+    def __init__(self, label: str, exit_code: int) -> None:
+        self.label = label
+        self.exit_code = exit_code
+
+    NOT_FOUND = "not found", EXIT_PORT
+    """No such port, or it went away."""
+    PERMISSION = "permission denied", EXIT_PORT
+    """The port exists but this user may not open it."""
+    BUSY = "busy", EXIT_PORT
+    """Another program holds the port."""
+    LOST = "lost", EXIT_PORT
+    """The port was open and failed."""
+    SILENT = "silent", EXIT_PORT
+    """The port is open and nothing arrives."""
+    WRONG_BAUD = "wrong baud rate or protocol", EXIT_PORT
+    """Bytes arrive but do not frame."""
+    BAD_CONFIG = "bad configuration", EXIT_USAGE
+    """A YAML file or an option is wrong."""
+    BAD_DATA = "bad data", EXIT_DATA
+    """A capture, table or recording does not hold what it should."""
+    EXISTS = "exists already", EXIT_USAGE
+    """The output is already there, and nothing is overwritten."""
+
+
+class ImumonError(Exception):
+    """An error that a user can act on: what was seen, and what to do about it.
+
+    Parameters
+    ----------
+    reason : Reason
+        Machine-readable cause; it decides the exit code.
+    seen : str
+        What was seen, one sentence, with the numbers.
+    hint : str
+        What to do, one or a few lines; empty when there is nothing to advise.
+    """
+
+    def __init__(self, reason: Reason, seen: str, hint: str = "") -> None:
+        super().__init__(seen if not hint else f"{seen}\n{hint}")
+        self.reason = reason
+        self.seen = seen
+        self.hint = hint
