@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -92,19 +92,27 @@ class SampleBlock:
         return SampleBlock({name: values[start:stop] for name, values in self.columns.items()})
 
 
-def concatenate(blocks: Iterable[SampleBlock]) -> SampleBlock:
-    """Join blocks that have the same columns, in order.
+NO_INT = int(np.iinfo(np.int64).min)
+"""Stands for "not sent" in an int64 column; tables write it as null."""
 
-    Raises
-    ------
-    ValueError
-        When a block lacks a column of the first one or has another.
-    """
-    parts = list(blocks)
-    if not parts:
-        return SampleBlock({})
-    names = list(parts[0].columns)
-    for part in parts[1:]:
-        if list(part.columns) != names:
-            raise ValueError(f"blocks with different columns: {names} and {list(part.columns)}")
-    return SampleBlock({name: np.concatenate([part[name] for part in parts]) for name in names})
+
+def missing(n: int, dtype: npt.DTypeLike) -> ColumnArray:
+    """Return n missing values: NaN, or `NO_INT` for integers."""
+    if np.dtype(dtype) == np.int64:
+        return np.full(n, NO_INT, np.int64)
+    return np.full(n, np.nan, np.float64)
+
+
+def join(blocks: Sequence[SampleBlock]) -> SampleBlock:
+    """Join blocks in order; a column that only some have is `missing` in the others."""
+    if len(blocks) == 1:
+        return blocks[0]
+    types = {name: block[name].dtype for block in blocks for name in block.columns}
+    return SampleBlock(
+        {
+            name: np.concatenate(
+                [block[name] if name in block else missing(len(block), dtype) for block in blocks]
+            )
+            for name, dtype in types.items()
+        }
+    )

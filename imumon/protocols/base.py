@@ -1,0 +1,157 @@
+"""What every decoder and encoder is: bytes in, columns out, every byte accounted for."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+from fractions import Fraction
+
+import numpy as np
+import numpy.typing as npt
+
+from imumon.blocks import IntArray, SampleBlock, join
+from imumon.columns import Column
+
+ByteArray = npt.NDArray[np.uint8]
+
+CHUNK = 1 << 16
+"""Bytes that one kernel call takes at the most; longer input is cut by `Decoder.feed`."""
+LONGEST_PACKET = 4096
+"""Bytes that a packet may have, so also the most that can be pending."""
+CAPACITY = 4096 + 8
+"""Rows of the preallocated columns.  Not a power of two, so that columns do not share cache sets."""
+
+# Indices into the integer state that a kernel keeps between calls.
+RECEIVED, IN_PACKETS, SKIPPED, PACKETS, CHECKSUM_ERRORS, LENGTH_ERRORS, ROWS, HELD = range(8)
+STATE_SIZE = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Timing:
+    """How a device counts time.
+
+    Parameters
+    ----------
+    counter_bits : int or None
+        ``packet_counter`` wraps at 2**counter_bits and rises by one a packet; None when there is no counter.
+    tick_ns : Fraction or None
+        Nanoseconds per count of ``device_ticks``; None when the device sends no time.
+    tick_bits : int
+        ``device_ticks`` wraps at 2**tick_bits; 0 when it never wraps.
+    rate_hz : float or None
+        Nominal packet rate, which dates packets of a device that sends no time.
+    """
+
+    counter_bits: int | None = None
+    tick_ns: Fraction | None = None
+    tick_bits: int = 0
+    rate_hz: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Counters:
+    """What became of every byte: received = in packets + skipped + pending."""
+
+    bytes_received: int = 0
+    bytes_in_packets: int = 0
+    bytes_skipped: int = 0
+    packets: int = 0
+    checksum_errors: int = 0
+    length_errors: int = 0
+    packets_by_type: dict[str, int] = field(default_factory=dict)
+
+    @property
+    def bytes_pending(self) -> int:
+        """Bytes that may still become part of a packet."""
+        return self.bytes_received - self.bytes_in_packets - self.bytes_skipped
+
+
+class Decoder(ABC):
+    """Turns a byte stream into columns, whatever the chunking.
+
+    A subclass supplies `_scan`, one compiled pass over the held bytes.  Rows are written into preallocated
+    columns; `take` hands out what has come since the last call.  After a bad checksum or an impossible
+    length the scan steps one byte and looks again, so a damaged packet never hides a good one.
+    """
+
+    timing: Timing
+
+    def __init__(self) -> None:
+        self._state: IntArray = np.zeros(STATE_SIZE, np.int64)
+        self._held: ByteArray = np.zeros(CHUNK + LONGEST_PACKET, np.uint8)
+        self._held_arrival: IntArray = np.zeros(LONGEST_PACKET, np.int64)
+        self._done: list[SampleBlock] = []
+
+    @property
+    @abstractmethod
+    def columns(self) -> tuple[Column, ...]:
+        """Columns of the blocks that `take` returns now; a device may begin to send more."""
+
+    @abstractmethod
+    def _scan(self, chunk: ByteArray, arrival_ns: int, final: bool) -> None:
+        """Append the chunk to the held bytes and decode packets until rows or bytes run out."""
+
+    @abstractmethod
+    def _rows(self) -> SampleBlock:
+        """Return a copy of the rows in the preallocated columns."""
+
+    @abstractmethod
+    def counters(self) -> Counters:
+        """Return what became of the bytes so far."""
+
+    def notices(self) -> list[str]:
+        """Return, once each, what the device said that is not data (errors, configuration)."""
+        return []
+
+    def feed(self, data: bytes | memoryview | ByteArray, arrival_ns: int) -> None:
+        """Decode bytes that arrived at `arrival_ns` (Unix time, ns)."""
+        chunk = data if isinstance(data, np.ndarray) else np.frombuffer(data, np.uint8)
+        if len(chunk) <= CHUNK:
+            self._feed(chunk, arrival_ns, final=False)
+            return
+        for start in range(0, len(chunk), CHUNK):
+            self._feed(chunk[start : start + CHUNK], arrival_ns, final=False)
+
+    def finish(self) -> None:
+        """Decode what is held on the understanding that no more bytes come.
+
+        A damaged header that claims a long packet holds back the packets behind it until that length has
+        arrived; at the end of the data they are found.  What is pending afterwards is a packet cut short.
+        """
+        self._feed(np.zeros(0, np.uint8), 0, final=True)
+
+    def take(self) -> SampleBlock:
+        """Return the rows decoded since the last call, as arrays of their own."""
+        if self._state[ROWS]:
+            self._flush()
+        blocks, self._done = self._done, []
+        return join(blocks)
+
+    def discard(self) -> None:
+        """Forget the rows decoded since the last call."""
+        self._state[ROWS] = 0
+        self._done.clear()
+
+    def _feed(self, chunk: ByteArray, arrival_ns: int, final: bool) -> None:
+        self._scan(chunk, arrival_ns, final)
+        while self._state[ROWS] == CAPACITY:
+            self._flush()
+            self._scan(chunk[:0], arrival_ns, final)
+
+    def _flush(self) -> None:
+        self._done.append(self._rows())
+        self._state[ROWS] = 0
+
+
+class Encoder(ABC):
+    """Makes the bytes that a device would send, for tests, the virtual device and benchmarks."""
+
+    @abstractmethod
+    def encode(self, block: SampleBlock) -> list[bytes]:
+        """Return one packet per row; columns that the block lacks are sent as zero.
+
+        Raises
+        ------
+        ImumonError
+            BAD_DATA when a value does not fit the field that carries it.
+        """
