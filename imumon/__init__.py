@@ -11,15 +11,15 @@ Flow, one way::
 Live, replay and simulation differ only in what stands at the left end.
 
 Time
-    Always int64 nanoseconds.  ``device_time_ns`` is the device's own clock, unwrapped, as the device counts it
-    (it starts anew in a new ``segment``); ``arrival_time_ns`` is the Unix time at which the last byte of the
+    Always int64 nanoseconds.  ``device_time_ns`` is the device's own clock, unwrapped, as the device counts
+    it (it starts anew in a new ``segment``); ``arrival_time_ns`` is the Unix time at which the last byte of the
     packet was read from the port; ``host_time_ns`` is the device clock mapped to Unix time by the lower hull
     of arrival minus device time: the estimate of the time of validity, never later than the arrival.
 
 Units
     SI inside: angular rate rad/s, specific force m/s², angle rad, pressure Pa, temperature °C.  Latitude and
-    longitude are degrees.  The magnetic field is µT, or arbitrary units where the device has none; the unit is
-    in the metadata of every table.  Degrees and °/h appear only where a person reads.
+    longitude are degrees.  The magnetic field is µT, or arbitrary units where the device has none; the unit
+    is in the metadata of every table.  Degrees and °/h appear only where a person reads.
 
 Frames
     Body axes as in the manual of the device, FLU (x forward, y left, z up) or FRD (x forward, y right,

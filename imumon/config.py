@@ -57,7 +57,7 @@ def parse_yaml(text: str, model: type[Model], source: str) -> Model:
     except yaml.YAMLError as error:
         raise ImumonError(Reason.BAD_CONFIG, f"{source}: not valid YAML: {error}") from error
     _refuse_duplicate_keys(root, source)
-    if not isinstance(data, dict):
+    if root is None or not isinstance(data, dict):
         raise ImumonError(Reason.BAD_CONFIG, f"{source}:1: expected a mapping of keys, got {_kind(data)}")
     try:
         return model.model_validate(data)

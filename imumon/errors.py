@@ -17,36 +17,33 @@ EXIT_DATA = 4
 
 
 class Reason(Enum):
-    """Why an operation failed; the value is the exit code of the command line."""
+    """Why an operation failed."""
 
-    def __new__(cls, label: str, exit_code: int) -> Reason:
-        """Make a member whose value is its label and that knows its exit code."""
-        member = object.__new__(cls)
-        member._value_ = label
-        return member
-
-    def __init__(self, label: str, exit_code: int) -> None:
-        self.label = label
-        self.exit_code = exit_code
-
-    NOT_FOUND = "not found", EXIT_PORT
+    NOT_FOUND = "not found"
     """No such port, or it went away."""
-    PERMISSION = "permission denied", EXIT_PORT
+    PERMISSION = "permission denied"
     """The port exists but this user may not open it."""
-    BUSY = "busy", EXIT_PORT
+    BUSY = "busy"
     """Another program holds the port."""
-    LOST = "lost", EXIT_PORT
+    LOST = "lost"
     """The port was open and failed."""
-    SILENT = "silent", EXIT_PORT
+    SILENT = "silent"
     """The port is open and nothing arrives."""
-    WRONG_BAUD = "wrong baud rate or protocol", EXIT_PORT
+    WRONG_BAUD = "wrong baud rate or protocol"
     """Bytes arrive but do not frame."""
-    BAD_CONFIG = "bad configuration", EXIT_USAGE
+    BAD_CONFIG = "bad configuration"
     """A YAML file or an option is wrong."""
-    BAD_DATA = "bad data", EXIT_DATA
+    BAD_DATA = "bad data"
     """A capture, table or recording does not hold what it should."""
-    EXISTS = "exists already", EXIT_USAGE
+    EXISTS = "exists already"
     """The output is already there, and nothing is overwritten."""
+
+    @property
+    def exit_code(self) -> int:
+        """Exit code of the command line for this reason."""
+        if self in (Reason.BAD_CONFIG, Reason.EXISTS):
+            return EXIT_USAGE
+        return EXIT_DATA if self is Reason.BAD_DATA else EXIT_PORT
 
 
 class ImumonError(Exception):
