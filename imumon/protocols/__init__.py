@@ -1,0 +1,1 @@
+"""Device families: bytes to columns and back."""

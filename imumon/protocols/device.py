@@ -1,0 +1,120 @@
+"""Device files: a device is a YAML file that names a protocol and fills in what that protocol leaves open."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from importlib import import_module
+from pathlib import Path
+from typing import Literal
+
+from pydantic import Field, PositiveFloat, PositiveInt
+
+from imumon.config import StrictModel, parse_yaml
+from imumon.errors import ImumonError, Reason
+from imumon.protocols.base import Decoder, Encoder
+
+FORMAT = "imumon-device/1"
+
+PROTOCOLS = {
+    "fixed": "imumon.protocols.fixed:FixedDevice",
+    "xsens-mtdata2": "imumon.protocols.xsens.mtdata2:MTData2Device",
+    "xsens-mtdata": "imumon.protocols.xsens.mtdata:MTDataDevice",
+    "mip": "imumon.protocols.mip:MipDevice",
+}
+"""Class that reads the device files of each protocol; imported when a device of it is loaded."""
+
+
+class SerialSettings(StrictModel):
+    """How the device's port is set; the first baud rate is the one it has when new."""
+
+    baudrates: list[PositiveInt] = Field(default=[115_200], min_length=1)
+    bytesize: Literal[7, 8] = 8
+    parity: Literal["N", "E", "O"] = "N"
+    stopbits: Literal[1, 2] = 1
+
+
+class DeviceFile(StrictModel):
+    """What every device file says; each protocol adds its own keys and makes the decoder."""
+
+    format: Literal["imumon-device/1"]
+    name: str = Field(pattern=r"^[a-z0-9][a-z0-9_-]*$")
+    title: str
+    protocol: str
+    serial: SerialSettings = SerialSettings()
+    rate_hz: PositiveFloat | None = None
+    axes: Literal["FLU", "FRD"]
+
+    @abstractmethod
+    def decoder(self) -> Decoder:
+        """Make a decoder for this device."""
+
+    @abstractmethod
+    def encoder(self) -> Encoder:
+        """Make an encoder that sends what the device would send."""
+
+
+class _Header(StrictModel, extra="ignore"):
+    """The part of a device file that tells which protocol reads the rest."""
+
+    format: Literal["imumon-device/1"]
+    protocol: Literal["fixed", "xsens-mtdata2", "xsens-mtdata", "mip"]
+
+
+def device_folder() -> Path:
+    """Return the folder of the device files that come with imumon."""
+    packaged = Path(__file__).resolve().parents[1] / "configs" / "devices"
+    return packaged if packaged.is_dir() else Path(__file__).resolve().parents[2] / "configs" / "devices"
+
+
+def device_names() -> list[str]:
+    """Return the names that `load_device` knows without a path."""
+    return sorted(path.stem for path in device_folder().glob("*.yaml"))
+
+
+def device_text(name: str) -> tuple[str, str]:
+    """Return the text of a device file and what to call it in errors; `name` is a known name or a path.
+
+    Raises
+    ------
+    ImumonError
+        BAD_CONFIG when there is no such device, naming those that there are.
+    """
+    looks_like_path = name.endswith((".yaml", ".yml")) or "/" in name
+    path = Path(name) if looks_like_path else device_folder() / f"{name}.yaml"
+    try:
+        return path.read_text(encoding="utf-8"), str(path)
+    except FileNotFoundError as error:
+        raise ImumonError(
+            Reason.BAD_CONFIG,
+            f"no device {name!r}" + (": no such file" if looks_like_path else ""),
+            f"known devices: {', '.join(device_names())}; or give the path of a device file (NAME.yaml)",
+        ) from error
+    except (OSError, UnicodeDecodeError) as error:
+        raise ImumonError(Reason.BAD_CONFIG, f"{path}: cannot be read: {error}") from error
+
+
+def parse_device(text: str, source: str) -> DeviceFile:
+    """Read the text of a device file.
+
+    Raises
+    ------
+    ImumonError
+        BAD_CONFIG, naming file and line, what was found and what was expected.
+    """
+    header = parse_yaml(text, _Header, source)
+    module, name = PROTOCOLS[header.protocol].split(":")
+    model = getattr(import_module(module), name)
+    device = parse_yaml(text, model, source)
+    assert isinstance(device, DeviceFile)
+    return device
+
+
+def load_device(name: str) -> DeviceFile:
+    """Read a device by its known name or the path of its file.
+
+    Raises
+    ------
+    ImumonError
+        BAD_CONFIG, naming file and line, what was found and what was expected.
+    """
+    return parse_device(*device_text(name))

@@ -1,0 +1,102 @@
+"""Compiled building blocks of all decoders: numbers out of bytes, whatever their type and byte order."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from imumon.protocols.base import ByteArray
+
+BIG = 64
+"""Added to a number kind when the most significant byte comes first."""
+
+U8, I8, U16, I16, U24, I24, U32, I32, U64, I64, F32, F64, FP1632 = range(13)
+
+
+@dataclass(frozen=True, slots=True)
+class NumberType:
+    """How a number is laid out: kernel code, bytes, and whether it is an integer."""
+
+    code: int
+    size: int
+    integer: bool
+    signed: bool
+
+
+NUMBER_TYPES: dict[str, NumberType] = {
+    "u8": NumberType(U8, 1, True, False),
+    "i8": NumberType(I8, 1, True, True),
+    "u16": NumberType(U16, 2, True, False),
+    "i16": NumberType(I16, 2, True, True),
+    "u24": NumberType(U24, 3, True, False),
+    "i24": NumberType(I24, 3, True, True),
+    "u32": NumberType(U32, 4, True, False),
+    "i32": NumberType(I32, 4, True, True),
+    "u64": NumberType(U64, 8, True, False),
+    "i64": NumberType(I64, 8, True, True),
+    "f32": NumberType(F32, 4, False, True),
+    "f64": NumberType(F64, 8, False, True),
+    # Xsens: 32 bits of fraction, then 16 bits of integer part, together a 48-bit two's complement number.
+    "fp1632": NumberType(FP1632, 6, False, True),
+}
+"""Number types by the name that device files use.  u64 above 2**63-1 wraps to negative."""
+
+
+@njit(cache=True, nogil=True, inline="always")
+def bytes_little(buf: ByteArray, at: int, size: int) -> np.uint64:
+    """Assemble `size` bytes, least significant first."""
+    value = np.uint64(0)
+    for i in range(size):
+        value |= np.uint64(buf[at + i]) << np.uint64(8 * i)
+    return value
+
+
+@njit(cache=True, nogil=True, inline="always")
+def bytes_big(buf: ByteArray, at: int, size: int) -> np.uint64:
+    """Assemble `size` bytes, most significant first."""
+    value = np.uint64(0)
+    for i in range(size):
+        value = (value << np.uint64(8)) | np.uint64(buf[at + i])
+    return value
+
+
+@njit(cache=True, nogil=True, inline="always")
+def sign_extend(value: np.uint64, size: int) -> np.int64:
+    """Read the low `size` bytes as two's complement."""
+    shift = np.uint64(64 - 8 * size)
+    return np.int64(value << shift) >> np.int64(shift)
+
+
+@njit(cache=True, nogil=True)
+def raw_bits(buf: ByteArray, at: int, kind: int, size: int) -> np.uint64:
+    """Assemble a number of this kind (with `BIG` where it applies) without interpreting it."""
+    if kind >= BIG:
+        return bytes_big(buf, at, size)
+    return bytes_little(buf, at, size)
+
+
+@njit(cache=True, nogil=True)
+def read_integer(buf: ByteArray, at: int, kind: int, size: int) -> np.int64:
+    """Read an integer; the odd codes (i8, i16, ...) are signed."""
+    bits = raw_bits(buf, at, kind, size)
+    if kind & 1:
+        return sign_extend(bits, size)
+    return np.int64(bits)
+
+
+@njit(cache=True, nogil=True)
+def read_float(buf: ByteArray, at: int, kind: int, size: int) -> float:
+    """Read a number of any kind as float64."""
+    code = kind & (BIG - 1)
+    if code == F32:
+        return np.float64(np.uint32(raw_bits(buf, at, kind, size)).view(np.float32))
+    if code == F64:
+        return np.uint64(raw_bits(buf, at, kind, size)).view(np.float64)
+    if code == FP1632:
+        whole = sign_extend(bytes_big(buf, at + 4, 2), 2)
+        return np.float64(whole) + np.float64(bytes_big(buf, at, 4)) / 4294967296.0
+    if code == U64:
+        return np.float64(raw_bits(buf, at, kind, size))
+    return np.float64(read_integer(buf, at, kind, size))
