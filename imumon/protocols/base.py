@@ -22,8 +22,10 @@ CAPACITY = 4096 + 8
 """Rows of the preallocated columns.  Not a power of two, so that columns do not share cache sets."""
 
 # Indices into the integer state that a kernel keeps between calls.
-RECEIVED, IN_PACKETS, SKIPPED, PACKETS, CHECKSUM_ERRORS, LENGTH_ERRORS, ROWS, HELD = range(8)
-STATE_SIZE = 8
+# HELD bytes stand at the front of the held buffer; of the first DATED of them the arrival time is stored, the
+# others belong to the chunk that is being scanned (see `append_chunk` and `keep_rest` in kernel.py).
+RECEIVED, IN_PACKETS, SKIPPED, PACKETS, CHECKSUM_ERRORS, LENGTH_ERRORS, ROWS, HELD, DATED = range(9)
+STATE_SIZE = 9
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from imumon.protocols.base import ByteArray
+from imumon.blocks import IntArray
+from imumon.protocols.base import DATED, HELD, RECEIVED, ByteArray
 
 BIG = 64
 """Added to a number kind when the most significant byte comes first."""
@@ -100,3 +101,41 @@ def read_float(buf: ByteArray, at: int, kind: int, size: int) -> float:
     if code == U64:
         return np.float64(raw_bits(buf, at, kind, size))
     return np.float64(read_integer(buf, at, kind, size))
+
+
+@njit(cache=True, nogil=True)
+def append_chunk(chunk: ByteArray, held: ByteArray, state: IntArray) -> int:
+    """Put a chunk behind the held bytes; return how many bytes there are to scan."""
+    start = state[HELD]
+    held[start : start + len(chunk)] = chunk
+    state[RECEIVED] += len(chunk)
+    state[HELD] = start + len(chunk)
+    return int(state[HELD])
+
+
+@njit(cache=True, nogil=True, inline="always")
+def arrival_of(at: int, arrival_ns: int, held_arrival: IntArray, state: IntArray) -> int:
+    """Return when the held byte at this place arrived; `arrival_ns` is that of the chunk being scanned."""
+    return int(held_arrival[at]) if at < state[DATED] else arrival_ns
+
+
+@njit(cache=True, nogil=True)
+def keep_rest(
+    start: int, arrival_ns: int, held: ByteArray, held_arrival: IntArray, state: IntArray, rows_full: bool
+) -> None:
+    """Move the bytes from `start` on to the front, with their arrival times.
+
+    When the rows are full the rest may be longer than a packet, and the same chunk is scanned again at once:
+    then only the arrival times of earlier chunks are kept, the others are still those of the chunk.
+    """
+    rest = state[HELD] - start
+    dated = max(state[DATED] - start, 0)
+    for i in range(dated):
+        held_arrival[i] = held_arrival[start + i]
+    for i in range(rest):
+        held[i] = held[start + i]
+    if not rows_full:
+        held_arrival[dated:rest] = arrival_ns
+        dated = rest
+    state[HELD] = rest
+    state[DATED] = dated
