@@ -1,0 +1,200 @@
+"""Checksums of serial protocols, compiled, chosen by name.
+
+A CRC is described as in Greg Cook's catalogue (width, polynomial, initial value, reflection, final XOR) and
+computed eight bytes at a time ("slicing by 8": Kounavis and Berry, Intel, 2005).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from imumon.protocols.base import ByteArray
+
+CrcTable = npt.NDArray[np.uint32]
+
+NONE, SUM8, SUM8_NEGATED, XOR8, SUM16, FLETCHER16, FLETCHER16_256, CRC_FORWARD, CRC_REFLECTED = range(9)
+
+
+@dataclass(frozen=True, slots=True)
+class Crc:
+    """A cyclic redundancy check in the terms of the CRC catalogues."""
+
+    width: int
+    polynomial: int
+    initial: int
+    reflected: bool
+    final_xor: int
+
+
+SIMPLE = {
+    "none": (NONE, 0),
+    "sum8": (SUM8, 1),
+    "sum8-negated": (SUM8_NEGATED, 1),
+    "xor8": (XOR8, 1),
+    "sum16": (SUM16, 2),
+    "fletcher16": (FLETCHER16, 2),
+    "fletcher16-256": (FLETCHER16_256, 2),
+}
+"""Kernel code and bytes by name.
+
+sum8-negated makes the sum of all bytes and the checksum zero.  fletcher16 is modulo 255 (RFC 1145, second sum
+in the high byte); fletcher16-256 is the variant modulo 256 that MIP and UBX use.
+"""
+
+CRCS = {
+    "crc16-arc": Crc(16, 0x8005, 0x0000, True, 0x0000),
+    "crc16-modbus": Crc(16, 0x8005, 0xFFFF, True, 0x0000),
+    "crc16-xmodem": Crc(16, 0x1021, 0x0000, False, 0x0000),
+    "crc16-ccitt-false": Crc(16, 0x1021, 0xFFFF, False, 0x0000),
+    "crc16-aug-ccitt": Crc(16, 0x1021, 0x1D0F, False, 0x0000),
+    "crc16-genibus": Crc(16, 0x1021, 0xFFFF, False, 0xFFFF),
+    "crc16-kermit": Crc(16, 0x1021, 0x0000, True, 0x0000),
+    "crc16-x25": Crc(16, 0x1021, 0xFFFF, True, 0xFFFF),
+    "crc32": Crc(32, 0x04C11DB7, 0xFFFFFFFF, True, 0xFFFFFFFF),
+    "crc32-mpeg2": Crc(32, 0x04C11DB7, 0xFFFFFFFF, False, 0x00000000),
+    "crc32c": Crc(32, 0x1EDC6F41, 0xFFFFFFFF, True, 0xFFFFFFFF),
+}
+"""CRCs by the names of the catalogue, with a hyphen behind the width."""
+
+CHECKSUM_NAMES = (*SIMPLE, *CRCS)
+
+
+@dataclass(frozen=True, slots=True)
+class Checksum:
+    """A checksum ready for the kernels: code, bytes, and what a CRC needs.
+
+    A CRC runs in a 32-bit register, left-aligned when it is not reflected, so that one pair of loops does for
+    every width; `shift` brings the result down.
+    """
+
+    code: int
+    size: int
+    table: CrcTable
+    initial: int = 0
+    final_xor: int = 0
+    shift: int = 0
+
+
+def make_checksum(name: str) -> Checksum:
+    """Return the checksum of this name (one of `CHECKSUM_NAMES`)."""
+    if name in SIMPLE:
+        code, size = SIMPLE[name]
+        return Checksum(code, size, np.zeros((8, 256), np.uint32))
+    crc = CRCS[name]
+    shift = 0 if crc.reflected else 32 - crc.width
+    initial = _reverse(crc.initial, crc.width) if crc.reflected else crc.initial << shift
+    code = CRC_REFLECTED if crc.reflected else CRC_FORWARD
+    return Checksum(code, crc.width // 8, _crc_table(crc), initial, crc.final_xor, shift)
+
+
+def _reverse(value: int, width: int) -> int:
+    return int(f"{value:0{width}b}"[::-1], 2)
+
+
+def _crc_table(crc: Crc) -> CrcTable:
+    """Tables T[k][b]: the register after byte b and k zero bytes, started from zero."""
+    table = np.zeros((8, 256), np.uint32)
+    for byte in range(256):
+        if crc.reflected:
+            polynomial, register = _reverse(crc.polynomial, crc.width), byte
+            for _ in range(8):
+                register = (register >> 1) ^ (polynomial if register & 1 else 0)
+        else:
+            polynomial, register = crc.polynomial << (32 - crc.width), byte << 24
+            for _ in range(8):
+                register = ((register << 1) & 0xFFFFFFFF) ^ (polynomial if register & 0x80000000 else 0)
+        table[0, byte] = register
+    for k in range(1, 8):
+        last = table[k - 1]
+        if crc.reflected:
+            table[k] = (last >> 8) ^ table[0, last & 0xFF]
+        else:
+            table[k] = (last << 8) ^ table[0, last >> 24]
+    return table
+
+
+# Loops run over a slice, from zero: with any other start numba tests each index for being negative, and nothing
+# is vectorised (34 ns instead of 7 for the sum of 58 bytes).
+
+
+@njit(cache=True, nogil=True)
+def checksum(
+    code: int, data: ByteArray, table: CrcTable, initial: int, final_xor: int, shift: int
+) -> np.int64:
+    """Compute a checksum over all of data; the other arguments are the fields of `Checksum`."""
+    if code == CRC_FORWARD:
+        return np.int64(_crc_forward(data, table, initial) >> np.uint32(shift)) ^ final_xor
+    if code == CRC_REFLECTED:
+        return np.int64(_crc_reflected(data, table, initial)) ^ final_xor
+    if code == XOR8:
+        value = np.uint8(0)
+        for i in range(len(data)):
+            value ^= data[i]
+        return np.int64(value)
+    if code == FLETCHER16:
+        return _fletcher(data, 255)
+    if code == FLETCHER16_256:
+        return _fletcher(data, 256)
+    total = np.uint32(0)
+    for i in range(len(data)):
+        total += np.uint32(data[i])
+    if code == SUM16:
+        return np.int64(total & np.uint32(0xFFFF))
+    if code == SUM8_NEGATED:
+        return np.int64((np.uint32(0) - total) & np.uint32(0xFF))
+    return np.int64(total & np.uint32(0xFF))
+
+
+@njit(cache=True, nogil=True)
+def _fletcher(data: ByteArray, modulus: int) -> np.int64:
+    """Both sums at once: the second is the sum of the bytes weighted by their distance to the end."""
+    first = np.uint32(0)
+    second = np.uint32(0)
+    n = np.uint32(len(data))
+    for i in range(len(data)):
+        byte = np.uint32(data[i])
+        first += byte
+        second += byte * np.uint32(n - np.uint32(i))
+    return (np.int64(second % np.uint32(modulus)) << 8) | np.int64(first % np.uint32(modulus))
+
+
+@njit(cache=True, nogil=True)
+def _crc_forward(data: ByteArray, table: CrcTable, initial: int) -> np.uint32:
+    crc = np.uint32(initial)
+    whole = len(data) // 8 * 8
+    for i in range(0, whole, 8):
+        a = np.uint32(data[i]) ^ (crc >> np.uint32(24))
+        b = np.uint32(data[i + 1]) ^ ((crc >> np.uint32(16)) & np.uint32(0xFF))
+        c = np.uint32(data[i + 2]) ^ ((crc >> np.uint32(8)) & np.uint32(0xFF))
+        d = np.uint32(data[i + 3]) ^ (crc & np.uint32(0xFF))
+        crc = table[7, a] ^ table[6, b] ^ table[5, c] ^ table[4, d] ^ _last_four(data, i, table)
+    for i in range(whole, len(data)):
+        crc = np.uint32(crc << np.uint32(8)) ^ table[0, np.uint32(crc >> np.uint32(24)) ^ np.uint32(data[i])]
+    return crc
+
+
+@njit(cache=True, nogil=True)
+def _crc_reflected(data: ByteArray, table: CrcTable, initial: int) -> np.uint32:
+    crc = np.uint32(initial)
+    whole = len(data) // 8 * 8
+    for i in range(0, whole, 8):
+        a = np.uint32(data[i]) ^ (crc & np.uint32(0xFF))
+        b = np.uint32(data[i + 1]) ^ ((crc >> np.uint32(8)) & np.uint32(0xFF))
+        c = np.uint32(data[i + 2]) ^ ((crc >> np.uint32(16)) & np.uint32(0xFF))
+        d = np.uint32(data[i + 3]) ^ (crc >> np.uint32(24))
+        crc = table[7, a] ^ table[6, b] ^ table[5, c] ^ table[4, d] ^ _last_four(data, i, table)
+    for i in range(whole, len(data)):
+        crc = np.uint32(crc >> np.uint32(8)) ^ table[0, (crc ^ np.uint32(data[i])) & np.uint32(0xFF)]
+    return crc
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _last_four(data: ByteArray, i: int, table: CrcTable) -> np.uint32:
+    """Contribution of bytes 4 to 7 of eight, which the register does not reach."""
+    return np.uint32(
+        table[3, data[i + 4]] ^ table[2, data[i + 5]] ^ table[1, data[i + 6]] ^ table[0, data[i + 7]]
+    )

@@ -1,0 +1,88 @@
+"""Units at the boundary: from what a device or a table has to what imumon has inside."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from functools import lru_cache
+from typing import Any
+
+from imumon.errors import ImumonError, Reason
+
+# What the field writes and pint reads otherwise or not at all.
+_SPELLINGS = {
+    "dps": "deg/s",
+    "mdps": "millideg/s",
+    "deg/h": "deg/hour",
+    "°/s": "deg/s",
+    "°/h": "deg/hour",
+    "°": "deg",
+    "g": "standard_gravity",
+    "mg": "millistandard_gravity",
+    "ug": "microstandard_gravity",
+    "µg": "microstandard_gravity",
+    "C": "degC",
+    "°C": "degC",
+    "F": "degF",
+    "°F": "degF",
+    "Gauss": "gauss",
+    "G": "gauss",
+    "mG": "milligauss",
+    "mgauss": "milligauss",
+}
+"""In this field "g" is never a gram and "C" never a coulomb."""
+
+# pint knows a gauss of the cgs system, which is not a tesla's kind.
+_ADDED = ["flux_gauss = 1e-4 * tesla"]
+
+
+@lru_cache(maxsize=1)
+def _registry() -> Any:
+    import pint
+
+    # In fractions, so that a microsecond is exactly 1000 ns; rounded to float64 once, at the end.
+    registry: Any = pint.UnitRegistry(non_int_type=Fraction)
+    for definition in _ADDED:
+        registry.define(definition)
+    return registry
+
+
+def conversion(unit: str, target: str) -> tuple[float, float]:
+    """Return (factor, offset) so that value_in_target = factor * value_in_unit + offset.
+
+    Raises
+    ------
+    ImumonError
+        BAD_CONFIG when the unit is unknown or measures something else than the target.
+    """
+    factor, offset = exact_conversion(unit, target)
+    return float(factor), float(offset)
+
+
+@lru_cache(maxsize=256)
+def exact_conversion(unit: str, target: str) -> tuple[Fraction, Fraction]:
+    """Return `conversion` as fractions, not yet rounded."""
+    if unit == target:
+        return Fraction(1), Fraction(0)
+    import pint
+
+    registry = _registry()
+    try:
+        source = registry.Unit(_spelled(unit))
+        at_zero, at_one = (
+            Fraction(registry.Quantity(Fraction(value), source).to(_spelled(target)).magnitude)
+            for value in (0, 1)
+        )
+    except pint.DimensionalityError as error:
+        raise ImumonError(
+            Reason.BAD_CONFIG, f"unit {unit!r} does not measure what {target!r} measures", "check the unit"
+        ) from error
+    except (pint.PintError, ValueError, TypeError, AttributeError, AssertionError) as error:
+        raise ImumonError(
+            Reason.BAD_CONFIG, f"unit {unit!r} is not known", f"expected one like {target!r}"
+        ) from error
+    return at_one - at_zero, at_zero
+
+
+def _spelled(unit: str) -> str:
+    spelled = _SPELLINGS.get(unit.strip(), unit.strip())
+    return spelled.replace("gauss", "flux_gauss")
