@@ -1,0 +1,319 @@
+"""A serial device without hardware: a pseudo-terminal that behaves like a UART with a cable.
+
+A pseudo-terminal has no speed and no plug.  Here it has: bytes leave at the baud rate of the device, a host
+that opened it at another rate samples garbage, bytes that nobody takes are lost and counted, and the cable
+can be pulled.  Needs Linux.
+"""
+
+from __future__ import annotations
+
+import array
+import contextlib
+import fcntl
+import math
+import os
+import select
+import termios
+import threading
+import time
+import tty
+from pathlib import Path
+from types import TracebackType
+
+BITS_PER_BYTE = 10
+"""8N1: start bit, eight data bits, stop bit."""
+BACKLOG = 1 << 20
+"""Bytes that wait to be sent; what a device writes beyond that is lost, as in a UART that overruns."""
+CHUNK_S = 0.001
+"""Line time of what is handed over at once, as by an adapter in low-latency mode."""
+UNPACED_CHUNK = 4096
+UNPACED_PATIENCE_S = 1.0
+"""How long a device without a baud rate waits for a reader that does not read, before bytes are lost."""
+SAMPLING_TOLERANCE = 0.03
+"""Rates closer than this are sampled correctly: at the ninth bit the error is a third of a bit."""
+
+_TCGETS2 = 0x802C542A  # termios2 holds the rate as a number, termios only a code
+_TCSETS2 = 0x402C542B
+_BOTHER = 0o010000
+_TERMIOS2_INTS = 64  # 11 are used
+_CFLAG, _ISPEED, _OSPEED = 2, 9, 10  # position of these ints
+
+
+class VirtualPort:
+    """A device on a cable; the host opens `path` as it would open ``/dev/ttyUSB0``.
+
+    Parameters
+    ----------
+    link : Path or None
+        Name of a symlink to the device node, made here and removed by `unplug` and `close`; it stays the same
+        when the device is plugged in again, as under ``/dev/serial/by-id``.
+    baudrate : int or None
+        Rate of the device, 8N1.  None sends as fast as the host reads, whatever rate the host has set.
+    """
+
+    def __init__(self, link: Path | None = None, baudrate: int | None = 115200) -> None:
+        self.baudrate = baudrate
+        self.bytes_sent = 0
+        """Bytes that went over the line while a host had the port open."""
+        self.bytes_lost = 0
+        """Bytes written that did not: no host, mute, unplugged, or written faster than the line carries."""
+        self.bytes_overrun = 0
+        """Bytes that arrived at the host and found its buffers full, since it did not read."""
+        self._link = link
+        self._master: int | None = None
+        self._node = ""
+        self._backlog = bytearray()
+        self._mute = False
+        self._closing = False
+        self._taken_at = time.monotonic()  # when the host last had room
+        self._sampler: Sampler | None = None
+        self._changed = threading.Condition()
+        self.replug()
+        self._thread = threading.Thread(target=self._send, name="virtual port", daemon=True)
+        self._thread.start()
+
+    @property
+    def path(self) -> str:
+        """Name by which the host opens the port; it does not exist while unplugged."""
+        return str(self._link) if self._link is not None else self._node
+
+    def write(self, data: bytes) -> None:
+        """Send bytes to the host; returns at once, whether or not anyone reads."""
+        with self._changed:
+            if self._mute or self._master is None:
+                self.bytes_lost += len(data)
+                return
+            room = max(BACKLOG - len(self._backlog), 0)
+            self._backlog += data[:room]
+            self.bytes_lost += len(data[room:])
+            self._changed.notify_all()
+
+    def drain(self, timeout_s: float = 10.0) -> bool:
+        """Wait until all that was written has left; return whether it has."""
+        with self._changed:
+            return self._changed.wait_for(lambda: not self._backlog, timeout_s)
+
+    def read(self, timeout_s: float = 0.0) -> bytes:
+        """Return what the host has sent to the device, waiting at most `timeout_s`."""
+        master = self._master
+        if master is None or not self.host_listens():
+            return b""
+        if not select.select([master], [], [], timeout_s)[0]:
+            return b""
+        try:
+            return os.read(master, 4096)
+        except OSError:  # the host has just closed its end
+            return b""
+
+    def host_listens(self) -> bool:
+        """Tell whether a host has the port open."""
+        master = self._master
+        return master is not None and not _poll(master) & select.POLLHUP
+
+    def host_baudrate(self) -> int:
+        """Return the rate that the host has set."""
+        assert self._master is not None
+        return _termios2(self._master)[_OSPEED]
+
+    def silence(self) -> None:
+        """Let the device send nothing more until `resume`; what it writes is lost."""
+        with self._changed:
+            self._mute = True
+            self._lose_backlog()
+
+    def resume(self) -> None:
+        """Let the device send again."""
+        with self._changed:
+            self._mute = False
+
+    def unplug(self, graceful: bool = False) -> None:
+        """Pull the cable: the node disappears and the host's descriptor fails.
+
+        Graceful sends what was written and lets the host read it first (a driver that is unbound in order);
+        otherwise all that is under way is lost, in the middle of a packet.
+        """
+        if graceful:
+            self.drain()
+            self._wait_until_read()
+        with self._changed:
+            self._lose_backlog()
+            if self._master is not None:
+                os.close(self._master)
+                self._master = None
+            if self._link is not None:
+                self._link.unlink(missing_ok=True)
+
+    def replug(self) -> None:
+        """Plug the device in again: a new node, under the same link when there is one."""
+        with self._changed:
+            if self._master is not None:
+                return
+            self._master, slave = os.openpty()
+            self._node = os.ttyname(slave)
+            tty.setraw(slave)
+            if self.baudrate is not None:
+                _set_rate(slave, self.baudrate)  # a host that sets no rate is right by chance, as at a bench
+            os.close(slave)  # from here on the master hangs up while no host has the port open
+            os.set_blocking(self._master, False)
+            self._sampler = None
+            if self._link is not None:
+                self._link.symlink_to(self._node)
+
+    def close(self) -> None:
+        """Unplug for good and end the thread."""
+        with self._changed:
+            self._closing = True
+            self._changed.notify_all()
+        self._thread.join()
+        self.unplug()
+
+    def __enter__(self) -> VirtualPort:
+        """Return the port itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close the port."""
+        self.close()
+
+    def _send(self) -> None:
+        """Take bytes from the backlog when the line has carried them, and hand them to the host."""
+        free_at = time.monotonic()  # when the line has carried all that was sent so far
+        while True:
+            with self._changed:
+                if not self._backlog:
+                    self._changed.wait_for(lambda: self._backlog or self._closing)
+                    free_at = time.monotonic()
+                if self._closing:
+                    return
+                size, duration_s = self._next_chunk()
+            free_at += duration_s
+            time.sleep(max(free_at - time.monotonic(), 0.0))
+            with self._changed:
+                data = bytes(self._backlog[:size])  # shorter when the cable was pulled meanwhile
+                done = self._deliver(data)
+                del self._backlog[:done]
+                self._changed.notify_all()
+            if done < len(data):
+                time.sleep(CHUNK_S)
+
+    def _next_chunk(self) -> tuple[int, float]:
+        if self.baudrate is None:
+            return UNPACED_CHUNK, 0.0
+        rate = self.baudrate / BITS_PER_BYTE
+        size = min(len(self._backlog), math.ceil(rate * CHUNK_S))
+        return size, size / rate
+
+    def _deliver(self, data: bytes) -> int:
+        """Hand bytes to the host; return how many are dealt with, delivered or not."""
+        if self._master is None or not self.host_listens():
+            self.bytes_lost += len(data)
+            return len(data)
+        sampled = self._as_sampled(data)
+        taken = 0
+        with contextlib.suppress(BlockingIOError):
+            taken = os.write(self._master, sampled)
+        now = time.monotonic()
+        if taken:
+            self._taken_at = now
+        if self.baudrate is None and taken < len(data) and now - self._taken_at < UNPACED_PATIENCE_S:
+            self.bytes_sent += taken
+            return taken
+        self.bytes_overrun += len(sampled) - taken
+        self.bytes_sent += len(data)
+        return len(data)
+
+    def _as_sampled(self, data: bytes) -> bytes:
+        """Return the bytes that a host sees that samples the line at the rate it has set."""
+        if self.baudrate is None:
+            return data
+        ratio = self.baudrate / max(self.host_baudrate(), 1)
+        if abs(ratio - 1) <= SAMPLING_TOLERANCE:
+            self._sampler = None
+            return data
+        if self._sampler is None or self._sampler.ratio != ratio:
+            self._sampler = Sampler(ratio)
+        return self._sampler.feed(data)
+
+    def _lose_backlog(self) -> None:
+        self.bytes_lost += len(self._backlog)
+        self._backlog.clear()
+        self._changed.notify_all()
+
+    def _wait_until_read(self, timeout_s: float = 1.0) -> None:
+        """Wait until the host has read what it was sent; the node tells how much is waiting."""
+        if not self.host_listens():
+            return
+        try:
+            slave = os.open(self._node, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        except OSError:  # exclusive use; the bytes are in its buffer, so time has to do
+            time.sleep(0.1)
+            return
+        end = time.monotonic() + timeout_s
+        waiting = array.array("i", [1])
+        while waiting[0] and time.monotonic() < end:
+            time.sleep(CHUNK_S)
+            fcntl.ioctl(slave, termios.FIONREAD, waiting)
+        os.close(slave)
+
+
+class Sampler:
+    """What a UART makes of a line whose bits last `ratio` of its own bit times.
+
+    The line is taken as one stream of bytes without pauses, so the result does not depend on how it is cut.
+
+    Parameters
+    ----------
+    ratio : float
+        Bit rate of the sender divided by that of the receiver.
+    """
+
+    def __init__(self, ratio: float) -> None:
+        self.ratio = ratio
+        self._line = bytearray([1])  # levels, one per bit of the sender
+        self._position = 0.0  # where the receiver looks for the next start bit, in bits of the sender
+
+    def feed(self, data: bytes) -> bytes:
+        """Return the bytes that the receiver completes while these are on the line."""
+        for byte in data:
+            self._line.append(0)
+            self._line.extend((byte >> bit) & 1 for bit in range(8))
+            self._line.append(1)
+        received = bytearray()
+        while (start := self._start_bit()) is not None:
+            stop = start + 9.5 * self.ratio
+            if stop >= len(self._line):
+                break
+            bits = [self._line[int(start + (bit + 1.5) * self.ratio)] for bit in range(8)]
+            received.append(sum(level << bit for bit, level in enumerate(bits)))
+            self._position = stop
+        used = max(int(self._position) - 1, 0)
+        del self._line[:used]
+        self._position -= used
+        return bytes(received)
+
+    def _start_bit(self) -> int | None:
+        """Return where the line falls from 1 to 0 next."""
+        found = self._line.find(b"\x01\x00", int(self._position))
+        return None if found < 0 else found + 1
+
+
+def _poll(fd: int) -> int:
+    poll = select.poll()
+    poll.register(fd, 0)
+    events = poll.poll(0)
+    return events[0][1] if events else 0
+
+
+def _termios2(fd: int) -> array.array[int]:
+    buffer = array.array("i", [0] * _TERMIOS2_INTS)
+    fcntl.ioctl(fd, _TCGETS2, buffer)
+    return buffer
+
+
+def _set_rate(fd: int, baudrate: int) -> None:
+    buffer = _termios2(fd)
+    buffer[_CFLAG] = (buffer[_CFLAG] & ~termios.CBAUD) | _BOTHER
+    buffer[_ISPEED] = buffer[_OSPEED] = baudrate
+    fcntl.ioctl(fd, _TCSETS2, buffer)

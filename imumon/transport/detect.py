@@ -1,0 +1,258 @@
+"""Find baud rate and protocol of a device by listening, and show the evidence."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from typing import TYPE_CHECKING
+
+from imumon.errors import ImumonError, Reason
+from imumon.transport.errors import silent_error, wrong_baud_error
+from imumon.transport.port import open_port
+from imumon.transport.settings import PortSettings
+
+if TYPE_CHECKING:
+    from imumon.protocols.base import Decoder
+
+COMMON_BAUDRATES = (
+    *(115200, 921600, 460800, 230400, 57600, 38400, 9600, 19200),
+    *(1000000, 2000000, 3000000, 500000, 1500000, 4000000, 4800),
+)
+"""Rates that devices are delivered with, the most common first."""
+PLENTY_OF_PACKETS = 50
+"""With so many packets in good order, listening on at this rate proves nothing more."""
+ENOUGH_PACKETS = 5
+FRAMED = 0.8
+"""Share of bytes in packets from which a stream frames; the packets cut at both ends are missing from 1."""
+FRAMED_IN_PART = 0.2
+SILENT_RATES = 3
+"""After so many rates without a byte it is silent: a wrong rate garbles bytes, it does not stop them."""
+POLL_S = 0.05
+TEXT = frozenset(b"\t\r\n" + bytes(range(0x20, 0x7F)))
+ODD = frozenset(b"\x00\xff")
+
+
+class Verdict(Enum):
+    """What a protocol makes of the bytes at a rate, best first."""
+
+    FRAMES = "frames"
+    """Nearly all bytes are in valid packets."""
+    PARTLY = "frames in part"
+    """Valid packets, with many bytes between them."""
+    NOTHING = "does not frame"
+    """Bytes, but no packets worth the name."""
+    SILENT = "silent"
+    """No bytes."""
+
+
+_RANK = {verdict: rank for rank, verdict in enumerate(Verdict)}
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """What was seen at one baud rate with one protocol.
+
+    Parameters
+    ----------
+    protocol : str
+        Name of the candidate.
+    baudrate : int or None
+        Rate in bit/s; None where there is no line (``socket://``).
+    seconds : float
+        Time listened.
+    bytes_received, bytes_in_packets, bytes_pending : int
+        All bytes; those in valid packets; those of a packet cut off at the end.
+    packets, checksum_errors, length_errors : int
+        Valid packets, and what looked like a packet and was none.
+    odd_share : float
+        Share of bytes that are 0x00 or 0xFF, which a wrong rate or an inverted line gives.
+    text_share : float
+        Share of bytes that are printable ASCII or line ends.
+    """
+
+    protocol: str
+    baudrate: int | None
+    seconds: float
+    bytes_received: int
+    bytes_in_packets: int
+    bytes_pending: int
+    packets: int
+    checksum_errors: int
+    length_errors: int
+    odd_share: float
+    text_share: float
+
+    @property
+    def bytes_per_s(self) -> float:
+        """Rate at which bytes arrived."""
+        return self.bytes_received / self.seconds if self.seconds > 0 else 0.0
+
+    @property
+    def share_framed(self) -> float:
+        """Share of the bytes that are in valid packets, apart from a packet cut off at the end."""
+        complete = self.bytes_received - self.bytes_pending
+        return self.bytes_in_packets / complete if complete else 0.0
+
+    @property
+    def verdict(self) -> Verdict:
+        """What follows from the numbers."""
+        if self.bytes_received == 0:
+            return Verdict.SILENT
+        if self.packets >= ENOUGH_PACKETS and self.share_framed >= FRAMED:
+            return Verdict.FRAMES
+        return Verdict.PARTLY if self.packets and self.share_framed >= FRAMED_IN_PART else Verdict.NOTHING
+
+
+def baudrates_to_try(first: Iterable[int] = ()) -> list[int]:
+    """Return the rates in the order to try them: those of the known devices, then the common ones."""
+    return list(dict.fromkeys((*first, *COMMON_BAUDRATES)))
+
+
+def detect(
+    url: str,
+    candidates: Mapping[str, Callable[[], Decoder]],
+    baudrates: Sequence[int] = COMMON_BAUDRATES,
+    seconds_each: float = 1.5,
+    before_rate: Callable[[PortSettings], None] = lambda _: None,
+) -> list[Evidence]:
+    """Listen at one rate after the other until the bytes frame; return the evidence, the best first.
+
+    Parameters
+    ----------
+    url : str
+        The port; where it has no line, it is listened to once.
+    candidates : mapping of str to factory
+        Makes a fresh decoder per name.
+    baudrates : sequence of int
+        Rates in bit/s, in the order to try them.
+    seconds_each : float
+        Time to listen at each rate; less when the evidence is overwhelming.
+    before_rate : callable
+        Told what is tried next.
+
+    Raises
+    ------
+    ImumonError
+        When the port cannot be opened or is lost.  A rate that the adapter does not offer is passed over.
+    """
+    for factory in candidates.values():
+        factory().feed(b"\0", 0)  # compiled kernels are loaded before bytes pile up
+    evidence: list[Evidence] = []
+    rates = baudrates if PortSettings(url).has_line else baudrates[:1]
+    for rate in rates:
+        settings = PortSettings(url, baudrate=rate)
+        before_rate(settings)
+        try:
+            evidence += listen(settings, candidates, seconds_each)
+        except ImumonError as error:
+            if error.reason is not Reason.BAD_CONFIG or rate == rates[-1]:
+                raise
+        if (
+            any(item.verdict is Verdict.FRAMES for item in evidence)
+            or _silent_rates(evidence) >= SILENT_RATES
+        ):
+            break
+    return sorted(evidence, key=_order)
+
+
+def listen(
+    settings: PortSettings, candidates: Mapping[str, Callable[[], Decoder]], seconds: float
+) -> list[Evidence]:
+    """Feed what arrives within `seconds` to every candidate; return the evidence in their order."""
+    decoders = {name: factory() for name, factory in candidates.items()}
+    counts = [0] * 256
+    with open_port(settings) as port:
+        start = time.monotonic()
+        elapsed = 0.0
+        while elapsed < seconds and not _overwhelming(decoders.values()):
+            data = port.read(min(POLL_S, seconds - elapsed))
+            for byte in data:
+                counts[byte] += 1
+            for decoder in decoders.values():
+                decoder.feed(data, time.time_ns())
+                decoder.discard()
+            elapsed = time.monotonic() - start
+    return [_weigh(name, decoder, settings, elapsed, counts) for name, decoder in decoders.items()]
+
+
+def failure(url: str, evidence: Sequence[Evidence]) -> ImumonError | None:
+    """Return why nothing was detected (SILENT, WRONG_BAUD), with the likely causes; None when something was.
+
+    `evidence` is what `detect` returned, the best first.
+    """
+    if not evidence:
+        return ImumonError(Reason.BAD_CONFIG, "no protocol or no baud rate to try")
+    best = evidence[0]
+    if best.verdict is Verdict.FRAMES:
+        return None
+    settings = PortSettings(url) if best.baudrate is None else PortSettings(url, baudrate=best.baudrate)
+    if best.verdict is Verdict.SILENT:
+        return silent_error(settings, sum({item.baudrate: item.seconds for item in evidence}.values()))
+    seen = wrong_baud_error(settings, best.bytes_per_s, best.share_framed, best.odd_share).seen
+    return ImumonError(Reason.WRONG_BAUD, seen, _likely_cause(evidence))
+
+
+def _likely_cause(evidence: Sequence[Evidence]) -> str:
+    """Tell what patterns in the bytes point to."""
+    best = evidence[0]
+    if best.verdict is Verdict.PARTLY:
+        return (
+            f"{best.protocol} frames in part with {best.checksum_errors} checksum errors: bytes are damaged"
+            " or missing.  Check ground and cable, and that no other program reads the port."
+        )
+    text = max(evidence, key=lambda item: item.text_share)
+    if text.text_share > 0.95:
+        rate = "" if text.baudrate is None else f" at {text.baudrate}"
+        return f"The bytes{rate} are text that no protocol here knows: the device may be in command mode."
+    if all(item.odd_share > 0.5 for item in evidence):
+        return (
+            "At every rate most bytes are 0x00 or 0xFF: the line may be inverted (RS-232 on a TTL input, the"
+            " two wires of RS-422 swapped), or its rate is far from those tried."
+        )
+    tried = ", ".join(dict.fromkeys(str(item.baudrate) for item in evidence))
+    return f"Another protocol, or another rate than those tried ({tried}); the manual of the device tells."
+
+
+def _weigh(
+    name: str, decoder: Decoder, settings: PortSettings, seconds: float, counts: Sequence[int]
+) -> Evidence:
+    decoder.finish()
+    decoder.discard()
+    counters = decoder.counters()
+    n_bytes = max(sum(counts), 1)
+    return Evidence(
+        protocol=name,
+        baudrate=settings.baudrate if settings.has_line else None,
+        seconds=seconds,
+        bytes_received=counters.bytes_received,
+        bytes_in_packets=counters.bytes_in_packets,
+        bytes_pending=counters.bytes_pending,
+        packets=counters.packets,
+        checksum_errors=counters.checksum_errors,
+        length_errors=counters.length_errors,
+        odd_share=sum(counts[byte] for byte in ODD) / n_bytes,
+        text_share=sum(counts[byte] for byte in TEXT) / n_bytes if sum(counts) else 0.0,
+    )
+
+
+def _overwhelming(decoders: Iterable[Decoder]) -> bool:
+    for decoder in decoders:
+        counters = decoder.counters()
+        good = counters.bytes_in_packets >= FRAMED * (counters.bytes_received - counters.bytes_pending)
+        if counters.packets >= PLENTY_OF_PACKETS and good:
+            return True
+    return False
+
+
+def _silent_rates(evidence: Iterable[Evidence]) -> int:
+    """Return the number of rates tried when none of them brought a byte, otherwise 0."""
+    items = list(evidence)
+    if any(item.bytes_received for item in items):
+        return 0
+    return len({item.baudrate for item in items})
+
+
+def _order(item: Evidence) -> tuple[int, float, int, int]:
+    return _RANK[item.verdict], -item.share_framed, -item.packets, item.checksum_errors

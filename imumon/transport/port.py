@@ -1,0 +1,208 @@
+"""One open port: exclusive, low latency, read as soon as bytes are there."""
+
+from __future__ import annotations
+
+import os
+import select
+import socket
+import sys
+import time
+from types import TracebackType
+
+import serial
+from serial.urlhandler import protocol_socket
+
+from imumon.errors import ImumonError
+from imumon.transport import terminal
+from imumon.transport.errors import OPEN_ERRORS, PORT_ERRORS, lost_error, open_error
+from imumon.transport.ports import holders
+from imumon.transport.settings import PortSettings
+
+READ_SIZE = 1 << 16
+"""Bytes taken at once: as many as a Linux tty can hold back after a stall."""
+SLICE_S = 0.05
+"""Longest wait inside a handler that cannot be woken up."""
+WRITE_TIMEOUT_S = 1.0
+
+
+class Port:
+    """An open port; made by `open_port`.
+
+    Parameters
+    ----------
+    handle : serial.Serial or another handler of pyserial
+        An open pyserial port, owned from now on.
+    settings : PortSettings
+        How it was opened.
+
+    Attributes
+    ----------
+    low_latency : str
+        What became of the low-latency mode, and how to get it.
+    shared_with : tuple of str
+        Other programs that had the port open already; what they read is missing here.
+    vanished_reads : int
+        How often bytes were announced and then gone, because another program took them.
+    """
+
+    def __init__(self, handle: serial.Serial, settings: PortSettings) -> None:
+        self.settings = settings
+        self._handle = handle
+        self._socket: socket.socket | None = getattr(handle, "_socket", None)
+        self._native = os.name == "posix" and isinstance(handle, serial.Serial)
+        # A subclass (spy://, alt://) wants to see what is read, so only the plain handlers are passed by.
+        direct = os.name == "posix" and type(handle) in (serial.Serial, protocol_socket.Serial)
+        self._take = self._take_direct if direct else self._take_from_handler
+        self._fd: int | None = handle.fileno() if direct or self._native else None
+        self.vanished_reads = 0
+        self.low_latency = "no serial adapter here"
+        self.shared_with: tuple[str, ...] = ()
+        if self._native and self._fd is not None:
+            terminal.set_exclusive(self._fd, True)
+            self.low_latency = terminal.set_low_latency(self._fd, str(handle.port))
+            self.shared_with = tuple(holders(str(handle.port)))
+        if self._socket is not None:
+            _keep_alive(self._socket)
+
+    def read(self, timeout_s: float, wake_fd: int | None = None) -> bytes:
+        """Return the bytes that are there, waiting for the first at most `timeout_s`; empty when none came.
+
+        A readable `wake_fd` ends the wait early.
+
+        Raises
+        ------
+        ImumonError
+            LOST when the port failed, hung up, or the peer closed the connection.
+        """
+        try:
+            if self._fd is None:
+                return self._wait_in_handler(timeout_s, wake_fd)
+            waited_for = [self._fd] if wake_fd is None else [self._fd, wake_fd]
+            ready = select.select(waited_for, [], [], max(timeout_s, 0.0))[0]
+            return self._take() if self._fd in ready else b""
+        except PORT_ERRORS as error:
+            raise lost_error(self.settings, error) from error
+
+    def write(self, data: bytes) -> None:
+        """Send bytes to the device.
+
+        Raises
+        ------
+        ImumonError
+            LOST when the port failed or takes no bytes for 1 s.
+        """
+        try:
+            self._handle.write(data)
+        except PORT_ERRORS as error:
+            raise lost_error(self.settings, error) from error
+
+    def gone(self) -> str:
+        """Return why the opened device is no longer the one under its name; empty when it is.
+
+        An adapter that came back under the same name can leave the old descriptor silent without an error.
+        """
+        if not self._native or self._fd is None:
+            return ""
+        try:
+            now = os.stat(str(self._handle.port))  # noqa: PTH116  (the same call as fstat below)
+        except OSError:
+            return "its device node vanished"
+        then = os.fstat(self._fd)
+        same = (now.st_dev, now.st_ino, now.st_rdev) == (then.st_dev, then.st_ino, then.st_rdev)
+        return "" if same else "its device node was replaced by another one"
+
+    def close(self) -> None:
+        """Close everything the port holds; closing twice does no harm."""
+        if self._native and self._fd is not None:
+            terminal.set_exclusive(self._fd, False)
+        self._fd = None
+        self._handle.close()
+        if self._socket is not None:
+            self._socket.close()  # pyserial forgets it when the peer has closed first
+        output = getattr(getattr(self._handle, "formatter", None), "output", None)
+        if output not in (None, sys.stderr):
+            output.close()  # the file of spy://...?file=
+
+    def __enter__(self) -> Port:
+        """Return the port itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close the port."""
+        self.close()
+
+    def _take_direct(self) -> bytes:
+        """Read the ready descriptor.
+
+        Nothing there although select said so means either hang-up or that another program was faster.
+        """
+        assert self._fd is not None
+        try:
+            data = os.read(self._fd, READ_SIZE)
+        except BlockingIOError:
+            data = b""
+        else:
+            if not data and self._socket is not None:
+                raise lost_error(self.settings, "the peer closed the connection")
+        if not data:
+            if terminal.hung_up(self._fd):
+                raise lost_error(self.settings, "the device hung up (unplugged, or its driver let go)")
+            self.vanished_reads += 1
+        return data
+
+    def _take_from_handler(self) -> bytes:
+        return bytes(self._handle.read(max(self._handle.in_waiting, 1)))
+
+    def _wait_in_handler(self, timeout_s: float, wake_fd: int | None) -> bytes:
+        """Wait in slices, since a handler without a descriptor cannot be woken up."""
+        end = time.monotonic() + timeout_s
+        while True:
+            data = bytes(self._handle.read(1))
+            if data:
+                waiting = self._handle.in_waiting
+                return data + bytes(self._handle.read(waiting)) if waiting else data
+            woken = wake_fd is not None and bool(select.select([wake_fd], [], [], 0)[0])
+            if woken or time.monotonic() >= end:
+                return b""
+
+
+def open_port(settings: PortSettings) -> Port:
+    """Open a port exclusively and try to set low-latency mode.
+
+    Raises
+    ------
+    ImumonError
+        NOT_FOUND, PERMISSION, BUSY, LOST (the device does not answer its driver) or BAD_CONFIG, each with
+        what was seen and what to do.
+    """
+    try:
+        handle = serial.serial_for_url(
+            settings.url,
+            do_not_open=True,
+            baudrate=settings.baudrate,
+            bytesize=settings.bytesize,
+            parity=settings.parity,
+            stopbits=settings.stopbits,
+            timeout=SLICE_S,
+            exclusive=True,
+            # The rfc2217 handler refuses to have one.
+            write_timeout=None if settings.scheme == "rfc2217" else WRITE_TIMEOUT_S,
+        )
+        handle.open()
+    except OPEN_ERRORS as error:
+        raise open_error(settings, error) from error
+    try:
+        return Port(handle, settings)
+    except ImumonError:
+        handle.close()
+        raise
+
+
+def _keep_alive(connection: socket.socket) -> None:
+    """Have the system probe an idle connection, or a server without power would look silent for ever."""
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    for name, value in (("TCP_KEEPIDLE", 5), ("TCP_KEEPINTVL", 2), ("TCP_KEEPCNT", 3)):
+        if hasattr(socket, name):
+            connection.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)

@@ -1,0 +1,169 @@
+"""Serial ports of this computer: what they are, who may open them, who has them open."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from serial.tools import list_ports as pyserial_ports
+
+SYS_TTY = Path("/sys/class/tty")
+BY_ID = Path("/dev/serial/by-id")
+PROC = Path("/proc")
+
+
+@dataclass(frozen=True, slots=True)
+class PortInfo:
+    """A serial port that exists.
+
+    Parameters
+    ----------
+    device : str
+        Name to open it by.
+    description : str
+        What the adapter or the operating system calls it.
+    vid, pid : int or None
+        USB vendor and product id; None for a port that is not USB.
+    serial_number : str or None
+        USB serial number.
+    driver : str or None
+        Kernel driver.
+    by_id : str or None
+        Name under ``/dev/serial/by-id``, which stays the same when adapters are replugged in another order.
+    latency_timer_ms : int or None
+        How long an FTDI adapter holds bytes back at the most; None where the driver has no such timer.
+    accessible : bool
+        Whether this user may read and write it.
+    holders : tuple of str
+        Other programs that have it open, as far as this user may see them.
+    """
+
+    device: str
+    description: str
+    vid: int | None
+    pid: int | None
+    serial_number: str | None
+    driver: str | None
+    by_id: str | None
+    latency_timer_ms: int | None
+    accessible: bool
+    holders: tuple[str, ...]
+
+    @property
+    def usb_id(self) -> str:
+        """Vendor and product id as ``0403:6001``; empty for a port that is not USB."""
+        return f"{self.vid:04x}:{self.pid:04x}" if self.vid is not None and self.pid is not None else ""
+
+    def __str__(self) -> str:
+        """Return name, description and USB id in one line."""
+        facts = ", ".join(fact for fact in (self.description, self.usb_id) if fact and fact != "n/a")
+        return f"{self.device} ({facts})" if facts else self.device
+
+
+def list_ports() -> list[PortInfo]:
+    """Return the serial ports that exist, by name."""
+    links = _by_id_links()
+    found = [
+        PortInfo(
+            device=port.device,
+            description=port.description or "",
+            vid=port.vid,
+            pid=port.pid,
+            serial_number=port.serial_number,
+            driver=driver(port.device),
+            by_id=links.get(os.path.realpath(port.device)),
+            latency_timer_ms=latency_timer_ms(port.device),
+            accessible=os.access(port.device, os.R_OK | os.W_OK) or os.name == "nt",
+            holders=tuple(holders(port.device)),
+        )
+        for port in pyserial_ports.comports()
+    ]
+    return sorted(found, key=lambda port: port.device)
+
+
+def describe_ports() -> str:
+    """Return one sentence that names the ports that exist; cheap enough for an error message."""
+    devices = sorted(
+        f"{port.device} ({port.description})" if port.vid is not None else port.device
+        for port in pyserial_ports.comports()
+    )
+    return "ports that exist: " + ", ".join(devices) if devices else "no serial ports exist"
+
+
+def driver(device: str) -> str | None:
+    """Return the kernel driver of a device such as ``/dev/ttyUSB0``, or None."""
+    link = _sys_device(device) / "driver"
+    return link.resolve().name if link.exists() else None
+
+
+def usb_ids(device: str) -> tuple[str, str] | None:
+    """Return USB vendor and product id as udev writes them (``0403``, ``6001``), or None."""
+    start = _sys_device(device)
+    if not start.exists():
+        return None
+    for folder in (start.resolve(), *start.resolve().parents):
+        if (folder / "idVendor").exists():
+            return (folder / "idVendor").read_text().strip(), (folder / "idProduct").read_text().strip()
+    return None
+
+
+def latency_timer_path(device: str) -> Path:
+    """Return where the kernel keeps the latency timer of an FTDI adapter."""
+    return _sys_device(device) / "latency_timer"
+
+
+def latency_timer_ms(device: str) -> int | None:
+    """Return the latency timer in ms, or None where the driver has none."""
+    try:
+        return int(latency_timer_path(device).read_text())
+    except (OSError, ValueError):
+        return None
+
+
+def holders(device: str) -> list[str]:
+    """Return the other processes that have the device open, as ``command (pid 123)``.
+
+    Only Linux tells, and only about processes that this user may look into; others are not in the list.
+    """
+    target = os.path.realpath(device)
+    found: list[str] = []
+    for process in sorted(PROC.glob("[0-9]*"), key=lambda folder: int(folder.name)):
+        if int(process.name) != os.getpid() and _has_open(process, target):
+            found.append(f"{_command(process)} (pid {process.name})")
+    return found
+
+
+def _has_open(process: Path, target: str) -> bool:
+    try:
+        with os.scandir(process / "fd") as entries:
+            return any(_link(Path(entry.path)) == target for entry in entries)
+    except OSError:  # another user's process, or it has just ended
+        return False
+
+
+def _link(path: Path) -> str:
+    try:
+        return str(path.readlink())
+    except OSError:  # closed since the folder was listed
+        return ""
+
+
+def _command(process: Path) -> str:
+    try:
+        words = (process / "cmdline").read_bytes().split(b"\0")
+    except OSError:
+        return "a process"
+    text = b" ".join(words).decode(errors="replace").strip()
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def _sys_device(device: str) -> Path:
+    return SYS_TTY / Path(os.path.realpath(device)).name / "device"
+
+
+def _by_id_links() -> dict[str, str]:
+    """Return the stable name of each device node that has one."""
+    if not BY_ID.is_dir():
+        return {}
+    return {os.path.realpath(link): str(link) for link in sorted(BY_ID.iterdir())}

@@ -1,0 +1,238 @@
+"""The reader thread: read, stamp, hand on; watch for silence, reopen what was lost."""
+
+from __future__ import annotations
+
+import select
+import socket
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+from types import TracebackType
+
+from imumon.errors import ImumonError
+from imumon.transport.errors import lost_error, silent_error
+from imumon.transport.port import Port, open_port
+from imumon.transport.settings import PortSettings
+
+SILENT_AFTER_S = 1.0
+FIRST_DELAY_S = 0.1
+LONGEST_DELAY_S = 2.0
+"""Reopening is tried after 0.1 s, then after twice the time, up to 2 s, for ever."""
+CHECK_SILENT_S = 1.0
+"""How often a silent port is checked for having been replaced."""
+
+
+class EventKind(Enum):
+    """What happened to the port; the values are written into recordings and stay as they are."""
+
+    OPENED = "opened"
+    """The port was opened, for the first time or again; bytes before and after do not belong together."""
+    SILENT = "silent"
+    """The port is open, and no byte has come for a while."""
+    RESUMED = "resumed"
+    """Bytes come again after SILENT, on the same opening."""
+    LOST = "lost"
+    """The port failed; it is reopened as soon as it can be.  The gap lasts until the next OPENED."""
+    UNAVAILABLE = "unavailable"
+    """Reopening failed; said again only when it fails for another reason."""
+    SHARED = "shared"
+    """Another program reads from the port as well, so bytes are missing."""
+    CLOSED = "closed"
+    """The reader was stopped; nothing follows."""
+
+
+@dataclass(frozen=True, slots=True)
+class Bytes:
+    """Bytes as they were read at once, and the Unix time (ns) right after the read."""
+
+    data: bytes
+    arrival_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """What happened to the port, when (Unix time, ns), and the details for a person."""
+
+    kind: EventKind
+    time_ns: int
+    detail: str
+
+
+Item = Bytes | Event
+Sink = Callable[[Item], None]
+"""Takes an item at once: `queue.SimpleQueue.put`, or a function that neither blocks nor raises."""
+
+
+class Clock:
+    """Unix time that never goes back: the time of day at the start plus a monotonic clock.
+
+    A step of the computer's clock (by a person or by NTP) during a recording does not reach the stamps.
+    """
+
+    def __init__(self) -> None:
+        self._offset_ns = time.time_ns() - time.monotonic_ns()
+
+    def now_ns(self) -> int:
+        """Return Unix time in ns."""
+        return self._offset_ns + time.monotonic_ns()
+
+
+class Wakeup:
+    """A flag that can be waited for together with descriptors; once set, it stays set."""
+
+    def __init__(self) -> None:
+        self._receive, self._send = socket.socketpair()
+        self.is_set = False
+
+    def fileno(self) -> int:
+        """Return a descriptor that is readable once the flag is set."""
+        return self._receive.fileno()
+
+    def set(self) -> None:
+        """Set the flag."""
+        self.is_set = True
+        self._send.send(b"!")
+
+    def wait(self, timeout_s: float) -> bool:
+        """Wait for the flag at most `timeout_s`; return whether it is set."""
+        return bool(select.select([self._receive], [], [], timeout_s)[0])
+
+    def close(self) -> None:
+        """Give the descriptors back."""
+        self._receive.close()
+        self._send.close()
+
+
+class Reader:
+    """Keeps a port open and hands every byte, with its time of arrival, to the sinks.
+
+    A silent port is left open unless its device node vanished or was replaced: opening again toggles DTR,
+    which resets some devices, and cannot help when the node is still the same.
+
+    Parameters
+    ----------
+    settings : PortSettings
+        The port.
+    sinks : callable
+        Each gets every `Bytes` and `Event` in order, called from the reader thread.
+    silent_after_s : float
+        Time without bytes after which the port is called silent; set it for devices that send less often.
+    """
+
+    def __init__(self, settings: PortSettings, *sinks: Sink, silent_after_s: float = SILENT_AFTER_S) -> None:
+        self.settings = settings
+        self._sinks = sinks
+        self._silent_after_s = silent_after_s
+        self._clock = Clock()
+        self._running: tuple[threading.Thread, Wakeup] | None = None
+
+    def start(self) -> None:
+        """Open the port and start reading.
+
+        Raises
+        ------
+        ImumonError
+            When the port cannot be opened now: the name may be wrong, so it is not tried again.
+        """
+        port, wakeup = open_port(self.settings), Wakeup()
+        name = f"reader of {self.settings.url}"
+        thread = threading.Thread(target=self._run, args=(port, wakeup), name=name, daemon=True)
+        self._running = thread, wakeup
+        thread.start()
+
+    def stop(self) -> None:
+        """Stop reading and close the port; returns when both are done, within 0.5 s."""
+        if self._running is not None:
+            thread, wakeup = self._running
+            self._running = None
+            wakeup.set()
+            thread.join()
+            wakeup.close()
+
+    def __enter__(self) -> Reader:
+        """Start reading."""
+        self.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Stop reading."""
+        self.stop()
+
+    def _run(self, first: Port, wakeup: Wakeup) -> None:
+        port: Port | None = first
+        lost_ns: int | None = None
+        while port is not None:
+            with port:
+                self._say_opened(port, lost_ns)
+                failure = self._read_until_lost(port, wakeup)
+            if failure is None:
+                break
+            lost_ns = self._clock.now_ns()
+            self._say(EventKind.LOST, failure.seen, lost_ns)
+            port = self._reopen(wakeup)
+        self._say(EventKind.CLOSED, f"{self.settings.url} was closed")
+
+    def _read_until_lost(self, port: Port, wakeup: Wakeup) -> ImumonError | None:
+        """Read until the port fails, and return why; None when the reader is stopped."""
+        last_ns = self._clock.now_ns()
+        silent = shared = False
+        wait_s = self._silent_after_s
+        while not wakeup.is_set:
+            try:
+                data = port.read(wait_s, wakeup.fileno())
+            except ImumonError as error:
+                return error
+            now_ns = self._clock.now_ns()
+            quiet_s = (now_ns - last_ns) * 1e-9
+            if data:
+                if silent:
+                    self._say(EventKind.RESUMED, f"bytes again after {quiet_s:.1f} s", now_ns)
+                silent, last_ns, wait_s = False, now_ns, self._silent_after_s
+                self._hand_on(Bytes(data, now_ns))
+            elif quiet_s < self._silent_after_s:
+                wait_s = self._silent_after_s - quiet_s
+            else:
+                wait_s = CHECK_SILENT_S
+                if not silent:
+                    silent = True
+                    self._say(EventKind.SILENT, silent_error(self.settings, quiet_s).seen, now_ns)
+                if reason := port.gone():
+                    return lost_error(self.settings, reason)
+            if port.vanished_reads and not shared:
+                shared = True
+                self._say(EventKind.SHARED, "another program takes bytes from this port")
+        return None
+
+    def _reopen(self, wakeup: Wakeup) -> Port | None:
+        """Try to open until it works; return None when the reader is stopped meanwhile."""
+        delay_s, said = FIRST_DELAY_S, ""
+        while not wakeup.wait(delay_s):
+            try:
+                return open_port(self.settings)
+            except ImumonError as error:
+                if error.seen != said:
+                    said = error.seen
+                    self._say(EventKind.UNAVAILABLE, str(error))
+            delay_s = min(2 * delay_s, LONGEST_DELAY_S)
+        return None
+
+    def _say_opened(self, port: Port, lost_ns: int | None) -> None:
+        now_ns = self._clock.now_ns()
+        gap = "" if lost_ns is None else f" again after {(now_ns - lost_ns) * 1e-9:.1f} s"
+        self._say(EventKind.OPENED, f"{self.settings}{gap}; low latency: {port.low_latency}", now_ns)
+        if port.shared_with:
+            others = ", ".join(port.shared_with)
+            self._say(
+                EventKind.SHARED, f"also open in {others}: bytes that it reads are missing here", now_ns
+            )
+
+    def _say(self, kind: EventKind, detail: str, time_ns: int | None = None) -> None:
+        self._hand_on(Event(kind, self._clock.now_ns() if time_ns is None else time_ns, detail))
+
+    def _hand_on(self, item: Item) -> None:
+        for sink in self._sinks:
+            sink(item)

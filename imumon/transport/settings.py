@@ -1,0 +1,80 @@
+"""How a port is opened: its URL and the shape of a character on the line."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from imumon.errors import ImumonError, Reason
+
+_ALLOWED: dict[str, tuple[object, ...]] = {
+    "bytesize": (5, 6, 7, 8),
+    "parity": ("N", "E", "O", "M", "S"),
+    "stopbits": (1, 1.5, 2),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class PortSettings:
+    """Where the bytes come from and how the line is set.
+
+    Parameters
+    ----------
+    url : str
+        A device (``/dev/ttyUSB0``, ``COM3``) or any URL that pyserial knows (``socket://host:port``,
+        ``rfc2217://host:port``, ``spy:///dev/ttyUSB0``, ``loop://``, ``hwgrep://regexp``).
+    baudrate : int
+        Bits per second on the line; a ``socket://`` has no line, so it does not matter there.
+    bytesize, parity, stopbits
+        Data bits 5 to 8; parity N, E, O, M or S; stop bits 1, 1.5 or 2.
+
+    Raises
+    ------
+    ImumonError
+        BAD_CONFIG when a value is not one of these.
+    """
+
+    url: str
+    baudrate: int = 115200
+    bytesize: int = 8
+    parity: str = "N"
+    stopbits: float = 1
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        if not self.url:
+            raise ImumonError(Reason.BAD_CONFIG, "the name of the port is empty")
+        if self.baudrate <= 0:
+            raise ImumonError(Reason.BAD_CONFIG, f"baud rate must be positive, got {self.baudrate}")
+        for name, allowed in _ALLOWED.items():
+            if getattr(self, name) not in allowed:
+                expected = ", ".join(map(str, allowed))
+                raise ImumonError(
+                    Reason.BAD_CONFIG, f"{name} must be one of {expected}, got {getattr(self, name)}"
+                )
+
+    @property
+    def scheme(self) -> str:
+        """Part of the URL before ``://`` in lower case; empty for a device."""
+        head, separator, _ = self.url.partition("://")
+        return head.lower() if separator else ""
+
+    @property
+    def has_line(self) -> bool:
+        """Whether there is a line with a baud rate behind this URL."""
+        return self.scheme not in ("socket", "loop")
+
+    @property
+    def bits_per_byte(self) -> float:
+        """Bits on the line for one byte: start, data, parity and stop bits."""
+        return 1 + self.bytesize + (self.parity != "N") + self.stopbits
+
+    @property
+    def capacity_bytes_per_s(self) -> float | None:
+        """Bytes per second that the line can carry, or None when there is no line."""
+        return self.baudrate / self.bits_per_byte if self.has_line else None
+
+    def __str__(self) -> str:
+        """Return the port as a person writes it, such as ``/dev/ttyUSB0 at 115200 8N1``."""
+        if not self.has_line:
+            return self.url
+        return f"{self.url} at {self.baudrate} {self.bytesize}{self.parity}{self.stopbits:g}"
