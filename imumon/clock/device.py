@@ -1,0 +1,403 @@
+"""The device's own time: counter and ticks unwrapped, restarts told from wraps, gaps and stalls.
+
+Seen of a step from one packet to the next are the step of the device's count, modulo its range, and the step
+of the arrival time, which a stalled host or a full buffer delays by seconds.  The rules:
+
+- A clock that does not wrap and goes back has restarted.
+- A count that wraps has gone forwards.  How many times round, the arrival times say, unless the step is so
+  small that nothing can have been lost.
+- A step that runs ahead of the arrivals by more than `SLACK_NS` is a restart; so is one that falls behind by
+  that, unless nothing was lost (then the host or the device has paused).
+- When the port was reopened, nothing can be queued, and `REOPENED_SLACK_NS` either way is enough.
+- Without arrival times, a wrapping count that goes back is taken for a wrap if the step is not above
+  `UNSEEN_GAP_NS`.
+- A packet counter that advances by many more packets than the device's clock has room for has restarted.
+  The reverse is a device that has paused.
+- The same counter again is a repeated packet (or another message about the same sample), not a loss.
+
+A restart that leaves the count within the slack of where it would have been looks like a gap; `HostClock`
+then sees the offset step.  So does any restart of a device without a clock whose counter wraps within the
+slack (8 bits at 100 Hz).
+"""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+from numba import njit
+
+from imumon.blocks import NO_INT, IntArray, missing
+from imumon.clock.host import CRYSTAL_PPM
+from imumon.errors import ImumonError, Reason
+from imumon.protocols.base import Timing
+
+SLACK_NS = 10_000_000_000
+"""Packets may queue for this long in the buffers of adapter and host."""
+REOPENED_SLACK_NS = 2_000_000_000
+"""The same just after the port was opened, when the buffers are empty."""
+UNSEEN_GAP_NS = 60_000_000_000
+"""Longest gap in which a wrap is believed when there are no arrival times."""
+SCATTER_NS = 100_000_000
+"""Arrivals scatter this much, so a count that wraps more quickly is not taken round for less."""
+CLOCK_STEADINESS = 1000
+"""A clock is at least this exact (one part in...)."""
+RATE_STEADINESS = 20
+"""A sensor's own oscillator is at least this close to the nominal rate (one part in...)."""
+DELAY_MEMORY_NS = 10_000_000_000
+"""Device time in which the usual delay follows an increase."""
+LOST_SOURCE_ROWS = 1000
+"""Rows without the usual count after which the next best one is used."""
+PERIOD_MEMORY = 16
+"""Packets over which the packet period is averaged; it changes by no more than this part at once."""
+RESTARTED_FACTOR, RESTARTED_PACKETS = 4, 16
+"""A counter that is this far ahead of the clock (factor, and packets besides) has restarted."""
+MAX_TIME_NS = 1 << 61
+"""Device times beyond this (73 years) are damage."""
+
+# What the device time comes from; a better source has a higher number.
+ARRIVALS, ROWS, COUNTER, TICKS = range(4)
+# Columns of the table of sources: a count is NUMERATOR / DENOMINATOR ns; it wraps at MODULUS, 0: never.
+# Counts beyond LIMIT are damage (0: the device has no such source).  1 / STEADINESS is how exact the unit is.
+NUMERATOR, DENOMINATOR, MODULUS, LIMIT, STEADINESS = range(5)
+# Integer state.
+(
+    SOURCE,
+    SEGMENT,
+    ROW,
+    RAW,
+    COUNT,
+    TIME,
+    HELD,
+    LAST_ARRIVAL,
+    TIME_AT_ARRIVAL,
+    USUAL_DELAY,
+    REOPENED,
+    RAW_COUNTER,
+    HELD_PACKETS,
+    TIME_AT_COUNTER,
+    PERIOD,
+    GAPS,
+    MISSING,
+    RESETS,
+) = range(18)
+NO_SOURCE = -1
+RESTART = -1
+
+
+class DeviceClock:
+    """Device time of each sample, causal, in constant memory, whatever the division into blocks.
+
+    The source is the best that has been seen in the stream: the device's ticks; else the packet counter
+    divided by the nominal rate, so that lost packets leave their room; else the row number divided by the
+    rate; else the arrival time.  When a better source appears, a new segment begins.  A row that lacks the
+    source has the time of the row before; after 1000 such rows the next best source takes over, in a new
+    segment.
+
+    Parameters
+    ----------
+    timing : Timing
+        How the device counts.
+
+    Raises
+    ------
+    ImumonError
+        BAD_CONFIG when the numbers in `timing` cannot be.
+    """
+
+    def __init__(self, timing: Timing) -> None:
+        self.timing = timing
+        period = _check(timing)
+        self._sources = _sources(timing, period)
+        self._counter_modulus = 1 << timing.counter_bits if timing.counter_bits else 0
+        self._state: IntArray = np.zeros(18, np.int64)
+        self._state[SOURCE] = NO_SOURCE
+        self._state[[LAST_ARRIVAL, RAW_COUNTER]] = NO_INT
+        self._state[PERIOD] = int(period) if period else 0
+
+    @property
+    def drift_limit_ppm(self) -> float:
+        """How far the device's time may run from the host's: a crystal's limit, or that of a nominal rate."""
+        return CRYSTAL_PPM if self.timing.tick_ns is not None else 1e6 / RATE_STEADINESS
+
+    @property
+    def counter_gaps(self) -> int:
+        """Times that the packet counter skipped values."""
+        return int(self._state[GAPS])
+
+    @property
+    def packets_missing(self) -> int:
+        """Packets that did not come, by the counter; those around a restart are not known."""
+        return int(self._state[MISSING])
+
+    @property
+    def resets(self) -> int:
+        """Restarts of the device's clock or counter."""
+        return int(self._state[RESETS])
+
+    def new_connection(self) -> None:
+        """Say that the port was opened anew before the next sample.
+
+        A clock that goes on as the time away demands stays in its segment; the test for that is stricter than
+        between packets of one connection, as nothing can have queued up.
+        """
+        self._state[REOPENED] = 1
+
+    def process(
+        self,
+        packet_counter: IntArray | None,
+        device_ticks: IntArray | None,
+        arrival_ns: IntArray | None,
+        n: int,
+    ) -> tuple[IntArray, IntArray]:
+        """Return device time in ns (n,) and segment (n,) for samples in order of arrival.
+
+        Parameters
+        ----------
+        packet_counter, device_ticks : array, (n,), or None
+            As the device sends them, `NO_INT` where it does not.
+        arrival_ns : array, (n,), or None
+            Unix time in ns, `NO_INT` where it is not known.
+        n : int
+            Number of samples.
+
+        Raises
+        ------
+        ImumonError
+            BAD_CONFIG when neither ticks, counter, rate nor arrival times can date the samples.
+        """
+        dated = self._sources[TICKS, LIMIT] and device_ticks is not None
+        if n and not dated and not self._sources[ROWS, LIMIT] and arrival_ns is None:
+            raise ImumonError(
+                Reason.BAD_CONFIG,
+                "the samples have no device clock, no rate and no arrival times, so they cannot be dated",
+                "give rate_hz in the device file",
+            )
+        time_ns = np.empty(n, np.int64)
+        segment = np.empty(n, np.int64)
+        absent = missing(n, np.int64)
+        _unwrap(
+            absent if packet_counter is None else packet_counter,
+            absent if device_ticks is None else device_ticks,
+            absent if arrival_ns is None else arrival_ns,
+            self._sources,
+            self._counter_modulus,
+            self._state,
+            time_ns,
+            segment,
+        )
+        return time_ns, segment
+
+
+def _check(timing: Timing) -> Fraction | None:
+    """Return the nominal period in ns, to a thousandth, or None; refuse impossible numbers."""
+    bits = timing.counter_bits
+    if bits is not None and not 1 <= bits <= 32:
+        raise ImumonError(Reason.BAD_CONFIG, f"a packet counter of {bits} bits", "1 to 32 can be")
+    if not 0 <= timing.tick_bits <= 64:
+        raise ImumonError(Reason.BAD_CONFIG, f"a clock of {timing.tick_bits} bits", "0 to 64 can be")
+    tick = timing.tick_ns
+    # A remainder of ticks times the numerator must fit int64.
+    if tick is not None and (tick <= 0 or tick.numerator * tick.denominator >= 1 << 62):
+        raise ImumonError(Reason.BAD_CONFIG, f"a tick of {tick} ns", "give a positive, simple fraction")
+    if timing.rate_hz is None:
+        return None
+    if not 1e-3 <= timing.rate_hz <= 1e6:
+        raise ImumonError(Reason.BAD_CONFIG, f"a rate of {timing.rate_hz} Hz", "0.001 Hz to 1 MHz can be")
+    return (10**9 / Fraction(timing.rate_hz)).limit_denominator(1000)
+
+
+def _sources(timing: Timing, period: Fraction | None) -> IntArray:
+    """Return the table of sources, (4, 5)."""
+    table = np.zeros((4, 5), np.int64)
+    table[ARRIVALS] = 1, 1, 0, np.iinfo(np.int64).max, CLOCK_STEADINESS
+    entries = [
+        (TICKS, timing.tick_ns, timing.tick_bits, CLOCK_STEADINESS),
+        (COUNTER, period if timing.counter_bits else None, timing.counter_bits or 0, RATE_STEADINESS),
+        (ROWS, period, 0, RATE_STEADINESS),
+    ]
+    for source, unit, bits, steadiness in entries:
+        if unit is not None:
+            limit = min(int(MAX_TIME_NS / unit), MAX_TIME_NS)
+            # A range beyond the limit is never seen to wrap.
+            modulus = 1 << bits if bits and 1 << bits <= limit else 0
+            table[source] = unit.numerator, unit.denominator, modulus, limit, steadiness
+    return table
+
+
+@njit(cache=True, nogil=True)
+def _unwrap(
+    counter: IntArray,
+    ticks: IntArray,
+    arrival: IntArray,
+    sources: IntArray,
+    counter_modulus: int,
+    state: IntArray,
+    time_ns: IntArray,
+    segment: IntArray,
+) -> None:
+    for i in range(len(time_ns)):
+        number, raw = _best(sources, counter_modulus, counter[i], ticks[i], arrival[i], state[ROW])
+        source = sources[number]
+        packets = _packets(counter_modulus, state, counter[i])
+        state[ROW] += 1
+        if number == NO_SOURCE or (number < state[SOURCE] and state[HELD] < LOST_SOURCE_ROWS):
+            state[HELD] += 1
+            state[HELD_PACKETS] += packets
+        elif number != state[SOURCE]:
+            state[SEGMENT] += state[SOURCE] != NO_SOURCE
+            _begin(source, state, number, raw, arrival[i])
+        else:
+            step = _step(source, state, raw, arrival[i])
+            if number == COUNTER:
+                packets = step
+            elif number == TICKS and step != RESTART:
+                packets = _packets_in(source, counter_modulus, state, packets, counter[i] != NO_INT, step)
+            if step == RESTART or packets == RESTART:
+                packets = 0
+                state[SEGMENT] += 1
+                state[RESETS] += number >= COUNTER
+                _begin(source, state, number, raw, arrival[i])
+            else:
+                _advance(source, state, raw, step, arrival[i])
+        if counter_modulus and counter[i] != NO_INT:
+            state[RAW_COUNTER] = counter[i] % counter_modulus
+        if packets > 1:
+            state[GAPS] += 1
+            state[MISSING] += packets - 1
+        time_ns[i] = state[TIME]
+        segment[i] = state[SEGMENT]
+
+
+@njit(cache=True, nogil=True)
+def _best(
+    sources: IntArray, counter_modulus: int, counter: int, ticks: int, arrival: int, row: int
+) -> tuple[int, int]:
+    """Return the best source that this row has, and its count."""
+    if sources[TICKS, LIMIT] and -sources[TICKS, LIMIT] <= ticks <= sources[TICKS, LIMIT]:
+        modulus = sources[TICKS, MODULUS]
+        return TICKS, ticks % modulus if modulus else ticks
+    if sources[COUNTER, LIMIT] and counter != NO_INT:
+        return COUNTER, counter % counter_modulus
+    if sources[ROWS, LIMIT]:
+        return ROWS, row
+    if arrival != NO_INT:
+        return ARRIVALS, arrival
+    return NO_SOURCE, 0
+
+
+@njit(cache=True, nogil=True)
+def _packets(counter_modulus: int, state: IntArray, counter: int) -> int:
+    """Return by how much the packet counter has advanced, modulo its range; 0 when it is not known."""
+    if counter_modulus == 0 or counter == NO_INT or state[RAW_COUNTER] == NO_INT:
+        return 0
+    return int((counter - state[RAW_COUNTER]) % counter_modulus)
+
+
+@njit(cache=True, nogil=True)
+def _packets_in(
+    source: IntArray, counter_modulus: int, state: IntArray, packets: int, counted: bool, step: int
+) -> int:
+    """Return by how much the packet counter has advanced while the clock made `step`, or RESTART.
+
+    Learns the packet period on the way, from steps of one packet, or from every row if there is no counter.
+    """
+    first = state[RAW_COUNTER] == NO_INT
+    if not counted and not first:
+        return 0
+    held, period = state[HELD_PACKETS], state[PERIOD]
+    elapsed = _ns(source, state[COUNT] + step) - state[TIME_AT_COUNTER]
+    state[TIME_AT_COUNTER] += elapsed
+    state[HELD_PACKETS] = 0
+    if first or held + packets == 1:
+        _learn_period(state, elapsed)
+    if first or period == 0:
+        return packets
+    room = elapsed // period
+    rounds = (room - held - packets + counter_modulus // 2) // counter_modulus
+    # The clock may be coarse: one tick more or less.
+    most = RESTARTED_FACTOR * (elapsed + _ns(source, 1)) // period + RESTARTED_PACKETS
+    return RESTART if held + packets > most else int(packets + max(rounds, 0) * counter_modulus)
+
+
+@njit(cache=True, nogil=True)
+def _learn_period(state: IntArray, elapsed: int) -> None:
+    period = state[PERIOD]
+    if period == 0:
+        state[PERIOD] = elapsed
+        return
+    most = period // PERIOD_MEMORY
+    state[PERIOD] = max(period + min(max((elapsed - period) // PERIOD_MEMORY, -most), most), 1)
+
+
+@njit(cache=True, nogil=True)
+def _ns(source: IntArray, count: int) -> int:
+    """Return counts in ns, rounded down, without the overflow that count * NUMERATOR might have."""
+    whole = count // source[DENOMINATOR]
+    part = count % source[DENOMINATOR]
+    return int(whole * source[NUMERATOR] + part * source[NUMERATOR] // source[DENOMINATOR])
+
+
+@njit(cache=True, nogil=True)
+def _step(source: IntArray, state: IntArray, raw: int, arrival: int) -> int:
+    """Return by how many counts the source has advanced, or RESTART."""
+    step = raw - state[RAW]
+    if source[MODULUS]:
+        step %= source[MODULUS]
+    elif step < 0:
+        return RESTART
+    step_ns = _ns(source, step)
+    small = 2 * step_ns <= 3 * state[PERIOD]
+    if arrival == NO_INT or state[LAST_ARRIVAL] == NO_INT:
+        return RESTART if raw < state[RAW] and step_ns > UNSEEN_GAP_NS else int(step)
+    expected_ns = arrival - state[USUAL_DELAY] - state[TIME]
+    tolerance_ns = abs(expected_ns) // source[STEADINESS]
+    if source[MODULUS] and (state[REOPENED] or not small):
+        range_ns = _ns(source, source[MODULUS])
+        lacking_ns = expected_ns - step_ns
+        if lacking_ns > max(SCATTER_NS, range_ns // 2):
+            step += (lacking_ns + range_ns // 2) // range_ns * source[MODULUS]
+            step_ns = _ns(source, step)
+    if state[REOPENED]:
+        return RESTART if abs(step_ns - expected_ns) > REOPENED_SLACK_NS + tolerance_ns else int(step)
+    if small:
+        return int(step)
+    behind_ns = (arrival - state[LAST_ARRIVAL]) - (state[TIME] + step_ns - state[TIME_AT_ARRIVAL])
+    return RESTART if max(step_ns - expected_ns, behind_ns) > SLACK_NS + tolerance_ns else int(step)
+
+
+@njit(cache=True, nogil=True)
+def _begin(source: IntArray, state: IntArray, number: int, raw: int, arrival: int) -> None:
+    """Let device time begin at the raw count."""
+    state[SOURCE] = number
+    state[HELD] = 0
+    state[RAW] = raw
+    state[COUNT] = raw
+    state[TIME] = _ns(source, raw)
+    state[HELD_PACKETS] = 0
+    state[TIME_AT_COUNTER] = state[TIME]
+    state[REOPENED] = 0
+    state[LAST_ARRIVAL] = arrival
+    state[TIME_AT_ARRIVAL] = state[TIME]
+    state[USUAL_DELAY] = arrival - state[TIME] if arrival != NO_INT else 0
+
+
+@njit(cache=True, nogil=True)
+def _advance(source: IntArray, state: IntArray, raw: int, step: int, arrival: int) -> None:
+    """Move device time on, and with it the delay that is usual: down at once, up in ten seconds."""
+    state[HELD] = 0
+    state[RAW] = raw
+    state[COUNT] += step
+    state[TIME] = _ns(source, state[COUNT])
+    if arrival == NO_INT:
+        return
+    delay = arrival - state[TIME]
+    more = delay - state[USUAL_DELAY]
+    if state[LAST_ARRIVAL] == NO_INT or more < 0:
+        state[USUAL_DELAY] = delay
+    else:
+        elapsed = min(state[TIME] - state[TIME_AT_ARRIVAL], DELAY_MEMORY_NS)
+        state[USUAL_DELAY] += int(more * (elapsed / DELAY_MEMORY_NS))
+    state[LAST_ARRIVAL] = arrival
+    state[TIME_AT_ARRIVAL] = state[TIME]
+    state[REOPENED] = 0
