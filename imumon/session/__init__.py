@@ -1,0 +1,1 @@
+"""Sessions on disk: record, open, import, export."""

@@ -1,0 +1,130 @@
+"""session.yaml: what was recorded, with what, when, and how it ended."""
+
+from __future__ import annotations
+
+import platform
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import yaml
+from pydantic import Field, NonNegativeInt
+
+from imumon import __version__
+from imumon.config import StrictModel, parse_yaml
+from imumon.errors import ImumonError, Reason
+
+FORMAT: Final = "imumon-session/1"
+_PACKAGES = ("numpy", "numba", "scipy", "pyarrow", "mcap", "rerun-sdk")
+
+
+class PortUsed(StrictModel):
+    """The port of a live session, and how it was set."""
+
+    url: str
+    settings: dict[str, str | int | float | bool | None]
+
+
+class TableUsed(StrictModel):
+    """The table of an imported session, and what was made of it."""
+
+    file: str
+    size_bytes: NonNegativeInt
+    sha256: str
+    map_yaml: str
+    rows_in: NonNegativeInt
+    rows_out: NonNegativeInt
+    rows_dropped: NonNegativeInt
+
+
+class SessionMetadata(StrictModel):
+    """Everything about a session but its data; times are UTC.
+
+    `state` stays "open" when the program dies; who opens the session then calls it interrupted.
+    """
+
+    format: Literal["imumon-session/1"] = FORMAT
+    source: Literal["live", "simulation", "import"]
+    state: Literal["open", "closed"] = "open"
+    created: str
+    created_ns: int
+    ended: str | None = None
+    ended_ns: int | None = None
+    device: str
+    axes: Literal["FLU", "FRD"] | None = None
+    device_yaml: str | None = None
+    pipeline_yaml: str | None = None
+    port: PortUsed | None = None
+    table: TableUsed | None = None
+    versions: dict[str, str]
+    counters: dict[str, int] = Field(default_factory=dict)
+    events: NonNegativeInt = 0
+    results_digest: str | None = None
+    views: list[str] = Field(default_factory=list)
+
+    def closed(self, ended_ns: int, **changes: Any) -> SessionMetadata:
+        """Return the metadata of the session after its end in order at this Unix time (ns)."""
+        ended = {"state": "closed", "ended_ns": ended_ns, "ended": iso_utc(ended_ns)}
+        return self.model_copy(update={**ended, **changes})
+
+
+def iso_utc(time_ns: int) -> str:
+    """Return a Unix time in ns as ISO 8601 in UTC, to the nanosecond."""
+    seconds, fraction = divmod(time_ns, 1_000_000_000)
+    return f"{datetime.fromtimestamp(seconds, UTC):%Y-%m-%dT%H:%M:%S}.{fraction:09d}Z"
+
+
+def versions_in_use() -> dict[str, str]:
+    """Return the versions of imumon, Python, the platform and the packages that make the numbers."""
+    own = {"imumon": __version__, "python": platform.python_version(), "platform": platform.platform()}
+    return own | {name: version(name) for name in _PACKAGES}
+
+
+def write_metadata(path: Path, metadata: SessionMetadata) -> None:
+    """Write session.yaml; whoever reads sees the old file or the new one, never a part.
+
+    Raises
+    ------
+    OSError
+        When it cannot be written; the old file is untouched.
+    """
+    text = yaml.dump(metadata.model_dump(), Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=10_000)
+    partial = path.with_name(path.name + ".partial")
+    try:
+        partial.write_text(text, encoding="utf-8")
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def read_metadata(path: Path) -> SessionMetadata:
+    """Read session.yaml.
+
+    Raises
+    ------
+    ImumonError
+        BAD_DATA, naming file and line, when it cannot be read or is not in the format of this version.
+    """
+    try:
+        return parse_yaml(path.read_text(encoding="utf-8"), SessionMetadata, str(path))
+    except OSError as error:
+        raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise ImumonError(Reason.BAD_DATA, f"{path}: is not UTF-8 text (byte {error.start})") from error
+    except ImumonError as error:
+        raise ImumonError(
+            Reason.BAD_DATA, error.seen, f"this version of imumon reads sessions of format {FORMAT}"
+        ) from error
+
+
+class _Dumper(yaml.SafeDumper):
+    """Writes texts of several lines as they are, so that the files that were used can be read in place."""
+
+
+def _represent_text(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
+    style = "|" if "\n" in text else None
+    return dumper.represent_scalar("tag:yaml.org,2002:str", text, style=style)
+
+
+_Dumper.add_representer(str, _represent_text)
