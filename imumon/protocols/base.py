@@ -9,7 +9,7 @@ from fractions import Fraction
 import numpy as np
 import numpy.typing as npt
 
-from imumon.blocks import IntArray, SampleBlock, join
+from imumon.blocks import IntArray, SampleBlock, join, missing
 from imumon.columns import Column
 
 ByteArray = npt.NDArray[np.uint8]
@@ -127,6 +127,8 @@ class Decoder(ABC):
         if self._state[ROWS]:
             self._flush()
         blocks, self._done = self._done, []
+        if not blocks:
+            return SampleBlock({column.name: missing(0, column.dtype) for column in self.columns})
         return join(blocks)
 
     def discard(self) -> None:

@@ -45,21 +45,27 @@ NUMBER_TYPES: dict[str, NumberType] = {
 """Number types by the name that device files use.  u64 above 2**63-1 wraps to negative."""
 
 
+# Places are unsigned inside: with a signed one numba tests each index for being negative, which costs more
+# than the load.
+
+
 @njit(cache=True, nogil=True, inline="always")
 def bytes_little(buf: ByteArray, at: int, size: int) -> np.uint64:
     """Assemble `size` bytes, least significant first."""
+    place = np.uint64(at)
     value = np.uint64(0)
     for i in range(size):
-        value |= np.uint64(buf[at + i]) << np.uint64(8 * i)
+        value |= np.uint64(buf[place + np.uint64(i)]) << np.uint64(8 * i)
     return value
 
 
 @njit(cache=True, nogil=True, inline="always")
 def bytes_big(buf: ByteArray, at: int, size: int) -> np.uint64:
     """Assemble `size` bytes, most significant first."""
+    place = np.uint64(at)
     value = np.uint64(0)
     for i in range(size):
-        value = (value << np.uint64(8)) | np.uint64(buf[at + i])
+        value = (value << np.uint64(8)) | np.uint64(buf[place + np.uint64(i)])
     return value
 
 

@@ -1,0 +1,1 @@
+"""Packets of one fixed length, described by a device file alone."""

@@ -1,0 +1,242 @@
+"""The device file of a fixed-length packet: sync bytes, length, checksum and fields, all of it data."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Annotated, Literal, Self, get_args
+
+from pydantic import Field, NonNegativeInt, PositiveInt, StringConstraints, model_validator
+
+from imumon.columns import KNOWN, Column
+from imumon.config import StrictModel
+from imumon.errors import ImumonError
+from imumon.protocols.base import LONGEST_PACKET, Decoder, Encoder, Timing
+from imumon.protocols.checksums import CHECKSUM_NAMES, make_checksum
+from imumon.protocols.device import DeviceFile
+from imumon.protocols.kernel import NUMBER_TYPES
+from imumon.units import exact_conversion
+
+ByteOrder = Literal["big", "little"]
+Byte = Annotated[int, Field(ge=0, le=255)]
+ColumnName = Annotated[str, StringConstraints(pattern=r"^[a-z][a-z0-9_]*$")]
+NumberName = Literal["u8", "i8", "u16", "i16", "u24", "i24", "u32", "i32", "u64", "i64", "f32", "f64"]
+IntegerName = Literal["u8", "u16", "u32"]
+ChecksumName = Literal[
+    "none", "sum8", "sum8-negated", "xor8", "sum16", "fletcher16", "fletcher16-256",
+    "crc16-arc", "crc16-modbus", "crc16-xmodem", "crc16-ccitt-false", "crc16-aug-ccitt", "crc16-genibus",
+    "crc16-kermit", "crc16-x25", "crc32", "crc32-mpeg2", "crc32c",
+]  # fmt: skip
+assert set(get_args(ChecksumName)) == set(CHECKSUM_NAMES)
+
+ARBITRARY = "a.u."
+"""Unit of a magnetometer that is not calibrated to a field strength."""
+
+
+class LengthField(StrictModel):
+    """A field that always holds the same length; another value marks a false sync or a damaged packet."""
+
+    at: NonNegativeInt
+    type: IntegerName = "u8"
+    byte_order: ByteOrder | None = None
+    value: NonNegativeInt
+
+
+class ChecksumField(StrictModel):
+    """Which checksum, over which bytes (first and last included), and where it stands."""
+
+    type: ChecksumName
+    first: NonNegativeInt
+    last: NonNegativeInt
+    at: NonNegativeInt
+    byte_order: ByteOrder | None = None
+
+
+class PacketField(StrictModel):
+    """One number, or several of the same type in a row: value = (raw * scale + offset) in the unit.
+
+    A mask picks bits out of an unsigned field and shifts them down to bit 0.
+    """
+
+    at: NonNegativeInt
+    type: NumberName
+    byte_order: ByteOrder | None = None
+    column: ColumnName | None = None
+    columns: list[ColumnName] | None = Field(default=None, min_length=1)
+    scale: float | int | Annotated[str, StringConstraints(pattern=r"^\d+/\d+$")] = 1
+    offset: float | int = 0
+    unit: str = "1"
+    mask: PositiveInt | None = None
+    description: str = ""
+
+    @property
+    def names(self) -> list[str]:
+        """The columns that this field fills, in order of their bytes."""
+        return self.columns if self.columns is not None else [self.column or ""]
+
+    @property
+    def end(self) -> int:
+        """First byte behind the field."""
+        return self.at + NUMBER_TYPES[self.type].size * len(self.names)
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if (self.column is None) == (self.columns is None):
+            raise ValueError("give either column: NAME or columns: [NAME, ...]")
+        number = NUMBER_TYPES[self.type]
+        if self.mask is not None:
+            if number.signed:
+                raise ValueError(f"a mask needs an unsigned type, not {self.type}")
+            if self.mask >= 1 << (8 * number.size):
+                raise ValueError(f"mask {self.mask:#x} is wider than {self.type}")
+        for name in self.names:
+            self._check_unit(name, number.integer)
+        return self
+
+    def _check_unit(self, name: str, integer: bool) -> None:
+        known = KNOWN.get(name)
+        if known is None or (self.unit == ARBITRARY and name.startswith("mag_")):
+            return
+        if known.dtype == "int64" and name != "device_ticks":
+            plain = self.unit == "1" and self.scale == 1 and self.offset == 0
+            if not integer or not plain:
+                raise ValueError(f"{name} is a plain integer: no scale, offset or unit, and an integer type")
+            return
+        target = "ns" if name == "device_ticks" else known.unit
+        try:
+            exact_conversion(self.unit, target)
+        except ImumonError as error:
+            raise ValueError(f"{name}: {error.seen}") from error
+
+
+class Packet(StrictModel):
+    """Layout of the packet."""
+
+    length: PositiveInt = Field(le=LONGEST_PACKET)
+    byte_order: ByteOrder
+    sync: list[Byte] = Field(min_length=1, max_length=8)
+    length_field: LengthField | None = None
+    checksum: ChecksumField
+    fields: list[PacketField] = Field(min_length=1)
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        if len(self.sync) >= self.length:
+            raise ValueError(f"{len(self.sync)} sync bytes do not fit into {self.length} bytes")
+        if self.length_field is not None:
+            size = NUMBER_TYPES[self.length_field.type].size
+            self._inside("length_field", self.length_field.at, self.length_field.at + size)
+            if self.length_field.value >= 1 << (8 * size):
+                raise ValueError(
+                    f"length_field: {self.length_field.value} does not fit {self.length_field.type}"
+                )
+        check = self.checksum
+        if check.type != "none":
+            self._inside("checksum", check.at, check.at + make_checksum(check.type).size)
+            self._inside("checksum", check.first, check.last + 1)
+            if check.first <= check.at <= check.last:
+                raise ValueError(
+                    f"checksum: covers itself (bytes {check.first} to {check.last}, at {check.at})"
+                )
+        names: set[str] = set()
+        for number, field in enumerate(self.fields):
+            self._inside(f"fields[{number}] ({', '.join(field.names)})", field.at, field.end)
+            for name in field.names:
+                if name in names:
+                    raise ValueError(f"fields[{number}]: column {name} is there twice")
+                names.add(name)
+        return self
+
+    def _inside(self, what: str, start: int, stop: int) -> None:
+        if start >= stop or stop > self.length:
+            raise ValueError(
+                f"{what}: bytes {start} to {stop - 1} are outside the packet of {self.length} bytes"
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class PlacedColumn:
+    """One column of the packet with everything the kernels need: value = raw * scale + offset."""
+
+    column: Column
+    at: int
+    type: str
+    big: bool
+    mask: int
+    scale: float
+    offset: float
+
+
+class FixedDevice(DeviceFile):
+    """A device that sends packets of one fixed length."""
+
+    protocol: Literal["fixed"]
+    packet: Packet
+
+    def decoder(self) -> Decoder:
+        """Make a decoder for this packet."""
+        from imumon.protocols.fixed.decoder import FixedDecoder
+
+        return FixedDecoder(self)
+
+    def encoder(self) -> Encoder:
+        """Make an encoder for this packet."""
+        from imumon.protocols.fixed.encoder import FixedEncoder
+
+        return FixedEncoder(self)
+
+    def placed(self) -> list[PlacedColumn]:
+        """Return all columns of the packet in the order of the file."""
+        return [
+            _place(field, index, name, (field.byte_order or self.packet.byte_order) == "big")
+            for field in self.packet.fields
+            for index, name in enumerate(field.names)
+        ]
+
+    def timing(self) -> Timing:
+        """Return how the packet counts time: the width of its counter and of its clock, and the tick."""
+        fields = {name: field for field in self.packet.fields for name in field.names}
+        counter, ticks = fields.get("packet_counter"), fields.get("device_ticks")
+        tick_ns, tick_bits = None, 0
+        if ticks is not None:
+            tick_ns = _fraction(ticks.scale) * exact_conversion(ticks.unit, "ns")[0]
+            tick_bits = _bits(ticks)
+            if not NUMBER_TYPES[ticks.type].integer:
+                tick_ns, tick_bits = Fraction(1), 0
+        return Timing(_bits(counter) if counter else None, tick_ns, tick_bits, self.rate_hz)
+
+
+def _place(field: PacketField, index: int, name: str, big: bool) -> PlacedColumn:
+    number = NUMBER_TYPES[field.type]
+    at = field.at + index * number.size
+    mask = field.mask or 0
+    known = KNOWN.get(name)
+    if known is not None and known.dtype == "int64":
+        # A clock that counts in floating point is made whole nanoseconds; an integer one stays as it is sent.
+        exact = (
+            _fraction(field.scale) * exact_conversion(field.unit, "ns")[0]
+            if not number.integer
+            else Fraction(1)
+        )
+        return PlacedColumn(known, at, field.type, big, mask, float(exact), 0.0)
+    if known is None or (field.unit == ARBITRARY and name.startswith("mag_")):
+        plain = number.integer and field.unit == "1" and field.scale == 1 and field.offset == 0
+        dtype: Literal["int64", "float64"] = "int64" if plain else "float64"
+        column = Column(name, field.unit, dtype, field.description or (known.description if known else ""))
+        return PlacedColumn(
+            column, at, field.type, big, mask, float(_fraction(field.scale)), float(field.offset)
+        )
+    factor, zero = exact_conversion(field.unit, known.unit)
+    scale, offset = factor * _fraction(field.scale), factor * _fraction(field.offset) + zero
+    return PlacedColumn(known, at, field.type, big, mask, float(scale), float(offset))
+
+
+def _fraction(number: float | int | str) -> Fraction:
+    """Take a decimal for what it says: 0.1 is a tenth."""
+    return Fraction(str(number)) if isinstance(number, float) else Fraction(number)
+
+
+def _bits(field: PacketField) -> int:
+    if field.mask is not None:
+        return field.mask.bit_count()
+    return 8 * NUMBER_TYPES[field.type].size

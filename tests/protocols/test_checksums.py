@@ -1,0 +1,78 @@
+from __future__ import annotations
+
+import zlib
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from imumon.protocols.checksums import CHECKSUM_NAMES, CRCS, checksum, make_checksum
+
+# Check values of the CRC catalogue (over the ASCII digits 1 to 9), and sums worked out by hand.
+CHECK = {
+    "crc16-arc": 0xBB3D, "crc16-modbus": 0x4B37, "crc16-xmodem": 0x31C3, "crc16-ccitt-false": 0x29B1,
+    "crc16-aug-ccitt": 0xE5CC, "crc16-genibus": 0xD64E, "crc16-kermit": 0x2189, "crc16-x25": 0x906E,
+    "crc32": 0xCBF43926, "crc32-mpeg2": 0x0376E6E7, "crc32c": 0xE3069283,
+    "sum8": 0xDD, "sum8-negated": 0x23, "xor8": 0x31, "sum16": 0x01DD, "fletcher16": 0x1EDE,
+    "fletcher16-256": 0x15DD,
+}  # fmt: skip
+
+
+def compute(name: str, data: bytes) -> int:
+    check = make_checksum(name)
+    buf = np.frombuffer(b"xx" + data + b"yy", np.uint8)
+    return int(
+        checksum(check.code, buf, 2, 2 + len(data), check.table, check.initial, check.final_xor, check.shift)
+    )
+
+
+def bitwise_crc(name: str, data: bytes) -> int:
+    """The definition of a CRC, one bit at a time, in its own width."""
+    crc = CRCS[name]
+    register, top, mask = crc.initial, 1 << (crc.width - 1), (1 << crc.width) - 1
+    for byte in data:
+        bits = range(8) if crc.reflected else range(7, -1, -1)
+        for bit in bits:
+            feedback = bool(register & top) != bool(byte >> bit & 1)
+            register = (register << 1) & mask ^ (crc.polynomial if feedback else 0)
+    if crc.reflected:
+        register = int(f"{register:0{crc.width}b}"[::-1], 2)
+    return register ^ crc.final_xor
+
+
+def test_every_checksum_has_a_check_value() -> None:
+    assert set(CHECK) | {"none"} == set(CHECKSUM_NAMES)
+
+
+@pytest.mark.parametrize("name", CHECK)
+def test_check_values(name: str) -> None:
+    assert compute(name, b"123456789") == CHECK[name]
+
+
+@pytest.mark.parametrize("name", CRCS)
+@given(data=st.binary(max_size=70))
+def test_crc_equals_its_definition(name: str, data: bytes) -> None:
+    assert compute(name, data) == bitwise_crc(name, data)
+
+
+@given(data=st.binary(max_size=3000))
+def test_crc32_equals_zlib(data: bytes) -> None:
+    assert compute("crc32", data) == zlib.crc32(data)
+
+
+@given(data=st.binary(max_size=3000), modulus=st.sampled_from([("fletcher16", 255), ("fletcher16-256", 256)]))
+def test_fletcher_equals_its_recursion(data: bytes, modulus: tuple[str, int]) -> None:
+    name, m = modulus
+    low = high = 0
+    for byte in data:
+        low = (low + byte) % m
+        high = (high + low) % m
+    assert compute(name, data) == high << 8 | low
+
+
+@given(data=st.binary(max_size=3000))
+def test_sums_equal_their_definition(data: bytes) -> None:
+    assert compute("sum8", data) == sum(data) % 256
+    assert compute("sum16", data) == sum(data) % 65536
+    assert (compute("sum8-negated", data) + sum(data)) % 256 == 0

@@ -1,0 +1,94 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from imumon.errors import EXIT_USAGE, ImumonError, Reason
+from imumon.protocols.device import device_names, load_device, parse_device
+
+GOOD = """\
+format: imumon-device/1
+name: demo
+title: demo
+protocol: fixed
+axes: FLU
+packet:
+  length: 12
+  byte_order: big
+  sync: [0xAA]
+  checksum: {type: sum8, first: 0, last: 10, at: 11}
+  fields:
+    - {at: 1, type: u16, column: packet_counter}
+    - {at: 3, type: i16, columns: [gyro_x, gyro_y, gyro_z], scale: 0.01, unit: deg/s}
+"""
+
+
+def complaint(text: str) -> str:
+    with pytest.raises(ImumonError) as caught:
+        parse_device(text, "my.yaml")
+    assert caught.value.reason is Reason.BAD_CONFIG
+    assert caught.value.reason.exit_code == EXIT_USAGE
+    return caught.value.seen
+
+
+def test_the_good_file_is_good() -> None:
+    assert parse_device(GOOD, "my.yaml").name == "demo"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "words"),
+    [
+        ("length: 12", "length: twelve", 7, "packet.length"),
+        ("length: 12", "length: 12\n  lenght: 12", 8, "packet.lenght: unknown key"),
+        ("sync: [0xAA]", "sync: [0x1AA]", 9, "packet.sync[0]"),
+        ("type: sum8", "type: crc17", 10, "packet.checksum.type"),
+        ("at: 11}", "at: 12}", 6, "checksum: bytes 12 to 12 are outside the packet of 12 bytes"),
+        ("last: 10", "last: 11", 6, "checksum: covers itself"),
+        ("column: packet_counter", "columns: []", 12, "packet.fields[0].columns"),
+        ("type: u16, column", "type: u12, column", 12, "packet.fields[0].type"),
+        ("type: u16, column: packet_counter", "type: u16", 12, "give either column"),
+        ("unit: deg/s", "unit: furlong", 13, "unit 'furlong' does not measure what 'rad/s' measures"),
+        ("unit: deg/s", "unit: quux", 13, "unit 'quux' is not known"),
+        (", unit: deg/s", "", 13, "gyro_x"),
+        ("at: 3, type: i16", "at: 8, type: i16", 6, "outside the packet"),
+        ("type: u16, column", "type: u16, mask: 0x10000, column", 12, "mask 0x10000 is wider than u16"),
+        ("type: i16, columns", "type: i16, mask: 1, columns", 13, "a mask needs an unsigned type"),
+        ("gyro_y, gyro_z]", "gyro_y, gyro_y]", 6, "gyro_y"),
+        ("axes: FLU", "axes: NED", 5, "axes"),
+        ("axes: FLU\n", "", 1, "axes: this key is required"),
+        ("protocol: fixed", "protocol: morse", 4, "protocol"),
+        ("format: imumon-device/1", "format: imumon-device/9", 1, "format"),
+        ("title: demo", "title: demo\ntitle: again", 4, "key 'title' is there twice"),
+        ("title: demo", "title: [", 5, "not valid YAML"),
+    ],
+)
+def test_a_wrong_file_is_refused_with_its_line(old: str, new: str, line: int, words: str) -> None:
+    assert old in GOOD
+    seen = complaint(GOOD.replace(old, new))
+    assert f"my.yaml:{line}:" in seen, seen
+    assert words in seen, seen
+
+
+def test_an_empty_file_and_a_list_are_refused() -> None:
+    assert "my.yaml:1: expected a mapping of keys, got an empty file" in complaint("")
+    assert "got a list" in complaint("- 1\n- 2\n")
+
+
+def test_an_unknown_device_names_those_that_there_are() -> None:
+    with pytest.raises(ImumonError, match="no device 'ax2'") as caught:
+        load_device("ax2")
+    for name in device_names():
+        assert name in caught.value.hint
+    assert "ax1" in device_names()
+
+
+def test_a_path_that_is_not_there_is_said_to_be_missing(tmp_path: Path) -> None:
+    with pytest.raises(ImumonError, match="no such file"):
+        load_device(str(tmp_path / "mine.yaml"))
+
+
+def test_a_device_can_be_given_by_path(tmp_path: Path) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text(GOOD, encoding="utf-8")
+    assert load_device(str(path)).name == "demo"
