@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 from imumon.errors import ImumonError, Reason
 from imumon.transport.errors import silent_error, wrong_baud_error
@@ -14,7 +14,7 @@ from imumon.transport.port import open_port
 from imumon.transport.settings import PortSettings
 
 if TYPE_CHECKING:
-    from imumon.protocols.base import Decoder
+    from imumon.protocols.base import Counters
 
 COMMON_BAUDRATES = (
     *(115200, 921600, 460800, 230400, 57600, 38400, 9600, 19200),
@@ -32,6 +32,22 @@ SILENT_RATES = 3
 POLL_S = 0.05
 TEXT = frozenset(b"\t\r\n" + bytes(range(0x20, 0x7F)))
 ODD = frozenset(b"\x00\xff")
+
+
+class Candidate(Protocol):
+    """What is asked of a protocol; every `imumon.protocols.base.Decoder` can do it."""
+
+    def feed(self, data: bytes, arrival_ns: int) -> None:
+        """Decode bytes that arrived at `arrival_ns` (Unix time, ns)."""
+
+    def finish(self) -> None:
+        """Decode what is held on the understanding that no more bytes come."""
+
+    def discard(self) -> None:
+        """Forget the rows decoded so far."""
+
+    def counters(self) -> Counters:
+        """Return what became of the bytes so far."""
 
 
 class Verdict(Enum):
@@ -112,7 +128,7 @@ def baudrates_to_try(first: Iterable[int] = ()) -> list[int]:
 
 def detect(
     url: str,
-    candidates: Mapping[str, Callable[[], Decoder]],
+    candidates: Mapping[str, Callable[[], Candidate]],
     baudrates: Sequence[int] = COMMON_BAUDRATES,
     seconds_each: float = 1.5,
     before_rate: Callable[[PortSettings], None] = lambda _: None,
@@ -158,7 +174,7 @@ def detect(
 
 
 def listen(
-    settings: PortSettings, candidates: Mapping[str, Callable[[], Decoder]], seconds: float
+    settings: PortSettings, candidates: Mapping[str, Callable[[], Candidate]], seconds: float
 ) -> list[Evidence]:
     """Feed what arrives within `seconds` to every candidate; return the evidence in their order."""
     decoders = {name: factory() for name, factory in candidates.items()}
@@ -216,7 +232,7 @@ def _likely_cause(evidence: Sequence[Evidence]) -> str:
 
 
 def _weigh(
-    name: str, decoder: Decoder, settings: PortSettings, seconds: float, counts: Sequence[int]
+    name: str, decoder: Candidate, settings: PortSettings, seconds: float, counts: Sequence[int]
 ) -> Evidence:
     decoder.finish()
     decoder.discard()
@@ -237,7 +253,7 @@ def _weigh(
     )
 
 
-def _overwhelming(decoders: Iterable[Decoder]) -> bool:
+def _overwhelming(decoders: Iterable[Candidate]) -> bool:
     for decoder in decoders:
         counters = decoder.counters()
         good = counters.bytes_in_packets >= FRAMED * (counters.bytes_received - counters.bytes_pending)

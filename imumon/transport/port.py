@@ -12,7 +12,6 @@ from types import TracebackType
 import serial
 from serial.urlhandler import protocol_socket
 
-from imumon.errors import ImumonError
 from imumon.transport import terminal
 from imumon.transport.errors import OPEN_ERRORS, PORT_ERRORS, lost_error, open_error
 from imumon.transport.ports import holders
@@ -25,12 +24,30 @@ SLICE_S = 0.05
 WRITE_TIMEOUT_S = 1.0
 
 
+class _SocketHandler(protocol_socket.Serial):
+    """pyserial's ``socket://``, which discards what the server sends at once and may leave it open."""
+
+    _socket: socket.socket | None = None
+
+    def reset_input_buffer(self) -> None:
+        """Keep everything: on a new connection nothing is stale."""
+
+    def close(self) -> None:
+        """Close the connection, also when the peer has closed it first."""
+        self.is_open = False
+        if self._socket is not None:
+            self._socket.close()
+
+
+Handle = serial.Serial | _SocketHandler
+
+
 class Port:
     """An open port; made by `open_port`.
 
     Parameters
     ----------
-    handle : serial.Serial or another handler of pyserial
+    handle : serial.Serial or another of pyserial's handlers
         An open pyserial port, owned from now on.
     settings : PortSettings
         How it was opened.
@@ -45,13 +62,13 @@ class Port:
         How often bytes were announced and then gone, because another program took them.
     """
 
-    def __init__(self, handle: serial.Serial, settings: PortSettings) -> None:
+    def __init__(self, handle: Handle, settings: PortSettings) -> None:
         self.settings = settings
         self._handle = handle
         self._socket: socket.socket | None = getattr(handle, "_socket", None)
         self._native = os.name == "posix" and isinstance(handle, serial.Serial)
         # A subclass (spy://, alt://) wants to see what is read, so only the plain handlers are passed by.
-        direct = os.name == "posix" and type(handle) in (serial.Serial, protocol_socket.Serial)
+        direct = os.name == "posix" and type(handle) in (serial.Serial, _SocketHandler)
         self._take = self._take_direct if direct else self._take_from_handler
         self._fd: int | None = handle.fileno() if direct or self._native else None
         self.vanished_reads = 0
@@ -118,10 +135,8 @@ class Port:
         self._fd = None
         self._handle.close()
         if self._socket is not None:
-            self._socket.close()  # pyserial forgets it when the peer has closed first
-        output = getattr(getattr(self._handle, "formatter", None), "output", None)
-        if output not in (None, sys.stderr):
-            output.close()  # the file of spy://...?file=
+            self._socket.close()  # the rfc2217 handler forgets it when the peer has closed first
+        _close_log(self._handle)
 
     def __enter__(self) -> Port:
         """Return the port itself."""
@@ -178,26 +193,42 @@ def open_port(settings: PortSettings) -> Port:
         what was seen and what to do.
     """
     try:
-        handle = serial.serial_for_url(
-            settings.url,
-            do_not_open=True,
-            baudrate=settings.baudrate,
-            bytesize=settings.bytesize,
-            parity=settings.parity,
-            stopbits=settings.stopbits,
-            timeout=SLICE_S,
-            exclusive=True,
-            # The rfc2217 handler refuses to have one.
-            write_timeout=None if settings.scheme == "rfc2217" else WRITE_TIMEOUT_S,
-        )
-        handle.open()
+        handle = _make_handle(settings)
     except OPEN_ERRORS as error:
         raise open_error(settings, error) from error
     try:
+        handle.open()
         return Port(handle, settings)
-    except ImumonError:
+    except OPEN_ERRORS as error:
         handle.close()
-        raise
+        _close_log(handle)
+        raise open_error(settings, error) from error
+
+
+def _make_handle(settings: PortSettings) -> Handle:
+    """Return a handler of pyserial that is set up and not open yet."""
+    handle: Handle
+    if settings.scheme == "socket":
+        handle = _SocketHandler()
+        handle.port = settings.url
+    else:
+        handle = serial.serial_for_url(settings.url, do_not_open=True)
+    handle.baudrate = settings.baudrate
+    handle.bytesize = settings.bytesize
+    handle.parity = settings.parity
+    handle.stopbits = settings.stopbits
+    handle.timeout = SLICE_S
+    handle.exclusive = True
+    if settings.scheme != "rfc2217":  # which refuses to have one
+        handle.write_timeout = WRITE_TIMEOUT_S
+    return handle
+
+
+def _close_log(handle: Handle) -> None:
+    """Close the file of ``spy://...?file=``, which pyserial leaves open."""
+    output = getattr(getattr(handle, "formatter", None), "output", None)
+    if output not in (None, sys.stderr):
+        output.close()
 
 
 def _keep_alive(connection: socket.socket) -> None:

@@ -1,0 +1,1 @@
+"""Simulated units, chambers and devices."""
