@@ -1,0 +1,9 @@
+"""Live view and view recording, both through Rerun.
+
+    pipeline -> Timebase -> view items -+-> ViewPublisher -> child process -> viewer (native or web)
+                                        '-> ViewRecorder  -> view.rrd, view.0001.rrd, ...
+
+`items` says what a view item is, `layout` which columns make which panel, `logger` turns items into Rerun
+calls for the live stream and for the file alike.  Nothing here ever makes the caller wait: queues are
+bounded and drop the oldest, and what was dropped is counted.
+"""

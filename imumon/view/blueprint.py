@@ -1,0 +1,105 @@
+"""The arrangement of the viewer: exactly the panels that have data, nothing empty."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import rerun as rr
+import rerun.blueprint as rrb
+
+from imumon.view.items import ViewSetup
+from imumon.view.layout import LINK, OTHER, SCENE, STRIPS, Panel, Window, series_view
+
+TEMPORAL = ("device_time", "host_time")
+
+
+def last_seconds(seconds: float) -> Window:
+    """Return the window that follows the newest data, on whichever timeline is chosen."""
+    start, end = (
+        rrb.TimeRangeBoundary.cursor_relative(seconds=-seconds),
+        rrb.TimeRangeBoundary.cursor_relative(),
+    )
+    return Window(
+        ranges=[rrb.VisibleTimeRange(timeline, start=start, end=end) for timeline in TEMPORAL],
+        axis=rrb.TimeAxis(view_range=rr.TimeRange(start=start, end=end)),
+    )
+
+
+LOG_COLUMNS = rrb.TextLogColumns(text_log_columns=["LogLevel", "Body"])
+EVERYTHING = Window(None, None)
+
+
+def blueprint(
+    setup: ViewSetup,
+    panels: Sequence[Panel],
+    *,
+    timeline: str,
+    live: bool,
+    lanes: bool,
+    log: bool,
+    status: bool,
+    others: bool,
+) -> rrb.Blueprint:
+    """Return the blueprint for what has come so far.
+
+    Parameters
+    ----------
+    panels : sequence of Panel
+        Those that have data.
+    timeline : str
+        The one to follow.
+    live : bool
+        True to follow the last seconds, False for a recording: everything, with the time panel open.
+    lanes, log, status, others : bool
+        Whether there are states, log lines, a status card, columns that no panel draws.
+    """
+    window = last_seconds(setup.window_s) if live else EVERYTHING
+    views: dict[str, list[Any]] = {SCENE: [], STRIPS: [], LINK: []}
+    scenes = 0
+    for panel in panels:
+        if panel.place == SCENE:
+            scenes += 1
+            if scenes > 1:
+                continue
+        views.setdefault(panel.place, []).append(panel.view(setup, window))
+    if others:
+        views["Other"] = [series_view(OTHER, "Columns without a panel of their own", window)]
+    first = _first_tab(views, window, lanes=lanes, log=log, status=status)
+    tabs = [rrb.Vertical(*views[place], name=place) for place in views if place not in (SCENE, STRIPS, LINK)]
+    return rrb.Blueprint(
+        rrb.Tabs(first, *tabs, active_tab=0),
+        rrb.TimePanel(
+            state="collapsed" if live else "expanded",
+            timeline=timeline,
+            play_state="following" if live else "paused",
+        ),
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+        auto_views=False,
+        auto_layout=False,
+    )
+
+
+def _first_tab(views: dict[str, list[Any]], window: Window, *, lanes: bool, log: bool, status: bool) -> Any:
+    left: list[tuple[float, Any]] = [(3.0, view) for view in views[SCENE]]
+    if status:
+        left.append((2.2, rrb.TextDocumentView(origin="/status", name="Status")))
+    right: list[tuple[float, Any]] = [(1.0, view) for view in views[LINK]]
+    if lanes:
+        states = rrb.StateTimelineView(
+            origin="/state", name="States", time_ranges=window.ranges, time_view=window.axis
+        )
+        right.append((1.6, states))
+    if log:
+        right.append((1.6, rrb.TextLogView(origin="/log", name="Log", columns=LOG_COLUMNS)))
+    middle = [(1.0, view) for view in views[STRIPS]]
+    columns = [(share, part) for share, part in ((3.0, left), (4.6, middle), (3.2, right)) if part]
+    return rrb.Horizontal(
+        *[
+            rrb.Vertical(*[view for _, view in part], row_shares=[share for share, _ in part])
+            for _, part in columns
+        ],
+        column_shares=[share for share, _ in columns],
+        name="Live",
+    )

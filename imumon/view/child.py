@@ -1,0 +1,150 @@
+"""The view process: takes items from the measuring process and keeps a viewer supplied with them.
+
+It may hang, be killed or die without the measuring process noticing more than a word in the status line.
+Run as ``python -m imumon.view.child`` by `imumon.view.publisher`.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import sys
+import threading
+import time
+import traceback
+from typing import BinaryIO
+
+import psutil  # type: ignore[import-untyped]  # comes with rerun-sdk, without its stubs
+
+from imumon.errors import ImumonError
+from imumon.view import frames
+from imumon.view.frames import Batch, Close, ReplayRequest, Report, Start
+
+POLL_S = 0.5
+PARENT_S = 1.0
+GOODBYE_S = 0.6
+MAX_BYTES = 768 << 20
+"""More memory (a viewer that takes nothing for half an hour) ends the process; it is started anew."""
+
+
+class Child:
+    """Feeds one recording stream; see `run`.
+
+    Parameters
+    ----------
+    start : Start
+        What to show and where.
+    out : binary file
+        Where reports and requests go.
+    """
+
+    def __init__(self, start: Start, out: BinaryIO) -> None:
+        # Start the viewer first: it comes up while the library loads.
+        from imumon.view.links import NativeLink, WebLink
+
+        self._out = out
+        self._reported: Report | None = None
+        self._link = (NativeLink if start.mode == "native" else WebLink)(start, self._report)
+
+        import rerun as rr
+
+        from imumon.view.logger import APPLICATION_ID, StreamLogger
+
+        self._rec = rr.RecordingStream(APPLICATION_ID, recording_id=start.setup.recording_id)
+        self._logger = StreamLogger(self._rec, start.setup, live=True)
+        self._delivered = -1
+        self._request = 0
+        self._awaiting = 0
+
+    def poll(self) -> None:
+        """Look after the viewer; ask for what it has not seen."""
+        change = self._link.poll(self._rec)
+        if change is None:
+            return
+        if change.name == "NEW":
+            self._delivered = -1
+            self._logger.begin()
+        self._request += 1
+        self._awaiting = self._request
+        self._send(ReplayRequest(self._request, self._delivered))
+
+    def take(self, frame: frames.Frame) -> None:
+        """Log a batch, unless nobody would see it or it is asked for again anyway."""
+        if isinstance(frame, frames.Replay):
+            if frame.request == self._awaiting:
+                self._awaiting = 0
+        elif isinstance(frame, Batch) and self._link.connected and not self._awaiting:
+            self._logger.log(frame.items)
+            self._delivered = frame.number
+
+    def close(self) -> None:
+        """Hand over what is left, within `GOODBYE_S`."""
+        if self._link.connected:
+            self._rec.flush(timeout_sec=GOODBYE_S)
+
+    def _report(self, report: Report) -> None:
+        if report != self._reported:
+            self._reported = report
+            self._send(report)
+
+    def _send(self, message: frames.Message) -> None:
+        self._out.write(frames.encode(message))
+        self._out.flush()
+
+
+def run(stream: BinaryIO, out: BinaryIO) -> None:
+    """Take frames until the stream ends or says so."""
+    start = frames.read(stream)
+    if not isinstance(start, Start):
+        return
+    child = Child(start, out)
+    next_poll = 0.0
+    while True:
+        if time.monotonic() >= next_poll:
+            child.poll()
+            next_poll = time.monotonic() + POLL_S
+        if not select.select([stream], [], [], POLL_S / 2)[0]:
+            continue
+        frame = frames.read(stream)
+        if frame is None:
+            return
+        if isinstance(frame, Close):
+            child.close()
+            return
+        if not isinstance(frame, (Start, Report, ReplayRequest)):
+            child.take(frame)
+
+
+def watch(parent: int) -> None:
+    """End the process when the measuring process is gone or the memory grows too far, whatever blocks."""
+    process = psutil.Process()
+    while os.getppid() == parent and process.memory_info().rss < MAX_BYTES:
+        time.sleep(PARENT_S)
+    os._exit(1)
+
+
+def main() -> None:
+    """Run, then leave without Rerun's own clean-up, which waits for a stuck viewer without end."""
+    threading.Thread(target=watch, args=(os.getppid(),), daemon=True).start()
+    stream = os.fdopen(sys.stdin.fileno(), "rb", buffering=0, closefd=False)
+    out = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # a library that prints must not disturb the frames
+    code = 1
+    try:
+        run(stream, out)
+        code = 0
+    except ImumonError as error:
+        out.write(frames.encode(Report(error.seen, False, 0, 0, "")))
+        out.flush()
+    except (RuntimeError, OSError) as error:
+        sys.stderr.write(f"{error}\n")
+    except BaseException:
+        traceback.print_exc()
+        raise
+    finally:
+        sys.stderr.flush()
+        os._exit(code)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,269 @@
+"""What the view is told: samples, numbers, states, log lines and the status card, each with its times."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from imumon.blocks import NO_INT, ColumnArray, IntArray, SampleBlock, join
+
+ITEM_BYTES = 512
+"""What an item costs in memory beside its arrays, roughly."""
+
+
+@dataclass(frozen=True, slots=True)
+class Instant:
+    """A moment on the three timelines; None where a timeline does not know it.
+
+    Parameters
+    ----------
+    sample : int or None
+        Running index of the latest sample.
+    device_ns : int or None
+        Device time, ns, continued across segments (see `Timebase`).
+    host_ns : int or None
+        Unix time, ns.
+    """
+
+    sample: int | None
+    device_ns: int | None
+    host_ns: int | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Samples:
+    """Consecutive samples on the three timelines.
+
+    Parameters
+    ----------
+    first : int
+        Running index of the first sample.
+    device_ns, host_ns : array of int64, shape (n,), or None
+        Device time continued across segments, and Unix time, ns; None when a row has none.
+    block : SampleBlock
+        The samples as decoded, and what the estimators added.
+    """
+
+    first: int
+    device_ns: IntArray | None
+    host_ns: IntArray | None
+    block: SampleBlock
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that the item holds."""
+        return ITEM_BYTES + sum(values.nbytes for values in self.block.columns.values())
+
+    @property
+    def rows(self) -> int:
+        """Samples in the item."""
+        return len(self.block)
+
+    def follows(self, other: Samples) -> bool:
+        """Tell whether this continues `other` without a gap, on the same timelines, with the same columns."""
+        return (
+            self.first == other.first + other.rows
+            and (self.device_ns is None) == (other.device_ns is None)
+            and (self.host_ns is None) == (other.host_ns is None)
+            and self.block.columns.keys() == other.block.columns.keys()
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Numbers:
+    """Numbers that are not one per sample: packet rate, link load, losses."""
+
+    at: Instant
+    values: Mapping[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """A lane (port, clock, device, ...) is in this state from now on."""
+
+    at: Instant
+    lane: str
+    state: str
+
+
+@dataclass(frozen=True, slots=True)
+class Log:
+    """A line for the log; the level is one of TRACE, DEBUG, INFO, WARN, ERROR, CRITICAL."""
+
+    at: Instant
+    text: str
+    level: str = "INFO"
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """The status card: what to show, as it is to be read, in order."""
+
+    at: Instant
+    fields: Mapping[str, str]
+
+
+Event = Numbers | State | Log | Status
+ViewItem = Samples | Event
+
+
+def item_bytes(item: ViewItem) -> int:
+    """Return the memory that an item holds, roughly."""
+    return item.nbytes if isinstance(item, Samples) else ITEM_BYTES
+
+
+def item_rows(item: ViewItem) -> int:
+    """Return how many samples (or events) are lost with this item."""
+    return item.rows if isinstance(item, Samples) else 1
+
+
+def lasting_key(item: ViewItem) -> str | None:
+    """Return what a later item of the same key replaces, or None for what is not lasting."""
+    if isinstance(item, State):
+        return f"state {item.lane}"
+    return "status" if isinstance(item, Status) else None
+
+
+@dataclass(frozen=True, slots=True)
+class ViewSetup:
+    """What the view must know before the first sample.
+
+    Parameters
+    ----------
+    title : str
+        Name of the recording as the viewer shows it.
+    recording_id : str
+        The same for live view and recording, so that both are one recording.
+    units : mapping of str to str
+        Units that differ from `imumon.columns.KNOWN`, by column (magnetic field in arbitrary units, ...).
+    z_down : bool
+        True for a device with FRD axes, whose reference frame has z down.
+    window_s : float
+        Seconds that the live strips show.
+    properties : mapping of str to str
+        What else describes the session: device, port, rate.
+    """
+
+    title: str
+    recording_id: str
+    units: Mapping[str, str] = field(default_factory=dict)
+    z_down: bool = False
+    window_s: float = 15.0
+    properties: Mapping[str, str] = field(default_factory=dict)
+
+
+class Timebase:
+    """Puts samples and events on the three timelines of the view.
+
+    Device time starts anew in each segment; here it goes on: a new segment begins as much later than the last
+    sample as the host clock says, or one sample interval later when there is no host time.  The device's own
+    time stays in the block.  `samples` is called from one thread; `at` may be called from any.
+    """
+
+    def __init__(self) -> None:
+        self._count = 0
+        self._segment = 0
+        self._shift_ns = 0
+        self._interval_ns = 0
+        self._last = Instant(None, None, None)
+
+    def samples(self, block: SampleBlock) -> Samples:
+        """Return the block with its times; blocks must come in order."""
+        first = self._count
+        self._count += len(block)
+        host = _complete(block, "host_time_ns")
+        device = _complete(block, "device_time_ns")
+        if device is not None and len(block):
+            device = self._continued(device, host, block)
+        if len(block):
+            self._last = Instant(
+                self._count - 1,
+                self._last.device_ns if device is None else int(device[-1]),
+                self._last.host_ns if host is None else int(host[-1]),
+            )
+        return Samples(first, device, host, block)
+
+    def at(self, time_ns: int | None = None) -> Instant:
+        """Return the moment `time_ns` (Unix time on the clock of the data), or that of the latest sample."""
+        last = self._last
+        if time_ns is None:
+            return last
+        device = last.device_ns
+        if device is not None and last.host_ns is not None:
+            device += max(0, time_ns - last.host_ns)
+        return Instant(last.sample, device, time_ns)
+
+    def _continued(self, device: IntArray, host: IntArray | None, block: SampleBlock) -> IntArray:
+        segment = block["segment"] if "segment" in block else np.zeros(len(block), np.int64)
+        before = np.concatenate(([self._segment], segment[:-1]))
+        starts = np.flatnonzero(segment != before)
+        edges = np.unique(np.concatenate(([0], starts, [len(block)])))
+        shifted = np.empty_like(device)
+        last = self._last
+        for start, stop in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
+            if start in starts and last.device_ns is not None:
+                gap = self._interval_ns
+                if host is not None and last.host_ns is not None:
+                    gap = max(gap, int(host[start]) - last.host_ns)
+                self._shift_ns = last.device_ns + gap - int(device[start])
+            shifted[start:stop] = device[start:stop] + self._shift_ns
+            if stop - start > 1:
+                self._interval_ns = max(0, int(device[stop - 1] - device[stop - 2]))
+            host_ns = last.host_ns if host is None else int(host[stop - 1])
+            last = Instant(None, int(shifted[stop - 1]), host_ns)
+        self._segment = int(segment[-1])
+        return shifted
+
+
+def _complete(block: SampleBlock, name: str) -> IntArray | None:
+    """Return an integer column that every row has, or None."""
+    values = block.columns.get(name)
+    return None if values is None or (values == NO_INT).any() else np.asarray(values, np.int64)
+
+
+def merge(items: Iterable[ViewItem]) -> list[ViewItem]:
+    """Join consecutive samples into few large items; events follow them in their order."""
+    runs: list[list[Samples]] = []
+    events: list[ViewItem] = []
+    for item in items:
+        if not isinstance(item, Samples):
+            events.append(item)
+        elif runs and item.follows(runs[-1][-1]):
+            runs[-1].append(item)
+        elif item.rows:
+            runs.append([item])
+    return [*map(_joined, runs), *events]
+
+
+def _joined(run: list[Samples]) -> Samples:
+    if len(run) == 1:
+        return run[0]
+    return Samples(
+        run[0].first,
+        _concatenated([item.device_ns for item in run]),
+        _concatenated([item.host_ns for item in run]),
+        join([item.block for item in run]),
+    )
+
+
+def _concatenated(parts: list[IntArray | None]) -> IntArray | None:
+    present = [part for part in parts if part is not None]
+    return np.concatenate(present) if present else None
+
+
+__all__ = [
+    "ColumnArray",
+    "Event",
+    "Instant",
+    "Log",
+    "Numbers",
+    "Samples",
+    "State",
+    "Status",
+    "Timebase",
+    "ViewItem",
+    "ViewSetup",
+    "merge",
+]

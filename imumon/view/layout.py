@@ -1,0 +1,323 @@
+"""Panels as data: which columns make which entities, how they are drawn, and where they stand.
+
+A panel is an entry in `PANELS`; the logger and the blueprint know nothing else, so a panel for another
+estimator is one more entry.  Exact SI values go to ``/samples/<panel>`` as float64; where a person reads
+another unit (°/s, °, %) the converted values go to ``/view/<panel>`` beside it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import rerun as rr
+import rerun.blueprint as rrb
+
+from imumon.blocks import ColumnArray, FloatArray, IntArray
+from imumon.columns import KNOWN
+from imumon.view.items import ViewSetup
+
+Color = tuple[int, int, int]
+
+RED: Color = (232, 72, 72)
+GREEN: Color = (40, 165, 85)
+BLUE: Color = (66, 133, 244)
+ORANGE: Color = (235, 140, 20)
+VIOLET: Color = (165, 95, 215)
+GREY: Color = (135, 140, 150)
+AXIS_COLORS = (RED, GREEN, BLUE)
+"""x, y, z; these read on the viewer's dark and on its light theme."""
+
+SCENE, STRIPS, LINK = "scene", "strips", "link"
+"""Places in the first tab; any other place is a tab of that name."""
+
+ROOT_ATTITUDE = "/attitude"
+BODY = f"{ROOT_ATTITUDE}/body"
+ATTITUDE_STEP_NS = 20_000_000
+"""The body is redrawn at the most 50 times a second; every quaternion is in ``/samples/attitude``."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rows:
+    """Rows of columns with their times; a timeline that the rows do not have is None."""
+
+    columns: Mapping[str, ColumnArray]
+    sample: IntArray | None
+    device_ns: IntArray | None
+    host_ns: IntArray | None
+
+    def indexes(self, keep: npt.NDArray[np.bool_] | None = None) -> list[rr.TimeColumn]:
+        """Return the time columns that Rerun wants, of all rows or of those to keep."""
+
+        def chosen(values: IntArray) -> IntArray:
+            return np.ascontiguousarray(values if keep is None else values[keep])
+
+        columns = []
+        if self.sample is not None:
+            columns.append(rr.TimeColumn("sample", sequence=chosen(self.sample)))
+        if self.device_ns is not None:
+            columns.append(
+                rr.TimeColumn("device_time", duration=chosen(self.device_ns).view("timedelta64[ns]"))
+            )
+        if self.host_ns is not None:
+            columns.append(rr.TimeColumn("host_time", timestamp=chosen(self.host_ns).view("datetime64[ns]")))
+        return columns
+
+    def matrix(self, names: Sequence[str]) -> FloatArray:
+        """Return the named columns side by side, shape (n, len(names))."""
+        return np.column_stack([self.columns[name] for name in names]).astype(np.float64, copy=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """What the strips show of a timeline: the last seconds, or everything when there is no limit."""
+
+    ranges: Sequence[rrb.VisibleTimeRange] | None
+    axis: rrb.TimeAxis | None
+
+
+@dataclass(frozen=True, slots=True)
+class Panel:
+    """One view, and how its data gets there.
+
+    Parameters
+    ----------
+    key : str
+        Unique; the last part of the entity paths.
+    place : str
+        `SCENE`, `STRIPS`, `LINK`, or the name of a tab.
+    columns : tuple of str
+        All of these must be there, with a finite value somewhere, for the panel to appear.
+    declare : callable
+        Logs what does not change: names, colours, bodies.
+    log : callable
+        Logs rows.
+    view : callable
+        Makes the view for the blueprint.
+    """
+
+    key: str
+    place: str
+    columns: tuple[str, ...]
+    declare: Callable[[rr.RecordingStream], None]
+    log: Callable[[rr.RecordingStream, Rows], None]
+    view: Callable[[ViewSetup, Window], Any]
+
+    def fed_by(self, columns: Mapping[str, ColumnArray]) -> bool:
+        """Tell whether all columns of the panel are among these."""
+        return all(name in columns for name in self.columns)
+
+
+UNIT_TEXT = {"rad/s": "rad/s", "m/s^2": "m/s²", "uT": "µT", "degC": "°C", "arbitrary": "a.u."}
+"""Units as a person writes them, by the unit that pint reads."""
+
+
+def unit_text(setup: ViewSetup, column: str) -> str:
+    """Return the unit of a column as a person writes it; empty when it has none."""
+    known = KNOWN[column].unit if column in KNOWN else ""
+    unit = setup.units.get(column, known)
+    return "" if unit == "1" else UNIT_TEXT.get(unit, unit)
+
+
+def titled(name: str, unit: str) -> str:
+    """Return a title with its unit in brackets."""
+    return f"{name} [{unit}]" if unit else name
+
+
+def strip(
+    key: str,
+    title: str,
+    series: Mapping[str, str],
+    *,
+    colors: Sequence[Color] = AXIS_COLORS,
+    shown: tuple[float, str] | None = None,
+    place: str = STRIPS,
+    steps: bool = False,
+    y_range: tuple[float, float] | None = None,
+) -> Panel:
+    """Return a panel that draws columns over time.
+
+    Parameters
+    ----------
+    series : mapping of str to str
+        Column to name in the legend.
+    shown : (factor, unit), optional
+        Draw factor times the value in this unit, and keep the exact values in ``/samples`` all the same.
+    steps : bool
+        Hold each value until the next instead of joining them by straight lines.
+    y_range : (low, high), optional
+        Fixed range of the y axis; it follows the data otherwise.
+    """
+    names = tuple(series)
+    exact, drawn = f"/samples/{key}", f"/view/{key}" if shown else f"/samples/{key}"
+
+    def declare(rec: rr.RecordingStream) -> None:
+        style = rr.SeriesLines(
+            names=list(series.values()),
+            colors=[list(color) for color in colors[: len(names)]],
+            widths=[1.6] * len(names),
+            interpolation_mode=rr.components.InterpolationMode.StepAfter if steps else None,
+        )
+        rec.log(drawn, style, static=True)
+
+    def log(rec: rr.RecordingStream, rows: Rows) -> None:
+        values = rows.matrix(names)
+        indexes = rows.indexes()
+        rec.send_columns(exact, indexes=indexes, columns=rr.Scalars.columns(scalars=values))
+        if shown:
+            rec.send_columns(drawn, indexes=indexes, columns=rr.Scalars.columns(scalars=values * shown[0]))
+
+    def view(setup: ViewSetup, window: Window) -> Any:
+        unit = shown[1] if shown else unit_text(setup, names[0])
+        return series_view(drawn, titled(title, unit), window, y_range)
+
+    return Panel(key, place, names, declare, log, view)
+
+
+def series_view(origin: str, name: str, window: Window, y_range: tuple[float, float] | None = None) -> Any:
+    """Return a view of series over time with the legend in its corner."""
+    return rrb.TimeSeriesView(
+        origin=origin,
+        name=name,
+        time_ranges=window.ranges,
+        axis_x=window.axis,
+        axis_y=rrb.ScalarAxis(range=y_range) if y_range else None,
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop),
+    )
+
+
+def attitude(key: str, columns: tuple[str, ...], quaternions: Callable[[FloatArray], FloatArray]) -> Panel:
+    """Return a panel that turns a solid body; `quaternions` makes x, y, z, w of the columns, (n, 4)."""
+
+    def log(rec: rr.RecordingStream, rows: Rows) -> None:
+        values = rows.matrix(columns)
+        rec.send_columns(
+            f"/samples/{key}", indexes=rows.indexes(), columns=rr.Scalars.columns(scalars=values)
+        )
+        keep: Any = np.isfinite(values).all(axis=1)
+        clock = rows.device_ns if rows.device_ns is not None else rows.host_ns
+        if clock is not None:
+            step = clock // ATTITUDE_STEP_NS
+            keep = keep & (np.diff(step, prepend=step[:1] - 1) != 0)
+        if keep.any():
+            turned = rr.Transform3D.columns(quaternion=quaternions(values[keep]))
+            rec.send_columns(BODY, indexes=rows.indexes(keep), columns=turned)
+
+    return Panel(
+        key, SCENE, columns, lambda rec: draw_body(rec, f"/samples/{key}", columns), log, attitude_view
+    )
+
+
+def draw_body(rec: rr.RecordingStream, exact: str, columns: Sequence[str]) -> None:
+    """Log the housing with its connector and axes, and the reference axes."""
+    rec.log(exact, rr.SeriesLines(names=list(columns)), static=True)
+    housing = rr.Boxes3D(
+        centers=[[0.0, 0.0, 0.0], [-0.62, 0.0, 0.0], [0.42, 0.0, 0.0]],
+        half_sizes=[[0.5, 0.34, 0.13], [0.12, 0.12, 0.07], [0.05, 0.3, 0.135]],
+        colors=[[95, 105, 125], [200, 165, 70], [230, 230, 235]],
+        fill_mode="solid",
+    )
+    rec.log(f"{BODY}/housing", housing, static=True)
+    axes = np.eye(3)
+    body_axes = rr.Arrows3D(
+        origins=0.1 * axes,
+        vectors=0.95 * axes,
+        colors=[list(color) for color in AXIS_COLORS],
+        labels=["x", "y", "z"],
+        radii=0.022,
+    )
+    rec.log(f"{BODY}/axes", body_axes, static=True)
+    reference = rr.Arrows3D(
+        vectors=1.5 * axes, colors=[list(GREY)], labels=["X", "Y", "Z"], radii=0.008, show_labels=True
+    )
+    rec.log(f"{ROOT_ATTITUDE}/reference", reference, static=True)
+
+
+def attitude_view(setup: ViewSetup, window: Window) -> Any:  # noqa: ARG001 - a scene has no time axis
+    """Return the 3-D view, seen from above and ahead whichever way the reference frame has z."""
+    up = -1.0 if setup.z_down else 1.0
+    return rrb.Spatial3DView(
+        origin=ROOT_ATTITUDE,
+        name="Attitude: body in the device's reference frame",
+        line_grid=rrb.LineGrid3D(visible=True, spacing=0.5, color=[*GREY, 60]),
+        eye_controls=rrb.EyeControls3D(
+            position=[1.6, up * 1.5, up * 1.05], look_target=[0, 0, 0.08 * up], eye_up=[0, 0, up]
+        ),
+    )
+
+
+def from_wxyz(values: FloatArray) -> FloatArray:
+    """Return quaternions x, y, z, w from w, x, y, z, shape (n, 4)."""
+    return np.ascontiguousarray(values[:, [1, 2, 3, 0]])
+
+
+def from_euler(values: FloatArray) -> FloatArray:
+    """Return quaternions x, y, z, w, (n, 4), from roll, pitch, yaw in rad (turns about z, then y, then x)."""
+    cr, cp, cy = np.cos(values / 2).T
+    sr, sp, sy = np.sin(values / 2).T
+    return np.column_stack(
+        [
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+            cr * cp * cy + sr * sp * sy,
+        ]
+    )
+
+
+DEG = float(np.rad2deg(1.0))
+
+
+def _axes(name: str) -> dict[str, str]:
+    return {f"{name}_{axis}": axis for axis in "xyz"}
+
+
+PANELS: tuple[Panel, ...] = (
+    attitude("attitude", ("q_w", "q_x", "q_y", "q_z"), from_wxyz),
+    attitude("attitude_from_angles", ("roll", "pitch", "yaw"), from_euler),
+    strip("gyro", "Angular rate", _axes("gyro"), shown=(DEG, "°/s")),
+    strip("accel", "Specific force", _axes("accel")),
+    strip("mag", "Magnetic field", _axes("mag")),
+    strip(
+        "angles", "Attitude as reported", {name: name for name in ("roll", "pitch", "yaw")}, shown=(DEG, "°")
+    ),
+    strip("temperature", "Temperature", {"temperature": "sensor"}, colors=[ORANGE]),
+    strip("temperature_axes", "Temperature", _axes("temperature")),
+    strip("pressure", "Pressure", {"pressure": "static"}, colors=[VIOLET]),
+    strip(
+        "packet_rate",
+        "Packet rate",
+        {"packet_rate": "packets"},
+        colors=[BLUE],
+        shown=(1.0, "1/s"),
+        place=LINK,
+        steps=True,
+    ),
+    strip(
+        "link_load",
+        "Link load",
+        {"link_load": "load"},
+        colors=[ORANGE],
+        shown=(100.0, "%"),
+        place=LINK,
+        steps=True,
+        y_range=(0.0, 100.0),
+    ),
+    strip(
+        "losses",
+        "Packets lost and damaged, so far",
+        {"packets_lost": "lost", "packets_damaged": "damaged"},
+        colors=[RED, VIOLET],
+        place=LINK,
+        steps=True,
+    ),
+)
+"""All panels, in the order in which they stand.  Whichever of two attitudes comes first turns the body."""
+
+OTHER = "/samples/other"
+"""Float columns that no panel draws: one entity each, in a tab of their own."""
+INTEGERS = "/samples/integers"
+"""Integer columns (device time as sent, counters, status), exact, for those who read the recording."""

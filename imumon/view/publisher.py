@@ -1,0 +1,281 @@
+"""The measuring process's end of the live view: publish and forget."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import subprocess
+import sys
+import threading
+import time
+from collections import deque
+from dataclasses import dataclass, replace
+from typing import BinaryIO
+
+from imumon.view import frames
+from imumon.view.frames import Batch, Close, Replay, ReplayRequest, Report, Start
+from imumon.view.items import ViewItem, ViewSetup, item_bytes, lasting_key, merge
+from imumon.view.queue import DropOldestQueue
+from imumon.view.viewer import LOCALHOST, VIEWER_PORT, WEB_PORT, Mode, quiet_environment
+
+BATCH_S = 0.08
+"""Items of this long go together: 50 to 100 ms look fluent and keep the number of chunks low."""
+QUEUE_BYTES = 32 << 20
+HISTORY_BYTES = 64 << 20
+HISTORY_S = 120.0
+BACKOFF_S = (0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
+STEADY_S = 30.0
+"""A view process that lived this long is started again without delay."""
+STUCK_S = 30.0
+"""A view process that takes nothing for this long is killed and started again.  (A server whose browser
+hangs stalls for 16 s and then goes on.)"""
+GOODBYE_S = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class ViewState:
+    """How the live view is, for the status line."""
+
+    text: str
+    connected: bool
+    dropped: int
+    restarts: int
+
+    def __str__(self) -> str:
+        """Return one phrase."""
+        return f"{self.text}, {self.dropped} dropped" if self.dropped else self.text
+
+
+class History:
+    """The latest batches, for a viewer that has not seen them, bounded in time and bytes.
+
+    States and the status card do not age: of those in batches that had to go, the latest of each stay.
+    """
+
+    def __init__(self, max_bytes: int, max_s: float) -> None:
+        self._max_bytes, self._max_s = max_bytes, max_s
+        self._batches: deque[tuple[float, int, Batch]] = deque()
+        self._bytes = 0
+        self._lasting: dict[str, ViewItem] = {}
+
+    def add(self, batch: Batch, now: float) -> None:
+        """Append a batch; forget the oldest ones when that is too much."""
+        size = sum(map(item_bytes, batch.items))
+        self._batches.append((now, size, batch))
+        self._bytes += size
+        while self._bytes > self._max_bytes or self._batches[0][0] < now - self._max_s:
+            _, gone, old = self._batches.popleft()
+            self._bytes -= gone
+            for item in old.items:
+                if (key := lasting_key(item)) is not None:
+                    self._lasting[key] = item
+
+    def after(self, number: int) -> list[ViewItem]:
+        """Return all items of batches after this one, joined, the lasting ones of before first."""
+        items = [item for _, _, batch in self._batches if batch.number > number for item in batch.items]
+        return [*self._lasting.values(), *merge(items)]
+
+
+class ViewPublisher:
+    """Feeds a process that shows the live view; nothing that happens there delays the caller.
+
+    Parameters
+    ----------
+    mode : "native" or "web"
+        A native window, or a server that browsers open.
+    setup : ViewSetup
+        Title, recording, units, frame, window.
+    port, web_port : int
+        Ports to begin with; when another program has them, the next free ones are taken.
+    bind : str
+        Address that the web viewer's servers bind to.
+    """
+
+    def __init__(
+        self,
+        mode: Mode,
+        setup: ViewSetup,
+        *,
+        port: int = VIEWER_PORT,
+        web_port: int = WEB_PORT,
+        bind: str = LOCALHOST,
+    ) -> None:
+        self._start = Start(setup, mode, port, web_port, bind)
+        self._queue = DropOldestQueue(QUEUE_BYTES)
+        self._history = History(HISTORY_BYTES, HISTORY_S)
+        self._number = 0
+        self._restarts = 0
+        self._report = Report("view starts", False, port, web_port, "")
+        self._request: ReplayRequest | None = None
+        self._process: subprocess.Popen[bytes] | None = None
+        self._ending = threading.Event()
+        self._supervisor = threading.Thread(target=self._supervise, name="view publisher", daemon=True)
+
+    def start(self) -> ViewPublisher:
+        """Start the view process and return at once."""
+        self._supervisor.start()
+        return self
+
+    def publish(self, item: ViewItem) -> None:
+        """Queue an item; takes microseconds, whatever state the view is in."""
+        self._queue.put(item)
+
+    @property
+    def state(self) -> ViewState:
+        """How the view is now."""
+        report = self._report
+        return ViewState(report.text, report.connected, self._queue.dropped, self._restarts)
+
+    @property
+    def url(self) -> str:
+        """What to open: the page in a browser (web), the stream (native); empty until it is known."""
+        return self._report.url
+
+    @property
+    def stream_port(self) -> int:
+        """Port of the stream."""
+        return self._report.port
+
+    def close(self, timeout_s: float = 1.5) -> None:
+        """Send what is left and end the view process, within `timeout_s` whatever its state.
+
+        The web viewer's servers end with it.  A native window stays open, so that one can go on looking.
+        """
+        deadline = time.monotonic() + timeout_s
+        self._queue.close()
+        self._supervisor.join(max(0.0, timeout_s - 0.3))
+        self._ending.set()
+        process = self._process
+        if process is not None and process.poll() is None:
+            process.kill()
+        self._supervisor.join(max(0.1, deadline - time.monotonic()))
+
+    def _supervise(self) -> None:
+        """Keep a view process alive and supplied until closed."""
+        failures = 0
+        while True:
+            started = time.monotonic()
+            self._run_process()
+            if self._queue.is_closed():
+                return
+            failures = 0 if time.monotonic() - started > STEADY_S else failures + 1
+            self._restarts += 1
+            self._wait(BACKOFF_S[min(failures, len(BACKOFF_S) - 1)])
+            if self._queue.is_closed():
+                return
+
+    def _wait(self, pause_s: float) -> None:
+        """Let time pass while the queue keeps emptying into the history."""
+        end = time.monotonic() + pause_s
+        while (left := end - time.monotonic()) > 0 and not self._queue.is_closed():
+            self._next_batch(wait_s=left)
+
+    def _run_process(self) -> None:
+        """Run one view process from its start to its end."""
+        process = subprocess.Popen(
+            [sys.executable, "-m", "imumon.view.child"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            env=quiet_environment(),
+            start_new_session=True,  # Ctrl-C is for the measuring process, which then closes this one
+        )
+        self._process = process
+        self._request = None
+        listener = threading.Thread(
+            target=self._listen, args=[process.stdout], name="view reports", daemon=True
+        )
+        listener.start()
+        try:
+            self._feed(process)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(GOODBYE_S)
+        finally:
+            process.kill()
+            process.wait()
+            listener.join()
+            for pipe in (process.stdin, process.stdout):
+                if pipe is not None:
+                    pipe.close()
+        if not self._queue.is_closed():
+            text = "view restarts" if self._report.port else self._report.text
+            self._report = replace(self._report, text=text, connected=False)
+
+    def _feed(self, process: subprocess.Popen[bytes]) -> None:
+        """Send frames until the process is gone or everything is sent and the queue closed."""
+        pipe = _Pipe(process, self._ending)
+        if not pipe.send(self._start):
+            return
+        while process.poll() is None:
+            closing = self._queue.is_closed()
+            batch = self._next_batch(wait_s=0.25)
+            request, self._request = self._request, None
+            if request is not None:
+                again = Batch(self._number, self._history.after(request.after))
+                if not (pipe.send(Replay(request.request)) and pipe.send(again)):
+                    return
+            elif batch is not None and not pipe.send(batch):
+                return
+            if closing:
+                pipe.send(Close())
+                return
+
+    def _next_batch(self, wait_s: float) -> Batch | None:
+        items = merge(self._queue.take(BATCH_S, wait_s))
+        if not items:
+            return None
+        self._number += 1
+        batch = Batch(self._number, items)
+        self._history.add(batch, time.monotonic())
+        return batch
+
+    def _listen(self, reports: BinaryIO) -> None:
+        """Take what the view process says until it ends."""
+        while (message := frames.read(reports)) is not None:
+            if isinstance(message, ReplayRequest):
+                self._request = message
+            elif isinstance(message, Report):
+                self._report = message
+                self._remember(message)
+
+    def _remember(self, report: Report) -> None:
+        """Start a later view process on the same ports, and do not open a second window."""
+        start = self._start
+        if report.port:
+            self._start = replace(
+                start,
+                port=report.port,
+                web_port=report.web_port or start.web_port,
+                open_viewer=start.open_viewer and not report.connected,
+            )
+
+
+class _Pipe:
+    """Writes frames to a process that may have stopped reading."""
+
+    def __init__(self, process: subprocess.Popen[bytes], ending: threading.Event) -> None:
+        assert process.stdin is not None
+        self._process = process
+        self._ending = ending
+        self._fd = process.stdin.fileno()
+        os.set_blocking(self._fd, False)
+
+    def send(self, frame: frames.Frame) -> bool:
+        """Write a frame; False when the process is gone, stuck for `STUCK_S`, or not worth waiting for."""
+        left = memoryview(frames.encode(frame))
+        stuck_at = time.monotonic() + STUCK_S
+        while left:
+            if self._ending.is_set() or time.monotonic() > stuck_at or self._process.poll() is not None:
+                return False
+            if not select.select([], [self._fd], [], 0.1)[1]:
+                continue
+            try:
+                written = os.write(self._fd, left)
+            except BlockingIOError:
+                continue
+            except OSError:  # the process went away between the two calls
+                return False
+            left = left[written:]
+            stuck_at = time.monotonic() + STUCK_S
+        return True

@@ -1,0 +1,78 @@
+"""A bounded queue that never makes the producer wait: when it is full the oldest goes, and is counted."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+
+from imumon.view.items import ViewItem, item_bytes, item_rows, lasting_key
+
+
+class DropOldestQueue:
+    """View items in order, at the most `max_bytes` of them.
+
+    States and the status card outlive their place in the queue: the latest of each that had to be dropped is
+    handed out with the next batch, so that a lane never stays wrong.
+
+    Parameters
+    ----------
+    max_bytes : int
+        Memory that the items may hold.
+    """
+
+    def __init__(self, max_bytes: int) -> None:
+        self._max_bytes = max_bytes
+        self._items: deque[ViewItem] = deque()
+        self._lasting: dict[str, ViewItem] = {}
+        self._bytes = 0
+        self._closed = threading.Event()
+        self._filled = threading.Condition()
+        self.dropped = 0
+        """Samples and events dropped so far."""
+
+    def put(self, item: ViewItem) -> None:
+        """Append an item; drop the oldest ones when that is too much."""
+        with self._filled:
+            was_empty = not self._items
+            self._items.append(item)
+            self._bytes += item_bytes(item)
+            while self._bytes > self._max_bytes:
+                self._drop_oldest()
+            if was_empty:
+                self._filled.notify()
+
+    def take(self, gather_s: float, wait_s: float) -> list[ViewItem]:
+        """Return all items once the first has waited `gather_s`; an empty list after `wait_s` without any.
+
+        When the queue is closed, what is left is returned at once.
+        """
+        with self._filled:
+            self._filled.wait_for(lambda: self._items or self.is_closed(), wait_s)
+            if not self._items:
+                return []
+        self._closed.wait(gather_s)
+        with self._filled:
+            items = [*self._lasting.values(), *self._items]
+            self._lasting.clear()
+            self._items.clear()
+            self._bytes = 0
+            return items
+
+    def close(self) -> None:
+        """End all waiting."""
+        self._closed.set()
+        with self._filled:
+            self._filled.notify_all()
+
+    def is_closed(self) -> bool:
+        """Tell whether `close` was called."""
+        return self._closed.is_set()
+
+    def _drop_oldest(self) -> None:
+        item = self._items.popleft()
+        self._bytes -= item_bytes(item)
+        key = lasting_key(item)
+        if key is not None:
+            self._lasting[key] = item
+        else:
+            self.dropped += item_rows(item)

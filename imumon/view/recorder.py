@@ -1,0 +1,115 @@
+"""view.rrd: the view as a recording, in segments that open as one."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+
+import rerun as rr
+
+from imumon.errors import ImumonError, Reason
+from imumon.view.items import Samples, ViewItem, ViewSetup, merge
+from imumon.view.logger import APPLICATION_ID, StreamLogger
+from imumon.view.queue import DropOldestQueue
+
+BATCH_S = 1.0
+"""Items of this long become one chunk per panel: with 50 ms the file would be three times as large."""
+SEGMENT_S = 1800.0
+QUEUE_BYTES = 64 << 20
+
+
+class ViewRecorder:
+    """Writes view items to ``view.rrd``, ``view.0001.rrd``, ...; never makes the caller wait.
+
+    The wire recording is the truth; when the disk cannot follow, this one loses the oldest items and says so
+    in `dropped`.  Every segment has its own footer, names, styles and blueprint, so each opens alone, and all
+    of them together open as one recording.  A segment that was cut short by a crash opens as well.
+
+    Parameters
+    ----------
+    path : Path
+        The first segment; the others stand beside it.
+    setup : ViewSetup
+        As for the live view, so that both are the same recording.
+    segment_s : float
+        A new segment begins when this much time has passed in the data.
+
+    Raises
+    ------
+    ImumonError
+        EXISTS when there is a file already; NOT_FOUND when the folder is missing.
+    """
+
+    def __init__(self, path: Path, setup: ViewSetup, *, segment_s: float = SEGMENT_S) -> None:
+        if path.exists():
+            raise ImumonError(Reason.EXISTS, f"{path} exists already", "name another folder")
+        if not path.parent.is_dir():
+            raise ImumonError(Reason.NOT_FOUND, f"there is no folder {path.parent}")
+        self._path = path
+        self._segment_ns = round(segment_s * 1e9)
+        self._began_ns: int | None = None
+        self._rec = rr.RecordingStream(APPLICATION_ID, recording_id=setup.recording_id)
+        self._logger = StreamLogger(self._rec, setup, live=False)
+        self._queue = DropOldestQueue(QUEUE_BYTES)
+        self._files: list[Path] = []
+        self._open_segment()
+        self._thread = threading.Thread(target=self._run, name="view recorder", daemon=True)
+        self._thread.start()
+
+    @property
+    def files(self) -> list[Path]:
+        """The segments so far, in order; the last one is being written until `close`."""
+        return list(self._files)
+
+    @property
+    def dropped(self) -> int:
+        """Samples and events that are missing because the disk could not follow."""
+        return self._queue.dropped
+
+    def publish(self, item: ViewItem) -> None:
+        """Queue an item; takes microseconds."""
+        self._queue.put(item)
+
+    def close(self, timeout_s: float = 10.0) -> None:
+        """Write what is left and finish the file."""
+        self._queue.close()
+        self._thread.join(timeout_s)
+
+    def _run(self) -> None:
+        closing = False
+        while not closing:
+            closing = self._queue.is_closed()
+            for item in merge(self._queue.take(BATCH_S, BATCH_S)):
+                if self._is_due(item):
+                    self._open_segment()
+                self._logger.log([item])
+        self._rec.disconnect()
+
+    def _is_due(self, item: ViewItem) -> bool:
+        """Tell whether a new segment begins with this item, by the time in the data."""
+        time_ns = _time_ns(item)
+        if time_ns is None:
+            return False
+        if self._began_ns is None or time_ns < self._began_ns:
+            self._began_ns = time_ns
+        if time_ns - self._began_ns < self._segment_ns:
+            return False
+        self._began_ns = time_ns
+        return True
+
+    def _open_segment(self) -> None:
+        count = len(self._files)
+        path = self._path if count == 0 else self._path.with_suffix(f".{count:04d}{self._path.suffix}")
+        self._rec.set_sinks(rr.FileSink(path))
+        self._files.append(path)
+        self._logger.begin()
+
+
+def _time_ns(item: ViewItem) -> int | None:
+    """Return the device time of an item, or its host time when the device tells none."""
+    if isinstance(item, Samples):
+        for times in (item.device_ns, item.host_ns):
+            if times is not None:
+                return int(times[0])
+        return None
+    return item.at.device_ns

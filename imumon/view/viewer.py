@@ -1,0 +1,143 @@
+"""The Rerun viewer as a program: where it is, whether it can show, how it is started, whether it answers."""
+
+from __future__ import annotations
+
+import http.client
+import os
+import socket
+import subprocess
+import sys
+from enum import Enum
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Literal
+
+from imumon.errors import ImumonError, Reason
+
+Mode = Literal["native", "web"]
+
+LOCALHOST = "127.0.0.1"
+VIEWER_PORT = 9876
+"""Where Rerun viewers listen, unless told otherwise."""
+WEB_PORT = 9090
+VIEWER_MEMORY = "2GB"
+"""Above this the viewer forgets the oldest data, so that a session may last for days."""
+SERVER_MEMORY = "128MB"
+"""What a server keeps for viewers that come later."""
+
+
+class Answer(Enum):
+    """What a port says when asked whether a Rerun viewer or server is behind it."""
+
+    RERUN = "answers"
+    CLOSED = "nothing listens"
+    SILENT = "listens, but does not answer"
+    OTHER = "belongs to another program"
+
+
+def has_display() -> bool:
+    """Tell whether a window can be opened here."""
+    if sys.platform in ("darwin", "win32"):
+        return True
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def default_mode() -> Mode:
+    """Return "native" where there is a display, otherwise "web"."""
+    return "native" if has_display() else "web"
+
+
+def viewer_binary() -> Path:
+    """Return the viewer's executable itself; the `rerun` on the path is a script that would stay in between.
+
+    Raises
+    ------
+    ImumonError
+        NOT_FOUND when this installation has none.
+    """
+    spec = find_spec("rerun_cli")
+    folders = spec.submodule_search_locations if spec else None
+    for folder in folders or []:
+        for name in ("rerun", "rerun.exe"):
+            if (path := Path(folder) / name).is_file():
+                return path
+    raise ImumonError(
+        Reason.NOT_FOUND, "the Rerun viewer is not installed", "pip install 'rerun-sdk', or use --view none"
+    )
+
+
+def quiet_environment() -> dict[str, str]:
+    """Return the environment for Rerun's programs: no analytics, warnings only.
+
+    Rerun 0.41 knows no variable of its own for this.  With ``CI`` set it neither reads nor writes its
+    analytics files and starts no session, unless ``FORCE_RERUN_ANALYTICS`` is set.
+    """
+    environment = {name: value for name, value in os.environ.items() if name != "FORCE_RERUN_ANALYTICS"}
+    return {**environment, "CI": "1", "RUST_LOG": os.environ.get("RUST_LOG", "warn")}
+
+
+def probe(port: int, timeout_s: float = 0.5) -> Answer:
+    """Ask a port of this machine whether a Rerun viewer or server is behind it.
+
+    An unknown method of a gRPC service is refused with ``grpc-status``; a stopped process accepts the
+    connection (the kernel does) and says nothing.
+    """
+    connection = http.client.HTTPConnection(LOCALHOST, port, timeout=timeout_s)
+    try:
+        connection.request("POST", "/imumon/probe", headers={"Content-Type": "application/grpc-web+proto"})
+        response = connection.getresponse()
+        return Answer.RERUN if response.getheader("grpc-status") is not None else Answer.OTHER
+    except TimeoutError:
+        return Answer.SILENT
+    except http.client.HTTPException:
+        return Answer.OTHER
+    except OSError:
+        return Answer.CLOSED
+    finally:
+        connection.close()
+
+
+def free_port(preferred: int, bind: str = LOCALHOST) -> int:
+    """Return the preferred port or the next one that can be bound.
+
+    Rerun reports a port in use in its log only, so it has to be found out before.
+
+    Raises
+    ------
+    ImumonError
+        BUSY when the next hundred are all in use.
+    """
+    for port in range(preferred, min(preferred + 100, 65536)):
+        with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as trial:
+            trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                trial.bind((bind, port))
+            except OSError:
+                continue
+            return port
+    raise ImumonError(Reason.BUSY, f"no free port from {preferred} on {bind}", "name another port")
+
+
+def start_viewer(port: int, *arguments: str) -> subprocess.Popen[bytes]:
+    """Start a native viewer that listens on 127.0.0.1; it outlives this program."""
+    return subprocess.Popen(
+        [
+            str(viewer_binary()),
+            f"--port={port}",
+            f"--bind={LOCALHOST}",
+            f"--memory-limit={VIEWER_MEMORY}",
+            f"--server-memory-limit={SERVER_MEMORY}",
+            "--hide-welcome-screen",
+            *arguments,
+        ],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        env=quiet_environment(),
+        start_new_session=True,
+    )
+
+
+def proxy_url(port: int, host: str = LOCALHOST) -> str:
+    """Return the address of the stream on this port."""
+    return f"rerun+http://{host}:{port}/proxy"
