@@ -1,0 +1,193 @@
+"""The one path from bytes to samples with times and estimates, for live, replay and decode alike.
+
+The results depend on the bytes, their arrival times and the events between them, never on how the stream was
+cut into pieces: a replay of a recording gives the same numbers, bit for bit.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Protocol
+
+import numpy as np
+
+from imumon.blocks import NO_INT, ColumnArray, SampleBlock, missing
+from imumon.clock import DeviceClock, HostClock
+from imumon.columns import KNOWN, TIME_COLUMNS, Column
+from imumon.protocols.base import Counters
+from imumon.protocols.device import DeviceFile
+
+UNDATED = NO_INT
+"""Arrival time of bytes whose arrival nobody noted, as in a raw capture."""
+
+
+class Estimator(Protocol):
+    """A stage behind the clock: columns in, more columns out, sample by sample."""
+
+    @property
+    def columns(self) -> Sequence[Column]:
+        """The columns that `process` adds."""
+
+    def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
+        """Return the new columns of a block; the result must not depend on the division into blocks."""
+
+
+@dataclass(frozen=True, slots=True)
+class PipelineCounters:
+    """What became of every byte and packet; the keys of ``--json`` and of session.yaml."""
+
+    packets: int
+    packets_by_type: dict[str, int]
+    bytes_received: int
+    bytes_in_packets: int
+    bytes_skipped: int
+    bytes_pending: int
+    checksum_errors: int
+    length_errors: int
+    counter_gaps: int
+    packets_missing: int
+    clock_restarts: int
+    samples: int
+
+    def as_dict(self) -> dict[str, object]:
+        """Return the counters as they are printed and stored."""
+        return asdict(self)
+
+    @property
+    def framed_share(self) -> float:
+        """Share of the bytes accounted for that were part of a packet; 0 before the first byte."""
+        settled = self.bytes_in_packets + self.bytes_skipped
+        return self.bytes_in_packets / settled if settled else 0.0
+
+
+class Pipeline:
+    """Decoder, clock and estimators in order.
+
+    Parameters
+    ----------
+    device : DeviceFile
+        What sends the bytes.
+    estimators : sequence of Estimator
+        Stages behind the clock, each of which sees the columns of those before it.
+    """
+
+    def __init__(self, device: DeviceFile, estimators: Sequence[Estimator] = ()) -> None:
+        self._decoder = device.decoder()
+        self._device_clock = DeviceClock(self._decoder.timing)
+        self.host_clock = HostClock(self._device_clock.drift_limit_ppm)
+        self._estimators = tuple(estimators)
+        self._samples = 0
+
+    @property
+    def columns(self) -> list[Column]:
+        """Columns of the blocks so far, in the order in which tables have them."""
+        decoded = [
+            c for c in self._decoder.columns if c.name not in TIME_COLUMNS and c.name != "device_ticks"
+        ]
+        times = [KNOWN[name] for name in TIME_COLUMNS if name != "packet_counter" or self._counts]
+        added = [column for stage in self._estimators for column in stage.columns]
+        return [*times, *decoded, *added]
+
+    @property
+    def counters(self) -> PipelineCounters:
+        """What became of every byte and packet so far."""
+        raw: Counters = self._decoder.counters()
+        return PipelineCounters(
+            packets=raw.packets,
+            packets_by_type=dict(raw.packets_by_type),
+            bytes_received=raw.bytes_received,
+            bytes_in_packets=raw.bytes_in_packets,
+            bytes_skipped=raw.bytes_skipped,
+            bytes_pending=raw.bytes_pending,
+            checksum_errors=raw.checksum_errors,
+            length_errors=raw.length_errors,
+            counter_gaps=self._device_clock.counter_gaps,
+            packets_missing=self._device_clock.packets_missing,
+            clock_restarts=self._device_clock.resets,
+            samples=self._samples,
+        )
+
+    @property
+    def _counts(self) -> bool:
+        return any(column.name == "packet_counter" for column in self._decoder.columns)
+
+    def feed(self, data: bytes, arrival_ns: int = UNDATED) -> SampleBlock:
+        """Take bytes that arrived at `arrival_ns` (Unix time, ns); return the samples they complete."""
+        self._decoder.feed(data, arrival_ns)
+        return self._process(self._decoder.take())
+
+    def finish(self) -> SampleBlock:
+        """Say that no more bytes come; return the samples that were held back behind a damaged header."""
+        self._decoder.finish()
+        return self._process(self._decoder.take())
+
+    def port_opened(self) -> None:
+        """Say that the port was opened anew: the device may have restarted meanwhile."""
+        self._device_clock.new_connection()
+
+    def notices(self) -> list[str]:
+        """Return, once each, what the device said that is not data."""
+        return self._decoder.notices()
+
+    def _process(self, raw: SampleBlock) -> SampleBlock:
+        n = len(raw)
+        columns = dict(raw.columns)
+        counter, ticks = columns.get("packet_counter"), columns.pop("device_ticks", None)
+        arrival = columns.get("arrival_time_ns", missing(n, np.int64))
+        device_ns, segment = self._device_clock.process(counter, ticks, arrival, n)
+        times: dict[str, ColumnArray] = {
+            "device_time_ns": device_ns,
+            "arrival_time_ns": arrival,
+            "host_time_ns": self.host_clock.process(device_ns, segment, arrival),
+            "segment": segment,
+        }
+        if counter is not None:
+            times["packet_counter"] = counter
+        block = SampleBlock({**times, **{k: v for k, v in columns.items() if k not in times}})
+        for stage in self._estimators:
+            block = block.with_columns(stage.process(block))
+        self._samples += n
+        return block
+
+
+class Digest:
+    """Fingerprint of all samples, independent of the division into blocks.
+
+    Two runs with the same digest gave the same columns with the same bits; NaNs count as one value.
+    """
+
+    def __init__(self) -> None:
+        self._hashes: dict[str, hashlib._Hash] = {}
+        self._rows = 0
+
+    def update(self, block: SampleBlock) -> None:
+        """Add samples."""
+        for name, values in block.columns.items():
+            if name not in self._hashes:
+                # A column that begins late is the same as one that was missing so far.
+                self._hashes[name] = hashlib.sha256(_canonical(missing(self._rows, values.dtype)))
+            self._hashes[name].update(_canonical(values))
+        absent = self._hashes.keys() - block.columns.keys()
+        if len(block) and absent:
+            raise ValueError(f"columns {sorted(absent)} vanished between blocks")
+        self._rows += len(block)
+
+    def hexdigest(self) -> str:
+        """Return the fingerprint of the samples so far."""
+        whole = hashlib.sha256(str(self._rows).encode())
+        for name in sorted(self._hashes):
+            whole.update(name.encode() + self._hashes[name].digest())
+        return whole.hexdigest()
+
+
+def _canonical(values: ColumnArray) -> bytes:
+    if values.dtype == np.float64:
+        return np.where(np.isnan(values), np.nan, values).tobytes()
+    return values.tobytes()
+
+
+def non_empty(blocks: Iterable[SampleBlock]) -> Iterable[SampleBlock]:
+    """Pass on the blocks that have samples."""
+    return (block for block in blocks if len(block))

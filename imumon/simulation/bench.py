@@ -1,0 +1,130 @@
+"""A unit on a bench: it rests, is turned by hand, warms up, and has bias, noise and a magnetic field."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from imumon.blocks import ColumnArray, FloatArray, SampleBlock
+
+GRAVITY = 9.80665
+FIELD_UT = np.array([20.0, 1.0, 43.0])
+"""Magnetic field north, east, down, as in central Europe."""
+AMBIENT_DEGC = 24.0
+WARM_UP_DEGC = np.array([8.5, 7.0, 9.5])
+WARM_UP_S = 240.0
+"""Rise of each gyro's temperature above ambient, and its time constant."""
+GYRO_BIAS_DPS = np.array([0.12, -0.20, 0.08])
+GYRO_SLOPE_DPS_PER_DEGC = np.array([0.010, -0.014, 0.006])
+GYRO_ARW_DPS = 0.02
+ACCEL_NOISE = 0.012
+MAG_NOISE_UT = 0.08
+"""White noise: deg/s/sqrt(Hz), and a sample's standard deviation in m/s² and µT."""
+
+# Turns of one round, in degrees: (start, duration, roll, pitch, yaw) s; between them the unit rests.
+_TURNS = (
+    (4.0, 2.0, 30.0, 0.0, 0.0),
+    (8.0, 3.0, -60.0, 0.0, 0.0),
+    (13.0, 2.0, 30.0, 20.0, 0.0),
+    (17.0, 2.5, 0.0, -20.0, 90.0),
+    (22.0, 3.5, 0.0, 0.0, -90.0),
+)
+_ROUND_S = 30.0
+
+# North-east-down to east-north-up, and forward-right-down to forward-left-up.
+_NED_TO_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+_FRD_TO_FLU = np.diag([1.0, -1.0, -1.0])
+
+
+class BenchUnit:
+    """Deterministic samples of a unit on a bench, in consecutive blocks.
+
+    Parameters
+    ----------
+    rate_hz : float
+        Samples per second.
+    axes : "FLU" or "FRD"
+        Body axes; attitude is reported to ENU for FLU and to NED for FRD.
+    seed : int
+        Seed of all noise; the blocks may be of any size, the samples are the same.
+    """
+
+    def __init__(self, rate_hz: float, axes: Literal["FLU", "FRD"], seed: int = 0) -> None:
+        self._rate_hz = rate_hz
+        self._axes = axes
+        self._random = np.random.default_rng(seed)
+        self._next = 0
+
+    def samples(self, n: int) -> SampleBlock:
+        """Return the next n samples, with packet_counter and device_ticks (µs) counting from power-on."""
+        index = np.arange(self._next, self._next + n)
+        self._next += n
+        t = index / self._rate_hz
+        angles, rates = _motion(t)
+        noise = self._random.standard_normal((n, 9))  # one draw a sample: independent of the block size
+        temperature = AMBIENT_DEGC + WARM_UP_DEGC * -np.expm1(-t[:, np.newaxis] / WARM_UP_S)
+        body_to_ned = Rotation.from_euler("ZYX", angles[:, ::-1])
+        bias = GYRO_BIAS_DPS + GYRO_SLOPE_DPS_PER_DEGC * (temperature - AMBIENT_DEGC)
+        gyro = _body_rates(angles, rates) + np.deg2rad(
+            bias + GYRO_ARW_DPS * np.sqrt(self._rate_hz / 2) * noise[:, 0:3]
+        )
+        accel = body_to_ned.inv().apply([0.0, 0.0, -GRAVITY]) + ACCEL_NOISE * noise[:, 3:6]
+        mag = body_to_ned.inv().apply(FIELD_UT) + MAG_NOISE_UT * noise[:, 6:9]
+        attitude = body_to_ned
+        if self._axes == "FLU":
+            gyro, accel, mag = gyro @ _FRD_TO_FLU, accel @ _FRD_TO_FLU, mag @ _FRD_TO_FLU
+            attitude = Rotation.from_matrix(_NED_TO_ENU @ body_to_ned.as_matrix() @ _FRD_TO_FLU)
+        return SampleBlock(
+            {
+                "packet_counter": index,
+                "device_ticks": np.rint(t * 1e6).astype(np.int64),
+                **_split("gyro", gyro),
+                **_split("accel", accel),
+                **_split("mag", mag),
+                **_split("temperature", temperature),
+                "temperature": temperature.mean(axis=1),
+                **_reported(attitude, self._axes),
+                "status": np.full(n, 7, np.int64),
+                "supply_voltage": np.full(n, 5.02),
+                "pressure": np.full(n, 101_325.0),
+            }
+        )
+
+
+def _motion(t: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return roll, pitch, yaw (n, 3) in rad and their rates in rad/s: minimum-jerk turns and rests."""
+    phase = np.mod(t, _ROUND_S)
+    angles, rates = np.zeros((len(t), 3)), np.zeros((len(t), 3))
+    for start, duration, *turn in _TURNS:
+        s = np.clip((phase - start) / duration, 0.0, 1.0)
+        amount = np.deg2rad(turn)
+        angles += np.outer(s**3 * (10 - 15 * s + 6 * s**2), amount)
+        rates += np.outer(30 * s**2 * (1 - s) ** 2 / duration, amount)
+    return angles, rates
+
+
+def _body_rates(angles: FloatArray, rates: FloatArray) -> FloatArray:
+    """Turn Euler angle rates (roll, pitch, yaw; ZYX) into angular rates in body axes, (n, 3)."""
+    roll, pitch = angles[:, 0], angles[:, 1]
+    roll_rate, pitch_rate, yaw_rate = rates.T
+    return np.column_stack(
+        [
+            roll_rate - np.sin(pitch) * yaw_rate,
+            np.cos(roll) * pitch_rate + np.sin(roll) * np.cos(pitch) * yaw_rate,
+            -np.sin(roll) * pitch_rate + np.cos(roll) * np.cos(pitch) * yaw_rate,
+        ]
+    )
+
+
+def _reported(attitude: Rotation, axes: str) -> dict[str, ColumnArray]:
+    x, y, z, w = attitude.as_quat(canonical=True).T
+    yaw, pitch, roll = attitude.as_euler("ZYX").T
+    if axes == "FRD":  # a compass heading, 0 to 360 degrees
+        yaw = np.mod(yaw, 2 * np.pi)
+    return {"q_w": w, "q_x": x, "q_y": y, "q_z": z, "roll": roll, "pitch": pitch, "yaw": yaw}
+
+
+def _split(name: str, values: FloatArray) -> dict[str, ColumnArray]:
+    return {f"{name}_{axis}": values[:, i] for i, axis in enumerate("xyz")}

@@ -1,0 +1,102 @@
+"""A virtual AHRS: a simulated unit behind a real pseudo-terminal, sending packets at its rate."""
+
+from __future__ import annotations
+
+import threading
+import time
+from pathlib import Path
+from types import TracebackType
+
+from imumon.errors import ImumonError, Reason
+from imumon.protocols.device import DeviceFile
+from imumon.simulation.bench import BenchUnit
+from imumon.simulation.virtual_port import VirtualPort
+
+DEFAULT_RATE_HZ = 100.0
+TICK_S = 0.005
+"""How often packets are handed to the port when the device sends faster than this."""
+
+
+class VirtualDevice:
+    """Sends the packets of a device in real time from its own thread until it is closed.
+
+    Parameters
+    ----------
+    device : DeviceFile
+        Format, baud rate, packet rate and body axes.
+    link : Path or None
+        Name of a symlink to the port.
+    rate_hz : float or None
+        Packets per second; the device file's own when None.
+    seed : int
+        Seed of the simulated unit.
+
+    Raises
+    ------
+    ImumonError
+        BAD_CONFIG when the packets do not fit through the line at this rate.
+    """
+
+    def __init__(
+        self, device: DeviceFile, link: Path | None = None, rate_hz: float | None = None, seed: int = 0
+    ) -> None:
+        self._device = device
+        self._rate_hz = rate_hz or device.rate_hz or DEFAULT_RATE_HZ
+        self._seed = seed
+        self._encoder = device.encoder()
+        self._refuse_overload()
+        self._unit = BenchUnit(self._rate_hz, device.axes, seed)
+        self._rebooted = False
+        self._closing = threading.Event()
+        self.packets_sent = 0
+        self.port = VirtualPort(link, device.serial.baudrates[0])
+        self._thread = threading.Thread(target=self._run, name="virtual device", daemon=True)
+        self._thread.start()
+
+    def reboot(self) -> None:
+        """Start the unit anew: its counter and clock begin at zero."""
+        self._rebooted = True
+
+    def close(self) -> None:
+        """Stop sending and remove the port."""
+        self._closing.set()
+        self._thread.join()
+        self.port.close()
+
+    def __enter__(self) -> VirtualDevice:
+        """Return the device, which sends already."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close the device."""
+        self.close()
+
+    def _refuse_overload(self) -> None:
+        packet = len(self._encoder.encode(BenchUnit(self._rate_hz, self._device.axes).samples(1))[0])
+        baudrate = self._device.serial.baudrates[0]
+        load = packet * 10 * self._rate_hz / baudrate
+        if load > 1.0:
+            raise ImumonError(
+                Reason.BAD_CONFIG,
+                f"{self._rate_hz:g} packets/s of {packet} bytes are {load:.0%} of a line at {baudrate} baud",
+                "choose a lower rate, or a device file with a higher baud rate first in its list",
+            )
+
+    def _run(self) -> None:
+        start, sent = time.monotonic(), 0
+        while not self._closing.is_set():
+            if self._rebooted:
+                self._rebooted = False
+                self._unit = BenchUnit(self._rate_hz, self._device.axes, self._seed + 1)
+            due = int((time.monotonic() - start) * self._rate_hz) - sent
+            if due > 0:
+                for packet in self._encoder.encode(self._unit.samples(due)):
+                    self.port.write(packet)
+                sent += due
+                self.packets_sent += due
+            next_due = start + (sent + 1) / self._rate_hz
+            self._closing.wait(
+                max(next_due - time.monotonic(), TICK_S if self._rate_hz > 1 / TICK_S else 0.0)
+            )
