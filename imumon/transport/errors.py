@@ -63,9 +63,10 @@ def open_error(settings: PortSettings, error: Exception) -> ImumonError:
 def lost_error(settings: PortSettings, cause: Exception | str) -> ImumonError:
     """Explain that an open port failed: LOST with the error or the observation that shows it."""
     what = cause if isinstance(cause, str) else _errno_text(_errno(cause), cause)
-    return ImumonError(
-        Reason.LOST, f"{settings} was lost: {what}", "Check cable and power; see `dmesg` for the USB bus."
-    )
+    hint = "Check cable and power; `dmesg` tells what the USB bus saw."
+    if settings.scheme in NETWORK_SCHEMES:
+        hint = "Check the network, and that the server still runs."
+    return ImumonError(Reason.LOST, f"{settings} was lost: {what}", hint)
 
 
 def silent_error(settings: PortSettings, seconds: float) -> ImumonError:

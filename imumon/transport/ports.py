@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import os
+import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from serial.tools import list_ports as pyserial_ports
+from serial.tools import list_ports as list_ports_of_pyserial
+from serial.tools.list_ports_common import ListPortInfo
 
 SYS_TTY = Path("/sys/class/tty")
 BY_ID = Path("/dev/serial/by-id")
 PROC = Path("/proc")
+TRIES, PAUSE_S = 3, 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +80,7 @@ def list_ports() -> list[PortInfo]:
             accessible=os.access(port.device, os.R_OK | os.W_OK) or os.name == "nt",
             holders=tuple(holders(port.device)),
         )
-        for port in pyserial_ports.comports()
+        for port in _comports()
     ]
     return sorted(found, key=lambda port: port.device)
 
@@ -85,10 +88,19 @@ def list_ports() -> list[PortInfo]:
 def describe_ports() -> str:
     """Return one sentence that names the ports that exist; cheap enough for an error message."""
     devices = sorted(
-        f"{port.device} ({port.description})" if port.vid is not None else port.device
-        for port in pyserial_ports.comports()
+        f"{port.device} ({port.description})" if port.vid is not None else port.device for port in _comports()
     )
     return "ports that exist: " + ", ".join(devices) if devices else "no serial ports exist"
+
+
+def _comports() -> list[ListPortInfo]:
+    """Ask pyserial, which stumbles over an adapter that is being unplugged at this moment."""
+    for _ in range(TRIES):
+        try:
+            return list(list_ports_of_pyserial.comports())
+        except (OSError, TypeError):  # int(None), from a file of sysfs that has just gone
+            time.sleep(PAUSE_S)
+    return []
 
 
 def driver(device: str) -> str | None:
@@ -103,8 +115,10 @@ def usb_ids(device: str) -> tuple[str, str] | None:
     if not start.exists():
         return None
     for folder in (start.resolve(), *start.resolve().parents):
-        if (folder / "idVendor").exists():
+        try:
             return (folder / "idVendor").read_text().strip(), (folder / "idProduct").read_text().strip()
+        except OSError:  # not the folder of a USB device
+            continue
     return None
 
 

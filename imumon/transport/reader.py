@@ -165,16 +165,18 @@ class Reader:
     def _run(self, first: Port, wakeup: Wakeup) -> None:
         port: Port | None = first
         lost_ns: int | None = None
-        while port is not None:
-            with port:
-                self._say_opened(port, lost_ns)
-                failure = self._read_until_lost(port, wakeup)
-            if failure is None:
-                break
-            lost_ns = self._clock.now_ns()
-            self._say(EventKind.LOST, failure.seen, lost_ns)
-            port = self._reopen(wakeup)
-        self._say(EventKind.CLOSED, f"{self.settings.url} was closed")
+        try:
+            while port is not None:
+                with port:
+                    self._say_opened(port, lost_ns)
+                    failure = self._read_until_lost(port, wakeup)
+                if failure is None:
+                    return
+                lost_ns = self._clock.now_ns()
+                self._say(EventKind.LOST, failure.seen, lost_ns)
+                port = self._reopen(wakeup)
+        finally:
+            self._say(EventKind.CLOSED, f"{self.settings.url} was closed")
 
     def _read_until_lost(self, port: Port, wakeup: Wakeup) -> ImumonError | None:
         """Read until the port fails, and return why; None when the reader is stopped."""

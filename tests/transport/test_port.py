@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -50,7 +50,8 @@ def unprivileged() -> Iterator[None]:
     """Give up the rights of root for a while."""
     before = os.geteuid()
     if before == 0:
-        os.seteuid(NOBODY)
+        with suppress(PermissionError):  # a root that may not even do this has no other rights either
+            os.seteuid(NOBODY)
     try:
         yield
     finally:

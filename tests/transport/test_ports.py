@@ -85,3 +85,16 @@ def test_holders_reads_command_and_pid(tmp_path: Path, monkeypatch: pytest.Monke
     (tmp_path / "43").mkdir()  # a process that has ended
     monkeypatch.setattr(ports, "PROC", tmp_path)
     assert holders("/dev/ttyUSB0") == ["minicom -D /dev/ttyUSB0 (pid 41)"]
+
+
+def test_an_adapter_unplugged_while_ports_are_listed_does_no_harm(monkeypatch: pytest.MonkeyPatch) -> None:
+    calls: list[int] = []
+
+    def stumble() -> list[list_ports_common.ListPortInfo]:
+        calls.append(1)
+        if len(calls) == 1:
+            raise TypeError("int() argument must be a string, not 'NoneType'")
+        return [list_ports_common.ListPortInfo("/dev/ttyACM0")]
+
+    monkeypatch.setattr("serial.tools.list_ports.comports", stumble)
+    assert describe_ports() == "ports that exist: /dev/ttyACM0"
