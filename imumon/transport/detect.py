@@ -222,13 +222,14 @@ def _likely_cause(evidence: Sequence[Evidence]) -> str:
     if text.text_share > 0.95:
         rate = "" if text.baudrate is None else f" at {text.baudrate}"
         return f"The bytes{rate} are text that no protocol here knows: the device may be in command mode."
-    if all(item.odd_share > 0.5 for item in evidence):
-        return (
-            "At every rate most bytes are 0x00 or 0xFF: the line may be inverted (RS-232 on a TTL input, the"
-            " two wires of RS-422 swapped), or its rate is far from those tried."
-        )
     tried = ", ".join(dict.fromkeys(str(item.baudrate) for item in evidence))
-    return f"Another protocol, or another rate than those tried ({tried}); the manual of the device tells."
+    hint = f"Another protocol, or another rate than those tried ({tried}); the manual of the device tells."
+    if all(item.odd_share > 0.5 for item in evidence):
+        hint += (
+            "\nMost bytes are 0x00 or 0xFF at every rate: the line may also be inverted (RS-232 on a TTL"
+            " input, the two wires of RS-422 swapped)."
+        )
+    return hint
 
 
 def _weigh(
