@@ -27,8 +27,8 @@ BLOCK_NS = 30_000_000_000
 BLOCKS = 10
 """Blocks remembered, the current one among them: 4.5 to 5 min.
 
-Longer averages more, shorter follows a warming crystal sooner.  p99 error in simulated 16 ms bursts, in ms, for
-a memory of 2.5, 5 and 10 min: 0.09, 0.06, 0.06 at a constant rate; 0.08, 0.18, 0.74 when it rises by 1 ppm a
+Longer averages more, shorter follows a warming crystal sooner.  p99 error in simulated 16 ms bursts, in ms, for a
+memory of 2.5, 5 and 10 min: 0.09, 0.06, 0.06 at a constant rate; 0.08, 0.18, 0.74 when it rises by 1 ppm a
 minute; 0.15, 0.55, 2.2 at 3 ppm a minute.
 """
 VERTICES = 64
@@ -58,7 +58,7 @@ class HostClock:
 
     Within a segment the line is fitted to the last 4.5 to 5 min; until the span tells the drift from the
     scatter of the delays, the drift is drawn towards zero.  Host time is never later than the arrival and
-    never decreases, unless the arrival itself goes back: then it follows the arrival.  When the offset steps
+    never decreases, unless the arrival itself goes back: then it is the arrival that bounds it.  When the offset steps
     by more than 50 ms (the host clock was set) the fit starts anew, at once if the step is towards earlier
     arrivals, after 10 s if it is towards later ones.
 
