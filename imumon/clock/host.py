@@ -7,8 +7,9 @@ abscissa (Moon, Skelly and Towsley, "Estimation and removal of clock skew from n
 INFOCOM 1999; Zhang, Liu and Xia, "Clock synchronization algorithms for network measurements", INFOCOM 2002).
 One edge is a poor judge when sampling and polling beat, as 10 ms samples and 16 ms polls do: the quickest
 packets then come in steps of 2 ms, 40 s long at 50 ppm.  So the slope here is the chord of the hull across
-the middle two thirds of the span: as accurate otherwise, and half the error in a beat.  Stalls and a backlog
-at the start do not reach the middle of the hull.  The line with that slope then touches the hull from below.
+the middle two thirds of the span: as accurate otherwise, and half the error in a beat.  The ends of the
+hull, where a backlog or a stall bends it, have no say.  The line with that slope then touches the hull from
+below.
 
 A delay that all packets have in common cannot be seen: it is part of the offset.
 """
@@ -27,9 +28,9 @@ BLOCK_NS = 30_000_000_000
 BLOCKS = 10
 """Blocks remembered, the current one among them: 4.5 to 5 min.
 
-Longer averages more, shorter follows a warming crystal sooner.  p99 error in simulated 16 ms bursts, in ms, for a
-memory of 2.5, 5 and 10 min: 0.09, 0.06, 0.06 at a constant rate; 0.08, 0.18, 0.74 when it rises by 1 ppm a
-minute; 0.15, 0.55, 2.2 at 3 ppm a minute.
+Longer averages more, shorter follows a warming crystal sooner.  The p99 error in simulated 16 ms bursts with
+a memory of 2.5, 5 and 10 min is 0.09, 0.06 and 0.06 ms at a constant rate, 0.08, 0.18 and 0.74 ms when the
+rate rises by 1 ppm a minute, and 0.15, 0.55 and 2.2 ms at 3 ppm a minute.
 """
 VERTICES = 64
 """Hull vertices kept per block; a block of random delays has a dozen."""
@@ -58,9 +59,9 @@ class HostClock:
 
     Within a segment the line is fitted to the last 4.5 to 5 min; until the span tells the drift from the
     scatter of the delays, the drift is drawn towards zero.  Host time is never later than the arrival and
-    never decreases, unless the arrival itself goes back: then it is the arrival that bounds it.  When the offset steps
-    by more than 50 ms (the host clock was set) the fit starts anew, at once if the step is towards earlier
-    arrivals, after 10 s if it is towards later ones.
+    never decreases, unless the arrival itself goes back, which then bounds it.  When the offset steps by more
+    than 50 ms (the host clock was set) the fit starts anew: at once if the step is towards earlier arrivals,
+    after 10 s if it is towards later ones.
 
     Parameters
     ----------
