@@ -7,13 +7,13 @@ cut into pieces: a replay of a recording gives the same numbers, bit for bit.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Protocol
 
 import numpy as np
 
-from imumon.blocks import NO_INT, ColumnArray, SampleBlock, missing
+from imumon.blocks import NO_INT, ColumnArray, SampleBlock, join, missing
 from imumon.clock import DeviceClock, HostClock
 from imumon.columns import KNOWN, TIME_COLUMNS, Column
 from imumon.protocols.base import Counters
@@ -79,6 +79,7 @@ class Pipeline:
         self.host_clock = HostClock(self._device_clock.drift_limit_ppm)
         self._estimators = tuple(estimators)
         self._samples = 0
+        self._dated: list[SampleBlock] = []
 
     @property
     def columns(self) -> list[Column]:
@@ -113,19 +114,23 @@ class Pipeline:
     def _counts(self) -> bool:
         return any(column.name == "packet_counter" for column in self._decoder.columns)
 
-    def feed(self, data: bytes, arrival_ns: int = UNDATED) -> SampleBlock:
-        """Take bytes that arrived at `arrival_ns` (Unix time, ns); return the samples they complete."""
+    def feed(self, data: bytes, arrival_ns: int = UNDATED) -> None:
+        """Decode bytes that arrived at `arrival_ns` (Unix time, ns)."""
         self._decoder.feed(data, arrival_ns)
-        return self._process(self._decoder.take())
 
-    def finish(self) -> SampleBlock:
-        """Say that no more bytes come; return the samples that were held back behind a damaged header."""
+    def finish(self) -> None:
+        """Say that no more bytes come: samples held back behind a damaged header come out."""
         self._decoder.finish()
-        return self._process(self._decoder.take())
 
     def port_opened(self) -> None:
         """Say that the port was opened anew: the device may have restarted meanwhile."""
+        self._dated.append(self._process(self._decoder.take()))
         self._device_clock.new_connection()
+
+    def take(self) -> SampleBlock:
+        """Return the samples completed since the last call."""
+        dated, self._dated = self._dated, []
+        return join([*dated, self._process(self._decoder.take())])
 
     def notices(self) -> list[str]:
         """Return, once each, what the device said that is not data."""
@@ -186,8 +191,3 @@ def _canonical(values: ColumnArray) -> bytes:
     if values.dtype == np.float64:
         return np.where(np.isnan(values), np.nan, values).tobytes()
     return values.tobytes()
-
-
-def non_empty(blocks: Iterable[SampleBlock]) -> Iterable[SampleBlock]:
-    """Pass on the blocks that have samples."""
-    return (block for block in blocks if len(block))

@@ -1,0 +1,1 @@
+"""Runs of the pipeline: live from a port, again from a recording, once over a file."""

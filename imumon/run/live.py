@@ -1,0 +1,273 @@
+"""A live run: port to recorder and pipeline, pipeline to view; each in a thread that waits for no other.
+
+The reader thread reads, stamps and hands on.  The recorder gets every byte to disk.  The pipeline thread
+decodes and estimates.  The view is fed through bounded queues and may hang or die.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from queue import Empty, SimpleQueue
+
+from imumon.blocks import SampleBlock
+from imumon.errors import ImumonError, Reason
+from imumon.pipeline import Digest, Pipeline, PipelineCounters
+from imumon.protocols.device import DeviceFile
+from imumon.run.narration import Narrator, Progress, Publish, Say
+from imumon.session.folder import create_session
+from imumon.session.metadata import PortUsed, SessionMetadata, iso_utc, versions_in_use
+from imumon.session.recorder import Recorder
+from imumon.session.wire import WireCounters, WireWriter
+from imumon.simulation.bench import BenchUnit
+from imumon.transport.reader import Bytes, EventKind, Item, Reader
+from imumon.transport.settings import PortSettings
+
+BATCH_S = 0.05
+"""Samples go to the estimators and to the view in batches of this length."""
+TICK_S = 0.5
+"""How often rates, lanes and the status card are renewed."""
+
+
+def warm_up(device: DeviceFile) -> None:
+    """Compile what the first packets need, so that no packet waits for it.
+
+    The compiled code is kept on disk: the first start after an installation takes some seconds, later ones
+    some tenths of a second.
+    """
+    pipeline = Pipeline(device)
+    unit = BenchUnit(device.rate_hz or 100.0, device.axes)
+    for number, packet in enumerate(device.encoder().encode(unit.samples(3))):
+        pipeline.feed(packet, number)
+    pipeline.finish()
+    pipeline.take()
+
+
+@dataclass(frozen=True, slots=True)
+class LiveSummary:
+    """What a live run did."""
+
+    session: Path
+    elapsed_s: float
+    counters: PipelineCounters
+    wire: WireCounters
+    recording_problem: str | None
+    results_digest: str
+
+    def as_dict(self) -> dict[str, object]:
+        """Return the summary as ``monitor --json`` prints it."""
+        return {
+            "session": str(self.session),
+            "elapsed_s": round(self.elapsed_s, 3),
+            **self.counters.as_dict(),
+            "bytes_recorded": self.wire.bytes_on_disk,
+            "bytes_unrecorded": self.wire.bytes_unrecorded,
+            "recording_problem": self.recording_problem,
+            "results_digest": self.results_digest,
+        }
+
+
+class LiveRun:
+    """Records and decodes a port until it is stopped.
+
+    Parameters
+    ----------
+    device : DeviceFile
+        What is on the port.
+    device_yaml : str
+        Text of the device file, kept with the session.
+    settings : PortSettings
+        The port.
+    folder : Path
+        Where the session goes; must not hold one.
+    publish : sequence of callable
+        Where view items go.
+    say : callable
+        Where log lines go; called from several threads.
+
+    Raises
+    ------
+    ImumonError
+        EXISTS when the folder holds a session; the reasons of `Reader.start` when the port cannot be opened,
+        and then no session is left behind.
+    """
+
+    def __init__(
+        self,
+        device: DeviceFile,
+        device_yaml: str,
+        settings: PortSettings,
+        folder: Path,
+        publish: Sequence[Publish],
+        say: Say,
+    ) -> None:
+        self.pipeline = Pipeline(device)
+        self._settings = settings
+        self._say = say
+        self._items: SimpleQueue[Item] = SimpleQueue()
+        self._digest = Digest()
+        self._began_ns = time.time_ns()
+        self.session = create_session(folder, self._metadata(device, device_yaml))
+        self._writer = WireWriter(self.session.wire_path, {"device": device.name, "port": str(settings)})
+        self._recorder = Recorder(self._writer, self._recording_problem, self._save)
+        card = {"device": device.title, "port": str(settings), "recording": str(folder)}
+        self._narrator = Narrator(self.pipeline, settings, publish, say, card)
+        self._reader = Reader(settings, self._recorder.put, self._items.put)
+        self._thread = threading.Thread(target=self._run, name="pipeline", daemon=True)
+        self._progress = self._narrator.progress(self._began_ns)
+        self.failure: ImumonError | None = None
+
+    @property
+    def progress(self) -> Progress:
+        """The numbers of the moment, renewed twice a second."""
+        return self._progress
+
+    def start(self) -> None:
+        """Open the port and start all threads.
+
+        Raises
+        ------
+        ImumonError
+            When the port cannot be opened.
+        """
+        try:
+            self._reader.start()
+        except ImumonError:
+            self._writer.close()
+            for path in (self.session.wire_path, self.session.path / "session.yaml"):
+                path.unlink()
+            if not any(self.session.path.iterdir()):
+                self.session.path.rmdir()
+            raise
+        self._recorder.start()
+        self._thread.start()
+
+    def stop(self, views: Sequence[str] = ()) -> LiveSummary:
+        """Close the port, process and record what came, and close the session.
+
+        `views` are the files of the view's recording, for the session's metadata.
+        """
+        self._reader.stop()
+        self._thread.join()
+        wire = self._recorder.stop()
+        ended_ns = time.time_ns()
+        counters = self.pipeline.counters
+        digest = self._digest.hexdigest()
+        closed = self.session.metadata.closed(
+            ended_ns,
+            counters=self._flat_counters(),
+            events=wire.events,
+            results_digest=digest,
+            views=list(views),
+        )
+        try:
+            self.session.save(closed)
+        except OSError as error:
+            self._say("ERROR", f"session.yaml cannot be written: {error.strerror}")
+        elapsed = (ended_ns - self._began_ns) * 1e-9
+        return LiveSummary(self.session.path, elapsed, counters, wire, self._recorder.problem, digest)
+
+    def _metadata(self, device: DeviceFile, device_yaml: str) -> SessionMetadata:
+        s = self._settings
+        return SessionMetadata(
+            source="live",
+            created=iso_utc(self._began_ns),
+            created_ns=self._began_ns,
+            device=device.name,
+            axes=device.axes,
+            device_yaml=device_yaml,
+            port=PortUsed(
+                url=s.url,
+                settings={
+                    "baudrate": s.baudrate,
+                    "bytesize": s.bytesize,
+                    "parity": s.parity,
+                    "stopbits": s.stopbits,
+                },
+            ),
+            versions=versions_in_use(),
+        )
+
+    def _save(self) -> None:
+        """Renew session.yaml, so that a killed session tells how far it came."""
+        metadata = self.session.metadata.model_copy(update={"counters": self._flat_counters()})
+        self.session.save(metadata)
+
+    def _flat_counters(self) -> dict[str, int]:
+        counters = self.pipeline.counters.as_dict()
+        by_type = counters.pop("packets_by_type")
+        assert isinstance(by_type, dict)
+        return {
+            **{name: value for name, value in counters.items() if isinstance(value, int)},
+            **{f"packets_by_type.{name}": count for name, count in by_type.items()},
+        }
+
+    def _recording_problem(self, problem: str | None) -> None:
+        if problem is None:
+            self._say("INFO", "recording goes on")
+        else:
+            self._say("ERROR", problem)
+
+    def _run(self) -> None:
+        """The pipeline thread: ends with the CLOSED event of the reader."""
+        try:
+            closed = False
+            next_tick = time.monotonic()
+            while not closed:
+                closed = self._take_batch()
+                self._hand_on(self.pipeline.take())
+                if time.monotonic() >= next_tick or closed:
+                    next_tick = time.monotonic() + TICK_S
+                    self._progress = self._narrator.tick(time.time_ns())
+            self.pipeline.finish()
+            self._hand_on(self.pipeline.take())
+            self._progress = self._narrator.tick(time.time_ns())
+        except ImumonError as error:
+            # Reading and recording go on; what could not be decoded can be decoded from the recording.
+            self.failure = error
+
+    def _hand_on(self, block: SampleBlock) -> None:
+        self._digest.update(block)
+        self._narrator.samples(block)
+
+    def _take_batch(self) -> bool:
+        """Feed what comes within a batch's time; return True after the last item."""
+        deadline = time.monotonic() + BATCH_S
+        while (left := deadline - time.monotonic()) > 0:
+            try:
+                item = self._items.get(timeout=left)
+            except Empty:
+                break
+            if isinstance(item, Bytes):
+                self.pipeline.feed(item.data, item.arrival_ns)
+                self._narrator.received(len(item.data), item.arrival_ns)
+            else:
+                if item.kind is EventKind.OPENED:
+                    self.pipeline.port_opened()
+                self._narrator.event(item)
+                if item.kind is EventKind.CLOSED:
+                    return True
+        return False
+
+
+def nothing_decoded(
+    settings: PortSettings, device: DeviceFile, counters: PipelineCounters
+) -> ImumonError | None:
+    """Return why a run has no packets, or None when it has some."""
+    if counters.packets:
+        return None
+    if counters.bytes_received == 0:
+        return ImumonError(
+            Reason.SILENT,
+            f"{settings.url} is open, but no byte came",
+            "is the device powered, TX wired to RX, and does it send by itself?",
+        )
+    return ImumonError(
+        Reason.WRONG_BAUD,
+        f"{counters.bytes_received:,} bytes came at {settings.baudrate} baud, none of them a packet of "
+        f"{device.name} ({counters.checksum_errors} with the right header but a wrong checksum)",
+        f"wrong baud rate or device?  Try: imumon detect {settings.url}",
+    )

@@ -1,0 +1,231 @@
+"""What a person sees of a run: samples, rates, losses, state lanes, log lines and the status card."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from imumon.blocks import NO_INT, SampleBlock
+from imumon.pipeline import Pipeline, PipelineCounters
+from imumon.transport.reader import Event, EventKind
+from imumon.transport.settings import PortSettings
+from imumon.transport.statistics import LinkStatistics
+from imumon.view.items import Log, Numbers, State, Status, Timebase, ViewItem
+
+Publish = Callable[[ViewItem], None]
+Say = Callable[[str, str], None]
+"""Takes the level (INFO, WARN, ERROR) and a line."""
+
+RATE_WINDOW_NS = 2_000_000_000
+SETTLING_NS = 60_000_000_000
+"""The clock fit is called settled after this much data in a segment."""
+GARBLED_BELOW = 0.5
+GARBLED_AFTER_BYTES = 400
+"""When less than half of the bytes of the last 2 s, at least so many, frame: wrong baud rate or protocol."""
+
+_PORT_STATES = {
+    EventKind.OPENED: "OPEN",
+    EventKind.RESUMED: "OPEN",
+    EventKind.SILENT: "SILENT",
+    EventKind.LOST: "LOST",
+    EventKind.UNAVAILABLE: "LOST",
+    EventKind.CLOSED: "CLOSED",
+}
+_LEVELS = {
+    EventKind.SILENT: "WARN",
+    EventKind.LOST: "ERROR",
+    EventKind.UNAVAILABLE: "WARN",
+    EventKind.SHARED: "WARN",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """The numbers of the moment, for the status line and the card."""
+
+    elapsed_s: float
+    counters: PipelineCounters
+    packets_per_s: float
+    bytes_per_s: float
+    link_load: float | None
+    port: str
+    drift_ppm: float
+    delay_ms: float | None
+
+
+class Narrator:
+    """Turns what the pipeline does into view items and log lines; used by one thread.
+
+    Parameters
+    ----------
+    pipeline : Pipeline
+        Whose counters and clock are shown.
+    settings : PortSettings or None
+        The port, for the link load; None when there is none.
+    publish : sequence of callable
+        Where view items go: the live view, the recording of the view.
+    say : callable
+        Where log lines go besides the view.
+    card : mapping of str to str
+        What the status card begins with: device, port, recording.
+    """
+
+    def __init__(
+        self,
+        pipeline: Pipeline,
+        settings: PortSettings | None,
+        publish: Sequence[Publish],
+        say: Say,
+        card: dict[str, str],
+    ) -> None:
+        self._pipeline = pipeline
+        self._publish = tuple(publish)
+        self._say = say
+        self._card = card
+        self._timebase = Timebase()
+        self._link = LinkStatistics(settings) if settings is not None else None
+        self._history: deque[tuple[int, PipelineCounters]] = deque()
+        self._lanes: dict[str, str] = {}
+        self._began_ns: int | None = None
+        self._segment = 0
+        self._segment_began_ns = 0
+        self._status: int | None = None
+        self._overloaded = False
+
+    def received(self, n_bytes: int, time_ns: int) -> None:
+        """Count bytes that arrived."""
+        if self._began_ns is None:
+            self._began_ns = time_ns
+        if self._link is not None:
+            self._link.add(n_bytes, time_ns)
+
+    def samples(self, block: SampleBlock) -> None:
+        """Show samples, and what changed with them."""
+        if not len(block):
+            return
+        self._emit(self._timebase.samples(block))
+        segment, arrival = int(block["segment"][-1]), int(block["arrival_time_ns"][-1])
+        if segment != self._segment:
+            self.log("WARN", f"the device's clock or counter started anew: segment {segment}", arrival)
+            self._lane("clock", "RESTARTED", arrival)
+            self._segment, self._segment_began_ns = segment, arrival
+        elif not self._segment_began_ns:
+            self._segment_began_ns = arrival
+        status = block.columns.get("status")
+        if status is not None and status[-1] != NO_INT and int(status[-1]) != self._status:
+            self._status = int(status[-1])
+            self._lane("device status", f"0x{self._status:04X}", arrival)
+
+    def event(self, event: Event) -> None:
+        """Show what happened to the port."""
+        self.log(_LEVELS.get(event.kind, "INFO"), f"port {event.kind.value}: {event.detail}", event.time_ns)
+        if event.kind in _PORT_STATES:
+            self._lane("port", _PORT_STATES[event.kind], event.time_ns)
+
+    def log(self, level: str, text: str, time_ns: int | None = None) -> None:
+        """Show a log line."""
+        self._say(level, text)
+        self._emit(Log(self._timebase.at(time_ns), text, level))
+
+    def tick(self, now_ns: int) -> Progress:
+        """Show rates, losses and lanes; to be called a few times a second."""
+        progress = self.progress(now_ns)
+        counters = progress.counters
+        values = {
+            "packets per second": progress.packets_per_s,
+            "losses": float(counters.packets_missing + counters.checksum_errors + counters.length_errors),
+        }
+        if progress.link_load is not None:
+            values["link load %"] = 100 * progress.link_load
+        self._emit(Numbers(self._timebase.at(now_ns), values))
+        self._watch_link(progress, now_ns)
+        self._watch_data(now_ns)
+        if counters.samples and self._lanes.get("clock") != "STEADY":
+            settled = now_ns - self._segment_began_ns > SETTLING_NS
+            if settled or self._lanes.get("clock") != "RESTARTED":
+                self._lane("clock", "STEADY" if settled else "SETTLING", now_ns)
+        self._emit(Status(self._timebase.at(now_ns), {**self._card, **describe(progress)}))
+        for notice in self._pipeline.notices():
+            self.log("WARN", f"device: {notice}", now_ns)
+        return progress
+
+    def progress(self, now_ns: int) -> Progress:
+        """Return the numbers of the moment."""
+        counters = self._pipeline.counters
+        self._history.append((now_ns, counters))
+        while len(self._history) > 2 and self._history[1][0] < now_ns - RATE_WINDOW_NS:
+            self._history.popleft()
+        then_ns, then = self._history[0]
+        span_s = (now_ns - then_ns) * 1e-9
+        delay = self._pipeline.host_clock.delay_ns
+        return Progress(
+            elapsed_s=0.0 if self._began_ns is None else (now_ns - self._began_ns) * 1e-9,
+            counters=counters,
+            packets_per_s=(counters.packets - then.packets) / span_s if span_s > 0 else 0.0,
+            bytes_per_s=(counters.bytes_received - then.bytes_received) / span_s if span_s > 0 else 0.0,
+            link_load=self._link.load(now_ns) if self._link is not None else None,
+            port=self._lanes.get("port", ""),
+            drift_ppm=self._pipeline.host_clock.drift_ppm,
+            delay_ms=None if delay is None else delay * 1e-6,
+        )
+
+    def _watch_link(self, progress: Progress, now_ns: int) -> None:
+        overloaded = self._link is not None and self._link.overloaded(now_ns)
+        if overloaded and not self._overloaded:
+            self.log("WARN", f"the link is {progress.link_load:.0%} full: packets will be lost", now_ns)
+        self._overloaded = overloaded
+        if progress.link_load is not None:
+            self._lane("link", "FULL" if overloaded else "OK", now_ns)
+
+    def _watch_data(self, now_ns: int) -> None:
+        """Judge the data of the last 2 s: framed, damaged, or hardly framed at all."""
+        then, now = self._history[0][1], self._history[-1][1]
+        framed = now.bytes_in_packets - then.bytes_in_packets
+        received = now.bytes_received - then.bytes_received
+        if received < GARBLED_AFTER_BYTES:
+            return
+        damaged = (
+            now.checksum_errors + now.length_errors + now.packets_missing + now.bytes_skipped
+            > then.checksum_errors + then.length_errors + then.packets_missing + then.bytes_skipped
+        )
+        state = "GARBLED" if framed < GARBLED_BELOW * received else "LOSSES" if damaged else "OK"
+        if state == "GARBLED" and self._lanes.get("data") != "GARBLED":
+            share = framed / received
+            self.log(
+                "ERROR", f"only {share:.0%} of the bytes are packets: wrong baud rate or device?", now_ns
+            )
+        self._lane("data", state, now_ns)
+
+    def _lane(self, lane: str, state: str, time_ns: int) -> None:
+        if self._lanes.get(lane) != state:
+            self._lanes[lane] = state
+            self._emit(State(self._timebase.at(time_ns), lane, state))
+
+    def _emit(self, item: ViewItem) -> None:
+        for publish in self._publish:
+            publish(item)
+
+
+def describe(progress: Progress) -> dict[str, str]:
+    """Return the progress as a person reads it, label and text, for card and summary."""
+    counters = progress.counters
+    rows = {
+        "packets": f"{counters.packets:,} ({progress.packets_per_s:.1f}/s)",
+        "bytes": f"{counters.bytes_received:,} received, {counters.bytes_skipped:,} skipped",
+        "losses": describe_losses(counters),
+        "clock": f"{progress.drift_ppm:+.1f} ppm, {counters.clock_restarts} restarts",
+    }
+    if progress.delay_ms is not None:
+        rows["latest delay"] = f"{progress.delay_ms:.1f} ms above the least"
+    if progress.link_load is not None:
+        rows["link load"] = f"{progress.link_load:.0%}"
+    return rows
+
+
+def describe_losses(counters: PipelineCounters) -> str:
+    """Return what was lost, in one phrase."""
+    return (
+        f"{counters.packets_missing:,} packets in {counters.counter_gaps:,} gaps, "
+        f"{counters.checksum_errors:,} checksum errors, {counters.length_errors:,} length errors"
+    )
