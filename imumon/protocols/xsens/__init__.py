@@ -1,0 +1,1 @@
+"""Xsens MTi: MTData2 (self-describing) and the legacy MTData (described by a profile)."""

@@ -1,0 +1,378 @@
+"""The data identifiers of MTData2: what each carries, as a table.
+
+Facts from the MT Low Level Communication Protocol Documentation (MT0101P) and the public data types of the
+vendor.  The last four bits of an identifier are its format: bits 0-1 the precision of real numbers, bits 2-3
+the reference frame.  Values are in the device's units times a factor.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import pi
+
+import numpy as np
+
+from imumon.blocks import NO_INT, ColumnArray, FloatArray
+from imumon.columns import KNOWN, Column
+from imumon.protocols.tagged import Columns, Derived, Field, Value
+
+DEGREE = pi / 180
+
+PRECISIONS = {
+    "float32": ("f32", 1.0),
+    "fp12.20": ("i32", 2.0**-20),
+    "fp16.32": ("fp1632", 1.0),
+    "float64": ("f64", 1.0),
+}
+"""Number type and factor of the precisions, in the order of their codes."""
+
+FRAMES = {"ENU": 0x0, "NED": 0x4, "NWU": 0x8}
+"""Reference frames of orientation, velocity and free acceleration, by their bits in the identifier."""
+
+
+def number(name: str, unit: str, description: str) -> Column:
+    """Make a float64 column."""
+    return Column(name, unit, "float64", description)
+
+
+def count(name: str, description: str, unit: str = "1") -> Column:
+    """Make an int64 column."""
+    return Column(name, unit, "int64", description)
+
+
+def vector(name: str, unit: str, description: str, axes: str = "xyz") -> tuple[Column, ...]:
+    """Make a float64 column for each axis."""
+    return tuple(number(f"{name}_{axis}", unit, f"{description}, {axis}") for axis in axes)
+
+
+def known(*names: str) -> tuple[Column, ...]:
+    """Look up canonical columns."""
+    return tuple(KNOWN[name] for name in names)
+
+
+def date(prefix: str) -> tuple[Column, ...]:
+    """Columns, not shown, of a calendar date; `utc_time` makes a time of them."""
+    return tuple(count(f"_{prefix}{part}", part) for part in DATE_PARTS)
+
+
+DATE_PARTS = ("nanosecond", "year", "month", "day", "hour", "minute", "second")
+
+GYRO = known("gyro_x", "gyro_y", "gyro_z")
+ACCEL = known("accel_x", "accel_y", "accel_z")
+MAG = vector("mag", "1", "magnetic field, 1 at the place of calibration (the device has no unit)")
+QUATERNION = known("q_w", "q_x", "q_y", "q_z")
+EULER = known("roll", "pitch", "yaw")
+MATRIX = tuple(
+    number(f"_matrix_{i}{j}", "1", "rotation matrix, reference to body") for i in "123" for j in "123"
+)
+TEMPERATURE = known("temperature")
+VELOCITY = vector("velocity", "m/s", "velocity in the reference frame")
+NANO, YEAR, MONTH, DAY, HOUR, MINUTE, SECOND = date("utc_")
+UTC_VALID = count("utc_valid", "validity bits of the UTC time")
+RAW = (
+    *vector("raw_accel", "1", "accelerometer, raw counts"),
+    *vector("raw_gyro", "1", "gyroscope, raw counts"),
+    *vector("raw_mag", "1", "magnetometer, raw counts"),
+)
+RAW_TEMPERATURE = number("raw_temperature", "1", "temperature, raw counts")
+
+UTC_VALUES = tuple(
+    Value(column, kind)
+    for column, kind in zip(
+        (NANO, YEAR, MONTH, DAY, HOUR, MINUTE, SECOND, UTC_VALID),
+        ("u32", "u16", "u8", "u8", "u8", "u8", "u8", "u8"),
+        strict=True,
+    )
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Identifier:
+    """A data identifier without its format bits.
+
+    `values` with an empty type are real numbers in the precision that the identifier says; without values,
+    the field is recognised and counted whatever its size.  `raw`: the last bit says if counts are signed.
+    """
+
+    code: int
+    name: str
+    values: tuple[Value, ...] = ()
+    framed: bool = False
+    raw: bool = False
+
+
+def _real(
+    code: int, name: str, columns: tuple[Column, ...], factor: float = 1.0, framed: bool = False
+) -> Identifier:
+    return Identifier(code, name, tuple(Value(column, "", factor) for column in columns), framed)
+
+
+def _plain(code: int, name: str, *values: Value) -> Identifier:
+    return Identifier(code, name, values)
+
+
+def _raw(code: int, name: str, *columns: Column) -> Identifier:
+    return Identifier(code, name, tuple(Value(column, "") for column in columns), raw=True)
+
+
+def _trigger(line: int) -> tuple[Value, ...]:
+    what = f"trigger {line}"
+    return (
+        Value(count(f"trigger{line}_line", f"{what}: line"), "u8"),
+        Value(count(f"trigger{line}_polarity", f"{what}: polarity"), "u8"),
+        Value(count(f"trigger{line}_ticks", f"{what}: time in device ticks"), "u32"),
+        Value(count(f"trigger{line}_frame", f"{what}: frame number"), "u16"),
+    )
+
+
+def _gnss(name: str, unit: str, description: str, kind: str, factor: float) -> Value:
+    return Value(number(f"gnss_{name}", unit, f"GNSS receiver: {description}"), kind, factor)
+
+
+def _gnss_count(name: str, description: str, kind: str) -> Value:
+    return Value(count(f"gnss_{name}", f"GNSS receiver: {description}"), kind)
+
+
+_G_NANO, _G_YEAR, _G_MONTH, _G_DAY, _G_HOUR, _G_MINUTE, _G_SECOND = date("gnss_utc_")
+_TIME_OF_WEEK = _gnss("time_of_week", "s", "GPS time of week", "u32", 1e-3)
+_DATE = (Value(_G_YEAR, "u16"), Value(_G_MONTH, "u8"), Value(_G_DAY, "u8"), Value(_G_HOUR, "u8"),
+         Value(_G_MINUTE, "u8"), Value(_G_SECOND, "u8"))  # fmt: skip
+_TIME_VALID = _gnss_count("time_valid", "validity bits of date and time", "u8")
+_TIME_ACCURACY = _gnss("time_accuracy", "s", "time accuracy", "u32", 1e-9)
+
+
+def _dilutions(*names: str) -> tuple[Value, ...]:
+    return tuple(_gnss(f"{name}dop", "1", f"dilution of precision, {name}", "u16", 0.01) for name in names)
+
+
+_PVT = (
+    _TIME_OF_WEEK,
+    *_DATE,
+    _TIME_VALID,
+    _TIME_ACCURACY,
+    Value(_G_NANO, "i32"),
+    _gnss_count("fix_type", "kind of fix", "u8"),
+    _gnss_count("flags", "flags of the fix", "u8"),
+    _gnss_count("satellites", "satellites used", "u8"),
+    Value(None, "u8"),
+    _gnss("longitude", "deg", "longitude", "i32", 1e-7),
+    _gnss("latitude", "deg", "latitude", "i32", 1e-7),
+    _gnss("altitude", "m", "height above the ellipsoid", "i32", 1e-3),
+    _gnss("altitude_msl", "m", "height above mean sea level", "i32", 1e-3),
+    _gnss("horizontal_accuracy", "m", "horizontal accuracy", "u32", 1e-3),
+    _gnss("vertical_accuracy", "m", "vertical accuracy", "u32", 1e-3),
+    _gnss("velocity_north", "m/s", "velocity north", "i32", 1e-3),
+    _gnss("velocity_east", "m/s", "velocity east", "i32", 1e-3),
+    _gnss("velocity_down", "m/s", "velocity down", "i32", 1e-3),
+    _gnss("ground_speed", "m/s", "speed over ground", "i32", 1e-3),
+    _gnss("course", "rad", "course over ground", "i32", 1e-5 * DEGREE),
+    _gnss("speed_accuracy", "m/s", "speed accuracy", "u32", 1e-3),
+    _gnss("course_accuracy", "rad", "course accuracy", "u32", 1e-5 * DEGREE),
+    _gnss("vehicle_heading", "rad", "heading of the vehicle", "i32", 1e-5 * DEGREE),
+    *_dilutions("g", "p", "t", "v", "h", "n", "e"),
+)
+_SOLUTION = (
+    _TIME_OF_WEEK,
+    Value(None, "i32"),
+    _gnss_count("week", "GPS week", "i16"),
+    _gnss_count("fix_type", "kind of fix", "u8"),
+    _gnss_count("flags", "flags of the fix", "u8"),
+    *(
+        _gnss(f"ecef_{axis}", "m", f"position, earth-centred earth-fixed, {axis}", "i32", 0.01)
+        for axis in "xyz"
+    ),
+    _gnss("position_accuracy", "m", "position accuracy", "u32", 0.01),
+    *(_gnss(f"ecef_velocity_{axis}", "m/s", f"velocity, earth-fixed, {axis}", "i32", 0.01) for axis in "xyz"),
+    _gnss("speed_accuracy", "m/s", "speed accuracy", "u32", 0.01),
+    *_dilutions("p"),
+    Value(None, "u8"),
+    _gnss_count("satellites", "satellites used", "u8"),
+    Value(None, "u8"),
+)
+
+IDENTIFIERS: tuple[Identifier, ...] = (
+    _plain(0x1020, "PacketCounter", Value(KNOWN["packet_counter"], "u16")),
+    _plain(0x1060, "SampleTimeFine", Value(KNOWN["device_ticks"], "u32")),
+    _plain(0x1070, "SampleTimeCoarse", Value(count("sample_time_coarse", "device clock, s", "s"), "u32")),
+    _plain(0x10A0, "SampleTime64", Value(count("sample_time_64", "device clock", "ns"), "u64")),
+    _plain(0x1090, "PacketCounter8", Value(count("packet_counter_8", "packet counter of 8 bits"), "u8")),
+    _plain(0x1010, "UtcTime", *UTC_VALUES),
+    _plain(0x1030, "Itow", Value(number("time_of_week", "s", "GPS time of week"), "u32", 1e-3)),
+    _plain(0x1040, "GnssAge", Value(count("gnss_age", "age of the GNSS data, in packets"), "u8")),
+    _plain(0x1050, "PressureAge", Value(count("pressure_age", "age of the pressure, in packets"), "u8")),
+    _plain(
+        0x1080,
+        "FrameRange",
+        Value(count("frame_first", "first frame of the packet"), "u16"),
+        Value(count("frame_last", "last frame of the packet"), "u16"),
+    ),
+    _real(0x8020, "RateOfTurn", GYRO),
+    _real(0x4020, "Acceleration", ACCEL),
+    _real(0xC020, "MagneticField", MAG),
+    _real(0x0810, "Temperature", TEMPERATURE),
+    _real(0x2010, "Quaternion", QUATERNION, framed=True),
+    _real(0x2020, "RotationMatrix", MATRIX, framed=True),
+    _real(0x2030, "EulerAngles", EULER, DEGREE, framed=True),
+    _plain(0x3010, "BaroPressure", Value(KNOWN["pressure"], "u32")),
+    _real(0x5040, "LatLon", known("latitude", "longitude")),
+    _real(0x5020, "AltitudeEllipsoid", known("altitude")),
+    _real(0x5010, "AltitudeMsl", (number("altitude_msl", "m", "height above mean sea level"),)),
+    _real(0x5030, "PositionEcef", vector("ecef", "m", "position, earth-centred earth-fixed")),
+    _real(0xD010, "VelocityXYZ", VELOCITY, framed=True),
+    _real(0x4010, "DeltaV", vector("delta_velocity", "m/s", "velocity increment over the sample")),
+    _real(0x8030, "DeltaQ", vector("delta_q", "1", "rotation over the sample, quaternion", "wxyz")),
+    _real(0x4030, "FreeAcceleration", vector("free_accel", "m/s^2", "without gravity"), framed=True),
+    _real(0x4040, "AccelerationHR", vector("accel_hr", "m/s^2", "specific force, high rate")),
+    _real(0x8040, "RateOfTurnHR", vector("gyro_hr", "rad/s", "angular rate, high rate")),
+    _real(0xC030, "MagneticFieldCorrected", vector("mag_corrected", "1", "magnetic field, corrected in use")),
+    _plain(0xE010, "StatusByte", Value(KNOWN["status"], "u8")),
+    _plain(0xE020, "StatusWord", Value(KNOWN["status"], "u32")),
+    _plain(0xE040, "Rssi", Value(number("rssi", "1", "strength of the radio signal"), "i8")),
+    _plain(0xE080, "DeviceId", Value(count("device_id", "identity of the device"), "u32")),
+    _plain(0xE080, "DeviceId", Value(count("device_id", "identity of the device"), "u64")),
+    _plain(0xE090, "LocationId", Value(count("location_id", "number given by the user"), "u16")),
+    _plain(0x7010, "GnssPvtData", *_PVT),
+    _plain(0x7020, "GnssSatInfo"),
+    _plain(0x7030, "GnssPvtPulse"),
+    _plain(0x8830, "GpsDop", _TIME_OF_WEEK, *_dilutions("g", "p", "t", "v", "h", "n", "e")),
+    _plain(0x8840, "GpsSol", *_SOLUTION),
+    _plain(0x8880, "GpsTimeUtc", _TIME_OF_WEEK, _TIME_ACCURACY, Value(_G_NANO, "i32"), *_DATE, _TIME_VALID),
+    _plain(0x88A0, "GpsSvInfo"),
+    _raw(0xA010, "RawAccGyrMagTemp", *RAW, RAW_TEMPERATURE),
+    _raw(0xA020, "RawGyroTemp", *vector("raw_gyro_temperature", "1", "gyroscope temperature, raw counts")),
+    _raw(0xA030, "RawAcc", *RAW[:3]),
+    _raw(0xA040, "RawGyr", *RAW[3:6]),
+    _raw(0xA050, "RawMag", *RAW[6:]),
+    _plain(0xA060, "RawDeltaQ"),
+    _plain(0xA070, "RawDeltaV"),
+    _plain(0xA080, "RawBlob"),
+    _plain(0xB010, "AnalogIn1", Value(number("analog_1", "1", "analog input 1, raw counts"), "u16")),
+    _plain(0xB020, "AnalogIn2", Value(number("analog_2", "1", "analog input 2, raw counts"), "u16")),
+    _plain(0xC810, "AwindaSnapshot"),
+    _plain(0xC820, "FullSnapshot"),
+    _plain(0xC830, "GloveSnapshotLeft"),
+    _plain(0xC840, "GloveSnapshotRight"),
+    _plain(0xCA30, "GloveDataLeft"),
+    _plain(0xCA40, "GloveDataRight"),
+    *(_plain(0xEE00 + 0x10 * line, f"TriggerIn{line}", *_trigger(line)) for line in (1, 2, 3)),
+    *(_plain(0x4800 + 0x10 * line, f"TriggerIn{line}", *_trigger(line)) for line in (1, 2, 3)),
+)  # fmt: skip
+"""Every data identifier, in the order of the columns."""
+
+
+def _variants(identifier: Identifier) -> list[Field]:
+    """Return the fields that an identifier stands for, one for each format."""
+    values, name = identifier.values, identifier.name
+    if identifier.raw:
+        kinds = ("u16", "i16")
+        # The temperature is signed in either format.
+        return [
+            Field(
+                identifier.code | sign,
+                name,
+                tuple(
+                    Value(v.column, "i16" if "temperature" in v.column.name else kinds[sign])
+                    for v in values
+                    if v.column
+                ),
+            )
+            for sign in (0, 1)
+        ]
+    if not values or values[0].type:
+        return [Field(identifier.code | low, name, values) for low in ((0, 1) if not values else (0,))]
+    return [
+        Field(
+            identifier.code | frame | precision,
+            name,
+            tuple(Value(value.column, kind, value.factor * factor) for value in values),
+        )
+        for frame in (FRAMES.values() if identifier.framed else (0,))
+        for precision, (kind, factor) in enumerate(PRECISIONS.values())
+    ]
+
+
+MTDATA2_FIELDS: tuple[Field, ...] = tuple(field for item in IDENTIFIERS for field in _variants(item))
+"""Every field that an MTData2 message may carry, with its format bits."""
+
+
+def _utc_to_parts(columns: Columns, name: str) -> list[ColumnArray]:
+    """Split a Unix time in ns into nanosecond, year, month, day, hour, minute, second."""
+    time = columns[name]
+    moment = np.where(time == NO_INT, 0, time).astype("datetime64[ns]")
+    days, months, years = (moment.astype(f"datetime64[{unit}]") for unit in "DMY")
+    seconds = moment.astype("datetime64[s]")
+    second_of_day = (seconds - days).astype(np.int64)
+    parts = [
+        (moment - seconds).astype(np.int64),
+        years.astype(np.int64) + 1970,
+        (months - years).astype(np.int64) + 1,
+        (days - months).astype(np.int64) + 1,
+        second_of_day // 3600,
+        second_of_day // 60 % 60,
+        second_of_day % 60,
+    ]
+    return [np.where(time == NO_INT, NO_INT, part) for part in parts]
+
+
+def _parts_to_utc(columns: Columns, prefix: str) -> list[ColumnArray]:
+    """Make a Unix time in ns of a date; an impossible date (all zero before the first fix) is missing."""
+    nano, year, month, day, hour, minute, second = (columns[f"_{prefix}{part}"] for part in DATE_PARTS)
+    good = (year > 1900) & (year < 2262) & (month >= 1) & (month <= 12) & (day >= 1) & (day <= 31)
+    months = np.where(good, (year - 1970) * 12 + month - 1, 0)
+    days = months.astype("datetime64[M]").astype("datetime64[D]").astype(np.int64) + np.where(
+        good, day - 1, 0
+    )
+    seconds = days * 86_400 + np.where(good, hour * 3600 + minute * 60 + second, 0)
+    return [np.where(good, seconds * 1_000_000_000 + np.where(good, nano, 0), NO_INT)]
+
+
+def utc_time(prefix: str, description: str) -> Derived:
+    """Derive ``<prefix>time_ns`` from the columns of `date`."""
+    name = f"{prefix}time_ns"
+    return Derived(
+        tuple(f"_{prefix}{part}" for part in DATE_PARTS),
+        (count(name, description, "ns"),),
+        lambda columns: _parts_to_utc(columns, prefix),
+        lambda columns: _utc_to_parts(columns, name),
+    )
+
+
+def _matrix_to_quaternion(columns: Columns) -> list[ColumnArray]:
+    """Convert the matrix reference to body, row by row, to the quaternion body to reference.
+
+    Shepperd (1978): of four formulas the one with the largest divisor.  The scalar part is not negative.
+    """
+    a, b, c, d, e, f, g, h, i = (np.asarray(columns[column.name], np.float64) for column in MATRIX)
+    squares = np.stack([1 + a + e + i, 1 + a - e - i, 1 - a + e - i, 1 - a - e + i])
+    products = [[squares[0], f - h, g - c, b - d], [f - h, squares[1], b + d, c + g],
+                [g - c, b + d, squares[2], f + h], [b - d, c + g, f + h, squares[3]]]  # fmt: skip
+    best = np.argmax(np.nan_to_num(squares), axis=0)
+    scaled = np.stack([np.choose(best, [row[k] for row in products]) for k in range(4)])
+    with np.errstate(all="ignore"):  # what is not a rotation becomes NaN
+        quaternion = scaled / (2 * np.sqrt(np.max(squares, axis=0)))
+    quaternion = np.where(np.isfinite(quaternion).all(axis=0), quaternion, np.nan)
+    quaternion = np.where(quaternion[0] < 0, -quaternion, quaternion)
+    return list(quaternion)
+
+
+def _quaternion_to_matrix(columns: Columns) -> list[ColumnArray]:
+    """Convert the quaternion body to reference to the matrix reference to body, row by row."""
+    w, x, y, z = (np.asarray(columns[column.name], np.float64) for column in QUATERNION)
+    rows: list[FloatArray] = [
+        1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y),
+        2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x),
+        2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y),
+    ]  # fmt: skip
+    return list(rows)
+
+
+QUATERNION_OF_MATRIX = Derived(
+    tuple(column.name for column in MATRIX), QUATERNION, _matrix_to_quaternion, _quaternion_to_matrix
+)
+
+DERIVED = (
+    utc_time("utc_", "Unix time (UTC) as the device reports it"),
+    utc_time("gnss_utc_", "Unix time (UTC) of the GNSS receiver's data"),
+    QUATERNION_OF_MATRIX,
+)
+"""Columns of MTData2 and MTData that are computed from what is sent."""
