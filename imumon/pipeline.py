@@ -16,7 +16,7 @@ import numpy as np
 from imumon.blocks import NO_INT, ColumnArray, SampleBlock, join, missing
 from imumon.clock import DeviceClock, HostClock
 from imumon.columns import KNOWN, TIME_COLUMNS, Column
-from imumon.protocols.base import Counters
+from imumon.protocols.base import Counters, Timing
 from imumon.protocols.device import DeviceFile
 
 UNDATED = NO_INT
@@ -67,34 +67,32 @@ class Pipeline:
 
     Parameters
     ----------
-    device : DeviceFile
-        What sends the bytes.
+    device : DeviceFile or None
+        What sends the bytes; None when samples come from a table, through `push`.
     estimators : sequence of Estimator
         Stages behind the clock, each of which sees the columns of those before it.
     """
 
-    def __init__(self, device: DeviceFile, estimators: Sequence[Estimator] = ()) -> None:
-        self._decoder = device.decoder()
-        self._device_clock = DeviceClock(self._decoder.timing)
+    def __init__(self, device: DeviceFile | None, estimators: Sequence[Estimator] = ()) -> None:
+        self._decoder = device.decoder() if device is not None else None
+        self._device_clock = DeviceClock(self._decoder.timing if self._decoder is not None else Timing())
         self.host_clock = HostClock(self._device_clock.drift_limit_ppm)
         self._estimators = tuple(estimators)
         self._samples = 0
-        self._dated: list[SampleBlock] = []
+        self._ready: list[SampleBlock] = []
 
     @property
     def columns(self) -> list[Column]:
-        """Columns of the blocks so far, in the order in which tables have them."""
-        decoded = [
-            c for c in self._decoder.columns if c.name not in TIME_COLUMNS and c.name != "device_ticks"
-        ]
-        times = [KNOWN[name] for name in TIME_COLUMNS if name != "packet_counter" or self._counts]
-        added = [column for stage in self._estimators for column in stage.columns]
-        return [*times, *decoded, *added]
+        """Columns of the decoded blocks so far, in the order in which tables have them."""
+        decoded = {column.name: column for column in self._decoder.columns} if self._decoder else {}
+        times = [KNOWN[name] for name in TIME_COLUMNS if name != "packet_counter" or name in decoded]
+        rest = [c for c in decoded.values() if c.name not in TIME_COLUMNS and c.name != "device_ticks"]
+        return [*times, *rest, *(column for stage in self._estimators for column in stage.columns)]
 
     @property
     def counters(self) -> PipelineCounters:
         """What became of every byte and packet so far."""
-        raw: Counters = self._decoder.counters()
+        raw = self._decoder.counters() if self._decoder is not None else Counters()
         return PipelineCounters(
             packets=raw.packets,
             packets_by_type=dict(raw.packets_by_type),
@@ -110,33 +108,42 @@ class Pipeline:
             samples=self._samples,
         )
 
-    @property
-    def _counts(self) -> bool:
-        return any(column.name == "packet_counter" for column in self._decoder.columns)
-
     def feed(self, data: bytes, arrival_ns: int = UNDATED) -> None:
         """Decode bytes that arrived at `arrival_ns` (Unix time, ns)."""
+        if self._decoder is None:
+            raise ValueError("a pipeline without a device takes samples, not bytes")
         self._decoder.feed(data, arrival_ns)
+
+    def push(self, block: SampleBlock) -> None:
+        """Take samples that have their times already, from a table."""
+        self._ready.append(self._estimate(block))
 
     def finish(self) -> None:
         """Say that no more bytes come: samples held back behind a damaged header come out."""
-        self._decoder.finish()
+        if self._decoder is not None:
+            self._decoder.finish()
 
     def port_opened(self) -> None:
         """Say that the port was opened anew: the device may have restarted meanwhile."""
-        self._dated.append(self._process(self._decoder.take()))
+        self._ready.append(self._decoded())
         self._device_clock.new_connection()
 
     def take(self) -> SampleBlock:
         """Return the samples completed since the last call."""
-        dated, self._dated = self._dated, []
-        return join([*dated, self._process(self._decoder.take())])
+        ready, self._ready = self._ready, []
+        block = join([*ready, self._decoded()])
+        self._samples += len(block)
+        return block
 
     def notices(self) -> list[str]:
         """Return, once each, what the device said that is not data."""
-        return self._decoder.notices()
+        return self._decoder.notices() if self._decoder is not None else []
 
-    def _process(self, raw: SampleBlock) -> SampleBlock:
+    def _decoded(self) -> SampleBlock:
+        """Date what the decoder has completed, and estimate."""
+        if self._decoder is None:
+            return SampleBlock({})
+        raw = self._decoder.take()
         n = len(raw)
         columns = dict(raw.columns)
         counter, ticks = columns.get("packet_counter"), columns.pop("device_ticks", None)
@@ -150,10 +157,11 @@ class Pipeline:
         }
         if counter is not None:
             times["packet_counter"] = counter
-        block = SampleBlock({**times, **{k: v for k, v in columns.items() if k not in times}})
+        return self._estimate(SampleBlock({**times, **{k: v for k, v in columns.items() if k not in times}}))
+
+    def _estimate(self, block: SampleBlock) -> SampleBlock:
         for stage in self._estimators:
             block = block.with_columns(stage.process(block))
-        self._samples += n
         return block
 
 

@@ -14,11 +14,12 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 
 from imumon.blocks import SampleBlock
+from imumon.columns import Column
 from imumon.errors import ImumonError, Reason
 from imumon.pipeline import Digest, Pipeline, PipelineCounters
 from imumon.protocols.device import DeviceFile
 from imumon.run.narration import Narrator, Progress, Publish, Say
-from imumon.session.folder import create_session
+from imumon.session.folder import METADATA_NAME, create_session
 from imumon.session.metadata import PortUsed, SessionMetadata, iso_utc, versions_in_use
 from imumon.session.recorder import Recorder
 from imumon.session.wire import WireCounters, WireWriter
@@ -32,8 +33,8 @@ TICK_S = 0.5
 """How often rates, lanes and the status card are renewed."""
 
 
-def warm_up(device: DeviceFile) -> None:
-    """Compile what the first packets need, so that no packet waits for it.
+def warm_up(device: DeviceFile) -> list[Column]:
+    """Compile what the first packets need, so that no packet waits for it; return the columns they give.
 
     The compiled code is kept on disk: the first start after an installation takes some seconds, later ones
     some tenths of a second.
@@ -44,6 +45,7 @@ def warm_up(device: DeviceFile) -> None:
         pipeline.feed(packet, number)
     pipeline.finish()
     pipeline.take()
+    return pipeline.columns
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,16 +85,13 @@ class LiveRun:
         The port.
     folder : Path
         Where the session goes; must not hold one.
-    publish : sequence of callable
-        Where view items go.
     say : callable
         Where log lines go; called from several threads.
 
     Raises
     ------
     ImumonError
-        EXISTS when the folder holds a session; the reasons of `Reader.start` when the port cannot be opened,
-        and then no session is left behind.
+        EXISTS when the folder holds a session.
     """
 
     def __init__(
@@ -101,9 +100,9 @@ class LiveRun:
         device_yaml: str,
         settings: PortSettings,
         folder: Path,
-        publish: Sequence[Publish],
         say: Say,
     ) -> None:
+        self._device = device
         self.pipeline = Pipeline(device)
         self._settings = settings
         self._say = say
@@ -113,9 +112,8 @@ class LiveRun:
         self.session = create_session(folder, self._metadata(device, device_yaml))
         self._writer = WireWriter(self.session.wire_path, {"device": device.name, "port": str(settings)})
         self._recorder = Recorder(self._writer, self._recording_problem, self._save)
-        card = {"device": device.title, "port": str(settings), "recording": str(folder)}
-        self._narrator = Narrator(self.pipeline, settings, publish, say, card)
         self._reader = Reader(settings, self._recorder.put, self._items.put)
+        self._narrator = self._narrate(())
         self._thread = threading.Thread(target=self._run, name="pipeline", daemon=True)
         self._progress = self._narrator.progress(self._began_ns)
         self.failure: ImumonError | None = None
@@ -125,24 +123,33 @@ class LiveRun:
         """The numbers of the moment, renewed twice a second."""
         return self._progress
 
-    def start(self) -> None:
-        """Open the port and start all threads.
+    @property
+    def processing(self) -> bool:
+        """Whether the pipeline thread works; without it reading and recording go on."""
+        return self._thread.is_alive()
+
+    def open(self) -> None:
+        """Open the port, and read and record from now on.
 
         Raises
         ------
         ImumonError
-            When the port cannot be opened.
+            The reasons of `Reader.start` when the port cannot be opened; then no session is left behind.
         """
         try:
             self._reader.start()
         except ImumonError:
             self._writer.close()
-            for path in (self.session.wire_path, self.session.path / "session.yaml"):
+            for path in (self.session.wire_path, self.session.path / METADATA_NAME):
                 path.unlink()
             if not any(self.session.path.iterdir()):
                 self.session.path.rmdir()
             raise
         self._recorder.start()
+
+    def begin(self, publish: Sequence[Publish]) -> None:
+        """Decode what has come and what comes, and show it to `publish` as view items."""
+        self._narrator = self._narrate(publish)
         self._thread.start()
 
     def stop(self, views: Sequence[str] = ()) -> LiveSummary:
@@ -151,7 +158,8 @@ class LiveRun:
         `views` are the files of the view's recording, for the session's metadata.
         """
         self._reader.stop()
-        self._thread.join()
+        if self._thread.ident is not None:
+            self._thread.join()
         wire = self._recorder.stop()
         ended_ns = time.time_ns()
         counters = self.pipeline.counters
@@ -169,6 +177,14 @@ class LiveRun:
             self._say("ERROR", f"session.yaml cannot be written: {error.strerror}")
         elapsed = (ended_ns - self._began_ns) * 1e-9
         return LiveSummary(self.session.path, elapsed, counters, wire, self._recorder.problem, digest)
+
+    def _narrate(self, publish: Sequence[Publish]) -> Narrator:
+        card = {
+            "device": self._device.title,
+            "port": str(self._settings),
+            "recording": str(self.session.path),
+        }
+        return Narrator(self.pipeline, self._settings, publish, self._say, card)
 
     def _metadata(self, device: DeviceFile, device_yaml: str) -> SessionMetadata:
         s = self._settings

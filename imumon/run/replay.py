@@ -55,14 +55,17 @@ def capture_items(path: Path) -> Iterator[Item]:
 
 
 def run_over(
-    items: Iterable[Item], pipeline: Pipeline, narrator: Narrator | None = None, speed: float | None = None
+    items: Iterable[Item | SampleBlock],
+    pipeline: Pipeline,
+    narrator: Narrator | None = None,
+    speed: float | None = None,
 ) -> Iterator[SampleBlock]:
     """Run what was recorded through a pipeline; yield the samples in order, to the last byte.
 
     Parameters
     ----------
-    items : iterable of Bytes and Event
-        From `WireReader` or `capture_items`.
+    items : iterable of Bytes and Event, or of SampleBlock
+        From `WireReader`, `capture_items` or `iterate_samples`.
     pipeline : Pipeline
         A new one.
     narrator : Narrator or None
@@ -73,7 +76,7 @@ def run_over(
     pace = _Pace(speed)
     next_batch_ns = next_tick_ns = now_ns = fed = 0
     for item in items:
-        now_ns = item.arrival_ns if isinstance(item, Bytes) else item.time_ns
+        now_ns = _time_ns(item, now_ns)
         pace.wait(now_ns)
         fed += _feed(item, pipeline, narrator)
         if fed >= BATCH_BYTES or (narrator is not None and now_ns >= next_batch_ns):
@@ -88,7 +91,18 @@ def run_over(
         narrator.tick(now_ns)
 
 
-def _feed(item: Item, pipeline: Pipeline, narrator: Narrator | None) -> int:
+def _time_ns(item: Item | SampleBlock, before_ns: int) -> int:
+    if isinstance(item, Bytes):
+        return item.arrival_ns
+    if isinstance(item, SampleBlock):
+        return int(item["device_time_ns"][-1]) if len(item) else before_ns
+    return item.time_ns
+
+
+def _feed(item: Item | SampleBlock, pipeline: Pipeline, narrator: Narrator | None) -> int:
+    if isinstance(item, SampleBlock):
+        pipeline.push(item)
+        return sum(values.nbytes for values in item.columns.values())
     if isinstance(item, Bytes):
         pipeline.feed(item.data, item.arrival_ns)
         if narrator is not None:

@@ -1,0 +1,62 @@
+"""What several commands share: options, output for people and programs."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import click
+
+from imumon.errors import ImumonError, Reason
+
+json_option = click.option(
+    "--json", "as_json", is_flag=True, help="Print one JSON object on standard output."
+)
+device_help = "Name of a known device (imumon devices) or path of a device file."
+
+
+def print_json(data: Mapping[str, Any]) -> None:
+    """Print one JSON object; NaN, which JSON does not know, becomes null."""
+    click.echo(json.dumps(_plain(data), indent=2))
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return str(value) if isinstance(value, Path) else value
+
+
+def split_columns(text: str | None) -> list[str] | None:
+    """Split ``a,b,c``; None stays None.
+
+    Raises
+    ------
+    ImumonError
+        BAD_CONFIG when a name is empty or there twice.
+    """
+    if text is None:
+        return None
+    names = [name.strip() for name in text.split(",")]
+    if not all(names) or len(set(names)) < len(names):
+        raise ImumonError(Reason.BAD_CONFIG, f"--columns {text!r}: a name is empty or there twice")
+    return names
+
+
+def say(level: str, text: str) -> None:
+    """Write a log line on standard error."""
+    color = {"WARN": "yellow", "ERROR": "red"}.get(level)
+    click.secho(f"{level:5} {text}", err=True, fg=color)
+
+
+def print_rows(rows: Mapping[str, str]) -> None:
+    """Write labelled lines on standard error."""
+    width = max(map(len, rows), default=0)
+    for label, text in rows.items():
+        click.echo(f"  {label:<{width}}  {text}", err=True)

@@ -1,0 +1,36 @@
+"""``imumon devices``: what can be given as --device."""
+
+from __future__ import annotations
+
+import click
+
+from imumon.cli.common import json_option, print_json
+from imumon.protocols.device import device_names, device_text, load_device
+
+
+@click.command("devices")
+@click.argument("name", required=False)
+@json_option
+def command(name: str | None, as_json: bool) -> None:
+    """List the devices that imumon knows; with NAME, print its file, to copy and change."""
+    if name is not None:
+        load_device(name)
+        click.echo(device_text(name)[0], nl=False)
+        return
+    devices = [load_device(known) for known in device_names()]
+    if as_json:
+        print_json(
+            {
+                device.name: {
+                    "title": device.title,
+                    "protocol": device.protocol,
+                    "baudrates": list(device.serial.baudrates),
+                    "rate_hz": device.rate_hz,
+                    "axes": device.axes,
+                }
+                for device in devices
+            }
+        )
+        return
+    for device in devices:
+        click.echo(f"{device.name:<14} {device.title} ({device.protocol}, {device.serial.baudrates[0]} baud)")

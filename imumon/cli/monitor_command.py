@@ -1,0 +1,197 @@
+"""``imumon monitor``: connect, watch, record."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import click
+
+from imumon.cli.common import device_help, json_option, print_json, print_rows, say
+from imumon.protocols.device import DeviceFile, device_text, parse_device
+from imumon.run.live import LiveRun, LiveSummary, nothing_decoded, warm_up
+from imumon.run.narration import Progress, describe, describe_losses
+from imumon.session.folder import default_path
+from imumon.transport.settings import PortSettings
+
+if TYPE_CHECKING:
+    from imumon.columns import Column
+    from imumon.session.folder import Session
+    from imumon.view.items import ViewItem, ViewSetup
+    from imumon.view.publisher import ViewPublisher
+
+REFRESH_S = 0.25
+View = Literal["native", "web", "none"]
+
+
+@click.command("monitor")
+@click.argument("port")
+@click.option("--device", required=True, help=device_help)
+@click.option("--baud", type=click.IntRange(min=1), help="Baud rate; the device file's first when not given.")
+@click.option(
+    "--view", type=click.Choice(["native", "web", "none"]), help="Default: native with a display, else web."
+)
+@click.option(
+    "--out", type=click.Path(path_type=Path), help="Session folder; default: a new one in ./sessions."
+)
+@click.option("--seconds", type=click.FloatRange(min=0, min_open=True), help="Stop after this time.")
+@click.option(
+    "--window", default=15.0, show_default=True, type=click.FloatRange(min=1), help="Seconds the strips show."
+)
+@click.option(
+    "--bind", default="127.0.0.1", show_default=True, help="Address that the web view is served on."
+)
+@json_option
+def command(
+    port: str,
+    device: str,
+    baud: int | None,
+    view: View | None,
+    out: Path | None,
+    seconds: float | None,
+    window: float,
+    bind: str,
+    as_json: bool,
+) -> int:
+    """Record the device on PORT and watch it live, until Ctrl-C or --seconds.
+
+    PORT is anything that pyserial opens: /dev/ttyUSB0, COM3, socket://host:port, rfc2217://host:port.
+    Every byte received is kept; a lost or silent device is waited for and reopened.
+    """
+    text, source = device_text(device)
+    profile = parse_device(text, source)
+    serial = profile.serial
+    settings = PortSettings(
+        port, baud or serial.baudrates[0], serial.bytesize, serial.parity, serial.stopbits
+    )
+    ended = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: ended.set())
+    folder = out or default_path(profile.name, time.time_ns())
+    run = LiveRun(profile, text, settings, folder, say)
+    run.open()
+    try:
+        setup = view_setup(run.session, profile, warm_up(profile), str(settings), window)
+        views = _Views(setup, run.session.view_path, view, bind)
+    except BaseException:
+        run.stop()
+        raise
+    try:
+        run.begin(views.publish)
+        views.announce(say)
+        _watch(run, views, ended, seconds)
+    finally:
+        summary = run.stop(views.files)
+        views.close()
+    if as_json:
+        print_json({**summary.as_dict(), "view_dropped": views.dropped})
+    _report(summary, run.progress, views.dropped)
+    problem = run.failure or nothing_decoded(settings, profile, summary.counters)
+    if problem is not None:
+        raise problem
+    return 0
+
+
+class _Views:
+    """The live view, if any, and the recording of the view."""
+
+    def __init__(self, setup: ViewSetup, recording: Path, view: View | None, bind: str) -> None:
+        from imumon.view.recorder import ViewRecorder
+        from imumon.view.viewer import default_mode
+
+        mode = view or default_mode()
+        self._live: ViewPublisher | None = None
+        if mode != "none":
+            from imumon.view.publisher import ViewPublisher
+
+            self._live = ViewPublisher(mode, setup, bind=bind).start()
+        self._recorder = ViewRecorder(recording, setup)
+        self.publish: list[Callable[[ViewItem], None]] = [self._recorder.publish]
+        if self._live is not None:
+            self.publish.append(self._live.publish)
+        self._announced = ""
+
+    @property
+    def files(self) -> list[str]:
+        return [path.name for path in self._recorder.files]
+
+    @property
+    def dropped(self) -> int:
+        return self._recorder.dropped + (self._live.state.dropped if self._live else 0)
+
+    @property
+    def state(self) -> str:
+        return str(self._live.state) if self._live else ""
+
+    def announce(self, tell: Callable[[str, str], None]) -> None:
+        """Say where the view is, as soon as it is known and when it changes."""
+        if self._live is not None and self._live.url and self._live.url != self._announced:
+            self._announced = self._live.url
+            tell("INFO", f"live view: {self._live.url}")
+
+    def close(self) -> None:
+        if self._live is not None:
+            self._live.close()
+        self._recorder.close()
+
+
+def view_setup(
+    session: Session, device: DeviceFile, columns: Sequence[Column], port: str, window: float
+) -> ViewSetup:
+    """Return what the view must know of a device and its session."""
+    from imumon.view.items import ViewSetup
+
+    return ViewSetup(
+        title=f"{device.title} - {session.path.name}",
+        recording_id=f"{session.path.name}-{session.metadata.created_ns}",
+        units={column.name: column.unit for column in columns},
+        z_down=device.axes == "FRD",
+        window_s=window,
+        properties={"device": device.name, "port": port, "session": str(session.path)},
+    )
+
+
+def _watch(run: LiveRun, views: _Views, ended: threading.Event, seconds: float | None) -> None:
+    """Wait for the end, with a status line on a terminal."""
+    interactive = sys.stderr.isatty()
+    waited, stopped = 0.0, False
+    while not ended.wait(REFRESH_S) and (seconds is None or waited < seconds):
+        waited += REFRESH_S
+        views.announce(say)
+        if interactive:
+            click.echo(f"\r\x1b[2K{status_line(run.progress, views.state)}", err=True, nl=False)
+        if not run.processing and not stopped:
+            stopped = True
+            say("ERROR", "decoding stopped; reading and recording go on, decode the session afterwards")
+    if interactive:
+        click.echo("\r\x1b[2K", err=True, nl=False)
+
+
+def status_line(progress: Progress, view: str) -> str:
+    """Return the one line that a terminal shows while recording."""
+    counters = progress.counters
+    load = "" if progress.link_load is None else f"  link {progress.link_load:.0%}"
+    lost = counters.packets_missing + counters.checksum_errors + counters.length_errors
+    return (
+        f"{progress.port or 'opening':7} {progress.elapsed_s:7.1f} s  {counters.packets:,} packets "
+        f"{progress.packets_per_s:.1f}/s{load}  lost {lost:,}  skipped {counters.bytes_skipped:,} B"
+        + (f"  view: {view}" if view else "")
+    )
+
+
+def _report(summary: LiveSummary, progress: Progress, view_dropped: int) -> None:
+    rows = {"recorded": f"{summary.elapsed_s:.1f} s, {summary.wire.bytes_on_disk:,} bytes on disk"}
+    rows |= describe(progress)
+    rows["losses"] = describe_losses(summary.counters)
+    if summary.wire.bytes_unrecorded:
+        rows["NOT RECORDED"] = f"{summary.wire.bytes_unrecorded:,} bytes: {summary.recording_problem}"
+    if view_dropped:
+        rows["view"] = f"{view_dropped:,} items were not shown; the recording has them"
+    rows["session"] = str(summary.session)
+    rows["replay"] = f"imumon replay {summary.session} --view native"
+    print_rows(rows)
