@@ -61,6 +61,15 @@ class Samples:
         """Samples in the item."""
         return len(self.block)
 
+    def part(self, start: int, stop: int) -> Samples:
+        """Return rows start..stop as views."""
+        return Samples(
+            self.first + start,
+            None if self.device_ns is None else self.device_ns[start:stop],
+            None if self.host_ns is None else self.host_ns[start:stop],
+            self.block.rows(start, stop),
+        )
+
     def follows(self, other: Samples) -> bool:
         """Tell whether this continues `other` without a gap, on the same timelines, with the same columns."""
         return (

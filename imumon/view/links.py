@@ -9,7 +9,15 @@ from enum import Enum, auto
 import rerun as rr
 
 from imumon.view.frames import Report, Start
-from imumon.view.viewer import SERVER_MEMORY, Answer, free_port, probe, proxy_url, start_viewer
+from imumon.view.viewer import (
+    LOCALHOST,
+    SERVER_MEMORY,
+    Answer,
+    free_port,
+    probe,
+    proxy_url,
+    start_viewer,
+)
 from imumon.view.web import WebServer
 
 FLUSH_S = 0.5
@@ -107,7 +115,7 @@ class NativeLink:
         if self._phase is _Phase.PAUSED or answer is Answer.SILENT:
             return "viewer does not respond"
         if self._seen:
-            return f"viewer closed; `rerun --port {self._port}` brings it back"
+            return f"viewer closed; `rerun --bind {LOCALHOST} --port {self._port}` brings it back"
         code = self._viewer.poll() if self._viewer else None
         if code is not None:
             return f"the viewer could not start (exit code {code}); try --view web"

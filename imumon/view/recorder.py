@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import threading
+from collections import deque
 from pathlib import Path
 
+import numpy as np
 import rerun as rr
 
+from imumon.blocks import IntArray
 from imumon.errors import ImumonError, Reason
 from imumon.view.items import Samples, ViewItem, ViewSetup, merge
 from imumon.view.logger import APPLICATION_ID, StreamLogger
@@ -79,23 +82,47 @@ class ViewRecorder:
         closing = False
         while not closing:
             closing = self._queue.is_closed()
-            for item in merge(self._queue.take(BATCH_S, BATCH_S)):
-                if self._is_due(item):
-                    self._open_segment()
-                self._logger.log([item])
+            self._write(merge(self._queue.take(BATCH_S, BATCH_S)))
         self._rec.disconnect()
 
-    def _is_due(self, item: ViewItem) -> bool:
-        """Tell whether a new segment begins with this item, by the time in the data."""
-        time_ns = _time_ns(item)
-        if time_ns is None:
+    def _write(self, items: list[ViewItem]) -> None:
+        """Log items in order of their kind; where a segment ends, go on in the next one."""
+        batch: list[ViewItem] = []
+        waiting = deque(items)
+        while waiting:
+            now, rest = self._cut(waiting.popleft())
+            if now is not None:
+                batch.append(now)
+            if rest is not None:
+                early = [item for item in waiting if self._is_before_segment(item)]
+                later = [item for item in waiting if not self._is_before_segment(item)]
+                waiting = deque([rest, *later])
+                self._logger.log([*batch, *early])
+                batch = []
+                self._open_segment()
+        self._logger.log(batch)
+
+    def _is_before_segment(self, item: ViewItem) -> bool:
+        """Tell whether an event that stands behind the samples belongs to the segment that ends."""
+        times = _times_ns(item)
+        if isinstance(item, Samples) or self._began_ns is None:
             return False
-        if self._began_ns is None or time_ns < self._began_ns:
-            self._began_ns = time_ns
-        if time_ns - self._began_ns < self._segment_ns:
-            return False
-        self._began_ns = time_ns
-        return True
+        return times is None or int(times[0]) < self._began_ns
+
+    def _cut(self, item: ViewItem) -> tuple[ViewItem | None, ViewItem | None]:
+        """Return what belongs to this segment and what begins the next, by the time in the data."""
+        times = _times_ns(item)
+        if times is None or not len(times):
+            return item, None
+        if self._began_ns is None:
+            self._began_ns = int(times[0])
+        row = int(np.searchsorted(times, self._began_ns + self._segment_ns))
+        if row == len(times):
+            return item, None
+        self._began_ns = int(times[row])
+        if not isinstance(item, Samples):
+            return None, item
+        return item.part(0, row) if row else None, item.part(row, item.rows)
 
     def _open_segment(self) -> None:
         count = len(self._files)
@@ -105,11 +132,8 @@ class ViewRecorder:
         self._logger.begin()
 
 
-def _time_ns(item: ViewItem) -> int | None:
-    """Return the device time of an item, or its host time when the device tells none."""
+def _times_ns(item: ViewItem) -> IntArray | None:
+    """Return the device times of an item, or its host times when the device tells none."""
     if isinstance(item, Samples):
-        for times in (item.device_ns, item.host_ns):
-            if times is not None:
-                return int(times[0])
-        return None
-    return item.at.device_ns
+        return item.host_ns if item.device_ns is None else item.device_ns
+    return None if item.at.device_ns is None else np.array([item.at.device_ns], np.int64)

@@ -8,9 +8,12 @@ import threading
 import time
 import urllib.request
 import uuid
+from functools import partial
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any
 from urllib.error import URLError
+from urllib.parse import quote
 
 from imumon.errors import ImumonError, Reason
 from imumon.view.viewer import LOCALHOST, free_port, proxy_url, quiet_environment, viewer_binary
@@ -25,15 +28,11 @@ ASSETS = {
 
 FETCH_S = 10.0
 ALIVE = "/alive"
+HOST = re.compile(r"([\w.-]+|\[[0-9a-fA-F:]+\])(?::\d+)?$")
 
 SCRIPT = """
 <script>
 (() => {{
-  const query = new URLSearchParams(window.location.search);
-  if (!query.has("url")) {{
-    const stream = `rerun+http://${{window.location.hostname}}:{port}/proxy`;
-    window.location.replace(`/?url=${{encodeURIComponent(stream)}}&hide_welcome_screen=1`);
-  }}
   // A restarted server has another name; the page then starts anew and gets the picture back.
   setInterval(async () => {{
     try {{
@@ -88,10 +87,10 @@ def _fetch(url: str) -> bytes:
         return data
 
 
-def page(html: str, stream_port: int, name: str) -> str:
+def page(html: str, name: str) -> str:
     """Return Rerun's page with our script in front and without what it would load from elsewhere."""
     local = re.sub(r"<link\b[^>]*https://[^>]*>", "", html)
-    script = SCRIPT.format(port=stream_port, alive=ALIVE, name=name)
+    script = SCRIPT.format(alive=ALIVE, name=name)
     return local.replace("<head>", "<head>" + script, 1)
 
 
@@ -110,7 +109,7 @@ def policy(host: str, stream_port: int) -> str:
 
 
 class WebServer:
-    """Serves the page from memory, in threads of its own, until the process ends.
+    """Serves the page from memory, in threads of its own.
 
     Parameters
     ----------
@@ -124,35 +123,56 @@ class WebServer:
 
     def __init__(self, bind: str, port: int, stream_port: int) -> None:
         self.port = port
-        host = LOCALHOST if bind in ("0.0.0.0", "::", "") else bind
-        self.url = f"http://{host}:{port}/"
+        self.stream_port = stream_port
+        self.host = LOCALHOST if bind in ("0.0.0.0", "::", "") else bind
+        self.url = f"http://{self.host}:{port}/"
         name = uuid.uuid4().hex
-        files = bundled_assets()
-        files["/"] = page(files["/"].decode(), stream_port, name).encode()
-
-        class Handler(BaseHTTPRequestHandler):
-            protocol_version = "HTTP/1.1"
-            timeout = 30
-
-            def do_GET(self) -> None:
-                path = self.path.partition("?")[0]
-                body = name.encode() if path == ALIVE else files.get(path)
-                if body is None:
-                    self.send_error(HTTPStatus.NOT_FOUND)
-                    return
-                asked = self.headers.get("Host", host).rpartition(":")[0] or host
-                self.send_response(HTTPStatus.OK)
-                self.send_header("Content-Type", ASSETS.get(path, "text/plain"))
-                self.send_header("Content-Length", str(len(body)))
-                self.send_header("Content-Security-Policy", policy(asked, stream_port))
-                if path == "/re_viewer_bg.wasm":
-                    self.send_header("rerun-final-length", str(len(body)))
-                self.end_headers()
-                self.wfile.write(body)
-
-            def log_message(self, *_: object) -> None:
-                """Stay silent; the terminal belongs to the status line."""
-
-        self._server = ThreadingHTTPServer((bind, port), Handler)
+        self.files = bundled_assets()
+        self.files["/"] = page(self.files["/"].decode(), name).encode()
+        self.files[ALIVE] = name.encode()
+        handler = partial(_Handler, self)
+        self._server = ThreadingHTTPServer((bind, port), handler)
         self._server.daemon_threads = True
         threading.Thread(target=self._server.serve_forever, name="web viewer", daemon=True).start()
+
+    def close(self) -> None:
+        """Stop serving."""
+        self._server.shutdown()
+        self._server.server_close()
+
+
+class _Handler(BaseHTTPRequestHandler):
+    protocol_version = "HTTP/1.1"
+    timeout = 30
+
+    def __init__(self, site: WebServer, *arguments: Any) -> None:
+        self._site = site
+        super().__init__(*arguments)
+
+    def do_GET(self) -> None:
+        """Answer with a file, or lead the bare address to the one that names the stream."""
+        site = self._site
+        path, _, query = self.path.partition("?")
+        body = site.files.get(path)
+        if body is None:
+            self.send_error(HTTPStatus.NOT_FOUND)
+            return
+        asked = HOST.match(self.headers.get("Host", ""))
+        host = asked.group(1) if asked else site.host
+        if path == "/" and not query:
+            stream = quote(proxy_url(site.stream_port, host), safe="")
+            self.send_response(HTTPStatus.FOUND)
+            self.send_header("Location", f"/?url={stream}&hide_welcome_screen=1")
+            self.send_header("Content-Length", "0")
+            self.end_headers()
+            return
+        self.send_response(HTTPStatus.OK)
+        self.send_header("Content-Type", ASSETS.get(path, "text/plain"))
+        self.send_header("Content-Length", str(len(body)))
+        self.send_header("Content-Security-Policy", policy(host, site.stream_port))
+        self.send_header("rerun-final-length", str(len(body)))  # the page's progress bar asks for it
+        self.end_headers()
+        self.wfile.write(body)
+
+    def log_message(self, *_: object) -> None:
+        """Stay silent; the terminal belongs to the status line."""

@@ -1,0 +1,102 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import rerun as rr
+from rerun.chunk import RrdReader
+
+from imumon.view.items import Log, Numbers, State, Status, Timebase, ViewItem, ViewSetup
+from imumon.view.logger import StreamLogger
+from tests.view.streams import block
+
+
+def blueprint_of(path: Path) -> dict[str, list[object]]:
+    """Return all values of all components of the one blueprint in a recording."""
+    reader = RrdReader(str(path))
+    (store,) = reader.blueprints()
+    values: dict[str, list[object]] = {}
+    for chunk in reader.stream(store=store):
+        batch = chunk.to_record_batch()
+        for name in (name for name in batch.schema.names if ":" in name):
+            for row in batch.column(name).to_pylist():
+                values.setdefault(name, []).extend(row if isinstance(row, list) else [row])
+    return values
+
+
+def arranged(path: Path, items: list[ViewItem], setup: ViewSetup, *, live: bool) -> dict[str, list[object]]:
+    """Log items and return the blueprint that was sent with them."""
+    rec = rr.RecordingStream("imumon", recording_id="test")
+    rec.set_sinks(rr.FileSink(path))
+    logger = StreamLogger(rec, setup, live=live)
+    logger.begin()
+    logger.log(items)
+    rec.disconnect()
+    return blueprint_of(path)
+
+
+def everything(leave_out: tuple[str, ...] = ("nothing",)) -> list[ViewItem]:
+    timebase = Timebase()
+    first = timebase.samples(block(0, 50, leave_out=leave_out))
+    at = timebase.at()
+    numbers = {"packet_rate": 100.0, "link_load": 0.1, "packets_lost": 0.0, "packets_damaged": 0.0}
+    return [first, State(at, "port", "open"), Log(at, "a"), Status(at, {"a": "b"}), Numbers(at, numbers)]
+
+
+SETUP = ViewSetup("test", "test")
+
+
+def test_every_panel_with_data_has_a_view(tmp_path: Path) -> None:
+    views = arranged(tmp_path / "a.rrd", everything(), SETUP, live=True)["ViewBlueprint:space_origin"]
+    assert sorted(map(str, views)) == sorted(
+        [
+            "/attitude",
+            "/view/gyro",
+            "/samples/accel",
+            "/samples/mag",
+            "/samples/temperature",
+            "/view/packet_rate",
+            "/view/link_load",
+            "/samples/losses",
+            "/state",
+            "/log",
+            "/status",
+        ]
+    )
+
+
+@pytest.mark.parametrize(
+    ("column", "origin"),
+    [("mag", "/samples/mag"), ("temperature", "/samples/temperature"), ("q_", "/attitude")],
+)
+def test_what_a_device_does_not_send_has_no_view(tmp_path: Path, column: str, origin: str) -> None:
+    found = arranged(tmp_path / "a.rrd", everything((column,)), SETUP, live=True)
+    assert origin not in found["ViewBlueprint:space_origin"]
+    assert "/view/gyro" in found["ViewBlueprint:space_origin"]
+
+
+def test_titles_carry_the_units_that_a_person_reads(tmp_path: Path) -> None:
+    setup = ViewSetup("test", "test", units={"mag_x": "arbitrary"})
+    names = arranged(tmp_path / "a.rrd", everything(), setup, live=True)["ViewBlueprint:display_name"]
+    assert {"Angular rate [°/s]", "Specific force [m/s²]", "Magnetic field [a.u.]", "Link load [%]"} <= set(
+        names
+    )
+
+
+def test_live_view_follows_device_time_and_shows_the_last_seconds(tmp_path: Path) -> None:
+    setup = ViewSetup("test", "test", window_s=20.0)
+    found = arranged(tmp_path / "a.rrd", everything(), setup, live=True)
+    assert found["TimePanelBlueprint:timeline"] == ["device_time"]
+    assert "-20000000000" in str(found["VisibleTimeRanges:ranges"])
+
+
+def test_recording_shows_everything(tmp_path: Path) -> None:
+    found = arranged(tmp_path / "a.rrd", everything(), SETUP, live=False)
+    assert "VisibleTimeRanges:ranges" not in found
+
+
+def test_columns_without_a_panel_have_a_tab(tmp_path: Path) -> None:
+    extra = block(0, 50).with_columns({"humidity": block(0, 50)["temperature"]})
+    found = arranged(tmp_path / "a.rrd", [Timebase().samples(extra)], SETUP, live=True)
+    assert "/samples/other" in found["ViewBlueprint:space_origin"]
+    assert "Other" in found["ContainerBlueprint:display_name"]

@@ -1,0 +1,200 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rerun as rr
+
+from imumon.blocks import SampleBlock
+from imumon.view.items import Numbers, State, Status, Timebase, ViewItem, ViewSetup, merge
+from imumon.view.layout import (
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    PANELS,
+    RED,
+    VIOLET,
+    from_euler,
+    from_wxyz,
+    unit_text,
+)
+from imumon.view.logger import GOOD, PLAIN, WAIT, StreamLogger, state_color, status_card
+from tests.view.streams import GYRO, QUATERNION, Stream, block, entities, record_batches, scalars
+
+Write = Callable[[StreamLogger], None]
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Callable[[Write], Path]:
+    """Log to a file and return it."""
+
+    def written(fill: Write) -> Path:
+        path = tmp_path / "log.rrd"
+        rec = rr.RecordingStream("imumon", recording_id="test")
+        rec.set_sinks(rr.FileSink(path))
+        logger = StreamLogger(rec, ViewSetup("test", "test"), live=True)
+        logger.begin()
+        fill(logger)
+        rec.disconnect()
+        return path
+
+    return written
+
+
+def test_samples_read_back_bit_for_bit_in_si(write: Callable[[Write], Path]) -> None:
+    sent: list[Stream] = []
+
+    def fill(logger: StreamLogger) -> None:
+        stream = Stream(lambda item: logger.log([item]))
+        for _ in range(5):
+            stream.send(20)
+        sent.append(stream)
+
+    path = write(fill)
+    sample, device, host, gyro = scalars([path], "/samples/gyro")
+    np.testing.assert_array_equal(sample, np.arange(100))
+    np.testing.assert_array_equal(device, block(0, 100)["device_time_ns"])
+    np.testing.assert_array_equal(host, block(0, 100)["host_time_ns"])
+    np.testing.assert_array_equal(gyro, sent[0].column(GYRO))
+    np.testing.assert_array_equal(scalars([path], "/samples/attitude")[3], sent[0].column(QUATERNION))
+    np.testing.assert_allclose(scalars([path], "/view/gyro")[3], np.rad2deg(gyro))
+
+
+def test_counters_stay_integers(write: Callable[[Write], Path]) -> None:
+    path = write(lambda logger: Stream(lambda item: logger.log([item])).send(50))
+    (batch,) = record_batches(path, "/samples/integers")
+    np.testing.assert_array_equal(batch.column("packet_counter").flatten().to_numpy(), np.arange(50))
+    assert "device_time_ns" not in batch.schema.names
+
+
+def test_devices_own_time_is_kept_where_the_timeline_is_shifted(
+    write: Callable[[Write], Path],
+) -> None:
+    own = block(0, 10)
+    again = own.with_columns(
+        {"segment": np.ones(10, np.int64), "host_time_ns": own["host_time_ns"] + 1_000_000_000}
+    )
+    timebase = Timebase()
+    items = merge([timebase.samples(own), timebase.samples(again)])
+    path = write(lambda logger: logger.log(items))
+    (batch,) = record_batches(path, "/samples/integers")
+    expected = np.concatenate([own["device_time_ns"]] * 2)
+    np.testing.assert_array_equal(batch.column("device_time_ns").flatten().to_numpy(), expected)
+
+
+def test_panels_of_what_a_device_does_not_send_do_not_exist(write: Callable[[Write], Path]) -> None:
+    path = write(
+        lambda logger: Stream(lambda item: logger.log([item]), ("mag", "q_", "temperature")).send(50)
+    )
+    there = entities(path)
+    assert {"/samples/gyro", "/samples/accel", "/view/gyro"} <= there
+    assert not {"/samples/mag", "/samples/temperature", "/attitude/body"} & there
+
+
+def test_columns_of_nan_alone_do_not_make_a_panel(write: Callable[[Write], Path]) -> None:
+    silent = {name: np.full(20, np.nan) for name in ("mag_x", "mag_y", "mag_z")}
+    samples = Timebase().samples(block(0, 20).with_columns(silent))
+    assert "/samples/mag" not in entities(write(lambda logger: logger.log([samples])))
+
+
+def test_unknown_columns_are_recorded_too(write: Callable[[Write], Path]) -> None:
+    extra = block(0, 20).with_columns({"humidity": np.linspace(40.0, 41.0, 20)})
+    path = write(lambda logger: logger.log([Timebase().samples(extra)]))
+    np.testing.assert_array_equal(scalars([path], "/samples/other/humidity")[3][:, 0], extra["humidity"])
+
+
+def test_state_before_the_first_sample_shows_on_device_time(write: Callable[[Write], Path]) -> None:
+    path = write(lambda logger: Stream(lambda item: logger.log([item])).send(10))
+    times = [
+        time
+        for batch in record_batches(path, "/state/port")
+        if "device_time" in batch.schema.names
+        for time in batch.column("device_time").cast("int64").to_pylist()
+    ]
+    assert times == [int(block(0, 1)["device_time_ns"][0]) - 100_000_000]
+
+
+def test_device_without_any_time_is_shown_over_the_sample_index(write: Callable[[Write], Path]) -> None:
+    bare = SampleBlock({name: block(0, 20)[name] for name in GYRO})
+    path = write(lambda logger: logger.log([Timebase().samples(bare)]))
+    (batch,) = record_batches(path, "/samples/gyro")
+    assert {"sample"} == {"sample", "device_time", "host_time"} & set(batch.schema.names)
+
+
+def test_numbers_and_card_are_logged(write: Callable[[Write], Path]) -> None:
+    timebase = Timebase()
+    first = timebase.samples(block(0, 10))
+    at = timebase.at()
+    numbers = {
+        "packet_rate": 100.0,
+        "link_load": 0.25,
+        "packets_lost": 2.0,
+        "packets_damaged": 1.0,
+        "odd": 7.0,
+    }
+    items: list[ViewItem] = [
+        first,
+        Numbers(at, numbers),
+        Status(at, {"Port": "/dev/ttyUSB0"}),
+        State(at, "clock", "ok"),
+    ]
+    path = write(lambda logger: logger.log(items))
+    assert scalars([path], "/view/link_load")[3].tolist() == [[25.0]]
+    assert scalars([path], "/samples/losses")[3].tolist() == [[2.0, 1.0]]
+    assert scalars([path], "/samples/other/odd")[3].tolist() == [[7.0]]
+    assert {"/status", "/state/clock"} <= entities(path)
+
+
+def test_panel_keys_and_columns_are_unique_enough_to_tell_panels_apart() -> None:
+    assert len({panel.key for panel in PANELS}) == len(PANELS)
+    assert all(panel.columns for panel in PANELS)
+
+
+def test_euler_angles_and_quaternion_turn_the_body_alike() -> None:
+    rng = np.random.default_rng(1)
+    angles = rng.uniform([-3.0, -1.5, -3.0], [3.0, 1.5, 3.0], (50, 3))
+    for (roll, pitch, yaw), (x, y, z, w) in zip(angles, from_euler(angles), strict=True):
+        about_x = np.array([[1, 0, 0], [0, np.cos(roll), -np.sin(roll)], [0, np.sin(roll), np.cos(roll)]])
+        about_y = np.array([[np.cos(pitch), 0, np.sin(pitch)], [0, 1, 0], [-np.sin(pitch), 0, np.cos(pitch)]])
+        about_z = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
+        turned = np.array(
+            [
+                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+            ]
+        )
+        np.testing.assert_allclose(turned, about_z @ about_y @ about_x, atol=1e-12)
+    assert from_wxyz(np.array([[1.0, 2.0, 3.0, 4.0]])).tolist() == [[2.0, 3.0, 4.0, 1.0]]
+
+
+def test_units_are_those_of_the_device() -> None:
+    assert unit_text(ViewSetup("t", "t"), "mag_x") == "µT"
+    assert unit_text(ViewSetup("t", "t", units={"mag_x": "arbitrary"}), "mag_x") == "a.u."
+    assert unit_text(ViewSetup("t", "t"), "unheard_of") == ""
+
+
+def test_state_colours_follow_the_first_word() -> None:
+    assert state_color("OPEN") == GOOD
+    assert state_color("waiting for data") == WAIT
+    assert state_color("segment 3") == PLAIN
+
+
+def test_status_card_is_a_table() -> None:
+    card = status_card(Status(Timebase().at(), {"Port": "/dev/ttyUSB0", "Lost": "0"}))
+    assert "| **Port** | /dev/ttyUSB0 |" in card.splitlines()
+
+
+def luminance(color: tuple[int, int, int]) -> float:
+    """Relative luminance (WCAG 2, without the linear toe, which no colour here reaches)."""
+    return float(np.dot([0.2126, 0.7152, 0.0722], (np.array(color) / 255.0) ** 2.4))
+
+
+@pytest.mark.parametrize("color", [RED, GREEN, BLUE, ORANGE, VIOLET, GREY])
+def test_colours_read_on_the_dark_and_on_the_light_theme(color: tuple[int, int, int]) -> None:
+    dark, light = luminance((13, 16, 17)), 1.0
+    assert (luminance(color) + 0.05) / (dark + 0.05) > 2.2
+    assert (light + 0.05) / (luminance(color) + 0.05) > 2.2

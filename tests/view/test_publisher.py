@@ -1,0 +1,273 @@
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import psutil  # type: ignore[import-untyped]  # comes with rerun-sdk, without its stubs
+import pytest
+from PIL import Image
+from rerun.experimental import ViewerClient
+
+from imumon.view.frames import Batch
+from imumon.view.items import Log, Samples, State, Timebase, ViewSetup, item_bytes
+from imumon.view.layout import AXIS_COLORS
+from imumon.view.publisher import QUEUE_BYTES, History, ViewPublisher
+from imumon.view.viewer import Mode, proxy_url, quiet_environment, viewer_binary
+from tests.view.conftest import StartViewer
+from tests.view.streams import DEVICE_NS, GYRO, RATE_HZ, Stream, block, scalars
+
+CLOSE_S = 3.0
+
+Publish = Callable[[Mode, int], ViewPublisher]
+
+
+@pytest.fixture
+def publish(monkeypatch: pytest.MonkeyPatch) -> Iterator[Publish]:
+    """Start publishers on a machine without a display; all are closed in the end."""
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    started: list[ViewPublisher] = []
+
+    def start(mode: Mode, port: int) -> ViewPublisher:
+        publisher = ViewPublisher(mode, ViewSetup("synthetic AHRS", "live-1"), port=port, web_port=port + 1)
+        started.append(publisher)
+        return publisher.start()
+
+    yield start
+    for publisher in started:
+        publisher.close()
+
+
+def child() -> psutil.Process:
+    """Return the view process."""
+    processes = [
+        process
+        for process in psutil.Process().children()
+        if process.status() != psutil.STATUS_ZOMBIE and "imumon.view.child" in process.cmdline()
+    ]
+    (process,) = processes
+    return process
+
+
+def seen(port: int) -> dict[str, tuple[int, int]]:
+    """Return start and end of the timelines that the viewer shows; empty before it shows any."""
+    with ViewerClient.connect(f"rerun+http://127.0.0.1:{port}") as client:
+        recordings = client.get_state().recordings
+    lines = [line for recording in recordings for line in recording.timelines]
+    return {
+        line.name: (line.start, line.end) for line in lines if line.start is not None and line.end is not None
+    }
+
+
+def colours_in(image: Path, colours: tuple[tuple[int, int, int], ...]) -> list[int]:
+    """Return how many pixels of the image have each colour, nearly."""
+    pixels = np.asarray(Image.open(image).convert("RGB")).astype(int)
+    return [int((np.abs(pixels - np.array(colour)).max(axis=2) < 12).sum()) for colour in colours]
+
+
+@pytest.mark.viewer
+def test_viewer_shows_the_stream(publish: Publish, headless: StartViewer, port: int, tmp_path: Path) -> None:
+    headless(port)
+    publisher = publish("native", port)
+    stream = Stream(publisher.publish)
+    stream.run_until(lambda: publisher.state.connected, 20, "connected")
+    stream.run_until(lambda: "device_time" in seen(port), 20, "samples seen")
+    before = seen(port)
+    stream.run(2.0)
+    after = seen(port)
+    assert {"sample", "device_time", "host_time"} <= after.keys()
+    assert after["sample"][1] > before["sample"][1]
+    assert after["sample"][0] == 0
+    with ViewerClient.connect(f"rerun+http://127.0.0.1:{port}") as client:
+        views = {view.name: view for view in client.get_state().views}
+        assert [report for view in views.values() for report in view.reports] == []
+        names = {
+            "Angular rate [°/s]",
+            "Specific force [m/s²]",
+            "Magnetic field [µT]",
+            "Status",
+            "States",
+            "Log",
+        }
+        assert names <= views.keys()
+        client.save_screenshot(str(tmp_path / "gyro.png"), view_id=views["Angular rate [°/s]"].view_id)
+    assert min(colours_in(tmp_path / "gyro.png", AXIS_COLORS)) > 100
+
+
+@pytest.mark.viewer
+def test_restarted_viewer_gets_the_picture_back(publish: Publish, headless: StartViewer, port: int) -> None:
+    first = headless(port)
+    publisher = publish("native", port)
+    stream = Stream(publisher.publish)
+    stream.run_until(lambda: "sample" in seen(port), 20, "samples seen")
+    first.kill()
+    first.wait()
+    stream.run_until(lambda: not publisher.state.connected, 20, "noticed")
+    assert "brings it back" in publisher.state.text
+    headless(port)
+    stream.run_until(lambda: seen(port).get("sample", (1, 0))[0] == 0, 20, "what was before is shown again")
+    end = seen(port)["sample"][1]
+    stream.run_until(lambda: seen(port)["sample"][1] > end, 20, "it goes on")
+    assert publisher.state.restarts == 0
+    assert publisher.state.dropped == 0
+
+
+@pytest.mark.viewer
+def test_stopped_viewer_costs_nothing_and_gets_what_it_missed(
+    publish: Publish, headless: StartViewer, port: int
+) -> None:
+    viewer = headless(port)
+    publisher = publish("native", port)
+    stream = Stream(publisher.publish)
+    stream.run_until(lambda: "sample" in seen(port), 20, "samples seen")
+    viewer.send_signal(signal.SIGSTOP)
+    stream.run_until(lambda: publisher.state.text == "viewer does not respond", 20, "noticed")
+    resident = child().memory_info().rss
+    for _ in range(2000):
+        stream.send(50)
+    assert publisher.state.dropped == 0
+    assert child().memory_info().rss - resident < 64 << 20
+    viewer.send_signal(signal.SIGCONT)
+    stream.run_until(lambda: seen(port)["sample"][1] >= 100_000, 20, "what was missed is shown")
+    viewer.send_signal(signal.SIGSTOP)
+    started = time.monotonic()
+    publisher.close()
+    assert time.monotonic() - started < CLOSE_S
+
+
+@pytest.mark.viewer
+def test_second_reader_gets_exact_samples_from_the_viewers_stream(
+    publish: Publish, headless: StartViewer, port: int, tmp_path: Path
+) -> None:
+    headless(port)
+    publisher = publish("native", port)
+    _second_reader_gets_exact_samples(publisher, tmp_path / "captured.rrd")
+
+
+def test_second_reader_gets_exact_samples_from_the_web_stream(
+    publish: Publish, port: int, tmp_path: Path
+) -> None:
+    _second_reader_gets_exact_samples(publish("web", port), tmp_path / "captured.rrd")
+
+
+def _second_reader_gets_exact_samples(publisher: ViewPublisher, path: Path) -> None:
+    stream = Stream(publisher.publish)
+    stream.run_until(lambda: publisher.state.connected, 20, "connected")
+    command = [
+        str(viewer_binary()),
+        proxy_url(publisher.stream_port),
+        "--save",
+        str(path),
+        "--port=auto",
+        "--bind=127.0.0.1",
+    ]
+    reader = subprocess.Popen(
+        command, env=quiet_environment(), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
+    try:
+        stream.run_until(lambda: path.exists() and path.stat().st_size > 200_000, 20, "captured")
+    finally:
+        reader.kill()
+        reader.wait()
+    whole = path.with_name("whole.rrd")  # the reader was stopped anywhere, maybe within a message
+    repair = [str(viewer_binary()), "rrd", "optimize", str(path), "-o", str(whole)]
+    subprocess.run(repair, env=quiet_environment(), check=True, capture_output=True)
+    sample, device, _, gyro = scalars([whole], "/samples/gyro")
+    assert len(sample) > 100
+    np.testing.assert_array_equal(device - DEVICE_NS, sample * (1_000_000_000 // RATE_HZ))
+    np.testing.assert_array_equal(gyro, stream.column(GYRO)[sample])
+
+
+def test_killed_view_process_is_started_again_on_the_same_ports(publish: Publish, port: int) -> None:
+    publisher = publish("web", port)
+    stream = Stream(publisher.publish)
+    stream.run_until(lambda: publisher.state.connected, 20, "serving")
+    url, stream_port = publisher.url, publisher.stream_port
+    child().kill()
+    stream.run_until(lambda: publisher.state.restarts == 1, 20, "noticed")
+    stream.run_until(lambda: publisher.state.connected, 20, "serving again")
+    assert (publisher.url, publisher.stream_port) == (url, stream_port)
+
+
+def test_servers_listen_on_this_machine_only(publish: Publish, port: int) -> None:
+    publisher = publish("web", port)
+    Stream(publisher.publish).run_until(lambda: publisher.state.connected, 20, "serving")
+    listening = [one.laddr for one in child().net_connections() if one.status == psutil.CONN_LISTEN]
+    assert {address.ip for address in listening} == {"127.0.0.1"}
+    assert publisher.stream_port in {address.port for address in listening}
+
+
+def test_without_any_viewer_publishing_goes_on_and_the_state_says_why(publish: Publish, port: int) -> None:
+    publisher = publish("native", port)
+    stream = Stream(publisher.publish)
+    stream.run_until(lambda: "could not start" in publisher.state.text, 20, "noticed")
+    stream.run(0.5)
+    assert not publisher.state.connected
+    assert publisher.state.dropped == 0
+    started = time.monotonic()
+    publisher.close()
+    assert time.monotonic() - started < CLOSE_S
+
+
+def test_stopped_view_process_costs_bounded_memory_and_does_not_block_exit(
+    publish: Publish, port: int
+) -> None:
+    publisher = publish("web", port)
+    stream = Stream(publisher.publish)
+    stream.run_until(lambda: publisher.state.connected, 20, "serving")
+    os.kill(child().pid, signal.SIGSTOP)
+    large = Timebase().samples(block(0, 100_000))
+    for _ in range(2 * QUEUE_BYTES // item_bytes(large) + 20):
+        publisher.publish(large)
+    stream.run(0.5)
+    assert publisher.state.dropped > 0
+    started = time.monotonic()
+    publisher.close()
+    assert time.monotonic() - started < CLOSE_S
+
+
+def test_close_before_anything_was_published(publish: Publish, port: int) -> None:
+    publisher = publish("web", port)
+    publisher.close()
+    assert [one for one in psutil.Process().children() if "imumon.view.child" in one.cmdline()] == []
+
+
+def batches(count: int) -> list[Batch]:
+    timebase = Timebase()
+    return [Batch(k, [timebase.samples(block(10 * k, 10))]) for k in range(count)]
+
+
+def test_history_is_bounded_in_bytes_and_time() -> None:
+    parts = batches(20)
+    size = sum(map(item_bytes, parts[0].items))
+    by_bytes, by_time = History(5 * size, 1e9), History(1 << 30, 2.5)
+    for second, part in enumerate(parts):
+        by_bytes.add(part, second)
+        by_time.add(part, second)
+    for history, kept in ((by_bytes, 5), (by_time, 3)):
+        (item,) = history.after(-1)
+        assert isinstance(item, Samples)
+        assert (item.first, item.rows) == (200 - 10 * kept, 10 * kept)
+
+
+def test_history_gives_only_what_came_after() -> None:
+    history = History(1 << 30, 1e9)
+    for part in batches(6):
+        history.add(part, 0.0)
+    (item,) = history.after(3)
+    assert isinstance(item, Samples)
+    assert (item.first, item.rows) == (40, 20)
+
+
+def test_history_keeps_the_latest_states_for_ever() -> None:
+    history = History(1 << 30, 1.0)
+    at = Timebase().at(0)
+    lost = State(at, "port", "lost")
+    history.add(Batch(1, [State(at, "port", "open"), Log(at, "gone"), lost]), 0.0)
+    history.add(Batch(2, [Log(at, "new")]), 100.0)
+    assert history.after(-1) == [lost, Log(at, "new")]

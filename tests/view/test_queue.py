@@ -1,0 +1,72 @@
+from __future__ import annotations
+
+import threading
+import time
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from imumon.view.items import Log, Samples, State, Status, Timebase, ViewItem, item_bytes
+from imumon.view.queue import DropOldestQueue
+from tests.view.streams import block
+
+
+def samples(count: int) -> list[Samples]:
+    timebase = Timebase()
+    return [timebase.samples(block(10 * k, 10)) for k in range(count)]
+
+
+@settings(max_examples=50, deadline=None)
+@given(count=st.integers(1, 40), room=st.integers(1, 20))
+def test_newest_survive_and_the_rest_are_counted(count: int, room: int) -> None:
+    items = samples(count)
+    queue = DropOldestQueue(room * item_bytes(items[0]))
+    for item in items:
+        queue.put(item)
+    kept = queue.take(0.0, 0.0)
+    assert kept == items[-room:]
+    assert queue.dropped == 10 * max(0, count - room)
+
+
+def test_latest_state_and_status_outlive_their_place() -> None:
+    items = samples(5)
+    at = Timebase().at(0)
+    queue = DropOldestQueue(2 * item_bytes(items[0]))
+    lasting: list[ViewItem] = [
+        State(at, "port", "opening"),
+        State(at, "port", "lost"),
+        Status(at, {"a": "1"}),
+    ]
+    for item in [*lasting, Log(at, "gone"), *items]:
+        queue.put(item)
+    assert queue.take(0.0, 0.0) == [*lasting[1:], *items[-2:]]
+    assert queue.dropped == 31
+
+
+def test_an_item_larger_than_the_queue_is_dropped_and_counted() -> None:
+    item = samples(1)[0]
+    queue = DropOldestQueue(item_bytes(item) - 1)
+    queue.put(item)
+    assert queue.take(0.0, 0.0) == []
+    assert queue.dropped == 10
+
+
+def test_take_waits_for_the_first_item() -> None:
+    queue = DropOldestQueue(1 << 20)
+    item = samples(1)[0]
+    timer = threading.Timer(0.05, queue.put, [item])
+    timer.start()
+    assert queue.take(0.0, 10.0) == [item]
+    timer.join()
+
+
+def test_close_ends_waiting_and_gathering() -> None:
+    queue = DropOldestQueue(1 << 20)
+    queue.put(samples(1)[0])
+    timer = threading.Timer(0.05, queue.close)
+    timer.start()
+    started = time.monotonic()
+    assert len(queue.take(60.0, 60.0)) == 1
+    assert queue.take(60.0, 60.0) == []
+    timer.join()
+    assert time.monotonic() - started < 30.0

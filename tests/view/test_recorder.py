@@ -1,0 +1,129 @@
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import textwrap
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rerun.chunk import RrdReader
+
+from imumon.errors import ImumonError, Reason
+from imumon.view.items import Status, Timebase, ViewSetup
+from imumon.view.recorder import ViewRecorder
+from imumon.view.viewer import quiet_environment, viewer_binary
+from tests.view.streams import GYRO, RATE_HZ, Stream, block, entities, scalars
+
+SETUP = ViewSetup("test", "recording-1", properties={"device": "synthetic"})
+
+
+def rerun(*arguments: str) -> None:
+    """Run the viewer's command line and fail when it does."""
+    done = subprocess.run(
+        [viewer_binary(), *arguments], env=quiet_environment(), capture_output=True, check=False
+    )
+    assert done.returncode == 0, done.stderr.decode()
+
+
+def test_samples_come_back_bit_for_bit(tmp_path: Path) -> None:
+    recorder = ViewRecorder(tmp_path / "view.rrd", SETUP)
+    stream = Stream(recorder.publish)
+    for _ in range(20):
+        stream.send(25)
+    recorder.close()
+    assert recorder.files == [tmp_path / "view.rrd"]
+    assert recorder.dropped == 0
+    sample, device, host, gyro = scalars(recorder.files, "/samples/gyro")
+    np.testing.assert_array_equal(sample, np.arange(500))
+    np.testing.assert_array_equal(device, block(0, 500)["device_time_ns"])
+    np.testing.assert_array_equal(host, block(0, 500)["host_time_ns"])
+    np.testing.assert_array_equal(gyro, stream.column(GYRO))
+    rerun("rrd", "verify", str(tmp_path / "view.rrd"))
+
+
+def test_segments_open_as_one_and_each_alone(tmp_path: Path) -> None:
+    recorder = ViewRecorder(tmp_path / "view.rrd", SETUP, segment_s=10.0)
+    stream = Stream(recorder.publish)
+    for _ in range(35):
+        stream.send(RATE_HZ)
+    recorder.close()
+    names = ["view.rrd", "view.0001.rrd", "view.0002.rrd", "view.0003.rrd"]
+    assert [path.name for path in recorder.files] == names
+    np.testing.assert_array_equal(scalars(recorder.files, "/samples/gyro")[0], np.arange(3500))
+    whole = tmp_path / "whole.rrd"
+    rerun("rrd", "merge", *map(str, recorder.files), "-o", str(whole))
+    (store,) = RrdReader(str(whole)).recordings()
+    assert (store.application_id, store.recording_id) == ("imumon", "recording-1")
+    np.testing.assert_array_equal(scalars([whole], "/samples/gyro")[3], stream.column(GYRO))
+    for path in recorder.files:
+        rerun("rrd", "verify", str(path))
+        assert {"/state/port", "/status", "/attitude/body/housing"} <= entities(path)
+        assert RrdReader(str(path)).blueprints()
+
+
+def test_segments_end_where_the_data_says_however_it_was_queued(tmp_path: Path) -> None:
+    for n in (7, 350, 1300):
+        folder = tmp_path / str(n)
+        folder.mkdir()
+        recorder = ViewRecorder(folder / "view.rrd", SETUP, segment_s=5.0)
+        stream = Stream(recorder.publish)
+        while stream.sent < 1300:
+            stream.send(min(n, 1300 - stream.sent))
+        recorder.close()
+        rows = [len(scalars([path], "/samples/gyro")[0]) for path in recorder.files]
+        assert rows == [500, 500, 300]
+
+
+def test_an_idle_session_is_segmented_as_well(tmp_path: Path) -> None:
+    recorder = ViewRecorder(tmp_path / "view.rrd", SETUP, segment_s=10.0)
+    timebase = Timebase()
+    recorder.publish(timebase.samples(block(0, 10)))
+    last = timebase.at().host_ns
+    assert last is not None
+    for second in range(25):
+        recorder.publish(Status(timebase.at(last + second * 1_000_000_000), {"Waiting": f"{second} s"}))
+    recorder.close()
+    assert len(recorder.files) == 3
+
+
+def test_killed_process_leaves_a_readable_file(tmp_path: Path) -> None:
+    script = """
+        import os, signal, sys, time
+        from pathlib import Path
+        from imumon.view.items import ViewSetup
+        from imumon.view.recorder import ViewRecorder
+        from tests.view.streams import Stream
+        path = Path(sys.argv[1])
+        recorder = ViewRecorder(path, ViewSetup("test", "killed"))
+        stream = Stream(recorder.publish)
+        for _ in range(10):
+            stream.send(50)
+        size = path.stat().st_size
+        while path.stat().st_size < size + 50_000:
+            time.sleep(0.02)
+        os.kill(os.getpid(), signal.SIGKILL)
+    """
+    path = tmp_path / "view.rrd"
+    root = Path(__file__).parents[2]
+    done = subprocess.run([sys.executable, "-c", textwrap.dedent(script), str(path)], cwd=root, check=False)
+    assert done.returncode == -signal.SIGKILL
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # rerun says that the footer is missing, as it must be
+        sample, *_ = scalars([path], "/samples/gyro")
+    np.testing.assert_array_equal(sample, np.arange(500))
+
+
+def test_existing_recording_is_not_overwritten(tmp_path: Path) -> None:
+    (tmp_path / "view.rrd").write_bytes(b"precious")
+    with pytest.raises(ImumonError) as caught:
+        ViewRecorder(tmp_path / "view.rrd", SETUP)
+    assert caught.value.reason is Reason.EXISTS
+    assert (tmp_path / "view.rrd").read_bytes() == b"precious"
+
+
+def test_missing_folder_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ImumonError, match="nowhere"):
+        ViewRecorder(tmp_path / "nowhere" / "view.rrd", SETUP)
