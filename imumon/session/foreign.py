@@ -21,7 +21,7 @@ import pyarrow.parquet as pq
 from imumon.blocks import FloatArray, IntArray
 from imumon.errors import ImumonError, Reason
 from imumon.session.map import TIMESTAMPS, TextFormat, TimeColumn
-from imumon.session.units import nanoseconds_per
+from imumon.session.units import parse_unit
 
 ROWS_PER_PART = 20_000
 CONTROL_SHARE = 0.05
@@ -111,7 +111,8 @@ def time_parser(unit: str) -> ParseTime:
     """
     if unit == TIMESTAMPS:
         return _parse_timestamp
-    scale = nanoseconds_per(unit)
+    factor = parse_unit(unit, "ns").factor
+    scale = Decimal(factor.numerator) / Decimal(factor.denominator)
 
     def parse(text: str) -> int:
         try:
@@ -326,7 +327,7 @@ def _read_parquet(path: Path, columns: Sequence[str], time: TimeColumn | None) -
     wanted = list(dict.fromkeys([*columns, *([time.column] if time is not None else [])]))
     first_row = 0
     try:
-        with pq.ParquetFile(path) as file:
+        with pq.ParquetFile(path, pre_buffer=False) as file:
             for batch in file.iter_batches(batch_size=ROWS_PER_PART, columns=wanted):
                 part = _parse_batch(path, batch, columns, time, first_row)
                 first_row += part.rows_in

@@ -11,7 +11,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, NonNegativeInt, mod
 
 from imumon.columns import KNOWN
 from imumon.config import StrictModel
-from imumon.session.units import Unit, nanoseconds_per, parse_unit
+from imumon.session.units import Unit, parse_unit
 
 TIMESTAMPS = "iso8601"
 """In place of a unit of time: the column holds dates with times."""
@@ -29,7 +29,7 @@ def _check_unit(text: str, targets: tuple[str, ...]) -> str:
 
 def _check_time_unit(text: str) -> str:
     if text != TIMESTAMPS:
-        nanoseconds_per(text)
+        parse_unit(text, "ns")
     return text
 
 

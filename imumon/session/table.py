@@ -7,7 +7,7 @@ header, so that every program reads it, and the units in a second file beside it
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
@@ -68,6 +68,11 @@ class TableWriter:
         self._names: list[str] = []
         self._parts: list[Path] = []
         self._part: Any = None
+
+    def announce(self, columns: Iterable[Column]) -> None:
+        """Say that these columns may come from now on, those that are new behind the others."""
+        for column in columns:
+            self._columns.setdefault(column.name, column)
 
     def write(self, block: SampleBlock) -> None:
         """Append the samples of a block.
@@ -174,7 +179,10 @@ class TableWriter:
 
 
 def export_blocks(
-    blocks: Iterable[SampleBlock], out: Path, columns: Sequence[str] | None, known: Mapping[str, Column]
+    blocks: Iterable[SampleBlock],
+    out: Path,
+    columns: Sequence[str] | None,
+    known: Callable[[], Iterable[Column]],
 ) -> int:
     """Write blocks to a table and return the number of rows.
 
@@ -182,8 +190,8 @@ def export_blocks(
     ----------
     columns : sequence of str, or None
         The columns to write, in this order; None for all that come.
-    known : mapping of str to Column
-        Unit and type of every column that may come.
+    known : callable
+        Returns unit and type of every column that has come so far; a device may begin to send more.
 
     Raises
     ------
@@ -191,21 +199,22 @@ def export_blocks(
         BAD_CONFIG when a column that was asked for is not there, naming those that are; BAD_DATA when
         there is no sample; in both cases nothing is written.
     """
-    wanted = None if columns is None else set(columns)
-    chosen = dict(known) if columns is None else {name: known[name] for name in columns if name in known}
-    seen: set[str] = set()
-    with TableWriter(out, chosen) as writer:
+    seen: dict[str, None] = {}
+    with TableWriter(out, {}) as writer:
         for block in blocks:
-            seen.update(block.columns)
-            if wanted is not None:
-                block = SampleBlock({name: block[name] for name in block.columns if name in chosen})
-            writer.write(block)
+            if not len(block):
+                continue
+            seen.update(dict.fromkeys(block.columns))
+            at_hand = {column.name: column for column in known()}
+            names = block.columns if columns is None else [name for name in columns if name in block]
+            writer.announce(at_hand[name] for name in columns or at_hand if name in block)
+            writer.write(SampleBlock({name: block[name] for name in names}))
         absent = [name for name in columns or () if name not in seen]
         if absent and seen:
             raise ImumonError(
                 Reason.BAD_CONFIG,
                 f"no column {', '.join(absent)} in these samples",
-                f"there are: {', '.join(name for name in known if name in seen)}",
+                f"there are: {', '.join(seen)}",
             )
         if not writer.rows:
             raise ImumonError(Reason.BAD_DATA, "there are no samples, so there is no table to write")
@@ -380,7 +389,7 @@ def _from_arrow(batch: Any, schema: Any) -> SampleBlock:
 def _batches(path: Path, schema: Any, rows: int) -> Iterator[Any]:
     """Yield record batches of a table file."""
     if path.suffix == ".parquet":
-        with pq.ParquetFile(path) as file:
+        with pq.ParquetFile(path, pre_buffer=False) as file:
             yield from file.iter_batches(batch_size=rows)
         return
     options = pa_csv.ConvertOptions(
@@ -393,7 +402,7 @@ def _batches(path: Path, schema: Any, rows: int) -> Iterator[Any]:
 def _merged(parts: Sequence[Path], schema: Any) -> Iterator[Any]:
     """Yield tables of this schema from parts that have some of its columns each."""
     for part in parts:
-        with pq.ParquetFile(part) as file:
+        with pq.ParquetFile(part, pre_buffer=False) as file:
             for batch in file.iter_batches(batch_size=READ_ROWS):
                 arrays = [
                     batch.column(field.name)

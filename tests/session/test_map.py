@@ -45,8 +45,12 @@ def test_three_temperatures_and_three_angles() -> None:
 @pytest.mark.parametrize(
     ("old", "new", "error"),
     [
-        ("unit: deg/s", "unit: deg", r"map.yaml:2: gyro.unit: unit 'deg' does not measure the same as rad/s"),
-        ("  unit: g", "  unit: gram", r"map.yaml:5: accel.unit: unit 'gram' does not measure the same as"),
+        (
+            "unit: deg/s",
+            "unit: deg",
+            r"map.yaml:2: gyro.unit: unit 'deg' does not measure what 'rad/s' measures",
+        ),
+        ("  unit: g", "  unit: gram", r"map.yaml:5: accel.unit: unit 'gram' does not measure what"),
         ("unit: degC", "unit: xyzzy", r"map.yaml:7: temperature.unit: unit 'xyzzy' is not known"),
         ("unit: s", "unit: m", r"map.yaml:1: time.unit: unit 'm' does not measure"),
         ("[gx, gy, gz]", "[gx, gy]", r"map.yaml:2: gyro.columns: .* at least 3 items"),

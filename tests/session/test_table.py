@@ -153,23 +153,23 @@ def test_a_table_is_read_in_blocks_of_any_size(tmp_path: Path, suffix: str, rows
 
 def test_only_the_columns_that_were_asked_for_are_exported_in_that_order(tmp_path: Path) -> None:
     blocks = [block(0, 5, "gyro_x"), block(5, 9, "gyro_x", "latitude")]
-    assert export_blocks(blocks, tmp_path / "t.csv", ["latitude", "device_time_ns"], KNOWN) == 9
+    assert export_blocks(blocks, tmp_path / "t.csv", ["latitude", "device_time_ns"], KNOWN.values) == 9
     assert (tmp_path / "t.csv").read_text().splitlines()[:2] == ["latitude,device_time_ns", ",0"]
-    assert export_blocks(blocks, tmp_path / "u.csv", None, KNOWN) == 9
+    assert export_blocks(blocks, tmp_path / "u.csv", None, KNOWN.values) == 9
     assert (tmp_path / "u.csv").read_text().startswith("device_time_ns,gyro_x,latitude\n")
 
 
 @pytest.mark.parametrize("name", ["gyro_y", "nonsense"])
 def test_a_column_that_is_not_there_is_refused_with_those_that_are(tmp_path: Path, name: str) -> None:
     with pytest.raises(ImumonError, match=f"no column {name}.*\n.*device_time_ns, gyro_x") as caught:
-        export_blocks([block(0, 5, "gyro_x")], tmp_path / "t.csv", ["gyro_x", name], KNOWN)
+        export_blocks([block(0, 5, "gyro_x")], tmp_path / "t.csv", ["gyro_x", name], KNOWN.values)
     assert caught.value.reason is Reason.BAD_CONFIG
     assert not list(tmp_path.iterdir())
 
 
 def test_no_samples_make_no_table(tmp_path: Path) -> None:
     with pytest.raises(ImumonError, match="no samples") as caught:
-        export_blocks([], tmp_path / "t.csv", None, KNOWN)
+        export_blocks([], tmp_path / "t.csv", None, KNOWN.values)
     assert caught.value.reason is Reason.BAD_DATA
     assert not list(tmp_path.iterdir())
 
