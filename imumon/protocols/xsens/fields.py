@@ -10,11 +10,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import pi
 
-import numpy as np
-
-from imumon.blocks import NO_INT, ColumnArray, FloatArray
 from imumon.columns import KNOWN, Column
-from imumon.protocols.tagged import Columns, Derived, Field, Value
+from imumon.protocols.tagged import Field, Value
+from imumon.protocols.tagged_columns import (
+    MATRIX,
+    QUATERNION,
+    QUATERNION_OF_MATRIX,
+    count,
+    date,
+    known,
+    number,
+    utc_time,
+    vector,
+)
 
 DEGREE = pi / 180
 
@@ -30,41 +38,10 @@ FRAMES = {"ENU": 0x0, "NED": 0x4, "NWU": 0x8}
 """Reference frames of orientation, velocity and free acceleration, by their bits in the identifier."""
 
 
-def number(name: str, unit: str, description: str) -> Column:
-    """Make a float64 column."""
-    return Column(name, unit, "float64", description)
-
-
-def count(name: str, description: str, unit: str = "1") -> Column:
-    """Make an int64 column."""
-    return Column(name, unit, "int64", description)
-
-
-def vector(name: str, unit: str, description: str, axes: str = "xyz") -> tuple[Column, ...]:
-    """Make a float64 column for each axis."""
-    return tuple(number(f"{name}_{axis}", unit, f"{description}, {axis}") for axis in axes)
-
-
-def known(*names: str) -> tuple[Column, ...]:
-    """Look up canonical columns."""
-    return tuple(KNOWN[name] for name in names)
-
-
-def date(prefix: str) -> tuple[Column, ...]:
-    """Columns, not shown, of a calendar date; `utc_time` makes a time of them."""
-    return tuple(count(f"_{prefix}{part}", part) for part in DATE_PARTS)
-
-
-DATE_PARTS = ("nanosecond", "year", "month", "day", "hour", "minute", "second")
-
 GYRO = known("gyro_x", "gyro_y", "gyro_z")
 ACCEL = known("accel_x", "accel_y", "accel_z")
 MAG = vector("mag", "1", "magnetic field, 1 at the place of calibration (the device has no unit)")
-QUATERNION = known("q_w", "q_x", "q_y", "q_z")
 EULER = known("roll", "pitch", "yaw")
-MATRIX = tuple(
-    number(f"_matrix_{i}{j}", "1", "rotation matrix, reference to body") for i in "123" for j in "123"
-)
 TEMPERATURE = known("temperature")
 VELOCITY = vector("velocity", "m/s", "velocity in the reference frame")
 NANO, YEAR, MONTH, DAY, HOUR, MINUTE, SECOND = date("utc_")
@@ -295,84 +272,12 @@ MTDATA2_FIELDS: tuple[Field, ...] = tuple(field for item in IDENTIFIERS for fiel
 """Every field that an MTData2 message may carry, with its format bits."""
 
 
-def _utc_to_parts(columns: Columns, name: str) -> list[ColumnArray]:
-    """Split a Unix time in ns into nanosecond, year, month, day, hour, minute, second."""
-    time = columns[name]
-    moment = np.where(time == NO_INT, 0, time).astype("datetime64[ns]")
-    days, months, years = (moment.astype(f"datetime64[{unit}]") for unit in "DMY")
-    seconds = moment.astype("datetime64[s]")
-    second_of_day = (seconds - days).astype(np.int64)
-    parts = [
-        (moment - seconds).astype(np.int64),
-        years.astype(np.int64) + 1970,
-        (months - years).astype(np.int64) + 1,
-        (days - months).astype(np.int64) + 1,
-        second_of_day // 3600,
-        second_of_day // 60 % 60,
-        second_of_day % 60,
-    ]
-    return [np.where(time == NO_INT, NO_INT, part) for part in parts]
-
-
-def _parts_to_utc(columns: Columns, prefix: str) -> list[ColumnArray]:
-    """Make a Unix time in ns of a date; an impossible date (all zero before the first fix) is missing."""
-    nano, year, month, day, hour, minute, second = (columns[f"_{prefix}{part}"] for part in DATE_PARTS)
-    good = (year > 1900) & (year < 2262) & (month >= 1) & (month <= 12) & (day >= 1) & (day <= 31)
-    months = np.where(good, (year - 1970) * 12 + month - 1, 0)
-    days = months.astype("datetime64[M]").astype("datetime64[D]").astype(np.int64) + np.where(
-        good, day - 1, 0
-    )
-    seconds = days * 86_400 + np.where(good, hour * 3600 + minute * 60 + second, 0)
-    return [np.where(good, seconds * 1_000_000_000 + np.where(good, nano, 0), NO_INT)]
-
-
-def utc_time(prefix: str, description: str) -> Derived:
-    """Derive ``<prefix>time_ns`` from the columns of `date`."""
-    name = f"{prefix}time_ns"
-    return Derived(
-        tuple(f"_{prefix}{part}" for part in DATE_PARTS),
-        (count(name, description, "ns"),),
-        lambda columns: _parts_to_utc(columns, prefix),
-        lambda columns: _utc_to_parts(columns, name),
-    )
-
-
-def _matrix_to_quaternion(columns: Columns) -> list[ColumnArray]:
-    """Convert the matrix reference to body, row by row, to the quaternion body to reference.
-
-    Shepperd (1978): of four formulas the one with the largest divisor.  The scalar part is not negative.
-    """
-    a, b, c, d, e, f, g, h, i = (np.asarray(columns[column.name], np.float64) for column in MATRIX)
-    squares = np.stack([1 + a + e + i, 1 + a - e - i, 1 - a + e - i, 1 - a - e + i])
-    products = [[squares[0], f - h, g - c, b - d], [f - h, squares[1], b + d, c + g],
-                [g - c, b + d, squares[2], f + h], [b - d, c + g, f + h, squares[3]]]  # fmt: skip
-    best = np.argmax(np.nan_to_num(squares), axis=0)
-    scaled = np.stack([np.choose(best, [row[k] for row in products]) for k in range(4)])
-    with np.errstate(all="ignore"):  # what is not a rotation becomes NaN
-        quaternion = scaled / (2 * np.sqrt(np.max(squares, axis=0)))
-    quaternion = np.where(np.isfinite(quaternion).all(axis=0), quaternion, np.nan)
-    quaternion = np.where(quaternion[0] < 0, -quaternion, quaternion)
-    return list(quaternion)
-
-
-def _quaternion_to_matrix(columns: Columns) -> list[ColumnArray]:
-    """Convert the quaternion body to reference to the matrix reference to body, row by row."""
-    w, x, y, z = (np.asarray(columns[column.name], np.float64) for column in QUATERNION)
-    rows: list[FloatArray] = [
-        1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y),
-        2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x),
-        2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y),
-    ]  # fmt: skip
-    return list(rows)
-
-
-QUATERNION_OF_MATRIX = Derived(
-    tuple(column.name for column in MATRIX), QUATERNION, _matrix_to_quaternion, _quaternion_to_matrix
-)
-
 DERIVED = (
-    utc_time("utc_", "Unix time (UTC) as the device reports it"),
-    utc_time("gnss_utc_", "Unix time (UTC) of the GNSS receiver's data"),
+    utc_time("utc_", count("utc_time_ns", "Unix time (UTC) as the device reports it", "ns")),
+    utc_time("gnss_utc_", count("gnss_utc_time_ns", "Unix time (UTC) of the GNSS receiver's data", "ns")),
     QUATERNION_OF_MATRIX,
 )
 """Columns of MTData2 and MTData that are computed from what is sent."""
+
+DEVICE_TICKS_OF_UTC = utc_time("utc_", KNOWN["device_ticks"])
+"""The clock of a legacy device that sends no other time."""

@@ -1,0 +1,385 @@
+"""MicroStrain MIP (3DM-GX3 to GX5, CV5, CV7, GQ7, GV7): packets of one descriptor set, each a list of fields.
+
+Facts from the data communications protocols of the devices and the public definitions of the vendor's SDK.
+Each data packet becomes a row.  A device may send the fields of one instant in several packets; they are not
+merged, because only those that carry a time can be told to belong together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from fractions import Fraction
+from typing import Literal
+
+import numpy as np
+
+from imumon.blocks import NO_INT, ColumnArray
+from imumon.columns import KNOWN, Column
+from imumon.errors import ImumonError, Reason
+from imumon.protocols.base import Timing
+from imumon.protocols.device import DeviceFile
+from imumon.protocols.tagged import Columns, Derived, Field, FieldTable, TaggedDecoder, Value
+from imumon.protocols.tagged_columns import (
+    MATRIX,
+    QUATERNION,
+    QUATERNION_OF_MATRIX,
+    count,
+    known,
+    number,
+    vector,
+)
+from imumon.protocols.tagged_encoder import TaggedEncoder
+from imumon.protocols.tagged_kernel import COUNTED, LIST, MIP
+
+GRAVITY = 9.80665
+GAUSS = 100.0
+"""Gauss in µT."""
+MILLIBAR = 100.0
+"""Millibar in Pa."""
+WEEK_NS = 7 * 86_400 * 10**9
+
+SENSOR, FILTER, SYSTEM = 0x80, 0x82, 0xA0
+GNSS = {0x81: "gnss", 0x91: "gnss1", 0x92: "gnss2", 0x93: "gnss3", 0x94: "gnss4", 0x95: "gnss5"}
+"""Descriptor sets of receivers, and how their columns begin."""
+
+SET_NAMES = {
+    0x01: "base commands",
+    0x0C: "3DM commands",
+    0x0D: "filter commands",
+    0x0E: "GNSS commands",
+    0x0F: "RTK commands",
+    0x13: "aiding commands",
+    0x7F: "system commands",
+    SENSOR: "sensor data",
+    FILTER: "filter data",
+    SYSTEM: "system data",
+    **{code: f"{prefix.upper()} data" for code, prefix in GNSS.items()},
+}
+"""Names of the descriptor sets."""
+
+ROLES = {
+    **dict.fromkeys(range(0x80, 0x100), COUNTED),
+    **dict.fromkeys((SENSOR, FILTER, *GNSS), LIST),
+}
+"""Data sets without fields for a row are counted; commands and replies are messages."""
+
+ERRORS = {1: "unknown command", 2: "invalid checksum", 3: "invalid parameter", 4: "failed", 5: "timed out"}
+"""Codes of an acknowledgement that is none."""
+
+Attitude = Literal["filter", "imu"]
+Clock = Literal["reference", "gps"]
+
+
+def _floats(columns: Iterable[Column], factor: float = 1.0) -> tuple[Value, ...]:
+    return tuple(Value(column, "f32", factor) for column in columns)
+
+
+def _doubles(columns: Iterable[Column]) -> tuple[Value, ...]:
+    return tuple(Value(column, "f64") for column in columns)
+
+
+def _count(name: str, description: str, kind: str, unit: str = "1") -> Value:
+    return Value(count(name, description, unit), kind)
+
+
+def _valid(name: str) -> Value:
+    return _count(f"{name}_valid", f"validity of {name.replace('_', ' ')}", "u16")
+
+
+_GPS_TIME = (
+    Value(number("gps_time_of_week", "s", "GPS time of week"), "f64"),
+    _count("gps_week", "GPS week", "u16"),
+    _valid("gps_time"),
+)
+
+
+def _shared(descriptor_set: int, clock: Clock) -> list[Field]:
+    """Return the fields that every data set may carry."""
+    reference = (
+        KNOWN["device_ticks"] if clock == "reference" else count("reference_time", "device clock", "ns")
+    )
+    table: tuple[tuple[int, str, tuple[Value, ...]], ...] = (
+        (0xD5, "ReferenceTime", (Value(reference, "u64"),)),
+        (0xD3, "GpsTime", _GPS_TIME),
+        (
+            0xD7,
+            "ExternalTime",
+            (_count("external_time", "external clock", "u64", "ns"), _valid("external_time")),
+        ),
+        (0xD0, "EventSource", (_count("event_source", "trigger of the packet; 0: none", "u8"),)),
+        (0xD1, "Ticks", (_count("base_ticks", "base periods since power-up", "u32"),)),
+        (0xD2, "DeltaTicks", (_count("delta_base_ticks", "base periods since the last packet", "u32"),)),
+        (0xD4, "DeltaTime", _doubles((number("delta_time", "s", "external time since the last packet"),))),
+        (0xD6, "ReferenceTimeDelta", (_count("delta_reference_time", "since the last packet", "u64", "ns"),)),
+        (
+            0xD8,
+            "ExternalTimeDelta",
+            (
+                _count("delta_external_time", "since the last packet", "u64", "ns"),
+                _valid("delta_external_time"),
+            ),
+        ),
+    )
+    return [Field(descriptor_set << 8 | code, name, values) for code, name, values in table]
+
+
+def _sensor_fields(attitude: Attitude) -> list[Field]:
+    own = attitude == "imu"
+    quaternion = QUATERNION if own else vector("imu_q", "1", "attitude of the complementary filter", "wxyz")
+    euler = _euler("" if own else "imu_")
+    temperature = number("temperature", "degC", "mean sensor temperature")
+    table: tuple[tuple[int, str, tuple[Value, ...]], ...] = (
+        (0x05, "ScaledGyro", _floats(known("gyro_x", "gyro_y", "gyro_z"))),
+        (0x04, "ScaledAccel", _floats(known("accel_x", "accel_y", "accel_z"), GRAVITY)),
+        (0x06, "ScaledMag", _floats(known("mag_x", "mag_y", "mag_z"), GAUSS)),
+        (
+            0x14,
+            "Temperature",
+            _floats(
+                (
+                    number("temperature_min", "degC", "lowest sensor temperature"),
+                    number("temperature_max", "degC", "highest sensor temperature"),
+                    temperature,
+                )
+            ),
+        ),
+        (0x17, "ScaledPressure", (Value(KNOWN["pressure"], "f32", MILLIBAR),)),
+        (0x0A, "ImuQuaternion", _floats(quaternion)),
+        (0x0C, "ImuEuler", _floats(euler)),
+        (0x09, "ImuMatrix", _floats(MATRIX) if own else ()),
+        (0x07, "DeltaTheta", _floats(vector("delta_theta", "rad", "rotation over the sample"))),
+        (0x08, "DeltaVelocity", _floats(vector("delta_velocity", "m/s", "velocity increment"), GRAVITY)),
+        (0x10, "NorthVector", _floats(vector("north", "uT", "magnetic north in the body"), GAUSS)),
+        (0x11, "UpVector", _floats(vector("up", "m/s^2", "vertical in the body"), GRAVITY)),
+        (0x12, "SensorGpsTime", _GPS_TIME),
+        (0x18, "Overrange", (_count("overrange", "sensors out of range, bits", "u16"),)),
+        (
+            0x40,
+            "Odometer",
+            (
+                Value(number("odometer_speed", "m/s", "speed of the odometer"), "f32"),
+                Value(number("odometer_accuracy", "m/s", "accuracy of that speed"), "f32"),
+                _valid("odometer"),
+            ),
+        ),
+        (0x01, "RawAccel", _floats(vector("raw_accel", "1", "accelerometer, raw counts"))),
+        (0x02, "RawGyro", _floats(vector("raw_gyro", "1", "gyroscope, raw counts"))),
+        (0x03, "RawMag", _floats(vector("raw_mag", "1", "magnetometer, raw counts"))),
+        (0x16, "RawPressure", _floats((number("raw_pressure", "1", "pressure, raw counts"),))),
+        (0x0B, "ImuUpdateMatrix", ()),
+        (0x0D, "RawTemperature", ()),
+        (0x0E, "InternalTimestamp", (_count("internal_timestamp", "internal clock of old devices", "u32"),)),
+        (
+            0x0F,
+            "PpsTimestamp",
+            (_count("pps_seconds", "time since the last pulse, s", "u32", "s"),
+             _count("pps_microseconds", "and us", "u32", "us")),
+        ),
+    )  # fmt: skip
+    return [Field(SENSOR << 8 | code, name, values) for code, name, values in table]
+
+
+def _euler(prefix: str) -> tuple[Column, ...]:
+    if not prefix:
+        return known("roll", "pitch", "yaw")
+    return tuple(
+        number(f"{prefix}{angle}", "rad", f"{angle} of another filter") for angle in ("roll", "pitch", "yaw")
+    )
+
+
+_FILTER_VECTORS = (
+    (0x06, "GyroBias", "gyro_bias", "rad/s", "estimated gyroscope bias"),
+    (0x07, "AccelBias", "accel_bias", "m/s^2", "estimated accelerometer bias"),
+    (0x08, "PositionSigma", "position_sigma", "m", "position uncertainty north, east, down"),
+    (0x09, "VelocitySigma", "velocity_sigma", "m/s", "velocity uncertainty north, east, down"),
+    (0x0A, "EulerSigma", "euler_sigma", "rad", "uncertainty of roll, pitch, yaw"),
+    (0x0B, "GyroBiasSigma", "gyro_bias_sigma", "rad/s", "uncertainty of the gyroscope bias"),
+    (0x0C, "AccelBiasSigma", "accel_bias_sigma", "m/s^2", "uncertainty of the accelerometer bias"),
+    (0x0D, "LinearAcceleration", "free_accel", "m/s^2", "acceleration without gravity"),
+    (0x0E, "CompensatedRate", "gyro_compensated", "rad/s", "angular rate less the estimated bias"),
+    (0x13, "GravityVector", "gravity", "m/s^2", "gravity in the body"),
+    (0x1C, "CompensatedAcceleration", "accel_compensated", "m/s^2", "specific force less the estimated bias"),
+)
+
+
+def _filter_fields(attitude: Attitude) -> list[Field]:
+    own = attitude == "filter"
+    quaternion = QUATERNION if own else vector("filter_q", "1", "attitude of the filter", "wxyz")
+    table: tuple[tuple[int, str, tuple[Value, ...]], ...] = (
+        (0x03, "Quaternion", (*_floats(quaternion), _valid("attitude"))),
+        (0x05, "Euler", (*_floats(_euler("" if own else "filter_")), _valid("attitude"))),
+        (0x04, "Matrix", (*_floats(MATRIX), _valid("attitude")) if own else ()),
+        (0x01, "Position", (*_doubles(known("latitude", "longitude", "altitude")), _valid("position"))),
+        (
+            0x02,
+            "Velocity",
+            (*_floats(vector("velocity", "m/s", "velocity north, east, down")), _valid("velocity")),
+        ),
+        (0x11, "FilterGpsTime", _GPS_TIME),
+        (
+            0x10,
+            "FilterStatus",
+            (
+                _count("filter_state", "state of the filter", "u16"),
+                _count("filter_dynamics", "dynamics mode of the filter", "u16"),
+                Value(KNOWN["status"], "u16"),
+            ),
+        ),
+        *((code, name, (*_floats(vector(column, unit, what)), _valid(column)))
+          for code, name, column, unit, what in _FILTER_VECTORS),
+    )  # fmt: skip
+    return [Field(FILTER << 8 | code, name, values) for code, name, values in table]
+
+
+def _gnss_fields(descriptor_set: int) -> list[Field]:
+    prefix = GNSS[descriptor_set]
+
+    def of(*names_and_units: tuple[str, str]) -> tuple[Column, ...]:
+        return tuple(
+            number(f"{prefix}_{name}", unit, f"receiver {prefix}: {name}") for name, unit in names_and_units
+        )
+
+    place = _doubles(of(("latitude", "deg"), ("longitude", "deg"), ("altitude", "m"), ("altitude_msl", "m")))
+    accuracy = _floats(of(("horizontal_accuracy", "m"), ("vertical_accuracy", "m")))
+    motion = ("velocity_north", "velocity_east", "velocity_down", "speed", "ground_speed")
+    degree = np.pi / 180
+    return [
+        Field(descriptor_set << 8 | 0x03, "Position", (*place, *accuracy, _valid(f"{prefix}_position"))),
+        Field(
+            descriptor_set << 8 | 0x05,
+            "Velocity",
+            (
+                *_floats(of(*((name, "m/s") for name in motion))),
+                *_floats(of(("course", "rad")), degree),
+                *_floats(of(("speed_accuracy", "m/s"))),
+                *_floats(of(("course_accuracy", "rad")), degree),
+                _valid(f"{prefix}_velocity"),
+            ),
+        ),
+        Field(
+            descriptor_set << 8 | 0x07,
+            "Dop",
+            (
+                *_floats(of(*((f"{x}dop", "1") for x in ("g", "p", "h", "v", "t", "n", "e")))),
+                _valid(f"{prefix}_dop"),
+            ),
+        ),
+    ]
+
+
+def mip_fields(attitude: Attitude = "filter", clock: Clock = "reference") -> list[Field]:
+    """Return every field that is understood."""
+    sets = {SENSOR: _sensor_fields(attitude), FILTER: _filter_fields(attitude)}
+    sets.update({code: _gnss_fields(code) for code in GNSS})
+    shared_first = [field for code in sets for field in _shared(code, clock)]
+    return [*shared_first, *(field for fields in sets.values() for field in fields)]
+
+
+def _gps_to_ticks(columns: Columns) -> list[ColumnArray]:
+    """GPS time in ns since the GPS epoch."""
+    week, second = columns["gps_week"], columns["gps_time_of_week"]
+    there = (week != NO_INT) & np.isfinite(second) & (np.abs(second) < 1e6)
+    of_week = np.rint(np.where(there, second, 0) * 1e9).astype(np.int64)
+    return [np.where(there, np.where(there, week, 0) * WEEK_NS + of_week, NO_INT)]
+
+
+def _ticks_to_gps(columns: Columns) -> list[ColumnArray]:
+    ticks = columns["device_ticks"]
+    there = ticks != NO_INT
+    week, of_week = np.divmod(np.where(there, ticks, 0), WEEK_NS)
+    return [np.where(there, week, NO_INT), np.where(there, of_week / 1e9, np.nan)]
+
+
+_GPS_CLOCK = Derived(("gps_week", "gps_time_of_week"), known("device_ticks"), _gps_to_ticks, _ticks_to_gps)
+
+
+def _derived(clock: Clock) -> tuple[Derived, ...]:
+    return (QUATERNION_OF_MATRIX, _GPS_CLOCK) if clock == "gps" else (QUATERNION_OF_MATRIX,)
+
+
+class MipDecoder(TaggedDecoder):
+    """Decodes MIP data packets; commands and replies are counted by descriptor set.
+
+    Parameters
+    ----------
+    attitude : str
+        What ``roll``, ``pitch``, ``yaw`` and ``q_*`` are: those of the "filter" set or of the "imu" set
+        (devices without a navigation filter).  The others get columns of their own.
+    clock : str
+        What ``device_ticks`` is: the "reference" time of newer devices, or "gps" time.
+    rate_hz : float or None
+        Nominal rate of the packets.
+    """
+
+    def __init__(
+        self, attitude: Attitude = "filter", clock: Clock = "reference", rate_hz: float | None = None
+    ) -> None:
+        table = FieldTable(mip_fields(attitude, clock), _derived(clock))
+        super().__init__(table, MIP, ROLES, SET_NAMES, Timing(tick_ns=Fraction(1), rate_hz=rate_hz))
+
+    def _type_name(self, kind: int) -> str:
+        return SET_NAMES.get(kind, f"set 0x{kind:02X}")
+
+    def _field_name(self, key: int) -> str:
+        name = next((field.name for field in self.table.fields if field.key == key), f"0x{key & 0xFF:02X}")
+        return f"{name} of {self._type_name(key >> 8)}"
+
+    def _describe(self, kind: int, payload: bytes) -> Iterable[str]:
+        while len(payload) >= 2 and 2 <= payload[0] <= len(payload):
+            if payload[1] == 0xF1 and payload[0] >= 4 and payload[3]:
+                why = ERRORS.get(payload[3], f"code {payload[3]}")
+                yield f"the device refused command 0x{payload[2]:02X} of the {self._type_name(kind)}: {why}"
+            payload = payload[payload[0] :]
+
+
+class MipEncoder(TaggedEncoder):
+    """Makes MIP data packets of one descriptor set.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Names of fields in the order in which they are sent.
+    descriptor_set : int
+        Descriptor set that they belong to.
+    attitude, clock : str
+        As for the decoder.
+
+    Raises
+    ------
+    ImumonError
+        BAD_CONFIG when there is no such field in the set.
+    """
+
+    def __init__(
+        self,
+        names: Sequence[str],
+        descriptor_set: int = SENSOR,
+        attitude: Attitude = "filter",
+        clock: Clock = "reference",
+    ) -> None:
+        there = {f.name: f for f in mip_fields(attitude, clock) if f.key >> 8 == descriptor_set and f.values}
+        for name in names:
+            if name not in there:
+                raise ImumonError(
+                    Reason.BAD_CONFIG,
+                    f"no field {name!r} in descriptor set 0x{descriptor_set:02X}",
+                    f"there are: {', '.join(sorted(there))}",
+                )
+        super().__init__([there[name] for name in names], _derived(clock), MIP, descriptor_set, LIST)
+
+
+class MipDevice(DeviceFile):
+    """Device file of a MicroStrain device; `sends` is for its virtual twin alone."""
+
+    protocol: Literal["mip"]
+    attitude: Attitude = "filter"
+    clock: Clock = "reference"
+    sends: list[str]
+
+    def decoder(self) -> MipDecoder:
+        """Make a decoder for this device."""
+        return MipDecoder(self.attitude, self.clock, self.rate_hz)
+
+    def encoder(self) -> MipEncoder:
+        """Make an encoder that sends what the device would send."""
+        return MipEncoder(self.sends, SENSOR, self.attitude, self.clock)

@@ -1,0 +1,210 @@
+"""The profile of a legacy Xsens device: its output mode and settings, which alone say what MTData carries.
+
+Facts from the MT Low Level Communication documentation of the MTi, MTi-G and MTx: messages SetOutputMode (16
+bits) and SetOutputSettings (32 bits), and the fixed order of the parts of MTData.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import product
+from typing import Literal
+
+from pydantic import Field as Key
+from pydantic import model_validator
+
+from imumon.columns import KNOWN
+from imumon.config import StrictModel
+from imumon.protocols.tagged import Field, Value
+from imumon.protocols.tagged_columns import MATRIX, QUATERNION, count, known, number
+from imumon.protocols.xsens.fields import (
+    ACCEL,
+    DEGREE,
+    EULER,
+    GYRO,
+    MAG,
+    PRECISIONS,
+    RAW,
+    RAW_TEMPERATURE,
+    TEMPERATURE,
+    UTC_VALUES,
+    VELOCITY,
+)
+
+MODE_BITS = {
+    "temperature": 0x0001,
+    "calibrated": 0x0002,
+    "orientation": 0x0004,
+    "auxiliary": 0x0008,
+    "position": 0x0010,
+    "velocity": 0x0020,
+    "status": 0x0800,
+    "raw_gps": 0x1000,
+    "raw_inertial": 0x4000,
+}
+"""Flags of the output mode."""
+
+TIMESTAMPS = {"none": 0, "sample_counter": 1, "utc": 2, "sample_counter_and_utc": 3}
+ORIENTATIONS = {"quaternion": 0x00, "euler": 0x04, "matrix": 0x08}
+CALIBRATED_OFF = {"accel": 0x10, "gyro": 0x20, "mag": 0x40}
+STATUS = {"compact": 0x00, "detailed": 0x80}
+FORMATS = {"float32": 0x000, "fp12.20": 0x100, "fp16.32": 0x200, "float64": 0x300}
+ANALOG_OFF = {1: 0x400, 2: 0x800}
+NED_BIT = 1 << 31
+SETTINGS_BITS = 0x00000FFF | NED_BIT
+"""Bits of the output settings that are understood; the others choose between what has one choice only."""
+
+Part = Literal[
+    "temperature",
+    "calibrated",
+    "orientation",
+    "auxiliary",
+    "position",
+    "velocity",
+    "status",
+    "raw_gps",
+    "raw_inertial",
+]
+
+
+class OutputSettings(StrictModel):
+    """How each part of MTData is sent; the defaults are those of the device."""
+
+    timestamp: Literal["none", "sample_counter", "utc", "sample_counter_and_utc"] = "sample_counter"
+    orientation: Literal["quaternion", "euler", "matrix"] = "quaternion"
+    calibrated: list[Literal["accel", "gyro", "mag"]] = Key(default=["accel", "gyro", "mag"], min_length=1)
+    number_format: Literal["float32", "fp12.20", "fp16.32", "float64"] = "float32"
+    analog: list[Literal[1, 2]] = Key(default=[1, 2], min_length=1)
+    status: Literal["compact", "detailed"] = "compact"
+    frame: Literal["NWU", "NED"] = "NWU"
+
+
+class Profile(StrictModel):
+    """Output mode and settings as the device file has them."""
+
+    output_mode: list[Part] = Key(min_length=1)
+    output_settings: OutputSettings = OutputSettings()
+
+    @model_validator(mode="after")
+    def _raw_goes_alone(self) -> Profile:
+        others = set(self.output_mode) - {"raw_inertial", "raw_gps"}
+        if "raw_inertial" in self.output_mode and others:
+            raise ValueError(f"output_mode: raw_inertial cannot be combined with {', '.join(sorted(others))}")
+        return self
+
+
+def profile_bits(profile: Profile) -> tuple[int, int]:
+    """Return output mode and output settings as the device has them."""
+    settings = profile.output_settings
+    bits = TIMESTAMPS[settings.timestamp] | ORIENTATIONS[settings.orientation] | STATUS[settings.status]
+    bits |= FORMATS[settings.number_format] | (NED_BIT if settings.frame == "NED" else 0)
+    bits |= sum(bit for part, bit in CALIBRATED_OFF.items() if part not in settings.calibrated)
+    bits |= sum(bit for line, bit in ANALOG_OFF.items() if line not in settings.analog)
+    return sum(MODE_BITS[part] for part in set(profile.output_mode)), bits
+
+
+def _name_of(table: dict[str, int], bits: int) -> str:
+    return next((name for name, value in table.items() if value == bits), f"unknown ({bits:#x})")
+
+
+def profile_lines(mode: int | None, settings: int | None) -> Iterator[str]:
+    """Return what a device says of its mode and settings as lines of a device file."""
+    if mode is not None:
+        parts = [name for name, bit in MODE_BITS.items() if mode & bit]
+        rest = mode & ~sum(MODE_BITS.values())
+        yield f"output_mode: [{', '.join(parts)}]" + (f"  # and unknown bits {rest:#06x}" if rest else "")
+    if settings is None:
+        return
+    yield "output_settings:"
+    yield f"  timestamp: {_name_of(TIMESTAMPS, settings & 0x3)}"
+    yield f"  orientation: {_name_of(ORIENTATIONS, settings & 0xC)}"
+    yield f"  calibrated: [{', '.join(n for n, bit in CALIBRATED_OFF.items() if not settings & bit)}]"
+    yield f"  number_format: {_name_of(FORMATS, settings & 0x300)}"
+    yield f"  analog: [{', '.join(str(n) for n, bit in ANALOG_OFF.items() if not settings & bit)}]"
+    yield f"  status: {_name_of(STATUS, settings & 0x80)}"
+    yield f"  frame: {'NED' if settings & NED_BIT else 'NWU'}"
+    if settings & ~SETTINGS_BITS:
+        yield f"  # and unknown bits {settings & ~SETTINGS_BITS:#010x}"
+
+
+def _gps(name: str, unit: str, kind: str, factor: float) -> Value:
+    return Value(number(f"gnss_{name}", unit, f"GNSS receiver: {name.replace('_', ' ')}"), kind, factor)
+
+
+_RAW_GPS = (
+    Value(KNOWN["pressure"], "u16", 2.0),
+    Value(count("pressure_age", "age of the pressure, in packets"), "u8"),
+    _gps("time_of_week", "s", "u32", 1e-3),
+    _gps("latitude", "deg", "i32", 1e-7),
+    _gps("longitude", "deg", "i32", 1e-7),
+    _gps("altitude", "m", "i32", 1e-3),
+    _gps("velocity_north", "m/s", "i32", 0.01),
+    _gps("velocity_east", "m/s", "i32", 0.01),
+    _gps("velocity_down", "m/s", "i32", 0.01),
+    _gps("horizontal_accuracy", "m", "u32", 1e-3),
+    _gps("vertical_accuracy", "m", "u32", 1e-3),
+    _gps("speed_accuracy", "m/s", "u32", 0.01),
+    Value(count("gnss_age", "age of the GNSS data, in packets"), "u8"),
+)
+
+_CALIBRATED = {"accel": ACCEL, "gyro": GYRO, "mag": MAG}
+_ORIENTATION = {"quaternion": (QUATERNION, 1.0), "euler": (EULER, DEGREE), "matrix": (MATRIX, 1.0)}
+
+
+def mtdata_field(profile: Profile) -> Field:
+    """Return what the payload of MTData is with this profile, in the fixed order of its parts."""
+    settings = profile.output_settings
+    kind, factor = PRECISIONS[settings.number_format]
+    orientation, to_radian = _ORIENTATION[settings.orientation]
+    calibrated = [
+        column for part, columns in _CALIBRATED.items() if part in settings.calibrated for column in columns
+    ]
+    analog = [
+        number(f"analog_{line}", "1", f"analog input {line}, raw counts")
+        for line in sorted(set(settings.analog))
+    ]
+    parts: dict[str, list[Value]] = {
+        "raw_inertial": [Value(column, "u16") for column in (*RAW, RAW_TEMPERATURE)],
+        "raw_gps": list(_RAW_GPS),
+        "temperature": [Value(column, kind, factor) for column in TEMPERATURE],
+        "calibrated": [Value(column, kind, factor) for column in calibrated],
+        "orientation": [Value(column, kind, factor * to_radian) for column in orientation],
+        "auxiliary": [Value(column, "u16") for column in analog],
+        "position": [Value(column, kind, factor) for column in known("latitude", "longitude", "altitude")],
+        "velocity": [Value(column, kind, factor) for column in VELOCITY],
+        "status": [Value(KNOWN["status"], "u8" if settings.status == "compact" else "u32")],
+    }
+    values = [value for part, content in parts.items() if part in profile.output_mode for value in content]
+    if "sample_counter" in settings.timestamp:
+        values.append(Value(KNOWN["packet_counter"], "u16"))
+    if "utc" in settings.timestamp:
+        values.extend(UTC_VALUES)
+    return Field(0, "MTData", tuple(values))
+
+
+def profiles_of_length(size: int) -> list[str]:
+    """Name usual combinations of mode and settings whose MTData has this length."""
+    found = []
+    choices = product(
+        (True, False), (True, False), (None, "quaternion", "euler", "matrix"), (False, True), (1, 0)
+    )
+    for temperature, calibrated, orientation, status, timestamp in choices:
+        parts = {
+            "temperature": temperature,
+            "calibrated": calibrated,
+            "orientation": orientation,
+            "status": status,
+        }
+        mode = [part for part, on in parts.items() if on]
+        if not mode:
+            continue
+        chosen = {
+            "orientation": orientation or "quaternion",
+            "timestamp": ("none", "sample_counter")[timestamp],
+        }
+        profile = Profile.model_validate({"output_mode": mode, "output_settings": chosen})
+        if mtdata_field(profile).size == size:
+            detail = [f"orientation: {orientation}"] if orientation else []
+            detail.append(f"timestamp: {chosen['timestamp']}")
+            found.append(f"output_mode: [{', '.join(mode)}] with {', '.join(detail)}")
+    return found
