@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -40,7 +41,7 @@ ATTITUDE_STEP_NS = 20_000_000
 """The body is redrawn at the most 50 times a second; every quaternion is in ``/samples/attitude``."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Rows:
     """Rows of columns with their times; a timeline that the rows do not have is None."""
 
@@ -49,22 +50,22 @@ class Rows:
     device_ns: IntArray | None
     host_ns: IntArray | None
 
-    def indexes(self, keep: npt.NDArray[np.bool_] | None = None) -> list[rr.TimeColumn]:
-        """Return the time columns that Rerun wants, of all rows or of those to keep."""
-
-        def chosen(values: IntArray) -> IntArray:
-            return np.ascontiguousarray(values if keep is None else values[keep])
-
+    @cached_property
+    def indexes(self) -> list[rr.TimeColumn]:
+        """The time columns of all rows, as Rerun wants them."""
         columns = []
         if self.sample is not None:
-            columns.append(rr.TimeColumn("sample", sequence=chosen(self.sample)))
+            columns.append(rr.TimeColumn("sample", sequence=self.sample))
         if self.device_ns is not None:
-            columns.append(
-                rr.TimeColumn("device_time", duration=chosen(self.device_ns).view("timedelta64[ns]"))
-            )
+            columns.append(rr.TimeColumn("device_time", duration=self.device_ns.view("timedelta64[ns]")))
         if self.host_ns is not None:
-            columns.append(rr.TimeColumn("host_time", timestamp=chosen(self.host_ns).view("datetime64[ns]")))
+            columns.append(rr.TimeColumn("host_time", timestamp=self.host_ns.view("datetime64[ns]")))
         return columns
+
+    def kept(self, keep: npt.NDArray[np.bool_]) -> Rows:
+        """Return the times of the rows to keep, without their columns."""
+        times = (self.sample, self.device_ns, self.host_ns)
+        return Rows({}, *[None if values is None else values[keep] for values in times])
 
     def matrix(self, names: Sequence[str]) -> FloatArray:
         """Return the named columns side by side, shape (n, len(names))."""
@@ -165,7 +166,7 @@ def strip(
 
     def log(rec: rr.RecordingStream, rows: Rows) -> None:
         values = rows.matrix(names)
-        indexes = rows.indexes()
+        indexes = rows.indexes
         rec.send_columns(exact, indexes=indexes, columns=rr.Scalars.columns(scalars=values))
         if shown:
             rec.send_columns(drawn, indexes=indexes, columns=rr.Scalars.columns(scalars=values * shown[0]))
@@ -194,9 +195,7 @@ def attitude(key: str, columns: tuple[str, ...], quaternions: Callable[[FloatArr
 
     def log(rec: rr.RecordingStream, rows: Rows) -> None:
         values = rows.matrix(columns)
-        rec.send_columns(
-            f"/samples/{key}", indexes=rows.indexes(), columns=rr.Scalars.columns(scalars=values)
-        )
+        rec.send_columns(f"/samples/{key}", indexes=rows.indexes, columns=rr.Scalars.columns(scalars=values))
         keep: Any = np.isfinite(values).all(axis=1)
         clock = rows.device_ns if rows.device_ns is not None else rows.host_ns
         if clock is not None:
@@ -204,7 +203,7 @@ def attitude(key: str, columns: tuple[str, ...], quaternions: Callable[[FloatArr
             keep = keep & (np.diff(step, prepend=step[:1] - 1) != 0)
         if keep.any():
             turned = rr.Transform3D.columns(quaternion=quaternions(values[keep]))
-            rec.send_columns(BODY, indexes=rows.indexes(keep), columns=turned)
+            rec.send_columns(BODY, indexes=rows.kept(keep).indexes, columns=turned)
 
     return Panel(
         key, SCENE, columns, lambda rec: draw_body(rec, f"/samples/{key}", columns), log, attitude_view

@@ -132,7 +132,7 @@ class StreamLogger:
             integers["device_time_ns"] = device
         if integers:
             self._rec.send_columns(
-                INTEGERS, indexes=rows.indexes(), columns=rr.AnyValues.columns(True, **integers)
+                INTEGERS, indexes=rows.indexes, columns=rr.AnyValues.columns(True, **integers)
             )
 
     def _log_other(self, name: str, values: ColumnArray, rows: Rows) -> None:
@@ -142,7 +142,7 @@ class StreamLogger:
             self._others.add(name)
             self._declare_other(name)
         self._rec.send_columns(
-            f"{OTHER}/{name}", indexes=rows.indexes(), columns=rr.Scalars.columns(scalars=values)
+            f"{OTHER}/{name}", indexes=rows.indexes, columns=rr.Scalars.columns(scalars=values)
         )
 
     def _log_early_events(self, first: Samples) -> None:
@@ -157,7 +157,7 @@ class StreamLogger:
     def _log_event(self, event: Event, rows: Rows | None = None) -> None:
         at = event.at
         times = rows or Rows({}, _one(at.sample), _one(at.device_ns), _one(at.host_ns))
-        indexes = times.indexes()
+        indexes = times.indexes
         key = lasting_key(event)
         if key is not None:
             self._lasting[key] = event

@@ -11,7 +11,7 @@ import rerun as rr
 
 from imumon.blocks import IntArray
 from imumon.errors import ImumonError, Reason
-from imumon.view.items import Samples, ViewItem, ViewSetup, merge
+from imumon.view.items import Samples, ViewItem, ViewSetup, item_rows, merge
 from imumon.view.logger import APPLICATION_ID, StreamLogger
 from imumon.view.queue import DropOldestQueue
 
@@ -19,6 +19,7 @@ BATCH_S = 1.0
 """Items of this long become one chunk per panel: with 50 ms the file would be three times as large."""
 SEGMENT_S = 1800.0
 QUEUE_BYTES = 64 << 20
+FLUSH_S = 5.0
 
 
 class ViewRecorder:
@@ -54,6 +55,8 @@ class ViewRecorder:
         self._rec = rr.RecordingStream(APPLICATION_ID, recording_id=setup.recording_id)
         self._logger = StreamLogger(self._rec, setup, live=False)
         self._queue = DropOldestQueue(QUEUE_BYTES)
+        self._refused = 0
+        self._error = ""
         self._files: list[Path] = []
         self._open_segment()
         self._thread = threading.Thread(target=self._run, name="view recorder", daemon=True)
@@ -66,8 +69,13 @@ class ViewRecorder:
 
     @property
     def dropped(self) -> int:
-        """Samples and events that are missing because the disk could not follow."""
-        return self._queue.dropped
+        """Samples and events that are missing because the disk could not follow, or not take them at all."""
+        return self._queue.dropped + self._refused
+
+    @property
+    def error(self) -> str:
+        """Why nothing is written any more (disk full, ...); empty while all is well."""
+        return self._error
 
     def publish(self, item: ViewItem) -> None:
         """Queue an item; takes microseconds."""
@@ -82,8 +90,21 @@ class ViewRecorder:
         closing = False
         while not closing:
             closing = self._queue.is_closed()
-            self._write(merge(self._queue.take(BATCH_S, BATCH_S)))
+            items = merge(self._queue.take(BATCH_S, BATCH_S))
+            if items and not self._error:
+                self._write(items)
+                self._check()
+            elif items:
+                self._refused += sum(map(item_rows, items))
         self._rec.disconnect()
+
+    def _check(self) -> None:
+        """Find out whether Rerun could write; it says so in its log only, or when asked to flush."""
+        try:
+            self._rec.flush(timeout_sec=FLUSH_S)
+        except RuntimeError as error:  # rerun has no exceptions of its own
+            if "timed out" not in str(error).lower():
+                self._error = f"{self._files[-1]} cannot be written any more: {error}"
 
     def _write(self, items: list[ViewItem]) -> None:
         """Log items in order of their kind; where a segment ends, go on in the next one."""

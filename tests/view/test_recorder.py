@@ -127,3 +127,29 @@ def test_existing_recording_is_not_overwritten(tmp_path: Path) -> None:
 def test_missing_folder_is_named(tmp_path: Path) -> None:
     with pytest.raises(ImumonError, match="nowhere"):
         ViewRecorder(tmp_path / "nowhere" / "view.rrd", SETUP)
+
+
+def test_full_disk_is_reported_and_what_is_missing_counted(tmp_path: Path) -> None:
+    script = """
+        import resource, signal, sys, time
+        from pathlib import Path
+        from imumon.view.items import ViewSetup
+        from imumon.view.recorder import ViewRecorder
+        from tests.view.streams import Stream
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (500_000, 500_000))
+        recorder = ViewRecorder(Path(sys.argv[1]), ViewSetup("test", "full"))
+        stream = Stream(recorder.publish)
+        stream.send(20_000)
+        while not recorder.error:
+            time.sleep(0.02)
+        before = recorder.dropped
+        stream.send(500)
+        recorder.close()
+        print(recorder.error, recorder.dropped - before)
+    """
+    command = [sys.executable, "-c", textwrap.dedent(script), str(tmp_path / "view.rrd")]
+    root = Path(__file__).parents[2]
+    done = subprocess.run(command, cwd=root, check=True, capture_output=True, text=True, timeout=60)
+    assert "cannot be written any more" in done.stdout
+    assert int(done.stdout.split()[-1]) >= 500
