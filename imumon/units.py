@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from fractions import Fraction
 from functools import lru_cache
+from tokenize import TokenError
 from typing import Any
 
 from imumon.errors import ImumonError, Reason
@@ -33,6 +34,10 @@ _SPELLINGS = {
 
 # pint knows a gauss of the cgs system, which is not a tesla's kind.
 _ADDED = ["flux_gauss = 1e-4 * tesla"]
+
+
+LONGEST = 40
+"""No unit is written with more characters."""
 
 
 @lru_cache(maxsize=1)
@@ -65,6 +70,10 @@ def exact_conversion(unit: str, target: str) -> tuple[Fraction, Fraction]:
         return Fraction(1), Fraction(0)
     import pint
 
+    if len(unit) > LONGEST or unit.count("**") > 1:  # pint computes powers, however large
+        raise ImumonError(
+            Reason.BAD_CONFIG, f"unit {unit[:LONGEST]!r} is not known", f"expected one like {target!r}"
+        )
     registry = _registry()
     try:
         source = registry.Unit(_spelled(unit))
@@ -76,7 +85,15 @@ def exact_conversion(unit: str, target: str) -> tuple[Fraction, Fraction]:
         raise ImumonError(
             Reason.BAD_CONFIG, f"unit {unit!r} does not measure what {target!r} measures", "check the unit"
         ) from error
-    except (pint.PintError, ValueError, TypeError, AttributeError, AssertionError) as error:
+    except (
+        pint.PintError,
+        TokenError,
+        ArithmeticError,
+        ValueError,
+        TypeError,
+        AttributeError,
+        AssertionError,
+    ) as error:  # all of which pint raises on malformed text
         raise ImumonError(
             Reason.BAD_CONFIG, f"unit {unit!r} is not known", f"expected one like {target!r}"
         ) from error

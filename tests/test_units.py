@@ -38,7 +38,15 @@ def test_factors_and_offsets(unit: str, target: str, factor: float, offset: floa
 
 @pytest.mark.parametrize(
     ("unit", "words"),
-    [("m", "does not measure"), ("quux", "not known"), ("deg/", "not known"), ("degC", "does not measure")],
+    [
+        ("m", "does not measure"),
+        ("quux", "not known"),
+        ("deg/", "not known"),
+        ("rad/s)", "not known"),
+        ("1/0", "not known"),
+        ("9**9**9**9", "not known"),
+        ("degC", "does not measure"),
+    ],
 )
 def test_a_wrong_unit_is_refused(unit: str, words: str) -> None:
     with pytest.raises(ImumonError, match=words):

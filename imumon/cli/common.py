@@ -15,6 +15,16 @@ from imumon.errors import ImumonError, Reason
 json_option = click.option(
     "--json", "as_json", is_flag=True, help="Print one JSON object on standard output."
 )
+table_option = click.option(
+    "--out", type=click.Path(path_type=Path), help="Table to write: NAME.parquet or NAME.csv."
+)
+columns_option = click.option("--columns", help="Columns of the table, separated by commas; default: all.")
+window_option = click.option(
+    "--window", default=15.0, show_default=True, type=click.FloatRange(min=1), help="Seconds the strips show."
+)
+bind_option = click.option(
+    "--bind", default="127.0.0.1", show_default=True, help="Address that the web view is served on."
+)
 device_help = "Name of a known device (imumon devices) or path of a device file."
 
 

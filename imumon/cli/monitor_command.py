@@ -6,22 +6,28 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import click
 
-from imumon.cli.common import device_help, json_option, print_json, print_rows, say
-from imumon.protocols.device import DeviceFile, device_text, parse_device
+from imumon.cli.common import (
+    bind_option,
+    device_help,
+    json_option,
+    print_json,
+    print_rows,
+    say,
+    window_option,
+)
+from imumon.protocols.device import device_text, parse_device
 from imumon.run.live import LiveRun, LiveSummary, nothing_decoded, warm_up
-from imumon.run.narration import Progress, describe, describe_losses
+from imumon.run.narration import Progress, describe, describe_losses, view_setup
 from imumon.session.folder import default_path
 from imumon.transport.settings import PortSettings
 
 if TYPE_CHECKING:
-    from imumon.columns import Column
-    from imumon.session.folder import Session
     from imumon.view.items import ViewItem, ViewSetup
     from imumon.view.publisher import ViewPublisher
 
@@ -40,12 +46,8 @@ View = Literal["native", "web", "none"]
     "--out", type=click.Path(path_type=Path), help="Session folder; default: a new one in ./sessions."
 )
 @click.option("--seconds", type=click.FloatRange(min=0, min_open=True), help="Stop after this time.")
-@click.option(
-    "--window", default=15.0, show_default=True, type=click.FloatRange(min=1), help="Seconds the strips show."
-)
-@click.option(
-    "--bind", default="127.0.0.1", show_default=True, help="Address that the web view is served on."
-)
+@window_option
+@bind_option
 @json_option
 def command(
     port: str,
@@ -76,7 +78,7 @@ def command(
     run = LiveRun(profile, text, settings, folder, say)
     run.open()
     try:
-        setup = view_setup(run.session, profile, warm_up(profile), str(settings), window)
+        setup = view_setup(run.session, warm_up(profile), window)
         views = _Views(setup, run.session.view_path, view, bind)
     except BaseException:
         run.stop()
@@ -138,22 +140,6 @@ class _Views:
         if self._live is not None:
             self._live.close()
         self._recorder.close()
-
-
-def view_setup(
-    session: Session, device: DeviceFile, columns: Sequence[Column], port: str, window: float
-) -> ViewSetup:
-    """Return what the view must know of a device and its session."""
-    from imumon.view.items import ViewSetup
-
-    return ViewSetup(
-        title=f"{device.title} - {session.path.name}",
-        recording_id=f"{session.path.name}-{session.metadata.created_ns}",
-        units={column.name: column.unit for column in columns},
-        z_down=device.axes == "FRD",
-        window_s=window,
-        properties={"device": device.name, "port": port, "session": str(session.path)},
-    )
 
 
 def _watch(run: LiveRun, views: _Views, ended: threading.Event, seconds: float | None) -> None:

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 from imumon.blocks import NO_INT, SampleBlock
+from imumon.columns import Column
 from imumon.pipeline import Pipeline, PipelineCounters
+from imumon.session.folder import Session
 from imumon.transport.reader import Event, EventKind
 from imumon.transport.settings import PortSettings
 from imumon.transport.statistics import LinkStatistics
-from imumon.view.items import Log, Numbers, State, Status, Timebase, ViewItem
+from imumon.view.items import Log, Numbers, State, Status, Timebase, ViewItem, ViewSetup
 
 Publish = Callable[[ViewItem], None]
 Say = Callable[[str, str], None]
@@ -19,18 +21,18 @@ Say = Callable[[str, str], None]
 
 RATE_WINDOW_NS = 2_000_000_000
 SETTLING_NS = 60_000_000_000
-"""The clock fit is called settled after this much data in a segment."""
+"""The clock fit is called synchronised after this much time in a segment."""
 GARBLED_BELOW = 0.5
 GARBLED_AFTER_BYTES = 400
 """When less than half of the bytes of the last 2 s, at least so many, frame: wrong baud rate or protocol."""
 
 _PORT_STATES = {
-    EventKind.OPENED: "OPEN",
-    EventKind.RESUMED: "OPEN",
-    EventKind.SILENT: "SILENT",
-    EventKind.LOST: "LOST",
-    EventKind.UNAVAILABLE: "LOST",
-    EventKind.CLOSED: "CLOSED",
+    EventKind.OPENED: "open",
+    EventKind.RESUMED: "open",
+    EventKind.SILENT: "silent",
+    EventKind.LOST: "lost",
+    EventKind.UNAVAILABLE: "lost",
+    EventKind.CLOSED: "closed",
 }
 _LEVELS = {
     EventKind.SILENT: "WARN",
@@ -108,14 +110,14 @@ class Narrator:
         segment, arrival = int(block["segment"][-1]), int(block["arrival_time_ns"][-1])
         if segment != self._segment:
             self.log("WARN", f"the device's clock or counter started anew: segment {segment}", arrival)
-            self._lane("clock", "RESTARTED", arrival)
+            self._lane("clock", "jumped", arrival)
             self._segment, self._segment_began_ns = segment, arrival
         elif not self._segment_began_ns:
             self._segment_began_ns = arrival
         status = block.columns.get("status")
         if status is not None and status[-1] != NO_INT and int(status[-1]) != self._status:
             self._status = int(status[-1])
-            self._lane("device status", f"0x{self._status:04X}", arrival)
+            self._lane("status", f"0x{self._status:04X}", arrival)
 
     def event(self, event: Event) -> None:
         """Show what happened to the port."""
@@ -133,18 +135,16 @@ class Narrator:
         progress = self.progress(now_ns)
         counters = progress.counters
         values = {
-            "packets per second": progress.packets_per_s,
-            "losses": float(counters.packets_missing + counters.checksum_errors + counters.length_errors),
+            "packet_rate": progress.packets_per_s,
+            "packets_lost": float(counters.packets_missing),
+            "packets_damaged": float(counters.checksum_errors + counters.length_errors),
         }
         if progress.link_load is not None:
-            values["link load %"] = 100 * progress.link_load
+            values["link_load"] = progress.link_load
         self._emit(Numbers(self._timebase.at(now_ns), values))
         self._watch_link(progress, now_ns)
         self._watch_data(now_ns)
-        if counters.samples and self._lanes.get("clock") != "STEADY":
-            settled = now_ns - self._segment_began_ns > SETTLING_NS
-            if settled or self._lanes.get("clock") != "RESTARTED":
-                self._lane("clock", "STEADY" if settled else "SETTLING", now_ns)
+        self._watch_clock(counters.samples > 0, now_ns)
         self._emit(Status(self._timebase.at(now_ns), {**self._card, **describe(progress)}))
         for notice in self._pipeline.notices():
             self.log("WARN", f"device: {notice}", now_ns)
@@ -170,13 +170,22 @@ class Narrator:
             delay_ms=None if delay is None else delay * 1e-6,
         )
 
+    def _watch_clock(self, dated: bool, now_ns: int) -> None:
+        """The fit of the device clock needs some time in each segment; a jump stays shown until then."""
+        if not dated:
+            return
+        if now_ns - self._segment_began_ns > SETTLING_NS:
+            self._lane("clock", "synchronised", now_ns)
+        elif self._lanes.get("clock") != "jumped":
+            self._lane("clock", "acquiring", now_ns)
+
     def _watch_link(self, progress: Progress, now_ns: int) -> None:
         overloaded = self._link is not None and self._link.overloaded(now_ns)
         if overloaded and not self._overloaded:
             self.log("WARN", f"the link is {progress.link_load:.0%} full: packets will be lost", now_ns)
         self._overloaded = overloaded
         if progress.link_load is not None:
-            self._lane("link", "FULL" if overloaded else "OK", now_ns)
+            self._lane("link", "warning: full" if overloaded else "ok", now_ns)
 
     def _watch_data(self, now_ns: int) -> None:
         """Judge the data of the last 2 s: framed, damaged, or hardly framed at all."""
@@ -189,8 +198,14 @@ class Narrator:
             now.checksum_errors + now.length_errors + now.packets_missing + now.bytes_skipped
             > then.checksum_errors + then.length_errors + then.packets_missing + then.bytes_skipped
         )
-        state = "GARBLED" if framed < GARBLED_BELOW * received else "LOSSES" if damaged else "OK"
-        if state == "GARBLED" and self._lanes.get("data") != "GARBLED":
+        state = (
+            "bad: does not frame"
+            if framed < GARBLED_BELOW * received
+            else "warning: losses"
+            if damaged
+            else "ok"
+        )
+        if state == "bad: does not frame" and self._lanes.get("data") != "bad: does not frame":
             share = framed / received
             self.log(
                 "ERROR", f"only {share:.0%} of the bytes are packets: wrong baud rate or device?", now_ns
@@ -205,6 +220,23 @@ class Narrator:
     def _emit(self, item: ViewItem) -> None:
         for publish in self._publish:
             publish(item)
+
+
+def view_setup(
+    session: Session, columns: Iterable[Column], window_s: float, replay: bool = False
+) -> ViewSetup:
+    """Return what the view must know of a session and its columns before the first sample."""
+    metadata, name = session.metadata, session.path.name
+    kind = "replay of " if replay else ""
+    port = {"port": metadata.port.url} if metadata.port is not None else {}
+    return ViewSetup(
+        title=f"{kind}{name}",
+        recording_id=f"{kind}{name} {metadata.created_ns}".replace(" ", "-"),
+        units={column.name: column.unit for column in columns},
+        z_down=metadata.axes == "FRD",
+        window_s=window_s,
+        properties={"device": metadata.device, "session": str(session.path), **port},
+    )
 
 
 def describe(progress: Progress) -> dict[str, str]:

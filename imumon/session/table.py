@@ -70,9 +70,8 @@ class TableWriter:
         self._part: Any = None
 
     def announce(self, columns: Iterable[Column]) -> None:
-        """Say that these columns may come from now on, those that are new behind the others."""
-        for column in columns:
-            self._columns.setdefault(column.name, column)
+        """Say which columns may come from now on, in the order which the table shall have."""
+        self._columns = {column.name: column for column in columns} | self._columns
 
     def write(self, block: SampleBlock) -> None:
         """Append the samples of a block.
@@ -207,7 +206,7 @@ def export_blocks(
             seen.update(dict.fromkeys(block.columns))
             at_hand = {column.name: column for column in known()}
             names = block.columns if columns is None else [name for name in columns if name in block]
-            writer.announce(at_hand[name] for name in columns or at_hand if name in block)
+            writer.announce(at_hand[name] for name in columns or at_hand if name in at_hand)
             writer.write(SampleBlock({name: block[name] for name in names}))
         absent = [name for name in columns or () if name not in seen]
         if absent and seen:

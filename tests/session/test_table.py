@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import csv
 import math
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -157,6 +158,28 @@ def test_only_the_columns_that_were_asked_for_are_exported_in_that_order(tmp_pat
     assert (tmp_path / "t.csv").read_text().splitlines()[:2] == ["latitude,device_time_ns", ",0"]
     assert export_blocks(blocks, tmp_path / "u.csv", None, KNOWN.values) == 9
     assert (tmp_path / "u.csv").read_text().startswith("device_time_ns,gyro_x,latitude\n")
+
+
+def test_a_column_that_becomes_known_late_stands_where_it_belongs(tmp_path: Path) -> None:
+    blocks = [block(0, 5, "gyro_x"), block(5, 9, "gyro_x", "latitude")]
+    came: list[SampleBlock] = []
+
+    def known() -> list[Column]:
+        names = {name for part in came for name in part.columns}
+        return [KNOWN[name] for name in ("device_time_ns", "latitude", "gyro_x") if name in names]
+
+    def stream() -> Iterator[SampleBlock]:
+        for part in blocks:
+            came.append(part)
+            yield part
+
+    for columns, header in (
+        (["gyro_x", "latitude"], "gyro_x,latitude"),
+        (None, "device_time_ns,latitude,gyro_x"),
+    ):
+        came.clear()
+        export_blocks(stream(), tmp_path / "t.csv", columns, known)
+        assert (tmp_path / "t.csv").read_text().splitlines()[0] == header
 
 
 @pytest.mark.parametrize("name", ["gyro_y", "nonsense"])

@@ -1,0 +1,82 @@
+"""``imumon decode``: bytes to a table."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from imumon.cli.common import (
+    columns_option,
+    device_help,
+    json_option,
+    print_json,
+    print_rows,
+    say,
+    split_columns,
+)
+from imumon.errors import ImumonError, Reason
+from imumon.pipeline import Pipeline
+from imumon.run.narration import describe_losses
+from imumon.run.replay import run_over
+from imumon.run.source import Source, open_source
+from imumon.session.table import export_blocks
+
+
+@click.command("decode")
+@click.argument("file", type=click.Path(path_type=Path))
+@click.option("--device", help=device_help + "  A session knows its own.")
+@click.option(
+    "--out", type=click.Path(path_type=Path), required=True, help="Table to write: NAME.parquet or NAME.csv."
+)
+@columns_option
+@json_option
+def command(file: Path, device: str | None, out: Path, columns: str | None, as_json: bool) -> int:
+    """Decode FILE, a raw capture of any tool or a session, into a table."""
+    source = open_source(file, device)
+    pipeline = Pipeline(source.device)
+    try:
+        rows = export_blocks(
+            run_over(source.items, pipeline), out, split_columns(columns), lambda: source.columns(pipeline)
+        )
+    except ImumonError as error:
+        if error.reason is not Reason.BAD_DATA or pipeline.counters.samples:
+            raise
+        if as_json:
+            print_json(_result(source, pipeline, None, 0))
+        raise _nothing(source, pipeline) from error
+    for text in [*source.warnings(), *(f"device: {notice}" for notice in pipeline.notices())]:
+        say("WARN", text)
+    if as_json:
+        print_json(_result(source, pipeline, out, rows))
+    counters = pipeline.counters
+    print_rows(
+        {
+            "packets": ", ".join(f"{count:,} {name}" for name, count in counters.packets_by_type.items()),
+            "bytes": f"{counters.bytes_received:,} received, {counters.bytes_in_packets:,} in packets, "
+            f"{counters.bytes_skipped:,} skipped, {counters.bytes_pending:,} pending",
+            "losses": describe_losses(counters),
+            "table": f"{out}: {rows:,} rows",
+        }
+    )
+    return 0
+
+
+def _result(source: Source, pipeline: Pipeline, out: Path | None, rows: int) -> dict[str, object]:
+    device = source.device.name if source.device is not None else None
+    return {"file": source.path, "device": device, "out": out, "rows": rows, **pipeline.counters.as_dict()}
+
+
+def _nothing(source: Source, pipeline: Pipeline) -> ImumonError:
+    counters = pipeline.counters
+    if not counters.bytes_received:
+        return ImumonError(Reason.BAD_DATA, f"{source.path} is empty")
+    others = ", ".join(f"{count} {name}" for name, count in counters.packets_by_type.items())
+    device = source.device.name if source.device is not None else "table"
+    return ImumonError(
+        Reason.BAD_DATA,
+        f"no samples of {device} in the {counters.bytes_received:,} bytes of {source.path}: "
+        f"{counters.checksum_errors} checksum errors, {counters.length_errors} length errors, "
+        f"{others or 'no other'} messages",
+        "is it another device, or text?  Nothing was written",
+    )

@@ -1,0 +1,150 @@
+"""``imumon replay``: a recording through the same code again."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from imumon.blocks import SampleBlock
+from imumon.cli.common import (
+    bind_option,
+    columns_option,
+    json_option,
+    print_json,
+    print_rows,
+    say,
+    split_columns,
+    table_option,
+    window_option,
+)
+from imumon.errors import ImumonError, Reason
+from imumon.pipeline import Digest, Pipeline
+from imumon.run.narration import Narrator, describe_losses, view_setup
+from imumon.run.replay import run_over
+from imumon.run.source import Source, open_source
+from imumon.session.folder import open_session
+
+if TYPE_CHECKING:
+    from imumon.view.publisher import ViewPublisher
+
+CLOSE_S = 5.0
+"""How long the view may take to show the last samples of a replay."""
+
+
+@click.command("replay")
+@click.argument("session", type=click.Path(path_type=Path))
+@click.option("--speed", help="1 as recorded, N times as fast, or max.  Default: 1 with a view, else max.")
+@table_option
+@columns_option
+@click.option("--view", type=click.Choice(["native", "web", "none"]), default="none", show_default=True)
+@window_option
+@bind_option
+@json_option
+def command(
+    session: Path,
+    speed: str | None,
+    out: Path | None,
+    columns: str | None,
+    view: str,
+    window: float,
+    bind: str,
+    as_json: bool,
+) -> int:
+    """Run SESSION again through the same code, bit for bit, to a table or to the view."""
+    open_session(session)  # a raw capture has no times: that is for decode
+    source = open_source(session)
+    pace = _speed(speed, view)
+    pipeline, digest = Pipeline(source.device), Digest()
+    publisher = None if view == "none" else _publisher(source, pipeline, view, window, bind)
+    narrator = None
+    if publisher is not None:
+        card = {"session": str(session), "replay": "as fast as it goes" if pace is None else f"{pace:g} x"}
+        narrator = Narrator(pipeline, None, [publisher.publish], lambda *_: None, card)
+    blocks = _digested(run_over(source.items, pipeline, narrator, pace), digest)
+    try:
+        rows = _run(blocks, source, pipeline, out, columns)
+    finally:
+        if publisher is not None:
+            publisher.close(CLOSE_S)
+    _report(source, pipeline, digest.hexdigest(), out, rows, as_json)
+    return 0
+
+
+def _run(
+    blocks: Iterator[SampleBlock], source: Source, pipeline: Pipeline, out: Path | None, columns: str | None
+) -> int:
+    if out is None:
+        return sum(len(block) for block in blocks)
+    from imumon.session.table import export_blocks
+
+    return export_blocks(blocks, out, split_columns(columns), lambda: source.columns(pipeline))
+
+
+def _report(
+    source: Source, pipeline: Pipeline, digest: str, out: Path | None, rows: int, as_json: bool
+) -> None:
+    assert source.session is not None
+    live = source.session.metadata.results_digest
+    identical = None if live is None else live == digest
+    for text in source.warnings():
+        say("WARN", text)
+    if identical is False:
+        say(
+            "WARN",
+            "the samples differ from those of the live run: another version, or bytes missing",
+        )
+    counters = pipeline.counters
+    if as_json:
+        print_json(
+            {
+                "session": source.path,
+                "out": out,
+                "rows": rows,
+                **counters.as_dict(),
+                "results_digest": digest,
+                "identical_to_live": identical,
+            }
+        )
+    verdict = {
+        True: "bit for bit those of the live run",
+        False: "NOT those of the live run",
+        None: "with no live run to compare",
+    }
+    print_rows(
+        {
+            "samples": f"{rows:,}, {verdict[identical]}",
+            "losses": describe_losses(counters),
+            **({"table": str(out)} if out is not None else {}),
+        }
+    )
+
+
+def _speed(text: str | None, view: str) -> float | None:
+    if text is None:
+        return None if view == "none" else 1.0
+    if text == "max":
+        return None
+    try:
+        speed = float(text)
+    except ValueError:
+        speed = 0.0
+    if not 0 < speed < 1e9:
+        raise ImumonError(Reason.BAD_CONFIG, f"--speed {text!r}: expected a positive number or max")
+    return speed
+
+
+def _publisher(source: Source, pipeline: Pipeline, view: str, window: float, bind: str) -> ViewPublisher:
+    from imumon.view.publisher import ViewPublisher
+
+    assert source.session is not None
+    setup = view_setup(source.session, source.columns(pipeline), window, replay=True)
+    return ViewPublisher("native" if view == "native" else "web", setup, bind=bind).start()
+
+
+def _digested(blocks: Iterator[SampleBlock], digest: Digest) -> Iterator[SampleBlock]:
+    for block in blocks:
+        digest.update(block)
+        yield block

@@ -1,0 +1,94 @@
+"""Opening what a command was pointed at: a session, live or imported, or a raw capture."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from imumon.blocks import SampleBlock
+from imumon.columns import Column
+from imumon.errors import ImumonError, Reason
+from imumon.pipeline import Pipeline
+from imumon.protocols.device import DeviceFile, load_device
+from imumon.run.replay import capture_items, session_device
+from imumon.session.folder import Session, is_session, open_session
+from imumon.session.table import iterate_samples, read_columns
+from imumon.session.wire import WireReader
+from imumon.transport.reader import Item
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """Something recorded, ready to be run over.
+
+    Parameters
+    ----------
+    items : iterable
+        What `imumon.run.replay.run_over` takes.
+    device : DeviceFile or None
+        What sent the bytes; None for an imported session.
+    session : Session or None
+        None for a raw capture.
+    imported : sequence of Column
+        Columns of an imported session's table.
+    """
+
+    path: Path
+    items: Iterable[Item] | Iterable[SampleBlock]
+    device: DeviceFile | None
+    session: Session | None
+    imported: tuple[Column, ...] = ()
+
+    def columns(self, pipeline: Pipeline) -> list[Column]:
+        """Return the columns that the run's blocks have so far; `pipeline` is the one it runs through."""
+        own = {column.name for column in self.imported}
+        return [*self.imported, *(column for column in pipeline.columns if column.name not in own)]
+
+    def warnings(self) -> list[str]:
+        """Tell, after the run, what the recording does not hold."""
+        if not isinstance(self.items, WireReader):
+            return []
+        said, summary = [], self.items.summary
+        if self.session is not None and self.session.state == "interrupted":
+            said.append("the session was not closed: it is still being recorded, or was interrupted")
+        if summary.tail_bytes:
+            said.append(
+                f"{summary.tail_bytes} bytes at the end of {self.items.path.name} are not a whole record"
+            )
+        if summary.bytes_unrecorded:
+            said.append(f"{summary.bytes_unrecorded:,} bytes could not be recorded at the time")
+        if summary.checksum_ok is False:
+            said.append(f"{self.items.path.name} was changed after it was recorded: its checksum differs")
+        return said
+
+
+def open_source(path: Path, device_name: str | None = None) -> Source:
+    """Open a session folder, or a raw capture of the device named.
+
+    Raises
+    ------
+    ImumonError
+        BAD_DATA when there is nothing to read; BAD_CONFIG for a capture without a device.
+    """
+    if not is_session(path):
+        if path.is_dir():
+            open_session(path)  # raises, saying what is there
+        if device_name is None:
+            raise ImumonError(
+                Reason.BAD_CONFIG,
+                f"{path} is not a session, so its device must be named",
+                "add --device NAME; imumon devices lists them",
+            )
+        device = load_device(device_name)
+        if not path.is_file():
+            raise ImumonError(
+                Reason.BAD_DATA, f"{path}: there is no such file", "give a raw capture or a session"
+            )
+        return Source(path, capture_items(path), device, None)
+    session = open_session(path)
+    if session.metadata.source == "import":
+        columns = tuple(read_columns(session.samples_path).values())
+        return Source(path, iterate_samples(session), None, session, columns)
+    device = session_device(session) if device_name is None else load_device(device_name)
+    return Source(path, WireReader(session.wire_path), device, session)
