@@ -134,6 +134,16 @@ class FieldTable:
         self.factors: FloatArray = np.array(factors, np.float64)
 
 
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    """Which fields have come (a byte each), and what that means for the columns."""
+
+    key: bytes
+    stored: tuple[Column, ...]
+    derived: tuple[Derived, ...]
+    shown: tuple[Column, ...]
+
+
 class TaggedDecoder(Decoder):
     """Decodes Xbus or MIP by a table of fields; a row for each packet that carries a known one.
 
@@ -171,11 +181,12 @@ class TaggedDecoder(Decoder):
         self._floats: FloatArray = np.full((table.float_count, CAPACITY), np.nan)
         self._ints: IntArray = np.full((table.int_count, CAPACITY), NO_INT, np.int64)
         self._said: dict[str, bool] = {}
+        self._seen = _Seen(b"", (), (), (KNOWN["arrival_time_ns"],))
 
     def discard(self) -> None:
         """Forget the rows decoded since the last call."""
-        if self._state[ROWS]:
-            self._rows()
+        for column in self._look().stored:
+            self._cells(column, int(self._state[ROWS]))[:] = NO_INT if column.dtype == "int64" else np.nan
         super().discard()
 
     def _scan(self, chunk: ByteArray, arrival_ns: int, final: bool) -> None:
@@ -245,20 +256,23 @@ class TaggedDecoder(Decoder):
         counts = self._state[FIELDS:]
         return {self.table.fields[i]: int(counts[i]) for i in np.flatnonzero(counts)}
 
-    def _seen_columns(self) -> list[Column]:
-        seen = {column.name for field in self.seen_fields() for column in field.columns}
-        return [column for name, column in self.table.columns.items() if name in seen]
+    def _look(self) -> _Seen:
+        """Return what follows from the fields that have come; worked out anew only when there are more."""
+        key = (self._state[FIELDS:] > 0).tobytes()
+        if key != self._seen.key:
+            names = {column.name for field in self.seen_fields() for column in field.columns}
+            stored = tuple(column for name, column in self.table.columns.items() if name in names)
+            derived = tuple(item for item in self.table.derived if names.issuperset(item.sources))
+            shown = {column.name: column for column in stored if not column.name.startswith("_")}
+            for column in (column for item in derived for column in item.results):
+                shown.setdefault(column.name, column)
+            self._seen = _Seen(key, stored, derived, (KNOWN["arrival_time_ns"], *shown.values()))
+        return self._seen
 
     @property
     def columns(self) -> tuple[Column, ...]:
         """Time of arrival and the columns of all fields that have come so far."""
-        seen = self._seen_columns()
-        names = {column.name for column in seen}
-        shown = {column.name: column for column in seen if not column.name.startswith("_")}
-        for derived in self.table.derived:
-            if names.issuperset(derived.sources):
-                shown.update({column.name: column for column in derived.results if column.name not in shown})
-        return (KNOWN["arrival_time_ns"], *shown.values())
+        return self._look().shown
 
     def counters(self) -> Counters:
         """Return what became of the bytes so far."""
@@ -279,18 +293,21 @@ class TaggedDecoder(Decoder):
 
     def _rows(self) -> SampleBlock:
         n = int(self._state[ROWS])
-        found: dict[str, ColumnArray] = {}
-        for column in self._seen_columns():
-            place = self.table.places[column.name]
-            values: ColumnArray = self._floats[place, :n] if place >= 0 else self._ints[~place, :n]
+        seen = self._look()
+        found: dict[str, ColumnArray] = {"arrival_time_ns": self._ints[0, :n].copy()}
+        for column in seen.stored:
+            values = self._cells(column, n)
             found[column.name] = values.copy()
-            values[:] = np.nan if place >= 0 else NO_INT
-        for derived in self.table.derived:
-            if found.keys() >= set(derived.sources):
-                for column, values in zip(derived.results, derived.decode(found), strict=True):
-                    found[column.name] = _fill(found.get(column.name), values)
-        shown = {name: values for name, values in found.items() if not name.startswith("_")}
-        return SampleBlock({"arrival_time_ns": self._ints[0, :n].copy(), **shown})
+            values[:] = NO_INT if column.dtype == "int64" else np.nan
+        for derived in seen.derived:
+            for column, values in zip(derived.results, derived.decode(found), strict=True):
+                found[column.name] = _fill(found.get(column.name), values)
+        return SampleBlock({column.name: found[column.name] for column in seen.shown})
+
+    def _cells(self, column: Column, n: int) -> ColumnArray:
+        """Return a view of the first n values of a column; where nothing was written they are missing."""
+        place = self.table.places[column.name]
+        return self._floats[place, :n] if place >= 0 else self._ints[~place, :n]
 
 
 def _fill(values: ColumnArray | None, others: ColumnArray) -> ColumnArray:

@@ -77,7 +77,8 @@ ShortArray = npt.NDArray[np.int16]
 
 _INCOMPLETE, _NO_PACKET, _IMPOSSIBLE, _BAD_SUM, _NO_ROOM = -1, -2, -3, -4, -5
 
-# An index that may be negative costs a test each time; so the loops over bytes run over slices, from zero.
+# An index that may be negative costs a test each time; so places in inner loops are unsigned.
+_1, _2, _3 = np.uint64(1), np.uint64(2), np.uint64(3)
 
 
 @njit(cache=True, nogil=True)
@@ -176,6 +177,17 @@ def _integer(bits: np.uint64, number: int, size: int) -> np.int64:
 
 
 @njit(cache=True, nogil=True)
+def _four(a: np.uint8, b: np.uint8, c: np.uint8, d: np.uint8) -> np.uint64:
+    """Assemble four bytes, most significant first; without a loop it is a single load."""
+    return np.uint64(
+        (np.uint32(a) << np.uint32(24))
+        | (np.uint32(b) << np.uint32(16))
+        | (np.uint32(c) << np.uint32(8))
+        | np.uint32(d)
+    )
+
+
+@njit(cache=True, nogil=True)
 def _decode(
     buf: ByteArray,
     begin: int,
@@ -222,10 +234,13 @@ def _decode(
         first = fields[field, FIRST]
         for v in range(first, first + fields[field, COUNT]):
             column, width = values[v, COLUMN], values[v, SIZE]
-            place = at + values[v, OFFSET]
-            bits = np.uint64(0)
-            for i in range(width):
-                bits = (bits << np.uint64(8)) | np.uint64(buf[place + i])
+            place = np.uint64(at + values[v, OFFSET])
+            if width == 4:
+                bits = _four(buf[place], buf[place + _1], buf[place + _2], buf[place + _3])
+            else:
+                bits = np.uint64(0)
+                for i in range(place, place + np.uint64(width)):
+                    bits = (bits << np.uint64(8)) | np.uint64(buf[i])
             if column >= 0:
                 floats[column, row] = _number(bits, values[v, KIND], width) * factors[v]
             else:

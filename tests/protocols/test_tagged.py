@@ -1,0 +1,159 @@
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+import pytest
+
+from imumon.blocks import NO_INT, SampleBlock
+from imumon.columns import KNOWN, Column
+from imumon.errors import ImumonError, Reason
+from imumon.protocols.base import CAPACITY, Timing
+from imumon.protocols.tagged import MOST_NOTICES, Derived, Field, FieldTable, TaggedDecoder, Value
+from imumon.protocols.tagged_encoder import TaggedEncoder, xbus_message
+from imumon.protocols.tagged_kernel import COUNTED, FIXED, LIST, LOG_SIZE, MESSAGE, XBUS
+from tests.protocols.streams import feed_in_chunks
+
+WIDE, LEVEL = Column("wide", "1", "int64"), Column("level", "m")
+DOUBLE = Derived(
+    ("_half",),
+    (LEVEL,),
+    lambda columns: [columns["_half"] * 2],
+    lambda columns: [columns["level"] / 2],
+)
+FIELDS = [
+    Field(0x0101, "wide", (Value(WIDE, "u16"),)),
+    Field(0x0101, "wide", (Value(WIDE, "i64"),)),
+    Field(0x0202, "level", (Value(LEVEL, "f32"),)),
+    Field(0x0303, "half", (Value(None, "u8"), Value(Column("_half", "m"), "f64"))),
+    Field(0x0404, "blob"),
+]
+TABLE = FieldTable(FIELDS, [DOUBLE])
+
+
+class Talker(TaggedDecoder):
+    """A decoder that repeats what it was told."""
+
+    def __init__(self, role: int = LIST) -> None:
+        super().__init__(TABLE, XBUS, {0x36: role, 0x40: COUNTED}, {0x36: "data"}, Timing())
+
+    def _describe(self, kind: int, payload: bytes) -> Iterable[str]:
+        yield f"{kind:02X} {payload.hex()}"
+
+
+def data(*fields: tuple[int, bytes]) -> bytes:
+    body = b"".join(key.to_bytes(2, "big") + bytes([len(content)]) + content for key, content in fields)
+    return xbus_message(0x36, body)
+
+
+def test_a_field_may_have_several_sizes() -> None:
+    decoder = Talker()
+    decoder.feed(data((0x0101, b"\xff\xff")) + data((0x0101, b"\xff" * 8)) + data((0x0101, b"\x00")), 0)
+    assert decoder.take()["wide"].tolist() == [65_535, -1]
+    assert decoder.unknown_fields() == {(0x0101, 1): 1}
+    assert {field.size: n for field, n in decoder.seen_fields().items()} == {2: 1, 8: 1}
+
+
+def test_computed_values_fill_in_where_none_were_sent() -> None:
+    half = b"\x07" + np.array([4.0], ">f8").tobytes()
+    level = np.array([3.0], ">f4").tobytes()
+    decoder = Talker()
+    decoder.feed(data((0x0202, level)) + data((0x0303, half)) + data((0x0202, level), (0x0303, half)), 0)
+    block = decoder.take()
+    assert block["level"].tolist() == [3, 8, 3]
+    assert set(block.columns) == {"arrival_time_ns", "level"}
+    assert [column.name for column in decoder.columns] == ["arrival_time_ns", "level"]
+
+
+def test_a_packet_with_nothing_for_a_row_makes_none() -> None:
+    decoder = Talker()
+    decoder.feed(data((0x0404, b"abc")) + data() + data((0x0404, b""), (0x0101, b"\x00\x05")), 0)
+    assert decoder.take()["wide"].tolist() == [5]
+    assert decoder.counters().packets == 3
+
+
+def test_missing_values_are_missing() -> None:
+    decoder = Talker()
+    decoder.feed(data((0x0101, b"\x00\x05")) + data((0x0202, bytes(4))), 0)
+    block = decoder.take()
+    assert block["wide"].tolist() == [5, NO_INT]
+    np.testing.assert_array_equal(block["level"], [np.nan, 0])
+
+
+@pytest.mark.parametrize("lengths", [[1 << 16], [1000], [7]])
+def test_more_messages_than_the_log_holds_are_all_said(lengths: list[int]) -> None:
+    messages = [xbus_message(0x10, number.to_bytes(2, "big") * 100) for number in range(200)]
+    stream = b"".join(message + data((0x0101, b"\x00\x01")) for message in messages)
+    assert sum(map(len, messages)) > 2 * LOG_SIZE
+    decoder = Talker()
+    block = feed_in_chunks(decoder, stream, lengths)
+    assert len(block) == 200
+    assert decoder.notices() == [f"10 {number.to_bytes(2, 'big').hex() * 100}" for number in range(200)]
+
+
+def test_the_number_of_different_notices_is_bounded() -> None:
+    decoder = Talker()
+    for number in range(MOST_NOTICES + 50):
+        decoder.feed(xbus_message(0x10, number.to_bytes(2, "big")), 0)
+    assert len(decoder.notices()) == MOST_NOTICES
+    assert decoder.counters().packets == MOST_NOTICES + 50
+
+
+def test_counted_types_say_nothing() -> None:
+    decoder = Talker()
+    decoder.feed(xbus_message(0x40, b"x"), 0)
+    assert decoder.notices() == []
+    assert decoder.counters().packets_by_type == {"0x40": 1}
+
+
+def test_full_rows_and_a_full_log_at_once_lose_nothing() -> None:
+    piece = data((0x0101, b"\x00\x01")) + xbus_message(0x10, bytes(30))
+    decoder = Talker()
+    block = feed_in_chunks(decoder, piece * (CAPACITY + 10), [1 << 16, 5])
+    assert len(block) == CAPACITY + 10
+    assert decoder.counters().bytes_in_packets == len(piece) * (CAPACITY + 10)
+
+
+def test_arrival_is_that_of_the_last_byte_even_when_rows_overflow() -> None:
+    packet = data((0x0101, b"\x00\x01"))
+    decoder = Talker()
+    decoder.feed(packet[:5], 1)
+    decoder.feed(packet[5:] + packet * CAPACITY + packet[:3], 2)
+    decoder.feed(packet[3:], 3)
+    arrival = decoder.take()["arrival_time_ns"]
+    assert arrival.tolist() == [2] * (CAPACITY + 1) + [3]
+
+
+def test_a_fixed_payload_is_the_first_field_of_the_table() -> None:
+    decoder = Talker(FIXED)
+    decoder.feed(xbus_message(0x36, b"\x12\x34") + xbus_message(0x36, b"\x12\x34\x56"), 0)
+    assert decoder.take()["wide"].tolist() == [0x1234]
+    assert decoder.counters().length_errors == 1
+
+
+def test_the_role_of_a_type_that_is_not_named_is_a_message() -> None:
+    assert MESSAGE == 0
+    decoder = Talker()
+    decoder.feed(xbus_message(0x99), 0)
+    assert decoder.notices() == ["99 "]
+
+
+def test_the_encoder_sends_columns_that_the_block_lacks_as_zero() -> None:
+    encoder = TaggedEncoder([FIELDS[1], FIELDS[2], FIELDS[3]], [DOUBLE], XBUS, 0x36, LIST)
+    (packet,) = encoder.encode(SampleBlock({"wide": np.array([-3])}))
+    decoder = Talker()
+    decoder.feed(packet, 0)
+    block = decoder.take()
+    assert (block["wide"][0], block["level"][0]) == (-3, 0)
+
+
+def test_the_encoder_refuses_a_packet_that_is_too_long() -> None:
+    long = Field(0x0505, "long", tuple(Value(KNOWN["roll"], "f64") for _ in range(31)))
+    with pytest.raises(ImumonError, match="2259 bytes") as caught:
+        TaggedEncoder([long] * 9, [], XBUS, 0x36, LIST)
+    assert caught.value.reason is Reason.BAD_CONFIG
+
+
+def test_an_empty_block_makes_no_packets() -> None:
+    encoder = TaggedEncoder([FIELDS[0]], [], XBUS, 0x36, LIST)
+    assert encoder.encode(SampleBlock({"wide": np.zeros(0, np.int64)})) == []
