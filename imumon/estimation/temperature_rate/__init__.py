@@ -1,0 +1,1 @@
+"""Temperature and its rate from a quantized sensor, in real time."""
