@@ -77,6 +77,7 @@ def command(
     folder = out or default_path(profile.name, time.time_ns())
     run = LiveRun(profile, text, settings, folder, say)
     run.open()
+    deadline = None if seconds is None else time.monotonic() + seconds
     try:
         setup = view_setup(run.session, warm_up(profile), window)
         views = _Views(setup, run.session.view_path, view, bind)
@@ -86,7 +87,7 @@ def command(
     try:
         run.begin(views.publish)
         views.announce(say)
-        _watch(run, views, ended, seconds)
+        _watch(run, views, ended, deadline)
     finally:
         summary = run.stop(views.files)
         views.close()
@@ -142,12 +143,14 @@ class _Views:
         self._recorder.close()
 
 
-def _watch(run: LiveRun, views: _Views, ended: threading.Event, seconds: float | None) -> None:
+def _watch(run: LiveRun, views: _Views, ended: threading.Event, deadline: float | None) -> None:
     """Wait for the end, with a status line on a terminal."""
     interactive = sys.stderr.isatty()
-    waited, stopped = 0.0, False
-    while not ended.wait(REFRESH_S) and (seconds is None or waited < seconds):
-        waited += REFRESH_S
+    stopped = False
+    while deadline is None or time.monotonic() < deadline:
+        left = REFRESH_S if deadline is None else min(REFRESH_S, deadline - time.monotonic())
+        if ended.wait(max(left, 0.0)):
+            break
         views.announce(say)
         if interactive:
             click.echo(f"\r\x1b[2K{status_line(run.progress, views.state)}", err=True, nl=False)
