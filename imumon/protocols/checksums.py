@@ -121,7 +121,7 @@ def _crc_table(crc: Crc) -> CrcTable:
 # (34 ns instead of 6 for the sum of 58 bytes).  A slice instead would cost two atomic reference counts a call.
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, inline="always")
 def checksum(
     code: int,
     buf: ByteArray,
@@ -157,7 +157,7 @@ def checksum(
     return np.int64(total & np.uint32(0xFF))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, inline="always")
 def _fletcher(buf: ByteArray, first: np.uint64, last: np.uint64, modulus: int) -> np.int64:
     """Both sums at once: the second is the sum of the bytes weighted by their distance to the end."""
     low = np.uint32(0)
@@ -169,7 +169,7 @@ def _fletcher(buf: ByteArray, first: np.uint64, last: np.uint64, modulus: int) -
     return (np.int64(high % np.uint32(modulus)) << 8) | np.int64(low % np.uint32(modulus))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, inline="always")
 def _crc_forward(
     buf: ByteArray, first: np.uint64, last: np.uint64, table: CrcTable, initial: int
 ) -> np.uint32:
@@ -186,7 +186,7 @@ def _crc_forward(
     return crc
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, inline="always")
 def _crc_reflected(
     buf: ByteArray, first: np.uint64, last: np.uint64, table: CrcTable, initial: int
 ) -> np.uint32:

@@ -16,6 +16,7 @@ from imumon.columns import KNOWN, Column
 from imumon.protocols.base import (
     CAPACITY,
     CHECKSUM_ERRORS,
+    DATED,
     IN_PACKETS,
     LENGTH_ERRORS,
     PACKETS,
@@ -33,7 +34,6 @@ from imumon.protocols.kernel import (
     F64,
     NUMBER_TYPES,
     append_chunk,
-    arrival_of,
     bytes_big,
     bytes_little,
     keep_rest,
@@ -47,8 +47,11 @@ UIntArray = npt.NDArray[np.uint64]
 # Columns of the integer table that describes the packet columns to the kernel.
 AT, KIND, SIZE, IS_INT, OUT, MASK, SHIFT = range(7)
 # Places in the vector that describes the frame to the kernel.
-(LENGTH, SYNC_SIZE,
- CK_CODE, CK_FIRST, CK_STOP, CK_AT, CK_BIG, CK_SIZE, CK_INITIAL, CK_FINAL, CK_SHIFT) = range(11)  # fmt: skip
+(LENGTH, SYNC_SIZE, KNOWN_BITS, PATTERN,
+ CK_CODE, CK_FIRST, CK_STOP, CK_AT, CK_BIG, CK_SIZE, CK_INITIAL, CK_FINAL, CK_SHIFT) = range(13)  # fmt: skip
+
+BATCH_BYTES = 16_384
+"""Packets are worked on in batches of about half an L1 data cache."""
 
 
 class FixedDecoder(Decoder):
@@ -61,7 +64,7 @@ class FixedDecoder(Decoder):
         self._name = device.name
         self._columns = (KNOWN["arrival_time_ns"], *(item.column for item in placed))
         self._header = _header(device)
-        self._frame, self._crc_table = _frame(device)
+        self._frame, self._crc_table = _frame(device, self._header)
         self._fields = np.zeros((len(placed), 7), np.int64)
         self._scales = np.array([[item.scale, item.offset] for item in placed])
         count = [0, 1]  # the first integer row is the arrival time
@@ -74,8 +77,9 @@ class FixedDecoder(Decoder):
             count[is_int] += 1
         self._floats: FloatArray = np.zeros((count[0], CAPACITY))
         self._ints: IntArray = np.zeros((count[1], CAPACITY), np.int64)
-        self._starts: UIntArray = np.zeros(CAPACITY, np.uint64)
-        self._bits: UIntArray = np.zeros(CAPACITY, np.uint64)
+        batch = max(BATCH_BYTES // device.packet.length, 16)
+        self._starts: UIntArray = np.zeros(batch, np.uint64)
+        self._bits: IntArray = np.zeros(batch, np.int64)
 
     @property
     def columns(self) -> tuple[Column, ...]:
@@ -97,7 +101,7 @@ class FixedDecoder(Decoder):
 
     def _scan(self, chunk: ByteArray, arrival_ns: int, final: bool) -> None:
         _scan_fixed(
-            chunk, arrival_ns, final, self._held, self._held_arrival, self._state, self._header, self._frame,
+            chunk, arrival_ns, final, self._held, self._held_arrival, self._state, self._frame, self._header,
             self._crc_table, self._fields, self._scales, self._floats, self._ints, self._starts, self._bits,
         )  # fmt: skip
 
@@ -122,61 +126,85 @@ def _header(device: FixedDevice) -> IntArray:
     return np.array(header, np.int64)
 
 
-def _frame(device: FixedDevice) -> tuple[IntArray, CrcTable]:
+def _frame(device: FixedDevice, header: IntArray) -> tuple[IntArray, CrcTable]:
     packet = device.packet
     check = make_checksum(packet.checksum.type)
-    frame = np.zeros(11, np.int64)
-    frame[:CK_CODE] = packet.length, len(packet.sync)
     big = (packet.checksum.byte_order or packet.byte_order) == "big"
-    frame[CK_CODE:] = (
+    frame = np.array([
+        packet.length, len(packet.sync), *_first_word(header),
         check.code, packet.checksum.first, packet.checksum.last + 1, packet.checksum.at, big,
         check.size, check.initial, check.final_xor, check.shift,
-    )  # fmt: skip
+    ], np.int64)  # fmt: skip
     return frame, check.table
+
+
+def _first_word(header: IntArray) -> tuple[int, int]:
+    """Return which bits of a packet's first 8 bytes are the same in every packet, and what they are.
+
+    Where the length stands further back no word has the pattern, so that each header is judged byte by byte.
+    """
+    known, pattern = np.zeros(8, np.uint8), np.zeros(8, np.uint8)
+    if header[:, 0].max() >= 8:
+        return 0, 1
+    known[header[:, 0]] = 0xFF
+    pattern[header[:, 0]] = header[:, 1]
+    return int(known.view("<i8")[0]), int(pattern.view("<i8")[0])
 
 
 @njit(cache=True, nogil=True)
 def _scan_fixed(
     chunk: ByteArray, arrival_ns: int, final: bool, held: ByteArray, held_arrival: IntArray, state: IntArray,
-    header: IntArray, frame: IntArray, crc_table: CrcTable, fields: IntArray, scales: FloatArray,
-    floats: FloatArray, ints: IntArray, starts: UIntArray, bits: UIntArray,
+    frame: IntArray, header: IntArray, crc_table: CrcTable, fields: IntArray, scales: FloatArray,
+    floats: FloatArray, ints: IntArray, starts: UIntArray, bits: IntArray,
 ) -> None:  # fmt: skip
-    """Decode a chunk: the arrays are those of `FixedDecoder`."""
+    """Decode a chunk: the arrays are those of `FixedDecoder`.
+
+    Goes in batches of as many packets as `starts` holds, so that a column finds their bytes in the L1 cache.
+    """
     stop = append_chunk(chunk, held, state)
-    row = state[ROWS]
-    rest, found = _find_packets(held, stop, final, header, frame, crc_table, starts, len(starts) - row, state)
-    length = frame[LENGTH]
-    for k in range(found):
-        ints[0, row + k] = arrival_of(np.int64(starts[k]) + length - 1, arrival_ns, held_arrival, state)
-    for f in range(len(fields)):
-        _fill_column(held, starts, found, row, fields[f], scales[f], floats, ints, bits)
-    state[ROWS] = row + found
-    keep_rest(rest, arrival_ns, held, held_arrival, state, row + found == len(starts))
+    rest, row, capacity = 0, state[ROWS], ints.shape[1]
+    batch_full = True
+    while batch_full and row < capacity:
+        room = min(len(starts), capacity - row)
+        rest, found = _find_packets(held, rest, stop, final, header, frame, crc_table, starts, room, state)
+        _fill_arrivals(starts, found, frame[LENGTH], arrival_ns, held_arrival, state, ints[0, row:])
+        for f in range(len(fields)):
+            field = fields[f]
+            if field[IS_INT]:
+                _fill_ints(held, starts, found, field, scales[f, 0], ints[field[OUT], row:])
+            else:
+                _fill_floats(held, starts, found, field, scales[f, 0], scales[f, 1], bits,
+                             floats[field[OUT], row:])  # fmt: skip
+        row += found
+        batch_full = found == room
+    state[ROWS] = row
+    keep_rest(rest, arrival_ns, held, held_arrival, state, row == capacity)
 
 
 @njit(cache=True, nogil=True)
 def _find_packets(
-    held: ByteArray, stop: int, final: bool, header: IntArray, frame: IntArray, crc_table: CrcTable,
-    starts: UIntArray, room: int, state: IntArray,
+    held: ByteArray, start: int, stop: int, final: bool, header: IntArray, frame: IntArray,
+    crc_table: CrcTable, starts: UIntArray, room: int, state: IntArray,
 ) -> tuple[int, int]:  # fmt: skip
-    """Find up to `room` packets in held[:stop]; return (first byte to keep, packets found).
+    """Find up to `room` packets in held[start:stop]; return (first byte to keep, packets found).
 
     Every byte passed over is counted.  A candidate that is not complete ends the scan, or, at the end of the
     data, is passed over provisionally: it stays pending unless a whole packet follows.
     """
-    at, done, found, unfinished = 0, 0, 0, -1
-    length = frame[LENGTH]
-    ck_at, ck_big, ck_size = frame[CK_AT], frame[CK_BIG], frame[CK_SIZE]
-    first, last, code = frame[CK_FIRST], frame[CK_STOP], frame[CK_CODE]
-    initial, final_xor, shift = frame[CK_INITIAL], frame[CK_FINAL], frame[CK_SHIFT]
+    at, done, found, unfinished = start, start, 0, -1
+    length, known, pattern = frame[LENGTH], np.uint64(frame[KNOWN_BITS]), np.uint64(frame[PATTERN])
+    last_word, first_byte = stop - max(length, 8), header[0, 1]
     while at < stop and found < room:
-        verdict = _judge_header(held, at, stop, header, frame)
-        if verdict == GOOD and ck_size > 0:
-            computed = checksum(code, held, at + first, at + last, crc_table, initial, final_xor, shift)
-            if computed != _sent(held, at + ck_at, ck_size, ck_big):
-                verdict = BAD_CHECKSUM
+        if held[np.uint64(at)] != first_byte:
+            at += 1
+            continue
+        verdict = GOOD
+        if at > last_word or bytes_little(held, np.uint64(at), 8) & known != pattern:
+            verdict = _judge_header(held, at, stop, header, frame)
+        if verdict == GOOD and frame[CK_SIZE] and not _checksum_fits(held, at, frame, crc_table):
+            verdict = BAD_CHECKSUM
         if verdict == GOOD:
-            starts[found] = at
+            starts[np.uint64(found)] = at
             found += 1
             state[SKIPPED] += at - done
             at += length
@@ -202,96 +230,162 @@ def _find_packets(
 GOOD, NO_SYNC, INCOMPLETE, BAD_LENGTH, BAD_CHECKSUM = range(5)
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True)
 def _judge_header(held: ByteArray, at: int, stop: int, header: IntArray, frame: IntArray) -> int:
     """Tell whether a packet may begin at a place: sync bytes, length, and whether all of it is there."""
-    place, available = np.uint64(at), stop - at
-    verdict = GOOD if available >= frame[LENGTH] else INCOMPLETE
+    available = stop - at
     for i in range(len(header)):
         if header[i, 0] >= available:
             break
-        if held[place + np.uint64(header[i, 0])] != header[i, 1]:
-            verdict = NO_SYNC if i < frame[SYNC_SIZE] else BAD_LENGTH
-            break
-    return verdict
+        if held[at + header[i, 0]] != header[i, 1]:
+            return NO_SYNC if i < frame[SYNC_SIZE] else BAD_LENGTH
+    return GOOD if available >= frame[LENGTH] else INCOMPLETE
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _sent(held: ByteArray, at: int, size: int, big: int) -> np.int64:
-    """Read the checksum that stands in the packet."""
-    place, value = np.uint64(at), np.int64(0)
-    for i in range(size):
+def _checksum_fits(held: ByteArray, at: int, frame: IntArray, crc_table: CrcTable) -> bool:
+    """Compare the checksum of the packet with the one that it carries."""
+    computed = checksum(frame[CK_CODE], held, at + frame[CK_FIRST], at + frame[CK_STOP], crc_table,
+                        frame[CK_INITIAL], frame[CK_FINAL], frame[CK_SHIFT])  # fmt: skip
+    place, big, sent = np.uint64(at + frame[CK_AT]), frame[CK_BIG], np.int64(0)
+    for i in range(frame[CK_SIZE]):
         byte = np.int64(held[place + np.uint64(i)])
-        value = (value << 8) | byte if big else value | (byte << (8 * i))
-    return value
+        sent = (sent << 8) | byte if big else sent | (byte << (8 * i))
+    return bool(computed == sent)
 
 
 @njit(cache=True, nogil=True)
-def _fill_column(
-    held: ByteArray, starts: UIntArray, n: int, row: int, field: IntArray, scale: FloatArray,
-    floats: FloatArray, ints: IntArray, bits: UIntArray,
+def _fill_arrivals(
+    starts: UIntArray, n: int, length: int, arrival_ns: int, held_arrival: IntArray, state: IntArray,
+    out: IntArray,
 ) -> None:  # fmt: skip
-    """Write one field of n packets into its column, from `row` on."""
-    kind, size = field[KIND], field[SIZE]
-    _gather(held, starts, n, field[AT], size, kind >= BIG, bits)
-    code = kind & (BIG - 1)
-    to_sign = np.int64(64 - 8 * size) if code < F32 and code & 1 else np.int64(0)
+    """Write when the last byte of each packet arrived; only the first few can be from earlier chunks."""
+    for k in range(n):
+        out[k] = arrival_ns
+    for k in range(n):
+        last = np.int64(starts[k]) + length - 1
+        if last >= state[DATED]:
+            break
+        out[k] = held_arrival[last]
+
+
+@njit(cache=True, nogil=True)
+def _fill_ints(
+    held: ByteArray, starts: UIntArray, n: int, field: IntArray, factor: float, out: IntArray
+) -> None:
+    """Write one field of n packets as integers."""
+    _fill_raw(held, starts, n, field, out)
+    code = field[KIND] & (BIG - 1)
     mask, shift = np.uint64(field[MASK]), np.uint64(field[SHIFT])
-    factor, offset = scale[0], scale[1]
-    if field[IS_INT]:
-        whole = ints[field[OUT], row : row + n]
-        if code == F64:
-            for k in range(n):
-                whole[k] = np.int64(np.rint(np.uint64(bits[k]).view(np.float64) * factor))
-        elif code == F32:
-            for k in range(n):
-                whole[k] = np.int64(np.rint(np.float64(np.uint32(bits[k]).view(np.float32)) * factor))
-        elif mask:
-            for k in range(n):
-                whole[k] = np.int64((bits[k] & mask) >> shift)
-        else:
-            for k in range(n):
-                whole[k] = np.int64(bits[k] << np.uint64(to_sign)) >> to_sign
+    if code == F64:
+        for k in range(n):
+            out[k] = np.int64(np.rint(np.int64(out[k]).view(np.float64) * factor))
+    elif code == F32:
+        for k in range(n):
+            out[k] = np.int64(np.rint(np.float64(np.uint32(out[k]).view(np.float32)) * factor))
+    elif mask:
+        for k in range(n):
+            out[k] = np.int64((np.uint64(out[k]) & mask) >> shift)
+
+
+@njit(cache=True, nogil=True)
+def _fill_floats(
+    held: ByteArray, starts: UIntArray, n: int, field: IntArray, factor: float, offset: float, bits: IntArray,
+    out: FloatArray,
+) -> None:  # fmt: skip
+    """Write one field of n packets as raw * factor + offset; plain integers, the usual case, in one pass."""
+    code, mask, shift = field[KIND] & (BIG - 1), np.uint64(field[MASK]), np.uint64(field[SHIFT])
+    if code < F32 and not mask:
+        _fill_scaled(held, starts, n, field, factor, offset, out)
         return
-    out = floats[field[OUT], row : row + n]
+    _fill_raw(held, starts, n, field, bits)
     if code == F32:
         for k in range(n):
             out[k] = np.float64(np.uint32(bits[k]).view(np.float32)) * factor + offset
     elif code == F64:
         for k in range(n):
-            out[k] = np.uint64(bits[k]).view(np.float64) * factor + offset
-    elif mask:
-        for k in range(n):
-            out[k] = np.float64((bits[k] & mask) >> shift) * factor + offset
+            out[k] = np.int64(bits[k]).view(np.float64) * factor + offset
     else:
         for k in range(n):
-            out[k] = np.float64(np.int64(bits[k] << np.uint64(to_sign)) >> to_sign) * factor + offset
+            out[k] = np.float64((np.uint64(bits[k]) & mask) >> shift) * factor + offset
+
+
+# The two functions below have a loop for each size and byte order, made by inlining with constants: so the
+# bytes of a number become one load and a byte swap.
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _number(held: ByteArray, place: np.uint64, size: int, big: bool, to_sign: np.int64) -> np.int64:
+    """Read an integer; `to_sign` is 64 less its bits if it is signed, else 0."""
+    bits = bytes_big(held, place, size) if big else bytes_little(held, place, size)
+    return np.int64(bits << np.uint64(to_sign)) >> to_sign
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _sign_shift(kind: int, size: int) -> np.int64:
+    code = kind & (BIG - 1)
+    return np.int64(64 - 8 * size) if code < F32 and code & 1 else np.int64(0)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _raw_loop(
+    held: ByteArray,
+    starts: UIntArray,
+    n: int,
+    at: int,
+    to_sign: np.int64,
+    size: int,
+    big: bool,
+    out: IntArray,
+) -> None:
+    for k in range(n):
+        out[k] = _number(held, starts[k] + np.uint64(at), size, big, to_sign)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _scaled_loop(
+    held: ByteArray, starts: UIntArray, n: int, at: int, to_sign: np.int64, size: int, big: bool,
+    factor: float, offset: float, out: FloatArray,
+) -> None:  # fmt: skip
+    for k in range(n):
+        out[k] = np.float64(_number(held, starts[k] + np.uint64(at), size, big, to_sign)) * factor + offset
 
 
 @njit(cache=True, nogil=True)
-def _gather(
-    held: ByteArray, starts: UIntArray, n: int, at: int, size: int, big: bool, bits: UIntArray
-) -> None:
-    """Collect the raw bits of a field; a loop for each size, so that each becomes a load and a byte swap."""
-    place = np.uint64(at)
+def _fill_raw(held: ByteArray, starts: UIntArray, n: int, field: IntArray, out: IntArray) -> None:
+    """Write the raw integers of a field, or the bits of a floating-point number."""
+    at, size, big = field[AT], field[SIZE], field[KIND] >= BIG
+    to_sign = _sign_shift(field[KIND], size)
     if size == 1:
-        for k in range(n):
-            bits[k] = np.uint64(held[starts[k] + place])
+        _raw_loop(held, starts, n, at, to_sign, 1, False, out)
     elif size == 2 and big:
-        for k in range(n):
-            bits[k] = bytes_big(held, starts[k] + place, 2)
+        _raw_loop(held, starts, n, at, to_sign, 2, True, out)
     elif size == 2:
-        for k in range(n):
-            bits[k] = bytes_little(held, starts[k] + place, 2)
+        _raw_loop(held, starts, n, at, to_sign, 2, False, out)
     elif size == 4 and big:
-        for k in range(n):
-            bits[k] = bytes_big(held, starts[k] + place, 4)
+        _raw_loop(held, starts, n, at, to_sign, 4, True, out)
     elif size == 4:
-        for k in range(n):
-            bits[k] = bytes_little(held, starts[k] + place, 4)
-    elif big:
-        for k in range(n):
-            bits[k] = bytes_big(held, starts[k] + place, size)
+        _raw_loop(held, starts, n, at, to_sign, 4, False, out)
     else:
-        for k in range(n):
-            bits[k] = bytes_little(held, starts[k] + place, size)
+        _raw_loop(held, starts, n, at, to_sign, size, big, out)
+
+
+@njit(cache=True, nogil=True)
+def _fill_scaled(
+    held: ByteArray, starts: UIntArray, n: int, field: IntArray, factor: float, offset: float, out: FloatArray
+) -> None:
+    """Write the integers of a field as raw * factor + offset."""
+    at, size, big = field[AT], field[SIZE], field[KIND] >= BIG
+    to_sign = _sign_shift(field[KIND], size)
+    if size == 1:
+        _scaled_loop(held, starts, n, at, to_sign, 1, False, factor, offset, out)
+    elif size == 2 and big:
+        _scaled_loop(held, starts, n, at, to_sign, 2, True, factor, offset, out)
+    elif size == 2:
+        _scaled_loop(held, starts, n, at, to_sign, 2, False, factor, offset, out)
+    elif size == 4 and big:
+        _scaled_loop(held, starts, n, at, to_sign, 4, True, factor, offset, out)
+    elif size == 4:
+        _scaled_loop(held, starts, n, at, to_sign, 4, False, factor, offset, out)
+    else:
+        _scaled_loop(held, starts, n, at, to_sign, size, big, factor, offset, out)
