@@ -14,6 +14,9 @@ from imumon.protocols.kernel import NUMBER_TYPES, NumberType
 from imumon.protocols.tagged import Derived, Field, Value
 from imumon.protocols.tagged_kernel import FIXED, LONGEST_XBUS_PAYLOAD, MIP, XBUS
 
+WRAPPING = ("packet_counter", "device_ticks")
+"""Columns of which only the low bits are sent."""
+
 _FLOAT32_MAX = float(np.finfo(np.float32).max)
 
 
@@ -55,6 +58,9 @@ class TaggedEncoder(Encoder):
 
     def encode(self, block: SampleBlock) -> list[bytes]:
         """Return one packet per row; columns that the block lacks are sent as zero.
+
+        Counters and clocks wrap as in the device.  Where a value is missing but its field is sent, it is sent
+        as NaN, or as zero where the number has no NaN.
 
         Raises
         ------
@@ -148,13 +154,15 @@ def _pack_value(
     where = f"{field.name}, column {value.column.name}"
     if value.type in ("f32", "f64"):
         return _pack_float(numbers / value.factor, kind, where)
+    numbers = np.where(_is_missing(numbers), 0, numbers)
     if numbers.dtype.kind == "f" or value.factor != 1.0:
         scaled = numbers / value.factor * (2.0**32 if value.type == "fp1632" else 1.0)
         _refuse(~np.isfinite(scaled) | (np.abs(scaled) > 2.0**62), numbers, where)
         numbers = np.rint(scaled).astype(np.int64)
     elif value.type == "fp1632":
         numbers = numbers * (1 << 32)
-    _refuse_outside(numbers, kind, where)
+    if value.column.name not in WRAPPING:
+        _refuse_outside(numbers, kind, where)
     most_first = numbers.astype(">i8").view(np.uint8).reshape(-1, 8)[:, 8 - kind.size :]
     # The fraction of fp16.32 goes before the integer part.
     return most_first[:, [2, 3, 4, 5, 0, 1]] if value.type == "fp1632" else most_first

@@ -498,7 +498,9 @@ def test_a_field_without_values_is_left_out_of_the_row() -> None:
         (["Acceleration"], "fp12.20", "accel_x", 2048.0),
         (["Acceleration"], "fp16.32", "accel_x", -32769.0),
         (["Acceleration"], "float32", "accel_x", 1e39),
-        (["PacketCounter"], "float32", "packet_counter", 65536),
+        (["AnalogIn1"], "float32", "analog_1", 65536.0),
+        (["StatusByte"], "float32", "status", 256),
+        (["Acceleration"], "fp16.32", "accel_x", np.inf),
         (["BaroPressure"], "float32", "pressure", -1.0),
     ],
 )
@@ -508,6 +510,27 @@ def test_a_value_that_does_not_fit_is_refused(
     with pytest.raises(ImumonError, match=column) as caught:
         MTData2Encoder(names, precision).encode(SampleBlock({column: np.array([0, value])}))
     assert caught.value.reason is Reason.BAD_DATA
+
+
+def test_counter_and_clock_wrap_as_in_the_device() -> None:
+    block = SampleBlock(
+        {"packet_counter": np.array([65_535, 65_536]), "device_ticks": np.array([1, (1 << 32) + 2])}
+    )
+    decoder = MTData2Decoder()
+    decoder.feed(b"".join(MTData2Encoder(["PacketCounter", "SampleTimeFine"]).encode(block)), 0)
+    got = decoder.take()
+    assert got["packet_counter"].tolist() == [65_535, 0]
+    assert got["device_ticks"].tolist() == [1, 2]
+
+
+def test_a_value_missing_in_a_field_that_is_sent_becomes_nan_or_zero() -> None:
+    block = SampleBlock(
+        {"accel_x": np.array([1.0]), "accel_y": np.array([np.nan]), "accel_z": np.array([2.0])}
+    )
+    decoder = MTData2Decoder()
+    decoder.feed(MTData2Encoder(["Acceleration"]).encode(block)[0], 0)
+    decoder.feed(MTData2Encoder(["Acceleration"], "fp16.32").encode(block)[0], 0)
+    np.testing.assert_array_equal(decoder.take()["accel_y"], [np.nan, 0])
 
 
 @pytest.mark.parametrize("name", ["Accelleration", "GnssSatInfo"])
