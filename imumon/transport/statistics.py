@@ -66,9 +66,12 @@ class LinkStatistics:
         return None if self._capacity is None else self.bytes_per_s(now_ns) / self._capacity
 
     def overloaded(self, now_ns: int) -> bool:
-        """Tell whether to warn: above 80 % load, until it is below 70 %."""
+        """Tell whether to warn: above 80 % load, until it is below 70 %.
+
+        Not in the first 2 s: what had queued up before the port was opened comes at once.
+        """
         load = self.load(now_ns)
-        if load is not None:
+        if load is not None and now_ns // BUCKET_NS - (self._first_bucket or 0) > WINDOW_BUCKETS:
             self._warning = load > (CALM_BELOW if self._warning else WARN_ABOVE)
         return self._warning
 

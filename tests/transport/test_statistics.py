@@ -72,3 +72,11 @@ def test_the_peak_is_the_largest_burst() -> None:
     statistics.add(3000, SECOND + 1)
     stream(statistics, 1000, 1.2, 3.0)
     assert statistics.peak_bytes_per_s == 30_000
+
+
+def test_a_backlog_at_the_start_is_no_overload() -> None:
+    statistics = LinkStatistics(PortSettings("/dev/ttyUSB0", 115200))
+    statistics.add(4000, 0)
+    for tick in range(1, 60):
+        statistics.add(576, tick * 100_000_000)
+        assert not statistics.overloaded(tick * 100_000_000)
