@@ -155,7 +155,7 @@ def _note_unknown(key: int, size: int, state: IntArray) -> None:
     state[UNKNOWN_KINDS] += 1
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, inline="always")
 def _number(bits: np.uint64, number: int, size: int) -> float:
     """Interpret the bytes of a number, assembled with the most significant first, as float64."""
     if number == F32:
@@ -169,14 +169,14 @@ def _number(bits: np.uint64, number: int, size: int) -> float:
     return np.float64(_integer(bits, number, size))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, inline="always")
 def _integer(bits: np.uint64, number: int, size: int) -> np.int64:
     """Interpret the bytes of an integer; odd kinds are signed."""
     shift = np.uint64(64 - 8 * size)
     return np.int64(bits << shift) >> np.int64(shift) if number & 1 else np.int64(bits)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, inline="always")
 def _four(a: np.uint8, b: np.uint8, c: np.uint8, d: np.uint8) -> np.uint64:
     """Assemble four bytes, most significant first; without a loop it is a single load."""
     return np.uint64(
@@ -207,7 +207,7 @@ def _decode(
     `layout` is the framing, or `WHOLE` when the payload is the first field of the table without a header.
     This is one function, because arrays are costly to pass.
     """
-    row = state[ROWS]
+    row = np.uint64(state[ROWS])
     known = 0
     at = np.int64(begin)
     while at < end:
@@ -229,10 +229,12 @@ def _decode(
                 _note_unknown(int(key), int(size), state)
                 at += size
                 continue
-        state[FIELDS + field] += 1
-        known += fields[field, COUNT] > 0
-        first = fields[field, FIRST]
-        for v in range(first, first + fields[field, COUNT]):
+        found = np.uint64(field)
+        state[np.uint64(FIELDS) + found] += 1
+        first = np.uint64(fields[found, FIRST])
+        stop = first + np.uint64(fields[found, COUNT])
+        known += int(stop > first)
+        for v in range(first, stop):
             column, width = values[v, COLUMN], values[v, SIZE]
             place = np.uint64(at + values[v, OFFSET])
             if width == 4:
@@ -242,9 +244,9 @@ def _decode(
                 for i in range(place, place + np.uint64(width)):
                     bits = (bits << np.uint64(8)) | np.uint64(buf[i])
             if column >= 0:
-                floats[column, row] = _number(bits, values[v, KIND], width) * factors[v]
+                floats[np.uint64(column), row] = _number(bits, values[v, KIND], width) * factors[v]
             else:
-                ints[~column, row] = _integer(bits, values[v, KIND], width)
+                ints[np.uint64(~column), row] = _integer(bits, values[v, KIND], width)
         at += size
     return known
 
