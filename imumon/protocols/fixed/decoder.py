@@ -75,6 +75,9 @@ class FixedDecoder(Decoder):
             kind = number.code + (BIG if item.big else 0)
             self._fields[row] = item.at, kind, number.size, is_int, count[is_int], item.mask, low_bit
             count[is_int] += 1
+        # Where each column of a block is among the rows of integers and then of floats.
+        self._order = [0, *(int(f[OUT] if f[IS_INT] else count[1] + f[OUT]) for f in self._fields)]
+        self._names = [column.name for column in self._columns]
         self._floats: FloatArray = np.zeros((count[0], CAPACITY))
         self._ints: IntArray = np.zeros((count[1], CAPACITY), np.int64)
         batch = max(BATCH_BYTES // device.packet.length, 16)
@@ -107,11 +110,9 @@ class FixedDecoder(Decoder):
 
     def _rows(self) -> SampleBlock:
         n = int(self._state[ROWS])
-        columns: dict[str, ColumnArray] = {"arrival_time_ns": self._ints[0, :n].copy()}
-        for column, field in zip(self._columns[1:], self._fields, strict=True):
-            source: ColumnArray = self._ints if field[IS_INT] else self._floats
-            columns[column.name] = source[field[OUT], :n].copy()
-        return SampleBlock(columns)
+        # Two copies and a view for each column take a third of the time of a copy for each column.
+        rows: list[ColumnArray] = [*self._ints[:, :n].copy(), *self._floats[:, :n].copy()]
+        return SampleBlock({name: rows[row] for name, row in zip(self._names, self._order, strict=True)})
 
 
 def _header(device: FixedDevice) -> IntArray:
@@ -199,7 +200,7 @@ def _find_packets(
             at += 1
             continue
         verdict = GOOD
-        if at > last_word or bytes_little(held, np.uint64(at), 8) & known != pattern:
+        if at > last_word or bytes_little(held, at, 8) & known != pattern:
             verdict = _judge_header(held, at, stop, header, frame)
         if verdict == GOOD and frame[CK_SIZE] and not _checksum_fits(held, at, frame, crc_table):
             verdict = BAD_CHECKSUM
@@ -247,11 +248,14 @@ def _checksum_fits(held: ByteArray, at: int, frame: IntArray, crc_table: CrcTabl
     """Compare the checksum of the packet with the one that it carries."""
     computed = checksum(frame[CK_CODE], held, at + frame[CK_FIRST], at + frame[CK_STOP], crc_table,
                         frame[CK_INITIAL], frame[CK_FINAL], frame[CK_SHIFT])  # fmt: skip
-    place, big, sent = np.uint64(at + frame[CK_AT]), frame[CK_BIG], np.int64(0)
-    for i in range(frame[CK_SIZE]):
-        byte = np.int64(held[place + np.uint64(i)])
-        sent = (sent << 8) | byte if big else sent | (byte << (8 * i))
-    return bool(computed == sent)
+    place, size, big = at + frame[CK_AT], frame[CK_SIZE], frame[CK_BIG]
+    if size == 2:
+        sent = bytes_big(held, place, 2) if big else bytes_little(held, place, 2)
+    elif size == 4:
+        sent = bytes_big(held, place, 4) if big else bytes_little(held, place, 4)
+    else:
+        sent = bytes_little(held, place, 1)
+    return bool(np.uint64(computed) == sent)
 
 
 @njit(cache=True, nogil=True)
@@ -315,7 +319,7 @@ def _fill_floats(
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _number(held: ByteArray, place: np.uint64, size: int, big: bool, to_sign: np.int64) -> np.int64:
+def _number(held: ByteArray, place: int, size: int, big: bool, to_sign: np.int64) -> np.int64:
     """Read an integer; `to_sign` is 64 less its bits if it is signed, else 0."""
     bits = bytes_big(held, place, size) if big else bytes_little(held, place, size)
     return np.int64(bits << np.uint64(to_sign)) >> to_sign
