@@ -65,7 +65,7 @@ def blueprint(
         views.setdefault(panel.place, []).append(panel.view(setup, window))
     if others:
         views["Other"] = [series_view(OTHER, "Columns without a panel of their own", window)]
-    first = _first_tab(views, window, lanes=lanes, log=log, status=status)
+    first = _first_tab("Live" if live else "Recording", views, window, lanes=lanes, log=log, status=status)
     tabs = [rrb.Vertical(*views[place], name=place) for place in views if place not in (SCENE, STRIPS, LINK)]
     return rrb.Blueprint(
         rrb.Tabs(first, *tabs, active_tab=0),
@@ -81,7 +81,9 @@ def blueprint(
     )
 
 
-def _first_tab(views: dict[str, list[Any]], window: Window, *, lanes: bool, log: bool, status: bool) -> Any:
+def _first_tab(
+    name: str, views: dict[str, list[Any]], window: Window, *, lanes: bool, log: bool, status: bool
+) -> Any:
     left: list[tuple[float, Any]] = [(3.0, view) for view in views[SCENE]]
     if status:
         left.append((2.2, rrb.TextDocumentView(origin="/status", name="Status")))
@@ -101,5 +103,5 @@ def _first_tab(views: dict[str, list[Any]], window: Window, *, lanes: bool, log:
             for _, part in columns
         ],
         column_shares=[share for share, _ in columns],
-        name="Live",
+        name=name,
     )

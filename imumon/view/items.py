@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from imumon.blocks import NO_INT, ColumnArray, IntArray, SampleBlock, join
+from imumon.blocks import NO_INT, IntArray, SampleBlock, join
 
 ITEM_BYTES = 512
 """What an item costs in memory beside its arrays, roughly."""
@@ -53,8 +53,8 @@ class Samples:
 
     @property
     def nbytes(self) -> int:
-        """Bytes that the item holds."""
-        return ITEM_BYTES + sum(values.nbytes for values in self.block.columns.values())
+        """Bytes that the item holds; every column has 8 a row."""
+        return ITEM_BYTES + 8 * self.rows * len(self.block.columns)
 
     @property
     def rows(self) -> int:
@@ -260,19 +260,3 @@ def _joined(run: list[Samples]) -> Samples:
 def _concatenated(parts: list[IntArray | None]) -> IntArray | None:
     present = [part for part in parts if part is not None]
     return np.concatenate(present) if present else None
-
-
-__all__ = [
-    "ColumnArray",
-    "Event",
-    "Instant",
-    "Log",
-    "Numbers",
-    "Samples",
-    "State",
-    "Status",
-    "Timebase",
-    "ViewItem",
-    "ViewSetup",
-    "merge",
-]

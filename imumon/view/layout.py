@@ -243,7 +243,7 @@ def attitude_view(setup: ViewSetup, window: Window) -> Any:  # noqa: ARG001 - a 
         name="Attitude: body in the device's reference frame",
         line_grid=rrb.LineGrid3D(visible=True, spacing=0.5, color=[*GREY, 60]),
         eye_controls=rrb.EyeControls3D(
-            position=[1.6, up * 1.5, up * 1.05], look_target=[0, 0, 0.08 * up], eye_up=[0, 0, up]
+            position=[1.8, up * 1.7, up * 1.2], look_target=[0, 0, 0.08 * up], eye_up=[0, 0, up]
         ),
     )
 

@@ -11,12 +11,14 @@ import rerun as rr
 
 from imumon.blocks import IntArray
 from imumon.errors import ImumonError, Reason
+from imumon.view import compact
+from imumon.view.compact import Compaction
 from imumon.view.items import Samples, ViewItem, ViewSetup, item_rows, merge
 from imumon.view.logger import APPLICATION_ID, StreamLogger
 from imumon.view.queue import DropOldestQueue
 
-BATCH_S = 1.0
-"""Items of this long become one chunk per panel: with 50 ms the file would be three times as large."""
+BATCH_S = 2.0
+"""Items of this long become one chunk per panel.  A chunk costs about 1.4 kB beside its rows."""
 SEGMENT_S = 1800.0
 QUEUE_BYTES = 64 << 20
 FLUSH_S = 5.0
@@ -26,8 +28,9 @@ class ViewRecorder:
     """Writes view items to ``view.rrd``, ``view.0001.rrd``, ...; never makes the caller wait.
 
     The wire recording is the truth; when the disk cannot follow, this one loses the oldest items and says so
-    in `dropped`.  Every segment has its own footer, names, styles and blueprint, so each opens alone, and all
-    of them together open as one recording.  A segment that was cut short by a crash opens as well.
+    in `dropped`.  All segments together open as one recording; the first carries the arrangement, every one
+    its own footer, names, styles and latest states.  A segment that was cut short by a crash opens as well.
+    A finished segment is compacted while the next one is written.
 
     Parameters
     ----------
@@ -57,6 +60,7 @@ class ViewRecorder:
         self._queue = DropOldestQueue(QUEUE_BYTES)
         self._refused = 0
         self._error = ""
+        self._compaction: Compaction | None = None
         self._files: list[Path] = []
         self._open_segment()
         self._thread = threading.Thread(target=self._run, name="view recorder", daemon=True)
@@ -96,7 +100,11 @@ class ViewRecorder:
                 self._check()
             elif items:
                 self._refused += sum(map(item_rows, items))
+            if self._compaction is not None and self._compaction.is_done():
+                self._compaction = None
         self._rec.disconnect()
+        if self._compaction is not None:
+            self._compaction.stop()
 
     def _check(self) -> None:
         """Find out whether Rerun could write; it says so in its log only, or when asked to flush."""
@@ -149,8 +157,10 @@ class ViewRecorder:
         count = len(self._files)
         path = self._path if count == 0 else self._path.with_suffix(f".{count:04d}{self._path.suffix}")
         self._rec.set_sinks(rr.FileSink(path))
+        if count and self._compaction is None and self._files[-1].stat().st_size > compact.WORTH_BYTES:
+            self._compaction = Compaction(self._files[-1])
         self._files.append(path)
-        self._logger.begin()
+        self._logger.begin(arrange=count == 0)
 
 
 def _times_ns(item: ViewItem) -> IntArray | None:

@@ -4,10 +4,12 @@ import signal
 import subprocess
 import sys
 import textwrap
+import time
 import warnings
 from pathlib import Path
 
 import numpy as np
+import psutil  # type: ignore[import-untyped]  # comes with rerun-sdk, without its stubs
 import pytest
 from rerun.chunk import RrdReader
 
@@ -61,7 +63,7 @@ def test_segments_open_as_one_and_each_alone(tmp_path: Path) -> None:
     for path in recorder.files:
         rerun("rrd", "verify", str(path))
         assert {"/state/port", "/status", "/attitude/body/housing"} <= entities(path)
-        assert RrdReader(str(path)).blueprints()
+    assert RrdReader(str(recorder.files[0])).blueprints()
 
 
 def test_segments_end_where_the_data_says_however_it_was_queued(tmp_path: Path) -> None:
@@ -75,6 +77,20 @@ def test_segments_end_where_the_data_says_however_it_was_queued(tmp_path: Path) 
         recorder.close()
         rows = [len(scalars([path], "/samples/gyro")[0]) for path in recorder.files]
         assert rows == [500, 500, 300]
+
+
+def test_segments_cost_no_threads(tmp_path: Path) -> None:
+    recorder = ViewRecorder(tmp_path / "view.rrd", SETUP, segment_s=1.0)
+    stream = Stream(recorder.publish)
+    stream.send(3 * RATE_HZ)
+    while len(recorder.files) < 3:
+        time.sleep(0.01)
+    threads = psutil.Process().num_threads()
+    stream.send(20 * RATE_HZ)
+    while len(recorder.files) < 23:
+        time.sleep(0.01)
+    assert psutil.Process().num_threads() <= threads + 2
+    recorder.close()
 
 
 def test_an_idle_session_is_segmented_as_well(tmp_path: Path) -> None:
@@ -153,3 +169,26 @@ def test_full_disk_is_reported_and_what_is_missing_counted(tmp_path: Path) -> No
     done = subprocess.run(command, cwd=root, check=True, capture_output=True, text=True, timeout=60)
     assert "cannot be written any more" in done.stdout
     assert int(done.stdout.split()[-1]) >= 500
+
+
+def test_finished_segments_are_compacted_and_hold_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("imumon.view.compact.WORTH_BYTES", 1000)
+    monkeypatch.setattr("imumon.view.recorder.BATCH_S", 0.01)
+    recorder = ViewRecorder(tmp_path / "view.rrd", SETUP, segment_s=10.0)
+    stream = Stream(recorder.publish)
+    for _ in range(120):
+        stream.send(10)
+        time.sleep(0.012)
+    while len(recorder.files) < 2:
+        time.sleep(0.01)
+    first = tmp_path / "view.rrd"
+    before, deadline = first.stat().st_size, time.monotonic() + 20
+    while first.stat().st_size == before and time.monotonic() < deadline:
+        time.sleep(0.02)
+    assert first.stat().st_size < before / 2
+    recorder.close()
+    np.testing.assert_array_equal(scalars(recorder.files, "/samples/gyro")[3], stream.column(GYRO))
+    assert RrdReader(str(first)).blueprints()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["view.0001.rrd", "view.rrd"]
