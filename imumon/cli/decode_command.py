@@ -45,8 +45,10 @@ def command(file: Path, device: str | None, out: Path, columns: str | None, as_j
         if as_json:
             print_json(_result(source, pipeline, None, 0))
         raise _nothing(source, pipeline) from error
-    for text in [*source.warnings(), *(f"device: {notice}" for notice in pipeline.notices())]:
+    for text in source.warnings():
         say("WARN", text)
+    for notice in pipeline.notices():
+        say("INFO", f"device: {notice}")
     if as_json:
         print_json(_result(source, pipeline, out, rows))
     counters = pipeline.counters

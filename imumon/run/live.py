@@ -19,7 +19,7 @@ from imumon.errors import ImumonError, Reason
 from imumon.pipeline import Digest, Pipeline, PipelineCounters
 from imumon.protocols.device import DeviceFile
 from imumon.run.narration import Narrator, Progress, Publish, Say
-from imumon.session.folder import METADATA_NAME, create_session
+from imumon.session.folder import create_session, remove_empty
 from imumon.session.metadata import PortUsed, SessionMetadata, iso_utc, versions_in_use
 from imumon.session.recorder import Recorder
 from imumon.session.wire import WireCounters, WireWriter
@@ -140,10 +140,7 @@ class LiveRun:
             self._reader.start()
         except ImumonError:
             self._writer.close()
-            for path in (self.session.wire_path, self.session.path / METADATA_NAME):
-                path.unlink()
-            if not any(self.session.path.iterdir()):
-                self.session.path.rmdir()
+            remove_empty(self.session)
             raise
         self._recorder.start()
 

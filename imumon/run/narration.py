@@ -147,7 +147,7 @@ class Narrator:
         self._watch_clock(counters.samples > 0, now_ns)
         self._emit(Status(self._timebase.at(now_ns), {**self._card, **describe(progress)}))
         for notice in self._pipeline.notices():
-            self.log("WARN", f"device: {notice}", now_ns)
+            self.log("INFO", f"device: {notice}", now_ns)
         return progress
 
     def progress(self, now_ns: int) -> Progress:

@@ -93,6 +93,15 @@ def refuse_existing(path: Path) -> None:
         )
 
 
+def remove_empty(session: Session) -> None:
+    """Take back a session that was made for a recording which could not begin."""
+    for path in (session.wire_path, session.path / METADATA_NAME):
+        path.unlink(missing_ok=True)
+    for folder in (session.path, DEFAULT_PARENT):
+        if folder.is_dir() and not any(folder.iterdir()):
+            folder.rmdir()
+
+
 def is_session(path: Path) -> bool:
     """Tell whether there is a session at this path, which may name the folder or its session.yaml."""
     return (_folder(path) / METADATA_NAME).is_file()

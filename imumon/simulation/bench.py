@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
 from typing import Literal
 
 import numpy as np
@@ -10,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from imumon.blocks import ColumnArray, FloatArray, SampleBlock
 
 GRAVITY = 9.80665
+MICROSECOND = Fraction(1000)
 FIELD_UT = np.array([20.0, 1.0, 43.0])
 """Magnetic field north, east, down, as in central Europe."""
 AMBIENT_DEGC = 24.0
@@ -49,16 +51,25 @@ class BenchUnit:
         Body axes; attitude is reported to ENU for FLU and to NED for FRD.
     seed : int
         Seed of all noise; the blocks may be of any size, the samples are the same.
+    tick_ns : Fraction
+        Unit in which the device counts its time.
     """
 
-    def __init__(self, rate_hz: float, axes: Literal["FLU", "FRD"], seed: int = 0) -> None:
+    def __init__(
+        self,
+        rate_hz: float,
+        axes: Literal["FLU", "FRD"],
+        seed: int = 0,
+        tick_ns: Fraction = MICROSECOND,
+    ) -> None:
         self._rate_hz = rate_hz
+        self._tick_ns = tick_ns
         self._axes = axes
         self._random = np.random.default_rng(seed)
         self._next = 0
 
     def samples(self, n: int) -> SampleBlock:
-        """Return the next n samples, with packet_counter and device_ticks (µs) counting from power-on."""
+        """Return the next n samples, with packet_counter and device_ticks counting from power-on."""
         index = np.arange(self._next, self._next + n)
         self._next += n
         t = index / self._rate_hz
@@ -79,7 +90,7 @@ class BenchUnit:
         return SampleBlock(
             {
                 "packet_counter": index,
-                "device_ticks": np.rint(t * 1e6).astype(np.int64),
+                "device_ticks": np.rint(t * float(1_000_000_000 / self._tick_ns)).astype(np.int64),
                 **_split("gyro", gyro),
                 **_split("accel", accel),
                 **_split("mag", mag),

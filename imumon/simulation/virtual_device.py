@@ -9,7 +9,7 @@ from types import TracebackType
 
 from imumon.errors import ImumonError, Reason
 from imumon.protocols.device import DeviceFile
-from imumon.simulation.bench import BenchUnit
+from imumon.simulation.bench import MICROSECOND, BenchUnit
 from imumon.simulation.virtual_port import VirtualPort
 
 DEFAULT_RATE_HZ = 100.0
@@ -44,8 +44,9 @@ class VirtualDevice:
         self._rate_hz = rate_hz or device.rate_hz or DEFAULT_RATE_HZ
         self._seed = seed
         self._encoder = device.encoder()
+        self._tick_ns = device.decoder().timing.tick_ns or MICROSECOND
         self._refuse_overload()
-        self._unit = BenchUnit(self._rate_hz, device.axes, seed)
+        self._unit = self._switched_on(seed)
         self._rebooted = False
         self._closing = threading.Event()
         self.packets_sent = 0
@@ -73,8 +74,11 @@ class VirtualDevice:
         """Close the device."""
         self.close()
 
+    def _switched_on(self, seed: int) -> BenchUnit:
+        return BenchUnit(self._rate_hz, self._device.axes, seed, self._tick_ns)
+
     def _refuse_overload(self) -> None:
-        packet = len(self._encoder.encode(BenchUnit(self._rate_hz, self._device.axes).samples(1))[0])
+        packet = len(self._encoder.encode(self._switched_on(0).samples(1))[0])
         baudrate = self._device.serial.baudrates[0]
         load = packet * 10 * self._rate_hz / baudrate
         if load > 1.0:
@@ -89,7 +93,7 @@ class VirtualDevice:
         while not self._closing.is_set():
             if self._rebooted:
                 self._rebooted = False
-                self._unit = BenchUnit(self._rate_hz, self._device.axes, self._seed + 1)
+                self._unit = self._switched_on(self._seed + 1)
             due = int((time.monotonic() - start) * self._rate_hz) - sent
             if due > 0:
                 for packet in self._encoder.encode(self._unit.samples(due)):

@@ -40,7 +40,7 @@ FRAMES = {"ENU": 0x0, "NED": 0x4, "NWU": 0x8}
 
 GYRO = known("gyro_x", "gyro_y", "gyro_z")
 ACCEL = known("accel_x", "accel_y", "accel_z")
-MAG = vector("mag", "1", "magnetic field, 1 at the place of calibration (the device has no unit)")
+MAG = vector("mag", "a.u.", "magnetic field, 1 at the place of calibration (the device has no unit)")
 EULER = known("roll", "pitch", "yaw")
 TEMPERATURE = known("temperature")
 VELOCITY = vector("velocity", "m/s", "velocity in the reference frame")
@@ -201,7 +201,7 @@ IDENTIFIERS: tuple[Identifier, ...] = (
     _real(0x4030, "FreeAcceleration", vector("free_accel", "m/s^2", "without gravity"), framed=True),
     _real(0x4040, "AccelerationHR", vector("accel_hr", "m/s^2", "specific force, high rate")),
     _real(0x8040, "RateOfTurnHR", vector("gyro_hr", "rad/s", "angular rate, high rate")),
-    _real(0xC030, "MagneticFieldCorrected", vector("mag_corrected", "1", "magnetic field, corrected in use")),
+    _real(0xC030, "MagneticFieldCorrected", vector("mag_corrected", "a.u.", "magnetic field, corrected")),
     _plain(0xE010, "StatusByte", Value(KNOWN["status"], "u8")),
     _plain(0xE020, "StatusWord", Value(KNOWN["status"], "u32")),
     _plain(0xE040, "Rssi", Value(number("rssi", "1", "strength of the radio signal"), "i8")),

@@ -1,0 +1,287 @@
+"""The command line as a user or a program meets it: a real process, its output, its exit code."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from imumon.cli import COMMANDS
+from imumon.protocols.device import load_device
+from imumon.simulation.bench import BenchUnit
+from imumon.simulation.virtual_device import VirtualDevice
+from tests.data_folder import measured
+
+IMUMON = str(Path(sys.executable).with_name("imumon"))
+
+
+def imumon(*arguments: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+    command = [IMUMON, *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=90, cwd=cwd, check=False)
+
+
+def answer(*arguments: object) -> dict[str, Any]:
+    """Return what ``--json`` prints; standard output holds nothing else."""
+    done = imumon(*arguments, "--json")
+    assert done.returncode == 0, done.stderr
+    result = json.loads(done.stdout)
+    assert isinstance(result, dict)
+    return result
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two seconds of an AX1 as another tool would have captured it: cut at both ends, with one bad byte."""
+    device = load_device("ax1")
+    data = bytearray(b"".join(device.encoder().encode(BenchUnit(100.0, device.axes).samples(200))))
+    data[58 * 50 + 20] ^= 0x10
+    path = tmp_path_factory.mktemp("capture") / "ax1.raw"
+    path.write_bytes(data[30:-10])
+    return path
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A session recorded by the real command from a virtual AHRS."""
+    folder = tmp_path_factory.mktemp("recorded")
+    with VirtualDevice(load_device("ax1"), folder / "ahrs") as ahrs:
+        done = imumon(
+            "monitor", ahrs.port.path, "--device", "ax1", "--view", "none", "--out", folder / "s",
+            "--seconds", 4, "--json",
+        )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    result = json.loads(done.stdout)
+    assert result["packets"] > 200
+    assert result["bytes_recorded"] == result["bytes_received"]
+    return folder / "s"
+
+
+def test_help_lists_every_command_and_imports_nothing_heavy() -> None:
+    done = imumon("--help")
+    assert done.returncode == 0
+    for name in COMMANDS:
+        assert f"  {name} " in done.stdout
+        assert imumon(name, "--help").returncode == 0
+    code = "import sys, imumon.cli; print(*sys.modules)"
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert not {"numba", "rerun", "pyarrow", "scipy", "pint", "pydantic", "rich"} & set(loaded.split())
+
+
+def test_decode_accounts_for_every_byte_of_a_capture(capture: Path, tmp_path: Path) -> None:
+    result = answer("decode", capture, "--device", "ax1", "--out", tmp_path / "t.parquet")
+    assert result["packets"] == result["rows"] == 197
+    assert result["packets_by_type"] == {"ax1": 197}
+    assert result["bytes_received"] == capture.stat().st_size
+    assert result["bytes_received"] == (
+        result["bytes_in_packets"] + result["bytes_skipped"] + result["bytes_pending"]
+    )
+    assert result["checksum_errors"] == 1
+    assert result["counter_gaps"] == 1
+    table = pq.read_table(tmp_path / "t.parquet")
+    assert table.schema.field("gyro_x").metadata[b"unit"] == b"rad/s"
+    assert str(table.schema.field("device_time_ns").type) == "int64"
+    assert table["arrival_time_ns"].null_count == 197
+    truth = BenchUnit(100.0, "FRD").samples(200)
+    kept = table["packet_counter"].to_numpy()
+    np.testing.assert_allclose(table["gyro_z"].to_numpy(), truth["gyro_z"][kept], atol=1e-8)
+
+
+def test_decode_writes_the_same_numbers_as_csv(capture: Path, tmp_path: Path) -> None:
+    answer("decode", capture, "--device", "ax1", "--out", tmp_path / "t.parquet")
+    answer("decode", capture, "--device", "ax1", "--out", tmp_path / "t.csv", "--columns", "accel_x,status")
+    with (tmp_path / "t.csv").open() as file:
+        rows = list(csv.reader(file))
+    assert rows[0] == ["accel_x", "status"]
+    table = pq.read_table(tmp_path / "t.parquet")
+    assert [float(row[0]) for row in rows[1:]] == table["accel_x"].to_pylist()
+    assert [int(row[1]) for row in rows[1:]] == table["status"].to_pylist()
+
+
+def test_a_recorded_session_replays_bit_for_bit(session: Path, tmp_path: Path) -> None:
+    result = answer("replay", session, "--out", tmp_path / "a.parquet", "--speed", "max")
+    assert result["identical_to_live"] is True
+    decoded = answer("decode", session, "--out", tmp_path / "b.parquet")
+    assert decoded["rows"] == result["rows"]
+    assert pq.read_table(tmp_path / "a.parquet").equals(pq.read_table(tmp_path / "b.parquet"))
+    exported = answer("export", session, "--to", "csv", "--out", tmp_path / "c")
+    assert exported["out"] == str(tmp_path / "c.csv")
+    assert exported["rows"] == result["rows"]
+
+
+def test_replay_at_a_speed_takes_its_time(session: Path) -> None:
+    began = time.monotonic()
+    result = answer("replay", session, "--speed", 4)
+    assert time.monotonic() - began > 0.8
+    assert result["identical_to_live"] is True
+
+
+def test_a_session_that_was_changed_is_noticed(session: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "copy"
+    copy.mkdir()
+    for name in ("session.yaml", "wire.mcap"):
+        (copy / name).write_bytes((session / name).read_bytes())
+    wire = bytearray((copy / "wire.mcap").read_bytes())
+    wire[len(wire) // 2] ^= 1
+    (copy / "wire.mcap").write_bytes(wire)
+    done = imumon("replay", copy, "--json")
+    assert json.loads(done.stdout)["identical_to_live"] is False
+    assert "was changed" in done.stderr
+
+
+def test_a_killed_monitor_leaves_a_session_that_replays(tmp_path: Path) -> None:
+    with VirtualDevice(load_device("ax1"), tmp_path / "ahrs") as ahrs:
+        arguments = ["monitor", ahrs.port.path, "--device", "ax1", "--view", "none", "--out", tmp_path / "s"]
+        child = subprocess.Popen([IMUMON, *map(str, arguments)], stderr=subprocess.DEVNULL)
+        wire = tmp_path / "s" / "wire.mcap"
+        deadline = time.monotonic() + 30
+        while not (wire.exists() and wire.stat().st_size > 15_000):
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        child.kill()
+        child.wait()
+    done = imumon("replay", tmp_path / "s", "--json")
+    assert done.returncode == 0, done.stderr
+    result = json.loads(done.stdout)
+    assert result["packets"] > 50
+    assert result["identical_to_live"] is None
+    assert "not closed" in done.stderr
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_the_monitor_in_order(tmp_path: Path, number: signal.Signals) -> None:
+    with VirtualDevice(load_device("ax1"), tmp_path / "ahrs") as ahrs:
+        arguments = ["monitor", ahrs.port.path, "--device", "ax1", "--view", "none", "--out", tmp_path / "s"]
+        command = [IMUMON, *map(str, arguments), "--json"]
+        child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        time.sleep(6)
+        os.kill(child.pid, number)
+        out, err = child.communicate(timeout=20)
+    assert child.returncode == 0, err
+    assert json.loads(out)["packets"] > 50
+    assert "imumon replay" in err
+
+
+def test_import_and_export_keep_every_row(tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text("t,gx,gy,gz,temp\n0.00,1,2,3,25.5\n0.01,4,5,6,25.6\n0.02,7,8,9,\n")
+    (tmp_path / "map.yaml").write_text(
+        "time: {column: t, unit: s}\ngyro: {columns: [gx, gy, gz], unit: deg/s}\n"
+        "temperature: {columns: [temp], unit: degC}\naxes: FLU\n"
+    )
+    result = answer("import", tmp_path / "log.csv", "--map", tmp_path / "map.yaml", "--out", tmp_path / "s")
+    assert (result["rows_in"], result["rows_out"], result["rows_dropped"]) == (3, 3, 0)
+    replay = answer("replay", tmp_path / "s", "--out", tmp_path / "t.parquet")
+    assert replay["rows"] == 3
+    table = pq.read_table(tmp_path / "t.parquet")
+    np.testing.assert_allclose(np.rad2deg(table["gyro_y"].to_numpy()), [2, 5, 8])
+    assert table["device_time_ns"].to_pylist() == [0, 10_000_000, 20_000_000]
+    assert table["temperature"].null_count == 1
+
+
+def test_measured_captures_decode_without_loss(tmp_path: Path) -> None:
+    for path, device, packets in [
+        ("aceinna/z1.raw", "openimu", 2127),
+        ("xsens/mtdata2-1/output.bin", "xsens", 100),
+        ("xsens/mtdata2-3/output.bin", "xsens", 100),
+        ("microstrain/stream.bin", "microstrain", 4156),
+    ]:
+        result = answer("decode", measured(path), "--device", device, "--out", tmp_path / f"{device}.parquet")
+        assert result["packets"] == packets, path
+        assert result["bytes_skipped"] == result["checksum_errors"] == result["length_errors"] == 0, path
+        assert result["clock_restarts"] == 0, path
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (["decode", "{capture}", "--device", "ax9", "--out", "t.csv"], 2, "known devices: ax1"),
+        (["decode", "{capture}", "--out", "t.csv"], 2, "add --device NAME"),
+        (["decode", "{capture}", "--device", "ax1", "--out", "t.txt"], 2, ".parquet"),
+        (
+            ["decode", "{capture}", "--device", "ax1", "--out", "t.csv", "--columns", "mag_q"],
+            2,
+            "no column mag_q",
+        ),
+        (["decode", "{capture}", "--device", "openimu", "--out", "t.csv"], 4, "no samples of openimu"),
+        (["decode", "nothing.raw", "--device", "ax1", "--out", "t.csv"], 4, "there is no such file"),
+        (["decode", ".", "--device", "ax1", "--out", "t.csv"], 4, "not a session"),
+        (["replay", "{capture}"], 4, "not a session"),
+        (["replay", "{session}", "--speed", "fast"], 2, "a positive number or max"),
+        (["monitor", "/dev/ttyNONE", "--device", "ax1", "--view", "none"], 3, "No such file"),
+        (["monitor", "/dev/ttyNONE", "--device", "{bad}"], 2, "bad.yaml:3:"),
+        (["import", "{capture}", "--map", "none.yaml", "--out", "s"], 2, "none.yaml"),
+        (["detect", "/dev/ttyNONE", "--seconds", "0.2"], 3, "No such file"),
+        (["devices", "ax9"], 2, "no device 'ax9'"),
+        (["virtual", "--rate", "1000"], 2, "of a line at 115200 baud"),
+        (["frobnicate"], 2, "No such command"),
+        (["monitor"], 2, "Missing argument"),
+    ],
+)
+def test_wrong_input_gets_one_clear_error_and_writes_nothing(
+    arguments: list[str], code: int, words: str, capture: Path, session: Path, tmp_path: Path
+) -> None:
+    bad = tmp_path / "bad.yaml"
+    bad.write_text("format: imumon-device/1\nname: bad\nprotocol: fixd\n")
+    places = {"{capture}": str(capture), "{session}": str(session), "{bad}": str(bad)}
+    done = imumon(*(places.get(argument, argument) for argument in arguments), cwd=tmp_path)
+    assert done.returncode == code, done.stderr
+    assert words in done.stderr
+    assert "Traceback" not in done.stderr
+    assert done.stdout == ""
+    assert [path.name for path in tmp_path.iterdir()] == ["bad.yaml"]
+
+
+def test_detect_finds_device_and_baud_rate(tmp_path: Path) -> None:
+    with VirtualDevice(load_device("ax1"), tmp_path / "ahrs") as ahrs:
+        result = answer(
+            "detect",
+            ahrs.port.path,
+            "--device",
+            "ax1",
+            "--device",
+            "openimu",
+            "--baud",
+            57600,
+            "--baud",
+            115200,
+        )
+    assert result["found"] == {"device": "ax1", "baudrate": 115200}
+    assert {row["verdict"] for row in result["evidence"]} >= {"frames", "does not frame"}
+
+
+def test_a_device_file_can_be_printed_changed_and_used(capture: Path, tmp_path: Path) -> None:
+    mine = tmp_path / "mine.yaml"
+    mine.write_text(imumon("devices", "ax1").stdout.replace("name: ax1", "name: mine"))
+    result = answer("decode", capture, "--device", mine, "--out", tmp_path / "t.csv")
+    assert result["packets_by_type"] == {"mine": 197}
+    assert set(answer("devices")) >= {"ax1", "openimu", "xsens"}
+    assert isinstance(answer("ports")["ports"], list)
+
+
+def test_a_silent_port_is_an_error_with_a_session_of_what_happened(tmp_path: Path) -> None:
+    with VirtualDevice(load_device("ax1"), tmp_path / "ahrs") as ahrs:
+        ahrs.port.silence()
+        done = imumon(
+            "monitor",
+            ahrs.port.path,
+            "--device",
+            "ax1",
+            "--view",
+            "none",
+            "--out",
+            tmp_path / "s",
+            "--seconds",
+            2,
+        )
+    assert done.returncode == 3
+    assert "no byte came" in done.stderr
+    assert (tmp_path / "s" / "session.yaml").exists()

@@ -1,0 +1,155 @@
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imumon.blocks import SampleBlock, join
+from imumon.errors import ImumonError, Reason
+from imumon.pipeline import Digest, Pipeline
+from imumon.protocols.device import device_text, load_device
+from imumon.run.live import LiveRun, nothing_decoded, warm_up
+from imumon.run.replay import run_over, session_device
+from imumon.session.folder import Session, open_session
+from imumon.session.wire import WireReader
+from imumon.simulation.virtual_device import VirtualDevice
+from imumon.transport.settings import PortSettings
+from imumon.view.items import Log, State, Status, ViewItem
+
+AX1 = load_device("ax1")
+
+
+class Watcher:
+    """Takes view items and log lines, as a view would."""
+
+    def __init__(self) -> None:
+        self.items: list[ViewItem] = []
+        self.lines: list[str] = []
+
+    def say(self, level: str, text: str) -> None:
+        self.lines.append(f"{level} {text}")
+
+    def states(self, lane: str) -> list[str]:
+        return [item.state for item in self.items if isinstance(item, State) and item.lane == lane]
+
+
+def wait_until(condition: Callable[[], bool], seconds: float = 15.0) -> None:
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline, "waited too long"
+        time.sleep(0.02)
+
+
+def start(path: str, folder: Path, watcher: Watcher, baudrate: int = 115200) -> LiveRun:
+    run = LiveRun(AX1, device_text("ax1")[0], PortSettings(path, baudrate), folder, watcher.say)
+    run.open()
+    warm_up(AX1)
+    run.begin([watcher.items.append])
+    return run
+
+
+def replayed(session: Session) -> tuple[SampleBlock, Pipeline]:
+    pipeline = Pipeline(session_device(session))
+    return join(list(run_over(WireReader(session.wire_path), pipeline))), pipeline
+
+
+@pytest.fixture
+def ahrs(tmp_path: Path) -> Iterator[VirtualDevice]:
+    with VirtualDevice(AX1, tmp_path / "ahrs") as device:
+        yield device
+
+
+@pytest.mark.usefixtures("no_leaks")
+def test_a_replay_gives_the_live_samples_bit_for_bit(tmp_path: Path) -> None:
+    watcher = Watcher()
+    with VirtualDevice(AX1, tmp_path / "ahrs") as device:
+        run = start(device.port.path, tmp_path / "session", watcher)
+        wait_until(lambda: run.pipeline.counters.packets > 150)
+        summary = run.stop(["view.rrd"])
+    session = open_session(tmp_path / "session")
+    block, pipeline = replayed(session)
+    digest = Digest()
+    digest.update(block)
+    assert digest.hexdigest() == summary.results_digest == session.metadata.results_digest
+    assert pipeline.counters == summary.counters
+    live = join([item.block for item in watcher.items if hasattr(item, "block")])
+    for name in block.columns:
+        np.testing.assert_array_equal(live[name], block[name], err_msg=name)
+    assert session.metadata.state == "closed"
+    assert session.metadata.views == ["view.rrd"]
+    assert session.metadata.counters["packets"] == summary.counters.packets
+    assert session.metadata.counters["packets_by_type.ax1"] == summary.counters.packets
+    assert summary.wire.bytes_on_disk == summary.counters.bytes_received
+    assert any(isinstance(item, Status) for item in watcher.items)
+
+
+def test_an_unplugged_device_comes_back_and_a_reboot_begins_a_segment(
+    tmp_path: Path, ahrs: VirtualDevice
+) -> None:
+    watcher = Watcher()
+    run = start(ahrs.port.path, tmp_path / "session", watcher)
+    wait_until(lambda: run.pipeline.counters.packets > 30)
+    ahrs.port.unplug()
+    wait_until(lambda: "lost" in watcher.states("port"))
+    ahrs.reboot()
+    ahrs.port.replug()
+    before = run.pipeline.counters.packets
+    wait_until(lambda: run.pipeline.counters.packets > before + 30)
+    summary = run.stop()
+    assert watcher.states("port") == ["open", "lost", "open", "closed"]
+    assert summary.counters.clock_restarts == 1
+    assert "jumped" in watcher.states("clock")
+    assert any("started anew" in item.text for item in watcher.items if isinstance(item, Log))
+    block, pipeline = replayed(open_session(tmp_path / "session"))
+    assert pipeline.counters == summary.counters
+    assert set(block["segment"]) == {0, 1}
+    digest = Digest()
+    digest.update(block)
+    assert digest.hexdigest() == summary.results_digest
+
+
+def test_silence_is_said_and_ends_by_itself(tmp_path: Path, ahrs: VirtualDevice) -> None:
+    watcher = Watcher()
+    run = start(ahrs.port.path, tmp_path / "session", watcher)
+    wait_until(lambda: run.pipeline.counters.packets > 10)
+    ahrs.port.silence()
+    wait_until(lambda: "silent" in watcher.states("port"))
+    ahrs.port.resume()
+    wait_until(lambda: watcher.states("port")[-1] == "open")
+    summary = run.stop()
+    assert summary.counters.clock_restarts == 0
+    assert summary.counters.packets_missing > 50
+
+
+def test_a_wrong_baud_rate_is_named(tmp_path: Path, ahrs: VirtualDevice) -> None:
+    watcher = Watcher()
+    run = start(ahrs.port.path, tmp_path / "session", watcher, baudrate=57600)
+    wait_until(lambda: "bad: does not frame" in watcher.states("data"))
+    summary = run.stop()
+    problem = nothing_decoded(PortSettings(ahrs.port.path, 57600), AX1, summary.counters)
+    assert problem is not None
+    assert problem.reason is Reason.WRONG_BAUD
+    assert "imumon detect" in problem.hint
+    assert summary.wire.bytes_on_disk == summary.counters.bytes_received > 0
+
+
+def test_a_port_that_cannot_be_opened_leaves_nothing_behind(tmp_path: Path) -> None:
+    watcher = Watcher()
+    with pytest.raises(ImumonError) as caught:
+        start(str(tmp_path / "nothing"), tmp_path / "session", watcher)
+    assert caught.value.reason is Reason.NOT_FOUND
+    assert not (tmp_path / "session").exists()
+
+
+def test_a_session_is_not_overwritten(tmp_path: Path, ahrs: VirtualDevice) -> None:
+    run = start(ahrs.port.path, tmp_path / "session", Watcher())
+    wait_until(lambda: run.pipeline.counters.packets > 5)
+    run.stop()
+    before = (tmp_path / "session" / "wire.mcap").read_bytes()
+    with pytest.raises(ImumonError) as caught:
+        start(ahrs.port.path, tmp_path / "session", Watcher())
+    assert caught.value.reason is Reason.EXISTS
+    assert (tmp_path / "session" / "wire.mcap").read_bytes() == before

@@ -1,0 +1,143 @@
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from imumon.blocks import NO_INT, ColumnArray, SampleBlock, join
+from imumon.columns import Column
+from imumon.pipeline import UNDATED, Digest, Pipeline
+from imumon.protocols.device import load_device
+from imumon.simulation.bench import BenchUnit
+
+AX1 = load_device("ax1")
+START = 1_700_000_000_000_000_000
+
+
+class CountingEstimator:
+    """A running sum: any dependence on the division into blocks would show."""
+
+    columns: Sequence[Column] = (Column("turned_x", "rad"),)
+
+    def __init__(self) -> None:
+        self.sum = 0.0
+
+    def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
+        out = np.empty(len(block))
+        for i, rate in enumerate(block["gyro_x"]):
+            self.sum += rate * 0.01
+            out[i] = self.sum
+        return {"turned_x": out}
+
+
+@cache
+def stream(n: int) -> list[tuple[bytes, int]]:
+    """Packets of a unit with junk and a reboot, and when each arrives."""
+    packets = AX1.encoder().encode(BenchUnit(100.0, AX1.axes).samples(n))
+    packets += AX1.encoder().encode(BenchUnit(100.0, AX1.axes, seed=1).samples(n))
+    packets[n // 2] = b"junk" + packets[n // 2]
+    packets[n // 3] = packets[n // 3][:20]
+    return [(packet, START + i * 10_000_000) for i, packet in enumerate(packets)]
+
+
+def run(pieces: list[tuple[bytes, int]], take_every: int) -> tuple[SampleBlock, Pipeline]:
+    pipeline = Pipeline(AX1, [CountingEstimator()])
+    blocks = []
+    for number, (data, arrival) in enumerate(pieces):
+        pipeline.feed(data, arrival)
+        if number % take_every == 0:
+            blocks.append(pipeline.take())
+    pipeline.finish()
+    return join([*blocks, pipeline.take()]), pipeline
+
+
+@given(cuts=st.lists(st.integers(1, 57), max_size=12), take_every=st.integers(1, 50))
+@settings(max_examples=20, deadline=None)
+def test_samples_do_not_depend_on_chunks_or_blocks(cuts: list[int], take_every: int) -> None:
+    pieces = stream(60)
+    whole, reference = run(pieces, 1)
+    cut_pieces = []
+    for number, (data, arrival) in enumerate(pieces):
+        at = cuts[number % len(cuts)] if cuts else 0
+        # Both parts keep the arrival of the packet: the time of its last byte counts.
+        cut_pieces += [(data[:at], arrival), (data[at:], arrival)]
+    pieced, pipeline = run(cut_pieces, take_every)
+    assert pipeline.counters == reference.counters
+    for name in whole.columns:
+        np.testing.assert_array_equal(whole[name], pieced[name], err_msg=name)
+    one, many = Digest(), Digest()
+    one.update(whole)
+    for start in range(0, len(pieced), 7):
+        many.update(pieced.rows(start, start + 7))
+    assert one.hexdigest() == many.hexdigest()
+
+
+def test_counters_account_for_every_byte_and_packet() -> None:
+    pieces = stream(60)
+    block, pipeline = run(pieces, 1)
+    counters = pipeline.counters
+    assert counters.bytes_received == sum(len(data) for data, _ in pieces)
+    assert counters.bytes_received == (
+        counters.bytes_in_packets + counters.bytes_skipped + counters.bytes_pending
+    )
+    assert counters.packets == counters.samples == len(block) == 119
+    assert counters.packets_by_type == {"ax1": 119}
+    assert counters.bytes_skipped == 4 + 20
+    assert (counters.packets_missing, counters.counter_gaps, counters.clock_restarts) == (1, 1, 1)
+    assert set(block["segment"]) == {0, 1}
+
+
+def test_columns_come_in_table_order_with_their_units() -> None:
+    block, pipeline = run(stream(6), 1)
+    names = [column.name for column in pipeline.columns]
+    assert names[:5] == ["device_time_ns", "arrival_time_ns", "host_time_ns", "segment", "packet_counter"]
+    assert names[-1] == "turned_x"
+    assert "device_ticks" not in names
+    assert set(names) == set(block.columns)
+    assert {c.name: c.unit for c in pipeline.columns}["mag_x"] == "uT"
+
+
+def test_host_time_is_never_later_than_the_arrival() -> None:
+    block, _ = run(stream(60), 10)
+    assert np.all(block["host_time_ns"] <= block["arrival_time_ns"])
+
+
+def test_a_capture_without_times_has_device_time_only() -> None:
+    pipeline = Pipeline(AX1)
+    pipeline.feed(b"".join(data for data, _ in stream(20)), UNDATED)
+    block = pipeline.take()
+    assert np.all(block["arrival_time_ns"] == NO_INT)
+    assert np.all(block["host_time_ns"] == NO_INT)
+    assert np.all(np.diff(block["device_time_ns"][:6]) == 10_000_000)
+
+
+def test_samples_of_a_table_go_through_the_estimators() -> None:
+    pipeline = Pipeline(None, [CountingEstimator()])
+    pipeline.push(SampleBlock({"device_time_ns": np.arange(3), "gyro_x": np.ones(3)}))
+    block = pipeline.take()
+    np.testing.assert_allclose(block["turned_x"], [0.01, 0.02, 0.03])
+    assert pipeline.counters.samples == 3
+    with pytest.raises(ValueError, match="takes samples"):
+        pipeline.feed(b"x")
+
+
+def test_the_digest_sees_a_single_bit_and_a_late_column() -> None:
+    def digest(*blocks: SampleBlock) -> str:
+        result = Digest()
+        for block in blocks:
+            result.update(block)
+        return result.hexdigest()
+
+    x = np.linspace(0.0, 1.0, 5)
+    changed = x.copy()
+    changed[3] = np.nextafter(changed[3], 2.0)
+    assert digest(SampleBlock({"a": x})) != digest(SampleBlock({"a": changed}))
+    assert digest(SampleBlock({"a": x})) != digest(SampleBlock({"b": x}))
+    late = np.array([np.nan, np.nan, 1.0, 2.0, 3.0])
+    assert digest(SampleBlock({"a": x[:2]}), SampleBlock({"a": x[2:], "b": late[2:]})) == digest(
+        SampleBlock({"a": x, "b": late})
+    )
