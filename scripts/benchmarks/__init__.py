@@ -1,0 +1,1 @@
+"""Speed of the paths that every byte or sample takes; see docs/performance.md."""
