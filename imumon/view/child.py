@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import select
+import signal
 import sys
 import threading
 import time
@@ -120,6 +121,8 @@ def watch(parent: int) -> None:
     process = psutil.Process()
     while os.getppid() == parent and process.memory_info().rss < MAX_BYTES:
         time.sleep(PARENT_S)
+    if os.getpgrp() == os.getpid():  # with what was started for this process alone
+        os.killpg(os.getpid(), signal.SIGKILL)
     os._exit(1)
 
 

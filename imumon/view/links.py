@@ -5,8 +5,7 @@ from __future__ import annotations
 import subprocess
 from collections.abc import Callable
 from enum import Enum, auto
-
-import rerun as rr
+from typing import TYPE_CHECKING
 
 from imumon.view.frames import Report, Start
 from imumon.view.viewer import (
@@ -19,6 +18,9 @@ from imumon.view.viewer import (
     start_viewer,
 )
 from imumon.view.web import WebServer
+
+if TYPE_CHECKING:
+    import rerun as rr
 
 FLUSH_S = 0.5
 MISSES = 2
@@ -147,6 +149,8 @@ class WebLink:
         if self._serving:
             return None
         self._serving = True
+        import rerun as rr  # takes 0.4 s, in which a native viewer comes up: see Child
+
         sink = rr.GrpcServerSink(self._bind, self._port, server_memory_limit=SERVER_MEMORY, newest_first=True)
         rec.set_sinks(sink)
         self._tell(Report("serving the web viewer", True, self._port, self._web.port, self._web.url))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import select
+import signal
 import subprocess
 import sys
 import threading
@@ -148,7 +149,7 @@ class ViewPublisher:
         self._ending.set()
         process = self._process
         if process is not None and process.poll() is None:
-            process.kill()
+            _kill(process)
         self._supervisor.join(max(0.1, deadline - time.monotonic()))
 
     def _supervise(self) -> None:
@@ -192,7 +193,7 @@ class ViewPublisher:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 process.wait(GOODBYE_S)
         finally:
-            process.kill()
+            _kill(process)
             process.wait()
             listener.join()
             for pipe in (process.stdin, process.stdout):
@@ -249,6 +250,12 @@ class ViewPublisher:
                 web_port=report.web_port or start.web_port,
                 open_viewer=start.open_viewer and not report.connected,
             )
+
+
+def _kill(process: subprocess.Popen[bytes]) -> None:
+    """End the view process and what it started for itself; a native viewer has a session of its own."""
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGKILL)
 
 
 class _Pipe:

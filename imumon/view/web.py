@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import subprocess
+import sys
 import threading
 import time
 import urllib.request
@@ -131,14 +132,22 @@ class WebServer:
         self.files["/"] = page(self.files["/"].decode(), name).encode()
         self.files[ALIVE] = name.encode()
         handler = partial(_Handler, self)
-        self._server = ThreadingHTTPServer((bind, port), handler)
-        self._server.daemon_threads = True
+        self._server = _Server((bind, port), handler)
         threading.Thread(target=self._server.serve_forever, name="web viewer", daemon=True).start()
 
     def close(self) -> None:
         """Stop serving."""
         self._server.shutdown()
         self._server.server_close()
+
+
+class _Server(ThreadingHTTPServer):
+    daemon_threads = True
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Pass over a browser that went away in the middle of an answer."""
+        if not isinstance(sys.exception(), ConnectionError):
+            super().handle_error(request, client_address)
 
 
 class _Handler(BaseHTTPRequestHandler):

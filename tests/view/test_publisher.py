@@ -34,6 +34,7 @@ def publish(monkeypatch: pytest.MonkeyPatch) -> Iterator[Publish]:
     started: list[ViewPublisher] = []
 
     def start(mode: Mode, port: int) -> ViewPublisher:
+        monkeypatch.setenv("IMUMON_TEST_PORT", str(port))  # marks every process that comes of it
         publisher = ViewPublisher(mode, ViewSetup("synthetic AHRS", "live-1"), port=port, web_port=port + 1)
         started.append(publisher)
         return publisher.start()
@@ -231,10 +232,29 @@ def test_stopped_view_process_costs_bounded_memory_and_does_not_block_exit(
     assert time.monotonic() - started < CLOSE_S
 
 
-def test_close_before_anything_was_published(publish: Publish, port: int) -> None:
+@pytest.mark.parametrize("after_s", [0.0, 0.1, 0.2, 0.3, 0.4])
+def test_close_at_any_time_leaves_no_process(publish: Publish, port: int, after_s: float) -> None:
     publisher = publish("web", port)
-    publisher.close()
-    assert [one for one in psutil.Process().children() if "imumon.view.child" in one.cmdline()] == []
+    time.sleep(after_s)
+    publisher.close(timeout_s=0.5)
+    deadline = time.monotonic() + 5
+    while (left := programs_of(port)) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert left == []
+
+
+def programs_of(port: int) -> list[list[str]]:
+    """Return the command lines of view processes, and of programs that they started, that still run."""
+    ours = []
+    for process in psutil.process_iter(["cmdline", "environ", "status"]):
+        alive = process.info["status"] != psutil.STATUS_ZOMBIE
+        if (
+            process.pid != os.getpid()
+            and alive
+            and (process.info["environ"] or {}).get("IMUMON_TEST_PORT") == str(port)
+        ):
+            ours.append(process.info["cmdline"])
+    return ours
 
 
 def batches(count: int) -> list[Batch]:
