@@ -34,6 +34,7 @@ _TURNS = (
     (22.0, 3.5, 0.0, 0.0, -90.0),
 )
 _ROUND_S = 30.0
+_START_DEG = (0.0, 0.0, 40.0)
 
 # North-east-down to east-north-up, and forward-right-down to forward-left-up.
 _NED_TO_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
@@ -50,7 +51,7 @@ class BenchUnit:
     axes : "FLU" or "FRD"
         Body axes; attitude is reported to ENU for FLU and to NED for FRD.
     seed : int
-        Seed of all noise; the blocks may be of any size, the samples are the same.
+        Seed of all noise; the blocks may be of any size, the samples are the same to rounding.
     tick_ns : Fraction
         Unit in which the device counts its time.
     """
@@ -107,7 +108,7 @@ class BenchUnit:
 def _motion(t: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return roll, pitch, yaw (n, 3) in rad and their rates in rad/s: minimum-jerk turns and rests."""
     phase = np.mod(t, _ROUND_S)
-    angles, rates = np.zeros((len(t), 3)), np.zeros((len(t), 3))
+    angles, rates = np.tile(np.deg2rad(_START_DEG), (len(t), 1)), np.zeros((len(t), 3))
     for start, duration, *turn in _TURNS:
         s = np.clip((phase - start) / duration, 0.0, 1.0)
         amount = np.deg2rad(turn)

@@ -15,7 +15,7 @@ import time
 import traceback
 from typing import BinaryIO
 
-import psutil  # type: ignore[import-untyped]  # comes with rerun-sdk, without its stubs
+import psutil
 
 from imumon.errors import ImumonError
 from imumon.view import frames

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
-import psutil  # type: ignore[import-untyped]  # comes with rerun-sdk, without its stubs
+import psutil
 import pytest
 from PIL import Image
 from rerun.experimental import ViewerClient

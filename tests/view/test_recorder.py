@@ -9,7 +9,7 @@ import warnings
 from pathlib import Path
 
 import numpy as np
-import psutil  # type: ignore[import-untyped]  # comes with rerun-sdk, without its stubs
+import psutil
 import pytest
 from rerun.chunk import RrdReader
 
