@@ -135,14 +135,12 @@ def checksum(
 ) -> np.int64:
     """Compute a checksum over buf[start:stop]; the other arguments are the fields of `Checksum`."""
     first, last = np.uint64(start), np.uint64(stop)
-    if code == FLETCHER16_256:
-        return _fletcher(buf, first, last, 256)
+    if code in (FLETCHER16, FLETCHER16_256):
+        return _fletcher(buf, first, last, 255 if code == FLETCHER16 else 256)
     if code == CRC_FORWARD:
         return np.int64(_crc_forward(buf, first, last, table, initial) >> np.uint32(shift)) ^ final_xor
     if code == CRC_REFLECTED:
         return np.int64(_crc_reflected(buf, first, last, table, initial)) ^ final_xor
-    if code == FLETCHER16:
-        return _fletcher(buf, first, last, 255)
     if code == XOR8:
         value = np.uint8(0)
         for i in range(first, last):
@@ -167,7 +165,9 @@ def _fletcher(buf: ByteArray, first: np.uint64, last: np.uint64, modulus: int) -
         byte = np.uint32(buf[i])
         low += byte
         high += byte * np.uint32(last - i)
-    return (np.int64(high % np.uint32(modulus)) << 8) | np.int64(low % np.uint32(modulus))
+    if modulus == 256:
+        return (np.int64(high & np.uint32(255)) << 8) | np.int64(low & np.uint32(255))
+    return (np.int64(high % np.uint32(255)) << 8) | np.int64(low % np.uint32(255))
 
 
 @njit(cache=True, nogil=True, inline="always")

@@ -80,7 +80,7 @@ class FixedDecoder(Decoder):
         self._names = [column.name for column in self._columns]
         self._floats: FloatArray = np.zeros((count[0], CAPACITY))
         self._ints: IntArray = np.zeros((count[1], CAPACITY), np.int64)
-        batch = max(BATCH_BYTES // device.packet.length, 16)
+        batch = max(BATCH_BYTES // device.packet.length, 64)
         self._starts: UIntArray = np.zeros(batch, np.uint64)
         self._bits: IntArray = np.zeros(batch, np.int64)
 
@@ -273,7 +273,7 @@ def _fill_arrivals(
         out[k] = held_arrival[last]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, inline="always")
 def _fill_ints(
     held: ByteArray, starts: UIntArray, n: int, field: IntArray, factor: float, out: IntArray
 ) -> None:
@@ -292,14 +292,14 @@ def _fill_ints(
             out[k] = np.int64((np.uint64(out[k]) & mask) >> shift)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, inline="always")
 def _fill_floats(
     held: ByteArray, starts: UIntArray, n: int, field: IntArray, factor: float, offset: float, bits: IntArray,
     out: FloatArray,
 ) -> None:  # fmt: skip
     """Write one field of n packets as raw * factor + offset; plain integers, the usual case, in one pass."""
     code, mask, shift = field[KIND] & (BIG - 1), np.uint64(field[MASK]), np.uint64(field[SHIFT])
-    if code < F32 and not mask:
+    if code < F32 and not mask and field[SIZE] in (1, 2, 4):
         _fill_scaled(held, starts, n, field, factor, offset, out)
         return
     _fill_raw(held, starts, n, field, bits)
@@ -309,9 +309,12 @@ def _fill_floats(
     elif code == F64:
         for k in range(n):
             out[k] = np.int64(bits[k]).view(np.float64) * factor + offset
-    else:
+    elif mask:
         for k in range(n):
             out[k] = np.float64((np.uint64(bits[k]) & mask) >> shift) * factor + offset
+    else:
+        for k in range(n):
+            out[k] = np.float64(bits[k]) * factor + offset
 
 
 # The two functions below have a loop for each size and byte order, made by inlining with constants: so the
@@ -355,7 +358,7 @@ def _scaled_loop(
         out[k] = np.float64(_number(held, starts[k] + np.uint64(at), size, big, to_sign)) * factor + offset
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, inline="always")
 def _fill_raw(held: ByteArray, starts: UIntArray, n: int, field: IntArray, out: IntArray) -> None:
     """Write the raw integers of a field, or the bits of a floating-point number."""
     at, size, big = field[AT], field[SIZE], field[KIND] >= BIG
@@ -374,11 +377,11 @@ def _fill_raw(held: ByteArray, starts: UIntArray, n: int, field: IntArray, out: 
         _raw_loop(held, starts, n, at, to_sign, size, big, out)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, inline="always")
 def _fill_scaled(
     held: ByteArray, starts: UIntArray, n: int, field: IntArray, factor: float, offset: float, out: FloatArray
 ) -> None:
-    """Write the integers of a field as raw * factor + offset."""
+    """Write the integers of a field of 1, 2 or 4 bytes as raw * factor + offset."""
     at, size, big = field[AT], field[SIZE], field[KIND] >= BIG
     to_sign = _sign_shift(field[KIND], size)
     if size == 1:
@@ -389,7 +392,5 @@ def _fill_scaled(
         _scaled_loop(held, starts, n, at, to_sign, 2, False, factor, offset, out)
     elif size == 4 and big:
         _scaled_loop(held, starts, n, at, to_sign, 4, True, factor, offset, out)
-    elif size == 4:
-        _scaled_loop(held, starts, n, at, to_sign, 4, False, factor, offset, out)
     else:
-        _scaled_loop(held, starts, n, at, to_sign, size, big, factor, offset, out)
+        _scaled_loop(held, starts, n, at, to_sign, 4, False, factor, offset, out)
