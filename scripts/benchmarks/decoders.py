@@ -114,7 +114,9 @@ def run() -> tuple[list[Table], list[Bar]]:
     times = measure(functions)
     whole = decoded(device, data, CHUNKS[-1])
     missing = max(lost(device, whole, damaged, size) for size in CHUNKS)
-    return [_references(times), *_tables(times, len(damaged.intact), missing)], _bars(times, missing)
+    return [_references(times), *_tables(times, len(whole.columns), len(damaged.intact), missing)], _bars(
+        times, missing
+    )
 
 
 def _references(times: dict[str, Time]) -> Table:
@@ -130,11 +132,11 @@ def _references(times: dict[str, Time]) -> Table:
     return table
 
 
-def _tables(times: dict[str, Time], intact: int, missing: int) -> list[Table]:
+def _tables(times: dict[str, Time], columns: int, intact: int, missing: int) -> list[Table]:
     tables = []
     for name, packets in (("whole", PACKETS), ("damaged", intact)):
         table = Table(
-            f"58-byte packet, 22 columns, Fletcher checksum, {name} stream",
+            f"58-byte packet, {columns} columns, Fletcher checksum, {name} stream",
             ["chunk bytes", "feed ns/packet", "median", "million/s", "× NumPy", "× struct",
              "feed + take ns/packet", "million/s"],
         )  # fmt: skip
