@@ -90,6 +90,13 @@ class Pipeline:
         return [*times, *rest, *(column for stage in self._estimators for column in stage.columns)]
 
     @property
+    def units(self) -> dict[str, str]:
+        """Unit of every column that may ever come."""
+        decoded = self._decoder.possible_columns if self._decoder is not None else ()
+        added = [column for stage in self._estimators for column in stage.columns]
+        return {column.name: column.unit for column in (*decoded, *added)}
+
+    @property
     def counters(self) -> PipelineCounters:
         """What became of every byte and packet so far."""
         raw = self._decoder.counters() if self._decoder is not None else Counters()

@@ -36,6 +36,19 @@ _SPELLINGS = {
 _ADDED = ["flux_gauss = 1e-4 * tesla"]
 
 
+_PI = Fraction("3.1415926535897932384626433832795028841971693993751")
+_COMMON = {
+    ("deg/s", "rad/s"): _PI / 180,
+    ("deg", "rad"): _PI / 180,
+    ("g", "m/s^2"): Fraction("9.80665"),
+    ("mg", "m/s^2"): Fraction("0.00980665"),
+    ("gauss", "uT"): Fraction(100),
+    ("s", "ns"): Fraction(1_000_000_000),
+    ("ms", "ns"): Fraction(1_000_000),
+    ("us", "ns"): Fraction(1000),
+}
+"""What nearly every device file needs, for a start without pint, which takes half a second.  The tests
+compare with pint."""
 LONGEST = 40
 """No unit is written with more characters."""
 
@@ -68,6 +81,12 @@ def exact_conversion(unit: str, target: str) -> tuple[Fraction, Fraction]:
     """Return `conversion` as fractions, not yet rounded."""
     if unit == target:
         return Fraction(1), Fraction(0)
+    if (unit, target) in _COMMON:
+        return _COMMON[unit, target], Fraction(0)
+    return _by_pint(unit, target)
+
+
+def _by_pint(unit: str, target: str) -> tuple[Fraction, Fraction]:
     import pint
 
     if len(unit) > LONGEST or unit.count("**") > 1:  # pint computes powers, however large

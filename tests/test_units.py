@@ -1,11 +1,12 @@
 from __future__ import annotations
 
 import math
+from fractions import Fraction
 
 import pytest
 
 from imumon.errors import ImumonError
-from imumon.units import conversion
+from imumon.units import _COMMON, _by_pint, conversion
 
 
 @pytest.mark.parametrize(
@@ -51,3 +52,8 @@ def test_factors_and_offsets(unit: str, target: str, factor: float, offset: floa
 def test_a_wrong_unit_is_refused(unit: str, words: str) -> None:
     with pytest.raises(ImumonError, match=words):
         conversion(unit, "rad/s")
+
+
+def test_the_common_factors_are_those_of_pint() -> None:
+    for (unit, target), factor in _COMMON.items():
+        assert _by_pint(unit, target) == (factor, Fraction(0)), unit

@@ -78,19 +78,18 @@ def command(
     run = LiveRun(profile, text, settings, folder, say)
     run.open()
     deadline = None if seconds is None else time.monotonic() + seconds
+    views: _Views | None = None
     try:
-        setup = view_setup(run.session, warm_up(profile), window)
+        # The view's process starts while this one gets ready.
+        setup = view_setup(run.session, run.pipeline.units, window)
         views = _Views(setup, run.session.view_path, view, bind)
-    except BaseException:
-        run.stop()
-        raise
-    try:
+        warm_up(profile)
         run.begin(views.publish)
-        views.announce(say)
         _watch(run, views, ended, deadline)
     finally:
-        summary = run.stop(views.files)
-        views.close()
+        summary = run.stop(views.files if views is not None else ())
+        if views is not None:
+            views.close()
     if as_json:
         print_json({**summary.as_dict(), "view_dropped": views.dropped})
     _report(summary, run.progress, views.dropped)
@@ -147,6 +146,7 @@ def _watch(run: LiveRun, views: _Views, ended: threading.Event, deadline: float 
     """Wait for the end, with a status line on a terminal."""
     interactive = sys.stderr.isatty()
     stopped = False
+    views.announce(say)
     while deadline is None or time.monotonic() < deadline:
         left = REFRESH_S if deadline is None else min(REFRESH_S, deadline - time.monotonic())
         if ended.wait(max(left, 0.0)):

@@ -140,7 +140,8 @@ def _publisher(source: Source, pipeline: Pipeline, view: str, window: float, bin
     from imumon.view.publisher import ViewPublisher
 
     assert source.session is not None
-    setup = view_setup(source.session, source.columns(pipeline), window, replay=True)
+    units = {column.name: column.unit for column in source.imported} | pipeline.units
+    setup = view_setup(source.session, units, window, replay=True)
     return ViewPublisher("native" if view == "native" else "web", setup, bind=bind).start()
 
 

@@ -89,6 +89,11 @@ class Decoder(ABC):
     def columns(self) -> tuple[Column, ...]:
         """Columns of the blocks that `take` returns now; a device may begin to send more."""
 
+    @property
+    def possible_columns(self) -> tuple[Column, ...]:
+        """All columns that may ever come."""
+        return self.columns
+
     @abstractmethod
     def _scan(self, chunk: ByteArray, arrival_ns: int, final: bool) -> None:
         """Append the chunk to the held bytes and decode packets until rows or bytes run out."""

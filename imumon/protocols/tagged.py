@@ -270,6 +270,11 @@ class TaggedDecoder(Decoder):
         return self._seen
 
     @property
+    def possible_columns(self) -> tuple[Column, ...]:
+        """Time of arrival and the columns of all fields of the protocol."""
+        return (KNOWN["arrival_time_ns"], *self.table.columns.values())
+
+    @property
     def columns(self) -> tuple[Column, ...]:
         """Time of arrival and the columns of all fields that have come so far."""
         return self._look().shown

@@ -13,8 +13,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from queue import Empty, SimpleQueue
 
+import numpy as np
+
 from imumon.blocks import SampleBlock
-from imumon.columns import Column
+from imumon.columns import KNOWN
 from imumon.errors import ImumonError, Reason
 from imumon.pipeline import Digest, Pipeline, PipelineCounters
 from imumon.protocols.device import DeviceFile
@@ -23,7 +25,6 @@ from imumon.session.folder import create_session, remove_empty
 from imumon.session.metadata import PortUsed, SessionMetadata, iso_utc, versions_in_use
 from imumon.session.recorder import Recorder
 from imumon.session.wire import WireCounters, WireWriter
-from imumon.simulation.bench import BenchUnit
 from imumon.transport.reader import Bytes, EventKind, Item, Reader
 from imumon.transport.settings import PortSettings
 
@@ -33,19 +34,18 @@ TICK_S = 0.5
 """How often rates, lanes and the status card are renewed."""
 
 
-def warm_up(device: DeviceFile) -> list[Column]:
-    """Compile what the first packets need, so that no packet waits for it; return the columns they give.
+def warm_up(device: DeviceFile) -> None:
+    """Compile what the first packets need, so that no packet waits for it.
 
-    The compiled code is kept on disk: the first start after an installation takes some seconds, later ones
-    some tenths of a second.
+    The compiled code is kept on disk: the first start after an installation takes ten seconds or so, later
+    ones some tenths of a second.
     """
     pipeline = Pipeline(device)
-    unit = BenchUnit(device.rate_hz or 100.0, device.axes)
-    for number, packet in enumerate(device.encoder().encode(unit.samples(3))):
+    sent = SampleBlock({column.name: np.zeros(3, column.dtype) for column in KNOWN.values()})
+    for number, packet in enumerate(device.encoder().encode(sent)):
         pipeline.feed(packet, number)
     pipeline.finish()
     pipeline.take()
-    return pipeline.columns
 
 
 @dataclass(frozen=True, slots=True)

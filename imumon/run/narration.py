@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from imumon.blocks import NO_INT, SampleBlock
-from imumon.columns import Column
 from imumon.pipeline import Pipeline, PipelineCounters
 from imumon.session.folder import Session
 from imumon.transport.reader import Event, EventKind
@@ -223,16 +222,16 @@ class Narrator:
 
 
 def view_setup(
-    session: Session, columns: Iterable[Column], window_s: float, replay: bool = False
+    session: Session, units: Mapping[str, str], window_s: float, replay: bool = False
 ) -> ViewSetup:
-    """Return what the view must know of a session and its columns before the first sample."""
+    """Return what the view must know of a session and its units before the first sample."""
     metadata, name = session.metadata, session.path.name
     kind = "replay of " if replay else ""
     port = {"port": metadata.port.url} if metadata.port is not None else {}
     return ViewSetup(
         title=f"{kind}{name}",
         recording_id=f"{kind}{name} {metadata.created_ns}".replace(" ", "-"),
-        units={column.name: column.unit for column in columns},
+        units=units,
         z_down=metadata.axes == "FRD",
         window_s=window_s,
         properties={"device": metadata.device, "session": str(session.path), **port},

@@ -30,6 +30,8 @@ class VirtualDevice:
         Packets per second; the device file's own when None.
     seed : int
         Seed of the simulated unit.
+    port : VirtualPort or None
+        Port to send through; one is made when None.  Closed with the device.
 
     Raises
     ------
@@ -38,7 +40,12 @@ class VirtualDevice:
     """
 
     def __init__(
-        self, device: DeviceFile, link: Path | None = None, rate_hz: float | None = None, seed: int = 0
+        self,
+        device: DeviceFile,
+        link: Path | None = None,
+        rate_hz: float | None = None,
+        seed: int = 0,
+        port: VirtualPort | None = None,
     ) -> None:
         self._device = device
         self._rate_hz = rate_hz or device.rate_hz or DEFAULT_RATE_HZ
@@ -50,7 +57,7 @@ class VirtualDevice:
         self._rebooted = False
         self._closing = threading.Event()
         self.packets_sent = 0
-        self.port = VirtualPort(link, device.serial.baudrates[0])
+        self.port = port or VirtualPort(link, device.serial.baudrates[0])
         self._thread = threading.Thread(target=self._run, name="virtual device", daemon=True)
         self._thread.start()
 

@@ -7,9 +7,14 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from imumon.protocols.device import load_device
-from imumon.simulation.virtual_device import VirtualDevice
+from imumon.simulation.virtual_port import VirtualPort
+
+if TYPE_CHECKING:
+    from imumon.simulation.virtual_device import VirtualDevice
+
+DEVICE = "ax1"
 
 
 def main(options: list[str]) -> int:
@@ -17,14 +22,21 @@ def main(options: list[str]) -> int:
     # Ctrl-C in the terminal reaches the monitor as well, which ends in order; this process waits for it.
     # A handler, unlike SIG_IGN, is not inherited.
     signal.signal(signal.SIGINT, lambda *_: None)
-    with (
-        tempfile.TemporaryDirectory(prefix="imumon-demo-") as folder,
-        VirtualDevice(load_device("ax1"), Path(folder) / "ahrs") as ahrs,
-    ):
+    with tempfile.TemporaryDirectory(prefix="imumon-demo-") as folder:
+        port = VirtualPort(Path(folder) / "ahrs")
         imumon = str(Path(sys.executable).with_name("imumon"))
-        monitor = subprocess.Popen([imumon, "monitor", ahrs.port.path, "--device", "ax1", *options])
+        monitor = subprocess.Popen([imumon, "monitor", port.path, "--device", DEVICE, *options])
         signal.signal(signal.SIGTERM, lambda *_: monitor.terminate())
-        return monitor.wait()
+        with _switched_on(port):
+            return monitor.wait()
+
+
+def _switched_on(port: VirtualPort) -> VirtualDevice:
+    """Return the device on the port, imported only now: the monitor starts meanwhile."""
+    from imumon.protocols.device import load_device
+    from imumon.simulation.virtual_device import VirtualDevice
+
+    return VirtualDevice(load_device(DEVICE), port=port)
 
 
 if __name__ == "__main__":

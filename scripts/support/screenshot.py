@@ -31,8 +31,8 @@ def main() -> None:
             device, device_text("ax1")[0], PortSettings(ahrs.port.path), Path(folder) / "bench", _say
         )
         run.open()
-        setup = view_setup(run.session, warm_up(device), WINDOW_S)
-        live = ViewPublisher("web", setup).start()
+        live = ViewPublisher("web", view_setup(run.session, run.pipeline.units, WINDOW_S)).start()
+        warm_up(device)
         run.begin([live.publish])
         time.sleep(10)
         _photograph(proxy_url(live.stream_port))
