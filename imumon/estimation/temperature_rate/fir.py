@@ -4,10 +4,10 @@ After Kozlov and Tarygin, "Real-Time Estimation of Temperature Time Derivative i
 Finite-Impulse-Response Exponential Regression on Updates", Sensors 2020, 20(5), 1299.  Equation numbers are
 those of the paper.
 
-The recursion is the paper's, with two safeguards that keep it a least-squares fit of its buffer.  The state is
-fitted anew from the buffer (a) when taking out a measurement would cost too many digits, and (b) every
-`REFIT_SPAN` time constants: moving t0 shrinks the covariance of γ by e^(-s) each time, and with it what is left
-of the start's 10⁶ °C, which after an hour would hold γ at nought as firmly as a measurement does.
+The recursion is the paper's, with two safeguards that keep it a least-squares fit of its buffer.  The state
+is fitted anew from the buffer (a) when taking out a measurement would cost too many digits, and (b) every
+`REFIT_SPAN` time constants: moving t0 shrinks the covariance of γ by e^(-s) each time, and with it what is
+left of the start's 10⁶ °C, which after an hour would hold γ at nought as firmly as a measurement does.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 from numba import njit
 
 from imumon.blocks import FloatArray, IntArray
-from imumon.estimation.temperature_rate.series import RateEstimate, SegmentClock
+from imumon.estimation.temperature_rate.series import RateEstimate, Resumable
 from imumon.estimation.temperature_rate.square_root import pull_back, rotate_in, solve, update
 
 START_SD = 1e6
@@ -39,7 +39,7 @@ OLDEST, COUNT, STARTED, REFITS = range(4)
 STEP, WINDOW, TIME_CONSTANT = range(3)
 
 
-class FirRate:
+class FirRate(Resumable):
     """Least squares of a short-term model over the level changes of the last few minutes.
 
     Parameters
@@ -62,12 +62,14 @@ class FirRate:
         if not (step > 0 and window_s > 0 and time_constant_s > 0 and buffer_size > 2 * order):
             raise ValueError("step, window and time constant must be positive, and the buffer exceed 2 n")
         self._parameters = np.array([step, window_s, time_constant_s])
-        self._clock = SegmentClock()
         self._x = np.zeros(order)
         self._s = np.zeros((order, order))
         self._buffer = np.zeros((buffer_size, 2))
         self._numbers = np.zeros(4)
         self._integers: IntArray = np.zeros(4, np.int64)
+        super().__init__(
+            x=self._x, s=self._s, buffer=self._buffer, numbers=self._numbers, integers=self._integers
+        )
 
     @property
     def coefficients(self) -> FloatArray:
@@ -101,7 +103,7 @@ class FirRate:
             °C; a sample whose reading is not finite is passed over.
         """
         result = RateEstimate.empty(len(reading))
-        for start, stop, begins, seconds in self._clock.runs(time_ns, segment):
+        for start, stop, begins, seconds in self.clock.runs(time_ns, segment):
             if begins:
                 self._integers[STARTED] = 0
             out = result.rows(start, stop)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
 
-from imumon.blocks import FloatArray, IntArray
+from imumon.blocks import ColumnArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,6 +45,38 @@ class RateMethod(Protocol):
         """Return the estimates of samples that follow those of the last call."""
 
 
+class Resumable:
+    """A method whose whole state is arrays, which can be saved and restored.
+
+    Parameters
+    ----------
+    **arrays : array
+        The state; changed in place from sample to sample.
+    """
+
+    def __init__(self, **arrays: ColumnArray) -> None:
+        self.clock = SegmentClock()
+        self._arrays = {**arrays, "clock": self.clock.state}
+
+    def save(self) -> dict[str, ColumnArray]:
+        """Return copies of the state's arrays."""
+        return {name: values.copy() for name, values in self._arrays.items()}
+
+    def restore(self, saved: Mapping[str, ColumnArray]) -> None:
+        """Go on from a saved state.
+
+        Raises
+        ------
+        ValueError
+            When it is not the state of such a method with these parameters.
+        """
+        shapes = {name: values.shape for name, values in self._arrays.items()}
+        if {name: np.shape(values) for name, values in saved.items()} != shapes:
+            raise ValueError(f"not a state of {type(self).__name__}: arrays of other names or shapes")
+        for name, values in self._arrays.items():
+            values[...] = saved[name]
+
+
 class SegmentClock:
     """Seconds since the first sample of a segment of the device clock.
 
@@ -52,9 +84,8 @@ class SegmentClock:
     """
 
     def __init__(self) -> None:
-        self._segment: int | None = None
-        self._origin_ns = 0
-        self._last_ns = 0
+        # Whether there was a sample; the segment, its first time and the last time, ns.
+        self.state: IntArray = np.zeros(4, np.int64)
 
     def runs(self, time_ns: IntArray, segment: IntArray) -> Iterator[tuple[int, int, bool, FloatArray]]:
         """Yield start, stop, whether a segment begins here, and seconds since its beginning, run by run."""
@@ -64,10 +95,9 @@ class SegmentClock:
         breaks = (np.diff(segment) != 0) | (np.diff(time_ns) < 0)
         edges = [0, *(np.flatnonzero(breaks) + 1).tolist(), n]
         for start, stop in pairwise(edges):
-            first, label = int(time_ns[start]), int(segment[start])
-            begins = start > 0 or label != self._segment or first < self._last_ns
-            if begins:
-                self._segment, self._origin_ns = label, first
-            self._last_ns = int(time_ns[stop - 1])
-            elapsed = (time_ns[start:stop] - self._origin_ns).astype(np.float64)
+            known, label, origin, last = self.state.tolist()
+            first = int(time_ns[start])
+            begins = not known or start > 0 or int(segment[start]) != label or first < last
+            self.state[:] = 1, segment[start], first if begins else origin, time_ns[stop - 1]
+            elapsed = (time_ns[start:stop] - self.state[2]).astype(np.float64)
             yield start, stop, begins, elapsed * 1e-9

@@ -3,9 +3,10 @@
 The covariance is P = S Sᵀ with S upper triangular.  After Carlson and Potter; the notation is that of Kozlov
 and Tarygin, Sensors 2020, 20(5), 1299, appendices A to D, derived anew because signs are lost there.
 
-For the update write P⁺ = S (E - f fᵀ / (σ² + fᵀf)) Sᵀ with f = Sᵀhᵀ, and d_j = σ² + Σ_{k≤j} f_k².  The upper
-triangular B with B Bᵀ = E - f fᵀ/d_n has B_jj = √(d_{j-1}/d_j) and B_ij = -f_i f_j / √(d_{j-1} d_j) for i < j.
-Then S⁺ = S B: its column j is S_j √(d_{j-1}/d_j) - K_j f_j / √(d_{j-1} d_j) with K_j = Σ_{k<j} S_k f_k.
+For the update write P⁺ = S (E - f fᵀ / (σ² + fᵀf)) Sᵀ with f = Sᵀhᵀ, and d_j = σ² + Σ_{k≤j} f_k².
+The upper triangular B with B Bᵀ = E - f fᵀ/d_n has B_jj = √(d_{j-1}/d_j) and, for i < j,
+B_ij = -f_i f_j / √(d_{j-1} d_j).  Then S⁺ = S B: its column j is
+S_j √(d_{j-1}/d_j) - K_j f_j / √(d_{j-1} d_j) with K_j = Σ_{k<j} S_k f_k.
 The removal has P⁻ = S (E + f fᵀ / (σ² - fᵀf)) Sᵀ, that is the same with f² counted negatively:
 d_j = σ² - Σ_{k≤j} f_k², and B_ij = +f_i f_j / √(d_{j-1} d_j).
 """

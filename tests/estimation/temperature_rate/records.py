@@ -17,7 +17,7 @@ def clock(n: int, rate_hz: float = 10.0) -> tuple[IntArray, IntArray]:
 def quantized(temperature: FloatArray, noise: float, seed: int = 3, step: float = 0.05) -> FloatArray:
     """Return what a sensor with white noise and this step reads."""
     noisy = temperature + noise * np.random.default_rng(seed).standard_normal(len(temperature))
-    return np.asarray(step * np.round(noisy / step))
+    return np.asarray(step * np.round(noisy / step), np.float64)
 
 
 def self_heating(hours: float, rate_hz: float = 10.0) -> tuple[FloatArray, FloatArray]:
@@ -29,4 +29,5 @@ def self_heating(hours: float, rate_hz: float = 10.0) -> tuple[FloatArray, Float
 
 def steady(rate: float, hours: float, rate_hz: float = 10.0) -> FloatArray:
     """Return a temperature that rises by `rate` °C/h."""
-    return 30.013 + rate / PER_HOUR * np.arange(int(hours * PER_HOUR * rate_hz)) / rate_hz
+    t = np.arange(int(hours * PER_HOUR * rate_hz)) / rate_hz
+    return np.asarray(30.013 + rate / PER_HOUR * t, np.float64)

@@ -1,0 +1,197 @@
+"""The default method: accuracy against its own band, faults, and independence of the pieces."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from imumon.blocks import FloatArray
+from imumon.estimation.temperature_rate.level_bank import LevelBankRate
+from imumon.estimation.temperature_rate.series import RateEstimate
+from tests.estimation.temperature_rate.records import PER_HOUR, clock, quantized, self_heating, steady
+
+RATE_HZ = 10.0
+SETTLED = slice(12000, None)
+
+
+def run(reading: FloatArray, step: float | None = None) -> RateEstimate:
+    time_ns, segment = clock(len(reading), RATE_HZ)
+    return LevelBankRate(step).process(time_ns, segment, reading)
+
+
+def wobble(hours: float) -> tuple[FloatArray, FloatArray]:
+    temperature, rate = self_heating(hours)
+    t, w = np.arange(len(rate)) / RATE_HZ, 2 * np.pi / 1200.0
+    return temperature + 0.25 * np.sin(w * t), rate + 0.25 * w * np.cos(w * t)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.005])
+def test_error_is_within_the_band_of_a_wobbling_temperature(noise: float) -> None:
+    temperature, rate = wobble(2.0)
+    result = run(quantized(temperature, noise))
+    error = (result.rate - rate)[SETTLED]
+    sd = result.rate_sd[SETTLED]
+    assert np.sqrt(np.mean(error**2)) * PER_HOUR < 0.52
+    assert 0.9 <= np.mean(np.abs(error) < 2 * sd) <= 0.99
+    assert 0.6 < np.sqrt(np.mean((error / sd) ** 2)) < 1.5
+    assert np.abs(np.diff(result.rate[SETTLED])).max() * PER_HOUR < 1.0
+    inside = np.abs(result.temperature - temperature)[SETTLED] < 2 * result.temperature_sd[SETTLED]
+    assert 0.88 < inside.mean() < 0.995
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.005])
+def test_a_steady_rate_is_found_also_while_the_reading_flickers(noise: float) -> None:
+    temperature = steady(0.5, 1.5)
+    reading = quantized(temperature, noise)
+    result = run(reading)
+    error = result.rate[SETTLED] * PER_HOUR - 0.5
+    assert np.abs(error).max() < 0.03
+    assert np.mean(np.abs(error) < 2 * result.rate_sd[SETTLED] * PER_HOUR) > 0.9
+
+
+def test_the_band_narrows_while_the_reading_stays() -> None:
+    result = run(np.full(18000, 25.0), 0.05)
+    sd = result.rate_sd[[1200, 6000, 17999]] * PER_HOUR
+    assert (np.diff(sd) < 0).all()
+    # Inside one level of 0.05 °C for half an hour.
+    assert sd[-1] < 0.3
+    assert np.abs(result.rate).max() * PER_HOUR < 0.05
+
+
+@pytest.mark.parametrize(("step", "declared"), [(0.05, 0.2), (0.2, 0.05), (0.0625, None)])
+def test_step_and_noise_are_found_whatever_was_declared(step: float, declared: float | None) -> None:
+    temperature, _ = self_heating(0.5)
+    reading = quantized(temperature, 0.1 * step, step=step)
+    time_ns, segment = clock(len(reading))
+    bank = LevelBankRate(declared)
+    bank.process(time_ns, segment, reading)
+    assert bank.step == pytest.approx(step, rel=1e-3)
+    assert bank.noise == pytest.approx(0.1 * step, rel=0.3)
+
+
+def test_a_sensor_without_steps_is_estimated_from_its_noise() -> None:
+    temperature, rate = self_heating(1.0)
+    result = run(temperature + 0.02 * np.random.default_rng(4).standard_normal(len(temperature)))
+    error, sd = (result.rate - rate)[SETTLED], result.rate_sd[SETTLED]
+    assert np.sqrt(np.mean(error**2)) * PER_HOUR < 0.1
+    assert 0.3 < np.sqrt(np.mean((error / sd) ** 2)) < 1.5
+
+
+def test_pieces_of_any_size_and_a_restored_state_give_the_same_bits() -> None:
+    temperature, _ = self_heating(0.25)
+    reading = quantized(temperature, 0.005)
+    reading[3000:3100] = np.nan
+    time_ns, segment = clock(len(reading))
+    segment[6000:] = 1
+    whole = LevelBankRate().process(time_ns, segment, reading)
+    bank = LevelBankRate()
+    edges = np.unique(np.random.default_rng(1).integers(0, len(reading), 150)).tolist()
+    for start, stop in zip([0, *edges], [*edges, len(reading)], strict=True):
+        resumed = LevelBankRate()
+        resumed.restore(bank.save())
+        bank = resumed
+        piece = bank.process(time_ns[start:stop], segment[start:stop], reading[start:stop])
+        assert np.array_equal(piece.temperature, whole.temperature[start:stop], equal_nan=True)
+        assert np.array_equal(piece.rate_sd, whole.rate_sd[start:stop], equal_nan=True)
+
+
+def test_a_state_of_another_method_is_refused() -> None:
+    with pytest.raises(ValueError, match="not a state of LevelBankRate"):
+        LevelBankRate().restore({"x": np.zeros(3)})
+
+
+def test_missing_readings_widen_the_band_then_end_the_estimate() -> None:
+    reading = quantized(steady(10.0, 1.0), 0.005)
+    reading[12000:15000] = np.nan
+    reading[20000:30000] = np.nan
+    result = run(reading)
+    assert np.isfinite(result.rate[12000:20000]).all()
+    assert result.rate_sd[14990] > 5 * result.rate_sd[11999]
+    assert result.rate_sd[18000] < 0.1 * result.rate_sd[14990]
+    assert np.isnan(result.rate[26050:30000]).all()
+    assert np.isfinite(result.rate[30000:]).all()
+    assert abs(result.rate[-1] * PER_HOUR - 10.0) < 2 * result.rate_sd[-1] * PER_HOUR
+
+
+def test_dropped_samples_and_irregular_times_do_no_harm() -> None:
+    temperature, rate = self_heating(1.0)
+    reading = quantized(temperature, 0.005)
+    time_ns, segment = clock(len(reading))
+    rng = np.random.default_rng(8)
+    kept = rng.random(len(reading)) < 0.3
+    kept[24000:24600] = False
+    time_ns = time_ns + rng.integers(0, 90_000_000, len(time_ns))
+    result = LevelBankRate().process(time_ns[kept], segment[kept], reading[kept])
+    late = time_ns[kept] > 1800e9
+    error = (result.rate - rate[kept])[late]
+    assert np.sqrt(np.mean(error**2)) * PER_HOUR < 0.2
+    assert np.mean(np.abs(error) < 2 * result.rate_sd[late]) > 0.85
+
+
+def test_spikes_are_passed_over() -> None:
+    temperature, _ = self_heating(0.75)
+    reading = quantized(temperature, 0.0)
+    clean = run(reading).rate
+    reading[::1009] += 20.0
+    error = (run(reading).rate - clean)[SETTLED]
+    assert np.abs(error).max() * PER_HOUR < 1.0
+
+
+def test_a_jump_that_lasts_is_followed_with_a_wide_band() -> None:
+    temperature, rate = self_heating(0.75)
+    reading = quantized(temperature, 0.0)
+    reading[18000:] += 20.0
+    result = run(reading)
+    assert np.isfinite(result.rate).all()
+    assert result.rate_sd[18120:18150].min() * PER_HOUR > 2.0
+    after = slice(18600, None)
+    np.testing.assert_allclose(result.temperature[after], temperature[after] + 20.0, atol=0.05)
+    assert np.mean(np.abs(result.rate - rate)[after] < 3 * result.rate_sd[after]) > 0.9
+
+
+def test_a_level_frozen_for_hours_is_trusted_less_and_less() -> None:
+    result = run(np.full(int(3 * PER_HOUR * RATE_HZ), 30.0), 0.05)
+    hour = int(PER_HOUR * RATE_HZ)
+    assert result.rate_sd[-1] > 5 * result.rate_sd[hour]
+    assert np.isfinite(result.rate).all()
+
+
+def test_a_noisy_sensor_that_falls_silent_is_not_believed() -> None:
+    temperature, _ = self_heating(1.0)
+    reading = quantized(temperature, 0.03, step=0.01)
+    reading[20000:] = reading[20000]
+    result = run(reading)
+    assert result.rate_sd[24000] > 20 * result.rate_sd[19999]
+    # Ten minutes after the first minute of silence there is none.
+    assert np.isnan(result.rate[-1])
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    st.lists(
+        st.tuples(
+            st.one_of(st.floats(-100.0, 250.0), st.just(float("nan"))),
+            st.integers(0, 2_000_000_000),
+            st.integers(1, 30),
+        ),
+        min_size=1,
+        max_size=40,
+    )
+)
+def test_any_readings_at_any_times_give_a_finite_estimate_or_none(
+    runs: list[tuple[float, int, int]],
+) -> None:
+    reading = np.concatenate([np.full(count, value) for value, _, count in runs])
+    steps = np.concatenate([np.full(count, gap) for _, gap, count in runs])
+    result = LevelBankRate().process(np.cumsum(steps), np.zeros(len(reading), np.int64), reading)
+    known = np.isfinite(result.rate)
+    for values in (result.temperature, result.temperature_sd, result.rate_sd):
+        assert np.array_equal(np.isfinite(values), known)
+    assert (result.rate_sd[known] >= 0).all()
+
+
+def test_a_step_that_cannot_be_is_refused() -> None:
+    with pytest.raises(ValueError, match="a step of"):
+        LevelBankRate(0.0)

@@ -1,0 +1,113 @@
+"""The stage of the pipeline: names, parameters, ranges, notices."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from imumon.blocks import ColumnArray, SampleBlock
+from imumon.config import parse_yaml
+from imumon.errors import ImumonError
+from imumon.estimation.temperature_rate import (
+    FirExponentialRate,
+    TemperatureRate,
+    TemperatureRateParameters,
+)
+from imumon.pipeline import Estimator
+from tests.estimation.temperature_rate.records import clock, quantized, self_heating
+
+
+def block(**columns: ColumnArray) -> SampleBlock:
+    n = len(next(iter(columns.values())))
+    time_ns, segment = clock(n)
+    return SampleBlock({"device_time_ns": time_ns, "segment": segment, **columns})
+
+
+def test_one_sensor_gives_four_columns() -> None:
+    stage: Estimator = TemperatureRate()
+    temperature, _ = self_heating(0.05)
+    added = stage.process(block(temperature=quantized(temperature, 0.0)))
+    names = ["temperature_estimate", "temperature_rate", "temperature_estimate_sd", "temperature_rate_sd"]
+    assert [column.name for column in stage.columns] == names == list(added)
+    assert [column.unit for column in stage.columns] == ["degC", "degC/s", "degC", "degC/s"]
+    assert all(np.isfinite(values).all() for values in added.values())
+
+
+def test_a_sensor_per_axis_gives_columns_per_axis_that_do_not_mix() -> None:
+    temperature, _ = self_heating(0.1)
+    x, y = quantized(temperature, 0.0), quantized(60.0 - temperature, 0.005)
+    both = TemperatureRate(("temperature_x", "temperature_y")).process(
+        block(temperature_x=x, temperature_y=y)
+    )
+    alone = TemperatureRate(("temperature_y",)).process(block(temperature_y=y))
+    assert both["temperature_rate_x"][-1] > 0 > both["temperature_rate_y"][-1]
+    for name, values in alone.items():
+        np.testing.assert_array_equal(both[name], values)
+    assert "temperature_estimate_sd_y" in alone
+
+
+def test_a_channel_that_is_absent_or_out_of_range_is_missing() -> None:
+    stage = TemperatureRate(("temperature_x", "temperature_z"))
+    added = stage.process(block(temperature_x=np.full(50, 300.0)))
+    assert np.isnan(added["temperature_rate_x"]).all()
+    assert np.isnan(added["temperature_rate_z"]).all()
+
+
+def test_readings_out_of_range_are_passed_over() -> None:
+    temperature, _ = self_heating(0.1)
+    reading = quantized(temperature, 0.0)
+    holes = reading.copy()
+    reading[1000:1100] = -273.0
+    holes[1000:1100] = np.nan
+    ranged = TemperatureRate().process(block(temperature=reading))
+    expected = TemperatureRate().process(block(temperature=holes))
+    np.testing.assert_array_equal(ranged["temperature_rate"], expected["temperature_rate"])
+
+
+def test_the_published_filter_can_be_chosen_in_yaml() -> None:
+    text = "method: fir_exponential\nstep_degc: 0.05\nwindow_s: 180\ntime_constant_s: 120\nbuffer_size: 90\n"
+    parameters = parse_yaml(text, TemperatureRateParameters, "device.yaml")
+    temperature, _ = self_heating(0.1)
+    reading = quantized(temperature, 0.0)
+    time_ns, segment = clock(len(reading))
+    added = TemperatureRate(("temperature",), parameters).process(block(temperature=reading))
+    expected = FirExponentialRate(0.05, 180.0, 120.0, 90).process(time_ns, segment, reading)
+    np.testing.assert_array_equal(added["temperature_rate"], expected.rate)
+    np.testing.assert_array_equal(added["temperature_estimate_sd"], expected.temperature_sd)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("method: fir_exponential", "needs step_degc"),
+        ("method: kalman", "method"),
+        ("step_degc: -1", "step_degc"),
+        ("buffer_size: 6", "buffer_size"),
+        ("lowest_degc: 80\nhighest_degc: 20", "is not below"),
+        ("steps: 0.05", "unknown key"),
+    ],
+)
+def test_wrong_parameters_are_refused_with_the_line(text: str, said: str) -> None:
+    with pytest.raises(ImumonError, match=said) as caught:
+        parse_yaml(text, TemperatureRateParameters, "device.yaml")
+    assert "device.yaml:1" in caught.value.seen
+
+
+def test_a_column_that_is_no_temperature_is_refused() -> None:
+    with pytest.raises(ImumonError, match="'gyro_x'"):
+        TemperatureRate(("gyro_x",))
+
+
+@pytest.mark.parametrize("method", ["level_bank", "fir_exponential"])
+def test_a_declared_step_that_contradicts_the_data_is_said_once(method: str) -> None:
+    parameters = TemperatureRateParameters.model_validate({"method": method, "step_degc": 0.2})
+    stage = TemperatureRate(("temperature",), parameters)
+    temperature, _ = self_heating(0.2)
+    samples = block(temperature=quantized(temperature, 0.0))
+    assert stage.notices() == []
+    stage.process(samples)
+    (text,) = stage.notices()
+    assert text.startswith("temperature: step_degc contradicts the data")
+    assert "0.05 °C, not of 0.2 °C" in text
+    stage.process(samples)
+    assert stage.notices() == []
