@@ -107,6 +107,7 @@ def _by_pint(unit: str, target: str) -> tuple[Fraction, Fraction]:
     except (
         pint.PintError,
         TokenError,
+        SyntaxError,
         ArithmeticError,
         ValueError,
         TypeError,

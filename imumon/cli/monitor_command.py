@@ -74,6 +74,8 @@ def command(
     ended = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: ended.set())
+    # Whoever starts this command may hold signals back until it can heed them.
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT, signal.SIGTERM})
     folder = out or default_path(profile.name, time.time_ns())
     run = LiveRun(profile, text, settings, folder, say)
     run.open()

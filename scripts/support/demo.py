@@ -3,6 +3,11 @@
 from __future__ import annotations
 
 import signal
+
+# Ctrl-C before the monitor is ready waits until it is, so that every run ends with a summary.
+STOP = {signal.SIGINT, signal.SIGTERM}
+signal.pthread_sigmask(signal.SIG_BLOCK, STOP)
+
 import subprocess
 import sys
 import tempfile
@@ -19,15 +24,14 @@ DEVICE = "ax1"
 
 def main(options: list[str]) -> int:
     """Run the monitor on a virtual AHRS with these options of ``imumon monitor``; return its exit code."""
-    # Ctrl-C in the terminal reaches the monitor as well, which ends in order; this process waits for it.
-    # A handler, unlike SIG_IGN, is not inherited.
-    signal.signal(signal.SIGINT, lambda *_: None)
     with tempfile.TemporaryDirectory(prefix="imumon-demo-") as folder:
         port = VirtualPort(Path(folder) / "ahrs")
         imumon = str(Path(sys.executable).with_name("imumon"))
         monitor = subprocess.Popen([imumon, "monitor", port.path, "--device", DEVICE, *options])
-        signal.signal(signal.SIGTERM, lambda *_: monitor.terminate())
+        for number in STOP:  # Ctrl-C in a terminal reaches the monitor anyway, and twice does no harm
+            signal.signal(number, lambda *_: monitor.send_signal(signal.SIGINT))
         with _switched_on(port):
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, STOP)
             return monitor.wait()
 
 
