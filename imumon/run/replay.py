@@ -14,8 +14,8 @@ from imumon.run.narration import Narrator
 from imumon.session.folder import Session
 from imumon.transport.reader import Bytes, EventKind, Item
 
-READ_SIZE = 1 << 20
-BATCH_BYTES = 1 << 18
+READ_SIZE = 1 << 16
+BATCH_BYTES = 1 << 16
 """Without a view, samples are handed on about as often as so many bytes were fed."""
 BATCH_NS = 50_000_000
 TICK_NS = 500_000_000
