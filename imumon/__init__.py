@@ -12,9 +12,9 @@ Live, replay and simulation differ only in what stands at the left end.
 
 Time
     Always int64 nanoseconds.  ``device_time_ns`` is the device's own clock, unwrapped, as the device counts
-    it (it starts anew in a new ``segment``); ``arrival_time_ns`` is the Unix time at which the last byte of the
-    packet was read from the port; ``host_time_ns`` is the device clock mapped to Unix time by the lower hull
-    of arrival minus device time: the estimate of the time of validity, never later than the arrival.
+    it (it starts anew in a new ``segment``); ``arrival_time_ns`` is the Unix time at which the last byte of
+    the packet was read from the port; ``host_time_ns`` is the device clock mapped to Unix time by the lower
+    hull of arrival minus device time: the estimate of the time of validity, never later than the arrival.
 
 Units
     SI inside: angular rate rad/s, specific force m/s², angle rad, pressure Pa, temperature °C.  Latitude and
