@@ -19,6 +19,8 @@ BATCH_BYTES = 1 << 16
 """Without a view, samples are handed on about as often as so many bytes were fed."""
 BATCH_NS = 50_000_000
 TICK_NS = 500_000_000
+LONGEST_WAIT_S = 1e9
+"""More is no time to wait for but a damaged stamp, and the system refuses it."""
 
 
 def session_device(session: Session) -> DeviceFile:
@@ -137,4 +139,4 @@ class _Pace:
         data_ns, wall = self._began
         ahead = (now_ns - data_ns) * 1e-9 / self._speed - (time.monotonic() - wall)
         if ahead > 0:
-            time.sleep(ahead)
+            time.sleep(min(ahead, LONGEST_WAIT_S))

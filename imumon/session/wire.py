@@ -18,9 +18,11 @@ from pathlib import Path
 from typing import BinaryIO
 
 from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
 from mcap.records import Channel, Chunk, DataEnd, Header
 from mcap.stream_reader import get_chunk_data_stream
 from mcap.writer import CompressionType, IndexType, Writer
+from zstandard import ZstdError
 
 from imumon import __version__
 from imumon.errors import ImumonError, Reason
@@ -43,6 +45,10 @@ MAGIC = b"\x89MCAP0\r\n"
 _RECORD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<BQHIQQ")
 _MESSAGE_FIELDS = _MESSAGE.size - _RECORD.size
+LATEST_NS = (1 << 63) - 1
+"""A time beyond this is damage."""
+_DAMAGE = (McapError, ZstdError, struct.error, ValueError, RuntimeError)
+"""What the library raises for a record that is not what its first byte says."""
 _HEADER, _CHANNEL, _MESSAGE_OP, _CHUNK, _DATA_END = 0x01, 0x04, 0x05, 0x06, 0x0F
 
 
@@ -331,6 +337,9 @@ class _Scan:
                 break
             if opcode == _MESSAGE_OP:
                 _, _, channel, _, time_ns, _ = _MESSAGE.unpack_from(buffer, offset)
+                if time_ns > LATEST_NS:
+                    self.done = True
+                    break
                 body = buffer[offset + _MESSAGE.size : after]
                 if channel in wire:
                     self._reads += 1
@@ -338,10 +347,12 @@ class _Scan:
                     yield Bytes(body, time_ns)
                 elif channel in event:
                     yield from self._event(body, time_ns)
-            elif opcode == _DATA_END:
-                self._end_data(buffer[:offset], buffer[offset + _RECORD.size : after])
             else:
-                yield from self._other(opcode, buffer[offset + _RECORD.size : after])
+                try:
+                    yield from self._rare(opcode, buffer[:offset], buffer[offset + _RECORD.size : after])
+                except _DAMAGE:
+                    self.done = True
+                    break
             offset = after
         self._used = offset
 
@@ -366,9 +377,11 @@ class _Scan:
         self._checksum_ok = zlib.crc32(before, self._crc) == expected if expected else None
         self._data_ended = self.done = True
 
-    def _other(self, opcode: int, body: bytes) -> Iterator[Item]:
-        """Take in a rare record: the header, a channel, or a chunk if another tool rewrote the file."""
-        if opcode == _HEADER:
+    def _rare(self, opcode: int, before: bytes, body: bytes) -> Iterator[Item]:
+        """Take in a rare record: header, channel, end, or a chunk if another tool rewrote the file."""
+        if opcode == _DATA_END:
+            self._end_data(before, body)
+        elif opcode == _HEADER:
             profile = Header.read(_stream(body)).profile
             if profile != FORMAT:
                 raise ImumonError(

@@ -99,6 +99,26 @@ def test_a_flipped_bit_is_seen_by_the_checksum(tmp_path: Path) -> None:
     assert reader.summary.checksum_ok is False
 
 
+def test_any_flipped_bit_is_read_over_up_to_or_refused_in_words(tmp_path: Path) -> None:
+    path = tmp_path / "w.mcap"
+    record(path, ITEMS).close()
+    whole, refused = path.read_bytes(), set()
+    for bit in range(0, 8 * len(whole), 5):
+        damaged = bytearray(whole)
+        damaged[bit // 8] ^= 1 << bit % 8
+        path.write_bytes(damaged)
+        reader = WireReader(path)
+        try:
+            items = list(reader)
+        except ImumonError as error:
+            refused.add(error.reason)
+            continue
+        times = [item.arrival_ns if isinstance(item, Bytes) else item.time_ns for item in items]
+        assert all(0 <= time_ns < 2**63 for time_ns in times)
+        assert items == ITEMS or not reader.summary.complete or not reader.summary.checksum_ok
+    assert refused == {Reason.BAD_DATA}
+
+
 def test_the_file_is_mcap_for_other_readers(tmp_path: Path) -> None:
     record(tmp_path / "w.mcap", ITEMS).close()
     with (tmp_path / "w.mcap").open("rb") as file:
