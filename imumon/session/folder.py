@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -72,8 +73,13 @@ def create_session(path: Path, metadata: SessionMetadata) -> Session:
     session = Session(path, metadata)
     try:
         path.mkdir(parents=True, exist_ok=True)
+        (path / METADATA_NAME).touch(exist_ok=False)  # of two that come at the same moment one is refused
         session.save(metadata)
+    except FileExistsError:
+        refuse_existing(path)
+        raise
     except OSError as error:
+        remove_empty(session)
         raise ImumonError(
             Reason.BAD_CONFIG, f"the session {path} cannot be made: {error.strerror}", "give another folder"
         ) from error
@@ -96,9 +102,10 @@ def refuse_existing(path: Path) -> None:
 def remove_empty(session: Session) -> None:
     """Take back a session that was made for a recording which could not begin."""
     for path in (session.wire_path, session.path / METADATA_NAME):
-        path.unlink(missing_ok=True)
+        with suppress(OSError):
+            path.unlink()
     for folder in (session.path, DEFAULT_PARENT):
-        if folder.is_dir() and not any(folder.iterdir()):
+        with suppress(OSError):  # it is not empty, or not ours to remove
             folder.rmdir()
 
 

@@ -61,6 +61,8 @@ def import_table(table: Path, map_path: Path, out: Path) -> ImportReport:
     map_text = _read_map(map_path)
     table_map = parse_yaml(map_text, TableMap, str(map_path))
     refuse_existing(out)
+    if not out.name:
+        raise ImumonError(Reason.EXISTS, f"{out} is there already", "give the name of a new folder")
     partial = out.with_name(f".{out.name}.{os.getpid()}.partial")
     try:
         partial.mkdir(parents=True)

@@ -195,9 +195,22 @@ def export_blocks(
     Raises
     ------
     ImumonError
-        BAD_CONFIG when a column that was asked for is not there, naming those that are; BAD_DATA when
-        there is no sample; in both cases nothing is written.
+        BAD_CONFIG when a column that was asked for is not there, naming those that are, or when the table
+        cannot be written; BAD_DATA when there is no sample; a table that was there then stays as it was.
     """
+    try:
+        return _export(blocks, out, columns, known)
+    except OSError as error:
+        reason = os.strerror(error.errno) if error.errno else str(error)
+        raise ImumonError(Reason.BAD_CONFIG, f"{out}: cannot be written: {reason}") from error
+
+
+def _export(
+    blocks: Iterable[SampleBlock],
+    out: Path,
+    columns: Sequence[str] | None,
+    known: Callable[[], Iterable[Column]],
+) -> int:
     seen: dict[str, None] = {}
     with TableWriter(out, {}) as writer:
         for block in blocks:

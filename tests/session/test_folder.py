@@ -1,10 +1,12 @@
 from __future__ import annotations
 
+import errno
 from pathlib import Path
 
 import pytest
 
 from imumon.errors import ImumonError, Reason
+from imumon.session import folder
 from imumon.session.folder import create_session, default_path, is_session, open_session
 from imumon.session.metadata import PortUsed, SessionMetadata, iso_utc, versions_in_use
 
@@ -104,3 +106,34 @@ def test_the_default_folder_never_names_one_that_exists(
     assert path == Path("sessions/20260101T120005Z-mti")
     path.mkdir(parents=True)
     assert default_path("mti", NOW) == Path("sessions/20260101T120005Z-mti-2")
+
+
+def test_a_session_that_cannot_be_written_leaves_nothing_behind(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(folder, "write_metadata", full)
+    with pytest.raises(ImumonError, match="No space left"):
+        create_session(tmp_path / "s", metadata())
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_of_two_that_make_the_same_session_at_once_one_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    create_session(tmp_path / "s", metadata())
+    before = (tmp_path / "s" / "session.yaml").read_bytes()
+    refuse, asked = folder.refuse_existing, []
+
+    def too_early(path: Path) -> None:
+        asked.append(path)
+        if len(asked) > 1:
+            refuse(path)
+
+    monkeypatch.setattr(folder, "refuse_existing", too_early)
+    with pytest.raises(ImumonError) as caught:
+        create_session(tmp_path / "s", metadata())
+    assert caught.value.reason is Reason.EXISTS
+    assert (tmp_path / "s" / "session.yaml").read_bytes() == before

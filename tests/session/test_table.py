@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import csv
+import errno
 import math
 from collections.abc import Iterator
 from pathlib import Path
@@ -202,6 +203,24 @@ def test_an_output_that_cannot_be_is_refused(tmp_path: Path, name: str) -> None:
     with pytest.raises(ImumonError) as caught:
         TableWriter(tmp_path / name, KNOWN)
     assert caught.value.reason is Reason.BAD_CONFIG
+
+
+@pytest.mark.parametrize("suffix", [".parquet", ".csv"])
+def test_a_full_disk_is_named_and_leaves_the_old_table(
+    tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "Error writing bytes to file. Detail: ...")
+
+    out = tmp_path / f"t{suffix}"
+    out.write_text("old")
+    block = SampleBlock({"gyro_x": np.zeros(3)})
+    monkeypatch.setattr(pq.ParquetWriter, "write_table", full)
+    with pytest.raises(ImumonError, match="cannot be written: No space left on device") as caught:
+        export_blocks([block], out, None, lambda: [KNOWN["gyro_x"]])
+    assert caught.value.reason is Reason.BAD_CONFIG
+    assert [path.name for path in tmp_path.iterdir()] == [out.name]
+    assert out.read_text() == "old"
 
 
 def test_a_table_that_cannot_be_read_is_bad_data(tmp_path: Path) -> None:
