@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +20,27 @@ table_option = click.option(
     "--out", type=click.Path(path_type=Path), help="Table to write: NAME.parquet or NAME.csv."
 )
 columns_option = click.option("--columns", help="Columns of the table, separated by commas; default: all.")
+
+
+class Number(click.FloatRange):
+    """A number in a range; NaN, which compares as if it were in any range, is refused."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Return the number."""
+        number = float(super().convert(value, param, ctx))
+        if math.isnan(number):
+            self.fail(f"{value} is not a number", param, ctx)
+        return number
+
+
+SECONDS = Number(min=0, min_open=True, max=1e9)
+"""A length of time; the system cannot wait for much more."""
 window_option = click.option(
-    "--window", default=15.0, show_default=True, type=click.FloatRange(min=1), help="Seconds the strips show."
+    "--window",
+    default=15.0,
+    show_default=True,
+    type=Number(min=1, max=86_400),
+    help="Seconds the strips show.",
 )
 bind_option = click.option(
     "--bind", default="127.0.0.1", show_default=True, help="Address that the web view is served on."
@@ -59,14 +79,20 @@ def split_columns(text: str | None) -> list[str] | None:
     return names
 
 
+def note(text: str, *, color: str | None = None, newline: bool = True) -> None:
+    """Write on standard error; a terminal that was closed or a full disk below a log stops no recording."""
+    with suppress(OSError):
+        click.secho(text, err=True, fg=color, nl=newline)
+
+
 def say(level: str, text: str) -> None:
     """Write a log line on standard error."""
     color = {"WARN": "yellow", "ERROR": "red"}.get(level)
-    click.secho(f"{level:5} {text}", err=True, fg=color)
+    note(f"{level:5} {text}", color=color)
 
 
 def print_rows(rows: Mapping[str, str]) -> None:
     """Write labelled lines on standard error."""
     width = max(map(len, rows), default=0)
     for label, text in rows.items():
-        click.echo(f"  {label:<{width}}  {text}", err=True)
+        note(f"  {label:<{width}}  {text}")

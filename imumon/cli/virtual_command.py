@@ -4,21 +4,27 @@ from __future__ import annotations
 
 import signal
 import threading
+import time
 from pathlib import Path
 
 import click
 
-from imumon.cli.common import device_help, say
+from imumon.cli.common import SECONDS, Number, device_help, say
 from imumon.protocols.device import load_device
 from imumon.simulation.virtual_device import VirtualDevice
+
+CHECK_S = 0.25
+"""How often the device is looked after."""
 
 
 @click.command("virtual")
 @click.option("--device", default="ax1", show_default=True, help=device_help)
 @click.option("--link", type=click.Path(path_type=Path), help="Symlink to make to the port.")
-@click.option("--rate", type=click.FloatRange(min=0, min_open=True), help="Packets per second.")
-@click.option("--seed", default=0, show_default=True, help="Seed of the simulated noise.")
-@click.option("--seconds", type=click.FloatRange(min=0, min_open=True), help="Stop after this time.")
+@click.option("--rate", type=Number(min=0, min_open=True, max=1e5), help="Packets per second.")
+@click.option(
+    "--seed", default=0, show_default=True, type=click.IntRange(min=0), help="Seed of the simulated noise."
+)
+@click.option("--seconds", type=SECONDS, help="Stop after this time.")
 def command(device: str, link: Path | None, rate: float | None, seed: int, seconds: float | None) -> None:
     """Be a device: a simulated AHRS on a real pseudo-terminal, until Ctrl-C.
 
@@ -29,5 +35,10 @@ def command(device: str, link: Path | None, rate: float | None, seed: int, secon
         signal.signal(number, lambda *_: ended.set())
     with VirtualDevice(load_device(device), link, rate, seed) as virtual:
         click.echo(virtual.port.path)
-        ended.wait(seconds)
+        deadline = None if seconds is None else time.monotonic() + seconds
+        while virtual.failure is None and (deadline is None or time.monotonic() < deadline):
+            if ended.wait(CHECK_S if deadline is None else min(CHECK_S, max(deadline - time.monotonic(), 0))):
+                break
     say("INFO", f"sent {virtual.packets_sent:,} packets; {virtual.port.bytes_lost:,} bytes had no reader")
+    if virtual.failure is not None:
+        raise virtual.failure

@@ -57,6 +57,8 @@ class VirtualDevice:
         self._rebooted = False
         self._closing = threading.Event()
         self.packets_sent = 0
+        self.failure: ImumonError | None = None
+        """Why nothing is sent any more: a value of the simulated unit does not fit its field."""
         self.port = port or VirtualPort(link, device.serial.baudrates[0])
         self._thread = threading.Thread(target=self._run, name="virtual device", daemon=True)
         self._thread.start()
@@ -96,6 +98,12 @@ class VirtualDevice:
             )
 
     def _run(self) -> None:
+        try:
+            self._send()
+        except ImumonError as error:
+            self.failure = error
+
+    def _send(self) -> None:
         start, sent = time.monotonic(), 0
         while not self._closing.is_set():
             if self._rebooted:

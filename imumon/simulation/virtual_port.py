@@ -20,6 +20,8 @@ import tty
 from pathlib import Path
 from types import TracebackType
 
+from imumon.errors import ImumonError, Reason
+
 BITS_PER_BYTE = 10
 """8N1: start bit, eight data bits, stop bit."""
 BACKLOG = 1 << 20
@@ -49,6 +51,12 @@ class VirtualPort:
         when the device is plugged in again, as under ``/dev/serial/by-id``.
     baudrate : int or None
         Rate of the device, 8N1.  None sends as fast as the host reads, whatever rate the host has set.
+
+    Raises
+    ------
+    ImumonError
+        EXISTS when there is something under the name of the link, unless it is a link that leads nowhere, as
+        a killed process leaves it; BAD_CONFIG when the link cannot be made.
     """
 
     def __init__(self, link: Path | None = None, baudrate: int | None = 115200) -> None:
@@ -137,11 +145,9 @@ class VirtualPort:
             self._wait_until_read()
         with self._changed:
             self._lose_backlog()
-            if self._master is not None:
-                os.close(self._master)
-                self._master = None
-            if self._link is not None:
-                self._link.unlink(missing_ok=True)
+            self._close_master()
+            if self._link is not None and _leads_to(self._link, self._node):
+                self._link.unlink()
 
     def replug(self) -> None:
         """Plug the device in again: a new node, under the same link when there is one."""
@@ -157,7 +163,7 @@ class VirtualPort:
             os.set_blocking(self._master, False)
             self._sampler = None
             if self._link is not None:
-                self._link.symlink_to(self._node)
+                self._make_link(self._link)
 
     def close(self) -> None:
         """Unplug for good and end the thread."""
@@ -176,6 +182,26 @@ class VirtualPort:
     ) -> None:
         """Close the port."""
         self.close()
+
+    def _close_master(self) -> None:
+        if self._master is not None:
+            os.close(self._master)
+            self._master = None
+
+    def _make_link(self, link: Path) -> None:
+        try:
+            if _leads_to(link, self._node) or (link.is_symlink() and not link.exists()):
+                link.unlink()  # left behind by a process that was killed
+            link.symlink_to(self._node)
+        except OSError as error:
+            self._close_master()
+            if isinstance(error, FileExistsError):
+                raise ImumonError(
+                    Reason.EXISTS, f"{link} exists already", "remove it, or choose another name for the link"
+                ) from error
+            raise ImumonError(
+                Reason.BAD_CONFIG, f"the link {link} cannot be made: {error.strerror}", "choose another name"
+            ) from error
 
     def _send(self) -> None:
         """Take bytes from the backlog when the line has carried them, and hand them to the host."""
@@ -297,6 +323,10 @@ class Sampler:
         """Return where the line falls from 1 to 0 next."""
         found = self._line.find(b"\x01\x00", int(self._position))
         return None if found < 0 else found + 1
+
+
+def _leads_to(link: Path, node: str) -> bool:
+    return link.is_symlink() and str(link.readlink()) == node
 
 
 def _poll(fd: int) -> int:

@@ -9,6 +9,7 @@ import serial
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from imumon.errors import ImumonError, Reason
 from imumon.simulation.virtual_port import Sampler, VirtualPort
 
 pytestmark = pytest.mark.usefixtures("no_leaks")
@@ -146,3 +147,20 @@ def test_the_sampler_at_equal_rates_reads_the_bytes(data: bytes) -> None:
 def test_a_receiver_that_is_too_fast_sees_each_bit_several_times(ratio: float, first: int) -> None:
     # 0xA5 on the line is start 0, then 1 0 1 0 0 1 0 1, then stop 1.
     assert Sampler(ratio).feed(b"\xa5")[0] == first
+
+
+def test_a_link_that_a_killed_process_left_is_replaced_and_anything_else_is_not(tmp_path: Path) -> None:
+    link = tmp_path / "ttyIMU"
+    link.symlink_to("/dev/pts/none")
+    with VirtualPort(link) as device:
+        assert os.path.realpath(link).startswith("/dev/pts/")
+        with pytest.raises(ImumonError, match="exists already") as caught:
+            VirtualPort(link)
+        assert caught.value.reason is Reason.EXISTS
+        assert link.is_symlink()
+        link.unlink()
+        link.write_text("someone else's")
+        device.unplug()
+    assert link.read_text() == "someone else's"
+    with pytest.raises(ImumonError, match="cannot be made"):
+        VirtualPort(tmp_path / "none" / "ttyIMU")
