@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import os
 import sys
+from contextlib import suppress
 from importlib import import_module
 
 import click
+from click.exceptions import Exit
 
-from imumon.errors import EXIT_OK, ImumonError
+from imumon.cli.common import note
+from imumon.errors import EXIT_OK, EXIT_USAGE, ImumonError
+
+EXIT_INTERRUPTED = 130
 
 COMMANDS = {
     "monitor": "Record a device and watch it live.",
@@ -53,19 +59,59 @@ def cli() -> None:
 
 def main() -> None:
     """Run the command line; errors that a user can act on end with one clear message and their exit code."""
+    _open_missing_streams()
+    code = _run()
+    _settle_streams()
+    sys.exit(code)
+
+
+def _run() -> int:
     try:
-        code = cli.main(standalone_mode=False)
+        # Not cli.main(), which ends with 1 by itself when the reader of our output went away, as `head` does.
+        with cli.make_context("imumon", sys.argv[1:]) as context:
+            code = cli.invoke(context)
+        sys.stdout.flush()
+    except Exit as error:  # --help and --version
+        return error.exit_code
     except ImumonError as error:
-        click.echo(f"imumon: {error.reason.value}: {error.seen}", err=True)
+        note(f"imumon: {error.reason.value}: {error.seen}")
         if error.hint:
-            click.echo(error.hint, err=True)
-        sys.exit(error.reason.exit_code)
+            note(error.hint)
+        return error.reason.exit_code
     except click.ClickException as error:
-        error.show()
-        sys.exit(error.exit_code)
-    except click.Abort:
-        sys.exit(130)
-    except BrokenPipeError:  # the reader of our output went away, as `head` does
-        sys.stderr.close()
-        sys.exit(EXIT_OK)
-    sys.exit(code if isinstance(code, int) else EXIT_OK)
+        with suppress(OSError):
+            error.show()
+        return error.exit_code
+    except (click.Abort, KeyboardInterrupt):
+        return EXIT_INTERRUPTED
+    except BrokenPipeError:
+        return EXIT_OK
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename is not None else ""
+        note(f"imumon: {where}{error.strerror or error}")
+        return EXIT_USAGE
+    return code if isinstance(code, int) else EXIT_OK
+
+
+def _open_missing_streams() -> None:
+    """Let closed standard streams lead nowhere.
+
+    Otherwise the next file that is opened, perhaps the recording, takes the number of standard error, and
+    what a library writes there ends up in it.
+    """
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            stream = open(os.devnull, mode, encoding="utf-8")  # noqa: PTH123, SIM115  (stays open; not a path)
+            os.set_inheritable(stream.fileno(), True)
+            setattr(sys, name, stream)
+
+
+def _settle_streams() -> None:
+    """Drop what a closed pipe or a full disk did not take, or the interpreter would end with its own code."""
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except OSError:
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, stream.fileno())
+            os.close(nowhere)

@@ -34,6 +34,7 @@ from imumon.session.table import export_blocks
 def command(file: Path, device: str | None, out: Path, columns: str | None, as_json: bool) -> int:
     """Decode FILE, a raw capture of any tool or a session, into a table."""
     source = open_source(file, device)
+    source.refuse_output(out)
     pipeline = Pipeline(source.device)
     try:
         rows = export_blocks(

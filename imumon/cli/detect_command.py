@@ -6,7 +6,7 @@ from dataclasses import asdict
 
 import click
 
-from imumon.cli.common import device_help, json_option, print_json
+from imumon.cli.common import SECONDS, device_help, json_option, note, print_json
 from imumon.protocols.device import device_names, load_device
 from imumon.transport.detect import Evidence, baudrates_to_try, detect, failure
 from imumon.transport.settings import PortSettings
@@ -18,7 +18,9 @@ from imumon.transport.settings import PortSettings
 @click.option(
     "--baud", "rates", multiple=True, type=click.IntRange(min=1), help="Rate to try; may be repeated."
 )
-@click.option("--seconds", default=1.5, show_default=True, help="How long to listen at each rate.")
+@click.option(
+    "--seconds", default=1.5, show_default=True, type=SECONDS, help="How long to listen at each rate."
+)
 @json_option
 def command(port: str, names: tuple[str, ...], rates: tuple[int, ...], seconds: float, as_json: bool) -> None:
     """Find baud rate and protocol of the device on PORT by trying, and show the evidence.
@@ -32,7 +34,7 @@ def command(port: str, names: tuple[str, ...], rates: tuple[int, ...], seconds: 
         {device.name: device.decoder for device in devices},
         list(rates) or baudrates_to_try(own_rates),
         seconds,
-        before_rate=lambda settings: click.echo(f"listening to {_where(settings)}", err=True),
+        before_rate=lambda settings: note(f"listening to {_where(settings)}"),
     )
     wrong = failure(port, evidence)
     best = None if wrong else evidence[0]

@@ -10,6 +10,7 @@ from imumon.cli.common import columns_option, json_option, print_json, print_row
 from imumon.pipeline import Pipeline
 from imumon.run.replay import run_over
 from imumon.run.source import open_source
+from imumon.session.folder import open_session
 from imumon.session.table import export_blocks
 
 
@@ -23,10 +24,12 @@ from imumon.session.table import export_blocks
 @json_option
 def command(session: Path, kind: str, out: Path | None, columns: str | None, as_json: bool) -> None:
     """Write the samples of SESSION, recorded or imported, as a table."""
-    source = open_source(session)
-    table = out or source.path / f"export.{kind}"
+    folder = open_session(session).path
+    source = open_source(folder)
+    table = out or folder / f"export.{kind}"
     if table.suffix != f".{kind}":
         table = table.with_name(f"{table.name}.{kind}")
+    source.refuse_output(table)
     pipeline = Pipeline(source.device)
     rows = export_blocks(
         run_over(source.items, pipeline), table, split_columns(columns), lambda: source.columns(pipeline)

@@ -2,26 +2,31 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
+from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Literal
 
 import click
 
 from imumon.cli.common import (
+    SECONDS,
     bind_option,
     device_help,
     json_option,
+    note,
     print_json,
     print_rows,
     say,
     window_option,
 )
-from imumon.protocols.device import device_text, parse_device
+from imumon.errors import EXIT_NEGATIVE, EXIT_OK, ImumonError, Reason
+from imumon.protocols.device import DeviceFile, device_text, parse_device
 from imumon.run.live import LiveRun, LiveSummary, nothing_decoded, warm_up
 from imumon.run.narration import Progress, describe, describe_losses, view_setup
 from imumon.session.folder import default_path
@@ -45,7 +50,7 @@ View = Literal["native", "web", "none"]
 @click.option(
     "--out", type=click.Path(path_type=Path), help="Session folder; default: a new one in ./sessions."
 )
-@click.option("--seconds", type=click.FloatRange(min=0, min_open=True), help="Stop after this time.")
+@click.option("--seconds", type=SECONDS, help="Stop after this time.")
 @window_option
 @bind_option
 @json_option
@@ -71,13 +76,12 @@ def command(
     settings = PortSettings(
         port, baud or serial.baudrates[0], serial.bytesize, serial.parity, serial.stopbits
     )
-    ended = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
+    ended, lines = threading.Event(), _Lines()
+    for number in _ending_signals():
         signal.signal(number, lambda *_: ended.set())
     # Whoever starts this command may hold signals back until it can heed them.
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT, signal.SIGTERM})
-    folder = out or default_path(profile.name, time.time_ns())
-    run = LiveRun(profile, text, settings, folder, say)
+    run = _new_run(profile, text, settings, out, lines)
     run.open()
     deadline = None if seconds is None else time.monotonic() + seconds
     views: _Views | None = None
@@ -87,18 +91,65 @@ def command(
         views = _Views(setup, run.session.view_path, view, bind)
         warm_up(profile)
         run.begin(views.publish)
-        _watch(run, views, ended, deadline)
+        _watch(run, views, lines, ended, deadline)
     finally:
         summary = run.stop(views.files if views is not None else ())
         if views is not None:
             views.close()
+        lines.write()
     if as_json:
         print_json({**summary.as_dict(), "view_dropped": views.dropped})
     _report(summary, run.progress, views.dropped)
     problem = run.failure or nothing_decoded(settings, profile, summary.counters)
     if problem is not None:
         raise problem
-    return 0
+    return EXIT_NEGATIVE if summary.wire.bytes_unrecorded else EXIT_OK
+
+
+def _new_run(
+    device: DeviceFile, device_yaml: str, settings: PortSettings, out: Path | None, lines: _Lines
+) -> LiveRun:
+    """Make the session; a default name that another monitor takes at the same moment is no obstacle."""
+    while True:
+        folder = out or default_path(device.name, time.time_ns())
+        try:
+            return LiveRun(device, device_yaml, settings, folder, lines.put)
+        except ImumonError as error:
+            if out is not None or error.reason is not Reason.EXISTS:
+                raise
+
+
+def _ending_signals() -> list[signal.Signals]:
+    """Return what ends a recording in order: Ctrl-C, kill, a terminal that was closed (not under nohup)."""
+    numbers = [signal.SIGINT, signal.SIGTERM]
+    if sys.platform != "win32" and signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+        numbers.append(signal.SIGHUP)
+    return numbers
+
+
+class _Lines:
+    """Log lines on their way from the threads of the run to standard error.
+
+    Only the main thread writes there: a terminal that is stopped (Ctrl-S) or a pipe that nobody reads would
+    block whoever does, and that must not be the recorder or the pipeline.
+    """
+
+    def __init__(self) -> None:
+        self._waiting: SimpleQueue[tuple[str, str]] = SimpleQueue()
+
+    def put(self, level: str, text: str) -> None:
+        """Take a line; returns at once."""
+        self._waiting.put((level, text))
+
+    def write(self, before: str = "") -> None:
+        """Write the lines that wait; `before` clears what stands in the terminal's line."""
+        while True:
+            try:
+                level, text = self._waiting.get_nowait()
+            except Empty:
+                return
+            note(before, newline=False)
+            say(level, text)
 
 
 class _Views:
@@ -144,23 +195,29 @@ class _Views:
         self._recorder.close()
 
 
-def _watch(run: LiveRun, views: _Views, ended: threading.Event, deadline: float | None) -> None:
-    """Wait for the end, with a status line on a terminal."""
-    interactive = sys.stderr.isatty()
+CLEAR_LINE = "\r\x1b[2K"
+
+
+def _watch(
+    run: LiveRun, views: _Views, lines: _Lines, ended: threading.Event, deadline: float | None
+) -> None:
+    """Wait for the end, with a status line on a terminal that can show one."""
+    interactive = sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
+    clear = CLEAR_LINE if interactive else ""
     stopped = False
-    views.announce(say)
+    views.announce(lines.put)
     while deadline is None or time.monotonic() < deadline:
         left = REFRESH_S if deadline is None else min(REFRESH_S, deadline - time.monotonic())
         if ended.wait(max(left, 0.0)):
             break
-        views.announce(say)
-        if interactive:
-            click.echo(f"\r\x1b[2K{status_line(run.progress, views.state)}", err=True, nl=False)
+        views.announce(lines.put)
         if not run.processing and not stopped:
             stopped = True
-            say("ERROR", "decoding stopped; reading and recording go on, decode the session afterwards")
-    if interactive:
-        click.echo("\r\x1b[2K", err=True, nl=False)
+            lines.put("ERROR", "decoding stopped; reading and recording go on, decode the session afterwards")
+        lines.write(clear)
+        if interactive:
+            note(f"{clear}{status_line(run.progress, views.state)}", newline=False)
+    note(clear, newline=False)
 
 
 def status_line(progress: Progress, view: str) -> str:

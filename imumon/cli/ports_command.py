@@ -6,7 +6,7 @@ from dataclasses import asdict
 
 import click
 
-from imumon.cli.common import json_option, print_json
+from imumon.cli.common import json_option, note, print_json
 from imumon.transport.ports import list_ports
 
 
@@ -19,7 +19,7 @@ def command(as_json: bool) -> None:
         print_json({"ports": [{**asdict(port), "usb_id": port.usb_id} for port in ports]})
         return
     if not ports:
-        click.echo("no serial ports exist; imumon virtual makes one without hardware", err=True)
+        note("no serial ports exist; imumon virtual makes one without hardware")
         return
     for port in ports:
         click.echo(str(port))

@@ -56,6 +56,7 @@ def command(
     """Run SESSION again through the same code, bit for bit, to a table or to the view."""
     open_session(session)  # a raw capture has no times: that is for decode
     source = open_source(session)
+    source.refuse_output(out)
     pace = _speed(speed, view)
     pipeline, digest = Pipeline(source.device), Digest()
     publisher = None if view == "none" else _publisher(source, pipeline, view, window, bind)

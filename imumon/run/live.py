@@ -9,6 +9,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from queue import Empty, SimpleQueue
@@ -25,13 +26,16 @@ from imumon.session.folder import create_session, remove_empty
 from imumon.session.metadata import PortUsed, SessionMetadata, iso_utc, versions_in_use
 from imumon.session.recorder import Recorder
 from imumon.session.wire import WireCounters, WireWriter
-from imumon.transport.reader import Bytes, EventKind, Item, Reader
+from imumon.transport.reader import SILENT_AFTER_S, Bytes, EventKind, Item, Reader
 from imumon.transport.settings import PortSettings
 
 BATCH_S = 0.05
 """Samples go to the estimators and to the view in batches of this length."""
 TICK_S = 0.5
 """How often rates, lanes and the status card are renewed."""
+
+SILENT_AFTER_PACKETS = 3
+"""A device that sends less often than once a second is silent after the time of so many packets."""
 
 
 def warm_up(device: DeviceFile) -> None:
@@ -57,7 +61,8 @@ class LiveSummary:
     counters: PipelineCounters
     wire: WireCounters
     recording_problem: str | None
-    results_digest: str
+    results_digest: str | None
+    """None when not everything was decoded live, so that there is nothing to compare a replay with."""
 
     def as_dict(self) -> dict[str, object]:
         """Return the summary as ``monitor --json`` prints it."""
@@ -91,7 +96,7 @@ class LiveRun:
     Raises
     ------
     ImumonError
-        EXISTS when the folder holds a session.
+        EXISTS when the folder holds a session; BAD_CONFIG when it cannot be written.
     """
 
     def __init__(
@@ -110,12 +115,14 @@ class LiveRun:
         self._digest = Digest()
         self._began_ns = time.time_ns()
         self.session = create_session(folder, self._metadata(device, device_yaml))
-        self._writer = WireWriter(self.session.wire_path, {"device": device.name, "port": str(settings)})
+        self._writer = self._wire_writer()
         self._recorder = Recorder(self._writer, self._recording_problem, self._save)
-        self._reader = Reader(settings, self._recorder.put, self._items.put)
+        silent_after_s = max(SILENT_AFTER_S, SILENT_AFTER_PACKETS / (device.rate_hz or np.inf))
+        self._reader = Reader(settings, self._recorder.put, self._items.put, silent_after_s=silent_after_s)
         self._narrator = self._narrate(())
         self._thread = threading.Thread(target=self._run, name="pipeline", daemon=True)
         self._progress = self._narrator.progress(self._began_ns)
+        self._finished = False
         self.failure: ImumonError | None = None
 
     @property
@@ -139,7 +146,8 @@ class LiveRun:
         try:
             self._reader.start()
         except ImumonError:
-            self._writer.close()
+            with suppress(OSError):
+                self._writer.close()
             remove_empty(self.session)
             raise
         self._recorder.start()
@@ -160,10 +168,12 @@ class LiveRun:
         wire = self._recorder.stop()
         ended_ns = time.time_ns()
         counters = self.pipeline.counters
-        digest = self._digest.hexdigest()
+        digest = self._digest.hexdigest() if self._finished else None
+        if not self._finished and self._thread.ident is not None and self.failure is None:
+            self.failure = self._decoding_ended()
         closed = self.session.metadata.closed(
             ended_ns,
-            counters=self._flat_counters(),
+            counters=self._flat_counters() | {"bytes_unrecorded": wire.bytes_unrecorded},
             events=wire.events,
             results_digest=digest,
             views=list(views),
@@ -174,6 +184,25 @@ class LiveRun:
             self._say("ERROR", f"session.yaml cannot be written: {error.strerror}")
         elapsed = (ended_ns - self._began_ns) * 1e-9
         return LiveSummary(self.session.path, elapsed, counters, wire, self._recorder.problem, digest)
+
+    def _wire_writer(self) -> WireWriter:
+        settings = self._settings
+        try:
+            return WireWriter(self.session.wire_path, {"device": self._device.name, "port": str(settings)})
+        except OSError as error:
+            remove_empty(self.session)
+            raise ImumonError(
+                Reason.BAD_CONFIG,
+                f"the recording {self.session.wire_path} cannot be made: {error.strerror}",
+                "give another folder",
+            ) from error
+
+    def _decoding_ended(self) -> ImumonError:
+        return ImumonError(
+            Reason.BAD_DATA,
+            f"decoding ended after {self.pipeline.counters.packets:,} packets by a defect of imumon",
+            f"the recording is whole; please report the defect with it: {self.session.path}",
+        )
 
     def _narrate(self, publish: Sequence[Publish]) -> Narrator:
         card = {
@@ -238,6 +267,7 @@ class LiveRun:
             self.pipeline.finish()
             self._hand_on(self.pipeline.take())
             self._progress = self._narrator.tick(time.time_ns())
+            self._finished = True
         except ImumonError as error:
             # Reading and recording go on; what could not be decoded can be decoded from the recording.
             self.failure = error

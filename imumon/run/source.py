@@ -45,6 +45,12 @@ class Source:
         own = {column.name for column in self.imported}
         return [*self.imported, *(column for column in pipeline.columns if column.name not in own)]
 
+    def refuse_output(self, out: Path | None) -> None:
+        """Raise EXISTS when the output would replace what is read."""
+        read = [self.path] if self.session is None else [self.session.wire_path, self.session.samples_path]
+        if out is not None and out.exists() and any(path.exists() and out.samefile(path) for path in read):
+            raise ImumonError(Reason.EXISTS, f"{out} is what is read", "give another name for the table")
+
     def warnings(self) -> list[str]:
         """Tell, after the run, what the recording does not hold."""
         if not isinstance(self.items, WireReader):
@@ -74,18 +80,16 @@ def open_source(path: Path, device_name: str | None = None) -> Source:
     if not is_session(path):
         if path.is_dir():
             open_session(path)  # raises, saying what is there
+        if not path.is_file() and not path.is_fifo():
+            what = "is neither a file nor a pipe" if path.exists() else "there is no such file"
+            raise ImumonError(Reason.BAD_DATA, f"{path}: {what}", "give a raw capture or a session")
         if device_name is None:
             raise ImumonError(
                 Reason.BAD_CONFIG,
                 f"{path} is not a session, so its device must be named",
                 "add --device NAME; imumon devices lists them",
             )
-        device = load_device(device_name)
-        if not path.is_file():
-            raise ImumonError(
-                Reason.BAD_DATA, f"{path}: there is no such file", "give a raw capture or a session"
-            )
-        return Source(path, capture_items(path), device, None)
+        return Source(path, capture_items(path), load_device(device_name), None)
     session = open_session(path)
     if session.metadata.source == "import":
         columns = tuple(read_columns(session.samples_path).values())

@@ -43,6 +43,10 @@ class PortSettings:
         """Check the values."""
         if not self.url:
             raise ImumonError(Reason.BAD_CONFIG, "the name of the port is empty")
+        if not self.url.isprintable():
+            raise ImumonError(
+                Reason.BAD_CONFIG, f"the name of the port is not plain text: {self.url!a}", "link to it"
+            )
         if self.baudrate <= 0:
             raise ImumonError(Reason.BAD_CONFIG, f"baud rate must be positive, got {self.baudrate}")
         for name, allowed in _ALLOWED.items():

@@ -131,7 +131,7 @@ def test_a_session_that_was_changed_is_noticed(session: Path, tmp_path: Path) ->
     for name in ("session.yaml", "wire.mcap"):
         (copy / name).write_bytes((session / name).read_bytes())
     wire = bytearray((copy / "wire.mcap").read_bytes())
-    wire[len(wire) // 2] ^= 1
+    wire[wire.index(b"\xa5\x5a", len(wire) // 2)] ^= 1  # the sync byte of a packet
     (copy / "wire.mcap").write_bytes(wire)
     done = imumon("replay", copy, "--json")
     assert json.loads(done.stdout)["identical_to_live"] is False
@@ -222,6 +222,20 @@ def test_measured_captures_decode_without_loss(tmp_path: Path) -> None:
         (["detect", "/dev/ttyNONE", "--seconds", "0.2"], 3, "No such file"),
         (["devices", "ax9"], 2, "no device 'ax9'"),
         (["virtual", "--rate", "1000"], 2, "of a line at 115200 baud"),
+        (["virtual", "--rate", "nan"], 2, "is not a number"),
+        (["virtual", "--seconds", "inf"], 2, "is not in the range"),
+        (["virtual", "--seed", "-1"], 2, "is not in the range"),
+        (["virtual", "--link", "bad.yaml", "--seconds", "1"], 2, "exists already"),
+        (["virtual", "--link", "none/ahrs", "--seconds", "1"], 2, "cannot be made"),
+        (["monitor", "{capture}", "--device", "ax1", "--seconds", "nan"], 2, "is not a number"),
+        (["monitor", "\udcff", "--device", "ax1", "--view", "none"], 2, "not plain text"),
+        (["detect", "/dev/ttyNONE", "--seconds", "-1"], 2, "is not in the range"),
+        (["decode", "n" * 300, "--device", "ax1", "--out", "t.csv"], 2, "File name too long"),
+        (["decode", "/dev/null", "--device", "ax1", "--out", "t.csv"], 4, "neither a file nor a pipe"),
+        (["decode", "{capture}", "--device", "ax1", "--out", "none/t.csv"], 2, "there is no folder"),
+        (["export", "nothing", "--to", "csv"], 4, "there is no such file or folder"),
+        (["export", "{capture}", "--to", "csv"], 4, "not a session"),
+        (["import", "{capture}", "--map", "{map}", "--out", "."], 2, "give the name of a new folder"),
         (["frobnicate"], 2, "No such command"),
         (["monitor"], 2, "Missing argument"),
     ],
@@ -231,7 +245,14 @@ def test_wrong_input_gets_one_clear_error_and_writes_nothing(
 ) -> None:
     bad = tmp_path / "bad.yaml"
     bad.write_text("format: imumon-device/1\nname: bad\nprotocol: fixd\n")
-    places = {"{capture}": str(capture), "{session}": str(session), "{bad}": str(bad)}
+    table_map = capture.with_name("map.yaml")
+    table_map.write_text("rate_hz: 100\ngyro: {columns: [x, y, z], unit: deg/s}\n")
+    places = {
+        "{capture}": str(capture),
+        "{session}": str(session),
+        "{bad}": str(bad),
+        "{map}": str(table_map),
+    }
     done = imumon(*(places.get(argument, argument) for argument in arguments), cwd=tmp_path)
     assert done.returncode == code, done.stderr
     assert words in done.stderr
@@ -285,3 +306,120 @@ def test_a_silent_port_is_an_error_with_a_session_of_what_happened(tmp_path: Pat
     assert done.returncode == 3
     assert "no byte came" in done.stderr
     assert (tmp_path / "s" / "session.yaml").exists()
+
+
+def shell(line: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    """Run a line of bash in which imumon is the command under test."""
+    script = f'set -o pipefail; imumon() {{ "{IMUMON}" "$@"; }}; {line}'
+    return subprocess.run(
+        ["bash", "-c", script], capture_output=True, text=True, timeout=90, cwd=cwd, check=False
+    )
+
+
+@pytest.mark.parametrize("redirection", ["2>&-", "2>/dev/full", ">&- 2>&- <&-", "2> >(head -c 1 >/dev/null)"])
+def test_a_recording_does_not_depend_on_who_reads_its_messages(tmp_path: Path, redirection: str) -> None:
+    with VirtualDevice(load_device("ax1"), tmp_path / "ahrs"):
+        done = shell(
+            f"imumon monitor ahrs --device ax1 --view none --out s --seconds 2.5 {redirection}", tmp_path
+        )
+    assert done.returncode == 0
+    result = answer("replay", tmp_path / "s")
+    assert result["identical_to_live"] is True
+    assert result["packets"] > 100
+
+
+def test_output_that_nobody_takes_is_an_error_without_a_traceback(session: Path, tmp_path: Path) -> None:
+    full = shell("imumon devices > /dev/full", tmp_path)
+    assert (full.returncode, full.stdout) == (2, "")
+    assert full.stderr == "imumon: No space left on device\n"
+    assert shell("imumon --help > /dev/full", tmp_path).returncode == 2
+    for reader in ("head -c 1", "true"):
+        piped = shell(f"imumon replay {session} --json | {reader}", tmp_path)
+        assert piped.returncode == 0
+        assert "rror" not in piped.stderr.replace("errors", "")
+
+
+def test_a_table_never_replaces_what_it_is_made_from(capture: Path, tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text("x,y,z\n1,2,3\n4,5,6\n")
+    (tmp_path / "map.yaml").write_text("rate_hz: 100\ngyro: {columns: [x, y, z], unit: deg/s}\n")
+    answer("import", tmp_path / "log.csv", "--map", tmp_path / "map.yaml", "--out", tmp_path / "s")
+    truth = tmp_path / "s" / "samples.parquet"
+    raw = tmp_path / "capture.csv"
+    raw.write_bytes(capture.read_bytes())
+    before = truth.read_bytes()
+    for arguments in (
+        ["export", tmp_path / "s", "--to", "parquet", "--columns", "gyro_x", "--out", truth],
+        ["replay", tmp_path / "s", "--out", truth],
+        ["decode", tmp_path / "s", "--out", truth],
+        ["decode", raw, "--device", "ax1", "--out", raw],
+    ):
+        done = imumon(*arguments)
+        assert done.returncode == 2
+        assert "is what is read" in done.stderr
+    assert truth.read_bytes() == before
+    assert raw.read_bytes() == capture.read_bytes()
+
+
+def test_a_session_may_be_named_by_its_yaml_also_for_export(session: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "copy"
+    copy.mkdir()
+    for name in ("session.yaml", "wire.mcap"):
+        (copy / name).write_bytes((session / name).read_bytes())
+    assert answer("export", copy / "session.yaml", "--to", "csv")["out"] == str(copy / "export.csv")
+
+
+def test_a_capture_is_decoded_from_a_pipe(capture: Path, tmp_path: Path) -> None:
+    done = shell(f"cat {capture} | imumon decode /dev/stdin --device ax1 --out t.csv --json", tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["packets"] == 197
+
+
+def test_a_closed_terminal_ends_the_monitor_in_order_but_not_under_nohup(tmp_path: Path) -> None:
+    with VirtualDevice(load_device("ax1"), tmp_path / "ahrs") as ahrs:
+        arguments = ["monitor", ahrs.port.path, "--device", "ax1", "--view", "none", "--json"]
+        for prefix, code in (([], 0), (["nohup"], 0)):
+            folder = tmp_path / ("s" + "".join(prefix))
+            command = [*prefix, IMUMON, *arguments, "--out", str(folder)]
+            child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+            wire, deadline = folder / "wire.mcap", time.monotonic() + 30
+            while not (wire.exists() and wire.stat().st_size > 15_000):
+                assert time.monotonic() < deadline
+                time.sleep(0.05)
+            child.send_signal(signal.SIGHUP)
+            if prefix:
+                time.sleep(0.5)
+                assert child.poll() is None
+                child.send_signal(signal.SIGTERM)
+            out, err = child.communicate(timeout=20)
+            assert child.returncode == code, err
+            assert answer("replay", folder)["identical_to_live"] is True
+            assert json.loads(out)["packets"] > 50
+
+
+def test_two_monitors_started_at_once_get_sessions_of_their_own(tmp_path: Path) -> None:
+    with VirtualDevice(load_device("ax1"), tmp_path / "a"), VirtualDevice(load_device("ax1"), tmp_path / "b"):
+        command = [IMUMON, "monitor", "--device", "ax1", "--view", "none", "--seconds", "2.5", "--json"]
+        children = [
+            subprocess.Popen(
+                [*command, str(tmp_path / name)], cwd=tmp_path, stdout=subprocess.PIPE, text=True
+            )
+            for name in ("a", "b")
+        ]
+        results = [json.loads(child.communicate(timeout=60)[0]) for child in children]
+    assert [child.returncode for child in children] == [0, 0]
+    assert len({result["session"] for result in results}) == 2
+    for result in results:
+        assert answer("replay", tmp_path / result["session"])["identical_to_live"] is True
+
+
+def test_a_virtual_device_whose_values_do_not_fit_says_so(tmp_path: Path) -> None:
+    (tmp_path / "odd.yaml").write_text(
+        "format: imumon-device/1\nname: odd\ntitle: Odd\nprotocol: fixed\naxes: FRD\nrate_hz: 50\n"
+        "packet:\n  length: 4\n  byte_order: big\n  sync: [0xAA]\n"
+        "  checksum: {type: sum8, first: 0, last: 2, at: 3}\n"
+        "  fields: [{at: 1, type: u8, column: gyro_x, scale: 1.0e-6, unit: deg/s}]\n"
+    )
+    done = imumon("virtual", "--device", tmp_path / "odd.yaml", "--seconds", 20)
+    assert done.returncode == 4
+    assert "does not fit its field" in done.stderr
+    assert "Traceback" not in done.stderr

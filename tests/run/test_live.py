@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import errno
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -10,7 +12,8 @@ import pytest
 from imumon.blocks import SampleBlock, join
 from imumon.errors import ImumonError, Reason
 from imumon.pipeline import Digest, Pipeline
-from imumon.protocols.device import device_text, load_device
+from imumon.protocols.device import device_text, load_device, parse_device
+from imumon.run import live
 from imumon.run.live import LiveRun, nothing_decoded, warm_up
 from imumon.run.replay import run_over, session_device
 from imumon.session.folder import Session, open_session
@@ -153,3 +156,57 @@ def test_a_session_is_not_overwritten(tmp_path: Path, ahrs: VirtualDevice) -> No
         start(ahrs.port.path, tmp_path / "session", Watcher())
     assert caught.value.reason is Reason.EXISTS
     assert (tmp_path / "session" / "wire.mcap").read_bytes() == before
+
+
+def test_a_recording_that_cannot_be_made_leaves_nothing_behind(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(live, "WireWriter", full)
+    with pytest.raises(ImumonError, match="No space left on device") as caught:
+        start(str(tmp_path / "ahrs"), tmp_path / "session", Watcher())
+    assert caught.value.reason is Reason.BAD_CONFIG
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.usefixtures("no_leaks")
+def test_a_run_that_did_not_decode_everything_has_no_digest_to_compare_with(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[object] = []
+    monkeypatch.setattr(threading, "excepthook", lambda event: seen.append(event.exc_value))
+    with VirtualDevice(AX1, tmp_path / "ahrs") as device:
+        run = start(device.port.path, tmp_path / "session", Watcher())
+        wait_until(lambda: run.pipeline.counters.packets > 20)
+
+        def fail() -> SampleBlock:
+            raise ValueError("a defect")
+
+        monkeypatch.setattr(run.pipeline, "take", fail)
+        wait_until(lambda: not run.processing)
+        received = run.pipeline.counters.bytes_received
+        time.sleep(0.5)
+        summary = run.stop()
+    assert [str(error) for error in seen] == ["a defect"]
+    assert run.failure is not None
+    assert "the recording is whole" in run.failure.hint
+    assert summary.results_digest is None
+    assert summary.wire.bytes_on_disk == summary.wire.bytes > received
+    session = open_session(tmp_path / "session")
+    assert session.metadata.results_digest is None
+    assert session.metadata.counters["bytes_unrecorded"] == 0
+    assert len(replayed(session)[0]) > 40
+
+
+def test_a_device_that_sends_every_two_seconds_is_not_called_silent(tmp_path: Path) -> None:
+    text = device_text("ax1")[0].replace("rate_hz: 100", "rate_hz: 0.5")
+    slow, watcher = parse_device(text, "slow"), Watcher()
+    with VirtualDevice(slow, tmp_path / "ahrs") as device:
+        run = LiveRun(slow, text, PortSettings(device.port.path), tmp_path / "session", watcher.say)
+        run.open()
+        run.begin([watcher.items.append])
+        wait_until(lambda: run.pipeline.counters.packets == 2)
+        run.stop()
+    assert watcher.states("port") == ["open", "closed"]
