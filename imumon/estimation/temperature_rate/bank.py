@@ -42,8 +42,8 @@ def empty_bank() -> FloatArray:
 
 
 @njit(cache=True, nogil=True)
-def restart(bank: FloatArray, temperature: float, sd: float, keep_noise: bool) -> None:
-    """Let all hypotheses begin at a temperature with any rate; the weights of the noise may be kept."""
+def restart(bank: FloatArray, temperature: float, sd: float, rate: float, keep_noise: bool) -> None:
+    """Let all hypotheses begin at a temperature and a rough rate; the weights of the noise may be kept."""
     n, m = JERKS.size, NOISES.size
     weights = np.full(m, 1.0 / m)
     if keep_noise:
@@ -58,7 +58,8 @@ def restart(bank: FloatArray, temperature: float, sd: float, keep_noise: bool) -
             bank[k, WEIGHT] = weights[j] / n
             bank[k, T] = temperature
             bank[k, TT] = sd * sd
-            bank[k, RR] = START_RATE**2
+            bank[k, R] = rate
+            bank[k, RR] = (START_RATE + 0.5 * abs(rate)) ** 2
             bank[k, AA] = min(START_ACCELERATION**2, JERKS[i] * FORGETTING_S / 2.0)
 
 

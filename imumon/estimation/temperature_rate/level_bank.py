@@ -44,6 +44,7 @@ from imumon.estimation.temperature_rate.series import RateEstimate, Resumable
 from imumon.estimation.temperature_rate.step import (
     MISFIT,
     MISFIT_ALLOWED,
+    SEEN,
     STEP,
     SUPPORT,
     SUPPORT_NEEDED,
@@ -51,7 +52,7 @@ from imumon.estimation.temperature_rate.step import (
     learn_step,
 )
 
-SLOT_S, SLOT_SAMPLES, LONGEST_SLOT_S = 1.0, 5, 10.0
+SLOT_S, SLOT_SAMPLES, LONGEST_SLOT_S = 1.0 - 1e-6, 5, 10.0
 """A slot has this length and at least so many samples, unless they are very rare."""
 GLIDE_S = 3.0
 """Time constant with which what is shown follows the state, so that it does not jump."""
@@ -81,15 +82,18 @@ MEMORY = 1.0 / 32.0
 HIDDEN = 0.3
 """Share of slots in which noise alone spans several levels, above which the steps do not matter."""
 
+FINEST_STEP = 1e-4
+"""°C; finer steps are none."""
+
 # Numbers of the state: first those of `step`, then the current slot, ...
 (
-    SLOT_START, SUM, SUM_TIME, LOW, HIGH, PATH, SQUARES, LAST_READING, LAST_TIME,
+    SLOT_START, SUM, SUM_TIME, LOW, HIGH, PATH, SQUARES, DIFFERENCE, SLOT_MEAN, LAST_READING, LAST_TIME,
     # ... what has been learnt of the sensor, ...
     WHITE, HIDING, LAST_CHANGE, LAST_VALID, INTERVAL,
     # ... and what is shown: its time, values, standard deviations, and the remainders that glide away.
     BANK_TIME, SHOWN_TIME, SHOWN_T, SHOWN_R, SHOWN_A, SHOWN_T_SD, SHOWN_R_SD, GLIDE_T, GLIDE_R,
-) = range(4, 27)  # fmt: skip
-NUMBERS = 27
+) = range(4, 29)  # fmt: skip
+NUMBERS = 29
 # Integers of the state.
 STARTED, SAMPLES, VALID, CHANGES, OUTLIERS = range(5)
 INTEGERS = 5
@@ -119,8 +123,8 @@ class LevelBankRate(Resumable):
     @property
     def step(self) -> float | None:
         """The step in °C that the readings show, None as long as they do not."""
-        known = self._numbers[SUPPORT] >= SUPPORT_NEEDED and self._numbers[MISFIT] < MISFIT_ALLOWED
-        return float(self._numbers[STEP]) if known and self._numbers[HIDING] < HIDDEN else None
+        known = self._numbers[SUPPORT] >= SUPPORT_NEEDED and not _has_no_steps(self._numbers)
+        return float(self._numbers[STEP]) if known else None
 
     @property
     def noise(self) -> float:
@@ -174,7 +178,7 @@ def _process(
     for i in range(seconds.size):
         t, reading = seconds[i], readings[i]
         valid = math.isfinite(reading)
-        hidden = numbers[HIDING] > HIDDEN
+        hidden = _has_no_steps(numbers)
         last = numbers[LAST_CHANGE] if hidden else numbers[LAST_VALID]
         if integers[STARTED] and t - last > GAP_S:
             integers[STARTED] = 0
@@ -201,10 +205,10 @@ def _process(
 @njit(cache=True, nogil=True)
 def _start(t: float, reading: float, bank: FloatArray, numbers: FloatArray, integers: IntArray) -> None:
     """Begin with a reading; what is known of the sensor stays."""
-    restart(bank, reading, numbers[STEP], False)
+    restart(bank, reading, numbers[STEP], 0.0, False)
     integers[STARTED] = 1
     integers[OUTLIERS] = 0
-    numbers[LAST_READING] = reading
+    numbers[LAST_READING], numbers[DIFFERENCE] = reading, 0.0
     numbers[LAST_TIME] = numbers[LAST_CHANGE] = numbers[LAST_VALID] = numbers[BANK_TIME] = t
     numbers[INTERVAL] = 0.0
     numbers[SHOWN_TIME], numbers[SHOWN_T] = t, reading
@@ -225,7 +229,10 @@ def _open(t: float, numbers: FloatArray, integers: IntArray) -> None:
 @njit(cache=True, nogil=True)
 def _gather(t: float, reading: float, numbers: FloatArray, integers: IntArray) -> None:
     """Take a reading into the slot."""
-    change = abs(reading - numbers[LAST_READING])
+    difference = reading - numbers[LAST_READING]
+    change = abs(difference)
+    numbers[SQUARES] += (difference - numbers[DIFFERENCE]) ** 2
+    numbers[DIFFERENCE] = difference
     if change > TINY:
         learn_step(change, numbers)
         numbers[LAST_CHANGE] = t
@@ -234,7 +241,6 @@ def _gather(t: float, reading: float, numbers: FloatArray, integers: IntArray) -
             _count(numbers[LAST_TIME], numbers[LAST_READING], numbers, integers)
         integers[CHANGES] += 1
         numbers[PATH] += change
-        numbers[SQUARES] += change * change
     _count(t, reading, numbers, integers)
     numbers[LAST_READING], numbers[LAST_TIME], numbers[LAST_VALID] = reading, t, t
 
@@ -253,7 +259,7 @@ def _close(t: float, bank: FloatArray, work: FloatArray, numbers: FloatArray, in
     """Bring the bank to the end of the slot and decide what is shown from now on."""
     n = integers[VALID]
     kind = _learn_noise(numbers, integers) if n else UNCHANGED
-    dead = numbers[HIDING] > HIDDEN and t - numbers[LAST_CHANGE] > DEAD_S
+    dead = _has_no_steps(numbers) and t - numbers[LAST_CHANGE] > DEAD_S
     at = numbers[SUM_TIME] / n if n else t
     dt = max(at - numbers[BANK_TIME], 0.0)
     unseen = n == 0 or dead or dt > max(LATE_S, LATE_FACTOR * numbers[INTERVAL])
@@ -265,13 +271,24 @@ def _close(t: float, bank: FloatArray, work: FloatArray, numbers: FloatArray, in
         if _is_fault(kind, bank, numbers):
             integers[OUTLIERS] += 1
             if integers[OUTLIERS] >= GATE_SLOTS:
-                restart(bank, numbers[SUM] / n, numbers[STEP], True)
+                slope = (numbers[SUM] / n - numbers[SLOT_MEAN]) / max(dt, TINY)
+                restart(bank, numbers[SUM] / n, numbers[STEP], slope, True)
                 integers[OUTLIERS] = 0
         else:
             integers[OUTLIERS] = 0
             _measure(kind, bank, numbers, integers)
             measured = True
+        numbers[SLOT_MEAN] = numbers[SUM] / n
     _show(t, measured and kind == UNCHANGED, bank, work, numbers)
+
+
+@njit(cache=True, nogil=True)
+def _has_no_steps(numbers: FloatArray) -> bool:
+    """Tell whether noise hides the steps, or the readings have none."""
+    if numbers[HIDING] > HIDDEN or numbers[STEP] < FINEST_STEP:
+        return True
+    known = numbers[SUPPORT] >= SUPPORT_NEEDED and numbers[MISFIT] < MISFIT_ALLOWED
+    return numbers[SEEN] > 2 * SUPPORT_NEEDED and not known
 
 
 @njit(cache=True, nogil=True)
@@ -283,10 +300,15 @@ def _learn_noise(numbers: FloatArray, integers: IntArray) -> int:
     noisy = span > 1.5 * numbers[STEP] and 2 * changes >= n and numbers[PATH] > 1.5 * span
     if changes:
         numbers[HIDING] += MEMORY * (noisy - numbers[HIDING])
-    if noisy:
-        white = 0.5 * numbers[SQUARES] / n
-        numbers[WHITE] += (white - numbers[WHITE]) * (1.0 if numbers[WHITE] == 0.0 else MEMORY)
-    if noisy or numbers[HIDING] > HIDDEN:
+    stepless = _has_no_steps(numbers)
+    if noisy or (stepless and changes):
+        # Second differences, in which a ramp does not count; a spike may not spoil what is known.
+        white = numbers[SQUARES] / (6.0 * n)
+        if numbers[WHITE] > 0.0:
+            numbers[WHITE] += MEMORY * (min(white, 4.0 * numbers[WHITE]) - numbers[WHITE])
+        else:
+            numbers[WHITE] = white
+    if noisy or stepless:
         return NOISY
     if span > 1.5 * numbers[STEP]:
         return SPREAD
@@ -334,7 +356,7 @@ def _measure(kind: int, bank: FloatArray, numbers: FloatArray, integers: IntArra
         j = k % NOISES.size
         sigma = math.hypot(NOISES[j] * step, row[R] * duration / math.sqrt(12.0))
         if kind == NOISY:
-            variance = NOISE_FACTORS[j] * max(numbers[WHITE], step * step / 12.0) / n
+            variance = NOISE_FACTORS[j] * max(numbers[WHITE], step * step / 12.0) / n + TINY * TINY
             log_evidence[k] = _fit(row, mean, variance)
         elif kind == SPREAD:
             levels = (numbers[HIGH] - numbers[LOW]) / step

@@ -10,7 +10,7 @@ ROOT_2 = math.sqrt(2.0)
 ROOT_2_PI = math.sqrt(2.0 * math.pi)
 FAR = -8.0
 """Below this the normal distribution is replaced by the first term of its asymptotic series."""
-NEWTON_STEPS = 12
+NEWTON_STEPS = 20
 
 
 @njit(cache=True, nogil=True)
@@ -65,7 +65,9 @@ def weigh(
     Laplace's approximation: the product is log-concave, so Newton's iteration finds its only maximum.
     Returns mean, variance and the log of the normalization.
     """
-    t = mean
+    # Far beyond the edges one side outweighs the other, and which is not known yet: start at the edge.
+    t = min(max(mean, low - sigma), high + sigma)
+    last = 0.0
     for _ in range(NEWTON_STEPS):
         gradient, curvature = (mean - t) / (sd * sd), 1.0 / (sd * sd)
         if above > 0.0:
@@ -79,8 +81,10 @@ def weigh(
             gradient -= below * ratio / sigma
             curvature += below * ratio * (ratio + u) / (sigma * sigma)
         change = gradient / curvature
-        most = 2.0 * sigma + sd
-        t += min(max(change, -most), most)
+        if change * last < 0.0 and abs(change) > 0.5 * abs(last):
+            change *= 0.5
+        last = change
+        t += change
         if abs(change) < 1e-3 / math.sqrt(curvature):
             break
     log_mass = -0.5 * ((t - mean) / sd) ** 2 - 0.5 * math.log(curvature * sd * sd)
