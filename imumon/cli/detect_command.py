@@ -59,13 +59,14 @@ def _show(evidence: list[Evidence]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    table = Table("device", "baud", "bytes/s", "packets", "framed", "checksum errors", "verdict")
+    table = Table("device", "baud", "bytes/s", "packets", "samples", "framed", "checksum errors", "verdict")
     for item in evidence:
         table.add_row(
             item.protocol,
             "-" if item.baudrate is None else str(item.baudrate),
             f"{item.bytes_per_s:.0f}",
             str(item.packets),
+            str(item.samples),
             f"{item.share_framed:.0%}",
             str(item.checksum_errors),
             item.verdict.value,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence, Sized
 from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING, Protocol
@@ -43,8 +43,8 @@ class Candidate(Protocol):
     def finish(self) -> None:
         """Decode what is held on the understanding that no more bytes come."""
 
-    def discard(self) -> None:
-        """Forget the rows decoded so far."""
+    def take(self) -> Sized:
+        """Return the samples decoded since the last call."""
 
     def counters(self) -> Counters:
         """Return what became of the bytes so far."""
@@ -82,6 +82,8 @@ class Evidence:
         All bytes; those in valid packets; those of a packet cut off at the end.
     packets, checksum_errors, length_errors : int
         Valid packets, and what looked like a packet and was none.
+    samples : int
+        Samples in the packets; a device of the same family may frame the packets and understand none.
     odd_share : float
         Share of bytes that are 0x00 or 0xFF, which a wrong rate or an inverted line gives.
     text_share : float
@@ -97,6 +99,7 @@ class Evidence:
     packets: int
     checksum_errors: int
     length_errors: int
+    samples: int
     odd_share: float
     text_share: float
 
@@ -178,6 +181,7 @@ def listen(
 ) -> list[Evidence]:
     """Feed what arrives within `seconds` to every candidate; return the evidence in their order."""
     decoders = {name: factory() for name, factory in candidates.items()}
+    samples = dict.fromkeys(decoders, 0)
     counts = [0] * 256
     with open_port(settings) as port:
         start = time.monotonic()
@@ -186,11 +190,13 @@ def listen(
             data = port.read(min(POLL_S, seconds - elapsed))
             for byte in data:
                 counts[byte] += 1
-            for decoder in decoders.values():
+            for name, decoder in decoders.items():
                 decoder.feed(data, time.time_ns())
-                decoder.discard()
+                samples[name] += len(decoder.take())
             elapsed = time.monotonic() - start
-    return [_weigh(name, decoder, settings, elapsed, counts) for name, decoder in decoders.items()]
+    return [
+        _weigh(name, decoder, samples[name], settings, elapsed, counts) for name, decoder in decoders.items()
+    ]
 
 
 def failure(url: str, evidence: Sequence[Evidence]) -> ImumonError | None:
@@ -233,10 +239,15 @@ def _likely_cause(evidence: Sequence[Evidence]) -> str:
 
 
 def _weigh(
-    name: str, decoder: Candidate, settings: PortSettings, seconds: float, counts: Sequence[int]
+    name: str,
+    decoder: Candidate,
+    samples: int,
+    settings: PortSettings,
+    seconds: float,
+    counts: Sequence[int],
 ) -> Evidence:
     decoder.finish()
-    decoder.discard()
+    samples += len(decoder.take())
     counters = decoder.counters()
     n_bytes = max(sum(counts), 1)
     return Evidence(
@@ -249,6 +260,7 @@ def _weigh(
         packets=counters.packets,
         checksum_errors=counters.checksum_errors,
         length_errors=counters.length_errors,
+        samples=samples,
         odd_share=sum(counts[byte] for byte in ODD) / n_bytes,
         text_share=sum(counts[byte] for byte in TEXT) / n_bytes if sum(counts) else 0.0,
     )
@@ -271,5 +283,5 @@ def _silent_rates(evidence: Iterable[Evidence]) -> int:
     return len({item.baudrate for item in items})
 
 
-def _order(item: Evidence) -> tuple[int, float, int, int]:
-    return _RANK[item.verdict], -item.share_framed, -item.packets, item.checksum_errors
+def _order(item: Evidence) -> tuple[int, bool, float, int, int]:
+    return _RANK[item.verdict], not item.samples, -item.share_framed, -item.packets, item.checksum_errors

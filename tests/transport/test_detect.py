@@ -20,8 +20,8 @@ pytestmark = pytest.mark.usefixtures("no_leaks")
 class Framer:
     """Packets of 16 bytes: two sync bytes, 13 of payload, the sum of the payload."""
 
-    def __init__(self, sync: bytes) -> None:
-        self.sync = sync
+    def __init__(self, sync: bytes, understands: bool = True) -> None:
+        self.sync, self.understands, self.taken = sync, understands, 0
         self.held = b""
         self.received = self.framed = self.packets = self.errors = 0
 
@@ -41,7 +41,9 @@ class Framer:
 
     def finish(self) -> None: ...
 
-    def discard(self) -> None: ...
+    def take(self) -> range:
+        new, self.taken = self.packets - self.taken, self.packets
+        return range(new if self.understands else 0)
 
     def counters(self) -> Counters:
         skipped = self.received - self.framed - len(self.held)
@@ -93,6 +95,16 @@ def test_rate_and_protocol_are_found_among_wrong_ones() -> None:
     assert tried == [115200, 230400, 57600]  # 9600 need not be tried any more
     assert {item.verdict for item in evidence[1:]} <= {Verdict.NOTHING, Verdict.PARTLY}
     assert failure(device.path, evidence) is None
+
+
+def test_of_two_that_frame_the_one_that_understands_the_packets_comes_first() -> None:
+    relatives = {"deaf": lambda: Framer(b"\xaa\x55", understands=False), "mine": CANDIDATES["mine"]}
+    with VirtualPort(baudrate=115200) as device, sending(device):
+        first, second = detect(device.path, relatives, [115200], 0.2)
+    assert (first.protocol, second.protocol) == ("mine", "deaf")
+    assert first.verdict is second.verdict is Verdict.FRAMES
+    assert first.samples == first.packets >= 5
+    assert second.samples == 0
 
 
 def test_listening_ends_early_when_the_evidence_is_overwhelming() -> None:
