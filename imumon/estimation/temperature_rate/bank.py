@@ -16,9 +16,9 @@ from imumon.blocks import FloatArray, IntArray
 
 JERKS = 10.0 ** np.arange(-22.5, -6.0, 1.5)
 """Jerk densities, °C²/s⁵: from a rate that keeps to 0.001 °C/h for an hour to chambers at full power."""
-NOISES = np.array([0.001, 0.02, 0.05, 0.1, 0.2, 0.4])
+NOISES = np.array([0.001, 0.01, 0.015, 0.023, 0.035, 0.05, 0.07, 0.1, 0.14, 0.2, 0.28, 0.4])
 """Standard deviations of the sensor's noise in quantization steps."""
-NOISE_FACTORS = np.array([1.0, 4.0, 16.0, 64.0, 256.0, 1024.0])
+NOISE_FACTORS = 2.0 ** np.arange(12)
 """The same hypotheses where the noise hides the steps: variance of a slot's mean over that of white noise."""
 FORGETTING_S = 1800.0
 CHANGE_PER_S = 1.0 / 3600.0
@@ -27,7 +27,6 @@ NOISE_CHANGE_PER_S = 1.0 / 3600.0
 """The same for the noise."""
 NEGLIGIBLE = 1e-7
 """Hypotheses below this weight are not carried on; they come back as copies of their neighbours."""
-GONE = 1e-30
 START_RATE = 20.0 / 3600.0
 START_ACCELERATION = START_RATE / 300.0
 """Standard deviations of rate and acceleration at the start, °C/s and °C/s²."""
@@ -37,7 +36,7 @@ WEIGHT, T, R, A, TT, TR, TA, RR, RA, AA = range(10)
 
 
 def empty_bank() -> FloatArray:
-    """Return the table of hypotheses, (11 · 6, 10), smoothness slowest."""
+    """Return the table of hypotheses, (11 · 12, 10), smoothness slowest."""
     return np.zeros((len(JERKS) * len(NOISES), 10))
 
 
@@ -89,7 +88,7 @@ def mix(bank: FloatArray, work: FloatArray, dt: float) -> None:
             for c in range(count):
                 total += share[c]
             bank[k, WEIGHT] = total
-            if total > GONE:
+            if total > NEGLIGIBLE:
                 _merge(bank[k], work, source[:count], share[:count], total)
 
 

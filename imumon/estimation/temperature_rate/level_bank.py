@@ -28,6 +28,7 @@ from imumon.estimation.temperature_rate.bank import (
     NOISE_FACTORS,
     NOISES,
     RR,
+    START_RATE,
     TT,
     WEIGHT,
     R,
@@ -73,7 +74,7 @@ LATE_S, LATE_FACTOR = 5.0, 3.0
 UNSEEN_JERK = 1e-13
 """... let the temperature do this, °C²/s⁵, that nobody saw."""
 FROZEN_S, DRIFT_PER_S = 3600.0, 1.0 / 3600.0**2
-"""A level unchanged for an hour is trusted less and less: the band grows by 1 °C/h every hour."""
+"""A level unchanged for an hour is trusted less: the band grows by 1 °C/h every hour, up to the start's."""
 DEAD_S = 60.0
 """Noise that stops for so long is a dead sensor."""
 FIRST_STEP = 0.1
@@ -448,12 +449,12 @@ def _glide_to(t: float, mean: FloatArray, variance: FloatArray, numbers: FloatAr
     before_t = numbers[SHOWN_T] + age * numbers[SHOWN_R] + fade * numbers[GLIDE_T]
     before_r = numbers[SHOWN_R] + age * numbers[SHOWN_A] + fade * numbers[GLIDE_R]
     ahead = t - numbers[BANK_TIME]
-    distrust = DRIFT_PER_S * max(t - numbers[LAST_CHANGE] - FROZEN_S, 0.0)
+    distrust = min(DRIFT_PER_S * max(t - numbers[LAST_CHANGE] - FROZEN_S, 0.0), START_RATE)
     numbers[SHOWN_TIME] = t
     numbers[SHOWN_T] = mean[0] + ahead * mean[1]
     numbers[SHOWN_R] = mean[1] + ahead * mean[2]
     numbers[SHOWN_A] = mean[2]
-    numbers[SHOWN_T_SD] = math.sqrt(variance[0])
-    numbers[SHOWN_R_SD] = math.hypot(math.sqrt(variance[1]), distrust)
+    numbers[SHOWN_T_SD] = math.sqrt(max(variance[0], 0.0))
+    numbers[SHOWN_R_SD] = math.hypot(math.sqrt(max(variance[1], 0.0)), distrust)
     numbers[GLIDE_T] = before_t - numbers[SHOWN_T]
     numbers[GLIDE_R] = before_r - numbers[SHOWN_R]

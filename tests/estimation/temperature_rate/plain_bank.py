@@ -10,7 +10,7 @@ from scipy.special import log_ndtr, ndtr
 from imumon.blocks import FloatArray
 
 JERKS = 10.0 ** np.arange(-22.5, -6.0, 1.5)
-NOISES = np.array([0.001, 0.02, 0.05, 0.1, 0.2, 0.4])
+NOISES = np.array([0.001, 0.01, 0.015, 0.023, 0.035, 0.05, 0.07, 0.1, 0.14, 0.2, 0.28, 0.4])
 TAU = 1800.0
 
 

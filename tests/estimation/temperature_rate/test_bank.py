@@ -96,4 +96,4 @@ def test_a_restart_may_keep_what_is_known_of_the_noise() -> None:
     bank[2, WEIGHT] = 1.0
     restart(bank, 30.0, 0.05, 0.0, True)
     per_noise = bank[:, WEIGHT].reshape(-1, len(NOISES)).sum(0)
-    np.testing.assert_allclose(per_noise, [0, 0, 1, 0, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(per_noise, np.eye(len(NOISES))[2], atol=1e-12)
