@@ -5,26 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import rerun as rr
 import rerun.blueprint as rrb
 
 from imumon.view.items import ViewSetup
-from imumon.view.layout import LINK, OTHER, SCENE, STRIPS, Panel, Window, series_view
-
-TEMPORAL = ("device_time", "host_time")
-
-
-def last_seconds(seconds: float) -> Window:
-    """Return the window that follows the newest data, on whichever timeline is chosen."""
-    start, end = (
-        rrb.TimeRangeBoundary.cursor_relative(seconds=-seconds),
-        rrb.TimeRangeBoundary.cursor_relative(),
-    )
-    return Window(
-        ranges=[rrb.VisibleTimeRange(timeline, start=start, end=end) for timeline in TEMPORAL],
-        axis=rrb.TimeAxis(view_range=rr.TimeRange(start=start, end=end)),
-    )
-
+from imumon.view.layout import LINK, OTHER, SCENE, STRIPS, Panel, Window, last_seconds, series_view
 
 LOG_COLUMNS = rrb.TextLogColumns(text_log_columns=["LogLevel", "Body"])
 EVERYTHING = Window(None, None)

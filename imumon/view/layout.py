@@ -1,8 +1,8 @@
 """Panels as data: which columns make which entities, how they are drawn, and where they stand.
 
-A panel is an entry in `PANELS`; the logger and the blueprint know nothing else, so a panel for another
-estimator is one more entry.  Exact SI values go to ``/samples/<panel>`` as float64; where a person reads
-another unit (°/s, °, %) the converted values go to ``/view/<panel>`` beside it.
+A panel is an entry in `imumon.view.panels.PANELS`; the logger and the blueprint know nothing else, so a panel
+for another estimator is one more entry.  Exact SI values go to ``/samples/<panel>`` as float64; where a
+person reads another unit (°/s, °, %) the converted values go to ``/view/<panel>`` beside it.
 """
 
 from __future__ import annotations
@@ -78,6 +78,21 @@ class Window:
 
     ranges: Sequence[rrb.VisibleTimeRange] | None
     axis: rrb.TimeAxis | None
+
+
+TEMPORAL = ("device_time", "host_time")
+
+
+def last_seconds(seconds: float) -> Window:
+    """Return the window that follows the newest data, on whichever timeline is chosen."""
+    start, end = (
+        rrb.TimeRangeBoundary.cursor_relative(seconds=-seconds),
+        rrb.TimeRangeBoundary.cursor_relative(),
+    )
+    return Window(
+        ranges=[rrb.VisibleTimeRange(timeline, start=start, end=end) for timeline in TEMPORAL],
+        axis=rrb.TimeAxis(view_range=rr.TimeRange(start=start, end=end)),
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -266,55 +281,6 @@ def from_euler(values: FloatArray) -> FloatArray:
         ]
     )
 
-
-DEG = float(np.rad2deg(1.0))
-
-
-def _axes(name: str) -> dict[str, str]:
-    return {f"{name}_{axis}": axis for axis in "xyz"}
-
-
-PANELS: tuple[Panel, ...] = (
-    attitude("attitude", ("q_w", "q_x", "q_y", "q_z"), from_wxyz),
-    attitude("attitude_from_angles", ("roll", "pitch", "yaw"), from_euler),
-    strip("gyro", "Angular rate", _axes("gyro"), shown=(DEG, "°/s")),
-    strip("accel", "Specific force", _axes("accel")),
-    strip("mag", "Magnetic field", _axes("mag")),
-    strip(
-        "angles", "Attitude as reported", {name: name for name in ("roll", "pitch", "yaw")}, shown=(DEG, "°")
-    ),
-    strip("temperature", "Temperature", {"temperature": "sensor"}, colors=[ORANGE]),
-    strip("temperature_axes", "Temperature", _axes("temperature")),
-    strip("pressure", "Pressure", {"pressure": "static"}, colors=[VIOLET]),
-    strip(
-        "packet_rate",
-        "Packet rate",
-        {"packet_rate": "packets"},
-        colors=[BLUE],
-        shown=(1.0, "1/s"),
-        place=LINK,
-        steps=True,
-    ),
-    strip(
-        "link_load",
-        "Link load",
-        {"link_load": "load"},
-        colors=[ORANGE],
-        shown=(100.0, "%"),
-        place=LINK,
-        steps=True,
-        y_range=(0.0, 100.0),
-    ),
-    strip(
-        "losses",
-        "Packets lost and damaged, so far",
-        {"packets_lost": "lost", "packets_damaged": "damaged"},
-        colors=[RED, VIOLET],
-        place=LINK,
-        steps=True,
-    ),
-)
-"""All panels, in the order in which they stand.  Whichever of two attitudes comes first turns the body."""
 
 OTHER = "/samples/other"
 """Float columns that no panel draws: one entity each, in a tab of their own."""

@@ -10,7 +10,8 @@ import rerun as rr
 from imumon.blocks import NO_INT, ColumnArray
 from imumon.view.blueprint import blueprint
 from imumon.view.items import Event, Log, Numbers, Samples, State, Status, ViewItem, ViewSetup, lasting_key
-from imumon.view.layout import INTEGERS, OTHER, PANELS, ROOT_ATTITUDE, SCENE, Panel, Rows
+from imumon.view.layout import INTEGERS, OTHER, ROOT_ATTITUDE, SCENE, Panel, Rows
+from imumon.view.panels import PANELS
 
 APPLICATION_ID = "imumon"
 

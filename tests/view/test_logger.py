@@ -14,7 +14,6 @@ from imumon.view.layout import (
     GREEN,
     GREY,
     ORANGE,
-    PANELS,
     RED,
     VIOLET,
     from_euler,
@@ -22,6 +21,7 @@ from imumon.view.layout import (
     unit_text,
 )
 from imumon.view.logger import GOOD, PLAIN, WAIT, StreamLogger, state_color, status_card
+from imumon.view.panels import PANELS
 from tests.view.streams import GYRO, QUATERNION, Stream, block, entities, record_batches, scalars
 
 Write = Callable[[StreamLogger], None]

@@ -1,0 +1,89 @@
+"""Panels that draw an estimate as a line inside its 2σ band, beside the readings it comes from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from imumon.view.items import ViewSetup
+from imumon.view.layout import Color, Panel, Rows, Window, last_seconds, titled
+
+SLOW_WINDOW_S = 600.0
+"""What is drawn with a band is slow: so many seconds are shown at least."""
+BAND_STEP_NS = 200_000_000
+"""Bands are drawn at the most five times a second; every value is in ``/samples``."""
+TWO_SIGMA = 4.0
+"""Rerun draws a band of one square root of the variance on either side."""
+
+
+@dataclass(frozen=True, slots=True)
+class Band:
+    """One estimate: its column, that of its standard deviation, its name in the legend, its colour."""
+
+    value: str
+    sd: str
+    name: str
+    color: Color
+
+
+def band_panel(
+    key: str,
+    place: str,
+    title: str,
+    bands: Sequence[Band],
+    *,
+    unit: str,
+    factor: float = 1.0,
+    beside: str | None = None,
+) -> Panel:
+    """Return a panel that draws bands over the last ten minutes.
+
+    Parameters
+    ----------
+    unit, factor
+        The unit that is drawn, and how many of it are one unit of the columns.
+    beside : str, optional
+        Entity of the readings, drawn in the same view.
+    """
+    columns = tuple(name for band in bands for name in (band.value, band.sd))
+    exact, drawn = f"/samples/{key}", f"/view/{key}"
+
+    def declare(rec: rr.RecordingStream) -> None:
+        rec.log(exact, rr.SeriesLines(names=list(columns)), static=True)
+        for band in bands:
+            style = rr.SeriesLines(names=[band.name], colors=[list(band.color)], widths=[1.6])
+            rec.log(f"{drawn}/{band.name}", style, static=True)
+
+    def log(rec: rr.RecordingStream, rows: Rows) -> None:
+        scalars = rr.Scalars.columns(scalars=rows.matrix(columns))
+        rec.send_columns(exact, indexes=rows.indexes, columns=scalars)
+        clock = rows.device_ns if rows.device_ns is not None else rows.host_ns
+        due: Any = np.ones(len(rows.columns[columns[0]]), np.bool_)
+        if clock is not None:
+            step = clock // BAND_STEP_NS
+            due = np.diff(step, prepend=step[:1] - 1) != 0
+        for band in bands:
+            value, sd = factor * rows.columns[band.value], factor * rows.columns[band.sd]
+            keep = due & np.isfinite(value) & np.isfinite(sd)
+            if keep.any():
+                measured = rr.Measurements.columns(values=value[keep], variances=TWO_SIGMA * sd[keep] ** 2)
+                rec.send_columns(f"{drawn}/{band.name}", indexes=rows.kept(keep).indexes, columns=measured)
+
+    def view(setup: ViewSetup, window: Window) -> Any:
+        if window.ranges is not None:
+            window = last_seconds(max(SLOW_WINDOW_S, setup.window_s))
+        return rrb.TimeSeriesView(
+            origin="/",
+            contents=[f"{drawn}/**", *([beside] if beside else [])],
+            name=titled(title, unit),
+            time_ranges=window.ranges,
+            axis_x=window.axis,
+            plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop),
+        )
+
+    return Panel(key, place, columns, declare, log, view)

@@ -1,0 +1,108 @@
+"""The panels of the live view: which columns are drawn where.
+
+A panel for another estimator is one more entry here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from imumon.view.bands import Band, band_panel
+from imumon.view.layout import (
+    AXIS_COLORS,
+    BLUE,
+    LINK,
+    ORANGE,
+    RED,
+    VIOLET,
+    Color,
+    Panel,
+    attitude,
+    from_euler,
+    from_wxyz,
+    strip,
+)
+
+DEG = float(np.rad2deg(1.0))
+
+
+def _axes(name: str) -> dict[str, str]:
+    return {f"{name}_{axis}": axis for axis in "xyz"}
+
+
+THERMAL = "Temperature"
+"""Tab of the temperature estimates."""
+
+
+def _thermal(suffixes: Mapping[str, Color], readings: str) -> tuple[Panel, Panel]:
+    """Return the panels of temperature and rate for sensors whose columns end so, with their colours."""
+    key = "".join(suffixes)
+    temperature, rate = (
+        [
+            Band(
+                f"temperature_{what}{suffix}", f"temperature_{what}_sd{suffix}", suffix[1:] or "sensor", color
+            )
+            for suffix, color in suffixes.items()
+        ]
+        for what in ("estimate", "rate")
+    )
+    return (
+        band_panel(
+            f"temperature_estimate{key}",
+            THERMAL,
+            "Temperature: readings, estimate, 2σ",
+            temperature,
+            unit="°C",
+            beside=readings,
+        ),
+        band_panel(
+            f"temperature_rate{key}", THERMAL, "Temperature rate, 2σ", rate, unit="°C/h", factor=3600.0
+        ),
+    )
+
+
+PANELS: tuple[Panel, ...] = (
+    attitude("attitude", ("q_w", "q_x", "q_y", "q_z"), from_wxyz),
+    attitude("attitude_from_angles", ("roll", "pitch", "yaw"), from_euler),
+    strip("gyro", "Angular rate", _axes("gyro"), shown=(DEG, "°/s")),
+    strip("accel", "Specific force", _axes("accel")),
+    strip("mag", "Magnetic field", _axes("mag")),
+    strip(
+        "angles", "Attitude as reported", {name: name for name in ("roll", "pitch", "yaw")}, shown=(DEG, "°")
+    ),
+    strip("temperature", "Temperature", {"temperature": "sensor"}, colors=[ORANGE], steps=True),
+    strip("temperature_axes", "Temperature", _axes("temperature"), steps=True),
+    *_thermal({"": ORANGE}, "/samples/temperature"),
+    *_thermal(dict(zip(("_x", "_y", "_z"), AXIS_COLORS, strict=True)), "/samples/temperature_axes"),
+    strip("pressure", "Pressure", {"pressure": "static"}, colors=[VIOLET]),
+    strip(
+        "packet_rate",
+        "Packet rate",
+        {"packet_rate": "packets"},
+        colors=[BLUE],
+        shown=(1.0, "1/s"),
+        place=LINK,
+        steps=True,
+    ),
+    strip(
+        "link_load",
+        "Link load",
+        {"link_load": "load"},
+        colors=[ORANGE],
+        shown=(100.0, "%"),
+        place=LINK,
+        steps=True,
+        y_range=(0.0, 100.0),
+    ),
+    strip(
+        "losses",
+        "Packets lost and damaged, so far",
+        {"packets_lost": "lost", "packets_damaged": "damaged"},
+        colors=[RED, VIOLET],
+        place=LINK,
+        steps=True,
+    ),
+)
+"""All panels, in the order in which they stand.  Whichever of two attitudes comes first turns the body."""
