@@ -87,7 +87,8 @@ def mix(bank: FloatArray, work: FloatArray, dt: float) -> None:
             count += 1
             for c in range(count):
                 total += share[c]
-            bank[k, WEIGHT] = total
+            # The state of a negligible hypothesis is not carried on: none of its weight may be, either.
+            bank[k, WEIGHT] = total if total > NEGLIGIBLE else 0.0
             if total > NEGLIGIBLE:
                 _merge(bank[k], work, source[:count], share[:count], total)
 

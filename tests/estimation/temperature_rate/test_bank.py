@@ -97,3 +97,15 @@ def test_a_restart_may_keep_what_is_known_of_the_noise() -> None:
     restart(bank, 30.0, 0.05, 0.0, True)
     per_noise = bank[:, WEIGHT].reshape(-1, len(NOISES)).sum(0)
     np.testing.assert_allclose(per_noise, np.eye(len(NOISES))[2], atol=1e-12)
+
+
+def test_a_state_that_is_not_carried_on_never_counts() -> None:
+    bank, work = empty_bank(), empty_bank()
+    restart(bank, 20.0, 0.05, 0.0, False)
+    bank[1:, WEIGHT] = 0.0
+    bank[0, WEIGHT] = 1.0
+    bank[1:, T] = 1e9
+    for _ in range(600):
+        mix(bank, work, 1.0)
+    assert bank[:, WEIGHT] @ bank[:, T] == pytest.approx(20.0, rel=1e-9)
+    assert bank[:, WEIGHT].sum() == pytest.approx(1.0, abs=1e-3)
