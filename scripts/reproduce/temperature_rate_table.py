@@ -12,13 +12,10 @@ from temperature_rate_figures import draw_all
 from temperature_rate_records import PER_HOUR, Record, measured, simulate
 
 from imumon.blocks import FloatArray, IntArray
-from imumon.estimation.temperature_rate import (
-    FirExponentialRate,
-    FirLinearRate,
-    LevelBankRate,
-    RateEstimate,
-)
 from imumon.estimation.temperature_rate.comparison import DifferenceRate, KalmanRate, reference_fit
+from imumon.estimation.temperature_rate.fir import FirExponentialRate, FirLinearRate
+from imumon.estimation.temperature_rate.level_bank import LevelBankRate
+from imumon.estimation.temperature_rate.series import RateEstimate
 
 ROOT = Path(__file__).resolve().parents[2]
 BUFFER = 1000

@@ -3,53 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Literal, Self
 
 import numpy as np
-from pydantic import Field, model_validator
 
 from imumon.blocks import ColumnArray, SampleBlock
 from imumon.columns import Column
-from imumon.config import StrictModel
 from imumon.errors import ImumonError, Reason
 from imumon.estimation.temperature_rate.fir import FirExponentialRate
 from imumon.estimation.temperature_rate.level_bank import LevelBankRate
+from imumon.estimation.temperature_rate.parameters import TemperatureRateParameters
 from imumon.estimation.temperature_rate.series import RateMethod
 from imumon.estimation.temperature_rate.step import StepFinder
 
 CHANNEL = "temperature"
-
-
-class TemperatureRateParameters(StrictModel):
-    """What a device file says of its temperature sensors; every key has a default.
-
-    Parameters
-    ----------
-    method : "level_bank" or "fir_exponential"
-        The default, which needs no tuning; or the published filter.
-    step_degc : float, optional
-        Quantization step δτ in °C.  The default method finds it; the published one must be told.
-    window_s, time_constant_s, buffer_size
-        T_w and T0 in s and N of the published filter; the default method does not use them.
-    lowest_degc, highest_degc : float
-        Readings outside are taken as missing.
-    """
-
-    method: Literal["level_bank", "fir_exponential"] = "level_bank"
-    step_degc: float | None = Field(default=None, gt=0.0, le=10.0)
-    window_s: float = Field(default=300.0, gt=0.0, le=86400.0)
-    time_constant_s: float = Field(default=180.0, gt=0.0, le=86400.0)
-    buffer_size: int = Field(default=1000, ge=7, le=1_000_000)
-    lowest_degc: float = Field(default=-100.0, ge=-273.15)
-    highest_degc: float = Field(default=250.0, le=2000.0)
-
-    @model_validator(mode="after")
-    def _consistent(self) -> Self:
-        if self.method == "fir_exponential" and self.step_degc is None:
-            raise ValueError("method fir_exponential needs step_degc")
-        if self.lowest_degc >= self.highest_degc:
-            raise ValueError(f"lowest_degc {self.lowest_degc} is not below highest_degc {self.highest_degc}")
-        return self
+KNOWN_CHANNELS = (CHANNEL, *(f"{CHANNEL}_{axis}" for axis in "xyz"))
 
 
 def _level_bank(parameters: TemperatureRateParameters) -> RateMethod:
@@ -75,9 +42,9 @@ class TemperatureRate:
 
     Parameters
     ----------
-    channels : sequence of str
+    channels : sequence of str, or None
         Columns of the block to estimate, "temperature" or "temperature_x" and so on; what follows
-        "temperature" is added to the names of the results.
+        "temperature" is added to the names of the results.  None for those that come.
     parameters : TemperatureRateParameters
         One set for all channels.
 
@@ -88,9 +55,9 @@ class TemperatureRate:
     """
 
     def __init__(
-        self, channels: Sequence[str] = (CHANNEL,), parameters: TemperatureRateParameters | None = None
+        self, channels: Sequence[str] | None = None, parameters: TemperatureRateParameters | None = None
     ) -> None:
-        for channel in channels:
+        for channel in channels or ():
             if channel != CHANNEL and not channel.startswith(f"{CHANNEL}_"):
                 raise ImumonError(
                     Reason.BAD_CONFIG,
@@ -98,13 +65,15 @@ class TemperatureRate:
                     "only temperature, temperature_x and the like can be",
                 )
         self._parameters = parameters or TemperatureRateParameters()
-        self._methods = {name: _METHODS[self._parameters.method](self._parameters) for name in channels}
-        declared = self._parameters.step_degc
-        self._finders = {} if declared is None else {name: StepFinder(declared) for name in channels}
+        self._follow = channels is None
+        self._methods: dict[str, RateMethod] = {}
+        self._finders: dict[str, StepFinder] = {}
+        for channel in channels or ():
+            self._add(channel)
 
     @property
     def columns(self) -> Sequence[Column]:
-        """The columns that `process` adds."""
+        """The columns that `process` adds so far."""
         return [column for channel in self._methods for column in _columns(channel)]
 
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
@@ -112,6 +81,10 @@ class TemperatureRate:
 
         Needs ``device_time_ns`` and ``segment``; a channel that is not in the block is missing throughout.
         """
+        if self._follow:
+            for channel in KNOWN_CHANNELS:
+                if channel in block and channel not in self._methods:
+                    self._add(channel)
         added: dict[str, ColumnArray] = {}
         n = len(block)
         low, high = self._parameters.lowest_degc, self._parameters.highest_degc
@@ -129,6 +102,12 @@ class TemperatureRate:
             for column, part in zip(_columns(channel), values, strict=True):
                 added[column.name] = part
         return added
+
+    def _add(self, channel: str) -> None:
+        parameters = self._parameters
+        self._methods[channel] = _METHODS[parameters.method](parameters)
+        if parameters.step_degc is not None:
+            self._finders[channel] = StepFinder(parameters.step_degc)
 
     def notices(self) -> list[str]:
         """Return, once each, what is wrong with the declared step; for the log."""

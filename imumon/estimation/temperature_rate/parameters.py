@@ -1,0 +1,41 @@
+"""What a device file says of the temperature sensors; apart from the estimators, so that it loads quickly."""
+
+from __future__ import annotations
+
+from typing import Literal, Self
+
+from pydantic import Field, model_validator
+
+from imumon.config import StrictModel
+
+
+class TemperatureRateParameters(StrictModel):
+    """What a device file says of its temperature sensors; every key has a default.
+
+    Parameters
+    ----------
+    method : "level_bank" or "fir_exponential"
+        The default, which needs no tuning; or the published filter.
+    step_degc : float, optional
+        Quantization step δτ in °C.  The default method finds it; the published one must be told.
+    window_s, time_constant_s, buffer_size
+        T_w and T0 in s and N of the published filter; the default method does not use them.
+    lowest_degc, highest_degc : float
+        Readings outside are taken as missing.
+    """
+
+    method: Literal["level_bank", "fir_exponential"] = "level_bank"
+    step_degc: float | None = Field(default=None, gt=0.0, le=10.0)
+    window_s: float = Field(default=300.0, gt=0.0, le=86400.0)
+    time_constant_s: float = Field(default=180.0, gt=0.0, le=86400.0)
+    buffer_size: int = Field(default=1000, ge=7, le=1_000_000)
+    lowest_degc: float = Field(default=-100.0, ge=-273.15)
+    highest_degc: float = Field(default=250.0, le=2000.0)
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.method == "fir_exponential" and self.step_degc is None:
+            raise ValueError("method fir_exponential needs step_degc")
+        if self.lowest_degc >= self.highest_degc:
+            raise ValueError(f"lowest_degc {self.lowest_degc} is not below highest_degc {self.highest_degc}")
+        return self
