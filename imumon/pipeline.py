@@ -33,6 +33,9 @@ class Estimator(Protocol):
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
         """Return the new columns of a block; the result must not depend on the division into blocks."""
 
+    def notices(self) -> list[str]:
+        """Return, once each, what the user should know of the data or of the parameters."""
+
 
 @dataclass(frozen=True, slots=True)
 class PipelineCounters:
@@ -145,6 +148,10 @@ class Pipeline:
     def notices(self) -> list[str]:
         """Return, once each, what the device said that is not data."""
         return self._decoder.notices() if self._decoder is not None else []
+
+    def warnings(self) -> list[str]:
+        """Return, once each, what the estimators have to say of the data or of their parameters."""
+        return [text for stage in self._estimators for text in stage.notices()]
 
     def _decoded(self) -> SampleBlock:
         """Date what the decoder has completed, and estimate."""

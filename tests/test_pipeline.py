@@ -33,6 +33,9 @@ class CountingEstimator:
             out[i] = self.sum
         return {"turned_x": out}
 
+    def notices(self) -> list[str]:
+        return [f"{self.sum:.0f}"]
+
 
 @cache
 def stream(n: int) -> list[tuple[bytes, int]]:

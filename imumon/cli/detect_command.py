@@ -56,10 +56,12 @@ def _where(settings: PortSettings) -> str:
 
 
 def _show(evidence: list[Evidence]) -> None:
+    from rich.box import SIMPLE
     from rich.console import Console
-    from rich.table import Table
+    from rich.table import Column, Table
 
-    table = Table("device", "baud", "bytes/s", "packets", "samples", "framed", "checksum errors", "verdict")
+    names = ("device", "baud", "bytes/s", "packets", "samples", "framed", "damaged", "verdict")
+    table = Table(*(Column(name, no_wrap=True) for name in names), box=SIMPLE, padding=0)
     for item in evidence:
         table.add_row(
             item.protocol,

@@ -21,6 +21,7 @@ from imumon.cli.common import (
     window_option,
 )
 from imumon.errors import ImumonError, Reason
+from imumon.estimation.stages import estimators
 from imumon.pipeline import Digest, Pipeline
 from imumon.run.narration import Narrator, describe_losses, view_setup
 from imumon.run.replay import run_over
@@ -58,7 +59,7 @@ def command(
     source = open_source(session)
     source.refuse_output(out)
     pace = _speed(speed, view)
-    pipeline, digest = Pipeline(source.device), Digest()
+    pipeline, digest = Pipeline(source.device, estimators(source.device)), Digest()
     publisher = None if view == "none" else _publisher(source, pipeline, view, window, bind)
     narrator = None
     if publisher is not None:
@@ -90,7 +91,7 @@ def _report(
     assert source.session is not None
     live = source.session.metadata.results_digest
     identical = None if live is None else live == digest
-    for text in source.warnings():
+    for text in [*source.warnings(), *pipeline.warnings()]:
         say("WARN", text)
     if identical is False:
         say(

@@ -11,6 +11,7 @@ from pydantic import Field, PositiveFloat, PositiveInt
 
 from imumon.config import StrictModel, parse_yaml
 from imumon.errors import ImumonError, Reason
+from imumon.estimation.temperature_rate.parameters import TemperatureRateParameters
 from imumon.protocols.base import Decoder, Encoder
 
 FORMAT = "imumon-device/1"
@@ -43,6 +44,7 @@ class DeviceFile(StrictModel):
     serial: SerialSettings = SerialSettings()
     rate_hz: PositiveFloat | None = None
     axes: Literal["FLU", "FRD"]
+    temperature: TemperatureRateParameters = TemperatureRateParameters()
 
     @abstractmethod
     def decoder(self) -> Decoder:

@@ -19,6 +19,7 @@ import numpy as np
 from imumon.blocks import SampleBlock
 from imumon.columns import KNOWN
 from imumon.errors import ImumonError, Reason
+from imumon.estimation.stages import estimators
 from imumon.pipeline import Digest, Pipeline, PipelineCounters
 from imumon.protocols.device import DeviceFile
 from imumon.run.narration import Narrator, Progress, Publish, Say
@@ -44,7 +45,7 @@ def warm_up(device: DeviceFile) -> None:
     The compiled code is kept on disk: the first start after an installation takes ten seconds or so, later
     ones some tenths of a second.
     """
-    pipeline = Pipeline(device)
+    pipeline = Pipeline(device, estimators(device))
     sent = SampleBlock({column.name: np.zeros(3, column.dtype) for column in KNOWN.values()})
     for number, packet in enumerate(device.encoder().encode(sent)):
         pipeline.feed(packet, number)
@@ -108,7 +109,7 @@ class LiveRun:
         say: Say,
     ) -> None:
         self._device = device
-        self.pipeline = Pipeline(device)
+        self.pipeline = Pipeline(device, estimators(device))
         self._settings = settings
         self._say = say
         self._items: SimpleQueue[Item] = SimpleQueue()

@@ -147,6 +147,8 @@ class Narrator:
         self._emit(Status(self._timebase.at(now_ns), {**self._card, **describe(progress)}))
         for notice in self._pipeline.notices():
             self.log("INFO", f"device: {notice}", now_ns)
+        for warning in self._pipeline.warnings():
+            self.log("WARN", warning, now_ns)
         return progress
 
     def progress(self, now_ns: int) -> Progress:

@@ -112,7 +112,10 @@ def test_a_recorded_session_replays_bit_for_bit(session: Path, tmp_path: Path) -
     assert result["identical_to_live"] is True
     decoded = answer("decode", session, "--out", tmp_path / "b.parquet")
     assert decoded["rows"] == result["rows"]
-    assert pq.read_table(tmp_path / "a.parquet").equals(pq.read_table(tmp_path / "b.parquet"))
+    replayed, plain = pq.read_table(tmp_path / "a.parquet"), pq.read_table(tmp_path / "b.parquet")
+    assert replayed.select(plain.column_names).equals(plain)
+    assert {f"temperature_rate_sd_{axis}" for axis in "xyz"} <= set(replayed.column_names)
+    assert replayed.schema.field("temperature_rate_x").metadata[b"unit"] == b"degC/s"
     exported = answer("export", session, "--to", "csv", "--out", tmp_path / "c")
     assert exported["out"] == str(tmp_path / "c.csv")
     assert exported["rows"] == result["rows"]

@@ -11,6 +11,7 @@ import pytest
 
 from imumon.blocks import SampleBlock, join
 from imumon.errors import ImumonError, Reason
+from imumon.estimation.stages import estimators
 from imumon.pipeline import Digest, Pipeline
 from imumon.protocols.device import device_text, load_device, parse_device
 from imumon.run import live
@@ -55,7 +56,8 @@ def start(path: str, folder: Path, watcher: Watcher, baudrate: int = 115200) -> 
 
 
 def replayed(session: Session) -> tuple[SampleBlock, Pipeline]:
-    pipeline = Pipeline(session_device(session))
+    device = session_device(session)
+    pipeline = Pipeline(device, estimators(device))
     return join(list(run_over(WireReader(session.wire_path), pipeline))), pipeline
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from imumon.blocks import ColumnArray, SampleBlock
+from imumon.blocks import ColumnArray, FloatArray, SampleBlock
 from imumon.columns import Column
 from imumon.errors import ImumonError, Reason
 from imumon.estimation.temperature_rate.fir import FirExponentialRate
@@ -67,6 +67,7 @@ class TemperatureRate:
         self._parameters = parameters or TemperatureRateParameters()
         self._follow = channels is None
         self._methods: dict[str, RateMethod] = {}
+        self._begun: set[str] = set()
         self._finders: dict[str, StepFinder] = {}
         for channel in channels or ():
             self._add(channel)
@@ -86,22 +87,42 @@ class TemperatureRate:
                 if channel in block and channel not in self._methods:
                     self._add(channel)
         added: dict[str, ColumnArray] = {}
-        n = len(block)
-        low, high = self._parameters.lowest_degc, self._parameters.highest_degc
-        for channel, method in self._methods.items():
-            reading = np.full(n, np.nan)
-            if channel in block:
-                given = block[channel]
-                with np.errstate(invalid="ignore"):
-                    inside = (given >= low) & (given <= high)
-                reading[inside] = given[inside]
-            if channel in self._finders:
-                self._finders[channel].process(reading)
-            result = method.process(block["device_time_ns"], block["segment"], reading)
-            values = (result.temperature, result.rate, result.temperature_sd, result.rate_sd)
-            for column, part in zip(_columns(channel), values, strict=True):
+        for channel in self._methods:
+            for column, part in zip(_columns(channel), self._estimate(channel, block), strict=True):
                 added[column.name] = part
         return added
+
+    def _estimate(self, channel: str, block: SampleBlock) -> Sequence[FloatArray]:
+        """Return temperature, rate and their standard deviations, (n,) each.
+
+        Rows before the first reading are kept from the method: there may have been no column for them, and
+        what follows must not depend on that.
+        """
+        n = len(block)
+        reading = self._reading(channel, block)
+        first = 0
+        if channel not in self._begun:
+            valid = np.flatnonzero(np.isfinite(reading))
+            if not len(valid):
+                return [np.full(n, np.nan) for _ in range(4)]
+            first = int(valid[0])
+            self._begun.add(channel)
+        if channel in self._finders:
+            self._finders[channel].process(reading[first:])
+        time_ns, segment = block["device_time_ns"][first:], block["segment"][first:]
+        result = self._methods[channel].process(time_ns, segment, reading[first:])
+        parts = (result.temperature, result.rate, result.temperature_sd, result.rate_sd)
+        return [np.concatenate([np.full(first, np.nan), part]) for part in parts]
+
+    def _reading(self, channel: str, block: SampleBlock) -> FloatArray:
+        """Return the readings, NaN where there is none or it is out of range."""
+        reading = np.full(len(block), np.nan)
+        if channel in block:
+            given = block[channel]
+            with np.errstate(invalid="ignore"):
+                inside = (given >= self._parameters.lowest_degc) & (given <= self._parameters.highest_degc)
+            reading[inside] = given[inside]
+        return reading
 
     def _add(self, channel: str) -> None:
         parameters = self._parameters
