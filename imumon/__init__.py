@@ -34,9 +34,24 @@ Missing values
     NaN in float columns; a quantity that the device never sends has no column.
 """
 
-from imumon.blocks import SampleBlock
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
 from imumon.errors import ImumonError, Reason
+
+if TYPE_CHECKING:
+    from imumon.blocks import SampleBlock
 
 __version__ = "0.1.0"
 
 __all__ = ["ImumonError", "Reason", "SampleBlock", "__version__"]
+
+
+def __getattr__(name: str) -> object:
+    """Import what needs NumPy when it is asked for, so that the command line starts at once."""
+    if name == "SampleBlock":
+        from imumon.blocks import SampleBlock
+
+        return SampleBlock
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

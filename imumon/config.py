@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -11,6 +12,17 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from imumon.errors import ImumonError, Reason
 
 Location = tuple[str | int, ...]
+
+
+class _Loader(yaml.SafeLoader):
+    """PyYAML's safe loader, but 1e-6 is a number, as in YAML 1.2."""
+
+
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(r"[-+]?(\d+|\d*\.\d+|\d+\.)[eE][-+]?\d+"),
+    list("-+.0123456789"),
+)
 
 
 class StrictModel(BaseModel):
@@ -48,13 +60,14 @@ def parse_yaml(text: str, model: type[Model], source: str) -> Model:
         BAD_CONFIG, naming source and line, what was found and what was expected.
     """
     try:
-        root = yaml.compose(text, Loader=yaml.SafeLoader)
-        data = yaml.safe_load(text)
+        root = yaml.compose(text, Loader=_Loader)
+        data = yaml.load(text, Loader=_Loader)
     except yaml.MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else 1
         problem = error.problem or "not YAML"
         raise ImumonError(Reason.BAD_CONFIG, f"{source}:{line}: not valid YAML: {problem}") from error
-    except yaml.YAMLError as error:
+    except (yaml.YAMLError, ValueError, AttributeError, IndexError, TypeError) as error:
+        # The last four come from values such as a date with a month 13.
         raise ImumonError(Reason.BAD_CONFIG, f"{source}: not valid YAML: {error}") from error
     _refuse_duplicate_keys(root, source)
     if root is None or not isinstance(data, dict):

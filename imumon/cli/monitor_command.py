@@ -80,7 +80,8 @@ def command(
     for number in _ending_signals():
         signal.signal(number, lambda *_: ended.set())
     # Whoever starts this command may hold signals back until it can heed them.
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT, signal.SIGTERM})
+    if hasattr(signal, "pthread_sigmask"):  # not on Windows
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT, signal.SIGTERM})
     run = _new_run(profile, text, settings, out, lines)
     run.open()
     deadline = None if seconds is None else time.monotonic() + seconds

@@ -92,6 +92,8 @@ class Narrator:
         self._segment = 0
         self._segment_began_ns = 0
         self._status: int | None = None
+        self._shown: dict[str, str] = {}
+        self._numbers: dict[str, float] = {}
         self._overloaded = False
 
     def received(self, n_bytes: int, time_ns: int) -> None:
@@ -133,18 +135,14 @@ class Narrator:
         """Show rates, losses and lanes; to be called a few times a second."""
         progress = self.progress(now_ns)
         counters = progress.counters
-        values = {
-            "packet_rate": progress.packets_per_s,
-            "packets_lost": float(counters.packets_missing),
-            "packets_damaged": float(counters.checksum_errors + counters.length_errors),
-        }
-        if progress.link_load is not None:
-            values["link_load"] = progress.link_load
-        self._emit(Numbers(self._timebase.at(now_ns), values))
+        self._show_numbers(progress, now_ns)
         self._watch_link(progress, now_ns)
         self._watch_data(now_ns)
         self._watch_clock(counters.samples > 0, now_ns)
-        self._emit(Status(self._timebase.at(now_ns), {**self._card, **describe(progress)}))
+        shown = {**self._card, **describe(progress)}
+        if shown != self._shown:  # a port that is lost for days must not fill the recording
+            self._shown = shown
+            self._emit(Status(self._timebase.at(now_ns), shown))
         for notice in self._pipeline.notices():
             self.log("INFO", f"device: {notice}", now_ns)
         for warning in self._pipeline.warnings():
@@ -170,6 +168,20 @@ class Narrator:
             drift_ppm=self._pipeline.host_clock.drift_ppm,
             delay_ms=None if delay is None else delay * 1e-6,
         )
+
+    def _show_numbers(self, progress: Progress, now_ns: int) -> None:
+        counters = progress.counters
+        values = {
+            "packet_rate": progress.packets_per_s,
+            "packets_lost": float(counters.packets_missing),
+            "packets_damaged": float(counters.checksum_errors + counters.length_errors),
+        }
+        if progress.link_load is not None:
+            values["link_load"] = progress.link_load
+        idle = not progress.packets_per_s and values == self._numbers
+        if not idle:
+            self._numbers = values
+            self._emit(Numbers(self._timebase.at(now_ns), values))
 
     def _watch_clock(self, dated: bool, now_ns: int) -> None:
         """The fit of the device clock needs some time in each segment; a jump stays shown until then."""

@@ -66,17 +66,23 @@ Sink = Callable[[Item], None]
 
 
 class Clock:
-    """Unix time that never goes back: the time of day at the start plus a monotonic clock.
+    """Unix time that never goes back: the time of day at the start plus a clock that only goes forwards.
 
-    A step of the computer's clock (by a person or by NTP) during a recording does not reach the stamps.
+    A step of the computer's clock (by a person or by NTP) during a recording does not reach the stamps; time
+    that the computer sleeps does, where the operating system counts it.
     """
 
     def __init__(self) -> None:
-        self._offset_ns = time.time_ns() - time.monotonic_ns()
+        self._offset_ns = time.time_ns() - _steady_ns()
 
     def now_ns(self) -> int:
         """Return Unix time in ns."""
-        return self._offset_ns + time.monotonic_ns()
+        return self._offset_ns + _steady_ns()
+
+
+def _steady_ns() -> int:
+    boottime = getattr(time, "CLOCK_BOOTTIME", None)
+    return time.monotonic_ns() if boottime is None else time.clock_gettime_ns(boottime)
 
 
 class Wakeup:

@@ -1,0 +1,74 @@
+from __future__ import annotations
+
+from imumon.pipeline import Pipeline
+from imumon.protocols.device import load_device
+from imumon.run.narration import Narrator
+from imumon.simulation.bench import BenchUnit
+from imumon.transport.reader import Event, EventKind
+from imumon.transport.settings import PortSettings
+from imumon.view.items import Log, Numbers, State, Status, ViewItem
+
+AX1 = load_device("ax1")
+START = 1_700_000_000_000_000_000
+S = 1_000_000_000
+
+
+def narrated() -> tuple[Pipeline, Narrator, list[ViewItem]]:
+    pipeline, items = Pipeline(AX1), list[ViewItem]()
+    settings = PortSettings("/dev/ttyUSB0")
+    return pipeline, Narrator(pipeline, settings, [items.append], lambda *_: None, {"device": "x"}), items
+
+
+def send(pipeline: Pipeline, narrator: Narrator, seconds: int, damage: bool = False) -> int:
+    """Send at 100 Hz with a tick twice a second; return the time at the end."""
+    packets = AX1.encoder().encode(BenchUnit(100.0, AX1.axes).samples(100 * seconds))
+    now = START
+    for number, packet in enumerate(packets):
+        now = START + number * 10_000_000
+        data = packet[:30] + packet[31:] if damage else packet
+        pipeline.feed(data, now)
+        narrator.received(len(data), now)
+        if number % 50 == 0:
+            narrator.samples(pipeline.take())
+            narrator.tick(now)
+    return now
+
+
+def states(items: list[ViewItem], lane: str) -> list[str]:
+    return [item.state for item in items if isinstance(item, State) and item.lane == lane]
+
+
+def test_rates_losses_and_lanes_follow_the_data() -> None:
+    pipeline, narrator, items = narrated()
+    now = send(pipeline, narrator, 62)
+    progress = narrator.tick(now)
+    assert 95 < progress.packets_per_s < 105
+    assert progress.link_load is not None
+    assert 0.45 < progress.link_load < 0.55
+    assert states(items, "clock") == ["acquiring", "synchronised"]
+    assert states(items, "data") == ["ok"]
+    assert states(items, "status") == ["0x0007"]
+    assert states(items, "link")[-1] == "ok"
+
+
+def test_bytes_that_do_not_frame_are_called_so_once() -> None:
+    pipeline, narrator, items = narrated()
+    send(pipeline, narrator, 6, damage=True)
+    assert states(items, "data") == ["bad: does not frame"]
+    lines = [item for item in items if isinstance(item, Log)]
+    assert len(lines) == 1
+    assert "wrong baud rate or device" in lines[0].text
+
+
+def test_a_lost_port_does_not_fill_the_recording() -> None:
+    pipeline, narrator, items = narrated()
+    now = send(pipeline, narrator, 4)
+    narrator.event(Event(EventKind.LOST, now, "gone"))
+    for tick in range(10):
+        narrator.tick(now + tick * S)
+    settled = len(items)
+    for tick in range(10, 10_000):
+        narrator.tick(now + tick * S)
+    kinds = [type(item) for item in items[settled:]]
+    assert kinds.count(Status) + kinds.count(Numbers) == 0
+    assert len(kinds) < 5

@@ -1,0 +1,41 @@
+from __future__ import annotations
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from imumon.config import StrictModel, parse_yaml
+from imumon.errors import ImumonError, Reason
+
+
+class Example(StrictModel):
+    name: str
+    scale: float = 1.0
+
+
+@pytest.mark.parametrize("text", ["1e-6", "1.0e-6", "1E-6", "+1e-6", ".1e-5", "10.e-7"])
+def test_a_number_with_an_exponent_is_a_number(text: str) -> None:
+    assert parse_yaml(f"name: a\nscale: {text}\n", Example, "x.yaml").scale == pytest.approx(1e-6)
+
+
+@pytest.mark.parametrize(
+    "text", ["name: 2026-13-41", "name: 99:99:99 x: y", "? [a, b]\n: c", "name: !!int x", "a: *b"]
+)
+def test_values_that_break_the_parser_are_an_error_of_the_file(text: str) -> None:
+    with pytest.raises(ImumonError, match=r"x\.yaml") as caught:
+        parse_yaml(text, Example, "x.yaml")
+    assert caught.value.reason is Reason.BAD_CONFIG
+
+
+def outcome(text: str) -> Reason | None:
+    try:
+        parse_yaml(text, Example, "x.yaml")
+    except ImumonError as error:
+        return error.reason
+    return None
+
+
+@given(st.text(max_size=60))
+@settings(max_examples=200, deadline=None)
+def test_any_text_is_read_or_refused(text: str) -> None:
+    assert outcome(text) in (None, Reason.BAD_CONFIG)
