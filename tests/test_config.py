@@ -18,6 +18,11 @@ def test_a_number_with_an_exponent_is_a_number(text: str) -> None:
     assert parse_yaml(f"name: a\nscale: {text}\n", Example, "x.yaml").scale == pytest.approx(1e-6)
 
 
+@pytest.mark.parametrize("text", ["10e727c913", "1e5x", "e5", "12e", "1e-"])
+def test_what_only_begins_like_a_number_is_text(text: str) -> None:
+    assert parse_yaml(f"name: {text}\n", Example, "x.yaml").name == text
+
+
 @pytest.mark.parametrize(
     "text", ["name: 2026-13-41", "name: 99:99:99 x: y", "? [a, b]\n: c", "name: !!int x", "a: *b"]
 )

@@ -56,7 +56,7 @@ def band_panel(
     def declare(rec: rr.RecordingStream) -> None:
         rec.log(exact, rr.SeriesLines(names=list(columns)), static=True)
         for band in bands:
-            style = rr.SeriesLines(names=[band.name], colors=[list(band.color)], widths=[1.6])
+            style = rr.Measurements.from_fields(names=[band.name], colors=[list(band.color)], widths=[1.6])
             rec.log(f"{drawn}/{band.name}", style, static=True)
 
     def log(rec: rr.RecordingStream, rows: Rows) -> None:

@@ -22,6 +22,7 @@ SECTIONS = {
     "devices": "benchmarks.tagged",
     "clocks": "benchmarks.clocks",
     "pipeline": "benchmarks.path",
+    "temperature": "benchmarks.temperature",
 }
 
 

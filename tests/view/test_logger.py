@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import rerun as rr
 
-from imumon.blocks import SampleBlock
+from imumon.blocks import ColumnArray, SampleBlock
 from imumon.view.items import Numbers, State, Status, Timebase, ViewItem, ViewSetup, merge
 from imumon.view.layout import (
     BLUE,
@@ -198,3 +198,27 @@ def test_colours_read_on_the_dark_and_on_the_light_theme(color: tuple[int, int, 
     dark, light = luminance((13, 16, 17)), 1.0
     assert (luminance(color) + 0.05) / (dark + 0.05) > 2.2
     assert (light + 0.05) / (luminance(color) + 0.05) > 2.2
+
+
+def test_an_estimate_is_drawn_in_its_two_sigma_band(write: Callable[[Write], Path]) -> None:
+    n = 200
+    columns: dict[str, ColumnArray] = {
+        "device_time_ns": np.arange(n) * 10_000_000,
+        "segment": np.zeros(n, np.int64),
+    }
+    sds = {"temperature_estimate": 0.25, "temperature_rate": 0.001}
+    for name, sd in sds.items():
+        columns |= {name: np.linspace(1.0, 2.0, n), f"{name}_sd": np.full(n, sd)}
+    columns["temperature_rate"][:50] = np.nan
+    path = write(lambda logger: logger.log([Timebase().samples(SampleBlock(columns))]))
+    (batch,) = record_batches(path, "/samples/temperature_estimate")
+    exact = batch.column("Scalars:scalars").flatten().to_numpy().reshape(n, -1)
+    np.testing.assert_array_equal(exact[:, 0], columns["temperature_estimate"])
+    for entity, sd, drawn in (
+        ("/view/temperature_estimate/sensor", 0.25, 10),
+        ("/view/temperature_rate/sensor", 0.001 * 3600, 7),
+    ):
+        batches = [b for b in record_batches(path, entity) if "Measurements:values" in b.schema.names]
+        variances = np.concatenate([b.column("Measurements:variances").flatten().to_numpy() for b in batches])
+        np.testing.assert_allclose(variances, (2 * sd) ** 2)
+        assert len(variances) == drawn

@@ -1,0 +1,64 @@
+"""Temperature rate: time of a sample and channel, without an event most of the time."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+
+from benchmarks.measure import Bar, Table, measure
+from imumon.blocks import FloatArray, IntArray
+from imumon.estimation.temperature_rate.fir import FirExponentialRate
+from imumon.estimation.temperature_rate.level_bank import LevelBankRate
+from imumon.estimation.temperature_rate.series import RateMethod
+
+RATES_HZ = (10, 100, 1000)
+SECONDS = 300
+BLOCK_S = 10
+BAR_US = 0.3
+
+
+def over(method: RateMethod, time_ns: IntArray, segment: IntArray, reading: FloatArray, size: int) -> None:
+    """Run a method over a record in blocks."""
+    for start in range(0, len(reading), size):
+        part = slice(start, start + size)
+        method.process(time_ns[part], segment[part], reading[part])
+
+
+def run() -> tuple[list[Table], list[Bar]]:
+    """Measure both methods on a sensor that warms up by 6 degC/h, with noise, read in steps of 0.05 degC."""
+    table = Table(
+        "Temperature rate, us per sample and channel", ["method", *(f"{rate} Hz" for rate in RATES_HZ)]
+    )
+    rows: dict[str, list[str]] = {"level bank": [], "FIR 300/180": []}
+    bars = []
+    for rate in RATES_HZ:
+        n = SECONDS * rate
+        time_ns = np.arange(n) * (1_000_000_000 // rate)
+        noise = np.random.default_rng(0).normal(0.0, 0.005, n)
+        reading = np.round((25 + time_ns * 1e-9 / 600 + noise) / 0.05) * 0.05
+        record = time_ns, np.zeros(n, np.int64), reading, BLOCK_S * rate
+        times = measure(
+            {
+                "level bank": partial(_level_bank, *record),
+                "FIR 300/180": partial(_fir, *record),
+            }
+        )
+        for name, cells in rows.items():
+            cells.append(f"{times[name].best / n / 1000:.3f}")
+        if rate >= 100:
+            cost = times["level bank"].best / n / 1000
+            bars.append(Bar(f"temperature rate at {rate} Hz, us per sample", BAR_US, cost, at_most=True))
+    table.rows += [[name, *cells] for name, cells in rows.items()]
+    table.notes.append(
+        "blocks of 10 s; the level bank works once a second: at a higher rate a sample costs less"
+    )
+    return [table], bars
+
+
+def _level_bank(time_ns: IntArray, segment: IntArray, reading: FloatArray, size: int) -> None:
+    over(LevelBankRate(), time_ns, segment, reading, size)
+
+
+def _fir(time_ns: IntArray, segment: IntArray, reading: FloatArray, size: int) -> None:
+    over(FirExponentialRate(0.05, 300.0, 180.0, 1000), time_ns, segment, reading, size)
