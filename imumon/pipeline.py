@@ -58,12 +58,6 @@ class PipelineCounters:
         """Return the counters as they are printed and stored."""
         return asdict(self)
 
-    @property
-    def framed_share(self) -> float:
-        """Share of the bytes accounted for that were part of a packet; 0 before the first byte."""
-        settled = self.bytes_in_packets + self.bytes_skipped
-        return self.bytes_in_packets / settled if settled else 0.0
-
 
 class Pipeline:
     """Decoder, clock and estimators in order.

@@ -77,39 +77,6 @@ def sign_extend(value: np.uint64, size: int) -> np.int64:
 
 
 @njit(cache=True, nogil=True)
-def raw_bits(buf: ByteArray, at: int, kind: int, size: int) -> np.uint64:
-    """Assemble a number of this kind (with `BIG` where it applies) without interpreting it."""
-    if kind >= BIG:
-        return bytes_big(buf, at, size)
-    return bytes_little(buf, at, size)
-
-
-@njit(cache=True, nogil=True)
-def read_integer(buf: ByteArray, at: int, kind: int, size: int) -> np.int64:
-    """Read an integer; the odd codes (i8, i16, ...) are signed."""
-    bits = raw_bits(buf, at, kind, size)
-    if kind & 1:
-        return sign_extend(bits, size)
-    return np.int64(bits)
-
-
-@njit(cache=True, nogil=True)
-def read_float(buf: ByteArray, at: int, kind: int, size: int) -> float:
-    """Read a number of any kind as float64."""
-    code = kind & (BIG - 1)
-    if code == F32:
-        return np.float64(np.uint32(raw_bits(buf, at, kind, size)).view(np.float32))
-    if code == F64:
-        return np.uint64(raw_bits(buf, at, kind, size)).view(np.float64)
-    if code == FP1632:
-        whole = sign_extend(bytes_big(buf, at + 4, 2), 2)
-        return np.float64(whole) + np.float64(bytes_big(buf, at, 4)) / 4294967296.0
-    if code == U64:
-        return np.float64(raw_bits(buf, at, kind, size))
-    return np.float64(read_integer(buf, at, kind, size))
-
-
-@njit(cache=True, nogil=True)
 def append_chunk(chunk: ByteArray, held: ByteArray, state: IntArray) -> int:
     """Put a chunk behind the held bytes; return how many bytes there are to scan."""
     start = np.uint64(state[HELD])
