@@ -9,11 +9,12 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
 from imumon.blocks import NO_INT, ColumnArray, SampleBlock, join, missing
+from imumon.charts import Chart
 from imumon.clock import DeviceClock, HostClock
 from imumon.columns import KNOWN, TIME_COLUMNS, Column
 from imumon.protocols.base import Counters, Timing
@@ -35,6 +36,22 @@ class Estimator(Protocol):
 
     def notices(self) -> list[str]:
         """Return, once each, what the user should know of the data or of the parameters."""
+
+
+@runtime_checkable
+class Charting(Protocol):
+    """A stage that has more to show than its columns."""
+
+    def charts(self) -> Sequence[Chart]:
+        """Return its charts as they are now; empty while there is nothing to show."""
+
+
+@runtime_checkable
+class Judging(Protocol):
+    """A stage that judges: each judgement is a lane of states in the view."""
+
+    def lanes(self) -> Mapping[str, str]:
+        """Return the state of each of its lanes as it is now."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,6 +163,17 @@ class Pipeline:
     def warnings(self) -> list[str]:
         """Return, once each, what the estimators have to say of the data or of their parameters."""
         return [text for stage in self._estimators for text in stage.notices()]
+
+    def charts(self) -> list[Chart]:
+        """Return the charts of the estimators as they are now."""
+        return [
+            chart for stage in self._estimators if isinstance(stage, Charting) for chart in stage.charts()
+        ]
+
+    def lanes(self) -> dict[str, str]:
+        """Return the states that the estimators judge, by lane."""
+        judging = [stage for stage in self._estimators if isinstance(stage, Judging)]
+        return {lane: state for stage in judging for lane, state in stage.lanes().items()}
 
     def _decoded(self) -> SampleBlock:
         """Date what the decoder has completed, and estimate."""

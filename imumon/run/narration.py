@@ -6,13 +6,15 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from imumon.blocks import NO_INT, SampleBlock
 from imumon.pipeline import Pipeline, PipelineCounters
 from imumon.session.folder import Session
 from imumon.transport.reader import Event, EventKind
 from imumon.transport.settings import PortSettings
 from imumon.transport.statistics import LinkStatistics
-from imumon.view.items import Log, Numbers, State, Status, Timebase, ViewItem, ViewSetup
+from imumon.view.items import Drawing, Log, Numbers, State, Status, Timebase, ViewItem, ViewSetup
 
 Publish = Callable[[ViewItem], None]
 Say = Callable[[str, str], None]
@@ -24,6 +26,10 @@ SETTLING_NS = 60_000_000_000
 GARBLED_BELOW = 0.5
 GARBLED_AFTER_BYTES = 400
 """When less than half of the bytes of the last 2 s, at least so many, frame: wrong baud rate or protocol."""
+
+CHART_NS = 2_000_000_000
+"""Charts are drawn anew this often, while samples come."""
+_MOTION = {0: "moving", 1: "rest"}
 
 _PORT_STATES = {
     EventKind.OPENED: "open",
@@ -95,6 +101,8 @@ class Narrator:
         self._shown: dict[str, str] = {}
         self._numbers: dict[str, float] = {}
         self._overloaded = False
+        self._charts_ns = 0
+        self._charts_samples = 0
 
     def received(self, n_bytes: int, time_ns: int) -> None:
         """Count bytes that arrived."""
@@ -119,6 +127,19 @@ class Narrator:
         if status is not None and status[-1] != NO_INT and int(status[-1]) != self._status:
             self._status = int(status[-1])
             self._lane("status", f"0x{self._status:04X}", arrival)
+
+        self._watch_motion(block)
+
+    def _watch_motion(self, block: SampleBlock) -> None:
+        """Show every change between rest and motion at its own time."""
+        at_rest = block.columns.get("at_rest")
+        if at_rest is None:
+            return
+        changes = np.flatnonzero(np.diff(at_rest, prepend=at_rest[0])).tolist()
+        for row in [0, *changes]:
+            state = _MOTION.get(int(at_rest[row]))
+            if state is not None:
+                self._lane("motion", state, int(block["arrival_time_ns"][row]))
 
     def event(self, event: Event) -> None:
         """Show what happened to the port."""
@@ -147,7 +168,18 @@ class Narrator:
             self.log("INFO", f"device: {notice}", now_ns)
         for warning in self._pipeline.warnings():
             self.log("WARN", warning, now_ns)
+        for lane, state in self._pipeline.lanes().items():
+            self._lane(lane, state, now_ns)
+        self._show_charts(counters.samples, now_ns)
         return progress
+
+    def _show_charts(self, samples: int, now_ns: int) -> None:
+        """Draw the charts anew from time to time; a port that is lost must not fill the recording."""
+        if samples == self._charts_samples or now_ns - self._charts_ns < CHART_NS:
+            return
+        self._charts_samples, self._charts_ns = samples, now_ns
+        for chart in self._pipeline.charts():
+            self._emit(Drawing(self._timebase.at(now_ns), chart))
 
     def progress(self, now_ns: int) -> Progress:
         """Return the numbers of the moment."""

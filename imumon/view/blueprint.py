@@ -7,6 +7,8 @@ from typing import Any
 
 import rerun.blueprint as rrb
 
+from imumon.charts import Chart
+from imumon.view.chart import chart_view
 from imumon.view.items import ViewSetup
 from imumon.view.layout import LINK, OTHER, SCENE, STRIPS, Panel, Window, last_seconds, series_view
 
@@ -18,6 +20,7 @@ def blueprint(
     setup: ViewSetup,
     panels: Sequence[Panel],
     *,
+    charts: Sequence[Chart] = (),
     timeline: str,
     live: bool,
     lanes: bool,
@@ -31,6 +34,8 @@ def blueprint(
     ----------
     panels : sequence of Panel
         Those that have data.
+    charts : sequence of Chart
+        Those that have been drawn.
     timeline : str
         The one to follow.
     live : bool
@@ -47,10 +52,12 @@ def blueprint(
             if scenes > 1:
                 continue
         views.setdefault(panel.place, []).append(panel.view(setup, window))
+    for chart in charts:
+        views.setdefault(chart.place, []).append(chart_view(chart.key, chart.title))
     if others:
         views["Other"] = [series_view(OTHER, "Columns without a panel of their own", window)]
     first = _first_tab("Live" if live else "Recording", views, window, lanes=lanes, log=log, status=status)
-    tabs = [rrb.Vertical(*views[place], name=place) for place in views if place not in (SCENE, STRIPS, LINK)]
+    tabs = [_tab(place, views[place]) for place in views if place not in (SCENE, STRIPS, LINK)]
     return rrb.Blueprint(
         rrb.Tabs(first, *tabs, active_tab=0),
         rrb.TimePanel(
@@ -63,6 +70,14 @@ def blueprint(
         auto_views=False,
         auto_layout=False,
     )
+
+
+def _tab(name: str, views: list[Any]) -> Any:
+    """Return a tab of its own: series above each other, charts to their right."""
+    charts = [view for view in views if isinstance(view, rrb.Spatial2DView)]
+    series = [view for view in views if view not in charts]
+    columns = [rrb.Vertical(*part) for part in (series, charts) if part]
+    return rrb.Horizontal(*columns, name=name)
 
 
 def _first_tab(

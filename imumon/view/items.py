@@ -1,4 +1,4 @@
-"""What the view is told: samples, numbers, states, log lines and the status card, each with its times."""
+"""What the view is told: samples, numbers, states, log lines, charts, the status card."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from imumon.blocks import NO_INT, IntArray, SampleBlock, join
+from imumon.charts import Chart
 
 ITEM_BYTES = 512
 """What an item costs in memory beside its arrays, roughly."""
@@ -114,12 +115,22 @@ class Status:
     fields: Mapping[str, str]
 
 
-Event = Numbers | State | Log | Status
+@dataclass(frozen=True, slots=True)
+class Drawing:
+    """A chart, as it is from now on."""
+
+    at: Instant
+    chart: Chart
+
+
+Event = Numbers | State | Log | Status | Drawing
 ViewItem = Samples | Event
 
 
 def item_bytes(item: ViewItem) -> int:
     """Return the memory that an item holds, roughly."""
+    if isinstance(item, Drawing):
+        return ITEM_BYTES + item.chart.nbytes
     return item.nbytes if isinstance(item, Samples) else ITEM_BYTES
 
 
@@ -132,6 +143,8 @@ def lasting_key(item: ViewItem) -> str | None:
     """Return what a later item of the same key replaces, or None for what is not lasting."""
     if isinstance(item, State):
         return f"state {item.lane}"
+    if isinstance(item, Drawing):
+        return f"chart {item.chart.key}"
     return "status" if isinstance(item, Status) else None
 
 

@@ -8,8 +8,21 @@ import numpy as np
 import rerun as rr
 
 from imumon.blocks import NO_INT, ColumnArray
+from imumon.charts import Chart
 from imumon.view.blueprint import blueprint
-from imumon.view.items import Event, Log, Numbers, Samples, State, Status, ViewItem, ViewSetup, lasting_key
+from imumon.view.chart import declare_chart, log_chart
+from imumon.view.items import (
+    Drawing,
+    Event,
+    Log,
+    Numbers,
+    Samples,
+    State,
+    Status,
+    ViewItem,
+    ViewSetup,
+    lasting_key,
+)
 from imumon.view.layout import INTEGERS, OTHER, ROOT_ATTITUDE, SCENE, Panel, Rows
 from imumon.view.panels import PANELS
 
@@ -59,6 +72,7 @@ class StreamLogger:
         self._others: set[str] = set()
         self._lanes: dict[str, list[str]] = {}
         self._lasting: dict[str, Event] = {}
+        self._charts: dict[str, Chart] = {}
         self._early: list[Event] = []
         self._has_log = False
         self._timeline = "host_time"
@@ -82,6 +96,9 @@ class StreamLogger:
             self._declare_other(name)
         for lane in self._lanes:
             self._declare_lane(lane)
+        charts, self._charts = self._charts, {}
+        for chart in charts.values():
+            self._know_chart(chart)
         for event in self._lasting.values():
             self._log_event(event)
         if arrange:
@@ -182,6 +199,9 @@ class StreamLogger:
             self._has_log = True
             line = rr.TextLog.columns(text=[event.text], level=[event.level])
             self._rec.send_columns("/log", indexes=indexes, columns=line)
+        elif isinstance(event, Drawing):
+            self._know_chart(event.chart)
+            log_chart(self._rec, event.chart, indexes)
         else:
             card = rr.TextDocument.columns(text=[status_card(event)], media_type=["text/markdown"])
             self._rec.send_columns("/status", indexes=indexes, columns=card)
@@ -192,6 +212,12 @@ class StreamLogger:
         claimed = self._log_panels(rows)
         for name in columns.keys() - claimed:
             self._log_other(name, columns[name], rows)
+
+    def _know_chart(self, chart: Chart) -> None:
+        known = self._charts.get(chart.key)
+        if known is None or [curve.name for curve in known.curves] != [c.name for c in chart.curves]:
+            declare_chart(self._rec, chart)
+        self._charts[chart.key] = chart
 
     def _know_state(self, event: State) -> None:
         known = self._lanes.setdefault(event.lane, [])
@@ -213,7 +239,7 @@ class StreamLogger:
         """Send the blueprint when what there is to see has changed."""
         shown = frozenset(self._panels)
         extras = (bool(self._lanes), self._has_log, "status" in self._lasting, bool(self._others))
-        arranged = (shown, extras, self._timeline)
+        arranged = (shown, extras, frozenset(self._charts), self._timeline)
         if arranged == self._arranged or not (shown or any(extras)):
             return
         self._arranged = arranged
@@ -222,6 +248,7 @@ class StreamLogger:
             blueprint(
                 self._setup,
                 [panel for panel in PANELS if panel.key in shown],
+                charts=list(self._charts.values()),
                 timeline=self._timeline,
                 live=self._live,
                 lanes=lanes,

@@ -1,0 +1,68 @@
+"""Charts whose horizontal axis is not time: a bias over temperature, an Allan deviation over tau.
+
+Plain data: who makes a chart knows nothing of who draws it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from imumon.blocks import FloatArray
+
+ITEM_BYTES = 64
+"""What a curve costs in memory beside its arrays, roughly."""
+
+
+@dataclass(frozen=True, slots=True)
+class Axis:
+    """One axis: what it shows with its unit, and whether it is logarithmic."""
+
+    label: str
+    log: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Curve:
+    """Points in the units of the axes, (n,) each; NaN interrupts a line.
+
+    Parameters
+    ----------
+    color : (red, green, blue)
+        0 to 255 each.
+    points : bool
+        Draw points, not a line.
+    width : float
+        Of the line, or the diameter of the points, in pixels.
+    """
+
+    name: str
+    x: FloatArray
+    y: FloatArray
+    color: tuple[int, int, int]
+    points: bool = False
+    width: float = 1.6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Chart:
+    """Curves on two axes.
+
+    Parameters
+    ----------
+    key : str
+        Unique among the charts of a run; a later chart of the same key replaces the earlier.
+    place : str
+        The tab it stands in.
+    """
+
+    key: str
+    place: str
+    title: str
+    x: Axis
+    y: Axis
+    curves: tuple[Curve, ...]
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that the chart holds, roughly."""
+        return sum(ITEM_BYTES + curve.x.nbytes + curve.y.nbytes for curve in self.curves)
