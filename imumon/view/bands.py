@@ -16,7 +16,7 @@ from imumon.view.layout import Color, Panel, Rows, Window, last_seconds, titled
 SLOW_WINDOW_S = 600.0
 """What is drawn with a band is slow: so many seconds are shown at least."""
 BAND_STEP_NS = 200_000_000
-"""Bands are drawn at the most five times a second; every value is in ``/samples``."""
+"""Estimates with a band are logged at the most five times a second; a replay gives every value."""
 TWO_SIGMA = 4.0
 """Rerun draws a band of one square root of the variance on either side."""
 
@@ -60,13 +60,13 @@ def band_panel(
             rec.log(f"{drawn}/{band.name}", style, static=True)
 
     def log(rec: rr.RecordingStream, rows: Rows) -> None:
-        scalars = rr.Scalars.columns(scalars=rows.matrix(columns))
-        rec.send_columns(exact, indexes=rows.indexes, columns=scalars)
         clock = rows.device_ns if rows.device_ns is not None else rows.host_ns
         due: Any = np.ones(len(rows.columns[columns[0]]), np.bool_)
         if clock is not None:
             step = clock // BAND_STEP_NS
             due = np.diff(step, prepend=step[:1] - 1) != 0
+        scalars = rr.Scalars.columns(scalars=rows.matrix(columns)[due])
+        rec.send_columns(exact, indexes=rows.kept(due).indexes, columns=scalars)
         for band in bands:
             value, sd = factor * rows.columns[band.value], factor * rows.columns[band.sd]
             keep = due & np.isfinite(value) & np.isfinite(sd)

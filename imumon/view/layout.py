@@ -153,6 +153,8 @@ def strip(
     place: str = STRIPS,
     steps: bool = False,
     y_range: tuple[float, float] | None = None,
+    beside: str | None = None,
+    limits: tuple[float, float] | None = None,
 ) -> Panel:
     """Return a panel that draws columns over time.
 
@@ -166,6 +168,10 @@ def strip(
         Hold each value until the next instead of joining them by straight lines.
     y_range : (low, high), optional
         Fixed range of the y axis; it follows the data otherwise.
+    beside : str, optional
+        Entity of another panel, drawn in the same view.
+    limits : (low, high), optional
+        Two level lines, in the unit that is drawn.
     """
     names = tuple(series)
     exact, drawn = f"/samples/{key}", f"/view/{key}" if shown else f"/samples/{key}"
@@ -178,6 +184,9 @@ def strip(
             interpolation_mode=rr.components.InterpolationMode.StepAfter if steps else None,
         )
         rec.log(drawn, style, static=True)
+        if limits:
+            grey = rr.SeriesLines(names=["limit"] * 2, colors=[list(GREY)] * 2, widths=[1.0] * 2)
+            rec.log(f"{drawn}/limits", grey, static=True)
 
     def log(rec: rr.RecordingStream, rows: Rows) -> None:
         values = rows.matrix(names)
@@ -185,18 +194,31 @@ def strip(
         rec.send_columns(exact, indexes=indexes, columns=rr.Scalars.columns(scalars=values))
         if shown:
             rec.send_columns(drawn, indexes=indexes, columns=rr.Scalars.columns(scalars=values * shown[0]))
+        if limits:
+            ends = np.zeros(len(values), np.bool_)
+            ends[[0, -1]] = True
+            levels = np.tile(limits, (int(ends.sum()), 1))
+            lines = rr.Scalars.columns(scalars=levels)
+            rec.send_columns(f"{drawn}/limits", indexes=rows.kept(ends).indexes, columns=lines)
 
     def view(setup: ViewSetup, window: Window) -> Any:
         unit = shown[1] if shown else unit_text(setup, names[0])
-        return series_view(drawn, titled(title, unit), window, y_range)
+        return series_view(drawn, titled(title, unit), window, y_range, beside)
 
     return Panel(key, place, names, declare, log, view)
 
 
-def series_view(origin: str, name: str, window: Window, y_range: tuple[float, float] | None = None) -> Any:
+def series_view(
+    origin: str,
+    name: str,
+    window: Window,
+    y_range: tuple[float, float] | None = None,
+    beside: str | None = None,
+) -> Any:
     """Return a view of series over time with the legend in its corner."""
     return rrb.TimeSeriesView(
-        origin=origin,
+        origin="/" if beside else origin,
+        contents=[f"{origin}/**", beside] if beside else "$origin/**",
         name=name,
         time_ranges=window.ranges,
         axis_x=window.axis,

@@ -13,6 +13,7 @@ from imumon.view.bands import Band, band_panel
 from imumon.view.layout import (
     AXIS_COLORS,
     BLUE,
+    GREY,
     LINK,
     ORANGE,
     RED,
@@ -63,6 +64,18 @@ def _thermal(suffixes: Mapping[str, Color], readings: str) -> tuple[Panel, Panel
     )
 
 
+BIAS = "Gyro bias"
+"""Tab of the bias estimates."""
+DEG_PER_HOUR = DEG * 3600.0
+
+
+def _axis_bands(value: str, sd: str) -> list[Band]:
+    return [
+        Band(f"{value}_{axis}", f"{sd}_{axis}", axis, color)
+        for axis, color in zip("xyz", AXIS_COLORS, strict=True)
+    ]
+
+
 PANELS: tuple[Panel, ...] = (
     attitude("attitude", ("q_w", "q_x", "q_y", "q_z"), from_wxyz),
     attitude("attitude_from_angles", ("roll", "pitch", "yaw"), from_euler),
@@ -76,6 +89,23 @@ PANELS: tuple[Panel, ...] = (
     strip("temperature_axes", "Temperature", _axes("temperature"), steps=True),
     *_thermal({"": ORANGE}, "/samples/temperature"),
     *_thermal(dict(zip(("_x", "_y", "_z"), AXIS_COLORS, strict=True)), "/samples/temperature_axes"),
+    band_panel(
+        "gyro_bias",
+        BIAS,
+        "Gyro bias, 2σ",
+        _axis_bands("gyro_bias", "gyro_bias_sd"),
+        unit="°/h",
+        factor=DEG_PER_HOUR,
+    ),
+    strip(
+        "gyro_corrected",
+        "Angular rate: raw and corrected",
+        {f"gyro_corrected_{axis}": f"corrected {axis}" for axis in "xyz"},
+        colors=[ORANGE, VIOLET, GREY],
+        shown=(DEG, "°/s"),
+        place=BIAS,
+        beside="/view/gyro",
+    ),
     strip("pressure", "Pressure", {"pressure": "static"}, colors=[VIOLET]),
     strip(
         "packet_rate",
