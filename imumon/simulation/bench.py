@@ -6,14 +6,12 @@ from fractions import Fraction
 from typing import Literal
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from imumon.blocks import ColumnArray, FloatArray, SampleBlock
+from imumon.blocks import FloatArray, SampleBlock
+from imumon.simulation.frames import FIELD_UT, FRD_TO_FLU, body_rates, reported, split, to_body
 
 GRAVITY = 9.80665
 MICROSECOND = Fraction(1000)
-FIELD_UT = np.array([20.0, 1.0, 43.0])
-"""Magnetic field north, east, down, as in central Europe."""
 AMBIENT_DEGC = 24.0
 WARM_UP_DEGC = np.array([8.5, 7.0, 9.5])
 WARM_UP_S = 240.0
@@ -35,10 +33,6 @@ _TURNS = (
 )
 _ROUND_S = 30.0
 _START_DEG = (0.0, 0.0, 40.0)
-
-# North-east-down to east-north-up, and forward-right-down to forward-left-up.
-_NED_TO_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-_FRD_TO_FLU = np.diag([1.0, -1.0, -1.0])
 
 
 class BenchUnit:
@@ -77,27 +71,24 @@ class BenchUnit:
         angles, rates = _motion(t)
         noise = self._random.standard_normal((n, 9))  # one draw a sample: independent of the block size
         temperature = AMBIENT_DEGC + WARM_UP_DEGC * -np.expm1(-t[:, np.newaxis] / WARM_UP_S)
-        body_to_ned = Rotation.from_euler("ZYX", angles[:, ::-1])
         bias = GYRO_BIAS_DPS + GYRO_SLOPE_DPS_PER_DEGC * (temperature - AMBIENT_DEGC)
-        gyro = _body_rates(angles, rates) + np.deg2rad(
+        gyro = body_rates(angles, rates) + np.deg2rad(
             bias + GYRO_ARW_DPS * np.sqrt(self._rate_hz / 2) * noise[:, 0:3]
         )
-        accel = body_to_ned.inv().apply([0.0, 0.0, -GRAVITY]) + ACCEL_NOISE * noise[:, 3:6]
-        mag = body_to_ned.inv().apply(FIELD_UT) + MAG_NOISE_UT * noise[:, 6:9]
-        attitude = body_to_ned
+        accel = to_body(angles, np.array([0.0, 0.0, -GRAVITY])) + ACCEL_NOISE * noise[:, 3:6]
+        mag = to_body(angles, FIELD_UT) + MAG_NOISE_UT * noise[:, 6:9]
         if self._axes == "FLU":
-            gyro, accel, mag = gyro @ _FRD_TO_FLU, accel @ _FRD_TO_FLU, mag @ _FRD_TO_FLU
-            attitude = Rotation.from_matrix(_NED_TO_ENU @ body_to_ned.as_matrix() @ _FRD_TO_FLU)
+            gyro, accel, mag = gyro @ FRD_TO_FLU, accel @ FRD_TO_FLU, mag @ FRD_TO_FLU
         return SampleBlock(
             {
                 "packet_counter": index,
                 "device_ticks": np.rint(t * float(1_000_000_000 / self._tick_ns)).astype(np.int64),
-                **_split("gyro", gyro),
-                **_split("accel", accel),
-                **_split("mag", mag),
-                **_split("temperature", temperature),
+                **split("gyro", gyro),
+                **split("accel", accel),
+                **split("mag", mag),
+                **split("temperature", temperature),
                 "temperature": temperature.mean(axis=1),
-                **_reported(attitude, self._axes),
+                **reported(angles, self._axes),
                 "status": np.full(n, 7, np.int64),
                 "supply_voltage": np.full(n, 5.02),
                 "pressure": np.full(n, 101_325.0),
@@ -115,28 +106,3 @@ def _motion(t: FloatArray) -> tuple[FloatArray, FloatArray]:
         angles += np.outer(s**3 * (10 - 15 * s + 6 * s**2), amount)
         rates += np.outer(30 * s**2 * (1 - s) ** 2 / duration, amount)
     return angles, rates
-
-
-def _body_rates(angles: FloatArray, rates: FloatArray) -> FloatArray:
-    """Turn Euler angle rates (roll, pitch, yaw; ZYX) into angular rates in body axes, (n, 3)."""
-    roll, pitch = angles[:, 0], angles[:, 1]
-    roll_rate, pitch_rate, yaw_rate = rates.T
-    return np.column_stack(
-        [
-            roll_rate - np.sin(pitch) * yaw_rate,
-            np.cos(roll) * pitch_rate + np.sin(roll) * np.cos(pitch) * yaw_rate,
-            -np.sin(roll) * pitch_rate + np.cos(roll) * np.cos(pitch) * yaw_rate,
-        ]
-    )
-
-
-def _reported(attitude: Rotation, axes: str) -> dict[str, ColumnArray]:
-    x, y, z, w = attitude.as_quat(canonical=True).T
-    yaw, pitch, roll = attitude.as_euler("ZYX").T
-    if axes == "FRD":  # a compass heading, 0 to 360 degrees
-        yaw = np.mod(yaw, 2 * np.pi)
-    return {"q_w": w, "q_x": x, "q_y": y, "q_z": z, "roll": roll, "pitch": pitch, "yaw": yaw}
-
-
-def _split(name: str, values: FloatArray) -> dict[str, ColumnArray]:
-    return {f"{name}_{axis}": values[:, i] for i, axis in enumerate("xyz")}

@@ -1,0 +1,78 @@
+"""Attitude of a simulated unit: angles to body axes, and what devices report of it.
+
+Angles are roll, pitch and heading in rad, ZYX, of forward-right-down body axes to north-east-down.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from imumon.blocks import ColumnArray, FloatArray
+
+EARTH_RATE = 7.292115e-5
+"""rad/s."""
+FIELD_UT = np.array([20.0, 1.0, 43.0])
+"""Magnetic field north, east, down, as in central Europe."""
+
+# North-east-down to east-north-up, and forward-right-down to forward-left-up.
+_NED_TO_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+FRD_TO_FLU = np.diag([1.0, -1.0, -1.0])
+
+
+def body_rates(angles: FloatArray, rates: FloatArray) -> FloatArray:
+    """Turn Euler angle rates (roll, pitch, heading) into angular rates in forward-right-down axes, (n, 3)."""
+    roll, pitch = angles[:, 0], angles[:, 1]
+    roll_rate, pitch_rate, yaw_rate = rates.T
+    return np.column_stack(
+        [
+            roll_rate - np.sin(pitch) * yaw_rate,
+            np.cos(roll) * pitch_rate + np.sin(roll) * np.cos(pitch) * yaw_rate,
+            -np.sin(roll) * pitch_rate + np.cos(roll) * np.cos(pitch) * yaw_rate,
+        ]
+    )
+
+
+def to_body(angles: FloatArray, vectors: FloatArray) -> FloatArray:
+    """Turn north-east-down vectors, (3,) or (n, 3), into forward-right-down axes, (n, 3)."""
+    sin_roll, sin_pitch, sin_yaw = np.sin(angles).T
+    cos_roll, cos_pitch, cos_yaw = np.cos(angles).T
+    north, east, down = vectors.T
+    along = cos_yaw * north + sin_yaw * east
+    across = cos_yaw * east - sin_yaw * north
+    below = sin_pitch * along + cos_pitch * down
+    return np.column_stack(
+        [
+            cos_pitch * along - sin_pitch * down,
+            cos_roll * across + sin_roll * below,
+            cos_roll * below - sin_roll * across,
+        ]
+    )
+
+
+def earth_rate(latitude_deg: float) -> FloatArray:
+    """Return the earth rate north, east, down in rad/s, (3,)."""
+    latitude = np.deg2rad(latitude_deg)
+    return EARTH_RATE * np.array([np.cos(latitude), 0.0, -np.sin(latitude)])
+
+
+def reported(angles: FloatArray, axes: Literal["FLU", "FRD"]) -> dict[str, ColumnArray]:
+    """Return the columns of the attitude as a device reports it: to NED for FRD, to ENU for FLU."""
+    attitude = Rotation.from_euler("ZYX", angles[:, ::-1])
+    if axes == "FLU":
+        attitude = Rotation.from_matrix(_NED_TO_ENU @ attitude.as_matrix() @ FRD_TO_FLU)
+    x, y, z, w = attitude.as_quat(canonical=True).T
+    matrix = attitude.as_matrix()
+    yaw = np.arctan2(matrix[:, 1, 0], matrix[:, 0, 0])
+    pitch = -np.arcsin(np.clip(matrix[:, 2, 0], -1.0, 1.0))
+    roll = np.arctan2(matrix[:, 2, 1], matrix[:, 2, 2])
+    if axes == "FRD":  # a compass heading, 0 to 360 degrees
+        yaw = np.mod(yaw, 2 * np.pi)
+    return {"q_w": w, "q_x": x, "q_y": y, "q_z": z, "roll": roll, "pitch": pitch, "yaw": yaw}
+
+
+def split(name: str, values: FloatArray) -> dict[str, ColumnArray]:
+    """Return the columns name_x, name_y, name_z of values of shape (n, 3)."""
+    return {f"{name}_{axis}": values[:, i] for i, axis in enumerate("xyz")}

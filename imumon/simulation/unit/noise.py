@@ -1,0 +1,91 @@
+"""Random errors that carry their state from block to block, each from a generator of its own.
+
+A generator's seed is the seed of the unit and the name of the error, so one error that is switched off leaves
+the others as they were.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.signal import lfilter
+
+from imumon.blocks import FloatArray
+
+
+def generator(seed: int, name: str) -> np.random.Generator:
+    """Return the generator of the error of this name."""
+    return np.random.default_rng([seed, zlib.crc32(name.encode())])
+
+
+class White:
+    """Independent normal values.
+
+    Parameters
+    ----------
+    sd : sequence of float
+        Standard deviation of a sample, for each of k columns.
+    """
+
+    def __init__(self, sd: Sequence[float] | FloatArray, random: np.random.Generator) -> None:
+        self._sd, self._random = np.asarray(sd, np.float64), random
+
+    def take(self, n: int) -> FloatArray:
+        """Return the next n values of each column, (n, k)."""
+        if not self._sd.any():
+            return np.zeros((n, len(self._sd)))
+        return np.asarray(self._random.standard_normal((n, len(self._sd))) * self._sd)
+
+
+class GaussMarkov:
+    """First-order Gauss-Markov process in equilibrium: x' = -x / tau + noise.
+
+    Parameters
+    ----------
+    sd : sequence of float
+        Standard deviation of x, for each of k columns.
+    tau_s, step_s : float
+        Correlation time, and time between samples.
+    """
+
+    def __init__(
+        self, sd: Sequence[float] | FloatArray, tau_s: float, step_s: float, random: np.random.Generator
+    ) -> None:
+        self._sd = np.asarray(sd, np.float64)
+        self._random = random
+        self._decay = float(np.exp(-step_s / tau_s))
+        self._drive = float(np.sqrt(-np.expm1(-2.0 * step_s / tau_s)))
+        self._last = random.standard_normal(len(self._sd)) * self._sd
+
+    def take(self, n: int) -> FloatArray:
+        """Return the next n values of each column, (n, k)."""
+        noise = self._random.standard_normal((n, len(self._sd))) * (self._drive * self._sd)
+        carried = self._decay * self._last[np.newaxis]
+        values, _ = lfilter([1.0], [1.0, -self._decay], noise, axis=0, zi=carried)
+        self._last = values[-1]
+        return np.asarray(values)
+
+
+class RandomWalk:
+    """Sums of independent normal steps, from 0 at power-on.
+
+    Parameters
+    ----------
+    density : sequence of float
+        Standard deviation after one second, for each of k columns.
+    step_s : float
+    """
+
+    def __init__(
+        self, density: Sequence[float] | FloatArray, step_s: float, random: np.random.Generator
+    ) -> None:
+        self._steps = White(np.asarray(density, np.float64) * np.sqrt(step_s), random)
+        self._last = np.zeros(len(density))
+
+    def take(self, n: int) -> FloatArray:
+        """Return the next n values of each column, (n, k)."""
+        values = self._last + np.cumsum(self._steps.take(n), axis=0)
+        self._last = values[-1]
+        return values

@@ -1,0 +1,173 @@
+"""What a unit file says: one inertial unit, its biases over temperature, its noise and its thermometers."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field
+
+from imumon.config import StrictModel
+
+
+def _one_or_three(value: Any) -> Any:
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return (value,) * 3
+    if isinstance(value, list | tuple) and len(value) == 3:
+        return tuple(value)
+    raise ValueError(f"expected a number, or three for x, y and z, got {value!r}")
+
+
+Three = Annotated[tuple[float, float, float], BeforeValidator(_one_or_three)]
+"""A number for each of x, y, z; one number stands for all three."""
+_Positive = Annotated[float, Field(ge=0.0)]
+ThreePositive = Annotated[tuple[_Positive, _Positive, _Positive], BeforeValidator(_one_or_three)]
+"""The same, none of them negative."""
+NONE = (0.0, 0.0, 0.0)
+
+
+class Tanh(StrictModel):
+    """amplitude tanh(u), u = (T - at_degc) / width_degc."""
+
+    kind: Literal["tanh"]
+    amplitude: float
+    at_degc: float
+    width_degc: float = Field(gt=0.0)
+
+
+class Sin(StrictModel):
+    """amplitude sin(u), u = (T - at_degc) / width_degc."""
+
+    kind: Literal["sin"]
+    amplitude: float
+    at_degc: float
+    width_degc: float = Field(gt=0.0)
+
+
+class Polynomial(StrictModel):
+    """c0 + c1 u + c2 u² ..., u = (T - at_degc) / width_degc."""
+
+    kind: Literal["polynomial"]
+    coefficients: list[float] = Field(min_length=1, max_length=12)
+    at_degc: float = 0.0
+    width_degc: float = Field(default=1.0, gt=0.0)
+
+
+Term = Annotated[Tanh | Sin | Polynomial, Field(discriminator="kind")]
+
+
+class Curves(StrictModel):
+    """A bias over temperature for each axis, as a sum of terms; the key that holds it tells the unit."""
+
+    x: list[Term] = Field(default_factory=list)
+    y: list[Term] = Field(default_factory=list)
+    z: list[Term] = Field(default_factory=list)
+
+
+class Hysteresis(StrictModel):
+    """A loop h y(T) on top of the bias curve, with y between -1 (cooled) and 1 (heated), 0 at power-on.
+
+    Parameters
+    ----------
+    kind : "smooth" or "play"
+        y' = (T' - \\|T'\\| y) / w; or y = (T - p) / w with the play p, which follows T at a distance w.
+    half_width_deg_per_h : three numbers
+        h.
+    width_degc : float
+        w.
+    """
+
+    kind: Literal["smooth", "play"] = "smooth"
+    half_width_deg_per_h: Three
+    width_degc: float = Field(gt=0.0)
+
+
+class GyroFlicker(StrictModel):
+    """One Gauss-Markov process on each gyro, in equilibrium at power-on."""
+
+    sd_deg_per_h: ThreePositive
+    tau_s: float = Field(gt=0.0)
+
+
+class AccelFlicker(StrictModel):
+    """One Gauss-Markov process on each accelerometer, in equilibrium at power-on."""
+
+    sd_ug: ThreePositive
+    tau_s: float = Field(gt=0.0)
+
+
+class GyroNoise(StrictModel):
+    """Angular random walk, bias instability as a sum of Gauss-Markov processes, and bias random walk."""
+
+    arw_deg_per_sqrt_h: ThreePositive = NONE
+    flicker: list[GyroFlicker] = Field(default_factory=list)
+    random_walk_deg_per_h_per_sqrt_s: ThreePositive = NONE
+
+
+class AccelNoise(StrictModel):
+    """Velocity random walk and bias instability."""
+
+    vrw_m_per_s_per_sqrt_s: ThreePositive = NONE
+    flicker: list[AccelFlicker] = Field(default_factory=list)
+
+
+class GyroTurnOn(StrictModel):
+    """A constant on each gyro: given, plus one drawn anew for every seed."""
+
+    offset_deg_per_h: Three = NONE
+    sd_deg_per_h: ThreePositive = NONE
+
+
+class AccelTurnOn(StrictModel):
+    """A constant on each accelerometer: given, plus one drawn anew for every seed."""
+
+    offset_mg: Three = NONE
+    sd_mg: ThreePositive = NONE
+
+
+class AccelWarmUp(StrictModel):
+    """Bias after power-on: amplitude (1 - exp(-t / tau))."""
+
+    amplitude_ug: Three
+    tau_s: float = Field(gt=0.0)
+
+
+class SelfHeating(StrictModel):
+    """Temperature of each sensor above its surroundings after power-on: rise (1 - exp(-t / tau))."""
+
+    rise_degc: Three
+    tau_s: float = Field(gt=0.0)
+
+
+class Thermometer(StrictModel):
+    """One thermometer at each gyro and one on the board.
+
+    Parameters
+    ----------
+    step_degc, noise_degc : float
+        Quantization step (0: none), and standard deviation of a reading before it is quantized.
+    rate_hz : float or None
+        New readings per second, held in between; None for one with each packet.
+    """
+
+    step_degc: float = Field(default=0.05, ge=0.0)
+    noise_degc: float = Field(default=0.005, ge=0.0)
+    rate_hz: float | None = Field(default=None, gt=0.0)
+
+
+class UnitParameters(StrictModel):
+    """A unit.  Every key has a default, which is to be without that error."""
+
+    format: Literal["imumon-unit/1"] = "imumon-unit/1"
+    title: str = ""
+    gyro_bias_deg_per_s: Curves = Curves()
+    gyro_turn_on: GyroTurnOn = GyroTurnOn()
+    gyro_hysteresis: Hysteresis | None = None
+    gyro_lag_s: ThreePositive = NONE
+    gyro_noise: GyroNoise = GyroNoise()
+    accel_bias_mg: Curves = Curves()
+    accel_turn_on: AccelTurnOn = AccelTurnOn()
+    accel_warm_up: AccelWarmUp | None = None
+    accel_noise: AccelNoise = AccelNoise()
+    self_heating: SelfHeating | None = None
+    thermometer: Thermometer = Thermometer()
+    low_pass_hz: float | None = Field(default=None, gt=0.0)
