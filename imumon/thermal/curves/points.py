@@ -1,0 +1,55 @@
+"""What a curve is fitted to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from imumon.blocks import FloatArray, IntArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Points:
+    """Means of one channel at rest, each over a stretch of nearly constant temperature.
+
+    Parameters
+    ----------
+    temperature : array (n,)
+        °C.
+    value : array (n,)
+        Mean of the channel, rad/s or m/s².
+    weight : array (n,)
+        Inverse variance of the mean, in any unit.
+    level : array (n,) of int
+        Temperature level that the mean belongs to, numbered upwards; what is left out together.
+    """
+
+    temperature: FloatArray
+    value: FloatArray
+    weight: FloatArray
+    level: IntArray
+
+    def __len__(self) -> int:
+        """Return the number of means."""
+        return len(self.temperature)
+
+    def only(self, chosen: npt.NDArray[np.bool_]) -> Points:
+        """Return the means that are chosen."""
+        return Points(self.temperature[chosen], self.value[chosen], self.weight[chosen], self.level[chosen])
+
+    def shifted(self, offset: FloatArray) -> Points:
+        """Return the means with an offset taken from each."""
+        return Points(self.temperature, self.value - offset, self.weight, self.level)
+
+
+def folds(level: IntArray, most: int) -> list[npt.NDArray[np.bool_]]:
+    """Return which means to leave out at a time, (n,) of bool each: whole levels, no neighbours, no edges.
+
+    The lowest and the highest level stay in: without them the curve would have to extrapolate, which it does
+    not do in use.  With fewer than three levels there is nothing to leave out.
+    """
+    inner = np.unique(level)[1:-1]
+    n = min(most, len(inner))
+    return [np.isin(level, inner[start::n]) for start in range(n)]
