@@ -23,8 +23,10 @@ COMMANDS = {
     "export": "Write the samples of a session as a table.",
     "ports": "List serial ports.",
     "detect": "Find baud rate and protocol of a device by trying.",
+    "allan": "Tell noise, bias instability and drift of a recording at rest.",
     "devices": "List the devices that imumon knows.",
     "virtual": "Be a device: a simulated AHRS on a pseudo-terminal.",
+    "simulate": "Make a session or a table of a scenario, with the truth.",
 }
 """Commands in the order of the help, with the line that it shows; NAME is in imumon.cli.NAME_command."""
 

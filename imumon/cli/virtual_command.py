@@ -11,6 +11,7 @@ import click
 
 from imumon.cli.common import SECONDS, Number, device_help, say
 from imumon.protocols.device import load_device
+from imumon.simulation.unit.scenario import load_scenario
 from imumon.simulation.virtual_device import VirtualDevice
 
 CHECK_S = 0.25
@@ -19,13 +20,26 @@ CHECK_S = 0.25
 
 @click.command("virtual")
 @click.option("--device", default="ax1", show_default=True, help=device_help)
+@click.option("--scenario", help="What the unit does: a name or a file (docs/simulation.md).")
 @click.option("--link", type=click.Path(path_type=Path), help="Symlink to make to the port.")
 @click.option("--rate", type=Number(min=0, min_open=True, max=1e5), help="Packets per second.")
 @click.option(
-    "--seed", default=0, show_default=True, type=click.IntRange(min=0), help="Seed of the simulated noise."
+    "-s",
+    "--seed",
+    default=0,
+    show_default=True,
+    type=click.IntRange(min=0),
+    help="Seed of the simulated noise.",
 )
 @click.option("--seconds", type=SECONDS, help="Stop after this time.")
-def command(device: str, link: Path | None, rate: float | None, seed: int, seconds: float | None) -> None:
+def command(
+    device: str,
+    scenario: str | None,
+    link: Path | None,
+    rate: float | None,
+    seed: int,
+    seconds: float | None,
+) -> None:
     """Be a device: a simulated AHRS on a real pseudo-terminal, until Ctrl-C.
 
     The name of the port is printed on standard output; open it like any serial port.
@@ -33,7 +47,8 @@ def command(device: str, link: Path | None, rate: float | None, seed: int, secon
     ended = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: ended.set())
-    with VirtualDevice(load_device(device), link, rate, seed) as virtual:
+    played = None if scenario is None else load_scenario(scenario)
+    with VirtualDevice(load_device(device), link, rate, seed, scenario=played) as virtual:
         click.echo(virtual.port.path)
         deadline = None if seconds is None else time.monotonic() + seconds
         while virtual.failure is None and (deadline is None or time.monotonic() < deadline):

@@ -6,15 +6,36 @@ import threading
 import time
 from pathlib import Path
 from types import TracebackType
+from typing import Protocol
 
+from imumon.blocks import SampleBlock
 from imumon.errors import ImumonError, Reason
 from imumon.protocols.device import DeviceFile
 from imumon.simulation.bench import MICROSECOND, BenchUnit
-from imumon.simulation.virtual_port import VirtualPort
+from imumon.simulation.unit import Scenario, SimulatedUnit
+from imumon.simulation.virtual_port import BITS_PER_BYTE, VirtualPort
 
 DEFAULT_RATE_HZ = 100.0
 TICK_S = 0.005
 """How often packets are handed to the port when the device sends faster than this."""
+
+
+class Samples(Protocol):
+    """A simulated unit: a bench unit, or one that plays a scenario."""
+
+    def samples(self, n: int) -> SampleBlock:
+        """Return the next n samples."""
+
+
+def refuse_overload(packet_bytes: int, rate_hz: float, baudrate: int) -> None:
+    """Raise BAD_CONFIG when packets of this size and rate do not fit through a line."""
+    load = packet_bytes * BITS_PER_BYTE * rate_hz / baudrate
+    if load > 1.0:
+        raise ImumonError(
+            Reason.BAD_CONFIG,
+            f"{rate_hz:g} packets/s of {packet_bytes} bytes are {load:.0%} of a line at {baudrate} baud",
+            "choose a lower rate, or a device file with a higher baud rate first in its list",
+        )
 
 
 class VirtualDevice:
@@ -27,11 +48,13 @@ class VirtualDevice:
     link : Path or None
         Name of a symlink to the port.
     rate_hz : float or None
-        Packets per second; the device file's own when None.
+        Packets per second; those of the scenario, else the device file's own, when None.
     seed : int
         Seed of the simulated unit.
     port : VirtualPort or None
         Port to send through; one is made when None.  Closed with the device.
+    scenario : Scenario or None
+        What the unit does, in the axes of the device; None for a unit on a bench.
 
     Raises
     ------
@@ -46,13 +69,17 @@ class VirtualDevice:
         rate_hz: float | None = None,
         seed: int = 0,
         port: VirtualPort | None = None,
+        scenario: Scenario | None = None,
     ) -> None:
         self._device = device
-        self._rate_hz = rate_hz or device.rate_hz or DEFAULT_RATE_HZ
+        self._scenario = scenario
+        scenario_hz = None if scenario is None else scenario.rate_hz
+        self._rate_hz = rate_hz or scenario_hz or device.rate_hz or DEFAULT_RATE_HZ
         self._seed = seed
         self._encoder = device.encoder()
         self._tick_ns = device.decoder().timing.tick_ns or MICROSECOND
-        self._refuse_overload()
+        packet = self._encoder.encode(self._switched_on(0).samples(1))[0]
+        refuse_overload(len(packet), self._rate_hz, device.serial.baudrates[0])
         self._unit = self._switched_on(seed)
         self._rebooted = False
         self._closing = threading.Event()
@@ -83,19 +110,11 @@ class VirtualDevice:
         """Close the device."""
         self.close()
 
-    def _switched_on(self, seed: int) -> BenchUnit:
-        return BenchUnit(self._rate_hz, self._device.axes, seed, self._tick_ns)
-
-    def _refuse_overload(self) -> None:
-        packet = len(self._encoder.encode(self._switched_on(0).samples(1))[0])
-        baudrate = self._device.serial.baudrates[0]
-        load = packet * 10 * self._rate_hz / baudrate
-        if load > 1.0:
-            raise ImumonError(
-                Reason.BAD_CONFIG,
-                f"{self._rate_hz:g} packets/s of {packet} bytes are {load:.0%} of a line at {baudrate} baud",
-                "choose a lower rate, or a device file with a higher baud rate first in its list",
-            )
+    def _switched_on(self, seed: int) -> Samples:
+        if self._scenario is None:
+            return BenchUnit(self._rate_hz, self._device.axes, seed, self._tick_ns)
+        scenario = self._scenario.played(self._rate_hz, self._device.axes)
+        return SimulatedUnit(scenario, seed, self._tick_ns)
 
     def _run(self) -> None:
         try:

@@ -127,6 +127,10 @@ class Scenario(StrictModel):
         """Number of samples from power-on to the end."""
         return max(int(self.duration_s * self.rate_hz + 0.5), 1)
 
+    def played(self, rate_hz: float, axes: Literal["FRD", "FLU"]) -> Scenario:
+        """Return the scenario as a device plays it, at its packet rate and in its body axes."""
+        return self.model_copy(update={"rate_hz": rate_hz, "axes": axes})
+
 
 class _Header(StrictModel, extra="ignore"):
     """What tells whether a file may serve as a base."""

@@ -1,0 +1,89 @@
+"""``imumon simulate``: a scenario as a session or a table, as fast as it can be computed."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import click
+
+from imumon.cli.common import SECONDS, Number, device_help, json_option, print_json, print_rows
+from imumon.protocols.device import device_text, parse_device
+from imumon.simulation.recording import TRUTH_NAME, record_session, write_table
+from imumon.simulation.unit import Scenario, load_scenario
+
+DEFAULT_DEVICE = "ax1"
+TABLES = (".parquet", ".csv")
+
+
+@click.command("simulate")
+@click.argument("scenario")
+@click.option("--device", help=f"{device_help}  Default: {DEFAULT_DEVICE} for a session.")
+@click.option(
+    "--out",
+    required=True,
+    type=click.Path(path_type=Path),
+    help="Session folder to make; or a table: NAME.parquet or NAME.csv.",
+)
+@click.option(
+    "-s", "--seed", default=0, show_default=True, type=click.IntRange(min=0), help="Seed of all noise."
+)
+@click.option("--duration", type=SECONDS, help="Seconds to simulate; default: those of the scenario.")
+@click.option(
+    "--rate", type=Number(min=0, min_open=True, max=10_000), help="Packets per second; default: as above."
+)
+@json_option
+def command(
+    scenario: str,
+    device: str | None,
+    out: Path,
+    seed: int,
+    duration: float | None,
+    rate: float | None,
+    as_json: bool,
+) -> None:
+    """Simulate SCENARIO, a name or a file, with the truth beside what the unit sends.
+
+    A session holds the packets of the device and truth.parquet, which has one row a packet; a table has the
+    truth in columns that begin with true_.
+    """
+    given = {"duration_s": duration, "rate_hz": rate}
+    plan = load_scenario(scenario).model_copy(update={k: v for k, v in given.items() if v is not None})
+    if out.suffix in TABLES:
+        result = _table(plan, device, seed, out)
+    else:
+        result = _session(plan, device or DEFAULT_DEVICE, seed, out)
+    if as_json:
+        print_json({"scenario": scenario, "seed": seed, "samples": plan.samples, **result})
+    print_rows(
+        {"samples": f"{plan.samples:,} at {plan.rate_hz:g} Hz"} | {k: str(v) for k, v in result.items()}
+    )
+
+
+def _session(plan: Scenario, device: str, seed: int, out: Path) -> dict[str, Path]:
+    text, source = device_text(device)
+    description = parse_device(text, source)
+    played = plan.played(plan.rate_hz, description.axes)
+    with _progress(plan.samples) as progress:
+        record_session(played, description, text, seed, out, progress)
+    return {"session": out, "truth": out / TRUTH_NAME}
+
+
+def _table(plan: Scenario, device: str | None, seed: int, out: Path) -> dict[str, Path]:
+    if device is not None:
+        plan = plan.played(plan.rate_hz, parse_device(*device_text(device)).axes)
+    with _progress(plan.samples) as progress:
+        write_table(plan, seed, out, progress)
+    return {"table": out}
+
+
+@contextmanager
+def _progress(samples: int) -> Iterator[Callable[[int], object]]:
+    """Give a function that is told of samples done; it draws a bar where a person looks on."""
+    if not sys.stderr.isatty():
+        yield lambda _: None
+        return
+    with click.progressbar(length=samples, label="simulating", file=sys.stderr) as bar:
+        yield bar.update

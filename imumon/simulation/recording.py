@@ -1,0 +1,165 @@
+"""A scenario as a session or as a table, as fast as it can be computed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from imumon.blocks import IntArray
+from imumon.columns import KNOWN, Column
+from imumon.protocols.device import DeviceFile
+from imumon.session.folder import Session, create_session
+from imumon.session.metadata import PortUsed, SessionMetadata, iso_utc, versions_in_use
+from imumon.session.table import TableWriter
+from imumon.session.wire import WireWriter
+from imumon.simulation.bench import MICROSECOND
+from imumon.simulation.unit import TRUTH_COLUMNS, Scenario, SimulatedUnit
+from imumon.simulation.unit.noise import generator
+from imumon.simulation.unit.unit import CHUNK
+from imumon.simulation.virtual_device import refuse_overload
+from imumon.simulation.virtual_port import BITS_PER_BYTE
+from imumon.transport.reader import Bytes, Event, EventKind
+
+TRUTH_NAME = "truth.parquet"
+SCENARIO_NAME = "scenario.yaml"
+START_NS = 1_767_225_600_000_000_000
+"""Unix time at which simulated units are switched on, 2026-01-01: the same seed gives the same session."""
+LATENCY_NS = 1_000_000
+"""An adapter in low-latency mode hands over what has come every millisecond."""
+WAKE_UP_NS = 100_000.0
+"""Mean time until the reader wakes up and has read."""
+
+Progress = Callable[[int], object]
+"""Told the number of samples that are done since it was last called."""
+
+
+def record_session(
+    scenario: Scenario, device: DeviceFile, device_yaml: str, seed: int, folder: Path, progress: Progress
+) -> Session:
+    """Make a session of a scenario: the packets that the device sends, and beside them the truth.
+
+    The truth is in truth.parquet, one row a packet, the scenario as it was played in scenario.yaml; both are
+    ignored by whatever reads the session.
+
+    Raises
+    ------
+    ImumonError
+        EXISTS when there is a session already; BAD_CONFIG when the packets do not fit through the line;
+        BAD_DATA when a value does not fit its field.
+    OSError
+        When the disk is full or fails; what was recorded stays, as of an interrupted session.
+    """
+    tick_ns = device.decoder().timing.tick_ns or MICROSECOND
+    first = device.encoder().encode(SimulatedUnit(scenario, seed, tick_ns).samples(1))[0]
+    refuse_overload(len(first), scenario.rate_hz, device.serial.baudrates[0])
+    metadata = _metadata(scenario, device, device_yaml, seed)
+    session = create_session(folder, metadata)
+    text = yaml.safe_dump(scenario.model_dump(exclude_defaults=True), sort_keys=False, allow_unicode=True)
+    (folder / SCENARIO_NAME).write_text(text, encoding="utf-8")
+    writer = WireWriter(session.wire_path, {"device": device.name, "source": "simulation"})
+    try:
+        counters = _write(
+            scenario, device, SimulatedUnit(scenario, seed, tick_ns), seed, session, writer, progress
+        )
+    finally:
+        writer.close()
+    ended_ns = START_NS + round(scenario.samples / scenario.rate_hz * 1e9)
+    closed = metadata.closed(ended_ns, counters=counters, events=writer.counters.events)
+    session.save(closed)
+    return Session(folder, closed)
+
+
+def write_table(scenario: Scenario, seed: int, path: Path, progress: Progress) -> int:
+    """Write a scenario to one table, the truth in columns that begin with true_; return the number of rows.
+
+    Raises
+    ------
+    ImumonError
+        BAD_CONFIG for a suffix that is neither .parquet nor .csv, or when the folder does not exist.
+    OSError
+        When the disk is full or fails; a file that was there before is untouched.
+    """
+    unit = SimulatedUnit(scenario, seed)
+    known = KNOWN | {"supply_voltage": Column("supply_voltage", "V")}
+    truth_columns = {c.name: Column(f"true_{c.name}", c.unit, c.dtype, c.description) for c in TRUTH_COLUMNS}
+    with TableWriter(path, {}) as writer:
+        for size in _sizes(scenario):
+            sent, truth = unit.run(size)
+            true = {column.name: truth[name] for name, column in truth_columns.items()}
+            writer.announce([*(known[name] for name in sent.columns), *truth_columns.values()])
+            writer.write(sent.with_columns(true))
+            progress(size)
+    return scenario.samples
+
+
+def _write(
+    scenario: Scenario,
+    device: DeviceFile,
+    unit: SimulatedUnit,
+    seed: int,
+    session: Session,
+    writer: WireWriter,
+    progress: Progress,
+) -> dict[str, int]:
+    """Write packets and truth; return the counters for the metadata."""
+    encoder, arrivals = device.encoder(), _Arrivals(device.serial.baudrates[0], seed)
+    names = [KNOWN["device_time_ns"], KNOWN["segment"], *TRUTH_COLUMNS]
+    writer.write(Event(EventKind.OPENED, START_NS, f"simulation, seed {seed}"))
+    with TableWriter(session.path / TRUTH_NAME, {column.name: column for column in names}) as table:
+        for size in _sizes(scenario):
+            sent, truth = unit.run(size)
+            packets = encoder.encode(sent)
+            time_ns = np.rint(sent["packet_counter"] * (1e9 / scenario.rate_hz)).astype(np.int64) + START_NS
+            for read in arrivals.reads(packets, time_ns):
+                writer.write(read)
+            writer.flush()
+            table.write(truth)
+            progress(size)
+        writer.write(Event(EventKind.CLOSED, arrivals.last_ns, "the end of the scenario"))
+    return {"samples": scenario.samples, "packets": scenario.samples, "bytes_received": writer.counters.bytes}
+
+
+def _sizes(scenario: Scenario) -> Iterator[int]:
+    """Yield the numbers of samples of the parts in which a scenario is computed."""
+    for first in range(0, scenario.samples, CHUNK):
+        yield min(CHUNK, scenario.samples - first)
+
+
+class _Arrivals:
+    """When a host reads the packets: after the line, the adapter and the reader, each with its delay."""
+
+    def __init__(self, baudrate: int, seed: int) -> None:
+        self._byte_ns = BITS_PER_BYTE * 1e9 / baudrate
+        self._random = generator(seed, "arrival")
+        self.last_ns = START_NS
+
+    def reads(self, packets: list[bytes], time_ns: IntArray) -> Iterator[Bytes]:
+        """Yield what is read at once, in order; `time_ns` is the Unix time of each packet's sample, (n,)."""
+        on_line = np.array([len(packet) for packet in packets]) * self._byte_ns
+        slot = -(-(time_ns + on_line.astype(np.int64)) // LATENCY_NS)
+        late = self._random.exponential(WAKE_UP_NS, len(packets)).astype(np.int64)
+        begins = np.flatnonzero(np.diff(slot, prepend=-1))
+        arrival = np.maximum.accumulate(np.maximum(slot[begins] * LATENCY_NS + late[begins], self.last_ns))
+        ends = [*begins[1:], len(packets)]
+        for begin, end, arrival_ns in zip(begins.tolist(), ends, arrival.tolist(), strict=True):
+            yield Bytes(b"".join(packets[begin:end]), arrival_ns)
+        self.last_ns = int(arrival[-1])
+
+
+def _metadata(scenario: Scenario, device: DeviceFile, device_yaml: str, seed: int) -> SessionMetadata:
+    return SessionMetadata(
+        source="simulation",
+        created=iso_utc(START_NS),
+        created_ns=START_NS,
+        device=device.name,
+        axes=device.axes,
+        device_yaml=device_yaml,
+        port=PortUsed(
+            url=f"simulation: {scenario.title}",
+            settings={"seed": seed, "rate_hz": scenario.rate_hz, "duration_s": scenario.duration_s},
+        ),
+        versions=versions_in_use(),
+    )
