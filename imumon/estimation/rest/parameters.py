@@ -1,0 +1,33 @@
+"""What may be said of a unit to the rest detector; apart from the detector, so that it loads quickly."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from imumon.config import StrictModel
+
+
+class RestParameters(StrictModel):
+    """What a resting unit may do; every key has a default, and the noise is learnt from the data.
+
+    Parameters
+    ----------
+    gyro_drift : float
+        Fastest change of a gyro's bias that is still rest, rad/s²: 1e-4 is 21 deg/h each second.
+    accel_drift : float
+        Fastest change of an accelerometer's bias that is still rest, m/s³; a slower tilt than accel_drift / g
+        (32 deg/h by default) cannot be told from it.
+    gyro_g_sensitivity : float
+        Change of a gyro's bias with specific force, rad/s per m/s²; 1.8e-4 is 0.1 deg/s per g.
+    doubt_s : float
+        A steady gyro mean that differs from that of the last rest is motion for so long, and bias from then
+        on, if it differs by no more than largest_jump.
+    largest_jump : float
+        Largest change of a gyro's bias within one run of the unit, rad/s.
+    """
+
+    gyro_drift: float = Field(default=1e-4, ge=0.0, le=1.0)
+    accel_drift: float = Field(default=1.5e-3, ge=0.0, le=10.0)
+    gyro_g_sensitivity: float = Field(default=1.8e-4, ge=0.0, le=0.1)
+    doubt_s: float = Field(default=60.0, ge=0.0, le=86400.0)
+    largest_jump: float = Field(default=0.017, ge=0.0, le=10.0)
