@@ -2,7 +2,9 @@
 
 The paper augments X with the noises (a_k, a_k-1): 7 states, 14 sigma points X ± √7 S_j (α = 1, β = κ = 0:
 all weights 1/14, none negative, and the central point counts for nothing).  The noise states are reset after
-every update (eq. 21), so only X need be carried on, and QR onto its 5 rows is enough.  Two facts make that cheap.
+every update (eq. 21), so only X need be carried on, and QR onto its 5 rows is enough.
+
+Two facts make that cheap.
 
 - Rotate each pair of columns ±j by 45°.  One becomes the odd part of the model, the other the even part,
   which only x_k has: with Δ = x_k-1 - x_k-2 and rows s of S, x_k = x + φΔ + √7 o_j + 7 c_j,
@@ -27,12 +29,13 @@ from numba import njit
 
 from imumon.blocks import FloatArray, IntArray
 from imumon.errors import ImumonError, Reason
+from imumon.estimation.random_error.parameters import LARGEST_RISK
 
 STATES = ("x", "x_before", "phi", "delta1", "delta2")
 N = len(STATES)
 X, BEFORE, PHI, DELTA1, DELTA2 = range(N)
 
-CEILING = 0.95
+CEILING = LARGEST_RISK
 """2 μ_x (R + q) may not be more: at 1 the variance escapes (limit of a lasting risk on a random walk)."""
 STEP_CEILING = 0.9999
 """2 μ_i P_ii may not be more in any step; μ_i is shrunk for the step when it would."""
@@ -186,7 +189,7 @@ def check_risk(model: ModelNL, risk: Sequence[float]) -> None:
             )
     both = risk[X] + risk[BEFORE]
     scale = 2.0 * (model.noise_variance + model.process_variance)
-    if both * scale > CEILING:
+    if both * scale > CEILING * (1.0 + 1e-9):
         raise ImumonError(
             Reason.BAD_CONFIG,
             f"risk μ {both:g} on x: 2μ(R + q) is {both * scale:.3g}, and the variance escapes at 1",

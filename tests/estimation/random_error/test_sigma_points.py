@@ -163,7 +163,7 @@ def test_the_risk_step_equals_the_information_form(seed: int) -> None:
     rng = np.random.default_rng(seed)
     root = rng.normal(size=(5, 5))
     p = root @ root.T + 0.1 * np.eye(5)
-    s = np.linalg.cholesky(p)
+    s: FloatArray = np.linalg.cholesky(p).astype(np.float64)
     mu = rng.uniform(0, 1, 5)
     mu *= rng.uniform(0.05, 0.9) / (2 * np.linalg.eigvalsh(s.T @ np.diag(mu) @ s).max())
     expected = np.linalg.inv(np.linalg.inv(p) - 2 * np.diag(mu))

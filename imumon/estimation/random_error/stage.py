@@ -1,0 +1,320 @@
+"""Random error of gyros as a stage of the pipeline: one estimator per axis.
+
+The zero of the estimate is a rate of nought: it is what the gyro reads at rest, less the thermal bias of a
+model where there is one.  So it holds the turn-on bias, the drift since, and the earth's rate along the axis
+(15 °/h at most).  A difference of two of its values is drift alone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from imumon.blocks import NO_INT, ColumnArray, FloatArray, IntArray, SampleBlock
+from imumon.columns import Column
+from imumon.estimation.random_error.baselines import ExponentialMean, hold
+from imumon.estimation.random_error.drift import DriftEstimate, DriftFilter
+from imumon.estimation.random_error.parameters import Channel, RandomErrorParameters
+from imumon.estimation.random_error.sigma_points import ModelNL, SigmaPointFilter
+from imumon.estimation.random_error.slots import SlotGatherer, Slots
+from imumon.thermal.live import BiasPredictor
+from imumon.thermal.model import BiasModel
+
+AXES = "xyz"
+PHI_VARIANCE = 0.01
+"""Variance of φ at the start; nothing is known but that it is nought for a local level."""
+OTHER_RATE = 1.5
+"""SR-RSUKF starts anew when the sampling interval has changed by this factor."""
+STRUGGLING = 0.01
+"""Share of steps with φ at its limit from which on that is said."""
+PATIENCE_NS = 10_000_000_000
+"""So long a column that is needed may fail to come before that is said."""
+
+Series = dict[str, FloatArray]
+
+
+class RandomError:
+    """Drift of each gyro axis at rest, held in motion, with its standard deviation.
+
+    Parameters
+    ----------
+    parameters : RandomErrorParameters
+        One set for all axes.
+    model : BiasModel, optional
+        Its bias is taken off before; axes that it lacks keep theirs.
+    """
+
+    def __init__(
+        self, parameters: RandomErrorParameters | None = None, model: BiasModel | None = None
+    ) -> None:
+        self._parameters = parameters or RandomErrorParameters()
+        self._axes = {axis: _Axis(_channel(axis), self._parameters) for axis in AXES}
+        names = [_channel(axis) for axis in AXES if model is not None and _channel(axis) in model.channels]
+        self._modelled = names
+        self._predictor = BiasPredictor(model, names) if model is not None and names else None
+        self._waited_ns = 0
+        self._seen = {"rest": False, "temperature": False}
+        self._said: set[str] = set()
+
+    @property
+    def columns(self) -> Sequence[Column]:
+        """The columns that `process` adds."""
+        found = [
+            *(
+                Column(f"gyro_random_error_{a}", "rad/s", description=f"what gyro {a} reads at rest")
+                for a in AXES
+            ),
+            *(
+                Column(f"gyro_random_error_sd_{a}", "rad/s", description="its standard deviation")
+                for a in AXES
+            ),
+        ]
+        if self._parameters.method == "sr_rsukf":
+            for name, unit, text in _BESIDE:
+                found += [Column(f"{name}_{a}", unit, description=text) for a in AXES]
+        return found
+
+    def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
+        """Return the new columns of a block; NaN where there is no estimate.
+
+        Needs ``device_time_ns`` and ``segment``; uses ``gyro_x`` and so on, ``at_rest``, and the
+        temperatures of the model.  Rows before the first usable one do not matter.
+        """
+        times = block["device_time_ns"]
+        if len(times):
+            self._waited_ns += max(int(times[-1] - times[0]), 0)
+        rest = self._rest(block)
+        bias = self._bias(block)
+        added: dict[str, ColumnArray] = {column.name: np.empty(0) for column in self.columns}
+        for axis, one in self._axes.items():
+            name = _channel(axis)
+            reading = np.array(block[name], np.float64) if name in block else np.full(len(block), np.nan)
+            if name in bias:
+                reading -= bias[name]
+            result = one.process(times, block["segment"], reading, rest)
+            for column, values in result.items():
+                added[f"{column}_{axis}"] = values
+        return added
+
+    def _rest(self, block: SampleBlock) -> npt.NDArray[np.bool_]:
+        if "at_rest" in block:
+            self._seen["rest"] = True
+            known = block["at_rest"]
+            return np.asarray((known != 0) & (known != NO_INT))
+        return np.full(len(block), self._parameters.assume_rest)
+
+    def _bias(self, block: SampleBlock) -> dict[str, FloatArray]:
+        """Return the thermal bias of the axes that have a model; NaN before the first temperature."""
+        if self._predictor is None:
+            return {}
+        columns = self._predictor.temperature_columns
+        temperature = np.full((len(block), len(columns)), np.nan)
+        for j, name in enumerate(columns):
+            if name in block:
+                temperature[:, j] = block[name]
+        self._seen["temperature"] |= bool(np.isfinite(temperature).any())
+        predicted = self._predictor.process(block["device_time_ns"], block["segment"], temperature).bias
+        return {name: predicted[:, j] for j, name in enumerate(self._modelled)}
+
+    def notices(self) -> list[str]:
+        """Return, once each, why there is no estimate, what jumped, and where SR-RSUKF strained."""
+        found = {}
+        waited = self._waited_ns > PATIENCE_NS
+        if waited and not self._seen["rest"] and not self._parameters.assume_rest:
+            found["rest"] = (
+                "random error: nothing says when the unit is at rest (no column at_rest): no estimate"
+            )
+        if waited and self._predictor is not None and not self._seen["temperature"]:
+            wanted = ", ".join(sorted(set(self._predictor.temperature_columns)))
+            found["temperature"] = (
+                f"random error: the bias model needs {wanted}, which has not come: no estimate"
+            )
+        for axis, one in self._axes.items():
+            found |= {
+                f"{axis} {key}": f"random error of gyro {axis}: {text}" for key, text in one.remarks().items()
+            }
+        new = [text for key, text in found.items() if key not in self._said]
+        self._said |= found.keys()
+        return new
+
+
+_BESIDE = (
+    ("gyro_drift", "rad/s", "the default estimate, beside SR-RSUKF"),
+    ("gyro_drift_sd", "rad/s", "its standard deviation"),
+    ("gyro_rest_mean", "rad/s", "exponential mean at rest, beside SR-RSUKF"),
+    ("gyro_rest_hold", "rad/s", "mean of the first seconds at rest, held, beside SR-RSUKF"),
+    ("gyro_phi", "1", "φ of SR-RSUKF"),
+    ("gyro_phi_sd", "1", "its standard deviation"),
+)
+
+
+def _channel(axis: str) -> Channel:
+    return _CHANNELS[axis]
+
+
+_CHANNELS: dict[str, Channel] = {"x": "gyro_x", "y": "gyro_y", "z": "gyro_z"}
+
+
+class _Axis:
+    """All filters of one axis."""
+
+    def __init__(self, channel: Channel, parameters: RandomErrorParameters) -> None:
+        self._gatherer = SlotGatherer()
+        self._drift = DriftFilter(parameters.noise.get(channel))
+        self._last = dict.fromkeys(("estimate", "sd", "mean", "hold"), math.nan)
+        self._begun: tuple[int, int] | None = None
+        self._published: _Published | None = None
+        if parameters.method == "sr_rsukf":
+            self._published = _Published(parameters)
+            self._mean, self._hold = ExponentialMean(parameters.mean_s), hold(parameters.hold_s)
+
+    def process(
+        self, time_ns: IntArray, segment: IntArray, reading: FloatArray, rest: npt.NDArray[np.bool_]
+    ) -> Series:
+        """Return the columns of this axis by name without the axis."""
+        slots = self._gatherer.process(time_ns, segment, reading, rest)
+        drift = self._drift.process(slots)
+        broken = self._breaks(time_ns, segment)
+        n = len(reading)
+        estimate = self._spread("estimate", slots, drift.estimate, broken, n)
+        sd = self._spread("sd", slots, drift.sd, broken, n)
+        if self._published is None:
+            return {"gyro_random_error": estimate, "gyro_random_error_sd": sd}
+        beside = {
+            "gyro_drift": estimate,
+            "gyro_drift_sd": sd,
+            "gyro_rest_mean": self._spread("mean", slots, self._mean.process(slots), broken, n),
+            "gyro_rest_hold": self._spread("hold", slots, self._hold.process(slots), broken, n),
+        }
+        use = rest & np.isfinite(reading)
+        return {**self._published.process(time_ns, reading, use, slots, drift, broken), **beside}
+
+    def _breaks(self, time_ns: IntArray, segment: IntArray) -> IntArray:
+        """Return the rows at which a segment begins or time runs back; what was shown is void from there."""
+        if not len(time_ns):
+            return np.empty(0, np.int64)
+        before = (int(segment[0]), int(time_ns[0])) if self._begun is None else self._begun
+        new = np.diff(segment, prepend=before[0]) != 0
+        back = np.diff(time_ns, prepend=before[1]) < 0
+        self._begun = int(segment[-1]), int(time_ns[-1])
+        return np.flatnonzero(new | back)
+
+    def _spread(self, name: str, slots: Slots, values: FloatArray, broken: IntArray, n: int) -> FloatArray:
+        """Return what is shown at each row: the last slot's value, and none from a break to the next slot."""
+        rows = np.concatenate([[-1], broken, slots.row])
+        shown = np.concatenate([[self._last[name]], np.full(len(broken), np.nan), values])
+        order = np.argsort(rows, kind="stable")
+        lengths = np.diff(np.append(rows[order], n))
+        lengths[0] = max(lengths[0] - 1, 0)
+        self._last[name] = float(shown[order[-1]])
+        return np.repeat(shown[order], lengths)
+
+    def remarks(self) -> dict[str, str]:
+        """Return what the user should know, by a key each."""
+        found = {}
+        if self._drift.restarts:
+            found["jump"] = "a level that jumped and stayed for a minute was taken for the new one"
+        return found | (self._published.remarks() if self._published is not None else {})
+
+
+class _Published:
+    """SR-RSUKF of one axis: starts when the noise has been learnt, again after a break or another rate."""
+
+    def __init__(self, parameters: RandomErrorParameters) -> None:
+        self._parameters = parameters
+        self._filter: SigmaPointFilter | None = None
+        self._interval = self._covered = 0.0
+        self._last_ns = 0
+        self._shrunk = self._clamped = self._measured = 0
+
+    def process(
+        self,
+        time_ns: IntArray,
+        reading: FloatArray,
+        use: npt.NDArray[np.bool_],
+        slots: Slots,
+        drift: DriftEstimate,
+        broken: IntArray,
+    ) -> Series:
+        """Return estimate, sd, φ and its sd."""
+        out = np.full((4, len(reading)), np.nan)
+        at = 0
+        events = sorted(
+            [(int(row), -1) for row in broken] + [(int(row), k) for k, row in enumerate(slots.row)]
+        )
+        for row, k in events:
+            if k >= 0:
+                self._covered += float(slots.covered_s[k])
+                if not self._wanted(float(slots.interval_s[k])) or np.isnan(drift.sd[k]):
+                    continue
+            self._run(slice(at, row), time_ns, reading, use, out)
+            at = row
+            self._stop()
+            if k >= 0:
+                self._start(k, float(slots.interval_s[k]), drift)
+        self._run(slice(at, len(reading)), time_ns, reading, use, out)
+        names = ("gyro_random_error", "gyro_random_error_sd", "gyro_phi", "gyro_phi_sd")
+        return dict(zip(names, out, strict=True))
+
+    def _wanted(self, interval: float) -> bool:
+        if self._covered < self._parameters.learn_s or interval <= 0.0:
+            return False
+        change = interval / self._interval if self._filter is not None else math.inf
+        return not 1.0 / OTHER_RATE < change < OTHER_RATE
+
+    def _start(self, k: int, interval: float, drift: DriftEstimate) -> None:
+        """Begin with what the default filter knows: its level, its white noise, and its walk as δ¹."""
+        noise, process = float(drift.white[k]) / interval, float(drift.walk[k]) * interval
+        level, variance = float(drift.estimate[k]), float(drift.sd[k]) ** 2
+        # R bounds the start as well: a wide one would be over the limit of the risk.
+        variance = min(variance, 0.5 * noise)
+        model = ModelNL(
+            (level, level, 0.0, math.sqrt(process), 0.0), (variance, variance, PHI_VARIANCE, 0.0, 0.0), noise
+        )
+        mu = self._parameters.risk / (2.0 * (noise + process))
+        self._filter = SigmaPointFilter(model, (mu, 0.0, 0.0, 0.0, 0.0), self._parameters.phi_limit)
+        self._interval = interval
+
+    def _stop(self) -> None:
+        if self._filter is not None:
+            self._shrunk += self._filter.shrunk_steps
+            self._clamped += self._filter.clamped_steps
+            self._measured += self._filter.measurements
+        self._filter = None
+
+    def _run(
+        self,
+        part: slice,
+        time_ns: IntArray,
+        reading: FloatArray,
+        use: npt.NDArray[np.bool_],
+        out: FloatArray,
+    ) -> None:
+        if part.stop <= part.start:
+            return
+        times = time_ns[part]
+        elapsed = np.diff(times, prepend=self._last_ns).astype(np.float64) * 1e-9
+        self._last_ns = int(times[-1])
+        if self._filter is None:
+            return
+        series = self._filter.process(reading[part], use[part], elapsed / self._interval)
+        for row, values in zip(out, (series.estimate, series.sd, series.phi, series.phi_sd), strict=True):
+            row[part] = values
+
+    def remarks(self) -> dict[str, str]:
+        """Return where the filter strained, by a key each."""
+        shrunk, clamped, measured = self._shrunk, self._clamped, self._measured
+        if self._filter is not None:
+            shrunk += self._filter.shrunk_steps
+            clamped += self._filter.clamped_steps
+            measured += self._filter.measurements
+        found = {}
+        if shrunk:
+            found["risk"] = "SR-RSUKF: the risk was over its limit and was made smaller for a step"
+        if clamped > STRUGGLING * max(measured, 100):
+            limit = self._parameters.phi_limit
+            found["phi"] = f"SR-RSUKF: φ wants to leave ±{limit:g} and was held back: the model does not fit"
+        return found

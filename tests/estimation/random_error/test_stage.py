@@ -1,0 +1,181 @@
+"""The stage of the pipeline: columns, blocks, motion, restarts, models, notices."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from imumon.blocks import ColumnArray, SampleBlock
+from imumon.config import parse_yaml
+from imumon.errors import ImumonError
+from imumon.estimation.random_error.parameters import RandomErrorParameters
+from imumon.estimation.random_error.stage import RandomError
+from imumon.pipeline import Estimator
+from tests.estimation.random_error.records import DEG_PER_HOUR, WHITE, flicker, samples
+
+SR = RandomErrorParameters(method="sr_rsukf")
+
+
+def record(n_s: int = 200, rate_hz: int = 50, seed: int = 1, offset: float = 0.01) -> SampleBlock:
+    rng = np.random.default_rng(seed)
+    return samples(offset + flicker(n_s, rng), rate_hz, rng)
+
+
+def in_blocks(stage: Estimator, block: SampleBlock, size: int) -> dict[str, ColumnArray]:
+    parts = [stage.process(block.rows(i, min(i + size, len(block)))) for i in range(0, len(block), size)]
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+def test_columns_by_default_and_with_the_published_filter() -> None:
+    block = record(20)
+    plain: Estimator = RandomError()
+    names = [column.name for column in plain.columns]
+    assert names == [f"gyro_random_error{part}_{a}" for part in ("", "_sd") for a in "xyz"]
+    assert list(plain.process(block)) == names
+    beside = RandomError(SR)
+    assert list(beside.process(block)) == [column.name for column in beside.columns]
+    assert {"gyro_phi_x", "gyro_phi_sd_z", "gyro_drift_y", "gyro_drift_sd_y", "gyro_rest_mean_x"} < {
+        column.name for column in beside.columns
+    }
+
+
+def test_the_estimate_is_near_the_truth_and_the_published_one_near_the_default() -> None:
+    rng = np.random.default_rng(2)
+    drift = 0.01 + flicker(300, rng)
+    block = samples(drift, 50, rng)
+    added = RandomError(SR).process(block)
+    late = slice(150 * 50, None)
+    truth = np.repeat(drift, 50)[late]
+    for axis in "xyz":
+        default = added[f"gyro_drift_{axis}"][late]
+        assert np.sqrt(np.mean((default - truth) ** 2)) < 60 * DEG_PER_HOUR
+        published = added[f"gyro_random_error_{axis}"][late]
+        assert np.abs(published - default).max() < 60 * DEG_PER_HOUR
+        assert (np.abs(added[f"gyro_phi_{axis}"][late]) < 0.9).all()
+
+
+@pytest.mark.parametrize("method", ["drift", "sr_rsukf"])
+def test_neither_the_division_into_blocks_nor_rows_before_matter(method: str) -> None:
+    parameters = RandomErrorParameters.model_validate({"method": method, "learn_s": 20.0})
+    block = record(120, 20)
+    columns = dict(block.columns)
+    segment = columns["segment"].copy()
+    segment[1500:] = 1
+    rest = columns["at_rest"].copy()
+    rest[900:1100] = 0
+    x = columns["gyro_x"].copy()
+    x[:300] = np.nan
+    block = block.with_columns({"segment": segment, "at_rest": rest, "gyro_x": x})
+    whole = RandomError(parameters).process(block)
+    for size in (1, 333):
+        pieces = in_blocks(RandomError(parameters), block, size)
+        for name, values in whole.items():
+            np.testing.assert_array_equal(pieces[name], values, err_msg=name)
+    late = RandomError(parameters).process(block.rows(300, len(block)))
+    for name, values in whole.items():
+        if name.endswith("_x"):
+            np.testing.assert_array_equal(late[name], values[300:], err_msg=name)
+
+
+@pytest.mark.parametrize("method", ["drift", "sr_rsukf"])
+def test_motion_is_not_learnt_and_the_band_grows(method: str) -> None:
+    block = record(300)
+    rest = np.ones(len(block), np.int64)
+    rest[8000:12000] = 0
+    moved = block["gyro_x"] + np.where(rest == 0, 3.0 * np.sin(np.arange(len(block)) / 10), 0.0)
+    block = block.with_columns({"at_rest": rest, "gyro_x": moved})
+    added = RandomError(RandomErrorParameters.model_validate({"method": method})).process(block)
+    estimate, sd = added["gyro_random_error_x"], added["gyro_random_error_sd_x"]
+    assert np.abs(estimate[8000:] - estimate[7999]).max() < 60 * DEG_PER_HOUR
+    assert sd[11_999] > 1.005 * sd[7999]
+    if method == "sr_rsukf":
+        assert np.ptp(added["gyro_phi_x"][8000:12000]) == 0.0
+
+
+@pytest.mark.parametrize("method", ["drift", "sr_rsukf"])
+def test_a_restart_of_the_device_forgets_the_level_but_not_the_noise(method: str) -> None:
+    block = record(200)
+    segment = np.zeros(len(block), np.int64)
+    segment[6000:] = 1
+    x = block["gyro_x"] + np.where(segment == 1, 0.02, 0.0)
+    added = RandomError(RandomErrorParameters.model_validate({"method": method})).process(
+        block.with_columns({"segment": segment, "gyro_x": x})
+    )
+    estimate = added["gyro_random_error_x"]
+    assert np.isnan(estimate[6000:6050]).all()
+    assert estimate[5999] == pytest.approx(0.01, abs=1e-3)
+    # A second later there is an estimate again, since the noise is known.
+    assert np.isfinite(estimate[6060:]).all()
+    assert estimate[7000] == pytest.approx(0.03, abs=1e-3)
+
+
+def test_gaps_and_another_rate_are_survived() -> None:
+    rng = np.random.default_rng(3)
+    n = 12_000
+    interval = np.where(np.arange(n) < 6000, 10_000_000, 100_000_000)
+    interval[3000] = 30_000_000_000
+    block = SampleBlock(
+        {
+            "device_time_ns": np.cumsum(interval),
+            "segment": np.zeros(n, np.int64),
+            "gyro_x": 0.01 + WHITE * np.sqrt(1e9 / interval) * rng.standard_normal(n),
+            "at_rest": np.ones(n, np.int64),
+        }
+    )
+    added = RandomError(SR.model_copy(update={"learn_s": 20.0})).process(block)
+    for name in ("gyro_random_error_x", "gyro_drift_x"):
+        assert np.isfinite(added[name][2200:]).all()
+        np.testing.assert_allclose(added[name][2200:], 0.01, atol=8e-4)
+    assert np.isnan(added["gyro_random_error_y"]).all()
+
+
+def test_without_a_word_on_rest_there_is_no_estimate_unless_it_is_assumed() -> None:
+    columns = {name: values for name, values in record(30).columns.items() if name != "at_rest"}
+    block = SampleBlock(columns)
+    silent = RandomError()
+    assert np.isnan(silent.process(block)["gyro_random_error_x"]).all()
+    (text,) = silent.notices()
+    assert "at_rest" in text
+    assert silent.notices() == []
+    assumed = RandomError(RandomErrorParameters(assume_rest=True))
+    assert np.isfinite(assumed.process(block)["gyro_random_error_x"][-1])
+    assert assumed.notices() == []
+
+
+def test_given_noise_is_used_for_its_axis_at_once() -> None:
+    text = "noise:\n  gyro_x: {angle_random_walk: 6.2e-4, bias_instability: 7.0e-5}\n"
+    parameters = parse_yaml(text, RandomErrorParameters, "pipeline.yaml")
+    added = RandomError(parameters).process(record(20))
+    assert np.isfinite(added["gyro_random_error_x"][60])
+    assert np.isnan(added["gyro_random_error_y"][60])
+    # White noise of 6.2e-4 rad/s/√Hz over one second, with some flicker.
+    assert added["gyro_random_error_sd_x"][60] == pytest.approx(6.2e-4, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("risk: 0.96", "risk"),
+        ("method: ukf", "method"),
+        ("noise: {gyro_x: {angle_random_walk: 1e-4}}", "leave the axis out"),
+        ("noise: {gyro_w: {angle_random_walk: 1e-4, rate_random_walk: 1e-6}}", "gyro_w"),
+        ("phi_limit: 1.0", "phi_limit"),
+        ("q: 1", "unknown key"),
+    ],
+)
+def test_wrong_parameters_are_refused(text: str, said: str) -> None:
+    with pytest.raises(ImumonError, match=said):
+        parse_yaml(text, RandomErrorParameters, "pipeline.yaml")
+
+
+def test_a_jump_that_stays_is_said_once() -> None:
+    block = record(200)
+    jumped = block["gyro_x"] + np.where(np.arange(len(block)) > 5000, math.radians(1.0), 0.0)
+    stage = RandomError()
+    stage.process(block.with_columns({"gyro_x": jumped}))
+    (text,) = stage.notices()
+    assert "gyro x" in text
+    assert "jumped" in text
+    assert stage.notices() == []
