@@ -1,0 +1,200 @@
+"""From the samples of a channel to its deviations, their confidence, and the noise terms."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import gammaincinv
+
+from imumon.allan.covariance import (
+    COEFFICIENTS,
+    NORMS,
+    SHAPES,
+    Covariances,
+    Freedom,
+    Kind,
+    Runs,
+    allan_covariances,
+    freedom,
+)
+from imumon.allan.fit import TERMS, Fit, fit_terms
+from imumon.allan.kernels import allan_sum, hadamard_sum, integrate, modified_sum
+from imumon.allan.series import EvenSeries
+from imumon.blocks import FloatArray, IntArray
+
+CONFIDENCE = 0.683
+"""Probability of the intervals: one standard deviation of a normal distribution."""
+TRUSTED_FREEDOM = 4.0
+"""An averaging time is trusted when its variance has so many degrees of freedom, were it a random walk of the
+rate: then the deviation is known to about 35 %, and better for every other noise."""
+_WALK = np.array([0.0, 0.0, 1.0, 0.0])
+_WHITE = np.array([1.0, 0.0, 0.0, 0.0])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Deviations:
+    """One kind of deviation at the averaging times, (n,) each; NaN where the runs are too short for it."""
+
+    values: FloatArray
+    low: FloatArray
+    high: FloatArray
+    freedom: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Result:
+    """What is known of the noise of one channel.
+
+    Parameters
+    ----------
+    series : EvenSeries
+        What it was computed from.
+    tau_s : array, (n,)
+        Averaging times, in octaves.
+    allan, modified, hadamard : Deviations
+        All overlapping, with intervals of `CONFIDENCE`.
+    noise : tuple of str
+        The term that the fit has most of at each averaging time.
+    fit : Fit or None
+        None when there are too few averaging times.
+    trusted : int
+        How many of the averaging times can be trusted, from the shortest on.
+    """
+
+    series: EvenSeries
+    tau_s: FloatArray
+    allan: Deviations
+    modified: Deviations
+    hadamard: Deviations
+    noise: tuple[str, ...]
+    fit: Fit | None
+    trusted: int
+
+    @property
+    def longest_tau_s(self) -> float:
+        """The longest averaging time that can be trusted; NaN when there is none."""
+        return float(self.tau_s[self.trusted - 1]) if self.trusted else float("nan")
+
+    @property
+    def lowest(self) -> int:
+        """Index of the lowest trusted Allan deviation."""
+        return int(np.argmin(self.allan.values[: max(1, self.trusted)]))
+
+
+def octaves(series: EvenSeries) -> IntArray:
+    """Return the averaging factors 1, 2, 4, ... for which a run is long enough."""
+    factors: list[int] = []
+    m = 1
+    while True:
+        starts, stops = series.runs(m)
+        if not len(starts) or int((stops - starts).max()) < 2 * m:
+            return np.array(factors, np.int64)
+        factors.append(m)
+        m *= 2
+
+
+def variances(
+    kind: Kind, series: EvenSeries, factors: IntArray, *, bridge: bool = True, stride: int | None = None
+) -> FloatArray:
+    """Return overlapping variances at averaging factors, (n,); NaN where no difference fits into a run.
+
+    Parameters
+    ----------
+    bridge : bool
+        Whether differences may span gaps that are short beside the averaging time.
+    stride : int, optional
+        "allan" only: take the differences that begin at every max(1, m // stride)-th sample of a run, as
+        `imumon.allan.streaming` does; all of them when not given.
+    """
+    x = integrate(series.values, float(series.values.mean()))
+    found = np.full(len(factors), np.nan)
+    for row, m in enumerate(factors.tolist()):
+        starts, stops = series.runs(m, bridge=bridge)
+        if kind == "allan":
+            total, number = allan_sum(x, starts, stops, m, 1 if stride is None else max(1, m // stride))
+        elif kind == "hadamard":
+            total, number = hadamard_sum(x, starts, stops, m)
+        else:
+            total, number = modified_sum(x, starts, stops, m)
+            total /= float(m) ** 2
+        if number:
+            found[row] = total / number / (NORMS[kind] * float(m) ** 2)
+    return found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Uncertainty:
+    """What the division of a record into runs says of the uncertainty; the same for all its channels."""
+
+    covariances: Covariances
+    trusted: int
+    freedoms: Mapping[Kind, tuple[Freedom | None, ...]]
+
+
+def uncertainty(series: EvenSeries, factors: IntArray) -> Uncertainty:
+    """Work out the covariances of the averaging times, and what the degrees of freedom follow from."""
+    runs = [Runs.of(*series.runs(m)) for m in factors.tolist()]
+    freedoms: dict[Kind, tuple[Freedom | None, ...]] = {}
+    for kind, coefficients in COEFFICIENTS.items():
+        span = len(coefficients) - (kind != "modified")
+        freedoms[kind] = tuple(
+            freedom(kind, m, part) if part.lengths[-1] >= span * m else None
+            for m, part in zip(factors.tolist(), runs, strict=True)
+        )
+    walk = [0.0 if part is None else part.of(_WALK) for part in freedoms["allan"]]
+    trusted = next((row for row, value in enumerate(walk) if value < TRUSTED_FREEDOM), len(walk))
+    return Uncertainty(allan_covariances(factors, runs), trusted, freedoms)
+
+
+def analyse(series: Mapping[str, EvenSeries]) -> dict[str, Result]:
+    """Return deviations and noise terms of channels; what follows from the gaps is worked out once."""
+    shared: dict[tuple[bytes, ...], tuple[IntArray, Uncertainty]] = {}
+    for channel in series.values():
+        key = _key(channel)
+        if key not in shared:
+            factors = octaves(channel)
+            shared[key] = factors, uncertainty(channel, factors)
+    with ThreadPoolExecutor(os.cpu_count()) as threads:  # the kernels release the interpreter
+        results = threads.map(lambda channel: _analyse(channel, *shared[_key(channel)]), series.values())
+        return dict(zip(series, results, strict=True))
+
+
+def _key(series: EvenSeries) -> tuple[bytes, ...]:
+    """Return what two channels have in common whose samples are missing at the same places."""
+    return tuple(part.tobytes() for part in (series.islands, series.gap_starts, series.gap_lengths))
+
+
+def _analyse(series: EvenSeries, factors: IntArray, known: Uncertainty) -> Result:
+    found = {kind: variances(kind, series, factors) for kind in COEFFICIENTS}
+    fit = fit_terms(found["allan"], known.covariances, series.interval_s, known.trusted - 1)
+    noise = _WHITE if fit is None or not fit.coefficients[:4].any() else fit.coefficients[:4]
+    intervals = {
+        kind: _intervals(values, [part.of(noise) if part else 0.0 for part in known.freedoms[kind]])
+        for kind, values in found.items()
+    }
+    names: tuple[str, ...] = ()
+    if fit is not None:
+        m = factors.astype(np.float64)
+        shares = np.column_stack([shape(m) for shape in SHAPES.values()]) * fit.coefficients
+        names = tuple(TERMS[int(row)].name for row in shares.argmax(axis=1))
+    tau_s = factors.astype(np.float64) * series.interval_s
+    return Result(series, tau_s, **intervals, noise=names, fit=fit, trusted=known.trusted)
+
+
+def _intervals(values: FloatArray, freedoms: list[float]) -> Deviations:
+    """Return deviations with confidence intervals by chi-square."""
+    edf = np.where(np.isfinite(values), np.array(freedoms), np.nan)
+    edf[edf <= 0.0] = np.nan
+    tail = 0.5 * (1.0 - CONFIDENCE)
+    low = np.sqrt(values * edf / _quantile(1.0 - tail, edf))
+    high = np.sqrt(values * edf / _quantile(tail, edf))
+    return Deviations(np.sqrt(values), low, high, edf)
+
+
+def _quantile(probability: float, edf: FloatArray) -> FloatArray:
+    """Return the quantile of chi-square with these degrees of freedom."""
+    return np.asarray(2.0 * gammaincinv(0.5 * edf, probability))

@@ -1,0 +1,225 @@
+"""How uncertain an overlapping deviation is, and how the averaging times hang together.
+
+A difference of the integrated signal is stationary for every power-law noise, with a covariance that
+follows from the generalised autocovariance G of the integral (Greenhall and Riley, "Uncertainty of stability
+variances based on finite differences", PTTI 2003):
+
+    E[d_i(t) d_j(t + k)] = sum over a, b of c_a c_b G(k + b m_j - a m_i) / norm
+
+For Gaussian noise the covariance of two mean squares is then 2 / (N_i N_j) times the sum of the squares of
+this over all pairs of positions.  The sum over the lag k is taken exactly where it is short, and by
+Gauss-Legendre between the kinks of G where it is long.  Everything is in units of one sample, and scaled so
+that each noise has the variance given in `SHAPES` per unit of its coefficient.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise, product
+from typing import Literal
+
+import numpy as np
+from numpy.polynomial.legendre import leggauss
+
+from imumon.blocks import FloatArray, IntArray
+
+Kind = Literal["allan", "modified", "hadamard"]
+
+COEFFICIENTS: dict[Kind, tuple[float, ...]] = {
+    "allan": (1.0, -2.0, 1.0),
+    "modified": (1.0, -2.0, 1.0),
+    "hadamard": (-1.0, 3.0, -3.0, 1.0),
+}
+NORMS: dict[Kind, float] = {"allan": 2.0, "modified": 2.0, "hadamard": 6.0}
+
+NOISES = ("white", "flicker", "walk", "quantization")
+"""The stochastic terms, by what they are of the rate (quantization: white noise of the angle)."""
+SHAPES: dict[str, Callable[[FloatArray], FloatArray]] = {
+    "white": lambda m: 1.0 / m,
+    "flicker": np.ones_like,
+    "walk": lambda m: m,
+    "quantization": lambda m: 1.0 / m**2,
+    "ramp": lambda m: m**2,
+}
+"""Allan variance at averaging factor m per unit of the coefficient; the ramp is not a noise but a trend."""
+
+EXACT_LAGS = 16
+NODES, WEIGHTS = leggauss(10)
+TAILS = (0.0, 1.0, 3.0, 8.0)
+"""Lags beyond the span of a difference, in units of the longer m, up to which flicker noise is followed."""
+GROUPS = 24
+"""Runs of different length are summed up as so many kinds at the most."""
+
+
+def _white(k: FloatArray) -> FloatArray:
+    return -0.5 * np.abs(k)
+
+
+def _flicker(k: FloatArray) -> FloatArray:
+    size = np.maximum(np.abs(k), 1e-30)
+    return np.asarray(size**2 * np.log(size) / (4.0 * np.log(2.0)))
+
+
+def _walk(k: FloatArray) -> FloatArray:
+    return 0.25 * np.abs(k) ** 3
+
+
+def _quantization(k: FloatArray) -> FloatArray:
+    return np.where(np.abs(k) < 1e-9, 1.0 / 3.0, 0.0)
+
+
+AUTOCOVARIANCES = (_white, _flicker, _walk, _quantization)
+"""G of the integral of each of `NOISES`."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Runs:
+    """Lengths of runs in samples, and how many there are of each."""
+
+    lengths: FloatArray
+    weights: FloatArray
+
+    @staticmethod
+    def of(starts: IntArray, stops: IntArray) -> Runs:
+        """Return the runs, joined to `GROUPS` kinds of similar length when there are more."""
+        lengths = np.sort((stops - starts).astype(np.float64))
+        parts = [part for part in np.array_split(lengths, min(GROUPS, len(lengths))) if len(part)]
+        return Runs(np.array([part.mean() for part in parts]), np.array([float(len(p)) for p in parts]))
+
+    def positions(self, m: int, span: int) -> FloatArray:
+        """Return how many differences of averaging factor m and this span, in m, each kind of run has."""
+        return np.maximum(self.lengths + 1.0 - span * m, 0.0)
+
+
+def lag_nodes(m_i: int, m_j: int, order: int, smoothing: int) -> tuple[FloatArray, FloatArray]:
+    """Return lags and weights for a sum over all integer lags between differences of m_i and m_j."""
+    if smoothing:
+        knots = {step * m_i for step in range(-order - 1, order + 2)}
+    else:
+        knots = {a * m_i - b * m_j for a, b in product(range(order + 1), repeat=2)}
+    longer = max(m_i, m_j)
+    low, high = min(knots), max(knots)
+    for tail in TAILS[1:]:
+        knots |= {low - round(tail * longer), high + round(tail * longer)}
+    edges = sorted(knots)
+    lags, weights = [np.array(edges, np.float64)], [np.ones(len(edges))]
+    for left, right in pairwise(edges):
+        inside = right - left - 1
+        if inside <= 0:
+            continue
+        if inside <= EXACT_LAGS:
+            lags.append(np.arange(left + 1, right, dtype=np.float64))
+            weights.append(np.ones(inside))
+        else:
+            lags.append(0.5 * (left + right) + 0.5 * inside * NODES)
+            weights.append(0.5 * inside * WEIGHTS)
+    return np.concatenate(lags), np.concatenate(weights)
+
+
+def _correlations(kind: Kind, m_i: int, m_j: int, lags: FloatArray) -> FloatArray:
+    """Return the covariance of scaled differences at these lags, one row per noise."""
+    coefficients = COEFFICIENTS[kind]
+    smooth = _smoothed(m_i) if kind == "modified" else None
+    rows = []
+    for covariance in AUTOCOVARIANCES:
+        total = np.zeros_like(lags)
+        for (a, first), (b, second) in product(enumerate(coefficients), repeat=2):
+            shifted = lags + (b * m_j - a * m_i)
+            value = covariance(shifted) if smooth is None else smooth(covariance, shifted)
+            total += first * second * value
+        rows.append(total / (NORMS[kind] * m_i * m_j))
+    return np.array(rows)
+
+
+def _smoothed(m: int) -> Callable[[Callable[[FloatArray], FloatArray], FloatArray], FloatArray]:
+    """Return what makes of G the autocovariance of the integral averaged over m samples."""
+    shifts, weights = lag_nodes(m, m, 0, smoothing=1) if m > 1 else (np.zeros(1), np.ones(1))
+    inside = np.abs(shifts) < m
+    shifts, weights = shifts[inside], weights[inside] * (m - np.abs(shifts[inside])) / m**2
+
+    def smooth(covariance: Callable[[FloatArray], FloatArray], lags: FloatArray) -> FloatArray:
+        if covariance is _quantization:
+            return np.where(np.abs(lags) < m, (m - np.abs(lags)) / (3.0 * m**2), 0.0)
+        return np.asarray(covariance(lags[:, np.newaxis] + shifts) @ weights)
+
+    return smooth
+
+
+def _pairs(first: FloatArray, second: FloatArray, weights: FloatArray, lags: FloatArray) -> FloatArray:
+    """Return how many pairs of positions are a lag apart, summed over the runs."""
+    upper = np.minimum(first[:, np.newaxis], second[:, np.newaxis] - lags)
+    return np.asarray(weights @ np.maximum(upper - np.maximum(0.0, -lags), 0.0))
+
+
+def cross_terms(kind: Kind, m_i: int, m_j: int, runs: Runs) -> tuple[FloatArray, FloatArray]:
+    """Return the covariance of two mean squares: quadratic part (4, 4), and part per trend (4,).
+
+    With noise coefficients q the covariance is q' A q, plus 2 mu_i mu_j b'q, where mu is the part of each
+    scaled difference that a trend makes.
+    """
+    order = len(COEFFICIENTS[kind]) - 1
+    span = order + (1 if kind == "modified" else 0)
+    first, second = runs.positions(m_i, span), runs.positions(m_j, span)
+    lags, weights = lag_nodes(m_i, m_j, order, smoothing=int(kind == "modified"))
+    pairs = weights * _pairs(first, second, runs.weights, lags)
+    pairs /= (runs.weights @ first) * (runs.weights @ second)
+    rows = _correlations(kind, m_i, m_j, lags)
+    return 2.0 * (rows * pairs) @ rows.T, 2.0 * rows @ pairs
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Covariances:
+    """Covariances of the overlapping Allan variances at several averaging factors.
+
+    Parameters
+    ----------
+    m : array of int64, (n,)
+    quadratic : array, (n, n, 4, 4)
+    linear : array, (n, n, 4)
+        See `cross_terms`.
+    """
+
+    m: IntArray
+    quadratic: FloatArray
+    linear: FloatArray
+
+    def matrix(self, coefficients: FloatArray) -> FloatArray:
+        """Return the covariance matrix, (n, n), for the coefficients of `NOISES` and of the ramp, (5,)."""
+        noise, ramp = coefficients[:4], coefficients[4]
+        m = self.m.astype(np.float64)
+        trend = 2.0 * ramp * np.outer(m, m) * (self.linear @ noise)
+        return np.asarray(self.quadratic @ noise @ noise + trend)
+
+
+def allan_covariances(factors: IntArray, runs: list[Runs]) -> Covariances:
+    """Return the covariances; of two averaging factors the runs of the longer one count."""
+    n = len(factors)
+    quadratic, linear = np.empty((n, n, 4, 4)), np.empty((n, n, 4))
+    for j in range(n):
+        for i in range(j + 1):
+            square, trend = cross_terms("allan", int(factors[i]), int(factors[j]), runs[j])
+            quadratic[i, j] = quadratic[j, i] = square
+            linear[i, j] = linear[j, i] = trend
+    return Covariances(factors, quadratic, linear)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Freedom:
+    """What the degrees of freedom of a variance follow from: its mean, (4,), and its variance, (4, 4)."""
+
+    mean: FloatArray
+    square: FloatArray
+
+    def of(self, noise: FloatArray) -> float:
+        """Return the equivalent degrees of freedom for a mixture of `NOISES`, (4,).
+
+        The variance is distributed about as chi-square with 2 mean² / variance degrees of freedom.
+        """
+        variance = float(noise @ self.square @ noise)
+        return 2.0 * float(self.mean @ noise) ** 2 / variance if variance > 0.0 else 0.0
+
+
+def freedom(kind: Kind, m: int, runs: Runs) -> Freedom:
+    """Return what the degrees of freedom of one overlapping variance follow from."""
+    return Freedom(_correlations(kind, m, m, np.zeros(1))[:, 0], cross_terms(kind, m, m, runs)[0])

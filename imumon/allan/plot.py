@@ -1,0 +1,93 @@
+"""The log-log picture of a recording's Allan deviations."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from imumon.allan.analysis import Result
+from imumon.allan.covariance import SHAPES
+from imumon.allan.fit import TERMS
+from imumon.allan.recording import GROUPS, group_of
+from imumon.errors import ImumonError, Reason
+
+COLORS = {"x": "#d03c3c", "y": "#2a9a4f", "z": "#3b78d8"}
+SHOWN = {"gyro": (float(np.rad2deg(3600.0)), "deg/h"), "accel": (1e6 / 9.80665, "µg")}
+"""Factor and unit that a person reads."""
+TITLES = {"gyro": "Angular rate", "accel": "Specific force"}
+STYLES = {
+    "angle_random_walk": ":",
+    "bias_instability": "-.",
+    "rate_random_walk": (0, (5, 2)),
+    "quantization": (0, (1, 3)),
+    "rate_ramp": (0, (8, 2, 1, 2)),
+}
+
+
+def write_plot(path: Path, results: Mapping[str, Result], title: str) -> None:
+    """Draw the overlapping Allan deviations with their intervals, and the fit, to a PNG.
+
+    Raises
+    ------
+    ImumonError
+        BAD_CONFIG when the file cannot be written.
+    """
+    groups = [group for group in GROUPS if any(group_of(name) == group for name in results)]
+    figure = Figure(figsize=(7.0 * len(groups), 5.6), layout="constrained")
+    FigureCanvasAgg(figure)
+    for number, group in enumerate(groups):
+        axes = figure.add_subplot(1, len(groups), number + 1)
+        _draw(axes, group, {name: result for name, result in results.items() if group_of(name) == group})
+    figure.suptitle(title, fontsize=11)
+    try:
+        figure.savefig(path, dpi=130, format="png")
+    except OSError as error:
+        raise ImumonError(Reason.BAD_CONFIG, f"{path}: cannot be written: {error.strerror}") from error
+
+
+def _draw(axes: Any, group: str, results: Mapping[str, Result]) -> None:
+    factor, unit = SHOWN[group]
+    for name, result in results.items():
+        axis = name[-1]
+        color, tau, allan = COLORS[axis], result.tau_s, result.allan
+        trusted = result.trusted
+        axes.fill_between(tau, factor * allan.low, factor * allan.high, color=color, alpha=0.16, lw=0)
+        axes.plot(tau[:trusted], factor * allan.values[:trusted], color=color, lw=1.8, label=axis)
+        axes.plot(
+            tau[max(0, trusted - 1) :], factor * allan.values[max(0, trusted - 1) :], color=color, lw=0.8
+        )
+        _draw_fit(axes, result, factor, color)
+    longest = max((result.longest_tau_s for result in results.values() if result.trusted), default=None)
+    if longest is not None:
+        axes.axvline(longest, color="0.6", lw=0.8)
+        axes.annotate(
+            "longest trusted", (longest, 0.99), xycoords=("data", "axes fraction"), rotation=90,
+            ha="right", va="top", fontsize=8, color="0.4",
+        )  # fmt: skip
+    axes.set(xscale="log", yscale="log", xlabel="averaging time τ [s]", ylabel=f"Allan deviation [{unit}]")
+    axes.set_title(TITLES[group], fontsize=10)
+    axes.grid(which="major", color="0.8", lw=0.6)
+    axes.grid(which="minor", color="0.92", lw=0.4)
+    axes.legend(loc="lower left", fontsize=9)
+
+
+def _draw_fit(axes: Any, result: Result, factor: float, color: str) -> None:
+    """Draw the sum of the terms, and thinly each of those that the data show."""
+    fit = result.fit
+    if fit is None:
+        return
+    tau = np.geomspace(result.tau_s[fit.first], result.tau_s[fit.last], 100)
+    parts = np.array([shape(tau / result.series.interval_s) for shape in SHAPES.values()])
+    parts *= fit.coefficients[:, np.newaxis]
+    deviation = factor * np.sqrt(np.maximum(parts.sum(axis=0), 0.0))
+    axes.plot(tau, deviation, color=color, lw=1.0, ls="--")
+    for term, part in zip(TERMS, parts, strict=True):
+        if fit.terms[term.name] is not None and np.count_nonzero(fit.coefficients) > 1:
+            line = factor * np.sqrt(np.maximum(part, 0.0))
+            line[line < 0.5 * deviation.min()] = np.nan
+            axes.plot(tau, line, color=color, lw=0.6, ls=STYLES[term.name])

@@ -1,0 +1,191 @@
+"""The channels of a recording for the Allan deviation, and what the user should know of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from imumon.allan.series import BRIDGED, EvenSeries, even_channels
+from imumon.blocks import ColumnArray, FloatArray, SampleBlock, join
+from imumon.errors import ImumonError, Reason
+from imumon.pipeline import Pipeline
+from imumon.run.replay import run_over
+from imumon.run.source import open_source
+from imumon.session.table import SUFFIXES, iterate_table, read_columns
+
+GROUPS = ("gyro", "accel")
+CHANNELS = tuple(f"{group}_{axis}" for group in GROUPS for axis in "xyz")
+UNITS = {"gyro": "rad/s", "accel": "m/s^2"}
+TEMPERATURES = ("temperature", "temperature_x", "temperature_y", "temperature_z")
+WANTED = ("device_time_ns", "segment", "at_rest", *CHANNELS, *TEMPERATURES)
+FEWEST_SAMPLES = 64
+LEAST_USED = 0.5
+"""A recording of which less can be used has no even rate."""
+WARMING_DEGC = 0.5
+MOVING_SD, MOVING_STEP = 4.0, 10.0
+"""A second is motion when its standard deviation, or its step from the last, is so many usual ones."""
+MOVING_SHARE = 0.002
+FEWEST_SECONDS = 20
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recording:
+    """The channels that are there, on an even grid, and what to say of them."""
+
+    series: dict[str, EvenSeries]
+    warnings: tuple[str, ...]
+
+
+def open_recording(path: Path) -> Recording:
+    """Read the gyro and accelerometer channels of a session, or of a table of samples.
+
+    Raises
+    ------
+    ImumonError
+        BAD_DATA when there is nothing to read, no such channel, too few samples or no even rate.
+    """
+    blocks, said = _blocks(path)
+    samples = join(blocks) if blocks else SampleBlock({})
+    if "device_time_ns" not in samples:
+        raise ImumonError(
+            Reason.BAD_DATA,
+            f"{path}: has no column device_time_ns",
+            "a table from elsewhere becomes a session first: imumon import",
+        )
+    names = [name for name in CHANNELS if name in samples and np.isfinite(samples[name]).any()]
+    if not names:
+        raise ImumonError(Reason.BAD_DATA, f"{path}: has none of the columns {', '.join(CHANNELS)}")
+    time_ns = samples["device_time_ns"]
+    segment = samples["segment"] if "segment" in samples else np.zeros(len(samples), np.int64)
+    series = even_channels(time_ns, segment, {name: samples[name] for name in names})
+    _refuse(path, len(samples), names, series)
+    warnings = [*said, *_of_the_grid(series), *_of_motion(samples, series), *_of_temperature(samples)]
+    return Recording(series, tuple(warnings))
+
+
+def _blocks(path: Path) -> tuple[list[SampleBlock], list[str]]:
+    """Return the wanted columns of all samples, and what the source says of itself."""
+    if path.is_file() and path.suffix in SUFFIXES:
+        read_columns(path)
+        return _wanted(iterate_table(path)), []
+    source = open_source(path)
+    return _wanted(run_over(source.items, Pipeline(source.device))), source.warnings()
+
+
+def _wanted(blocks: Iterable[SampleBlock]) -> list[SampleBlock]:
+    """Keep of each block what is needed, as a copy, so that the rest can go."""
+    kept = []
+    for block in blocks:
+        columns: dict[str, ColumnArray] = {name: block[name].copy() for name in WANTED if name in block}
+        if len(block):
+            kept.append(SampleBlock(columns))
+    return kept
+
+
+def _refuse(path: Path, rows: int, names: list[str], series: dict[str, EvenSeries]) -> None:
+    """Raise where a deviation would mean nothing."""
+    if rows < FEWEST_SAMPLES:
+        raise ImumonError(
+            Reason.BAD_DATA,
+            f"{path}: has {rows} samples; an Allan deviation needs {FEWEST_SAMPLES} at the least",
+            "record for ten times as long as the longest averaging time of interest",
+        )
+    for name in names:
+        found = series.get(name)
+        used = 0.0 if found is None else found.used / found.samples
+        if used < LEAST_USED:
+            raise ImumonError(
+                Reason.BAD_DATA,
+                f"{path}: {name}: only {used:.0%} of the samples come at an even rate",
+                "nothing is resampled: that would change the noise that is to be measured.  "
+                "Use the device's own time or counter; imumon import takes rate_hz for rows that are even",
+            )
+
+
+def _of_the_grid(series: dict[str, EvenSeries]) -> list[str]:
+    said: dict[str, list[str]] = {}
+    for name, channel in series.items():
+        rate = 1.0 / channel.interval_s
+        lost, islands = int(channel.gap_lengths.sum()), len(channel.islands) - 1
+        texts = []
+        if lost:
+            texts.append(
+                f"{len(channel.gap_lengths):,} gaps, {lost:,} of {len(channel.values):,} samples missing: "
+                f"bridged for averaging times {BRIDGED} times as long, crossed by no shorter one"
+            )
+        if islands > 1:
+            texts.append(
+                f"{islands} pieces that nothing crosses (restarts, long or uneven gaps): "
+                "the longest limits the averaging time"
+            )
+        if channel.used < channel.samples:
+            texts.append(
+                f"{channel.samples - channel.used:,} of {channel.samples:,} samples do not come at the even "
+                f"rate of {rate:.6g} Hz and are left out"
+            )
+        if channel.jitter > 0.05:
+            texts.append(f"time from sample to sample varies by {channel.jitter:.0%} rms; taken as even")
+        for text in texts:
+            said.setdefault(text, []).append(name)
+    return [f"{_among(names, series)}{text}" for text, names in said.items()]
+
+
+def _among(names: list[str], series: dict[str, EvenSeries]) -> str:
+    return "" if len(names) == len(series) else f"{', '.join(names)}: "
+
+
+def _of_motion(samples: SampleBlock, series: dict[str, EvenSeries]) -> list[str]:
+    advice = "an Allan deviation of a unit that moves is that of the motion; record it at rest"
+    at_rest = samples.columns.get("at_rest")
+    if at_rest is not None:
+        moving = float(np.mean(at_rest != 1))
+        if moving > 0.0:
+            return [f"the unit moved during {moving:.1%} of the recording (column at_rest): {advice}"]
+        return []
+    share = max(_moving_share(channel) for channel in series.values())
+    return [f"{share:.1%} of the recording looks like motion: {advice}"] if share > MOVING_SHARE else []
+
+
+def _moving_share(series: EvenSeries) -> float:
+    """Return the share of seconds that are far noisier than usual, or step away from the one before."""
+    n = max(8, round(1.0 / series.interval_s))
+    seconds = len(series.values) // n
+    if seconds < FEWEST_SECONDS:
+        return 0.0
+    parts = series.values[: seconds * n].reshape(seconds, n)
+    sd, mean = parts.std(axis=1), parts.mean(axis=1)
+    step = np.abs(np.diff(mean, prepend=mean[0]))
+    far = (sd > MOVING_SD * _usual(sd)) | (step > MOVING_STEP * _usual(step))
+    return float(far.mean())
+
+
+def _usual(values: FloatArray) -> float:
+    middle = float(np.median(values))
+    return middle if middle > 0.0 else float("inf")
+
+
+def _of_temperature(samples: SampleBlock) -> list[str]:
+    for name in TEMPERATURES:
+        if name in samples and np.isfinite(samples[name]).any():
+            readings = samples[name][np.isfinite(samples[name])]
+            low, high = (float(value) for value in np.percentile(readings, [0.5, 99.5]))
+            if high - low > WARMING_DEGC:
+                return [
+                    f"the temperature moved between {low:.1f} and {high:.1f} °C: bias instability, "
+                    "random walk and ramp hold thermal drift"
+                ]
+            return []
+    return ["there is no temperature: thermal drift cannot be told from bias instability and random walk"]
+
+
+def rate_hz(series: EvenSeries) -> float:
+    """Return the sample rate."""
+    return 1.0 / series.interval_s
+
+
+def group_of(channel: str) -> str:
+    """Return the sensor of a channel: "gyro" or "accel"."""
+    return channel.rsplit("_", 1)[0]

@@ -1,0 +1,172 @@
+"""A channel on an even grid of samples: gaps found, short ones bridged, runs that a difference may span.
+
+No sample is moved in time.  Between neighbours the time must be one interval, within `JITTER`; more is a gap
+if it is a whole number of intervals, and the end of an island otherwise.  A gap is bridged by a straight line
+for those averaging times that are at least `BRIDGED` times as long, where it changes a mean by less than one
+part in `BRIDGED`; for shorter ones no difference crosses it.  Nothing ever crosses the end of an island:
+a restart of the device, a gap of unknown or great length.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from imumon.blocks import FloatArray, IntArray
+
+BoolArray = npt.NDArray[np.bool_]
+
+JITTER = 0.35
+"""Time between samples may be off by this part of the interval."""
+BRIDGED = 100
+LONGEST_GAP = 200
+"""A gap of more than one part in so many of the samples ends an island: no averaging time could bridge it."""
+SHORTEST_ISLAND = 4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EvenSeries:
+    """Samples on an even grid.
+
+    Parameters
+    ----------
+    interval_s : float
+        Time from sample to sample.
+    values : array, (n,)
+        All islands one after the other, gaps inside them filled.
+    islands : array of int64, (k + 1,)
+        Bounds of the islands in `values`.
+    gap_starts, gap_lengths : arrays of int64, (g,)
+        The filled samples.
+    samples : int
+        Finite samples that there were.
+    jitter : float
+        RMS deviation of the time between neighbours, as a part of the interval.
+    """
+
+    interval_s: float
+    values: FloatArray
+    islands: IntArray
+    gap_starts: IntArray
+    gap_lengths: IntArray
+    samples: int
+    jitter: float
+
+    @property
+    def used(self) -> int:
+        """Samples that lie on the grid, without the filled ones."""
+        return len(self.values) - int(self.gap_lengths.sum())
+
+    @property
+    def duration_s(self) -> float:
+        """Length of the grid."""
+        return len(self.values) * self.interval_s
+
+    def runs(self, m: int, *, bridge: bool = True) -> tuple[IntArray, IntArray]:
+        """Return starts and stops of the runs that differences of averaging factor m may span."""
+        longest = m // BRIDGED if bridge else 0
+        breaks = self.gap_lengths > longest
+        edges = self.gap_starts[breaks]
+        starts = np.concatenate([self.islands[:-1], edges + self.gap_lengths[breaks]])
+        stops = np.concatenate([edges, self.islands[1:]])
+        starts.sort()
+        stops.sort()
+        return starts, stops
+
+
+def nominal_interval_ns(time_ns: IntArray, segment: IntArray) -> float:
+    """Return the usual time from sample to sample: the mean of the steps within 50 % of their median."""
+    steps = np.diff(time_ns)
+    steps = steps[(np.diff(segment) == 0) & (steps > 0)]
+    if not len(steps):
+        return 0.0
+    middle = float(np.median(steps))
+    near = steps[np.abs(steps - middle) < 0.5 * middle]
+    return float(near.mean())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Grid:
+    """Where samples lie on an even grid: which are kept, at which position, and which begin an island."""
+
+    interval_s: float
+    kept: BoolArray
+    position: IntArray
+    first: BoolArray
+    jitter: float
+
+
+def even_channels(
+    time_ns: IntArray, segment: IntArray, channels: Mapping[str, FloatArray]
+) -> dict[str, EvenSeries]:
+    """Put the finite values of each channel on an even grid; channels without two neighbours are left out.
+
+    Parameters
+    ----------
+    time_ns, segment : arrays of int64, (n,)
+        Device time, and the count of its restarts.
+    channels : mapping of str to array, (n,)
+        NaN where the channel has no sample: a channel slower than the packets has its own interval.
+    """
+    grids: dict[bytes, _Grid | None] = {}
+    series = {}
+    for name, values in channels.items():
+        present = np.isfinite(values)
+        key = np.packbits(present).tobytes()
+        if key not in grids:
+            grids[key] = _grid(time_ns[present], segment[present])
+        grid = grids[key]
+        if grid is not None:
+            series[name] = _filled(values[present], grid)
+    return series
+
+
+def _grid(time_ns: IntArray, segment: IntArray) -> _Grid | None:
+    interval = nominal_interval_ns(time_ns, segment)
+    if interval <= 0.0:
+        return None
+    n = len(time_ns)
+    steps = np.diff(time_ns) / interval
+    whole = np.rint(steps)
+    even = (np.abs(steps - whole) <= JITTER) & (whole >= 1) & (whole - 1 <= n // LONGEST_GAP)
+    even &= np.diff(segment) == 0
+    together = even & (whole == 1)
+    jitter = float(np.sqrt(np.mean((steps[together] - 1.0) ** 2))) if together.any() else 0.0
+    lengths = np.diff(np.concatenate([[0], np.flatnonzero(~even) + 1, [n]]))
+    kept = np.repeat(lengths >= SHORTEST_ISLAND, lengths)
+    if not kept.any():
+        return None
+    island = np.repeat(np.arange(len(lengths)), lengths)[kept]
+    first = np.diff(island, prepend=-1) != 0
+    advance = np.concatenate([[1], np.where(even, whole, 1).astype(np.int64)])[kept]
+    position = np.cumsum(np.where(first, 1, advance)) - 1
+    return _Grid(interval * 1e-9, kept, position, first, jitter)
+
+
+def _filled(values: FloatArray, grid: _Grid) -> EvenSeries:
+    """Lay the samples out at their positions, and fill the gaps."""
+    n = int(grid.position[-1]) + 1
+    laid = np.full(n, np.nan)
+    laid[grid.position] = values[grid.kept]
+    steps = np.diff(grid.position)
+    ahead = np.flatnonzero(steps > 1)
+    gap_starts, gap_lengths = grid.position[ahead] + 1, steps[ahead] - 1
+    islands = np.concatenate([grid.position[grid.first], [n]]).astype(np.int64)
+    for start, length in zip(gap_starts.tolist(), gap_lengths.tolist(), strict=True):
+        _bridge(laid, islands, start, length)
+    return EvenSeries(grid.interval_s, laid, islands, gap_starts, gap_lengths, len(values), grid.jitter)
+
+
+def _bridge(grid: FloatArray, islands: IntArray, start: int, length: int) -> None:
+    """Fill a gap with a straight line between means of as many samples on either side.
+
+    With fewer samples in the means the noise of those few would be repeated over the whole gap.
+    """
+    island = int(np.searchsorted(islands, start, side="right")) - 1
+    before = grid[max(int(islands[island]), start - length) : start]
+    after = grid[start + length : min(int(islands[island + 1]), start + 2 * length)]
+    left, right = float(np.nanmean(before)), float(np.nanmean(after))
+    grid[start : start + length] = left + (right - left) * (np.arange(length) + 0.5) / length

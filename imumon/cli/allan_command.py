@@ -1,0 +1,145 @@
+"""``imumon allan``: Allan deviations of a recording, and the noise terms behind them."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from imumon.cli.common import json_option, print_json, print_rows, say
+
+if TYPE_CHECKING:
+    from imumon.allan.analysis import Result
+
+_file = click.Path(path_type=Path)
+
+
+@click.command("allan")
+@click.argument("recording", metavar="SESSION|TABLE", type=_file)
+@click.option("--plot", type=_file, help="Draw the curves, log-log, to this PNG.")
+@click.option("--noise-out", type=_file, help="Write the terms as the noise section of a pipeline YAML.")
+@click.option("--kalibr", type=_file, help="Write the terms as Kalibr's imu.yaml.")
+@json_option
+def command(
+    recording: Path, plot: Path | None, noise_out: Path | None, kalibr: Path | None, as_json: bool
+) -> None:
+    """Tell noise, bias instability and drift of a recording at rest.
+
+    SESSION is recorded or imported; TABLE is one of Parquet or CSV that imumon wrote.  Deviations are
+    overlapping; what is printed are the terms fitted to the whole Allan curve, with standard deviations.
+    """
+    from imumon.allan import output
+    from imumon.allan.analysis import analyse
+    from imumon.allan.recording import open_recording
+
+    opened = open_recording(recording)
+    results = analyse(opened.series)
+    for text in [*opened.warnings, *_of_the_fit(results)]:
+        say("WARN", text)
+    written: dict[str, Path] = {}
+    if plot is not None:
+        from imumon.allan.plot import write_plot
+
+        write_plot(plot, results, str(recording))
+        written["plot"] = plot
+    if noise_out is not None:
+        output.write_noise(noise_out, results, recording)
+        written["noise"] = noise_out
+    if kalibr is not None:
+        output.write_kalibr(kalibr, results, recording)
+        written["kalibr"] = kalibr
+    if as_json:
+        print_json(output.as_json(results))
+    else:
+        _show(results)
+    print_rows({name: str(path) for name, path in written.items()})
+
+
+def _of_the_fit(results: dict[str, Result]) -> list[str]:
+    said = []
+    for name, result in results.items():
+        if result.fit is None:
+            said.append(f"{name}: too short for a fit of the terms")
+            continue
+        if result.fit.first:
+            said.append(
+                f"{name}: averaging times below {result.tau_s[result.fit.first]:.3g} s are not fitted: "
+                "no sum of the terms describes them (a filter in the device?)"
+            )
+        if result.fit.model_error:
+            said.append(
+                f"{name}: the curve differs from a sum of the terms by {_percent(result.fit.model_error)} of "
+                "the deviation; the standard deviations take that in"
+            )
+    return said
+
+
+def _percent(variance_error: float) -> str:
+    return f"{50.0 * variance_error:.2g} %"
+
+
+_DEG = math.degrees(1.0)
+_G = 9.80665
+_READ = {
+    "gyro": {
+        "angle_random_walk": ("angle random walk", "deg/√h", 60.0 * _DEG),
+        "bias_instability": ("bias instability", "deg/h", 3600.0 * _DEG),
+        "rate_random_walk": ("rate random walk", "deg/h/√h", 60.0 * 3600.0 * _DEG),
+        "quantization": ("quantization", "arcsec", 3600.0 * _DEG),
+        "rate_ramp": ("rate ramp", "deg/h/h", 3600.0**2 * _DEG),
+    },
+    "accel": {
+        "angle_random_walk": ("velocity random walk", "m/s/√h", 60.0),
+        "bias_instability": ("bias instability", "µg", 1e6 / _G),
+        "rate_random_walk": ("accel. random walk", "µg/√h", 60.0 * 1e6 / _G),
+        "quantization": ("quantization", "mm/s", 1e3),
+        "rate_ramp": ("accel. ramp", "µg/h", 3600.0 * 1e6 / _G),
+    },
+}
+"""What a person reads of each term: its name, its unit, and how many of it are one SI unit."""
+
+
+def _show(results: dict[str, Result]) -> None:
+    from rich.box import SIMPLE
+    from rich.console import Console
+    from rich.table import Column, Table
+
+    console = Console()
+    for group, terms in _READ.items():
+        of_group = {name: result for name, result in results.items() if name.startswith(group)}
+        if not of_group:
+            continue
+        axes = [Column(name, justify="right", no_wrap=True) for name in of_group]
+        table = Table(
+            Column("", no_wrap=True), Column("", no_wrap=True), *axes, box=SIMPLE, padding=(0, 1, 0, 0)
+        )
+        for term, (title, unit, factor) in terms.items():
+            table.add_row(title, unit, *(_with_sd(result, term, factor) for result in of_group.values()))
+        level, factor = terms["bias_instability"][1:]
+        table.add_row("lowest deviation", level, *(_lowest(result, factor) for result in of_group.values()))
+        longest = (f"{result.longest_tau_s:.4g}" for result in of_group.values())
+        table.add_row("longest trusted τ", "s", *longest)
+        console.print(table)
+    console.print(
+        "1.234(56): 1.234 with a standard deviation of 0.056.  -: not shown by the data.", style="dim"
+    )
+    console.print("Bias instability B: the flat part of the curve is 0.664 B.", style="dim")
+
+
+def _with_sd(result: Result, term: str, factor: float) -> str:
+    """Return the value with two digits of its standard deviation behind it: 1.234(56)."""
+    estimate = None if result.fit is None else result.fit.terms[term]
+    if estimate is None:
+        return "-"
+    value, sd = factor * estimate.value, factor * estimate.sd
+    digits = min(max(1 - math.floor(math.log10(sd)), 0), 9)
+    return f"{value:.{digits}f}({sd * 10**digits:.0f})"
+
+
+def _lowest(result: Result, factor: float) -> str:
+    if not result.trusted:
+        return "-"
+    row = result.lowest
+    return f"{factor * result.allan.values[row]:.3g} at {result.tau_s[row]:.3g} s"

@@ -1,0 +1,80 @@
+"""The terms that were put in are found, within their stated standard deviations; others are not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from imumon.allan.analysis import analyse
+from imumon.allan.fit import TERMS, Fit
+from imumon.allan.series import even_channels
+from imumon.blocks import FloatArray
+from tests.allan.simulated import noise
+
+INTERVAL_S = 0.02
+N = 60_000
+SEEDS = 30
+
+
+def fits(records: list[FloatArray]) -> list[Fit]:
+    n = len(records[0])
+    channels = {str(row): values for row, values in enumerate(records)}
+    series = even_channels(np.arange(n) * round(INTERVAL_S * 1e9), np.zeros(n, np.int64), channels)
+    found = [result.fit for result in analyse(series).values()]
+    return [fit for fit in found if fit is not None]
+
+
+CASES = [
+    {"angle_random_walk": 1e-3},
+    {"angle_random_walk": 1e-3, "rate_random_walk": 2e-4},
+    {"angle_random_walk": 1e-3, "bias_instability": 7e-4},
+    {"angle_random_walk": 1e-3, "bias_instability": 7e-4, "quantization": 3e-4},
+    {"angle_random_walk": 1e-3, "rate_ramp": 5e-6},
+]
+ARGUMENTS = {
+    "angle_random_walk": "white",
+    "bias_instability": "instability",
+    "rate_random_walk": "walk",
+    "quantization": "quantization",
+    "rate_ramp": "ramp",
+}
+
+
+@pytest.mark.parametrize("truth", CASES, ids="+".join)
+def test_terms_are_found_within_their_standard_deviations(truth: dict[str, float]) -> None:
+    arguments = {ARGUMENTS[name]: value for name, value in truth.items()}
+    found = fits([noise(seed, N, INTERVAL_S, **arguments) for seed in range(SEEDS)])
+    assert len(found) == SEEDS
+    for name, value in truth.items():
+        estimates = [fit.terms[name] for fit in found]
+        errors = np.array([(each.value - value) / each.sd for each in estimates if each is not None])
+        assert len(errors) >= 0.95 * SEEDS, name
+        assert abs(errors.mean()) < 0.6, name
+        assert 0.7 < np.sqrt(np.mean(errors**2)) < 1.35, name
+        assert np.mean(np.abs(errors) < 2) > 0.87, name
+    for term in TERMS:
+        if term.name not in truth:
+            assert sum(fit.terms[term.name] is not None for fit in found) <= 2, term.name
+
+
+def test_a_filter_in_the_device_is_left_out_and_the_angle_random_walk_is_still_found() -> None:
+    rng = np.random.default_rng(5)
+    white = 1e-3 / np.sqrt(INTERVAL_S) * rng.normal(size=N + 7)
+    filtered = np.convolve(white, np.ones(8) / 8, "valid")
+    (fit,) = fits([filtered])
+    assert fit.first > 0
+    estimate = fit.terms["angle_random_walk"]
+    assert estimate is not None
+    assert estimate.value == pytest.approx(1e-3, rel=0.03)
+
+
+def test_what_is_no_sum_of_the_terms_widens_the_standard_deviations() -> None:
+    plain = noise(6, N, INTERVAL_S, white=1e-3)
+    tone = 3e-3 * np.sin(2 * np.pi * 0.05 * INTERVAL_S * np.arange(N))
+    good, bad = fits([plain, plain + tone])
+    assert good.model_error == 0.0
+    assert bad.model_error > 0.02
+    certain, uncertain = good.terms["angle_random_walk"], bad.terms["angle_random_walk"]
+    assert certain is not None
+    assert uncertain is not None
+    assert uncertain.sd > 3 * certain.sd

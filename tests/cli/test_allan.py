@@ -1,0 +1,158 @@
+"""``imumon allan`` as a user or a program meets it."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from PIL import Image
+
+from imumon.allan.recording import CHANNELS
+from imumon.blocks import SampleBlock
+from imumon.columns import KNOWN, Column
+from imumon.session.table import export_blocks
+from tests.allan.simulated import noise
+
+IMUMON = str(Path(sys.executable).with_name("imumon"))
+N, INTERVAL_S = 40_000, 0.02
+
+
+def allan(*arguments: object) -> subprocess.CompletedProcess[str]:
+    command = [IMUMON, "allan", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+
+
+def write(path: Path, columns: dict[str, Any]) -> Path:
+    known = [KNOWN.get(name, Column(name, "1", "int64")) for name in columns]
+    export_blocks([SampleBlock(columns)], path, None, lambda: known)
+    return path
+
+
+def columns() -> dict[str, Any]:
+    made: dict[str, Any] = {
+        "device_time_ns": np.arange(N) * round(INTERVAL_S * 1e9),
+        "segment": np.zeros(N, np.int64),
+        "temperature": np.full(N, 25.0),
+    }
+    for seed, name in enumerate(CHANNELS):
+        size = 1e-3 * (1 + seed)
+        made[name] = noise(seed, N, INTERVAL_S, white=size, walk=0.1 * size) + (
+            9.81 if name == "accel_z" else 0
+        )
+    return made
+
+
+@pytest.fixture(scope="module")
+def table(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = columns()
+    keep = np.ones(N, bool)
+    keep[[5000, 5001, 20_000]] = False
+    path = tmp_path_factory.mktemp("allan") / "rest.parquet"
+    return write(path, {name: values[keep] for name, values in made.items()})
+
+
+@pytest.fixture(scope="module")
+def done(table: Path) -> subprocess.CompletedProcess[str]:
+    folder = table.parent
+    return allan(
+        table, "--json", "--plot", folder / "a.png", "--noise-out", folder / "noise.yaml",
+        "--kalibr", folder / "imu.yaml",
+    )  # fmt: skip
+
+
+def test_json_has_curve_and_terms_of_every_channel(done: subprocess.CompletedProcess[str]) -> None:
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert list(found) == list(CHANNELS)
+    for seed, name in enumerate(CHANNELS):
+        channel = found[name]
+        assert len(channel["tau_s"]) == len(channel["oadev"]) == len(channel["mdev"])
+        assert channel["tau_s"][:2] == pytest.approx([INTERVAL_S, 2 * INTERVAL_S])
+        assert channel["unit"] == ("rad/s" if name.startswith("gyro") else "m/s^2")
+        white = channel["angle_random_walk"]
+        assert abs(white["value"] - 1e-3 * (1 + seed)) < 4 * white["sd"]
+        assert channel["quantization"] is None
+        assert 50 < channel["longest_tau_s"] < N * INTERVAL_S / 4
+        assert channel["samples_missing"] == 3
+    assert found["gyro_x"]["angle_random_walk"]["unit"] == "rad/sqrt(s)"
+    assert found["gyro_x"]["rate_random_walk"]["unit"] == "rad/s/sqrt(s)"
+    assert "2 gaps, 3 of" in done.stderr
+    assert "motion" not in done.stderr
+
+
+def test_the_written_files_say_the_same(done: subprocess.CompletedProcess[str], table: Path) -> None:
+    found = json.loads(done.stdout)
+    section = yaml.safe_load((table.parent / "noise.yaml").read_text())["noise"]
+    gyro = section["gyro"]["angle_random_walk_rad_per_sqrt_s"]
+    truth = [found[f"gyro_{axis}"]["angle_random_walk"]["value"] for axis in "xyz"]
+    assert gyro == pytest.approx(truth, rel=1e-5)
+    assert section["gyro"]["quantization_rad"] == [None, None, None]
+    kalibr = yaml.safe_load((table.parent / "imu.yaml").read_text())
+    assert kalibr["gyroscope_noise_density"] == max(gyro)
+    walks = [found[f"accel_{axis}"]["rate_random_walk"]["value"] for axis in "xyz"]
+    assert kalibr["accelerometer_random_walk"] == pytest.approx(max(walks), rel=1e-5)
+    assert kalibr["update_rate"] == pytest.approx(50)
+    assert set(kalibr) == {
+        "accelerometer_noise_density", "accelerometer_random_walk", "gyroscope_noise_density",
+        "gyroscope_random_walk", "rostopic", "update_rate",
+    }  # fmt: skip
+    with Image.open(table.parent / "a.png") as picture:
+        assert picture.size[0] > picture.size[1] > 400
+
+
+def test_people_read_degrees_and_hours(table: Path) -> None:
+    shown = allan(table).stdout
+    assert "deg/√h" in shown
+    assert "deg/h/√h" in shown
+    row = next(line for line in shown.splitlines() if "angle random walk" in line)
+    value = float(row.split()[4].split("(")[0])
+    assert value == pytest.approx(np.rad2deg(1e-3) * 60, rel=0.02)
+    assert max(map(len, shown.splitlines())) <= 80
+
+
+@pytest.mark.parametrize("said", ["at_rest", "nothing"])
+def test_motion_is_told_with_its_share(tmp_path: Path, said: str) -> None:
+    made = columns()
+    moving = slice(10_000, 14_000)
+    made["gyro_x"][moving] += 0.3 * np.sin(np.arange(4000) * INTERVAL_S)
+    if said == "at_rest":
+        made["at_rest"] = np.ones(N, np.int64)
+        made["at_rest"][moving] = 0
+    done = allan(write(tmp_path / "t.parquet", made))
+    assert done.returncode == 0
+    assert ("moved during 10.0%" if said == "at_rest" else "looks like motion") in done.stderr
+
+
+def test_thermal_drift_is_told(tmp_path: Path) -> None:
+    made = columns()
+    made["temperature"] = np.linspace(20, 24, N)
+    assert "the temperature moved between 20.0 and 24.0" in allan(write(tmp_path / "t.csv", made)).stderr
+
+
+def test_what_has_no_even_rate_is_refused_with_the_reason(tmp_path: Path) -> None:
+    made = columns()
+    rng = np.random.default_rng(0)
+    made["device_time_ns"] = np.cumsum(rng.integers(1_000_000, 100_000_000, N))
+    done = allan(write(tmp_path / "t.parquet", made))
+    assert done.returncode == 4
+    assert "even rate" in done.stderr
+    assert "resampled" in done.stderr
+
+
+def test_too_little_data_is_refused(tmp_path: Path) -> None:
+    made = {name: values[:10] for name, values in columns().items()}
+    done = allan(write(tmp_path / "t.parquet", made))
+    assert done.returncode == 4
+    assert done.stdout == ""
+
+
+def test_a_table_without_imu_is_refused(tmp_path: Path) -> None:
+    done = allan(write(tmp_path / "t.parquet", {"pressure": np.zeros(100)}))
+    assert done.returncode == 4
+    assert "device_time_ns" in done.stderr
