@@ -3,6 +3,7 @@ from __future__ import annotations
 from contextlib import suppress
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -10,6 +11,8 @@ from hypothesis import strategies as st
 from imumon.errors import ImumonError, Reason
 from imumon.protocols.device import load_device
 from imumon.simulation.unit import SimulatedUnit, load_scenario, load_unit
+from imumon.simulation.unit.curves import axis_values
+from imumon.simulation.unit.parameters import UnitParameters
 from imumon.simulation.unit.scenario import Scenario, scenario_names, unit_names
 
 GOOD = """\
@@ -119,3 +122,28 @@ def test_whatever_a_file_says_it_is_read_or_refused(
     with suppress(ImumonError):  # any other error fails the test
         accepted = load_scenario(path)
     assert accepted is None or accepted.samples >= 1
+
+
+DOCUMENT = Path(__file__).resolve().parents[3] / "docs" / "simulation.md"
+
+
+def test_the_example_in_the_documentation_is_a_scenario(tmp_path: Path) -> None:
+    example = DOCUMENT.read_text(encoding="utf-8").split("```yaml\n")[1].split("```")[0]
+    path = tmp_path / "s.yaml"
+    path.write_text(example, encoding="utf-8")
+    plan = load_scenario(path)
+    assert {event.kind for event in plan.motion} == {"turn", "rotation", "bump", "vibration", "handling"}
+
+
+def test_the_documentation_names_every_scenario_unit_and_key() -> None:
+    text = DOCUMENT.read_text(encoding="utf-8")
+    keys = set(UnitParameters.model_fields) - {"format", "title"}
+    assert [name for name in (*scenario_names(), *unit_names(), *keys) if f"`{name}`" not in text] == []
+
+
+def test_the_loop_of_crs05_is_one_and_a_half_percent_of_the_span() -> None:
+    soak = np.linspace(-20.53, 48.08, 10_001)
+    unit = load_unit("crs05-hysteresis")
+    spans = np.ptp(axis_values(unit.gyro_bias_deg_per_s, np.column_stack([soak] * 3)), axis=0)
+    assert unit.gyro_hysteresis is not None
+    np.testing.assert_allclose(unit.gyro_hysteresis.half_width_deg_per_h, 0.015 * 3600 * spans, atol=0.01)
