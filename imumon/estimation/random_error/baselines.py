@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import numpy.typing as npt
+from numba import njit
 
 from imumon.blocks import FloatArray
 from imumon.estimation.random_error.slots import Slots
@@ -23,23 +25,35 @@ class ExponentialMean:
 
     def __init__(self, time_constant_s: float, longest_s: float = math.inf) -> None:
         self._constant, self._longest = time_constant_s, longest_s
-        self._seen, self._mean = 0.0, math.nan
+        # Time at rest so far, and the mean.
+        self._state = np.array([0.0, np.nan])
 
     def process(self, slots: Slots) -> FloatArray:
         """Return the mean after each slot, (m,); NaN before the first reading of a segment."""
         out = np.empty(len(slots))
-        for k, (begins, covered, mean) in enumerate(
-            zip(slots.begins.tolist(), slots.covered_s.tolist(), slots.mean.tolist(), strict=True)
-        ):
-            if begins:
-                self._seen, self._mean = 0.0, math.nan
-            if covered > 0.0 and self._seen < self._longest:
-                self._seen += covered
-                before = mean if math.isnan(self._mean) else self._mean
-                gain = max(covered / self._seen, -math.expm1(-covered / self._constant))
-                self._mean = before + gain * (mean - before)
-            out[k] = self._mean
+        _average(slots.begins, slots.covered_s, slots.mean, self._constant, self._longest, self._state, out)
         return out
+
+
+@njit(cache=True, nogil=True)
+def _average(
+    begins: npt.NDArray[np.bool_],
+    covered: FloatArray,
+    mean: FloatArray,
+    constant: float,
+    longest: float,
+    state: FloatArray,
+    out: FloatArray,
+) -> None:
+    for k in range(mean.size):
+        if begins[k]:
+            state[0], state[1] = 0.0, np.nan
+        if covered[k] > 0.0 and state[0] < longest:
+            state[0] += covered[k]
+            before = mean[k] if np.isnan(state[1]) else state[1]
+            gain = max(covered[k] / state[0], -math.expm1(-covered[k] / constant))
+            state[1] = before + gain * (mean[k] - before)
+        out[k] = state[1]
 
 
 def hold(seconds: float) -> ExponentialMean:

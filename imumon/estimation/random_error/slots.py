@@ -139,3 +139,21 @@ def _gather(
             numbers[COVERED] += dt
             integers[COUNT] += 1
     return m
+
+
+@njit(cache=True, nogil=True)
+def spread(last: float, row: IntArray, values: FloatArray, broken: IntArray, out: FloatArray) -> float:
+    """Fill `out` with what is shown at each row; return the last of it.
+
+    That is the value of the last slot, and NaN from a row in `broken` to the next slot.
+    """
+    k, b = 0, 0
+    for i in range(out.size):
+        if b < broken.size and broken[b] == i:
+            last = np.nan
+            b += 1
+        if k < row.size and row[k] == i:
+            last = values[k]
+            k += 1
+        out[i] = last
+    return last

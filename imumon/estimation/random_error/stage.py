@@ -19,7 +19,7 @@ from imumon.estimation.random_error.baselines import ExponentialMean, hold
 from imumon.estimation.random_error.drift import DriftEstimate, DriftFilter
 from imumon.estimation.random_error.parameters import Channel, RandomErrorParameters
 from imumon.estimation.random_error.sigma_points import ModelNL, SigmaPointFilter
-from imumon.estimation.random_error.slots import SlotGatherer, Slots
+from imumon.estimation.random_error.slots import SlotGatherer, Slots, spread
 from imumon.thermal.live import BiasPredictor
 from imumon.thermal.model import BiasModel
 
@@ -56,6 +56,7 @@ class RandomError:
         self._modelled = names
         self._predictor = BiasPredictor(model, names) if model is not None and names else None
         self._waited_ns = 0
+        self._last: tuple[int, int] | None = None
         self._seen = {"rest": False, "temperature": False}
         self._said: set[str] = set()
 
@@ -86,6 +87,7 @@ class RandomError:
         times = block["device_time_ns"]
         if len(times):
             self._waited_ns += max(int(times[-1] - times[0]), 0)
+        broken = self._breaks(times, block["segment"])
         rest = self._rest(block)
         bias = self._bias(block)
         added: dict[str, ColumnArray] = {column.name: np.empty(0) for column in self.columns}
@@ -94,10 +96,20 @@ class RandomError:
             reading = np.array(block[name], np.float64) if name in block else np.full(len(block), np.nan)
             if name in bias:
                 reading -= bias[name]
-            result = one.process(times, block["segment"], reading, rest)
+            result = one.process(times, block["segment"], broken, reading, rest)
             for column, values in result.items():
                 added[f"{column}_{axis}"] = values
         return added
+
+    def _breaks(self, time_ns: IntArray, segment: IntArray) -> IntArray:
+        """Return the rows at which a segment begins or time runs back; what was shown is void from there."""
+        if not len(time_ns):
+            return np.empty(0, np.int64)
+        last = (int(segment[0]), int(time_ns[0])) if self._last is None else self._last
+        at_once = segment[0] != last[0] or time_ns[0] < last[1]
+        self._last = int(segment[-1]), int(time_ns[-1])
+        later = 1 + np.flatnonzero((segment[1:] != segment[:-1]) | (time_ns[1:] < time_ns[:-1]))
+        return np.concatenate([np.zeros(int(at_once), np.int64), later])
 
     def _rest(self, block: SampleBlock) -> npt.NDArray[np.bool_]:
         if "at_rest" in block:
@@ -165,19 +177,22 @@ class _Axis:
         self._gatherer = SlotGatherer()
         self._drift = DriftFilter(parameters.noise.get(channel))
         self._last = dict.fromkeys(("estimate", "sd", "mean", "hold"), math.nan)
-        self._begun: tuple[int, int] | None = None
         self._published: _Published | None = None
         if parameters.method == "sr_rsukf":
             self._published = _Published(parameters)
             self._mean, self._hold = ExponentialMean(parameters.mean_s), hold(parameters.hold_s)
 
     def process(
-        self, time_ns: IntArray, segment: IntArray, reading: FloatArray, rest: npt.NDArray[np.bool_]
+        self,
+        time_ns: IntArray,
+        segment: IntArray,
+        broken: IntArray,
+        reading: FloatArray,
+        rest: npt.NDArray[np.bool_],
     ) -> Series:
         """Return the columns of this axis by name without the axis."""
         slots = self._gatherer.process(time_ns, segment, reading, rest)
         drift = self._drift.process(slots)
-        broken = self._breaks(time_ns, segment)
         n = len(reading)
         estimate = self._spread("estimate", slots, drift.estimate, broken, n)
         sd = self._spread("sd", slots, drift.sd, broken, n)
@@ -192,25 +207,11 @@ class _Axis:
         use = rest & np.isfinite(reading)
         return {**self._published.process(time_ns, reading, use, slots, drift, broken), **beside}
 
-    def _breaks(self, time_ns: IntArray, segment: IntArray) -> IntArray:
-        """Return the rows at which a segment begins or time runs back; what was shown is void from there."""
-        if not len(time_ns):
-            return np.empty(0, np.int64)
-        before = (int(segment[0]), int(time_ns[0])) if self._begun is None else self._begun
-        new = np.diff(segment, prepend=before[0]) != 0
-        back = np.diff(time_ns, prepend=before[1]) < 0
-        self._begun = int(segment[-1]), int(time_ns[-1])
-        return np.flatnonzero(new | back)
-
     def _spread(self, name: str, slots: Slots, values: FloatArray, broken: IntArray, n: int) -> FloatArray:
         """Return what is shown at each row: the last slot's value, and none from a break to the next slot."""
-        rows = np.concatenate([[-1], broken, slots.row])
-        shown = np.concatenate([[self._last[name]], np.full(len(broken), np.nan), values])
-        order = np.argsort(rows, kind="stable")
-        lengths = np.diff(np.append(rows[order], n))
-        lengths[0] = max(lengths[0] - 1, 0)
-        self._last[name] = float(shown[order[-1]])
-        return np.repeat(shown[order], lengths)
+        out = np.empty(n)
+        self._last[name] = spread(self._last[name], slots.row, values, broken, out)
+        return out
 
     def remarks(self) -> dict[str, str]:
         """Return what the user should know, by a key each."""

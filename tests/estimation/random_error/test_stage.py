@@ -59,24 +59,24 @@ def test_the_estimate_is_near_the_truth_and_the_published_one_near_the_default()
 @pytest.mark.parametrize("method", ["drift", "sr_rsukf"])
 def test_neither_the_division_into_blocks_nor_rows_before_matter(method: str) -> None:
     parameters = RandomErrorParameters.model_validate({"method": method, "learn_s": 20.0})
-    block = record(120, 20)
+    block = record(120, 10)
     columns = dict(block.columns)
     segment = columns["segment"].copy()
-    segment[1500:] = 1
+    segment[750:] = 1
     rest = columns["at_rest"].copy()
-    rest[900:1100] = 0
+    rest[450:550] = 0
     x = columns["gyro_x"].copy()
-    x[:300] = np.nan
+    x[:150] = np.nan
     block = block.with_columns({"segment": segment, "at_rest": rest, "gyro_x": x})
     whole = RandomError(parameters).process(block)
     for size in (1, 333):
         pieces = in_blocks(RandomError(parameters), block, size)
         for name, values in whole.items():
             np.testing.assert_array_equal(pieces[name], values, err_msg=name)
-    late = RandomError(parameters).process(block.rows(300, len(block)))
+    late = RandomError(parameters).process(block.rows(150, len(block)))
     for name, values in whole.items():
         if name.endswith("_x"):
-            np.testing.assert_array_equal(late[name], values[300:], err_msg=name)
+            np.testing.assert_array_equal(late[name], values[150:], err_msg=name)
 
 
 @pytest.mark.parametrize("method", ["drift", "sr_rsukf"])
