@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, Unpack
 
 import click
 
@@ -25,7 +25,9 @@ from imumon.cli.common import (
     say,
     window_option,
 )
+from imumon.cli.setup_options import SetupOptions, make_setup, setup_options
 from imumon.errors import EXIT_NEGATIVE, EXIT_OK, ImumonError, Reason
+from imumon.estimation.setup import Setup
 from imumon.protocols.device import DeviceFile, device_text, parse_device
 from imumon.run.live import LiveRun, LiveSummary, nothing_decoded, warm_up
 from imumon.run.narration import Progress, describe, describe_losses, view_setup
@@ -51,6 +53,7 @@ View = Literal["native", "web", "none"]
     "--out", type=click.Path(path_type=Path), help="Session folder; default: a new one in ./sessions."
 )
 @click.option("--seconds", type=SECONDS, help="Stop after this time.")
+@setup_options
 @window_option
 @bind_option
 @json_option
@@ -64,6 +67,7 @@ def command(
     window: float,
     bind: str,
     as_json: bool,
+    **options: Unpack[SetupOptions],
 ) -> int:
     """Record the device on PORT and watch it live, until Ctrl-C or --seconds.
 
@@ -72,6 +76,7 @@ def command(
     """
     text, source = device_text(device)
     profile = parse_device(text, source)
+    setup = make_setup(options)
     serial = profile.serial
     settings = PortSettings(
         port, baud or serial.baudrates[0], serial.bytesize, serial.parity, serial.stopbits
@@ -82,15 +87,15 @@ def command(
     # Whoever starts this command may hold signals back until it can heed them.
     if hasattr(signal, "pthread_sigmask"):  # not on Windows
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT, signal.SIGTERM})
-    run = _new_run(profile, text, settings, out, lines)
+    run = _new_run(profile, text, settings, setup, out, lines)
     run.open()
     deadline = None if seconds is None else time.monotonic() + seconds
     views: _Views | None = None
     try:
         # The view's process starts while this one gets ready.
-        setup = view_setup(run.session, run.pipeline.units, window)
-        views = _Views(setup, run.session.view_path, view, bind)
-        warm_up(profile)
+        shown = view_setup(run.session, run.pipeline.units, window)
+        views = _Views(shown, run.session.view_path, view, bind)
+        warm_up(profile, setup)
         run.begin(views.publish)
         _watch(run, views, lines, ended, deadline)
     finally:
@@ -108,13 +113,18 @@ def command(
 
 
 def _new_run(
-    device: DeviceFile, device_yaml: str, settings: PortSettings, out: Path | None, lines: _Lines
+    device: DeviceFile,
+    device_yaml: str,
+    settings: PortSettings,
+    setup: Setup,
+    out: Path | None,
+    lines: _Lines,
 ) -> LiveRun:
     """Make the session; a default name that another monitor takes at the same moment is no obstacle."""
     while True:
         folder = out or default_path(device.name, time.time_ns())
         try:
-            return LiveRun(device, device_yaml, settings, folder, lines.put)
+            return LiveRun(device, device_yaml, settings, setup, folder, lines.put)
         except ImumonError as error:
             if out is not None or error.reason is not Reason.EXISTS:
                 raise

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Unpack
 
 import click
 
@@ -20,6 +20,7 @@ from imumon.cli.common import (
     table_option,
     window_option,
 )
+from imumon.cli.setup_options import SetupOptions, make_setup, setup_options
 from imumon.errors import ImumonError, Reason
 from imumon.estimation.stages import estimators
 from imumon.pipeline import Digest, Pipeline
@@ -41,6 +42,7 @@ CLOSE_S = 5.0
 @table_option
 @columns_option
 @click.option("--view", type=click.Choice(["native", "web", "none"]), default="none", show_default=True)
+@setup_options
 @window_option
 @bind_option
 @json_option
@@ -53,13 +55,15 @@ def command(
     window: float,
     bind: str,
     as_json: bool,
+    **options: Unpack[SetupOptions],
 ) -> int:
     """Run SESSION again through the same code, bit for bit, to a table or to the view."""
-    open_session(session)  # a raw capture has no times: that is for decode
+    recorded = open_session(session).metadata.pipeline_yaml  # a raw capture has no times: that is for decode
+    setup = make_setup(options, recorded, f"{session} (pipeline_yaml)")
     source = open_source(session)
     source.refuse_output(out)
     pace = _speed(speed, view)
-    pipeline, digest = Pipeline(source.device, estimators(source.device)), Digest()
+    pipeline, digest = Pipeline(source.device, estimators(source.device, setup)), Digest()
     publisher = None if view == "none" else _publisher(source, pipeline, view, window, bind)
     narrator = None
     if publisher is not None:
@@ -71,7 +75,8 @@ def command(
     finally:
         if publisher is not None:
             publisher.close(CLOSE_S)
-    _report(source, pipeline, digest.hexdigest(), out, rows, as_json)
+    comparable = setup.text() == recorded
+    _report(source, pipeline, digest.hexdigest(), out, rows, as_json, comparable)
     return 0
 
 
@@ -86,10 +91,16 @@ def _run(
 
 
 def _report(
-    source: Source, pipeline: Pipeline, digest: str, out: Path | None, rows: int, as_json: bool
+    source: Source,
+    pipeline: Pipeline,
+    digest: str,
+    out: Path | None,
+    rows: int,
+    as_json: bool,
+    comparable: bool,
 ) -> None:
     assert source.session is not None
-    live = source.session.metadata.results_digest
+    live = source.session.metadata.results_digest if comparable else None
     identical = None if live is None else live == digest
     for text in [*source.warnings(), *pipeline.warnings()]:
         say("WARN", text)
@@ -113,7 +124,7 @@ def _report(
     verdict = {
         True: "bit for bit those of the live run",
         False: "NOT those of the live run",
-        None: "with no live run to compare",
+        None: "with no live run of the same setup to compare",
     }
     print_rows(
         {

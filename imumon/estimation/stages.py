@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+from imumon.estimation.random_error.stage import RandomError
+from imumon.estimation.rest.stage import RestDetector
+from imumon.estimation.setup import Setup
 from imumon.estimation.temperature_rate.parameters import TemperatureRateParameters
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.pipeline import Estimator
 from imumon.protocols.device import DeviceFile
 
 
-def estimators(device: DeviceFile | None) -> list[Estimator]:
+def estimators(device: DeviceFile | None, setup: Setup | None = None) -> list[Estimator]:
     """Return new estimators for a device, or for a table when there is none."""
-    parameters = device.temperature if device is not None else TemperatureRateParameters()
-    return [TemperatureRate(parameters=parameters)]
+    setup = setup or Setup()
+    temperature = device.temperature if device is not None else TemperatureRateParameters()
+    return [
+        TemperatureRate(parameters=temperature),
+        RestDetector(setup.rest),
+        RandomError(setup.random_error, setup.bias_model),
+    ]

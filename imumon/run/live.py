@@ -19,6 +19,7 @@ import numpy as np
 from imumon.blocks import SampleBlock
 from imumon.columns import KNOWN
 from imumon.errors import ImumonError, Reason
+from imumon.estimation.setup import Setup
 from imumon.estimation.stages import estimators
 from imumon.pipeline import Digest, Pipeline, PipelineCounters
 from imumon.protocols.device import DeviceFile
@@ -39,13 +40,13 @@ SILENT_AFTER_PACKETS = 3
 """A device that sends less often than once a second is silent after the time of so many packets."""
 
 
-def warm_up(device: DeviceFile) -> None:
+def warm_up(device: DeviceFile, setup: Setup) -> None:
     """Compile what the first packets need, so that no packet waits for it.
 
     The compiled code is kept on disk: the first start after an installation takes ten seconds or so, later
     ones some tenths of a second.
     """
-    pipeline = Pipeline(device, estimators(device))
+    pipeline = Pipeline(device, estimators(device, setup))
     sent = SampleBlock({column.name: np.zeros(3, column.dtype) for column in KNOWN.values()})
     for number, packet in enumerate(device.encoder().encode(sent)):
         pipeline.feed(packet, number)
@@ -89,6 +90,8 @@ class LiveRun:
         Text of the device file, kept with the session.
     settings : PortSettings
         The port.
+    setup : Setup
+        What the estimators are told; kept with the session.
     folder : Path
         Where the session goes; must not hold one.
     say : callable
@@ -105,17 +108,18 @@ class LiveRun:
         device: DeviceFile,
         device_yaml: str,
         settings: PortSettings,
+        setup: Setup,
         folder: Path,
         say: Say,
     ) -> None:
         self._device = device
-        self.pipeline = Pipeline(device, estimators(device))
+        self.pipeline = Pipeline(device, estimators(device, setup))
         self._settings = settings
         self._say = say
         self._items: SimpleQueue[Item] = SimpleQueue()
         self._digest = Digest()
         self._began_ns = time.time_ns()
-        self.session = create_session(folder, self._metadata(device, device_yaml))
+        self.session = create_session(folder, self._metadata(device, device_yaml, setup))
         self._writer = self._wire_writer()
         self._recorder = Recorder(self._writer, self._recording_problem, self._save)
         silent_after_s = max(SILENT_AFTER_S, SILENT_AFTER_PACKETS / (device.rate_hz or np.inf))
@@ -213,7 +217,7 @@ class LiveRun:
         }
         return Narrator(self.pipeline, self._settings, publish, self._say, card)
 
-    def _metadata(self, device: DeviceFile, device_yaml: str) -> SessionMetadata:
+    def _metadata(self, device: DeviceFile, device_yaml: str, setup: Setup) -> SessionMetadata:
         s = self._settings
         return SessionMetadata(
             source="live",
@@ -222,6 +226,7 @@ class LiveRun:
             device=device.name,
             axes=device.axes,
             device_yaml=device_yaml,
+            pipeline_yaml=setup.text(),
             port=PortUsed(
                 url=s.url,
                 settings={

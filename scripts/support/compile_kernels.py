@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from imumon.estimation.setup import Setup
 from imumon.protocols.device import device_names, load_device
 from imumon.run.live import warm_up
 
 if __name__ == "__main__":
     for name in device_names():
-        warm_up(load_device(name))
+        warm_up(load_device(name), Setup())

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from rerun.experimental import ViewerClient
 
+from imumon.estimation.setup import Setup
 from imumon.protocols.device import device_text, load_device
 from imumon.run.live import LiveRun, warm_up
 from imumon.run.narration import view_setup
@@ -28,11 +29,11 @@ def main() -> None:
         VirtualDevice(device, Path(folder) / "ahrs") as ahrs,
     ):
         run = LiveRun(
-            device, device_text("ax1")[0], PortSettings(ahrs.port.path), Path(folder) / "bench", _say
+            device, device_text("ax1")[0], PortSettings(ahrs.port.path), Setup(), Path(folder) / "bench", _say
         )
         run.open()
         live = ViewPublisher("web", view_setup(run.session, run.pipeline.units, WINDOW_S)).start()
-        warm_up(device)
+        warm_up(device, Setup())
         run.begin([live.publish])
         time.sleep(10)
         _photograph(proxy_url(live.stream_port))

@@ -11,6 +11,7 @@ import pytest
 
 from imumon.blocks import SampleBlock, join
 from imumon.errors import ImumonError, Reason
+from imumon.estimation.setup import Setup
 from imumon.estimation.stages import estimators
 from imumon.pipeline import Digest, Pipeline
 from imumon.protocols.device import device_text, load_device, parse_device
@@ -48,9 +49,9 @@ def wait_until(condition: Callable[[], bool], seconds: float = 15.0) -> None:
 
 
 def start(path: str, folder: Path, watcher: Watcher, baudrate: int = 115200) -> LiveRun:
-    run = LiveRun(AX1, device_text("ax1")[0], PortSettings(path, baudrate), folder, watcher.say)
+    run = LiveRun(AX1, device_text("ax1")[0], PortSettings(path, baudrate), Setup(), folder, watcher.say)
     run.open()
-    warm_up(AX1)
+    warm_up(AX1, Setup())
     run.begin([watcher.items.append])
     return run
 
@@ -206,7 +207,7 @@ def test_a_device_that_sends_every_two_seconds_is_not_called_silent(tmp_path: Pa
     text = device_text("ax1")[0].replace("rate_hz: 100", "rate_hz: 0.5")
     slow, watcher = parse_device(text, "slow"), Watcher()
     with VirtualDevice(slow, tmp_path / "ahrs") as device:
-        run = LiveRun(slow, text, PortSettings(device.port.path), tmp_path / "session", watcher.say)
+        run = LiveRun(slow, text, PortSettings(device.port.path), Setup(), tmp_path / "session", watcher.say)
         run.open()
         run.begin([watcher.items.append])
         wait_until(lambda: run.pipeline.counters.packets == 2)

@@ -1,0 +1,81 @@
+"""Options of the commands that run the estimators, and the setup that they make."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypedDict, TypeVar
+
+import click
+
+from imumon.cli.common import Number
+
+if TYPE_CHECKING:
+    from imumon.estimation.setup import Setup
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+
+class SetupOptions(TypedDict):
+    """The values of the options, None where one was not given."""
+
+    pipeline: Path | None
+    model: Path | None
+    zupt: str | None
+    latitude: float | None
+    heading: float | None
+
+
+_OPTIONS = (
+    click.option(
+        "--pipeline",
+        type=click.Path(path_type=Path),
+        help="Pipeline file: place, model and parameters of the estimators.",
+    ),
+    click.option(
+        "--model", type=click.Path(path_type=Path), help="Bias over temperature, from imumon calibrate."
+    ),
+    click.option(
+        "--zupt",
+        type=click.Choice(["standard", "thermal", "learned"]),
+        help="How the bias follows temperature.  Default: thermal with a model, else learned.",
+    ),
+    click.option("--latitude", type=Number(min=-90, max=90), help="Degrees north, for the earth rate."),
+    click.option(
+        "--heading",
+        type=Number(min=-360, max=360),
+        help="Of the body's x axis, degrees clockwise from true north, when it is known.",
+    ),
+)
+
+
+def setup_options(command: Command) -> Command:
+    """Add the options; the command gets them as keywords named as in `SetupOptions`."""
+    for option in reversed(_OPTIONS):
+        command = option(command)
+    return command
+
+
+def make_setup(given: SetupOptions, recorded: str | None = None, source: str = "") -> Setup:
+    """Return the setup of a run: the pipeline file, else that of the recording, changed by the options.
+
+    Raises
+    ------
+    ImumonError
+        BAD_CONFIG when a file cannot be read, or the parts contradict each other.
+    """
+    from imumon.estimation.setup import Setup, load_setup, parse_setup
+
+    setup = Setup()
+    if given["pipeline"] is not None:
+        setup = load_setup(given["pipeline"])
+    elif recorded is not None:
+        setup = parse_setup(recorded, source)
+    model = None
+    if given["model"] is not None:
+        from imumon.thermal.model import load_model
+
+        model = load_model(given["model"])
+    return setup.with_options(
+        model=model, zupt_mode=given["zupt"], latitude_deg=given["latitude"], heading_deg=given["heading"]
+    )

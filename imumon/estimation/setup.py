@@ -1,0 +1,105 @@
+"""Pipeline files: what the estimators are told that the device does not send."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import yaml
+from pydantic import Field
+
+from imumon.config import StrictModel, parse_yaml
+from imumon.errors import ImumonError, Reason
+from imumon.estimation.random_error.parameters import RandomErrorParameters
+from imumon.estimation.rest.parameters import RestParameters
+from imumon.estimation.zupt.parameters import ZuptParameters
+from imumon.thermal.model import BiasModel, load_model
+
+FORMAT: Final = "imumon-pipeline/1"
+
+ZuptMode = Literal["standard", "thermal", "learned"]
+
+
+class Setup(StrictModel):
+    """Where the unit stands, its bias model, and the parameters of every estimator.
+
+    `model` is the path of a model file, relative to the pipeline file, or the model itself; a session keeps
+    the model itself, so that it refers to nothing outside.
+    """
+
+    format: Literal["imumon-pipeline/1"] = FORMAT
+    latitude_deg: float | None = Field(default=None, ge=-90, le=90)
+    heading_deg: float | None = Field(default=None, ge=-360, le=360)
+    zupt_mode: ZuptMode | None = None
+    model: BiasModel | str | None = None
+    rest: RestParameters = RestParameters()
+    zupt: ZuptParameters = ZuptParameters()
+    random_error: RandomErrorParameters = RandomErrorParameters()
+
+    @property
+    def bias_model(self) -> BiasModel | None:
+        """The model, or None; a path has been replaced by `load_setup`."""
+        assert not isinstance(self.model, str)
+        return self.model
+
+    @property
+    def mode(self) -> ZuptMode:
+        """How the bias follows temperature: as chosen, else by the model if there is one, else learned."""
+        return self.zupt_mode or ("thermal" if self.model is not None else "learned")
+
+    def with_options(self, **given: Any) -> Setup:
+        """Return the setup with what was given on the command line; None leaves what there is."""
+        changed = {name: value for name, value in given.items() if value is not None}
+        return self.model_copy(update=changed).checked() if changed else self
+
+    def checked(self) -> Setup:
+        """Return the setup; raises BAD_CONFIG when its parts contradict each other."""
+        if self.zupt_mode == "thermal" and self.model is None:
+            raise ImumonError(
+                Reason.BAD_CONFIG,
+                "the thermal mode needs the bias over temperature, and there is no model",
+                "add --model MODEL.yaml, made by: imumon calibrate SESSION... --out MODEL.yaml",
+            )
+        return self
+
+    def text(self) -> str | None:
+        """Return the pipeline file that says this much, or None when nothing differs from the defaults."""
+        defaults = Setup()
+        names = [name for name in Setup.model_fields if getattr(self, name) != getattr(defaults, name)]
+        if not names:
+            return None
+        said = {"format": FORMAT, **self.model_dump(include=set(names))}
+        return yaml.safe_dump(said, sort_keys=False, allow_unicode=True, width=110)
+
+
+def parse_setup(text: str, source: str) -> Setup:
+    """Read the text of a pipeline file; a model that it names is read from beside `source`.
+
+    Raises
+    ------
+    ImumonError
+        BAD_CONFIG, naming file and line, what was found and what was expected.
+    """
+    setup = parse_yaml(text, Setup, source)
+    if isinstance(setup.model, str):
+        setup = setup.model_copy(update={"model": load_model(Path(source).parent / setup.model)})
+    return setup.checked()
+
+
+def load_setup(path: Path) -> Setup:
+    """Read a pipeline file.
+
+    Raises
+    ------
+    ImumonError
+        BAD_CONFIG, naming file and line, what was found and what was expected.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ImumonError(
+            Reason.BAD_CONFIG,
+            f"{path}: cannot be read: {error}",
+            "give a pipeline file (format: imumon-pipeline/1)",
+        ) from error
+    return parse_setup(text, str(path))
