@@ -20,8 +20,8 @@ class ZuptParameters(StrictModel):
     Parameters
     ----------
     angle_random_walk_rad_per_sqrt_s : float or [x, y, z], optional
-        Square root of the two-sided density of the gyro's white noise (0.28 °/√h is 8.1e-5).  Measured at rest
-        when it is not given.
+        Square root of the two-sided density of the gyro's white noise (0.28 °/√h is 8.1e-5).  Measured at
+        rest when it is not given.
     bias_instability_rad_per_s, rate_random_walk_rad_per_s_per_sqrt_s : float or [x, y, z], optional
         Flicker coefficient B (floor of the Allan deviation 0.664 B) and bias random walk K.  When one is
         given, both hold as given, the other being nought.  When neither is, how much the bias wanders is
@@ -41,6 +41,6 @@ class ZuptParameters(StrictModel):
     bias_instability_rad_per_s: _PerAxisOrNone | None = None
     rate_random_walk_rad_per_s_per_sqrt_s: _PerAxisOrNone | None = None
     velocity_random_walk_m_per_s_per_sqrt_s: _Positive | None = None
-    zeroing_s: float = Field(default=60.0, ge=5.0, le=600.0)
+    zeroing_s: float = Field(default=60.0, ge=5.0, le=240.0)
     thermal_form: Literal["increments", "slope_rate"] = "increments"
     assume_at_rest: bool = False

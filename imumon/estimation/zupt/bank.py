@@ -1,0 +1,349 @@
+"""Rotation about one gyro axis at rest, its bias, and how much that bias wanders: a bank of Kalman filters.
+
+States of a filter, for one axis of the body::
+
+    0  rotation since the unit came to rest, rad: integrated rate less bias
+    1  its integral less that of the reading of the tilt, rad s: the velocity over g of the textbook filter
+    2  bias that walks at random (K), rad/s
+    3  to 5  bias that comes and goes within 10, 100 and 1000 s: Gauss-Markov, together flicker noise
+    6  slope over temperature, rad/s/degC; only in the bank that learns it
+
+Zero velocity is a measurement of state 1.  A random walk alone is no flicker noise: it claims half the error
+there is.  How strong either is, relative to the white noise, is not known beforehand: each filter of the
+bank holds one answer, and an interacting multiple model (Blom and Bar-Shalom 1988) weighs them by their
+innovations.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from imumon.blocks import FloatArray
+
+ROTATION, SWAY, WALK, FIRST_MARKOV, SLOPE = 0, 1, 2, 3, 6
+STATES = 7
+MARKOV_S = (10.0, 100.0, 1000.0)
+FLOOR_PER_MARKOV = 0.776
+"""Allan deviation's floor of the three processes together, over the standard deviation of one."""
+FLOOR_PER_INSTABILITY = math.sqrt(2.0 * math.log(2.0) / math.pi)
+FLICKER_BELOW = 0.015
+"""Random walk (per sqrt(s)) that goes on as flicker does below 1/1000 s, over the sd of one of them."""
+
+FLICKER_CORNERS_S = (1280.0, 320.0, 80.0, 20.0)
+"""Averaging times at which flicker noise overtakes the white noise, one filter each."""
+WALK_CORNERS_S = (60.0, 12.0, 2.5)
+"""The same for random walks: biases that follow an unknown temperature."""
+PRIORS = (0.2, 0.2, 0.2, 0.2, 0.08, 0.07, 0.05)
+DWELL_S = 3600.0
+"""Mean time after which a bias begins to behave differently."""
+UNKNOWN_BIAS = 1.0
+"""Standard deviation of the bias before any measurement, rad/s."""
+UNKNOWN_ROTATION = 0.01
+"""The same of the rotation when the unit has come to rest, rad: how far the first reading may be off."""
+SLOPE_SD = math.radians(60.0) / 3600.0
+"""Standard deviation of a slope before any measurement, rad/s/degC."""
+SLOPE_WALK = math.radians(0.02) / 3600.0
+"""Its random walk, rad/s/degC/sqrt(s)."""
+
+
+class Family(NamedTuple):
+    """What the filters of a bank assume of the bias.
+
+    Parameters
+    ----------
+    markov : array (3, filters)
+        Standard deviation of each of the three Gauss-Markov processes, per axis.
+    walk : array (3, filters)
+        Random walk per sqrt(s), per axis.
+    prior : array (filters,)
+        Weights before any measurement.
+    relative : bool
+        Whether `markov` and `walk` are in units of the axis' angular random walk, or in rad/s.
+    """
+
+    markov: FloatArray
+    walk: FloatArray
+    prior: FloatArray
+    relative: bool
+
+
+class Bank(NamedTuple):
+    """The filters of three axes, first without, then (when it is learned) with slope.
+
+    Parameters
+    ----------
+    x : array (rows, filters, 7)
+        States; the rows are x, y, z without slope and x, y, z with.
+    p : array (rows, filters, 7, 7)
+        Covariances.
+    weight : array (rows, filters)
+        Probabilities.
+    innovation, variance : array (rows, filters)
+        Of the last zero-velocity measurement.
+    """
+
+    x: FloatArray
+    p: FloatArray
+    weight: FloatArray
+    innovation: FloatArray
+    variance: FloatArray
+
+
+def unknown_family() -> Family:
+    """Return the filters for a gyro of which nothing is known."""
+    flicker = 1.0 / (FLOOR_PER_MARKOV * np.sqrt(FLICKER_CORNERS_S))
+    walks = math.sqrt(3.0) / np.array(WALK_CORNERS_S)
+    markov = np.concatenate([flicker, np.full(len(walks), flicker[1])])
+    walk = np.concatenate([FLICKER_BELOW * flicker, walks])
+    return Family(np.tile(markov, (3, 1)), np.tile(walk, (3, 1)), np.array(PRIORS), True)
+
+
+def known_family(bias_instability: FloatArray, rate_random_walk: FloatArray) -> Family:
+    """Return the one filter for a gyro whose B and K are known, (3,) each, rad/s and rad/s/sqrt(s)."""
+    markov = bias_instability * (FLOOR_PER_INSTABILITY / FLOOR_PER_MARKOV)
+    return Family(markov[:, np.newaxis], rate_random_walk[:, np.newaxis], np.ones(1), False)
+
+
+def empty_bank(rows: int, filters: int) -> Bank:
+    """Return a bank to be started."""
+    return Bank(
+        np.zeros((rows, filters, STATES)),
+        np.zeros((rows, filters, STATES, STATES)),
+        np.zeros((rows, filters)),
+        np.zeros((rows, filters)),
+        np.ones((rows, filters)),
+    )
+
+
+@njit(cache=True, nogil=True)
+def start(bank: Bank, family: Family, noise: FloatArray) -> None:
+    """Forget all; `noise` (3,) is the angular random walk, rad/sqrt(s)."""
+    bank.x[:] = 0.0
+    bank.p[:] = 0.0
+    for row in range(bank.x.shape[0]):
+        axis = row % 3
+        unit = noise[axis] if family.relative else 1.0
+        for h in range(bank.x.shape[1]):
+            p = bank.p[row, h]
+            p[WALK, WALK] = UNKNOWN_BIAS**2
+            for i in range(3):
+                p[FIRST_MARKOV + i, FIRST_MARKOV + i] = (unit * family.markov[axis, h]) ** 2
+            if row >= 3:
+                p[SLOPE, SLOPE] = SLOPE_SD**2
+            bank.weight[row, h] = family.prior[h]
+
+
+@njit(cache=True, nogil=True)
+def come_to_rest(bank: Bank) -> None:
+    """Forget rotation and velocity; the bias stays."""
+    for row in range(bank.x.shape[0]):
+        for h in range(bank.x.shape[1]):
+            x, p = bank.x[row, h], bank.p[row, h]
+            for i in (ROTATION, SWAY):
+                x[i] = 0.0
+                for j in range(STATES):
+                    p[i, j] = p[j, i] = 0.0
+            p[ROTATION, ROTATION] = UNKNOWN_ROTATION**2
+
+
+@njit(cache=True, nogil=True)
+def wander(
+    bank: Bank, row: int, family: Family, dt: float, noise: float, warming: float, growth: float
+) -> None:
+    """Bring the biases of a row `dt` seconds on.
+
+    Parameters
+    ----------
+    noise : float
+        Angular random walk of the axis, rad/sqrt(s).
+    warming : float
+        Change of the temperature, degC, for the bank that learns its slope.
+    growth : float
+        What the thermal model adds to the variance of the bias, (rad/s)^2.
+    """
+    n = STATES if row >= 3 else SLOPE
+    unit = noise if family.relative else 1.0
+    decay = np.ones(STATES)
+    for i in range(3):
+        decay[FIRST_MARKOV + i] = math.exp(-dt / MARKOV_S[i])
+    for h in range(bank.x.shape[1]):
+        x, p = bank.x[row, h], bank.p[row, h]
+        if n > SLOPE:
+            x[WALK] += warming * x[SLOPE]
+            for j in range(n):
+                p[WALK, j] += warming * p[SLOPE, j]
+            for j in range(n):
+                p[j, WALK] += warming * p[j, SLOPE]
+            p[SLOPE, SLOPE] += SLOPE_WALK**2 * dt
+        for i in range(n):
+            x[i] *= decay[i]
+            for j in range(n):
+                p[i, j] *= decay[i] * decay[j]
+        p[WALK, WALK] += (unit * family.walk[row % 3, h]) ** 2 * dt + growth
+        for i in range(FIRST_MARKOV, SLOPE):
+            p[i, i] += (unit * family.markov[row % 3, h]) ** 2 * (1.0 - decay[i] * decay[i])
+
+
+@njit(cache=True, nogil=True)
+def rotate(
+    bank: Bank, row: int, dt: float, rate: float, tilt: float, noise2: float, tilt2: float, sway2: float
+) -> None:
+    """Bring rotation and velocity of a row `dt` seconds on, and look at the zero velocity.
+
+    Parameters
+    ----------
+    rate, tilt : float
+        Mean over these seconds of the gyro, rad/s, and of the tilt by the accelerometers, rad.
+    noise2, tilt2 : float
+        Densities of their white noises, rad^2/s and rad^2 s.
+    sway2 : float
+        Variance of the velocity over g at rest, (rad s)^2.
+    """
+    n = STATES if row >= 3 else SLOPE
+    half = 0.5 * dt * dt
+    joint = np.empty(STATES)
+    for h in range(bank.x.shape[1]):
+        x, p = bank.x[row, h], bank.p[row, h]
+        net = rate
+        for i in range(WALK, SLOPE):
+            net -= x[i]
+        x[SWAY] += dt * (x[ROTATION] - tilt) + half * net
+        x[ROTATION] += dt * net
+        total = 0.0
+        for j in range(n):
+            joint[j] = p[WALK, j] + p[3, j] + p[4, j] + p[5, j]
+            if WALK <= j < SLOPE:
+                total += joint[j]
+        with_rotation, with_sway = joint[ROTATION], joint[SWAY]
+        rr, rs = p[ROTATION, ROTATION], p[ROTATION, SWAY]
+        p[SWAY, SWAY] += (
+            dt * (2.0 * rs + dt * (rr - with_sway) - dt * dt * with_rotation)
+            + half * half * total
+            + (half * half / dt * noise2 + dt * tilt2)
+        )
+        p[ROTATION, SWAY] += dt * (rr - with_sway) - 3.0 * half * with_rotation + dt * half * total
+        p[ROTATION, SWAY] += half * noise2
+        p[ROTATION, ROTATION] += dt * (dt * total - 2.0 * with_rotation + noise2)
+        p[SWAY, ROTATION] = p[ROTATION, SWAY]
+        for j in range(WALK, n):
+            p[SWAY, j] += dt * p[ROTATION, j] - half * joint[j]
+            p[ROTATION, j] -= dt * joint[j]
+            p[j, SWAY], p[j, ROTATION] = p[SWAY, j], p[ROTATION, j]
+        bank.innovation[row, h] = -x[SWAY]
+        bank.variance[row, h] = p[SWAY, SWAY] + sway2
+
+
+@njit(cache=True, nogil=True)
+def surprise(bank: Bank, row: int) -> float:
+    """Return the least squared normalised innovation of a row: that of the most tolerant filter."""
+    least = np.inf
+    for h in range(bank.x.shape[1]):
+        least = min(least, bank.innovation[row, h] ** 2 / bank.variance[row, h])
+    return float(least)
+
+
+@njit(cache=True, nogil=True)
+def innovation(bank: Bank, row: int) -> float:
+    """Return the innovation of the whole row over its standard deviation; its sign is that of the bias."""
+    mean, square = 0.0, 0.0
+    for h in range(bank.x.shape[1]):
+        mean += bank.weight[row, h] * bank.innovation[row, h]
+        square += bank.weight[row, h] * (bank.variance[row, h] + bank.innovation[row, h] ** 2)
+    return -mean / math.sqrt(square - mean * mean)
+
+
+@njit(cache=True, nogil=True)
+def correct(bank: Bank, row: int) -> float:
+    """Take in the zero velocity, in Joseph's form, and weigh the filters; return the log-likelihood."""
+    n = STATES if row >= 3 else SLOPE
+    filters = bank.x.shape[1]
+    gain, sway = np.empty(STATES), np.empty(STATES)
+    likelihood = np.empty(filters)
+    for h in range(filters):
+        x, p = bank.x[row, h], bank.p[row, h]
+        s, nu = bank.variance[row, h], bank.innovation[row, h]
+        likelihood[h] = -0.5 * (nu * nu / s + math.log(2.0 * math.pi * s))
+        for i in range(n):
+            sway[i] = p[SWAY, i]
+            gain[i] = sway[i] / s
+        for i in range(n):
+            x[i] += gain[i] * nu
+            for j in range(i, n):
+                p[i, j] += gain[i] * gain[j] * s - gain[i] * sway[j] - sway[i] * gain[j]
+                p[j, i] = p[i, j]
+    most, total = likelihood.max(), 0.0
+    for h in range(filters):
+        bank.weight[row, h] *= math.exp(likelihood[h] - most)
+        total += bank.weight[row, h]
+    for h in range(filters):
+        bank.weight[row, h] /= total
+    return float(most + math.log(total))
+
+
+@njit(cache=True, nogil=True)
+def mix(bank: Bank, row: int, family: Family, dt: float) -> None:
+    """Let each filter take over, after `dt` seconds, its share of what the others know (mixing of the IMM).
+
+    A filter stays with probability exp(-dt / DWELL_S), and goes over to any by its prior otherwise: so all
+    receive the same mean of the whole.
+    """
+    filters = bank.x.shape[1]
+    if filters == 1:
+        return
+    n = STATES if row >= 3 else SLOPE
+    mean, cover = np.zeros(STATES), np.zeros((STATES, STATES))
+    for h in range(filters):
+        for i in range(n):
+            mean[i] += bank.weight[row, h] * bank.x[row, h, i]
+    for h in range(filters):
+        weight, x, p = bank.weight[row, h], bank.x[row, h], bank.p[row, h]
+        for i in range(n):
+            for j in range(n):
+                cover[i, j] += weight * (p[i, j] + (x[i] - mean[i]) * (x[j] - mean[j]))
+    leave = 1.0 - math.exp(-dt / DWELL_S)
+    off = np.empty(STATES)
+    for h in range(filters):
+        x, p = bank.x[row, h], bank.p[row, h]
+        arriving = leave * family.prior[h]
+        bank.weight[row, h] = (1.0 - leave) * bank.weight[row, h] + arriving
+        taken = arriving / bank.weight[row, h]
+        for i in range(n):
+            off[i] = x[i] - mean[i]
+            x[i] -= taken * off[i]
+        for i in range(n):
+            for j in range(n):
+                spread = (1.0 - taken) * off[i] * off[j]
+                p[i, j] += taken * (cover[i, j] - p[i, j] + spread)
+
+
+@njit(cache=True, nogil=True)
+def bias(bank: Bank, row: int) -> tuple[float, float]:
+    """Return the bias of a row and its variance, rad/s."""
+    mean, square = 0.0, 0.0
+    centre = 0.0
+    for i in range(WALK, SLOPE):
+        centre += bank.x[row, 0, i]
+    for h in range(bank.x.shape[1]):
+        value, variance = -centre, 0.0
+        for i in range(WALK, SLOPE):
+            value += bank.x[row, h, i]
+            for j in range(WALK, SLOPE):
+                variance += bank.p[row, h, i, j]
+        mean += bank.weight[row, h] * value
+        square += bank.weight[row, h] * (variance + value * value)
+    return mean + centre, max(square - mean * mean, 0.0)
+
+
+@njit(cache=True, nogil=True)
+def slope(bank: Bank, row: int) -> tuple[float, float]:
+    """Return the slope over temperature of a row that learns it, rad/s/degC, and its variance."""
+    mean, square = 0.0, 0.0
+    for h in range(bank.x.shape[1]):
+        value = bank.x[row, h, SLOPE]
+        mean += bank.weight[row, h] * value
+        square += bank.weight[row, h] * (bank.p[row, h, SLOPE, SLOPE] + value * value)
+    return mean, max(square - mean * mean, 0.0)
