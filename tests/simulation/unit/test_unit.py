@@ -218,6 +218,16 @@ def test_a_gyro_that_lags_has_the_bias_of_an_earlier_temperature() -> None:
     assert np.all(np.abs(lagged[25_900] - bias[25_900]) > 1e-6)
 
 
+def test_the_descent_of_the_ramp_moves_the_bias_as_the_specification_says() -> None:
+    """A bias of y that is held errs by -146 deg/h after 66 s of the descent and by -463 after 204 s."""
+    plan = load_scenario("crs05-ramp")
+    quiet = plan.unit.model_copy(update={"gyro_noise": scenario().unit.gyro_noise})
+    _, truth = SimulatedUnit(plan.model_copy(update={"unit": quiet})).run(plan.samples)
+    bias = np.degrees(truth["gyro_bias_y"]) * 3600
+    assert bias[32_400] - bias[39_000] == pytest.approx(-146, abs=0.5)
+    assert bias[32_400] - bias[52_800] == pytest.approx(-463, abs=0.5)
+
+
 def test_times_are_those_that_a_decoder_finds() -> None:
     sent, truth = SimulatedUnit(scenario(rate_hz=60), 0, Fraction(100_000)).run(61)
     assert sent["device_ticks"][[1, 60]].tolist() == [167, 10_000]
