@@ -102,13 +102,14 @@ class ChannelModel(StrictModel):
 
 
 class TrainedOn(StrictModel):
-    """A session that a model was made from.
+    """A run that a model was made from: a session, or the part of one up to a restart or another pose.
 
-    `offset` is what its bias differs from that of the first session, per channel and in the channel's unit;
+    `offset` is what its bias differs by from the mean of all runs, per channel and in the channel's unit;
     it has only the channels where it could be told.
     """
 
     session: str
+    run: NonNegativeInt = 0
     sha256: _Sha256
     rest_s: _NonNegative
     blocks: NonNegativeInt

@@ -71,6 +71,10 @@ class NetworkCurve(StrictModel):
         outer = (1.0 - second**2) * (inner @ np.array(self.second_weights).T)
         return np.asarray(outer @ np.array(self.output_weights)) * (self.scale / self.half_width_degc)
 
+    def minus(self, constant: float) -> NetworkCurve:
+        """Return the curve lowered by a constant."""
+        return self.model_copy(update={"offset": self.offset - constant})
+
     def _layers(self, temperature: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
         u = (np.asarray(temperature, np.float64) - self.center_degc) / self.half_width_degc
         first = np.tanh(u[..., np.newaxis] * np.array(self.first_weights) + np.array(self.first_biases))

@@ -43,6 +43,18 @@ class Points:
         """Return the means with an offset taken from each."""
         return Points(self.temperature, self.value - offset, self.weight, self.level)
 
+    def merged(self, width: float) -> Points:
+        """Return weighted means of those of the same level that are in the same `width` of °C.
+
+        To a curve that is smooth over `width` they are worth the same, and there are fewer of them.
+        """
+        bin_of = np.floor((self.temperature - self.temperature.min()) / width).astype(np.int64)
+        keys, which = np.unique(np.column_stack([self.level, bin_of]), axis=0, return_inverse=True)
+        weight = np.bincount(which, self.weight).astype(np.float64)
+        temperature = np.bincount(which, self.weight * self.temperature) / weight
+        value = np.bincount(which, self.weight * self.value) / weight
+        return Points(temperature, value, weight, keys[:, 0])
+
 
 def folds(level: IntArray, most: int) -> list[npt.NDArray[np.bool_]]:
     """Return which means to leave out at a time, (n,) of bool each: whole levels, no neighbours, no edges.

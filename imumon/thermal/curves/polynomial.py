@@ -42,6 +42,11 @@ class PolynomialCurve(StrictModel):
         slope = chebyshev.chebval(self._scaled(temperature), derivative) / self.half_width_degc
         return np.asarray(slope, np.float64)
 
+    def minus(self, constant: float) -> PolynomialCurve:
+        """Return the curve lowered by a constant."""
+        first, *others = self.coefficients
+        return self.model_copy(update={"coefficients": [first - constant, *others]})
+
     def _scaled(self, temperature: npt.ArrayLike) -> FloatArray:
         return (np.asarray(temperature, np.float64) - self.center_degc) / self.half_width_degc
 

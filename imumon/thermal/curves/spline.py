@@ -54,6 +54,10 @@ class SplineCurve(StrictModel):
         c2, c3 = 3.0 * (y1 - y0) - h * (2.0 * d0 + d1), 2.0 * (y0 - y1) + h * (d0 + d1)
         return d0 + s * (2.0 * c2 + 3.0 * s * c3) / h
 
+    def minus(self, constant: float) -> SplineCurve:
+        """Return the curve lowered by a constant."""
+        return self.model_copy(update={"values": [value - constant for value in self.values]})
+
     def _piece(self, temperature: npt.ArrayLike) -> tuple[FloatArray, ...]:
         """Return where in its piece each temperature is (0 to 1), the piece's width, and its ends."""
         t = np.asarray(temperature, np.float64)
@@ -74,19 +78,30 @@ def fit_spline(points: Points, knots: FloatArray) -> SplineCurve:
     knots : array (m,)
         Breaks, °C, increasing, at least the two ends of the range.
     """
-    extended = np.concatenate([np.repeat(knots[0], 3), knots, np.repeat(knots[-1], 3)])
-    basis = b_spline_basis(extended, points.temperature, 0)
+    basis, penalty = penalised_basis(points, knots)
     root = np.sqrt(points.weight / points.weight.mean())
     weighted, target = basis * root[:, np.newaxis], points.value * root
-    penalty = _roughness(extended, knots)
-    penalty *= np.trace(weighted.T @ weighted) / np.trace(penalty)
     strength = _best_strength(weighted, target, penalty, points.level)
     coefficients = np.linalg.solve(weighted.T @ weighted + strength * penalty, weighted.T @ target)
+    extended = _extended(knots)
     return SplineCurve(
         knots_degc=knots.tolist(),
         values=(b_spline_basis(extended, knots, 0) @ coefficients).tolist(),
         slopes=(b_spline_basis(extended, knots, 1) @ coefficients).tolist(),
     )
+
+
+def penalised_basis(points: Points, knots: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the B-splines at the points, (n, p), and ∫ b''² dT as a matrix of like size."""
+    extended = _extended(knots)
+    basis = b_spline_basis(extended, points.temperature, 0)
+    penalty = _roughness(extended, knots)
+    scale = np.sum(basis**2 * (points.weight / points.weight.mean())[:, np.newaxis]) / np.trace(penalty)
+    return basis, penalty * scale
+
+
+def _extended(knots: FloatArray) -> FloatArray:
+    return np.concatenate([np.repeat(knots[0], 3), knots, np.repeat(knots[-1], 3)])
 
 
 _STRENGTHS = 10.0 ** np.arange(-9.0, 4.1, 0.5)

@@ -1,0 +1,134 @@
+"""``imumon calibrate``: the bias of a unit over temperature, from recordings at rest."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from imumon.cli.common import Number, json_option, print_json, print_rows, say
+from imumon.errors import ImumonError, Reason
+
+if TYPE_CHECKING:
+    from imumon.thermal.calibration import Calibration, Finding
+
+SHOWN = {"rad/s": ("°/h", 206264.80624709636), "m/s^2": ("mg", 1e3 / 9.80665)}
+"""What a person reads, and how many of it one of the model's units is."""
+
+
+@click.command("calibrate")
+@click.argument("sessions", nargs=-1, required=True, metavar="SESSION...", type=click.Path(path_type=Path))
+@click.option("--out", required=True, type=click.Path(path_type=Path), help="Model file to write.")
+@click.option(
+    "--latitude", type=Number(min=-90, max=90), help="Degrees; with --heading the earth rate is removed."
+)
+@click.option(
+    "--heading", type=Number(min=-360, max=360), help="Degrees of the x axis, clockwise from north."
+)
+@click.option("--serial", help="Serial number of the unit, for the model file.")
+@json_option
+def command(
+    sessions: tuple[Path, ...],
+    out: Path,
+    latitude: float | None,
+    heading: float | None,
+    serial: str | None,
+    as_json: bool,
+) -> None:
+    """Find the bias of a unit over temperature from SESSIONs in which it stands still while that changes.
+
+    Several kinds of curve are tried on temperature levels left out; the one that errs least there is fitted
+    to all data.  What cannot give a good model is refused, with the reason.
+    """
+    if out.exists():
+        raise ImumonError(
+            Reason.EXISTS, f"{out} is there already", "nothing was overwritten; give another name"
+        )
+    if not out.parent.is_dir():
+        raise ImumonError(Reason.BAD_CONFIG, f"{out}: there is no folder {out.parent}", "make it first")
+    from imumon.thermal.calibration import calibrate_sessions
+
+    result = calibrate_sessions(sessions, latitude, heading, serial)
+    result.model.write(out)
+    for text in result.warnings:
+        say("WARN", text)
+    if as_json:
+        print_json(_report(result, out))
+    else:
+        _show(result)
+    print_rows(_summary(result, out))
+
+
+def _report(result: Calibration, out: Path) -> dict[str, Any]:
+    model = result.model
+    return {
+        "out": out,
+        "rest_s": result.rest_s,
+        "temperature_range_degc": list(result.temperature_range),
+        "temperature_rate_rms_degc_per_s": result.rate_rms,
+        "levels_degc": model.levels_degc,
+        "earth_rate": model.earth_rate,
+        "runs": [run.model_dump() for run in model.trained_on],
+        "warnings": result.warnings,
+        "channels": {
+            name: {
+                "unit": model.channels[name].unit,
+                "temperature_column": model.channels[name].temperature_column,
+                "curve": finding.choice.name,
+                "held_out_rms": finding.choice.held_out_rms,
+                "fit_rms": finding.choice.fit_rms,
+                "residual_sd": finding.choice.residual_sd,
+                "lag_rms": finding.lag_rms,
+                "turn_on_sd": finding.repeatability,
+            }
+            for name, finding in result.findings.items()
+        },
+    }
+
+
+def _show(result: Calibration) -> None:
+    """Print the error of every candidate at levels left out, a line per channel."""
+    names = list(dict.fromkeys(name for f in result.findings.values() for name in f.choice.held_out_rms))
+    heads = [name.replace("polynomial", "poly").replace("network", "net") for name in names]
+    click.echo("rms error at temperature levels left out; * is chosen")
+    click.echo(f"{'':14}" + "".join(f"{head:>9}" for head in heads))
+    for channel, finding in result.findings.items():
+        unit, factor = SHOWN[result.model.channels[channel].unit]
+        cells = []
+        for name in names:
+            value = finding.choice.held_out_rms.get(name)
+            mark = "*" if name == finding.choice.name else " "
+            cells.append(f"{'-':>8} " if value is None else f"{value * factor:8.3g}{mark}")
+        click.echo(f"{channel:8}{unit:>6}" + "".join(cells))
+
+
+def _summary(result: Calibration, out: Path) -> dict[str, str]:
+    low, high = result.temperature_range
+    model = result.model
+    rows = {
+        "at rest": f"{result.rest_s / 3600:.2f} h, {len(model.levels_degc)} temperature levels",
+        "temperature": f"{low:.2f} to {high:.2f} °C, {result.rate_rms * 60:.2f} °C/min rms",
+        "residual": _per_channel(result, lambda finding: finding.choice.residual_sd),
+        "30 s of lag": _per_channel(result, lambda finding: finding.lag_rms) + ", if the gyro has it",
+    }
+    if any(finding.repeatability is not None for finding in result.findings.values()):
+        rows["turn-on"] = _per_channel(result, lambda finding: finding.repeatability)
+    rows["earth rate"] = (
+        "removed"
+        if model.earth_rate == "removed"
+        else "in the constant of the gyro curves (--latitude, --heading)"
+    )
+    rows["model"] = str(out)
+    return rows
+
+
+def _per_channel(result: Calibration, of: Callable[[Finding], float | None]) -> str:
+    """Return a number of each channel, those of one unit together."""
+    parts: dict[str, list[str]] = {}
+    for name, finding in result.findings.items():
+        unit, factor = SHOWN[result.model.channels[name].unit]
+        value = of(finding)
+        parts.setdefault(unit, []).append("-" if value is None else f"{value * factor:.3g}")
+    return "; ".join(f"{' '.join(values)} {unit}" for unit, values in parts.items())

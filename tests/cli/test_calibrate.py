@@ -1,0 +1,120 @@
+"""``imumon calibrate`` as a user or a program meets it."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imumon.blocks import FloatArray
+from imumon.thermal import load_model
+from tests.data_folder import measured
+from tests.thermal.records import DEG_H, samples, soak, true_bias
+
+IMUMON = str(Path(sys.executable).with_name("imumon"))
+MAP = """
+time: {column: t, unit: s}
+gyro: {columns: [gx, gy, gz], unit: rad/s}
+temperature: {columns: [temp], unit: degC}
+"""
+
+
+def imumon(*arguments: object) -> subprocess.CompletedProcess[str]:
+    command = [IMUMON, *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=170, check=False)
+
+
+def imported(folder: Path, temperature: FloatArray) -> Path:
+    """Make a session of a simulated table by the real command."""
+    block = samples(temperature)
+    columns = [block["device_time_ns"] * 1e-9, *(block[f"gyro_{a}"] for a in "xyz"), block["temperature"]]
+    table, map_path = folder / "table.csv", folder / "map.yaml"
+    np.savetxt(table, np.column_stack(columns), "%.17g", delimiter=",", header="t,gx,gy,gz,temp", comments="")
+    map_path.write_text(MAP, encoding="utf-8")
+    done = imumon("import", table, "--map", map_path, "--out", folder / "session")
+    assert done.returncode == 0, done.stderr
+    return folder / "session"
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return imported(tmp_path_factory.mktemp("calibrated"), soak(300.0)[::2])
+
+
+def test_a_session_becomes_a_model(session: Path, tmp_path: Path) -> None:
+    out = tmp_path / "model.yaml"
+    done = imumon("calibrate", session, "--out", out, "--serial", "SN 7", "--json")
+    assert done.returncode == 0, done.stderr
+    report, model = json.loads(done.stdout), load_model(out)
+    assert model.serial == "SN 7"
+    assert report["channels"]["gyro_x"]["curve"] in report["channels"]["gyro_x"]["held_out_rms"]
+    assert report["channels"]["gyro_x"]["temperature_column"] == "temperature_estimate"
+    t = np.linspace(-19.0, 47.0, 100)
+    for j, axis in enumerate("xyz"):
+        error = model.channels[f"gyro_{axis}"].value(t) - true_bias(t)[:, j]
+        assert np.sqrt(np.mean(error**2)) < 8 * DEG_H
+    again = imumon("calibrate", session, "--out", out)
+    assert again.returncode == 2
+    assert "is there already" in again.stderr
+
+
+def test_the_table_for_people_marks_what_is_chosen(session: Path, tmp_path: Path) -> None:
+    done = imumon("calibrate", session, session, "--out", tmp_path / "model.yaml")
+    assert done.returncode == 0, done.stderr
+    rows = [line for line in done.stdout.splitlines() if line.startswith("gyro_")]
+    assert len(rows) == 3
+    assert all(row.count("*") == 1 and "°/h" in row for row in rows)
+    assert "WARN" in done.stderr
+    assert "earth rate" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "said"),
+    [
+        (("--latitude", 41), 2, "there is no heading"),
+        (("--latitude", 91, "--heading", 0), 2, "91"),
+        (("--latitude", "nan"), 2, "not a number"),
+    ],
+)
+def test_wrong_options_end_with_2(
+    session: Path, tmp_path: Path, arguments: tuple[object, ...], code: int, said: str
+) -> None:
+    done = imumon("calibrate", session, "--out", tmp_path / "model.yaml", *arguments)
+    assert done.returncode == code
+    assert said in done.stderr
+    assert not (tmp_path / "model.yaml").exists()
+
+
+def test_what_cannot_give_a_model_ends_with_4_and_no_file(tmp_path: Path) -> None:
+    session = imported(tmp_path, np.linspace(20.0, 23.0, 1500))
+    done = imumon("calibrate", session, "--out", tmp_path / "model.yaml")
+    assert done.returncode == 4
+    assert "spans 2.99 °C" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not (tmp_path / "model.yaml").exists()
+
+
+def test_a_folder_that_is_not_there_is_said(session: Path, tmp_path: Path) -> None:
+    done = imumon("calibrate", session, "--out", tmp_path / "no" / "model.yaml")
+    assert done.returncode == 2
+    assert "there is no folder" in done.stderr
+    assert imumon("calibrate", tmp_path / "nothing", "--out", tmp_path / "m.yaml").returncode == 4
+
+
+def test_a_measured_chamber_cycle_gives_a_model_that_admits_its_residual(tmp_path: Path) -> None:
+    table = measured("chamber-cycle/cooling-heating.csv")
+    done = imumon("import", table, "--map", table.with_name("map.yaml"), "--out", tmp_path / "session")
+    assert done.returncode == 0, done.stderr
+    out = tmp_path / "model.yaml"
+    done = imumon("calibrate", tmp_path / "session", "--out", out, "--json")
+    assert done.returncode == 0, done.stderr
+    model = load_model(out)
+    assert set(model.channels) == {f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz"}
+    assert 0.1 < np.rad2deg(model.channels["gyro_x"].residual_sd) < 0.3
+    low, high = model.channels["gyro_x"].temperature_range_degc
+    assert low < -17
+    assert high > 73
