@@ -17,6 +17,7 @@ from imumon.estimation.rest.state import (
     AXES,
     CENTRE,
     COUNT,
+    COUNTS,
     DOUBT_NS,
     HIGH,
     HOLD_NS,
@@ -27,6 +28,7 @@ from imumon.estimation.rest.state import (
     LONG_HOLD_NS,
     LOW,
     MEAN_2,
+    MEANS,
     QUIET_SLOTS,
     REST_MEAN,
     RING,
@@ -42,7 +44,9 @@ from imumon.estimation.rest.state import (
     STARTED,
     STEP,
     SUM,
+    SUMS,
     VARIANCE,
+    VARIANCES,
     State,
 )
 from imumon.estimation.rest.trial import adopt, mean_of, present, rests
@@ -65,12 +69,14 @@ TRIAL_EVERY = 4
 HOLD_WINDOWS = 4.0
 """What showed only in windows of some length is watched for so many of them before it is rest again."""
 MEMORY_SLOTS = 32.0
+BAND_EVERY = 4
 SAMPLE_MEMORY = 1.0 / 64.0
 EARTH_TWICE = 1.46e-4
 """rad/s: a gyro that is turned round sees the earth's rate the other way."""
 SIGMAS = 6.0
 
-GYRO_DRIFT, ACCEL_DRIFT, G_SENSITIVITY, DOUBT_S, LARGEST_JUMP = range(5)
+G_SENSITIVITY, DOUBT_S, LARGEST_JUMP, DRIFT = range(4)
+# From DRIFT on, the drift of each axis.
 
 
 @njit(cache=True, nogil=True)
@@ -82,13 +88,13 @@ def detect(
     readings: FloatArray,
     at_rest: IntArray,
 ) -> None:
-    """Decide for each row of readings, (n, 6), whether the unit is at rest there; fill at_rest, (n,)."""
+    """Decide for each row of readings, (6, n), whether the unit is at rest there; fill at_rest, (n,)."""
     axis, integers = state.axis, state.integers
     slot, gap = int(SLOT_S * 1e9), int(GAP_S * 1e9)
     for i in range(len(time_ns)):
         now, any_value = time_ns[i], False
         for a in range(AXES):
-            any_value = any_value or math.isfinite(readings[i, a])
+            any_value = any_value or math.isfinite(readings[a, i])
         if now == NO_INT or not any_value:
             lasting = now != NO_INT and integers[STARTED] and now - integers[LAST_NS] <= gap
             at_rest[i] = integers[AT_REST] if lasting and segment[i] == integers[SEGMENT] else 0
@@ -97,25 +103,24 @@ def detect(
         elapsed = now - integers[LAST_NS]
         if not integers[STARTED] or other or elapsed < 0 or elapsed > gap:
             _begin(state, now, segment[i], other)
+            for a in range(AXES):
+                axis[CENTRE, a] = readings[a, i] if math.isfinite(readings[a, i]) else axis[CENTRE, a]
         elif now - integers[SLOT_NS] >= slot:
             _end_slot(state, parameters, now)
             _next_slot(state, now)
         integers[LAST_NS] = now
         spike = False
         for a in range(AXES):
-            x = readings[i, a]
+            x = readings[a, i]
             if math.isfinite(x):
-                spike |= x < axis[a, LOW] or x > axis[a, HIGH]
-                if axis[a, COUNT] == 0.0 and axis[a, CENTRE] == 0.0:
-                    axis[a, CENTRE] = x
-                deviation = x - axis[a, CENTRE]
-                axis[a, SUM] += deviation
-                axis[a, SQUARES] += deviation * deviation
-                axis[a, COUNT] += 1.0
-                step = abs(x - axis[a, LAST])
-                if 0.0 < step < axis[a, STEP]:
-                    axis[a, STEP] = step
-                axis[a, LAST] = x
+                spike |= (x < axis[LOW, a]) | (x > axis[HIGH, a])
+                deviation = x - axis[CENTRE, a]
+                axis[SUM, a] += deviation
+                axis[SQUARES, a] += deviation * deviation
+                axis[COUNT, a] += 1.0
+                step = abs(x - axis[LAST, a])
+                axis[STEP, a] = step if 0.0 < step < axis[STEP, a] else axis[STEP, a]
+                axis[LAST, a] = x
         if spike and integers[AT_REST]:
             integers[SPIKE] = 1
             _leave(state, 0, now, 0.0)
@@ -133,8 +138,7 @@ def _begin(state: State, now: int, segment: int, other: bool) -> None:
     integers[STARTED] = 1
     integers[SEGMENT] = segment
     integers[RING_COUNT] = integers[SPIKE] = 0
-    axis[:, LAST] = np.nan
-    axis[:, CENTRE] = 0.0
+    axis[LAST] = np.nan
     _watch(state, now, SETTLE_S)
     _next_slot(state, now)
 
@@ -143,8 +147,8 @@ def _begin(state: State, now: int, segment: int, other: bool) -> None:
 def _next_slot(state: State, now: int) -> None:
     axis = state.axis
     for a in range(AXES):
-        axis[a, CENTRE] += axis[a, SUM] / max(axis[a, COUNT], 1.0)
-        axis[a, SUM] = axis[a, SQUARES] = axis[a, COUNT] = 0.0
+        axis[CENTRE, a] += axis[SUM, a] / max(axis[COUNT, a], 1.0)
+        axis[SUM, a] = axis[SQUARES, a] = axis[COUNT, a] = 0.0
     state.integers[SLOT_NS] = now
 
 
@@ -155,7 +159,7 @@ def _watch(state: State, now: int, seconds: float) -> None:
     state.integers[QUIET_SLOTS] = 0
     if seconds > SETTLE_S:
         state.integers[LONG_HOLD_NS] = state.integers[HOLD_NS]
-    state.axis[:, RUN_SUM : RUN_COUNT + 1] = 0.0
+    state.axis[RUN_SUM : RUN_COUNT + 1] = 0.0
     forget_windows(state)
 
 
@@ -164,11 +168,11 @@ def _leave(state: State, level: int, now: int, seconds: float) -> None:
     """Rest ends: keep the mean from before what moved, and let no sample be a spike."""
     axis, integers = state.axis, state.integers
     for a in range(AXES):
-        axis[a, ANCHOR] = axis[a, REST_MEAN]
-        if level > 2 and math.isfinite(state.level[a, level, MEAN_2]):
-            axis[a, ANCHOR] = state.level[a, level, MEAN_2]
-        axis[a, ANCHOR_VAR] = state.level[a, min(level + 2, LEVELS - 1), VARIANCE]
-        axis[a, LOW], axis[a, HIGH] = -np.inf, np.inf
+        axis[ANCHOR, a] = axis[REST_MEAN, a]
+        if level > 2 and math.isfinite(state.level[level, MEAN_2, a]):
+            axis[ANCHOR, a] = state.level[level, MEAN_2, a]
+        axis[ANCHOR_VAR, a] = state.level[min(level + 2, LEVELS - 1), VARIANCE, a]
+        axis[LOW, a], axis[HIGH, a] = -np.inf, np.inf
     integers[AT_REST] = integers[RING_COUNT] = 0
     integers[ANCHORED] = 1
     integers[ANCHOR_NS] = now - int(HOLD_WINDOWS * seconds * 1e9)
@@ -179,24 +183,24 @@ def _leave(state: State, level: int, now: int, seconds: float) -> None:
 def _end_slot(state: State, parameters: FloatArray, now: int) -> None:
     """Test the slot that ends now against the noise at rest, and decide."""
     axis, integers = state.axis, state.integers
-    sums, counts, variances = np.empty(AXES), np.empty(AXES), np.empty(AXES)
-    drift = np.empty(AXES)
-    drift[:3], drift[3:] = parameters[GYRO_DRIFT], parameters[ACCEL_DRIFT]
+    slot, drift = state.slot, parameters[DRIFT:]
     known = False
     for a in range(AXES):
-        n = axis[a, COUNT]
-        counts[a], variances[a] = n, np.nan
-        sums[a] = n * axis[a, CENTRE] + axis[a, SUM]
+        n = axis[COUNT, a]
+        slot[COUNTS, a], slot[MEANS, a], slot[VARIANCES, a] = n, np.nan, np.nan
+        slot[SUMS, a] = n * axis[CENTRE, a] + axis[SUM, a]
         if n > 1.0:
-            variances[a] = max(axis[a, SQUARES] - axis[a, SUM] * axis[a, SUM] / n, 0.0) / (n - 1.0)
+            within = max(axis[SQUARES, a] - axis[SUM, a] * axis[SUM, a] / n, 0.0)
+            slot[VARIANCES, a] = within / (n - 1.0)
         if n > 0.0:
-            axis[a, RUN_SUM] += sums[a] / n
-            axis[a, RUN_COUNT] += 1.0
-            known = known or axis[a, KNOWN] > 0.0
+            slot[MEANS, a] = axis[CENTRE, a] + axis[SUM, a] / n
+            axis[RUN_SUM, a] += slot[MEANS, a]
+            axis[RUN_COUNT, a] += 1.0
+            known = known or axis[KNOWN, a] > 0.0
     seconds = 1e-9 * (now - integers[SLOT_NS])
-    _to_ring(state, sums, counts, variances, seconds)
+    _to_ring(state, seconds)
     if known:
-        moved, moved_s = _moved(state, sums, counts, variances, seconds, drift)
+        moved, moved_s = _moved(state, seconds, drift)
         integers[SPIKE] = 0
         integers[QUIET_SLOTS] += 1
         if moved >= 0:
@@ -204,7 +208,7 @@ def _end_slot(state: State, parameters: FloatArray, now: int) -> None:
                 _leave(state, moved, now, moved_s)
             _watch(state, now, HOLD_WINDOWS * moved_s)
         elif integers[AT_REST]:
-            _keep(state, variances, drift)
+            _keep(state, drift)
         elif now >= integers[HOLD_NS] and integers[QUIET_SLOTS] >= SETTLE_SLOTS:
             _return(state, parameters, now, drift)
     integers[SLOTS] += 1
@@ -212,50 +216,42 @@ def _end_slot(state: State, parameters: FloatArray, now: int) -> None:
         _try(state, parameters, now, drift)
 
 
-@njit(cache=True, nogil=True)
-def _to_ring(
-    state: State, sums: FloatArray, counts: FloatArray, variances: FloatArray, seconds: float
-) -> None:
+@njit(cache=True, nogil=True, inline="always")
+def _to_ring(state: State, seconds: float) -> None:
     at = state.integers[RING_COUNT] % RING
     for a in range(AXES):
-        state.ring[a, at, 0] = sums[a] / counts[a] if counts[a] > 0.0 else np.nan
-        state.ring[a, at, 1] = variances[a]
+        state.ring[a, at, 0] = state.slot[MEANS, a]
+        state.ring[a, at, 1] = state.slot[VARIANCES, a]
     state.durations[at] = seconds
     # Counts on from RING, so that the place stays known and the number small.
     count = state.integers[RING_COUNT] + 1
     state.integers[RING_COUNT] = count if count < 2 * RING else RING
 
 
-@njit(cache=True, nogil=True)
-def _moved(
-    state: State,
-    sums: FloatArray,
-    counts: FloatArray,
-    variances: FloatArray,
-    seconds: float,
-    drift: FloatArray,
-) -> tuple[int, float]:
+@njit(cache=True, nogil=True, inline="always")
+def _moved(state: State, seconds: float, drift: FloatArray) -> tuple[int, float]:
     """Return level and seconds of the windows that show motion, (-1, 0) when none do."""
-    moved, moved_s = add_slot(state, sums, counts, seconds, drift)
-    if moved < 0 and (state.integers[SPIKE] or shaken(state, variances)):
+    moved, moved_s = add_slot(state, seconds, drift)
+    if moved < 0 and (state.integers[SPIKE] or shaken(state)):
         return 0, seconds
     return moved, moved_s
 
 
-@njit(cache=True, nogil=True)
-def _keep(state: State, variances: FloatArray, drift: FloatArray) -> None:
+@njit(cache=True, nogil=True, inline="always")
+def _keep(state: State, drift: FloatArray) -> None:
     """At rest still: follow the mean and the noise."""
-    axis = state.axis
+    axis, slot = state.axis, state.slot
     for a in range(AXES):
-        if axis[a, COUNT] == 0.0 or axis[a, KNOWN] == 0.0:
+        if axis[COUNT, a] == 0.0 or axis[KNOWN, a] == 0.0:
             continue
-        mean = axis[a, CENTRE] + axis[a, SUM] / axis[a, COUNT]
-        share = 1.0 / min(max(axis[a, RUN_COUNT], 1.0), MEMORY_SLOTS)
-        axis[a, REST_MEAN] += share * (mean - axis[a, REST_MEAN])
-        v = variances[a] if math.isfinite(variances[a]) else state.level[a, 0, VARIANCE]
-        v = min(v, MOST_SURPRISE * axis[a, SAMPLE_VAR] + TINY)
-        axis[a, SAMPLE_VAR] += SAMPLE_MEMORY * (v - axis[a, SAMPLE_VAR])
-    _set_band(state, drift)
+        share = 1.0 / min(max(axis[RUN_COUNT, a], 1.0), MEMORY_SLOTS)
+        axis[REST_MEAN, a] += share * (axis[CENTRE, a] + axis[SUM, a] / axis[COUNT, a] - axis[REST_MEAN, a])
+        v = slot[VARIANCES, a]
+        v = v if math.isfinite(v) else state.level[0, VARIANCE, a]
+        v = min(v, MOST_SURPRISE * axis[SAMPLE_VAR, a] + TINY)
+        axis[SAMPLE_VAR, a] += SAMPLE_MEMORY * (v - axis[SAMPLE_VAR, a])
+    if state.integers[SLOTS] % BAND_EVERY == 0:
+        _set_band(state, drift)
 
 
 @njit(cache=True, nogil=True)
@@ -263,18 +259,18 @@ def _set_band(state: State, drift: FloatArray) -> None:
     """Set the band outside which a single sample is motion."""
     axis = state.axis
     for a in range(AXES):
-        if axis[a, KNOWN] == 0.0:
-            axis[a, LOW], axis[a, HIGH] = -np.inf, np.inf
+        if axis[KNOWN, a] == 0.0:
+            axis[LOW, a], axis[HIGH, a] = -np.inf, np.inf
             continue
-        sd = math.sqrt(axis[a, SAMPLE_VAR] + state.level[a, 0, VARIANCE])
+        sd = math.sqrt(axis[SAMPLE_VAR, a] + state.level[0, VARIANCE, a])
         width = SPIKE_SIGMAS * sd + 1.5 * resolution(axis, a) + drift[a] * MEMORY_SLOTS * SLOT_S
-        axis[a, LOW], axis[a, HIGH] = axis[a, REST_MEAN] - width, axis[a, REST_MEAN] + width
+        axis[LOW, a], axis[HIGH, a] = axis[REST_MEAN, a] - width, axis[REST_MEAN, a] + width
 
 
 @njit(cache=True, nogil=True)
 def _enter(state: State, means: FloatArray, drift: FloatArray) -> None:
     for a in range(AXES):
-        state.axis[a, REST_MEAN] = means[a]
+        state.axis[REST_MEAN, a] = means[a]
     state.integers[AT_REST] = 1
     state.integers[DOUBT_NS] = 0
     _set_band(state, drift)
@@ -286,8 +282,8 @@ def _return(state: State, parameters: FloatArray, now: int, drift: FloatArray) -
     axis = state.axis
     means, counts = np.empty(AXES), np.empty(AXES)
     for a in range(AXES):
-        counts[a] = axis[a, RUN_COUNT]
-        means[a] = axis[a, RUN_SUM] / counts[a] if counts[a] > 0.0 else axis[a, REST_MEAN]
+        counts[a] = axis[RUN_COUNT, a]
+        means[a] = axis[RUN_SUM, a] / counts[a] if counts[a] > 0.0 else axis[REST_MEAN, a]
     if displacement(state, parameters, means, counts, now) <= 0.0:
         _enter(state, means, drift)
 
@@ -305,16 +301,16 @@ def displacement(
     axis = state.axis
     force = 0.0
     for a in range(3, AXES):
-        if axis[a, KNOWN] > 0.0 and counts[a] > 0.0:
-            force += (means[a] - axis[a, ANCHOR]) ** 2
+        if axis[KNOWN, a] > 0.0 and counts[a] > 0.0:
+            force += (means[a] - axis[ANCHOR, a]) ** 2
     elapsed = max(1e-9 * (now - state.integers[ANCHOR_NS]), 0.0)
-    allowed = EARTH_TWICE + parameters[G_SENSITIVITY] * math.sqrt(force) + parameters[GYRO_DRIFT] * elapsed
+    allowed = EARTH_TWICE + parameters[G_SENSITIVITY] * math.sqrt(force) + parameters[DRIFT] * elapsed
     beyond = 0.0
     for a in range(3):
-        if axis[a, KNOWN] > 0.0 and counts[a] > 0.0:
-            variance = state.level[a, 0, VARIANCE] / min(counts[a], MEMORY_SLOTS) + axis[a, ANCHOR_VAR]
+        if axis[KNOWN, a] > 0.0 and counts[a] > 0.0:
+            variance = state.level[0, VARIANCE, a] / min(counts[a], MEMORY_SLOTS) + axis[ANCHOR_VAR, a]
             noise = SIGMAS * math.sqrt(variance) + resolution(axis, a)
-            beyond = max(beyond, abs(means[a] - axis[a, ANCHOR]) - allowed - noise)
+            beyond = max(beyond, abs(means[a] - axis[ANCHOR, a]) - allowed - noise)
     return beyond
 
 
@@ -323,7 +319,7 @@ def _try(state: State, parameters: FloatArray, now: int, drift: FloatArray) -> N
     """Look for rest by another noise than that of the last, or of an axis of which nothing is known."""
     integers, unknown = state.integers, False
     for a in range(AXES):
-        unknown = unknown or (state.axis[a, KNOWN] == 0.0 and present(state.ring, a))
+        unknown = unknown or (state.axis[KNOWN, a] == 0.0 and present(state.ring, a))
     if integers[AT_REST] and not unknown:
         return
     at = integers[RING_COUNT] % RING
@@ -341,11 +337,11 @@ def _try(state: State, parameters: FloatArray, now: int, drift: FloatArray) -> N
     for a in range(AXES):
         means[a], counts[a] = mean_of(ordered, a, 0, RING), RING
         if not math.isfinite(means[a]):
-            means[a], counts[a] = state.axis[a, REST_MEAN], 0.0
+            means[a], counts[a] = state.axis[REST_MEAN, a], 0.0
     if integers[AT_REST]:
         for a in range(AXES):
-            if state.axis[a, KNOWN] == 0.0:
-                state.axis[a, REST_MEAN] = means[a]
+            if state.axis[KNOWN, a] == 0.0:
+                state.axis[REST_MEAN, a] = means[a]
         adopt(state, found, True)
         return
     if integers[DOUBT_NS] == 0:

@@ -29,11 +29,11 @@ class RestDetector:
         given = parameters or RestParameters()
         self._parameters = np.array(
             [
-                given.gyro_drift,
-                given.accel_drift,
                 given.gyro_g_sensitivity,
                 given.doubt_s,
                 given.largest_jump,
+                *(given.gyro_drift for _ in "xyz"),
+                *(given.accel_drift for _ in "xyz"),
             ]
         )
         self._state = new_state()
@@ -50,10 +50,9 @@ class RestDetector:
         accel_{x,y,z} in m/s².
         """
         n = len(block)
-        readings = np.full((n, len(INPUTS)), np.nan)
+        readings = np.empty((len(INPUTS), n))
         for place, name in enumerate(INPUTS):
-            if name in block:
-                readings[:, place] = block[name]
+            readings[place] = block.columns.get(name, np.nan)
         at_rest = np.zeros(n, np.int64)
         if n:
             time_ns, segment = block["device_time_ns"], block["segment"]

@@ -25,8 +25,11 @@ COARSEST_STEPS = (2.2e-3, 0.16)
  ANCHOR, ANCHOR_VAR) = range(15)  # fmt: skip
 
 # Per axis and level: sum and count of the half window that waits for its other half, the last two means, the
-# variance of a mean and the number of windows that it was learnt from.
-HALF_SUM, HALF_COUNT, MEAN_1, MEAN_2, VARIANCE, LEARNT = range(6)
+# variance of a mean and the share that the next window has in it.
+HALF_SUM, HALF_COUNT, MEAN_1, MEAN_2, VARIANCE, GAIN = range(6)
+
+# Per axis, of the slot that has just ended and of the windows that end with it.
+SUMS, COUNTS, MEANS, VARIANCES = range(4)
 
 # Integers.
 (STARTED, SEGMENT, LAST_NS, SLOT_NS, AT_REST, HOLD_NS, QUIET_SLOTS, RING_COUNT, SPIKE, ANCHORED, ANCHOR_NS,
@@ -36,12 +39,14 @@ HALF_SUM, HALF_COUNT, MEAN_1, MEAN_2, VARIANCE, LEARNT = range(6)
 class State(NamedTuple):
     """Arrays of one detector.
 
-    axis (6, 15), level (6, 8, 6), ring (6, 32, 2) of slot means and variances within slots, waiting (8,)
-    seconds of the half windows that wait (0: none), durations (32,) of the slots in the ring, integers (14,).
+    axis (15, 6), level (8, 6, 6), slot (4, 6), ring (6, 32, 2) of slot means and variances within slots,
+    waiting (8,) seconds of the half windows that wait (0: none), durations (32,) of the slots in the ring,
+    integers (14,).
     """
 
     axis: FloatArray
     level: FloatArray
+    slot: FloatArray
     ring: FloatArray
     waiting: FloatArray
     durations: FloatArray
@@ -50,15 +55,16 @@ class State(NamedTuple):
 
 def new_state() -> State:
     """Return the state of a detector that has seen nothing."""
-    axis = np.zeros((AXES, 15))
-    axis[:, LAST] = np.nan
-    axis[:3, STEP], axis[3:, STEP] = COARSEST_STEPS
-    axis[:, LOW], axis[:, HIGH] = -np.inf, np.inf
-    level = np.zeros((AXES, LEVELS, 6))
-    level[:, :, MEAN_1 : MEAN_2 + 1] = np.nan
+    axis = np.zeros((15, AXES))
+    axis[LAST] = np.nan
+    axis[STEP] = np.repeat(COARSEST_STEPS, 3)
+    axis[LOW], axis[HIGH] = -np.inf, np.inf
+    level = np.zeros((LEVELS, 6, AXES))
+    level[:, MEAN_1 : MEAN_2 + 1] = np.nan
     return State(
         axis,
         level,
+        np.zeros((4, AXES)),
         np.full((AXES, RING, 2), np.nan),
         np.zeros(LEVELS),
         np.zeros(RING),

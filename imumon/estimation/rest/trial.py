@@ -13,8 +13,8 @@ from numba import njit
 from imumon.blocks import FloatArray
 from imumon.estimation.rest.state import (
     AXES,
+    GAIN,
     KNOWN,
-    LEARNT,
     LEVELS,
     RING,
     SAMPLE_VAR,
@@ -138,7 +138,7 @@ def rests(state: State, ring: FloatArray, found: FloatArray, drift: FloatArray) 
             v1 = _second_differences(ring, a, 1)
             within = _within(ring, a, 0, RING)
             sample = max(v1, within) if math.isfinite(within) else v1
-            step = state.axis[a, STEP]
+            step = state.axis[STEP, a]
             coarse = sample < 0.25 * step * step
             found[a, V1], found[a, WITHIN] = v1, sample
             found[a, V4] = _second_differences(ring, a, 4)
@@ -153,8 +153,8 @@ def rests(state: State, ring: FloatArray, found: FloatArray, drift: FloatArray) 
 @njit(cache=True, nogil=True)
 def _alike(state: State, a: int, found: FloatArray) -> bool:
     """Tell whether a trial found the noise that is known already, from more data."""
-    before, now = state.level[a, 0, VARIANCE], found[a, V1]
-    within_before, within = state.axis[a, SAMPLE_VAR], found[a, WITHIN]
+    before, now = state.level[0, VARIANCE, a], found[a, V1]
+    within_before, within = state.axis[SAMPLE_VAR, a], found[a, WITHIN]
     same: bool = max(before, now) <= ALIKE * min(before, now) and within <= ALIKE * within_before
     return same
 
@@ -163,20 +163,20 @@ def _alike(state: State, a: int, found: FloatArray) -> bool:
 def adopt(state: State, found: FloatArray, only_unknown: bool) -> None:
     """Take the noise that a trial found as that of the unit at rest."""
     for a in range(AXES):
-        if not math.isfinite(found[a, V1]) or (only_unknown and state.axis[a, KNOWN] > 0.0):
+        if not math.isfinite(found[a, V1]) or (only_unknown and state.axis[KNOWN, a] > 0.0):
             continue
-        if state.axis[a, KNOWN] > 0.0 and _alike(state, a, found):
+        if state.axis[KNOWN, a] > 0.0 and _alike(state, a, found):
             continue
-        state.axis[a, KNOWN] = 1.0
-        state.axis[a, SAMPLE_VAR] = found[a, WITHIN]
+        state.axis[KNOWN, a] = 1.0
+        state.axis[SAMPLE_VAR, a] = found[a, WITHIN]
         v1 = found[a, V1]
         v4 = max(v1 / 4.0, found[a, V4])
         v8 = max(v1 / 8.0, found[a, V8])
         for j in range(LEVELS):
-            state.level[a, j, LEARNT] = max(32.0 / (1 << j), 3.0)
-        state.level[a, 0, VARIANCE] = v1
-        state.level[a, 1, VARIANCE] = max(v1 / 2.0, v4)
-        state.level[a, 2, VARIANCE] = v4
-        state.level[a, 3, VARIANCE] = v8
+            state.level[j, GAIN, a] = 1.0 / (1.0 + max(32.0 / (1 << j), 3.0))
+        state.level[0, VARIANCE, a] = v1
+        state.level[1, VARIANCE, a] = max(v1 / 2.0, v4)
+        state.level[2, VARIANCE, a] = v4
+        state.level[3, VARIANCE, a] = v8
         for j in range(4, LEVELS):
-            state.level[a, j, VARIANCE] = state.level[a, j - 1, VARIANCE] * NEIGHBOUR
+            state.level[j, VARIANCE, a] = state.level[j - 1, VARIANCE, a] * NEIGHBOUR

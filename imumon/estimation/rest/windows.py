@@ -16,16 +16,20 @@ from imumon.blocks import FloatArray
 from imumon.estimation.rest.state import (
     AXES,
     COUNT,
+    COUNTS,
+    GAIN,
     HALF_COUNT,
     HALF_SUM,
     KNOWN,
-    LEARNT,
     LEVELS,
     MEAN_1,
     MEAN_2,
+    MEANS,
     SAMPLE_VAR,
     STEP,
+    SUMS,
     VARIANCE,
+    VARIANCES,
     State,
 )
 
@@ -37,7 +41,7 @@ QUIET = np.array([3.5e-4, 3.5e-4, 3.5e-4, 4e-3, 4e-3, 4e-3])
 """Standard deviation of a mean below which no noise is suspicious, rad/s (72 deg/h) and m/s² (0.02 deg)."""
 COLOUR = 5.0
 """Variance of the means of longer windows may be so many times that of white noise: a hand is slower."""
-MOST_LEARNT, MOST_SURPRISE = 64.0, 4.0
+LEAST_GAIN, MOST_SURPRISE = 1.0 / 64.0, 4.0
 SPIKE_SIGMAS = 7.0
 TINY = 1e-24
 
@@ -48,16 +52,16 @@ def forget_windows(state: State) -> None:
     level = state.level
     for a in range(AXES):
         for j in range(LEVELS):
-            level[a, j, HALF_SUM] = level[a, j, HALF_COUNT] = 0.0
-            level[a, j, MEAN_1] = level[a, j, MEAN_2] = np.nan
+            level[j, HALF_SUM, a] = level[j, HALF_COUNT, a] = 0.0
+            level[j, MEAN_1, a] = level[j, MEAN_2, a] = np.nan
     state.waiting[:] = 0.0
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, inline="always")
 def resolution(axis: FloatArray, a: int) -> float:
     """Return the step of axis a if its noise does not hide it, else 0."""
-    step = axis[a, STEP]
-    return step if axis[a, SAMPLE_VAR] < 0.25 * step * step else 0.0
+    step = axis[STEP, a]
+    return step if axis[SAMPLE_VAR, a] < 0.25 * step * step else 0.0
 
 
 @njit(cache=True, nogil=True)
@@ -68,86 +72,88 @@ def vibration_factor(count: float) -> float:
     return 2.0 * root * root * root
 
 
-@njit(cache=True, nogil=True)
-def shaken(state: State, slot_variance: FloatArray) -> bool:
+@njit(cache=True, nogil=True, inline="always")
+def shaken(state: State) -> bool:
     """Tell whether samples vary more within the slot just ended than they did at rest."""
     axis = state.axis
+    count, factor = 0.0, 0.0
     for a in range(AXES):
-        if axis[a, KNOWN] > 0.0 and axis[a, COUNT] >= 3.0:
-            limit = axis[a, SAMPLE_VAR] * vibration_factor(axis[a, COUNT])
-            if slot_variance[a] > limit + resolution(axis, a) ** 2:
+        if axis[KNOWN, a] > 0.0 and axis[COUNT, a] >= 3.0:
+            if axis[COUNT, a] != count:
+                count = axis[COUNT, a]
+                factor = vibration_factor(count)
+            if state.slot[VARIANCES, a] > axis[SAMPLE_VAR, a] * factor + resolution(axis, a) ** 2:
                 return True
     return False
 
 
-@njit(cache=True, nogil=True)
-def add_slot(
-    state: State, sums: FloatArray, counts: FloatArray, seconds: float, drift: FloatArray
-) -> tuple[int, float]:
-    """Add a slot to all windows; return the longest level that moved, and its seconds, or (-1, 0).
+@njit(cache=True, nogil=True, inline="always")
+def add_slot(state: State, seconds: float, drift: FloatArray) -> tuple[int, float]:
+    """Add the slot to all windows; return the longest level that moved, and its seconds, or (-1, 0).
 
-    sums and counts, (6,), are overwritten.
+    Sums, counts and means of the slot are overwritten by those of longer windows.
     """
-    waiting = state.waiting
+    waiting, slot, level = state.waiting, state.slot, state.level
     moved, moved_s = -1, 0.0
     for j in range(LEVELS):
         if seconds > LONGEST_S:
             break
-        if _changed(state, j, sums, counts, seconds, drift):
+        if _changed(state, j, seconds, drift):
             moved, moved_s = j, seconds
-        _learn_and_shift(state, j, sums, counts)
+        _learn_and_shift(state, j)
         if waiting[j] == 0.0:
             waiting[j] = seconds
             for a in range(AXES):
-                state.level[a, j, HALF_SUM] = sums[a]
-                state.level[a, j, HALF_COUNT] = counts[a]
+                level[j, HALF_SUM, a] = slot[SUMS, a]
+                level[j, HALF_COUNT, a] = slot[COUNTS, a]
             break
         seconds += waiting[j]
         waiting[j] = 0.0
+        count, share = 0.0, np.nan
         for a in range(AXES):
-            sums[a] += state.level[a, j, HALF_SUM]
-            counts[a] += state.level[a, j, HALF_COUNT]
+            slot[SUMS, a] += level[j, HALF_SUM, a]
+            slot[COUNTS, a] += level[j, HALF_COUNT, a]
+            if slot[COUNTS, a] != count:
+                count = slot[COUNTS, a]
+                share = 1.0 / count if count > 0.0 else np.nan
+            slot[MEANS, a] = slot[SUMS, a] * share
     return moved, moved_s
 
 
-@njit(cache=True, nogil=True)
-def _changed(
-    state: State, j: int, sums: FloatArray, counts: FloatArray, seconds: float, drift: FloatArray
-) -> bool:
+@njit(cache=True, nogil=True, inline="always")
+def _changed(state: State, j: int, seconds: float, drift: FloatArray) -> bool:
     """Tell whether the means of gyros or of accelerometers differ from those one and two windows ago."""
-    level, axis = state.level, state.axis
+    level, axis, slot = state.level, state.axis, state.slot
     for first in (0, 3):
         near, far = 0.0, 0.0
         for a in range(first, first + 3):
-            if axis[a, KNOWN] == 0.0 or counts[a] == 0.0:
-                continue
-            mean, variance = sums[a] / counts[a], level[a, j, VARIANCE] + TINY
-            allowed, step = drift[a] * seconds, resolution(axis, a)
-            d = abs(mean - level[a, j, MEAN_1]) - allowed - step
-            if d > 0.0:
-                near += d * d / (2.0 * variance)
-            d = abs(mean - level[a, j, MEAN_2]) - 2.0 * allowed - step
-            if d > 0.0:
-                far += d * d / (3.0 * variance)
+            mean, variance = slot[MEANS, a], level[j, VARIANCE, a] + TINY
+            allowed = drift[a] * seconds
+            d = abs(mean - level[j, MEAN_1, a]) - allowed
+            e = abs(mean - level[j, MEAN_2, a]) - 2.0 * allowed
+            # False for means that are missing.
+            if axis[KNOWN, a] > 0.0 and (d * d > 2.0 * variance or e * e > 3.0 * variance):
+                step = resolution(axis, a)
+                near += (d - step) ** 2 / (2.0 * variance) if d > step else 0.0
+                far += (e - step) ** 2 / (3.0 * variance) if e > step else 0.0
         if near > CHI_SQUARE or far > CHI_SQUARE:
             return True
     return False
 
 
-@njit(cache=True, nogil=True)
-def _learn_and_shift(state: State, j: int, sums: FloatArray, counts: FloatArray) -> None:
+@njit(cache=True, nogil=True, inline="always")
+def _learn_and_shift(state: State, j: int) -> None:
     """Take the second difference as a measure of the variance; a single one cannot raise it much."""
-    level = state.level
+    level, axis, slot = state.level, state.axis, state.slot
+    white = 1.0 / (1 << j)
     for a in range(AXES):
-        mean = sums[a] / counts[a] if counts[a] > 0.0 else np.nan
-        if state.axis[a, KNOWN] > 0.0:
-            second = mean - 2.0 * level[a, j, MEAN_1] + level[a, j, MEAN_2]
-            if math.isfinite(second):
-                old, learnt = level[a, j, VARIANCE], level[a, j, LEARNT]
-                sample = min(second * second / 6.0, MOST_SURPRISE * old + TINY)
-                white = level[a, 0, VARIANCE] / (1 << j)
-                highest = COLOUR * max(white, QUIET[a] * QUIET[a])
-                level[a, j, VARIANCE] = min(old + (sample - old) / (learnt + 1.0), highest)
-                level[a, j, LEARNT] = min(learnt + 1.0, MOST_LEARNT)
-        level[a, j, MEAN_2] = level[a, j, MEAN_1]
-        level[a, j, MEAN_1] = mean
+        second = slot[MEANS, a] - 2.0 * level[j, MEAN_1, a] + level[j, MEAN_2, a]
+        if axis[KNOWN, a] > 0.0 and math.isfinite(second):
+            old, gain = level[j, VARIANCE, a], level[j, GAIN, a]
+            sample = min(second * second * (1.0 / 6.0), MOST_SURPRISE * old + TINY)
+            highest = COLOUR * max(white * level[0, VARIANCE, a], QUIET[a] * QUIET[a])
+            level[j, VARIANCE, a] = min(old + (sample - old) * gain, highest)
+            if gain > LEAST_GAIN:
+                level[j, GAIN, a] = gain / (1.0 + gain)
+        level[j, MEAN_2, a] = level[j, MEAN_1, a]
+        level[j, MEAN_1, a] = slot[MEANS, a]
