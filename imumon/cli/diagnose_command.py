@@ -1,0 +1,122 @@
+"""``imumon diagnose``: what the bias model of a unit leaves over, by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from imumon.cli.common import json_option, print_json, print_rows, say
+from imumon.errors import ImumonError, Reason
+
+if TYPE_CHECKING:
+    from imumon.diagnosis.recording import Run
+
+RECORDING = click.Path(path_type=Path)
+SEVERAL = ("--train", "--test")
+
+Tell = Callable[[str], None]
+
+
+class _SeveralValues(click.Command):
+    """Takes ``--train A B --test C`` as ``--train A --train B --test C``."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Name the option before each of its values."""
+        spread: list[str] = []
+        option = ""
+        for text in args:
+            if text.startswith("-"):
+                option = text if text in SEVERAL else ""
+                if option:
+                    continue
+            spread += [option, text] if option else [text]
+        return super().parse_args(ctx, spread)
+
+
+@click.command("diagnose", cls=_SeveralValues)
+@click.option(
+    "--train",
+    required=True,
+    multiple=True,
+    type=RECORDING,
+    help="Session or table to learn from; repeatable.",
+)
+@click.option("--test", multiple=True, type=RECORDING, help="Session or table for the proof; repeatable.")
+@click.option(
+    "--declared",
+    default=None,
+    help="Bias model that is assumed: 'polynomial N' in temperature, '+ offset' for a constant of each run;"
+    " default: polynomial 3.",
+)
+@click.option("--map", "map_path", type=RECORDING, help="YAML file: what is in which column of the tables.")
+@click.option("--out", required=True, type=RECORDING, help="Folder for the report.")
+@json_option
+def command(
+    train: tuple[Path, ...],
+    test: tuple[Path, ...],
+    declared: str | None,
+    map_path: Path | None,
+    out: Path,
+    as_json: bool,
+) -> None:
+    """Find which effect a bias model over temperature lacks, and prove it on data that the fit has not seen.
+
+    The recordings are of a unit at rest, each from power-on.  Two or more for training, warmed and cooled, tell most.
+    """
+    from imumon.diagnosis.engine import diagnose, parse_declared
+    from imumon.diagnosis.report import report, write_report
+
+    parse_declared(declared or "polynomial 3")
+    _make(out)
+    with _progress() as tell:
+        runs = [_read(path, map_path, tell) for path in (*train, *test)]
+        split = len(train)
+        training = [run for group in runs[:split] for run in group]
+        testing = [run for group in runs[split:] for run in group]
+        diagnosis = diagnose(training, testing, declared or "polynomial 3", tell)
+        write_report(diagnosis, out / "report.json")
+    for text in diagnosis.caveats:
+        say("WARN", text)
+    if as_json:
+        print_json(report(diagnosis))
+    print_rows({verdict.name: verdict.summary for verdict in diagnosis.verdicts})
+    print_rows({"report": str(out / "report.json")})
+
+
+def _read(path: Path, map_path: Path | None, tell: Tell) -> list[Run]:
+    from imumon.diagnosis.recording import read_runs
+    from imumon.estimation.rest.stage import RestDetector
+
+    rows = 0
+
+    def count(more: int) -> None:
+        nonlocal rows
+        rows += more
+        tell(f"reading {path.name}: {rows:,} samples")
+
+    return read_runs(path, map_path, lambda: [RestDetector()], count)
+
+
+def _make(out: Path) -> None:
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ImumonError(
+            Reason.BAD_CONFIG, f"the folder {out} cannot be made: {error.strerror}", "give another folder"
+        ) from error
+
+
+@contextmanager
+def _progress() -> Iterator[Tell]:
+    """Show on standard error what is being done, and for how long."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("reading", total=None)
+        yield lambda text: bar.update(task, description=text)

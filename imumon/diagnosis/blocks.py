@@ -1,0 +1,235 @@
+"""Block means at rest, the white floor below them, and a survey of what the runs can show."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from imumon.blocks import FloatArray
+from imumon.diagnosis.recording import Run
+from imumon.effects.base import Drive, Survey
+
+BLOCK_S = 30.0
+LEAST_SHARE = 0.5
+"""A block with less of its seconds at rest is a gap."""
+REST_SHARE = 0.99
+"""Share of a second's samples at rest for the second to count."""
+PLATEAU = 0.1
+"""Two estimates of the white floor that differ by less, as a share of the variance, agree."""
+STEPS_S = (1, 2, 4, 8)
+TURN_SHARE = 0.2
+"""A turn of the temperature counts when it goes back by this share of the span."""
+
+BoolArray = np.ndarray[Any, np.dtype[np.bool_]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RunBlocks:
+    """One run as block means at rest.
+
+    Parameters
+    ----------
+    name : str
+        Where it comes from.
+    block_s : float
+        Nominal length of a block.
+    time_s : array of shape (n,)
+        Mean time of the samples of each block since power-on.
+    white : array of shape (n,)
+        Variance of the white noise of each block over that of a full block.
+    mean : mapping of str to array of shape (n,)
+        Channels, in SI units.
+    temperature : mapping of str to array of shape (n,)
+        Temperatures in °C.
+    drives : mapping of str to Drive
+        What drives the effects, each second, for each temperature; gaps are bridged.
+    valid : array of shape (seconds,)
+        Which seconds the means are of.
+    """
+
+    name: str
+    block_s: float
+    time_s: FloatArray
+    white: FloatArray
+    mean: dict[str, FloatArray]
+    temperature: dict[str, FloatArray]
+    drives: dict[str, Drive]
+    valid: BoolArray
+    duration_s: float
+
+    def __len__(self) -> int:
+        """Return the number of blocks."""
+        return len(self.time_s)
+
+    def average(self, columns: FloatArray) -> FloatArray:
+        """Return block means (n, k) of columns (seconds, k)."""
+        means, share = _block_means(columns, self.valid, self.block_s)
+        return means[share >= LEAST_SHARE]
+
+
+def make_blocks(
+    run: Run, channels: Sequence[str], temperatures: Sequence[str], block_s: float = BLOCK_S
+) -> RunBlocks:
+    """Return the block means of a run over the seconds at rest in which every channel has samples."""
+    valid = run.rest >= REST_SHARE
+    for name in channels:
+        valid = valid & np.isfinite(run.mean[name])
+    accel = _filled([run.mean.get(f"accel_{axis}") for axis in "xyz"], run.time_s)
+    drives = {
+        name: Drive(run.time_s, filled, accel)
+        for name in temperatures
+        if (filled := _bridged(run.mean[name], run.time_s)) is not None
+    }
+    wanted = [run.time_s, *(np.where(valid, run.mean[name], 0.0) for name in channels)]
+    parts = np.column_stack([*wanted, *(drive.temperature_degc for drive in drives.values())])
+    means, share = _block_means(parts, valid, block_s)
+    keep = share >= LEAST_SHARE
+    means = means[keep]
+    first = 1 + len(channels)
+    return RunBlocks(
+        name=run.name,
+        block_s=block_s,
+        time_s=means[:, 0],
+        white=1.0 / share[keep],
+        mean={name: means[:, 1 + i] for i, name in enumerate(channels)},
+        temperature={name: means[:, first + i] for i, name in enumerate(drives)},
+        drives=drives,
+        valid=valid,
+        duration_s=run.duration_s,
+    )
+
+
+def _block_means(columns: FloatArray, valid: BoolArray, block_s: float) -> tuple[FloatArray, FloatArray]:
+    """Return means over the valid seconds of each block, and their share of the block."""
+    width = round(block_s)
+    blocks = -(-len(valid) // width)
+    pad = blocks * width - len(valid)
+    weight = np.pad(valid.astype(np.float64), (0, pad)).reshape(blocks, 1, width)
+    padded = np.pad(columns, ((0, pad), (0, 0))).reshape(blocks, width, columns.shape[1])
+    count = weight.sum(axis=(1, 2))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        means = (weight @ padded)[:, 0] / count[:, np.newaxis]
+    return means, count / width
+
+
+def _bridged(values: FloatArray | None, time_s: FloatArray) -> FloatArray | None:
+    """Return values with the missing ones interpolated, or None when there is hardly any."""
+    if values is None:
+        return None
+    known = np.isfinite(values)
+    if known.sum() < 2:
+        return None
+    return np.interp(time_s, time_s[known], values[known])
+
+
+def _filled(parts: list[FloatArray | None], time_s: FloatArray) -> FloatArray | None:
+    bridged = [_bridged(part, time_s) for part in parts]
+    found = [part for part in bridged if part is not None]
+    return np.column_stack(found) if len(found) == 3 else None
+
+
+@dataclass(frozen=True, slots=True)
+class WhiteFloor:
+    """Standard deviation of the white noise of a full block, and what it was taken from."""
+
+    sd: float
+    source: str
+
+
+def white_floor(runs: Sequence[Run], channel: str, block_s: float = BLOCK_S) -> WhiteFloor:
+    """Return the white floor of a channel from the scatter inside blocks.
+
+    The variance of the samples within a second over their number is right for independent samples.  It is compared
+    with half the mean square difference of neighbouring means of 1, 2, 4 and 8 s (an Allan variance): an output
+    filter makes the short ones too small, rounding makes them too large.  The first that agrees with the next is
+    taken.
+    """
+    candidates: list[tuple[str, float]] = []
+    weighted, seconds, samples = 0.0, 0.0, 0.0
+    for run in runs:
+        variance, count = run.variance[channel], run.count[channel]
+        usable = (run.rest >= REST_SHARE) & np.isfinite(variance) & (count > 1)
+        weighted += float((variance[usable] * (count[usable] - 1)).sum())
+        seconds += float((count[usable] - 1).sum())
+        samples = max(samples, run.samples_per_second(channel))
+    if seconds > 0 and samples >= 4:
+        candidates.append(("samples inside seconds", weighted / seconds / samples / block_s))
+    for step in STEPS_S:
+        value = _difference_variance(runs, channel, step, block_s)
+        if np.isfinite(value):
+            candidates.append((f"means of {step} s inside blocks", value))
+    for (source, value), (_, following) in zip(candidates[:-1], candidates[1:], strict=True):
+        if value > 0 and abs(following / value - 1.0) < PLATEAU:
+            return WhiteFloor(float(np.sqrt(value)), source)
+    if not candidates:
+        return WhiteFloor(0.0, "nothing")
+    source, value = min(candidates, key=lambda item: item[1])
+    return WhiteFloor(float(np.sqrt(value)), f"{source} (no white region was found)")
+
+
+def _difference_variance(runs: Sequence[Run], channel: str, step: int, block_s: float) -> float:
+    """Return the variance of a block mean from differences of neighbouring means of `step` seconds.
+
+    The differences are taken within blocks and less the mean of their block, so that no ramp gets in.
+    """
+    width = round(block_s)
+    total, count = 0.0, 0.0
+    for run in runs:
+        usable = (run.rest >= REST_SHARE) & np.isfinite(run.mean[channel])
+        values = np.where(usable, run.mean[channel], np.nan)
+        blocks = len(values) // width
+        per_block = width // step
+        if not blocks or per_block < 3:
+            continue
+        means = values[: blocks * width].reshape(blocks, width)[:, : per_block * step]
+        means = means.reshape(blocks, per_block, step).mean(axis=2)
+        differences = np.diff(means, axis=1)
+        # Differences of overlapping pairs have correlation -1/2: half the mean square is right for white noise.
+        whole = np.isfinite(differences).all(axis=1)
+        spread = differences[whole] - differences[whole].mean(axis=1, keepdims=True)
+        # The mean of k differences is (last - first)/k: it holds 2/k² of the white variance.
+        k = per_block - 1
+        total += float((spread**2).sum()) / (2.0 * (1.0 - 1.0 / k**2))
+        count += float(whole.sum()) * k
+    return total / count * step / block_s if count > 0 else float("nan")
+
+
+def survey(runs: Sequence[RunBlocks], temperature: str | None, degree: int, block_s: float) -> Survey:
+    """Return what the training runs can show."""
+    found = [run.temperature[temperature] for run in runs if temperature in run.temperature and len(run)]
+    low, high = (
+        (min(float(t.min()) for t in found), max(float(t.max()) for t in found)) if found else (0.0, 0.0)
+    )
+    ranges = [0.0]
+    for run in runs:
+        accel = next((drive.accel for drive in run.drives.values()), None)
+        if accel is not None and len(run):
+            ranges.append(float(np.ptp(run.average(accel), axis=0).max()))
+    return Survey(
+        durations_s=[float(run.time_s[-1]) + run.block_s / 2 for run in runs],
+        span_degc=high - low,
+        reversals=sum(_turns(t, TURN_SHARE * (high - low)) for t in found),
+        accel_range=max(ranges),
+        block_s=block_s,
+        degree=degree,
+        middle_degc=0.5 * (low + high),
+        half_span_degc=max(0.5 * (high - low), 1e-3),
+    )
+
+
+def _turns(temperature: FloatArray, size: float) -> int:
+    """Count the turns after which the temperature goes back by more than `size`."""
+    if not size > 0:
+        return 0
+    turns, direction = 0, 0
+    low = high = float(temperature[0])
+    for value in temperature.tolist():
+        low, high = min(low, value), max(high, value)
+        if direction >= 0 and value < high - size:
+            turns, direction, low = turns + (direction > 0), -1, value
+        elif direction <= 0 and value > low + size:
+            turns, direction, high = turns + (direction < 0), 1, value
+    return turns

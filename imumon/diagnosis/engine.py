@@ -1,0 +1,298 @@
+"""The whole diagnosis: runs in, verdicts out."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from imumon.blocks import FloatArray
+from imumon.diagnosis.blocks import (
+    BLOCK_S,
+    REST_SHARE,
+    RunBlocks,
+    make_blocks,
+    survey,
+    white_floor,
+)
+from imumon.diagnosis.candidates import Pool
+from imumon.diagnosis.fitting import Declared
+from imumon.diagnosis.recording import CHANNELS, TEMPERATURES, Run, unit_of
+from imumon.diagnosis.selection import Channel, Search
+from imumon.diagnosis.verdict import Case, ChannelVerdict, judge
+from imumon.effects.base import LEAST_SPAN_DEGC, Survey
+from imumon.effects.library import EFFECTS
+from imumon.errors import ImumonError, Reason
+
+LEAST_BLOCKS = 40
+LEAST_RUN_BLOCKS = 8
+LEAST_REST = 0.5
+MANY_GAPS = 0.2
+MOST_SEARCH_BLOCKS = 700
+"""Longer runs are searched in longer blocks; they are scored in blocks of 30 s all the same."""
+HIGHEST_DEGREE = 8
+
+Progress = Callable[[str], None]
+
+
+@dataclass(slots=True)
+class Diagnosis:
+    """Verdicts on all channels, and what has to be said of the data."""
+
+    declared: str
+    block_s: float
+    verdicts: list[ChannelVerdict]
+    train: Sequence[RunBlocks]
+    test: Sequence[RunBlocks]
+    survey: Survey
+    caveats: list[str] = field(default_factory=list)
+
+
+def parse_declared(text: str) -> tuple[int, bool]:
+    """Return degree and whether each run has an offset of its own, from ``polynomial 3`` or ``polynomial 3 + offset``.
+
+    Raises
+    ------
+    ImumonError
+        BAD_CONFIG for anything else.
+    """
+    match = re.fullmatch(r"\s*polynomial\s+(\d+)(\s*\+\s*offset)?\s*", text)
+    if match is None or int(match[1]) > HIGHEST_DEGREE:
+        raise ImumonError(
+            Reason.BAD_CONFIG,
+            f"--declared {text!r} is not understood",
+            f"use 'polynomial N', N from 0 to {HIGHEST_DEGREE}, or 'polynomial N + offset' for a constant of each run",
+        )
+    return int(match[1]), match[2] is not None
+
+
+def diagnose(
+    train: Sequence[Run],
+    test: Sequence[Run],
+    declared: str = "polynomial 3",
+    progress: Progress | None = None,
+    subtract: Callable[[str, FloatArray], FloatArray] | None = None,
+) -> Diagnosis:
+    """Find what the declared model leaves over in the training runs, name it, and prove it on the test runs.
+
+    Raises
+    ------
+    ImumonError
+        BAD_DATA when the data cannot show anything, saying why; BAD_CONFIG for a wrong declared model.
+    """
+    degree, offsets = parse_declared(declared)
+    caveats: list[str] = []
+    channels = _channels(train)
+    temperatures = {name: _temperature_of(name, train) for name in channels}
+    used = list(dict.fromkeys(temperatures.values()))
+    blocks = _usable(train, channels, used, caveats, "training")
+    tested = _usable(test, channels, used, caveats, "test") if test else []
+    total = sum(map(len, blocks))
+    if total < LEAST_BLOCKS:
+        raise ImumonError(
+            Reason.BAD_DATA,
+            f"too short: the training data has {total * BLOCK_S / 60:.0f} min at rest in {len(blocks)} run(s),"
+            f" at least {LEAST_BLOCKS * BLOCK_S / 60:.0f} min are needed",
+            "record the unit at rest for an hour or more while its temperature changes",
+        )
+    seen = survey(blocks, used[0], degree, BLOCK_S)
+    if not seen.thermal:
+        caveats.append(
+            f"the temperature moves by {seen.span_degc:.1f} °C only (at least {LEAST_SPAN_DEGC:.0f} °C are needed):"
+            " no curve over temperature is fitted, and no effect of temperature can be found"
+        )
+        degree = 0
+    _remark(blocks, tested, caveats)
+    diagnosis = Diagnosis(declared, BLOCK_S, [], blocks, tested, seen, caveats)
+    for sensor in ("gyro", "accel"):
+        group = [name for name in channels if name.startswith(sensor)]
+        if group:
+            diagnosis.verdicts += _sensor(train, group, temperatures, diagnosis, degree, offsets, progress)
+    return diagnosis
+
+
+def _sensor(
+    train: Sequence[Run],
+    group: Sequence[str],
+    temperatures: dict[str, str],
+    diagnosis: Diagnosis,
+    degree: int,
+    offsets: bool,
+    progress: Progress | None,
+) -> list[ChannelVerdict]:
+    """Return the verdicts on the axes of one sensor."""
+    blocks, tested = diagnosis.train, diagnosis.test
+    search_s = _search_block(blocks)
+    searched = blocks
+    if search_s > BLOCK_S:
+        used = list(dict.fromkeys(temperatures.values()))
+        names = [run.name for run in blocks]
+        searched = [
+            make_blocks(run, list(temperatures), used, search_s) for run in train if run.name in names
+        ]
+    seen = survey(searched, temperatures[group[0]], degree, search_s)
+    families = _families(group[0], seen)
+    models = {name: Declared(degree, *_scale(blocks, temperatures[name]), offsets=offsets) for name in group}
+    floors = {name: white_floor(train, name, BLOCK_S) for name in group}
+    channels = [
+        Channel(
+            name,
+            temperatures[name],
+            np.concatenate([run.mean[name] for run in searched]),
+            models[name].training(searched, temperatures[name]),
+            floors[name].sd * float(np.sqrt(BLOCK_S / search_s)),
+        )
+        for name in group
+    ]
+    outcomes = Search(searched, channels, seen, families).run(progress)
+    verdicts = []
+    for name in group:
+        temperature = temperatures[name]
+        found = np.concatenate([run.temperature[temperature] for run in blocks])
+        case = Case(
+            name=name,
+            unit=unit_of(name),
+            temperature=temperature,
+            floor=floors[name],
+            declared=models[name],
+            train=blocks,
+            test=tested,
+            pool=Pool(blocks, temperature),
+            inside=(float(found.min()), float(found.max())) if seen.thermal else (-np.inf, np.inf),
+        )
+        verdicts.append(judge(case, outcomes[name]))
+    return verdicts
+
+
+def _families(channel: str, seen: Survey) -> list[str]:
+    """Return the effects that are tried on a channel."""
+    skipped = {"axis_coupling"} if channel.startswith("gyro") else {"g_sensitivity", "axis_coupling"}
+    if seen.runs < 2:
+        skipped.add("run_offset")
+    return [name for name in EFFECTS if name not in skipped]
+
+
+def _scale(blocks: Sequence[RunBlocks], temperature: str) -> tuple[float, float]:
+    found = np.concatenate([run.temperature[temperature] for run in blocks])
+    low, high = float(found.min()), float(found.max())
+    return 0.5 * (low + high), max(0.5 * (high - low), 1e-3)
+
+
+def _search_block(blocks: Sequence[RunBlocks]) -> float:
+    longest = max(map(len, blocks))
+    return BLOCK_S * max(1, -(-longest // MOST_SEARCH_BLOCKS))
+
+
+def _channels(runs: Sequence[Run]) -> list[str]:
+    """Return the channels that every training run has at half of its seconds or more.
+
+    Raises
+    ------
+    ImumonError
+        BAD_DATA when there is none.
+    """
+    found = [
+        name
+        for name in CHANNELS
+        if all(name in run.mean and np.isfinite(run.mean[name]).mean() > 0.1 for run in runs)
+    ]
+    found = [name for name in found if any(np.nanstd(run.mean[name]) > 0 for run in runs)]
+    if not found:
+        raise ImumonError(
+            Reason.BAD_DATA,
+            "no gyro or accelerometer channel has data in every training run",
+            "give sessions with gyro_x ... accel_z, or a map that says which columns they are",
+        )
+    return found
+
+
+def _temperature_of(channel: str, runs: Sequence[Run]) -> str:
+    """Return the temperature that a channel's bias is over: that of its axis where there is one.
+
+    Raises
+    ------
+    ImumonError
+        BAD_DATA when there is no temperature.
+    """
+    own = f"temperature_{channel[-1]}"
+    for name in (own, *TEMPERATURES):
+        if all(name in run.mean and np.isfinite(run.mean[name]).sum() > 1 for run in runs):
+            return name
+    raise ImumonError(
+        Reason.BAD_DATA,
+        "there is no temperature in the training data, so there is no bias over temperature to diagnose",
+        "record with the temperature switched on, or name its column in the map",
+    )
+
+
+def _usable(
+    runs: Sequence[Run], channels: Sequence[str], temperatures: Sequence[str], caveats: list[str], what: str
+) -> list[RunBlocks]:
+    """Return the runs as blocks, without those that cannot be used, which are named.
+
+    Raises
+    ------
+    ImumonError
+        BAD_DATA when the unit was hardly at rest.
+    """
+    found = []
+    moving = []
+    for run in runs:
+        if any(name not in run.mean for name in (*channels, *temperatures)):
+            lacking = [name for name in (*channels, *temperatures) if name not in run.mean]
+            caveats.append(f"{run.name}: not used, it lacks {', '.join(lacking)}")
+            continue
+        there = np.isfinite(run.mean[channels[0]])
+        resting = float((run.rest[there] >= REST_SHARE).mean()) if there.any() else 0.0
+        if resting < LEAST_REST:
+            moving.append(f"{run.name}: at rest for {resting:.0%} of its {run.duration_s / 60:.0f} min")
+            continue
+        if there.mean() < 1.0 - MANY_GAPS:
+            caveats.append(
+                f"{run.name}: samples in {there.mean():.0%} of its seconds only; gaps are left out"
+            )
+        if resting < 1.0 - MANY_GAPS:
+            caveats.append(f"{run.name}: at rest for {resting:.0%} of its time; the rest is left out")
+        blocks = make_blocks(run, channels, temperatures)
+        if len(blocks) < LEAST_RUN_BLOCKS:
+            caveats.append(
+                f"{run.name}: not used, {len(blocks)} blocks of {BLOCK_S:.0f} s at rest are too few"
+            )
+            continue
+        found.append(blocks)
+    if moving and not found and what == "training":
+        raise ImumonError(
+            Reason.BAD_DATA,
+            "the unit moves: " + "; ".join(moving),
+            "what the bias model lacks can be told only of a unit at rest",
+        )
+    caveats += [f"{text}: not used, it moves" for text in moving]
+    if what == "test" and not found:
+        caveats.append("no run of the test can be used: there is no independent proof")
+    return found
+
+
+def _remark(train: Sequence[RunBlocks], test: Sequence[RunBlocks], caveats: list[str]) -> None:
+    """Say what this data cannot show, whatever it is."""
+    if not test:
+        caveats.append("no test data: nothing proves what is claimed but the data that it was fitted to")
+    if len(train) < 2:
+        caveats.append(
+            "one training run: what depends on time since power-on and what depends on temperature may look alike"
+        )
+
+
+def plain(value: Any) -> Any:
+    """Return numbers without the types of numpy; NaN becomes None."""
+    if isinstance(value, dict):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value

@@ -1,0 +1,243 @@
+"""Recordings read for the diagnosis: means of one second, in bounded memory, one run from each power-on."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from imumon.blocks import FloatArray, IntArray, SampleBlock
+from imumon.columns import KNOWN
+from imumon.errors import ImumonError, Reason
+from imumon.pipeline import Estimator, Pipeline
+from imumon.run.replay import run_over
+from imumon.run.source import open_source
+from imumon.session.folder import is_session
+from imumon.session.importing import import_table
+from imumon.session.table import SUFFIXES, iterate_table
+
+CHANNELS = tuple(f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz")
+TEMPERATURES = ("temperature", *(f"temperature_{axis}" for axis in "xyz"))
+SECOND_NS = 1_000_000_000
+LONGEST_GAP_S = 6 * 3600
+"""A longer gap begins another run: nothing is known of what was between."""
+SHORTEST_RUN_S = 300.0
+"""What a restart leaves behind that is shorter is passed over."""
+COLDEST_DEGC, HOTTEST_DEGC = -100.0, 250.0
+
+Progress = Callable[[int], None]
+
+
+@dataclass(slots=True)
+class Run:
+    """One run from power-on in means of one second; a second without samples is NaN.
+
+    Parameters
+    ----------
+    name : str
+        Where it comes from.
+    time_s : array of shape (n,)
+        Middle of each second since the first sample.
+    count : mapping of str to array of shape (n,)
+        Samples in each second.
+    mean : mapping of str to array of shape (n,)
+        Mean of channels in SI units and of temperatures in °C.
+    variance : mapping of str to array of shape (n,)
+        Variance of the samples within each second; NaN with fewer than two.
+    rest : array of shape (n,)
+        Share of the samples at which the unit was at rest.
+    """
+
+    name: str
+    time_s: FloatArray
+    count: dict[str, FloatArray]
+    mean: dict[str, FloatArray]
+    variance: dict[str, FloatArray]
+    rest: FloatArray
+
+    @property
+    def duration_s(self) -> float:
+        """Length in seconds."""
+        return float(len(self.time_s))
+
+    def samples_per_second(self, channel: str) -> float:
+        """Return the mean number of samples in the seconds that have any."""
+        count = self.count[channel]
+        return float(count[count > 0].mean()) if (count > 0).any() else 0.0
+
+
+def read_runs(
+    path: Path,
+    map_path: Path | None,
+    stages: Callable[[], list[Estimator]] = list,
+    progress: Progress | None = None,
+) -> list[Run]:
+    """Read a session, or a table with its map (one that imumon wrote needs none), as runs from power-on.
+
+    Raises
+    ------
+    ImumonError
+        BAD_DATA when there is nothing to read or no run of five minutes; BAD_CONFIG when a table needs a map.
+    """
+    with _blocks(path, map_path, stages) as blocks:
+        collector = _Collector(path.name or str(path))
+        for block in blocks:
+            collector.add(block)
+            if progress is not None:
+                progress(len(block))
+    runs = [run for run in collector.runs() if run.duration_s >= SHORTEST_RUN_S]
+    if not runs:
+        longest = max((run.duration_s for run in collector.runs()), default=0.0)
+        raise ImumonError(
+            Reason.BAD_DATA,
+            f"{path}: too short: its longest run is {longest:.0f} s, at least {SHORTEST_RUN_S:.0f} s are needed",
+            "record the unit at rest for an hour or more while its temperature changes",
+        )
+    return runs
+
+
+@contextmanager
+def _blocks(
+    path: Path, map_path: Path | None, stages: Callable[[], list[Estimator]]
+) -> Iterator[Iterable[SampleBlock]]:
+    if is_session(path) or path.is_dir():
+        source = open_source(path)
+        yield run_over(source.items, Pipeline(source.device, stages()))
+        return
+    if not path.is_file():
+        raise ImumonError(Reason.BAD_DATA, f"{path}: there is no such file", "give a session or a table")
+    if map_path is not None:
+        with tempfile.TemporaryDirectory(prefix="imumon-diagnose-") as folder:
+            session = Path(folder) / "session"
+            import_table(path, map_path, session)
+            source = open_source(session)
+            yield run_over(source.items, Pipeline(None, stages()))
+        return
+    if path.suffix not in SUFFIXES:
+        raise ImumonError(
+            Reason.BAD_CONFIG, f"{path} is no session, and a table needs a map", "add --map MAP.yaml"
+        )
+    yield run_over(_canonical(path), Pipeline(None, stages()))
+
+
+def _canonical(path: Path) -> Iterator[SampleBlock]:
+    """Yield the samples of a table that has the names of imumon."""
+    for block in iterate_table(path):
+        if "device_time_ns" not in block:
+            raise ImumonError(
+                Reason.BAD_CONFIG,
+                f"{path}: has no column device_time_ns, so it is no table of imumon",
+                "say with --map MAP.yaml what is in which column",
+            )
+        extra = {} if "segment" in block else {"segment": np.zeros(len(block), np.int64)}
+        yield block.with_columns(extra)
+
+
+@dataclass(slots=True)
+class _Sums:
+    """Growing sums of one column, one element per second."""
+
+    reference: float = np.nan
+    count: FloatArray = field(default_factory=lambda: np.zeros(0))
+    total: FloatArray = field(default_factory=lambda: np.zeros(0))
+    square: FloatArray = field(default_factory=lambda: np.zeros(0))
+
+    def add(self, second: IntArray, values: FloatArray) -> None:
+        valid = np.isfinite(values)
+        if not valid.any():
+            return
+        second, values = second[valid], values[valid]
+        if np.isnan(self.reference):
+            self.reference = float(values[0])
+        first, size = int(second[0]), int(second[-1]) + 1
+        if size > len(self.count):
+            grown = max(size, 2 * len(self.count), 4096)
+            for name in ("count", "total", "square"):
+                old = getattr(self, name)
+                setattr(self, name, np.concatenate([old, np.zeros(grown - len(old))]))
+        offset = values - self.reference
+        at = second - first
+        self.count[first:size] += np.bincount(at)
+        self.total[first:size] += np.bincount(at, offset)
+        self.square[first:size] += np.bincount(at, offset * offset)
+
+    def finished(self, n: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return count, mean and variance within each of n seconds."""
+        count, total, square = (_padded(part, n) for part in (self.count, self.total, self.square))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            mean = total / count
+            variance = np.where(count > 1, (square - count * mean**2) / (count - 1), np.nan)
+        return count, mean + self.reference, np.maximum(variance, 0.0)
+
+
+def _padded(values: FloatArray, n: int) -> FloatArray:
+    return np.concatenate([values[:n], np.zeros(max(0, n - len(values)))])
+
+
+class _Collector:
+    """Gathers blocks into runs; a new segment, a clock that goes back or a very long gap begins another."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._runs: list[tuple[dict[str, _Sums], int]] = []
+        self._segment = -1
+        self._start_ns = self._last_ns = 0
+
+    def add(self, block: SampleBlock) -> None:
+        if not len(block):
+            return
+        time_ns, segment = block["device_time_ns"], block["segment"]
+        before = np.concatenate([[self._last_ns], time_ns[:-1]])
+        other = np.concatenate([[self._segment], segment[:-1]]) != segment
+        cut = other | (time_ns < before) | (time_ns - before > LONGEST_GAP_S * SECOND_NS)
+        if not self._runs:
+            cut[0] = True
+        bounds = [0, *[int(at) for at in np.flatnonzero(cut) if at > 0], len(block)]
+        for a, b in zip(bounds[:-1], bounds[1:], strict=True):
+            if cut[a]:
+                self._runs.append(({}, 0))
+                self._start_ns = int(time_ns[a])
+            self._add_rows(block.rows(a, b))
+        self._segment, self._last_ns = int(segment[-1]), int(time_ns[-1])
+
+    def _add_rows(self, block: SampleBlock) -> None:
+        sums, longest = self._runs[-1]
+        second = (block["device_time_ns"] - self._start_ns) // SECOND_NS
+        for name in (*CHANNELS, *TEMPERATURES):
+            if name in block:
+                values = np.asarray(block[name], np.float64)
+                if name in TEMPERATURES:
+                    inside = (values > COLDEST_DEGC) & (values < HOTTEST_DEGC)
+                    values = np.where(inside, values, np.nan)
+                sums.setdefault(name, _Sums()).add(second, values)
+        rest = np.asarray(block["at_rest"], np.float64) if "at_rest" in block else np.ones(len(block))
+        sums.setdefault("at_rest", _Sums()).add(second, rest)
+        self._runs[-1] = sums, max(longest, int(second[-1]) + 1)
+
+    def runs(self) -> list[Run]:
+        """Return the runs so far."""
+        return [
+            self._run(sums, n, f"{self._name}, run {index + 1}" if len(self._runs) > 1 else self._name)
+            for index, (sums, n) in enumerate(self._runs)
+        ]
+
+    def _run(self, sums: dict[str, _Sums], n: int, name: str) -> Run:
+        parts = {key: value.finished(n) for key, value in sums.items() if value.count.any()}
+        rest = parts.pop("at_rest")[1]
+        return Run(
+            name=name,
+            time_s=np.arange(n) + 0.5,
+            count={key: part[0] for key, part in parts.items()},
+            mean={key: part[1] for key, part in parts.items()},
+            variance={key: part[2] for key, part in parts.items()},
+            rest=np.nan_to_num(rest),
+        )
+
+
+def unit_of(channel: str) -> str:
+    """Return the unit of a channel."""
+    return KNOWN[channel].unit

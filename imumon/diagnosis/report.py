@@ -1,0 +1,130 @@
+"""report.json: what was found, in numbers, for programs."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from imumon import __version__
+from imumon.diagnosis.engine import Diagnosis, plain
+from imumon.diagnosis.fitting import FittedPart
+from imumon.diagnosis.verdict import ChannelVerdict, Claim
+from imumon.effects.library import separated_by
+
+FORMAT: Final = "imumon-diagnosis/1"
+
+
+def report(diagnosis: Diagnosis) -> dict[str, Any]:
+    """Return the report as it is written; absent numbers are None."""
+    content = {
+        "format": FORMAT,
+        "imumon": __version__,
+        "declared_model": diagnosis.declared,
+        "block_s": diagnosis.block_s,
+        "train": [_run(run.name, len(run), run.duration_s) for run in diagnosis.train],
+        "test": [_run(run.name, len(run), run.duration_s) for run in diagnosis.test],
+        "independent_test": bool(diagnosis.test),
+        "temperature_range_degc": [
+            diagnosis.survey.middle_degc - diagnosis.survey.half_span_degc,
+            diagnosis.survey.middle_degc + diagnosis.survey.half_span_degc,
+        ],
+        "caveats": diagnosis.caveats,
+        "channels": {verdict.name: _channel(verdict) for verdict in diagnosis.verdicts},
+    }
+    found: dict[str, Any] = plain(content)
+    return found
+
+
+def write_report(diagnosis: Diagnosis, path: Path) -> None:
+    """Write report.json; raises OSError when that fails."""
+    path.write_text(json.dumps(report(diagnosis), indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+
+
+def _run(name: str, blocks: int, duration_s: float) -> dict[str, Any]:
+    return {"name": name, "blocks": blocks, "duration_s": duration_s}
+
+
+def _channel(verdict: ChannelVerdict) -> dict[str, Any]:
+    before, after = verdict.test_before, verdict.test_after
+    nothing = float("nan")
+    return {
+        "unit": verdict.unit,
+        "noise_floor_rms": verdict.floor.sd,
+        "noise_floor_from": verdict.floor.source,
+        "slow_noise": {"flicker": verdict.noise[0], "random_walk": verdict.noise[1]},
+        "before": {
+            "train_rms": verdict.before.train_rms,
+            "test_rms": nothing if before is None else before.rms,
+        },
+        "after": {
+            "train_rms": verdict.after.train_rms,
+            "test_rms": nothing if after is None else after.rms,
+            "test_rms_tracked": nothing if after is None else after.tracked_rms,
+        },
+        "coverage": nothing if after is None else after.coverage,
+        "scored": nothing if after is None else after.scored,
+        "explained_share": verdict.explained,
+        "effects": [_effect(verdict, claim) for claim in verdict.claims],
+        "indistinguishable": [claim.finding.alike for claim in verdict.claims if claim.finding.alike],
+        "to_separate": [
+            {"effects": [claim.finding.alike[0], other], "by": separated_by(claim.finding.alike[0], other)}
+            for claim in verdict.claims
+            for other in claim.finding.alike[1:]
+        ],
+        "left_out": verdict.left_out,
+        "unexplained": verdict.unexplained,
+        "remark": verdict.remark,
+        "summary": verdict.summary,
+    }
+
+
+def _effect(verdict: ChannelVerdict, claim: Claim) -> dict[str, Any]:
+    finding = claim.finding
+    names = {part.effect.name for part in verdict.after.parts}
+    assert finding.name in names
+    parts = _parts_of(verdict, claim)
+    return {
+        "name": finding.name,
+        "parameters": _parameters(parts),
+        "carried_over": any(part.carries for part in parts),
+        "evidence": {
+            "gain_bic": finding.gain,
+            "pooled_gain_bic": finding.pooled_gain,
+            "rms_explained": finding.size,
+            "explained_share_alone": claim.explained,
+            "rivals_gain_bic": {name: value for name, value in finding.rivals.items() if value > 0},
+        },
+        "test_rms_alone": claim.test_alone,
+    }
+
+
+def _parts_of(verdict: ChannelVerdict, claim: Claim) -> list[FittedPart]:
+    """Return the fitted parts of a claim in the whole model."""
+    at = 0
+    for other in verdict.claims:
+        size = len(other.finding.candidate.parts)
+        if other is claim:
+            return verdict.after.parts[at : at + size]
+        at += size
+    raise ValueError("a claim that the model does not have")
+
+
+def _parameters(parts: list[FittedPart]) -> dict[str, Any]:
+    """Return the parameters of one part as they are, of several as lists."""
+    each = []
+    for part in parts:
+        found = part.effect.model_dump(exclude={"kind", "coefficients"})
+        found["coefficients"] = part.own[0].tolist() if not part.runs else part.own.tolist()
+        if part.runs:
+            found["runs"] = list(part.runs)
+        if len(part.start):
+            found["start"] = part.start.tolist()
+        if part.effect.name == "periodic":
+            found["amplitude"] = np.hypot(part.own[:, 0], part.own[:, 1]).tolist()
+        each.append(found)
+    if len(each) == 1:
+        return dict(each[0])
+    return {key: [found.get(key) for found in each] for key in each[0]}

@@ -1,0 +1,459 @@
+"""Which effects the declared model lacks: one after another, each channel by itself and with those that agree."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from imumon.blocks import FloatArray, IntArray
+from imumon.diagnosis.blocks import RunBlocks
+from imumon.diagnosis.candidates import Candidate, Part, Pool, Term, candidates
+from imumon.diagnosis.search import (
+    Likelihood,
+    Noise,
+    Target,
+    coarse_grid,
+    fine_grid,
+    neighbours,
+    parameters,
+)
+from imumon.effects.base import Survey
+
+PROVEN = 8.0
+"""Gain, a difference of BIC, above which an effect is proven."""
+CLOSE = 10.0
+"""Families whose gains differ by less are not told apart."""
+LEAST_EVIDENCE = 4.0
+"""A channel with less is never made to agree with the others."""
+MOST_STAGES = 6
+MOST_NAMES = 3
+SHORT_LIST = 6
+"""Best candidates of each family, by the coarse grid of noise, that are looked at closely."""
+SECOND_SHARE = 0.2
+"""A further effect counts when what it takes away is at least this share of what the largest one does."""
+LEAST_SIZE = 0.3
+"""And at least this many white floors (rms)."""
+MISFIT = 1.5
+"""A winner that leaves more than so many floors does not fit by itself: then a gap of gains is no proof."""
+ALIKE = 1.25
+"""Residuals that differ by less than this factor are alike."""
+REFINEMENTS = 4
+
+Progress = Callable[[str], None]
+
+
+@dataclass(slots=True)
+class Finding:
+    """An effect that was found in a channel.
+
+    Parameters
+    ----------
+    candidate : Candidate
+        With refined parameters; coefficients come with the fit.
+    gain : float
+        Over the model so far, in BIC.
+    pooled_gain : float
+        The same over all channels that show something, with shared nonlinear parameters.
+    rivals : dict of str to float
+        Gain of every family at that stage.
+    alike : list of str
+        Families that cannot be told apart from it, it among them; empty when there is no other.
+    size : float
+        rms of what it takes away from the residual.
+    """
+
+    candidate: Candidate
+    gain: float
+    pooled_gain: float
+    rivals: dict[str, float]
+    alike: list[str]
+    size: float
+
+    @property
+    def name(self) -> str:
+        """Name of the effect."""
+        return self.candidate.family
+
+
+@dataclass(slots=True)
+class Outcome:
+    """What the search found in a channel."""
+
+    findings: list[Finding] = field(default_factory=list)
+    many_jumps: bool = False
+    remark: Finding | None = None
+    noise: Noise = (0.0, 0.0)
+    finished: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Channel:
+    """A channel over the training runs.
+
+    Parameters
+    ----------
+    name : str
+    temperature : str
+        Which temperature drives it.
+    values : array of shape (n,)
+    declared : array of shape (n, p)
+        Columns of the declared model.
+    floor : float
+        White floor of a block of the search.
+    """
+
+    name: str
+    temperature: str
+    values: FloatArray
+    declared: FloatArray
+    floor: float
+
+
+def ordinary(columns: FloatArray, values: FloatArray) -> FloatArray:
+    """Return the coefficients of ordinary least squares, the smallest where columns are collinear."""
+    norm = np.linalg.norm(columns, axis=0)
+    norm = np.where(norm > 0, norm, 1.0)
+    return np.asarray(np.linalg.lstsq(columns / norm, values, rcond=1e-10)[0] / norm)
+
+
+def residual_rms(columns: FloatArray, values: FloatArray) -> float:
+    """Return the rms of the residual of ordinary least squares."""
+    left = values - columns @ ordinary(columns, values)
+    return float(np.sqrt(np.mean(left**2)))
+
+
+class Search:
+    """Finds what a group of channels (one sensor) lacks.
+
+    Parameters
+    ----------
+    runs : sequence of RunBlocks
+        Training runs.
+    channels : sequence of Channel
+        Three axes of a sensor, or fewer.
+    survey : Survey
+        What the runs can show.
+    families : sequence of str
+        Effects to try.
+    """
+
+    def __init__(
+        self, runs: Sequence[RunBlocks], channels: Sequence[Channel], survey: Survey, families: Sequence[str]
+    ) -> None:
+        self._likelihood = Likelihood(runs)
+        self._channels = channels
+        self._survey = survey
+        self._candidates = candidates(survey, families)
+        self._pools = {channel.temperature: Pool(runs, channel.temperature) for channel in channels}
+        self._outcomes = {channel.name: Outcome() for channel in channels}
+
+    def run(self, progress: Progress | None = None) -> Mapping[str, Outcome]:
+        """Return what was found in each channel."""
+        for stage in range(MOST_STAGES):
+            active = [c for c in self._channels if not self._outcomes[c.name].finished]
+            if not active:
+                break
+            if progress is not None:
+                progress(f"effect {stage + 1} of {', '.join(c.name for c in active)}")
+            self._stage(active)
+        for channel in self._channels:
+            self._drop_needless(channel)
+            self._outcomes[channel.name].noise = self._null(channel)[1]
+        return self._outcomes
+
+    def columns(self, channel: Channel, found: Sequence[Candidate]) -> FloatArray:
+        """Return the columns of candidates for a channel over all runs, (n, k)."""
+        pool = self._pools[channel.temperature]
+        parts = [pool.matrix([*defining, *start]) for defining, start in map(pool.terms, found)]
+        return np.concatenate(parts, axis=1) if parts else np.empty((len(channel.values), 0))
+
+    # One stage
+
+    def _stage(self, active: Sequence[Channel]) -> None:
+        tables = {channel.name: self._table(channel) for channel in active}
+        for at, channel in enumerate(active):
+            extra = _joined_steps(tables[channel.name])
+            if extra:
+                tables[channel.name] = self._extended(active[at], tables[channel.name], extra)
+        pooled = _pooled(list(tables.values()))
+        for channel in active:
+            self._decide(channel, tables[channel.name], pooled)
+
+    def _table(self, channel: Channel) -> _Table:
+        best, noise = self._null(channel)
+        coarse = self._gains(channel, self._candidates, coarse_grid([noise]), best)
+        short = sorted({at for family in coarse.families() for at in family})
+        fine = self._gains(channel, [self._candidates[at] for at in short], fine_grid(noise), best)
+        coarse.gain[short] = np.maximum(coarse.gain[short], fine.gain)
+        coarse.fit[short] = np.maximum(coarse.fit[short], fine.fit)
+        coarse.noise.update({at: fine.noise[index] for index, at in enumerate(short)})
+        return coarse
+
+    def _extended(self, channel: Channel, table: _Table, extra: list[Candidate]) -> _Table:
+        best, noise = self._null(channel)
+        more = self._gains(channel, extra, fine_grid(noise), best)
+        count = len(table.candidates)
+        return _Table(
+            [*table.candidates, *extra],
+            np.concatenate([table.gain, more.gain]),
+            np.concatenate([table.fit, more.fit]),
+            {**table.noise, **{count + at: value for at, value in more.noise.items()}},
+            table.common,
+            table.penalty,
+        )
+
+    def _gains(
+        self, channel: Channel, tried: Sequence[Candidate], grid: Sequence[Noise], null: float
+    ) -> _Table:
+        """Return the gain of each candidate, over the model so far and over its free start alone."""
+        pool = self._pools[channel.temperature]
+        both = [pool.terms(candidate) for candidate in tried]
+        starts = list(dict.fromkeys(tuple(start) for _, start in both if start))
+        terms: list[Sequence[Term]] = [[*defining, *start] for defining, start in both]
+        scan = self._likelihood.scan([self._target(channel)], pool, [*terms, *starts], grid)
+        fit = scan.likelihood[0]
+        alone = {start: fit[len(tried) + at] for at, start in enumerate(starts)}
+        logarithm = np.log(self._likelihood.n)
+        penalty = np.array([parameters(c, group) for c, group in zip(tried, terms, strict=True)]) * logarithm
+        gain = 2 * (fit[: len(tried)] - null) - penalty
+        for at, (defining, start) in enumerate(both):
+            if start:
+                own = 2 * (fit[at] - max(null, alone[tuple(start)])) - len(defining) * logarithm
+                gain[at] = min(gain[at], own)
+        linear = np.array([len(group) for group in terms]) * logarithm
+        noise = {at: scan.grid[scan.noise[0, at]] for at in range(len(tried))}
+        return _Table(
+            list(tried), gain, 2 * (fit[: len(tried)] - null) - linear, noise, len(tried), penalty - linear
+        )
+
+    def _decide(self, channel: Channel, table: _Table, pooled: dict[str, float]) -> None:
+        outcome = self._outcomes[channel.name]
+        own = table.best()
+        if not own or max(gain for gain, _ in own.values()) <= PROVEN:
+            outcome.finished = True
+            return
+        order = sorted(own, key=lambda family: -own[family][0])
+        while order:
+            family = self._choose(outcome, order, own, pooled)
+            finding = self._finding(channel, table, family, own, pooled)
+            if finding is None:
+                order.remove(family)
+                order = [name for name in order if own[name][0] > PROVEN]
+                continue
+            if _second_jump(outcome, finding):
+                outcome.many_jumps = outcome.finished = True
+                return
+            outcome.findings.append(finding)
+            return
+        outcome.finished = True
+
+    def _choose(
+        self,
+        outcome: Outcome,
+        order: Sequence[str],
+        own: Mapping[str, tuple[float, int]],
+        pooled: Mapping[str, float],
+    ) -> str:
+        """Return the family to add: one that is there already where it does nearly as well, else what is shared."""
+        best = own[order[0]][0]
+        slack = max(CLOSE, 0.3 * best)
+        for name in dict.fromkeys(finding.name for finding in outcome.findings):
+            if name in order and own[name][0] > max(PROVEN, best - slack):
+                return name
+        shared = max(
+            (name for name in order if name in pooled), key=lambda name: pooled[name], default=order[0]
+        )
+        if own[shared][0] > LEAST_EVIDENCE and best - own[shared][0] < CLOSE:
+            return shared
+        return order[0]
+
+    def _finding(
+        self,
+        channel: Channel,
+        table: _Table,
+        family: str,
+        own: Mapping[str, tuple[float, int]],
+        pooled: Mapping[str, float],
+    ) -> Finding | None:
+        """Return the effect with refined parameters, or None when it is too small beside those found."""
+        outcome = self._outcomes[channel.name]
+        gain, at = own[family]
+        candidate, refined_gain = self._refined(channel, table.candidates[at], table.noise[at])
+        before = self._left(channel, [])
+        after = self._left(channel, [candidate])
+        size = float(np.sqrt(max(before**2 - after**2, 0.0)))
+        largest = max((finding.size for finding in outcome.findings), default=0.0)
+        if size < max(LEAST_SIZE * channel.floor, SECOND_SHARE * largest):
+            return None
+        rivals = {name: value for name, (value, _) in own.items()}
+        rivals[family] = max(gain, refined_gain)
+        alike = self._alike(channel, table, family, own, pooled, after)
+        return Finding(candidate, rivals[family], pooled.get(family, gain), rivals, alike, size)
+
+    def _alike(
+        self,
+        channel: Channel,
+        table: _Table,
+        family: str,
+        own: Mapping[str, tuple[float, int]],
+        pooled: Mapping[str, float],
+        left: float,
+    ) -> list[str]:
+        """Return the families that are not told apart from the one chosen, by gain or by what they leave."""
+        best = max(gain for gain, _ in own.values())
+        close = []
+        for name, (gain, at) in own.items():
+            if name == family or gain <= PROVEN:
+                continue
+            apart = best - gain
+            if name in pooled and family in pooled:
+                apart = max(apart, pooled[family] - pooled[name])
+            if apart < CLOSE:
+                close.append((gain, name))
+            elif left > MISFIT * channel.floor and gain > 0.5 * best:
+                other = self._left(channel, [table.candidates[at]])
+                if other < ALIKE * left:
+                    close.append((gain, name))
+        names = [name for _, name in sorted(close, reverse=True)[: MOST_NAMES - 1]]
+        return [family, *names] if names else []
+
+    def _refined(self, channel: Channel, candidate: Candidate, noise: Noise) -> tuple[Candidate, float]:
+        """Return the candidate with its nonlinear parameters refined, and its gain."""
+        null, _ = self._null(channel)
+        grid = neighbours(noise)
+        best, gain = candidate, -np.inf
+        for level in range(REFINEMENTS):
+            tried = [best, *_moved(best, self._survey, level)]
+            table = self._gains(channel, tried, grid, null)
+            at = int(np.argmax(table.gain))
+            best, gain = tried[at], float(table.gain[at])
+            if len(tried) == 1:
+                break
+        return best, gain
+
+    # The model so far
+
+    def _target(self, channel: Channel, found: Sequence[Candidate] | None = None) -> Target:
+        if found is None:
+            found = [finding.candidate for finding in self._outcomes[channel.name].findings]
+        base = np.column_stack([channel.declared, self.columns(channel, found)])
+        return Target(channel.name, channel.values, base)
+
+    def _null(self, channel: Channel) -> tuple[float, Noise]:
+        best, noise = self._likelihood.null([self._target(channel)])
+        return float(best[0]), noise[0]
+
+    def _left(self, channel: Channel, more: Sequence[Candidate]) -> float:
+        """Return the rms that ordinary least squares leaves with what was found and more."""
+        found = [finding.candidate for finding in self._outcomes[channel.name].findings]
+        target = self._target(channel, [*found, *more])
+        return residual_rms(target.base, target.values)
+
+    def _drop_needless(self, channel: Channel) -> None:
+        """Drop what later findings made needless."""
+        outcome = self._outcomes[channel.name]
+        if len(outcome.findings) < 2:
+            return
+        logarithm = np.log(self._likelihood.n)
+        for finding in list(outcome.findings):
+            everything = outcome.findings
+            with_it, _ = self._null(channel)
+            outcome.findings = [other for other in everything if other is not finding]
+            without, _ = self._null(channel)
+            terms = sum(map(len, self._pools[channel.temperature].terms(finding.candidate)))
+            price = (terms + finding.candidate.nonlinear) * logarithm
+            if 2 * (with_it - without) - price > PROVEN:
+                outcome.findings = everything
+
+
+@dataclass(slots=True)
+class _Table:
+    """Gains of all candidates for one channel.
+
+    `fit` is twice the log-likelihood ratio less the price of the linear parameters, `penalty` the price of the
+    others; the first `common` candidates are the same for all channels.
+    """
+
+    candidates: list[Candidate]
+    gain: FloatArray
+    fit: FloatArray
+    noise: dict[int, Noise]
+    common: int
+    penalty: FloatArray
+
+    def families(self) -> list[IntArray]:
+        """Return the best few candidates of each family."""
+        names = np.array([candidate.family for candidate in self.candidates])
+        found = []
+        for name in dict.fromkeys(names.tolist()):
+            which = np.flatnonzero(names == name)
+            found.append(which[np.argsort(-self.gain[which])[:SHORT_LIST]])
+        return found
+
+    def best(self) -> dict[str, tuple[float, int]]:
+        """Return the best gain of each family and which candidate has it."""
+        return {
+            self.candidates[int(which[0])].family: (float(self.gain[which[0]]), int(which[0]))
+            for which in self.families()
+        }
+
+
+def _pooled(tables: Sequence[_Table]) -> dict[str, float]:
+    """Return the gain of each family over the channels that show something, nonlinear parameters shared."""
+    shown = [table for table in tables if table.gain.max() > PROVEN]
+    if len(shown) < 2:
+        return {}
+    common = shown[0].common
+    total = sum(table.fit[:common] for table in shown) - shown[0].penalty[:common]
+    pooled: dict[str, float] = {}
+    for at in range(common):
+        name = shown[0].candidates[at].family
+        pooled[name] = max(pooled.get(name, -np.inf), float(total[at]))
+    # Jumps come at times of their own, and loops of several widths differ: there each channel's best counts.
+    apart: dict[str, float] = {}
+    for table in shown:
+        for name, (gain, _) in table.best().items():
+            apart[name] = apart.get(name, 0.0) + gain
+    return {name: max(gain, apart[name]) for name, gain in pooled.items()}
+
+
+def _joined_steps(table: _Table) -> list[Candidate]:
+    """Return jumps in several runs at once, made of the best of each run."""
+    best: dict[int, tuple[float, Candidate]] = {}
+    for at, candidate in enumerate(table.candidates):
+        if candidate.family == "step":
+            run = candidate.parts[0].runs[0]
+            if run not in best or table.gain[at] > best[run][0]:
+                best[run] = float(table.gain[at]), candidate
+    order = sorted(best.values(), key=lambda item: -item[0])
+    return [
+        Candidate("step", tuple(part for _, one in order[:count] for part in one.parts))
+        for count in range(2, len(order) + 1)
+    ]
+
+
+def _second_jump(outcome: Outcome, finding: Finding) -> bool:
+    """Tell whether a run has a second jump that is not small beside the first."""
+    if finding.name != "step":
+        return False
+    taken = {
+        run
+        for other in outcome.findings
+        if other.name == "step"
+        for part in other.candidate.parts
+        for run in part.runs
+    }
+    return any(run in taken for part in finding.candidate.parts for run in part.runs)
+
+
+def _moved(candidate: Candidate, survey: Survey, level: int) -> list[Candidate]:
+    """Return neighbours of a candidate, one parameter of one part changed at a time."""
+    found = []
+    for at, part in enumerate(candidate.parts):
+        for effect in part.effect.refined(survey, level):
+            parts = list(candidate.parts)
+            parts[at] = Part(effect, part.runs)
+            found.append(replace(candidate, parts=tuple(parts)))
+    return found

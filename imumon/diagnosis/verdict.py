@@ -1,0 +1,237 @@
+"""From what the search found to what is claimed: gate, test, materiality, and a sentence for each channel."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from imumon.blocks import FloatArray
+from imumon.diagnosis.blocks import RunBlocks, WhiteFloor
+from imumon.diagnosis.candidates import Candidate, Pool
+from imumon.diagnosis.fitting import Declared, Fit, TestScore, fit, score
+from imumon.diagnosis.selection import Finding, Outcome
+from imumon.effects.library import separated_by
+
+CLEAN = 1.8
+"""Residual in white floors below which nothing is missing; slow noise of the same size as the white is allowed."""
+EXPLAINED = 0.6
+"""Share of the excess over the white floor that has to be explained before anything is named."""
+MATERIAL = 1.3
+"""With a declared model that leaves less than so many floors, what is missing is too small to matter."""
+
+
+@dataclass(slots=True)
+class Claim:
+    """An effect that is claimed, with its evidence."""
+
+    finding: Finding
+    fitted: Fit
+    explained: float
+    test_alone: float
+
+
+@dataclass(slots=True)
+class ChannelVerdict:
+    """What is said of a channel.
+
+    Parameters
+    ----------
+    before, after : Fit
+        Declared and extended model.
+    test_before, test_after : TestScore or None
+        None without a test.
+    left_out : list of dict
+        What was found but made the test worse.
+    """
+
+    name: str
+    unit: str
+    temperature: str
+    floor: WhiteFloor
+    declared: Declared
+    before: Fit
+    after: Fit
+    test_before: TestScore | None
+    test_after: TestScore | None
+    claims: list[Claim]
+    unexplained: bool
+    summary: str
+    explained: float
+    noise: tuple[float, float]
+    left_out: list[dict[str, Any]] = field(default_factory=list)
+    remark: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Case:
+    """A channel with its data: what `judge` needs."""
+
+    name: str
+    unit: str
+    temperature: str
+    floor: WhiteFloor
+    declared: Declared
+    train: Sequence[RunBlocks]
+    test: Sequence[RunBlocks]
+    pool: Pool
+    inside: tuple[float, float]
+
+    @property
+    def values(self) -> FloatArray:
+        """Block means over all training runs."""
+        return np.concatenate([run.mean[self.name] for run in self.train])
+
+    def fitted(self, found: Sequence[Candidate]) -> Fit:
+        """Return the declared model with these candidates, fitted."""
+        return fit(self.train, self.temperature, self.values, self.declared, found, self.pool)
+
+    def scored(self, model: Fit, like: Fit) -> TestScore | None:
+        """Return the score of a model in the test over the blocks that count for `like`; None without a test."""
+        if not self.test:
+            return None
+        from imumon.diagnosis.fitting import settled
+
+        mask = [settled(run, self.temperature, like) for run in self.test]
+        return score(self.test, self.name, self.temperature, self.declared, model, self.inside, mask)
+
+
+def explained_share(before: float, after: float, floor: float) -> float:
+    """Return which share of the excess of the mean square over the white floor is explained."""
+    excess = before**2 - floor**2
+    return 1.0 - (after**2 - floor**2) / excess if excess > 0 else 0.0
+
+
+def judge(case: Case, outcome: Outcome) -> ChannelVerdict:
+    """Return what is claimed of a channel, and what is not and why."""
+    findings = [
+        finding for finding in outcome.findings if not (outcome.many_jumps and finding.name == "step")
+    ]
+    before = case.fitted([])
+    kept, left_out = _not_worse(case, findings)
+    after = case.fitted([finding.candidate for finding in kept])
+    floor = case.floor.sd
+    share = explained_share(before.train_rms, after.train_rms, floor)
+    remark = ""
+    passes = after.train_rms < CLEAN * floor or share >= EXPLAINED
+    if outcome.many_jumps or (kept and not passes):
+        best = max(outcome.findings, key=lambda finding: finding.gain)
+        why = (
+            "there is more than one jump in a run" if outcome.many_jumps else f"it explains only {share:.0%}"
+        )
+        remark = f"the best of the known effects is {best.name}, but {why}"
+        kept, after = [], before
+    if not any(part.carries for part in after.parts) and after.parts:
+        # Nothing of it can be foretold: the declared model predicts as it did.
+        predicted_by = before
+    else:
+        predicted_by = after
+    score_after = case.scored(after, after)
+    score_before = case.scored(before, after)
+    if score_after is not None and score_before is not None and predicted_by is before:
+        score_after.rms = score_before.rms
+    unexplained = _unexplained(before, after, kept, floor, outcome)
+    verdict = ChannelVerdict(
+        name=case.name,
+        unit=case.unit,
+        temperature=case.temperature,
+        floor=case.floor,
+        declared=case.declared,
+        before=before,
+        after=after,
+        test_before=score_before,
+        test_after=score_after,
+        claims=[_claim(case, before, kept, at) for at in range(len(kept))],
+        unexplained=unexplained,
+        summary="",
+        explained=share if kept else 0.0,
+        noise=outcome.noise,
+        left_out=left_out,
+        remark=remark,
+    )
+    verdict.summary = summary(verdict)
+    return verdict
+
+
+def _unexplained(before: Fit, after: Fit, kept: Sequence[Finding], floor: float, outcome: Outcome) -> bool:
+    if outcome.many_jumps:
+        return True
+    return (after if kept else before).train_rms >= CLEAN * floor
+
+
+def _not_worse(case: Case, findings: Sequence[Finding]) -> tuple[list[Finding], list[dict[str, Any]]]:
+    """Return the findings without those that make the test worse, and what those did."""
+    kept = list(findings)
+    left_out: list[dict[str, Any]] = []
+    while kept and case.test:
+        everything = case.fitted([finding.candidate for finding in kept])
+        with_all = case.scored(everything, everything)
+        assert with_all is not None
+        worst, gain = None, 0.0
+        for finding in kept:
+            others = [other for other in kept if other is not finding]
+            without = case.scored(case.fitted([other.candidate for other in others]), everything)
+            assert without is not None
+            own = with_all.tracked_rms, without.tracked_rms
+            if np.isfinite(own).all() and own[0] - own[1] > gain:
+                worst, gain = finding, own[0] - own[1]
+                record = {"name": finding.name, "test_rms_with": own[0], "test_rms_without": own[1]}
+        if worst is None:
+            break
+        kept.remove(worst)
+        left_out.append(record)
+    return kept, left_out
+
+
+def _claim(case: Case, before: Fit, kept: Sequence[Finding], at: int) -> Claim:
+    finding = kept[at]
+    alone = case.fitted([finding.candidate])
+    scored = case.scored(alone, alone)
+    return Claim(
+        finding=finding,
+        fitted=alone,
+        explained=explained_share(before.train_rms, alone.train_rms, case.floor.sd),
+        test_alone=float("nan") if scored is None else scored.rms,
+    )
+
+
+def summary(verdict: ChannelVerdict) -> str:
+    """Return one sentence on a channel."""
+    floor = verdict.floor.sd
+    before, after = verdict.before.train_rms / floor, verdict.after.train_rms / floor
+    if not verdict.claims:
+        worse = "".join(f"; {item['name']} was found but made the test worse" for item in verdict.left_out)
+        if verdict.unexplained:
+            what = f" ({verdict.remark})" if verdict.remark else ""
+            return (
+                f"unexplained: {before:.1f} white floors are left by the declared model, structure or slow noise"
+                f" that none of the known effects explains{what}{worse}"
+            )
+        return f"nothing is missing: {before:.2f} white floors are left by the declared model{worse}"
+    names = []
+    for claim in verdict.claims:
+        alike = claim.finding.alike
+        if alike:
+            asked = "; ".join(dict.fromkeys(separated_by(alike[0], other) for other in alike[1:]))
+            names.append(f"{' or '.join(alike)} (not told apart on this data; to separate: {asked})")
+        else:
+            names.append(claim.finding.name)
+    text = f"{', and '.join(names)}: {before:.1f} white floors become {after:.2f} in training"
+    test = verdict.test_after, verdict.test_before
+    if test[0] is not None and test[1] is not None and np.isfinite(test[0].rms):
+        carried = any(part.carries for part in verdict.after.parts)
+        score_after = test[0].rms if carried else test[0].tracked_rms
+        how = "predicted" if carried else "tracked"
+        text += f", {test[1].rms / floor:.1f} become {score_after / floor:.2f} in the test ({how})"
+    if before < MATERIAL:
+        text += "; present, too small to matter"
+    if verdict.unexplained:
+        text += "; the remainder is unexplained"
+    return text
+
+
+def claims_table(verdicts: Sequence[ChannelVerdict]) -> Mapping[str, list[str]]:
+    """Return the claimed names of each channel."""
+    return {verdict.name: [claim.finding.name for claim in verdict.claims] for verdict in verdicts}

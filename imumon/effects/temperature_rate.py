@@ -1,0 +1,51 @@
+"""A bias proportional to the rate of the temperature."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Literal, Self
+
+import numpy as np
+
+from imumon.blocks import FloatArray
+from imumon.effects.base import Drive, Effect, Survey
+from imumon.effects.operators import first_order
+
+
+class TemperatureRate(Effect):
+    """The rate of the temperature in °C/s.
+
+    Live it is the rate behind a first-order filter of `smoothing_s`; over a whole run, a difference of means on both
+    sides, which has no delay.
+    """
+
+    name: ClassVar[str] = "temperature_rate"
+    kind: Literal["temperature_rate"] = "temperature_rate"
+    state_size: ClassVar[int] = 3
+    smoothing_s: float = 15.0
+
+    @classmethod
+    def grid(cls, survey: Survey) -> list[Self]:
+        """Return the one there is; none at constant temperature."""
+        return [cls()] if survey.thermal else []
+
+    def advance(self, state: FloatArray, drive: Drive) -> FloatArray:
+        """Return the filtered rate."""
+        lagged = first_order(state, drive.time_s, drive.temperature_degc, self.smoothing_s)
+        return np.asarray((drive.temperature_degc - lagged) / self.smoothing_s)[:, np.newaxis]
+
+    def columns(self, drive: Drive) -> FloatArray:
+        """Return the mean over the next two filter times less that over the last two, by their distance."""
+        time, width = drive.time_s, 2 * self.smoothing_s
+        if len(time) < 2:
+            return np.zeros((len(time), 1))
+        steps = np.diff(time)
+        middle = 0.5 * (drive.temperature_degc[1:] + drive.temperature_degc[:-1])
+        integral = np.concatenate([[0.0], np.cumsum(middle * steps)])
+        low, high = np.clip(time - width, time[0], time[-1]), np.clip(time + width, time[0], time[-1])
+        at_low, at_high = np.interp(low, time, integral), np.interp(high, time, integral)
+        before, after = np.maximum(time - low, 0.0), np.maximum(high - time, 0.0)
+        here = drive.temperature_degc
+        with np.errstate(invalid="ignore", divide="ignore"):
+            mean_before = np.where(before > 0, (integral - at_low) / before, here)
+            mean_after = np.where(after > 0, (at_high - integral) / after, here)
+        return np.asarray((mean_after - mean_before) / (0.5 * (before + after)))[:, np.newaxis]

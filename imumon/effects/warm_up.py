@@ -1,0 +1,33 @@
+"""A bias that dies away after power-on."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Literal, Self
+
+import numpy as np
+
+from imumon.blocks import FloatArray
+from imumon.effects.base import Drive, Effect, Survey, logarithmic
+
+SHORTEST_S = 60.0
+LONGEST_S = 2000.0
+RATIO = 1.3
+
+
+class WarmUp(Effect):
+    """exp(-t / time constant), t since power-on."""
+
+    name: ClassVar[str] = "warm_up"
+    kind: Literal["warm_up"] = "warm_up"
+    nonlinear: ClassVar[tuple[str, ...]] = ("time_constant_s",)
+    time_constant_s: float
+
+    @classmethod
+    def grid(cls, survey: Survey) -> list[Self]:
+        """Return time constants up to a third of the shortest run: with longer ones it is a drift."""
+        times = logarithmic(SHORTEST_S, min(LONGEST_S, survey.shortest_s / 3), RATIO)
+        return [cls(time_constant_s=tau) for tau in times]
+
+    def advance(self, state: FloatArray, drive: Drive) -> FloatArray:  # noqa: ARG002 - time is its memory
+        """Return the decay."""
+        return np.exp(-drive.time_s / self.time_constant_s)[:, np.newaxis]
