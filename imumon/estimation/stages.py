@@ -7,6 +7,7 @@ from imumon.estimation.rest.stage import RestDetector
 from imumon.estimation.setup import Setup
 from imumon.estimation.temperature_rate.parameters import TemperatureRateParameters
 from imumon.estimation.temperature_rate.stage import TemperatureRate
+from imumon.estimation.zupt.stage import ZeroVelocity
 from imumon.pipeline import Estimator
 from imumon.protocols.device import DeviceFile
 
@@ -18,5 +19,6 @@ def estimators(device: DeviceFile | None, setup: Setup | None = None) -> list[Es
     return [
         TemperatureRate(parameters=temperature),
         RestDetector(setup.rest),
+        ZeroVelocity(setup.zupt, setup.bias_model, setup.mode, setup.latitude_deg, setup.heading_deg),
         RandomError(setup.random_error, setup.bias_model),
     ]

@@ -155,6 +155,7 @@ def strip(
     y_range: tuple[float, float] | None = None,
     beside: str | None = None,
     limits: tuple[float, float] | None = None,
+    sparse: bool = False,
 ) -> Panel:
     """Return a panel that draws columns over time.
 
@@ -172,24 +173,39 @@ def strip(
         Entity of another panel, drawn in the same view.
     limits : (low, high), optional
         Two level lines, in the unit that is drawn.
+    sparse : bool
+        Most rows have no value: draw points, and log only rows that have one.
     """
     names = tuple(series)
     exact, drawn = f"/samples/{key}", f"/view/{key}" if shown else f"/samples/{key}"
 
     def declare(rec: rr.RecordingStream) -> None:
-        style = rr.SeriesLines(
-            names=list(series.values()),
-            colors=[list(color) for color in colors[: len(names)]],
-            widths=[1.6] * len(names),
-            interpolation_mode=rr.components.InterpolationMode.StepAfter if steps else None,
-        )
-        rec.log(drawn, style, static=True)
+        if sparse:
+            points = rr.SeriesPoints(
+                names=list(series.values()),
+                colors=[list(color) for color in colors[: len(names)]],
+                marker_sizes=[2.0] * len(names),
+            )
+            rec.log(drawn, points, static=True)
+        else:
+            lines = rr.SeriesLines(
+                names=list(series.values()),
+                colors=[list(color) for color in colors[: len(names)]],
+                widths=[1.6] * len(names),
+                interpolation_mode=rr.components.InterpolationMode.StepAfter if steps else None,
+            )
+            rec.log(drawn, lines, static=True)
         if limits:
             grey = rr.SeriesLines(names=["limit"] * 2, colors=[list(GREY)] * 2, widths=[1.0] * 2)
             rec.log(f"{drawn}/limits", grey, static=True)
 
     def log(rec: rr.RecordingStream, rows: Rows) -> None:
         values = rows.matrix(names)
+        if sparse:
+            kept: Any = np.isfinite(values).any(axis=1)
+            if not kept.any():
+                return
+            values, rows = values[kept], rows.kept(kept)
         indexes = rows.indexes
         rec.send_columns(exact, indexes=indexes, columns=rr.Scalars.columns(scalars=values))
         if shown:

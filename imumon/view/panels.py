@@ -66,6 +66,8 @@ def _thermal(suffixes: Mapping[str, Color], readings: str) -> tuple[Panel, Panel
 
 BIAS = "Gyro bias"
 """Tab of the bias estimates."""
+DRIFT = "Random error"
+"""Tab of the drift and the noise."""
 DEG_PER_HOUR = DEG * 3600.0
 
 
@@ -106,6 +108,31 @@ PANELS: tuple[Panel, ...] = (
         place=BIAS,
         beside="/view/gyro",
     ),
+    strip(
+        "zupt_innovation",
+        "Zero-velocity innovations over their σ, limits 3σ",
+        _axes("zupt_innovation"),
+        place=BIAS,
+        limits=(-3.0, 3.0),
+        sparse=True,
+    ),
+    band_panel(
+        "gyro_random_error",
+        DRIFT,
+        "Random error: rate at rest less the thermal bias, 2σ",
+        _axis_bands("gyro_random_error", "gyro_random_error_sd"),
+        unit="°/h",
+        factor=DEG_PER_HOUR,
+    ),
+    band_panel(
+        "gyro_drift",
+        DRIFT,
+        "Beside SR-RSUKF: the default estimate, 2σ",
+        _axis_bands("gyro_drift", "gyro_drift_sd"),
+        unit="°/h",
+        factor=DEG_PER_HOUR,
+    ),
+    band_panel("gyro_phi", DRIFT, "φ of SR-RSUKF, 2σ", _axis_bands("gyro_phi", "gyro_phi_sd"), unit=""),
     strip("pressure", "Pressure", {"pressure": "static"}, colors=[VIOLET]),
     strip(
         "packet_rate",

@@ -216,6 +216,23 @@ def test_limits_and_the_raw_rate_stand_in_the_view_of_a_strip(write: Callable[[W
     assert view.contents == ["/samples/a/**", "/view/gyro"]
 
 
+def test_of_a_sparse_column_only_the_rows_with_a_value_are_logged(write: Callable[[Write], Path]) -> None:
+    panel = strip("a", "A", {"temperature": "t"}, sparse=True, limits=(-3.0, 3.0))
+    values = np.full(30, np.nan)
+    values[[4, 17]] = 1.5, -0.5
+    rows = Rows({"temperature": values}, np.arange(30), None, None)
+    empty = Rows({"temperature": np.full(5, np.nan)}, np.arange(30, 35), None, None)
+
+    def fill(logger: StreamLogger) -> None:
+        panel.log(logger._rec, rows)
+        panel.log(logger._rec, empty)
+
+    path = write(fill)
+    (batch,) = record_batches(path, "/samples/a")
+    np.testing.assert_array_equal(batch.column("sample").to_numpy(), [4, 17])
+    np.testing.assert_array_equal(batch.column("Scalars:scalars").flatten().to_numpy(), [1.5, -0.5])
+
+
 def test_an_estimate_is_drawn_in_its_two_sigma_band(write: Callable[[Write], Path]) -> None:
     n = 200
     columns: dict[str, ColumnArray] = {
