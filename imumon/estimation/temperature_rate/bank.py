@@ -14,11 +14,11 @@ from numba import njit
 
 from imumon.blocks import FloatArray, IntArray
 
-JERKS = 10.0 ** np.arange(-22.5, -6.0, 1.5)
-"""Jerk densities, °C²/s⁵: from a rate that keeps to 0.001 °C/h for an hour to chambers at full power."""
-NOISES = np.array([0.001, 0.01, 0.015, 0.023, 0.035, 0.05, 0.07, 0.1, 0.14, 0.2, 0.28, 0.4])
+JERKS = 10.0 ** np.arange(-27.0, -6.0, 1.5)
+"""Jerk densities, °C²/s⁵: from a rate that keeps to 0.001 °C/h for a day to chambers at full power."""
+NOISES = np.array([0.0001, 0.001, 0.01, 0.015, 0.023, 0.035, 0.05, 0.07, 0.1, 0.14, 0.2, 0.28, 0.4])
 """Standard deviations of the sensor's noise in quantization steps."""
-NOISE_FACTORS = 2.0 ** np.arange(12)
+NOISE_FACTORS = 2.0 ** np.arange(13)
 """The same hypotheses where the noise hides the steps: variance of a slot's mean over that of white noise."""
 FORGETTING_S = 1800.0
 CHANGE_PER_S = 1.0 / 3600.0
@@ -36,7 +36,7 @@ WEIGHT, T, R, A, TT, TR, TA, RR, RA, AA = range(10)
 
 
 def empty_bank() -> FloatArray:
-    """Return the table of hypotheses, (11 · 12, 10), smoothness slowest."""
+    """Return the table of hypotheses, (15 · 13, 10), smoothness slowest."""
     return np.zeros((len(JERKS) * len(NOISES), 10))
 
 
@@ -113,11 +113,19 @@ def _merge(row: FloatArray, work: FloatArray, source: IntArray, share: FloatArra
 
 
 @njit(cache=True, nogil=True)
-def predict(row: FloatArray, dt: float, jerk: float) -> None:
-    """Move one hypothesis on by dt seconds."""
+def motion_over(dt: float) -> FloatArray:
+    """Return what `predict` needs of a time in s, (9,): dt, f, g, keep, and covariance per jerk density."""
     keep = math.exp(-dt / FORGETTING_S)
     g = FORGETTING_S * (1.0 - keep)
     f = FORGETTING_S * (dt - g)
+    terms = (dt, f, g, keep, dt**5 / 20.0, dt**4 / 8.0, dt**3 / 6.0, dt**3 / 3.0, dt**2 / 2.0)
+    return np.array(terms)
+
+
+@njit(cache=True, nogil=True)
+def predict(row: FloatArray, motion: FloatArray, jerk: float) -> None:
+    """Move one hypothesis on."""
+    dt, f, g, keep = motion[0], motion[1], motion[2], motion[3]
     row[T] += dt * row[R] + f * row[A]
     row[R] += g * row[A]
     row[A] *= keep
@@ -125,11 +133,11 @@ def predict(row: FloatArray, dt: float, jerk: float) -> None:
     # F P with F = [[1, dt, f], [0, 1, g], [0, 0, keep]], then times Fᵀ.
     a, b, c = tt + dt * tr + f * ta, tr + dt * rr + f * ra, ta + dt * ra + f * aa
     d, e = rr + g * ra, ra + g * aa
-    row[TT] = a + dt * b + f * c + jerk * dt**5 / 20.0
-    row[TR] = b + g * c + jerk * dt**4 / 8.0
-    row[TA] = keep * c + jerk * dt**3 / 6.0
-    row[RR] = d + g * e + jerk * dt**3 / 3.0
-    row[RA] = keep * e + jerk * dt * dt / 2.0
+    row[TT] = a + dt * b + f * c + jerk * motion[4]
+    row[TR] = b + g * c + jerk * motion[5]
+    row[TA] = keep * c + jerk * motion[6]
+    row[RR] = d + g * e + jerk * motion[7]
+    row[RA] = keep * e + jerk * motion[8]
     row[AA] = keep * keep * aa + jerk * dt
 
 

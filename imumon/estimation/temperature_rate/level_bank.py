@@ -3,11 +3,13 @@
 Samples are gathered into slots of a second.  What a slot says of the temperature depends on its readings:
 
 - *mixed*: two neighbouring levels.  The share of the upper one weighs the boundary between them, as a noisy
-  or drifting temperature spends time on both sides.
+  or drifting temperature spends time on both sides.  Where a hypothesis moves so fast that noise does not
+  matter, the time of the crossing is the measurement.
 - *unchanged*: one level.  The temperature is inside, away from the edges by what the noise demands.  Where
   the prediction is sharper than the noise, each such slot is a measurement.  Where it is not, the same
   interval says nothing new every second: it is applied once to what is shown (truncated Gaussian), and taken
-  into the state only when the prediction has grown wider than the level or contradicts it.
+  into the state only when the prediction has grown wider than the level or contradicts it.  Such slots are
+  gathered into one, as long as the temperature does not move much.
 - *spread*: more levels.  The mean is a measurement.
 - *noisy*: noise alone spans several levels.  The mean is a measurement, and the steps do not matter.
 
@@ -36,11 +38,12 @@ from imumon.estimation.temperature_rate.bank import (
     condition,
     empty_bank,
     mix,
+    motion_over,
     predict,
     restart,
     reweigh,
 )
-from imumon.estimation.temperature_rate.probability import truncated, weigh
+from imumon.estimation.temperature_rate.probability import ROOT_2_PI, truncated, weigh
 from imumon.estimation.temperature_rate.series import RateEstimate, Resumable
 from imumon.estimation.temperature_rate.step import (
     MISFIT,
@@ -55,6 +58,12 @@ from imumon.estimation.temperature_rate.step import (
 
 SLOT_S, SLOT_SAMPLES, LONGEST_SLOT_S = 1.0 - 1e-6, 5, 10.0
 """A slot has this length and at least so many samples, unless they are very rare."""
+QUIET_STEPS, QUIET_GROWTH = 0.1, 2.0
+"""Unchanged slots are one until the temperature may have moved so many steps; each lasts so much longer."""
+SWEEP = 4.0
+"""A crossing is timed where the temperature moves by so many noise deviations within a slot."""
+CROWDED = 1.8
+"""∫ φ²/(Φ(1 - Φ)): readings d °C apart that pass an edge locate it with a variance of d σ over this."""
 GLIDE_S = 3.0
 """Time constant with which what is shown follows the state, so that it does not jump."""
 SHARPER = 2.0
@@ -88,16 +97,19 @@ FINEST_STEP = 1e-4
 
 # Numbers of the state: first those of `step`, then the current slot, ...
 (
-    SLOT_START, SUM, SUM_TIME, LOW, HIGH, PATH, SQUARES, DIFFERENCE, SLOT_MEAN, LAST_READING, LAST_TIME,
+    SLOT_START, SUM, SUM_TIME, SUM_CROSSED, SUM_GAP, LOW, HIGH, PATH, SQUARES, DIFFERENCE, SLOT_MEAN,
+    LAST_READING, LAST_TIME,
+    # ... unchanged slots that wait, and how long they may, ...
+    ASIDE_START, ASIDE_TIME, ASIDE_LAST, ASIDE_LEVEL, ASIDE_LONGEST,
     # ... what has been learnt of the sensor, ...
     WHITE, HIDING, LAST_CHANGE, LAST_VALID, INTERVAL,
     # ... and what is shown: its time, values, standard deviations, and the remainders that glide away.
     BANK_TIME, SHOWN_TIME, SHOWN_T, SHOWN_R, SHOWN_A, SHOWN_T_SD, SHOWN_R_SD, GLIDE_T, GLIDE_R,
-) = range(4, 29)  # fmt: skip
-NUMBERS = 29
+) = range(4, 36)  # fmt: skip
+NUMBERS = 36
 # Integers of the state.
-STARTED, SAMPLES, VALID, CHANGES, OUTLIERS = range(5)
-INTEGERS = 5
+STARTED, SAMPLES, VALID, CHANGES, OUTLIERS, ASIDE = range(6)
+INTEGERS = 6
 # Kinds of slots.
 UNCHANGED, MIXED, SPREAD, NOISY = range(4)
 
@@ -189,7 +201,7 @@ def _process(
             _start(t, reading, bank, numbers, integers)
         elapsed = t - numbers[SLOT_START]
         if elapsed >= SLOT_S and (integers[SAMPLES] >= SLOT_SAMPLES or elapsed >= LONGEST_SLOT_S):
-            _close(t, bank, work, numbers, integers)
+            _finish(t, bank, work, numbers, integers)
             _open(t, numbers, integers)
         integers[SAMPLES] += 1
         if valid:
@@ -208,9 +220,10 @@ def _start(t: float, reading: float, bank: FloatArray, numbers: FloatArray, inte
     """Begin with a reading; what is known of the sensor stays."""
     restart(bank, reading, numbers[STEP], 0.0, False)
     integers[STARTED] = 1
-    integers[OUTLIERS] = 0
+    integers[OUTLIERS] = integers[ASIDE] = 0
     numbers[LAST_READING], numbers[DIFFERENCE] = reading, 0.0
     numbers[LAST_TIME] = numbers[LAST_CHANGE] = numbers[LAST_VALID] = numbers[BANK_TIME] = t
+    numbers[ASIDE_LONGEST] = SLOT_S
     numbers[INTERVAL] = 0.0
     numbers[SHOWN_TIME], numbers[SHOWN_T] = t, reading
     numbers[SHOWN_R] = numbers[SHOWN_A] = numbers[GLIDE_T] = numbers[GLIDE_R] = 0.0
@@ -222,7 +235,8 @@ def _start(t: float, reading: float, bank: FloatArray, numbers: FloatArray, inte
 def _open(t: float, numbers: FloatArray, integers: IntArray) -> None:
     """Begin a slot."""
     numbers[SLOT_START] = t
-    numbers[SUM] = numbers[SUM_TIME] = numbers[PATH] = numbers[SQUARES] = 0.0
+    numbers[SUM] = numbers[SUM_TIME] = numbers[SUM_CROSSED] = numbers[SUM_GAP] = 0.0
+    numbers[PATH] = numbers[SQUARES] = 0.0
     numbers[LOW], numbers[HIGH] = np.inf, -np.inf
     integers[SAMPLES] = integers[VALID] = integers[CHANGES] = 0
 
@@ -242,6 +256,8 @@ def _gather(t: float, reading: float, numbers: FloatArray, integers: IntArray) -
             _count(numbers[LAST_TIME], numbers[LAST_READING], numbers, integers)
         integers[CHANGES] += 1
         numbers[PATH] += change
+        numbers[SUM_CROSSED] += 0.5 * (t + numbers[LAST_TIME])
+        numbers[SUM_GAP] += t - numbers[LAST_TIME]
     _count(t, reading, numbers, integers)
     numbers[LAST_READING], numbers[LAST_TIME], numbers[LAST_VALID] = reading, t, t
 
@@ -253,6 +269,36 @@ def _count(t: float, reading: float, numbers: FloatArray, integers: IntArray) ->
     numbers[SUM_TIME] += t
     numbers[LOW] = min(numbers[LOW], reading)
     numbers[HIGH] = max(numbers[HIGH], reading)
+
+
+@njit(cache=True, nogil=True)
+def _finish(t: float, bank: FloatArray, work: FloatArray, numbers: FloatArray, integers: IntArray) -> None:
+    """Set the slot aside if nothing has happened; take it, and before it what has been set aside, if not."""
+    if integers[VALID] and not integers[CHANGES]:
+        if integers[ASIDE]:
+            integers[VALID] += integers[ASIDE]
+            numbers[SUM] += integers[ASIDE] * numbers[ASIDE_LEVEL]
+            numbers[SUM_TIME] += numbers[ASIDE_TIME]
+            numbers[SLOT_START] = numbers[ASIDE_START]
+            integers[ASIDE] = 0
+        if t - numbers[SLOT_START] < numbers[ASIDE_LONGEST]:
+            integers[ASIDE] = integers[VALID]
+            numbers[ASIDE_START], numbers[ASIDE_TIME] = numbers[SLOT_START], numbers[SUM_TIME]
+            numbers[ASIDE_LAST], numbers[ASIDE_LEVEL] = numbers[LAST_TIME], numbers[LAST_READING]
+            return
+    elif integers[ASIDE]:
+        kept, counts = numbers.copy(), integers.copy()
+        _open(numbers[ASIDE_START], numbers, integers)
+        integers[VALID] = counts[ASIDE]
+        numbers[SUM], numbers[SUM_TIME] = counts[ASIDE] * numbers[ASIDE_LEVEL], numbers[ASIDE_TIME]
+        numbers[LOW] = numbers[HIGH] = numbers[LAST_READING] = numbers[ASIDE_LEVEL]
+        numbers[LAST_TIME] = numbers[ASIDE_LAST]
+        _close(kept[SLOT_START], bank, work, numbers, integers)
+        numbers[SLOT_START:SLOT_MEAN] = kept[SLOT_START:SLOT_MEAN]
+        numbers[LAST_READING], numbers[LAST_TIME] = kept[LAST_READING], kept[LAST_TIME]
+        integers[SAMPLES:OUTLIERS] = counts[SAMPLES:OUTLIERS]
+        integers[ASIDE] = 0
+    _close(t, bank, work, numbers, integers)
 
 
 @njit(cache=True, nogil=True)
@@ -280,7 +326,13 @@ def _close(t: float, bank: FloatArray, work: FloatArray, numbers: FloatArray, in
             _measure(kind, bank, numbers, integers)
             measured = True
         numbers[SLOT_MEAN] = numbers[SUM] / n
-    _show(t, measured and kind == UNCHANGED, bank, work, numbers)
+    confined = measured and kind == UNCHANGED
+    _show(t, confined, bank, work, numbers)
+    numbers[ASIDE_LONGEST] = SLOT_S
+    if confined:
+        still = QUIET_STEPS * numbers[STEP] / max(abs(numbers[SHOWN_R]) + numbers[SHOWN_R_SD], TINY)
+        longer = QUIET_GROWTH * (t - numbers[SLOT_START])
+        numbers[ASIDE_LONGEST] = max(min(still, longer, LONGEST_SLOT_S) - TINY, SLOT_S)
 
 
 @njit(cache=True, nogil=True)
@@ -319,10 +371,11 @@ def _learn_noise(numbers: FloatArray, integers: IntArray) -> int:
 @njit(cache=True, nogil=True)
 def _advance(bank: FloatArray, work: FloatArray, dt: float, unseen: bool) -> None:
     mix(bank, work, dt)
+    motion = motion_over(dt)
     for k in range(len(bank)):
         if bank[k, WEIGHT] > NEGLIGIBLE:
             jerk = JERKS[k // NOISES.size]
-            predict(bank[k], dt, max(jerk, UNSEEN_JERK) if unseen else jerk)
+            predict(bank[k], motion, max(jerk, UNSEEN_JERK) if unseen else jerk)
 
 
 @njit(cache=True, nogil=True)
@@ -355,14 +408,17 @@ def _measure(kind: int, bank: FloatArray, numbers: FloatArray, integers: IntArra
         if row[WEIGHT] <= NEGLIGIBLE:
             continue
         j = k % NOISES.size
-        sigma = math.hypot(NOISES[j] * step, row[R] * duration / math.sqrt(12.0))
+        noise = NOISES[j] * step
+        sigma = math.hypot(noise, row[R] * duration / math.sqrt(12.0))
         if kind == NOISY:
             variance = NOISE_FACTORS[j] * max(numbers[WHITE], step * step / 12.0) / n + TINY * TINY
             log_evidence[k] = _fit(row, mean, variance)
         elif kind == SPREAD:
             levels = (numbers[HIGH] - numbers[LOW]) / step
-            variance = (NOISES[j] * step) ** 2 / n + step * step / 12.0 / (levels * levels)
+            variance = noise * noise / n + step * step / 12.0 / (levels * levels)
             log_evidence[k] = _fit(row, mean, variance)
+        elif kind == MIXED and _sweeps(row[R], abs(row[R]) * duration, noise, numbers, integers):
+            log_evidence[k] = _cross(row, noise, numbers, integers)
         elif kind == MIXED:
             edge = 0.5 * (numbers[LOW] + numbers[HIGH])
             m, v, log_evidence[k] = weigh(
@@ -382,6 +438,28 @@ def _fit(row: FloatArray, z: float, variance: float) -> float:
     residual = z - row[T]
     condition(row, row[T] + row[TT] / total * residual, row[TT] * variance / total)
     return float(-0.5 * math.log(total) - 0.5 * residual * residual / total)
+
+
+@njit(cache=True, nogil=True)
+def _sweeps(rate: float, moved: float, noise: float, numbers: FloatArray, integers: IntArray) -> bool:
+    """Tell whether the readings of a mixed slot pass the edge once, but for the noise of a hypothesis."""
+    changes = integers[CHANGES]
+    upward = numbers[LAST_READING] > 0.5 * (numbers[LOW] + numbers[HIGH])
+    few = 1.0 + SWEEP * noise * integers[VALID] / max(moved, TINY)
+    return moved > SWEEP * noise and changes % 2 == 1 and changes <= few and (rate > 0.0) == upward
+
+
+@njit(cache=True, nogil=True)
+def _cross(row: FloatArray, noise: float, numbers: FloatArray, integers: IntArray) -> float:
+    """Take the time at which one hypothesis passed the edge into it; return log evidence."""
+    changes = integers[CHANGES]
+    since = numbers[BANK_TIME] - numbers[SUM_CROSSED] / changes
+    each = max(abs(row[R]) * numbers[SUM_GAP] / changes, TINY * TINY)
+    edge = 0.5 * (numbers[LOW] + numbers[HIGH])
+    variance = each * (each / 12.0 + noise / CROWDED) + row[RR] * since * since
+    # The probability to cross between two readings is the density times the way between them.
+    density = _fit(row, edge + row[R] * since, variance)
+    return density + math.log(each / ROOT_2_PI)
 
 
 @njit(cache=True, nogil=True)

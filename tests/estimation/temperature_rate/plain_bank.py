@@ -9,8 +9,8 @@ from scipy.special import log_ndtr, ndtr
 
 from imumon.blocks import FloatArray
 
-JERKS = 10.0 ** np.arange(-22.5, -6.0, 1.5)
-NOISES = np.array([0.001, 0.01, 0.015, 0.023, 0.035, 0.05, 0.07, 0.1, 0.14, 0.2, 0.28, 0.4])
+JERKS = 10.0 ** np.arange(-27.0, -6.0, 1.5)
+NOISES = np.array([0.0001, 0.001, 0.01, 0.015, 0.023, 0.035, 0.05, 0.07, 0.1, 0.14, 0.2, 0.28, 0.4])
 TAU = 1800.0
 
 
@@ -22,6 +22,9 @@ class Slot(NamedTuple):
     n: int
     changes: int
     duration: float
+    crossed: float
+    gap: float
+    upward: bool
 
 
 def slots(times: FloatArray, readings: FloatArray) -> list[tuple[float, Slot]]:
@@ -32,10 +35,14 @@ def slots(times: FloatArray, readings: FloatArray) -> list[tuple[float, Slot]]:
             members = list(range(first, i))
             if first and readings[first] != readings[first - 1]:
                 members.insert(0, first - 1)
-            y = readings[members]
-            changes = int((np.diff(y) != 0).sum())
+            y, t = readings[members], times[members]
+            at = np.flatnonzero(np.diff(y))
+            changes = len(at)
+            crossed = float((t[at] + t[at + 1]).mean() / 2) if changes else 0.0
+            gap = float((t[at + 1] - t[at]).mean()) if changes else 0.0
             span = times[i - 1] - times[first]
-            slot = Slot(float(times[members].mean()), y.mean(), y.min(), y.max(), len(y), changes, span)
+            where = float(t.mean()), y.mean(), y.min(), y.max(), len(y), changes, span
+            slot = Slot(*where, crossed, gap, bool(y[-1] > (y.min() + y.max()) / 2))
             found.append((float(times[i]), slot))
             first = i
     return found
@@ -109,7 +116,17 @@ class PlainBank:
             sigma = np.hypot(self.noise[k], self.x[k][1] * slot.duration / np.sqrt(12))
             mean, sd = self.x[k][0], np.sqrt(self.p[k][0, 0])
             low, high = slot.mean - self.step / 2, slot.mean + self.step / 2
-            if slot.changes:
+            moved = abs(self.x[k][1]) * slot.duration
+            once = slot.changes % 2 == 1 and slot.upward == (self.x[k][1] > 0)
+            if once and moved > 4 * self.noise[k] and slot.changes <= 1 + 4 * self.noise[k] * slot.n / moved:
+                since = slot.at - slot.crossed
+                each = abs(self.x[k][1]) * slot.gap
+                z = (slot.low + slot.high) / 2 + self.x[k][1] * since
+                variance = each**2 / 12 + each * self.noise[k] / 1.8 + self.p[k][1, 1] * since**2
+                total = variance + sd**2
+                chance = np.log(each) - 0.5 * np.log(2 * np.pi * total) - 0.5 * (z - mean) ** 2 / total
+                moments = mean + sd**2 / total * (z - mean), sd**2 * variance / total, chance
+            elif slot.changes:
                 share = np.clip(
                     (slot.mean - slot.low) / (slot.high - slot.low), 0.5 / slot.n, 1 - 0.5 / slot.n
                 )

@@ -16,6 +16,7 @@ from imumon.estimation.temperature_rate.bank import (
     condition,
     empty_bank,
     mix,
+    motion_over,
     predict,
     restart,
     reweigh,
@@ -66,9 +67,9 @@ def test_two_predictions_equal_one_of_both_times() -> None:
     rows = empty_bank()[:2]
     rows[:, T : A + 1] = 20.0, 1e-3, 1e-6
     rows[:, TT], rows[:, RR], rows[:, AA] = 1e-4, 1e-6, 1e-12
-    predict(rows[0], 2.0, 0.0)
-    predict(rows[0], 3.0, 0.0)
-    predict(rows[1], 5.0, 0.0)
+    predict(rows[0], motion_over(2.0), 0.0)
+    predict(rows[0], motion_over(3.0), 0.0)
+    predict(rows[1], motion_over(5.0), 0.0)
     np.testing.assert_allclose(rows[0], rows[1], rtol=1e-9)
 
 
