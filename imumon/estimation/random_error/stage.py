@@ -30,6 +30,8 @@ OTHER_RATE = 1.5
 """SR-RSUKF starts anew when the sampling interval has changed by this factor."""
 STRUGGLING = 0.01
 """Share of steps with φ at its limit from which on that is said."""
+UNMODELLED_DEGC = 1.0
+"""More than this without a bias model is said."""
 PATIENCE_NS = 10_000_000_000
 """So long a column that is needed may fail to come before that is said."""
 
@@ -58,6 +60,7 @@ class RandomError:
         self._waited_ns = 0
         self._last: tuple[int, int] | None = None
         self._seen = {"rest": False, "temperature": False}
+        self._temperatures = np.array([np.inf, -np.inf])
         self._said: set[str] = set()
 
     @property
@@ -120,6 +123,10 @@ class RandomError:
 
     def _bias(self, block: SampleBlock) -> dict[str, FloatArray]:
         """Return the thermal bias of the axes that have a model; NaN before the first temperature."""
+        temperatures = block.temperature
+        if temperatures is not None and np.isfinite(temperatures).any():
+            self._temperatures[0] = min(self._temperatures[0], np.nanmin(temperatures))
+            self._temperatures[1] = max(self._temperatures[1], np.nanmax(temperatures))
         if self._predictor is None:
             return {}
         columns = self._predictor.temperature_columns
@@ -143,6 +150,13 @@ class RandomError:
             wanted = ", ".join(sorted(set(self._predictor.temperature_columns)))
             found["temperature"] = (
                 f"random error: the bias model needs {wanted}, which has not come: no estimate"
+            )
+        change = self._temperatures[1] - self._temperatures[0]
+        if change > UNMODELLED_DEGC and len(self._modelled) < len(AXES):
+            found["thermal"] = (
+                f"random error: the temperature has changed by more than {UNMODELLED_DEGC:g} °C and there is "
+                "no bias model of every gyro: what drift that makes is in the estimate, and the sigma does "
+                "not know of it"
             )
         for axis, one in self._axes.items():
             found |= {

@@ -7,13 +7,15 @@ import math
 import numpy as np
 import pytest
 
-from imumon.blocks import ColumnArray, SampleBlock
+from imumon.blocks import ColumnArray, FloatArray, SampleBlock
 from imumon.config import parse_yaml
 from imumon.errors import ImumonError
 from imumon.estimation.random_error.parameters import RandomErrorParameters
 from imumon.estimation.random_error.stage import RandomError
 from imumon.pipeline import Estimator
+from imumon.simulation.unit import SimulatedUnit, load_scenario
 from tests.estimation.random_error.records import DEG_PER_HOUR, WHITE, flicker, samples
+from tests.thermal.models import POLYNOMIAL, three_curves
 
 SR = RandomErrorParameters(method="sr_rsukf")
 
@@ -179,3 +181,52 @@ def test_a_jump_that_stays_is_said_once() -> None:
     assert "gyro x" in text
     assert "jumped" in text
     assert stage.notices() == []
+
+
+def warming(n_s: int = 400) -> tuple[SampleBlock, FloatArray]:
+    """Return a record whose bias follows a polynomial in temperature, and its drift beside that."""
+    rng = np.random.default_rng(11)
+    drift = flicker(n_s, rng)
+    block = samples(drift, 20, rng)
+    temperature = np.linspace(-10.0, 40.0, len(block))
+    x = block["gyro_x"] + POLYNOMIAL.value(temperature)
+    return block.with_columns({"gyro_x": x, "temperature": temperature}), np.repeat(drift, 20)
+
+
+def test_the_thermal_bias_of_a_model_is_taken_off_first() -> None:
+    block, drift = warming()
+    late = slice(100 * 20, None)
+    modelled = RandomError(model=three_curves())
+    error = (modelled.process(block)["gyro_random_error_x"] - drift)[late]
+    assert np.sqrt(np.mean(error**2)) < 45 * DEG_PER_HOUR
+    assert modelled.notices() == []
+    plain = RandomError()
+    total = drift + POLYNOMIAL.value(block["temperature"])
+    lagging = (plain.process(block)["gyro_random_error_x"] - total)[late]
+    assert np.sqrt(np.mean(lagging**2)) > 1.2 * np.sqrt(np.mean(error**2))
+    (text,) = plain.notices()
+    assert "no bias model" in text
+
+
+def test_a_model_without_temperatures_gives_no_estimate_and_says_so() -> None:
+    block, _ = warming(30)
+    cold = SampleBlock({k: v for k, v in block.columns.items() if k != "temperature"})
+    stage = RandomError(model=three_curves())
+    assert np.isnan(stage.process(cold)["gyro_random_error_x"]).all()
+    (text,) = stage.notices()
+    assert "temperature, which has not come" in text
+
+
+def test_the_sigma_is_true_on_the_simulated_unit() -> None:
+    """The zero of the estimate is a rate of nought: it holds the bias and the earth's rate."""
+    scenario = load_scenario("crs05-soak")
+    normalised = []
+    for seed in range(3):
+        block, truth = SimulatedUnit(scenario, seed=seed).run(60_000)
+        added = RandomError(RandomErrorParameters(assume_rest=True)).process(block)
+        late = slice(6000, None)
+        for axis in "xyz":
+            reads = truth[f"gyro_bias_{axis}"] + truth[f"rate_{axis}"]
+            error = (added[f"gyro_random_error_{axis}"] - reads)[late]
+            normalised.append(np.mean((error / added[f"gyro_random_error_sd_{axis}"][late]) ** 2))
+    assert 0.6 < math.sqrt(np.mean(normalised)) < 1.3
