@@ -8,8 +8,8 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import gammaincinv
 
+from imumon.allan.confidence import TRUSTED_FREEDOM, intervals
 from imumon.allan.covariance import (
     COEFFICIENTS,
     NORMS,
@@ -22,15 +22,10 @@ from imumon.allan.covariance import (
     freedom,
 )
 from imumon.allan.fit import TERMS, Fit, fit_terms
-from imumon.allan.kernels import allan_sum, hadamard_sum, integrate, modified_sum
+from imumon.allan.kernels import all_sums, allan_sum, integrate
 from imumon.allan.series import EvenSeries
 from imumon.blocks import FloatArray, IntArray
 
-CONFIDENCE = 0.683
-"""Probability of the intervals: one standard deviation of a normal distribution."""
-TRUSTED_FREEDOM = 4.0
-"""An averaging time is trusted when its variance has so many degrees of freedom, were it a random walk of the
-rate: then the deviation is known to about 35 %, and better for every other noise."""
 _WALK = np.array([0.0, 0.0, 1.0, 0.0])
 _WHITE = np.array([1.0, 0.0, 0.0, 0.0])
 
@@ -56,13 +51,14 @@ class Result:
     tau_s : array, (n,)
         Averaging times, in octaves.
     allan, modified, hadamard : Deviations
-        All overlapping, with intervals of `CONFIDENCE`.
+        All overlapping, with intervals of `imumon.allan.confidence.CONFIDENCE`.
     noise : tuple of str
         The term that the fit has most of at each averaging time.
     fit : Fit or None
         None when there are too few averaging times.
     trusted : int
-        How many of the averaging times can be trusted, from the shortest on.
+        How many of the averaging times can be trusted, from the shortest on: those that had `TRUSTED_FREEDOM`
+        degrees of freedom if they were a random walk of the rate, and more for every other noise.
     """
 
     series: EvenSeries
@@ -97,32 +93,32 @@ def octaves(series: EvenSeries) -> IntArray:
         m *= 2
 
 
-def variances(
-    kind: Kind, series: EvenSeries, factors: IntArray, *, bridge: bool = True, stride: int | None = None
-) -> FloatArray:
-    """Return overlapping variances at averaging factors, (n,); NaN where no difference fits into a run.
+def variances(series: EvenSeries, factors: IntArray) -> dict[Kind, FloatArray]:
+    """Return overlapping variances at averaging factors, (n,) each; NaN where no run is long enough."""
+    x = integrate(series.values, float(series.values.mean()))
+    found = np.full((len(factors), len(COEFFICIENTS)), np.nan)
+    for row, m in enumerate(factors.tolist()):
+        sums, numbers = all_sums(x, *series.runs(m), m)
+        scale = np.array(
+            [NORMS[kind] * m**2 * (m**2 if kind == "modified" else 1.0) for kind in COEFFICIENTS]
+        )
+        some = numbers > 0
+        found[row, some] = sums[some] / numbers[some] / scale[some]
+    return dict(zip(COEFFICIENTS, found.T, strict=True))
 
-    Parameters
-    ----------
-    bridge : bool
-        Whether differences may span gaps that are short beside the averaging time.
-    stride : int, optional
-        "allan" only: take the differences that begin at every max(1, m // stride)-th sample of a run, as
-        `imumon.allan.streaming` does; all of them when not given.
+
+def strided_allan(series: EvenSeries, factors: IntArray, strides_per_tau: int) -> FloatArray:
+    """Return Allan variances of differences at every max(1, m // strides_per_tau)-th sample, (n,).
+
+    No difference spans a gap, however short: this is what `imumon.allan.streaming` computes live.
     """
     x = integrate(series.values, float(series.values.mean()))
     found = np.full(len(factors), np.nan)
     for row, m in enumerate(factors.tolist()):
-        starts, stops = series.runs(m, bridge=bridge)
-        if kind == "allan":
-            total, number = allan_sum(x, starts, stops, m, 1 if stride is None else max(1, m // stride))
-        elif kind == "hadamard":
-            total, number = hadamard_sum(x, starts, stops, m)
-        else:
-            total, number = modified_sum(x, starts, stops, m)
-            total /= float(m) ** 2
+        starts, stops = series.runs(m, bridge=False)
+        total, number = allan_sum(x, starts, stops, m, max(1, m // strides_per_tau))
         if number:
-            found[row] = total / number / (NORMS[kind] * float(m) ** 2)
+            found[row] = total / number / (NORMS["allan"] * float(m) ** 2)
     return found
 
 
@@ -169,10 +165,10 @@ def _key(series: EvenSeries) -> tuple[bytes, ...]:
 
 
 def _analyse(series: EvenSeries, factors: IntArray, known: Uncertainty) -> Result:
-    found = {kind: variances(kind, series, factors) for kind in COEFFICIENTS}
+    found = variances(series, factors)
     fit = fit_terms(found["allan"], known.covariances, series.interval_s, known.trusted - 1)
     noise = _WHITE if fit is None or not fit.coefficients[:4].any() else fit.coefficients[:4]
-    intervals = {
+    found_intervals = {
         kind: _intervals(values, [part.of(noise) if part else 0.0 for part in known.freedoms[kind]])
         for kind, values in found.items()
     }
@@ -182,19 +178,10 @@ def _analyse(series: EvenSeries, factors: IntArray, known: Uncertainty) -> Resul
         shares = np.column_stack([shape(m) for shape in SHAPES.values()]) * fit.coefficients
         names = tuple(TERMS[int(row)].name for row in shares.argmax(axis=1))
     tau_s = factors.astype(np.float64) * series.interval_s
-    return Result(series, tau_s, **intervals, noise=names, fit=fit, trusted=known.trusted)
+    return Result(series, tau_s, **found_intervals, noise=names, fit=fit, trusted=known.trusted)
 
 
 def _intervals(values: FloatArray, freedoms: list[float]) -> Deviations:
-    """Return deviations with confidence intervals by chi-square."""
     edf = np.where(np.isfinite(values), np.array(freedoms), np.nan)
     edf[edf <= 0.0] = np.nan
-    tail = 0.5 * (1.0 - CONFIDENCE)
-    low = np.sqrt(values * edf / _quantile(1.0 - tail, edf))
-    high = np.sqrt(values * edf / _quantile(tail, edf))
-    return Deviations(np.sqrt(values), low, high, edf)
-
-
-def _quantile(probability: float, edf: FloatArray) -> FloatArray:
-    """Return the quantile of chi-square with these degrees of freedom."""
-    return np.asarray(2.0 * gammaincinv(0.5 * edf, probability))
+    return Deviations(np.sqrt(values), *intervals(values, edf), edf)

@@ -219,8 +219,9 @@ def fit_terms(variances: FloatArray, covariances: Covariances, interval_s: float
     """Fit the terms to Allan variances at the averaging factors 0..last of `covariances`; None if too few.
 
     The shortest averaging times are left out, one by one, while no sum of the terms describes the curve:
-    a low-pass filter of the device shapes those that are not longer than itself.  What still does not fit becomes a model error: a part of every variance, so that the many samples behind
-    the short averaging times do not outvote the long ones.
+    a low-pass filter of the device shapes those that are not longer than itself.  What still does not fit
+    becomes a model error: a part of every variance, so that the many samples behind the short averaging
+    times do not outvote the long ones.
     """
     n = last + 1
     if n < 2 or not np.all(variances[:n] > 0.0):

@@ -12,8 +12,6 @@ from numba import njit
 
 from imumon.blocks import FloatArray, IntArray
 
-ALLAN_ORDER, HADAMARD_ORDER = 2, 3
-
 
 @njit(cache=True, nogil=True)
 def integrate(values: FloatArray, offset: float) -> FloatArray:
@@ -36,25 +34,23 @@ def _allan_run(x: FloatArray, start: int, count: int, m: int, stride: int) -> fl
 
 
 @njit(cache=True, nogil=True, fastmath={"reassoc"})
-def _hadamard_run(x: FloatArray, start: int, count: int, m: int) -> float:
-    total = 0.0
-    for k in range(count):
+def _all_runs(x: FloatArray, start: int, positions: int, m: int, window: float) -> tuple[float, float, float]:
+    """Return the sums of squares of second differences, third differences, and windows of m of the second.
+
+    The step from one window to the next is the third difference.  The rounding of the windows stays below
+    1e-9 of the result for 1e8 samples.
+    """
+    allan, hadamard, modified = 0.0, 0.0, window * window
+    for k in range(positions):
         t = start + k
-        difference = x[t + 3 * m] - 3.0 * x[t + 2 * m] + 3.0 * x[t + m] - x[t]
-        total += difference * difference
-    return total
-
-
-@njit(cache=True, nogil=True)
-def _modified_run(x: FloatArray, start: int, count: int, m: int) -> float:
-    window = 0.0
-    for t in range(start, start + m):
-        window += x[t + 2 * m] - 2.0 * x[t + m] + x[t]
-    total = window * window
-    for t in range(start, start + count - 1):
-        window += x[t + 3 * m] - 3.0 * x[t + 2 * m] + 3.0 * x[t + m] - x[t]
-        total += window * window
-    return total
+        near, far = x[t + m] - x[t], x[t + 2 * m] - x[t + m]
+        second = far - near
+        third = x[t + 3 * m] - x[t + 2 * m] - far - second
+        allan += second * second
+        hadamard += third * third
+        window += third
+        modified += window * window
+    return allan, hadamard, modified
 
 
 @njit(cache=True, nogil=True)
@@ -81,27 +77,25 @@ def allan_sum(x: FloatArray, starts: IntArray, stops: IntArray, m: int, stride: 
 
 
 @njit(cache=True, nogil=True)
-def hadamard_sum(x: FloatArray, starts: IntArray, stops: IntArray, m: int) -> tuple[float, int]:
-    """Return the sum of squared third differences, and their number; arguments as for `allan_sum`."""
-    total, number = 0.0, 0
-    for run in range(len(starts)):
-        count = stops[run] - starts[run] - 3 * m + 1
-        if count > 0:
-            total += _hadamard_run(x, starts[run], count, m)
-            number += count
-    return total, number
+def all_sums(x: FloatArray, starts: IntArray, stops: IntArray, m: int) -> tuple[FloatArray, IntArray]:
+    """Return sums of squares and their numbers for Allan, modified Allan and Hadamard, (3,) each.
 
-
-@njit(cache=True, nogil=True)
-def modified_sum(x: FloatArray, starts: IntArray, stops: IntArray, m: int) -> tuple[float, int]:
-    """Return the sum of squares of m second differences added up, and their number.
-
-    The window of m differences is moved along; its rounding stays below 1e-9 of the result for 1e8 samples.
+    Arguments as for `allan_sum`, of which the first equals that with stride 1; one pass for all three.
     """
-    total, number = 0.0, 0
+    sums, numbers = np.zeros(3), np.zeros(3, np.int64)
     for run in range(len(starts)):
-        count = stops[run] - starts[run] - 3 * m + 2
-        if count > 0:
-            total += _modified_run(x, starts[run], count, m)
-            number += count
-    return total, number
+        start, length = starts[run], stops[run] - starts[run]
+        second = length - 2 * m + 1
+        third = max(0, second - m)
+        if second >= m:
+            window = 0.0
+            for t in range(start, start + m):
+                window += x[t + 2 * m] - 2.0 * x[t + m] + x[t]
+            allan, hadamard, modified = _all_runs(x, start, third, m, window)
+            sums += np.array([allan, modified, hadamard])
+            numbers[1] += third + 1
+            numbers[2] += third
+        if second > 0:
+            sums[0] += _allan_run(x, start + third, second - third, m, 1)
+            numbers[0] += second
+    return sums, numbers

@@ -8,7 +8,8 @@ from typing import Any
 
 import yaml
 
-from imumon.allan.analysis import CONFIDENCE, Deviations, Result
+from imumon.allan.analysis import Deviations, Result
+from imumon.allan.confidence import CONFIDENCE
 from imumon.allan.fit import TERMS, Estimate
 from imumon.allan.recording import GROUPS, UNITS, group_of, rate_hz
 from imumon.blocks import FloatArray

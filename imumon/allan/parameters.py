@@ -1,0 +1,60 @@
+"""What a user may say of noise: the line of a data sheet, and the noise section of a pipeline."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from imumon.config import StrictModel
+
+Size = Annotated[float, Field(ge=0.0)]
+Axes = Annotated[list[Size | None], Field(min_length=3, max_length=3)]
+"""x, y, z; None where the data show none."""
+NONE: Axes = [None, None, None]
+
+
+class GyroNoise(StrictModel):
+    """Noise of the gyros, as ``imumon allan --noise-out`` writes it."""
+
+    angle_random_walk_rad_per_sqrt_s: Axes = NONE
+    bias_instability_rad_per_s: Axes = NONE
+    rate_random_walk_rad_per_s_sqrt_s: Axes = NONE
+    quantization_rad: Axes = NONE
+    rate_ramp_rad_per_s2: Axes = NONE
+
+
+class AccelNoise(StrictModel):
+    """Noise of the accelerometers, as ``imumon allan --noise-out`` writes it."""
+
+    velocity_random_walk_m_per_s_sqrt_s: Axes = NONE
+    bias_instability_m_per_s2: Axes = NONE
+    acceleration_random_walk_m_per_s2_sqrt_s: Axes = NONE
+    quantization_m_per_s: Axes = NONE
+    acceleration_ramp_m_per_s3: Axes = NONE
+
+
+class Noise(StrictModel):
+    """The noise section of a pipeline YAML."""
+
+    gyro: GyroNoise | None = None
+    accel: AccelNoise | None = None
+
+
+class SheetLine(StrictModel):
+    """What a data sheet promises of one sensor, SI units.
+
+    `white` is the angle (or velocity) random walk in rad/sqrt(s) (or m/s/sqrt(s)), `instability` the bias
+    instability in rad/s (or m/s^2), `walk` the rate random walk in rad/s/sqrt(s) (or m/s^2/sqrt(s)).
+    """
+
+    white: Size = 0.0
+    instability: Size = 0.0
+    walk: Size = 0.0
+
+
+class AllanParameters(StrictModel):
+    """The live Allan curves: lines of the data sheet to draw beside them."""
+
+    gyro_sheet: SheetLine | None = None
+    accel_sheet: SheetLine | None = None

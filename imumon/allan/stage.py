@@ -1,0 +1,119 @@
+"""Live Allan curves as a stage of the pipeline: no columns, but charts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from imumon.allan.parameters import AllanParameters, SheetLine
+from imumon.allan.streaming import LiveCurve, StreamingAllan
+from imumon.blocks import ColumnArray, FloatArray, SampleBlock
+from imumon.charts import Axis, Chart, Curve
+from imumon.columns import Column
+
+TAB = "Allan"
+COLORS = {"x": (232, 72, 72), "y": (40, 165, 85), "z": (66, 133, 244)}
+GREY = (135, 140, 150)
+SHEET = (235, 140, 20)
+_GROUPS = {
+    "gyro": ("Allan deviation of the angular rate, at rest", "deg/h", math.degrees(3600.0)),
+    "accel": ("Allan deviation of the specific force, at rest", "µg", 1e6 / 9.80665),
+}
+CHANNELS = tuple(f"{group}_{axis}" for group in _GROUPS for axis in COLORS)
+FLICKER_LEVEL = 2.0 * math.log(2.0) / math.pi
+"""Allan variance of the flat part per squared bias instability: 0.664²."""
+
+
+class AllanStage:
+    """Allan deviations of the gyros and accelerometers, as they come.
+
+    With a column ``at_rest`` only samples at rest count; motion ends a run as a gap does.
+
+    Parameters
+    ----------
+    parameters : AllanParameters, optional
+        Lines of the data sheet to draw.
+    """
+
+    def __init__(self, parameters: AllanParameters | None = None) -> None:
+        parameters = parameters or AllanParameters()
+        self._sheets = {"gyro": parameters.gyro_sheet, "accel": parameters.accel_sheet}
+        self._channels: dict[str, StreamingAllan] = {}
+        self._restarts = 0
+
+    @property
+    def columns(self) -> Sequence[Column]:
+        """No columns: a curve over averaging time is not a quantity of each sample."""
+        return ()
+
+    def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
+        """Take the samples of a block; needs ``device_time_ns`` and ``segment``."""
+        rest = block.columns.get("at_rest")
+        for name in CHANNELS:
+            if name in block:
+                values: FloatArray = np.asarray(block[name], np.float64)
+                if rest is not None:
+                    values = np.where(rest == 1, values, np.nan)
+                channel = self._channels.setdefault(name, StreamingAllan())
+                channel.process(block["device_time_ns"], block["segment"], values)
+        return {}
+
+    def notices(self) -> list[str]:
+        """Say once that the rate changed and the curves began anew."""
+        restarts = max((channel.restarts for channel in self._channels.values()), default=0)
+        new, self._restarts = restarts > self._restarts, restarts
+        return ["the sample rate changed: the Allan curves begin anew"] if new else []
+
+    def curves(self) -> dict[str, LiveCurve]:
+        """Return the curve of each channel so far."""
+        return {name: channel.curve() for name, channel in self._channels.items()}
+
+    def charts(self) -> Sequence[Chart]:
+        """Return one log-log chart per sensor; none while no averaging time can be trusted."""
+        charts = []
+        for group, (title, unit, factor) in _GROUPS.items():
+            found = {
+                axis: self._channels[f"{group}_{axis}"].curve().trusted()
+                for axis in COLORS
+                if f"{group}_{axis}" in self._channels
+            }
+            curves = allan_curves(found, self._sheets[group], factor)
+            if curves:
+                x, y = Axis("averaging time [s]", log=True), Axis(f"[{unit}]", log=True)
+                charts.append(Chart(f"allan_{group}", TAB, title, x, y, tuple(curves)))
+        return charts
+
+
+def allan_curves(found: Mapping[str, LiveCurve], sheet: SheetLine | None, factor: float) -> list[Curve]:
+    """Return the curves of a chart: one per axis, their intervals, the line of the data sheet."""
+    shown = {axis: curve for axis, curve in found.items() if len(curve.tau_s) > 1}
+    if not shown:
+        return []
+    curves = [
+        Curve(axis, curve.tau_s, factor * curve.deviation, COLORS[axis], width=2.0)
+        for axis, curve in shown.items()
+    ]
+    bars = [_bars(curve) for curve in shown.values()]
+    x, y = (np.concatenate(part) for part in zip(*bars, strict=True))
+    curves.append(Curve("68 %", x, factor * y, GREY, width=1.0))
+    if sheet is not None:
+        tau = max((curve.tau_s for curve in shown.values()), key=len)
+        curves.append(Curve("data sheet", tau, factor * sheet_deviation(sheet, tau), SHEET, width=1.2))
+    return curves
+
+
+def _bars(curve: LiveCurve) -> tuple[FloatArray, FloatArray]:
+    """Return upright bars over the intervals, with breaks between."""
+    gap = np.full(len(curve.tau_s), np.nan)
+    return (
+        np.column_stack([curve.tau_s, curve.tau_s, gap]).ravel(),
+        np.column_stack([curve.low, curve.high, gap]).ravel(),
+    )
+
+
+def sheet_deviation(sheet: SheetLine, tau_s: FloatArray) -> FloatArray:
+    """Return the Allan deviation that a data sheet promises at these averaging times, (n,)."""
+    variance = sheet.white**2 / tau_s + FLICKER_LEVEL * sheet.instability**2 + sheet.walk**2 * tau_s / 3.0
+    return np.asarray(np.sqrt(variance))

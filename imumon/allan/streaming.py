@@ -1,0 +1,230 @@
+"""The Allan deviation of a stream, octave by octave, in constant memory.
+
+The definition is the overlapping one, with the differences of averaging factor m taken at every
+max(1, m // 16)-th sample of a run: all of them up to m = 31, sixteen to each averaging time above.  That is
+what `imumon.allan.analysis.strided_allan` gives of a whole record, and the streamed sums are the same but for
+rounding, however the stream is cut into blocks.  Taking every difference, as `variances` does, changes an
+octave by a small part of its own uncertainty.
+
+Per stride of 1, 2, 4, ... samples a ring of 64 running sums is kept, of which an averaging time looks back at
+two: 18 kB for a channel, for averaging times of up to 2^35 samples.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numba import njit
+
+from imumon.allan.confidence import TRUSTED_FREEDOM, intervals
+from imumon.allan.covariance import NOISES, Runs, freedom
+from imumon.allan.series import JITTER, nominal_interval_ns
+from imumon.blocks import FloatArray, IntArray
+
+STRIDES_PER_TAU = 16
+FIRST_RING = 4
+"""The ring of stride 1 serves the octaves 0..4, every other ring one octave."""
+RINGS, RING = 32, 64
+OCTAVES = RINGS + FIRST_RING
+LEARN = 64
+"""Samples from which the interval is learned; as many steps in a row that do not fit it begin anew."""
+_SLOPES = np.array([-1.0, 0.0, 1.0, -2.0])
+"""Exponent of the Allan variance over tau for each of `NOISES`."""
+
+
+@njit(cache=True, nogil=True)
+def stream(
+    time_ns: IntArray,
+    segment: IntArray,
+    values: FloatArray,
+    interval_ns: float,
+    offset: float,
+    rings: FloatArray,
+    sums: FloatArray,
+    counts: IntArray,
+    total: FloatArray,
+    state: IntArray,
+) -> int:
+    """Add samples; return how many rows were used, all of them unless the interval no longer fits.
+
+    Parameters
+    ----------
+    values : array, (n,)
+        NaN where the channel has no sample.
+    rings : array, (RINGS, RING)
+    sums, counts : arrays, (OCTAVES,)
+    total : array, (1,)
+        Running sum of the run.
+    state : array of int64, (4,)
+        Position in the run (-1: none), time and segment of the last sample, steps in a row that did not fit.
+    """
+    for row in range(len(values)):
+        value = values[row]
+        if np.isnan(value):
+            continue
+        if state[0] >= 0:
+            step = (time_ns[row] - state[1]) / interval_ns
+            if segment[row] != state[2] or abs(step - 1.0) > JITTER:
+                state[0] = -1
+                state[3] += 1
+            else:
+                state[3] = 0
+        state[1], state[2] = time_ns[row], segment[row]
+        if state[3] >= LEARN:
+            return row
+        if state[0] < 0:
+            state[0] = 0
+            total[0] = 0.0
+            rings[:, 0] = 0.0
+        state[0] += 1
+        total[0] += value - offset
+        position, now = state[0], total[0]
+        for ring in range(RINGS):
+            place = position >> ring
+            if place << ring != position:
+                break
+            rings[ring, place & (RING - 1)] = now
+            first = 0 if ring == 0 else FIRST_RING + ring
+            for octave in range(first, FIRST_RING + ring + 1):
+                if octave >= OCTAVES:
+                    break
+                back = 1 << (octave - ring)
+                if place < 2 * back:
+                    break
+                middle = rings[ring, (place - back) & (RING - 1)]
+                difference = now - 2.0 * middle + rings[ring, (place - 2 * back) & (RING - 1)]
+                sums[octave] += difference * difference
+                counts[octave] += 1
+    return len(values)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LiveCurve:
+    """Allan deviations so far, (n,) each, with intervals of `imumon.allan.confidence.CONFIDENCE`."""
+
+    tau_s: FloatArray
+    deviation: FloatArray
+    low: FloatArray
+    high: FloatArray
+    freedom: FloatArray
+
+    def trusted(self) -> LiveCurve:
+        """Return the part with enough degrees of freedom."""
+        few = np.flatnonzero(self.freedom < TRUSTED_FREEDOM)
+        n = int(few[0]) if len(few) else len(self.tau_s)
+        parts = (self.tau_s, self.deviation, self.low, self.high, self.freedom)
+        return LiveCurve(*[part[:n] for part in parts])
+
+
+class StreamingAllan:
+    """Allan deviation of one channel of a stream."""
+
+    def __init__(self) -> None:
+        self._restarts = 0
+        self._begin()
+
+    def _begin(self) -> None:
+        self._waiting: list[tuple[int, int, float]] = []
+        self._interval_ns = 0.0
+        self._offset = 0.0
+        self._rings = np.zeros((RINGS, RING))
+        self._sums = np.zeros(OCTAVES)
+        self._counts = np.zeros(OCTAVES, np.int64)
+        self._total = np.zeros(1)
+        self._state = np.array([-1, 0, 0, 0], np.int64)
+
+    @property
+    def interval_s(self) -> float:
+        """Time from sample to sample; 0 while it is being learned."""
+        return self._interval_ns * 1e-9
+
+    @property
+    def restarts(self) -> int:
+        """How often the rate changed, and everything began anew."""
+        return self._restarts
+
+    def process(self, time_ns: IntArray, segment: IntArray, values: FloatArray) -> None:
+        """Add samples, (n,) each; NaN where the channel has none.
+
+        A gap, a restart or an uneven step ends the run: no difference crosses it.
+        """
+        start = 0
+        while start < len(values):
+            if not self._interval_ns:
+                start = self._learn(time_ns, segment, values, start)
+            else:
+                start += self._add(time_ns[start:], segment[start:], values[start:])
+                if start < len(values):
+                    self._begin()
+                    self._restarts += 1
+
+    def _learn(self, time_ns: IntArray, segment: IntArray, values: FloatArray, start: int) -> int:
+        """Gather samples until the interval is known, then add them; return the next row."""
+        for row in range(start, len(values)):
+            if np.isfinite(values[row]):
+                self._waiting.append((int(time_ns[row]), int(segment[row]), float(values[row])))
+            if len(self._waiting) == LEARN:
+                times, segments, first = (np.array(part) for part in zip(*self._waiting, strict=True))
+                self._waiting = []
+                self._interval_ns = nominal_interval_ns(times, segments)
+                self._offset = float(first[0])
+                if self._interval_ns:
+                    self._add(times, segments, first)
+                return row + 1
+        return len(values)
+
+    def _add(self, time_ns: IntArray, segment: IntArray, values: FloatArray) -> int:
+        return int(
+            stream(
+                time_ns, segment, values, self._interval_ns, self._offset,
+                self._rings, self._sums, self._counts, self._total, self._state,
+            )
+        )  # fmt: skip
+
+    def curve(self) -> LiveCurve:
+        """Return the curve so far; empty while there is none."""
+        n = int(np.count_nonzero(self._counts))
+        m = 2.0 ** np.arange(n)
+        stride = np.maximum(1.0, m / STRIDES_PER_TAU)
+        variance = self._sums[:n] / self._counts[:n] / (2.0 * m**2)
+        length = (self._counts[:n] - 1) * stride + 2.0 * m
+        names = identify(variance)
+        edf = np.array(
+            [_freedom(int(k), int(row), float(r)) for k, row, r in zip(m, names, length / m, strict=True)]
+        )
+        tau_s = np.asarray(m * self._interval_ns * 1e-9, np.float64)
+        return LiveCurve(tau_s, np.sqrt(variance), *intervals(variance, edf), edf)
+
+
+def identify(variance: FloatArray) -> IntArray:
+    """Return which of `NOISES` each octave is most like: by the slope of the curve around it."""
+    if len(variance) < 2:
+        return np.zeros(len(variance), np.int64)
+    logs = np.log2(np.maximum(variance, 1e-300))
+    slope = np.gradient(logs)
+    return np.asarray(np.abs(slope[:, np.newaxis] - _SLOPES).argmin(axis=1), np.int64)
+
+
+_LENGTHS = 2.0 ** np.arange(1, 12)
+
+
+@lru_cache(maxsize=64)
+def _table(m: int, noise: int) -> FloatArray:
+    """Return the logarithm of the degrees of freedom for runs of 2, 4, 8, ... times m."""
+    mixture = np.eye(len(NOISES))[noise]
+    runs = (Runs(np.array([ratio * m]), np.ones(1)) for ratio in _LENGTHS)
+    return np.asarray(np.log([max(freedom("allan", m, run).of(mixture), 1e-3) for run in runs]))
+
+
+def _freedom(m: int, noise: int, ratio: float) -> float:
+    """Return the degrees of freedom at m of a run `ratio` times as long.
+
+    Above 16 they depend on the ratio alone (for quantization they are taken too low), and long runs have
+    them in proportion to their length.
+    """
+    table = _table(min(m, STRIDES_PER_TAU), noise)
+    beyond = max(1.0, ratio / float(_LENGTHS[-1]))
+    return beyond * math.exp(float(np.interp(math.log(ratio / beyond), np.log(_LENGTHS), table)))
