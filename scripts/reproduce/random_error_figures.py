@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-import allantools  # type: ignore[import-untyped]  # ships no types
+import allantools
 import matplotlib as mpl
 import numpy as np
 from random_error_methods import FITTED, PUBLISHED, fit_record, published, slow

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from pathlib import Path
 
-import allantools  # type: ignore[import-untyped]  # ships no types
+import allantools
 import numpy as np
 from random_error_figures import draw_all
 from random_error_methods import (
@@ -41,7 +41,7 @@ from imumon.estimation.random_error.sigma_points import PHI, ModelNL, SigmaPoint
 
 ROOT = Path(__file__).resolve().parents[2]
 HOUR = 3600.0
-MINUTE_SEEDS, HOUR_SEEDS = 12, 8
+MINUTE_SEEDS, HOUR_SEEDS, JOURNEY_SEEDS = 48, 8, 24
 TAUS_S = (0.02, 0.1, 1.0, 10.0)
 TURN, TURN_FROM, TURN_TO = 0.5, 20, 40
 """deg/s, and s: a true rotation by 10 deg."""
@@ -57,6 +57,7 @@ def main() -> None:
     hours = [simulate(HOUR, 100 + seed) for seed in range(HOUR_SEEDS)]
     against_truth(hours)
     rotation(minutes[:4])
+    journey()
     thermal(minutes, [simulate(60.0, seed, THERMAL_RAMP) for seed in range(MINUTE_SEEDS)])
     fitted()
     records = measured(folder)
@@ -181,6 +182,26 @@ def _gain(name: str, record: Record, delta: float, hertz: float, still: FloatArr
     late = t >= 20.0
     basis = np.column_stack([np.sin(2 * np.pi * hertz * t), np.cos(2 * np.pi * hertz * t)])[late]
     return float(np.hypot(*np.linalg.lstsq(basis, answer[late], rcond=None)[0]) / TURN)
+
+
+def journey() -> None:
+    """Print what the angle errs by after a minute of motion that follows ten minutes at rest."""
+    heading(
+        f"Angle error after 60 s in motion, 600 s at rest before, {JOURNEY_SEEDS} seeds, deg",
+        ["subtracted", "rms", "of which drift"],
+    )
+    records = [simulate(660.0, 300 + seed) for seed in range(JOURNEY_SEEDS)]
+    still = np.repeat([1.0, 0.0], [600 * RATE_HZ, 60 * RATE_HZ])
+    moving = slice(600 * RATE_HZ, None)
+    for name in ("nothing", "drift", "exponential 85 s", "hold 60 s", "the truth"):
+        whole, slowly = [], []
+        for record in records:
+            known = record.drift if name == "the truth" else np.zeros(len(record.drift))
+            if name not in ("nothing", "the truth"):
+                known = slow(name, record, still).estimate
+            whole.append(np.sum((record.reading - known)[moving]) / RATE_HZ)
+            slowly.append(np.sum((record.drift - known)[moving]) / RATE_HZ)
+        row(name, [f"{rms(whole):.3f}", f"{rms(slowly):.3f}"])
 
 
 def thermal(calm: Sequence[Record], warming: Sequence[Record]) -> None:

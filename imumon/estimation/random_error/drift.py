@@ -45,6 +45,8 @@ MEMORY_SLOTS = 7200.0
 GATE = 8.0
 GATE_SLOTS = 60
 """A mean off by so many deviations is no drift and passed over; so many in a row are a new level."""
+JUDGED, CONTRADICTION = 120, 1.5
+"""After so many means, innovations that are off by this factor contradict the given noise."""
 FLOOR = 1e-24
 """(rad/s)² s: white noise below 1e-12 rad/s/√Hz is none; keeps a constant reading from dividing by nought."""
 
@@ -123,6 +125,14 @@ class DriftFilter:
     def passed_over(self) -> int:
         """Slots too far off to be drift."""
         return int(self._integers[PASSED])
+
+    @property
+    def contradiction(self) -> float | None:
+        """By what factor the innovations exceed what the given noise says, None when they are not far off."""
+        if not self._known or self._numbers[FREEDOM] < JUDGED:
+            return None
+        factor = math.sqrt(self._bank[0, SCALE] / self._numbers[FREEDOM] / self._known)
+        return None if 1.0 / CONTRADICTION < factor < CONTRADICTION else factor
 
     def process(self, slots: Slots) -> DriftEstimate:
         """Return the estimates after slots that follow those of the last call."""

@@ -232,6 +232,9 @@ class _Axis:
         found = {}
         if self._drift.restarts:
             found["jump"] = "a level that jumped and stayed for a minute was taken for the new one"
+        factor = self._drift.contradiction
+        if factor is not None:
+            found["noise"] = f"the given noise contradicts the data, which vary {factor:.2g} times as much"
         return found | (self._published.remarks() if self._published is not None else {})
 
 

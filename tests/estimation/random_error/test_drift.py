@@ -149,3 +149,18 @@ def test_the_exponential_mean_is_the_mean_until_its_memory_is_full() -> None:
     assert result[-1] == pytest.approx(z[-1] - 100.0, abs=3.0)
     held = hold(60.0).process(seconds(z))
     assert held[59] == held[-1] == pytest.approx(29.5)
+
+
+def test_given_noise_that_the_data_contradict_is_said() -> None:
+    rng = np.random.default_rng(12)
+    z = flicker(400, rng) + WHITE * rng.standard_normal(400)
+    right, wrong = (
+        DriftFilter(TRUE_NOISE),
+        DriftFilter(GyroNoise(angle_random_walk=WHITE / 3, bias_instability=FLICKER)),
+    )
+    right.process(seconds(z))
+    assert right.contradiction is None
+    wrong.process(seconds(z[:100]))
+    assert wrong.contradiction is None
+    wrong.process(seconds(z[100:]))
+    assert wrong.contradiction == pytest.approx(3.0, rel=0.15)
