@@ -65,7 +65,8 @@ def command(
 ) -> None:
     """Find which effect a bias model over temperature lacks, and prove it on data that the fit has not seen.
 
-    The recordings are of a unit at rest, each from power-on.  Two or more for training, warmed and cooled, tell most.
+    The recordings are of a unit at rest, each from power-on.  Two or more for training, warmed and cooled,
+    tell most.
     """
     from imumon.diagnosis.engine import diagnose, parse_declared
     from imumon.diagnosis.report import report, write_report

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -105,13 +106,11 @@ def make_blocks(
 def _block_means(columns: FloatArray, valid: BoolArray, block_s: float) -> tuple[FloatArray, FloatArray]:
     """Return means over the valid seconds of each block, and their share of the block."""
     width = round(block_s)
-    blocks = -(-len(valid) // width)
-    pad = blocks * width - len(valid)
-    weight = np.pad(valid.astype(np.float64), (0, pad)).reshape(blocks, 1, width)
-    padded = np.pad(columns, ((0, pad), (0, 0))).reshape(blocks, width, columns.shape[1])
-    count = weight.sum(axis=(1, 2))
+    starts = np.arange(0, len(valid), width)
+    weight = valid.astype(np.float64)
+    count = np.add.reduceat(weight, starts)
     with np.errstate(invalid="ignore", divide="ignore"):
-        means = (weight @ padded)[:, 0] / count[:, np.newaxis]
+        means = np.add.reduceat(columns * weight[:, np.newaxis], starts, axis=0) / count[:, np.newaxis]
     return means, count / width
 
 
@@ -142,10 +141,10 @@ class WhiteFloor:
 def white_floor(runs: Sequence[Run], channel: str, block_s: float = BLOCK_S) -> WhiteFloor:
     """Return the white floor of a channel from the scatter inside blocks.
 
-    The variance of the samples within a second over their number is right for independent samples.  It is compared
-    with half the mean square difference of neighbouring means of 1, 2, 4 and 8 s (an Allan variance): an output
-    filter makes the short ones too small, rounding makes them too large.  The first that agrees with the next is
-    taken.
+    The variance of the samples within a second over their number is right for independent samples.  It is
+    compared with half the mean square difference of neighbouring means of 1, 2, 4 and 8 s (an Allan
+    variance): an output filter makes the short ones too small, rounding makes them too large.  The first
+    that agrees with the next is taken.
     """
     candidates: list[tuple[str, float]] = []
     weighted, seconds, samples = 0.0, 0.0, 0.0
@@ -161,7 +160,7 @@ def white_floor(runs: Sequence[Run], channel: str, block_s: float = BLOCK_S) -> 
         value = _difference_variance(runs, channel, step, block_s)
         if np.isfinite(value):
             candidates.append((f"means of {step} s inside blocks", value))
-    for (source, value), (_, following) in zip(candidates[:-1], candidates[1:], strict=True):
+    for (source, value), (_, following) in pairwise(candidates):
         if value > 0 and abs(following / value - 1.0) < PLATEAU:
             return WhiteFloor(float(np.sqrt(value)), source)
     if not candidates:
@@ -187,7 +186,7 @@ def _difference_variance(runs: Sequence[Run], channel: str, step: int, block_s: 
         means = values[: blocks * width].reshape(blocks, width)[:, : per_block * step]
         means = means.reshape(blocks, per_block, step).mean(axis=2)
         differences = np.diff(means, axis=1)
-        # Differences of overlapping pairs have correlation -1/2: half the mean square is right for white noise.
+        # Half the mean square of the differences is the variance, for white noise.
         whole = np.isfinite(differences).all(axis=1)
         spread = differences[whole] - differences[whole].mean(axis=1, keepdims=True)
         # The mean of k differences is (last - first)/k: it holds 2/k² of the white variance.

@@ -1,4 +1,5 @@
-"""What may be added to the declared model: effects with the scope of their coefficients, and their columns."""
+"""What may be added to the declared model: effects with the scope of their coefficients, and their
+columns."""
 
 from __future__ import annotations
 
@@ -85,7 +86,7 @@ def _sums(name: str, grid: Sequence[Effect], survey: Survey) -> list[Candidate]:
         return []
     if name == "thermal_lag":
         chosen: list[Effect] = [e for e in grid if isinstance(e, ThermalLag) and e.order == 1]
-        sizes = (2,)
+        sizes: tuple[int, ...] = (2,)
     elif name == "hysteresis":
         chosen = [e for e in grid if isinstance(e, Hysteresis) and e.shape == "play"]
         sizes = (2, 3)
@@ -115,7 +116,7 @@ class Pool:
     runs: Sequence[RunBlocks]
     temperature: str
     _columns: list[list[FloatArray]] = field(default_factory=list)
-    _known: dict[tuple[str, str], list[int]] = field(default_factory=dict)
+    _known: dict[tuple[int, str], tuple[Effect, list[int]]] = field(default_factory=dict)
 
     def terms(self, candidate: Candidate) -> tuple[list[Term], list[Term]]:
         """Return the terms that define a candidate, and those of its free start."""
@@ -147,14 +148,14 @@ class Pool:
         return np.column_stack([self._columns[column][run] for column in columns])
 
     def _index(self, effect: Effect, what: str) -> list[int]:
-        key = (effect.model_dump_json(), what)
+        key = (id(effect), what)  # the effect is kept beside it, so that no other can have its id
         if key not in self._known:
             parts = [run.average(getattr(effect, what)(drive_of(run, self.temperature))) for run in self.runs]
             first = len(self._columns)
             width = parts[0].shape[1]
             self._columns += [[part[:, i] for part in parts] for i in range(width)]
-            self._known[key] = list(range(first, first + width))
-        return self._known[key]
+            self._known[key] = effect, list(range(first, first + width))
+        return self._known[key][1]
 
 
 def drive_of(run: RunBlocks, temperature: str) -> Drive:

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from imumon.blocks import FloatArray
 from imumon.diagnosis.blocks import (
     BLOCK_S,
     REST_SHARE,
@@ -52,7 +51,8 @@ class Diagnosis:
 
 
 def parse_declared(text: str) -> tuple[int, bool]:
-    """Return degree and whether each run has an offset of its own, from ``polynomial 3`` or ``polynomial 3 + offset``.
+    """Return degree and whether each run has an offset of its own, from ``polynomial 3`` or ``polynomial 3
+    + offset``.
 
     Raises
     ------
@@ -64,7 +64,7 @@ def parse_declared(text: str) -> tuple[int, bool]:
         raise ImumonError(
             Reason.BAD_CONFIG,
             f"--declared {text!r} is not understood",
-            f"use 'polynomial N', N from 0 to {HIGHEST_DEGREE}, or 'polynomial N + offset' for a constant of each run",
+            f"use 'polynomial N', N from 0 to {HIGHEST_DEGREE}; '+ offset' for a constant of each run",
         )
     return int(match[1]), match[2] is not None
 
@@ -74,7 +74,7 @@ def diagnose(
     test: Sequence[Run],
     declared: str = "polynomial 3",
     progress: Progress | None = None,
-    subtract: Callable[[str, FloatArray], FloatArray] | None = None,
+    sensors: Sequence[str] = ("gyro", "accel"),
 ) -> Diagnosis:
     """Find what the declared model leaves over in the training runs, name it, and prove it on the test runs.
 
@@ -94,20 +94,20 @@ def diagnose(
     if total < LEAST_BLOCKS:
         raise ImumonError(
             Reason.BAD_DATA,
-            f"too short: the training data has {total * BLOCK_S / 60:.0f} min at rest in {len(blocks)} run(s),"
+            f"too short: the training data has {total * BLOCK_S / 60:.0f} min at rest, {len(blocks)} run(s);"
             f" at least {LEAST_BLOCKS * BLOCK_S / 60:.0f} min are needed",
             "record the unit at rest for an hour or more while its temperature changes",
         )
     seen = survey(blocks, used[0], degree, BLOCK_S)
     if not seen.thermal:
         caveats.append(
-            f"the temperature moves by {seen.span_degc:.1f} °C only (at least {LEAST_SPAN_DEGC:.0f} °C are needed):"
+            f"the temperature moves by {seen.span_degc:.1f} °C only ({LEAST_SPAN_DEGC:.0f} °C are needed):"
             " no curve over temperature is fitted, and no effect of temperature can be found"
         )
         degree = 0
     _remark(blocks, tested, caveats)
     diagnosis = Diagnosis(declared, BLOCK_S, [], blocks, tested, seen, caveats)
-    for sensor in ("gyro", "accel"):
+    for sensor in sensors:
         group = [name for name in channels if name.startswith(sensor)]
         if group:
             diagnosis.verdicts += _sensor(train, group, temperatures, diagnosis, degree, offsets, progress)
@@ -281,7 +281,7 @@ def _remark(train: Sequence[RunBlocks], test: Sequence[RunBlocks], caveats: list
         caveats.append("no test data: nothing proves what is claimed but the data that it was fitted to")
     if len(train) < 2:
         caveats.append(
-            "one training run: what depends on time since power-on and what depends on temperature may look alike"
+            "one training run: what depends on time and what depends on temperature may look alike"
         )
 
 

@@ -158,7 +158,7 @@ def _carried(part: Part, own: FloatArray) -> tuple[FloatArray, bool]:
     return np.zeros_like(mean), False
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(slots=True, eq=False)
 class TestScore:
     """How a model does on runs that it has not seen.
 
@@ -256,7 +256,8 @@ def settled(run: RunBlocks, temperature: str, model: Fit) -> BoolArray:
 def _followed(
     run: RunBlocks, temperature: str, residual: FloatArray, model: Fit
 ) -> tuple[FloatArray, BoolArray, int]:
-    """Return what the past of the test says of its residual, which blocks are near a jump, and how many jumps."""
+    """Return what the past of the test says of its residual, which blocks are near a jump, and how many
+    jumps."""
     drive = run.drives[temperature]
     columns, mean, sd = [np.ones((len(run), 1))], [np.array([-model.lifted])], [np.zeros(1)]
     jumps = False

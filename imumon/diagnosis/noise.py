@@ -1,9 +1,9 @@
 """Noise of the block means: white, flicker-like and random walk, as one filter that whitens in linear time.
 
-Covariance of a run is s² [I + r F + q R]: F the mean of exp(-|lag|/tau) over `TAUS_S` (a sum of Ornstein-Uhlenbeck
-processes whose spectrum is close to 1/f), R = min(ti, tj)/7200 s.  Each is a state of a Kalman filter, so the
-innovations over their standard deviations are the whitened data: the same as with the inverse Cholesky factor, for
-irregular times as well, and without any matrix of the size of the data.
+Covariance of a run is s² [I + r F + q R]: F the mean of exp(-|lag|/tau) over `TAUS_S` (a sum of
+Ornstein-Uhlenbeck processes whose spectrum is close to 1/f), R = min(ti, tj)/7200 s.  Each is a state of a
+Kalman filter, so the innovations over their standard deviations are the whitened data: the same as with the
+inverse Cholesky factor, for irregular times as well, and without any matrix of the size of the data.
 """
 
 from __future__ import annotations

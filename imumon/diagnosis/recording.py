@@ -6,6 +6,7 @@ import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -94,7 +95,7 @@ def read_runs(
         longest = max((run.duration_s for run in collector.runs()), default=0.0)
         raise ImumonError(
             Reason.BAD_DATA,
-            f"{path}: too short: its longest run is {longest:.0f} s, at least {SHORTEST_RUN_S:.0f} s are needed",
+            f"{path}: too short: its longest run is {longest:.0f} s; {SHORTEST_RUN_S:.0f} s are needed",
             "record the unit at rest for an hour or more while its temperature changes",
         )
     return runs
@@ -197,7 +198,7 @@ class _Collector:
         if not self._runs:
             cut[0] = True
         bounds = [0, *[int(at) for at in np.flatnonzero(cut) if at > 0], len(block)]
-        for a, b in zip(bounds[:-1], bounds[1:], strict=True):
+        for a, b in pairwise(bounds):
             if cut[a]:
                 self._runs.append(({}, 0))
                 self._start_ns = int(time_ns[a])
@@ -230,7 +231,7 @@ class _Collector:
         rest = parts.pop("at_rest")[1]
         return Run(
             name=name,
-            time_s=np.arange(n) + 0.5,
+            time_s=np.arange(n, dtype=np.float64) + 0.5,
             count={key: part[0] for key, part in parts.items()},
             mean={key: part[1] for key, part in parts.items()},
             variance={key: part[2] for key, part in parts.items()},

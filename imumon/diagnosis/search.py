@@ -1,4 +1,5 @@
-"""The likelihood of every candidate at once: generalised least squares for a grid of noise parameters, in batches."""
+"""The likelihood of every candidate at once: generalised least squares for a grid of noise parameters, in
+batches."""
 
 from __future__ import annotations
 
@@ -8,15 +9,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from imumon.blocks import FloatArray, IntArray
-from imumon.diagnosis.blocks import RunBlocks
+from imumon.diagnosis.blocks import BoolArray, RunBlocks
 from imumon.diagnosis.candidates import SHARED, Candidate, Pool, Term
 from imumon.diagnosis.noise import FLICKER, WALK, Whitener, whitener
 
 Noise = tuple[float, float]
 """r and q."""
 
-COARSE_FLICKER = (0.0, 0.3, 1.0, 3.0, 10.0, 100.0, 1000.0, 10000.0)
-COARSE_WALK = (0.0, 1.0, 10.0, 100.0, 1000.0, 10000.0)
+COARSE_FLICKER = (0.3, 3.0, 30.0, 1000.0)
+COARSE_WALK = (0.0, 10.0, 1000.0)
 COLLINEAR = 1e-5
 """A column of which less is left beside the base is not used."""
 RIDGE = 1e-9
@@ -113,6 +114,11 @@ class Likelihood:
     def whitened(self, columns: FloatArray, noise: Noise) -> FloatArray:
         """Return columns (n, k) over all runs, whitened."""
         return self._white(columns, self._filters(noise))
+
+    def rows(self) -> list[BoolArray]:
+        """Return which blocks are those of each run, (n,) each."""
+        run = np.repeat(np.arange(len(self.runs)), [len(run) for run in self.runs])
+        return [run == at for at in range(len(self.runs))]
 
     def _filters(self, noise: Noise) -> list[Whitener]:
         if noise not in self._whiteners:

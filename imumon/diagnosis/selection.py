@@ -1,4 +1,5 @@
-"""Which effects the declared model lacks: one after another, each channel by itself and with those that agree."""
+"""Which effects the declared model lacks: one after another, each channel by itself and with those that
+agree."""
 
 from __future__ import annotations
 
@@ -25,6 +26,9 @@ PROVEN = 8.0
 """Gain, a difference of BIC, above which an effect is proven."""
 CLOSE = 10.0
 """Families whose gains differ by less are not told apart."""
+CLOSE_SHARE = 0.15
+"""Nor those that differ by less than this share of the best gain: no regressor has exactly the shape of the
+physics, and with a large effect the shape decides."""
 LEAST_EVIDENCE = 4.0
 """A channel with less is never made to agree with the others."""
 MOST_STAGES = 6
@@ -40,6 +44,8 @@ MISFIT = 1.5
 ALIKE = 1.25
 """Residuals that differ by less than this factor are alike."""
 REFINEMENTS = 4
+FORETOLD = 1.1
+"""Factor by which the runs must foretell one another better for a family to go before one of larger gain."""
 
 Progress = Callable[[str], None]
 
@@ -148,6 +154,7 @@ class Search:
         self._candidates = candidates(survey, families)
         self._pools = {channel.temperature: Pool(runs, channel.temperature) for channel in channels}
         self._outcomes = {channel.name: Outcome() for channel in channels}
+        self._known: dict[tuple[str, tuple[int, ...]], tuple[float, Noise]] = {}
 
     def run(self, progress: Progress | None = None) -> Mapping[str, Outcome]:
         """Return what was found in each channel."""
@@ -238,6 +245,8 @@ class Search:
         while order:
             family = self._choose(outcome, order, own, pooled)
             finding = self._finding(channel, table, family, own, pooled)
+            if finding is not None and (other := self._better_foretold(channel, table, finding, own)):
+                finding = self._finding(channel, table, other, own, pooled) or finding
             if finding is None:
                 order.remove(family)
                 order = [name for name in order if own[name][0] > PROVEN]
@@ -256,7 +265,8 @@ class Search:
         own: Mapping[str, tuple[float, int]],
         pooled: Mapping[str, float],
     ) -> str:
-        """Return the family to add: one that is there already where it does nearly as well, else what is shared."""
+        """Return the family to add: one that is there already where it does nearly as well, else what is
+        shared."""
         best = own[order[0]][0]
         slack = max(CLOSE, 0.3 * best)
         for name in dict.fromkeys(finding.name for finding in outcome.findings):
@@ -265,9 +275,37 @@ class Search:
         shared = max(
             (name for name in order if name in pooled), key=lambda name: pooled[name], default=order[0]
         )
-        if own[shared][0] > LEAST_EVIDENCE and best - own[shared][0] < CLOSE:
+        if own[shared][0] > LEAST_EVIDENCE and best - own[shared][0] < max(CLOSE, CLOSE_SHARE * best):
             return shared
         return order[0]
+
+    def _better_foretold(
+        self, channel: Channel, table: _Table, finding: Finding, own: Mapping[str, tuple[float, int]]
+    ) -> str | None:
+        """Return the family, of those not told apart, by which the runs foretell one another better; else
+        None."""
+        if self._survey.runs < 2 or not finding.alike:
+            return None
+        errors = {
+            name: self._foretold(
+                channel, finding.candidate if name == finding.name else table.candidates[own[name][1]]
+            )
+            for name in finding.alike
+        }
+        best = min(errors, key=lambda name: errors[name])
+        return best if errors[best] < errors[finding.name] / FORETOLD else None
+
+    def _foretold(self, channel: Channel, candidate: Candidate) -> float:
+        """Return the rms error with which each run is foretold by the others, its own constant given."""
+        base = self._target(
+            channel, [f.candidate for f in self._outcomes[channel.name].findings] + [candidate]
+        )
+        total = 0.0
+        for rows in self._likelihood.rows():
+            others = ~rows
+            left = base.values[rows] - base.base[rows] @ ordinary(base.base[others], base.values[others])
+            total += float(np.sum((left - left.mean()) ** 2))
+        return float(np.sqrt(total / len(base.values)))
 
     def _finding(
         self,
@@ -307,10 +345,10 @@ class Search:
         for name, (gain, at) in own.items():
             if name == family or gain <= PROVEN:
                 continue
-            apart = best - gain
+            near = best - gain < max(CLOSE, CLOSE_SHARE * best)
             if name in pooled and family in pooled:
-                apart = max(apart, pooled[family] - pooled[name])
-            if apart < CLOSE:
+                near &= pooled[family] - pooled[name] < max(CLOSE, CLOSE_SHARE * pooled[family])
+            if near:
                 close.append((gain, name))
             elif left > MISFIT * channel.floor and gain > 0.5 * best:
                 other = self._left(channel, [table.candidates[at]])
@@ -342,8 +380,11 @@ class Search:
         return Target(channel.name, channel.values, base)
 
     def _null(self, channel: Channel) -> tuple[float, Noise]:
-        best, noise = self._likelihood.null([self._target(channel)])
-        return float(best[0]), noise[0]
+        key = channel.name, tuple(id(finding) for finding in self._outcomes[channel.name].findings)
+        if key not in self._known:
+            best, noise = self._likelihood.null([self._target(channel)])
+            self._known[key] = float(best[0]), noise[0]
+        return self._known[key]
 
     def _left(self, channel: Channel, more: Sequence[Candidate]) -> float:
         """Return the rms that ordinary least squares leaves with what was found and more."""
@@ -372,8 +413,8 @@ class Search:
 class _Table:
     """Gains of all candidates for one channel.
 
-    `fit` is twice the log-likelihood ratio less the price of the linear parameters, `penalty` the price of the
-    others; the first `common` candidates are the same for all channels.
+    `fit` is twice the log-likelihood ratio less the price of the linear parameters, `penalty` the price of
+    the others; the first `common` candidates are the same for all channels.
     """
 
     candidates: list[Candidate]

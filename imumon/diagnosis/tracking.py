@@ -1,4 +1,5 @@
-"""Following in the test what no training can foretell: size of a jump, turn-on offset, amplitude, state at power-on.
+"""Following in the test what no training can foretell: size of a jump, turn-on offset, amplitude, state at
+power-on.
 
 At each block only the blocks before it are used.
 """

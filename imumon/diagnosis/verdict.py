@@ -16,9 +16,11 @@ from imumon.diagnosis.selection import Finding, Outcome
 from imumon.effects.library import separated_by
 
 CLEAN = 1.8
-"""Residual in white floors below which nothing is missing; slow noise of the same size as the white is allowed."""
+"""Residual in white floors below which nothing is missing; slow noise of the same size as the white is
+allowed."""
 EXPLAINED = 0.6
 """Share of the excess over the white floor that has to be explained before anything is named."""
+CONFIRMED = 0.3
 MATERIAL = 1.3
 """With a declared model that leaves less than so many floors, what is missing is too small to matter."""
 
@@ -89,7 +91,8 @@ class Case:
         return fit(self.train, self.temperature, self.values, self.declared, found, self.pool)
 
     def scored(self, model: Fit, like: Fit) -> TestScore | None:
-        """Return the score of a model in the test over the blocks that count for `like`; None without a test."""
+        """Return the score of a model in the test over the blocks that count for `like`; None without a
+        test."""
         if not self.test:
             return None
         from imumon.diagnosis.fitting import settled
@@ -123,14 +126,11 @@ def judge(case: Case, outcome: Outcome) -> ChannelVerdict:
         )
         remark = f"the best of the known effects is {best.name}, but {why}"
         kept, after = [], before
-    if not any(part.carries for part in after.parts) and after.parts:
-        # Nothing of it can be foretold: the declared model predicts as it did.
-        predicted_by = before
-    else:
-        predicted_by = after
+    # Where nothing of it can be foretold the declared model predicts as it did.
+    foretells = not after.parts or any(part.carries for part in after.parts)
     score_after = case.scored(after, after)
     score_before = case.scored(before, after)
-    if score_after is not None and score_before is not None and predicted_by is before:
+    if score_after is not None and score_before is not None and not foretells:
         score_after.rms = score_before.rms
     unexplained = _unexplained(before, after, kept, floor, outcome)
     verdict = ChannelVerdict(
@@ -162,27 +162,46 @@ def _unexplained(before: Fit, after: Fit, kept: Sequence[Finding], floor: float,
 
 
 def _not_worse(case: Case, findings: Sequence[Finding]) -> tuple[list[Finding], list[dict[str, Any]]]:
-    """Return the findings without those that make the test worse, and what those did."""
+    """Return the findings without those that the test refutes, and what those did.
+
+    A finding is refuted when the test is worse with it.  So is one that carries over when the test gets
+    better by less than `CONFIRMED` of what the finding says it should: the mean square of what it adds to
+    the prediction.
+    """
     kept = list(findings)
     left_out: list[dict[str, Any]] = []
     while kept and case.test:
         everything = case.fitted([finding.candidate for finding in kept])
-        with_all = case.scored(everything, everything)
-        assert with_all is not None
-        worst, gain = None, 0.0
-        for finding in kept:
-            others = [other for other in kept if other is not finding]
-            without = case.scored(case.fitted([other.candidate for other in others]), everything)
-            assert without is not None
-            own = with_all.tracked_rms, without.tracked_rms
-            if np.isfinite(own).all() and own[0] - own[1] > gain:
-                worst, gain = finding, own[0] - own[1]
-                record = {"name": finding.name, "test_rms_with": own[0], "test_rms_without": own[1]}
-        if worst is None:
+        trials = [_trial(case, kept, finding, everything) for finding in kept]
+        worst = min(range(len(kept)), key=lambda at: trials[at][0])
+        if not trials[worst][0] < 0:
             break
-        kept.remove(worst)
-        left_out.append(record)
+        left_out.append(trials[worst][1])
+        kept.pop(worst)
     return kept, left_out
+
+
+def _trial(
+    case: Case, kept: Sequence[Finding], finding: Finding, everything: Fit
+) -> tuple[float, dict[str, Any]]:
+    """Return by how much the test confirms a finding (negative when it refutes it), and the numbers."""
+    others = case.fitted([other.candidate for other in kept if other is not finding])
+    carries = any(part.carries for part in everything.parts if part.effect.name == finding.name)
+    with_it, without = case.scored(everything, everything), case.scored(others, everything)
+    assert with_it is not None
+    assert without is not None
+    rms = (with_it.rms, without.rms) if carries else (with_it.tracked_rms, without.tracked_rms)
+    record = {"name": finding.name, "test_rms_with": rms[0], "test_rms_without": rms[1]}
+    if not np.isfinite(rms).all():
+        return 0.0, record
+    better = rms[1] ** 2 - rms[0] ** 2
+    if not carries:
+        return better, record
+    change = [
+        (a - b)[use] for a, b, use in zip(with_it.residual, without.residual, with_it.counted, strict=True)
+    ]
+    due = float(np.mean(np.concatenate(change) ** 2))
+    return better - CONFIRMED * due, record
 
 
 def _claim(case: Case, before: Fit, kept: Sequence[Finding], at: int) -> Claim:
@@ -206,7 +225,7 @@ def summary(verdict: ChannelVerdict) -> str:
         if verdict.unexplained:
             what = f" ({verdict.remark})" if verdict.remark else ""
             return (
-                f"unexplained: {before:.1f} white floors are left by the declared model, structure or slow noise"
+                f"unexplained: the declared model leaves {before:.1f} white floors, structure or slow noise"
                 f" that none of the known effects explains{what}{worse}"
             )
         return f"nothing is missing: {before:.2f} white floors are left by the declared model{worse}"

@@ -12,9 +12,11 @@ from imumon.effects.g_sensitivity import LEAST_RANGE
 
 
 class AxisCoupling(Effect):
-    """The specific force along the two other axes, for an accelerometer: misalignment of one axis to the others.
+    """The specific force along the two other axes, for an accelerometer: misalignment of one axis to the
+    others.
 
-    For a gyro the same two columns are part of its sensitivity to g; the diagonal one is where the earth rate is.
+    For a gyro the same two columns are part of its sensitivity to g; the diagonal one is where the earth
+    rate is.
     """
 
     name: ClassVar[str] = "axis_coupling"

@@ -1,7 +1,7 @@
 """What all effects share: what drives them, and the small protocol that makes each usable in three ways.
 
-An effect is a set of parameters and a causal operator: from time since power-on, temperature and specific force it
-makes k columns; the bias that it adds is columns times coefficients.
+An effect is a set of parameters and a causal operator: from time since power-on, temperature and specific
+force it makes k columns; the bias that it adds is columns times coefficients.
 
 - simulate: ``effect.simulate(drive)``;
 - regress: ``effect.columns(drive)`` for each parameter of ``type(effect).grid(survey)``;
@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -186,7 +187,7 @@ class Carrier:
         bounds = [0, *cuts.tolist(), len(segment)]
         parts = [
             self._one(time_ns[a:b], int(segment[a]), temperature[a:b], None if accel is None else accel[a:b])
-            for a, b in zip(bounds[:-1], bounds[1:], strict=True)
+            for a, b in pairwise(bounds)
             if b > a
         ]
         return np.concatenate(parts) if parts else self._empty()
@@ -200,7 +201,7 @@ class Carrier:
         held = held_values(temperature, self._last)
         self._last = float(held[-1])
         first = int(np.argmax(np.isfinite(held))) if np.isfinite(held).any() else len(held)
-        seconds = (time_ns - self._start_ns) * 1e-9
+        seconds = np.asarray((time_ns - self._start_ns) * 1e-9, np.float64)
         drive = Drive(seconds[first:], held[first:], None if accel is None else accel[first:])
         found = self.effect.advance(self._state, drive) if len(drive) else self._empty()
         return np.concatenate([np.full((first, found.shape[1]), np.nan), found])

@@ -14,7 +14,8 @@ LEAST_RANGE = 2.0
 class GSensitivity(Effect):
     """The specific force along x, y, z in m/s².
 
-    The vertical earth rate, 15.04 °/h times the sine of the latitude at 9.81 m/s², has the form of its diagonal.
+    The vertical earth rate, 15.04 °/h times the sine of the latitude at 9.81 m/s², has the form of its
+    diagonal.
     """
 
     name: ClassVar[str] = "g_sensitivity"

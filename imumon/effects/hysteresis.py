@@ -33,7 +33,8 @@ class Hysteresis(Effect):
 
     @classmethod
     def grid(cls, survey: Survey) -> list[Self]:
-        """Return widths up to half the span; none where the temperature never turns and there is one run only."""
+        """Return widths up to half the span; none where the temperature never turns and there is one run
+        only."""
         if not survey.thermal:
             return []
         widths = logarithmic(NARROWEST_DEGC, min(WIDEST_DEGC, survey.span_degc / 2), RATIO)

@@ -1,7 +1,8 @@
-"""Operators with memory: first-order lag, play, and the smooth rate-independent loop, one sample after another.
+"""Operators with memory: first-order lag, play, and the smooth rate-independent loop, one sample after
+another.
 
-Each carries its state in an array; NaN there means that nothing was seen yet, and the operator begins in equilibrium
-with the first temperature.
+Each carries its state in an array; NaN there means that nothing was seen yet, and the operator begins in
+equilibrium with the first temperature.
 """
 
 from __future__ import annotations
@@ -62,8 +63,8 @@ def play(state: FloatArray, value: FloatArray, half_width: float) -> FloatArray:
 def smooth_loop(state: FloatArray, value: FloatArray, width: float, slack: float) -> FloatArray:
     """Return z of Dahl's loop dz/dT = 1 - z sign(dT)/width, exact for each step of T.
 
-    `slack` is the half width of a backlash before it, so that the noise of a thermometer is no travel.  `state` is
-    (2,): z, and where the backlash stands.
+    `slack` is the half width of a backlash before it, so that the noise of a thermometer is no travel.
+    `state` is (2,): z, and where the backlash stands.
     """
     out = np.empty(len(value))
     z, at = state[0], state[1]

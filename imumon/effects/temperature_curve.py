@@ -9,7 +9,7 @@ import numpy as np
 from imumon.blocks import FloatArray
 from imumon.effects.base import Drive, Effect, Survey
 
-MORE_DEGREES = 2
+MORE_DEGREES = (2, 4, 6)
 
 
 class TemperatureCurve(Effect):
@@ -20,15 +20,22 @@ class TemperatureCurve(Effect):
     middle_degc: float
     half_span_degc: float
     first_power: int
-    powers: int = MORE_DEGREES
+    powers: int = 2
 
     @classmethod
     def grid(cls, survey: Survey) -> list[Self]:
-        """Return the next powers together; none at constant temperature."""
+        """Return the next powers, two, four or six of them; none at constant temperature."""
         if not survey.thermal:
             return []
-        scale = {"middle_degc": survey.middle_degc, "half_span_degc": survey.half_span_degc}
-        return [cls(**scale, first_power=survey.degree + 1)]
+        return [
+            cls(
+                middle_degc=survey.middle_degc,
+                half_span_degc=survey.half_span_degc,
+                first_power=survey.degree + 1,
+                powers=powers,
+            )
+            for powers in MORE_DEGREES
+        ]
 
     def advance(self, state: FloatArray, drive: Drive) -> FloatArray:  # noqa: ARG002 - it has no memory
         """Return the powers of u."""

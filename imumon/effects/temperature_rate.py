@@ -14,8 +14,8 @@ from imumon.effects.operators import first_order
 class TemperatureRate(Effect):
     """The rate of the temperature in °C/s.
 
-    Live it is the rate behind a first-order filter of `smoothing_s`; over a whole run, a difference of means on both
-    sides, which has no delay.
+    Live it is the rate behind a first-order filter of `smoothing_s`; over a whole run, a difference of
+    means on both sides, which has no delay.
     """
 
     name: ClassVar[str] = "temperature_rate"

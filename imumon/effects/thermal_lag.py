@@ -18,7 +18,8 @@ SETTLING = 3.0
 
 
 class ThermalLag(Effect):
-    """Differences u^k - l^k, k = 1 .. order; l is u behind a first-order lag, u = (T - middle) / half span."""
+    """Differences u^k - l^k, k = 1 .. order; l is u behind a first-order lag, u = (T - middle) / half
+    span."""
 
     name: ClassVar[str] = "thermal_lag"
     kind: Literal["thermal_lag"] = "thermal_lag"
@@ -32,13 +33,18 @@ class ThermalLag(Effect):
 
     @classmethod
     def grid(cls, survey: Survey) -> list[Self]:
-        """Return time constants up to a quarter of the shortest run; the cubic only where two runs can show it."""
+        """Return time constants up to a quarter of the shortest run; the cubic only where two runs can show
+        it."""
         if not survey.thermal:
             return []
-        scale = {"middle_degc": survey.middle_degc, "half_span_degc": survey.half_span_degc}
         times = logarithmic(SHORTEST_S, min(LONGEST_S, survey.shortest_s / 4), RATIO)
         orders = (1, 3) if survey.runs > 1 or survey.reversals >= 4 else (1,)
-        return [cls(time_constant_s=tau, order=order, **scale) for order in orders for tau in times]
+        middle, half = survey.middle_degc, survey.half_span_degc
+        return [
+            cls(time_constant_s=tau, order=order, middle_degc=middle, half_span_degc=half)
+            for order in orders
+            for tau in times
+        ]
 
     def advance(self, state: FloatArray, drive: Drive) -> FloatArray:
         """Return the differences of powers, now less lagged."""
