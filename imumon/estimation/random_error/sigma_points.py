@@ -42,8 +42,8 @@ STEP_CEILING = 0.9999
 REGULAR = 1.5
 """A step of so many intervals or more is a gap: φ says nothing of it."""
 
-SHRUNK, CLAMPED, STEPS = range(3)
-"""Places of the counters: steps with a smaller μ, steps at which φ was held back, measurements."""
+SHRUNK, CLAMPED = range(2)
+"""Places of the counters: steps with a smaller μ, and steps at which φ was held back."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +114,7 @@ class SigmaPointFilter:
         self._phi_limit = phi_limit
         self.mean = np.array(model.mean, np.float64)
         self.factor = np.diag(np.sqrt(np.array(model.variance, np.float64)))
-        self._counts: IntArray = np.zeros(3, np.int64)
+        self._counts: IntArray = np.zeros(2, np.int64)
 
     @property
     def shrunk_steps(self) -> int:
@@ -125,11 +125,6 @@ class SigmaPointFilter:
     def clamped_steps(self) -> int:
         """Steps at which φ wanted to leave its limits."""
         return int(self._counts[CLAMPED])
-
-    @property
-    def measurements(self) -> int:
-        """Measurements taken in."""
-        return int(self._counts[STEPS])
 
     def process(
         self,
@@ -223,7 +218,7 @@ def run_sigma_points(
     phi: FloatArray,
     phi_sd: FloatArray,
 ) -> None:
-    """Filter samples; mean (5,), factor (5, 5) and counts (3,) change in place, the last five are filled."""
+    """Filter samples; mean (5,), factor (5, 5) and counts (2,) change in place, the last five are filled."""
     work = np.zeros((N, N + 1))
     for k in range(reading.size):
         if use[k] and steps[k] < REGULAR:
@@ -235,7 +230,6 @@ def run_sigma_points(
                 counts[SHRUNK] += 1
             predicted[k] = mean[X]
             measure(mean, factor, reading[k], noise_variance)
-            counts[STEPS] += 1
             if abs(mean[PHI]) > phi_limit:
                 mean[PHI] = math.copysign(phi_limit, mean[PHI])
                 counts[CLAMPED] += 1

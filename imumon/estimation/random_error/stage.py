@@ -28,8 +28,6 @@ PHI_VARIANCE = 0.01
 """Variance of φ at the start; nothing is known but that it is nought for a local level."""
 OTHER_RATE = 1.5
 """SR-RSUKF starts anew when the sampling interval has changed by this factor."""
-STRUGGLING = 0.01
-"""Share of steps with φ at its limit from which on that is said."""
 UNMODELLED_DEGC = 1.0
 """More than this without a bias model is said."""
 PATIENCE_NS = 10_000_000_000
@@ -246,7 +244,7 @@ class _Published:
         self._filter: SigmaPointFilter | None = None
         self._interval = self._covered = 0.0
         self._last_ns = 0
-        self._shrunk = self._clamped = self._measured = 0
+        self._shrunk = self._clamped = 0
 
     def process(
         self,
@@ -300,7 +298,6 @@ class _Published:
         if self._filter is not None:
             self._shrunk += self._filter.shrunk_steps
             self._clamped += self._filter.clamped_steps
-            self._measured += self._filter.measurements
         self._filter = None
 
     def _run(
@@ -324,15 +321,19 @@ class _Published:
 
     def remarks(self) -> dict[str, str]:
         """Return where the filter strained, by a key each."""
-        shrunk, clamped, measured = self._shrunk, self._clamped, self._measured
+        shrunk, clamped = self._shrunk, self._clamped
         if self._filter is not None:
             shrunk += self._filter.shrunk_steps
             clamped += self._filter.clamped_steps
-            measured += self._filter.measurements
         found = {}
         if shrunk:
-            found["risk"] = "SR-RSUKF: the risk was over its limit and was made smaller for a step"
-        if clamped > STRUGGLING * max(measured, 100):
+            found["risk"] = (
+                f"SR-RSUKF: the risk was over its limit and was made smaller ({shrunk} steps so far)"
+            )
+        if clamped:
             limit = self._parameters.phi_limit
-            found["phi"] = f"SR-RSUKF: φ wants to leave ±{limit:g} and was held back: the model does not fit"
+            found["phi"] = (
+                f"SR-RSUKF: φ went to ±{limit:g} and was held back ({clamped} steps so far): the model does "
+                "not fit, or the unit moved unnoticed"
+            )
         return found

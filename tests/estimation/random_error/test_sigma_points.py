@@ -147,6 +147,17 @@ def test_a_lasting_risk_breaks_the_filter_just_above_the_limit_and_not_below() -
         assert (filtered.shrunk_steps > 0) is breaks
 
 
+@pytest.mark.parametrize("mu", [1.0, 10.0, 100.0])
+def test_risk_on_what_is_not_measured_escapes_when_the_refusal_says(mu: float) -> None:
+    """k = 1/(2μP): 4999, 499 and 49 on the kernel itself, with nothing to refuse it."""
+    expected = 1 / (2 * mu * CHECK.variance[3])
+    for steps, breaks in ((int(0.99 * expected) - 1, False), (int(1.01 * expected) + 1, True)):
+        filtered = SigmaPointFilter(CHECK)
+        filtered._risk[3] = mu
+        filtered.process(np.zeros(steps))
+        assert (filtered.shrunk_steps > 0) is breaks
+
+
 def test_a_risk_too_large_for_a_step_is_shrunk_and_counted() -> None:
     z = np.concatenate([np.zeros(100), np.linspace(0, 500, 500), np.zeros(100)])
     model = ModelNL((0.0, 0.0, 0.0, 0.01, 0.0), (1e-3, 1e-3, 0.1, 0.0, 0.0), 0.1)

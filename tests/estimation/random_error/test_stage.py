@@ -183,6 +183,21 @@ def test_a_jump_that_stays_is_said_once() -> None:
     assert stage.notices() == []
 
 
+def test_motion_that_nobody_noticed_drives_phi_to_its_limit_and_that_is_said() -> None:
+    """It takes 30 rad/s: with a fitted δ¹ the gain of φ is small."""
+    block = record(150)
+    k = np.arange(len(block))
+    shaken = block["gyro_x"] + np.where(k > 5000, 30.0 * np.sin(k / 50), 0.0)
+    stage = RandomError(SR)
+    added = stage.process(block.with_columns({"gyro_x": shaken}))
+    assert np.nanmax(np.abs(added["gyro_phi_x"])) == 0.9
+    assert np.isfinite(added["gyro_random_error_x"][5000:]).all()
+    risk, phi = stage.notices()
+    assert risk.startswith("random error of gyro x: SR-RSUKF: the risk was over its limit")
+    assert phi.startswith("random error of gyro x: SR-RSUKF: φ went to ±0.9")
+    assert stage.notices() == []
+
+
 def warming(n_s: int = 400) -> tuple[SampleBlock, FloatArray]:
     """Return a record whose bias follows a polynomial in temperature, and its drift beside that."""
     rng = np.random.default_rng(11)
