@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from imumon.allan.series import BRIDGED, EvenSeries, even_channels
-from imumon.blocks import ColumnArray, FloatArray, SampleBlock, join
+from imumon.blocks import ColumnArray, SampleBlock, join
 from imumon.errors import ImumonError, Reason
+from imumon.estimation.rest.stage import RestDetector
 from imumon.pipeline import Pipeline
 from imumon.run.replay import run_over
 from imumon.run.source import open_source
@@ -25,10 +26,8 @@ FEWEST_SAMPLES = 64
 LEAST_USED = 0.5
 """A recording of which less can be used has no even rate."""
 WARMING_DEGC = 0.5
-MOVING_SD, MOVING_STEP = 4.0, 10.0
-"""A second is motion when its standard deviation, or its step from the last, is so many usual ones."""
-MOVING_SHARE = 0.002
-FEWEST_SECONDS = 20
+MOVING_SHARE = 0.01
+"""Less is put down to the detector."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,14 +54,15 @@ def open_recording(path: Path) -> Recording:
             f"{path}: has no column device_time_ns",
             "a table from elsewhere becomes a session first: imumon import",
         )
+    if "segment" not in samples:
+        samples = samples.with_columns({"segment": np.zeros(len(samples), np.int64)})
     names = [name for name in CHANNELS if name in samples and np.isfinite(samples[name]).any()]
     if not names:
         raise ImumonError(Reason.BAD_DATA, f"{path}: has none of the columns {', '.join(CHANNELS)}")
-    time_ns = samples["device_time_ns"]
-    segment = samples["segment"] if "segment" in samples else np.zeros(len(samples), np.int64)
+    time_ns, segment = samples["device_time_ns"], samples["segment"]
     series = even_channels(time_ns, segment, {name: samples[name] for name in names})
     _refuse(path, len(samples), names, series)
-    warnings = [*said, *_of_the_grid(series), *_of_motion(samples, series), *_of_temperature(samples)]
+    warnings = [*said, *_of_the_grid(series), *_of_motion(samples), *_of_temperature(samples)]
     return Recording(series, tuple(warnings))
 
 
@@ -137,34 +137,20 @@ def _among(names: list[str], series: dict[str, EvenSeries]) -> str:
     return "" if len(names) == len(series) else f"{', '.join(names)}: "
 
 
-def _of_motion(samples: SampleBlock, series: dict[str, EvenSeries]) -> list[str]:
-    advice = "an Allan deviation of a unit that moves is that of the motion; record it at rest"
+def _of_motion(samples: SampleBlock) -> list[str]:
+    """Tell the share of motion: by the column ``at_rest``, else by the rest detector."""
     at_rest = samples.columns.get("at_rest")
-    if at_rest is not None:
-        moving = float(np.mean(at_rest != 1))
-        if moving > 0.0:
-            return [f"the unit moved during {moving:.1%} of the recording (column at_rest): {advice}"]
+    how = "column at_rest"
+    if at_rest is None:
+        at_rest, how = RestDetector().process(samples)["at_rest"], "by the rest detector"
+    known = at_rest[np.argmax(at_rest == 1) :]  # until the first rest nothing is known
+    share = float(np.mean(known != 1))
+    if share <= MOVING_SHARE:
         return []
-    share = max(_moving_share(channel) for channel in series.values())
-    return [f"{share:.1%} of the recording looks like motion: {advice}"] if share > MOVING_SHARE else []
-
-
-def _moving_share(series: EvenSeries) -> float:
-    """Return the share of seconds that are far noisier than usual, or step away from the one before."""
-    n = max(8, round(1.0 / series.interval_s))
-    seconds = len(series.values) // n
-    if seconds < FEWEST_SECONDS:
-        return 0.0
-    parts = series.values[: seconds * n].reshape(seconds, n)
-    sd, mean = parts.std(axis=1), parts.mean(axis=1)
-    step = np.abs(np.diff(mean, prepend=mean[0]))
-    far = (sd > MOVING_SD * _usual(sd)) | (step > MOVING_STEP * _usual(step))
-    return float(far.mean())
-
-
-def _usual(values: FloatArray) -> float:
-    middle = float(np.median(values))
-    return middle if middle > 0.0 else float("inf")
+    return [
+        f"the unit moved during {share:.1%} of the recording ({how}): "
+        "an Allan deviation of a unit that moves is that of the motion; record it at rest"
+    ]
 
 
 def _of_temperature(samples: SampleBlock) -> list[str]:

@@ -58,28 +58,24 @@ def command(
 
 
 def _of_the_fit(results: dict[str, Result]) -> list[str]:
-    said = []
-    for name, result in results.items():
-        if result.fit is None:
-            said.append(f"{name}: too short for a fit of the terms")
-            continue
-        if result.fit.first:
-            said.append(
-                f"{name}: averaging times below {result.tau_s[result.fit.first]:.3g} s are not fitted: "
-                "no sum of the terms describes them (a filter in the device?)"
-            )
-        if result.fit.model_error:
-            said.append(
-                f"{name}: the curve differs from a sum of the terms by {_percent(result.fit.model_error)} of "
-                "the deviation; the standard deviations take that in"
-            )
-    return said
+    short = [name for name, result in results.items() if result.fit is None]
+    fits = {name: result.fit for name, result in results.items() if result.fit is not None}
+    cut = [f"{name} {results[name].tau_s[fit.first]:.2g} s" for name, fit in fits.items() if fit.first]
+    off = [f"{name} {_percent(fit.model_error)}" for name, fit in fits.items() if fit.model_error]
+    said = {
+        "too short for a fit of the terms": short,
+        "shorter averaging times are not fitted: no sum of the terms describes them (a filter?)": cut,
+        "the curve differs so much from every sum of the terms; the standard deviations take that in": off,
+    }
+    return [f"{', '.join(names)}: {text}" for text, names in said.items() if names]
 
 
 def _percent(variance_error: float) -> str:
     return f"{50.0 * variance_error:.2g} %"
 
 
+LARGE = 1e5
+"""From here on a number is written with a power of ten."""
 _DEG = math.degrees(1.0)
 _G = 9.80665
 _READ = {
@@ -118,7 +114,9 @@ def _show(results: dict[str, Result]) -> None:
         for term, (title, unit, factor) in terms.items():
             table.add_row(title, unit, *(_with_sd(result, term, factor) for result in of_group.values()))
         level, factor = terms["bias_instability"][1:]
-        table.add_row("lowest deviation", level, *(_lowest(result, factor) for result in of_group.values()))
+        lowest = (f"{factor * result.allan.values[result.lowest]:.4g}" for result in of_group.values())
+        table.add_row("lowest deviation", level, *lowest)
+        table.add_row("  at τ", "s", *(f"{result.tau_s[result.lowest]:.4g}" for result in of_group.values()))
         longest = (f"{result.longest_tau_s:.4g}" for result in of_group.values())
         table.add_row("longest trusted τ", "s", *longest)
         console.print(table)
@@ -134,12 +132,7 @@ def _with_sd(result: Result, term: str, factor: float) -> str:
     if estimate is None:
         return "-"
     value, sd = factor * estimate.value, factor * estimate.sd
+    power = math.floor(math.log10(value)) if value >= LARGE else 0
+    value, sd = value / 10.0**power, sd / 10.0**power
     digits = min(max(1 - math.floor(math.log10(sd)), 0), 9)
-    return f"{value:.{digits}f}({sd * 10**digits:.0f})"
-
-
-def _lowest(result: Result, factor: float) -> str:
-    if not result.trusted:
-        return "-"
-    row = result.lowest
-    return f"{factor * result.allan.values[row]:.3g} at {result.tau_s[row]:.3g} s"
+    return f"{value:.{digits}f}({sd * 10**digits:.0f})" + (f"e{power}" if power else "")
