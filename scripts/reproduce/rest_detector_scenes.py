@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 from scipy.signal import butter, sosfilt
 from scipy.spatial.transform import Rotation
 
@@ -18,7 +19,7 @@ DEG_PER_H = DEG / 3600.0
 
 @dataclass(frozen=True, slots=True)
 class Grade:
-    """Noise of a sample at 100 Hz, rad/s and m/s² (white: it goes with the root of the rate), and its steps."""
+    """White noise of a sample at 100 Hz, rad/s and m/s² (going with the root of the rate), and its steps."""
 
     name: str
     gyro_sd: float
@@ -48,7 +49,7 @@ class Scene:
     angles: FloatArray
     acceleration: FloatArray
     gyro_extra: FloatArray
-    rest: FloatArray
+    rest: npt.NDArray[np.bool_]
 
 
 def still(rate_hz: float, seconds: float) -> Scene:
@@ -56,7 +57,11 @@ def still(rate_hz: float, seconds: float) -> Scene:
     n = int(seconds * rate_hz)
     zero = np.zeros((n, 3))
     return Scene(
-        np.arange(n) / rate_hz, zero + [0.03, -0.02, 0.7], zero.copy(), zero.copy(), np.ones(n, bool)
+        np.arange(n) / rate_hz,
+        zero + np.array([0.03, -0.02, 0.7]),
+        zero.copy(),
+        zero.copy(),
+        np.ones(n, bool),
     )
 
 
@@ -103,9 +108,9 @@ def yaw(rate_hz: float, seconds: float, rate_dps: float = 1.0) -> Scene:
 
 
 def turns(rate_hz: float, seconds: float) -> Scene:
-    """Guided turns of 90 deg in 3 s about the vertical, then a roll of 90 deg, with rests of 12 s."""
+    """Guided turns of 90 deg in 3 s about the vertical, then a roll of 90 deg, with rests of 12 s after the first of 30 s."""
     scene = still(rate_hz, seconds)
-    for number, start in enumerate(np.arange(15.0, seconds - 3.0, 15.0)):
+    for number, start in enumerate(np.arange(30.0, seconds - 3.0, 15.0)):
         scene.angles[:, 2 if number % 2 == 0 else 0] += (
             (-1) ** (number // 2) * 90 * DEG * smooth(scene.t, start, 3.0)
         )
@@ -145,10 +150,10 @@ def _wander(rng: np.random.Generator, n: int, rate_hz: float, corner_hz: float) 
     return result
 
 
-def hand(rate_hz: float, seconds: float) -> Scene:
+def hand(rate_hz: float, seconds: float, seed: int = 0) -> Scene:
     """Held in a hand as still as can be from the start: angles wander by 0.4 deg, tremor of 0.05 m/s²."""
     scene = still(rate_hz, seconds)
-    rng = np.random.default_rng(int(seconds))
+    rng = np.random.default_rng([seed, 1])
     n = len(scene.t)
     scene.angles[:] += 0.4 * DEG * _wander(rng, n, rate_hz, 0.5)
     scene.acceleration[:] += 0.05 * _wander(rng, n, rate_hz, 9.0)
@@ -156,10 +161,10 @@ def hand(rate_hz: float, seconds: float) -> Scene:
     return scene
 
 
-def walk_then_rest(rate_hz: float, seconds: float) -> Scene:
+def walk_then_rest(rate_hz: float, seconds: float, seed: int = 0) -> Scene:
     """Walked about with for half of the time, then put down."""
     scene = still(rate_hz, seconds)
-    rng = np.random.default_rng(int(seconds) + 1)
+    rng = np.random.default_rng([seed, 2])
     n = len(scene.t)
     share = (1 - smooth(scene.t, seconds / 2, 1.0))[:, np.newaxis]
     scene.angles[:] += 10 * DEG * share * _wander(rng, n, rate_hz, 0.8)
@@ -168,34 +173,37 @@ def walk_then_rest(rate_hz: float, seconds: float) -> Scene:
     return scene
 
 
-SCENES: dict[str, Callable[[float, float], Scene]] = {
-    "still": still,
-    "temperature ramp": ramp,
-    "tilt of 0.1 deg/s": tilt,
-    "tilt from the start": tilt_from_start,
-    "yaw of 1 deg/s": yaw,
-    "guided turns": turns,
-    "fan": fan,
-    "bumps": bump,
+def _fixed(make: Callable[[float, float], Scene]) -> Callable[[float, float, int], Scene]:
+    return lambda rate_hz, seconds, _: make(rate_hz, seconds)
+
+
+SCENES: dict[str, Callable[[float, float, int], Scene]] = {
+    "still": _fixed(still),
+    "temperature ramp": _fixed(ramp),
+    "tilt of 0.1 deg/s": _fixed(tilt),
+    "tilt from the start": _fixed(tilt_from_start),
+    "yaw of 1 deg/s": _fixed(yaw),
+    "guided turns": _fixed(turns),
+    "fan": _fixed(fan),
+    "bumps": _fixed(bump),
     "held in a hand": hand,
     "walk, then rest": walk_then_rest,
 }
+"""From rate, seconds and seed."""
 
 
-def measure(scene: Scene, grade: Grade, rate_hz: float, seed: int) -> SampleBlock:
-    """Return what sensors of a grade read of a scene."""
+def measure(scene: Scene, grade: Grade, seed: int) -> SampleBlock:
+    """Return what sensors of a grade read of a scene, at the rate of the scene."""
     rng = np.random.default_rng(seed)
-    n, scale = len(scene.t), np.sqrt(rate_hz / 100.0)
+    n, rate_hz = len(scene.t), 1.0 / (scene.t[1] - scene.t[0])
+    scale = np.sqrt(rate_hz / 100.0)
     body_to_ned = Rotation.from_euler("ZYX", scene.angles[:, ::-1])
     turn = (body_to_ned[:-1].inv() * body_to_ned[1:]).as_rotvec() * rate_hz
-    gyro = (
-        np.vstack([turn, turn[-1:]])
-        + BIAS
-        + scene.gyro_extra
-        + grade.gyro_sd * scale * rng.standard_normal((n, 3))
-    )
-    force = body_to_ned.inv().apply([0.0, 0.0, -GRAVITY]) + scene.acceleration + [0.1, -0.2, 0.05]
-    accel = force + grade.accel_sd * scale * rng.standard_normal((n, 3))
+    # The turn that leads to a sample is read with it, not before.
+    gyro = np.vstack([turn[:1], turn]) + BIAS + scene.gyro_extra
+    gyro += grade.gyro_sd * scale * rng.standard_normal((n, 3))
+    accel = body_to_ned.inv().apply([0.0, 0.0, -GRAVITY]) + scene.acceleration + np.array([0.1, -0.2, 0.05])
+    accel += grade.accel_sd * scale * rng.standard_normal((n, 3))
     if grade.gyro_step:
         gyro = np.round(gyro / grade.gyro_step) * grade.gyro_step
         accel = np.round(accel / grade.accel_step) * grade.accel_step
@@ -203,3 +211,16 @@ def measure(scene: Scene, grade: Grade, rate_hz: float, seed: int) -> SampleBloc
     for i, name in enumerate("xyz"):
         columns |= {f"gyro_{name}": gyro[:, i].copy(), f"accel_{name}": accel[:, i].copy()}
     return SampleBlock(columns)
+
+
+def averaged(samples: SampleBlock, count: int) -> SampleBlock:
+    """Return means of count samples each, dated by the last: how a device lowers its rate."""
+    n = len(samples) // count * count
+    return SampleBlock(
+        {
+            name: values[count - 1 : n : count]
+            if values.dtype == np.int64
+            else values[:n].reshape(-1, count).mean(1)
+            for name, values in samples.columns.items()
+        }
+    )

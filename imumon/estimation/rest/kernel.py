@@ -138,6 +138,7 @@ def _begin(state: State, now: int, segment: int, other: bool) -> None:
     integers[STARTED] = 1
     integers[SEGMENT] = segment
     integers[RING_COUNT] = integers[SPIKE] = 0
+    integers[LONG_HOLD_NS] = now
     axis[LAST] = np.nan
     _watch(state, now, SETTLE_S)
     _next_slot(state, now)

@@ -1,0 +1,146 @@
+"""The competitors: each takes a run and returns its bias estimate at every sample, rad/s, (n, 3)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import product
+
+import imufusion
+import numpy as np
+import numpy.typing as npt
+from vqf import VQF
+
+from imumon.blocks import FloatArray, SampleBlock
+from imumon.estimation.rest.stage import RestDetector
+from imumon.estimation.temperature_rate.stage import TemperatureRate
+from imumon.estimation.zupt.parameters import ZuptParameters
+from imumon.estimation.zupt.stage import Mode, ZeroVelocity
+from imumon.simulation.unit.scenario import Scenario
+from imumon.simulation.unit.unit import SimulatedUnit
+from imumon.thermal.model import BiasModel
+
+DEG_PER_H = np.pi / 180.0 / 3600.0
+BLOCK = 10_000
+LEAST_MEAN_S = 3.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Run:
+    """What a unit sent, with the columns of temperature and rest, and the truth.
+
+    bias and earth (n, 3) in rad/s; earth is the rate of the unit in its attitude at the last rest, which an
+    estimator without latitude and heading cannot tell from bias.
+    """
+
+    scenario: Scenario
+    samples: SampleBlock
+    bias: FloatArray
+    earth: FloatArray
+    time_s: FloatArray
+    rest: npt.NDArray[np.bool_]
+
+
+Method = Callable[[Run], FloatArray]
+
+
+def simulate(scenario: Scenario, seed: int) -> Run:
+    """Return a run of a scenario, with temperature and rest estimated."""
+    samples, truth = SimulatedUnit(scenario, seed).run(scenario.samples)
+    for stage in (TemperatureRate(), RestDetector()):
+        samples = samples.with_columns(stage.process(samples))
+    rest = truth["at_rest"] == 1
+    rate = np.column_stack([truth[f"rate_{axis}"] for axis in "xyz"])
+    last = np.maximum.accumulate(np.where(rest, np.arange(len(rest)), 0))
+    bias = np.column_stack([truth[f"gyro_bias_{axis}"] for axis in "xyz"])
+    return Run(scenario, samples, bias, rate[last], samples["device_time_ns"] * 1e-9, rest)
+
+
+def _raw(run: Run, sensor: str) -> FloatArray:
+    return np.ascontiguousarray(np.column_stack([run.samples[f"{sensor}_{axis}"] for axis in "xyz"]))
+
+
+def averaging(run: Run) -> FloatArray:
+    """Return the mean rate of each rest, from its third second on, held until the next has lasted as long.
+
+    Rests are those that `RestDetector` finds.
+    """
+    at_rest = run.samples["at_rest"] == 1
+    gyro, result = _raw(run, "gyro"), np.full((len(at_rest), 3), np.nan)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], at_rest.view(np.int8), [0]])))
+    least = int(LEAST_MEAN_S * run.scenario.rate_hz)
+    known = np.zeros(len(at_rest), np.int64)
+    for begin, end in zip(edges[::2], edges[1::2], strict=True):
+        means = np.cumsum(gyro[begin:end], 0) / np.arange(1, end - begin + 1)[:, np.newaxis]
+        result[begin + least : end] = means[least:]
+        known[begin + least : end] = np.arange(begin + least, end)
+    return result[np.maximum.accumulate(known)]
+
+
+def fusion(threshold_dps: float, period_s: float) -> Method:
+    """Return imufusion's `Bias` with these settings; it takes and returns degrees per second."""
+
+    def method(run: Run) -> FloatArray:
+        bias = imufusion.Bias()
+        bias.set_settings(imufusion.BiasSettings(run.scenario.rate_hz, threshold_dps, period_s))
+        result = np.empty((len(run.time_s), 3))
+        for i, rate in enumerate(np.rad2deg(_raw(run, "gyro"))):
+            bias.update(rate)
+            result[i] = bias.get_offset()
+        return np.deg2rad(result)
+
+    return method
+
+
+def vqf(
+    rest_th_gyr: float, rest_min_t: float, forgetting_s: float, sigma_rest: float, motion: bool
+) -> Method:
+    """Return VQF's bias with these settings: deg/s, s, s, deg/s, and whether it estimates while it moves."""
+
+    def method(run: Run) -> FloatArray:
+        filter_ = VQF(
+            1.0 / run.scenario.rate_hz,
+            restThGyr=rest_th_gyr,
+            restMinT=rest_min_t,
+            biasForgettingTime=forgetting_s,
+            biasSigmaRest=sigma_rest,
+            motionBiasEstEnabled=motion,
+        )
+        state = filter_.updateBatchFullState(_raw(run, "gyro"), _raw(run, "accel"))
+        return np.asarray(state["bias"], np.float64)
+
+    return method
+
+
+FUSION_GRID = {
+    f"threshold {threshold:g} deg/s, period {period:g} s": fusion(threshold, period)
+    for threshold, period in product((0.3, 1.0, 3.0), (0.25, 1.0, 3.0))
+}
+VQF_GRID = {
+    f"restThGyr {th:g}, restMinT {t:g}, biasForgettingTime {forgetting:g}, biasSigmaRest {sigma:g}, "
+    f"motion {'on' if motion else 'off'}": vqf(th, t, forgetting, sigma, motion)
+    for th, t, forgetting, sigma, motion in product(
+        (0.3, 2.0), (0.5, 1.5), (10.0, 100.0, 1000.0), (0.01, 0.03), (True, False)
+    )
+}
+DEFAULTS = {
+    "imufusion Bias, its defaults": fusion(3.0, 3.0),
+    "VQF, its defaults": vqf(2.0, 1.5, 100.0, 0.03, True),
+}
+
+
+def imumon(mode: Mode, model: BiasModel | None, knows_place: bool) -> Method:
+    """Return imumon's bias; with latitude and heading the earth rate is not in it, and is added here."""
+
+    def method(run: Run) -> FloatArray:
+        latitude = run.scenario.latitude_deg if knows_place else None
+        heading = run.scenario.attitude.heading_deg if knows_place else None
+        stage = ZeroVelocity(ZuptParameters(), model, mode, latitude, heading)
+        parts = []
+        for begin in range(0, len(run.time_s), BLOCK):
+            columns = stage.process(run.samples.rows(begin, min(begin + BLOCK, len(run.time_s))))
+            parts.append(np.column_stack([columns[f"gyro_bias_{axis}"] for axis in "xyz"]))
+        bias = np.concatenate(parts)
+        return bias + run.earth if knows_place else bias
+
+    return method
