@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 
 import numpy as np
@@ -12,10 +13,13 @@ from imumon.estimation.temperature_rate.fir import FirExponentialRate
 from imumon.estimation.temperature_rate.level_bank import LevelBankRate
 from imumon.estimation.temperature_rate.series import RateMethod
 
+QUIET = "level bank, level unchanged"
 RATES_HZ = (10, 100, 1000)
 SECONDS = 300
 BLOCK_S = 10
 BAR_US = 0.3
+WARM_S, QUIET_S = 1200, 60
+"""Before a level is measured that does not change, the method gets to know the sensor for so long."""
 
 
 def over(method: RateMethod, time_ns: IntArray, segment: IntArray, reading: FloatArray, size: int) -> None:
@@ -30,7 +34,7 @@ def run() -> tuple[list[Table], list[Bar]]:
     table = Table(
         "Temperature rate, us per sample and channel", ["method", *(f"{rate} Hz" for rate in RATES_HZ)]
     )
-    rows: dict[str, list[str]] = {"level bank": [], "FIR 300/180": []}
+    rows: dict[str, list[str]] = {"level bank": [], QUIET: [], "FIR 300/180": []}
     bars = []
     for rate in RATES_HZ:
         n = SECONDS * rate
@@ -41,19 +45,45 @@ def run() -> tuple[list[Table], list[Bar]]:
         times = measure(
             {
                 "level bank": partial(_level_bank, *record),
+                QUIET: _quiet(rate),
                 "FIR 300/180": partial(_fir, *record),
             }
         )
+        samples = {name: QUIET_S * rate if name == QUIET else n for name in rows}
         for name, cells in rows.items():
-            cells.append(f"{times[name].best / n / 1000:.3f}")
+            cells.append(f"{times[name].best / samples[name] / 1000:.3f}")
         if rate >= 100:
             cost = times["level bank"].best / n / 1000
             bars.append(Bar(f"temperature rate at {rate} Hz, us per sample", BAR_US, cost, at_most=True))
+        quiet = times[QUIET].best / samples[QUIET] / 1000
+        bars.append(
+            Bar(f"temperature rate at {rate} Hz, level unchanged, us per sample", BAR_US, quiet, at_most=True)
+        )
     table.rows += [[name, *cells] for name, cells in rows.items()]
     table.notes.append(
-        "blocks of 10 s; the level bank works once a second: at a higher rate a sample costs less"
+        "blocks of 10 s, each of which costs some 30 us however many samples it has; the bank works once "
+        "a second, or once in 2 to 10 s while a level does not change: at a higher rate a sample costs less"
     )
     return [table], bars
+
+
+def _quiet(rate: int) -> Callable[[], None]:
+    """Return what runs a method that knows its sensor over a level that does not change."""
+    n, tail = WARM_S * rate, QUIET_S * rate
+    time_ns = np.arange(n + tail) * (1_000_000_000 // rate)
+    noise = np.random.default_rng(0).normal(0.0, 0.005, n)
+    reading = np.round((25 + time_ns[:n] * 1e-9 / 3600 + noise) / 0.05) * 0.05
+    reading = np.append(reading, np.full(tail, reading[-1]))
+    segment = np.zeros(n + tail, np.int64)
+    method = LevelBankRate()
+    method.process(time_ns[:n], segment[:n], reading[:n])
+    state = method.save()
+
+    def run_quiet() -> None:
+        method.restore(state)
+        over(method, time_ns[n:], segment[n:], reading[n:], BLOCK_S * rate)
+
+    return run_quiet
 
 
 def _level_bank(time_ns: IntArray, segment: IntArray, reading: FloatArray, size: int) -> None:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
+from temperature_rate_band import bound, consistency, elsewhere
 from temperature_rate_figures import draw_all
 from temperature_rate_records import PER_HOUR, Record, measured, simulate
 
@@ -123,6 +124,12 @@ def main() -> None:
     table([simulate(shape, noise) for shape in shapes for noise in (0.0, 0.005)], SETTLED_MIN)
     print("\nThe level bank over five seeds.\n")
     ensemble()
+    print("\nThe band, and that of an exact posterior that knows the shape but for offset and factor.\n")
+    bound()
+    print("\nThe band on temperatures drawn from the hypotheses.\n")
+    consistency()
+    print("\nThe band on other records.\n")
+    elsewhere()
     records = measured(folder)
     if records:
         print("\nMeasured, after 3 min; the truth is a centred local cubic fit to all readings.\n")
