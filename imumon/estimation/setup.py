@@ -8,15 +8,17 @@ from typing import Any, Final, Literal
 import yaml
 from pydantic import Field
 
+from imumon.allan.parameters import AllanParameters, Noise
 from imumon.config import StrictModel, parse_yaml
 from imumon.errors import ImumonError, Reason
-from imumon.estimation.random_error.parameters import RandomErrorParameters
+from imumon.estimation.random_error.parameters import Channel, GyroNoise, RandomErrorParameters
 from imumon.estimation.rest.parameters import RestParameters
 from imumon.estimation.zupt.parameters import ZuptParameters
 from imumon.thermal.model import BiasModel, load_model
 
 FORMAT: Final = "imumon-pipeline/1"
 
+CHANNELS: tuple[Channel, ...] = ("gyro_x", "gyro_y", "gyro_z")
 ZuptMode = Literal["standard", "thermal", "learned"]
 
 
@@ -24,7 +26,8 @@ class Setup(StrictModel):
     """Where the unit stands, its bias model, and the parameters of every estimator.
 
     `model` is the path of a model file, relative to the pipeline file, or the model itself; a session keeps
-    the model itself, so that it refers to nothing outside.
+    the model itself, so that it refers to nothing outside.  `noise` is what `imumon allan --noise-out`
+    writes; it holds for every estimator whose own parameters do not say otherwise.
     """
 
     format: Literal["imumon-pipeline/1"] = FORMAT
@@ -35,6 +38,8 @@ class Setup(StrictModel):
     rest: RestParameters = RestParameters()
     zupt: ZuptParameters = ZuptParameters()
     random_error: RandomErrorParameters = RandomErrorParameters()
+    noise: Noise = Noise()
+    allan: AllanParameters = AllanParameters()
 
     @property
     def bias_model(self) -> BiasModel | None:
@@ -46,6 +51,43 @@ class Setup(StrictModel):
     def mode(self) -> ZuptMode:
         """How the bias follows temperature: as chosen, else by the model if there is one, else learned."""
         return self.zupt_mode or ("thermal" if self.model is not None else "learned")
+
+    @property
+    def zupt_with_noise(self) -> ZuptParameters:
+        """Parameters of the bias estimator, with the noise that is known filled in."""
+        gyro, own = self.noise.gyro, self.zupt
+        if gyro is None:
+            return own
+        known: dict[str, list[float]] = {}
+        white = gyro.angle_random_walk_rad_per_sqrt_s
+        if own.angle_random_walk_rad_per_sqrt_s is None and all(white):
+            known["angle_random_walk_rad_per_sqrt_s"] = [value or 0.0 for value in white]
+        flicker, walk = gyro.bias_instability_rad_per_s, gyro.rate_random_walk_rad_per_s_sqrt_s
+        unsaid = own.bias_instability_rad_per_s is None and own.rate_random_walk_rad_per_s_per_sqrt_s is None
+        if unsaid and all(f or w for f, w in zip(flicker, walk, strict=True)):
+            known["bias_instability_rad_per_s"] = [value or 0.0 for value in flicker]
+            known["rate_random_walk_rad_per_s_per_sqrt_s"] = [value or 0.0 for value in walk]
+        return own.model_copy(update=known)
+
+    @property
+    def random_error_with_noise(self) -> RandomErrorParameters:
+        """Parameters of the random error, with the noise that is known filled in."""
+        gyro, own = self.noise.gyro, self.random_error
+        if gyro is None:
+            return own
+        terms = zip(
+            CHANNELS,
+            gyro.angle_random_walk_rad_per_sqrt_s,
+            gyro.bias_instability_rad_per_s,
+            gyro.rate_random_walk_rad_per_s_sqrt_s,
+            strict=True,
+        )
+        known = {
+            channel: GyroNoise(angle_random_walk=white, bias_instability=flicker, rate_random_walk=walk)
+            for channel, white, flicker, walk in terms
+            if white and (flicker or walk)
+        }
+        return own.model_copy(update={"noise": {**known, **own.noise}})
 
     def with_options(self, **given: Any) -> Setup:
         """Return the setup with what was given on the command line; None leaves what there is."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from imumon.allan.stage import AllanStage
 from imumon.estimation.random_error.stage import RandomError
 from imumon.estimation.rest.stage import RestDetector
 from imumon.estimation.setup import Setup
@@ -16,9 +17,11 @@ def estimators(device: DeviceFile | None, setup: Setup | None = None) -> list[Es
     """Return new estimators for a device, or for a table when there is none."""
     setup = setup or Setup()
     temperature = device.temperature if device is not None else TemperatureRateParameters()
+    model = setup.bias_model
     return [
         TemperatureRate(parameters=temperature),
         RestDetector(setup.rest),
-        ZeroVelocity(setup.zupt, setup.bias_model, setup.mode, setup.latitude_deg, setup.heading_deg),
-        RandomError(setup.random_error, setup.bias_model),
+        ZeroVelocity(setup.zupt_with_noise, model, setup.mode, setup.latitude_deg, setup.heading_deg),
+        RandomError(setup.random_error_with_noise, model),
+        AllanStage(setup.allan),
     ]

@@ -23,6 +23,9 @@ SECTIONS = {
     "clocks": "benchmarks.clocks",
     "pipeline": "benchmarks.path",
     "temperature": "benchmarks.temperature",
+    "rest": "benchmarks.rest",
+    "random_error": "benchmarks.random_error",
+    "allan": "benchmarks.allan",
 }
 
 

@@ -72,3 +72,35 @@ def test_mistakes_in_a_pipeline_file_are_named_with_their_line(
     file.write_text(f"format: imumon-pipeline/1\n{line}\n")
     with pytest.raises(ImumonError, match=message):
         load_setup(file)
+
+
+NOISE = """format: imumon-pipeline/1
+noise:
+  gyro:
+    angle_random_walk_rad_per_sqrt_s: [8e-5, 7e-5, 9e-5]
+    bias_instability_rad_per_s: [1e-5, null, 2e-5]
+    rate_random_walk_rad_per_s_sqrt_s: [null, 3e-7, null]
+"""
+
+
+def test_known_noise_holds_for_every_estimator() -> None:
+    setup = parse_setup(NOISE, "pipeline.yaml")
+    zupt, error = setup.zupt_with_noise, setup.random_error_with_noise
+    assert zupt.angle_random_walk_rad_per_sqrt_s == [8e-5, 7e-5, 9e-5]
+    assert zupt.bias_instability_rad_per_s == [1e-5, 0.0, 2e-5]
+    assert zupt.rate_random_walk_rad_per_s_per_sqrt_s == [0.0, 3e-7, 0.0]
+    assert error.noise["gyro_y"].rate_random_walk == 3e-7
+    assert error.noise["gyro_z"].angle_random_walk == 9e-5
+
+
+def test_what_an_estimator_is_told_itself_comes_first_and_what_is_not_known_is_learned() -> None:
+    told = NOISE + "zupt: {angle_random_walk_rad_per_sqrt_s: 1e-3}\n"
+    setup = parse_setup(told.replace("[null, 3e-7, null]", "[null, null, null]"), "pipeline.yaml")
+    assert setup.zupt_with_noise.angle_random_walk_rad_per_sqrt_s == 1e-3
+    assert setup.zupt_with_noise.bias_instability_rad_per_s is None
+    assert set(setup.random_error_with_noise.noise) == {"gyro_x", "gyro_z"}
+
+
+def test_a_setup_with_noise_says_the_same_again() -> None:
+    setup = parse_setup(NOISE, "pipeline.yaml")
+    assert parse_setup(setup.text() or "", "session.yaml") == setup

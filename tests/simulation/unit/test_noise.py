@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-import allantools  # type: ignore[import-untyped]  # it ships no type information
+import allantools
 import numpy as np
 import pytest
 

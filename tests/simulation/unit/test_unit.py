@@ -4,7 +4,7 @@ from fractions import Fraction
 from itertools import pairwise
 from typing import Any, Literal
 
-import allantools  # type: ignore[import-untyped]  # it ships no type information
+import allantools
 import numpy as np
 import pytest
 from hypothesis import given, settings
