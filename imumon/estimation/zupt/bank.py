@@ -33,7 +33,7 @@ FLOOR_PER_INSTABILITY = math.sqrt(2.0 * math.log(2.0) / math.pi)
 FLICKER_BELOW = 0.015
 """Random walk (per sqrt(s)) that goes on as flicker does below 1/1000 s, over the sd of one of them."""
 
-FLICKER_CORNERS_S = (1280.0, 320.0, 80.0, 20.0)
+FLICKER_CORNERS_S = (640.0, 160.0, 40.0, 10.0)
 """Averaging times at which flicker noise overtakes the white noise, one filter each."""
 WALK_CORNERS_S = (60.0, 12.0, 2.5)
 """The same for random walks: biases that follow an unknown temperature."""
@@ -138,8 +138,12 @@ def start(bank: Bank, family: Family, noise: FloatArray) -> None:
 
 
 @njit(cache=True, nogil=True)
-def come_to_rest(bank: Bank) -> None:
-    """Forget rotation and velocity; the bias stays."""
+def come_to_rest(bank: Bank, flat: FloatArray) -> None:
+    """Forget rotation and velocity; the bias stays.
+
+    `flat` (3,) is the share of each axis in which gravity shows the rotation; the rest is heading, which has
+    not changed at the start of a rest.
+    """
     for row in range(bank.x.shape[0]):
         for h in range(bank.x.shape[1]):
             x, p = bank.x[row, h], bank.p[row, h]
@@ -147,7 +151,7 @@ def come_to_rest(bank: Bank) -> None:
                 x[i] = 0.0
                 for j in range(STATES):
                     p[i, j] = p[j, i] = 0.0
-            p[ROTATION, ROTATION] = UNKNOWN_ROTATION**2
+            p[ROTATION, ROTATION] = flat[row % 3] * UNKNOWN_ROTATION**2
 
 
 @njit(cache=True, nogil=True)

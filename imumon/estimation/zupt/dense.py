@@ -144,7 +144,7 @@ def _turn(matrix: FloatArray, x: float, y: float, z: float, left: bool) -> Float
 
 @njit(cache=True, nogil=True)
 def _transition(f: FloatArray, matrix: FloatArray, force: FloatArray, earth: FloatArray, dt: float) -> None:
-    """Write F = 1 + A dt into f (12, 12); its diagonal is 1 already."""
+    """Write F = 1 + A dt, and half (A dt)^2 from bias to velocity, into f (12, 12) whose diagonal is 1."""
     n, e, d = force[0] * dt, force[1] * dt, force[2] * dt
     f[0, 1], f[0, 2] = earth[2] * dt, -earth[1] * dt
     f[1, 0], f[1, 2] = -earth[2] * dt, earth[0] * dt
@@ -156,6 +156,10 @@ def _transition(f: FloatArray, matrix: FloatArray, force: FloatArray, earth: Flo
         for j in range(3):
             f[i, 6 + j] = -matrix[i, j] * dt
             f[3 + i, 9 + j] = -matrix[i, j] * dt
+    for i in range(3):
+        for j in range(3):
+            along = f[3 + i, 0] * f[0, 6 + j] + f[3 + i, 1] * f[1, 6 + j] + f[3 + i, 2] * f[2, 6 + j]
+            f[3 + i, 6 + j] = 0.5 * along
 
 
 @njit(cache=True, nogil=True)
@@ -196,8 +200,10 @@ def _run(
     for k in range(len(gyro)):
         bias += drift[k]
         rate = gyro[k] - bias - matrix.T @ earth
-        matrix = _turn(matrix, rate[0] * dt, rate[1] * dt, rate[2] * dt, False)
+        x[:3] = 0.5 * dt * rate
+        matrix = _turn(matrix, x[0], x[1], x[2], False)
         force = matrix @ (accel[k] - accel_bias)
+        matrix = _turn(matrix, x[0], x[1], x[2], False)
         velocity += force * dt
         velocity[2] += gravity * dt
         _transition(f, matrix, force, earth, dt)

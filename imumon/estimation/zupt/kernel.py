@@ -28,9 +28,9 @@ GATE = 25.0
 """A slot whose squared innovation over its variance is beyond this in every filter is taken for movement."""
 PATIENCE_S = 300.0
 """After so long of nothing but such slots the bias is taken to have jumped, and all begins anew."""
-STILLNESS = 1e-5
-"""Velocity over g at the end of a slot at rest, rad s: 0.1 mm/s."""
-YAW_NOISE = 1e-6
+STILLNESS = 2e-6
+"""Velocity over g at the end of a slot at rest, rad s: 0.02 mm/s; what shakes more is in the noise."""
+YAW_NOISE = 3e-8
 """How well the heading is known to stand still at rest, rad sqrt(s)."""
 ACCEL_WALK = 1e-6
 """Random walk of the accelerometers' biases over g, rad/sqrt(s)."""
@@ -46,6 +46,8 @@ CLIP = 16.0
 """A squared second difference counts as no more than this times its mean."""
 TURN_SD = 0.01
 """Error of the heading after a turn, over the angle turned."""
+MIX_S = 5.0
+"""The filters of the bank share what they know this often."""
 FORGETTING_S = 600.0
 """Memory of the evidence for a slope."""
 SIGNIFICANCE, EVIDENCE = 9.0, 8.0
@@ -65,8 +67,8 @@ SQUARES, NOISE, EVIDENCE_SUM, CHOSEN, GROWTH_USED, ARRIVAL = 19, 20, 21, 22, 23,
 VECTORS = 25
 # State.number: times in s, and the angle turned since the unit left its last rest.
 LAST, PAUSE, SLOT_START, WAIT_START, WAIT_STOP, USED, TURNED, LEFT, GRAVITY = range(9)
-TILT_SQUARES, TILT_NOISE, NOISE_COUNT, OUTLIERS_S = 9, 10, 11, 12
-NUMBERS = 13
+TILT_SQUARES, TILT_NOISE, NOISE_COUNT, OUTLIERS_S, UNMIXED = 9, 10, 11, 12, 13
+NUMBERS = 14
 # State.flag.
 SEEN, AT_REST, FRESH, WAITING, WAIT_FRESH, STARTED, ZEROED, COUNT, FORCES, CONSECUTIVE, PLACED = range(11)
 JUMPS, RESTED = 11, 12
@@ -128,9 +130,9 @@ def restart(state: State) -> None:
         if row not in (SQUARES, NOISE):
             vector[row, :] = 0.0
     vector[BIAS, :] = vector[SD, :] = np.nan
-    jumps, rested = flag[JUMPS], flag[RESTED]
+    jumps = flag[JUMPS]
     flag[:] = 0
-    flag[JUMPS], flag[RESTED] = jumps, rested
+    flag[JUMPS] = jumps
     state.number[OUTLIERS_S] = 0.0
 
 
@@ -454,8 +456,8 @@ def _refilter(settings: Settings, state: State) -> None:
     kept = vector[RATE : GROWTH + 1].copy()
     start, stop = number[WAIT_START], number[WAIT_STOP]
     filters.start(state.bank, settings.family, vector[NOISE])
-    filters.come_to_rest(state.bank)
-    vector[EVIDENCE_SUM, :] = 0.0
+    filters.come_to_rest(state.bank, _flat(state))
+    vector[EVIDENCE_SUM, :] = number[UNMIXED] = 0.0
     unused = np.empty((1, 3))
     for k in range(flag[RESTED]):
         slot = state.first[k]
@@ -492,12 +494,19 @@ def _coast(t: float, growth: FloatArray, temperature: FloatArray, settings: Sett
             warming if math.isfinite(warming) else 0.0,
             growth[axis] - vector[GROWTH_USED, axis],
         )
-        filters.mix(bank, row, settings.family, dt)
     for axis in range(3):
         vector[GROWTH_USED, axis] = growth[axis]
         if math.isfinite(temperature[axis]):
             vector[AT_DEGC, axis] = temperature[axis]
     state.number[USED] = t
+
+
+@njit(cache=True, nogil=True)
+def _flat(state: State) -> FloatArray:
+    """Return the share of the rotation about each axis that gravity shows, (3,)."""
+    known = 1.0 if state.number[GRAVITY] > 0.0 else 0.0
+    flat: FloatArray = known * (1.0 - state.vector[UP] ** 2)
+    return flat
 
 
 @njit(cache=True, nogil=True)
@@ -507,8 +516,15 @@ def _take(i: int, settings: Settings, state: State, innovation: FloatArray) -> N
     _set_noise(settings, state)
     dt = number[WAIT_STOP] - number[WAIT_START]
     _coast(number[WAIT_STOP], vector[GROWTH], vector[DEGC], settings, state)
+    # Only at rest: nothing is learned of the bias while it moves, and doubts that only add up help nobody.
+    number[UNMIXED] += dt
+    if number[UNMIXED] >= MIX_S:
+        for row in range(bank.x.shape[0]):
+            filters.mix(bank, row, settings.family, number[UNMIXED])
+        number[UNMIXED] = 0.0
+    flat = _flat(state)
     if flag[WAIT_FRESH]:
-        filters.come_to_rest(bank)
+        filters.come_to_rest(bank, flat)
         for row in range(bank.x.shape[0]):
             bank.p[row, :, filters.WALK, filters.WALK] += vector[ARRIVAL, row % 3]
         vector[ARRIVAL, :] = 0.0
@@ -516,10 +532,9 @@ def _take(i: int, settings: Settings, state: State, innovation: FloatArray) -> N
     for row in range(bank.x.shape[0]):
         axis = row % 3
         # Of the rotation about this axis gravity shows the horizontal part, the heading held shows the rest.
-        flat = 1.0 - vector[UP, axis] ** 2 if number[GRAVITY] > 0.0 else 0.0
-        tilt2 = flat * number[TILT_NOISE] ** 2 + (1.0 - flat) * YAW_NOISE**2
-        noise2 = vector[NOISE, axis] ** 2 + flat * ACCEL_WALK**2
-        sway2 = flat * STILLNESS**2
+        tilt2 = flat[axis] * number[TILT_NOISE] ** 2 + (1.0 - flat[axis]) * YAW_NOISE**2
+        noise2 = vector[NOISE, axis] ** 2 + flat[axis] * ACCEL_WALK**2
+        sway2 = flat[axis] * STILLNESS**2
         rate, tilt = vector[RATE, axis], vector[TILT, axis]
         filters.rotate(bank, row, dt, rate, tilt, noise2, tilt2, sway2)
         if row < 3:
@@ -546,7 +561,7 @@ def _take(i: int, settings: Settings, state: State, innovation: FloatArray) -> N
 def _refuse(dt: float, state: State) -> None:
     """Take a slot for movement: what is known of the rotation is forgotten; if it goes on, all is."""
     state.number[OUTLIERS_S] += dt
-    filters.come_to_rest(state.bank)
+    filters.come_to_rest(state.bank, _flat(state))
     if state.number[OUTLIERS_S] > PATIENCE_S:
         state.number[OUTLIERS_S] = 0.0
         state.flag[STARTED] = state.flag[ZEROED] = state.flag[RESTED] = 0

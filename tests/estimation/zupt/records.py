@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,8 @@ from scipy.signal import butter, lfilter, lfiltic
 
 from imumon.blocks import ColumnArray, FloatArray, SampleBlock
 from imumon.estimation.zupt.earth import EARTH_RATE
+from imumon.thermal.curves.polynomial import PolynomialCurve
+from imumon.thermal.model import BiasModel, ChannelModel
 
 DPH = math.radians(1.0) / 3600.0
 """One degree per hour, rad/s."""
@@ -92,3 +95,28 @@ def local_earth() -> FloatArray:
     """Return the earth rate north, east, down, rad/s."""
     latitude = math.radians(LATITUDE_DEG)
     return EARTH_RATE * np.array([math.cos(latitude), 0.0, -math.sin(latitude)])
+
+
+def vector(added: Mapping[str, ColumnArray] | SampleBlock, name: str = "gyro_bias") -> FloatArray:
+    """Return three columns, (n, 3)."""
+    return np.column_stack([added[f"{name}_{axis}"] for axis in "xyz"])
+
+
+def with_rest(block: SampleBlock, rest: ColumnArray | Sequence[bool]) -> SampleBlock:
+    """Return the block at rest where `rest` says so."""
+    return block.with_columns({"at_rest": np.asarray(rest, np.int64)})
+
+
+def slope_model(slope_dph: float, residual_dph: float = 1.0) -> BiasModel:
+    """Return a model whose gyros all rise by `slope_dph` deg/h per degC, from 20 to 50 degC."""
+    channel = ChannelModel(
+        unit="rad/s",
+        temperature_column="temperature",
+        temperature_range_degc=[20.0, 50.0],
+        residual_sd=residual_dph * DPH,
+        curve=PolynomialCurve(
+            center_degc=35.0, half_width_degc=15.0, coefficients=[0.0, 15.0 * slope_dph * DPH]
+        ),
+    )
+    channels = {f"gyro_{axis}": channel for axis in "xyz"}
+    return BiasModel(made_by="test", created="2026-01-01T00:00:00Z", channels=channels)

@@ -1,0 +1,55 @@
+"""What is claimed is true: errors and innovations over their sigmas, 50 runs, flicker noise in the truth."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from imumon.blocks import FloatArray
+from imumon.estimation.zupt.parameters import ZuptParameters
+from imumon.estimation.zupt.stage import ZeroVelocity
+from tests.estimation.zupt.records import ARW, DPH, VRW, Truth, record, vector
+
+RUNS = 50
+AT_S = (30.0, 60.0, 120.0, 240.0, 420.0, 599.0)
+INSTABILITY = 0.776 / 0.664
+"""Flicker coefficient of three Gauss-Markov processes, over the standard deviation of one."""
+
+
+def runs(truth: Truth, parameters: ZuptParameters | None) -> tuple[FloatArray, FloatArray]:
+    """Return normalised errors (runs, times, 3) and normalised innovations after a minute (values, 3)."""
+    errors, innovations = [], []
+    at = [round(t * truth.rate_hz) for t in AT_S]
+    for seed in range(RUNS):
+        block, bias = record(truth, 600.0, seed)
+        added = ZeroVelocity(parameters).process(block)
+        errors.append(((vector(added) - bias) / vector(added, "gyro_bias_sd"))[at])
+        given = vector(added, "zupt_innovation")[round(60 * truth.rate_hz) :]
+        innovations.append(given[np.isfinite(given[:, 0])])
+    return np.array(errors), np.concatenate(innovations)
+
+
+def test_with_known_noise_errors_and_innovations_are_within_chi_square_bounds() -> None:
+    known = ZuptParameters(
+        angle_random_walk_rad_per_sqrt_s=ARW,
+        bias_instability_rad_per_s=2.0 * DPH * INSTABILITY,
+        velocity_random_walk_m_per_s_per_sqrt_s=VRW,
+    )
+    errors, innovations = runs(Truth(rate_hz=10.0, low_pass_hz=None), known)
+    low, high = chi2.ppf([0.001, 0.999], 3 * RUNS) / (3 * RUNS)
+    for square in np.mean(errors**2, axis=(0, 2)):
+        assert low < square < high
+    low, high = chi2.ppf([0.001, 0.999], innovations.size) / innovations.size
+    assert low < np.mean(innovations**2) < high
+    lagged = np.mean(innovations[1:] * innovations[:-1], axis=0)
+    assert np.abs(lagged).max() < 4.0 / np.sqrt(len(innovations))
+
+
+@pytest.mark.parametrize(("flicker", "least", "most"), [(1.0, 0.2, 1.22), (2.0, 0.4, 1.22), (5.0, 0.6, 1.6)])
+def test_with_nothing_known_the_claim_is_careful_not_bold(flicker: float, least: float, most: float) -> None:
+    errors, innovations = runs(Truth(rate_hz=10.0, flicker=flicker * DPH, low_pass_hz=None), None)
+    squares = np.mean(errors**2, axis=(0, 2))
+    assert least < squares.min() <= squares.max() < most
+    assert np.mean(np.abs(errors) < 2.0) > 0.9
+    assert np.mean(innovations**2) == pytest.approx(1.0, abs=0.03)
