@@ -51,6 +51,19 @@ def test_a_steady_rate_is_found_also_while_the_reading_flickers(noise: float) ->
     assert np.mean(np.abs(error) < 2 * result.rate_sd[SETTLED] * PER_HOUR) > 0.9
 
 
+def test_crossings_without_noise_are_timed_to_the_sample() -> None:
+    temperature, rate = self_heating(1.5)
+    result = run(quantized(temperature, 0.0))
+    error, sd = (result.rate - rate)[SETTLED], result.rate_sd[SETTLED]
+    assert np.sqrt(np.mean(error**2)) * PER_HOUR < 0.01
+    assert 0.7 < np.sqrt(np.mean((error / sd) ** 2)) < 1.3
+
+
+def test_a_crossing_after_a_long_quiet_time_is_not_taken_for_earlier_or_later() -> None:
+    result = run(quantized(steady(1.0, 1.0), 0.0))
+    assert np.abs(result.rate[SETTLED] * PER_HOUR - 1.0).max() < 0.02
+
+
 def test_the_band_narrows_while_the_reading_stays() -> None:
     result = run(np.full(18000, 25.0), 0.05)
     sd = result.rate_sd[[1200, 6000, 17999]] * PER_HOUR
@@ -79,8 +92,8 @@ def test_a_sensor_without_steps_is_estimated_from_its_noise() -> None:
     assert 0.3 < np.sqrt(np.mean((error / sd) ** 2)) < 1.5
 
 
-def test_pieces_of_any_size_and_a_restored_state_give_the_same_bits() -> None:
-    temperature, _ = self_heating(0.25)
+@pytest.mark.parametrize("temperature", [self_heating(0.25)[0], steady(0.5, 0.25)], ids=["heating", "quiet"])
+def test_pieces_of_any_size_and_a_restored_state_give_the_same_bits(temperature: FloatArray) -> None:
     reading = quantized(temperature, 0.005)
     reading[3000:3100] = np.nan
     time_ns, segment = clock(len(reading))
