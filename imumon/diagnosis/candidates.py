@@ -88,7 +88,7 @@ def _sums(name: str, grid: Sequence[Effect], survey: Survey) -> list[Candidate]:
         chosen: list[Effect] = [e for e in grid if isinstance(e, ThermalLag) and e.order == 1]
         sizes: tuple[int, ...] = (2,)
     elif name == "hysteresis":
-        chosen = [e for e in grid if isinstance(e, Hysteresis) and e.shape == "play"]
+        chosen = [e for e in grid if isinstance(e, Hysteresis) and e.shape == "play" and e.order == 1]
         sizes = (2, 3)
     else:
         return []

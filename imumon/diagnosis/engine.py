@@ -18,11 +18,13 @@ from imumon.diagnosis.blocks import (
     white_floor,
 )
 from imumon.diagnosis.candidates import Pool
+from imumon.diagnosis.earth import GRAVITY, VerticalRate, vertical_rate, without
 from imumon.diagnosis.fitting import Declared
 from imumon.diagnosis.recording import CHANNELS, TEMPERATURES, Run, unit_of
 from imumon.diagnosis.selection import Channel, Search
 from imumon.diagnosis.verdict import Case, ChannelVerdict, judge
 from imumon.effects.base import LEAST_SPAN_DEGC, Survey
+from imumon.effects.g_sensitivity import LEAST_RANGE
 from imumon.effects.library import EFFECTS
 from imumon.errors import ImumonError, Reason
 
@@ -33,6 +35,7 @@ MANY_GAPS = 0.2
 MOST_SEARCH_BLOCKS = 700
 """Longer runs are searched in longer blocks; they are scored in blocks of 30 s all the same."""
 HIGHEST_DEGREE = 8
+DEGREE_PER_HOUR = np.pi / 180 / 3600
 
 Progress = Callable[[str], None]
 
@@ -125,6 +128,13 @@ def _sensor(
 ) -> list[ChannelVerdict]:
     """Return the verdicts on the axes of one sensor."""
     blocks, tested = diagnosis.train, diagnosis.test
+    models = {name: Declared(degree, *_scale(blocks, temperatures[name]), offsets=offsets) for name in group}
+    earth = None
+    if group[0].startswith("gyro") and diagnosis.survey.accel_range >= LEAST_RANGE:
+        earth = vertical_rate(blocks, group, temperatures, models[group[0]])
+        diagnosis.caveats.append(_said_of_earth(earth))
+    if earth is not None:
+        blocks, tested = without(blocks, group, earth), without(tested, group, earth)
     search_s = _search_block(blocks)
     searched = blocks
     if search_s > BLOCK_S:
@@ -133,9 +143,9 @@ def _sensor(
         searched = [
             make_blocks(run, list(temperatures), used, search_s) for run in train if run.name in names
         ]
+        searched = searched if earth is None else without(searched, group, earth)
     seen = survey(searched, temperatures[group[0]], degree, search_s)
     families = _families(group[0], seen)
-    models = {name: Declared(degree, *_scale(blocks, temperatures[name]), offsets=offsets) for name in group}
     floors = {name: white_floor(train, name, BLOCK_S) for name in group}
     channels = [
         Channel(
@@ -165,6 +175,18 @@ def _sensor(
         )
         verdicts.append(judge(case, outcomes[name]))
     return verdicts
+
+
+def _said_of_earth(earth: VerticalRate | None) -> str:
+    if earth is None:
+        return (
+            "several poses: what is named g_sensitivity holds the vertical earth rate as well, up to 15.04 °/h per g"
+            " on the diagonal; the horizontal earth rate of each pose is not told from an offset"
+        )
+    return (
+        f"several poses: the gyros have {earth.per_force * GRAVITY / DEGREE_PER_HOUR:+.2f} °/h per g of their own axis"
+        f" in common; it is taken for the vertical earth rate (latitude {earth.latitude_deg:+.0f}°) and subtracted"
+    )
 
 
 def _families(channel: str, seen: Survey) -> list[str]:

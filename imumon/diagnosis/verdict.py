@@ -190,7 +190,8 @@ def _trial(
     with_it, without = case.scored(everything, everything), case.scored(others, everything)
     assert with_it is not None
     assert without is not None
-    rms = (with_it.rms, without.rms) if carries else (with_it.tracked_rms, without.tracked_rms)
+    # Of what can be followed only the part that was not yet is in the way of judging the others.
+    rms = with_it.tracked_rms, without.tracked_rms
     record = {"name": finding.name, "test_rms_with": rms[0], "test_rms_without": rms[1]}
     if not np.isfinite(rms).all():
         return 0.0, record

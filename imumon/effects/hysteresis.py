@@ -18,9 +18,10 @@ SLACK_DEGC = 0.15
 
 
 class Hysteresis(Effect):
-    """Distance of the temperature from a backlash of this half width, or a smooth loop of this width.
+    """Differences u^k - p^k, k = 1 .. order: u the temperature, p what it drags along, both scaled.
 
-    Sums of several widths make any loop (Prandtl and Ishlinskii); the smooth one is Dahl's.
+    p follows with a backlash of this half width, or with a smooth loop (Dahl's).  Sums of several widths make any
+    loop (Prandtl and Ishlinskii); the powers let its width change with temperature.
     """
 
     name: ClassVar[str] = "hysteresis"
@@ -30,35 +31,50 @@ class Hysteresis(Effect):
     nonlinear: ClassVar[tuple[str, ...]] = ("half_width_degc",)
     half_width_degc: float
     shape: Literal["play", "smooth"] = "play"
+    order: int = 1
+    middle_degc: float
+    half_span_degc: float
 
     @classmethod
     def grid(cls, survey: Survey) -> list[Self]:
-        """Return widths up to half the span; none where the temperature never turns and there is one run
-        only."""
+        """Return widths up to half the span; powers only where two runs can show them."""
         if not survey.thermal:
             return []
         widths = logarithmic(NARROWEST_DEGC, min(WIDEST_DEGC, survey.span_degc / 2), RATIO)
         shapes: tuple[Literal["play", "smooth"], ...] = ("play", "smooth")
-        return [cls(half_width_degc=width, shape=shape) for shape in shapes for width in widths]
+        orders = (1, 3) if survey.runs > 1 or survey.reversals >= 4 else (1,)
+        middle, half = survey.middle_degc, survey.half_span_degc
+        return [
+            cls(half_width_degc=width, shape=shape, order=order, middle_degc=middle, half_span_degc=half)
+            for order in orders
+            for shape in shapes
+            for width in widths
+        ]
 
     def advance(self, state: FloatArray, drive: Drive) -> FloatArray:
-        """Return how far the temperature is ahead of what it drags along."""
+        """Return the differences of powers, ahead less dragged."""
         temperature = drive.temperature_degc
         if self.shape == "smooth":
-            return smooth_loop(state, temperature, self.half_width_degc, SLACK_DEGC)[:, np.newaxis]
-        return (temperature - play(state[:1], temperature, self.half_width_degc))[:, np.newaxis]
+            dragged = temperature - smooth_loop(state, temperature, self.half_width_degc, SLACK_DEGC)
+        else:
+            dragged = play(state[:1], temperature, self.half_width_degc)
+        powers = np.arange(1, self.order + 1)
+        ahead, behind = (
+            (values - self.middle_degc) / self.half_span_degc for values in (temperature, dragged)
+        )
+        return np.asarray(ahead[:, np.newaxis] ** powers - behind[:, np.newaxis] ** powers)
 
     def start_columns(self, drive: Drive) -> FloatArray:
         """Return half the difference between the two extreme states at power-on."""
         if not len(drive):
             return np.empty((0, 1))
         low, high = (self._from(drive, sign) for sign in (-1.0, 1.0))
-        return np.asarray(0.5 * (high - low))
+        return np.asarray(0.5 * (high - low)[:, :1])
 
     def settled(self, drive: Drive) -> np.ndarray[Any, np.dtype[np.bool_]]:
         """Tell whether both extreme states at power-on have met."""
         apart = np.abs(self.start_columns(drive)[:, 0])
-        return np.asarray(apart < 0.1 * self.half_width_degc)
+        return np.asarray(apart < 0.1 * self.half_width_degc / self.half_span_degc)
 
     def _from(self, drive: Drive, sign: float) -> FloatArray:
         state = np.array([drive.temperature_degc[0] - sign * self.half_width_degc, np.nan])
