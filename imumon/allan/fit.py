@@ -4,9 +4,9 @@ The variances are a sum of known shapes with coefficients that are not negative.
 generalised least squares whose covariance matrix, over all averaging times together, is that of the fitted
 noise itself, until both agree: the quasi-likelihood of variances.  No slope is picked by eye.
 
-Of all sets of terms the smallest is fitted to which no further term would add by more than `FITTED`
-standard deviations, judged by the covariance without that term.  A term of it is in the result when it adds
-by more than `SHOWN`; the others keep what is there, but not certain, out of the certain terms.
+Of all sets of terms the smallest is fitted to which no further term would add by more than `FITTED` (or
+`SHORT_FITTED`) standard deviations, judged by the covariance without that term.  A term of it is in the
+result when it adds by more than `SHOWN`; the others keep what is there, but not certain, out of the rest.
 
 Conventions (IEEE Std 952-1997, annex C), sigma the Allan deviation, tau the averaging time:
 
@@ -38,6 +38,8 @@ from imumon.blocks import FloatArray, IntArray
 
 FITTED = 2.0
 """A term is in the fit when the data call for it by this many standard deviations."""
+SHORT_FITTED = 3.0
+"""The same for quantization and filter, which concern the short averaging times, where all is certain."""
 SHOWN = 3.5
 """It is in the result when they do so by this many; noise alone does that once in some hundred curves."""
 RAMP_SHOWN = 6.0
@@ -51,6 +53,8 @@ LONGEST_START_S = 5.0
 NEARLY_LEAST = 1.5
 """Where no sum of the terms describes the curve, as many averaging times are kept as leave about the least
 model error."""
+HALVINGS = 8
+"""Of a range of five decades for the model error: it is found to 5 %."""
 FEWEST = 5
 """Averaging times that a fit must keep."""
 
@@ -209,7 +213,7 @@ def _signed(coefficients: FloatArray) -> FloatArray:
     return signed
 
 
-WHITE, QUANTIZATION, FILTER = 0, 3, 5
+WHITE, QUANTIZATION, RAMP, FILTER = 0, 3, 4, 5
 """A low-pass filter takes from white noise, at averaging times longer than itself, what has the shape of
 quantization: the sixth column of the design is that shape with a minus."""
 EVERY = (0, 1, 2, 3, 4, 5)
@@ -276,7 +280,7 @@ def _model_error(variances: FloatArray, covariances: Covariances) -> float:
     if float(gammaincc(0.5 * free, 0.5 * chi_square)) > GOOD:
         return 0.0
     low, high = 1e-5, 3.0
-    for _ in range(16):
+    for _ in range(HALVINGS):
         middle = math.sqrt(low * high)
         chi_square, free = excess(middle)
         low, high = (middle, high) if chi_square > free else (low, middle)
@@ -295,11 +299,20 @@ def _smallest(problem: _Problem) -> _Solution:
             if np.count_nonzero(solution.coefficients) < size:
                 continue
             others = [column for column in EVERY if column not in columns]
-            if all(problem.called_for(solution, column) <= FITTED for column in others):
+            if all(problem.called_for(solution, column) <= _needed(column) for column in others):
                 found.append(solution)
         if found:
-            return max(found, key=lambda solution: solution.log_likelihood)
+            return max(found, key=_merit)
     return everything
+
+
+def _needed(column: int) -> float:
+    return SHORT_FITTED if column in (QUANTIZATION, FILTER) else FITTED
+
+
+def _merit(solution: _Solution) -> float:
+    """Return the logarithm of the likelihood; a ramp must be far more likely than another noise."""
+    return solution.log_likelihood - (0.5 * RAMP_SHOWN**2 if solution.coefficients[RAMP] else 0.0)
 
 
 def _part(covariances: Covariances, start: int, stop: int) -> Covariances:

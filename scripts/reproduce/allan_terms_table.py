@@ -1,0 +1,92 @@
+"""Noise terms fitted to simulated records of 20 minutes at 50 Hz: errors in standard deviations."""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from imumon.allan.analysis import analyse
+from imumon.allan.fit import TERMS, Fit
+from imumon.allan.series import even_channels
+from tests.allan.simulated import noise
+
+RATE_HZ, SAMPLES = 50, 60_000
+ARGUMENTS = {
+    "angle_random_walk": "white",
+    "bias_instability": "instability",
+    "rate_random_walk": "walk",
+    "quantization": "quantization",
+    "rate_ramp": "ramp",
+}
+CASES = (
+    {"angle_random_walk": 1e-3},
+    {"angle_random_walk": 1e-3, "rate_random_walk": 2e-4},
+    {"angle_random_walk": 1e-3, "bias_instability": 7e-4},
+    {"angle_random_walk": 1e-3, "bias_instability": 7e-4, "quantization": 3e-4},
+    {"angle_random_walk": 1e-3, "rate_ramp": 5e-6},
+    {"angle_random_walk": 1e-3, "bias_instability": 3e-4, "rate_random_walk": 1e-4},
+)
+LETTERS = dict(zip(ARGUMENTS, "NBKQR", strict=True))
+FIRST_SEED = 2000
+
+
+def main() -> None:
+    """Print the table."""
+    seeds = int(sys.argv[1]) if len(sys.argv) > 1 else 150
+    heads = (
+        "noise",
+        "term",
+        "shown",
+        "value / truth",
+        "mean",
+        "rms",
+        "within 1 sd",
+        "within 2 sd",
+        "others shown",
+    )
+    table = Table(*heads)
+    for truth in CASES:
+        fits = _fits(truth, seeds)
+        false = sum(
+            fit.terms[term.name] is not None for fit in fits for term in TERMS if term.name not in truth
+        )
+        for name, value in truth.items():
+            table.add_row(_text(truth), LETTERS[name], *_row(fits, name, value), f"{false / len(fits):.1%}")
+    Console(width=140).print(table)
+
+
+def _fits(truth: dict[str, float], seeds: int) -> list[Fit]:
+    arguments = {ARGUMENTS[name]: value for name, value in truth.items()}
+    time_ns = np.arange(SAMPLES) * (1_000_000_000 // RATE_HZ)
+    channels = {
+        str(seed): noise(FIRST_SEED + seed, SAMPLES, 1 / RATE_HZ, **arguments) for seed in range(seeds)
+    }
+    results = analyse(even_channels(time_ns, np.zeros(SAMPLES, np.int64), channels))
+    return [result.fit for result in results.values() if result.fit is not None]
+
+
+def _row(fits: list[Fit], name: str, value: float) -> list[str]:
+    shown = [estimate for fit in fits if (estimate := fit.terms[name]) is not None]
+    if not shown:
+        return ["0", *["-"] * 5]
+    errors = np.array([(estimate.value - value) / estimate.sd for estimate in shown])
+    ratio = np.mean([estimate.value for estimate in shown]) / value
+    return [
+        f"{len(shown) / len(fits):.0%}",
+        f"{ratio:.3f}",
+        f"{errors.mean():.2f}",
+        f"{np.sqrt(np.mean(errors**2)):.2f}",
+        f"{np.mean(np.abs(errors) < 1):.0%}",
+        f"{np.mean(np.abs(errors) < 2):.0%}",
+    ]
+
+
+def _text(truth: dict[str, float]) -> str:
+    return ", ".join(f"{LETTERS[name]} {value:g}" for name, value in truth.items())
+
+
+if __name__ == "__main__":
+    main()
