@@ -108,7 +108,7 @@ def yaw(rate_hz: float, seconds: float, rate_dps: float = 1.0) -> Scene:
 
 
 def turns(rate_hz: float, seconds: float) -> Scene:
-    """Guided turns of 90 deg in 3 s about the vertical, then a roll of 90 deg, with rests of 12 s after the first of 30 s."""
+    """Guided turns of 90 deg in 3 s, about the vertical and in roll; rests of 12 s after one of 30 s."""
     scene = still(rate_hz, seconds)
     for number, start in enumerate(np.arange(30.0, seconds - 3.0, 15.0)):
         scene.angles[:, 2 if number % 2 == 0 else 0] += (

@@ -157,11 +157,12 @@ def _next_slot(state: State, now: int) -> None:
 def _watch(state: State, now: int, seconds: float) -> None:
     """Forget all windows; the next rest is so many seconds away at least."""
     state.integers[HOLD_NS] = now + int(max(seconds, SETTLE_S) * 1e9)
+    forget_windows(state, state.integers[QUIET_SLOTS])
     state.integers[QUIET_SLOTS] = 0
     if seconds > SETTLE_S:
         state.integers[LONG_HOLD_NS] = state.integers[HOLD_NS]
-    state.axis[RUN_SUM : RUN_COUNT + 1] = 0.0
-    forget_windows(state)
+    for a in range(AXES):
+        state.axis[RUN_SUM, a] = state.axis[RUN_COUNT, a] = 0.0
 
 
 @njit(cache=True, nogil=True)
@@ -185,16 +186,18 @@ def _end_slot(state: State, parameters: FloatArray, now: int) -> None:
     """Test the slot that ends now against the noise at rest, and decide."""
     axis, integers = state.axis, state.integers
     slot, drift = state.slot, parameters[DRIFT:]
-    known = False
+    known, last, share, share_within = False, 0.0, np.nan, np.nan
     for a in range(AXES):
         n = axis[COUNT, a]
-        slot[COUNTS, a], slot[MEANS, a], slot[VARIANCES, a] = n, np.nan, np.nan
+        if n != last:
+            last = n
+            share = 1.0 / n if n > 0.0 else np.nan
+            share_within = 1.0 / (n - 1.0) if n > 1.0 else np.nan
+        slot[COUNTS, a], slot[MEANS, a] = n, axis[CENTRE, a] + axis[SUM, a] * share
         slot[SUMS, a] = n * axis[CENTRE, a] + axis[SUM, a]
-        if n > 1.0:
-            within = max(axis[SQUARES, a] - axis[SUM, a] * axis[SUM, a] / n, 0.0)
-            slot[VARIANCES, a] = within / (n - 1.0)
+        within = axis[SQUARES, a] - axis[SUM, a] * axis[SUM, a] * share
+        slot[VARIANCES, a] = max(within, 0.0) * share_within
         if n > 0.0:
-            slot[MEANS, a] = axis[CENTRE, a] + axis[SUM, a] / n
             axis[RUN_SUM, a] += slot[MEANS, a]
             axis[RUN_COUNT, a] += 1.0
             known = known or axis[KNOWN, a] > 0.0
@@ -217,7 +220,7 @@ def _end_slot(state: State, parameters: FloatArray, now: int) -> None:
         _try(state, parameters, now, drift)
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True)
 def _to_ring(state: State, seconds: float) -> None:
     at = state.integers[RING_COUNT] % RING
     for a in range(AXES):
@@ -229,7 +232,7 @@ def _to_ring(state: State, seconds: float) -> None:
     state.integers[RING_COUNT] = count if count < 2 * RING else RING
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True)
 def _moved(state: State, seconds: float, drift: FloatArray) -> tuple[int, float]:
     """Return level and seconds of the windows that show motion, (-1, 0) when none do."""
     moved, moved_s = add_slot(state, seconds, drift)
@@ -238,14 +241,15 @@ def _moved(state: State, seconds: float, drift: FloatArray) -> tuple[int, float]
     return moved, moved_s
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True)
 def _keep(state: State, drift: FloatArray) -> None:
     """At rest still: follow the mean and the noise."""
     axis, slot = state.axis, state.slot
     for a in range(AXES):
         if axis[COUNT, a] == 0.0 or axis[KNOWN, a] == 0.0:
             continue
-        share = 1.0 / min(max(axis[RUN_COUNT, a], 1.0), MEMORY_SLOTS)
+        count = axis[RUN_COUNT, a]
+        share = 1.0 / MEMORY_SLOTS if count >= MEMORY_SLOTS else 1.0 / max(count, 1.0)
         axis[REST_MEAN, a] += share * (axis[CENTRE, a] + axis[SUM, a] / axis[COUNT, a] - axis[REST_MEAN, a])
         v = slot[VARIANCES, a]
         v = v if math.isfinite(v) else state.level[0, VARIANCE, a]

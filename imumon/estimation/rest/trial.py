@@ -135,17 +135,19 @@ def rests(state: State, ring: FloatArray, found: FloatArray, drift: FloatArray) 
     for a in range(AXES):
         if present(ring, a):
             any_axis = True
-            v1 = _second_differences(ring, a, 1)
-            within = _within(ring, a, 0, RING)
-            sample = max(v1, within) if math.isfinite(within) else v1
-            step = state.axis[STEP, a]
-            coarse = sample < 0.25 * step * step
-            found[a, V1], found[a, WITHIN] = v1, sample
-            found[a, V4] = _second_differences(ring, a, 4)
-            found[a, V8] = _second_differences(ring, a, 8)
-            found[a, FLOOR] = step * step / 12.0 if coarse else 0.0
+            found[a, V1] = _second_differences(ring, a, 1)
+            if found[a, V1] > LARGEST_SD[a] ** 2:
+                return False
     if not any_axis:
         return False
+    for a in range(AXES):
+        if math.isfinite(found[a, V1]):
+            within, step = _within(ring, a, 0, RING), state.axis[STEP, a]
+            sample = max(found[a, V1], within) if math.isfinite(within) else found[a, V1]
+            found[a, WITHIN] = sample
+            found[a, V4] = _second_differences(ring, a, 4)
+            found[a, V8] = _second_differences(ring, a, 8)
+            found[a, FLOOR] = step * step / 12.0 if sample < 0.25 * step * step else 0.0
     seconds = state.durations.sum()
     return _sensor_rests(ring, 0, found, drift, seconds) and _sensor_rests(ring, 3, found, drift, seconds)
 

@@ -47,17 +47,19 @@ TINY = 1e-24
 
 
 @njit(cache=True, nogil=True)
-def forget_windows(state: State) -> None:
-    """Let no window begin before now."""
+def forget_windows(state: State, slots: int) -> None:
+    """Let no window begin before now; slots is the number added since this was called before."""
     level = state.level
-    for a in range(AXES):
-        for j in range(LEVELS):
+    for j in range(LEVELS):
+        if (1 << j) > slots:
+            break
+        state.waiting[j] = 0.0
+        for a in range(AXES):
             level[j, HALF_SUM, a] = level[j, HALF_COUNT, a] = 0.0
             level[j, MEAN_1, a] = level[j, MEAN_2, a] = np.nan
-    state.waiting[:] = 0.0
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True)
 def resolution(axis: FloatArray, a: int) -> float:
     """Return the step of axis a if its noise does not hide it, else 0."""
     step = axis[STEP, a]
@@ -72,22 +74,21 @@ def vibration_factor(count: float) -> float:
     return 2.0 * root * root * root
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True)
 def shaken(state: State) -> bool:
     """Tell whether samples vary more within the slot just ended than they did at rest."""
     axis = state.axis
-    count, factor = 0.0, 0.0
     for a in range(AXES):
-        if axis[KNOWN, a] > 0.0 and axis[COUNT, a] >= 3.0:
-            if axis[COUNT, a] != count:
-                count = axis[COUNT, a]
-                factor = vibration_factor(count)
-            if state.slot[VARIANCES, a] > axis[SAMPLE_VAR, a] * factor + resolution(axis, a) ** 2:
+        variance, usual = state.slot[VARIANCES, a], axis[SAMPLE_VAR, a]
+        # The factor is 2 at least: most slots need no more than this.
+        if variance > 2.0 * usual and axis[KNOWN, a] > 0.0 and axis[COUNT, a] >= 3.0:
+            step = resolution(axis, a)
+            if variance > usual * vibration_factor(axis[COUNT, a]) + step * step:
                 return True
     return False
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True)
 def add_slot(state: State, seconds: float, drift: FloatArray) -> tuple[int, float]:
     """Add the slot to all windows; return the longest level that moved, and its seconds, or (-1, 0).
 
@@ -120,28 +121,43 @@ def add_slot(state: State, seconds: float, drift: FloatArray) -> tuple[int, floa
     return moved, moved_s
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True)
 def _changed(state: State, j: int, seconds: float, drift: FloatArray) -> bool:
     """Tell whether the means of gyros or of accelerometers differ from those one and two windows ago."""
+    level, slot = state.level, state.slot
+    suspect = False
+    for a in range(AXES):
+        # A sum of three over the limit has a term over a third of it.
+        unlikely = (CHI_SQUARE / 3.0) * (level[j, VARIANCE, a] + TINY)
+        near = abs(slot[MEANS, a] - level[j, MEAN_1, a]) - drift[a] * seconds
+        far = abs(slot[MEANS, a] - level[j, MEAN_2, a]) - 2.0 * drift[a] * seconds
+        suspect |= (near > 0.0) & (near * near > 2.0 * unlikely)
+        suspect |= (far > 0.0) & (far * far > 3.0 * unlikely)
+    return suspect and _improbable(state, j, seconds, drift)
+
+
+@njit(cache=True, nogil=True)
+def _improbable(state: State, j: int, seconds: float, drift: FloatArray) -> bool:
+    """Sum the differences of each sensor's axes, less what drift and step explain."""
     level, axis, slot = state.level, state.axis, state.slot
     for first in (0, 3):
         near, far = 0.0, 0.0
         for a in range(first, first + 3):
-            mean, variance = slot[MEANS, a], level[j, VARIANCE, a] + TINY
-            allowed = drift[a] * seconds
-            d = abs(mean - level[j, MEAN_1, a]) - allowed
-            e = abs(mean - level[j, MEAN_2, a]) - 2.0 * allowed
-            # False for means that are missing.
-            if axis[KNOWN, a] > 0.0 and (d * d > 2.0 * variance or e * e > 3.0 * variance):
-                step = resolution(axis, a)
-                near += (d - step) ** 2 / (2.0 * variance) if d > step else 0.0
-                far += (e - step) ** 2 / (3.0 * variance) if e > step else 0.0
+            if axis[KNOWN, a] == 0.0:
+                continue
+            allowed, step = drift[a] * seconds, resolution(axis, a)
+            variance = level[j, VARIANCE, a] + TINY
+            d = abs(slot[MEANS, a] - level[j, MEAN_1, a]) - allowed - step
+            e = abs(slot[MEANS, a] - level[j, MEAN_2, a]) - 2.0 * allowed - step
+            # Means that are missing count for nothing.
+            near += d * d / (2.0 * variance) if d > 0.0 else 0.0
+            far += e * e / (3.0 * variance) if e > 0.0 else 0.0
         if near > CHI_SQUARE or far > CHI_SQUARE:
             return True
     return False
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True)
 def _learn_and_shift(state: State, j: int) -> None:
     """Take the second difference as a measure of the variance; a single one cannot raise it much."""
     level, axis, slot = state.level, state.axis, state.slot

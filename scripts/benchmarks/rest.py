@@ -1,0 +1,57 @@
+"""Rest detector: time of a sample of six axes, at rest and in motion."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+
+from benchmarks.measure import Bar, Table, measure
+from imumon.blocks import SampleBlock
+from imumon.estimation.rest.stage import RestDetector
+
+RATES_HZ = (10, 100, 1000)
+SAMPLES = 100_000
+BLOCK_S = 10
+BAR_US = 0.05
+
+
+def record(rate: int, moving: bool) -> SampleBlock:
+    """Return readings of a unit at rest, or carried about."""
+    rng = np.random.default_rng(0)
+    values = rng.normal(0.0, 0.01, (6, SAMPLES))
+    values[5] -= 9.8
+    if moving:
+        values += np.sin(np.arange(SAMPLES) / rate * np.arange(1, 7)[:, np.newaxis])
+    names = [f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz"]
+    return SampleBlock(
+        {
+            "device_time_ns": np.arange(SAMPLES) * (1_000_000_000 // rate),
+            "segment": np.zeros(SAMPLES, np.int64),
+            **dict(zip(names, values, strict=True)),
+        }
+    )
+
+
+def run() -> tuple[list[Table], list[Bar]]:
+    """Measure the stage in blocks of 10 s."""
+    table = Table("Rest detector, us per sample", ["unit", *(f"{rate} Hz" for rate in RATES_HZ)])
+    rows: dict[str, list[str]] = {"at rest": [], "in motion": []}
+    bars = []
+    for rate in RATES_HZ:
+        size = BLOCK_S * rate
+        times = measure({name: partial(_process, record(rate, name == "in motion"), size) for name in rows})
+        for name, cells in rows.items():
+            cells.append(f"{times[name].best / SAMPLES / 1000:.3f}")
+        if rate >= 100:
+            cost = max(times[name].best for name in rows) / SAMPLES / 1000
+            bars.append(Bar(f"rest detector at {rate} Hz, us per sample", BAR_US, cost, at_most=True))
+    table.rows += [[name, *cells] for name, cells in rows.items()]
+    table.notes.append("blocks of 10 s; it decides 8 times a second: at a higher rate a sample costs less")
+    return [table], bars
+
+
+def _process(samples: SampleBlock, size: int) -> None:
+    stage = RestDetector()
+    for start in range(0, len(samples), size):
+        stage.process(samples.rows(start, start + size))
