@@ -53,8 +53,8 @@ LONGEST_START_S = 5.0
 NEARLY_LEAST = 1.5
 """Where no sum of the terms describes the curve, as many averaging times are kept as leave about the least
 model error."""
-HALVINGS = 8
-"""Of a range of five decades for the model error: it is found to 5 %."""
+ROUNDS, CLOSE, LARGEST_ERROR = 8, 0.05, 3.0
+"""The model error is found to 5 %: chi-square falls with its square where it counts."""
 FEWEST = 5
 """Averaging times that a fit must keep."""
 
@@ -279,12 +279,14 @@ def _model_error(variances: FloatArray, covariances: Covariances) -> float:
     chi_square, free = excess(0.0)
     if float(gammaincc(0.5 * free, 0.5 * chi_square)) > GOOD:
         return 0.0
-    low, high = 1e-5, 3.0
-    for _ in range(HALVINGS):
-        middle = math.sqrt(low * high)
-        chi_square, free = excess(middle)
-        low, high = (middle, high) if chi_square > free else (low, middle)
-    return math.sqrt(low * high)
+    error = 1.0
+    for _ in range(ROUNDS):
+        chi_square, free = excess(error)
+        change = math.sqrt(chi_square / free)
+        error = min(error * change, LARGEST_ERROR)
+        if abs(change - 1.0) < CLOSE:
+            break
+    return error
 
 
 def _smallest(problem: _Problem) -> _Solution:

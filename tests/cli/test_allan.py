@@ -13,15 +13,21 @@ import pytest
 import yaml
 from PIL import Image
 
+from imumon.allan.parameters import Noise
 from imumon.allan.recording import CHANNELS
 from imumon.blocks import SampleBlock
 from imumon.columns import KNOWN, Column
+from imumon.config import StrictModel, parse_yaml
 from imumon.session.importing import import_table
 from imumon.session.table import export_blocks
 from tests.allan.simulated import noise
 
 IMUMON = str(Path(sys.executable).with_name("imumon"))
 N, INTERVAL_S = 40_000, 0.02
+
+
+class Section(StrictModel):
+    noise: Noise
 
 
 def allan(*arguments: object) -> subprocess.CompletedProcess[str]:
@@ -89,7 +95,12 @@ def test_json_has_curve_and_terms_of_every_channel(done: subprocess.CompletedPro
 
 def test_the_written_files_say_the_same(done: subprocess.CompletedProcess[str], table: Path) -> None:
     found = json.loads(done.stdout)
-    section = yaml.safe_load((table.parent / "noise.yaml").read_text())["noise"]
+    text = (table.parent / "noise.yaml").read_text()
+    section = yaml.safe_load(text)["noise"]
+    read = parse_yaml(text, Section, "noise.yaml").noise
+    assert read.gyro is not None
+    assert read.gyro.angle_random_walk_rad_per_sqrt_s == section["gyro"]["angle_random_walk_rad_per_sqrt_s"]
+    assert read.accel is not None
     gyro = section["gyro"]["angle_random_walk_rad_per_sqrt_s"]
     truth = [found[f"gyro_{axis}"]["angle_random_walk"]["value"] for axis in "xyz"]
     assert gyro == pytest.approx(truth, rel=1e-5)
