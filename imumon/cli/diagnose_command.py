@@ -69,6 +69,7 @@ def command(
     tell most.
     """
     from imumon.diagnosis.engine import diagnose, parse_declared
+    from imumon.diagnosis.page import write_page
     from imumon.diagnosis.report import report, write_report
 
     parse_declared(declared or "polynomial 3")
@@ -80,12 +81,13 @@ def command(
         testing = [run for group in runs[split:] for run in group]
         diagnosis = diagnose(training, testing, declared or "polynomial 3", tell)
         write_report(diagnosis, out / "report.json")
+        write_page(diagnosis, out / "report.html", tell)
     for text in diagnosis.caveats:
         say("WARN", text)
     if as_json:
         print_json(report(diagnosis))
     print_rows({verdict.name: verdict.summary for verdict in diagnosis.verdicts})
-    print_rows({"report": str(out / "report.json")})
+    print_rows({"report": str(out / "report.html"), "numbers": str(out / "report.json")})
 
 
 def _read(path: Path, map_path: Path | None, tell: Tell) -> list[Run]:

@@ -1,0 +1,182 @@
+"""The plots of the report, as SVG text: what an engineer looks at."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Sequence
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from imumon.blocks import FloatArray
+from imumon.diagnosis.blocks import RunBlocks
+from imumon.diagnosis.engine import Diagnosis
+from imumon.diagnosis.fitting import Fit
+from imumon.diagnosis.verdict import ChannelVerdict
+
+HOUR_S = 3600.0
+SCALES = {"rad/s": (180 / np.pi * 3600, "°/h"), "m/s^2": (1e6 / 9.80665, "µg")}
+"""Unit that a person reads, and the factor to it."""
+COLOURS = ("#1f4e79", "#c0504d", "#4f7f3f", "#8064a2", "#d08a2e", "#4bacc6")
+SIZE = (5.2, 3.0)
+
+
+def figures(diagnosis: Diagnosis, verdict: ChannelVerdict) -> dict[str, str]:
+    """Return the plots of a channel, caption to SVG."""
+    drawn: dict[str, Callable[[Axes], None]] = {
+        "Training residual of the declared model (dots) and what the effects take away (line)": lambda axes: (
+            _in_time(axes, diagnosis.train, verdict)
+        ),
+        "The same against temperature: loops": lambda axes: _loops(axes, diagnosis.train, verdict),
+        "Spectrum of the training residual, before and after": lambda axes: _spectra(
+            axes, diagnosis.train, verdict
+        ),
+    }
+    for claim in verdict.claims:
+        drawn[f"Residual against {claim.finding.name}, the rest of the model taken away"] = (
+            lambda axes, name=claim.finding.name: _against(axes, diagnosis.train, verdict, name)  # type: ignore[misc]  # the default binds the name
+        )
+    if verdict.test_before is not None and diagnosis.test:
+        drawn["Test: residual before and after"] = lambda axes: _test(axes, diagnosis.test, verdict)
+    rivals = _rivals(verdict)
+    if rivals:
+        drawn["Candidates by gain (BIC), first effect"] = lambda axes: _ranking(axes, rivals)
+    return {caption: _svg(draw) for caption, draw in drawn.items()}
+
+
+def _svg(draw: Callable[[Axes], None]) -> str:
+    settings = {"svg.fonttype": "path", "svg.hashsalt": "imumon", "font.size": 8}
+    with mpl.rc_context(settings):
+        figure = Figure(figsize=SIZE, layout="constrained")
+        draw(figure.add_subplot())
+        text = io.StringIO()
+        figure.savefig(text, format="svg", metadata={"Date": None})
+    content = text.getvalue()
+    return content[content.index("<svg") :]
+
+
+def _split(runs: Sequence[RunBlocks], values: FloatArray) -> list[FloatArray]:
+    bounds = np.cumsum([len(run) for run in runs])[:-1]
+    return np.split(values, bounds)
+
+
+def _scaled(verdict: ChannelVerdict) -> tuple[float, str]:
+    return SCALES[verdict.unit]
+
+
+def _in_time(axes: Axes, runs: Sequence[RunBlocks], verdict: ChannelVerdict) -> None:
+    scale, unit = _scaled(verdict)
+    before, after = _split(runs, verdict.before.train), _split(runs, verdict.after.train)
+    for at, run in enumerate(runs):
+        colour = COLOURS[at % len(COLOURS)]
+        axes.plot(run.time_s / HOUR_S, before[at] * scale, ".", ms=3, color=colour, label=run.name)
+        axes.plot(run.time_s / HOUR_S, (before[at] - after[at]) * scale, "-", lw=1, color=colour)
+    axes.set(xlabel="time since power-on, h", ylabel=f"{verdict.name}, {unit}")
+    axes.legend(fontsize=6)
+
+
+def _loops(axes: Axes, runs: Sequence[RunBlocks], verdict: ChannelVerdict) -> None:
+    scale, unit = _scaled(verdict)
+    before = _split(runs, verdict.before.train)
+    for at, run in enumerate(runs):
+        axes.plot(
+            run.temperature[verdict.temperature],
+            before[at] * scale,
+            ".-",
+            ms=3,
+            lw=0.5,
+            color=COLOURS[at % len(COLOURS)],
+            label=run.name,
+        )
+    axes.set(xlabel="temperature, °C", ylabel=f"{verdict.name}, {unit}")
+
+
+def _spectra(axes: Axes, runs: Sequence[RunBlocks], verdict: ChannelVerdict) -> None:
+    scale, unit = _scaled(verdict)
+    longest = max(range(len(runs)), key=lambda at: len(runs[at]))
+    run = runs[longest]
+    for label, model, colour in (
+        ("before", verdict.before, COLOURS[1]),
+        ("after", verdict.after, COLOURS[0]),
+    ):
+        values = _split(runs, model.train)[longest] * scale
+        window = np.hanning(len(values))
+        power = np.abs(np.fft.rfft((values - values.mean()) * window)) ** 2
+        density = 2 * power * run.block_s / (window**2).sum()
+        axes.loglog(
+            np.fft.rfftfreq(len(values), run.block_s)[1:], np.sqrt(density[1:]), color=colour, label=label
+        )
+    axes.axhline(verdict.floor.sd * scale * np.sqrt(2 * run.block_s), ls=":", color="k", label="white floor")
+    axes.set(xlabel="frequency, Hz", ylabel=f"{unit}/√Hz")
+    axes.legend(fontsize=6)
+
+
+def _against(axes: Axes, runs: Sequence[RunBlocks], verdict: ChannelVerdict, name: str) -> None:
+    scale, unit = _scaled(verdict)
+    after = _split(runs, verdict.after.train)
+    for at, run in enumerate(runs):
+        part = _contribution(run, verdict, verdict.after, name, at)
+        axes.plot(
+            part * scale,
+            (part + after[at]) * scale,
+            ".",
+            ms=3,
+            color=COLOURS[at % len(COLOURS)],
+            label=run.name,
+        )
+    low, high = axes.get_xlim()
+    axes.plot([low, high], [low, high], "k:", lw=1)
+    axes.set(xlabel=f"{name} as fitted, {unit}", ylabel=f"{verdict.name}, {unit}")
+
+
+def _contribution(run: RunBlocks, verdict: ChannelVerdict, model: Fit, name: str, at: int) -> FloatArray:
+    """Return what an effect adds to a training run."""
+    total = np.zeros(len(run))
+    drive = run.drives[verdict.temperature]
+    for part in model.parts:
+        if part.effect.name != name or (part.runs and at not in part.runs):
+            continue
+        row = part.runs.index(at) if part.runs else 0
+        total += run.average(part.effect.columns(drive)) @ part.own[row]
+        if len(part.start):
+            total += run.average(part.effect.start_columns(drive)) @ part.start[at]
+    return total
+
+
+def _test(axes: Axes, runs: Sequence[RunBlocks], verdict: ChannelVerdict) -> None:
+    scale, unit = _scaled(verdict)
+    assert verdict.test_before is not None
+    assert verdict.test_after is not None
+    offset = 0.0
+    tracked = verdict.test_after.tracked_rms != verdict.test_after.rms
+    for at, run in enumerate(runs):
+        hours = run.time_s / HOUR_S + offset
+        before, after = verdict.test_before.residual[at], verdict.test_after.residual[at]
+        label = at == 0
+        axes.plot(hours, before * scale, ".", ms=3, color=COLOURS[1], label="before" if label else None)
+        axes.plot(hours, after * scale, ".", ms=3, color=COLOURS[0], label="after" if label else None)
+        if tracked:
+            followed = verdict.test_after.tracked[at]
+            axes.plot(
+                hours, followed * scale, "-", lw=1, color=COLOURS[2], label="tracked" if label else None
+            )
+        outside = ~verdict.test_after.counted[at]
+        axes.plot(hours[outside], np.zeros(outside.sum()), "k|", ms=4, label="not scored" if label else None)
+        offset = float(hours[-1])
+    axes.set(xlabel="time, h", ylabel=f"{verdict.name}, {unit}")
+    axes.legend(fontsize=6)
+
+
+def _rivals(verdict: ChannelVerdict) -> dict[str, float]:
+    if not verdict.claims:
+        return {}
+    return {name: gain for name, gain in verdict.claims[0].finding.rivals.items() if np.isfinite(gain)}
+
+
+def _ranking(axes: Axes, rivals: dict[str, float]) -> None:
+    order = sorted(rivals, key=lambda name: rivals[name])
+    axes.barh(order, [max(rivals[name], 0.0) for name in order], color=COLOURS[0])
+    axes.axvline(8.0, ls=":", color="k")
+    axes.set(xlabel="gain in BIC; above the dotted line it is proven")
