@@ -84,6 +84,9 @@ class Bank(NamedTuple):
         Probabilities.
     innovation, variance : array (rows, filters)
         Of the last zero-velocity measurement.
+    likelihood : array (filters,)
+    work : array (2, 7)
+        Scratch; to allocate it for each slot would cost more than what it is for.
     """
 
     x: FloatArray
@@ -91,6 +94,8 @@ class Bank(NamedTuple):
     weight: FloatArray
     innovation: FloatArray
     variance: FloatArray
+    likelihood: FloatArray
+    work: FloatArray
 
 
 def unknown_family() -> Family:
@@ -116,6 +121,8 @@ def empty_bank(rows: int, filters: int) -> Bank:
         np.zeros((rows, filters)),
         np.zeros((rows, filters)),
         np.ones((rows, filters)),
+        np.zeros(filters),
+        np.zeros((2, STATES)),
     )
 
 
@@ -171,25 +178,26 @@ def wander(
     """
     n = STATES if row >= 3 else SLOPE
     unit = noise if family.relative else 1.0
-    decay = np.ones(STATES)
+    x, p, decay = bank.x, bank.p, bank.work[0]
+    decay[:] = 1.0
     for i in range(3):
         decay[FIRST_MARKOV + i] = math.exp(-dt / MARKOV_S[i])
     for h in range(bank.x.shape[1]):
-        x, p = bank.x[row, h], bank.p[row, h]
         if n > SLOPE:
-            x[WALK] += warming * x[SLOPE]
+            x[row, h, WALK] += warming * x[row, h, SLOPE]
             for j in range(n):
-                p[WALK, j] += warming * p[SLOPE, j]
+                p[row, h, WALK, j] += warming * p[row, h, SLOPE, j]
             for j in range(n):
-                p[j, WALK] += warming * p[j, SLOPE]
-            p[SLOPE, SLOPE] += SLOPE_WALK**2 * dt
-        for i in range(n):
-            x[i] *= decay[i]
-            for j in range(n):
-                p[i, j] *= decay[i] * decay[j]
-        p[WALK, WALK] += (unit * family.walk[row % 3, h]) ** 2 * dt + growth
+                p[row, h, j, WALK] += warming * p[row, h, j, SLOPE]
+            p[row, h, SLOPE, SLOPE] += SLOPE_WALK**2 * dt
         for i in range(FIRST_MARKOV, SLOPE):
-            p[i, i] += (unit * family.markov[row % 3, h]) ** 2 * (1.0 - decay[i] * decay[i])
+            x[row, h, i] *= decay[i]
+        for i in range(n):
+            for j in range(n):
+                p[row, h, i, j] *= decay[i] * decay[j]
+        p[row, h, WALK, WALK] += (unit * family.walk[row % 3, h]) ** 2 * dt + growth
+        for i in range(FIRST_MARKOV, SLOPE):
+            p[row, h, i, i] += (unit * family.markov[row % 3, h]) ** 2 * (1.0 - decay[i] * decay[i])
 
 
 @njit(cache=True, nogil=True)
@@ -209,36 +217,35 @@ def rotate(
     """
     n = STATES if row >= 3 else SLOPE
     half = 0.5 * dt * dt
-    joint = np.empty(STATES)
+    x, p, joint = bank.x, bank.p, bank.work[0]
     for h in range(bank.x.shape[1]):
-        x, p = bank.x[row, h], bank.p[row, h]
         net = rate
         for i in range(WALK, SLOPE):
-            net -= x[i]
-        x[SWAY] += dt * (x[ROTATION] - tilt) + half * net
-        x[ROTATION] += dt * net
+            net -= x[row, h, i]
+        x[row, h, SWAY] += dt * (x[row, h, ROTATION] - tilt) + half * net
+        x[row, h, ROTATION] += dt * net
         total = 0.0
         for j in range(n):
-            joint[j] = p[WALK, j] + p[3, j] + p[4, j] + p[5, j]
+            joint[j] = p[row, h, WALK, j] + p[row, h, 3, j] + p[row, h, 4, j] + p[row, h, 5, j]
             if WALK <= j < SLOPE:
                 total += joint[j]
         with_rotation, with_sway = joint[ROTATION], joint[SWAY]
-        rr, rs = p[ROTATION, ROTATION], p[ROTATION, SWAY]
-        p[SWAY, SWAY] += (
+        rr, rs = p[row, h, ROTATION, ROTATION], p[row, h, ROTATION, SWAY]
+        p[row, h, SWAY, SWAY] += (
             dt * (2.0 * rs + dt * (rr - with_sway) - dt * dt * with_rotation)
             + half * half * total
             + (half * half / dt * noise2 + dt * tilt2)
         )
-        p[ROTATION, SWAY] += dt * (rr - with_sway) - 3.0 * half * with_rotation + dt * half * total
-        p[ROTATION, SWAY] += half * noise2
-        p[ROTATION, ROTATION] += dt * (dt * total - 2.0 * with_rotation + noise2)
-        p[SWAY, ROTATION] = p[ROTATION, SWAY]
+        p[row, h, ROTATION, SWAY] += dt * (rr - with_sway) - 3.0 * half * with_rotation + dt * half * total
+        p[row, h, ROTATION, SWAY] += half * noise2
+        p[row, h, ROTATION, ROTATION] += dt * (dt * total - 2.0 * with_rotation + noise2)
+        p[row, h, SWAY, ROTATION] = p[row, h, ROTATION, SWAY]
         for j in range(WALK, n):
-            p[SWAY, j] += dt * p[ROTATION, j] - half * joint[j]
-            p[ROTATION, j] -= dt * joint[j]
-            p[j, SWAY], p[j, ROTATION] = p[SWAY, j], p[ROTATION, j]
-        bank.innovation[row, h] = -x[SWAY]
-        bank.variance[row, h] = p[SWAY, SWAY] + sway2
+            p[row, h, SWAY, j] += dt * p[row, h, ROTATION, j] - half * joint[j]
+            p[row, h, ROTATION, j] -= dt * joint[j]
+            p[row, h, j, SWAY], p[row, h, j, ROTATION] = p[row, h, SWAY, j], p[row, h, ROTATION, j]
+        bank.innovation[row, h] = -x[row, h, SWAY]
+        bank.variance[row, h] = p[row, h, SWAY, SWAY] + sway2
 
 
 @njit(cache=True, nogil=True)
@@ -265,21 +272,21 @@ def correct(bank: Bank, row: int) -> float:
     """Take in the zero velocity, in Joseph's form, and weigh the filters; return the log-likelihood."""
     n = STATES if row >= 3 else SLOPE
     filters = bank.x.shape[1]
-    gain, sway = np.empty(STATES), np.empty(STATES)
-    likelihood = np.empty(filters)
+    x, p, gain, sway, likelihood = bank.x, bank.p, bank.work[0], bank.work[1], bank.likelihood
     for h in range(filters):
-        x, p = bank.x[row, h], bank.p[row, h]
         s, nu = bank.variance[row, h], bank.innovation[row, h]
         likelihood[h] = -0.5 * (nu * nu / s + math.log(2.0 * math.pi * s))
         for i in range(n):
-            sway[i] = p[SWAY, i]
+            sway[i] = p[row, h, SWAY, i]
             gain[i] = sway[i] / s
         for i in range(n):
-            x[i] += gain[i] * nu
+            x[row, h, i] += gain[i] * nu
             for j in range(i, n):
-                p[i, j] += gain[i] * gain[j] * s - gain[i] * sway[j] - sway[i] * gain[j]
-                p[j, i] = p[i, j]
-    most, total = likelihood.max(), 0.0
+                p[row, h, i, j] += gain[i] * gain[j] * s - gain[i] * sway[j] - sway[i] * gain[j]
+                p[row, h, j, i] = p[row, h, i, j]
+    total, most = 0.0, likelihood[0]
+    for h in range(1, filters):
+        most = max(most, likelihood[h])
     for h in range(filters):
         bank.weight[row, h] *= math.exp(likelihood[h] - most)
         total += bank.weight[row, h]

@@ -52,7 +52,7 @@ FORGETTING_S = 600.0
 """Memory of the evidence for a slope."""
 SIGNIFICANCE, EVIDENCE = 9.0, 8.0
 """A slope is used when d^2 > 9 P_dd and the log-likelihoods differ by more than 8 in its favour."""
-REFILTERED = (8, 16, 32, 64)
+REFILTERED = (8, 30)
 """Slots of the first rest after which, besides its end, all of it is filtered anew with the noise known."""
 
 # Rows of State.vector, (rows, 3); bias, sd, slope and temperature of the estimate; north and up in body axes.

@@ -1,0 +1,259 @@
+"""Tables of the published comparison of ZUPT and TCZUPT, of that at equal terms, and of what lies beyond."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from tczupt_figures import draw_all
+from tczupt_race import race
+from tczupt_records import (
+    DPH,
+    RATE_HZ,
+    RESIDUAL,
+    ZEROING,
+    Filter,
+    Record,
+    convergence_s,
+    curves,
+    fir_rate,
+    moving_average,
+    run,
+    simulate,
+    slopes,
+    true_model,
+)
+
+from imumon.blocks import FloatArray
+from imumon.estimation.zupt.dense import DenseSettings, dense_filter
+from imumon.estimation.zupt.stage import Mode, ZeroVelocity
+
+FIGURES = Path(__file__).resolve().parents[2] / "docs" / "figures" / "tczupt"
+ZUPT, TCZUPT = Filter("calibrated"), Filter("rate", k=0.5)
+COVERED = 15.0
+
+
+def table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Print a Markdown table."""
+    print(f"\n{title}\n\n| {' | '.join(headings)} |\n|{'---|' * len(headings)}")
+    for row in rows:
+        print(f"| {' | '.join(row)} |")
+
+
+def three(values: FloatArray, digits: int = 2) -> str:
+    """Write x, y, z."""
+    return " ".join(f"{value:.{digits}f}" for value in values)
+
+
+def rms(
+    errors: Sequence[FloatArray] | FloatArray, start_s: float = 0.0, stop_s: float | None = None
+) -> FloatArray:
+    """Return the root mean square over all records, deg/h, (3,)."""
+    stop = None if stop_s is None else round(stop_s * RATE_HZ)
+    parts = [error[round(start_s * RATE_HZ) : stop] for error in errors]
+    return np.asarray(np.sqrt(np.mean(np.concatenate(parts) ** 2, axis=0)))
+
+
+def published(records: Sequence[Record]) -> None:
+    """Tables 5 to 12: each filter with its own bias instability, start covariance from the zeroing."""
+    off = [(moving_average(r) - r.bias)[ZEROING:] / DPH for r in records]
+    raw = [(r.gyro - r.earth - moving_average(r))[ZEROING:].mean(0) / DPH for r in records]
+    table(
+        "Table 5: the moving average, deg/h, x y z",
+        ["mean residual about it", "its rms error against the truth", "60 ARW/sqrt(30 s)"],
+        [[three(np.mean(raw, axis=0), 3), three(rms(off)), f"{60 * 0.28 / np.sqrt(30):.2f}"]],
+    )
+    rows = {}
+    for residual in (0.0, RESIDUAL):
+        for name, chosen in (("ZUPT", ZUPT), ("TCZUPT", TCZUPT)):
+            rows[name, residual] = [run(r, chosen, residual)[0] for r in records]
+    for number, residual in ((6, 0.0), (7, RESIDUAL)):
+        lines = []
+        for name in ("ZUPT", "TCZUPT"):
+            errors = rows[name, residual]
+            against = [e - o for e, o in zip(errors, off, strict=True)]
+            lines.append([name, *(three(rms(x, 0, t)) for x in (errors, against) for t in (30.0, None))])
+        table(
+            f"Table {number}: rms with a residual of {residual:.0f} deg/h, deg/h, x y z",
+            ["filter", "truth: 30 s", "truth: all", "average: 30 s", "average: all"],
+            lines,
+        )
+    for numbers, residual in (("8 and 9", 0.0), ("10 and 11", RESIDUAL)):
+        lines = []
+        for name in ("ZUPT", "TCZUPT"):
+            sets = np.array([rms([e], 0.0, 300.0) for e in rows[name, residual][:5]])
+            lines.append([name, *map(three, sets), three(sets.mean(0)), three(sets.std(0, ddof=1))])
+        table(
+            f"Tables {numbers}: five sets of 5 min, residual {residual:.0f} deg/h, rms, deg/h, x y z",
+            ["filter", "1", "2", "3", "4", "5", "mean", "sd"],
+            lines,
+        )
+    lines = []
+    for name in ("ZUPT", "TCZUPT"):
+        times = np.array([convergence_s(e) for e in rows[name, RESIDUAL]])
+        lines.append([name, three(np.nanmedian(times, axis=0), 0)])
+    table("Table 12: time until within 1.00e-5 rad/s for 5 s, median, s, x y z", ["filter", "s"], lines)
+
+
+def responses() -> None:
+    """What a residual does, without noise: K and p0 decide, and nothing else."""
+    n, seconds = 40000, (10, 30, 60, 120, 240)
+    lines = []
+    for k, p0 in ((0.0, 2.2), (0.1, 2.2), (0.5, 2.2), (0.1, 15.0), (0.5, 15.0)):
+        settings = replace(DenseSettings(1.0 / RATE_HZ), bias_random_walk=k * DPH, bias_sd=p0 * DPH)
+        latitude = np.radians(settings.latitude_deg)
+        earth = 7.292115e-5 * np.array([np.cos(latitude), 0.0, -np.sin(latitude)])
+        accel = np.tile([0.0, 0.0, -9.80665], (n, 1))
+        result = dense_filter(settings, np.tile(earth, (n, 1)), accel, np.array([RESIDUAL * DPH, 0.0, 0.0]))
+        left = result.bias[:, 0] / DPH
+        below = (np.flatnonzero(left < 1e-5 / DPH)[0] + 1) / RATE_HZ
+        lines.append([f"{k}", f"{p0}", *(f"{left[t * RATE_HZ - 1]:.2f}" for t in seconds), f"{below:.1f} s"])
+    headings = ["K", "p0", *(f"{t} s" for t in seconds), "below 2.063 at"]
+    table("Response of either filter to 15 deg/h, x axis, deg/h, no noise", headings, lines)
+
+
+def honest(records: Sequence[Record]) -> None:
+    """Both filters at the same K and p0, in both forms of the thermal term."""
+    lines = []
+    limit = 60 * 0.28
+    for k, p0 in ((0.1, 2.2), (0.5, 2.2), (0.1, COVERED), (0.5, COVERED)):
+        results = {}
+        for name, thermal in (
+            ("ZUPT", "calibrated"),
+            ("TCZUPT", "rate"),
+            ("TCZUPT, increments", "increments"),
+        ):
+            chosen = Filter(thermal, k=k, p0=p0)
+            nominal = [run(r, chosen)[0] for r in records]
+            errors = results[name] = [run(r, chosen, RESIDUAL)[0] for r in records]
+            times = np.nanmedian([convergence_s(e) for e in errors], axis=0)
+            lines.append(
+                [name, f"{k}", f"{p0}", three(rms(nominal)), three(rms(errors, 0, 30)), three(rms(errors)),
+                 three(times, 0)]
+            )  # fmt: skip
+        apart = max(
+            float(np.abs(a - b).max())
+            for a, b in zip(results["ZUPT"], results["TCZUPT, increments"], strict=True)
+        )
+        print(f"\nK {k}, p0 {p0}: ZUPT and TCZUPT with increments differ by at most {apart:.1e} deg/h")
+    table(
+        "At equal K and p0: rms, deg/h, x y z",
+        ["filter", "K", "p0", "nominal, all", "15: first 30 s", "15: all", "15: converged, s"],
+        lines,
+    )
+    after_s = (10, 30, 60, 120, 300)
+    table(
+        "Information limit of the noise alone, 60 ARW/sqrt(t), deg/h",
+        [f"{t} s" for t in after_s],
+        [[f"{limit / np.sqrt(t):.2f}" for t in after_s]],
+    )
+
+
+def raw_streams(records: Sequence[Record]) -> None:
+    """Where the thermal term pays: raw data, against the truth."""
+    lines = []
+    few = records[:4]
+    cases: dict[str, Filter] = {
+        "raw, no thermal term": Filter(None),
+        "increments, true temperature": Filter("increments"),
+        "increments, reading (0.05 degC steps)": Filter("increments", temperature="reading"),
+        "slope x FIR rate": Filter("fir"),
+    }
+    for name, chosen in cases.items():
+        cells = [three(rms([run(r, replace(chosen, k=k, p0=COVERED))[0] for r in few])) for k in (0.1, 0.5)]
+        lines.append([name, *cells])
+    table("Raw data, p0 15: rms, deg/h, x y z", ["thermal term", "K 0.1", "K 0.5"], lines)
+    lines = []
+    begin = ZEROING + 264 * RATE_HZ
+    for seconds in (66, 204):
+        record = records[0]
+        stop = min(begin + seconds * RATE_HZ, len(record.gyro) - 1)
+        thermal = curves(record.temperature)[:, 1] / DPH
+        truth = thermal[stop] - thermal[begin]
+        slope = slopes(record.temperature)[:, 1]
+        by_rate = float(np.sum(slope[begin:stop] * fir_rate(record)[begin:stop])) / RATE_HZ / DPH
+        reading = curves(record.block["temperature"])[:, 1] / DPH
+        lines.append(
+            [
+                f"{seconds} s",
+                f"{-truth:.1f}",
+                f"{by_rate - truth:.1f}",
+                f"{reading[stop] - reading[begin] - truth:.1f}",
+            ]
+        )
+    table(
+        "Predicted without updates, descent, y axis: error, deg/h",
+        ["for", "held", "slope x FIR rate", "increments of the reading"],
+        lines,
+    )
+
+
+def lacking(runs: int) -> None:
+    """Effects that the curve lacks: hysteresis, and gyros that lag their thermometers."""
+    lines = []
+    for name, scenario in (
+        ("none", "crs05-ramp"),
+        ("hysteresis", "crs05-ramp-hysteresis"),
+        ("lag 30 s", "crs05-ramp-lag"),
+    ):
+        records = [simulate(scenario, seed) for seed in range(runs)]
+        for filter_name, thermal in (("ZUPT", "calibrated"), ("TCZUPT", "increments")):
+            cells = [
+                three(rms([run(r, Filter(thermal, k=k, p0=COVERED))[0] for r in records])) for k in (0.1, 0.5)
+            ]
+            lines.append([name, filter_name, *cells])
+        stage = three(rms([stage_error(r, "thermal") for r in records]))
+        lines.append([name, "stage, noise and wander learned", stage, stage])
+    table("Effects that the curve lacks: rms, deg/h, x y z", ["effect", "filter", "K 0.1", "K 0.5"], lines)
+
+
+def stage_error(record: Record, mode: Mode) -> FloatArray:
+    """Return the error of the stage after the zeroing, deg/h, (n, 3)."""
+    model = true_model() if mode == "thermal" else None
+    latitude = 40.93
+    added = ZeroVelocity(None, model, mode, latitude, 0.0).process(record.block)
+    bias = np.column_stack([added[f"gyro_bias_{axis}"] for axis in "xyz"])
+    return np.asarray((bias - record.bias)[ZEROING:] / DPH)
+
+
+def production(records: Sequence[Record]) -> None:
+    """The stage of imumon, nothing told but place and model."""
+    modes: tuple[tuple[str, Mode], ...] = (
+        ("standard, raw", "standard"),
+        ("learned, raw", "learned"),
+        ("thermal", "thermal"),
+    )
+    lines = []
+    for name, mode in modes:
+        errors = [stage_error(r, mode) for r in records]
+        lines.append([name, three(rms(errors, 0, 30)), three(rms(errors))])
+    table("The stage on the ramp: rms, deg/h, x y z", ["mode", "first 30 s", "all"], lines)
+
+
+def main() -> None:
+    """Print all tables, and draw the figures."""
+    parser = argparse.ArgumentParser(prog="scripts/reproduce/tczupt")
+    parser.add_argument("--runs", type=int, default=8, help="records of the ramp test, at least 5")
+    parser.add_argument("--no-figures", action="store_true")
+    options = parser.parse_args()
+    records = [simulate("crs05-ramp", seed) for seed in range(max(5, options.runs))]
+    sections: list[Callable[[], None]] = [
+        lambda: published(records),
+        responses,
+        lambda: honest(records),
+        lambda: raw_streams(records),
+        lambda: lacking(4),
+        lambda: production(records),
+        race,
+    ]
+    for section in sections:
+        section()
+    if not options.no_figures:
+        draw_all(FIGURES, records[0])
+
+
+if __name__ == "__main__":
+    main()
