@@ -1,0 +1,60 @@
+"""What a pipeline file says of the alignment; apart from the stage, so that it loads quickly."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from imumon.config import StrictModel
+
+_Micro = Annotated[float, Field(ge=-1e5, le=1e5)]
+
+
+class KnownWarmUp(StrictModel):
+    """Accelerometer bias after power-on, known from earlier recordings: amplitude (1 - exp(-t / tau)).
+
+    Parameters
+    ----------
+    amplitude_ug : [x, y, z]
+        Final value in body axes, µg.
+    time_constant_s : float
+    """
+
+    amplitude_ug: Annotated[list[_Micro], Field(min_length=3, max_length=3)]
+    time_constant_s: float = Field(gt=0.0, le=1e5)
+
+
+class AlignmentParameters(StrictModel):
+    """How the heading is found; every key has a default.
+
+    Parameters
+    ----------
+    coarse_s : float
+        s of averaging that the fine alignment starts from.
+    corner_hz, damping : float
+        Of the second-order loop, s² + 2 damping w s + w².
+    settled_deg : float
+        The heading is settled when its sigma is at most this.
+    observable_deg : float
+        A heading with a larger sigma from the gyro's bias is not shown.
+    gyro_bias_sd_deg_per_h : float, optional
+        Standard deviation of the bias of a horizontal gyro, from run to run.  When it is not given, it is
+        judged by the noise (a noisy gyro has a large bias) and by how well the rate fits the earth's.
+    accel_bias_sd_ug : float
+        Standard deviation of the constant bias of an accelerometer; it tilts the level.
+    largest_drift_ug : float
+        A level that has changed by more has been tilted: no accelerometer warms up so much.
+    known_warm_up : KnownWarmUp, optional
+        Counted from the first sample of the device.
+    """
+
+    coarse_s: float = Field(default=30.0, ge=10.0, le=600.0)
+    corner_hz: float = Field(default=2.0, ge=0.05, le=50.0)
+    damping: float = Field(default=0.7, ge=0.2, le=2.0)
+    settled_deg: float = Field(default=0.05, gt=0.0, le=90.0)
+    observable_deg: float = Field(default=10.0, gt=0.0, le=60.0)
+    gyro_bias_sd_deg_per_h: float | None = Field(default=None, ge=0.0, le=1e5)
+    accel_bias_sd_ug: float = Field(default=30.0, ge=0.0, le=1e5)
+    largest_drift_ug: float = Field(default=1000.0, gt=0.0, le=1e6)
+    known_warm_up: KnownWarmUp | None = None

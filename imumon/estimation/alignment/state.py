@@ -1,0 +1,103 @@
+"""What the alignment remembers: a few small arrays, the same size for ever."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from imumon.blocks import FloatArray, IntArray
+
+ESTIMATORS = 5
+"""Total average, curve fit, line and exponential, tilt-corrected, known warm-up."""
+LEARNED = 12
+"""Slots from which the noise is learnt before anything is judged."""
+CHANNELS = 6
+"""Gyro x, y, z in rad/s, then accelerometer x, y, z in m/s²."""
+MOMENTS = 7
+CONSTANTS = np.geomspace(20.0, 2000.0, 26)
+"""Time constants of the warm-up that are tried, s."""
+
+# Settings, floats.
+(COARSE_S, CORNER, DAMPING, LATITUDE, OBSERVABLE, BIAS_SD, LEVEL_SD, LARGEST_DRIFT, SETTLED, DOWN,
+ WARM_X, WARM_Y, WARM_Z, WARM_TAU) = range(14)  # fmt: skip
+SETTINGS = 14
+
+# State, floats.
+(LAST, INTERVAL, DECAY, GAIN, GAIN_INTERVAL, GRAVITY, SLOT_S, HOLD_UNTIL, EVENT_AT, VERTICAL,
+ COARSE_TIME, TIME, TICK_S, TICK_FROM, ARW2, TILT2, BIAS_VARIANCE, BETTER_FOR, ROLL_0, PITCH_0, AZIMUTH_0,
+ SETTLED_AT, EVENT_END, FINE_AT, REAL_TILT, UP_0, _UP_1, _UP_2) = range(28)  # fmt: skip
+FLOATS = 28
+
+# State, integers.
+(PHASE, SLOTS, REST, COUNT, PENDING, TICKS, CHOSEN, BETTER, OBSERVED, STRIKES, PAIRS, PREVIOUS_TICK,
+ EVENT_CAUSE, CONTRADICTED, DISTURBED, LOGGED) = range(16)  # fmt: skip
+INTEGERS = 16
+
+WAITING, COARSE, FINE = range(3)
+
+# Rows of `watch`, one value per channel.
+REFERENCE, SUM, SQUARES, BASE, PREVIOUS, MEAN_VAR, SAMPLE_VAR = range(7)
+
+# Rows of `log`: begin and end by the clock, what disturbed, and whether the alignment began anew.
+LOG_ROWS = 16
+
+# Values of a slot on its way to the sums: s, gyro angle (3), control angle (2), known tilt (2), its time.
+SLOT_VALUES = 9
+
+
+class State(NamedTuple):
+    """Arrays of one alignment.
+
+    number (FLOATS,), flag (INTEGERS,), attitude (3, 3), velocity (2,), reference (3,) rate of the frame,
+    turned (5,) of one sample, watch (7, 6), learning (12, 12), coarse (6,) sums, slot (8,), pending (2, 9),
+    total (8,) and tick (8,) as slots without their time, last_tick (4,), path (4,) control angle and level at
+    the end of the last tick, line (9,) sums of straight lines and of noise, moments (2, 7) of rate and path,
+    rate_sums (3, 2), path_sums (4, 2), and for each time constant exponent (G, 2), normal (G, 4, 4),
+    spread (G, 4, 4), weighted (G, 4), right (G, 4, 2), squares (2,); mag (4,) sums of the field,
+    log (LOG_ROWS, 4) of the last disturbances, result (ESTIMATORS, 2) heading and sigma.
+    """
+
+    number: FloatArray
+    flag: IntArray
+    attitude: FloatArray
+    velocity: FloatArray
+    reference: FloatArray
+    turned: FloatArray
+    watch: FloatArray
+    learning: FloatArray
+    coarse: FloatArray
+    slot: FloatArray
+    pending: FloatArray
+    total: FloatArray
+    tick: FloatArray
+    last_tick: FloatArray
+    path: FloatArray
+    line: FloatArray
+    moments: FloatArray
+    rate_sums: FloatArray
+    path_sums: FloatArray
+    exponent: FloatArray
+    normal: FloatArray
+    spread: FloatArray
+    weighted: FloatArray
+    right: FloatArray
+    squares: FloatArray
+    mag: FloatArray
+    log: FloatArray
+    result: FloatArray
+
+
+def new_state() -> State:
+    """Return the state of an alignment that has seen nothing."""
+    g = len(CONSTANTS)
+    shapes: tuple[tuple[int, ...], ...] = (
+        (3, 3), (2,), (3,), (5,), (7, CHANNELS), (LEARNED, 2 * CHANNELS), (CHANNELS,), (SLOT_VALUES - 1,),
+        (2, SLOT_VALUES), (SLOT_VALUES - 1,), (SLOT_VALUES - 1,), (4,), (4,), (9,), (2, MOMENTS), (3, 2),
+        (4, 2), (g, 2), (g, 4, 4), (g, 4, 4), (g, 4), (g, 4, 2), (2,), (4,), (LOG_ROWS, 4),
+    )  # fmt: skip
+    arrays = [np.zeros(shape) for shape in shapes]
+    result = np.full((ESTIMATORS, 2), np.nan)
+    state = State._make([np.zeros(FLOATS), np.zeros(INTEGERS, np.int64), *arrays, result])
+    state.attitude[:] = np.eye(3)
+    return state
