@@ -22,6 +22,7 @@ from imumon.thermal.reduction import BLOCK_S
 from imumon.thermal.refusal import LAG_S, check_columns, check_coverage
 from imumon.thermal.selection import Choice, choose, slow_variance
 
+MANY_LEVELS = 6
 MARGIN = 0.005
 """Share of the span that the range is widened by, so that a level at its end is not now in and now out."""
 
@@ -170,12 +171,14 @@ def _all_channels(
 
 
 def knots_of(channel: Channel, centers: FloatArray) -> FloatArray:
-    """Return the knots of a channel's spline: its ends, its levels, and half way between them."""
+    """Return the knots of a channel's spline: its ends and its levels, but for the levels next to the ends.
+
+    There a knot would only make the slope at the end uncertain, as in an interpolating spline ("not a knot").
+    """
     low, high = float(channel.temperature.min()), float(channel.temperature.max())
-    both = np.sort(np.concatenate([centers, 0.5 * (centers[1:] + centers[:-1])]))
-    least = (high - low) / (4 * len(both))
-    inner = both[(both > low + least) & (both < high - least)]
-    return np.concatenate([[low], inner, [high]])
+    inner = centers[2:-2] if len(centers) > MANY_LEVELS else centers[1:-1]
+    least = (high - low) / (4 * len(centers))
+    return np.concatenate([[low], inner[(inner > low + least) & (inner < high - least)], [high]])
 
 
 def _channel_model(name: str, channel: Channel, choice: Choice, points: Points) -> ChannelModel:

@@ -11,6 +11,7 @@ import numpy as np
 
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.errors import ImumonError, Reason
+from imumon.estimation.rest.stage import RestDetector
 from imumon.estimation.temperature_rate.parameters import TemperatureRateParameters
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.pipeline import Estimator, Pipeline
@@ -97,11 +98,8 @@ def read_session(path: Path) -> tuple[Record, list[str]]:
     """
     session = open_session(path)
     source = open_source(path)
-    stages: list[Estimator] = [
-        TemperatureRate(
-            parameters=source.device.temperature if source.device else TemperatureRateParameters()
-        )
-    ]
+    temperature = source.device.temperature if source.device else TemperatureRateParameters()
+    stages: list[Estimator] = [TemperatureRate(parameters=temperature), RestDetector()]
     pipeline = Pipeline(source.device, stages)
     metadata = session.metadata
     device = None if metadata.device == "import" else metadata.device

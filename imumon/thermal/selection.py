@@ -101,8 +101,8 @@ def _rms(points: Points, residual: FloatArray) -> float:
 
 
 def _beyond_white(points: Points, residual: FloatArray, white: FloatArray) -> float:
-    """Return the rms residual less the white noise; at least a tenth, for the noise is known no better."""
+    """Return the rms residual less the white noise; of its square at least a tenth is left."""
     known = np.isfinite(residual)
     weight, square = points.weight[known], residual[known] ** 2
     whole = float(np.average(square, weights=weight))
-    return float(np.sqrt(max(whole - float(np.average(white[known], weights=weight)), 0.01 * whole)))
+    return float(np.sqrt(max(whole - float(np.average(white[known], weights=weight)), 0.1 * whole)))

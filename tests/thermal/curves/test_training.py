@@ -56,12 +56,20 @@ def test_the_minimum_is_one_that_scipy_cannot_improve() -> None:
         error = np.sqrt(given.w / len(given.u)) * (response(weights[np.newaxis], given.u)[0][0] - given.y)
         return np.concatenate([error, np.sqrt(DECAY) * weights])
 
+    def derivative(weights: FloatArray) -> FloatArray:
+        by_weights = (
+            response(weights[np.newaxis], given.u)[1][0] * np.sqrt(given.w / len(given.u))[:, np.newaxis]
+        )
+        return np.concatenate([by_weights, np.sqrt(DECAY) * np.eye(len(weights))])
+
     ours = train(begun, given, iterations=400)
     costs = mean_square(ours, given) + DECAY * np.sum(ours**2, axis=1)
-    theirs = [least_squares(residual, start, method="lm").cost * 2 for start in begun]
+    theirs = [least_squares(residual, start, derivative, method="lm").cost * 2 for start in begun]
     assert costs.min() == pytest.approx(min(theirs), rel=1e-3)
     best = ours[np.argmin(costs)]
-    assert least_squares(residual, best, method="lm").cost * 2 == pytest.approx(costs.min(), rel=1e-5)
+    assert least_squares(residual, best, derivative, method="lm").cost * 2 == pytest.approx(
+        costs.min(), rel=1e-5
+    )
 
 
 def test_restarts_end_differently_and_training_never_makes_worse() -> None:

@@ -1,0 +1,112 @@
+"""What the thermal calibration is tried on: the simulated soak, whose truth is known, and measured tables."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from imumon.blocks import FloatArray, SampleBlock
+from imumon.session.importing import import_table
+from imumon.simulation.unit import SimulatedUnit, load_scenario
+from imumon.simulation.unit.curves import curve_slope, curve_value
+from imumon.thermal.cells import Channel, channel_of, group, levels
+from imumon.thermal.curves.points import Points
+from imumon.thermal.record import GYRO, Record, read_session, record_of
+
+DEG_H = np.deg2rad(1.0) / 3600.0
+"""1 °/h in rad/s."""
+AXES = "xyz"
+INSIDE = np.linspace(-20.53, 48.08, 1373)
+"""Where curves are compared with the truth, every 0.05 °C."""
+DWELLING_DEGC = 0.1
+EVERY = 4
+"""So many means on a level are one for the network: 75 of 300 on each show the same, in less time."""
+_AT_ONCE = 200_000
+_TWO_LEVELS_MAP = """
+rate_hz: 10
+temperature: {columns: [t], unit: degC}
+accel: {columns: [ax, ay, az], unit: g}
+gyro: {columns: [gx, gy, gz], unit: deg/s}
+csv: {header: false, skip_rows: 1, columns: [t, ax, ay, az, gx, gy, gz]}
+bad_rows: drop
+"""
+
+Function = Callable[[FloatArray], FloatArray]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Soak:
+    """The simulated soak in blocks of 10 s, and the truth at `INSIDE`, (n, 3) rad/s and rad/s/°C."""
+
+    record: Record
+    bias: FloatArray
+    slope: FloatArray
+    centers: FloatArray
+    channels: list[Channel]
+
+    def halfminutes(self, axis: int) -> Points:
+        """Return means over 30 s of a gyro with their nearest level; every `EVERY`th of those on a level."""
+        t = self.record.of(f"temperature_{AXES[axis]}").reshape(-1, 3).mean(axis=1)
+        value = self.record.of(GYRO[axis]).reshape(-1, 3).mean(axis=1)
+        level = np.argmin(np.abs(t[:, np.newaxis] - self.centers), axis=1)
+        moving = np.abs(t - self.centers[level]) >= DWELLING_DEGC
+        keep = moving | (np.arange(len(t)) % EVERY == 0)
+        return Points(t, value, np.ones(len(t)), level).only(keep)
+
+    def dwelling(self, points: Points) -> npt.NDArray[np.bool_]:
+        """Return which of the points are on a level, not on the way between two."""
+        return np.abs(points.temperature - self.centers[points.level]) < DWELLING_DEGC
+
+
+def simulated_soak(seed: int) -> Soak:
+    """Run the scenario crs05-soak; the truth is its curve plus the earth rate, which stays in it."""
+    scenario = load_scenario("crs05-soak")
+    unit = SimulatedUnit(scenario, seed)
+    earth: list[FloatArray] = []
+
+    def blocks() -> Iterator[SampleBlock]:
+        left = scenario.samples
+        while left:
+            block, truth = unit.run(min(left, _AT_ONCE))
+            left -= len(block)
+            earth.append(np.array([truth[f"rate_{axis}"][0] for axis in AXES]))
+            yield block
+
+    record = record_of(blocks(), "crs05-soak", "0" * 64, axes=scenario.axes)
+    terms = [getattr(scenario.unit.gyro_bias_deg_per_s, axis) for axis in AXES]
+    cells = group([record], None, None)
+    centers = levels(cells)
+    channels = [channel_of([record], cells, name, centers) for name in GYRO]
+    return Soak(
+        record=record,
+        bias=np.deg2rad(np.column_stack([curve_value(term, INSIDE) for term in terms])) + earth[0],
+        slope=np.deg2rad(np.column_stack([curve_slope(term, INSIDE) for term in terms])),
+        centers=centers,
+        channels=[channel for channel in channels if channel is not None],
+    )
+
+
+def chamber_cycle(data: Path, scratch: Path) -> Record:
+    """Return the measured chamber cycle as `imumon import` and the pipeline give it."""
+    folder = data / "chamber-cycle"
+    import_table(folder / "cooling-heating.csv", folder / "map.yaml", scratch / "chamber-cycle")
+    return read_session(scratch / "chamber-cycle")[0]
+
+
+def two_levels(data: Path, scratch: Path) -> list[Record]:
+    """Return the two measured levels; the rate of 10 Hz is an assumption, for the logs have no time."""
+    map_path = scratch / "two-levels.yaml"
+    map_path.write_text(_TWO_LEVELS_MAP, encoding="utf-8")
+    for name in ("cold", "hot"):
+        import_table(data / "two-levels" / f"{name}.csv", map_path, scratch / name)
+    return [read_session(scratch / name)[0] for name in ("cold", "hot")]
+
+
+def during(record: Record, first: float, last: float) -> Record:
+    """Return a record with only the blocks of a part of its time, as shares of the whole."""
+    place = np.arange(len(record.means)) / len(record.means)
+    return replace(record, rest=record.rest & (place >= first) & (place < last))

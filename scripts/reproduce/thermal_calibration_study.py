@@ -1,0 +1,200 @@
+"""The published training on the simulated soak: size of the network, what a split hides, slopes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.interpolate import CubicSpline
+from thermal_calibration_data import DEG_H, DWELLING_DEGC, INSIDE, Function, Soak
+
+from imumon.blocks import FloatArray
+from imumon.thermal.calibration import knots_of
+from imumon.thermal.curves.network import NetworkCurve
+from imumon.thermal.curves.points import Points
+from imumon.thermal.curves.polynomial import fit_polynomial
+from imumon.thermal.curves.spline import fit_spline
+from imumon.thermal.curves.training import Scaling, fit_network, mean_square, starts, train
+from imumon.thermal.selection import choose, held_out, slow_variance
+
+SIZES = (1, 2, 3, 4, 5)
+RESTARTS = 20
+LEAST_STEP_DEGC = 0.2
+BAD = 1.5
+"""A start ended badly when its error is more than this much above that of the best."""
+
+Mask = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trained:
+    """A network trained in the published way.
+
+    `residual` has the rms residual of training, validation and test samples, `bad` counts the starts that
+    ended badly; in the unit of the points.
+    """
+
+    curve: NetworkCurve
+    residual: tuple[float, float, float]
+    bad: int
+
+
+def published(points: Points, neurons: int, seed: int, restarts: int = RESTARTS) -> Trained:
+    """Train with 65/20/15 % of the samples, drawn at random; the start with the best validation is kept."""
+    random = np.random.default_rng(seed)
+    place = (random.permutation(len(points)) + 0.5) / len(points)
+    parts = (place < 0.65, (place >= 0.65) & (place < 0.85), place >= 0.85)
+    scaling = Scaling.of(points)
+    training, validation = (scaling.apply(points.only(part)) for part in parts[:2])
+    weights = train(starts(neurons, restarts, random), training, validation, decay=0.0, iterations=100)
+    error = np.sqrt(mean_square(weights, validation))
+    curve = scaling.curve(weights[np.argmin(error)])
+    residual = points.value - curve.value(points.temperature)
+    rms = [float(np.sqrt(np.mean(residual[part] ** 2))) for part in parts]
+    return Trained(curve, (rms[0], rms[1], rms[2]), int(np.sum(error > BAD * error.min())))
+
+
+def rms(values: FloatArray) -> float:
+    """Return the root mean square."""
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def over_axes(values: list[float]) -> float:
+    """Return S_r: the root mean square over the three axes (equation 12 is not in the text of the paper)."""
+    return rms(np.array(values))
+
+
+@dataclass(frozen=True, slots=True)
+class SizeRow:
+    """S_r of one size of network, °/h or °/h/°C."""
+
+    neurons: int
+    by_sample: tuple[float, float, float]
+    """Of training, validation and test samples."""
+    levels_left_out: float
+    truth: float
+
+
+def _by_part(residuals: list[tuple[float, float, float]]) -> tuple[float, float, float]:
+    training, validation, test = (over_axes([r[k] for r in residuals]) / DEG_H for k in range(3))
+    return training, validation, test
+
+
+def size_study(soak: Soak) -> list[SizeRow]:
+    """Figure 7: networks on b(T), trained on 30 s means at the levels; what splits say, and the truth."""
+    rows = []
+    for n in SIZES:
+        trained, apart, true = [], [], []
+        for axis, channel in enumerate(soak.channels):
+            points = soak.halfminutes(axis)
+            found = published(points.only(soak.dwelling(points)), n, seed=n, restarts=6)
+            trained.append(found.residual)
+            true.append(rms(found.curve.value(INSIDE) - soak.bias[:, axis]))
+            residual = held_out(channel.points(), lambda p, n=n: fit_network(p, n, restarts=3))  # type: ignore[misc]  # mypy cannot infer a lambda with a default
+            apart.append(rms(residual[np.isfinite(residual)]))
+        rows.append(SizeRow(n, _by_part(trained), over_axes(apart) / DEG_H, over_axes(true) / DEG_H))
+    return rows
+
+
+def slope_size_study(soak: Soak) -> list[SizeRow]:
+    """Figure 8: networks on differences of levels, and the truth."""
+    rows = []
+    for n in SIZES:
+        trained, true = [], []
+        for axis in range(3):
+            found = published(level_differences(soak, axis), n, seed=n)
+            trained.append(found.residual)
+            true.append(rms(found.curve.value(INSIDE) - soak.slope[:, axis]))
+        rows.append(SizeRow(n, _by_part(trained), np.nan, over_axes(true) / DEG_H))
+    return rows
+
+
+def level_means(soak: Soak, axis: int) -> Points:
+    """Return the mean of each level."""
+    points = soak.halfminutes(axis)
+    dwelling = points.only(soak.dwelling(points))
+    number = np.arange(len(soak.centers))
+    t = np.array([dwelling.temperature[dwelling.level == k].mean() for k in number])
+    value = np.array([dwelling.value[dwelling.level == k].mean() for k in number])
+    return Points(t, value, np.ones(len(t)), number)
+
+
+def level_differences(soak: Soak, axis: int) -> Points:
+    """Return slopes from each level to the next, at the temperature half way."""
+    means = level_means(soak, axis)
+    middle = 0.5 * (means.temperature[1:] + means.temperature[:-1])
+    slope = np.diff(means.value) / np.diff(means.temperature)
+    return Points(middle, slope, np.ones(len(slope)), means.level[1:])
+
+
+def block_differences(soak: Soak, axis: int) -> Points:
+    """Return slopes from each 30 s mean to the next, where the temperature moves."""
+    points = soak.halfminutes(axis)
+    step = np.diff(points.temperature)
+    moving = np.abs(step) > LEAST_STEP_DEGC
+    middle = 0.5 * (points.temperature[1:] + points.temperature[:-1])
+    slope = np.diff(points.value)[moving] / step[moving]
+    return Points(middle[moving], slope, np.ones(len(slope)), points.level[1:][moving])
+
+
+def slope_methods(soak: Soak, axis: int) -> dict[str, Function]:
+    """Return db/dT by each method."""
+    channel, all_points = soak.channels[axis], soak.halfminutes(axis)
+    means = level_means(soak, axis)
+    knots = knots_of(channel, soak.centers)
+    points = channel.points(slow_variance(channel.points(), channel.white, knots))
+    return {
+        "derivative of the published b(T) network": published(all_points, 2, 1).curve.slope,
+        "network on differences of levels": published(level_differences(soak, axis), 2, 1).curve.value,
+        "network on differences of 30 s means": published(block_differences(soak, axis), 2, 1).curve.value,
+        "cubic spline through the level means": CubicSpline(means.temperature, means.value).derivative(),
+        "imumon: smoothing spline": fit_spline(points, knots).slope,
+        "imumon: network 2": fit_network(points, 2).slope,
+        "imumon: network 3": fit_network(points, 3).slope,
+        "imumon calibrate: its choice": choose(channel, points, knots).curve.slope,
+    }
+
+
+def on_level_means(soak: Soak, axis: int) -> tuple[float, float]:
+    """Return the largest error, rad/s, of a 1-2-2-1 network and of a spline, both on 15 level means alone."""
+    means = level_means(soak, axis)
+    scaling = Scaling.of(means)
+    given = scaling.apply(means)
+    weights = train(starts(2, RESTARTS, np.random.default_rng(1)), given, decay=0.0, iterations=300)
+    network = scaling.curve(weights[np.argmin(mean_square(weights, given))])
+    inside = (means.temperature[0] <= INSIDE) & (means.temperature[-1] >= INSIDE)
+    spline = CubicSpline(means.temperature, means.value)(INSIDE)
+    errors = [network.value(INSIDE) - soak.bias[:, axis], spline - soak.bias[:, axis]]
+    return float(np.abs(errors[0][inside]).max()), float(np.abs(errors[1][inside]).max())
+
+
+def polynomial_leak(soak: Soak) -> tuple[float, float, float, float]:
+    """Return residuals of a split by sample and the true error, rad/s, of 13 coefficients on 15 levels; z."""
+    points = soak.halfminutes(2)
+    points = points.only(soak.dwelling(points))
+    place = (np.random.default_rng(1).permutation(len(points)) + 0.5) / len(points)
+    curve = fit_polynomial(points.only(place < 0.65), 12)
+    residual = points.value - curve.value(points.temperature)
+    parts = (place < 0.65, (place >= 0.65) & (place < 0.85), place >= 0.85)
+    training, validation, test = (rms(residual[part]) for part in parts)
+    return training, validation, test, rms(curve.value(INSIDE) - soak.bias[:, 2])
+
+
+def beyond_the_range(soak: Soak, distances: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return rms errors over axes and both ends, rad/s, of following the tangent and of holding the value.
+
+    The curve is fitted to levels 2 to 14 of 15; it is asked `distances` °C outside.
+    """
+    tangent, hold = [], []
+    for axis, channel in enumerate(soak.channels):
+        low, high = soak.centers[1] - DWELLING_DEGC, soak.centers[-2] + DWELLING_DEGC
+        inner = channel.only((channel.temperature > low) & (channel.temperature < high))
+        knots = knots_of(inner, soak.centers[1:-1])
+        curve = fit_spline(inner.points(), knots)
+        for end, sign in ((knots[0], -1.0), (knots[-1], 1.0)):
+            truth = np.interp(end + sign * distances, INSIDE, soak.bias[:, axis])
+            value, slope = float(curve.value(end)), float(curve.slope(end))
+            tangent.append(value + slope * sign * distances - truth)
+            hold.append(value - truth)
+    return np.sqrt(np.mean(np.square(tangent), axis=0)), np.sqrt(np.mean(np.square(hold), axis=0))
