@@ -1,7 +1,7 @@
 """The vertical earth rate in a unit that is laid in several poses: the same on all three gyros.
 
-A gyro along whose axis the specific force is a sees the earth rate's vertical part, rate x sin(latitude) x a/g, up or
-down.  A sensitivity to g of its own has another value for each gyro, or acts across axes.
+A gyro along whose axis the specific force is a sees the earth rate's vertical part, rate x sin(latitude) x
+a/g, up or down.  A sensitivity to g of its own has another value for each gyro, or acts across axes.
 """
 
 from __future__ import annotations

@@ -180,12 +180,14 @@ def _sensor(
 def _said_of_earth(earth: VerticalRate | None) -> str:
     if earth is None:
         return (
-            "several poses: what is named g_sensitivity holds the vertical earth rate as well, up to 15.04 °/h per g"
-            " on the diagonal; the horizontal earth rate of each pose is not told from an offset"
+            "several poses: what is named g_sensitivity holds the vertical earth rate as well, up to"
+            " 15.04 °/h per g on the diagonal; the horizontal earth rate of each pose is not told from"
+            " an offset"
         )
+    common = earth.per_force * GRAVITY / DEGREE_PER_HOUR
     return (
-        f"several poses: the gyros have {earth.per_force * GRAVITY / DEGREE_PER_HOUR:+.2f} °/h per g of their own axis"
-        f" in common; it is taken for the vertical earth rate (latitude {earth.latitude_deg:+.0f}°) and subtracted"
+        f"several poses: the gyros have {common:+.2f} °/h per g of their own axis in common; it is taken for"
+        f" the vertical earth rate (latitude {earth.latitude_deg:+.0f}°) and subtracted"
     )
 
 

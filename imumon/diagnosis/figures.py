@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -47,7 +48,7 @@ def figures(diagnosis: Diagnosis, verdict: ChannelVerdict) -> dict[str, str]:
 
 
 def _svg(draw: Callable[[Axes], None]) -> str:
-    settings = {"svg.fonttype": "path", "svg.hashsalt": "imumon", "font.size": 8}
+    settings: Any = {"svg.fonttype": "path", "svg.hashsalt": "imumon", "font.size": 8}
     with mpl.rc_context(settings):
         figure = Figure(figsize=SIZE, layout="constrained")
         draw(figure.add_subplot())

@@ -186,6 +186,8 @@ class TestScore:
     residual: list[FloatArray]
     tracked: list[FloatArray]
     counted: list[BoolArray]
+    quiet: list[BoolArray]
+    """Those that count and are not too near a jump."""
 
 
 def score(
@@ -218,18 +220,20 @@ def score(
     total = sum(map(len, covered))
     inside_count = sum(int(part.sum()) for part in covered)
     return TestScore(
-        rms=_rms(left, counted),
-        tracked_rms=_rms(followed, quiet),
+        rms=mean_rms(left, counted),
+        tracked_rms=mean_rms(followed, quiet),
         coverage=inside_count / total if total else 0.0,
         scored=sum(int(part.sum()) for part in counted) / inside_count if inside_count else 0.0,
         jumps=jumps,
         residual=left,
         tracked=followed,
         counted=counted,
+        quiet=quiet,
     )
 
 
-def _rms(parts: Sequence[FloatArray], counted: Sequence[BoolArray]) -> float:
+def mean_rms(parts: Sequence[FloatArray], counted: Sequence[BoolArray]) -> float:
+    """Return the rms over the blocks that count; NaN when they are too few."""
     values = np.concatenate([part[use] for part, use in zip(parts, counted, strict=True)])
     return float(np.sqrt(np.mean(values**2))) if len(values) >= LEAST_TEST_BLOCKS else float("nan")
 

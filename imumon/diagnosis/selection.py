@@ -8,9 +8,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from imumon.blocks import FloatArray, IntArray
+from imumon.blocks import FloatArray
 from imumon.diagnosis.blocks import RunBlocks
 from imumon.diagnosis.candidates import Candidate, Part, Pool, Term, candidates
+from imumon.diagnosis.gains import PROVEN, Table, joined_steps, paired, pooled_gains
 from imumon.diagnosis.search import (
     Likelihood,
     Noise,
@@ -22,8 +23,6 @@ from imumon.diagnosis.search import (
 )
 from imumon.effects.base import Survey
 
-PROVEN = 8.0
-"""Gain, a difference of BIC, above which an effect is proven."""
 CLOSE = 10.0
 """Families whose gains differ by less are not told apart."""
 CLOSE_SHARE = 0.15
@@ -33,8 +32,6 @@ LEAST_EVIDENCE = 4.0
 """A channel with less is never made to agree with the others."""
 MOST_STAGES = 6
 MOST_NAMES = 3
-SHORT_LIST = 6
-"""Best candidates of each family, by the coarse grid of noise, that are looked at closely."""
 SECOND_SHARE = 0.2
 """A further effect counts when what it takes away is at least this share of what the largest one does."""
 LEAST_SIZE = 0.3
@@ -154,7 +151,7 @@ class Search:
         self._candidates = candidates(survey, families)
         self._pools = {channel.temperature: Pool(runs, channel.temperature) for channel in channels}
         self._outcomes = {channel.name: Outcome() for channel in channels}
-        self._known: dict[tuple[str, tuple[int, ...]], tuple[float, Noise]] = {}
+        self._known: dict[tuple[str, tuple[int, ...]], tuple[tuple[Candidate, ...], float, Noise]] = {}
 
     def run(self, progress: Progress | None = None) -> Mapping[str, Outcome]:
         """Return what was found in each channel."""
@@ -167,6 +164,7 @@ class Search:
             self._stage(active)
         for channel in self._channels:
             self._drop_needless(channel)
+            self._polish(channel)
             self._outcomes[channel.name].noise = self._null(channel)[1]
         return self._outcomes
 
@@ -180,15 +178,16 @@ class Search:
 
     def _stage(self, active: Sequence[Channel]) -> None:
         tables = {channel.name: self._table(channel) for channel in active}
-        for at, channel in enumerate(active):
-            extra = _joined_steps(tables[channel.name])
+        for channel in active:
+            extra = joined_steps(tables[channel.name])
             if extra:
-                tables[channel.name] = self._extended(active[at], tables[channel.name], extra)
-        pooled = _pooled(list(tables.values()))
+                tables[channel.name] = self._extended(channel, tables[channel.name], extra)
+            self._pair(channel, tables[channel.name])
+        pooled = pooled_gains(list(tables.values()))
         for channel in active:
             self._decide(channel, tables[channel.name], pooled)
 
-    def _table(self, channel: Channel) -> _Table:
+    def _table(self, channel: Channel) -> Table:
         best, noise = self._null(channel)
         coarse = self._gains(channel, self._candidates, coarse_grid([noise]), best)
         short = sorted({at for family in coarse.families() for at in family})
@@ -198,11 +197,21 @@ class Search:
         coarse.noise.update({at: fine.noise[index] for index, at in enumerate(short)})
         return coarse
 
-    def _extended(self, channel: Channel, table: _Table, extra: list[Candidate]) -> _Table:
+    def _pair(self, channel: Channel, table: Table) -> None:
+        """Look for two effects at once, where none was found yet."""
+        if self._outcomes[channel.name].findings or table.gain.max() <= PROVEN:
+            return
+        best, noise = self._null(channel)
+        pool = self._pools[channel.temperature]
+        grid = coarse_grid([noise, (0.3, 0.0)])
+        found = paired(self._likelihood, pool, self._target(channel), best, table, grid)
+        table.together, table.partner = found
+
+    def _extended(self, channel: Channel, table: Table, extra: list[Candidate]) -> Table:
         best, noise = self._null(channel)
         more = self._gains(channel, extra, fine_grid(noise), best)
         count = len(table.candidates)
-        return _Table(
+        return Table(
             [*table.candidates, *extra],
             np.concatenate([table.gain, more.gain]),
             np.concatenate([table.fit, more.fit]),
@@ -213,7 +222,7 @@ class Search:
 
     def _gains(
         self, channel: Channel, tried: Sequence[Candidate], grid: Sequence[Noise], null: float
-    ) -> _Table:
+    ) -> Table:
         """Return the gain of each candidate, over the model so far and over its free start alone."""
         pool = self._pools[channel.temperature]
         both = [pool.terms(candidate) for candidate in tried]
@@ -231,11 +240,11 @@ class Search:
                 gain[at] = min(gain[at], own)
         linear = np.array([len(group) for group in terms]) * logarithm
         noise = {at: scan.grid[scan.noise[0, at]] for at in range(len(tried))}
-        return _Table(
+        return Table(
             list(tried), gain, 2 * (fit[: len(tried)] - null) - linear, noise, len(tried), penalty - linear
         )
 
-    def _decide(self, channel: Channel, table: _Table, pooled: dict[str, float]) -> None:
+    def _decide(self, channel: Channel, table: Table, pooled: dict[str, float]) -> None:
         outcome = self._outcomes[channel.name]
         own = table.best()
         if not own or max(gain for gain, _ in own.values()) <= PROVEN:
@@ -280,7 +289,7 @@ class Search:
         return order[0]
 
     def _better_foretold(
-        self, channel: Channel, table: _Table, finding: Finding, own: Mapping[str, tuple[float, int]]
+        self, channel: Channel, table: Table, finding: Finding, own: Mapping[str, tuple[float, int]]
     ) -> str | None:
         """Return the family, of those not told apart, by which the runs foretell one another better; else
         None."""
@@ -310,7 +319,7 @@ class Search:
     def _finding(
         self,
         channel: Channel,
-        table: _Table,
+        table: Table,
         family: str,
         own: Mapping[str, tuple[float, int]],
         pooled: Mapping[str, float],
@@ -333,7 +342,7 @@ class Search:
     def _alike(
         self,
         channel: Channel,
-        table: _Table,
+        table: Table,
         family: str,
         own: Mapping[str, tuple[float, int]],
         pooled: Mapping[str, float],
@@ -343,7 +352,7 @@ class Search:
         best = max(gain for gain, _ in own.values())
         close = []
         for name, (gain, at) in own.items():
-            if name == family or gain <= PROVEN:
+            if name == family or gain <= PROVEN or _beside(table, family, name):
                 continue
             near = best - gain < max(CLOSE, CLOSE_SHARE * best)
             if name in pooled and family in pooled:
@@ -380,17 +389,30 @@ class Search:
         return Target(channel.name, channel.values, base)
 
     def _null(self, channel: Channel) -> tuple[float, Noise]:
-        key = channel.name, tuple(id(finding) for finding in self._outcomes[channel.name].findings)
+        found = tuple(finding.candidate for finding in self._outcomes[channel.name].findings)
+        key = channel.name, tuple(map(id, found))  # the candidates are kept, so that no other has their id
         if key not in self._known:
             best, noise = self._likelihood.null([self._target(channel)])
-            self._known[key] = float(best[0]), noise[0]
-        return self._known[key]
+            self._known[key] = found, float(best[0]), noise[0]
+        return self._known[key][1:]
 
     def _left(self, channel: Channel, more: Sequence[Candidate]) -> float:
         """Return the rms that ordinary least squares leaves with what was found and more."""
         found = [finding.candidate for finding in self._outcomes[channel.name].findings]
         target = self._target(channel, [*found, *more])
         return residual_rms(target.base, target.values)
+
+    def _polish(self, channel: Channel) -> None:
+        """Refine each finding anew beside the others, which were not there when it was found."""
+        outcome = self._outcomes[channel.name]
+        if len(outcome.findings) < 2:
+            return
+        everything = list(outcome.findings)
+        noise = self._null(channel)[1]
+        for finding in everything:
+            outcome.findings = [other for other in everything if other is not finding]
+            finding.candidate, _ = self._refined(channel, finding.candidate, noise)
+        outcome.findings = everything
 
     def _drop_needless(self, channel: Channel) -> None:
         """Drop what later findings made needless."""
@@ -409,70 +431,11 @@ class Search:
                 outcome.findings = everything
 
 
-@dataclass(slots=True)
-class _Table:
-    """Gains of all candidates for one channel.
-
-    `fit` is twice the log-likelihood ratio less the price of the linear parameters, `penalty` the price of
-    the others; the first `common` candidates are the same for all channels.
-    """
-
-    candidates: list[Candidate]
-    gain: FloatArray
-    fit: FloatArray
-    noise: dict[int, Noise]
-    common: int
-    penalty: FloatArray
-
-    def families(self) -> list[IntArray]:
-        """Return the best few candidates of each family."""
-        names = np.array([candidate.family for candidate in self.candidates])
-        found = []
-        for name in dict.fromkeys(names.tolist()):
-            which = np.flatnonzero(names == name)
-            found.append(which[np.argsort(-self.gain[which])[:SHORT_LIST]])
-        return found
-
-    def best(self) -> dict[str, tuple[float, int]]:
-        """Return the best gain of each family and which candidate has it."""
-        return {
-            self.candidates[int(which[0])].family: (float(self.gain[which[0]]), int(which[0]))
-            for which in self.families()
-        }
-
-
-def _pooled(tables: Sequence[_Table]) -> dict[str, float]:
-    """Return the gain of each family over the channels that show something, nonlinear parameters shared."""
-    shown = [table for table in tables if table.gain.max() > PROVEN]
-    if len(shown) < 2:
-        return {}
-    common = shown[0].common
-    total = sum(table.fit[:common] for table in shown) - shown[0].penalty[:common]
-    pooled: dict[str, float] = {}
-    for at in range(common):
-        name = shown[0].candidates[at].family
-        pooled[name] = max(pooled.get(name, -np.inf), float(total[at]))
-    # Jumps come at times of their own, and loops of several widths differ: there each channel's best counts.
-    apart: dict[str, float] = {}
-    for table in shown:
-        for name, (gain, _) in table.best().items():
-            apart[name] = apart.get(name, 0.0) + gain
-    return {name: max(gain, apart[name]) for name, gain in pooled.items()}
-
-
-def _joined_steps(table: _Table) -> list[Candidate]:
-    """Return jumps in several runs at once, made of the best of each run."""
-    best: dict[int, tuple[float, Candidate]] = {}
-    for at, candidate in enumerate(table.candidates):
-        if candidate.family == "step":
-            run = candidate.parts[0].runs[0]
-            if run not in best or table.gain[at] > best[run][0]:
-                best[run] = float(table.gain[at]), candidate
-    order = sorted(best.values(), key=lambda item: -item[0])
-    return [
-        Candidate("step", tuple(part for _, one in order[:count] for part in one.parts))
-        for count in range(2, len(order) + 1)
-    ]
+def _beside(table: Table, family: str, other: str) -> bool:
+    """Tell whether another family did well beside this one, not in its place."""
+    if family not in table.partner:
+        return False
+    return other == table.partner[family] or table.partner.get(other) not in (None, table.partner[family])
 
 
 def _second_jump(outcome: Outcome, finding: Finding) -> bool:

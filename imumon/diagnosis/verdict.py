@@ -11,7 +11,7 @@ import numpy as np
 from imumon.blocks import FloatArray
 from imumon.diagnosis.blocks import RunBlocks, WhiteFloor
 from imumon.diagnosis.candidates import Candidate, Pool
-from imumon.diagnosis.fitting import Declared, Fit, TestScore, fit, score
+from imumon.diagnosis.fitting import Declared, Fit, TestScore, fit, mean_rms, score
 from imumon.diagnosis.selection import Finding, Outcome
 from imumon.effects.library import separated_by
 
@@ -190,19 +190,17 @@ def _trial(
     with_it, without = case.scored(everything, everything), case.scored(others, everything)
     assert with_it is not None
     assert without is not None
+    count = [a & b for a, b in zip(with_it.quiet, without.quiet, strict=True)]
     # Of what can be followed only the part that was not yet is in the way of judging the others.
-    rms = with_it.tracked_rms, without.tracked_rms
+    rms = mean_rms(with_it.tracked, count), mean_rms(without.tracked, count)
     record = {"name": finding.name, "test_rms_with": rms[0], "test_rms_without": rms[1]}
     if not np.isfinite(rms).all():
         return 0.0, record
     better = rms[1] ** 2 - rms[0] ** 2
     if not carries:
         return better, record
-    change = [
-        (a - b)[use] for a, b, use in zip(with_it.residual, without.residual, with_it.counted, strict=True)
-    ]
-    due = float(np.mean(np.concatenate(change) ** 2))
-    return better - CONFIRMED * due, record
+    change = [a - b for a, b in zip(with_it.tracked, without.tracked, strict=True)]
+    return better - CONFIRMED * mean_rms(change, count) ** 2, record
 
 
 def _claim(case: Case, before: Fit, kept: Sequence[Finding], at: int) -> Claim:

@@ -20,8 +20,8 @@ SLACK_DEGC = 0.15
 class Hysteresis(Effect):
     """Differences u^k - p^k, k = 1 .. order: u the temperature, p what it drags along, both scaled.
 
-    p follows with a backlash of this half width, or with a smooth loop (Dahl's).  Sums of several widths make any
-    loop (Prandtl and Ishlinskii); the powers let its width change with temperature.
+    p follows with a backlash of this half width, or with a smooth loop (Dahl's).  Sums of several widths make
+    any loop (Prandtl and Ishlinskii); the powers let its width change with temperature.
     """
 
     name: ClassVar[str] = "hysteresis"

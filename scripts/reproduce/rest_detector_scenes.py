@@ -10,7 +10,7 @@ import numpy.typing as npt
 from scipy.signal import butter, sosfilt
 from scipy.spatial.transform import Rotation
 
-from imumon.blocks import FloatArray, SampleBlock
+from imumon.blocks import ColumnArray, FloatArray, SampleBlock
 
 GRAVITY = 9.80665
 DEG = np.pi / 180.0
@@ -207,7 +207,10 @@ def measure(scene: Scene, grade: Grade, seed: int) -> SampleBlock:
     if grade.gyro_step:
         gyro = np.round(gyro / grade.gyro_step) * grade.gyro_step
         accel = np.round(accel / grade.accel_step) * grade.accel_step
-    columns = {"device_time_ns": np.rint(scene.t * 1e9).astype(np.int64), "segment": np.zeros(n, np.int64)}
+    columns: dict[str, ColumnArray] = {
+        "device_time_ns": np.rint(scene.t * 1e9).astype(np.int64),
+        "segment": np.zeros(n, np.int64),
+    }
     for i, name in enumerate("xyz"):
         columns |= {f"gyro_{name}": gyro[:, i].copy(), f"accel_{name}": accel[:, i].copy()}
     return SampleBlock(columns)

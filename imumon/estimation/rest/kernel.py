@@ -74,6 +74,8 @@ SAMPLE_MEMORY = 1.0 / 64.0
 EARTH_TWICE = 1.46e-4
 """rad/s: a gyro that is turned round sees the earth's rate the other way."""
 SIGMAS = 6.0
+ROUNDING = 1e-9
+"""Samples that differ by less than this share are equal: means of equal samples differ by rounding."""
 
 G_SENSITIVITY, DOUBT_S, LARGEST_JUMP, DRIFT = range(4)
 # From DRIFT on, the drift of each axis.
@@ -119,7 +121,8 @@ def detect(
                 axis[SQUARES, a] += deviation * deviation
                 axis[COUNT, a] += 1.0
                 step = abs(x - axis[LAST, a])
-                axis[STEP, a] = step if 0.0 < step < axis[STEP, a] else axis[STEP, a]
+                least = ROUNDING * (abs(x) + 1e-3)
+                axis[STEP, a] = step if least < step < axis[STEP, a] else axis[STEP, a]
                 axis[LAST, a] = x
         if spike and integers[AT_REST]:
             integers[SPIKE] = 1

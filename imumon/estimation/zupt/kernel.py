@@ -151,7 +151,7 @@ def process(
     sd: FloatArray,
     innovation: FloatArray,
 ) -> None:
-    """Follow the bias through samples of one segment; fill bias, sd and innovation, (n, 3).
+    """Follow the bias through samples of one segment; fill bias and sd, (n, 3), and the innovations seen.
 
     Parameters
     ----------
@@ -167,8 +167,6 @@ def process(
     """
     vector, number, flag = state.vector, state.number, state.flag
     for i in range(len(seconds)):
-        for j in range(3):
-            innovation[i, j] = np.nan
         if math.isfinite(gyro[i, 0] + gyro[i, 1] + gyro[i, 2]):
             t = seconds[i]
             pause = t - number[LAST]

@@ -41,7 +41,7 @@ def test_the_heading_is_found_in_any_attitude_and_axes(
 
 
 def test_a_vertical_x_axis_is_replaced_by_minus_z() -> None:
-    # Pitched up by 90 degrees, -z (FRD) points where x pointed against: backwards is z, so -z is heading + 180.
+    # Pitched up by 90 degrees, z (FRD) points forwards, where x pointed before: -z is heading + 180.
     stage, _ = aligned(samples(scenario(100.0, attitude=(0.0, 90.0, 40.0))))
     assert stage.standing.shown is not None
     assert abs(error_deg(stage.standing.shown.heading, 220.0)) < 0.05

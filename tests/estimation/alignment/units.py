@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -70,7 +71,7 @@ def aligned(
 def in_pieces(stage: Alignment, block: SampleBlock, cuts: Sequence[int]) -> Mapping[str, ColumnArray]:
     """Run a stage over a block that is cut at these rows."""
     edges = [0, *cuts, len(block)]
-    pieces = [block.rows(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    pieces = [block.rows(a, b) for a, b in itertools.pairwise(edges)]
     return join([SampleBlock(stage.process(piece)) for piece in pieces]).columns
 
 

@@ -98,7 +98,7 @@ class PlainDetector:
         self.last_time = t
         outside = (x < self.low) | (x > self.high)
         change = np.abs(x - self.last)
-        self.step = np.where((change > 0) & (change < self.step), change, self.step)
+        self.step = np.where((change > 1e-9 * (np.abs(x) + 1e-3)) & (change < self.step), change, self.step)
         self.last = np.where(np.isfinite(x), x, self.last)
         self.samples.append(x)
         if self.rest and outside.any():
@@ -220,7 +220,8 @@ class PlainDetector:
         )
         within = np.where(np.isfinite(slot.within), slot.within, self.levels[0].variance)
         within = np.minimum(within, 4.0 * self.sample_var + TINY)
-        self.sample_var = np.where(there, self.sample_var + (within - self.sample_var) / 64, self.sample_var)
+        change = (within - self.sample_var) / 64
+        self.sample_var = np.where(there, self.sample_var + change, self.sample_var)
         if self.slots % 4 == 0:
             self.set_band()
 

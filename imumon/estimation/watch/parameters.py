@@ -1,0 +1,19 @@
+"""What a pipeline file says of the watch over the bias filter; apart from it, so that it loads quickly."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from imumon.config import StrictModel
+
+
+class WatchParameters(StrictModel):
+    """How rare false alarms are.
+
+    Parameters
+    ----------
+    false_alarm_hours : float
+        Mean time at rest, h, that passes at least until a first false alarm, while the filter is right.
+    """
+
+    false_alarm_hours: float = Field(default=24.0, ge=0.1, le=1e5)

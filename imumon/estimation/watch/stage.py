@@ -1,0 +1,129 @@
+"""The watch over the bias filter as a stage of the pipeline, behind `ZeroVelocity`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from imumon.blocks import ColumnArray, FloatArray, IntArray, SampleBlock
+from imumon.columns import Column
+from imumon.estimation.temperature_rate.series import SegmentClock
+from imumon.estimation.watch import kernel
+from imumon.estimation.watch.parameters import WatchParameters
+from imumon.estimation.watch.verdict import judge
+
+AXES = "xyz"
+LANE = "model"
+SUSPECT = Column("model_suspect", "1", "int64", "1 once the bias filter is caught at being wrong, else 0")
+INNOVATION = "zupt_innovation"
+
+
+class ModelWatch:
+    """Tells when the innovations of the bias filter are not what the filter says they should be.
+
+    They should be white, standard normal, and have nothing to do with temperature, its rate or the time.  A
+    suspicion stays until the device restarts: a model that has failed does not get better when the
+    temperature comes to rest.  What is tested for, and how often in vain, is in docs/model-watch.md.
+
+    Parameters
+    ----------
+    parameters : WatchParameters
+    modelled : bool
+        Whether the filter uses a bias model; it decides what is advised.
+    """
+
+    def __init__(self, parameters: WatchParameters | None = None, modelled: bool = False) -> None:
+        given = parameters or WatchParameters()
+        self._alarm_at = kernel.limit(given.false_alarm_hours)
+        self._modelled = modelled
+        self._state = kernel.empty_state()
+        self._clock = SegmentClock()
+        self._suspect_segment: int | None = None
+        self._pending: list[str] = []
+        self._said: set[str] = set()
+
+    @property
+    def columns(self) -> Sequence[Column]:
+        """The column ``model_suspect``."""
+        return [SUSPECT]
+
+    def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
+        """Return ``model_suspect`` of a block, int64.
+
+        Needs ``device_time_ns``, ``segment`` and ``zupt_innovation_{x,y,z}``; takes what there is of
+        ``temperature_estimate`` and ``temperature_rate``, of each axis before those of the unit.
+        """
+        suspect = np.zeros(len(block), np.int64)
+        innovation = block.vector(INNOVATION)
+        if innovation is None:
+            return {SUSPECT.name: suspect}
+        segment = block["segment"]
+        slots = np.flatnonzero(np.isfinite(innovation[:, 0]))
+        known = slots[np.isfinite(innovation[slots]).all(1)]
+        since = 0
+        for row, segment_of_alarm in self._follow(block, known, innovation[known]):
+            self._mark(suspect, segment, since, row)
+            self._suspect_segment, since = segment_of_alarm, row
+        self._mark(suspect, segment, since, len(block))
+        return {SUSPECT.name: suspect}
+
+    def _mark(self, suspect: IntArray, segment: ColumnArray, start: int, stop: int) -> None:
+        """Mark the rows of the segment that is suspect."""
+        if self._suspect_segment is not None:
+            suspect[start:stop] = segment[start:stop] == self._suspect_segment
+
+    def _follow(
+        self, block: SampleBlock, slots: IntArray, innovation: FloatArray
+    ) -> list[tuple[int, int | None]]:
+        """Take the slots; return the rows from which on a segment, or none, is suspect."""
+        changes: list[tuple[int, int | None]] = []
+        segments = block["segment"][slots]
+        temperature = _of_axes(block, "temperature_estimate", slots)
+        rate = _of_axes(block, "temperature_rate", slots)
+        for start, stop, begins, seconds in self._clock.runs(block["device_time_ns"][slots], segments):
+            if begins:
+                kernel.restart(self._state)
+                changes.append((int(slots[start]), None))
+            found = kernel.watch(
+                seconds,
+                innovation[start:stop],
+                temperature[start:stop],
+                rate[start:stop],
+                self._alarm_at,
+                self._state,
+            )
+            if found >= 0:
+                changes.append((int(slots[start + found]), int(segments[start])))
+                self._say(judge(self._state.at_alarm, self._modelled).notice)
+        return changes
+
+    def _say(self, text: str) -> None:
+        if text not in self._said:
+            self._said.add(text)
+            self._pending.append(text)
+
+    def lanes(self) -> Mapping[str, str]:
+        """Return the lane ``model``: MODEL OK, MODEL SUSPECT with the reason, or MODEL waiting for rest."""
+        count = self._state.counts
+        if count[kernel.ALARM]:
+            return {LANE: f"MODEL SUSPECT: {judge(self._state.peaks, self._modelled).reason}"}
+        if count[kernel.SLOTS] < kernel.LEARNING + kernel.BLOCK:
+            return {LANE: "MODEL waiting for rest"}
+        return {LANE: "MODEL OK"}
+
+    def notices(self) -> list[str]:
+        """Return, once each, what is suspected and which command tells more; for the log."""
+        texts, self._pending = self._pending, []
+        return texts
+
+
+def _of_axes(block: SampleBlock, name: str, rows: IntArray) -> FloatArray:
+    """Return a column at some rows, of each axis where it has its own, else of the unit, (rows, 3)."""
+    common = np.asarray(block[name][rows]) if name in block else np.full(len(rows), np.nan)
+    result = np.tile(common[:, np.newaxis], (1, 3))
+    for j, axis in enumerate(AXES):
+        own = block.columns.get(f"{name}_{axis}")
+        if own is not None:
+            result[:, j] = np.where(np.isfinite(own[rows]), own[rows], common)
+    return result

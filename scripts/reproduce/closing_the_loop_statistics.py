@@ -1,0 +1,333 @@
+"""Statistics of `imumon diagnose` on simulated cases: who is named, how often, how large, and what it costs.
+
+Usage: closing_the_loop_statistics.py [--repeat N] [--only LABEL] [--jobs N] [--out FILE]
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import sys
+import time
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
+    os.environ.setdefault(name, "1")
+
+import numpy as np  # noqa: E402 - the number of threads is read when it is imported
+from closing_the_loop_cases import OUTSIDE, Setting, make_case  # noqa: E402
+
+from imumon.diagnosis.engine import diagnose  # noqa: E402
+
+IN_LIBRARY = (
+    "temperature_curve",
+    "temperature_rate",
+    "thermal_lag",
+    "hysteresis",
+    "warm_up",
+    "drift",
+    "step",
+    "run_offset",
+    "periodic",
+    "g_sensitivity",
+)
+SIZES = (0.5, 1.0, 2.0, 5.0, 10.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """What became of one channel of a case; rms in standard deviations of all noise."""
+
+    label: str
+    size: float
+    seed: int
+    channel: int
+    truth: tuple[str, ...]
+    named: tuple[str, ...]
+    sets: tuple[tuple[str, ...], ...]
+    unexplained: bool
+    before: float
+    after: float
+    tracked: float
+    seconds: float
+    left_out: tuple[str, ...] = ()
+    remark: str = ""
+
+
+def settings() -> list[Setting]:
+    """Return the kinds of cases, a label for each."""
+    found = [
+        Setting((name,), size, poses=name == "g_sensitivity", label=name)
+        for name in IN_LIBRARY
+        for size in SIZES
+    ]
+    found += [Setting((name,), size, label=name) for name in OUTSIDE for size in (3.0, 5.0, 10.0)]
+    found += [
+        Setting((), 0.0, noise=noise, label=f"nothing, {noise}") for noise in ("white", "flicker", "walk")
+    ]
+    found += [Setting((name,), 5.0, axes=(1,), label=f"{name}, one axis") for name in IN_LIBRARY[:9]]
+    found += [
+        Setting(("thermal_lag", "drift"), 5.0, label="lag and drift"),
+        Setting(("hysteresis", "warm_up"), 5.0, label="hysteresis and warm-up"),
+        Setting(("temperature_rate", "periodic"), 5.0, label="rate and period"),
+        Setting(("step", "warm_up"), 5.0, label="step and warm-up"),
+        Setting(("thermal_lag",), 5.0, turn_on_dph=8.0, label="lag, turn-on offsets"),
+        Setting(("hysteresis",), 5.0, turn_on_dph=8.0, label="hysteresis, turn-on offsets"),
+        Setting(("warm_up",), 5.0, unequal=True, label="unequal warm-up"),
+        Setting(("drift",), 5.0, unequal=True, label="unequal drift"),
+        Setting(("thermal_lag",), 5.0, start_off_degc=8.0, label="lag, start out of equilibrium"),
+        Setting(("hysteresis",), 5.0, start_off_degc=8.0, label="hysteresis, start out of equilibrium"),
+        Setting(("thermal_lag",), 5.0, poses=True, latitude_deg=50.0, label="lag, poses, earth rate"),
+        Setting(("g_sensitivity",), 5.0, poses=True, latitude_deg=50.0, label="g sensitivity, earth rate"),
+    ]
+    return found
+
+
+def run_case(job: tuple[Setting, int]) -> list[Result]:
+    """Return the results of the three channels of a case."""
+    setting, seed = job
+    case = make_case(setting, seed)
+    began = time.perf_counter()
+    diagnosis = diagnose(case.runs[:2], case.runs[2:], sensors=("gyro",))
+    seconds = time.perf_counter() - began
+    found = []
+    for channel, verdict in enumerate(diagnosis.verdicts):
+        before, after = verdict.test_before, verdict.test_after
+        assert before is not None
+        assert after is not None
+        found.append(
+            Result(
+                setting.label,
+                setting.size,
+                seed,
+                channel,
+                tuple(sorted(case.truth[channel])),
+                tuple(claim.finding.name for claim in verdict.claims),
+                tuple(tuple(claim.finding.alike) for claim in verdict.claims if claim.finding.alike),
+                verdict.unexplained,
+                before.rms / case.floor,
+                after.rms / case.floor,
+                after.tracked_rms / case.floor,
+                seconds,
+                tuple(item["name"] for item in verdict.left_out),
+                verdict.remark,
+            )
+        )
+    return found
+
+
+def right(result: Result) -> bool:
+    """Tell whether every effect of a channel is named, or is in a set of at most three, and no other is.
+
+    Of an effect outside the library: whether it is called unexplained and nothing is named.
+    """
+    if result.label in OUTSIDE:
+        return result.unexplained and not result.named
+    allowed = [set(group) for group in result.sets]
+    names = set(result.named)
+    hit = all(name in names or any(name in group for group in allowed) for name in result.truth)
+    stray = [
+        name
+        for name in names
+        if name not in result.truth
+        and not any(name in group and group & set(result.truth) for group in allowed)
+    ]
+    return hit and not stray
+
+
+def interval(hits: int, count: int) -> tuple[float, float]:
+    """Return the 95 % interval of Wilson for a share."""
+    if not count:
+        return 0.0, 1.0
+    share, z = hits / count, 1.96
+    middle = (share + z * z / (2 * count)) / (1 + z * z / count)
+    half = z * math.sqrt(share * (1 - share) / count + z * z / (4 * count * count)) / (1 + z * z / count)
+    return max(0.0, middle - half), min(1.0, middle + half)
+
+
+def share(hits: int, count: int) -> str:
+    """Return a share with its interval, as text."""
+    low, high = interval(hits, count)
+    return f"{hits}/{count} ({low:.0%}-{high:.0%})"
+
+
+def jobs(repeat: int, only: str | None) -> Iterable[tuple[Setting, int]]:
+    """Yield settings with their seeds; more of those with nothing missing."""
+    for at, setting in enumerate(settings()):
+        if only is not None and only not in setting.label:
+            continue
+        count = repeat * (5 if setting.label.startswith("nothing") else 1)
+        for number in range(count):
+            yield replace(setting), 1000 * at + number
+
+
+def tables(results: Sequence[Result]) -> str:
+    """Return the tables as Markdown."""
+    parts = [_detection(results), _kinds(results), _nothing(results), _confusion(results), _errors(results)]
+    return "\n\n".join(parts) + "\n"
+
+
+def _detection(results: Sequence[Result]) -> str:
+    lines = [
+        "### Named right, by size in floors",
+        "",
+        "| effect | " + " | ".join(f"{s:g}" for s in SIZES) + " |",
+    ]
+    lines.append("|---" * (len(SIZES) + 1) + "|")
+    for name in IN_LIBRARY:
+        cells = []
+        for size in SIZES:
+            found = [r for r in results if r.label == name and r.size == size]
+            cells.append(share(sum(map(right, found)), len(found)) if found else "")
+        lines.append(f"| {name} | " + " | ".join(cells) + " |")
+    large = [r for r in results if r.label in IN_LIBRARY and r.size >= 3 and r.label != "hysteresis"]
+    loops = [r for r in results if r.label == "hysteresis" and r.size >= 3]
+    lines += [
+        "",
+        f"At 3 floors and more: {share(sum(map(right, large)), len(large))};"
+        f" hysteresis {share(sum(map(right, loops)), len(loops))}.",
+    ]
+    return "\n".join(lines)
+
+
+def _kinds(results: Sequence[Result]) -> str:
+    lines = [
+        "### Special cases and effects outside the library",
+        "",
+        "| case | floors | right | verdicts |",
+        "|---|---|---|---|",
+    ]
+    groups: dict[tuple[str, float], list[Result]] = defaultdict(list)
+    for result in results:
+        if result.label not in IN_LIBRARY and not result.label.startswith("nothing"):
+            groups[result.label, result.size].append(result)
+    for (label, size), found in groups.items():
+        good = sum(map(right, found))
+        verdicts = Counter(_verdict(r) for r in found).most_common(4)
+        text = ", ".join(f"{name} {count}" for name, count in verdicts)
+        lines.append(f"| {label} | {size:g} | {share(good, len(found))} | {text} |")
+    outside = [r for r in results if r.label in OUTSIDE]
+    good = sum(r.unexplained for r in outside)
+    bare = sum(r.unexplained and not r.named for r in outside)
+    lines += [
+        "",
+        f"Outside the library: unexplained {share(good, len(outside))},"
+        f" and nothing named {share(bare, len(outside))}.",
+    ]
+    return "\n".join(lines)
+
+
+def _verdict(result: Result) -> str:
+    names = "+".join(sorted({_named(result, name) for name in result.named}))
+    if result.unexplained:
+        names = f"{names}+unexplained" if names else "unexplained"
+    return names or "nothing"
+
+
+def _named(result: Result, name: str) -> str:
+    group = next((group for group in result.sets if group[0] == name), ())
+    return "{" + ",".join(group) + "}" if group else name
+
+
+def _nothing(results: Sequence[Result]) -> str:
+    lines = [
+        "### Nothing missing",
+        "",
+        "| noise | false alarm per case | per channel | unexplained | names |",
+        "|---|---|---|---|---|",
+    ]
+    labels = dict.fromkeys(r.label for r in results if r.label.startswith("nothing"))
+    for label in labels:
+        found = [r for r in results if r.label == label]
+        cases: dict[int, bool] = defaultdict(bool)
+        for result in found:
+            cases[result.seed] |= bool(result.named)
+        named = Counter(name for r in found for name in r.named)
+        lines.append(
+            f"| {label.removeprefix('nothing, ')} | {share(sum(cases.values()), len(cases))} |"
+            f" {share(sum(bool(r.named) for r in found), len(found))} | {sum(r.unexplained for r in found)} |"
+            f" {', '.join(f'{k} {v}' for k, v in named.items()) or 'none'} |"
+        )
+    return "\n".join(lines)
+
+
+def _confusion(results: Sequence[Result]) -> str:
+    rows = [r for r in results if r.label in (*IN_LIBRARY, *OUTSIDE) and r.size >= 3]
+    kinds = list(dict.fromkeys(_verdict(r) for r in rows))
+    heads = [kind for kind, _ in Counter(_verdict(r) for r in rows).most_common(16)]
+    lines = [
+        "### Confusion at 3 floors and more (channels)",
+        "",
+        "| truth | " + " | ".join(heads) + " | other |",
+    ]
+    lines.append("|---" * (len(heads) + 2) + "|")
+    for name in dict.fromkeys(r.label for r in rows):
+        found = Counter(_verdict(r) for r in rows if r.label == name)
+        other = sum(found[kind] for kind in kinds if kind not in heads)
+        lines.append(f"| {name} | " + " | ".join(str(found[k] or "") for k in heads) + f" | {other or ''} |")
+    return "\n".join(lines)
+
+
+def _errors(results: Sequence[Result]) -> str:
+    lines = [
+        "### Error in the test, in floors (all noise), at 3 floors and more",
+        "",
+        "| effect | before, median | after, median | after, 90 % | within 1.3 | tracked, 90 % "
+        "| tracked within 1.3 | worse than before |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for name in dict.fromkeys(r.label for r in results):
+        found = [r for r in results if r.label == name and (r.size >= 3 or r.size == 0)]
+        after = np.array([r.after for r in found])
+        tracked = np.array([r.tracked for r in found])
+        if not len(found):
+            continue
+        worse = sum(r.after > r.before * (1 + 1e-9) for r in found)
+        lines.append(
+            f"| {name} | {np.nanmedian([r.before for r in found]):.2f} | {np.nanmedian(after):.2f} |"
+            f" {np.nanquantile(after, 0.9):.2f} | {np.mean(after <= 1.3):.0%} |"
+            f" {np.nanquantile(tracked, 0.9):.2f} | {np.mean(tracked <= 1.3):.0%} | {worse} |"
+        )
+    return "\n".join(lines)
+
+
+def main() -> int:
+    """Run the cases and write the tables."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--repeat", type=int, default=4)
+    parser.add_argument("--only")
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--out", type=Path)
+    parser.add_argument("--list", action="store_true")
+    given = parser.parse_args()
+    work = list(jobs(given.repeat, given.only))
+    began = time.perf_counter()
+    results: list[Result] = []
+    with ProcessPoolExecutor(given.jobs) as pool:
+        for done, found in enumerate(pool.map(run_case, work), 1):
+            results += found
+            if given.list:
+                for r in found:
+                    mark = "ok " if right(r) else "BAD"
+                    print(
+                        f"{mark} {r.label} {r.size:g} #{r.seed}.{r.channel} truth={'+'.join(r.truth)}"
+                        f" -> {_verdict(r)} test {r.before:.2f}->{r.after:.2f} tracked {r.tracked:.2f}"
+                        f" {r.left_out} {r.remark}",
+                        flush=True,
+                    )
+            elif sys.stderr.isatty() or done % 20 == 0:
+                print(f"{done}/{len(work)} cases, {time.perf_counter() - began:.0f} s", file=sys.stderr)
+    text = f"{len(work)} cases, {len(results)} channels.\n\n{tables(results)}"
+    if given.out is not None:
+        given.out.write_text(text, encoding="utf-8")
+    print(text)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
