@@ -21,7 +21,13 @@ class AxisCoupling(Effect):
 
     name: ClassVar[str] = "axis_coupling"
     kind: Literal["axis_coupling"] = "axis_coupling"
+    needs_accel: ClassVar[bool] = True
     axis: Literal["x", "y", "z"]
+
+    @property
+    def width(self) -> int:
+        """The other two axes."""
+        return 2
 
     @classmethod
     def grid(cls, survey: Survey) -> list[Self]:

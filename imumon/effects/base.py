@@ -13,13 +13,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, ClassVar, Self
+from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, FiniteFloat
 
 from imumon.blocks import FloatArray, IntArray
 from imumon.config import StrictModel
+
+Positive = Annotated[FiniteFloat, Field(gt=0.0)]
+NotNegative = Annotated[FiniteFloat, Field(ge=0.0)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +118,14 @@ class Effect(StrictModel):
     nonlinear: ClassVar[tuple[str, ...]] = ()
     """Parameters that are searched and refined."""
 
-    coefficients: list[float] = Field(default_factory=list)
+    needs_accel: ClassVar[bool] = False
+    """Whether the specific force drives it."""
+    coefficients: list[FiniteFloat] = Field(default_factory=list)
+
+    @property
+    def width(self) -> int:
+        """Number of columns."""
+        return 1
 
     @classmethod
     def grid(cls, survey: Survey) -> list[Self]:
@@ -129,6 +139,17 @@ class Effect(StrictModel):
     def columns(self, drive: Drive) -> FloatArray:
         """Return the columns (n, k) of a whole run, where an operator may look ahead as well."""
         return self.advance(np.full(self.state_size, np.nan), drive)
+
+    def extremes(self, temperature_degc: float) -> tuple[FloatArray, ...]:  # noqa: ARG002 - for those with memory
+        """Return two states at power-on, a standard deviation to either side; none without doubt."""
+        return ()
+
+    def added(self, columns: FloatArray) -> FloatArray:
+        """Return columns (n, k) times coefficients, (n,), to the bit the same for any n."""
+        total = np.zeros(len(columns))
+        for column, coefficient in zip(columns.T, self.coefficients, strict=True):
+            total += coefficient * column
+        return total
 
     def start_columns(self, drive: Drive) -> FloatArray:
         """Return what another state at power-on would add, (n, m)."""
@@ -167,49 +188,80 @@ class Effect(StrictModel):
 
 
 class Carrier:
-    """Carries an effect along live: blocks in, columns out; forgets the state where the device restarts.
+    """Carries an effect along live: the bias that it adds, and how unsure its state at power-on leaves it.
 
-    The temperature may be missing (NaN): the last one holds; before the first the columns are NaN.
+    Whatever the division into blocks; where the device restarts the state is forgotten.  The temperature may
+    be missing (NaN): the last one holds, as does the specific force; before the first the bias is NaN.
+    An effect of the specific force adds nothing where there is none at all.
+
+    Parameters
+    ----------
+    effect : Effect
+        With its coefficients.
     """
 
     def __init__(self, effect: Effect) -> None:
-        self.effect = effect
-        self._state = np.full(effect.state_size, np.nan)
+        self._effect = effect
+        self._states = [np.full(effect.state_size, np.nan)]
         self._segment: int | None = None
         self._start_ns = 0
-        self._last = np.nan
+        self._last = np.full(4, np.nan)
 
     def process(
         self, time_ns: IntArray, segment: IntArray, temperature: FloatArray, accel: FloatArray | None = None
-    ) -> FloatArray:
-        """Return the columns (n, k) at each sample, from this sample and those before it."""
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the bias at each sample, from this sample and those before it, and its doubt.
+
+        The doubt is the standard deviation that comes from the unknown state at power-on: it dies away.
+
+        Parameters
+        ----------
+        time_ns, segment : array of shape (n,)
+        temperature : array of shape (n,)
+            °C.
+        accel : array of shape (n, 3), or None
+        """
+        n = len(segment)
+        bias, doubt = np.zeros(n), np.zeros(n)
+        if self._effect.needs_accel and accel is None:
+            return bias, doubt
         cuts = np.flatnonzero(np.diff(segment)) + 1
-        bounds = [0, *cuts.tolist(), len(segment)]
-        parts = [
-            self._one(time_ns[a:b], int(segment[a]), temperature[a:b], None if accel is None else accel[a:b])
-            for a, b in pairwise(bounds)
-            if b > a
-        ]
-        return np.concatenate(parts) if parts else self._empty()
+        for a, b in pairwise([0, *cuts.tolist(), n]):
+            if b > a:
+                force = None if accel is None or not self._effect.needs_accel else accel[a:b]
+                self._one(time_ns[a:b], int(segment[a]), temperature[a:b], force, bias[a:b], doubt[a:b])
+        return bias, doubt
 
     def _one(
-        self, time_ns: IntArray, segment: int, temperature: FloatArray, accel: FloatArray | None
-    ) -> FloatArray:
+        self,
+        time_ns: IntArray,
+        segment: int,
+        temperature: FloatArray,
+        accel: FloatArray | None,
+        bias: FloatArray,
+        doubt: FloatArray,
+    ) -> None:
         if segment != self._segment:
-            self._segment, self._start_ns, self._last = segment, int(time_ns[0]), np.nan
-            self._state[:] = np.nan
-        held = held_values(temperature, self._last)
-        self._last = float(held[-1])
-        first = int(np.argmax(np.isfinite(held))) if np.isfinite(held).any() else len(held)
-        seconds = np.asarray((time_ns - self._start_ns) * 1e-9, np.float64)
-        drive = Drive(seconds[first:], held[first:], None if accel is None else accel[first:])
-        found = self.effect.advance(self._state, drive) if len(drive) else self._empty()
-        return np.concatenate([np.full((first, found.shape[1]), np.nan), found])
-
-    def _empty(self) -> FloatArray:
-        one = Drive(np.zeros(1), np.zeros(1), np.zeros((1, 3)))
-        state = np.full(self.effect.state_size, np.nan)
-        return np.empty((0, self.effect.advance(state, one).shape[1]))
+            self._segment, self._start_ns = segment, int(time_ns[0])
+            self._last[:] = np.nan
+            self._states = [np.full(self._effect.state_size, np.nan)]
+        driving = [temperature, *(accel.T if accel is not None else ())]
+        held = np.array([held_values(part, self._last[at]) for at, part in enumerate(driving)])
+        self._last[: len(held)] = held[:, -1]
+        known = np.isfinite(held).all(axis=0)
+        first = int(np.argmax(known)) if known.any() else len(bias)
+        bias[:first] = np.nan
+        if first == len(bias):
+            return
+        seconds = np.asarray((time_ns[first:] - self._start_ns) * 1e-9, np.float64)
+        force = held[1:, first:].T if accel is not None else None
+        drive = Drive(seconds, held[0, first:], force)
+        if len(self._states) == 1 and np.isnan(self._states[0]).all():
+            self._states += [*self._effect.extremes(float(drive.temperature_degc[0]))]
+        found = [self._effect.added(self._effect.advance(state, drive)) for state in self._states]
+        bias[first:] = found[0]
+        if len(found) == 3:
+            doubt[first:] = 0.5 * np.abs(found[2] - found[1])
 
 
 def held_values(values: FloatArray, before: float) -> FloatArray:

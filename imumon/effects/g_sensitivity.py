@@ -20,6 +20,12 @@ class GSensitivity(Effect):
 
     name: ClassVar[str] = "g_sensitivity"
     kind: Literal["g_sensitivity"] = "g_sensitivity"
+    needs_accel: ClassVar[bool] = True
+
+    @property
+    def width(self) -> int:
+        """One for each axis."""
+        return 3
 
     @classmethod
     def grid(cls, survey: Survey) -> list[Self]:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
+from pydantic import Field, FiniteFloat
 
 from imumon.blocks import FloatArray
-from imumon.effects.base import Drive, Effect, Survey, logarithmic
-from imumon.effects.operators import play, smooth_loop
+from imumon.effects.base import Drive, Effect, Positive, Survey, logarithmic
 
 NARROWEST_DEGC = 0.3
 WIDEST_DEGC = 14.0
@@ -29,11 +29,16 @@ class Hysteresis(Effect):
     state_size: ClassVar[int] = 2
     free_start: ClassVar[bool] = True
     nonlinear: ClassVar[tuple[str, ...]] = ("half_width_degc",)
-    half_width_degc: float
+    half_width_degc: Positive
     shape: Literal["play", "smooth"] = "play"
-    order: int = 1
-    middle_degc: float
-    half_span_degc: float
+    order: Annotated[int, Field(ge=1, le=9)] = 1
+    middle_degc: FiniteFloat
+    half_span_degc: Positive
+
+    @property
+    def width(self) -> int:
+        """One for each power."""
+        return self.order
 
     @classmethod
     def grid(cls, survey: Survey) -> list[Self]:
@@ -53,6 +58,8 @@ class Hysteresis(Effect):
 
     def advance(self, state: FloatArray, drive: Drive) -> FloatArray:
         """Return the differences of powers, ahead less dragged."""
+        from imumon.effects.operators import play, smooth_loop
+
         temperature = drive.temperature_degc
         if self.shape == "smooth":
             dragged = temperature - smooth_loop(state, temperature, self.half_width_degc, SLACK_DEGC)
@@ -76,8 +83,20 @@ class Hysteresis(Effect):
         apart = np.abs(self.start_columns(drive)[:, 0])
         return np.asarray(apart < 0.1 * self.half_width_degc / self.half_span_degc)
 
-    def _from(self, drive: Drive, sign: float) -> FloatArray:
-        state = np.array([drive.temperature_degc[0] - sign * self.half_width_degc, np.nan])
+    def extremes(self, temperature_degc: float) -> tuple[FloatArray, FloatArray]:
+        """Return the lowest and the highest state that a loop can have, drawn in by the root of three.
+
+        What is somewhere between two ends, nobody knows where, has that standard deviation.
+        """
+        share = self.half_width_degc / np.sqrt(3.0)
+        low, high = (self._state(temperature_degc, sign * share) for sign in (-1.0, 1.0))
+        return low, high
+
+    def _state(self, temperature: float, ahead: float) -> FloatArray:
+        """Return the state with the temperature so far ahead of what it drags."""
         if self.shape == "smooth":
-            state = np.array([sign * self.half_width_degc, drive.temperature_degc[0]])
-        return self.advance(state, drive)
+            return np.array([ahead, temperature])
+        return np.array([temperature - ahead, np.nan])
+
+    def _from(self, drive: Drive, sign: float) -> FloatArray:
+        return self.advance(self._state(float(drive.temperature_degc[0]), sign * self.half_width_degc), drive)

@@ -7,7 +7,7 @@ from typing import ClassVar, Literal, Self
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.effects.base import Drive, Effect, Survey
+from imumon.effects.base import Drive, Effect, Positive, Survey
 
 LEAST_CYCLES = 4.0
 """Half a cycle imitates any slow residual."""
@@ -23,7 +23,12 @@ class Periodic(Effect):
     name: ClassVar[str] = "periodic"
     kind: Literal["periodic"] = "periodic"
     nonlinear: ClassVar[tuple[str, ...]] = ("period_s",)
-    period_s: float
+    period_s: Positive
+
+    @property
+    def width(self) -> int:
+        """Sine and cosine."""
+        return 2
 
     @classmethod
     def grid(cls, survey: Survey) -> list[Self]:

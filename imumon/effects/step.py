@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import ClassVar, Literal, Self
 
 import numpy as np
+from pydantic import FiniteFloat
 
 from imumon.blocks import FloatArray
 from imumon.effects.base import Drive, Effect, Survey
@@ -21,7 +22,7 @@ class Step(Effect):
     kind: Literal["step"] = "step"
     own: ClassVar[bool] = True
     nonlinear: ClassVar[tuple[str, ...]] = ("time_s",)
-    time_s: float
+    time_s: FiniteFloat
 
     @classmethod
     def grid(cls, survey: Survey) -> list[Self]:

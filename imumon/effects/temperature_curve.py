@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
+from pydantic import Field, FiniteFloat
 
 from imumon.blocks import FloatArray
-from imumon.effects.base import Drive, Effect, Survey
+from imumon.effects.base import Drive, Effect, Positive, Survey
 
 MORE_DEGREES = (2, 4, 6)
 
@@ -17,10 +18,15 @@ class TemperatureCurve(Effect):
 
     name: ClassVar[str] = "temperature_curve"
     kind: Literal["temperature_curve"] = "temperature_curve"
-    middle_degc: float
-    half_span_degc: float
-    first_power: int
-    powers: int = 2
+    middle_degc: FiniteFloat
+    half_span_degc: Positive
+    first_power: Annotated[int, Field(ge=1, le=20)]
+    powers: Annotated[int, Field(ge=1, le=20)] = 2
+
+    @property
+    def width(self) -> int:
+        """One for each power."""
+        return self.powers
 
     @classmethod
     def grid(cls, survey: Survey) -> list[Self]:

@@ -7,8 +7,7 @@ from typing import ClassVar, Literal, Self
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.effects.base import Drive, Effect, Survey
-from imumon.effects.operators import first_order
+from imumon.effects.base import Drive, Effect, Positive, Survey
 
 
 class TemperatureRate(Effect):
@@ -21,7 +20,7 @@ class TemperatureRate(Effect):
     name: ClassVar[str] = "temperature_rate"
     kind: Literal["temperature_rate"] = "temperature_rate"
     state_size: ClassVar[int] = 3
-    smoothing_s: float = 15.0
+    smoothing_s: Positive = 15.0
 
     @classmethod
     def grid(cls, survey: Survey) -> list[Self]:
@@ -30,6 +29,8 @@ class TemperatureRate(Effect):
 
     def advance(self, state: FloatArray, drive: Drive) -> FloatArray:
         """Return the filtered rate."""
+        from imumon.effects.operators import first_order
+
         lagged = first_order(state, drive.time_s, drive.temperature_degc, self.smoothing_s)
         return np.asarray((drive.temperature_degc - lagged) / self.smoothing_s)[:, np.newaxis]
 

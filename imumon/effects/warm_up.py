@@ -7,7 +7,7 @@ from typing import ClassVar, Literal, Self
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.effects.base import Drive, Effect, Survey, logarithmic
+from imumon.effects.base import Drive, Effect, Positive, Survey, logarithmic
 
 SHORTEST_S = 60.0
 LONGEST_S = 2000.0
@@ -20,7 +20,7 @@ class WarmUp(Effect):
     name: ClassVar[str] = "warm_up"
     kind: Literal["warm_up"] = "warm_up"
     nonlinear: ClassVar[tuple[str, ...]] = ("time_constant_s",)
-    time_constant_s: float
+    time_constant_s: Positive
 
     @classmethod
     def grid(cls, survey: Survey) -> list[Self]:

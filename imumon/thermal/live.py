@@ -10,6 +10,7 @@ import numpy.typing as npt
 from numba import njit
 
 from imumon.blocks import FloatArray, IntArray
+from imumon.effects.base import Carrier
 from imumon.errors import ImumonError, Reason
 from imumon.thermal.model import BiasModel, ChannelModel
 
@@ -26,22 +27,27 @@ class Prediction:
     bias : array (n, k)
         rad/s or m/s²; NaN before the first temperature.
     slope : array (n, k)
-        db/dT, per °C; NaN before the first temperature.
+        db/dT of the curve, per °C; NaN before the first temperature.
     inside : array (n, k) of bool
         Whether the temperature is where the model was calibrated; False before the first.
+    doubt : array (n, k)
+        Standard deviation of the bias due to the unknown state at power-on of effects with memory; it dies
+        away.
     """
 
     bias: FloatArray
     slope: FloatArray
     inside: npt.NDArray[np.bool_]
+    doubt: FloatArray
 
 
 class BiasPredictor:
-    """Bias over temperature, causal, whatever the division into blocks.
+    """Bias over temperature with its effects, causal, whatever the division into blocks.
 
     Where there is no temperature the last one holds.  After a restart of the device (a new segment) there is
     none until the next reading: nobody knows how long the unit was off.  Outside the calibrated range see
-    `imumon.thermal.model.REACH`.  Costs about 10 ns per sample and channel, whatever the curve.
+    `imumon.thermal.model.REACH`; effects see a temperature that is held there.  Costs about 10 ns per sample
+    and channel, whatever the curve, and about as much again for each effect.
 
     Parameters
     ----------
@@ -69,8 +75,15 @@ class BiasPredictor:
         self._tables = np.stack([_table(channel) for channel in models]) if models else np.empty((0, 0, 2))
         self._last = np.full(len(models), np.nan)
         self._segment = np.full(1, -1, np.int64)
+        self._effects = [(at, Carrier(effect)) for at, m in enumerate(models) for effect in m.effects]
 
-    def process(self, time_ns: IntArray, segment: IntArray, temperature: FloatArray) -> Prediction:
+    def process(
+        self,
+        time_ns: IntArray,
+        segment: IntArray,
+        temperature: FloatArray,
+        accel: FloatArray | None = None,
+    ) -> Prediction:
         """Return the expected bias of the next samples.
 
         Parameters
@@ -79,6 +92,8 @@ class BiasPredictor:
             Device time and its segment.
         temperature : array (n, k)
             °C, of each channel; NaN where there is none.
+        accel : array (n, 3), optional
+            Specific force, m/s²; without it an effect of the specific force adds nothing.
         """
         n, k = len(time_ns), len(self._last)
         if temperature.shape != (n, k) or len(segment) != n:
@@ -87,7 +102,14 @@ class BiasPredictor:
         follow(
             segment, temperature, self._ranges, self._tables, self._last, self._segment, bias, slope, inside
         )
-        return Prediction(bias, slope, inside)
+        variance = np.zeros((n, k))
+        for at, carrier in self._effects:
+            low, high, reach = self._ranges[at, :3]
+            held = np.clip(temperature[:, at], low - reach, high + reach)
+            added, doubt = carrier.process(time_ns, segment, held, accel)
+            bias[:, at] += added
+            variance[:, at] += doubt**2
+        return Prediction(bias, slope, inside, np.sqrt(variance))
 
 
 def _range(channel: ChannelModel) -> list[float]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, Self
+from typing import Annotated, Final, Literal, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +12,7 @@ from pydantic import Field, FiniteFloat, NonNegativeInt, model_validator
 
 from imumon.blocks import FloatArray
 from imumon.config import StrictModel, load_yaml
+from imumon.effects.library import AnyEffect
 from imumon.errors import ImumonError, Reason
 from imumon.thermal.curves.network import NetworkCurve
 from imumon.thermal.curves.polynomial import PolynomialCurve
@@ -50,8 +51,8 @@ class ChannelModel(StrictModel):
     held_out_rms : dict of str to float
         rms error at levels that were left out, for each candidate curve.
     curve : PolynomialCurve, SplineCurve or NetworkCurve
-    effects : list
-        Terms beyond the curve; none so far.
+    effects : list of Effect
+        What the bias has beyond the curve, with coefficients; `value` and `slope` are without them.
     """
 
     unit: Literal["rad/s", "m/s^2"]
@@ -60,15 +61,20 @@ class ChannelModel(StrictModel):
     residual_sd: _NonNegative
     held_out_rms: dict[str, _NonNegative] = Field(default_factory=dict)
     curve: Curve
-    effects: list[Any] = Field(default_factory=list)
+    effects: list[AnyEffect] = Field(default_factory=list)
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         low, high = self.temperature_range_degc
         if low >= high:
             raise ValueError(f"temperature_range_degc {low} to {high} is empty")
-        if self.effects:
-            raise ValueError("effects must be empty: this version knows none")
+        for effect in self.effects:
+            if len(effect.coefficients) != effect.width:
+                raise ValueError(
+                    f"{effect.name} needs {effect.width} coefficients, there are {len(effect.coefficients)}"
+                )
+            if effect.own:
+                raise ValueError(f"{effect.name} is another in each run: no model can foretell it")
         return self
 
     @property
@@ -118,7 +124,7 @@ class TrainedOn(StrictModel):
 
 
 class BiasModel(StrictModel):
-    """Bias over temperature of a unit, as `imumon calibrate` finds it.
+    """Bias over temperature of a unit, as `imumon calibrate` finds it and `imumon diagnose` extends it.
 
     Parameters
     ----------

@@ -99,7 +99,7 @@ def test_a_written_file_is_read_again(tmp_path: Path) -> None:
     ("line", "instead", "said"),
     [
         ("format: imumon-bias-model/1", "format: imumon-bias-model/9", ":1: format: "),
-        ("    effects: []", "    effects: [{kind: thermal_lag}]", "effects must be empty"),
+        ("    effects: []", "    effects: [{kind: drift}]", "drift needs 1 coefficients, there are 0"),
         ("    unit: rad/s", "    unit: deg/s", "unit: "),
         ("    unit: rad/s", "    unit: m/s^2", "channel gyro_x is in rad/s, not m/s^2"),
         ("  gyro_x:", "  gyro_q:", "channel 'gyro_q' is not known"),

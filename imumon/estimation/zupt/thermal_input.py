@@ -16,8 +16,9 @@ CORRELATION_DEGC = 5.0
 """Errors of a curve at temperatures farther apart than about this have little to do with each other."""
 MARK_DEGC = 0.5
 """The temperature has moved when it is this far from where it was last noted: noise does not count."""
-# What is carried per axis: last prediction, sum of increments, variance, temperature noted, farthest outside.
-LAST, TOTAL, VARIANCE, MARK, OUTSIDE = range(5)
+# What is carried per axis: last prediction, sum of increments, variance, temperature noted, farthest outside,
+# doubt of the state at power-on when the sums began, and the variance that its fading has brought since.
+LAST, TOTAL, VARIANCE, MARK, OUTSIDE, DOUBT, FADED = range(7)
 
 
 class ThermalInput:
@@ -48,7 +49,7 @@ class ThermalInput:
                 slopes = channel.slope(np.linspace(low, high, 101))
                 trust[:] = channel.residual_sd, np.sqrt(np.mean(slopes**2)), low, high
         self._temperature = np.full(3, np.nan)
-        self._carried = np.zeros((3, 5))
+        self._carried = np.zeros((3, 7))
         self.begin()
         self.outside = False
         """Whether the temperature has been outside the range that the model was made for."""
@@ -63,7 +64,7 @@ class ThermalInput:
     def begin(self) -> None:
         """Start the sums at nought."""
         self._carried[:] = 0.0
-        self._carried[:, LAST] = self._carried[:, MARK] = np.nan
+        self._carried[:, [LAST, MARK, DOUBT]] = np.nan
 
     def temperature(self, block: SampleBlock) -> FloatArray:
         """Return the temperature of each gyro in °C, the estimated one where there is one, (n, 3)."""
@@ -95,10 +96,12 @@ class ThermalInput:
         total, variance = np.zeros((len(block), 3)), np.zeros((len(block), 3))
         if self._predictor is None:
             return total, variance
-        predicted = self._predictor.process(block["device_time_ns"], block["segment"], temperature)
-        bias = predicted.bias
+        predicted = self._predictor.process(
+            block["device_time_ns"], block["segment"], temperature, block.accel
+        )
+        bias, doubt = predicted.bias, predicted.doubt
         if self._by_rate:
-            bias = np.full_like(bias, np.nan)
+            bias, doubt = np.full_like(bias, np.nan), np.zeros_like(doubt)
             for j, axis in enumerate("xyz"):
                 rates = [f"temperature_rate_{axis}", "temperature_rate"]
                 name = next((name for name in rates if name in block), None)
@@ -106,7 +109,9 @@ class ThermalInput:
                     bias[:, j] = predicted.slope[:, j] * block[name]
         self.outside |= bool((np.isfinite(temperature) & ~predicted.inside).any())
         self.lacking |= bool(len(block) and not np.isfinite(bias).any())
-        _accumulate(seconds, bias, temperature, self._by_rate, self._trust, self._carried, total, variance)
+        _accumulate(
+            seconds, bias, doubt, temperature, self._by_rate, self._trust, self._carried, total, variance
+        )
         return total, variance
 
 
@@ -119,6 +124,7 @@ def _sources(suffix: str, axis: str) -> list[str]:
 def _accumulate(
     seconds: FloatArray,
     bias: FloatArray,
+    doubt: FloatArray,
     temperature: FloatArray,
     by_rate: bool,
     trust: FloatArray,
@@ -129,7 +135,7 @@ def _accumulate(
     """Sum increments of the bias (or its rate times dt) and the variance that comes with them.
 
     Within the calibrated range the error of the curve is a random walk over temperature; outside it the slope
-    itself is unknown.
+    itself is unknown.  An unknown state at power-on has moved the bias by its doubt at first less that now.
     """
     for j in range(3):
         residual, steep, low, high = trust[j, 0], trust[j, 1], trust[j, 2], trust[j, 3]
@@ -144,6 +150,9 @@ def _accumulate(
                     if math.isfinite(state[LAST]):
                         state[TOTAL] += bias[i, j] - state[LAST]
                     state[LAST] = bias[i, j]
+                    if not math.isfinite(state[DOUBT]):
+                        state[DOUBT] = doubt[i, j]
+                    state[FADED] = max(state[FADED], (doubt[i, j] - state[DOUBT]) ** 2)
             t = temperature[i, j]
             if math.isfinite(t):
                 if not math.isfinite(state[MARK]):
@@ -159,4 +168,4 @@ def _accumulate(
                 elif beyond == 0.0:
                     state[OUTSIDE] = 0.0
             total[i, j] = state[TOTAL]
-            variance[i, j] = state[VARIANCE]
+            variance[i, j] = state[VARIANCE] + state[FADED]
