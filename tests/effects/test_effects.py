@@ -1,0 +1,177 @@
+"""Effects: one object to simulate, to regress and to carry along live, and the same numbers in each."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from imumon.blocks import FloatArray, IntArray
+from imumon.effects.base import Carrier, Drive, Effect, Survey
+from imumon.effects.g_sensitivity import GSensitivity
+from imumon.effects.hysteresis import Hysteresis
+from imumon.effects.library import EFFECTS
+from imumon.effects.temperature_rate import TemperatureRate
+from imumon.effects.thermal_lag import ThermalLag
+
+SURVEY = Survey((7200.0, 7200.0), 30.0, 4, 19.6, 30.0, 3, 25.0, 15.0)
+
+
+def run(n: int = 4000, seed: int = 0) -> Drive:
+    """Return a ramp up, a soak and a ramp down, at odd times, with a unit that is turned over."""
+    random = np.random.default_rng(seed)
+    time = np.sort(random.uniform(0.0, 4000.0, n))
+    temperature = np.interp(time, [0, 1500, 2200, 4000], [20.0, 38.0, 38.0, 15.0])
+    accel = np.where((time < 2000)[:, np.newaxis], [0.0, 0.0, 9.8], [9.8, 0.0, 0.0])
+    return Drive(time, temperature + random.normal(0, 0.02, n), accel)
+
+
+def one_of_each() -> list[Effect]:
+    """Return one effect of each family, with coefficients."""
+    found = []
+    for family in EFFECTS.values():
+        effect = family.grid(SURVEY)[0]
+        found.append(effect.with_coefficients(np.arange(1.0, effect.width + 1)))
+    return found
+
+
+def live(effect: Effect, drive: Drive, size: int, segment: IntArray | None = None) -> tuple[FloatArray, ...]:
+    """Return bias and doubt, carried along in blocks of a size."""
+    carrier = Carrier(effect)
+    time_ns = np.round(drive.time_s * 1e9).astype(np.int64)
+    label = np.zeros(len(drive), np.int64) if segment is None else segment
+    force = drive.accel
+    assert force is not None
+    parts = [
+        carrier.process(
+            time_ns[i : i + size],
+            label[i : i + size],
+            drive.temperature_degc[i : i + size],
+            force[i : i + size],
+        )
+        for i in range(0, len(drive), size)
+    ]
+    return tuple(np.concatenate(part) for part in zip(*parts, strict=True))
+
+
+@pytest.mark.parametrize("effect", one_of_each(), ids=lambda effect: effect.name)
+def test_the_width_is_the_number_of_columns(effect: Effect) -> None:
+    assert effect.columns(run(50)).shape == (50, effect.width)
+
+
+@pytest.mark.parametrize("effect", one_of_each(), ids=lambda effect: effect.name)
+@pytest.mark.parametrize("size", [1, 7, 333])
+def test_the_division_into_blocks_does_not_matter(effect: Effect, size: int) -> None:
+    drive = run(1000)
+    segment = np.repeat([3, 4], [420, 580])
+    for whole, parts in zip(
+        live(effect, drive, 1000, segment), live(effect, drive, size, segment), strict=True
+    ):
+        np.testing.assert_array_equal(whole, parts)
+
+
+@pytest.mark.parametrize("effect", one_of_each(), ids=lambda effect: effect.name)
+def test_live_it_is_what_is_simulated(effect: Effect) -> None:
+    drive = run()
+    since = Drive(drive.time_s - drive.time_s[0], drive.temperature_degc, drive.accel)
+    bias, _ = live(effect, drive, 100)
+    expected = effect.simulate(since)
+    # The rate has a filter live and none over a whole run: it is late by the filter's time.
+    tolerance = 0.02 if isinstance(effect, TemperatureRate) else 1e-6 * np.ptp(expected) + 1e-9
+    assert np.median(np.abs(bias - expected)) <= tolerance
+    assert np.abs(bias).max() > 1e-4
+
+
+def plain_lag(drive: Drive, tau: float) -> FloatArray:
+    """Twin: the integral of (T - L)/tau in a thousand small steps between samples."""
+    lagged = [float(drive.temperature_degc[0])]
+    for i in range(1, len(drive)):
+        steps = 400
+        at = lagged[-1]
+        dt = (drive.time_s[i] - drive.time_s[i - 1]) / steps
+        for k in range(steps):
+            share = (k + 0.5) / steps
+            value = (1 - share) * drive.temperature_degc[i - 1] + share * drive.temperature_degc[i]
+            at += dt * (value - at) / tau
+        lagged.append(at)
+    return np.array(lagged)
+
+
+def test_a_lag_is_the_solution_of_its_equation() -> None:
+    drive = run(150)
+    effect = ThermalLag(time_constant_s=200.0, middle_degc=0.0, half_span_degc=1.0)
+    lag = drive.temperature_degc - effect.columns(drive)[:, 0]
+    np.testing.assert_allclose(lag, plain_lag(drive, 200.0), atol=2e-3)
+
+
+def test_a_loop_stays_in_a_soak_and_a_lag_does_not() -> None:
+    drive = run()
+    soak = (drive.time_s > 2100) & (drive.time_s < 2200)
+    lag = ThermalLag(time_constant_s=60.0, middle_degc=0.0, half_span_degc=1.0, coefficients=[1.0])
+    loop = Hysteresis(half_width_degc=2.0, middle_degc=0.0, half_span_degc=1.0, coefficients=[1.0])
+    assert np.abs(lag.simulate(drive)[soak]).max() < 0.1
+    assert np.abs(loop.simulate(drive)[soak]).min() > 1.8
+
+
+@pytest.mark.parametrize("shape", ["play", "smooth"])
+def test_the_doubt_of_a_loop_ends_when_it_saturates(shape: str) -> None:
+    effect = Hysteresis.model_validate(
+        {
+            "half_width_degc": 2.0,
+            "shape": shape,
+            "middle_degc": 0.0,
+            "half_span_degc": 1.0,
+            "coefficients": [3.0],
+        }
+    )
+    _, doubt = live(effect, run(), 1000)
+    assert doubt[0] == pytest.approx(3.0 * 2.0 / np.sqrt(3.0), rel=0.03)
+    assert doubt[-1] < 0.01
+
+
+def test_the_doubt_of_a_lag_decays_with_its_time_constant() -> None:
+    effect = ThermalLag(
+        time_constant_s=300.0, middle_degc=0, half_span_degc=10, start_sd_degc=2.0, coefficients=[5.0]
+    )
+    drive = run()
+    _, doubt = live(effect, drive, 1000)
+    expected = 5.0 * 2.0 / 10 * np.exp(-(drive.time_s - drive.time_s[0]) / 300.0)
+    np.testing.assert_allclose(doubt, expected, atol=1e-9)
+
+
+def test_a_restart_of_the_device_forgets_the_state() -> None:
+    effect = ThermalLag(time_constant_s=300.0, middle_degc=0.0, half_span_degc=1.0, coefficients=[1.0])
+    drive = run(1000)
+    bias, doubt = live(effect, drive, 1000, np.repeat([0, 1], [400, 600]))
+    assert abs(bias[399]) > 1.0
+    assert bias[400] == 0.0
+    assert doubt[400] == doubt[0]
+
+
+def test_a_missing_temperature_is_held_and_before_the_first_there_is_no_bias() -> None:
+    effect = ThermalLag(time_constant_s=100.0, middle_degc=0.0, half_span_degc=1.0, coefficients=[1.0])
+    time_ns = np.arange(6) * 10_000_000_000
+    temperature = np.array([np.nan, np.nan, 20.0, 25.0, np.nan, np.nan])
+    bias, _ = Carrier(effect).process(time_ns, np.zeros(6, np.int64), temperature)
+    assert np.isnan(bias[:2]).all()
+    assert bias[2] == 0.0
+    assert bias[3] > bias[4] > bias[5] > 0.0
+
+
+def test_an_effect_of_the_specific_force_adds_nothing_without_it() -> None:
+    effect = GSensitivity(coefficients=[1.0, 2.0, 3.0])
+    bias, doubt = Carrier(effect).process(np.arange(3), np.zeros(3, np.int64), np.full(3, 20.0))
+    assert not bias.any()
+    assert not doubt.any()
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, float("nan"), float("inf")])
+def test_an_impossible_time_constant_is_refused(value: float) -> None:
+    with pytest.raises(ValidationError):
+        ThermalLag(time_constant_s=value, middle_degc=0.0, half_span_degc=1.0)
+
+
+def test_what_the_runs_cannot_show_is_not_tried() -> None:
+    still = Survey((7200.0,), 0.5, 0, 0.0, 30.0, 3, 25.0, 0.25)
+    tried = {name for name, family in EFFECTS.items() if family.grid(still)}
+    assert tried == {"warm_up", "drift", "step", "periodic"}
