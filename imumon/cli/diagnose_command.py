@@ -52,13 +52,20 @@ class _SeveralValues(click.Command):
     help="Bias model that is assumed: 'polynomial N' in temperature, '+ offset' for a constant of each run;"
     " default: polynomial 3.",
 )
+@click.option(
+    "--model",
+    "model_path",
+    type=RECORDING,
+    help="Instead: the bias model that is assumed, by imumon calibrate.",
+)
 @click.option("--map", "map_path", type=RECORDING, help="YAML file: what is in which column of the tables.")
-@click.option("--out", required=True, type=RECORDING, help="Folder for the report.")
+@click.option("--out", required=True, type=RECORDING, help="Folder for the report and the extended model.")
 @json_option
 def command(
     train: tuple[Path, ...],
     test: tuple[Path, ...],
     declared: str | None,
+    model_path: Path | None,
     map_path: Path | None,
     out: Path,
     as_json: bool,
@@ -69,17 +76,26 @@ def command(
     tell most.
     """
     from imumon.diagnosis.engine import diagnose, parse_declared
+    from imumon.diagnosis.extended import extended_model
     from imumon.diagnosis.page import write_page
     from imumon.diagnosis.report import report, write_report
+    from imumon.thermal.model import load_model
 
-    parse_declared(declared or "polynomial 3")
+    if declared is not None and model_path is not None:
+        raise ImumonError(
+            Reason.BAD_CONFIG, "--model and --declared are both given", "give one: each says what is assumed"
+        )
+    model = load_model(model_path) if model_path is not None else None
+    assumed = declared or ("polynomial 3" if model is None else "polynomial 0")
+    parse_declared(assumed)
     _make(out)
     with _progress() as tell:
         runs = [_read(path, map_path, tell) for path in (*train, *test)]
         split = len(train)
         training = [run for group in runs[:split] for run in group]
         testing = [run for group in runs[split:] for run in group]
-        diagnosis = diagnose(training, testing, declared or "polynomial 3", tell)
+        diagnosis = diagnose(training, testing, assumed, tell, model=model)
+        extended_model(diagnosis).write(out / "model.yaml")
         write_report(diagnosis, out / "report.json")
         write_page(diagnosis, out / "report.html", tell)
     for text in diagnosis.caveats:
@@ -87,7 +103,8 @@ def command(
     if as_json:
         print_json(report(diagnosis))
     print_rows({verdict.name: verdict.summary for verdict in diagnosis.verdicts})
-    print_rows({"report": str(out / "report.html"), "numbers": str(out / "report.json")})
+    written = {"report": "report.html", "numbers": "report.json", "model": "model.yaml"}
+    print_rows({what: str(out / name) for what, name in written.items()})
 
 
 def _read(path: Path, map_path: Path | None, tell: Tell) -> list[Run]:

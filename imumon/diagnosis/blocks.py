@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.diagnosis.recording import Run
+from imumon.diagnosis.recording import Origin, Run
 from imumon.effects.base import Drive, Survey
 
 BLOCK_S = 30.0
@@ -60,6 +60,7 @@ class RunBlocks:
     drives: dict[str, Drive]
     valid: BoolArray
     duration_s: float
+    origin: Origin | None = None
 
     def __len__(self) -> int:
         """Return the number of blocks."""
@@ -100,6 +101,7 @@ def make_blocks(
         drives=drives,
         valid=valid,
         duration_s=run.duration_s,
+        origin=run.origin,
     )
 
 

@@ -18,8 +18,10 @@ from imumon.diagnosis.blocks import (
     white_floor,
 )
 from imumon.diagnosis.candidates import Pool
+from imumon.diagnosis.continuing import continued, predecessor
 from imumon.diagnosis.earth import GRAVITY, VerticalRate, vertical_rate, without
 from imumon.diagnosis.fitting import Declared
+from imumon.diagnosis.known import modelled, temperature_of, without_known
 from imumon.diagnosis.recording import CHANNELS, TEMPERATURES, Run, unit_of
 from imumon.diagnosis.selection import Channel, Search
 from imumon.diagnosis.verdict import Case, ChannelVerdict, judge
@@ -27,6 +29,7 @@ from imumon.effects.base import LEAST_SPAN_DEGC, Survey
 from imumon.effects.g_sensitivity import LEAST_RANGE
 from imumon.effects.library import EFFECTS
 from imumon.errors import ImumonError, Reason
+from imumon.thermal.model import BiasModel
 
 LEAST_BLOCKS = 40
 LEAST_RUN_BLOCKS = 8
@@ -42,7 +45,10 @@ Progress = Callable[[str], None]
 
 @dataclass(slots=True)
 class Diagnosis:
-    """Verdicts on all channels, and what has to be said of the data."""
+    """Verdicts on all channels, and what has to be said of the data.
+
+    `model` is the one that was given to begin with, or None.
+    """
 
     declared: str
     block_s: float
@@ -51,6 +57,7 @@ class Diagnosis:
     test: Sequence[RunBlocks]
     survey: Survey
     caveats: list[str] = field(default_factory=list)
+    model: BiasModel | None = None
 
 
 def parse_declared(text: str) -> tuple[int, bool]:
@@ -78,8 +85,11 @@ def diagnose(
     declared: str = "polynomial 3",
     progress: Progress | None = None,
     sensors: Sequence[str] = ("gyro", "accel"),
+    model: BiasModel | None = None,
 ) -> Diagnosis:
     """Find what the declared model leaves over in the training runs, name it, and prove it on the test runs.
+
+    With a `model` that is known, its bias is taken from every run first, and `declared` is about the rest.
 
     Raises
     ------
@@ -89,7 +99,13 @@ def diagnose(
     degree, offsets = parse_declared(declared)
     caveats: list[str] = []
     channels = _channels(train)
-    temperatures = {name: _temperature_of(name, train) for name in channels}
+    test = _in_order(train, test, caveats)
+    if model is not None:
+        channels = modelled(channels, model)
+        temperatures = {name: temperature_of(name, model, train) for name in channels}
+        train, test = ([without_known(run, model, temperatures) for run in runs] for runs in (train, test))
+    else:
+        temperatures = {name: _temperature_of(name, train) for name in channels}
     used = list(dict.fromkeys(temperatures.values()))
     blocks = _usable(train, channels, used, caveats, "training")
     tested = _usable(test, channels, used, caveats, "test") if test else []
@@ -109,7 +125,7 @@ def diagnose(
         )
         degree = 0
     _remark(blocks, tested, caveats)
-    diagnosis = Diagnosis(declared, BLOCK_S, [], blocks, tested, seen, caveats)
+    diagnosis = Diagnosis(declared, BLOCK_S, [], blocks, tested, seen, caveats, model)
     for sensor in sensors:
         group = [name for name in channels if name.startswith(sensor)]
         if group:
@@ -191,6 +207,22 @@ def _said_of_earth(earth: VerticalRate | None) -> str:
     )
 
 
+def _in_order(train: Sequence[Run], test: Sequence[Run], caveats: list[str]) -> list[Run]:
+    """Return the test runs; those that go on where another run ended have its time and temperatures."""
+    found: list[Run] = []
+    for run in test:
+        before = predecessor(run, [*found, *train])
+        if before is None:
+            found.append(run)
+            continue
+        caveats.append(
+            f"{run.name} goes on where {before.name} ended, by the device's clock: time since power-on, lag"
+            " and loop go on as well"
+        )
+        found.append(continued(before, run))
+    return found
+
+
 def _families(channel: str, seen: Survey) -> list[str]:
     """Return the effects that are tried on a channel."""
     skipped = {"axis_coupling"} if channel.startswith("gyro") else {"g_sensitivity", "axis_coupling"}
@@ -269,8 +301,8 @@ def _usable(
             lacking = [name for name in (*channels, *temperatures) if name not in run.mean]
             caveats.append(f"{run.name}: not used, it lacks {', '.join(lacking)}")
             continue
-        there = np.isfinite(run.mean[channels[0]])
-        resting = float((run.rest[there] >= REST_SHARE).mean()) if there.any() else 0.0
+        there = np.isfinite(run.mean[channels[0]])[run.earlier :]
+        resting = float((run.rest[run.earlier :][there] >= REST_SHARE).mean()) if there.any() else 0.0
         if resting < LEAST_REST:
             moving.append(f"{run.name}: at rest for {resting:.0%} of its {run.duration_s / 60:.0f} min")
             continue

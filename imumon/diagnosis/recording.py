@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -17,7 +18,7 @@ from imumon.errors import ImumonError, Reason
 from imumon.pipeline import Estimator, Pipeline
 from imumon.run.replay import run_over
 from imumon.run.source import open_source
-from imumon.session.folder import is_session
+from imumon.session.folder import is_session, open_session
 from imumon.session.importing import import_table
 from imumon.session.table import SUFFIXES, iterate_table
 
@@ -31,6 +32,15 @@ SHORTEST_RUN_S = 300.0
 COLDEST_DEGC, HOTTEST_DEGC = -100.0, 250.0
 
 Progress = Callable[[int], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """Where a run comes from: session or table, number of the run in it, and the fingerprint of its bytes."""
+
+    session: str
+    index: int
+    sha256: str
 
 
 @dataclass(slots=True)
@@ -51,6 +61,12 @@ class Run:
         Variance of the samples within each second; NaN with fewer than two.
     rest : array of shape (n,)
         Share of the samples at which the unit was at rest.
+    origin : Origin or None
+        None when it is not from a file.
+    start_ns : int or None
+        Device time of the first sample; None when it is not known.
+    earlier : int
+        Seconds at the beginning that are of another run, which this one goes on from.
     """
 
     name: str
@@ -59,6 +75,9 @@ class Run:
     mean: dict[str, FloatArray]
     variance: dict[str, FloatArray]
     rest: FloatArray
+    origin: Origin | None = None
+    start_ns: int | None = None
+    earlier: int = 0
 
     @property
     def duration_s(self) -> float:
@@ -98,7 +117,18 @@ def read_runs(
             f"{path}: too short: its longest run is {longest:.0f} s; {SHORTEST_RUN_S:.0f} s are needed",
             "record the unit at rest for an hour or more while its temperature changes",
         )
-    return runs
+    sha256 = _fingerprint(path)
+    return [replace(run, origin=Origin(path.name or str(path), at, sha256)) for at, run in enumerate(runs)]
+
+
+def _fingerprint(path: Path) -> str:
+    """Return the fingerprint of what was recorded, or of a table."""
+    file = path
+    if is_session(path) or path.is_dir():
+        session = open_session(path)
+        file = session.samples_path if session.metadata.source == "import" else session.wire_path
+    with file.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 @contextmanager
@@ -185,6 +215,7 @@ class _Collector:
     def __init__(self, name: str) -> None:
         self._name = name
         self._runs: list[tuple[dict[str, _Sums], int]] = []
+        self._starts: list[int] = []
         self._segment = -1
         self._start_ns = self._last_ns = 0
 
@@ -202,6 +233,7 @@ class _Collector:
             if cut[a]:
                 self._runs.append(({}, 0))
                 self._start_ns = int(time_ns[a])
+                self._starts.append(self._start_ns)
             self._add_rows(block.rows(a, b))
         self._segment, self._last_ns = int(segment[-1]), int(time_ns[-1])
 
@@ -222,11 +254,13 @@ class _Collector:
     def runs(self) -> list[Run]:
         """Return the runs so far."""
         return [
-            self._run(sums, n, f"{self._name}, run {index + 1}" if len(self._runs) > 1 else self._name)
-            for index, (sums, n) in enumerate(self._runs)
+            self._run(
+                sums, n, f"{self._name}, run {index + 1}" if len(self._runs) > 1 else self._name, start_ns
+            )
+            for index, ((sums, n), start_ns) in enumerate(zip(self._runs, self._starts, strict=True))
         ]
 
-    def _run(self, sums: dict[str, _Sums], n: int, name: str) -> Run:
+    def _run(self, sums: dict[str, _Sums], n: int, name: str, start_ns: int) -> Run:
         parts = {key: value.finished(n) for key, value in sums.items() if value.count.any()}
         rest = parts.pop("at_rest")[1]
         return Run(
@@ -236,6 +270,7 @@ class _Collector:
             mean={key: part[1] for key, part in parts.items()},
             variance={key: part[2] for key, part in parts.items()},
             rest=np.nan_to_num(rest),
+            start_ns=start_ns,
         )
 
 

@@ -22,7 +22,7 @@ def report(diagnosis: Diagnosis) -> dict[str, Any]:
     content = {
         "format": FORMAT,
         "imumon": __version__,
-        "declared_model": diagnosis.declared,
+        "declared_model": _declared(diagnosis),
         "block_s": diagnosis.block_s,
         "train": [_run(run.name, len(run), run.duration_s) for run in diagnosis.train],
         "test": [_run(run.name, len(run), run.duration_s) for run in diagnosis.test],
@@ -41,6 +41,12 @@ def report(diagnosis: Diagnosis) -> dict[str, Any]:
 def write_report(diagnosis: Diagnosis, path: Path) -> None:
     """Write report.json; raises OSError when that fails."""
     path.write_text(json.dumps(report(diagnosis), indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+
+
+def _declared(diagnosis: Diagnosis) -> str:
+    if diagnosis.model is None:
+        return diagnosis.declared
+    return f"model of {diagnosis.model.created} and {diagnosis.declared}"
 
 
 def _run(name: str, blocks: int, duration_s: float) -> dict[str, Any]:

@@ -166,7 +166,7 @@ def _not_worse(case: Case, findings: Sequence[Finding]) -> tuple[list[Finding], 
 
     A finding is refuted when the test is worse with it.  So is one that carries over when the test gets
     better by less than `CONFIRMED` of what the finding says it should: the mean square of what it adds to
-    the prediction.
+    the prediction.  At last nothing stays that makes the prediction as a whole worse.
     """
     kept = list(findings)
     left_out: list[dict[str, Any]] = []
@@ -178,7 +178,29 @@ def _not_worse(case: Case, findings: Sequence[Finding]) -> tuple[list[Finding], 
             break
         left_out.append(trials[worst][1])
         kept.pop(worst)
+    while kept and (record := _worst_foretold(case, kept)) is not None:
+        left_out.append(record)
+        kept = [finding for finding in kept if finding.name != record["name"]]
     return kept, left_out
+
+
+def _worst_foretold(case: Case, kept: Sequence[Finding]) -> dict[str, Any] | None:
+    """Return the numbers of the finding without which the prediction is best, if with all it is worse than
+    the declared one; else None."""
+    everything = case.fitted([finding.candidate for finding in kept])
+    before, after = case.scored(case.fitted([]), everything), case.scored(everything, everything)
+    if before is None or after is None or not after.rms > before.rms:
+        return None
+    if not any(part.carries for part in everything.parts):
+        return None
+    without = {}
+    for finding in kept:
+        others = case.fitted([other.candidate for other in kept if other is not finding])
+        scored = case.scored(others, everything)
+        assert scored is not None
+        without[finding.name] = scored.rms
+    name = min(without, key=lambda one: without[one])
+    return {"name": name, "test_rms_with": after.rms, "test_rms_without": without[name]}
 
 
 def _trial(
@@ -192,14 +214,18 @@ def _trial(
     assert without is not None
     count = [a & b for a, b in zip(with_it.quiet, without.quiet, strict=True)]
     # Of what can be followed only the part that was not yet is in the way of judging the others.
-    rms = mean_rms(with_it.tracked, count), mean_rms(without.tracked, count)
+    left = with_it.tracked, without.tracked
+    if carries and not np.isfinite(mean_rms(left[0], count)):
+        # Too near to jumps throughout: then what was foretold has to do.
+        left, count = (with_it.residual, without.residual), with_it.counted
+    rms = mean_rms(left[0], count), mean_rms(left[1], count)
     record = {"name": finding.name, "test_rms_with": rms[0], "test_rms_without": rms[1]}
     if not np.isfinite(rms).all():
         return 0.0, record
     better = rms[1] ** 2 - rms[0] ** 2
     if not carries:
         return better, record
-    change = [a - b for a, b in zip(with_it.tracked, without.tracked, strict=True)]
+    change = [a - b for a, b in zip(*left, strict=True)]
     return better - CONFIRMED * mean_rms(change, count) ** 2, record
 
 

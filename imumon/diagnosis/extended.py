@@ -1,0 +1,120 @@
+"""The extended model: what was declared, with the effects that are claimed, as a model file."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+from numpy.polynomial import Chebyshev, Polynomial
+
+from imumon import __version__
+from imumon.diagnosis.blocks import RunBlocks
+from imumon.diagnosis.engine import Diagnosis
+from imumon.diagnosis.fitting import FittedPart
+from imumon.diagnosis.verdict import ChannelVerdict
+from imumon.effects.base import Effect
+from imumon.effects.temperature_curve import TemperatureCurve
+from imumon.effects.thermal_lag import START_SD_DEGC, ThermalLag
+from imumon.thermal.curves.polynomial import HIGHEST_ORDER, PolynomialCurve
+from imumon.thermal.model import BiasModel, ChannelModel, TrainedOn
+
+MARGIN = 0.005
+"""Share of the span that the range is widened by, so that an end is not in and out by turns."""
+
+
+def extended_model(diagnosis: Diagnosis) -> BiasModel:
+    """Return the declared model with what carries over of the claims, for every channel.
+
+    A jump, a turn-on offset and an amplitude that is another in each run are in the report alone.
+    """
+    known = diagnosis.model
+    kept: dict[str, Any] = {}
+    if known is not None:
+        names = ("device", "serial", "axes", "earth_rate", "latitude_deg", "heading_deg", "levels_degc")
+        kept = {name: getattr(known, name) for name in names}
+    return BiasModel(
+        made_by=f"imumon {__version__}",
+        created=f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
+        block_s=diagnosis.block_s,
+        trained_on=[_trained_on(run) for run in diagnosis.train if run.origin is not None],
+        channels={
+            verdict.name: _channel(verdict, known.channels[verdict.name] if known is not None else None)
+            for verdict in diagnosis.verdicts
+        },
+        **kept,
+    )
+
+
+def _channel(verdict: ChannelVerdict, known: ChannelModel | None) -> ChannelModel:
+    effects = [_carried(part) for part in verdict.after.parts if part.carries]
+    scored = verdict.test_after
+    rms = verdict.after.train_rms if scored is None or not np.isfinite(scored.rms) else scored.rms
+    residual = float(np.sqrt(max(rms**2 - verdict.floor.sd**2, 0.0)))
+    if known is not None:
+        constant = float(verdict.after.declared[0])
+        return known.model_copy(
+            update={
+                "residual_sd": residual,
+                "held_out_rms": {},
+                "curve": known.curve.minus(-constant),
+                "effects": [*known.effects, *effects],
+            }
+        )
+    declared = verdict.declared
+    half = declared.half_span_degc
+    low, high = declared.middle_degc - half, declared.middle_degc + half
+    curve, effects = _curve(Polynomial(verdict.after.declared, domain=[low, high]), effects)
+    if verdict.name.startswith("accel"):
+        curve = curve.minus(float(curve.value(declared.middle_degc)))
+    return ChannelModel.model_validate(
+        {
+            "unit": verdict.unit,
+            "temperature_column": verdict.temperature,
+            "temperature_range_degc": [low - 2 * half * MARGIN, high + 2 * half * MARGIN],
+            "residual_sd": residual,
+            "curve": curve,
+            "effects": effects,
+        }
+    )
+
+
+def _curve(declared: Polynomial, effects: list[Effect]) -> tuple[PolynomialCurve, list[Effect]]:
+    """Return the curve with the higher powers that were found in it, and the other effects."""
+    total, others = declared, []
+    for effect in effects:
+        if isinstance(effect, TemperatureCurve) and effect.first_power + effect.powers - 1 <= HIGHEST_ORDER:
+            middle, half = effect.middle_degc, effect.half_span_degc
+            powers = [0.0] * effect.first_power + effect.coefficients
+            more = Polynomial(powers, domain=[middle - half, middle + half])
+            total = total + more.convert(domain=declared.domain, window=declared.window)
+        else:
+            others.append(effect)
+    low, high = declared.domain.tolist()
+    series = total.convert(domain=declared.domain, kind=Chebyshev)
+    curve = PolynomialCurve(
+        center_degc=0.5 * (low + high), half_width_degc=0.5 * (high - low), coefficients=series.coef.tolist()
+    )
+    return curve, others
+
+
+def _carried(part: FittedPart) -> Effect:
+    """Return the effect as it is carried live, with what training showed of its start."""
+    effect = part.effect
+    if not isinstance(effect, ThermalLag) or not part.start.size or not effect.coefficients[0]:
+        return effect
+    seen = float(np.sqrt(np.mean(part.start**2))) * effect.half_span_degc / abs(effect.coefficients[0])
+    return effect.model_copy(update={"start_sd_degc": max(START_SD_DEGC, seen)})
+
+
+def _trained_on(run: RunBlocks) -> TrainedOn:
+    assert run.origin is not None
+    temperature = np.concatenate(list(run.temperature.values()))
+    return TrainedOn(
+        session=run.origin.session,
+        run=run.origin.index,
+        sha256=run.origin.sha256,
+        rest_s=float(run.valid.sum()),
+        blocks=len(run),
+        temperature_range_degc=[float(temperature.min()), float(temperature.max())],
+    )

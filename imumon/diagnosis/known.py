@@ -1,0 +1,66 @@
+"""Runs less what a known model foretells of them: what is left is what that model lacks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from imumon.diagnosis.recording import SECOND_NS, TEMPERATURES, Run
+from imumon.errors import ImumonError, Reason
+from imumon.thermal.live import BiasPredictor
+from imumon.thermal.model import BiasModel
+
+
+def modelled(channels: Sequence[str], model: BiasModel) -> list[str]:
+    """Return the channels that the model has.
+
+    Raises
+    ------
+    ImumonError
+        BAD_CONFIG when there is none.
+    """
+    found = [name for name in channels if name in model.channels]
+    if not found:
+        raise ImumonError(
+            Reason.BAD_CONFIG,
+            f"the model has {', '.join(model.channels)}; the data has {', '.join(channels)}",
+            "give the model of this unit, or --declared",
+        )
+    return found
+
+
+def temperature_of(channel: str, model: BiasModel, runs: Sequence[Run]) -> str:
+    """Return the temperature in the runs that the model's curve of a channel is over.
+
+    Raises
+    ------
+    ImumonError
+        BAD_DATA when a run lacks it.
+    """
+    name = model.channels[channel].temperature_column.replace("_estimate", "")
+    for found in (name, *TEMPERATURES):
+        if all(found in run.mean and np.isfinite(run.mean[found]).sum() > 1 for run in runs):
+            return found
+    raise ImumonError(
+        Reason.BAD_DATA,
+        f"the bias model needs {name}, which not every run has",
+        "record with the temperature switched on, or name its column in the map",
+    )
+
+
+def without_known(run: Run, model: BiasModel, temperatures: dict[str, str]) -> Run:
+    """Return a run with the model's bias, effects carried along from power-on, taken from its channels."""
+    names = [name for name in temperatures if name in run.mean]
+    time_ns = np.round(run.time_s * SECOND_NS).astype(np.int64)
+    temperature = np.column_stack([run.mean[temperatures[name]] for name in names])
+    force = [run.mean[f"accel_{axis}"] for axis in "xyz" if f"accel_{axis}" in run.mean]
+    predicted = BiasPredictor(model, names).process(
+        time_ns,
+        np.zeros(len(time_ns), np.int64),
+        temperature,
+        np.column_stack(force) if len(force) == 3 else None,
+    )
+    changed = {name: run.mean[name] - predicted.bias[:, at] for at, name in enumerate(names)}
+    return replace(run, mean={**run.mean, **changed})
