@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import sys
 import time
 from collections.abc import Iterator, Mapping
@@ -109,7 +110,9 @@ def methods(scenario: str, model: BiasModel) -> dict[str, Method]:
 
 def main() -> None:
     """Print the tables and whether the bars are met."""
-    seeds = int(sys.argv[1]) if len(sys.argv) > 1 else 10
+    parser = argparse.ArgumentParser(prog="scripts/reproduce/bias_race", description=__doc__)
+    parser.add_argument("--seeds", type=int, default=10, help="runs of each scene (default: %(default)s)")
+    seeds = parser.parse_args().seeds
     begun = time.monotonic()
     model = calibrated()
     print(f"Model from the soak test ({time.monotonic() - begun:.0f} s).\n", file=sys.stderr)

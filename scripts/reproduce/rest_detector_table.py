@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import sys
+import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import product
@@ -85,7 +85,9 @@ def tally(name: str, grades: Sequence[Grade], rate_hz: float, seconds: float, se
 
 def main() -> None:
     """Print a table for each rate, and one of long rests."""
-    seeds = int(sys.argv[1]) if len(sys.argv) > 1 else 10
+    parser = argparse.ArgumentParser(prog="scripts/reproduce/rest_detector", description=__doc__)
+    parser.add_argument("--seeds", type=int, default=10, help="runs of each scene (default: %(default)s)")
+    seeds = parser.parse_args().seeds
     single = {grade.name: (grade,) for grade in GRADES}
     for rate_hz in RATES_HZ:
         print(f"### {rate_hz:g} Hz, {seeds} seeds of {SECONDS:.0f} s\n\n{HEADER}")

@@ -44,8 +44,11 @@ UNKNOWN_BIAS = 1.0
 """Standard deviation of the bias before any measurement, rad/s."""
 UNKNOWN_ROTATION = 0.01
 """The same of the rotation when the unit has come to rest, rad: how far the first reading may be off."""
-SLOPE_SD = math.radians(60.0) / 3600.0
-"""Standard deviation of a slope before any measurement, rad/s/degC."""
+SLOPE_PER_NOISE = 3.6
+"""Standard deviation of a slope before any measurement, per °C and sqrt(s), over the angular random walk: what is
+noisy drifts with temperature as well.  60 °/h/°C at 0.28 °/√h."""
+CURVATURE_DEGC = 30.0
+"""Travel of the temperature over which a slope changes by as much as itself."""
 SLOPE_WALK = math.radians(0.02) / 3600.0
 """Its random walk, rad/s/degC/sqrt(s)."""
 
@@ -140,7 +143,7 @@ def start(bank: Bank, family: Family, noise: FloatArray) -> None:
             for i in range(3):
                 p[FIRST_MARKOV + i, FIRST_MARKOV + i] = (unit * family.markov[axis, h]) ** 2
             if row >= 3:
-                p[SLOPE, SLOPE] = SLOPE_SD**2
+                p[SLOPE, SLOPE] = (SLOPE_PER_NOISE * noise[axis]) ** 2
             bank.weight[row, h] = family.prior[h]
 
 
@@ -163,7 +166,7 @@ def come_to_rest(bank: Bank, flat: FloatArray) -> None:
 
 @njit(cache=True, nogil=True)
 def wander(
-    bank: Bank, row: int, family: Family, dt: float, noise: float, warming: float, growth: float
+    bank: Bank, row: int, family: Family, dt: float, noise: float, warming: float, travel: float, growth: float
 ) -> None:
     """Bring the biases of a row `dt` seconds on.
 
@@ -172,9 +175,11 @@ def wander(
     noise : float
         Angular random walk of the axis, rad/sqrt(s).
     warming : float
-        Change of the temperature, degC, for the bank that learns its slope.
+        Change of the temperature, °C, for the bank that learns its slope.
+    travel : float
+        The same without the noise, as a distance: the slope is another at another temperature.
     growth : float
-        What the thermal model adds to the variance of the bias, (rad/s)^2.
+        What an unknown or doubtful temperature adds to the variance of the bias, (rad/s)^2.
     """
     n = STATES if row >= 3 else SLOPE
     unit = noise if family.relative else 1.0
@@ -190,6 +195,8 @@ def wander(
             for j in range(n):
                 p[row, h, j, WALK] += warming * p[row, h, j, SLOPE]
             p[row, h, SLOPE, SLOPE] += SLOPE_WALK**2 * dt
+            square = x[row, h, SLOPE] ** 2 + p[row, h, SLOPE, SLOPE]
+            p[row, h, SLOPE, SLOPE] += square * travel / CURVATURE_DEGC
         for i in range(FIRST_MARKOV, SLOPE):
             x[row, h, i] *= decay[i]
         for i in range(n):

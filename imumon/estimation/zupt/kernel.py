@@ -50,6 +50,8 @@ MIX_S = 5.0
 """The filters of the bank share what they know this often."""
 FORGETTING_S = 600.0
 """Memory of the evidence for a slope."""
+TRAVEL_DEGC = 0.5
+"""The temperature has travelled when it is this far from where it was last noted: noise does not count."""
 SIGNIFICANCE, EVIDENCE = 9.0, 8.0
 """A slope is used when d^2 > 9 P_dd and the log-likelihoods differ by more than 8 in its favour."""
 REFILTERED = (8, 30)
@@ -64,7 +66,9 @@ RATE_1, RATE_2, TILT_1, TILT_2 = 15, 16, 17, 18
 # Noise: sums of squared second differences and the result; evidence and verdict on the slope; last growth;
 # what coming to rest in another attitude adds to the variance.
 SQUARES, NOISE, EVIDENCE_SUM, CHOSEN, GROWTH_USED, ARRIVAL = 19, 20, 21, 22, 23, 24
-VECTORS = 25
+# Temperature where travel was last noted.
+NOTED = 25
+VECTORS = 26
 # State.number: times in s, and the angle turned since the unit left its last rest.
 LAST, PAUSE, SLOT_START, WAIT_START, WAIT_STOP, USED, TURNED, LEFT, GRAVITY = range(9)
 TILT_SQUARES, TILT_NOISE, NOISE_COUNT, OUTLIERS_S, UNMIXED = 9, 10, 11, 12, 13
@@ -279,11 +283,11 @@ def _open(state: State, t: float) -> None:
 def _leave(settings: Settings, state: State, t: float) -> None:
     """Note that the unit is at rest no more; what the last slot was like nobody knows."""
     flag = state.flag
-    flag[AT_REST] = flag[WAITING] = flag[CONSECUTIVE] = 0
     if not flag[ZEROED]:
         _refilter(settings, state)
         flag[ZEROED] = flag[STARTED]
         flag[RESTED] = 0
+    flag[AT_REST] = flag[WAITING] = flag[CONSECUTIVE] = 0
     state.number[TURNED] = 0.0
     state.number[LEFT] = t
     state.body[:] = np.eye(3)
@@ -465,7 +469,7 @@ def _refilter(settings: Settings, state: State) -> None:
         number[WAIT_START], number[WAIT_STOP] = slot[12], slot[13]
         if k == 0:
             number[USED] = slot[12]
-            vector[AT_DEGC, :] = vector[DEGC]
+            vector[AT_DEGC, :] = vector[NOTED, :] = vector[DEGC]
             vector[GROWTH_USED, :] = vector[GROWTH]
         flag[WAIT_FRESH] = 0
         _take(0, settings, state, unused)
@@ -482,20 +486,20 @@ def _coast(t: float, growth: FloatArray, temperature: FloatArray, settings: Sett
     dt = t - state.number[USED]
     for row in range(bank.x.shape[0]):
         axis = row % 3
-        warming = temperature[axis] - vector[AT_DEGC, axis]
-        filters.wander(
-            bank,
-            row,
-            settings.family,
-            dt,
-            vector[NOISE, axis],
-            warming if math.isfinite(warming) else 0.0,
-            growth[axis] - vector[GROWTH_USED, axis],
-        )
+        warming, travel = temperature[axis] - vector[AT_DEGC, axis], 0.0
+        more = growth[axis] - vector[GROWTH_USED, axis]
+        if not math.isfinite(warming):
+            warming = 0.0
+        elif row >= 3:
+            travel = abs(temperature[axis] - vector[NOTED, axis])
+            travel = travel if travel >= TRAVEL_DEGC else 0.0
+        filters.wander(bank, row, settings.family, dt, vector[NOISE, axis], warming, travel, more)
     for axis in range(3):
         vector[GROWTH_USED, axis] = growth[axis]
         if math.isfinite(temperature[axis]):
             vector[AT_DEGC, axis] = temperature[axis]
+            if abs(temperature[axis] - vector[NOTED, axis]) >= TRAVEL_DEGC:
+                vector[NOTED, axis] = temperature[axis]
     state.number[USED] = t
 
 
@@ -569,10 +573,20 @@ def _refuse(dt: float, state: State) -> None:
 
 @njit(cache=True, nogil=True)
 def _show(state: State) -> None:
-    """Make the estimate of the bank the one that is shown."""
-    vector = state.vector
+    """Make the estimate of the bank the one that is shown.
+
+    The standard deviation is that of both estimates, with and without slope, each by its likelihood: a slope
+    that is not proven may be there all the same.
+    """
+    vector, bank = state.vector, state.bank
     for axis in range(3):
-        row = 3 + axis if vector[CHOSEN, axis] else axis
-        value, variance = filters.bias(state.bank, row)
+        value, variance = filters.bias(bank, axis)
+        vector[DRIFT, axis] = 0.0
+        if bank.x.shape[0] > 3:
+            other, spread = filters.bias(bank, 3 + axis)
+            share = 1.0 / (1.0 + math.exp(-vector[EVIDENCE_SUM, axis]))
+            if vector[CHOSEN, axis]:
+                value, variance, other, spread, share = other, spread, value, variance, 1.0 - share
+                vector[DRIFT, axis] = filters.slope(bank, 3 + axis)[0]
+            variance += share * (spread - variance + (other - value) ** 2)
         vector[BIAS, axis], vector[SD, axis] = value, math.sqrt(variance)
-        vector[DRIFT, axis] = filters.slope(state.bank, row)[0] if row >= 3 else 0.0

@@ -20,11 +20,12 @@ class PlainBank:
         self.weight = family.prior.copy()
         self.x = np.zeros((len(self.prior), 7))
         self.p = np.zeros((len(self.prior), 7, 7))
+        slope = fast.SLOPE_PER_NOISE * noise
         for p, markov in zip(self.p, self.markov, strict=True):
-            p[range(2, 7), range(2, 7)] = [fast.UNKNOWN_BIAS**2, *[markov**2] * 3, fast.SLOPE_SD**2]
+            p[range(2, 7), range(2, 7)] = [fast.UNKNOWN_BIAS**2, *[markov**2] * 3, slope**2]
             p[0, 0] = fast.UNKNOWN_ROTATION**2
 
-    def wander(self, dt: float, warming: float, growth: float) -> None:
+    def wander(self, dt: float, warming: float, travel: float, growth: float) -> None:
         decay = np.exp(-dt / np.array(fast.MARKOV_S))
         f = np.diag([1.0, 1.0, 1.0, *decay, 1.0])
         f[2, 6] = warming
@@ -32,9 +33,11 @@ class PlainBank:
             q = np.zeros(7)
             q[2] = self.walk[h] ** 2 * dt + growth
             q[3:6] = self.markov[h] ** 2 * (1.0 - decay**2)
-            q[6] = fast.SLOPE_WALK**2 * dt
             self.x[h] = f @ self.x[h]
-            self.p[h] = f @ self.p[h] @ f.T + np.diag(q)
+            self.p[h] = f @ self.p[h] @ f.T
+            slope2 = self.x[h][6] ** 2 + self.p[h][6, 6] + fast.SLOPE_WALK**2 * dt
+            q[6] = fast.SLOPE_WALK**2 * dt + slope2 * travel / fast.CURVATURE_DEGC
+            self.p[h] += np.diag(q)
 
     def take(self, dt: float, rate: float, tilt: float, tilt2: float, sway2: float) -> float:
         f = np.eye(7)

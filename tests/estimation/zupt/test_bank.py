@@ -22,9 +22,10 @@ def test_the_bank_is_the_textbook_bank() -> None:
     temperature = np.cumsum(rng.normal(size=400)) * 0.02
     for k, (rate, tilt) in enumerate(rng.normal(size=(400, 2)) * [ARW * 1.4, 1e-4]):
         warming, growth = float(np.diff(temperature, prepend=0.0)[k]), 1e-14
+        travel = 0.5 if k % 50 == 0 else 0.0
         rate += 30 * DPH * temperature[k]
-        fast.wander(bank, 3, family, 0.5, ARW, warming, growth)
-        plain.wander(0.5, warming, growth)
+        fast.wander(bank, 3, family, 0.5, ARW, warming, travel, growth)
+        plain.wander(0.5, warming, travel, growth)
         if k % 10 == 9:
             fast.mix(bank, 3, family, 5.0)
             plain.mix(5.0)
@@ -64,7 +65,7 @@ def test_level_the_three_axes_apart_are_the_dense_filter(k_dph: float) -> None:
     bias, sd = np.empty((len(gyro), 3)), np.empty((len(gyro), 3))
     for k in range(len(gyro)):
         for axis in range(3):
-            fast.wander(bank, axis, family, dt, ARW, 0.0, 0.0)
+            fast.wander(bank, axis, family, dt, ARW, 0.0, 0.0, 0.0)
             given = float(rate[k, axis]), float(tilt[k, axis])
             fast.rotate(bank, axis, dt, *given, noise2[axis], tilt2[axis], sway2[axis])
             fast.correct(bank, axis)

@@ -9,7 +9,7 @@ from scipy.stats import chi2
 from imumon.blocks import FloatArray
 from imumon.estimation.zupt.parameters import ZuptParameters
 from imumon.estimation.zupt.stage import ZeroVelocity
-from tests.estimation.zupt.records import ARW, DPH, VRW, Truth, record, vector
+from tests.estimation.zupt.records import ARW, DPH, VRW, Truth, record, vector, with_rest
 
 RUNS = 50
 AT_S = (30.0, 60.0, 120.0, 240.0, 420.0, 599.0)
@@ -53,3 +53,26 @@ def test_with_nothing_known_the_claim_is_careful_not_bold(flicker: float, least:
     assert least < squares.min() <= squares.max() < most
     assert np.mean(np.abs(errors) < 2.0) > 0.9
     assert np.mean(innovations**2) == pytest.approx(1.0, abs=0.03)
+
+
+def test_without_a_model_the_claim_holds_while_it_moves_and_warms_up() -> None:
+    t = np.arange(15000) / 10
+    temperature = 25.0 + 20.0 * (1.0 - np.exp(-t / 400.0))
+    # Curves like those of a MEMS gyro: steep, bent, and nearly flat.
+    curves = (45.0 * (temperature - 25.0), -1500.0 * np.tanh((temperature - 32.0) / 15.0), 0.3 * temperature)
+    thermal = np.column_stack(curves) * DPH
+    rest = t % 120.0 < 10.0
+    moving = ~rest & (t > 15.0)
+    squares, largest = [], 0.0
+    for seed in range(8):
+        block, bias = record(Truth(rate_hz=10.0, low_pass_hz=None), 1500.0, seed, thermal)
+        added = ZeroVelocity(mode="learned").process(
+            with_rest(block.with_columns({"temperature": temperature}), rest)
+        )
+        off = (vector(added) - bias) / vector(added, "gyro_bias_sd")
+        squares.append(np.mean(off[moving] ** 2, axis=0))
+        largest = max(largest, float(np.abs(off[moving]).max()))
+        sd = vector(added, "gyro_bias_sd")[rest & (t > 600.0)] / DPH
+        assert np.median(sd, axis=0).max() < 60.0  # true, and of use
+    assert np.mean(squares, axis=0).max() < 1.5
+    assert largest < 5.0
