@@ -48,15 +48,20 @@ GOOD = 1e-3
 """A fit is taken for good when chi-square is exceeded by chance with at least this probability."""
 ITERATIONS = 20
 CONVERGED = 1e-5
-LONGEST_START_S = 5.0
+LONGEST_START_S = 1.0
 """The shortest averaging times are left out, up to this one, where a filter of the device has shaped them."""
+FILTERED = 1.02
+"""A filter takes noise away: what is left out for it may not lie higher above what the terms say of it."""
 NEARLY_LEAST = 1.5
 """Where no sum of the terms describes the curve, as many averaging times are kept as leave about the least
 model error."""
+NO_SUM = 0.4
+"""With a larger model error nothing can be said of the terms from the whole curve: a sine of any size puts
+angle random walk or quantization in the place of its own bump."""
 ROUNDS, CLOSE, LARGEST_ERROR = 8, 0.05, 3.0
 """The model error is found to 5 %: chi-square falls with its square where it counts."""
-FEWEST = 5
-"""Averaging times that a fit must keep."""
+FEWEST, FEWEST_BEFORE = 5, 4
+"""Averaging times that a fit must keep; and that one before a disturbance must have."""
 
 Scale = Callable[[float], float]
 
@@ -110,10 +115,12 @@ class Fit:
         Allan variance at one sample of all that was fitted; that of quantization is negative where a filter
         in the device takes away more than quantization adds.
     first, last : int
-        The averaging times that were fitted: first..last.
+        The averaging times that were fitted: first..last.  Where `last` is not the longest trusted one, no
+        sum of the terms describes the longer ones, and only the angle random walk is told.
     model_error : float
         Part of each variance by which the curve differs from any sum of the terms beyond its noise, as far
-        as the fit can tell; it is in the standard deviations.  0 when chi-square is in order.
+        as the fit can tell; it is in the standard deviations.  0 when chi-square is in order; above `NO_SUM`
+        no term is told.
     """
 
     terms: dict[str, Estimate | None]
@@ -223,26 +230,26 @@ def fit_terms(variances: FloatArray, covariances: Covariances, interval_s: float
     """Fit the terms to Allan variances at the averaging factors 0..last of `covariances`; None if too few.
 
     The shortest averaging times are left out, one by one, while no sum of the terms describes the curve:
-    a low-pass filter of the device shapes those that are not longer than itself.  What still does not fit
-    becomes a model error: a part of every variance, so that the many samples behind the short averaging
-    times do not outvote the long ones.
+    a low-pass filter of the device shapes those that are not longer than itself, and lowers them.  What
+    still does not fit becomes a model error: a part of every variance, so that the many samples behind the
+    short averaging times do not outvote the long ones.  When that is large, only the angle random walk is
+    told, from the averaging times before the disturbance.
     """
     n = last + 1
     if n < 2 or not np.all(variances[:n] > 0.0):
         return None
-    start, error = _range_and_error(variances[:n], covariances, interval_s)
-    problem = _Problem(variances[start:n], _part(covariances, start, n), error)
+    start, stop, error = _range_and_error(variances[:n], covariances, interval_s)
+    problem = _Problem(variances[start:stop], _part(covariances, start, stop), error)
     solution = _smallest(problem)
-    terms: dict[str, Estimate | None] = {}
-    for column, term in enumerate(TERMS):
+    told = TERMS if stop == n else TERMS[:1]
+    terms: dict[str, Estimate | None] = dict.fromkeys(term.name for term in TERMS)
+    for column, term in enumerate(told if error <= NO_SUM else ()):
         coefficient = float(solution.coefficients[column])
         if coefficient > 0.0 and _is_shown(problem, solution, column):
             value = math.sqrt(coefficient * term.per_unit(interval_s))
             spread = math.sqrt(float(solution.covariance[column, column]))
             terms[term.name] = Estimate(value, 0.5 * value * spread / coefficient)
-        else:
-            terms[term.name] = None
-    return Fit(terms, _signed(solution.coefficients), start, last, error)
+    return Fit(terms, _signed(solution.coefficients), start, stop - 1, error)
 
 
 def _is_shown(problem: _Problem, solution: _Solution, column: int) -> bool:
@@ -251,42 +258,77 @@ def _is_shown(problem: _Problem, solution: _Solution, column: int) -> bool:
     return not others or problem.called_for(problem.fit(others), column) > TERMS[column].shown
 
 
-def _range_and_error(variances: FloatArray, covariances: Covariances, interval_s: float) -> tuple[int, float]:
-    """Return the first averaging time to fit, and the model error that is left."""
+def _range_and_error(
+    variances: FloatArray, covariances: Covariances, interval_s: float
+) -> tuple[int, int, float]:
+    """Return the first averaging time to fit, the one after the last, and the model error that is left."""
     n = len(variances)
     tried: list[tuple[float, int]] = []
     for start in range(max(1, n - FEWEST + 1)):
         if start and covariances.m[start] * interval_s > LONGEST_START_S:
             break
-        part = _part(covariances, start, n)
-        error = _model_error(variances[start:], part)
+        error, solution = _model_error(variances[start:], _part(covariances, start, n))
+        if start and not _is_filtered(variances[:start], covariances.m[:start], solution):
+            continue
         if error == 0.0:
-            return start, 0.0
+            return start, n, 0.0
         tried.append((error, start))
     least = min(error for error, _ in tried)
     error, start = next((error, start) for error, start in tried if error <= NEARLY_LEAST * least)
-    return start, error
+    if error > NO_SUM:
+        stop = _good_beginning(variances, covariances)
+        if stop:
+            return 0, stop, 0.0
+    return start, n, error
 
 
-def _model_error(variances: FloatArray, covariances: Covariances) -> float:
+def _is_filtered(variances: FloatArray, m: IntArray, solution: _Solution) -> bool:
+    """Tell whether what was left out lies below what the terms say of it, as behind a low-pass filter.
+
+    Quantization is none behind a filter; where it is called for, it stands for the end of a bump.
+    """
+    coefficients = solution.coefficients[:5]
+    if coefficients[QUANTIZATION] > 0.0:
+        return False
+    shapes = np.column_stack([shape(m.astype(np.float64)) for shape in SHAPES.values()])
+    return bool(np.all(variances <= FILTERED * (shapes @ coefficients)))
+
+
+def _good_beginning(variances: FloatArray, covariances: Covariances) -> int:
+    """Return how many averaging times from the shortest on a sum of the terms describes; 0 if too few.
+
+    What disturbs the longer ones, such as a sine, begins like a ramp.  The last that would do is not taken:
+    chi-square does not see a disturbance that has only just begun.
+    """
+    for stop in range(len(variances) - 1, FEWEST_BEFORE, -1):
+        if _is_good(*_everything(variances[:stop], _part(covariances, 0, stop), 0.0)):
+            return stop - 1
+    return 0
+
+
+def _is_good(solution: _Solution, free: int) -> bool:
+    return float(gammaincc(0.5 * free, 0.5 * solution.chi_square)) > GOOD
+
+
+def _everything(variances: FloatArray, covariances: Covariances, error: float) -> tuple[_Solution, int]:
+    """Return the fit of all terms and its degrees of freedom."""
+    solution = _Problem(variances, covariances, error).fit(EVERY)
+    return solution, max(1, len(variances) - int(np.count_nonzero(solution.coefficients)))
+
+
+def _model_error(variances: FloatArray, covariances: Covariances) -> tuple[float, _Solution]:
     """Return the relative error per variance that brings chi-square to its degrees of freedom, or 0."""
-
-    def excess(error: float) -> tuple[float, int]:
-        solution = _Problem(variances, covariances, error).fit(EVERY)
-        free = max(1, len(variances) - int(np.count_nonzero(solution.coefficients)))
-        return solution.chi_square, free
-
-    chi_square, free = excess(0.0)
-    if float(gammaincc(0.5 * free, 0.5 * chi_square)) > GOOD:
-        return 0.0
+    solution, free = _everything(variances, covariances, 0.0)
+    if _is_good(solution, free):
+        return 0.0, solution
     error = 1.0
     for _ in range(ROUNDS):
-        chi_square, free = excess(error)
-        change = math.sqrt(chi_square / free)
+        solution, free = _everything(variances, covariances, error)
+        change = math.sqrt(solution.chi_square / free)
         error = min(error * change, LARGEST_ERROR)
         if abs(change - 1.0) < CLOSE:
             break
-    return error
+    return error, solution
 
 
 def _smallest(problem: _Problem) -> _Solution:

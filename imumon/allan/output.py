@@ -50,6 +50,27 @@ NOISE_KEYS = {
 KALIBR_NAMES = {"gyro": "gyroscope", "accel": "accelerometer"}
 
 
+def check_outputs(plot: Path | None, *files: Path | None) -> None:
+    """Refuse outputs that could not be written, or would replace what a person may have edited.
+
+    Raises
+    ------
+    ImumonError
+        EXISTS for a file that is there (a picture is replaced); BAD_CONFIG for a picture that is not a PNG,
+        and where there is no folder.
+    """
+    if plot is not None and plot.suffix.lower() != ".png":
+        raise ImumonError(Reason.BAD_CONFIG, f"{plot}: the picture is a PNG", "name it NAME.png")
+    for path in files:
+        if path is not None and path.exists():
+            raise ImumonError(
+                Reason.EXISTS, f"{path} is there already", "nothing was overwritten; give another name"
+            )
+    for path in (plot, *files):
+        if path is not None and not path.parent.is_dir():
+            raise ImumonError(Reason.BAD_CONFIG, f"{path}: there is no folder {path.parent}", "make it first")
+
+
 def as_json(results: Mapping[str, Result]) -> dict[str, Any]:
     """Return what ``--json`` prints, one entry per channel; a term that the data do not show is null."""
     return {name: _channel(name, result) for name, result in results.items()}

@@ -28,6 +28,14 @@ LEAST_USED = 0.5
 WARMING_DEGC = 0.5
 MOVING_SHARE = 0.01
 """Less is put down to the detector."""
+LEAST_FOR_MOTION_S = 10.0
+"""The rest detector cannot tell before."""
+FASTEST_HZ = 5e4
+"""No IMU sends faster; a column device_time_ns in another unit would."""
+FASTEST_RAD_S = 100.0
+"""No gyro measures more (5700 deg/s)."""
+NORMAL_G = (9.3, 10.3)
+"""Norm of the specific force at rest, m/s^2, with a few percent for an uncalibrated unit."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,7 +55,9 @@ def open_recording(path: Path) -> Recording:
         BAD_DATA when there is nothing to read, no such channel, too few samples or no even rate.
     """
     blocks, said = _blocks(path)
-    samples = join(blocks) if blocks else SampleBlock({})
+    if not blocks:
+        raise ImumonError(Reason.BAD_DATA, f"{path}: has no samples")
+    samples = join(blocks)
     if "device_time_ns" not in samples:
         raise ImumonError(
             Reason.BAD_DATA,
@@ -56,23 +66,59 @@ def open_recording(path: Path) -> Recording:
         )
     if "segment" not in samples:
         samples = samples.with_columns({"segment": np.zeros(len(samples), np.int64)})
-    names = [name for name in CHANNELS if name in samples and np.isfinite(samples[name]).any()]
+    there = [name for name in CHANNELS if name in samples]
+    names = [name for name in there if np.isfinite(samples[name]).any()]
+    if there and not names:
+        raise ImumonError(Reason.BAD_DATA, f"{path}: {', '.join(there)} hold no number in any row")
     if not names:
         raise ImumonError(Reason.BAD_DATA, f"{path}: has none of the columns {', '.join(CHANNELS)}")
     time_ns, segment = samples["device_time_ns"], samples["segment"]
     series = even_channels(time_ns, segment, {name: samples[name] for name in names})
     _refuse(path, len(samples), names, series)
-    warnings = [*said, *_of_the_grid(series), *_of_motion(samples), *_of_temperature(samples)]
+    empty = [name for name in there if name not in names]
+    warnings = [
+        *said,
+        *([f"{', '.join(empty)}: no number in any row; left out"] if empty else []),
+        *_of_units(series),
+        *_of_the_grid(series),
+        *_of_motion(samples),
+        *_of_temperature(samples),
+    ]
     return Recording(series, tuple(warnings))
 
 
 def _blocks(path: Path) -> tuple[list[SampleBlock], list[str]]:
     """Return the wanted columns of all samples, and what the source says of itself."""
     if path.is_file() and path.suffix in SUFFIXES:
-        read_columns(path)
+        _check_units(path)
         return _wanted(iterate_table(path)), []
+    if path.is_file():
+        raise ImumonError(
+            Reason.BAD_DATA,
+            f"{path} is neither a session nor a table ({', '.join(SUFFIXES)})",
+            "a raw capture becomes a table first: imumon decode FILE --device NAME --out TABLE.parquet",
+        )
+    if not path.exists():
+        raise ImumonError(
+            Reason.BAD_DATA,
+            f"{path}: there is no such file or folder",
+            "give a session, or a table of samples",
+        )
     source = open_source(path)
     return _wanted(run_over(source.items, Pipeline(source.device))), source.warnings()
+
+
+def _check_units(path: Path) -> None:
+    """Refuse a table that says itself that it is in other units."""
+    columns = read_columns(path)
+    for name in CHANNELS:
+        unit = columns[name].unit if name in columns else ""
+        if unit and unit != UNITS[group_of(name)]:
+            raise ImumonError(
+                Reason.BAD_DATA,
+                f"{path}: {name} is in {unit}, not in {UNITS[group_of(name)]}",
+                "a table from elsewhere becomes a session first: imumon import",
+            )
 
 
 def _wanted(blocks: Iterable[SampleBlock]) -> list[SampleBlock]:
@@ -103,6 +149,31 @@ def _refuse(path: Path, rows: int, names: list[str], series: dict[str, EvenSerie
                 "nothing is resampled: that would change the noise that is to be measured.  "
                 "Use the device's own time or counter; imumon import takes rate_hz for rows that are even",
             )
+        if found is not None and rate_hz(found) > FASTEST_HZ:
+            raise ImumonError(
+                Reason.BAD_DATA,
+                f"{path}: by device_time_ns the rate is {rate_hz(found):.3g} Hz",
+                "the column must hold nanoseconds; imumon import takes times in other units",
+            )
+
+
+def _of_units(series: dict[str, EvenSeries]) -> list[str]:
+    """Tell what looks like readings in other units."""
+    said = []
+    fast = [
+        name
+        for name in series
+        if group_of(name) == "gyro" and np.median(np.abs(series[name].values)) > FASTEST_RAD_S
+    ]
+    if fast:
+        said.append(f"{', '.join(fast)}: turns faster than any gyro measures: it is not in rad/s")
+    accel = [series[name] for name in series if group_of(name) == "accel"]
+    norm = float(np.linalg.norm([channel.values.mean() for channel in accel]))
+    if len(accel) == len("xyz") and not NORMAL_G[0] < norm < NORMAL_G[1]:
+        said.append(
+            f"the mean specific force is {norm:.4g} m/s^2, not gravity: it is not in m/s^2, or not whole"
+        )
+    return said
 
 
 def _of_the_grid(series: dict[str, EvenSeries]) -> list[str]:
@@ -143,6 +214,8 @@ def _of_motion(samples: SampleBlock) -> list[str]:
     how = "column at_rest"
     if at_rest is None:
         at_rest, how = RestDetector().process(samples)["at_rest"], "by the rest detector"
+        if samples["device_time_ns"][-1] - samples["device_time_ns"][0] < LEAST_FOR_MOTION_S * 1e9:
+            return []
     known = at_rest[np.argmax(at_rest == 1) :]  # until the first rest nothing is known
     share = float(np.mean(known != 1))
     if share <= MOVING_SHARE:

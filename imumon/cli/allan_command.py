@@ -34,6 +34,7 @@ def command(
     from imumon.allan.analysis import analyse
     from imumon.allan.recording import open_recording
 
+    output.check_outputs(plot, noise_out, kalibr)
     opened = open_recording(recording)
     results = analyse(opened.series)
     for text in [*opened.warnings, *_of_the_fit(results)]:
@@ -58,14 +59,32 @@ def command(
 
 
 def _of_the_fit(results: dict[str, Result]) -> list[str]:
-    short = [name for name, result in results.items() if result.fit is None]
+    """Tell where the terms are from a part of the curve, or from none, and why."""
+    from imumon.allan.fit import NO_SUM
+
+    none = [name for name, result in results.items() if result.fit is None]
+    still = [name for name in none if not results[name].allan.values.any()]
+    short = [name for name in none if name not in still]
     fits = {name: result.fit for name, result in results.items() if result.fit is not None}
     cut = [f"{name} {results[name].tau_s[fit.first]:.2g} s" for name, fit in fits.items() if fit.first]
-    off = [f"{name} {_percent(fit.model_error)}" for name, fit in fits.items() if fit.model_error]
+    off = {name: fit.model_error for name, fit in fits.items() if fit.model_error}
+    begun = [
+        f"{name} {results[name].tau_s[fit.last]:.2g} s"
+        for name, fit in fits.items()
+        if fit.last < results[name].trusted - 1
+    ]
     said = {
+        "the reading never changes: the channel is stuck, or its resolution too coarse; no terms": still,
         "too short for a fit of the terms": short,
         "shorter averaging times are not fitted: no sum of the terms describes them (a filter?)": cut,
-        "the curve differs so much from every sum of the terms; the standard deviations take that in": off,
+        "the curve differs so much from every sum of the terms; the standard deviations take that in": [
+            f"{name} {_percent(error)}" for name, error in off.items() if error <= NO_SUM
+        ],
+        "no sum of the terms describes longer averaging times (a vibration, a cycle, motion?): "
+        "only the angle random walk is told": begun,
+        "no sum of the terms describes the curve (a vibration, a cycle, motion?): no term is told": [
+            name for name, error in off.items() if error > NO_SUM
+        ],
     }
     return [f"{', '.join(names)}: {text}" for text, names in said.items() if names]
 

@@ -6,6 +6,7 @@ header, so that every program reads it, and the units in a second file beside it
 
 from __future__ import annotations
 
+import csv
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -329,7 +330,7 @@ def _write_units(path: Path, columns: Iterable[Column]) -> None:
 
 def _csv_columns(path: Path) -> dict[str, Column]:
     with path.open(encoding="utf-8-sig") as file:
-        names = file.readline().rstrip("\r\n").split(",")
+        names = next(csv.reader(file), [])
     units = units_path(path)
     told = load_yaml(units, _UnitsFile).columns if units.is_file() else {}
     columns = {}

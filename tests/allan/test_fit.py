@@ -70,13 +70,48 @@ def test_a_filter_in_the_device_is_left_out_and_the_angle_random_walk_is_still_f
     assert fit.terms["quantization"] is None
 
 
-def test_what_is_no_sum_of_the_terms_widens_the_standard_deviations() -> None:
+def tone(hertz: float, size: float) -> FloatArray:
+    return np.asarray(size * np.sin(2 * np.pi * hertz * INTERVAL_S * np.arange(N)), np.float64)
+
+
+def test_a_small_tone_widens_the_standard_deviations_by_enough() -> None:
     plain = noise(6, N, INTERVAL_S, white=1e-3)
-    tone = 3e-3 * np.sin(2 * np.pi * 0.05 * INTERVAL_S * np.arange(N))
-    good, bad = fits([plain, plain + tone])
+    good, bad = fits([plain, plain + tone(0.5, 1e-3)])
     assert good.model_error == 0.0
     assert bad.model_error > 0.02
     certain, uncertain = good.terms["angle_random_walk"], bad.terms["angle_random_walk"]
     assert certain is not None
     assert uncertain is not None
     assert uncertain.sd > 3 * certain.sd
+    assert uncertain.value == pytest.approx(1e-3, abs=3 * uncertain.sd)
+
+
+@pytest.mark.parametrize("size", [3e-3, 3e-2, 0.3])
+def test_a_slow_tone_of_any_size_leaves_the_angle_random_walk_alone_and_true(size: float) -> None:
+    found = fits([noise(seed, N, INTERVAL_S, white=1e-3) + tone(0.05, size) for seed in range(6)])
+    for fit in found:
+        assert fit.last < 9
+        estimates = dict(fit.terms)
+        estimate = estimates.pop("angle_random_walk")
+        assert not any(estimates.values())
+        if size < 0.1:
+            assert estimate is not None
+        if estimate is not None:
+            assert estimate.value == pytest.approx(1e-3, abs=3.5 * estimate.sd)
+
+
+@pytest.mark.parametrize(("hertz", "size"), [(0.5, 0.1), (5.03, 0.01), (5.03, 0.1)])
+def test_no_term_is_told_of_a_curve_that_a_tone_has_taken_over(hertz: float, size: float) -> None:
+    for fit in fits([noise(seed, N, INTERVAL_S, white=1e-3) + tone(hertz, size) for seed in range(6)]):
+        assert not any(fit.terms.values())
+
+
+def test_a_correlated_disturbance_is_not_taken_for_a_filter() -> None:
+    rng = np.random.default_rng(8)
+    slow = np.zeros(N)
+    for k, step in enumerate(rng.normal(scale=1e-3 * np.sqrt(2 * INTERVAL_S / 3.0), size=N - 1)):
+        slow[k + 1] = (1.0 - INTERVAL_S / 3.0) * slow[k] + step
+    (fit,) = fits([noise(9, N, INTERVAL_S, white=1e-3) + slow])
+    estimate = fit.terms["angle_random_walk"]
+    assert estimate is not None
+    assert estimate.value == pytest.approx(1e-3, rel=0.05)

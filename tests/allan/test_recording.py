@@ -1,0 +1,103 @@
+"""What a recording must be for an Allan deviation, and what is said of one that is odd."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from imumon.allan.output import check_outputs
+from imumon.allan.recording import open_recording
+from imumon.errors import ImumonError, Reason
+
+N = 2000
+
+
+def columns() -> dict[str, Any]:
+    rng = np.random.default_rng(0)
+    made: dict[str, Any] = {"device_time_ns": np.arange(N) * 10_000_000}
+    return made | {f"gyro_{axis}": 1e-3 * rng.normal(size=N) for axis in "xyz"}
+
+
+def write(folder: Path, made: dict[str, Any]) -> Path:
+    pq.write_table(pa.table(made), folder / "t.parquet")
+    return folder / "t.parquet"
+
+
+def refusal(path: Path) -> str:
+    with pytest.raises(ImumonError) as caught:
+        open_recording(path)
+    assert caught.value.reason is Reason.BAD_DATA
+    return str(caught.value)
+
+
+def test_what_is_no_recording_is_refused_with_the_reason(tmp_path: Path) -> None:
+    assert "there is no such file" in refusal(tmp_path / "none.parquet")
+    (tmp_path / "notes.txt").write_text("hello")
+    assert "neither a session nor a table" in refusal(tmp_path / "notes.txt")
+    (tmp_path / "t.csv").write_text("")
+    assert "cannot be read" in refusal(tmp_path / "t.csv")
+    assert "no samples" in refusal(write(tmp_path, {name: part[:0] for name, part in columns().items()}))
+    nothing = {f"gyro_{axis}": np.full(N, np.nan) for axis in "xyz"}
+    assert "no number" in refusal(write(tmp_path, columns() | nothing))
+
+
+@pytest.mark.parametrize("factor", [1e-9, 1e-6, 1e-3])
+def test_times_in_another_unit_are_refused(tmp_path: Path, factor: float) -> None:
+    made = columns()
+    made["device_time_ns"] = made["device_time_ns"] * factor
+    said = refusal(write(tmp_path, made))
+    assert "nanoseconds" in said or "even rate" in said
+
+
+def test_a_table_that_says_its_other_unit_is_refused(tmp_path: Path) -> None:
+    made = pa.table(columns())
+    field = made.schema.field("gyro_x").with_metadata({"unit": "deg/s"})
+    pq.write_table(made.cast(made.schema.set(1, field)), tmp_path / "t.parquet")
+    assert "deg/s, not in rad/s" in refusal(tmp_path / "t.parquet")
+
+
+def test_units_that_cannot_be_are_told(tmp_path: Path) -> None:
+    made = columns()
+    made["gyro_x"] = made["gyro_x"] + 300.0
+    made |= {f"accel_{axis}": np.full(N, value) for axis, value in zip("xyz", (0, 0, 1.0), strict=True)}
+    said = " ".join(open_recording(write(tmp_path, made)).warnings)
+    assert "gyro_x: turns faster" in said
+    assert "specific force is 1 m/s^2" in said
+
+
+def test_a_channel_without_numbers_is_left_out_and_told(tmp_path: Path) -> None:
+    opened = open_recording(write(tmp_path, columns() | {"gyro_y": np.full(N, np.nan)}))
+    assert list(opened.series) == ["gyro_x", "gyro_z"]
+    assert "gyro_y: no number" in " ".join(opened.warnings)
+
+
+def test_a_csv_with_quoted_names_is_read(tmp_path: Path) -> None:
+    made = columns()
+    header = ",".join(f'"{name}"' for name in made)
+    rows = np.column_stack(list(made.values()))
+    np.savetxt(tmp_path / "t.csv", rows, delimiter=",", header=header, comments="", fmt=["%d", *["%.9g"] * 3])
+    assert open_recording(tmp_path / "t.csv").series["gyro_x"].samples == N
+
+
+def test_a_few_seconds_are_not_called_motion(tmp_path: Path) -> None:
+    opened = open_recording(write(tmp_path, {name: part[:100] for name, part in columns().items()}))
+    assert "moved" not in " ".join(opened.warnings)
+
+
+def test_nothing_is_overwritten_but_a_picture(tmp_path: Path) -> None:
+    there = tmp_path / "pipeline.yaml"
+    there.write_text("mine")
+    with pytest.raises(ImumonError, match="already") as caught:
+        check_outputs(None, there)
+    assert caught.value.reason is Reason.EXISTS
+    with pytest.raises(ImumonError, match="PNG"):
+        check_outputs(there)
+    with pytest.raises(ImumonError, match="no folder"):
+        check_outputs(None, tmp_path / "none" / "n.yaml")
+    (tmp_path / "a.png").touch()
+    check_outputs(tmp_path / "a.png", None, tmp_path / "k.yaml")
