@@ -32,11 +32,13 @@ from imumon.estimation.alignment.state import (
     CONSTANTS,
     CONTRADICTED,
     ESTIMATORS,
+    INNER,
     LARGEST_DRIFT,
     LATITUDE,
     LEVEL_SD,
     OBSERVABLE,
     OBSERVED,
+    OUTER,
     PAIRS,
     REAL_TILT,
     TICKS,
@@ -63,7 +65,7 @@ MISFIT = 0.1
 """A cubic does not describe the level better than this."""
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def evaluate(state: State, settings: FloatArray) -> None:
     """Renew headings, sigmas, the choice and whether the heading can be observed, after a tick."""
     number, result = state.number, state.result
@@ -81,14 +83,14 @@ def evaluate(state: State, settings: FloatArray) -> None:
     drifts = _tilt_shares(state, settings, time)
     steady = number[REAL_TILT] * rates[0] + (1.0 - number[REAL_TILT]) * rates[3]
     number[BIAS_VARIANCE] = _bias_variance(state, settings, steady, white, level)
-    total, known = _drift(state, False), _drift(state, True)
+    total, known = _drift(state)
     common = number[BIAS_VARIANCE] / level**2
     common += (settings[LEVEL_SD] * math.tan(settings[LATITUDE])) ** 2
-    ahead = azimuth(state.attitude)
+    ahead, across = azimuth(state.attitude), np.empty(2)
     for k in range(ESTIMATORS):
         east, north = rates[k, 0], rates[k, 1] + state.reference[1]
         length = max(math.hypot(east, north), 1e-12)
-        across = np.array([north / length, -east / length])
+        across[0], across[1] = north / length, -east / length
         noise = white
         if k == 1:
             noise *= 1.2
@@ -107,29 +109,28 @@ def evaluate(state: State, settings: FloatArray) -> None:
         result[k, 0] = (ahead - math.atan2(east, north)) % (2.0 * math.pi)
         result[k, 1] = min(math.sqrt(relative), NO_IDEA)
     if settings[WARM_TAU] <= 0.0:
-        result[4] = np.nan
+        result[4, 0] = result[4, 1] = math.nan
     state.flag[OBSERVED] = number[BIAS_VARIANCE] < (settings[OBSERVABLE] * level) ** 2
     _choose(state)
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _along(direction: FloatArray, vector: FloatArray) -> float:
     return float(direction[0] * vector[0] + direction[1] * vector[1])
 
 
-@njit(cache=True, nogil=True)
-def _drift(state: State, unknown: bool) -> FloatArray:
-    """Return the change of the level per second, all of it or what the known warm-up does not explain."""
+@njit(**INNER)
+def _drift(state: State) -> tuple[FloatArray, FloatArray]:
+    """Return the change of the level per second: all of it, and what the known warm-up does not explain."""
     total, time = state.total, state.number[TIME]
-    drift = np.empty(2)
+    drift, unknown = np.empty(2), np.empty(2)
     for axis in range(2):
         drift[axis] = (total[4 + axis] - total[1 + axis]) / time
-        if unknown:
-            drift[axis] -= total[6 + axis] / time
-    return drift
+        unknown[axis] = drift[axis] - total[6 + axis] / time
+    return drift, unknown
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _averages(state: State, time: float, rates: FloatArray) -> None:
     """Fill estimators 1, 4 and 5, rates of the control alone (without that of the frame)."""
     total = state.total
@@ -139,7 +140,7 @@ def _averages(state: State, time: float, rates: FloatArray) -> None:
         rates[4, axis] = (total[4 + axis] - total[6 + axis]) / time
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _lines(state: State, rates: FloatArray) -> FloatArray:
     """Fill estimator 2; return the slope of the line through the level."""
     line = state.line
@@ -152,9 +153,9 @@ def _lines(state: State, rates: FloatArray) -> FloatArray:
     return slope
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def inverse(matrix: FloatArray, size: int) -> tuple[bool, FloatArray]:
-    """Return whether a symmetric matrix of this size is positive definite, and its inverse, (size, size)."""
+    """Return whether the leading block of a symmetric matrix is positive definite, and its inverse."""
     scale = np.empty(size)
     for i in range(size):
         if not matrix[i, i] > 0.0:
@@ -168,10 +169,14 @@ def inverse(matrix: FloatArray, size: int) -> tuple[bool, FloatArray]:
     for i in range(size):
         if not work[i, i] > 1e-12:
             return False, np.zeros((size, size))
-        work[i] /= work[i, i]
+        pivot = work[i, i]
+        for k in range(2 * size):
+            work[i, k] /= pivot
         for j in range(size):
-            if j != i:
-                work[j] -= work[j, i] * work[i]
+            factor = work[j, i]
+            for k in range(2 * size):
+                if j != i:
+                    work[j, k] -= factor * work[i, k]
     result = np.empty((size, size))
     for i in range(size):
         for j in range(size):
@@ -179,37 +184,44 @@ def inverse(matrix: FloatArray, size: int) -> tuple[bool, FloatArray]:
     return True, result
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _line_exponential(state: State, time: float, rates: FloatArray) -> float:
     """Fill estimator 3; return the variance of its slope for a random walk of 1 rad/√s."""
-    best, chosen = math.inf, -1
+    best, chosen, whole = math.inf, -1, state.normal.shape[1]
     for g in range(len(CONSTANTS)):
-        good, inverted = inverse(state.normal[g], 3)
+        good, inverted = inverse(state.normal[g], whole - 1)
         if not good:
             continue
         rest = 0.0
         for axis in range(2):
-            right = state.right[g, :3, axis].copy()
-            rest += state.squares[axis] - (right * (inverted @ right)).sum()
+            rest += state.squares[axis]
+            for i in range(3):
+                for j in range(3):
+                    rest -= state.right[g, i, axis] * inverted[i, j] * state.right[g, j, axis]
         if rest < best:
             best, chosen = rest, g
-    rates[2] = np.nan
+    rates[2, 0] = rates[2, 1] = math.nan
     if chosen < 0:
         return math.nan
     tau = CONSTANTS[chosen]
-    good, inverted = inverse(state.normal[chosen], 3)
+    good, inverted = inverse(state.normal[chosen], whole - 1)
     for axis in range(2):
-        found = inverted @ state.right[chosen, :3, axis].copy()
-        rates[2, axis] = (found[1] + found[2]) / tau
-    good, inverted = inverse(state.normal[chosen], 4)
+        rates[2, axis] = 0.0
+        for j in range(3):
+            rates[2, axis] += (inverted[1, j] + inverted[2, j]) * state.right[chosen, j, axis] / tau
+    good, inverted = inverse(state.normal[chosen], whole)
     if not good:
         return 1e6
-    weights = (inverted[1] + inverted[2] + inverted[3]) / tau
-    variance = (weights * (state.spread[chosen] @ weights)).sum()
+    variance = 0.0
+    for i in range(4):
+        for j in range(4):
+            weights = (inverted[1, i] + inverted[2, i] + inverted[3, i]) / tau
+            weights *= (inverted[1, j] + inverted[2, j] + inverted[3, j]) / tau
+            variance += weights * state.spread[chosen, i, j]
     return float(max(variance, 1.0 / time))
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _bias_variance(state: State, settings: FloatArray, rate: FloatArray, white: float, level: float) -> float:
     """Return the variance of a horizontal gyro's bias, (rad/s)².
 
@@ -227,10 +239,10 @@ def _bias_variance(state: State, settings: FloatArray, rate: FloatArray, white: 
         contrary = 0.5 * squares - white if squares > 18.4 * expected else 0.0
         return float(max(declared * declared, contrary))
     typical = TYPICAL_BIAS * (math.sqrt(state.number[ARW2]) / TYPICAL_ARW) ** BIAS_POWER
-    return bias_posterior(typical, squares, white)
+    return float(bias_posterior(typical, squares, white))
 
 
-@njit(cache=True, nogil=True)
+@njit(**OUTER)
 def bias_posterior(typical: float, squares: float, white: float) -> float:
     """Return the mean variance of a bias whose standard deviation is log-normal about `typical`.
 
@@ -256,7 +268,7 @@ def bias_posterior(typical: float, squares: float, white: float) -> float:
     return float(sum_1 / sum_0)
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _tilt_shares(state: State, settings: FloatArray, time: float) -> tuple[float, float]:
     """Return how much of a change of the level is drift and how much true tilt: mean squares of the shares.
 
@@ -264,7 +276,7 @@ def _tilt_shares(state: State, settings: FloatArray, time: float) -> tuple[float
     t² and t³ of both are compared.  A tilt at a constant rate cannot be told so; the prior is against it.
     """
     number = state.number
-    drift = _drift(state, True)
+    _, drift = _drift(state)
     if math.hypot(drift[0], drift[1]) * time > settings[LARGEST_DRIFT]:
         number[REAL_TILT] = 1.0
         return 0.0, 1.0
@@ -288,7 +300,7 @@ def _tilt_shares(state: State, settings: FloatArray, time: float) -> tuple[float
     return share_drift / total, share_tilt / total
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _compare_bends(state: State, time: float, logs: FloatArray) -> None:
     """Add the logarithm of the likelihood of each of 11 shares of true tilt, 0 to 1."""
     rate_normal, path_normal = np.empty((3, 3)), np.empty((4, 4))
@@ -297,24 +309,24 @@ def _compare_bends(state: State, time: float, logs: FloatArray) -> None:
             path_normal[i, j] = state.moments[1, i + j] / time ** (i + j)
             if i < 3 and j < 3:
                 rate_normal[i, j] = state.moments[0, i + j] / time ** (i + j)
-    good_rate, rate_inverse = inverse(rate_normal, 3)
-    good_path, path_inverse = inverse(path_normal, 4)
+    good_rate, rate_inverse = inverse(rate_normal, len(rate_normal))
+    good_path, path_inverse = inverse(path_normal, len(path_normal))
     if not (good_rate and good_path):
         return
+    seen, bend = np.empty(2), np.empty(2)
     for axis in range(2):
-        rate_right, path_right = np.empty(3), np.empty(4)
-        for k in range(4):
-            path_right[k] = state.path_sums[k, axis] / time**k
-            if k < 3:
-                rate_right[k] = state.rate_sums[k, axis] / time**k
-        seen, path = rate_inverse @ rate_right, path_inverse @ path_right
-        bend = np.array([2.0 * path[2], 3.0 * path[3]]) / time
+        for i in range(1, 3):
+            seen[i - 1] = bend[i - 1] = 0.0
+            for k in range(4):
+                bend[i - 1] += (i + 1) / time * path_inverse[i + 1, k] * state.path_sums[k, axis] / time**k
+                if k < 3:
+                    seen[i - 1] += rate_inverse[i, k] * state.rate_sums[k, axis] / time**k
         for i in range(11):
             share = 0.1 * i
             logs[i] += _log_likelihood(state, share, seen, bend, rate_inverse, path_inverse, time)
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _log_likelihood(
     state: State,
     share: float,
@@ -330,20 +342,20 @@ def _log_likelihood(
     turns the gyros while α stays.
     """
     arw2, tilt2 = state.number[ARW2] + 1e-30, state.number[TILT2]
-    factor = np.array([2.0, 3.0]) * share / time
-    a = arw2 * rate_inverse[1, 1] + factor[0] ** 2 * tilt2 * path_inverse[2, 2]
-    b = arw2 * rate_inverse[1, 2] + factor[0] * factor[1] * tilt2 * path_inverse[2, 3]
-    c = arw2 * rate_inverse[2, 2] + factor[1] ** 2 * tilt2 * path_inverse[3, 3]
+    second, third = 2.0 * share / time, 3.0 * share / time
+    a = arw2 * rate_inverse[1, 1] + second**2 * tilt2 * path_inverse[2, 2]
+    b = arw2 * rate_inverse[1, 2] + second * third * tilt2 * path_inverse[2, 3]
+    c = arw2 * rate_inverse[2, 2] + third**2 * tilt2 * path_inverse[3, 3]
     a += (MISFIT * share * bend[0]) ** 2
     c += (MISFIT * share * bend[1]) ** 2
-    x, y = seen[1] + share * bend[0], seen[2] + share * bend[1]
+    x, y = seen[0] + share * bend[0], seen[1] + share * bend[1]
     determinant = a * c - b * b
     if not determinant > 0.0:
         return 0.0
     return float(-0.5 * math.log(determinant) - 0.5 * (c * x * x - 2.0 * b * x * y + a * y * y) / determinant)
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _choose(state: State) -> None:
     """Choose the heading that is shown: the least sigma, but not another one for every small difference."""
     best, flag, number = 3, state.flag, state.number

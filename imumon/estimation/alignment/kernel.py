@@ -11,6 +11,7 @@ from imumon.blocks import FloatArray, IntArray
 from imumon.estimation.alignment.estimators import evaluate
 from imumon.estimation.alignment.loop import (
     azimuth,
+    dot,
     level_attitude,
     loop_gains,
     loop_step,
@@ -40,6 +41,7 @@ from imumon.estimation.alignment.state import (
     GAIN_INTERVAL,
     GRAVITY,
     HOLD_UNTIL,
+    INNER,
     INTERVAL,
     LAST,
     LATITUDE,
@@ -47,6 +49,7 @@ from imumon.estimation.alignment.state import (
     LOGGED,
     OBSERVABLE,
     OBSERVED,
+    OUTER,
     PENDING,
     PHASE,
     PITCH_0,
@@ -57,6 +60,7 @@ from imumon.estimation.alignment.state import (
     SETTLED,
     SETTLED_AT,
     SLOT_S,
+    SLOT_VALUES,
     SLOTS,
     SQUARES,
     STRIKES,
@@ -93,13 +97,13 @@ STILL_SETTLED = 1.25
 OUTPUTS = 11 + 2 * ESTIMATORS
 
 
-@njit(cache=True, nogil=True)
-def restart(state: State, cause: int) -> None:
-    """Begin again with the coarse alignment; the noise is learnt anew, too."""
+@njit(**INNER)
+def restart(state: State) -> None:
+    """Begin again with the coarse alignment, because of `EVENT_CAUSE`; the noise is learnt anew, too."""
     number, flag = state.number, state.flag
     if flag[PHASE] == FINE:
         begin = number[EVENT_AT] if flag[DISTURBED] else number[LAST]
-        _log(state, begin, number[LAST], cause, 1.0)
+        _log(state, begin, number[LAST], 1.0)
     flag[PHASE], flag[CHOSEN], flag[OBSERVED] = WAITING, -1, 0
     number[HOLD_UNTIL], number[SETTLED_AT] = -math.inf, math.nan
     number[EVENT_AT] = math.nan
@@ -111,22 +115,23 @@ def restart(state: State, cause: int) -> None:
     _new_slot(state)
 
 
-@njit(cache=True, nogil=True)
-def new_segment(state: State, cause: int) -> None:
+@njit(**OUTER)
+def new_segment(state: State) -> None:
     """Forget everything that a restart of the device invalidates."""
-    restart(state, cause)
+    state.flag[EVENT_CAUSE] = GAP
+    restart(state)
     state.number[LAST] = math.nan
     state.number[INTERVAL] = 0.0
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _clear_coarse(state: State) -> None:
     state.coarse[:] = 0.0
     state.mag[:] = 0.0
     state.number[COARSE_TIME] = 0.0
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _new_slot(state: State) -> None:
     begin_slot(state)
     state.slot[:] = 0.0
@@ -134,7 +139,7 @@ def _new_slot(state: State) -> None:
     state.flag[REST] = 1
 
 
-@njit(cache=True, nogil=True)
+@njit(**OUTER)
 def process(
     seconds: FloatArray,
     readings: FloatArray,
@@ -170,7 +175,7 @@ def process(
         _show(state, settings, out[k])
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _sample(
     now: float, reading: FloatArray, field: FloatArray, at_rest: int, settings: FloatArray, state: State
 ) -> None:
@@ -188,7 +193,8 @@ def _sample(
     if flag[PHASE] == WAITING:
         flag[PHASE] = COARSE
     if flag[COUNT] == 0 and flag[SLOTS] == 0:
-        state.watch[REFERENCE] = reading
+        for i in range(CHANNELS):
+            state.watch[REFERENCE, i] = reading[i]
     for i in range(CHANNELS):
         step = reading[i] - state.watch[REFERENCE, i]
         state.watch[SUM, i] += step
@@ -208,7 +214,7 @@ def _sample(
         _end_slot(now, settings, state)
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _interval(state: State, elapsed: float) -> float:
     """Return the time that a sample stands for; negative when the slot was given up, after a gap."""
     number, flag = state.number, state.flag
@@ -226,14 +232,15 @@ def _interval(state: State, elapsed: float) -> float:
     if elapsed <= max(SLOT, 3.5 * usual):
         return elapsed
     if elapsed > LONGEST_S:
-        restart(state, GAP)
+        flag[EVENT_CAUSE] = GAP
+        restart(state)
     else:
         _drop(state)
     _new_slot(state)
     return -1.0
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _fine(reading: FloatArray, interval: float, state: State) -> None:
     turned, slot, reference = state.turned, state.slot, state.reference
     reference[2] = state.number[VERTICAL]
@@ -256,14 +263,14 @@ def _fine(reading: FloatArray, interval: float, state: State) -> None:
     slot[5] += turned[4]
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _drop(state: State) -> None:
     """Leave out the slots that wait, and say that the next one does not follow the last."""
     state.flag[PENDING] = 0
     break_ticks(state)
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _end_slot(now: float, settings: FloatArray, state: State) -> None:
     number, flag = state.number, state.flag
     learning = -1
@@ -283,24 +290,25 @@ def _end_slot(now: float, settings: FloatArray, state: State) -> None:
     _new_slot(state)
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _disturbed(now: float, cause: int, state: State) -> None:
     number, flag = state.number, state.flag
     if not flag[DISTURBED]:
         number[EVENT_AT], flag[EVENT_CAUSE], flag[DISTURBED] = now, cause, 1
         if flag[PHASE] == FINE:
             number[AZIMUTH_0] = azimuth(state.attitude)
-            number[UP_0 : UP_0 + 3] = state.attitude[2]
+            for i in range(3):
+                number[UP_0 + i] = state.attitude[2, i]
     number[HOLD_UNTIL] = now + QUIET_S
     number[EVENT_END] = now
     _drop(state)
     if flag[PHASE] == COARSE:
         _clear_coarse(state)
     if now - number[EVENT_AT] > LONGEST_S:
-        restart(state, cause)
+        restart(state)
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _calm(state: State) -> None:
     """Go on after a disturbance, or start anew when the unit stands otherwise."""
     number, flag = state.number, state.flag
@@ -313,20 +321,20 @@ def _calm(state: State) -> None:
     turn = azimuth(state.attitude) - number[AZIMUTH_0]
     turn -= 2.0 * math.pi * round(turn / (2.0 * math.pi))
     if math.sqrt(level) + abs(turn) > LARGEST_TURN:
-        restart(state, flag[EVENT_CAUSE])
+        restart(state)
         return
     flag[DISTURBED] = 0
-    _log(state, number[EVENT_AT], number[EVENT_END], flag[EVENT_CAUSE], 0.0)
+    _log(state, number[EVENT_AT], number[EVENT_END], 0.0)
 
 
-@njit(cache=True, nogil=True)
-def _log(state: State, begin: float, end: float, cause: int, anew: float) -> None:
-    row = state.log[state.flag[LOGGED] % LOG_ROWS]
-    row[0], row[1], row[2], row[3] = begin, end, cause, anew
+@njit(**INNER)
+def _log(state: State, begin: float, end: float, anew: float) -> None:
+    log, row = state.log, state.flag[LOGGED] % LOG_ROWS
+    log[row, 0], log[row, 1], log[row, 2], log[row, 3] = begin, end, state.flag[EVENT_CAUSE], anew
     state.flag[LOGGED] += 1
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _coarse(now: float, settings: FloatArray, state: State) -> None:
     """Add a slot to the averages; begin the fine alignment when there are enough."""
     number, watch = state.number, state.watch
@@ -335,8 +343,11 @@ def _coarse(now: float, settings: FloatArray, state: State) -> None:
     number[COARSE_TIME] += number[SLOT_S]
     if number[COARSE_TIME] < settings[COARSE_S]:
         return
-    up, rate = state.coarse[3:] / number[COARSE_TIME], state.coarse[:3] / number[COARSE_TIME]
-    number[GRAVITY] = math.sqrt((up * up).sum())
+    up, rate = np.empty(3), np.empty(3)
+    for i in range(3):
+        rate[i] = state.coarse[i] / number[COARSE_TIME]
+        up[i] = state.coarse[3 + i] / number[COARSE_TIME]
+    number[GRAVITY] = math.sqrt(dot(up, up))
     if number[GRAVITY] <= 0.0:
         _clear_coarse(state)
         return
@@ -345,11 +356,10 @@ def _coarse(now: float, settings: FloatArray, state: State) -> None:
         settings[CORNER], settings[DAMPING], number[INTERVAL], number[GRAVITY]
     )
     number[GAIN_INTERVAL] = number[INTERVAL]
-    turned = state.attitude @ rate
     state.reference[0], state.reference[1] = 0.0, EARTH_RATE * math.cos(settings[LATITUDE])
-    number[VERTICAL] = turned[2]
-    state.velocity[0] = (turned[1] - state.reference[1]) / number[GAIN]
-    state.velocity[1] = -turned[0] / number[GAIN]
+    number[VERTICAL] = dot(state.attitude[2], rate)
+    state.velocity[0] = (dot(state.attitude[1], rate) - state.reference[1]) / number[GAIN]
+    state.velocity[1] = -dot(state.attitude[0], rate) / number[GAIN]
     number[ROLL_0], number[PITCH_0] = roll_pitch(state.attitude, settings[DOWN])
     number[FINE_AT] = now
     # The level of the coarse alignment is that of its middle: the loop first goes to that of now.
@@ -358,7 +368,7 @@ def _coarse(now: float, settings: FloatArray, state: State) -> None:
     clear_sums(state)
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _queue(now: float, settings: FloatArray, state: State) -> None:
     """Keep a slot until the two after it are quiet, too; then add it."""
     flag, number, slot = state.flag, state.number, state.slot
@@ -371,10 +381,12 @@ def _queue(now: float, settings: FloatArray, state: State) -> None:
             orthonormal(state.attitude)
             evaluate(state, settings)
             _settle(now, settings, state)
-        state.pending[0] = state.pending[1]
+        for i in range(SLOT_VALUES):
+            state.pending[0, i] = state.pending[1, i]
         flag[PENDING] = 1
-    state.pending[flag[PENDING], :8] = slot
-    state.pending[flag[PENDING], 8] = now
+    for i in range(SLOT_VALUES - 1):
+        state.pending[flag[PENDING], i] = slot[i]
+    state.pending[flag[PENDING], SLOT_VALUES - 1] = now
     flag[PENDING] += 1
     interval = number[INTERVAL]
     if abs(interval - number[GAIN_INTERVAL]) > 0.02 * interval:
@@ -387,7 +399,7 @@ def _queue(now: float, settings: FloatArray, state: State) -> None:
         number[GAIN_INTERVAL] = interval
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _known_tilt(now: float, settings: FloatArray, state: State) -> None:
     """Put into a slot the change of the level that the known warm-up makes: Φ_E = -a_N / g, Φ_N = a_E / g."""
     tau = settings[WARM_TAU]
@@ -400,7 +412,7 @@ def _known_tilt(now: float, settings: FloatArray, state: State) -> None:
         state.slot[7] += state.attitude[0, i] * change
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _settle(now: float, settings: FloatArray, state: State) -> None:
     number, flag = state.number, state.flag
     if flag[CHOSEN] < 0:
@@ -413,7 +425,7 @@ def _settle(now: float, settings: FloatArray, state: State) -> None:
         number[SETTLED_AT] = math.nan
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _show(state: State, settings: FloatArray, out: FloatArray) -> None:
     """Fill a row of the output."""
     number, flag, result = state.number, state.flag, state.result
@@ -422,7 +434,8 @@ def _show(state: State, settings: FloatArray, out: FloatArray) -> None:
         return
     chosen = flag[CHOSEN]
     for k in range(ESTIMATORS):
-        out[MAGNETIC_HEADING + 1 + 2 * k], out[MAGNETIC_HEADING + 2 + 2 * k] = result[k]
+        for i in range(2):
+            out[MAGNETIC_HEADING + 1 + 2 * k + i] = result[k, i]
     if chosen >= 0:
         out[HEADING_SD] = result[chosen, 1]
         if flag[OBSERVED] and result[chosen, 1] < settings[OBSERVABLE]:
@@ -436,7 +449,7 @@ def _show(state: State, settings: FloatArray, out: FloatArray) -> None:
     out[MAGNETIC_HEADING] = magnetic_heading(state)
 
 
-@njit(cache=True, nogil=True)
+@njit(**OUTER)
 def magnetic_heading(state: State) -> float:
     """Return the direction of x (or -z) clockwise from magnetic north, rad; NaN when it is not known."""
     if state.mag[3] <= 0.0 or state.flag[PHASE] != FINE:
@@ -445,4 +458,4 @@ def magnetic_heading(state: State) -> float:
     for i in range(3):
         east += state.attitude[0, i] * state.mag[i]
         north += state.attitude[1, i] * state.mag[i]
-    return (azimuth(state.attitude) - math.atan2(east, north)) % (2.0 * math.pi)
+    return float((azimuth(state.attitude) - math.atan2(east, north)) % (2.0 * math.pi))

@@ -14,17 +14,17 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 from numba import njit
 
 from imumon.blocks import FloatArray
-from imumon.estimation.zupt.earth import STEEPEST, cross, turn
+from imumon.estimation.alignment.state import INNER, OUTER
+from imumon.estimation.zupt.earth import STEEPEST, turn
 
 SLOWEST_POLE = 0.3
 """The corner is held below this many radians per sample: a loop cannot be faster than its samples."""
 
 
-@njit(cache=True, nogil=True)
+@njit(**OUTER)
 def loop_gains(corner: float, damping: float, interval: float, gravity: float) -> tuple[float, float]:
     """Return the decay of a velocity over one sample, and k_b in rad/s per m/s.
 
@@ -46,7 +46,7 @@ def loop_gains(corner: float, damping: float, interval: float, gravity: float) -
     return decay, (1.0 + decay - trace) / (interval * interval * gravity)
 
 
-@njit(cache=True, nogil=True)
+@njit(**OUTER)
 def loop_step(
     attitude: FloatArray,
     velocity: FloatArray,
@@ -93,34 +93,50 @@ def loop_step(
     )
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
+def dot(a: FloatArray, b: FloatArray) -> float:
+    """Return the scalar product of two vectors (3,)."""
+    return float(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
+
+
+@njit(**OUTER)
 def level_attitude(up: FloatArray, north: FloatArray, attitude: FloatArray) -> None:
     """Set an attitude from the directions up and north in body axes; north need not be level or of length 1.
 
-    A north that is vertical or zero is replaced by the direction of the x axis, or of -z.
+    A north that is vertical or zero is replaced by the direction of the x axis, or of -z.  Both may be rows
+    of the attitude itself.
     """
-    up = up / math.sqrt((up * up).sum())
-    level = north - (north * up).sum() * up
-    length = math.sqrt((level * level).sum())
-    if length <= 0.0:
-        level = np.array([1.0, 0.0, 0.0]) - up[0] * up
-        if math.sqrt((level * level).sum()) < STEEPEST:
-            level = up[2] * up - np.array([0.0, 0.0, 1.0])
-        length = math.sqrt((level * level).sum())
-    level = level / length
-    attitude[0] = cross(level, up)
-    attitude[1] = level
-    attitude[2] = up
+    length = math.sqrt(dot(up, up))
+    for i in range(3):
+        attitude[2, i] = up[i] / length
+    vertical, level = attitude[2], attitude[1]
+    _project(north[0], north[1], north[2], vertical, level)
+    if dot(level, level) <= 0.0:
+        _project(1.0, 0.0, 0.0, vertical, level)
+        if dot(level, level) < STEEPEST**2:
+            _project(0.0, 0.0, -1.0, vertical, level)
+    length = math.sqrt(dot(level, level))
+    for i in range(3):
+        level[i] /= length
+    attitude[0, 0] = level[1] * vertical[2] - level[2] * vertical[1]
+    attitude[0, 1] = level[2] * vertical[0] - level[0] * vertical[2]
+    attitude[0, 2] = level[0] * vertical[1] - level[1] * vertical[0]
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
+def _project(x: float, y: float, z: float, up: FloatArray, level: FloatArray) -> None:
+    """Set `level` (3,) to the part of a vector that is at right angles to `up`, (3,) of length 1."""
+    along = x * up[0] + y * up[1] + z * up[2]
+    level[0], level[1], level[2] = x - along * up[0], y - along * up[1], z - along * up[2]
+
+
+@njit(**INNER)
 def orthonormal(attitude: FloatArray) -> None:
     """Take away what rounding did to an attitude, in place."""
-    up = attitude[2].copy()
-    level_attitude(up, attitude[1].copy(), attitude)
+    level_attitude(attitude[2], attitude[1], attitude)
 
 
-@njit(cache=True, nogil=True)
+@njit(**OUTER)
 def azimuth(attitude: FloatArray) -> float:
     """Return the direction of the body's x axis (of -z where x is vertical), rad clockwise from north."""
     east, north = attitude[0, 0], attitude[1, 0]
@@ -129,7 +145,7 @@ def azimuth(attitude: FloatArray) -> float:
     return math.atan2(east, north)
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def roll_pitch(attitude: FloatArray, down: float) -> tuple[float, float]:
     """Return roll and pitch in rad, ZYX; `down` is 1 for forward-right-down axes, -1 for forward-left-up."""
     x, y, z = -down * attitude[2, 0], -down * attitude[2, 1], -down * attitude[2, 2]

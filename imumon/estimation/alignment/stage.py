@@ -114,7 +114,7 @@ class Alignment:
         self._settings = _settings(self._parameters, latitude_deg)
         self._level = EARTH_RATE * math.cos(math.radians(latitude_deg))
         self._state = state.new_state()
-        kernel.new_segment(self._state, 0)
+        kernel.new_segment(self._state)
         self._clock = SegmentClock()
         self._begun = False
         self._elapsed = 0.0
@@ -173,7 +173,7 @@ class Alignment:
         out = np.full((n, kernel.OUTPUTS), np.nan)
         for start, stop, begins, seconds in self._clock.runs(block["device_time_ns"], block["segment"]):
             if begins:
-                kernel.new_segment(self._state, GAP)
+                kernel.new_segment(self._state)
             part = slice(start, stop)
             self._settle_axes(readings[part])
             kernel.process(

@@ -15,7 +15,9 @@ from imumon.blocks import FloatArray
 from imumon.estimation.alignment.state import (
     CONSTANTS,
     FINE_AT,
+    INNER,
     MOMENTS,
+    OUTER,
     PAIRS,
     PREVIOUS_TICK,
     TICK_FROM,
@@ -29,22 +31,30 @@ TICK = 0.99
 """Length of a tick, s; a little less than four slots."""
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def clear_sums(state: State) -> None:
     """Forget everything that was summed."""
-    for values in (state.total, state.tick, state.last_tick, state.path, state.line, state.squares):
-        values[:] = 0.0
-    for table in (state.moments, state.rate_sums, state.path_sums, state.exponent, state.weighted):
-        table[:] = 0.0
-    for cube in (state.normal, state.spread, state.right):
-        cube[:] = 0.0
+    state.total[:] = 0.0
+    state.tick[:] = 0.0
+    state.last_tick[:] = 0.0
+    state.path[:] = 0.0
+    state.line[:] = 0.0
+    state.squares[:] = 0.0
+    state.moments[:] = 0.0
+    state.rate_sums[:] = 0.0
+    state.path_sums[:] = 0.0
+    state.exponent[:] = 0.0
+    state.weighted[:] = 0.0
+    state.normal[:] = 0.0
+    state.spread[:] = 0.0
+    state.right[:] = 0.0
     for name in (TIME, TICK_S, TICK_FROM):
         state.number[name] = 0.0
     for flag in (TICKS, PAIRS, PREVIOUS_TICK):
         state.flag[flag] = 0
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def break_ticks(state: State) -> None:
     """Say that something was left out: the next tick does not follow the last one."""
     if state.tick[0] > 0.0:
@@ -52,7 +62,7 @@ def break_ticks(state: State) -> None:
     state.flag[PREVIOUS_TICK] = 0
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def add_slot(state: State, values: FloatArray) -> bool:
     """Add a slot, `values` (9,) as in `imumon.estimation.alignment.state`; return whether it ended a tick."""
     if state.tick[0] == 0.0:
@@ -65,7 +75,7 @@ def add_slot(state: State, values: FloatArray) -> bool:
     return True
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def end_tick(state: State, now: float) -> None:
     """Add the gathered tick, which ends `now` (s by the clock), to all sums."""
     tick, number = state.tick, state.number
@@ -85,7 +95,7 @@ def end_tick(state: State, now: float) -> None:
     number[TICK_FROM] = now
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _add_noise(state: State) -> None:
     """Sum squared differences of successive ticks: of the rate, and of the steps of the level."""
     tick, last = state.tick, state.last_tick
@@ -93,8 +103,9 @@ def _add_noise(state: State) -> None:
         for axis in range(2):
             rate = tick[1 + axis] / tick[0]
             # Each rate has the variance ARW² / s, so their difference twice that.
-            state.line[7] += 0.5 * tick[0] * (rate - last[axis]) ** 2
-            state.line[8] += (tick[4 + axis] - tick[1 + axis] - last[2 + axis]) ** 2
+            change, step = rate - last[axis], tick[4 + axis] - tick[1 + axis] - last[2 + axis]
+            state.line[7] += 0.5 * tick[0] * change * change
+            state.line[8] += step * step
         state.flag[PAIRS] += 2
     for axis in range(2):
         last[axis] = tick[1 + axis] / tick[0]
@@ -102,7 +113,7 @@ def _add_noise(state: State) -> None:
     state.flag[PREVIOUS_TICK] = 1
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _add_line(state: State) -> None:
     """Sums of straight lines through control angle and level: n, t, t², then a and t a of each."""
     t, line = state.number[TIME], state.line
@@ -115,7 +126,7 @@ def _add_line(state: State) -> None:
         # The level needs Σ φ and Σ t φ: these are the first two of path_sums.
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _add_polynomials(state: State, before: float) -> None:
     """Moments of time at rates (row 0) and on the path (row 1), and what is regressed on them."""
     tick, t = state.tick, state.number[TIME]
@@ -133,7 +144,7 @@ def _add_polynomials(state: State, before: float) -> None:
         path_power *= t
 
 
-@njit(cache=True, nogil=True)
+@njit(**OUTER)
 def decay_terms(x: float) -> tuple[float, float]:
     """Return exp(-x) - 1 + x, and x (exp(-x) - 1) + 2 (exp(-x) - 1 + x): about x²/2 and x³/6 for small x."""
     if x < 0.02:
@@ -144,7 +155,7 @@ def decay_terms(x: float) -> tuple[float, float]:
     return first, x * fallen + 2.0 * first
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _add_exponentials(state: State, begin: float, end: float) -> None:
     """Add a point of the control angle to the normal equations of line and exponential.
 
@@ -154,7 +165,7 @@ def _add_exponentials(state: State, begin: float, end: float) -> None:
     t = state.number[TIME]
     h = np.empty(4)
     for axis in range(2):
-        state.squares[axis] += state.path[axis] ** 2
+        state.squares[axis] += state.path[axis] * state.path[axis]
     for g in range(len(CONSTANTS)):
         tau = CONSTANTS[g]
         at_begin, at_end = decay_terms(begin / tau), decay_terms(end / tau)

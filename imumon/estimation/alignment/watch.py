@@ -16,6 +16,7 @@ from imumon.estimation.alignment.state import (
     BASE,
     CHANNELS,
     COUNT,
+    INNER,
     LEARNED,
     MEAN_VAR,
     PREVIOUS,
@@ -39,24 +40,24 @@ SCATTER, ROTATION, STEP, UNREST, GAP = 1, 2, 3, 4, 5
 """What disturbed."""
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def begin_slot(state: State) -> None:
     """Forget the samples of a slot; the next one is gathered about the last mean."""
     watch = state.watch
-    watch[REFERENCE] = watch[PREVIOUS]
-    watch[SUM] = 0.0
-    watch[SQUARES] = 0.0
+    for i in range(CHANNELS):
+        watch[REFERENCE, i] = watch[PREVIOUS, i]
+        watch[SUM, i] = watch[SQUARES, i] = 0.0
     state.flag[COUNT] = 0
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def forget_noise(state: State) -> None:
     """Learn the noise anew, as of a unit never seen."""
     state.flag[SLOTS] = 0
     state.watch[:] = 0.0
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def judge_slot(state: State) -> int:
     """Return what disturbed the slot that is complete, 0 for nothing, -1 while the noise is being learnt."""
     watch, flag = state.watch, state.flag
@@ -84,31 +85,48 @@ def judge_slot(state: State) -> int:
             cause = STEP
     if cause == 0:
         _update(state, mean, variance)
-    watch[PREVIOUS] = mean
+    for i in range(CHANNELS):
+        watch[PREVIOUS, i] = mean[i]
     return cause
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _learn(state: State, mean: np.ndarray, variance: np.ndarray) -> None:
     """Keep the first slots; medians of them are the first level and noise."""
     flag, watch, learning = state.flag, state.watch, state.learning
-    learning[flag[SLOTS], :CHANNELS] = mean
-    learning[flag[SLOTS], CHANNELS:] = variance
+    for i in range(CHANNELS):
+        learning[flag[SLOTS], i], learning[flag[SLOTS], CHANNELS + i] = mean[i], variance[i]
+        watch[PREVIOUS, i] = mean[i]
     flag[SLOTS] += 1
-    watch[PREVIOUS] = mean
     if flag[SLOTS] < LEARNED:
         return
+    values, scatter, steps = np.empty(LEARNED), np.empty(LEARNED), np.empty(LEARNED - 1)
     for i in range(CHANNELS):
-        watch[BASE, i] = np.median(learning[:, i].copy())
-        watch[SAMPLE_VAR, i] = np.median(learning[:, CHANNELS + i].copy())
-        steps = np.diff(learning[:, i].copy()) ** 2
+        for k in range(LEARNED):
+            values[k], scatter[k] = learning[k, i], learning[k, CHANNELS + i]
+            if k > 0:
+                steps[k - 1] = (learning[k, i] - learning[k - 1, i]) ** 2
+        watch[BASE, i] = median(values)
+        # A single sample per slot has no scatter to judge by.
+        watch[SAMPLE_VAR, i] = median(scatter) if flag[COUNT] > 1 else math.inf
         # The median of a squared normal value is 0.455 of its variance.
-        watch[MEAN_VAR, i] = 0.5 * np.median(steps) / 0.455
-        if math.isnan(watch[SAMPLE_VAR, i]):
-            watch[SAMPLE_VAR, i] = math.inf
+        watch[MEAN_VAR, i] = 0.5 * median(steps) / 0.455
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
+def median(values: np.ndarray) -> float:
+    """Return the median of a few values, (n,), which are sorted in place; NaNs count as the largest."""
+    n = len(values)
+    for i in range(1, n):
+        value, k = values[i], i
+        while k > 0 and (math.isnan(values[k - 1]) or values[k - 1] > value):
+            values[k] = values[k - 1]
+            k -= 1
+        values[k] = value
+    return float(0.5 * (values[(n - 1) // 2] + values[n // 2]))
+
+
+@njit(**INNER)
 def _update(state: State, mean: np.ndarray, variance: np.ndarray) -> None:
     watch, flag = state.watch, state.flag
     flag[SLOTS] += 1
