@@ -45,8 +45,8 @@ UNKNOWN_BIAS = 1.0
 UNKNOWN_ROTATION = 0.01
 """The same of the rotation when the unit has come to rest, rad: how far the first reading may be off."""
 SLOPE_PER_NOISE = 3.6
-"""Standard deviation of a slope before any measurement, per °C and sqrt(s), over the angular random walk: what is
-noisy drifts with temperature as well.  60 °/h/°C at 0.28 °/√h."""
+"""Standard deviation of a slope before any measurement, per °C and sqrt(s), over the angular random walk:
+what is noisy drifts with temperature as well.  60 °/h/°C at 0.28 °/√h."""
 CURVATURE_DEGC = 30.0
 """Travel of the temperature over which a slope changes by as much as itself."""
 SLOPE_WALK = math.radians(0.02) / 3600.0
@@ -166,7 +166,14 @@ def come_to_rest(bank: Bank, flat: FloatArray) -> None:
 
 @njit(cache=True, nogil=True)
 def wander(
-    bank: Bank, row: int, family: Family, dt: float, noise: float, warming: float, travel: float, growth: float
+    bank: Bank,
+    row: int,
+    family: Family,
+    dt: float,
+    noise: float,
+    warming: float,
+    travel: float,
+    growth: float,
 ) -> None:
     """Bring the biases of a row `dt` seconds on.
 

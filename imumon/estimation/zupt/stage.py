@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imumon.blocks import ColumnArray, FloatArray, SampleBlock
+from imumon.charts import Chart
 from imumon.columns import Column
 from imumon.errors import ImumonError, Reason
 from imumon.estimation.temperature_rate.series import SegmentClock
@@ -17,6 +18,7 @@ from imumon.estimation.zupt import kernel
 from imumon.estimation.zupt.bank import known_family, unknown_family
 from imumon.estimation.zupt.parameters import ZuptParameters
 from imumon.estimation.zupt.thermal_input import ThermalInput
+from imumon.estimation.zupt.trail import BiasTrail
 from imumon.thermal.model import BiasModel
 
 Mode = Literal["standard", "thermal", "learned"]
@@ -78,6 +80,7 @@ class ZeroVelocity:
         self._learns = mode == "learned"
         self._state = kernel.empty_state(self._settings, self._learns, self._parameters.zeroing_s)
         kernel.restart(self._state)
+        self._trail = BiasTrail(model)
         self._clock = SegmentClock()
         self._begun = False
         self._pending = _notices_at_start(latitude_deg, heading_deg)
@@ -146,6 +149,11 @@ class ZeroVelocity:
                 innovation[part],
             )
         np.subtract(gyro, bias, out=corrected)
+        self._trail.add(block["device_time_ns"], temperature, bias)
+
+    def charts(self) -> Sequence[Chart]:
+        """Return the bias over temperature, beside the model's curve where there is a model."""
+        return self._trail.charts()
 
     def _rest(self, block: SampleBlock) -> npt.NDArray[np.bool_]:
         if "at_rest" in block:
