@@ -99,7 +99,21 @@ def _sums(name: str, grid: Sequence[Effect], survey: Survey) -> list[Candidate]:
         for size in sizes
         for group in combinations(few, size)
         for free_start in ((False, True) if name == "thermal_lag" else (False,))
-    ]
+    ] + _many_widths(grid, survey)
+
+
+def _many_widths(grid: Sequence[Effect], survey: Survey) -> list[Candidate]:
+    """Return loops of many widths, of those alike in power: any loop at all, at the price of its many
+    parameters."""
+    found = []
+    plays = [e for e in grid if isinstance(e, Hysteresis) and e.shape == "play"]
+    for order in (1, 3) if survey.runs > 1 else ():
+        alike = [e for e in plays if e.order == order]
+        for count in (5, 8):
+            spread = np.linspace(0, len(alike) - 1, count).round().astype(int)
+            if len(set(spread.tolist())) == count:
+                found.append(Candidate("hysteresis", tuple(Part(alike[at]) for at in spread)))
+    return found
 
 
 @dataclass(slots=True)

@@ -11,9 +11,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from imumon.blocks import FloatArray
 from imumon.diagnosis.blocks import RunBlocks
 from imumon.diagnosis.fitting import Declared
 from imumon.diagnosis.selection import ordinary, residual_rms
+from imumon.effects.base import Effect
+from imumon.effects.drift import Drift
+from imumon.effects.thermal_lag import ThermalLag
+from imumon.effects.warm_up import WarmUp
 
 EARTH_RATE = 7.292115e-5
 """rad/s."""
@@ -21,6 +26,7 @@ GRAVITY = 9.81
 ALLOWANCE = 1.05
 SIGMAS = 3.0
 SPREAD = 0.15
+LAGS_S = (60.0, 250.0, 1000.0)
 INDEPENDENT = 10.0
 """Blocks that count as one, for noise that is slow and for what the model lacks."""
 
@@ -52,7 +58,8 @@ def vertical_rate(
             return None
         force = np.concatenate([part for part in forces if part is not None])
         values = np.concatenate([run.mean[name] for run in runs])
-        columns = np.column_stack([declared.training(runs, temperature), force])
+        beside = np.concatenate([_beside(run, temperature, declared) for run in runs])
+        columns = np.column_stack([declared.training(runs, temperature), beside, force])
         found.append(ordinary(columns, values)[-3 + axis])
         spread = float(np.std(force[:, axis])) * np.sqrt(len(values) / INDEPENDENT)
         doubt.append(residual_rms(columns, values) / spread if spread > 0 else np.inf)
@@ -76,6 +83,17 @@ def without(runs: Sequence[RunBlocks], channels: Sequence[str], rate: VerticalRa
         changed = {name: run.mean[name] - rate.per_force * force[:, at] for at, name in enumerate(channels)}
         found.append(replace(run, mean={**run.mean, **changed}))
     return found
+
+
+def _beside(run: RunBlocks, temperature: str, declared: Declared) -> FloatArray:
+    """Return what else a bias may follow, so that it is not taken for a pose, (n, k)."""
+    middle, half = declared.middle_degc, declared.half_span_degc
+    effects: list[Effect] = [
+        *(ThermalLag(time_constant_s=tau, middle_degc=middle, half_span_degc=half) for tau in LAGS_S),
+        *(WarmUp(time_constant_s=tau) for tau in LAGS_S),
+        Drift(),
+    ]
+    return np.column_stack([run.average(effect.columns(run.drives[temperature])) for effect in effects])
 
 
 def _force(run: RunBlocks) -> np.ndarray[tuple[int, int], np.dtype[np.float64]] | None:

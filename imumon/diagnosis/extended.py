@@ -47,12 +47,13 @@ def extended_model(diagnosis: Diagnosis) -> BiasModel:
 
 
 def _channel(verdict: ChannelVerdict, known: ChannelModel | None) -> ChannelModel:
-    effects = [_carried(part) for part in verdict.after.parts if part.carries]
+    fitted = verdict.after if verdict.foretells else verdict.before
+    effects = [_carried(part) for part in fitted.parts if part.carries]
     scored = verdict.test_after
-    rms = verdict.after.train_rms if scored is None or not np.isfinite(scored.rms) else scored.rms
+    rms = fitted.train_rms if scored is None or not np.isfinite(scored.rms) else scored.rms
     residual = float(np.sqrt(max(rms**2 - verdict.floor.sd**2, 0.0)))
     if known is not None:
-        constant = float(verdict.after.declared[0])
+        constant = float(fitted.declared[0])
         return known.model_copy(
             update={
                 "residual_sd": residual,
@@ -64,7 +65,7 @@ def _channel(verdict: ChannelVerdict, known: ChannelModel | None) -> ChannelMode
     declared = verdict.declared
     half = declared.half_span_degc
     low, high = declared.middle_degc - half, declared.middle_degc + half
-    curve, effects = _curve(Polynomial(verdict.after.declared, domain=[low, high]), effects)
+    curve, effects = _curve(Polynomial(fitted.declared, domain=[low, high]), effects)
     if verdict.name.startswith("accel"):
         curve = curve.minus(float(curve.value(declared.middle_degc)))
     return ChannelModel.model_validate(

@@ -81,6 +81,7 @@ def _channel(verdict: ChannelVerdict) -> dict[str, Any]:
             for other in claim.finding.alike[1:]
         ],
         "left_out": verdict.left_out,
+        "in_model_file": verdict.foretells,
         "unexplained": verdict.unexplained,
         "remark": verdict.remark,
         "summary": verdict.summary,

@@ -164,6 +164,7 @@ class Search:
             self._stage(active)
         for channel in self._channels:
             self._drop_needless(channel)
+            self._merge_start(channel)
             self._polish(channel)
             self._outcomes[channel.name].noise = self._null(channel)[1]
         return self._outcomes
@@ -413,6 +414,28 @@ class Search:
             outcome.findings = [other for other in everything if other is not finding]
             finding.candidate, _ = self._refined(channel, finding.candidate, noise)
         outcome.findings = everything
+
+    def _merge_start(self, channel: Channel) -> None:
+        """Take for the start of a lag out of equilibrium what passed for a warm-up, if that does."""
+        outcome = self._outcomes[channel.name]
+        everything = list(outcome.findings)
+        lag = next((f for f in everything if f.name == "thermal_lag" and not f.candidate.free_start), None)
+        warm = next((f for f in everything if f.name == "warm_up"), None)
+        if lag is None or warm is None:
+            return
+        before = self._evidence(channel)
+        fixed = lag.candidate
+        outcome.findings = [finding for finding in everything if finding is not warm]
+        lag.candidate, _ = self._refined(channel, replace(fixed, free_start=True), self._null(channel)[1])
+        if before - self._evidence(channel) > CLOSE:
+            outcome.findings, lag.candidate = everything, fixed
+
+    def _evidence(self, channel: Channel) -> float:
+        """Return twice the log-likelihood of the model so far less the price of its parameters."""
+        found = [finding.candidate for finding in self._outcomes[channel.name].findings]
+        pool = self._pools[channel.temperature]
+        price = sum(parameters(one, [*terms[0], *terms[1]]) for one in found for terms in [pool.terms(one)])
+        return 2 * self._null(channel)[0] - price * float(np.log(self._likelihood.n))
 
     def _drop_needless(self, channel: Channel) -> None:
         """Drop what later findings made needless."""

@@ -17,7 +17,8 @@ JUMP_SIGMAS = 5.0
 LONGEST_TEST = 16
 """Blocks over which a jump is looked for."""
 GRACE_S = 120.0
-"""After a jump nobody can know its size at once: the score leaves out this long."""
+"""After a jump, or after power-on where the level or an amplitude is another in each run, nobody can know its
+size at once: the score leaves out this long."""
 VAGUE = 1e4
 """Prior standard deviation of a level after a jump, in standard deviations of the noise."""
 
@@ -60,6 +61,8 @@ def track(
     state, covariance = mean.astype(float).copy(), np.diag(sd.astype(float) ** 2)
     recent: list[int] = []
     found = 0
+    if sd.any() and n:
+        grace |= time_s < time_s[0] + GRACE_S
     for k in range(n):
         expected[k] = columns[k] @ state
         recent.append(k)

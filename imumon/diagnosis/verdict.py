@@ -47,6 +47,9 @@ class ChannelVerdict:
         None without a test.
     left_out : list of dict
         What was found but made the test worse.
+    foretells : bool
+        Whether the extended model goes into the model file; else the declared one does: nothing of what is
+        claimed carries over, or the levels of the test make the prediction worse with it.
     """
 
     name: str
@@ -65,6 +68,7 @@ class ChannelVerdict:
     noise: tuple[float, float]
     left_out: list[dict[str, Any]] = field(default_factory=list)
     remark: str = ""
+    foretells: bool = True
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,12 +130,15 @@ def judge(case: Case, outcome: Outcome) -> ChannelVerdict:
         )
         remark = f"the best of the known effects is {best.name}, but {why}"
         kept, after = [], before
-    # Where nothing of it can be foretold the declared model predicts as it did.
-    foretells = not after.parts or any(part.carries for part in after.parts)
     score_after = case.scored(after, after)
     score_before = case.scored(before, after)
-    if score_after is not None and score_before is not None and not foretells:
-        score_after.rms = score_before.rms
+    foretells = not after.parts or any(part.carries for part in after.parts)
+    if score_after is not None and score_before is not None:
+        # Jumps of the test itself may make the prediction worse, whatever else was found.
+        foretells &= not score_after.rms > score_before.rms
+        if not foretells:
+            # The declared model then predicts as it did, and is what the model file has.
+            score_after.rms = score_before.rms
     unexplained = _unexplained(before, after, kept, floor, outcome)
     verdict = ChannelVerdict(
         name=case.name,
@@ -150,6 +157,7 @@ def judge(case: Case, outcome: Outcome) -> ChannelVerdict:
         noise=outcome.noise,
         left_out=left_out,
         remark=remark,
+        foretells=foretells,
     )
     verdict.summary = summary(verdict)
     return verdict
@@ -191,8 +199,8 @@ def _worst_foretold(case: Case, kept: Sequence[Finding]) -> dict[str, Any] | Non
     before, after = case.scored(case.fitted([]), everything), case.scored(everything, everything)
     if before is None or after is None or not after.rms > before.rms:
         return None
-    if not any(part.carries for part in everything.parts):
-        return None
+    if not all(part.carries for part in everything.parts):
+        return None  # the level of the test is another anyway: following it has shown what they are worth
     without = {}
     for finding in kept:
         others = case.fitted([other.candidate for other in kept if other is not finding])
@@ -265,7 +273,7 @@ def summary(verdict: ChannelVerdict) -> str:
     text = f"{', and '.join(names)}: {before:.1f} white floors become {after:.2f} in training"
     test = verdict.test_after, verdict.test_before
     if test[0] is not None and test[1] is not None and np.isfinite(test[0].rms):
-        carried = any(part.carries for part in verdict.after.parts)
+        carried = verdict.foretells and any(part.carries for part in verdict.after.parts)
         score_after = test[0].rms if carried else test[0].tracked_rms
         how = "predicted" if carried else "tracked"
         text += f", {test[1].rms / floor:.1f} become {score_after / floor:.2f} in the test ({how})"

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
+from pydantic import Field
 
 from imumon.blocks import FloatArray
 from imumon.effects.base import Drive, Effect, Positive, Survey
@@ -15,20 +16,25 @@ STEP = 0.4
 """Distance of neighbouring frequencies, as a share of the resolution of the longest run."""
 BLOCKS_PER_PERIOD = 3.0
 MOST_FREQUENCIES = 800
+MOST_HARMONICS = 3
 
 
 class Periodic(Effect):
-    """sin and cos of 2 pi t / period, t since power-on."""
+    """sin and cos of 2 pi k t / period, k = 1, 3, ... as many as `harmonics` says; t since power-on.
+
+    Odd ones: what swings is mostly alike on its way up and down.
+    """
 
     name: ClassVar[str] = "periodic"
     kind: Literal["periodic"] = "periodic"
     nonlinear: ClassVar[tuple[str, ...]] = ("period_s",)
     period_s: Positive
+    harmonics: Annotated[int, Field(ge=1, le=9)] = 1
 
     @property
     def width(self) -> int:
-        """Sine and cosine."""
-        return 2
+        """Sine and cosine of each harmonic."""
+        return 2 * self.harmonics
 
     @classmethod
     def grid(cls, survey: Survey) -> list[Self]:
@@ -46,7 +52,16 @@ class Periodic(Effect):
     def advance(self, state: FloatArray, drive: Drive) -> FloatArray:  # noqa: ARG002 - time is its memory
         """Return sine and cosine."""
         phase = 2 * np.pi / self.period_s * drive.time_s
-        return np.column_stack([np.sin(phase), np.cos(phase)])
+        odd = 2 * np.arange(self.harmonics) + 1
+        return np.column_stack(
+            [part for k in odd.tolist() for part in (np.sin(k * phase), np.cos(k * phase))]
+        )
+
+    def refined(self, survey: Survey, level: int) -> list[Self]:
+        """Return neighbouring periods, and one harmonic more or less."""
+        others = [self.harmonics - 1, self.harmonics + 1]
+        changed = [self.model_copy(update={"harmonics": k}) for k in others if 1 <= k <= MOST_HARMONICS]
+        return [*super().refined(survey, level), *changed]
 
     def spacing(self, survey: Survey, value: float) -> float:  # noqa: ARG002 - frequencies are evenly spaced
         """Return the distance of the frequencies in Hz."""
