@@ -11,6 +11,8 @@ from pydantic import Field
 from imumon.allan.parameters import AllanParameters, Noise
 from imumon.config import StrictModel, parse_yaml
 from imumon.errors import ImumonError, Reason
+from imumon.estimation.alignment.parameters import AlignmentParameters
+from imumon.estimation.alignment.warm_up import known_warm_up
 from imumon.estimation.random_error.parameters import Channel, GyroNoise, RandomErrorParameters
 from imumon.estimation.rest.parameters import RestParameters
 from imumon.estimation.zupt.parameters import ZuptParameters
@@ -38,6 +40,7 @@ class Setup(StrictModel):
     rest: RestParameters = RestParameters()
     zupt: ZuptParameters = ZuptParameters()
     random_error: RandomErrorParameters = RandomErrorParameters()
+    alignment: AlignmentParameters = AlignmentParameters()
     noise: Noise = Noise()
     allan: AllanParameters = AllanParameters()
 
@@ -68,6 +71,12 @@ class Setup(StrictModel):
             known["bias_instability_rad_per_s"] = [value or 0.0 for value in flicker]
             known["rate_random_walk_rad_per_s_per_sqrt_s"] = [value or 0.0 for value in walk]
         return own.model_copy(update=known)
+
+    @property
+    def alignment_with_warm_up(self) -> AlignmentParameters:
+        """Parameters of the alignment, with the warm-up of the accelerometers that the model knows."""
+        known = self.alignment.known_warm_up or known_warm_up(self.bias_model)
+        return self.alignment.model_copy(update={"known_warm_up": known})
 
     @property
     def random_error_with_noise(self) -> RandomErrorParameters:

@@ -13,6 +13,7 @@ from imumon.view.bands import Band, band_panel
 from imumon.view.layout import (
     AXIS_COLORS,
     BLUE,
+    GREEN,
     GREY,
     LINK,
     ORANGE,
@@ -68,6 +69,10 @@ BIAS = "Gyro bias"
 """Tab of the bias estimates."""
 DRIFT = "Random error"
 """Tab of the drift and the noise."""
+PUBLISHED = "SR-RSUKF"
+"""Tab of the published filter and what it must be compared with."""
+ALIGNMENT = "Alignment"
+"""Tab of the heading by the earth rate; its charts stand there, too."""
 DEG_PER_HOUR = DEG * 3600.0
 
 
@@ -76,6 +81,35 @@ def _axis_bands(value: str, sd: str) -> list[Band]:
         Band(f"{value}_{axis}", f"{sd}_{axis}", axis, color)
         for axis, color in zip("xyz", AXIS_COLORS, strict=True)
     ]
+
+
+def _random_error(axis: str, color: Color) -> Panel:
+    """Return the panel of one axis: beside the turn-on bias of another its drift could not be seen."""
+    return band_panel(
+        f"gyro_random_error_{axis}",
+        DRIFT,
+        f"Random error {axis}: rate at rest less the thermal bias, 2σ",
+        [Band(f"gyro_random_error_{axis}", f"gyro_random_error_sd_{axis}", axis, color)],
+        unit="°/h",
+        factor=DEG_PER_HOUR,
+    )
+
+
+def _beside_published(axis: str) -> Panel:
+    """Return the panel of one axis that shows SR-RSUKF, the default estimate and the plain ones together."""
+    return band_panel(
+        f"gyro_beside_{axis}",
+        PUBLISHED,
+        f"Gyro {axis}: SR-RSUKF ({axis}) beside the default, the mean at rest and the held beginning, 2σ",
+        [
+            Band(f"gyro_drift_{axis}", f"gyro_drift_sd_{axis}", "default", ORANGE),
+            Band(f"gyro_rest_mean_{axis}", None, "mean", VIOLET),
+            Band(f"gyro_rest_hold_{axis}", None, "hold", GREY),
+        ],
+        unit="°/h",
+        factor=DEG_PER_HOUR,
+        beside=f"/view/gyro_random_error_{axis}/**",
+    )
 
 
 PANELS: tuple[Panel, ...] = (
@@ -116,23 +150,54 @@ PANELS: tuple[Panel, ...] = (
         limits=(-3.0, 3.0),
         sparse=True,
     ),
+    *(_random_error(axis, color) for axis, color in zip("xyz", AXIS_COLORS, strict=True)),
+    *(_beside_published(axis) for axis in "xyz"),
+    band_panel("gyro_phi", PUBLISHED, "φ of SR-RSUKF, 2σ", _axis_bands("gyro_phi", "gyro_phi_sd"), unit=""),
     band_panel(
-        "gyro_random_error",
-        DRIFT,
-        "Random error: rate at rest less the thermal bias, 2σ",
-        _axis_bands("gyro_random_error", "gyro_random_error_sd"),
-        unit="°/h",
-        factor=DEG_PER_HOUR,
+        "heading",
+        ALIGNMENT,
+        "Heading from true north, 2σ",
+        [
+            Band("heading_total_average", "heading_total_average_sd", "total average", RED),
+            Band("heading_curve_fit", "heading_curve_fit_sd", "curve fit", ORANGE),
+            Band("heading_tilt_corrected", "heading_tilt_corrected_sd", "tilt corrected", GREEN),
+            Band("heading", "heading_sd", "shown", BLUE),
+        ],
+        unit="°",
+        factor=DEG,
     ),
     band_panel(
-        "gyro_drift",
-        DRIFT,
-        "Beside SR-RSUKF: the default estimate, 2σ",
-        _axis_bands("gyro_drift", "gyro_drift_sd"),
-        unit="°/h",
-        factor=DEG_PER_HOUR,
+        "heading_line_exponential",
+        ALIGNMENT,
+        "Heading by line and exponential, 2σ",
+        [Band("heading_line_exponential", "heading_line_exponential_sd", "line and exponential", VIOLET)],
+        unit="°",
+        factor=DEG,
     ),
-    band_panel("gyro_phi", DRIFT, "φ of SR-RSUKF, 2σ", _axis_bands("gyro_phi", "gyro_phi_sd"), unit=""),
+    strip(
+        "heading_magnetic",
+        "Heading from magnetic north",
+        {"heading_magnetic": "magnetic"},
+        colors=[GREY],
+        shown=(DEG, "°"),
+        place=ALIGNMENT,
+    ),
+    strip(
+        "control_rate",
+        "Horizontal control rates",
+        {"control_rate_east": "east", "control_rate_north": "north"},
+        colors=[RED, BLUE],
+        shown=(DEG_PER_HOUR, "°/h"),
+        place=ALIGNMENT,
+    ),
+    strip(
+        "level_drift",
+        "Drift of roll and pitch since the coarse alignment",
+        {"roll_drift": "roll", "pitch_drift": "pitch"},
+        colors=[RED, GREEN],
+        shown=(1e6, "µg"),
+        place=ALIGNMENT,
+    ),
     strip("pressure", "Pressure", {"pressure": "static"}, colors=[VIOLET]),
     strip(
         "packet_rate",

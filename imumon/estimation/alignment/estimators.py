@@ -32,8 +32,11 @@ from imumon.estimation.alignment.state import (
     CONSTANTS,
     CONTRADICTED,
     ESTIMATORS,
+    FINE_AT,
+    GRAVITY,
     INNER,
     LARGEST_DRIFT,
+    LAST,
     LATITUDE,
     LEVEL_SD,
     OBSERVABLE,
@@ -44,7 +47,10 @@ from imumon.estimation.alignment.state import (
     TICKS,
     TILT2,
     TIME,
+    WARM_SD,
     WARM_TAU,
+    WARM_TAU_SD,
+    WARM_X,
     State,
 )
 from imumon.estimation.zupt.earth import EARTH_RATE
@@ -283,8 +289,10 @@ def _tilt_shares(state: State, settings: FloatArray, time: float) -> tuple[float
     logs = np.zeros(11)
     if state.flag[TICKS] >= 12:
         _compare_bends(state, time, logs)
+    unlikely = _not_warm_up(state, settings, drift, time)
     largest = -math.inf
     for i in range(11):
+        logs[i] -= unlikely * (1.0 - 0.1 * i) ** 2
         prior = TRUE_TILT if i == 10 else 1.0 if i == 0 else PARTLY
         logs[i] += math.log(prior)
         largest = max(largest, logs[i])
@@ -298,6 +306,23 @@ def _tilt_shares(state: State, settings: FloatArray, time: float) -> tuple[float
             real += weight
     number[REAL_TILT] = real / total
     return share_drift / total, share_tilt / total
+
+
+@njit(**INNER)
+def _not_warm_up(state: State, settings: FloatArray, drift: FloatArray, time: float) -> float:
+    """Return how unlikely it is, as -log of the likelihood, that the known warm-up errs by all of a drift."""
+    if settings[WARM_SD] <= 0.0:
+        return 0.0
+    begin, end = state.number[FINE_AT], state.number[LAST]
+    variance = state.number[TILT2] + 1e-30
+    for i in range(3):
+        tau = settings[WARM_TAU + i]
+        first, last = math.exp(-begin / tau), math.exp(-end / tau)
+        grown, slope = first - last, (begin * first - end * last) / (tau * tau)
+        amplitude, constant = grown * settings[WARM_SD], slope * settings[WARM_TAU_SD] * settings[WARM_X + i]
+        # The mean of a horizontal direction's share over the three axes.
+        variance += (amplitude * amplitude + constant * constant) / (3.0 * state.number[GRAVITY] ** 2)
+    return float(0.5 * time * time * (drift[0] ** 2 + drift[1] ** 2) / variance)
 
 
 @njit(**INNER)

@@ -56,6 +56,7 @@ from imumon.estimation.alignment.state import (
     PREVIOUS,
     REFERENCE,
     REST,
+    RESTARTS,
     ROLL_0,
     SETTLED,
     SETTLED_AT,
@@ -104,6 +105,7 @@ def restart(state: State) -> None:
     if flag[PHASE] == FINE:
         begin = number[EVENT_AT] if flag[DISTURBED] else number[LAST]
         _log(state, begin, number[LAST], 1.0)
+        flag[RESTARTS] += 1
     flag[PHASE], flag[CHOSEN], flag[OBSERVED] = WAITING, -1, 0
     number[HOLD_UNTIL], number[SETTLED_AT] = -math.inf, math.nan
     number[EVENT_AT] = math.nan
@@ -402,11 +404,11 @@ def _queue(now: float, settings: FloatArray, state: State) -> None:
 @njit(**INNER)
 def _known_tilt(now: float, settings: FloatArray, state: State) -> None:
     """Put into a slot the change of the level that the known warm-up makes: Φ_E = -a_N / g, Φ_N = a_E / g."""
-    tau = settings[WARM_TAU]
-    if tau <= 0.0:
-        return
-    grown = math.exp(-(now - state.slot[0]) / tau) - math.exp(-now / tau)
     for i in range(3):
+        tau = settings[WARM_TAU + i]
+        if tau <= 0.0:
+            return
+        grown = math.exp(-(now - state.slot[0]) / tau) - math.exp(-now / tau)
         change = grown * settings[WARM_X + i] / state.number[GRAVITY]
         state.slot[6] -= state.attitude[1, i] * change
         state.slot[7] += state.attitude[0, i] * change
@@ -434,12 +436,12 @@ def _show(state: State, settings: FloatArray, out: FloatArray) -> None:
         return
     chosen = flag[CHOSEN]
     for k in range(ESTIMATORS):
-        for i in range(2):
-            out[MAGNETIC_HEADING + 1 + 2 * k + i] = result[k, i]
+        if flag[OBSERVED] and result[k, 1] < settings[OBSERVABLE]:
+            out[MAGNETIC_HEADING + 1 + 2 * k] = result[k, 0]
+        out[MAGNETIC_HEADING + 2 + 2 * k] = result[k, 1]
     if chosen >= 0:
+        out[HEADING] = out[MAGNETIC_HEADING + 1 + 2 * chosen]
         out[HEADING_SD] = result[chosen, 1]
-        if flag[OBSERVED] and result[chosen, 1] < settings[OBSERVABLE]:
-            out[HEADING] = result[chosen, 0]
     out[ROLL], out[PITCH] = roll_pitch(state.attitude, settings[DOWN])
     roll = out[ROLL] - number[ROLL_0]
     out[ROLL_DRIFT] = roll - 2.0 * math.pi * round(roll / (2.0 * math.pi))
@@ -447,6 +449,13 @@ def _show(state: State, settings: FloatArray, out: FloatArray) -> None:
     out[RATE_EAST], out[RATE_NORTH] = -number[GAIN] * state.velocity[1], number[GAIN] * state.velocity[0]
     out[ANGLE_EAST], out[ANGLE_NORTH] = state.path[0] + state.tick[4], state.path[1] + state.tick[5]
     out[MAGNETIC_HEADING] = magnetic_heading(state)
+
+
+@njit(**OUTER)
+def level_angles(state: State, settings: FloatArray) -> tuple[float, float]:
+    """Return roll and pitch in rad."""
+    roll, pitch = roll_pitch(state.attitude, settings[DOWN])
+    return float(roll), float(pitch)
 
 
 @njit(**OUTER)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from imumon.config import StrictModel
 
 _Micro = Annotated[float, Field(ge=-1e5, le=1e5)]
+_Seconds = Annotated[float, Field(gt=0.0, le=1e5)]
 
 
 class KnownWarmUp(StrictModel):
@@ -18,11 +19,21 @@ class KnownWarmUp(StrictModel):
     ----------
     amplitude_ug : [x, y, z]
         Final value in body axes, µg.
-    time_constant_s : float
+    time_constant_s : [x, y, z], or a float for all
+    amplitude_sd_ug, time_constant_sd_s : float
+        Standard deviations, when they are known: a change of the level that they do not explain is then a
+        tilt of the unit.
     """
 
     amplitude_ug: Annotated[list[_Micro], Field(min_length=3, max_length=3)]
-    time_constant_s: float = Field(gt=0.0, le=1e5)
+    time_constant_s: Annotated[list[_Seconds], Field(min_length=3, max_length=3)]
+    amplitude_sd_ug: float | None = Field(default=None, gt=0.0, le=1e5)
+    time_constant_sd_s: float = Field(default=0.0, ge=0.0, le=1e5)
+
+    @field_validator("time_constant_s", mode="before")
+    @classmethod
+    def _of_all(cls, given: Any) -> Any:
+        return [given] * 3 if isinstance(given, int | float) else given
 
 
 class AlignmentParameters(StrictModel):

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from imumon.blocks import ColumnArray, FloatArray, SampleBlock
-from imumon.charts import Axis, Chart, Curve
+from imumon.charts import Chart
 from imumon.columns import Column
-from imumon.estimation.alignment import kernel, state
+from imumon.estimation.alignment import charting, kernel, state
 from imumon.estimation.alignment.parameters import AlignmentParameters
+from imumon.estimation.alignment.standing import Estimate, Standing, instead
 from imumon.estimation.alignment.watch import GAP, ROTATION, SCATTER, STEP, UNREST
 from imumon.estimation.temperature_rate.series import SegmentClock
 from imumon.estimation.zupt.earth import EARTH_RATE
@@ -24,7 +24,6 @@ MICRO_G = 9.80665e-6
 DEG_PER_H = math.pi / 180.0 / 3600.0
 REAL = 0.95
 """Probability from which on a change of the level is called a tilt."""
-PLACE = "Alignment"
 POINTS = 400
 """Points that the chart keeps at the most."""
 
@@ -35,52 +34,7 @@ _CAUSES = {
     UNREST: "the unit moved",
     GAP: "samples are missing",
 }
-_COLORS = ((232, 72, 72), (66, 133, 244))
-_DRIFTS = ("roll_drift", "pitch_drift")
 _ANGLES = ("roll", "pitch")
-
-
-@dataclass(frozen=True, slots=True)
-class Estimate:
-    """A heading, rad clockwise from north, and its standard deviation."""
-
-    heading: float
-    sd: float
-
-
-@dataclass(frozen=True, slots=True)
-class Standing:
-    """Where the alignment stands.
-
-    Parameters
-    ----------
-    phase : str
-        waiting, coarse, fine, settled, not observable or disturbed.
-    chosen : str or None
-        The estimator whose heading is shown.
-    shown : Estimate or None
-        Its heading; NaN where the gyro cannot see the north.
-    settled_s : float or None
-        s from the first sample until the heading settled, if it still is.
-    to_go_s : float or None
-        s until the sigma wanted is reached; None when it cannot be told, or never.
-    estimates : mapping of str to Estimate
-    magnetic : float
-        rad from magnetic north; NaN without a magnetometer.
-    arw, bias_sd : float
-        Noise of the gyros in rad/√s, and standard deviation of a horizontal gyro's bias in rad/s.
-    """
-
-    phase: str
-    observable: bool
-    chosen: str | None
-    shown: Estimate | None
-    settled_s: float | None
-    to_go_s: float | None
-    estimates: Mapping[str, Estimate]
-    magnetic: float
-    arw: float
-    bias_sd: float
 
 
 class Alignment:
@@ -117,12 +71,12 @@ class Alignment:
         kernel.new_segment(self._state)
         self._clock = SegmentClock()
         self._begun = False
-        self._elapsed = 0.0
-        self._first_s = math.nan
+        self._yaw = math.nan
+        self._disturbed = self._restarts = 0
         self._logged = 0
         self._said: set[str] = set()
         self._pending: list[str] = []
-        self._points: list[tuple[float, float, float]] = []
+        self._points: list[tuple[float, float, float, float]] = []
         self._spacing = 1.0
 
     @property
@@ -170,6 +124,8 @@ class Alignment:
         if field is None:
             field = np.full((n, 3), np.nan)
         rest = np.asarray(block["at_rest"]) if "at_rest" in block else np.ones(n, np.int64)
+        yaw = block.columns.get("yaw", np.empty(0))
+        self._yaw = next(iter(yaw[np.isfinite(yaw)][-1:].tolist()), self._yaw)
         out = np.full((n, kernel.OUTPUTS), np.nan)
         for start, stop, begins, seconds in self._clock.runs(block["device_time_ns"], block["segment"]):
             if begins:
@@ -179,7 +135,6 @@ class Alignment:
             kernel.process(
                 seconds, readings[part], field[part], rest[part], self._settings, self._state, out[part]
             )
-            self._elapsed = float(seconds[-1])
             self._collect()
         columns = [column.name for column in self.columns]
         return {name: np.ascontiguousarray(out[:, j]) for j, name in enumerate(columns)}
@@ -202,7 +157,9 @@ class Alignment:
             self._points, self._spacing = [], 1.0
         if not self._points or time_s >= self._points[-1][0] + self._spacing:
             east, north = self._state.path[:2].tolist()
-            self._points.append((time_s, east, north))
+            chosen = int(self._state.flag[state.CHOSEN])
+            sd = float(self._state.result[chosen, 1]) if chosen >= 0 else math.nan
+            self._points.append((time_s, east, north, sd))
         if len(self._points) > POINTS:
             self._points, self._spacing = self._points[::2], 2.0 * self._spacing
 
@@ -210,16 +167,19 @@ class Alignment:
     def standing(self) -> Standing:
         """Where the alignment stands."""
         number, flag, result = self._state.number, self._state.flag, self._state.result
-        estimates = {name: Estimate(*result[k].tolist()) for k, name in enumerate(self._names)}
-        chosen = NAMES[flag[state.CHOSEN]] if flag[state.CHOSEN] >= 0 else None
         observable = bool(flag[state.OBSERVED])
-        shown = None
-        if chosen is not None:
-            sd = estimates[chosen].sd
+        estimates = {}
+        for k, name in enumerate(self._names):
+            heading, sd = result[k].tolist()
             visible = observable and sd < self._settings[state.OBSERVABLE]
-            shown = Estimate(estimates[chosen].heading if visible else math.nan, sd)
+            estimates[name] = Estimate(heading if visible else math.nan, sd)
+        chosen = NAMES[flag[state.CHOSEN]] if flag[state.CHOSEN] >= 0 else None
+        shown = None if chosen is None else estimates[chosen]
         settled = float(number[state.SETTLED_AT])
         known = chosen is not None
+        roll, pitch = math.nan, math.nan
+        if flag[state.PHASE] == state.FINE:
+            roll, pitch = kernel.level_angles(self._state, self._settings)
         return Standing(
             phase=self._phase(chosen is not None, observable, math.isfinite(settled)),
             observable=observable,
@@ -229,8 +189,15 @@ class Alignment:
             to_go_s=self._to_go(shown),
             estimates=estimates,
             magnetic=kernel.magnetic_heading(self._state),
+            device_yaw=self._yaw,
+            time_s=float(number[state.TIME]),
+            roll=roll,
+            pitch=pitch,
             arw=math.sqrt(number[state.ARW2]) if known else math.nan,
             bias_sd=math.sqrt(number[state.BIAS_VARIANCE]) if known else math.nan,
+            tilting=known and bool(number[state.REAL_TILT] > REAL),
+            disturbed=int(flag[state.LOGGED]),
+            restarts=int(flag[state.RESTARTS]),
         )
 
     def _phase(self, known: bool, observable: bool, settled: bool) -> str:
@@ -239,11 +206,9 @@ class Alignment:
             return "disturbed"
         if flag[state.PHASE] != state.FINE:
             return "coarse" if flag[state.PHASE] == state.COARSE else "waiting"
-        if not known:
-            return "fine"
-        if not observable:
+        if known and not observable:
             return "not observable"
-        return "settled" if settled else "fine"
+        return "settled" if settled else "aligning"
 
     def _to_go(self, shown: Estimate | None) -> float | None:
         """Return the seconds until white noise alone would leave the sigma wanted."""
@@ -258,29 +223,27 @@ class Alignment:
         return max(white / left - time_s, 1.0) if left > 0.0 else None
 
     def lanes(self) -> Mapping[str, str]:
-        """Return the state of the alignment and which estimator is shown."""
+        """Return the state of the alignment, and what tells the heading that is shown."""
         standing = self.standing
-        shown = standing.chosen.replace("_", " ") if standing.chosen and standing.observable else "none"
-        return {"alignment": standing.phase, "heading by": shown}
+        phase = "not observable with this gyro" if standing.phase == "not observable" else standing.phase
+        shown = "none yet"
+        if standing.chosen is not None and standing.observable:
+            shown = standing.chosen.replace("_", " ")
+        elif standing.phase == "not observable":
+            shown = instead(standing)[0]
+        return {"alignment": phase, "heading by": shown}
 
     def charts(self) -> Sequence[Chart]:
-        """Return the integrated control rates with the lines fitted to them."""
-        if len(self._points) < 2:
+        """Return the estimators beside each other, the sigma on its way, and the integrated control rates."""
+        if len(self._points) < 2 or self._state.flag[state.CHOSEN] < 0:
             return []
-        points, line = np.array(self._points), self._state.line
-        t = points[:, 0]
-        spread = line[0] * line[2] - line[1] ** 2
-        curves = []
-        for axis, (name, color) in enumerate(zip(("east", "north"), _COLORS, strict=True)):
-            curves.append(Curve(name, t, 1e6 * points[:, 1 + axis], color, points=True, width=3.0))
-            if spread > 0.0:
-                slope = (line[0] * line[5 + axis] - line[1] * line[3 + axis]) / spread
-                start = (line[3 + axis] - slope * line[1]) / line[0]
-                ends = t[[0, -1]]
-                curves.append(Curve(f"line {name}", ends, 1e6 * (start + slope * ends), color))
-        x, y = Axis("observed time [s]"), Axis("angle [µrad]")
-        title = "Integrated control rates, with their lines"
-        return [Chart("alignment_integral", PLACE, title, x, y, tuple(curves))]
+        standing, points = self.standing, np.array(self._points)
+        wanted, line = math.degrees(self._settings[state.SETTLED]), self._state.line
+        return [
+            charting.headings(standing),
+            charting.progress(standing, points[:, 0], points[:, 3], wanted),
+            charting.integrals(points[:, 0], points[:, 1:3], line),
+        ]
 
     def notices(self) -> list[str]:
         """Return, once each, disturbances and what they did, and why there is no heading."""
@@ -301,15 +264,14 @@ class Alignment:
 
     def _conditions(self) -> dict[str, bool]:
         standing, number = self.standing, self._state.number
-        known, bias = standing.chosen is not None, standing.bias_sd / DEG_PER_H
+        known = standing.chosen is not None
         level = self._level / DEG_PER_H
         late = float(number[state.TIME]) > 30.0
-        size = f"{float(f'{bias:.2g}'):g}" if known else ""
         return {
             "alignment: the level changes as the gyros turn: the unit is tilting (a sinking tripod?); the "
-            "total average is free of that": known and bool(number[state.REAL_TILT] > REAL),
+            "total average is free of that": standing.tilting,
             "heading not observable with this gyro: its bias is not small beside the earth's horizontal "
-            f"rate of {level:.1f} °/h": known and late and not standing.observable and bool(size),
+            f"rate of {level:.1f} °/h": known and late and not standing.observable,
             "alignment: the rates contradict the declared bias of the gyros, or the latitude is wrong": bool(
                 self._state.flag[state.CONTRADICTED]
             ),
@@ -330,5 +292,7 @@ def _settings(parameters: AlignmentParameters, latitude_deg: float) -> FloatArra
     values[state.SETTLED] = math.radians(parameters.settled_deg)
     if warm is not None:
         values[state.WARM_X : state.WARM_X + 3] = np.array(warm.amplitude_ug) * MICRO_G
-        values[state.WARM_TAU] = warm.time_constant_s
+        values[state.WARM_TAU : state.WARM_TAU + 3] = warm.time_constant_s
+        values[state.WARM_SD] = (warm.amplitude_sd_ug or 0.0) * MICRO_G
+        values[state.WARM_TAU_SD] = warm.time_constant_sd_s
     return values

@@ -223,5 +223,39 @@ def test_charts_and_lanes_say_where_it_stands() -> None:
     stage, block = Alignment(AlignmentParameters(), 36.0), samples(scenario(90.0))
     in_pieces(stage, block, range(1000, len(block), 1000))
     assert stage.lanes() == {"alignment": "settled", "heading by": "tilt corrected"}
-    (chart,) = stage.charts()
-    assert [curve.name for curve in chart.curves] == ["east", "line east", "north", "line north"]
+    headings, progress, integral = stage.charts()
+    assert [curve.name for curve in headings.curves] == [
+        "total average", "curve fit", "line exponential", "tilt corrected",
+    ]  # fmt: skip
+    assert "29.98" in headings.x.label
+    assert "(tilt corrected)" in headings.x.label
+    assert progress.x.label.endswith("settled")
+    sigma, wanted = progress.curves
+    assert sigma.y[-1] == pytest.approx(math.degrees(stage.standing.shown.sd), rel=0.05)  # type: ignore[union-attr]  # it is settled
+    assert (wanted.y == 0.05).all()
+    assert [curve.name for curve in integral.curves] == ["east", "line east", "north", "line north"]
+
+
+def test_without_an_observable_heading_the_chart_shows_what_the_device_says_as_such() -> None:
+    block = samples(scenario(100.0, arw=MEMS_ARW, rate_hz=50.0))
+    stage, _ = aligned(block.with_columns({"yaw": np.full(len(block), math.radians(-100.0))}))
+    # One block gives one point only; the chart needs a second.
+    stage.process(samples(scenario(110.0, arw=MEMS_ARW, rate_hz=50.0)).rows(5000, 5500))
+    text = stage.charts()[0].x.label
+    assert "heading not observable with this gyro; shown instead: the device's own yaw 260.0°" in text
+    assert stage.lanes() == {
+        "alignment": "not observable with this gyro", "heading by": "the device's own yaw",
+    }  # fmt: skip
+    assert all(math.isnan(estimate.heading) for estimate in stage.standing.estimates.values())
+
+
+def test_how_well_the_warm_up_is_known_tells_a_tilt_at_a_constant_rate() -> None:
+    sinking = {"kind": "rotation", "at_s": 5.0, "duration_s": 500.0, "pitch_deg_per_s": 2e-5}
+    block = samples(scenario(200.0, warm_up=(83.7, 150.0), motion=[sinking]))
+    known = {"amplitude_ug": [83.7, 83.7, 0.0], "time_constant_s": 150.0, "amplitude_sd_ug": 2.0}
+    stage, _ = aligned(block, {"known_warm_up": known})
+    assert stage.standing.tilting
+    assert stage.standing.chosen == "known_warm_up"
+    assert stage.standing.shown is not None
+    assert abs(error_deg(stage.standing.shown.heading, 30.0)) < 3.0 * math.degrees(stage.standing.shown.sd)
+    assert abs(error_deg(stage.standing.estimates["tilt_corrected"].heading, 30.0)) > 0.1

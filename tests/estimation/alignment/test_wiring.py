@@ -1,0 +1,74 @@
+from __future__ import annotations
+
+import pytest
+
+from imumon.effects.warm_up import WarmUp
+from imumon.estimation.alignment.stage import Alignment
+from imumon.estimation.alignment.warm_up import MICRO_G, known_warm_up
+from imumon.estimation.setup import Setup, parse_setup
+from imumon.estimation.stages import estimators
+from imumon.protocols.device import load_device
+from imumon.thermal.curves.polynomial import PolynomialCurve
+from imumon.thermal.model import BiasModel, ChannelModel
+
+
+def _model() -> BiasModel:
+    channel = ChannelModel(
+        unit="m/s^2",
+        temperature_column="temperature",
+        temperature_range_degc=[5.0, 35.0],
+        residual_sd=5.0 * MICRO_G,
+        curve=PolynomialCurve(center_degc=20.0, half_width_degc=15.0, coefficients=[0.0, 1e-3]),
+        effects=[WarmUp(time_constant_s=150.0, coefficients=[-80.0 * MICRO_G])],
+    )
+    gyro = channel.model_copy(update={"unit": "rad/s", "effects": []})
+    channels = {"accel_x": channel} | {f"gyro_{axis}": gyro for axis in "xyz"}
+    return BiasModel(made_by="test", created="2026-01-01T00:00:00Z", channels=channels)
+
+
+def _alignment(setup: Setup, device: str | None = None) -> Alignment | None:
+    stages = estimators(load_device(device) if device else None, setup)
+    return next((stage for stage in stages if isinstance(stage, Alignment)), None)
+
+
+def test_the_heading_is_sought_only_where_the_latitude_is_known() -> None:
+    assert _alignment(Setup()) is None
+    assert _alignment(Setup(latitude_deg=36.0)) is not None
+
+
+def test_a_device_that_sends_angles_keeps_their_names() -> None:
+    stage = _alignment(Setup(latitude_deg=36.0), "ax1")
+    assert stage is not None
+    names = {column.name for column in stage.columns}
+    assert {"aligned_roll", "aligned_pitch", "heading"} <= names
+    assert not {"roll", "pitch"} & names
+
+
+def test_a_pipeline_file_sets_the_loop_and_says_it_again() -> None:
+    text = "format: imumon-pipeline/1\nlatitude_deg: 36\nalignment: {corner_hz: 1.0, damping: 0.9}\n"
+    setup = parse_setup(text, "pipeline.yaml")
+    assert setup.alignment.corner_hz == 1.0
+    assert parse_setup(setup.text() or "", "session.yaml") == setup
+
+
+def test_the_warm_up_of_a_model_is_that_of_its_accelerometers() -> None:
+    assert known_warm_up(None) is None
+    found = known_warm_up(_model())
+    assert found is not None
+    assert found.amplitude_ug == pytest.approx([80.0, 0.0, 0.0])
+    assert found.time_constant_s[0] == 150.0
+    assert found.amplitude_sd_ug == pytest.approx(5.0)
+
+
+def test_the_stage_takes_the_warm_up_from_the_model_unless_told_another() -> None:
+    stage = _alignment(Setup(latitude_deg=36.0, model=_model()))
+    assert stage is not None
+    assert "heading_known_warm_up" in {column.name for column in stage.columns}
+    own = {"amplitude_ug": [1.0, 2.0, 3.0], "time_constant_s": 60.0}
+    setup = parse_setup(Setup(model=_model()).text() or "", "x").model_copy(
+        update={"alignment": Setup.model_validate({"alignment": {"known_warm_up": own}}).alignment}
+    )
+    known = setup.alignment_with_warm_up.known_warm_up
+    assert known is not None
+    assert known.amplitude_ug == [1.0, 2.0, 3.0]
+    assert known.time_constant_s == [60.0] * 3
