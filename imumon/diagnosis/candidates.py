@@ -85,35 +85,30 @@ def _sums(name: str, grid: Sequence[Effect], survey: Survey) -> list[Candidate]:
     if survey.runs < 2 and survey.reversals < 2:
         return []
     if name == "thermal_lag":
-        chosen: list[Effect] = [e for e in grid if isinstance(e, ThermalLag) and e.order == 1]
-        sizes: tuple[int, ...] = (2,)
-    elif name == "hysteresis":
-        chosen = [e for e in grid if isinstance(e, Hysteresis) and e.shape == "play" and e.order == 1]
-        sizes = (2, 3)
-    else:
-        return []
+        return _grouped(
+            name, [e for e in grid if isinstance(e, ThermalLag) and e.order == 1], (2,), (False, True)
+        )
+    if name == "hysteresis":
+        loops = [e for e in grid if isinstance(e, Hysteresis) and e.order == 1]
+        return [
+            *_grouped(name, [e for e in loops if e.shape == "play"], (2, 3), (False,)),
+            *_grouped(name, [e for e in loops if e.shape == "smooth"], (2,), (False,)),
+        ]
+    return []
+
+
+def _grouped(
+    name: str, chosen: Sequence[Effect], sizes: Sequence[int], starts: Sequence[bool]
+) -> list[Candidate]:
+    """Return sums of so many of the chosen effects, or of some spread over them where they are many."""
     spread = np.unique(np.linspace(0, len(chosen) - 1, min(MOST_WIDTHS, len(chosen))).round().astype(int))
     few = [chosen[index] for index in spread] if chosen else []
     return [
         Candidate(name, tuple(map(Part, group)), free_start)
         for size in sizes
         for group in combinations(few, size)
-        for free_start in ((False, True) if name == "thermal_lag" else (False,))
-    ] + _many_widths(grid, survey)
-
-
-def _many_widths(grid: Sequence[Effect], survey: Survey) -> list[Candidate]:
-    """Return loops of many widths, of those alike in power: any loop at all, at the price of its many
-    parameters."""
-    found = []
-    plays = [e for e in grid if isinstance(e, Hysteresis) and e.shape == "play"]
-    for order in (1, 3) if survey.runs > 1 else ():
-        alike = [e for e in plays if e.order == order]
-        for count in (5, 8):
-            spread = np.linspace(0, len(alike) - 1, count).round().astype(int)
-            if len(set(spread.tolist())) == count:
-                found.append(Candidate("hysteresis", tuple(Part(alike[at]) for at in spread)))
-    return found
+        for free_start in starts
+    ]
 
 
 @dataclass(slots=True)

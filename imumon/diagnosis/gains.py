@@ -118,14 +118,17 @@ def paired(
         return {}, {}
     found: dict[str, tuple[float, int]] = {}
     partner: dict[str, str] = {}
+    highest: dict[str, float] = {}
     for (one, other), value in zip(pairs, gain.tolist(), strict=True):
         if value - max(table.gain[one], 0.0) <= PROVEN or value - max(table.gain[other], 0.0) <= PROVEN:
             continue
-        for at in (one, other):
+        for at, beside in ((one, other), (other, one)):
             name = table.candidates[at].family
-            if value > found.get(name, (table.gain.max(), 0))[0]:
-                found[name] = value, at
-                partner[name] = table.candidates[one + other - at].family
+            if value > highest.get(name, table.gain.max()):
+                highest[name] = value
+                # What it is worth is what the pair has over its partner alone.
+                found[name] = max(value - max(float(table.gain[beside]), 0.0), float(table.gain[at])), at
+                partner[name] = table.candidates[beside].family
     return found, partner
 
 

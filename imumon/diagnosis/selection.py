@@ -43,6 +43,8 @@ ALIKE = 1.25
 REFINEMENTS = 4
 FORETOLD = 1.1
 """Factor by which the runs must foretell one another better for a family to go before one of larger gain."""
+FORETELLING = 0.7
+"""A family with less than this share of the gain is not taken for how it foretells."""
 
 Progress = Callable[[str], None]
 
@@ -301,6 +303,7 @@ class Search:
                 channel, finding.candidate if name == finding.name else table.candidates[own[name][1]]
             )
             for name in finding.alike
+            if name == finding.name or own[name][0] > FORETELLING * own[finding.name][0]
         }
         best = min(errors, key=lambda name: errors[name])
         return best if errors[best] < errors[finding.name] / FORETOLD else None
