@@ -23,10 +23,13 @@ TWO_SIGMA = 4.0
 
 @dataclass(frozen=True, slots=True)
 class Band:
-    """One estimate: its column, that of its standard deviation, its name in the legend, its colour."""
+    """One estimate: its column, that of its standard deviation, its name in the legend, its colour.
+
+    Without a standard deviation it is drawn as a line.
+    """
 
     value: str
-    sd: str
+    sd: str | None
     name: str
     color: Color
 
@@ -50,7 +53,7 @@ def band_panel(
     beside : str, optional
         Entity of the readings, drawn in the same view.
     """
-    columns = tuple(name for band in bands for name in (band.value, band.sd))
+    columns = tuple(name for band in bands for name in (band.value, band.sd) if name is not None)
     exact, drawn = f"/samples/{key}", f"/view/{key}"
 
     def declare(rec: rr.RecordingStream) -> None:
@@ -68,7 +71,8 @@ def band_panel(
         scalars = rr.Scalars.columns(scalars=rows.matrix(columns)[due])
         rec.send_columns(exact, indexes=rows.kept(due).indexes, columns=scalars)
         for band in bands:
-            value, sd = factor * rows.columns[band.value], factor * rows.columns[band.sd]
+            value = factor * rows.columns[band.value]
+            sd = np.zeros_like(value) if band.sd is None else factor * rows.columns[band.sd]
             keep = due & np.isfinite(value) & np.isfinite(sd)
             if keep.any():
                 measured = rr.Measurements.columns(values=value[keep], variances=TWO_SIGMA * sd[keep] ** 2)

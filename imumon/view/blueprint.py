@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import rerun as rr
 import rerun.blueprint as rrb
 
 from imumon.charts import Chart
@@ -13,7 +14,9 @@ from imumon.view.items import ViewSetup
 from imumon.view.layout import LINK, OTHER, SCENE, STRIPS, Panel, Window, last_seconds, series_view
 
 LOG_COLUMNS = rrb.TextLogColumns(text_log_columns=["LogLevel", "Body"])
-EVERYTHING = Window(None, None)
+_ENDLESS = rr.TimeRangeBoundary.infinite()
+EVERYTHING = Window(None, rrb.TimeAxis(view_range=rr.TimeRange(start=_ENDLESS, end=_ENDLESS)))
+"""Without the range of the axis the viewer shows a minute around the cursor."""
 
 
 def blueprint(

@@ -60,10 +60,15 @@ class RandomError:
         self._seen = {"rest": False, "temperature": False}
         self._temperatures = np.array([np.inf, -np.inf])
         self._said: set[str] = set()
+        self._columns = self._described()
+        self._order = [column.name for column in self._columns]
 
     @property
     def columns(self) -> Sequence[Column]:
         """The columns that `process` adds."""
+        return self._columns
+
+    def _described(self) -> list[Column]:
         found = [
             *(
                 Column(f"gyro_random_error_{a}", "rad/s", description=f"what gyro {a} reads at rest")
@@ -91,7 +96,7 @@ class RandomError:
         broken = self._breaks(times, block["segment"])
         rest = self._rest(block)
         bias = self._bias(block)
-        added: dict[str, ColumnArray] = {column.name: np.empty(0) for column in self.columns}
+        found: dict[str, ColumnArray] = {}
         for axis, one in self._axes.items():
             name = _channel(axis)
             reading = np.array(block[name], np.float64) if name in block else np.full(len(block), np.nan)
@@ -99,8 +104,8 @@ class RandomError:
                 reading -= bias[name]
             result = one.process(times, block["segment"], broken, reading, rest)
             for column, values in result.items():
-                added[f"{column}_{axis}"] = values
-        return added
+                found[f"{column}_{axis}"] = values
+        return {name: found[name] for name in self._order}
 
     def _breaks(self, time_ns: IntArray, segment: IntArray) -> IntArray:
         """Return the rows at which a segment begins or time runs back; what was shown is void from there."""
@@ -311,11 +316,14 @@ class _Published:
         if part.stop <= part.start:
             return
         times = time_ns[part]
-        elapsed = np.diff(times, prepend=self._last_ns).astype(np.float64) * 1e-9
-        self._last_ns = int(times[-1])
+        before, self._last_ns = self._last_ns, int(times[-1])
         if self._filter is None:
             return
-        series = self._filter.process(reading[part], use[part], elapsed / self._interval)
+        steps = np.empty(len(times))
+        steps[0] = times[0] - before
+        np.subtract(times[1:], times[:-1], out=steps[1:], casting="unsafe")
+        steps *= 1e-9 / self._interval
+        series = self._filter.process(reading[part], use[part], steps)
         for row, values in zip(out, (series.estimate, series.sd, series.phi, series.phi_sd), strict=True):
             row[part] = values
 
