@@ -104,14 +104,10 @@ def read_runs(
         BAD_DATA when there is nothing to read or no run of five minutes; BAD_CONFIG when a table needs a map.
     """
     with _blocks(path, map_path, stages) as blocks:
-        collector = _Collector(path.name or str(path))
-        for block in blocks:
-            collector.add(block)
-            if progress is not None:
-                progress(len(block))
-    runs = [run for run in collector.runs() if run.duration_s >= SHORTEST_RUN_S]
+        everything = collect(blocks, path.name or str(path), progress)
+    runs = [run for run in everything if run.duration_s >= SHORTEST_RUN_S]
     if not runs:
-        longest = max((run.duration_s for run in collector.runs()), default=0.0)
+        longest = max((run.duration_s for run in everything), default=0.0)
         raise ImumonError(
             Reason.BAD_DATA,
             f"{path}: too short: its longest run is {longest:.0f} s; {SHORTEST_RUN_S:.0f} s are needed",
@@ -119,6 +115,16 @@ def read_runs(
         )
     sha256 = _fingerprint(path)
     return [replace(run, origin=Origin(path.name or str(path), at, sha256)) for at, run in enumerate(runs)]
+
+
+def collect(blocks: Iterable[SampleBlock], name: str, progress: Progress | None = None) -> list[Run]:
+    """Return the runs in a stream of samples with times; without ``at_rest`` it is taken as at rest."""
+    collector = _Collector(name)
+    for block in blocks:
+        collector.add(block)
+        if progress is not None:
+            progress(len(block))
+    return collector.runs()
 
 
 def _fingerprint(path: Path) -> str:

@@ -1,6 +1,6 @@
 """Statistics of `imumon diagnose` on simulated cases: who is named, how often, how large, and what it costs.
 
-Usage: closing_the_loop_statistics.py [--repeat N] [--only LABEL] [--jobs N] [--out FILE]
+Usage: closing_the_loop --part simulated [--repeat N] [--only LABEL] [--jobs N] [--out FILE]
 """
 
 from __future__ import annotations
@@ -277,8 +277,10 @@ def _errors(results: Sequence[Result]) -> str:
     lines = [
         "### Error in the test, in floors (all noise), at 3 floors and more",
         "",
-        "| effect | before, median | after, median | after, 90 % | within 1.3 | tracked, 90 % "
-        "| tracked within 1.3 | worse than before |",
+        "The limit is 1.3 floors; 1.6 with a loop. Tracked: without 2 min after a jump or a turn-on offset.",
+        "",
+        "| effect | before, median | after, median | after, 90 % | within limit | tracked, 90 % "
+        "| tracked within limit | worse than before |",
         "|---|---|---|---|---|---|---|---|",
     ]
     for name in dict.fromkeys(r.label for r in results):
@@ -287,16 +289,35 @@ def _errors(results: Sequence[Result]) -> str:
         tracked = np.array([r.tracked for r in found])
         if not len(found):
             continue
+        limit = 1.6 if "hysteresis" in name else 1.3
         worse = sum(r.after > r.before * (1 + 1e-9) for r in found)
+        within = [share(int(np.sum(values <= limit)), len(found)) for values in (after, tracked)]
         lines.append(
             f"| {name} | {np.nanmedian([r.before for r in found]):.2f} | {np.nanmedian(after):.2f} |"
-            f" {np.nanquantile(after, 0.9):.2f} | {np.mean(after <= 1.3):.0%} |"
-            f" {np.nanquantile(tracked, 0.9):.2f} | {np.mean(tracked <= 1.3):.0%} | {worse} |"
+            f" {np.nanquantile(after, 0.9):.2f} | {within[0]} |"
+            f" {np.nanquantile(tracked, 0.9):.2f} | {within[1]} | {worse} |"
         )
+    lines += ["", *_all_errors(results)]
     return "\n".join(lines)
 
 
-def main() -> int:
+def _all_errors(results: Sequence[Result]) -> list[str]:
+    """Return lines on all channels with an effect that a prediction can carry over."""
+    known = set(IN_LIBRARY) - {"step", "run_offset", "hysteresis"}
+    carried = [r for r in results if r.truth and set(r.truth) <= known and r.size >= 3]
+    carried = [r for r in carried if not r.label.startswith("unequal")]
+    loops = [r for r in results if "hysteresis" in r.truth and "run_offset" not in r.truth and r.size >= 3]
+    jumps = [r for r in results if r.truth == ("step",) and r.size >= 3]
+    rows = (
+        ("effects that carry over, predicted, within 1.3", carried, lambda r: r.after <= 1.3),
+        ("hysteresis, alone or with another, predicted, within 1.6", loops, lambda r: r.after <= 1.6),
+        ("step, tracked, within 1.3", jumps, lambda r: r.tracked <= 1.3),
+        ("any, predicted no worse than before", results, lambda r: r.after <= r.before * (1 + 1e-9)),
+    )
+    return [f"- {text}: {share(sum(map(test, found)), len(found))}" for text, found, test in rows]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
     """Run the cases and write the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--repeat", type=int, default=4)
@@ -304,7 +325,7 @@ def main() -> int:
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--out", type=Path)
     parser.add_argument("--list", action="store_true")
-    given = parser.parse_args()
+    given = parser.parse_args(arguments)
     work = list(jobs(given.repeat, given.only))
     began = time.perf_counter()
     results: list[Result] = []
@@ -322,7 +343,13 @@ def main() -> int:
                     )
             elif sys.stderr.isatty() or done % 20 == 0:
                 print(f"{done}/{len(work)} cases, {time.perf_counter() - began:.0f} s", file=sys.stderr)
-    text = f"{len(work)} cases, {len(results)} channels.\n\n{tables(results)}"
+    seconds = sorted({(r.label, r.seed): r.seconds for r in results}.values())
+    text = (
+        "# Closing the loop: simulated cases\n\nMade by `scripts/reproduce/closing_the_loop --part simulated"
+        f" --repeat {given.repeat}`. Shares are of channels unless said, with Wilson's 95 % interval.\n\n"
+        f"{len(work)} cases, {len(results)} channels; a diagnosis takes {seconds[len(seconds) // 2]:.1f} s"
+        f" (median; the longest {seconds[-1]:.1f} s) on one core.\n\n{tables(results)}"
+    )
     if given.out is not None:
         given.out.write_text(text, encoding="utf-8")
     print(text)

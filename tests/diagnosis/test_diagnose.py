@@ -1,0 +1,202 @@
+"""What a bias model lacks: named where the data show it, proven on unseen data, and not named otherwise."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imumon.blocks import FloatArray
+from imumon.diagnosis.engine import Diagnosis, diagnose
+from imumon.diagnosis.extended import extended_model
+from imumon.diagnosis.recording import Run
+from imumon.diagnosis.report import report
+from imumon.errors import ImumonError
+from imumon.thermal.curves.spline import SplineCurve
+from imumon.thermal.live import BiasPredictor
+from imumon.thermal.model import BiasModel, ChannelModel, load_model
+from tests.diagnosis.units import DPH, WHITE_DPH, cubic, lagged, ramps, run, three
+
+LAG_S = 200.0
+
+
+def lag(time: FloatArray, temperature: FloatArray) -> FloatArray:  # noqa: ARG001 - as all biases
+    return 5.0 * (temperature - lagged(temperature, LAG_S))
+
+
+def nothing(time: FloatArray, temperature: FloatArray) -> FloatArray:  # noqa: ARG001 - as all biases
+    return np.zeros_like(time)
+
+
+def telegraph(time: FloatArray, temperature: FloatArray) -> FloatArray:  # noqa: ARG001 - as all biases
+    flips = np.random.default_rng(int(time[-1]) + 5).random(len(time)) < 1 / 500
+    return np.where(np.cumsum(flips) % 2 == 0, 8.0, -8.0)
+
+
+@pytest.fixture(scope="module")
+def lagging() -> Diagnosis:
+    return diagnose(*three(lag))
+
+
+def names(diagnosis: Diagnosis) -> list[str]:
+    return [claim.finding.name for verdict in diagnosis.verdicts for claim in verdict.claims]
+
+
+def test_a_lag_is_named_with_its_time_constant_and_proven_on_the_test(lagging: Diagnosis) -> None:
+    found = report(lagging)["channels"]["gyro_x"]
+    assert [effect["name"] for effect in found["effects"]] == ["thermal_lag"]
+    assert found["effects"][0]["parameters"]["time_constant_s"] == pytest.approx(LAG_S, rel=0.1)
+    floor = found["noise_floor_rms"]
+    assert floor == pytest.approx(WHITE_DPH * DPH, rel=0.05)
+    assert found["before"]["test_rms"] > 3 * floor
+    assert found["after"]["test_rms"] < 1.2 * floor
+    assert not found["unexplained"]
+
+
+def test_the_model_file_foretells_the_test_as_well_as_the_report_says(
+    lagging: Diagnosis, tmp_path: Path
+) -> None:
+    path = tmp_path / "model.yaml"
+    extended_model(lagging).write(path)
+    model = load_model(path)
+    test = three(lag)[1][0]
+    n = len(test.time_s)
+    predicted = BiasPredictor(model, ["gyro_x"]).process(
+        np.round(test.time_s * 1e9).astype(np.int64),
+        np.zeros(n, np.int64),
+        test.mean["temperature"][:, np.newaxis],
+    )
+    left = (
+        (test.mean["gyro_x"] - predicted.bias[:, 0])[900 : 900 + 30 * ((n - 900) // 30)]
+        .reshape(-1, 30)
+        .mean(1)
+    )
+    score = lagging.verdicts[0].test_after
+    assert score is not None
+    assert float(np.sqrt(np.mean(left**2))) == pytest.approx(score.rms, rel=0.1)
+    assert [effect.name for effect in model.channels["gyro_x"].effects] == ["thermal_lag"]
+
+
+def test_where_nothing_is_missing_nothing_is_named() -> None:
+    diagnosis = diagnose(*three(nothing))
+    verdict = diagnosis.verdicts[0]
+    assert names(diagnosis) == []
+    assert not verdict.unexplained
+    assert extended_model(diagnosis).channels["gyro_x"].effects == []
+
+
+def test_what_no_effect_explains_is_called_unexplained() -> None:
+    diagnosis = diagnose(*three(telegraph))
+    assert names(diagnosis) == []
+    assert diagnosis.verdicts[0].unexplained
+
+
+def test_a_jump_is_named_followed_and_left_out_of_the_model_file() -> None:
+    def jump(time: FloatArray, temperature: FloatArray) -> FloatArray:  # noqa: ARG001 - as all biases
+        return 15.0 * (time > 2300 + 100 * (len(time) % 7))
+
+    diagnosis = diagnose(*three(jump))
+    verdict = diagnosis.verdicts[0]
+    assert names(diagnosis) == ["step"]
+    assert verdict.test_before is not None
+    assert verdict.test_after is not None
+    assert verdict.test_after.rms == verdict.test_before.rms
+    assert verdict.test_after.tracked_rms < 1.2 * verdict.floor.sd
+    assert extended_model(diagnosis).channels["gyro_x"].effects == []
+
+
+def test_a_known_model_is_taken_off_first_and_goes_into_the_file_with_what_it_lacked() -> None:
+    knots = np.linspace(5.0, 45.0, 30)
+    curve = SplineCurve(
+        knots_degc=knots.tolist(),
+        values=(cubic(knots) * DPH).tolist(),
+        slopes=(np.gradient(cubic(knots) * DPH, knots)).tolist(),
+    )
+    channel = ChannelModel(
+        unit="rad/s",
+        temperature_column="temperature_estimate",
+        temperature_range_degc=[5.0, 45.0],
+        residual_sd=1e-6,
+        curve=curve,
+    )
+    known = BiasModel(made_by="a test", created="2026-01-01T00:00:00Z", channels={"gyro_x": channel})
+    diagnosis = diagnose(*three(lag), "polynomial 0", model=known)
+    assert names(diagnosis) == ["thermal_lag"]
+    found = extended_model(diagnosis).channels["gyro_x"]
+    assert found.curve.kind == "spline"
+    assert found.temperature_column == "temperature_estimate"
+    assert [effect.name for effect in found.effects] == ["thermal_lag"]
+    # What now knows the lag lacks nothing more.
+    again = diagnose(*three(lag), "polynomial 0", model=extended_model(diagnosis))
+    assert names(again) == []
+    assert not again.verdicts[0].unexplained
+
+
+def test_a_test_that_goes_on_where_training_ended_takes_lag_and_time_with_it() -> None:
+    time, temperature = ramps(9000, up=True)
+    whole = run(4, time, temperature, lag)
+    first = replace(_part(whole, 0, 6050), start_ns=7_000_000_000)
+    last = replace(_part(whole, 6050, 9000), start_ns=6057_000_000_000)
+    together = diagnose([first], [last])
+    apart = diagnose([first], [replace(last, start_ns=0)])
+    assert any("goes on where" in text for text in together.caveats)
+    assert not any("goes on where" in text for text in apart.caveats)
+    assert names(together)
+    score = together.verdicts[0].test_after
+    assert score is not None
+    assert score.rms < 1.3 * together.verdicts[0].floor.sd
+    assert score.residual[0][0] == pytest.approx(0.0, abs=5 * WHITE_DPH * DPH)
+
+
+def _part(whole: Run, start: int, stop: int) -> Run:
+    def cut(parts: dict[str, FloatArray]) -> dict[str, FloatArray]:
+        return {name: values[start:stop] for name, values in parts.items()}
+
+    return Run(
+        f"part from {start}",
+        np.arange(stop - start) + 0.5,
+        cut(whole.count),
+        cut(whole.mean),
+        cut(whole.variance),
+        whole.rest[start:stop],
+    )
+
+
+def test_at_constant_temperature_no_effect_of_temperature_is_claimed() -> None:
+    def drift(time: FloatArray, temperature: FloatArray) -> FloatArray:  # noqa: ARG001 - as all biases
+        return time / 300.0
+
+    time = np.arange(5000) + 0.5
+    diagnosis = diagnose([run(seed, time, np.full(5000, 25.0), drift) for seed in (1, 2)], [])
+    assert any("no effect of temperature can be found" in text for text in diagnosis.caveats)
+    assert any("nothing proves" in text for text in diagnosis.caveats)
+    assert names(diagnosis) == ["drift"]
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda r: _part(r, 0, 900), "too short"),
+        (lambda r: replace(r, rest=np.zeros_like(r.rest)), "the unit moves"),
+        (
+            lambda r: replace(r, mean={k: v for k, v in r.mean.items() if k != "temperature"}),
+            "no temperature",
+        ),
+        (lambda r: replace(r, mean={"temperature": r.mean["temperature"]}), "no gyro or accelerometer"),
+    ],
+)
+def test_data_that_cannot_show_anything_are_refused_in_words(change, said: str) -> None:  # type: ignore[no-untyped-def]  # a lambda
+    with pytest.raises(ImumonError, match=said):
+        diagnose([change(three(nothing)[0][0])], [])
+
+
+def test_gaps_are_left_out_and_said() -> None:
+    train, test = three(lag)
+    holes = train[0].mean["gyro_x"].copy()
+    holes[1000:2400] = np.nan
+    train[0] = replace(train[0], mean={**train[0].mean, "gyro_x": holes})
+    diagnosis = diagnose(train, test)
+    assert any("72% of its seconds" in text for text in diagnosis.caveats)
+    assert "thermal_lag" in names(diagnosis)
