@@ -43,6 +43,7 @@ def band_panel(
     unit: str,
     factor: float = 1.0,
     beside: str | None = None,
+    y_range: tuple[float, float] | None = None,
 ) -> Panel:
     """Return a panel that draws bands over the last ten minutes.
 
@@ -52,6 +53,8 @@ def band_panel(
         The unit that is drawn, and how many of it are one unit of the columns.
     beside : str, optional
         Entity of the readings, drawn in the same view.
+    y_range : (low, high), optional
+        Fixed range of the y axis; it follows the lines, not their bands, otherwise.
     """
     columns = tuple(name for band in bands for name in (band.value, band.sd) if name is not None)
     exact, drawn = f"/samples/{key}", f"/view/{key}"
@@ -87,6 +90,7 @@ def band_panel(
             name=titled(title, unit),
             time_ranges=window.ranges,
             axis_x=window.axis,
+            axis_y=rrb.ScalarAxis(range=y_range) if y_range else None,
             plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop),
         )
 

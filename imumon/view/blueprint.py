@@ -66,7 +66,7 @@ def blueprint(
         rrb.TimePanel(
             state="collapsed" if live else "expanded",
             timeline=timeline,
-            play_state="following" if live else "paused",
+            play_state="following",  # a recording opens at its end, where the charts are complete
         ),
         rrb.BlueprintPanel(state="hidden"),
         rrb.SelectionPanel(state="hidden"),
@@ -76,9 +76,11 @@ def blueprint(
 
 
 def _tab(name: str, views: list[Any]) -> Any:
-    """Return a tab of its own: series above each other, charts to their right."""
+    """Return a tab of its own: series above each other, charts to their right; charts alone side by side."""
     charts = [view for view in views if isinstance(view, rrb.Spatial2DView)]
     series = [view for view in views if view not in charts]
+    if not series:
+        return rrb.Horizontal(*charts, name=name)
     columns = [rrb.Vertical(*part) for part in (series, charts) if part]
     return rrb.Horizontal(*columns, name=name)
 

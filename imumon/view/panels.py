@@ -152,7 +152,14 @@ PANELS: tuple[Panel, ...] = (
     ),
     *(_random_error(axis, color) for axis, color in zip("xyz", AXIS_COLORS, strict=True)),
     *(_beside_published(axis) for axis in "xyz"),
-    band_panel("gyro_phi", PUBLISHED, "φ of SR-RSUKF, 2σ", _axis_bands("gyro_phi", "gyro_phi_sd"), unit=""),
+    band_panel(
+        "gyro_phi",
+        PUBLISHED,
+        "φ of SR-RSUKF, 2σ",
+        _axis_bands("gyro_phi", "gyro_phi_sd"),
+        unit="",
+        y_range=(-1.0, 1.0),
+    ),
     band_panel(
         "heading",
         ALIGNMENT,

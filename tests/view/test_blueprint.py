@@ -2,10 +2,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 import rerun as rr
 from rerun.chunk import RrdReader
 
+from imumon.estimation.random_error.parameters import RandomErrorParameters
+from imumon.estimation.random_error.stage import RandomError
 from imumon.view.items import Log, Numbers, State, Status, Timebase, ViewItem, ViewSetup
 from imumon.view.logger import StreamLogger
 from tests.view.streams import block
@@ -93,6 +96,7 @@ def test_live_view_follows_device_time_and_shows_the_last_seconds(tmp_path: Path
 def test_recording_shows_everything(tmp_path: Path) -> None:
     found = arranged(tmp_path / "a.rrd", everything(), SETUP, live=False)
     assert "VisibleTimeRanges:ranges" not in found
+    assert "TimeAxis:view_range" in found
 
 
 def test_columns_without_a_panel_have_a_tab(tmp_path: Path) -> None:
@@ -100,3 +104,17 @@ def test_columns_without_a_panel_have_a_tab(tmp_path: Path) -> None:
     found = arranged(tmp_path / "a.rrd", [Timebase().samples(extra)], SETUP, live=True)
     assert "/samples/other" in found["ViewBlueprint:space_origin"]
     assert "Other" in found["ContainerBlueprint:display_name"]
+
+
+@pytest.mark.parametrize("method", ["drift", "sr_rsukf"])
+def test_the_published_filter_is_shown_beside_what_it_must_beat(tmp_path: Path, method: str) -> None:
+    stage = RandomError(RandomErrorParameters.model_validate({"method": method}))
+    plain = block(0, 50)
+    extra = {column.name: np.full(50, 1e-3) for column in stage.columns}
+    found = arranged(tmp_path / "a.rrd", [Timebase().samples(plain.with_columns(extra))], SETUP, live=True)
+    contents = found["ViewContents:query"]
+    assert "/view/gyro_random_error_x/**" in contents
+    assert ("/view/gyro_beside_x/**" in contents) == (method == "sr_rsukf")
+    assert contents.count("/view/gyro_random_error_x/**") == (2 if method == "sr_rsukf" else 1)
+    assert ("SR-RSUKF" in found["ContainerBlueprint:display_name"]) == (method == "sr_rsukf")
+    assert "Other" not in found["ContainerBlueprint:display_name"]
