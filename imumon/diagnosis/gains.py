@@ -11,6 +11,7 @@ import numpy as np
 from imumon.blocks import FloatArray, IntArray
 from imumon.diagnosis.candidates import Candidate, Pool
 from imumon.diagnosis.search import Likelihood, Noise, Target, parameters
+from imumon.effects.library import EFFECTS
 
 PROVEN = 8.0
 """Gain, a difference of BIC, above which an effect is proven."""
@@ -18,6 +19,9 @@ SHORT_LIST = 6
 """Best candidates of each family, by the coarse grid of noise, that are looked at closely."""
 PAIR_LIST = 4
 """Best candidates of each family that are tried in pairs."""
+
+TIE = 1e-3
+"""Gain that decides between the members of a pair, which have that of the pair."""
 
 
 @dataclass(slots=True)
@@ -126,10 +130,16 @@ def paired(
             name = table.candidates[at].family
             if value > highest.get(name, table.gain.max()):
                 highest[name] = value
-                # What it is worth is what the pair has over its partner alone.
-                found[name] = max(value - max(float(table.gain[beside]), 0.0), float(table.gain[at])), at
+                found[name] = value - TIE * _second(table, at, beside), at
                 partner[name] = table.candidates[beside].family
     return found, partner
+
+
+def _second(table: Table, at: int, beside: int) -> int:
+    """Return how much a member of a pair is behind the other: what carries over to another run goes first,
+    then what says more alone."""
+    own = [EFFECTS[table.candidates[one].family].own for one in (at, beside)]
+    return 2 * (own[0] and not own[1]) + bool(table.gain[at] < table.gain[beside])
 
 
 def _without_start(table: Table) -> list[IntArray]:

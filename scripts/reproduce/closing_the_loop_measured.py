@@ -1,0 +1,186 @@
+"""Measured recordings: train on the first part in time, test on the rest; per axis, before and after."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from imumon.blocks import FloatArray
+from imumon.diagnosis.candidates import Pool, candidates
+from imumon.diagnosis.engine import Diagnosis, diagnose
+from imumon.diagnosis.fitting import Fit, TestScore, fit, score
+from imumon.diagnosis.recording import SECOND_NS, Run, read_runs
+from imumon.diagnosis.report import report
+from imumon.diagnosis.verdict import ChannelVerdict
+from imumon.errors import ImumonError
+from imumon.estimation.rest.stage import RestDetector
+
+SHARES = (0.5, 0.6, 0.65, 0.7)
+DRAWN = 0.65
+INSISTED = ("thermal_lag", "hysteresis", "warm_up", "drift", "periodic", "temperature_rate")
+TWO_LEVELS_MAP = """
+rate_hz: 10
+temperature: {columns: [t], unit: degC}
+accel: {columns: [ax, ay, az], unit: g}
+gyro: {columns: [gx, gy, gz], unit: deg/s}
+csv: {header: false, skip_rows: 1, columns: [t, ax, ay, az, gx, gy, gz]}
+bad_rows: drop
+"""
+
+
+def measured(data: Path, figures: Path) -> int:
+    """Print the tables, draw the figures."""
+    folder = data / "chamber-cycle"
+    run = read_runs(folder / "cooling-heating.csv", folder / "map.yaml", lambda: [RestDetector()])[0]
+    print("## chamber-cycle, rms in deg/s, cubic in temperature as declared\n")
+    print("| train on | axis | floor | train before | after | test before | after | covered | verdict |")
+    print("|---|---|---|---|---|---|---|---|---|")
+    for share in SHARES:
+        diagnosis = diagnose(*_split(run, share), sensors=("gyro",))
+        content = report(diagnosis)["channels"]
+        for verdict in diagnosis.verdicts:
+            _row(share, verdict, content[verdict.name])
+        if share == DRAWN:
+            drawn = diagnosis
+    print(f"\n## Had one insisted on one effect, fitted to the first {DRAWN:.0%}: rms in the test, deg/s\n")
+    print("| axis | cubic | " + " | ".join(INSISTED) + " |")
+    print("|---" * (len(INSISTED) + 2) + "|")
+    for verdict in drawn.verdicts:
+        cells = [_insisted(drawn, verdict, name) for name in INSISTED]
+        assert verdict.test_before is not None
+        print(f"| {verdict.name} | {_deg(verdict.test_before.rms)} | " + " | ".join(cells) + " |")
+    _draw(drawn, figures)
+    print("\n## two-levels\n")
+    _two_levels(data / "two-levels")
+    return 0
+
+
+def _split(run: Run, share: float) -> tuple[list[Run], list[Run]]:
+    at = int(share * len(run.time_s))
+    return [_part(run, 0, at)], [_part(run, at, len(run.time_s))]
+
+
+def _part(run: Run, start: int, stop: int) -> Run:
+    def cut(parts: dict[str, FloatArray]) -> dict[str, FloatArray]:
+        return {name: values[start:stop] for name, values in parts.items()}
+
+    assert run.start_ns is not None
+    return replace(
+        run,
+        name=f"{run.name}, {start / 60:.0f} to {stop / 60:.0f} min",
+        time_s=run.time_s[: stop - start],
+        count=cut(run.count),
+        mean=cut(run.mean),
+        variance=cut(run.variance),
+        rest=run.rest[start:stop],
+        start_ns=run.start_ns + start * SECOND_NS,
+    )
+
+
+def _row(share: float, verdict: ChannelVerdict, found: dict[str, dict[str, float]]) -> None:
+    assert verdict.test_before is not None
+    assert verdict.test_after is not None
+    names = [" or ".join(claim.finding.alike) or claim.finding.name for claim in verdict.claims]
+    said = "; ".join(names) or "nothing named"
+    if verdict.unexplained:
+        said += ", remainder unexplained" if names else ", unexplained"
+    said += "".join(f"; {item['name']} left out" for item in verdict.left_out)
+    values = [
+        found["noise_floor_rms"],
+        found["before"]["train_rms"],
+        found["after"]["train_rms"],
+        verdict.test_before.rms,
+        verdict.test_after.rms,
+    ]
+    numbers = " | ".join(_deg(float(value)) for value in values)  # type: ignore[arg-type]  # a number of the report
+    print(f"| {share:.0%} | {verdict.name[-1]} | {numbers} | {verdict.test_after.coverage:.0%} | {said} |")
+
+
+def _deg(value: float) -> str:
+    return "-" if not np.isfinite(value) else f"{np.degrees(value):.4f}"
+
+
+def _insisted(diagnosis: Diagnosis, verdict: ChannelVerdict, family: str) -> str:
+    """Return the rms in the test of the effect of a family that leaves least of the training, and which."""
+    best: tuple[Fit, TestScore] | None = None
+    pool = Pool(diagnosis.train, verdict.temperature)
+    values = np.concatenate([run.mean[verdict.name] for run in diagnosis.train])
+    ends = verdict.declared.middle_degc + verdict.declared.half_span_degc * np.array([-1.0, 1.0])
+    for candidate in candidates(diagnosis.survey, [family]):
+        if candidate.free_start or len(candidate.parts) > 1:
+            continue
+        found = fit(diagnosis.train, verdict.temperature, values, verdict.declared, [candidate], pool)
+        if best is None or found.train_rms < best[0].train_rms:
+            scored = score(
+                diagnosis.test, verdict.name, verdict.temperature, verdict.declared, found, (ends[0], ends[1])
+            )
+            best = found, scored
+    if best is None:
+        return "-"
+    effect = best[0].parts[0].effect
+    which = [f"{getattr(effect, key):.3g}" for key in effect.nonlinear]
+    return _deg(best[1].rms) + (f" ({', '.join(which)})" if which else "")
+
+
+def _draw(diagnosis: Diagnosis, folder: Path) -> None:
+    """Draw what is left before and after, in time and against temperature, per axis."""
+    figure = Figure(figsize=(9, 7.5), layout="constrained")
+    panes = figure.subplots(3, 2)
+    for (left, right), verdict in zip(panes, diagnosis.verdicts, strict=True):
+        for what, model, scored, color in (
+            ("before", verdict.before, verdict.test_before, "tab:gray"),
+            ("after", verdict.after, verdict.test_after, "tab:red"),
+        ):
+            assert scored is not None
+            minutes, residual, temperature, where = _whole(diagnosis, verdict, model, scored)
+            left.plot(minutes, residual, ".", ms=3, color=color, label=what)
+            right.plot(temperature[~where], residual[~where], ".", ms=3, color=color)
+            right.plot(temperature[where], residual[where], "x", ms=3, color=color)
+        left.axvline(diagnosis.train[0].duration_s / 60, color="black", lw=0.8)
+        left.set_ylabel(f"{verdict.name}, deg/s")
+    panes[0][0].legend(fontsize=8)
+    panes[0][0].set_title("left over; the test is right of the line", fontsize=9)
+    panes[0][1].set_title("the same against temperature; crosses: test", fontsize=9)
+    panes[-1][0].set_xlabel("min")
+    panes[-1][1].set_xlabel("degC")
+    folder.mkdir(parents=True, exist_ok=True)
+    figure.savefig(folder / "chamber-cycle.png", dpi=70)
+
+
+def _whole(
+    diagnosis: Diagnosis, verdict: ChannelVerdict, model: Fit, scored: TestScore
+) -> tuple[FloatArray, FloatArray, FloatArray, np.ndarray[tuple[int], np.dtype[np.bool_]]]:
+    runs = [*diagnosis.train, *diagnosis.test]
+    minutes = np.concatenate([run.time_s for run in runs]) / 60
+    temperature = np.concatenate([run.temperature[verdict.temperature] for run in runs])
+    test = [np.where(use, left, np.nan) for left, use in zip(scored.residual, scored.counted, strict=True)]
+    residual = np.degrees(np.concatenate([model.train, *test]))
+    return minutes, residual, temperature, np.arange(len(minutes)) >= len(model.train)
+
+
+def _two_levels(folder: Path) -> None:
+    with tempfile.TemporaryDirectory() as name:
+        table_map = Path(name) / "map.yaml"
+        table_map.write_text(TWO_LEVELS_MAP, encoding="utf-8")
+        runs = []
+        for level in ("cold", "hot"):
+            try:
+                runs += read_runs(folder / f"{level}.csv", table_map, lambda: [RestDetector()])
+            except ImumonError as error:
+                print(f"{level}: refused: {error.seen}; {error.hint}")
+        print("\n".join(f"{run.name}: {run.duration_s / 60:.1f} min" for run in runs))
+        _try([part for run in runs for part in _split(run, 0.6)[0]], [_split(run, 0.6)[1][0] for run in runs])
+
+
+def _try(train: Sequence[Run], test: Sequence[Run]) -> None:
+    try:
+        diagnosis = diagnose(train, test, sensors=("gyro",))
+    except ImumonError as error:
+        print(f"refused: {error.seen}; {error.hint}")
+        return
+    print("\n".join([*diagnosis.caveats, *(f"{v.name}: {v.summary}" for v in diagnosis.verdicts)]))

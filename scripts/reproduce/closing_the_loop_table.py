@@ -1,0 +1,38 @@
+"""Takes the part of `closing_the_loop` that is asked for."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+DATA = Path(os.environ.get("IMUMON_DATA", ROOT.parent / "shared" / "data"))
+DOCS = ROOT / "docs"
+
+
+def main() -> int:
+    """Run one part."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--part", required=True, choices=("simulated", "measured", "heading"))
+    parser.add_argument("data", nargs="?", type=Path, default=DATA, help="folder of the measured recordings")
+    parser.add_argument("--repeat", type=int, default=4, help="simulated: cases of each kind")
+    parser.add_argument("--jobs", type=int, default=2, help="simulated: processes")
+    given = parser.parse_args()
+    if given.part == "simulated":
+        from closing_the_loop_statistics import main as statistics
+
+        out = DOCS / "closing-the-loop-results.md"
+        return statistics(["--repeat", str(given.repeat), "--jobs", str(given.jobs), "--out", str(out)])
+    if given.part == "measured":
+        from closing_the_loop_measured import measured
+
+        return measured(given.data, DOCS / "figures" / "closing-the-loop")
+    from closing_the_loop_heading import heading
+
+    return heading()
+
+
+if __name__ == "__main__":
+    sys.exit(main())
