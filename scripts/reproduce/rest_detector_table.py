@@ -88,6 +88,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="scripts/reproduce/rest_detector", description=__doc__)
     parser.add_argument("--seeds", type=int, default=10, help="runs of each scene (default: %(default)s)")
     seeds = parser.parse_args().seeds
+    print("# Rest detector: tables\n\nMade by `scripts/reproduce/rest_detector`.\n")
     single = {grade.name: (grade,) for grade in GRADES}
     for rate_hz in RATES_HZ:
         print(f"### {rate_hz:g} Hz, {seeds} seeds of {SECONDS:.0f} s\n\n{HEADER}")

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 from tczupt_figures import draw_all
-from tczupt_race import race
 from tczupt_records import (
     DPH,
     RATE_HZ,
@@ -240,6 +239,9 @@ def main() -> None:
     parser.add_argument("--no-figures", action="store_true")
     options = parser.parse_args()
     records = [simulate("crs05-ramp", seed) for seed in range(max(5, options.runs))]
+    print(
+        f"# ZUPT and TCZUPT: tables\n\nMade by `scripts/reproduce/tczupt`; {len(records)} records of the ramp test."
+    )
     sections: list[Callable[[], None]] = [
         lambda: published(records),
         responses,
@@ -247,7 +249,6 @@ def main() -> None:
         lambda: raw_streams(records),
         lambda: lacking(4),
         lambda: production(records),
-        race,
     ]
     for section in sections:
         section()
