@@ -239,9 +239,8 @@ def main() -> None:
     parser.add_argument("--no-figures", action="store_true")
     options = parser.parse_args()
     records = [simulate("crs05-ramp", seed) for seed in range(max(5, options.runs))]
-    print(
-        f"# ZUPT and TCZUPT: tables\n\nMade by `scripts/reproduce/tczupt`; {len(records)} records of the ramp test."
-    )
+    print("# ZUPT and TCZUPT: tables\n\nMade by `scripts/reproduce/tczupt`;", end=" ")
+    print(f"{len(records)} records of the ramp test.")
     sections: list[Callable[[], None]] = [
         lambda: published(records),
         responses,
