@@ -96,6 +96,11 @@ class Pipeline:
         self._ready: list[SampleBlock] = []
 
     @property
+    def estimators(self) -> tuple[Estimator, ...]:
+        """The stages, in their order."""
+        return self._estimators
+
+    @property
     def columns(self) -> list[Column]:
         """Columns of the decoded blocks so far, in the order in which tables have them."""
         decoded = {column.name: column for column in self._decoder.columns} if self._decoder else {}

@@ -21,6 +21,7 @@ COMMANDS = {
     "decode": "Turn a raw capture or a session into a table.",
     "import": "Make a session from a CSV or Parquet table.",
     "export": "Write the samples of a session as a table.",
+    "align": "Find the heading of a resting unit by the earth rate.",
     "calibrate": "Find the bias over temperature from recordings at rest.",
     "ports": "List serial ports.",
     "detect": "Find baud rate and protocol of a device by trying.",

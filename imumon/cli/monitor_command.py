@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import os
-import signal
 import sys
 import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
-from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Literal, Unpack
 
 import click
@@ -22,17 +20,14 @@ from imumon.cli.common import (
     note,
     print_json,
     print_rows,
-    say,
     window_option,
 )
+from imumon.cli.live_run import Lines, heed_signals, new_run, port_settings
 from imumon.cli.setup_options import SetupOptions, make_setup, setup_options
-from imumon.errors import EXIT_NEGATIVE, EXIT_OK, ImumonError, Reason
-from imumon.estimation.setup import Setup
-from imumon.protocols.device import DeviceFile, device_text, parse_device
+from imumon.errors import EXIT_NEGATIVE, EXIT_OK
+from imumon.protocols.device import device_text, parse_device
 from imumon.run.live import LiveRun, LiveSummary, nothing_decoded, warm_up
 from imumon.run.narration import Progress, describe, describe_losses, view_setup
-from imumon.session.folder import default_path
-from imumon.transport.settings import PortSettings
 
 if TYPE_CHECKING:
     from imumon.view.items import ViewItem, ViewSetup
@@ -77,17 +72,10 @@ def command(
     text, source = device_text(device)
     profile = parse_device(text, source)
     setup = make_setup(options)
-    serial = profile.serial
-    settings = PortSettings(
-        port, baud or serial.baudrates[0], serial.bytesize, serial.parity, serial.stopbits
-    )
-    ended, lines = threading.Event(), _Lines()
-    for number in _ending_signals():
-        signal.signal(number, lambda *_: ended.set())
-    # Whoever starts this command may hold signals back until it can heed them.
-    if hasattr(signal, "pthread_sigmask"):  # not on Windows
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT, signal.SIGTERM})
-    run = _new_run(profile, text, settings, setup, out, lines)
+    settings = port_settings(port, profile, baud)
+    ended, lines = threading.Event(), Lines()
+    heed_signals(ended)
+    run = new_run(profile, text, settings, setup, out, lines)
     run.open()
     deadline = None if seconds is None else time.monotonic() + seconds
     views: _Views | None = None
@@ -110,57 +98,6 @@ def command(
     if problem is not None:
         raise problem
     return EXIT_NEGATIVE if summary.wire.bytes_unrecorded else EXIT_OK
-
-
-def _new_run(
-    device: DeviceFile,
-    device_yaml: str,
-    settings: PortSettings,
-    setup: Setup,
-    out: Path | None,
-    lines: _Lines,
-) -> LiveRun:
-    """Make the session; a default name that another monitor takes at the same moment is no obstacle."""
-    while True:
-        folder = out or default_path(device.name, time.time_ns())
-        try:
-            return LiveRun(device, device_yaml, settings, setup, folder, lines.put)
-        except ImumonError as error:
-            if out is not None or error.reason is not Reason.EXISTS:
-                raise
-
-
-def _ending_signals() -> list[signal.Signals]:
-    """Return what ends a recording in order: Ctrl-C, kill, a terminal that was closed (not under nohup)."""
-    numbers = [signal.SIGINT, signal.SIGTERM]
-    if sys.platform != "win32" and signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
-        numbers.append(signal.SIGHUP)
-    return numbers
-
-
-class _Lines:
-    """Log lines on their way from the threads of the run to standard error.
-
-    Only the main thread writes there: a terminal that is stopped (Ctrl-S) or a pipe that nobody reads would
-    block whoever does, and that must not be the recorder or the pipeline.
-    """
-
-    def __init__(self) -> None:
-        self._waiting: SimpleQueue[tuple[str, str]] = SimpleQueue()
-
-    def put(self, level: str, text: str) -> None:
-        """Take a line; returns at once."""
-        self._waiting.put((level, text))
-
-    def write(self, before: str = "") -> None:
-        """Write the lines that wait; `before` clears what stands in the terminal's line."""
-        while True:
-            try:
-                level, text = self._waiting.get_nowait()
-            except Empty:
-                return
-            note(before, newline=False)
-            say(level, text)
 
 
 class _Views:
@@ -209,9 +146,7 @@ class _Views:
 CLEAR_LINE = "\r\x1b[2K"
 
 
-def _watch(
-    run: LiveRun, views: _Views, lines: _Lines, ended: threading.Event, deadline: float | None
-) -> None:
+def _watch(run: LiveRun, views: _Views, lines: Lines, ended: threading.Event, deadline: float | None) -> None:
     """Wait for the end, with a status line on a terminal that can show one."""
     interactive = sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
     clear = CLEAR_LINE if interactive else ""

@@ -8,4 +8,4 @@ from imumon.run.live import warm_up
 
 if __name__ == "__main__":
     for name in device_names():
-        warm_up(load_device(name), Setup())
+        warm_up(load_device(name), Setup(latitude_deg=45.0))  # with a latitude the heading is sought, too

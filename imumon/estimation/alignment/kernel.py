@@ -60,6 +60,7 @@ from imumon.estimation.alignment.state import (
     ROLL_0,
     SETTLED,
     SETTLED_AT,
+    SHAKEN,
     SLOT_S,
     SLOT_VALUES,
     SLOTS,
@@ -277,6 +278,8 @@ def _end_slot(now: float, settings: FloatArray, state: State) -> None:
     number, flag = state.number, state.flag
     learning = -1
     cause = UNREST if flag[REST] == 0 else judge_slot(state)
+    if cause > 0:
+        flag[SHAKEN] += 1
     if cause == UNREST and flag[PHASE] == COARSE:
         _clear_coarse(state)
         forget_noise(state)

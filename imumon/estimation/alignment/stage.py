@@ -78,6 +78,7 @@ class Alignment:
         self._pending: list[str] = []
         self._points: list[tuple[float, float, float, float]] = []
         self._spacing = 1.0
+        self._standing = self._judge()
 
     @property
     def columns(self) -> Sequence[Column]:
@@ -136,6 +137,7 @@ class Alignment:
                 seconds, readings[part], field[part], rest[part], self._settings, self._state, out[part]
             )
             self._collect()
+        self._standing = self._judge()
         columns = [column.name for column in self.columns]
         return {name: np.ascontiguousarray(out[:, j]) for j, name in enumerate(columns)}
 
@@ -164,8 +166,16 @@ class Alignment:
             self._points, self._spacing = self._points[::2], 2.0 * self._spacing
 
     @property
+    def wanted_deg(self) -> float:
+        """The sigma wanted, degrees."""
+        return self._parameters.settled_deg
+
+    @property
     def standing(self) -> Standing:
-        """Where the alignment stands."""
+        """Where the alignment stood after the last block; may be read by another thread."""
+        return self._standing
+
+    def _judge(self) -> Standing:
         number, flag, result = self._state.number, self._state.flag, self._state.result
         observable = bool(flag[state.OBSERVED])
         estimates = {}
@@ -198,6 +208,12 @@ class Alignment:
             tilting=known and bool(number[state.REAL_TILT] > REAL),
             disturbed=int(flag[state.LOGGED]),
             restarts=int(flag[state.RESTARTS]),
+            seconds=float(np.nan_to_num(number[state.LAST])),
+            coarse_s=float(number[state.COARSE_TIME]),
+            shaken_s=float(flag[state.SHAKEN]) * kernel.SLOT,
+            coarse_wanted_s=self._parameters.coarse_s,
+            wanted=float(self._settings[state.SETTLED]),
+            earth_rate=self._level,
         )
 
     def _phase(self, known: bool, observable: bool, settled: bool) -> str:

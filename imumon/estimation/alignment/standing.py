@@ -6,6 +6,9 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+PATIENCE_S = 120.0
+"""So much undisturbed time must show whether a gyro sees the north."""
+
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
@@ -45,6 +48,12 @@ class Standing:
         Noise of the gyros in rad/√s, and standard deviation of a horizontal gyro's bias in rad/s.
     tilting : bool
         Whether the unit tilts, rather than an accelerometer drifts.
+    seconds, coarse_s, shaken_s : float
+        Since the first sample; gathered by the coarse alignment; disturbed.
+    coarse_wanted_s, wanted : float
+        What the coarse alignment needs, s, and the sigma wanted, rad.
+    earth_rate : float
+        Its horizontal part, rad/s.
     disturbed, restarts : int
         How often something was left out, and how often the alignment began anew.
     """
@@ -66,6 +75,17 @@ class Standing:
     tilting: bool
     restarts: int
     disturbed: int
+    seconds: float
+    coarse_s: float
+    shaken_s: float
+    coarse_wanted_s: float
+    wanted: float
+    earth_rate: float
+
+    @property
+    def hopeless(self) -> bool:
+        """Whether waiting will not bring the sigma wanted: the gyro's bias, not its noise, is in the way."""
+        return self.time_s >= PATIENCE_S and self.to_go_s is None
 
 
 def instead(standing: Standing) -> tuple[str, float]:

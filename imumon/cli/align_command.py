@@ -1,0 +1,280 @@
+"""``imumon align``: the heading of a unit at rest, from a port or a recording."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from imumon.cli.common import SECONDS, Number, device_help, json_option, note, print_json, say
+from imumon.cli.setup_options import make_setup
+from imumon.errors import EXIT_NEGATIVE, EXIT_OK, ImumonError, Reason
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from imumon.cli.live_run import Lines
+    from imumon.estimation.alignment.stage import Alignment
+    from imumon.estimation.alignment.standing import Standing
+    from imumon.estimation.setup import Setup
+    from imumon.pipeline import Pipeline
+    from imumon.run.live import LiveRun
+
+REFRESH_S = 0.25
+_path = click.Path(path_type=Path)
+
+
+@click.command("align")
+@click.argument("source", metavar="PORT|SESSION")
+@click.option("--latitude", type=Number(min=-90, max=90), help="Degrees north, for the earth rate.")
+@click.option(
+    "--until", type=Number(min=0, min_open=True, max=90), help="Sigma of the heading wanted, degrees [0.05]."
+)
+@click.option("--device", help=device_help)
+@click.option("--baud", type=click.IntRange(min=1), help="Baud rate; the device file's first when not given.")
+@click.option("--seconds", type=SECONDS, help="Give up after this time; live only.")
+@click.option("--out", type=_path, help="Folder for the live session; default: a new one in ./sessions.")
+@click.option("--pipeline", type=_path, help="Pipeline file: place, model and parameters of the estimators.")
+@click.option("--model", type=_path, help="Bias model; it may know the warm-up of the accelerometers.")
+@json_option
+def command(
+    source: str,
+    latitude: float | None,
+    until: float | None,
+    device: str | None,
+    baud: int | None,
+    seconds: float | None,
+    out: Path | None,
+    pipeline: Path | None,
+    model: Path | None,
+    as_json: bool,
+) -> int:
+    """Find the heading of the resting unit on PORT or in SESSION from the earth's rotation.
+
+    A port is recorded until the sigma of the heading is small enough, or can be seen not to become so;
+    a session is gone through to its end.  Exit code 0: settled; 1: not settled.
+    """
+
+    def setup(recorded: str | None = None, where: str = "") -> Setup:
+        from imumon.cli.setup_options import SetupOptions
+
+        given = SetupOptions(pipeline=pipeline, model=model, zupt=None, latitude=latitude, heading=None)
+        return _with_sigma(make_setup(given, recorded, where), until)
+
+    if _is_recording(source):
+        if baud is not None or seconds is not None or out is not None:
+            raise click.UsageError("--baud, --seconds and --out are for a port; a session is only read")
+        stage = _recorded(Path(source), device, setup)
+    else:
+        stage = _live(source, device, baud, seconds, out, setup())
+    standing = stage.standing
+    if as_json:
+        print_json(as_data(standing))
+    else:
+        _report(standing, stage.wanted_deg)
+    return EXIT_OK if standing.settled_s is not None else EXIT_NEGATIVE
+
+
+def _with_sigma(setup: Setup, until: float | None) -> Setup:
+    """Return the setup with the sigma wanted; raises BAD_CONFIG when it does not tell the latitude."""
+    if setup.latitude_deg is None:
+        raise ImumonError(
+            Reason.BAD_CONFIG,
+            "the heading is found by the earth rate, and the latitude is not known",
+            "add --latitude DEGREES (north is positive), or latitude_deg to the pipeline file",
+        )
+    if until is None:
+        return setup
+    return setup.with_options(alignment=setup.alignment.model_copy(update={"settled_deg": until}))
+
+
+def _is_recording(source: str) -> bool:
+    """Tell a session or capture from a port; raises NOT_FOUND for a name that can be neither."""
+    path = Path(source)
+    if path.is_dir() or path.is_file():
+        return True
+    if "://" in source or path.exists() or source.upper().startswith("COM") or source.startswith("/dev/"):
+        return False
+    raise ImumonError(
+        Reason.NOT_FOUND,
+        f"{source}: there is neither a session nor a port of this name",
+        "imumon ports lists the ports; sessions are folders with a session.yaml, usually in ./sessions",
+    )
+
+
+def _stage_of(pipeline: Pipeline) -> Alignment:
+    from imumon.estimation.alignment.stage import Alignment
+
+    return next(stage for stage in pipeline.estimators if isinstance(stage, Alignment))
+
+
+def _recorded(path: Path, device: str | None, make: Callable[..., Setup]) -> Alignment:
+    """Go through a recording to its end."""
+    from imumon.estimation.alignment.stage import Alignment
+    from imumon.estimation.rest.stage import RestDetector
+    from imumon.estimation.stages import estimators
+    from imumon.pipeline import Pipeline
+    from imumon.run.replay import run_over
+    from imumon.run.source import open_source
+
+    source = open_source(path, device)
+    recorded = None if source.session is None else source.session.metadata.pipeline_yaml
+    setup = make(recorded, f"{path} (pipeline_yaml)")
+    # Only what the heading needs: the other estimators do not change it.
+    needed = [
+        stage for stage in estimators(source.device, setup) if isinstance(stage, RestDetector | Alignment)
+    ]
+    pipeline = Pipeline(source.device, needed)
+    stage = _stage_of(pipeline)
+    with _Shown(stage) as shown:
+        for _ in run_over(source.items, pipeline):
+            shown.renew()
+    for text in [*source.warnings(), *pipeline.warnings()]:
+        say("WARN", text)
+    _refuse_without_sensors(stage.standing, str(path), [column.name for column in source.columns(pipeline)])
+    return stage
+
+
+def _live(
+    port: str, device: str | None, baud: int | None, seconds: float | None, out: Path | None, setup: Setup
+) -> Alignment:
+    """Record and align a port until the heading has settled, or will not, or the time is over."""
+    from imumon.cli.live_run import Lines, heed_signals, new_run, port_settings
+    from imumon.protocols.device import device_names, device_text, parse_device
+    from imumon.run.live import nothing_decoded, warm_up
+
+    if device is None:
+        raise ImumonError(
+            Reason.BAD_CONFIG,
+            f"{port} is a port, so its device must be named",
+            f"add --device NAME: {', '.join(device_names())}, or a file; imumon detect {port} may tell",
+        )
+    text, where = device_text(device)
+    profile = parse_device(text, where)
+    settings = port_settings(port, profile, baud)
+    ended, lines = threading.Event(), Lines()
+    heed_signals(ended)
+    run = new_run(profile, text, settings, setup, out, lines)
+    run.open()
+    deadline = None if seconds is None else time.monotonic() + seconds
+    stage = _stage_of(run.pipeline)
+    try:
+        warm_up(profile, setup)
+        run.begin(())
+        _wait(run, stage, lines, ended, deadline)
+    finally:
+        summary = run.stop()
+        lines.write()
+    note(f"recorded: {summary.session}")
+    problem = run.failure or nothing_decoded(settings, profile, summary.counters)
+    if problem is not None:
+        raise problem
+    _refuse_without_sensors(stage.standing, port, [column.name for column in run.pipeline.columns])
+    return stage
+
+
+def _wait(
+    run: LiveRun, stage: Alignment, lines: Lines, ended: threading.Event, deadline: float | None
+) -> None:
+    with _Shown(stage) as shown:
+        while deadline is None or time.monotonic() < deadline:
+            left = REFRESH_S if deadline is None else min(REFRESH_S, deadline - time.monotonic())
+            if ended.wait(max(left, 0.0)) or not run.processing:
+                return
+            lines.write()
+            shown.renew()
+            if stage.standing.settled_s is not None or stage.standing.hopeless:
+                return
+
+
+class _Shown:
+    """A line on the terminal: the state, the sigma on its way to the one wanted, and the time to go."""
+
+    def __init__(self, stage: Alignment) -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, Progress, TextColumn
+
+        self._stage = stage
+        self._bar = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(20),
+            TextColumn("{task.fields[text]}"),
+            console=Console(stderr=True),
+            transient=True,
+        )
+        self._task = self._bar.add_task("alignment", total=1.0, text="")
+
+    def __enter__(self) -> _Shown:
+        self._bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.stop()
+
+    def renew(self) -> None:
+        from imumon.estimation.alignment.charting import heading_text, to_go_text
+
+        standing, wanted = self._stage.standing, self._stage.wanted_deg
+        text = f"{heading_text(standing)}; {to_go_text(standing, wanted)}"
+        share = 0.0 if standing.shown is None else min((standing.wanted / standing.shown.sd) ** 2, 1.0)
+        self._bar.update(self._task, description=standing.phase, completed=share, text=text)
+
+
+def _refuse_without_sensors(standing: Standing, where: str, columns: Sequence[str]) -> None:
+    """Raise BAD_DATA when there was not one whole reading of gyros and accelerometers."""
+    if standing.phase != "waiting" or standing.seconds > 0.0:
+        return
+    needed = [f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz"]
+    lacking = [name for name in needed if name not in columns]
+    raise ImumonError(
+        Reason.BAD_DATA,
+        f"{where}: "
+        + (
+            f"there is no {', '.join(lacking)}" if lacking else "fewer than two samples have all six readings"
+        ),
+        "the heading needs angular rate and specific force of all three axes, in the same packets",
+    )
+
+
+def as_data(standing: Standing) -> dict[str, object]:
+    """Return what ``--json`` prints; headings in degrees clockwise from true north, 0 to 360."""
+    import math
+
+    def degrees(heading: float) -> float:
+        return math.degrees(heading) % 360.0
+
+    shown = standing.shown
+    return {
+        "heading_deg": math.nan if shown is None else degrees(shown.heading),
+        "heading_sd_deg": math.nan if shown is None else math.degrees(shown.sd),
+        "estimator": standing.chosen,
+        "settled_s": standing.settled_s,
+        "observable": standing.observable,
+        "estimators": {
+            name: {"heading_deg": degrees(estimate.heading), "sd_deg": math.degrees(estimate.sd)}
+            for name, estimate in standing.estimates.items()
+        },
+    }
+
+
+def _report(standing: Standing, wanted_deg: float) -> None:
+    from rich.box import SIMPLE
+    from rich.console import Console
+    from rich.table import Table
+
+    from imumon.estimation.alignment.report import estimator_rows, rows
+
+    console: Console = Console(highlight=False)
+    if standing.time_s > 0.0:
+        table = Table("estimator", "heading [°]", "σ [°]", box=SIMPLE, padding=(0, 1, 0, 0))
+        for row in estimator_rows(standing):
+            table.add_row(*row)
+        console.print(table)
+    told = rows(standing, wanted_deg)
+    width = max(map(len, told))
+    for label, text in told.items():
+        console.print(f"  {label:<{width}}  {text}", soft_wrap=True)

@@ -1,0 +1,176 @@
+from __future__ import annotations
+
+import json
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from imumon.cli.align_command import command
+from imumon.cli.simulate_command import command as simulate
+from imumon.errors import ImumonError, Reason
+from imumon.protocols.device import load_device
+from imumon.simulation.unit.scenario import load_scenario
+from imumon.simulation.virtual_device import VirtualDevice
+from tests.cli.test_commands import IMUMON
+
+KEYS = ["heading_deg", "heading_sd_deg", "estimator", "settled_s", "observable", "estimators"]
+
+
+def simulated(folder: Path, name: str, seconds: float, extra: str = "") -> Path:
+    """Make a session of a scenario at 50 Hz."""
+    file = folder / "changed.yaml"
+    file.write_text(f"format: imumon-scenario/1\nbase: {name}\n{extra}")
+    arguments = [
+        file if extra else name,
+        "--device",
+        "ax1",
+        "--out",
+        folder / name,
+        "--duration",
+        seconds,
+        "--rate",
+        50,
+    ]
+    done = CliRunner().invoke(simulate, [*map(str, arguments)], catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    return folder / name
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return simulated(tmp_path_factory.mktemp("navigation"), "alignment", 80.0)
+
+
+def align(*arguments: object) -> tuple[int, dict[str, Any]]:
+    done = CliRunner().invoke(
+        command, [*map(str, arguments), "--json"], catch_exceptions=False, standalone_mode=False
+    )
+    result = json.loads(done.stdout)
+    assert isinstance(result, dict)
+    return done.return_value, result
+
+
+def test_a_recorded_session_is_aligned_and_says_so_in_json(session: Path) -> None:
+    code, result = align(session, "--latitude", 36, "--until", 0.05)
+    assert code == 0
+    assert list(result) == KEYS
+    assert result["heading_deg"] == pytest.approx(30.0, abs=0.06)
+    assert result["heading_sd_deg"] < 0.05
+    assert result["estimator"] == "tilt_corrected"
+    assert 40.0 < result["settled_s"] < 80.0
+    assert result["observable"] is True
+    assert list(result["estimators"]) == ["total_average", "curve_fit", "line_exponential", "tilt_corrected"]
+    assert result["estimators"]["tilt_corrected"] == {
+        "heading_deg": result["heading_deg"], "sd_deg": result["heading_sd_deg"],
+    }  # fmt: skip
+
+
+def test_a_sigma_that_is_not_reached_is_exit_code_1_with_the_time_to_go(session: Path) -> None:
+    arguments = [str(session), "--latitude", "36", "--until", "0.005"]
+    done = CliRunner().invoke(command, arguments, catch_exceptions=False, standalone_mode=False)
+    assert done.return_value == 1
+    assert "no (σ ≤ 0.005°)" in done.stdout
+    code, result = align(session, "--latitude", 36, "--until", 0.005)
+    assert (code, result["settled_s"]) == (1, None)
+
+
+def test_the_sigma_and_the_place_may_stand_in_the_pipeline_file(session: Path, tmp_path: Path) -> None:
+    file = tmp_path / "place.yaml"
+    file.write_text("format: imumon-pipeline/1\nlatitude_deg: 36\nalignment: {settled_deg: 1.0}\n")
+    code, result = align(session, "--pipeline", file)
+    assert code == 0
+    coarse = result["settled_s"]
+    assert coarse < align(session, "--latitude", 36)[1]["settled_s"]
+
+
+def test_gyros_that_cannot_see_the_earth_rate_give_no_north(tmp_path: Path) -> None:
+    path = simulated(tmp_path, "alignment-mems", 80.0)
+    code, result = align(path, "--latitude", 36)
+    assert code == 1
+    assert result["heading_deg"] is None
+    assert result["observable"] is False
+    assert all(estimate["heading_deg"] is None for estimate in result["estimators"].values())
+    done = CliRunner().invoke(command, [str(path), "--latitude", "36"], standalone_mode=False)
+    assert "heading not observable with this gyro; shown instead: the device's own yaw 30.0°" in done.stdout
+
+
+def test_data_that_are_too_short_say_what_is_missing(tmp_path: Path) -> None:
+    path = simulated(tmp_path, "alignment", 20.0)
+    done = CliRunner().invoke(command, [str(path), "--latitude", "36"], standalone_mode=False)
+    assert done.return_value == 1
+    assert "the coarse alignment needs 30 s without a break" in done.stdout
+
+
+def test_a_unit_that_is_carried_about_gets_no_heading(tmp_path: Path) -> None:
+    handling = "kind: handling, at_s: 5, rounds: 8, every_s: 8, rest_s: 2, swing_deg: 20, travel_m: 0.1"
+    motion = f"motion:\n  - {{{handling}}}\n"
+    path = simulated(tmp_path, "alignment", 70.0, motion)
+    code, result = align(path, "--latitude", 36)
+    assert (code, result["heading_deg"], result["settled_s"]) == (1, None, None)
+
+
+@pytest.mark.parametrize("latitude", [90.0, -90.0])
+def test_at_a_pole_there_is_no_heading(session: Path, latitude: float) -> None:
+    code, result = align(session, "--latitude", latitude)
+    assert code == 1
+    assert result["observable"] is False
+
+
+def test_without_a_latitude_it_is_said_what_to_add(session: Path) -> None:
+    with pytest.raises(ImumonError, match="the latitude is not known") as caught:
+        align(session)
+    assert caught.value.reason is Reason.BAD_CONFIG
+    assert "--latitude" in caught.value.hint
+
+
+def test_a_latitude_that_does_not_exist_and_options_of_a_port_are_refused(session: Path) -> None:
+    assert "range" in CliRunner().invoke(command, [str(session), "--latitude", "95"]).output
+    wrong = CliRunner().invoke(command, [str(session), "--latitude", "36", "--baud", "9600"])
+    assert wrong.exit_code == 2
+    assert "for a port" in wrong.output
+
+
+def test_a_session_without_gyros_is_refused_by_name(tmp_path: Path) -> None:
+    table, mapping, out = tmp_path / "accel.csv", tmp_path / "map.yaml", tmp_path / "s"
+    table.write_text("ax,ay,az\n" + "0.0,0.0,-9.8\n" * 100)
+    mapping.write_text("rate_hz: 100\naccel: {columns: [ax, ay, az], unit: m/s^2}\naxes: FRD\n")
+    arguments = [IMUMON, "import", str(table), "--map", str(mapping), "--out", str(out)]
+    done = subprocess.run(arguments, capture_output=True, text=True, timeout=90, check=False)
+    assert done.returncode == 0, done.stderr
+    with pytest.raises(ImumonError, match="there is no gyro_x, gyro_y, gyro_z") as caught:
+        align(out, "--latitude", 36)
+    assert caught.value.reason is Reason.BAD_DATA
+
+
+def test_what_is_neither_a_session_nor_a_port_is_said(tmp_path: Path) -> None:
+    with pytest.raises(ImumonError, match="neither a session nor a port"):
+        align(tmp_path / "nothing", "--latitude", 36)
+    with pytest.raises(ImumonError, match="its device must be named"):
+        align("/dev/ttyUSB77", "--latitude", 36)
+
+
+def test_a_live_unit_is_aligned_through_its_port_and_recorded(tmp_path: Path) -> None:
+    """In real time, so with as short a coarse alignment as there is, and a rough sigma."""
+    file = tmp_path / "quick.yaml"
+    file.write_text("format: imumon-pipeline/1\nlatitude_deg: 36\nalignment: {coarse_s: 10}\n")
+    with VirtualDevice(load_device("ax1"), tmp_path / "ahrs", scenario=load_scenario("alignment")) as ahrs:
+        done = subprocess.run(
+            [
+                IMUMON, "align", ahrs.port.path, "--device", "ax1", "--pipeline", file, "--until", "2",
+                "--out", tmp_path / "s", "--seconds", "60", "--json",
+            ],
+            capture_output=True, text=True, timeout=90, check=False,
+        )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    result = json.loads(done.stdout)
+    assert list(result) == KEYS
+    assert result["settled_s"] < 40.0
+    assert abs(result["heading_deg"] - 30.0) < 2.0
+    assert np.isfinite(result["heading_sd_deg"])
+    code, again = align(tmp_path / "s")
+    assert code == 0
+    assert again == result
