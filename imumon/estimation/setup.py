@@ -15,6 +15,7 @@ from imumon.estimation.alignment.parameters import AlignmentParameters
 from imumon.estimation.alignment.warm_up import known_warm_up
 from imumon.estimation.random_error.parameters import Channel, GyroNoise, RandomErrorParameters
 from imumon.estimation.rest.parameters import RestParameters
+from imumon.estimation.watch.parameters import WatchParameters
 from imumon.estimation.zupt.parameters import ZuptParameters
 from imumon.thermal.model import BiasModel, load_model
 
@@ -41,6 +42,7 @@ class Setup(StrictModel):
     zupt: ZuptParameters = ZuptParameters()
     random_error: RandomErrorParameters = RandomErrorParameters()
     alignment: AlignmentParameters = AlignmentParameters()
+    watch: WatchParameters = WatchParameters()
     noise: Noise = Noise()
     allan: AllanParameters = AllanParameters()
 

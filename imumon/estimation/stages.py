@@ -9,6 +9,7 @@ from imumon.estimation.rest.stage import RestDetector
 from imumon.estimation.setup import Setup
 from imumon.estimation.temperature_rate.parameters import TemperatureRateParameters
 from imumon.estimation.temperature_rate.stage import TemperatureRate
+from imumon.estimation.watch.stage import ModelWatch
 from imumon.estimation.zupt.stage import ZeroVelocity
 from imumon.pipeline import Estimator
 from imumon.protocols.device import DeviceFile
@@ -26,6 +27,7 @@ def estimators(device: DeviceFile | None, setup: Setup | None = None) -> list[Es
         TemperatureRate(parameters=temperature),
         RestDetector(setup.rest),
         ZeroVelocity(setup.zupt_with_noise, model, setup.mode, setup.latitude_deg, setup.heading_deg),
+        ModelWatch(setup.watch, modelled=model is not None),
         RandomError(setup.random_error_with_noise, model),
         AllanStage(setup.allan),
     ]

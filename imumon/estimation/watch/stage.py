@@ -24,7 +24,7 @@ class ModelWatch:
 
     They should be white, standard normal, and have nothing to do with temperature, its rate or the time.  A
     suspicion stays until the device restarts: a model that has failed does not get better when the
-    temperature comes to rest.  What is tested for, and how often in vain, is in docs/model-watch.md.
+    temperature comes to rest.  What is tested for, and how often in vain, is in docs/closing-the-loop.md.
 
     Parameters
     ----------

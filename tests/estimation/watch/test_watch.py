@@ -1,0 +1,182 @@
+"""The watch over the bias filter: silent while it is right, and it says why when it is not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from imumon.blocks import FloatArray, SampleBlock
+from imumon.estimation.temperature_rate.stage import TemperatureRate
+from imumon.estimation.watch import kernel
+from imumon.estimation.watch.parameters import WatchParameters
+from imumon.estimation.watch.stage import ModelWatch
+from imumon.estimation.zupt.stage import ZeroVelocity
+from imumon.simulation.unit import SimulatedUnit, load_scenario
+from imumon.simulation.unit.curves import curve_value
+from imumon.simulation.unit.scenario import Scenario
+from imumon.thermal.curves.polynomial import PolynomialCurve
+from imumon.thermal.model import BiasModel, ChannelModel
+from tests.estimation.watch import plain
+
+HOURS = 2.0
+
+
+def drive(seed: int, hours: float = HOURS) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return slots of a right filter, the temperature up and down: time, innovations, T, its rate."""
+    random = np.random.default_rng(seed)
+    n = int(hours * 7200)
+    seconds = np.arange(n) * 0.5
+    temperature = 25 + 10 * np.sin(2 * np.pi * seconds / 3000 + random.uniform(0, 6))
+    rate = np.gradient(temperature, 0.5)
+    return seconds, random.standard_normal((n, 3)), _three(temperature), _three(rate)
+
+
+def _three(values: FloatArray) -> FloatArray:
+    return np.tile(values[:, np.newaxis], (1, 3))
+
+
+def alarm(
+    seconds: FloatArray, innovation: FloatArray, temperature: FloatArray, rate: FloatArray, hours: float
+) -> int:
+    return kernel.watch(seconds, innovation, temperature, rate, kernel.limit(hours), kernel.empty_state())
+
+
+def test_the_kernel_is_its_plain_twin() -> None:
+    seconds, innovation, temperature, rate = drive(1, 0.15)
+    temperature[100:150] = np.nan
+    rate[300:] = np.nan
+    seconds[500:] += 400.0
+    innovation[:, 1] += 0.5
+    innovation[700:720] *= 9.0
+    state = kernel.empty_state()
+    kernel.watch(seconds, innovation, temperature, rate, 1e9, state)
+    np.testing.assert_allclose(
+        state.peaks, plain.peaks(seconds, innovation, temperature, rate), rtol=1e-9, atol=1e-9
+    )
+    assert state.peaks[1, kernel.CONSTANT] > 50.0
+
+
+def test_false_alarms_are_as_rare_as_promised() -> None:
+    # The mean time to one is 10 h at least: of 150 times 1 h, 15 would have one at the most, in the mean.
+    alarms = sum(alarm(*drive(seed, 1.0), 10.0) >= 0 for seed in range(150))
+    assert alarms <= 15 + 2 * np.sqrt(15)
+
+
+@pytest.mark.parametrize("what", ["rate", "temperature", "constant", "past", "size"])
+def test_each_fault_is_found_within_half_an_hour_or_so(what: str) -> None:
+    seconds, innovation, temperature, rate = drive(3)
+    if what == "rate":
+        innovation[:, 0] += 0.6 * rate[:, 0] / np.abs(rate[:, 0]).max()
+    elif what == "temperature":
+        high = temperature[:, 0] - temperature[:, 0].mean()
+        innovation[:, 0] += 0.6 * high / np.abs(high).max()
+    elif what == "constant":
+        innovation[:, 0] += 0.3
+    elif what == "past":
+        for i in range(1, len(innovation)):
+            innovation[i, 0] = 0.4 * innovation[i - 1, 0] + 0.92 * innovation[i, 0]
+    else:
+        innovation[:, 0] *= 1.4
+    at = alarm(seconds, innovation, temperature, rate, 24.0)
+    assert at >= 0
+    assert seconds[at] < 2400.0
+
+
+def test_a_knock_is_no_alarm() -> None:
+    seconds, innovation, temperature, rate = drive(4)
+    innovation[2000:2003] = 50.0
+    assert alarm(seconds, innovation, temperature, rate, 24.0) < 0
+
+
+def test_a_restart_of_the_device_clears_the_suspicion() -> None:
+    seconds, innovation, temperature, rate = drive(5, 1.0)
+    innovation += np.where(seconds < 1000.0, 0.8, 0.0)[:, np.newaxis]
+    segment = (seconds > 1800.0).astype(np.int64)
+    block = SampleBlock(
+        {
+            "device_time_ns": np.round(seconds * 1e9).astype(np.int64),
+            "segment": segment,
+            "temperature_estimate": temperature[:, 0],
+            "temperature_rate": rate[:, 0],
+            **{f"zupt_innovation_{axis}": innovation[:, j] for j, axis in enumerate("xyz")},
+        }
+    )
+    watch = ModelWatch(modelled=True)
+    assert watch.lanes() == {"model": "MODEL waiting for rest"}
+    suspect = watch.process(block)["model_suspect"]
+    first = int(np.argmax(suspect))
+    assert seconds[first] < 1000.0
+    assert suspect[first : np.argmax(segment)].all()
+    assert not suspect[segment == 1].any()
+    assert watch.lanes() == {"model": "MODEL OK"}
+    said = watch.notices()
+    assert len(said) == 1
+    assert "imumon diagnose --train SESSION" in said[0]
+    assert watch.notices() == []
+
+
+def scenario(gyro_lag_s: float) -> Scenario:
+    base = load_scenario("crs05-ramp")
+    steps = [
+        {"hold_s": 200},
+        {"to_degc": 40, "rate_degc_per_min": 2, "hold_s": 300},
+        {"to_degc": 25, "rate_degc_per_min": 2},
+    ]
+    chamber = {**base.chamber.model_dump(), "start_degc": 25.0, "steps": steps}
+    unit = {**base.unit.model_dump(), "gyro_lag_s": gyro_lag_s}
+    return Scenario.model_validate(
+        {**base.model_dump(), "rate_hz": 20.0, "duration_s": 1800, "chamber": chamber, "unit": unit}
+    )
+
+
+def true_model() -> BiasModel:
+    """Return the curves that the simulated unit has."""
+    unit = SimulatedUnit(scenario(0.0), seed=0)
+    at = np.linspace(20.0, 45.0, 400)
+    channels = {}
+    for axis in "xyz":
+        values = np.radians(curve_value(getattr(unit.scenario.unit.gyro_bias_deg_per_s, axis), at))
+        series = np.polynomial.Chebyshev.fit(at, values, 8, domain=[20.0, 45.0])
+        channels[f"gyro_{axis}"] = ChannelModel(
+            unit="rad/s",
+            temperature_column="temperature_estimate",
+            temperature_range_degc=[20.0, 45.0],
+            residual_sd=2e-6,
+            curve=PolynomialCurve(center_degc=32.5, half_width_degc=12.5, coefficients=series.coef.tolist()),
+        )
+    return BiasModel(made_by="a test", created="2026-01-01T00:00:00Z", channels=channels)
+
+
+def watched(gyro_lag_s: float, size: int, seed: int = 1) -> tuple[ModelWatch, SampleBlock]:
+    sent, _ = SimulatedUnit(scenario(gyro_lag_s), seed=seed).run(1800 * 20)
+    sent = sent.with_columns({"at_rest": np.ones(len(sent), np.int64)})
+    watch = ModelWatch(modelled=True)
+    stages = [TemperatureRate(), ZeroVelocity(model=true_model(), mode="thermal"), watch]
+    suspect = []
+    for at in range(0, len(sent), size):
+        part = sent.rows(at, min(at + size, len(sent)))
+        for stage in stages:
+            part = part.with_columns(stage.process(part))
+        suspect.append(part["model_suspect"])
+    return watch, sent.with_columns({"model_suspect": np.concatenate(suspect)})
+
+
+def test_a_unit_that_is_as_its_model_says_is_not_suspected() -> None:
+    watch, _ = watched(0.0, 10_000)
+    assert watch.lanes() == {"model": "MODEL OK"}
+    assert watch.notices() == []
+
+
+def test_a_lag_that_the_model_lacks_is_suspected_whatever_the_blocks() -> None:
+    watch, whole = watched(60.0, 36_000)
+    assert watch.lanes()["model"].startswith("MODEL SUSPECT: innovations follow")
+    (said,) = watch.notices()
+    assert "thermal_lag" in said
+    assert "imumon diagnose --train SESSION" in said
+    _, parts = watched(60.0, 777)
+    np.testing.assert_array_equal(whole["model_suspect"], parts["model_suspect"])
+
+
+def test_rarer_false_alarms_take_more_evidence() -> None:
+    assert kernel.limit(100.0) > kernel.limit(1.0)
+    assert WatchParameters().false_alarm_hours == 24.0
