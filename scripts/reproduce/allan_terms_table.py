@@ -31,10 +31,25 @@ CASES = (
 )
 LETTERS = dict(zip(ARGUMENTS, "NBKQR", strict=True))
 FIRST_SEED = 2000
+WHITE = 1e-3
+SINES = (
+    (0.05, 3e-3),
+    (0.05, 3e-2),
+    (0.5, 1e-3),
+    (0.5, 1e-2),
+    (0.5, 0.1),
+    (5.03, 1e-3),
+    (5.03, 1e-2),
+    (5.03, 0.1),
+    (1 / 300, 1e-3),
+    (1 / 300, 1e-2),
+)
+"""Hz and rad/s of what is no noise, beside white noise."""
+SINE_SEEDS = 6
 
 
 def main() -> None:
-    """Print the table."""
+    """Print the tables."""
     seeds = int(sys.argv[1]) if len(sys.argv) > 1 else 150
     heads = (
         "noise",
@@ -56,6 +71,30 @@ def main() -> None:
         for name, value in truth.items():
             table.add_row(_text(truth), LETTERS[name], *_row(fits, name, value), f"{false / len(fits):.1%}")
     Console(width=140).print(table)
+    Console(width=140).print(_sines())
+
+
+def _sines() -> Table:
+    """Return what is told of white noise beside a sine."""
+    table = Table("Hz", "rad/s", "N told", "value / truth", "median sd / truth", "other terms told")
+    t = np.arange(SAMPLES) / RATE_HZ
+    for hertz, size in SINES:
+        channels = {
+            str(seed): noise(seed, SAMPLES, 1 / RATE_HZ, white=WHITE)
+            + size * np.sin(2 * np.pi * hertz * t + seed)
+            for seed in range(SINE_SEEDS)
+        }
+        series = even_channels(
+            np.arange(SAMPLES) * (1_000_000_000 // RATE_HZ), np.zeros(SAMPLES, np.int64), channels
+        )
+        fits = [result.fit for result in analyse(series).values() if result.fit is not None]
+        told = [estimate for fit in fits if (estimate := fit.terms["angle_random_walk"]) is not None]
+        others = sum(value is not None for fit in fits for value in fit.terms.values()) - len(told)
+        ratios = [estimate.value / WHITE for estimate in told]
+        spread = f"{np.median([estimate.sd for estimate in told]) / WHITE:.3f}" if told else "-"
+        span = f"{min(ratios):.3f} to {max(ratios):.3f}" if told else "-"
+        table.add_row(f"{hertz:.3g}", f"{size:g}", f"{len(told)} of {len(fits)}", span, spread, str(others))
+    return table
 
 
 def _fits(truth: dict[str, float], seeds: int) -> list[Fit]:
