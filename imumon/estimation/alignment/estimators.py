@@ -100,6 +100,8 @@ def evaluate(state: State, settings: FloatArray) -> None:
         noise = white
         if k == 1:
             noise *= 1.2
+        if k in (0, 4):
+            noise += 2.0 * number[TILT2] / time**2
         if k == 2:
             noise = number[ARW2] * third
         drift = drifts[0] * _along(across, total if k == 0 else slope_level) ** 2
@@ -192,7 +194,8 @@ def inverse(matrix: FloatArray, size: int) -> tuple[bool, FloatArray]:
 
 @njit(**INNER)
 def _line_exponential(state: State, time: float, rates: FloatArray) -> float:
-    """Fill estimator 3; return the variance of its slope for a random walk of 1 rad/√s."""
+    """Fill estimator 3; return the variance of its slope over that of a random walk of 1 rad/√s."""
+    white = state.number[TILT2] / (state.number[ARW2] + 1e-30)
     best, chosen, whole = math.inf, -1, state.normal.shape[1]
     for g in range(len(CONSTANTS)):
         good, inverted = inverse(state.normal[g], whole - 1)
@@ -224,6 +227,8 @@ def _line_exponential(state: State, time: float, rates: FloatArray) -> float:
             weights = (inverted[1, i] + inverted[2, i] + inverted[3, i]) / tau
             weights *= (inverted[1, j] + inverted[2, j] + inverted[3, j]) / tau
             variance += weights * state.spread[chosen, i, j]
+            if i > 0 and j > 0:  # white noise of the level, from the accelerometers
+                variance += white * inverted[i, j] / (tau * tau)
     return float(max(variance, 1.0 / time))
 
 

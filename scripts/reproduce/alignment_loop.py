@@ -1,0 +1,167 @@
+"""The error loop of the fixed-gain alignment: closed forms of Lee et al. beside a simulation in time."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numba import njit
+from scipy.signal import TransferFunction, impulse
+
+from imumon.blocks import FloatArray
+from imumon.estimation.alignment.loop import loop_gains, loop_step
+from imumon.estimation.zupt.earth import EARTH_RATE
+
+G = 9.80665
+MICRO_G = 1e-6 * G
+DEG_PER_H = math.pi / 180.0 / 3600.0
+
+
+@dataclass(frozen=True)
+class Loop:
+    """Loop and errors: µg and s of the warm-up, deg/h of gyro bias, both on either horizontal axis.
+
+    `vertical` adds the vertical earth rate, which the paper's error model leaves out.
+    """
+
+    amplitude_ug: float = 30.0
+    tau_s: float = 300.0
+    gyro_deg_per_h: float = 0.0
+    corner_hz: float = 2.0
+    damping: float = 0.7
+    latitude_deg: float = 36.0
+    rate_hz: float = 200.0
+    vertical: bool = False
+
+    @property
+    def corner(self) -> float:
+        """Corner frequency, rad/s."""
+        return 2.0 * math.pi * self.corner_hz
+
+    @property
+    def k(self) -> float:
+        """Feedback of the velocity, 1/s."""
+        return 2.0 * self.damping * self.corner
+
+    @property
+    def kb(self) -> float:
+        """Control rate per velocity, rad/m."""
+        return self.corner**2 / G
+
+    @property
+    def level(self) -> float:
+        """Ω cos L, rad/s."""
+        return EARTH_RATE * math.cos(math.radians(self.latitude_deg))
+
+
+@dataclass(frozen=True)
+class Course:
+    """Over time_s (n,): velocities east and north in m/s, tilts about east and north in rad, control rates.
+
+    Velocities are control rates over k_b = corner² / g: the sampled loop has a k_b a little smaller, so that
+    its poles are exactly those of the continuous one.  Control rates are in rad/s, less the earth's.
+    """
+
+    time_s: FloatArray
+    velocity: FloatArray
+    tilt: FloatArray
+    control: FloatArray
+
+    def at(self, values: FloatArray, second: float) -> float:
+        """Return a value at a time."""
+        return float(np.interp(second, self.time_s, values))
+
+
+@njit(cache=False)
+def _run(
+    n: int, h: float, decay: float, gain: float, tau: float, amplitude: float, gyro: float, earth: FloatArray
+) -> FloatArray:
+    attitude, velocity, turned, out = np.eye(3), np.zeros(2), np.zeros(5), np.zeros((n, 6))
+    for i in range(n):
+        error = amplitude * (1.0 - math.exp(-(i + 1) * h / tau))
+        force = np.array([error, error, 9.80665])
+        rate = np.array([gyro, earth[1] + gyro, earth[2]])
+        loop_step(attitude, velocity, rate, force, earth, decay, gain, h, turned)
+        out[i, 0], out[i, 1] = velocity[0], velocity[1]
+        out[i, 2], out[i, 3] = -attitude[1, 2], attitude[0, 2]
+        out[i, 4], out[i, 5] = turned[3] / h, turned[4] / h
+    return out
+
+
+def simulate(loop: Loop, seconds: float) -> Course:
+    """Run the loop of imumon on a unit whose body axes are east, north, up."""
+    h = 1.0 / loop.rate_hz
+    decay, gain = loop_gains(loop.corner, loop.damping, h, G)
+    vertical = EARTH_RATE * math.sin(math.radians(loop.latitude_deg)) if loop.vertical else 0.0
+    earth = np.array([0.0, loop.level, vertical])
+    n = round(seconds * loop.rate_hz)
+    amplitude, gyro = loop.amplitude_ug * MICRO_G, loop.gyro_deg_per_h * DEG_PER_H
+    out = _run(n, h, decay, gain, loop.tau_s, amplitude, gyro, earth)
+    return Course(
+        h * np.arange(1, n + 1), (gain / loop.kb) * out[:, :2].T, out[:, 2:4].T.copy(), out[:, 4:].T.copy()
+    )
+
+
+def closed_velocity(loop: Loop, t: FloatArray) -> FloatArray:
+    """Return equations 14 and 15, (2, n), without the transient."""
+    inverse = 1.0 / loop.tau_s
+    warm = loop.amplitude_ug * MICRO_G * inverse / (inverse**2 - loop.k * inverse + loop.kb * G)
+    gyro = loop.gyro_deg_per_h * DEG_PER_H / loop.kb
+    return np.vstack([warm * np.exp(-t * inverse) + gyro, warm * np.exp(-t * inverse) - gyro])
+
+
+def closed_tilt(loop: Loop, t: FloatArray) -> FloatArray:
+    """Return the size of equations 16 and 17 for the accelerometers alone, (n,), without the transient."""
+    inverse = 1.0 / loop.tau_s
+    amplitude = loop.kb * loop.amplitude_ug * MICRO_G
+    bracket = 1.0 / (loop.kb * G) - np.exp(-t * inverse) / (inverse**2 - loop.k * inverse + loop.kb * G)
+    return np.asarray(amplitude * bracket)
+
+
+def closed_heading(loop: Loop, t: FloatArray) -> FloatArray:
+    """Return equation 19, rad, (n,), with the sign of the gyro's bias that follows from equation 15."""
+    inverse = 1.0 / loop.tau_s
+    factor = loop.kb * loop.amplitude_ug * MICRO_G * inverse / (inverse**2 - loop.k * inverse + loop.kb * G)
+    return np.asarray((factor * np.exp(-t * inverse) - loop.gyro_deg_per_h * DEG_PER_H) / loop.level)
+
+
+def short_heading(loop: Loop, t: FloatArray) -> FloatArray:
+    """Return equation 22, rad, (n,)."""
+    return np.asarray(loop.amplitude_ug * 1e-6 / (loop.tau_s * loop.level) * np.exp(-t / loop.tau_s))
+
+
+def transient_velocity(loop: Loop, t: FloatArray) -> FloatArray:
+    """Return equation 10 for the accelerometers with its second-order part, (n,)."""
+    inverse = 1.0 / loop.tau_s
+    den = np.polymul([1.0, inverse], [1.0, loop.k, loop.kb * G])
+    _, y = impulse(TransferFunction([loop.amplitude_ug * MICRO_G * inverse], den), T=t)
+    return np.asarray(y)
+
+
+def transient_tilt(loop: Loop, t: FloatArray) -> FloatArray:
+    """Return equation 12 for the accelerometers with its second-order part, (n,)."""
+    inverse = 1.0 / loop.tau_s
+    den = np.polymul([1.0, inverse, 0.0], [1.0, loop.k, loop.kb * G])
+    _, y = impulse(TransferFunction([loop.kb * loop.amplitude_ug * MICRO_G * inverse], den), T=t)
+    return np.asarray(y)
+
+
+def comparisons(loop: Loop) -> list[tuple[str, float]]:
+    """Return what is compared, and the largest difference over the largest value, from 30 to 900 s."""
+    quiet = replace(loop, gyro_deg_per_h=0.0)
+    course, alone, begin = simulate(loop, 900.0), simulate(quiet, 900.0), simulate(quiet, 5.0)
+    late = course.time_s >= 30.0
+    t, whole = course.time_s[late], np.concatenate([[0.0], begin.time_s])
+    velocities = closed_velocity(loop, t)
+    rows = [
+        ("10, 11: velocity, first 5 s", begin.velocity[0], transient_velocity(quiet, whole)[1:]),
+        ("12, 13: tilt, first 5 s", np.abs(begin.tilt[0]), transient_tilt(quiet, whole)[1:]),
+        ("14: velocity east", course.velocity[0, late], velocities[0]),
+        ("15: velocity north", course.velocity[1, late], velocities[1]),
+        ("16: tilt about east", np.abs(alone.tilt[0, late]), closed_tilt(quiet, t)),
+        ("17: tilt about north", np.abs(alone.tilt[1, late]), closed_tilt(quiet, t)),
+        ("19: heading", -course.control[0, late] / loop.level, closed_heading(loop, t)),
+        ("22: heading, short form", -alone.control[0, late] / loop.level, short_heading(loop, t)),
+    ]
+    return [(name, float(np.max(np.abs(a - b)) / np.max(np.abs(b)))) for name, a, b in rows]
