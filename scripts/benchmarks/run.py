@@ -24,6 +24,7 @@ SECTIONS = {
     "pipeline": "benchmarks.path",
     "temperature": "benchmarks.temperature",
     "rest": "benchmarks.rest",
+    "zupt": "benchmarks.zupt",
     "random_error": "benchmarks.random_error",
     "allan": "benchmarks.allan",
 }
