@@ -27,6 +27,7 @@ SECTIONS = {
     "zupt": "benchmarks.zupt",
     "random_error": "benchmarks.random_error",
     "allan": "benchmarks.allan",
+    "alignment": "benchmarks.alignment",
 }
 
 

@@ -56,7 +56,7 @@ def _axes(title: str, rows: int = 1, x: str = "s after power-on") -> tuple[plt.F
 
 def _write(figure: plt.Figure, ax: list[Axes], folder: Path, name: str) -> None:
     for one in ax:
-        one.legend(fontsize=8)
+        one.legend(fontsize=8, loc="upper right")
     figure.tight_layout()
     figure.savefig(folder / name, metadata={"Software": None})
     plt.close(figure)

@@ -33,7 +33,7 @@ def closed_forms() -> None:
         [parts[0][0], *(f"{100 * value:.3f} %" for _, value in parts)] for parts in zip(*found, strict=True)
     ]
     table(
-        "Largest difference between closed form and simulation, of the largest value (bar: 1 %; 30 µg, 300 s)",
+        "Largest difference between closed form and simulation, of the largest (bar: 1 %; 30 µg, 300 s)",
         ["equation", "200 Hz", "2000 Hz", "2000 Hz, and 0.01 °/h of gyro bias"],
         rows,
     )
@@ -59,7 +59,7 @@ def statistics(case: Case, found: Sequence[Run]) -> None:
     for name in (*ESTIMATORS, "shown"):
         times = np.array([within_from(run.error[name]) for run in found])
         ratios = [[run.error[name][s - 1] / run.sd[name][s - 1] for run in found] for s in CHECKED_S]
-        consistent = [f"{math.sqrt(np.nanmean(np.square(part))):.2f}" for part in ratios]
+        consistent = [_rms(part) for part in ratios]
         error = math.sqrt(np.nanmean([run.error[name][179] ** 2 for run in found]))
         median, late = np.quantile(times, [0.5, 0.9], method="higher")
         shown = [f"{value:.0f}" if math.isfinite(value) else "> 300" for value in (median, late)]
@@ -80,6 +80,13 @@ def statistics(case: Case, found: Sequence[Run]) -> None:
     print(
         f"Cramér-Rao bound after 150 s: {known:.4f}° with the level seen, {free:.3f}° by control rates alone"
     )
+
+
+def _rms(ratios: Sequence[float]) -> str:
+    known = np.array(ratios)[np.isfinite(ratios)]
+    if not len(known):
+        return "-"
+    return f"{math.sqrt(np.mean(known**2)):.2f}" + (f" ({len(known)})" if len(known) < len(ratios) else "")
 
 
 def times() -> None:

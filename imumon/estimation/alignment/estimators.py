@@ -100,15 +100,15 @@ def evaluate(state: State, settings: FloatArray) -> None:
         noise = white
         if k == 1:
             noise *= 1.2
-        if k in (0, 4):
-            noise += 2.0 * number[TILT2] / time**2
         if k == 2:
-            noise = number[ARW2] * third
+            noise = drifts[0] * white + (1.0 - drifts[0]) * number[ARW2] * third
         drift = drifts[0] * _along(across, total if k == 0 else slope_level) ** 2
         if k == 0:
             drift += drifts[1] * (_along(across, total) - _along(across, known)) ** 2
         if k == 2:
-            drift = 0.0
+            # Its own variance holds for one time constant, and the fit is not linear in that: where the gyros
+            # see no tilt, its error is known from what they see.
+            drift = drifts[0] * (across[0] * (east - steady[0]) + across[1] * (rates[2, 1] - steady[1])) ** 2
         if k == 3:
             drift = drifts[1] * _along(across, known) ** 2
         if k == 4:

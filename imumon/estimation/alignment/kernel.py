@@ -106,7 +106,6 @@ def restart(state: State) -> None:
     if flag[PHASE] == FINE:
         begin = number[EVENT_AT] if flag[DISTURBED] else number[LAST]
         _log(state, begin, number[LAST], 1.0)
-        flag[RESTARTS] += 1
     flag[PHASE], flag[CHOSEN], flag[OBSERVED] = WAITING, -1, 0
     number[HOLD_UNTIL], number[SETTLED_AT] = -math.inf, math.nan
     number[EVENT_AT] = math.nan
@@ -281,6 +280,9 @@ def _end_slot(now: float, settings: FloatArray, state: State) -> None:
     if cause > 0:
         flag[SHAKEN] += 1
     if cause == UNREST and flag[PHASE] == COARSE:
+        if number[COARSE_TIME] > 0.0:
+            flag[EVENT_CAUSE] = UNREST
+            _log(state, now, now, 1.0)
         _clear_coarse(state)
         forget_noise(state)
     elif cause > 0:
@@ -319,6 +321,7 @@ def _calm(state: State) -> None:
     number, flag = state.number, state.flag
     if flag[PHASE] != FINE:
         flag[DISTURBED] = 0
+        _log(state, number[EVENT_AT], number[EVENT_END], 1.0)
         return
     level = 0.0
     for i in range(3):
@@ -337,6 +340,8 @@ def _log(state: State, begin: float, end: float, anew: float) -> None:
     log, row = state.log, state.flag[LOGGED] % LOG_ROWS
     log[row, 0], log[row, 1], log[row, 2], log[row, 3] = begin, end, state.flag[EVENT_CAUSE], anew
     state.flag[LOGGED] += 1
+    if anew > 0.0:
+        state.flag[RESTARTS] += 1
 
 
 @njit(**INNER)
