@@ -33,6 +33,8 @@ class Curve:
         Draw points, not a line.
     width : float
         Of the line, or the diameter of the points, in pixels.
+    listed : bool
+        Whether the legend names it.
     """
 
     name: str
@@ -41,6 +43,7 @@ class Curve:
     color: tuple[int, int, int]
     points: bool = False
     width: float = 1.6
+    listed: bool = True
 
 
 @dataclass(frozen=True, slots=True, eq=False)

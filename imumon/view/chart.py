@@ -17,7 +17,7 @@ from imumon.view.layout import GREY
 CHARTS = "/charts"
 WIDTH, HEIGHT = 1.6, 1.0
 """The plotting area in scene units; the vertical axis of a 2-D view points down."""
-MARGIN = (0.20, 0.12, 0.06, 0.17)
+MARGIN = (0.20, 0.12, 0.06, 0.22)
 """Room for labels left, above, right, below."""
 TICKS = 6
 """At the most about so many on an axis."""
@@ -80,7 +80,8 @@ def declare_chart(rec: rr.RecordingStream, chart: Chart) -> None:
                 path, rr.LineStrips2D.from_fields(colors=colors, radii=radius, draw_order=50.0), static=True
             )
         # The legend: a line of text in the curve's colour needs an entity of its own.
-        rec.log(_path(f"{root}/legend", curve), _legend(chart, curve), static=True)
+        if curve.listed:
+            rec.log(_path(f"{root}/legend", curve), _legend(chart, curve), static=True)
 
 
 def log_chart(rec: rr.RecordingStream, chart: Chart, indexes: list[rr.TimeColumn]) -> None:
@@ -138,7 +139,7 @@ def _path(root: str, curve: Curve) -> str:
 
 
 def _legend(chart: Chart, curve: Curve) -> rr.Points2D:
-    row = chart.curves.index(curve)
+    row = [other.name for other in chart.curves if other.listed].index(curve.name)
     return rr.Points2D(
         [[WIDTH - 0.15, -HEIGHT + 0.06 + 0.07 * row]],
         labels=[curve.name],

@@ -94,5 +94,5 @@ def _trails(degc: FloatArray, values: FloatArray) -> list[Curve]:
     for j, (axis, color) in enumerate(COLORS.items()):
         x, y = degc[:, j], values[:, j]
         curves.append(Curve(axis, x, y, color, points=True, width=2.5))
-        curves.append(Curve(f"now {axis}", x[-1:], y[-1:], color, points=True, width=9.0))
+        curves.append(Curve(f"now {axis}", x[-1:], y[-1:], color, points=True, width=9.0, listed=False))
     return curves
