@@ -86,7 +86,8 @@ def command(
             Reason.BAD_CONFIG, "--model and --declared are both given", "give one: each says what is assumed"
         )
     model = load_model(model_path) if model_path is not None else None
-    assumed = declared or ("polynomial 3" if model is None else "polynomial 0")
+    usual = "polynomial 3" if model is None else "polynomial 0"
+    assumed = usual if declared is None else declared
     parse_declared(assumed)
     _make(out)
     with _progress() as tell:
