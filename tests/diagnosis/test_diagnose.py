@@ -95,7 +95,7 @@ def test_what_no_effect_explains_is_called_unexplained() -> None:
 
 def test_a_jump_is_named_followed_and_left_out_of_the_model_file() -> None:
     def jump(time: FloatArray, temperature: FloatArray) -> FloatArray:  # noqa: ARG001 - as all biases
-        return 15.0 * (time > 2300 + 100 * (len(time) % 7))
+        return np.where(time > 2300.0, 15.0, 0.0)
 
     diagnosis = diagnose(*three(jump))
     verdict = diagnosis.verdicts[0]
@@ -156,7 +156,7 @@ def _part(whole: Run, start: int, stop: int) -> Run:
 
     return Run(
         f"part from {start}",
-        np.arange(stop - start) + 0.5,
+        np.arange(stop - start, dtype=np.float64) + 0.5,
         cut(whole.count),
         cut(whole.mean),
         cut(whole.variance),
@@ -166,9 +166,9 @@ def _part(whole: Run, start: int, stop: int) -> Run:
 
 def test_at_constant_temperature_no_effect_of_temperature_is_claimed() -> None:
     def drift(time: FloatArray, temperature: FloatArray) -> FloatArray:  # noqa: ARG001 - as all biases
-        return time / 300.0
+        return np.asarray(time / 300.0)
 
-    time = np.arange(5000) + 0.5
+    time = np.arange(5000, dtype=np.float64) + 0.5
     diagnosis = diagnose([run(seed, time, np.full(5000, 25.0), drift) for seed in (1, 2)], [])
     assert any("no effect of temperature can be found" in text for text in diagnosis.caveats)
     assert any("nothing proves" in text for text in diagnosis.caveats)

@@ -11,6 +11,7 @@ from imumon.diagnosis.extended import extended_model
 from imumon.diagnosis.recording import Run, collect
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.estimation.zupt.stage import ZeroVelocity
+from imumon.pipeline import Estimator
 from imumon.simulation.unit import SimulatedUnit, load_scenario
 from imumon.simulation.unit.scenario import Scenario
 from imumon.thermal.model import BiasModel
@@ -50,7 +51,7 @@ def bias_of(model: BiasModel, sent: SampleBlock, size: int) -> FloatArray:
     """Return what the pipeline says of the bias, with zero-velocity updates in the first 250 s alone."""
     rest = (sent["device_time_ns"] - sent["device_time_ns"][0] < 250e9).astype(np.int64)
     block = sent.with_columns({"at_rest": rest})
-    stages = [TemperatureRate(), ZeroVelocity(model=model, mode="thermal")]
+    stages: list[Estimator] = [TemperatureRate(), ZeroVelocity(model=model, mode="thermal")]
     parts = []
     for at in range(0, len(block), size):
         part = block.rows(at, min(at + size, len(block)))

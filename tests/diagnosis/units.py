@@ -24,7 +24,7 @@ def cubic(temperature: FloatArray) -> FloatArray:
 
 def ramps(seconds: int, up: bool, rate: float = 1.5) -> tuple[FloatArray, FloatArray]:
     """Return time and temperature: ramps in °C/min between 12 and 40 °C, with soaks, from 25 °C."""
-    time = np.arange(seconds) + 0.5
+    time = np.arange(seconds, dtype=np.float64) + 0.5
     knots, values = [0.0], [25.0]
     while knots[-1] < seconds:
         for end in (40.0, 12.0) if up else (12.0, 40.0):

@@ -11,6 +11,7 @@ from imumon.estimation.watch import kernel
 from imumon.estimation.watch.parameters import WatchParameters
 from imumon.estimation.watch.stage import ModelWatch
 from imumon.estimation.zupt.stage import ZeroVelocity
+from imumon.pipeline import Estimator
 from imumon.simulation.unit import SimulatedUnit, load_scenario
 from imumon.simulation.unit.curves import curve_value
 from imumon.simulation.unit.scenario import Scenario
@@ -25,7 +26,7 @@ def drive(seed: int, hours: float = HOURS) -> tuple[FloatArray, FloatArray, Floa
     """Return slots of a right filter, the temperature up and down: time, innovations, T, its rate."""
     random = np.random.default_rng(seed)
     n = int(hours * 7200)
-    seconds = np.arange(n) * 0.5
+    seconds = 0.5 * np.arange(n, dtype=np.float64)
     temperature = 25 + 10 * np.sin(2 * np.pi * seconds / 3000 + random.uniform(0, 6))
     rate = np.gradient(temperature, 0.5)
     return seconds, random.standard_normal((n, 3)), _three(temperature), _three(rate)
@@ -151,7 +152,7 @@ def watched(gyro_lag_s: float, size: int, seed: int = 1) -> tuple[ModelWatch, Sa
     sent, _ = SimulatedUnit(scenario(gyro_lag_s), seed=seed).run(1800 * 20)
     sent = sent.with_columns({"at_rest": np.ones(len(sent), np.int64)})
     watch = ModelWatch(modelled=True)
-    stages = [TemperatureRate(), ZeroVelocity(model=true_model(), mode="thermal"), watch]
+    stages: list[Estimator] = [TemperatureRate(), ZeroVelocity(model=true_model(), mode="thermal"), watch]
     suspect = []
     for at in range(0, len(sent), size):
         part = sent.rows(at, min(at + size, len(sent)))
