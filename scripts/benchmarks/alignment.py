@@ -11,7 +11,7 @@ from imumon.blocks import SampleBlock
 from imumon.estimation.alignment.stage import Alignment
 from imumon.estimation.zupt.earth import EARTH_RATE
 
-SECONDS, LATITUDE_DEG = 300, 36.0
+SECONDS, LATITUDE_DEG = 120, 36.0
 RATES_HZ = (100, 1000)
 BLOCKS_S = (10.0, 0.05)
 BAR_US = 1.0

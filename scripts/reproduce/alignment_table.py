@@ -108,7 +108,7 @@ def times() -> None:
     )
     table(
         "T_i and warm-up that give both times",
-        ["averaged from, s", "T_i, s", "µg from power-on", "µg after that"],
+        ["averaged from, s", "T_i, s", "µg from power-on", "µg after that", "or 83.7 µg and truth off by, °"],
         solutions(),
     )
     start, tau = beginning()

@@ -81,11 +81,13 @@ def consistent(start_s: float) -> tuple[float, float, float]:
 
 
 def solutions() -> list[list[str]]:
-    """Both times without offset, for several beginnings of the averages."""
+    """Both times, for several beginnings of the averages: by another warm-up or another truth."""
     rows = []
     for start in (0.0, 30.0, 60.0, 90.0, 120.0, 140.0):
         tau, amplitude, drift = consistent(start)
-        rows.append([f"{start:g}", f"{tau:.0f}", f"{amplitude:.1f}", f"{drift:.1f}"])
+        t, average, _ = errors_deg(tau, start, amplitude_of(tau, 0.0))
+        offset = float(np.interp(AVERAGE_S, t, average)) - LIMIT_DEG
+        rows.append([f"{start:g}", f"{tau:.0f}", f"{amplitude:.1f}", f"{drift:.1f}", f"{offset:+.3f}"])
     return rows
 
 

@@ -69,6 +69,8 @@ class Alignment:
         self._level = EARTH_RATE * math.cos(math.radians(latitude_deg))
         self._state = state.new_state()
         kernel.new_segment(self._state)
+        # Views into the state: a record looks its fields up slowly.
+        self._number, self._flag, self._result = self._state.number, self._state.flag, self._state.result
         self._clock = SegmentClock()
         self._begun = False
         self._yaw = math.nan
@@ -78,6 +80,7 @@ class Alignment:
         self._pending: list[str] = []
         self._points: list[tuple[float, float, float, float]] = []
         self._spacing = 1.0
+        self._added = [column.name for column in self.columns]
         self._standing = self._judge()
 
     @property
@@ -117,6 +120,7 @@ class Alignment:
         if n and not self._begun:
             self._begun = True
             self._prefix = "aligned_" if "roll" in block or "pitch" in block else self._prefix
+            self._added = [column.name for column in self.columns]
         readings = np.full((n, 6), np.nan)
         for j, name in enumerate(f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz"):
             if name in block:
@@ -138,8 +142,7 @@ class Alignment:
             )
             self._collect()
         self._standing = self._judge()
-        columns = [column.name for column in self.columns]
-        return {name: np.ascontiguousarray(out[:, j]) for j, name in enumerate(columns)}
+        return {name: np.ascontiguousarray(out[:, j]) for j, name in enumerate(self._added)}
 
     def _settle_axes(self, readings: FloatArray) -> None:
         """Take the axes from the first specific force where nothing else tells them."""
@@ -154,12 +157,12 @@ class Alignment:
 
     def _collect(self) -> None:
         """Keep points of the integrated control rates for the chart, half of them when there are too many."""
-        time_s = float(self._state.number[state.TIME])
+        time_s = float(self._number[state.TIME])
         if self._points and time_s < self._points[-1][0]:
             self._points, self._spacing = [], 1.0
         if not self._points or time_s >= self._points[-1][0] + self._spacing:
             east, north = self._state.path[:2].tolist()
-            chosen = int(self._state.flag[state.CHOSEN])
+            chosen = int(self._flag[state.CHOSEN])
             sd = float(self._state.result[chosen, 1]) if chosen >= 0 else math.nan
             self._points.append((time_s, east, north, sd))
         if len(self._points) > POINTS:
@@ -176,7 +179,7 @@ class Alignment:
         return self._standing
 
     def _judge(self) -> Standing:
-        number, flag, result = self._state.number, self._state.flag, self._state.result
+        number, flag, result = self._number, self._flag, self._result
         observable = bool(flag[state.OBSERVED])
         estimates = {}
         for k, name in enumerate(self._names):
@@ -208,7 +211,7 @@ class Alignment:
             tilting=known and bool(number[state.REAL_TILT] > REAL),
             disturbed=int(flag[state.LOGGED]),
             restarts=int(flag[state.RESTARTS]),
-            seconds=float(np.nan_to_num(number[state.LAST])),
+            seconds=0.0 if math.isnan(number[state.LAST]) else float(number[state.LAST]),
             coarse_s=float(number[state.COARSE_TIME]),
             shaken_s=float(flag[state.SHAKEN]) * kernel.SLOT,
             coarse_wanted_s=self._parameters.coarse_s,
@@ -217,7 +220,7 @@ class Alignment:
         )
 
     def _phase(self, known: bool, observable: bool, settled: bool) -> str:
-        flag = self._state.flag
+        flag = self._flag
         if flag[state.DISTURBED]:
             return "disturbed"
         if flag[state.PHASE] != state.FINE:
@@ -230,7 +233,7 @@ class Alignment:
         """Return the seconds until white noise alone would leave the sigma wanted."""
         if shown is None or math.isnan(shown.heading):
             return None
-        number = self._state.number
+        number = self._number
         time_s, white = float(number[state.TIME]), number[state.ARW2] / self._level**2
         lasting = number[state.BIAS_VARIANCE] / self._level**2
         left = self._settings[state.SETTLED] ** 2 - lasting
