@@ -276,7 +276,10 @@ def summary(verdict: ChannelVerdict) -> str:
         carried = verdict.foretells and any(part.carries for part in verdict.after.parts)
         score_after = test[0].rms if carried else test[0].tracked_rms
         how = "predicted" if carried else "tracked"
-        text += f", {test[1].rms / floor:.1f} become {score_after / floor:.2f} in the test ({how})"
+        if np.isfinite(score_after):
+            text += f", {test[1].rms / floor:.1f} become {score_after / floor:.2f} in the test ({how})"
+        else:
+            text += "; the test has too little that is not near to a jump to be followed"
     if before < MATERIAL:
         text += "; present, too small to matter"
     if verdict.unexplained:
