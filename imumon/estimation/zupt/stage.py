@@ -148,8 +148,8 @@ class ZeroVelocity:
                 sd[part],
                 innovation[part],
             )
+            self._trail.add(block["device_time_ns"][part], temperature[part], bias[part])
         np.subtract(gyro, bias, out=corrected)
-        self._trail.add(block["device_time_ns"], temperature, bias)
 
     def charts(self) -> Sequence[Chart]:
         """Return the bias over temperature, beside the model's curve where there is a model."""

@@ -37,14 +37,16 @@ class BiasTrail:
         self._last_ns: int | None = None
 
     def add(self, time_ns: IntArray, temperature: FloatArray, bias: FloatArray) -> None:
-        """Take estimates, (n, 3) each, in °C and rad/s, at times (n,)."""
-        slots = time_ns // self._spacing_ns
-        before = slots[0] if self._last_ns is None else self._last_ns // self._spacing_ns
-        for i in np.flatnonzero(np.diff(slots, prepend=before)):
-            point = np.concatenate([temperature[i], bias[i]])
-            if np.isfinite(point).all():
-                self._points.append(point)
+        """Take estimates, (n, 3) each, in °C and rad/s, at times (n,) that do not fall within it."""
+        first = int(time_ns[0])
+        if self._last_ns is not None and self._last_ns <= first:
+            first = self._last_ns
         self._last_ns = int(time_ns[-1])
+        slots = range(first // self._spacing_ns + 1, self._last_ns // self._spacing_ns + 1)
+        for i in np.searchsorted(time_ns, [slot * self._spacing_ns for slot in slots]).tolist():
+            point = np.concatenate([temperature[i], bias[i]])
+            if math.isfinite(point.sum()):
+                self._points.append(point)
         while len(self._points) > MOST_POINTS:
             self._points = self._points[::2]
             self._spacing_ns *= 2
