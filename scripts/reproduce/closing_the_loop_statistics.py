@@ -156,14 +156,14 @@ def share(hits: int, count: int) -> str:
     return f"{hits}/{count} ({low:.0%}-{high:.0%})"
 
 
-def jobs(repeat: int, only: str | None) -> Iterable[tuple[Setting, int]]:
+def jobs(repeat: int, only: str | None, first: int) -> Iterable[tuple[Setting, int]]:
     """Yield settings with their seeds; more of those with nothing missing."""
     for at, setting in enumerate(settings()):
         if only is not None and only not in setting.label:
             continue
         count = repeat * (5 if setting.label.startswith("nothing") else 1)
         for number in range(count):
-            yield replace(setting), 1000 * at + number
+            yield replace(setting), 1000 * at + first + number
 
 
 def tables(results: Sequence[Result]) -> str:
@@ -322,11 +322,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--repeat", type=int, default=4)
     parser.add_argument("--only")
+    parser.add_argument(
+        "--first", type=int, default=0, help="first seed of each kind: others are fresh cases"
+    )
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--out", type=Path)
     parser.add_argument("--list", action="store_true")
     given = parser.parse_args(arguments)
-    work = list(jobs(given.repeat, given.only))
+    work = list(jobs(given.repeat, given.only, given.first))
     began = time.perf_counter()
     results: list[Result] = []
     with ProcessPoolExecutor(given.jobs) as pool:
