@@ -30,13 +30,19 @@ APPLICATION_ID = "imumon"
 
 GOOD, WAIT, BAD, PLAIN = 0x2E9E5BFF, 0xE0A020FF, 0xD64545FF, 0x6C7A92FF
 STATE_COLORS = {
-    **dict.fromkeys(("open", "ok", "good", "synchronised", "connected", "running", "rest", "valid"), GOOD),
     **dict.fromkeys(
-        ("opening", "waiting", "silent", "starting", "reconnecting", "warning", "acquiring"), WAIT
+        ("open", "ok", "good", "synchronised", "connected", "running", "rest", "valid", "settled"), GOOD
     ),
-    **dict.fromkeys(("lost", "closed", "error", "failed", "bad", "jumped", "invalid", "clipping"), BAD),
+    **dict.fromkeys(
+        ("opening", "waiting", "silent", "starting", "reconnecting", "warning", "acquiring", "aligning"), WAIT
+    ),
+    **dict.fromkeys(
+        ("lost", "closed", "error", "failed", "bad", "jumped", "invalid", "clipping", "suspect", "disturbed"),
+        BAD,
+    ),
+    "not": PLAIN,
 }
-"""Colour of a state by its first word in lower case; every other state is grey-blue."""
+"""Colour of a state by the first of its words, in lower case, that is here; every other state is grey-blue."""
 
 ELSEWHERE = {"device_time_ns", "host_time_ns", "arrival_time_ns", "device_ticks"}
 """Integer columns that are a timeline, or of the transport: the wire recording has them."""
@@ -194,7 +200,7 @@ class StreamLogger:
         elif isinstance(event, State):
             self._know_state(event)
             change = rr.StateChange.columns(state=[event.state])
-            self._rec.send_columns(f"/state/{event.lane}", indexes=indexes, columns=change)
+            self._rec.send_columns(_lane_path(event.lane), indexes=indexes, columns=change)
         elif isinstance(event, Log):
             self._has_log = True
             line = rr.TextLog.columns(text=[event.text], level=[event.level])
@@ -229,7 +235,7 @@ class StreamLogger:
         states = self._lanes[lane]
         colors = np.array([state_color(state) for state in states], dtype=np.uint32)
         self._rec.log(
-            f"/state/{lane}", rr.StateConfiguration(values=states, labels=states, colors=colors), static=True
+            _lane_path(lane), rr.StateConfiguration(values=states, labels=states, colors=colors), static=True
         )
 
     def _declare_other(self, name: str) -> None:
@@ -266,9 +272,14 @@ def status_card(event: Status) -> str:
 
 
 def state_color(state: str) -> int:
-    """Return the colour of a state as 0xRRGGBBAA."""
-    words = state.lower().split()
-    return STATE_COLORS.get(words[0].rstrip(":,"), PLAIN) if words else PLAIN
+    """Return the colour of a state as 0xRRGGBBAA: that of the first of its words that has one."""
+    words = [word.rstrip(":,") for word in state.lower().split(":")[0].split()]
+    return next((STATE_COLORS[word] for word in words if word in STATE_COLORS), PLAIN)
+
+
+def _lane_path(lane: str) -> str:
+    """Return the entity of a lane; a blank in it would have to be escaped, and be shown so."""
+    return f"/state/{lane.replace(' ', '_')}"
 
 
 def _one(value: int | None) -> np.ndarray[tuple[int], np.dtype[np.int64]] | None:

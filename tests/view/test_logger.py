@@ -23,7 +23,7 @@ from imumon.view.layout import (
     strip,
     unit_text,
 )
-from imumon.view.logger import GOOD, PLAIN, WAIT, StreamLogger, state_color, status_card
+from imumon.view.logger import BAD, GOOD, PLAIN, WAIT, StreamLogger, state_color, status_card
 from imumon.view.panels import PANELS
 from tests.view.streams import GYRO, QUATERNION, Stream, block, entities, record_batches, scalars
 
@@ -184,6 +184,9 @@ def test_state_colours_follow_the_first_word() -> None:
     assert state_color("OPEN") == GOOD
     assert state_color("waiting for data") == WAIT
     assert state_color("segment 3") == PLAIN
+    assert state_color("MODEL OK") == GOOD
+    assert state_color("MODEL SUSPECT: the bias follows dT/dt, ok otherwise") == BAD
+    assert state_color("not valid") == PLAIN
 
 
 def test_status_card_is_a_table() -> None:
