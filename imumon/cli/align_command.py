@@ -221,6 +221,8 @@ class _Shown:
         standing, wanted = self._stage.standing, self._stage.wanted_deg
         text = f"{heading_text(standing)}; {to_go_text(standing, wanted)}"
         share = 0.0 if standing.shown is None else min((standing.wanted / standing.shown.sd) ** 2, 1.0)
+        if standing.phase == "coarse":
+            share = min(standing.coarse_s / standing.coarse_wanted_s, 1.0)
         self._bar.update(self._task, description=standing.phase, completed=share, text=text)
 
 

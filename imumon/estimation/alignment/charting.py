@@ -43,8 +43,12 @@ def _turn(angle: float) -> float:
 
 def to_go_text(standing: Standing, wanted_deg: float) -> str:
     """Return how far it is to the sigma wanted."""
-    if standing.phase in ("settled", "disturbed", "coarse", "waiting"):
-        return {"coarse": "coarse alignment", "waiting": "no samples yet"}.get(standing.phase, standing.phase)
+    if standing.phase in ("settled", "disturbed"):
+        return standing.phase
+    if standing.phase in ("coarse", "waiting"):
+        return f"{standing.coarse_s:.0f} of {standing.coarse_wanted_s:g} s of coarse alignment"
+    if standing.shown is None:
+        return "the loop settles"
     if standing.to_go_s is None:
         return f"{wanted_deg:g}° not in reach"
     return f"about {standing.to_go_s:.0f} s to {wanted_deg:g}°"

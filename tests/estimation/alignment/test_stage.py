@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from imumon.blocks import SampleBlock
+from imumon.estimation.alignment.charting import to_go_text
 from imumon.estimation.alignment.parameters import AlignmentParameters
 from imumon.estimation.alignment.stage import Alignment
 from tests.estimation.alignment.units import (
@@ -234,6 +235,18 @@ def test_charts_and_lanes_say_where_it_stands() -> None:
     assert sigma.y[-1] == pytest.approx(math.degrees(stage.standing.shown.sd), rel=0.05)  # type: ignore[union-attr]  # it is settled
     assert (wanted.y == 0.05).all()
     assert [curve.name for curve in integral.curves] == ["east", "line east", "north", "line north"]
+
+
+def test_the_way_to_the_sigma_wanted_is_told_step_by_step() -> None:
+    stage, block = Alignment(AlignmentParameters(), 36.0), samples(scenario(90.0, arw=3e-3))
+    said = [to_go_text(stage.standing, 0.05)]
+    for start in range(0, len(block), 2000):
+        stage.process(block.rows(start, start + 2000))
+        said.append(to_go_text(stage.standing, 0.05))
+    assert said[0] == "0 of 30 s of coarse alignment"
+    assert "the loop settles" in said
+    assert said[2].endswith("of 30 s of coarse alignment")
+    assert said[-1].startswith("about ") or "not in reach" in said[-1]
 
 
 def test_without_an_observable_heading_the_chart_shows_what_the_device_says_as_such() -> None:
