@@ -42,7 +42,7 @@ STATE_COLORS = {
     ),
     "not": PLAIN,
 }
-"""Colour of a state by the first of its words, in lower case, that is here; every other state is grey-blue."""
+"""Colour of a state by the first of its words, in lower case, that is here; else it is grey-blue."""
 
 ELSEWHERE = {"device_time_ns", "host_time_ns", "arrival_time_ns", "device_ticks"}
 """Integer columns that are a timeline, or of the transport: the wire recording has them."""
