@@ -10,6 +10,7 @@ from imumon.estimation.stages import estimators
 from imumon.protocols.device import load_device
 from imumon.thermal.curves.polynomial import PolynomialCurve
 from imumon.thermal.model import BiasModel, ChannelModel
+from imumon.view.panels import ALIGNMENT, PANELS
 
 
 def _model() -> BiasModel:
@@ -72,3 +73,12 @@ def test_the_stage_takes_the_warm_up_from_the_model_unless_told_another() -> Non
     assert known is not None
     assert known.amplitude_ug == [1.0, 2.0, 3.0]
     assert known.time_constant_s == [60.0] * 3
+
+
+def test_the_panels_draw_columns_that_the_stage_has() -> None:
+    bands = [panel for panel in PANELS if panel.place == ALIGNMENT]
+    stage = _alignment(Setup(latitude_deg=36.0))
+    assert stage is not None
+    there = {column.name for column in stage.columns}
+    assert bands
+    assert all(set(panel.columns) <= there for panel in bands)
