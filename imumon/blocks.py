@@ -78,10 +78,13 @@ class SampleBlock:
 
     def vector(self, name: str, axes: str = "xyz") -> FloatArray | None:
         """Return ``name_x, name_y, ...`` stacked to (n, len(axes)), or None when one is missing."""
-        parts = [self.columns.get(f"{name}_{axis}") for axis in axes]
-        if any(part is None for part in parts):
+        names = [f"{name}_{axis}" for axis in axes]
+        if any(column not in self.columns for column in names):
             return None
-        return np.column_stack([part for part in parts if part is not None])
+        stacked = np.empty((len(self), len(names)))
+        for j, column in enumerate(names):
+            stacked[:, j] = self.columns[column]
+        return stacked
 
     def with_columns(self, extra: Mapping[str, ColumnArray]) -> SampleBlock:
         """Return a block that has these columns as well (or instead, where the name exists)."""

@@ -107,14 +107,17 @@ class ZeroVelocity:
         gyro = block.gyro
         if gyro is None:
             gyro = np.full((n, 3), np.nan)
-        result = [np.full((n, 3), np.nan) for _ in NAMES]
+        result = [np.empty((n, 3)) for _ in NAMES]
         first = 0
         if not self._begun:
             valid = np.flatnonzero(np.isfinite(gyro).all(1))
             first = int(valid[0]) if len(valid) else n
             self._begun = bool(len(valid))
+        for part in result:
+            part[:first] = np.nan
         if first < n:
-            self._follow(block.rows(first, n), gyro[first:], [part[first:] for part in result])
+            later = block.rows(first, n) if first else block
+            self._follow(later, gyro[first:], [part[first:] for part in result])
         return {
             f"{name}_{axis}": part[:, j]
             for name, part in zip(NAMES, result, strict=True)
@@ -124,6 +127,7 @@ class ZeroVelocity:
     def _follow(self, block: SampleBlock, gyro: FloatArray, result: Sequence[FloatArray]) -> None:
         """Fill bias, sd, corrected rate and innovation of rows from the first valid one on."""
         bias, sd, corrected, innovation = result
+        innovation[:] = np.nan
         accel, rest = block.accel, self._rest(block)
         if accel is None:
             accel = np.full_like(gyro, np.nan)
@@ -133,7 +137,8 @@ class ZeroVelocity:
                 kernel.restart(self._state)
                 self._thermal.begin()
             part = slice(start, stop)
-            total, variance = self._thermal.process(seconds, block.rows(start, stop), temperature[part])
+            rows = block if stop - start == len(block) else block.rows(start, stop)
+            total, variance = self._thermal.process(seconds, rows, temperature[part])
             kernel.process(
                 seconds,
                 gyro[part],

@@ -40,7 +40,8 @@ class ThermalInput:
     def __init__(self, model: BiasModel | None, form: str = "increments") -> None:
         self._predictor = BiasPredictor(model, GYROS) if model is not None else None
         self._by_rate = form == "slope_rate"
-        self._columns = self._predictor.temperature_columns if self._predictor is not None else ()
+        columns = self._predictor.temperature_columns if self._predictor is not None else ["temperature"] * 3
+        self._sources = [_sources(name, axis) for name, axis in zip(columns, "xyz", strict=True)]
         self._trust = np.zeros((3, 4))
         if model is not None:
             for trust, name in zip(self._trust, GYROS, strict=True):
@@ -68,15 +69,11 @@ class ThermalInput:
 
     def temperature(self, block: SampleBlock) -> FloatArray:
         """Return the temperature of each gyro in °C, the estimated one where there is one, (n, 3)."""
-        result = np.full((len(block), 3), np.nan)
-        for j, axis in enumerate("xyz"):
-            named = self._columns[j] if self._columns else "temperature"
-            suffix = named.removeprefix("temperature").removeprefix("_estimate")
+        result = np.empty((len(block), 3))
+        for j, sources in enumerate(self._sources):
             # The reading is a stopgap where the estimate has not begun; mixed with it, it would jump.
-            for name in _sources(suffix, axis):
-                if name in block:
-                    result[:, j] = block[name]
-                    break
+            name = next((name for name in sources if name in block), None)
+            result[:, j] = np.nan if name is None else block[name]
         return result
 
     def process(
@@ -115,7 +112,8 @@ class ThermalInput:
         return total, variance
 
 
-def _sources(suffix: str, axis: str) -> list[str]:
+def _sources(column: str, axis: str) -> list[str]:
+    suffix = column.removeprefix("temperature").removeprefix("_estimate")
     suffixes = [suffix] if suffix else ["", f"_{axis}"]
     return [f"temperature{kind}{end}" for kind in ("_estimate", "") for end in suffixes]
 

@@ -43,10 +43,9 @@ class BiasTrail:
             first = self._last_ns
         self._last_ns = int(time_ns[-1])
         slots = range(first // self._spacing_ns + 1, self._last_ns // self._spacing_ns + 1)
-        for i in np.searchsorted(time_ns, [slot * self._spacing_ns for slot in slots]).tolist():
-            point = np.concatenate([temperature[i], bias[i]])
-            if math.isfinite(point.sum()):
-                self._points.append(point)
+        rows = np.searchsorted(time_ns, np.array(slots, np.int64) * self._spacing_ns)
+        points = np.hstack((temperature[rows], bias[rows]))
+        self._points.extend(points[np.isfinite(points.sum(1))])
         while len(self._points) > MOST_POINTS:
             self._points = self._points[::2]
             self._spacing_ns *= 2
