@@ -24,7 +24,7 @@ from imumon.cli.setup_options import SetupOptions, make_setup, setup_options
 from imumon.errors import ImumonError, Reason
 from imumon.estimation.stages import estimators
 from imumon.pipeline import Digest, Pipeline
-from imumon.run.narration import Narrator, describe_losses, view_setup
+from imumon.run.narration import Narrator, advised, describe_losses, view_setup
 from imumon.run.replay import run_over
 from imumon.run.source import Source, open_source
 from imumon.session.folder import open_session
@@ -68,7 +68,7 @@ def command(
     narrator = None
     if publisher is not None:
         card = {"session": str(session), "replay": "as fast as it goes" if pace is None else f"{pace:g} x"}
-        narrator = Narrator(pipeline, None, [publisher.publish], lambda *_: None, card)
+        narrator = Narrator(pipeline, None, [publisher.publish], lambda *_: None, card, session)
     blocks = _digested(run_over(source.items, pipeline, narrator, pace), digest)
     try:
         rows = _run(blocks, source, pipeline, out, columns)
@@ -103,7 +103,7 @@ def _report(
     live = source.session.metadata.results_digest if comparable else None
     identical = None if live is None else live == digest
     for text in [*source.warnings(), *pipeline.warnings()]:
-        say("WARN", text)
+        say("WARN", advised(text, source.session.path))
     if identical is False:
         say(
             "WARN",

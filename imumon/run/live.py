@@ -215,7 +215,7 @@ class LiveRun:
             "port": str(self._settings),
             "recording": str(self.session.path),
         }
-        return Narrator(self.pipeline, self._settings, publish, self._say, card)
+        return Narrator(self.pipeline, self._settings, publish, self._say, card, self.session.path)
 
     def _metadata(self, device: DeviceFile, device_yaml: str, setup: Setup) -> SessionMetadata:
         s = self._settings

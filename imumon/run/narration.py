@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import shlex
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -61,6 +63,11 @@ class Progress:
     delay_ms: float | None
 
 
+def advised(text: str, session: Path) -> str:
+    """Return a warning whose commands, for SESSION, name this one: to be copied into a shell."""
+    return text.replace("SESSION", shlex.quote(str(session)))
+
+
 class Narrator:
     """Turns what the pipeline does into view items and log lines; used by one thread.
 
@@ -76,6 +83,8 @@ class Narrator:
         Where log lines go besides the view.
     card : mapping of str to str
         What the status card begins with: device, port, recording.
+    session : Path
+        What SESSION stands for in the commands that a warning advises.
     """
 
     def __init__(
@@ -85,7 +94,9 @@ class Narrator:
         publish: Sequence[Publish],
         say: Say,
         card: dict[str, str],
+        session: Path,
     ) -> None:
+        self._session = session
         self._pipeline = pipeline
         self._publish = tuple(publish)
         self._say = say
@@ -167,7 +178,7 @@ class Narrator:
         for notice in self._pipeline.notices():
             self.log("INFO", f"device: {notice}", now_ns)
         for warning in self._pipeline.warnings():
-            self.log("WARN", warning, now_ns)
+            self.log("WARN", advised(warning, self._session), now_ns)
         for lane, state in self._pipeline.lanes().items():
             self._lane(lane, state, now_ns)
         self._show_charts(counters.samples, now_ns)

@@ -16,6 +16,7 @@ from imumon.estimation.zupt.earth import EARTH_RATE
 mpl.use("Agg")
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 ARW_SI = math.radians(ARW) / 60.0
 LEVEL = EARTH_RATE * math.cos(math.radians(LATITUDE_DEG))
@@ -45,7 +46,7 @@ def bound_free(begin_s: float, end_s: FloatArray, tau_s: float, amplitude_ug: fl
     return np.array(result)
 
 
-def _axes(title: str, rows: int = 1, x: str = "s after power-on") -> tuple[plt.Figure, list[Axes]]:
+def _axes(title: str, rows: int = 1, x: str = "s after power-on") -> tuple[Figure, list[Axes]]:
     figure, axes = plt.subplots(rows, 1, figsize=(8, 2.7 * rows + 1.0), dpi=80, squeeze=False)
     figure.suptitle(title, fontsize=10)
     axes[-1, 0].set_xlabel(x)
@@ -54,7 +55,7 @@ def _axes(title: str, rows: int = 1, x: str = "s after power-on") -> tuple[plt.F
     return figure, list(axes[:, 0])
 
 
-def _write(figure: plt.Figure, ax: list[Axes], folder: Path, name: str) -> None:
+def _write(figure: Figure, ax: list[Axes], folder: Path, name: str) -> None:
     for one in ax:
         one.legend(fontsize=8, loc="upper right")
     figure.tight_layout()

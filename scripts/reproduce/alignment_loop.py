@@ -99,7 +99,10 @@ def simulate(loop: Loop, seconds: float) -> Course:
     amplitude, gyro = loop.amplitude_ug * MICRO_G, loop.gyro_deg_per_h * DEG_PER_H
     out = _run(n, h, decay, gain, loop.tau_s, amplitude, gyro, earth)
     return Course(
-        h * np.arange(1, n + 1), (gain / loop.kb) * out[:, :2].T, out[:, 2:4].T.copy(), out[:, 4:].T.copy()
+        h * np.arange(1, n + 1, dtype=np.float64),
+        (gain / loop.kb) * out[:, :2].T,
+        out[:, 2:4].T.copy(),
+        out[:, 4:].T.copy(),
     )
 
 

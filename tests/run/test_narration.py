@@ -1,8 +1,10 @@
 from __future__ import annotations
 
+from pathlib import Path
+
 from imumon.pipeline import Pipeline
 from imumon.protocols.device import load_device
-from imumon.run.narration import Narrator
+from imumon.run.narration import Narrator, advised
 from imumon.simulation.bench import BenchUnit
 from imumon.transport.reader import Event, EventKind
 from imumon.transport.settings import PortSettings
@@ -15,8 +17,9 @@ S = 1_000_000_000
 
 def narrated() -> tuple[Pipeline, Narrator, list[ViewItem]]:
     pipeline, items = Pipeline(AX1), list[ViewItem]()
-    settings = PortSettings("/dev/ttyUSB0")
-    return pipeline, Narrator(pipeline, settings, [items.append], lambda *_: None, {"device": "x"}), items
+    settings, card = PortSettings("/dev/ttyUSB0"), {"device": "x"}
+    narrator = Narrator(pipeline, settings, [items.append], lambda *_: None, card, Path("bench 1"))
+    return pipeline, narrator, items
 
 
 def send(pipeline: Pipeline, narrator: Narrator, seconds: int, damage: bool = False) -> int:
@@ -72,3 +75,8 @@ def test_a_lost_port_does_not_fill_the_recording() -> None:
     kinds = [type(item) for item in items[settled:]]
     assert kinds.count(Status) + kinds.count(Numbers) == 0
     assert len(kinds) < 5
+
+
+def test_a_command_that_is_advised_names_this_session() -> None:
+    said = advised("look closer: imumon diagnose --train SESSION --out DIR", Path("bench 1"))
+    assert said == "look closer: imumon diagnose --train 'bench 1' --out DIR"

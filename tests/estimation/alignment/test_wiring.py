@@ -77,8 +77,7 @@ def test_the_stage_takes_the_warm_up_from_the_model_unless_told_another() -> Non
 
 def test_the_panels_draw_columns_that_the_stage_has() -> None:
     bands = [panel for panel in PANELS if panel.place == ALIGNMENT]
-    stage = _alignment(Setup(latitude_deg=36.0))
-    assert stage is not None
-    there = {column.name for column in stage.columns}
+    stages = [_alignment(Setup(latitude_deg=36.0), device) for device in (None, "ax1")]
+    there = {column.name for stage in stages if stage is not None for column in stage.columns}
     assert bands
     assert all(set(panel.columns) <= there for panel in bands)
