@@ -10,11 +10,13 @@ import numpy as np
 from benchmarks.measure import Bar, Table, measure
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.estimation.zupt.dense import DenseSettings, dense_filter
+from imumon.estimation.zupt.parameters import ZuptParameters
 from imumon.estimation.zupt.stage import Mode, ZeroVelocity
 
 SECONDS, BLOCK_S = 300, 10
 RATES_HZ = (100, 1000)
 BAR_US = 0.2
+KNOWN = ZuptParameters(angle_random_walk_rad_per_sqrt_s=8e-5, bias_instability_rad_per_s=1e-5)
 
 
 def run() -> tuple[list[Table], list[Bar]]:
@@ -27,6 +29,7 @@ def run() -> tuple[list[Table], list[Bar]]:
         moving, _, _ = _record(rate, 0)
         cases: dict[str, Callable[[], None]] = {
             "stage, standard": partial(_stage, "standard", blocks),
+            "stage, noise known": partial(_stage, "standard", blocks, KNOWN),
             "stage, learned": partial(_stage, "learned", blocks),
             "stage, in motion": partial(_stage, "standard", moving),
             "12 states, dense": partial(_dense, rate, gyro, accel),
@@ -35,8 +38,9 @@ def run() -> tuple[list[Table], list[Bar]]:
         n = SECONDS * rate
         for name in cases:
             rows.setdefault(name, []).append(f"{times[name].best / n / 1000:.3f}")
-        cost = times["stage, standard"].best / n / 1000
-        bars.append(Bar(f"gyro bias at {rate} Hz, us per sample", BAR_US, cost, at_most=True))
+        for name in ("stage, standard", "stage, noise known"):
+            cost = times[name].best / n / 1000
+            bars.append(Bar(f"gyro bias ({name}) at {rate} Hz, us per sample", BAR_US, cost, at_most=True))
     table.rows += [[name, *cells] for name, cells in rows.items()]
     table.notes.append(
         f"{SECONDS} s in blocks of {BLOCK_S} s, from the start on: the first minute is filtered twice"
@@ -62,8 +66,8 @@ def _record(rate: int, at_rest: int) -> tuple[list[SampleBlock], FloatArray, Flo
     return [block.rows(start, start + size) for start in range(0, n, size)], gyro, accel
 
 
-def _stage(mode: Mode, blocks: list[SampleBlock]) -> None:
-    stage = ZeroVelocity(mode=mode)
+def _stage(mode: Mode, blocks: list[SampleBlock], parameters: ZuptParameters | None = None) -> None:
+    stage = ZeroVelocity(parameters, mode=mode)
     for block in blocks:
         stage.process(block)
 

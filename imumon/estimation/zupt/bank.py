@@ -206,9 +206,10 @@ def wander(
             p[row, h, SLOPE, SLOPE] += square * travel / CURVATURE_DEGC
         for i in range(FIRST_MARKOV, SLOPE):
             x[row, h, i] *= decay[i]
-        for i in range(n):
-            for j in range(n):
-                p[row, h, i, j] *= decay[i] * decay[j]
+        for j in range(FIRST_MARKOV, SLOPE):
+            for i in range(n):
+                p[row, h, i, j] *= decay[j]
+                p[row, h, j, i] *= decay[j]
         p[row, h, WALK, WALK] += (unit * family.walk[row % 3, h]) ** 2 * dt + growth
         for i in range(FIRST_MARKOV, SLOPE):
             p[row, h, i, i] += (unit * family.markov[row % 3, h]) ** 2 * (1.0 - decay[i] * decay[i])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numba import njit
 
 from imumon.blocks import FloatArray, IntArray
 from imumon.charts import Axis, Chart, Curve
@@ -19,6 +20,8 @@ SPACING_NS = 1_000_000_000
 MOST_POINTS = 250
 """When more are kept, every second one is dropped, and from then on half as many are taken."""
 CURVE_POINTS = 101
+SPACING, COUNT, NEXT_NS = range(3)
+NEVER = -1
 
 
 class BiasTrail:
@@ -32,30 +35,19 @@ class BiasTrail:
 
     def __init__(self, model: BiasModel | None) -> None:
         self._model = model
-        self._points: list[FloatArray] = []
-        self._spacing_ns = SPACING_NS
-        self._last_ns: int | None = None
+        self._points = np.empty((MOST_POINTS, 6))
+        self._state = np.array([SPACING_NS, 0, NEVER])
 
     def add(self, time_ns: IntArray, temperature: FloatArray, bias: FloatArray) -> None:
-        """Take estimates, (n, 3) each, in °C and rad/s, at times (n,) that do not fall within it."""
-        first = int(time_ns[0])
-        if self._last_ns is not None and self._last_ns <= first:
-            first = self._last_ns
-        self._last_ns = int(time_ns[-1])
-        slots = range(first // self._spacing_ns + 1, self._last_ns // self._spacing_ns + 1)
-        rows = np.searchsorted(time_ns, np.array(slots, np.int64) * self._spacing_ns)
-        points = np.hstack((temperature[rows], bias[rows]))
-        self._points.extend(points[np.isfinite(points.sum(1))])
-        while len(self._points) > MOST_POINTS:
-            self._points = self._points[::2]
-            self._spacing_ns *= 2
+        """Take estimates, (n, 3) each, in °C and rad/s, at times (n,)."""
+        _gather(time_ns, temperature, bias, self._points, self._state)
 
     def charts(self) -> list[Chart]:
         """Return the chart of the bias, and with a model that of the bias less its curve; none without
         data."""
-        if not self._points:
+        points = self._points[: self._state[COUNT]].copy()  # the view draws them later
+        if not len(points):
             return []
-        points = np.array(self._points)
         degc, bias = points[:, :3], points[:, 3:] * DEG_PER_HOUR
         x = Axis("temperature [°C]")
         curves = self._model_curves() + _trails(degc, bias)
@@ -87,6 +79,32 @@ class BiasTrail:
             faint = tuple((part + 2 * grey) // 3 for part, grey in zip(color, GREY, strict=True))
             curves.append(Curve(f"curve {axis}", degc, value, (faint[0], faint[1], faint[2]), width=1.2))
         return curves
+
+
+@njit(cache=True, nogil=True)
+def _gather(
+    time_ns: IntArray, temperature: FloatArray, bias: FloatArray, points: FloatArray, state: IntArray
+) -> None:
+    """Keep the first sample of each interval; where the points are full, every second one of them."""
+    for i in range(len(time_ns)):
+        t = time_ns[i]
+        if state[NEXT_NS] - state[SPACING] <= t < state[NEXT_NS]:
+            continue
+        begun = state[NEXT_NS] != NEVER
+        state[NEXT_NS] = (t // state[SPACING] + 1) * state[SPACING]
+        total = temperature[i].sum() + bias[i].sum()
+        if not begun or not math.isfinite(total):
+            continue
+        if state[COUNT] == len(points):
+            half = (len(points) + 1) // 2
+            for k in range(half):
+                points[k] = points[2 * k]
+            state[COUNT] = half
+            state[SPACING] *= 2
+            state[NEXT_NS] = (t // state[SPACING] + 1) * state[SPACING]
+        points[state[COUNT], :3] = temperature[i]
+        points[state[COUNT], 3:] = bias[i]
+        state[COUNT] += 1
 
 
 def _trails(degc: FloatArray, values: FloatArray) -> list[Curve]:
