@@ -168,7 +168,7 @@ def test_a_signal_ends_the_monitor_in_order(tmp_path: Path, number: signal.Signa
         child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         time.sleep(6)
         os.kill(child.pid, number)
-        out, err = child.communicate(timeout=20)
+        out, err = child.communicate(timeout=90)
     assert child.returncode == 0, err
     assert json.loads(out)["packets"] > 50
     assert "imumon replay" in err
@@ -393,7 +393,7 @@ def test_a_closed_terminal_ends_the_monitor_in_order_but_not_under_nohup(tmp_pat
                 time.sleep(0.5)
                 assert child.poll() is None
                 child.send_signal(signal.SIGTERM)
-            out, err = child.communicate(timeout=20)
+            out, err = child.communicate(timeout=90)
             assert child.returncode == code, err
             assert answer("replay", folder)["identical_to_live"] is True
             assert json.loads(out)["packets"] > 50
