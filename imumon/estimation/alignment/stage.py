@@ -208,7 +208,8 @@ class Alignment:
             pitch=pitch,
             arw=math.sqrt(number[state.ARW2]) if known else math.nan,
             bias_sd=math.sqrt(number[state.BIAS_VARIANCE]) if known else math.nan,
-            tilting=known and bool(number[state.REAL_TILT] > REAL),
+            # A gyro that does not see the earth rate bends by its own drift as if the unit tilted.
+            tilting=known and observable and bool(number[state.REAL_TILT] > REAL),
             disturbed=int(flag[state.LOGGED]),
             restarts=int(flag[state.RESTARTS]),
             seconds=0.0 if math.isnan(number[state.LAST]) else float(number[state.LAST]),

@@ -9,6 +9,7 @@ from imumon.blocks import SampleBlock
 from imumon.estimation.alignment.charting import to_go_text
 from imumon.estimation.alignment.parameters import AlignmentParameters
 from imumon.estimation.alignment.stage import Alignment
+from imumon.simulation.unit.scenario import load_scenario
 from tests.estimation.alignment.units import (
     INPUTS,
     MEMS_ARW,
@@ -272,3 +273,11 @@ def test_how_well_the_warm_up_is_known_tells_a_tilt_at_a_constant_rate() -> None
     assert stage.standing.shown is not None
     assert abs(error_deg(stage.standing.shown.heading, 30.0)) < 3.0 * math.degrees(stage.standing.shown.sd)
     assert abs(error_deg(stage.standing.estimates["tilt_corrected"].heading, 30.0)) > 0.1
+
+
+def test_a_gyro_that_drifts_with_temperature_is_not_taken_for_a_tilt() -> None:
+    stage = Alignment(AlignmentParameters(), 40.93)
+    stage.process(samples(load_scenario("crs05-ramp")))
+    assert not stage.standing.observable
+    assert not stage.standing.tilting
+    assert not any("tilting" in text for text in stage.notices())
