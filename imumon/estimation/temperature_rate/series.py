@@ -8,6 +8,7 @@ from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
+from numba import njit
 
 from imumon.blocks import ColumnArray, FloatArray, IntArray
 
@@ -92,8 +93,10 @@ class SegmentClock:
         n = len(time_ns)
         if n == 0:
             return
-        breaks = (np.diff(segment) != 0) | (np.diff(time_ns) < 0)
-        edges = [0, *(np.flatnonzero(breaks) + 1).tolist(), n]
+        edges = [0, n]
+        if not _steady(time_ns, segment):
+            breaks = (np.diff(segment) != 0) | (np.diff(time_ns) < 0)
+            edges[1:1] = (np.flatnonzero(breaks) + 1).tolist()
         for start, stop in pairwise(edges):
             known, label, origin, last = self.state.tolist()
             first = int(time_ns[start])
@@ -101,3 +104,12 @@ class SegmentClock:
             self.state[:] = 1, segment[start], first if begins else origin, time_ns[stop - 1]
             elapsed = (time_ns[start:stop] - self.state[2]).astype(np.float64)
             yield start, stop, begins, elapsed * 1e-9
+
+
+@njit(cache=True, nogil=True)
+def _steady(time_ns: IntArray, segment: IntArray) -> bool:
+    """Tell whether all is one segment in which the time does not run back: nearly every block is."""
+    for i in range(1, len(time_ns)):
+        if segment[i] != segment[i - 1] or time_ns[i] < time_ns[i - 1]:
+            return False
+    return True
