@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -377,6 +378,15 @@ def test_a_capture_is_decoded_from_a_pipe(capture: Path, tmp_path: Path) -> None
     assert json.loads(done.stdout)["packets"] == 197
 
 
+@pytest.fixture
+def _heeded_hangup() -> Iterator[None]:
+    """Let child processes heed a hang-up, even where the tests themselves run under nohup."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)
+
+
+@pytest.mark.usefixtures("_heeded_hangup")
 def test_a_closed_terminal_ends_the_monitor_in_order_but_not_under_nohup(tmp_path: Path) -> None:
     with VirtualDevice(load_device("ax1"), tmp_path / "ahrs") as ahrs:
         arguments = ["monitor", ahrs.port.path, "--device", "ax1", "--view", "none", "--json"]
