@@ -9,6 +9,17 @@ from dataclasses import dataclass
 
 from imumon.blocks import FloatArray
 
+Color = tuple[int, int, int]
+"""Red, green, blue, 0 to 255 each."""
+RED: Color = (232, 72, 72)
+GREEN: Color = (40, 165, 85)
+BLUE: Color = (66, 133, 244)
+ORANGE: Color = (235, 140, 20)
+VIOLET: Color = (165, 95, 215)
+GREY: Color = (135, 140, 150)
+AXIS_COLORS = {"x": RED, "y": GREEN, "z": BLUE}
+"""These read on the viewer's dark and on its light theme."""
+
 ITEM_BYTES = 64
 """What a curve costs in memory beside its arrays, roughly."""
 
@@ -27,8 +38,7 @@ class Curve:
 
     Parameters
     ----------
-    color : (red, green, blue)
-        0 to 255 each.
+    color : Color
     points : bool
         Draw points, not a line.
     width : float
@@ -40,7 +50,7 @@ class Curve:
     name: str
     x: FloatArray
     y: FloatArray
-    color: tuple[int, int, int]
+    color: Color
     points: bool = False
     width: float = 1.6
     listed: bool = True

@@ -10,18 +10,15 @@ import numpy as np
 from imumon.allan.parameters import AllanParameters, SheetLine
 from imumon.allan.streaming import LiveCurve, StreamingAllan
 from imumon.blocks import ColumnArray, FloatArray, SampleBlock
-from imumon.charts import Axis, Chart, Curve
+from imumon.charts import AXIS_COLORS, GREY, ORANGE, Axis, Chart, Curve
 from imumon.columns import Column
 
 TAB = "Allan"
-COLORS = {"x": (232, 72, 72), "y": (40, 165, 85), "z": (66, 133, 244)}
-GREY = (135, 140, 150)
-SHEET = (235, 140, 20)
 _GROUPS = {
     "gyro": ("Allan deviation of the angular rate, at rest", "deg/h", math.degrees(3600.0)),
     "accel": ("Allan deviation of the specific force, at rest", "µg", 1e6 / 9.80665),
 }
-CHANNELS = tuple(f"{group}_{axis}" for group in _GROUPS for axis in COLORS)
+CHANNELS = tuple(f"{group}_{axis}" for group in _GROUPS for axis in AXIS_COLORS)
 FLICKER_LEVEL = 2.0 * math.log(2.0) / math.pi
 """Allan variance of the flat part per squared bias instability: 0.664²."""
 
@@ -76,7 +73,7 @@ class AllanStage:
         for group, (title, unit, factor) in _GROUPS.items():
             found = {
                 axis: self._channels[f"{group}_{axis}"].curve().trusted()
-                for axis in COLORS
+                for axis in AXIS_COLORS
                 if f"{group}_{axis}" in self._channels
             }
             curves = allan_curves(found, self._sheets[group], factor)
@@ -92,7 +89,7 @@ def allan_curves(found: Mapping[str, LiveCurve], sheet: SheetLine | None, factor
     if not shown:
         return []
     curves = [
-        Curve(axis, curve.tau_s, factor * curve.deviation, COLORS[axis], width=2.0)
+        Curve(axis, curve.tau_s, factor * curve.deviation, AXIS_COLORS[axis], width=2.0)
         for axis, curve in shown.items()
     ]
     bars = [_bars(curve) for curve in shown.values()]
@@ -100,7 +97,7 @@ def allan_curves(found: Mapping[str, LiveCurve], sheet: SheetLine | None, factor
     curves.append(Curve("68 %", x, factor * y, GREY, width=1.0))
     if sheet is not None:
         tau = max((curve.tau_s for curve in shown.values()), key=len)
-        curves.append(Curve("data sheet", tau, factor * sheet_deviation(sheet, tau), SHEET, width=1.2))
+        curves.append(Curve("data sheet", tau, factor * sheet_deviation(sheet, tau), ORANGE, width=1.2))
     return curves
 
 

@@ -10,8 +10,9 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
+from imumon.charts import Color
 from imumon.view.items import ViewSetup
-from imumon.view.layout import Color, Panel, Rows, Window, last_seconds, titled
+from imumon.view.layout import Panel, Rows, Window, last_seconds, titled
 
 SLOW_WINDOW_S = 600.0
 """What is drawn with a band is slow: so many seconds are shown at least."""

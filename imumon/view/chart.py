@@ -11,8 +11,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from imumon.blocks import FloatArray
-from imumon.charts import Axis, Chart, Curve
-from imumon.view.layout import GREY
+from imumon.charts import GREY, Axis, Chart, Curve
 
 CHARTS = "/charts"
 WIDTH, HEIGHT = 1.6, 1.0

@@ -18,19 +18,9 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from imumon.blocks import ColumnArray, FloatArray, IntArray
+from imumon.charts import AXIS_COLORS, GREY, Color
 from imumon.columns import KNOWN
 from imumon.view.items import ViewSetup
-
-Color = tuple[int, int, int]
-
-RED: Color = (232, 72, 72)
-GREEN: Color = (40, 165, 85)
-BLUE: Color = (66, 133, 244)
-ORANGE: Color = (235, 140, 20)
-VIOLET: Color = (165, 95, 215)
-GREY: Color = (135, 140, 150)
-AXIS_COLORS = (RED, GREEN, BLUE)
-"""x, y, z; these read on the viewer's dark and on its light theme."""
 
 SCENE, STRIPS, LINK = "scene", "strips", "link"
 """Places in the first tab; any other place is a tab of that name."""
@@ -148,7 +138,7 @@ def strip(
     title: str,
     series: Mapping[str, str],
     *,
-    colors: Sequence[Color] = AXIS_COLORS,
+    colors: Sequence[Color] = tuple(AXIS_COLORS.values()),
     shown: tuple[float, str] | None = None,
     place: str = STRIPS,
     steps: bool = False,
@@ -277,7 +267,7 @@ def draw_body(rec: rr.RecordingStream, exact: str, columns: Sequence[str]) -> No
     body_axes = rr.Arrows3D(
         origins=0.1 * axes,
         vectors=0.95 * axes,
-        colors=[list(color) for color in AXIS_COLORS],
+        colors=[list(color) for color in AXIS_COLORS.values()],
         labels=["x", "y", "z"],
         radii=0.022,
     )

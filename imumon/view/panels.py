@@ -9,17 +9,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from imumon.charts import AXIS_COLORS, BLUE, GREEN, GREY, ORANGE, RED, VIOLET, Color
 from imumon.view.bands import Band, band_panel
 from imumon.view.layout import (
-    AXIS_COLORS,
-    BLUE,
-    GREEN,
-    GREY,
     LINK,
-    ORANGE,
-    RED,
-    VIOLET,
-    Color,
     Panel,
     attitude,
     from_euler,
@@ -77,10 +70,7 @@ DEG_PER_HOUR = DEG * 3600.0
 
 
 def _axis_bands(value: str, sd: str) -> list[Band]:
-    return [
-        Band(f"{value}_{axis}", f"{sd}_{axis}", axis, color)
-        for axis, color in zip("xyz", AXIS_COLORS, strict=True)
-    ]
+    return [Band(f"{value}_{axis}", f"{sd}_{axis}", axis, color) for axis, color in AXIS_COLORS.items()]
 
 
 def _random_error(axis: str, color: Color) -> Panel:
@@ -124,7 +114,7 @@ PANELS: tuple[Panel, ...] = (
     strip("temperature", "Temperature", {"temperature": "sensor"}, colors=[ORANGE], steps=True),
     strip("temperature_axes", "Temperature", _axes("temperature"), steps=True),
     *_thermal({"": ORANGE}, "/samples/temperature"),
-    *_thermal(dict(zip(("_x", "_y", "_z"), AXIS_COLORS, strict=True)), "/samples/temperature_axes"),
+    *_thermal({f"_{axis}": color for axis, color in AXIS_COLORS.items()}, "/samples/temperature_axes"),
     band_panel(
         "gyro_bias",
         BIAS,
@@ -150,7 +140,7 @@ PANELS: tuple[Panel, ...] = (
         limits=(-3.0, 3.0),
         sparse=True,
     ),
-    *(_random_error(axis, color) for axis, color in zip("xyz", AXIS_COLORS, strict=True)),
+    *(_random_error(axis, color) for axis, color in AXIS_COLORS.items()),
     *(_beside_published(axis) for axis in "xyz"),
     band_panel(
         "gyro_phi",

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
+from thermal_calibration_data import TWO_LEVELS_MAP
 
 from imumon.blocks import FloatArray
 from imumon.diagnosis.candidates import Pool, candidates
@@ -23,14 +24,6 @@ from imumon.estimation.rest.stage import RestDetector
 SHARES = (0.5, 0.6, 0.65, 0.7)
 DRAWN = 0.65
 INSISTED = ("thermal_lag", "hysteresis", "warm_up", "drift", "periodic", "temperature_rate")
-TWO_LEVELS_MAP = """
-rate_hz: 10
-temperature: {columns: [t], unit: degC}
-accel: {columns: [ax, ay, az], unit: g}
-gyro: {columns: [gx, gy, gz], unit: deg/s}
-csv: {header: false, skip_rows: 1, columns: [t, ax, ay, az, gx, gy, gz]}
-bad_rows: drop
-"""
 
 
 def measured(data: Path, figures: Path) -> int:

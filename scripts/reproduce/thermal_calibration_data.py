@@ -26,7 +26,7 @@ DWELLING_DEGC = 0.1
 EVERY = 4
 """So many means on a level are one for the network: 75 of 300 on each show the same, in less time."""
 _AT_ONCE = 200_000
-_TWO_LEVELS_MAP = """
+TWO_LEVELS_MAP = """
 rate_hz: 10
 temperature: {columns: [t], unit: degC}
 accel: {columns: [ax, ay, az], unit: g}
@@ -100,7 +100,7 @@ def chamber_cycle(data: Path, scratch: Path) -> Record:
 def two_levels(data: Path, scratch: Path) -> list[Record]:
     """Return the two measured levels; the rate of 10 Hz is an assumption, for the logs have no time."""
     map_path = scratch / "two-levels.yaml"
-    map_path.write_text(_TWO_LEVELS_MAP, encoding="utf-8")
+    map_path.write_text(TWO_LEVELS_MAP, encoding="utf-8")
     for name in ("cold", "hot"):
         import_table(data / "two-levels" / f"{name}.csv", map_path, scratch / name)
     return [read_session(scratch / name)[0] for name in ("cold", "hot")]

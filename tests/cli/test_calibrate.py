@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -12,20 +10,9 @@ import pytest
 
 from imumon.blocks import FloatArray
 from imumon.thermal import load_model
+from tests.cli.command import MAP, imumon
 from tests.data_folder import measured
 from tests.thermal.records import DEG_H, samples, soak, true_bias
-
-IMUMON = str(Path(sys.executable).with_name("imumon"))
-MAP = """
-time: {column: t, unit: s}
-gyro: {columns: [gx, gy, gz], unit: rad/s}
-temperature: {columns: [temp], unit: degC}
-"""
-
-
-def imumon(*arguments: object) -> subprocess.CompletedProcess[str]:
-    command = [IMUMON, *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=170, check=False)
 
 
 def imported(folder: Path, temperature: FloatArray) -> Path:

@@ -4,29 +4,16 @@ from __future__ import annotations
 
 import json
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from imumon.thermal import load_model
+from tests.cli.command import MAP, imumon
 from tests.data_folder import measured
 from tests.diagnosis.test_diagnose import lag
 from tests.diagnosis.units import three
-
-IMUMON = str(Path(sys.executable).with_name("imumon"))
-MAP = """
-time: {column: t, unit: s}
-gyro: {columns: [gx, gy, gz], unit: rad/s}
-temperature: {columns: [temp], unit: degC}
-"""
-
-
-def imumon(*arguments: object) -> subprocess.CompletedProcess[str]:
-    command = [IMUMON, *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=170, check=False)
 
 
 @pytest.fixture(scope="module")

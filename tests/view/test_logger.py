@@ -8,21 +8,9 @@ import pytest
 import rerun as rr
 
 from imumon.blocks import ColumnArray, SampleBlock
+from imumon.charts import BLUE, GREEN, GREY, ORANGE, RED, VIOLET
 from imumon.view.items import Numbers, State, Status, Timebase, ViewItem, ViewSetup, merge
-from imumon.view.layout import (
-    BLUE,
-    GREEN,
-    GREY,
-    ORANGE,
-    RED,
-    VIOLET,
-    Rows,
-    Window,
-    from_euler,
-    from_wxyz,
-    strip,
-    unit_text,
-)
+from imumon.view.layout import Rows, Window, from_euler, from_wxyz, strip, unit_text
 from imumon.view.logger import BAD, GOOD, PLAIN, WAIT, StreamLogger, state_color, status_card
 from imumon.view.panels import PANELS
 from tests.view.streams import GYRO, QUATERNION, Stream, block, entities, record_batches, scalars

@@ -13,9 +13,9 @@ import pytest
 from PIL import Image
 from rerun.experimental import ViewerClient
 
+from imumon.charts import AXIS_COLORS
 from imumon.view.frames import Batch
 from imumon.view.items import Log, Samples, State, Timebase, ViewSetup, item_bytes
-from imumon.view.layout import AXIS_COLORS
 from imumon.view.publisher import QUEUE_BYTES, History, ViewPublisher
 from imumon.view.viewer import Mode, proxy_url, quiet_environment, viewer_binary
 from tests.view.conftest import StartViewer
@@ -97,7 +97,7 @@ def test_viewer_shows_the_stream(publish: Publish, headless: StartViewer, port: 
         }
         assert names <= views.keys()
         client.save_screenshot(str(tmp_path / "gyro.png"), view_id=views["Angular rate [°/s]"].view_id)
-    assert min(colours_in(tmp_path / "gyro.png", AXIS_COLORS)) > 100
+    assert min(colours_in(tmp_path / "gyro.png", tuple(AXIS_COLORS.values()))) > 100
 
 
 @pytest.mark.viewer

@@ -7,19 +7,18 @@ import math
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.charts import Axis, Chart, Curve
+from imumon.charts import BLUE, GREEN, GREY, ORANGE, RED, VIOLET, Axis, Chart, Curve
 from imumon.estimation.alignment.standing import Standing, instead
 
 PLACE = "Alignment"
-GREY = (135, 140, 150)
 ESTIMATOR_COLORS = {
-    "total_average": (232, 72, 72),
-    "curve_fit": (235, 140, 20),
-    "line_exponential": (165, 95, 215),
-    "tilt_corrected": (40, 165, 85),
-    "known_warm_up": (66, 133, 244),
+    "total_average": RED,
+    "curve_fit": ORANGE,
+    "line_exponential": VIOLET,
+    "tilt_corrected": GREEN,
+    "known_warm_up": BLUE,
 }
-_AXES = (("east", (232, 72, 72)), ("north", (66, 133, 244)))
+_AXES = (("east", RED), ("north", BLUE))
 
 
 def heading_text(standing: Standing) -> str:
@@ -74,7 +73,7 @@ def progress(standing: Standing, time_s: FloatArray, sd: FloatArray, wanted_deg:
     """Return the sigma of the heading shown over observed time, and the sigma wanted."""
     ends = np.array([max(float(time_s[0]), 1.0), max(float(time_s[-1]), 10.0)])
     curves = (
-        Curve("σ", time_s, np.degrees(sd), (40, 165, 85), width=2.0),
+        Curve("σ", time_s, np.degrees(sd), GREEN, width=2.0),
         Curve("wanted", ends, np.full(2, wanted_deg), GREY),
     )
     x, y = Axis(f"observed time [s] · {to_go_text(standing, wanted_deg)}", log=True), Axis("σ [°]", log=True)

@@ -8,13 +8,11 @@ import numpy as np
 from numba import njit
 
 from imumon.blocks import FloatArray, IntArray
-from imumon.charts import Axis, Chart, Curve
+from imumon.charts import AXIS_COLORS, GREY, Axis, Chart, Curve
 from imumon.estimation.zupt.thermal_input import GYROS
 from imumon.thermal.model import BiasModel
 
 TAB = "Gyro bias"
-COLORS = {"x": (232, 72, 72), "y": (40, 165, 85), "z": (66, 133, 244)}
-GREY = (135, 140, 150)
 DEG_PER_HOUR = math.degrees(3600.0)
 SPACING_NS = 1_000_000_000
 MOST_POINTS = 250
@@ -71,7 +69,7 @@ class BiasTrail:
         if self._model is None:
             return []
         curves = []
-        for (axis, color), name in zip(COLORS.items(), GYROS, strict=True):
+        for (axis, color), name in zip(AXIS_COLORS.items(), GYROS, strict=True):
             channel = self._model.channels[name]
             low, high = channel.temperature_range_degc
             degc = np.linspace(low, high, CURVE_POINTS)
@@ -110,7 +108,7 @@ def _gather(
 def _trails(degc: FloatArray, values: FloatArray) -> list[Curve]:
     """Return where each axis has been, and where it is now as a larger point."""
     curves = []
-    for j, (axis, color) in enumerate(COLORS.items()):
+    for j, (axis, color) in enumerate(AXIS_COLORS.items()):
         x, y = degc[:, j], values[:, j]
         curves.append(Curve(axis, x, y, color, points=True, width=2.5))
         curves.append(Curve(f"now {axis}", x[-1:], y[-1:], color, points=True, width=9.0, listed=False))
