@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from imumon.cli.live_run import Lines
     from imumon.estimation.alignment.stage import Alignment
     from imumon.estimation.alignment.standing import Standing
-    from imumon.estimation.setup import Setup
     from imumon.pipeline import Pipeline
     from imumon.run.live import LiveRun
+    from imumon.run.setup import Setup
 
 REFRESH_S = 0.25
 _path = click.Path(path_type=Path)
@@ -116,10 +116,10 @@ def _recorded(path: Path, device: str | None, make: Callable[..., Setup]) -> Ali
     """Go through a recording to its end."""
     from imumon.estimation.alignment.stage import Alignment
     from imumon.estimation.rest.stage import RestDetector
-    from imumon.estimation.stages import estimators
     from imumon.pipeline import Pipeline
     from imumon.run.replay import run_over
     from imumon.run.source import open_source
+    from imumon.run.stages import estimators
 
     source = open_source(path, device)
     recorded = None if source.session is None else source.session.metadata.pipeline_yaml

@@ -12,7 +12,7 @@ from imumon.cli.common import Number, json_option, print_json, print_rows, say
 from imumon.errors import ImumonError, Reason
 
 if TYPE_CHECKING:
-    from imumon.thermal.calibration import Calibration, Finding
+    from imumon.calibration.calibration import Calibration, Finding
 
 SHOWN = {"rad/s": ("°/h", 206264.80624709636), "m/s^2": ("mg", 1e3 / 9.80665)}
 """What a person reads, and how many of it one of the model's units is."""
@@ -48,7 +48,7 @@ def command(
         )
     if not out.parent.is_dir():
         raise ImumonError(Reason.BAD_CONFIG, f"{out}: there is no folder {out.parent}", "make it first")
-    from imumon.thermal.calibration import calibrate_sessions
+    from imumon.calibration.calibration import calibrate_sessions
 
     result = calibrate_sessions(sessions, latitude, heading, serial)
     result.model.write(out)

@@ -17,10 +17,10 @@ from imumon.cli.common import (
 )
 from imumon.errors import ImumonError, Reason
 from imumon.pipeline import Pipeline
+from imumon.recordings.table import export_blocks
 from imumon.run.narration import describe_losses
 from imumon.run.replay import run_over
 from imumon.run.source import Source, open_source
-from imumon.session.table import export_blocks
 
 
 @click.command("decode")

@@ -79,7 +79,7 @@ def command(
     from imumon.diagnosis.extended import extended_model
     from imumon.diagnosis.page import write_page
     from imumon.diagnosis.report import report, write_report
-    from imumon.thermal.model import load_model
+    from imumon.models.model import load_model
 
     if declared is not None and model_path is not None:
         raise ImumonError(

@@ -8,10 +8,10 @@ import click
 
 from imumon.cli.common import columns_option, json_option, print_json, print_rows, say, split_columns
 from imumon.pipeline import Pipeline
+from imumon.recordings.folder import open_session
+from imumon.recordings.table import export_blocks
 from imumon.run.replay import run_over
 from imumon.run.source import open_source
-from imumon.session.folder import open_session
-from imumon.session.table import export_blocks
 
 
 @click.command("export")

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from imumon.cli.common import json_option, print_json, print_rows, say
-from imumon.session.importing import import_table
+from imumon.recordings.importing import import_table
 
 
 @click.command("import")

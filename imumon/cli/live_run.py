@@ -11,10 +11,10 @@ from queue import Empty, SimpleQueue
 
 from imumon.cli.common import note, say
 from imumon.errors import ImumonError, Reason
-from imumon.estimation.setup import Setup
 from imumon.protocols.device import DeviceFile
+from imumon.recordings.folder import default_path
 from imumon.run.live import LiveRun
-from imumon.session.folder import default_path
+from imumon.run.setup import Setup
 from imumon.transport.settings import PortSettings
 
 

@@ -22,12 +22,12 @@ from imumon.cli.common import (
 )
 from imumon.cli.setup_options import SetupOptions, make_setup, setup_options
 from imumon.errors import ImumonError, Reason
-from imumon.estimation.stages import estimators
 from imumon.pipeline import Digest, Pipeline
+from imumon.recordings.folder import open_session
 from imumon.run.narration import Narrator, advised, describe_losses, view_setup
 from imumon.run.replay import run_over
 from imumon.run.source import Source, open_source
-from imumon.session.folder import open_session
+from imumon.run.stages import estimators
 
 if TYPE_CHECKING:
     from imumon.view.publisher import ViewPublisher
@@ -85,7 +85,7 @@ def _run(
 ) -> int:
     if out is None:
         return sum(len(block) for block in blocks)
-    from imumon.session.table import export_blocks
+    from imumon.recordings.table import export_blocks
 
     return export_blocks(blocks, out, split_columns(columns), lambda: source.columns(pipeline))
 

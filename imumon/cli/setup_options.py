@@ -11,7 +11,7 @@ import click
 from imumon.cli.common import Number
 
 if TYPE_CHECKING:
-    from imumon.estimation.setup import Setup
+    from imumon.run.setup import Setup
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -64,7 +64,7 @@ def make_setup(given: SetupOptions, recorded: str | None = None, source: str = "
     ImumonError
         BAD_CONFIG when a file cannot be read, or the parts contradict each other.
     """
-    from imumon.estimation.setup import Setup, load_setup, parse_setup
+    from imumon.run.setup import Setup, load_setup, parse_setup
 
     setup = Setup()
     if given["pipeline"] is not None:
@@ -73,7 +73,7 @@ def make_setup(given: SetupOptions, recorded: str | None = None, source: str = "
         setup = parse_setup(recorded, source)
     model = None
     if given["model"] is not None:
-        from imumon.thermal.model import load_model
+        from imumon.models.model import load_model
 
         model = load_model(given["model"])
     return setup.with_options(

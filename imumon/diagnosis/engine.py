@@ -29,7 +29,7 @@ from imumon.effects.base import LEAST_SPAN_DEGC, Survey
 from imumon.effects.g_sensitivity import LEAST_RANGE
 from imumon.effects.library import EFFECTS
 from imumon.errors import ImumonError, Reason
-from imumon.thermal.model import BiasModel
+from imumon.models.model import BiasModel
 
 LEAST_BLOCKS = 40
 LEAST_RUN_BLOCKS = 8

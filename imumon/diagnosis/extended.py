@@ -16,8 +16,8 @@ from imumon.diagnosis.verdict import ChannelVerdict
 from imumon.effects.base import Effect
 from imumon.effects.temperature_curve import TemperatureCurve
 from imumon.effects.thermal_lag import START_SD_DEGC, ThermalLag
-from imumon.thermal.curves.polynomial import HIGHEST_ORDER, PolynomialCurve
-from imumon.thermal.model import BiasModel, ChannelModel, TrainedOn
+from imumon.models.curves.polynomial import HIGHEST_ORDER, PolynomialCurve
+from imumon.models.model import BiasModel, ChannelModel, TrainedOn
 
 MARGIN = 0.005
 """Share of the span that the range is widened by, so that an end is not in and out by turns."""

@@ -9,8 +9,8 @@ import numpy as np
 
 from imumon.diagnosis.recording import SECOND_NS, TEMPERATURES, Run
 from imumon.errors import ImumonError, Reason
-from imumon.thermal.live import BiasPredictor
-from imumon.thermal.model import BiasModel
+from imumon.models.model import BiasModel
+from imumon.models.predictor import BiasPredictor
 
 
 def modelled(channels: Sequence[str], model: BiasModel) -> list[str]:

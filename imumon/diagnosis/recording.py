@@ -16,11 +16,11 @@ from imumon.blocks import FloatArray, IntArray, SampleBlock
 from imumon.columns import KNOWN
 from imumon.errors import ImumonError, Reason
 from imumon.pipeline import Estimator, Pipeline
+from imumon.recordings.folder import is_session, open_session
+from imumon.recordings.importing import import_table
+from imumon.recordings.table import SUFFIXES, iterate_table
 from imumon.run.replay import run_over
 from imumon.run.source import open_source
-from imumon.session.folder import is_session, open_session
-from imumon.session.importing import import_table
-from imumon.session.table import SUFFIXES, iterate_table
 
 CHANNELS = tuple(f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz")
 TEMPERATURES = ("temperature", *(f"temperature_{axis}" for axis in "xyz"))

@@ -19,15 +19,15 @@ import numpy as np
 from imumon.blocks import SampleBlock
 from imumon.columns import KNOWN
 from imumon.errors import ImumonError, Reason
-from imumon.estimation.setup import Setup
-from imumon.estimation.stages import estimators
 from imumon.pipeline import Digest, Pipeline, PipelineCounters
 from imumon.protocols.device import DeviceFile
+from imumon.recordings.folder import create_session, remove_empty
+from imumon.recordings.metadata import PortUsed, SessionMetadata, iso_utc, versions_in_use
+from imumon.recordings.recorder import Recorder
+from imumon.recordings.wire import WireCounters, WireWriter
 from imumon.run.narration import Narrator, Progress, Publish, Say
-from imumon.session.folder import create_session, remove_empty
-from imumon.session.metadata import PortUsed, SessionMetadata, iso_utc, versions_in_use
-from imumon.session.recorder import Recorder
-from imumon.session.wire import WireCounters, WireWriter
+from imumon.run.setup import Setup
+from imumon.run.stages import estimators
 from imumon.transport.reader import SILENT_AFTER_S, Bytes, EventKind, Item, Reader
 from imumon.transport.settings import PortSettings
 

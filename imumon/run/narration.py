@@ -12,7 +12,7 @@ import numpy as np
 
 from imumon.blocks import NO_INT, SampleBlock
 from imumon.pipeline import Pipeline, PipelineCounters
-from imumon.session.folder import Session
+from imumon.recordings.folder import Session
 from imumon.transport.reader import Event, EventKind
 from imumon.transport.settings import PortSettings
 from imumon.transport.statistics import LinkStatistics

@@ -10,8 +10,8 @@ from imumon.blocks import SampleBlock
 from imumon.errors import ImumonError, Reason
 from imumon.pipeline import UNDATED, Pipeline
 from imumon.protocols.device import DeviceFile, parse_device
+from imumon.recordings.folder import Session
 from imumon.run.narration import Narrator
-from imumon.session.folder import Session
 from imumon.transport.reader import Bytes, EventKind, Item
 
 READ_SIZE = 1 << 16

@@ -11,10 +11,10 @@ from imumon.columns import Column
 from imumon.errors import ImumonError, Reason
 from imumon.pipeline import Pipeline
 from imumon.protocols.device import DeviceFile, load_device
+from imumon.recordings.folder import Session, is_session, open_session
+from imumon.recordings.table import iterate_samples, read_columns
+from imumon.recordings.wire import WireReader
 from imumon.run.replay import capture_items, session_device
-from imumon.session.folder import Session, is_session, open_session
-from imumon.session.table import iterate_samples, read_columns
-from imumon.session.wire import WireReader
 from imumon.transport.reader import Item
 
 

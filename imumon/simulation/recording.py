@@ -11,10 +11,10 @@ import yaml
 from imumon.blocks import IntArray
 from imumon.columns import KNOWN, Column
 from imumon.protocols.device import DeviceFile
-from imumon.session.folder import Session, create_session
-from imumon.session.metadata import PortUsed, SessionMetadata, iso_utc, versions_in_use
-from imumon.session.table import TableWriter
-from imumon.session.wire import WireWriter
+from imumon.recordings.folder import Session, create_session
+from imumon.recordings.metadata import PortUsed, SessionMetadata, iso_utc, versions_in_use
+from imumon.recordings.table import TableWriter
+from imumon.recordings.wire import WireWriter
 from imumon.simulation.bench import MICROSECOND
 from imumon.simulation.unit import TRUTH_COLUMNS, Scenario, SimulatedUnit
 from imumon.simulation.unit.noise import generator

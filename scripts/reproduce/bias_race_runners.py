@@ -16,9 +16,9 @@ from imumon.estimation.rest.stage import RestDetector
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.estimation.zupt.parameters import ZuptParameters
 from imumon.estimation.zupt.stage import Mode, ZeroVelocity
+from imumon.models.model import BiasModel
 from imumon.simulation.unit.scenario import Scenario
 from imumon.simulation.unit.unit import SimulatedUnit
-from imumon.thermal.model import BiasModel
 
 DEG_PER_H = np.pi / 180.0 / 3600.0
 BLOCK = 10_000

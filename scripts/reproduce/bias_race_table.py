@@ -22,11 +22,11 @@ from bias_race_runners import (
 )
 
 from imumon.blocks import FloatArray, SampleBlock
+from imumon.calibration.calibration import calibrate
+from imumon.calibration.record import record_of
+from imumon.models.model import BiasModel
 from imumon.simulation.unit.scenario import Chamber, Scenario, Step, load_scenario
 from imumon.simulation.unit.unit import SimulatedUnit
-from imumon.thermal.calibration import calibrate
-from imumon.thermal.model import BiasModel
-from imumon.thermal.record import record_of
 
 WARM_UP, RAMP, ATHERMAL = "warm-up", "ramp", "warm-up-athermal"
 TITLES = {

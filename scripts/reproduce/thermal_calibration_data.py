@@ -10,12 +10,12 @@ import numpy as np
 import numpy.typing as npt
 
 from imumon.blocks import FloatArray, SampleBlock
-from imumon.session.importing import import_table
+from imumon.calibration.cells import Channel, channel_of, group, levels
+from imumon.calibration.record import GYRO, Record, read_session, record_of
+from imumon.models.curves.points import Points
+from imumon.recordings.importing import import_table
 from imumon.simulation.unit import SimulatedUnit, load_scenario
 from imumon.simulation.unit.curves import curve_slope, curve_value
-from imumon.thermal.cells import Channel, channel_of, group, levels
-from imumon.thermal.curves.points import Points
-from imumon.thermal.record import GYRO, Record, read_session, record_of
 
 DEG_H = np.deg2rad(1.0) / 3600.0
 """1 °/h in rad/s."""

@@ -10,8 +10,8 @@ import numpy as np
 from thermal_calibration_data import AXES, DEG_H, INSIDE, Function, Soak, during
 from thermal_calibration_study import SizeRow
 
-from imumon.thermal.calibration import calibrate
-from imumon.thermal.record import GYRO, Record
+from imumon.calibration.calibration import calibrate
+from imumon.calibration.record import GYRO, Record
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt

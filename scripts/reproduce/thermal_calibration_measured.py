@@ -9,15 +9,15 @@ import numpy as np
 from thermal_calibration_data import AXES, during
 
 from imumon.blocks import FloatArray
+from imumon.calibration.calibration import calibrate, knots_of
+from imumon.calibration.cells import channel_of, group, levels
+from imumon.calibration.record import GYRO, Record
+from imumon.calibration.selection import slow_variance
 from imumon.errors import ImumonError
-from imumon.thermal.calibration import calibrate, knots_of
-from imumon.thermal.cells import channel_of, group, levels
-from imumon.thermal.curves.polynomial import fit_polynomial
-from imumon.thermal.curves.spline import fit_spline
-from imumon.thermal.curves.training import fit_network
-from imumon.thermal.model import Curve
-from imumon.thermal.record import GYRO, Record
-from imumon.thermal.selection import slow_variance
+from imumon.models.curves.polynomial import fit_polynomial
+from imumon.models.curves.spline import fit_spline
+from imumon.models.curves.training import fit_network
+from imumon.models.model import Curve
 
 Errors = dict[str, float]
 

@@ -10,13 +10,13 @@ from scipy.interpolate import CubicSpline
 from thermal_calibration_data import DEG_H, DWELLING_DEGC, INSIDE, Function, Soak
 
 from imumon.blocks import FloatArray
-from imumon.thermal.calibration import knots_of
-from imumon.thermal.curves.network import NetworkCurve
-from imumon.thermal.curves.points import Points
-from imumon.thermal.curves.polynomial import fit_polynomial
-from imumon.thermal.curves.spline import fit_spline
-from imumon.thermal.curves.training import Scaling, fit_network, mean_square, starts, train
-from imumon.thermal.selection import choose, held_out, slow_variance
+from imumon.calibration.calibration import knots_of
+from imumon.calibration.selection import choose, held_out, slow_variance
+from imumon.models.curves.network import NetworkCurve
+from imumon.models.curves.points import Points
+from imumon.models.curves.polynomial import fit_polynomial
+from imumon.models.curves.spline import fit_spline
+from imumon.models.curves.training import Scaling, fit_network, mean_square, starts, train
 
 SIZES = (1, 2, 3, 4, 5)
 RESTARTS = 20

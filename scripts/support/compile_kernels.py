@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from imumon.estimation.setup import Setup
 from imumon.protocols.device import device_names, load_device
 from imumon.run.live import warm_up
+from imumon.run.setup import Setup
 
 if __name__ == "__main__":
     for name in device_names():

@@ -8,10 +8,10 @@ from pathlib import Path
 
 from rerun.experimental import ViewerClient
 
-from imumon.estimation.setup import Setup
 from imumon.protocols.device import device_text, load_device
 from imumon.run.live import LiveRun, warm_up
 from imumon.run.narration import view_setup
+from imumon.run.setup import Setup
 from imumon.simulation.virtual_device import VirtualDevice
 from imumon.transport.settings import PortSettings
 from imumon.view.publisher import ViewPublisher

@@ -18,8 +18,8 @@ from imumon.allan.recording import CHANNELS
 from imumon.blocks import SampleBlock
 from imumon.columns import KNOWN, Column
 from imumon.config import StrictModel, parse_yaml
-from imumon.session.importing import import_table
-from imumon.session.table import export_blocks
+from imumon.recordings.importing import import_table
+from imumon.recordings.table import export_blocks
 from tests.allan.simulated import noise
 
 IMUMON = str(Path(sys.executable).with_name("imumon"))

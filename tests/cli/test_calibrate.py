@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from imumon.blocks import FloatArray
-from imumon.thermal import load_model
+from imumon.models import load_model
+from tests.calibration.records import DEG_H, samples, soak, true_bias
 from tests.cli.command import MAP, imumon
 from tests.data_folder import measured
-from tests.thermal.records import DEG_H, samples, soak, true_bias
 
 
 def imported(folder: Path, temperature: FloatArray) -> Path:

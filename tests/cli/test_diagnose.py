@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imumon.thermal import load_model
+from imumon.models import load_model
 from tests.cli.command import MAP, imumon
 from tests.data_folder import measured
 from tests.diagnosis.test_diagnose import lag

@@ -8,8 +8,8 @@ from click.testing import CliRunner
 
 from imumon.cli.simulate_command import command
 from imumon.errors import ImumonError
-from imumon.session.folder import open_session
-from imumon.session.table import read_table
+from imumon.recordings.folder import open_session
+from imumon.recordings.table import read_table
 from imumon.simulation.recording import TRUTH_NAME
 
 

@@ -14,9 +14,9 @@ from imumon.diagnosis.extended import extended_model
 from imumon.diagnosis.recording import Run
 from imumon.diagnosis.report import report
 from imumon.errors import ImumonError
-from imumon.thermal.curves.spline import SplineCurve
-from imumon.thermal.live import BiasPredictor
-from imumon.thermal.model import BiasModel, ChannelModel, load_model
+from imumon.models.curves.spline import SplineCurve
+from imumon.models.model import BiasModel, ChannelModel, load_model
+from imumon.models.predictor import BiasPredictor
 from tests.diagnosis.units import DPH, WHITE_DPH, cubic, lagged, ramps, run, three
 
 LAG_S = 200.0

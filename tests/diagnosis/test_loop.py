@@ -11,10 +11,10 @@ from imumon.diagnosis.extended import extended_model
 from imumon.diagnosis.recording import Run, collect
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.estimation.zupt.stage import ZeroVelocity
+from imumon.models.model import BiasModel
 from imumon.pipeline import Estimator
 from imumon.simulation.unit import SimulatedUnit, load_scenario
 from imumon.simulation.unit.scenario import Scenario
-from imumon.thermal.model import BiasModel
 
 RATE_HZ = 10.0
 LAG_S = 90.0

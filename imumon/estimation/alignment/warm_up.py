@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from imumon.effects.warm_up import WarmUp
 from imumon.estimation.alignment.parameters import KnownWarmUp
-from imumon.thermal.model import BiasModel
+from imumon.models.model import BiasModel
 
 MICRO_G = 9.80665e-6
 NO_MATTER_S = 1.0

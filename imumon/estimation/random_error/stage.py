@@ -20,8 +20,8 @@ from imumon.estimation.random_error.drift import DriftEstimate, DriftFilter
 from imumon.estimation.random_error.parameters import Channel, RandomErrorParameters
 from imumon.estimation.random_error.sigma_points import ModelNL, SigmaPointFilter
 from imumon.estimation.random_error.slots import SlotGatherer, Slots, spread
-from imumon.thermal.live import BiasPredictor
-from imumon.thermal.model import BiasModel
+from imumon.models.model import BiasModel
+from imumon.models.predictor import BiasPredictor
 
 AXES = "xyz"
 PHI_VARIANCE = 0.01

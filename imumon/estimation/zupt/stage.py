@@ -19,7 +19,7 @@ from imumon.estimation.zupt.bank import known_family, unknown_family
 from imumon.estimation.zupt.parameters import ZuptParameters
 from imumon.estimation.zupt.thermal_input import ThermalInput
 from imumon.estimation.zupt.trail import BiasTrail
-from imumon.thermal.model import BiasModel
+from imumon.models.model import BiasModel
 
 Mode = Literal["standard", "thermal", "learned"]
 NAMES = ("gyro_bias", "gyro_bias_sd", "gyro_corrected", "zupt_innovation")

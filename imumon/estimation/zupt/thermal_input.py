@@ -8,8 +8,8 @@ import numpy as np
 from numba import njit
 
 from imumon.blocks import FloatArray, SampleBlock
-from imumon.thermal.live import BiasPredictor
-from imumon.thermal.model import BiasModel
+from imumon.models.model import BiasModel
+from imumon.models.predictor import BiasPredictor
 
 GYROS = ("gyro_x", "gyro_y", "gyro_z")
 CORRELATION_DEGC = 5.0

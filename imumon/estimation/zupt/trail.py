@@ -10,7 +10,7 @@ from numba import njit
 from imumon.blocks import FloatArray, IntArray
 from imumon.charts import AXIS_COLORS, GREY, Axis, Chart, Curve
 from imumon.estimation.zupt.thermal_input import GYROS
-from imumon.thermal.model import BiasModel
+from imumon.models.model import BiasModel
 
 TAB = "Gyro bias"
 DEG_PER_HOUR = math.degrees(3600.0)

@@ -5,11 +5,11 @@ import pytest
 from imumon.effects.warm_up import WarmUp
 from imumon.estimation.alignment.stage import Alignment
 from imumon.estimation.alignment.warm_up import MICRO_G, known_warm_up
-from imumon.estimation.setup import Setup, parse_setup
-from imumon.estimation.stages import estimators
+from imumon.models.curves.polynomial import PolynomialCurve
+from imumon.models.model import BiasModel, ChannelModel
 from imumon.protocols.device import load_device
-from imumon.thermal.curves.polynomial import PolynomialCurve
-from imumon.thermal.model import BiasModel, ChannelModel
+from imumon.run.setup import Setup, parse_setup
+from imumon.run.stages import estimators
 from imumon.view.panels import ALIGNMENT, PANELS
 
 

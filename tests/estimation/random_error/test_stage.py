@@ -15,7 +15,7 @@ from imumon.estimation.random_error.stage import RandomError
 from imumon.pipeline import Estimator
 from imumon.simulation.unit import SimulatedUnit, load_scenario
 from tests.estimation.random_error.records import DEG_PER_HOUR, WHITE, flicker, samples
-from tests.thermal.models import POLYNOMIAL, three_curves
+from tests.models.models import POLYNOMIAL, three_curves
 
 SR = RandomErrorParameters(method="sr_rsukf")
 

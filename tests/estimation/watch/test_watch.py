@@ -11,12 +11,12 @@ from imumon.estimation.watch import kernel
 from imumon.estimation.watch.parameters import WatchParameters
 from imumon.estimation.watch.stage import ModelWatch
 from imumon.estimation.zupt.stage import ZeroVelocity
+from imumon.models.curves.polynomial import PolynomialCurve
+from imumon.models.model import BiasModel, ChannelModel
 from imumon.pipeline import Estimator
 from imumon.simulation.unit import SimulatedUnit, load_scenario
 from imumon.simulation.unit.curves import curve_value
 from imumon.simulation.unit.scenario import Scenario
-from imumon.thermal.curves.polynomial import PolynomialCurve
-from imumon.thermal.model import BiasModel, ChannelModel
 from tests.estimation.watch import plain
 
 HOURS = 2.0

@@ -11,8 +11,8 @@ from scipy.signal import butter, lfilter, lfiltic
 
 from imumon.blocks import ColumnArray, FloatArray, SampleBlock
 from imumon.estimation.zupt.earth import EARTH_RATE
-from imumon.thermal.curves.polynomial import PolynomialCurve
-from imumon.thermal.model import BiasModel, ChannelModel
+from imumon.models.curves.polynomial import PolynomialCurve
+from imumon.models.model import BiasModel, ChannelModel
 
 DPH = math.radians(1.0) / 3600.0
 """One degree per hour, rad/s."""

@@ -1,0 +1,205 @@
+"""The model file: the bias of each channel over temperature, and where it comes from."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Final, Literal, Self
+
+import numpy as np
+import numpy.typing as npt
+import yaml
+from pydantic import Field, FiniteFloat, NonNegativeInt, model_validator
+
+from imumon.blocks import FloatArray
+from imumon.config import StrictModel, load_yaml
+from imumon.effects.library import AnyEffect
+from imumon.errors import ImumonError, Reason
+from imumon.models.curves.network import NetworkCurve
+from imumon.models.curves.polynomial import PolynomialCurve
+from imumon.models.curves.spline import SplineCurve
+
+FORMAT: Final = "imumon-bias-model/1"
+UNITS = {
+    **{f"gyro_{axis}": "rad/s" for axis in "xyz"},
+    **{f"accel_{axis}": "m/s^2" for axis in "xyz"},
+}
+"""The channels that a model may have, and their units."""
+REACH = 0.1
+"""Outside the range the curve goes on along its end's tangent for this share of the range, then it is held.
+
+A tangent errs by half the curvature times the distance squared, a held value by the slope times the distance:
+near the end the tangent is better; far off both are guesses, and the held value is at least bounded."""
+
+Curve = Annotated[PolynomialCurve | SplineCurve | NetworkCurve, Field(discriminator="kind")]
+_NonNegative = Annotated[FiniteFloat, Field(ge=0.0)]
+_Sha256 = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+
+
+class ChannelModel(StrictModel):
+    """Bias of one channel over temperature.
+
+    Parameters
+    ----------
+    unit : "rad/s" or "m/s^2"
+        Of all values of the channel.
+    temperature_column : str
+        Column of the samples that the curve is over.
+    temperature_range_degc : [low, high]
+        Where the curve is supported by data.
+    residual_sd : float
+        Standard deviation of the bias about the curve, from levels that the fit had not seen.
+    held_out_rms : dict of str to float
+        rms error at levels that were left out, for each candidate curve.
+    curve : PolynomialCurve, SplineCurve or NetworkCurve
+    effects : list of Effect
+        What the bias has beyond the curve, with coefficients; `value` and `slope` are without them.
+    """
+
+    unit: Literal["rad/s", "m/s^2"]
+    temperature_column: Annotated[str, Field(pattern="^temperature(_estimate)?(_[xyz])?$")]
+    temperature_range_degc: Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)]
+    residual_sd: _NonNegative
+    held_out_rms: dict[str, _NonNegative] = Field(default_factory=dict)
+    curve: Curve
+    effects: list[AnyEffect] = Field(default_factory=list)
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        low, high = self.temperature_range_degc
+        if low >= high:
+            raise ValueError(f"temperature_range_degc {low} to {high} is empty")
+        for effect in self.effects:
+            if len(effect.coefficients) != effect.width:
+                raise ValueError(
+                    f"{effect.name} needs {effect.width} coefficients, there are {len(effect.coefficients)}"
+                )
+            if effect.own:
+                raise ValueError(f"{effect.name} is another in each run: no model can foretell it")
+        return self
+
+    @property
+    def reach_degc(self) -> float:
+        """How far outside the range the end's tangent is followed, °C."""
+        low, high = self.temperature_range_degc
+        return REACH * (high - low)
+
+    def value(self, temperature: npt.ArrayLike) -> FloatArray:
+        """Return the bias at temperatures in °C, in `unit`; outside the range see `REACH`."""
+        t = np.asarray(temperature, np.float64)
+        near = self._nearest(t)
+        beyond = np.clip(t - near, -self.reach_degc, self.reach_degc)
+        return self.curve.value(near) + np.where(beyond == 0.0, 0.0, self.curve.slope(near) * beyond)
+
+    def slope(self, temperature: npt.ArrayLike) -> FloatArray:
+        """Return db/dT at temperatures in °C, in `unit` per °C: the exact derivative of `value`."""
+        t = np.asarray(temperature, np.float64)
+        near = self._nearest(t)
+        return np.where(np.abs(t - near) > self.reach_degc, 0.0, self.curve.slope(near))
+
+    def _nearest(self, temperature: FloatArray) -> FloatArray:
+        low, high = self.temperature_range_degc
+        return np.clip(temperature, low, high)
+
+    def inside(self, temperature: npt.ArrayLike) -> npt.NDArray[np.bool_]:
+        """Tell which temperatures in °C the curve is supported at."""
+        t = np.asarray(temperature, np.float64)
+        low, high = self.temperature_range_degc
+        return (t >= low) & (t <= high)
+
+
+class TrainedOn(StrictModel):
+    """A run that a model was made from: a session, or the part of one up to a restart or another pose.
+
+    `offset` is what its bias differs by from the mean of all runs, per channel and in the channel's unit;
+    it has only the channels where it could be told.
+    """
+
+    session: str
+    run: NonNegativeInt = 0
+    sha256: _Sha256
+    rest_s: _NonNegative
+    blocks: NonNegativeInt
+    temperature_range_degc: Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)]
+    offset: dict[str, FiniteFloat] = Field(default_factory=dict)
+
+
+class BiasModel(StrictModel):
+    """Bias over temperature of a unit, as `imumon calibrate` finds it and `imumon diagnose` extends it.
+
+    Parameters
+    ----------
+    made_by, created : str
+        Version of imumon, and UTC time.
+    device, serial : str, optional
+        Device name and the unit's serial number.
+    axes : "FLU", "FRD" or None
+        Body axes of the data.
+    earth_rate : "included" or "removed"
+        Whether the constant of the gyro curves holds the earth rate of the place and attitude of the test.
+    latitude_deg, heading_deg : float or None
+        With which it was removed.
+    trained_on : list of TrainedOn
+        The data.
+    channels : dict of str to ChannelModel
+        gyro_x and so on.  The curve of an accelerometer is the change from the middle of its range, for its
+        constant cannot be told from gravity.
+    """
+
+    format: Literal["imumon-bias-model/1"] = FORMAT
+    made_by: str
+    created: str
+    device: str | None = None
+    serial: str | None = None
+    axes: Literal["FLU", "FRD"] | None = None
+    earth_rate: Literal["included", "removed"] = "included"
+    latitude_deg: Annotated[FiniteFloat, Field(ge=-90.0, le=90.0)] | None = None
+    heading_deg: FiniteFloat | None = None
+    block_s: Annotated[FiniteFloat, Field(gt=0.0)] | None = None
+    levels_degc: list[FiniteFloat] = Field(default_factory=list)
+    trained_on: list[TrainedOn] = Field(default_factory=list)
+    channels: Annotated[dict[str, ChannelModel], Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        for name, channel in self.channels.items():
+            if name not in UNITS:
+                raise ValueError(f"channel {name!r} is not known; there are {', '.join(UNITS)}")
+            if channel.unit != UNITS[name]:
+                raise ValueError(f"channel {name} is in {UNITS[name]}, not {channel.unit}")
+        return self
+
+    def write(self, path: Path) -> None:
+        """Write the model file; what `load_model` reads from it equals this model, to the bit.
+
+        Raises
+        ------
+        OSError
+            When it cannot be written; a file that was there before is untouched.
+        """
+        partial = path.with_name(path.name + ".partial")
+        try:
+            partial.write_text(self.to_yaml(), encoding="utf-8")
+            partial.replace(path)
+        finally:
+            partial.unlink(missing_ok=True)
+
+    def to_yaml(self) -> str:
+        """Return the text of the model file."""
+        return yaml.safe_dump(
+            self.model_dump(), sort_keys=False, allow_unicode=True, width=110, default_flow_style=None
+        )
+
+
+def load_model(path: Path) -> BiasModel:
+    """Read a model file.
+
+    Raises
+    ------
+    ImumonError
+        BAD_CONFIG, naming file and line, what was found and what was expected.
+    """
+    try:
+        return load_yaml(path, BiasModel)
+    except ImumonError as error:
+        hint = error.hint or f"a model file is what imumon calibrate writes, of format {FORMAT}"
+        raise ImumonError(Reason.BAD_CONFIG, error.seen, hint) from error

@@ -1,0 +1,153 @@
+"""The session folder: made, found, opened."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Literal
+
+from imumon.errors import ImumonError, Reason
+from imumon.recordings.metadata import SessionMetadata, read_metadata, write_metadata
+
+METADATA_NAME = "session.yaml"
+WIRE_NAME = "wire.mcap"
+SAMPLES_NAME = "samples.parquet"
+VIEW_NAME = "view.rrd"
+DEFAULT_PARENT = Path("sessions")
+
+State = Literal["closed", "interrupted"]
+
+
+@dataclass(frozen=True, slots=True)
+class Session:
+    """A session on disk, as its metadata was when it was opened."""
+
+    path: Path
+    metadata: SessionMetadata
+
+    @property
+    def wire_path(self) -> Path:
+        """The bytes, the truth of a live or simulated session."""
+        return self.path / WIRE_NAME
+
+    @property
+    def samples_path(self) -> Path:
+        """The samples, the truth of an imported session."""
+        return self.path / SAMPLES_NAME
+
+    @property
+    def view_path(self) -> Path:
+        """What the viewer shows; can be made again from the truth."""
+        return self.path / VIEW_NAME
+
+    @property
+    def state(self) -> State:
+        """How the session ended; one that is being recorded cannot be told from one that was killed."""
+        return "closed" if self.metadata.state == "closed" else "interrupted"
+
+    def save(self, metadata: SessionMetadata) -> None:
+        """Replace the metadata on disk; raises OSError when that fails, and the old file stays."""
+        write_metadata(self.path / METADATA_NAME, metadata)
+
+
+def default_path(device: str, now_ns: int) -> Path:
+    """Return ./sessions/<UTC stamp>-<device>, with a number added when that is taken."""
+    stamp = datetime.fromtimestamp(now_ns // 1_000_000_000, UTC)
+    path = DEFAULT_PARENT / f"{stamp:%Y%m%dT%H%M%SZ}-{device}"
+    candidates = (path.with_name(f"{path.name}-{number}") for number in range(2, 1000))
+    return path if not path.exists() else next(other for other in candidates if not other.exists())
+
+
+def create_session(path: Path, metadata: SessionMetadata) -> Session:
+    """Make the folder, if need be with its parents, and write session.yaml into it.
+
+    Raises
+    ------
+    ImumonError
+        EXISTS when the folder holds a session already or the path is a file; BAD_CONFIG when it
+        cannot be made.
+    """
+    refuse_existing(path)
+    session = Session(path, metadata)
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        (path / METADATA_NAME).touch(exist_ok=False)  # of two that come at the same moment one is refused
+        session.save(metadata)
+    except FileExistsError:
+        refuse_existing(path)
+        raise
+    except OSError as error:
+        remove_empty(session)
+        raise ImumonError(
+            Reason.BAD_CONFIG, f"the session {path} cannot be made: {error.strerror}", "give another folder"
+        ) from error
+    return session
+
+
+def refuse_existing(path: Path) -> None:
+    """Raise EXISTS when a session, or a part of one, is at this path, or something that is not a folder."""
+    if path.exists() and not path.is_dir():
+        raise ImumonError(Reason.EXISTS, f"{path} is a file, not a folder", "give another folder")
+    parts = [name for name in (METADATA_NAME, WIRE_NAME, SAMPLES_NAME, VIEW_NAME) if (path / name).exists()]
+    if parts:
+        raise ImumonError(
+            Reason.EXISTS,
+            f"{path} holds a session already ({', '.join(parts)})",
+            "nothing was overwritten; give another folder",
+        )
+
+
+def remove_empty(session: Session) -> None:
+    """Take back a session that was made for a recording which could not begin."""
+    for path in (session.wire_path, session.path / METADATA_NAME):
+        with suppress(OSError):
+            path.unlink()
+    for folder in (session.path, DEFAULT_PARENT):
+        with suppress(OSError):  # it is not empty, or not ours to remove
+            folder.rmdir()
+
+
+def is_session(path: Path) -> bool:
+    """Tell whether there is a session at this path, which may name the folder or its session.yaml."""
+    return (_folder(path) / METADATA_NAME).is_file()
+
+
+def open_session(path: Path) -> Session:
+    """Open a session for reading; `path` names the folder or its session.yaml.
+
+    Raises
+    ------
+    ImumonError
+        BAD_DATA when there is no session, saying what there is, or when its metadata or its data is missing.
+    """
+    folder = _folder(path)
+    if not (folder / METADATA_NAME).is_file():
+        raise ImumonError(Reason.BAD_DATA, f"{path} is not a session: {_what_is_at(folder)}", _HINT)
+    session = Session(folder, read_metadata(folder / METADATA_NAME))
+    truth = session.samples_path if session.metadata.source == "import" else session.wire_path
+    if not truth.is_file():
+        raise ImumonError(
+            Reason.BAD_DATA, f"{path}: the data of this session is missing: there is no {truth.name}"
+        )
+    return session
+
+
+_HINT = f"a session is a folder with {METADATA_NAME}; for a raw capture use: imumon decode FILE --device NAME"
+
+
+def _folder(path: Path) -> Path:
+    return path.parent if path.name == METADATA_NAME else path
+
+
+def _what_is_at(path: Path) -> str:
+    if not path.exists():
+        return "there is no such file or folder"
+    if not path.is_dir():
+        return f"it is a file of {path.stat().st_size} bytes"
+    names = sorted(entry.name for entry in path.iterdir())
+    if not names:
+        return "the folder is empty"
+    more = f" and {len(names) - 5} more" if len(names) > 5 else ""
+    return f"the folder has no {METADATA_NAME}; it has {', '.join(names[:5])}{more}"

@@ -1,0 +1,116 @@
+"""The recorder thread: takes what the reader puts into a queue and gets it to the disk within 0.2 s."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from queue import Empty, SimpleQueue
+
+from imumon.errors import ImumonError
+from imumon.recordings.wire import WireCounters, WireWriter
+from imumon.transport.reader import Item
+
+FLUSH_PERIOD_S = 0.1
+"""Half of what is promised, so that a late wake-up does not break the promise."""
+SAVE_PERIOD_S = 5.0
+STOP_TIMEOUT_S = 10.0
+"""How long `Recorder.stop` waits for a disk that does not answer."""
+
+
+class Recorder:
+    """Writes a wire file from a queue, in a thread of its own, and never stops because of the disk.
+
+    While the disk is full or fails, items are kept up to a limit and then counted (`WireCounters`); the
+    recording goes on as soon as writing works again.
+
+    Parameters
+    ----------
+    writer : WireWriter
+        Used by the recorder alone from `start` to the return of `stop`, which closes it.
+    on_problem : callable
+        Called from the recorder's thread with one sentence when writing begins to fail, and with None when it
+        works again.
+    save : callable
+        Called from the recorder's thread every 5 s, to write the session's metadata; an `OSError` or
+        `ImumonError` from it is a problem like any other.
+    """
+
+    def __init__(
+        self,
+        writer: WireWriter,
+        on_problem: Callable[[str | None], None],
+        save: Callable[[], None],
+    ) -> None:
+        self._writer = writer
+        self._on_problem = on_problem
+        self._save = save
+        self._items: SimpleQueue[Item | None] = SimpleQueue()
+        self._problem: str | None = None
+        self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
+
+    @property
+    def counters(self) -> WireCounters:
+        """What was recorded so far; may be asked from any thread."""
+        return self._writer.counters
+
+    @property
+    def problem(self) -> str | None:
+        """Why writing fails at present, or None."""
+        return self._problem
+
+    def put(self, item: Item) -> None:
+        """Take an item; returns at once.  A sink for `imumon.transport.reader.Reader`."""
+        self._items.put(item)
+
+    def start(self) -> None:
+        """Start the thread."""
+        self._thread.start()
+
+    def stop(self) -> WireCounters:
+        """Write what was put, close the file, and return the counters.
+
+        A disk that does not answer is waited for 10 s; then the thread is left behind, and `problem` says so.
+        """
+        self._items.put(None)
+        self._thread.join(STOP_TIMEOUT_S)
+        if self._thread.is_alive():
+            self._say(f"the disk did not answer for {STOP_TIMEOUT_S:.0f} s; the recording was not closed")
+        return self._writer.counters
+
+    def _run(self) -> None:
+        next_save = time.monotonic() + SAVE_PERIOD_S
+        stopped = False
+        while not stopped:
+            stopped = self._take_until(time.monotonic() + FLUSH_PERIOD_S)
+            self._try(self._writer.flush, "the recording cannot be written")
+            if time.monotonic() >= next_save and self._problem is None:
+                next_save = time.monotonic() + SAVE_PERIOD_S
+                self._try(self._save, "the session's metadata cannot be written")
+        self._try(self._writer.close, "the recording could not be finished")
+
+    def _take_until(self, deadline: float) -> bool:
+        """Write what comes until the deadline; return True at the end of the queue."""
+        while (left := deadline - time.monotonic()) > 0:
+            try:
+                item = self._items.get(timeout=left)
+            except Empty:
+                return False
+            if item is None:
+                return True
+            self._writer.write(item)
+        return False
+
+    def _try(self, action: Callable[[], None], what: str) -> None:
+        try:
+            action()
+        except (OSError, ImumonError) as error:
+            reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+            self._say(f"{what}: {reason}")
+        else:
+            self._say(None)
+
+    def _say(self, problem: str | None) -> None:
+        if problem != self._problem:
+            self._problem = problem
+            self._on_problem(problem)

@@ -1,0 +1,444 @@
+"""Tables of samples, Parquet or CSV, written and read as a stream in bounded memory.
+
+Parquet has the unit and the meaning of each column in the metadata of its field.  CSV has plain names in its
+header, so that every program reads it, and the units in a second file beside it, NAME.units.yaml.
+"""
+
+from __future__ import annotations
+
+import csv
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Literal
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.csv as pa_csv
+import pyarrow.parquet as pq
+import yaml
+
+from imumon import __version__
+from imumon.blocks import NO_INT, ColumnArray, SampleBlock, join
+from imumon.columns import KNOWN, Column, ColumnType
+from imumon.config import StrictModel, load_yaml
+from imumon.errors import ImumonError, Reason
+from imumon.recordings.folder import Session
+
+FORMAT = "imumon-table/1"
+SUFFIXES = (".parquet", ".csv")
+BUFFER_BYTES = 16 << 20
+"""Rows are gathered to this size before they are written; it is also the size of a row group."""
+ARRAY_OVERHEAD = 160
+"""Bytes that an array takes besides its values; blocks of one sample are mostly that."""
+READ_ROWS = 65_536
+
+_ARROW = {"float64": pa.float64(), "int64": pa.int64()}
+
+
+class TableWriter:
+    """Writes blocks to a table; the file appears under its name when `close` succeeds, and not before.
+
+    A column may begin in any block: the rows before have no value there.  NaN and `NO_INT` become null, an
+    empty cell in CSV.  As a context manager it closes at the end, or drops everything when there is an error.
+
+    Parameters
+    ----------
+    path : Path
+        Output; the suffix .parquet or .csv decides the format.  An existing file is replaced on success.
+    columns : mapping of str to Column
+        Every column that may come, in the order in which the table shall have them; only those that come
+        are written (all of them when no row comes).
+
+    Raises
+    ------
+    ImumonError
+        BAD_CONFIG for another suffix, or when the folder of the output does not exist.
+    """
+
+    def __init__(self, path: Path, columns: Mapping[str, Column]) -> None:
+        _check_output(path)
+        self.path = path
+        self.rows = 0
+        self._columns = dict(columns)
+        self._buffer: list[SampleBlock] = []
+        self._buffered = 0
+        self._names: list[str] = []
+        self._parts: list[Path] = []
+        self._part: Any = None
+
+    def announce(self, columns: Iterable[Column]) -> None:
+        """Say which columns may come from now on, in the order which the table shall have."""
+        self._columns = {column.name: column for column in columns} | self._columns
+
+    def write(self, block: SampleBlock) -> None:
+        """Append the samples of a block.
+
+        Raises
+        ------
+        ValueError
+            When the block has a column that was not announced.
+        OSError
+            When the disk is full or fails.
+        """
+        if not len(block):
+            return
+        if unknown := [name for name in block.columns if name not in self._columns]:
+            raise ValueError(f"columns that were not announced: {unknown}")
+        self._buffer.append(block)
+        self._buffered += sum(values.nbytes + ARRAY_OVERHEAD for values in block.columns.values())
+        self.rows += len(block)
+        if self._buffered >= BUFFER_BYTES:
+            self._flush()
+
+    def close(self) -> None:
+        """Finish the table and put it in its place.
+
+        Raises
+        ------
+        OSError
+            When the disk is full or fails; a file that was there before is untouched.
+        """
+        try:
+            self._flush()
+            if not self._parts:
+                self._names = list(self._columns)
+                self._begin_part()
+            self._end_part()
+            self._finish()
+        finally:
+            self.abort()
+
+    def abort(self) -> None:
+        """Remove what was written; without effect after `close`."""
+        self._buffer = []
+        with suppress(OSError):
+            self._end_part()
+        for part in self._parts:
+            part.unlink(missing_ok=True)
+        self._parts = []
+
+    def __enter__(self) -> TableWriter:
+        """Return itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close, or drop everything when there was an error."""
+        if kind is None:
+            self.close()
+        else:
+            self.abort()
+
+    def _flush(self) -> None:
+        """Write the buffer as one row group; a column that is new begins a new part."""
+        if not self._buffer:
+            return
+        block = join(self._buffer)
+        self._buffer, self._buffered = [], 0
+        names = [name for name in self._columns if name in self._names or name in block]
+        if names != self._names:
+            self._end_part()
+            self._names = names
+            self._begin_part()
+        self._part.write_table(_to_arrow(block, _schema(self._columns[name] for name in names)))
+
+    def _begin_part(self) -> None:
+        part = self.path.with_name(f".{self.path.name}.{os.getpid()}-{len(self._parts)}.part")
+        self._parts.append(part)
+        schema = _schema(self._columns[name] for name in self._names)
+        self._part = pq.ParquetWriter(part, schema, compression="zstd", use_dictionary=False)
+
+    def _end_part(self) -> None:
+        if self._part is not None:
+            part, self._part = self._part, None
+            part.close()
+
+    def _finish(self) -> None:
+        """Make the table of the parts: as it is when there is one, else with nulls for what came later."""
+        if self.path.suffix == ".parquet" and len(self._parts) == 1:
+            self._parts.pop().replace(self.path)
+            return
+        columns = [self._columns[name] for name in self._names]
+        schema = _schema(columns)
+        merged = self.path.with_name(f".{self.path.name}.{os.getpid()}.part")
+        tables = _merged(self._parts, schema)
+        self._parts = [*self._parts, merged]
+        if self.path.suffix == ".parquet":
+            with pq.ParquetWriter(merged, schema, compression="zstd", use_dictionary=False) as writer:
+                for table in tables:
+                    writer.write_table(table)
+        else:
+            _write_csv(merged, tables, schema)
+            _write_units(units_path(self.path), columns)
+        merged.replace(self.path)
+
+
+def export_blocks(
+    blocks: Iterable[SampleBlock],
+    out: Path,
+    columns: Sequence[str] | None,
+    known: Callable[[], Iterable[Column]],
+) -> int:
+    """Write blocks to a table and return the number of rows.
+
+    Parameters
+    ----------
+    columns : sequence of str, or None
+        The columns to write, in this order; None for all that come.
+    known : callable
+        Returns unit and type of every column that has come so far; a device may begin to send more.
+
+    Raises
+    ------
+    ImumonError
+        BAD_CONFIG when a column that was asked for is not there, naming those that are, or when the table
+        cannot be written; BAD_DATA when there is no sample; a table that was there then stays as it was.
+    """
+    try:
+        return _export(blocks, out, columns, known)
+    except OSError as error:
+        reason = os.strerror(error.errno) if error.errno else str(error)
+        raise ImumonError(Reason.BAD_CONFIG, f"{out}: cannot be written: {reason}") from error
+
+
+def _export(
+    blocks: Iterable[SampleBlock],
+    out: Path,
+    columns: Sequence[str] | None,
+    known: Callable[[], Iterable[Column]],
+) -> int:
+    seen: dict[str, None] = {}
+    with TableWriter(out, {}) as writer:
+        for block in blocks:
+            if not len(block):
+                continue
+            seen.update(dict.fromkeys(block.columns))
+            at_hand = {column.name: column for column in known()}
+            names = block.columns if columns is None else [name for name in columns if name in block]
+            writer.announce(at_hand[name] for name in columns or at_hand if name in at_hand)
+            writer.write(SampleBlock({name: block[name] for name in names}))
+        absent = [name for name in columns or () if name not in seen]
+        if absent and seen:
+            raise ImumonError(
+                Reason.BAD_CONFIG,
+                f"no column {', '.join(absent)} in these samples",
+                f"there are: {', '.join(seen)}",
+            )
+        if not writer.rows:
+            raise ImumonError(Reason.BAD_DATA, "there are no samples, so there is no table to write")
+    return writer.rows
+
+
+def iterate_samples(session: Session, rows_per_block: int = READ_ROWS) -> Iterator[SampleBlock]:
+    """Yield the samples of an imported session in order.
+
+    Raises
+    ------
+    ImumonError
+        BAD_DATA when the table cannot be read, or when the session has bytes instead, which need a decoder.
+    """
+    if session.metadata.source != "import":
+        raise ImumonError(Reason.BAD_DATA, f"{session.path} holds bytes, not samples: it must be decoded")
+    return iterate_table(session.samples_path, rows_per_block)
+
+
+def iterate_table(path: Path, rows_per_block: int = READ_ROWS) -> Iterator[SampleBlock]:
+    """Yield the samples of a table that imumon wrote, or one with the same names, in order.
+
+    Raises
+    ------
+    ImumonError
+        BAD_DATA when the table cannot be read or has a column that is neither float nor integer.
+    """
+    columns = read_columns(path)
+    schema = _schema(columns.values())
+    try:
+        for batch in _batches(path, schema, rows_per_block):
+            for start in range(0, len(batch), rows_per_block):
+                yield _from_arrow(batch.slice(start, rows_per_block), schema)
+    except (pa.ArrowException, OSError) as error:
+        raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read: {error}") from error
+
+
+def read_table(path: Path) -> tuple[SampleBlock, dict[str, Column]]:
+    """Read a whole table into memory; return the samples and the columns with their units.
+
+    Raises
+    ------
+    ImumonError
+        BAD_DATA when the table cannot be read or has a column that is neither float nor integer.
+    """
+    columns = read_columns(path)
+    blocks = list(iterate_table(path))
+    empty = {name: np.empty(0, np.dtype(column.dtype)) for name, column in columns.items()}
+    return join(blocks) if blocks else SampleBlock(empty), columns
+
+
+def read_columns(path: Path) -> dict[str, Column]:
+    """Return the columns of a table; where the table does not tell the unit, that of the known name, or "".
+
+    Raises
+    ------
+    ImumonError
+        BAD_DATA when the table cannot be read or has a column that is neither float nor integer.
+    """
+    _check_suffix(path, Reason.BAD_DATA)
+    try:
+        if path.suffix == ".csv":
+            return _csv_columns(path)
+        schema = pq.read_schema(path)
+    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
+        raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read: {error}") from error
+    return {field.name: _parquet_column(path, field) for field in schema}
+
+
+def units_path(path: Path) -> Path:
+    """Return the path of the units of a CSV table: NAME.units.yaml beside NAME.csv."""
+    return path.with_suffix(".units.yaml")
+
+
+class _UnitsColumn(StrictModel):
+    unit: str
+    type: ColumnType
+    description: str = ""
+
+
+class _UnitsFile(StrictModel):
+    format: Literal["imumon-table/1"]
+    imumon: str
+    columns: dict[str, _UnitsColumn]
+
+
+def _write_units(path: Path, columns: Iterable[Column]) -> None:
+    entries = {
+        column.name: {"unit": column.unit, "type": column.dtype, "description": column.description}
+        for column in columns
+    }
+    content = {"format": FORMAT, "imumon": __version__, "columns": entries}
+    partial = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        partial.write_text(yaml.safe_dump(content, sort_keys=False, allow_unicode=True), encoding="utf-8")
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def _csv_columns(path: Path) -> dict[str, Column]:
+    with path.open(encoding="utf-8-sig") as file:
+        names = next(csv.reader(file), [])
+    units = units_path(path)
+    told = load_yaml(units, _UnitsFile).columns if units.is_file() else {}
+    columns = {}
+    for name in names:
+        if name in told:
+            columns[name] = Column(name, told[name].unit, told[name].type, told[name].description)
+        else:
+            columns[name] = KNOWN.get(name) or Column(name, "")
+    return columns
+
+
+def _parquet_column(path: Path, field: Any) -> Column:
+    metadata = {key.decode(): value.decode() for key, value in (field.metadata or {}).items()}
+    fallback = KNOWN.get(field.name) or Column(field.name, "")
+    if not (pa.types.is_integer(field.type) or pa.types.is_floating(field.type)):
+        raise ImumonError(Reason.BAD_DATA, f"{path}: column {field.name!r} is {field.type}, not a number")
+    dtype: ColumnType = "int64" if pa.types.is_integer(field.type) else "float64"
+    unit = metadata.get("unit", fallback.unit)
+    return Column(field.name, unit, dtype, metadata.get("description", fallback.description))
+
+
+def _check_output(path: Path) -> None:
+    _check_suffix(path, Reason.BAD_CONFIG)
+    if not path.parent.is_dir():
+        raise ImumonError(Reason.BAD_CONFIG, f"{path}: there is no folder {path.parent}", "make it first")
+
+
+def _check_suffix(path: Path, reason: Reason) -> None:
+    if path.suffix not in SUFFIXES:
+        raise ImumonError(
+            reason, f"{path}: a table cannot have the suffix {path.suffix!r}", f"use {' or '.join(SUFFIXES)}"
+        )
+
+
+def _schema(columns: Iterable[Column]) -> Any:
+    fields = [
+        pa.field(
+            column.name,
+            _ARROW[column.dtype],
+            metadata={"unit": column.unit, "description": column.description},
+        )
+        for column in columns
+    ]
+    return pa.schema(fields, metadata={"imumon": __version__, "format": FORMAT})
+
+
+def _to_arrow(block: SampleBlock, schema: Any) -> Any:
+    arrays = [
+        _masked(block[field.name], field.type) if field.name in block else pa.nulls(len(block), field.type)
+        for field in schema
+    ]
+    return pa.Table.from_arrays(arrays, schema=schema)
+
+
+def _masked(values: ColumnArray, arrow_type: Any) -> Any:
+    absent = values == NO_INT if values.dtype == np.int64 else np.isnan(values)
+    return pa.array(values, arrow_type, mask=absent)
+
+
+def _from_arrow(batch: Any, schema: Any) -> SampleBlock:
+    columns = {}
+    for field in schema:
+        values = batch.column(field.name).cast(field.type)
+        absent = pa.scalar(NO_INT if field.type == pa.int64() else np.nan, field.type)
+        columns[field.name] = values.fill_null(absent).to_numpy(zero_copy_only=False)
+    return SampleBlock(columns)
+
+
+def _batches(path: Path, schema: Any, rows: int) -> Iterator[Any]:
+    """Yield record batches of a table file."""
+    if path.suffix == ".parquet":
+        with pq.ParquetFile(path, pre_buffer=False) as file:
+            yield from file.iter_batches(batch_size=rows)
+        return
+    options = pa_csv.ConvertOptions(
+        column_types={field.name: field.type for field in schema}, null_values=["", "nan", "NaN"]
+    )
+    with pa_csv.open_csv(path, convert_options=options) as reader:
+        yield from reader
+
+
+def _merged(parts: Sequence[Path], schema: Any) -> Iterator[Any]:
+    """Yield tables of this schema from parts that have some of its columns each."""
+    for part in parts:
+        with pq.ParquetFile(part, pre_buffer=False) as file:
+            for batch in file.iter_batches(batch_size=READ_ROWS):
+                arrays = [
+                    batch.column(field.name)
+                    if field.name in batch.schema.names
+                    else pa.nulls(len(batch), field.type)
+                    for field in schema
+                ]
+                yield pa.Table.from_arrays(arrays, schema=schema)
+
+
+def _write_csv(path: Path, tables: Iterable[Any], schema: Any) -> None:
+    options = pa_csv.WriteOptions(include_header=False, quoting_style="none")
+    with path.open("wb") as file:
+        file.write(",".join(schema.names).encode() + b"\n")
+        for table in tables:
+            texts = [_as_text(table.column(name)) for name in schema.names]
+            pa_csv.write_csv(pa.Table.from_arrays(texts, names=schema.names), file, options)
+
+
+def _as_text(values: Any) -> Any:
+    """Return numbers as the shortest text that reads back the same; whole floats keep their ".0"."""
+    text = values.cast(pa.string())
+    if values.type != pa.float64():
+        return text
+    bare = pc.invert(pc.match_substring_regex(text, "[.eni]"))
+    return pc.if_else(bare, pc.binary_join_element_wise(text, ".0", ""), text)

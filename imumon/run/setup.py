@@ -1,0 +1,158 @@
+"""Pipeline files: what the estimators are told that the device does not send."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import yaml
+from pydantic import Field
+
+from imumon.allan.parameters import AllanParameters, Noise
+from imumon.config import StrictModel, parse_yaml
+from imumon.errors import ImumonError, Reason
+from imumon.estimation.alignment.parameters import AlignmentParameters
+from imumon.estimation.alignment.warm_up import known_warm_up
+from imumon.estimation.random_error.parameters import Channel, GyroNoise, RandomErrorParameters
+from imumon.estimation.rest.parameters import RestParameters
+from imumon.estimation.watch.parameters import WatchParameters
+from imumon.estimation.zupt.parameters import ZuptParameters
+from imumon.models.model import BiasModel, load_model
+
+FORMAT: Final = "imumon-pipeline/1"
+
+CHANNELS: tuple[Channel, ...] = ("gyro_x", "gyro_y", "gyro_z")
+ZuptMode = Literal["standard", "thermal", "learned"]
+
+
+class Setup(StrictModel):
+    """Where the unit stands, its bias model, and the parameters of every estimator.
+
+    `model` is the path of a model file, relative to the pipeline file, or the model itself; a session keeps
+    the model itself, so that it refers to nothing outside.  `noise` is what `imumon allan --noise-out`
+    writes; it holds for every estimator whose own parameters do not say otherwise.
+    """
+
+    format: Literal["imumon-pipeline/1"] = FORMAT
+    latitude_deg: float | None = Field(default=None, ge=-90, le=90)
+    heading_deg: float | None = Field(default=None, ge=-360, le=360)
+    zupt_mode: ZuptMode | None = None
+    model: BiasModel | str | None = None
+    rest: RestParameters = RestParameters()
+    zupt: ZuptParameters = ZuptParameters()
+    random_error: RandomErrorParameters = RandomErrorParameters()
+    alignment: AlignmentParameters = AlignmentParameters()
+    watch: WatchParameters = WatchParameters()
+    noise: Noise = Noise()
+    allan: AllanParameters = AllanParameters()
+
+    @property
+    def bias_model(self) -> BiasModel | None:
+        """The model, or None; a path has been replaced by `load_setup`."""
+        assert not isinstance(self.model, str)
+        return self.model
+
+    @property
+    def mode(self) -> ZuptMode:
+        """How the bias follows temperature: as chosen, else by the model if there is one, else learned."""
+        return self.zupt_mode or ("thermal" if self.model is not None else "learned")
+
+    @property
+    def zupt_with_noise(self) -> ZuptParameters:
+        """Parameters of the bias estimator, with the noise that is known filled in."""
+        gyro, own = self.noise.gyro, self.zupt
+        if gyro is None:
+            return own
+        known: dict[str, list[float]] = {}
+        white = gyro.angle_random_walk_rad_per_sqrt_s
+        if own.angle_random_walk_rad_per_sqrt_s is None and all(white):
+            known["angle_random_walk_rad_per_sqrt_s"] = [value or 0.0 for value in white]
+        flicker, walk = gyro.bias_instability_rad_per_s, gyro.rate_random_walk_rad_per_s_sqrt_s
+        unsaid = own.bias_instability_rad_per_s is None and own.rate_random_walk_rad_per_s_per_sqrt_s is None
+        if unsaid and all(f or w for f, w in zip(flicker, walk, strict=True)):
+            known["bias_instability_rad_per_s"] = [value or 0.0 for value in flicker]
+            known["rate_random_walk_rad_per_s_per_sqrt_s"] = [value or 0.0 for value in walk]
+        return own.model_copy(update=known)
+
+    @property
+    def alignment_with_warm_up(self) -> AlignmentParameters:
+        """Parameters of the alignment, with the warm-up of the accelerometers that the model knows."""
+        known = self.alignment.known_warm_up or known_warm_up(self.bias_model)
+        return self.alignment.model_copy(update={"known_warm_up": known})
+
+    @property
+    def random_error_with_noise(self) -> RandomErrorParameters:
+        """Parameters of the random error, with the noise that is known filled in."""
+        gyro, own = self.noise.gyro, self.random_error
+        if gyro is None:
+            return own
+        terms = zip(
+            CHANNELS,
+            gyro.angle_random_walk_rad_per_sqrt_s,
+            gyro.bias_instability_rad_per_s,
+            gyro.rate_random_walk_rad_per_s_sqrt_s,
+            strict=True,
+        )
+        known = {
+            channel: GyroNoise(angle_random_walk=white, bias_instability=flicker, rate_random_walk=walk)
+            for channel, white, flicker, walk in terms
+            if white and (flicker or walk)
+        }
+        return own.model_copy(update={"noise": {**known, **own.noise}})
+
+    def with_options(self, **given: Any) -> Setup:
+        """Return the setup with what was given on the command line; None leaves what there is."""
+        changed = {name: value for name, value in given.items() if value is not None}
+        return self.model_copy(update=changed).checked() if changed else self
+
+    def checked(self) -> Setup:
+        """Return the setup; raises BAD_CONFIG when its parts contradict each other."""
+        if self.zupt_mode == "thermal" and self.model is None:
+            raise ImumonError(
+                Reason.BAD_CONFIG,
+                "the thermal mode needs the bias over temperature, and there is no model",
+                "add --model MODEL.yaml, made by: imumon calibrate SESSION... --out MODEL.yaml",
+            )
+        return self
+
+    def text(self) -> str | None:
+        """Return the pipeline file that says this much, or None when nothing differs from the defaults."""
+        defaults = Setup()
+        names = [name for name in Setup.model_fields if getattr(self, name) != getattr(defaults, name)]
+        if not names:
+            return None
+        said = {"format": FORMAT, **self.model_dump(include=set(names))}
+        return yaml.safe_dump(said, sort_keys=False, allow_unicode=True, width=110)
+
+
+def parse_setup(text: str, source: str) -> Setup:
+    """Read the text of a pipeline file; a model that it names is read from beside `source`.
+
+    Raises
+    ------
+    ImumonError
+        BAD_CONFIG, naming file and line, what was found and what was expected.
+    """
+    setup = parse_yaml(text, Setup, source)
+    if isinstance(setup.model, str):
+        setup = setup.model_copy(update={"model": load_model(Path(source).parent / setup.model)})
+    return setup.checked()
+
+
+def load_setup(path: Path) -> Setup:
+    """Read a pipeline file.
+
+    Raises
+    ------
+    ImumonError
+        BAD_CONFIG, naming file and line, what was found and what was expected.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ImumonError(
+            Reason.BAD_CONFIG,
+            f"{path}: cannot be read: {error}",
+            "give a pipeline file (format: imumon-pipeline/1)",
+        ) from error
+    return parse_setup(text, str(path))

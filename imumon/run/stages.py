@@ -1,0 +1,38 @@
+"""Which estimators run behind the clock, and in which order."""
+
+from __future__ import annotations
+
+from imumon.allan.stage import AllanStage
+from imumon.estimation.alignment.stage import Alignment
+from imumon.estimation.random_error.stage import RandomError
+from imumon.estimation.rest.stage import RestDetector
+from imumon.estimation.temperature_rate.parameters import TemperatureRateParameters
+from imumon.estimation.temperature_rate.stage import TemperatureRate
+from imumon.estimation.watch.stage import ModelWatch
+from imumon.estimation.zupt.stage import ZeroVelocity
+from imumon.pipeline import Estimator
+from imumon.protocols.device import DeviceFile
+from imumon.run.setup import Setup
+
+
+def estimators(device: DeviceFile | None, setup: Setup | None = None) -> list[Estimator]:
+    """Return new estimators for a device, or for a table when there is none.
+
+    The heading is sought only where the latitude is known.
+    """
+    setup = setup or Setup()
+    temperature = device.temperature if device is not None else TemperatureRateParameters()
+    model = setup.bias_model
+    stages: list[Estimator] = [
+        TemperatureRate(parameters=temperature),
+        RestDetector(setup.rest),
+        ZeroVelocity(setup.zupt_with_noise, model, setup.mode, setup.latitude_deg, setup.heading_deg),
+        ModelWatch(setup.watch, modelled=model is not None),
+        RandomError(setup.random_error_with_noise, model),
+        AllanStage(setup.allan),
+    ]
+    if setup.latitude_deg is not None:
+        axes = device.axes if device is not None else None
+        sent = () if device is None else [column.name for column in device.decoder().possible_columns]
+        stages.append(Alignment(setup.alignment_with_warm_up, setup.latitude_deg, axes, sent))
+    return stages

@@ -1,0 +1,254 @@
+from __future__ import annotations
+
+import errno
+import os
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
+
+from imumon.errors import ImumonError, Reason
+from imumon.recordings import wire
+from imumon.recordings.wire import WireReader, WireWriter, read_wire
+from imumon.transport.reader import Bytes, Event, EventKind, Item
+
+ITEMS: list[Item] = [
+    Event(EventKind.OPENED, 1_700_000_000_000_000_000, "open µ"),
+    Bytes(b"\xfa\xff\x36", 1_700_000_000_000_000_001),
+    Bytes(b"\x89MCAP0\r\n" * 3, 1_700_000_000_010_000_003),
+    Event(EventKind.LOST, 1_700_000_000_020_000_000, 'gone "away"\n'),
+    Bytes(bytes(range(256)), 1_700_000_000_030_000_000),
+]
+
+
+def record(path: Path, items: list[Item]) -> WireWriter:
+    writer = WireWriter(path, {"device": "test"})
+    for item in items:
+        writer.write(item)
+    return writer
+
+
+def test_what_is_written_is_read_in_order_with_its_times(tmp_path: Path) -> None:
+    record(tmp_path / "w.mcap", ITEMS).close()
+    reader = WireReader(tmp_path / "w.mcap")
+    assert list(reader) == ITEMS
+    assert reader.summary == wire.WireSummary(3, 283, 2, complete=True, checksum_ok=True)
+
+
+@given(
+    reads=st.lists(st.tuples(st.binary(max_size=300), st.integers(0, 2**63 - 1)), max_size=40),
+    read_size=st.integers(1, 200),
+)
+@settings(max_examples=40, deadline=None)
+def test_reading_does_not_depend_on_the_size_of_the_pieces(
+    tmp_path_factory: pytest.TempPathFactory, reads: list[tuple[bytes, int]], read_size: int
+) -> None:
+    path = tmp_path_factory.mktemp("wire") / "w.mcap"
+    items: list[Item] = [Bytes(data, time_ns) for data, time_ns in reads]
+    record(path, items).close()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(wire, "READ_SIZE", read_size)
+        assert list(read_wire(path)) == items
+
+
+def test_a_file_cut_at_any_byte_is_read_to_its_last_whole_record(tmp_path: Path) -> None:
+    path, cut = tmp_path / "w.mcap", tmp_path / "cut.mcap"
+    ends = []
+    writer = WireWriter(path, {})
+    writer.flush()
+    ends.append(path.stat().st_size)
+    for item in ITEMS:
+        writer.write(item)
+        writer.flush()
+        ends.append(path.stat().st_size)
+    writer.close()
+    whole = path.read_bytes()
+    for size in range(len(whole)):
+        cut.write_bytes(whole[:size])
+        reader = WireReader(cut)
+        count = sum(end <= size for end in ends[1:])
+        assert list(reader) == ITEMS[:count], size
+        assert not reader.summary.complete
+        if ends[0] <= size < ends[-1]:
+            assert reader.summary.tail_bytes == size - max(end for end in ends if end <= size)
+
+
+def test_a_tail_of_zeros_as_a_power_failure_leaves_it_is_reported(tmp_path: Path) -> None:
+    path = tmp_path / "w.mcap"
+    writer = record(path, ITEMS)
+    writer.flush()
+    with path.open("ab") as file:
+        file.write(bytes(3_000_000))
+    reader = WireReader(path)
+    assert list(reader) == ITEMS
+    assert reader.summary.tail_bytes == 3_000_000
+    writer.close()
+
+
+def test_a_flipped_bit_is_seen_by_the_checksum(tmp_path: Path) -> None:
+    path = tmp_path / "w.mcap"
+    record(path, ITEMS).close()
+    content = bytearray(path.read_bytes())
+    content[content.index(b"\xfa\xff\x36")] ^= 1
+    path.write_bytes(content)
+    reader = WireReader(path)
+    assert len(list(reader)) == len(ITEMS)
+    assert reader.summary.checksum_ok is False
+
+
+def test_any_flipped_bit_is_read_over_up_to_or_refused_in_words(tmp_path: Path) -> None:
+    path = tmp_path / "w.mcap"
+    record(path, ITEMS).close()
+    whole, refused = path.read_bytes(), set()
+    for bit in range(0, 8 * len(whole), 5):
+        damaged = bytearray(whole)
+        damaged[bit // 8] ^= 1 << bit % 8
+        path.write_bytes(damaged)
+        reader = WireReader(path)
+        try:
+            items = list(reader)
+        except ImumonError as error:
+            refused.add(error.reason)
+            continue
+        times = [item.arrival_ns if isinstance(item, Bytes) else item.time_ns for item in items]
+        assert all(0 <= time_ns < 2**63 for time_ns in times)
+        assert items == ITEMS or not reader.summary.complete or not reader.summary.checksum_ok
+    assert refused == {Reason.BAD_DATA}
+
+
+def test_the_file_is_mcap_for_other_readers(tmp_path: Path) -> None:
+    record(tmp_path / "w.mcap", ITEMS).close()
+    with (tmp_path / "w.mcap").open("rb") as file:
+        messages = [(channel.topic, m.log_time) for _, channel, m in make_reader(file).iter_messages()]
+        file.seek(0)
+        [metadata] = make_reader(file).iter_metadata()
+    assert [topic for topic, _ in messages] == ["/event", "/wire", "/wire", "/event", "/wire"]
+    assert messages[1] == ("/wire", ITEMS[1].arrival_ns)  # type: ignore[union-attr]  # it is Bytes
+    assert (metadata.name, metadata.metadata) == ("imumon", {"device": "test"})
+
+
+def test_a_file_that_another_tool_put_into_chunks_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "chunked.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file, compression=CompressionType.ZSTD, chunk_size=4000)
+        writer.start(profile=wire.FORMAT)
+        channel = writer.register_channel("/wire", "x-bytes", 0)
+        for index in range(500):
+            writer.add_message(channel, index, b"%d" % index, index)
+        writer.finish()  # type: ignore[no-untyped-call]  # the library does not say
+    assert list(read_wire(path)) == [Bytes(b"%d" % index, index) for index in range(500)]
+
+
+@pytest.mark.parametrize("content", [b"gx,gy,gz\n1,2,3\n", b"\x89MCAP1\r\n" + bytes(40)])
+def test_a_file_of_another_kind_is_refused(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "w.mcap"
+    path.write_bytes(content)
+    with pytest.raises(ImumonError, match="is not a wire file") as caught:
+        list(read_wire(path))
+    assert caught.value.reason is Reason.BAD_DATA
+
+
+def test_an_mcap_file_of_another_profile_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "w.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start(profile="ros2")
+        writer.finish()  # type: ignore[no-untyped-call]  # the library does not say
+    with pytest.raises(ImumonError, match="profile 'ros2'"):
+        list(read_wire(path))
+
+
+def test_an_existing_file_is_not_overwritten(tmp_path: Path) -> None:
+    record(tmp_path / "w.mcap", ITEMS).close()
+    before = (tmp_path / "w.mcap").read_bytes()
+    with pytest.raises(ImumonError) as caught:
+        WireWriter(tmp_path / "w.mcap", {})
+    assert caught.value.reason is Reason.EXISTS
+    assert (tmp_path / "w.mcap").read_bytes() == before
+
+
+class FullDisk:
+    """os.write with room for so many bytes."""
+
+    def __init__(self, room: int) -> None:
+        self.room = room
+
+    def write(self, descriptor: int, data: bytearray) -> int:
+        if not self.room:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        count = self._write(descriptor, bytes(data[: self.room]))
+        self.room -= count
+        return count
+
+    _write = staticmethod(os.write)
+
+
+@pytest.mark.parametrize("room", range(0, 120, 7))
+def test_after_a_full_disk_the_file_goes_on_where_it_stopped(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, room: int
+) -> None:
+    writer = WireWriter(tmp_path / "w.mcap", {})
+    disk = FullDisk(room)
+    monkeypatch.setattr("imumon.recordings.wire.os.write", disk.write)
+    for item in ITEMS:
+        writer.write(item)
+    with pytest.raises(OSError, match="No space left"):
+        writer.flush()
+    assert writer.counters.bytes_on_disk < writer.counters.bytes
+    disk.room = 1 << 20
+    writer.flush()
+    assert writer.counters.bytes_on_disk == writer.counters.bytes
+    writer.close()
+    reader = WireReader(tmp_path / "w.mcap")
+    assert list(reader) == ITEMS
+    assert reader.summary.complete
+    assert reader.summary.checksum_ok
+
+
+def test_bytes_beyond_the_limit_are_counted_and_the_file_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(wire, "PENDING_LIMIT", 100)
+    disk = FullDisk(0)
+    writer = WireWriter(tmp_path / "w.mcap", {})
+    monkeypatch.setattr("imumon.recordings.wire.os.write", disk.write)
+    items = [Bytes(bytes([index]) * 60, index) for index in range(6)]
+    for item in items[:5]:
+        writer.write(item)
+    assert writer.counters.bytes == 300
+    assert writer.counters.bytes_unrecorded == 180
+    disk.room = 1 << 20
+    writer.flush()
+    writer.write(items[5])
+    writer.close()
+    reader = WireReader(tmp_path / "w.mcap")
+    assert list(reader) == [*items[:2], items[5]]
+    assert reader.summary.bytes_unrecorded == 180
+    assert writer.counters.bytes_on_disk == 180
+
+
+def test_closing_on_a_full_disk_counts_what_is_lost_and_leaves_a_readable_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    writer = record(tmp_path / "w.mcap", ITEMS[:2])
+    writer.flush()
+    monkeypatch.setattr("imumon.recordings.wire.os.write", FullDisk(60).write)
+    writer.write(ITEMS[2])
+    writer.write(ITEMS[4])
+    with pytest.raises(OSError, match="No space left"):
+        writer.close()
+    assert writer.counters.bytes_on_disk == 3 + 24
+    assert writer.counters.bytes_unrecorded == 256
+    assert list(read_wire(tmp_path / "w.mcap")) == ITEMS[:3]
+    writer.close()
+
+
+def test_an_event_of_a_newer_version_is_refused_rather_than_passed_over(tmp_path: Path) -> None:
+    path = tmp_path / "w.mcap"
+    record(path, ITEMS).close()
+    path.write_bytes(path.read_bytes().replace(b'"lost"', b'"moon"'))
+    with pytest.raises(ImumonError, match="moon"):
+        list(read_wire(path))

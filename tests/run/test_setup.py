@@ -1,0 +1,106 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from imumon.errors import ImumonError
+from imumon.models.curves.polynomial import PolynomialCurve
+from imumon.models.model import BiasModel, ChannelModel
+from imumon.run.setup import Setup, load_setup, parse_setup
+
+
+def _model() -> BiasModel:
+    curve = PolynomialCurve(center_degc=20.0, half_width_degc=15.0, coefficients=[1e-3, 1 / 3 * 1e-4])
+    channel = ChannelModel(
+        unit="rad/s",
+        temperature_column="temperature_x",
+        temperature_range_degc=[5.0, 35.0],
+        residual_sd=1e-5,
+        curve=curve,
+    )
+    return BiasModel(made_by="test", created="2026-01-01T00:00:00Z", channels={"gyro_x": channel})
+
+
+def test_nothing_said_is_no_file() -> None:
+    assert Setup().text() is None
+
+
+def test_what_a_session_keeps_says_the_same_again_with_the_model_in_it() -> None:
+    setup = Setup().with_options(model=_model(), latitude_deg=40.93, heading_deg=12.5, zupt_mode="thermal")
+    text = setup.text()
+    assert text is not None
+    again = parse_setup(text, "session.yaml")
+    assert again == setup
+    assert again.text() == text
+
+
+def test_a_model_is_read_from_beside_the_pipeline_file(tmp_path: Path) -> None:
+    (tmp_path / "deep").mkdir()
+    _model().write(tmp_path / "model.yaml")
+    file = tmp_path / "deep" / "pipeline.yaml"
+    file.write_text("format: imumon-pipeline/1\nlatitude_deg: 48.1\nmodel: ../model.yaml\n")
+    setup = load_setup(file)
+    assert setup.bias_model == _model()
+    assert (setup.latitude_deg, setup.mode) == (48.1, "thermal")
+
+
+def test_without_a_model_the_slope_is_learned_unless_another_mode_is_chosen() -> None:
+    assert Setup().mode == "learned"
+    assert Setup().with_options(zupt_mode="standard").mode == "standard"
+
+
+def test_the_thermal_mode_without_a_model_is_refused_with_what_to_do() -> None:
+    with pytest.raises(ImumonError, match="there is no model") as caught:
+        Setup().with_options(zupt_mode="thermal")
+    assert "imumon calibrate" in (caught.value.hint or "")
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("latitude_deg: 91.0", r"pipeline.yaml:2: latitude_deg"),
+        ("latitude: 45.0", r"pipeline.yaml:2: latitude: unknown key"),
+        ("zupt: {zeroing_s: 1.0}", r"pipeline.yaml:2: zupt.zeroing_s"),
+        ("model: missing.yaml", r"missing.yaml: cannot be read"),
+    ],
+)
+def test_mistakes_in_a_pipeline_file_are_named_with_their_line(
+    tmp_path: Path, line: str, message: str
+) -> None:
+    file = tmp_path / "pipeline.yaml"
+    file.write_text(f"format: imumon-pipeline/1\n{line}\n")
+    with pytest.raises(ImumonError, match=message):
+        load_setup(file)
+
+
+NOISE = """format: imumon-pipeline/1
+noise:
+  gyro:
+    angle_random_walk_rad_per_sqrt_s: [8e-5, 7e-5, 9e-5]
+    bias_instability_rad_per_s: [1e-5, null, 2e-5]
+    rate_random_walk_rad_per_s_sqrt_s: [null, 3e-7, null]
+"""
+
+
+def test_known_noise_holds_for_every_estimator() -> None:
+    setup = parse_setup(NOISE, "pipeline.yaml")
+    zupt, error = setup.zupt_with_noise, setup.random_error_with_noise
+    assert zupt.angle_random_walk_rad_per_sqrt_s == [8e-5, 7e-5, 9e-5]
+    assert zupt.bias_instability_rad_per_s == [1e-5, 0.0, 2e-5]
+    assert zupt.rate_random_walk_rad_per_s_per_sqrt_s == [0.0, 3e-7, 0.0]
+    assert error.noise["gyro_y"].rate_random_walk == 3e-7
+    assert error.noise["gyro_z"].angle_random_walk == 9e-5
+
+
+def test_what_an_estimator_is_told_itself_comes_first_and_what_is_not_known_is_learned() -> None:
+    told = NOISE + "zupt: {angle_random_walk_rad_per_sqrt_s: 1e-3}\n"
+    setup = parse_setup(told.replace("[null, 3e-7, null]", "[null, null, null]"), "pipeline.yaml")
+    assert setup.zupt_with_noise.angle_random_walk_rad_per_sqrt_s == 1e-3
+    assert setup.zupt_with_noise.bias_instability_rad_per_s is None
+    assert set(setup.random_error_with_noise.noise) == {"gyro_x", "gyro_z"}
+
+
+def test_a_setup_with_noise_says_the_same_again() -> None:
+    setup = parse_setup(NOISE, "pipeline.yaml")
+    assert parse_setup(setup.text() or "", "session.yaml") == setup

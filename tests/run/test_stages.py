@@ -1,0 +1,81 @@
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from imumon.blocks import SampleBlock, join
+from imumon.errors import ImumonError
+from imumon.estimation.temperature_rate.fir import FirExponentialRate
+from imumon.estimation.temperature_rate.stage import TemperatureRate
+from imumon.pipeline import Pipeline
+from imumon.protocols.device import device_text, parse_device
+from imumon.run.stages import estimators
+
+
+def warming(n: int, starts_at: int) -> SampleBlock:
+    """Two sensors at 10 Hz, the second of which begins to send later, the device restarting half-way."""
+    t = np.arange(n) * 0.1
+    time_ns = (np.concatenate([t[: n // 2], t[: n - n // 2]]) * 1e9).astype(np.int64)
+    y = np.round((30 + 0.02 * t) / 0.05) * 0.05
+    y[:starts_at] = np.nan
+    return SampleBlock(
+        {
+            "device_time_ns": time_ns,
+            "segment": (np.arange(n) >= n // 2).astype(np.int64),
+            "temperature_x": np.round((20 + 0.01 * t) / 0.05) * 0.05,
+            "temperature_y": y,
+        }
+    )
+
+
+@given(cuts=st.lists(st.integers(1, 2399), max_size=8), starts_at=st.integers(0, 900))
+@settings(max_examples=20, deadline=None)
+def test_a_channel_that_comes_late_is_the_same_whatever_the_blocks(cuts: list[int], starts_at: int) -> None:
+    block = warming(2400, starts_at)
+    whole = Pipeline(None, estimators(None))
+    whole.push(block)
+    expected = whole.take()
+    pieces = Pipeline(None, estimators(None))
+    edges = sorted({0, 2400, *cuts})
+    for start, stop in pairwise(edges):
+        part = block.rows(start, stop)
+        if stop <= starts_at:  # a decoder has no column for what has not come yet
+            part = SampleBlock({k: v for k, v in part.columns.items() if k != "temperature_y"})
+        pieces.push(part)
+    got = pieces.take()
+    for name in expected.columns:
+        np.testing.assert_array_equal(got[name], expected[name], err_msg=name)
+    assert np.isfinite(got["temperature_rate_y"][-1])
+
+
+def test_a_device_without_temperature_gets_no_columns_of_temperature() -> None:
+    pipeline = Pipeline(None, estimators(None))
+    pipeline.push(SampleBlock({"device_time_ns": np.arange(3), "segment": np.zeros(3, np.int64)}))
+    assert not [name for name in pipeline.take().columns if name.startswith("temperature")]
+    assert not [column for column in pipeline.columns if column.name.startswith("temperature")]
+
+
+def test_the_device_file_chooses_the_method_and_its_step_is_checked() -> None:
+    text = device_text("ax1")[0]
+    published = text + "temperature: {method: fir_exponential, step_degc: 0.5}\n"
+    device = parse_device(published, "mine.yaml")
+    stage = estimators(device)[0]
+    assert isinstance(stage, TemperatureRate)
+    block = warming(6000, 0)
+    stage.process(block)
+    assert isinstance(stage._methods["temperature_x"], FirExponentialRate)
+    assert any("step_degc contradicts" in notice for notice in stage.notices())
+    with pytest.raises(ImumonError, match=r"mine.yaml:\d+: temperature: method fir_expo"):
+        parse_device(text + "temperature: {method: fir_exponential}\n", "mine.yaml")
+    with pytest.raises(ImumonError, match=r"mine.yaml:\d+: temperature.windows: unknown key"):
+        parse_device(text + "temperature: {windows: 3}\n", "mine.yaml")
+
+
+def test_join_keeps_blocks_in_order() -> None:
+    """The pieces above rely on it: a column that some blocks lack is missing there."""
+    joined = join([SampleBlock({"a": np.ones(1)}), SampleBlock({"a": np.ones(1), "b": np.ones(1)})])
+    np.testing.assert_array_equal(joined["b"], [np.nan, 1.0])
