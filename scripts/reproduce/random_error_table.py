@@ -36,8 +36,8 @@ from random_error_records import (
 from imumon.blocks import FloatArray
 from imumon.estimation.random_error.drift import DriftFilter
 from imumon.estimation.random_error.fit import fit_local_level, fit_noise, gather
-from imumon.estimation.random_error.linear import LinearFilter, ModelL
-from imumon.estimation.random_error.sigma_points import PHI, ModelNL, SigmaPointFilter
+from imumon.published.linear import LinearFilter, ModelL
+from imumon.published.sigma_points import PHI, ModelNL, SigmaPointFilter
 
 ROOT = Path(__file__).resolve().parents[2]
 HOUR = 3600.0

@@ -27,8 +27,8 @@ from tczupt_records import (
 )
 
 from imumon.blocks import FloatArray
-from imumon.estimation.zupt.dense import DenseSettings, dense_filter
 from imumon.estimation.zupt.stage import Mode, ZeroVelocity
+from imumon.published.dense_zupt import DenseSettings, dense_filter
 
 FIGURES = Path(__file__).resolve().parents[2] / "docs" / "figures" / "tczupt"
 ZUPT, TCZUPT = Filter("calibrated"), Filter("rate", k=0.5)

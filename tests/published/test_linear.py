@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imumon.estimation.random_error.linear import LinearFilter, ModelL
-from tests.estimation.random_error.plain_filters import CHECK_ROWS, check_signal, plain_kalman
+from imumon.published.linear import LinearFilter, ModelL
+from tests.published.plain_filters import CHECK_ROWS, check_signal, plain_kalman
 
 CHECK = ModelL(0.3, 0.05, 0.02, (0.0, 0.0), (0.1, 0.1), 0.1)
 Q = 0.05**2 + 0.02**2

@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 
 from imumon.blocks import FloatArray
 from imumon.errors import ImumonError, Reason
-from imumon.estimation.random_error.sigma_points import (
+from imumon.published.sigma_points import (
     ModelNL,
     SigmaPointFilter,
     take_risk,
 )
-from tests.estimation.random_error.plain_filters import CHECK_ROWS, SevenStates, check_signal, plain_kalman
+from tests.published.plain_filters import CHECK_ROWS, SevenStates, check_signal, plain_kalman
 
 CHECK = ModelNL((0.0, 0.0, 0.3, 0.05, 0.02), (0.1, 0.1, 0.01, 1e-4, 1e-4), 0.1)
 
