@@ -1,14 +1,14 @@
-"""Kalman filters on model L of Shi Gang et al. (eqs. 3 and 4), φ, δ¹ and δ² known, in square-root form.
+"""Kalman filters on model L of Shi Gang et al. (3, 4): φ, δ¹ and δ² known, x_k and x_k-1 the states.
 
-The strong-tracking filter multiplies the propagated covariance by a fading factor λ ≥ 1 that brings the
-innovation's variance up to what is seen: λ = max(1, (V - q - βR) / (H F P Fᵀ Hᵀ)), q = δ¹² + δ²²,
+The strong-tracking filter (STF) multiplies the propagated covariance by a fading factor λ ≥ 1 that brings
+the innovation's variance up to what is seen: λ = max(1, (V - q - βR) / (H F P Fᵀ Hᵀ)), q = δ¹² + δ²²,
 with V = e² at the first innovation, then V ← (ρV + e²)/(1 + ρ), ρ = 0.95.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -17,8 +17,6 @@ from numba import njit
 from imumon.blocks import FloatArray
 
 FORGETTING = 0.95
-SEEN, BEGUN, LARGEST = range(3)
-"""Places of the fading state: V, whether there was an innovation, the largest λ."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,13 +41,40 @@ class ModelL:
     noise_variance: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LinearSeries:
+class LinearSeries(NamedTuple):
     """x_k|k-1, x_k|k and its standard deviation at each sample, (n,), in the unit of the data."""
 
     predicted: FloatArray
     estimate: FloatArray
     sd: FloatArray
+
+
+class Settings(NamedTuple):
+    """φ, q = δ¹² + δ²², R, and β of the strong-tracking filter, negative for the plain Kalman filter."""
+
+    phi: float
+    process_variance: float
+    noise_variance: float
+    softening: float
+
+
+class State(NamedTuple):
+    """What the filter carries from sample to sample, changed in place.
+
+    Parameters
+    ----------
+    mean, covariance : array (2,), (2, 2)
+        Of (x_k, x_k-1).
+    seen : array (1,)
+        V, the variance of the innovations as it is seen; NaN before the first.
+    largest_fading : array (1,)
+        The largest λ so far.
+    """
+
+    mean: FloatArray
+    covariance: FloatArray
+    seen: FloatArray
+    largest_fading: FloatArray
 
 
 class LinearFilter:
@@ -64,94 +89,82 @@ class LinearFilter:
     """
 
     def __init__(self, model: ModelL, softening: float | None = None) -> None:
-        self._model = model
-        self._softening = -1.0 if softening is None else softening
-        self.mean = np.array(model.mean, np.float64)
-        self.factor = np.diag(np.sqrt(np.array(model.variance, np.float64)))
-        self._fading = np.zeros(3)
+        process = model.delta1**2 + model.delta2**2
+        beta = -1.0 if softening is None else softening
+        self._settings = Settings(model.phi, process, model.noise_variance, beta)
+        mean, covariance = np.array(model.mean, np.float64), np.diag(np.array(model.variance, np.float64))
+        self.state = State(mean, covariance, np.full(1, np.nan), np.ones(1))
 
     @property
     def largest_fading(self) -> float:
         """The largest λ so far."""
-        return float(self._fading[LARGEST])
+        return float(self.state.largest_fading[0])
 
-    def process(self, reading: FloatArray, measured: npt.NDArray[np.bool_] | None = None) -> LinearSeries:
-        """Return what the filter says at samples that follow; those NaN or not `measured` are passed over."""
+    def process(
+        self,
+        reading: FloatArray,
+        measured: npt.NDArray[np.bool_] | None = None,
+        steps: FloatArray | None = None,
+    ) -> LinearSeries:
+        """Return what the filter says at samples that follow those of the last call.
+
+        Parameters
+        ----------
+        reading : array, (n,)
+            Data; predicted only where it is NaN or not `measured`.
+        measured : array of bool, (n,), optional
+            Default always.
+        steps : array, (n,), optional
+            Time since the last sample in sampling intervals: what q is multiplied with.  Default 1.
+        """
         n = len(reading)
         use = np.isfinite(reading) if measured is None else measured & np.isfinite(reading)
-        out = [np.empty(n) for _ in range(3)]
-        model = self._model
-        _run(
-            reading,
-            use,
-            model.phi,
-            model.delta1,
-            model.delta2,
-            model.noise_variance,
-            self._softening,
-            self.mean,
-            self.factor,
-            self._fading,
-            *out,
-        )
-        return LinearSeries(*out)
+        series = LinearSeries(*(np.empty(n) for _ in LinearSeries._fields))
+        _run(reading, use, np.ones(n) if steps is None else steps, self._settings, self.state, series)
+        return series
 
 
 @njit(cache=True, nogil=True)
 def _run(
     reading: FloatArray,
     use: npt.NDArray[np.bool_],
-    phi: float,
-    delta1: float,
-    delta2: float,
-    noise_variance: float,
-    softening: float,
-    mean: FloatArray,
-    factor: FloatArray,
-    fading: FloatArray,
-    predicted: FloatArray,
-    estimate: FloatArray,
-    sd: FloatArray,
+    steps: FloatArray,
+    settings: Settings,
+    state: State,
+    series: LinearSeries,
 ) -> None:
-    process = delta1 * delta1 + delta2 * delta2
+    """Filter samples; the state changes in place, the series is filled."""
+    x, p, phi, noise = state.mean, state.covariance, settings.phi, settings.noise_variance
     for k in range(reading.size):
-        before = mean[0]
-        mean[0] += phi * (mean[0] - mean[1])
-        mean[1] = before
-        # Row of x after the model, and the row of x before it; S is lower triangular.
-        a, b = (1.0 + phi) * factor[0, 0] - phi * factor[1, 0], -phi * factor[1, 1]
-        scale = 1.0
-        residual = reading[k] - mean[0]
-        if use[k] and softening >= 0.0:
-            if fading[BEGUN] == 0.0:
-                fading[SEEN], fading[BEGUN] = residual * residual, 1.0
-            else:
-                fading[SEEN] = (FORGETTING * fading[SEEN] + residual * residual) / (1.0 + FORGETTING)
-            wanted = fading[SEEN] - process - softening * noise_variance
-            had = a * a + b * b
-            if had > 0.0 and wanted > had:
-                scale = math.sqrt(wanted / had)
-            fading[LARGEST] = max(fading[LARGEST], scale * scale)
-        _triangular(factor, scale * a, scale * b, scale * factor[0, 0], process)
-        predicted[k] = mean[0]
+        x[0], x[1] = (1.0 + phi) * x[0] - phi * x[1], x[0]
+        # F P Fᵀ with F = [[1 + φ, -φ], [1, 0]].
+        across = (1.0 + phi) * p[0, 0] - phi * p[0, 1]
+        p[0, 0], p[1, 1] = (1.0 + phi) * across - phi * ((1.0 + phi) * p[0, 1] - phi * p[1, 1]), p[0, 0]
+        p[0, 1] = p[1, 0] = across
+        process = settings.process_variance * steps[k]
+        innovation = reading[k] - x[0]
+        if use[k] and settings.softening >= 0.0:
+            p *= _fading(innovation, p[0, 0], process, settings, state)
+        p[0, 0] += process
+        series.predicted[k] = x[0]
         if use[k]:
-            spread = factor[0, 0]
-            total = spread * spread + noise_variance
-            shrink = math.sqrt(noise_variance / total)
-            for i in range(2):
-                mean[i] += factor[i, 0] * spread / total * residual
-                factor[i, 0] *= shrink
-        estimate[k], sd[k] = mean[0], factor[0, 0]
+            total = p[0, 0] + noise
+            gain, before = p[0, 0] / total, p[1, 0] / total
+            x[0] += gain * innovation
+            x[1] += before * innovation
+            p[1, 1] -= before * p[1, 0]
+            p[0, 0] *= noise / total
+            p[0, 1] = p[1, 0] = before * noise
+        series.estimate[k], series.sd[k] = x[0], np.sqrt(p[0, 0])
 
 
 @njit(cache=True, nogil=True)
-def _triangular(factor: FloatArray, a: float, b: float, c: float, process: float) -> None:
-    """Set the factor of the covariance whose rows are [a, b, √process] and [c, 0, 0]."""
-    square = a * a + b * b + process
-    top = math.sqrt(square)
-    factor[0, 0] = top
-    if top > 0.0:
-        factor[1, 0] = a * c / top
-        factor[1, 1] = abs(c) * math.sqrt((b * b + process) / square)
-    else:
-        factor[1, 0], factor[1, 1] = 0.0, abs(c)
+def _fading(innovation: float, had: float, process: float, settings: Settings, state: State) -> float:
+    """Return λ after an innovation, `had` being H F P Fᵀ Hᵀ."""
+    seen = state.seen
+    square = innovation * innovation
+    seen[0] = square if np.isnan(seen[0]) else (FORGETTING * seen[0] + square) / (1.0 + FORGETTING)
+    wanted = seen[0] - process - settings.softening * settings.noise_variance
+    fading = wanted / had if had > 0.0 and wanted > had else 1.0
+    state.largest_fading[0] = max(state.largest_fading[0], fading)
+    return fading

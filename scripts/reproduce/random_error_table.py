@@ -307,7 +307,7 @@ def endurance() -> None:
     print(f"\nEndurance: {total:.0e} samples through {len(filters) + 1} filters, {bad} values not finite.")
     heading("Steps", ["filter", "risk made smaller", "φ held back", "φ at the end"])
     for name, filtered in filters.items():
-        row(name, [filtered.shrunk_steps, filtered.clamped_steps, f"{filtered.mean[PHI]:.2f}"])
+        row(name, [filtered.shrunk_steps, filtered.clamped_steps, f"{filtered.state.mean[PHI]:.2f}"])
 
 
 if __name__ == "__main__":
