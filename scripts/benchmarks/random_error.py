@@ -9,10 +9,10 @@ import numpy as np
 
 from benchmarks.measure import Bar, Table, measure
 from imumon.blocks import FloatArray, SampleBlock
-from imumon.estimation.random_error.linear import LinearFilter, ModelL
 from imumon.estimation.random_error.parameters import RandomErrorParameters
-from imumon.estimation.random_error.sigma_points import ModelNL, SigmaPointFilter
 from imumon.estimation.random_error.stage import RandomError
+from imumon.published.linear import LinearFilter, ModelL
+from imumon.published.sigma_points import ModelNL, SigmaPointFilter
 
 SAMPLES = 10_000
 RATE_HZ, BLOCK_S = 100, 1

@@ -6,12 +6,12 @@ from collections.abc import Callable
 from functools import partial
 
 import numpy as np
+from imumon.estimation.zupt.parameters import ZuptParameters
+from imumon.estimation.zupt.stage import Mode, ZeroVelocity
 
 from benchmarks.measure import Bar, Table, measure
 from imumon.blocks import FloatArray, SampleBlock
-from imumon.estimation.zupt.dense import DenseSettings, dense_filter
-from imumon.estimation.zupt.parameters import ZuptParameters
-from imumon.estimation.zupt.stage import Mode, ZeroVelocity
+from imumon.published.dense_zupt import DenseSettings, dense_filter
 
 SECONDS, BLOCK_S = 300, 10
 RATES_HZ = (100, 1000)

@@ -12,9 +12,9 @@ from imumon.blocks import FloatArray, IntArray
 from imumon.estimation.random_error.baselines import ExponentialMean, hold
 from imumon.estimation.random_error.drift import DriftFilter
 from imumon.estimation.random_error.fit import fit_local_level
-from imumon.estimation.random_error.linear import LinearFilter, ModelL
-from imumon.estimation.random_error.sigma_points import ModelNL, SigmaPointFilter
 from imumon.estimation.random_error.slots import SlotGatherer
+from imumon.published.linear import LinearFilter, ModelL
+from imumon.published.sigma_points import ModelNL, SigmaPointFilter
 
 FITTED, DELTAS = 3.9e-5, (3.9e-5, 1e-3, 1e-2)
 """δ¹ in deg/s: the first is that of a local level fitted to hours, the others are pretended."""

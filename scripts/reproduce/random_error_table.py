@@ -36,8 +36,8 @@ from random_error_records import (
 from imumon.blocks import FloatArray
 from imumon.estimation.random_error.drift import DriftFilter
 from imumon.estimation.random_error.fit import fit_local_level, fit_noise, gather
-from imumon.estimation.random_error.linear import LinearFilter, ModelL
-from imumon.estimation.random_error.sigma_points import PHI, ModelNL, SigmaPointFilter
+from imumon.published.linear import LinearFilter, ModelL
+from imumon.published.sigma_points import PHI, ModelNL, SigmaPointFilter
 
 ROOT = Path(__file__).resolve().parents[2]
 HOUR = 3600.0
@@ -307,7 +307,7 @@ def endurance() -> None:
     print(f"\nEndurance: {total:.0e} samples through {len(filters) + 1} filters, {bad} values not finite.")
     heading("Steps", ["filter", "risk made smaller", "φ held back", "φ at the end"])
     for name, filtered in filters.items():
-        row(name, [filtered.shrunk_steps, filtered.clamped_steps, f"{filtered.mean[PHI]:.2f}"])
+        row(name, [filtered.shrunk_steps, filtered.clamped_steps, f"{filtered.state.mean[PHI]:.2f}"])
 
 
 if __name__ == "__main__":

@@ -18,10 +18,10 @@ from imumon.columns import Column
 from imumon.estimation.random_error.baselines import ExponentialMean, hold
 from imumon.estimation.random_error.drift import DriftEstimate, DriftFilter
 from imumon.estimation.random_error.parameters import Channel, RandomErrorParameters
-from imumon.estimation.random_error.sigma_points import ModelNL, SigmaPointFilter
 from imumon.estimation.random_error.slots import SlotGatherer, Slots, spread
 from imumon.models.model import BiasModel
 from imumon.models.predictor import BiasPredictor
+from imumon.published.sigma_points import ModelNL, SigmaPointFilter
 
 AXES = "xyz"
 PHI_VARIANCE = 0.01

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from imumon.estimation.zupt import bank as fast
-from imumon.estimation.zupt.dense import DenseSettings, dense_filter
+from imumon.published.dense_zupt import DenseSettings, dense_filter
 from tests.estimation.zupt.plain_bank import PlainBank
 from tests.estimation.zupt.records import ARW, DPH, VRW, Truth, local_earth, record
 

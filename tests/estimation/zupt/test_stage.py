@@ -7,11 +7,11 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pytest
+from imumon.estimation.zupt.parameters import ZuptParameters
+from imumon.estimation.zupt.stage import ZeroVelocity
 
 from imumon.blocks import ColumnArray, FloatArray, SampleBlock, join
 from imumon.errors import ImumonError
-from imumon.estimation.zupt.parameters import ZuptParameters
-from imumon.estimation.zupt.stage import ZeroVelocity
 from imumon.geodesy import body_to_ned
 from imumon.pipeline import Estimator
 from tests.estimation.zupt.records import (

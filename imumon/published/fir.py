@@ -19,7 +19,7 @@ from numba import njit
 
 from imumon.blocks import FloatArray, IntArray
 from imumon.estimation.temperature_rate.series import RateEstimate, Resumable
-from imumon.estimation.temperature_rate.square_root import pull_back, rotate_in, solve, update
+from imumon.published.square_root import pull_back, rotate_in, solve, update
 
 START_SD = 1e6
 """Standard deviation of each coefficient before the first measurement."""

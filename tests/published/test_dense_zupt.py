@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from imumon.blocks import FloatArray
-from imumon.estimation.zupt.dense import DenseRun, DenseSettings, dense_filter
 from imumon.geodesy import body_to_ned
+from imumon.published.dense_zupt import DenseRun, DenseSettings, dense_filter
 from tests.estimation.zupt.records import ARW, DPH, GRAVITY, Truth, local_earth, record
 
 SETTINGS = DenseSettings(0.01)

@@ -11,12 +11,13 @@ from hypothesis import strategies as st
 
 from imumon.blocks import FloatArray
 from imumon.errors import ImumonError, Reason
-from imumon.estimation.random_error.sigma_points import (
+from imumon.published.linear import LinearFilter, ModelL
+from imumon.published.sigma_points import (
     ModelNL,
     SigmaPointFilter,
     take_risk,
 )
-from tests.estimation.random_error.plain_filters import CHECK_ROWS, SevenStates, check_signal, plain_kalman
+from tests.published.plain_filters import CHECK_ROWS, SevenStates, check_signal
 
 CHECK = ModelNL((0.0, 0.0, 0.3, 0.05, 0.02), (0.1, 0.1, 0.01, 1e-4, 1e-4), 0.1)
 
@@ -53,8 +54,8 @@ def test_five_states_equal_seven(mu: float, phi: float) -> None:
     expected = np.array([twin.step(value) for value in z])
     result = fast.process(z)
     np.testing.assert_allclose(result.estimate, expected, rtol=0, atol=3e-13)
-    np.testing.assert_allclose(fast.factor @ fast.factor.T, twin.covariance, rtol=0, atol=3e-13)
-    np.testing.assert_allclose(fast.mean, twin.mean, rtol=0, atol=3e-13)
+    np.testing.assert_allclose(fast.state.factor @ fast.state.factor.T, twin.covariance, rtol=0, atol=3e-13)
+    np.testing.assert_allclose(fast.state.mean, twin.mean, rtol=0, atol=3e-13)
 
 
 def test_a_weight_on_the_central_point_would_change_next_to_nothing() -> None:
@@ -74,10 +75,10 @@ def test_no_risk_is_the_unscented_filter_and_risk_is_not() -> None:
 @pytest.mark.parametrize("phi", [0.0, 0.4, -0.5])
 def test_a_linear_model_gives_the_plain_kalman_filter(phi: float) -> None:
     z = check_signal()
-    expected, variance, _ = plain_kalman(z, phi, 0.03**2, 0.1, 0.1)
+    linear = LinearFilter(ModelL(phi, 0.03, 0.0, (0.0, 0.0), (0.1, 0.1), 0.1)).process(z)
     result = SigmaPointFilter(known(phi, 0.03, 0.1)).process(z)
-    np.testing.assert_allclose(result.estimate, expected, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(result.sd**2, variance, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(result.estimate, linear.estimate, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(result.sd**2, linear.sd**2, rtol=0, atol=1e-9)
     np.testing.assert_array_equal(result.phi, phi)
 
 
@@ -142,7 +143,7 @@ def test_a_lasting_risk_breaks_the_filter_just_above_the_limit_and_not_below() -
     model = known(0.0, 0.1, 0.1, start=0.01)
     for factor, breaks in ((0.999, False), (1.001, True)):
         filtered = SigmaPointFilter(model)
-        filtered._risk[0] = factor / (2 * (0.1 + 0.01))
+        filtered.settings.risk[0] = factor / (2 * (0.1 + 0.01))
         filtered.process(z)
         assert (filtered.shrunk_steps > 0) is breaks
 
@@ -153,7 +154,7 @@ def test_risk_on_what_is_not_measured_escapes_when_the_refusal_says(mu: float) -
     expected = 1 / (2 * mu * CHECK.variance[3])
     for steps, breaks in ((int(0.99 * expected) - 1, False), (int(1.01 * expected) + 1, True)):
         filtered = SigmaPointFilter(CHECK)
-        filtered._risk[3] = mu
+        filtered.settings.risk[3] = mu
         filtered.process(np.zeros(steps))
         assert (filtered.shrunk_steps > 0) is breaks
 
@@ -186,8 +187,8 @@ def test_the_risk_step_equals_the_information_form(seed: int) -> None:
 def test_model_nl_does_not_learn_its_deltas() -> None:
     filtered = SigmaPointFilter(CHECK)
     filtered.process(check_signal())
-    assert filtered.mean[3:] == pytest.approx([0.05, 0.02], abs=1e-15)
-    np.testing.assert_allclose(np.diag(filtered.factor)[3:], 0.01, rtol=1e-12)
+    assert filtered.state.mean[3:] == pytest.approx([0.05, 0.02], abs=1e-15)
+    np.testing.assert_allclose(np.diag(filtered.state.factor)[3:], 0.01, rtol=1e-12)
 
 
 def motion(n: int, rng: np.random.Generator) -> FloatArray:

@@ -1,20 +1,15 @@
 """SR-UKF and SR-RSUKF of Shi Gang et al. on model NL: X = (x_k, x_k-1, φ, δ¹, δ²), in square-root form.
 
-The paper augments X with the noises (a_k, a_k-1): 7 states, 14 sigma points X ± √7 S_j (α = 1, β = κ = 0:
-all weights 1/14, none negative, and the central point counts for nothing).  The noise states are reset after
-every update (eq. 21), so only X need be carried on, and QR onto its 5 rows is enough.
+Equation numbers are the paper's.  X is augmented with the noises (a_k, a_k-1): n = 7 states, 14 sigma points
+X ± √7 S_j besides the central one (α = 1, β = κ = 0: weights 1/14, none negative, and the central point
+counts for nothing).  The noise states are reset after every update (21), so only the five real states are
+carried on, and the decomposition of (14) goes onto their five rows.
 
-Two facts make that cheap.
-
-- Rotate each pair of columns ±j by 45°.  One becomes the odd part of the model, the other the even part,
-  which only x_k has: with Δ = x_k-1 - x_k-2 and rows s of S, x_k = x + φΔ + √7 o_j + 7 c_j,
-  o_j = (1+φ) s_0j - φ s_1j + Δ s_2j and c_j = s_2j (s_0j - s_1j).  The mean gains Σc, the variance
-  (δ¹² + δ²²) Q + 7 Σc² - (Σc)²: one column beside the five odd ones.
-- With x_k first and S lower triangular, a measurement of x_k changes the first column of S only.
-
-Risk (eq. 15) is P ← (P⁻¹ - 2μ)⁻¹.  The inverses, and the printed 7-state P, are singular at φ = 0, so it is
+Risk (15) is P ← (P⁻¹ - 2μ)⁻¹.  The inverses, and the printed 7-state P, are singular at φ = 0, so it is
 done on S: removing 2μ_i from the information is removing a measurement of variance 1/(2μ_i), entry by entry.
 Equation (20) as printed, U = P_xz S_z, is wrong by S_z²: it must be P_xz / S_z.
+
+The steps are compiled: they run at every sample, and in NumPy one takes 52 µs, compiled 0.5.
 """
 
 from __future__ import annotations
@@ -22,6 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -29,21 +25,22 @@ from numba import njit
 
 from imumon.blocks import FloatArray, IntArray
 from imumon.errors import ImumonError, Reason
-from imumon.estimation.random_error.parameters import LARGEST_RISK
 
 STATES = ("x", "x_before", "phi", "delta1", "delta2")
 N = len(STATES)
 X, BEFORE, PHI, DELTA1, DELTA2 = range(N)
+"""Places of the states in X."""
+NOISES = 2
+POINTS = 2 * (N + NOISES)
+"""Sigma points besides the central one."""
+GAMMA = math.sqrt(N + NOISES)
 
-CEILING = LARGEST_RISK
+CEILING = 0.95
 """2 μ_x (R + q) may not be more: at 1 the variance escapes (limit of a lasting risk on a random walk)."""
 STEP_CEILING = 0.9999
 """2 μ_i P_ii may not be more in any step; μ_i is shrunk for the step when it would."""
 REGULAR = 1.5
 """A step of so many intervals or more is a gap: φ says nothing of it."""
-
-SHRUNK, CLAMPED = range(2)
-"""Places of the counters: steps with a smaller μ, and steps at which φ was held back."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,8 +65,7 @@ class ModelNL:
         return self.mean[DELTA1] ** 2 + self.mean[DELTA2] ** 2
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FilterSeries:
+class FilterSeries(NamedTuple):
     """What a filter says at each sample, arrays of shape (n,).
 
     Parameters
@@ -87,6 +83,31 @@ class FilterSeries:
     phi_sd: FloatArray
 
 
+class Settings(NamedTuple):
+    """R, the diagonal of μ (5,), and the limit of φ."""
+
+    noise_variance: float
+    risk: FloatArray
+    phi_limit: float
+
+
+class State(NamedTuple):
+    """What the filter carries from sample to sample, changed in place.
+
+    Parameters
+    ----------
+    mean, factor : array (5,), (5, 5)
+        X and the lower triangular S of its covariance S Sᵀ.
+    shrunk, clamped : array of int64 (1,)
+        Steps with a smaller μ, and steps at which φ was held back.
+    """
+
+    mean: FloatArray
+    factor: FloatArray
+    shrunk: IntArray
+    clamped: IntArray
+
+
 class SigmaPointFilter:
     """SR-RSUKF of one axis; with μ = 0 it is the SR-UKF.
 
@@ -95,7 +116,7 @@ class SigmaPointFilter:
     model : ModelNL
         Mean and covariance to start from, and R.
     risk : sequence of 5 float
-        Diagonal of μ in 1/unit²; nought for φ, δ¹ and δ².
+        Diagonal of μ in 1/unit²; zero for φ, δ¹ and δ².
     phi_limit : float
         φ is held within ±phi_limit; infinity lets it go, as the paper does.
 
@@ -109,22 +130,23 @@ class SigmaPointFilter:
         self, model: ModelNL, risk: Sequence[float] = (0.0,) * N, phi_limit: float = math.inf
     ) -> None:
         check_risk(model, risk)
-        self._noise_variance = model.noise_variance
-        self._risk = np.array(risk, np.float64)
-        self._phi_limit = phi_limit
-        self.mean = np.array(model.mean, np.float64)
-        self.factor = np.diag(np.sqrt(np.array(model.variance, np.float64)))
-        self._counts: IntArray = np.zeros(2, np.int64)
+        self.settings = Settings(model.noise_variance, np.array(risk, np.float64), phi_limit)
+        self.state = State(
+            np.array(model.mean, np.float64),
+            np.diag(np.sqrt(np.array(model.variance, np.float64))),
+            np.zeros(1, np.int64),
+            np.zeros(1, np.int64),
+        )
 
     @property
     def shrunk_steps(self) -> int:
         """Steps at which μ had to be smaller."""
-        return int(self._counts[SHRUNK])
+        return int(self.state.shrunk[0])
 
     @property
     def clamped_steps(self) -> int:
         """Steps at which φ wanted to leave its limits."""
-        return int(self._counts[CLAMPED])
+        return int(self.state.clamped[0])
 
     def process(
         self,
@@ -146,20 +168,9 @@ class SigmaPointFilter:
         n = len(reading)
         use = np.isfinite(reading) if measured is None else measured & np.isfinite(reading)
         steps = np.ones(n) if steps is None else steps
-        out = [np.empty(n) for _ in range(5)]
-        run_sigma_points(
-            reading,
-            use,
-            steps,
-            self._noise_variance,
-            self._risk,
-            self._phi_limit,
-            self.mean,
-            self.factor,
-            self._counts,
-            *out,
-        )
-        return FilterSeries(*out)
+        series = FilterSeries(*(np.empty(n) for _ in FilterSeries._fields))
+        _run(reading, use, steps, self.settings, self.state, series)
+        return series
 
 
 def check_risk(model: ModelNL, risk: Sequence[float]) -> None:
@@ -202,111 +213,109 @@ def check_risk(model: ModelNL, risk: Sequence[float]) -> None:
 
 
 @njit(cache=True, nogil=True)
-def run_sigma_points(
+def _run(
     reading: FloatArray,
     use: npt.NDArray[np.bool_],
     steps: FloatArray,
-    noise_variance: float,
-    risk: FloatArray,
-    phi_limit: float,
-    mean: FloatArray,
-    factor: FloatArray,
-    counts: IntArray,
-    predicted: FloatArray,
-    estimate: FloatArray,
-    sd: FloatArray,
-    phi: FloatArray,
-    phi_sd: FloatArray,
+    settings: Settings,
+    state: State,
+    series: FilterSeries,
 ) -> None:
-    """Filter samples; mean (5,), factor (5, 5) and counts (2,) change in place, the last five are filled."""
-    work = np.zeros((N, N + 1))
+    """Filter samples; the state changes in place, the series is filled."""
+    mean, factor = state.mean, state.factor
+    deviations = np.empty((N, POINTS))
     for k in range(reading.size):
         if use[k] and steps[k] < REGULAR:
-            predict(mean, factor, work, steps[k])
+            predict(mean, factor, deviations, steps[k])
         else:
-            hold(mean, factor, work, steps[k])
+            hold(mean, factor, deviations, steps[k])
+        if use[k] and take_risk(factor, settings.risk):
+            state.shrunk[0] += 1
+        series.predicted[k] = mean[X]
         if use[k]:
-            if take_risk(factor, risk):
-                counts[SHRUNK] += 1
-            predicted[k] = mean[X]
-            measure(mean, factor, reading[k], noise_variance)
-            if abs(mean[PHI]) > phi_limit:
-                mean[PHI] = math.copysign(phi_limit, mean[PHI])
-                counts[CLAMPED] += 1
-        else:
-            predicted[k] = mean[X]
-        estimate[k], sd[k] = mean[X], abs(factor[X, X])
-        phi[k] = mean[PHI]
-        total = 0.0
-        for j in range(PHI + 1):
-            total += factor[PHI, j] ** 2
-        phi_sd[k] = math.sqrt(total)
+            measure(mean, factor, reading[k], settings.noise_variance)
+            if abs(mean[PHI]) > settings.phi_limit:
+                mean[PHI] = math.copysign(settings.phi_limit, mean[PHI])
+                state.clamped[0] += 1
+        series.estimate[k], series.sd[k] = mean[X], factor[X, X]
+        series.phi[k] = mean[PHI]
+        series.phi_sd[k] = math.sqrt(factor[PHI, X] ** 2 + factor[PHI, BEFORE] ** 2 + factor[PHI, PHI] ** 2)
 
 
 @njit(cache=True, nogil=True)
-def predict(mean: FloatArray, factor: FloatArray, work: FloatArray, noise: float) -> None:
-    """Apply model NL (eqs. 12 to 14) to mean and factor; `noise` is Q."""
-    phi, delta = mean[PHI], mean[X] - mean[BEFORE]
-    shift, squares = 0.0, 0.0
-    for j in range(PHI + 1):
-        c = factor[PHI, j] * (factor[X, j] - factor[BEFORE, j])
-        shift += c
-        squares += c * c
-        work[X, j] = (1.0 + phi) * factor[X, j] - phi * factor[BEFORE, j] + delta * factor[PHI, j]
-    work[X, DELTA1] = work[X, DELTA2] = 0.0
-    even = max(7.0 * squares - shift * shift, 0.0)
-    work[X, N] = math.sqrt((mean[DELTA1] ** 2 + mean[DELTA2] ** 2) * noise + even)
-    mean[BEFORE], mean[X] = mean[X], mean[X] + phi * delta + shift
-    _triangular(factor, work)
+def _model(x: FloatArray, newer: float, older: float) -> float:
+    """Return x_k of model NL (5) from X_k-1 and the noises a_k, a_k-1."""
+    return float((1.0 + x[PHI]) * x[X] - x[PHI] * x[BEFORE] + x[DELTA1] * newer - x[DELTA2] * older)
 
 
 @njit(cache=True, nogil=True)
-def hold(mean: FloatArray, factor: FloatArray, work: FloatArray, noise: float) -> None:
+def predict(mean: FloatArray, factor: FloatArray, deviations: FloatArray, noise: float) -> None:
+    """Apply model NL to sigma points (12 to 14); `noise` is Q, `deviations` (5, 14) is room to work in."""
+    centre = _model(mean, 0.0, 0.0)
+    point, root = np.empty(N), GAMMA * math.sqrt(noise)
+    shift, scale = 0.0, 1.0 / math.sqrt(POINTS)
+    for j in range(POINTS):
+        column, sign = j // 2, 1.0 - 2.0 * (j % 2)
+        newer = sign * root if column == N else 0.0
+        older = sign * root if column == N + 1 else 0.0
+        for i in range(N):
+            more = sign * GAMMA * factor[i, column] if column < N else 0.0
+            point[i] = mean[i] + more
+            # x_k-1 is the x_k of before, and φ, δ¹ and δ² stay: their means do, too.
+            if i == X:
+                deviations[BEFORE, j] = scale * more
+            elif i != BEFORE:
+                deviations[i, j] = scale * more
+        deviations[X, j] = _model(point, newer, older) - centre
+        shift += deviations[X, j] / POINTS
+    mean[BEFORE], mean[X] = mean[X], centre + shift
+    for j in range(POINTS):
+        deviations[X, j] = scale * (deviations[X, j] - shift)
+    _lower(deviations, factor)
+
+
+@njit(cache=True, nogil=True)
+def hold(mean: FloatArray, factor: FloatArray, deviations: FloatArray, noise: float) -> None:
     """Let x stay where it is, less and less known: in motion and in gaps there is no difference to go on."""
-    for j in range(N):
-        work[X, j] = factor[X, j]
-    work[X, N] = math.sqrt((mean[DELTA1] ** 2 + mean[DELTA2] ** 2) * noise)
+    for j in range(POINTS):
+        for i in range(N):
+            same = X if i == BEFORE else i
+            deviations[i, j] = factor[same, j] if j < N else 0.0
+    deviations[X, N] = math.sqrt((mean[DELTA1] ** 2 + mean[DELTA2] ** 2) * noise)
     mean[BEFORE] = mean[X]
-    _triangular(factor, work)
+    _lower(deviations, factor)
 
 
 @njit(cache=True, nogil=True)
-def _triangular(factor: FloatArray, work: FloatArray) -> None:
-    """Turn the new row of x in `work` and the rows of `factor` into the new lower triangular factor.
-
-    Givens rotations of columns; most entries are nought, so few are needed.
-    """
-    for j in range(N):
-        work[BEFORE, j] = factor[X, j]
-        for i in range(PHI, N):
-            work[i, j] = factor[i, j]
-    for i in range(BEFORE, N):
-        work[i, N] = 0.0
+def _lower(wide: FloatArray, factor: FloatArray) -> None:
+    """Fill the lower triangular S with S Sᵀ = W Wᵀ, by Householder reflections; W (5, 14) is used up."""
+    columns = wide.shape[1]
     for i in range(N):
-        for j in range(i + 1, N + 1):
-            b = work[i, j]
-            if b == 0.0:
-                continue
-            a = work[i, i]
-            length = math.sqrt(a * a + b * b)
-            if length == 0.0:
-                # Both squares vanish: too small to matter beside anything that is measured.
-                work[i, j] = 0.0
-                continue
-            c, s = a / length, b / length
-            work[i, i], work[i, j] = length, 0.0
+        total = 0.0
+        for j in range(i, columns):
+            total += wide[i, j] ** 2
+        length = math.copysign(math.sqrt(total), wide[i, i])
+        # Twice the inverse square of the reflection's vector v = row + length e_i.
+        scale = total + abs(length * wide[i, i])
+        if scale > 0.0:
+            wide[i, i] += length
             for row in range(i + 1, N):
-                a, b = work[row, i], work[row, j]
-                work[row, i] = c * a + s * b
-                work[row, j] = c * b - s * a
-    for i in range(N):
-        for j in range(N):
-            factor[i, j] = work[i, j]
+                along = 0.0
+                for j in range(i, columns):
+                    along += wide[i, j] * wide[row, j]
+                along /= scale
+                for j in range(i, columns):
+                    wide[row, j] -= along * wide[i, j]
+        # The sign of a column of S is free: the diagonal is kept positive.
+        factor[i, i] = abs(length)
+        for row in range(i + 1, N):
+            factor[row, i] = -math.copysign(1.0, length) * wide[row, i]
+            factor[i, row] = 0.0
 
 
 @njit(cache=True, nogil=True)
 def take_risk(factor: FloatArray, risk: FloatArray) -> bool:
-    """Raise the covariance by the risk (eq. 15); return whether an entry of it had to be smaller.
+    """Raise the covariance by the risk (15); return whether an entry of it had to be smaller.
 
     With f = row i of S, σ² = 1/(2μ_i) and d_j = σ² - Σ_{k≥j} f_k², the lower triangular B with
     B Bᵀ = E + f fᵀ/(σ² - fᵀf) has B_jj = √(d_j+1/d_j) and B_lj = f_l f_j / √(d_j+1 d_j), l > j; then S ← S B.
@@ -340,7 +349,7 @@ def take_risk(factor: FloatArray, risk: FloatArray) -> bool:
 
 @njit(cache=True, nogil=True)
 def measure(mean: FloatArray, factor: FloatArray, reading: float, noise_variance: float) -> None:
-    """Take in x + noise (eqs. 16 to 20): the first column of S is all that changes."""
+    """Take in x + noise (16 to 20): with x first, only the first column of S changes."""
     spread = factor[X, X]
     total = spread * spread + noise_variance
     residual = reading - mean[X]

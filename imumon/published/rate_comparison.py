@@ -11,8 +11,8 @@ import numpy as np
 from numba import njit
 
 from imumon.blocks import FloatArray, IntArray
-from imumon.estimation.temperature_rate.fir import model_row
 from imumon.estimation.temperature_rate.series import RateEstimate, Resumable
+from imumon.published.fir import model_row
 
 
 class DifferenceRate:

@@ -1,4 +1,4 @@
-"""Plain twins: the paper's 7-state SR-RSUKF in covariance form, the textbook Kalman filter, and STF."""
+"""The paper's 7-state RSUKF in covariance form, as printed, and the signal of the check values."""
 
 from __future__ import annotations
 
@@ -55,31 +55,3 @@ class SevenStates:
         p = p - np.outer(gain, p[0])
         self.mean, self.covariance = mean[:5], (p[:5, :5] + p[:5, :5].T) / 2
         return float(mean[0])
-
-
-def plain_kalman(
-    reading: FloatArray,
-    phi: float,
-    process: float,
-    noise: float,
-    start: float,
-    softening: float | None = None,
-) -> tuple[FloatArray, FloatArray, float]:
-    """Return x_k|k, its variance and the largest λ on model L, begun with x = 0 and P = `start` E."""
-    f, q = np.array([[1 + phi, -phi], [1, 0]]), np.diag([process, 0.0])
-    x, p = np.zeros(2), start * np.eye(2)
-    seen, largest = np.nan, 0.0
-    estimates, variances = [], []
-    for z in reading:
-        x, p = f @ x, f @ p @ f.T
-        error = z - x[0]
-        if softening is not None:
-            seen = error**2 if np.isnan(seen) else (0.95 * seen + error**2) / 1.95
-            fading = max(1.0, (seen - process - softening * noise) / p[0, 0])
-            largest, p = max(largest, fading), fading * p
-        p = p + q
-        gain = p[:, 0] / (p[0, 0] + noise)
-        x, p = x + gain * error, p - np.outer(gain, p[0])
-        estimates.append(x[0])
-        variances.append(p[0, 0])
-    return np.array(estimates), np.array(variances), largest

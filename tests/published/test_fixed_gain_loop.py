@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from imumon.blocks import FloatArray
-from imumon.estimation.alignment.loop import azimuth, level_attitude, loop_gains, loop_step, roll_pitch
 from imumon.estimation.alignment.sums import decay_terms
 from imumon.estimation.alignment.watch import median
 from imumon.geodesy import EARTH_RATE
+from imumon.published.fixed_gain_loop import azimuth, level_attitude, loop_gains, loop_step, roll_pitch
 
 G = 9.80665
 LEVEL = EARTH_RATE * math.cos(math.radians(36.0))

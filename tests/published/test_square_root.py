@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imumon.blocks import FloatArray
-from imumon.estimation.temperature_rate.square_root import pull_back, rotate_in, solve, update
+from imumon.published.square_root import pull_back, rotate_in, solve, update
 
 SIGMA = 0.0125
 

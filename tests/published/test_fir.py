@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from imumon.blocks import FloatArray
-from imumon.estimation.temperature_rate.fir import (
+from imumon.published.fir import (
     FirExponentialRate,
     FirLinearRate,
     FirRate,
