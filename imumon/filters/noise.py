@@ -22,8 +22,8 @@ from imumon.filters.kalman import Estimate, correct, predict
 FLOOR_PER_INSTABILITY = math.sqrt(2.0 * math.log(2.0) / math.pi)
 """Floor of the Allan deviation of flicker, over the bias instability B (IEEE Std 952, C.1.3)."""
 INSTABILITY_PER_DECADE = math.sqrt(math.pi / math.log(10.0))
-"""B over the standard deviation per decade of correlation time: S(f) = B²/(2 pi f) has the variance
-B² ln(10)/pi in a decade, as the processes together have (their density is 4 sd² tau / (1 + (2 pi f tau)²))."""
+"""B over the standard deviation per decade of correlation time: the processes, sd² in a
+decade, have together the density sd² pi / (2 pi f ln 10), which is to be that of flicker, B² / (2 pi f)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,7 +62,7 @@ class BiasNoise:
 
 
 def flicker_sd(instability: FloatArray, taus_s: FloatArray) -> FloatArray:
-    """Return the standard deviation of each process for a bias instability B, (..., 1).
+    """Return the standard deviation of each process for a bias instability B, (..., m).
 
     Parameters
     ----------
@@ -71,7 +71,8 @@ def flicker_sd(instability: FloatArray, taus_s: FloatArray) -> FloatArray:
         Correlation times, evenly spaced on a logarithmic scale.
     """
     decades = math.log10(taus_s[-1] / taus_s[0]) / (len(taus_s) - 1)
-    return np.asarray(instability)[..., np.newaxis] * math.sqrt(decades) / INSTABILITY_PER_DECADE
+    share = math.sqrt(decades) / INSTABILITY_PER_DECADE
+    return np.asarray(instability)[..., np.newaxis] * np.full(len(taus_s), share)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from imumon.estimation.zupt.parameters import ZuptParameters
-from imumon.estimation.zupt.stage import ZeroVelocity
 from scipy.stats import chi2
 
 from imumon.blocks import FloatArray
-from tests.estimation.zupt.records import ARW, DPH, VRW, Truth, record, vector, with_rest
+from imumon.estimation.gyro_bias.parameters import GyroBiasParameters
+from imumon.estimation.gyro_bias.stage import GyroBias
+from tests.estimation.gyro_bias.records import ARW, DPH, VRW, Truth, record, vector, with_rest
 
 RUNS = 50
 AT_S = (30.0, 60.0, 120.0, 240.0, 420.0, 599.0)
@@ -17,13 +17,13 @@ INSTABILITY = 0.776 / 0.664
 """Flicker coefficient of three Gauss-Markov processes, over the standard deviation of one."""
 
 
-def runs(truth: Truth, parameters: ZuptParameters | None) -> tuple[FloatArray, FloatArray]:
+def runs(truth: Truth, parameters: GyroBiasParameters | None) -> tuple[FloatArray, FloatArray]:
     """Return normalised errors (runs, times, 3) and normalised innovations after a minute (values, 3)."""
     errors, innovations = [], []
     at = [round(t * truth.rate_hz) for t in AT_S]
     for seed in range(RUNS):
         block, bias = record(truth, 600.0, seed)
-        added = ZeroVelocity(parameters).process(block)
+        added = GyroBias(parameters).process(block)
         errors.append(((vector(added) - bias) / vector(added, "gyro_bias_sd"))[at])
         given = vector(added, "zupt_innovation")[round(60 * truth.rate_hz) :]
         innovations.append(given[np.isfinite(given[:, 0])])
@@ -31,7 +31,7 @@ def runs(truth: Truth, parameters: ZuptParameters | None) -> tuple[FloatArray, F
 
 
 def test_with_known_noise_errors_and_innovations_are_within_chi_square_bounds() -> None:
-    known = ZuptParameters(
+    known = GyroBiasParameters(
         angle_random_walk_rad_per_sqrt_s=ARW,
         bias_instability_rad_per_s=2.0 * DPH * INSTABILITY,
         velocity_random_walk_m_per_s_per_sqrt_s=VRW,
@@ -66,7 +66,7 @@ def test_without_a_model_the_claim_holds_while_it_moves_and_warms_up() -> None:
     squares, largest = [], 0.0
     for seed in range(8):
         block, bias = record(Truth(rate_hz=10.0, low_pass_hz=None), 1500.0, seed, thermal)
-        added = ZeroVelocity(mode="learned").process(
+        added = GyroBias(mode="learned").process(
             with_rest(block.with_columns({"temperature": temperature}), rest)
         )
         off = (vector(added) - bias) / vector(added, "gyro_bias_sd")
