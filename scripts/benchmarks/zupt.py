@@ -6,11 +6,11 @@ from collections.abc import Callable
 from functools import partial
 
 import numpy as np
+from imumon.estimation.zupt.parameters import ZuptParameters
+from imumon.estimation.zupt.stage import Mode, ZeroVelocity
 
 from benchmarks.measure import Bar, Table, measure
 from imumon.blocks import FloatArray, SampleBlock
-from imumon.estimation.zupt.parameters import ZuptParameters
-from imumon.estimation.zupt.stage import Mode, ZeroVelocity
 from imumon.published.dense_zupt import DenseSettings, dense_filter
 
 SECONDS, BLOCK_S = 300, 10

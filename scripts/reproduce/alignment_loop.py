@@ -10,7 +10,7 @@ from numba import njit
 from scipy.signal import TransferFunction, impulse
 
 from imumon.blocks import FloatArray
-from imumon.estimation.zupt.earth import EARTH_RATE
+from imumon.geodesy import EARTH_RATE
 from imumon.published.fixed_gain_loop import loop_gains, loop_step
 
 G = 9.80665

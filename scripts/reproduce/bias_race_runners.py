@@ -9,13 +9,13 @@ from itertools import product
 import imufusion
 import numpy as np
 import numpy.typing as npt
+from imumon.estimation.zupt.parameters import ZuptParameters
+from imumon.estimation.zupt.stage import Mode, ZeroVelocity
 from vqf import VQF
 
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.estimation.rest.stage import RestDetector
 from imumon.estimation.temperature_rate.stage import TemperatureRate
-from imumon.estimation.zupt.parameters import ZuptParameters
-from imumon.estimation.zupt.stage import Mode, ZeroVelocity
 from imumon.models.model import BiasModel
 from imumon.simulation.unit.scenario import Scenario
 from imumon.simulation.unit.unit import SimulatedUnit

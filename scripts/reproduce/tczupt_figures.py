@@ -7,6 +7,7 @@ from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
+from imumon.estimation.zupt.stage import ZeroVelocity
 from scipy.signal import butter, lfilter
 from tczupt_records import (
     DPH,
@@ -24,7 +25,6 @@ from tczupt_records import (
 )
 
 from imumon.blocks import FloatArray
-from imumon.estimation.zupt.stage import ZeroVelocity
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt

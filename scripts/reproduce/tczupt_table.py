@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from imumon.estimation.zupt.stage import Mode, ZeroVelocity
 from tczupt_figures import draw_all
 from tczupt_records import (
     DPH,
@@ -27,7 +28,6 @@ from tczupt_records import (
 )
 
 from imumon.blocks import FloatArray
-from imumon.estimation.zupt.stage import Mode, ZeroVelocity
 from imumon.published.dense_zupt import DenseSettings, dense_filter
 
 FIGURES = Path(__file__).resolve().parents[2] / "docs" / "figures" / "tczupt"

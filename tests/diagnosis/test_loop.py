@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from imumon.estimation.zupt.stage import ZeroVelocity
 
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.diagnosis.engine import diagnose
 from imumon.diagnosis.extended import extended_model
 from imumon.diagnosis.recording import Run, collect
 from imumon.estimation.temperature_rate.stage import TemperatureRate
-from imumon.estimation.zupt.stage import ZeroVelocity
 from imumon.models.model import BiasModel
 from imumon.pipeline import Estimator
 from imumon.simulation.unit import SimulatedUnit, load_scenario

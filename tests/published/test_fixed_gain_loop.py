@@ -8,7 +8,7 @@ import pytest
 from imumon.blocks import FloatArray
 from imumon.estimation.alignment.sums import decay_terms
 from imumon.estimation.alignment.watch import median
-from imumon.estimation.zupt.earth import EARTH_RATE
+from imumon.geodesy import EARTH_RATE
 from imumon.published.fixed_gain_loop import azimuth, level_attitude, loop_gains, loop_step, roll_pitch
 
 G = 9.80665

@@ -52,7 +52,7 @@ from imumon.estimation.alignment.state import (
     WARM_X,
     State,
 )
-from imumon.estimation.zupt.earth import EARTH_RATE
+from imumon.geodesy import EARTH_RATE
 from imumon.published.fixed_gain_loop import azimuth
 
 NO_IDEA = math.pi / math.sqrt(3.0)

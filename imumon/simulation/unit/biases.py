@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from imumon.blocks import FloatArray
+from imumon.geodesy import DEG_PER_H, MICRO_G
 from imumon.simulation.unit.curves import axis_values
 from imumon.simulation.unit.filters import Lag
 from imumon.simulation.unit.hysteresis import HysteresisLoop
 from imumon.simulation.unit.noise import GaussMarkov, RandomWalk, White, generator
 from imumon.simulation.unit.parameters import UnitParameters
 
-DEG_PER_H = np.pi / 180 / 3600
 """rad/s."""
-MG, UG = 9.80665e-3, 9.80665e-6
+MG = 1e3 * MICRO_G
 """m/s²."""
 
 
@@ -69,7 +69,9 @@ class AccelBias:
         drawn = White(unit.accel_turn_on.sd_mg, generator(seed, "accel turn-on")).take(1)[0]
         self._constant = (unit.accel_turn_on.offset_mg + drawn) * MG
         self._drifts = [
-            GaussMarkov(np.array(part.sd_ug) * UG, part.tau_s, step_s, generator(seed, f"accel flicker {i}"))
+            GaussMarkov(
+                np.array(part.sd_ug) * MICRO_G, part.tau_s, step_s, generator(seed, f"accel flicker {i}")
+            )
             for i, part in enumerate(unit.accel_noise.flicker)
         ]
 
@@ -78,7 +80,7 @@ class AccelBias:
         bias = axis_values(self._curves, temperature_degc) * MG + self._constant
         if self._warm_up is not None:
             grown = -np.expm1(-time_s / self._warm_up.tau_s)
-            bias += np.outer(grown, np.array(self._warm_up.amplitude_ug) * UG)
+            bias += np.outer(grown, np.array(self._warm_up.amplitude_ug) * MICRO_G)
         for drift in self._drifts:
             bias += drift.take(len(time_s))
         return np.asarray(bias)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from imumon.estimation.zupt.stage import ZeroVelocity
 
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.estimation.watch import kernel
 from imumon.estimation.watch.parameters import WatchParameters
 from imumon.estimation.watch.stage import ModelWatch
-from imumon.estimation.zupt.stage import ZeroVelocity
 from imumon.models.curves.polynomial import PolynomialCurve
 from imumon.models.model import BiasModel, ChannelModel
 from imumon.pipeline import Estimator

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from imumon.estimation.zupt.parameters import ZuptParameters
+from imumon.estimation.zupt.stage import ZeroVelocity
 from scipy.stats import chi2
 
 from imumon.blocks import FloatArray
-from imumon.estimation.zupt.parameters import ZuptParameters
-from imumon.estimation.zupt.stage import ZeroVelocity
 from tests.estimation.zupt.records import ARW, DPH, VRW, Truth, record, vector, with_rest
 
 RUNS = 50

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-
-from imumon.blocks import FloatArray, SampleBlock
 from imumon.estimation.zupt.parameters import ZuptParameters
 from imumon.estimation.zupt.stage import Mode, ZeroVelocity
+
+from imumon.blocks import FloatArray, SampleBlock
 from tests.estimation.zupt.records import (
     ARW,
     DPH,

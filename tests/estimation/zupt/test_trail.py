@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-
 from imumon.estimation.zupt.stage import ZeroVelocity
 from imumon.estimation.zupt.trail import MOST_POINTS, BiasTrail
+
 from tests.estimation.zupt.records import DPH, Truth, record, slope_model, vector
 
 

@@ -14,7 +14,7 @@ _PerAxis = _Positive | Annotated[list[_Positive], Field(min_length=3, max_length
 _PerAxisOrNone = _NotNegative | Annotated[list[_NotNegative], Field(min_length=3, max_length=3)]
 
 
-class ZuptParameters(StrictModel):
+class GyroBiasParameters(StrictModel):
     """Noise of the sensors, and how the bias is followed; every key has a default, which suits any unit.
 
     Parameters
@@ -24,7 +24,7 @@ class ZuptParameters(StrictModel):
         rest when it is not given.
     bias_instability_rad_per_s, rate_random_walk_rad_per_s_per_sqrt_s : float or [x, y, z], optional
         Flicker coefficient B (floor of the Allan deviation 0.664 B) and bias random walk K.  When one is
-        given, both hold as given, the other being nought.  When neither is, how much the bias wanders is
+        given, both hold as given, the other being zero.  When neither is, how much the bias wanders is
         learned from the innovations.
     velocity_random_walk_m_per_s_per_sqrt_s : float, optional
         The same for the accelerometers.  Measured at rest when it is not given.

@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from imumon.blocks import FloatArray, IntArray
 from imumon.charts import AXIS_COLORS, GREY, Axis, Chart, Curve
-from imumon.estimation.zupt.thermal_input import GYROS
+from imumon.estimation.gyro_bias.thermal_input import GYROS
 from imumon.models.model import BiasModel
 
 TAB = "Gyro bias"
@@ -18,8 +17,6 @@ SPACING_NS = 1_000_000_000
 MOST_POINTS = 250
 """When more are kept, every second one is dropped, and from then on half as many are taken."""
 CURVE_POINTS = 101
-SPACING, COUNT, NEXT_NS = range(3)
-NEVER = -1
 
 
 class BiasTrail:
@@ -33,26 +30,35 @@ class BiasTrail:
 
     def __init__(self, model: BiasModel | None) -> None:
         self._model = model
-        self._points = np.empty((MOST_POINTS, 6))
-        self._state = np.array([SPACING_NS, 0, NEVER])
+        self._points: list[FloatArray] = []
+        self._spacing_ns = SPACING_NS
+        self._next_ns: int | None = None
 
     def add(self, time_ns: IntArray, temperature: FloatArray, bias: FloatArray) -> None:
-        """Take estimates, (n, 3) each, in °C and rad/s, at times (n,)."""
-        _gather(time_ns, temperature, bias, self._points, self._state)
+        """Take estimates, (n, 3) each, in °C and rad/s, at times (n,): the first of each interval."""
+        for t, point in zip(time_ns.tolist(), np.hstack([temperature, bias]), strict=True):
+            if self._next_ns is not None and self._next_ns - self._spacing_ns <= t < self._next_ns:
+                continue
+            if np.isfinite(point).all():
+                self._points.append(point)
+                if len(self._points) > MOST_POINTS:
+                    self._points = self._points[::2]
+                    self._spacing_ns *= 2
+            self._next_ns = (t // self._spacing_ns + 1) * self._spacing_ns
 
     def charts(self) -> list[Chart]:
         """Return the chart of the bias, and with a model that of the bias less its curve; none without
         data."""
-        points = self._points[: self._state[COUNT]].copy()  # the view draws them later
-        if not len(points):
+        if not self._points:
             return []
+        points = np.array(self._points)
         degc, bias = points[:, :3], points[:, 3:] * DEG_PER_HOUR
         x = Axis("temperature [°C]")
         curves = self._model_curves() + _trails(degc, bias)
         charts = [Chart("gyro_bias", TAB, "Gyro bias over temperature", x, Axis("[°/h]"), tuple(curves))]
         if self._model is not None:
-            foretold = [self._model.channels[name].value(degc[:, j]) for j, name in enumerate(GYROS)]
-            left = bias - np.column_stack(foretold) * DEG_PER_HOUR
+            predicted = [self._model.channels[name].value(degc[:, j]) for j, name in enumerate(GYROS)]
+            left = bias - np.column_stack(predicted) * DEG_PER_HOUR
             charts.append(
                 Chart(
                     "gyro_bias_left",
@@ -77,32 +83,6 @@ class BiasTrail:
             faint = tuple((part + 2 * grey) // 3 for part, grey in zip(color, GREY, strict=True))
             curves.append(Curve(f"curve {axis}", degc, value, (faint[0], faint[1], faint[2]), width=1.2))
         return curves
-
-
-@njit(cache=True, nogil=True)
-def _gather(
-    time_ns: IntArray, temperature: FloatArray, bias: FloatArray, points: FloatArray, state: IntArray
-) -> None:
-    """Keep the first sample of each interval; where the points are full, every second one of them."""
-    for i in range(len(time_ns)):
-        t = time_ns[i]
-        if state[NEXT_NS] - state[SPACING] <= t < state[NEXT_NS]:
-            continue
-        begun = state[NEXT_NS] != NEVER
-        state[NEXT_NS] = (t // state[SPACING] + 1) * state[SPACING]
-        total = temperature[i].sum() + bias[i].sum()
-        if not begun or not math.isfinite(total):
-            continue
-        if state[COUNT] == len(points):
-            half = (len(points) + 1) // 2
-            for k in range(half):
-                points[k] = points[2 * k]
-            state[COUNT] = half
-            state[SPACING] *= 2
-            state[NEXT_NS] = (t // state[SPACING] + 1) * state[SPACING]
-        points[state[COUNT], :3] = temperature[i]
-        points[state[COUNT], 3:] = bias[i]
-        state[COUNT] += 1
 
 
 def _trails(degc: FloatArray, values: FloatArray) -> list[Curve]:
