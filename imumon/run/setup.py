@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 import yaml
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from imumon.allan.parameters import AllanParameters, Noise
 from imumon.config import StrictModel, parse_yaml
@@ -18,6 +18,7 @@ from imumon.estimation.random_error.parameters import Channel, GyroNoise, Random
 from imumon.estimation.rest.parameters import RestParameters
 from imumon.estimation.watch.parameters import WatchParameters
 from imumon.models.model import BiasModel, load_model
+from imumon.published.names import PublishedMethod
 
 FORMAT: Final = "imumon-pipeline/1"
 
@@ -30,7 +31,8 @@ class Setup(StrictModel):
 
     `model` is the path of a model file, relative to the pipeline file, or the model itself; a session keeps
     the model itself, so that it refers to nothing outside.  `noise` is what `imumon allan --noise-out`
-    writes; it holds for every estimator whose own parameters do not say otherwise.
+    writes; it holds for every estimator whose own parameters do not say otherwise.  `published` names methods
+    of the papers that run beside the defaults.
     """
 
     format: Literal["imumon-pipeline/1"] = FORMAT
@@ -45,6 +47,14 @@ class Setup(StrictModel):
     watch: WatchParameters = WatchParameters()
     noise: Noise = Noise()
     allan: AllanParameters = AllanParameters()
+    published: list[PublishedMethod] = Field(default_factory=list)
+
+    @field_validator("published")
+    @classmethod
+    def _once(cls, given: list[PublishedMethod]) -> list[PublishedMethod]:
+        if len(set(given)) < len(given):
+            raise ValueError("a method is named twice")
+        return given
 
     @property
     def bias_model(self) -> BiasModel | None:

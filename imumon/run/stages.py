@@ -11,6 +11,7 @@ from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.estimation.watch.stage import ModelWatch
 from imumon.pipeline import Estimator
 from imumon.protocols.device import DeviceFile
+from imumon.run.published import published_stages
 from imumon.run.setup import Setup
 
 
@@ -33,4 +34,4 @@ def estimators(device: DeviceFile | None, setup: Setup | None = None) -> list[Es
         axes = device.axes if device is not None else None
         sent = () if device is None else [column.name for column in device.decoder().possible_columns]
         stages.append(Alignment(setup.alignment_with_warm_up, setup.latitude_deg, axes, sent))
-    return stages
+    return [*stages, *published_stages(setup)]

@@ -15,19 +15,13 @@ import numpy.typing as npt
 
 from imumon.blocks import NO_INT, ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.columns import Column
-from imumon.estimation.random_error.baselines import ExponentialMean, hold
-from imumon.estimation.random_error.drift import DriftEstimate, DriftFilter
+from imumon.estimation.random_error.drift import DriftFilter
 from imumon.estimation.random_error.parameters import Channel, RandomErrorParameters
 from imumon.estimation.random_error.slots import SlotGatherer, Slots, spread
 from imumon.models.model import BiasModel
 from imumon.models.predictor import BiasPredictor
-from imumon.published.sigma_points import ModelNL, SigmaPointFilter
 
 AXES = "xyz"
-PHI_VARIANCE = 0.01
-"""Variance of φ at the start; nothing is known but that it is nought for a local level."""
-OTHER_RATE = 1.5
-"""SR-RSUKF starts anew when the sampling interval has changed by this factor."""
 UNMODELLED_DEGC = 1.0
 """More than this without a bias model is said."""
 PATIENCE_NS = 10_000_000_000
@@ -69,7 +63,7 @@ class RandomError:
         return self._columns
 
     def _described(self) -> list[Column]:
-        found = [
+        return [
             *(
                 Column(f"gyro_random_error_{a}", "rad/s", description=f"what gyro {a} reads at rest")
                 for a in AXES
@@ -79,10 +73,6 @@ class RandomError:
                 for a in AXES
             ),
         ]
-        if self._parameters.method == "sr_rsukf":
-            for name, unit, text in _BESIDE:
-                found += [Column(f"{name}_{a}", unit, description=text) for a in AXES]
-        return found
 
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
         """Return the new columns of a block; NaN where there is no estimate.
@@ -142,7 +132,7 @@ class RandomError:
         return {name: predicted[:, j] for j, name in enumerate(self._modelled)}
 
     def notices(self) -> list[str]:
-        """Return, once each, why there is no estimate, what jumped, and where SR-RSUKF strained."""
+        """Return, once each, why there is no estimate, and what jumped."""
         found = {}
         waited = self._waited_ns > PATIENCE_NS
         if waited and not self._seen["rest"] and not self._parameters.assume_rest:
@@ -170,16 +160,6 @@ class RandomError:
         return new
 
 
-_BESIDE = (
-    ("gyro_drift", "rad/s", "the default estimate, beside SR-RSUKF"),
-    ("gyro_drift_sd", "rad/s", "its standard deviation"),
-    ("gyro_rest_mean", "rad/s", "exponential mean at rest, beside SR-RSUKF"),
-    ("gyro_rest_hold", "rad/s", "mean of the first seconds at rest, held, beside SR-RSUKF"),
-    ("gyro_phi", "1", "φ of SR-RSUKF"),
-    ("gyro_phi_sd", "1", "its standard deviation"),
-)
-
-
 def _channel(axis: str) -> Channel:
     return _CHANNELS[axis]
 
@@ -193,11 +173,7 @@ class _Axis:
     def __init__(self, channel: Channel, parameters: RandomErrorParameters) -> None:
         self._gatherer = SlotGatherer()
         self._drift = DriftFilter(parameters.noise.get(channel))
-        self._last = dict.fromkeys(("estimate", "sd", "mean", "hold"), math.nan)
-        self._published: _Published | None = None
-        if parameters.method == "sr_rsukf":
-            self._published = _Published(parameters)
-            self._mean, self._hold = ExponentialMean(parameters.mean_s), hold(parameters.hold_s)
+        self._last = dict.fromkeys(("estimate", "sd"), math.nan)
 
     def process(
         self,
@@ -213,16 +189,7 @@ class _Axis:
         n = len(reading)
         estimate = self._spread("estimate", slots, drift.estimate, broken, n)
         sd = self._spread("sd", slots, drift.sd, broken, n)
-        if self._published is None:
-            return {"gyro_random_error": estimate, "gyro_random_error_sd": sd}
-        beside = {
-            "gyro_drift": estimate,
-            "gyro_drift_sd": sd,
-            "gyro_rest_mean": self._spread("mean", slots, self._mean.process(slots), broken, n),
-            "gyro_rest_hold": self._spread("hold", slots, self._hold.process(slots), broken, n),
-        }
-        use = rest & np.isfinite(reading)
-        return {**self._published.process(time_ns, reading, use, slots, drift, broken), **beside}
+        return {"gyro_random_error": estimate, "gyro_random_error_sd": sd}
 
     def _spread(self, name: str, slots: Slots, values: FloatArray, broken: IntArray, n: int) -> FloatArray:
         """Return what is shown at each row: the last slot's value, and none from a break to the next slot."""
@@ -238,110 +205,4 @@ class _Axis:
         factor = self._drift.contradiction
         if factor is not None:
             found["noise"] = f"the given noise contradicts the data, which vary {factor:.2g} times as much"
-        return found | (self._published.remarks() if self._published is not None else {})
-
-
-class _Published:
-    """SR-RSUKF of one axis: starts when the noise has been learnt, again after a break or another rate."""
-
-    def __init__(self, parameters: RandomErrorParameters) -> None:
-        self._parameters = parameters
-        self._filter: SigmaPointFilter | None = None
-        self._interval = self._covered = 0.0
-        self._last_ns = 0
-        self._shrunk = self._clamped = 0
-
-    def process(
-        self,
-        time_ns: IntArray,
-        reading: FloatArray,
-        use: npt.NDArray[np.bool_],
-        slots: Slots,
-        drift: DriftEstimate,
-        broken: IntArray,
-    ) -> Series:
-        """Return estimate, sd, φ and its sd."""
-        out = np.full((4, len(reading)), np.nan)
-        at = 0
-        events = sorted(
-            [(int(row), -1) for row in broken] + [(int(row), k) for k, row in enumerate(slots.row)]
-        )
-        for row, k in events:
-            if k >= 0:
-                self._covered += float(slots.covered_s[k])
-                if not self._wanted(float(slots.interval_s[k])) or np.isnan(drift.sd[k]):
-                    continue
-            self._run(slice(at, row), time_ns, reading, use, out)
-            at = row
-            self._stop()
-            if k >= 0:
-                self._start(k, float(slots.interval_s[k]), drift)
-        self._run(slice(at, len(reading)), time_ns, reading, use, out)
-        names = ("gyro_random_error", "gyro_random_error_sd", "gyro_phi", "gyro_phi_sd")
-        return dict(zip(names, out, strict=True))
-
-    def _wanted(self, interval: float) -> bool:
-        if self._covered < self._parameters.learn_s or interval <= 0.0:
-            return False
-        change = interval / self._interval if self._filter is not None else math.inf
-        return not 1.0 / OTHER_RATE < change < OTHER_RATE
-
-    def _start(self, k: int, interval: float, drift: DriftEstimate) -> None:
-        """Begin with what the default filter knows: its level, its white noise, and its walk as δ¹."""
-        noise, process = float(drift.white[k]) / interval, float(drift.walk[k]) * interval
-        level, variance = float(drift.estimate[k]), float(drift.sd[k]) ** 2
-        # R bounds the start as well: a wide one would be over the limit of the risk.
-        variance = min(variance, 0.5 * noise)
-        model = ModelNL(
-            (level, level, 0.0, math.sqrt(process), 0.0), (variance, variance, PHI_VARIANCE, 0.0, 0.0), noise
-        )
-        mu = self._parameters.risk / (2.0 * (noise + process))
-        self._filter = SigmaPointFilter(model, (mu, 0.0, 0.0, 0.0, 0.0), self._parameters.phi_limit)
-        self._interval = interval
-
-    def _stop(self) -> None:
-        if self._filter is not None:
-            self._shrunk += self._filter.shrunk_steps
-            self._clamped += self._filter.clamped_steps
-        self._filter = None
-
-    def _run(
-        self,
-        part: slice,
-        time_ns: IntArray,
-        reading: FloatArray,
-        use: npt.NDArray[np.bool_],
-        out: FloatArray,
-    ) -> None:
-        if part.stop <= part.start:
-            return
-        times = time_ns[part]
-        before, self._last_ns = self._last_ns, int(times[-1])
-        if self._filter is None:
-            return
-        steps = np.empty(len(times))
-        steps[0] = times[0] - before
-        np.subtract(times[1:], times[:-1], out=steps[1:], casting="unsafe")
-        steps *= 1e-9 / self._interval
-        series = self._filter.process(reading[part], use[part], steps)
-        for row, values in zip(out, (series.estimate, series.sd, series.phi, series.phi_sd), strict=True):
-            row[part] = values
-
-    def remarks(self) -> dict[str, str]:
-        """Return where the filter strained, by a key each."""
-        shrunk, clamped = self._shrunk, self._clamped
-        if self._filter is not None:
-            shrunk += self._filter.shrunk_steps
-            clamped += self._filter.clamped_steps
-        found = {}
-        if shrunk:
-            found["risk"] = (
-                f"SR-RSUKF: the risk was over its limit and was made smaller ({shrunk} steps so far)"
-            )
-        if clamped:
-            limit = self._parameters.phi_limit
-            found["phi"] = (
-                f"SR-RSUKF: φ went to ±{limit:g} and was held back ({clamped} steps so far): the model does "
-                "not fit, or the unit moved unnoticed"
-            )
         return found
