@@ -14,11 +14,11 @@ from imumon.errors import ImumonError, Reason
 from imumon.estimation.alignment.parameters import AlignmentParameters
 from imumon.estimation.alignment.warm_up import known_warm_up
 from imumon.estimation.gyro_bias.parameters import GyroBiasParameters
-from imumon.estimation.random_error.parameters import Channel, GyroNoise, RandomErrorParameters
 from imumon.estimation.rest.parameters import RestParameters
 from imumon.estimation.watch.parameters import WatchParameters
 from imumon.models.model import BiasModel, load_model
 from imumon.published.names import PublishedMethod
+from imumon.published.parameters import Channel, GyroNoise, RandomErrorParameters
 
 FORMAT: Final = "imumon-pipeline/1"
 

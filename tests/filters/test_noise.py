@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from imumon.blocks import FloatArray
-from imumon.filters.noise import FLOOR_PER_INSTABILITY, BiasNoise, flicker_sd, whiten
+from imumon.filters.noise import FLOOR_PER_INSTABILITY, BiasNoise, fit_noise, flicker_sd, whiten
 
 TAUS = np.array([1.0, 10.0, 100.0, 1e3, 1e4])
 
@@ -69,6 +69,26 @@ def test_a_new_run_begins_with_a_new_level() -> None:
     elapsed = ones.copy()
     elapsed[10] = np.inf
     whole = whiten(model, elapsed, z, ones)
-    np.testing.assert_array_equal(
-        whole.innovation[10:], whiten(model, ones[:10], z[10:], ones[:10]).innovation
-    )
+    alone = whiten(model, ones[:10], z[10:], ones[:10])
+    np.testing.assert_array_equal(whole.innovation[10:], alone.innovation)
+
+
+@pytest.mark.parametrize(("instability", "walk"), [(0.12, 0.0), (0.0, 0.1)])
+def test_a_fit_tells_flicker_from_a_walk(instability: float, walk: float) -> None:
+    rng = np.random.default_rng(3)
+    n, white = 3600, 1.5
+    model = noise(instability * white, walk * white)
+    x = rng.normal(size=len(TAUS) + 1) * np.append(0.0, model.markov_sd)
+    z = np.empty(n)
+    for k in range(n):
+        x = model.decay(1.0) * x + rng.normal(size=len(x)) * np.sqrt(model.growth(1.0))
+        z[k] = x.sum() + white * rng.normal()
+    z[500:700] = np.nan
+    elapsed = np.append(np.inf, np.ones(n - 1))
+    found = fit_noise(elapsed, z, np.ones(n))
+    assert found.white == pytest.approx(white, rel=0.05)
+    if walk:
+        assert found.walk == pytest.approx(walk * white, rel=0.25)
+    else:
+        assert found.walk == 0.0
+        assert found.instability == pytest.approx(instability * white, rel=0.5)

@@ -165,8 +165,7 @@ class Contrary:
 
     @property
     def _prior(self) -> float:
-        warmed = self.readings and np.abs(self.readings[-1].slot.degc - self.since_degc) >= MOVED_DEGC
-        if np.any(warmed):
+        if (np.abs(self.readings[-1].slot.degc - self.since_degc) >= MOVED_DEGC).any():
             return JUMP_PRIOR_WARMED
         return JUMP_PRIOR_AFTER_GAP if self.behind_gap else JUMP_PRIOR
 

@@ -9,7 +9,16 @@ from scipy.stats import chi2
 from imumon.blocks import FloatArray
 from imumon.estimation.gyro_bias.parameters import GyroBiasParameters
 from imumon.estimation.gyro_bias.stage import GyroBias
-from tests.estimation.gyro_bias.records import ARW, DPH, VRW, Truth, record, vector, with_rest
+from tests.estimation.gyro_bias.records import (
+    ARW,
+    DPH,
+    VRW,
+    Truth,
+    markov,
+    record,
+    vector,
+    with_rest,
+)
 
 RUNS = 50
 AT_S = (30.0, 60.0, 120.0, 240.0, 420.0, 599.0)
@@ -76,3 +85,23 @@ def test_without_a_model_the_claim_holds_while_it_moves_and_warms_up() -> None:
         assert np.median(sd, axis=0).max() < 60.0  # true, and of use
     assert np.mean(squares, axis=0).max() < 1.5
     assert largest < 5.0
+
+
+def test_the_sigma_is_true_for_five_decades_of_flicker() -> None:
+    """White noise and five decades of flicker of an MTi-28A: Allan deviation 127 deg/h at 1 s, floor 9."""
+    white, sd, rate_hz, n = 127.0 * DPH, 12.0 * DPH, 10.0, 18000
+    normalised = []
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        drift = np.zeros((n, 3))
+        for tau in (1.0, 10.0, 100.0, 1e3, 1e4):
+            drift += markov(rng, n, 1.0 / rate_hz, tau, sd)
+        block, _ = record(Truth(rate_hz=rate_hz), n / rate_hz, seed)
+        gyro = drift + white * np.sqrt(rate_hz) * rng.normal(size=(n, 3))
+        added = GyroBias().process(
+            block.with_columns({f"gyro_{axis}": gyro[:, j] for j, axis in enumerate("xyz")})
+        )
+        late = slice(600, None)
+        off = (vector(added, "gyro_random_error") - drift)[late]
+        normalised.append(np.mean((off / vector(added, "gyro_random_error_sd")[late]) ** 2))
+    assert 0.7 < np.sqrt(np.mean(normalised)) < 1.25
