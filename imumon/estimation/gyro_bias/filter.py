@@ -417,7 +417,7 @@ def _take(state: State, params: Params, bank: Bank, reading: Reading) -> FloatAr
         _refuse(state, params, bank, reading)
         return shown
     state.contrary = Contrary()
-    likelihood = filters.take(bank, found)
+    likelihood = filters.take(bank, params.family, found)
     if params.learns:
         fade = math.exp(-dt / FORGETTING_S)
         state.evidence = fade * state.evidence + likelihood[1] - likelihood[0]
