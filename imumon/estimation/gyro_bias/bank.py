@@ -90,8 +90,9 @@ class Family:
         """Return the noise of all filters in rad/s; `white` (3,) is the angular random walk."""
         unit = white[:, np.newaxis] if self.relative else np.ones((3, 1))
         times = len(self.sensitivity_sd)
-        markov = np.tile(self.noise.markov_sd * unit[..., np.newaxis], (1, times, 1))
-        return BiasNoise(TAUS_S, markov, np.tile(self.noise.walk * unit, (1, times)))
+        markov = self.noise.markov_sd * unit[..., np.newaxis]
+        walk = self.noise.walk * unit
+        return BiasNoise(TAUS_S, np.concatenate([markov] * times, 1), np.concatenate([walk] * times, 1))
 
 
 NO_SENSITIVITY = np.zeros(1)
