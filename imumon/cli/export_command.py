@@ -8,8 +8,10 @@ import click
 
 from imumon.cli.common import columns_option, json_option, print_json, print_rows, say, split_columns
 from imumon.pipeline import Pipeline
+from imumon.protocols.base import MAIN
 from imumon.recordings.folder import open_session
-from imumon.recordings.table import export_blocks
+from imumon.recordings.side_tables import export_run
+from imumon.run.narration import describe_streams
 from imumon.run.replay import run_over
 from imumon.run.source import open_source
 
@@ -31,11 +33,18 @@ def command(session: Path, kind: str, out: Path | None, columns: str | None, as_
         table = table.with_name(f"{table.name}.{kind}")
     source.refuse_output(table)
     pipeline = Pipeline(source.device)
-    rows = export_blocks(
-        run_over(source.items, pipeline), table, split_columns(columns), lambda: source.columns(pipeline)
+    rows, tables = export_run(
+        run_over(source.items, pipeline),
+        pipeline,
+        table,
+        split_columns(columns),
+        lambda: source.columns(pipeline),
     )
+    written = {MAIN: table, **tables} if rows else tables
     for text in source.warnings():
         say("WARN", text)
     if as_json:
-        print_json({"session": session, "out": table, "rows": rows})
-    print_rows({"table": f"{table}: {rows:,} rows"})
+        streams = pipeline.counters.as_dict()["streams"]
+        out = written.get(MAIN)
+        print_json({"session": session, "out": out, "rows": rows, "tables": written, "streams": streams})
+    print_rows(describe_streams(pipeline.counters, written))

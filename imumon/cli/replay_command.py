@@ -23,8 +23,9 @@ from imumon.cli.common import (
 from imumon.cli.setup_options import SetupOptions, make_setup, setup_options
 from imumon.errors import ImumonError, Reason
 from imumon.pipeline import Digest, Pipeline
+from imumon.protocols.base import MAIN
 from imumon.recordings.folder import open_session
-from imumon.run.narration import Narrator, advised, describe_losses, view_setup
+from imumon.run.narration import Narrator, advised, describe_losses, describe_streams, view_setup
 from imumon.run.replay import run_over
 from imumon.run.source import Source, open_source
 from imumon.run.stages import estimators
@@ -69,32 +70,33 @@ def command(
     if publisher is not None:
         card = {"session": str(session), "replay": "as fast as it goes" if pace is None else f"{pace:g} x"}
         narrator = Narrator(pipeline, None, [publisher.publish], lambda *_: None, card, session)
-    blocks = _digested(run_over(source.items, pipeline, narrator, pace), digest)
+    blocks = _digested(run_over(source.items, pipeline, narrator, pace), pipeline, digest)
     try:
-        rows = _run(blocks, source, pipeline, out, columns)
+        rows, tables = _run(blocks, source, pipeline, out, columns)
     finally:
         if publisher is not None:
             publisher.close(CLOSE_S)
     comparable = setup.text() == recorded
-    _report(source, pipeline, digest.hexdigest(), out, rows, as_json, comparable)
+    _report(source, pipeline, digest.hexdigest(), tables, rows, as_json, comparable)
     return 0
 
 
 def _run(
     blocks: Iterator[SampleBlock], source: Source, pipeline: Pipeline, out: Path | None, columns: str | None
-) -> int:
+) -> tuple[int, dict[str, Path]]:
     if out is None:
-        return sum(len(block) for block in blocks)
-    from imumon.recordings.table import export_blocks
+        return sum(len(block) for block in blocks), {}
+    from imumon.recordings.side_tables import export_run
 
-    return export_blocks(blocks, out, split_columns(columns), lambda: source.columns(pipeline))
+    rows, tables = export_run(blocks, pipeline, out, split_columns(columns), lambda: source.columns(pipeline))
+    return rows, {MAIN: out, **tables} if rows else tables
 
 
 def _report(
     source: Source,
     pipeline: Pipeline,
     digest: str,
-    out: Path | None,
+    tables: dict[str, Path],
     rows: int,
     as_json: bool,
     comparable: bool,
@@ -114,8 +116,9 @@ def _report(
         print_json(
             {
                 "session": source.path,
-                "out": out,
+                "out": tables.get(MAIN),
                 "rows": rows,
+                "tables": tables,
                 **counters.as_dict(),
                 "results_digest": digest,
                 "identical_to_live": identical,
@@ -130,7 +133,7 @@ def _report(
         {
             "samples": f"{rows:,}, {verdict[identical]}",
             "losses": describe_losses(counters),
-            **({"table": str(out)} if out is not None else {}),
+            **describe_streams(counters, tables),
         }
     )
 
@@ -158,7 +161,7 @@ def _publisher(source: Source, pipeline: Pipeline, view: str, window: float, bin
     return ViewPublisher("native" if view == "native" else "web", setup, bind=bind).start()
 
 
-def _digested(blocks: Iterator[SampleBlock], digest: Digest) -> Iterator[SampleBlock]:
+def _digested(blocks: Iterator[SampleBlock], pipeline: Pipeline, digest: Digest) -> Iterator[SampleBlock]:
     for block in blocks:
-        digest.update(block)
+        digest.update(block, pipeline.side)
         yield block
