@@ -80,14 +80,16 @@ class _State(NamedTuple):
 
 
 class _Entries(NamedTuple):
-    """Which packet belongs to which epoch; and the epochs that ended, with the main rows before them.
+    """Which packet belongs to which epoch, with which columns; and the epochs that ended.
 
-    `behind` is how many main rows had begun before each packet of a side stream; -1 for main packets.
+    `ended_after` and `ended_until` count main rows as `Epochs` does; `behind` is how many had begun before each
+    packet of a side stream, -1 for main packets.
     """
 
     row: IntArray
     group: IntArray
     epoch: IntArray
+    own: IntArray
     ended: IntArray
     ended_group: IntArray
     ended_after: IntArray
@@ -109,11 +111,12 @@ class EpochAssembler:
         n = len(groups.names)
         self._state = _State._make(np.zeros((len(_State._fields), n), np.int64))
         self._state.apart[:] = groups.apart
+        self._bits: dict[str, int] = {}
         self._packets = np.zeros(n, np.int64)
         self.counted_aside: list[tuple[int, int]] = []
         """Of the side packets that `process` saw last: the main rows begun before each, and its counter."""
         self._pending: Packets | None = None
-        self._kept = np.zeros((3, 0), np.int64)
+        self._kept = np.zeros((4, 0), np.int64)
         self._columns: dict[str, set[str]] = {name: set() for name in groups.names}
 
     @property
@@ -150,21 +153,21 @@ class EpochAssembler:
         entries = self._assign(packets, held, masks, group_masks, end)
         self.counted_aside = _counted(packets.block, entries.behind, held)
         n, m = entries.counts[:2].tolist()
-        row, group, epoch = entries.row[:n], entries.group[:n], entries.epoch[:n]
+        made = np.stack([entries.row[:n], entries.group[:n], entries.epoch[:n], entries.own[:n]])
         ended, ended_group = entries.ended[:m], entries.ended_group[:m]
         found = {}
         for g, name in enumerate(self._groups.names):
-            own = ended_group == g
-            if g and not own.any():
+            of_group = ended_group == g
+            if g and not of_group.any():
                 continue
-            whole = (group == g) & np.isin(epoch, ended[own])
-            self._packets[g] += whole.sum()
-            place = np.searchsorted(ended[own], epoch[whole])
-            block = self._gather(name, g, packets.block, row[whole], place, int(own.sum()))
-            more = _steps_within(packets.block, row[whole], place, int(own.sum()))
-            after, until = entries.ended_after[:m][own], entries.ended_until[:m][own]
+            row, _, epoch, own = made[:, (made[1] == g) & np.isin(made[2], ended[of_group])]
+            self._packets[g] += len(row)
+            place, count = np.searchsorted(ended[of_group], epoch), int(of_group.sum())
+            block = self._gather(name, packets.block, (row, own, place), count)
+            more = _steps_within(packets.block, row, place, count)
+            after, until = entries.ended_after[:m][of_group], entries.ended_until[:m][of_group]
             found[name] = Epochs(block, after, until, more)
-        self._keep(packets, row, group, epoch, np.isin(epoch, ended))
+        self._keep(packets, made[:, ~np.isin(made[2], ended)])
         return found
 
     def _assign(
@@ -172,12 +175,21 @@ class EpochAssembler:
     ) -> _Entries:
         n, kept = len(packets), self._kept.shape[1]
         most = (n - held) * len(self._groups.names) + kept
-        room = np.zeros((3, most), np.int64)
+        room = np.zeros((4, most), np.int64)
         room[:, :kept] = self._kept
         ends = np.zeros((4, most + len(self._groups.names)), np.int64)
         behind = np.full(n, -1, np.int64)
         entries = _Entries(
-            room[0], room[1], room[2], ends[0], ends[1], ends[2], ends[3], behind, np.zeros(2, np.int64)
+            room[0],
+            room[1],
+            room[2],
+            room[3],
+            ends[0],
+            ends[1],
+            ends[2],
+            ends[3],
+            behind,
+            np.zeros(2, np.int64),
         )
         entries.counts[0] = kept
         kind, key = _keys(packets.block)
@@ -185,38 +197,43 @@ class EpochAssembler:
         return entries
 
     def _masks(self, block: SampleBlock) -> tuple[IntArray, IntArray]:
-        """Return which columns each packet has, (n,), and which each group may have: a bit a column.
-
-        There are more columns than bits in a word in some protocols; those beyond share a bit, which at worst
-        begins a row too early.
-        """
+        """Return which columns each packet has, (n,), and which each group may have: a bit a column."""
         masks = np.zeros(len(block), np.int64)
         group_masks = np.zeros(len(self._groups.names), np.int64)
-        grouped = [name for name in self._groups.of_column if name in block]
-        for number, name in enumerate(grouped):
-            bit = np.int64(1) << np.int64(number % 62)
-            masks |= np.where(_present(block[name]), bit, np.int64(0))
-            group_masks[self._groups.of_column[name]] |= bit
+        for name, group in self._groups.of_column.items():
+            if name in block:
+                bit = np.int64(1) << self._bit(name)
+                masks |= np.where(_present(block[name]), bit, np.int64(0))
+                group_masks[group] |= bit
         return masks, group_masks
 
+    def _bit(self, name: str) -> np.int64:
+        """Return the bit of a column.
+
+        Some protocols have more columns than a word has bits; those beyond share one, which at worst begins a
+        row too early, or shows a value in two streams.
+        """
+        return np.int64(self._bits.setdefault(name, len(self._bits)) % 62)
+
     def _gather(
-        self, stream: str, g: int, block: SampleBlock, row: IntArray, place: IntArray, n: int
+        self, stream: str, block: SampleBlock, entries: tuple[IntArray, IntArray, IntArray], n: int
     ) -> SampleBlock:
-        """Return n rows of a stream, each of the packets that belong to it; the first arrival counts."""
+        """Return n rows of a stream from entries: packet, its columns that belong here, and its row.
+
+        Of several arrivals the first counts.
+        """
+        row, own, place = entries
         known = self._columns[stream]
         columns: dict[str, ColumnArray] = {}
-        single = len(row) == n
         for name, values in block.columns.items():
-            belongs = self._groups.of_column.get(name)
-            foreign = belongs is not None and (belongs != g if g else bool(self._state.apart[belongs]))
-            if foreign and name not in known:
-                continue
             taken = values[row]
-            present = np.zeros(len(row), np.bool_) if foreign else _present(taken)
+            present = _present(taken)
+            if name in self._groups.of_column:
+                present &= own >> self._bit(name) & 1 != 0
             if name not in known and name not in COMMON and not present.any():
                 continue
             known.add(name)
-            if single and not foreign:
+            if len(row) == n and present.all():
                 columns[name] = taken
                 continue
             result = np.full(n, NO_INT if values.dtype == np.int64 else np.nan, values.dtype)
@@ -225,22 +242,15 @@ class EpochAssembler:
             columns[name] = result
         return SampleBlock(columns)
 
-    def _keep(
-        self,
-        packets: Packets,
-        row: IntArray,
-        group: IntArray,
-        epoch: IntArray,
-        done: npt.NDArray[np.bool_],
-    ) -> None:
-        """Keep the packets of the epochs that are not complete."""
-        rows, again = np.unique(row[~done], return_inverse=True)
+    def _keep(self, packets: Packets, made: IntArray) -> None:
+        """Keep the packets of the entries whose epochs are not complete."""
+        rows, again = np.unique(made[0], return_inverse=True)
         if not len(rows):
-            self._pending, self._kept = None, np.zeros((3, 0), np.int64)
+            self._pending, self._kept = None, np.zeros((4, 0), np.int64)
             return
         block = SampleBlock({name: values[rows] for name, values in packets.block.columns.items()})
         self._pending = Packets(block, packets.groups[rows])
-        self._kept = np.stack([again.reshape(-1), group[~done], epoch[~done]])
+        self._kept = np.concatenate([again.reshape(1, -1), made[1:]])
 
 
 def _present(values: ColumnArray) -> npt.NDArray[np.bool_]:
@@ -358,7 +368,7 @@ def _pull(kind: int, key: int, state: _State, entries: _Entries) -> None:
 def _enter(g: int, row: int, own: int, state: _State, entries: _Entries) -> None:
     """Enter a packet into the open epoch, and end that when it has all that it may have."""
     k = entries.counts[0]
-    entries.row[k], entries.group[k], entries.epoch[k] = row, g, state.epoch[g]
+    entries.row[k], entries.group[k], entries.epoch[k], entries.own[k] = row, g, state.epoch[g], own
     entries.counts[0] = k + 1
     state.mask[g] |= own
     usual = state.any_now[g] | state.any_before[g]
