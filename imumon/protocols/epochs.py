@@ -82,8 +82,8 @@ class _State(NamedTuple):
 class _Entries(NamedTuple):
     """Which packet belongs to which epoch, with which columns; and the epochs that ended.
 
-    `ended_after` and `ended_until` count main rows as `Epochs` does; `behind` is how many had begun before each
-    packet of a side stream, -1 for main packets.
+    `ended_after` and `ended_until` count main rows as `Epochs` does; `behind` is how many had begun before
+    each packet of a side stream, -1 for main packets.
     """
 
     row: IntArray
