@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -16,11 +17,10 @@ from imumon.cli.common import (
     split_columns,
 )
 from imumon.errors import ImumonError, Reason
-from imumon.pipeline import Pipeline
-from imumon.recordings.table import export_blocks
-from imumon.run.narration import describe_losses
-from imumon.run.replay import run_over
-from imumon.run.source import Source, open_source
+
+if TYPE_CHECKING:
+    from imumon.pipeline import Pipeline
+    from imumon.run.source import Source
 
 
 @click.command("decode")
@@ -33,6 +33,12 @@ from imumon.run.source import Source, open_source
 @json_option
 def command(file: Path, device: str | None, out: Path, columns: str | None, as_json: bool) -> int:
     """Decode FILE, a raw capture of any tool or a session, into a table."""
+    from imumon.pipeline import Pipeline
+    from imumon.recordings.table import export_blocks
+    from imumon.run.narration import describe_losses
+    from imumon.run.replay import run_over
+    from imumon.run.source import open_source
+
     source = open_source(file, device)
     source.refuse_output(out)
     pipeline = Pipeline(source.device)

@@ -7,11 +7,6 @@ from pathlib import Path
 import click
 
 from imumon.cli.common import columns_option, json_option, print_json, print_rows, say, split_columns
-from imumon.pipeline import Pipeline
-from imumon.recordings.folder import open_session
-from imumon.recordings.table import export_blocks
-from imumon.run.replay import run_over
-from imumon.run.source import open_source
 
 
 @click.command("export")
@@ -24,6 +19,12 @@ from imumon.run.source import open_source
 @json_option
 def command(session: Path, kind: str, out: Path | None, columns: str | None, as_json: bool) -> None:
     """Write the samples of SESSION, recorded or imported, as a table."""
+    from imumon.pipeline import Pipeline
+    from imumon.recordings.folder import open_session
+    from imumon.recordings.table import export_blocks
+    from imumon.run.replay import run_over
+    from imumon.run.source import open_source
+
     folder = open_session(session).path
     source = open_source(folder)
     table = out or folder / f"export.{kind}"
