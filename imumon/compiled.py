@@ -2,29 +2,26 @@
 
 numba keeps compiled code beside the module of a function, or in the user's cache where that cannot be written
 to, and looks whether this one file has changed.  A kernel is also made of what its module imports: other
-kernels, and constants.  Here the key is therefore the import closure of the module: the sources of the module
-and of every module of this package that it imports, directly or not.
+kernels, and constants.  Here the key is therefore the fingerprint of all of these (`sources.stamp`).
 
 What has to be compiled, and so keeps a command waiting, is said to the logger ``imumon.compiled``.
 """
 
 from __future__ import annotations
 
-import hashlib
 import logging
-import re
 from collections.abc import Callable
-from functools import cache, partial
-from importlib.util import find_spec
+from functools import partial
 from typing import Any, TypeVar, overload
 
 import numba
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
 
+from imumon.sources import stamp
+
 F = TypeVar("F", bound=Callable[..., Any])
 
 PACKAGE = __name__.partition(".")[0]
-_IMPORT = re.compile(r"^from ([\w.]+) import (\([^)]*\)|[^\n]*)|^import ([\w.]+)", re.MULTILINE)
 
 _log = logging.getLogger(__name__)
 _modules: dict[str, bool] = {}
@@ -54,56 +51,6 @@ def njit(function: F | None = None, **options: Any) -> F | Callable[[F], F]:
 def kernel_modules() -> tuple[str, ...]:
     """Return the imported modules that have compiled functions, in the order of import."""
     return tuple(_modules)
-
-
-def closure(module: str) -> tuple[str, ...]:
-    """Return the module and all modules of its package that it imports, directly or not, in order of name.
-
-    Imports for type checking and inside functions do not count: compiled code cannot depend on them.
-    """
-    found, waiting = set[str](), [module]
-    while waiting:
-        name = waiting.pop()
-        if name not in found:
-            found.add(name)
-            waiting += _imports(name)
-    return tuple(sorted(found))
-
-
-@cache
-def stamp(module: str) -> str:
-    """Return the fingerprint of all the sources that the compiled functions of a module are made of."""
-    fingerprint = hashlib.sha256()
-    for name in closure(module):
-        fingerprint.update(f"{name}\0{_source(name)}\0".encode())
-    return fingerprint.hexdigest()
-
-
-@cache
-def _source(module: str) -> str:
-    spec = find_spec(module)
-    loader: Any = spec.loader if spec is not None else None
-    return str(loader.get_source(module))
-
-
-@cache
-def _imports(module: str) -> tuple[str, ...]:
-    """Return the modules of the same package that a module imports as it is imported itself."""
-    package, found = module.partition(".")[0], list[str]()
-    for source, names, plain in _IMPORT.findall(_source(module)):
-        name = source or plain
-        if name.partition(".")[0] == package:
-            found.append(name)
-            found += [child for child in _children(name, re.findall(r"\w+", names)) if child != module]
-    return tuple(found)
-
-
-def _children(package: str, names: list[str]) -> list[str]:
-    """Return which of the names imported from a package are modules."""
-    spec = find_spec(package)
-    if spec is None or spec.submodule_search_locations is None:
-        return []
-    return [child for name in names if find_spec(child := f"{package}.{name}") is not None]
 
 
 # Some of numba is typed, its caches are not.

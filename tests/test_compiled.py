@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from imumon.compiled import closure, kernel_modules, stamp
+from imumon.compiled import kernel_modules
+from imumon.sources import closure, stamp
 
 FILES = {
     "__init__.py": "",
