@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -16,12 +17,10 @@ from imumon.cli.common import (
     split_columns,
 )
 from imumon.errors import ImumonError, Reason
-from imumon.pipeline import Pipeline
-from imumon.protocols.base import MAIN
-from imumon.recordings.side_tables import export_run
-from imumon.run.narration import describe_losses, describe_streams
-from imumon.run.replay import run_over
-from imumon.run.source import Source, open_source
+
+if TYPE_CHECKING:
+    from imumon.pipeline import Pipeline
+    from imumon.run.source import Source
 
 
 @click.command("decode")
@@ -34,6 +33,12 @@ from imumon.run.source import Source, open_source
 @json_option
 def command(file: Path, device: str | None, out: Path, columns: str | None, as_json: bool) -> int:
     """Decode FILE, a raw capture of any tool or a session, into a table."""
+    from imumon.pipeline import Pipeline
+    from imumon.recordings.side_tables import export_run
+    from imumon.run.narration import describe_losses, describe_streams
+    from imumon.run.replay import run_over
+    from imumon.run.source import open_source
+
     source = open_source(file, device)
     source.refuse_output(out)
     pipeline = Pipeline(source.device)
@@ -52,9 +57,8 @@ def command(file: Path, device: str | None, out: Path, columns: str | None, as_j
         say("WARN", text)
     for notice in pipeline.notices():
         say("INFO", f"device: {notice}")
-    written = {MAIN: out, **tables} if rows else tables
     if as_json:
-        print_json(_result(source, pipeline, written, rows))
+        print_json(_result(source, pipeline, tables, rows))
     counters = pipeline.counters
     print_rows(
         {
@@ -62,13 +66,15 @@ def command(file: Path, device: str | None, out: Path, columns: str | None, as_j
             "bytes": f"{counters.bytes_received:,} received, {counters.bytes_in_packets:,} in packets, "
             f"{counters.bytes_skipped:,} skipped, {counters.bytes_pending:,} pending",
             "losses": describe_losses(counters),
-            **describe_streams(counters, written),
+            **describe_streams(counters, tables),
         }
     )
     return 0
 
 
 def _result(source: Source, pipeline: Pipeline, tables: dict[str, Path], rows: int) -> dict[str, object]:
+    from imumon.protocols.base import MAIN
+
     device = source.device.name if source.device is not None else None
     return {
         "file": source.path,

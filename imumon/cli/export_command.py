@@ -7,13 +7,6 @@ from pathlib import Path
 import click
 
 from imumon.cli.common import columns_option, json_option, print_json, print_rows, say, split_columns
-from imumon.pipeline import Pipeline
-from imumon.protocols.base import MAIN
-from imumon.recordings.folder import open_session
-from imumon.recordings.side_tables import export_run
-from imumon.run.narration import describe_streams
-from imumon.run.replay import run_over
-from imumon.run.source import open_source
 
 
 @click.command("export")
@@ -26,6 +19,14 @@ from imumon.run.source import open_source
 @json_option
 def command(session: Path, kind: str, out: Path | None, columns: str | None, as_json: bool) -> None:
     """Write the samples of SESSION, recorded or imported, as a table."""
+    from imumon.pipeline import Pipeline
+    from imumon.protocols.base import MAIN
+    from imumon.recordings.folder import open_session
+    from imumon.recordings.side_tables import export_run
+    from imumon.run.narration import describe_streams
+    from imumon.run.replay import run_over
+    from imumon.run.source import open_source
+
     folder = open_session(session).path
     source = open_source(folder)
     table = out or folder / f"export.{kind}"
@@ -40,11 +41,10 @@ def command(session: Path, kind: str, out: Path | None, columns: str | None, as_
         split_columns(columns),
         lambda: source.columns(pipeline),
     )
-    written = {MAIN: table, **tables} if rows else tables
     for text in source.warnings():
         say("WARN", text)
     if as_json:
         streams = pipeline.counters.as_dict()["streams"]
-        out = written.get(MAIN)
-        print_json({"session": session, "out": out, "rows": rows, "tables": written, "streams": streams})
-    print_rows(describe_streams(pipeline.counters, written))
+        out = tables.get(MAIN)
+        print_json({"session": session, "out": out, "rows": rows, "tables": tables, "streams": streams})
+    print_rows(describe_streams(pipeline.counters, tables))

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Unpack
 
 import click
 
-from imumon.blocks import SampleBlock
 from imumon.cli.common import (
     bind_option,
     columns_option,
@@ -22,15 +21,11 @@ from imumon.cli.common import (
 )
 from imumon.cli.setup_options import SetupOptions, make_setup, setup_options
 from imumon.errors import ImumonError, Reason
-from imumon.pipeline import Digest, Pipeline
-from imumon.protocols.base import MAIN
-from imumon.recordings.folder import open_session
-from imumon.run.narration import Narrator, advised, describe_losses, describe_streams, view_setup
-from imumon.run.replay import run_over
-from imumon.run.source import Source, open_source
-from imumon.run.stages import estimators
 
 if TYPE_CHECKING:
+    from imumon.blocks import SampleBlock
+    from imumon.pipeline import Digest, Pipeline
+    from imumon.run.source import Source
     from imumon.view.publisher import ViewPublisher
 
 CLOSE_S = 5.0
@@ -59,6 +54,13 @@ def command(
     **options: Unpack[SetupOptions],
 ) -> int:
     """Run SESSION again through the same code, bit for bit, to a table or to the view."""
+    from imumon.pipeline import Digest, Pipeline
+    from imumon.recordings.folder import open_session
+    from imumon.run.narration import Narrator
+    from imumon.run.replay import run_over
+    from imumon.run.source import open_source
+    from imumon.run.stages import estimators
+
     recorded = open_session(session).metadata.pipeline_yaml  # a raw capture has no times: that is for decode
     setup = make_setup(options, recorded, f"{session} (pipeline_yaml)")
     source = open_source(session)
@@ -89,7 +91,7 @@ def _run(
     from imumon.recordings.side_tables import export_run
 
     rows, tables = export_run(blocks, pipeline, out, split_columns(columns), lambda: source.columns(pipeline))
-    return rows, {MAIN: out, **tables} if rows else tables
+    return rows, tables
 
 
 def _report(
@@ -101,6 +103,9 @@ def _report(
     as_json: bool,
     comparable: bool,
 ) -> None:
+    from imumon.protocols.base import MAIN
+    from imumon.run.narration import advised, describe_losses, describe_streams
+
     assert source.session is not None
     live = source.session.metadata.results_digest if comparable else None
     identical = None if live is None else live == digest
@@ -153,6 +158,7 @@ def _speed(text: str | None, view: str) -> float | None:
 
 
 def _publisher(source: Source, pipeline: Pipeline, view: str, window: float, bind: str) -> ViewPublisher:
+    from imumon.run.narration import view_setup
     from imumon.view.publisher import ViewPublisher
 
     assert source.session is not None

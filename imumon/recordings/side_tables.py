@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from imumon.blocks import SampleBlock
 from imumon.columns import Column
 from imumon.errors import ImumonError, Reason
+from imumon.protocols.base import MAIN
 from imumon.recordings.table import TableWriter, export_blocks
 
 if TYPE_CHECKING:
@@ -30,7 +31,7 @@ def export_run(
     columns: Sequence[str] | None,
     known: Callable[[], Iterable[Column]],
 ) -> tuple[int, dict[str, Path]]:
-    """Write what a run yields; return the rows of the main table and the tables of the side streams.
+    """Write what a run yields; return the rows of the main table, and the table of each stream.
 
     Parameters
     ----------
@@ -64,4 +65,5 @@ def export_run(
             if error.reason is not Reason.BAD_DATA or pipeline.counters.samples or not writers:
                 raise
             rows = 0
-    return rows, {stream: writer.path for stream, writer in writers.items()}
+    tables = {stream: writer.path for stream, writer in writers.items()}
+    return rows, {MAIN: out, **tables} if rows else tables
