@@ -13,9 +13,8 @@ from imumon.blocks import ColumnArray, SampleBlock, join
 from imumon.errors import ImumonError, Reason
 from imumon.estimation.rest.stage import RestDetector
 from imumon.pipeline import Pipeline
+from imumon.recordings.source import open_source, run_over
 from imumon.recordings.table import SUFFIXES, iterate_table, read_columns
-from imumon.run.replay import run_over
-from imumon.run.source import open_source
 
 GROUPS = ("gyro", "accel")
 CHANNELS = tuple(f"{group}_{axis}" for group in GROUPS for axis in "xyz")

@@ -18,8 +18,7 @@ from imumon.estimation.temperature_rate.parameters import TemperatureRateParamet
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.pipeline import Estimator, Pipeline
 from imumon.recordings.folder import Session, open_session
-from imumon.run.replay import run_over
-from imumon.run.source import open_source
+from imumon.recordings.source import open_source, run_over
 
 AXES = "xyz"
 GYRO = tuple(f"gyro_{axis}" for axis in AXES)

@@ -17,10 +17,9 @@ from imumon.cli.common import (
 )
 from imumon.errors import ImumonError, Reason
 from imumon.pipeline import Pipeline
+from imumon.recordings.source import Source, open_source, run_over
 from imumon.recordings.table import export_blocks
 from imumon.run.narration import describe_losses
-from imumon.run.replay import run_over
-from imumon.run.source import Source, open_source
 
 
 @click.command("decode")

@@ -9,9 +9,8 @@ import click
 from imumon.cli.common import columns_option, json_option, print_json, print_rows, say, split_columns
 from imumon.pipeline import Pipeline
 from imumon.recordings.folder import open_session
+from imumon.recordings.source import open_source, run_over
 from imumon.recordings.table import export_blocks
-from imumon.run.replay import run_over
-from imumon.run.source import open_source
 
 
 @click.command("export")

@@ -24,9 +24,9 @@ from imumon.cli.setup_options import SetupOptions, make_setup, setup_options
 from imumon.errors import ImumonError, Reason
 from imumon.pipeline import Digest, Pipeline
 from imumon.recordings.folder import open_session
+from imumon.recordings.source import Source, open_source
 from imumon.run.narration import Narrator, advised, describe_losses, view_setup
-from imumon.run.replay import run_over
-from imumon.run.source import Source, open_source
+from imumon.run.replay import replay
 from imumon.run.stages import estimators
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ def command(
     if publisher is not None:
         card = {"session": str(session), "replay": "as fast as it goes" if pace is None else f"{pace:g} x"}
         narrator = Narrator(pipeline, None, [publisher.publish], lambda *_: None, card, session)
-    blocks = _digested(run_over(source.items, pipeline, narrator, pace), digest)
+    blocks = _digested(replay(source.items, pipeline, narrator, pace), digest)
     try:
         rows = _run(blocks, source, pipeline, out, columns)
     finally:

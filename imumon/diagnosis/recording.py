@@ -18,9 +18,8 @@ from imumon.errors import ImumonError, Reason
 from imumon.pipeline import Estimator, Pipeline
 from imumon.recordings.folder import is_session, open_session
 from imumon.recordings.importing import import_table
+from imumon.recordings.source import open_source, run_over
 from imumon.recordings.table import SUFFIXES, iterate_table
-from imumon.run.replay import run_over
-from imumon.run.source import open_source
 
 CHANNELS = tuple(f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz")
 TEMPERATURES = ("temperature", *(f"temperature_{axis}" for axis in "xyz"))
