@@ -331,6 +331,8 @@ def _write_units(path: Path, columns: Iterable[Column]) -> None:
 def _csv_columns(path: Path) -> dict[str, Column]:
     with path.open(encoding="utf-8-sig") as file:
         names = next(csv.reader(file), [])
+    if not names:
+        raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read: it is empty")
     units = units_path(path)
     told = load_yaml(units, _UnitsFile).columns if units.is_file() else {}
     columns = {}
