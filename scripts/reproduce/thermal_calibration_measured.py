@@ -15,7 +15,7 @@ from imumon.calibration.record import Record
 from imumon.calibration.selection import slow_variance
 from imumon.errors import ImumonError
 from imumon.models.curves.polynomial import fit_polynomial
-from imumon.models.curves.spline import fit_spline
+from imumon.models.curves.smoothing import fit_spline
 from imumon.models.curves.training import fit_network
 from imumon.models.model import Curve
 from imumon.recordings.reduced import GYRO
