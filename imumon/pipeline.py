@@ -13,12 +13,15 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from imumon.blocks import NO_INT, ColumnArray, SampleBlock, join, missing
+from imumon.blocks import NO_INT, ColumnArray, IntArray, SampleBlock, join, missing
 from imumon.charts import Chart
 from imumon.clock import DeviceClock, HostClock
+from imumon.clock.rate import Intervals
+from imumon.clock.side import SharedCounter, SideClock
 from imumon.columns import KNOWN, TIME_COLUMNS, Column
-from imumon.protocols.base import Counters, Timing
+from imumon.protocols.base import COMMON, MAIN, Counters, Timing
 from imumon.protocols.device import DeviceFile
+from imumon.protocols.epochs import EpochAssembler, EpochCounters, Epochs
 
 UNDATED = NO_INT
 """Arrival time of bytes whose arrival nobody noted, as in a raw capture."""
@@ -55,6 +58,20 @@ class Judging(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
+class StreamCounters:
+    """What came of a stream: its rows, its rate where none is missing, gaps, and clocks that went back.
+
+    `incomplete` rows lack fields that the rows before them had.
+    """
+
+    rows: int
+    rate_hz: float | None
+    gaps: int
+    incomplete: int
+    restarts: int
+
+
+@dataclass(frozen=True, slots=True)
 class PipelineCounters:
     """What became of every byte and packet; the keys of ``--json`` and of session.yaml."""
 
@@ -70,6 +87,7 @@ class PipelineCounters:
     packets_missing: int
     clock_restarts: int
     samples: int
+    streams: dict[str, StreamCounters]
 
     def as_dict(self) -> dict[str, object]:
         """Return the counters as they are printed and stored."""
@@ -94,6 +112,12 @@ class Pipeline:
         self._estimators = tuple(estimators)
         self._samples = 0
         self._ready: list[SampleBlock] = []
+        groups = self._decoder.groups if self._decoder is not None else None
+        self._epochs = EpochAssembler(groups) if groups is not None else None
+        timing = self._device_clock.timing
+        self._side_clock, self._shared_counter = SideClock(timing), SharedCounter(timing.counter_bits)
+        self._side_ready: dict[str, list[SampleBlock]] = {}
+        self._intervals: dict[str, Intervals] = {}
 
     @property
     def estimators(self) -> tuple[Estimator, ...]:
@@ -103,10 +127,15 @@ class Pipeline:
     @property
     def columns(self) -> list[Column]:
         """Columns of the decoded blocks so far, in the order in which tables have them."""
+        return [*self.stream_columns(MAIN), *(c for stage in self._estimators for c in stage.columns)]
+
+    def stream_columns(self, stream: str) -> list[Column]:
+        """Return the columns of a stream's blocks so far, without those of the estimators."""
         decoded = {column.name: column for column in self._decoder.columns} if self._decoder else {}
-        times = [KNOWN[name] for name in TIME_COLUMNS if name != "packet_counter" or name in decoded]
-        rest = [c for c in decoded.values() if c.name not in TIME_COLUMNS and c.name != "device_ticks"]
-        return [*times, *rest, *(column for stage in self._estimators for column in stage.columns)]
+        there = decoded if self._epochs is None else self._epochs.columns(stream)
+        times = [KNOWN[name] for name in TIME_COLUMNS if name != "packet_counter" or name in there]
+        rest = [c for c in decoded.values() if c.name in there and c.name not in (*TIME_COLUMNS, *COMMON)]
+        return [*times, *rest]
 
     @property
     def units(self) -> dict[str, str]:
@@ -132,7 +161,19 @@ class Pipeline:
             packets_missing=self._device_clock.packets_missing,
             clock_restarts=self._device_clock.resets,
             samples=self._samples,
+            streams=self._stream_counters(),
         )
+
+    def _stream_counters(self) -> dict[str, StreamCounters]:
+        assembled = self._epochs.counters if self._epochs is not None else {}
+        counters = {}
+        for stream, intervals in self._intervals.items():
+            own = assembled.get(stream, EpochCounters())
+            restarts = self._device_clock.resets if stream == MAIN else intervals.backwards
+            counters[stream] = StreamCounters(
+                intervals.rows, intervals.rate_hz, intervals.gaps, own.incomplete, restarts
+            )
+        return counters
 
     def feed(self, data: bytes, arrival_ns: int = UNDATED) -> None:
         """Decode bytes that arrived at `arrival_ns` (Unix time, ns)."""
@@ -143,15 +184,21 @@ class Pipeline:
     def push(self, block: SampleBlock) -> None:
         """Take samples that have their times already, from a table."""
         self._ready.append(self._estimate(block))
+        self._count(MAIN, block)
 
     def finish(self) -> None:
         """Say that no more bytes come: samples held back behind a damaged header come out."""
         if self._decoder is not None:
             self._decoder.finish()
+            self._ready.append(self._decoded(end=True))
+
+    def pause(self) -> None:
+        """Say that the port fell silent or closed: a row that waits for more of its fields comes out."""
+        self._ready.append(self._decoded(end=True))
 
     def port_opened(self) -> None:
         """Say that the port was opened anew: the device may have restarted meanwhile."""
-        self._ready.append(self._decoded())
+        self.pause()
         self._device_clock.new_connection()
 
     def take(self) -> SampleBlock:
@@ -160,6 +207,11 @@ class Pipeline:
         block = join([*ready, self._decoded()])
         self._samples += len(block)
         return block
+
+    def take_side(self) -> dict[str, SampleBlock]:
+        """Return the rows of the side streams completed by the last call of `take`, by stream."""
+        ready, self._side_ready = self._side_ready, {}
+        return {stream: join(blocks) for stream, blocks in ready.items()}
 
     def notices(self) -> list[str]:
         """Return, once each, what the device said that is not data."""
@@ -180,16 +232,32 @@ class Pipeline:
         judging = [stage for stage in self._estimators if isinstance(stage, Judging)]
         return {lane: state for stage in judging for lane, state in stage.lanes().items()}
 
-    def _decoded(self) -> SampleBlock:
-        """Date what the decoder has completed, and estimate."""
+    def _decoded(self, end: bool = False) -> SampleBlock:
+        """Put together and date what the decoder has completed, and estimate."""
         if self._decoder is None:
             return SampleBlock({})
-        raw = self._decoder.take()
+        packets = self._decoder.take_packets()
+        if self._epochs is None:
+            return self._dated(packets.block, np.zeros(len(packets), np.int64), [])
+        streams = self._epochs.process(packets, end)
+        main = streams.pop(MAIN)
+        block = self._dated(main.block, main.more, _side_counters(streams))
+        for stream, epochs in streams.items():
+            times = self._side_clock.times(epochs.block, epochs.after)
+            rest = {name: values for name, values in epochs.block.columns.items() if name != "device_ticks"}
+            side = SampleBlock({**times, **{k: v for k, v in rest.items() if k not in times}})
+            self._side_ready.setdefault(stream, []).append(side)
+            self._count(stream, side)
+        return block
+
+    def _dated(self, raw: SampleBlock, more: IntArray, side: list[tuple[int, int]]) -> SampleBlock:
+        """Date rows of the main stream, and estimate."""
         n = len(raw)
         columns = dict(raw.columns)
         counter, ticks = columns.get("packet_counter"), columns.pop("device_ticks", None)
         arrival = columns.get("arrival_time_ns", missing(n, np.int64))
-        device_ns, segment = self._device_clock.process(counter, ticks, arrival, n)
+        counted = None if counter is None else self._shared_counter.process(counter, more, side)
+        device_ns, segment = self._device_clock.process(counted, ticks, arrival, n)
         times: dict[str, ColumnArray] = {
             "device_time_ns": device_ns,
             "arrival_time_ns": arrival,
@@ -198,12 +266,31 @@ class Pipeline:
         }
         if counter is not None:
             times["packet_counter"] = counter
-        return self._estimate(SampleBlock({**times, **{k: v for k, v in columns.items() if k not in times}}))
+        dated = SampleBlock({**times, **{k: v for k, v in columns.items() if k not in times}})
+        self._side_clock.follow(dated, ticks)
+        self._count(MAIN, dated)
+        return self._estimate(dated)
+
+    def _count(self, stream: str, block: SampleBlock) -> None:
+        if len(block) and "device_time_ns" in block:
+            segment = block["segment"] if "segment" in block else np.zeros(len(block), np.int64)
+            self._intervals.setdefault(stream, Intervals()).add(block["device_time_ns"], segment)
 
     def _estimate(self, block: SampleBlock) -> SampleBlock:
         for stage in self._estimators:
             block = block.with_columns(stage.process(block))
         return block
+
+
+def _side_counters(streams: Mapping[str, Epochs]) -> list[tuple[int, int]]:
+    """Return, of the side packets that are counted, the main rows before them and the counter."""
+    found: list[tuple[int, int]] = []
+    for epochs in streams.values():
+        if "packet_counter" in epochs.block:
+            counter = epochs.block["packet_counter"]
+            there = counter != NO_INT
+            found += zip(epochs.behind[there].tolist(), counter[there].tolist(), strict=True)
+    return found
 
 
 class Digest:

@@ -13,9 +13,6 @@ of the arrival time, which a stalled host or a full buffer delays by seconds.  T
   `UNSEEN_GAP_NS`.
 - A packet counter that advances by many more packets than the device's clock has room for has restarted.
   The reverse is a device that has paused.
-- A packet whose counter goes on and whose time is up to `LATE_NS` back was dated back by the device (GNSS
-  data of an MTi): it keeps its time, and the clock goes on as if it had not come.  More than `LATE_LIMIT` in
-  a row are a clock that was set back, which is a restart.
 - The same counter again is a repeated packet (or another message about the same sample), not a loss.
 
 A restart that leaves the count within the slack of where it would have been looks like a gap; `HostClock`
@@ -55,9 +52,6 @@ PERIOD_MEMORY = 16
 """Packets over which the packet period is averaged; it changes by no more than this part at once."""
 RESTARTED_FACTOR, RESTARTED_PACKETS = 4, 16
 """A counter that is this far ahead of the clock (factor, and packets besides) has restarted."""
-LATE_NS, LATE_LIMIT = 2_000_000_000, 3
-"""A packet may be dated back by this much when its counter goes on: GNSS data are older than the inertial
-data sent before them.  More such packets in a row mean that the clock was set back."""
 MAX_TIME_NS = 1 << 61
 """Device times beyond this (73 years) are damage."""
 
@@ -86,8 +80,7 @@ NUMERATOR, DENOMINATOR, MODULUS, LIMIT, STEADINESS = range(5)
     GAPS,
     MISSING,
     RESETS,
-    LATE_ROWS,
-) = range(19)
+) = range(18)
 NO_SOURCE = -1
 RESTART = -1
 
@@ -117,7 +110,7 @@ class DeviceClock:
         period = _check(timing)
         self._sources = _sources(timing, period)
         self._counter_modulus = 1 << timing.counter_bits if timing.counter_bits else 0
-        self._state: IntArray = np.zeros(19, np.int64)
+        self._state: IntArray = np.zeros(18, np.int64)
         self._state[SOURCE] = NO_SOURCE
         self._state[[LAST_ARRIVAL, RAW_COUNTER]] = NO_INT
         self._state[PERIOD] = int(period) if period else 0
@@ -254,19 +247,7 @@ def _unwrap(
         elif number != state[SOURCE]:
             state[SEGMENT] += state[SOURCE] != NO_SOURCE
             _begin(source, state, number, raw, arrival[i])
-        elif number == TICKS and packets == 1 and 0 < _late(source, state, raw) <= LATE_NS:
-            state[LATE_ROWS] += 1
-            state[HELD_PACKETS] += packets
-            state[RAW_COUNTER] = counter[i] % counter_modulus
-            if state[LATE_ROWS] > LATE_LIMIT:
-                state[SEGMENT] += 1
-                state[RESETS] += 1
-                _begin(source, state, number, raw, arrival[i])
-            time_ns[i] = state[TIME] - _late(source, state, raw)
-            segment[i] = state[SEGMENT]
-            continue
         else:
-            state[LATE_ROWS] = 0
             step = _step(source, state, raw, arrival[i])
             if number == COUNTER:
                 packets = step
@@ -358,13 +339,6 @@ def _ns(source: IntArray, count: int) -> int:
 
 
 @njit(cache=True, nogil=True)
-def _late(source: IntArray, state: IntArray, raw: int) -> int:
-    """Return by how many ns this count is behind the latest one; what is ahead is far behind or negative."""
-    behind = state[RAW] - raw
-    return _ns(source, behind % source[MODULUS] if source[MODULUS] else behind)
-
-
-@njit(cache=True, nogil=True)
 def _step(source: IntArray, state: IntArray, raw: int, arrival: int) -> int:
     """Return by how many counts the source has advanced, or RESTART."""
     step = raw - state[RAW]
@@ -397,7 +371,6 @@ def _begin(source: IntArray, state: IntArray, number: int, raw: int, arrival: in
     """Let device time begin at the raw count."""
     state[SOURCE] = number
     state[HELD] = 0
-    state[LATE_ROWS] = 0
     state[RAW] = raw
     state[COUNT] = raw
     state[TIME] = _ns(source, raw)

@@ -70,7 +70,7 @@ FIELDS = UNKNOWN + 3 * MOST_UNKNOWN  # how often each field of the table came
 LOG_SIZE = 1 << 14
 
 # Columns of the compiled tables.
-FIELD_SIZE, FIRST, COUNT, NEXT = range(4)
+FIELD_SIZE, FIRST, COUNT, NEXT, GROUP = range(5)
 KIND, SIZE, OFFSET, COLUMN = range(4)
 
 ShortArray = npt.NDArray[np.int16]
@@ -209,6 +209,7 @@ def _decode(
     """
     row = np.uint64(state[ROWS])
     known = 0
+    groups = np.int64(0)
     at = np.int64(begin)
     while at < end:
         field = np.int64(0)
@@ -234,6 +235,7 @@ def _decode(
         first = np.uint64(fields[found, FIRST])
         stop = first + np.uint64(fields[found, COUNT])
         known += int(stop > first)
+        groups |= fields[found, GROUP]
         for v in range(first, stop):
             column, width = values[v, COLUMN], values[v, SIZE]
             place = np.uint64(at + values[v, OFFSET])
@@ -248,6 +250,7 @@ def _decode(
             else:
                 ints[np.uint64(~column), row] = _integer(bits, values[v, KIND], width)
         at += size
+    ints[1, row] = groups
     return known
 
 
