@@ -22,7 +22,7 @@ from imumon.diagnosis.continuing import continued, predecessor
 from imumon.diagnosis.earth import GRAVITY, VerticalRate, vertical_rate, without
 from imumon.diagnosis.fitting import Declared
 from imumon.diagnosis.known import modelled, temperature_of, without_known
-from imumon.diagnosis.recording import CHANNELS, TEMPERATURES, Run, unit_of
+from imumon.diagnosis.recording import CHANNELS, Run, unit_of
 from imumon.diagnosis.selection import Channel, Search
 from imumon.diagnosis.verdict import Case, ChannelVerdict, judge
 from imumon.effects.base import LEAST_SPAN_DEGC, Survey
@@ -30,6 +30,7 @@ from imumon.effects.g_sensitivity import LEAST_RANGE
 from imumon.effects.library import EFFECTS
 from imumon.errors import ImumonError, Reason
 from imumon.models.model import BiasModel
+from imumon.recordings.reduced import TEMPERATURES
 
 LEAST_BLOCKS = 40
 LEAST_RUN_BLOCKS = 8
