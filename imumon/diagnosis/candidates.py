@@ -5,23 +5,17 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from itertools import combinations
 
 import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.diagnosis.blocks import RunBlocks
 from imumon.effects.base import Drive, Effect, Survey
-from imumon.effects.hysteresis import Hysteresis
+from imumon.effects.follower import may_sum
 from imumon.effects.library import EFFECTS
-from imumon.effects.thermal_lag import ThermalLag
 
 SHARED = -1
 """Scope: one coefficient for all runs; a number from 0 on is the one run that has it."""
-OWN_TOO = ("warm_up", "drift", "periodic")
-"""Effects whose size may differ from run to run: tried with shared coefficients and with own ones."""
-MOST_WIDTHS = 9
-"""Widths of which pairs and triples are tried, and time constants of which pairs are."""
 
 Term = tuple[int, int]
 """Column of a pool, and scope."""
@@ -47,68 +41,37 @@ class Candidate:
     @property
     def nonlinear(self) -> int:
         """Number of nonlinear parameters."""
-        return sum(len(part.effect.nonlinear) * max(1, _times(part)) for part in self.parts)
-
-
-def _times(part: Part) -> int:
-    return len(part.runs) if part.effect.name == "step" else 1
+        return sum(len(part.effect.nonlinear) for part in self.parts)
 
 
 def candidates(survey: Survey, families: Iterable[str] = tuple(EFFECTS)) -> list[Candidate]:
     """Return everything worth trying on such runs."""
-    found: list[Candidate] = []
     every = tuple(range(survey.runs))
+    found: list[Candidate] = []
     for name in families:
-        grid = EFFECTS[name].grid(survey)
-        if name == "step":
+        family = EFFECTS[name]
+        grid = family.grid(survey)
+        single = [Part(effect) for effect in grid]
+        if family.scope == "event":
             found += [
                 Candidate(name, (Part(effect, (run,)),))
-                for run in every
+                for run, duration_s in enumerate(survey.durations_s)
                 for effect in grid
-                if 3 * survey.block_s <= effect.time_s <= survey.durations_s[run] - 3 * survey.block_s  # type: ignore[attr-defined]  # it is a Step
+                if effect.fits_in(duration_s, survey)
             ]
             continue
-        if name == "run_offset":
+        if family.scope == "run":
             found += [Candidate(name, (Part(effect, every[1:]),)) for effect in grid]
             continue
-        found += [Candidate(name, (Part(effect),)) for effect in grid]
-        if EFFECTS[name].free_start:
-            found += [Candidate(name, (Part(effect),), free_start=True) for effect in grid]
-        if name in OWN_TOO and survey.runs > 1:
+        found += [Candidate(name, (part,)) for part in single]
+        if family.free_start != "never":
+            found += [Candidate(name, (part,), free_start=True) for part in single]
+        if family.scope == "either" and survey.runs > 1:
             found += [Candidate(name, (Part(effect, every),)) for effect in grid]
-        found += _sums(name, grid, survey)
+        starts = (False, True) if family.free_start == "in sums" else (False,)
+        groups = family.sums(grid) if may_sum(survey, 2) else []
+        found += [Candidate(name, tuple(map(Part, group)), start) for group in groups for start in starts]
     return found
-
-
-def _sums(name: str, grid: Sequence[Effect], survey: Survey) -> list[Candidate]:
-    """Return sums of two lags, and of two and three widths of a loop, where the data can tell them."""
-    if survey.runs < 2 and survey.reversals < 2:
-        return []
-    if name == "thermal_lag":
-        return _grouped(
-            name, [e for e in grid if isinstance(e, ThermalLag) and e.order == 1], (2,), (False, True)
-        )
-    if name == "hysteresis":
-        loops = [e for e in grid if isinstance(e, Hysteresis) and e.order == 1]
-        return [
-            *_grouped(name, [e for e in loops if e.shape == "play"], (2, 3), (False,)),
-            *_grouped(name, [e for e in loops if e.shape == "smooth"], (2,), (False,)),
-        ]
-    return []
-
-
-def _grouped(
-    name: str, chosen: Sequence[Effect], sizes: Sequence[int], starts: Sequence[bool]
-) -> list[Candidate]:
-    """Return sums of so many of the chosen effects, or of some spread over them where they are many."""
-    spread = np.unique(np.linspace(0, len(chosen) - 1, min(MOST_WIDTHS, len(chosen))).round().astype(int))
-    few = [chosen[index] for index in spread] if chosen else []
-    return [
-        Candidate(name, tuple(map(Part, group)), free_start)
-        for size in sizes
-        for group in combinations(few, size)
-        for free_start in starts
-    ]
 
 
 @dataclass(slots=True)

@@ -161,7 +161,7 @@ def _sensor(
         ]
         searched = searched if earth is None else without(searched, group, earth)
     seen = survey(searched, temperatures[group[0]], degree, search_s)
-    families = _families(group[0], seen)
+    families = _families(group[0])
     floors = {name: white_floor(train, name, BLOCK_S) for name in group}
     channels = [
         Channel(
@@ -223,12 +223,9 @@ def _in_order(train: Sequence[Run], test: Sequence[Run], caveats: list[str]) -> 
     return found
 
 
-def _families(channel: str, seen: Survey) -> list[str]:
+def _families(channel: str) -> list[str]:
     """Return the effects that are tried on a channel."""
-    skipped = {"axis_coupling"} if channel.startswith("gyro") else {"g_sensitivity", "axis_coupling"}
-    if seen.runs < 2:
-        skipped.add("run_offset")
-    return [name for name in EFFECTS if name not in skipped]
+    return [name for name, effect in EFFECTS.items() if channel.startswith(effect.sensors)]
 
 
 def _scale(blocks: Sequence[RunBlocks], temperature: str) -> tuple[float, float]:

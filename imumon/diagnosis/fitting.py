@@ -13,6 +13,7 @@ from imumon.diagnosis.candidates import Candidate, Part, Pool
 from imumon.diagnosis.selection import ordinary
 from imumon.diagnosis.tracking import track
 from imumon.effects.base import Effect
+from imumon.effects.library import EFFECTS
 
 CARRY_SPREAD = 0.35
 """Own coefficients carry over when none is further from their mean than this share of it."""
@@ -117,7 +118,7 @@ def fit(
         if not any(part.carries for part in fitted):
             mean = float((columns @ chunk[: len(defining)]).mean())
             offset += mean
-            lifted += mean if candidate.family != "run_offset" else 0.0
+            lifted += mean if EFFECTS[candidate.family].scope != "run" else 0.0
         parts += fitted
         at += len(chunk)
     model = coefficients[: declared.degree + 1].copy()
@@ -150,10 +151,8 @@ def _carried(part: Part, own: FloatArray) -> tuple[FloatArray, bool]:
     if not part.runs:
         return own[0], True
     mean = own.mean(axis=0)
-    if part.effect.own:
-        return np.zeros_like(mean), False
     spread = np.linalg.norm(own - mean, axis=1).max()
-    if spread <= CARRY_SPREAD * np.linalg.norm(mean):
+    if part.effect.scope == "either" and spread <= CARRY_SPREAD * np.linalg.norm(mean):
         return mean, True
     return np.zeros_like(mean), False
 
@@ -266,9 +265,9 @@ def _followed(
     columns, mean, sd = [np.ones((len(run), 1))], [np.array([-model.lifted])], [np.zeros(1)]
     jumps = False
     for part in model.parts:
-        if part.effect.name == "step":
+        if part.effect.scope == "event":
             jumps = True
-        elif part.effect.name == "run_offset":
+        elif part.effect.scope == "run":
             # The size of a turn-on offset is known from few: allow for twice what was seen.
             sd[0] = np.hypot(sd[0], 2.0 * np.sqrt(np.mean(part.own**2)))
         elif part.runs:

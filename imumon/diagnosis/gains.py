@@ -9,7 +9,7 @@ from itertools import combinations
 import numpy as np
 
 from imumon.blocks import FloatArray, IntArray
-from imumon.diagnosis.candidates import Candidate, Pool
+from imumon.diagnosis.candidates import Candidate, Part, Pool
 from imumon.diagnosis.search import Likelihood, Noise, Target, parameters
 from imumon.effects.library import EFFECTS
 
@@ -80,19 +80,22 @@ def pooled_gains(tables: Sequence[Table]) -> dict[str, float]:
     return {name: max(gain, apart[name]) for name, gain in pooled.items()}
 
 
-def joined_steps(table: Table) -> list[Candidate]:
-    """Return jumps in several runs at once, made of the best of each run."""
-    best: dict[int, tuple[float, Candidate]] = {}
-    for at, candidate in enumerate(table.candidates):
-        if candidate.family == "step":
-            run = candidate.parts[0].runs[0]
-            if run not in best or table.gain[at] > best[run][0]:
-                best[run] = float(table.gain[at]), candidate
-    order = sorted(best.values(), key=lambda item: -item[0])
-    return [
-        Candidate("step", tuple(part for _, one in order[:count] for part in one.parts))
-        for count in range(2, len(order) + 1)
-    ]
+def joined_events(table: Table) -> list[Candidate]:
+    """Return events in several runs at once, made of the best of each run."""
+    found: list[Candidate] = []
+    for name in dict.fromkeys(one.family for one in table.candidates if EFFECTS[one.family].scope == "event"):
+        best: dict[int, tuple[float, Part]] = {}
+        for gain, candidate in zip(table.gain.tolist(), table.candidates, strict=True):
+            if candidate.family == name:
+                part = candidate.parts[0]
+                best[part.runs[0]] = max(best.get(part.runs[0], (-np.inf, part)), (gain, part), key=_first)
+        order = [part for _, part in sorted(best.values(), key=_first, reverse=True)]
+        found += [Candidate(name, tuple(order[:count])) for count in range(2, len(order) + 1)]
+    return found
+
+
+def _first(item: tuple[float, Part]) -> float:
+    return item[0]
 
 
 def paired(
@@ -138,7 +141,7 @@ def paired(
 def _second(table: Table, at: int, beside: int) -> int:
     """Return how much a member of a pair is behind the other: what carries over to another run goes first,
     then what says more alone."""
-    own = [EFFECTS[table.candidates[one].family].own for one in (at, beside)]
+    own = [EFFECTS[table.candidates[one].family].scope in ("run", "event") for one in (at, beside)]
     return 2 * (own[0] and not own[1]) + bool(table.gain[at] < table.gain[beside])
 
 

@@ -89,7 +89,8 @@ def _channel(diagnosis: Diagnosis, verdict: ChannelVerdict, content: dict[str, A
 
 
 def _parameters(found: dict[str, Any]) -> str:
-    hidden = ("coefficients", "start", "middle_degc", "half_span_degc", "runs", "smoothing_s", "amplitude")
+    fitted = ("coefficients", "start", "runs", "amplitude")
+    hidden = (*fitted, "middle_degc", "half_span_degc", "smoothing_s", "slack_degc", "start_sd_degc")
     return ", ".join(f"{key} {_text(value)}" for key, value in found.items() if key not in hidden)
 
 

@@ -6,8 +6,6 @@ import json
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-
 from imumon import __version__
 from imumon.diagnosis.engine import Diagnosis, plain
 from imumon.diagnosis.fitting import FittedPart
@@ -129,9 +127,7 @@ def _parameters(parts: list[FittedPart]) -> dict[str, Any]:
             found["runs"] = list(part.runs)
         if len(part.start):
             found["start"] = part.start.tolist()
-        if part.effect.name == "periodic":
-            found["amplitude"] = np.hypot(part.own[:, 0], part.own[:, 1]).tolist()
-        each.append(found)
+        each.append(found | part.effect.described(part.own))
     if len(each) == 1:
         return dict(each[0])
     return {key: [found.get(key) for found in each] for key in each[0]}

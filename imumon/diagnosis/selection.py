@@ -11,7 +11,7 @@ import numpy as np
 from imumon.blocks import FloatArray
 from imumon.diagnosis.blocks import RunBlocks
 from imumon.diagnosis.candidates import Candidate, Part, Pool, Term, candidates
-from imumon.diagnosis.gains import PROVEN, Table, joined_steps, paired, pooled_gains
+from imumon.diagnosis.gains import PROVEN, Table, joined_events, paired, pooled_gains
 from imumon.diagnosis.search import (
     Likelihood,
     Noise,
@@ -22,6 +22,7 @@ from imumon.diagnosis.search import (
     parameters,
 )
 from imumon.effects.base import Survey
+from imumon.effects.library import EFFECTS
 
 CLOSE = 10.0
 """Families whose gains differ by less are not told apart."""
@@ -182,7 +183,7 @@ class Search:
     def _stage(self, active: Sequence[Channel]) -> None:
         tables = {channel.name: self._table(channel) for channel in active}
         for channel in active:
-            extra = joined_steps(tables[channel.name])
+            extra = joined_events(tables[channel.name])
             if extra:
                 tables[channel.name] = self._extended(channel, tables[channel.name], extra)
             self._pair(channel, tables[channel.name])
@@ -263,7 +264,7 @@ class Search:
                 order.remove(family)
                 order = [name for name in order if own[name][0] > PROVEN]
                 continue
-            if _second_jump(outcome, finding):
+            if _second_event(outcome, finding):
                 outcome.many_jumps = outcome.finished = True
                 return
             outcome.findings.append(finding)
@@ -419,16 +420,21 @@ class Search:
         outcome.findings = everything
 
     def _merge_start(self, channel: Channel) -> None:
-        """Take for the start of a lag out of equilibrium what passed for a warm-up, if that does."""
+        """Take for a start out of equilibrium what passed for an effect of its own, if that does."""
         outcome = self._outcomes[channel.name]
         everything = list(outcome.findings)
-        lag = next((f for f in everything if f.name == "thermal_lag" and not f.candidate.free_start), None)
-        warm = next((f for f in everything if f.name == "warm_up"), None)
-        if lag is None or warm is None:
+        pairs = [
+            (lag, other)
+            for lag in everything
+            for other in everything
+            if other.name in EFFECTS[lag.name].start_looks_like and not lag.candidate.free_start
+        ]
+        if not pairs:
             return
+        lag, passing = pairs[0]
         before = self._evidence(channel)
         fixed = lag.candidate
-        outcome.findings = [finding for finding in everything if finding is not warm]
+        outcome.findings = [finding for finding in everything if finding is not passing]
         lag.candidate, _ = self._refined(channel, replace(fixed, free_start=True), self._null(channel)[1])
         if before - self._evidence(channel) > CLOSE:
             outcome.findings, lag.candidate = everything, fixed
@@ -464,17 +470,12 @@ def _beside(table: Table, family: str, other: str) -> bool:
     return other == table.partner[family] or table.partner.get(other) not in (None, table.partner[family])
 
 
-def _second_jump(outcome: Outcome, finding: Finding) -> bool:
+def _second_event(outcome: Outcome, finding: Finding) -> bool:
     """Tell whether a run has a second jump that is not small beside the first."""
-    if finding.name != "step":
+    if EFFECTS[finding.name].scope != "event":
         return False
-    taken = {
-        run
-        for other in outcome.findings
-        if other.name == "step"
-        for part in other.candidate.parts
-        for run in part.runs
-    }
+    same = [other for other in outcome.findings if other.name == finding.name]
+    taken = {run for other in same for part in other.candidate.parts for run in part.runs}
     return any(run in taken for part in finding.candidate.parts for run in part.runs)
 
 

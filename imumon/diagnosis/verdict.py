@@ -13,7 +13,7 @@ from imumon.diagnosis.blocks import RunBlocks, WhiteFloor
 from imumon.diagnosis.candidates import Candidate, Pool
 from imumon.diagnosis.fitting import Declared, Fit, TestScore, fit, mean_rms, score
 from imumon.diagnosis.selection import Finding, Outcome
-from imumon.effects.library import separated_by
+from imumon.effects.library import EFFECTS, separated_by
 
 CLEAN = 1.8
 """Residual in white floors below which nothing is missing; slow noise of the same size as the white is
@@ -114,7 +114,9 @@ def explained_share(before: float, after: float, floor: float) -> float:
 def judge(case: Case, outcome: Outcome) -> ChannelVerdict:
     """Return what is claimed of a channel, and what is not and why."""
     findings = [
-        finding for finding in outcome.findings if not (outcome.many_jumps and finding.name == "step")
+        finding
+        for finding in outcome.findings
+        if not (outcome.many_jumps and EFFECTS[finding.name].scope == "event")
     ]
     before = case.fitted([])
     kept, left_out = _not_worse(case, findings)

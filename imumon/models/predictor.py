@@ -10,7 +10,7 @@ import numpy.typing as npt
 from numba import njit
 
 from imumon.blocks import FloatArray, IntArray
-from imumon.effects.base import Carrier
+from imumon.effects.live import Carrier
 from imumon.errors import ImumonError, Reason
 from imumon.models.model import BiasModel, ChannelModel
 
