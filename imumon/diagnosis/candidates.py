@@ -1,5 +1,4 @@
-"""What may be added to the declared model: effects with the scope of their coefficients, and their
-columns."""
+"""What may be added to the declared model: effects, the scope of their coefficients, their columns."""
 
 from __future__ import annotations
 
@@ -10,7 +9,7 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.diagnosis.blocks import RunBlocks
-from imumon.effects.base import Drive, Effect, Survey
+from imumon.effects.base import Effect, Survey
 from imumon.effects.follower import may_sum
 from imumon.effects.library import EFFECTS
 
@@ -43,6 +42,23 @@ class Candidate:
         """Number of nonlinear parameters."""
         return sum(len(part.effect.nonlinear) for part in self.parts)
 
+    @property
+    def scope(self) -> str:
+        """Whose its coefficients are by nature, see `imumon.effects.base.Scope`."""
+        return EFFECTS[self.family].scope
+
+    def neighbours(self, survey: Survey, level: int) -> list[Candidate]:
+        """Return candidates with one parameter of one part changed, closer at each level."""
+        return [
+            Candidate(
+                self.family,
+                (*self.parts[:at], Part(effect, part.runs), *self.parts[at + 1 :]),
+                self.free_start,
+            )
+            for at, part in enumerate(self.parts)
+            for effect in part.effect.refined(survey, level)
+        ]
+
 
 def candidates(survey: Survey, families: Iterable[str] = tuple(EFFECTS)) -> list[Candidate]:
     """Return everything worth trying on such runs."""
@@ -51,7 +67,6 @@ def candidates(survey: Survey, families: Iterable[str] = tuple(EFFECTS)) -> list
     for name in families:
         family = EFFECTS[name]
         grid = family.grid(survey)
-        single = [Part(effect) for effect in grid]
         if family.scope == "event":
             found += [
                 Candidate(name, (Part(effect, (run,)),))
@@ -59,30 +74,30 @@ def candidates(survey: Survey, families: Iterable[str] = tuple(EFFECTS)) -> list
                 for effect in grid
                 if effect.fits_in(duration_s, survey)
             ]
-            continue
-        if family.scope == "run":
+        elif family.scope == "run":
             found += [Candidate(name, (Part(effect, every[1:]),)) for effect in grid]
-            continue
-        found += [Candidate(name, (part,)) for part in single]
-        if family.free_start != "never":
-            found += [Candidate(name, (part,), free_start=True) for part in single]
-        if family.scope == "either" and survey.runs > 1:
-            found += [Candidate(name, (Part(effect, every),)) for effect in grid]
-        starts = (False, True) if family.free_start == "in sums" else (False,)
-        groups = family.sums(grid) if may_sum(survey, 2) else []
-        found += [Candidate(name, tuple(map(Part, group)), start) for group in groups for start in starts]
+        else:
+            single = [(Part(effect),) for effect in grid]
+            found += [Candidate(name, part) for part in single]
+            if family.free_start != "never":
+                found += [Candidate(name, part, free_start=True) for part in single]
+            if family.scope == "either" and survey.runs > 1:
+                found += [Candidate(name, (Part(effect, every),)) for effect in grid]
+            starts = (False, True) if family.free_start == "in sums" else (False,)
+            groups = family.sums(grid) if may_sum(survey, 2) else []
+            found += [Candidate(name, tuple(map(Part, group)), start) for group in groups for start in starts]
     return found
 
 
 @dataclass(slots=True)
 class Pool:
-    """Raw columns of effects as block means, made once for each effect and run.
+    """Columns of effects as block means, made once for each effect and run.
 
     Parameters
     ----------
     runs : sequence of RunBlocks
     temperature : str
-        Which temperature drives the effects; any name where there is none.
+        Which temperature drives the effects.
     """
 
     runs: Sequence[RunBlocks]
@@ -92,49 +107,39 @@ class Pool:
 
     def terms(self, candidate: Candidate) -> tuple[list[Term], list[Term]]:
         """Return the terms that define a candidate, and those of its free start."""
-        defining: list[Term] = []
-        start: list[Term] = []
-        for part in candidate.parts:
-            scopes = part.runs or (SHARED,)
-            defining += [
-                (column, scope) for scope in scopes for column in self._index(part.effect, "columns")
-            ]
-            if candidate.free_start:
-                columns = self._index(part.effect, "start_columns")
-                start += [(column, run) for run in range(len(self.runs)) for column in columns]
+        defining = [
+            (column, scope)
+            for part in candidate.parts
+            for scope in part.runs or (SHARED,)
+            for column in self._index(part.effect, "columns")
+        ]
+        start = [
+            (column, run)
+            for part in candidate.parts
+            if candidate.free_start
+            for run in range(len(self.runs))
+            for column in self._index(part.effect, "start_columns")
+        ]
         return defining, start
 
     def matrix(self, terms: Sequence[Term]) -> FloatArray:
-        """Return the columns of terms over all runs, (n, k)."""
-        offsets = np.concatenate([[0], np.cumsum([len(run) for run in self.runs])])
-        out = np.zeros((int(offsets[-1]), len(terms)))
+        """Return the columns of terms over all runs, (n, k): zero in runs that a term is not of."""
+        offsets = np.cumsum([0, *map(len, self.runs)]).tolist()
+        out = np.zeros((offsets[-1], len(terms)))
         for at, (column, scope) in enumerate(terms):
             for run in range(len(self.runs)) if scope == SHARED else (scope,):
                 out[offsets[run] : offsets[run + 1], at] = self._columns[column][run]
         return out
 
-    def raw(self, columns: Sequence[int], run: int) -> FloatArray:
-        """Return these columns in one run, (n, k)."""
-        if not columns:
-            return np.empty((len(self.runs[run]), 0))
-        return np.column_stack([self._columns[column][run] for column in columns])
+    def design(self, found: Sequence[Candidate]) -> FloatArray:
+        """Return all columns of candidates over all runs, (n, k)."""
+        return self.matrix([term for one in found for terms in self.terms(one) for term in terms])
 
     def _index(self, effect: Effect, what: str) -> list[int]:
         key = (id(effect), what)  # the effect is kept beside it, so that no other can have its id
         if key not in self._known:
-            parts = [run.average(getattr(effect, what)(drive_of(run, self.temperature))) for run in self.runs]
-            first = len(self._columns)
-            width = parts[0].shape[1]
+            parts = [run.average(getattr(effect, what)(run.drives[self.temperature])) for run in self.runs]
+            first, width = len(self._columns), parts[0].shape[1]
             self._columns += [[part[:, i] for part in parts] for i in range(width)]
             self._known[key] = effect, list(range(first, first + width))
         return self._known[key][1]
-
-
-def drive_of(run: RunBlocks, temperature: str) -> Drive:
-    """Return what drives the effects of a channel."""
-    return run.drives[temperature]
-
-
-def declared_columns(u: FloatArray, degree: int) -> FloatArray:
-    """Return 1, u, ... u^degree, (n, degree + 1)."""
-    return np.asarray(u[:, np.newaxis] ** np.arange(degree + 1))

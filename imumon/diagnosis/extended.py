@@ -44,11 +44,11 @@ def extended_model(diagnosis: Diagnosis) -> BiasModel:
 
 
 def _channel(verdict: ChannelVerdict, known: ChannelModel | None) -> ChannelModel:
-    fitted = verdict.after if verdict.foretells else verdict.before
+    fitted = verdict.after if verdict.predicts else verdict.before
     effects = [part.effect.with_start(part.start) for part in fitted.parts if part.carries]
     scored = verdict.test_after
     rms = fitted.train_rms if scored is None or not np.isfinite(scored.rms) else scored.rms
-    residual = float(np.sqrt(max(rms**2 - verdict.floor.sd**2, 0.0)))
+    residual = float(np.sqrt(max(rms**2 - verdict.channel.floor.sd**2, 0.0)))
     if known is not None:
         constant = float(fitted.declared[0])
         return known.model_copy(
@@ -59,7 +59,7 @@ def _channel(verdict: ChannelVerdict, known: ChannelModel | None) -> ChannelMode
                 "effects": [*known.effects, *effects],
             }
         )
-    declared = verdict.declared
+    declared = verdict.channel.declared
     half = declared.half_span_degc
     low, high = declared.middle_degc - half, declared.middle_degc + half
     curve, effects = _curve(Polynomial(fitted.declared, domain=[low, high]), effects)
@@ -67,8 +67,8 @@ def _channel(verdict: ChannelVerdict, known: ChannelModel | None) -> ChannelMode
         curve = curve.minus(float(curve.value(declared.middle_degc)))
     return ChannelModel.model_validate(
         {
-            "unit": verdict.unit,
-            "temperature_column": verdict.temperature,
+            "unit": verdict.channel.unit,
+            "temperature_column": verdict.channel.temperature,
             "temperature_range_degc": [low - 2 * half * MARGIN, high + 2 * half * MARGIN],
             "residual_sd": residual,
             "curve": curve,
