@@ -11,7 +11,7 @@ from scipy.signal import TransferFunction, impulse
 
 from imumon.blocks import FloatArray
 from imumon.estimation.alignment.loop import loop_gains, loop_step
-from imumon.estimation.zupt.earth import EARTH_RATE
+from imumon.geodesy import EARTH_RATE
 
 G = 9.80665
 MICRO_G = 1e-6 * G

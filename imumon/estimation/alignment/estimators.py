@@ -53,7 +53,7 @@ from imumon.estimation.alignment.state import (
     WARM_X,
     State,
 )
-from imumon.estimation.zupt.earth import EARTH_RATE
+from imumon.geodesy import EARTH_RATE
 
 NO_IDEA = math.pi / math.sqrt(3.0)
 """Standard deviation of a heading of which nothing is known, rad."""

@@ -76,7 +76,7 @@ from imumon.estimation.alignment.state import (
 )
 from imumon.estimation.alignment.sums import add_slot, break_ticks, clear_sums
 from imumon.estimation.alignment.watch import GAP, UNREST, begin_slot, forget_noise, judge_slot
-from imumon.estimation.zupt.earth import EARTH_RATE
+from imumon.geodesy import EARTH_RATE
 
 SLOT = 0.249
 """Length of a slot, s."""

@@ -18,7 +18,8 @@ from numba import njit
 
 from imumon.blocks import FloatArray
 from imumon.estimation.alignment.state import INNER, OUTER
-from imumon.estimation.zupt.earth import STEEPEST, turn
+from imumon.estimation.zupt.earth import turn
+from imumon.geodesy import LEAST_HORIZONTAL
 
 SLOWEST_POLE = 0.3
 """The corner is held below this many radians per sample: a loop cannot be faster than its samples."""
@@ -113,7 +114,7 @@ def level_attitude(up: FloatArray, north: FloatArray, attitude: FloatArray) -> N
     _project(north[0], north[1], north[2], vertical, level)
     if dot(level, level) <= 0.0:
         _project(1.0, 0.0, 0.0, vertical, level)
-        if dot(level, level) < STEEPEST**2:
+        if dot(level, level) < LEAST_HORIZONTAL**2:
             _project(0.0, 0.0, -1.0, vertical, level)
     length = math.sqrt(dot(level, level))
     for i in range(3):
@@ -140,7 +141,7 @@ def orthonormal(attitude: FloatArray) -> None:
 def azimuth(attitude: FloatArray) -> float:
     """Return the direction of the body's x axis (of -z where x is vertical), rad clockwise from north."""
     east, north = attitude[0, 0], attitude[1, 0]
-    if math.sqrt(east * east + north * north) < STEEPEST:
+    if math.sqrt(east * east + north * north) < LEAST_HORIZONTAL:
         east, north = -attitude[0, 2], -attitude[1, 2]
     return math.atan2(east, north)
 

@@ -14,9 +14,8 @@ import numpy as np
 from numba import njit
 
 from imumon.blocks import FloatArray
-from imumon.estimation.zupt.earth import EARTH_RATE, level_attitude
+from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY, body_to_ned
 
-STANDARD_GRAVITY = 9.80665
 STATES = 12
 
 
@@ -102,7 +101,7 @@ def dense_filter(
     if up is None:
         up = accel[: max(1, round(1.0 / settings.interval_s))].mean(0)
     up = up / np.linalg.norm(up)
-    matrix = level_attitude(up, math.radians(settings.heading_deg))
+    matrix = body_to_ned(up, math.radians(settings.heading_deg))
     latitude = math.radians(settings.latitude_deg)
     earth = EARTH_RATE * np.array([math.cos(latitude), 0.0, -math.sin(latitude)])
     s = settings

@@ -1,4 +1,4 @@
-"""Earth rate and attitude of a unit at rest, from the direction of the specific force and a heading."""
+"""`imumon.geodesy` for compiled code, and a turn of axes."""
 
 from __future__ import annotations
 
@@ -8,11 +8,7 @@ import numpy as np
 from numba import njit
 
 from imumon.blocks import FloatArray
-
-EARTH_RATE = 7.292115e-5
-"""rad/s."""
-STEEPEST = 0.1
-"""The x axis has a heading when its horizontal part is at least this; below, the z axis stands for it."""
+from imumon.geodesy import EARTH_RATE, LEAST_HORIZONTAL
 
 
 @njit(cache=True, nogil=True)
@@ -27,7 +23,7 @@ def north(up: FloatArray, heading: float) -> FloatArray:
         rad clockwise from north, of the body's x axis; of -z where x is vertical.
     """
     ahead = np.array([1.0, 0.0, 0.0]) - up[0] * up
-    if np.sqrt((ahead * ahead).sum()) < STEEPEST:
+    if np.sqrt((ahead * ahead).sum()) < LEAST_HORIZONTAL:
         ahead = up[2] * up - np.array([0.0, 0.0, 1.0])
     ahead /= np.sqrt((ahead * ahead).sum())
     right = cross(ahead, up)
@@ -39,12 +35,6 @@ def north(up: FloatArray, heading: float) -> FloatArray:
 def cross(a: FloatArray, b: FloatArray) -> FloatArray:
     """Return the vector product of two vectors, (3,)."""
     return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
-
-
-def level_attitude(up: FloatArray, heading: float) -> FloatArray:
-    """Return the matrix from body axes to north-east-down, (3, 3); arguments as of `north`."""
-    ahead = north(up, heading)
-    return np.vstack([ahead, cross(ahead, up), -up])
 
 
 @njit(cache=True, nogil=True)

@@ -17,7 +17,8 @@ from numba import njit
 from imumon.blocks import FloatArray, IntArray
 from imumon.estimation.zupt import bank as filters
 from imumon.estimation.zupt.bank import Bank, Family
-from imumon.estimation.zupt.earth import EARTH_RATE, STEEPEST, cross, earth_rate, north, turn
+from imumon.estimation.zupt.earth import cross, earth_rate, north, turn
+from imumon.geodesy import EARTH_RATE, LEAST_HORIZONTAL
 
 SLOT_S = 0.5
 GAP_S = 0.25
@@ -341,7 +342,7 @@ def _arrive(t: float, settings: Settings, state: State) -> None:
         northward -= (northward * up).sum() * up
         length = math.sqrt((northward * northward).sum())
         heading_sd = min(1.0, TURN_SD * number[TURNED] + (t - number[LEFT]) * vector[SD].max())
-        if length > STEEPEST:
+        if length > LEAST_HORIZONTAL:
             vector[NORTH] = northward / length
         else:
             vector[NORTH], heading_sd = north(up, settings.heading), 1.0

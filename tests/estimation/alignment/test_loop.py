@@ -9,7 +9,7 @@ from imumon.blocks import FloatArray
 from imumon.estimation.alignment.loop import azimuth, level_attitude, loop_gains, loop_step, roll_pitch
 from imumon.estimation.alignment.sums import decay_terms
 from imumon.estimation.alignment.watch import median
-from imumon.estimation.zupt.earth import EARTH_RATE
+from imumon.geodesy import EARTH_RATE
 
 G = 9.80665
 LEVEL = EARTH_RATE * math.cos(math.radians(36.0))

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.signal import butter, lfilter, lfiltic
 
 from imumon.blocks import ColumnArray, FloatArray, SampleBlock
-from imumon.estimation.zupt.earth import EARTH_RATE
+from imumon.geodesy import EARTH_RATE
 from imumon.models.curves.polynomial import PolynomialCurve
 from imumon.models.model import BiasModel, ChannelModel
 

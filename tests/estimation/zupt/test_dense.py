@@ -9,7 +9,7 @@ import pytest
 
 from imumon.blocks import FloatArray
 from imumon.estimation.zupt.dense import DenseRun, DenseSettings, dense_filter
-from imumon.estimation.zupt.earth import level_attitude
+from imumon.geodesy import body_to_ned
 from tests.estimation.zupt.records import ARW, DPH, GRAVITY, Truth, local_earth, record
 
 SETTINGS = DenseSettings(0.01)
@@ -84,7 +84,7 @@ def both(seed: int, attitude: FloatArray) -> tuple[DenseRun, DenseRun, FloatArra
 @pytest.mark.parametrize("tilted", [False, True])
 def test_on_calibrated_data_and_with_increments_it_is_one_filter(tilted: bool) -> None:
     up = np.array([0.3, -0.5, 0.8]) if tilted else np.array([0.0, 0.0, -1.0])
-    attitude = level_attitude(up / np.linalg.norm(up), np.radians(30.0)).T
+    attitude = body_to_ned(up / np.linalg.norm(up), np.radians(30.0)).T
     calibrated, compensated, thermal = both(3, attitude)
     assert np.abs(calibrated.bias + thermal - compensated.bias).max() / DPH < 3e-3
     np.testing.assert_allclose(calibrated.bias_sd, compensated.bias_sd, rtol=1e-4)
