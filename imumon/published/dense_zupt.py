@@ -11,9 +11,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from imumon.blocks import FloatArray
+from imumon.compiled import njit
 from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY, body_to_ned
 
 STATES = 12
@@ -132,7 +132,7 @@ def dense_filter(
     return run
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _turn(matrix: FloatArray, x: float, y: float, z: float, left: bool) -> FloatArray:
     """Return exp([a x]) C (left) or C exp([a x]) for a small a, to second order."""
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
@@ -141,7 +141,7 @@ def _turn(matrix: FloatArray, x: float, y: float, z: float, left: bool) -> Float
     return turned
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _transition(f: FloatArray, matrix: FloatArray, force: FloatArray, earth: FloatArray, dt: float) -> None:
     """Write F = 1 + A dt, and half (A dt)^2 from bias to velocity, into f (12, 12) whose diagonal is 1."""
     n, e, d = force[0] * dt, force[1] * dt, force[2] * dt
@@ -161,7 +161,7 @@ def _transition(f: FloatArray, matrix: FloatArray, force: FloatArray, earth: Flo
             f[3 + i, 6 + j] = 0.5 * along
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _measure(x: FloatArray, p: FloatArray, state: int, z: float, variance: float) -> float:
     """Take in z = x[state] + noise, in Joseph's form; return the innovation over its standard deviation."""
     row = p[state].copy()
@@ -176,7 +176,7 @@ def _measure(x: FloatArray, p: FloatArray, state: int, z: float, variance: float
     return float(innovation / math.sqrt(s))
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _run(
     gyro: FloatArray,
     accel: FloatArray,

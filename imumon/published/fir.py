@@ -15,9 +15,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from imumon.blocks import FloatArray, IntArray
+from imumon.compiled import njit
 from imumon.estimation.temperature_rate.series import RateEstimate, Resumable
 from imumon.published.square_root import pull_back, rotate_in, solve, update
 
@@ -157,7 +157,7 @@ class FirLinearRate(FirRate):
         super().__init__(2, step, window_s, window_s, buffer_size)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def model_row(n: int, u: float) -> FloatArray:
     """Return h (eq. 13) at u = (t - t0)/T0."""
     h = np.empty(n)
@@ -168,7 +168,7 @@ def model_row(n: int, u: float) -> FloatArray:
     return h
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _process(
     seconds: FloatArray,
     readings: FloatArray,
@@ -204,7 +204,7 @@ def _process(
             numbers[LAST_TEMPERATURE] = temperature[i]
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _start(
     t: float,
     reading: float,
@@ -231,7 +231,7 @@ def _start(
         _measure(t - (2 * n - k) * START_SPACING_S, reading, parameters, x, s, buffer, numbers, integers)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _measure(
     t: float,
     z: float,
@@ -252,7 +252,7 @@ def _measure(
     update(x, s, z, h, parameters[STEP] / 4)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _expire(
     t: float,
     parameters: FloatArray,
@@ -291,7 +291,7 @@ def _expire(
             _refit(parameters, x, s, buffer, numbers, integers)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def move_bias(x: FloatArray, s: FloatArray, shift: float) -> None:
     """Move t0 by `shift` time constants (eq. 16): x ← C x, S ← C S.
 
@@ -307,7 +307,7 @@ def move_bias(x: FloatArray, s: FloatArray, shift: float) -> None:
         s[2, 2] *= decay
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _refit(
     parameters: FloatArray,
     x: FloatArray,
@@ -333,7 +333,7 @@ def _refit(
     integers[REFITS] += 1
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _evaluate(
     i: int,
     u: float,

@@ -8,9 +8,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from imumon.blocks import FloatArray, IntArray
+from imumon.compiled import njit
 from imumon.estimation.temperature_rate.series import RateEstimate, Resumable
 from imumon.published.fir import model_row
 
@@ -84,7 +84,7 @@ class KalmanRate(Resumable):
         return result
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _kalman(
     seconds: FloatArray,
     readings: FloatArray,

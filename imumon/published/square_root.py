@@ -16,12 +16,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from imumon.blocks import FloatArray
+from imumon.compiled import njit
 
 
-@njit(cache=True, nogil=True)
+@njit
 def update(x: FloatArray, s: FloatArray, z: float, h: FloatArray, sigma: float) -> None:
     """Take the measurement z = h x + noise into x, (n,), and S, (n, n), in place (eqs. 9 and 11)."""
     residual = z
@@ -45,7 +45,7 @@ def update(x: FloatArray, s: FloatArray, z: float, h: FloatArray, sigma: float) 
         x[i] += gain[i] / d0 * residual
 
 
-@njit(cache=True, nogil=True)
+@njit
 def pull_back(
     x: FloatArray, s: FloatArray, z: float, h: FloatArray, sigma: float, least_share: float
 ) -> bool:
@@ -80,7 +80,7 @@ def pull_back(
     return True
 
 
-@njit(cache=True, nogil=True)
+@njit
 def rotate_in(r: FloatArray, row: FloatArray) -> None:
     """Add a weighted row [h, z]/σ, (n + 1,), to the triangular system r = [R, q], (n, n + 1), in place.
 
@@ -98,7 +98,7 @@ def rotate_in(r: FloatArray, row: FloatArray) -> None:
             row[k] = c * row[k] - d * above
 
 
-@njit(cache=True, nogil=True)
+@njit
 def solve(r: FloatArray, x: FloatArray, s: FloatArray) -> bool:
     """Turn R x = q into x and S = R⁻¹ (upper, positive diagonal); return False when R is singular."""
     n = r.shape[0]
