@@ -1,8 +1,7 @@
 from __future__ import annotations
 
-from typing import Any, cast
-
 import math
+from typing import Any, cast
 
 import numpy as np
 import pytest
