@@ -19,9 +19,9 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from imumon.blocks import NO_INT, ColumnArray, IntArray, SampleBlock, join
+from imumon.compiled import njit
 from imumon.protocols.base import COMMON, Groups, Packets
 
 GENERATION = 32
@@ -260,7 +260,7 @@ def _keys(block: SampleBlock) -> tuple[IntArray, IntArray]:
     return kind, key
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _assign(
     groups: IntArray, kind: IntArray, key: IntArray, masks: IntArray, group_masks: IntArray,
     first: int, end: bool, state: _State, entries: _Entries,
@@ -291,7 +291,7 @@ def _assign(
                 _end(g, state, entries)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _joins(kind: int, key: int, own: int, state: _State) -> bool:
     """Tell whether a packet without inertial fields belongs to the open epoch of the main stream."""
     if not state.epoch[0]:
@@ -301,7 +301,7 @@ def _joins(kind: int, key: int, own: int, state: _State) -> bool:
     )
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _is_other(g: int, kind: int, key: int, own: int, state: _State) -> bool:
     """Tell whether a packet cannot belong to the open epoch of its group."""
     if kind == NO_TIME:
@@ -309,7 +309,7 @@ def _is_other(g: int, kind: int, key: int, own: int, state: _State) -> bool:
     return bool(kind != state.key_kind[g] or key != state.key[g])
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _add(g: int, row: int, kind: int, key: int, own: int, state: _State, entries: _Entries) -> None:
     """Add a packet to its group's epoch, which it may begin."""
     if state.epoch[g] and _is_other(g, kind, key, own, state):
@@ -325,7 +325,7 @@ def _add(g: int, row: int, kind: int, key: int, own: int, state: _State, entries
     _enter(g, row, own, state, entries)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _pull(kind: int, key: int, state: _State, entries: _Entries) -> None:
     """Take into the new main epoch what came before it with the same time."""
     for g in range(1, len(state.epoch)):
@@ -338,7 +338,7 @@ def _pull(kind: int, key: int, state: _State, entries: _Entries) -> None:
         state.epoch[g] = 0
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _enter(g: int, row: int, own: int, state: _State, entries: _Entries) -> None:
     """Enter a packet into the open epoch, and end that when it has all that it may have."""
     k = entries.counts[0]
@@ -350,7 +350,7 @@ def _enter(g: int, row: int, own: int, state: _State, entries: _Entries) -> None
         _end(g, state, entries)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _end(g: int, state: _State, entries: _Entries) -> None:
     """End the open epoch of a group, and learn what epochs have."""
     k = entries.counts[1]
