@@ -59,8 +59,7 @@ class HostClock:
 
     Within a segment the line is fitted to the last 4.5 to 5 min; until the span tells the drift from the
     scatter of the delays, the drift is drawn towards zero.  Host time is never later than the arrival and
-    never decreases, unless the arrival itself goes back, which then bounds it, or a packet is dated back by
-    the device, which leaves the fit alone.  When the offset steps by more
+    never decreases, unless the arrival itself goes back, which then bounds it.  When the offset steps by more
     than 50 ms (the host clock was set) the fit starts anew: at once if the step is towards earlier arrivals,
     after 10 s if it is towards later ones.
 
@@ -143,11 +142,6 @@ def _fit_samples(
     for i in range(len(device)):
         if arrival[i] == NO_INT or device[i] == NO_INT:
             host[i] = NO_INT
-            continue
-        if state[STARTED] and segment[i] == state[SEGMENT] and device[i] - state[X0] < state[LAST_X]:
-            # A packet that is dated back says nothing about the clock.
-            x = device[i] - state[X0]
-            host[i] = min(state[Y0] + _line(state, fit, hull, x) + device[i], state[LAST_HOST])
             continue
         if _must_start(state, fit, hull, device[i], segment[i], arrival[i]):
             _start(state, fit, block_sizes, block_sums, device[i], segment[i], arrival[i])
