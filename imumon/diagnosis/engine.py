@@ -19,16 +19,18 @@ from imumon.diagnosis.blocks import (
 from imumon.diagnosis.candidates import Pool
 from imumon.diagnosis.channel import Channel, Declared
 from imumon.diagnosis.continuing import continued, predecessor
-from imumon.diagnosis.earth import GRAVITY, VerticalRate, vertical_rate, without
+from imumon.diagnosis.earth import VerticalRate, vertical_rate, without
 from imumon.diagnosis.known import modelled, temperature_of, without_known
-from imumon.diagnosis.recording import CHANNELS, TEMPERATURES, Run, unit_of
+from imumon.diagnosis.recording import CHANNELS, Run, unit_of
 from imumon.diagnosis.selection import search
 from imumon.diagnosis.verdict import ChannelVerdict, judge
 from imumon.effects.base import LEAST_SPAN_DEGC, Survey
 from imumon.effects.g_sensitivity import LEAST_RANGE
 from imumon.effects.library import EFFECTS
 from imumon.errors import ImumonError, Reason
+from imumon.geodesy import DEG_PER_H, STANDARD_GRAVITY
 from imumon.models.model import BiasModel
+from imumon.recordings.reduced import TEMPERATURES
 
 LEAST_BLOCKS = 40
 LEAST_RUN_BLOCKS = 8
@@ -37,7 +39,6 @@ MANY_GAPS = 0.2
 MOST_SEARCH_BLOCKS = 700
 """Longer runs are searched in longer blocks; they are scored in blocks of 30 s all the same."""
 HIGHEST_DEGREE = 8
-DEGREE_PER_HOUR = np.pi / 180 / 3600
 
 Progress = Callable[[str], None]
 
@@ -180,7 +181,7 @@ def _said_of_earth(earth: VerticalRate | None) -> str:
             " 15.04 °/h per g on the diagonal; the horizontal earth rate of each pose is not told from"
             " an offset"
         )
-    common = earth.per_force * GRAVITY / DEGREE_PER_HOUR
+    common = earth.per_force * STANDARD_GRAVITY / DEG_PER_H
     return (
         f"several poses: the gyros have {common:+.2f} °/h per g of their own axis in common; it is taken for"
         f" the vertical earth rate (latitude {earth.latitude_deg:+.0f}°) and subtracted"

@@ -15,9 +15,10 @@ from imumon.blocks import FloatArray
 from imumon.diagnosis.blocks import RunBlocks
 from imumon.diagnosis.engine import Diagnosis
 from imumon.diagnosis.verdict import ChannelVerdict
+from imumon.geodesy import DEG_PER_H, MICRO_G
 
 HOUR_S = 3600.0
-SCALES = {"rad/s": (180 / np.pi * 3600, "°/h"), "m/s^2": (1e6 / 9.80665, "µg")}
+SCALES = {"rad/s": (1.0 / DEG_PER_H, "°/h"), "m/s^2": (1.0 / MICRO_G, "µg")}
 """Unit that a person reads, and the factor to it."""
 COLOURS = ("#1f4e79", "#c0504d", "#4f7f3f", "#8064a2", "#d08a2e", "#4bacc6")
 SIZE = (5.2, 3.0)

@@ -7,12 +7,12 @@ begins in equilibrium with the first temperature.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from imumon.blocks import FloatArray
+from imumon.compiled import njit
 
 
-@njit(cache=True, nogil=True)
+@njit
 def first_order(
     time_s: FloatArray,
     value: FloatArray,
@@ -40,7 +40,7 @@ def first_order(
     return out
 
 
-@njit(cache=True, nogil=True)
+@njit
 def play(value: FloatArray, half_width: float, at: float) -> FloatArray:
     """Return the value behind a backlash of this half width; `at` is where it stood."""
     out = np.empty(len(value))
@@ -52,7 +52,7 @@ def play(value: FloatArray, half_width: float, at: float) -> FloatArray:
     return out
 
 
-@njit(cache=True, nogil=True)
+@njit
 def smooth_loop(value: FloatArray, width: float, last_value: float, ahead: float) -> FloatArray:
     """Return z of Dahl's loop dz/dT = 1 - z sign(dT)/width, exact for each step; `ahead` is the last z."""
     out = np.empty(len(value))

@@ -7,11 +7,10 @@ from typing import Annotated, Final, Literal, Self
 
 import numpy as np
 import numpy.typing as npt
-import yaml
 from pydantic import Field, FiniteFloat, NonNegativeInt, model_validator
 
 from imumon.blocks import FloatArray
-from imumon.config import StrictModel, load_yaml
+from imumon.config import StrictModel, dump_yaml, load_yaml
 from imumon.effects.library import AnyEffect
 from imumon.errors import ImumonError, Reason
 from imumon.models.curves.network import NetworkCurve
@@ -181,9 +180,7 @@ class BiasModel(StrictModel):
 
     def to_yaml(self) -> str:
         """Return the text of the model file."""
-        return yaml.safe_dump(
-            self.model_dump(), sort_keys=False, allow_unicode=True, width=110, default_flow_style=None
-        )
+        return dump_yaml(self.model_dump(), flow=None)
 
 
 def load_model(path: Path) -> BiasModel:

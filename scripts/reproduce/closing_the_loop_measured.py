@@ -29,7 +29,7 @@ INSISTED = ("thermal_lag", "hysteresis", "warm_up", "drift", "periodic", "temper
 def measured(data: Path, figures: Path) -> int:
     """Print the tables, draw the figures."""
     folder = data / "chamber-cycle"
-    run = read_runs(folder / "cooling-heating.csv", folder / "map.yaml", lambda: [RestDetector()])[0]
+    run = read_runs(folder / "cooling-heating.csv", folder / "map.yaml", lambda _: [RestDetector()])[0]
     print("## chamber-cycle, rms in deg/s, cubic in temperature as declared\n")
     print("| train on | axis | floor | train before | after | test before | after | covered | verdict |")
     print("|---|---|---|---|---|---|---|---|---|")
@@ -157,7 +157,7 @@ def _two_levels(folder: Path) -> None:
         runs = []
         for level in ("cold", "hot"):
             try:
-                runs += read_runs(folder / f"{level}.csv", table_map, lambda: [RestDetector()])
+                runs += read_runs(folder / f"{level}.csv", table_map, lambda _: [RestDetector()])
             except ImumonError as error:
                 print(f"{level}: refused: {error.seen}; {error.hint}")
         print("\n".join(f"{run.name}: {run.duration_s / 60:.1f} min" for run in runs))

@@ -57,7 +57,7 @@ def test_a_lag_is_named_with_its_time_constant_and_proven_on_the_test(lagging: D
 
 def creeping(time: FloatArray, temperature: FloatArray) -> FloatArray:  # noqa: ARG001 - as all biases
     """Stress that creeps away through many barriers, from seconds to days."""
-    return 60.0 * np.exp(-time[:, np.newaxis] / np.logspace(0.5, 5.0, 40)).mean(axis=1)
+    return np.asarray(60.0 * np.exp(-time[:, np.newaxis] / np.logspace(0.5, 5.0, 40)).mean(axis=1))
 
 
 def late(time: FloatArray, temperature: FloatArray) -> FloatArray:

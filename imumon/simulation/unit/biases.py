@@ -11,14 +11,14 @@ from imumon.effects.base import Drive, Effect, Memory
 from imumon.effects.hysteresis import Hysteresis
 from imumon.effects.run_offset import RunOffset
 from imumon.effects.warm_up import WarmUp
+from imumon.geodesy import DEG_PER_H, MICRO_G
 from imumon.simulation.unit.curves import axis_values
 from imumon.simulation.unit.noise import GaussMarkov, RandomWalk, White, generator
 from imumon.simulation.unit.parameters import Curves, Effects, UnitParameters
 from imumon.simulation.unit.thermal import Lags
 
-DEG_PER_H = np.pi / 180 / 3600
 """rad/s."""
-MG, UG = 9.80665e-3, 9.80665e-6
+MG = 1e3 * MICRO_G
 """m/s²."""
 
 
@@ -95,16 +95,16 @@ def accel_bias(unit: UnitParameters, step_s: float, seed: int) -> Bias:
     turn_on, warm_up = unit.accel_turn_on, unit.accel_warm_up
     drawn = White(turn_on.sd_mg, generator(seed, "accel turn-on")).take(1)[0]
     effects: list[list[Effect]] = []
-    for axis, more in enumerate(_scaled(unit.accel_effects_ug, UG)):
+    for axis, more in enumerate(_scaled(unit.accel_effects_ug, MICRO_G)):
         constant = (turn_on.offset_mg[axis] + drawn[axis]) * MG
         effects.append([*more])
         if warm_up is not None:
-            grown = warm_up.amplitude_ug[axis] * UG
+            grown = warm_up.amplitude_ug[axis] * MICRO_G
             constant += grown
             effects[-1].append(WarmUp(time_constant_s=warm_up.tau_s, coefficients=[-grown]))
         effects[-1].append(RunOffset(coefficients=[constant]))
     random = [
-        GaussMarkov(np.array(part.sd_ug) * UG, part.tau_s, step_s, generator(seed, f"accel flicker {i}"))
+        GaussMarkov(np.array(part.sd_ug) * MICRO_G, part.tau_s, step_s, generator(seed, f"accel flicker {i}"))
         for i, part in enumerate(unit.accel_noise.flicker)
     ]
     return Bias(unit.accel_bias_mg, MG, (0.0, 0.0, 0.0), effects, random)
