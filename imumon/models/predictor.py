@@ -46,7 +46,8 @@ class BiasPredictor:
     Where there is no temperature the last one holds.  After a restart of the device (a new segment) there is
     none until the next reading: nobody knows how long the unit was off.  Outside the calibrated range see
     `imumon.models.model.REACH`; effects see a temperature that is held there.  Costs about 0.1 µs per sample
-    and channel, whatever the curve, and 50 µs per block; an effect costs 40 to 90 ns in long blocks, and 0.2 ms for each block.
+    and channel, whatever the curve, and 50 µs per block; an effect costs 40 to 90 ns in long blocks, and
+    0.2 ms for each block.
 
     Parameters
     ----------
