@@ -9,9 +9,9 @@ three times as long (an hour of six channels at 400 Hz: 2 s), and a hundred time
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from imumon.blocks import FloatArray, IntArray
+from imumon.compiled import njit
 
 
 def integrate(values: FloatArray, offset: float) -> FloatArray:
@@ -21,7 +21,7 @@ def integrate(values: FloatArray, offset: float) -> FloatArray:
     return total
 
 
-@njit(cache=True, nogil=True, fastmath={"reassoc"})
+@njit(fastmath={"reassoc"})
 def _second_differences(x: FloatArray, start: int, stop: int, m: int) -> float:
     """Return the sum of squares of the second differences that begin at start..stop."""
     total = 0.0
@@ -31,7 +31,7 @@ def _second_differences(x: FloatArray, start: int, stop: int, m: int) -> float:
     return total
 
 
-@njit(cache=True, nogil=True, fastmath={"reassoc"})
+@njit(fastmath={"reassoc"})
 def _all_runs(x: FloatArray, start: int, positions: int, m: int, window: float) -> tuple[float, float, float]:
     """Return the sums of squares of second differences, third differences, and windows of m of the second.
 
@@ -51,7 +51,7 @@ def _all_runs(x: FloatArray, start: int, positions: int, m: int, window: float) 
     return allan, hadamard, modified
 
 
-@njit(cache=True, nogil=True)
+@njit
 def all_sums(x: FloatArray, starts: IntArray, stops: IntArray, m: int) -> tuple[FloatArray, IntArray]:
     """Return sums of squares and their numbers for Allan, modified Allan and Hadamard, (3,) each.
 

@@ -117,7 +117,7 @@ def calibrate(
     if latitude_deg is not None and any(run.earth_rate is None for run in cells.runs):
         raise ImumonError(
             Reason.BAD_CONFIG,
-            "the earth rate cannot be removed: the unit has no accelerometers, or its x axis is upright",
+            "the earth rate cannot be removed: the unit has no accelerometers",
             "leave --latitude and --heading away",
         )
     findings, channels, warnings = _all_channels(records, cells)

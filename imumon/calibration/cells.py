@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imumon.blocks import FloatArray, IntArray
-from imumon.calibration.earth import earth_rate_in_body
 from imumon.calibration.record import Record
+from imumon.geodesy import earth_rate_in_body
 from imumon.models.curves.points import Points
 from imumon.recordings.reduced import ACCEL, GYRO, Mask
 
@@ -270,8 +270,10 @@ def _run(
         accel = np.array(
             [np.nanmean(record.of(name)[rows]) if record.has(name) else np.nan for name in ACCEL]
         )
-        found = earth_rate_in_body(accel, latitude_deg, heading_deg) if np.isfinite(accel).all() else None
-        earth = None if found is None else (float(found[0]), float(found[1]), float(found[2]))
+        if np.isfinite(accel).all():
+            up = accel / np.linalg.norm(accel)
+            x, y, z = earth_rate_in_body(up, np.deg2rad(heading_deg), np.deg2rad(latitude_deg)).tolist()
+            earth = x, y, z
     t = temperature[rows]
     ends = (float(t.min()), float(t.max()))
     return Run(number, index, float(seconds.sum()), len(rows), ends, earth)

@@ -68,11 +68,7 @@ class ChannelModel(StrictModel):
         if low >= high:
             raise ValueError(f"temperature_range_degc {low} to {high} is empty")
         for effect in self.effects:
-            if len(effect.coefficients) != effect.width:
-                raise ValueError(
-                    f"{effect.name} needs {effect.width} coefficients, there are {len(effect.coefficients)}"
-                )
-            if effect.own:
+            if effect.scope in ("run", "event"):
                 raise ValueError(f"{effect.name} is another in each run: no model can foretell it")
         return self
 

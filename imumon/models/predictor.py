@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imumon.blocks import FloatArray, IntArray
-from imumon.effects.base import Carrier
+from imumon.effects.live import Carrier
 from imumon.errors import ImumonError, Reason
 from imumon.models.model import BiasModel, ChannelModel
 

@@ -15,6 +15,7 @@ import numpy as np
 from imumon.blocks import NO_INT, ColumnArray
 from imumon.columns import KNOWN, Column
 from imumon.errors import ImumonError, Reason
+from imumon.geodesy import STANDARD_GRAVITY as G
 from imumon.protocols.base import MAIN, Timing
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.tagged import NO_GROUP, Columns, Derived, Field, FieldTable, TaggedDecoder, Value
@@ -30,7 +31,6 @@ from imumon.protocols.tagged_columns import (
 from imumon.protocols.tagged_encoder import TaggedEncoder
 from imumon.protocols.tagged_kernel import COUNTED, LIST, MIP
 
-GRAVITY = 9.80665
 GAUSS = 100.0
 """Gauss in µT."""
 MILLIBAR = 100.0
@@ -129,7 +129,7 @@ def _sensor_fields(attitude: Attitude) -> list[Field]:
     temperature = number("temperature", "degC", "mean sensor temperature")
     table: tuple[tuple[int, str, tuple[Value, ...]], ...] = (
         (0x05, "ScaledGyro", _floats(known("gyro_x", "gyro_y", "gyro_z"))),
-        (0x04, "ScaledAccel", _floats(known("accel_x", "accel_y", "accel_z"), GRAVITY)),
+        (0x04, "ScaledAccel", _floats(known("accel_x", "accel_y", "accel_z"), G)),
         (0x06, "ScaledMag", _floats(known("mag_x", "mag_y", "mag_z"), GAUSS)),
         (
             0x14,
@@ -147,9 +147,9 @@ def _sensor_fields(attitude: Attitude) -> list[Field]:
         (0x0C, "ImuEuler", _floats(euler)),
         (0x09, "ImuMatrix", _floats(MATRIX) if own else ()),
         (0x07, "DeltaTheta", _floats(vector("delta_theta", "rad", "rotation over the sample"))),
-        (0x08, "DeltaVelocity", _floats(vector("delta_velocity", "m/s", "velocity increment"), GRAVITY)),
+        (0x08, "DeltaVelocity", _floats(vector("delta_velocity", "m/s", "velocity increment"), G)),
         (0x10, "NorthVector", _floats(vector("north", "uT", "magnetic north in the body"), GAUSS)),
-        (0x11, "UpVector", _floats(vector("up", "m/s^2", "vertical in the body"), GRAVITY)),
+        (0x11, "UpVector", _floats(vector("up", "m/s^2", "vertical in the body"), G)),
         (0x12, "SensorGpsTime", _GPS_TIME),
         (0x18, "Overrange", (_count("overrange", "sensors out of range, bits", "u16"),)),
         (

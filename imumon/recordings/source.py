@@ -162,4 +162,6 @@ def feed(item: Item | SampleBlock, pipeline: Pipeline) -> int:
         return len(item.data)
     if item.kind is EventKind.OPENED:
         pipeline.port_opened()
+    elif item.kind in (EventKind.SILENT, EventKind.LOST):
+        pipeline.pause()
     return 0

@@ -64,7 +64,7 @@ def _narrated(
 
 def _shown(pipeline: Pipeline, narrator: Narrator) -> SampleBlock:
     block = pipeline.take()
-    narrator.samples(block)
+    narrator.samples(block, pipeline.side)
     return block
 
 
