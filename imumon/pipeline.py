@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from types import MappingProxyType
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -21,7 +22,7 @@ from imumon.clock.side import SharedCounter, SideClock
 from imumon.columns import KNOWN, TIME_COLUMNS, Column
 from imumon.protocols.base import COMMON, MAIN, Counters, Timing
 from imumon.protocols.device import DeviceFile
-from imumon.protocols.epochs import EpochAssembler, EpochCounters, Epochs
+from imumon.protocols.epochs import EpochAssembler, EpochCounters
 
 UNDATED = NO_INT
 """Arrival time of bytes whose arrival nobody noted, as in a raw capture."""
@@ -59,11 +60,12 @@ class Judging(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class StreamCounters:
-    """What came of a stream: its rows, its rate where none is missing, gaps, and clocks that went back.
+    """What came of a stream: packets, rows, its rate where none is missing, gaps, clocks that went back.
 
-    `incomplete` rows lack fields that the rows before them had.
+    `incomplete` rows lack fields that all rows before them had.
     """
 
+    packets: int
     rows: int
     rate_hz: float | None
     gaps: int
@@ -117,6 +119,7 @@ class Pipeline:
         timing = self._device_clock.timing
         self._side_clock, self._shared_counter = SideClock(timing), SharedCounter(timing.counter_bits)
         self._side_ready: dict[str, list[SampleBlock]] = {}
+        self._side: dict[str, SampleBlock] = {}
         self._intervals: dict[str, Intervals] = {}
 
     @property
@@ -171,7 +174,12 @@ class Pipeline:
             own = assembled.get(stream, EpochCounters())
             restarts = self._device_clock.resets if stream == MAIN else intervals.backwards
             counters[stream] = StreamCounters(
-                intervals.rows, intervals.rate_hz, intervals.gaps, own.incomplete, restarts
+                own.packets or intervals.rows,
+                intervals.rows,
+                intervals.rate_hz,
+                intervals.gaps,
+                own.incomplete,
+                restarts,
             )
         return counters
 
@@ -206,12 +214,14 @@ class Pipeline:
         ready, self._ready = self._ready, []
         block = join([*ready, self._decoded()])
         self._samples += len(block)
+        side, self._side_ready = self._side_ready, {}
+        self._side = {stream: join(blocks) for stream, blocks in side.items()}
         return block
 
-    def take_side(self) -> dict[str, SampleBlock]:
-        """Return the rows of the side streams completed by the last call of `take`, by stream."""
-        ready, self._side_ready = self._side_ready, {}
-        return {stream: join(blocks) for stream, blocks in ready.items()}
+    @property
+    def side(self) -> Mapping[str, SampleBlock]:
+        """The rows of the side streams that belong to what `take` returned last, by stream."""
+        return self._side
 
     def notices(self) -> list[str]:
         """Return, once each, what the device said that is not data."""
@@ -237,13 +247,15 @@ class Pipeline:
         if self._decoder is None:
             return SampleBlock({})
         packets = self._decoder.take_packets()
+        if not len(packets) and not end:
+            return SampleBlock({})
         if self._epochs is None:
             return self._dated(packets.block, np.zeros(len(packets), np.int64), [])
         streams = self._epochs.process(packets, end)
         main = streams.pop(MAIN)
-        block = self._dated(main.block, main.more, _side_counters(streams))
+        block = self._dated(main.block, main.more, self._epochs.counted_aside)
         for stream, epochs in streams.items():
-            times = self._side_clock.times(epochs.block, epochs.after)
+            times = self._side_clock.times(epochs)
             rest = {name: values for name, values in epochs.block.columns.items() if name != "device_ticks"}
             side = SampleBlock({**times, **{k: v for k, v in rest.items() if k not in times}})
             self._side_ready.setdefault(stream, []).append(side)
@@ -282,17 +294,6 @@ class Pipeline:
         return block
 
 
-def _side_counters(streams: Mapping[str, Epochs]) -> list[tuple[int, int]]:
-    """Return, of the side packets that are counted, the main rows before them and the counter."""
-    found: list[tuple[int, int]] = []
-    for epochs in streams.values():
-        if "packet_counter" in epochs.block:
-            counter = epochs.block["packet_counter"]
-            there = counter != NO_INT
-            found += zip(epochs.behind[there].tolist(), counter[there].tolist(), strict=True)
-    return found
-
-
 class Digest:
     """Fingerprint of all samples, independent of the division into blocks.
 
@@ -302,9 +303,12 @@ class Digest:
     def __init__(self) -> None:
         self._hashes: dict[str, hashlib._Hash] = {}
         self._rows = 0
+        self._side: dict[str, Digest] = {}
 
-    def update(self, block: SampleBlock) -> None:
-        """Add samples."""
+    def update(self, block: SampleBlock, side: Mapping[str, SampleBlock] = MappingProxyType({})) -> None:
+        """Add samples, and those of side streams."""
+        for stream, rows in side.items():
+            self._side.setdefault(stream, Digest()).update(rows)
         for name, values in block.columns.items():
             if name not in self._hashes:
                 # A column that begins late is the same as one that was missing so far.
@@ -320,6 +324,8 @@ class Digest:
         whole = hashlib.sha256(str(self._rows).encode())
         for name in sorted(self._hashes):
             whole.update(name.encode() + self._hashes[name].digest())
+        for stream in sorted(self._side):
+            whole.update(f"{stream} {self._side[stream].hexdigest()}".encode())
         return whole.hexdigest()
 
 

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from imumon.blocks import FloatArray, IntArray, SampleBlock
+from imumon.compiled import njit
 
 BLOCK_S = 10.0
 """Length of a block: long against the sample noise, short against a chamber's ramps."""
@@ -124,7 +124,7 @@ class BlockReducer:
         )
 
 
-@njit(cache=True, nogil=True)
+@njit
 def accumulate(
     time_ns: IntArray,
     segment: IntArray,

@@ -25,10 +25,10 @@ from __future__ import annotations
 from fractions import Fraction
 
 import numpy as np
-from numba import njit
 
 from imumon.blocks import NO_INT, IntArray, missing
 from imumon.clock.host import CRYSTAL_PPM
+from imumon.compiled import njit
 from imumon.errors import ImumonError, Reason
 from imumon.protocols.base import Timing
 
@@ -225,7 +225,7 @@ def _sources(timing: Timing, period: Fraction | None) -> IntArray:
     return table
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _unwrap(
     counter: IntArray,
     ticks: IntArray,
@@ -269,7 +269,7 @@ def _unwrap(
         segment[i] = state[SEGMENT]
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _best(
     sources: IntArray, counter_modulus: int, counter: int, ticks: int, arrival: int, row: int
 ) -> tuple[int, int]:
@@ -286,7 +286,7 @@ def _best(
     return NO_SOURCE, 0
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _packets(counter_modulus: int, state: IntArray, counter: int) -> int:
     """Return by how much the packet counter has advanced, modulo its range; 0 when it is not known."""
     if counter_modulus == 0 or counter == NO_INT or state[RAW_COUNTER] == NO_INT:
@@ -294,7 +294,7 @@ def _packets(counter_modulus: int, state: IntArray, counter: int) -> int:
     return int((counter - state[RAW_COUNTER]) % counter_modulus)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _packets_in(
     source: IntArray, counter_modulus: int, state: IntArray, packets: int, counted: bool, step: int
 ) -> int:
@@ -320,7 +320,7 @@ def _packets_in(
     return RESTART if held + packets > most else int(packets + max(rounds, 0) * counter_modulus)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _learn_period(state: IntArray, elapsed: int) -> None:
     period = state[PERIOD]
     if period == 0:
@@ -330,7 +330,7 @@ def _learn_period(state: IntArray, elapsed: int) -> None:
     state[PERIOD] = max(period + min(max((elapsed - period) // PERIOD_MEMORY, -most), most), 1)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _ns(source: IntArray, count: int) -> int:
     """Return counts in ns, rounded down, without the overflow that count * NUMERATOR might have."""
     whole = count // source[DENOMINATOR]
@@ -338,7 +338,7 @@ def _ns(source: IntArray, count: int) -> int:
     return int(whole * source[NUMERATOR] + part * source[NUMERATOR] // source[DENOMINATOR])
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _step(source: IntArray, state: IntArray, raw: int, arrival: int) -> int:
     """Return by how many counts the source has advanced, or RESTART."""
     step = raw - state[RAW]
@@ -366,7 +366,7 @@ def _step(source: IntArray, state: IntArray, raw: int, arrival: int) -> int:
     return RESTART if max(step_ns - expected_ns, behind_ns) > SLACK_NS + tolerance_ns else int(step)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _begin(source: IntArray, state: IntArray, number: int, raw: int, arrival: int) -> None:
     """Let device time begin at the raw count."""
     state[SOURCE] = number
@@ -382,7 +382,7 @@ def _begin(source: IntArray, state: IntArray, number: int, raw: int, arrival: in
     state[USUAL_DELAY] = arrival - state[TIME] if arrival != NO_INT else 0
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _advance(source: IntArray, state: IntArray, raw: int, step: int, arrival: int) -> None:
     """Move device time on, and with it the delay that is usual: down at once, up in ten seconds."""
     state[HELD] = 0

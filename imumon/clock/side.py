@@ -7,25 +7,15 @@ to that of the latest main row as the range of the counter allows.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from imumon.blocks import NO_INT, ColumnArray, IntArray, SampleBlock
+from imumon.blocks import NO_INT, ColumnArray, IntArray, SampleBlock, missing
 from imumon.protocols.base import Timing
+from imumon.protocols.epochs import Epochs
 
-
-@dataclass(slots=True)
-class _Anchor:
-    """The latest row of the main stream."""
-
-    ticks: int
-    device_ns: int
-    host_ns: int
-    segment: int
-
-
-_NONE = _Anchor(NO_INT, NO_INT, NO_INT, 0)
+HISTORY = 4096
+"""Main rows that are remembered; a side epoch that waited for longer is dated by the oldest."""
+FIELDS = ("ticks", "device", "host", "segment")
 
 
 class SideClock:
@@ -39,69 +29,59 @@ class SideClock:
 
     def __init__(self, timing: Timing) -> None:
         self._timing = timing
-        self._anchor = _NONE
-        self._before = 0
-        self._rows: dict[str, IntArray] = {}
+        self._first = 0
+        # The first row stands for the time before any main row.
+        self._main = {name: np.array([0 if name == "segment" else NO_INT]) for name in FIELDS}
 
     def follow(self, main: SampleBlock, ticks: IntArray | None) -> None:
         """Take the dated rows of the main stream that the next side rows refer to."""
-        anchor, n = self._anchor, len(main)
-        if self._rows and len(self._rows["ticks"]) > 1:
-            anchor = _Anchor(*(int(self._rows[name][-1]) for name in ("ticks", "device", "host", "segment")))
-            self._before += len(self._rows["ticks"]) - 1
-        self._anchor = anchor
-        counts = np.full(n, NO_INT, np.int64) if ticks is None else ticks
-        self._rows = {
-            "ticks": np.concatenate([[anchor.ticks], counts]),
-            "device": np.concatenate([[anchor.device_ns], main["device_time_ns"]]),
-            "host": np.concatenate([[anchor.host_ns], main["host_time_ns"]]),
-            "segment": np.concatenate([[anchor.segment], main["segment"]]),
+        new = {
+            "ticks": np.full(len(main), NO_INT, np.int64) if ticks is None else ticks,
+            "device": main["device_time_ns"],
+            "host": main["host_time_ns"],
+            "segment": main["segment"],
         }
+        old = len(self._main["ticks"])
+        drop = max(old - HISTORY - 1, 0)
+        self._first += drop
+        self._main = {name: np.concatenate([self._main[name][drop:], new[name]]) for name in FIELDS}
 
-    def times(self, side: SampleBlock, after: IntArray) -> dict[str, ColumnArray]:
+    def times(self, side: Epochs) -> dict[str, ColumnArray]:
         """Return the time columns of side rows.
 
-        Parameters
-        ----------
-        side : SampleBlock
-            With ``device_ticks`` where the device sends them; rows without have the time of the main row.
-        after : array of int64, (n,)
-            Number of main rows before each.
+        Rows without a count of the device's clock have the time of the main row before them; before the first
+        main row a count stands for itself.
         """
-        at = after - self._before
-        ticks, device, host, segment = (
-            self._rows[name][at] for name in ("ticks", "device", "host", "segment")
-        )
-        own = side.columns.get("device_ticks")
-        counts = np.full(len(side), NO_INT, np.int64) if own is None else own
-        unit = self._timing.tick_ns
-        if unit is None:
-            own_ns = device
-        else:
-            anchored = (ticks != NO_INT) & (counts != NO_INT)
-            ahead = np.where(anchored, counts - ticks, 0)
-            if 0 < self._timing.tick_bits < 63:
-                modulus = 1 << self._timing.tick_bits
-                ahead = (ahead + modulus // 2) % modulus - modulus // 2
-            alone = (ticks == NO_INT) & (counts != NO_INT)
-            start = np.where(anchored, device, 0)
-            steps = np.where(anchored, ahead, np.where(alone, counts, 0))
-            # Exact for clocks whose tick is a whole number of ns; others are a ns off at the most.
-            moved = steps // unit.denominator * unit.numerator + (
-                steps % unit.denominator * unit.numerator // unit.denominator
-            )
-            own_ns = np.where(anchored | alone, start + moved, device)
-        arrival = side["arrival_time_ns"] if "arrival_time_ns" in side else np.full(len(side), NO_INT)
-        dated = (host != NO_INT) & (device != NO_INT)
-        mapped = np.where(dated, host + own_ns - device, arrival)
+        at = np.maximum(side.after, side.until - HISTORY) - self._first
+        ticks, device, host, segment = (self._main[name][at] for name in FIELDS)
+        block, n = side.block, len(side.block)
+        counts = block.columns.get("device_ticks", missing(n, np.int64))
+        arrival = block.columns.get("arrival_time_ns", missing(n, np.int64))
+        own = self._on_main_clock(counts, ticks, device)
+        known = own != NO_INT
+        mapped = np.where(known & (host != NO_INT) & (device != NO_INT), host + own - device, arrival)
         host_ns = np.where(arrival == NO_INT, mapped, np.minimum(mapped, arrival))
-        host_ns = np.where((host == NO_INT) & (arrival == NO_INT), NO_INT, host_ns)
         return {
-            "device_time_ns": np.where(own_ns == NO_INT, arrival, own_ns),
+            "device_time_ns": np.where(known, own, arrival),
             "arrival_time_ns": arrival,
-            "host_time_ns": host_ns,
+            "host_time_ns": np.where((host == NO_INT) & (arrival == NO_INT), NO_INT, host_ns),
             "segment": segment,
         }
+
+    def _on_main_clock(self, counts: IntArray, ticks: IntArray, device: IntArray) -> IntArray:
+        """Return counts in ns on the unwrapped clock of the main rows, whose count and time are given."""
+        unit, bits = self._timing.tick_ns, self._timing.tick_bits
+        if unit is None:
+            return device
+        there = counts != NO_INT
+        anchored, alone = there & (ticks != NO_INT), there & (ticks == NO_INT)
+        steps = np.where(anchored, counts - ticks, np.where(alone, counts, 0))
+        if 0 < bits < 63:
+            nearest = (steps + (1 << (bits - 1))) % (1 << bits) - (1 << (bits - 1))
+            steps = np.where(anchored, nearest, steps)
+        whole, part = steps // unit.denominator, steps % unit.denominator
+        moved = whole * unit.numerator + part * unit.numerator // unit.denominator
+        return np.where(alone, moved, np.where(anchored, device + moved, device))
 
 
 class SharedCounter:

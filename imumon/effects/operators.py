@@ -8,12 +8,12 @@ equilibrium with the first temperature.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from imumon.blocks import FloatArray
+from imumon.compiled import njit
 
 
-@njit(cache=True, nogil=True)
+@njit
 def first_order(
     state: FloatArray, time_s: FloatArray, value: FloatArray, time_constant_s: float
 ) -> FloatArray:
@@ -45,7 +45,7 @@ def first_order(
     return out
 
 
-@njit(cache=True, nogil=True)
+@njit
 def play(state: FloatArray, value: FloatArray, half_width: float) -> FloatArray:
     """Return the value behind a backlash of this half width; `state` is (1,): where it stands."""
     out = np.empty(len(value))
@@ -59,7 +59,7 @@ def play(state: FloatArray, value: FloatArray, half_width: float) -> FloatArray:
     return out
 
 
-@njit(cache=True, nogil=True)
+@njit
 def smooth_loop(state: FloatArray, value: FloatArray, width: float, slack: float) -> FloatArray:
     """Return z of Dahl's loop dz/dT = 1 - z sign(dT)/width, exact for each step of T.
 

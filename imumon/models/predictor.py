@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from imumon.blocks import FloatArray, IntArray
+from imumon.compiled import njit
 from imumon.effects.base import Carrier
 from imumon.errors import ImumonError, Reason
 from imumon.models.model import BiasModel, ChannelModel
@@ -125,7 +125,7 @@ def _table(channel: ChannelModel) -> FloatArray:
     return np.column_stack([channel.curve.value(at), channel.curve.slope(at)])
 
 
-@njit(cache=True, nogil=True)
+@njit
 def follow(
     segment: IntArray,
     temperature: FloatArray,

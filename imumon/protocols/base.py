@@ -172,7 +172,7 @@ class Decoder(ABC):
         A damaged header that claims a long packet holds back the packets behind it until that length has
         arrived; at the end of the data they are found.  What is pending afterwards is a packet cut short.
         """
-        self._feed(np.zeros(0, np.uint8), 0, final=True)
+        self._feed(np.frombuffer(b"", np.uint8), 0, final=True)  # read-only, as what comes from a port
 
     def take(self) -> SampleBlock:
         """Return the packets decoded since the last call, a row each, as arrays of their own."""

@@ -7,8 +7,8 @@ its rows as long as its packets have the times of inertial packets, or no time a
 a time of its own makes the group a side stream, for good.  Receivers are side streams from the beginning:
 their data are older than the packets between which they come.
 
-An epoch is complete when a packet of its group comes with another time (or counter), or, without either, with
-a field that is there already; and at once when it has every field that any of the last `GENERATION` epochs
+An epoch is complete when a packet of its group comes with another time (or counter), or with a field that is
+there already; and at once when it has every field that any of the last `GENERATION` epochs
 had.  So a row waits for one epoch at the most.  Nothing is reordered and no field is lost.
 """
 
@@ -39,15 +39,15 @@ class Epochs:
         One row each.
     after : array of int64, (n,)
         How many rows of the main stream were complete when each began.
-    behind : array of int64, (n,)
-        How many had begun.
+    until : array of int64, (n,)
+        How many were complete when each ended.
     more : array of int64, (n,)
         Steps of the packet counter within the epoch: packets that came besides the first.
     """
 
     block: SampleBlock
     after: IntArray
-    behind: IntArray
+    until: IntArray
     more: IntArray
 
 
@@ -55,7 +55,7 @@ class Epochs:
 class EpochCounters:
     """What became of the packets of a stream."""
 
-    epochs: int = 0
+    packets: int = 0
     incomplete: int = 0
 
 
@@ -77,19 +77,24 @@ class _State(NamedTuple):
     incomplete: IntArray
     latest: IntArray
     after: IntArray
-    behind: IntArray
 
 
 class _Entries(NamedTuple):
-    """Which packet belongs to which epoch; and the epochs that ended, with the main rows before them."""
+    """Which packet belongs to which epoch, with which columns; and the epochs that ended.
+
+    `ended_after` and `ended_until` count main rows as `Epochs` does; `behind` is how many had begun before
+    each packet of a side stream, -1 for main packets.
+    """
 
     row: IntArray
     group: IntArray
     epoch: IntArray
+    own: IntArray
     ended: IntArray
     ended_group: IntArray
     ended_after: IntArray
-    ended_behind: IntArray
+    ended_until: IntArray
+    behind: IntArray
     counts: IntArray
 
 
@@ -106,8 +111,12 @@ class EpochAssembler:
         n = len(groups.names)
         self._state = _State._make(np.zeros((len(_State._fields), n), np.int64))
         self._state.apart[:] = groups.apart
+        self._bits: dict[str, int] = {}
+        self._packets = np.zeros(n, np.int64)
+        self.counted_aside: list[tuple[int, int]] = []
+        """Of the side packets that `process` saw last: the main rows begun before each, and its counter."""
         self._pending: Packets | None = None
-        self._kept = np.zeros((3, 0), np.int64)
+        self._kept = np.zeros((4, 0), np.int64)
         self._columns: dict[str, set[str]] = {name: set() for name in groups.names}
 
     @property
@@ -115,7 +124,7 @@ class EpochAssembler:
         """What became of the packets, by stream; streams without epochs are left out."""
         state = self._state
         return {
-            name: EpochCounters(int(state.epochs[g]), int(state.incomplete[g]))
+            name: EpochCounters(int(self._packets[g]), int(state.incomplete[g]))
             for g, name in enumerate(self._groups.names)
             if state.epochs[g]
         }
@@ -142,20 +151,23 @@ class EpochAssembler:
             )
         masks, group_masks = self._masks(packets.block)
         entries = self._assign(packets, held, masks, group_masks, end)
+        self.counted_aside = _counted(packets.block, entries.behind, held)
         n, m = entries.counts[:2].tolist()
-        row, group, epoch = entries.row[:n], entries.group[:n], entries.epoch[:n]
+        made = np.stack([entries.row[:n], entries.group[:n], entries.epoch[:n], entries.own[:n]])
         ended, ended_group = entries.ended[:m], entries.ended_group[:m]
         found = {}
         for g, name in enumerate(self._groups.names):
-            own = ended_group == g
-            if g and not own.any():
+            of_group = ended_group == g
+            if g and not of_group.any():
                 continue
-            whole = (group == g) & np.isin(epoch, ended[own])
-            place = np.searchsorted(ended[own], epoch[whole])
-            block = self._gather(name, g, packets.block, row[whole], place, int(own.sum()))
-            more = _steps_within(packets.block, row[whole], place, int(own.sum()))
-            found[name] = Epochs(block, entries.ended_after[:m][own], entries.ended_behind[:m][own], more)
-        self._keep(packets, row, group, epoch, np.isin(epoch, ended))
+            row, _, epoch, own = made[:, (made[1] == g) & np.isin(made[2], ended[of_group])]
+            self._packets[g] += len(row)
+            place, count = np.searchsorted(ended[of_group], epoch), int(of_group.sum())
+            block = self._gather(name, packets.block, (row, own, place), count)
+            more = _steps_within(packets.block, row, place, count)
+            after, until = entries.ended_after[:m][of_group], entries.ended_until[:m][of_group]
+            found[name] = Epochs(block, after, until, more)
+        self._keep(packets, made[:, ~np.isin(made[2], ended)])
         return found
 
     def _assign(
@@ -163,48 +175,65 @@ class EpochAssembler:
     ) -> _Entries:
         n, kept = len(packets), self._kept.shape[1]
         most = (n - held) * len(self._groups.names) + kept
-        room = np.zeros((3, most), np.int64)
+        room = np.zeros((4, most), np.int64)
         room[:, :kept] = self._kept
         ends = np.zeros((4, most + len(self._groups.names)), np.int64)
-        entries = _Entries._make([*room, *ends, np.zeros(2, np.int64)])
+        behind = np.full(n, -1, np.int64)
+        entries = _Entries(
+            room[0],
+            room[1],
+            room[2],
+            room[3],
+            ends[0],
+            ends[1],
+            ends[2],
+            ends[3],
+            behind,
+            np.zeros(2, np.int64),
+        )
         entries.counts[0] = kept
         kind, key = _keys(packets.block)
         _assign(packets.groups, kind, key, masks, group_masks, held, end, self._state, entries)
         return entries
 
     def _masks(self, block: SampleBlock) -> tuple[IntArray, IntArray]:
-        """Return which columns each packet has, (n,), and which each group may have: a bit a column.
-
-        There are more columns than bits in a word in some protocols; those beyond share a bit, which at worst
-        begins a row too early.
-        """
+        """Return which columns each packet has, (n,), and which each group may have: a bit a column."""
         masks = np.zeros(len(block), np.int64)
         group_masks = np.zeros(len(self._groups.names), np.int64)
-        grouped = [name for name in self._groups.of_column if name in block]
-        for number, name in enumerate(grouped):
-            bit = np.int64(1) << np.int64(number % 62)
-            masks |= np.where(_present(block[name]), bit, np.int64(0))
-            group_masks[self._groups.of_column[name]] |= bit
+        for name, group in self._groups.of_column.items():
+            if name in block:
+                bit = np.int64(1) << self._bit(name)
+                masks |= np.where(_present(block[name]), bit, np.int64(0))
+                group_masks[group] |= bit
         return masks, group_masks
 
+    def _bit(self, name: str) -> np.int64:
+        """Return the bit of a column.
+
+        Some protocols have more columns than a word has bits; those beyond share one, which at worst begins a
+        row too early, or shows a value in two streams.
+        """
+        return np.int64(self._bits.setdefault(name, len(self._bits)) % 62)
+
     def _gather(
-        self, stream: str, g: int, block: SampleBlock, row: IntArray, place: IntArray, n: int
+        self, stream: str, block: SampleBlock, entries: tuple[IntArray, IntArray, IntArray], n: int
     ) -> SampleBlock:
-        """Return n rows of a stream, each of the packets that belong to it; the first arrival counts."""
+        """Return n rows of a stream from entries: packet, its columns that belong here, and its row.
+
+        Of several arrivals the first counts.
+        """
+        row, own, place = entries
         known = self._columns[stream]
         columns: dict[str, ColumnArray] = {}
-        single = len(row) == n
         for name, values in block.columns.items():
-            belongs = self._groups.of_column.get(name)
-            foreign = belongs is not None and (belongs != g if g else bool(self._state.apart[belongs]))
-            if foreign and name not in known:
-                continue
             taken = values[row]
-            present = np.zeros(len(row), np.bool_) if foreign else _present(taken)
+            present = _present(taken)
+            if name in self._groups.of_column:
+                present &= own >> self._bit(name) & 1 != 0
             if name not in known and name not in COMMON and not present.any():
                 continue
             known.add(name)
-            if single and not foreign:
+            if len(row) == n and present.all():
                 columns[name] = taken
                 continue
             result = np.full(n, NO_INT if values.dtype == np.int64 else np.nan, values.dtype)
@@ -213,26 +242,29 @@ class EpochAssembler:
             columns[name] = result
         return SampleBlock(columns)
 
-    def _keep(
-        self,
-        packets: Packets,
-        row: IntArray,
-        group: IntArray,
-        epoch: IntArray,
-        done: npt.NDArray[np.bool_],
-    ) -> None:
-        """Keep the packets of the epochs that are not complete."""
-        rows, again = np.unique(row[~done], return_inverse=True)
+    def _keep(self, packets: Packets, made: IntArray) -> None:
+        """Keep the packets of the entries whose epochs are not complete."""
+        rows, again = np.unique(made[0], return_inverse=True)
         if not len(rows):
-            self._pending, self._kept = None, np.zeros((3, 0), np.int64)
+            self._pending, self._kept = None, np.zeros((4, 0), np.int64)
             return
         block = SampleBlock({name: values[rows] for name, values in packets.block.columns.items()})
         self._pending = Packets(block, packets.groups[rows])
-        self._kept = np.stack([again.reshape(-1), group[~done], epoch[~done]])
+        self._kept = np.concatenate([again.reshape(1, -1), made[1:]])
 
 
 def _present(values: ColumnArray) -> npt.NDArray[np.bool_]:
     return np.asarray(values != NO_INT if values.dtype == np.int64 else ~np.isnan(values))
+
+
+def _counted(block: SampleBlock, behind: IntArray, held: int) -> list[tuple[int, int]]:
+    """Return (main rows begun before, counter) of the side packets from row `held` on that have a counter."""
+    if "packet_counter" not in block:
+        return []
+    counter = block["packet_counter"]
+    aside = np.flatnonzero((behind >= 0) & (counter != NO_INT))
+    aside = aside[aside >= held]
+    return list(zip(behind[aside].tolist(), counter[aside].tolist(), strict=True))
 
 
 def _steps_within(block: SampleBlock, row: IntArray, place: IntArray, n: int) -> IntArray:
@@ -268,20 +300,20 @@ def _assign(
     """Assign packets from row `first` on to epochs (see the text of the module)."""
     n_groups = len(group_masks)
     for i in range(first, len(groups)):
-        in_main = groups[i] & 1 != 0
-        if in_main:
-            own = masks[i]
-            for g in range(1, n_groups):
-                if state.apart[g]:
-                    own &= ~group_masks[g]
-            _add(0, i, kind[i], key[i], own, state, entries)
+        joined, together = groups[i] & 1 != 0, masks[i]
         for g in range(1, n_groups):
-            if not groups[i] >> g & 1 or (in_main and not state.apart[g]):
+            if state.apart[g]:
+                together &= ~group_masks[g]
+        if joined:
+            _add(0, i, kind[i], key[i], together, state, entries)
+        elif together and _joins(kind[i], key[i], together, state):
+            _enter(0, i, together, state, entries)
+            joined = True
+        entries.behind[i] = -1 if joined else state.epochs[0] + (state.epoch[0] != 0)
+        for g in range(1, n_groups):
+            if not groups[i] >> g & 1 or (joined and not state.apart[g]):
                 continue
             own = masks[i] & group_masks[g]
-            if not state.apart[g] and _joins(kind[i], key[i], own, state):
-                _enter(0, i, own, state, entries)
-                continue
             if state.epoch[g] and _is_other(g, kind[i], key[i], own, state):
                 state.apart[g] = 1
             _add(g, i, kind[i], key[i], own, state, entries)
@@ -294,19 +326,14 @@ def _assign(
 @njit(cache=True, nogil=True)
 def _joins(kind: int, key: int, own: int, state: _State) -> bool:
     """Tell whether a packet without inertial fields belongs to the open epoch of the main stream."""
-    if not state.epoch[0]:
-        return False
-    return bool(
-        own & state.mask[0] == 0 if kind == NO_TIME else kind == state.key_kind[0] and key == state.key[0]
-    )
+    return bool(state.epoch[0] and not _is_other(0, kind, key, own, state))
 
 
 @njit(cache=True, nogil=True)
 def _is_other(g: int, kind: int, key: int, own: int, state: _State) -> bool:
-    """Tell whether a packet cannot belong to the open epoch of its group."""
-    if kind == NO_TIME:
-        return bool(own & state.mask[g] != 0)
-    return bool(kind != state.key_kind[g] or key != state.key[g])
+    """Tell whether a packet cannot belong to the open epoch of its group: another time, or a field again."""
+    other_time = kind != NO_TIME and (kind != state.key_kind[g] or key != state.key[g])
+    return bool(other_time or own & state.mask[g])
 
 
 @njit(cache=True, nogil=True)
@@ -319,7 +346,6 @@ def _add(g: int, row: int, kind: int, key: int, own: int, state: _State, entries
         state.epoch[g] = state.latest[0]
         state.key_kind[g], state.key[g], state.mask[g] = kind, key, 0
         state.after[g] = state.epochs[0]
-        state.behind[g] = state.epochs[0] + (state.epoch[0] != 0)
         if g == 0 and kind != NO_TIME:
             _pull(kind, key, state, entries)
     _enter(g, row, own, state, entries)
@@ -342,7 +368,7 @@ def _pull(kind: int, key: int, state: _State, entries: _Entries) -> None:
 def _enter(g: int, row: int, own: int, state: _State, entries: _Entries) -> None:
     """Enter a packet into the open epoch, and end that when it has all that it may have."""
     k = entries.counts[0]
-    entries.row[k], entries.group[k], entries.epoch[k] = row, g, state.epoch[g]
+    entries.row[k], entries.group[k], entries.epoch[k], entries.own[k] = row, g, state.epoch[g], own
     entries.counts[0] = k + 1
     state.mask[g] |= own
     usual = state.any_now[g] | state.any_before[g]
@@ -355,7 +381,7 @@ def _end(g: int, state: _State, entries: _Entries) -> None:
     """End the open epoch of a group, and learn what epochs have."""
     k = entries.counts[1]
     entries.ended[k], entries.ended_group[k] = state.epoch[g], g
-    entries.ended_after[k], entries.ended_behind[k] = state.after[g], state.behind[g]
+    entries.ended_after[k], entries.ended_until[k] = state.after[g], state.epochs[0]
     entries.counts[1] = k + 1
     mask = state.mask[g]
     state.epoch[g] = 0

@@ -38,6 +38,17 @@ class TableUsed(StrictModel):
     rows_dropped: NonNegativeInt
 
 
+class StreamSummary(StrictModel):
+    """What came of a stream of the device; `rate_hz` is the rate where nothing is missing."""
+
+    packets: NonNegativeInt
+    rows: NonNegativeInt
+    rate_hz: float | None
+    gaps: NonNegativeInt
+    incomplete: NonNegativeInt
+    restarts: NonNegativeInt
+
+
 class SessionMetadata(StrictModel):
     """Everything about a session but its data; times are UTC.
 
@@ -59,6 +70,7 @@ class SessionMetadata(StrictModel):
     table: TableUsed | None = None
     versions: dict[str, str]
     counters: dict[str, int] = Field(default_factory=dict)
+    streams: dict[str, StreamSummary] = Field(default_factory=dict)
     events: NonNegativeInt = 0
     results_digest: str | None = None
     views: list[str] = Field(default_factory=list)

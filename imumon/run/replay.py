@@ -12,7 +12,7 @@ from imumon.pipeline import UNDATED, Pipeline
 from imumon.protocols.device import DeviceFile, parse_device
 from imumon.recordings.folder import Session
 from imumon.run.narration import Narrator
-from imumon.transport.reader import Bytes, EventKind, Item
+from imumon.transport.reader import Bytes, Event, EventKind, Item
 
 READ_SIZE = 1 << 16
 BATCH_BYTES = 1 << 16
@@ -110,17 +110,24 @@ def _feed(item: Item | SampleBlock, pipeline: Pipeline, narrator: Narrator | Non
         if narrator is not None:
             narrator.received(len(item.data), item.arrival_ns)
         return len(item.data)
-    if item.kind is EventKind.OPENED:
-        pipeline.port_opened()
+    tell_event(item, pipeline)
     if narrator is not None:
         narrator.event(item)
     return 0
 
 
+def tell_event(event: Event, pipeline: Pipeline) -> None:
+    """Tell the pipeline what an event of the port means for it: live and in a replay the same."""
+    if event.kind is EventKind.OPENED:
+        pipeline.port_opened()
+    elif event.kind in (EventKind.SILENT, EventKind.LOST):
+        pipeline.pause()
+
+
 def _take(pipeline: Pipeline, narrator: Narrator | None) -> SampleBlock:
     block = pipeline.take()
     if narrator is not None:
-        narrator.samples(block)
+        narrator.samples(block, pipeline.side)
     return block
 
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from imumon.blocks import FloatArray
+from imumon.compiled import njit
 from imumon.simulation.unit.parameters import Hysteresis
 
 
-@njit(cache=True, nogil=True)
+@njit
 def smooth_loop(temperature: FloatArray, state: FloatArray, width: float, out: FloatArray) -> None:
     """Write y of y' = (T' - |T'| y) / w, exact for a temperature that is monotone between samples.
 
@@ -25,7 +25,7 @@ def smooth_loop(temperature: FloatArray, state: FloatArray, width: float, out: F
             out[i, axis] = state[1, axis]
 
 
-@njit(cache=True, nogil=True)
+@njit
 def play_loop(temperature: FloatArray, state: FloatArray, width: float, out: FloatArray) -> None:
     """Write y = (T - p) / w of the play p = max(T - w, min(T + w, p)); arguments as of `smooth_loop`."""
     for i in range(temperature.shape[0]):
