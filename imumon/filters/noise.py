@@ -22,8 +22,8 @@ from imumon.filters.kalman import Estimate, correct, predict
 FLOOR_PER_INSTABILITY = math.sqrt(2.0 * math.log(2.0) / math.pi)
 """Floor of the Allan deviation of flicker, over the bias instability B (IEEE Std 952, C.1.3)."""
 INSTABILITY_PER_DECADE = math.sqrt(math.pi / math.log(10.0))
-"""B over the standard deviation per decade of correlation time: S(f) = B²/(2 pi f) has the variance
-B² ln(10)/pi in a decade, as the processes together have (their density is 4 sd² tau / (1 + (2 pi f tau)²))."""
+"""B over the standard deviation per decade of correlation time: the processes, sd² in a
+decade, have together the density sd² pi / (2 pi f ln 10), which is to be that of flicker, B² / (2 pi f)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,23 +46,23 @@ class BiasNoise:
 
     def decay(self, dt: float) -> FloatArray:
         """Return the diagonal of F, (m + 1,)."""
-        return np.concatenate([[1.0], np.exp(-dt / self.taus_s)])
+        return np.asarray(np.concatenate([[1.0], np.exp(-dt / self.taus_s)]))
 
     def growth(self, dt: float) -> FloatArray:
         """Return the diagonal of Q, (..., m + 1)."""
         markov = self.markov_sd**2 * -np.expm1(-2.0 * dt / self.taus_s)
-        return np.concatenate([self.walk[..., np.newaxis] ** 2 * dt, markov], -1)
+        return np.asarray(np.concatenate([self.walk[..., np.newaxis] ** 2 * dt, markov], -1))
 
     def covariance(self, time_s: FloatArray) -> FloatArray:
         """Return the covariance of the bias at these times since the walk began, (..., n, n)."""
-        lag = np.abs(np.subtract.outer(time_s, time_s))
+        lag: FloatArray = np.abs(np.subtract.outer(time_s, time_s))
         markov = np.einsum("...m,mij->...ij", self.markov_sd**2, np.exp(-lag / self.taus_s[:, None, None]))
         walk = self.walk[..., np.newaxis, np.newaxis] ** 2 * np.minimum.outer(time_s, time_s)
         return np.asarray(walk + markov)
 
 
 def flicker_sd(instability: FloatArray, taus_s: FloatArray) -> FloatArray:
-    """Return the standard deviation of each process for a bias instability B, (..., 1).
+    """Return the standard deviation of each process for a bias instability B, (..., m).
 
     Parameters
     ----------
@@ -71,7 +71,8 @@ def flicker_sd(instability: FloatArray, taus_s: FloatArray) -> FloatArray:
         Correlation times, evenly spaced on a logarithmic scale.
     """
     decades = math.log10(taus_s[-1] / taus_s[0]) / (len(taus_s) - 1)
-    return np.asarray(instability)[..., np.newaxis] * math.sqrt(decades) / INSTABILITY_PER_DECADE
+    share = math.sqrt(decades) / INSTABILITY_PER_DECADE
+    return np.asarray(np.asarray(instability)[..., np.newaxis] * np.full(len(taus_s), share))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -141,3 +142,70 @@ def first_mean(noise: BiasNoise, mean: float, white: float) -> Estimate:
     p[..., 0, 1:] = p[..., 1:, 0] = -(noise.markov_sd**2)
     p[..., 0, 0] = white + (noise.markov_sd**2).sum(-1)
     return Estimate(x, p)
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseFit:
+    """White noise N, bias instability B and rate random walk K; B or K is zero where it is not needed.
+
+    Parameters
+    ----------
+    white, instability, walk : float
+        rad/sqrt(s), rad/s and rad/s/sqrt(s), or of any unit.
+    """
+
+    white: float
+    instability: float
+    walk: float
+
+
+FIT_TAUS_S = 10.0 ** np.arange(0.0, 4.1)
+CHI_SQUARE_95 = 3.84
+"""A deviance may exceed the least by this within 95 %."""
+USUAL_FLICKER, FLICKER_DECADES = 1e-2, 0.7
+"""Variance of flicker per decade over the density of the white noise, 1/s: data sheets of MEMS gyros have
+1e-3 to 1e-1, here a normal distribution over the logarithm."""
+STEPS = (1.0, 0.3, 0.1, 0.03)
+"""Decades between what is tried, in turn."""
+
+
+def fit_noise(elapsed_s: FloatArray, mean: FloatArray, covered_s: FloatArray) -> NoiseFit:
+    """Fit white noise, flicker and walk to means at rest, by likelihood.
+
+    A kind of drift without which all is as likely (within 95 %) is zero; flicker, which every gyro has, is
+    kept rather than the walk.
+
+    Parameters
+    ----------
+    elapsed_s, mean : array (n,)
+        As of `whiten`.
+    covered_s : array (n,)
+        Over how long each mean was taken.
+    """
+
+    def deviance(flicker: FloatArray, walk: FloatArray) -> tuple[FloatArray, FloatArray]:
+        markov = np.sqrt(flicker)[:, np.newaxis] * np.ones(len(FIT_TAUS_S))
+        found = whiten(BiasNoise(FIT_TAUS_S, markov, np.sqrt(walk)), elapsed_s, mean, 1.0 / covered_s)
+        values, white = found.deviance
+        with np.errstate(divide="ignore"):
+            usual = np.where(flicker > 0.0, np.log10(flicker / USUAL_FLICKER) / FLICKER_DECADES, 0.0)
+        return values + usual**2, white
+
+    def best(flicker: FloatArray, walk: FloatArray) -> tuple[float, float, float, float]:
+        """Return flicker, walk, deviance and white noise at the least deviance of a finer and finer grid."""
+        for finer in (*STEPS[1:], 0.0):
+            f, w = (grid.ravel() for grid in np.meshgrid(flicker, walk))
+            values, white = deviance(f, w)
+            at = int(np.argmin(values))
+            around = 10.0 ** (finer * np.arange(-3.0, 4.0))
+            flicker, walk = np.unique(f[at] * around), np.unique(w[at] * around)
+        return float(f[at]), float(w[at]), float(values[at]), float(white[at])
+
+    flickers, walks, none = 10.0 ** np.arange(-5.0, 0.1), 10.0 ** np.arange(-9.0, -0.9), np.zeros(1)
+    both, flicker_alone, walk_alone = best(flickers, walks), best(flickers, none), best(none, walks)
+    least = min(both[2], flicker_alone[2], walk_alone[2])
+    chosen = next(x for x in (flicker_alone, walk_alone, both) if x[2] < least + CHI_SQUARE_95)
+    flicker, walk, _, white = chosen
+    return NoiseFit(
+        math.sqrt(white), math.sqrt(flicker * white) * INSTABILITY_PER_DECADE, math.sqrt(walk * white)
+    )

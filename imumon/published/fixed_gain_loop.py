@@ -18,7 +18,6 @@ from numba import njit
 
 from imumon.blocks import FloatArray
 from imumon.estimation.alignment.state import INNER, OUTER
-from imumon.estimation.zupt.earth import turn
 from imumon.geodesy import LEAST_HORIZONTAL
 
 SLOWEST_POLE = 0.3
@@ -151,3 +150,19 @@ def roll_pitch(attitude: FloatArray, down: float) -> tuple[float, float]:
     """Return roll and pitch in rad, ZYX; `down` is 1 for forward-right-down axes, -1 for forward-left-up."""
     x, y, z = -down * attitude[2, 0], -down * attitude[2, 1], -down * attitude[2, 2]
     return math.atan2(y, z), -math.asin(min(max(x, -1.0), 1.0))
+
+
+@njit(cache=True, nogil=True)
+def turn(matrix: FloatArray, x: float, y: float, z: float) -> None:
+    """Turn body axes by the rotation vector (x, y, z) rad: M ← exp(-[a x]) M, in place, (3, 3)."""
+    angle = math.sqrt(x * x + y * y + z * z)
+    if angle == 0.0:
+        return
+    half = math.sin(0.5 * angle)
+    first, second = math.sin(angle) / angle, 2.0 * half * half / (angle * angle)
+    for j in range(3):
+        a, b, c = matrix[0, j], matrix[1, j], matrix[2, j]
+        u, v, w = y * c - z * b, z * a - x * c, x * b - y * a
+        matrix[0, j] += second * (y * w - z * v) - first * u
+        matrix[1, j] += second * (z * u - x * w) - first * v
+        matrix[2, j] += second * (x * v - y * u) - first * w

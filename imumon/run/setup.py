@@ -13,12 +13,12 @@ from imumon.config import StrictModel, parse_yaml
 from imumon.errors import ImumonError, Reason
 from imumon.estimation.alignment.parameters import AlignmentParameters
 from imumon.estimation.alignment.warm_up import known_warm_up
-from imumon.estimation.random_error.parameters import Channel, GyroNoise, RandomErrorParameters
+from imumon.estimation.gyro_bias.parameters import GyroBiasParameters
 from imumon.estimation.rest.parameters import RestParameters
 from imumon.estimation.watch.parameters import WatchParameters
-from imumon.estimation.zupt.parameters import ZuptParameters
 from imumon.models.model import BiasModel, load_model
 from imumon.published.names import PublishedMethod
+from imumon.published.parameters import Channel, GyroNoise, RandomErrorParameters
 
 FORMAT: Final = "imumon-pipeline/1"
 
@@ -41,7 +41,7 @@ class Setup(StrictModel):
     zupt_mode: ZuptMode | None = None
     model: BiasModel | str | None = None
     rest: RestParameters = RestParameters()
-    zupt: ZuptParameters = ZuptParameters()
+    zupt: GyroBiasParameters = GyroBiasParameters()
     random_error: RandomErrorParameters = RandomErrorParameters()
     alignment: AlignmentParameters = AlignmentParameters()
     watch: WatchParameters = WatchParameters()
@@ -68,7 +68,7 @@ class Setup(StrictModel):
         return self.zupt_mode or ("thermal" if self.model is not None else "learned")
 
     @property
-    def zupt_with_noise(self) -> ZuptParameters:
+    def zupt_with_noise(self) -> GyroBiasParameters:
         """Parameters of the bias estimator, with the noise that is known filled in."""
         gyro, own = self.noise.gyro, self.zupt
         if gyro is None:

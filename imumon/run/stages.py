@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from imumon.allan.stage import AllanStage
 from imumon.estimation.alignment.stage import Alignment
-from imumon.estimation.random_error.stage import RandomError
+from imumon.estimation.gyro_bias.stage import GyroBias
 from imumon.estimation.rest.stage import RestDetector
 from imumon.estimation.temperature_rate.parameters import TemperatureRateParameters
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.estimation.watch.stage import ModelWatch
-from imumon.estimation.zupt.stage import ZeroVelocity
 from imumon.pipeline import Estimator
 from imumon.protocols.device import DeviceFile
 from imumon.run.published import published_stages
@@ -27,9 +26,8 @@ def estimators(device: DeviceFile | None, setup: Setup | None = None) -> list[Es
     stages: list[Estimator] = [
         TemperatureRate(parameters=temperature),
         RestDetector(setup.rest),
-        ZeroVelocity(setup.zupt_with_noise, model, setup.mode, setup.latitude_deg, setup.heading_deg),
+        GyroBias(setup.zupt_with_noise, model, setup.mode, setup.latitude_deg, setup.heading_deg),
         ModelWatch(setup.watch, modelled=model is not None),
-        RandomError(setup.random_error_with_noise, model),
         AllanStage(setup.allan),
     ]
     if setup.latitude_deg is not None:

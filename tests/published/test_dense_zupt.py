@@ -10,7 +10,7 @@ import pytest
 from imumon.blocks import FloatArray
 from imumon.geodesy import body_to_ned
 from imumon.published.dense_zupt import DenseRun, DenseSettings, dense_filter
-from tests.estimation.zupt.records import ARW, DPH, GRAVITY, Truth, local_earth, record
+from tests.estimation.gyro_bias.records import ARW, DPH, GRAVITY, Truth, local_earth, record
 
 SETTINGS = DenseSettings(0.01)
 

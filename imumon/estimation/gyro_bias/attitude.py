@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.estimation.zupt.earth import EARTH_RATE, STEEPEST, earth_rate, north
+from imumon.geodesy import EARTH_RATE, LEAST_HORIZONTAL, earth_rate_along, north_in_body
 
 FINE_S = 1.0 / 16.0
 """Slots that are integrated while it moves."""
@@ -137,17 +137,17 @@ class Attitude:
                 northward = turn.matrix @ self.north
                 northward -= (northward @ self.up) * self.up
                 length = float(np.linalg.norm(northward))
-                if length > STEEPEST and not lost:
+                if length > LEAST_HORIZONTAL and not lost:
                     self.north = northward / length
                 else:
-                    self.north, heading_sd = north(self.up, place.heading), LOST_SD
+                    self.north, heading_sd = north_in_body(self.up, place.heading), LOST_SD
                 added = (place.horizontal * heading_sd) ** 2 * self.flat
             else:
-                self.north = north(self.up, place.heading)
+                self.north = north_in_body(self.up, place.heading)
         elif placed:
             added = _turned_earth(before, place, turn)
         if math.isfinite(place.latitude):
-            self.earth = earth_rate(self.up, self.north, place.latitude)
+            self.earth = earth_rate_along(self.up, self.north, place.latitude)
         return added
 
 

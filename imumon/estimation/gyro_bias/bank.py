@@ -111,7 +111,7 @@ def known_family(
     bias_instability: FloatArray, rate_random_walk: FloatArray, sensitivity_sd: FloatArray = NO_SENSITIVITY
 ) -> Family:
     """Return the one filter for a gyro whose B and K are known, (3,) each, rad/s and rad/s/sqrt(s)."""
-    markov = np.tile(flicker_sd(bias_instability, TAUS_S)[:, np.newaxis], (1, 1, 3))
+    markov = flicker_sd(bias_instability, TAUS_S)[:, np.newaxis]
     noise = BiasNoise(TAUS_S, markov, rate_random_walk[:, np.newaxis])
     return Family(noise, np.ones(1), False, sensitivity_sd)
 
@@ -272,6 +272,14 @@ def surprise(found: Correction) -> FloatArray:
     return np.asarray((found.standardised[..., 0] ** 2).min(-1))
 
 
+def disagreement(bank: Bank, slot: AtRest) -> FloatArray:
+    """Return the least squared difference of rate and bias over its variance, (variants, 3)."""
+    row = bias_row(slot.force)
+    x, p = bank.estimate
+    variance = p @ row @ row + (slot.white2 / slot.dt)[:, np.newaxis]
+    return np.asarray(((slot.rate[:, np.newaxis] - x @ row) ** 2 / variance).min(-1))
+
+
 def innovation(bank: Bank, found: Correction) -> FloatArray:
     """Return the innovation of the whole over its standard deviation; its sign is that of the bias."""
     value = found.innovation[..., 0]
@@ -342,4 +350,4 @@ def slope(bank: Bank) -> tuple[FloatArray, FloatArray]:
 
 def sensitivity(bank: Bank) -> FloatArray:
     """Return the matrix of the sensitivity to the specific force, rad/s per m/s², (variants, 3, 3)."""
-    return np.einsum("...h,...hi->...i", bank.weight, bank.estimate.mean[..., SENSITIVITY])
+    return np.asarray(np.einsum("...h,...hi->...i", bank.weight, bank.estimate.mean[..., SENSITIVITY]))

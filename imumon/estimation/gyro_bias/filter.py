@@ -21,9 +21,18 @@ from imumon.estimation.gyro_bias.white import WhiteNoise
 LARGEST_TILT = 0.03
 """rad by which a unit at rest may turn until the tilt is measured from a new reference."""
 GATE = 25.0
-"""A slot whose squared innovation over its variance is beyond this in every filter is taken for movement."""
+"""A slot whose squared innovation over its variance is beyond this in every filter contradicts the bias."""
+JUMP_PRIOR, JUMP_PRIOR_AFTER_GAP, JUMP_PRIOR_WARMED = 0.05, 0.5, 0.9
+"""How likely it is, of a slot that contradicts the bias, that the bias is another: else the unit moves
+unnoticed.  Behind a gap in the data nobody saw a movement begin; a temperature that has moved meanwhile is
+the better explanation."""
+UNNOTICED_S = 51.0
+"""Mean length of a movement that nobody notices: with it a jump is certain after `PATIENCE_S`."""
+CERTAIN = 0.95
+RECENT = 8
+"""Slots that say what the bias has become: few, for it may be running away with the temperature."""
 PATIENCE_S = 300.0
-"""After so long of nothing but such slots the bias is taken to have jumped, and all begins anew."""
+"""2 ln(0.95 / 0.05) times `UNNOTICED_S`: so long it takes until a jump is believed, half behind a gap."""
 STILLNESS = 2e-6
 """Velocity over g at the end of a slot at rest, rad s: 0.02 mm/s; what shakes more is in the noise."""
 YAW_NOISE = 3e-8
@@ -134,6 +143,47 @@ class Reading:
 
 
 @dataclass(slots=True, eq=False)
+class Contrary:
+    """Slots in a row that contradict the bias: it has jumped, or the unit moves unnoticed.
+
+    Parameters
+    ----------
+    readings : list of Reading
+        The last `RECENT` of them.
+    seconds : float
+        Length of all.
+    behind_gap : bool
+        Whether nothing has agreed since a gap in the data.
+    since_degc : array (3,)
+        Temperature at the first of them.
+    """
+
+    readings: list[Reading] = field(default_factory=list)
+    seconds: float = 0.0
+    behind_gap: bool = False
+    since_degc: FloatArray = field(default_factory=_nothing)
+
+    @property
+    def _prior(self) -> float:
+        if (np.abs(self.readings[-1].slot.degc - self.since_degc) >= MOVED_DEGC).any():
+            return JUMP_PRIOR_WARMED
+        return JUMP_PRIOR_AFTER_GAP if self.behind_gap else JUMP_PRIOR
+
+    @property
+    def jump(self) -> float:
+        """Probability that the bias has jumped: unnoticed movements last `UNNOTICED_S` in the mean."""
+        if not self.readings:
+            return 0.0
+        odds = self._prior / (1.0 - self._prior)
+        return 1.0 / (1.0 + math.exp(-self.seconds / UNNOTICED_S) / odds)
+
+    @property
+    def rate(self) -> FloatArray:
+        """Mean rate of the slots, rad/s, (3,)."""
+        return np.asarray(np.mean([reading.rate for reading in self.readings], 0))
+
+
+@dataclass(slots=True, eq=False)
 class State:
     """All that is carried from slot to slot.
 
@@ -162,6 +212,8 @@ class State:
         For a slope, and whether it is used.
     bias, sd, slope : array (3,)
         The estimate, less the thermal model's part.
+    contrary : Contrary
+        What speaks against it.
     reference : array (3,) or None
         Specific force at the first rest: sensitivities count from there.
     """
@@ -178,8 +230,8 @@ class State:
     used_s: float = 0.0
     left_s: float = 0.0
     unmixed_s: float = 0.0
-    outliers_s: float = 0.0
     jumps: int = 0
+    contrary: Contrary = field(default_factory=Contrary)
     at_degc: FloatArray = field(default_factory=_zero)
     noted_degc: FloatArray = field(default_factory=_zero)
     growth: FloatArray = field(default_factory=_zero)
@@ -219,6 +271,7 @@ def _follow_turn(state: State, slot: Slot) -> None:
     known = np.where(np.isfinite(state.bias), state.bias, 0.0)
     state.turn.add(slot.angles - slot.angles_s[:, np.newaxis] * known)
     state.turn.lost |= slot.gap
+    state.contrary.behind_gap |= slot.gap
 
 
 def _leave(state: State, params: Params, at_s: float) -> None:
@@ -295,14 +348,12 @@ def _filter_again(state: State, params: Params) -> None:
     begin = state.first[0].slot
     state.bank = filters.start(params.family, 2 if params.learns else 1, noise[0])
     filters.come_to_rest(state.bank, state.attitude.flat)
-    state.evidence, state.unmixed_s = np.zeros(3), 0.0
+    state.evidence, state.unmixed_s, state.contrary = np.zeros(3), 0.0, Contrary()
     state.used_s, state.growth = begin.start_s, begin.growth
     state.at_degc = state.noted_degc = begin.degc
     state.reference = begin.force
-    for reading in state.first:
-        _take(state, params, state.bank, replace(reading, fresh=False))
-        if state.bank is None:
-            return
+    for k, reading in enumerate(state.first):
+        _take(state, params, state.bank, replace(reading, fresh=reading.fresh and k > 0))
     _show(state, state.first[-1].slot.force)
 
 
@@ -329,7 +380,7 @@ def _offset(state: State, force: FloatArray | None) -> FloatArray:
     """Return the specific force less that of the first rest, (3,)."""
     if force is None or state.reference is None:
         return np.zeros(3)
-    return force - state.reference
+    return np.asarray(force - state.reference)
 
 
 def _take(state: State, params: Params, bank: Bank, reading: Reading) -> FloatArray:
@@ -359,11 +410,13 @@ def _take(state: State, params: Params, bank: Bank, reading: Reading) -> FloatAr
     )
     found = filters.look(bank, at_rest)
     innovation = filters.innovation(bank, found)
-    shown = np.where(state.chosen, innovation[-1], innovation[0])
-    if filters.surprise(found)[0].max() > GATE:
-        _refuse(state, bank, dt)
+    shown: FloatArray = np.where(state.chosen, innovation[-1], innovation[0])
+    # Just after a contradiction the rotation is not known, and a rotation explains any rate for a while.
+    contrary = state.contrary.readings and filters.disagreement(bank, at_rest)[0].max() > GATE
+    if contrary or filters.surprise(found)[0].max() > GATE:
+        _refuse(state, params, bank, reading)
         return shown
-    state.outliers_s = 0.0
+    state.contrary = Contrary()
     likelihood = filters.take(bank, found)
     if params.learns:
         fade = math.exp(-dt / FORGETTING_S)
@@ -373,15 +426,19 @@ def _take(state: State, params: Params, bank: Bank, reading: Reading) -> FloatAr
     return shown
 
 
-def _refuse(state: State, bank: Bank, dt: float) -> None:
-    """Take a slot for movement: what is known of the rotation is forgotten; if it goes on, all is."""
-    state.outliers_s += dt
+def _refuse(state: State, params: Params, bank: Bank, reading: Reading) -> None:
+    """Note a slot that contradicts the bias; if that goes on, the bias is what these slots say."""
+    contrary = state.contrary
+    contrary.readings = [*contrary.readings, reading][-RECENT:]
+    if contrary.seconds == 0.0:
+        contrary.since_degc = reading.slot.degc
+    contrary.seconds += reading.slot.dt
     filters.come_to_rest(bank, state.attitude.flat)
-    if state.outliers_s > PATIENCE_S:
-        state.outliers_s = 0.0
-        state.bank, state.zeroed, state.first = None, False, []
+    if contrary.jump > CERTAIN:
         state.jumps += 1
-        state.bias, state.sd, state.slope = _nothing(), _nothing(), np.zeros(3)
+        state.first = contrary.readings
+        _filter_again(state, params)
+        state.first, state.zeroed = [], True
 
 
 def _show(state: State, force: FloatArray | None) -> None:
@@ -401,4 +458,6 @@ def _show(state: State, force: FloatArray | None) -> None:
         share = 1.0 / (1.0 + np.exp(np.where(chosen, state.evidence, -state.evidence)))
         own, other = np.where(chosen, variance[::-1], variance)
         spread = own + share * (other - own + (value[1] - value[0]) ** 2)
+    if state.contrary.readings:
+        spread = spread + state.contrary.jump * (state.contrary.rate - state.bias) ** 2
     state.sd = np.sqrt(spread)

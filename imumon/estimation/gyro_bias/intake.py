@@ -1,4 +1,4 @@
-"""From samples to the slots that the filter takes: half seconds, at rest or not, with the turns in between."""
+"""From samples to the slots that the filter takes: half seconds, at rest or not, and the turns in them."""
 
 from __future__ import annotations
 
@@ -99,7 +99,8 @@ class Intake:
         """Yield the row behind each slot, whether a segment begins with it, and what it says, if anything."""
         usable = np.isfinite(samples.gyro).all(1)
         time_ns = np.where(usable, samples.time_ns, NO_INT)
-        force = np.where(np.isfinite(samples.accel).all(1)[:, np.newaxis], samples.accel, np.nan)
+        whole = np.isfinite(samples.accel).all(1, keepdims=True)
+        force = np.where(whole, samples.accel, np.nan)
         values = np.empty((len(time_ns), COLUMNS))
         rest = samples.rest[:, np.newaxis]
         values[:, AT_REST_RATE] = np.where(rest, samples.gyro, np.nan)

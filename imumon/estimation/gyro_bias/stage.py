@@ -23,15 +23,19 @@ from imumon.estimation.gyro_bias.parameters import GyroBiasParameters
 from imumon.estimation.gyro_bias.thermal_input import ThermalInput
 from imumon.estimation.gyro_bias.trail import BiasTrail
 from imumon.filters.slots import held
+from imumon.geodesy import STANDARD_GRAVITY
 from imumon.models.model import BiasModel
 
+SENSITIVITIES = np.radians([0.002, 0.05]) / STANDARD_GRAVITY
+"""What data sheets say of MEMS gyros, rad/s per m/s²: compensated units, and others (0.01 to 0.1 °/s/g)."""
 Mode = Literal["standard", "thermal", "learned"]
-DRIFT_NAMES = ("gyro_random_error", "gyro_random_error_sd")
 _COLUMNS = (
     ("gyro_bias", "rad/s", "bias of the raw rate"),
     ("gyro_bias_sd", "rad/s", "standard deviation of the bias"),
     ("gyro_corrected", "rad/s", "angular rate less bias"),
     ("zupt_innovation", "1", "zero-velocity innovation over its standard deviation; NaN between slots"),
+    ("gyro_random_error", "rad/s", "bias less the model's curve; the bias where there is no model"),
+    ("gyro_random_error_sd", "rad/s", "its standard deviation"),
 )
 
 
@@ -55,8 +59,6 @@ class GyroBias:
     latitude_deg, heading_deg : float or None
         Of the place, and of the body's x axis (where that is vertical: of -z) at the first rest, clockwise
         from north.
-    drift_names : tuple of str
-        Names of the columns for what the model's curve does not explain, and its standard deviation.
 
     Raises
     ------
@@ -71,7 +73,6 @@ class GyroBias:
         mode: Mode = "standard",
         latitude_deg: float | None = None,
         heading_deg: float | None = None,
-        drift_names: tuple[str, str] = DRIFT_NAMES,
     ) -> None:
         if mode == "thermal" and model is None:
             raise ImumonError(
@@ -86,8 +87,6 @@ class GyroBias:
         self._params = _params(self._parameters, mode, Place(_angle(latitude_deg), _angle(heading_deg)))
         self._state = State()
         self._intake = Intake(self._thermal.doubt)
-        self._drift_names = drift_names
-        self._modelled = model is not None
         self._shown = np.tile(np.nan, (4, 3))
         self._trail = BiasTrail(model)
         self._last: tuple[int, int] | None = None
@@ -100,12 +99,9 @@ class GyroBias:
     @property
     def columns(self) -> Sequence[Column]:
         """The columns that `process` adds."""
-        value, sd = self._drift_names
-        left = "bias less the model's curve" if self._modelled else "the bias, there being no model"
-        added = ((value, "rad/s", left), (sd, "rad/s", "its standard deviation"))
         return [
             Column(f"{name}_{axis}", unit, description=f"{meaning}, {axis}")
-            for name, unit, meaning in (*_COLUMNS, *added)
+            for name, unit, meaning in _COLUMNS
             for axis in "xyz"
         ]
 
@@ -135,10 +131,9 @@ class GyroBias:
         if first < n:
             later = block.rows(first, n) if first else block
             self._follow(later, gyro[first:], result[:, first:])
-        names = [*(name for name, _, _ in _COLUMNS), *self._drift_names]
         return {
             f"{name}_{axis}": np.ascontiguousarray(part[:, j])
-            for name, part in zip(names, result, strict=True)
+            for (name, _, _), part in zip(_COLUMNS, result, strict=True)
             for j, axis in enumerate("xyz")
         }
 
@@ -261,7 +256,9 @@ def _params(parameters: GyroBiasParameters, mode: Mode, place: Place) -> Params:
     tilt = parameters.velocity_random_walk_m_per_s_per_sqrt_s
     unknown = instability is None and walk is None
     return Params(
-        unknown_family() if unknown else known_family(axes(instability, 0.0), axes(walk, 0.0)),
+        unknown_family(SENSITIVITIES)
+        if unknown
+        else known_family(axes(instability, 0.0), axes(walk, 0.0), SENSITIVITIES),
         axes(parameters.angle_random_walk_rad_per_sqrt_s, math.nan),
         math.nan if tilt is None else tilt,
         place,

@@ -4,12 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from imumon.estimation.zupt.parameters import ZuptParameters
-from imumon.estimation.zupt.stage import ZeroVelocity
 from scipy.stats import chi2
 
 from imumon.blocks import FloatArray
-from tests.estimation.zupt.records import ARW, DPH, VRW, Truth, record, vector, with_rest
+from imumon.estimation.gyro_bias.parameters import GyroBiasParameters
+from imumon.estimation.gyro_bias.stage import GyroBias
+from tests.estimation.gyro_bias.records import (
+    ARW,
+    DPH,
+    VRW,
+    Truth,
+    markov,
+    record,
+    vector,
+    with_rest,
+)
 
 RUNS = 50
 AT_S = (30.0, 60.0, 120.0, 240.0, 420.0, 599.0)
@@ -17,13 +26,13 @@ INSTABILITY = 0.776 / 0.664
 """Flicker coefficient of three Gauss-Markov processes, over the standard deviation of one."""
 
 
-def runs(truth: Truth, parameters: ZuptParameters | None) -> tuple[FloatArray, FloatArray]:
+def runs(truth: Truth, parameters: GyroBiasParameters | None) -> tuple[FloatArray, FloatArray]:
     """Return normalised errors (runs, times, 3) and normalised innovations after a minute (values, 3)."""
     errors, innovations = [], []
     at = [round(t * truth.rate_hz) for t in AT_S]
     for seed in range(RUNS):
         block, bias = record(truth, 600.0, seed)
-        added = ZeroVelocity(parameters).process(block)
+        added = GyroBias(parameters).process(block)
         errors.append(((vector(added) - bias) / vector(added, "gyro_bias_sd"))[at])
         given = vector(added, "zupt_innovation")[round(60 * truth.rate_hz) :]
         innovations.append(given[np.isfinite(given[:, 0])])
@@ -31,7 +40,7 @@ def runs(truth: Truth, parameters: ZuptParameters | None) -> tuple[FloatArray, F
 
 
 def test_with_known_noise_errors_and_innovations_are_within_chi_square_bounds() -> None:
-    known = ZuptParameters(
+    known = GyroBiasParameters(
         angle_random_walk_rad_per_sqrt_s=ARW,
         bias_instability_rad_per_s=2.0 * DPH * INSTABILITY,
         velocity_random_walk_m_per_s_per_sqrt_s=VRW,
@@ -66,7 +75,7 @@ def test_without_a_model_the_claim_holds_while_it_moves_and_warms_up() -> None:
     squares, largest = [], 0.0
     for seed in range(8):
         block, bias = record(Truth(rate_hz=10.0, low_pass_hz=None), 1500.0, seed, thermal)
-        added = ZeroVelocity(mode="learned").process(
+        added = GyroBias(mode="learned").process(
             with_rest(block.with_columns({"temperature": temperature}), rest)
         )
         off = (vector(added) - bias) / vector(added, "gyro_bias_sd")
@@ -76,3 +85,23 @@ def test_without_a_model_the_claim_holds_while_it_moves_and_warms_up() -> None:
         assert np.median(sd, axis=0).max() < 60.0  # true, and of use
     assert np.mean(squares, axis=0).max() < 1.5
     assert largest < 5.0
+
+
+def test_the_sigma_is_true_for_five_decades_of_flicker() -> None:
+    """White noise and five decades of flicker of an MTi-28A: Allan deviation 127 deg/h at 1 s, floor 9."""
+    white, sd, rate_hz, n = 127.0 * DPH, 12.0 * DPH, 10.0, 18000
+    normalised = []
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        drift = np.zeros((n, 3))
+        for tau in (1.0, 10.0, 100.0, 1e3, 1e4):
+            drift += markov(rng, n, 1.0 / rate_hz, tau, sd)
+        block, _ = record(Truth(rate_hz=rate_hz), n / rate_hz, seed)
+        gyro = drift + white * np.sqrt(rate_hz) * rng.normal(size=(n, 3))
+        added = GyroBias().process(
+            block.with_columns({f"gyro_{axis}": gyro[:, j] for j, axis in enumerate("xyz")})
+        )
+        late = slice(600, None)
+        off = (vector(added, "gyro_random_error") - drift)[late]
+        normalised.append(np.mean((off / vector(added, "gyro_random_error_sd")[late]) ** 2))
+    assert 0.7 < np.sqrt(np.mean(normalised)) < 1.25

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from imumon.estimation.zupt.parameters import ZuptParameters
-from imumon.estimation.zupt.stage import Mode, ZeroVelocity
 
 from imumon.blocks import FloatArray, SampleBlock
-from tests.estimation.zupt.records import (
+from imumon.estimation.gyro_bias.parameters import GyroBiasParameters
+from imumon.estimation.gyro_bias.stage import GyroBias, Mode
+from tests.estimation.gyro_bias.records import (
     ARW,
     DPH,
     VRW,
@@ -39,7 +39,7 @@ def triangle(seconds: float) -> FloatArray:
     return np.asarray(np.interp(t, [0, 60, 264, 324, 528], [27.3, 27.3, 34.1, 34.1, 27.3]))
 
 
-def rms(block: SampleBlock, bias: FloatArray, stage: ZeroVelocity, from_s: float = 60.0) -> FloatArray:
+def rms(block: SampleBlock, bias: FloatArray, stage: GyroBias, from_s: float = 60.0) -> FloatArray:
     off = (vector(stage.process(block)) - bias)[round(from_s * 10) :] / DPH
     return np.asarray(np.sqrt(np.mean(off**2, axis=0)))
 
@@ -47,22 +47,22 @@ def rms(block: SampleBlock, bias: FloatArray, stage: ZeroVelocity, from_s: float
 def test_on_calibrated_data_and_thermal_it_is_one_filter() -> None:
     block, bias = warming(triangle(540.0))
     model = slope_model(SLOPE)
-    standard = vector(ZeroVelocity(model=model).process(block))
-    thermal = vector(ZeroVelocity(model=model, mode="thermal").process(block))
+    standard = vector(GyroBias(model=model).process(block))
+    thermal = vector(GyroBias(model=model, mode="thermal").process(block))
     np.testing.assert_allclose(thermal[100:], standard[100:], atol=3e-3 * DPH)
-    assert rms(block, bias, ZeroVelocity(model=model, mode="thermal")).max() < 4.5
+    assert rms(block, bias, GyroBias(model=model, mode="thermal")).max() < 4.5
     # Without the model the same filter follows a ramp of 120 deg/h per minute as best it can.
-    assert rms(block, bias, ZeroVelocity()).min() > 6.0
+    assert rms(block, bias, GyroBias()).min() > 6.0
 
 
 def test_slope_times_rate_is_the_same_while_the_rate_is_true() -> None:
     block, _ = warming(triangle(540.0))
-    model, published = slope_model(SLOPE), ZuptParameters(thermal_form="slope_rate")
-    rate = vector(ZeroVelocity(published, model, "thermal").process(block))
-    increments = vector(ZeroVelocity(None, model, "thermal").process(block))
+    model, published = slope_model(SLOPE), GyroBiasParameters(thermal_form="slope_rate")
+    rate = vector(GyroBias(published, model, "thermal").process(block))
+    increments = vector(GyroBias(None, model, "thermal").process(block))
     np.testing.assert_allclose(rate[100:], increments[100:], atol=0.5 * DPH)
     no_rate = SampleBlock({k: v for k, v in block.columns.items() if k != "temperature_rate"})
-    stage = ZeroVelocity(published, model, "thermal")
+    stage = GyroBias(published, model, "thermal")
     stage.process(no_rate)
     assert any("lacks its temperature" in text for text in stage.notices())
 
@@ -70,7 +70,7 @@ def test_slope_times_rate_is_the_same_while_the_rate_is_true() -> None:
 def test_zeroing_on_a_ramp_refers_to_its_end() -> None:
     t = np.arange(620) / 10
     block, bias = warming(25.0 + t / 30.0)
-    off = vector(ZeroVelocity(model=slope_model(SLOPE), mode="thermal").process(block))[-1] - bias[-1]
+    off = vector(GyroBias(model=slope_model(SLOPE), mode="thermal").process(block))[-1] - bias[-1]
     assert np.abs(off).max() / DPH < 12.0  # the mean over the minute lags by 60 deg/h
 
 
@@ -78,13 +78,13 @@ def test_while_it_moves_the_bias_follows_the_temperature() -> None:
     temperature = triangle(540.0)
     block, bias = warming(temperature)
     rest = np.arange(len(temperature)) < 700
-    stage = ZeroVelocity(model=slope_model(SLOPE, residual_dph=2.0), mode="thermal")
+    stage = GyroBias(model=slope_model(SLOPE, residual_dph=2.0), mode="thermal")
     added = stage.process(with_rest(block, rest))
     off, sd = vector(added) - bias, vector(added, "gyro_bias_sd")
     assert np.abs(off[2600]).max() / DPH < 15.0
     assert sd[2600].max() / DPH < 15.0
     assert sd[2600, 0] > 1.2 * sd[700, 0]
-    held = vector(ZeroVelocity().process(with_rest(block, rest)))
+    held = vector(GyroBias().process(with_rest(block, rest)))
     assert np.abs(held[2600] - bias[2600]).max() / DPH > 300.0
 
 
@@ -94,7 +94,7 @@ def test_short_rests_are_enough_with_a_model(mode: Mode) -> None:
     temperature = 45.0 - 20.0 * np.exp(-t / 300.0)
     block, bias = warming(temperature)
     rest = t % 120.0 < 10.0
-    added = ZeroVelocity(model=slope_model(SLOPE), mode=mode).process(with_rest(block, rest))
+    added = GyroBias(model=slope_model(SLOPE), mode=mode).process(with_rest(block, rest))
     after = t > 260.0
     off = (vector(added) - bias)[after] / DPH
     assert np.sqrt(np.mean(off**2, axis=0)).max() < 10.0
@@ -105,7 +105,7 @@ def test_outside_the_range_the_sigma_widens_and_it_is_said() -> None:
     t = np.arange(3000) / 10
     temperature = np.interp(t, [0, 100, 200], [48.0, 48.0, 56.0])
     block, _ = warming(temperature)
-    stage = ZeroVelocity(model=slope_model(SLOPE), mode="thermal")
+    stage = GyroBias(model=slope_model(SLOPE), mode="thermal")
     added = stage.process(with_rest(block, t < 100.0))
     assert added["gyro_bias_sd_x"][-1] / DPH == pytest.approx(SLOPE * 6.0, rel=0.1)
     (said,) = [text for text in stage.notices() if "outside" in text]
@@ -117,8 +117,8 @@ def test_outside_the_range_the_sigma_widens_and_it_is_said() -> None:
 def test_a_slope_is_learned(seed: int) -> None:
     t = np.arange(15000) / 10
     block, bias = warming(30.0 + 2.0 * np.sin(2 * np.pi * t / 600.0), 40.0, seed)
-    plain = rms(block, bias, ZeroVelocity(), 300.0)
-    learned = rms(block, bias, ZeroVelocity(mode="learned"), 300.0)
+    plain = rms(block, bias, GyroBias(), 300.0)
+    learned = rms(block, bias, GyroBias(mode="learned"), 300.0)
     assert (learned < 0.8 * plain).all()
     assert learned.max() < 5.0
 
@@ -130,7 +130,7 @@ def test_on_a_unit_without_slope_learning_costs_next_to_nothing(seed: int, flick
     temperature = 30.0 + 10.0 * (1.0 - np.exp(-t / 400.0))
     truth = Truth(rate_hz=10.0, flicker=flicker * DPH)
     block, bias = record(truth, 900.0, seed, temperature=temperature)
-    ratio = rms(block, bias, ZeroVelocity(mode="learned")) / rms(block, bias, ZeroVelocity())
+    ratio = rms(block, bias, GyroBias(mode="learned")) / rms(block, bias, GyroBias())
     assert ratio.max() <= 1.1
 
 
@@ -140,12 +140,12 @@ def test_the_temperature_estimate_is_preferred_to_the_reading() -> None:
         {"temperature": np.round(block["temperature"]), "temperature_estimate": block["temperature"]}
     )
     model = slope_model(SLOPE)
-    expected = vector(ZeroVelocity(None, model, "thermal").process(block))
-    np.testing.assert_array_equal(vector(ZeroVelocity(None, model, "thermal").process(coarse)), expected)
+    expected = vector(GyroBias(None, model, "thermal").process(block))
+    np.testing.assert_array_equal(vector(GyroBias(None, model, "thermal").process(coarse)), expected)
 
 
 def test_a_model_without_temperature_leaves_the_bias_where_it_is() -> None:
     block, bias = record(SLOW, 120.0, 1)
-    stage = ZeroVelocity(model=slope_model(SLOPE), mode="thermal")
+    stage = GyroBias(model=slope_model(SLOPE), mode="thermal")
     assert np.abs(vector(stage.process(block))[-1] - bias[-1]).max() < 20 * DPH
     assert any("lacks its temperature" in text for text in stage.notices())

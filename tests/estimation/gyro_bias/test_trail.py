@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from imumon.estimation.zupt.stage import ZeroVelocity
-from imumon.estimation.zupt.trail import MOST_POINTS, BiasTrail
 
-from tests.estimation.zupt.records import DPH, Truth, record, slope_model, vector
+from imumon.estimation.gyro_bias.stage import GyroBias
+from imumon.estimation.gyro_bias.trail import MOST_POINTS, BiasTrail
+from tests.estimation.gyro_bias.records import DPH, Truth, record, slope_model, vector
 
 
 def trail_of(seconds: int, cuts: list[int]) -> BiasTrail:
@@ -29,7 +29,7 @@ def test_the_trail_is_one_point_per_second_whatever_the_blocks() -> None:
             np.testing.assert_array_equal(a.x, b.x)
             np.testing.assert_array_equal(a.y, b.y)
     trail = next(curve for curve in whole[0].curves if curve.name == "x")
-    assert len(trail.x) == 99
+    assert len(trail.x) == 100
 
 
 def test_a_day_is_kept_in_constant_memory() -> None:
@@ -49,7 +49,7 @@ def test_the_chart_has_curve_trail_and_the_current_point() -> None:
     temperature = 25.0 + np.arange(1200) / 120.0
     thermal = np.column_stack([60.0 * temperature * DPH] * 3)
     block, _ = record(Truth(rate_hz=10.0), 120.0, 0, thermal, temperature=temperature)
-    stage = ZeroVelocity(model=slope_model(60.0))
+    stage = GyroBias(model=slope_model(60.0))
     assert stage.charts() == []
     bias = vector(stage.process(block))
     over, left = stage.charts()
