@@ -20,7 +20,7 @@ from imumon.errors import ImumonError, Reason
 
 if TYPE_CHECKING:
     from imumon.pipeline import Pipeline
-    from imumon.run.source import Source
+    from imumon.recordings.source import Source
 
 
 @click.command("decode")
@@ -35,9 +35,8 @@ def command(file: Path, device: str | None, out: Path, columns: str | None, as_j
     """Decode FILE, a raw capture of any tool or a session, into a table."""
     from imumon.pipeline import Pipeline
     from imumon.recordings.side_tables import export_run
+    from imumon.recordings.source import open_source, run_over
     from imumon.run.narration import describe_losses, describe_streams
-    from imumon.run.replay import run_over
-    from imumon.run.source import open_source
 
     source = open_source(file, device)
     source.refuse_output(out)

@@ -23,9 +23,8 @@ def command(session: Path, kind: str, out: Path | None, columns: str | None, as_
     from imumon.protocols.base import MAIN
     from imumon.recordings.folder import open_session
     from imumon.recordings.side_tables import export_run
+    from imumon.recordings.source import open_source, run_over
     from imumon.run.narration import describe_streams
-    from imumon.run.replay import run_over
-    from imumon.run.source import open_source
 
     folder = open_session(session).path
     source = open_source(folder)

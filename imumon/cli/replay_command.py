@@ -25,7 +25,7 @@ from imumon.errors import ImumonError, Reason
 if TYPE_CHECKING:
     from imumon.blocks import SampleBlock
     from imumon.pipeline import Digest, Pipeline
-    from imumon.run.source import Source
+    from imumon.recordings.source import Source
     from imumon.view.publisher import ViewPublisher
 
 CLOSE_S = 5.0
@@ -56,9 +56,9 @@ def command(
     """Run SESSION again through the same code, bit for bit, to a table or to the view."""
     from imumon.pipeline import Digest, Pipeline
     from imumon.recordings.folder import open_session
+    from imumon.recordings.source import open_source
     from imumon.run.narration import Narrator
-    from imumon.run.replay import run_over
-    from imumon.run.source import open_source
+    from imumon.run.replay import replay
     from imumon.run.stages import estimators
 
     recorded = open_session(session).metadata.pipeline_yaml  # a raw capture has no times: that is for decode
@@ -72,7 +72,7 @@ def command(
     if publisher is not None:
         card = {"session": str(session), "replay": "as fast as it goes" if pace is None else f"{pace:g} x"}
         narrator = Narrator(pipeline, None, [publisher.publish], lambda *_: None, card, session)
-    blocks = _digested(run_over(source.items, pipeline, narrator, pace), pipeline, digest)
+    blocks = _digested(replay(source.items, pipeline, narrator, pace), pipeline, digest)
     try:
         rows, tables = _run(blocks, source, pipeline, out, columns)
     finally:

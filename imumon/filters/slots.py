@@ -164,6 +164,13 @@ class SlotGatherer:
             smallest, largest, first, last, step_count, squares, changes,
         )  # fmt: skip
 
+    def finish(self) -> Slots:
+        """Return the slot that is open at the end of the rows, if there is one; then begin as new."""
+        behind = self._open.segment + 1
+        last = self.process(np.zeros(1, np.int64), behind, np.full((1, self._columns), np.nan))
+        self._open = _empty(self._columns)
+        return last
+
     def snapshot(self) -> dict[str, npt.NDArray[np.int64] | FloatArray]:
         """Return a copy of the state."""
         return {name: values.copy() for name, values in self._open._asdict().items()}

@@ -19,9 +19,9 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from imumon.blocks import NO_INT, ColumnArray, IntArray, SampleBlock, join
+from imumon.compiled import njit
 from imumon.protocols.base import COMMON, Groups, Packets
 
 GENERATION = 32
@@ -292,7 +292,7 @@ def _keys(block: SampleBlock) -> tuple[IntArray, IntArray]:
     return kind, key
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _assign(
     groups: IntArray, kind: IntArray, key: IntArray, masks: IntArray, group_masks: IntArray,
     first: int, end: bool, state: _State, entries: _Entries,
@@ -323,20 +323,20 @@ def _assign(
                 _end(g, state, entries)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _joins(kind: int, key: int, own: int, state: _State) -> bool:
     """Tell whether a packet without inertial fields belongs to the open epoch of the main stream."""
     return bool(state.epoch[0] and not _is_other(0, kind, key, own, state))
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _is_other(g: int, kind: int, key: int, own: int, state: _State) -> bool:
     """Tell whether a packet cannot belong to the open epoch of its group: another time, or a field again."""
     other_time = kind != NO_TIME and (kind != state.key_kind[g] or key != state.key[g])
     return bool(other_time or own & state.mask[g])
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _add(g: int, row: int, kind: int, key: int, own: int, state: _State, entries: _Entries) -> None:
     """Add a packet to its group's epoch, which it may begin."""
     if state.epoch[g] and _is_other(g, kind, key, own, state):
@@ -351,7 +351,7 @@ def _add(g: int, row: int, kind: int, key: int, own: int, state: _State, entries
     _enter(g, row, own, state, entries)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _pull(kind: int, key: int, state: _State, entries: _Entries) -> None:
     """Take into the new main epoch what came before it with the same time."""
     for g in range(1, len(state.epoch)):
@@ -364,7 +364,7 @@ def _pull(kind: int, key: int, state: _State, entries: _Entries) -> None:
         state.epoch[g] = 0
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _enter(g: int, row: int, own: int, state: _State, entries: _Entries) -> None:
     """Enter a packet into the open epoch, and end that when it has all that it may have."""
     k = entries.counts[0]
@@ -376,7 +376,7 @@ def _enter(g: int, row: int, own: int, state: _State, entries: _Entries) -> None
         _end(g, state, entries)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _end(g: int, state: _State, entries: _Entries) -> None:
     """End the open epoch of a group, and learn what epochs have."""
     k = entries.counts[1]

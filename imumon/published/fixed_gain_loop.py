@@ -14,9 +14,8 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
 from imumon.blocks import FloatArray
+from imumon.compiled import njit
 from imumon.estimation.alignment.state import INNER, OUTER
 from imumon.geodesy import LEAST_HORIZONTAL
 
@@ -152,7 +151,7 @@ def roll_pitch(attitude: FloatArray, down: float) -> tuple[float, float]:
     return math.atan2(y, z), -math.asin(min(max(x, -1.0), 1.0))
 
 
-@njit(cache=True, nogil=True)
+@njit
 def turn(matrix: FloatArray, x: float, y: float, z: float) -> None:
     """Turn body axes by the rotation vector (x, y, z) rad: M ← exp(-[a x]) M, in place, (3, 3)."""
     angle = math.sqrt(x * x + y * y + z * z)

@@ -12,7 +12,7 @@ import yaml
 from pydantic import Field, NonNegativeInt
 
 from imumon import __version__
-from imumon.config import StrictModel, parse_yaml
+from imumon.config import StrictModel, YamlDumper, parse_yaml
 from imumon.errors import ImumonError, Reason
 
 FORMAT: Final = "imumon-session/1"
@@ -130,7 +130,7 @@ def read_metadata(path: Path) -> SessionMetadata:
         ) from error
 
 
-class _Dumper(yaml.SafeDumper):
+class _Dumper(YamlDumper):
     """Writes texts of several lines as they are, so that the files that were used can be read in place."""
 
 

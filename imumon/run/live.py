@@ -30,9 +30,9 @@ from imumon.recordings.metadata import (
     versions_in_use,
 )
 from imumon.recordings.recorder import Recorder
+from imumon.recordings.source import feed
 from imumon.recordings.wire import WireCounters, WireWriter
 from imumon.run.narration import Narrator, Progress, Publish, Say
-from imumon.run.replay import tell_event
 from imumon.run.setup import Setup
 from imumon.run.stages import estimators
 from imumon.transport.reader import SILENT_AFTER_S, Bytes, EventKind, Item, Reader
@@ -302,11 +302,10 @@ class LiveRun:
                 item = self._items.get(timeout=left)
             except Empty:
                 break
+            feed(item, self.pipeline)
             if isinstance(item, Bytes):
-                self.pipeline.feed(item.data, item.arrival_ns)
                 self._narrator.received(len(item.data), item.arrival_ns)
             else:
-                tell_event(item, self.pipeline)
                 self._narrator.event(item)
                 if item.kind is EventKind.CLOSED:
                     return True

@@ -79,7 +79,7 @@ def test_angles_of_an_attitude() -> None:
     # Level forward-right-down axes, x to the east: up is -z, north is -y.
     level_attitude(np.array([0.0, 0.0, -1.0]), np.array([0.0, -2.0, 0.3]), attitude)
     assert azimuth(attitude) == pytest.approx(math.pi / 2.0)
-    assert roll_pitch.py_func(attitude, 1.0) == pytest.approx((0.0, 0.0))
+    assert roll_pitch(attitude, 1.0) == pytest.approx((0.0, 0.0))
 
 
 @pytest.mark.parametrize("x", [1e-6, 1e-3, 0.019, 0.021, 0.5, 30.0])
@@ -94,4 +94,4 @@ def test_the_terms_of_a_decay_do_not_cancel(x: float) -> None:
 @pytest.mark.parametrize("n", [1, 2, 11, 12])
 def test_the_median_is_that_of_numpy(n: int) -> None:
     values = np.random.default_rng(n).standard_normal(n)
-    assert median.py_func(values.copy()) == np.median(values)
+    assert median(values.copy()) == np.median(values)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from imumon.blocks import FloatArray, IntArray
+from imumon.compiled import njit
 from imumon.estimation.alignment.estimators import evaluate
 from imumon.estimation.alignment.state import (
     AZIMUTH_0,
