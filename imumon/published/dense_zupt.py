@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -31,14 +32,14 @@ PHI, VELOCITY, GYRO, ACCEL = (slice(k, k + 3) for k in range(0, STATES, 3))
 YAW = 2
 MEASURED_S = 0.01
 """The standard deviations of the measurements are those of one every 10 ms, as at the paper's 100 Hz."""
-SLOT_S = 0.1
+SLOT_S = 0.25
 ZEROING_S = 60.0
 LEVELLING_S = 1.0
 """s at rest whose mean specific force is the vertical after a motion."""
 METHODS = ("dense_zupt", "dense_tczupt")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class DenseSettings:
     """Noise and start of the filter, SI units.
 
@@ -77,7 +78,7 @@ class DenseSettings:
     zero_velocity_sd: float = 1e-3
     yaw_hold_sd: float | None = 1e-4
 
-    @property
+    @cached_property
     def earth(self) -> FloatArray:
         """Earth rate north, east, down, as far as it is known, rad/s, (3,)."""
         if self.latitude_deg is None:
@@ -86,13 +87,13 @@ class DenseSettings:
         north = 0.0 if self.heading_deg is None else math.cos(latitude)
         return EARTH_RATE * np.array([north, 0.0, -math.sin(latitude)])
 
-    @property
+    @cached_property
     def start(self) -> FloatArray:
         """Covariance at the start, (12, 12)."""
         sds = [self.angle_sd, self.velocity_sd, self.bias_sd, self.accel_bias_sd]
         return np.diag(np.repeat(np.square(sds), 3))
 
-    @property
+    @cached_property
     def noise(self) -> FloatArray:
         """Process noise of a step, (12, 12)."""
         walks = (
@@ -103,7 +104,7 @@ class DenseSettings:
         )
         return np.diag(np.concatenate([np.broadcast_to(walk, 3) for walk in walks]) ** 2 * self.interval_s)
 
-    @property
+    @cached_property
     def measured(self) -> tuple[FloatArray, FloatArray]:
         """H and R of a step: three velocities, and the yaw where it is held."""
         h = np.zeros((3, STATES))
