@@ -14,10 +14,14 @@ from imumon.columns import Column
 from imumon.estimation.rest.detector import GAP_S, SLOT_S, begin, step
 from imumon.estimation.rest.parameters import RestParameters
 from imumon.estimation.rest.state import AXES, Slot, State
-from imumon.filters.slots import SlotGatherer, Slots
+from imumon.filters.slots import SlotGatherer, Slots, held
 
 INPUTS = tuple(f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz")
 AT_REST = Column("at_rest", "1", "int64", "1 while the unit is at rest, 0 while it moves or nothing is known")
+TURN = tuple(
+    Column(f"turn_hypothesis_{axis}", "rad/s", description=f"turn that may be a change of bias, {axis}")
+    for axis in "xyz"
+)
 
 
 class RestDetector:
@@ -25,6 +29,12 @@ class RestDetector:
 
     It decides at the end of each slot of an eighth of a second; a single sample far from the mean ends a rest
     at that sample.
+
+    The columns ``turn_hypothesis_{x,y,z}`` are for who estimates the bias: by so much, rad/s, the gyros
+    differ from the last rest while nothing tells a steady turn from a bias that has changed, or so much of
+    the beginning of a slow turn may have been taken for rest.  Its square belongs in the variance of the
+    bias as long as it is not zero (``at_rest`` is 0 meanwhile); the measurements of the next rest begin from
+    that variance.
 
     Parameters
     ----------
@@ -41,31 +51,34 @@ class RestDetector:
 
     @property
     def columns(self) -> Sequence[Column]:
-        """The column ``at_rest``."""
-        return [AT_REST]
+        """The columns ``at_rest`` and ``turn_hypothesis_{x,y,z}``."""
+        return [AT_REST, *TURN]
 
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
-        """Return ``at_rest`` of a block, int64.
+        """Return ``at_rest``, int64, and ``turn_hypothesis_{x,y,z}`` of a block.
 
         Needs ``device_time_ns`` and ``segment``; takes what there is of gyro_{x,y,z} in rad/s and
         accel_{x,y,z} in m/s².
         """
         n = len(block)
-        if not n:
-            return {AT_REST.name: np.zeros(0, np.int64)}
         readings = np.empty((n, AXES))
         for place, name in enumerate(INPUTS):
             readings[:, place] = block.columns.get(name, np.nan)
         time_ns, segment = block["device_time_ns"], block["segment"]
         rows = np.flatnonzero((time_ns != NO_INT) & np.isfinite(readings).any(1))
         before = self._last_ns, self._last_segment, self._at_rest
-        found = self._follow(time_ns[rows], segment[rows], readings[rows])
+        turn = np.empty((len(rows), 3))
+        before_turn = self._state.turn
+        found = self._follow(time_ns[rows], segment[rows], readings[rows], turn)
         if len(rows) < n:
             found = _held(rows, found, time_ns, segment, before)
-        return {AT_REST.name: found}
+            turn = held(rows, turn, before_turn, n)
+        return {AT_REST.name: found, **{column.name: turn[:, j] for j, column in enumerate(TURN)}}
 
-    def _follow(self, time_ns: IntArray, segment: IntArray, readings: FloatArray) -> IntArray:
-        """Return at_rest of rows that have a time and a reading."""
+    def _follow(
+        self, time_ns: IntArray, segment: IntArray, readings: FloatArray, turn: FloatArray
+    ) -> IntArray:
+        """Return at_rest of rows that have a time and a reading, and fill turn, (n, 3)."""
         n = len(time_ns)
         at_rest = np.empty(n, np.int64)
         if not n:
@@ -78,6 +91,7 @@ class RestDetector:
             for k, slot in enumerate(_each(slots, time_ns)):
                 stop = int(slots.row[k])
                 self._fill(at_rest, readings, start, stop)
+                turn[start:stop] = self._state.turn
                 other = bool(slots.segment[k] != segment[stop]) or slot.end_s < slot.start_s
                 if other or 1e-9 * float(time_ns[stop] - slots.end_ns[k]) > GAP_S:
                     begin(self._state, slot.end_s, other)
@@ -85,6 +99,7 @@ class RestDetector:
                     step(self._state, self._parameters, slot)
                 self._at_rest, start = int(self._state.at_rest), stop
         self._fill(at_rest, readings, start, n)
+        turn[start:] = self._state.turn
         self._last_ns, self._last_segment = int(time_ns[-1]), int(segment[-1])
         return at_rest
 

@@ -14,9 +14,9 @@ AXES = 6
 GYRO, ACCEL = slice(0, 3), slice(3, 6)
 LEVELS = 8
 """Windows of 1, 2, 4 ... 128 slots are compared with their predecessors."""
-KEPT: int = 3 * 2 ** (LEVELS - 1)
-"""Slots that the longest windows and their two predecessors take."""
-CAPACITY = 4 * KEPT
+KEPT: int = 7 * 2 ** (LEVELS - 1)
+"""Slots that the longest windows and what they are compared with take."""
+CAPACITY = 3 * KEPT
 
 COARSEST_STEPS = (2.2e-3, 0.16)
 """No gyro (rad/s) and no accelerometer (m/s²) reads in coarser steps."""
@@ -151,6 +151,15 @@ class State:
         Whether there is a mean of the rest before, `anchor`, of variance `anchor_variance` at `anchor_s`.
     doubted_since_s : float
         Since when a mean has been steady that differs from the anchor; NaN when none has.
+    turn : array, (3,)
+        Rate, rad/s, by which the gyros differ from the anchor while nothing tells a turn from a bias.
+    rest_since_s : float
+        When the last rest was found.
+    caution : float
+        Factor of the time for which motion that is no longer seen is watched for.
+    slow, turning : bool
+        Whether the last rest ended so slowly that its end was hard to see, and whether a steady turn has been
+        the hypothesis since.
     """
 
     at_rest: bool = False
@@ -174,6 +183,11 @@ class State:
     anchor_variance: FloatArray = field(default_factory=lambda: _six(0.0))
     anchor_s: float = 0.0
     doubted_since_s: float = np.nan
+    turn: FloatArray = field(default_factory=lambda: np.zeros(3))
+    rest_since_s: float = -np.inf
+    caution: float = 1.0
+    slow: bool = False
+    turning: bool = False
 
     @property
     def quiet_slots(self) -> int:
