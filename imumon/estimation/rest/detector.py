@@ -9,13 +9,13 @@ from __future__ import annotations
 import numpy as np
 
 from imumon.blocks import FloatArray
+from imumon.estimation.rest.compass import Verdict, verdict
 from imumon.estimation.rest.parameters import RestParameters
-from imumon.estimation.rest.state import AXES, GYRO, LEVELS, Slot, State
+from imumon.estimation.rest.state import AXES, GYRO, LEVELS, SLOT_S, Slot, State
 from imumon.estimation.rest.trial import RING, Noise, adopt, look
-from imumon.estimation.rest.turn import MEMORY_SLOTS, SILENT_SLOTS, hypothesis, is_steady
+from imumon.estimation.rest.turn import MEMORY_SLOTS, SILENT_SLOTS, STEADY_SLOTS, hypothesis, is_steady
 from imumon.estimation.rest.windows import BEFORE, MOST_SURPRISE, TINY, Motion, bends, creeps, seen
 
-SLOT_S = 0.125
 GAP_S = 2.5
 SETTLE_S = 1.0
 SETTLE_SLOTS = 8
@@ -136,23 +136,32 @@ def _return(state: State, parameters: RestParameters, now_s: float) -> None:
     means, count = state.history.latest(slots)
     means = np.where(count > 0, means, state.rest_mean)
     if not _turns(state, parameters, means, np.where(count > 0, float(slots), 0.0), now_s):
+        # What was before the mean became constant is no rest to compare with.
+        state.windows_from = max(state.windows_from, state.history.length - STEADY_SLOTS)
         _enter(state, means, parameters.drift, now_s)
 
 
 def _turns(
-    state: State, parameters: RestParameters, means: FloatArray, slots: FloatArray, now_s: float,
-    by_known_noise: bool = True,
-) -> bool:  # fmt: skip
+    state: State,
+    parameters: RestParameters,
+    means: FloatArray,
+    slots: FloatArray,
+    now_s: float,
+    fits: bool = True,
+) -> bool:
     """Tell whether a unit that is quiet may be turning still; its rate is the hypothesis from now on.
 
-    Motion that begins or ends so slowly that only the mean shows it has ended when the mean is constant.
+    Motion that begins or ends so slowly that only the mean shows it has ended when the mean is constant; by a
+    noise that no longer fits nothing is, and the trial has judged that.
     """
     turn = hypothesis(state, parameters, means, slots, now_s)
     if turn.any():
-        state.turn, state.turning = turn, True
-        return True
+        said = verdict(state, turn)
+        state.turn = turn if said is Verdict.UNDECIDED else np.zeros(3)
+        state.turning = said is not Verdict.RESTS
+        return state.turning
     slow = state.slow or state.quiet_slots >= SILENT_SLOTS
-    return state.anchored and slow and by_known_noise and not is_steady(state)
+    return state.anchored and slow and fits and not is_steady(state)
 
 
 def _try(state: State, parameters: RestParameters, now_s: float) -> None:
@@ -184,8 +193,8 @@ def _doubtful(
     """Tell whether the means are too far from those of the last rest to be its bias, and for how long."""
     if np.isnan(state.doubted_since_s):
         state.doubted_since_s = now_s
-    slots = float(RING) * noise.present
-    if not _turns(state, parameters, means, slots, now_s, noise.is_known(state)):
+    slots = np.where(noise.present, float(RING), 0.0)
+    if not _turns(state, parameters, means, slots, now_s, state.quiet_slots >= RING):
         return False
     doubted = now_s - state.doubted_since_s >= parameters.doubt_s
     return not (doubted and np.abs(state.turn).max() <= parameters.largest_jump)

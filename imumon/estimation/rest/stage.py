@@ -11,9 +11,10 @@ import numpy.typing as npt
 
 from imumon.blocks import NO_INT, ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.columns import Column
-from imumon.estimation.rest.detector import GAP_S, SLOT_S, begin, step
+from imumon.estimation.rest.compass import reference
+from imumon.estimation.rest.detector import GAP_S, begin, step
 from imumon.estimation.rest.parameters import RestParameters
-from imumon.estimation.rest.state import AXES, Slot, State
+from imumon.estimation.rest.state import AXES, SLOT_S, Slot, State
 from imumon.filters.slots import SlotGatherer, Slots, held
 
 INPUTS = tuple(f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz")
@@ -44,7 +45,7 @@ class RestDetector:
 
     def __init__(self, parameters: RestParameters | None = None) -> None:
         self._parameters = parameters or RestParameters()
-        self._slots = SlotGatherer(AXES, int(SLOT_S * 1e9))
+        self._slots = SlotGatherer(AXES + 3, int(SLOT_S * 1e9))
         self._state = State()
         self._last_ns, self._last_segment = NO_INT, 0
         self._at_rest = 0
@@ -58,14 +59,17 @@ class RestDetector:
         """Return ``at_rest``, int64, and ``turn_hypothesis_{x,y,z}`` of a block.
 
         Needs ``device_time_ns`` and ``segment``; takes what there is of gyro_{x,y,z} in rad/s and
-        accel_{x,y,z} in m/s².
+        accel_{x,y,z} in m/s², and of mag_{x,y,z}, yaw or q_{w,x,y,z}.
         """
         n = len(block)
-        readings = np.empty((n, AXES))
+        readings = np.full((n, AXES + 3), np.nan)
         for place, name in enumerate(INPUTS):
             readings[:, place] = block.columns.get(name, np.nan)
+        heading = reference(block)
+        if heading is not None:
+            readings[:, AXES:] = heading
         time_ns, segment = block["device_time_ns"], block["segment"]
-        rows = np.flatnonzero((time_ns != NO_INT) & np.isfinite(readings).any(1))
+        rows = np.flatnonzero((time_ns != NO_INT) & np.isfinite(readings[:, :AXES]).any(1))
         before = self._last_ns, self._last_segment, self._at_rest
         turn = np.empty((len(rows), 3))
         before_turn = self._state.turn
@@ -107,7 +111,7 @@ class RestDetector:
         """Fill in rows of the slot that is open: at rest as before, until a sample leaves the band."""
         at_rest[start:stop] = self._at_rest
         if self._at_rest:
-            part = readings[start:stop]
+            part = readings[start:stop, :AXES]
             outside = ((part < self._state.low) | (part > self._state.high)).any(1)
             if outside.any():
                 at_rest[start + int(np.argmax(outside)) : stop] = self._at_rest = 0
@@ -128,15 +132,16 @@ class RestDetector:
 def _each(slots: Slots, time_ns: IntArray) -> list[Slot]:
     """Return the slots one by one; time_ns is that of the rows."""
     start_s, end_s = 1e-9 * slots.start_ns, 1e-9 * time_ns[slots.row]
-    count = slots.count.astype(np.float64)
-    within = np.where(count > 1, slots.variance * count / np.maximum(count - 1.0, 1.0), np.nan)
+    count = slots.count[:, :AXES].astype(np.float64)
+    within = np.where(count > 1, slots.variance[:, :AXES] * count / np.maximum(count - 1.0, 1.0), np.nan)
+    mean = slots.mean[:, :AXES]
+    others = [part[:, :AXES] for part in (slots.smallest, slots.largest, slots.first, slots.last)]
     return [
         Slot(*values)
         for values in zip(
-            start_s.tolist(), end_s.tolist(), count, slots.mean, within,
-            slots.smallest, slots.largest, slots.first, slots.last, strict=True,
+            start_s.tolist(), end_s.tolist(), count, mean, within, *others, slots.mean[:, AXES:], strict=True
         )
-    ]  # fmt: skip
+    ]
 
 
 def _held(

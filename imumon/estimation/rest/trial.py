@@ -56,10 +56,6 @@ class Noise(NamedTuple):
     of_8: FloatArray
     sample: FloatArray
 
-    def is_known(self, state: State) -> bool:
-        """Tell whether this is the noise of the last rest."""
-        return not (self.present & ~(state.known & self.is_alike(state))).any()
-
     def is_alike(self, state: State) -> BoolArray:
         """Tell of which axes the noise is that of the last rest, (6,)."""
         before = state.variance[0]

@@ -12,7 +12,7 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.estimation.rest.parameters import RestParameters
-from imumon.estimation.rest.state import ACCEL, GYRO, LEVELS, State
+from imumon.estimation.rest.state import ACCEL, GYRO, LEVELS, SLOT_S, State
 from imumon.estimation.rest.windows import OBLIQUE, SLOTS
 
 EARTH_TWICE = 1.46e-4
@@ -25,6 +25,7 @@ LEAST_TILT = 2.6e-3
 """rad/s, 0.15 °/s: 0.2 m/s² in 8 s; means of a noisy accelerometer (0.005 m/s²/√Hz) differ by 0.02."""
 STEADY_SIGMAS = 3.0
 TURN_LEVEL = LEVELS - 2
+STEADY_SLOTS = 2 * int(SLOTS[TURN_LEVEL])
 
 
 def hypothesis(
@@ -62,7 +63,7 @@ def _walk(state: State, parameters: RestParameters, now_s: float) -> FloatArray:
     It drifts, but no farther than `gyro_walk`, or than the noise of its means of 16 s lets expect.
     """
     elapsed = max(now_s - state.anchor_s, 0.0)
-    longest_s = 0.125 * SLOTS[-1]
+    longest_s = SLOT_S * SLOTS[-1]
     learnt = SIGMAS * np.sqrt(state.variance[-1][GYRO] * elapsed / longest_s)
     most = np.clip(learnt, parameters.gyro_walk, 2.0 * parameters.gyro_walk)
     return np.asarray(np.minimum(parameters.gyro_drift * elapsed, most))
