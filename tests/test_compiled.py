@@ -121,7 +121,7 @@ def test_an_index_that_names_a_class_that_has_gone_is_empty(tmp_path: Path) -> N
     gone = type("Gone", (), {"__module__": "imumon.compiled", "__qualname__": "Gone"})
     compiled.__dict__["Gone"] = gone
     stored = compiled._Index(str(tmp_path), "kernel", "stamp")  # type: ignore[no-untyped-call]
-    stored._save_index({(gone, "x86"): "kernel.1.nbc"})
+    stored._save_index({(gone, "x86"): "kernel.1.nbc"})  # type: ignore[no-untyped-call]
     assert len(stored._load_index()) == 1
     del compiled.__dict__["Gone"]
     assert stored._load_index() == {}
