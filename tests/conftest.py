@@ -24,8 +24,11 @@ _COMPILE = _TESTS.parent / "scripts" / "support" / "compile_kernels.py"
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Compile what has changed before the first test, in parallel, so that no test has to wait for it."""
-    if not hasattr(config, "workerinput") and not config.option.collectonly and _COMPILE.exists():
+    """Compile what has changed before the first of parallel tests, so that none has to wait, and none twice.
+
+    A few tests in one process compile what they need, and nothing else.
+    """
+    if config.getoption("numprocesses", None) and not hasattr(config, "workerinput") and _COMPILE.exists():
         subprocess.run([sys.executable, _COMPILE], check=True)
 
 
