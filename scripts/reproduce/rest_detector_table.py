@@ -16,7 +16,7 @@ from imumon.estimation.rest.stage import RestDetector
 
 RATES_HZ = (100.0, 10.0, 2.0)
 FULL_RATE_HZ = RATES_HZ[0]
-SECONDS, LONG_S = 200.0, 1800.0
+SECONDS, LONG_S = 200.0, 600.0
 HEADER = """\
 | scene | sensors | rest found % | motion missed % | motion after s | rest after s | left per h |
 |---|---|---|---|---|---|---|"""
