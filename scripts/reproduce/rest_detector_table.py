@@ -108,7 +108,7 @@ TURNS = (
 FIELD = ("tilted slowly, 1 deg in 60 s", "breathing, 0.1 deg/s", "idling engine", "driving in town",
          "driving on a smooth road", "held in a hand", "fan")  # fmt: skip
 FIELD_HEADER = """\
-| scene | sensors | motion missed % | by VQF % | rest found % | by VQF % | rest after s | z > 5 % | largest z |
+| scene | sensors | motion missed % | by VQF % | rest found % | by VQF % | rest after s | z > 5 % | max z |
 |---|---|---|---|---|---|---|---|---|"""
 TURN_RATE_HZ = 25.0
 
