@@ -311,6 +311,11 @@ SCENES: dict[str, Callable[[float, float, int], Scene]] = {
 
 def measure(scene: Scene, grade: Grade, seed: int) -> SampleBlock:
     """Return what sensors of a grade read of a scene, at the rate of the scene."""
+    return measure_with_bias(scene, grade, seed)[0]
+
+
+def measure_with_bias(scene: Scene, grade: Grade, seed: int) -> tuple[SampleBlock, FloatArray]:
+    """Return the same, and the bias of the gyros without what the scene adds, (n, 3)."""
     rng = np.random.default_rng(seed)
     n, rate_hz = len(scene.t), 1.0 / (scene.t[1] - scene.t[0])
     scale = np.sqrt(rate_hz / 100.0)
@@ -319,7 +324,8 @@ def measure(scene: Scene, grade: Grade, seed: int) -> SampleBlock:
     # The turn that leads to a sample is read with it, not before.
     gyro = np.vstack([turn[:1], turn]) + BIAS + scene.gyro_extra
     gyro += grade.gyro_sd * scale * rng.standard_normal((n, 3))
-    gyro += grade.gyro_walk / np.sqrt(rate_hz) * np.cumsum(rng.standard_normal((n, 3)), 0)
+    walk = grade.gyro_walk / np.sqrt(rate_hz) * np.cumsum(rng.standard_normal((n, 3)), 0)
+    gyro += walk
     accel = body_to_ned.inv().apply([0.0, 0.0, -GRAVITY]) + scene.acceleration + np.array([0.1, -0.2, 0.05])
     accel += grade.accel_sd * scale * rng.standard_normal((n, 3))
     if grade.gyro_step:
@@ -331,7 +337,7 @@ def measure(scene: Scene, grade: Grade, seed: int) -> SampleBlock:
     }
     for i, name in enumerate("xyz"):
         columns |= {f"gyro_{name}": gyro[:, i].copy(), f"accel_{name}": accel[:, i].copy()}
-    return SampleBlock(columns)
+    return SampleBlock(columns), BIAS + walk
 
 
 def averaged(samples: SampleBlock, count: int) -> SampleBlock:

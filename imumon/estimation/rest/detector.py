@@ -13,7 +13,7 @@ from imumon.estimation.rest.compass import Verdict, verdict
 from imumon.estimation.rest.parameters import RestParameters
 from imumon.estimation.rest.state import AXES, GYRO, LEVELS, SLOT_S, Slot, State
 from imumon.estimation.rest.trial import RING, Noise, adopt, look
-from imumon.estimation.rest.turn import MEMORY_SLOTS, SILENT_SLOTS, STEADY_SLOTS, hypothesis, is_steady
+from imumon.estimation.rest.turn import MEMORY_SLOTS, hypothesis, is_steady, steady_slots
 from imumon.estimation.rest.windows import BEFORE, MOST_SURPRISE, TINY, Motion, bends, creeps, seen
 
 GAP_S = 2.5
@@ -137,7 +137,7 @@ def _return(state: State, parameters: RestParameters, now_s: float) -> None:
     means = np.where(count > 0, means, state.rest_mean)
     if not _turns(state, parameters, means, np.where(count > 0, float(slots), 0.0), now_s):
         # What was before the mean became constant is no rest to compare with.
-        state.windows_from = max(state.windows_from, state.history.length - STEADY_SLOTS)
+        state.windows_from = max(state.windows_from, state.history.length - steady_slots(state))
         _enter(state, means, parameters.drift, now_s)
 
 
@@ -160,8 +160,8 @@ def _turns(
         state.turn = turn if said is Verdict.UNDECIDED else np.zeros(3)
         state.turning = said is not Verdict.RESTS
         return state.turning
-    slow = state.slow or state.quiet_slots >= SILENT_SLOTS
-    return state.anchored and slow and fits and not is_steady(state)
+    slow = state.slow or state.quiet_slots >= steady_slots(state) // 2
+    return state.anchored and slow and fits and not is_steady(state, parameters)
 
 
 def _try(state: State, parameters: RestParameters, now_s: float) -> None:

@@ -13,19 +13,13 @@ import numpy as np
 from imumon.blocks import FloatArray
 from imumon.estimation.rest.parameters import RestParameters
 from imumon.estimation.rest.state import ACCEL, GYRO, LEVELS, SLOT_S, State
-from imumon.estimation.rest.windows import OBLIQUE, SLOTS
+from imumon.estimation.rest.windows import BEND_SIGMAS, CHI_SQUARE, CREEP, OBLIQUE, SLOTS, TINY, turned
 
 EARTH_TWICE = 1.46e-4
 """rad/s: a gyro that is turned round sees the earth's rate the other way."""
 SIGMAS = 6.0
 MEMORY_SLOTS = 32
-SILENT_SLOTS = 64
-"""After 8 s of silence an accelerometer of any grade has seen a tilt of `LEAST_TILT`."""
-LEAST_TILT = 2.6e-3
-"""rad/s, 0.15 °/s: 0.2 m/s² in 8 s; means of a noisy accelerometer (0.005 m/s²/√Hz) differ by 0.02."""
 STEADY_SIGMAS = 3.0
-TURN_LEVEL = LEVELS - 2
-STEADY_SLOTS = 2 * int(SLOTS[TURN_LEVEL])
 
 
 def hypothesis(
@@ -74,23 +68,42 @@ def _is_bias(
 ) -> bool:
     """Tell whether a turn like this would have tilted the unit, and gravity says that it has not."""
     size, gravity = float(np.linalg.norm(turn)), float(np.linalg.norm(force))
-    seen = state.known[ACCEL].all() and gravity > 5.0 and state.quiet_slots >= SILENT_SLOTS
+    window = steady_slots(state) // 4
+    seen = state.known[ACCEL].all() and gravity > 5.0 and state.quiet_slots >= 2 * window
     if not seen or size > parameters.largest_jump:
         return False
     across = turn - (turn @ force) * force / gravity**2
     tilt = float(np.linalg.norm(across))
-    return tilt > max(OBLIQUE * size, LEAST_TILT, float(noise.max()))
+    # What accelerometers show in two windows of 4 s, by the limits of `windows`, or their drift would hide.
+    n, level = state.history.length, window.bit_length() - 1
+    seconds = float(state.history.seconds[n] - state.history.seconds[n - window])
+    shown = np.sqrt(2.0 * CHI_SQUARE * state.variance[level, ACCEL].max()) + state.resolution[ACCEL].max()
+    least = (shown + parameters.accel_drift * seconds) / (gravity * seconds)
+    return tilt > max(OBLIQUE * size, float(least), float(noise.max()))
 
 
-def is_steady(state: State) -> bool:
-    """Tell whether the means of the last 8 s are those of the 8 s before, by their noise alone.
+def steady_slots(state: State) -> int:
+    """Return how many slots take 16 s, as a power of two; a slot is a sample at low rates."""
+    seconds, n = state.history.seconds, state.history.length
+    slot_s = (seconds[n] - seconds[max(n - MEMORY_SLOTS, 0)]) / MEMORY_SLOTS
+    longer = round(float(np.log2(max(slot_s / SLOT_S, 1.0))))
+    return int(SLOTS[max(LEVELS - 1 - longer, 3)])
+
+
+def is_steady(state: State, parameters: RestParameters) -> bool:
+    """Tell whether the means of the last 8 s are those of the 8 s before, but for noise and a creeping bias.
 
     Of 4 s after motion that was no turn about the vertical: it would tilt the unit, and gravity shows that.
     """
-    level = TURN_LEVEL if state.turning else TURN_LEVEL - 1
-    n, half = state.history.length, int(SLOTS[level])
+    half = steady_slots(state) // (2 if state.turning else 4)
+    history, n, level = state.history, state.history.length, half.bit_length() - 1
     if state.quiet_slots < 2 * half:
         return False
-    recent, before = state.history.means(n - half * np.arange(3))
-    limit = STEADY_SIGMAS * np.sqrt(2.0 * state.variance[level]) + state.resolution
-    return not (state.known & (np.abs(recent - before) > limit)).any()
+    recent, before = history.means(n - half * np.arange(3))
+    seconds = history.seconds[n] - history.seconds[n - half]
+    change, variance = recent - before, 2.0 * STEADY_SIGMAS**2 * state.variance[level]
+    limit = np.sqrt(variance) + state.resolution + parameters.accel_drift * seconds
+    if (state.known & (np.abs(change) > limit))[ACCEL].any():
+        return False
+    small = variance[np.newaxis, GYRO] / BEND_SIGMAS**2 + TINY
+    return not turned(state, change[np.newaxis, GYRO], small, np.array([CREEP * seconds]))[0]

@@ -97,15 +97,18 @@ def bends(state: State, drift: FloatArray) -> Motion | None:
     off = recent - middle - (middle - oldest) * (2.0 / 3.0)
     variance = state.variance[which, GYRO] + (29.0 / 9.0) * state.variance[BEND_FROM + 1 : levels + 1, GYRO]
     allowed = (4.67 / BEND_S) * drift[0] * seconds**2
-    found = _off_line(state, off, variance + TINY, allowed) & (seconds <= LONGEST_S)
+    found = turned(state, off, variance + TINY, allowed) & (seconds <= LONGEST_S)
     if found.any():
         level = BEND_FROM + int(np.argmax(found))
         return Motion(level, float(history.seconds[n] - history.seconds[n - SLOTS[level]]), before=(4, 7))
     return None
 
 
-def _off_line(state: State, off: FloatArray, variance: FloatArray, allowed: FloatArray) -> BoolArray:
-    """Tell whether differences of gyros, (k, 3), are too large for noise and what is allowed, (k,)."""
+def turned(state: State, off: FloatArray, variance: FloatArray, allowed: FloatArray) -> BoolArray:
+    """Tell whether differences of gyros, (k, 3), are too large for noise and what is allowed, (k,).
+
+    Where gravity is known, about the vertical: what is oblique is drift, for gravity would have moved.
+    """
     off = np.where(state.known[GYRO], off, 0.0)
     force = state.rest_mean[ACCEL]
     if not state.known.all():
@@ -130,7 +133,7 @@ def creeps(state: State) -> Motion | None:
     cuts = n - slots * np.array([[0, 1], [6, 7]])
     recent, oldest = history.means(cuts)[:, 0, GYRO]
     seconds = history.seconds[n] - history.seconds[cuts[1, 0]]
-    found = _off_line(
+    found = turned(
         state,
         (recent - oldest)[np.newaxis],
         2.0 * state.variance[-1:, GYRO] + TINY,
