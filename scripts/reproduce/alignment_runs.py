@@ -12,11 +12,11 @@ import numpy as np
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.estimation.alignment.parameters import AlignmentParameters
 from imumon.estimation.alignment.stage import Alignment
-from imumon.estimation.alignment.standing import Standing
+from imumon.estimation.alignment.status import Status
 from imumon.simulation.unit import SimulatedUnit
 from imumon.simulation.unit.scenario import Scenario
 
-ESTIMATORS = ("total_average", "curve_fit", "line_exponential", "tilt_corrected")
+ESTIMATORS = ("gyro_mean", "hann_mean")
 LATITUDE_DEG, AMPLITUDE_UG, RATE_HZ, SECONDS = 36.0, 83.7, 200.0, 300.0
 ARW = 2.43e-4
 """deg/√h: 1e-6 rad/s per sample at 200 Hz."""
@@ -58,7 +58,7 @@ class Run:
     heading_deg: float
     error: Mapping[str, FloatArray]
     sd: Mapping[str, FloatArray]
-    standing: Standing
+    status: Status
     notices: Sequence[str]
     columns: Mapping[str, FloatArray]
 
@@ -103,7 +103,7 @@ def align(scenario: Scenario, seed: int, parameters: AlignmentParameters | None 
     warm_up = scenario.unit.accel_warm_up
     tau = warm_up.tau_s if warm_up is not None else math.nan
     kept = {name: values[rows].copy() for name, values in out.items()}
-    return Run(tau, truth, error, sd, stage.standing, stage.notices(), kept)
+    return Run(tau, truth, error, sd, stage.status, stage.notices(), kept)
 
 
 def runs(case: Case, count: int) -> Iterator[Run]:
