@@ -117,8 +117,7 @@ def _recorded(path: Path, device: str | None, make: Callable[..., Setup]) -> Ali
     from imumon.estimation.alignment.stage import Alignment
     from imumon.estimation.rest.stage import RestDetector
     from imumon.pipeline import Pipeline
-    from imumon.run.replay import run_over
-    from imumon.run.source import open_source
+    from imumon.recordings.source import open_source, run_over
     from imumon.run.stages import estimators
 
     source = open_source(path, device)

@@ -13,8 +13,7 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.diagnosis.blocks import RunBlocks
-from imumon.diagnosis.fitting import Declared
-from imumon.diagnosis.selection import ordinary, residual_rms
+from imumon.diagnosis.channel import Declared, ordinary, residual_rms
 from imumon.effects.base import Effect
 from imumon.effects.drift import Drift
 from imumon.effects.thermal_lag import ThermalLag

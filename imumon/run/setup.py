@@ -5,11 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Final, Literal
 
-import yaml
 from pydantic import Field
 
 from imumon.allan.parameters import AllanParameters, Noise
-from imumon.config import StrictModel, parse_yaml
+from imumon.config import StrictModel, dump_yaml, parse_yaml
 from imumon.errors import ImumonError, Reason
 from imumon.estimation.alignment.parameters import AlignmentParameters
 from imumon.estimation.alignment.warm_up import known_warm_up
@@ -122,7 +121,7 @@ class Setup(StrictModel):
         if not names:
             return None
         said = {"format": FORMAT, **self.model_dump(include=set(names))}
-        return yaml.safe_dump(said, sort_keys=False, allow_unicode=True, width=110)
+        return dump_yaml(said)
 
 
 def parse_setup(text: str, source: str) -> Setup:

@@ -72,7 +72,9 @@ def wind(amplitude: float, hertz: float, damping: float) -> Tilt:
 
         step, w = float(t[1] - t[0]), 2.0 * math.pi * hertz
         radius, angle = math.exp(-damping * w * step), w * step * math.sqrt(1.0 - damping**2)
-        driven = lfilter([1.0], [1.0, -2.0 * radius * math.cos(angle), radius**2], rng.normal(size=(len(t), 2)), axis=0)
+        driven = lfilter(
+            [1.0], [1.0, -2.0 * radius * math.cos(angle), radius**2], rng.normal(size=(len(t), 2)), axis=0
+        )
         return np.asarray(amplitude * driven / driven.std())
 
     return tilt
@@ -86,7 +88,9 @@ def footsteps(amplitude: float, every_s: float) -> Tilt:
         at = rng.uniform(0.0, every_s)
         while at < t[-1]:
             since = t - at
-            swing = np.where(since > 0.0, np.sin(10.0 * math.pi * since) * np.exp(-np.maximum(since, 0.0) / 0.15), 0.0)
+            swing = np.where(
+                since > 0.0, np.sin(10.0 * math.pi * since) * np.exp(-np.maximum(since, 0.0) / 0.15), 0.0
+            )
             total += amplitude * np.outer(swing, _direction(rng))
             at += every_s * rng.uniform(0.8, 1.2)
         return total
@@ -124,13 +128,20 @@ SCENES = (
     Scene("warm-up 83.7 µg, 300 s, noise of the paper", PAPER_ARW, None, (83.7, 300.0)),
     Scene("warm-up 83.7 µg, 150 s", SITE_ARW, None, (83.7, 150.0)),
     Scene("sway 20 µrad at 0.2 Hz", SITE_ARW, sway(20 * MICRO, 0.2)),
-    Scene("sway 20 µrad at 0.2 Hz, noise of the paper, warm-up", PAPER_ARW, sway(20 * MICRO, 0.2), (83.7, 150.0)),
+    Scene(
+        "sway 20 µrad at 0.2 Hz, noise of the paper, warm-up", PAPER_ARW, sway(20 * MICRO, 0.2), (83.7, 150.0)
+    ),
     Scene("sway 200 µrad at 0.07 Hz", SITE_ARW, sway(200 * MICRO, 0.07)),
     Scene("sway 5 µrad at 1.3 Hz", SITE_ARW, sway(5 * MICRO, 1.3)),
     Scene("wind, 20 µrad at 0.25 Hz", SITE_ARW, wind(20 * MICRO, 0.25, 0.05)),
     Scene("footsteps of 2 µrad every 8 s", SITE_ARW, footsteps(2 * MICRO, 8.0)),
     Scene("footsteps of 20 µrad every 3 s", SITE_ARW, footsteps(20 * MICRO, 3.0)),
-    Scene("footsteps of 2 µrad, noise of the paper, warm-up", PAPER_ARW, footsteps(2 * MICRO, 8.0), (83.7, 150.0)),
+    Scene(
+        "footsteps of 2 µrad, noise of the paper, warm-up",
+        PAPER_ARW,
+        footsteps(2 * MICRO, 8.0),
+        (83.7, 150.0),
+    ),
     Scene("settling 50 µrad, 60 s", SITE_ARW, settling(50 * MICRO, 60.0)),
     Scene("settling 200 µrad, 60 s", SITE_ARW, settling(200 * MICRO, 60.0)),
     Scene("settling 50 µrad, 120 s, noise of the paper", PAPER_ARW, settling(50 * MICRO, 120.0)),
@@ -185,7 +196,10 @@ def record(scene: Scene, seconds: float, seed: int) -> Record:
         accel[:, 1] -= angle[:, 0] * STANDARD_GRAVITY
     columns = {f"gyro_{a}": gyro[:, j].copy() for j, a in enumerate("xyz")}
     columns |= {f"accel_{a}": accel[:, j].copy() for j, a in enumerate("xyz")}
-    time = {"device_time_ns": (np.arange(n) * (1e9 * step)).astype(np.int64), "segment": np.zeros(n, np.int64)}
+    time = {
+        "device_time_ns": (np.arange(n) * (1e9 * step)).astype(np.int64),
+        "segment": np.zeros(n, np.int64),
+    }
     return Record(SampleBlock({**time, **columns}), heading)
 
 

@@ -1,21 +1,24 @@
-"""Opening what a command was pointed at: a session, live or imported, or a raw capture."""
+"""What was recorded, opened and run through a pipeline: a session, live or imported, or a raw capture."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 from imumon.blocks import SampleBlock
 from imumon.columns import Column
 from imumon.errors import ImumonError, Reason
-from imumon.pipeline import Pipeline
-from imumon.protocols.device import DeviceFile, load_device
+from imumon.pipeline import UNDATED, Pipeline
+from imumon.protocols.device import DeviceFile, load_device, parse_device
 from imumon.recordings.folder import Session, is_session, open_session
 from imumon.recordings.table import iterate_samples, read_columns
 from imumon.recordings.wire import WireReader
-from imumon.run.replay import capture_items, session_device
-from imumon.transport.reader import Item
+from imumon.transport.reader import Bytes, EventKind, Item
+
+READ_SIZE = 1 << 16
+BATCH_BYTES = 1 << 16
+"""Samples are handed on about as often as so many bytes were fed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +28,7 @@ class Source:
     Parameters
     ----------
     items : iterable
-        What `imumon.run.replay.run_over` takes.
+        What `run_over` takes.
     device : DeviceFile or None
         What sent the bytes; None for an imported session.
     session : Session or None
@@ -96,3 +99,69 @@ def open_source(path: Path, device_name: str | None = None) -> Source:
         return Source(path, iterate_samples(session), None, session, columns)
     device = session_device(session) if device_name is None else load_device(device_name)
     return Source(path, WireReader(session.wire_path), device, session)
+
+
+def session_device(session: Session) -> DeviceFile:
+    """Return the device of a session as it was when the session was recorded.
+
+    Raises
+    ------
+    ImumonError
+        BAD_DATA when the session keeps no device file.
+    """
+    if session.metadata.device_yaml is None:
+        raise ImumonError(Reason.BAD_DATA, f"{session.path}: session.yaml has no device_yaml")
+    return parse_device(session.metadata.device_yaml, f"{session.path / 'session.yaml'} (device_yaml)")
+
+
+def capture_items(path: Path) -> Iterator[Item]:
+    """Yield the bytes of a raw capture, whose arrival times nobody knows.
+
+    Raises
+    ------
+    ImumonError
+        BAD_DATA when the file cannot be read.
+    """
+    try:
+        with path.open("rb") as file:
+            while data := file.read(READ_SIZE):
+                yield Bytes(data, UNDATED)
+    except OSError as error:
+        raise ImumonError(
+            Reason.BAD_DATA,
+            f"{path}: cannot be read: {error.strerror}",
+            "give a raw capture, or a session folder (which has a session.yaml)",
+        ) from error
+
+
+def run_over(items: Iterable[Item | SampleBlock], pipeline: Pipeline) -> Iterator[SampleBlock]:
+    """Run what was recorded through a new pipeline; yield the samples in order, to the last byte.
+
+    Parameters
+    ----------
+    items : iterable of Bytes and Event, or of SampleBlock
+        From `WireReader`, `capture_items` or `iterate_samples`.
+    """
+    fed = 0
+    for item in items:
+        fed += feed(item, pipeline)
+        if fed >= BATCH_BYTES:
+            fed = 0
+            yield pipeline.take()
+    pipeline.finish()
+    yield pipeline.take()
+
+
+def feed(item: Item | SampleBlock, pipeline: Pipeline) -> int:
+    """Give a pipeline bytes, samples or an event; return how many bytes there were."""
+    if isinstance(item, SampleBlock):
+        pipeline.push(item)
+        return sum(values.nbytes for values in item.columns.values())
+    if isinstance(item, Bytes):
+        pipeline.feed(item.data, item.arrival_ns)
+        return len(item.data)
+    if item.kind is EventKind.OPENED:
+        pipeline.port_opened()
+    elif item.kind in (EventKind.SILENT, EventKind.LOST):
+        pipeline.pause()
+    return 0
