@@ -20,19 +20,20 @@ SLOT_S = 0.25
 RENEWED_S, RENEWED_SHARE = 1.0, 1.0 / 40.0
 """A fit is renewed after a second, and after this share of the time that counts."""
 LONGEST_S = 120.0
-"""After a longer disturbance, or a gap of a quarter of it, the alignment begins anew: 0.02 % of 5 °/s for so long
-are 0.1°."""
+"""After a longer disturbance, or a gap of a quarter of it, the alignment begins anew: an attitude that was
+followed for so long has lost what was found."""
 SAME_TURN, SAME_LEVEL = 3e-5, 1e-5
 """Angles, rad, below which a unit stands as before; so many cost less than 0.002° of heading."""
 SIGMAS = 6.0
 TYPICAL_BIAS, TYPICAL_ARW, BIAS_POWER = 10.0 * DEG_PER_H, math.radians(0.1) / 60.0, 1.5
-"""A gyro with the noise 0.1 °/√h has a bias of about 10 °/h; better gyros have less: data sheets of MEMS, fibre
-and ring laser gyros, from 0.3 °/√h and 50 °/h to 0.002 °/√h and 0.03 °/h, follow the power 1.5 within a factor 3."""
+"""A gyro with the noise 0.1 °/√h has a bias of about 10 °/h; better gyros have less, by the power 1.5: data
+sheets of MEMS, fibre and ring laser gyros, from 0.3 °/√h and 50 °/h to 0.002 °/√h and 0.03 °/h."""
 SMALLER, LARGER = 1.2, 2.2
-"""Standard deviation of the logarithm of a bias about that, below and above: a low-noise gyro may have any bias."""
+"""Standard deviation of the logarithm of a bias about that: below, the scatter of the data sheets; above, a
+factor 80 at two of them, for a low-noise gyro may have any bias until it is calibrated."""
 SIZES = np.linspace(-2.4, 9.0, 14)
 """Logarithms of the sizes thought of, over the typical one."""
-DECLARED = 0.98
+DECLARED = 0.999
 """Probability that a declared bias holds."""
 
 
@@ -321,7 +322,7 @@ class Aligner:
 
     @property
     def turned(self) -> float:
-        """Angle about the vertical since the pose before, rad, clockwise; while the unit turns, since this one."""
+        """Angle of the last turn about the vertical, or of the one that goes on, rad, clockwise."""
         poses, state = self.state.poses, self.state
         if state.motion.disturbed:
             return -azimuth_between(poses[-1].attitude, state.attitude)

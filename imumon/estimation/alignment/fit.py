@@ -5,12 +5,13 @@ In a pose the gyros see, in level axes that do not turn (complex: forward + i le
     y = c' + dφ/dt + noise,   c' = c + b       (earth rate c, bias b)
     v = Ω sin L + b_up + noise                 (vertical)
 
-and the accelerometers, as an angle, see φ + d + noise: the true tilt φ of the unit and the drift d of their own
-bias while they warm up.  Their sum alone cannot be divided; the gyros see φ and not d.  So the hypotheses are
-that the unit stands (φ = 0), or that it settles exponentially with some time constant, or tilts steadily, from
-the start or since some time.  The size of the bias is unknown, too: what the vertical gyro shows beyond Ω sin L,
-and the horizontal ones beyond the length Ω cos L, tell of it.  Heading and sigma are mean and standard
-deviation over all of that, by the probability of each (Bayesian model averaging: Hoeting et al. 1999).
+and the accelerometers, as an angle, see φ + d + noise: the true tilt φ of the unit and the drift d of their
+own bias while they warm up.  Their sum alone cannot be divided; the gyros see φ and not d.  So the hypotheses
+are that the unit stands (φ = 0), or that it settles exponentially with some time constant, or tilts steadily,
+from the start or since some time.  The size of the bias is unknown, too: what the vertical gyro shows beyond
+Ω sin L, and the horizontal ones beyond the length Ω cos L, tell of it.  Heading and sigma are mean and
+standard deviation over all of that, by the probability of each (Bayesian model averaging: Hoeting et al. 1999,
+Statistical Science 14(4)).
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ WARM_UP = 1e-4
 WALK = 1e-7
 """Random walk of an accelerometer, g/√s: 6 µg in an hour."""
 LEVEL = 1e-3
-"""Standard deviation of the mean level about its own estimate, rad: wide, and not so wide as to cost digits."""
+"""Standard deviation of the mean level about its estimate, rad: wide, but not so wide as to cost digits."""
 BLOCKS = 48
 """Averages to which the accelerometers' record is reduced."""
 LEAST_CELLS = 12
@@ -117,7 +118,7 @@ def fit_pose(
     courses = tilt_courses(time_s)
     slopes = np.gradient(courses, time_s, axis=0)
     trend = np.column_stack([np.ones(len(time_s)), np.exp(-np.outer(time_s, 8.0 / time_s[-1] / [1.0, 4.0]))])
-    horizontal, vertical = rate[:, 0] + 1j * rate[:, 1], rate[:, 2]
+    horizontal = rate[:, 0] + 1j * rate[:, 1]
     waves = lines(_residual(trend, horizontal, root) * valid, time_s)
     removed = np.hstack([trend, waves])
     noise = fitted(_residual(removed, horizontal, root), valid, removed.shape[1])
@@ -151,14 +152,15 @@ def _eliminated(gram: FloatArray, count: int) -> FloatArray:
     """Return the products of columns that are left when the first ones are fitted to them (Schur)."""
     if not count:
         return gram
-    rest = gram[count:, count:] - gram[count:, :count] @ np.linalg.solve(gram[:count, :count], gram[:count, count:])
+    rest = gram[count:, count:] - gram[count:, :count] @ np.linalg.solve(
+        gram[:count, :count], gram[:count, count:]
+    )
     return np.asarray(rest)
 
 
 def _residual(trend: FloatArray, values: ColumnArray, root: FloatArray) -> ColumnArray:
     """Return what a slow trend leaves of values."""
     used = trend[:, :1] if len(values) < 4 * LEAST_CELLS else trend
-    root = root * (root > 0.0)
     solution = np.linalg.lstsq(used * root[:, None], values * root, rcond=None)[0]
     return values - used @ solution
 

@@ -1,7 +1,7 @@
 """Disturbances of a unit that should stand still, slot by slot: knocks, steps on the floor, and turns.
 
-A slot is disturbed when its mean leaves those of the last half minute by more than they scatter, or its samples
-scatter far more.  So sway that has been there is no disturbance.  A turn is followed by the gyros themselves.
+A slot is disturbed when its mean leaves those of the last half minute by more than they scatter, or its
+samples scatter far more.  So sway that has been there is no disturbance.  A turn is followed by the gyros.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from imumon.blocks import FloatArray
 
 RECENT = 120
-"""Slots of which the usual level and scatter are taken: half a minute holds four periods of sway of 0.13 Hz."""
+"""Slots of which the usual level and scatter are taken: half a minute holds two periods of slow sway."""
 RENEWED = 8
 """Slots after which they are taken anew."""
 LEAST = 8

@@ -64,7 +64,7 @@ class Noise:
         """Return residuals (n,) whose invalid ones are predicted by those before them."""
         values, a = residual.copy(), self.predictors[-1][1:]
         values[~valid] = 0.0
-        for k in np.flatnonzero(~valid):
+        for k in np.flatnonzero(~valid).tolist():
             m = min(k, len(a))
             if m:
                 values[k] = -(a[:m] @ values[k - m : k][::-1])
@@ -103,7 +103,7 @@ def lines(residual: ColumnArray, time_s: FloatArray) -> FloatArray:
 def fitted(residual: ColumnArray, valid: ColumnArray, removed: int) -> Noise:
     """Return the noise of residuals by Burg's method (Kay 1988, Modern Spectral Estimation, 7.5.2).
 
-    The order is that of the least information criterion (Akaike 1974; Hurvich and Tsai 1989 for short records).
+    The order is that of the least information criterion (Hurvich and Tsai 1989, Biometrika 76(2)).
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ def fitted(residual: ColumnArray, valid: ColumnArray, removed: int) -> Noise:
 
 
 def _burg(series: ColumnArray, order: int, values: int) -> Noise:
-    """Return predictors of all orders up to the best and their relative variances; the variance is left at 1."""
+    """Return predictors of all orders up to the best, and their relative variances; its own stays at 1."""
     ahead, behind = series[1:], series[:-1]
     predictors, variances = [np.ones(1)], [1.0]
     for _ in range(order):
@@ -143,6 +143,8 @@ def _burg(series: ColumnArray, order: int, values: int) -> Noise:
         variances.append(variances[-1] * (1.0 - reflection**2))
         ahead, behind = (ahead + reflection * behind)[1:], (behind + reflection * ahead)[:-1]
     orders = np.arange(len(variances))
-    information = values * np.log(variances) + 2.0 * (orders + 1) * values / np.maximum(values - orders - 2, 1)
+    information = values * np.log(variances) + 2.0 * (orders + 1) * values / np.maximum(
+        values - orders - 2, 1
+    )
     best = int(np.argmin(information)) + 1
     return Noise(tuple(predictors[:best]), np.array(variances[:best]) / variances[best - 1], 1.0)
