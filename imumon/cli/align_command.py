@@ -74,7 +74,15 @@ def command(
     def setup(recorded: str | None = None, where: str = "") -> Setup:
         from imumon.cli.setup_options import SetupOptions
 
-        given = SetupOptions(pipeline=pipeline, model=model, zupt=None, latitude=latitude, heading=None)
+        given = SetupOptions(
+            pipeline=pipeline,
+            model=model,
+            zupt=None,
+            random_error=None,
+            published=None,
+            latitude=latitude,
+            heading=None,
+        )
         return _with_sigma(make_setup(given, recorded, where), until)
 
     if _is_recording(source):

@@ -9,9 +9,9 @@ import numpy as np
 
 from benchmarks.measure import Bar, Table, measure
 from imumon.blocks import FloatArray, IntArray
-from imumon.estimation.temperature_rate.fir import FirExponentialRate
 from imumon.estimation.temperature_rate.level_bank import LevelBankRate
 from imumon.estimation.temperature_rate.series import RateMethod
+from imumon.published.fir import FirExponentialRate
 
 QUIET = "level bank, level unchanged"
 RATES_HZ = (10, 100, 1000)

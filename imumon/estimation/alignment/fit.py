@@ -10,8 +10,8 @@ own bias while they warm up.  Their sum alone cannot be divided; the gyros see �
 are that the unit stands (φ = 0), or that it settles exponentially with some time constant, or tilts steadily,
 from the start or since some time.  The size of the bias is unknown, too: what the vertical gyro shows beyond
 Ω sin L, and the horizontal ones beyond the length Ω cos L, tell of it.  Heading and sigma are mean and
-standard deviation over all of that, by the probability of each (Bayesian model averaging: Hoeting et al. 1999,
-Statistical Science 14(4)).
+standard deviation over all of that, by the probability of each (Bayesian model averaging: Hoeting et al.,
+Statistical Science 14(4), 1999).
 """
 
 from __future__ import annotations
@@ -45,6 +45,8 @@ LEVEL = 1e-3
 """Standard deviation of the mean level about its estimate, rad: wide, but not so wide as to cost digits."""
 BLOCKS = 48
 """Averages to which the accelerometers' record is reduced."""
+DISTINCT = 1e-9
+"""A tilt that looks like the earth rate to this share leaves nothing to tell them apart."""
 LEAST_CELLS = 12
 """Nothing is told from less."""
 
@@ -180,10 +182,10 @@ def _hypotheses(
     total, crossed = float(gram[0, 0]), gram[0, 1:-2]
     products = gram[:-2, -2] + 1j * gram[:-2, -1]
     right, right_tilt = products[0], products[1:] + seen
-    own = np.diagonal(gram)[1:-2] + information
+    own = np.maximum(np.diagonal(gram)[1:-2], 0.0) + information
     curvature = (own[:, None] + TILTS**-2.0).ravel()
     crossed, right_tilt = np.repeat(crossed, len(TILTS)), np.repeat(right_tilt, len(TILTS))
-    left = total - crossed**2 / curvature
+    left = np.maximum(total - crossed**2 / curvature, DISTINCT * total)
     mean = (right - crossed * right_tilt / curvature) / left
     # Two axes: every half of a logarithm counts twice.
     evidence = -np.log(curvature * np.tile(TILTS**2, len(own))) + 0.5 * np.abs(right_tilt) ** 2 / curvature

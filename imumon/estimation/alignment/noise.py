@@ -24,7 +24,10 @@ LEAST_FOR_LINES = 48
 LOWEST_CYCLES = 3
 """A line of fewer periods in the record is no line, but a drift."""
 PADDED = 4
+FINEST = 1e-12
+"""A series that is predicted to this share of its power is predicted to the last digit."""
 SPECTRUM = 256
+"""Frequencies at which a fitted spectrum is looked at; the hole of a fit is below a 16th of them."""
 OUTSTANDING = 30.0
 """Power of a line over the median: exp(-30 ln 2 / 2) of four values per cell in 1024 cells is 0.1 %."""
 
@@ -48,17 +51,17 @@ class Noise:
     variance: float
 
     def white(self, columns: ColumnArray) -> ColumnArray:
-        """Return columns (n, ...) filtered so that the noise is white and of unit variance.
+        """Return columns (n, k) filtered so that the noise is white and of unit variance.
 
         The first rows use the predictors of lower order, as the Cholesky factor of the inverse covariance has
         it (Levinson's recursion).
         """
         if len(self.predictors) == 1:
-            return columns / np.sqrt(self.variance)
+            return np.asarray(columns / np.sqrt(self.variance))
         filtered = np.asarray(lfilter(self.predictors[-1], [1.0], columns, axis=0))
         for k in range(min(len(self.predictors) - 1, len(columns))):
             filtered[k] = self.predictors[k][::-1] @ columns[: k + 1] / np.sqrt(self.variances[k])
-        return filtered / np.sqrt(self.variance)
+        return np.asarray(filtered / np.sqrt(self.variance))
 
     def filled(self, residual: ColumnArray, valid: ColumnArray) -> ColumnArray:
         """Return residuals (n,) whose invalid ones are predicted by those before them."""
@@ -101,7 +104,7 @@ def lines(residual: ColumnArray, time_s: FloatArray) -> FloatArray:
 
 
 def fitted(residual: ColumnArray, valid: ColumnArray, removed: int) -> Noise:
-    """Return the noise of residuals by Burg's method (Kay 1988, Modern Spectral Estimation, 7.5.2).
+    """Return the noise of residuals, by Levinson's recursion on the autocovariance of the tapered series.
 
     The order is that of the least information criterion (Hurvich and Tsai 1989, Biometrika 76(2)).
 
@@ -117,34 +120,43 @@ def fitted(residual: ColumnArray, valid: ColumnArray, removed: int) -> Noise:
     count = int(valid.sum())
     axes = 2 if np.iscomplexobj(residual) else 1
     order = min(LARGEST_ORDER, count // VALUES_PER_ORDER)
-    noise = _burg(np.where(valid, residual, 0.0), order, axes * count)
+    noise = _levinson(np.where(valid, residual, 0.0), order, axes * count)
     if len(noise.variances) > 1 and not valid.all():
-        noise = _burg(noise.filled(residual, valid), order, axes * count)
+        noise = _levinson(noise.filled(residual, valid), order, axes * count)
     order = len(noise.variances) - 1
     white = noise.white(noise.filled(residual, valid))[valid]
     free = max(count - removed - order / axes, 1.0)
     variance = float(np.sum(np.abs(white) ** 2)) / (axes * free)
     # A trend that was fitted leaves a hole at frequency zero, which is not in the noise.
     density = np.abs(np.fft.rfft(noise.predictors[-1], SPECTRUM)) ** -2.0
-    hole = max(float(np.median(density) / density[0]), 1.0)
+    hole = max(float(np.min(density[SPECTRUM // 16 :]) / density[0]), 1.0)
     return Noise(noise.predictors, noise.variances, max(hole * variance, 1e-40))
 
 
-def _burg(series: ColumnArray, order: int, values: int) -> Noise:
-    """Return predictors of all orders up to the best, and their relative variances; its own stays at 1."""
-    ahead, behind = series[1:], series[:-1]
-    predictors, variances = [np.ones(1)], [1.0]
-    for _ in range(order):
-        power = float(np.sum(np.abs(ahead) ** 2 + np.abs(behind) ** 2))
-        reflection = -2.0 * float(np.real(np.vdot(behind, ahead))) / power if power > 0.0 else 0.0
-        reflection = min(max(reflection, -0.9999), 0.9999)
-        last = np.append(predictors[-1], 0.0)
-        predictors.append(last + reflection * last[::-1])
-        variances.append(variances[-1] * (1.0 - reflection**2))
-        ahead, behind = (ahead + reflection * behind)[1:], (behind + reflection * ahead)[:-1]
+def _levinson(series: ColumnArray, order: int, values: int) -> Noise:
+    """Return predictors of all orders up to the best, and their relative variances; its own stays at 1.
+
+    From the autocovariance under a Hann taper, so that a peak does not leak to frequency zero, where a sway's
+    spectrum has a hole: the angle is bounded, the rate is its derivative (Percival and Walden 1993, 9.4).
+    """
+    n = len(series)
+    spectrum = np.abs(np.fft.fft(np.hanning(n + 2)[1:-1] * series, 2 * n)) ** 2
+    covariance = np.fft.ifft(spectrum).real[: order + 1]
+    a, error = np.ones(1), float(covariance[0])
+    predictors, variances = [a], [error]
+    for m in range(1, order + 1):
+        if not error > FINEST * covariance[0]:
+            break
+        reflection = -float(a @ covariance[m:0:-1]) / error
+        a = np.append(a, 0.0)
+        a = a + reflection * a[::-1]
+        error *= 1.0 - reflection**2
+        predictors.append(a)
+        variances.append(error)
     orders = np.arange(len(variances))
-    information = values * np.log(variances) + 2.0 * (orders + 1) * values / np.maximum(
-        values - orders - 2, 1
-    )
+    relative = np.maximum(np.array(variances), 1e-300)
+    relative = relative / relative[0]
+    parameters = orders + 1
+    information = values * np.log(relative) + 2.0 * parameters * values / np.maximum(values - orders - 2, 1)
     best = int(np.argmin(information)) + 1
-    return Noise(tuple(predictors[:best]), np.array(variances[:best]) / variances[best - 1], 1.0)
+    return Noise(tuple(predictors[:best]), relative[:best] / relative[best - 1], 1.0)

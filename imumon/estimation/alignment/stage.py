@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Collection, Mapping, Sequence
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -28,6 +29,10 @@ LIKELY = 0.5
 POINTS = 400
 """Points that a chart keeps at the most."""
 _ANGLES = ("roll", "pitch")
+_STATE = (
+    "_aligner", "_down", "_prefix", "_begun", "_yaw", "_origin_ns", "_last_ns", "_said", "_points",
+    "_spacing", "_added", "_last", "_segment", "_status",
+)  # fmt: skip
 _CHANNELS = tuple(f"{sensor}_{axis}" for sensor in ("gyro", "accel", "mag") for axis in "xyz")
 
 
@@ -63,7 +68,7 @@ class Alignment:
         self._prefix = "aligned_" if set(_ANGLES) & set(sent) else ""
         self._begun = False
         self._yaw = math.nan
-        self._origin_ns = self._last_ns = 0
+        self._origin_ns = self._last_ns = self._segment = 0
         self._said: set[str] = set()
         self._points: list[tuple[float, float, float, float]] = []
         self._spacing = 1.0
@@ -103,7 +108,8 @@ class Alignment:
             if name in block:
                 values[:, j] = block[name]
         values[~np.isfinite(values[:, :6]).all(1), :6] = np.nan
-        values[:, -1] = block.columns.get("at_rest", 1.0)
+        # Unknown is no motion.
+        values[:, -1] = np.asarray(block.columns.get("at_rest", np.ones(n, np.int64))) != 0
         yaw = block.columns.get("yaw", np.empty(0))
         self._yaw = next(iter(yaw[np.isfinite(yaw)][-1:].tolist()), self._yaw)
         slots = self._slots.process(block["device_time_ns"], block["segment"], values)
@@ -112,8 +118,11 @@ class Alignment:
             self._step(slots, k)
             rows[k] = self._row()
         out = held(slots.row, rows, self._last, n)
+        # What was said of another segment does not hold in a new one.
+        of = held(slots.row, slots.segment.astype(np.float64), np.array(float(self._segment)), n)
+        out[of != block["segment"]] = np.nan
         if len(slots):
-            self._last = rows[-1]
+            self._last, self._segment = rows[-1], int(slots.segment[-1])
             self._status = self._judge()
         return {name: np.ascontiguousarray(out[:, j]) for j, name in enumerate(self._added)}
 
@@ -201,6 +210,19 @@ class Alignment:
             self._points.append((time_s, self._aligner.heading_sd, *(level[:2] / level[2]).tolist()))
         if len(self._points) > POINTS:
             self._points, self._spacing = self._points[::2], 2.0 * self._spacing
+
+    def snapshot(self) -> dict[str, object]:
+        """Return a copy of all that is remembered."""
+        return {
+            "slots": self._slots.snapshot(),
+            **copy.deepcopy({name: getattr(self, name) for name in _STATE}),
+        }
+
+    def restore(self, saved: Mapping[str, Any]) -> None:
+        """Go on from what `snapshot` returned."""
+        self._slots.restore(saved["slots"])
+        for name in _STATE:
+            setattr(self, name, copy.deepcopy(saved[name]))
 
     @property
     def wanted_deg(self) -> float:

@@ -9,11 +9,11 @@ import numpy as np
 from imumon.blocks import ColumnArray, FloatArray, SampleBlock
 from imumon.columns import Column
 from imumon.errors import ImumonError, Reason
-from imumon.estimation.temperature_rate.fir import FirExponentialRate
 from imumon.estimation.temperature_rate.level_bank import LevelBankRate
 from imumon.estimation.temperature_rate.parameters import TemperatureRateParameters
 from imumon.estimation.temperature_rate.series import RateMethod
 from imumon.estimation.temperature_rate.step import StepFinder
+from imumon.published.fir import FirExponentialRate
 
 CHANNEL = "temperature"
 KNOWN_CHANNELS = (CHANNEL, *(f"{CHANNEL}_{axis}" for axis in "xyz"))
