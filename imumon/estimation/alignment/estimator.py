@@ -28,6 +28,8 @@ SIGMAS = 6.0
 TYPICAL_BIAS, TYPICAL_ARW, BIAS_POWER = 10.0 * DEG_PER_H, math.radians(0.1) / 60.0, 1.5
 """A gyro with the noise 0.1 °/√h has a bias of about 10 °/h; better gyros have less, by the power 1.5: data
 sheets of MEMS, fibre and ring laser gyros, from 0.3 °/√h and 50 °/h to 0.002 °/√h and 0.03 °/h."""
+LEAST_ARW = math.radians(1e-4) / 60.0
+"""The best ring laser gyros."""
 SMALLER, LARGER = 1.2, 2.2
 """Standard deviation of the logarithm of a bias about that: below, the scatter of the data sheets; above, a
 factor 80 at two of them, for a low-noise gyro may have any bias until it is calibrated."""
@@ -265,7 +267,7 @@ class Aligner:
 
     def _bias_prior(self, arw: float) -> tuple[FloatArray, FloatArray]:
         """Return sizes of the bias that are thought of, rad/s, and the logarithms of their probabilities."""
-        typical = TYPICAL_BIAS * (arw / TYPICAL_ARW) ** BIAS_POWER
+        typical = TYPICAL_BIAS * (max(arw, LEAST_ARW) / TYPICAL_ARW) ** BIAS_POWER
         declared = self.parameters.gyro_bias_sd_deg_per_h
         if declared is None:
             logs = -0.5 * (SIZES / np.where(SIZES < 0.0, SMALLER, LARGER)) ** 2

@@ -6,8 +6,6 @@ import math
 
 from imumon.estimation.alignment.status import Status
 
-LEAST_TURN_DEG = 20.0
-"""A bias is told from the earth rate by 2 sin(angle / 2): a third of a half turn is the least that helps."""
 LEAST_S, LONGEST_S = 20.0, 300.0
 """A position is held at least and at most so long."""
 
@@ -49,7 +47,7 @@ class Guide:
         elif not last and held:
             self.order = f"turn the unit now by about {angle:.0f}° about the vertical"
             self._told = at
-        elif last and (settled or (held and hopeless)):
+        elif last and (settled or hopeless or status.position_s >= LONGEST_S):
             self.order, self.done = "done", True
         elif at:
             self.order = f"position {at} of {self.positions}: do not touch the unit"

@@ -89,18 +89,20 @@ class Motion:
             return "the unit turned"
         if off[3:].any():
             return "the specific force jumped"
-        if slot.samples >= LEAST:
-            allowed = (1.0 + 20.0 / math.sqrt(slot.samples - 1)) * (scatter + FINEST**2)
-            if (slot.variance > allowed).any():
-                return "a shock or vibration"
+        noisy = np.sqrt(slot.variance) > scatter[0] + limit * scatter[1]
+        if slot.samples >= LEAST and noisy.any():
+            return "a shock or vibration"
         return ""
 
     def usual(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return median and scatter of the means of recent slots, and median of their variances, (6,)."""
+        """Return median and scatter of the means of recent slots, (6,), and both of their noise, (2, 6)."""
         if self.known is None:
             middle = np.median(self.recent, axis=0)
             spread = NORMAL * np.median(np.abs(self.recent - middle), axis=0) + FINEST
-            self.known = middle, spread, np.median(self.scatter, axis=0)
+            noise = np.sqrt(self.scatter)
+            usual = np.median(noise, axis=0)
+            varied = NORMAL * np.median(np.abs(noise - usual), axis=0) + FINEST
+            self.known = middle, spread, np.stack([usual, varied])
         return self.known
 
     def go_on(self, slot: Slot) -> None:
