@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from imumon.blocks import FloatArray
+from imumon.compiled import njit
 
 FORGETTING = 0.95
 
@@ -124,7 +124,7 @@ class LinearFilter:
         return series
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _run(
     reading: FloatArray,
     use: npt.NDArray[np.bool_],
@@ -158,7 +158,7 @@ def _run(
         series.estimate[k], series.sd[k] = x[0], np.sqrt(p[0, 0])
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _fading(innovation: float, had: float, process: float, settings: Settings, state: State) -> float:
     """Return λ after an innovation, `had` being H F P Fᵀ Hᵀ."""
     seen = state.seen

@@ -21,9 +21,9 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from imumon.blocks import FloatArray, IntArray
+from imumon.compiled import njit
 from imumon.errors import ImumonError, Reason
 
 STATES = ("x", "x_before", "phi", "delta1", "delta2")
@@ -212,7 +212,7 @@ def check_risk(model: ModelNL, risk: Sequence[float]) -> None:
         )
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _run(
     reading: FloatArray,
     use: npt.NDArray[np.bool_],
@@ -242,13 +242,13 @@ def _run(
         series.phi_sd[k] = math.sqrt(factor[PHI, X] ** 2 + factor[PHI, BEFORE] ** 2 + factor[PHI, PHI] ** 2)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _model(x: FloatArray, newer: float, older: float) -> float:
     """Return x_k of model NL (5) from X_k-1 and the noises a_k, a_k-1."""
     return float((1.0 + x[PHI]) * x[X] - x[PHI] * x[BEFORE] + x[DELTA1] * newer - x[DELTA2] * older)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def predict(mean: FloatArray, factor: FloatArray, deviations: FloatArray, noise: float) -> None:
     """Apply model NL to sigma points (12 to 14); `noise` is Q, `deviations` (5, 14) is room to work in."""
     centre = _model(mean, 0.0, 0.0)
@@ -274,7 +274,7 @@ def predict(mean: FloatArray, factor: FloatArray, deviations: FloatArray, noise:
     _lower(deviations, factor)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def hold(mean: FloatArray, factor: FloatArray, deviations: FloatArray, noise: float) -> None:
     """Let x stay where it is, less and less known: in motion and in gaps there is no difference to go on."""
     for j in range(POINTS):
@@ -286,7 +286,7 @@ def hold(mean: FloatArray, factor: FloatArray, deviations: FloatArray, noise: fl
     _lower(deviations, factor)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _lower(wide: FloatArray, factor: FloatArray) -> None:
     """Fill the lower triangular S with S Sᵀ = W Wᵀ, by Householder reflections; W (5, 14) is used up."""
     columns = wide.shape[1]
@@ -313,7 +313,7 @@ def _lower(wide: FloatArray, factor: FloatArray) -> None:
             factor[i, row] = 0.0
 
 
-@njit(cache=True, nogil=True)
+@njit
 def take_risk(factor: FloatArray, risk: FloatArray) -> bool:
     """Raise the covariance by the risk (15); return whether an entry of it had to be smaller.
 
@@ -347,7 +347,7 @@ def take_risk(factor: FloatArray, risk: FloatArray) -> bool:
     return shrunk
 
 
-@njit(cache=True, nogil=True)
+@njit
 def measure(mean: FloatArray, factor: FloatArray, reading: float, noise_variance: float) -> None:
     """Take in x + noise (16 to 20): with x first, only the first column of S changes."""
     spread = factor[X, X]

@@ -100,6 +100,57 @@ def _beside_published(axis: str) -> Panel:
     )
 
 
+METHODS = "Published"
+"""Tab of the published methods that `--published` chooses, each beside the default."""
+
+
+def _published_gyro(method: str, title: str, quantity: str, default: str) -> list[Panel]:
+    """Return the panels of a method, one for each gyro, with the entity of the default beside."""
+    name = f"{method}_{quantity}"
+    return [
+        band_panel(
+            f"{name}_{axis}",
+            METHODS,
+            f"{title} {axis} ({method}) beside the default, 2σ",
+            [Band(f"{name}_{axis}", f"{name}_sd_{axis}", method, color)],
+            unit="°/h",
+            factor=DEG_PER_HOUR,
+            beside=f"/view/{default.format(axis=axis)}/**",
+        )
+        for axis, color in AXIS_COLORS.items()
+    ]
+
+
+def _published_temperature(suffix: str, default: str) -> list[Panel]:
+    """Return the panels of the FIR filter for the channel with this ending."""
+    rows = (("estimate", "Temperature", "°C", 1.0), ("rate", "Temperature rate", "°C/h", 3600.0))
+    return [
+        band_panel(
+            f"fir_temperature_{name}{suffix}",
+            METHODS,
+            f"{title}{suffix.replace('_', ' ')} (fir) beside the default, 2σ",
+            [Band(f"fir_temperature_{name}{suffix}", f"fir_temperature_{name}_sd{suffix}", "fir", VIOLET)],
+            unit=unit,
+            factor=factor,
+            beside=f"/view/temperature_{name}{default}/**",
+        )
+        for name, title, unit, factor in rows
+    ]
+
+
+def _published_heading(method: str, name: str, color: Color) -> Panel:
+    """Return the panel of a heading without a sigma."""
+    return band_panel(
+        f"{method}_heading",
+        METHODS,
+        f"Heading ({method}) beside the default",
+        [Band(f"{method}_heading", None, name, color)],
+        unit="°",
+        factor=DEG,
+        beside="/view/heading/**",
+    )
+
+
 PANELS: tuple[Panel, ...] = (
     attitude("attitude", ("q_w", "q_x", "q_y", "q_z"), from_wxyz),
     attitude("attitude_from_angles", ("roll", "pitch", "yaw"), from_euler),
@@ -183,6 +234,57 @@ PANELS: tuple[Panel, ...] = (
         [Band("roll_drift", None, "roll", RED), Band("pitch_drift", None, "pitch", GREEN)],
         unit="µg",
         factor=1e6,
+    ),
+    *_published_temperature("", ""),
+    *(panel for axis in "xyz" for panel in _published_temperature(f"_{axis}", "_x_y_z")),
+    *(
+        panel
+        for method in ("stf", "sr_ukf", "sr_rsukf")
+        for panel in _published_gyro(method, "Random error", "random_error", "gyro_random_error_{axis}")
+    ),
+    *(
+        band_panel(
+            f"{method}_phi",
+            METHODS,
+            f"φ ({method}), 2σ",
+            _axis_bands(f"{method}_phi", f"{method}_phi_sd"),
+            unit="",
+            y_range=(-1.0, 1.0),
+        )
+        for method in ("sr_ukf", "sr_rsukf")
+    ),
+    *(
+        panel
+        for method in ("dense_zupt", "dense_tczupt")
+        for panel in _published_gyro(method, "Gyro bias", "gyro_bias", "gyro_bias")
+    ),
+    _published_heading("fixed_gain_loop", "now", GREY),
+    _published_heading("total_average", "average", RED),
+    _published_heading("curve_fit", "curve-fit", ORANGE),
+    band_panel(
+        "fixed_gain_loop_control_rate",
+        METHODS,
+        "Horizontal control rates (fixed_gain_loop)",
+        [
+            Band("fixed_gain_loop_control_rate_east", None, "east", RED),
+            Band("fixed_gain_loop_control_rate_north", None, "north", BLUE),
+        ],
+        unit="°/h",
+        factor=DEG_PER_HOUR,
+    ),
+    *(
+        band_panel(
+            f"gyro_rest_{axis}",
+            METHODS,
+            f"Gyro {axis}: exponential mean at rest, and the beginning held",
+            [
+                Band(f"gyro_rest_mean_{axis}", None, "mean", VIOLET),
+                Band(f"gyro_rest_hold_{axis}", None, "hold", GREY),
+            ],
+            unit="°/h",
+            factor=DEG_PER_HOUR,
+        )
+        for axis in "xyz"
     ),
     strip("pressure", "Pressure", {"pressure": "static"}, colors=[VIOLET]),
     strip(

@@ -90,8 +90,9 @@ class Family:
         """Return the noise of all filters in rad/s; `white` (3,) is the angular random walk."""
         unit = white[:, np.newaxis] if self.relative else np.ones((3, 1))
         times = len(self.sensitivity_sd)
-        markov = np.tile(self.noise.markov_sd * unit[..., np.newaxis], (1, times, 1))
-        return BiasNoise(TAUS_S, markov, np.tile(self.noise.walk * unit, (1, times)))
+        markov = self.noise.markov_sd * unit[..., np.newaxis]
+        walk = self.noise.walk * unit
+        return BiasNoise(TAUS_S, np.concatenate([markov] * times, 1), np.concatenate([walk] * times, 1))
 
 
 NO_SENSITIVITY = np.zeros(1)
@@ -288,14 +289,24 @@ def innovation(bank: Bank, found: Correction) -> FloatArray:
     return np.asarray(-mean / np.sqrt(variance))
 
 
-def take(bank: Bank, found: Correction) -> FloatArray:
-    """Accept the measurement and weigh the filters; return the log-likelihoods, (variants, 3)."""
+def take(bank: Bank, family: Family, found: Correction) -> FloatArray:
+    """Accept the measurement and weigh the filters; return the log-likelihoods, (variants, 3).
+
+    How sensitive to the specific force a unit is holds for its three axes together: a group has one
+    probability, to which the evidence of all axes is multiplied.
+    """
     bank.estimate = found.estimate
+    shape = (*bank.weight.shape[:2], len(family.sensitivity_sd), len(family.prior))
+    before = bank.weight.reshape(shape).sum(-1)
     most = found.log_likelihood.max(-1, keepdims=True)
-    joint = bank.weight * np.exp(found.log_likelihood - most)
-    total = joint.sum(-1, keepdims=True)
-    bank.weight = np.maximum(joint / total, LEAST_WEIGHT)
-    return np.asarray((most + np.log(total))[..., 0])
+    joint = (bank.weight * np.exp(found.log_likelihood - most)).reshape(shape)
+    group = np.maximum(joint.sum(-1), LEAST_WEIGHT)
+    log_common = np.log(before[:, 0]) + np.log(group / before).sum(1)
+    common = np.exp(log_common - log_common.max(-1, keepdims=True))
+    common = np.maximum(common / common.sum(-1, keepdims=True), LEAST_WEIGHT)
+    weight = joint / group[..., np.newaxis] * common[:, np.newaxis, :, np.newaxis]
+    bank.weight = np.maximum(weight, LEAST_WEIGHT).reshape(bank.weight.shape)
+    return np.asarray(most[..., 0] + np.log(group.sum(-1)))
 
 
 def mix(bank: Bank, family: Family, dt: float) -> None:

@@ -262,7 +262,9 @@ def step(state: State, params: Params, slot: Slot) -> FloatArray:
             state.at_rest = state.fresh = True
         innovation = _close(state, params, slot)
     elif state.bank is not None:
-        _coast(state, params, state.bank, slot.end_s, slot.degc, slot.growth)
+        noise = _noise(state, params)
+        assert noise is not None
+        _coast(state, params.family, noise[0], slot.end_s, slot.degc, slot.growth)
         _show(state, slot.force)
     return innovation
 
@@ -358,18 +360,17 @@ def _filter_again(state: State, params: Params) -> None:
 
 
 def _coast(
-    state: State, params: Params, bank: Bank, end_s: float, degc: FloatArray, growth: FloatArray
+    state: State, family: Family, white: FloatArray, end_s: float, degc: FloatArray, growth: FloatArray
 ) -> None:
     """Bring the biases to a time and temperature, without a measurement."""
-    noise = _noise(state, params)
-    assert noise is not None
+    assert state.bank is not None
     warming = degc - state.at_degc
     known = np.isfinite(warming)
     moved = np.where(known, np.abs(degc - state.noted_degc), 0.0)
     travel = np.where(moved >= MOVED_DEGC, moved, 0.0)
-    scaled = params.family.scaled(noise[0])
     warming = np.where(known, warming, 0.0)
-    filters.wander(bank, scaled, end_s - state.used_s, warming, travel, growth - state.growth)
+    noise, dt = family.scaled(white), end_s - state.used_s
+    filters.wander(state.bank, noise, dt, warming, travel, growth - state.growth)
     # A temperature that comes late is where the slope counts from.
     state.at_degc = np.where(np.isfinite(degc), degc, state.at_degc)
     state.noted_degc = np.where((travel > 0.0) | ~np.isfinite(state.noted_degc), degc, state.noted_degc)
@@ -388,7 +389,7 @@ def _take(state: State, params: Params, bank: Bank, reading: Reading) -> FloatAr
     slot, dt = reading.slot, reading.slot.dt
     noise = _noise(state, params)
     assert noise is not None
-    _coast(state, params, bank, slot.end_s, slot.degc, slot.growth)
+    _coast(state, params.family, noise[0], slot.end_s, slot.degc, slot.growth)
     # Only at rest: nothing is learned of the bias while it moves, and doubts that only add up help nobody.
     state.unmixed_s += dt
     if state.unmixed_s >= MIX_S:
@@ -417,7 +418,7 @@ def _take(state: State, params: Params, bank: Bank, reading: Reading) -> FloatAr
         _refuse(state, params, bank, reading)
         return shown
     state.contrary = Contrary()
-    likelihood = filters.take(bank, found)
+    likelihood = filters.take(bank, params.family, found)
     if params.learns:
         fade = math.exp(-dt / FORGETTING_S)
         state.evidence = fade * state.evidence + likelihood[1] - likelihood[0]

@@ -26,7 +26,7 @@ from imumon.filters.slots import held
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.models.model import BiasModel
 
-SENSITIVITIES = np.radians([0.002, 0.05]) / STANDARD_GRAVITY
+SENSITIVITIES = np.radians([0.005, 0.05]) / STANDARD_GRAVITY
 """What data sheets say of MEMS gyros, rad/s per m/s²: compensated units, and others (0.01 to 0.1 °/s/g)."""
 Mode = Literal["standard", "thermal", "learned"]
 _COLUMNS = (

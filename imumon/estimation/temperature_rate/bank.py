@@ -10,9 +10,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from imumon.blocks import FloatArray, IntArray
+from imumon.compiled import njit
 
 JERKS = 10.0 ** np.arange(-27.0, -6.0, 1.5)
 """Jerk densities, °C²/s⁵: from a rate that keeps to 0.001 °C/h for a day to chambers at full power."""
@@ -40,7 +40,7 @@ def empty_bank() -> FloatArray:
     return np.zeros((len(JERKS) * len(NOISES), 10))
 
 
-@njit(cache=True, nogil=True)
+@njit
 def restart(bank: FloatArray, temperature: float, sd: float, rate: float, keep_noise: bool) -> None:
     """Let all hypotheses begin at a temperature and a rough rate; the weights of the noise may be kept."""
     n, m = JERKS.size, NOISES.size
@@ -62,7 +62,7 @@ def restart(bank: FloatArray, temperature: float, sd: float, rate: float, keep_n
             bank[k, AA] = min(START_ACCELERATION**2, JERKS[i] * FORGETTING_S / 2.0)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def mix(bank: FloatArray, work: FloatArray, dt: float) -> None:
     """Pass weight and state between neighbours, over dt seconds."""
     n, m = JERKS.size, NOISES.size
@@ -93,7 +93,7 @@ def mix(bank: FloatArray, work: FloatArray, dt: float) -> None:
                 _merge(bank[k], work, source[:count], share[:count], total)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _merge(row: FloatArray, work: FloatArray, source: IntArray, share: FloatArray, total: float) -> None:
     """Write mean and covariance of a mixture of rows."""
     row[T:] = 0.0
@@ -112,7 +112,7 @@ def _merge(row: FloatArray, work: FloatArray, source: IntArray, share: FloatArra
         row[AA] += w * (other[AA] + f * f)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def motion_over(dt: float) -> FloatArray:
     """Return what `predict` needs of a time in s, (9,): dt, f, g, keep, and covariance per jerk density."""
     keep = math.exp(-dt / FORGETTING_S)
@@ -122,7 +122,7 @@ def motion_over(dt: float) -> FloatArray:
     return np.array(terms)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def predict(row: FloatArray, motion: FloatArray, jerk: float) -> None:
     """Move one hypothesis on."""
     dt, f, g, keep = motion[0], motion[1], motion[2], motion[3]
@@ -141,7 +141,7 @@ def predict(row: FloatArray, motion: FloatArray, jerk: float) -> None:
     row[AA] = keep * keep * aa + jerk * dt
 
 
-@njit(cache=True, nogil=True)
+@njit
 def condition(row: FloatArray, mean: float, variance: float) -> None:
     """Give the temperature of one hypothesis these moments, and the rest what follows from them."""
     g, h = row[TR] / row[TT], row[TA] / row[TT]
@@ -157,7 +157,7 @@ def condition(row: FloatArray, mean: float, variance: float) -> None:
     row[TA] = h * variance
 
 
-@njit(cache=True, nogil=True)
+@njit
 def reweigh(bank: FloatArray, log_evidence: FloatArray) -> None:
     """Multiply the weights by the evidence and normalize; what is negligible goes."""
     best = -np.inf

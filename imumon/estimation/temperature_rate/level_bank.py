@@ -21,9 +21,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from imumon.blocks import FloatArray, IntArray
+from imumon.compiled import njit
 from imumon.estimation.temperature_rate.bank import (
     JERKS,
     NEGLIGIBLE,
@@ -175,7 +175,7 @@ class LevelBankRate(Resumable):
         return result
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _process(
     seconds: FloatArray,
     readings: FloatArray,
@@ -215,7 +215,7 @@ def _process(
         rate_sd[i] = math.hypot(numbers[SHOWN_R_SD], remainder)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _start(t: float, reading: float, bank: FloatArray, numbers: FloatArray, integers: IntArray) -> None:
     """Begin with a reading; what is known of the sensor stays."""
     restart(bank, reading, numbers[STEP], 0.0, False)
@@ -231,7 +231,7 @@ def _start(t: float, reading: float, bank: FloatArray, numbers: FloatArray, inte
     _open(t, numbers, integers)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _open(t: float, numbers: FloatArray, integers: IntArray) -> None:
     """Begin a slot."""
     numbers[SLOT_START] = t
@@ -241,7 +241,7 @@ def _open(t: float, numbers: FloatArray, integers: IntArray) -> None:
     integers[SAMPLES] = integers[VALID] = integers[CHANGES] = 0
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _gather(t: float, reading: float, numbers: FloatArray, integers: IntArray) -> None:
     """Take a reading into the slot."""
     difference = reading - numbers[LAST_READING]
@@ -262,7 +262,7 @@ def _gather(t: float, reading: float, numbers: FloatArray, integers: IntArray) -
     numbers[LAST_READING], numbers[LAST_TIME], numbers[LAST_VALID] = reading, t, t
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _count(t: float, reading: float, numbers: FloatArray, integers: IntArray) -> None:
     integers[VALID] += 1
     numbers[SUM] += reading
@@ -271,7 +271,7 @@ def _count(t: float, reading: float, numbers: FloatArray, integers: IntArray) ->
     numbers[HIGH] = max(numbers[HIGH], reading)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _finish(t: float, bank: FloatArray, work: FloatArray, numbers: FloatArray, integers: IntArray) -> None:
     """Set the slot aside if nothing has happened; take it, and before it what has been set aside, if not."""
     if integers[VALID] and not integers[CHANGES]:
@@ -301,7 +301,7 @@ def _finish(t: float, bank: FloatArray, work: FloatArray, numbers: FloatArray, i
     _close(t, bank, work, numbers, integers)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _close(t: float, bank: FloatArray, work: FloatArray, numbers: FloatArray, integers: IntArray) -> None:
     """Bring the bank to the end of the slot and decide what is shown from now on."""
     n = integers[VALID]
@@ -335,7 +335,7 @@ def _close(t: float, bank: FloatArray, work: FloatArray, numbers: FloatArray, in
         numbers[ASIDE_LONGEST] = max(min(still, longer, LONGEST_SLOT_S) - TINY, SLOT_S)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _has_no_steps(numbers: FloatArray) -> bool:
     """Tell whether noise hides the steps, or the readings have none."""
     if numbers[HIDING] > HIDDEN or numbers[STEP] < FINEST_STEP:
@@ -344,7 +344,7 @@ def _has_no_steps(numbers: FloatArray) -> bool:
     return numbers[SEEN] > 2 * SUPPORT_NEEDED and not known
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _learn_noise(numbers: FloatArray, integers: IntArray) -> int:
     """Return the kind of the slot; learn of noise that hides the steps."""
     n, changes = integers[VALID], integers[CHANGES]
@@ -368,7 +368,7 @@ def _learn_noise(numbers: FloatArray, integers: IntArray) -> int:
     return UNCHANGED if span < 0.5 * numbers[STEP] else MIXED
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _advance(bank: FloatArray, work: FloatArray, dt: float, unseen: bool) -> None:
     mix(bank, work, dt)
     motion = motion_over(dt)
@@ -378,7 +378,7 @@ def _advance(bank: FloatArray, work: FloatArray, dt: float, unseen: bool) -> Non
             predict(bank[k], motion, max(jerk, UNSEEN_JERK) if unseen else jerk)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _is_fault(kind: int, bank: FloatArray, numbers: FloatArray) -> bool:
     """Tell whether no hypothesis allows for the readings of the slot."""
     step = numbers[STEP]
@@ -391,7 +391,7 @@ def _is_fault(kind: int, bank: FloatArray, numbers: FloatArray) -> bool:
     return True
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _measure(kind: int, bank: FloatArray, numbers: FloatArray, integers: IntArray) -> None:
     """Take the slot into every hypothesis."""
     step, n = numbers[STEP], integers[VALID]
@@ -431,7 +431,7 @@ def _measure(kind: int, bank: FloatArray, numbers: FloatArray, integers: IntArra
     reweigh(bank, log_evidence)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _fit(row: FloatArray, z: float, variance: float) -> float:
     """Take a Gaussian measurement of the temperature into one hypothesis; return its log evidence."""
     total = row[TT] + variance
@@ -440,7 +440,7 @@ def _fit(row: FloatArray, z: float, variance: float) -> float:
     return float(-0.5 * math.log(total) - 0.5 * residual * residual / total)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _sweeps(rate: float, moved: float, noise: float, numbers: FloatArray, integers: IntArray) -> bool:
     """Tell whether the readings of a mixed slot pass the edge once, but for the noise of a hypothesis."""
     changes = integers[CHANGES]
@@ -449,7 +449,7 @@ def _sweeps(rate: float, moved: float, noise: float, numbers: FloatArray, intege
     return moved > SWEEP * noise and changes % 2 == 1 and changes <= few and (rate > 0.0) == upward
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _cross(row: FloatArray, noise: float, numbers: FloatArray, integers: IntArray) -> float:
     """Take the time at which one hypothesis passed the edge into it; return log evidence."""
     changes = integers[CHANGES]
@@ -462,7 +462,7 @@ def _cross(row: FloatArray, noise: float, numbers: FloatArray, integers: IntArra
     return density + math.log(each / ROOT_2_PI)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _stay(row: FloatArray, low: float, high: float, n: float, sigma: float, step: float) -> float:
     """Take a reading that does not change into one hypothesis, if it says something; return log evidence."""
     mean, sd = row[T], math.sqrt(row[TT])
@@ -479,7 +479,7 @@ def _stay(row: FloatArray, low: float, high: float, n: float, sigma: float, step
     return log_mass
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _show(t: float, confined: bool, bank: FloatArray, work: FloatArray, numbers: FloatArray) -> None:
     """Merge the hypotheses, each confined to the level that is being read or not, into what is shown."""
     count, total = _confine(confined, bank, work, numbers)
@@ -498,7 +498,7 @@ def _show(t: float, confined: bool, bank: FloatArray, work: FloatArray, numbers:
     _glide_to(t, mean, variance, numbers)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _confine(confined: bool, bank: FloatArray, work: FloatArray, numbers: FloatArray) -> tuple[int, float]:
     """Write the hypotheses that count into `work`, T less the reading; return how many and their weight."""
     step, count, total = numbers[STEP], 0, 0.0
@@ -519,7 +519,7 @@ def _confine(confined: bool, bank: FloatArray, work: FloatArray, numbers: FloatA
     return count, total
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _glide_to(t: float, mean: FloatArray, variance: FloatArray, numbers: FloatArray) -> None:
     """Set what is shown from t on; the difference to what was shown until now fades away."""
     age = t - numbers[SHOWN_TIME]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
+from imumon.compiled import njit
 
 ROOT_2 = math.sqrt(2.0)
 ROOT_2_PI = math.sqrt(2.0 * math.pi)
@@ -13,25 +13,25 @@ FAR = -8.0
 NEWTON_STEPS = 20
 
 
-@njit(cache=True, nogil=True)
+@njit
 def normal_cdf(x: float) -> float:
     """Return Φ(x)."""
     return 0.5 * math.erfc(-x / ROOT_2)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def log_normal_cdf(x: float) -> float:
     """Return log Φ(x)."""
     return -0.5 * x * x - math.log(-x * ROOT_2_PI) if x < FAR else math.log(normal_cdf(x))
 
 
-@njit(cache=True, nogil=True)
+@njit
 def inverse_mills(x: float) -> float:
     """Return φ(x)/Φ(x)."""
     return -x - 1.0 / x if x < FAR else math.exp(-0.5 * x * x) / ROOT_2_PI / normal_cdf(x)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def truncated(a: float, b: float) -> tuple[float, float, float]:
     """Return mean, variance and log probability of a standard normal between a < b."""
     if a > 0.0:
@@ -40,7 +40,7 @@ def truncated(a: float, b: float) -> tuple[float, float, float]:
     return _truncated(a, b)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _truncated(a: float, b: float) -> tuple[float, float, float]:
     """Do the work of `truncated` for a ≤ 0, where Φ(b) - Φ(a) loses no digits."""
     mass = normal_cdf(b) - normal_cdf(a)
@@ -56,7 +56,7 @@ def _truncated(a: float, b: float) -> tuple[float, float, float]:
     return mean, max(variance, 1e-6), math.log(mass)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def weigh(
     mean: float, sd: float, low: float, high: float, above: float, below: float, sigma: float
 ) -> tuple[float, float, float]:

@@ -8,9 +8,9 @@ from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
-from numba import njit
 
 from imumon.blocks import ColumnArray, FloatArray, IntArray
+from imumon.compiled import njit
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,10 +39,23 @@ class RateEstimate:
         return RateEstimate(*(part[start:stop] for part in parts))
 
 
+class Rates(Protocol):
+    """What a method returns: the arrays of `RateEstimate`."""
+
+    @property
+    def temperature(self) -> FloatArray: ...  # noqa: D102  (see RateEstimate)
+    @property
+    def rate(self) -> FloatArray: ...  # noqa: D102
+    @property
+    def temperature_sd(self) -> FloatArray: ...  # noqa: D102
+    @property
+    def rate_sd(self) -> FloatArray: ...  # noqa: D102
+
+
 class RateMethod(Protocol):
     """A method that estimates the rate sample by sample, from readings up to that sample."""
 
-    def process(self, time_ns: IntArray, segment: IntArray, reading: FloatArray) -> RateEstimate:
+    def process(self, time_ns: IntArray, segment: IntArray, reading: FloatArray) -> Rates:
         """Return the estimates of samples that follow those of the last call."""
 
 
@@ -106,7 +119,7 @@ class SegmentClock:
             yield start, stop, begins, elapsed * 1e-9
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _steady(time_ns: IntArray, segment: IntArray) -> bool:
     """Tell whether all is one segment in which the time does not run back: nearly every block is."""
     for i in range(1, len(time_ns)):

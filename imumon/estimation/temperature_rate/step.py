@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from imumon.blocks import FloatArray
+from imumon.compiled import njit
 
 TINY = 1e-6
 """°C; two readings closer than this are the same, and no step is smaller."""
@@ -23,7 +23,7 @@ STEP, MISFIT, SUPPORT, SEEN = range(4)
 _LAST = 4
 
 
-@njit(cache=True, nogil=True)
+@njit
 def learn_step(change: float, state: FloatArray) -> None:
     """Learn from a change of the reading, > 0: the step is the least, of which the others are multiples."""
     state[SEEN] += 1.0
@@ -44,7 +44,7 @@ def learn_step(change: float, state: FloatArray) -> None:
         state[MISFIT] += MEMORY * (1.0 - state[MISFIT])
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _scan(readings: FloatArray, state: FloatArray) -> None:
     for reading in readings:
         if math.isfinite(reading):

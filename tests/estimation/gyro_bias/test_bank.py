@@ -30,7 +30,7 @@ def test_with_white_noise_alone_it_is_the_mean_with_its_sigma() -> None:
     rates = rng.normal(size=(60, 3)) * ARW / math.sqrt(0.5)
     for rate in rates:
         filters.wander(bank, family.scaled(ARW * ONE), 0.5, ZERO, ZERO, ZERO)
-        filters.take(bank, filters.look(bank, still(rate)))
+        filters.take(bank, family, filters.look(bank, still(rate)))
     value, variance = filters.bias(bank, ZERO)
     np.testing.assert_allclose(value[0], rates.mean(0), atol=0.01 * ARW / math.sqrt(30.0))
     np.testing.assert_allclose(np.sqrt(variance), ARW / math.sqrt(30.0), rtol=1e-3)
@@ -64,7 +64,7 @@ def test_level_the_three_axes_apart_are_the_dense_filter() -> None:
     for k in range(len(gyro)):
         filters.wander(bank, scaled, dt, ZERO, ZERO, ZERO)
         slot = AtRest(dt, rate[k], tilt[k], ZERO, ARW**2 + level * 1e-12, tilt2, still2)
-        filters.take(bank, filters.look(bank, slot))
+        filters.take(bank, family, filters.look(bank, slot))
         (bias[k],), (variance[k],) = filters.bias(bank, ZERO)
     off = np.abs(bias - dense.bias).max(0) / DPH
     assert off[:2].max() < 0.002
@@ -113,7 +113,7 @@ def test_a_sensitivity_to_the_specific_force_is_learned_from_poses(truth: float)
         for _ in range(60):
             rate = per_g * (force @ [[0, 1, 0], [0, 0, 1], [1, 0, 0]]) + rng.normal(size=3) * ARW * 1.4
             filters.wander(bank, family.scaled(ARW * ONE), 0.5, ZERO, ZERO, ZERO)
-            filters.take(bank, filters.look(bank, still(rate, force=force - forces[0])))
+            filters.take(bank, family, filters.look(bank, still(rate, force=force - forces[0])))
     found = filters.sensitivity(bank)[0]
     expected = per_g * np.array([[0, 0, 1], [1, 0, 0], [0, 1, 0]])
     np.testing.assert_allclose(found, expected, atol=5.0 * DPH / 9.81)
