@@ -25,6 +25,8 @@ followed for so long has lost what was found."""
 SAME_TURN, SAME_LEVEL = 3e-5, 1e-5
 """Angles, rad, below which a unit stands as before; so many cost less than 0.002° of heading."""
 SIGMAS = 6.0
+AFTER = 3
+"""Slots after a disturbance that do not count: what is left of it in them is below the limit, but adds up."""
 TYPICAL_BIAS, TYPICAL_ARW, BIAS_POWER = 10.0 * DEG_PER_H, math.radians(0.1) / 60.0, 1.5
 """A gyro with the noise 0.1 °/√h has a bias of about 10 °/h; better gyros have less, by the power 1.5: data
 sheets of MEMS, fibre and ring laser gyros, from 0.3 °/√h and 50 °/h to 0.002 °/√h and 0.03 °/h."""
@@ -178,7 +180,7 @@ class Aligner:
             same = self._new_pose(calm)
         motion.rest(same)
         for k, slot in enumerate(calm):
-            if k == 0 and not first:
+            if k < AFTER and not first:
                 self._skip(slot)
             else:
                 self._count(slot)
