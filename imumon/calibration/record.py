@@ -14,7 +14,7 @@ from imumon.calibration.reduction import BlockMeans, BlockReducer
 from imumon.calibration.stillness import Mask, at_rest
 from imumon.errors import ImumonError, Reason
 from imumon.estimation.rest.stage import RestDetector
-from imumon.estimation.temperature_rate.parameters import TemperatureRateParameters
+from imumon.protocols.thermometer import TemperatureRateParameters
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.pipeline import Estimator, Pipeline
 from imumon.recordings.folder import Session, open_session

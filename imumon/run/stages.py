@@ -6,7 +6,7 @@ from imumon.allan.stage import AllanStage
 from imumon.estimation.alignment.stage import Alignment
 from imumon.estimation.random_error.stage import RandomError
 from imumon.estimation.rest.stage import RestDetector
-from imumon.estimation.temperature_rate.parameters import TemperatureRateParameters
+from imumon.protocols.thermometer import TemperatureRateParameters
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.estimation.watch.stage import ModelWatch
 from imumon.estimation.zupt.stage import ZeroVelocity

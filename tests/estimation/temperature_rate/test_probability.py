@@ -6,10 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.integrate import quad
-from scipy.special import log_ndtr
-from scipy.stats import norm, truncnorm
-
 from imumon.estimation.temperature_rate.probability import (
     inverse_mills,
     log_normal_cdf,
@@ -17,6 +13,9 @@ from imumon.estimation.temperature_rate.probability import (
     truncated,
     weigh,
 )
+from scipy.integrate import quad
+from scipy.special import log_ndtr
+from scipy.stats import norm, truncnorm
 
 
 @settings(max_examples=100, deadline=None)
