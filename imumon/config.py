@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -18,11 +19,25 @@ class _Loader(yaml.SafeLoader):
     """PyYAML's safe loader, but 1e-6 is a number, as in YAML 1.2."""
 
 
-_Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float",
-    re.compile(r"[-+]?(\d+|\d*\.\d+|\d+\.)[eE][-+]?\d+$"),
-    list("-+.0123456789"),
-)
+class YamlDumper(yaml.SafeDumper):
+    """PyYAML's safe dumper, but what it writes is what `parse_yaml` reads."""
+
+
+for _side in (_Loader, YamlDumper):
+    _side.add_implicit_resolver(
+        "tag:yaml.org,2002:float",
+        re.compile(r"[-+]?(\d+|\d*\.\d+|\d+\.)[eE][-+]?\d+$"),
+        list("-+.0123456789"),
+    )
+
+
+def _represent_text(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
+    """Quote text with line breaks that PyYAML writes as they are and then reads folded."""
+    style = '"' if any(character in text for character in "\x85\u2028\u2029") else None
+    return dumper.represent_scalar("tag:yaml.org,2002:str", text, style=style)
+
+
+YamlDumper.add_representer(str, _represent_text)
 
 
 class StrictModel(BaseModel):
@@ -77,6 +92,26 @@ def parse_yaml(text: str, model: type[Model], source: str) -> Model:
     except ValidationError as error:
         lines = [_describe(item, root, source) for item in error.errors()]
         raise ImumonError(Reason.BAD_CONFIG, "\n".join(lines)) from error
+
+
+def dump_yaml(data: Mapping[str, Any], *, flow: bool | None = False) -> str:
+    """Return YAML text from which `parse_yaml` reads the same, keys in their order.
+
+    Parameters
+    ----------
+    flow : bool or None
+        Whether lists are in one line; None for those without another list in them.
+    """
+    return str(
+        yaml.dump(
+            dict(data),
+            Dumper=YamlDumper,
+            sort_keys=False,
+            allow_unicode=True,
+            width=110,
+            default_flow_style=flow,
+        )
+    )
 
 
 def _describe(item: Any, root: yaml.Node, source: str) -> str:

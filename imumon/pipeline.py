@@ -9,16 +9,20 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from types import MappingProxyType
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from imumon.blocks import NO_INT, ColumnArray, SampleBlock, join, missing
+from imumon.blocks import NO_INT, ColumnArray, IntArray, SampleBlock, join, missing
 from imumon.charts import Chart
 from imumon.clock import DeviceClock, HostClock
+from imumon.clock.rate import Intervals
+from imumon.clock.side import SharedCounter, SideClock
 from imumon.columns import KNOWN, TIME_COLUMNS, Column
-from imumon.protocols.base import Counters, Timing
+from imumon.protocols.base import COMMON, MAIN, Counters, Timing
 from imumon.protocols.device import DeviceFile
+from imumon.protocols.epochs import EpochAssembler, EpochCounters
 
 UNDATED = NO_INT
 """Arrival time of bytes whose arrival nobody noted, as in a raw capture."""
@@ -55,6 +59,21 @@ class Judging(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
+class StreamCounters:
+    """What came of a stream: packets, rows, its rate where none is missing, gaps, clocks that went back.
+
+    `incomplete` rows lack fields that all rows before them had.
+    """
+
+    packets: int
+    rows: int
+    rate_hz: float | None
+    gaps: int
+    incomplete: int
+    restarts: int
+
+
+@dataclass(frozen=True, slots=True)
 class PipelineCounters:
     """What became of every byte and packet; the keys of ``--json`` and of session.yaml."""
 
@@ -70,6 +89,7 @@ class PipelineCounters:
     packets_missing: int
     clock_restarts: int
     samples: int
+    streams: dict[str, StreamCounters]
 
     def as_dict(self) -> dict[str, object]:
         """Return the counters as they are printed and stored."""
@@ -94,6 +114,13 @@ class Pipeline:
         self._estimators = tuple(estimators)
         self._samples = 0
         self._ready: list[SampleBlock] = []
+        groups = self._decoder.groups if self._decoder is not None else None
+        self._epochs = EpochAssembler(groups) if groups is not None else None
+        timing = self._device_clock.timing
+        self._side_clock, self._shared_counter = SideClock(timing), SharedCounter(timing.counter_bits)
+        self._side_ready: dict[str, list[SampleBlock]] = {}
+        self._side: dict[str, SampleBlock] = {}
+        self._intervals: dict[str, Intervals] = {}
 
     @property
     def estimators(self) -> tuple[Estimator, ...]:
@@ -103,10 +130,15 @@ class Pipeline:
     @property
     def columns(self) -> list[Column]:
         """Columns of the decoded blocks so far, in the order in which tables have them."""
+        return [*self.stream_columns(MAIN), *(c for stage in self._estimators for c in stage.columns)]
+
+    def stream_columns(self, stream: str) -> list[Column]:
+        """Return the columns of a stream's blocks so far, without those of the estimators."""
         decoded = {column.name: column for column in self._decoder.columns} if self._decoder else {}
-        times = [KNOWN[name] for name in TIME_COLUMNS if name != "packet_counter" or name in decoded]
-        rest = [c for c in decoded.values() if c.name not in TIME_COLUMNS and c.name != "device_ticks"]
-        return [*times, *rest, *(column for stage in self._estimators for column in stage.columns)]
+        there = decoded if self._epochs is None else self._epochs.columns(stream)
+        times = [KNOWN[name] for name in TIME_COLUMNS if name != "packet_counter" or name in there]
+        rest = [c for c in decoded.values() if c.name in there and c.name not in (*TIME_COLUMNS, *COMMON)]
+        return [*times, *rest]
 
     @property
     def units(self) -> dict[str, str]:
@@ -132,7 +164,24 @@ class Pipeline:
             packets_missing=self._device_clock.packets_missing,
             clock_restarts=self._device_clock.resets,
             samples=self._samples,
+            streams=self._stream_counters(),
         )
+
+    def _stream_counters(self) -> dict[str, StreamCounters]:
+        assembled = self._epochs.counters if self._epochs is not None else {}
+        counters = {}
+        for stream, intervals in self._intervals.items():
+            own = assembled.get(stream, EpochCounters())
+            restarts = self._device_clock.resets if stream == MAIN else intervals.backwards
+            counters[stream] = StreamCounters(
+                own.packets or intervals.rows,
+                intervals.rows,
+                intervals.rate_hz,
+                intervals.gaps,
+                own.incomplete,
+                restarts,
+            )
+        return counters
 
     def feed(self, data: bytes, arrival_ns: int = UNDATED) -> None:
         """Decode bytes that arrived at `arrival_ns` (Unix time, ns)."""
@@ -143,15 +192,21 @@ class Pipeline:
     def push(self, block: SampleBlock) -> None:
         """Take samples that have their times already, from a table."""
         self._ready.append(self._estimate(block))
+        self._count(MAIN, block)
 
     def finish(self) -> None:
         """Say that no more bytes come: samples held back behind a damaged header come out."""
         if self._decoder is not None:
             self._decoder.finish()
+            self._ready.append(self._decoded(end=True))
+
+    def pause(self) -> None:
+        """Say that the port fell silent or closed: a row that waits for more of its fields comes out."""
+        self._ready.append(self._decoded(end=True))
 
     def port_opened(self) -> None:
         """Say that the port was opened anew: the device may have restarted meanwhile."""
-        self._ready.append(self._decoded())
+        self.pause()
         self._device_clock.new_connection()
 
     def take(self) -> SampleBlock:
@@ -159,7 +214,14 @@ class Pipeline:
         ready, self._ready = self._ready, []
         block = join([*ready, self._decoded()])
         self._samples += len(block)
+        side, self._side_ready = self._side_ready, {}
+        self._side = {stream: join(blocks) for stream, blocks in side.items()}
         return block
+
+    @property
+    def side(self) -> Mapping[str, SampleBlock]:
+        """The rows of the side streams that belong to what `take` returned last, by stream."""
+        return self._side
 
     def notices(self) -> list[str]:
         """Return, once each, what the device said that is not data."""
@@ -180,16 +242,34 @@ class Pipeline:
         judging = [stage for stage in self._estimators if isinstance(stage, Judging)]
         return {lane: state for stage in judging for lane, state in stage.lanes().items()}
 
-    def _decoded(self) -> SampleBlock:
-        """Date what the decoder has completed, and estimate."""
+    def _decoded(self, end: bool = False) -> SampleBlock:
+        """Put together and date what the decoder has completed, and estimate."""
         if self._decoder is None:
             return SampleBlock({})
-        raw = self._decoder.take()
+        packets = self._decoder.take_packets()
+        if not len(packets) and not end:
+            return SampleBlock({})
+        if self._epochs is None:
+            return self._dated(packets.block, np.zeros(len(packets), np.int64), [])
+        streams = self._epochs.process(packets, end)
+        main = streams.pop(MAIN)
+        block = self._dated(main.block, main.more, self._epochs.counted_aside)
+        for stream, epochs in streams.items():
+            times = self._side_clock.times(epochs)
+            rest = {name: values for name, values in epochs.block.columns.items() if name != "device_ticks"}
+            side = SampleBlock({**times, **{k: v for k, v in rest.items() if k not in times}})
+            self._side_ready.setdefault(stream, []).append(side)
+            self._count(stream, side)
+        return block
+
+    def _dated(self, raw: SampleBlock, more: IntArray, side: list[tuple[int, int]]) -> SampleBlock:
+        """Date rows of the main stream, and estimate."""
         n = len(raw)
         columns = dict(raw.columns)
         counter, ticks = columns.get("packet_counter"), columns.pop("device_ticks", None)
         arrival = columns.get("arrival_time_ns", missing(n, np.int64))
-        device_ns, segment = self._device_clock.process(counter, ticks, arrival, n)
+        counted = None if counter is None else self._shared_counter.process(counter, more, side)
+        device_ns, segment = self._device_clock.process(counted, ticks, arrival, n)
         times: dict[str, ColumnArray] = {
             "device_time_ns": device_ns,
             "arrival_time_ns": arrival,
@@ -198,7 +278,15 @@ class Pipeline:
         }
         if counter is not None:
             times["packet_counter"] = counter
-        return self._estimate(SampleBlock({**times, **{k: v for k, v in columns.items() if k not in times}}))
+        dated = SampleBlock({**times, **{k: v for k, v in columns.items() if k not in times}})
+        self._side_clock.follow(dated, ticks)
+        self._count(MAIN, dated)
+        return self._estimate(dated)
+
+    def _count(self, stream: str, block: SampleBlock) -> None:
+        if len(block) and "device_time_ns" in block:
+            segment = block["segment"] if "segment" in block else np.zeros(len(block), np.int64)
+            self._intervals.setdefault(stream, Intervals()).add(block["device_time_ns"], segment)
 
     def _estimate(self, block: SampleBlock) -> SampleBlock:
         for stage in self._estimators:
@@ -215,9 +303,12 @@ class Digest:
     def __init__(self) -> None:
         self._hashes: dict[str, hashlib._Hash] = {}
         self._rows = 0
+        self._side: dict[str, Digest] = {}
 
-    def update(self, block: SampleBlock) -> None:
-        """Add samples."""
+    def update(self, block: SampleBlock, side: Mapping[str, SampleBlock] = MappingProxyType({})) -> None:
+        """Add samples, and those of side streams."""
+        for stream, rows in side.items():
+            self._side.setdefault(stream, Digest()).update(rows)
         for name, values in block.columns.items():
             if name not in self._hashes:
                 # A column that begins late is the same as one that was missing so far.
@@ -233,6 +324,8 @@ class Digest:
         whole = hashlib.sha256(str(self._rows).encode())
         for name in sorted(self._hashes):
             whole.update(name.encode() + self._hashes[name].digest())
+        for stream in sorted(self._side):
+            whole.update(f"{stream} {self._side[stream].hexdigest()}".encode())
         return whole.hexdigest()
 
 

@@ -16,7 +16,6 @@ from scipy.optimize import linprog
 
 from imumon.blocks import NO_INT, FloatArray, IntArray
 from imumon.clock import DeviceClock, HostClock
-from imumon.clock.device import LATE_NS
 from imumon.clock.host import BLOCK_NS, BLOCKS, MARGIN, PRIOR, TOUCH
 from imumon.errors import ImumonError, Reason
 from imumon.protocols.base import Timing
@@ -352,24 +351,6 @@ class TestDeviceClock:
         _, segment = unwrap(clock, sent)
         assert (np.flatnonzero(np.diff(segment)).tolist(), clock.resets) == ([999], 1)
 
-    @pytest.mark.parametrize("seen", [True, False])
-    def test_a_packet_dated_back_keeps_its_time_and_is_no_restart(self, seen: bool) -> None:
-        """GNSS data of an MTi have a packet of their own, dated before the inertial data already sent."""
-        sent = packets(400, U16, uptime_s=0.1)
-        sent.ticks[100:400:100] -= 52_000
-        sent = sent if seen else sent.unseen()
-        clock, host = DeviceClock(U16), HostClock()
-        time, segment = unwrap(clock, sent)
-        np.testing.assert_array_equal(time, sent.ticks * 1000)
-        assert not segment.any()
-        assert (clock.resets, clock.counter_gaps) == (0, 0)
-        on_time = np.setdiff1d(np.arange(400), [100, 200, 300])
-        alone = HostClock().process(time[on_time], segment[on_time], sent.arrival[on_time])
-        host_ns = host.process(time, segment, sent.arrival)
-        np.testing.assert_array_equal(host_ns[on_time], alone)
-        if seen:
-            assert np.all(host_ns[[99, 199, 299]] - host_ns[[100, 200, 300]] > 30 * MS)
-
     def test_a_clock_set_back_a_little_begins_a_segment(self) -> None:
         sent = packets(200, U16, uptime_s=100.0)
         sent.ticks[100:] -= 500_000
@@ -377,7 +358,7 @@ class TestDeviceClock:
         _, segment = unwrap(clock, sent)
         assert clock.resets == 1
         assert segment[99] == 0
-        assert np.all(segment[104:] == 1)
+        assert np.all(segment[100:] == 1)
 
     def test_clock_set_forward_begins_a_segment(self) -> None:
         sent = packets(1000).then(packets(500, uptime_s=3000.0, counter=1000 % 256, start_s=10.0))
@@ -541,12 +522,9 @@ def test_any_input_gives_ordered_times(data: st.DataObject) -> None:
     host = HostClock().process(time, segment, arrival)
     same = np.diff(segment) == 0
     assert np.all(np.diff(segment) >= 0)
-    back = np.r_[False, same & (np.diff(time) < 0)]
-    for number in np.unique(segment):
-        mine = time[segment == number]
-        assert np.all(np.maximum.accumulate(mine) - mine <= LATE_NS)
+    dated = np.flatnonzero(time != 0)  # before the first count that can be there is no time
+    assert np.all(np.diff(time)[same][dated[0] if len(dated) else n :] >= 0)
     known = arrival != NO_INT
     assert np.all(host[known] <= arrival[known])
     assert np.all(host[~known] == NO_INT)
-    if not back.any():
-        assert np.all(np.diff(host[known]) >= 0)
+    assert np.all(np.diff(host[known]) >= 0)

@@ -8,12 +8,12 @@ differences whose whole span lies in one run of samples are taken.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from imumon.blocks import FloatArray, IntArray
+from imumon.compiled import njit
 
 
-@njit(cache=True, nogil=True)
+@njit
 def integrate(values: FloatArray, offset: float) -> FloatArray:
     """Return the running sum of values - offset, (n + 1,), beginning with 0."""
     total = np.empty(len(values) + 1)
@@ -23,7 +23,7 @@ def integrate(values: FloatArray, offset: float) -> FloatArray:
     return total
 
 
-@njit(cache=True, nogil=True, fastmath={"reassoc"})
+@njit(fastmath={"reassoc"})
 def _allan_run(x: FloatArray, start: int, count: int, m: int, stride: int) -> float:
     total = 0.0
     for k in range(count):
@@ -33,7 +33,7 @@ def _allan_run(x: FloatArray, start: int, count: int, m: int, stride: int) -> fl
     return total
 
 
-@njit(cache=True, nogil=True, fastmath={"reassoc"})
+@njit(fastmath={"reassoc"})
 def _all_runs(x: FloatArray, start: int, positions: int, m: int, window: float) -> tuple[float, float, float]:
     """Return the sums of squares of second differences, third differences, and windows of m of the second.
 
@@ -53,7 +53,7 @@ def _all_runs(x: FloatArray, start: int, positions: int, m: int, window: float) 
     return allan, hadamard, modified
 
 
-@njit(cache=True, nogil=True)
+@njit
 def allan_sum(x: FloatArray, starts: IntArray, stops: IntArray, m: int, stride: int) -> tuple[float, int]:
     """Return the sum of squared second differences, and their number.
 
@@ -76,7 +76,7 @@ def allan_sum(x: FloatArray, starts: IntArray, stops: IntArray, m: int, stride: 
     return total, number
 
 
-@njit(cache=True, nogil=True)
+@njit
 def all_sums(x: FloatArray, starts: IntArray, stops: IntArray, m: int) -> tuple[FloatArray, IntArray]:
     """Return sums of squares and their numbers for Allan, modified Allan and Hadamard, (3,) each.
 

@@ -6,13 +6,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from imumon.allan.analysis import Deviations, Result
 from imumon.allan.confidence import CONFIDENCE
 from imumon.allan.fit import TERMS, Estimate
 from imumon.allan.recording import GROUPS, UNITS, group_of, rate_hz
 from imumon.blocks import FloatArray
+from imumon.config import dump_yaml
 from imumon.errors import ImumonError, Reason
 
 UNIT_OF_TERM = {
@@ -146,7 +145,7 @@ def write_noise(path: Path, results: Mapping[str, Result], source: Path) -> None
         f"# Noise of {source.name}, by Allan deviation; x, y, z; null: the data do not show it.",
         "# SI units.  Bias instability B: the flat part of the Allan deviation is 0.664 B.",
     ]
-    _write(path, "\n".join(head) + "\n" + _yaml({"noise": noise_section(results)}, None))
+    _write(path, "\n".join(head) + "\n" + dump_yaml({"noise": noise_section(results)}, flow=None))
 
 
 def write_kalibr(path: Path, results: Mapping[str, Result], source: Path) -> None:
@@ -176,17 +175,12 @@ def write_kalibr(path: Path, results: Mapping[str, Result], source: Path) -> Non
         body[f"{name}_random_walk"] = 0.0 if walk is None else walk
     body["rostopic"] = "/imu0"
     body["update_rate"] = float(f"{rate_hz(results['gyro_x'].series):.6g}") if "gyro_x" in results else None
-    _write(path, "\n".join(head) + "\n" + _yaml(body, False))
+    _write(path, "\n".join(head) + "\n" + dump_yaml(body, flow=False))
 
 
 def _largest(results: Mapping[str, Result], group: str, term: str) -> float | None:
     values = [_value(results.get(f"{group}_{axis}"), term) for axis in "xyz"]
     return max((value for value in values if value is not None), default=None)
-
-
-def _yaml(data: Mapping[str, Any], flow: bool | None) -> str:
-    """Return YAML; flow None puts lists on one line."""
-    return str(yaml.safe_dump(dict(data), sort_keys=False, default_flow_style=flow, width=110))
 
 
 def _write(path: Path, text: str) -> None:

@@ -15,9 +15,10 @@ from imumon.allan.covariance import SHAPES
 from imumon.allan.fit import TERMS
 from imumon.allan.recording import GROUPS, group_of
 from imumon.errors import ImumonError, Reason
+from imumon.geodesy import MICRO_G
 
 COLORS = {"x": "#d03c3c", "y": "#2a9a4f", "z": "#3b78d8"}
-SHOWN = {"gyro": (float(np.rad2deg(3600.0)), "deg/h"), "accel": (1e6 / 9.80665, "µg")}
+SHOWN = {"gyro": (float(np.rad2deg(3600.0)), "deg/h"), "accel": (1.0 / MICRO_G, "µg")}
 """Factor and unit that a person reads."""
 TITLES = {"gyro": "Angular rate", "accel": "Specific force"}
 STYLES = {

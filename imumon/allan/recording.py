@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from imumon.allan.series import BRIDGED, EvenSeries, even_channels
-from imumon.blocks import ColumnArray, SampleBlock, join
+from imumon.blocks import SampleBlock, join
+from imumon.columns import Column
 from imumon.errors import ImumonError, Reason
-from imumon.estimation.rest.stage import RestDetector
-from imumon.pipeline import Pipeline
-from imumon.recordings.table import SUFFIXES, iterate_table, read_columns
-from imumon.run.replay import run_over
-from imumon.run.source import open_source
+from imumon.recordings.reader import Stages, no_stages, open_recording
+from imumon.recordings.reduced import ACCEL, GYRO, TEMPERATURES
 
 GROUPS = ("gyro", "accel")
-CHANNELS = tuple(f"{group}_{axis}" for group in GROUPS for axis in "xyz")
+CHANNELS = (*GYRO, *ACCEL)
 UNITS = {"gyro": "rad/s", "accel": "m/s^2"}
-TEMPERATURES = ("temperature", "temperature_x", "temperature_y", "temperature_z")
 WANTED = ("device_time_ns", "segment", "at_rest", *CHANNELS, *TEMPERATURES)
 FEWEST_SAMPLES = 64
 LEAST_USED = 0.5
@@ -39,33 +36,32 @@ NORMAL_G = (9.3, 10.3)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Recording:
+class Channels:
     """The channels that are there, on an even grid, and what to say of them."""
 
     series: dict[str, EvenSeries]
     warnings: tuple[str, ...]
 
 
-def open_recording(path: Path) -> Recording:
+def read_channels(path: Path, stages: Stages = no_stages) -> Channels:
     """Read the gyro and accelerometer channels of a session, or of a table of samples.
+
+    Parameters
+    ----------
+    stages : callable
+        A rest detector, which tells motion where the table has no column ``at_rest``.
 
     Raises
     ------
     ImumonError
         BAD_DATA when there is nothing to read, no such channel, too few samples or no even rate.
     """
-    blocks, said = _blocks(path)
+    recording = open_recording(path, stages)
+    _check_units(path, recording.columns)
+    blocks = [_wanted(block) for block in recording.blocks()]
     if not blocks:
         raise ImumonError(Reason.BAD_DATA, f"{path}: has no samples")
     samples = join(blocks)
-    if "device_time_ns" not in samples:
-        raise ImumonError(
-            Reason.BAD_DATA,
-            f"{path}: has no column device_time_ns",
-            "a table from elsewhere becomes a session first: imumon import",
-        )
-    if "segment" not in samples:
-        samples = samples.with_columns({"segment": np.zeros(len(samples), np.int64)})
     there = [name for name in CHANNELS if name in samples]
     names = [name for name in there if np.isfinite(samples[name]).any()]
     if there and not names:
@@ -77,40 +73,18 @@ def open_recording(path: Path) -> Recording:
     _refuse(path, len(samples), names, series)
     empty = [name for name in there if name not in names]
     warnings = [
-        *said,
+        *recording.warnings(),
         *([f"{', '.join(empty)}: no number in any row; left out"] if empty else []),
         *_of_units(series),
         *_of_the_grid(series),
-        *_of_motion(samples),
+        *_of_motion(samples, judged="at_rest" in recording.columns),
         *_of_temperature(samples),
     ]
-    return Recording(series, tuple(warnings))
+    return Channels(series, tuple(warnings))
 
 
-def _blocks(path: Path) -> tuple[list[SampleBlock], list[str]]:
-    """Return the wanted columns of all samples, and what the source says of itself."""
-    if path.is_file() and path.suffix in SUFFIXES:
-        _check_units(path)
-        return _wanted(iterate_table(path)), []
-    if path.is_file():
-        raise ImumonError(
-            Reason.BAD_DATA,
-            f"{path} is neither a session nor a table ({', '.join(SUFFIXES)})",
-            "a raw capture becomes a table first: imumon decode FILE --device NAME --out TABLE.parquet",
-        )
-    if not path.exists():
-        raise ImumonError(
-            Reason.BAD_DATA,
-            f"{path}: there is no such file or folder",
-            "give a session, or a table of samples",
-        )
-    source = open_source(path)
-    return _wanted(run_over(source.items, Pipeline(source.device))), source.warnings()
-
-
-def _check_units(path: Path) -> None:
+def _check_units(path: Path, columns: Mapping[str, Column]) -> None:
     """Refuse a table that says itself that it is in other units."""
-    columns = read_columns(path)
     for name in CHANNELS:
         unit = columns[name].unit if name in columns else ""
         if unit and unit != UNITS[group_of(name)]:
@@ -121,14 +95,9 @@ def _check_units(path: Path) -> None:
             )
 
 
-def _wanted(blocks: Iterable[SampleBlock]) -> list[SampleBlock]:
-    """Keep of each block what is needed, as a copy, so that the rest can go."""
-    kept = []
-    for block in blocks:
-        columns: dict[str, ColumnArray] = {name: block[name].copy() for name in WANTED if name in block}
-        if len(block):
-            kept.append(SampleBlock(columns))
-    return kept
+def _wanted(block: SampleBlock) -> SampleBlock:
+    """Keep of a block what is needed, as a copy, so that the rest can go."""
+    return SampleBlock({name: block[name].copy() for name in WANTED if name in block})
 
 
 def _refuse(path: Path, rows: int, names: list[str], series: dict[str, EvenSeries]) -> None:
@@ -208,18 +177,18 @@ def _among(names: list[str], series: dict[str, EvenSeries]) -> str:
     return "" if len(names) == len(series) else f"{', '.join(names)}: "
 
 
-def _of_motion(samples: SampleBlock) -> list[str]:
-    """Tell the share of motion: by the column ``at_rest``, else by the rest detector."""
-    at_rest = samples.columns.get("at_rest")
-    how = "column at_rest"
-    if at_rest is None:
-        at_rest, how = RestDetector().process(samples)["at_rest"], "by the rest detector"
-        if samples["device_time_ns"][-1] - samples["device_time_ns"][0] < LEAST_FOR_MOTION_S * 1e9:
-            return []
+def _of_motion(samples: SampleBlock, *, judged: bool) -> list[str]:
+    """Tell the share of motion: by the column ``at_rest`` of a table, else by the rest detector."""
+    time_ns = samples["device_time_ns"]
+    short = time_ns[-1] - time_ns[0] < LEAST_FOR_MOTION_S * 1e9
+    if "at_rest" not in samples or (short and not judged):
+        return []
+    at_rest = samples["at_rest"]
     known = at_rest[np.argmax(at_rest == 1) :]  # until the first rest nothing is known
     share = float(np.mean(known != 1))
     if share <= MOVING_SHARE:
         return []
+    how = "column at_rest" if judged else "by the rest detector"
     return [
         f"the unit moved during {share:.1%} of the recording ({how}): "
         "an Allan deviation of a unit that moves is that of the motion; record it at rest"

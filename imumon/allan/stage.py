@@ -12,11 +12,12 @@ from imumon.allan.streaming import LiveCurve, StreamingAllan
 from imumon.blocks import ColumnArray, FloatArray, SampleBlock
 from imumon.charts import AXIS_COLORS, GREY, ORANGE, Axis, Chart, Curve
 from imumon.columns import Column
+from imumon.geodesy import MICRO_G
 
 TAB = "Allan"
 _GROUPS = {
     "gyro": ("Allan deviation of the angular rate, at rest", "deg/h", math.degrees(3600.0)),
-    "accel": ("Allan deviation of the specific force, at rest", "µg", 1e6 / 9.80665),
+    "accel": ("Allan deviation of the specific force, at rest", "µg", 1.0 / MICRO_G),
 }
 CHANNELS = tuple(f"{group}_{axis}" for group in _GROUPS for axis in AXIS_COLORS)
 FLICKER_LEVEL = 2.0 * math.log(2.0) / math.pi

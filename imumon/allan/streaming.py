@@ -17,12 +17,12 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numba import njit
 
 from imumon.allan.confidence import TRUSTED_FREEDOM, intervals
 from imumon.allan.covariance import NOISES, Runs, freedom
 from imumon.allan.series import JITTER, nominal_interval_ns
 from imumon.blocks import FloatArray, IntArray
+from imumon.compiled import njit
 
 STRIDES_PER_TAU = 16
 FIRST_RING = 4
@@ -35,7 +35,7 @@ _SLOPES = np.array([-1.0, 0.0, 1.0, -2.0])
 """Exponent of the Allan variance over tau for each of `NOISES`."""
 
 
-@njit(cache=True, nogil=True)
+@njit
 def stream(
     time_ns: IntArray,
     segment: IntArray,

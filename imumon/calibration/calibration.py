@@ -14,13 +14,13 @@ from imumon import __version__
 from imumon.blocks import FloatArray, IntArray
 from imumon.calibration.cells import Cells, Channel, channel_of, group, levels
 from imumon.calibration.offsets import turn_on_offsets
-from imumon.calibration.record import ACCEL, GYRO, Record, read_session
-from imumon.calibration.reduction import BLOCK_S
+from imumon.calibration.record import BLOCK_S, Record, read_session
 from imumon.calibration.refusal import LAG_S, check_columns, check_coverage
 from imumon.calibration.selection import Choice, choose, slow_variance
 from imumon.errors import ImumonError, Reason
 from imumon.models.curves.points import Points
 from imumon.models.model import UNITS, BiasModel, ChannelModel, TrainedOn
+from imumon.recordings.reduced import ACCEL, GYRO
 
 MANY_LEVELS = 6
 MARGIN = 0.005
@@ -117,7 +117,7 @@ def calibrate(
     if latitude_deg is not None and any(run.earth_rate is None for run in cells.runs):
         raise ImumonError(
             Reason.BAD_CONFIG,
-            "the earth rate cannot be removed: the unit has no accelerometers, or its x axis is upright",
+            "the earth rate cannot be removed: the unit has no accelerometers",
             "leave --latitude and --heading away",
         )
     findings, channels, warnings = _all_channels(records, cells)

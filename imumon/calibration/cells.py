@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imumon.blocks import FloatArray, IntArray
-from imumon.calibration.earth import earth_rate_in_body
-from imumon.calibration.record import ACCEL, GYRO, Record
-from imumon.calibration.stillness import Mask
+from imumon.calibration.record import Record
+from imumon.geodesy import earth_rate_in_body
 from imumon.models.curves.points import Points
+from imumon.recordings.reduced import ACCEL, GYRO, Mask
 
 CELL_S = 300.0
 """Longest cell."""
@@ -152,16 +152,13 @@ def channel_of(
     column = next((found for record in records if (found := record.temperature_column(name))), None)
     if column is None or not all(record.has(name) for record in records):
         return None
-    values, whites, counts, temperatures = [], [], [], []
+    values, whites, temperatures = [], [], []
     for run, (number, rows) in zip(cells.runs, cells.block, strict=True):
         record = records[number]
-        means = record.means
-        j = means.names.index(name)
         earth = run.earth_rate if name in GYRO else None
         shift = earth["xyz".index(name[-1])] if earth is not None else 0.0
-        values.append(means.mean[rows, j] - shift)
-        whites.append(means.sd[rows, j] ** 2 / np.maximum(means.count[rows, j], 1))
-        counts.append(means.count[rows, j])
+        values.append(record.of(name)[rows] - shift)
+        whites.append(record.means.mean_variance(name)[rows])
         temperatures.append(record.of(column)[rows])
     value, white = np.concatenate(values), np.concatenate(whites)
     temperature = np.concatenate(temperatures)
@@ -273,8 +270,10 @@ def _run(
         accel = np.array(
             [np.nanmean(record.of(name)[rows]) if record.has(name) else np.nan for name in ACCEL]
         )
-        found = earth_rate_in_body(accel, latitude_deg, heading_deg) if np.isfinite(accel).all() else None
-        earth = None if found is None else (float(found[0]), float(found[1]), float(found[2]))
+        if np.isfinite(accel).all():
+            up = accel / np.linalg.norm(accel)
+            x, y, z = earth_rate_in_body(up, np.deg2rad(heading_deg), np.deg2rad(latitude_deg)).tolist()
+            earth = x, y, z
     t = temperature[rows]
     ends = (float(t.min()), float(t.max()))
     return Run(number, index, float(seconds.sum()), len(rows), ends, earth)

@@ -7,7 +7,7 @@ import numpy as np
 from imumon.blocks import FloatArray, IntArray
 from imumon.calibration.cells import Channel
 from imumon.models.curves.points import Points
-from imumon.models.curves.spline import penalised_basis
+from imumon.models.curves.smoothing import penalised_basis
 
 _STIFFNESS = 1e-6
 """Penalty of the curve that the offsets are estimated beside: enough to make it unique."""

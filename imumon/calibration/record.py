@@ -1,49 +1,39 @@
-"""What a calibration is made of: sessions, read through the pipeline and reduced to means at rest."""
+"""What a calibration is made of: recordings, read through the pipeline and reduced to means at rest."""
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from imumon.blocks import FloatArray, SampleBlock
-from imumon.calibration.reduction import BlockMeans, BlockReducer
-from imumon.calibration.stillness import Mask, at_rest
 from imumon.errors import ImumonError, Reason
 from imumon.estimation.rest.stage import RestDetector
 from imumon.protocols.thermometer import TemperatureRateParameters
 from imumon.estimation.temperature_rate.stage import TemperatureRate
-from imumon.pipeline import Estimator, Pipeline
-from imumon.recordings.folder import Session, open_session
-from imumon.run.replay import run_over
-from imumon.run.source import open_source
+from imumon.pipeline import Estimator
+from imumon.protocols.device import DeviceFile
+from imumon.recordings.reader import open_recording
+from imumon.recordings.reduced import ACCEL, AXES, GYRO, TEMPERATURES, Mask, Reduced, reduce
 
-AXES = "xyz"
-GYRO = tuple(f"gyro_{axis}" for axis in AXES)
-ACCEL = tuple(f"accel_{axis}" for axis in AXES)
-TEMPERATURES = tuple(
-    f"{kind}{suffix}"
-    for kind in ("temperature_estimate", "temperature")
-    for suffix in ("", *(f"_{axis}" for axis in AXES))
-)
-MOST_MISSING = 0.5
-"""A block with fewer than this share of a full one's span is passed over."""
+COLUMNS = (*GYRO, *ACCEL, *TEMPERATURES, "temperature_estimate", *(f"temperature_estimate_{a}" for a in AXES))
+BLOCK_S = 10.0
+"""Length of a block: long against the sample noise, short against a chamber's ramps."""
+LEAST_COVERED = 0.5
+"""A block whose samples span less than this share of it is passed over."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Record:
-    """The blocks of one recording.
+    """The block means of one recording.
 
     Parameters
     ----------
     name, sha256 : str
         Where it comes from, and the fingerprint of its bytes.
     device, axes : str or None
-    means : BlockMeans
-        Over `GYRO`, `ACCEL` and `TEMPERATURES`.
+    means : Reduced
+        Over `COLUMNS`.
     rest : array (n,) of bool
         Blocks at rest and complete.
     """
@@ -52,16 +42,16 @@ class Record:
     sha256: str
     device: str | None
     axes: str | None
-    means: BlockMeans
+    means: Reduced
     rest: Mask
 
     def of(self, name: str) -> FloatArray:
         """Return the block means of a column, (n,)."""
-        return self.means.mean[:, self.means.names.index(name)]
+        return self.means.of(name)
 
     def has(self, name: str) -> bool:
         """Tell whether a column has any value."""
-        return bool(np.isfinite(self.of(name)).any())
+        return self.means.has(name)
 
     def temperature_column(self, channel: str) -> str | None:
         """Return the column with the temperature of a channel: its own sensor's, estimated, if there is."""
@@ -76,15 +66,11 @@ def record_of(
     sha256: str,
     device: str | None = None,
     axes: str | None = None,
-    block_s: float = 10.0,
+    block_s: float = BLOCK_S,
 ) -> Record:
     """Reduce samples that went through the pipeline."""
-    reducer = BlockReducer((*GYRO, *ACCEL, *TEMPERATURES), block_s)
-    for block in blocks:
-        reducer.process(block)
-    means = reducer.finish()
-    complete = means.span_s >= MOST_MISSING * block_s
-    rest = at_rest(means, means.columns(GYRO), means.columns(ACCEL)) & complete
+    means = reduce(blocks, COLUMNS, block_s)
+    rest = means.at_rest() & (means.span_s >= LEAST_COVERED * block_s)
     return Record(name, sha256, device, axes, means, rest)
 
 
@@ -96,22 +82,15 @@ def read_session(path: Path) -> tuple[Record, list[str]]:
     ImumonError
         BAD_DATA when there is no session, or it cannot be read.
     """
-    session = open_session(path)
-    source = open_source(path)
-    temperature = source.device.temperature if source.device else TemperatureRateParameters()
-    stages: list[Estimator] = [TemperatureRate(parameters=temperature), RestDetector()]
-    pipeline = Pipeline(source.device, stages)
-    metadata = session.metadata
-    device = None if metadata.device == "import" else metadata.device
+    recording = open_recording(path, _stages)
     record = record_of(
-        run_over(source.items, pipeline), session.path.name, _fingerprint(session), device, metadata.axes
+        recording.blocks(), recording.name, recording.sha256(), recording.device, recording.axes
     )
     if not len(record.means):
         raise ImumonError(Reason.BAD_DATA, f"{path}: there is no sample in this session")
-    return record, [f"{path}: {text}" for text in [*source.warnings(), *pipeline.warnings()]]
+    return record, [f"{path}: {text}" for text in recording.warnings()]
 
 
-def _fingerprint(session: Session) -> str:
-    imported = session.metadata.source == "import"
-    with (session.samples_path if imported else session.wire_path).open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+def _stages(device: DeviceFile | None) -> Sequence[Estimator]:
+    temperature = device.temperature if device is not None else TemperatureRateParameters()
+    return [TemperatureRate(parameters=temperature), RestDetector()]

@@ -7,8 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from imumon.calibration.cells import Cells
-from imumon.calibration.record import GYRO, Record
+from imumon.calibration.record import Record
 from imumon.errors import ImumonError, Reason
+from imumon.recordings.reduced import GYRO
 
 LEAST_SPAN_DEGC = 5.0
 LEAST_REST_S = 600.0

@@ -11,7 +11,7 @@ from imumon.blocks import FloatArray
 from imumon.calibration.cells import Channel
 from imumon.models.curves.points import Points, folds
 from imumon.models.curves.polynomial import fit_polynomial
-from imumon.models.curves.spline import fit_spline
+from imumon.models.curves.smoothing import fit_spline
 from imumon.models.curves.training import fit_network, weights_of
 from imumon.models.model import Curve
 

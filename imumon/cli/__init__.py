@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import sys
+import threading
 from contextlib import suppress
 from importlib import import_module
 
 import click
 from click.exceptions import Exit
 
-from imumon.cli.common import note
+from imumon.cli.common import note, say
 from imumon.errors import EXIT_OK, EXIT_USAGE, ImumonError
 
 EXIT_INTERRUPTED = 130
@@ -65,6 +67,7 @@ def cli() -> None:
 def main() -> None:
     """Run the command line; errors that a user can act on end with one clear message and their exit code."""
     _open_missing_streams()
+    _tell_of_compiling()
     code = _run()
     _settle_streams()
     sys.exit(code)
@@ -109,6 +112,21 @@ def _open_missing_streams() -> None:
             stream = open(os.devnull, mode, encoding="utf-8")  # noqa: PTH123, SIM115  (stays open; not a path)
             os.set_inheritable(stream.fileno(), True)
             setattr(sys, name, stream)
+
+
+class _Compiling(logging.Handler):
+    """Says what a command waits for; in the main thread only, as a stopped terminal blocks whoever writes."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        if threading.current_thread() is threading.main_thread():
+            say(record.levelname, record.getMessage())
+
+
+def _tell_of_compiling() -> None:
+    log = logging.getLogger("imumon.compiled")
+    log.setLevel(logging.INFO)
+    log.propagate = False
+    log.addHandler(_Compiling())
 
 
 def _settle_streams() -> None:

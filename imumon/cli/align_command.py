@@ -62,7 +62,15 @@ def command(
     def setup(recorded: str | None = None, where: str = "") -> Setup:
         from imumon.cli.setup_options import SetupOptions
 
-        given = SetupOptions(pipeline=pipeline, model=model, zupt=None, latitude=latitude, heading=None)
+        given = SetupOptions(
+            pipeline=pipeline,
+            model=model,
+            zupt=None,
+            random_error=None,
+            published=None,
+            latitude=latitude,
+            heading=None,
+        )
         return _with_sigma(make_setup(given, recorded, where), until)
 
     if _is_recording(source):
@@ -117,8 +125,7 @@ def _recorded(path: Path, device: str | None, make: Callable[..., Setup]) -> Ali
     from imumon.estimation.alignment.stage import Alignment
     from imumon.estimation.rest.stage import RestDetector
     from imumon.pipeline import Pipeline
-    from imumon.run.replay import run_over
-    from imumon.run.source import open_source
+    from imumon.recordings.source import open_source, run_over
     from imumon.run.stages import estimators
 
     source = open_source(path, device)

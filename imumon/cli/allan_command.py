@@ -32,10 +32,11 @@ def command(
     """
     from imumon.allan import output
     from imumon.allan.analysis import analyse
-    from imumon.allan.recording import open_recording
+    from imumon.allan.recording import read_channels
+    from imumon.estimation.rest.stage import RestDetector
 
     output.check_outputs(plot, noise_out, kalibr)
-    opened = open_recording(recording)
+    opened = read_channels(recording, lambda _: [RestDetector()])
     results = analyse(opened.series)
     for text in [*opened.warnings, *_of_the_fit(results)]:
         say("WARN", text)

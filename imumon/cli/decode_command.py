@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -16,11 +17,10 @@ from imumon.cli.common import (
     split_columns,
 )
 from imumon.errors import ImumonError, Reason
-from imumon.pipeline import Pipeline
-from imumon.recordings.table import export_blocks
-from imumon.run.narration import describe_losses
-from imumon.run.replay import run_over
-from imumon.run.source import Source, open_source
+
+if TYPE_CHECKING:
+    from imumon.pipeline import Pipeline
+    from imumon.recordings.source import Source
 
 
 @click.command("decode")
@@ -33,25 +33,31 @@ from imumon.run.source import Source, open_source
 @json_option
 def command(file: Path, device: str | None, out: Path, columns: str | None, as_json: bool) -> int:
     """Decode FILE, a raw capture of any tool or a session, into a table."""
+    from imumon.pipeline import Pipeline
+    from imumon.recordings.side_tables import export_run
+    from imumon.recordings.source import open_source, run_over
+    from imumon.run.narration import describe_losses, describe_streams
+
     source = open_source(file, device)
     source.refuse_output(out)
     pipeline = Pipeline(source.device)
     try:
-        rows = export_blocks(
-            run_over(source.items, pipeline), out, split_columns(columns), lambda: source.columns(pipeline)
+        blocks = run_over(source.items, pipeline)
+        rows, tables = export_run(
+            blocks, pipeline, out, split_columns(columns), lambda: source.columns(pipeline)
         )
     except ImumonError as error:
         if error.reason is not Reason.BAD_DATA or pipeline.counters.samples:
             raise
         if as_json:
-            print_json(_result(source, pipeline, None, 0))
+            print_json(_result(source, pipeline, {}, 0))
         raise _nothing(source, pipeline) from error
     for text in source.warnings():
         say("WARN", text)
     for notice in pipeline.notices():
         say("INFO", f"device: {notice}")
     if as_json:
-        print_json(_result(source, pipeline, out, rows))
+        print_json(_result(source, pipeline, tables, rows))
     counters = pipeline.counters
     print_rows(
         {
@@ -59,15 +65,24 @@ def command(file: Path, device: str | None, out: Path, columns: str | None, as_j
             "bytes": f"{counters.bytes_received:,} received, {counters.bytes_in_packets:,} in packets, "
             f"{counters.bytes_skipped:,} skipped, {counters.bytes_pending:,} pending",
             "losses": describe_losses(counters),
-            "table": f"{out}: {rows:,} rows",
+            **describe_streams(counters, tables),
         }
     )
     return 0
 
 
-def _result(source: Source, pipeline: Pipeline, out: Path | None, rows: int) -> dict[str, object]:
+def _result(source: Source, pipeline: Pipeline, tables: dict[str, Path], rows: int) -> dict[str, object]:
+    from imumon.protocols.base import MAIN
+
     device = source.device.name if source.device is not None else None
-    return {"file": source.path, "device": device, "out": out, "rows": rows, **pipeline.counters.as_dict()}
+    return {
+        "file": source.path,
+        "device": device,
+        "out": tables.get(MAIN),
+        "rows": rows,
+        "tables": tables,
+        **pipeline.counters.as_dict(),
+    }
 
 
 def _nothing(source: Source, pipeline: Pipeline) -> ImumonError:

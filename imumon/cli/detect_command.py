@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import asdict
+from typing import TYPE_CHECKING
 
 import click
 
 from imumon.cli.common import SECONDS, device_help, json_option, note, print_json
-from imumon.protocols.device import device_names, load_device
-from imumon.transport.detect import Evidence, baudrates_to_try, detect, failure
-from imumon.transport.settings import PortSettings
+
+if TYPE_CHECKING:
+    from imumon.transport.detect import Evidence
+    from imumon.transport.settings import PortSettings
 
 
 @click.command("detect")
@@ -27,6 +29,9 @@ def command(port: str, names: tuple[str, ...], rates: tuple[int, ...], seconds: 
 
     Exit code 0 when a device was found, 3 when nothing frames.
     """
+    from imumon.protocols.device import device_names, load_device
+    from imumon.transport.detect import baudrates_to_try, detect, failure
+
     devices = [load_device(name) for name in names or device_names()]
     own_rates = [rate for device in devices for rate in device.serial.baudrates[:1]]
     evidence = detect(

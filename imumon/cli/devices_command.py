@@ -5,7 +5,6 @@ from __future__ import annotations
 import click
 
 from imumon.cli.common import json_option, print_json
-from imumon.protocols.device import device_names, device_text, load_device
 
 
 @click.command("devices")
@@ -13,6 +12,8 @@ from imumon.protocols.device import device_names, device_text, load_device
 @json_option
 def command(name: str | None, as_json: bool) -> None:
     """List the devices that imumon knows; with NAME, print its file, to copy and change."""
+    from imumon.protocols.device import device_names, device_text, load_device
+
     if name is not None:
         load_device(name)
         click.echo(device_text(name)[0], nl=False)

@@ -119,7 +119,7 @@ def _read(path: Path, map_path: Path | None, tell: Tell) -> list[Run]:
         rows += more
         tell(f"reading {path.name}: {rows:,} samples")
 
-    return read_runs(path, map_path, lambda: [RestDetector()], count)
+    return read_runs(path, map_path, lambda _: [RestDetector()], count)
 
 
 def _make(out: Path) -> None:

@@ -7,11 +7,6 @@ from pathlib import Path
 import click
 
 from imumon.cli.common import columns_option, json_option, print_json, print_rows, say, split_columns
-from imumon.pipeline import Pipeline
-from imumon.recordings.folder import open_session
-from imumon.recordings.table import export_blocks
-from imumon.run.replay import run_over
-from imumon.run.source import open_source
 
 
 @click.command("export")
@@ -24,6 +19,13 @@ from imumon.run.source import open_source
 @json_option
 def command(session: Path, kind: str, out: Path | None, columns: str | None, as_json: bool) -> None:
     """Write the samples of SESSION, recorded or imported, as a table."""
+    from imumon.pipeline import Pipeline
+    from imumon.protocols.base import MAIN
+    from imumon.recordings.folder import open_session
+    from imumon.recordings.side_tables import export_run
+    from imumon.recordings.source import open_source, run_over
+    from imumon.run.narration import describe_streams
+
     folder = open_session(session).path
     source = open_source(folder)
     table = out or folder / f"export.{kind}"
@@ -31,11 +33,17 @@ def command(session: Path, kind: str, out: Path | None, columns: str | None, as_
         table = table.with_name(f"{table.name}.{kind}")
     source.refuse_output(table)
     pipeline = Pipeline(source.device)
-    rows = export_blocks(
-        run_over(source.items, pipeline), table, split_columns(columns), lambda: source.columns(pipeline)
+    rows, tables = export_run(
+        run_over(source.items, pipeline),
+        pipeline,
+        table,
+        split_columns(columns),
+        lambda: source.columns(pipeline),
     )
     for text in source.warnings():
         say("WARN", text)
     if as_json:
-        print_json({"session": session, "out": table, "rows": rows})
-    print_rows({"table": f"{table}: {rows:,} rows"})
+        streams = pipeline.counters.as_dict()["streams"]
+        out = tables.get(MAIN)
+        print_json({"session": session, "out": out, "rows": rows, "tables": tables, "streams": streams})
+    print_rows(describe_streams(pipeline.counters, tables))

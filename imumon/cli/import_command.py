@@ -8,7 +8,6 @@ from pathlib import Path
 import click
 
 from imumon.cli.common import json_option, print_json, print_rows, say
-from imumon.recordings.importing import import_table
 
 
 @click.command("import")
@@ -24,6 +23,8 @@ from imumon.recordings.importing import import_table
 @json_option
 def command(table: Path, map_path: Path, out: Path, as_json: bool) -> None:
     """Make a session of TABLE, a CSV or Parquet file of any origin.  docs/import-map.md explains the map."""
+    from imumon.recordings.importing import import_table
+
     report = import_table(table, map_path, out)
     if report.rows_dropped:
         say("WARN", f"{report.rows_dropped} of {report.rows_in} rows were dropped, as the map asks")

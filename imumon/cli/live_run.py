@@ -8,18 +8,22 @@ import threading
 import time
 from pathlib import Path
 from queue import Empty, SimpleQueue
+from typing import TYPE_CHECKING
 
 from imumon.cli.common import note, say
 from imumon.errors import ImumonError, Reason
-from imumon.protocols.device import DeviceFile
-from imumon.recordings.folder import default_path
-from imumon.run.live import LiveRun
-from imumon.run.setup import Setup
-from imumon.transport.settings import PortSettings
+
+if TYPE_CHECKING:
+    from imumon.protocols.device import DeviceFile
+    from imumon.run.live import LiveRun
+    from imumon.run.setup import Setup
+    from imumon.transport.settings import PortSettings
 
 
 def port_settings(port: str, device: DeviceFile, baud: int | None) -> PortSettings:
     """Return how a port is opened for a device, at its first baud rate unless another is given."""
+    from imumon.transport.settings import PortSettings
+
     serial = device.serial
     rate = baud or serial.baudrates[0]
     return PortSettings(port, rate, serial.bytesize, serial.parity, serial.stopbits)
@@ -34,6 +38,9 @@ def new_run(
     lines: Lines,
 ) -> LiveRun:
     """Make the session; a default name that another monitor takes at the same moment is no obstacle."""
+    from imumon.recordings.folder import default_path
+    from imumon.run.live import LiveRun
+
     while True:
         folder = out or default_path(device.name, time.time_ns())
         try:

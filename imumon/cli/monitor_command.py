@@ -25,11 +25,10 @@ from imumon.cli.common import (
 from imumon.cli.live_run import Lines, heed_signals, new_run, port_settings
 from imumon.cli.setup_options import SetupOptions, make_setup, setup_options
 from imumon.errors import EXIT_NEGATIVE, EXIT_OK
-from imumon.protocols.device import device_text, parse_device
-from imumon.run.live import LiveRun, LiveSummary, nothing_decoded, warm_up
-from imumon.run.narration import Progress, describe, describe_losses, view_setup
 
 if TYPE_CHECKING:
+    from imumon.run.live import LiveRun, LiveSummary
+    from imumon.run.narration import Progress
     from imumon.view.items import ViewItem, ViewSetup
     from imumon.view.publisher import ViewPublisher
 
@@ -69,6 +68,10 @@ def command(
     PORT is anything that pyserial opens: /dev/ttyUSB0, COM3, socket://host:port, rfc2217://host:port.
     Every byte received is kept; a lost or silent device is waited for and reopened.
     """
+    from imumon.protocols.device import device_text, parse_device
+    from imumon.run.live import nothing_decoded, warm_up
+    from imumon.run.narration import view_setup
+
     text, source = device_text(device)
     profile = parse_device(text, source)
     setup = make_setup(options)
@@ -179,6 +182,8 @@ def status_line(progress: Progress, view: str) -> str:
 
 
 def _report(summary: LiveSummary, progress: Progress, view_dropped: int) -> None:
+    from imumon.run.narration import describe, describe_losses
+
     rows = {"recorded": f"{summary.elapsed_s:.1f} s, {summary.wire.bytes_on_disk:,} bytes on disk"}
     rows |= describe(progress)
     rows["losses"] = describe_losses(summary.counters)

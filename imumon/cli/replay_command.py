@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Unpack
 
 import click
 
-from imumon.blocks import SampleBlock
 from imumon.cli.common import (
     bind_option,
     columns_option,
@@ -22,14 +21,11 @@ from imumon.cli.common import (
 )
 from imumon.cli.setup_options import SetupOptions, make_setup, setup_options
 from imumon.errors import ImumonError, Reason
-from imumon.pipeline import Digest, Pipeline
-from imumon.recordings.folder import open_session
-from imumon.run.narration import Narrator, advised, describe_losses, view_setup
-from imumon.run.replay import run_over
-from imumon.run.source import Source, open_source
-from imumon.run.stages import estimators
 
 if TYPE_CHECKING:
+    from imumon.blocks import SampleBlock
+    from imumon.pipeline import Digest, Pipeline
+    from imumon.recordings.source import Source
     from imumon.view.publisher import ViewPublisher
 
 CLOSE_S = 5.0
@@ -58,6 +54,13 @@ def command(
     **options: Unpack[SetupOptions],
 ) -> int:
     """Run SESSION again through the same code, bit for bit, to a table or to the view."""
+    from imumon.pipeline import Digest, Pipeline
+    from imumon.recordings.folder import open_session
+    from imumon.recordings.source import open_source
+    from imumon.run.narration import Narrator
+    from imumon.run.replay import replay
+    from imumon.run.stages import estimators
+
     recorded = open_session(session).metadata.pipeline_yaml  # a raw capture has no times: that is for decode
     setup = make_setup(options, recorded, f"{session} (pipeline_yaml)")
     source = open_source(session)
@@ -69,36 +72,40 @@ def command(
     if publisher is not None:
         card = {"session": str(session), "replay": "as fast as it goes" if pace is None else f"{pace:g} x"}
         narrator = Narrator(pipeline, None, [publisher.publish], lambda *_: None, card, session)
-    blocks = _digested(run_over(source.items, pipeline, narrator, pace), digest)
+    blocks = _digested(replay(source.items, pipeline, narrator, pace), pipeline, digest)
     try:
-        rows = _run(blocks, source, pipeline, out, columns)
+        rows, tables = _run(blocks, source, pipeline, out, columns)
     finally:
         if publisher is not None:
             publisher.close(CLOSE_S)
     comparable = setup.text() == recorded
-    _report(source, pipeline, digest.hexdigest(), out, rows, as_json, comparable)
+    _report(source, pipeline, digest.hexdigest(), tables, rows, as_json, comparable)
     return 0
 
 
 def _run(
     blocks: Iterator[SampleBlock], source: Source, pipeline: Pipeline, out: Path | None, columns: str | None
-) -> int:
+) -> tuple[int, dict[str, Path]]:
     if out is None:
-        return sum(len(block) for block in blocks)
-    from imumon.recordings.table import export_blocks
+        return sum(len(block) for block in blocks), {}
+    from imumon.recordings.side_tables import export_run
 
-    return export_blocks(blocks, out, split_columns(columns), lambda: source.columns(pipeline))
+    rows, tables = export_run(blocks, pipeline, out, split_columns(columns), lambda: source.columns(pipeline))
+    return rows, tables
 
 
 def _report(
     source: Source,
     pipeline: Pipeline,
     digest: str,
-    out: Path | None,
+    tables: dict[str, Path],
     rows: int,
     as_json: bool,
     comparable: bool,
 ) -> None:
+    from imumon.protocols.base import MAIN
+    from imumon.run.narration import advised, describe_losses, describe_streams
+
     assert source.session is not None
     live = source.session.metadata.results_digest if comparable else None
     identical = None if live is None else live == digest
@@ -114,8 +121,9 @@ def _report(
         print_json(
             {
                 "session": source.path,
-                "out": out,
+                "out": tables.get(MAIN),
                 "rows": rows,
+                "tables": tables,
                 **counters.as_dict(),
                 "results_digest": digest,
                 "identical_to_live": identical,
@@ -130,7 +138,7 @@ def _report(
         {
             "samples": f"{rows:,}, {verdict[identical]}",
             "losses": describe_losses(counters),
-            **({"table": str(out)} if out is not None else {}),
+            **describe_streams(counters, tables),
         }
     )
 
@@ -150,6 +158,7 @@ def _speed(text: str | None, view: str) -> float | None:
 
 
 def _publisher(source: Source, pipeline: Pipeline, view: str, window: float, bind: str) -> ViewPublisher:
+    from imumon.run.narration import view_setup
     from imumon.view.publisher import ViewPublisher
 
     assert source.session is not None
@@ -158,7 +167,7 @@ def _publisher(source: Source, pipeline: Pipeline, view: str, window: float, bin
     return ViewPublisher("native" if view == "native" else "web", setup, bind=bind).start()
 
 
-def _digested(blocks: Iterator[SampleBlock], digest: Digest) -> Iterator[SampleBlock]:
+def _digested(blocks: Iterator[SampleBlock], pipeline: Pipeline, digest: Digest) -> Iterator[SampleBlock]:
     for block in blocks:
-        digest.update(block)
+        digest.update(block, pipeline.side)
         yield block

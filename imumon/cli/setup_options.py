@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, TypedDict, TypeVar
 import click
 
 from imumon.cli.common import Number
+from imumon.published.names import PUBLISHED
 
 if TYPE_CHECKING:
     from imumon.run.setup import Setup
@@ -22,6 +23,8 @@ class SetupOptions(TypedDict):
     pipeline: Path | None
     model: Path | None
     zupt: str | None
+    random_error: str | None
+    published: str | None
     latitude: float | None
     heading: float | None
 
@@ -39,6 +42,16 @@ _OPTIONS = (
         "--zupt",
         type=click.Choice(["standard", "thermal", "learned"]),
         help="How the bias follows temperature.  Default: thermal with a model, else learned.",
+    ),
+    click.option(
+        "--random-error",
+        type=click.Choice(["drift", "sr_rsukf"]),
+        help="Method of the random error: the default, or the published one beside it.",
+    ),
+    click.option(
+        "--published",
+        metavar="NAME,...",
+        help="Methods of the papers to run beside the defaults: " + ", ".join(PUBLISHED) + ".",
     ),
     click.option("--latitude", type=Number(min=-90, max=90), help="Degrees north, for the earth rate."),
     click.option(
@@ -76,6 +89,20 @@ def make_setup(given: SetupOptions, recorded: str | None = None, source: str = "
         from imumon.models.model import load_model
 
         model = load_model(given["model"])
+    random_error = published = None
+    if given["random_error"] is not None:
+        random_error = setup.random_error.model_copy(update={"method": given["random_error"]})
+    if given["published"] is not None:
+        published = [name for name in map(str.strip, given["published"].split(",")) if name]
+        if wrong := [name for name in published if name not in PUBLISHED or published.count(name) > 1]:
+            raise click.BadParameter(
+                f"{wrong[0]}: expected {', '.join(PUBLISHED)}, each once", None, None, "--published"
+            )
     return setup.with_options(
-        model=model, zupt_mode=given["zupt"], latitude_deg=given["latitude"], heading_deg=given["heading"]
+        model=model,
+        zupt_mode=given["zupt"],
+        random_error=random_error,
+        published=published,
+        latitude_deg=given["latitude"],
+        heading_deg=given["heading"],
     )

@@ -6,13 +6,14 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from imumon.cli.common import SECONDS, Number, device_help, json_option, print_json, print_rows
-from imumon.protocols.device import device_text, parse_device
-from imumon.simulation.recording import TRUTH_NAME, record_session, write_table
-from imumon.simulation.unit import Scenario, load_scenario
+
+if TYPE_CHECKING:
+    from imumon.simulation.unit import Scenario
 
 DEFAULT_DEVICE = "ax1"
 TABLES = (".parquet", ".csv")
@@ -49,6 +50,8 @@ def command(
     A session holds the packets of the device and truth.parquet, which has one row a packet; a table has the
     truth in columns that begin with true_.
     """
+    from imumon.simulation.unit import load_scenario
+
     given = {"duration_s": duration, "rate_hz": rate}
     plan = load_scenario(scenario).model_copy(update={k: v for k, v in given.items() if v is not None})
     if out.suffix in TABLES:
@@ -63,6 +66,9 @@ def command(
 
 
 def _session(plan: Scenario, device: str, seed: int, out: Path) -> dict[str, Path]:
+    from imumon.protocols.device import device_text, parse_device
+    from imumon.simulation.recording import TRUTH_NAME, record_session
+
     text, source = device_text(device)
     description = parse_device(text, source)
     played = plan.played(plan.rate_hz, description.axes)
@@ -72,6 +78,9 @@ def _session(plan: Scenario, device: str, seed: int, out: Path) -> dict[str, Pat
 
 
 def _table(plan: Scenario, device: str | None, seed: int, out: Path) -> dict[str, Path]:
+    from imumon.protocols.device import device_text, parse_device
+    from imumon.simulation.recording import write_table
+
     if device is not None:
         plan = plan.played(plan.rate_hz, parse_device(*device_text(device)).axes)
     with _progress(plan.samples) as progress:

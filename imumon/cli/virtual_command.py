@@ -10,9 +10,6 @@ from pathlib import Path
 import click
 
 from imumon.cli.common import SECONDS, Number, device_help, say
-from imumon.protocols.device import load_device
-from imumon.simulation.unit.scenario import load_scenario
-from imumon.simulation.virtual_device import VirtualDevice
 
 CHECK_S = 0.25
 """How often the device is looked after."""
@@ -44,6 +41,10 @@ def command(
 
     The name of the port is printed on standard output; open it like any serial port.
     """
+    from imumon.protocols.device import load_device
+    from imumon.simulation.unit.scenario import load_scenario
+    from imumon.simulation.virtual_device import VirtualDevice
+
     ended = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: ended.set())

@@ -13,9 +13,6 @@ of the arrival time, which a stalled host or a full buffer delays by seconds.  T
   `UNSEEN_GAP_NS`.
 - A packet counter that advances by many more packets than the device's clock has room for has restarted.
   The reverse is a device that has paused.
-- A packet whose counter goes on and whose time is up to `LATE_NS` back was dated back by the device (GNSS
-  data of an MTi): it keeps its time, and the clock goes on as if it had not come.  More than `LATE_LIMIT` in
-  a row are a clock that was set back, which is a restart.
 - The same counter again is a repeated packet (or another message about the same sample), not a loss.
 
 A restart that leaves the count within the slack of where it would have been looks like a gap; `HostClock`
@@ -28,10 +25,10 @@ from __future__ import annotations
 from fractions import Fraction
 
 import numpy as np
-from numba import njit
 
 from imumon.blocks import NO_INT, IntArray, missing
 from imumon.clock.host import CRYSTAL_PPM
+from imumon.compiled import njit
 from imumon.errors import ImumonError, Reason
 from imumon.protocols.base import Timing
 
@@ -55,9 +52,6 @@ PERIOD_MEMORY = 16
 """Packets over which the packet period is averaged; it changes by no more than this part at once."""
 RESTARTED_FACTOR, RESTARTED_PACKETS = 4, 16
 """A counter that is this far ahead of the clock (factor, and packets besides) has restarted."""
-LATE_NS, LATE_LIMIT = 2_000_000_000, 3
-"""A packet may be dated back by this much when its counter goes on: GNSS data are older than the inertial
-data sent before them.  More such packets in a row mean that the clock was set back."""
 MAX_TIME_NS = 1 << 61
 """Device times beyond this (73 years) are damage."""
 
@@ -86,8 +80,7 @@ NUMERATOR, DENOMINATOR, MODULUS, LIMIT, STEADINESS = range(5)
     GAPS,
     MISSING,
     RESETS,
-    LATE_ROWS,
-) = range(19)
+) = range(18)
 NO_SOURCE = -1
 RESTART = -1
 
@@ -117,7 +110,7 @@ class DeviceClock:
         period = _check(timing)
         self._sources = _sources(timing, period)
         self._counter_modulus = 1 << timing.counter_bits if timing.counter_bits else 0
-        self._state: IntArray = np.zeros(19, np.int64)
+        self._state: IntArray = np.zeros(18, np.int64)
         self._state[SOURCE] = NO_SOURCE
         self._state[[LAST_ARRIVAL, RAW_COUNTER]] = NO_INT
         self._state[PERIOD] = int(period) if period else 0
@@ -232,7 +225,7 @@ def _sources(timing: Timing, period: Fraction | None) -> IntArray:
     return table
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _unwrap(
     counter: IntArray,
     ticks: IntArray,
@@ -254,19 +247,7 @@ def _unwrap(
         elif number != state[SOURCE]:
             state[SEGMENT] += state[SOURCE] != NO_SOURCE
             _begin(source, state, number, raw, arrival[i])
-        elif number == TICKS and packets == 1 and 0 < _late(source, state, raw) <= LATE_NS:
-            state[LATE_ROWS] += 1
-            state[HELD_PACKETS] += packets
-            state[RAW_COUNTER] = counter[i] % counter_modulus
-            if state[LATE_ROWS] > LATE_LIMIT:
-                state[SEGMENT] += 1
-                state[RESETS] += 1
-                _begin(source, state, number, raw, arrival[i])
-            time_ns[i] = state[TIME] - _late(source, state, raw)
-            segment[i] = state[SEGMENT]
-            continue
         else:
-            state[LATE_ROWS] = 0
             step = _step(source, state, raw, arrival[i])
             if number == COUNTER:
                 packets = step
@@ -288,7 +269,7 @@ def _unwrap(
         segment[i] = state[SEGMENT]
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _best(
     sources: IntArray, counter_modulus: int, counter: int, ticks: int, arrival: int, row: int
 ) -> tuple[int, int]:
@@ -305,7 +286,7 @@ def _best(
     return NO_SOURCE, 0
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _packets(counter_modulus: int, state: IntArray, counter: int) -> int:
     """Return by how much the packet counter has advanced, modulo its range; 0 when it is not known."""
     if counter_modulus == 0 or counter == NO_INT or state[RAW_COUNTER] == NO_INT:
@@ -313,7 +294,7 @@ def _packets(counter_modulus: int, state: IntArray, counter: int) -> int:
     return int((counter - state[RAW_COUNTER]) % counter_modulus)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _packets_in(
     source: IntArray, counter_modulus: int, state: IntArray, packets: int, counted: bool, step: int
 ) -> int:
@@ -339,7 +320,7 @@ def _packets_in(
     return RESTART if held + packets > most else int(packets + max(rounds, 0) * counter_modulus)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _learn_period(state: IntArray, elapsed: int) -> None:
     period = state[PERIOD]
     if period == 0:
@@ -349,7 +330,7 @@ def _learn_period(state: IntArray, elapsed: int) -> None:
     state[PERIOD] = max(period + min(max((elapsed - period) // PERIOD_MEMORY, -most), most), 1)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _ns(source: IntArray, count: int) -> int:
     """Return counts in ns, rounded down, without the overflow that count * NUMERATOR might have."""
     whole = count // source[DENOMINATOR]
@@ -357,14 +338,7 @@ def _ns(source: IntArray, count: int) -> int:
     return int(whole * source[NUMERATOR] + part * source[NUMERATOR] // source[DENOMINATOR])
 
 
-@njit(cache=True, nogil=True)
-def _late(source: IntArray, state: IntArray, raw: int) -> int:
-    """Return by how many ns this count is behind the latest one; what is ahead is far behind or negative."""
-    behind = state[RAW] - raw
-    return _ns(source, behind % source[MODULUS] if source[MODULUS] else behind)
-
-
-@njit(cache=True, nogil=True)
+@njit
 def _step(source: IntArray, state: IntArray, raw: int, arrival: int) -> int:
     """Return by how many counts the source has advanced, or RESTART."""
     step = raw - state[RAW]
@@ -392,12 +366,11 @@ def _step(source: IntArray, state: IntArray, raw: int, arrival: int) -> int:
     return RESTART if max(step_ns - expected_ns, behind_ns) > SLACK_NS + tolerance_ns else int(step)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _begin(source: IntArray, state: IntArray, number: int, raw: int, arrival: int) -> None:
     """Let device time begin at the raw count."""
     state[SOURCE] = number
     state[HELD] = 0
-    state[LATE_ROWS] = 0
     state[RAW] = raw
     state[COUNT] = raw
     state[TIME] = _ns(source, raw)
@@ -409,7 +382,7 @@ def _begin(source: IntArray, state: IntArray, number: int, raw: int, arrival: in
     state[USUAL_DELAY] = arrival - state[TIME] if arrival != NO_INT else 0
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _advance(source: IntArray, state: IntArray, raw: int, step: int, arrival: int) -> None:
     """Move device time on, and with it the delay that is usual: down at once, up in ten seconds."""
     state[HELD] = 0

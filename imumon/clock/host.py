@@ -19,9 +19,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from imumon.blocks import NO_INT, FloatArray, IntArray
+from imumon.compiled import njit
 
 BLOCK_NS = 30_000_000_000
 """The memory moves on in blocks of this length; each keeps its own hull, so that it can be forgotten."""
@@ -59,8 +59,7 @@ class HostClock:
 
     Within a segment the line is fitted to the last 4.5 to 5 min; until the span tells the drift from the
     scatter of the delays, the drift is drawn towards zero.  Host time is never later than the arrival and
-    never decreases, unless the arrival itself goes back, which then bounds it, or a packet is dated back by
-    the device, which leaves the fit alone.  When the offset steps by more
+    never decreases, unless the arrival itself goes back, which then bounds it.  When the offset steps by more
     than 50 ms (the host clock was set) the fit starts anew: at once if the step is towards earlier arrivals,
     after 10 s if it is towards later ones.
 
@@ -126,7 +125,7 @@ class HostClock:
         return host_ns
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _fit_samples(
     device: IntArray,
     segment: IntArray,
@@ -143,11 +142,6 @@ def _fit_samples(
     for i in range(len(device)):
         if arrival[i] == NO_INT or device[i] == NO_INT:
             host[i] = NO_INT
-            continue
-        if state[STARTED] and segment[i] == state[SEGMENT] and device[i] - state[X0] < state[LAST_X]:
-            # A packet that is dated back says nothing about the clock.
-            x = device[i] - state[X0]
-            host[i] = min(state[Y0] + _line(state, fit, hull, x) + device[i], state[LAST_HOST])
             continue
         if _must_start(state, fit, hull, device[i], segment[i], arrival[i]):
             _start(state, fit, block_sizes, block_sums, device[i], segment[i], arrival[i])
@@ -175,7 +169,7 @@ def _fit_samples(
         host[i] = time
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _must_start(
     state: IntArray, fit: FloatArray, hull: IntArray, device: int, segment: int, arrival: int
 ) -> bool:
@@ -193,7 +187,7 @@ def _must_start(
     return bool(state[FAR_SINCE] != NOT_FAR and x - state[FAR_SINCE] > STEP_AFTER_NS)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _start(
     state: IntArray,
     fit: FloatArray,
@@ -215,12 +209,13 @@ def _start(
     state[SIZE] = 0
     state[LEFT] = 0
     state[RIGHT] = 0
-    fit[:] = 0.0
-    block_sizes[:] = 0
-    block_sums[:] = 0.0
+    # Fills, as an assignment to a slice takes a second more to compile.
+    fit.fill(0.0)
+    block_sizes.fill(0)
+    block_sums.fill(0.0)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _forget(
     state: IntArray,
     fit: FloatArray,
@@ -233,12 +228,13 @@ def _forget(
     """Move on to `block`: drop the blocks that are too old, join the hulls of the others."""
     for new in range(max(state[BLOCK] + 1, block - BLOCKS + 1), block + 1):
         block_sizes[new % BLOCKS] = 0
-        block_sums[new % BLOCKS] = 0.0
+        block_sums[new % BLOCKS].fill(0.0)
     state[BLOCK] = block
     state[SIZE] = 0
     state[LEFT] = 0
     state[RIGHT] = 0
-    fit[:SLOPE] = 0.0
+    for k in range(SLOPE):
+        fit[k] = 0.0
     for old in range(max(0, block - BLOCKS + 1), block):
         row = old % BLOCKS
         for k in range(block_sizes[row]):
@@ -247,7 +243,7 @@ def _forget(
             fit[k] += block_sums[row, k]
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _push(hull: IntArray, size: int, x: int, y: int) -> int:
     """Add a point at the right of a lower hull and return the new size (Andrew's monotone chain)."""
     if size and hull[size - 1, 0] == x:
@@ -259,26 +255,26 @@ def _push(hull: IntArray, size: int, x: int, y: int) -> int:
     if size == len(hull):
         # Only a curve that bends upwards for minutes gets here; every other vertex describes it too.
         for k in range(1, size // 2):
-            hull[k] = hull[2 * k]
-        hull[size // 2] = hull[size - 1]
+            hull[k, 0], hull[k, 1] = hull[2 * k, 0], hull[2 * k, 1]
+        hull[size // 2, 0], hull[size // 2, 1] = hull[size - 1, 0], hull[size - 1, 1]
         size = size // 2 + 1
     hull[size, 0] = x
     hull[size, 1] = y
     return size + 1
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _is_below(a: IntArray, b: IntArray, x: int, y: int) -> bool:
     """Tell whether b lies below the line from a to (x, y).  Products in float64, as int64 would overflow."""
     return bool(float(b[1] - a[1]) * float(x - a[0]) < float(y - a[1]) * float(b[0] - a[0]))
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _slope(hull: IntArray, k: int) -> float:
     return float((hull[k + 1, 1] - hull[k, 1]) / (hull[k + 1, 0] - hull[k, 0]))
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _edge_at(hull: IntArray, last: int, k: int, x: float) -> int:
     """Return the edge over x, searching from k to the right; x only moves to the right, so this is quick."""
     k = min(k, last - 1)
@@ -287,7 +283,7 @@ def _edge_at(hull: IntArray, last: int, k: int, x: float) -> int:
     return k
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _support(state: IntArray, fit: FloatArray, hull: IntArray, limit: float) -> None:
     """Choose the line: slope of the chord, drawn to zero while unsure, and the vertex it then touches."""
     last = state[SIZE] - 1
@@ -314,7 +310,7 @@ def _support(state: IntArray, fit: FloatArray, hull: IntArray, limit: float) -> 
     fit[SLOPE] = slope
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _line(state: IntArray, fit: FloatArray, hull: IntArray, x: int) -> int:
     """Return the line at x, relative to Y0, rounded down to ns."""
     vertex = hull[state[VERTEX]]

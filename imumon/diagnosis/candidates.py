@@ -1,27 +1,20 @@
-"""What may be added to the declared model: effects with the scope of their coefficients, and their
-columns."""
+"""What may be added to the declared model: effects, the scope of their coefficients, their columns."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from itertools import combinations
 
 import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.diagnosis.blocks import RunBlocks
-from imumon.effects.base import Drive, Effect, Survey
-from imumon.effects.hysteresis import Hysteresis
+from imumon.effects.base import Effect, Survey
+from imumon.effects.follower import may_sum
 from imumon.effects.library import EFFECTS
-from imumon.effects.thermal_lag import ThermalLag
 
 SHARED = -1
 """Scope: one coefficient for all runs; a number from 0 on is the one run that has it."""
-OWN_TOO = ("warm_up", "drift", "periodic")
-"""Effects whose size may differ from run to run: tried with shared coefficients and with own ones."""
-MOST_WIDTHS = 9
-"""Widths of which pairs and triples are tried, and time constants of which pairs are."""
 
 Term = tuple[int, int]
 """Column of a pool, and scope."""
@@ -47,79 +40,64 @@ class Candidate:
     @property
     def nonlinear(self) -> int:
         """Number of nonlinear parameters."""
-        return sum(len(part.effect.nonlinear) * max(1, _times(part)) for part in self.parts)
+        return sum(len(part.effect.nonlinear) for part in self.parts)
 
+    @property
+    def scope(self) -> str:
+        """Whose its coefficients are by nature, see `imumon.effects.base.Scope`."""
+        return EFFECTS[self.family].scope
 
-def _times(part: Part) -> int:
-    return len(part.runs) if part.effect.name == "step" else 1
+    def neighbours(self, survey: Survey, level: int) -> list[Candidate]:
+        """Return candidates with one parameter of one part changed, closer at each level."""
+        return [
+            Candidate(
+                self.family,
+                (*self.parts[:at], Part(effect, part.runs), *self.parts[at + 1 :]),
+                self.free_start,
+            )
+            for at, part in enumerate(self.parts)
+            for effect in part.effect.refined(survey, level)
+        ]
 
 
 def candidates(survey: Survey, families: Iterable[str] = tuple(EFFECTS)) -> list[Candidate]:
     """Return everything worth trying on such runs."""
-    found: list[Candidate] = []
     every = tuple(range(survey.runs))
+    found: list[Candidate] = []
     for name in families:
-        grid = EFFECTS[name].grid(survey)
-        if name == "step":
+        family = EFFECTS[name]
+        grid = family.grid(survey)
+        if family.scope == "event":
             found += [
                 Candidate(name, (Part(effect, (run,)),))
-                for run in every
+                for run, duration_s in enumerate(survey.durations_s)
                 for effect in grid
-                if 3 * survey.block_s <= effect.time_s <= survey.durations_s[run] - 3 * survey.block_s  # type: ignore[attr-defined]  # it is a Step
+                if effect.fits_in(duration_s, survey)
             ]
-            continue
-        if name == "run_offset":
+        elif family.scope == "run":
             found += [Candidate(name, (Part(effect, every[1:]),)) for effect in grid]
-            continue
-        found += [Candidate(name, (Part(effect),)) for effect in grid]
-        if EFFECTS[name].free_start:
-            found += [Candidate(name, (Part(effect),), free_start=True) for effect in grid]
-        if name in OWN_TOO and survey.runs > 1:
-            found += [Candidate(name, (Part(effect, every),)) for effect in grid]
-        found += _sums(name, grid, survey)
+        else:
+            single = [(Part(effect),) for effect in grid]
+            found += [Candidate(name, part) for part in single]
+            if family.free_start != "never":
+                found += [Candidate(name, part, free_start=True) for part in single]
+            if family.scope == "either" and survey.runs > 1:
+                found += [Candidate(name, (Part(effect, every),)) for effect in grid]
+            starts = (False, True) if family.free_start == "in sums" else (False,)
+            groups = family.sums(grid) if may_sum(survey, 2) else []
+            found += [Candidate(name, tuple(map(Part, group)), start) for group in groups for start in starts]
     return found
-
-
-def _sums(name: str, grid: Sequence[Effect], survey: Survey) -> list[Candidate]:
-    """Return sums of two lags, and of two and three widths of a loop, where the data can tell them."""
-    if survey.runs < 2 and survey.reversals < 2:
-        return []
-    if name == "thermal_lag":
-        return _grouped(
-            name, [e for e in grid if isinstance(e, ThermalLag) and e.order == 1], (2,), (False, True)
-        )
-    if name == "hysteresis":
-        loops = [e for e in grid if isinstance(e, Hysteresis) and e.order == 1]
-        return [
-            *_grouped(name, [e for e in loops if e.shape == "play"], (2, 3), (False,)),
-            *_grouped(name, [e for e in loops if e.shape == "smooth"], (2,), (False,)),
-        ]
-    return []
-
-
-def _grouped(
-    name: str, chosen: Sequence[Effect], sizes: Sequence[int], starts: Sequence[bool]
-) -> list[Candidate]:
-    """Return sums of so many of the chosen effects, or of some spread over them where they are many."""
-    spread = np.unique(np.linspace(0, len(chosen) - 1, min(MOST_WIDTHS, len(chosen))).round().astype(int))
-    few = [chosen[index] for index in spread] if chosen else []
-    return [
-        Candidate(name, tuple(map(Part, group)), free_start)
-        for size in sizes
-        for group in combinations(few, size)
-        for free_start in starts
-    ]
 
 
 @dataclass(slots=True)
 class Pool:
-    """Raw columns of effects as block means, made once for each effect and run.
+    """Columns of effects as block means, made once for each effect and run.
 
     Parameters
     ----------
     runs : sequence of RunBlocks
     temperature : str
-        Which temperature drives the effects; any name where there is none.
+        Which temperature drives the effects.
     """
 
     runs: Sequence[RunBlocks]
@@ -129,49 +107,39 @@ class Pool:
 
     def terms(self, candidate: Candidate) -> tuple[list[Term], list[Term]]:
         """Return the terms that define a candidate, and those of its free start."""
-        defining: list[Term] = []
-        start: list[Term] = []
-        for part in candidate.parts:
-            scopes = part.runs or (SHARED,)
-            defining += [
-                (column, scope) for scope in scopes for column in self._index(part.effect, "columns")
-            ]
-            if candidate.free_start:
-                columns = self._index(part.effect, "start_columns")
-                start += [(column, run) for run in range(len(self.runs)) for column in columns]
+        defining = [
+            (column, scope)
+            for part in candidate.parts
+            for scope in part.runs or (SHARED,)
+            for column in self._index(part.effect, "columns")
+        ]
+        start = [
+            (column, run)
+            for part in candidate.parts
+            if candidate.free_start
+            for run in range(len(self.runs))
+            for column in self._index(part.effect, "start_columns")
+        ]
         return defining, start
 
     def matrix(self, terms: Sequence[Term]) -> FloatArray:
-        """Return the columns of terms over all runs, (n, k)."""
-        offsets = np.concatenate([[0], np.cumsum([len(run) for run in self.runs])])
-        out = np.zeros((int(offsets[-1]), len(terms)))
+        """Return the columns of terms over all runs, (n, k): zero in runs that a term is not of."""
+        offsets = np.cumsum([0, *map(len, self.runs)]).tolist()
+        out = np.zeros((offsets[-1], len(terms)))
         for at, (column, scope) in enumerate(terms):
             for run in range(len(self.runs)) if scope == SHARED else (scope,):
                 out[offsets[run] : offsets[run + 1], at] = self._columns[column][run]
         return out
 
-    def raw(self, columns: Sequence[int], run: int) -> FloatArray:
-        """Return these columns in one run, (n, k)."""
-        if not columns:
-            return np.empty((len(self.runs[run]), 0))
-        return np.column_stack([self._columns[column][run] for column in columns])
+    def design(self, found: Sequence[Candidate]) -> FloatArray:
+        """Return all columns of candidates over all runs, (n, k)."""
+        return self.matrix([term for one in found for terms in self.terms(one) for term in terms])
 
     def _index(self, effect: Effect, what: str) -> list[int]:
         key = (id(effect), what)  # the effect is kept beside it, so that no other can have its id
         if key not in self._known:
-            parts = [run.average(getattr(effect, what)(drive_of(run, self.temperature))) for run in self.runs]
-            first = len(self._columns)
-            width = parts[0].shape[1]
+            parts = [run.average(getattr(effect, what)(run.drives[self.temperature])) for run in self.runs]
+            first, width = len(self._columns), parts[0].shape[1]
             self._columns += [[part[:, i] for part in parts] for i in range(width)]
             self._known[key] = effect, list(range(first, first + width))
         return self._known[key][1]
-
-
-def drive_of(run: RunBlocks, temperature: str) -> Drive:
-    """Return what drives the effects of a channel."""
-    return run.drives[temperature]
-
-
-def declared_columns(u: FloatArray, degree: int) -> FloatArray:
-    """Return 1, u, ... u^degree, (n, degree + 1)."""
-    return np.asarray(u[:, np.newaxis] ** np.arange(degree + 1))

@@ -13,16 +13,13 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.diagnosis.blocks import RunBlocks
-from imumon.diagnosis.fitting import Declared
-from imumon.diagnosis.selection import ordinary, residual_rms
+from imumon.diagnosis.channel import Declared, ordinary, residual_rms
 from imumon.effects.base import Effect
 from imumon.effects.drift import Drift
 from imumon.effects.thermal_lag import ThermalLag
 from imumon.effects.warm_up import WarmUp
+from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY
 
-EARTH_RATE = 7.292115e-5
-"""rad/s."""
-GRAVITY = 9.81
 ALLOWANCE = 1.05
 SIGMAS = 3.0
 SPREAD = 0.15
@@ -40,7 +37,7 @@ class VerticalRate:
     @property
     def latitude_deg(self) -> float:
         """Latitude, north positive where the specific force at rest points up."""
-        sine = self.per_force * GRAVITY / EARTH_RATE
+        sine = self.per_force * STANDARD_GRAVITY / EARTH_RATE
         return float(np.degrees(np.arcsin(np.clip(sine, -1.0, 1.0))))
 
 
@@ -67,7 +64,7 @@ def vertical_rate(
     limit = np.maximum(SIGMAS * np.array(doubt), SPREAD * abs(mean))
     same = bool(np.all(np.abs(np.array(found) - mean) <= limit))
     seen = abs(mean) > SIGMAS * float(np.max(doubt)) / np.sqrt(3)
-    if same and seen and abs(mean) * GRAVITY <= ALLOWANCE * EARTH_RATE:
+    if same and seen and abs(mean) * STANDARD_GRAVITY <= ALLOWANCE * EARTH_RATE:
         return VerticalRate(mean)
     return None
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
@@ -17,19 +16,20 @@ from imumon.diagnosis.blocks import (
     survey,
     white_floor,
 )
-from imumon.diagnosis.candidates import Pool
+from imumon.diagnosis.channel import Channel, Declared
 from imumon.diagnosis.continuing import continued, predecessor
-from imumon.diagnosis.earth import GRAVITY, VerticalRate, vertical_rate, without
-from imumon.diagnosis.fitting import Declared
+from imumon.diagnosis.earth import VerticalRate, vertical_rate, without
 from imumon.diagnosis.known import modelled, temperature_of, without_known
-from imumon.diagnosis.recording import CHANNELS, TEMPERATURES, Run, unit_of
-from imumon.diagnosis.selection import Channel, Search
-from imumon.diagnosis.verdict import Case, ChannelVerdict, judge
+from imumon.diagnosis.recording import CHANNELS, Run, unit_of
+from imumon.diagnosis.selection import search
+from imumon.diagnosis.verdict import ChannelVerdict, judge
 from imumon.effects.base import LEAST_SPAN_DEGC, Survey
 from imumon.effects.g_sensitivity import LEAST_RANGE
 from imumon.effects.library import EFFECTS
 from imumon.errors import ImumonError, Reason
+from imumon.geodesy import DEG_PER_H, STANDARD_GRAVITY
 from imumon.models.model import BiasModel
+from imumon.recordings.reduced import TEMPERATURES
 
 LEAST_BLOCKS = 40
 LEAST_RUN_BLOCKS = 8
@@ -38,7 +38,6 @@ MANY_GAPS = 0.2
 MOST_SEARCH_BLOCKS = 700
 """Longer runs are searched in longer blocks; they are scored in blocks of 30 s all the same."""
 HIGHEST_DEGREE = 8
-DEGREE_PER_HOUR = np.pi / 180 / 3600
 
 Progress = Callable[[str], None]
 
@@ -144,15 +143,19 @@ def _sensor(
 ) -> list[ChannelVerdict]:
     """Return the verdicts on the axes of one sensor."""
     blocks, tested = diagnosis.train, diagnosis.test
-    models = {name: Declared(degree, *_scale(blocks, temperatures[name]), offsets=offsets) for name in group}
+    models = {name: Declared.over(blocks, temperatures[name], degree, offsets) for name in group}
     earth = None
     if group[0].startswith("gyro") and diagnosis.survey.accel_range >= LEAST_RANGE:
         earth = vertical_rate(blocks, group, temperatures, models[group[0]])
         diagnosis.caveats.append(_said_of_earth(earth))
     if earth is not None:
         blocks, tested = without(blocks, group, earth), without(tested, group, earth)
-    search_s = _search_block(blocks)
-    searched = blocks
+    channels = [
+        Channel(name, unit_of(name), temperatures[name], floor, models[name], blocks, tested)
+        for name in group
+        for floor in [white_floor(train, name, BLOCK_S)]
+    ]
+    searched, search_s = blocks, _search_block(blocks)
     if search_s > BLOCK_S:
         used = list(dict.fromkeys(temperatures.values()))
         names = [run.name for run in blocks]
@@ -160,37 +163,13 @@ def _sensor(
             make_blocks(run, list(temperatures), used, search_s) for run in train if run.name in names
         ]
         searched = searched if earth is None else without(searched, group, earth)
-    seen = survey(searched, temperatures[group[0]], degree, search_s)
-    families = _families(group[0], seen)
-    floors = {name: white_floor(train, name, BLOCK_S) for name in group}
-    channels = [
-        Channel(
-            name,
-            temperatures[name],
-            np.concatenate([run.mean[name] for run in searched]),
-            models[name].training(searched, temperatures[name]),
-            floors[name].sd * float(np.sqrt(BLOCK_S / search_s)),
-        )
-        for name in group
-    ]
-    outcomes = Search(searched, channels, seen, families).run(progress)
-    verdicts = []
-    for name in group:
-        temperature = temperatures[name]
-        found = np.concatenate([run.temperature[temperature] for run in blocks])
-        case = Case(
-            name=name,
-            unit=unit_of(name),
-            temperature=temperature,
-            floor=floors[name],
-            declared=models[name],
-            train=blocks,
-            test=tested,
-            pool=Pool(blocks, temperature),
-            inside=(float(found.min()), float(found.max())) if seen.thermal else (-np.inf, np.inf),
-        )
-        verdicts.append(judge(case, outcomes[name]))
-    return verdicts
+    found = search(
+        [channel.in_blocks(searched, BLOCK_S / search_s) for channel in channels],
+        survey(searched, temperatures[group[0]], degree, search_s),
+        [name for name, effect in EFFECTS.items() if group[0].startswith(effect.sensors)],
+        progress,
+    )
+    return [judge(channel, one) for channel, one in zip(channels, found, strict=True)]
 
 
 def _said_of_earth(earth: VerticalRate | None) -> str:
@@ -200,7 +179,7 @@ def _said_of_earth(earth: VerticalRate | None) -> str:
             " 15.04 °/h per g on the diagonal; the horizontal earth rate of each pose is not told from"
             " an offset"
         )
-    common = earth.per_force * GRAVITY / DEGREE_PER_HOUR
+    common = earth.per_force * STANDARD_GRAVITY / DEG_PER_H
     return (
         f"several poses: the gyros have {common:+.2f} °/h per g of their own axis in common; it is taken for"
         f" the vertical earth rate (latitude {earth.latitude_deg:+.0f}°) and subtracted"
@@ -221,20 +200,6 @@ def _in_order(train: Sequence[Run], test: Sequence[Run], caveats: list[str]) -> 
         )
         found.append(continued(before, run))
     return found
-
-
-def _families(channel: str, seen: Survey) -> list[str]:
-    """Return the effects that are tried on a channel."""
-    skipped = {"axis_coupling"} if channel.startswith("gyro") else {"g_sensitivity", "axis_coupling"}
-    if seen.runs < 2:
-        skipped.add("run_offset")
-    return [name for name in EFFECTS if name not in skipped]
-
-
-def _scale(blocks: Sequence[RunBlocks], temperature: str) -> tuple[float, float]:
-    found = np.concatenate([run.temperature[temperature] for run in blocks])
-    low, high = float(found.min()), float(found.max())
-    return 0.5 * (low + high), max(0.5 * (high - low), 1e-3)
 
 
 def _search_block(blocks: Sequence[RunBlocks]) -> float:
@@ -339,16 +304,3 @@ def _remark(train: Sequence[RunBlocks], test: Sequence[RunBlocks], caveats: list
         caveats.append(
             "one training run: what depends on time and what depends on temperature may look alike"
         )
-
-
-def plain(value: Any) -> Any:
-    """Return numbers without the types of numpy; NaN becomes None."""
-    if isinstance(value, dict):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    if isinstance(value, float) and not np.isfinite(value):
-        return None
-    return value

@@ -11,11 +11,8 @@ from numpy.polynomial import Chebyshev, Polynomial
 from imumon import __version__
 from imumon.diagnosis.blocks import RunBlocks
 from imumon.diagnosis.engine import Diagnosis
-from imumon.diagnosis.fitting import FittedPart
 from imumon.diagnosis.verdict import ChannelVerdict
 from imumon.effects.base import Effect
-from imumon.effects.temperature_curve import TemperatureCurve
-from imumon.effects.thermal_lag import START_SD_DEGC, ThermalLag
 from imumon.models.curves.polynomial import HIGHEST_ORDER, PolynomialCurve
 from imumon.models.model import BiasModel, ChannelModel, TrainedOn
 
@@ -47,11 +44,11 @@ def extended_model(diagnosis: Diagnosis) -> BiasModel:
 
 
 def _channel(verdict: ChannelVerdict, known: ChannelModel | None) -> ChannelModel:
-    fitted = verdict.after if verdict.foretells else verdict.before
-    effects = [_carried(part) for part in fitted.parts if part.carries]
+    fitted = verdict.after if verdict.predicts else verdict.before
+    effects = [part.effect.with_start(part.start) for part in fitted.parts if part.carries]
     scored = verdict.test_after
     rms = fitted.train_rms if scored is None or not np.isfinite(scored.rms) else scored.rms
-    residual = float(np.sqrt(max(rms**2 - verdict.floor.sd**2, 0.0)))
+    residual = float(np.sqrt(max(rms**2 - verdict.channel.floor.sd**2, 0.0)))
     if known is not None:
         constant = float(fitted.declared[0])
         return known.model_copy(
@@ -62,7 +59,7 @@ def _channel(verdict: ChannelVerdict, known: ChannelModel | None) -> ChannelMode
                 "effects": [*known.effects, *effects],
             }
         )
-    declared = verdict.declared
+    declared = verdict.channel.declared
     half = declared.half_span_degc
     low, high = declared.middle_degc - half, declared.middle_degc + half
     curve, effects = _curve(Polynomial(fitted.declared, domain=[low, high]), effects)
@@ -70,8 +67,8 @@ def _channel(verdict: ChannelVerdict, known: ChannelModel | None) -> ChannelMode
         curve = curve.minus(float(curve.value(declared.middle_degc)))
     return ChannelModel.model_validate(
         {
-            "unit": verdict.unit,
-            "temperature_column": verdict.temperature,
+            "unit": verdict.channel.unit,
+            "temperature_column": verdict.channel.temperature,
             "temperature_range_degc": [low - 2 * half * MARGIN, high + 2 * half * MARGIN],
             "residual_sd": residual,
             "curve": curve,
@@ -81,31 +78,20 @@ def _channel(verdict: ChannelVerdict, known: ChannelModel | None) -> ChannelMode
 
 
 def _curve(declared: Polynomial, effects: list[Effect]) -> tuple[PolynomialCurve, list[Effect]]:
-    """Return the curve with the higher powers that were found in it, and the other effects."""
+    """Return the curve with those effects that are a polynomial of it, and the other effects."""
     total, others = declared, []
     for effect in effects:
-        if isinstance(effect, TemperatureCurve) and effect.first_power + effect.powers - 1 <= HIGHEST_ORDER:
-            middle, half = effect.middle_degc, effect.half_span_degc
-            powers = [0.0] * effect.first_power + effect.coefficients
-            more = Polynomial(powers, domain=[middle - half, middle + half])
-            total = total + more.convert(domain=declared.domain, window=declared.window)
-        else:
+        more = effect.polynomial()
+        if more is None or more.degree() > HIGHEST_ORDER:
             others.append(effect)
+        else:
+            total = total + more.convert(domain=declared.domain, window=declared.window)
     low, high = declared.domain.tolist()
     series = total.convert(domain=declared.domain, kind=Chebyshev)
     curve = PolynomialCurve(
         center_degc=0.5 * (low + high), half_width_degc=0.5 * (high - low), coefficients=series.coef.tolist()
     )
     return curve, others
-
-
-def _carried(part: FittedPart) -> Effect:
-    """Return the effect as it is carried live, with what training showed of its start."""
-    effect = part.effect
-    if not isinstance(effect, ThermalLag) or not part.start.size or not effect.coefficients[0]:
-        return effect
-    seen = float(np.sqrt(np.mean(part.start**2))) * effect.half_span_degc / abs(effect.coefficients[0])
-    return effect.model_copy(update={"start_sd_degc": max(START_SD_DEGC, seen)})
 
 
 def _trained_on(run: RunBlocks) -> TrainedOn:

@@ -14,11 +14,11 @@ from matplotlib.figure import Figure
 from imumon.blocks import FloatArray
 from imumon.diagnosis.blocks import RunBlocks
 from imumon.diagnosis.engine import Diagnosis
-from imumon.diagnosis.fitting import Fit
 from imumon.diagnosis.verdict import ChannelVerdict
+from imumon.geodesy import DEG_PER_H, MICRO_G
 
 HOUR_S = 3600.0
-SCALES = {"rad/s": (180 / np.pi * 3600, "°/h"), "m/s^2": (1e6 / 9.80665, "µg")}
+SCALES = {"rad/s": (1.0 / DEG_PER_H, "°/h"), "m/s^2": (1.0 / MICRO_G, "µg")}
 """Unit that a person reads, and the factor to it."""
 COLOURS = ("#1f4e79", "#c0504d", "#4f7f3f", "#8064a2", "#d08a2e", "#4bacc6")
 SIZE = (5.2, 3.0)
@@ -64,7 +64,7 @@ def _split(runs: Sequence[RunBlocks], values: FloatArray) -> list[FloatArray]:
 
 
 def _scaled(verdict: ChannelVerdict) -> tuple[float, str]:
-    return SCALES[verdict.unit]
+    return SCALES[verdict.channel.unit]
 
 
 def _in_time(axes: Axes, runs: Sequence[RunBlocks], verdict: ChannelVerdict) -> None:
@@ -83,7 +83,7 @@ def _loops(axes: Axes, runs: Sequence[RunBlocks], verdict: ChannelVerdict) -> No
     before = _split(runs, verdict.before.train)
     for at, run in enumerate(runs):
         axes.plot(
-            run.temperature[verdict.temperature],
+            run.temperature[verdict.channel.temperature],
             before[at] * scale,
             ".-",
             ms=3,
@@ -109,7 +109,9 @@ def _spectra(axes: Axes, runs: Sequence[RunBlocks], verdict: ChannelVerdict) -> 
         axes.loglog(
             np.fft.rfftfreq(len(values), run.block_s)[1:], np.sqrt(density[1:]), color=colour, label=label
         )
-    axes.axhline(verdict.floor.sd * scale * np.sqrt(2 * run.block_s), ls=":", color="k", label="white floor")
+    axes.axhline(
+        verdict.channel.floor.sd * scale * np.sqrt(2 * run.block_s), ls=":", color="k", label="white floor"
+    )
     axes.set(xlabel="frequency, Hz", ylabel=f"{unit}/√Hz")
     axes.legend(fontsize=6)
 
@@ -118,7 +120,9 @@ def _against(axes: Axes, runs: Sequence[RunBlocks], verdict: ChannelVerdict, nam
     scale, unit = _scaled(verdict)
     after = _split(runs, verdict.after.train)
     for at, run in enumerate(runs):
-        part = _contribution(run, verdict, verdict.after, name, at)
+        drive = run.drives[verdict.channel.temperature]
+        parts = [part for part in verdict.after.parts if part.effect.name == name]
+        part = np.sum([one.added(run, drive, at) for one in parts], axis=0)
         axes.plot(
             part * scale,
             (part + after[at]) * scale,
@@ -130,20 +134,6 @@ def _against(axes: Axes, runs: Sequence[RunBlocks], verdict: ChannelVerdict, nam
     low, high = axes.get_xlim()
     axes.plot([low, high], [low, high], "k:", lw=1)
     axes.set(xlabel=f"{name} as fitted, {unit}", ylabel=f"{verdict.name}, {unit}")
-
-
-def _contribution(run: RunBlocks, verdict: ChannelVerdict, model: Fit, name: str, at: int) -> FloatArray:
-    """Return what an effect adds to a training run."""
-    total = np.zeros(len(run))
-    drive = run.drives[verdict.temperature]
-    for part in model.parts:
-        if part.effect.name != name or (part.runs and at not in part.runs):
-            continue
-        row = part.runs.index(at) if part.runs else 0
-        total += run.average(part.effect.columns(drive)) @ part.own[row]
-        if len(part.start):
-            total += run.average(part.effect.start_columns(drive)) @ part.start[at]
-    return total
 
 
 def _test(axes: Axes, runs: Sequence[RunBlocks], verdict: ChannelVerdict) -> None:

@@ -9,49 +9,49 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.diagnosis.blocks import BoolArray, RunBlocks
-from imumon.diagnosis.candidates import Candidate, Part, Pool
-from imumon.diagnosis.selection import ordinary
-from imumon.diagnosis.tracking import track
-from imumon.effects.base import Effect
+from imumon.diagnosis.candidates import Candidate, Part
+from imumon.diagnosis.channel import Channel, ordinary
+from imumon.diagnosis.tracking import Prior, track
+from imumon.effects.base import Drive, Effect
 
 CARRY_SPREAD = 0.35
 """Own coefficients carry over when none is further from their mean than this share of it."""
 LEAST_TEST_BLOCKS = 10
+WIDER = 2.0
+"""What differs from run to run is known from few: the prior allows for so many times what was seen."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Declared:
-    """The declared model: columns at blocks of a run, and what it subtracts beforehand.
+class FittedPart:
+    """An effect with the coefficients that carry over, and with what each run had.
 
     Parameters
     ----------
-    degree : int
-    middle_degc, half_span_degc : float
-    offsets : bool
-        Whether each run has a constant of its own.
+    runs : tuple of int
+        Empty where the coefficients are shared.
+    own : array of shape (runs, k)
+        One row where they are shared.
+    start : array of shape (runs, m)
+        Of `Effect.start_columns`; empty when the start is not free.
+    carries : bool
+        Whether anything carries over to another run.
     """
 
-    degree: int
-    middle_degc: float
-    half_span_degc: float
-    offsets: bool = False
+    effect: Effect
+    runs: tuple[int, ...]
+    own: FloatArray
+    start: FloatArray
+    carries: bool
 
-    def columns(self, temperature: FloatArray) -> FloatArray:
-        """Return 1, u, ... u^degree, (n, degree + 1)."""
-        u = (temperature - self.middle_degc) / self.half_span_degc
-        return np.asarray(u[:, np.newaxis] ** np.arange(self.degree + 1))
-
-    def training(self, runs: Sequence[RunBlocks], temperature: str) -> FloatArray:
-        """Return the columns over all training runs, with a constant for each further run where declared."""
-        parts = [self.columns(run.temperature[temperature]) for run in runs]
-        stacked = np.concatenate(parts)
-        if not self.offsets:
-            return stacked
-        extra = np.zeros((len(stacked), len(runs) - 1))
-        first = np.cumsum([len(part) for part in parts])
-        for at in range(len(runs) - 1):
-            extra[first[at] : first[at + 1], at] = 1.0
-        return np.column_stack([stacked, extra])
+    def added(self, run: RunBlocks, drive: Drive, at: int) -> FloatArray:
+        """Return what it adds to the training run of index `at`, (n,)."""
+        total = np.zeros(len(run))
+        if not self.runs or at in self.runs:
+            row = self.runs.index(at) if self.runs else 0
+            total += run.average(self.effect.columns(drive)) @ self.own[row]
+        if len(self.start):
+            total += run.average(self.effect.start_columns(drive)) @ self.start[at]
+        return total
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,68 +80,41 @@ class Fit:
         return float(np.sqrt(np.mean(self.train**2)))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FittedPart:
-    """A part with its coefficients: what carries over, and what each run had."""
-
-    effect: Effect
-    runs: tuple[int, ...]
-    own: FloatArray
-    """(runs, k); one row when shared."""
-    start: FloatArray
-    """(runs, m); no rows when the start is not free."""
-    carries: bool
-
-
-def fit(
-    runs: Sequence[RunBlocks],
-    temperature: str,
-    values: FloatArray,
-    declared: Declared,
-    found: Sequence[Candidate],
-    pool: Pool,
-) -> Fit:
+def fit(channel: Channel, found: Sequence[Candidate]) -> Fit:
     """Fit the declared model and the candidates by ordinary least squares."""
-    base = declared.training(runs, temperature)
-    terms = [pool.terms(candidate) for candidate in found]
-    blocks = [base, *(pool.matrix([*defining, *start]) for defining, start in terms)]
-    design = np.column_stack(blocks)
-    coefficients = ordinary(design, values)
-    at = base.shape[1]
+    pool, runs, width = channel.pool, len(channel.train), channel.base.shape[1]
+    design = channel.design(found)
+    coefficients = ordinary(design, channel.values)
+    model = coefficients[: channel.declared.degree + 1].copy()
+    model[0] += float(coefficients[channel.declared.degree + 1 : width].sum()) / runs
     parts: list[FittedPart] = []
-    offset, lifted = 0.0, 0.0
-    for candidate, (defining, start) in zip(found, terms, strict=True):
-        chunk = coefficients[at : at + len(defining) + len(start)]
-        fitted = _parts(candidate, pool, len(runs), chunk)
-        columns = design[:, at : at + len(defining)]
+    lifted, at = 0.0, width
+    for candidate in found:
+        defining, start = map(len, pool.terms(candidate))
+        own, starts = np.split(coefficients[at : at + defining + start], [defining])
+        fitted = _parts(candidate, own, starts, runs)
         if not any(part.carries for part in fitted):
-            mean = float((columns @ chunk[: len(defining)]).mean())
-            offset += mean
-            lifted += mean if candidate.family != "run_offset" else 0.0
+            mean = float((design[:, at : at + defining] @ own).mean())
+            model[0] += mean
+            lifted += mean if candidate.scope != "run" else 0.0
         parts += fitted
-        at += len(chunk)
-    model = coefficients[: declared.degree + 1].copy()
-    if declared.offsets and len(runs) > 1:
-        extra = coefficients[declared.degree + 1 : base.shape[1]]
-        model[0] += float(extra.sum()) / len(runs)
-    model[0] += offset
-    return Fit(model, parts, values - design @ coefficients, lifted)
+        at += defining + start
+    return Fit(model, parts, channel.values - design @ coefficients, lifted)
 
 
-def _parts(candidate: Candidate, pool: Pool, runs: int, chunk: FloatArray) -> list[FittedPart]:
+def _parts(candidate: Candidate, own: FloatArray, start: FloatArray, runs: int) -> list[FittedPart]:
     """Return the parts of a candidate with their coefficients, which are in the order of its terms."""
     found: list[FittedPart] = []
-    defining, starts = 0, len(pool.terms(candidate)[0])
-    for part in candidate.parts:
-        alone = Candidate(candidate.family, (part,), candidate.free_start)
-        own_terms, start_terms = pool.terms(alone)
-        own = chunk[defining : defining + len(own_terms)].reshape(max(1, len(part.runs)), -1)
-        start = (
-            chunk[starts : starts + len(start_terms)].reshape(runs, -1) if start_terms else np.empty((0, 0))
-        )
-        defining, starts = defining + len(own_terms), starts + len(start_terms)
-        mean, carries = _carried(part, own)
-        found.append(FittedPart(part.effect.with_coefficients(mean), part.runs, own, start, carries))
+    count = len(candidate.parts)
+    starts = start.reshape(count, runs, -1) if start.size else np.empty((count, 0, 0))
+    at = 0
+    for number, part in enumerate(candidate.parts):
+        size = part.effect.width * max(1, len(part.runs))
+        rows = own[at : at + size].reshape(-1, part.effect.width)
+        mean, carries = _carried(part, rows)
+        effect = part.effect.with_coefficients(mean)
+        found.append(FittedPart(effect, part.runs, rows, starts[number], carries))
+        at += size
     return found
 
 
@@ -150,10 +123,8 @@ def _carried(part: Part, own: FloatArray) -> tuple[FloatArray, bool]:
     if not part.runs:
         return own[0], True
     mean = own.mean(axis=0)
-    if part.effect.own:
-        return np.zeros_like(mean), False
     spread = np.linalg.norm(own - mean, axis=1).max()
-    if spread <= CARRY_SPREAD * np.linalg.norm(mean):
+    if part.effect.scope == "either" and spread <= CARRY_SPREAD * np.linalg.norm(mean):
         return mean, True
     return np.zeros_like(mean), False
 
@@ -174,6 +145,8 @@ class TestScore:
         Share of those that count: after the state at power-on is forgotten.
     residual, tracked : list of array
         Of each run, at every block.
+    counted, quiet : list of array
+        Blocks that count; those of them that are not too near a jump.
     """
 
     __test__ = False
@@ -182,49 +155,38 @@ class TestScore:
     tracked_rms: float
     coverage: float
     scored: float
-    jumps: int
     residual: list[FloatArray]
     tracked: list[FloatArray]
     counted: list[BoolArray]
     quiet: list[BoolArray]
-    """Those that count and are not too near a jump."""
 
 
-def score(
-    runs: Sequence[RunBlocks],
-    channel: str,
-    temperature: str,
-    declared: Declared,
-    model: Fit,
-    inside: tuple[float, float],
-    mask: Sequence[BoolArray] | None = None,
-) -> TestScore:
-    """Return how the fitted model does on test runs, within the trained temperatures `inside`.
+def score(channel: Channel, model: Fit, like: Fit | None = None) -> TestScore:
+    """Return how a fitted model does on the test runs, within the trained temperatures.
 
-    `mask` says which blocks count beside those: the same for the models that are compared.
+    Blocks count after the state at power-on is forgotten, of the model `like` where one is given: the same
+    for the models that are compared.
     """
-    left, followed, counted, covered, quiet, jumps = [], [], [], [], [], 0
-    for at, run in enumerate(runs):
-        t = run.temperature[temperature]
-        covered.append((t >= inside[0]) & (t <= inside[1]))
-        residual = run.mean[channel] - predicted(run, temperature, declared, model)
-        use = covered[-1] & settled(run, temperature, model) if mask is None else covered[-1] & mask[at]
-        if declared.offsets and use.any():
+    trained = np.concatenate([run.temperature[channel.temperature] for run in channel.train])
+    left, followed, counted, covered, quiet = [], [], [], [], []
+    for run in channel.test:
+        t = run.temperature[channel.temperature]
+        covered.append((t >= trained.min()) & (t <= trained.max()))
+        use = covered[-1] & _settled(channel, run, like or model)
+        residual = run.mean[channel.name] - _predicted(channel, run, model)
+        if channel.declared.offsets and use.any():
             residual = residual - residual[use].mean()
-        result = _followed(run, temperature, residual, model)
+        expected, near = _followed(run, run.drives[channel.temperature], residual, model)
         left.append(residual)
-        followed.append(residual - result[0])
-        quiet.append(use & ~result[1])
+        followed.append(residual - expected)
         counted.append(use)
-        jumps += result[2]
-    total = sum(map(len, covered))
-    inside_count = sum(int(part.sum()) for part in covered)
+        quiet.append(use & ~near)
+    inside = sum(int(part.sum()) for part in covered)
     return TestScore(
         rms=mean_rms(left, counted),
         tracked_rms=mean_rms(followed, quiet),
-        coverage=inside_count / total if total else 0.0,
-        scored=sum(int(part.sum()) for part in counted) / inside_count if inside_count else 0.0,
-        jumps=jumps,
+        coverage=inside / max(sum(map(len, covered)), 1),
+        scored=sum(int(part.sum()) for part in counted) / max(inside, 1),
         residual=left,
         tracked=followed,
         counted=counted,
@@ -238,58 +200,46 @@ def mean_rms(parts: Sequence[FloatArray], counted: Sequence[BoolArray]) -> float
     return float(np.sqrt(np.mean(values**2))) if len(values) >= LEAST_TEST_BLOCKS else float("nan")
 
 
-def predicted(run: RunBlocks, temperature: str, declared: Declared, model: Fit) -> FloatArray:
-    """Return the bias that a fitted model foretells of a run, (n,)."""
-    expected = declared.columns(run.temperature[temperature]) @ model.declared
-    drive = run.drives[temperature]
+def _predicted(channel: Channel, run: RunBlocks, model: Fit) -> FloatArray:
+    """Return the bias that a fitted model predicts of a run, (n,)."""
+    expected = channel.declared.columns(run.temperature[channel.temperature]) @ model.declared
     for part in model.parts:
         if part.carries:
-            expected = expected + run.average(part.effect.simulate(drive)[:, np.newaxis])[:, 0]
+            simulated = part.effect.simulate(run.drives[channel.temperature])
+            expected = expected + run.average(simulated[:, np.newaxis])[:, 0]
     return np.asarray(expected)
 
 
-def settled(run: RunBlocks, temperature: str, model: Fit) -> BoolArray:
+def _settled(channel: Channel, run: RunBlocks, model: Fit) -> BoolArray:
     """Tell at which blocks of a run no state at power-on matters any more, (n,)."""
-    drive = run.drives[temperature]
     found = np.ones(len(run), bool)
     for part in model.parts:
-        found &= run.average(part.effect.settled(drive).astype(np.float64)[:, np.newaxis])[:, 0] > 0.99
+        settled = part.effect.settled(run.drives[channel.temperature]).astype(np.float64)
+        found &= run.average(settled[:, np.newaxis])[:, 0] > 0.99
     return found
 
 
-def _followed(
-    run: RunBlocks, temperature: str, residual: FloatArray, model: Fit
-) -> tuple[FloatArray, BoolArray, int]:
-    """Return what the past of the test says of its residual, which blocks are near a jump, and how many
-    jumps."""
-    drive = run.drives[temperature]
-    columns, mean, sd = [np.ones((len(run), 1))], [np.array([-model.lifted])], [np.zeros(1)]
-    jumps = False
+def _followed(run: RunBlocks, drive: Drive, residual: FloatArray, model: Fit) -> tuple[FloatArray, BoolArray]:
+    """Return what the past of the test says of its residual, and which blocks are near a jump."""
+    level_sd, jumps = 0.0, False
+    priors: list[Prior] = []
     for part in model.parts:
-        if part.effect.name == "step":
-            jumps = True
-        elif part.effect.name == "run_offset":
-            # The size of a turn-on offset is known from few: allow for twice what was seen.
-            sd[0] = np.hypot(sd[0], 2.0 * np.sqrt(np.mean(part.own**2)))
-        elif part.runs:
-            columns.append(run.average(part.effect.columns(drive)))
-            carried = np.array(part.effect.coefficients)
-            mean.append(np.zeros(len(carried)))
-            sd.append(np.full(len(carried), 2.0 * np.sqrt(np.mean((part.own - carried) ** 2))))
+        effect = part.effect
+        jumps |= effect.scope == "event"
+        if effect.scope == "run":
+            level_sd = float(np.hypot(level_sd, WIDER * np.sqrt(np.mean(part.own**2))))
+        elif part.runs and effect.scope != "event":
+            spread = WIDER * float(np.sqrt(np.mean((part.own - effect.coefficients) ** 2)))
+            columns = run.average(effect.columns(drive))
+            priors.append(Prior(columns, np.zeros(effect.width), np.full(effect.width, spread)))
         if len(part.start):
-            columns.append(run.average(part.effect.start_columns(drive)))
-            mean.append(np.zeros(part.start.shape[1]))
-            sd.append(2.0 * np.sqrt(np.mean(part.start**2, axis=0)))
-    noise = model.train_rms * np.sqrt(run.white)
-    if not jumps and not np.concatenate([*mean, *sd]).any():
-        return np.zeros(len(run)), np.zeros(len(run), bool), 0
-    result = track(
-        run.time_s,
-        residual,
-        np.column_stack(columns),
-        np.concatenate(mean),
-        np.concatenate(sd),
-        noise,
-        jumps,
-    )
-    return result.expected, result.grace, result.jumps
+            columns, start_sd = (
+                run.average(effect.start_columns(drive)),
+                np.sqrt(np.mean(part.start**2, axis=0)),
+            )
+            priors.append(Prior(columns, np.zeros(len(start_sd)), WIDER * start_sd))
+    level = Prior(np.ones((len(run), 1)), np.array([-model.lifted]), np.array([level_sd]))
+    prior = Prior.joined([level, *priors])
+    if not jumps and not prior.mean.any() and not prior.sd.any():
+        return np.zeros(len(run)), np.zeros(len(run), bool)
+    return track(run.time_s, residual, prior, model.train_rms * np.sqrt(run.white), jumps)

@@ -1,17 +1,15 @@
-"""Gains of candidates as a table for each channel: the best of each family, alone, in pairs, and pooled."""
+"""Gains of candidates for one channel: the best of each family, alone, in pairs, and pooled."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 
-from imumon.blocks import FloatArray, IntArray
-from imumon.diagnosis.candidates import Candidate, Pool
-from imumon.diagnosis.search import Likelihood, Noise, Target, parameters
-from imumon.effects.library import EFFECTS
+from imumon.diagnosis.candidates import Candidate, Part
+from imumon.diagnosis.likelihood import Noise
 
 PROVEN = 8.0
 """Gain, a difference of BIC, above which an effect is proven."""
@@ -19,139 +17,125 @@ SHORT_LIST = 6
 """Best candidates of each family, by the coarse grid of noise, that are looked at closely."""
 PAIR_LIST = 4
 """Best candidates of each family that are tried in pairs."""
-
 TIE = 1e-3
 """Gain that decides between the members of a pair, which have that of the pair."""
 
 
-@dataclass(slots=True)
-class Table:
-    """Gains of all candidates for one channel.
+@dataclass(frozen=True, slots=True)
+class Scored:
+    """A candidate with its gain over the model so far, in BIC.
 
-    `fit` is twice the log-likelihood ratio less the price of the linear parameters, `penalty` the price of
-    the others; the first `common` candidates are the same for all channels.  `together` holds the families
-    that are needed in pairs, where a pair does better than any single candidate (see `paired`).
+    `fit` is twice the log-likelihood ratio less the price of the linear parameters alone.
     """
 
-    candidates: list[Candidate]
-    gain: FloatArray
-    fit: FloatArray
-    noise: dict[int, Noise]
+    candidate: Candidate
+    gain: float
+    fit: float
+    noise: Noise
+
+    @property
+    def family(self) -> str:
+        """Name of its effect."""
+        return self.candidate.family
+
+
+@dataclass(frozen=True, slots=True)
+class Leader:
+    """The best of a family; `gain` is that of the pair where it is needed beside a `partner` family."""
+
+    scored: Scored
+    gain: float
+    partner: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """All candidates for one channel, the first `common` of which are the same for all, and the leaders."""
+
+    scored: list[Scored]
     common: int
-    penalty: FloatArray
-    together: dict[str, tuple[float, int]] = field(default_factory=dict)
-    partner: dict[str, str] = field(default_factory=dict)
+    leaders: dict[str, Leader]
 
-    def families(self) -> list[IntArray]:
-        """Return the best few candidates of each family."""
-        names = np.array([candidate.family for candidate in self.candidates])
-        found = []
-        for name in dict.fromkeys(names.tolist()):
-            which = np.flatnonzero(names == name)
-            found.append(which[np.argsort(-self.gain[which])[:SHORT_LIST]])
-        return found
-
-    def best(self) -> dict[str, tuple[float, int]]:
-        """Return the best gain of each family, alone or in a pair that needs it, and which candidate has
-        it."""
-        alone = {
-            self.candidates[int(which[0])].family: (float(self.gain[which[0]]), int(which[0]))
-            for which in self.families()
-        }
-        return {**alone, **self.together}
+    @property
+    def best(self) -> float:
+        """The largest gain, alone or in a pair."""
+        return max((leader.gain for leader in self.leaders.values()), default=0.0)
 
 
-def pooled_gains(tables: Sequence[Table]) -> dict[str, float]:
-    """Return the gain of each family over the channels that show something, nonlinear parameters shared."""
-    shown = [table for table in tables if table.gain.max() > PROVEN]
+def families(scored: Sequence[Scored], count: int) -> dict[str, list[Scored]]:
+    """Return the best few candidates of each family, best first."""
+    found: dict[str, list[Scored]] = {}
+    for one in scored:
+        found.setdefault(one.family, []).append(one)
+    return {name: sorted(group, key=_worst_first)[:count] for name, group in found.items()}
+
+
+def _worst_first(one: Scored) -> float:
+    return -one.gain
+
+
+def pooled_gains(tables: Sequence[Table], logarithm: float) -> dict[str, float]:
+    """Return the gain of each family over the channels that show something, nonlinear parameters shared.
+
+    `logarithm` is the price of a parameter.
+    """
+    shown = [table for table in tables if max(one.gain for one in table.scored) > PROVEN]
     if len(shown) < 2:
         return {}
-    common = shown[0].common
-    total = sum(table.fit[:common] for table in shown) - shown[0].penalty[:common]
     pooled: dict[str, float] = {}
-    for at in range(common):
-        name = shown[0].candidates[at].family
-        pooled[name] = max(pooled.get(name, -np.inf), float(total[at]))
+    for same in zip(*(table.scored[: table.common] for table in shown), strict=True):
+        gain = sum(one.fit for one in same) - same[0].candidate.nonlinear * logarithm
+        pooled[same[0].family] = max(pooled.get(same[0].family, -np.inf), gain)
     # Jumps come at times of their own, and loops of several widths differ: there each channel's best counts.
-    apart: dict[str, float] = {}
-    for table in shown:
-        for name, (gain, _) in table.best().items():
-            apart[name] = apart.get(name, 0.0) + gain
-    return {name: max(gain, apart[name]) for name, gain in pooled.items()}
+    return {
+        name: max(gain, sum(table.leaders[name].gain for table in shown if name in table.leaders))
+        for name, gain in pooled.items()
+    }
 
 
-def joined_steps(table: Table) -> list[Candidate]:
-    """Return jumps in several runs at once, made of the best of each run."""
-    best: dict[int, tuple[float, Candidate]] = {}
-    for at, candidate in enumerate(table.candidates):
-        if candidate.family == "step":
-            run = candidate.parts[0].runs[0]
-            if run not in best or table.gain[at] > best[run][0]:
-                best[run] = float(table.gain[at]), candidate
-    order = sorted(best.values(), key=lambda item: -item[0])
-    return [
-        Candidate("step", tuple(part for _, one in order[:count] for part in one.parts))
-        for count in range(2, len(order) + 1)
-    ]
-
-
-def paired(
-    likelihood: Likelihood, pool: Pool, target: Target, null: float, table: Table, grid: Sequence[Noise]
-) -> tuple[dict[str, tuple[float, int]], dict[str, str]]:
-    """Return the families that are needed in pairs, with the gain of their best pair; none where one is
-    enough.
-
-    Two effects at once hide one another: the one that stands in best for both may be neither.  A pair
-    counts when it does better than every single candidate and needs both its members.  Free starts are left
-    out: with one, a lag can do as a warm-up.
-    """
-    members = [at for which in _without_start(table) for at in which]
-    pairs = [
-        (one, other)
-        for one, other in combinations(members, 2)
-        if table.candidates[one].family != table.candidates[other].family
-    ]
-    if not pairs:
-        return {}, {}
-    both = [[term for at in pair for term in pool.terms(table.candidates[at])[0]] for pair in pairs]
-    fit = likelihood.scan([target], pool, both, grid).likelihood[0]
-    logarithm = np.log(likelihood.n)
-    price = np.array([sum(_price(table, pool, at) for at in pair) for pair in pairs]) * logarithm
-    gain = 2 * (fit - null) - price
-    if gain.max() <= table.gain.max() + PROVEN:
-        return {}, {}
-    found: dict[str, tuple[float, int]] = {}
-    partner: dict[str, str] = {}
-    highest: dict[str, float] = {}
-    for (one, other), value in zip(pairs, gain.tolist(), strict=True):
-        if value - max(table.gain[one], 0.0) <= PROVEN or value - max(table.gain[other], 0.0) <= PROVEN:
-            continue
-        for at, beside in ((one, other), (other, one)):
-            name = table.candidates[at].family
-            if value > highest.get(name, table.gain.max()):
-                highest[name] = value
-                found[name] = value - TIE * _second(table, at, beside), at
-                partner[name] = table.candidates[beside].family
-    return found, partner
-
-
-def _second(table: Table, at: int, beside: int) -> int:
-    """Return how much a member of a pair is behind the other: what carries over to another run goes first,
-    then what says more alone."""
-    own = [EFFECTS[table.candidates[one].family].own for one in (at, beside)]
-    return 2 * (own[0] and not own[1]) + bool(table.gain[at] < table.gain[beside])
-
-
-def _without_start(table: Table) -> list[IntArray]:
-    names = np.array([candidate.family for candidate in table.candidates])
-    allowed = np.array([not candidate.free_start for candidate in table.candidates])
+def joined_events(scored: Sequence[Scored]) -> list[Candidate]:
+    """Return events in several runs at once, made of the best of each run."""
+    best: dict[str, dict[int, Scored]] = {}
+    for one in scored:
+        if one.candidate.scope == "event":
+            runs, run = best.setdefault(one.family, {}), one.candidate.parts[0].runs[0]
+            if run not in runs or one.gain > runs[run].gain:
+                runs[run] = one
     found = []
-    for name in dict.fromkeys(names.tolist()):
-        which = np.flatnonzero((names == name) & allowed)
-        found.append(which[np.argsort(-table.gain[which])[:PAIR_LIST]])
+    for name, runs in best.items():
+        parts: list[Part] = [one.candidate.parts[0] for one in sorted(runs.values(), key=_worst_first)]
+        found += [Candidate(name, tuple(parts[:count])) for count in range(2, len(parts) + 1)]
     return found
 
 
-def _price(table: Table, pool: Pool, at: int) -> int:
-    candidate = table.candidates[at]
-    return parameters(candidate, pool.terms(candidate)[0])
+def pairs_of(scored: Sequence[Scored]) -> list[tuple[Scored, Scored]]:
+    """Return the pairs worth trying: the best few of different families.
+
+    Free starts are left out: with one, a lag can do as a warm-up.
+    """
+    lists = families([one for one in scored if not one.candidate.free_start], PAIR_LIST)
+    members = [one for group in lists.values() for one in group]
+    return [(one, other) for one, other in combinations(members, 2) if one.family != other.family]
+
+
+def needed_in_pairs(
+    pairs: Sequence[tuple[Scored, Scored]], gains: Sequence[float], alone: float
+) -> dict[str, Leader]:
+    """Return the leaders of families that are needed in pairs, by the gains of the pairs and the best alone.
+
+    Two effects at once hide one another: the one that stands in best for both may be neither.  So a pair
+    counts that does better than any single candidate and needs both its members.  Of these, what carries
+    over to another run goes first, then what says more alone.
+    """
+    if max(gains, default=0.0) <= alone + PROVEN:
+        return {}
+    found: dict[str, tuple[float, Leader]] = {}
+    for (one, other), gain in zip(pairs, gains, strict=True):
+        if gain - max(one.gain, other.gain, 0.0) <= PROVEN:
+            continue
+        for this, beside in ((one, other), (other, one)):
+            if gain > (found[this.family][0] if this.family in found else alone):
+                own, others = (part.candidate.scope in ("run", "event") for part in (this, beside))
+                behind = 2 * (own and not others) + (this.gain < beside.gain)
+                found[this.family] = gain, Leader(this, gain - TIE * behind, beside.family)
+    return {name: leader for name, (_, leader) in found.items()}

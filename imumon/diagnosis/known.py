@@ -7,10 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from imumon.diagnosis.recording import SECOND_NS, TEMPERATURES, Run
+from imumon.diagnosis.recording import SECOND_NS, Run
 from imumon.errors import ImumonError, Reason
 from imumon.models.model import BiasModel
 from imumon.models.predictor import BiasPredictor
+from imumon.recordings.reduced import TEMPERATURES
 
 
 def modelled(channels: Sequence[str], model: BiasModel) -> list[str]:

@@ -11,9 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from imumon.blocks import FloatArray
+from imumon.compiled import njit
 
 TAUS_S = np.array([30.0, 100.0, 300.0, 1000.0, 3000.0, 10000.0])
 WALK_S = 7200.0
@@ -54,7 +54,7 @@ def whitener(time_s: FloatArray, white: FloatArray, flicker: float, walk: float)
     return Whitener(*_filter(time_s, white, flicker, walk, TAUS_S, WALK_S))
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _filter(
     time_s: FloatArray, white: FloatArray, flicker: float, walk: float, taus: FloatArray, walk_s: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -87,7 +87,7 @@ def _filter(
     return decay, gain, scale
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(fastmath=True)
 def _whiten(decay: FloatArray, gain: FloatArray, scale: FloatArray, columns: FloatArray) -> FloatArray:
     n, m = columns.shape
     states = decay.shape[1]

@@ -35,10 +35,10 @@ def write_page(diagnosis: Diagnosis, path: Path, progress: Progress | None = Non
 
 
 def _row(verdict: ChannelVerdict) -> dict[str, Any]:
-    scale, unit = SCALES[verdict.unit]
+    scale, unit = SCALES[verdict.channel.unit]
     test = verdict.test_before, verdict.test_after
     numbers = [
-        verdict.floor.sd,
+        verdict.channel.floor.sd,
         verdict.before.train_rms,
         verdict.after.train_rms,
         np.nan if test[0] is None else test[0].rms,
@@ -64,7 +64,7 @@ def _number(value: float) -> str:
 
 
 def _channel(diagnosis: Diagnosis, verdict: ChannelVerdict, content: dict[str, Any]) -> dict[str, Any]:
-    scale, unit = SCALES[verdict.unit]
+    scale, unit = SCALES[verdict.channel.unit]
     return {
         "name": verdict.name,
         "summary": verdict.summary,
@@ -89,7 +89,8 @@ def _channel(diagnosis: Diagnosis, verdict: ChannelVerdict, content: dict[str, A
 
 
 def _parameters(found: dict[str, Any]) -> str:
-    hidden = ("coefficients", "start", "middle_degc", "half_span_degc", "runs", "smoothing_s", "amplitude")
+    fitted = ("coefficients", "start", "runs", "amplitude")
+    hidden = (*fitted, "middle_degc", "half_span_degc", "smoothing_s", "slack_degc", "start_sd_degc")
     return ", ".join(f"{key} {_text(value)}" for key, value in found.items() if key not in hidden)
 
 

@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from imumon import __version__
-from imumon.diagnosis.engine import Diagnosis, plain
+from imumon.diagnosis.engine import Diagnosis
 from imumon.diagnosis.fitting import FittedPart
 from imumon.diagnosis.verdict import ChannelVerdict, Claim
 from imumon.effects.library import separated_by
@@ -34,7 +34,7 @@ def report(diagnosis: Diagnosis) -> dict[str, Any]:
         "caveats": diagnosis.caveats,
         "channels": {verdict.name: _channel(verdict) for verdict in diagnosis.verdicts},
     }
-    found: dict[str, Any] = plain(content)
+    found: dict[str, Any] = _plain(content)
     return found
 
 
@@ -57,9 +57,9 @@ def _channel(verdict: ChannelVerdict) -> dict[str, Any]:
     before, after = verdict.test_before, verdict.test_after
     nothing = float("nan")
     return {
-        "unit": verdict.unit,
-        "noise_floor_rms": verdict.floor.sd,
-        "noise_floor_from": verdict.floor.source,
+        "unit": verdict.channel.unit,
+        "noise_floor_rms": verdict.channel.floor.sd,
+        "noise_floor_from": verdict.channel.floor.source,
         "slow_noise": {"flicker": verdict.noise[0], "random_walk": verdict.noise[1]},
         "before": {
             "train_rms": verdict.before.train_rms,
@@ -81,7 +81,7 @@ def _channel(verdict: ChannelVerdict) -> dict[str, Any]:
             for other in claim.finding.alike[1:]
         ],
         "left_out": verdict.left_out,
-        "in_model_file": verdict.foretells,
+        "in_model_file": verdict.predicts,
         "unexplained": verdict.unexplained,
         "remark": verdict.remark,
         "summary": verdict.summary,
@@ -129,9 +129,20 @@ def _parameters(parts: list[FittedPart]) -> dict[str, Any]:
             found["runs"] = list(part.runs)
         if len(part.start):
             found["start"] = part.start.tolist()
-        if part.effect.name == "periodic":
-            found["amplitude"] = np.hypot(part.own[:, 0], part.own[:, 1]).tolist()
-        each.append(found)
+        each.append(found | part.effect.described(part.own))
     if len(each) == 1:
         return dict(each[0])
     return {key: [found.get(key) for found in each] for key in each[0]}
+
+
+def _plain(value: Any) -> Any:
+    """Return numbers without the types of numpy; NaN becomes None."""
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value

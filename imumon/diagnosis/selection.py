@@ -4,24 +4,28 @@ agree."""
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.diagnosis.blocks import RunBlocks
-from imumon.diagnosis.candidates import Candidate, Part, Pool, Term, candidates
-from imumon.diagnosis.gains import PROVEN, Table, joined_steps, paired, pooled_gains
-from imumon.diagnosis.search import (
-    Likelihood,
-    Noise,
-    Target,
-    coarse_grid,
-    fine_grid,
-    neighbours,
-    parameters,
+from imumon.diagnosis.candidates import Candidate, candidates
+from imumon.diagnosis.channel import Channel, ordinary, residual_rms
+from imumon.diagnosis.gains import (
+    PROVEN,
+    SHORT_LIST,
+    Leader,
+    Scored,
+    Table,
+    families,
+    joined_events,
+    needed_in_pairs,
+    pairs_of,
+    pooled_gains,
 )
+from imumon.diagnosis.likelihood import Likelihood, Noise, coarse_grid, fine_grid, neighbours
 from imumon.effects.base import Survey
+from imumon.effects.library import EFFECTS
 
 CLOSE = 10.0
 """Families whose gains differ by less are not told apart."""
@@ -41,10 +45,10 @@ MISFIT = 1.5
 ALIKE = 1.25
 """Residuals that differ by less than this factor are alike."""
 REFINEMENTS = 4
-FORETOLD = 1.1
-"""Factor by which the runs must foretell one another better for a family to go before one of larger gain."""
-FORETELLING = 0.7
-"""A family with less than this share of the gain is not taken for how it foretells."""
+PREDICTED = 1.1
+"""Factor by which the runs must predict one another better for a family to go before one of larger gain."""
+PREDICTING = 0.7
+"""A family with less than this share of the gain is not taken for how it predicts."""
 
 Progress = Callable[[str], None]
 
@@ -82,408 +86,289 @@ class Finding:
         return self.candidate.family
 
 
-@dataclass(slots=True)
-class Outcome:
-    """What the search found in a channel."""
-
-    findings: list[Finding] = field(default_factory=list)
-    many_jumps: bool = False
-    remark: Finding | None = None
-    noise: Noise = (0.0, 0.0)
-    finished: bool = False
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Channel:
-    """A channel over the training runs.
+def search(
+    channels: Sequence[Channel], survey: Survey, names: Sequence[str], progress: Progress | None = None
+) -> list[Search]:
+    """Find what the channels of one sensor lack, of the effects of these names.
 
     Parameters
     ----------
-    name : str
-    temperature : str
-        Which temperature drives it.
-    values : array of shape (n,)
-    declared : array of shape (n, p)
-        Columns of the declared model.
-    floor : float
-        White floor of a block of the search.
+    channels : sequence of Channel
+        Three axes of a sensor, or fewer, over the same training runs.
+    survey : Survey
+        What the runs can show.
     """
-
-    name: str
-    temperature: str
-    values: FloatArray
-    declared: FloatArray
-    floor: float
-
-
-def ordinary(columns: FloatArray, values: FloatArray) -> FloatArray:
-    """Return the coefficients of ordinary least squares, the smallest where columns are collinear."""
-    norm = np.linalg.norm(columns, axis=0)
-    norm = np.where(norm > 0, norm, 1.0)
-    return np.asarray(np.linalg.lstsq(columns / norm, values, rcond=1e-10)[0] / norm)
-
-
-def residual_rms(columns: FloatArray, values: FloatArray) -> float:
-    """Return the rms of the residual of ordinary least squares."""
-    left = values - columns @ ordinary(columns, values)
-    return float(np.sqrt(np.mean(left**2)))
+    likelihood, tried = Likelihood(channels[0].train), candidates(survey, names)
+    searches = [Search(channel, survey, likelihood, tried) for channel in channels]
+    for stage in range(MOST_STAGES):
+        active = [one for one in searches if not one.finished]
+        if not active:
+            break
+        if progress is not None:
+            progress(f"effect {stage + 1} of {', '.join(one.channel.name for one in active)}")
+        tables = [one.table() for one in active]
+        pooled = pooled_gains(tables, likelihood.price)
+        for one, table in zip(active, tables, strict=True):
+            one.decide(table, pooled)
+    for one in searches:
+        one.tidy()
+    return searches
 
 
 class Search:
-    """Finds what a group of channels (one sensor) lacks.
+    """The search in one channel, and what it found.
 
-    Parameters
-    ----------
-    runs : sequence of RunBlocks
-        Training runs.
-    channels : sequence of Channel
-        Three axes of a sensor, or fewer.
-    survey : Survey
-        What the runs can show.
-    families : sequence of str
-        Effects to try.
+    `findings` are the effects in the order in which they were found; `many_events` says that a run has more
+    than one event, such as two jumps, which no effect explains.
     """
 
     def __init__(
-        self, runs: Sequence[RunBlocks], channels: Sequence[Channel], survey: Survey, families: Sequence[str]
+        self, channel: Channel, survey: Survey, likelihood: Likelihood, tried: Sequence[Candidate]
     ) -> None:
-        self._likelihood = Likelihood(runs)
-        self._channels = channels
-        self._survey = survey
-        self._candidates = candidates(survey, families)
-        self._pools = {channel.temperature: Pool(runs, channel.temperature) for channel in channels}
-        self._outcomes = {channel.name: Outcome() for channel in channels}
-        self._known: dict[tuple[str, tuple[int, ...]], tuple[tuple[Candidate, ...], float, Noise]] = {}
+        self.channel = channel
+        self.findings: list[Finding] = []
+        self.many_events = False
+        self.finished = False
+        self._survey, self._likelihood, self._tried = survey, likelihood, tried
+        self._known: dict[tuple[int, ...], tuple[list[Candidate], float, Noise]] = {}
 
-    def run(self, progress: Progress | None = None) -> Mapping[str, Outcome]:
-        """Return what was found in each channel."""
-        for stage in range(MOST_STAGES):
-            active = [c for c in self._channels if not self._outcomes[c.name].finished]
-            if not active:
-                break
-            if progress is not None:
-                progress(f"effect {stage + 1} of {', '.join(c.name for c in active)}")
-            self._stage(active)
-        for channel in self._channels:
-            self._drop_needless(channel)
-            self._merge_start(channel)
-            self._polish(channel)
-            self._outcomes[channel.name].noise = self._null(channel)[1]
-        return self._outcomes
+    @property
+    def found(self) -> list[Candidate]:
+        """The candidates of the findings."""
+        return [finding.candidate for finding in self.findings]
 
-    def columns(self, channel: Channel, found: Sequence[Candidate]) -> FloatArray:
-        """Return the columns of candidates for a channel over all runs, (n, k)."""
-        pool = self._pools[channel.temperature]
-        parts = [pool.matrix([*defining, *start]) for defining, start in map(pool.terms, found)]
-        return np.concatenate(parts, axis=1) if parts else np.empty((len(channel.values), 0))
+    def null(self) -> tuple[float, Noise]:
+        """Return the log-likelihood of the model so far, and its noise."""
+        found = self.found
+        key = tuple(map(id, found))  # the candidates are kept, so that no other has their id
+        if key not in self._known:
+            best = self._likelihood.best(self.channel.values, self.channel.design(found))
+            self._known[key] = found, *best
+        return self._known[key][1:]
 
     # One stage
 
-    def _stage(self, active: Sequence[Channel]) -> None:
-        tables = {channel.name: self._table(channel) for channel in active}
-        for channel in active:
-            extra = joined_steps(tables[channel.name])
-            if extra:
-                tables[channel.name] = self._extended(channel, tables[channel.name], extra)
-            self._pair(channel, tables[channel.name])
-        pooled = pooled_gains(list(tables.values()))
-        for channel in active:
-            self._decide(channel, tables[channel.name], pooled)
+    def table(self) -> Table:
+        """Return the gains of everything that may be added to the model so far."""
+        noise = self.null()[1]
+        scored = self._gains(self._tried, coarse_grid(noise))
+        short = {id(one) for group in families(scored, SHORT_LIST).values() for one in group}
+        places = [at for at, one in enumerate(scored) if id(one) in short]
+        fine = self._gains([scored[at].candidate for at in places], fine_grid(noise))
+        for at, one in zip(places, fine, strict=True):
+            best = max(one.gain, scored[at].gain), max(one.fit, scored[at].fit)
+            scored[at] = Scored(one.candidate, *best, one.noise)
+        scored += self._gains(joined_events(scored), fine_grid(noise))
+        leaders = {name: Leader(group[0], group[0].gain) for name, group in families(scored, 1).items()}
+        if not self.findings and max(one.gain for one in scored) > PROVEN:
+            leaders |= self._pairs(scored)
+        return Table(scored, len(self._tried), leaders)
 
-    def _table(self, channel: Channel) -> Table:
-        best, noise = self._null(channel)
-        coarse = self._gains(channel, self._candidates, coarse_grid([noise]), best)
-        short = sorted({at for family in coarse.families() for at in family})
-        fine = self._gains(channel, [self._candidates[at] for at in short], fine_grid(noise), best)
-        coarse.gain[short] = np.maximum(coarse.gain[short], fine.gain)
-        coarse.fit[short] = np.maximum(coarse.fit[short], fine.fit)
-        coarse.noise.update({at: fine.noise[index] for index, at in enumerate(short)})
-        return coarse
-
-    def _pair(self, channel: Channel, table: Table) -> None:
-        """Look for two effects at once, where none was found yet."""
-        if self._outcomes[channel.name].findings or table.gain.max() <= PROVEN:
-            return
-        best, noise = self._null(channel)
-        pool = self._pools[channel.temperature]
-        grid = coarse_grid([noise, (0.3, 0.0)])
-        found = paired(self._likelihood, pool, self._target(channel), best, table, grid)
-        table.together, table.partner = found
-
-    def _extended(self, channel: Channel, table: Table, extra: list[Candidate]) -> Table:
-        best, noise = self._null(channel)
-        more = self._gains(channel, extra, fine_grid(noise), best)
-        count = len(table.candidates)
-        return Table(
-            [*table.candidates, *extra],
-            np.concatenate([table.gain, more.gain]),
-            np.concatenate([table.fit, more.fit]),
-            {**table.noise, **{count + at: value for at, value in more.noise.items()}},
-            table.common,
-            table.penalty,
-        )
-
-    def _gains(
-        self, channel: Channel, tried: Sequence[Candidate], grid: Sequence[Noise], null: float
-    ) -> Table:
-        """Return the gain of each candidate, over the model so far and over its free start alone."""
-        pool = self._pools[channel.temperature]
+    def _gains(self, tried: Sequence[Candidate], grid: Sequence[Noise]) -> list[Scored]:
+        """Return the candidates with their gain: over the model so far, and over their free start alone."""
+        if not tried:
+            return []
+        pool, price, null = self.channel.pool, self._likelihood.price, self.null()[0]
         both = [pool.terms(candidate) for candidate in tried]
         starts = list(dict.fromkeys(tuple(start) for _, start in both if start))
-        terms: list[Sequence[Term]] = [[*defining, *start] for defining, start in both]
-        scan = self._likelihood.scan([self._target(channel)], pool, [*terms, *starts], grid)
-        fit = scan.likelihood[0]
-        alone = {start: fit[len(tried) + at] for at, start in enumerate(starts)}
-        logarithm = np.log(self._likelihood.n)
-        penalty = np.array([parameters(c, group) for c, group in zip(tried, terms, strict=True)]) * logarithm
-        gain = 2 * (fit[: len(tried)] - null) - penalty
-        for at, (defining, start) in enumerate(both):
+        terms = [*([*defining, *start] for defining, start in both), *map(list, starts)]
+        likelihood, noise = self._scan(terms, grid)
+        ratio = (2 * (likelihood - null)).tolist()
+        alone = dict(zip(starts, ratio[len(tried) :], strict=True))
+        scored = []
+        for at, (candidate, (defining, start)) in enumerate(zip(tried, both, strict=True)):
+            fit = ratio[at] - (len(defining) + len(start)) * price
+            gain = fit - candidate.nonlinear * price
             if start:
-                own = 2 * (fit[at] - max(null, alone[tuple(start)])) - len(defining) * logarithm
-                gain[at] = min(gain[at], own)
-        linear = np.array([len(group) for group in terms]) * logarithm
-        noise = {at: scan.grid[scan.noise[0, at]] for at in range(len(tried))}
-        return Table(
-            list(tried), gain, 2 * (fit[: len(tried)] - null) - linear, noise, len(tried), penalty - linear
-        )
+                gain = min(gain, ratio[at] - max(0.0, alone[tuple(start)]) - len(defining) * price)
+            scored.append(Scored(candidate, gain, fit, noise[at]))
+        return scored
 
-    def _decide(self, channel: Channel, table: Table, pooled: dict[str, float]) -> None:
-        outcome = self._outcomes[channel.name]
-        own = table.best()
-        if not own or max(gain for gain, _ in own.values()) <= PROVEN:
-            outcome.finished = True
-            return
-        order = sorted(own, key=lambda family: -own[family][0])
-        while order:
-            family = self._choose(outcome, order, own, pooled)
-            finding = self._finding(channel, table, family, own, pooled)
-            if finding is not None and (other := self._better_foretold(channel, table, finding, own)):
-                finding = self._finding(channel, table, other, own, pooled) or finding
+    def _scan(
+        self, terms: Sequence[Sequence[tuple[int, int]]], grid: Sequence[Noise]
+    ) -> tuple[FloatArray, list[Noise]]:
+        channel = self.channel
+        return self._likelihood.scan(channel.values, channel.design(self.found), channel.pool, terms, grid)
+
+    def _pairs(self, scored: Sequence[Scored]) -> dict[str, Leader]:
+        """Look for two effects at once."""
+        pairs, pool = pairs_of(scored), self.channel.pool
+        if not pairs:
+            return {}
+        null, noise = self.null()
+        terms = [[term for one in pair for term in pool.terms(one.candidate)[0]] for pair in pairs]
+        likelihood, _ = self._scan(terms, coarse_grid(noise, (0.3, 0.0)))
+        number = [
+            len(group) + sum(one.candidate.nonlinear for one in pair)
+            for pair, group in zip(pairs, terms, strict=True)
+        ]
+        gains = 2 * (likelihood - null) - np.array(number) * self._likelihood.price
+        return needed_in_pairs(pairs, gains.tolist(), max(one.gain for one in scored))
+
+    def decide(self, table: Table, pooled: Mapping[str, float]) -> None:
+        """Add the effect that explains most, unless none is proven and large enough."""
+        leaders = table.leaders
+        order = sorted(leaders, key=lambda name: -leaders[name].gain)
+        while order and leaders[order[0]].gain > PROVEN:
+            name = self._choose(order, leaders, pooled)
+            finding = self._finding(leaders[name], table, pooled)
+            if finding is not None and (other := self._better_predicted(finding, leaders)):
+                finding = self._finding(leaders[other], table, pooled) or finding
             if finding is None:
-                order.remove(family)
-                order = [name for name in order if own[name][0] > PROVEN]
+                order = [other for other in order if other != name and leaders[other].gain > PROVEN]
                 continue
-            if _second_jump(outcome, finding):
-                outcome.many_jumps = outcome.finished = True
-                return
-            outcome.findings.append(finding)
+            if self._second_event(finding):
+                break
+            self.findings.append(finding)
             return
-        outcome.finished = True
+        self.finished = True
 
     def _choose(
-        self,
-        outcome: Outcome,
-        order: Sequence[str],
-        own: Mapping[str, tuple[float, int]],
-        pooled: Mapping[str, float],
+        self, order: Sequence[str], leaders: Mapping[str, Leader], pooled: Mapping[str, float]
     ) -> str:
         """Return the family to add: one that is there already where it does nearly as well, else what is
         shared."""
-        best = own[order[0]][0]
+        best = leaders[order[0]].gain
         slack = max(CLOSE, 0.3 * best)
-        for name in dict.fromkeys(finding.name for finding in outcome.findings):
-            if name in order and own[name][0] > max(PROVEN, best - slack):
+        for name in dict.fromkeys(finding.name for finding in self.findings):
+            if name in order and leaders[name].gain > max(PROVEN, best - slack):
                 return name
-        shared = max(
-            (name for name in order if name in pooled), key=lambda name: pooled[name], default=order[0]
-        )
-        if own[shared][0] > LEAST_EVIDENCE and best - own[shared][0] < max(CLOSE, CLOSE_SHARE * best):
+        shared = max((name for name in order if name in pooled), key=pooled.__getitem__, default=order[0])
+        if leaders[shared].gain > LEAST_EVIDENCE and _near(leaders[shared].gain, best):
             return shared
         return order[0]
 
-    def _better_foretold(
-        self, channel: Channel, table: Table, finding: Finding, own: Mapping[str, tuple[float, int]]
-    ) -> str | None:
-        """Return the family, of those not told apart, by which the runs foretell one another better; else
-        None."""
+    def _finding(self, leader: Leader, table: Table, pooled: Mapping[str, float]) -> Finding | None:
+        """Return the effect with refined parameters, or None when it is too small beside those found."""
+        name = leader.scored.family
+        candidate, refined = self._refined(leader.scored.candidate, leader.scored.noise)
+        before, after = self._left(), self._left(candidate)
+        size = float(np.sqrt(max(before**2 - after**2, 0.0)))
+        largest = max((finding.size for finding in self.findings), default=0.0)
+        if size < max(LEAST_SIZE * self.channel.floor.sd, SECOND_SHARE * largest):
+            return None
+        rivals = {other: one.gain for other, one in table.leaders.items()}
+        rivals[name] = max(leader.gain, refined)
+        alike = self._alike(leader, table, pooled, after)
+        return Finding(candidate, rivals[name], pooled.get(name, leader.gain), rivals, alike, size)
+
+    def _alike(self, leader: Leader, table: Table, pooled: Mapping[str, float], left: float) -> list[str]:
+        """Return the families that are not told apart from the one chosen, by gain or by what they leave."""
+        chosen, best, close = leader.scored.family, table.best, []
+        for name, other in table.leaders.items():
+            if name == chosen or other.gain <= PROVEN or _beside(leader, name, other):
+                continue
+            near = _near(other.gain, best)
+            if name in pooled and chosen in pooled:
+                near &= _near(pooled[name], pooled[chosen])
+            if not near and left > MISFIT * self.channel.floor.sd and other.gain > 0.5 * best:
+                near = self._left(other.scored.candidate) < ALIKE * left
+            if near:
+                close.append((other.gain, name))
+        names = [name for _, name in sorted(close, reverse=True)[: MOST_NAMES - 1]]
+        return [chosen, *names] if names else []
+
+    def _better_predicted(self, finding: Finding, leaders: Mapping[str, Leader]) -> str | None:
+        """Return the family, of those not told apart, by which the runs predict one another better."""
         if self._survey.runs < 2 or not finding.alike:
             return None
         errors = {
-            name: self._foretold(
-                channel, finding.candidate if name == finding.name else table.candidates[own[name][1]]
+            name: self._error_between_runs(
+                finding.candidate if name == finding.name else leaders[name].scored.candidate
             )
             for name in finding.alike
-            if name == finding.name or own[name][0] > FORETELLING * own[finding.name][0]
+            if name == finding.name or leaders[name].gain > PREDICTING * leaders[finding.name].gain
         }
-        best = min(errors, key=lambda name: errors[name])
-        return best if errors[best] < errors[finding.name] / FORETOLD else None
+        best = min(errors, key=errors.__getitem__)
+        return best if errors[best] < errors[finding.name] / PREDICTED else None
 
-    def _foretold(self, channel: Channel, candidate: Candidate) -> float:
-        """Return the rms error with which each run is foretold by the others, its own constant given."""
-        base = self._target(
-            channel, [f.candidate for f in self._outcomes[channel.name].findings] + [candidate]
-        )
+    def _error_between_runs(self, candidate: Candidate) -> float:
+        """Return the rms error with which each run is predicted by the others, its own constant given."""
+        values, design = self.channel.values, self.channel.design([*self.found, candidate])
+        lengths = [len(run) for run in self.channel.train]
+        which = np.repeat(np.arange(len(lengths)), lengths)
         total = 0.0
-        for rows in self._likelihood.rows():
-            others = ~rows
-            left = base.values[rows] - base.base[rows] @ ordinary(base.base[others], base.values[others])
+        for run in range(len(lengths)):
+            rows = which == run
+            left = values[rows] - design[rows] @ ordinary(design[~rows], values[~rows])
             total += float(np.sum((left - left.mean()) ** 2))
-        return float(np.sqrt(total / len(base.values)))
+        return float(np.sqrt(total / len(values)))
 
-    def _finding(
-        self,
-        channel: Channel,
-        table: Table,
-        family: str,
-        own: Mapping[str, tuple[float, int]],
-        pooled: Mapping[str, float],
-    ) -> Finding | None:
-        """Return the effect with refined parameters, or None when it is too small beside those found."""
-        outcome = self._outcomes[channel.name]
-        gain, at = own[family]
-        candidate, refined_gain = self._refined(channel, table.candidates[at], table.noise[at])
-        before = self._left(channel, [])
-        after = self._left(channel, [candidate])
-        size = float(np.sqrt(max(before**2 - after**2, 0.0)))
-        largest = max((finding.size for finding in outcome.findings), default=0.0)
-        if size < max(LEAST_SIZE * channel.floor, SECOND_SHARE * largest):
-            return None
-        rivals = {name: value for name, (value, _) in own.items()}
-        rivals[family] = max(gain, refined_gain)
-        alike = self._alike(channel, table, family, own, pooled, after)
-        return Finding(candidate, rivals[family], pooled.get(family, gain), rivals, alike, size)
+    def _second_event(self, finding: Finding) -> bool:
+        """Tell, and remember, whether a run has a second jump that is not small beside the first."""
+        same = [other for other in self.findings if other.name == finding.name]
+        taken = {run for other in same for part in other.candidate.parts for run in part.runs}
+        if finding.candidate.scope == "event":
+            self.many_events |= any(run in taken for part in finding.candidate.parts for run in part.runs)
+        return self.many_events
 
-    def _alike(
-        self,
-        channel: Channel,
-        table: Table,
-        family: str,
-        own: Mapping[str, tuple[float, int]],
-        pooled: Mapping[str, float],
-        left: float,
-    ) -> list[str]:
-        """Return the families that are not told apart from the one chosen, by gain or by what they leave."""
-        best = max(gain for gain, _ in own.values())
-        close = []
-        for name, (gain, at) in own.items():
-            if name == family or gain <= PROVEN or _beside(table, family, name):
-                continue
-            near = best - gain < max(CLOSE, CLOSE_SHARE * best)
-            if name in pooled and family in pooled:
-                near &= pooled[family] - pooled[name] < max(CLOSE, CLOSE_SHARE * pooled[family])
-            if near:
-                close.append((gain, name))
-            elif left > MISFIT * channel.floor and gain > 0.5 * best:
-                other = self._left(channel, [table.candidates[at]])
-                if other < ALIKE * left:
-                    close.append((gain, name))
-        names = [name for _, name in sorted(close, reverse=True)[: MOST_NAMES - 1]]
-        return [family, *names] if names else []
-
-    def _refined(self, channel: Channel, candidate: Candidate, noise: Noise) -> tuple[Candidate, float]:
+    def _refined(self, candidate: Candidate, noise: Noise) -> tuple[Candidate, float]:
         """Return the candidate with its nonlinear parameters refined, and its gain."""
-        null, _ = self._null(channel)
-        grid = neighbours(noise)
         best, gain = candidate, -np.inf
         for level in range(REFINEMENTS):
-            tried = [best, *_moved(best, self._survey, level)]
-            table = self._gains(channel, tried, grid, null)
-            at = int(np.argmax(table.gain))
-            best, gain = tried[at], float(table.gain[at])
+            tried = [best, *best.neighbours(self._survey, level)]
+            highest = max(self._gains(tried, neighbours(noise)), key=lambda one: one.gain)
+            best, gain = highest.candidate, highest.gain
             if len(tried) == 1:
                 break
         return best, gain
 
-    # The model so far
-
-    def _target(self, channel: Channel, found: Sequence[Candidate] | None = None) -> Target:
-        if found is None:
-            found = [finding.candidate for finding in self._outcomes[channel.name].findings]
-        base = np.column_stack([channel.declared, self.columns(channel, found)])
-        return Target(channel.name, channel.values, base)
-
-    def _null(self, channel: Channel) -> tuple[float, Noise]:
-        found = tuple(finding.candidate for finding in self._outcomes[channel.name].findings)
-        key = channel.name, tuple(map(id, found))  # the candidates are kept, so that no other has their id
-        if key not in self._known:
-            best, noise = self._likelihood.null([self._target(channel)])
-            self._known[key] = found, float(best[0]), noise[0]
-        return self._known[key][1:]
-
-    def _left(self, channel: Channel, more: Sequence[Candidate]) -> float:
+    def _left(self, *more: Candidate) -> float:
         """Return the rms that ordinary least squares leaves with what was found and more."""
-        found = [finding.candidate for finding in self._outcomes[channel.name].findings]
-        target = self._target(channel, [*found, *more])
-        return residual_rms(target.base, target.values)
+        return residual_rms(self.channel.design([*self.found, *more]), self.channel.values)
 
-    def _polish(self, channel: Channel) -> None:
-        """Refine each finding anew beside the others, which were not there when it was found."""
-        outcome = self._outcomes[channel.name]
-        if len(outcome.findings) < 2:
+    # At the end
+
+    def tidy(self) -> None:
+        """Drop what later findings made needless, and refine what is left."""
+        self._drop_needless()
+        self._merge_start()
+        everything = list(self.findings)
+        if len(everything) > 1:
+            noise = self.null()[1]
+            for finding in everything:
+                self.findings = [other for other in everything if other is not finding]
+                finding.candidate, _ = self._refined(finding.candidate, noise)
+            self.findings = everything
+
+    def _drop_needless(self) -> None:
+        if len(self.findings) < 2:
             return
-        everything = list(outcome.findings)
-        noise = self._null(channel)[1]
-        for finding in everything:
-            outcome.findings = [other for other in everything if other is not finding]
-            finding.candidate, _ = self._refined(channel, finding.candidate, noise)
-        outcome.findings = everything
+        for finding in list(self.findings):
+            everything = self.findings
+            before = self._evidence()
+            self.findings = [other for other in everything if other is not finding]
+            if before - self._evidence() > PROVEN:
+                self.findings = everything
 
-    def _merge_start(self, channel: Channel) -> None:
-        """Take for the start of a lag out of equilibrium what passed for a warm-up, if that does."""
-        outcome = self._outcomes[channel.name]
-        everything = list(outcome.findings)
-        lag = next((f for f in everything if f.name == "thermal_lag" and not f.candidate.free_start), None)
-        warm = next((f for f in everything if f.name == "warm_up"), None)
-        if lag is None or warm is None:
+    def _merge_start(self) -> None:
+        """Take for a start out of equilibrium what passed for an effect of its own, if that does."""
+        for lag in self.findings:
+            looks_like = EFFECTS[lag.name].start_looks_like
+            other = next((one for one in self.findings if one.name in looks_like), None)
+            if other is None or lag.candidate.free_start:
+                continue
+            everything, fixed, before = list(self.findings), lag.candidate, self._evidence()
+            self.findings = [finding for finding in everything if finding is not other]
+            lag.candidate, _ = self._refined(replace(fixed, free_start=True), self.null()[1])
+            if before - self._evidence() > CLOSE:
+                self.findings, lag.candidate = everything, fixed
             return
-        before = self._evidence(channel)
-        fixed = lag.candidate
-        outcome.findings = [finding for finding in everything if finding is not warm]
-        lag.candidate, _ = self._refined(channel, replace(fixed, free_start=True), self._null(channel)[1])
-        if before - self._evidence(channel) > CLOSE:
-            outcome.findings, lag.candidate = everything, fixed
 
-    def _evidence(self, channel: Channel) -> float:
+    def _evidence(self) -> float:
         """Return twice the log-likelihood of the model so far less the price of its parameters."""
-        found = [finding.candidate for finding in self._outcomes[channel.name].findings]
-        pool = self._pools[channel.temperature]
-        price = sum(parameters(one, [*terms[0], *terms[1]]) for one in found for terms in [pool.terms(one)])
-        return 2 * self._null(channel)[0] - price * float(np.log(self._likelihood.n))
-
-    def _drop_needless(self, channel: Channel) -> None:
-        """Drop what later findings made needless."""
-        outcome = self._outcomes[channel.name]
-        if len(outcome.findings) < 2:
-            return
-        logarithm = np.log(self._likelihood.n)
-        for finding in list(outcome.findings):
-            everything = outcome.findings
-            with_it, _ = self._null(channel)
-            outcome.findings = [other for other in everything if other is not finding]
-            without, _ = self._null(channel)
-            terms = sum(map(len, self._pools[channel.temperature].terms(finding.candidate)))
-            price = (terms + finding.candidate.nonlinear) * logarithm
-            if 2 * (with_it - without) - price > PROVEN:
-                outcome.findings = everything
+        terms = (len(group) for one in self.found for group in self.channel.pool.terms(one))
+        number = sum(terms) + sum(one.nonlinear for one in self.found)
+        return 2 * self.null()[0] - number * self._likelihood.price
 
 
-def _beside(table: Table, family: str, other: str) -> bool:
+def _near(gain: float, best: float) -> bool:
+    """Tell whether a gain is too near to the best for a proof."""
+    return best - gain < max(CLOSE, CLOSE_SHARE * best)
+
+
+def _beside(leader: Leader, name: str, other: Leader) -> bool:
     """Tell whether another family did well beside this one, not in its place."""
-    if family not in table.partner:
+    if not leader.partner:
         return False
-    return other == table.partner[family] or table.partner.get(other) not in (None, table.partner[family])
-
-
-def _second_jump(outcome: Outcome, finding: Finding) -> bool:
-    """Tell whether a run has a second jump that is not small beside the first."""
-    if finding.name != "step":
-        return False
-    taken = {
-        run
-        for other in outcome.findings
-        if other.name == "step"
-        for part in other.candidate.parts
-        for run in part.runs
-    }
-    return any(run in taken for part in finding.candidate.parts for run in part.runs)
-
-
-def _moved(candidate: Candidate, survey: Survey, level: int) -> list[Candidate]:
-    """Return neighbours of a candidate, one parameter of one part changed at a time."""
-    found = []
-    for at, part in enumerate(candidate.parts):
-        for effect in part.effect.refined(survey, level):
-            parts = list(candidate.parts)
-            parts[at] = Part(effect, part.runs)
-            found.append(replace(candidate, parts=tuple(parts)))
-    return found
+    return name == leader.partner or other.partner not in ("", leader.partner)

@@ -1,4 +1,4 @@
-"""Following in the test what no training can foretell: size of a jump, turn-on offset, amplitude, state at
+"""Following in the test what no training can predict: size of a jump, turn-on offset, amplitude, state at
 power-on.
 
 At each block only the blocks before it are used.
@@ -6,7 +6,9 @@ At each block only the blocks before it are used.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
@@ -24,87 +26,88 @@ VAGUE = 1e4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Tracked:
-    """What was expected at each block from those before it, and which blocks are too near a jump to count."""
+class Prior:
+    """Columns (n, k) to follow, and what training says of their coefficients: mean and sd (k,)."""
 
-    expected: FloatArray
-    grace: BoolArray
-    jumps: int
+    columns: FloatArray
+    mean: FloatArray
+    sd: FloatArray
+
+    @classmethod
+    def joined(cls, parts: Sequence[Self]) -> Self:
+        """Return several as one."""
+        return cls(
+            np.column_stack([part.columns for part in parts]),
+            np.concatenate([part.mean for part in parts]),
+            np.concatenate([part.sd for part in parts]),
+        )
+
+
+@dataclass(slots=True, eq=False)
+class Coefficients:
+    """Estimated coefficients (k,) and their covariance (k, k); the first is the level."""
+
+    mean: FloatArray
+    covariance: FloatArray
+
+    def update(self, row: FloatArray, value: float, noise: float) -> None:
+        """Take one block: recursive least squares."""
+        cross = self.covariance @ row
+        total = float(row @ cross) + noise**2
+        if total > 0:
+            gain = cross / total
+            self.mean = self.mean + gain * (value - float(row @ self.mean))
+            self.covariance = self.covariance - np.outer(gain, cross)
+
+    def forget_level(self, sd: float) -> None:
+        """Begin the level anew."""
+        self.covariance[0, :] = self.covariance[:, 0] = 0.0
+        self.covariance[0, 0] = sd**2
 
 
 def track(
-    time_s: FloatArray,
-    residual: FloatArray,
-    columns: FloatArray,
-    mean: FloatArray,
-    sd: FloatArray,
-    noise: FloatArray,
-    jumps: bool,
-) -> Tracked:
-    """Estimate the coefficients of columns recursively, and with them what the next residual will be.
+    time_s: FloatArray, residual: FloatArray, prior: Prior, noise: FloatArray, jumps: bool
+) -> tuple[FloatArray, BoolArray]:
+    """Estimate coefficients recursively; return the residual expected from them, and which blocks are near a
+    jump.
 
     Parameters
     ----------
     time_s, residual : array of shape (n,)
         Blocks of the test, and what the carried-over model leaves of them.
-    columns : array of shape (n, k)
-        The first is that of the level, ones.
-    mean, sd : array of shape (k,)
-        What training says of the coefficients.
+    prior : Prior
+        Its first column is that of the level, ones.
     noise : array of shape (n,)
         Standard deviation of each residual.
     jumps : bool
         Whether the level may jump.
     """
-    n = len(residual)
+    n, columns = len(residual), prior.columns
     expected, grace = np.zeros(n), np.zeros(n, bool)
-    state, covariance = mean.astype(float).copy(), np.diag(sd.astype(float) ** 2)
-    recent: list[int] = []
-    found = 0
-    if sd.any() and n:
+    known = Coefficients(prior.mean.astype(float), np.diag(prior.sd.astype(float) ** 2))
+    since = 0
+    if prior.sd.any() and n:
         grace |= time_s < time_s[0] + GRACE_S
     for k in range(n):
-        expected[k] = columns[k] @ state
-        recent.append(k)
-        if jumps and (at := _jump(residual, columns, state, covariance, noise, recent)) is not None:
-            found += 1
-            covariance[0, :] = covariance[:, 0] = 0.0
-            covariance[0, 0] = (VAGUE * noise[k]) ** 2
-            grace |= (time_s >= time_s[at]) & (time_s < time_s[at] + GRACE_S)
-            for j in range(at, k):
-                state, covariance = _update(state, covariance, columns[j], residual[j], noise[j])
-            recent = []
-        state, covariance = _update(state, covariance, columns[k], residual[k], noise[k])
-    return Tracked(expected, grace, found)
+        expected[k] = columns[k] @ known.mean
+        rows = np.arange(max(since, k + 1 - LONGEST_TEST), k + 1)
+        surprise = residual[rows] - columns[rows] @ known.mean
+        if jumps and (at := _jump(surprise, noise[rows], known.covariance[0, 0])) is not None:
+            first = int(rows[at])
+            known.forget_level(VAGUE * noise[k])
+            grace |= (time_s >= time_s[first]) & (time_s < time_s[first] + GRACE_S)
+            for j in range(first, k):
+                known.update(columns[j], residual[j], noise[j])
+            since = k + 1
+        known.update(columns[k], residual[k], noise[k])
+    return expected, grace
 
 
-def _jump(
-    residual: FloatArray,
-    columns: FloatArray,
-    state: FloatArray,
-    covariance: FloatArray,
-    noise: FloatArray,
-    recent: list[int],
-) -> int | None:
-    """Return the block from which on the level differs by five standard deviations, or None."""
-    best, at = JUMP_SIGMAS, None
-    window = recent[-LONGEST_TEST:]
-    surprise = residual[window] - columns[window] @ state
-    for count in range(1, len(window) + 1):
-        variance = float(np.mean(noise[window[-count:]] ** 2)) / count + float(covariance[0, 0])
-        size = abs(float(surprise[-count:].mean())) / np.sqrt(variance)
-        if size > best:
-            best, at = size, window[-count]
-    return at
-
-
-def _update(
-    state: FloatArray, covariance: FloatArray, row: FloatArray, value: float, noise: float
-) -> tuple[FloatArray, FloatArray]:
-    """Return state and covariance after one block."""
-    cross = covariance @ row
-    total = float(row @ cross) + noise**2
-    if not total > 0:
-        return state, covariance
-    gain = cross / total
-    return state + gain * (value - float(row @ state)), covariance - np.outer(gain, cross)
+def _jump(surprise: FloatArray, noise: FloatArray, level_variance: float) -> int | None:
+    """Return from which of the last blocks on the level differs by five standard deviations, or None."""
+    count = np.arange(len(surprise), 0, -1)
+    means = np.cumsum(surprise[::-1])[::-1] / count
+    variance = np.cumsum(noise[::-1] ** 2)[::-1] / count**2 + level_variance
+    size = np.abs(means) / np.sqrt(variance)
+    at = len(size) - 1 - int(np.argmax(size[::-1]))
+    return at if size[at] > JUMP_SIGMAS else None

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from imumon.blocks import FloatArray
-from imumon.diagnosis.blocks import RunBlocks, WhiteFloor
-from imumon.diagnosis.candidates import Candidate, Pool
-from imumon.diagnosis.fitting import Declared, Fit, TestScore, fit, mean_rms, score
-from imumon.diagnosis.selection import Finding, Outcome
+from imumon.diagnosis.channel import Channel
+from imumon.diagnosis.fitting import Fit, TestScore, fit, mean_rms, score
+from imumon.diagnosis.selection import Finding, Search
 from imumon.effects.library import separated_by
 
 CLEAN = 1.8
@@ -30,7 +28,6 @@ class Claim:
     """An effect that is claimed, with its evidence."""
 
     finding: Finding
-    fitted: Fit
     explained: float
     test_alone: float
 
@@ -47,16 +44,12 @@ class ChannelVerdict:
         None without a test.
     left_out : list of dict
         What was found but made the test worse.
-    foretells : bool
+    predicts : bool
         Whether the extended model goes into the model file; else the declared one does: nothing of what is
         claimed carries over, or the levels of the test make the prediction worse with it.
     """
 
-    name: str
-    unit: str
-    temperature: str
-    floor: WhiteFloor
-    declared: Declared
+    channel: Channel
     before: Fit
     after: Fit
     test_before: TestScore | None
@@ -68,41 +61,12 @@ class ChannelVerdict:
     noise: tuple[float, float]
     left_out: list[dict[str, Any]] = field(default_factory=list)
     remark: str = ""
-    foretells: bool = True
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Case:
-    """A channel with its data: what `judge` needs."""
-
-    name: str
-    unit: str
-    temperature: str
-    floor: WhiteFloor
-    declared: Declared
-    train: Sequence[RunBlocks]
-    test: Sequence[RunBlocks]
-    pool: Pool
-    inside: tuple[float, float]
+    predicts: bool = True
 
     @property
-    def values(self) -> FloatArray:
-        """Block means over all training runs."""
-        return np.concatenate([run.mean[self.name] for run in self.train])
-
-    def fitted(self, found: Sequence[Candidate]) -> Fit:
-        """Return the declared model with these candidates, fitted."""
-        return fit(self.train, self.temperature, self.values, self.declared, found, self.pool)
-
-    def scored(self, model: Fit, like: Fit) -> TestScore | None:
-        """Return the score of a model in the test over the blocks that count for `like`; None without a
-        test."""
-        if not self.test:
-            return None
-        from imumon.diagnosis.fitting import settled
-
-        mask = [settled(run, self.temperature, like) for run in self.test]
-        return score(self.test, self.name, self.temperature, self.declared, model, self.inside, mask)
+    def name(self) -> str:
+        """That of the channel."""
+        return self.channel.name
 
 
 def explained_share(before: float, after: float, floor: float) -> float:
@@ -111,65 +75,60 @@ def explained_share(before: float, after: float, floor: float) -> float:
     return 1.0 - (after**2 - floor**2) / excess if excess > 0 else 0.0
 
 
-def judge(case: Case, outcome: Outcome) -> ChannelVerdict:
+def judge(channel: Channel, found: Search) -> ChannelVerdict:
     """Return what is claimed of a channel, and what is not and why."""
-    findings = [
-        finding for finding in outcome.findings if not (outcome.many_jumps and finding.name == "step")
-    ]
-    before = case.fitted([])
-    kept, left_out = _not_worse(case, findings)
-    after = case.fitted([finding.candidate for finding in kept])
-    floor = case.floor.sd
+    findings = [one for one in found.findings if not (found.many_events and one.candidate.scope == "event")]
+    before = fit(channel, [])
+    kept, left_out = _not_worse(channel, findings)
+    after = _fit(channel, kept)
+    floor, remark = channel.floor.sd, ""
     share = explained_share(before.train_rms, after.train_rms, floor)
-    remark = ""
     passes = after.train_rms < CLEAN * floor or share >= EXPLAINED
-    if outcome.many_jumps or (kept and not passes):
-        best = max(outcome.findings, key=lambda finding: finding.gain)
-        why = (
-            "there is more than one jump in a run" if outcome.many_jumps else f"it explains only {share:.0%}"
-        )
+    if found.many_events or (kept and not passes):
+        best = max(found.findings, key=lambda finding: finding.gain)
+        few = f"it explains only {share:.0%}"
+        why = "there is more than one jump in a run" if found.many_events else few
         remark = f"the best of the known effects is {best.name}, but {why}"
         kept, after = [], before
-    score_after = case.scored(after, after)
-    score_before = case.scored(before, after)
-    foretells = not after.parts or any(part.carries for part in after.parts)
-    if score_after is not None and score_before is not None:
+    scores = _scores(channel, before, after)
+    predicts = not after.parts or any(part.carries for part in after.parts)
+    if scores is not None:
         # Jumps of the test itself may make the prediction worse, whatever else was found.
-        foretells &= not score_after.rms > score_before.rms
-        if not foretells:
+        predicts &= not scores[1].rms > scores[0].rms
+        if not predicts:
             # The declared model then predicts as it did, and is what the model file has.
-            score_after.rms = score_before.rms
-    unexplained = _unexplained(before, after, kept, floor, outcome)
+            scores[1].rms = scores[0].rms
     verdict = ChannelVerdict(
-        name=case.name,
-        unit=case.unit,
-        temperature=case.temperature,
-        floor=case.floor,
-        declared=case.declared,
+        channel=channel,
         before=before,
         after=after,
-        test_before=score_before,
-        test_after=score_after,
-        claims=[_claim(case, before, kept, at) for at in range(len(kept))],
-        unexplained=unexplained,
+        test_before=None if scores is None else scores[0],
+        test_after=None if scores is None else scores[1],
+        claims=[_claim(channel, before, finding) for finding in kept],
+        unexplained=found.many_events or after.train_rms >= CLEAN * floor,
         summary="",
         explained=share if kept else 0.0,
-        noise=outcome.noise,
+        noise=found.null()[1],
         left_out=left_out,
         remark=remark,
-        foretells=foretells,
+        predicts=predicts,
     )
     verdict.summary = summary(verdict)
     return verdict
 
 
-def _unexplained(before: Fit, after: Fit, kept: Sequence[Finding], floor: float, outcome: Outcome) -> bool:
-    if outcome.many_jumps:
-        return True
-    return (after if kept else before).train_rms >= CLEAN * floor
+def _fit(channel: Channel, findings: Sequence[Finding]) -> Fit:
+    return fit(channel, [finding.candidate for finding in findings])
 
 
-def _not_worse(case: Case, findings: Sequence[Finding]) -> tuple[list[Finding], list[dict[str, Any]]]:
+def _scores(channel: Channel, before: Fit, after: Fit) -> tuple[TestScore, TestScore] | None:
+    """Return the scores of two models over the blocks that count for the second; None without a test."""
+    if not channel.test:
+        return None
+    return score(channel, before, like=after), score(channel, after)
+
+
+def _not_worse(channel: Channel, findings: Sequence[Finding]) -> tuple[list[Finding], list[dict[str, Any]]]:
     """Return the findings without those that the test refutes, and what those did.
 
     A finding is refuted when the test is worse with it.  So is one that carries over when the test gets
@@ -178,53 +137,53 @@ def _not_worse(case: Case, findings: Sequence[Finding]) -> tuple[list[Finding], 
     """
     kept = list(findings)
     left_out: list[dict[str, Any]] = []
-    while kept and case.test:
-        everything = case.fitted([finding.candidate for finding in kept])
-        trials = [_trial(case, kept, finding, everything) for finding in kept]
+    while kept and channel.test:
+        everything = _fit(channel, kept)
+        trials = [_trial(channel, kept, finding, everything) for finding in kept]
         worst = min(range(len(kept)), key=lambda at: trials[at][0])
         if not trials[worst][0] < 0:
             break
         left_out.append(trials[worst][1])
         kept.pop(worst)
-    while kept and (record := _worst_foretold(case, kept)) is not None:
+    while kept and (record := _worst_predicted(channel, kept)) is not None:
         left_out.append(record)
         kept = [finding for finding in kept if finding.name != record["name"]]
     return kept, left_out
 
 
-def _worst_foretold(case: Case, kept: Sequence[Finding]) -> dict[str, Any] | None:
+def _worst_predicted(channel: Channel, kept: Sequence[Finding]) -> dict[str, Any] | None:
     """Return the numbers of the finding without which the prediction is best, if with all it is worse than
     the declared one; else None."""
-    everything = case.fitted([finding.candidate for finding in kept])
-    before, after = case.scored(case.fitted([]), everything), case.scored(everything, everything)
-    if before is None or after is None or not after.rms > before.rms:
+    everything = _fit(channel, kept)
+    scores = _scores(channel, fit(channel, []), everything)
+    if scores is None or not scores[1].rms > scores[0].rms:
         return None
     if not all(part.carries for part in everything.parts):
         return None  # the level of the test is another anyway: following it has shown what they are worth
-    without = {}
-    for finding in kept:
-        others = case.fitted([other.candidate for other in kept if other is not finding])
-        scored = case.scored(others, everything)
-        assert scored is not None
-        without[finding.name] = scored.rms
-    name = min(without, key=lambda one: without[one])
-    return {"name": name, "test_rms_with": after.rms, "test_rms_without": without[name]}
+    without = {
+        finding.name: score(channel, _fit(channel, _others(kept, finding)), like=everything).rms
+        for finding in kept
+    }
+    name = min(without, key=without.__getitem__)
+    return {"name": name, "test_rms_with": scores[1].rms, "test_rms_without": without[name]}
+
+
+def _others(kept: Sequence[Finding], finding: Finding) -> list[Finding]:
+    return [other for other in kept if other is not finding]
 
 
 def _trial(
-    case: Case, kept: Sequence[Finding], finding: Finding, everything: Fit
+    channel: Channel, kept: Sequence[Finding], finding: Finding, everything: Fit
 ) -> tuple[float, dict[str, Any]]:
     """Return by how much the test confirms a finding (negative when it refutes it), and the numbers."""
-    others = case.fitted([other.candidate for other in kept if other is not finding])
     carries = any(part.carries for part in everything.parts if part.effect.name == finding.name)
-    with_it, without = case.scored(everything, everything), case.scored(others, everything)
-    assert with_it is not None
-    assert without is not None
+    with_it = score(channel, everything)
+    without = score(channel, _fit(channel, _others(kept, finding)), like=everything)
     count = [a & b for a, b in zip(with_it.quiet, without.quiet, strict=True)]
     # Of what can be followed only the part that was not yet is in the way of judging the others.
     left = with_it.tracked, without.tracked
     if carries and not np.isfinite(mean_rms(left[0], count)):
-        # Too near to jumps throughout: then what was foretold has to do.
+        # Too near to jumps throughout: then what was predicted has to do.
         left, count = (with_it.residual, without.residual), with_it.counted
     rms = mean_rms(left[0], count), mean_rms(left[1], count)
     record = {"name": finding.name, "test_rms_with": rms[0], "test_rms_without": rms[1]}
@@ -237,21 +196,18 @@ def _trial(
     return better - CONFIRMED * mean_rms(change, count) ** 2, record
 
 
-def _claim(case: Case, before: Fit, kept: Sequence[Finding], at: int) -> Claim:
-    finding = kept[at]
-    alone = case.fitted([finding.candidate])
-    scored = case.scored(alone, alone)
+def _claim(channel: Channel, before: Fit, finding: Finding) -> Claim:
+    alone = _fit(channel, [finding])
     return Claim(
         finding=finding,
-        fitted=alone,
-        explained=explained_share(before.train_rms, alone.train_rms, case.floor.sd),
-        test_alone=float("nan") if scored is None else scored.rms,
+        explained=explained_share(before.train_rms, alone.train_rms, channel.floor.sd),
+        test_alone=score(channel, alone).rms if channel.test else float("nan"),
     )
 
 
 def summary(verdict: ChannelVerdict) -> str:
     """Return one sentence on a channel."""
-    floor = verdict.floor.sd
+    floor = verdict.channel.floor.sd
     before, after = verdict.before.train_rms / floor, verdict.after.train_rms / floor
     if not verdict.claims:
         worse = "".join(f"; {item['name']} was found but made the test worse" for item in verdict.left_out)
@@ -273,7 +229,7 @@ def summary(verdict: ChannelVerdict) -> str:
     text = f"{', and '.join(names)}: {before:.1f} white floors become {after:.2f} in training"
     test = verdict.test_after, verdict.test_before
     if test[0] is not None and test[1] is not None and np.isfinite(test[0].rms):
-        carried = verdict.foretells and any(part.carries for part in verdict.after.parts)
+        carried = verdict.predicts and any(part.carries for part in verdict.after.parts)
         score_after = test[0].rms if carried else test[0].tracked_rms
         how = "predicted" if carried else "tracked"
         if np.isfinite(score_after):
@@ -285,8 +241,3 @@ def summary(verdict: ChannelVerdict) -> str:
     if verdict.unexplained:
         text += "; the remainder is unexplained"
     return text
-
-
-def claims_table(verdicts: Sequence[ChannelVerdict]) -> Mapping[str, list[str]]:
-    """Return the claimed names of each channel."""
-    return {verdict.name: [claim.finding.name for claim in verdict.claims] for verdict in verdicts}

@@ -3,26 +3,40 @@
 An effect is a set of parameters and a causal operator: from time since power-on, temperature and specific
 force it makes k columns; the bias that it adds is columns times coefficients.
 
-- simulate: ``effect.simulate(drive)``;
+- simulate: ``effect.added(memory, drive)``, chunk by chunk, or ``effect.simulate(drive)`` of a whole run;
 - regress: ``effect.columns(drive)`` for each parameter of ``type(effect).grid(survey)``;
-- live: ``Carrier(effect)``, fed block by block, with the same numbers whatever the division into blocks.
+- live: `imumon.effects.live.Carrier`, fed block by block, with the same numbers however they are divided.
+
+What the diagnosis has to know of an effect beyond that are its class attributes: no other code asks for an
+effect by its name.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from itertools import pairwise
-from typing import Annotated, Any, ClassVar, Self
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
+from numpy.polynomial import Polynomial
 from pydantic import Field, FiniteFloat
 
-from imumon.blocks import FloatArray, IntArray
+from imumon.blocks import FloatArray
 from imumon.config import StrictModel
 
 Positive = Annotated[FiniteFloat, Field(gt=0.0)]
 NotNegative = Annotated[FiniteFloat, Field(ge=0.0)]
+BoolArray = np.ndarray[Any, np.dtype[np.bool_]]
+NAN = float("nan")
+
+Scope = Literal["shared", "either", "run", "event"]
+"""Whose the coefficients are: shared by all runs; shared, or else each run's own; each run's own by nature;
+or those of something that happens once in a run, at a time of its own.  Own ones do not carry over."""
+
+LEAST_SPAN_DEGC = 3.0
+"""With less the curve itself is not determined, let alone what it lacks."""
+FORGOTTEN = float(np.exp(-3.0))
+"""Share of what an unknown state at power-on adds that no longer matters: three time constants of a lag."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,8 +109,27 @@ class Survey:
         return self.span_degc >= LEAST_SPAN_DEGC
 
 
-LEAST_SPAN_DEGC = 3.0
-"""With less the curve itself is not determined, let alone what it lacks."""
+@dataclass(slots=True)
+class Memory:
+    """What an effect carries from one block to the next; NaN at power-on.
+
+    Parameters
+    ----------
+    time_s, temperature_degc : float
+        The last ones seen (behind the slack of a smooth loop).
+    follower_degc : float
+        Where the temperature stands that follows: lagged, or dragged along.
+    ahead_degc : float
+        How far a smooth loop's temperature is ahead of what it drags.
+    past : array of shape (k, 2)
+        Earlier times and temperatures, where a delay needs them.
+    """
+
+    time_s: float = NAN
+    temperature_degc: float = NAN
+    follower_degc: float = NAN
+    ahead_degc: float = NAN
+    past: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
 
 
 class Effect(StrictModel):
@@ -109,166 +142,126 @@ class Effect(StrictModel):
     """
 
     name: ClassVar[str]
-    state_size: ClassVar[int] = 0
-    """Numbers that the operator carries from one sample to the next."""
-    own: ClassVar[bool] = False
-    """Whether each run has coefficients of its own by nature, so that nothing carries over to another run."""
-    free_start: ClassVar[bool] = False
-    """Whether the state at power-on is unknown, so that `start_columns` may be fitted beside the columns."""
-    nonlinear: ClassVar[tuple[str, ...]] = ()
-    """Parameters that are searched and refined."""
-
+    """That of its kind in a model file."""
+    sensors: ClassVar[tuple[str, ...]] = ("gyro", "accel")
+    """Whose channels may have it."""
+    scope: ClassVar[Scope] = "shared"
     needs_accel: ClassVar[bool] = False
     """Whether the specific force drives it."""
+    nonlinear: ClassVar[tuple[str, ...]] = ()
+    """Parameters that are searched and refined."""
+    free_start: ClassVar[Literal["never", "alone", "in sums"]] = "never"
+    """Whether an unknown state at power-on is fitted as well: of the effect alone, or of sums of it, too."""
+    start_looks_like: ClassVar[tuple[str, ...]] = ()
+    """Effects that an unknown state at power-on passes for."""
+    suspected_by: ClassVar[tuple[str, ...]] = ()
+    """What the innovations of a bias filter follow when the model lacks it, see `imumon.estimation.watch`."""
+    separated_by: ClassVar[Mapping[str, str]] = {}
+    """For another effect, what to record to tell the two apart; either of them may say."""
+
     coefficients: list[FiniteFloat] = Field(default_factory=list)
+
+    @classmethod
+    def __pydantic_init_subclass__(cls, **_: Any) -> None:
+        if "kind" in cls.model_fields:
+            cls.name = cls.model_fields["kind"].default
 
     @property
     def width(self) -> int:
         """Number of columns."""
         return 1
 
+    # What there is to try
+
     @classmethod
     def grid(cls, survey: Survey) -> list[Self]:
         """Return the effects worth trying on such runs; none where the runs cannot show the effect."""
         raise NotImplementedError
 
-    def advance(self, state: FloatArray, drive: Drive) -> FloatArray:
-        """Return the columns (n, k) and carry the state along; a state of NaN is one at power-on."""
+    @classmethod
+    def sums(cls, grid: Sequence[Self]) -> list[tuple[Self, ...]]:  # noqa: ARG003 - for those that need it
+        """Return sums of effects of the grid that are worth trying as one."""
+        return []
+
+    def fits_in(self, duration_s: float, survey: Survey) -> bool:  # noqa: ARG002 - for events
+        """Tell whether it can happen in a run of this length."""
+        return True
+
+    def refined(self, survey: Survey, level: int) -> list[Self]:
+        """Return neighbours, closer at each level, of the nonlinear parameters."""
+        moved = [
+            (name, float(self.moved(name, step, survey)))
+            for name in self.nonlinear
+            for step in np.array([-0.5, -0.25, 0.25, 0.5]) * 0.35**level
+        ]
+        return [self.model_copy(update={name: value}) for name, value in moved if value > 0]
+
+    def moved(self, name: str, step: float, survey: Survey) -> float:  # noqa: ARG002 - for those that need it
+        """Return a parameter moved by so many distances of the grid; by default, of its logarithm."""
+        return float(getattr(self, name) * np.exp(0.3 * step))
+
+    # What it adds
+
+    def advance(self, memory: Memory, drive: Drive) -> FloatArray:
+        """Return the columns (n, k) of the next samples, and carry the memory along."""
         raise NotImplementedError
 
     def columns(self, drive: Drive) -> FloatArray:
         """Return the columns (n, k) of a whole run, where an operator may look ahead as well."""
-        return self.advance(np.full(self.state_size, np.nan), drive)
+        return self.advance(Memory(), drive)
 
-    def extremes(self, temperature_degc: float) -> tuple[FloatArray, ...]:  # noqa: ARG002 - for those with memory
-        """Return two states at power-on, a standard deviation to either side; none without doubt."""
-        return ()
-
-    def added(self, columns: FloatArray) -> FloatArray:
-        """Return columns (n, k) times coefficients, (n,), to the bit the same for any n."""
-        total = np.zeros(len(columns))
+    def added(self, memory: Memory, drive: Drive) -> FloatArray:
+        """Return the bias that it adds to the next samples, (n,), to the bit the same for any n."""
+        columns, total = self.advance(memory, drive), np.zeros(len(drive))
         for column, coefficient in zip(columns.T, self.coefficients, strict=True):
             total += coefficient * column
         return total
 
-    def start_columns(self, drive: Drive) -> FloatArray:
-        """Return what another state at power-on would add, (n, m)."""
-        return np.empty((len(drive), 0))
-
-    def settled(self, drive: Drive) -> np.ndarray[Any, np.dtype[np.bool_]]:
-        """Tell from when on the state at power-on no longer matters, (n,)."""
-        return np.ones(len(drive), bool)
-
     def simulate(self, drive: Drive) -> FloatArray:
-        """Return the bias that the effect adds, (n,), in the unit of the channel."""
+        """Return the bias that it adds to a whole run, (n,), in the unit of the channel."""
         return np.asarray(self.columns(drive) @ np.asarray(self.coefficients))
-
-    def refined(self, survey: Survey, level: int) -> list[Self]:
-        """Return neighbours, closer at each level, of the nonlinear parameters."""
-        changed = []
-        for name in self.nonlinear:
-            value = getattr(self, name)
-            for step in self.spacing(survey, value) * np.array([-0.5, -0.25, 0.25, 0.5]) * 0.35**level:
-                near = float(self.moved(value, step))
-                if near > 0:
-                    changed.append(self.model_copy(update={name: near}))
-        return changed
-
-    def spacing(self, survey: Survey, value: float) -> float:  # noqa: ARG002 - for those that need it
-        """Return the distance between neighbours on the grid, as `moved` understands it."""
-        return 0.3
-
-    def moved(self, value: float, step: float) -> float:
-        """Return a nonlinear parameter moved by a step; by default steps are of its logarithm."""
-        return value * float(np.exp(step))
 
     def with_coefficients(self, coefficients: Sequence[float] | FloatArray) -> Self:
         """Return the same effect with these coefficients."""
         return self.model_copy(update={"coefficients": [float(value) for value in coefficients]})
 
+    # The state at power-on
 
-class Carrier:
-    """Carries an effect along live: the bias that it adds, and how unsure its state at power-on leaves it.
+    def starts(self, temperature_degc: float) -> tuple[Memory, Memory] | None:  # noqa: ARG002 - for those with memory
+        """Return a low and a high state at power-on, or None where it is known."""
+        return None
 
-    Whatever the division into blocks; where the device restarts the state is forgotten.  The temperature may
-    be missing (NaN): the last one holds, as does the specific force; before the first the bias is NaN.
-    An effect of the specific force adds nothing where there is none at all.
+    @property
+    def start_sd(self) -> float:
+        """Standard deviation of the state at power-on; 1 is half the way between those of `starts`."""
+        return 1.0
 
-    Parameters
-    ----------
-    effect : Effect
-        With its coefficients.
-    """
+    def start_columns(self, drive: Drive) -> FloatArray:
+        """Return what a state at power-on higher by 1 adds to the first column, (n, m)."""
+        ends = self.starts(float(drive.temperature_degc[0])) if len(drive) else None
+        if ends is None:
+            return np.empty((len(drive), 0))
+        low, high = (self.advance(memory, drive)[:, :1] for memory in ends)
+        return np.asarray(0.5 * (high - low))
 
-    def __init__(self, effect: Effect) -> None:
-        self._effect = effect
-        self._states = [np.full(effect.state_size, np.nan)]
-        self._segment: int | None = None
-        self._start_ns = 0
-        self._last = np.full(4, np.nan)
+    def settled(self, drive: Drive) -> BoolArray:
+        """Tell from when on the state at power-on no longer matters, (n,)."""
+        start = np.abs(self.start_columns(drive)).max(axis=1, initial=0.0)
+        return np.asarray(start <= FORGOTTEN * start[:1])
 
-    def process(
-        self, time_ns: IntArray, segment: IntArray, temperature: FloatArray, accel: FloatArray | None = None
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return the bias at each sample, from this sample and those before it, and its doubt.
+    # What is said of it, fitted
 
-        The doubt is the standard deviation that comes from the unknown state at power-on: it dies away.
+    def with_start(self, start: FloatArray) -> Self:  # noqa: ARG002 - for those with memory
+        """Return it with what the coefficients of `start_columns` in each run say of its start."""
+        return self
 
-        Parameters
-        ----------
-        time_ns, segment : array of shape (n,)
-        temperature : array of shape (n,)
-            °C.
-        accel : array of shape (n, 3), or None
-        """
-        n = len(segment)
-        bias, doubt = np.zeros(n), np.zeros(n)
-        if self._effect.needs_accel and accel is None:
-            return bias, doubt
-        cuts = np.flatnonzero(np.diff(segment)) + 1
-        for a, b in pairwise([0, *cuts.tolist(), n]):
-            if b > a:
-                force = None if accel is None or not self._effect.needs_accel else accel[a:b]
-                self._one(time_ns[a:b], int(segment[a]), temperature[a:b], force, bias[a:b], doubt[a:b])
-        return bias, doubt
+    def polynomial(self) -> Polynomial | None:
+        """Return it as a polynomial of the temperature for a curve to take in; None when it is not one."""
+        return None
 
-    def _one(
-        self,
-        time_ns: IntArray,
-        segment: int,
-        temperature: FloatArray,
-        accel: FloatArray | None,
-        bias: FloatArray,
-        doubt: FloatArray,
-    ) -> None:
-        if segment != self._segment:
-            self._segment, self._start_ns = segment, int(time_ns[0])
-            self._last[:] = np.nan
-            self._states = [np.full(self._effect.state_size, np.nan)]
-        driving = [temperature, *(accel.T if accel is not None else ())]
-        held = np.array([held_values(part, self._last[at]) for at, part in enumerate(driving)])
-        self._last[: len(held)] = held[:, -1]
-        known = np.isfinite(held).all(axis=0)
-        first = int(np.argmax(known)) if known.any() else len(bias)
-        bias[:first] = np.nan
-        if first == len(bias):
-            return
-        seconds = np.asarray((time_ns[first:] - self._start_ns) * 1e-9, np.float64)
-        force = held[1:, first:].T if accel is not None else None
-        drive = Drive(seconds, held[0, first:], force)
-        if len(self._states) == 1 and np.isnan(self._states[0]).all():
-            self._states += [*self._effect.extremes(float(drive.temperature_degc[0]))]
-        found = [self._effect.added(self._effect.advance(state, drive)) for state in self._states]
-        bias[first:] = found[0]
-        if len(found) == 3:
-            doubt[first:] = 0.5 * np.abs(found[2] - found[1])
-
-
-def held_values(values: FloatArray, before: float) -> FloatArray:
-    """Return the values, each missing one replaced by the last there was."""
-    known = np.concatenate([[np.isfinite(before)], np.isfinite(values)])
-    last = np.maximum.accumulate(np.where(known, np.arange(len(known)), 0))
-    return np.asarray(np.concatenate([[before], values])[last][1:])
+    def described(self, coefficients: FloatArray) -> dict[str, Any]:  # noqa: ARG002 - for those with more to say
+        """Return what else is worth reporting of fitted coefficients (runs, k)."""
+        return {}
 
 
 def logarithmic(low: float, high: float, ratio: float) -> list[float]:

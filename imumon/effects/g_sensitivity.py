@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import ClassVar, Literal, Self
 
 from imumon.blocks import FloatArray
-from imumon.effects.base import Drive, Effect, Survey
+from imumon.effects.base import Drive, Effect, Memory, Survey
 
 LEAST_RANGE = 2.0
 """m/s², about twelve degrees of tilt: with less, poses and turn-on offsets look alike."""
@@ -18,9 +19,14 @@ class GSensitivity(Effect):
     diagonal.
     """
 
-    name: ClassVar[str] = "g_sensitivity"
     kind: Literal["g_sensitivity"] = "g_sensitivity"
-    needs_accel: ClassVar[bool] = True
+    sensors = ("gyro",)
+    needs_accel = True
+    suspected_by = ("follow each other",)
+    separated_by: ClassVar[Mapping[str, str]] = {
+        "run_offset": "at least four poses within one run",
+        "step": "each pose taken twice in one run",
+    }
 
     @property
     def width(self) -> int:
@@ -32,7 +38,7 @@ class GSensitivity(Effect):
         """Return the one there is; none unless the pose changes within a run."""
         return [cls()] if survey.accel_range >= LEAST_RANGE else []
 
-    def advance(self, state: FloatArray, drive: Drive) -> FloatArray:  # noqa: ARG002 - it has no memory
+    def advance(self, memory: Memory, drive: Drive) -> FloatArray:  # noqa: ARG002 - it has no memory
         """Return the specific force."""
         if drive.accel is None:
             raise ValueError("g sensitivity needs the specific force")

@@ -2,101 +2,91 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar, Literal, Self
+from collections.abc import Mapping, Sequence
+from typing import ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import Field, FiniteFloat
 
 from imumon.blocks import FloatArray
-from imumon.effects.base import Drive, Effect, Positive, Survey, logarithmic
+from imumon.effects.base import Drive, Memory, NotNegative, Positive, Survey, logarithmic
+from imumon.effects.follower import Follower, sums_of
 
 NARROWEST_DEGC = 0.3
 WIDEST_DEGC = 14.0
 RATIO = 1.35
 SLACK_DEGC = 0.15
-"""Travel of the thermometer that its noise and its steps make up."""
+"""Way of the thermometer that its noise and its steps make up."""
 
 
-class Hysteresis(Effect):
-    """Differences u^k - p^k, k = 1 .. order: u the temperature, p what it drags along, both scaled.
+class Hysteresis(Follower):
+    """What follows is dragged along with a backlash of this half width, or in a smooth loop (Dahl's).
 
-    p follows with a backlash of this half width, or with a smooth loop (Dahl's).  Sums of several widths make
-    any loop (Prandtl and Ishlinskii); the powers let its width change with temperature.
+    Sums of several widths make any loop (Prandtl and Ishlinskii); the powers let its width change with
+    temperature.  A smooth loop goes behind a backlash of half width `slack_degc`, so that the noise of a
+    thermometer moves nothing.
     """
 
-    name: ClassVar[str] = "hysteresis"
     kind: Literal["hysteresis"] = "hysteresis"
-    state_size: ClassVar[int] = 2
-    free_start: ClassVar[bool] = True
-    nonlinear: ClassVar[tuple[str, ...]] = ("half_width_degc",)
+    nonlinear = ("half_width_degc",)
+    free_start = "alone"
+    suspected_by = ("temperature", "temperature rate")
+    separated_by: ClassVar[Mapping[str, str]] = {
+        "temperature_rate": "two ramp rates: a loop does not care, a rate effect doubles",
+        "temperature_curve": "a turn of the temperature inside the range",
+        "warm_up": "power-on in equilibrium with the ambient temperature held",
+        "drift": "a second ramp in the other direction",
+    }
     half_width_degc: Positive
     shape: Literal["play", "smooth"] = "play"
-    order: Annotated[int, Field(ge=1, le=9)] = 1
-    middle_degc: FiniteFloat
-    half_span_degc: Positive
-
-    @property
-    def width(self) -> int:
-        """One for each power."""
-        return self.order
+    slack_degc: NotNegative = SLACK_DEGC
 
     @classmethod
     def grid(cls, survey: Survey) -> list[Self]:
-        """Return widths up to half the span; powers only where two runs can show them."""
-        if not survey.thermal:
-            return []
+        """Return widths up to half the span."""
         widths = logarithmic(NARROWEST_DEGC, min(WIDEST_DEGC, survey.span_degc / 2), RATIO)
         shapes: tuple[Literal["play", "smooth"], ...] = ("play", "smooth")
-        orders = (1, 3) if survey.runs > 1 or survey.reversals >= 4 else (1,)
-        middle, half = survey.middle_degc, survey.half_span_degc
         return [
-            cls(half_width_degc=width, shape=shape, order=order, middle_degc=middle, half_span_degc=half)
-            for order in orders
+            cls(half_width_degc=width, shape=shape, **form)
+            for form in cls.forms(survey)
             for shape in shapes
             for width in widths
         ]
 
-    def advance(self, state: FloatArray, drive: Drive) -> FloatArray:
-        """Return the differences of powers, ahead less dragged."""
+    @classmethod
+    def sums(cls, grid: Sequence[Self]) -> list[tuple[Self, ...]]:
+        """Return sums of two and three backlashes, and of two smooth loops."""
+        plays, smooth = (
+            [loop for loop in grid if loop.order == 1 and loop.shape == shape] for shape in ("play", "smooth")
+        )
+        return [*sums_of(plays, (2, 3)), *sums_of(smooth, (2,))]
+
+    def follow(self, memory: Memory, drive: Drive) -> FloatArray:
+        """Return the temperature that is dragged along."""
         from imumon.effects.operators import play, smooth_loop
 
         temperature = drive.temperature_degc
-        if self.shape == "smooth":
-            dragged = temperature - smooth_loop(state, temperature, self.half_width_degc, SLACK_DEGC)
-        else:
-            dragged = play(state[:1], temperature, self.half_width_degc)
-        powers = np.arange(1, self.order + 1)
-        ahead, behind = (
-            (values - self.middle_degc) / self.half_span_degc for values in (temperature, dragged)
+        if not len(temperature):
+            return temperature
+        if self.shape == "play":
+            dragged = play(temperature, self.half_width_degc, memory.follower_degc)
+            memory.follower_degc = dragged[-1]
+            return dragged
+        steady = play(temperature, self.slack_degc, memory.temperature_degc)
+        ahead = smooth_loop(steady, self.half_width_degc, memory.temperature_degc, memory.ahead_degc)
+        memory.temperature_degc, memory.ahead_degc = steady[-1], ahead[-1]
+        return np.asarray(temperature - ahead)
+
+    def starts(self, temperature_degc: float) -> tuple[Memory, Memory]:
+        """Return the ends between which a loop can be."""
+        low, high = (
+            Memory(
+                temperature_degc=temperature_degc, follower_degc=temperature_degc - ahead, ahead_degc=ahead
+            )
+            for ahead in (-self.half_width_degc, self.half_width_degc)
         )
-        return np.asarray(ahead[:, np.newaxis] ** powers - behind[:, np.newaxis] ** powers)
-
-    def start_columns(self, drive: Drive) -> FloatArray:
-        """Return half the difference between the two extreme states at power-on."""
-        if not len(drive):
-            return np.empty((0, 1))
-        low, high = (self._from(drive, sign) for sign in (-1.0, 1.0))
-        return np.asarray(0.5 * (high - low)[:, :1])
-
-    def settled(self, drive: Drive) -> np.ndarray[Any, np.dtype[np.bool_]]:
-        """Tell whether both extreme states at power-on have met."""
-        apart = np.abs(self.start_columns(drive)[:, 0])
-        return np.asarray(apart < 0.1 * self.half_width_degc / self.half_span_degc)
-
-    def extremes(self, temperature_degc: float) -> tuple[FloatArray, FloatArray]:
-        """Return the lowest and the highest state that a loop can have, drawn in by the root of three.
-
-        What is somewhere between two ends, nobody knows where, has that standard deviation.
-        """
-        share = self.half_width_degc / np.sqrt(3.0)
-        low, high = (self._state(temperature_degc, sign * share) for sign in (-1.0, 1.0))
         return low, high
 
-    def _state(self, temperature: float, ahead: float) -> FloatArray:
-        """Return the state with the temperature so far ahead of what it drags."""
-        if self.shape == "smooth":
-            return np.array([ahead, temperature])
-        return np.array([temperature - ahead, np.nan])
-
-    def _from(self, drive: Drive, sign: float) -> FloatArray:
-        return self.advance(self._state(float(drive.temperature_degc[0]), sign * self.half_width_degc), drive)
+    @property
+    def start_sd(self) -> float:
+        """Somewhere between two ends, nobody knows where: that over the root of three."""
+        return 1.0 / float(np.sqrt(3.0))

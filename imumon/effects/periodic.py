@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import Field
 
 from imumon.blocks import FloatArray
-from imumon.effects.base import Drive, Effect, Positive, Survey
+from imumon.effects.base import Drive, Effect, Memory, Positive, Survey
 
 LEAST_CYCLES = 4.0
 """Half a cycle imitates any slow residual."""
@@ -25,9 +25,10 @@ class Periodic(Effect):
     Odd ones: what swings is mostly alike on its way up and down.
     """
 
-    name: ClassVar[str] = "periodic"
     kind: Literal["periodic"] = "periodic"
-    nonlinear: ClassVar[tuple[str, ...]] = ("period_s",)
+    scope = "either"
+    nonlinear = ("period_s",)
+    suspected_by = ("follow each other",)
     period_s: Positive
     harmonics: Annotated[int, Field(ge=1, le=9)] = 1
 
@@ -42,20 +43,8 @@ class Periodic(Effect):
         lowest = LEAST_CYCLES / survey.shortest_s
         highest = 1.0 / (BLOCKS_PER_PERIOD * survey.block_s)
         step = STEP / max(survey.durations_s)
-        count = min(MOST_FREQUENCIES, int((highest - lowest) / step) + 1)
-        return (
-            [cls(period_s=1.0 / (lowest + index * step)) for index in range(count)]
-            if highest > lowest
-            else []
-        )
-
-    def advance(self, state: FloatArray, drive: Drive) -> FloatArray:  # noqa: ARG002 - time is its memory
-        """Return sine and cosine."""
-        phase = 2 * np.pi / self.period_s * drive.time_s
-        odd = 2 * np.arange(self.harmonics) + 1
-        return np.column_stack(
-            [part for k in odd.tolist() for part in (np.sin(k * phase), np.cos(k * phase))]
-        )
+        count = min(MOST_FREQUENCIES, int((highest - lowest) / step) + 1) if highest > lowest else 0
+        return [cls(period_s=1.0 / (lowest + index * step)) for index in range(count)]
 
     def refined(self, survey: Survey, level: int) -> list[Self]:
         """Return neighbouring periods, and one harmonic more or less."""
@@ -63,10 +52,16 @@ class Periodic(Effect):
         changed = [self.model_copy(update={"harmonics": k}) for k in others if 1 <= k <= MOST_HARMONICS]
         return [*super().refined(survey, level), *changed]
 
-    def spacing(self, survey: Survey, value: float) -> float:  # noqa: ARG002 - frequencies are evenly spaced
-        """Return the distance of the frequencies in Hz."""
-        return STEP / max(survey.durations_s)
+    def moved(self, name: str, step: float, survey: Survey) -> float:  # noqa: ARG002 - its one parameter
+        """Return another period: the grid is one of frequencies."""
+        return 1.0 / (1.0 / self.period_s + step * STEP / max(survey.durations_s))
 
-    def moved(self, value: float, step: float) -> float:
-        """Return the period of a frequency moved by a step."""
-        return 1.0 / (1.0 / value + step)
+    def advance(self, memory: Memory, drive: Drive) -> FloatArray:  # noqa: ARG002 - time is its memory
+        """Return sine and cosine of each harmonic."""
+        phase = 2 * np.pi / self.period_s * drive.time_s
+        odd = (2 * np.arange(self.harmonics) + 1).tolist()
+        return np.column_stack([part for k in odd for part in (np.sin(k * phase), np.cos(k * phase))])
+
+    def described(self, coefficients: FloatArray) -> dict[str, Any]:
+        """Return the amplitude of the first harmonic in each run."""
+        return {"amplitude": np.hypot(coefficients[:, 0], coefficients[:, 1]).tolist()}

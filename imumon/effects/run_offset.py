@@ -2,26 +2,25 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal, Self
+from typing import Literal, Self
 
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.effects.base import Drive, Effect, Survey
+from imumon.effects.base import Drive, Effect, Memory, Survey
 
 
 class RunOffset(Effect):
     """A constant; what it is in another run nobody can foresee."""
 
-    name: ClassVar[str] = "run_offset"
     kind: Literal["run_offset"] = "run_offset"
-    own: ClassVar[bool] = True
+    scope = "run"
 
     @classmethod
     def grid(cls, survey: Survey) -> list[Self]:
         """Return the one there is; none with a single run."""
         return [cls()] if survey.runs > 1 else []
 
-    def advance(self, state: FloatArray, drive: Drive) -> FloatArray:  # noqa: ARG002 - it has no memory
+    def advance(self, memory: Memory, drive: Drive) -> FloatArray:  # noqa: ARG002 - it has no memory
         """Return ones."""
         return np.ones((len(drive), 1))

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated, Literal, Self
 
 import numpy as np
+from numpy.polynomial import Polynomial
 from pydantic import Field, FiniteFloat
 
 from imumon.blocks import FloatArray
-from imumon.effects.base import Drive, Effect, Positive, Survey
+from imumon.effects.base import Drive, Effect, Memory, Positive, Survey
 
 MORE_DEGREES = (2, 4, 6)
 
@@ -16,8 +17,8 @@ MORE_DEGREES = (2, 4, 6)
 class TemperatureCurve(Effect):
     """Powers of u = (T - middle) / half span, from `first_power` on, as many as there are coefficients."""
 
-    name: ClassVar[str] = "temperature_curve"
     kind: Literal["temperature_curve"] = "temperature_curve"
+    suspected_by = ("temperature",)
     middle_degc: FiniteFloat
     half_span_degc: Positive
     first_power: Annotated[int, Field(ge=1, le=20)]
@@ -31,8 +32,6 @@ class TemperatureCurve(Effect):
     @classmethod
     def grid(cls, survey: Survey) -> list[Self]:
         """Return the next powers, two, four or six of them; none at constant temperature."""
-        if not survey.thermal:
-            return []
         return [
             cls(
                 middle_degc=survey.middle_degc,
@@ -40,10 +39,15 @@ class TemperatureCurve(Effect):
                 first_power=survey.degree + 1,
                 powers=powers,
             )
-            for powers in MORE_DEGREES
+            for powers in (MORE_DEGREES if survey.thermal else ())
         ]
 
-    def advance(self, state: FloatArray, drive: Drive) -> FloatArray:  # noqa: ARG002 - it has no memory
+    def advance(self, memory: Memory, drive: Drive) -> FloatArray:  # noqa: ARG002 - it has no memory
         """Return the powers of u."""
         u = (drive.temperature_degc - self.middle_degc) / self.half_span_degc
         return np.asarray(u[:, np.newaxis] ** np.arange(self.first_power, self.first_power + self.powers))
+
+    def polynomial(self) -> Polynomial:
+        """Return its powers as they are."""
+        ends = self.middle_degc - self.half_span_degc, self.middle_degc + self.half_span_degc
+        return Polynomial([0.0] * self.first_power + self.coefficients, domain=ends)

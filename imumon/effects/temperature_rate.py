@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import ClassVar, Literal, Self
 
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.effects.base import Drive, Effect, Positive, Survey
+from imumon.effects.base import Drive, Effect, Memory, Positive, Survey
+from imumon.effects.thermal_lag import ThermalLag
 
 
 class TemperatureRate(Effect):
@@ -17,9 +19,11 @@ class TemperatureRate(Effect):
     means on both sides, which has no delay.
     """
 
-    name: ClassVar[str] = "temperature_rate"
     kind: Literal["temperature_rate"] = "temperature_rate"
-    state_size: ClassVar[int] = 3
+    suspected_by = ("temperature rate",)
+    separated_by: ClassVar[Mapping[str, str]] = {
+        "temperature_curve": "a second ramp at another rate, or downwards"
+    }
     smoothing_s: Positive = 15.0
 
     @classmethod
@@ -27,12 +31,10 @@ class TemperatureRate(Effect):
         """Return the one there is; none at constant temperature."""
         return [cls()] if survey.thermal else []
 
-    def advance(self, state: FloatArray, drive: Drive) -> FloatArray:
-        """Return the filtered rate."""
-        from imumon.effects.operators import first_order
-
-        lagged = first_order(state, drive.time_s, drive.temperature_degc, self.smoothing_s)
-        return np.asarray((drive.temperature_degc - lagged) / self.smoothing_s)[:, np.newaxis]
+    def advance(self, memory: Memory, drive: Drive) -> FloatArray:
+        """Return the filtered rate: how far a lag is behind, over its time constant."""
+        lag = ThermalLag(time_constant_s=self.smoothing_s, middle_degc=0.0, half_span_degc=1.0)
+        return lag.advance(memory, drive) / self.smoothing_s
 
     def columns(self, drive: Drive) -> FloatArray:
         """Return the mean over the next two filter times less that over the last two, by their distance."""

@@ -1,83 +1,79 @@
-"""The sensor's own temperature follows the thermometer's with a delay."""
+"""The sensor's own temperature follows the thermometer's late."""
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar, Literal, Self
+from collections.abc import Mapping, Sequence
+from typing import ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import Field, FiniteFloat
 
 from imumon.blocks import FloatArray
-from imumon.effects.base import Drive, Effect, NotNegative, Positive, Survey, logarithmic
+from imumon.effects.base import Drive, Memory, NotNegative, Positive, Survey, logarithmic
+from imumon.effects.follower import Follower, sums_of
 
 SHORTEST_S = 20.0
 LONGEST_S = 1500.0
 RATIO = 1.3
-SETTLING = 3.0
-"""Time constants until the state at power-on is forgotten."""
 START_SD_DEGC = 1.0
 """How far from equilibrium a unit is at power-on, where nothing better is known (standard deviation)."""
 
 
-class ThermalLag(Effect):
-    """Differences u^k - l^k, k = 1 .. order; l is u behind a first-order lag, u = (T - middle) / half
-    span.
+class ThermalLag(Follower):
+    """What follows is the temperature behind a first-order lag.
 
     `start_sd_degc` is how far the sensor's temperature may be from the thermometer's at power-on.
     """
 
-    name: ClassVar[str] = "thermal_lag"
     kind: Literal["thermal_lag"] = "thermal_lag"
-    state_size: ClassVar[int] = 3
-    free_start: ClassVar[bool] = True
-    nonlinear: ClassVar[tuple[str, ...]] = ("time_constant_s",)
+    nonlinear = ("time_constant_s",)
+    free_start = "in sums"
+    start_looks_like = ("warm_up",)
+    suspected_by = ("temperature rate",)
+    separated_by: ClassVar[Mapping[str, str]] = {
+        "temperature_rate": "a fast ramp into a soak: the lag goes on for its time constant",
+        "hysteresis": "a soak of more than five time constants after a ramp, and two ramp rates:"
+        " a lag decays in the soak, a loop stays",
+        "temperature_curve": "a second ramp at another rate, or downwards",
+        "warm_up": "power-on in equilibrium with the ambient temperature held",
+        "drift": "a second ramp in the other direction",
+    }
     time_constant_s: Positive
-    order: Annotated[int, Field(ge=1, le=9)] = 1
-    middle_degc: FiniteFloat
-    half_span_degc: Positive
     start_sd_degc: NotNegative = START_SD_DEGC
-
-    @property
-    def width(self) -> int:
-        """One for each power."""
-        return self.order
 
     @classmethod
     def grid(cls, survey: Survey) -> list[Self]:
-        """Return time constants up to a quarter of the shortest run; the cubic only where two runs can show
-        it."""
-        if not survey.thermal:
-            return []
+        """Return time constants up to a quarter of the shortest run."""
         times = logarithmic(SHORTEST_S, min(LONGEST_S, survey.shortest_s / 4), RATIO)
-        orders = (1, 3) if survey.runs > 1 or survey.reversals >= 4 else (1,)
-        middle, half = survey.middle_degc, survey.half_span_degc
-        return [
-            cls(time_constant_s=tau, order=order, middle_degc=middle, half_span_degc=half)
-            for order in orders
-            for tau in times
-        ]
+        return [cls(time_constant_s=tau, **form) for form in cls.forms(survey) for tau in times]
 
-    def advance(self, state: FloatArray, drive: Drive) -> FloatArray:
-        """Return the differences of powers, now less lagged."""
+    @classmethod
+    def sums(cls, grid: Sequence[Self]) -> list[tuple[Self, ...]]:
+        """Return sums of two lags."""
+        return sums_of([lag for lag in grid if lag.order == 1], (2,))
+
+    def follow(self, memory: Memory, drive: Drive) -> FloatArray:
+        """Return the lagged temperature."""
         from imumon.effects.operators import first_order
 
-        lagged = first_order(state, drive.time_s, drive.temperature_degc, self.time_constant_s)
-        now, then = self._scaled(drive.temperature_degc), self._scaled(lagged)
-        powers = np.arange(1, self.order + 1)
-        return np.asarray(now[:, np.newaxis] ** powers - then[:, np.newaxis] ** powers)
+        time, temperature = drive.time_s, drive.temperature_degc
+        before = memory.time_s, memory.temperature_degc, memory.follower_degc
+        lagged = first_order(time, temperature, self.time_constant_s, *before)
+        if len(lagged):
+            memory.time_s, memory.temperature_degc, memory.follower_degc = (
+                time[-1],
+                temperature[-1],
+                lagged[-1],
+            )
+        return lagged
 
-    def extremes(self, temperature_degc: float) -> tuple[FloatArray, FloatArray]:
-        """Return a sensor colder and one warmer by the standard deviation."""
+    def starts(self, temperature_degc: float) -> tuple[Memory, Memory]:
+        """Return a sensor colder and one warmer than its thermometer by the standard deviation."""
         low, high = (temperature_degc + sign * self.start_sd_degc for sign in (-1.0, 1.0))
-        return np.array([low, 0.0, temperature_degc]), np.array([high, 0.0, temperature_degc])
+        return Memory(0.0, temperature_degc, low), Memory(0.0, temperature_degc, high)
 
-    def start_columns(self, drive: Drive) -> FloatArray:
-        """Return the decay of a lagged temperature that was off at power-on."""
-        return np.exp(-drive.time_s / self.time_constant_s)[:, np.newaxis]
-
-    def settled(self, drive: Drive) -> np.ndarray[Any, np.dtype[np.bool_]]:
-        """Tell whether three time constants have passed."""
-        return np.asarray(drive.time_s > SETTLING * self.time_constant_s)
-
-    def _scaled(self, temperature: FloatArray) -> FloatArray:
-        return (temperature - self.middle_degc) / self.half_span_degc
+    def with_start(self, start: FloatArray) -> Self:
+        """Return it as unsure of its start as the training runs were apart."""
+        if not start.size or not self.coefficients[0]:
+            return self
+        seen = float(np.sqrt(np.mean(start**2))) * self.start_sd_degc / abs(self.coefficients[0])
+        return self.model_copy(update={"start_sd_degc": max(START_SD_DEGC, seen)})

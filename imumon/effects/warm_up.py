@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import ClassVar, Literal, Self
 
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.effects.base import Drive, Effect, Positive, Survey, logarithmic
+from imumon.effects.base import Drive, Effect, Memory, Positive, Survey, logarithmic
 
 SHORTEST_S = 60.0
 LONGEST_S = 2000.0
@@ -17,9 +18,16 @@ RATIO = 1.3
 class WarmUp(Effect):
     """exp(-t / time constant), t since power-on."""
 
-    name: ClassVar[str] = "warm_up"
     kind: Literal["warm_up"] = "warm_up"
-    nonlinear: ClassVar[tuple[str, ...]] = ("time_constant_s",)
+    scope = "either"
+    nonlinear = ("time_constant_s",)
+    suspected_by = ("time since start",)
+    separated_by: ClassVar[Mapping[str, str]] = {
+        "drift": "a run longer than four time constants of the warm-up",
+        "temperature_rate": "power-on in equilibrium with the ambient temperature held",
+        "temperature_curve": "a second run that starts at another temperature",
+        "step": "another run: a warm-up comes again at the same time",
+    }
     time_constant_s: Positive
 
     @classmethod
@@ -28,6 +36,6 @@ class WarmUp(Effect):
         times = logarithmic(SHORTEST_S, min(LONGEST_S, survey.shortest_s / 3), RATIO)
         return [cls(time_constant_s=tau) for tau in times]
 
-    def advance(self, state: FloatArray, drive: Drive) -> FloatArray:  # noqa: ARG002 - time is its memory
+    def advance(self, memory: Memory, drive: Drive) -> FloatArray:  # noqa: ARG002 - time is its memory
         """Return the decay."""
         return np.exp(-drive.time_s / self.time_constant_s)[:, np.newaxis]

@@ -90,6 +90,8 @@ def correct(estimate: Estimate, measurement: FloatArray, model: FloatArray, nois
     innovation = measurement - np.einsum("...ij,...j->...i", model, mean)
     spread = covariance @ transposed(model)
     innovation_covariance = model @ spread + noise
+    if innovation.shape[-1] == 1:
+        return _correct_with_one(estimate, innovation, spread, innovation_covariance)
     gain = transposed(np.linalg.solve(innovation_covariance, transposed(spread)))
     rest = np.eye(mean.shape[-1]) - gain @ model
     corrected = rest @ covariance @ transposed(rest) + gain @ noise @ transposed(gain)
@@ -100,6 +102,23 @@ def correct(estimate: Estimate, measurement: FloatArray, model: FloatArray, nois
     )
     after = Estimate(mean + np.einsum("...ij,...j->...i", gain, innovation), corrected)
     return Correction(after, innovation, innovation_covariance, np.asarray(log_likelihood))
+
+
+def _correct_with_one(
+    estimate: Estimate, innovation: FloatArray, spread: FloatArray, variance: FloatArray
+) -> Correction:
+    """Update with a single value: the same, multiplied out, without solving for a matrix of one."""
+    if not variance.all():
+        raise np.linalg.LinAlgError("the innovation has no variance")
+    mean, covariance = estimate
+    gain = spread / variance
+    # (1 - K H) P (1 - K H)' + K R K' with K S = P H'.
+    corrected = covariance - gain @ transposed(spread)
+    corrected = 0.5 * (corrected + transposed(corrected))
+    after = Estimate(mean + gain[..., 0] * innovation, corrected)
+    square = innovation**2 / variance[..., 0]
+    log_likelihood = -0.5 * (square + np.log(variance[..., 0]) + LOG_2_PI)[..., 0]
+    return Correction(after, innovation, variance, log_likelihood)
 
 
 def smooth(filtered: Estimate, predicted: Estimate, later: Estimate, transition: FloatArray) -> Estimate:

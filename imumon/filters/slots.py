@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from imumon.blocks import NO_INT, FloatArray, IntArray
+from imumon.compiled import njit
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -164,6 +164,13 @@ class SlotGatherer:
             smallest, largest, first, last, step_count, squares, changes,
         )  # fmt: skip
 
+    def finish(self) -> Slots:
+        """Return the slot that is open at the end of the rows, if there is one; then begin as new."""
+        behind = self._open.segment + 1
+        last = self.process(np.zeros(1, np.int64), behind, np.full((1, self._columns), np.nan))
+        self._open = _empty(self._columns)
+        return last
+
     def snapshot(self) -> dict[str, npt.NDArray[np.int64] | FloatArray]:
         """Return a copy of the state."""
         return {name: values.copy() for name, values in self._open._asdict().items()}
@@ -189,7 +196,7 @@ def held(row: IntArray, values: FloatArray, before: FloatArray, n: int) -> Float
     return np.asarray(np.concatenate([np.asarray(before)[np.newaxis], values])[which])
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _clear(slot: _Open, time_ns: int) -> None:
     """Begin a slot with the row at this time."""
     slot.start_ns[0] = time_ns
@@ -202,7 +209,7 @@ def _clear(slot: _Open, time_ns: int) -> None:
     slot.changes[:] = 0
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _close(slot: _Open, row: int, m: int, integers: IntArray, numbers: FloatArray, counts: IntArray) -> None:
     """Write the slot into row m of the results."""
     integers[m, 0], integers[m, 1], integers[m, 2] = row, slot.segment[0], slot.begins[0]
@@ -222,7 +229,7 @@ def _close(slot: _Open, row: int, m: int, integers: IntArray, numbers: FloatArra
         numbers[m, 4, j], numbers[m, 5, j] = slot.first[j], slot.last[j]
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _add(slot: _Open, values: FloatArray, i: int) -> None:
     """Add a row; sums are taken from the slot's first value, so that a large mean costs no digits."""
     slot.samples[0] += 1
@@ -248,7 +255,7 @@ def _add(slot: _Open, values: FloatArray, i: int) -> None:
         slot.previous[j] = x
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _gather(
     time_ns: IntArray, segment: IntArray, values: FloatArray, length_ns: int, slot: _Open,
     integers: IntArray, numbers: FloatArray, counts: IntArray,

@@ -7,11 +7,10 @@ from typing import Annotated, Final, Literal, Self
 
 import numpy as np
 import numpy.typing as npt
-import yaml
 from pydantic import Field, FiniteFloat, NonNegativeInt, model_validator
 
 from imumon.blocks import FloatArray
-from imumon.config import StrictModel, load_yaml
+from imumon.config import StrictModel, dump_yaml, load_yaml
 from imumon.effects.library import AnyEffect
 from imumon.errors import ImumonError, Reason
 from imumon.models.curves.network import NetworkCurve
@@ -69,11 +68,7 @@ class ChannelModel(StrictModel):
         if low >= high:
             raise ValueError(f"temperature_range_degc {low} to {high} is empty")
         for effect in self.effects:
-            if len(effect.coefficients) != effect.width:
-                raise ValueError(
-                    f"{effect.name} needs {effect.width} coefficients, there are {len(effect.coefficients)}"
-                )
-            if effect.own:
+            if effect.scope in ("run", "event"):
                 raise ValueError(f"{effect.name} is another in each run: no model can foretell it")
         return self
 
@@ -185,9 +180,7 @@ class BiasModel(StrictModel):
 
     def to_yaml(self) -> str:
         """Return the text of the model file."""
-        return yaml.safe_dump(
-            self.model_dump(), sort_keys=False, allow_unicode=True, width=110, default_flow_style=None
-        )
+        return dump_yaml(self.model_dump(), flow=None)
 
 
 def load_model(path: Path) -> BiasModel:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
 
@@ -13,6 +14,11 @@ from imumon.blocks import IntArray, SampleBlock, join, missing
 from imumon.columns import Column
 
 ByteArray = npt.NDArray[np.uint8]
+
+MAIN = "imu"
+"""Name of the stream of the inertial sensors."""
+COMMON = ("arrival_time_ns", "device_ticks", "packet_counter")
+"""Columns of a packet that every stream of its fields has."""
 
 CHUNK = 1 << 16
 """Bytes that one kernel call takes at the most; longer input is cut by `Decoder.feed`."""
@@ -68,6 +74,45 @@ class Counters:
         return self.bytes_received - self.bytes_in_packets - self.bytes_skipped
 
 
+@dataclass(frozen=True, slots=True)
+class Groups:
+    """Which columns belong together.
+
+    Parameters
+    ----------
+    names : tuple of str
+        Groups in the order of their bits; the first is `MAIN`.
+    of_column : mapping of str to int
+        Group of each column; a column that is not here goes with every row of its packet.
+    apart : tuple of bool
+        Groups that never join the main stream.
+    """
+
+    names: tuple[str, ...]
+    of_column: Mapping[str, int]
+    apart: tuple[bool, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Packets:
+    """Decoded packets in order of arrival.
+
+    Parameters
+    ----------
+    block : SampleBlock
+        One row each.
+    groups : array of int64, (n,)
+        Bits of the groups of which the packet has fields.
+    """
+
+    block: SampleBlock
+    groups: IntArray
+
+    def __len__(self) -> int:
+        """Return the number of packets."""
+        return len(self.block)
+
+
 class Decoder(ABC):
     """Turns a byte stream into columns, whatever the chunking.
 
@@ -77,12 +122,14 @@ class Decoder(ABC):
     """
 
     timing: Timing
+    groups: Groups | None = None
+    """Groups of the fields, for a protocol that may spread one moment over several packets; else None."""
 
     def __init__(self) -> None:
         self._state: IntArray = np.zeros(STATE_SIZE, np.int64)
         self._held: ByteArray = np.zeros(CHUNK + LONGEST_PACKET, np.uint8)
         self._held_arrival: IntArray = np.zeros(LONGEST_PACKET, np.int64)
-        self._done: list[SampleBlock] = []
+        self._done: list[Packets] = []
 
     @property
     @abstractmethod
@@ -125,16 +172,21 @@ class Decoder(ABC):
         A damaged header that claims a long packet holds back the packets behind it until that length has
         arrived; at the end of the data they are found.  What is pending afterwards is a packet cut short.
         """
-        self._feed(np.zeros(0, np.uint8), 0, final=True)
+        self._feed(np.frombuffer(b"", np.uint8), 0, final=True)  # read-only, as what comes from a port
 
     def take(self) -> SampleBlock:
-        """Return the rows decoded since the last call, as arrays of their own."""
+        """Return the packets decoded since the last call, a row each, as arrays of their own."""
+        return self.take_packets().block
+
+    def take_packets(self) -> Packets:
+        """Return the packets decoded since the last call, with the groups of their fields."""
         if self._state[ROWS]:
             self._flush()
-        blocks, self._done = self._done, []
-        if not blocks:
-            return SampleBlock({column.name: missing(0, column.dtype) for column in self.columns})
-        return join(blocks)
+        done, self._done = self._done, []
+        if not done:
+            empty = {column.name: missing(0, column.dtype) for column in self.columns}
+            return Packets(SampleBlock(empty), np.zeros(0, np.int64))
+        return Packets(join([part.block for part in done]), np.concatenate([part.groups for part in done]))
 
     def discard(self) -> None:
         """Forget the rows decoded since the last call."""
@@ -148,8 +200,13 @@ class Decoder(ABC):
             self._scan(chunk[:0], arrival_ns, final)
 
     def _flush(self) -> None:
-        self._done.append(self._rows())
+        groups = self._packet_groups()
+        self._done.append(Packets(self._rows(), groups))
         self._state[ROWS] = 0
+
+    def _packet_groups(self) -> IntArray:
+        """Return the bits of the groups of each row; a protocol without groups has the main one only."""
+        return np.ones(int(self._state[ROWS]), np.int64)
 
 
 class Encoder(ABC):

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from imumon.blocks import IntArray
+from imumon.compiled import njit
 from imumon.protocols.base import DATED, HELD, RECEIVED, ByteArray
 
 BIG = 64
@@ -49,7 +49,7 @@ NUMBER_TYPES: dict[str, NumberType] = {
 # than the load.
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(inline="always")
 def bytes_little(buf: ByteArray, at: int, size: int) -> np.uint64:
     """Assemble `size` bytes, least significant first."""
     place = np.uint64(at)
@@ -59,7 +59,7 @@ def bytes_little(buf: ByteArray, at: int, size: int) -> np.uint64:
     return value
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(inline="always")
 def bytes_big(buf: ByteArray, at: int, size: int) -> np.uint64:
     """Assemble `size` bytes, most significant first."""
     place = np.uint64(at)
@@ -69,14 +69,14 @@ def bytes_big(buf: ByteArray, at: int, size: int) -> np.uint64:
     return value
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(inline="always")
 def sign_extend(value: np.uint64, size: int) -> np.int64:
     """Read the low `size` bytes as two's complement."""
     shift = np.uint64(64 - 8 * size)
     return np.int64(value << shift) >> np.int64(shift)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def append_chunk(chunk: ByteArray, held: ByteArray, state: IntArray) -> int:
     """Put a chunk behind the held bytes; return how many bytes there are to scan."""
     start = np.uint64(state[HELD])
@@ -88,13 +88,13 @@ def append_chunk(chunk: ByteArray, held: ByteArray, state: IntArray) -> int:
     return int(state[HELD])
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(inline="always")
 def arrival_of(at: int, arrival_ns: int, held_arrival: IntArray, state: IntArray) -> int:
     """Return when the held byte at this place arrived; `arrival_ns` is that of the chunk being scanned."""
     return int(held_arrival[at]) if at < state[DATED] else arrival_ns
 
 
-@njit(cache=True, nogil=True)
+@njit
 def keep_rest(
     start: int, arrival_ns: int, held: ByteArray, held_arrival: IntArray, state: IntArray, rows_full: bool
 ) -> None:
@@ -110,7 +110,9 @@ def keep_rest(
     for i in range(rest):
         held[i] = held[start + i]
     if not rows_full:
-        held_arrival[dated:rest] = arrival_ns
+        # A loop, as an assignment to a slice takes a second more to compile.
+        for i in range(dated, rest):
+            held_arrival[i] = arrival_ns
         dated = rest
     state[HELD] = rest
     state[DATED] = dated

@@ -1,8 +1,7 @@
 """MicroStrain MIP (3DM-GX3 to GX5, CV5, CV7, GQ7, GV7): packets of one descriptor set, each a list of fields.
 
 Facts from the data communications protocols of the devices and the public definitions of the vendor's SDK.
-Each data packet becomes a row.  A device may send the fields of one instant in several packets; they are not
-merged, because only those that carry a time can be told to belong together.
+The fields of one moment may come in several packets, of which often only the first carries the time.
 """
 
 from __future__ import annotations
@@ -16,9 +15,10 @@ import numpy as np
 from imumon.blocks import NO_INT, ColumnArray
 from imumon.columns import KNOWN, Column
 from imumon.errors import ImumonError, Reason
-from imumon.protocols.base import Timing
+from imumon.geodesy import STANDARD_GRAVITY as G
+from imumon.protocols.base import MAIN, Timing
 from imumon.protocols.device import DeviceFile
-from imumon.protocols.tagged import Columns, Derived, Field, FieldTable, TaggedDecoder, Value
+from imumon.protocols.tagged import NO_GROUP, Columns, Derived, Field, FieldTable, TaggedDecoder, Value
 from imumon.protocols.tagged_columns import (
     MATRIX,
     QUATERNION,
@@ -31,7 +31,6 @@ from imumon.protocols.tagged_columns import (
 from imumon.protocols.tagged_encoder import TaggedEncoder
 from imumon.protocols.tagged_kernel import COUNTED, LIST, MIP
 
-GRAVITY = 9.80665
 GAUSS = 100.0
 """Gauss in µT."""
 MILLIBAR = 100.0
@@ -120,7 +119,7 @@ def _shared(descriptor_set: int, clock: Clock) -> list[Field]:
             ),
         ),
     )
-    return [Field(descriptor_set << 8 | code, name, values) for code, name, values in table]
+    return [Field(descriptor_set << 8 | code, name, values, NO_GROUP) for code, name, values in table]
 
 
 def _sensor_fields(attitude: Attitude) -> list[Field]:
@@ -130,7 +129,7 @@ def _sensor_fields(attitude: Attitude) -> list[Field]:
     temperature = number("temperature", "degC", "mean sensor temperature")
     table: tuple[tuple[int, str, tuple[Value, ...]], ...] = (
         (0x05, "ScaledGyro", _floats(known("gyro_x", "gyro_y", "gyro_z"))),
-        (0x04, "ScaledAccel", _floats(known("accel_x", "accel_y", "accel_z"), GRAVITY)),
+        (0x04, "ScaledAccel", _floats(known("accel_x", "accel_y", "accel_z"), G)),
         (0x06, "ScaledMag", _floats(known("mag_x", "mag_y", "mag_z"), GAUSS)),
         (
             0x14,
@@ -148,9 +147,9 @@ def _sensor_fields(attitude: Attitude) -> list[Field]:
         (0x0C, "ImuEuler", _floats(euler)),
         (0x09, "ImuMatrix", _floats(MATRIX) if own else ()),
         (0x07, "DeltaTheta", _floats(vector("delta_theta", "rad", "rotation over the sample"))),
-        (0x08, "DeltaVelocity", _floats(vector("delta_velocity", "m/s", "velocity increment"), GRAVITY)),
+        (0x08, "DeltaVelocity", _floats(vector("delta_velocity", "m/s", "velocity increment"), G)),
         (0x10, "NorthVector", _floats(vector("north", "uT", "magnetic north in the body"), GAUSS)),
-        (0x11, "UpVector", _floats(vector("up", "m/s^2", "vertical in the body"), GRAVITY)),
+        (0x11, "UpVector", _floats(vector("up", "m/s^2", "vertical in the body"), G)),
         (0x12, "SensorGpsTime", _GPS_TIME),
         (0x18, "Overrange", (_count("overrange", "sensors out of range, bits", "u16"),)),
         (
@@ -176,7 +175,22 @@ def _sensor_fields(attitude: Attitude) -> list[Field]:
              _count("pps_microseconds", "and us", "u32", "us")),
         ),
     )  # fmt: skip
-    return [Field(SENSOR << 8 | code, name, values) for code, name, values in table]
+    return [
+        Field(SENSOR << 8 | code, name, values, _SENSOR_GROUPS.get(code, MAIN))
+        for code, name, values in table
+    ]
+
+
+_SENSOR_GROUPS = {
+    **dict.fromkeys((0x03, 0x06, 0x10), "mag"),
+    **dict.fromkeys((0x0D, 0x14), "temperature"),
+    **dict.fromkeys((0x16, 0x17), "pressure"),
+    **dict.fromkeys((0x09, 0x0A, 0x0B, 0x0C, 0x11), "attitude"),
+    **dict.fromkeys((0x0E, 0x0F, 0x12), NO_GROUP),
+    0x18: "status",
+    0x40: "odometer",
+}
+"""What of the sensor set is not inertial."""
 
 
 def _euler(prefix: str) -> tuple[Column, ...]:
@@ -228,7 +242,10 @@ def _filter_fields(attitude: Attitude) -> list[Field]:
         *((code, name, (*_floats(vector(column, unit, what)), _valid(column)))
           for code, name, column, unit, what in _FILTER_VECTORS),
     )  # fmt: skip
-    return [Field(FILTER << 8 | code, name, values) for code, name, values in table]
+    return [
+        Field(FILTER << 8 | code, name, values, NO_GROUP if code == 0x11 else "filter")
+        for code, name, values in table
+    ]
 
 
 def _gnss_fields(descriptor_set: int) -> list[Field]:
@@ -244,7 +261,9 @@ def _gnss_fields(descriptor_set: int) -> list[Field]:
     motion = ("velocity_north", "velocity_east", "velocity_down", "speed", "ground_speed")
     degree = np.pi / 180
     return [
-        Field(descriptor_set << 8 | 0x03, "Position", (*place, *accuracy, _valid(f"{prefix}_position"))),
+        Field(
+            descriptor_set << 8 | 0x03, "Position", (*place, *accuracy, _valid(f"{prefix}_position")), prefix
+        ),
         Field(
             descriptor_set << 8 | 0x05,
             "Velocity",
@@ -255,6 +274,7 @@ def _gnss_fields(descriptor_set: int) -> list[Field]:
                 *_floats(of(("course_accuracy", "rad")), degree),
                 _valid(f"{prefix}_velocity"),
             ),
+            prefix,
         ),
         Field(
             descriptor_set << 8 | 0x07,
@@ -263,6 +283,7 @@ def _gnss_fields(descriptor_set: int) -> list[Field]:
                 *_floats(of(*((f"{x}dop", "1") for x in ("g", "p", "h", "v", "t", "n", "e")))),
                 _valid(f"{prefix}_dop"),
             ),
+            prefix,
         ),
     ]
 
@@ -314,7 +335,7 @@ class MipDecoder(TaggedDecoder):
     def __init__(
         self, attitude: Attitude = "filter", clock: Clock = "reference", rate_hz: float | None = None
     ) -> None:
-        table = FieldTable(mip_fields(attitude, clock), _derived(clock))
+        table = FieldTable(mip_fields(attitude, clock), _derived(clock), apart=GNSS.values())
         super().__init__(table, MIP, ROLES, SET_NAMES, Timing(tick_ns=Fraction(1), rate_hz=rate_hz))
 
     def _type_name(self, kind: int) -> str:

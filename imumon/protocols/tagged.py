@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,8 +12,10 @@ from imumon.columns import KNOWN, Column
 from imumon.protocols.base import (
     CAPACITY,
     CHECKSUM_ERRORS,
+    COMMON,
     IN_PACKETS,
     LENGTH_ERRORS,
+    MAIN,
     PACKETS,
     RECEIVED,
     ROWS,
@@ -21,6 +23,7 @@ from imumon.protocols.base import (
     ByteArray,
     Counters,
     Decoder,
+    Groups,
     Timing,
 )
 from imumon.protocols.kernel import NUMBER_TYPES
@@ -53,11 +56,16 @@ class Value:
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """A field as it comes: identifier, name, and what is in it; without values it may have any size."""
+    """A field as it comes: identifier, name, what is in it, and with which others it belongs together.
+
+    Without values it may have any size.  A field of no group (times, counters) goes with the others of its
+    packet.
+    """
 
     key: int
     name: str
     values: tuple[Value, ...] = ()
+    group: str = MAIN
 
     @property
     def size(self) -> int:
@@ -83,6 +91,12 @@ class Derived:
     encode: Callable[[Columns], list[ColumnArray]]
 
 
+NO_GROUP = ""
+"""Group of times and counters."""
+OTHER = "other"
+"""Stream of packets that have nothing but fields of no group."""
+
+
 class FieldTable:
     """The fields of a protocol, compiled for the kernel.
 
@@ -92,14 +106,18 @@ class FieldTable:
         In the order in which their columns appear.  Several may have the same key and differ in size.
     derived : sequence of Derived
         Columns that are computed.  A column whose name begins with "_" is only a source of such.
+    apart : collection of str
+        Groups that are streams of their own from the beginning.
     """
 
-    def __init__(self, fields: Sequence[Field], derived: Sequence[Derived] = ()) -> None:
+    def __init__(
+        self, fields: Sequence[Field], derived: Sequence[Derived] = (), apart: Collection[str] = ()
+    ) -> None:
         self.fields = tuple(fields)
         self.derived = tuple(derived)
         places: dict[str, int] = {}
         self.columns: dict[str, Column] = {}
-        self.float_count, self.int_count = 0, 1  # the first integer column is the time of arrival
+        self.float_count, self.int_count = 0, 2  # the first integer columns: time of arrival, groups
         for column in (column for field in fields for column in field.columns):
             if column.name in places:
                 continue
@@ -111,12 +129,28 @@ class FieldTable:
                 places[column.name] = ~self.int_count
                 self.int_count += 1
         self.places = places
+        self.groups = self._group(apart)
         self._compile()
+
+    def _group(self, apart: Collection[str]) -> Groups:
+        """Return the groups of the columns; a column of fields of several groups has that of the first."""
+        there = dict.fromkeys(field.group for field in self.fields if field.group)
+        names = tuple(dict.fromkeys((MAIN, *there, OTHER)))
+        of_column: dict[str, int] = {}
+        for field in self.fields:
+            for column in field.columns if field.group else ():
+                if column.name not in COMMON:
+                    of_column.setdefault(column.name, names.index(field.group))
+        for derived in self.derived:
+            group = of_column.get(derived.sources[0])
+            for column in derived.results if group is not None else ():
+                of_column.setdefault(column.name, group or 0)
+        return Groups(names, of_column, tuple(name in apart for name in names))
 
     def _compile(self) -> None:
         """Write fields and values into arrays."""
         self.field_of: ShortArray = np.full(1 << 16, -1, np.int16)
-        self.compiled_fields: IntArray = np.zeros((len(self.fields), 4), np.int64)
+        self.compiled_fields: IntArray = np.zeros((len(self.fields), 5), np.int64)
         rows: list[tuple[int, int, int, int]] = []
         factors: list[float] = []
         for number, field in enumerate(self.fields):
@@ -128,7 +162,8 @@ class FieldTable:
                     factors.append(value.factor)
                 offset += kind.size
             other = self.field_of[field.key]
-            self.compiled_fields[number] = (field.size, first, len(rows) - first, other)
+            bit = 1 << self.groups.names.index(field.group) if field.group else 0
+            self.compiled_fields[number] = (field.size, first, len(rows) - first, other, bit)
             self.field_of[field.key] = number
         self.compiled_values: IntArray = np.array(rows, np.int64).reshape(-1, 4)
         self.factors: FloatArray = np.array(factors, np.float64)
@@ -172,6 +207,7 @@ class TaggedDecoder(Decoder):
         super().__init__()
         self.timing = timing
         self.table = table
+        self.groups = table.groups
         self._framing = framing
         self._type_names = type_names
         self._state = np.zeros(FIELDS + len(table.fields), np.int64)
@@ -308,6 +344,11 @@ class TaggedDecoder(Decoder):
             for column, values in zip(derived.results, derived.decode(found), strict=True):
                 found[column.name] = _fill(found.get(column.name), values)
         return SampleBlock({column.name: found[column.name] for column in seen.shown})
+
+    def _packet_groups(self) -> IntArray:
+        groups = self._ints[1, : int(self._state[ROWS])].copy()
+        groups[groups == 0] = 1 << (len(self.table.groups.names) - 1)
+        return groups
 
     def _cells(self, column: Column, n: int) -> ColumnArray:
         """Return a view of the first n values of a column; where nothing was written they are missing."""

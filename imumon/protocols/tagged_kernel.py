@@ -24,9 +24,9 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from imumon.blocks import FloatArray, IntArray
+from imumon.compiled import njit
 from imumon.protocols.base import (
     CAPACITY,
     CHECKSUM_ERRORS,
@@ -70,7 +70,7 @@ FIELDS = UNKNOWN + 3 * MOST_UNKNOWN  # how often each field of the table came
 LOG_SIZE = 1 << 14
 
 # Columns of the compiled tables.
-FIELD_SIZE, FIRST, COUNT, NEXT = range(4)
+FIELD_SIZE, FIRST, COUNT, NEXT, GROUP = range(5)
 KIND, SIZE, OFFSET, COLUMN = range(4)
 
 ShortArray = npt.NDArray[np.int16]
@@ -81,7 +81,7 @@ _INCOMPLETE, _NO_PACKET, _IMPOSSIBLE, _BAD_SUM, _NO_ROOM = -1, -2, -3, -4, -5
 _1, _2, _3 = np.uint64(1), np.uint64(2), np.uint64(3)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _packet_length(buf: ByteArray, at: int, n: int, framing: int) -> int:
     """Return the length that the header at a preamble claims, or why there is none."""
     if at + 1 >= n:
@@ -103,7 +103,7 @@ def _packet_length(buf: ByteArray, at: int, n: int, framing: int) -> int:
     return _IMPOSSIBLE if length > LONGEST_XBUS_PAYLOAD else length + 7
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _sums_right(buf: ByteArray, at: int, length: int, framing: int) -> bool:
     """Check the checksum of a whole packet."""
     first = np.uint32(0)
@@ -123,7 +123,7 @@ def _sums_right(buf: ByteArray, at: int, length: int, framing: int) -> bool:
     )
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _list_whole(buf: ByteArray, at: int, end: int, framing: int) -> bool:
     """Tell whether the fields fill the payload exactly."""
     if framing == XBUS:
@@ -135,7 +135,7 @@ def _list_whole(buf: ByteArray, at: int, end: int, framing: int) -> bool:
     return at == end
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _note_unknown(key: int, size: int, state: IntArray) -> None:
     """Count a field that the table lacks, or has with another size."""
     kinds = state[UNKNOWN_KINDS]
@@ -155,7 +155,7 @@ def _note_unknown(key: int, size: int, state: IntArray) -> None:
     state[UNKNOWN_KINDS] += 1
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(inline="always")
 def _number(bits: np.uint64, number: int, size: int) -> float:
     """Interpret the bytes of a number, assembled with the most significant first, as float64."""
     if number == F32:
@@ -169,14 +169,14 @@ def _number(bits: np.uint64, number: int, size: int) -> float:
     return np.float64(_integer(bits, number, size))
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(inline="always")
 def _integer(bits: np.uint64, number: int, size: int) -> np.int64:
     """Interpret the bytes of an integer; odd kinds are signed."""
     shift = np.uint64(64 - 8 * size)
     return np.int64(bits << shift) >> np.int64(shift) if number & 1 else np.int64(bits)
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(inline="always")
 def _four(a: np.uint8, b: np.uint8, c: np.uint8, d: np.uint8) -> np.uint64:
     """Assemble four bytes, most significant first; without a loop it is a single load."""
     return np.uint64(
@@ -187,7 +187,7 @@ def _four(a: np.uint8, b: np.uint8, c: np.uint8, d: np.uint8) -> np.uint64:
     )
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _decode(
     buf: ByteArray,
     begin: int,
@@ -209,6 +209,7 @@ def _decode(
     """
     row = np.uint64(state[ROWS])
     known = 0
+    groups = np.int64(0)
     at = np.int64(begin)
     while at < end:
         field = np.int64(0)
@@ -234,6 +235,7 @@ def _decode(
         first = np.uint64(fields[found, FIRST])
         stop = first + np.uint64(fields[found, COUNT])
         known += int(stop > first)
+        groups |= fields[found, GROUP]
         for v in range(first, stop):
             column, width = values[v, COLUMN], values[v, SIZE]
             place = np.uint64(at + values[v, OFFSET])
@@ -248,10 +250,11 @@ def _decode(
             else:
                 ints[np.uint64(~column), row] = _integer(bits, values[v, KIND], width)
         at += size
+    ints[1, row] = groups
     return known
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _log_message(buf: ByteArray, at: int, end: int, kind: int, state: IntArray, log: ByteArray) -> None:
     """Keep a message for the user: type, length in two bytes, payload."""
     to = state[LOGGED]
@@ -264,7 +267,7 @@ def _log_message(buf: ByteArray, at: int, end: int, kind: int, state: IntArray, 
     state[LOGGED] = to + 3 + size
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _judge(buf: ByteArray, at: int, n: int, done: int, framing: int, state: IntArray, whole_size: int) -> int:
     """Return the length of the valid packet at a preamble, or what is wrong with it."""
     length = _packet_length(buf, at, n, framing)
@@ -289,13 +292,13 @@ def _judge(buf: ByteArray, at: int, n: int, done: int, framing: int, state: IntA
     return length
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _payload_begin(buf: ByteArray, at: int, framing: int) -> int:
     """Return where the payload of a packet begins."""
     return at + 6 if framing == XBUS and buf[at + 3] == 0xFF else at + 4
 
 
-@njit(cache=True, nogil=True)
+@njit
 def scan_packets(
     chunk: ByteArray,
     arrival_ns: int,

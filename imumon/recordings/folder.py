@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -36,6 +37,11 @@ class Session:
     def samples_path(self) -> Path:
         """The samples, the truth of an imported session."""
         return self.path / SAMPLES_NAME
+
+    @property
+    def truth_path(self) -> Path:
+        """The file that everything else follows from."""
+        return self.samples_path if self.metadata.source == "import" else self.wire_path
 
     @property
     def view_path(self) -> Path:
@@ -126,12 +132,18 @@ def open_session(path: Path) -> Session:
     if not (folder / METADATA_NAME).is_file():
         raise ImumonError(Reason.BAD_DATA, f"{path} is not a session: {_what_is_at(folder)}", _HINT)
     session = Session(folder, read_metadata(folder / METADATA_NAME))
-    truth = session.samples_path if session.metadata.source == "import" else session.wire_path
-    if not truth.is_file():
+    if not session.truth_path.is_file():
         raise ImumonError(
-            Reason.BAD_DATA, f"{path}: the data of this session is missing: there is no {truth.name}"
+            Reason.BAD_DATA,
+            f"{path}: the data of this session is missing: there is no {session.truth_path.name}",
         )
     return session
+
+
+def fingerprint(path: Path) -> str:
+    """Return the SHA-256 of a file's bytes, in hexadecimal."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 _HINT = f"a session is a folder with {METADATA_NAME}; for a raw capture use: imumon decode FILE --device NAME"

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 import os
 import shutil
 import time
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 
@@ -18,7 +18,7 @@ from imumon.blocks import ColumnArray, IntArray, SampleBlock
 from imumon.columns import KNOWN, Column
 from imumon.config import parse_yaml
 from imumon.errors import ImumonError, Reason
-from imumon.recordings.folder import SAMPLES_NAME, Session, refuse_existing
+from imumon.recordings.folder import SAMPLES_NAME, Session, fingerprint, refuse_existing
 from imumon.recordings.foreign import BadRow, Part, read_foreign
 from imumon.recordings.map import TableMap
 from imumon.recordings.metadata import SessionMetadata, TableUsed, iso_utc, versions_in_use
@@ -58,16 +58,18 @@ def import_table(table: Path, map_path: Path, out: Path) -> ImportReport:
         for a table that cannot be read, rows that cannot be taken, or times that do not increase; EXISTS when
         the output is there already.
     """
-    map_text = _read_map(map_path)
-    table_map = parse_yaml(map_text, TableMap, str(map_path))
+    source = TableImport(table, map_path)
     refuse_existing(out)
     if not out.name:
         raise ImumonError(Reason.EXISTS, f"{out} is there already", "give the name of a new folder")
     partial = out.with_name(f".{out.name}.{os.getpid()}.partial")
     try:
         partial.mkdir(parents=True)
-        report = _write_samples(table, table_map, map_path, map_text, partial / SAMPLES_NAME)
-        metadata = _metadata(table, table_map, map_text, report)
+        with TableWriter(partial / SAMPLES_NAME, source.columns) as writer:
+            for block in source.blocks():
+                writer.write(block)
+        report = source.report()
+        metadata = _metadata(source, report)
         Session(partial, metadata).save(metadata)
         partial.rename(out)
     except OSError as error:
@@ -131,55 +133,85 @@ class _Clock:
         )
 
 
-@dataclass(slots=True)
-class _Tally:
-    """Rows counted, and the first bad ones."""
+class TableImport:
+    """The rows of a table from elsewhere as samples, read once, and what became of them.
 
-    rows_in: int = 0
-    rows_bad: int = 0
-    listed: list[BadRow] = field(default_factory=list)
+    Parameters
+    ----------
+    table, map_path : Path
 
-    def add(self, part: Part) -> None:
-        """Count the rows of a part."""
-        self.rows_in += part.rows_in
-        self.rows_bad += len(part.bad)
-        self.listed += part.bad[: LISTED - len(self.listed)]
+    Raises
+    ------
+    ImumonError
+        BAD_CONFIG for a wrong map or a column that the table lacks, with file and line of the map; BAD_DATA
+        for a table that cannot be read.
+    """
 
+    def __init__(self, table: Path, map_path: Path) -> None:
+        self.table = table
+        self.map_text = _read_map(map_path)
+        self.map = parse_yaml(self.map_text, TableMap, str(map_path))
+        names = [source.column for source in self.map.sources()]
+        try:
+            self._names, self._parts = read_foreign(table, names, self.map.time, self.map.csv)
+        except ImumonError as error:
+            raise _with_line_of_map(error, map_path, self.map_text) from error
+        self.columns = _columns(self.map)
+        """Columns of the samples with their units, in canonical order."""
+        self._clock = _Clock(table, self.map.time is not None and self.map.time.backwards == "segment")
+        self._rows_in = self._rows_out = self._rows_bad = 0
+        self._listed: list[BadRow] = []
 
-def _write_samples(
-    table: Path, table_map: TableMap, map_path: Path, map_text: str, out: Path
-) -> ImportReport:
-    sources = table_map.sources()
-    names = [source.column for source in sources]
-    try:
-        all_names, parts = read_foreign(table, names, table_map.time, table_map.csv)
-    except ImumonError as error:
-        raise _with_line_of_map(error, map_path, map_text) from error
-    columns = _columns(table_map)
-    tally = _Tally()
-    clock = _Clock(table, table_map.time is not None and table_map.time.backwards == "segment")
-    with TableWriter(out, columns) as writer:
-        for part in parts:
-            tally.add(part)
-            if not (tally.rows_bad and table_map.bad_rows == "error"):  # then it is only counted on
-                writer.write(_block(part, table_map, clock))
-        if tally.rows_bad and table_map.bad_rows == "error":
-            raise _bad_rows_error(table, tally)
-        if not writer.rows:
-            raise ImumonError(Reason.BAD_DATA, f"{table}: none of its {tally.rows_in} rows can be taken")
-    span_s = clock.span_ns * 1e-9
-    used = {*names, *([table_map.time.column] if table_map.time else [])}
-    return ImportReport(
-        rows_in=tally.rows_in,
-        rows_out=writer.rows,
-        rows_dropped=tally.rows_bad,
-        columns=tuple(columns),
-        columns_unused=tuple(name for name in all_names if name not in used),
-        segments=clock.segment + 1,
-        span_s=span_s,
-        rate_hz=table_map.rate_hz or _mean_rate(writer.rows - clock.segment - 1, span_s),
-        bad_rows=tuple(tally.listed),
-    )
+    def blocks(self) -> Iterator[SampleBlock]:
+        """Yield the samples.
+
+        Raises
+        ------
+        ImumonError
+            BAD_DATA for rows that cannot be taken, unless the map drops them, once all are counted; for times
+            that do not increase; and when no row can be taken.
+        """
+        strict = self.map.bad_rows == "error"
+        for part in self._parts:
+            self._rows_in += part.rows_in
+            self._rows_bad += len(part.bad)
+            self._listed += part.bad[: LISTED - len(self._listed)]
+            if not (self._rows_bad and strict):
+                self._rows_out += len(part.index)
+                yield _block(part, self.map, self._clock)
+        if self._rows_bad and strict:
+            raise self._bad_rows_error()
+        if not self._rows_out:
+            raise ImumonError(Reason.BAD_DATA, f"{self.table}: none of its {self._rows_in} rows can be taken")
+
+    def report(self) -> ImportReport:
+        """Return what became of the table, once its blocks were read."""
+        span_s = self._clock.span_ns * 1e-9
+        used = {source.column for source in self.map.sources()}
+        used |= {self.map.time.column} if self.map.time else set()
+        return ImportReport(
+            rows_in=self._rows_in,
+            rows_out=self._rows_out,
+            rows_dropped=self._rows_bad,
+            columns=tuple(self.columns),
+            columns_unused=tuple(name for name in self._names if name not in used),
+            segments=self._clock.segment + 1,
+            span_s=span_s,
+            rate_hz=self.map.rate_hz or _mean_rate(self._rows_out - self._clock.segment - 1, span_s),
+            bad_rows=tuple(self._listed),
+        )
+
+    def _bad_rows_error(self) -> ImumonError:
+        shown = [f"{self.table}:{row.line}: {row.why}: {row.text!r}" for row in self._listed]
+        if self._rows_bad > len(shown):
+            shown.append(f"... and {self._rows_bad - len(shown)} more")
+        seen = f"{self.table}: {self._rows_bad} of {self._rows_in} rows cannot be taken; nothing was imported"
+        return ImumonError(
+            Reason.BAD_DATA,
+            "\n".join([seen, *shown]),
+            "mend the table, pass over lines before the data with csv: {skip_rows: N},"
+            " or add bad_rows: drop to the map to import the others",
+        )
 
 
 def _mean_rate(steps: int, span_s: float) -> float:
@@ -220,19 +252,6 @@ def _even_times(index: IntArray, rate_hz: float | None) -> IntArray:
     return np.array([round(row * period_ns) for row in index.tolist()], np.int64)
 
 
-def _bad_rows_error(table: Path, tally: _Tally) -> ImumonError:
-    shown = [f"{table}:{row.line}: {row.why}: {row.text!r}" for row in tally.listed]
-    if tally.rows_bad > len(shown):
-        shown.append(f"... and {tally.rows_bad - len(shown)} more")
-    seen = f"{table}: {tally.rows_bad} of {tally.rows_in} rows cannot be taken; nothing was imported\n"
-    return ImumonError(
-        Reason.BAD_DATA,
-        seen + "\n".join(shown),
-        "mend the table, pass over lines before the data with csv: {skip_rows: N},"
-        " or add bad_rows: drop to the map to import the others",
-    )
-
-
 def _with_line_of_map(error: ImumonError, map_path: Path, map_text: str) -> ImumonError:
     """Add the line of the map to an error about columns that the table lacks."""
     if error.reason is not Reason.BAD_CONFIG:
@@ -250,10 +269,8 @@ def _scalars(node: yaml.Node | None) -> list[yaml.ScalarNode]:
     return [scalar for value in node.value for scalar in _scalars(value)] if node else []
 
 
-def _metadata(table: Path, table_map: TableMap, map_text: str, report: ImportReport) -> SessionMetadata:
+def _metadata(source: TableImport, report: ImportReport) -> SessionMetadata:
     now_ns = time.time_ns()
-    with table.open("rb") as file:
-        digest = hashlib.file_digest(file, "sha256").hexdigest()
     return SessionMetadata(
         source="import",
         state="closed",
@@ -262,12 +279,12 @@ def _metadata(table: Path, table_map: TableMap, map_text: str, report: ImportRep
         ended=iso_utc(now_ns),
         ended_ns=now_ns,
         device="import",
-        axes=table_map.axes,
+        axes=source.map.axes,
         table=TableUsed(
-            file=table.name,
-            size_bytes=table.stat().st_size,
-            sha256=digest,
-            map_yaml=map_text,
+            file=source.table.name,
+            size_bytes=source.table.stat().st_size,
+            sha256=fingerprint(source.table),
+            map_yaml=source.map_text,
             rows_in=report.rows_in,
             rows_out=report.rows_out,
             rows_dropped=report.rows_dropped,

@@ -12,7 +12,7 @@ import yaml
 from pydantic import Field, NonNegativeInt
 
 from imumon import __version__
-from imumon.config import StrictModel, parse_yaml
+from imumon.config import StrictModel, YamlDumper, parse_yaml
 from imumon.errors import ImumonError, Reason
 
 FORMAT: Final = "imumon-session/1"
@@ -38,6 +38,17 @@ class TableUsed(StrictModel):
     rows_dropped: NonNegativeInt
 
 
+class StreamSummary(StrictModel):
+    """What came of a stream of the device; `rate_hz` is the rate where nothing is missing."""
+
+    packets: NonNegativeInt
+    rows: NonNegativeInt
+    rate_hz: float | None
+    gaps: NonNegativeInt
+    incomplete: NonNegativeInt
+    restarts: NonNegativeInt
+
+
 class SessionMetadata(StrictModel):
     """Everything about a session but its data; times are UTC.
 
@@ -59,6 +70,7 @@ class SessionMetadata(StrictModel):
     table: TableUsed | None = None
     versions: dict[str, str]
     counters: dict[str, int] = Field(default_factory=dict)
+    streams: dict[str, StreamSummary] = Field(default_factory=dict)
     events: NonNegativeInt = 0
     results_digest: str | None = None
     views: list[str] = Field(default_factory=list)
@@ -118,7 +130,7 @@ def read_metadata(path: Path) -> SessionMetadata:
         ) from error
 
 
-class _Dumper(yaml.SafeDumper):
+class _Dumper(YamlDumper):
     """Writes texts of several lines as they are, so that the files that were used can be read in place."""
 
 

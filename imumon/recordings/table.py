@@ -19,12 +19,11 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
-import yaml
 
 from imumon import __version__
 from imumon.blocks import NO_INT, ColumnArray, SampleBlock, join
 from imumon.columns import KNOWN, Column, ColumnType
-from imumon.config import StrictModel, load_yaml
+from imumon.config import StrictModel, dump_yaml, load_yaml
 from imumon.errors import ImumonError, Reason
 from imumon.recordings.folder import Session
 
@@ -322,7 +321,7 @@ def _write_units(path: Path, columns: Iterable[Column]) -> None:
     content = {"format": FORMAT, "imumon": __version__, "columns": entries}
     partial = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        partial.write_text(yaml.safe_dump(content, sort_keys=False, allow_unicode=True), encoding="utf-8")
+        partial.write_text(dump_yaml(content), encoding="utf-8")
         partial.replace(path)
     finally:
         partial.unlink(missing_ok=True)
@@ -331,6 +330,8 @@ def _write_units(path: Path, columns: Iterable[Column]) -> None:
 def _csv_columns(path: Path) -> dict[str, Column]:
     with path.open(encoding="utf-8-sig") as file:
         names = next(csv.reader(file), [])
+    if not names:
+        raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read: it is empty")
     units = units_path(path)
     told = load_yaml(units, _UnitsFile).columns if units.is_file() else {}
     columns = {}

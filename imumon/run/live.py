@@ -10,7 +10,7 @@ import threading
 import time
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from queue import Empty, SimpleQueue
 
@@ -22,8 +22,15 @@ from imumon.errors import ImumonError, Reason
 from imumon.pipeline import Digest, Pipeline, PipelineCounters
 from imumon.protocols.device import DeviceFile
 from imumon.recordings.folder import create_session, remove_empty
-from imumon.recordings.metadata import PortUsed, SessionMetadata, iso_utc, versions_in_use
+from imumon.recordings.metadata import (
+    PortUsed,
+    SessionMetadata,
+    StreamSummary,
+    iso_utc,
+    versions_in_use,
+)
 from imumon.recordings.recorder import Recorder
+from imumon.recordings.source import feed
 from imumon.recordings.wire import WireCounters, WireWriter
 from imumon.run.narration import Narrator, Progress, Publish, Say
 from imumon.run.setup import Setup
@@ -181,6 +188,7 @@ class LiveRun:
             counters=self._flat_counters() | {"bytes_unrecorded": wire.bytes_unrecorded},
             events=wire.events,
             results_digest=digest,
+            streams=stream_summaries(counters),
             views=list(views),
         )
         try:
@@ -241,12 +249,16 @@ class LiveRun:
 
     def _save(self) -> None:
         """Renew session.yaml, so that a killed session tells how far it came."""
-        metadata = self.session.metadata.model_copy(update={"counters": self._flat_counters()})
+        streams = stream_summaries(self.pipeline.counters)
+        metadata = self.session.metadata.model_copy(
+            update={"counters": self._flat_counters(), "streams": streams}
+        )
         self.session.save(metadata)
 
     def _flat_counters(self) -> dict[str, int]:
         counters = self.pipeline.counters.as_dict()
         by_type = counters.pop("packets_by_type")
+        counters.pop("streams")
         assert isinstance(by_type, dict)
         return {
             **{name: value for name, value in counters.items() if isinstance(value, int)},
@@ -279,8 +291,8 @@ class LiveRun:
             self.failure = error
 
     def _hand_on(self, block: SampleBlock) -> None:
-        self._digest.update(block)
-        self._narrator.samples(block)
+        self._digest.update(block, self.pipeline.side)
+        self._narrator.samples(block, self.pipeline.side)
 
     def _take_batch(self) -> bool:
         """Feed what comes within a batch's time; return True after the last item."""
@@ -290,16 +302,19 @@ class LiveRun:
                 item = self._items.get(timeout=left)
             except Empty:
                 break
+            feed(item, self.pipeline)
             if isinstance(item, Bytes):
-                self.pipeline.feed(item.data, item.arrival_ns)
                 self._narrator.received(len(item.data), item.arrival_ns)
             else:
-                if item.kind is EventKind.OPENED:
-                    self.pipeline.port_opened()
                 self._narrator.event(item)
                 if item.kind is EventKind.CLOSED:
                     return True
         return False
+
+
+def stream_summaries(counters: PipelineCounters) -> dict[str, StreamSummary]:
+    """Return what session.yaml says of the streams."""
+    return {name: StreamSummary(**asdict(stream)) for name, stream in counters.streams.items()}
 
 
 def nothing_decoded(

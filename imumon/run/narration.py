@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
@@ -122,10 +123,14 @@ class Narrator:
         if self._link is not None:
             self._link.add(n_bytes, time_ns)
 
-    def samples(self, block: SampleBlock) -> None:
-        """Show samples, and what changed with them."""
-        if not len(block):
-            return
+    def samples(self, block: SampleBlock, side: Mapping[str, SampleBlock] = MappingProxyType({})) -> None:
+        """Show samples and those of side streams, and what changed with them."""
+        if len(block):
+            self._main_samples(block)
+        for stream, rows in side.items():
+            self._emit(self._timebase.side(stream, rows))
+
+    def _main_samples(self, block: SampleBlock) -> None:
         self._emit(self._timebase.samples(block))
         segment, arrival = int(block["segment"][-1]), int(block["arrival_time_ns"][-1])
         if segment != self._segment:
@@ -308,6 +313,18 @@ def describe(progress: Progress) -> dict[str, str]:
         rows["latest delay"] = f"{progress.delay_ms:.1f} ms above the least"
     if progress.link_load is not None:
         rows["link load"] = f"{progress.link_load:.0%}"
+    return rows
+
+
+def describe_streams(counters: PipelineCounters, tables: Mapping[str, Path]) -> dict[str, str]:
+    """Return what came of each stream and which table has it, label and text."""
+    rows = {}
+    for name, stream in counters.streams.items():
+        rate = "" if stream.rate_hz is None else f" at {stream.rate_hz:.4g} Hz"
+        holes = f", {stream.gaps:,} gaps" if stream.gaps else ""
+        parts = f", {stream.incomplete:,} of them incomplete" if stream.incomplete else ""
+        where = f" in {tables[name]}" if name in tables else ""
+        rows[f"stream {name}"] = f"{stream.rows:,} rows{rate}{parts}{holes}{where}"
     return rows
 
 

@@ -5,19 +5,19 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Final, Literal
 
-import yaml
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from imumon.allan.parameters import AllanParameters, Noise
-from imumon.config import StrictModel, parse_yaml
+from imumon.config import StrictModel, dump_yaml, parse_yaml
 from imumon.errors import ImumonError, Reason
 from imumon.estimation.alignment.parameters import AlignmentParameters
 from imumon.estimation.alignment.warm_up import known_warm_up
-from imumon.estimation.random_error.parameters import Channel, GyroNoise, RandomErrorParameters
+from imumon.estimation.gyro_bias.parameters import GyroBiasParameters
 from imumon.estimation.rest.parameters import RestParameters
 from imumon.estimation.watch.parameters import WatchParameters
-from imumon.estimation.zupt.parameters import ZuptParameters
 from imumon.models.model import BiasModel, load_model
+from imumon.published.names import PublishedMethod
+from imumon.published.parameters import Channel, GyroNoise, RandomErrorParameters
 
 FORMAT: Final = "imumon-pipeline/1"
 
@@ -30,7 +30,8 @@ class Setup(StrictModel):
 
     `model` is the path of a model file, relative to the pipeline file, or the model itself; a session keeps
     the model itself, so that it refers to nothing outside.  `noise` is what `imumon allan --noise-out`
-    writes; it holds for every estimator whose own parameters do not say otherwise.
+    writes; it holds for every estimator whose own parameters do not say otherwise.  `published` names methods
+    of the papers that run beside the defaults.
     """
 
     format: Literal["imumon-pipeline/1"] = FORMAT
@@ -39,12 +40,20 @@ class Setup(StrictModel):
     zupt_mode: ZuptMode | None = None
     model: BiasModel | str | None = None
     rest: RestParameters = RestParameters()
-    zupt: ZuptParameters = ZuptParameters()
+    zupt: GyroBiasParameters = GyroBiasParameters()
     random_error: RandomErrorParameters = RandomErrorParameters()
     alignment: AlignmentParameters = AlignmentParameters()
     watch: WatchParameters = WatchParameters()
     noise: Noise = Noise()
     allan: AllanParameters = AllanParameters()
+    published: list[PublishedMethod] = Field(default_factory=list)
+
+    @field_validator("published")
+    @classmethod
+    def _once(cls, given: list[PublishedMethod]) -> list[PublishedMethod]:
+        if len(set(given)) < len(given):
+            raise ValueError("a method is named twice")
+        return given
 
     @property
     def bias_model(self) -> BiasModel | None:
@@ -58,7 +67,7 @@ class Setup(StrictModel):
         return self.zupt_mode or ("thermal" if self.model is not None else "learned")
 
     @property
-    def zupt_with_noise(self) -> ZuptParameters:
+    def zupt_with_noise(self) -> GyroBiasParameters:
         """Parameters of the bias estimator, with the noise that is known filled in."""
         gyro, own = self.noise.gyro, self.zupt
         if gyro is None:
@@ -122,7 +131,7 @@ class Setup(StrictModel):
         if not names:
             return None
         said = {"format": FORMAT, **self.model_dump(include=set(names))}
-        return yaml.safe_dump(said, sort_keys=False, allow_unicode=True, width=110)
+        return dump_yaml(said)
 
 
 def parse_setup(text: str, source: str) -> Setup:

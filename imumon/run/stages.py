@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from imumon.allan.stage import AllanStage
 from imumon.estimation.alignment.stage import Alignment
-from imumon.estimation.random_error.stage import RandomError
+from imumon.estimation.gyro_bias.stage import GyroBias
 from imumon.estimation.rest.stage import RestDetector
 from imumon.protocols.thermometer import TemperatureRateParameters
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.estimation.watch.stage import ModelWatch
-from imumon.estimation.zupt.stage import ZeroVelocity
 from imumon.pipeline import Estimator
 from imumon.protocols.device import DeviceFile
+from imumon.run.published import published_stages
 from imumon.run.setup import Setup
 
 
@@ -26,13 +26,12 @@ def estimators(device: DeviceFile | None, setup: Setup | None = None) -> list[Es
     stages: list[Estimator] = [
         TemperatureRate(parameters=temperature),
         RestDetector(setup.rest),
-        ZeroVelocity(setup.zupt_with_noise, model, setup.mode, setup.latitude_deg, setup.heading_deg),
+        GyroBias(setup.zupt_with_noise, model, setup.mode, setup.latitude_deg, setup.heading_deg),
         ModelWatch(setup.watch, modelled=model is not None),
-        RandomError(setup.random_error_with_noise, model),
         AllanStage(setup.allan),
     ]
     if setup.latitude_deg is not None:
         axes = device.axes if device is not None else None
         sent = () if device is None else [column.name for column in device.decoder().possible_columns]
         stages.append(Alignment(setup.alignment_with_warm_up, setup.latitude_deg, axes, sent))
-    return stages
+    return [*stages, *published_stages(setup)]

@@ -8,9 +8,9 @@ from typing import Literal
 import numpy as np
 
 from imumon.blocks import FloatArray, SampleBlock
+from imumon.geodesy import STANDARD_GRAVITY
 from imumon.simulation.frames import FIELD_UT, FRD_TO_FLU, body_rates, reported, split, to_body
 
-GRAVITY = 9.80665
 MICROSECOND = Fraction(1000)
 AMBIENT_DEGC = 24.0
 WARM_UP_DEGC = np.array([8.5, 7.0, 9.5])
@@ -75,7 +75,7 @@ class BenchUnit:
         gyro = body_rates(angles, rates) + np.deg2rad(
             bias + GYRO_ARW_DPS * np.sqrt(self._rate_hz / 2) * noise[:, 0:3]
         )
-        accel = to_body(angles, np.array([0.0, 0.0, -GRAVITY])) + ACCEL_NOISE * noise[:, 3:6]
+        accel = to_body(angles, np.array([0.0, 0.0, -STANDARD_GRAVITY])) + ACCEL_NOISE * noise[:, 3:6]
         mag = to_body(angles, FIELD_UT) + MAG_NOISE_UT * noise[:, 6:9]
         if self._axes == "FLU":
             gyro, accel, mag = gyro @ FRD_TO_FLU, accel @ FRD_TO_FLU, mag @ FRD_TO_FLU

@@ -11,9 +11,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from imumon.blocks import ColumnArray, FloatArray
+from imumon.geodesy import EARTH_RATE
 
-EARTH_RATE = 7.292115e-5
-"""rad/s."""
 FIELD_UT = np.array([20.0, 1.0, 43.0])
 """Magnetic field north, east, down, as in central Europe."""
 

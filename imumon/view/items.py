@@ -39,18 +39,21 @@ class Samples:
 
     Parameters
     ----------
-    first : int
-        Running index of the first sample.
+    first : int or None
+        Running index of the first sample; None in a side stream.
     device_ns, host_ns : array of int64, shape (n,), or None
         Device time continued across segments, and Unix time, ns; None when a row has none.
     block : SampleBlock
         The samples as decoded, and what the estimators added.
+    stream : str
+        Name of the side stream; empty for the main one.
     """
 
-    first: int
+    first: int | None
     device_ns: IntArray | None
     host_ns: IntArray | None
     block: SampleBlock
+    stream: str = ""
 
     @property
     def nbytes(self) -> int:
@@ -65,16 +68,17 @@ class Samples:
     def part(self, start: int, stop: int) -> Samples:
         """Return rows start..stop as views."""
         return Samples(
-            self.first + start,
+            None if self.first is None else self.first + start,
             None if self.device_ns is None else self.device_ns[start:stop],
             None if self.host_ns is None else self.host_ns[start:stop],
             self.block.rows(start, stop),
+            self.stream,
         )
 
     def follows(self, other: Samples) -> bool:
         """Tell whether this continues `other` without a gap, on the same timelines, with the same columns."""
         return (
-            self.first == other.first + other.rows
+            self.first == (None if other.first is None else other.first + other.rows)
             and (self.device_ns is None) == (other.device_ns is None)
             and (self.host_ns is None) == (other.host_ns is None)
             and self.block.columns.keys() == other.block.columns.keys()
@@ -187,7 +191,7 @@ class Timebase:
     def __init__(self) -> None:
         self._count = 0
         self._segment = 0
-        self._shift_ns = 0
+        self._shift_ns: dict[int, int] = {}
         self._interval_ns = 0
         self._last = Instant(None, None, None)
 
@@ -206,6 +210,14 @@ class Timebase:
                 self._last.host_ns if host is None else int(host[-1]),
             )
         return Samples(first, device, host, block)
+
+    def side(self, stream: str, block: SampleBlock) -> Samples:
+        """Return a block of a side stream with its times, which are those of the main stream's segments."""
+        device, host = _complete(block, "device_time_ns"), _complete(block, "host_time_ns")
+        if device is not None and len(block):
+            shifts = [self._shift_ns.get(label, 0) for label in block["segment"].tolist()]
+            device = device + np.array(shifts, np.int64)
+        return Samples(None, device, host, block, stream)
 
     def at(self, time_ns: int | None = None) -> Instant:
         """Return the moment `time_ns` (Unix time on the clock of the data), or that of the latest sample."""
@@ -229,8 +241,8 @@ class Timebase:
                 gap = self._interval_ns
                 if host is not None and last.host_ns is not None:
                     gap = max(gap, int(host[start]) - last.host_ns)
-                self._shift_ns = last.device_ns + gap - int(device[start])
-            shifted[start:stop] = device[start:stop] + self._shift_ns
+                self._shift_ns[int(segment[start])] = last.device_ns + gap - int(device[start])
+            shifted[start:stop] = device[start:stop] + self._shift_ns.get(int(segment[start]), 0)
             if stop - start > 1:
                 self._interval_ns = max(0, int(device[stop - 1] - device[stop - 2]))
             host_ns = last.host_ns if host is None else int(host[stop - 1])
@@ -248,14 +260,16 @@ def _complete(block: SampleBlock, name: str) -> IntArray | None:
 def merge(items: Iterable[ViewItem]) -> list[ViewItem]:
     """Join consecutive samples into few large items; events follow them in their order."""
     runs: list[list[Samples]] = []
+    latest: dict[str, list[Samples]] = {}
     events: list[ViewItem] = []
     for item in items:
         if not isinstance(item, Samples):
             events.append(item)
-        elif runs and item.follows(runs[-1][-1]):
-            runs[-1].append(item)
+        elif item.stream in latest and item.follows(latest[item.stream][-1]):
+            latest[item.stream].append(item)
         elif item.rows:
-            runs.append([item])
+            latest[item.stream] = [item]
+            runs.append(latest[item.stream])
     return [*map(_joined, runs), *events]
 
 
@@ -267,6 +281,7 @@ def _joined(run: list[Samples]) -> Samples:
         _concatenated([item.device_ns for item in run]),
         _concatenated([item.host_ns for item in run]),
         join([item.block for item in run]),
+        run[0].stream,
     )
 
 

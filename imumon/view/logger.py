@@ -123,19 +123,20 @@ class StreamLogger:
         self._arrange()
 
     def _log_samples(self, item: Samples) -> None:
-        count = np.arange(item.first, item.first + item.rows, dtype=np.int64)
+        count = None if item.first is None else np.arange(item.first, item.first + item.rows, dtype=np.int64)
         rows = Rows(item.block.columns, count, item.device_ns, item.host_ns)
         if item.device_ns is not None:
             self._timeline = "device_time"
         elif item.host_ns is None and self._timeline == "host_time":
             self._timeline = "sample"
-        if self._early:
+        if self._early and item.first is not None:
             self._log_early_events(item)
         claimed = self._log_panels(rows)
-        self._log_integers(rows)
+        self._log_integers(rows, item.stream)
         for name, values in rows.columns.items():
             if values.dtype == np.float64 and name not in claimed:
-                self._log_other(name, values, rows)
+                own = name.removeprefix(f"{item.stream}_")
+                self._log_other(f"{item.stream}/{own}" if item.stream else name, values, rows)
 
     def _log_panels(self, rows: Rows) -> set[str]:
         claimed: set[str] = set()
@@ -153,7 +154,7 @@ class StreamLogger:
             panel.log(self._rec, rows)
         return claimed
 
-    def _log_integers(self, rows: Rows) -> None:
+    def _log_integers(self, rows: Rows, stream: str) -> None:
         integers = {
             name: values
             for name, values in rows.columns.items()
@@ -163,8 +164,9 @@ class StreamLogger:
         if device is not None and not (rows.device_ns is not None and np.array_equal(device, rows.device_ns)):
             integers["device_time_ns"] = device
         if integers:
+            entity = f"{INTEGERS}/{stream}" if stream else INTEGERS
             self._rec.send_columns(
-                INTEGERS, indexes=rows.indexes, columns=rr.AnyValues.columns(True, **integers)
+                entity, indexes=rows.indexes, columns=rr.AnyValues.columns(True, **integers)
             )
 
     def _log_other(self, name: str, values: ColumnArray, rows: Rows) -> None:

@@ -60,8 +60,6 @@ def _thermal(suffixes: Mapping[str, Color], readings: str) -> tuple[Panel, Panel
 
 BIAS = "Gyro bias"
 """Tab of the bias estimates."""
-DRIFT = "Random error"
-"""Tab of the drift and the noise."""
 PUBLISHED = "SR-RSUKF"
 """Tab of the published filter and what it must be compared with."""
 ALIGNMENT = "Alignment"
@@ -77,8 +75,8 @@ def _random_error(axis: str, color: Color) -> Panel:
     """Return the panel of one axis: beside the turn-on bias of another its drift could not be seen."""
     return band_panel(
         f"gyro_random_error_{axis}",
-        DRIFT,
-        f"Random error {axis}: rate at rest less the thermal bias, 2σ",
+        BIAS,
+        f"Gyro bias {axis} less the model's curve, 2σ",
         [Band(f"gyro_random_error_{axis}", f"gyro_random_error_sd_{axis}", axis, color)],
         unit="°/h",
         factor=DEG_PER_HOUR,

@@ -9,7 +9,7 @@ import numpy as np
 from benchmarks.measure import Bar, Table, measure
 from imumon.blocks import SampleBlock
 from imumon.estimation.alignment.stage import Alignment
-from imumon.estimation.zupt.earth import EARTH_RATE
+from imumon.geodesy import EARTH_RATE
 
 SECONDS, LATITUDE_DEG = 120, 36.0
 RATES_HZ = (100, 1000)

@@ -158,11 +158,11 @@ def _tables(times: dict[str, Time], columns: int, intact: int, missing: int) -> 
 
 def _bars(times: dict[str, Time], missing: int) -> list[Bar]:
     return [
-        Bar("58-byte packets to columns, 64 KiB chunks, million/s", 12.0,
+        Bar("58-byte packets to columns, 64 KiB chunks, million/s", 4.0,
             millions(PACKETS, times["whole 65536 False"].best)),
-        Bar("the same, and taken as arrays of their own, million/s", 12.0,
+        Bar("the same, and taken as arrays of their own, million/s", 2.0,
             millions(PACKETS, times["whole 65536 True"].best)),
-        Bar("58-byte packets to columns, 1 KiB chunks, million/s", 3.0,
+        Bar("58-byte packets to columns, 1 KiB chunks, million/s", 2.0,
             millions(PACKETS, times["whole 1024 False"].best)),
         Bar("intact packets lost in the damaged stream", 0, missing, at_most=True, required=True),
     ]  # fmt: skip

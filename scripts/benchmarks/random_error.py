@@ -1,4 +1,4 @@
-"""Random error: time of a sample and axis in the published filters, the default one, and the whole stage."""
+"""Random error: time of a sample and axis in the published filters, and in their stage."""
 
 from __future__ import annotations
 
@@ -9,10 +9,9 @@ import numpy as np
 
 from benchmarks.measure import Bar, Table, measure
 from imumon.blocks import FloatArray, SampleBlock
-from imumon.estimation.random_error.linear import LinearFilter, ModelL
-from imumon.estimation.random_error.parameters import RandomErrorParameters
-from imumon.estimation.random_error.sigma_points import ModelNL, SigmaPointFilter
-from imumon.estimation.random_error.stage import RandomError
+from imumon.published.linear import LinearFilter, ModelL
+from imumon.published.random_error import Params, RandomErrorMethods
+from imumon.published.sigma_points import ModelNL, SigmaPointFilter
 
 SAMPLES = 10_000
 RATE_HZ, BLOCK_S = 100, 1
@@ -31,8 +30,7 @@ def run() -> tuple[list[Table], list[Bar]]:
         "strong-tracking filter, model L": partial(_linear, linear, 1.0, reading),
         "SR-UKF, 5 states": partial(_sigma_points, 0.0, reading),
         "SR-RSUKF, 5 states": partial(_sigma_points, 0.5, reading),
-        "stage, default": partial(_stage, "drift", block),
-        "stage, SR-RSUKF": partial(_stage, "sr_rsukf", block),
+        "stage, SR-RSUKF": partial(_stage, block),
     }
     times = measure(names)
     axes = {name: 3 if name.startswith("stage") else 1 for name in names}
@@ -69,8 +67,8 @@ def _sigma_points(share: float, reading: FloatArray) -> None:
     SigmaPointFilter(model, (mu, 0.0, 0.0, 0.0, 0.0)).process(reading)
 
 
-def _stage(method: str, block: SampleBlock) -> None:
-    stage = RandomError(RandomErrorParameters.model_validate({"method": method, "learn_s": 10.0}))
+def _stage(block: SampleBlock) -> None:
+    stage = RandomErrorMethods(Params(methods=("sr_rsukf",), learn_s=10.0))
     size = RATE_HZ * BLOCK_S
     for start in range(0, len(block), size):
         stage.process(block.rows(start, start + size))

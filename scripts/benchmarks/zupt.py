@@ -9,14 +9,14 @@ import numpy as np
 
 from benchmarks.measure import Bar, Table, measure
 from imumon.blocks import FloatArray, SampleBlock
-from imumon.estimation.zupt.dense import DenseSettings, dense_filter
-from imumon.estimation.zupt.parameters import ZuptParameters
-from imumon.estimation.zupt.stage import Mode, ZeroVelocity
+from imumon.estimation.gyro_bias.parameters import GyroBiasParameters
+from imumon.estimation.gyro_bias.stage import GyroBias, Mode
+from imumon.published.dense_zupt import DenseSettings, dense_filter
 
 SECONDS, BLOCK_S = 300, 10
 RATES_HZ = (100, 1000)
 BAR_US = 0.2
-KNOWN = ZuptParameters(angle_random_walk_rad_per_sqrt_s=8e-5, bias_instability_rad_per_s=1e-5)
+KNOWN = GyroBiasParameters(angle_random_walk_rad_per_sqrt_s=8e-5, bias_instability_rad_per_s=1e-5)
 
 
 def run() -> tuple[list[Table], list[Bar]]:
@@ -66,8 +66,8 @@ def _record(rate: int, at_rest: int) -> tuple[list[SampleBlock], FloatArray, Flo
     return [block.rows(start, start + size) for start in range(0, n, size)], gyro, accel
 
 
-def _stage(mode: Mode, blocks: list[SampleBlock], parameters: ZuptParameters | None = None) -> None:
-    stage = ZeroVelocity(parameters, mode=mode)
+def _stage(mode: Mode, blocks: list[SampleBlock], parameters: GyroBiasParameters | None = None) -> None:
+    stage = GyroBias(parameters, mode=mode)
     for block in blocks:
         stage.process(block)
 

@@ -11,7 +11,7 @@ from alignment_loop import Loop, closed_heading, closed_tilt, short_heading, sim
 from alignment_runs import ARW, LATITUDE_DEG, Case, align, plan
 
 from imumon.blocks import FloatArray
-from imumon.estimation.zupt.earth import EARTH_RATE
+from imumon.geodesy import EARTH_RATE
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt

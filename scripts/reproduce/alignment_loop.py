@@ -10,8 +10,8 @@ from numba import njit
 from scipy.signal import TransferFunction, impulse
 
 from imumon.blocks import FloatArray
-from imumon.estimation.alignment.loop import loop_gains, loop_step
-from imumon.estimation.zupt.earth import EARTH_RATE
+from imumon.geodesy import EARTH_RATE
+from imumon.published.fixed_gain_loop import loop_gains, loop_step
 
 G = 9.80665
 MICRO_G = 1e-6 * G

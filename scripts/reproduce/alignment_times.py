@@ -8,7 +8,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from imumon.blocks import FloatArray
-from imumon.estimation.zupt.earth import EARTH_RATE
+from imumon.geodesy import EARTH_RATE
 
 DRIFT_UG, LATITUDE_DEG, LIMIT_DEG, END_S = 83.7, 36.0, 0.05, 900.0
 AVERAGE_S, FIT_S = 529.0, 355.0

@@ -12,10 +12,10 @@ import numpy.typing as npt
 from vqf import VQF
 
 from imumon.blocks import FloatArray, SampleBlock
+from imumon.estimation.gyro_bias.parameters import GyroBiasParameters
+from imumon.estimation.gyro_bias.stage import GyroBias, Mode
 from imumon.estimation.rest.stage import RestDetector
 from imumon.estimation.temperature_rate.stage import TemperatureRate
-from imumon.estimation.zupt.parameters import ZuptParameters
-from imumon.estimation.zupt.stage import Mode, ZeroVelocity
 from imumon.models.model import BiasModel
 from imumon.simulation.unit.scenario import Scenario
 from imumon.simulation.unit.unit import SimulatedUnit
@@ -135,7 +135,7 @@ def imumon(mode: Mode, model: BiasModel | None, knows_place: bool) -> Method:
     def method(run: Run) -> FloatArray:
         latitude = run.scenario.latitude_deg if knows_place else None
         heading = run.scenario.attitude.heading_deg if knows_place else None
-        stage = ZeroVelocity(ZuptParameters(), model, mode, latitude, heading)
+        stage = GyroBias(GyroBiasParameters(), model, mode, latitude, heading)
         parts = []
         for begin in range(0, len(run.time_s), BLOCK):
             columns = stage.process(run.samples.rows(begin, min(begin + BLOCK, len(run.time_s))))

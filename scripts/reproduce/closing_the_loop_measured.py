@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from thermal_calibration_data import TWO_LEVELS_MAP
 
 from imumon.blocks import FloatArray
-from imumon.diagnosis.candidates import Pool, candidates
+from imumon.diagnosis.candidates import candidates
 from imumon.diagnosis.engine import Diagnosis, diagnose
 from imumon.diagnosis.fitting import Fit, TestScore, fit, score
 from imumon.diagnosis.recording import SECOND_NS, Run, read_runs
@@ -29,7 +29,7 @@ INSISTED = ("thermal_lag", "hysteresis", "warm_up", "drift", "periodic", "temper
 def measured(data: Path, figures: Path) -> int:
     """Print the tables, draw the figures."""
     folder = data / "chamber-cycle"
-    run = read_runs(folder / "cooling-heating.csv", folder / "map.yaml", lambda: [RestDetector()])[0]
+    run = read_runs(folder / "cooling-heating.csv", folder / "map.yaml", lambda _: [RestDetector()])[0]
     print("## chamber-cycle, rms in deg/s, cubic in temperature as declared\n")
     print("| train on | axis | floor | train before | after | test before | after | covered | verdict |")
     print("|---|---|---|---|---|---|---|---|---|")
@@ -101,18 +101,12 @@ def _deg(value: float) -> str:
 def _insisted(diagnosis: Diagnosis, verdict: ChannelVerdict, family: str) -> str:
     """Return the rms in the test of the effect of a family that leaves least of the training, and which."""
     best: tuple[Fit, TestScore] | None = None
-    pool = Pool(diagnosis.train, verdict.temperature)
-    values = np.concatenate([run.mean[verdict.name] for run in diagnosis.train])
-    ends = verdict.declared.middle_degc + verdict.declared.half_span_degc * np.array([-1.0, 1.0])
     for candidate in candidates(diagnosis.survey, [family]):
         if candidate.free_start or len(candidate.parts) > 1:
             continue
-        found = fit(diagnosis.train, verdict.temperature, values, verdict.declared, [candidate], pool)
+        found = fit(verdict.channel, [candidate])
         if best is None or found.train_rms < best[0].train_rms:
-            scored = score(
-                diagnosis.test, verdict.name, verdict.temperature, verdict.declared, found, (ends[0], ends[1])
-            )
-            best = found, scored
+            best = found, score(verdict.channel, found)
     if best is None:
         return "-"
     effect = best[0].parts[0].effect
@@ -150,7 +144,7 @@ def _whole(
 ) -> tuple[FloatArray, FloatArray, FloatArray, np.ndarray[tuple[int], np.dtype[np.bool_]]]:
     runs = [*diagnosis.train, *diagnosis.test]
     minutes = np.concatenate([run.time_s for run in runs]) / 60
-    temperature = np.concatenate([run.temperature[verdict.temperature] for run in runs])
+    temperature = np.concatenate([run.temperature[verdict.channel.temperature] for run in runs])
     test = [np.where(use, left, np.nan) for left, use in zip(scored.residual, scored.counted, strict=True)]
     residual = np.degrees(np.concatenate([model.train, *test]))
     return minutes, residual, temperature, np.arange(len(minutes)) >= len(model.train)
@@ -163,7 +157,7 @@ def _two_levels(folder: Path) -> None:
         runs = []
         for level in ("cold", "hot"):
             try:
-                runs += read_runs(folder / f"{level}.csv", table_map, lambda: [RestDetector()])
+                runs += read_runs(folder / f"{level}.csv", table_map, lambda _: [RestDetector()])
             except ImumonError as error:
                 print(f"{level}: refused: {error.seen}; {error.hint}")
         print("\n".join(f"{run.name}: {run.duration_s / 60:.1f} min" for run in runs))

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from random_error_records import RATE_HZ, VARIANCE, Record
 from scipy.signal import lfilter
 
-from imumon.blocks import FloatArray, IntArray
-from imumon.estimation.random_error.baselines import ExponentialMean, hold
-from imumon.estimation.random_error.drift import DriftFilter
-from imumon.estimation.random_error.fit import fit_local_level
-from imumon.estimation.random_error.linear import LinearFilter, ModelL
-from imumon.estimation.random_error.sigma_points import ModelNL, SigmaPointFilter
-from imumon.estimation.random_error.slots import SlotGatherer
+from imumon.blocks import ColumnArray, FloatArray, IntArray, SampleBlock
+from imumon.estimation.gyro_bias.stage import GyroBias
+from imumon.filters.noise import NoiseFit, fit_noise
+from imumon.published.linear import LinearFilter, ModelL
+from imumon.published.local_level import fit_local_level, means_of
+from imumon.published.rest_means import ExponentialMean, RestMean, hold
+from imumon.published.sigma_points import ModelNL, SigmaPointFilter
 
 FITTED, DELTAS = 3.9e-5, (3.9e-5, 1e-3, 1e-2)
 """δ¹ in deg/s: the first is that of a local level fitted to hours, the others are pretended."""
@@ -50,26 +51,35 @@ def published(name: str, reading: FloatArray, delta: float, noise: float = VARIA
 
 
 def slow(name: str, record: Record, rest: FloatArray | None = None) -> Output:
-    """Run "drift" (the default), "exponential 85 s" and the like, or "hold 60 s", on means of a second."""
-    n = len(record.reading)
-    time_ns: IntArray = np.round(np.arange(n) * 1e9 / record.rate_hz).astype(np.int64)
-    measured = np.ones(n, np.bool_) if rest is None else rest > 0
-    slots = SlotGatherer().process(time_ns, np.zeros(n, np.int64), record.reading, measured)
+    """Run "drift" (the default estimate of the bias), "exponential 85 s" and the like, or "hold 60 s"."""
+    if name == "drift":
+        added = default(record, rest)
+        values, sd = (np.degrees(added[f"gyro_random_error{part}_x"]) for part in ("", "_sd"))
+        return Output(values, values, sd)
+    still = record.reading if rest is None else np.where(rest > 0, record.reading, np.nan)
+    means = means_of(_times(record), still)
     kind, _, seconds = name.partition(" ")
-    sd = np.full(len(slots), np.nan)
-    if kind == "drift":
-        # The filter works in rad/s; its limits are far below either unit.
-        result = DriftFilter().process(slots)
-        values, sd = result.estimate, result.sd
-    else:
-        span = float(seconds.split()[0])
-        values = (hold(span) if kind == "hold" else ExponentialMean(span)).process(slots)
-    shown = [_from_slots(each, slots.row, n) for each in (values, sd)]
-    return Output(shown[0], shown[0], shown[1])
+    span = float(seconds.split()[0])
+    values = (hold(span) if kind == "hold" else ExponentialMean(span)).process(means)
+    ended = np.minimum(_times(record) // 1_000_000_000, len(values))
+    shown = np.append(np.nan, values)[ended]
+    return Output(shown, shown, np.full(len(shown), np.nan))
 
 
-def _from_slots(values: FloatArray, row: IntArray, n: int) -> FloatArray:
-    return np.repeat(np.concatenate([[np.nan], values]), np.diff([0, *row.tolist(), n]))
+def _times(record: Record) -> IntArray:
+    return np.round(np.arange(len(record.reading)) * 1e9 / record.rate_hz).astype(np.int64)
+
+
+def default(record: Record, rest: FloatArray | None = None) -> Mapping[str, ColumnArray]:
+    """Return the columns of the gyro bias of a unit whose three axes read the same."""
+    n = len(record.reading)
+    columns: dict[str, ColumnArray] = {
+        "device_time_ns": _times(record),
+        "segment": np.zeros(n, np.int64),
+        "at_rest": np.ones(n, np.int64) if rest is None else (rest > 0).astype(np.int64),
+        **{f"gyro_{axis}": np.radians(record.reading) for axis in "xyz"},
+    }
+    return GyroBias().process(SampleBlock(columns))
 
 
 def exponential(reading: FloatArray, seconds: float) -> FloatArray:
@@ -81,12 +91,17 @@ def exponential(reading: FloatArray, seconds: float) -> FloatArray:
 
 def fit_record(record: Record, reading: FloatArray) -> tuple[float, float]:
     """Return δ¹ in deg/s and R in (deg/s)² of a sample."""
-    n = len(reading)
-    time_ns = np.round(np.arange(n) * 1e9 / record.rate_hz).astype(np.int64)
-    level = fit_local_level(time_ns, np.radians(reading))
+    level = fit_local_level(means_of(_times(record), np.radians(reading)))
     interval = 1.0 / record.rate_hz
     # Without a walk the covariance degenerates: the upper limit is what the record cannot exclude.
-    walk = level.walk or level.walk_range[1]
+    walk = level.best.walk or level.walk_range[1]
     return float(np.degrees(np.sqrt(walk * interval))), float(
-        np.degrees(np.degrees(level.noise_variance(interval)))
+        np.degrees(np.degrees(level.best.noise_variance(interval)))
     )
+
+
+def fitted_noise(means: Sequence[RestMean]) -> NoiseFit:
+    """Return white noise, flicker and walk by likelihood, rad and s."""
+    elapsed = [np.inf if mean.begins else mean.elapsed_s for mean in means]
+    covered = np.array([mean.covered_s or 1.0 for mean in means])
+    return fit_noise(np.array(elapsed), np.array([mean.mean for mean in means]), covered)

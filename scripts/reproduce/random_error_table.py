@@ -18,8 +18,10 @@ from random_error_methods import (
     PUBLISHED,
     SOFTENING,
     Output,
+    default,
     exponential,
     fit_record,
+    fitted_noise,
     published,
     slow,
 )
@@ -34,10 +36,9 @@ from random_error_records import (
 )
 
 from imumon.blocks import FloatArray
-from imumon.estimation.random_error.drift import DriftFilter
-from imumon.estimation.random_error.fit import fit_local_level, fit_noise, gather
-from imumon.estimation.random_error.linear import LinearFilter, ModelL
-from imumon.estimation.random_error.sigma_points import PHI, ModelNL, SigmaPointFilter
+from imumon.published.linear import LinearFilter, ModelL
+from imumon.published.local_level import fit_local_level, means_of
+from imumon.published.sigma_points import PHI, ModelNL, SigmaPointFilter
 
 ROOT = Path(__file__).resolve().parents[2]
 HOUR = 3600.0
@@ -228,11 +229,12 @@ def fitted() -> None:
         for seed in range(seeds):
             record = simulate(length + 1, 200 + seed)
             time_ns = np.arange(len(record.reading), dtype=np.int64) * (1_000_000_000 // RATE_HZ)
-            levels.append(fit_local_level(time_ns, np.radians(record.reading)))
-            noises.append(fit_noise(time_ns, np.radians(record.reading)))
-        deltas = [np.degrees(level.delta1(1 / RATE_HZ)) for level in levels]
-        white = [np.degrees(noise.angle_random_walk) * HOUR for noise in noises]
-        flicker = [np.degrees(noise.bias_instability or 0.0) * HOUR for noise in noises]
+            means = means_of(time_ns, np.radians(record.reading))
+            levels.append(fit_local_level(means))
+            noises.append(fitted_noise(means))
+        deltas = [np.degrees(level.best.delta1(1 / RATE_HZ)) for level in levels]
+        white = [np.degrees(noise.white) * HOUR for noise in noises]
+        flicker = [np.degrees(noise.instability) * HOUR for noise in noises]
         shown = sum(level.identified for level in levels)
         row(
             f"{length:.0f} s",
@@ -267,14 +269,9 @@ def on_measured(records: Sequence[Record]) -> None:
 
 
 def innovations(record: Record) -> float:
-    """Return how far means of a second are from what the default filter expects, per standard deviation."""
-    n = len(record.reading)
-    time_ns = np.round(np.arange(n) * 1e9 / record.rate_hz).astype(np.int64)
-    slots = gather(time_ns, np.radians(record.reading))
-    result = DriftFilter().process(slots)
-    before = slice(5, -1)
-    expected = np.sqrt(result.sd[before] ** 2 + result.white[before] / slots.covered_s[6:])
-    return rms((slots.mean[6:] - result.estimate[before]) / expected)
+    """Return the rms of the normalised innovations of the default estimate."""
+    found = default(record)["zupt_innovation_x"]
+    return rms(found[np.isfinite(found)])
 
 
 def endurance() -> None:
@@ -307,7 +304,7 @@ def endurance() -> None:
     print(f"\nEndurance: {total:.0e} samples through {len(filters) + 1} filters, {bad} values not finite.")
     heading("Steps", ["filter", "risk made smaller", "φ held back", "φ at the end"])
     for name, filtered in filters.items():
-        row(name, [filtered.shrunk_steps, filtered.clamped_steps, f"{filtered.mean[PHI]:.2f}"])
+        row(name, [filtered.shrunk_steps, filtered.clamped_steps, f"{filtered.state.mean[PHI]:.2f}"])
 
 
 if __name__ == "__main__":

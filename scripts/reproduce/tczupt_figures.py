@@ -24,7 +24,7 @@ from tczupt_records import (
 )
 
 from imumon.blocks import FloatArray
-from imumon.estimation.zupt.stage import ZeroVelocity
+from imumon.estimation.gyro_bias.stage import GyroBias
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
@@ -124,8 +124,8 @@ def _in_motion(folder: Path, record: Record) -> None:
     (ax,) = _axes("No update from 330 s on: bias of y less the truth, with 2σ")
     block = record.block.with_columns({"at_rest": (record.seconds < 330.0).astype(np.int64)})
     for name, stage in (
-        ("held (standard)", ZeroVelocity(latitude_deg=40.93, heading_deg=0.0)),
-        ("thermal", ZeroVelocity(None, true_model(), "thermal", 40.93, 0.0)),
+        ("held (standard)", GyroBias(latitude_deg=40.93, heading_deg=0.0)),
+        ("thermal", GyroBias(None, true_model(), "thermal", 40.93, 0.0)),
     ):
         added = stage.process(block)
         error = (added["gyro_bias_y"] - record.bias[:, 1]) / DPH

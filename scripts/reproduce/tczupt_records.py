@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imumon.blocks import FloatArray, SampleBlock
-from imumon.estimation.temperature_rate.fir import FirExponentialRate
-from imumon.estimation.zupt.dense import DenseRun, DenseSettings, dense_filter
-from imumon.estimation.zupt.earth import EARTH_RATE, level_attitude
+from imumon.geodesy import EARTH_RATE, body_to_ned
 from imumon.models.curves.spline import SplineCurve
 from imumon.models.model import BiasModel, ChannelModel
+from imumon.published.dense_zupt import DenseRun, DenseSettings, dense_filter
+from imumon.published.fir import FirExponentialRate
 from imumon.simulation.unit.curves import curve_slope, curve_value
 from imumon.simulation.unit.scenario import load_scenario
 from imumon.simulation.unit.unit import SimulatedUnit
@@ -58,7 +58,7 @@ def simulate(scenario: str, seed: int) -> Record:
     assert bias is not None
     return Record(
         sent.with_columns({"at_rest": truth["at_rest"]}), gyro, accel, truth["temperature"], bias,
-        level_attitude(UP, 0.0).T @ earth,
+        body_to_ned(UP, 0.0).T @ earth,
     )  # fmt: skip
 
 

@@ -27,8 +27,8 @@ from tczupt_records import (
 )
 
 from imumon.blocks import FloatArray
-from imumon.estimation.zupt.dense import DenseSettings, dense_filter
-from imumon.estimation.zupt.stage import Mode, ZeroVelocity
+from imumon.estimation.gyro_bias.stage import GyroBias, Mode
+from imumon.published.dense_zupt import DenseSettings, dense_filter
 
 FIGURES = Path(__file__).resolve().parents[2] / "docs" / "figures" / "tczupt"
 ZUPT, TCZUPT = Filter("calibrated"), Filter("rate", k=0.5)
@@ -213,7 +213,7 @@ def stage_error(record: Record, mode: Mode) -> FloatArray:
     """Return the error of the stage after the zeroing, deg/h, (n, 3)."""
     model = true_model() if mode == "thermal" else None
     latitude = 40.93
-    added = ZeroVelocity(None, model, mode, latitude, 0.0).process(record.block)
+    added = GyroBias(None, model, mode, latitude, 0.0).process(record.block)
     bias = np.column_stack([added[f"gyro_bias_{axis}"] for axis in "xyz"])
     return np.asarray((bias - record.bias)[ZEROING:] / DPH)
 

@@ -10,10 +10,10 @@ import numpy as np
 from temperature_rate_records import PER_HOUR, Record, heating, simulate
 
 from imumon.blocks import FloatArray
-from imumon.estimation.temperature_rate.comparison import DifferenceRate, KalmanRate, reference_fit
-from imumon.estimation.temperature_rate.fir import FirExponentialRate, FirLinearRate
 from imumon.estimation.temperature_rate.level_bank import LevelBankRate
 from imumon.estimation.temperature_rate.series import RateEstimate
+from imumon.published.fir import FirExponentialRate, FirLinearRate
+from imumon.published.rate_comparison import DifferenceRate, KalmanRate, reference_fit
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt

@@ -13,10 +13,10 @@ from temperature_rate_figures import draw_all
 from temperature_rate_records import PER_HOUR, Record, measured, simulate
 
 from imumon.blocks import FloatArray, IntArray
-from imumon.estimation.temperature_rate.comparison import DifferenceRate, KalmanRate, reference_fit
-from imumon.estimation.temperature_rate.fir import FirExponentialRate, FirLinearRate
 from imumon.estimation.temperature_rate.level_bank import LevelBankRate
 from imumon.estimation.temperature_rate.series import RateEstimate
+from imumon.published.fir import FirExponentialRate, FirLinearRate
+from imumon.published.rate_comparison import DifferenceRate, KalmanRate, reference_fit
 
 ROOT = Path(__file__).resolve().parents[2]
 BUFFER = 1000

@@ -11,9 +11,10 @@ import numpy.typing as npt
 
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.calibration.cells import Channel, channel_of, group, levels
-from imumon.calibration.record import GYRO, Record, read_session, record_of
+from imumon.calibration.record import Record, read_session, record_of
 from imumon.models.curves.points import Points
 from imumon.recordings.importing import import_table
+from imumon.recordings.reduced import GYRO
 from imumon.simulation.unit import SimulatedUnit, load_scenario
 from imumon.simulation.unit.curves import curve_slope, curve_value
 

@@ -11,7 +11,8 @@ from thermal_calibration_data import AXES, DEG_H, INSIDE, Function, Soak, during
 from thermal_calibration_study import SizeRow
 
 from imumon.calibration.calibration import calibrate
-from imumon.calibration.record import GYRO, Record
+from imumon.calibration.record import Record
+from imumon.recordings.reduced import GYRO
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt

@@ -11,13 +11,14 @@ from thermal_calibration_data import AXES, during
 from imumon.blocks import FloatArray
 from imumon.calibration.calibration import calibrate, knots_of
 from imumon.calibration.cells import channel_of, group, levels
-from imumon.calibration.record import GYRO, Record
+from imumon.calibration.record import Record
 from imumon.calibration.selection import slow_variance
 from imumon.errors import ImumonError
 from imumon.models.curves.polynomial import fit_polynomial
-from imumon.models.curves.spline import fit_spline
+from imumon.models.curves.smoothing import fit_spline
 from imumon.models.curves.training import fit_network
 from imumon.models.model import Curve
+from imumon.recordings.reduced import GYRO
 
 Errors = dict[str, float]
 
@@ -53,14 +54,13 @@ def fit_first_test_rest(record: Record, share: float) -> list[Row]:
             "network 2": fit_network(points, 2),
         }
         found = model.model.channels[name]
-        j = rest.means.names.index(name)
-        t, value = rest.of(channel.temperature_column)[rest.rest], rest.means.mean[rest.rest, j]
+        t, value = rest.of(channel.temperature_column)[rest.rest], rest.of(name)[rest.rest]
         inside = found.inside(t)
         constant = float(np.average(channel.value, weights=channel.seconds))
         errors = {"constant": _rms(value[inside] - constant)}
         errors |= {key: _rms(value[inside] - curve.value(t[inside])) for key, curve in curves.items()}
         errors["chosen"] = _rms(value[inside] - found.value(t[inside]))
-        white = rest.means.sd[rest.rest, j] / np.sqrt(rest.means.count[rest.rest, j])
+        white = np.sqrt(rest.means.mean_variance(name)[rest.rest])
         chosen = model.findings[name].choice.name
         rows.append(
             Row(
@@ -96,7 +96,7 @@ def two_levels_study(records: Sequence[Record]) -> TwoLevels:
         line = np.polynomial.Polynomial.fit(t, value, 1)
         level_means = [np.mean(_gathered([record], column, name)[1]) for record in first]
         test_t, test = _gathered(rest, column, name)
-        floor = [r.means.sd[r.rest, r.means.names.index(name)] / np.sqrt(100) for r in rest]
+        floor = [np.sqrt(r.means.mean_variance(name)[r.rest]) for r in rest]
         before = test - float(np.mean(level_means))
         rows.append((axis, _rms(before), _rms(test - line(test_t)), _rms(np.concatenate(floor))))
     ends = [(float(r.of(column)[r.rest].min()), float(r.of(column)[r.rest].max())) for r in records]

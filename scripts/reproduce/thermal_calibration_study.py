@@ -15,7 +15,7 @@ from imumon.calibration.selection import choose, held_out, slow_variance
 from imumon.models.curves.network import NetworkCurve
 from imumon.models.curves.points import Points
 from imumon.models.curves.polynomial import fit_polynomial
-from imumon.models.curves.spline import fit_spline
+from imumon.models.curves.smoothing import fit_spline
 from imumon.models.curves.training import Scaling, fit_network, mean_square, starts, train
 
 SIZES = (1, 2, 3, 4, 5)
@@ -47,8 +47,8 @@ def published(points: Points, neurons: int, seed: int, restarts: int = RESTARTS)
     parts = (place < 0.65, (place >= 0.65) & (place < 0.85), place >= 0.85)
     scaling = Scaling.of(points)
     training, validation = (scaling.apply(points.only(part)) for part in parts[:2])
-    weights = train(starts(neurons, restarts, random), training, validation, decay=0.0, iterations=100)
-    error = np.sqrt(mean_square(weights, validation))
+    weights = [train(start, training, decay=0.0) for start in starts(neurons, restarts, random)]
+    error = np.sqrt([mean_square(one, validation) for one in weights])
     curve = scaling.curve(weights[np.argmin(error)])
     residual = points.value - curve.value(points.temperature)
     rms = [float(np.sqrt(np.mean(residual[part] ** 2))) for part in parts]
@@ -161,8 +161,9 @@ def on_level_means(soak: Soak, axis: int) -> tuple[float, float]:
     means = level_means(soak, axis)
     scaling = Scaling.of(means)
     given = scaling.apply(means)
-    weights = train(starts(2, RESTARTS, np.random.default_rng(1)), given, decay=0.0, iterations=300)
-    network = scaling.curve(weights[np.argmin(mean_square(weights, given))])
+    begun = starts(2, RESTARTS, np.random.default_rng(1))
+    weights = [train(start, given, decay=0.0, evaluations=300) for start in begun]
+    network = scaling.curve(min(weights, key=lambda one: mean_square(one, given)))
     inside = (means.temperature[0] <= INSIDE) & (means.temperature[-1] >= INSIDE)
     spline = CubicSpline(means.temperature, means.value)(INSIDE)
     errors = [network.value(INSIDE) - soak.bias[:, axis], spline - soak.bias[:, axis]]

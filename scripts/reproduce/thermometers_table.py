@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import sys
+from collections.abc import Iterable
 
 import numpy as np
 from thermometer_kinds import KINDS, PER_HOUR, Kind, Profile, constant, drifting, ramp
@@ -83,28 +85,32 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--kinds", default="", help="only kinds with this text in the name")
     parser.add_argument("--holds", type=float, nargs="*", default=HOLDS_S)
+    parser.add_argument("--part", choices=("steady", "ramp"), help="only one of the tables")
     given = parser.parse_args()
     kinds = [kind for kind in KINDS if given.kinds in kind.name]
-    steady = [
-        (kind.name, name, steady_row(kind, profile, given.seeds))
-        for kind in kinds
-        for name, profile in (("constant", constant), ("5 °C/h", drifting))
-    ]
-    print("| thermometer | temperature | rate rms °C/h | rate z rms | z max | temperature max °C | z max |")
-    print("|---|---|---|---|---|---|---|")
-    show(steady)
-    ramps = [
-        (kind.name, f"{hold:g}", ramp_row(kind, hold, given.seeds)) for kind in kinds for hold in given.holds
-    ]
-    print("\n| thermometer | hold s | temperature max °C | z max from 20 s on | rate z max | rate rms °C/h |")
-    print("|---|---|---|---|---|---|")
-    show(ramps)
+    if given.part != "ramp":
+        print(
+            "| thermometer | temperature | rate rms °C/h | rate z rms | z max | temperature max °C | z max |"
+        )
+        print("|---|---|---|---|---|---|---|")
+        profiles = (("constant", constant), ("5 °C/h", drifting))
+        show((k.name, name, steady_row(k, profile, given.seeds)) for k in kinds for name, profile in profiles)
+    if given.part != "steady":
+        print(
+            "\n| thermometer | hold s | temperature max °C | z max from 20 s | rate z max | rate rms °C/h |"
+        )
+        print("|---|---|---|---|---|---|")
+        show((k.name, f"{hold:g}", ramp_row(k, hold, given.seeds)) for k in kinds for hold in given.holds)
 
 
-def show(rows: list[tuple[str, str, list[float]]]) -> None:
-    """Print rows, those first whose second number is largest: rms of the rate's z, or max of z."""
-    for kind, case, numbers in sorted(rows, key=lambda row: -row[2][1]):
-        print(f"| {kind} | {case} | " + " | ".join(f"{x:.3g}" for x in numbers) + " |")
+def show(rows: Iterable[tuple[str, str, list[float]]]) -> None:
+    """Print rows, those first whose second number is largest; say on the way how far it has come."""
+    done = []
+    for row in rows:
+        print(row, file=sys.stderr, flush=True)
+        done.append(row)
+    for kind, case, numbers in sorted(done, key=lambda row: -row[2][1]):
+        print(f"| {kind} | {case} | " + " | ".join(f"{x:.3g}" for x in numbers) + " |", flush=True)
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from imumon.allan.output import check_outputs
-from imumon.allan.recording import open_recording
+from imumon.allan.recording import read_channels
 from imumon.errors import ImumonError, Reason
 
 N = 2000
@@ -30,7 +30,7 @@ def write(folder: Path, made: dict[str, Any]) -> Path:
 
 def refusal(path: Path) -> str:
     with pytest.raises(ImumonError) as caught:
-        open_recording(path)
+        read_channels(path)
     assert caught.value.reason is Reason.BAD_DATA
     return str(caught.value)
 
@@ -65,13 +65,13 @@ def test_units_that_cannot_be_are_told(tmp_path: Path) -> None:
     made = columns()
     made["gyro_x"] = made["gyro_x"] + 300.0
     made |= {f"accel_{axis}": np.full(N, value) for axis, value in zip("xyz", (0, 0, 1.0), strict=True)}
-    said = " ".join(open_recording(write(tmp_path, made)).warnings)
+    said = " ".join(read_channels(write(tmp_path, made)).warnings)
     assert "gyro_x: turns faster" in said
     assert "specific force is 1 m/s^2" in said
 
 
 def test_a_channel_without_numbers_is_left_out_and_told(tmp_path: Path) -> None:
-    opened = open_recording(write(tmp_path, columns() | {"gyro_y": np.full(N, np.nan)}))
+    opened = read_channels(write(tmp_path, columns() | {"gyro_y": np.full(N, np.nan)}))
     assert list(opened.series) == ["gyro_x", "gyro_z"]
     assert "gyro_y: no number" in " ".join(opened.warnings)
 
@@ -81,11 +81,11 @@ def test_a_csv_with_quoted_names_is_read(tmp_path: Path) -> None:
     header = ",".join(f'"{name}"' for name in made)
     rows = np.column_stack(list(made.values()))
     np.savetxt(tmp_path / "t.csv", rows, delimiter=",", header=header, comments="", fmt=["%d", *["%.9g"] * 3])
-    assert open_recording(tmp_path / "t.csv").series["gyro_x"].samples == N
+    assert read_channels(tmp_path / "t.csv").series["gyro_x"].samples == N
 
 
 def test_a_few_seconds_are_not_called_motion(tmp_path: Path) -> None:
-    opened = open_recording(write(tmp_path, {name: part[:100] for name, part in columns().items()}))
+    opened = read_channels(write(tmp_path, {name: part[:100] for name, part in columns().items()}))
     assert "moved" not in " ".join(opened.warnings)
 
 

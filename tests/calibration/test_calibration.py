@@ -11,9 +11,9 @@ from imumon.blocks import FloatArray, SampleBlock
 from imumon.calibration import selection
 from imumon.calibration.calibration import Calibration, calibrate
 from imumon.calibration.cells import channel_of, group, levels
-from imumon.calibration.earth import EARTH_RATE
 from imumon.calibration.record import record_of
 from imumon.errors import ImumonError, Reason
+from imumon.geodesy import EARTH_RATE
 from imumon.models.curves.points import folds
 from imumon.models.curves.polynomial import fit_polynomial
 from tests.calibration.records import DEG_H, GRAVITY, record, samples, soak, true_bias, true_slope

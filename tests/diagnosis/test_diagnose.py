@@ -103,7 +103,7 @@ def test_a_jump_is_named_followed_and_left_out_of_the_model_file() -> None:
     assert verdict.test_before is not None
     assert verdict.test_after is not None
     assert verdict.test_after.rms == verdict.test_before.rms
-    assert verdict.test_after.tracked_rms < 1.2 * verdict.floor.sd
+    assert verdict.test_after.tracked_rms < 1.2 * verdict.channel.floor.sd
     assert extended_model(diagnosis).channels["gyro_x"].effects == []
 
 
@@ -146,7 +146,7 @@ def test_a_test_that_goes_on_where_training_ended_takes_lag_and_time_with_it() -
     assert names(together)
     score = together.verdicts[0].test_after
     assert score is not None
-    assert score.rms < 1.3 * together.verdicts[0].floor.sd
+    assert score.rms < 1.3 * together.verdicts[0].channel.floor.sd
     assert score.residual[0][0] == pytest.approx(0.0, abs=5 * WHITE_DPH * DPH)
 
 

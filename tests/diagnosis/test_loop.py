@@ -9,8 +9,8 @@ from imumon.blocks import FloatArray, SampleBlock
 from imumon.diagnosis.engine import diagnose
 from imumon.diagnosis.extended import extended_model
 from imumon.diagnosis.recording import Run, collect
+from imumon.estimation.gyro_bias.stage import GyroBias
 from imumon.estimation.temperature_rate.stage import TemperatureRate
-from imumon.estimation.zupt.stage import ZeroVelocity
 from imumon.models.model import BiasModel
 from imumon.pipeline import Estimator
 from imumon.simulation.unit import SimulatedUnit, load_scenario
@@ -51,7 +51,7 @@ def bias_of(model: BiasModel, sent: SampleBlock, size: int) -> FloatArray:
     """Return what the pipeline says of the bias, with zero-velocity updates in the first 250 s alone."""
     rest = (sent["device_time_ns"] - sent["device_time_ns"][0] < 250e9).astype(np.int64)
     block = sent.with_columns({"at_rest": rest})
-    stages: list[Estimator] = [TemperatureRate(), ZeroVelocity(model=model, mode="thermal")]
+    stages: list[Estimator] = [TemperatureRate(), GyroBias(model=model, mode="thermal")]
     parts = []
     for at in range(0, len(block), size):
         part = block.rows(at, min(at + size, len(block)))
@@ -90,7 +90,7 @@ def test_an_unknown_start_widens_the_bias_until_it_is_forgotten(models: dict[str
     sent, _ = samples(9, 37.0, 16.0)
     sd = {}
     for name, model in models.items():
-        stage = ZeroVelocity(model=model, mode="thermal")
+        stage = GyroBias(model=model, mode="thermal")
         rest = (np.arange(len(sent)) < 100).astype(np.int64)
         found = stage.process(sent.with_columns({"at_rest": rest}))
         sd[name] = found["gyro_bias_sd_x"]

@@ -7,10 +7,11 @@ import pytest
 from pydantic import ValidationError
 
 from imumon.blocks import FloatArray, IntArray
-from imumon.effects.base import Carrier, Drive, Effect, Survey
+from imumon.effects.base import Drive, Effect, Survey
 from imumon.effects.g_sensitivity import GSensitivity
 from imumon.effects.hysteresis import Hysteresis
 from imumon.effects.library import EFFECTS
+from imumon.effects.live import Carrier
 from imumon.effects.temperature_rate import TemperatureRate
 from imumon.effects.thermal_lag import ThermalLag
 

@@ -101,3 +101,15 @@ def test_any_division_into_blocks_gives_the_same_slots(seed: int, cuts: list[int
 def test_held_repeats_the_latest_slot() -> None:
     got = held(np.array([2, 3, 3]), np.array([1.0, 2.0, 3.0]), np.array(np.nan), 5)
     np.testing.assert_array_equal(got, [np.nan, np.nan, 1.0, 3.0, 3.0])
+
+
+def test_the_end_gives_the_open_slot_and_begins_as_new() -> None:
+    time = np.arange(150, dtype=np.int64) * 10_000_000
+    values = np.random.default_rng(3).normal(size=(150, 2))
+    gatherer = SlotGatherer(2, LENGTH_NS)
+    assert len(gatherer.finish()) == 0
+    assert len(gatherer.process(time, np.zeros(150, np.int64), values)) == 1
+    last = gatherer.finish()
+    np.testing.assert_allclose(last.mean, [values[100:].mean(axis=0)], rtol=1e-13)
+    assert last.end_ns.tolist() == [time[-1]]
+    assert len(gatherer.finish()) == 0

@@ -88,6 +88,12 @@ def test_a_damaged_file_is_refused_in_words_or_read(data: st.DataObject, tmp_pat
     assert refused is None or (refused.reason is Reason.BAD_CONFIG and str(path) in refused.seen)
 
 
+@pytest.mark.parametrize("serial", ["A\x85B", "A\u2028B", "1e5", "1e-6", "on", "0x1F", "12:30", "a\n b", ""])
+def test_no_serial_number_is_read_as_something_else(serial: str) -> None:
+    model = three_curves().model_copy(update={"serial": serial})
+    assert parse_yaml(model.to_yaml(), BiasModel, "model") == model
+
+
 def test_a_written_file_is_read_again(tmp_path: Path) -> None:
     model, path = three_curves(), tmp_path / "model.yaml"
     model.write(path)

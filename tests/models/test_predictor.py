@@ -18,7 +18,7 @@ CHANNELS = ["gyro_z", "gyro_x", "gyro_y"]
 def plain(
     model: BiasModel, segment: IntArray, temperature: FloatArray
 ) -> tuple[FloatArray, FloatArray, npt.NDArray[np.bool_]]:
-    """Twin of the kernel without its table."""
+    """Return what the curves themselves give, the temperature held row by row."""
     held = temperature.copy()
     for i in range(1, len(held)):
         missing = np.isnan(held[i]) & (segment[i] == segment[i - 1])
@@ -40,7 +40,7 @@ def record(n: int = 3000, seed: int = 0) -> tuple[IntArray, IntArray, FloatArray
     return np.arange(n) * 10_000_000, segment, temperature
 
 
-def test_the_kernel_gives_what_the_curves_give() -> None:
+def test_the_prediction_is_what_the_curves_give() -> None:
     time_ns, segment, temperature = record()
     result = BiasPredictor(three_curves(), CHANNELS).process(time_ns, segment, temperature)
     bias, slope, inside = plain(three_curves(), segment, temperature)

@@ -7,11 +7,11 @@ from hypothesis import strategies as st
 
 from imumon.blocks import NO_INT, SampleBlock
 from imumon.errors import ImumonError, Reason
+from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.device import load_device
 from imumon.protocols.mip import (
     FILTER,
     GNSS,
-    GRAVITY,
     ROLES,
     SENSOR,
     Attitude,
@@ -147,9 +147,9 @@ def test_units_are_si() -> None:
     decoder = MipDecoder()
     decoder.feed(data, 3)
     block = decoder.take()
-    assert block["accel_x"].tolist() == [GRAVITY]
+    assert block["accel_x"].tolist() == [STANDARD_GRAVITY]
     assert block["mag_y"].tolist() == [100]
-    assert block["delta_velocity_z"].tolist() == [GRAVITY]
+    assert block["delta_velocity_z"].tolist() == [STANDARD_GRAVITY]
     assert block["pressure"].tolist() == [100]
 
 

@@ -62,6 +62,8 @@ def test_the_thermal_mode_without_a_model_is_refused_with_what_to_do() -> None:
         ("latitude_deg: 91.0", r"pipeline.yaml:2: latitude_deg"),
         ("latitude: 45.0", r"pipeline.yaml:2: latitude: unknown key"),
         ("zupt: {zeroing_s: 1.0}", r"pipeline.yaml:2: zupt.zeroing_s"),
+        ("published: [fir, kalman]", r"pipeline.yaml:2: published"),
+        ("published: [fir, fir]", r"named twice"),
         ("model: missing.yaml", r"missing.yaml: cannot be read"),
     ],
 )

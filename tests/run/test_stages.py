@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 
 from imumon.blocks import SampleBlock, join
 from imumon.errors import ImumonError
-from imumon.estimation.temperature_rate.fir import FirExponentialRate
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.pipeline import Pipeline
 from imumon.protocols.device import device_text, parse_device
+from imumon.published.fir import FirExponentialRate
 from imumon.run.stages import estimators
 
 

@@ -8,7 +8,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from imumon.blocks import join
-from imumon.simulation.bench import GRAVITY, BenchUnit
+from imumon.geodesy import STANDARD_GRAVITY
+from imumon.simulation.bench import BenchUnit
 
 
 @pytest.mark.parametrize("axes", ["FLU", "FRD"])
@@ -33,7 +34,9 @@ def test_rates_accelerations_and_attitude_belong_together(axes: Literal["FLU", "
     drift = (turned.inv() * attitude[-1]).magnitude()
     assert np.degrees(drift) < 1.0
     up = attitude.apply(accel).mean(axis=0)
-    np.testing.assert_allclose(up, [0, 0, GRAVITY if axes == "FLU" else -GRAVITY], atol=0.01)
+    np.testing.assert_allclose(
+        up, [0, 0, STANDARD_GRAVITY if axes == "FLU" else -STANDARD_GRAVITY], atol=0.01
+    )
     angles = Rotation.from_euler("ZYX", np.column_stack([block["yaw"], block["pitch"], block["roll"]]))
     assert np.max((angles.inv() * attitude).magnitude()) < 1e-6
 

@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from imumon.simulation.frames import EARTH_RATE, body_rates, earth_rate, reported, to_body
+from imumon.geodesy import EARTH_RATE
+from imumon.simulation.frames import body_rates, earth_rate, reported, to_body
 
 ANGLE = st.floats(-np.pi, np.pi)
 

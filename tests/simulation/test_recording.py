@@ -10,10 +10,9 @@ from imumon.errors import ImumonError, Reason
 from imumon.pipeline import Pipeline
 from imumon.protocols.device import device_text, parse_device
 from imumon.recordings.folder import Session, open_session
+from imumon.recordings.source import open_source, run_over
 from imumon.recordings.table import read_table
 from imumon.recordings.wire import read_wire
-from imumon.run.replay import run_over
-from imumon.run.source import open_source
 from imumon.simulation.recording import SCENARIO_NAME, START_NS, TRUTH_NAME, record_session, write_table
 from imumon.simulation.unit import Scenario, SimulatedUnit, load_scenario
 from imumon.simulation.unit.unit import CHUNK

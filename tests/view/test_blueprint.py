@@ -7,8 +7,10 @@ import pytest
 import rerun as rr
 from rerun.chunk import RrdReader
 
-from imumon.estimation.random_error.parameters import RandomErrorParameters
-from imumon.estimation.random_error.stage import RandomError
+from imumon.estimation.gyro_bias.stage import GyroBias
+from imumon.published.parameters import RandomErrorParameters
+from imumon.run.published import published_stages
+from imumon.run.setup import Setup
 from imumon.view.items import Log, Numbers, State, Status, Timebase, ViewItem, ViewSetup
 from imumon.view.logger import StreamLogger
 from tests.view.streams import block
@@ -108,9 +110,10 @@ def test_columns_without_a_panel_have_a_tab(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("method", ["drift", "sr_rsukf"])
 def test_the_published_filter_is_shown_beside_what_it_must_beat(tmp_path: Path, method: str) -> None:
-    stage = RandomError(RandomErrorParameters.model_validate({"method": method}))
+    setup = Setup(random_error=RandomErrorParameters.model_validate({"method": method}))
     plain = block(0, 50)
-    extra = {column.name: np.full(50, 1e-3) for column in stage.columns}
+    stages = [GyroBias(), *published_stages(setup)]
+    extra = {column.name: np.full(50, 1e-3) for stage in stages for column in stage.columns}
     found = arranged(tmp_path / "a.rrd", [Timebase().samples(plain.with_columns(extra))], SETUP, live=True)
     contents = found["ViewContents:query"]
     assert "/view/gyro_random_error_x/**" in contents

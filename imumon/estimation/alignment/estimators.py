@@ -18,10 +18,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from imumon.blocks import FloatArray
-from imumon.estimation.alignment.loop import azimuth
+from imumon.compiled import njit
 from imumon.estimation.alignment.state import (
     ARW2,
     BETTER,
@@ -53,7 +52,8 @@ from imumon.estimation.alignment.state import (
     WARM_X,
     State,
 )
-from imumon.estimation.zupt.earth import EARTH_RATE
+from imumon.geodesy import EARTH_RATE
+from imumon.published.fixed_gain_loop import azimuth
 
 NO_IDEA = math.pi / math.sqrt(3.0)
 """Standard deviation of a heading of which nothing is known, rad."""

@@ -5,19 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from imumon.blocks import FloatArray, IntArray
+from imumon.compiled import njit
 from imumon.estimation.alignment.estimators import evaluate
-from imumon.estimation.alignment.loop import (
-    azimuth,
-    dot,
-    level_attitude,
-    loop_gains,
-    loop_step,
-    orthonormal,
-    roll_pitch,
-)
 from imumon.estimation.alignment.state import (
     AZIMUTH_0,
     CHANNELS,
@@ -76,7 +67,16 @@ from imumon.estimation.alignment.state import (
 )
 from imumon.estimation.alignment.sums import add_slot, break_ticks, clear_sums
 from imumon.estimation.alignment.watch import GAP, UNREST, begin_slot, forget_noise, judge_slot
-from imumon.estimation.zupt.earth import EARTH_RATE
+from imumon.geodesy import EARTH_RATE
+from imumon.published.fixed_gain_loop import (
+    azimuth,
+    dot,
+    level_attitude,
+    loop_gains,
+    loop_step,
+    orthonormal,
+    roll_pitch,
+)
 
 SLOT = 0.249
 """Length of a slot, s."""

@@ -6,8 +6,8 @@ import math
 
 from imumon.estimation.alignment.charting import heading_text
 from imumon.estimation.alignment.standing import Standing
+from imumon.geodesy import DEG_PER_H
 
-DEG_PER_H = math.pi / 180.0 / 3600.0
 DEG_PER_SQRT_H = math.pi / 180.0 / 60.0
 START_S = 10.0
 """It takes the rest detector some seconds to call a unit at rest; that is no disturbance."""

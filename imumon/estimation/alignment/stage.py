@@ -14,14 +14,12 @@ from imumon.columns import Column
 from imumon.estimation.alignment import charting, kernel, state
 from imumon.estimation.alignment.parameters import AlignmentParameters
 from imumon.estimation.alignment.standing import Estimate, Standing, instead
-from imumon.estimation.alignment.warm_up import MICRO_G
 from imumon.estimation.alignment.watch import GAP, ROTATION, SCATTER, STEP, UNREST
 from imumon.estimation.temperature_rate.series import SegmentClock
-from imumon.estimation.zupt.earth import EARTH_RATE
+from imumon.geodesy import DEG_PER_H, EARTH_RATE, MICRO_G
 
 NAMES = ("total_average", "curve_fit", "line_exponential", "tilt_corrected", "known_warm_up")
 """The estimators, in the order of the kernel's results."""
-DEG_PER_H = math.pi / 180.0 / 3600.0
 REAL = 0.95
 """Probability from which on a change of the level is called a tilt."""
 POINTS = 400

@@ -9,9 +9,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from imumon.blocks import FloatArray
+from imumon.compiled import njit
 from imumon.estimation.alignment.state import (
     CONSTANTS,
     FINE_AT,

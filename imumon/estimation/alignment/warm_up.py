@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from imumon.effects.warm_up import WarmUp
 from imumon.estimation.alignment.parameters import KnownWarmUp
+from imumon.geodesy import MICRO_G
 from imumon.models.model import BiasModel
 
-MICRO_G = 9.80665e-6
 NO_MATTER_S = 1.0
 """Time constant that stands where there is no warm-up."""
 

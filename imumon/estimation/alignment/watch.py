@@ -10,8 +10,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from imumon.compiled import njit
 from imumon.estimation.alignment.state import (
     BASE,
     CHANNELS,

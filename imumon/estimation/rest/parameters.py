@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
+import numpy as np
 from pydantic import Field
 
+from imumon.blocks import FloatArray
 from imumon.config import StrictModel
 
 
@@ -31,3 +35,8 @@ class RestParameters(StrictModel):
     gyro_g_sensitivity: float = Field(default=1.8e-4, ge=0.0, le=0.1)
     doubt_s: float = Field(default=60.0, ge=0.0, le=86400.0)
     largest_jump: float = Field(default=0.017, ge=0.0, le=10.0)
+
+    @cached_property
+    def drift(self) -> FloatArray:
+        """Permitted drift of the six axes, rad/s² and m/s³."""
+        return np.repeat([self.gyro_drift, self.accel_drift], 3)

@@ -3,21 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from copy import deepcopy
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from imumon.blocks import ColumnArray, SampleBlock
+from imumon.blocks import NO_INT, ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.columns import Column
-from imumon.estimation.rest.kernel import detect
+from imumon.estimation.rest.detector import GAP_S, SLOT_S, begin, step
 from imumon.estimation.rest.parameters import RestParameters
-from imumon.estimation.rest.state import new_state
+from imumon.estimation.rest.state import AXES, Slot, State
+from imumon.filters.slots import SlotGatherer, Slots
 
 INPUTS = tuple(f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz")
 AT_REST = Column("at_rest", "1", "int64", "1 while the unit is at rest, 0 while it moves or nothing is known")
 
 
 class RestDetector:
-    """Finds rest and motion, sample by sample, without knowing the sensors' noise or bias.
+    """Finds rest and motion, without knowing the sensors' noise or bias.
+
+    It decides at the end of each slot of an eighth of a second; a single sample far from the mean ends a rest
+    at that sample.
 
     Parameters
     ----------
@@ -26,17 +33,11 @@ class RestDetector:
     """
 
     def __init__(self, parameters: RestParameters | None = None) -> None:
-        given = parameters or RestParameters()
-        self._parameters = np.array(
-            [
-                given.gyro_g_sensitivity,
-                given.doubt_s,
-                given.largest_jump,
-                *(given.gyro_drift for _ in "xyz"),
-                *(given.accel_drift for _ in "xyz"),
-            ]
-        )
-        self._state = new_state()
+        self._parameters = parameters or RestParameters()
+        self._slots = SlotGatherer(AXES, int(SLOT_S * 1e9))
+        self._state = State()
+        self._last_ns, self._last_segment = NO_INT, 0
+        self._at_rest = 0
 
     @property
     def columns(self) -> Sequence[Column]:
@@ -50,15 +51,91 @@ class RestDetector:
         accel_{x,y,z} in m/s².
         """
         n = len(block)
-        readings = np.empty((len(INPUTS), n))
+        if not n:
+            return {AT_REST.name: np.zeros(0, np.int64)}
+        readings = np.empty((n, AXES))
         for place, name in enumerate(INPUTS):
-            readings[place] = block.columns.get(name, np.nan)
-        at_rest = np.zeros(n, np.int64)
-        if n:
-            time_ns, segment = block["device_time_ns"], block["segment"]
-            detect(self._state, self._parameters, time_ns, segment, readings, at_rest)
-        return {AT_REST.name: at_rest}
+            readings[:, place] = block.columns.get(name, np.nan)
+        time_ns, segment = block["device_time_ns"], block["segment"]
+        rows = np.flatnonzero((time_ns != NO_INT) & np.isfinite(readings).any(1))
+        before = self._last_ns, self._last_segment, self._at_rest
+        found = self._follow(time_ns[rows], segment[rows], readings[rows])
+        if len(rows) < n:
+            found = _held(rows, found, time_ns, segment, before)
+        return {AT_REST.name: found}
+
+    def _follow(self, time_ns: IntArray, segment: IntArray, readings: FloatArray) -> IntArray:
+        """Return at_rest of rows that have a time and a reading."""
+        n = len(time_ns)
+        at_rest = np.empty(n, np.int64)
+        if not n:
+            return at_rest
+        slots = self._slots.process(time_ns, segment, readings)
+        if self._last_ns == NO_INT:
+            begin(self._state, 1e-9 * float(time_ns[0]), other=True)
+        start = 0
+        with np.errstate(invalid="ignore", divide="ignore"):
+            for k, slot in enumerate(_each(slots, time_ns)):
+                stop = int(slots.row[k])
+                self._fill(at_rest, readings, start, stop)
+                other = bool(slots.segment[k] != segment[stop]) or slot.end_s < slot.start_s
+                if other or 1e-9 * float(time_ns[stop] - slots.end_ns[k]) > GAP_S:
+                    begin(self._state, slot.end_s, other)
+                else:
+                    step(self._state, self._parameters, slot)
+                self._at_rest, start = int(self._state.at_rest), stop
+        self._fill(at_rest, readings, start, n)
+        self._last_ns, self._last_segment = int(time_ns[-1]), int(segment[-1])
+        return at_rest
+
+    def _fill(self, at_rest: IntArray, readings: FloatArray, start: int, stop: int) -> None:
+        """Fill in rows of the slot that is open: at rest as before, until a sample leaves the band."""
+        at_rest[start:stop] = self._at_rest
+        if self._at_rest:
+            part = readings[start:stop]
+            outside = ((part < self._state.low) | (part > self._state.high)).any(1)
+            if outside.any():
+                at_rest[start + int(np.argmax(outside)) : stop] = self._at_rest = 0
 
     def notices(self) -> list[str]:
         """Return nothing: there is nothing to declare that the data could contradict."""
         return []
+
+    def snapshot(self) -> dict[str, Any]:
+        """Return a copy of the state."""
+        return deepcopy({name: value for name, value in vars(self).items() if name != "_parameters"})
+
+    def restore(self, saved: dict[str, Any]) -> None:
+        """Go on from a state that `snapshot` returned."""
+        vars(self).update(deepcopy(saved))
+
+
+def _each(slots: Slots, time_ns: IntArray) -> list[Slot]:
+    """Return the slots one by one; time_ns is that of the rows."""
+    start_s, end_s = 1e-9 * slots.start_ns, 1e-9 * time_ns[slots.row]
+    count = slots.count.astype(np.float64)
+    within = np.where(count > 1, slots.variance * count / np.maximum(count - 1.0, 1.0), np.nan)
+    return [
+        Slot(*values)
+        for values in zip(
+            start_s.tolist(), end_s.tolist(), count, slots.mean, within,
+            slots.smallest, slots.largest, slots.first, slots.last, strict=True,
+        )
+    ]  # fmt: skip
+
+
+def _held(
+    rows: IntArray, found: IntArray, time_ns: IntArray, segment: IntArray, before: tuple[int, int, int]
+) -> IntArray:
+    """Spread what was found in some rows over all: it holds for a while, in its segment, at known times.
+
+    before is time, segment and at_rest of the last such row of the block before.
+    """
+    latest = np.searchsorted(rows, np.arange(len(time_ns)), side="right")
+    last_ns, last_segment, last = (
+        np.concatenate([[old], new])[latest]
+        for old, new in zip(before, (time_ns[rows], segment[rows], found), strict=True)
+    )
+    holds: npt.NDArray[np.bool_] = (time_ns != NO_INT) & (last_ns != NO_INT) & (segment == last_segment)
+    recent = time_ns - last_ns <= int(GAP_S * 1e9)
+    return np.where(holds & recent, last, 0)

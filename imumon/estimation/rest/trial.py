@@ -5,25 +5,16 @@ White noise averages out over longer windows; hands, vehicles and anything else 
 
 from __future__ import annotations
 
-import math
+from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from imumon.blocks import FloatArray
-from imumon.estimation.rest.state import (
-    AXES,
-    GAIN,
-    KNOWN,
-    LEVELS,
-    RING,
-    SAMPLE_VAR,
-    STEP,
-    VARIANCE,
-    State,
-)
-from imumon.estimation.rest.windows import CHI_SQUARE, COLOUR, QUIET, TINY
+from imumon.estimation.rest.state import ACCEL, GYRO, LEVELS, BoolArray, State
+from imumon.estimation.rest.windows import CHI_SQUARE, COLOUR, QUIET, SLOTS, TINY
 
+RING = 32
+"""Slots that a trial looks at."""
 HALF = RING // 2
 ALIKE = 2.5
 LARGEST_SD = np.array([8.7e-3, 8.7e-3, 8.7e-3, 0.1, 0.1, 0.1])
@@ -32,153 +23,121 @@ STEADY = 4.0
 """Ratio of the variances in the two halves of a trial."""
 LARGEST_RATIO = 20.0
 """A single second difference, squared, over the mean of them: more is a bump."""
-NEIGHBOUR = math.sqrt(0.5)
+NEIGHBOUR = np.sqrt(0.5)
 """Variance at a level of which nothing is known over that of half the windows: between white and flicker."""
 
-# What a trial finds of an axis: variance of a mean of 1, 4, 8 slots; of a sample; what the step explains.
-V1, V4, V8, WITHIN, FLOOR = range(5)
+
+class Noise(NamedTuple):
+    """What a trial found; arrays are (6,).
+
+    Parameters
+    ----------
+    rests : bool
+        Whether all axes are noise about a constant.
+    present : array of bool
+        Axes that were there in all slots.
+    mean : array
+        Of the ring; NaN where an axis was missing.
+    of_1, of_4, of_8 : array
+        Variance of the mean of so many slots.
+    sample : array
+        Variance of a sample.
+    """
+
+    rests: bool
+    present: BoolArray
+    mean: FloatArray
+    of_1: FloatArray
+    of_4: FloatArray
+    of_8: FloatArray
+    sample: FloatArray
 
 
-@njit(cache=True, nogil=True)
-def present(ring: FloatArray, a: int) -> bool:
-    """Tell whether axis a has been there in all slots of the ring."""
-    finite = True
-    for i in range(RING):
-        finite = finite and math.isfinite(ring[a, i, 0])
-    return finite
+def second_differences(means: FloatArray, width: int) -> FloatArray:
+    """Return all second differences of means of width slots, (k, 6)."""
+    sums = np.concatenate([np.zeros((1, means.shape[1])), np.cumsum(means, 0)])
+    part = (sums[width:] - sums[:-width]) / width
+    return np.asarray(part[: -2 * width] - 2.0 * part[width:-width] + part[2 * width :])
 
 
-@njit(cache=True, nogil=True)
-def mean_of(ring: FloatArray, a: int, begin: int, end: int) -> float:
-    """Return the mean of slots begin to end."""
-    total = 0.0
-    for i in range(begin, end):
-        total += ring[a, i, 0]
-    return total / (end - begin)
+def look(state: State, drift: FloatArray) -> Noise:
+    """Look for rest in the latest slots of the history."""
+    n = state.history.length
+    ring, within = state.history.mean[n - RING : n], state.history.within[n - RING : n]
+    seconds = float(state.history.seconds[n] - state.history.seconds[n - RING])
+    mean = ring.mean(0)
+    present = np.isfinite(mean)
+    single = second_differences(ring, 1)
+    of_1, of_4, of_8 = (
+        (d**2).mean(0) / 6.0 for d in (single, second_differences(ring, 4), second_differences(ring, 8))
+    )
+    each, halves = _within(within)
+    sample = np.fmax(of_1, each)
+    noise = Noise(False, present, mean, of_1, of_4, of_8, sample)
+    if not present.any() or (present & (of_1 > LARGEST_SD**2)).any():
+        return noise
+    step2 = state.step**2
+    floor = np.where(sample < 0.25 * step2, step2 / 12.0, 0.0)
+    scaled = single**2 / (6.0 * (of_1 + floor + TINY))
+    if (scaled.max(0) > LARGEST_RATIO * np.maximum(scaled.mean(0), 1.0)).any():
+        return noise
+    power = np.array([scaled[: HALF - 1].sum(0), scaled[HALF - 1 :].sum(0)])
+    ratio = (halves + floor) / (sample + floor + TINY)
+    rests = all(
+        _is_noise(noise, floor, sensor, _change(ring, noise, floor, drift * seconds))
+        and _is_steady(power[:, sensor], ratio[:, sensor])
+        for sensor in (GYRO, ACCEL)
+        if present[sensor].any()
+    )
+    return noise._replace(rests=rests)
 
 
-@njit(cache=True, nogil=True)
-def _second_differences(ring: FloatArray, a: int, width: int) -> float:
-    """Return the variance of means of width slots from all their second differences."""
-    total, count = 0.0, 0
-    for begin in range(RING - 3 * width + 1):
-        difference = 0.0
-        for i in range(begin, begin + width):
-            difference += ring[a, i, 0] - 2.0 * ring[a, i + width, 0] + ring[a, i + 2 * width, 0]
-        total += difference * difference
-        count += 1
-    return total / (6.0 * count * width * width)
+def _within(within: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the mean variance within slots, (6,), and in both halves, (2, 6); NaN for single samples."""
+    finite = np.isfinite(within)
+    halves = np.where(finite, within, 0.0).reshape(2, HALF, -1).sum(1)
+    counts = finite.reshape(2, HALF, -1).sum(1)
+    return halves.sum(0) / counts.sum(0), halves / counts
 
 
-@njit(cache=True, nogil=True)
-def _within(ring: FloatArray, a: int, begin: int, end: int) -> float:
-    """Return the mean variance within slots, NaN when they hold single samples."""
-    total, count = 0.0, 0
-    for i in range(begin, end):
-        if math.isfinite(ring[a, i, 1]):
-            total += ring[a, i, 1]
-            count += 1
-    return total / count if count else np.nan
+def _change(ring: FloatArray, noise: Noise, floor: FloatArray, drift: FloatArray) -> FloatArray:
+    """Return by how many variances the means of both halves differ, beyond drift and step, (6,)."""
+    change = np.abs(ring[HALF:].mean(0) - ring[:HALF].mean(0)) - drift / 2.0 - np.sqrt(12.0 * floor)
+    variance = np.maximum((noise.of_1 + floor) / HALF, noise.of_8)
+    return np.asarray(np.maximum(change, 0.0) ** 2 / (2.0 * variance + TINY))
 
 
-@njit(cache=True, nogil=True)
-def _steady(ring: FloatArray, a: int, found: FloatArray, power: FloatArray) -> bool:
-    """Add the second differences of both halves to power, (2, 2); tell whether none stands out."""
-    mean, largest = 0.0, 0.0
-    for i in range(RING - 2):
-        h = ring[a, i, 0] - 2.0 * ring[a, i + 1, 0] + ring[a, i + 2, 0]
-        scaled = h * h / (6.0 * (found[V1] + found[FLOOR] + TINY))
-        power[0, 0 if i < HALF - 1 else 1] += scaled
-        mean += scaled / (RING - 2)
-        largest = max(largest, scaled)
-    for half in range(2):
-        within = _within(ring, a, half * HALF, (half + 1) * HALF)
-        if math.isfinite(within):
-            power[1, half] += (within + found[FLOOR]) / (found[WITHIN] + found[FLOOR] + TINY)
-    return largest <= LARGEST_RATIO * max(mean, 1.0)
-
-
-@njit(cache=True, nogil=True)
-def _sensor_rests(ring: FloatArray, first: int, found: FloatArray, drift: FloatArray, seconds: float) -> bool:
-    """Tell whether three axes are noise about a constant; seconds is the length of the ring."""
-    slow_4, slow_8, white_4, white_8, moved = 0.0, 0.0, 0.0, 0.0, 0.0
-    power = np.zeros((2, 2))
-    for a in range(first, first + 3):
-        if not math.isfinite(found[a, V1]):
-            continue
-        v1, quiet = found[a, V1] + found[a, FLOOR], QUIET[a] * QUIET[a]
-        if v1 > LARGEST_SD[a] ** 2 or not _steady(ring, a, found[a], power):
+def _is_noise(noise: Noise, floor: FloatArray, sensor: slice, change: FloatArray) -> bool:
+    """Tell whether longer means of a sensor's three axes are as quiet as noise makes them."""
+    there = noise.present[sensor]
+    v1, quiet = (noise.of_1 + floor)[sensor][there], QUIET[sensor][there] ** 2
+    scale = 1.0 / np.maximum(v1, quiet)
+    for slots, slow in ((4.0, noise.of_4), (8.0, noise.of_8)):
+        white = np.maximum(v1 / slots, quiet)
+        if (slow[sensor][there] * scale).sum() > COLOUR * (white * scale).sum():
             return False
-        scale = 1.0 / max(v1, quiet)
-        slow_4 += found[a, V4] * scale
-        slow_8 += found[a, V8] * scale
-        white_4 += max(v1 / 4.0, quiet) * scale
-        white_8 += max(v1 / 8.0, quiet) * scale
-        allowed = drift[a] * seconds / 2.0 + math.sqrt(12.0 * found[a, FLOOR])
-        d = abs(mean_of(ring, a, HALF, RING) - mean_of(ring, a, 0, HALF)) - allowed
-        if d > 0.0:
-            moved += d * d / (2.0 * max(v1 / HALF, found[a, V8]) + TINY)
-    if slow_4 > COLOUR * white_4 or slow_8 > COLOUR * white_8 or moved > CHI_SQUARE:
-        return False
-    for kind in range(2):
-        low, high = min(power[kind, 0], power[kind, 1]), max(power[kind, 0], power[kind, 1])
+    return bool(change[sensor][there].sum() <= CHI_SQUARE)
+
+
+def _is_steady(*powers: FloatArray) -> bool:
+    """Tell whether powers in two halves, (2, 3) each, are alike."""
+    for power in powers:
+        low, high = sorted(np.nansum(power, 1).tolist())
         if high > STEADY * low + TINY:
             return False
     return True
 
 
-@njit(cache=True, nogil=True)
-def rests(state: State, ring: FloatArray, found: FloatArray, drift: FloatArray) -> bool:
-    """Tell whether a ring, oldest slot first, shows a unit at rest; fill found, (6, 5)."""
-    any_axis = False
-    found[:] = np.nan
-    for a in range(AXES):
-        if present(ring, a):
-            any_axis = True
-            found[a, V1] = _second_differences(ring, a, 1)
-            if found[a, V1] > LARGEST_SD[a] ** 2:
-                return False
-    if not any_axis:
-        return False
-    for a in range(AXES):
-        if math.isfinite(found[a, V1]):
-            within, step = _within(ring, a, 0, RING), state.axis[STEP, a]
-            sample = max(found[a, V1], within) if math.isfinite(within) else found[a, V1]
-            found[a, WITHIN] = sample
-            found[a, V4] = _second_differences(ring, a, 4)
-            found[a, V8] = _second_differences(ring, a, 8)
-            found[a, FLOOR] = step * step / 12.0 if sample < 0.25 * step * step else 0.0
-    seconds = state.durations.sum()
-    return _sensor_rests(ring, 0, found, drift, seconds) and _sensor_rests(ring, 3, found, drift, seconds)
-
-
-@njit(cache=True, nogil=True)
-def _alike(state: State, a: int, found: FloatArray) -> bool:
-    """Tell whether a trial found the noise that is known already, from more data."""
-    before, now = state.level[0, VARIANCE, a], found[a, V1]
-    within_before, within = state.axis[SAMPLE_VAR, a], found[a, WITHIN]
-    same: bool = max(before, now) <= ALIKE * min(before, now) and within <= ALIKE * within_before
-    return same
-
-
-@njit(cache=True, nogil=True)
-def adopt(state: State, found: FloatArray, only_unknown: bool) -> None:
-    """Take the noise that a trial found as that of the unit at rest."""
-    for a in range(AXES):
-        if not math.isfinite(found[a, V1]) or (only_unknown and state.axis[KNOWN, a] > 0.0):
-            continue
-        if state.axis[KNOWN, a] > 0.0 and _alike(state, a, found):
-            continue
-        state.axis[KNOWN, a] = 1.0
-        state.axis[SAMPLE_VAR, a] = found[a, WITHIN]
-        v1 = found[a, V1]
-        v4 = max(v1 / 4.0, found[a, V4])
-        v8 = max(v1 / 8.0, found[a, V8])
-        for j in range(LEVELS):
-            state.level[j, GAIN, a] = 1.0 / (1.0 + max(32.0 / (1 << j), 3.0))
-        state.level[0, VARIANCE, a] = v1
-        state.level[1, VARIANCE, a] = max(v1 / 2.0, v4)
-        state.level[2, VARIANCE, a] = v4
-        state.level[3, VARIANCE, a] = v8
-        for j in range(4, LEVELS):
-            state.level[j, VARIANCE, a] = state.level[j - 1, VARIANCE, a] * NEIGHBOUR
+def adopt(state: State, noise: Noise, which: BoolArray) -> None:
+    """Take the noise of some axes, (6,), as that of the unit at rest, unless it is known from more data."""
+    before = state.variance[0]
+    alike = np.maximum(before, noise.of_1) <= ALIKE * np.minimum(before, noise.of_1)
+    alike &= noise.sample <= ALIKE * state.sample_variance
+    new = which & noise.present & ~(state.known & alike)
+    of_4, of_8 = np.maximum(noise.of_1 / 4.0, noise.of_4), np.maximum(noise.of_1 / 8.0, noise.of_8)
+    start = [noise.of_1, np.maximum(noise.of_1 / 2.0, of_4), of_4, of_8]
+    start += [of_8 * NEIGHBOUR**k for k in range(1, LEVELS - 3)]
+    state.known |= new
+    state.sample_variance = np.where(new, noise.sample, state.sample_variance)
+    state.variance = np.where(new, start, state.variance)
+    state.gain = np.where(new, 1.0 / (1.0 + np.maximum(RING / SLOTS, 3.0))[:, np.newaxis], state.gain)

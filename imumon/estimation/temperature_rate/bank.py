@@ -23,7 +23,7 @@ from imumon.filters.kalman import Estimate, predict
 JERKS = 10.0 ** np.arange(-27.0, -3.5, 1.5)
 """Jerk densities, °C²/s⁵: from a rate that keeps to 0.001 °C/h for a day to a jump of 2 °C/min in 3 s."""
 FORGETTING_S = 1800.0
-WHITE_SIGMAS = np.array([0.0003, 0.01, 0.02, 0.035, 0.06, 0.1, 0.16, 0.25])
+WHITE_SIGMAS = np.array([0.0003, 0.01, 0.02, 0.035, 0.06, 0.1, 0.13, 0.16, 0.2, 0.25])
 """White noise of the level kinds in steps: beyond the last the steps are no sharper than the noise."""
 SLOW_TIMES_S = np.array([5.0, 40.0])
 """Correlation times of slow errors; every one with every standard deviation."""
@@ -31,7 +31,7 @@ SLOW_LEVEL_SIGMAS, SLOW_LEVEL_WHITE = np.array([0.12, 0.25, 0.5, 1.0]), 0.06
 """Standard deviations in units of slow errors before the quantizer, and white noise beside them in steps."""
 MEAN_FACTORS = np.array([0.7, 1.4, 2.8])
 """Variance of a slot's mean in the mean kinds, over that seen from slot to slot."""
-SLOW_SIGMAS = np.array([1.0, 2.0, 4.0])
+SLOW_SIGMAS = np.array([0.5, 1.0, 2.0, 4.0])
 """Standard deviations in units of slow errors where the noise hides the steps."""
 
 

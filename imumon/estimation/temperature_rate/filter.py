@@ -27,9 +27,11 @@ from imumon.estimation.temperature_rate.step import StepFinder
 GLIDE_S = 3.0
 """Time constant with which what is shown follows the state, so that it does not jump."""
 SURPRISING = 6.0
-"""A change by so many standard deviations corrects an error: then what is shown jumps."""
-ALLOWED = 4.0
-"""The temperature is within a step and so many standard deviations of the noise of the readings."""
+"""A change by so many standard deviations and half a step corrects an error: then the temperature jumps."""
+ALLOWED = 2.5
+"""The temperature is within half a step and so many standard deviations of the noise of the readings."""
+STEP_CHANGE = 0.25
+"""A step found to be so much larger is another."""
 GATE, GATE_STEPS, GATE_SLOTS = 8.0, 5.0, 3
 """A reading off by so many deviations and steps is a fault; after so many slots it is the truth."""
 GAP_S = 600.0
@@ -38,8 +40,10 @@ LATE_S, LATE_FACTOR = 5.0, 3.0
 """Readings missed for so long, and so many times the usual interval, ..."""
 UNSEEN_JERK = 1e-13
 """... let the temperature do this, °C²/s⁵, that nobody saw."""
-EDGES = 0.1
-"""Edges between levels are known to so many steps: ±0.2 of nonlinearity is a good converter's."""
+EDGES = 0.05
+"""Edges between levels are known to so many steps: ±0.1 of nonlinearity is a good converter's."""
+COARSEST = 1.0
+"""°C; as long as a reading has never changed, its steps may be those of the coarsest thermometers."""
 FROZEN_S, DRIFT_PER_S = 3600.0, 1.0 / 3600.0**2
 """A level unchanged for an hour is trusted less: the band grows by 1 °C/h every hour, up to the start's."""
 
@@ -83,6 +87,8 @@ class State:
         Last reading and the middle of its slot; a slot's mean before.
     usual_s : float
         Time between the last two slots with readings.
+    step : float
+        The step that the bank takes the readings to have, °C.
     faults : int
         Slots that were passed over in a row.
     """
@@ -95,6 +101,7 @@ class State:
     last: float = np.nan
     last_s: float = -np.inf
     usual_s: float = 0.0
+    step: float = 0.0
     faults: int = 0
 
     @classmethod
@@ -119,22 +126,29 @@ def step(state: State, reading: Reading) -> Shown:
         sensor.learn(reading)
         if not np.isfinite(sensor.changed_s):
             sensor.changed_s = reading.time_s
+    if state.bank is not None and sensor.step > (1.0 + STEP_CHANGE) * state.step > 0.0:
+        # So far the readings were taken for finer than they are.
+        state.bank = None
     dead = sensor.is_dead(reading.time_s)
-    heard = reading.count > 0 and not dead
+    old = reading.count > 0 and sensor.is_old(reading)
+    if sensor.refreshes_slowly and reading.changes:
+        reading = reading.newest
+    heard = reading.count > 0 and not dead and not old
     seen_s = sensor.changed_s if dead else state.last_s
-    if state.bank is not None and not heard and reading.end_s - seen_s > GAP_S:
+    if state.bank is not None and not heard and not old and reading.end_s - seen_s > GAP_S:
         state.bank, state.shown = None, Shown()
     if state.bank is None:
         if not heard:
             return state.shown
         state.bank = started(reading.mean, _start_sd(reading, sensor), 0.0, sensor.unit)
+        state.step = sensor.step
         state.time_s, state.faults, state.usual_s = reading.time_s, 0, 0.0
         fresh = True
     else:
         fresh = False
     at = reading.time_s if heard else reading.end_s
     dt = max(at - state.time_s, 0.0)
-    unseen = not heard or dt > max(LATE_S, LATE_FACTOR * state.usual_s)
+    unseen = (not heard and not old) or dt > max(LATE_S, LATE_FACTOR * state.usual_s)
     bank = advance(state.bank, dt, sensor.unit, UNSEEN_JERK if unseen else 0.0)
     state.time_s = at
     if heard:
@@ -155,9 +169,12 @@ def _keep_near(state: State, reading: Reading) -> None:
     sensor, bank, shown = state.sensor, state.bank, state.shown
     assert bank is not None
     slow = float(bank.weight.sum(0) @ SLOW_SIGMA) * sensor.unit
-    allowed = sensor.step + ALLOWED * float(np.hypot(np.sqrt(sensor.roughness), slow))
+    low, high = reading.low, reading.high
+    if reading.changes >= 4:
+        low = high = sensor.linear(reading)
+    allowed = 0.5 * sensor.step + ALLOWED * float(np.hypot(np.sqrt(sensor.roughness), slow))
     temperature = shown.temperature + shown.temperature_left
-    off = temperature - min(max(temperature, reading.low - allowed), reading.high + allowed)
+    off = temperature - min(max(temperature, low - allowed), high + allowed)
     if off:
         sd = float(np.hypot(shown.temperature_sd, off))
         state.shown = shown._replace(temperature=shown.temperature - off, temperature_sd=sd)
@@ -192,22 +209,26 @@ def _shown(state: State, bank: Bank, end_s: float, fresh: bool) -> Shown:
     temperature = float(centre[TEMPERATURE] + ahead * centre[RATE])
     rate = float(centre[RATE] + ahead * centre[ACCELERATION])
     frozen = min(DRIFT_PER_S * max(end_s - state.sensor.changed_s - FROZEN_S, 0.0), START_RATE)
+    unseen = state.sensor.finder.unseen
+    hidden = COARSEST / np.sqrt(12.0) if unseen else EDGES * state.sensor.step
+    moved = COARSEST / np.sqrt(6.0) / max(end_s, 1.0) if unseen else 0.0
     shown = Shown(
         end_s,
         temperature,
         rate,
         float(centre[ACCELERATION]),
-        float(np.hypot(np.sqrt(max(spread[TEMPERATURE], 0.0)), EDGES * state.sensor.step)),
-        float(np.hypot(np.sqrt(max(spread[RATE], 0.0)), frozen)),
+        float(np.hypot(np.sqrt(max(spread[TEMPERATURE], 0.0)), hidden)),
+        float(np.sqrt(max(spread[RATE], 0.0) + frozen**2 + moved**2)),
     )
     if not fresh:
         before = state.shown
         age = end_s - before.time_s
         fade = float(np.exp(-age / GLIDE_S))
         left = before.temperature + age * before.rate + fade * before.temperature_left - temperature
-        if abs(left) < SURPRISING * before.temperature_sd:
-            rate_left = before.rate + age * before.acceleration + fade * before.rate_left - rate
-            return shown._replace(temperature_left=left, rate_left=rate_left)
+        if abs(left) > max(SURPRISING * before.temperature_sd, 0.5 * state.sensor.step):
+            left = 0.0
+        rate_left = before.rate + age * before.acceleration + fade * before.rate_left - rate
+        return shown._replace(temperature_left=left, rate_left=rate_left)
     return shown
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -16,6 +16,10 @@ DEAD_S, DEAD_INTERVALS = 60.0, 10.0
 """Noise of more than a step that stops for so long, and so many usual intervals, is a dead sensor."""
 SLOWER = 1.01
 """Factor by which the interval between changes grows with each change that comes later."""
+MOST_INDEPENDENT = 32.0
+"""More readings would place an edge, σ/√n, finer than its sigma is known between two of the bank's."""
+SLOW_S, LEAPS = 1.5, 2
+"""A reading that changes no faster than this and by more than a step, so many times, is refreshed slowly."""
 DITHERED = 0.2
 """White noise of so many steps within a slot makes its mean nearly linear in the temperature."""
 
@@ -57,6 +61,14 @@ class Reading:
     gap_s: float
 
     @property
+    def newest(self) -> Reading:
+        """The last of the readings alone."""
+        return replace(
+            self, start_s=self.end_s, mean=self.last, variance=0.0, low=self.last, high=self.last,
+            first=self.last, changes=0, step_squares=0.0, before=np.nan,
+        )  # fmt: skip
+
+    @property
     def time_s(self) -> float:
         """Middle."""
         return 0.5 * (self.start_s + self.end_s)
@@ -93,6 +105,8 @@ class Sensor:
         Usual time between slots that change.
     changed_s : float
         When the reading changed last.
+    leaps : int
+        Single changes by more than a step while the reading hardly ever changes: slow refreshes.
     learned : int
         Slots that changed.
     slots : int
@@ -108,6 +122,7 @@ class Sensor:
     interval_s: float = 0.0
     usual_s: float = 0.0
     changed_s: float = float("nan")
+    leaps: int = 0
     learned: int = 0
     slots: int = 0
     means: tuple[float, ...] = field(default=())
@@ -125,9 +140,19 @@ class Sensor:
     def independent(self, reading: Reading) -> float:
         """Return how many independent readings a slot has; less than one where a reading outlasts it."""
         share = self.squares / self.spread if self.spread > 0.0 else 1.0
-        count = max(share * reading.count, 1.0)
-        slow = self.interval_s / max(reading.duration_s, reading.gap_s)
+        count = min(max(share * reading.count, 1.0), MOST_INDEPENDENT)
+        slow = 1.0 if self.refreshes_slowly else self.interval_s / max(reading.duration_s, reading.gap_s)
         return min(count, reading.count) / max(slow, 1.0)
+
+    @property
+    def refreshes_slowly(self) -> bool:
+        """Whether a reading is repeated over slots until there is another."""
+        return self.leaps >= LEAPS and self.interval_s > SLOW_S
+
+    def is_old(self, reading: Reading) -> bool:
+        """Tell whether a reading is still that of the last refresh."""
+        old = not reading.changes and reading.time_s - self.changed_s < 1.5 * self.interval_s
+        return self.refreshes_slowly and old
 
     def is_dead(self, now_s: float) -> bool:
         """Tell whether noise of more than a step has stopped."""
@@ -156,17 +181,23 @@ class Sensor:
     def learn(self, reading: Reading) -> None:
         """Learn from a slot that has readings."""
         self.slots += 1
-        self.means = (*self.means[-2:], reading.mean)
-        if len(self.means) == 3:
-            bend = (self.means[0] - 2.0 * self.means[1] + self.means[2]) ** 2 / 6.0
-            weight = max(MEMORY, 1.0 / (self.slots - 2))
-            if self.slots > 8:
-                bend = min(bend, MOST * max(self.roughness, self.step**2 / 12.0, 1e-10))
-            self.roughness += weight * (bend - self.roughness)
+        if not self.refreshes_slowly:
+            self._learn_roughness(reading.mean)
+        elif reading.changes:
+            self._learn_roughness(reading.last)
         if not reading.changes:
             return
         self._learn_changes(reading)
         self.finder.learn(reading.differences)
+
+    def _learn_roughness(self, mean: float) -> None:
+        self.means = (*self.means[-2:], mean)
+        if len(self.means) < 3:
+            return
+        bend = (self.means[0] - 2.0 * self.means[1] + self.means[2]) ** 2 / 6.0
+        if self.slots > 8:
+            bend = min(bend, MOST * max(self.roughness, self.step**2 / 12.0, 1e-10))
+        self.roughness += max(MEMORY, 1.0 / max(self.slots - 2, 1)) * (bend - self.roughness)
 
     def _learn_changes(self, reading: Reading) -> None:
         self.learned += 1
@@ -178,12 +209,18 @@ class Sensor:
             self.inside += weight * (variance - self.inside)
             self.squares += weight * (reading.step_squares - self.squares)
             self.spread += weight * (2.0 * reading.count * variance - self.spread)
-        since = reading.duration_s / reading.changes
-        if reading.changes == 1:
-            since = reading.time_s - self.changed_s if self.learned > 1 else 0.0
-        self.interval_s = (
-            since if since < self.interval_s else min(since, SLOWER * max(self.interval_s, reading.gap_s))
+        since = (
+            reading.duration_s / reading.changes if reading.changes > 1 else reading.time_s - self.changed_s
         )
+        if self.learned > 1 or reading.changes > 1:
+            longest = SLOWER * max(self.interval_s, reading.gap_s) if self.interval_s else since
+            self.interval_s = min(since, longest)
+        leap = np.sqrt(reading.step_squares) > 1.5 * self.step and self.interval_s > SLOW_S
+        if self.step and reading.changes == 1 and leap:
+            self.leaps += 1
+            if self.leaps == LEAPS:
+                # What looked like noise from slot to slot were the refreshes.
+                self.roughness, self.means = self.step**2 / 12.0, ()
         if self.learned > 1:
             self.usual_s += weight * (reading.time_s - self.changed_s - self.usual_s)
         self.changed_s = reading.time_s

@@ -8,9 +8,9 @@ from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
-from numba import njit
 
 from imumon.blocks import ColumnArray, FloatArray, IntArray
+from imumon.compiled import njit
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,7 +106,7 @@ class SegmentClock:
             yield start, stop, begins, elapsed * 1e-9
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _steady(time_ns: IntArray, segment: IntArray) -> bool:
     """Tell whether all is one segment in which the time does not run back: nearly every block is."""
     for i in range(1, len(time_ns)):

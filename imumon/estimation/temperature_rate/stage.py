@@ -24,7 +24,7 @@ def _level_bank(parameters: TemperatureRateParameters) -> RateMethod:
 
 def _fir_exponential(parameters: TemperatureRateParameters) -> RateMethod:
     # Imported where it is chosen: it takes seconds to compile.
-    from imumon.estimation.temperature_rate.fir import FirExponentialRate
+    from imumon.published.fir import FirExponentialRate
 
     if parameters.step_degc is None:
         raise ImumonError(Reason.BAD_CONFIG, "method fir_exponential without step_degc")

@@ -55,6 +55,11 @@ class StepFinder:
         return self.size if known and self.size >= FINEST_STEP else None
 
     @property
+    def unseen(self) -> bool:
+        """Whether nothing is known of the step, neither said nor seen."""
+        return self.declared is None and self.seen == 0
+
+    @property
     def stepless(self) -> bool:
         """Whether enough changes were seen and are not multiples of any step."""
         return self.size < FINEST_STEP or (self.seen > 2 * SUPPORT_NEEDED and self.step is None)

@@ -22,9 +22,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from imumon.blocks import FloatArray, IntArray
+from imumon.compiled import njit
 
 BLOCK = 10
 """Slots of half a second at rest that make a step of the tests."""
@@ -139,7 +139,7 @@ def limit(false_alarm_hours: float, slot_s: float = 0.5) -> float:
     return math.log(TESTS * max(false_alarm_hours * 3600.0 / (BLOCK * slot_s), 1.0))
 
 
-@njit(cache=True, nogil=True)
+@njit
 def restart(state: State) -> None:
     """Forget all, as after a restart of the device."""
     state.low[:] = np.nan
@@ -154,7 +154,7 @@ def restart(state: State) -> None:
     state.counts[:] = 0
 
 
-@njit(cache=True, nogil=True)
+@njit
 def watch(
     seconds: FloatArray,
     innovation: FloatArray,
@@ -206,7 +206,7 @@ def watch(
     return found
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _drive(
     regressor: FloatArray,
     axis: int,
@@ -233,7 +233,7 @@ def _drive(
     regressor[CONSTANT] = 1.0
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _high_pass(low: FloatArray, k: int, value: float, follow: float) -> float:
     """Return what is left of a value by a low-pass that has taken it in."""
     if not math.isfinite(value):
@@ -246,7 +246,7 @@ def _high_pass(low: FloatArray, k: int, value: float, follow: float) -> float:
     return high
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _add(regressor: FloatArray, axis: int, v: float, state: State) -> None:
     """Add an innovation to the block."""
     sums = state.sums[axis]
@@ -257,7 +257,7 @@ def _add(regressor: FloatArray, axis: int, v: float, state: State) -> None:
     state.square[axis] += v * v
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _step(state: State) -> float:
     """End a block: bring every test on, and return the highest."""
     highest = 0.0

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from imumon.blocks import FloatArray
+from imumon.effects.library import suspected_by
 from imumon.estimation.watch import kernel
 
 SHARE = 0.5
@@ -24,31 +25,22 @@ class Trait:
     ----------
     text : str
         What they do, after "the innovations".
+        An effect that would make them do so has it in `suspected_by`.
     first, stop : int
         The regressors of `kernel` that find it.
-    effects : tuple of str
-        Families of effects that would make them do so.
     """
 
     text: str
     first: int
     stop: int
-    effects: tuple[str, ...]
 
 
-TEMPERATURE = Trait("temperature", kernel.TEMPERATURE, kernel.RATE_HIGH, ("temperature_curve", "hysteresis"))
-RATE = Trait(
-    "temperature rate",
-    kernel.RATE_HIGH,
-    kernel.CONSTANT,
-    ("temperature_rate", "thermal_lag", "hysteresis"),
-)
-TIME = Trait("time since start", kernel.CONSTANT, kernel.PAST, ("warm_up", "drift"))
+TEMPERATURE = Trait("temperature", kernel.TEMPERATURE, kernel.RATE_HIGH)
+RATE = Trait("temperature rate", kernel.RATE_HIGH, kernel.CONSTANT)
+TIME = Trait("time since start", kernel.CONSTANT, kernel.PAST)
 DRIVERS = (TEMPERATURE, RATE, TIME)
-PAST = Trait(
-    "follow each other", kernel.PAST, kernel.REGRESSORS, ("step", "periodic", "drift", "g_sensitivity")
-)
-SIZE = Trait("exceed their standard deviation", kernel.REGRESSORS, kernel.REGRESSORS + 1, ())
+PAST = Trait("follow each other", kernel.PAST, kernel.REGRESSORS)
+SIZE = Trait("exceed their standard deviation", kernel.REGRESSORS, kernel.REGRESSORS + 1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +81,7 @@ def judge(peaks: FloatArray, modelled: bool) -> Verdict:
     if not modelled and TIME not in named and PAST not in named:
         text = f"the bias follows temperature, and there is no model: {CALIBRATE}"
         return Verdict("bias follows temperature", f"{start}; {text}")
-    effects = list(dict.fromkeys(effect for trait in named for effect in trait.effects))
+    effects = list(dict.fromkeys(effect for trait in named for effect in suspected_by(trait.text)))
     if not modelled and TIME in named and len(named) > 1:
         text = f"there is no model of the bias over temperature: {CALIBRATE}; if that leaves something, of"
         return Verdict(f"innovations {does}", f"{start}; {text} {_either(effects)}: {DIAGNOSE}")

@@ -1,4 +1,4 @@
-"""Training of the network: Levenberg-Marquardt from several starts at once, analytic Jacobian."""
+"""Training of the network: Levenberg-Marquardt from several starts, with the analytic Jacobian."""
 
 from __future__ import annotations
 
@@ -6,22 +6,21 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from imumon.blocks import FloatArray
 from imumon.models.curves.network import NetworkCurve
-from imumon.models.curves.points import Points, folds
+from imumon.models.curves.points import Points
 
 RESTARTS = 8
 DECAY = 1e-7
 """Penalty on the squared weights, per point of unit variance: keeps weights finite that the data leaves free.
 
 With 1e-5 it costs 2 % of the span, more than the noise of the soak, and the slope suffers."""
-ITERATIONS = 80
+FIRST, LAST = 30, 100
+"""Evaluations from every start, and of those that go on."""
 MERGED = 200
 """Means within this part of the span are merged before training."""
-PATIENCE = 6
-"""Steps in which the validation error may rise before a start is stopped."""
-_FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-2, 1e-10, 1e8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,108 +95,54 @@ def starts(neurons: int, count: int, random: np.random.Generator) -> FloatArray:
 
 
 def response(weights: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the output of r networks at u, (r, m), and its derivative by their weights, (r, m, p)."""
-    r, m = len(weights), len(u)
-    output, first, second, w2, w3 = _forward(weights, u)
-    by_b2 = (1.0 - second**2) * w3[:, np.newaxis]
-    by_w2 = (by_b2[..., np.newaxis] * first[:, :, np.newaxis]).reshape(r, m, -1)
+    """Return the output of a network at u, (m,), and its derivative by the weights, (m, p)."""
+    n = neurons_of(len(weights))
+    w1, b1, w2, b2, w3, b3 = np.split(weights, np.cumsum([n, n, n * n, n, n]))
+    w2 = w2.reshape(n, n)
+    first = np.tanh(u[:, np.newaxis] * w1 + b1)
+    second = np.tanh(first @ w2.T + b2)
+    by_b2 = (1.0 - second**2) * w3
+    by_w2 = by_b2[:, :, np.newaxis] * first[:, np.newaxis]
     by_b1 = (by_b2 @ w2) * (1.0 - first**2)
-    by_w1 = by_b1 * u[np.newaxis, :, np.newaxis]
-    return output, np.concatenate([by_w1, by_b1, by_w2, by_b2, second, np.ones((r, m, 1))], axis=2)
+    by_w1 = by_b1 * u[:, np.newaxis]
+    parts = [by_w1, by_b1, by_w2.reshape(len(u), -1), by_b2, second, np.ones((len(u), 1))]
+    return second @ w3 + b3, np.hstack(parts)
 
 
-def _forward(weights: FloatArray, u: FloatArray) -> tuple[FloatArray, ...]:
-    """Return output (r, m), both hidden layers (r, m, n), and the weights w2 (r, n, n) and w3 (r, n)."""
-    n = neurons_of(weights.shape[1])
-    w1, b1, w2, b2, w3, b3 = np.split(weights, np.cumsum([n, n, n * n, n, n]), axis=1)
-    w2 = w2.reshape(-1, n, n)
-    first = np.tanh(u[np.newaxis, :, np.newaxis] * w1[:, np.newaxis] + b1[:, np.newaxis])
-    second = np.tanh(first @ w2.transpose(0, 2, 1) + b2[:, np.newaxis])
-    return (second @ w3[..., np.newaxis])[..., 0] + b3, first, second, w2, w3
+def mean_square(weights: FloatArray, data: Scaled) -> float:
+    """Return the weighted mean squared error of a network."""
+    return float(np.mean(data.w * (data.y - response(weights, data.u)[0]) ** 2))
 
 
-def mean_square(weights: FloatArray, data: Scaled) -> FloatArray:
-    """Return the weighted mean squared error of r networks, (r,)."""
-    return _mean_square(_forward(weights, data.u)[0], data)
+def train(start: FloatArray, data: Scaled, decay: float = DECAY, evaluations: int = 100) -> FloatArray:
+    """Return the weights, (p,), that Levenberg-Marquardt (MINPACK's) comes to from a start.
 
-
-def train(
-    start: FloatArray,
-    data: Scaled,
-    validation: Scaled | None = None,
-    decay: float = DECAY,
-    iterations: int = ITERATIONS,
-) -> FloatArray:
-    """Return the weights of r networks after training, (r, p), each from its own start.
-
-    Minimises mean(w (y - output)²) + decay Σ weights².  With validation data, the weights returned are those
-    of the least validation error on the way, and a start ends after `PATIENCE` steps above it.
+    It minimises mean(w (y - output)²) + decay Σ weights².
     """
-    weights = start.copy()
-    damping = np.full(len(start), _FIRST_DAMPING)
-    output, jacobian = response(weights, data.u)
-    cost = _cost(output, data, weights, decay)
-    best, best_error, waited = weights.copy(), np.full(len(start), np.inf), np.zeros(len(start), np.int64)
-    if validation is not None:
-        best_error = mean_square(weights, validation)
-    for _ in range(iterations):
-        step = _step(jacobian, output, data, weights, decay, damping)
-        tried = weights + step
-        new_output, new_jacobian = response(tried, data.u)
-        new_cost = _cost(new_output, data, tried, decay)
-        going = (damping < _MOST_DAMPING) & (waited < PATIENCE)
-        accepted = going & (new_cost < cost)
-        weights[accepted], cost[accepted] = tried[accepted], new_cost[accepted]
-        output[accepted], jacobian[accepted] = new_output[accepted], new_jacobian[accepted]
-        damping = np.where(accepted, np.maximum(damping * 0.1, _LEAST_DAMPING), damping * 4.0)
-        if validation is not None:
-            error = mean_square(weights, validation)
-            better = accepted & (error < best_error)
-            best[better], best_error[better] = weights[better], error[better]
-            waited = np.where(better, 0, waited + accepted)
-        if not going.any():
-            break
-    return weights if validation is None else best
+    root = np.sqrt(data.w / len(data.u))
+    shrink = np.sqrt(decay)
+
+    def residual(weights: FloatArray) -> FloatArray:
+        return np.concatenate([root * (response(weights, data.u)[0] - data.y), shrink * weights])
+
+    def derivative(weights: FloatArray) -> FloatArray:
+        own = root[:, np.newaxis] * response(weights, data.u)[1]
+        return np.vstack([own, shrink * np.eye(len(weights))])
+
+    found = least_squares(residual, start, derivative, method="lm", max_nfev=evaluations)
+    return np.asarray(found.x)
 
 
 def fit_network(points: Points, neurons: int, seed: int = 0, restarts: int = RESTARTS) -> NetworkCurve:
-    """Fit a 1-n-n-1 network: several starts, stopped early on levels kept apart; the best goes on on all."""
+    """Fit a 1-n-n-1 network: several starts go some way, the best two to the end."""
     points = points.merged(float(np.ptp(points.temperature)) / MERGED)
     scaling = Scaling.of(points)
-    everything = scaling.apply(points)
+    data = scaling.apply(points)
     begun = starts(neurons, restarts, np.random.default_rng(seed))
-    apart = folds(points.level, 5)
-    if len(apart) >= 2:
-        fold = apart[len(apart) // 2]
-        own = Scaled(everything.u[~fold], everything.y[~fold], everything.w[~fold])
-        kept = Scaled(everything.u[fold], everything.y[fold], everything.w[fold])
-        begun = train(begun, own, kept)
-    error = mean_square(begun, everything)
-    chosen = begun[np.argsort(error)[:2]]
-    trained = train(chosen, everything)
-    costs = mean_square(trained, everything) + DECAY * np.sum(trained**2, axis=1)
-    return scaling.curve(trained[np.argmin(costs)])
+    tried = sorted((train(start, data, evaluations=FIRST) for start in begun), key=lambda w: _cost(w, data))
+    trained = [train(weights, data, evaluations=LAST) for weights in tried[:2]]
+    return scaling.curve(min(trained, key=lambda weights: _cost(weights, data)))
 
 
-def _step(
-    jacobian: FloatArray,
-    output: FloatArray,
-    data: Scaled,
-    weights: FloatArray,
-    decay: float,
-    damping: FloatArray,
-) -> FloatArray:
-    weighted = (jacobian * data.w[:, np.newaxis]).transpose(0, 2, 1) / len(data.u)
-    normal = weighted @ jacobian
-    gradient = (weighted @ (output - data.y)[..., np.newaxis])[..., 0] + decay * weights
-    diagonal = np.arange(normal.shape[1])
-    normal[:, diagonal, diagonal] += decay + damping[:, np.newaxis]
-    return np.asarray(-np.linalg.solve(normal, gradient[..., np.newaxis])[..., 0], np.float64)
-
-
-def _mean_square(output: FloatArray, data: Scaled) -> FloatArray:
-    return np.asarray(np.mean(data.w * (output - data.y) ** 2, axis=1))
-
-
-def _cost(output: FloatArray, data: Scaled, weights: FloatArray, decay: float) -> FloatArray:
-    return np.asarray(_mean_square(output, data) + decay * np.sum(weights**2, axis=1))
+def _cost(weights: FloatArray, data: Scaled) -> float:
+    return mean_square(weights, data) + DECAY * float(weights @ weights)

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 from math import pi
 
 from imumon.columns import KNOWN, Column
-from imumon.protocols.tagged import Field, Value
+from imumon.protocols.base import MAIN
+from imumon.protocols.tagged import NO_GROUP, Field, Value
 from imumon.protocols.tagged_columns import (
     MATRIX,
     QUATERNION,
@@ -76,6 +77,27 @@ class Identifier:
     values: tuple[Value, ...] = ()
     framed: bool = False
     raw: bool = False
+
+    @property
+    def group(self) -> str:
+        """The group of fields that it belongs to; the first byte of the code is the vendor's own grouping."""
+        return _HIGH_RATE.get(self.code) or _GROUPS.get(self.code >> 8, "status")
+
+
+_GROUPS = {
+    0x10: NO_GROUP,
+    **dict.fromkeys((0x40, 0x80, 0xA0), MAIN),
+    0xC0: "mag",
+    0x08: "temperature",
+    0x20: "attitude",
+    0x30: "pressure",
+    **dict.fromkeys((0x50, 0xD0), "navigation"),
+    **dict.fromkeys((0x70, 0x88), "gnss"),
+    0xB0: "analog",
+    **dict.fromkeys((0xEE, 0x48), "trigger"),
+}
+_HIGH_RATE = {0x4040: "imu_hr", 0x8040: "imu_hr", 0x4030: "attitude", 0xA050: "mag"}
+"""What the vendor's grouping does not tell: the high-rate outputs have a rate of their own."""
 
 
 def _real(
@@ -252,16 +274,19 @@ def _variants(identifier: Identifier) -> list[Field]:
                     for v in values
                     if v.column
                 ),
+                identifier.group,
             )
             for sign in (0, 1)
         ]
     if not values or values[0].type:
-        return [Field(identifier.code | low, name, values) for low in ((0, 1) if not values else (0,))]
+        lows = (0,) if values else (0, 1)
+        return [Field(identifier.code | low, name, values, identifier.group) for low in lows]
     return [
         Field(
             identifier.code | frame | precision,
             name,
             tuple(Value(value.column, kind, value.factor * factor) for value in values),
+            identifier.group,
         )
         for frame in (FRAMES.values() if identifier.framed else (0,))
         for precision, (kind, factor) in enumerate(PRECISIONS.values())

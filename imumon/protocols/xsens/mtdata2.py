@@ -33,7 +33,9 @@ class MTData2Decoder(TaggedDecoder):
 
     def __init__(self, rate_hz: float | None = None) -> None:
         timing = Timing(counter_bits=16, tick_ns=TICK_NS, tick_bits=32, rate_hz=rate_hz)
-        super().__init__(FieldTable(MTDATA2_FIELDS, DERIVED), XBUS, {MTDATA2: LIST}, NAMES, timing)
+        super().__init__(
+            FieldTable(MTDATA2_FIELDS, DERIVED, apart=("gnss",)), XBUS, {MTDATA2: LIST}, NAMES, timing
+        )
 
     @property
     def reference_frame(self) -> Frame | None:

@@ -2,83 +2,117 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from imumon.blocks import FloatArray
+from imumon.effects.base import Drive, Effect, Memory
+from imumon.effects.hysteresis import Hysteresis
+from imumon.effects.run_offset import RunOffset
+from imumon.effects.warm_up import WarmUp
+from imumon.geodesy import DEG_PER_H, MICRO_G
 from imumon.simulation.unit.curves import axis_values
-from imumon.simulation.unit.filters import Lag
-from imumon.simulation.unit.hysteresis import HysteresisLoop
 from imumon.simulation.unit.noise import GaussMarkov, RandomWalk, White, generator
-from imumon.simulation.unit.parameters import UnitParameters
+from imumon.simulation.unit.parameters import Curves, Effects, UnitParameters
+from imumon.simulation.unit.thermal import Lags
 
-DEG_PER_H = np.pi / 180 / 3600
 """rad/s."""
-MG, UG = 9.80665e-3, 9.80665e-6
+MG = 1e3 * MICRO_G
 """m/s²."""
 
 
-class GyroBias:
-    """Bias of each gyro: curve over its temperature, loop, turn-on, bias instability and random walk.
+class Bias:
+    """Bias of the three axes of a sensor: curve over their temperature, effects, and slow random errors.
 
     Parameters
     ----------
-    unit : UnitParameters
-    start_degc : array of shape (3,)
-        Temperature of each gyro at power-on.
-    step_s : float
-        Time between samples.
-    seed : int
+    curves, scale : Curves, float
+        Curve over temperature, and its unit in SI units.
+    lag_s : three numbers
+        With what time constants the sensors follow the temperature at them.
+    effects : three lists of Effect
+        Of each axis, in SI units.
+    random : sequence of GaussMarkov or RandomWalk
+        In SI units.
     """
 
-    def __init__(self, unit: UnitParameters, start_degc: FloatArray, step_s: float, seed: int) -> None:
-        self._curves = unit.gyro_bias_deg_per_s
-        self._lag = Lag(unit.gyro_lag_s, step_s, start_degc)
-        self._loop: HysteresisLoop | None = None
-        if unit.gyro_hysteresis is not None:
-            self._loop = HysteresisLoop(unit.gyro_hysteresis, start_degc)
-            self._half_width = np.array(unit.gyro_hysteresis.half_width_deg_per_h) * DEG_PER_H
-        turn_on, noise = unit.gyro_turn_on, unit.gyro_noise
-        drawn = White(turn_on.sd_deg_per_h, generator(seed, "gyro turn-on")).take(1)[0]
-        self._constant = (turn_on.offset_deg_per_h + drawn) * DEG_PER_H
-        self._drifts: list[GaussMarkov | RandomWalk] = []
-        for i, part in enumerate(noise.flicker):
-            sd = np.array(part.sd_deg_per_h) * DEG_PER_H
-            self._drifts.append(GaussMarkov(sd, part.tau_s, step_s, generator(seed, f"gyro flicker {i}")))
-        walk = np.array(noise.random_walk_deg_per_h_per_sqrt_s) * DEG_PER_H
-        self._drifts.append(RandomWalk(walk, step_s, generator(seed, "gyro random walk")))
+    def __init__(
+        self,
+        curves: Curves,
+        scale: float,
+        lag_s: Sequence[float],
+        effects: Sequence[Sequence[Effect]],
+        random: Sequence[GaussMarkov | RandomWalk],
+    ) -> None:
+        self._curves, self._scale, self._random = curves, scale, random
+        self._lags = Lags(lag_s)
+        self._carried = [[(effect, Memory()) for effect in axis] for axis in effects]
 
-    def process(self, temperature_degc: FloatArray) -> FloatArray:
-        """Return the biases in rad/s at the next temperatures; both of shape (n, 3)."""
-        inside = self._lag.process(temperature_degc)
-        bias = np.deg2rad(axis_values(self._curves, inside)) + self._constant
-        if self._loop is not None:
-            bias += self._half_width * self._loop.process(inside)
-        for drift in self._drifts:
-            bias += drift.take(len(inside))
-        return np.asarray(bias)
-
-
-class AccelBias:
-    """Bias of each accelerometer: curve over temperature, turn-on, warm-up and bias instability.
-
-    Parameters as of `GyroBias`.
-    """
-
-    def __init__(self, unit: UnitParameters, step_s: float, seed: int) -> None:
-        self._curves, self._warm_up = unit.accel_bias_mg, unit.accel_warm_up
-        drawn = White(unit.accel_turn_on.sd_mg, generator(seed, "accel turn-on")).take(1)[0]
-        self._constant = (unit.accel_turn_on.offset_mg + drawn) * MG
-        self._drifts = [
-            GaussMarkov(np.array(part.sd_ug) * UG, part.tau_s, step_s, generator(seed, f"accel flicker {i}"))
-            for i, part in enumerate(unit.accel_noise.flicker)
-        ]
-
-    def process(self, time_s: FloatArray, temperature_degc: FloatArray) -> FloatArray:
-        """Return the biases in m/s² at the next times (n,) and temperatures (n, 3); shape (n, 3)."""
-        bias = axis_values(self._curves, temperature_degc) * MG + self._constant
-        if self._warm_up is not None:
-            grown = -np.expm1(-time_s / self._warm_up.tau_s)
-            bias += np.outer(grown, np.array(self._warm_up.amplitude_ug) * UG)
-        for drift in self._drifts:
+    def process(self, time_s: FloatArray, temperature_degc: FloatArray, force: FloatArray) -> FloatArray:
+        """Return the biases at the next times (n,), temperatures and specific forces in m/s²; each (n, 3)."""
+        inside = self._lags.process(time_s, temperature_degc)
+        bias = axis_values(self._curves, inside) * self._scale
+        for axis, carried in enumerate(self._carried):
+            drive = Drive(time_s, np.ascontiguousarray(inside[:, axis]), force)
+            for effect, memory in carried:
+                bias[:, axis] += effect.added(memory, drive)
+        for drift in self._random:
             bias += drift.take(len(time_s))
-        return np.asarray(bias)
+        return bias
+
+
+def gyro_bias(unit: UnitParameters, step_s: float, seed: int) -> Bias:
+    """Return the bias of the gyros in rad/s; `step_s` is the time between samples."""
+    turn_on, noise, loop = unit.gyro_turn_on, unit.gyro_noise, unit.gyro_hysteresis
+    drawn = White(turn_on.sd_deg_per_h, generator(seed, "gyro turn-on")).take(1)[0]
+    effects: list[list[Effect]] = []
+    for axis, more in enumerate(_scaled(unit.gyro_effects_deg_per_h, DEG_PER_H)):
+        constant = (turn_on.offset_deg_per_h[axis] + drawn[axis]) * DEG_PER_H
+        effects.append([RunOffset(coefficients=[constant]), *more])
+        if loop is not None:
+            effect = Hysteresis(
+                half_width_degc=loop.width_degc,
+                shape=loop.kind,
+                slack_degc=0.0,
+                middle_degc=0.0,
+                half_span_degc=loop.width_degc,
+            )
+            effects[-1].append(effect.with_coefficients([loop.half_width_deg_per_h[axis] * DEG_PER_H]))
+    random: list[GaussMarkov | RandomWalk] = [
+        GaussMarkov(
+            np.array(part.sd_deg_per_h) * DEG_PER_H, part.tau_s, step_s, generator(seed, f"gyro flicker {i}")
+        )
+        for i, part in enumerate(noise.flicker)
+    ]
+    walk = np.array(noise.random_walk_deg_per_h_per_sqrt_s) * DEG_PER_H
+    random.append(RandomWalk(walk, step_s, generator(seed, "gyro random walk")))
+    return Bias(unit.gyro_bias_deg_per_s, np.pi / 180, unit.gyro_lag_s, effects, random)
+
+
+def accel_bias(unit: UnitParameters, step_s: float, seed: int) -> Bias:
+    """Return the bias of the accelerometers in m/s²; `step_s` is the time between samples."""
+    turn_on, warm_up = unit.accel_turn_on, unit.accel_warm_up
+    drawn = White(turn_on.sd_mg, generator(seed, "accel turn-on")).take(1)[0]
+    effects: list[list[Effect]] = []
+    for axis, more in enumerate(_scaled(unit.accel_effects_ug, MICRO_G)):
+        constant = (turn_on.offset_mg[axis] + drawn[axis]) * MG
+        effects.append([*more])
+        if warm_up is not None:
+            grown = warm_up.amplitude_ug[axis] * MICRO_G
+            constant += grown
+            effects[-1].append(WarmUp(time_constant_s=warm_up.tau_s, coefficients=[-grown]))
+        effects[-1].append(RunOffset(coefficients=[constant]))
+    random = [
+        GaussMarkov(np.array(part.sd_ug) * MICRO_G, part.tau_s, step_s, generator(seed, f"accel flicker {i}"))
+        for i, part in enumerate(unit.accel_noise.flicker)
+    ]
+    return Bias(unit.accel_bias_mg, MG, (0.0, 0.0, 0.0), effects, random)
+
+
+def _scaled(effects: Effects, scale: float) -> list[list[Effect]]:
+    """Return the effects of each axis with coefficients in SI units."""
+    return [
+        [effect.with_coefficients(scale * np.array(effect.coefficients)) for effect in axis]
+        for axis in (effects.x, effects.y, effects.z)
+    ]

@@ -1,50 +1,11 @@
-"""Linear filters that carry their state from block to block: thermal lags and the sensors' low-pass."""
+"""The low-pass of the sensors."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
-from scipy.signal import butter, lfilter, sosfilt, sosfilt_zi
+from scipy.signal import butter, sosfilt, sosfilt_zi
 
 from imumon.blocks import FloatArray
-
-
-class Lag:
-    """First-order filters in equilibrium at the start, exact for an input that is linear between samples.
-
-    Parameters
-    ----------
-    tau_s : sequence of float
-        Time constant of each column; 0 leaves it as it is.
-    step_s : float
-        Time between samples.
-    start : array of shape (k,)
-        Input before the first sample, for ever.
-    """
-
-    def __init__(self, tau_s: Sequence[float], step_s: float, start: FloatArray) -> None:
-        self._filters: list[tuple[int, FloatArray, FloatArray]] = []
-        self._carried: dict[int, FloatArray] = {}
-        for column, tau in enumerate(tau_s):
-            if tau > 0.0:
-                ratio = step_s / tau
-                decay, mean = np.exp(-ratio), -np.expm1(-ratio) / ratio
-                # y_k = decay y_(k-1) + (mean - decay) u_(k-1) + (1 - mean) u_k, for u linear in between
-                forward = np.array([1.0 - mean, mean - decay])
-                self._filters.append((column, forward, np.array([1.0, -decay])))
-                self._carried[column] = np.array([(mean - decay) * start[column] + decay * start[column]])
-
-    def process(self, values: FloatArray) -> FloatArray:
-        """Return the filtered values of the next samples; both of shape (n, k)."""
-        if not self._filters:
-            return values
-        out = values.copy()
-        for column, forward, backward in self._filters:
-            out[:, column], self._carried[column] = lfilter(
-                forward, backward, values[:, column], zi=self._carried[column]
-            )
-        return out
 
 
 class LowPass:

@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field
 
 from imumon.config import StrictModel
+from imumon.effects.library import AnyEffect
 
 
 def _one_or_three(value: Any) -> Any:
@@ -61,6 +62,14 @@ class Curves(StrictModel):
     x: list[Term] = Field(default_factory=list)
     y: list[Term] = Field(default_factory=list)
     z: list[Term] = Field(default_factory=list)
+
+
+class Effects(StrictModel):
+    """Effects of each axis as in a model file, with coefficients in the unit of the key that holds it."""
+
+    x: list[AnyEffect] = Field(default_factory=list)
+    y: list[AnyEffect] = Field(default_factory=list)
+    z: list[AnyEffect] = Field(default_factory=list)
 
 
 class Hysteresis(StrictModel):
@@ -163,10 +172,12 @@ class UnitParameters(StrictModel):
     gyro_turn_on: GyroTurnOn = GyroTurnOn()
     gyro_hysteresis: Hysteresis | None = None
     gyro_lag_s: ThreePositive = NONE
+    gyro_effects_deg_per_h: Effects = Effects()
     gyro_noise: GyroNoise = GyroNoise()
     accel_bias_mg: Curves = Curves()
     accel_turn_on: AccelTurnOn = AccelTurnOn()
     accel_warm_up: AccelWarmUp | None = None
+    accel_effects_ug: Effects = Effects()
     accel_noise: AccelNoise = AccelNoise()
     self_heating: SelfHeating | None = None
     thermometer: Thermometer = Thermometer()

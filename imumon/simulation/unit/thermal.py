@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.simulation.unit.filters import Lag
+from imumon.effects.base import Drive, Memory
+from imumon.effects.thermal_lag import ThermalLag
+from imumon.effects.warm_up import WarmUp
 from imumon.simulation.unit.noise import White, generator
 from imumon.simulation.unit.parameters import SelfHeating, Thermometer
 from imumon.simulation.unit.scenario import Chamber
@@ -32,22 +36,39 @@ def chamber_temperature(chamber: Chamber, time_s: FloatArray) -> FloatArray:
     return np.asarray(value)
 
 
+class Lags:
+    """Temperatures behind first-order lags, from equilibrium at power-on; a time constant of 0 is none."""
+
+    def __init__(self, time_constants_s: Sequence[float]) -> None:
+        self._lags = [
+            ThermalLag(time_constant_s=tau, middle_degc=0.0, half_span_degc=1.0) if tau else None
+            for tau in time_constants_s
+        ]
+        self._memories = [Memory() for _ in self._lags]
+
+    def process(self, time_s: FloatArray, temperature_degc: FloatArray) -> FloatArray:
+        """Return the lagging temperatures at the next times (n,); both of shape (n, k)."""
+        out = temperature_degc.copy()
+        for at, (lag, memory) in enumerate(zip(self._lags, self._memories, strict=True)):
+            if lag is not None:
+                out[:, at] = lag.follow(memory, Drive(time_s, temperature_degc[:, at].copy()))
+        return out
+
+
 class SensorTemperature:
     """True temperature of each gyro: the chamber's through the unit's lag, plus its own heat."""
 
-    def __init__(self, chamber: Chamber, heating: SelfHeating | None, step_s: float) -> None:
-        self._chamber, self._heating = chamber, heating
-        self._lag = Lag([chamber.lag_s], step_s, np.array([chamber.start_degc]))
-        self.start_degc: FloatArray = np.full(3, chamber.start_degc)
-        """At power-on, (3,)."""
+    def __init__(self, chamber: Chamber, heating: SelfHeating | None) -> None:
+        self._chamber, self._lag = chamber, Lags([chamber.lag_s])
+        self._rise, tau = ((0.0, 0.0, 0.0), 1.0) if heating is None else (heating.rise_degc, heating.tau_s)
+        self._heat = [WarmUp(time_constant_s=tau, coefficients=[-rise]) for rise in self._rise]
 
     def process(self, time_s: FloatArray) -> FloatArray:
         """Return the temperatures (°C) at the next times (s), (n, 3)."""
-        around = self._lag.process(chamber_temperature(self._chamber, time_s)[:, np.newaxis])
-        if self._heating is None:
-            return np.repeat(around, 3, axis=1)
-        grown = -np.expm1(-time_s / self._heating.tau_s)
-        return np.asarray(around + np.outer(grown, self._heating.rise_degc))
+        around = self._lag.process(time_s, chamber_temperature(self._chamber, time_s)[:, np.newaxis])
+        drive = Drive(time_s, around[:, 0])
+        heat = [rise + warm.simulate(drive) for rise, warm in zip(self._rise, self._heat, strict=True)]
+        return around + np.column_stack(heat)
 
 
 class Thermometers:

@@ -18,7 +18,7 @@ from imumon.simulation.frames import (
     split,
     to_body,
 )
-from imumon.simulation.unit.biases import AccelBias, GyroBias
+from imumon.simulation.unit.biases import accel_bias, gyro_bias
 from imumon.simulation.unit.filters import LowPass
 from imumon.simulation.unit.motion import Movement, is_static, movement
 from imumon.simulation.unit.noise import White, generator
@@ -129,9 +129,9 @@ class _Sensors:
         self._angles = np.deg2rad([attitude.roll_deg, attitude.pitch_deg, attitude.heading_deg])
         self._up = np.array([0.0, 0.0, -scenario.gravity_m_per_s2])
         self._earth = earth_rate(scenario.latitude_deg)
-        self._temperature = SensorTemperature(scenario.chamber, unit.self_heating, 1.0 / rate)
-        self._gyro_bias = GyroBias(unit, self._temperature.start_degc, 1.0 / rate, seed)
-        self._accel_bias = AccelBias(unit, 1.0 / rate, seed)
+        self._temperature = SensorTemperature(scenario.chamber, unit.self_heating)
+        self._gyro_bias = gyro_bias(unit, 1.0 / rate, seed)
+        self._accel_bias = accel_bias(unit, 1.0 / rate, seed)
         densities = [
             *np.deg2rad(unit.gyro_noise.arw_deg_per_sqrt_h) / 60.0,
             *unit.accel_noise.vrw_m_per_s_per_sqrt_s,
@@ -145,11 +145,11 @@ class _Sensors:
         """Return the columns of the next `CHUNK` samples, the truth under names that begin with true_."""
         time_s = np.arange(first, first + CHUNK) / self._scenario.rate_hz
         temperature = self._temperature.process(time_s)
-        gyro_bias = self._gyro_bias.process(temperature)
-        accel_bias = self._accel_bias.process(time_s, temperature)
         motion = self._motion(time_s)
         rate, force, field = self._in_body(motion)
-        sensed = np.column_stack([rate + gyro_bias, force + accel_bias])
+        everywhere = np.broadcast_to(force, (CHUNK, 3))
+        bias = [part.process(time_s, temperature, everywhere) for part in (self._gyro_bias, self._accel_bias)]
+        sensed = np.column_stack([rate + bias[0], force + bias[1]])
         if self._low_pass is None:
             self._low_pass = LowPass(self._scenario.unit.low_pass_hz, self._scenario.rate_hz, sensed[0])
         sent = self._low_pass.process(sensed + self._white.take(CHUNK))
@@ -163,8 +163,8 @@ class _Sensors:
             "temperature": readings[:, 3],
             **reported(motion.angles, self._scenario.axes),
             **_CONSTANT,
-            **split(f"{_TRUE}gyro_bias", gyro_bias),
-            **split(f"{_TRUE}accel_bias", accel_bias),
+            **split(f"{_TRUE}gyro_bias", bias[0]),
+            **split(f"{_TRUE}accel_bias", bias[1]),
             **split(f"{_TRUE}rate", rate),
             **split(f"{_TRUE}temperature", temperature),
             f"{_TRUE}temperature": board,

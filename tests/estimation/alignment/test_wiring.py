@@ -4,7 +4,8 @@ import pytest
 
 from imumon.effects.warm_up import WarmUp
 from imumon.estimation.alignment.stage import Alignment
-from imumon.estimation.alignment.warm_up import MICRO_G, known_warm_up
+from imumon.estimation.alignment.warm_up import known_warm_up
+from imumon.geodesy import MICRO_G
 from imumon.models.curves.polynomial import PolynomialCurve
 from imumon.models.model import BiasModel, ChannelModel
 from imumon.protocols.device import load_device

@@ -12,7 +12,7 @@ from imumon.estimation.rest.parameters import RestParameters
 from imumon.estimation.rest.stage import RestDetector
 from imumon.pipeline import Pipeline
 from imumon.protocols.device import load_device
-from imumon.run.replay import capture_items, run_over
+from imumon.recordings.source import capture_items, run_over
 from tests.data_folder import measured
 from tests.estimation.rest.scenes import DEG, GRAVITY, block, detect, noise, rolled
 

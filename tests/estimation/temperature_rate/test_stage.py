@@ -8,10 +8,10 @@ import pytest
 from imumon.blocks import ColumnArray, SampleBlock
 from imumon.config import parse_yaml
 from imumon.errors import ImumonError
-from imumon.estimation.temperature_rate.fir import FirExponentialRate
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.pipeline import Estimator
 from imumon.protocols.thermometer import TemperatureRateParameters
+from imumon.published.fir import FirExponentialRate
 from tests.estimation.temperature_rate.records import clock, quantized, self_heating
 
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from imumon.blocks import FloatArray, SampleBlock
+from imumon.estimation.gyro_bias.stage import GyroBias
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.estimation.watch import kernel
 from imumon.estimation.watch.parameters import WatchParameters
 from imumon.estimation.watch.stage import ModelWatch
-from imumon.estimation.zupt.stage import ZeroVelocity
 from imumon.models.curves.polynomial import PolynomialCurve
 from imumon.models.model import BiasModel, ChannelModel
 from imumon.pipeline import Estimator
@@ -152,7 +152,7 @@ def watched(gyro_lag_s: float, size: int, seed: int = 1) -> tuple[ModelWatch, Sa
     sent, _ = SimulatedUnit(scenario(gyro_lag_s), seed=seed).run(1800 * 20)
     sent = sent.with_columns({"at_rest": np.ones(len(sent), np.int64)})
     watch = ModelWatch(modelled=True)
-    stages: list[Estimator] = [TemperatureRate(), ZeroVelocity(model=true_model(), mode="thermal"), watch]
+    stages: list[Estimator] = [TemperatureRate(), GyroBias(model=true_model(), mode="thermal"), watch]
     suspect = []
     for at in range(0, len(sent), size):
         part = sent.rows(at, min(at + size, len(sent)))

@@ -1,34 +1,40 @@
-"""The smoothing spline: the basis against scipy's, the fit against what it shall find."""
+"""The smoothing spline: the curve, the penalty, and the fit against what it shall find."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.interpolate import BSpline, CubicHermiteSpline, CubicSpline
+from scipy.interpolate import BSpline, CubicSpline
 
 from imumon.models.curves.points import Points
-from imumon.models.curves.spline import SplineCurve, b_spline_basis, fit_spline
+from imumon.models.curves.smoothing import fit_spline, penalised_basis
+from imumon.models.curves.spline import SplineCurve
 
 KNOTS = np.array([-20.0, -11.0, -3.0, 4.0, 20.0, 31.0, 48.0])
 
 
-@pytest.mark.parametrize("derivative", [0, 1, 2])
-def test_the_basis_is_that_of_scipy(derivative: int) -> None:
+def test_the_penalty_is_the_integral_of_the_squared_second_derivative() -> None:
     knots = np.concatenate([[-20.0] * 3, KNOTS, [48.0] * 3])
-    x = np.linspace(-20.0, 48.0, 501)
-    n = len(knots) - 4
-    expected = [BSpline(knots, np.eye(n)[i], 3)(x, nu=derivative) for i in range(n)]
-    np.testing.assert_allclose(b_spline_basis(knots, x, derivative), np.transpose(expected), atol=1e-12)
+    coefficients = np.random.default_rng(1).standard_normal(len(knots) - 4)
+    points = noisy(0.0)
+    basis, penalty = penalised_basis(points, KNOTS)
+    curve = BSpline(knots, coefficients, 3)
+    np.testing.assert_allclose(basis @ coefficients, curve(points.temperature), atol=1e-12)
+    fine = np.linspace(-20.0, 48.0, 200_001)
+    integral = np.trapezoid(curve(fine, nu=2) ** 2, fine)
+    ratio = float(coefficients @ penalty @ coefficients) / integral
+    other = np.random.default_rng(2).standard_normal(len(coefficients))
+    again = np.trapezoid(BSpline(knots, other, 3)(fine, nu=2) ** 2, fine)
+    assert float(other @ penalty @ other) / again == pytest.approx(ratio, rel=1e-6)
 
 
-def test_between_knots_the_curve_is_the_cubic_of_its_values_and_slopes() -> None:
-    random = np.random.default_rng(0)
-    values, slopes = random.standard_normal((2, len(KNOTS)))
+def test_a_curve_is_the_cubic_that_its_knots_are_taken_from_and_goes_on_outside() -> None:
+    cubic = np.polynomial.Polynomial([0.3, -0.02, 1e-3, 4e-5])
+    values, slopes = cubic(KNOTS), cubic.deriv()(KNOTS)
     curve = SplineCurve(knots_degc=KNOTS.tolist(), values=values.tolist(), slopes=slopes.tolist())
-    x = np.linspace(-20.0, 48.0, 301)
-    expected = CubicHermiteSpline(KNOTS, values, slopes)
-    np.testing.assert_allclose(curve.value(x), expected(x), atol=1e-12)
-    np.testing.assert_allclose(curve.slope(x), expected(x, nu=1), atol=1e-12)
+    x = np.linspace(-30.0, 60.0, 301)
+    np.testing.assert_allclose(curve.value(x), cubic(x), atol=1e-11)
+    np.testing.assert_allclose(curve.slope(x), cubic.deriv()(x), atol=1e-11)
 
 
 def noisy(sd: float, seed: int = 0) -> Points:

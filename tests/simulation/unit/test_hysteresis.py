@@ -4,17 +4,24 @@ import numpy as np
 import pytest
 
 from imumon.blocks import FloatArray
+from imumon.effects.base import Drive, Memory
+from imumon.effects.hysteresis import Hysteresis
 from imumon.simulation.unit import SimulatedUnit
-from imumon.simulation.unit.hysteresis import HysteresisLoop
-from imumon.simulation.unit.parameters import Hysteresis
 from tests.simulation.unit.scenarios import scenario
 
 WIDTH = 2.0
 
 
-def loop(kind: str) -> HysteresisLoop:
-    parameters = Hysteresis.model_validate({"kind": kind, "half_width_deg_per_h": 1, "width_degc": WIDTH})
-    return HysteresisLoop(parameters, np.full(3, 20.0))
+def loop(kind: str) -> Hysteresis:
+    """Return the loop of a unit file, between -1 and 1."""
+    found = {"half_width_degc": WIDTH, "shape": kind, "slack_degc": 0.0}
+    return Hysteresis.model_validate(
+        {**found, "middle_degc": 0.0, "half_span_degc": WIDTH, "coefficients": [1.0]}
+    )
+
+
+def drive(temperature: FloatArray) -> Drive:
+    return Drive(np.arange(len(temperature), dtype=np.float64), temperature)
 
 
 def plain(kind: str, temperature: FloatArray) -> FloatArray:
@@ -32,25 +39,26 @@ def plain(kind: str, temperature: FloatArray) -> FloatArray:
 
 @pytest.mark.parametrize(("kind", "tolerance"), [("smooth", 2e-3), ("play", 1e-12)])
 def test_kernels_do_what_the_definitions_say(kind: str, tolerance: float) -> None:
-    temperature = 20 + np.cumsum(np.random.default_rng(4).normal(0, 0.4, (300, 3)), axis=0)
-    found = loop(kind).process(temperature)
-    for axis in range(3):
-        np.testing.assert_allclose(found[:, axis], plain(kind, temperature[:, axis]), atol=tolerance)
+    temperature = np.append(20, 20 + np.cumsum(np.random.default_rng(4).normal(0, 0.4, 900)))
+    np.testing.assert_allclose(
+        loop(kind).simulate(drive(temperature)), plain(kind, temperature), atol=tolerance
+    )
 
 
 @pytest.mark.parametrize("kind", ["smooth", "play"])
 def test_blocks_of_any_size_give_the_same_bits(kind: str) -> None:
-    temperature = 20 + np.cumsum(np.random.default_rng(5).normal(0, 0.4, (500, 3)), axis=0)
-    whole, parts = loop(kind), loop(kind)
-    pieces = [parts.process(temperature[a:b]) for a, b in ((0, 1), (1, 200), (200, 200), (200, 500))]
-    np.testing.assert_array_equal(np.concatenate(pieces), whole.process(temperature))
+    temperature = 20 + np.cumsum(np.random.default_rng(5).normal(0, 0.4, 500))
+    effect, memory = loop(kind), Memory()
+    cuts = ((0, 1), (1, 200), (200, 200), (200, 500))
+    pieces = [effect.added(memory, drive(temperature[a:b])) for a, b in cuts]
+    np.testing.assert_array_equal(np.concatenate(pieces), effect.added(Memory(), drive(temperature)))
 
 
 @pytest.mark.parametrize(("kind", "opening"), [("smooth", 1 - 2 * np.exp(-5.0)), ("play", 1.0)])
 def test_a_cycle_opens_to_the_stated_width(kind: str, opening: float) -> None:
     """Down 10 degC from a reversal, y is 1 - 2 exp(-10 / w) of the smooth loop's half width."""
     cycle = np.concatenate([np.linspace(20, 40, 201), np.linspace(40, 20, 201), np.linspace(20, 40, 201)])
-    y = loop(kind).process(np.column_stack([cycle] * 3))[:, 0]
+    y = loop(kind).simulate(drive(cycle))
     falling, rising = y[200:402], y[402:]
     assert rising[100] == pytest.approx(opening, abs=1e-3)
     assert falling[101] == pytest.approx(-opening, abs=1e-3)

@@ -8,6 +8,7 @@ from imumon.simulation.unit import load_scenario
 from imumon.simulation.unit.parameters import SelfHeating, Thermometer
 from imumon.simulation.unit.scenario import Chamber, Wobble
 from imumon.simulation.unit.thermal import (
+    Lags,
     SensorTemperature,
     Thermometers,
     chamber_knots,
@@ -34,8 +35,8 @@ def test_the_soak_holds_fifteen_levels_for_two_and_a_half_hours_each() -> None:
 def test_sensors_lag_the_chamber_and_warm_themselves() -> None:
     chamber = Chamber(start_degc=20.0, lag_s=50.0, wobble=Wobble(amplitude_degc=1.0, period_s=100.0))
     t = np.arange(0, 2000, 0.5)
-    alone = SensorTemperature(chamber, None, 0.5).process(t)
-    heated = SensorTemperature(chamber, SelfHeating(rise_degc=(8.0, 0.0, 4.0), tau_s=200.0), 0.5).process(t)
+    alone = SensorTemperature(chamber, None).process(t)
+    heated = SensorTemperature(chamber, SelfHeating(rise_degc=(8.0, 0.0, 4.0), tau_s=200.0)).process(t)
     gain = 1 / np.hypot(1, 2 * np.pi * 50.0 / 100.0)
     assert np.max(alone[2000:, 0]) - 20.0 == pytest.approx(gain, rel=1e-3)
     grown = 1 - np.exp(-t / 200.0)
@@ -62,3 +63,19 @@ def test_readings_do_not_depend_on_the_blocks() -> None:
     parts = Thermometers(parameters, 1, 100.0, 2)
     pieces = [parts.process(a, true[a:b]) for a, b in ((0, 1), (1, 2), (2, 3), (3, 50), (50, 100))]
     np.testing.assert_array_equal(np.concatenate(pieces), whole)
+
+
+@pytest.mark.parametrize("step_s", [0.01, 0.5, 7.0])
+def test_a_lag_follows_a_ramp_exactly_at_any_rate(step_s: float) -> None:
+    """Response to a ramp r t: r (t - tau (1 - exp(-t / tau))); the second column does not lag."""
+    tau, t = 30.0, step_s * np.arange(1, 200)
+    ramp = np.column_stack([20 + 0.03 * t, 5 - 0.01 * t])
+    time = np.asarray(step_s * np.arange(200), np.float64)
+    out = Lags([tau, 0.0]).process(time, np.vstack([[20.0, 5.0], ramp]))
+    np.testing.assert_allclose(out[1:, 0], 20 + 0.03 * (t - tau * -np.expm1(-t / tau)), rtol=1e-12)
+    np.testing.assert_array_equal(out[1:, 1], ramp[:, 1])
+
+
+def test_a_lag_stays_where_it_is_in_equilibrium() -> None:
+    out = Lags([100.0]).process(np.asarray(0.01 * np.arange(5000), np.float64), np.full((5000, 1), -20.53))
+    np.testing.assert_allclose(out, -20.53, rtol=1e-12)

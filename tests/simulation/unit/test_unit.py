@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from imumon.blocks import FloatArray, SampleBlock, join
-from imumon.simulation.frames import EARTH_RATE
+from imumon.geodesy import EARTH_RATE
 from imumon.simulation.unit import Scenario, SimulatedUnit, load_scenario
 from imumon.simulation.unit.unit import CHUNK, TRUTH_COLUMNS
 from tests.simulation.unit.scenarios import scenario

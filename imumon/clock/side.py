@@ -1,0 +1,137 @@
+"""Times of side streams: their counts on the clock of the main stream, which they never touch.
+
+A side stream (a receiver, a barometer) counts with the device's clock as the main stream does, but its data
+may be older or newer than the inertial data between which they come.  So each of its counts is taken as near
+to that of the latest main row as the range of the counter allows.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from imumon.blocks import NO_INT, ColumnArray, IntArray, SampleBlock, missing
+from imumon.protocols.base import Timing
+from imumon.protocols.epochs import Epochs
+
+HISTORY = 4096
+"""Main rows that are remembered; a side epoch that waited for longer is dated by the oldest."""
+FIELDS = ("ticks", "device", "host", "segment")
+
+
+class SideClock:
+    """Device time, host time and segment of side rows, whatever the division into blocks.
+
+    Parameters
+    ----------
+    timing : Timing
+        How the device counts.
+    """
+
+    def __init__(self, timing: Timing) -> None:
+        self._timing = timing
+        self._first = 0
+        # The first row stands for the time before any main row.
+        self._main = {name: np.array([0 if name == "segment" else NO_INT]) for name in FIELDS}
+
+    def follow(self, main: SampleBlock, ticks: IntArray | None) -> None:
+        """Take the dated rows of the main stream that the next side rows refer to."""
+        new = {
+            "ticks": np.full(len(main), NO_INT, np.int64) if ticks is None else ticks,
+            "device": main["device_time_ns"],
+            "host": main["host_time_ns"],
+            "segment": main["segment"],
+        }
+        old = len(self._main["ticks"])
+        drop = max(old - HISTORY - 1, 0)
+        self._first += drop
+        self._main = {name: np.concatenate([self._main[name][drop:], new[name]]) for name in FIELDS}
+
+    def times(self, side: Epochs) -> dict[str, ColumnArray]:
+        """Return the time columns of side rows.
+
+        Rows without a count of the device's clock have the time of the main row before them; before the first
+        main row a count stands for itself.
+        """
+        at = np.maximum(side.after, side.until - HISTORY) - self._first
+        ticks, device, host, segment = (self._main[name][at] for name in FIELDS)
+        block, n = side.block, len(side.block)
+        counts = block.columns.get("device_ticks", missing(n, np.int64))
+        arrival = block.columns.get("arrival_time_ns", missing(n, np.int64))
+        own = self._on_main_clock(counts, ticks, device)
+        known = own != NO_INT
+        mapped = np.where(known & (host != NO_INT) & (device != NO_INT), host + own - device, arrival)
+        host_ns = np.where(arrival == NO_INT, mapped, np.minimum(mapped, arrival))
+        return {
+            "device_time_ns": np.where(known, own, arrival),
+            "arrival_time_ns": arrival,
+            "host_time_ns": np.where((host == NO_INT) & (arrival == NO_INT), NO_INT, host_ns),
+            "segment": segment,
+        }
+
+    def _on_main_clock(self, counts: IntArray, ticks: IntArray, device: IntArray) -> IntArray:
+        """Return counts in ns on the unwrapped clock of the main rows, whose count and time are given."""
+        unit, bits = self._timing.tick_ns, self._timing.tick_bits
+        if unit is None:
+            return device
+        there = counts != NO_INT
+        anchored, alone = there & (ticks != NO_INT), there & (ticks == NO_INT)
+        steps = np.where(anchored, counts - ticks, np.where(alone, counts, 0))
+        if 0 < bits < 63:
+            nearest = (steps + (1 << (bits - 1))) % (1 << bits) - (1 << (bits - 1))
+            steps = np.where(anchored, nearest, steps)
+        whole, part = steps // unit.denominator, steps % unit.denominator
+        moved = whole * unit.numerator + part * unit.numerator // unit.denominator
+        return np.where(alone, moved, np.where(anchored, device + moved, device))
+
+
+class SharedCounter:
+    """Takes out of the main stream's packet counter what other packets than its rows have counted.
+
+    Many devices number all their messages in one sequence, so a receiver's message leaves a hole between two
+    inertial ones that is no loss.
+
+    Parameters
+    ----------
+    bits : int or None
+        Width of the counter; None when the device has none.
+    """
+
+    def __init__(self, bits: int | None) -> None:
+        self._modulus = 1 << bits if bits else 0
+        self._taken = 0
+        self._rows = 0
+        self._waiting: list[tuple[int, int]] = []
+        self._last = NO_INT
+
+    def process(self, counter: IntArray, more: IntArray, side: list[tuple[int, int]]) -> IntArray:
+        """Return the counter of the next main rows as if only they were counted.
+
+        Parameters
+        ----------
+        counter : array of int64, (n,)
+            `NO_INT` where a row has none.
+        more : array of int64, (n,)
+            Steps of the counter within each row (`imumon.protocols.epochs.Epochs`).
+        side : list of (int, int)
+            Number of main rows begun before each side packet, and its counter.
+        """
+        if not self._modulus:
+            return counter
+        valid = np.flatnonzero(counter != NO_INT)
+        values = counter[valid]
+        before = np.concatenate([[self._last], values[:-1]]) if len(values) else values
+        less, waiting = more.copy(), []
+        for after, number in [*self._waiting, *side]:
+            k = int(np.searchsorted(valid, after - self._rows))
+            if k == len(valid):
+                waiting.append((after, number))
+            elif before[k] != NO_INT:
+                step = (values[k] - before[k]) % self._modulus
+                less[valid[k]] += 0 < (number - before[k]) % self._modulus < step
+        total = self._taken + np.cumsum(less)
+        if len(counter):
+            self._taken = int(total[-1])
+        self._last = int(values[-1]) if len(values) else self._last
+        self._rows += len(counter)
+        self._waiting = waiting
+        return np.where(counter == NO_INT, NO_INT, (counter - total) % self._modulus)

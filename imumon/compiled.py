@@ -1,0 +1,96 @@
+"""Compiled functions, kept on disk, and compiled anew only when something that they are made of has changed.
+
+numba keeps compiled code beside the module of a function, or in the user's cache where that cannot be written
+to, and looks whether this one file has changed.  A kernel is also made of what its module imports: other
+kernels, and constants.  Here the key is therefore the fingerprint of all of these (`sources.stamp`).
+
+What has to be compiled, and so keeps a command waiting, is said to the logger ``imumon.compiled``.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from functools import partial
+from typing import Any, TypeVar, overload
+
+import numba
+from numba.core.caching import CompileResultCacheImpl, FunctionCache
+
+from imumon.sources import stamp
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+PACKAGE = __name__.partition(".")[0]
+
+_log = logging.getLogger(__name__)
+_modules: dict[str, bool] = {}
+"""Modules with kernels, in the order of import, and whether one of these is ready for use."""
+
+
+@overload
+def njit(function: F) -> F: ...
+@overload
+def njit(**options: Any) -> Callable[[F], F]: ...
+def njit(function: F | None = None, **options: Any) -> F | Callable[[F], F]:
+    """Compile a function as `numba.njit` does, without the interpreter's lock, and keep the code.
+
+    The options are those of numba.
+    """
+    if function is None:
+        return partial(njit, **options)
+    keep = options.pop("cache", True)
+    kernel: Any = numba.njit(**{"nogil": True, **options})(function)
+    if keep:
+        _modules.setdefault(function.__module__, False)
+        kernel._cache = _Cache(function)  # what numba's enable_caching does, with a cache of our own
+    compiled: F = kernel
+    return compiled
+
+
+def kernel_modules() -> tuple[str, ...]:
+    """Return the imported modules that have compiled functions, in the order of import."""
+    return tuple(_modules)
+
+
+# Some of numba is typed, its caches are not.
+
+
+class _Stored(CompileResultCacheImpl):
+    """Where compiled code is kept: as numba does it, under the name of the function, with our stamp."""
+
+    def get_filename_base(self, fullname: str, abiflags: str) -> str:
+        """Return the name of the files: without the line number, so that edits leave none behind."""
+        name = str(super().get_filename_base(fullname, abiflags))  # type: ignore[no-untyped-call]
+        return name.replace(f"-{self.locator.get_disambiguator()}.", ".", 1)
+
+
+class _Cache(FunctionCache):
+    """The stored code of one function; says what has to be compiled."""
+
+    _impl_class = _Stored
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        super().__init__(function)  # type: ignore[no-untyped-call]
+        self._module = function.__module__
+        self._cache_file._source_stamp = stamp(self._module)
+
+    def load_overload(self, sig: object, target_context: object) -> object:
+        """Return the stored code for a signature, or None: then numba compiles."""
+        code = super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+        if code is None and not _modules[self._module]:
+            _announce(self._module)
+        _modules[self._module] = True
+        return code
+
+
+def _announce(module: str) -> None:
+    """Say what is compiled, and what may still come."""
+    left = [_short(name) for name, ready in _modules.items() if not ready and name != module]
+    done = len(_modules) - len(left)
+    then = f"; then {', '.join(left)}" if left else ""
+    _log.info("compiling %s (once), %d of %d%s", _short(module), done, len(_modules), then)
+
+
+def _short(module: str) -> str:
+    return module.removeprefix(f"{PACKAGE}.")

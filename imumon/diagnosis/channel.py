@@ -1,0 +1,109 @@
+"""A channel over the recordings, and the declared model of its bias."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+
+from imumon.blocks import FloatArray
+from imumon.diagnosis.blocks import RunBlocks, WhiteFloor
+from imumon.diagnosis.candidates import Candidate, Pool
+
+
+@dataclass(frozen=True, slots=True)
+class Declared:
+    """The declared model: a polynomial of u = (T - middle) / half span.
+
+    `offsets` says whether each run has a constant of its own.
+    """
+
+    degree: int
+    middle_degc: float
+    half_span_degc: float
+    offsets: bool = False
+
+    @classmethod
+    def over(cls, runs: Sequence[RunBlocks], temperature: str, degree: int, offsets: bool) -> Self:
+        """Return the model with the scale of the temperatures of these runs."""
+        found = np.concatenate([run.temperature[temperature] for run in runs])
+        low, high = float(found.min()), float(found.max())
+        return cls(degree, 0.5 * (low + high), max(0.5 * (high - low), 1e-3), offsets)
+
+    def columns(self, temperature: FloatArray) -> FloatArray:
+        """Return 1, u, ... u^degree, (n, degree + 1)."""
+        u = (temperature - self.middle_degc) / self.half_span_degc
+        return np.asarray(u[:, np.newaxis] ** np.arange(self.degree + 1))
+
+    def training(self, runs: Sequence[RunBlocks], temperature: str) -> FloatArray:
+        """Return the columns over all training runs, with a constant for each further run where declared."""
+        columns = self.columns(np.concatenate([run.temperature[temperature] for run in runs]))
+        if not self.offsets:
+            return columns
+        which = np.repeat(np.arange(len(runs)), [len(run) for run in runs])
+        own = which[:, np.newaxis] == np.arange(1, len(runs))
+        return np.column_stack([columns, own.astype(np.float64)])
+
+
+@dataclass(frozen=True, eq=False)
+class Channel:
+    """A channel over the runs that it is searched and fitted in, and those that prove what was found.
+
+    Parameters
+    ----------
+    name, unit : str
+    temperature : str
+        Which temperature drives it.
+    floor : WhiteFloor
+        Of a block.
+    declared : Declared
+    train, test : sequence of RunBlocks
+    """
+
+    name: str
+    unit: str
+    temperature: str
+    floor: WhiteFloor
+    declared: Declared
+    train: Sequence[RunBlocks]
+    test: Sequence[RunBlocks]
+
+    @cached_property
+    def values(self) -> FloatArray:
+        """Block means over all training runs, (n,)."""
+        return np.concatenate([run.mean[self.name] for run in self.train])
+
+    @cached_property
+    def base(self) -> FloatArray:
+        """Columns of the declared model over all training runs, (n, p)."""
+        return self.declared.training(self.train, self.temperature)
+
+    @cached_property
+    def pool(self) -> Pool:
+        """Columns of effects over all training runs."""
+        return Pool(self.train, self.temperature)
+
+    def design(self, found: Sequence[Candidate]) -> FloatArray:
+        """Return the columns of the declared model and of what was found, (n, k)."""
+        return np.column_stack([self.base, self.pool.design(found)])
+
+    def in_blocks(self, train: Sequence[RunBlocks], share: float) -> Channel:
+        """Return it over training runs in longer blocks, which have this share of the white variance."""
+        floor = replace(self.floor, sd=self.floor.sd * float(np.sqrt(share)))
+        return replace(self, train=train, floor=floor)
+
+
+def ordinary(columns: FloatArray, values: FloatArray) -> FloatArray:
+    """Return the coefficients of ordinary least squares, the smallest where columns are collinear."""
+    norm = np.linalg.norm(columns, axis=0)
+    norm = np.where(norm > 0, norm, 1.0)
+    return np.asarray(np.linalg.lstsq(columns / norm, values, rcond=1e-10)[0] / norm)
+
+
+def residual_rms(columns: FloatArray, values: FloatArray) -> float:
+    """Return the rms of the residual of ordinary least squares."""
+    left = values - columns @ ordinary(columns, values)
+    return float(np.sqrt(np.mean(left**2)))

@@ -1,0 +1,157 @@
+"""The likelihood of every candidate at once: generalised least squares for a grid of noise parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from imumon.blocks import FloatArray, IntArray
+from imumon.diagnosis.blocks import RunBlocks
+from imumon.diagnosis.candidates import Pool, Term
+from imumon.diagnosis.noise import FLICKER, WALK, Whitener, whitener
+
+Noise = tuple[float, float]
+"""Flicker r and random walk q, see `imumon.diagnosis.noise`."""
+
+COARSE_FLICKER = (0.3, 3.0, 30.0, 1000.0)
+COARSE_WALK = (0.0, 10.0, 1000.0)
+COLLINEAR = 1e-5
+"""A column of which less is left beside the base is not used."""
+RIDGE = 1e-9
+
+
+class Likelihood:
+    """Log-likelihoods of block means over the runs, for a base (n, p) that the model so far has.
+
+    Parameters
+    ----------
+    runs : sequence of RunBlocks
+        Training runs, in blocks; n in all.
+    """
+
+    def __init__(self, runs: Sequence[RunBlocks]) -> None:
+        self._runs = runs
+        self.n = sum(map(len, runs))
+        self.price = float(np.log(self.n))
+        """What a parameter costs in BIC."""
+        self._bounds = np.cumsum([0, *map(len, runs)]).tolist()
+        self._whiteners: dict[Noise, list[Whitener]] = {}
+
+    def best(self, values: FloatArray, base: FloatArray) -> tuple[float, Noise]:
+        """Return the best log-likelihood of values (n,), and its noise on the whole grid."""
+        grid = [(r, q) for r in FLICKER for q in WALK]
+        left = [self._left(values, base, point)[0] for point in grid]
+        found = [float(self._of(one @ one, point)) for one, point in zip(left, grid, strict=True)]
+        at = int(np.argmax(found))
+        return found[at], grid[at]
+
+    def scan(
+        self,
+        values: FloatArray,
+        base: FloatArray,
+        pool: Pool,
+        terms: Sequence[Sequence[Term]],
+        grid: Sequence[Noise],
+    ) -> tuple[FloatArray, list[Noise]]:
+        """Return the best log-likelihood of the base with each candidate, given as terms, and its noise."""
+        used = list(dict.fromkeys(term for group in terms for term in group))
+        place = {term: at for at, term in enumerate(used)}
+        groups = _by_size([[place[term] for term in group] for group in terms])
+        columns = pool.matrix(used)
+        best, noise = np.full(len(terms), -np.inf), np.zeros(len(terms), np.int64)
+        for index, point in enumerate(grid):
+            residual, basis = self._left(values, base, point)
+            explained = _explained(residual, basis, self._white(columns, point).T, groups, len(terms))
+            found = self._of(residual @ residual - explained, point)
+            better = found > best
+            best[better], noise[better] = found[better], index
+        return best, [grid[index] for index in noise.tolist()]
+
+    def _of(self, squares: npt.ArrayLike, noise: Noise) -> FloatArray:
+        """Return log-likelihoods from sums of squares of whitened residuals, s² profiled."""
+        determinant = sum(item.log_determinant for item in self._filters(noise))
+        return np.asarray(-0.5 * self.n * np.log(np.maximum(squares, 1e-300) / self.n) - determinant)
+
+    def _left(self, values: FloatArray, base: FloatArray, noise: Noise) -> tuple[FloatArray, FloatArray]:
+        """Return what the base leaves of the values, whitened, and an orthonormal basis of the base."""
+        both = self._white(np.column_stack([base, values]), noise)
+        basis = _orthonormal(both[:, :-1])
+        return both[:, -1] - basis @ (basis.T @ both[:, -1]), basis
+
+    def _filters(self, noise: Noise) -> list[Whitener]:
+        if noise not in self._whiteners:
+            self._whiteners[noise] = [whitener(run.time_s, run.white, *noise) for run in self._runs]
+        return self._whiteners[noise]
+
+    def _white(self, columns: FloatArray, noise: Noise) -> FloatArray:
+        parts = [columns[a:b] for a, b in zip(self._bounds, self._bounds[1:], strict=False)]
+        return np.concatenate([item(part) for item, part in zip(self._filters(noise), parts, strict=True)])
+
+
+def fine_grid(start: Noise) -> list[Noise]:
+    """Return every r and q up to the given ones: a better model leaves less for the noise to explain."""
+    return [(r, q) for r in FLICKER if r <= start[0] for q in WALK if q <= start[1]]
+
+
+def coarse_grid(*starts: Noise) -> list[Noise]:
+    """Return a coarser grid up to the largest of the given r and q, with these among it."""
+    r_top, q_top = max(r for r, _ in starts), max(q for _, q in starts)
+    points = [(r, q) for r in COARSE_FLICKER if r <= r_top for q in COARSE_WALK if q <= q_top]
+    return list(dict.fromkeys([*points, *starts]))
+
+
+def neighbours(noise: Noise) -> list[Noise]:
+    """Return the points of the whole grid beside this one, and it."""
+    return [(r, q) for r in _beside(FLICKER, noise[0]) for q in _beside(WALK, noise[1])]
+
+
+def _beside(values: tuple[float, ...], value: float) -> tuple[float, ...]:
+    at = int(np.argmin(np.abs(np.subtract(values, value))))
+    return values[max(0, at - 1) : at + 2]
+
+
+def _by_size(groups: Sequence[Sequence[int]]) -> list[tuple[IntArray, IntArray]]:
+    """Return, for each number of terms, which candidates have it and their terms (count, size)."""
+    found = []
+    for size in sorted({len(group) for group in groups} - {0}):
+        which = [at for at, group in enumerate(groups) if len(group) == size]
+        found.append((np.array(which), np.array([groups[at] for at in which])))
+    return found
+
+
+def _explained(
+    residual: FloatArray,
+    basis: FloatArray,
+    matrix: FloatArray,
+    groups: Sequence[tuple[IntArray, IntArray]],
+    count: int,
+) -> FloatArray:
+    """Return by how much each candidate lowers the sum of squares of the whitened residual."""
+    before = np.einsum("ij,ij->i", matrix, matrix)
+    left = matrix - (matrix @ basis) @ basis.T
+    after = np.einsum("ij,ij->i", left, left)
+    usable = after > COLLINEAR**2 * before
+    left *= np.where(usable, 1.0 / np.sqrt(np.where(usable, after, 1.0)), 0.0)[:, np.newaxis]
+    slope = left @ residual
+    out = np.zeros(count)
+    for which, places in groups:
+        part = slope[places]
+        if places.shape[1] == 1:
+            out[which] = part[:, 0] ** 2
+            continue
+        x = left[places]
+        # A term that the base explains has a zero row: one on the diagonal makes its coefficient zero.
+        diagonal = RIDGE + (~usable[places])
+        gram = x @ x.transpose(0, 2, 1) + diagonal[:, :, np.newaxis] * np.eye(places.shape[1])
+        solution = np.linalg.solve(gram, part[:, :, np.newaxis])[:, :, 0]
+        out[which] = np.einsum("ij,ij->i", solution, part)
+    return out
+
+
+def _orthonormal(columns: FloatArray) -> FloatArray:
+    """Return an orthonormal basis of the columns, without those that add nothing."""
+    norm = np.linalg.norm(columns, axis=0)
+    left, values, _ = np.linalg.svd(columns / np.where(norm > 0, norm, 1.0), full_matrices=False)
+    return np.asarray(left[:, values > 1e-10 * values[0]]) if len(values) else left

@@ -1,0 +1,66 @@
+"""Effects by which a bias follows the temperature late: powers of it less those of what follows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations
+from typing import Annotated, Any, TypeVar
+
+import numpy as np
+from pydantic import Field, FiniteFloat
+
+from imumon.blocks import FloatArray
+from imumon.effects.base import Drive, Effect, Memory, Positive, Survey
+
+MOST_IN_SUMS = 9
+"""Parameters of which sums are tried."""
+
+E = TypeVar("E", bound=Effect)
+
+
+class Follower(Effect):
+    """u^k - v^k, k = 1 .. order: u the temperature, v what follows it, both as (T - middle) / half span."""
+
+    order: Annotated[int, Field(ge=1, le=9)] = 1
+    middle_degc: FiniteFloat
+    half_span_degc: Positive
+
+    @property
+    def width(self) -> int:
+        """One for each power."""
+        return self.order
+
+    @classmethod
+    def forms(cls, survey: Survey) -> list[dict[str, Any]]:
+        """Return orders and scale to try: none at constant temperature, the cubic only where two runs can
+        show it."""
+        if not survey.thermal:
+            return []
+        scale = {"middle_degc": survey.middle_degc, "half_span_degc": survey.half_span_degc}
+        return [{"order": order, **scale} for order in ((1, 3) if may_sum(survey, 4) else (1,))]
+
+    def follow(self, memory: Memory, drive: Drive) -> FloatArray:
+        """Return the temperature that follows, °C, (n,), and carry the memory along."""
+        raise NotImplementedError
+
+    def advance(self, memory: Memory, drive: Drive) -> FloatArray:
+        """Return the differences of powers, ahead less following."""
+        powers = np.arange(1, self.order + 1)
+        ahead, behind = (
+            ((values - self.middle_degc) / self.half_span_degc)[:, np.newaxis] ** powers
+            for values in (drive.temperature_degc, self.follow(memory, drive))
+        )
+        return np.asarray(ahead - behind)
+
+
+def may_sum(survey: Survey, reversals: int) -> bool:
+    """Tell whether the runs can show more than one term of a kind: two runs, or so many turns."""
+    return survey.runs > 1 or survey.reversals >= reversals
+
+
+def sums_of(chosen: Sequence[E], sizes: Sequence[int]) -> list[tuple[E, ...]]:
+    """Return sums of so many of the chosen effects, or of some spread over them where they are many."""
+    count = min(MOST_IN_SUMS, len(chosen))
+    spread = np.unique(np.linspace(0, len(chosen) - 1, count).round().astype(int))
+    few = [chosen[index] for index in spread.tolist()]
+    return [group for size in sizes for group in combinations(few, size)]

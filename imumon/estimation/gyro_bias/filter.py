@@ -1,0 +1,463 @@
+"""The bias from slot to slot: rests come and go, the bank of filters takes what the slots at rest say.
+
+A slot at rest counts when the next one is at rest as well: what moved the unit may have begun before it was
+noticed.  All biases are less what the thermal model has added since the start: so the samples of a slot, and
+the slots of the first minute, refer to one moment without further ado.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from imumon.blocks import FloatArray
+from imumon.estimation.gyro_bias import bank as filters
+from imumon.estimation.gyro_bias.attitude import Attitude, Place, Turn
+from imumon.estimation.gyro_bias.bank import AtRest, Bank, Family
+from imumon.estimation.gyro_bias.white import WhiteNoise
+
+LARGEST_TILT = 0.03
+"""rad by which a unit at rest may turn until the tilt is measured from a new reference."""
+GATE = 25.0
+"""A slot whose squared innovation over its variance is beyond this in every filter contradicts the bias."""
+JUMP_PRIOR, JUMP_PRIOR_AFTER_GAP, JUMP_PRIOR_WARMED = 0.05, 0.5, 0.9
+"""How likely it is, of a slot that contradicts the bias, that the bias is another: else the unit moves
+unnoticed.  Behind a gap in the data nobody saw a movement begin; a temperature that has moved meanwhile is
+the better explanation."""
+UNNOTICED_S = 51.0
+"""Mean length of a movement that nobody notices: with it a jump is certain after `PATIENCE_S`."""
+CERTAIN = 0.95
+RECENT = 8
+"""Slots that say what the bias has become: few, for it may be running away with the temperature."""
+PATIENCE_S = 300.0
+"""2 ln(0.95 / 0.05) times `UNNOTICED_S`: so long it takes until a jump is believed, half behind a gap."""
+STILLNESS = 2e-6
+"""Velocity over g at the end of a slot at rest, rad s: 0.02 mm/s; what shakes more is in the noise."""
+YAW_NOISE = 3e-8
+"""How well the heading is known to stand still at rest, rad sqrt(s)."""
+ACCEL_WALK = 1e-6
+"""Random walk of the accelerometers' biases over g, rad/sqrt(s)."""
+MIX_S = 5.0
+"""The filters of the bank share what they know this often."""
+FORGETTING_S = 600.0
+"""Memory of the evidence for a slope."""
+MOVED_DEGC = 0.5
+"""The temperature has moved when it is this far from where it was last noted: noise does not count."""
+SIGNIFICANCE, EVIDENCE = 9.0, 8.0
+"""A slope is used when d² > 9 P_dd and the log-likelihoods differ by more than 8 in its favour."""
+REFILTERED = (8, 30)
+"""Slots of the first rest after which, besides its end, all of it is filtered anew with the noise known."""
+
+
+def _nothing() -> FloatArray:
+    return np.full(3, np.nan)
+
+
+def _zero() -> FloatArray:
+    return np.zeros(3)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Params:
+    """What does not change.
+
+    Parameters
+    ----------
+    family : Family
+        Filters of the bank.
+    white : array (3,)
+        Angular random walk, rad/sqrt(s); NaN where it is to be measured.
+    tilt_noise : float
+        Velocity random walk, m/s/sqrt(s); NaN when it is to be measured.
+    place : Place
+    learns : bool
+        Whether the slope over temperature is learned.
+    first_slots : int
+        Length of the first rest that is filtered again, slots.
+    """
+
+    family: Family
+    white: FloatArray
+    tilt_noise: float
+    place: Place
+    learns: bool
+    first_slots: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Slot:
+    """What the samples of half a second say.
+
+    Parameters
+    ----------
+    start_s, end_s : float
+        From the end of the slot before, or the first sample at rest, to the last sample.
+    follows : bool
+        Whether the unit was at rest, without a gap, at the end of the slot before and since then.
+    rest : bool
+        Whether it is at rest at the end.
+    rate : array (3,)
+        Mean of the gyros at rest less what the thermal model has added, rad/s; where it moves, of all.
+    force : array (3,) or None
+        Mean specific force, m/s².
+    degc : array (3,)
+        Temperature of each gyro; NaN without any.
+    growth : array (3,)
+        What a doubtful temperature has added to the variance of the bias since the start, (rad/s)².
+    angles : array (k, 3)
+        Integrated rates since the slot before, rad, less the thermal model's part.
+    angles_s : array (k,)
+        Over how long each.
+    gap : bool
+        Whether readings were missing for a while.
+    """
+
+    start_s: float
+    end_s: float
+    follows: bool
+    rest: bool
+    rate: FloatArray
+    force: FloatArray | None
+    degc: FloatArray
+    growth: FloatArray
+    angles: FloatArray
+    angles_s: FloatArray
+    gap: bool
+
+    @property
+    def dt(self) -> float:
+        """Length, s."""
+        return self.end_s - self.start_s
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reading:
+    """A slot at rest, less the earth rate; `tilt` since the rest began, `fresh` when it is the first."""
+
+    slot: Slot
+    rate: FloatArray
+    tilt: FloatArray
+    fresh: bool
+
+
+@dataclass(slots=True, eq=False)
+class Contrary:
+    """Slots in a row that contradict the bias: it has jumped, or the unit moves unnoticed.
+
+    Parameters
+    ----------
+    readings : list of Reading
+        The last `RECENT` of them.
+    seconds : float
+        Length of all.
+    behind_gap : bool
+        Whether nothing has agreed since a gap in the data.
+    since_degc : array (3,)
+        Temperature at the first of them.
+    """
+
+    readings: list[Reading] = field(default_factory=list)
+    seconds: float = 0.0
+    behind_gap: bool = False
+    since_degc: FloatArray = field(default_factory=_nothing)
+
+    @property
+    def _prior(self) -> float:
+        if (np.abs(self.readings[-1].slot.degc - self.since_degc) >= MOVED_DEGC).any():
+            return JUMP_PRIOR_WARMED
+        return JUMP_PRIOR_AFTER_GAP if self.behind_gap else JUMP_PRIOR
+
+    @property
+    def jump(self) -> float:
+        """Probability that the bias has jumped: unnoticed movements last `UNNOTICED_S` in the mean."""
+        if not self.readings:
+            return 0.0
+        odds = self._prior / (1.0 - self._prior)
+        return 1.0 / (1.0 + math.exp(-self.seconds / UNNOTICED_S) / odds)
+
+    @property
+    def rate(self) -> FloatArray:
+        """Mean rate of the slots, rad/s, (3,)."""
+        return np.asarray(np.mean([reading.rate for reading in self.readings], 0))
+
+
+@dataclass(slots=True, eq=False)
+class State:
+    """All that is carried from slot to slot.
+
+    Parameters
+    ----------
+    white : WhiteNoise
+    bank : Bank or None
+        None until the noise is known.
+    attitude, turn : Attitude, Turn
+        At the last rest, and since then.
+    at_rest, fresh : bool
+        Whether it is at rest, and has just come to it.
+    waiting : Reading or None
+        What counts if the next slot is at rest as well.
+    first : list of Reading
+        Those of the first rest.
+    zeroed : bool
+        Whether the first rest is over.
+    used_s, left_s : float
+        Time of the bank, and when the unit left its last rest.
+    at_degc, noted_degc : array (3,)
+        Temperature of the bank, and where a move was last noted.
+    growth, arrival : array (3,)
+        Variance used so far, and that of coming to rest in another attitude.
+    evidence, chosen : array (3,)
+        For a slope, and whether it is used.
+    bias, sd, slope : array (3,)
+        The estimate, less the thermal model's part.
+    contrary : Contrary
+        What speaks against it.
+    reference : array (3,) or None
+        Specific force at the first rest: sensitivities count from there.
+    """
+
+    white: WhiteNoise = field(default_factory=WhiteNoise)
+    bank: Bank | None = None
+    attitude: Attitude = field(default_factory=Attitude)
+    turn: Turn = field(default_factory=Turn)
+    at_rest: bool = False
+    fresh: bool = False
+    waiting: Reading | None = None
+    first: list[Reading] = field(default_factory=list)
+    zeroed: bool = False
+    used_s: float = 0.0
+    left_s: float = 0.0
+    unmixed_s: float = 0.0
+    jumps: int = 0
+    contrary: Contrary = field(default_factory=Contrary)
+    at_degc: FloatArray = field(default_factory=_zero)
+    noted_degc: FloatArray = field(default_factory=_zero)
+    growth: FloatArray = field(default_factory=_zero)
+    arrival: FloatArray = field(default_factory=_zero)
+    evidence: FloatArray = field(default_factory=_zero)
+    chosen: FloatArray = field(default_factory=lambda: np.zeros(3, bool))
+    bias: FloatArray = field(default_factory=_nothing)
+    sd: FloatArray = field(default_factory=_nothing)
+    slope: FloatArray = field(default_factory=_zero)
+    reference: FloatArray | None = None
+
+
+def restarted(state: State) -> State:
+    """Return a state as after a restart of the device; what is known of the noise stays."""
+    state.white.begin()
+    return State(white=state.white, jumps=state.jumps)
+
+
+def step(state: State, params: Params, slot: Slot) -> FloatArray:
+    """Take a slot; return the normalised innovations, (3,), NaN where there are none."""
+    innovation = _nothing()
+    if state.at_rest and not (slot.rest and slot.follows):
+        _leave(state, params, slot.start_s)
+    if not state.at_rest:
+        _follow_turn(state, slot)
+    if slot.rest:
+        if not state.at_rest:
+            state.at_rest = state.fresh = True
+        innovation = _close(state, params, slot)
+    elif state.bank is not None:
+        _coast(state, params, state.bank, slot.end_s, slot.degc, slot.growth)
+        _show(state, slot.force)
+    return innovation
+
+
+def _follow_turn(state: State, slot: Slot) -> None:
+    known = np.where(np.isfinite(state.bias), state.bias, 0.0)
+    state.turn.add(slot.angles - slot.angles_s[:, np.newaxis] * known)
+    state.turn.lost |= slot.gap
+    state.contrary.behind_gap |= slot.gap
+
+
+def _leave(state: State, params: Params, at_s: float) -> None:
+    """Note that the unit is at rest no more; what the last slot was like nobody knows."""
+    if not state.zeroed:
+        _filter_again(state, params)
+        state.zeroed = state.bank is not None
+        state.first = []
+    state.at_rest, state.waiting = False, None
+    state.white.begin()
+    state.turn, state.left_s = Turn(), at_s
+
+
+def _close(state: State, params: Params, slot: Slot) -> FloatArray:
+    """End a slot at rest: let the one before count, and keep this one until the next."""
+    attitude = state.attitude
+    if state.fresh:
+        drift = (slot.end_s - state.left_s) * float(state.sd.max())
+        state.arrival = state.arrival + attitude.come_to_rest(
+            slot.force, params.place, state.turn, drift, state.turn.lost
+        )
+    usable = (slot.force is not None) == (attitude.gravity > 0.0)
+    tilt = np.zeros(3)
+    if usable and slot.force is not None:
+        tilt = attitude.tilt(slot.force)
+        usable = float(tilt @ tilt) < LARGEST_TILT**2
+    if not usable:
+        # It has turned, or the accelerometers have come or gone: as if it came to rest here.
+        _leave(state, params, slot.end_s)
+        state.at_rest = state.fresh = True
+        return _nothing()
+    innovation = _count(state, params, state.waiting) if state.waiting is not None else _nothing()
+    state.waiting = Reading(slot, slot.rate - attitude.earth, tilt, state.fresh)
+    state.fresh = False
+    return innovation
+
+
+def _count(state: State, params: Params, reading: Reading) -> FloatArray:
+    """Let a slot count: for the noise, and for the bias."""
+    innovation = _nothing()
+    if reading.fresh:
+        state.white.begin()
+    state.white.add(reading.slot.dt, reading.rate, reading.tilt)
+    if state.bank is not None:
+        innovation = _take(state, params, state.bank, reading)
+    if not state.zeroed:
+        state.first.append(reading)
+        count = len(state.first)
+        if count in REFILTERED or count == params.first_slots or state.bank is None:
+            _filter_again(state, params)
+        if count >= params.first_slots:
+            state.zeroed, state.first = state.bank is not None, []
+    if state.bank is not None:
+        _show(state, reading.slot.force)
+    return innovation
+
+
+def _noise(state: State, params: Params) -> tuple[FloatArray, float] | None:
+    """Return the noise of gyros and tilt, None while it is not known."""
+    given, tilt = np.isfinite(params.white), params.tilt_noise
+    if not (state.white.known or (given.all() and math.isfinite(tilt))):
+        return None
+    white = params.white if given.all() else np.where(given, params.white, state.white.rate)
+    if math.isfinite(tilt):
+        return white, tilt / max(state.attitude.gravity, 1.0)
+    return white, state.white.tilt
+
+
+def _filter_again(state: State, params: Params) -> None:
+    """Filter all slots since the start anew, with the noise as it is known now."""
+    noise = _noise(state, params)
+    if not state.first or noise is None:
+        return
+    begin = state.first[0].slot
+    state.bank = filters.start(params.family, 2 if params.learns else 1, noise[0])
+    filters.come_to_rest(state.bank, state.attitude.flat)
+    state.evidence, state.unmixed_s, state.contrary = np.zeros(3), 0.0, Contrary()
+    state.used_s, state.growth = begin.start_s, begin.growth
+    state.at_degc = state.noted_degc = begin.degc
+    state.reference = begin.force
+    for k, reading in enumerate(state.first):
+        _take(state, params, state.bank, replace(reading, fresh=reading.fresh and k > 0))
+    _show(state, state.first[-1].slot.force)
+
+
+def _coast(
+    state: State, params: Params, bank: Bank, end_s: float, degc: FloatArray, growth: FloatArray
+) -> None:
+    """Bring the biases to a time and temperature, without a measurement."""
+    noise = _noise(state, params)
+    assert noise is not None
+    warming = degc - state.at_degc
+    known = np.isfinite(warming)
+    moved = np.where(known, np.abs(degc - state.noted_degc), 0.0)
+    travel = np.where(moved >= MOVED_DEGC, moved, 0.0)
+    scaled = params.family.scaled(noise[0])
+    warming = np.where(known, warming, 0.0)
+    filters.wander(bank, scaled, end_s - state.used_s, warming, travel, growth - state.growth)
+    # A temperature that comes late is where the slope counts from.
+    state.at_degc = np.where(np.isfinite(degc), degc, state.at_degc)
+    state.noted_degc = np.where((travel > 0.0) | ~np.isfinite(state.noted_degc), degc, state.noted_degc)
+    state.growth, state.used_s = growth, end_s
+
+
+def _offset(state: State, force: FloatArray | None) -> FloatArray:
+    """Return the specific force less that of the first rest, (3,)."""
+    if force is None or state.reference is None:
+        return np.zeros(3)
+    return np.asarray(force - state.reference)
+
+
+def _take(state: State, params: Params, bank: Bank, reading: Reading) -> FloatArray:
+    """Take a slot into the bank; return the normalised innovations, (3,)."""
+    slot, dt = reading.slot, reading.slot.dt
+    noise = _noise(state, params)
+    assert noise is not None
+    _coast(state, params, bank, slot.end_s, slot.degc, slot.growth)
+    # Only at rest: nothing is learned of the bias while it moves, and doubts that only add up help nobody.
+    state.unmixed_s += dt
+    if state.unmixed_s >= MIX_S:
+        filters.mix(bank, params.family, state.unmixed_s)
+        state.unmixed_s = 0.0
+    flat = state.attitude.flat
+    if reading.fresh:
+        filters.come_to_rest(bank, flat, state.arrival)
+        state.arrival = np.zeros(3)
+    # Of the rotation about an axis gravity shows the horizontal part, the heading held shows the rest.
+    at_rest = AtRest(
+        dt,
+        reading.rate,
+        reading.tilt,
+        _offset(state, slot.force),
+        noise[0] ** 2 + flat * ACCEL_WALK**2,
+        flat * noise[1] ** 2 + (1.0 - flat) * YAW_NOISE**2,
+        flat * STILLNESS**2,
+    )
+    found = filters.look(bank, at_rest)
+    innovation = filters.innovation(bank, found)
+    shown: FloatArray = np.where(state.chosen, innovation[-1], innovation[0])
+    # Just after a contradiction the rotation is not known, and a rotation explains any rate for a while.
+    contrary = state.contrary.readings and filters.disagreement(bank, at_rest)[0].max() > GATE
+    if contrary or filters.surprise(found)[0].max() > GATE:
+        _refuse(state, params, bank, reading)
+        return shown
+    state.contrary = Contrary()
+    likelihood = filters.take(bank, found)
+    if params.learns:
+        fade = math.exp(-dt / FORGETTING_S)
+        state.evidence = fade * state.evidence + likelihood[1] - likelihood[0]
+        slope, variance = filters.slope(bank)
+        state.chosen = (slope[1] ** 2 > SIGNIFICANCE * variance[1]) & (state.evidence > EVIDENCE)
+    return shown
+
+
+def _refuse(state: State, params: Params, bank: Bank, reading: Reading) -> None:
+    """Note a slot that contradicts the bias; if that goes on, the bias is what these slots say."""
+    contrary = state.contrary
+    contrary.readings = [*contrary.readings, reading][-RECENT:]
+    if contrary.seconds == 0.0:
+        contrary.since_degc = reading.slot.degc
+    contrary.seconds += reading.slot.dt
+    filters.come_to_rest(bank, state.attitude.flat)
+    if contrary.jump > CERTAIN:
+        state.jumps += 1
+        state.first = contrary.readings
+        _filter_again(state, params)
+        state.first, state.zeroed = [], True
+
+
+def _show(state: State, force: FloatArray | None) -> None:
+    """Make the estimate of the bank the one that is shown.
+
+    The standard deviation is that of both variants, with and without slope, each by its likelihood: a slope
+    that is not proven may be there all the same.
+    """
+    assert state.bank is not None
+    value, variance = filters.bias(state.bank, _offset(state, force))
+    state.bias, state.slope = value[0], np.zeros(3)
+    spread = variance[0]
+    if len(value) > 1:
+        chosen = state.chosen
+        state.bias = np.where(chosen, value[1], value[0])
+        state.slope = np.where(chosen, filters.slope(state.bank)[0][1], 0.0)
+        share = 1.0 / (1.0 + np.exp(np.where(chosen, state.evidence, -state.evidence)))
+        own, other = np.where(chosen, variance[::-1], variance)
+        spread = own + share * (other - own + (value[1] - value[0]) ** 2)
+    if state.contrary.readings:
+        spread = spread + state.contrary.jump * (state.contrary.rate - state.bias) ** 2
+    state.sd = np.sqrt(spread)

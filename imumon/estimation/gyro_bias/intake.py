@@ -1,0 +1,164 @@
+"""From samples to the slots that the filter takes: half seconds, at rest or not, and the turns in them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from imumon.blocks import NO_INT, FloatArray, IntArray
+from imumon.estimation.gyro_bias.attitude import FINE_S
+from imumon.estimation.gyro_bias.filter import Slot
+from imumon.estimation.gyro_bias.thermal_input import ThermalDoubt
+from imumon.filters.slots import SlotGatherer, Slots
+
+SLOT_S = 0.5
+GAP_S = 0.25
+"""A pause between samples is a gap when it is longer than this and than three usual intervals."""
+LEAST_COVERED = 0.5
+"""Share of a slot that must have samples, else there is a gap in it."""
+# Columns of the gatherer.
+AT_REST_RATE, AT_REST_FORCE, RATE, FORCE, DEGC, DOUBT = (slice(3 * i, 3 * i + 3) for i in range(6))
+REST, COLUMNS = 18, 19
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Samples:
+    """Samples of a block.
+
+    Parameters
+    ----------
+    time_ns, segment : array of int64 (n,)
+    gyro : array (n, 3)
+        Less what the thermal model has added, rad/s.
+    accel : array (n, 3)
+        m/s²; NaN where there is none.
+    degc, doubt : array (n, 3)
+        Temperature, and standard deviation of the thermal model for want of knowledge of its state, rad/s.
+    rest : array of bool (n,)
+    """
+
+    time_ns: IntArray
+    segment: IntArray
+    gyro: FloatArray
+    accel: FloatArray
+    degc: FloatArray
+    doubt: FloatArray
+    rest: npt.NDArray[np.bool_]
+
+
+@dataclass(slots=True, eq=False)
+class _Before:
+    """The slot before: end and usual interval, s; whether it was at rest at its end; origin of time."""
+
+    origin_ns: int = 0
+    end_s: float = 0.0
+    interval_s: float = 0.0
+    rest: bool = False
+
+
+@dataclass(slots=True, eq=False)
+class _Turns:
+    """Angles of fine slots that wait for the end of theirs, and the time of the last."""
+
+    angles: list[FloatArray] = field(default_factory=list)
+    spans: list[float] = field(default_factory=list)
+    end_ns: int = 0
+    span_s: float = 0.0
+
+    def add(self, slots: Slots, k: int) -> None:
+        """Take a fine slot."""
+        start = int(slots.start_ns[k]) if slots.begins[k] else self.end_ns
+        span = (int(slots.end_ns[k]) - start) * 1e-9
+        gap = span > max(GAP_S, 3.0 * self.span_s)
+        self.end_ns, self.span_s = int(slots.end_ns[k]), span
+        if not gap:
+            self.angles.append(slots.mean[k] * span)
+            self.spans.append(span)
+
+    def take(self) -> tuple[FloatArray, FloatArray]:
+        """Return angles (k, 3) and spans (k,) since the last call."""
+        found = np.array(self.angles).reshape(-1, 3), np.array(self.spans)
+        self.angles, self.spans = [], []
+        return found
+
+
+class Intake:
+    """Gathers samples; the same slots whatever the division into blocks."""
+
+    def __init__(self, doubt: ThermalDoubt) -> None:
+        self._gatherer = SlotGatherer(COLUMNS, round(SLOT_S * 1e9))
+        self._fine = SlotGatherer(3, round(FINE_S * 1e9))
+        self._doubt = doubt
+        self._before = _Before()
+        self._turns = _Turns()
+
+    def process(self, samples: Samples) -> Iterator[tuple[int, bool, Slot | None]]:
+        """Yield the row behind each slot, whether a segment begins with it, and what it says, if anything."""
+        usable = np.isfinite(samples.gyro).all(1)
+        time_ns = np.where(usable, samples.time_ns, NO_INT)
+        whole = np.isfinite(samples.accel).all(1, keepdims=True)
+        force = np.where(whole, samples.accel, np.nan)
+        values = np.empty((len(time_ns), COLUMNS))
+        rest = samples.rest[:, np.newaxis]
+        values[:, AT_REST_RATE] = np.where(rest, samples.gyro, np.nan)
+        values[:, AT_REST_FORCE] = np.where(rest, force, np.nan)
+        values[:, RATE], values[:, FORCE] = samples.gyro, force
+        values[:, DEGC], values[:, DOUBT] = samples.degc, samples.doubt
+        values[:, REST] = samples.rest
+        slots = self._gatherer.process(time_ns, samples.segment, values)
+        fine = self._fine.process(time_ns, samples.segment, samples.gyro)
+        f = 0
+        for k in range(len(slots)):
+            while f < len(fine) and fine.row[f] <= slots.row[k]:
+                self._turns.add(fine, f)
+                f += 1
+            yield int(slots.row[k]), bool(slots.begins[k]), self._slot(slots, k)
+        for left in range(f, len(fine)):
+            self._turns.add(fine, left)
+
+    def _slot(self, slots: Slots, k: int) -> Slot | None:
+        """Return what a slot says; None of a single sample before which nothing is known."""
+        before, samples = self._before, int(slots.samples[k])
+        if slots.begins[k]:
+            before = self._before = _Before(origin_ns=int(slots.start_ns[k]))
+            self._doubt.begin()
+        start = (int(slots.start_ns[k]) - before.origin_ns) * 1e-9
+        end = (int(slots.end_ns[k]) - before.origin_ns) * 1e-9
+        inside = (end - start) / (samples - 1) if samples > 1 else 0.0
+        pause = start - before.end_s
+        late = pause > max(GAP_S, 3.0 * before.interval_s)
+        gap = late or samples * before.interval_s < LEAST_COVERED * (end - before.end_s)
+        if slots.begins[k] or gap:
+            interval = inside if samples > 1 or slots.begins[k] else before.interval_s
+            start -= interval
+            gap = not slots.begins[k]
+        else:
+            start = before.end_s
+        before.interval_s = (end - start) / samples if samples > 1 or not gap else pause
+        before.end_s = end
+        return self._said(slots, k, start, end, gap)
+
+    def _said(self, slots: Slots, k: int, start: float, end: float, gap: bool) -> Slot | None:
+        before, samples = self._before, int(slots.samples[k])
+        still = slots.smallest[k, REST] == 1.0
+        arrives = slots.changes[k, REST] == 1 and slots.first[k, REST] == 0.0
+        rest = bool(still or (arrives and slots.last[k, REST] == 1.0))
+        follows = bool(before.rest and still and not gap)
+        before.rest = bool(slots.last[k, REST] == 1.0) and rest
+        angles, spans = self._turns.take()
+        degc = np.where(rest, slots.mean[k, DEGC], slots.last[k, DEGC])
+        growth = self._doubt.step(slots.last[k, DEGC], slots.last[k, DOUBT])
+        rate, force, which = slots.mean[k, RATE], slots.mean[k, FORCE], FORCE
+        if rest and not still:
+            share = float(slots.count[k, AT_REST_RATE.start]) / samples
+            start = end - share * (end - start)
+            rate, force, which = slots.mean[k, AT_REST_RATE], slots.mean[k, AT_REST_FORCE], AT_REST_FORCE
+        if end <= start:
+            return None
+        forced = bool(slots.count[k, which.start])
+        return Slot(
+            start, end, follows, rest, rate, force if forced else None, degc, growth, angles, spans, gap
+        )

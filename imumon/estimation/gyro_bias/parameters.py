@@ -1,0 +1,46 @@
+"""What a pipeline file says of the bias estimator; apart from it, so that it loads quickly."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from imumon.config import StrictModel
+
+_Positive = Annotated[float, Field(gt=0.0, le=10.0)]
+_NotNegative = Annotated[float, Field(ge=0.0, le=10.0)]
+_PerAxis = _Positive | Annotated[list[_Positive], Field(min_length=3, max_length=3)]
+_PerAxisOrNone = _NotNegative | Annotated[list[_NotNegative], Field(min_length=3, max_length=3)]
+
+
+class GyroBiasParameters(StrictModel):
+    """Noise of the sensors, and how the bias is followed; every key has a default, which suits any unit.
+
+    Parameters
+    ----------
+    angle_random_walk_rad_per_sqrt_s : float or [x, y, z], optional
+        Square root of the two-sided density of the gyro's white noise (0.28 °/√h is 8.1e-5).  Measured at
+        rest when it is not given.
+    bias_instability_rad_per_s, rate_random_walk_rad_per_s_per_sqrt_s : float or [x, y, z], optional
+        Flicker coefficient B (floor of the Allan deviation 0.664 B) and bias random walk K.  When one is
+        given, both hold as given, the other being zero.  When neither is, how much the bias wanders is
+        learned from the innovations.
+    velocity_random_walk_m_per_s_per_sqrt_s : float, optional
+        The same for the accelerometers.  Measured at rest when it is not given.
+    zeroing_s : float
+        At first rest for so long the noise is being learned, and the beginning is filtered anew with it.
+    thermal_form : "increments" or "slope_rate"
+        Whether the thermal mode adds b(T_k) - b(T_k-1), or the published slope times rate, which needs the
+        columns temperature_rate.
+    assume_at_rest : bool
+        Whether data without the column at_rest are taken as at rest throughout.
+    """
+
+    angle_random_walk_rad_per_sqrt_s: _PerAxis | None = None
+    bias_instability_rad_per_s: _PerAxisOrNone | None = None
+    rate_random_walk_rad_per_s_per_sqrt_s: _PerAxisOrNone | None = None
+    velocity_random_walk_m_per_s_per_sqrt_s: _Positive | None = None
+    zeroing_s: float = Field(default=60.0, ge=5.0, le=240.0)
+    thermal_form: Literal["increments", "slope_rate"] = "increments"
+    assume_at_rest: bool = False

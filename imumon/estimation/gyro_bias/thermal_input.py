@@ -1,0 +1,192 @@
+"""What a bias model tells the filter: how far the bias has moved, and how far to trust that."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from imumon.blocks import FloatArray, SampleBlock
+from imumon.models.model import BiasModel
+from imumon.models.predictor import BiasPredictor
+
+GYROS = ("gyro_x", "gyro_y", "gyro_z")
+CORRELATION_DEGC = 5.0
+"""Errors of a curve at temperatures farther apart than about this have little to do with each other."""
+MARK_DEGC = 0.5
+"""The temperature has moved when it is this far from where it was last noted: noise does not count."""
+
+
+@dataclass(slots=True, eq=False)
+class ThermalDoubt:
+    """Variance that a doubtful thermal model has brought since the start, of three axes.
+
+    Within the calibrated range the error of the curve is a random walk over temperature; outside it the slope
+    itself is unknown.  An unknown state at power-on has moved the bias by its sd at first less that now.
+
+    Parameters
+    ----------
+    residual, steepness, low_degc, high_degc : array (3,)
+        Residual of the curve, its rms slope per °C, and the calibrated range.
+    """
+
+    residual: FloatArray
+    steepness: FloatArray
+    low_degc: FloatArray
+    high_degc: FloatArray
+    variance: FloatArray = field(init=False)
+    mark_degc: FloatArray = field(init=False)
+    outside_degc: FloatArray = field(init=False)
+    first_sd: FloatArray = field(init=False)
+    faded: FloatArray = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Begin."""
+        self.begin()
+
+    def begin(self) -> None:
+        """Start at zero."""
+        self.variance, self.outside_degc, self.faded = np.zeros((3, 3))
+        self.mark_degc, self.first_sd = np.full((2, 3), np.nan)
+
+    def step(self, degc: FloatArray, sd: FloatArray) -> FloatArray:
+        """Return the variance at these temperatures, with this sd of the state, (3,); NaN changes nothing."""
+        self.mark_degc = np.where(np.isfinite(self.mark_degc), self.mark_degc, degc)
+        moved = np.abs(degc - self.mark_degc)
+        has_moved = moved >= MARK_DEGC
+        self.variance = self.variance + np.where(
+            has_moved, 2.0 * self.residual**2 * moved / CORRELATION_DEGC, 0.0
+        )
+        self.mark_degc = np.where(has_moved, degc, self.mark_degc)
+        beyond = np.maximum(np.maximum(self.low_degc - degc, degc - self.high_degc), 0.0)
+        farther = beyond > self.outside_degc
+        more = self.steepness**2 * (beyond**2 - self.outside_degc**2)
+        self.variance = self.variance + np.where(farther, more, 0.0)
+        self.outside_degc = np.where(farther | (beyond == 0.0), beyond, self.outside_degc)
+        self.first_sd = np.where(np.isfinite(self.first_sd), self.first_sd, sd)
+        self.faded = np.fmax(self.faded, (sd - self.first_sd) ** 2)
+        return np.asarray(self.variance + self.faded)
+
+
+class ThermalInput:
+    """Sum of the model's increments since the start, and of the variance that they bring.
+
+    Parameters
+    ----------
+    model : BiasModel or None
+        None: the bias stays where it is.
+    form : "increments" or "slope_rate"
+        b(T_k) - b(T_k-1), or the published T_s (∂b/∂T) Ṫ with the rate from the columns temperature_rate.
+
+    Raises
+    ------
+    ImumonError
+        BAD_CONFIG when the model lacks a gyro.
+    """
+
+    def __init__(self, model: BiasModel | None, form: str = "increments") -> None:
+        self._predictor = BiasPredictor(model, GYROS) if model is not None else None
+        self._by_rate = form == "slope_rate"
+        columns = self._predictor.temperature_columns if self._predictor is not None else ["temperature"] * 3
+        self._sources = [_sources(name, axis) for name, axis in zip(columns, "xyz", strict=True)]
+        trust = np.zeros((3, 4))
+        if model is not None:
+            for row, name in zip(trust, GYROS, strict=True):
+                channel = model.channels[name]
+                low, high = channel.temperature_range_degc
+                slopes = channel.slope(np.linspace(low, high, 101))
+                row[:] = channel.residual_sd, np.sqrt(np.mean(slopes**2)), low, high
+        self.doubt = ThermalDoubt(*trust.T)
+        self._reference = np.full(3, np.nan)
+        self._total = np.zeros(3)
+        self._last_s = np.full(3, np.nan)
+        self.outside = False
+        """Whether the temperature has been outside the range that the model was made for."""
+        self.lacking = False
+        """Whether what the model needs was missing in a block with samples."""
+
+    @property
+    def ranges_degc(self) -> FloatArray:
+        """Calibrated range of each axis, (3, 2)."""
+        return np.column_stack([self.doubt.low_degc, self.doubt.high_degc])
+
+    def begin(self) -> None:
+        """Start the sums at zero."""
+        self._reference[:] = self._last_s[:] = np.nan
+        self._total[:] = 0.0
+
+    def temperature(self, block: SampleBlock) -> FloatArray:
+        """Return the temperature of each gyro in °C, the estimated one where there is one, (n, 3)."""
+        result = np.empty((len(block), 3))
+        for j, sources in enumerate(self._sources):
+            # The reading is a stopgap where the estimate has not begun; mixed with it, it would jump.
+            name = next((name for name in sources if name in block), None)
+            result[:, j] = np.nan if name is None else block[name]
+        return result
+
+    def process(
+        self, seconds: FloatArray, block: SampleBlock, temperature: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return what the model has added to the bias since `begin` and its curve (rad/s), and its sd.
+
+        Parameters
+        ----------
+        seconds : array (n,)
+            Time, s.
+        block : SampleBlock
+            Of one segment.
+        temperature : array (n, 3)
+            As from `temperature`.
+
+        Returns
+        -------
+        total, curve, sd : array (n, 3)
+            The curve is zero without a model, and NaN before the first temperature; the sd is that of the
+            unknown state at power-on, NaN before the first temperature.
+        """
+        n = len(block)
+        if self._predictor is None:
+            return np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3))
+        predicted = self._predictor.process(
+            block["device_time_ns"], block["segment"], temperature, block.accel
+        )
+        known = np.isfinite(predicted.bias)
+        sd = np.where(known, predicted.doubt, np.nan)
+        if self._by_rate:
+            found, total = self._summed(seconds, block, predicted.slope)
+            sd[:] = 0.0
+        else:
+            found = known
+            for j in np.flatnonzero(np.isnan(self._reference) & known.any(0)):
+                self._reference[j] = predicted.bias[np.argmax(known[:, j]), j]
+            total = np.where(known, predicted.bias - self._reference, 0.0)
+        self.outside |= bool((np.isfinite(temperature) & ~predicted.inside).any())
+        self.lacking |= bool(n and not found.any())
+        return total, predicted.bias, sd
+
+    def _summed(
+        self, seconds: FloatArray, block: SampleBlock, slope: FloatArray
+    ) -> tuple[npt.NDArray[np.bool_], FloatArray]:
+        """Return where slope times rate is known, and its sum over time, (n, 3) each."""
+        known, total = np.zeros(slope.shape, bool), np.zeros(slope.shape)
+        for j, axis in enumerate("xyz"):
+            rates = [f"temperature_rate_{axis}", "temperature_rate"]
+            name = next((name for name in rates if name in block), None)
+            if name is not None:
+                increase = slope[:, j] * block[name]
+                known[:, j] = np.isfinite(increase)
+                at = seconds[known[:, j]]
+                steps = np.zeros(len(seconds))
+                steps[known[:, j]] = increase[known[:, j]] * np.diff(at, prepend=self._last_s[j])
+                steps[np.isnan(steps)] = 0.0
+                self._last_s[j] = at[-1] if len(at) else self._last_s[j]
+                total[:, j] = np.cumsum(np.append(self._total[j], steps))[1:]
+                self._total[j] = total[-1, j] if len(total) else self._total[j]
+        return known, total
+
+
+def _sources(column: str, axis: str) -> list[str]:
+    suffix = column.removeprefix("temperature").removeprefix("_estimate")
+    suffixes = [suffix] if suffix else ["", f"_{axis}"]
+    return [f"temperature{kind}{end}" for kind in ("_estimate", "") for end in suffixes]

@@ -1,1 +1,0 @@
-"""Gyro bias of a unit at rest, by zero-velocity updates, with and without a thermal model."""

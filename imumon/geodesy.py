@@ -1,0 +1,80 @@
+"""Earth rate, gravity, and the attitude of a unit at rest from its vertical and a heading.
+
+The heading is that of the body's x axis, clockwise from true north; where x is within 6° of the vertical it
+is that of -z, which then lies level.  Body axes are right-handed, of any kind.  The specific force at rest
+points up.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from imumon.blocks import FloatArray
+
+EARTH_RATE = 7.292115e-5
+"""rad/s, WGS-84."""
+STANDARD_GRAVITY = 9.80665
+"""m/s², 3rd CGPM 1901: what a device that reports in g means."""
+MICRO_G = 1e-6 * STANDARD_GRAVITY
+"""m/s²."""
+DEG_PER_H = math.pi / 180.0 / 3600.0
+"""rad/s."""
+LEAST_HORIZONTAL = 0.1
+"""The x axis has a heading when its horizontal part is at least this; below, -z stands for it."""
+
+
+def forward(up: FloatArray) -> FloatArray:
+    """Return the level direction whose heading is meant, a unit vector in body axes, (3,).
+
+    Parameters
+    ----------
+    up : array (3,)
+        Unit vector up, body axes.
+    """
+    ahead = np.array([1.0, 0.0, 0.0]) - up[0] * up
+    length = math.sqrt((ahead * ahead).sum())
+    if length < LEAST_HORIZONTAL:
+        ahead = up[2] * up - np.array([0.0, 0.0, 1.0])
+        length = math.sqrt((ahead * ahead).sum())
+    result: FloatArray = ahead / length
+    return result
+
+
+def north_in_body(up: FloatArray, heading: float) -> FloatArray:
+    """Return the direction of north in body axes, (3,); heading in rad."""
+    ahead = forward(up)
+    northward: FloatArray = math.cos(heading) * ahead - math.sin(heading) * np.cross(ahead, up)
+    return northward
+
+
+def heading_of(up: FloatArray, northward: FloatArray) -> float:
+    """Return the heading in rad, -π to π, from a vector in body axes whose level part points north, (3,)."""
+    ahead = forward(up)
+    return math.atan2(-float(np.cross(ahead, up) @ northward), float(ahead @ northward))
+
+
+def body_to_ned(up: FloatArray, heading: float) -> FloatArray:
+    """Return the matrix from body axes to north-east-down, (3, 3); heading in rad."""
+    north = north_in_body(up, heading)
+    return np.vstack([north, np.cross(north, up), -up])
+
+
+def earth_rate_in_body(up: FloatArray, heading: float, latitude: float) -> FloatArray:
+    """Return the earth rate in body axes, rad/s, (3,); heading and latitude in rad."""
+    return earth_rate_along(up, north_in_body(up, heading), latitude)
+
+
+def earth_rate_along(up: FloatArray, northward: FloatArray, latitude: float) -> FloatArray:
+    """Return the earth rate in the axes of the given directions, rad/s, (3,).
+
+    Parameters
+    ----------
+    up, northward : array (3,)
+        Unit vectors; `northward` zero where the heading is not known: the vertical part only.
+    latitude : float
+        rad.
+    """
+    rate: FloatArray = EARTH_RATE * (math.cos(latitude) * northward + math.sin(latitude) * up)
+    return rate

@@ -1,0 +1,170 @@
+"""Kalman filters on model L of Shi Gang et al. (3, 4): φ, δ¹ and δ² known, x_k and x_k-1 the states.
+
+The strong-tracking filter (STF) multiplies the propagated covariance by a fading factor λ ≥ 1 that brings
+the innovation's variance up to what is seen: λ = max(1, (V - q - βR) / (H F P Fᵀ Hᵀ)), q = δ¹² + δ²²,
+with V = e² at the first innovation, then V ← (ρV + e²)/(1 + ρ), ρ = 0.95.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from imumon.blocks import FloatArray
+from imumon.compiled import njit
+
+FORGETTING = 0.95
+
+
+@dataclass(frozen=True, slots=True)
+class ModelL:
+    """Model L and where it begins.
+
+    Parameters
+    ----------
+    phi, delta1, delta2 : float
+        Parameters of x_k = (1+φ) x_k-1 - φ x_k-2 + δ¹ a_k - δ² a_k-1.
+    mean, variance : tuple of 2 float
+        (x_k, x_k-1) and the diagonal of its covariance.
+    noise_variance : float
+        R, of one measurement.
+    """
+
+    phi: float
+    delta1: float
+    delta2: float
+    mean: tuple[float, float]
+    variance: tuple[float, float]
+    noise_variance: float
+
+
+class LinearSeries(NamedTuple):
+    """x_k|k-1, x_k|k and its standard deviation at each sample, (n,), in the unit of the data."""
+
+    predicted: FloatArray
+    estimate: FloatArray
+    sd: FloatArray
+
+
+class Settings(NamedTuple):
+    """φ, q = δ¹² + δ²², R, and β of the strong-tracking filter, negative for the plain Kalman filter."""
+
+    phi: float
+    process_variance: float
+    noise_variance: float
+    softening: float
+
+
+class State(NamedTuple):
+    """What the filter carries from sample to sample, changed in place.
+
+    Parameters
+    ----------
+    mean, covariance : array (2,), (2, 2)
+        Of (x_k, x_k-1).
+    seen : array (1,)
+        V, the variance of the innovations as it is seen; NaN before the first.
+    largest_fading : array (1,)
+        The largest λ so far.
+    """
+
+    mean: FloatArray
+    covariance: FloatArray
+    seen: FloatArray
+    largest_fading: FloatArray
+
+
+class LinearFilter:
+    """Kalman filter on model L.
+
+    Parameters
+    ----------
+    model : ModelL
+        Model, start and R.
+    softening : float or None
+        β of the strong-tracking filter; None for the plain Kalman filter.
+    """
+
+    def __init__(self, model: ModelL, softening: float | None = None) -> None:
+        process = model.delta1**2 + model.delta2**2
+        beta = -1.0 if softening is None else softening
+        self._settings = Settings(model.phi, process, model.noise_variance, beta)
+        mean, covariance = np.array(model.mean, np.float64), np.diag(np.array(model.variance, np.float64))
+        self.state = State(mean, covariance, np.full(1, np.nan), np.ones(1))
+
+    @property
+    def largest_fading(self) -> float:
+        """The largest λ so far."""
+        return float(self.state.largest_fading[0])
+
+    def process(
+        self,
+        reading: FloatArray,
+        measured: npt.NDArray[np.bool_] | None = None,
+        steps: FloatArray | None = None,
+    ) -> LinearSeries:
+        """Return what the filter says at samples that follow those of the last call.
+
+        Parameters
+        ----------
+        reading : array, (n,)
+            Data; predicted only where it is NaN or not `measured`.
+        measured : array of bool, (n,), optional
+            Default always.
+        steps : array, (n,), optional
+            Time since the last sample in sampling intervals: what q is multiplied with.  Default 1.
+        """
+        n = len(reading)
+        use = np.isfinite(reading) if measured is None else measured & np.isfinite(reading)
+        series = LinearSeries(*(np.empty(n) for _ in LinearSeries._fields))
+        _run(reading, use, np.ones(n) if steps is None else steps, self._settings, self.state, series)
+        return series
+
+
+@njit
+def _run(
+    reading: FloatArray,
+    use: npt.NDArray[np.bool_],
+    steps: FloatArray,
+    settings: Settings,
+    state: State,
+    series: LinearSeries,
+) -> None:
+    """Filter samples; the state changes in place, the series is filled."""
+    x, p, phi, noise = state.mean, state.covariance, settings.phi, settings.noise_variance
+    for k in range(reading.size):
+        x[0], x[1] = (1.0 + phi) * x[0] - phi * x[1], x[0]
+        # F P Fᵀ with F = [[1 + φ, -φ], [1, 0]].
+        across = (1.0 + phi) * p[0, 0] - phi * p[0, 1]
+        p[0, 0], p[1, 1] = (1.0 + phi) * across - phi * ((1.0 + phi) * p[0, 1] - phi * p[1, 1]), p[0, 0]
+        p[0, 1] = p[1, 0] = across
+        process = settings.process_variance * steps[k]
+        innovation = reading[k] - x[0]
+        if use[k] and settings.softening >= 0.0:
+            p *= _fading(innovation, p[0, 0], process, settings, state)
+        p[0, 0] += process
+        series.predicted[k] = x[0]
+        if use[k]:
+            total = p[0, 0] + noise
+            gain, before = p[0, 0] / total, p[1, 0] / total
+            x[0] += gain * innovation
+            x[1] += before * innovation
+            p[1, 1] -= before * p[1, 0]
+            p[0, 0] *= noise / total
+            p[0, 1] = p[1, 0] = before * noise
+        series.estimate[k], series.sd[k] = x[0], np.sqrt(p[0, 0])
+
+
+@njit
+def _fading(innovation: float, had: float, process: float, settings: Settings, state: State) -> float:
+    """Return λ after an innovation, `had` being H F P Fᵀ Hᵀ."""
+    seen = state.seen
+    square = innovation * innovation
+    seen[0] = square if np.isnan(seen[0]) else (FORGETTING * seen[0] + square) / (1.0 + FORGETTING)
+    wanted = seen[0] - process - settings.softening * settings.noise_variance
+    fading = wanted / had if had > 0.0 and wanted > had else 1.0
+    state.largest_fading[0] = max(state.largest_fading[0], fading)
+    return fading

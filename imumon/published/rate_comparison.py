@@ -1,0 +1,204 @@
+"""Methods that the rate estimators are compared with; none of them is for use.
+
+Equation numbers are those of Kozlov and Tarygin, Sensors 2020, 20(5), 1299.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from imumon.blocks import FloatArray, IntArray
+from imumon.compiled import njit
+from imumon.estimation.temperature_rate.series import RateEstimate, Resumable
+from imumon.published.fir import model_row
+
+
+class DifferenceRate:
+    """Moving-window numerical differentiator (eq. 3): the reading less that of a window ago.
+
+    Needs the whole record at once.  The standard deviations are those of two roundings.
+
+    Parameters
+    ----------
+    step : float
+        Quantization step in °C.
+    window_s : float
+        Window T in s.
+    """
+
+    def __init__(self, step: float = 0.05, window_s: float = 180.0) -> None:
+        self._step, self._window_s = step, window_s
+
+    def process(self, time_ns: IntArray, segment: IntArray, reading: FloatArray) -> RateEstimate:
+        """Return the estimates of a record in one segment, NaN in its first window."""
+        del segment
+        seconds = (time_ns - time_ns[0]) * 1e-9
+        before = np.searchsorted(seconds, seconds - self._window_s - 1e-6)
+        full = seconds >= self._window_s - 1e-6
+        span = np.where(full, seconds - seconds[before], np.nan)
+        rate = (reading - reading[before]) / span
+        sd = self._step / math.sqrt(12.0)
+        return RateEstimate(reading, rate, np.full(len(reading), sd), math.sqrt(2.0) * sd / span)
+
+
+class KalmanRate(Resumable):
+    """Conventional Kalman filter of the same model and measurements, which forgets by process noise.
+
+    The paper's section 4.1: α, β and γ walk at random; t0 follows every `RENEWAL_S`.
+
+    Parameters
+    ----------
+    step : float
+        Quantization step in °C.
+    time_constant_s : float
+        T0 in s.
+    walk : tuple of float
+        Random walk of α, β and γ in °C/√s; the default is the best of a search over self-heating, wobble and
+        steady records, by the geometric mean of the rms errors.
+    """
+
+    def __init__(
+        self,
+        step: float = 0.05,
+        time_constant_s: float = 180.0,
+        walk: tuple[float, float, float] = (0.0, 5e-3, 0.0),
+    ) -> None:
+        self._parameters = np.array([step, time_constant_s, *walk])
+        self._x = np.zeros(3)
+        self._p = np.zeros((3, 3))
+        # t0, last time, last reading, last temperature, whether started.
+        self._numbers = np.zeros(5)
+        super().__init__(x=self._x, p=self._p, numbers=self._numbers)
+
+    def process(self, time_ns: IntArray, segment: IntArray, reading: FloatArray) -> RateEstimate:
+        """Return the estimates of samples that follow those of the last call."""
+        result = RateEstimate.empty(len(reading))
+        for start, stop, begins, seconds in self.clock.runs(time_ns, segment):
+            if begins:
+                self._numbers[4] = 0.0
+            out = result.rows(start, stop)
+            columns = (out.temperature, out.rate, out.temperature_sd, out.rate_sd)
+            _kalman(seconds, reading[start:stop], self._parameters, self._x, self._p, self._numbers, *columns)
+        return result
+
+
+@njit
+def _kalman(
+    seconds: FloatArray,
+    readings: FloatArray,
+    parameters: FloatArray,
+    x: FloatArray,
+    p: FloatArray,
+    numbers: FloatArray,
+    temperature: FloatArray,
+    rate: FloatArray,
+    temperature_sd: FloatArray,
+    rate_sd: FloatArray,
+) -> None:
+    step, constant = parameters[0], parameters[1]
+    for i in range(seconds.size):
+        t, reading = seconds[i], readings[i]
+        if not numbers[4]:
+            x[:] = 0.0
+            x[0] = reading
+            p[:] = 0.0
+            for j in range(3):
+                p[j, j] = 1.0
+            numbers[:] = t, t, reading, reading, 1.0
+        for j in range(3):
+            p[j, j] += parameters[2 + j] ** 2 * (t - numbers[1])
+        numbers[1] = t
+        if t - numbers[0] > RENEWAL_S:
+            shift = (t - numbers[0]) / constant
+            c = np.eye(3)
+            c[0, 1], c[2, 2] = shift, math.exp(-shift)
+            x[:] = c @ x
+            p[:] = c @ p @ c.T
+            numbers[0] = t
+        u = (t - numbers[0]) / constant
+        h = model_row(3, u)
+        last = numbers[2]
+        if abs(reading - last) > step / 2 or abs(numbers[3] - last) > step:
+            ph = p @ h
+            d = step * step / 16.0 + h @ ph
+            x += ph * (((reading + last) / 2 - h @ x) / d)
+            p -= np.outer(ph, ph) / d
+        numbers[2] = reading
+        dh = np.array([0.0, 1.0, -h[2]]) / constant
+        temperature[i], rate[i] = h @ x, dh @ x
+        temperature_sd[i], rate_sd[i] = math.sqrt(h @ p @ h), math.sqrt(dh @ p @ dh)
+        numbers[3] = temperature[i]
+
+
+RENEWAL_S = 1.0
+"""s between renewals of t0."""
+
+
+def reference_fit(
+    time_ns: IntArray,
+    reading: FloatArray,
+    step: float,
+    window_s: float = 240.0,
+    time_constant_s: float = 1800.0,
+    every_s: float = 10.0,
+) -> RateEstimate:
+    """Return the paper's reference (section 2.3, eqs. 4 to 7): local fits in a centred moving window.
+
+    Four coefficients, (α0 + β0 t/T0) + (α1 + β1 t/T0) e^(-t/T0), fitted to the level changes within the
+    window; at the ends the window stands still.  Where it holds fewer than eight, it is widened until it does
+    not.  The fit is made every `every_s` seconds and interpolated.
+
+    Parameters
+    ----------
+    time_ns, reading : array, (n,)
+        A record in one segment; °C.
+    step : float
+        Quantization step in °C.
+    window_s, time_constant_s, every_s : float
+        T, T0 and the distance between fits in s.
+    """
+    seconds = (time_ns - time_ns[0]) * 1e-9
+    at = np.flatnonzero(np.abs(np.diff(reading)) > step / 2) + 1
+    times, values = seconds[at], 0.5 * (reading[at] + reading[at - 1])
+    if len(times) < 8:
+        return RateEstimate.empty(len(reading))
+    knots = np.append(np.arange(0.0, seconds[-1], every_s), seconds[-1])
+    fits = np.array(
+        [_local_fit(t, times, values, step, window_s, time_constant_s, seconds[-1]) for t in knots]
+    )
+    return RateEstimate(*(np.interp(seconds, knots, column) for column in fits.T))
+
+
+def _local_fit(
+    t: float,
+    times: FloatArray,
+    values: FloatArray,
+    step: float,
+    window_s: float,
+    time_constant_s: float,
+    end: float,
+) -> FloatArray:
+    """Return temperature, rate and their standard deviations at t."""
+    half = window_s / 2
+    middle = min(max(t, half), max(end - half, half))
+    while (np.abs(times - middle) <= half).sum() < 8:
+        half *= 1.25
+        middle = min(max(t, half), max(end - half, half))
+    inside = np.abs(times - middle) <= half
+    # Time from the window's middle: the span of the functions is the same, their numbers stay small.
+    u = (times[inside] - middle) / time_constant_s
+    v = (t - middle) / time_constant_s
+    decay = math.exp(-v)
+    h = np.column_stack([np.ones_like(u), u, np.exp(-u), u * np.exp(-u)])
+    row = np.array([1.0, v, decay, v * decay])
+    slope = np.array([0.0, 1.0, -decay, (1.0 - v) * decay]) / time_constant_s
+    left, singular, right = np.linalg.svd(h, full_matrices=False)
+    keep = singular > 1e-9 * singular[0]
+    inverse = right[keep].T / singular[keep]
+    x = inverse @ (left[:, keep].T @ values[inside])
+    sigma = step / 4
+    return np.array(
+        [row @ x, slope @ x, sigma * np.linalg.norm(row @ inverse), sigma * np.linalg.norm(slope @ inverse)]
+    )

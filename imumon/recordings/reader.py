@@ -1,0 +1,144 @@
+"""The one reader of whole recordings: what was recorded, as samples behind the stages asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from imumon.blocks import SampleBlock
+from imumon.columns import Column
+from imumon.errors import ImumonError, Reason
+from imumon.pipeline import Estimator, Pipeline
+from imumon.protocols.device import DeviceFile
+from imumon.recordings.folder import fingerprint, is_session
+from imumon.recordings.importing import TableImport
+from imumon.recordings.source import Source, open_source, run_over
+from imumon.recordings.table import SUFFIXES, iterate_table, read_columns
+
+Stages = Callable[[DeviceFile | None], Sequence[Estimator]]
+"""Makes the stages for a device, or for a table when there is none."""
+
+
+def no_stages(_: DeviceFile | None) -> Sequence[Estimator]:
+    """Return no stages: the samples as they were sent."""
+    return ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recording:
+    """A recording that is open; its samples can be read once.
+
+    Parameters
+    ----------
+    name : str
+        Of its folder or file.
+    truth : Path
+        The file that everything follows from.
+    device, axes : str or None
+        What sent it, and in which body axes; None for a table.
+    source : Source
+        What is read.
+    pipeline : Pipeline
+        What it runs through.
+    """
+
+    name: str
+    truth: Path
+    device: str | None
+    axes: str | None
+    source: Source
+    pipeline: Pipeline
+
+    @property
+    def columns(self) -> dict[str, Column]:
+        """Columns of a table or an imported session; empty for a recording that has to be decoded."""
+        return {column.name: column for column in self.source.imported}
+
+    def blocks(self) -> Iterator[SampleBlock]:
+        """Yield the samples in order, with device_time_ns and segment, behind the stages."""
+        return (block for block in run_over(self.source.items, self.pipeline) if len(block))
+
+    def warnings(self) -> list[str]:
+        """Tell, once the samples were read, what the recording does not hold and what the stages say."""
+        return [*self.source.warnings(), *self.pipeline.warnings()]
+
+    def sha256(self) -> str:
+        """Return the fingerprint of its bytes."""
+        return fingerprint(self.truth)
+
+
+def open_recording(path: Path, stages: Stages = no_stages, map_path: Path | None = None) -> Recording:
+    """Open a session, live or imported, or a table: one that imumon wrote, or any with its map.
+
+    Parameters
+    ----------
+    path : Path
+        Folder of a session or its session.yaml, or a table.
+    stages : callable
+        What the samples run through; a column that a table has already is not estimated again.
+    map_path : Path or None
+        Says what is in which column of a table from elsewhere.
+
+    Raises
+    ------
+    ImumonError
+        BAD_DATA when there is nothing to read, or something that is no recording; BAD_CONFIG for a wrong map.
+    """
+    if is_session(path) or path.is_dir():
+        return _session(path, stages)
+    if not path.exists():
+        raise ImumonError(
+            Reason.BAD_DATA,
+            f"{path}: there is no such file or folder",
+            "give a session, or a table of samples",
+        )
+    if map_path is not None:
+        table = TableImport(path, map_path)
+        imported = tuple(table.columns.values())
+        return _table(Source(path, table.blocks(), None, None, imported), stages, table.map.axes)
+    if path.suffix not in SUFFIXES:
+        raise ImumonError(
+            Reason.BAD_DATA,
+            f"{path} is neither a session nor a table ({', '.join(SUFFIXES)})",
+            "a raw capture becomes a table first: imumon decode FILE --device NAME --out TABLE.parquet",
+        )
+    columns = read_columns(path)
+    if "device_time_ns" not in columns:
+        raise ImumonError(
+            Reason.BAD_DATA,
+            f"{path}: has no column device_time_ns, so it is no table of imumon",
+            "a table from elsewhere needs a map: imumon import",
+        )
+    blocks = _with_segment(iterate_table(path))
+    return _table(Source(path, blocks, None, None, tuple(columns.values())), stages, None)
+
+
+def _session(path: Path, stages: Stages) -> Recording:
+    source = open_source(path)
+    assert source.session is not None
+    session, metadata = source.session, source.session.metadata
+    device = None if metadata.device == "import" else metadata.device
+    name = session.path.name or str(session.path)
+    return Recording(name, session.truth_path, device, metadata.axes, source, _pipeline(source, stages))
+
+
+def _table(source: Source, stages: Stages, axes: str | None) -> Recording:
+    return Recording(source.path.name, source.path, None, axes, source, _pipeline(source, stages))
+
+
+def _pipeline(source: Source, stages: Stages) -> Pipeline:
+    """Return the pipeline, without the stages whose columns are all in the table."""
+    there = {column.name for column in source.imported}
+    made = stages(source.device)
+    wanted = [stage for stage in made if not stage.columns or {c.name for c in stage.columns} - there]
+    return Pipeline(source.device, wanted)
+
+
+def _with_segment(blocks: Iterable[SampleBlock]) -> Iterator[SampleBlock]:
+    """Yield tables without a column segment as one segment."""
+    for block in blocks:
+        extra = {} if "segment" in block else {"segment": np.zeros(len(block), np.int64)}
+        yield block.with_columns(extra)

@@ -1,0 +1,197 @@
+"""Whole recordings in means over slots of some seconds, and which of the slots are at rest."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+import numpy.typing as npt
+
+from imumon.blocks import ColumnArray, FloatArray, IntArray, SampleBlock
+from imumon.filters.slots import SlotGatherer, Slots
+
+AXES = "xyz"
+GYRO = tuple(f"gyro_{axis}" for axis in AXES)
+ACCEL = tuple(f"accel_{axis}" for axis in AXES)
+TEMPERATURES = ("temperature", *(f"temperature_{axis}" for axis in AXES))
+COLDEST_DEGC, HOTTEST_DEGC = -100.0, 250.0
+"""What a thermometer says beyond is a fault, not a temperature: no semiconductor sensor works there."""
+PIECE = 4096
+"""Samples at a time, to bound the memory: as many slots may end in them."""
+QUIET_QUANTILE = 0.25
+LOUDER = 3.0
+"""A slot is quiet when its scatter on every axis is at most this much above that of the quietest quarter."""
+JERK = 0.02
+"""And when its mean specific force is within this of a neighbour's, m/s² (0.1°), beyond its own noise."""
+
+Mask = npt.NDArray[np.bool_]
+Progress = Callable[[int], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reduced:
+    """m columns of a recording over n slots; a slot without samples is not there.
+
+    Parameters
+    ----------
+    names : tuple of str
+        The m columns.
+    slot_s : float
+        Length of a slot.
+    run, number : array of int64, (n,)
+        Which run (a new segment, or a clock that goes back, begins another), and which slot of its grid.
+    segment, start_ns : array of int64, (n,)
+        Segment, and device time at which the slot begins.
+    span_s : array, (n,)
+        Time between its first and its last sample.
+    rest_share : array, (n,)
+        Share of its samples at rest; NaN when nobody judged.
+    count : array of int64, (n, m)
+        Finite values.
+    mean, variance : array, (n, m)
+        Mean (NaN without any value) and unbiased variance (NaN with fewer than two) of the values.
+    """
+
+    names: tuple[str, ...]
+    slot_s: float
+    run: IntArray
+    number: IntArray
+    segment: IntArray
+    start_ns: IntArray
+    span_s: FloatArray
+    rest_share: FloatArray
+    count: IntArray
+    mean: FloatArray
+    variance: FloatArray
+
+    def __len__(self) -> int:
+        """Return the number of slots."""
+        return len(self.segment)
+
+    def of(self, name: str) -> FloatArray:
+        """Return the means of a column, (n,)."""
+        return self.mean[:, self.names.index(name)]
+
+    def mean_variance(self, name: str) -> FloatArray:
+        """Return the variance that the samples' own noise, if it is white, leaves in the means, (n,)."""
+        at = self.names.index(name)
+        return self.variance[:, at] / np.maximum(self.count[:, at], 1)
+
+    def has(self, name: str) -> bool:
+        """Tell whether a column has any value."""
+        return bool(np.isfinite(self.of(name)).any())
+
+    def at_rest(self) -> Mask:
+        """Return which slots are at rest: as the detector judged every sample, else by `quiet`.
+
+        Never by the size of the rate, which is what is to be found.
+        """
+        return np.where(np.isfinite(self.rest_share), self.rest_share == 1.0, self.quiet())
+
+    def quiet(self) -> Mask:
+        """Return which slots scatter little and have the specific force of their neighbours, (n,)."""
+        quiet = np.ones(len(self), np.bool_)
+        sensors = [name for name in (*GYRO, *ACCEL) if name in self.names and self.has(name)]
+        for name in sensors:
+            scatter = np.sqrt(self.variance[:, self.names.index(name)])
+            known = scatter[np.isfinite(scatter)]
+            if len(known):
+                quiet &= ~(scatter > LOUDER * np.quantile(known, QUIET_QUANTILE))
+            if name in ACCEL:
+                quiet &= _steady(self.of(name), np.sqrt(self.mean_variance(name)))
+        return quiet
+
+
+def _steady(mean: FloatArray, sd: FloatArray) -> Mask:
+    """Tell which means do not differ from both neighbours; a slot without a value is no evidence."""
+    near = np.abs(np.diff(mean)) <= JERK + 5.0 * np.hypot(sd[1:], sd[:-1])
+    near |= ~np.isfinite(np.diff(mean))
+    steady = np.ones(len(mean), np.bool_)
+    steady[1:] &= near
+    steady[:-1] &= near
+    return steady
+
+
+def reduce(
+    blocks: Iterable[SampleBlock], names: Sequence[str], slot_s: float, progress: Progress | None = None
+) -> Reduced:
+    """Reduce samples with device_time_ns and segment, and at_rest where that was judged, in bounded memory.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Columns to reduce; one that a block lacks is missing there.
+    slot_s : float
+        Length of a slot; slots lie on a grid from the first sample of each run.
+    progress : callable, optional
+        Is told the number of samples of each block.
+    """
+    length_ns = round(slot_s * 1e9)
+    gatherer = SlotGatherer(len(names) + 1, length_ns)
+    parts: list[_Part] = []
+    for block in blocks:
+        for start in range(0, len(block), PIECE):
+            piece = block.rows(start, start + PIECE)
+            parts.append(
+                _Part.of(gatherer.process(piece["device_time_ns"], piece["segment"], _values(piece, names)))
+            )
+        if progress is not None:
+            progress(len(block))
+    return _gathered([*parts, _Part.of(gatherer.finish())], tuple(names), slot_s, length_ns)
+
+
+def _values(block: SampleBlock, names: Sequence[str]) -> FloatArray:
+    """Return the columns, (n, m), and in the last one 1 at rest, 0 when not, and NaN when nobody judged."""
+    values = np.full((len(block), len(names) + 1), np.nan)
+    for j, name in enumerate(names):
+        if name in block:
+            values[:, j] = block[name]
+            if name.startswith("temperature"):
+                values[(values[:, j] <= COLDEST_DEGC) | (values[:, j] >= HOTTEST_DEGC), j] = np.nan
+    if "at_rest" in block:
+        values[:, -1] = block["at_rest"] == 1
+    return values
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Part:
+    """What is kept of some slots."""
+
+    segment: IntArray
+    begins: Mask
+    start_ns: IntArray
+    end_ns: IntArray
+    count: IntArray
+    mean: FloatArray
+    variance: FloatArray
+
+    @classmethod
+    def of(cls, slots: Slots) -> _Part:
+        return cls(*(getattr(slots, field.name).copy() for field in fields(cls)))
+
+
+def _gathered(parts: list[_Part], names: tuple[str, ...], slot_s: float, length_ns: int) -> Reduced:
+    def joined(name: str) -> ColumnArray:
+        return np.concatenate([getattr(part, name) for part in parts])
+
+    begins, first_ns, count = joined("begins"), joined("start_ns"), joined("count")
+    mean, variance = joined("mean"), joined("variance")
+    run = np.cumsum(begins) - 1
+    origin = first_ns[begins][run]
+    number = (first_ns - origin) // length_ns
+    with np.errstate(invalid="ignore", divide="ignore"):
+        unbiased = np.where(count > 1, variance * count / (count - 1), np.nan)
+    return Reduced(
+        names=names,
+        slot_s=slot_s,
+        run=run,
+        number=number,
+        segment=joined("segment"),
+        start_ns=origin + number * length_ns,
+        span_s=(joined("end_ns") - first_ns) * 1e-9,
+        rest_share=mean[:, -1],
+        count=count[:, :-1],
+        mean=mean[:, :-1],
+        variance=unbiased[:, :-1],
+    )

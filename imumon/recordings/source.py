@@ -1,0 +1,167 @@
+"""What was recorded, opened and run through a pipeline: a session, live or imported, or a raw capture."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from imumon.blocks import SampleBlock
+from imumon.columns import Column
+from imumon.errors import ImumonError, Reason
+from imumon.pipeline import UNDATED, Pipeline
+from imumon.protocols.device import DeviceFile, load_device, parse_device
+from imumon.recordings.folder import Session, is_session, open_session
+from imumon.recordings.table import iterate_samples, read_columns
+from imumon.recordings.wire import WireReader
+from imumon.transport.reader import Bytes, EventKind, Item
+
+READ_SIZE = 1 << 16
+BATCH_BYTES = 1 << 16
+"""Samples are handed on about as often as so many bytes were fed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """Something recorded, ready to be run over.
+
+    Parameters
+    ----------
+    items : iterable
+        What `run_over` takes.
+    device : DeviceFile or None
+        What sent the bytes; None for an imported session.
+    session : Session or None
+        None for a raw capture.
+    imported : sequence of Column
+        Columns of an imported session's table.
+    """
+
+    path: Path
+    items: Iterable[Item] | Iterable[SampleBlock]
+    device: DeviceFile | None
+    session: Session | None
+    imported: tuple[Column, ...] = ()
+
+    def columns(self, pipeline: Pipeline) -> list[Column]:
+        """Return the columns that the run's blocks have so far; `pipeline` is the one it runs through."""
+        own = {column.name for column in self.imported}
+        return [*self.imported, *(column for column in pipeline.columns if column.name not in own)]
+
+    def refuse_output(self, out: Path | None) -> None:
+        """Raise EXISTS when the output would replace what is read."""
+        read = [self.path] if self.session is None else [self.session.wire_path, self.session.samples_path]
+        if out is not None and out.exists() and any(path.exists() and out.samefile(path) for path in read):
+            raise ImumonError(Reason.EXISTS, f"{out} is what is read", "give another name for the table")
+
+    def warnings(self) -> list[str]:
+        """Tell, after the run, what the recording does not hold."""
+        if not isinstance(self.items, WireReader):
+            return []
+        said, summary = [], self.items.summary
+        if self.session is not None and self.session.state == "interrupted":
+            said.append("the session was not closed: it is still being recorded, or was interrupted")
+        if summary.tail_bytes:
+            said.append(
+                f"{summary.tail_bytes} bytes at the end of {self.items.path.name} are not a whole record"
+            )
+        if summary.bytes_unrecorded:
+            said.append(f"{summary.bytes_unrecorded:,} bytes could not be recorded at the time")
+        if summary.checksum_ok is False:
+            said.append(f"{self.items.path.name} was changed after it was recorded: its checksum differs")
+        return said
+
+
+def open_source(path: Path, device_name: str | None = None) -> Source:
+    """Open a session folder, or a raw capture of the device named.
+
+    Raises
+    ------
+    ImumonError
+        BAD_DATA when there is nothing to read; BAD_CONFIG for a capture without a device.
+    """
+    if not is_session(path):
+        if path.is_dir():
+            open_session(path)  # raises, saying what is there
+        if not path.is_file() and not path.is_fifo():
+            what = "is neither a file nor a pipe" if path.exists() else "there is no such file"
+            raise ImumonError(Reason.BAD_DATA, f"{path}: {what}", "give a raw capture or a session")
+        if device_name is None:
+            raise ImumonError(
+                Reason.BAD_CONFIG,
+                f"{path} is not a session, so its device must be named",
+                "add --device NAME; imumon devices lists them",
+            )
+        return Source(path, capture_items(path), load_device(device_name), None)
+    session = open_session(path)
+    if session.metadata.source == "import":
+        columns = tuple(read_columns(session.samples_path).values())
+        return Source(path, iterate_samples(session), None, session, columns)
+    device = session_device(session) if device_name is None else load_device(device_name)
+    return Source(path, WireReader(session.wire_path), device, session)
+
+
+def session_device(session: Session) -> DeviceFile:
+    """Return the device of a session as it was when the session was recorded.
+
+    Raises
+    ------
+    ImumonError
+        BAD_DATA when the session keeps no device file.
+    """
+    if session.metadata.device_yaml is None:
+        raise ImumonError(Reason.BAD_DATA, f"{session.path}: session.yaml has no device_yaml")
+    return parse_device(session.metadata.device_yaml, f"{session.path / 'session.yaml'} (device_yaml)")
+
+
+def capture_items(path: Path) -> Iterator[Item]:
+    """Yield the bytes of a raw capture, whose arrival times nobody knows.
+
+    Raises
+    ------
+    ImumonError
+        BAD_DATA when the file cannot be read.
+    """
+    try:
+        with path.open("rb") as file:
+            while data := file.read(READ_SIZE):
+                yield Bytes(data, UNDATED)
+    except OSError as error:
+        raise ImumonError(
+            Reason.BAD_DATA,
+            f"{path}: cannot be read: {error.strerror}",
+            "give a raw capture, or a session folder (which has a session.yaml)",
+        ) from error
+
+
+def run_over(items: Iterable[Item | SampleBlock], pipeline: Pipeline) -> Iterator[SampleBlock]:
+    """Run what was recorded through a new pipeline; yield the samples in order, to the last byte.
+
+    Parameters
+    ----------
+    items : iterable of Bytes and Event, or of SampleBlock
+        From `WireReader`, `capture_items` or `iterate_samples`.
+    """
+    fed = 0
+    for item in items:
+        fed += feed(item, pipeline)
+        if fed >= BATCH_BYTES:
+            fed = 0
+            yield pipeline.take()
+    pipeline.finish()
+    yield pipeline.take()
+
+
+def feed(item: Item | SampleBlock, pipeline: Pipeline) -> int:
+    """Give a pipeline bytes, samples or an event; return how many bytes there were."""
+    if isinstance(item, SampleBlock):
+        pipeline.push(item)
+        return sum(values.nbytes for values in item.columns.values())
+    if isinstance(item, Bytes):
+        pipeline.feed(item.data, item.arrival_ns)
+        return len(item.data)
+    if item.kind is EventKind.OPENED:
+        pipeline.port_opened()
+    elif item.kind in (EventKind.SILENT, EventKind.LOST):
+        pipeline.pause()
+    return 0

@@ -1,0 +1,119 @@
+"""The bank of filters against the textbook filter, against closed forms, and against the textbook mixing."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from imumon.blocks import FloatArray
+from imumon.estimation.gyro_bias import bank as filters
+from imumon.estimation.gyro_bias.bank import AtRest, Bank
+from imumon.filters.kalman import Estimate
+from imumon.published.dense_zupt import DenseSettings, dense_filter
+from tests.estimation.gyro_bias.records import ARW, DPH, VRW, Truth, local_earth, record
+
+ZERO, ONE = np.zeros(3), np.ones(3)
+
+
+def still(rate: FloatArray, dt: float = 0.5, force: FloatArray = ZERO) -> AtRest:
+    """Return a slot whose heading stands still, whatever gravity shows."""
+    return AtRest(dt, rate, ZERO, force, ARW**2 * ONE, 1e-20 * ONE, ZERO)
+
+
+def test_with_white_noise_alone_it_is_the_mean_with_its_sigma() -> None:
+    rng = np.random.default_rng(0)
+    family = filters.known_family(ZERO, ZERO)
+    bank = filters.start(family, 1, ARW * ONE)
+    filters.come_to_rest(bank, ZERO)
+    rates = rng.normal(size=(60, 3)) * ARW / math.sqrt(0.5)
+    for rate in rates:
+        filters.wander(bank, family.scaled(ARW * ONE), 0.5, ZERO, ZERO, ZERO)
+        filters.take(bank, filters.look(bank, still(rate)))
+    value, variance = filters.bias(bank, ZERO)
+    np.testing.assert_allclose(value[0], rates.mean(0), atol=0.01 * ARW / math.sqrt(30.0))
+    np.testing.assert_allclose(np.sqrt(variance), ARW / math.sqrt(30.0), rtol=1e-3)
+
+
+def test_level_the_three_axes_apart_are_the_dense_filter() -> None:
+    dt, walk = 0.01, 0.5 * DPH
+    settings = DenseSettings(dt, bias_random_walk=walk)
+    block, _ = record(Truth(), 30.0, 5, earth=local_earth())
+    gyro, accel = block.gyro, block.accel
+    assert gyro is not None
+    assert accel is not None
+    dense = dense_filter(settings, gyro, accel, np.zeros(3), up=np.array([0.0, 0.0, -1.0]))
+    family = filters.known_family(ZERO, walk * ONE)
+    bank = filters.start(family, 1, ARW * ONE)
+    gravity = float(np.linalg.norm(accel[:100].mean(0)))
+    # The accelerometer's bias is the same as a tilt, and its random walk as one of the rotation.
+    p = np.zeros((1, 3, 1, filters.STATES, filters.STATES))
+    tilt_sd = np.array([math.hypot(1e-3, 1e-4), math.hypot(1e-3, 1e-4), 1e-4])
+    p[0, :, 0, filters.ROTATION, filters.ROTATION] = tilt_sd**2
+    p[0, :2, 0, filters.VELOCITY, filters.VELOCITY] = (1e-3 / gravity) ** 2
+    p[..., filters.WALK, filters.WALK] = settings.bias_sd**2
+    bank.estimate = Estimate(np.zeros(p.shape[:-1]), p)
+    level = np.array([1.0, 1.0, 0.0])
+    still2 = level * (1e-3 / gravity) ** 2
+    tilt2 = np.array([(VRW / gravity) ** 2, (VRW / gravity) ** 2, 1e-4**2 * dt])
+    up = np.array([0.0, 0.0, -1.0])
+    tilt, rate = np.cross(accel / gravity - up, up), gyro - local_earth()
+    bias, variance = np.empty((len(gyro), 3)), np.empty((len(gyro), 3))
+    scaled = family.scaled(ARW * ONE)
+    for k in range(len(gyro)):
+        filters.wander(bank, scaled, dt, ZERO, ZERO, ZERO)
+        slot = AtRest(dt, rate[k], tilt[k], ZERO, ARW**2 + level * 1e-12, tilt2, still2)
+        filters.take(bank, filters.look(bank, slot))
+        (bias[k],), (variance[k],) = filters.bias(bank, ZERO)
+    off = np.abs(bias - dense.bias).max(0) / DPH
+    assert off[:2].max() < 0.002
+    # Here the heading is held over a sample, there at its end.
+    assert off[2] < 0.02
+    np.testing.assert_allclose(np.sqrt(variance), dense.bias_sd, rtol=1e-3)
+
+
+def random_bank(rng: np.random.Generator, family: filters.Family) -> Bank:
+    """Return a bank with any states, covariances and weights."""
+    shape = (1, 3, family.filters)
+    root = rng.normal(size=(*shape, filters.STATES, filters.STATES))
+    weight = rng.random(shape)
+    estimate = Estimate(rng.normal(size=(*shape, filters.STATES)), root @ np.swapaxes(root, -1, -2))
+    return Bank(estimate, weight / weight.sum(-1, keepdims=True))
+
+
+def test_mixing_is_that_of_the_interacting_multiple_model_within_each_group() -> None:
+    family = filters.unknown_family(np.array([1e-6, 1e-4]))
+    bank = random_bank(np.random.default_rng(1), family)
+    before = Bank(bank.estimate, bank.weight)
+    filters.mix(bank, family, 600.0)
+    n, stay = len(family.prior), math.exp(-600.0 / filters.DWELL_S)
+    switch = np.kron(np.eye(2), stay * np.eye(n) + (1.0 - stay) * family.prior)
+    weight, (x, p) = before.weight[0, 1], before.estimate
+    after = weight @ switch
+    np.testing.assert_allclose(bank.weight[0, 1], after, rtol=1e-12)
+    for j in (0, 9):
+        share = weight * switch[:, j] / after[j]
+        mean = share @ x[0, 1]
+        off = x[0, 1] - mean
+        cover = np.einsum("h,hij->ij", share, p[0, 1] + off[:, :, np.newaxis] * off[:, np.newaxis, :])
+        np.testing.assert_allclose(bank.estimate.mean[0, 1, j], mean, rtol=1e-9)
+        np.testing.assert_allclose(bank.estimate.covariance[0, 1, j], cover, rtol=1e-9)
+
+
+@pytest.mark.parametrize("truth", [0.0, 0.02])
+def test_a_sensitivity_to_the_specific_force_is_learned_from_poses(truth: float) -> None:
+    rng = np.random.default_rng(2)
+    per_g = math.radians(truth) / 9.81
+    family = filters.unknown_family(np.radians([0.002, 0.05]) / 9.81)
+    bank = filters.start(family, 1, ARW * ONE)
+    forces = 9.81 * np.array([[0, 0, -1], [1, 0, 0], [0, -1, 0], [0, 0, 1], [0.6, 0.8, 0]])
+    for force in forces:
+        filters.come_to_rest(bank, ZERO)
+        for _ in range(60):
+            rate = per_g * (force @ [[0, 1, 0], [0, 0, 1], [1, 0, 0]]) + rng.normal(size=3) * ARW * 1.4
+            filters.wander(bank, family.scaled(ARW * ONE), 0.5, ZERO, ZERO, ZERO)
+            filters.take(bank, filters.look(bank, still(rate, force=force - forces[0])))
+    found = filters.sensitivity(bank)[0]
+    expected = per_g * np.array([[0, 0, 1], [1, 0, 0], [0, 1, 0]])
+    np.testing.assert_allclose(found, expected, atol=5.0 * DPH / 9.81)

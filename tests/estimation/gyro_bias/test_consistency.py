@@ -1,0 +1,107 @@
+"""What is claimed is true: errors and innovations over their sigmas, 50 runs, flicker noise in the truth."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from imumon.blocks import FloatArray
+from imumon.estimation.gyro_bias.parameters import GyroBiasParameters
+from imumon.estimation.gyro_bias.stage import GyroBias
+from tests.estimation.gyro_bias.records import (
+    ARW,
+    DPH,
+    VRW,
+    Truth,
+    markov,
+    record,
+    vector,
+    with_rest,
+)
+
+RUNS = 50
+AT_S = (30.0, 60.0, 120.0, 240.0, 420.0, 599.0)
+INSTABILITY = 0.776 / 0.664
+"""Flicker coefficient of three Gauss-Markov processes, over the standard deviation of one."""
+
+
+def runs(truth: Truth, parameters: GyroBiasParameters | None) -> tuple[FloatArray, FloatArray]:
+    """Return normalised errors (runs, times, 3) and normalised innovations after a minute (values, 3)."""
+    errors, innovations = [], []
+    at = [round(t * truth.rate_hz) for t in AT_S]
+    for seed in range(RUNS):
+        block, bias = record(truth, 600.0, seed)
+        added = GyroBias(parameters).process(block)
+        errors.append(((vector(added) - bias) / vector(added, "gyro_bias_sd"))[at])
+        given = vector(added, "zupt_innovation")[round(60 * truth.rate_hz) :]
+        innovations.append(given[np.isfinite(given[:, 0])])
+    return np.array(errors), np.concatenate(innovations)
+
+
+def test_with_known_noise_errors_and_innovations_are_within_chi_square_bounds() -> None:
+    known = GyroBiasParameters(
+        angle_random_walk_rad_per_sqrt_s=ARW,
+        bias_instability_rad_per_s=2.0 * DPH * INSTABILITY,
+        velocity_random_walk_m_per_s_per_sqrt_s=VRW,
+    )
+    errors, innovations = runs(Truth(rate_hz=10.0, low_pass_hz=None), known)
+    low, high = chi2.ppf([0.001, 0.999], 3 * RUNS) / (3 * RUNS)
+    for square in np.mean(errors**2, axis=(0, 2)):
+        assert low < square < high
+    low, high = chi2.ppf([0.001, 0.999], innovations.size) / innovations.size
+    assert low < np.mean(innovations**2) < high
+    lagged = np.mean(innovations[1:] * innovations[:-1], axis=0)
+    assert np.abs(lagged).max() < 4.0 / np.sqrt(len(innovations))
+
+
+@pytest.mark.parametrize(("flicker", "least", "most"), [(1.0, 0.2, 1.22), (2.0, 0.4, 1.22), (5.0, 0.6, 1.6)])
+def test_with_nothing_known_the_claim_is_careful_not_bold(flicker: float, least: float, most: float) -> None:
+    errors, innovations = runs(Truth(rate_hz=10.0, flicker=flicker * DPH, low_pass_hz=None), None)
+    squares = np.mean(errors**2, axis=(0, 2))
+    assert least < squares.min() <= squares.max() < most
+    assert np.mean(np.abs(errors) < 2.0) > 0.9
+    assert np.mean(innovations**2) == pytest.approx(1.0, abs=0.03)
+
+
+def test_without_a_model_the_claim_holds_while_it_moves_and_warms_up() -> None:
+    t = np.arange(15000) / 10
+    temperature = 25.0 + 20.0 * (1.0 - np.exp(-t / 400.0))
+    # Curves like those of a MEMS gyro: steep, bent, and nearly flat.
+    curves = (45.0 * (temperature - 25.0), -1500.0 * np.tanh((temperature - 32.0) / 15.0), 0.3 * temperature)
+    thermal = np.column_stack(curves) * DPH
+    rest = t % 120.0 < 10.0
+    moving = ~rest & (t > 15.0)
+    squares, largest = [], 0.0
+    for seed in range(8):
+        block, bias = record(Truth(rate_hz=10.0, low_pass_hz=None), 1500.0, seed, thermal)
+        added = GyroBias(mode="learned").process(
+            with_rest(block.with_columns({"temperature": temperature}), rest)
+        )
+        off = (vector(added) - bias) / vector(added, "gyro_bias_sd")
+        squares.append(np.mean(off[moving] ** 2, axis=0))
+        largest = max(largest, float(np.abs(off[moving]).max()))
+        sd = vector(added, "gyro_bias_sd")[rest & (t > 600.0)] / DPH
+        assert np.median(sd, axis=0).max() < 60.0  # true, and of use
+    assert np.mean(squares, axis=0).max() < 1.5
+    assert largest < 5.0
+
+
+def test_the_sigma_is_true_for_five_decades_of_flicker() -> None:
+    """White noise and five decades of flicker of an MTi-28A: Allan deviation 127 deg/h at 1 s, floor 9."""
+    white, sd, rate_hz, n = 127.0 * DPH, 12.0 * DPH, 10.0, 18000
+    normalised = []
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        drift = np.zeros((n, 3))
+        for tau in (1.0, 10.0, 100.0, 1e3, 1e4):
+            drift += markov(rng, n, 1.0 / rate_hz, tau, sd)
+        block, _ = record(Truth(rate_hz=rate_hz), n / rate_hz, seed)
+        gyro = drift + white * np.sqrt(rate_hz) * rng.normal(size=(n, 3))
+        added = GyroBias().process(
+            block.with_columns({f"gyro_{axis}": gyro[:, j] for j, axis in enumerate("xyz")})
+        )
+        late = slice(600, None)
+        off = (vector(added, "gyro_random_error") - drift)[late]
+        normalised.append(np.mean((off / vector(added, "gyro_random_error_sd")[late]) ** 2))
+    assert 0.7 < np.sqrt(np.mean(normalised)) < 1.25

@@ -1,0 +1,138 @@
+"""Rests in different poses: sensitivity to the specific force, turns, and a bias that jumps."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from imumon.blocks import FloatArray, SampleBlock
+from imumon.estimation.gyro_bias.attitude import FINE_S, Turn
+from imumon.estimation.gyro_bias.stage import GyroBias
+from tests.estimation.gyro_bias.records import (
+    ARW,
+    DPH,
+    GRAVITY,
+    LATITUDE_DEG,
+    VRW,
+    Truth,
+    bias_noise,
+    local_earth,
+    record,
+    vector,
+)
+
+RATE_HZ = 50.0
+TRUTH = Truth(rate_hz=RATE_HZ, low_pass_hz=None)
+
+
+def in_the_hand(
+    per_g_deg: float, seed: int, rests: int = 8
+) -> tuple[SampleBlock, FloatArray, FloatArray, FloatArray]:
+    """Return rests of 12 s in any pose with 8 s of turning between, the bias, earth rate and rest."""
+    rng = np.random.default_rng(seed)
+    dt = 1.0 / RATE_HZ
+    pose, poses, still = Rotation.identity(), [], []
+    for k in range(rests):
+        n, m = round((60.0 if k == 0 else 12.0) * RATE_HZ), round(8.0 * RATE_HZ)
+        axis, s = rng.normal(size=3), np.arange(1, m + 1) / m
+        angle = rng.uniform(0.3, math.pi) * (s - np.sin(2.0 * np.pi * s) / (2.0 * np.pi))
+        turning = pose * Rotation.from_rotvec(np.outer(angle, axis / np.linalg.norm(axis)))
+        poses += [np.tile(pose.as_quat(), (n, 1)), turning.as_quat()]
+        still += [np.ones(n, np.int64), np.zeros(m, np.int64)]
+        pose = turning[-1]
+    turns = Rotation.from_quat(np.concatenate(poses))
+    rate = np.vstack([np.zeros(3), (turns[:-1].inv() * turns[1:]).as_rotvec() / dt])
+    force = turns.inv().apply([0.0, 0.0, -GRAVITY])
+    earth = turns.inv().apply(local_earth())
+    matrix = rng.uniform(-1.0, 1.0, (3, 3))
+    matrix *= math.radians(per_g_deg) / GRAVITY / np.abs(matrix).max()
+    n = len(force)
+    bias = bias_noise(TRUTH, rng, n) + 0.01 * rng.normal(size=3) + force @ matrix.T
+    noise = rng.normal(size=(2, n, 3)) / math.sqrt(dt)
+    gyro, accel = rate + earth + bias + ARW * noise[0], force + VRW * noise[1]
+    columns = {
+        "device_time_ns": np.arange(n) * round(1e9 * dt),
+        "segment": np.zeros(n, np.int64),
+        "at_rest": np.concatenate(still),
+        **{f"gyro_{axis}": gyro[:, j] for j, axis in enumerate("xyz")},
+        **{f"accel_{axis}": accel[:, j] for j, axis in enumerate("xyz")},
+    }
+    return SampleBlock(columns), bias, earth, columns["at_rest"]
+
+
+@pytest.mark.parametrize("place_known", [True, False])
+@pytest.mark.parametrize("per_g_deg", [0.0, 0.01, 0.03, 0.1])
+def test_the_sigma_holds_in_the_hand(per_g_deg: float, place_known: bool) -> None:
+    at_ends, before_rests, late = [], [], []
+    for seed in range(4):
+        block, bias, earth, rest = in_the_hand(per_g_deg, seed)
+        stage = GyroBias(latitude_deg=LATITUDE_DEG, heading_deg=0.0) if place_known else GyroBias()
+        added = stage.process(block)
+        error = vector(added) - bias - (0.0 if place_known else earth)
+        z = error / vector(added, "gyro_bias_sd")
+        ends, begins = (np.flatnonzero(np.diff(rest) == change) for change in (-1, 1))
+        at_ends.append(z[ends[1:]])
+        before_rests.append(z[begins])
+        late.append(error[ends[4:]] / DPH)
+    for found in (np.concatenate(at_ends), np.concatenate(before_rests)):
+        assert np.sqrt(np.mean(found**2)) < 1.8
+        assert np.abs(found).max() < 7.0
+    # 60 ARW/sqrt(t) of a rest is 4.8 deg/h.
+    assert np.sqrt(np.mean(np.concatenate(late) ** 2)) < 9.0
+
+
+def test_slots_of_a_sixteenth_second_are_enough_to_keep_the_attitude_in_the_hand() -> None:
+    """Shaken by 60 degrees at 1 Hz about two axes with a slow turn: worse than hands do for 30 s."""
+    t = np.arange(30 * 400) / 400
+    rate = np.column_stack(
+        [6.0 * np.cos(2 * np.pi * t), 5.0 * np.sin(2 * np.pi * t + 0.4), 0.5 + np.sin(0.3 * t)]
+    )
+    true = Rotation.identity()
+    for vector_ in rate / 400:
+        true = true * Rotation.from_rotvec(vector_)
+    slots = round(400 * FINE_S)
+    turn = Turn()
+    turn.add(rate.reshape(-1, slots, 3).mean(1) * FINE_S)
+    off = Rotation.from_matrix(turn.matrix) * true
+    assert np.linalg.norm(off.as_rotvec()) < 0.1 * 0.01 * turn.path
+
+
+@pytest.mark.parametrize("gap_s", [0.0, 5.0])
+def test_a_jump_makes_the_sigma_wide_at_once_and_is_believed_in_the_end(gap_s: float) -> None:
+    block, bias = record(TRUTH, 600.0, 3)
+    t = np.arange(len(block)) / RATE_HZ
+    jump = np.where(t > 120.0, math.radians(0.3), 0.0)
+    kept = (t < 120.0 - gap_s) | (t > 120.0)
+    columns = block.with_columns({"gyro_x": block["gyro_x"] + jump}).columns
+    stage = GyroBias()
+    added = stage.process(SampleBlock({name: values[kept] for name, values in columns.items()}))
+    error = added["gyro_bias_x"] - (bias[:, 0] + jump)[kept]
+    z = np.abs(error / added["gyro_bias_sd_x"])
+    assert np.sum(z > 5.0) / RATE_HZ < 2.0
+    assert abs(error[-1]) < 10.0 * DPH
+    assert any("jumped" in text for text in stage.notices())
+
+
+def test_a_turn_of_half_a_minute_that_nobody_noticed_is_not_learned() -> None:
+    block, bias = record(TRUTH, 300.0, 4)
+    t = np.arange(len(block)) / RATE_HZ
+    turn = np.where((t > 120.0) & (t < 150.0), math.radians(0.5), 0.0)
+    added = GyroBias().process(block.with_columns({"gyro_z": block["gyro_z"] + turn}))
+    z = (added["gyro_bias_z"] - bias[:, 2]) / added["gyro_bias_sd_z"]
+    assert np.abs(z[t > 5.0]).max() < 5.0
+    assert abs(added["gyro_bias_z"][-1] - bias[-1, 2]) < 8.0 * DPH
+
+
+@pytest.mark.parametrize(("slope_dph", "largest_dph", "z"), [(150.0, 60.0, 1.2), (500.0, 150.0, 1.5)])
+def test_a_steep_slope_without_a_model_is_followed(slope_dph: float, largest_dph: float, z: float) -> None:
+    t = np.arange(9000) / 10.0
+    temperature = 25.0 + np.interp(t, [0.0, 200.0, 500.0, 900.0], [0.0, 0.0, 10.0, 10.0])
+    thermal = np.column_stack([slope_dph * temperature * DPH] * 3)
+    block, bias = record(Truth(rate_hz=10.0), 900.0, 1, thermal, temperature=temperature)
+    added = GyroBias(mode="learned").process(block)
+    error = (vector(added, "gyro_random_error") - bias)[600:]
+    assert np.sqrt(np.mean((error / vector(added, "gyro_random_error_sd")[600:]) ** 2)) < z
+    assert np.abs(error).max() < largest_dph * DPH

@@ -1,0 +1,64 @@
+"""What is drawn over temperature: thinned, bounded, and beside the curve of the model."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from imumon.estimation.gyro_bias.stage import GyroBias
+from imumon.estimation.gyro_bias.trail import MOST_POINTS, BiasTrail
+from tests.estimation.gyro_bias.records import DPH, Truth, record, slope_model, vector
+
+
+def trail_of(seconds: int, cuts: list[int]) -> BiasTrail:
+    """Return the trail of a bias that follows the temperature, given in pieces."""
+    trail = BiasTrail(slope_model(10.0))
+    n = seconds * 10
+    time_ns = np.arange(n, dtype=np.int64) * 100_000_000
+    degc = np.column_stack([np.linspace(20.0, 40.0, n)] * 3)
+    bias = degc * 10.0 * DPH
+    for start, stop in zip([0, *cuts], [*cuts, n], strict=True):
+        trail.add(time_ns[start:stop], degc[start:stop], bias[start:stop])
+    return trail
+
+
+def test_the_trail_is_one_point_per_second_whatever_the_blocks() -> None:
+    whole, cut = trail_of(100, []).charts(), trail_of(100, [1, 17, 503]).charts()
+    for one, other in zip(whole, cut, strict=True):
+        for a, b in zip(one.curves, other.curves, strict=True):
+            np.testing.assert_array_equal(a.x, b.x)
+            np.testing.assert_array_equal(a.y, b.y)
+    trail = next(curve for curve in whole[0].curves if curve.name == "x")
+    assert len(trail.x) == 100
+
+
+def test_a_day_is_kept_in_constant_memory() -> None:
+    trail = BiasTrail(None)
+    for hour in range(24):
+        time_ns = (np.arange(3600, dtype=np.int64) + 3600 * hour) * 1_000_000_000
+        trail.add(time_ns, np.full((3600, 3), 20.0 + hour), np.full((3600, 3), hour * DPH))
+        (chart,) = trail.charts()
+        seen = next(curve for curve in chart.curves if curve.name == "x")
+        assert len(seen.x) <= MOST_POINTS
+        assert seen.x[0] == 20.0
+    assert chart.curves[-1].y == pytest.approx(23.0, abs=1e-6)
+    assert chart.nbytes < 100_000
+
+
+def test_the_chart_has_curve_trail_and_the_current_point() -> None:
+    temperature = 25.0 + np.arange(1200) / 120.0
+    thermal = np.column_stack([60.0 * temperature * DPH] * 3)
+    block, _ = record(Truth(rate_hz=10.0), 120.0, 0, thermal, temperature=temperature)
+    stage = GyroBias(model=slope_model(60.0))
+    assert stage.charts() == []
+    bias = vector(stage.process(block))
+    over, left = stage.charts()
+    named = {curve.name: curve for curve in over.curves}
+    assert named["curve x"].x[[0, -1]] == pytest.approx([20.0, 50.0])
+    assert named["now x"].y[-1] == pytest.approx(np.degrees(bias[-10:, 0]).mean() * 3600.0, abs=6.0)
+    assert named["now x"].x[-1] == pytest.approx(35.0, abs=0.1)
+    assert {curve.name for curve in left.curves} == {"x", "now x", "y", "now y", "z", "now z"}
+    offset = 60.0 * 35.0  # the curve of the model is nought in the middle of its range
+    rest = next(curve for curve in left.curves if curve.name == "x")
+    assert np.ptp(rest.y) < 60.0
+    assert rest.y[-1] == pytest.approx(offset, abs=20.0)

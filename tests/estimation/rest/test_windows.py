@@ -1,0 +1,131 @@
+"""Windows and trial against sums and variances taken the long way."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from imumon.blocks import FloatArray
+from imumon.estimation.rest.state import CAPACITY, LEVELS, Slot, State
+from imumon.estimation.rest.trial import look, second_differences
+from imumon.estimation.rest.windows import seen, vibration_factor
+from tests.estimation.rest.scenes import block, detect, noise
+
+DRIFT = np.repeat([1e-4, 1.5e-3], 3)
+SD = np.repeat([1e-4, 1e-2], 3)
+
+
+@pytest.fixture(autouse=True)
+def _empty_windows() -> Iterator[None]:
+    with np.errstate(invalid="ignore", divide="ignore"):
+        yield
+
+
+def slots(means: FloatArray, samples: int = 12) -> list[Slot]:
+    """Return slots of samples of these means, (n, 6), an eighth of a second each."""
+    count, within = np.full(6, float(samples)), samples * SD**2
+    return [
+        Slot(0.125 * k, 0.125 * (k + 1), count, mean, within, mean, mean, mean, mean)
+        for k, mean in enumerate(means)
+    ]
+
+
+def resting() -> State:
+    """Return the state of a unit whose noise is known and white."""
+    state = State(at_rest=True)
+    state.known[:] = True
+    state.sample_variance = 12 * SD**2
+    state.variance[:] = SD**2 / 2.0 ** np.arange(LEVELS)[:, np.newaxis]
+    state.step[:] = 0.0
+    return state
+
+
+def test_the_means_of_any_window_are_those_of_its_samples_though_the_history_is_short() -> None:
+    rng = np.random.default_rng(0)
+    means, state = rng.normal(size=(2 * CAPACITY, 6)), State()
+    counts = rng.integers(0, 4, (2 * CAPACITY, 6)).astype(np.float64)
+    for slot, count in zip(slots(means), counts, strict=True):
+        state.add(replace(slot, count=count))
+    n = state.history.length
+    for length in (1, 7, 128):
+        got = state.history.means(np.array([n - length, n - 2 * length]))[0]
+        part = slice(len(means) - 2 * length, len(means) - length)
+        total = counts[part].sum(0)
+        expected = (means[part] * counts[part]).sum(0) / np.where(total > 0, total, np.nan)
+        np.testing.assert_allclose(got, expected, atol=1e-12)
+
+
+def test_variances_of_windows_of_all_lengths_are_learnt_from_white_noise() -> None:
+    state, rng = resting(), np.random.default_rng(1)
+    state.variance *= 3.0
+    state.gain[:] = 0.2
+    for slot in slots(SD * rng.standard_normal((20_000, 6))):
+        state.add(slot)
+        seen(state, slot, DRIFT, spike=False)
+    ratio = (state.variance / SD**2).mean(1) * 2.0 ** np.arange(LEVELS)
+    assert ratio[:5] == pytest.approx(1.0, abs=0.35)
+
+
+def test_a_step_shows_in_the_windows_that_are_long_enough_and_in_no_others() -> None:
+    # A step of three standard deviations of a slot is one of 3 sqrt(2^j / 2) in windows of 2^j slots: over
+    # sqrt(42) from 16 slots on.
+    state = resting()
+    means = np.zeros((64, 6))
+    means[48:, 0] = 3.0 * SD[0]
+    found = []
+    for slot in slots(means):
+        state.add(slot)
+        found.append(seen(state, slot, np.zeros(6), spike=False))
+        state.variance[:] = SD**2 / 2.0 ** np.arange(LEVELS)[:, np.newaxis]
+    first = next(k for k, motion in enumerate(found) if motion)
+    motion = found[first]
+    assert motion is not None
+    assert motion.level == 4
+    assert first == 63
+    assert motion.seconds == 2.0
+
+
+def test_second_differences_are_those_of_means_of_all_windows() -> None:
+    means = np.random.default_rng(2).normal(size=(32, 6))
+    for width in (1, 4, 8):
+        got = second_differences(means, width)
+        expected = [
+            means[k : k + width].mean(0)
+            - 2 * means[k + width : k + 2 * width].mean(0)
+            + means[k + 2 * width : k + 3 * width].mean(0)
+            for k in range(32 - 3 * width + 1)
+        ]
+        np.testing.assert_allclose(got, expected, atol=1e-14)
+
+
+@pytest.mark.parametrize("slope", [0.0, 1.0])
+def test_a_trial_finds_the_noise_and_lets_a_permitted_drift_pass(slope: float) -> None:
+    rng, of_1, of_8, rests = np.random.default_rng(3), [], [], []
+    for _ in range(100):
+        state = State(step=np.zeros(6))
+        for slot in slots(SD * rng.standard_normal((32, 6)) + slope * np.outer(np.arange(32) / 8, DRIFT)):
+            state.add(slot)
+        noise = look(state, DRIFT)
+        of_1.append(noise.of_1 / SD**2)
+        of_8.append(8 * noise.of_8 / SD**2)
+        rests.append(noise.rests)
+    assert np.mean(of_1) == pytest.approx(1.0, abs=0.03)
+    assert np.mean(of_8) == pytest.approx(1.0, abs=0.1)
+    assert np.mean(rests) > 0.9
+
+
+def test_the_variance_of_resting_samples_is_below_the_limit_of_vibration() -> None:
+    rng = np.random.default_rng(4)
+    for count in (3, 12, 125):
+        variances = rng.standard_normal((20_000, count)).var(1, ddof=1)
+        assert variances.max() < vibration_factor(np.array(float(count)))
+
+
+def test_false_alarms_are_rare_whatever_the_rate() -> None:
+    for seed, rate_hz in enumerate((4.0, 10.0, 25.0)):
+        t, gyro, accel = noise(1200.0, rate_hz, seed=seed)
+        rest = detect(block(t, gyro, accel))
+        assert np.all(rest[np.argmax(rest) :] == 1)

@@ -1,0 +1,280 @@
+"""Streams of devices that spread one moment over packets and send other times between them."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import asdict
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from imumon.blocks import FloatArray, SampleBlock, join
+from imumon.pipeline import UNDATED, Digest, Pipeline
+from imumon.protocols.device import load_device
+from tests.data_folder import measured
+from tests.protocols.wire import mip, mip_time, mip_vector, mtdata2_gnss, mtdata2_inertial, xbus
+
+START = 1_700_000_000_000_000_000
+MS = 1_000_000
+
+
+def run(
+    device: str, data: bytes, chunk: int | None = None
+) -> tuple[SampleBlock, dict[str, SampleBlock], Pipeline]:
+    """Feed a stream in chunks; return the main rows, those of each side stream, and the pipeline."""
+    pipeline = Pipeline(load_device(device))
+    main: list[SampleBlock] = []
+    side: dict[str, list[SampleBlock]] = {}
+    size = chunk or max(len(data), 1)
+    for at in range(0, len(data), size):
+        pipeline.feed(data[at : at + size], UNDATED)
+        main.append(pipeline.take())
+        for name, rows in pipeline.side.items():
+            side.setdefault(name, []).append(rows)
+    pipeline.finish()
+    main.append(pipeline.take())
+    for name, rows in pipeline.side.items():
+        side.setdefault(name, []).append(rows)
+    return join(main), {name: join(parts) for name, parts in side.items()}, pipeline
+
+
+def _mti(n: int, counted: str, lost: tuple[int, ...] = ()) -> list[bytes]:
+    """Inertial messages at 170 Hz and a receiver's at 7 Hz, dated back by 42 ms."""
+    packets, counter, own = [], 65500, 100
+    for k in range(n):
+        ticks = 4_294_960_000 + k * 59
+        packets.append(mtdata2_inertial(None if counted == "not" else counter, ticks, k / n))
+        counter += 1
+        if k % 25 == 24:
+            number = {"shared": counter, "own": own, "not": None}[counted]
+            packets.append(mtdata2_gnss(number, ticks - 420, 40 * k))
+            counter += counted == "shared"
+            own += 1
+    return [packet for i, packet in enumerate(packets) if i not in lost]
+
+
+@pytest.mark.parametrize("counted", ["shared", "own", "not"])
+def test_a_receiver_that_dates_back_is_a_stream_of_its_own(counted: str) -> None:
+    packets = _mti(4746, counted)
+    main, side, pipeline = run("xsens", b"".join(packets))
+    counters = pipeline.counters
+    assert counters.clock_restarts == counters.packets_missing == counters.counter_gaps == 0
+    assert np.isfinite(main["gyro_x"]).all()
+    assert len(main) == 4746
+    assert not (main["segment"] != 0).any()
+    np.testing.assert_array_equal(np.diff(main["device_time_ns"]), 59 * 100_000)
+    gnss = side["gnss"]
+    assert len(gnss) == 4746 // 25
+    np.testing.assert_allclose(gnss["gnss_time_of_week"], 0.04 * np.arange(24, 4746, 25))
+    # The receiver's time is on the main clock, across its wrap.
+    behind = main["device_time_ns"][24::25] - gnss["device_time_ns"]
+    np.testing.assert_array_equal(behind, 42 * MS)
+    assert "gnss_latitude" not in main
+    assert "gyro_x" not in gnss
+    assert asdict(counters.streams["gnss"])["rows"] == 189
+
+
+@pytest.mark.parametrize("counted", ["shared", "own"])
+def test_losses_beside_a_receiver_are_counted(counted: str) -> None:
+    # Two inertial messages in a row, one right before a receiver's message, one right behind.
+    packets = _mti(500, counted, lost=(10, 11, 24, 52))
+    _, _, pipeline = run("xsens", b"".join(packets))
+    assert pipeline.counters.packets_missing == 4
+    assert pipeline.counters.clock_restarts == 0
+
+
+def test_a_lost_receiver_message_of_a_shared_counter_is_a_loss() -> None:
+    packets = _mti(500, "shared", lost=(25,))
+    _, side, pipeline = run("xsens", b"".join(packets))
+    assert pipeline.counters.packets_missing == 1
+    assert len(side["gnss"]) == 19
+
+
+def test_a_restart_of_the_main_stream_is_still_seen() -> None:
+    packets = _mti(300, "shared") + _mti(300, "shared")
+    pipeline = Pipeline(load_device("xsens"))
+    for number, packet in enumerate(packets):
+        pipeline.feed(packet, START + number * 6 * MS)
+    pipeline.finish()
+    main = pipeline.take()
+    assert pipeline.counters.clock_restarts == 1
+    assert len(main) == 600
+    assert set(main["segment"].tolist()) == {0, 1}
+
+
+def _mip_epochs(n: int, split: bool) -> list[bytes]:
+    """Sensor data at 125 Hz in one or three packets, magnetometer in every second; filter at 20 Hz."""
+    packets = []
+    for k in range(n):
+        time = 282_809_000_000 + k * 8 * MS
+        gyro, accel = mip_vector(0x05, (k, 0.1, 0.2)), mip_vector(0x04, (0.0, 0.0, 1.0))
+        mag = mip_vector(0x06, (k, 0.0, 0.0))
+        if split:
+            packets += [mip(0x80, mip_time(time), gyro), mip(0x80, mip_time(time), accel)]
+            if k % 2 == 0:
+                packets.append(mip(0x80, mag))
+        else:
+            packets.append(mip(0x80, mip_time(time), gyro, accel, *([mag] if k % 2 == 0 else [])))
+        if k % 6 == 5:
+            euler = struct.pack(">3fH", k, 0.0, 0.0, 1)
+            packets.append(mip(0x82, mip_time(time + 3 * MS), (0x05, euler)))
+    return packets
+
+
+def test_packets_of_one_moment_are_one_row() -> None:
+    main, side, pipeline = run("microstrain", b"".join(_mip_epochs(600, split=True)))
+    whole, whole_side, _ = run("microstrain", b"".join(_mip_epochs(600, split=False)))
+    assert main.columns.keys() == whole.columns.keys()
+    for name in whole.columns:
+        np.testing.assert_array_equal(main[name], whole[name], err_msg=name)
+    np.testing.assert_array_equal(side["filter"]["roll"], whole_side["filter"]["roll"])
+    assert len(main) == 600
+    assert np.isfinite(main["gyro_x"]).all()
+    assert np.isfinite(main["accel_x"]).all()
+    assert np.isfinite(main["mag_x"]).sum() == 300
+    assert pipeline.counters.clock_restarts == 0
+    assert pipeline.counters.streams["imu"].incomplete == 0
+    assert pipeline.counters.streams["imu"].packets == 1500
+
+
+def test_an_epoch_that_lost_a_packet_comes_out_as_it_is_and_is_counted() -> None:
+    packets = _mip_epochs(600, split=True)
+    accel = [i for i, packet in enumerate(packets) if packet[2] == 0x80 and 0x04 in packet[14:16]]
+    del packets[accel[400]]
+    main, _, pipeline = run("microstrain", b"".join(packets))
+    assert len(main) == 600
+    assert np.isfinite(main["gyro_x"]).all()
+    assert np.isnan(main["accel_x"]).sum() == 1
+    assert pipeline.counters.streams["imu"].incomplete == 1
+
+
+@pytest.mark.parametrize("first", ["filter", "sensor"])
+def test_a_filter_with_the_times_of_the_sensors_joins_their_rows(first: str) -> None:
+    packets = []
+    for k in range(200):
+        time = mip_time(k * 10 * MS)
+        sensor = mip(0x80, time, mip_vector(0x05, (k, 0, 0)), mip_vector(0x04, (0, 0, 1)))
+        euler = mip(0x82, time, (0x05, struct.pack(">3fH", k, 0.0, 0.0, 1)))
+        packets += [euler, sensor] if first == "filter" else [sensor, euler]
+    main, side, _ = run("microstrain", b"".join(packets))
+    assert not side
+    assert len(main) == 200
+    np.testing.assert_array_equal(main["roll"], np.arange(200.0))
+    np.testing.assert_array_equal(main["gyro_x"], np.arange(200.0))
+
+
+def test_a_slow_magnetometer_with_a_time_of_its_own_is_a_stream_of_its_own() -> None:
+    packets = []
+    for k in range(400):
+        time = k * 8 * MS
+        packets.append(mip(0x80, mip_time(time), mip_vector(0x05, (0, 0, 0)), mip_vector(0x04, (0, 0, 1))))
+        if k % 6 == 2:
+            packets.append(mip(0x80, mip_time(time + 5 * MS), mip_vector(0x06, (k, 0, 0))))
+    main, side, pipeline = run("microstrain", b"".join(packets))
+    assert len(main) == 400
+    assert "mag_x" not in main
+    assert len(side["mag"]) == 67
+    assert pipeline.counters.streams["mag"].rate_hz == pytest.approx(1 / 0.048)
+    np.testing.assert_array_equal(side["mag"]["device_time_ns"][1:4], np.array([69, 117, 165]) * MS)
+
+
+def test_messages_split_by_the_device_count_as_one_row_and_lose_nothing() -> None:
+    packets = []
+    for k in range(300):
+        time = (0x1060, struct.pack(">I", 100 * k))
+        for part, code in enumerate((0x4020, 0x8020)):
+            counter = (0x1020, struct.pack(">H", 2 * k + part))
+            packets.append(xbus(counter, time, (code, struct.pack(">3f", k, 0, 0))))
+    main, _, pipeline = run("xsens", b"".join(packets))
+    assert len(main) == 300
+    assert np.isfinite(main["gyro_x"]).all()
+    assert np.isfinite(main["accel_x"]).all()
+    assert pipeline.counters.packets_missing == 0
+    del packets[401]
+    main, _, pipeline = run("xsens", b"".join(packets))
+    assert len(main) == 300
+    assert pipeline.counters.packets_missing == 1
+    assert pipeline.counters.streams["imu"].incomplete == 1
+
+
+def test_once_learned_a_row_comes_out_with_its_last_packet() -> None:
+    packets = _mti(200, "not")
+    pipeline = Pipeline(load_device("xsens"))
+    pipeline.feed(b"".join(packets[:150]))
+    before = len(pipeline.take())
+    pipeline.feed(packets[150])
+    assert len(pipeline.take()) == 1
+    assert before == 150 - 150 // 26
+
+
+def test_a_silent_port_lets_out_what_waits() -> None:
+    packets = _mti(3, "not")
+    pipeline = Pipeline(load_device("xsens"))
+    pipeline.feed(b"".join(packets))
+    assert len(pipeline.take()) == 2
+    pipeline.pause()
+    assert len(pipeline.take()) == 1
+
+
+@pytest.mark.parametrize(
+    ("file", "device", "streams"),
+    [
+        ("microstrain/stream.bin", "microstrain", {"imu": (2265, 125.0), "filter": (361, 20.0)}),
+        ("xsens/mtdata2-1/output.bin", "xsens", {"imu": (96, 100.0), "gnss": (4, 4.0)}),
+        ("xsens/mtdata2-3/output.bin", "xsens", {"imu": (96, 100.0), "gnss": (4, 4.0)}),
+    ],
+)
+def test_captures_are_streams_without_holes(
+    file: str, device: str, streams: dict[str, tuple[int, float]]
+) -> None:
+    main, _, pipeline = run(device, measured(file).read_bytes(), 997)
+    counters = pipeline.counters
+    assert counters.clock_restarts == counters.packets_missing == 0
+    assert {name: (s.rows, round(s.rate_hz or 0, 6)) for name, s in counters.streams.items()} == streams
+    assert all(s.gaps == s.incomplete == s.restarts == 0 for s in counters.streams.values())
+    for name in ("gyro_x", "accel_z"):
+        assert np.isfinite(main[name]).all()
+
+
+def _digest(main: SampleBlock, side: dict[str, SampleBlock]) -> str:
+    digest = Digest()
+    digest.update(main, side)
+    return digest.hexdigest()
+
+
+@given(chunk=st.integers(1, 3000), seed=st.integers(0, 50))
+@settings(max_examples=30, deadline=None)
+def test_any_chunking_gives_the_same_rows(chunk: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    device, packets = (("xsens", _mti(150, "shared")), ("microstrain", _mip_epochs(120, split=True)))[
+        seed % 2
+    ]
+    data = b"".join(packet for packet in packets if rng.random() > 0.05)
+    main, side, pipeline = run(device, data)
+    again, again_side, other = run(device, data, chunk)
+    assert _digest(main, side) == _digest(again, again_side)
+    assert pipeline.counters == other.counters
+
+
+@given(st.lists(st.tuples(st.integers(0, 5), st.integers(0, 6), st.booleans()), max_size=80))
+@settings(max_examples=60, deadline=None)
+def test_no_field_is_lost_whatever_comes(parts: list[tuple[int, int, bool]]) -> None:
+    """Every value sent is in exactly one row of one stream."""
+    packets, sent = [], []
+    for number, (what, time, timed) in enumerate(parts):
+        value = float(number + 1)
+        stamp = [mip_time(time * MS)] if timed else []
+        if what < 3:
+            packets.append(mip(0x80, *stamp, mip_vector((0x05, 0x04, 0x06)[what], (value, 0, 0))))
+        else:
+            packets.append(mip(0x82, *stamp, (0x05, struct.pack(">3fH", value, 0.0, 0.0, 1))))
+        sent.append(value)
+    main, side, _ = run("microstrain", b"".join(packets))
+    found: list[FloatArray] = []
+    for block in (main, *side.values()):
+        scales = {"gyro_x": 1.0, "accel_x": 9.80665, "mag_x": 100.0, "roll": 1.0}
+        found += [block[name] / scale for name, scale in scales.items() if name in block]
+    values = np.concatenate(found) if found else np.zeros(0)
+    np.testing.assert_allclose(np.sort(values[np.isfinite(values)]), sorted(sent), rtol=1e-6)

@@ -1,0 +1,115 @@
+"""Compiled code is kept, and made anew when its module or one that this imports has changed; not else."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from imumon.compiled import kernel_modules
+from imumon.sources import closure, stamp
+
+FILES = {
+    "__init__.py": "",
+    "constants.py": "FACTOR = 2.0\n",
+    "inner.py": """
+        from imumon.compiled import njit
+        from made.constants import FACTOR
+
+        @njit
+        def scaled(x: float) -> float:
+            return FACTOR * x
+        """,
+    "outer.py": """
+        from __future__ import annotations
+        from typing import TYPE_CHECKING
+        from imumon.compiled import njit
+        from made import (
+            inner,
+        )
+        if TYPE_CHECKING:
+            from made.unrelated import Thing
+        scaled = inner.scaled
+
+        @njit
+        def shifted(x: float) -> float:
+            return scaled(x) + 1.0
+        """,
+    "unrelated.py": """
+        from imumon.compiled import njit
+
+        Thing = float
+
+        @njit
+        def halved(x: float) -> float:
+            return x / 2.0
+        """,
+}
+RUN = """
+import logging
+logging.basicConfig(level=logging.INFO, format="%(message)s")
+from made.outer import shifted
+from made.unrelated import halved
+print(shifted(3.0), halved(3.0))
+"""
+
+
+@pytest.fixture
+def package(tmp_path: Path) -> Path:
+    """A package with kernels that call kernels of other modules."""
+    folder = tmp_path / "made"
+    folder.mkdir()
+    for name, text in FILES.items():
+        lines = text.splitlines()
+        (folder / name).write_text("\n".join(line.removeprefix(" " * 8) for line in lines) + "\n")
+    return folder
+
+
+def run(package: Path, **environment: str) -> tuple[str, list[str]]:
+    """Run the kernels in a new process; return what they gave, and which modules were compiled."""
+    path = f"{package.parent}:{Path(__file__).parents[1]}"
+    done = subprocess.run(
+        [sys.executable, "-c", RUN],
+        env={"PYTHONPATH": path, "PATH": "/usr/bin:/bin", "HOME": str(package.parent), **environment},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return done.stdout.strip(), sorted(re.findall(r"^compiling (?:made\.)?(\w+)", done.stderr, re.MULTILINE))
+
+
+def test_only_what_depends_on_an_edited_module_is_compiled_anew(package: Path) -> None:
+    assert run(package) == ("7.0 1.5", ["inner", "outer", "unrelated"])
+    assert run(package) == ("7.0 1.5", [])
+    (package / "constants.py").write_text("FACTOR = 5.0\n")
+    assert run(package) == ("16.0 1.5", ["inner", "outer"])
+    (package / "unrelated.py").write_text((package / "unrelated.py").read_text().replace("2.0", "4.0"))
+    assert run(package) == ("16.0 0.75", ["unrelated"])
+    assert run(package) == ("16.0 0.75", [])
+
+
+def test_code_of_a_package_that_cannot_be_written_is_kept_elsewhere(package: Path, tmp_path: Path) -> None:
+    (package / "__pycache__").write_text(
+        "a file where the folder would be, as nobody stops root from writing"
+    )
+    assert run(package)[1] == ["inner", "outer", "unrelated"]
+    assert run(package)[1] == []
+    assert list((tmp_path / ".cache").rglob("*.nbi"))
+
+
+def test_the_closure_is_what_a_module_imports_but_not_for_type_checking() -> None:
+    found = closure("imumon.clock.device")
+    assert {"imumon.clock.device", "imumon.clock.host", "imumon.protocols.base", "imumon.compiled"} <= set(
+        found
+    )
+    assert "imumon.pipeline" not in found
+    assert stamp("imumon.clock.device") != stamp("imumon.clock.host")
+
+
+def test_modules_with_kernels_are_known() -> None:
+    import imumon.clock.device  # noqa: F401
+
+    assert {"imumon.clock.device", "imumon.clock.host"} <= set(kernel_modules())
