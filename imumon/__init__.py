@@ -16,6 +16,10 @@ Time
     the packet was read from the port; ``host_time_ns`` is the device clock mapped to Unix time by the lower
     hull of arrival minus device time: the estimate of the time of validity, never later than the arrival.
 
+Rows
+    A row is a time of validity of the inertial sensors, whatever packets its fields came in; what has a time
+    and rate of its own (a receiver, a filter) is a side stream with rows and a table of its own.
+
 Units
     SI inside: angular rate rad/s, specific force m/s², angle rad, pressure Pa, temperature °C.  Latitude and
     longitude are degrees.  The magnetic field is µT, or arbitrary units where the device has none; the unit

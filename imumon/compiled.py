@@ -15,7 +15,7 @@ from functools import partial
 from typing import Any, TypeVar, overload
 
 import numba
-from numba.core.caching import CompileResultCacheImpl, FunctionCache
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
 
 from imumon.sources import stamp
 
@@ -65,6 +65,16 @@ class _Stored(CompileResultCacheImpl):
         return name.replace(f"-{self.locator.get_disambiguator()}.", ".", 1)
 
 
+class _Index(IndexDataCacheFile):
+    """The index of a function's stored code; one that names what the sources no longer have is empty."""
+
+    def _load_index(self) -> dict[object, str]:
+        try:
+            return dict(super()._load_index())  # type: ignore[no-untyped-call]
+        except (AttributeError, ImportError):  # a class among the types of the arguments has gone
+            return {}
+
+
 class _Cache(FunctionCache):
     """The stored code of one function; says what has to be compiled."""
 
@@ -73,7 +83,9 @@ class _Cache(FunctionCache):
     def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)  # type: ignore[no-untyped-call]
         self._module = function.__module__
-        self._cache_file._source_stamp = stamp(self._module)
+        self._cache_file = _Index(  # type: ignore[no-untyped-call]
+            self._cache_path, self._impl.filename_base, stamp(self._module)
+        )
 
     def load_overload(self, sig: object, target_context: object) -> object:
         """Return the stored code for a signature, or None: then numba compiles."""

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import gc
 import os
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -16,6 +18,26 @@ from hypothesis import settings
 settings.register_profile("ci", derandomize=True)
 if os.environ.get("CI") == "true":
     settings.load_profile("ci")
+
+_TESTS = Path(__file__).parent
+_COMPILE = _TESTS.parent / "scripts" / "support" / "compile_kernels.py"
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Compile what has changed before the first of parallel tests, so that none has to wait, and none twice.
+
+    A few tests in one process compile what they need, and nothing else.
+    """
+    if config.getoption("numprocesses", None) and not hasattr(config, "workerinput") and _COMPILE.exists():
+        subprocess.run([sys.executable, _COMPILE], check=True)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Give each file to one of the parallel processes, as its tests share fixtures; viewers only to one."""
+    for item in items:
+        folder, *rest = item.path.relative_to(_TESTS).parts
+        item.add_marker(pytest.mark.xdist_group(folder if folder == "view" else "/".join((folder, *rest))))
+
 
 _FD = Path("/proc/self/fd")
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from imumon import compiled
 from imumon.compiled import kernel_modules
 from imumon.sources import closure, stamp
 
@@ -113,3 +114,14 @@ def test_modules_with_kernels_are_known() -> None:
     import imumon.clock.device  # noqa: F401
 
     assert {"imumon.clock.device", "imumon.clock.host"} <= set(kernel_modules())
+
+
+def test_an_index_that_names_a_class_that_has_gone_is_empty(tmp_path: Path) -> None:
+    """The types of the arguments stand in the index; one of them may have been renamed since."""
+    gone = type("Gone", (), {"__module__": "imumon.compiled", "__qualname__": "Gone"})
+    compiled.__dict__["Gone"] = gone
+    stored = compiled._Index(str(tmp_path), "kernel", "stamp")  # type: ignore[no-untyped-call]
+    stored._save_index({(gone, "x86"): "kernel.1.nbc"})  # type: ignore[no-untyped-call]
+    assert len(stored._load_index()) == 1
+    del compiled.__dict__["Gone"]
+    assert stored._load_index() == {}

@@ -22,7 +22,7 @@ from imumon.allan.covariance import (
     freedom,
 )
 from imumon.allan.fit import TERMS, Fit, fit_terms
-from imumon.allan.kernels import all_sums, allan_sum, integrate
+from imumon.allan.kernels import all_sums, integrate
 from imumon.allan.series import EvenSeries
 from imumon.blocks import FloatArray, IntArray
 
@@ -105,21 +105,6 @@ def variances(series: EvenSeries, factors: IntArray) -> dict[Kind, FloatArray]:
         some = numbers > 0
         found[row, some] = sums[some] / numbers[some] / scale[some]
     return dict(zip(COEFFICIENTS, found.T, strict=True))
-
-
-def strided_allan(series: EvenSeries, factors: IntArray, strides_per_tau: int) -> FloatArray:
-    """Return Allan variances of differences at every max(1, m // strides_per_tau)-th sample, (n,).
-
-    No difference spans a gap, however short: this is what `imumon.allan.streaming` computes live.
-    """
-    x = integrate(series.values, float(series.values.mean()))
-    found = np.full(len(factors), np.nan)
-    for row, m in enumerate(factors.tolist()):
-        starts, stops = series.runs(m, bridge=False)
-        total, number = allan_sum(x, starts, stops, m, max(1, m // strides_per_tau))
-        if number:
-            found[row] = total / number / (NORMS["allan"] * float(m) ** 2)
-    return found
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -2,7 +2,8 @@
 
 With x the running sum of the samples (x[0] = 0), m the averaging factor and d the order of the difference,
 every deviation is a mean of squares of sum over a of c_a x[t + a m], c = (1, -2, 1) or (1, -3, 3, -1).  Only
-differences whose whole span lies in one run of samples are taken.
+differences whose whole span lies in one run of samples are taken.  The sums are compiled: in NumPy they take
+three times as long (an hour of six channels at 400 Hz: 2 s), and a hundred times with a gap every 20 samples.
 """
 
 from __future__ import annotations
@@ -13,21 +14,18 @@ from imumon.blocks import FloatArray, IntArray
 from imumon.compiled import njit
 
 
-@njit
 def integrate(values: FloatArray, offset: float) -> FloatArray:
     """Return the running sum of values - offset, (n + 1,), beginning with 0."""
-    total = np.empty(len(values) + 1)
-    total[0] = 0.0
-    for k in range(len(values)):
-        total[k + 1] = total[k] + (values[k] - offset)
+    total = np.zeros(len(values) + 1)
+    np.cumsum(values - offset, out=total[1:])
     return total
 
 
 @njit(fastmath={"reassoc"})
-def _allan_run(x: FloatArray, start: int, count: int, m: int, stride: int) -> float:
+def _second_differences(x: FloatArray, start: int, stop: int, m: int) -> float:
+    """Return the sum of squares of the second differences that begin at start..stop."""
     total = 0.0
-    for k in range(count):
-        t = start + k * stride
+    for t in range(start, stop):
         difference = x[t + 2 * m] - 2.0 * x[t + m] + x[t]
         total += difference * difference
     return total
@@ -54,8 +52,8 @@ def _all_runs(x: FloatArray, start: int, positions: int, m: int, window: float) 
 
 
 @njit
-def allan_sum(x: FloatArray, starts: IntArray, stops: IntArray, m: int, stride: int) -> tuple[float, int]:
-    """Return the sum of squared second differences, and their number.
+def all_sums(x: FloatArray, starts: IntArray, stops: IntArray, m: int) -> tuple[FloatArray, IntArray]:
+    """Return sums of squares and their numbers for Allan, modified Allan and Hadamard, (3,) each.
 
     Parameters
     ----------
@@ -63,24 +61,6 @@ def allan_sum(x: FloatArray, starts: IntArray, stops: IntArray, m: int, stride: 
         From `integrate`.
     starts, stops : arrays of int64
         Runs: samples start..stop, so that x[start] ... x[stop] belong to the run.
-    stride : int
-        Differences begin at every stride-th sample of a run; 1 takes them all.
-    """
-    total, number = 0.0, 0
-    for run in range(len(starts)):
-        positions = stops[run] - starts[run] - 2 * m + 1
-        if positions > 0:
-            count = (positions + stride - 1) // stride
-            total += _allan_run(x, starts[run], count, m, stride)
-            number += count
-    return total, number
-
-
-@njit
-def all_sums(x: FloatArray, starts: IntArray, stops: IntArray, m: int) -> tuple[FloatArray, IntArray]:
-    """Return sums of squares and their numbers for Allan, modified Allan and Hadamard, (3,) each.
-
-    Arguments as for `allan_sum`, of which the first equals that with stride 1; one pass for all three.
     """
     sums, numbers = np.zeros(3), np.zeros(3, np.int64)
     for run in range(len(starts)):
@@ -96,6 +76,6 @@ def all_sums(x: FloatArray, starts: IntArray, stops: IntArray, m: int) -> tuple[
             numbers[1] += third + 1
             numbers[2] += third
         if second > 0:
-            sums[0] += _allan_run(x, start + third, second - third, m, 1)
+            sums[0] += _second_differences(x, start + third, start + second, m)
             numbers[0] += second
     return sums, numbers

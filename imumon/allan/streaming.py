@@ -1,10 +1,10 @@
 """The Allan deviation of a stream, octave by octave, in constant memory.
 
 The definition is the overlapping one, with the differences of averaging factor m taken at every
-max(1, m // 16)-th sample of a run: all of them up to m = 31, sixteen to each averaging time above.  That is
-what `imumon.allan.analysis.strided_allan` gives of a whole record, and the streamed sums are the same but for
-rounding, however the stream is cut into blocks.  Taking every difference, as `variances` does, changes an
-octave by a small part of its own uncertainty.
+max(1, m // 16)-th sample of a run: all of them up to m = 31, sixteen to each averaging time above.  The sums
+are those over a whole record but for rounding, however the stream is cut into blocks.  Taking every
+difference, as `imumon.allan.analysis.variances` does, changes an octave by a small part of its own
+uncertainty.
 
 Per stride of 1, 2, 4, ... samples a ring of 64 running sums is kept, of which an averaging time looks back at
 two: 18 kB for a channel, for averaging times of up to 2^35 samples.

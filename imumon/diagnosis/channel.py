@@ -55,21 +55,30 @@ class Channel:
     Parameters
     ----------
     name, unit : str
-    temperature : str
-        Which temperature drives it.
     floor : WhiteFloor
         Of a block.
     declared : Declared
-    train, test : sequence of RunBlocks
+    pool : Pool
+        Training runs, which temperature drives the channel, and the columns of effects over them.
+    test : sequence of RunBlocks
     """
 
     name: str
     unit: str
-    temperature: str
     floor: WhiteFloor
     declared: Declared
-    train: Sequence[RunBlocks]
+    pool: Pool
     test: Sequence[RunBlocks]
+
+    @property
+    def train(self) -> Sequence[RunBlocks]:
+        """Training runs."""
+        return self.pool.runs
+
+    @property
+    def temperature(self) -> str:
+        """Which temperature drives it."""
+        return self.pool.temperature
 
     @cached_property
     def values(self) -> FloatArray:
@@ -81,19 +90,14 @@ class Channel:
         """Columns of the declared model over all training runs, (n, p)."""
         return self.declared.training(self.train, self.temperature)
 
-    @cached_property
-    def pool(self) -> Pool:
-        """Columns of effects over all training runs."""
-        return Pool(self.train, self.temperature)
-
     def design(self, found: Sequence[Candidate]) -> FloatArray:
         """Return the columns of the declared model and of what was found, (n, k)."""
         return np.column_stack([self.base, self.pool.design(found)])
 
-    def in_blocks(self, train: Sequence[RunBlocks], share: float) -> Channel:
+    def in_blocks(self, pool: Pool, share: float) -> Channel:
         """Return it over training runs in longer blocks, which have this share of the white variance."""
         floor = replace(self.floor, sd=self.floor.sd * float(np.sqrt(share)))
-        return replace(self, train=train, floor=floor)
+        return replace(self, pool=pool, floor=floor)
 
 
 def ordinary(columns: FloatArray, values: FloatArray) -> FloatArray:

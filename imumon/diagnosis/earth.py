@@ -47,7 +47,7 @@ def vertical_rate(
     """Return what the three gyros have in common, or None when it is not the earth rate."""
     if len(channels) != 3:
         return None
-    found, doubt = [], []
+    found, sigma = [], []
     for axis, name in enumerate(channels):
         temperature = temperatures[name]
         forces = [_force(run) for run in runs]
@@ -59,11 +59,11 @@ def vertical_rate(
         columns = np.column_stack([declared.training(runs, temperature), beside, force])
         found.append(ordinary(columns, values)[-3 + axis])
         spread = float(np.std(force[:, axis])) * np.sqrt(len(values) / INDEPENDENT)
-        doubt.append(residual_rms(columns, values) / spread if spread > 0 else np.inf)
+        sigma.append(residual_rms(columns, values) / spread if spread > 0 else np.inf)
     mean = float(np.mean(found))
-    limit = np.maximum(SIGMAS * np.array(doubt), SPREAD * abs(mean))
+    limit = np.maximum(SIGMAS * np.array(sigma), SPREAD * abs(mean))
     same = bool(np.all(np.abs(np.array(found) - mean) <= limit))
-    seen = abs(mean) > SIGMAS * float(np.max(doubt)) / np.sqrt(3)
+    seen = abs(mean) > SIGMAS * float(np.max(sigma)) / np.sqrt(3)
     if same and seen and abs(mean) * STANDARD_GRAVITY <= ALLOWANCE * EARTH_RATE:
         return VerticalRate(mean)
     return None

@@ -16,6 +16,7 @@ from imumon.diagnosis.blocks import (
     survey,
     white_floor,
 )
+from imumon.diagnosis.candidates import Pool
 from imumon.diagnosis.channel import Channel, Declared
 from imumon.diagnosis.continuing import continued, predecessor
 from imumon.diagnosis.earth import VerticalRate, vertical_rate, without
@@ -150,21 +151,22 @@ def _sensor(
         diagnosis.caveats.append(_said_of_earth(earth))
     if earth is not None:
         blocks, tested = without(blocks, group, earth), without(tested, group, earth)
+    used = list(dict.fromkeys(temperatures[name] for name in group))
+    pools = {temperature: Pool(blocks, temperature) for temperature in used}
     channels = [
-        Channel(name, unit_of(name), temperatures[name], floor, models[name], blocks, tested)
+        Channel(name, unit_of(name), floor, models[name], pools[temperatures[name]], tested)
         for name in group
         for floor in [white_floor(train, name, BLOCK_S)]
     ]
     searched, search_s = blocks, _search_block(blocks)
     if search_s > BLOCK_S:
-        used = list(dict.fromkeys(temperatures.values()))
-        names = [run.name for run in blocks]
-        searched = [
-            make_blocks(run, list(temperatures), used, search_s) for run in train if run.name in names
-        ]
+        usable = [run for run in train if run.name in {block.name for block in blocks}]
+        every = list(dict.fromkeys(temperatures.values()))
+        searched = [make_blocks(run, list(temperatures), every, search_s) for run in usable]
         searched = searched if earth is None else without(searched, group, earth)
+        pools = {temperature: Pool(searched, temperature) for temperature in used}
     found = search(
-        [channel.in_blocks(searched, BLOCK_S / search_s) for channel in channels],
+        [channel.in_blocks(pools[channel.temperature], BLOCK_S / search_s) for channel in channels],
         survey(searched, temperatures[group[0]], degree, search_s),
         [name for name, effect in EFFECTS.items() if group[0].startswith(effect.sensors)],
         progress,

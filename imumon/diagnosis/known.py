@@ -1,4 +1,4 @@
-"""Runs less what a known model foretells of them: what is left is what that model lacks."""
+"""Runs less what a known model predicts of them: what is left is what that model lacks."""
 
 from __future__ import annotations
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -73,7 +74,7 @@ def _channel(verdict: ChannelVerdict) -> dict[str, Any]:
         "coverage": nothing if after is None else after.coverage,
         "scored": nothing if after is None else after.scored,
         "explained_share": verdict.explained,
-        "effects": [_effect(verdict, claim) for claim in verdict.claims],
+        "effects": [_effect(claim) for claim in verdict.claims],
         "indistinguishable": [claim.finding.alike for claim in verdict.claims if claim.finding.alike],
         "to_separate": [
             {"effects": [claim.finding.alike[0], other], "by": separated_by(claim.finding.alike[0], other)}
@@ -88,15 +89,12 @@ def _channel(verdict: ChannelVerdict) -> dict[str, Any]:
     }
 
 
-def _effect(verdict: ChannelVerdict, claim: Claim) -> dict[str, Any]:
+def _effect(claim: Claim) -> dict[str, Any]:
     finding = claim.finding
-    names = {part.effect.name for part in verdict.after.parts}
-    assert finding.name in names
-    parts = _parts_of(verdict, claim)
     return {
         "name": finding.name,
-        "parameters": _parameters(parts),
-        "carried_over": any(part.carries for part in parts),
+        "parameters": _parameters(claim.parts),
+        "carried_over": any(part.carries for part in claim.parts),
         "evidence": {
             "gain_bic": finding.gain,
             "pooled_gain_bic": finding.pooled_gain,
@@ -108,18 +106,7 @@ def _effect(verdict: ChannelVerdict, claim: Claim) -> dict[str, Any]:
     }
 
 
-def _parts_of(verdict: ChannelVerdict, claim: Claim) -> list[FittedPart]:
-    """Return the fitted parts of a claim in the whole model."""
-    at = 0
-    for other in verdict.claims:
-        size = len(other.finding.candidate.parts)
-        if other is claim:
-            return verdict.after.parts[at : at + size]
-        at += size
-    raise ValueError("a claim that the model does not have")
-
-
-def _parameters(parts: list[FittedPart]) -> dict[str, Any]:
+def _parameters(parts: Sequence[FittedPart]) -> dict[str, Any]:
     """Return the parameters of one part as they are, of several as lists."""
     each = []
     for part in parts:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import islice
 from typing import Any
 
 import numpy as np
 
 from imumon.diagnosis.channel import Channel
-from imumon.diagnosis.fitting import Fit, TestScore, fit, mean_rms, score
+from imumon.diagnosis.fitting import Fit, FittedPart, TestScore, fit, mean_rms, score
 from imumon.diagnosis.selection import Finding, Search
 from imumon.effects.library import separated_by
 
@@ -25,9 +26,10 @@ MATERIAL = 1.3
 
 @dataclass(slots=True)
 class Claim:
-    """An effect that is claimed, with its evidence."""
+    """An effect that is claimed, with its evidence; `parts` are those of the whole model."""
 
     finding: Finding
+    parts: list[FittedPart]
     explained: float
     test_alone: float
 
@@ -104,7 +106,7 @@ def judge(channel: Channel, found: Search) -> ChannelVerdict:
         after=after,
         test_before=None if scores is None else scores[0],
         test_after=None if scores is None else scores[1],
-        claims=[_claim(channel, before, finding) for finding in kept],
+        claims=_claims(channel, before, after, kept),
         unexplained=found.many_events or after.train_rms >= CLEAN * floor,
         summary="",
         explained=share if kept else 0.0,
@@ -196,13 +198,15 @@ def _trial(
     return better - CONFIRMED * mean_rms(change, count) ** 2, record
 
 
-def _claim(channel: Channel, before: Fit, finding: Finding) -> Claim:
-    alone = _fit(channel, [finding])
-    return Claim(
-        finding=finding,
-        explained=explained_share(before.train_rms, alone.train_rms, channel.floor.sd),
-        test_alone=score(channel, alone).rms if channel.test else float("nan"),
-    )
+def _claims(channel: Channel, before: Fit, after: Fit, kept: Sequence[Finding]) -> list[Claim]:
+    claims, parts = [], iter(after.parts)
+    for finding in kept:
+        alone = _fit(channel, [finding])
+        share = explained_share(before.train_rms, alone.train_rms, channel.floor.sd)
+        test_alone = score(channel, alone).rms if channel.test else float("nan")
+        own = list(islice(parts, len(finding.candidate.parts)))
+        claims.append(Claim(finding, own, share, test_alone))
+    return claims
 
 
 def summary(verdict: ChannelVerdict) -> str:

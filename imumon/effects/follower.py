@@ -45,10 +45,10 @@ class Follower(Effect):
 
     def advance(self, memory: Memory, drive: Drive) -> FloatArray:
         """Return the differences of powers, ahead less following."""
-        powers = np.arange(1, self.order + 1)
         ahead, behind = (
-            ((values - self.middle_degc) / self.half_span_degc)[:, np.newaxis] ** powers
+            np.cumprod(np.repeat(u[:, np.newaxis], self.order, axis=1), axis=1)
             for values in (drive.temperature_degc, self.follow(memory, drive))
+            for u in [(values - self.middle_degc) / self.half_span_degc]
         )
         return np.asarray(ahead - behind)
 

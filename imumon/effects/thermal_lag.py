@@ -27,7 +27,7 @@ class ThermalLag(Follower):
     kind: Literal["thermal_lag"] = "thermal_lag"
     nonlinear = ("time_constant_s",)
     free_start = "in sums"
-    start_looks_like = ("warm_up",)
+    start_looks_like = ("warm_up", "stress_relaxation")
     suspected_by = ("temperature rate",)
     separated_by: ClassVar[Mapping[str, str]] = {
         "temperature_rate": "a fast ramp into a soak: the lag goes on for its time constant",

@@ -17,7 +17,7 @@ from imumon.protocols.thermometer import TemperatureRateParameters
 FORMAT = "imumon-device/1"
 
 PROTOCOLS = {
-    "fixed": "imumon.protocols.fixed.description:FixedDevice",
+    "fixed": "imumon.protocols.fixed.device:FixedDevice",
     "xsens-mtdata2": "imumon.protocols.xsens.mtdata2:MTData2Device",
     "xsens-mtdata": "imumon.protocols.xsens.mtdata:MTDataDevice",
     "mip": "imumon.protocols.mip:MipDevice",

@@ -15,7 +15,7 @@ had.  So a row waits for one epoch at the most.  Nothing is reordered and no fie
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -59,43 +59,36 @@ class EpochCounters:
     incomplete: int = 0
 
 
-class _State(NamedTuple):
-    """One entry per group; an epoch of 0 is none."""
+RecordArray = npt.NDArray[np.void]
 
-    apart: IntArray
-    epoch: IntArray
-    key_kind: IntArray
-    key: IntArray
-    mask: IntArray
-    in_generation: IntArray
-    generations: IntArray
-    any_now: IntArray
-    any_before: IntArray
-    all_now: IntArray
-    all_before: IntArray
-    epochs: IntArray
-    incomplete: IntArray
-    latest: IntArray
-    after: IntArray
-
-
-class _Entries(NamedTuple):
-    """Which packet belongs to which epoch, with which columns; and the epochs that ended.
-
-    `ended_after` and `ended_until` count main rows as `Epochs` does; `behind` is how many had begun before
-    each packet of a side stream, -1 for main packets.
-    """
-
-    row: IntArray
-    group: IntArray
-    epoch: IntArray
-    own: IntArray
-    ended: IntArray
-    ended_group: IntArray
-    ended_after: IntArray
-    ended_until: IntArray
-    behind: IntArray
-    counts: IntArray
+STATE = np.dtype(
+    [
+        (name, np.int64)
+        for name in (
+            "apart",
+            "epoch",  # number of the open epoch, 0: none
+            "key_kind",
+            "key",
+            "mask",  # columns that it has
+            "after",  # main rows complete when it began
+            "in_generation",
+            "generations",
+            "any_now",  # columns that any epoch of this generation had
+            "any_before",
+            "all_now",
+            "all_before",
+            "epochs",
+            "incomplete",
+        )
+    ]
+)
+"""What is carried for each group."""
+ENTRY = np.dtype([(name, np.int64) for name in ("row", "group", "epoch", "own")])
+"""A packet belongs to an epoch, with these of its columns."""
+ENDED = np.dtype([(name, np.int64) for name in ("epoch", "group", "after", "until")])
+"""An epoch that ended; `after` and `until` count main rows as `Epochs` does."""
+COUNTS = np.dtype([(name, np.int64) for name in ("latest", "entries", "ended")])
+"""Number of the latest epoch; entries and ended epochs so far."""
 
 
 class EpochAssembler:
@@ -109,14 +102,15 @@ class EpochAssembler:
     def __init__(self, groups: Groups) -> None:
         self._groups = groups
         n = len(groups.names)
-        self._state = _State._make(np.zeros((len(_State._fields), n), np.int64))
-        self._state.apart[:] = groups.apart
+        self._state: RecordArray = np.zeros(n, STATE)
+        self._state["apart"] = groups.apart
+        self._counts: RecordArray = np.zeros(1, COUNTS)
         self._bits: dict[str, int] = {}
         self._packets = np.zeros(n, np.int64)
         self.counted_aside: list[tuple[int, int]] = []
         """Of the side packets that `process` saw last: the main rows begun before each, and its counter."""
         self._pending: Packets | None = None
-        self._kept = np.zeros((4, 0), np.int64)
+        self._kept: RecordArray = np.zeros(0, ENTRY)
         self._columns: dict[str, set[str]] = {name: set() for name in groups.names}
 
     @property
@@ -124,9 +118,9 @@ class EpochAssembler:
         """What became of the packets, by stream; streams without epochs are left out."""
         state = self._state
         return {
-            name: EpochCounters(int(self._packets[g]), int(state.incomplete[g]))
+            name: EpochCounters(int(self._packets[g]), int(state["incomplete"][g]))
             for g, name in enumerate(self._groups.names)
-            if state.epochs[g]
+            if state["epochs"][g]
         }
 
     def columns(self, stream: str) -> frozenset[str]:
@@ -150,51 +144,36 @@ class EpochAssembler:
                 np.concatenate([self._pending.groups, packets.groups]),
             )
         masks, group_masks = self._masks(packets.block)
-        entries = self._assign(packets, held, masks, group_masks, end)
-        self.counted_aside = _counted(packets.block, entries.behind, held)
-        n, m = entries.counts[:2].tolist()
-        made = np.stack([entries.row[:n], entries.group[:n], entries.epoch[:n], entries.own[:n]])
-        ended, ended_group = entries.ended[:m], entries.ended_group[:m]
+        entries, ends, behind = self._assigned(packets, held, masks, group_masks, end)
+        self.counted_aside = _counted(packets.block, behind, held)
         found = {}
         for g, name in enumerate(self._groups.names):
-            of_group = ended_group == g
-            if g and not of_group.any():
+            ended = ends[ends["group"] == g]
+            if g and not len(ended):
                 continue
-            row, _, epoch, own = made[:, (made[1] == g) & np.isin(made[2], ended[of_group])]
-            self._packets[g] += len(row)
-            place, count = np.searchsorted(ended[of_group], epoch), int(of_group.sum())
-            block = self._gather(name, packets.block, (row, own, place), count)
-            more = _steps_within(packets.block, row, place, count)
-            after, until = entries.ended_after[:m][of_group], entries.ended_until[:m][of_group]
-            found[name] = Epochs(block, after, until, more)
-        self._keep(packets, made[:, ~np.isin(made[2], ended)])
+            made = entries[(entries["group"] == g) & np.isin(entries["epoch"], ended["epoch"])]
+            self._packets[g] += len(made)
+            place = np.searchsorted(ended["epoch"], made["epoch"])
+            block = self._gather(name, packets.block, made, place, len(ended))
+            more = _steps_within(packets.block, made["row"], place, len(ended))
+            found[name] = Epochs(block, ended["after"], ended["until"], more)
+        self._keep(packets, entries[~np.isin(entries["epoch"], ends["epoch"])])
         return found
 
-    def _assign(
+    def _assigned(
         self, packets: Packets, held: int, masks: IntArray, group_masks: IntArray, end: bool
-    ) -> _Entries:
-        n, kept = len(packets), self._kept.shape[1]
+    ) -> tuple[RecordArray, RecordArray, IntArray]:
+        """Return the entries, the epochs that ended, and the main rows begun before each side packet."""
+        n, kept = len(packets), len(self._kept)
         most = (n - held) * len(self._groups.names) + kept
-        room = np.zeros((4, most), np.int64)
-        room[:, :kept] = self._kept
-        ends = np.zeros((4, most + len(self._groups.names)), np.int64)
+        entries, ends = np.zeros(most, ENTRY), np.zeros(most + len(self._groups.names), ENDED)
+        entries[:kept] = self._kept
         behind = np.full(n, -1, np.int64)
-        entries = _Entries(
-            room[0],
-            room[1],
-            room[2],
-            room[3],
-            ends[0],
-            ends[1],
-            ends[2],
-            ends[3],
-            behind,
-            np.zeros(2, np.int64),
-        )
-        entries.counts[0] = kept
+        self._counts["entries"], self._counts["ended"] = kept, 0
         kind, key = _keys(packets.block)
-        _assign(packets.groups, kind, key, masks, group_masks, held, end, self._state, entries)
-        return entries
+        _assign(packets.groups, kind, key, masks, group_masks, held, end, self._state, entries, ends,
+                behind, self._counts)  # fmt: skip
+        return entries[: self._counts["entries"][0]], ends[: self._counts["ended"][0]], behind
 
     def _masks(self, block: SampleBlock) -> tuple[IntArray, IntArray]:
         """Return which columns each packet has, (n,), and which each group may have: a bit a column."""
@@ -216,13 +195,10 @@ class EpochAssembler:
         return np.int64(self._bits.setdefault(name, len(self._bits)) % 62)
 
     def _gather(
-        self, stream: str, block: SampleBlock, entries: tuple[IntArray, IntArray, IntArray], n: int
+        self, stream: str, block: SampleBlock, entries: RecordArray, place: IntArray, n: int
     ) -> SampleBlock:
-        """Return n rows of a stream from entries: packet, its columns that belong here, and its row.
-
-        Of several arrivals the first counts.
-        """
-        row, own, place = entries
+        """Return n rows of a stream, `place` being those of the entries; the first arrival counts."""
+        row, own = entries["row"], entries["own"]
         known = self._columns[stream]
         columns: dict[str, ColumnArray] = {}
         for name, values in block.columns.items():
@@ -242,15 +218,16 @@ class EpochAssembler:
             columns[name] = result
         return SampleBlock(columns)
 
-    def _keep(self, packets: Packets, made: IntArray) -> None:
+    def _keep(self, packets: Packets, entries: RecordArray) -> None:
         """Keep the packets of the entries whose epochs are not complete."""
-        rows, again = np.unique(made[0], return_inverse=True)
+        rows, again = np.unique(entries["row"], return_inverse=True)
+        self._kept = entries.copy()
+        self._kept["row"] = again.reshape(-1)
         if not len(rows):
-            self._pending, self._kept = None, np.zeros((4, 0), np.int64)
+            self._pending = None
             return
         block = SampleBlock({name: values[rows] for name, values in packets.block.columns.items()})
         self._pending = Packets(block, packets.groups[rows])
-        self._kept = np.concatenate([again.reshape(1, -1), made[1:]])
 
 
 def _present(values: ColumnArray) -> npt.NDArray[np.bool_]:
@@ -292,106 +269,112 @@ def _keys(block: SampleBlock) -> tuple[IntArray, IntArray]:
     return kind, key
 
 
+# Records are passed as whole arrays: a record of its own would be copied at each call.
+
+
 @njit
 def _assign(
-    groups: IntArray, kind: IntArray, key: IntArray, masks: IntArray, group_masks: IntArray,
-    first: int, end: bool, state: _State, entries: _Entries,
+    groups: IntArray, kind: IntArray, key: IntArray, masks: IntArray, group_masks: IntArray, first: int,
+    end: bool, state: Any, entries: Any, ends: Any, behind: IntArray, counts: Any,
 ) -> None:  # fmt: skip
-    """Assign packets from row `first` on to epochs (see the text of the module)."""
+    """Assign packets from row `first` on to epochs (see the text of the module).
+
+    `behind` is filled with how many main rows had begun before each packet of a side stream.
+    """
     n_groups = len(group_masks)
+    columns_apart = np.int64(0)
+    for g in range(1, n_groups):
+        if state[g].apart:
+            columns_apart |= group_masks[g]
     for i in range(first, len(groups)):
-        joined, together = groups[i] & 1 != 0, masks[i]
-        for g in range(1, n_groups):
-            if state.apart[g]:
-                together &= ~group_masks[g]
+        joined, together = groups[i] & 1 != 0, masks[i] & ~columns_apart
         if joined:
-            _add(0, i, kind[i], key[i], together, state, entries)
-        elif together and _joins(kind[i], key[i], together, state):
-            _enter(0, i, together, state, entries)
+            _add(0, i, kind[i], key[i], together, state, entries, ends, counts)
+        elif together and state[0].epoch and not _is_other(0, kind[i], key[i], together, state):
+            _enter(0, i, together, state, entries, ends, counts)
             joined = True
-        entries.behind[i] = -1 if joined else state.epochs[0] + (state.epoch[0] != 0)
+        if not joined:
+            behind[i] = state[0].epochs + (state[0].epoch != 0)
         for g in range(1, n_groups):
-            if not groups[i] >> g & 1 or (joined and not state.apart[g]):
+            if groups[i] >> g == 0:
+                break
+            if not groups[i] >> g & 1 or (joined and not state[g].apart):
                 continue
             own = masks[i] & group_masks[g]
-            if state.epoch[g] and _is_other(g, kind[i], key[i], own, state):
-                state.apart[g] = 1
-            _add(g, i, kind[i], key[i], own, state, entries)
+            if state[g].epoch and _is_other(g, kind[i], key[i], own, state):
+                state[g].apart = 1
+                columns_apart |= group_masks[g]
+            _add(g, i, kind[i], key[i], own, state, entries, ends, counts)
     if end:
         for g in range(n_groups):
-            if state.epoch[g]:
-                _end(g, state, entries)
+            if state[g].epoch:
+                _end(g, state, ends, counts)
 
 
 @njit
-def _joins(kind: int, key: int, own: int, state: _State) -> bool:
-    """Tell whether a packet without inertial fields belongs to the open epoch of the main stream."""
-    return bool(state.epoch[0] and not _is_other(0, kind, key, own, state))
-
-
-@njit
-def _is_other(g: int, kind: int, key: int, own: int, state: _State) -> bool:
+def _is_other(g: int, kind: int, key: int, own: int, state: Any) -> bool:
     """Tell whether a packet cannot belong to the open epoch of its group: another time, or a field again."""
-    other_time = kind != NO_TIME and (kind != state.key_kind[g] or key != state.key[g])
-    return bool(other_time or own & state.mask[g])
+    other_time = kind != NO_TIME and (kind != state[g].key_kind or key != state[g].key)
+    return bool(other_time or own & state[g].mask)
 
 
 @njit
-def _add(g: int, row: int, kind: int, key: int, own: int, state: _State, entries: _Entries) -> None:
+def _add(
+    g: int, row: int, kind: int, key: int, own: int, state: Any, entries: Any, ends: Any, counts: Any
+) -> None:
     """Add a packet to its group's epoch, which it may begin."""
-    if state.epoch[g] and _is_other(g, kind, key, own, state):
-        _end(g, state, entries)
-    if not state.epoch[g]:
-        state.latest[0] += 1
-        state.epoch[g] = state.latest[0]
-        state.key_kind[g], state.key[g], state.mask[g] = kind, key, 0
-        state.after[g] = state.epochs[0]
+    if state[g].epoch and _is_other(g, kind, key, own, state):
+        _end(g, state, ends, counts)
+    if not state[g].epoch:
+        counts[0].latest += 1
+        state[g].epoch = counts[0].latest
+        state[g].key_kind, state[g].key, state[g].mask = kind, key, 0
+        state[g].after = state[0].epochs
         if g == 0 and kind != NO_TIME:
-            _pull(kind, key, state, entries)
-    _enter(g, row, own, state, entries)
+            _pull(kind, key, state, entries, counts)
+    _enter(g, row, own, state, entries, ends, counts)
 
 
 @njit
-def _pull(kind: int, key: int, state: _State, entries: _Entries) -> None:
+def _pull(kind: int, key: int, state: Any, entries: Any, counts: Any) -> None:
     """Take into the new main epoch what came before it with the same time."""
-    for g in range(1, len(state.epoch)):
-        if state.apart[g] or not state.epoch[g] or state.key_kind[g] != kind or state.key[g] != key:
+    for g in range(1, len(state)):
+        if state[g].apart or not state[g].epoch or state[g].key_kind != kind or state[g].key != key:
             continue
-        for k in range(entries.counts[0] - 1, -1, -1):
-            if entries.epoch[k] == state.epoch[g]:
-                entries.epoch[k], entries.group[k] = state.epoch[0], 0
-        state.mask[0] |= state.mask[g]
-        state.epoch[g] = 0
+        for k in range(counts[0].entries - 1, -1, -1):
+            if entries[k].epoch == state[g].epoch:
+                entries[k].epoch, entries[k].group = state[0].epoch, 0
+        state[0].mask |= state[g].mask
+        state[g].epoch = 0
 
 
 @njit
-def _enter(g: int, row: int, own: int, state: _State, entries: _Entries) -> None:
+def _enter(g: int, row: int, own: int, state: Any, entries: Any, ends: Any, counts: Any) -> None:
     """Enter a packet into the open epoch, and end that when it has all that it may have."""
-    k = entries.counts[0]
-    entries.row[k], entries.group[k], entries.epoch[k], entries.own[k] = row, g, state.epoch[g], own
-    entries.counts[0] = k + 1
-    state.mask[g] |= own
-    usual = state.any_now[g] | state.any_before[g]
-    if state.generations[g] and state.mask[g] & usual == usual:
-        _end(g, state, entries)
+    k = counts[0].entries
+    entries[k].row, entries[k].group, entries[k].epoch, entries[k].own = row, g, state[g].epoch, own
+    counts[0].entries = k + 1
+    state[g].mask |= own
+    usual = state[g].any_now | state[g].any_before
+    if state[g].generations and state[g].mask & usual == usual:
+        _end(g, state, ends, counts)
 
 
 @njit
-def _end(g: int, state: _State, entries: _Entries) -> None:
+def _end(g: int, state: Any, ends: Any, counts: Any) -> None:
     """End the open epoch of a group, and learn what epochs have."""
-    k = entries.counts[1]
-    entries.ended[k], entries.ended_group[k] = state.epoch[g], g
-    entries.ended_after[k], entries.ended_until[k] = state.after[g], state.epochs[0]
-    entries.counts[1] = k + 1
-    mask = state.mask[g]
-    state.epoch[g] = 0
-    state.epochs[g] += 1
-    always = state.all_before[g]
-    state.incomplete[g] += state.generations[g] > 0 and mask & always != always
-    state.any_now[g] |= mask
-    state.all_now[g] = mask if state.in_generation[g] == 0 else state.all_now[g] & mask
-    state.in_generation[g] += 1
-    if state.in_generation[g] == GENERATION:
-        state.any_before[g], state.all_before[g] = state.any_now[g], state.all_now[g]
-        state.any_now[g] = state.in_generation[g] = 0
-        state.generations[g] += 1
+    k = counts[0].ended
+    ends[k].epoch, ends[k].group = state[g].epoch, g
+    ends[k].after, ends[k].until = state[g].after, state[0].epochs
+    counts[0].ended = k + 1
+    mask, always = state[g].mask, state[g].all_before
+    state[g].epoch = 0
+    state[g].epochs += 1
+    state[g].incomplete += state[g].generations > 0 and mask & always != always
+    state[g].any_now |= mask
+    state[g].all_now = mask if state[g].in_generation == 0 else state[g].all_now & mask
+    state[g].in_generation += 1
+    if state[g].in_generation == GENERATION:
+        state[g].any_before, state[g].all_before = state[g].any_now, state[g].all_now
+        state[g].any_now = state[g].in_generation = 0
+        state[g].generations += 1

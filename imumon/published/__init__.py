@@ -1,6 +1,10 @@
 """The methods of the papers, as they are printed; the defaults of the estimators are elsewhere.
 
-`fir` is the temperature rate of Kozlov and Tarygin, `random_error` the stage with the filters of Shi Gang et
-al. (`linear`, `sigma_points`), `dense_zupt` the gyro bias of Fontanella et al., and `fixed_gain_loop` the
-alignment of Lee et al.
+- `fir` (with `square_root`): temperature rate of Kozlov and Tarygin; `rate_comparison` has what they compare.
+- `random_error`: stage with the filters of Shi Gang et al., `linear` (model L) and `sigma_points` (model NL);
+  they begin from `local_level` and stand beside `rest_means`.
+- `dense_zupt`: ZUPT and TCZUPT of Fontanella et al.
+- `self_alignment`: fixed-gain loop, total average and curve fit of Lee et al.
+
+`names` has what the user calls them; `imumon.run.published` makes them.
 """

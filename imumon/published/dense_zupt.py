@@ -1,25 +1,45 @@
-"""The textbook filter: 12 error states, mechanization, zero velocity; what the fast one is measured against.
+"""ZUPT and TCZUPT as printed: 12 error states, mechanization, zero velocity.
 
 Error states are attitude (phi, true C = (1 + [phi x]) C), velocity, gyro bias and accelerometer bias, closed
 loop, in north-east-down.  After Fontanella, Accardo, Schiano Lo Moriello, Angrisani and De Simone, Sensors
-2018, 18(5), 1457, sections 2 and 3.
+2018, 18(5), 1457, sections 2 and 3.  The standard filter takes gyros that a calibration has corrected, and
+its bias walks at random; TCZUPT takes raw ones and adds T_s (db/dT) T' to the bias at every step.
+
+A step takes one sample, or the mean of several: with the noise given as densities the result is the same.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
-from imumon.blocks import FloatArray
-from imumon.compiled import njit
+from imumon.blocks import NO_INT, ColumnArray, FloatArray, SampleBlock
+from imumon.columns import Column
+from imumon.filters.kalman import Estimate, correct, predict
+from imumon.filters.slots import SlotGatherer
 from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY, body_to_ned
+from imumon.models.model import BiasModel
+from imumon.models.predictor import BiasPredictor
+from imumon.published.shown import Shown
 
 STATES = 12
+PHI, VELOCITY, GYRO, ACCEL = (slice(k, k + 3) for k in range(0, STATES, 3))
+"""Places of the error states."""
+YAW = 2
+MEASURED_S = 0.01
+"""The standard deviations of the measurements are those of one every 10 ms, as at the paper's 100 Hz."""
+SLOT_S = 0.25
+ZEROING_S = 60.0
+LEVELLING_S = 1.0
+"""s at rest whose mean specific force is the vertical after a motion."""
+METHODS = ("dense_zupt", "dense_tczupt")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class DenseSettings:
     """Noise and start of the filter, SI units.
 
@@ -27,9 +47,10 @@ class DenseSettings:
     ----------
     interval_s : float
         Between samples.
-    latitude_deg, heading_deg : float
-        Of the place, and of the body's x axis clockwise from north.
-    angle_random_walk, velocity_random_walk : float
+    latitude_deg, heading_deg : float or None
+        Of the place, and of the body's x axis clockwise from north.  Without the heading the filter knows of
+        the earth rate the vertical part only, without the latitude nothing: the rest is part of the bias.
+    angle_random_walk, velocity_random_walk : float, or array (3,)
         rad/sqrt(s) and m/s/sqrt(s).
     bias_random_walk, bias_sd : float
         K in rad/s/sqrt(s), and the standard deviation p0 of the bias at the start, rad/s.
@@ -38,16 +59,16 @@ class DenseSettings:
     angle_sd, velocity_sd : float
         Of tilt and yaw (rad) and of the velocity (m/s) at the start.
     zero_velocity_sd : float
-        Of the velocity measurement of every sample, m/s.
+        Of a velocity measurement every `MEASURED_S`, m/s.
     yaw_hold_sd : float or None
-        Of the yaw measurement of every sample, rad.  None: yaw is free, and with it the vertical gyro's bias.
+        Of a yaw measurement every `MEASURED_S`, rad.  None: yaw is free, and so is the vertical bias.
     """
 
     interval_s: float
-    latitude_deg: float = 40.93
-    heading_deg: float = 0.0
-    angle_random_walk: float = math.radians(0.28) / 60
-    velocity_random_walk: float = 1e-3
+    latitude_deg: float | None = 40.93
+    heading_deg: float | None = 0.0
+    angle_random_walk: float | FloatArray = math.radians(0.28) / 60
+    velocity_random_walk: float | FloatArray = 1e-3
     bias_random_walk: float = math.radians(0.1) / 3600
     bias_sd: float = math.radians(2.2) / 3600
     accel_bias_random_walk: float = 1e-6 * STANDARD_GRAVITY
@@ -56,6 +77,43 @@ class DenseSettings:
     velocity_sd: float = 1e-3
     zero_velocity_sd: float = 1e-3
     yaw_hold_sd: float | None = 1e-4
+
+    @cached_property
+    def earth(self) -> FloatArray:
+        """Earth rate north, east, down, as far as it is known, rad/s, (3,)."""
+        if self.latitude_deg is None:
+            return np.zeros(3)
+        latitude = math.radians(self.latitude_deg)
+        north = 0.0 if self.heading_deg is None else math.cos(latitude)
+        return EARTH_RATE * np.array([north, 0.0, -math.sin(latitude)])
+
+    @cached_property
+    def start(self) -> FloatArray:
+        """Covariance at the start, (12, 12)."""
+        sds = [self.angle_sd, self.velocity_sd, self.bias_sd, self.accel_bias_sd]
+        return np.diag(np.repeat(np.square(sds), 3))
+
+    @cached_property
+    def noise(self) -> FloatArray:
+        """Process noise of a step, (12, 12)."""
+        walks = (
+            self.angle_random_walk,
+            self.velocity_random_walk,
+            self.bias_random_walk,
+            self.accel_bias_random_walk,
+        )
+        return np.diag(np.concatenate([np.broadcast_to(walk, 3) for walk in walks]) ** 2 * self.interval_s)
+
+    @cached_property
+    def measured(self) -> tuple[FloatArray, FloatArray]:
+        """H and R of a step: three velocities, and the yaw where it is held."""
+        h = np.zeros((3, STATES))
+        h[:, VELOCITY] = np.eye(3)
+        variances = [self.zero_velocity_sd**2] * 3
+        if self.yaw_hold_sd is not None:
+            h = np.vstack([h, np.arange(STATES) == YAW])
+            variances.append(self.yaw_hold_sd**2)
+        return h, np.diag(variances) * (MEASURED_S / self.interval_s)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,6 +133,113 @@ class DenseRun:
     innovation: FloatArray
 
 
+@dataclass
+class State:
+    """What the filter carries from step to step.
+
+    Parameters
+    ----------
+    attitude, held : array (3, 3)
+        C, body to north-east-down, now and at the start: the yaw that is held.
+    gravity : float
+        m/s².
+    bias, accel_bias : array (3,)
+        rad/s and m/s², body axes.
+    velocity : array (3,)
+        m/s.
+    covariance : array (12, 12)
+        Of the error states.
+    """
+
+    attitude: FloatArray
+    held: FloatArray
+    gravity: float
+    bias: FloatArray
+    covariance: FloatArray
+    velocity: FloatArray = field(default_factory=lambda: np.zeros(3))
+    accel_bias: FloatArray = field(default_factory=lambda: np.zeros(3))
+
+    @property
+    def bias_sd(self) -> FloatArray:
+        """rad/s, (3,)."""
+        return np.sqrt(np.diag(self.covariance)[GYRO])
+
+
+def begin(
+    settings: DenseSettings, force: FloatArray, bias: FloatArray, up: FloatArray | None = None
+) -> State:
+    """Return the state at rest with a mean specific force (3,), along which `up` is by default."""
+    up = force if up is None else up
+    attitude = body_to_ned(up / np.linalg.norm(up), math.radians(settings.heading_deg or 0.0))
+    gravity = float(np.linalg.norm(force))
+    return State(attitude, attitude, gravity, np.array(bias, np.float64), settings.start)
+
+
+def cross(a: FloatArray) -> FloatArray:
+    """Return [a x], (3, 3)."""
+    x, y, z = a.tolist()
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def turn(a: FloatArray) -> FloatArray:
+    """Return exp([a x]) for a small rotation vector in rad, to second order."""
+    small = cross(a)
+    return np.eye(3) + small + 0.5 * (small @ small)
+
+
+def transition(state: State, force: FloatArray, earth: FloatArray, dt: float) -> FloatArray:
+    """Return F = 1 + A dt of the error states, and half (A dt)² from bias to velocity, (12, 12).
+
+    phi' = -[earth x] phi - C b_g,  v' = -[C f x] phi - C b_a.
+    """
+    f = np.eye(STATES)
+    f[PHI, PHI] -= dt * cross(earth)
+    f[VELOCITY, PHI] = -dt * cross(force)
+    f[PHI, GYRO] = f[VELOCITY, ACCEL] = -dt * state.attitude
+    f[VELOCITY, GYRO] = 0.5 * f[VELOCITY, PHI] @ f[PHI, GYRO]
+    return f
+
+
+def step(
+    state: State, settings: DenseSettings, gyro: FloatArray, accel: FloatArray, drift: FloatArray
+) -> FloatArray:
+    """Go on by one step at rest; return the innovations over their standard deviations, (3,).
+
+    Parameters
+    ----------
+    gyro, accel : array (3,)
+        rad/s and m/s², body axes; means over the step.
+    drift : array (3,)
+        What the thermal model adds to the bias, rad/s: T_s (db/dT) T'; zero for the standard filter.
+    """
+    dt, earth = settings.interval_s, settings.earth
+    # Mechanization: the step's rotation half before and half after the specific force.
+    state.bias = state.bias + drift
+    half = turn(0.5 * dt * (gyro - state.bias - state.attitude.T @ earth))
+    state.attitude = state.attitude @ half
+    force = state.attitude @ (accel - state.accel_bias)
+    state.attitude = state.attitude @ half
+    state.velocity = state.velocity + dt * (force + np.array([0.0, 0.0, state.gravity]))
+    predicted = predict(
+        Estimate(np.zeros(STATES), state.covariance),
+        transition(state, force, earth, dt),
+        settings.noise,
+    )
+    h, r = settings.measured
+    z = -state.velocity
+    if len(h) > 3:
+        off = state.held @ state.attitude.T
+        z = np.append(z, 0.5 * (off[1, 0] - off[0, 1]))
+    found = correct(predicted, z, h, r)
+    error = found.estimate.mean
+    state.covariance = found.estimate.covariance
+    state.attitude = turn(error[PHI]) @ state.attitude
+    state.velocity = state.velocity + error[VELOCITY]
+    state.bias = state.bias + error[GYRO]
+    state.accel_bias = state.accel_bias + error[ACCEL]
+    return found.standardised[:3]
+
+
 def dense_filter(
     settings: DenseSettings,
     gyro: FloatArray,
@@ -82,6 +247,7 @@ def dense_filter(
     bias: FloatArray,
     drift: FloatArray | None = None,
     up: FloatArray | None = None,
+    every: int = 1,
 ) -> DenseRun:
     """Filter a record at rest.
 
@@ -97,128 +263,163 @@ def dense_filter(
         b(T_k) - b(T_k-1) in the better one.  None for the standard filter.
     up : array (3,), optional
         Direction of the specific force at the start; by default that of the first second.
+    every : int
+        Samples to a step; between its steps the bias moves by the drift alone.
     """
-    if up is None:
-        up = accel[: max(1, round(1.0 / settings.interval_s))].mean(0)
-    up = up / np.linalg.norm(up)
-    matrix = body_to_ned(up, math.radians(settings.heading_deg))
-    latitude = math.radians(settings.latitude_deg)
-    earth = EARTH_RATE * np.array([math.cos(latitude), 0.0, -math.sin(latitude)])
-    s = settings
-    start = np.repeat([s.angle_sd, s.velocity_sd, s.bias_sd, s.accel_bias_sd], 3) ** 2
-    walks = [s.angle_random_walk, s.velocity_random_walk, s.bias_random_walk, s.accel_bias_random_walk]
-    noise = np.repeat(walks, 3) ** 2 * s.interval_s
-    yaw_variance = -1.0 if s.yaw_hold_sd is None else s.yaw_hold_sd**2
     n = len(gyro)
-    run = DenseRun(np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3)))
-    gravity = float(np.linalg.norm(accel[: max(1, round(1.0 / s.interval_s))].mean(0)))
-    _run(
-        np.ascontiguousarray(gyro),
-        np.ascontiguousarray(accel),
-        np.zeros((n, 3)) if drift is None else np.ascontiguousarray(drift),
-        s.interval_s,
-        matrix,
-        earth,
-        gravity,
-        np.array(bias, np.float64),
-        np.diag(start),
-        noise,
-        s.zero_velocity_sd**2,
-        yaw_variance,
-        run.bias,
-        run.bias_sd,
-        run.innovation,
-    )
+    drift = np.zeros((n, 3)) if drift is None else drift
+    first = accel[: max(1, round(1.0 / settings.interval_s))].mean(0)
+    state = begin(settings, first, bias, up)
+    long = replace(settings, interval_s=settings.interval_s * every)
+    run = DenseRun(np.empty((n, 3)), np.empty((n, 3)), np.full((n, 3), np.nan))
+    for start in range(0, n - every + 1, every):
+        part, last = slice(start, start + every), start + every - 1
+        moved = np.cumsum(drift[part], axis=0)
+        run.bias[part], run.bias_sd[part] = state.bias + moved, state.bias_sd
+        # The bias of a step is that at its end.
+        rate = gyro[part].mean(0) - moved.mean(0) + moved[-1]
+        run.innovation[last] = step(state, long, rate, accel[part].mean(0), moved[-1])
+        run.bias[last], run.bias_sd[last] = state.bias, state.bias_sd
+    run.bias[n - n % every :], run.bias_sd[n - n % every :] = state.bias, state.bias_sd
     return run
 
 
-@njit
-def _turn(matrix: FloatArray, x: float, y: float, z: float, left: bool) -> FloatArray:
-    """Return exp([a x]) C (left) or C exp([a x]) for a small a, to second order."""
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    turn = np.eye(3) + cross + 0.5 * (cross @ cross)
-    turned: FloatArray = turn @ matrix if left else matrix @ turn
-    return turned
+def with_angle_random_walk(settings: DenseSettings, density: FloatArray) -> DenseSettings:
+    """Return the settings for another white noise of the gyros, rad/sqrt(s), () or (3,)."""
+    return replace(settings, angle_random_walk=density)
 
 
-@njit
-def _transition(f: FloatArray, matrix: FloatArray, force: FloatArray, earth: FloatArray, dt: float) -> None:
-    """Write F = 1 + A dt, and half (A dt)^2 from bias to velocity, into f (12, 12) whose diagonal is 1."""
-    n, e, d = force[0] * dt, force[1] * dt, force[2] * dt
-    f[0, 1], f[0, 2] = earth[2] * dt, -earth[1] * dt
-    f[1, 0], f[1, 2] = -earth[2] * dt, earth[0] * dt
-    f[2, 0], f[2, 1] = earth[1] * dt, -earth[0] * dt
-    f[3, 1], f[3, 2] = d, -e
-    f[4, 0], f[4, 2] = -d, n
-    f[5, 0], f[5, 1] = e, -n
-    for i in range(3):
-        for j in range(3):
-            f[i, 6 + j] = -matrix[i, j] * dt
-            f[3 + i, 9 + j] = -matrix[i, j] * dt
-    for i in range(3):
-        for j in range(3):
-            along = f[3 + i, 0] * f[0, 6 + j] + f[3 + i, 1] * f[1, 6 + j] + f[3 + i, 2] * f[2, 6 + j]
-            f[3 + i, 6 + j] = 0.5 * along
+class DenseZupt:
+    """ZUPT on calibrated data, or TCZUPT, as a stage: ``{method}_gyro_bias_{axis}`` of the raw rate, and sd.
 
+    The first minute at rest is the initial zeroing.  In motion the bias is predicted only; after it the unit
+    is levelled anew.
 
-@njit
-def _measure(x: FloatArray, p: FloatArray, state: int, z: float, variance: float) -> float:
-    """Take in z = x[state] + noise, in Joseph's form; return the innovation over its standard deviation."""
-    row = p[state].copy()
-    s = row[state] + variance
-    innovation = z - x[state]
-    for i in range(STATES):
-        gain = row[i] / s
-        x[i] += gain * innovation
-        for j in range(STATES):
-            other = row[j] / s
-            p[i, j] += gain * other * s - gain * row[j] - row[i] * other
-    return float(innovation / math.sqrt(s))
+    Parameters
+    ----------
+    method : "dense_zupt" or "dense_tczupt"
+    settings : DenseSettings
+        Its interval is that of the slots.
+    model : BiasModel, optional
+        Bias over temperature: taken off before dense_zupt, slope of the bias for dense_tczupt, which also
+        needs the column ``temperature_rate`` (or one for each axis).
+    assume_rest : bool
+        Whether the unit is at rest throughout when nothing says (no column ``at_rest``).
+    """
 
+    def __init__(
+        self,
+        method: str,
+        settings: DenseSettings | None = None,
+        model: BiasModel | None = None,
+        assume_rest: bool = False,
+    ) -> None:
+        self._method = method
+        self._settings = replace(settings or DenseSettings(SLOT_S), interval_s=SLOT_S)
+        channels = [f"gyro_{a}" for a in "xyz" if model is not None and f"gyro_{a}" in model.channels]
+        self._predictor = BiasPredictor(model, channels) if model is not None and channels else None
+        self._axes = ["xyz".index(name[-1]) for name in channels]
+        self._assume_rest = assume_rest
+        self._gatherer = SlotGatherer(10, round(SLOT_S * 1e9))
+        self._shown = Shown((2, 3))
+        self._state: State | None = None
+        self._resting: list[FloatArray] = []
 
-@njit
-def _run(
-    gyro: FloatArray,
-    accel: FloatArray,
-    drift: FloatArray,
-    dt: float,
-    matrix: FloatArray,
-    earth: FloatArray,
-    gravity: float,
-    bias: FloatArray,
-    p: FloatArray,
-    noise: FloatArray,
-    velocity_variance: float,
-    yaw_variance: float,
-    out_bias: FloatArray,
-    out_sd: FloatArray,
-    out_innovation: FloatArray,
-) -> None:
-    held, accel_bias, velocity = matrix.copy(), np.zeros(3), np.zeros(3)
-    f, x = np.eye(STATES), np.zeros(STATES)
-    for k in range(len(gyro)):
-        bias += drift[k]
-        rate = gyro[k] - bias - matrix.T @ earth
-        x[:3] = 0.5 * dt * rate
-        matrix = _turn(matrix, x[0], x[1], x[2], False)
-        force = matrix @ (accel[k] - accel_bias)
-        matrix = _turn(matrix, x[0], x[1], x[2], False)
-        velocity += force * dt
-        velocity[2] += gravity * dt
-        _transition(f, matrix, force, earth, dt)
-        p = f @ p @ f.T
-        for i in range(STATES):
-            p[i, i] += noise[i]
-        x[:] = 0.0
-        for i in range(3):
-            out_innovation[k, i] = _measure(x, p, 3 + i, -velocity[i], velocity_variance)
-        if yaw_variance > 0.0:
-            off = held @ matrix.T
-            _measure(x, p, 2, 0.5 * (off[1, 0] - off[0, 1]), yaw_variance)
-        matrix = _turn(matrix, x[0], x[1], x[2], True)
-        velocity += x[3:6]
-        bias += x[6:9]
-        accel_bias += x[9:12]
-        for i in range(3):
-            out_bias[k, i] = bias[i]
-            out_sd[k, i] = math.sqrt(p[6 + i, 6 + i])
+    @property
+    def columns(self) -> Sequence[Column]:
+        """The columns that `process` adds."""
+        texts = (("gyro_bias", "bias of the raw rate by this method"), ("gyro_bias_sd", "its sigma"))
+        return [
+            Column(f"{self._method}_{name}_{a}", "rad/s", description=f"{text}, {a}")
+            for name, text in texts
+            for a in "xyz"
+        ]
+
+    def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
+        """Return the new columns of a block, NaN before the zeroing is over.
+
+        Needs ``device_time_ns``, ``segment``, gyros, accelerometers and ``at_rest``.
+        """
+        n, gyro, accel = len(block), block.gyro, block.accel
+        curve, warming = self._model(block)
+        values = np.full((n, 10), np.nan)
+        if gyro is not None and accel is not None:
+            values[:, :3], values[:, 3:6] = gyro - curve, accel
+        values[:, 6:9] = warming
+        values[:, 9] = self._assume_rest
+        if "at_rest" in block:
+            values[:, 9] = (block["at_rest"] != 0) & (block["at_rest"] != NO_INT)
+        slots = self._gatherer.process(block["device_time_ns"], block["segment"], values)
+        said = np.full((len(slots), 2, 3), np.nan)
+        for k in range(len(slots)):
+            if slots.begins[k]:
+                self._state, self._resting = None, []
+            self._take(slots.mean[k], bool(slots.smallest[k, 9] == 1.0))
+            if self._state is not None:
+                said[k] = self._state.bias, self._state.bias_sd
+        shown = self._shown.spread(slots.row, said, self._shown.breaks(block), n)
+        bias = shown[:, 0] + curve
+        return {
+            column.name: part for column, part in zip(self.columns, [*bias.T, *shown[:, 1].T], strict=True)
+        }
+
+    def _take(self, mean: FloatArray, rests: bool) -> None:
+        """Take in a slot of gyros (3), accelerometers (3), warming (3) and rest."""
+        state, settings = self._state, self._settings
+        drift = SLOT_S * np.nan_to_num(mean[6:9])
+        if not rests or not np.isfinite(mean[:6]).all():
+            self._resting = []
+            if state is not None:
+                state.bias = state.bias + drift
+                state.covariance[GYRO, GYRO] += settings.noise[GYRO, GYRO]
+                state.velocity[:] = np.nan
+            return
+        if state is not None and np.isfinite(state.velocity).all():
+            # The bias of a step is that at its end.
+            step(state, settings, mean[:3] + 0.5 * drift, mean[3:6], drift)
+            return
+        # A zeroing or a levelling is under way.  Rates before refer to the bias of now.
+        self._resting = [np.concatenate([past[:3] + drift, past[3:]]) for past in self._resting]
+        self._resting.append(mean[:6])
+        if state is not None:
+            state.bias = state.bias + drift
+            state.covariance[GYRO, GYRO] += settings.noise[GYRO, GYRO]
+        if len(self._resting) * SLOT_S < (ZEROING_S if state is None else LEVELLING_S) - 1e-9:
+            return
+        means = np.mean(self._resting, axis=0)
+        fresh = begin(settings, means[3:], np.zeros(3))
+        if state is None:
+            fresh.bias = means[:3] - fresh.attitude.T @ settings.earth
+        else:
+            fresh.bias = state.bias
+            fresh.covariance[GYRO, GYRO] = state.covariance[GYRO, GYRO]
+        self._state, self._resting = fresh, []
+
+    def _model(self, block: SampleBlock) -> tuple[FloatArray, FloatArray]:
+        """Return what is taken off the gyros, and how fast the bias moves by the model, rad/s², (n, 3)."""
+        curve, warming = np.zeros((len(block), 3)), np.zeros((len(block), 3))
+        if self._predictor is None:
+            return curve, warming
+        names = self._predictor.temperature_columns
+        temperature, rate = (
+            np.full((len(block), len(names)), np.nan),
+            np.full((len(block), len(names)), np.nan),
+        )
+        for j, name in enumerate(names):
+            suffix = name.removeprefix("temperature").removeprefix("_estimate")
+            for column in (f"temperature_estimate{suffix}", f"temperature{suffix}"):
+                if column in block:
+                    temperature[:, j] = block[column]
+                    break
+            if f"temperature_rate{suffix}" in block:
+                rate[:, j] = block[f"temperature_rate{suffix}"]
+        predicted = self._predictor.process(block["device_time_ns"], block["segment"], temperature)
+        if self._method == "dense_zupt":
+            curve[:, self._axes] = predicted.bias
+        else:
+            warming[:, self._axes] = predicted.slope * rate
+        return curve, warming
+
+    def notices(self) -> list[str]:
+        """Return nothing: the default says what is missing."""
+        return []

@@ -2,24 +2,31 @@
 
 After Kozlov and Tarygin, "Real-Time Estimation of Temperature Time Derivative in Inertial Measurement Unit by
 Finite-Impulse-Response Exponential Regression on Updates", Sensors 2020, 20(5), 1299.  Equation numbers are
-those of the paper.
+those of the paper, and `square_root` has its appendices.
+
+A measurement exists when the reading changes level (4), or when the model has left the reading (15).  In
+between, and until the oldest measurement expires, state and outputs are functions of time alone; so whole
+stretches of samples are evaluated at once, and what happens at a sample is written per event.
 
 The recursion is the paper's, with two safeguards that keep it a least-squares fit of its buffer.  The state
 is fitted anew from the buffer (a) when taking out a measurement would cost too many digits, and (b) every
 `REFIT_SPAN` time constants: moving t0 shrinks the covariance of γ by e^(-s) each time, and with it what is
-left of the start's 10⁶ °C, which after an hour would hold γ at nought as firmly as a measurement does.
+left of the start's 10⁶ °C, which after an hour would hold γ at zero as firmly as a measurement does.
 """
 
 from __future__ import annotations
 
 import math
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 
-from imumon.blocks import FloatArray, IntArray
-from imumon.compiled import njit
-from imumon.estimation.temperature_rate.series import RateEstimate, Resumable
-from imumon.published.square_root import pull_back, rotate_in, solve, update
+from imumon.blocks import ColumnArray, FloatArray, IntArray, SampleBlock
+from imumon.columns import Column
+from imumon.published.square_root import fit, pull_back, update
 
 START_SD = 1e6
 """Standard deviation of each coefficient before the first measurement."""
@@ -29,23 +36,31 @@ REFIT_SPAN = 2.0
 """Time constants by which t0 may move before the state is fitted anew."""
 LEAST_SHARE = 1e-4
 """A measurement is pulled back only when the others leave this share of its variance to it."""
-
-# Numbers of the state.
-T0_BIAS, LAST_READING, LAST_TEMPERATURE, SHIFT = range(4)
-# Integers of the state: oldest and number of measurements in the buffer, whether the filter has started, and
-# how often it was fitted anew.
-OLDEST, COUNT, STARTED, REFITS = range(4)
-# Numbers of the parameters.
-STEP, WINDOW, TIME_CONSTANT = range(3)
+STRETCH = 64
+"""Samples that are evaluated at once at first; twice as many each time nothing happens."""
 
 
-class FirRate(Resumable):
-    """Least squares of a short-term model over the level changes of the last few minutes.
+@dataclass(frozen=True, slots=True, eq=False)
+class RateSeries:
+    """Temperature and its rate with their standard deviations, arrays of shape (n,).
+
+    °C, °C/s, °C and °C/s; NaN where there is no estimate.
+    """
+
+    temperature: FloatArray
+    rate: FloatArray
+    temperature_sd: FloatArray
+    rate_sd: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Params:
+    """What a user may set.
 
     Parameters
     ----------
     order : int
-        3: α + βu + γe^(-u) (eq. 13); 2: α + βu, the paper's section 4.2.
+        3: α + βu + γe^(-u) (13); 2: α + βu, the paper's section 4.2.
     step : float
         Quantization step δτ of the sensor in °C.
     window_s : float
@@ -53,46 +68,176 @@ class FirRate(Resumable):
     time_constant_s : float
         Time constant T0 in s.
     buffer_size : int
-        Measurements kept at most, N > 2 `order`.
+        N > 2 `order`; when so many measurements are in the buffer, the oldest goes.
+    """
+
+    order: int
+    step: float
+    window_s: float
+    time_constant_s: float
+    buffer_size: int
+
+    def __post_init__(self) -> None:
+        positive = self.step > 0 and self.window_s > 0 and self.time_constant_s > 0
+        if not (positive and self.buffer_size > 2 * self.order):
+            raise ValueError("step, window and time constant must be positive, and the buffer exceed 2 n")
+
+    @property
+    def sigma(self) -> float:
+        """σ0 of a measurement, °C."""
+        return self.step / 4.0
+
+
+@dataclass
+class State:
+    """What the filter carries from sample to sample.
+
+    Parameters
+    ----------
+    x : array (n,)
+        α, β (and γ), °C.
+    s : array (n, n)
+        Upper triangular, S Sᵀ the covariance.
+    t0 : float
+        Time bias, s.
+    last_reading, temperature : float
+        Of the last sample, °C.
+    buffer : deque of (value, time)
+        Measurements in use, oldest first, °C and s.
+    shift : float
+        Time constants by which t0 moved since the last fit.
+    """
+
+    x: FloatArray
+    s: FloatArray
+    t0: float
+    last_reading: float
+    temperature: float
+    buffer: deque[tuple[float, float]] = field(default_factory=deque)
+    shift: float = 0.0
+
+
+def model_row(order: int, u: float) -> FloatArray:
+    """Return h (13) at u = (t - t0)/T0, (n,)."""
+    return np.array([1.0, u, math.exp(-u)][:order])
+
+
+def start(params: Params, t: float, reading: float) -> State:
+    """Listing 1: 2n virtual measurements of the first reading, one a minute into the past."""
+    n = params.order
+    state = State(np.zeros(n), START_SD * np.eye(n), t - 2 * n * START_SPACING_S, reading, reading)
+    for k in range(2 * n, 0, -1):
+        measure(state, params, t - k * START_SPACING_S, reading)
+    return state
+
+
+def measure(state: State, params: Params, t: float, z: float) -> None:
+    """Store a measurement (4, 15) and take it into the state (9, 11)."""
+    state.buffer.append((z, t))
+    u = (t - state.t0) / params.time_constant_s
+    state.x, state.s = update(state.x, state.s, z, model_row(params.order, u), params.sigma)
+
+
+def expires_s(state: State, params: Params) -> float:
+    """Return when the oldest measurement expires (section 3.3), infinity if not before another comes."""
+    buffer = state.buffer
+    if len(buffer) == params.buffer_size:
+        return -math.inf
+    # As in listing 2 the newest and the second oldest must be T_w apart, and 2 n measurements remain.
+    if len(buffer) <= 2 * params.order or buffer[-1][1] - buffer[1][1] < params.window_s:
+        return math.inf
+    return buffer[0][1] + params.window_s
+
+
+def expire(state: State, params: Params, t: float) -> None:
+    """Pull back what has expired or overflows the buffer (12), and move t0 (section 3.4)."""
+    sound = True
+    while t > expires_s(state, params):
+        z, time = state.buffer.popleft()
+        if sound:
+            h = model_row(params.order, (time - state.t0) / params.time_constant_s)
+            pulled = pull_back(state.x, state.s, z, h, params.sigma, LEAST_SHARE)
+            sound = pulled is not None
+            state.x, state.s = pulled or (state.x, state.s)
+    oldest = state.buffer[0][1]
+    shift = (oldest - state.t0) / params.time_constant_s
+    state.t0, state.shift = oldest, state.shift + shift
+    if sound and state.shift <= REFIT_SPAN:
+        state.x, state.s = move_bias(state.x, state.s, shift)
+    else:
+        refit(state, params)
+
+
+def move_bias(x: FloatArray, s: FloatArray, shift: float) -> tuple[FloatArray, FloatArray]:
+    """Move t0 by `shift` time constants (16): x ← C x, S ← C S.
+
+    C and S are upper triangular with positive diagonals, so C S is the Cholesky factor of C S Sᵀ Cᵀ; to form
+    that product first would square the condition number.
+    """
+    n = len(x)
+    c = np.array([[1.0, shift, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, math.exp(-shift)]])[:n, :n]
+    return c @ x, c @ s
+
+
+def refit(state: State, params: Params) -> None:
+    """Fit the measurements of the buffer from scratch."""
+    data = np.array(state.buffer)
+    rows = np.array([model_row(params.order, u) for u in (data[:, 1] - state.t0) / params.time_constant_s])
+    state.x, state.s = fit(rows, data[:, 0], params.sigma, START_SD)
+    state.shift = 0.0
+
+
+def evaluate(state: State, params: Params, seconds: FloatArray) -> RateSeries:
+    """Return the four outputs (13, 17) at these times.
+
+    Written out, not as a product of matrices: the same sample must give the same bits in any block.
+    """
+    x, s, constant = state.x, state.s, params.time_constant_s
+    u = (seconds - state.t0) / constant
+    t1 = s[0, 1] + u * s[1, 1]
+    if params.order == 2:
+        temperature_sd = np.sqrt(s[0, 0] ** 2 + t1**2)
+        rate = np.full(len(u), x[1] / constant)
+        return RateSeries(x[0] + u * x[1], rate, temperature_sd, np.full(len(u), abs(s[1, 1]) / constant))
+    decay = np.exp(-u)
+    t2 = s[0, 2] + u * s[1, 2] + decay * s[2, 2]
+    r2 = s[1, 2] - decay * s[2, 2]
+    return RateSeries(
+        x[0] + u * x[1] + decay * x[2],
+        (x[1] - decay * x[2]) / constant,
+        np.sqrt(s[0, 0] ** 2 + t1**2 + t2**2),
+        np.sqrt(s[1, 1] ** 2 + r2**2) / constant,
+    )
+
+
+class FirRate:
+    """Least squares of a short-term model over the level changes of the last few minutes.
+
+    Parameters
+    ----------
+    order, step, window_s, time_constant_s, buffer_size
+        See `Params`.
+
+    Raises
+    ------
+    ValueError
+        When they are out of range.
     """
 
     def __init__(
         self, order: int, step: float, window_s: float, time_constant_s: float, buffer_size: int
     ) -> None:
-        if not (step > 0 and window_s > 0 and time_constant_s > 0 and buffer_size > 2 * order):
-            raise ValueError("step, window and time constant must be positive, and the buffer exceed 2 n")
-        self._parameters = np.array([step, window_s, time_constant_s])
-        self._x = np.zeros(order)
-        self._s = np.zeros((order, order))
-        self._buffer = np.zeros((buffer_size, 2))
-        self._numbers = np.zeros(4)
-        self._integers: IntArray = np.zeros(4, np.int64)
-        super().__init__(
-            x=self._x, s=self._s, buffer=self._buffer, numbers=self._numbers, integers=self._integers
-        )
-
-    @property
-    def coefficients(self) -> FloatArray:
-        """The state x: α, β (and γ) in °C, (n,)."""
-        return self._x.copy()
-
-    @property
-    def root(self) -> FloatArray:
-        """Upper-triangular square root S of the covariance, (n, n)."""
-        return self._s.copy()
-
-    @property
-    def time_bias_s(self) -> float:
-        """t0, seconds since the segment's start."""
-        return float(self._numbers[T0_BIAS])
+        self.params = Params(order, step, window_s, time_constant_s, buffer_size)
+        self.state: State | None = None
+        self._segment = 0
+        self._origin_ns = self._last_ns = 0
 
     @property
     def measurements(self) -> FloatArray:
         """The measurements in use, oldest first: value in °C and time in s, (m, 2)."""
-        rows = (self._integers[OLDEST] + np.arange(self._integers[COUNT])) % len(self._buffer)
-        return np.asarray(self._buffer[rows])
+        return np.array(self.state.buffer) if self.state is not None else np.empty((0, 2))
 
-    def process(self, time_ns: IntArray, segment: IntArray, reading: FloatArray) -> RateEstimate:
+    def process(self, time_ns: IntArray, segment: IntArray, reading: FloatArray) -> RateSeries:
         """Return the estimates of samples that follow those of the last call.
 
         Parameters
@@ -102,26 +247,71 @@ class FirRate(Resumable):
         reading : array, (n,)
             °C; a sample whose reading is not finite is passed over.
         """
-        result = RateEstimate.empty(len(reading))
-        for start, stop, begins, seconds in self.clock.runs(time_ns, segment):
-            if begins:
-                self._integers[STARTED] = 0
-            out = result.rows(start, stop)
-            _process(
-                seconds,
-                reading[start:stop],
-                self._parameters,
-                self._x,
-                self._s,
-                self._buffer,
-                self._numbers,
-                self._integers,
-                out.temperature,
-                out.rate,
-                out.temperature_sd,
-                out.rate_sd,
-            )
-        return result
+        n = len(reading)
+        out = np.full((4, n), np.nan)
+        if not n:
+            return RateSeries(*out)
+        broken = np.diff(segment, prepend=self._segment) != 0
+        broken |= np.diff(time_ns, prepend=self._last_ns) < 0
+        edges = [0, *(np.flatnonzero(broken[1:]) + 1).tolist(), n]
+        for begin, end in pairwise(edges):
+            if broken[begin]:
+                self.state = None
+            if self.state is None:
+                valid = np.flatnonzero(np.isfinite(reading[begin:end]))
+                if not len(valid):
+                    continue
+                begin += int(valid[0])
+                self._origin_ns = int(time_ns[begin])
+                self.state = start(self.params, 0.0, float(reading[begin]))
+            seconds = (time_ns[begin:end] - self._origin_ns).astype(np.float64) * 1e-9
+            self._run(self.state, seconds, reading[begin:end], out[:, begin:end])
+        self._segment, self._last_ns = int(segment[-1]), int(time_ns[-1])
+        return RateSeries(*out)
+
+    def _run(self, state: State, seconds: FloatArray, reading: FloatArray, out: FloatArray) -> None:
+        """Fill (4, n): listing 2 at each sample at which something happens, its outputs at the others."""
+        params, at, length = self.params, 0, STRETCH
+        n = len(seconds)
+        while at < n:
+            part = slice(at, min(at + length, n))
+            values = evaluate(state, params, seconds[part])
+            stop = at + self._quiet(state, seconds[part], reading[part], values.temperature)
+            quiet = slice(at, stop)
+            for row, column in zip(
+                out, (values.temperature, values.rate, values.temperature_sd, values.rate_sd), strict=True
+            ):
+                row[quiet] = column[: stop - at]
+            if stop > at:
+                state.temperature = float(out[0, stop - 1])
+            at, length = stop, 2 * length
+            if stop < part.stop:
+                self._event(state, float(seconds[at]), float(reading[at]), out[:, at])
+                at, length = at + 1, STRETCH
+
+    def _quiet(self, state: State, seconds: FloatArray, reading: FloatArray, temperature: FloatArray) -> int:
+        """Return how many samples pass until something happens."""
+        params, last = self.params, state.last_reading
+        before = np.concatenate([[state.temperature], temperature[:-1]])
+        with np.errstate(invalid="ignore"):
+            happens = np.abs(reading - last) > params.step / 2
+            happens |= np.isfinite(reading) & (np.abs(before - last) > params.step)
+            happens |= np.isfinite(reading) & (reading != last)
+        happens |= seconds > expires_s(state, params)
+        return int(np.argmax(happens)) if happens.any() else len(happens)
+
+    def _event(self, state: State, t: float, reading: float, out: FloatArray) -> None:
+        """Go through listing 2 at one sample, and fill its outputs, (4,)."""
+        params, last = self.params, state.last_reading
+        if math.isfinite(reading):
+            if abs(reading - last) > params.step / 2 or abs(state.temperature - last) > params.step:
+                measure(state, params, t, (reading + last) / 2.0)
+            state.last_reading = reading
+        if t > expires_s(state, params):
+            expire(state, params, t)
+        values = evaluate(state, params, np.array([t]))
+        out[:] = values.temperature[0], values.rate[0], values.temperature_sd[0], values.rate_sd[0]
+        state.temperature = float(out[0])
 
 
 class FirExponentialRate(FirRate):
@@ -130,7 +320,7 @@ class FirExponentialRate(FirRate):
     Parameters
     ----------
     step, window_s, time_constant_s, buffer_size
-        See `FirRate`; the paper's are 0.05 °C, 300 s or 180 s, 180 s or 120 s, and 90.
+        See `Params`; the paper's are 0.05 °C, 300 s or 180 s, 180 s or 120 s, and 90.
     """
 
     def __init__(
@@ -149,7 +339,7 @@ class FirLinearRate(FirRate):
     Parameters
     ----------
     step, window_s, buffer_size
-        See `FirRate`.
+        See `Params`.
     """
 
     def __init__(self, step: float = 0.05, window_s: float = 300.0, buffer_size: int = 90) -> None:
@@ -157,206 +347,55 @@ class FirLinearRate(FirRate):
         super().__init__(2, step, window_s, window_s, buffer_size)
 
 
-@njit
-def model_row(n: int, u: float) -> FloatArray:
-    """Return h (eq. 13) at u = (t - t0)/T0."""
-    h = np.empty(n)
-    h[0] = 1.0
-    h[1] = u
-    if n == 3:
-        h[2] = math.exp(-u)
-    return h
+class FirStage:
+    """The paper's filter as a stage, one for each temperature of the block.
 
+    Columns are ``fir_temperature_estimate``, ``fir_temperature_rate`` and their standard deviations, with the
+    ending of the channel (``_x`` of ``temperature_x``).
 
-@njit
-def _process(
-    seconds: FloatArray,
-    readings: FloatArray,
-    parameters: FloatArray,
-    x: FloatArray,
-    s: FloatArray,
-    buffer: FloatArray,
-    numbers: FloatArray,
-    integers: IntArray,
-    temperature: FloatArray,
-    rate: FloatArray,
-    temperature_sd: FloatArray,
-    rate_sd: FloatArray,
-) -> None:
-    """Listing 2 of the paper for each sample, with listing 1 at the first valid reading."""
-    step = parameters[STEP]
-    for i in range(seconds.size):
-        t, reading = seconds[i], readings[i]
-        if math.isfinite(reading):
-            if not integers[STARTED]:
-                _start(t, reading, parameters, x, s, buffer, numbers, integers)
-            last = numbers[LAST_READING]
-            if abs(reading - last) > step / 2 or abs(numbers[LAST_TEMPERATURE] - last) > step:
-                _measure(t, (reading + last) / 2, parameters, x, s, buffer, numbers, integers)
-            numbers[LAST_READING] = reading
-        if integers[STARTED]:
-            if integers[COUNT] > 2 * x.size:
-                _expire(t, parameters, x, s, buffer, numbers, integers)
-            _evaluate(
-                i, (t - numbers[T0_BIAS]) / parameters[TIME_CONSTANT], parameters[TIME_CONSTANT],
-                x, s, temperature, rate, temperature_sd, rate_sd,
-            )  # fmt: skip
-            numbers[LAST_TEMPERATURE] = temperature[i]
-
-
-@njit
-def _start(
-    t: float,
-    reading: float,
-    parameters: FloatArray,
-    x: FloatArray,
-    s: FloatArray,
-    buffer: FloatArray,
-    numbers: FloatArray,
-    integers: IntArray,
-) -> None:
-    """Listing 1: 2n virtual measurements of the first reading, one a minute into the past."""
-    n = x.size
-    x[:] = 0.0
-    s[:] = 0.0
-    for j in range(n):
-        s[j, j] = START_SD
-    numbers[T0_BIAS] = t - 2 * n * START_SPACING_S
-    numbers[LAST_READING] = numbers[LAST_TEMPERATURE] = reading
-    numbers[SHIFT] = 0.0
-    integers[OLDEST] = 0
-    integers[COUNT] = 0
-    integers[STARTED] = 1
-    for k in range(2 * n):
-        _measure(t - (2 * n - k) * START_SPACING_S, reading, parameters, x, s, buffer, numbers, integers)
-
-
-@njit
-def _measure(
-    t: float,
-    z: float,
-    parameters: FloatArray,
-    x: FloatArray,
-    s: FloatArray,
-    buffer: FloatArray,
-    numbers: FloatArray,
-    integers: IntArray,
-) -> None:
-    """Store a measurement (eqs. 4 and 15) and take it into the state."""
-    size = buffer.shape[0]
-    slot = (integers[OLDEST] + integers[COUNT]) % size
-    buffer[slot, 0] = z
-    buffer[slot, 1] = t
-    integers[COUNT] += 1
-    h = model_row(x.size, (t - numbers[T0_BIAS]) / parameters[TIME_CONSTANT])
-    update(x, s, z, h, parameters[STEP] / 4)
-
-
-@njit
-def _expire(
-    t: float,
-    parameters: FloatArray,
-    x: FloatArray,
-    s: FloatArray,
-    buffer: FloatArray,
-    numbers: FloatArray,
-    integers: IntArray,
-) -> None:
-    """Pull back what has expired (section 3.3) or overflows the buffer, and move t0 (section 3.4)."""
-    size, window = buffer.shape[0], parameters[WINDOW]
-    sound, expired = True, False
-    while True:
-        oldest, count = integers[OLDEST], integers[COUNT]
-        newest_time = buffer[(oldest + count - 1) % size, 1]
-        old = (
-            t - buffer[oldest, 1] > window
-            and newest_time - buffer[(oldest + 1) % size, 1] >= window
-            and count > 2 * x.size
-        )
-        if not (old or count == size):
-            break
-        if sound:
-            h = model_row(x.size, (buffer[oldest, 1] - numbers[T0_BIAS]) / parameters[TIME_CONSTANT])
-            sound = pull_back(x, s, buffer[oldest, 0], h, parameters[STEP] / 4, LEAST_SHARE)
-        integers[OLDEST] = (oldest + 1) % size
-        integers[COUNT] -= 1
-        expired = True
-    if expired:
-        shift = (buffer[integers[OLDEST], 1] - numbers[T0_BIAS]) / parameters[TIME_CONSTANT]
-        numbers[T0_BIAS] = buffer[integers[OLDEST], 1]
-        numbers[SHIFT] += shift
-        if sound and numbers[SHIFT] <= REFIT_SPAN:
-            move_bias(x, s, shift)
-        else:
-            _refit(parameters, x, s, buffer, numbers, integers)
-
-
-@njit
-def move_bias(x: FloatArray, s: FloatArray, shift: float) -> None:
-    """Move t0 by `shift` time constants (eq. 16): x ← C x, S ← C S.
-
-    C and S are upper triangular with positive diagonals, so C S is the Cholesky factor of C S Sᵀ Cᵀ; to form
-    that product first would square the condition number.
+    Parameters
+    ----------
+    step, window_s, time_constant_s, buffer_size
+        See `Params`.
     """
-    x[0] += shift * x[1]
-    for j in range(1, x.size):
-        s[0, j] += shift * s[1, j]
-    if x.size == 3:
-        decay = math.exp(-shift)
-        x[2] *= decay
-        s[2, 2] *= decay
+
+    CHANNELS = ("temperature", "temperature_x", "temperature_y", "temperature_z")
+
+    def __init__(self, step: float, window_s: float, time_constant_s: float, buffer_size: int) -> None:
+        self._params = Params(3, step, window_s, time_constant_s, buffer_size)
+        self._filters: dict[str, FirExponentialRate] = {}
+
+    @property
+    def columns(self) -> Sequence[Column]:
+        """The columns that `process` adds so far."""
+        return [column for channel in self._filters for column in _columns(channel)]
+
+    def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
+        """Return the new columns of a block; NaN where there is no estimate."""
+        for channel in self.CHANNELS:
+            if channel in block and channel not in self._filters:
+                given = self._params
+                self._filters[channel] = FirExponentialRate(
+                    given.step, given.window_s, given.time_constant_s, given.buffer_size
+                )
+        found: dict[str, ColumnArray] = {}
+        for channel, one in self._filters.items():
+            reading = block[channel] if channel in block else np.full(len(block), np.nan)
+            series = one.process(block["device_time_ns"], block["segment"], np.asarray(reading, np.float64))
+            parts = (series.temperature, series.rate, series.temperature_sd, series.rate_sd)
+            found |= {column.name: part for column, part in zip(_columns(channel), parts, strict=True)}
+        return found
+
+    def notices(self) -> list[str]:
+        """Return nothing: the default says what is wrong with the declared step."""
+        return []
 
 
-@njit
-def _refit(
-    parameters: FloatArray,
-    x: FloatArray,
-    s: FloatArray,
-    buffer: FloatArray,
-    numbers: FloatArray,
-    integers: IntArray,
-) -> None:
-    """Fit the measurements of the buffer from scratch."""
-    n, sigma = x.size, parameters[STEP] / 4
-    r = np.zeros((n, n + 1))
-    for j in range(n):
-        r[j, j] = 1.0 / START_SD
-    row = np.empty(n + 1)
-    for k in range(integers[COUNT]):
-        slot = (integers[OLDEST] + k) % buffer.shape[0]
-        row[:n] = model_row(n, (buffer[slot, 1] - numbers[T0_BIAS]) / parameters[TIME_CONSTANT])
-        row[n] = buffer[slot, 0]
-        row /= sigma
-        rotate_in(r, row)
-    solve(r, x, s)
-    numbers[SHIFT] = 0.0
-    integers[REFITS] += 1
-
-
-@njit
-def _evaluate(
-    i: int,
-    u: float,
-    time_constant: float,
-    x: FloatArray,
-    s: FloatArray,
-    temperature: FloatArray,
-    rate: FloatArray,
-    temperature_sd: FloatArray,
-    rate_sd: FloatArray,
-) -> None:
-    """Write the four outputs (eqs. 13 and 17) of sample i."""
-    if x.size == 3:
-        decay = math.exp(-u)
-        temperature[i] = x[0] + u * x[1] + decay * x[2]
-        rate[i] = (x[1] - decay * x[2]) / time_constant
-        t1, t2 = s[0, 1] + u * s[1, 1], s[0, 2] + u * s[1, 2] + decay * s[2, 2]
-        r2 = s[1, 2] - decay * s[2, 2]
-        temperature_sd[i] = math.sqrt(s[0, 0] * s[0, 0] + t1 * t1 + t2 * t2)
-        rate_sd[i] = math.sqrt(s[1, 1] * s[1, 1] + r2 * r2) / time_constant
-    else:
-        temperature[i] = x[0] + u * x[1]
-        rate[i] = x[1] / time_constant
-        t1 = s[0, 1] + u * s[1, 1]
-        temperature_sd[i] = math.sqrt(s[0, 0] * s[0, 0] + t1 * t1)
-        rate_sd[i] = abs(s[1, 1]) / time_constant
+def _columns(channel: str) -> list[Column]:
+    end = channel.removeprefix("temperature")
+    return [
+        Column(f"fir_temperature_estimate{end}", "degC", description=f"FIR estimate of {channel}"),
+        Column(f"fir_temperature_rate{end}", "degC/s", description=f"FIR estimate of the rate of {channel}"),
+        Column(f"fir_temperature_estimate_sd{end}", "degC", description="its standard deviation"),
+        Column(f"fir_temperature_rate_sd{end}", "degC/s", description="its standard deviation"),
+    ]

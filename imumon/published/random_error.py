@@ -19,12 +19,13 @@ import numpy.typing as npt
 
 from imumon.blocks import NO_INT, ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.columns import Column
-from imumon.filters.slots import SlotGatherer, held
+from imumon.filters.slots import SlotGatherer
 from imumon.models.model import BiasModel
 from imumon.models.predictor import BiasPredictor
 from imumon.published.linear import LinearFilter, ModelL
 from imumon.published.local_level import LEAST_MEANS, LocalLevel, fit_local_level, level_after
 from imumon.published.rest_means import SLOT_S, ExponentialMean, RestMean, RestMeans, hold
+from imumon.published.shown import Shown
 from imumon.published.sigma_points import FilterSeries, ModelNL, SigmaPointFilter
 
 AXES = "xyz"
@@ -183,8 +184,8 @@ class RandomErrorMethods:
             )
             for axis in AXES
         }
-        self._shown = np.full((len(MEANS), len(AXES)), np.nan)
-        self._last: tuple[int, int] | None = None
+        self._shown = Shown((len(MEANS), len(AXES)))
+        self._last_ns: int | None = None
         self._said: set[str] = set()
 
     @property
@@ -216,10 +217,9 @@ class RandomErrorMethods:
         readings = self._readings(block)
         slots = self._gatherer.process(times, segment, readings)
         rows, means = slots.row.tolist(), self._means.process(slots)
-        before = self._last
-        breaks = self._breaks(times, segment)
-        steps_ns = np.diff(times, prepend=times[0] if before is None else before[1]) if n else times
-        shown = np.empty((len(means), *self._shown.shape))
+        breaks = self._shown.breaks(block)
+        steps_ns = np.diff(times, prepend=times[:1] if self._last_ns is None else self._last_ns)
+        shown = np.empty((len(means), len(MEANS), len(AXES)))
         for j, (name, axis) in enumerate(self._axes.items()):
             at = 0
             for row, k in sorted([(row, k) for k, row in enumerate(rows)] + [(b, len(rows)) for b in breaks]):
@@ -231,12 +231,12 @@ class RandomErrorMethods:
                 else:
                     axis.stop()
             self._filter(axis, name, slice(at, n), readings[:, j], steps_ns, found)
-        values = _void(held(slots.row, shown, self._shown, n), breaks, slots.row)
+        values = self._shown.spread(slots.row, shown, breaks, n)
         for i, (column, _) in enumerate(MEANS):
             for j, name in enumerate(AXES):
                 found[f"{column}_{name}"] = values[:, i, j]
         if n:
-            self._shown = values[-1]
+            self._last_ns = int(times[-1])
         return found
 
     def _filter(
@@ -259,15 +259,6 @@ class RandomErrorMethods:
             if isinstance(series, FilterSeries):
                 found[f"{method}_phi_{name}"][part] = series.phi
                 found[f"{method}_phi_sd_{name}"][part] = series.phi_sd
-
-    def _breaks(self, time_ns: IntArray, segment: IntArray) -> list[int]:
-        """Return the rows at which a segment begins or time runs back; what was shown is void from there."""
-        if not len(time_ns):
-            return []
-        last = (int(segment[0]), int(time_ns[0])) if self._last is None else self._last
-        broken = (np.diff(segment, prepend=last[0]) != 0) | (np.diff(time_ns, prepend=last[1]) < 0)
-        self._last = int(segment[-1]), int(time_ns[-1])
-        return [int(row) for row in np.flatnonzero(broken)]
 
     def _readings(self, block: SampleBlock) -> FloatArray:
         """Return the rates less the thermal bias, (n, 3), NaN where the unit is not at rest."""
@@ -314,14 +305,6 @@ class RandomErrorMethods:
         new = [text for key, text in found.items() if key not in self._said]
         self._said |= found.keys()
         return new
-
-
-def _void(values: FloatArray, breaks: Sequence[int], rows: IntArray) -> FloatArray:
-    """Set values from each break to the next slot behind it to NaN."""
-    for row in breaks:
-        later = rows[rows > row]
-        values[row : int(later[0]) if len(later) else len(values)] = np.nan
-    return values
 
 
 class InsteadOfDefault:

@@ -10,9 +10,8 @@ import math
 import numpy as np
 
 from imumon.blocks import FloatArray, IntArray
-from imumon.compiled import njit
-from imumon.estimation.temperature_rate.series import RateEstimate, Resumable
-from imumon.published.fir import model_row
+from imumon.filters.kalman import Estimate, correct
+from imumon.published.fir import RateSeries, model_row
 
 
 class DifferenceRate:
@@ -31,7 +30,7 @@ class DifferenceRate:
     def __init__(self, step: float = 0.05, window_s: float = 180.0) -> None:
         self._step, self._window_s = step, window_s
 
-    def process(self, time_ns: IntArray, segment: IntArray, reading: FloatArray) -> RateEstimate:
+    def process(self, time_ns: IntArray, segment: IntArray, reading: FloatArray) -> RateSeries:
         """Return the estimates of a record in one segment, NaN in its first window."""
         del segment
         seconds = (time_ns - time_ns[0]) * 1e-9
@@ -40,13 +39,14 @@ class DifferenceRate:
         span = np.where(full, seconds - seconds[before], np.nan)
         rate = (reading - reading[before]) / span
         sd = self._step / math.sqrt(12.0)
-        return RateEstimate(reading, rate, np.full(len(reading), sd), math.sqrt(2.0) * sd / span)
+        return RateSeries(reading, rate, np.full(len(reading), sd), math.sqrt(2.0) * sd / span)
 
 
-class KalmanRate(Resumable):
+class KalmanRate:
     """Conventional Kalman filter of the same model and measurements, which forgets by process noise.
 
-    The paper's section 4.1: α, β and γ walk at random; t0 follows every `RENEWAL_S`.
+    The paper's section 4.1: α, β and γ walk at random; t0 follows every `RENEWAL_S`.  Takes the whole record,
+    in one segment.
 
     Parameters
     ----------
@@ -65,71 +65,32 @@ class KalmanRate(Resumable):
         time_constant_s: float = 180.0,
         walk: tuple[float, float, float] = (0.0, 5e-3, 0.0),
     ) -> None:
-        self._parameters = np.array([step, time_constant_s, *walk])
-        self._x = np.zeros(3)
-        self._p = np.zeros((3, 3))
-        # t0, last time, last reading, last temperature, whether started.
-        self._numbers = np.zeros(5)
-        super().__init__(x=self._x, p=self._p, numbers=self._numbers)
+        self._step, self._constant, self._walk = step, time_constant_s, np.square(walk)
 
-    def process(self, time_ns: IntArray, segment: IntArray, reading: FloatArray) -> RateEstimate:
-        """Return the estimates of samples that follow those of the last call."""
-        result = RateEstimate.empty(len(reading))
-        for start, stop, begins, seconds in self.clock.runs(time_ns, segment):
-            if begins:
-                self._numbers[4] = 0.0
-            out = result.rows(start, stop)
-            columns = (out.temperature, out.rate, out.temperature_sd, out.rate_sd)
-            _kalman(seconds, reading[start:stop], self._parameters, self._x, self._p, self._numbers, *columns)
-        return result
-
-
-@njit
-def _kalman(
-    seconds: FloatArray,
-    readings: FloatArray,
-    parameters: FloatArray,
-    x: FloatArray,
-    p: FloatArray,
-    numbers: FloatArray,
-    temperature: FloatArray,
-    rate: FloatArray,
-    temperature_sd: FloatArray,
-    rate_sd: FloatArray,
-) -> None:
-    step, constant = parameters[0], parameters[1]
-    for i in range(seconds.size):
-        t, reading = seconds[i], readings[i]
-        if not numbers[4]:
-            x[:] = 0.0
-            x[0] = reading
-            p[:] = 0.0
-            for j in range(3):
-                p[j, j] = 1.0
-            numbers[:] = t, t, reading, reading, 1.0
-        for j in range(3):
-            p[j, j] += parameters[2 + j] ** 2 * (t - numbers[1])
-        numbers[1] = t
-        if t - numbers[0] > RENEWAL_S:
-            shift = (t - numbers[0]) / constant
-            c = np.eye(3)
-            c[0, 1], c[2, 2] = shift, math.exp(-shift)
-            x[:] = c @ x
-            p[:] = c @ p @ c.T
-            numbers[0] = t
-        u = (t - numbers[0]) / constant
-        h = model_row(3, u)
-        last = numbers[2]
-        if abs(reading - last) > step / 2 or abs(numbers[3] - last) > step:
-            ph = p @ h
-            d = step * step / 16.0 + h @ ph
-            x += ph * (((reading + last) / 2 - h @ x) / d)
-            p -= np.outer(ph, ph) / d
-        numbers[2] = reading
-        dh = np.array([0.0, 1.0, -h[2]]) / constant
-        temperature[i], rate[i] = h @ x, dh @ x
-        temperature_sd[i], rate_sd[i] = math.sqrt(h @ p @ h), math.sqrt(dh @ p @ dh)
-        numbers[3] = temperature[i]
+    def process(self, time_ns: IntArray, segment: IntArray, reading: FloatArray) -> RateSeries:
+        """Return the estimates of a record."""
+        del segment
+        seconds = ((time_ns - time_ns[0]) * 1e-9).tolist()
+        estimate = Estimate(np.array([reading[0], 0.0, 0.0]), np.eye(3))
+        t0, before, last, temperature = 0.0, 0.0, float(reading[0]), float(reading[0])
+        out = np.empty((4, len(seconds)))
+        for i, (t, value) in enumerate(zip(seconds, reading.tolist(), strict=True)):
+            estimate = Estimate(estimate.mean, estimate.covariance + np.diag(self._walk * (t - before)))
+            before = t
+            if t - t0 > RENEWAL_S:
+                shift = (t - t0) / self._constant
+                c = np.array([[1.0, shift, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, math.exp(-shift)]])
+                estimate = Estimate(c @ estimate.mean, c @ estimate.covariance @ c.T)
+                t0 = t
+            h = model_row(3, (t - t0) / self._constant)
+            if abs(value - last) > self._step / 2 or abs(temperature - last) > self._step:
+                z, noise = np.array([(value + last) / 2]), np.array([[self._step**2 / 16.0]])
+                estimate = correct(estimate, z, h[np.newaxis], noise).estimate
+            slope = np.array([0.0, 1.0, -h[2]]) / self._constant
+            temperature, last = float(h @ estimate.mean), value
+            variance = [row @ estimate.covariance @ row for row in (h, slope)]
+            out[:, i] = temperature, slope @ estimate.mean, *np.sqrt(variance)
+        return RateSeries(*out)
 
 
 RENEWAL_S = 1.0
@@ -143,7 +104,7 @@ def reference_fit(
     window_s: float = 240.0,
     time_constant_s: float = 1800.0,
     every_s: float = 10.0,
-) -> RateEstimate:
+) -> RateSeries:
     """Return the paper's reference (section 2.3, eqs. 4 to 7): local fits in a centred moving window.
 
     Four coefficients, (α0 + β0 t/T0) + (α1 + β1 t/T0) e^(-t/T0), fitted to the level changes within the
@@ -163,12 +124,12 @@ def reference_fit(
     at = np.flatnonzero(np.abs(np.diff(reading)) > step / 2) + 1
     times, values = seconds[at], 0.5 * (reading[at] + reading[at - 1])
     if len(times) < 8:
-        return RateEstimate.empty(len(reading))
+        return RateSeries(*np.full((4, len(reading)), np.nan))
     knots = np.append(np.arange(0.0, seconds[-1], every_s), seconds[-1])
     fits = np.array(
         [_local_fit(t, times, values, step, window_s, time_constant_s, seconds[-1]) for t in knots]
     )
-    return RateEstimate(*(np.interp(seconds, knots, column) for column in fits.T))
+    return RateSeries(*(np.interp(seconds, knots, column) for column in fits.T))
 
 
 def _local_fit(

@@ -16,110 +16,60 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from imumon.blocks import FloatArray
-from imumon.compiled import njit
 
 
-@njit
-def update(x: FloatArray, s: FloatArray, z: float, h: FloatArray, sigma: float) -> None:
-    """Take the measurement z = h x + noise into x, (n,), and S, (n, n), in place (eqs. 9 and 11)."""
-    residual = z
-    for i in range(x.size):
-        residual -= h[i] * x[i]
-    gain = np.zeros(x.size)
-    d0 = sigma * sigma
-    for j in range(x.size):
-        f = 0.0
-        for i in range(j + 1):
-            f += s[i, j] * h[i]
-        d1 = d0 + f * f
-        b = math.sqrt(d0 / d1)
-        c = f / math.sqrt(d0 * d1)
-        for i in range(j + 1):
-            e = gain[i]
-            gain[i] += s[i, j] * f
-            s[i, j] = b * s[i, j] - c * e
-        d0 = d1
-    for i in range(x.size):
-        x[i] += gain[i] / d0 * residual
+def update(
+    x: FloatArray, s: FloatArray, z: float, h: FloatArray, sigma: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return x, (n,), and S, (n, n), with the measurement z = h x + noise taken in (eqs. 9 and 11)."""
+    return _change(x, s, z, h, sigma, 1.0)
 
 
-@njit
 def pull_back(
     x: FloatArray, s: FloatArray, z: float, h: FloatArray, sigma: float, least_share: float
-) -> bool:
-    """Take a measurement out of x and S again, in place (eq. 12); return False, and change nothing, if not.
+) -> tuple[FloatArray, FloatArray] | None:
+    """Return x and S with a measurement taken out again (eq. 12), or None if it cannot be.
 
     The share of the measurement's variance that the others leave, 1 - h P hᵀ/σ², must exceed `least_share`:
     below it they do not determine the state (share 0), or cancellation eats up the digits.
     """
-    n = x.size
-    f = np.zeros(n)
-    residual, d1 = z, sigma * sigma
-    for j in range(n):
-        residual -= h[j] * x[j]
-        for i in range(j + 1):
-            f[j] += s[i, j] * h[i]
-        d1 -= f[j] * f[j]
-    if not d1 > least_share * sigma * sigma:
-        return False
-    gain = np.zeros(n)
-    d0 = sigma * sigma
-    for j in range(n):
-        d1 = d0 - f[j] * f[j]
-        b = math.sqrt(d0 / d1)
-        c = f[j] / math.sqrt(d0 * d1)
-        for i in range(j + 1):
-            e = gain[i]
-            gain[i] += s[i, j] * f[j]
-            s[i, j] = b * s[i, j] + c * e
-        d0 = d1
-    for i in range(n):
-        x[i] -= gain[i] / d0 * residual
-    return True
+    f = h @ s
+    if not sigma**2 - float(f @ f) > least_share * sigma**2:
+        return None
+    return _change(x, s, z, h, sigma, -1.0)
 
 
-@njit
-def rotate_in(r: FloatArray, row: FloatArray) -> None:
-    """Add a weighted row [h, z]/σ, (n + 1,), to the triangular system r = [R, q], (n, n + 1), in place.
+def _change(
+    x: FloatArray, s: FloatArray, z: float, h: FloatArray, sigma: float, sign: float
+) -> tuple[FloatArray, FloatArray]:
+    """Take in (sign 1) or out (sign -1), column by column: B_ij = ∓f_i f_j / √(d_j-1 d_j)."""
+    f, changed, gain, before = h @ s, np.empty_like(s), np.zeros(len(x)), sigma**2
+    for j, f_j in enumerate(f.tolist()):
+        after = before + sign * f_j * f_j
+        changed[:, j] = math.sqrt(before / after) * s[:, j] - sign * f_j / math.sqrt(before * after) * gain
+        gain += f_j * s[:, j]
+        before = after
+    return x + sign * gain / before * (z - float(h @ x)), changed
 
-    Givens rotations: no squares are formed, so half of the condition number is spared.  `row` is used up.
+
+def fit(rows: FloatArray, z: FloatArray, sigma: float, start_sd: float) -> tuple[FloatArray, FloatArray]:
+    """Return x and S of a fit from scratch, by QR: no squares are formed, half of the condition is spared.
+
+    Parameters
+    ----------
+    rows : array (m, n)
+        h of each measurement.
+    z : array (m,)
+    sigma, start_sd : float
+        Standard deviation of a measurement, and of each element of x before.
     """
-    n = r.shape[0]
-    for j in range(n):
-        if row[j] == 0.0:
-            continue
-        length = math.hypot(r[j, j], row[j])
-        c, d = r[j, j] / length, row[j] / length
-        for k in range(j, n + 1):
-            above = r[j, k]
-            r[j, k] = c * above + d * row[k]
-            row[k] = c * row[k] - d * above
-
-
-@njit
-def solve(r: FloatArray, x: FloatArray, s: FloatArray) -> bool:
-    """Turn R x = q into x and S = R⁻¹ (upper, positive diagonal); return False when R is singular."""
-    n = r.shape[0]
-    for j in range(n):
-        if not abs(r[j, j]) > 0.0:
-            return False
-    for j in range(n - 1, -1, -1):
-        x[j] = r[j, n]
-        for k in range(j + 1, n):
-            x[j] -= r[j, k] * x[k]
-        x[j] /= r[j, j]
-    for j in range(n):
-        for i in range(n):
-            s[i, j] = 0.0
-        s[j, j] = 1.0 / r[j, j]
-        for i in range(j - 1, -1, -1):
-            total = 0.0
-            for k in range(i + 1, j + 1):
-                total += r[i, k] * s[k, j]
-            s[i, j] = -total / r[i, i]
-        if s[j, j] < 0.0:
-            for i in range(j + 1):
-                s[i, j] = -s[i, j]
-    return True
+    n = rows.shape[1]
+    system = np.vstack([np.eye(n) / start_sd, rows / sigma])
+    q, r = np.linalg.qr(system)
+    x = solve_triangular(r, q.T @ np.concatenate([np.zeros(n), z / sigma]))
+    # R⁻¹ with a positive diagonal.
+    s = solve_triangular(r, np.eye(n))
+    return x, s * np.sign(np.diag(s))

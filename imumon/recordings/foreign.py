@@ -6,7 +6,7 @@ import csv
 import math
 import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import datetime, timedelta, timezone
 from decimal import Decimal, InvalidOperation
 from itertools import islice
@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
+import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
 
 from imumon.blocks import FloatArray, IntArray
@@ -94,14 +95,9 @@ def read_foreign(
     encoding = _encoding(path, head)
     names, skip = _text_names(path, encoding, text_format)
     _check_columns(path, names, wanted)
-    layout = _Layout(
-        text_format.delimiter,
-        len(names),
-        tuple(names.index(name) for name in columns),
-        None if time is None else names.index(time.column),
-        _as_is if time is None else time_parser(time.unit),
-    )
-    return names, _read_text(path, encoding, skip, layout)
+    layout = _Layout(text_format.delimiter, len(names), [names.index(name) for name in wanted])
+    parse_time = None if time is None else time_parser(time.unit)
+    return names, _read_text(path, encoding, skip, layout, parse_time)
 
 
 def time_parser(unit: str) -> ParseTime:
@@ -115,6 +111,8 @@ def time_parser(unit: str) -> ParseTime:
     scale = Decimal(factor.numerator) / Decimal(factor.denominator)
 
     def parse(text: str) -> int:
+        if "_" in text:  # which Decimal accepts, but no table means
+            raise ValueError(f"time {text.strip()!r} is not a number")
         try:
             value = Decimal(text) * scale
         except InvalidOperation as error:
@@ -148,10 +146,6 @@ def _parse_timestamp(text: str) -> int:
     return time_ns
 
 
-def _as_is(text: str) -> int:
-    return int(text)
-
-
 def _check_columns(path: Path, names: Sequence[str], wanted: Sequence[str]) -> None:
     if absent := [name for name in wanted if name not in names]:
         raise ImumonError(
@@ -168,19 +162,17 @@ def _check_columns(path: Path, names: Sequence[str], wanted: Sequence[str]) -> N
 # Text
 
 
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
-_NO_VALUE = {"", "nan", "na", "n/a", "null", "none"}
+_NUMBER = r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$"
+_NO_VALUE = pa.array(["", "nan", "na", "n/a", "null", "none"])
 
 
 @dataclass(frozen=True, slots=True)
 class _Layout:
-    """Where in a line the cells are that are wanted."""
+    """How many cells a line has, what is between them, and which are wanted: the data, then the time."""
 
     delimiter: str
     width: int
-    columns: tuple[int, ...]
-    time: int | None
-    parse_time: ParseTime
+    wanted: list[int]
 
     def split(self, line: str) -> list[str]:
         """Return the cells of a line."""
@@ -190,15 +182,20 @@ class _Layout:
             return next(csv.reader([line], delimiter=self.delimiter))
         return line.split(self.delimiter)
 
+    def bare(self, line: str) -> str:
+        """Return a line without quotes and with one delimiter between cells."""
+        if self.delimiter != "whitespace" and '"' not in line:
+            return line
+        try:
+            cells = self.split(line)
+        except csv.Error:
+            return line
+        return self.between.join(cell.replace(self.between, " ").replace("\n", " ") for cell in cells)
 
-@dataclass(slots=True)
-class _Rows:
-    """Good rows as they are parsed one by one."""
-
-    index: list[int] = field(default_factory=list)
-    line: list[int] = field(default_factory=list)
-    time_ns: list[int] = field(default_factory=list)
-    values: list[list[float]] = field(default_factory=list)
+    @property
+    def between(self) -> str:
+        """The one character that is between the cells of a bare line."""
+        return " " if self.delimiter == "whitespace" else self.delimiter
 
 
 def _encoding(path: Path, head: bytes) -> str:
@@ -218,7 +215,7 @@ def _text_names(path: Path, encoding: str, text_format: TextFormat) -> tuple[lis
     """Return the names of the columns, and how many lines there are before the data."""
     if text_format.columns is not None:
         return text_format.columns, text_format.skip_rows
-    layout = _Layout(text_format.delimiter, 0, (), None, _as_is)
+    layout = _Layout(text_format.delimiter, 0, [])
     with path.open(encoding=encoding, errors="replace") as file:
         for number, line in enumerate(islice(file, text_format.skip_rows, None), text_format.skip_rows + 1):
             if line.strip():
@@ -226,7 +223,9 @@ def _text_names(path: Path, encoding: str, text_format: TextFormat) -> tuple[lis
     raise ImumonError(Reason.BAD_DATA, f"{path}: has no line of column names")
 
 
-def _read_text(path: Path, encoding: str, skip: int, layout: _Layout) -> Iterator[Part]:
+def _read_text(
+    path: Path, encoding: str, skip: int, layout: _Layout, parse_time: ParseTime | None
+) -> Iterator[Part]:
     """Yield the rows of a text table; bytes that are not text become part of a bad row."""
     first_row = 0
     try:
@@ -234,82 +233,71 @@ def _read_text(path: Path, encoding: str, skip: int, layout: _Layout) -> Iterato
             numbered = enumerate(islice(file, skip, None), skip + 1)
             while chunk := list(islice(numbered, ROWS_PER_PART)):
                 rows = [(number, stripped) for number, line in chunk if (stripped := line.strip(" \r\n"))]
-                part = _parse_at_once(rows, first_row, layout) or _parse_one_by_one(rows, first_row, layout)
-                first_row += part.rows_in
-                yield part
+                if rows:
+                    yield _text_part(rows, first_row, layout, parse_time)
+                first_row += len(rows)
     except OSError as error:
         raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read: {error.strerror}") from error
 
 
-def _parse_at_once(rows: list[tuple[int, str]], first_row: int, layout: _Layout) -> Part | None:
-    """Parse rows that are all good and complete, ten times faster; None when they are not."""
-    cells = [layout.split(line) for _, line in rows]
-    if any(len(row) != layout.width for row in cells) or any("_" in line for _, line in rows):
-        return None  # float() and Decimal() accept 1_000, which is no number in a table
-    columns = list(zip(*cells, strict=True))
-    try:
-        values = np.array([list(map(float, columns[index])) for index in layout.columns], np.float64)
-        times = None if layout.time is None else list(map(layout.parse_time, columns[layout.time]))
-    except (ValueError, IndexError):
-        return None
-    if np.isinf(values).any():
-        return None
-    return Part(
-        rows_in=len(rows),
-        index=np.arange(first_row, first_row + len(rows), dtype=np.int64),
-        line=np.array([number for number, _ in rows], np.int64),
-        time_ns=None if times is None else np.array(times, np.int64),
-        values=values,
-        bad=[],
+def _text_part(
+    rows: list[tuple[int, str]], first_row: int, layout: _Layout, parse_time: ParseTime | None
+) -> Part:
+    cells, why = _cells([line for _, line in rows], layout)
+    whole = np.array([row for row in range(len(rows)) if row not in why], np.int64)
+    values = np.full((len(layout.wanted) - (parse_time is not None), len(rows)), np.nan)
+    for at in range(len(values)):
+        values[at, whole], wrong = _numbers_of_text(cells.column(at))
+        for row, text in wrong.items():
+            why.setdefault(int(whole[row]), text)
+    times = None
+    if parse_time is not None:
+        parsed = _parsed(cells.column(len(values)).to_pylist(), parse_time)
+        times = dict(zip(whole.tolist(), parsed, strict=True))
+    lines = np.array([number for number, _ in rows], np.int64)
+    return _part(first_row, lines, times, values, why, lambda row: rows[row][1])
+
+
+def _cells(lines: list[str], layout: _Layout) -> tuple[Any, dict[int, str]]:
+    """Return the wanted cells of lines that have as many as they should, and what is wrong with others."""
+    wrong: dict[int, str] = {}
+
+    def pass_over(row: Any) -> str:
+        wrong[row.number - 1] = f"{row.actual_columns} cells, expected {row.expected_columns}"
+        return "skip"
+
+    data = "\n".join(layout.bare(line) for line in lines).encode()
+    names = [str(at) for at in range(layout.width)]
+    wanted = [names[at] for at in layout.wanted]
+    cells = pa_csv.read_csv(
+        pa.BufferReader(data),
+        pa_csv.ReadOptions(use_threads=False, block_size=len(data) + 1, column_names=names),
+        pa_csv.ParseOptions(
+            delimiter=layout.between,
+            quote_char=False,
+            ignore_empty_lines=False,
+            invalid_row_handler=pass_over,
+        ),
+        pa_csv.ConvertOptions(
+            column_types=dict.fromkeys(wanted, pa.string()),
+            include_columns=list(dict.fromkeys(wanted)),
+            strings_can_be_null=False,
+        ),
     )
+    return cells.select(wanted).combine_chunks(), wrong
 
 
-def _parse_one_by_one(rows: list[tuple[int, str]], first_row: int, layout: _Layout) -> Part:
-    good, bad = _Rows(), []
-    for index, (number, line) in enumerate(rows, first_row):
-        try:
-            time_ns, values = _parse_row(line, layout)
-        except (ValueError, csv.Error) as error:
-            bad.append(BadRow(number, str(error), line[:SHOWN]))
-            continue
-        good.index.append(index)
-        good.line.append(number)
-        good.time_ns.append(time_ns)
-        good.values.append(values)
-    values_array = np.array(good.values, np.float64).reshape(-1, len(layout.columns)).T
-    return Part(
-        rows_in=len(rows),
-        index=np.array(good.index, np.int64),
-        line=np.array(good.line, np.int64),
-        time_ns=None if layout.time is None else np.array(good.time_ns, np.int64),
-        values=values_array,
-        bad=bad,
-    )
-
-
-def _parse_row(line: str, layout: _Layout) -> tuple[int, list[float]]:
-    cells = layout.split(line)
-    if len(cells) != layout.width:
-        raise ValueError(f"{len(cells)} cells, expected {layout.width}")
-    time_ns = 0
-    if layout.time is not None:
-        text = cells[layout.time]
-        if "_" in text or not text.strip():
-            raise ValueError(f"time {text.strip()!r} is not a number")
-        time_ns = layout.parse_time(text)
-    return time_ns, [_parse_number(cells[index]) for index in layout.columns]
-
-
-def _parse_number(cell: str) -> float:
-    text = cell.strip()
-    if text.lower() in _NO_VALUE:
-        return math.nan
-    if _NUMBER.fullmatch(text) is None:
-        raise ValueError(f"{text!r} is not a number")
-    value = float(text)
-    if math.isinf(value):
-        raise ValueError(f"{text!r} is too large")
-    return value
+def _numbers_of_text(column: Any) -> tuple[FloatArray, dict[int, str]]:
+    """Return the numbers of a column, NaN where there is none, and what is wrong with which cells."""
+    text = pc.utf8_trim_whitespace(column)
+    number = pc.match_substring_regex(text, _NUMBER)
+    bare = pc.utf8_ltrim(pc.if_else(number, text, "nan"), "+")
+    values = np.asarray(pc.cast(bare, pa.float64()).to_numpy(), np.float64)
+    fine = pc.or_(number, pc.is_in(pc.utf8_lower(text), _NO_VALUE))
+    odd, large = np.flatnonzero(~fine.to_numpy()), np.flatnonzero(np.isinf(values))
+    wrong = {row: f"{text[row].as_py()!r} is not a number" for row in odd.tolist()}
+    wrong |= {row: f"{text[row].as_py()!r} is too large" for row in large.tolist()}
+    return values, wrong
 
 
 # Parquet
@@ -340,19 +328,10 @@ def _parse_batch(
     path: Path, batch: Any, columns: Sequence[str], time: TimeColumn | None, first_row: int
 ) -> Part:
     values = np.vstack([_numbers(path, name, batch.column(name)) for name in columns])
-    good = ~np.isinf(values).any(axis=0)
-    why = {int(row): "a value is infinite" for row in np.flatnonzero(~good)}
-    time_ns = None
-    if time is not None:
-        times = _times(batch.column(time.column), time)
-        why.update({row: text for row, text in enumerate(times) if isinstance(text, str)})
-        good &= np.array([not isinstance(text, str) for text in times], bool)
-        time_ns = np.array([value for row, value in enumerate(times) if good[row]], np.int64)
-    rows = np.flatnonzero(good).astype(np.int64) + first_row
-    bad = [
-        BadRow(first_row + row + 1, why[row], str(batch.slice(row, 1).to_pylist()[0])[:SHOWN]) for row in why
-    ]
-    return Part(len(batch), rows, rows + 1, time_ns, values[:, good], sorted(bad, key=lambda row: row.line))
+    why = dict.fromkeys(np.flatnonzero(np.isinf(values).any(axis=0)).tolist(), "a value is infinite")
+    times = None if time is None else dict(enumerate(_times(batch.column(time.column), time)))
+    line = np.arange(len(batch), dtype=np.int64) + first_row + 1
+    return _part(first_row, line, times, values, why, lambda row: str(batch.slice(row, 1).to_pylist()[0]))
 
 
 def _numbers(path: Path, name: str, column: Any) -> FloatArray:
@@ -370,11 +349,41 @@ def _times(column: Any, time: TimeColumn) -> list[int | str]:
             return [f"time is a timestamp, so its unit is {TIMESTAMPS}, not {time.unit}"] * len(column)
         nanoseconds = column.cast(pa.timestamp("ns", column.type.tz)).cast(pa.int64())
         return ["time is absent" if value is None else value for value in nanoseconds.to_pylist()]
-    parse = time_parser(time.unit)
+    texts = [None if value is None else str(value) for value in column.to_pylist()]
+    return _parsed(texts, time_parser(time.unit))
+
+
+# Both
+
+
+def _parsed(texts: Sequence[str | None], parse: ParseTime) -> list[int | str]:
+    """Return the time of each row in ns, or what is wrong with it."""
     found: list[int | str] = []
-    for value in column.to_pylist():
+    for text in texts:
         try:
-            found.append("time is absent" if value is None else parse(str(value)))
+            found.append("time is absent" if text is None else parse(text))
         except ValueError as error:
             found.append(str(error))
     return found
+
+
+def _part(
+    first_row: int,
+    line: IntArray,
+    times: dict[int, int | str] | None,
+    values: FloatArray,
+    why: dict[int, str],
+    text_of: Callable[[int], str],
+) -> Part:
+    """Return the rows that can be taken, and those that cannot: what is wrong with the time comes first."""
+    time_of = times or {}
+    wrong = why | {row: said for row, said in time_of.items() if isinstance(said, str)}
+    good = np.setdiff1d(np.arange(len(line)), list(wrong))
+    return Part(
+        rows_in=len(line),
+        index=good + first_row,
+        line=line[good],
+        time_ns=None if times is None else np.array([time_of[row] for row in good.tolist()], np.int64),
+        values=values[:, good],
+        bad=[BadRow(int(line[row]), wrong[row], text_of(row)[:SHOWN]) for row in sorted(wrong)],
+    )

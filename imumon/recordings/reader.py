@@ -78,7 +78,7 @@ def open_recording(path: Path, stages: Stages = no_stages, map_path: Path | None
     path : Path
         Folder of a session or its session.yaml, or a table.
     stages : callable
-        What the samples run through; a column that a table has already is not estimated again.
+        What the samples run through; a stage of which a table has a column already is left out.
     map_path : Path or None
         Says what is in which column of a table from elsewhere.
 
@@ -130,10 +130,10 @@ def _table(source: Source, stages: Stages, axes: str | None) -> Recording:
 
 
 def _pipeline(source: Source, stages: Stages) -> Pipeline:
-    """Return the pipeline, without the stages whose columns are all in the table."""
+    """Return the pipeline, without the stages of which the table has a column."""
     there = {column.name for column in source.imported}
     made = stages(source.device)
-    wanted = [stage for stage in made if not stage.columns or {c.name for c in stage.columns} - there]
+    wanted = [stage for stage in made if there.isdisjoint(column.name for column in stage.columns)]
     return Pipeline(source.device, wanted)
 
 

@@ -6,12 +6,11 @@ from imumon.allan.stage import AllanStage
 from imumon.estimation.alignment.stage import Alignment
 from imumon.estimation.gyro_bias.stage import GyroBias
 from imumon.estimation.rest.stage import RestDetector
-from imumon.protocols.thermometer import TemperatureRateParameters
-from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.estimation.watch.stage import ModelWatch
 from imumon.pipeline import Estimator
 from imumon.protocols.device import DeviceFile
-from imumon.run.published import published_stages
+from imumon.protocols.thermometer import TemperatureRateParameters
+from imumon.run.published import published_stages, temperature_rate
 from imumon.run.setup import Setup
 
 
@@ -24,7 +23,7 @@ def estimators(device: DeviceFile | None, setup: Setup | None = None) -> list[Es
     temperature = device.temperature if device is not None else TemperatureRateParameters()
     model = setup.bias_model
     stages: list[Estimator] = [
-        TemperatureRate(parameters=temperature),
+        temperature_rate(temperature),
         RestDetector(setup.rest),
         GyroBias(setup.zupt_with_noise, model, setup.mode, setup.latitude_deg, setup.heading_deg),
         ModelWatch(setup.watch, modelled=model is not None),
@@ -34,4 +33,4 @@ def estimators(device: DeviceFile | None, setup: Setup | None = None) -> list[Es
         axes = device.axes if device is not None else None
         sent = () if device is None else [column.name for column in device.decoder().possible_columns]
         stages.append(Alignment(setup.alignment_with_warm_up, setup.latitude_deg, axes, sent))
-    return [*stages, *published_stages(setup)]
+    return [*stages, *published_stages(setup, temperature)]

@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 import rerun as rr
-import rerun.blueprint as rrb
 
-from imumon.charts import Color
+from imumon.charts import AXIS_COLORS, Color
 from imumon.view.items import ViewSetup
-from imumon.view.layout import Panel, Rows, Window, last_seconds, titled
+from imumon.view.layout import FACTORS, Panel, Rows, Window, last_seconds, series_view, titled
 
 SLOW_WINDOW_S = 600.0
 """What is drawn with a band is slow: so many seconds are shown at least."""
@@ -24,15 +23,21 @@ TWO_SIGMA = 4.0
 
 @dataclass(frozen=True, slots=True)
 class Band:
-    """One estimate: its column, that of its standard deviation, its name in the legend, its colour.
+    """One estimate: its column, its name in the legend, its colour, the column of its standard deviation.
 
     Without a standard deviation it is drawn as a line.
     """
 
     value: str
-    sd: str | None
     name: str
     color: Color
+    sd: str | None = None
+
+
+def with_sd(value: str, name: str, color: Color) -> Band:
+    """Return an estimate with its standard deviation: ``_sd`` stands before the axis in its column's name."""
+    quantity, _, axis = value.rpartition("_")
+    return Band(value, name, color, f"{quantity}_sd_{axis}" if axis in AXIS_COLORS else f"{value}_sd")
 
 
 def band_panel(
@@ -40,9 +45,8 @@ def band_panel(
     place: str,
     title: str,
     bands: Sequence[Band],
-    *,
     unit: str,
-    factor: float = 1.0,
+    *,
     beside: str | None = None,
     y_range: tuple[float, float] | None = None,
 ) -> Panel:
@@ -50,15 +54,15 @@ def band_panel(
 
     Parameters
     ----------
-    unit, factor
-        The unit that is drawn, and how many of it are one unit of the columns.
+    unit : str
+        The unit that is drawn, one of `FACTORS`.
     beside : str, optional
         Entity of the readings, drawn in the same view.
     y_range : (low, high), optional
         Fixed range of the y axis; it follows the lines, not their bands, otherwise.
     """
     columns = tuple(name for band in bands for name in (band.value, band.sd) if name is not None)
-    exact, drawn = f"/samples/{key}", f"/view/{key}"
+    exact, drawn, factor = f"/samples/{key}", f"/view/{key}", FACTORS[unit]
 
     def declare(rec: rr.RecordingStream) -> None:
         rec.log(exact, rr.SeriesLines(names=list(columns)), static=True)
@@ -67,11 +71,7 @@ def band_panel(
             rec.log(f"{drawn}/{band.name}", style, static=True)
 
     def log(rec: rr.RecordingStream, rows: Rows) -> None:
-        clock = rows.device_ns if rows.device_ns is not None else rows.host_ns
-        due: Any = np.ones(len(rows.columns[columns[0]]), np.bool_)
-        if clock is not None:
-            step = clock // BAND_STEP_NS
-            due = np.diff(step, prepend=step[:1] - 1) != 0
+        due = rows.thinned(BAND_STEP_NS)
         scalars = rr.Scalars.columns(scalars=rows.matrix(columns)[due])
         rec.send_columns(exact, indexes=rows.kept(due).indexes, columns=scalars)
         for band in bands:
@@ -85,14 +85,6 @@ def band_panel(
     def view(setup: ViewSetup, window: Window) -> Any:
         if window.ranges is not None:
             window = last_seconds(max(SLOW_WINDOW_S, setup.window_s))
-        return rrb.TimeSeriesView(
-            origin="/",
-            contents=[f"{drawn}/**", *([beside] if beside else [])],
-            name=titled(title, unit),
-            time_ranges=window.ranges,
-            axis_x=window.axis,
-            axis_y=rrb.ScalarAxis(range=y_range) if y_range else None,
-            plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop),
-        )
+        return series_view(drawn, titled(title, unit), window, y_range, beside)
 
     return Panel(key, place, columns, declare, log, view)

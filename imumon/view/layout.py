@@ -57,6 +57,14 @@ class Rows:
         times = (self.sample, self.device_ns, self.host_ns)
         return Rows({}, *[None if values is None else values[keep] for values in times])
 
+    def thinned(self, step_ns: int) -> npt.NDArray[np.bool_]:
+        """Return which rows are the first in a step of time, shape (n,): all when there is no clock."""
+        clock = self.host_ns if self.device_ns is None else self.device_ns
+        if clock is None:
+            return np.ones(len(next(iter(self.columns.values()))), np.bool_)
+        step = clock // step_ns
+        return np.asarray(np.diff(step, prepend=step[:1] - 1) != 0)
+
     def matrix(self, names: Sequence[str]) -> FloatArray:
         """Return the named columns side by side, shape (n, len(names))."""
         return np.column_stack([self.columns[name] for name in names]).astype(np.float64, copy=False)
@@ -75,10 +83,8 @@ TEMPORAL = ("device_time", "host_time")
 
 def last_seconds(seconds: float) -> Window:
     """Return the window that follows the newest data, on whichever timeline is chosen."""
-    start, end = (
-        rrb.TimeRangeBoundary.cursor_relative(seconds=-seconds),
-        rrb.TimeRangeBoundary.cursor_relative(),
-    )
+    start = rrb.TimeRangeBoundary.cursor_relative(seconds=-seconds)
+    end = rrb.TimeRangeBoundary.cursor_relative()
     return Window(
         ranges=[rrb.VisibleTimeRange(timeline, start=start, end=end) for timeline in TEMPORAL],
         axis=rrb.TimeAxis(view_range=rr.TimeRange(start=start, end=end)),
@@ -119,6 +125,10 @@ class Panel:
 
 UNIT_TEXT = {"rad/s": "rad/s", "m/s^2": "m/s²", "uT": "µT", "degC": "°C", "arbitrary": "a.u."}
 """Units as a person writes them, by the unit that pint reads."""
+DEG = float(np.rad2deg(1.0))
+FACTORS = {"": 1.0, "°": DEG, "°/s": DEG, "°/h": 3600.0 * DEG, "°C": 1.0, "°C/h": 3600.0, "µg": 1e6}
+FACTORS |= {"1/s": 1.0, "%": 100.0}
+"""Units that are drawn, and how many of each are one unit of the columns."""
 
 
 def unit_text(setup: ViewSetup, column: str) -> str:
@@ -139,7 +149,7 @@ def strip(
     series: Mapping[str, str],
     *,
     colors: Sequence[Color] = tuple(AXIS_COLORS.values()),
-    shown: tuple[float, str] | None = None,
+    shown: str | None = None,
     place: str = STRIPS,
     steps: bool = False,
     y_range: tuple[float, float] | None = None,
@@ -153,8 +163,8 @@ def strip(
     ----------
     series : mapping of str to str
         Column to name in the legend.
-    shown : (factor, unit), optional
-        Draw factor times the value in this unit, and keep the exact values in ``/samples`` all the same.
+    shown : str, optional
+        Draw the values in this unit of `FACTORS`, and keep the exact ones in ``/samples`` all the same.
     steps : bool
         Hold each value until the next instead of joining them by straight lines.
     y_range : (low, high), optional
@@ -170,21 +180,16 @@ def strip(
     exact, drawn = f"/samples/{key}", f"/view/{key}" if shown else f"/samples/{key}"
 
     def declare(rec: rr.RecordingStream) -> None:
+        style: Any = {
+            "names": list(series.values()),
+            "colors": [list(color) for color in colors[: len(names)]],
+        }
         if sparse:
-            points = rr.SeriesPoints(
-                names=list(series.values()),
-                colors=[list(color) for color in colors[: len(names)]],
-                marker_sizes=[2.0] * len(names),
-            )
-            rec.log(drawn, points, static=True)
+            look: Any = rr.SeriesPoints(**style, marker_sizes=[2.0] * len(names))
         else:
-            lines = rr.SeriesLines(
-                names=list(series.values()),
-                colors=[list(color) for color in colors[: len(names)]],
-                widths=[1.6] * len(names),
-                interpolation_mode=rr.components.InterpolationMode.StepAfter if steps else None,
-            )
-            rec.log(drawn, lines, static=True)
+            mode = rr.components.InterpolationMode.StepAfter if steps else None
+            look = rr.SeriesLines(**style, widths=[1.6] * len(names), interpolation_mode=mode)
+        rec.log(drawn, look, static=True)
         if limits:
             grey = rr.SeriesLines(names=["limit"] * 2, colors=[list(GREY)] * 2, widths=[1.0] * 2)
             rec.log(f"{drawn}/limits", grey, static=True)
@@ -199,7 +204,8 @@ def strip(
         indexes = rows.indexes
         rec.send_columns(exact, indexes=indexes, columns=rr.Scalars.columns(scalars=values))
         if shown:
-            rec.send_columns(drawn, indexes=indexes, columns=rr.Scalars.columns(scalars=values * shown[0]))
+            scaled = rr.Scalars.columns(scalars=values * FACTORS[shown])
+            rec.send_columns(drawn, indexes=indexes, columns=scaled)
         if limits:
             ends = np.zeros(len(values), np.bool_)
             ends[[0, -1]] = True
@@ -208,7 +214,7 @@ def strip(
             rec.send_columns(f"{drawn}/limits", indexes=rows.kept(ends).indexes, columns=lines)
 
     def view(setup: ViewSetup, window: Window) -> Any:
-        unit = shown[1] if shown else unit_text(setup, names[0])
+        unit = shown or unit_text(setup, names[0])
         return series_view(drawn, titled(title, unit), window, y_range, beside)
 
     return Panel(key, place, names, declare, log, view)
@@ -224,7 +230,7 @@ def series_view(
     """Return a view of series over time with the legend in its corner."""
     return rrb.TimeSeriesView(
         origin="/" if beside else origin,
-        contents=[f"{origin}/**", beside] if beside else "$origin/**",
+        contents=[f"{origin}/**", *([beside] if beside else [])],
         name=name,
         time_ranges=window.ranges,
         axis_x=window.axis,
@@ -239,11 +245,7 @@ def attitude(key: str, columns: tuple[str, ...], quaternions: Callable[[FloatArr
     def log(rec: rr.RecordingStream, rows: Rows) -> None:
         values = rows.matrix(columns)
         rec.send_columns(f"/samples/{key}", indexes=rows.indexes, columns=rr.Scalars.columns(scalars=values))
-        keep: Any = np.isfinite(values).all(axis=1)
-        clock = rows.device_ns if rows.device_ns is not None else rows.host_ns
-        if clock is not None:
-            step = clock // ATTITUDE_STEP_NS
-            keep = keep & (np.diff(step, prepend=step[:1] - 1) != 0)
+        keep: Any = np.isfinite(values).all(axis=1) & rows.thinned(ATTITUDE_STEP_NS)
         if keep.any():
             turned = rr.Transform3D.columns(quaternion=quaternions(values[keep]))
             rec.send_columns(BODY, indexes=rows.kept(keep).indexes, columns=turned)

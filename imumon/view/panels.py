@@ -5,128 +5,95 @@ A panel for another estimator is one more entry here.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
-import numpy as np
+from collections.abc import Iterator
 
 from imumon.charts import AXIS_COLORS, BLUE, GREEN, GREY, ORANGE, RED, VIOLET, Color
-from imumon.view.bands import Band, band_panel
-from imumon.view.layout import (
-    LINK,
-    Panel,
-    attitude,
-    from_euler,
-    from_wxyz,
-    strip,
-)
-
-DEG = float(np.rad2deg(1.0))
-
-
-def _axes(name: str) -> dict[str, str]:
-    return {f"{name}_{axis}": axis for axis in "xyz"}
-
+from imumon.view.bands import Band, band_panel, with_sd
+from imumon.view.layout import LINK, Panel, attitude, from_euler, from_wxyz, strip
 
 THERMAL = "Temperature"
 """Tab of the temperature estimates."""
-
-
-def _thermal(suffixes: Mapping[str, Color], readings: str) -> tuple[Panel, Panel]:
-    """Return the panels of temperature and rate for sensors whose columns end so, with their colours."""
-    key = "".join(suffixes)
-    temperature, rate = (
-        [
-            Band(
-                f"temperature_{what}{suffix}", f"temperature_{what}_sd{suffix}", suffix[1:] or "sensor", color
-            )
-            for suffix, color in suffixes.items()
-        ]
-        for what in ("estimate", "rate")
-    )
-    return (
-        band_panel(
-            f"temperature_estimate{key}",
-            THERMAL,
-            "Temperature: readings, estimate, 2σ",
-            temperature,
-            unit="°C",
-            beside=readings,
-        ),
-        band_panel(
-            f"temperature_rate{key}", THERMAL, "Temperature rate, 2σ", rate, unit="°C/h", factor=3600.0
-        ),
-    )
-
-
 BIAS = "Gyro bias"
 """Tab of the bias estimates."""
 PUBLISHED = "SR-RSUKF"
 """Tab of the published filter and what it must be compared with."""
 ALIGNMENT = "Alignment"
 """Tab of the heading by the earth rate; its charts stand there, too."""
-DEG_PER_HOUR = DEG * 3600.0
+METHODS = "Published"
+"""Tab of the published methods that `--published` chooses, each beside the default."""
 
 
-def _axis_bands(value: str, sd: str) -> list[Band]:
-    return [Band(f"{value}_{axis}", f"{sd}_{axis}", axis, color) for axis, color in AXIS_COLORS.items()]
+def _axes(name: str) -> dict[str, str]:
+    return {f"{name}_{axis}": axis for axis in "xyz"}
 
 
-def _random_error(axis: str, color: Color) -> Panel:
-    """Return the panel of one axis: beside the turn-on bias of another its drift could not be seen."""
-    return band_panel(
-        f"gyro_random_error_{axis}",
-        BIAS,
-        f"Gyro bias {axis} less the model's curve, 2σ",
-        [Band(f"gyro_random_error_{axis}", f"gyro_random_error_sd_{axis}", axis, color)],
-        unit="°/h",
-        factor=DEG_PER_HOUR,
+def _axis_bands(name: str) -> list[Band]:
+    return [with_sd(f"{name}_{axis}", axis, color) for axis, color in AXIS_COLORS.items()]
+
+
+def _north_and_east(name: str) -> list[Band]:
+    return [Band(f"{name}_east", "east", RED), Band(f"{name}_north", "north", BLUE)]
+
+
+def _means_at_rest(axis: str) -> list[Band]:
+    return [Band(f"gyro_rest_mean_{axis}", "mean", VIOLET), Band(f"gyro_rest_hold_{axis}", "hold", GREY)]
+
+
+def _thermal(suffixes: dict[str, Color], readings: str) -> Iterator[Panel]:
+    """Yield the panels of temperature and rate for sensors whose columns end so, with their colours."""
+    rows = (
+        ("temperature_estimate", "Temperature: readings, estimate, 2σ", "°C", readings),
+        ("temperature_rate", "Temperature rate, 2σ", "°C/h", None),
     )
+    for name, title, unit, beside in rows:
+        bands = [with_sd(name + suffix, suffix[1:] or "sensor", color) for suffix, color in suffixes.items()]
+        yield band_panel(name + "".join(suffixes), THERMAL, title, bands, unit, beside=beside)
 
 
-def _beside_published(axis: str) -> Panel:
-    """Return the panel of one axis that shows SR-RSUKF, the default estimate and the plain ones together."""
-    return band_panel(
-        f"gyro_beside_{axis}",
-        PUBLISHED,
-        f"Gyro {axis}: SR-RSUKF ({axis}) beside the default, the mean at rest and the held beginning, 2σ",
-        [
-            Band(f"gyro_drift_{axis}", f"gyro_drift_sd_{axis}", "default", ORANGE),
-            Band(f"gyro_rest_mean_{axis}", None, "mean", VIOLET),
-            Band(f"gyro_rest_hold_{axis}", None, "hold", GREY),
-        ],
-        unit="°/h",
-        factor=DEG_PER_HOUR,
-        beside=f"/view/gyro_random_error_{axis}/**",
-    )
+def _published_temperature(suffix: str, default: str) -> Iterator[Panel]:
+    """Yield the panels of the FIR filter for the channel with this ending."""
+    rows = (("temperature_estimate", "Temperature", "°C"), ("temperature_rate", "Temperature rate", "°C/h"))
+    for name, title, unit in rows:
+        column = f"fir_{name}{suffix}"
+        title = f"{title}{suffix.replace('_', ' ')} (fir) beside the default, 2σ"
+        beside = f"/view/{name}{default}/**"
+        yield band_panel(column, METHODS, title, [with_sd(column, "fir", VIOLET)], unit, beside=beside)
+
+
+def _published_gyro(method: str, title: str, quantity: str, default: str) -> Iterator[Panel]:
+    """Yield the panels of a method, one for each gyro, with the entity of the default beside."""
+    for axis, color in AXIS_COLORS.items():
+        column = f"{method}_{quantity}_{axis}"
+        bands = [with_sd(column, method, color)]
+        beside = f"/view/{default.format(axis=axis)}/**"
+        text = f"{title} {axis} ({method}) beside the default, 2σ"
+        yield band_panel(column, METHODS, text, bands, "°/h", beside=beside)
+
+
+def _published_heading(method: str, name: str, color: Color) -> Panel:
+    """Return the panel of a heading without a sigma."""
+    column, title = f"{method}_heading", f"Heading ({method}) beside the default"
+    return band_panel(column, METHODS, title, [Band(column, name, color)], "°", beside="/view/heading/**")
 
 
 PANELS: tuple[Panel, ...] = (
     attitude("attitude", ("q_w", "q_x", "q_y", "q_z"), from_wxyz),
     attitude("attitude_from_angles", ("roll", "pitch", "yaw"), from_euler),
-    strip("gyro", "Angular rate", _axes("gyro"), shown=(DEG, "°/s")),
+    strip("gyro", "Angular rate", _axes("gyro"), shown="°/s"),
     strip("accel", "Specific force", _axes("accel")),
     strip("mag", "Magnetic field", _axes("mag")),
-    strip(
-        "angles", "Attitude as reported", {name: name for name in ("roll", "pitch", "yaw")}, shown=(DEG, "°")
-    ),
+    strip("angles", "Attitude as reported", {name: name for name in ("roll", "pitch", "yaw")}, shown="°"),
     strip("temperature", "Temperature", {"temperature": "sensor"}, colors=[ORANGE], steps=True),
     strip("temperature_axes", "Temperature", _axes("temperature"), steps=True),
     *_thermal({"": ORANGE}, "/samples/temperature"),
     *_thermal({f"_{axis}": color for axis, color in AXIS_COLORS.items()}, "/samples/temperature_axes"),
-    band_panel(
-        "gyro_bias",
-        BIAS,
-        "Gyro bias, 2σ",
-        _axis_bands("gyro_bias", "gyro_bias_sd"),
-        unit="°/h",
-        factor=DEG_PER_HOUR,
-    ),
+    band_panel("gyro_bias", BIAS, "Gyro bias, 2σ", _axis_bands("gyro_bias"), "°/h"),
     strip(
         "gyro_corrected",
         "Angular rate: raw and corrected",
         {f"gyro_corrected_{axis}": f"corrected {axis}" for axis in "xyz"},
         colors=[ORANGE, VIOLET, GREY],
-        shown=(DEG, "°/s"),
+        shown="°/s",
         place=BIAS,
         beside="/view/gyro",
     ),
@@ -138,76 +105,98 @@ PANELS: tuple[Panel, ...] = (
         limits=(-3.0, 3.0),
         sparse=True,
     ),
-    *(_random_error(axis, color) for axis, color in AXIS_COLORS.items()),
-    *(_beside_published(axis) for axis in "xyz"),
-    band_panel(
-        "gyro_phi",
-        PUBLISHED,
-        "φ of SR-RSUKF, 2σ",
-        _axis_bands("gyro_phi", "gyro_phi_sd"),
-        unit="",
-        y_range=(-1.0, 1.0),
+    # A panel for each axis: beside the turn-on bias of another its drift could not be seen.
+    *(
+        band_panel(band.value, BIAS, f"Gyro bias {band.name} less the model's curve, 2σ", [band], "°/h")
+        for band in _axis_bands("gyro_random_error")
     ),
+    *(
+        band_panel(
+            f"gyro_beside_{axis}",
+            PUBLISHED,
+            f"Gyro {axis}: SR-RSUKF ({axis}) beside the default, the mean at rest and the held beginning, 2σ",
+            [with_sd(f"gyro_drift_{axis}", "default", ORANGE), *_means_at_rest(axis)],
+            "°/h",
+            beside=f"/view/gyro_random_error_{axis}/**",
+        )
+        for axis in "xyz"
+    ),
+    band_panel("gyro_phi", PUBLISHED, "φ of SR-RSUKF, 2σ", _axis_bands("gyro_phi"), "", y_range=(-1.0, 1.0)),
     band_panel(
         "heading",
         ALIGNMENT,
         "Heading from true north, 2σ",
         [
-            Band("heading_total_average", "heading_total_average_sd", "average", RED),
-            Band("heading_curve_fit", "heading_curve_fit_sd", "curve-fit", ORANGE),
-            Band("heading_tilt_corrected", "heading_tilt_corrected_sd", "tilt-corrected", GREEN),
-            Band("heading", "heading_sd", "shown", BLUE),
+            with_sd("heading_total_average", "average", RED),
+            with_sd("heading_curve_fit", "curve-fit", ORANGE),
+            with_sd("heading_tilt_corrected", "tilt-corrected", GREEN),
+            with_sd("heading", "shown", BLUE),
         ],
-        unit="°",
-        factor=DEG,
+        "°",
     ),
     band_panel(
         "heading_line_exponential",
         ALIGNMENT,
         "Heading by line and exponential, 2σ",
-        [Band("heading_line_exponential", "heading_line_exponential_sd", "line-exponential", VIOLET)],
-        unit="°",
-        factor=DEG,
+        [with_sd("heading_line_exponential", "line-exponential", VIOLET)],
+        "°",
     ),
     band_panel(
         "heading_magnetic",
         ALIGNMENT,
         "Heading from magnetic north",
-        [Band("heading_magnetic", None, "magnetic", GREY)],
-        unit="°",
-        factor=DEG,
+        [Band("heading_magnetic", "magnetic", GREY)],
+        "°",
     ),
+    band_panel("control_rate", ALIGNMENT, "Horizontal control rates", _north_and_east("control_rate"), "°/h"),
     band_panel(
-        "control_rate",
-        ALIGNMENT,
-        "Horizontal control rates",
-        [Band("control_rate_east", None, "east", RED), Band("control_rate_north", None, "north", BLUE)],
-        unit="°/h",
-        factor=DEG_PER_HOUR,
-    ),
-    band_panel(
-        "control_angle",
-        ALIGNMENT,
-        "Integral of the control rates",
-        [Band("control_angle_east", None, "east", RED), Band("control_angle_north", None, "north", BLUE)],
-        unit="°",
-        factor=DEG,
+        "control_angle", ALIGNMENT, "Integral of the control rates", _north_and_east("control_angle"), "°"
     ),
     band_panel(
         "level",
         ALIGNMENT,
         "Roll and pitch by the alignment",
-        [Band("aligned_roll", None, "roll", RED), Band("aligned_pitch", None, "pitch", GREEN)],
-        unit="°",
-        factor=DEG,
+        [Band("aligned_roll", "roll", RED), Band("aligned_pitch", "pitch", GREEN)],
+        "°",
     ),
     band_panel(
         "level_drift",
         ALIGNMENT,
         "Drift of roll and pitch since the coarse alignment",
-        [Band("roll_drift", None, "roll", RED), Band("pitch_drift", None, "pitch", GREEN)],
-        unit="µg",
-        factor=1e6,
+        [Band("roll_drift", "roll", RED), Band("pitch_drift", "pitch", GREEN)],
+        "µg",
+    ),
+    *_published_temperature("", ""),
+    *(panel for axis in "xyz" for panel in _published_temperature(f"_{axis}", "_x_y_z")),
+    *_published_gyro("stf", "Random error", "random_error", "gyro_random_error_{axis}"),
+    *_published_gyro("sr_ukf", "Random error", "random_error", "gyro_random_error_{axis}"),
+    *_published_gyro("sr_rsukf", "Random error", "random_error", "gyro_random_error_{axis}"),
+    *(
+        band_panel(name, METHODS, f"φ ({method}), 2σ", _axis_bands(name), "", y_range=(-1.0, 1.0))
+        for method in ("sr_ukf", "sr_rsukf")
+        for name in [f"{method}_phi"]
+    ),
+    *_published_gyro("dense_zupt", "Gyro bias", "gyro_bias", "gyro_bias"),
+    *_published_gyro("dense_tczupt", "Gyro bias", "gyro_bias", "gyro_bias"),
+    _published_heading("fixed_gain_loop", "now", GREY),
+    _published_heading("total_average", "average", RED),
+    _published_heading("curve_fit", "curve-fit", ORANGE),
+    band_panel(
+        "fixed_gain_loop_control_rate",
+        METHODS,
+        "Horizontal control rates (fixed_gain_loop)",
+        _north_and_east("fixed_gain_loop_control_rate"),
+        "°/h",
+    ),
+    *(
+        band_panel(
+            f"gyro_rest_{axis}",
+            METHODS,
+            f"Gyro {axis}: exponential mean at rest, and the beginning held",
+            _means_at_rest(axis),
+            "°/h",
+        )
+        for axis in "xyz"
     ),
     strip("pressure", "Pressure", {"pressure": "static"}, colors=[VIOLET]),
     strip(
@@ -215,7 +204,7 @@ PANELS: tuple[Panel, ...] = (
         "Packet rate",
         {"packet_rate": "packets"},
         colors=[BLUE],
-        shown=(1.0, "1/s"),
+        shown="1/s",
         place=LINK,
         steps=True,
     ),
@@ -224,7 +213,7 @@ PANELS: tuple[Panel, ...] = (
         "Link load",
         {"link_load": "load"},
         colors=[ORANGE],
-        shown=(100.0, "%"),
+        shown="%",
         place=LINK,
         steps=True,
         y_range=(0.0, 100.0),

@@ -13,7 +13,7 @@ from benchmarks.streams import Damaged, damage, samples
 from imumon.blocks import SampleBlock, join
 from imumon.protocols.base import ByteArray, Decoder
 from imumon.protocols.device import load_device
-from imumon.protocols.fixed.description import FixedDevice
+from imumon.protocols.fixed.device import FixedDevice
 
 CHUNKS = (256, 1024, 4096, 16_384, 65_536, 262_144, 1_048_576)
 PACKETS = 20_000
@@ -37,7 +37,7 @@ def cut(data: bytes, size: int) -> list[ByteArray]:
 
 def by_numpy(device: FixedDevice, data: bytes) -> Callable[[], object]:
     """Return what NumPy does for packets that are known to be whole and aligned: no search, no checksum."""
-    placed = device.placed()
+    placed = device.packet.placed()
     layout = np.dtype(
         {
             "names": [item.column.name for item in placed],
@@ -56,7 +56,7 @@ def by_numpy(device: FixedDevice, data: bytes) -> Callable[[], object]:
 
 def by_struct(device: FixedDevice, data: bytes) -> Callable[[], object]:
     """Return what a plain loop in Python does for aligned packets: no search, no checksum."""
-    placed = sorted(device.placed(), key=lambda item: item.at)
+    placed = sorted(device.packet.placed(), key=lambda item: item.at)
     code, at = ">", 0
     for item in placed:
         code += f"{item.at - at}x{STRUCT_CODES[item.type]}"

@@ -16,6 +16,8 @@ from rich.table import Table as RichTable
 from benchmarks.measure import BUSY, Bar, Machine, Table, machine
 
 SECTIONS = {
+    "compile": "benchmarks.compilation",
+    "start": "benchmarks.start",
     "decoders": "benchmarks.decoders",
     "checksums": "benchmarks.sums",
     "growth": "benchmarks.growth",

@@ -32,7 +32,7 @@ def run() -> tuple[list[Table], list[Bar]]:
             "stage, noise known": partial(_stage, "standard", blocks, KNOWN),
             "stage, learned": partial(_stage, "learned", blocks),
             "stage, in motion": partial(_stage, "standard", moving),
-            "12 states, dense": partial(_dense, rate, gyro, accel),
+            "12 states, dense, ten samples to a step": partial(_dense, rate, gyro, accel),
         }
         times = measure(cases)
         n = SECONDS * rate
@@ -75,4 +75,4 @@ def _stage(mode: Mode, blocks: list[SampleBlock], parameters: GyroBiasParameters
 def _dense(rate: int, gyro: FloatArray, accel: FloatArray) -> None:
     part = slice(0, 10 * rate)
     for _ in range(SECONDS // 10):
-        dense_filter(DenseSettings(1.0 / rate), gyro[part], accel[part], np.zeros(3))
+        dense_filter(DenseSettings(1.0 / rate), gyro[part], accel[part], np.zeros(3), every=rate // 10)

@@ -6,16 +6,13 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 from scipy.signal import TransferFunction, impulse
 
 from imumon.blocks import FloatArray
-from imumon.geodesy import EARTH_RATE
-from imumon.published.fixed_gain_loop import loop_gains, loop_step
-
-G = 9.80665
-MICRO_G = 1e-6 * G
-DEG_PER_H = math.pi / 180.0 / 3600.0
+from imumon.geodesy import DEG_PER_H, EARTH_RATE, MICRO_G
+from imumon.geodesy import STANDARD_GRAVITY as G
+from imumon.published.self_alignment import Loop as State
+from imumon.published.self_alignment import gains, step
 
 
 @dataclass(frozen=True)
@@ -73,37 +70,22 @@ class Course:
         return float(np.interp(second, self.time_s, values))
 
 
-@njit(cache=False)
-def _run(
-    n: int, h: float, decay: float, gain: float, tau: float, amplitude: float, gyro: float, earth: FloatArray
-) -> FloatArray:
-    attitude, velocity, turned, out = np.eye(3), np.zeros(2), np.zeros(5), np.zeros((n, 6))
-    for i in range(n):
-        error = amplitude * (1.0 - math.exp(-(i + 1) * h / tau))
-        force = np.array([error, error, 9.80665])
-        rate = np.array([gyro, earth[1] + gyro, earth[2]])
-        loop_step(attitude, velocity, rate, force, earth, decay, gain, h, turned)
-        out[i, 0], out[i, 1] = velocity[0], velocity[1]
-        out[i, 2], out[i, 3] = -attitude[1, 2], attitude[0, 2]
-        out[i, 4], out[i, 5] = turned[3] / h, turned[4] / h
-    return out
-
-
 def simulate(loop: Loop, seconds: float) -> Course:
     """Run the loop of imumon on a unit whose body axes are east, north, up."""
-    h = 1.0 / loop.rate_hz
-    decay, gain = loop_gains(loop.corner, loop.damping, h, G)
-    vertical = EARTH_RATE * math.sin(math.radians(loop.latitude_deg)) if loop.vertical else 0.0
-    earth = np.array([0.0, loop.level, vertical])
-    n = round(seconds * loop.rate_hz)
-    amplitude, gyro = loop.amplitude_ug * MICRO_G, loop.gyro_deg_per_h * DEG_PER_H
-    out = _run(n, h, decay, gain, loop.tau_s, amplitude, gyro, earth)
-    return Course(
-        h * np.arange(1, n + 1, dtype=np.float64),
-        (gain / loop.kb) * out[:, :2].T,
-        out[:, 2:4].T.copy(),
-        out[:, 4:].T.copy(),
-    )
+    h, n = 1.0 / loop.rate_hz, round(seconds * loop.rate_hz)
+    gain, vertical = gains(loop.corner, loop.damping, h), math.sin(math.radians(loop.latitude_deg))
+    earth = np.array([0.0, loop.level, EARTH_RATE * vertical if loop.vertical else 0.0])
+    gyro = loop.gyro_deg_per_h * DEG_PER_H
+    rate = earth + np.array([gyro, gyro, 0.0])
+    force = np.array([0.0, 0.0, G])
+    state, rows = State(np.eye(3)), np.empty((n, 6))
+    for i in range(n):
+        force[:2] = loop.amplitude_ug * MICRO_G * -math.expm1(-(i + 1) * h / loop.tau_s)
+        control = step(state, gain, earth, rate, force)
+        c = state.attitude
+        rows[i] = *state.velocity, -c[1, 2], c[0, 2], *control
+    velocity = (gain.kb / loop.kb) * rows[:, :2].T
+    return Course(h * np.arange(1, n + 1, dtype=np.float64), velocity, rows[:, 2:4].T, rows[:, 4:].T)
 
 
 def closed_velocity(loop: Loop, t: FloatArray) -> FloatArray:
@@ -150,10 +132,10 @@ def transient_tilt(loop: Loop, t: FloatArray) -> FloatArray:
     return np.asarray(y)
 
 
-def comparisons(loop: Loop) -> list[tuple[str, float]]:
-    """Return what is compared, and the largest difference over the largest value, from 30 to 900 s."""
+def comparisons(loop: Loop, seconds: float = 300.0) -> list[tuple[str, float]]:
+    """Return what is compared, and the largest difference over the largest value, from 30 s on."""
     quiet = replace(loop, gyro_deg_per_h=0.0)
-    course, alone, begin = simulate(loop, 900.0), simulate(quiet, 900.0), simulate(quiet, 5.0)
+    course, alone, begin = simulate(loop, seconds), simulate(quiet, seconds), simulate(quiet, 5.0)
     late = course.time_s >= 30.0
     t, whole = course.time_s[late], np.concatenate([[0.0], begin.time_s])
     velocities = closed_velocity(loop, t)

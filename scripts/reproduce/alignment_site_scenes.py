@@ -1,4 +1,4 @@
-"""A navigation-grade unit on a real site: what it sends while the ground sways, people walk, a tripod settles."""
+"""A navigation-grade unit on a real site: what it sends while people walk and a tripod settles."""
 
 from __future__ import annotations
 
@@ -172,7 +172,8 @@ def record(scene: Scene, seconds: float, seed: int) -> Record:
     """Return a seeded record of a level unit in forward-right-down axes."""
     rng = np.random.default_rng([seed, sum(map(ord, scene.name))])
     n, step = round(seconds * RATE_HZ), 1.0 / RATE_HZ
-    t, heading, latitude = step * np.arange(n), rng.uniform(0.0, 2.0 * math.pi), math.radians(LATITUDE_DEG)
+    t, heading = step * np.arange(float(n)), rng.uniform(0.0, 2.0 * math.pi)
+    latitude = math.radians(LATITUDE_DEG)
     earth = EARTH_RATE * np.array(
         [math.cos(latitude) * math.cos(heading), -math.cos(latitude) * math.sin(heading), -math.sin(latitude)]
     )

@@ -233,7 +233,35 @@ def _supply(rng: Generator, runs: list[Thermal], _: int) -> list[FloatArray]:
     return found
 
 
+def _relaxation(rng: Generator, runs: list[Thermal], _: int) -> list[FloatArray]:
+    """Return a package whose stress creeps away through thirty barriers of random heights."""
+    taus = 10.0 ** rng.uniform(0.5, rng.uniform(4.0, 5.0), 30)
+    weights = rng.uniform(0.5, 1.5, 30)
+    return [np.exp(-run.time_s[:, np.newaxis] / taus) @ weights for run in runs]
+
+
+def _dead_time(rng: Generator, runs: list[Thermal], _: int) -> list[FloatArray]:
+    """Return what heat does that goes through twenty layers one after another."""
+    layers, total = 20, rng.uniform(60, 300)
+    found = []
+    for run in runs:
+        value = run.board
+        for _ in range(layers):
+            value = _behind(value, total / layers)
+        found.append(run.board - value)
+    return found
+
+
+def _behind(value: FloatArray, tau: float) -> FloatArray:
+    from scipy.signal import lfilter
+
+    decay = np.exp(-1 / tau)
+    return np.asarray(lfilter([1 - decay], [1.0, -decay], value, zi=[decay * value[0]])[0])
+
+
 PHYSICS: dict[str, Physics] = {
+    "stress_relaxation": _relaxation,
+    "dead_time": _dead_time,
     "temperature_rate": _rate,
     "thermal_lag": _lag,
     "hysteresis": _hysteresis,

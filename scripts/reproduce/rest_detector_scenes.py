@@ -19,21 +19,25 @@ DEG_PER_H = DEG / 3600.0
 
 @dataclass(frozen=True, slots=True)
 class Grade:
-    """White noise of a sample at 100 Hz, rad/s and m/s² (going with the root of the rate), and its steps."""
+    """White noise of a sample at 100 Hz, rad/s and m/s² (going with the root of the rate), and its steps.
+
+    gyro_walk is the rate random walk, rad/s/√s.
+    """
 
     name: str
     gyro_sd: float
     accel_sd: float
+    gyro_walk: float = 0.0
     gyro_step: float = 0.0
     accel_step: float = 0.0
 
 
 GRADES = (
-    Grade("consumer", 0.3 * DEG, 0.05),
-    Grade("consumer, coarse steps", 0.02 * DEG, 0.004, 0.0625 * DEG, 0.0383),
-    Grade("industrial", 0.05 * DEG, 0.01),
-    Grade("tactical", 3e-5, 2e-3),
-    Grade("navigation", 1e-6, 2e-4),
+    Grade("consumer", 0.3 * DEG, 0.05, 2e-6),
+    Grade("consumer, coarse steps", 0.02 * DEG, 0.004, 2e-6, 0.0625 * DEG, 0.0383),
+    Grade("industrial", 0.05 * DEG, 0.01, 5e-7),
+    Grade("tactical", 3e-5, 2e-3, 5e-8),
+    Grade("navigation", 1e-6, 2e-4, 1e-9),
 )
 BIAS = np.array([2.0, -0.3, 0.4]) * DEG
 
@@ -173,6 +177,114 @@ def walk_then_rest(rate_hz: float, seconds: float, seed: int = 0) -> Scene:
     return scene
 
 
+def steady_turn(rate_hz: float, turn_dps: float, minutes: float, ramp_s: float) -> Scene:
+    """Rest of 150 s, a turn about the vertical, begun and ended evenly in ramp_s, and 90 s of rest."""
+    seconds = 60.0 * minutes + ramp_s
+    scene = still(rate_hz, 150.0 + seconds + 90.0)
+    since = scene.t - 150.0
+    rate = turn_dps * DEG * np.clip(np.minimum(since, seconds - since) / ramp_s, 0.0, 1.0)
+    scene.angles[:, 2] += np.cumsum(rate) / rate_hz
+    scene.rest[(since > 0.0) & (since <= seconds)] = False
+    return scene
+
+
+def slow_tilt(rate_hz: float, seconds: float) -> Scene:
+    """Rest, then tilted slowly by a hand from half of the time on: ±1° in 60 s."""
+    scene = still(rate_hz, seconds)
+    since = np.maximum(scene.t - seconds / 2, 0.0)
+    scene.angles[:, 0] += DEG * np.sin(2 * np.pi * since / 60.0)
+    scene.angles[:, 1] += 0.5 * DEG * np.sin(2 * np.pi * since / 60.0)
+    scene.rest[since > 0.0] = False
+    return scene
+
+
+def breathing(rate_hz: float, seconds: float, seed: int = 0) -> Scene:
+    """Rest, then worn by a person who sits and breathes: 0.1 °/s about a horizontal axis, every 4 s or so."""
+    scene = still(rate_hz, seconds)
+    rng = np.random.default_rng([seed, 3])
+    moving = scene.t > seconds / 2
+    period_s = 4.0 + 0.4 * _wander(rng, len(scene.t), rate_hz, 0.1)[:, 0]
+    rate = 0.1 * DEG * np.sin(2 * np.pi * np.cumsum(1.0 / np.maximum(period_s, 2.0)) / rate_hz) * moving
+    scene.angles[:, 1] += np.cumsum(rate) / rate_hz
+    scene.rest[moving] = False
+    return scene
+
+
+def idling(rate_hz: float, seconds: float, seed: int = 0) -> Scene:
+    """A car that stands with its engine running: 25 Hz and its harmonics, 0.2 m/s² and 0.2 °/s."""
+    scene = still(rate_hz, seconds)
+    rng = np.random.default_rng([seed, 4])
+    _idle(scene, np.ones(len(scene.t)), rng, rate_hz)
+    return scene
+
+
+def _idle(scene: Scene, share: FloatArray, rng: np.random.Generator, rate_hz: float) -> None:
+    """Add the vibration of an engine at 750 revolutions a minute: second order and twice that."""
+    for order, size in ((25.3, 1.0), (50.6, 0.4)):
+        if order < 0.45 * rate_hz:
+            phase = rng.uniform(0, 2 * np.pi, 6)
+            angle = 2 * np.pi * order * scene.t[:, np.newaxis] + phase
+            scene.acceleration[:] += (
+                0.2 * size * share[:, np.newaxis] * np.array([0.4, 0.6, 1.0]) * np.sin(angle[:, :3])
+            )
+            scene.gyro_extra[:] += (
+                0.2 * DEG * size * share[:, np.newaxis] * np.array([1.0, 0.6, 0.3]) * np.sin(angle[:, 3:])
+            )
+    scene.acceleration[:] += 0.01 * share[:, np.newaxis] * rng.standard_normal((len(scene.t), 3))
+
+
+def driving(rate_hz: float, seconds: float, seed: int = 0, roughness: float = 1.0) -> Scene:
+    """A car in town: it stands for a third of every 90 s, engine idling, and drives between.
+
+    On the road the body bounces and pitches at 1.5 Hz (0.3 m/s², 1 °/s), the wheels shake it up to 30 Hz
+    (0.4 m/s², 0.7 °/s; all rms, smooth asphalt), it accelerates and brakes, and turns now and then.
+    """
+    scene = still(rate_hz, seconds)
+    rng = np.random.default_rng([seed, 5])
+    n, t = len(scene.t), scene.t
+    cycle = t % 90.0
+    speed = np.clip((cycle - 30.0) / 10.0, 0.0, 1.0) * np.clip((89.0 - cycle) / 8.0, 0.0, 1.0)
+    speed = speed**2 * (3.0 - 2.0 * speed)
+    scene.acceleration[:, 0] += 14.0 * np.gradient(speed, t)
+    shake = (roughness * np.sqrt(speed))[:, np.newaxis]
+    scene.acceleration[:] += (
+        shake
+        * np.array([0.2, 0.5, 1.0])
+        * (0.3 * _wander(rng, n, rate_hz, 1.5) + 0.4 * _wander(rng, n, rate_hz, 30.0))
+    )
+    scene.gyro_extra[:] += (
+        DEG
+        * shake
+        * np.array([1.0, 1.0, 0.3])
+        * (_wander(rng, n, rate_hz, 1.5) + 0.7 * _wander(rng, n, rate_hz, 30.0))
+    )
+    bends = np.sin(2 * np.pi * t / 37.0) > 0.7
+    yaw_rate = 10.0 * DEG * speed * bends + 0.5 * DEG * speed * np.sin(2 * np.pi * t / 53.0)
+    scene.angles[:, 2] += np.cumsum(yaw_rate) / rate_hz
+    scene.acceleration[:, 1] += 14.0 * speed * yaw_rate
+    _idle(scene, np.ones(n), rng, rate_hz)
+    scene.rest[speed > 0.0] = False
+    return scene
+
+
+def motorway(rate_hz: float, seconds: float, seed: int = 0) -> Scene:
+    """A car on a smooth road at a constant speed, nearly straight on: a third of the vibration in town."""
+    scene = still(rate_hz, seconds)
+    rng = np.random.default_rng([seed, 6])
+    n = len(scene.t)
+    scene.acceleration[:] += np.array([0.2, 0.5, 1.0]) * (
+        0.1 * _wander(rng, n, rate_hz, 1.5) + 0.15 * _wander(rng, n, rate_hz, 30.0)
+    )
+    scene.gyro_extra[:] += (
+        DEG
+        * np.array([1.0, 1.0, 0.3])
+        * (0.3 * _wander(rng, n, rate_hz, 1.5) + 0.25 * _wander(rng, n, rate_hz, 30.0))
+    )
+    scene.angles[:, 2] += 0.3 * DEG * 53.0 / (2 * np.pi) * np.sin(2 * np.pi * scene.t / 53.0)
+    scene.rest[:] = False
+    return scene
+
+
 def _fixed(make: Callable[[float, float], Scene]) -> Callable[[float, float, int], Scene]:
     return lambda rate_hz, seconds, _: make(rate_hz, seconds)
 
@@ -188,12 +300,22 @@ SCENES: dict[str, Callable[[float, float, int], Scene]] = {
     "bumps": _fixed(bump),
     "held in a hand": hand,
     "walk, then rest": walk_then_rest,
+    "tilted slowly, 1 deg in 60 s": _fixed(slow_tilt),
+    "breathing, 0.1 deg/s": breathing,
+    "idling engine": idling,
+    "driving in town": driving,
+    "driving on a smooth road": motorway,
 }
 """From rate, seconds and seed."""
 
 
 def measure(scene: Scene, grade: Grade, seed: int) -> SampleBlock:
     """Return what sensors of a grade read of a scene, at the rate of the scene."""
+    return measure_with_bias(scene, grade, seed)[0]
+
+
+def measure_with_bias(scene: Scene, grade: Grade, seed: int) -> tuple[SampleBlock, FloatArray]:
+    """Return the same, and the bias of the gyros without what the scene adds, (n, 3)."""
     rng = np.random.default_rng(seed)
     n, rate_hz = len(scene.t), 1.0 / (scene.t[1] - scene.t[0])
     scale = np.sqrt(rate_hz / 100.0)
@@ -202,6 +324,8 @@ def measure(scene: Scene, grade: Grade, seed: int) -> SampleBlock:
     # The turn that leads to a sample is read with it, not before.
     gyro = np.vstack([turn[:1], turn]) + BIAS + scene.gyro_extra
     gyro += grade.gyro_sd * scale * rng.standard_normal((n, 3))
+    walk = grade.gyro_walk / np.sqrt(rate_hz) * np.cumsum(rng.standard_normal((n, 3)), 0)
+    gyro += walk
     accel = body_to_ned.inv().apply([0.0, 0.0, -GRAVITY]) + scene.acceleration + np.array([0.1, -0.2, 0.05])
     accel += grade.accel_sd * scale * rng.standard_normal((n, 3))
     if grade.gyro_step:
@@ -213,7 +337,7 @@ def measure(scene: Scene, grade: Grade, seed: int) -> SampleBlock:
     }
     for i, name in enumerate("xyz"):
         columns |= {f"gyro_{name}": gyro[:, i].copy(), f"accel_{name}": accel[:, i].copy()}
-    return SampleBlock(columns)
+    return SampleBlock(columns), BIAS + walk
 
 
 def averaged(samples: SampleBlock, count: int) -> SampleBlock:

@@ -9,9 +9,21 @@ from itertools import product
 
 import numpy as np
 import numpy.typing as npt
-from rest_detector_scenes import GRADES, SCENES, Grade, averaged, measure
+from rest_detector_scenes import (
+    BIAS,
+    GRADES,
+    SCENES,
+    Grade,
+    Scene,
+    averaged,
+    measure,
+    measure_with_bias,
+    steady_turn,
+)
+from vqf import VQF
 
-from imumon.blocks import FloatArray
+from imumon.blocks import FloatArray, SampleBlock
+from imumon.estimation.gyro_bias.stage import GyroBias
 from imumon.estimation.rest.stage import RestDetector
 
 RATES_HZ = (100.0, 10.0, 2.0)
@@ -55,6 +67,11 @@ class Tally:
         leaves = np.flatnonzero(found[:-1] & ~found[1:]) + 1
         self.left += int((rest[leaves] & rest[np.minimum(leaves + 2, len(t) - 1)]).sum())
 
+    def percent(self) -> tuple[float, float]:
+        """Return the shares of motion taken for rest, and of rest found, NaN without any."""
+        missed = 100.0 * self.motion_missed / self.motion if self.motion else np.nan
+        return missed, 100.0 * self.rest_found / self.rest if self.rest else np.nan
+
     def row(self) -> str:
         """Return the cells of a table."""
         found = f"{100 * self.rest_found / self.rest:.1f}" if self.rest else "-"
@@ -83,12 +100,97 @@ def tally(name: str, grades: Sequence[Grade], rate_hz: float, seconds: float, se
     return result
 
 
+TURNS = (
+    (0.5, 10.0, 0.5), (0.5, 10.0, 120.0), (0.5, 60.0, 120.0), (2.0, 20.0, 30.0), (5.0, 12.0, 5.0),
+    (5.0, 30.0, 120.0), (30.0, 30.0, 20.0), (30.0, 90.0, 0.5),
+)  # fmt: skip
+"""deg/s, minutes, and seconds in which it begins and ends."""
+FIELD = ("tilted slowly, 1 deg in 60 s", "breathing, 0.1 deg/s", "idling engine", "driving in town",
+         "driving on a smooth road", "held in a hand", "fan")  # fmt: skip
+FIELD_HEADER = """\
+| scene | sensors | motion missed % | by VQF % | rest found % | by VQF % | rest after s | z > 5 % | max z |
+|---|---|---|---|---|---|---|---|---|"""
+TURN_RATE_HZ = 25.0
+
+
+def vqf_rest(samples: SampleBlock) -> Mask:
+    """Return what the rest detection of the PyPI package vqf says, with its default settings.
+
+    It is given gyros without their bias at the start, for it takes more than 2 deg/s for motion.
+    """
+    t = samples["device_time_ns"] * 1e-9
+    gyro, accel = samples.gyro, samples.accel
+    assert gyro is not None
+    assert accel is not None
+    found = VQF(float(t[1] - t[0])).updateBatch(
+        np.ascontiguousarray(gyro - BIAS), np.ascontiguousarray(accel)
+    )
+    return np.asarray(found["restDetected"], np.bool_)
+
+
+def bias_over_sigma(samples: SampleBlock, truth: FloatArray) -> FloatArray:
+    """Return the error of the bias over its sigma, of the worst axis, where there is an estimate.
+
+    The hypothesis of a turn is part of the sigma, as the detector's docstring says.
+    """
+    result = GyroBias().process(samples)
+    bias, sd, turn = (
+        np.column_stack([source[f"{name}_{axis}"] for axis in "xyz"])
+        for source, name in ((result, "gyro_bias"), (result, "gyro_bias_sd"), (samples, "turn_hypothesis"))
+    )
+    z = np.abs(bias - truth) / np.hypot(sd, turn)
+    return np.asarray(z.max(1)[np.isfinite(z).all(1)])
+
+
+def field_row(name: str, grade: Grade, scenes: Sequence[tuple[int, Scene]]) -> tuple[float, str]:
+    """Return how bad a row is, and the row: all seeds of a scene with sensors of a grade."""
+    ours, theirs, z = Tally(), Tally(), []
+    for seed, scene in scenes:
+        samples, truth = measure_with_bias(scene, grade, seed)
+        columns = RestDetector().process(samples)
+        ours.add(scene.t, scene.rest, columns["at_rest"] == 1)
+        theirs.add(scene.t, scene.rest, vqf_rest(samples))
+        z.append(bias_over_sigma(samples.with_columns(columns), truth))
+    over = np.concatenate(z)
+    false, share = ours.percent(), 100.0 * float(np.mean(over > 5.0)) if len(over) else 0.0
+    cells = [
+        name, grade.name, *(f"{value:.2f}" for value in (false[0], theirs.percent()[0])),
+        *(f"{value:.1f}" for value in (false[1], theirs.percent()[1])), _delays(ours.to_rest),
+        f"{share:.2f}", f"{over.max():.1f}" if len(over) else "-",
+    ]  # fmt: skip
+    return np.nan_to_num(false[0]) + share + np.nan_to_num(100.0 - false[1]), f"| {' | '.join(cells)} |"
+
+
+def outside(seeds: int) -> None:
+    """Print the scenes in which a sigma is easily wrong, the worst row first."""
+    rows = []
+    for grade in GRADES:
+        for rate_dps, minutes, ramp_s in TURNS:
+            name = f"turn of {rate_dps:g} deg/s, {minutes:g} min, begun in {ramp_s:g} s"
+            scene = steady_turn(TURN_RATE_HZ, rate_dps, minutes, ramp_s)
+            rows.append(field_row(name, grade, [(seed, scene) for seed in range(seeds)]))
+        for name in FIELD:
+            scenes = [(seed, SCENES[name](FULL_RATE_HZ, 2 * SECONDS, seed)) for seed in range(seeds)]
+            rows.append(field_row(name, grade, scenes))
+    print(f"### Outside the bench, {seeds} seeds, the worst first\n\n{FIELD_HEADER}")
+    print("\n".join(row for _, row in sorted(rows, reverse=True)))
+
+
 def main() -> None:
-    """Print a table for each rate, and one of long rests."""
+    """Print the scenes of the field, a table for each rate, and one of long rests."""
     parser = argparse.ArgumentParser(prog="scripts/reproduce/rest_detector", description=__doc__)
-    parser.add_argument("--seeds", type=int, default=10, help="runs of each scene (default: %(default)s)")
-    seeds = parser.parse_args().seeds
+    parser.add_argument("--seeds", type=int, default=5, help="runs of each scene (default: %(default)s)")
+    parser.add_argument("--only", choices=["field", "bench"], help="one kind of scenes")
+    given = parser.parse_args()
     print("# Rest detector: tables\n\nMade by `scripts/reproduce/rest_detector`.\n")
+    if given.only != "bench":
+        outside(given.seeds)
+    if given.only != "field":
+        bench(given.seeds)
+
+
+def bench(seeds: int) -> None:
+    """Print a table for each rate, and one of long rests."""
     single = {grade.name: (grade,) for grade in GRADES}
     for rate_hz in RATES_HZ:
         print(f"### {rate_hz:g} Hz, {seeds} seeds of {SECONDS:.0f} s\n\n{HEADER}")

@@ -21,6 +21,8 @@ DPH = math.radians(1.0) / 3600.0
 """One degree per hour, rad/s."""
 RATE_HZ = 100
 ZEROING = 60 * RATE_HZ
+STEP = 10
+"""Samples to a step of the filter: as good as one, see tests/published/test_dense_zupt.py."""
 THRESHOLD = 1.00e-5 / DPH
 """Convergence of the paper, deg/h."""
 RESIDUAL = 15.0
@@ -118,7 +120,7 @@ def run(record: Record, chosen: Filter, residual: float = 0.0) -> tuple[FloatArr
     part = slice(ZEROING, None)
     drift = _drift(record, chosen, temperature, thermal)
     settings = replace(DenseSettings(1.0 / RATE_HZ), bias_random_walk=chosen.k * DPH, bias_sd=chosen.p0 * DPH)
-    result = dense_filter(settings, gyro[part], record.accel[part], start, drift, UP)
+    result = dense_filter(settings, gyro[part], record.accel[part], start, drift, UP, STEP)
     bias = result.bias + (thermal[part] if chosen.thermal == "calibrated" else 0.0)
     return (bias - record.bias[part]) / DPH, result
 

@@ -13,6 +13,7 @@ from tczupt_records import (
     DPH,
     RATE_HZ,
     RESIDUAL,
+    STEP,
     ZEROING,
     Filter,
     Record,
@@ -103,10 +104,11 @@ def responses() -> None:
     lines = []
     for k, p0 in ((0.0, 2.2), (0.1, 2.2), (0.5, 2.2), (0.1, 15.0), (0.5, 15.0)):
         settings = replace(DenseSettings(1.0 / RATE_HZ), bias_random_walk=k * DPH, bias_sd=p0 * DPH)
-        latitude = np.radians(settings.latitude_deg)
+        latitude = np.radians(40.93)
         earth = 7.292115e-5 * np.array([np.cos(latitude), 0.0, -np.sin(latitude)])
         accel = np.tile([0.0, 0.0, -9.80665], (n, 1))
-        result = dense_filter(settings, np.tile(earth, (n, 1)), accel, np.array([RESIDUAL * DPH, 0.0, 0.0]))
+        start = np.array([RESIDUAL * DPH, 0.0, 0.0])
+        result = dense_filter(settings, np.tile(earth, (n, 1)), accel, start, every=STEP)
         left = result.bias[:, 0] / DPH
         below = (np.flatnonzero(left < 1e-5 / DPH)[0] + 1) / RATE_HZ
         lines.append([f"{k}", f"{p0}", *(f"{left[t * RATE_HZ - 1]:.2f}" for t in seconds), f"{below:.1f} s"])

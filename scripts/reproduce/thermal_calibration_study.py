@@ -47,7 +47,7 @@ def published(points: Points, neurons: int, seed: int, restarts: int = RESTARTS)
     parts = (place < 0.65, (place >= 0.65) & (place < 0.85), place >= 0.85)
     scaling = Scaling.of(points)
     training, validation = (scaling.apply(points.only(part)) for part in parts[:2])
-    weights = [train(start, training, decay=0.0) for start in starts(neurons, restarts, random)]
+    weights = [train(start, training, validation, decay=0.0) for start in starts(neurons, restarts, random)]
     error = np.sqrt([mean_square(one, validation) for one in weights])
     curve = scaling.curve(weights[np.argmin(error)])
     residual = points.value - curve.value(points.temperature)

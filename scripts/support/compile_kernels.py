@@ -81,12 +81,13 @@ class _Compiled(logging.Handler):
 
 
 def packets(device_name: str) -> None:
-    """Decode packets of a device."""
+    """Decode packets of a device, and put those of one time together."""
     import numpy as np
 
     from imumon.blocks import SampleBlock
     from imumon.columns import KNOWN
     from imumon.protocols.device import load_device
+    from imumon.protocols.epochs import EpochAssembler
 
     device = load_device(device_name)
     sent = SampleBlock({column.name: np.zeros(3, column.dtype) for column in KNOWN.values()})
@@ -94,7 +95,8 @@ def packets(device_name: str) -> None:
     for number, packet in enumerate(device.encoder().encode(sent)):
         decoder.feed(packet, number)
     decoder.finish()
-    decoder.take()
+    if decoder.groups is not None:
+        EpochAssembler(decoder.groups).process(decoder.take_packets(), end=True)
 
 
 def fixed() -> None:

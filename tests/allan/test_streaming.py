@@ -9,10 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from imumon.allan.analysis import strided_allan
 from imumon.allan.covariance import NOISES, Runs, freedom
 from imumon.allan.parameters import AllanParameters, SheetLine
-from imumon.allan.series import even_channels
+from imumon.allan.series import EvenSeries, even_channels
 from imumon.allan.stage import AllanStage
 from imumon.allan.streaming import RING, RINGS, STRIDES_PER_TAU, StreamingAllan, identify
 from imumon.blocks import FloatArray, IntArray, SampleBlock
@@ -42,6 +41,23 @@ def streamed(record: tuple[IntArray, IntArray, FloatArray], cuts: list[int]) -> 
     for start, stop in pairwise(edges):
         channel.process(time_ns[start:stop], segment[start:stop], values[start:stop])
     return channel
+
+
+def strided_allan(series: EvenSeries, factors: IntArray, strides_per_tau: int) -> FloatArray:
+    """Return Allan variances of differences at every max(1, m // strides_per_tau)-th sample of a run."""
+    x = np.concatenate([[0.0], np.cumsum(series.values - series.values.mean())])
+    found = np.full(len(factors), np.nan)
+    for row, m in enumerate(factors.tolist()):
+        stride = max(1, m // strides_per_tau)
+        parts = [
+            x[start + 2 * m : stop + 1 : stride]
+            - 2.0 * x[start + m : stop + 1 - m : stride]
+            + x[start : stop + 1 - 2 * m : stride]
+            for start, stop in zip(*series.runs(m, bridge=False), strict=True)
+            if stop - start >= 2 * m
+        ]
+        found[row] = np.mean(np.concatenate(parts) ** 2) / (2.0 * m**2)
+    return found
 
 
 def test_the_streamed_curve_is_that_of_the_batch() -> None:

@@ -17,7 +17,7 @@ from imumon.errors import ImumonError
 from imumon.models.curves.spline import SplineCurve
 from imumon.models.model import BiasModel, ChannelModel, load_model
 from imumon.models.predictor import BiasPredictor
-from tests.diagnosis.units import DPH, WHITE_DPH, cubic, lagged, ramps, run, three
+from tests.diagnosis.units import DPH, WHITE_DPH, Bias, cubic, lagged, ramps, run, three
 
 LAG_S = 200.0
 
@@ -53,6 +53,26 @@ def test_a_lag_is_named_with_its_time_constant_and_proven_on_the_test(lagging: D
     assert found["before"]["test_rms"] > 3 * floor
     assert found["after"]["test_rms"] < 1.2 * floor
     assert not found["unexplained"]
+
+
+def creeping(time: FloatArray, temperature: FloatArray) -> FloatArray:  # noqa: ARG001 - as all biases
+    """Stress that creeps away through many barriers, from seconds to days."""
+    return np.asarray(60.0 * np.exp(-time[:, np.newaxis] / np.logspace(0.5, 5.0, 40)).mean(axis=1))
+
+
+def late(time: FloatArray, temperature: FloatArray) -> FloatArray:
+    return np.asarray(5.0 * (temperature - np.interp(time - 150.0, time, temperature)))
+
+
+@pytest.mark.parametrize(("bias", "name"), [(creeping, "stress_relaxation"), (late, "dead_time")])
+def test_a_creep_and_a_dead_time_are_named_as_such_and_carry_over(bias: Bias, name: str) -> None:
+    diagnosis = diagnose(*three(bias))
+    found = report(diagnosis)["channels"]["gyro_x"]
+    assert [effect["name"] for effect in found["effects"]] == [name]
+    assert not found["unexplained"]
+    assert found["before"]["test_rms"] > 2.5 * found["noise_floor_rms"]
+    assert found["after"]["test_rms"] < 1.2 * found["noise_floor_rms"]
+    assert [effect.name for effect in extended_model(diagnosis).channels["gyro_x"].effects] == [name]
 
 
 def test_the_model_file_foretells_the_test_as_well_as_the_report_says(

@@ -94,5 +94,5 @@ def test_an_unknown_start_widens_the_bias_until_it_is_forgotten(models: dict[str
         rest = (np.arange(len(sent)) < 100).astype(np.int64)
         found = stage.process(sent.with_columns({"at_rest": rest}))
         sd[name] = found["gyro_bias_sd_x"]
-    moving = int(30 * RATE_HZ)
+    moving = int(60 * RATE_HZ)
     assert sd["extended"][moving] > 1.2 * sd["curve alone"][moving]

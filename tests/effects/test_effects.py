@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from pydantic import ValidationError
 
 from imumon.blocks import FloatArray, IntArray
+from imumon.effects import library
 from imumon.effects.base import Drive, Effect, Survey
+from imumon.effects.dead_time import DeadTime
 from imumon.effects.g_sensitivity import GSensitivity
 from imumon.effects.hysteresis import Hysteresis
 from imumon.effects.library import EFFECTS
 from imumon.effects.live import Carrier
+from imumon.effects.stress_relaxation import StressRelaxation
 from imumon.effects.temperature_rate import TemperatureRate
 from imumon.effects.thermal_lag import ThermalLag
 
@@ -172,7 +177,37 @@ def test_an_impossible_time_constant_is_refused(value: float) -> None:
         ThermalLag(time_constant_s=value, middle_degc=0.0, half_span_degc=1.0)
 
 
+def test_the_library_has_a_line_for_every_file_with_an_effect() -> None:
+    folder = Path(library.__file__).parent
+    kinds = {path.stem for path in folder.glob("*.py") if "    kind: Literal[" in path.read_text()}
+    assert kinds == set(EFFECTS)
+
+
+def test_all_that_an_effect_says_of_others_is_of_the_library() -> None:
+    for name, effect in EFFECTS.items():
+        assert {*effect.separated_by, *effect.start_looks_like} <= set(EFFECTS) - {name}
+
+
+def test_a_delay_gives_the_temperature_that_was() -> None:
+    effect = DeadTime(delay_s=200.0, middle_degc=0.0, half_span_degc=1.0)
+    time: FloatArray = np.linspace(0.0, 4000.0, 8001)
+    temperature = np.interp(time, [0, 1500, 2200, 4000], [20.0, 38.0, 38.0, 15.0])
+    was = temperature - effect.columns(Drive(time, temperature))[:, 0]
+    np.testing.assert_allclose(was[400:], temperature[:-400], atol=1e-9)
+    assert np.all(was[:400] == 20.0)
+
+
+def test_a_stretched_exponential_with_a_small_exponent_is_a_logarithm() -> None:
+    drive, stretched = run(), StressRelaxation(time_constant_s=10.0, exponent=0.01)
+    columns = [drive.time_s * 0 + 1, np.log(drive.time_s)]
+    late = drive.time_s > 100.0
+    values = stretched.columns(drive)[late, 0]
+    design = np.column_stack(columns)[late]
+    left = values - design @ np.linalg.lstsq(design, values, rcond=None)[0]
+    assert np.std(left) < 0.01 * np.std(values)
+
+
 def test_what_the_runs_cannot_show_is_not_tried() -> None:
     still = Survey((7200.0,), 0.5, 0, 0.0, 30.0, 3, 25.0, 0.25)
     tried = {name for name, family in EFFECTS.items() if family.grid(still)}
-    assert tried == {"warm_up", "drift", "step", "periodic"}
+    assert tried == {"warm_up", "stress_relaxation", "drift", "step", "periodic"}

@@ -146,6 +146,7 @@ def test_empty_cells_are_nan(tmp_path: Path) -> None:
         ("0.5,1,2,3,a,0.6,1,2,3,b", "10 cells, expected 5"),
         ("0.5,1,2,0.3-0.4,a", "'0.3-0.4' is not a number"),
         ("0.5,1,2,1_0,a", "'1_0' is not a number"),
+        ("0.5,1,b,c,a", "'b' is not a number"),
         ("0.5,1,inf,3,a", "'inf' is not a number"),
         ("0.5,1,1e999,3,a", "'1e999' is too large"),
         (",1,2,3,a", "time '' is not a number"),

@@ -56,8 +56,8 @@ def test_stages_add_columns_but_not_those_that_a_table_has(table: Path, tmp_path
     assert "at_rest" in block
     written = tmp_path / "own.parquet"
     told = block.with_columns({"at_rest": np.arange(N) % 2})
-    columns = [KNOWN.get(name) or RestDetector().columns[0] for name in told.columns]
-    export_blocks([told], written, None, lambda: columns)
+    known = KNOWN | {column.name: column for column in RestDetector().columns}
+    export_blocks([told], written, ["device_time_ns", "gyro_x", "gyro_y", "gyro_z", "at_rest"], known.values)
     again = samples(open_recording(written, rest))
     np.testing.assert_array_equal(again["at_rest"], told["at_rest"])
 

@@ -13,6 +13,8 @@ from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.pipeline import Pipeline
 from imumon.protocols.device import device_text, parse_device
 from imumon.published.fir import FirExponentialRate
+from imumon.published.names import PUBLISHED
+from imumon.run.setup import Setup
 from imumon.run.stages import estimators
 
 
@@ -79,3 +81,24 @@ def test_join_keeps_blocks_in_order() -> None:
     """The pieces above rely on it: a column that some blocks lack is missing there."""
     joined = join([SampleBlock({"a": np.ones(1)}), SampleBlock({"a": np.ones(1), "b": np.ones(1)})])
     np.testing.assert_array_equal(joined["b"], [np.nan, 1.0])
+
+
+def test_published_methods_run_beside_the_defaults_and_change_nothing_of_them() -> None:
+    rng = np.random.default_rng(0)
+    n = 7000
+    block = warming(n, 0)
+    columns = {f"gyro_{a}": 1e-4 + 1e-3 * rng.standard_normal(n) for a in "xyz"}
+    columns |= {f"accel_{a}": (9.8 if a == "z" else 0.0) + 1e-3 * rng.standard_normal(n) for a in "xyz"}
+    block = block.with_columns(columns).rows(0, n // 2)
+    plain = Pipeline(None, estimators(None, Setup(latitude_deg=45.0)))
+    plain.push(block)
+    beside = Pipeline(None, estimators(None, Setup(latitude_deg=45.0, published=list(PUBLISHED))))
+    beside.push(block)
+    expected, got = plain.take(), beside.take()
+    for name in expected.columns:
+        np.testing.assert_array_equal(got[name], expected[name], err_msg=name)
+    new = got.columns.keys() - expected.columns.keys()
+    assert new >= {"fir_temperature_rate_y", "sr_rsukf_phi_x", "dense_zupt_gyro_bias_z", "curve_fit_heading"}
+    assert {column.name for column in beside.columns} >= new
+    for name in ("fir_temperature_rate_y", "sr_ukf_random_error_x", "total_average_heading"):
+        assert np.isfinite(got[name][-1])

@@ -8,6 +8,7 @@ import rerun as rr
 from rerun.chunk import RrdReader
 
 from imumon.estimation.gyro_bias.stage import GyroBias
+from imumon.published.names import PUBLISHED, PublishedMethod
 from imumon.published.parameters import RandomErrorParameters
 from imumon.run.published import published_stages
 from imumon.run.setup import Setup
@@ -120,4 +121,16 @@ def test_the_published_filter_is_shown_beside_what_it_must_beat(tmp_path: Path, 
     assert ("/view/gyro_beside_x/**" in contents) == (method == "sr_rsukf")
     assert contents.count("/view/gyro_random_error_x/**") == (2 if method == "sr_rsukf" else 1)
     assert ("SR-RSUKF" in found["ContainerBlueprint:display_name"]) == (method == "sr_rsukf")
+    assert "Other" not in found["ContainerBlueprint:display_name"]
+
+
+@pytest.mark.parametrize("method", PUBLISHED)
+def test_every_published_method_is_drawn_in_a_tab_of_its_own(tmp_path: Path, method: PublishedMethod) -> None:
+    plain = block(0, 50)
+    stages = published_stages(Setup(latitude_deg=45.0, published=[method]))
+    for stage in stages:
+        stage.process(plain)
+    extra = {column.name: np.full(50, 1e-3) for stage in stages for column in stage.columns}
+    found = arranged(tmp_path / "a.rrd", [Timebase().samples(plain.with_columns(extra))], SETUP, live=True)
+    assert "Published" in found["ContainerBlueprint:display_name"]
     assert "Other" not in found["ContainerBlueprint:display_name"]

@@ -96,6 +96,38 @@ def test_merge_joins_what_is_consecutive_and_keeps_events_in_order() -> None:
     assert merged[2:] == events
 
 
+def _side(first: int, n: int, segment: int = 0) -> SampleBlock:
+    rows = block(first, n)
+    columns = {name: rows[name] for name in ("device_time_ns", "host_time_ns")}
+    return SampleBlock(
+        {**columns, "segment": np.full(n, segment, np.int64), "gnss_latitude": np.full(n, 48.0)}
+    )
+
+
+def test_side_streams_are_on_the_timelines_of_the_main_one() -> None:
+    timebase = Timebase()
+    main = timebase.samples(restarted(gap_ms=250))
+    assert main.device_ns is not None
+    before, after = timebase.side("gnss", _side(5, 2)), timebase.side("gnss", _side(5, 2, segment=1))
+    assert before.device_ns is not None
+    assert after.device_ns is not None
+    np.testing.assert_array_equal(before.device_ns, main.device_ns[5:7])
+    np.testing.assert_array_equal(after.device_ns, main.device_ns[15:17])
+    assert before.first is None
+
+
+def test_merge_joins_each_stream_apart() -> None:
+    timebase = Timebase()
+    items: list[ViewItem] = []
+    for k in range(4):
+        items.append(timebase.samples(block(10 * k, 10)))
+        items.append(timebase.side("gnss", _side(k, 1)))
+    main, side = merge(items)
+    assert isinstance(main, Samples)
+    assert isinstance(side, Samples)
+    assert (main.rows, main.stream, side.rows, side.stream) == (40, "", 4, "gnss")
+
+
 def test_merge_does_not_join_blocks_of_different_columns() -> None:
     timebase = Timebase()
     parts = [timebase.samples(block(0, 5)), timebase.samples(block(5, 5, leave_out=("mag",)))]

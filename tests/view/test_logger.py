@@ -10,7 +10,7 @@ import rerun as rr
 from imumon.blocks import ColumnArray, SampleBlock
 from imumon.charts import BLUE, GREEN, GREY, ORANGE, RED, VIOLET
 from imumon.view.items import Numbers, State, Status, Timebase, ViewItem, ViewSetup, merge
-from imumon.view.layout import Rows, Window, from_euler, from_wxyz, strip, unit_text
+from imumon.view.layout import INTEGERS, OTHER, Rows, Window, from_euler, from_wxyz, strip, unit_text
 from imumon.view.logger import BAD, GOOD, PLAIN, WAIT, StreamLogger, state_color, status_card
 from imumon.view.panels import PANELS
 from tests.view.streams import GYRO, QUATERNION, Stream, block, entities, record_batches, scalars
@@ -95,6 +95,19 @@ def test_unknown_columns_are_recorded_too(write: Callable[[Write], Path]) -> Non
     extra = block(0, 20).with_columns({"humidity": np.linspace(40.0, 41.0, 20)})
     path = write(lambda logger: logger.log([Timebase().samples(extra)]))
     np.testing.assert_array_equal(scalars([path], "/samples/other/humidity")[3][:, 0], extra["humidity"])
+
+
+def test_a_side_stream_has_entities_of_its_own(write: Callable[[Write], Path]) -> None:
+    def fill(logger: StreamLogger) -> None:
+        timebase = Timebase()
+        logger.log([timebase.samples(block(0, 20))])
+        times = {name: block(0, 2)[name] for name in ("device_time_ns", "host_time_ns", "segment")}
+        side = {"gnss_latitude": np.array([48.0, 48.5]), "gnss_fix_type": np.array([3, 3])}
+        logger.log([timebase.side("gnss", SampleBlock({**times, **side}))])
+
+    there = entities(write(fill))
+    assert {f"{OTHER}/gnss/latitude", f"{INTEGERS}/gnss"} <= set(there)
+    assert f"{OTHER}/gnss_latitude" not in there
 
 
 def test_state_before_the_first_sample_shows_on_device_time(write: Callable[[Write], Path]) -> None:

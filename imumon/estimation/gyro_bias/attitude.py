@@ -64,14 +64,20 @@ class Turn:
     def add(self, angles: Iterable[FloatArray]) -> None:
         """Turn by the integrated rates of successive slots, rad, (3,) each."""
         for angle in angles:
-            self.matrix = rotation(angle + np.cross(self.last, angle) / 12.0).T @ self.matrix
+            self.matrix = rotation(angle + cross(self.last, angle) / 12.0).T @ self.matrix
             self.path += math.sqrt(float(angle @ angle))
             self.last = angle
 
 
+def cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return the vector product, (3,): `numpy.cross` takes thirty times as long for one."""
+    (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
+    return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
+
+
 def rotation(vector: FloatArray) -> FloatArray:
     """Return the rotation by a vector, rad, (3, 3) (Rodrigues)."""
-    x, y, z = vector
+    x, y, z = vector.tolist()
     angle = math.sqrt(x * x + y * y + z * z)
     k = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     first = math.sin(angle) / angle if angle > 0.0 else 1.0
@@ -106,7 +112,7 @@ class Attitude:
 
     def tilt(self, force: FloatArray) -> FloatArray:
         """Return the rotation that gravity shows since the rest began, rad, (3,)."""
-        return np.cross(force / self.gravity - self.up, self.up)
+        return cross(force / self.gravity - self.up, self.up)
 
     def come_to_rest(
         self, force: FloatArray | None, place: Place, turn: Turn, drift: float, lost: bool

@@ -52,6 +52,8 @@ class ThermalDoubt:
 
     def step(self, degc: FloatArray, sd: FloatArray) -> FloatArray:
         """Return the variance at these temperatures, with this sd of the state, (3,); NaN changes nothing."""
+        if not self.steepness.any():
+            return self.variance
         self.mark_degc = np.where(np.isfinite(self.mark_degc), self.mark_degc, degc)
         moved = np.abs(degc - self.mark_degc)
         has_moved = moved >= MARK_DEGC

@@ -23,9 +23,12 @@ class RestParameters(StrictModel):
         (32 deg/h by default) cannot be told from it.
     gyro_g_sensitivity : float
         Change of a gyro's bias with specific force, rad/s per m/s²; 1.8e-4 is 0.1 deg/s per g.
+    gyro_walk : float
+        Change of a gyro's bias from one rest to the next that needs no explanation, however long the motion
+        between them was, rad/s: 8.7e-4 is 180 deg/h.  Twice as much for a gyro whose noise lets expect it.
     doubt_s : float
-        A steady gyro mean that differs from that of the last rest is motion for so long, and bias from then
-        on, if it differs by no more than largest_jump.
+        A steady gyro mean that differs from that of the last rest is a turn about the vertical for so long,
+        and bias from then on, if it differs by no more than largest_jump and nothing decides before.
     largest_jump : float
         Largest change of a gyro's bias within one run of the unit, rad/s.
     """
@@ -33,7 +36,8 @@ class RestParameters(StrictModel):
     gyro_drift: float = Field(default=1e-4, ge=0.0, le=1.0)
     accel_drift: float = Field(default=1.5e-3, ge=0.0, le=10.0)
     gyro_g_sensitivity: float = Field(default=1.8e-4, ge=0.0, le=0.1)
-    doubt_s: float = Field(default=60.0, ge=0.0, le=86400.0)
+    gyro_walk: float = Field(default=8.7e-4, ge=0.0, le=1.0)
+    doubt_s: float = Field(default=14400.0, ge=0.0, le=86400.0)
     largest_jump: float = Field(default=0.017, ge=0.0, le=10.0)
 
     @cached_property

@@ -9,14 +9,15 @@ import numpy.typing as npt
 
 from imumon.blocks import FloatArray
 
+SLOT_S = 0.125
 AXES = 6
 """Gyro x, y, z in rad/s, then accelerometer x, y, z in m/s²."""
 GYRO, ACCEL = slice(0, 3), slice(3, 6)
 LEVELS = 8
 """Windows of 1, 2, 4 ... 128 slots are compared with their predecessors."""
-KEPT: int = 3 * 2 ** (LEVELS - 1)
-"""Slots that the longest windows and their two predecessors take."""
-CAPACITY = 4 * KEPT
+KEPT: int = 7 * 2 ** (LEVELS - 1)
+"""Slots that the longest windows and what they are compared with take."""
+CAPACITY = 3 * KEPT
 
 COARSEST_STEPS = (2.2e-3, 0.16)
 """No gyro (rad/s) and no accelerometer (m/s²) reads in coarser steps."""
@@ -36,6 +37,8 @@ class Slot:
         Finite samples, their mean, and their variance about it (n - 1; NaN for a single one).
     smallest, largest, first, last : array
         Of the finite samples; NaN without any.
+    reference : array, (3,)
+        Mean of what turns with the heading (`compass`); NaN without any.
     """
 
     start_s: float
@@ -47,6 +50,7 @@ class Slot:
     largest: FloatArray
     first: FloatArray
     last: FloatArray
+    reference: FloatArray
 
     @property
     def seconds(self) -> float:
@@ -68,6 +72,8 @@ class History:
         Seconds of all slots before each.
     mean, within : array, (CAPACITY, 6)
         Of each slot.
+    reference : array, (CAPACITY, 3)
+        The same of what turns with the heading.
     """
 
     length: int = 0
@@ -76,6 +82,7 @@ class History:
     seconds: FloatArray = field(default_factory=lambda: np.zeros(CAPACITY + 1))
     mean: FloatArray = field(default_factory=lambda: np.zeros((CAPACITY, AXES)))
     within: FloatArray = field(default_factory=lambda: np.zeros((CAPACITY, AXES)))
+    reference: FloatArray = field(default_factory=lambda: np.zeros((CAPACITY, 3)))
 
     def add(self, slot: Slot) -> int:
         """Add a slot; return by how many places the older ones have moved to make room."""
@@ -86,7 +93,7 @@ class History:
         self.total[n + 1] = self.total[n] + np.where(slot.count > 0, slot.count * slot.mean, 0.0)
         self.count[n + 1] = self.count[n] + slot.count
         self.seconds[n + 1] = self.seconds[n] + slot.seconds
-        self.mean[n], self.within[n] = slot.mean, slot.within
+        self.mean[n], self.within[n], self.reference[n] = slot.mean, slot.within, slot.reference
         self.length = n + 1
         return moved
 
@@ -94,7 +101,7 @@ class History:
         moved = CAPACITY - KEPT
         for sums in (self.total, self.count, self.seconds):
             sums[: KEPT + 1] = sums[moved:] - sums[moved]
-        for values in (self.mean, self.within):
+        for values in (self.mean, self.within, self.reference):
             values[:KEPT] = values[moved:]
         self.length = KEPT
         return moved
@@ -151,6 +158,15 @@ class State:
         Whether there is a mean of the rest before, `anchor`, of variance `anchor_variance` at `anchor_s`.
     doubted_since_s : float
         Since when a mean has been steady that differs from the anchor; NaN when none has.
+    turn : array, (3,)
+        Rate, rad/s, by which the gyros differ from the anchor while nothing tells a turn from a bias.
+    rest_since_s : float
+        When the last rest was found.
+    caution : float
+        Factor of the time for which motion that is no longer seen is watched for.
+    slow, turning : bool
+        Whether the last rest ended so slowly that its end was hard to see, and whether a steady turn has been
+        the hypothesis since.
     """
 
     at_rest: bool = False
@@ -174,6 +190,11 @@ class State:
     anchor_variance: FloatArray = field(default_factory=lambda: _six(0.0))
     anchor_s: float = 0.0
     doubted_since_s: float = np.nan
+    turn: FloatArray = field(default_factory=lambda: np.zeros(3))
+    rest_since_s: float = -np.inf
+    caution: float = 1.0
+    slow: bool = False
+    turning: bool = False
 
     @property
     def quiet_slots(self) -> int:

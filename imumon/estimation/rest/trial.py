@@ -11,7 +11,7 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.estimation.rest.state import ACCEL, GYRO, LEVELS, BoolArray, State
-from imumon.estimation.rest.windows import CHI_SQUARE, COLOUR, QUIET, SLOTS, TINY
+from imumon.estimation.rest.windows import CHI_SQUARE, COLOUR, MOST_WITHIN, QUIET, SLOTS, TINY
 
 RING = 32
 """Slots that a trial looks at."""
@@ -19,6 +19,10 @@ HALF = RING // 2
 ALIKE = 2.5
 LARGEST_SD = np.array([8.7e-3, 8.7e-3, 8.7e-3, 0.1, 0.1, 0.1])
 """No sensor has slot means noisier than this: 0.5 deg/s, 0.1 m/s²."""
+LARGEST_MEAN_SD = np.array([3.5e-3, 3.5e-3, 3.5e-3, 0.03, 0.03, 0.03])
+"""The same where a slot has `MEAN_OF` samples or more: 0.1 °/s/√Hz and 1.5 mg/√Hz, more than any sensor on
+sale has.  An engine that idles averages out; a road does not."""
+MEAN_OF = 3
 STEADY = 4.0
 """Ratio of the variances in the two halves of a trial."""
 LARGEST_RATIO = 20.0
@@ -52,6 +56,12 @@ class Noise(NamedTuple):
     of_8: FloatArray
     sample: FloatArray
 
+    def is_alike(self, state: State) -> BoolArray:
+        """Tell of which axes the noise is that of the last rest, (6,)."""
+        before = state.variance[0]
+        alike = np.maximum(before, self.of_1) <= ALIKE * np.minimum(before, self.of_1)
+        return np.asarray(alike & (self.sample <= ALIKE * state.sample_variance))
+
 
 def second_differences(means: FloatArray, width: int) -> FloatArray:
     """Return all second differences of means of width slots, (k, 6)."""
@@ -74,7 +84,9 @@ def look(state: State, drift: FloatArray) -> Noise:
     each, halves = _within(within)
     sample = np.fmax(of_1, each)
     noise = Noise(False, present, mean, of_1, of_4, of_8, sample)
-    if not present.any() or (present & (of_1 > LARGEST_SD**2)).any():
+    count = (state.history.count[n] - state.history.count[n - RING]) / RING
+    largest = np.where(count >= MEAN_OF, LARGEST_MEAN_SD, LARGEST_SD)
+    if not present.any() or (present & ((of_1 > largest**2) | (each > MOST_WITHIN**2))).any():
         return noise
     step2 = state.step**2
     floor = np.where(sample < 0.25 * step2, step2 / 12.0, 0.0)
@@ -130,10 +142,7 @@ def _is_steady(*powers: FloatArray) -> bool:
 
 def adopt(state: State, noise: Noise, which: BoolArray) -> None:
     """Take the noise of some axes, (6,), as that of the unit at rest, unless it is known from more data."""
-    before = state.variance[0]
-    alike = np.maximum(before, noise.of_1) <= ALIKE * np.minimum(before, noise.of_1)
-    alike &= noise.sample <= ALIKE * state.sample_variance
-    new = which & noise.present & ~(state.known & alike)
+    new = which & noise.present & ~(state.known & noise.is_alike(state))
     of_4, of_8 = np.maximum(noise.of_1 / 4.0, noise.of_4), np.maximum(noise.of_1 / 8.0, noise.of_8)
     start = [noise.of_1, np.maximum(noise.of_1 / 2.0, of_4), of_4, of_8]
     start += [of_8 * NEIGHBOUR**k for k in range(1, LEVELS - 3)]

@@ -39,10 +39,23 @@ class RateEstimate:
         return RateEstimate(*(part[start:stop] for part in parts))
 
 
+class Rates(Protocol):
+    """What a method returns: the arrays of `RateEstimate`."""
+
+    @property
+    def temperature(self) -> FloatArray: ...  # noqa: D102  (see RateEstimate)
+    @property
+    def rate(self) -> FloatArray: ...  # noqa: D102
+    @property
+    def temperature_sd(self) -> FloatArray: ...  # noqa: D102
+    @property
+    def rate_sd(self) -> FloatArray: ...  # noqa: D102
+
+
 class RateMethod(Protocol):
     """A method that estimates the rate sample by sample, from readings up to that sample."""
 
-    def process(self, time_ns: IntArray, segment: IntArray, reading: FloatArray) -> RateEstimate:
+    def process(self, time_ns: IntArray, segment: IntArray, reading: FloatArray) -> Rates:
         """Return the estimates of samples that follow those of the last call."""
 
 

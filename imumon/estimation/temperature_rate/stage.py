@@ -18,27 +18,6 @@ CHANNEL = "temperature"
 KNOWN_CHANNELS = (CHANNEL, *(f"{CHANNEL}_{axis}" for axis in "xyz"))
 
 
-def _level_bank(parameters: TemperatureRateParameters) -> RateMethod:
-    return LevelBankRate(parameters.step_degc)
-
-
-def _fir_exponential(parameters: TemperatureRateParameters) -> RateMethod:
-    # Imported where it is chosen: it takes seconds to compile.
-    from imumon.published.fir import FirExponentialRate
-
-    if parameters.step_degc is None:
-        raise ImumonError(Reason.BAD_CONFIG, "method fir_exponential without step_degc")
-    return FirExponentialRate(
-        parameters.step_degc, parameters.window_s, parameters.time_constant_s, parameters.buffer_size
-    )
-
-
-_METHODS: dict[str, Callable[[TemperatureRateParameters], RateMethod]] = {
-    "level_bank": _level_bank,
-    "fir_exponential": _fir_exponential,
-}
-
-
 class TemperatureRate:
     """Temperature, its rate, and the standard deviation of both for each temperature channel.
 
@@ -49,6 +28,8 @@ class TemperatureRate:
         "temperature" is added to the names of the results.  None for those that come.
     parameters : TemperatureRateParameters
         One set for all channels.
+    new_method : callable, optional
+        Makes the method of a channel; default the level bank.
 
     Raises
     ------
@@ -57,7 +38,10 @@ class TemperatureRate:
     """
 
     def __init__(
-        self, channels: Sequence[str] | None = None, parameters: TemperatureRateParameters | None = None
+        self,
+        channels: Sequence[str] | None = None,
+        parameters: TemperatureRateParameters | None = None,
+        new_method: Callable[[], RateMethod] | None = None,
     ) -> None:
         for channel in channels or ():
             if channel != CHANNEL and not channel.startswith(f"{CHANNEL}_"):
@@ -67,6 +51,7 @@ class TemperatureRate:
                     "only temperature, temperature_x and the like can be",
                 )
         self._parameters = parameters or TemperatureRateParameters()
+        self._new_method = new_method or (lambda: LevelBankRate(self._parameters.step_degc))
         self._follow = channels is None
         self._methods: dict[str, RateMethod] = {}
         self._begun: set[str] = set()
@@ -128,7 +113,7 @@ class TemperatureRate:
 
     def _add(self, channel: str) -> None:
         parameters = self._parameters
-        self._methods[channel] = _METHODS[parameters.method](parameters)
+        self._methods[channel] = self._new_method()
         if parameters.step_degc is not None:
             self._watches[channel] = StepWatch(parameters.step_degc)
 

@@ -9,7 +9,7 @@ import numpy as np
 from imumon.blocks import ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.columns import Column
 from imumon.estimation.temperature_rate.series import SegmentClock
-from imumon.estimation.watch import kernel
+from imumon.estimation.watch import evidence
 from imumon.estimation.watch.parameters import WatchParameters
 from imumon.estimation.watch.verdict import judge
 
@@ -35,9 +35,9 @@ class ModelWatch:
 
     def __init__(self, parameters: WatchParameters | None = None, modelled: bool = False) -> None:
         given = parameters or WatchParameters()
-        self._alarm_at = kernel.limit(given.false_alarm_hours)
+        self._alarm_at = evidence.limit(given.false_alarm_hours)
         self._modelled = modelled
-        self._state = kernel.empty_state()
+        self._state = evidence.State()
         self._clock = SegmentClock()
         self._suspect_segment: int | None = None
         self._pending: list[str] = []
@@ -83,15 +83,15 @@ class ModelWatch:
         rate = _of_axes(block, "temperature_rate", slots)
         for start, stop, begins, seconds in self._clock.runs(block["device_time_ns"][slots], segments):
             if begins:
-                kernel.restart(self._state)
+                self._state = evidence.State()
                 changes.append((int(slots[start]), None))
-            found = kernel.watch(
+            found = evidence.watch(
+                self._state,
                 seconds,
                 innovation[start:stop],
                 temperature[start:stop],
                 rate[start:stop],
                 self._alarm_at,
-                self._state,
             )
             if found >= 0:
                 changes.append((int(slots[start + found]), int(segments[start])))
@@ -105,10 +105,9 @@ class ModelWatch:
 
     def lanes(self) -> Mapping[str, str]:
         """Return the lane ``model``: MODEL OK, MODEL SUSPECT with the reason, or MODEL waiting for rest."""
-        count = self._state.counts
-        if count[kernel.ALARM]:
+        if self._state.alarm:
             return {LANE: f"MODEL SUSPECT: {judge(self._state.peaks, self._modelled).reason}"}
-        if count[kernel.SLOTS] < kernel.LEARNING + kernel.BLOCK:
+        if self._state.slots < evidence.LEARNING + evidence.BLOCK:
             return {LANE: "MODEL waiting for rest"}
         return {LANE: "MODEL OK"}
 

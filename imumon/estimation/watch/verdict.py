@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from imumon.blocks import FloatArray
 from imumon.effects.library import suspected_by
-from imumon.estimation.watch import kernel
+from imumon.estimation.watch import evidence
 
 SHARE = 0.5
 """What has less than this share of the strongest evidence explains nothing."""
@@ -27,7 +27,7 @@ class Trait:
         What they do, after "the innovations".
         An effect that would make them do so has it in `suspected_by`.
     first, stop : int
-        The regressors of `kernel` that find it.
+        The regressors of `evidence` that find it.
     """
 
     text: str
@@ -35,12 +35,12 @@ class Trait:
     stop: int
 
 
-TEMPERATURE = Trait("temperature", kernel.TEMPERATURE, kernel.RATE_HIGH)
-RATE = Trait("temperature rate", kernel.RATE_HIGH, kernel.CONSTANT)
-TIME = Trait("time since start", kernel.CONSTANT, kernel.PAST)
+TEMPERATURE = Trait("temperature", evidence.TEMPERATURE, evidence.RATE_HIGH)
+RATE = Trait("temperature rate", evidence.RATE_HIGH, evidence.CONSTANT)
+TIME = Trait("time since start", evidence.CONSTANT, evidence.PAST)
 DRIVERS = (TEMPERATURE, RATE, TIME)
-PAST = Trait("follow each other", kernel.PAST, kernel.REGRESSORS)
-SIZE = Trait("exceed their standard deviation", kernel.REGRESSORS, kernel.REGRESSORS + 1)
+PAST = Trait("follow each other", evidence.PAST, evidence.REGRESSORS)
+SIZE = Trait("exceed their standard deviation", evidence.REGRESSORS, evidence.REGRESSORS + 1)
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,8 +7,6 @@ Cost, measured by ``scripts/benchmark``: linear in bytes and in columns.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from imumon.blocks import ColumnArray, IntArray, SampleBlock
@@ -29,10 +27,8 @@ from imumon.protocols.base import (
     Decoder,
 )
 from imumon.protocols.checksums import CrcTable, checksum, make_checksum
+from imumon.protocols.fixed.description import ByteOrder, Packet, PlacedColumn
 from imumon.protocols.kernel import NUMBER_TYPES, arrival_of, keep_rest
-
-if TYPE_CHECKING:
-    from imumon.protocols.fixed.description import ByteOrder, FixedDevice, PlacedColumn
 
 # Places in the vector that describes the frame to the kernel.
 LENGTH, SYNC_SIZE, CK_CODE, CK_FIRST, CK_STOP, CK_AT, CK_BIG, CK_SIZE, CK_INITIAL, CK_FINAL, CK_SHIFT = range(
@@ -43,16 +39,16 @@ LENGTH, SYNC_SIZE, CK_CODE, CK_FIRST, CK_STOP, CK_AT, CK_BIG, CK_SIZE, CK_INITIA
 class FixedDecoder(Decoder):
     """Decoder of a packet that a device file describes."""
 
-    def __init__(self, device: FixedDevice) -> None:
+    def __init__(self, name: str, packet: Packet, rate_hz: float | None) -> None:
         super().__init__()
-        self._placed = device.placed()
-        self.timing = device.timing()
-        self._name = device.name
+        self._placed = packet.placed()
+        self.timing = packet.timing(rate_hz)
+        self._name = name
         self._columns = (KNOWN["arrival_time_ns"], *(item.column for item in self._placed))
-        self._header = _header(device)
-        self._frame, self._crc_table = _frame(device)
-        self._layout = _layout(self._placed, device.packet.length)
-        self._packets: ByteArray = np.zeros((CAPACITY, device.packet.length), np.uint8)
+        self._header = _header(packet)
+        self._frame, self._crc_table = _frame(packet)
+        self._layout = _layout(self._placed, packet.length)
+        self._packets: ByteArray = np.zeros((CAPACITY, packet.length), np.uint8)
         self._arrivals: IntArray = np.zeros(CAPACITY, np.int64)
 
     @property
@@ -133,9 +129,8 @@ def _whole(three: ColumnArray, big: bool, signed: bool) -> IntArray:
     return whole - ((whole >> 23) << 24) if signed else whole
 
 
-def _header(device: FixedDevice) -> IntArray:
+def _header(packet: Packet) -> IntArray:
     """Return the bytes that are the same in every packet, (n, 2): place, value; sync first, then length."""
-    packet = device.packet
     header = list(enumerate(packet.sync))
     field = packet.length_field
     if field is not None:
@@ -145,8 +140,7 @@ def _header(device: FixedDevice) -> IntArray:
     return np.array(header, np.int64)
 
 
-def _frame(device: FixedDevice) -> tuple[IntArray, CrcTable]:
-    packet = device.packet
+def _frame(packet: Packet) -> tuple[IntArray, CrcTable]:
     check = make_checksum(packet.checksum.type)
     big = (packet.checksum.byte_order or packet.byte_order) == "big"
     frame = np.array([

@@ -1,4 +1,4 @@
-"""The device file of a fixed-length packet: sync bytes, length, checksum and fields, all of it data."""
+"""A fixed-length packet in a device file: sync bytes, length, checksum and fields, all of it data."""
 
 from __future__ import annotations
 
@@ -11,9 +11,8 @@ from pydantic import Field, NonNegativeInt, PositiveInt, StringConstraints, mode
 from imumon.columns import KNOWN, Column
 from imumon.config import StrictModel
 from imumon.errors import ImumonError
-from imumon.protocols.base import LONGEST_PACKET, Decoder, Encoder, Timing
+from imumon.protocols.base import LONGEST_PACKET, Timing
 from imumon.protocols.checksums import CHECKSUM_NAMES, make_checksum
-from imumon.protocols.device import DeviceFile
 from imumon.protocols.kernel import NUMBER_TYPES
 from imumon.units import exact_conversion
 
@@ -147,6 +146,26 @@ class Packet(StrictModel):
                 names.add(name)
         return self
 
+    def placed(self) -> list[PlacedColumn]:
+        """Return all columns of the packet in the order of the file."""
+        return [
+            _place(field, index, name, (field.byte_order or self.byte_order) == "big")
+            for field in self.fields
+            for index, name in enumerate(field.names)
+        ]
+
+    def timing(self, rate_hz: float | None) -> Timing:
+        """Return how the packet counts time: the width of its counter and of its clock, and the tick."""
+        fields = {name: field for field in self.fields for name in field.names}
+        counter, ticks = fields.get("packet_counter"), fields.get("device_ticks")
+        tick_ns, tick_bits = None, 0
+        if ticks is not None:
+            tick_ns = _fraction(ticks.scale) * exact_conversion(ticks.unit, "ns")[0]
+            tick_bits = _bits(ticks)
+            if not NUMBER_TYPES[ticks.type].integer:
+                tick_ns, tick_bits = Fraction(1), 0
+        return Timing(_bits(counter) if counter else None, tick_ns, tick_bits, rate_hz)
+
     def _inside(self, what: str, start: int, stop: int) -> None:
         if start >= stop or stop > self.length:
             raise ValueError(
@@ -165,45 +184,6 @@ class PlacedColumn:
     mask: int
     scale: float
     offset: float
-
-
-class FixedDevice(DeviceFile):
-    """A device that sends packets of one fixed length."""
-
-    protocol: Literal["fixed"]
-    packet: Packet
-
-    def decoder(self) -> Decoder:
-        """Make a decoder for this packet."""
-        from imumon.protocols.fixed.decoder import FixedDecoder
-
-        return FixedDecoder(self)
-
-    def encoder(self) -> Encoder:
-        """Make an encoder for this packet."""
-        from imumon.protocols.fixed.encoder import FixedEncoder
-
-        return FixedEncoder(self)
-
-    def placed(self) -> list[PlacedColumn]:
-        """Return all columns of the packet in the order of the file."""
-        return [
-            _place(field, index, name, (field.byte_order or self.packet.byte_order) == "big")
-            for field in self.packet.fields
-            for index, name in enumerate(field.names)
-        ]
-
-    def timing(self) -> Timing:
-        """Return how the packet counts time: the width of its counter and of its clock, and the tick."""
-        fields = {name: field for field in self.packet.fields for name in field.names}
-        counter, ticks = fields.get("packet_counter"), fields.get("device_ticks")
-        tick_ns, tick_bits = None, 0
-        if ticks is not None:
-            tick_ns = _fraction(ticks.scale) * exact_conversion(ticks.unit, "ns")[0]
-            tick_bits = _bits(ticks)
-            if not NUMBER_TYPES[ticks.type].integer:
-                tick_ns, tick_bits = Fraction(1), 0
-        return Timing(_bits(counter) if counter else None, tick_ns, tick_bits, self.rate_hz)
 
 
 def _place(field: PacketField, index: int, name: str, big: bool) -> PlacedColumn:

@@ -2,27 +2,23 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from imumon.blocks import ColumnArray, SampleBlock
 from imumon.errors import ImumonError, Reason
 from imumon.protocols.base import ByteArray, Encoder
 from imumon.protocols.checksums import checksum, make_checksum
+from imumon.protocols.fixed.description import Packet, PlacedColumn
 from imumon.protocols.kernel import NUMBER_TYPES
-
-if TYPE_CHECKING:
-    from imumon.protocols.fixed.description import FixedDevice, PlacedColumn
 
 
 class FixedEncoder(Encoder):
     """Encoder of a packet that a device file describes."""
 
-    def __init__(self, device: FixedDevice) -> None:
-        self._packet = device.packet
-        self._placed = device.placed()
-        self._checksum = make_checksum(device.packet.checksum.type)
+    def __init__(self, packet: Packet) -> None:
+        self._packet = packet
+        self._placed = packet.placed()
+        self._checksum = make_checksum(packet.checksum.type)
 
     def encode(self, block: SampleBlock) -> list[bytes]:
         """Return one packet per row; columns that the block lacks are sent as zero.

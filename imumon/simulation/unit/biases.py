@@ -17,7 +17,6 @@ from imumon.simulation.unit.noise import GaussMarkov, RandomWalk, White, generat
 from imumon.simulation.unit.parameters import Curves, Effects, UnitParameters
 from imumon.simulation.unit.thermal import Lags
 
-"""rad/s."""
 MG = 1e3 * MICRO_G
 """m/s²."""
 

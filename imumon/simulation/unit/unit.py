@@ -92,23 +92,17 @@ class SimulatedUnit:
             "packet_counter": index,
             "device_ticks": np.rint(index * ticks_per_sample).astype(np.int64),
         }
-        if not self._chunk:
-            self._next_chunk()
-        columns |= {name: np.empty(n, values.dtype) for name, values in self._chunk.items()}
-        done = 0
-        while done < n:
+        parts: list[dict[str, ColumnArray]] = []
+        while n or not parts:
             if self._used == CHUNK:
-                self._next_chunk()
-            size = min(n - done, CHUNK - self._used)
-            for name, values in self._chunk.items():
-                columns[name][done : done + size] = values[self._used : self._used + size]
-            done, self._used = done + size, self._used + size
+                self._chunk = self._sensors.chunk(self._computed)
+                self._computed, self._used = self._computed + CHUNK, 0
+            end = min(self._used + n, CHUNK)
+            parts.append({name: values[self._used : end] for name, values in self._chunk.items()})
+            n, self._used = n - (end - self._used), end
+        columns |= {name: np.concatenate([part[name] for part in parts]) for name in self._chunk}
         truth = {name: columns.pop(_TRUE + name) for name in (column.name for column in TRUTH_COLUMNS)}
         return SampleBlock(columns), SampleBlock(truth)
-
-    def _next_chunk(self) -> None:
-        self._chunk = self._sensors.chunk(self._computed)
-        self._computed, self._used = self._computed + CHUNK, 0
 
 
 _TRUE = "true_"

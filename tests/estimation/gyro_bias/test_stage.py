@@ -167,7 +167,8 @@ def test_a_turn_keeps_the_bias_and_turns_the_earth_rate() -> None:
     moving = rest == 0.0
     # What the last slot at rest says is known with the first sample behind it.
     moving[np.flatnonzero(moving)[0]] = False
-    assert np.ptp(vector(added)[moving], axis=0).max() < 0.1 * DPH
+    # What was taken for flicker of 10 s dies away meanwhile.
+    assert np.ptp(vector(added)[moving], axis=0).max() < 0.2 * DPH
     assert (np.diff(sd[moving][:, 0]) >= 0.0).all()
     assert sd[moving][-1, 0] > sd[moving][0, 0]
     assert np.abs(off[-1]).max() / DPH < 1.0

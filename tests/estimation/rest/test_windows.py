@@ -28,7 +28,7 @@ def slots(means: FloatArray, samples: int = 12) -> list[Slot]:
     """Return slots of samples of these means, (n, 6), an eighth of a second each."""
     count, within = np.full(6, float(samples)), samples * SD**2
     return [
-        Slot(0.125 * k, 0.125 * (k + 1), count, mean, within, mean, mean, mean, mean)
+        Slot(0.125 * k, 0.125 * (k + 1), count, mean, within, mean, mean, mean, mean, np.full(3, np.nan))
         for k, mean in enumerate(means)
     ]
 

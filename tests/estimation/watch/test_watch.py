@@ -8,7 +8,7 @@ import pytest
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.estimation.gyro_bias.stage import GyroBias
 from imumon.estimation.temperature_rate.stage import TemperatureRate
-from imumon.estimation.watch import kernel
+from imumon.estimation.watch import evidence
 from imumon.estimation.watch.parameters import WatchParameters
 from imumon.estimation.watch.stage import ModelWatch
 from imumon.models.curves.polynomial import PolynomialCurve
@@ -17,7 +17,6 @@ from imumon.pipeline import Estimator
 from imumon.simulation.unit import SimulatedUnit, load_scenario
 from imumon.simulation.unit.curves import curve_value
 from imumon.simulation.unit.scenario import Scenario
-from tests.estimation.watch import plain
 
 HOURS = 2.0
 
@@ -39,28 +38,53 @@ def _three(values: FloatArray) -> FloatArray:
 def alarm(
     seconds: FloatArray, innovation: FloatArray, temperature: FloatArray, rate: FloatArray, hours: float
 ) -> int:
-    return kernel.watch(seconds, innovation, temperature, rate, kernel.limit(hours), kernel.empty_state())
+    return evidence.watch(evidence.State(), seconds, innovation, temperature, rate, evidence.limit(hours))
 
 
-def test_the_kernel_is_its_plain_twin() -> None:
+def highest_sum(gains: FloatArray) -> float:
+    """Return the largest sum of neighbours: what a CUSUM finds."""
+    sums = np.concatenate([[0.0], np.cumsum(gains)])
+    return float(max((sums[k + 1 :] - sums[k]).max() for k in range(len(gains))))
+
+
+def test_the_evidence_is_the_largest_sum_of_logarithms_of_e_factors() -> None:
     seconds, innovation, temperature, rate = drive(1, 0.15)
     temperature[100:150] = np.nan
     rate[300:] = np.nan
-    seconds[500:] += 400.0
     innovation[:, 1] += 0.5
     innovation[700:720] *= 9.0
-    state = kernel.empty_state()
-    kernel.watch(seconds, innovation, temperature, rate, 1e9, state)
-    np.testing.assert_allclose(
-        state.peaks, plain.peaks(seconds, innovation, temperature, rate), rtol=1e-9, atol=1e-9
+    state = evidence.State()
+    evidence.watch(state, seconds, innovation, temperature, rate, 1e9)
+    v = np.clip(innovation, -evidence.CLIP, evidence.CLIP)[evidence.LEARNING :, 1]
+    past = np.clip(
+        np.clip(innovation, -evidence.CLIP, evidence.CLIP)[evidence.LEARNING - 1 : -1, 1] / 3, -1, 1
     )
-    assert state.peaks[1, kernel.CONSTANT] > 50.0
+    for place, r in ((evidence.CONSTANT, np.ones(len(v))), (evidence.PAST, past)):
+        gains = [
+            theta * (r * v - evidence.TOLERANCE * np.abs(r)) - theta**2 * r**2 * evidence.KAPPA / 2
+            for theta in evidence.THETAS
+        ]
+        blocks = [gain[: len(v) // 10 * 10].reshape(-1, 10).sum(1) for gain in gains]
+        expected = max(highest_sum(block) for block in blocks)
+        assert state.peaks[1, place] == pytest.approx(max(expected, 0.0), rel=1e-9, abs=1e-9)
+    assert state.peaks[1, evidence.CONSTANT] > 50.0
+
+
+def test_a_pause_forgets_the_extremes_of_the_temperature() -> None:
+    seconds, innovation, temperature, rate = drive(1, 0.05)
+    seconds[200:] += 4 * evidence.SCALE_S
+    temperature[:200] += 100.0 * np.sin(seconds[:200, np.newaxis])
+    temperature[200:], rate[:] = 25.0, 0.0
+    state = evidence.State()
+    evidence.watch(state, seconds, innovation, temperature, rate, 1e9)
+    assert state.scale[:, : evidence.RATE] == pytest.approx(100.0 * np.exp(-4.0), rel=0.5)
+    assert state.scale[:, evidence.RATE :] == pytest.approx(evidence.LEAST_RATE)
 
 
 def test_false_alarms_are_as_rare_as_promised() -> None:
-    # The mean time to one is 10 h at least: of 150 times 1 h, 15 would have one at the most, in the mean.
-    alarms = sum(alarm(*drive(seed, 1.0), 10.0) >= 0 for seed in range(150))
-    assert alarms <= 15 + 2 * np.sqrt(15)
+    # The mean time to one is 2 h at least: of 60 times 0.25 h, 7.5 would have one at the most, in the mean.
+    alarms = sum(alarm(*drive(seed, 0.25), 2.0) >= 0 for seed in range(60))
+    assert alarms <= 7.5 + 2 * np.sqrt(7.5)
 
 
 @pytest.mark.parametrize("what", ["rate", "temperature", "constant", "past", "size"])
@@ -179,5 +203,5 @@ def test_a_lag_that_the_model_lacks_is_suspected_whatever_the_blocks() -> None:
 
 
 def test_rarer_false_alarms_take_more_evidence() -> None:
-    assert kernel.limit(100.0) > kernel.limit(1.0)
+    assert evidence.limit(100.0) > evidence.limit(1.0)
     assert WatchParameters().false_alarm_hours == 24.0

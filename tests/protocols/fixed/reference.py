@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from imumon.protocols.checksums import checksum, make_checksum
-from imumon.protocols.fixed.description import FixedDevice
+from imumon.protocols.fixed.device import FixedDevice
 
 CODES = {"u8": "B", "i8": "b", "u16": "H", "i16": "h", "u32": "I", "i32": "i", "u64": "Q", "i64": "q",
          "f32": "f", "f64": "d"}  # fmt: skip
@@ -75,7 +75,7 @@ def _judge(device: FixedDevice, piece: bytes, sync: bytes) -> str:
 
 def _fields(device: FixedDevice, piece: bytes) -> dict[str, float | int]:
     row: dict[str, float | int] = {}
-    for item in device.placed():
+    for item in device.packet.placed():
         if item.type in ("u24", "i24"):
             raw: float | int = int.from_bytes(
                 piece[item.at : item.at + 3], "big" if item.big else "little", signed=item.type == "i24"

@@ -13,7 +13,7 @@ from imumon.blocks import SampleBlock
 from imumon.errors import ImumonError
 from imumon.protocols.base import CAPACITY, Decoder
 from imumon.protocols.device import load_device, parse_device
-from imumon.protocols.fixed.description import FixedDevice
+from imumon.protocols.fixed.device import FixedDevice
 from tests.data_folder import measured
 from tests.protocols.fixed.reference import decode
 
@@ -258,8 +258,8 @@ def test_a_float_clock_becomes_whole_nanoseconds() -> None:
         out = run(device.decoder(), b"".join(device.encoder().encode(block)), [])
         np.testing.assert_array_equal(out["device_ticks"], ticks)
         assert isinstance(device, FixedDevice)
-        assert device.timing().tick_ns == 1
-        assert device.timing().tick_bits == 0
+        assert device.packet.timing(device.rate_hz).tick_ns == 1
+        assert device.packet.timing(device.rate_hz).tick_bits == 0
 
 
 def test_measured_openimu_stream() -> None:

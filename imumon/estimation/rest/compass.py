@@ -1,0 +1,79 @@
+"""What knows the heading without the gyros tells a turn from a bias: a magnetometer, or the device's yaw."""
+
+from __future__ import annotations
+
+from enum import Enum
+
+import numpy as np
+
+from imumon.blocks import FloatArray, SampleBlock
+from imumon.estimation.rest.state import SLOT_S, State
+
+ENDS = 8
+"""Slots whose mean is a reading of the compass."""
+WANTED_RAD = 0.7
+"""A turn by so much is compared: less is near the noise, much more is ambiguous."""
+CLEAR = 8.0
+"""Standard deviations of a reading between a turn and none before either is believed."""
+UP = np.array([0.0, 0.0, 1.0])
+NEAR = 0.25
+"""Share of the way from none to a turn, or back, by which a reading may be off: hard and soft iron."""
+
+
+class Verdict(Enum):
+    """What the compass says of a turn that the gyros show."""
+
+    UNDECIDED = 0
+    TURNS = 1
+    RESTS = 2
+
+
+def reference(block: SampleBlock) -> FloatArray | None:
+    """Return a vector that turns with the heading, (n, 3), or None when the block has none.
+
+    It is the magnetic field in body axes, else cosine and sine of the yaw and zero.
+    """
+    field = block.mag
+    if field is not None:
+        return field
+    yaw = block.columns.get("yaw")
+    q = block.quaternion
+    if yaw is None and q is not None:
+        w, x, y, z = q.T
+        yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    if yaw is None:
+        return None
+    return np.column_stack([np.cos(yaw), np.sin(yaw), np.zeros(len(block))])
+
+
+def verdict(state: State, turn: FloatArray) -> Verdict:
+    """Tell whether the heading has changed as a turn, (3,) rad/s, makes it change."""
+    rate = float(np.linalg.norm(turn))
+    slots = min(state.quiet_slots - ENDS, int(WANTED_RAD / (rate * SLOT_S)) + 1)
+    if slots < 2 * ENDS:
+        return Verdict.UNDECIDED
+    n, values = state.history.length, state.history.reference
+    then, now = values[n - slots - ENDS : n - slots], values[n - ENDS : n]
+    noise = float(np.sqrt(np.diff(values[n - slots - ENDS : n], axis=0).var(0).sum() / (2.0 * ENDS)))
+    start, end = then.mean(0), now.mean(0)
+    seconds = float(state.history.seconds[n] - state.history.seconds[n - slots])
+    # The field turns against the body; of the yaw the sense depends on the axes.
+    if start[2] == 0.0:
+        expected = [_turned(start, UP, sense * rate * seconds) for sense in (-1.0, 1.0)]
+    else:
+        expected = [_turned(start, turn / rate, -rate * seconds)]
+    clear = min(float(np.linalg.norm(there - start)) for there in expected)
+    if not clear > CLEAR * noise or clear < 1e-9:
+        return Verdict.UNDECIDED
+    if float(np.linalg.norm(end - start)) < NEAR * clear:
+        return Verdict.RESTS
+    if min(float(np.linalg.norm(end - there)) for there in expected) < NEAR * clear:
+        return Verdict.TURNS
+    return Verdict.UNDECIDED
+
+
+def _turned(vector: FloatArray, axis: FloatArray, angle: float) -> FloatArray:
+    """Return a vector turned about a unit axis (Rodrigues)."""
+    along = (vector @ axis) * axis
+    across = vector - along
+    return np.asarray(along + np.cos(angle) * across + np.sin(angle) * np.cross(axis, vector))

@@ -1,0 +1,46 @@
+"""What a stage that thinks per slot shows at each row."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from imumon.blocks import NO_INT, FloatArray, IntArray, SampleBlock
+from imumon.filters.slots import held
+
+
+class Shown:
+    """What a slot said holds until the next one says otherwise, and is void from a restart of the device on.
+
+    Parameters
+    ----------
+    shape : sequence of int
+        Of what a slot says.
+    """
+
+    def __init__(self, shape: Sequence[int]) -> None:
+        self._values = np.full(tuple(shape), np.nan)
+        self._time_ns, self._segment = NO_INT, 0
+
+    def breaks(self, block: SampleBlock) -> list[int]:
+        """Return the rows of the next block at which a segment begins or time runs back."""
+        dated = np.flatnonzero(block["device_time_ns"] != NO_INT)
+        if not len(dated):
+            return []
+        times, segments = block["device_time_ns"][dated], block["segment"][dated]
+        first = self._time_ns == NO_INT
+        other = np.diff(segments, prepend=segments[0] if first else self._segment) != 0
+        back = np.diff(times, prepend=times[0] if first else self._time_ns) < 0
+        self._time_ns, self._segment = int(times[-1]), int(segments[-1])
+        return [int(row) for row in dated[other | back]]
+
+    def spread(self, rows: IntArray, said: FloatArray, breaks: Sequence[int], n: int) -> FloatArray:
+        """Return what is shown at n rows, (n, ...), of what slots said that are known from `rows` on."""
+        at = np.concatenate([rows, np.array(breaks, np.int64)])
+        values = np.concatenate([said, np.full((len(breaks), *said.shape[1:]), np.nan)])
+        order = np.argsort(at, kind="stable")
+        result = held(at[order], values[order], self._values, n)
+        if n:
+            self._values = result[-1].copy()
+        return result

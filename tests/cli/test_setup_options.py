@@ -1,0 +1,52 @@
+"""What the options of the command line make of a setup."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+import pytest
+
+from imumon.cli.setup_options import SetupOptions, make_setup
+from imumon.run.setup import Setup
+
+
+def given(**options: str) -> Setup:
+    nothing = SetupOptions(
+        pipeline=None, model=None, zupt=None, random_error=None, published=None, latitude=None, heading=None
+    )
+    recorded = "format: imumon-pipeline/1\npublished: [stf]\nrandom_error: {risk: 0.25}\n"
+    return make_setup({**nothing, **options}, recorded, "session.yaml")  # type: ignore[typeddict-item]
+
+
+def test_published_methods_are_named_by_commas_and_go_before_the_file() -> None:
+    assert given().published == ["stf"]
+    assert given(published="fir, sr_rsukf").published == ["fir", "sr_rsukf"]
+    assert given(published="").published == []
+
+
+@pytest.mark.parametrize("names", ["fir,kalman", "fir,fir"])
+def test_an_unknown_name_or_one_that_comes_twice_is_refused_with_those_there_are(names: str) -> None:
+    with pytest.raises(click.BadParameter, match="dense_tczupt"):
+        given(published=names)
+
+
+def test_the_method_of_the_random_error_leaves_its_other_parameters() -> None:
+    setup = given(random_error="sr_rsukf")
+    assert (setup.random_error.method, setup.random_error.risk) == ("sr_rsukf", 0.25)
+
+
+def test_a_session_keeps_what_was_chosen(tmp_path: Path) -> None:
+    text = given(published="curve_fit").text()
+    assert text is not None
+    (tmp_path / "pipeline.yaml").write_text(text)
+    nothing = SetupOptions(
+        pipeline=tmp_path / "pipeline.yaml",
+        model=None,
+        zupt=None,
+        random_error=None,
+        published=None,
+        latitude=None,
+        heading=None,
+    )
+    assert make_setup(nothing).published == ["curve_fit"]

@@ -1,0 +1,56 @@
+"""Rate and gaps of a stream against what was made."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from imumon.blocks import NO_INT
+from imumon.clock.rate import Intervals
+
+
+@pytest.mark.parametrize("rate_hz", [0.01, 1.0, 99.7, 125.0, 4000.0])
+@pytest.mark.parametrize("jitter", [0.0, 0.05])
+def test_rate_is_that_where_nothing_is_missing(rate_hz: float, jitter: float) -> None:
+    rng = np.random.default_rng(1)
+    time = (np.arange(2000) + jitter * rng.uniform(-1, 1, 2000)) * 1e9 / rate_hz
+    kept = np.ones(2000, np.bool_)
+    kept[[100, 500, 501, 502, 900]] = False
+    intervals = Intervals()
+    intervals.add(time[kept].astype(np.int64), np.zeros(kept.sum(), np.int64))
+    assert intervals.rate_hz == pytest.approx(rate_hz, rel=1e-2 if jitter else 1e-5)
+    assert intervals.gaps == 3
+    assert intervals.rows == 1995
+
+
+def test_steps_between_segments_and_unknown_times_do_not_count() -> None:
+    time = np.array([0, 10, NO_INT, 20, 5, 15, 25], np.int64) * 1_000_000
+    time[2] = NO_INT
+    intervals = Intervals()
+    intervals.add(time, np.array([0, 0, 0, 0, 1, 1, 1]))
+    assert intervals.rate_hz == pytest.approx(100.0)
+    assert (intervals.gaps, intervals.backwards) == (0, 0)
+
+
+def test_a_time_that_runs_back_within_a_segment_is_counted() -> None:
+    intervals = Intervals()
+    intervals.add(np.array([0, 10, 5, 15]), np.zeros(4, np.int64))
+    assert intervals.backwards == 1
+
+
+@given(st.lists(st.integers(0, 300), max_size=6))
+@settings(max_examples=25, deadline=None)
+def test_the_division_into_blocks_does_not_matter(cuts: list[int]) -> None:
+    rng = np.random.default_rng(2)
+    time = np.cumsum(rng.integers(1, 30, 300)).astype(np.int64) * 1_000_000
+    segment = np.cumsum(rng.random(300) < 0.01).astype(np.int64)
+    whole, parts = Intervals(), Intervals()
+    whole.add(time, segment)
+    edges = sorted({0, 300, *cuts})
+    for start, stop in pairwise(edges):
+        parts.add(time[start:stop], segment[start:stop])
+    assert (whole.rate_hz, whole.gaps, whole.rows) == (parts.rate_hz, parts.gaps, parts.rows)

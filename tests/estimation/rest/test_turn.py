@@ -1,0 +1,142 @@
+"""A steady turn about the vertical and a bias that has changed look alike: what tells them apart."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from imumon.blocks import FloatArray, SampleBlock
+from imumon.estimation.rest.stage import RestDetector
+from tests.estimation.rest.scenes import DEG, GRAVITY, block, noise
+
+BEGIN_S = 150.0
+FIELD = np.array([20.0, 5.0, 40.0])
+
+
+def turn(
+    rate_dps: float, minutes: float, ramp_s: float, gyro_sd: float = 5e-4
+) -> tuple[SampleBlock, FloatArray]:
+    """Return 150 s of rest, a turn that begins and ends evenly in ramp_s, and 90 s of rest; and its rate."""
+    seconds = 60.0 * minutes + ramp_s
+    t, gyro, accel = noise(BEGIN_S + seconds + 90.0, 25.0, gyro_sd)
+    since = t - BEGIN_S
+    rate = rate_dps * DEG * np.clip(np.minimum(since, seconds - since) / ramp_s, 0.0, 1.0)
+    gyro[:, 2] += rate
+    return block(t, gyro, accel), rate
+
+
+def with_field(samples: SampleBlock, rate: FloatArray) -> SampleBlock:
+    """Add a magnetometer that sees a turn of this rate about z."""
+    angle = -np.cumsum(rate) / 25.0
+    rng = np.random.default_rng(9)
+    x = np.cos(angle) * FIELD[0] - np.sin(angle) * FIELD[1]
+    y = np.sin(angle) * FIELD[0] + np.cos(angle) * FIELD[1]
+    field = np.column_stack([x, y, np.full(len(x), FIELD[2])]) + 0.3 * rng.standard_normal((len(x), 3))
+    return samples.with_columns({f"mag_{axis}": field[:, i] for i, axis in enumerate("xyz")})
+
+
+def found(samples: SampleBlock) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return time, at_rest and the hypothesis of a turn about z."""
+    result = RestDetector().process(samples)
+    return samples["device_time_ns"] * 1e-9, result["at_rest"], result["turn_hypothesis_z"]
+
+
+@pytest.mark.parametrize(
+    ("rate_dps", "minutes", "ramp_s"),
+    [(0.5, 10, 0.5), (-0.5, 20, 10.0), (5.0, 10, 5.0), (30.0, 25, 20.0), (0.5, 15, 120.0), (2.0, 10, 60.0)],
+)
+def test_a_steady_turn_is_no_rest_and_the_rest_after_it_is_found(
+    rate_dps: float, minutes: float, ramp_s: float
+) -> None:
+    samples, rate = turn(rate_dps, minutes, ramp_s)
+    t, rest, hypothesis = found(samples)
+    moving = rate != 0.0
+    assert rest[moving].mean() <= 0.02
+    stop = t[np.flatnonzero(moving)[-1]]
+    assert np.all(rest[t > stop + 20.0] == 1)
+    full = (np.abs(rate) >= abs(rate_dps) * DEG * 0.999) & (t > BEGIN_S + ramp_s + 40.0)
+    assert hypothesis[full] == pytest.approx(rate_dps * DEG, rel=0.1)
+    assert not hypothesis[rest == 1].any()
+
+
+def test_a_slow_drift_of_all_axes_is_rest_and_of_the_vertical_alone_is_doubted_at_the_same_rate() -> None:
+    t, gyro, accel = noise(400.0, 25.0, 2e-4)
+    slope = 6e-5 * np.clip(t - BEGIN_S, 0.0, 100.0)
+    vertical = gyro.copy()
+    vertical[:, 2] += slope
+    gyro += slope[:, np.newaxis]
+    assert found(block(t, gyro, accel))[1][200:].all()
+    assert not found(block(t, vertical, accel))[1][(t > 200.0) & (t < 240.0)].any()
+
+
+def test_a_jump_that_is_not_about_the_vertical_is_bias_for_gravity_would_have_turned() -> None:
+    t, gyro, accel = noise(100.0, 25.0)
+    gyro[t > 40.0, 1] += 0.8 * DEG
+    rest = found(block(t, gyro, accel))[1]
+    assert not rest[(t > 40.1) & (t < 44.0)].any()
+    assert rest[t > 60.0].all()
+
+
+def test_a_jump_about_the_vertical_stays_undecided_and_says_so() -> None:
+    t, gyro, accel = noise(400.0, 25.0)
+    gyro[t > 40.0, 2] += 0.8 * DEG
+    _, rest, hypothesis = found(block(t, gyro, accel))
+    assert not rest[t > 40.1].any()
+    assert hypothesis[t > 45.0] == pytest.approx(0.8 * DEG, rel=0.1)
+
+
+@pytest.mark.parametrize("turns", [True, False])
+def test_a_magnetometer_decides(turns: bool) -> None:
+    samples, rate = turn(0.8, 5.0, 1.0)
+    t, rest, hypothesis = found(with_field(samples, rate if turns else np.zeros_like(rate)))
+    during = (t > BEGIN_S + 60.0) & (t < BEGIN_S + 300.0)
+    assert np.all(rest[during] == (0 if turns else 1))
+    assert not hypothesis[during].any()
+    assert np.all(rest[t > BEGIN_S + 340.0] == 1) or not turns
+
+
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_so_does_the_yaw_of_the_device_whatever_its_sense(sense: float) -> None:
+    samples, rate = turn(0.8, 5.0, 1.0)
+    yaw = sense * np.cumsum(rate) / 25.0
+    t, rest, hypothesis = found(samples.with_columns({"yaw": (yaw + np.pi) % (2 * np.pi) - np.pi}))
+    during = (t > BEGIN_S + 60.0) & (t < BEGIN_S + 300.0)
+    assert not rest[during].any()
+    assert not hypothesis[during].any()
+    still = found(samples.with_columns({"yaw": np.full(len(t), 3.1)}))[1]
+    assert still[during].all()
+
+
+def test_a_slow_tilt_to_and_fro_is_hardly_ever_rest() -> None:
+    t, gyro, accel = noise(400.0, 50.0)
+    angle = DEG * np.sin(2 * np.pi * np.maximum(t - 100.0, 0.0) / 60.0)
+    gyro[:, 0] += np.gradient(angle, t)
+    accel[:, 1] -= GRAVITY * np.sin(angle)
+    rest = found(block(t, gyro, accel))[1]
+    assert rest[(t > 5.0) & (t < 100.0)].all()
+    assert rest[t > 100.0].mean() < 0.02
+
+
+def test_road_vibration_is_no_rest_and_an_idling_engine_is() -> None:
+    t, gyro, accel = noise(60.0, 100.0)
+    rng = np.random.default_rng(3)
+    road = accel + 0.4 * rng.standard_normal(accel.shape)
+    shaken = gyro + 0.5 * DEG * rng.standard_normal(gyro.shape)
+    assert not found(block(t, shaken, road))[1].any()
+    idle = accel + 0.2 * np.sin(2 * np.pi * 25.3 * t)[:, np.newaxis]
+    assert found(block(t, gyro + 0.2 * DEG * np.sin(2 * np.pi * 25.3 * t)[:, np.newaxis], idle))[1][
+        500:
+    ].all()
+
+
+def test_a_stage_goes_on_from_a_snapshot() -> None:
+    samples, _ = turn(0.5, 1.0, 5.0)
+    whole, first, second = RestDetector(), RestDetector(), RestDetector()
+    expected = whole.process(samples)
+    half = len(samples) // 2
+    first.process(samples.rows(0, half))
+    second.restore(first.snapshot())
+    first.process(samples.rows(half, len(samples)))
+    got = second.process(samples.rows(half, len(samples)))
+    for name, values in got.items():
+        np.testing.assert_array_equal(values, expected[name][half:])
