@@ -152,7 +152,7 @@ def step(state: State, reading: Reading) -> Shown:
     bank = advance(state.bank, dt, sensor.unit, UNSEEN_JERK if unseen else 0.0)
     state.time_s = at
     if heard:
-        bank = _heard(state, bank, reading, dt)
+        bank = _heard(state, bank, reading)
         state.last, state.last_s = reading.last, reading.time_s
         state.usual_s = dt
     state.bank = bank
@@ -184,7 +184,7 @@ def _start_sd(reading: Reading, sensor: Sensor) -> float:
     return float(np.hypot(sensor.step, np.sqrt(reading.variance)))
 
 
-def _heard(state: State, bank: Bank, reading: Reading, dt: float) -> Bank:
+def _heard(state: State, bank: Bank, reading: Reading) -> Bank:
     """Return the bank given readings, or as it was where they are a fault."""
     sensor = state.sensor
     mean, variance = merged(bank.weight, *bank.reading)
@@ -198,7 +198,7 @@ def _heard(state: State, bank: Bank, reading: Reading, dt: float) -> Bank:
         return bank
     state.faults = 0
     before = sensor.means[-2] if len(sensor.means) > 1 else reading.mean
-    slope = (reading.mean - before) / max(dt, 1e-6)
+    slope = (reading.mean - before) / max(reading.time_s - state.last_s, 1e-6)
     return started(reading.mean, _start_sd(reading, sensor), slope, sensor.unit, bank.weight.sum(0))
 
 
