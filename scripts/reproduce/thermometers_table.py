@@ -70,7 +70,7 @@ def steady_row(kind: Kind, profile: Profile, seeds: range) -> list[float]:
 
 def ramp_row(kind: Kind, hold_s: float, seeds: range) -> list[float]:
     """Return the largest error of temperature after the hold; later z, the rate's, its rms."""
-    worst = np.zeros(4)
+    worst = np.full(4, np.nan)
     for seed in seeds:
         run = errors(kind, ramp(hold_s), hold_s + RAMP_S, seed)
         after, later = run["t"] > hold_s, run["t"] > hold_s + ONSET_S + kind.refresh_s
