@@ -13,6 +13,7 @@ from imumon.allan.recording import GROUPS, UNITS, group_of, rate_hz
 from imumon.blocks import FloatArray
 from imumon.config import dump_yaml
 from imumon.errors import ImumonError, Reason
+from imumon.files import check_output
 
 UNIT_OF_TERM = {
     "gyro": {
@@ -60,14 +61,9 @@ def check_outputs(plot: Path | None, *files: Path | None) -> None:
     """
     if plot is not None and plot.suffix.lower() != ".png":
         raise ImumonError(Reason.BAD_CONFIG, f"{plot}: the picture is a PNG", "name it NAME.png")
-    for path in files:
-        if path is not None and path.exists():
-            raise ImumonError(
-                Reason.EXISTS, f"{path} is there already", "nothing was overwritten; give another name"
-            )
     for path in (plot, *files):
-        if path is not None and not path.parent.is_dir():
-            raise ImumonError(Reason.BAD_CONFIG, f"{path}: there is no folder {path.parent}", "make it first")
+        if path is not None:
+            check_output(path, replace=path is plot)
 
 
 def as_json(results: Mapping[str, Result]) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from imumon.cli.common import Number, json_option, print_json, print_rows, say
-from imumon.errors import ImumonError, Reason
+from imumon.files import check_output
 
 if TYPE_CHECKING:
     from imumon.calibration.calibration import Calibration, Finding
@@ -42,12 +42,7 @@ def command(
     Several kinds of curve are tried on temperature levels left out; the one that errs least there is fitted
     to all data.  What cannot give a good model is refused, with the reason.
     """
-    if out.exists():
-        raise ImumonError(
-            Reason.EXISTS, f"{out} is there already", "nothing was overwritten; give another name"
-        )
-    if not out.parent.is_dir():
-        raise ImumonError(Reason.BAD_CONFIG, f"{out}: there is no folder {out.parent}", "make it first")
+    check_output(out)
     from imumon.calibration.calibration import calibrate_sessions
 
     result = calibrate_sessions(sessions, latitude, heading, serial)
