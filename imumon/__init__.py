@@ -6,9 +6,11 @@ Conventions, valid in every module, file and table
 Flow, one way::
 
     port -> bytes + arrival time -> wire recorder (the truth)
-              '-> decoder -> clock -> SampleBlock -> estimators in order -> view, recorder, tables
+              '-> framing -> fields -> epochs -> clock -> SampleBlock -> stages in order -> view, tables
+                                         '-> side streams -> tables of their own
 
-Live, replay and simulation differ only in what stands at the left end.
+Live, replay, import and simulation differ only in what stands at the left end.  docs/index.md shows each
+step, every column, and which files to touch to add something.
 
 Time
     Always int64 nanoseconds.  ``device_time_ns`` is the device's own clock, unwrapped, as the device counts

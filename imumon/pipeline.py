@@ -17,6 +17,7 @@ import numpy as np
 from imumon.blocks import NO_INT, ColumnArray, IntArray, SampleBlock, join, missing
 from imumon.charts import Chart
 from imumon.clock import DeviceClock, HostClock
+from imumon.clock.held import HeldReadings
 from imumon.clock.rate import Intervals
 from imumon.clock.side import SharedCounter, SideClock
 from imumon.columns import KNOWN, TIME_COLUMNS, Column
@@ -118,6 +119,7 @@ class Pipeline:
         self._epochs = EpochAssembler(groups) if groups is not None else None
         timing = self._device_clock.timing
         self._side_clock, self._shared_counter = SideClock(timing), SharedCounter(timing.counter_bits)
+        self._held = HeldReadings()
         self._side_ready: dict[str, list[SampleBlock]] = {}
         self._side: dict[str, SampleBlock] = {}
         self._intervals: dict[str, Intervals] = {}
@@ -135,7 +137,9 @@ class Pipeline:
     def stream_columns(self, stream: str) -> list[Column]:
         """Return the columns of a stream's blocks so far, without those of the estimators."""
         decoded = {column.name: column for column in self._decoder.columns} if self._decoder else {}
-        there = decoded if self._epochs is None else self._epochs.columns(stream)
+        there = frozenset(decoded) if self._epochs is None else self._epochs.columns(stream)
+        if stream == MAIN:
+            there |= self._held.names
         times = [KNOWN[name] for name in TIME_COLUMNS if name != "packet_counter" or name in there]
         rest = [c for c in decoded.values() if c.name in there and c.name not in (*TIME_COLUMNS, *COMMON)]
         return [*times, *rest]
@@ -253,7 +257,8 @@ class Pipeline:
             return self._dated(packets.block, np.zeros(len(packets), np.int64), [])
         streams = self._epochs.process(packets, end)
         main = streams.pop(MAIN)
-        block = self._dated(main.block, main.more, self._epochs.counted_aside)
+        held = self._held.process(main.block, streams)
+        block = self._dated(held, main.more, self._epochs.counted_aside)
         for stream, epochs in streams.items():
             times = self._side_clock.times(epochs)
             rest = {name: values for name, values in epochs.block.columns.items() if name != "device_ticks"}

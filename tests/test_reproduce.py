@@ -26,7 +26,8 @@ def tree(tmp_path: Path) -> Path:
     for name in ("configs", "tests"):
         (tmp_path / name).symlink_to(ROOT / name)
     shutil.copytree(ROOT / "scripts", tmp_path / "scripts")
-    (tmp_path / "docs" / "figures").mkdir(parents=True)
+    for name in ("appendix", "figures"):
+        (tmp_path / "docs" / name).mkdir(parents=True)
     (tmp_path / ".venv").symlink_to(sys.prefix)
     return tmp_path
 

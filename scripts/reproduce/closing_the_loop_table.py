@@ -23,7 +23,7 @@ def main() -> int:
     if given.part == "simulated":
         from closing_the_loop_statistics import main as statistics
 
-        out = DOCS / "closing-the-loop-results.md"
+        out = DOCS / "appendix" / "closing-the-loop-results.md"
         return statistics(["--repeat", str(given.repeat), "--jobs", str(given.jobs), "--out", str(out)])
     if given.part == "measured":
         from closing_the_loop_measured import measured

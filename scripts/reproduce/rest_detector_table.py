@@ -161,7 +161,7 @@ def field_row(name: str, grade: Grade, scenes: Sequence[tuple[int, Scene]]) -> t
     return np.nan_to_num(false[0]) + share + np.nan_to_num(100.0 - false[1]), f"| {' | '.join(cells)} |"
 
 
-def field(seeds: int) -> None:
+def outside(seeds: int) -> None:
     """Print the scenes in which a sigma is easily wrong, the worst row first."""
     rows = []
     for grade in GRADES:
@@ -184,7 +184,7 @@ def main() -> None:
     given = parser.parse_args()
     print("# Rest detector: tables\n\nMade by `scripts/reproduce/rest_detector`.\n")
     if given.only != "bench":
-        field(given.seeds)
+        outside(given.seeds)
     if given.only != "field":
         bench(given.seeds)
 

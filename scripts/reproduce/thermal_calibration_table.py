@@ -1,4 +1,4 @@
-"""Write docs/thermal-calibration-results.md and its figures."""
+"""Write docs/appendix/thermal-calibration-results.md and its figures."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from thermal_calibration_study import (
 
 ROOT = Path(__file__).resolve().parents[2]
 FIGURES = ROOT / "docs" / "figures" / "thermal-calibration"
-OUT = ROOT / "docs" / "thermal-calibration-results.md"
+OUT = ROOT / "docs" / "appendix" / "thermal-calibration-results.md"
 SEED = 1
 SHARES = (0.42, 0.6, 0.8)
 DISTANCES = np.array([0.5, 1.0, 2.0, 3.0, 3.5])
@@ -68,9 +68,9 @@ def simulated(soak: Soak) -> list[str]:
         "## Size of the network, and what a split by sample hides", "",
         "Scenario crs05-soak, 30 s means at the levels, 65/20/15 % of the samples at random, as published;",
         "S_r is the rms over the three axes, °/h.  The three parts agree whatever happens in between.", "",
-        *sizes_text(levels_only), "![Figure 7](figures/thermal-calibration/figure-07.png)", "",
+        *sizes_text(levels_only), "![Figure 7](../figures/thermal-calibration/figure-07.png)", "",
         "The same on db/dT from differences of levels, °/h/°C: 14 of them, 9 for training.", "",
-        *sizes_text(slopes), "![Figure 8](figures/thermal-calibration/figure-08.png)", "",
+        *sizes_text(slopes), "![Figure 8](../figures/thermal-calibration/figure-08.png)", "",
         "## Error of the slope", "",
         "rms from -20.53 to 48.08 °C against the truth, °/h/°C.", "",
     ]  # fmt: skip
@@ -79,7 +79,7 @@ def simulated(soak: Soak) -> list[str]:
         errors = [rms(methods[axis][name](INSIDE) - soak.slope[:, axis]) / DEG_H for axis in range(3)]
         rows.append([name, *(f"{error:.2f}" for error in errors), NOTED.get(name, "")])
     text += table(["method", *AXES, "noted before"], rows)
-    return [*text, "![Slopes](figures/thermal-calibration/slopes.png)", "", *traps(soak)]
+    return [*text, "![Slopes](../figures/thermal-calibration/slopes.png)", "", *traps(soak)]
 
 
 def traps(soak: Soak) -> list[str]:
@@ -152,7 +152,7 @@ def measured(data: Path) -> list[str]:
     ]  # fmt: skip
     for share in SHARES:
         text += chamber_text(share, fit_first_test_rest(record, share))
-    picture = "![Chamber cycle](figures/thermal-calibration/chamber-cycle.png)"
+    picture = "![Chamber cycle](../figures/thermal-calibration/chamber-cycle.png)"
     text += ["Curve chosen from the first 60 %:", "", picture, ""]
     return text + two_levels_text(two_levels_study(levels))
 

@@ -180,6 +180,23 @@ def test_a_slow_magnetometer_with_a_time_of_its_own_is_a_stream_of_its_own() -> 
     np.testing.assert_array_equal(side["mag"]["device_time_ns"][1:4], np.array([69, 117, 165]) * MS)
 
 
+@pytest.mark.parametrize("chunk", [None, 700])
+def test_a_thermometer_with_a_time_of_its_own_is_held_in_the_main_rows(chunk: int | None) -> None:
+    packets = []
+    for k in range(400):
+        time = k * 8 * MS
+        packets.append(mip(0x80, mip_time(time), mip_vector(0x05, (0, 0, 0)), mip_vector(0x04, (0, 0, 1))))
+        if k % 100 == 50:
+            packets.append(mip(0x80, mip_time(time + 3 * MS), mip_vector(0x14, (k, k, k))))
+    main, side, pipeline = run("microstrain", b"".join(packets), chunk)
+    np.testing.assert_array_equal(side["temperature"]["temperature"], [50, 150, 250, 350])
+    assert "temperature" in {column.name for column in pipeline.columns}
+    held = main["temperature"]
+    assert np.isnan(held[:51]).all()
+    # Until it is known what the stream sends, a reading is complete when the next one comes.
+    np.testing.assert_array_equal(held[[155, 255, 355]], [50, 150, 250])
+
+
 def test_messages_split_by_the_device_count_as_one_row_and_lose_nothing() -> None:
     packets = []
     for k in range(300):

@@ -17,7 +17,7 @@ variants are without and with slope, filters are wanders for each sensitivity.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -77,6 +77,11 @@ class Family:
     sensitivity_sd: FloatArray
 
     @property
+    def in_one_pose(self) -> Family:
+        """The same without sensitivities."""
+        return replace(self, sensitivity_sd=NO_SENSITIVITY)
+
+    @property
     def filters(self) -> int:
         """Filters of an axis."""
         return len(self.prior) * len(self.sensitivity_sd)
@@ -123,12 +128,14 @@ class Bank:
 
     Parameters
     ----------
+    family : Family
     estimate : Estimate
         States and covariances, (variants, 3, filters, 10) and one axis more.
     weight : array (variants, 3, filters)
         Probabilities.
     """
 
+    family: Family
     estimate: Estimate
     weight: FloatArray
 
@@ -146,7 +153,21 @@ def start(family: Family, variants: int, white: FloatArray) -> Bank:
     for i in range(SENSITIVITY.start, SENSITIVITY.stop):
         p[..., i, i] = sensitivity**2
     weight = np.tile(family.prior_of_all, (variants, 3, 1))
-    return Bank(Estimate(np.zeros((*shape, STATES)), p), weight)
+    return Bank(family, Estimate(np.zeros((*shape, STATES)), p), weight)
+
+
+def widen(bank: Bank, family: Family) -> None:
+    """Let a bank that knew of no sensitivity to the specific force try those of a family.
+
+    Until the pose changes all groups are the same: so it costs nothing to have one of them up to then.
+    """
+    times, wanders = len(family.sensitivity_sd), len(family.prior)
+    x, p = (np.concatenate([part] * times, 2) for part in bank.estimate)
+    sensitivity = np.repeat(family.sensitivity_sd, wanders)
+    for i in range(SENSITIVITY.start, SENSITIVITY.stop):
+        p[..., i, i] = sensitivity**2
+    bank.family, bank.estimate = family, Estimate(x, p)
+    bank.weight = np.concatenate([bank.weight] * times, 2) / times
 
 
 def come_to_rest(bank: Bank, flat: FloatArray, arrival: FloatArray | float = 0.0) -> None:
@@ -171,7 +192,7 @@ def come_to_rest(bank: Bank, flat: FloatArray, arrival: FloatArray | float = 0.0
 
 def wander(
     bank: Bank,
-    noise: BiasNoise,
+    white: FloatArray,
     dt: float,
     warming: FloatArray,
     travel: FloatArray,
@@ -181,8 +202,8 @@ def wander(
 
     Parameters
     ----------
-    noise : BiasNoise
-        Of all filters, in rad/s.
+    white : array (3,)
+        Angular random walk, rad/sqrt(s).
     warming : array (3,)
         Change of the temperature, °C, for the variant that learns its slope.
     travel : array (3,)
@@ -191,6 +212,7 @@ def wander(
         What an unknown or doubtful temperature adds to the variance of the bias, (rad/s)².
     """
     x, p = bank.estimate
+    noise = bank.family.scaled(white)
     decay = np.ones(STATES)
     decay[WANDER] = noise.decay(dt)
     added = np.zeros(x.shape)
@@ -289,13 +311,13 @@ def innovation(bank: Bank, found: Correction) -> FloatArray:
     return np.asarray(-mean / np.sqrt(variance))
 
 
-def take(bank: Bank, family: Family, found: Correction) -> FloatArray:
+def take(bank: Bank, found: Correction) -> FloatArray:
     """Accept the measurement and weigh the filters; return the log-likelihoods, (variants, 3).
 
     How sensitive to the specific force a unit is holds for its three axes together: a group has one
     probability, to which the evidence of all axes is multiplied.
     """
-    bank.estimate = found.estimate
+    family, bank.estimate = bank.family, found.estimate
     shape = (*bank.weight.shape[:2], len(family.sensitivity_sd), len(family.prior))
     before = bank.weight.reshape(shape).sum(-1)
     most = found.log_likelihood.max(-1, keepdims=True)
@@ -309,13 +331,14 @@ def take(bank: Bank, family: Family, found: Correction) -> FloatArray:
     return np.asarray(most[..., 0] + np.log(group.sum(-1)))
 
 
-def mix(bank: Bank, family: Family, dt: float) -> None:
+def mix(bank: Bank, dt: float) -> None:
     """Let each filter take over, after `dt` seconds, its share of what the others know (mixing of the IMM).
 
     A filter stays with probability exp(-dt / DWELL_S), and goes over to any of its group by its prior
     otherwise: so all of them receive the same mean of the whole.  A sensitivity to the specific force does
     not change, so that groups do not mix.
     """
+    family = bank.family
     wanders = len(family.prior)
     if wanders == 1:
         return

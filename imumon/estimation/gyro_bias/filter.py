@@ -18,6 +18,8 @@ from imumon.estimation.gyro_bias.attitude import Attitude, Place, Turn
 from imumon.estimation.gyro_bias.bank import AtRest, Bank, Family
 from imumon.estimation.gyro_bias.white import WhiteNoise
 
+SAME_POSE = 0.02
+"""m/s², a tenth of a degree: with 0.1 °/s/g less than 1 °/h."""
 LARGEST_TILT = 0.03
 """rad by which a unit at rest may turn until the tilt is measured from a new reference."""
 GATE = 25.0
@@ -264,8 +266,8 @@ def step(state: State, params: Params, slot: Slot) -> FloatArray:
     elif state.bank is not None:
         noise = _noise(state, params)
         assert noise is not None
-        _coast(state, params.family, noise[0], slot.end_s, slot.degc, slot.growth)
-        _show(state, slot.force)
+        _coast(state, noise[0], slot.end_s, slot.degc, slot.growth)
+        _show(state, params, slot.force)
     return innovation
 
 
@@ -327,7 +329,7 @@ def _count(state: State, params: Params, reading: Reading) -> FloatArray:
         if count >= params.first_slots:
             state.zeroed, state.first = state.bank is not None, []
     if state.bank is not None:
-        _show(state, reading.slot.force)
+        _show(state, params, reading.slot.force)
     return innovation
 
 
@@ -348,7 +350,7 @@ def _filter_again(state: State, params: Params) -> None:
     if not state.first or noise is None:
         return
     begin = state.first[0].slot
-    state.bank = filters.start(params.family, 2 if params.learns else 1, noise[0])
+    state.bank = filters.start(params.family.in_one_pose, 2 if params.learns else 1, noise[0])
     filters.come_to_rest(state.bank, state.attitude.flat)
     state.evidence, state.unmixed_s, state.contrary = np.zeros(3), 0.0, Contrary()
     state.used_s, state.growth = begin.start_s, begin.growth
@@ -356,12 +358,10 @@ def _filter_again(state: State, params: Params) -> None:
     state.reference = begin.force
     for k, reading in enumerate(state.first):
         _take(state, params, state.bank, replace(reading, fresh=reading.fresh and k > 0))
-    _show(state, state.first[-1].slot.force)
+    _show(state, params, state.first[-1].slot.force)
 
 
-def _coast(
-    state: State, family: Family, white: FloatArray, end_s: float, degc: FloatArray, growth: FloatArray
-) -> None:
+def _coast(state: State, white: FloatArray, end_s: float, degc: FloatArray, growth: FloatArray) -> None:
     """Bring the biases to a time and temperature, without a measurement."""
     assert state.bank is not None
     warming = degc - state.at_degc
@@ -369,19 +369,23 @@ def _coast(
     moved = np.where(known, np.abs(degc - state.noted_degc), 0.0)
     travel = np.where(moved >= MOVED_DEGC, moved, 0.0)
     warming = np.where(known, warming, 0.0)
-    noise, dt = family.scaled(white), end_s - state.used_s
-    filters.wander(state.bank, noise, dt, warming, travel, growth - state.growth)
+    filters.wander(state.bank, white, end_s - state.used_s, warming, travel, growth - state.growth)
     # A temperature that comes late is where the slope counts from.
     state.at_degc = np.where(np.isfinite(degc), degc, state.at_degc)
     state.noted_degc = np.where((travel > 0.0) | ~np.isfinite(state.noted_degc), degc, state.noted_degc)
     state.growth, state.used_s = growth, end_s
 
 
-def _offset(state: State, force: FloatArray | None) -> FloatArray:
-    """Return the specific force less that of the first rest, (3,)."""
-    if force is None or state.reference is None:
+def _offset(state: State, params: Params, force: FloatArray | None) -> FloatArray:
+    """Return the specific force less that of the first rest, (3,); from the first change on it counts."""
+    if force is None or state.reference is None or state.bank is None:
         return np.zeros(3)
-    return np.asarray(force - state.reference)
+    offset = np.asarray(force - state.reference)
+    if len(state.bank.family.sensitivity_sd) < len(params.family.sensitivity_sd):
+        if float(offset @ offset) < SAME_POSE**2:
+            return np.zeros(3)
+        filters.widen(state.bank, params.family)
+    return offset
 
 
 def _take(state: State, params: Params, bank: Bank, reading: Reading) -> FloatArray:
@@ -389,11 +393,11 @@ def _take(state: State, params: Params, bank: Bank, reading: Reading) -> FloatAr
     slot, dt = reading.slot, reading.slot.dt
     noise = _noise(state, params)
     assert noise is not None
-    _coast(state, params.family, noise[0], slot.end_s, slot.degc, slot.growth)
+    _coast(state, noise[0], slot.end_s, slot.degc, slot.growth)
     # Only at rest: nothing is learned of the bias while it moves, and doubts that only add up help nobody.
     state.unmixed_s += dt
     if state.unmixed_s >= MIX_S:
-        filters.mix(bank, params.family, state.unmixed_s)
+        filters.mix(bank, state.unmixed_s)
         state.unmixed_s = 0.0
     flat = state.attitude.flat
     if reading.fresh:
@@ -404,7 +408,7 @@ def _take(state: State, params: Params, bank: Bank, reading: Reading) -> FloatAr
         dt,
         reading.rate,
         reading.tilt,
-        _offset(state, slot.force),
+        _offset(state, params, slot.force),
         noise[0] ** 2 + flat * ACCEL_WALK**2,
         flat * noise[1] ** 2 + (1.0 - flat) * YAW_NOISE**2,
         flat * STILLNESS**2,
@@ -418,7 +422,7 @@ def _take(state: State, params: Params, bank: Bank, reading: Reading) -> FloatAr
         _refuse(state, params, bank, reading)
         return shown
     state.contrary = Contrary()
-    likelihood = filters.take(bank, params.family, found)
+    likelihood = filters.take(bank, found)
     if params.learns:
         fade = math.exp(-dt / FORGETTING_S)
         state.evidence = fade * state.evidence + likelihood[1] - likelihood[0]
@@ -442,14 +446,14 @@ def _refuse(state: State, params: Params, bank: Bank, reading: Reading) -> None:
         state.first, state.zeroed = [], True
 
 
-def _show(state: State, force: FloatArray | None) -> None:
+def _show(state: State, params: Params, force: FloatArray | None) -> None:
     """Make the estimate of the bank the one that is shown.
 
     The standard deviation is that of both variants, with and without slope, each by its likelihood: a slope
     that is not proven may be there all the same.
     """
     assert state.bank is not None
-    value, variance = filters.bias(state.bank, _offset(state, force))
+    value, variance = filters.bias(state.bank, _offset(state, params, force))
     state.bias, state.slope = value[0], np.zeros(3)
     spread = variance[0]
     if len(value) > 1:

@@ -26,8 +26,9 @@ from imumon.filters.slots import held
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.models.model import BiasModel
 
-SENSITIVITIES = np.radians([0.005, 0.05]) / STANDARD_GRAVITY
-"""What data sheets say of MEMS gyros, rad/s per m/s²: compensated units, and others (0.01 to 0.1 °/s/g)."""
+SENSITIVITIES = np.radians([0.001, 0.007, 0.05]) / STANDARD_GRAVITY
+"""What data sheets say of MEMS gyros, rad/s per m/s²: from 0.001 °/s/g, compensated, to 0.1.  Steps by seven
+make the error of a unit that has none 12 % larger, a step by ten from 0.005 on 57 %."""
 Mode = Literal["standard", "thermal", "learned"]
 _COLUMNS = (
     ("gyro_bias", "rad/s", "bias of the raw rate"),

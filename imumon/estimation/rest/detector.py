@@ -63,12 +63,19 @@ def step(state: State, parameters: RestParameters, slot: Slot) -> None:
             _watch(state, slot.end_s, HOLD_WINDOWS * motion.seconds)
         elif state.at_rest:
             _keep(state, slot, drift)
-        elif slot.end_s >= state.hold_s and state.quiet_slots >= SETTLE_SLOTS:
+        elif slot.end_s >= state.hold_s and _may_return(state):
             _return(state, parameters, slot.end_s)
     state.slots += 1
     ready = state.history.length - state.ring_from >= RING and slot.end_s >= state.long_hold_s
-    if ready and state.slots % TRIAL_EVERY == 0:
+    seldom = 4 if state.turning and state.quiet_slots > RING else 1
+    if ready and state.slots % (seldom * TRIAL_EVERY) == 0:
         _try(state, parameters, slot.end_s)
+
+
+def _may_return(state: State) -> bool:
+    """Tell whether it has been quiet for long enough; what is in doubt for long is not asked every time."""
+    quiet = state.quiet_slots
+    return SETTLE_SLOTS <= quiet < RING or (quiet >= RING and state.slots % TRIAL_EVERY == 0)
 
 
 def _watch(state: State, now_s: float, seconds: float) -> None:

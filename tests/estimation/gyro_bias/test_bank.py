@@ -29,8 +29,8 @@ def test_with_white_noise_alone_it_is_the_mean_with_its_sigma() -> None:
     filters.come_to_rest(bank, ZERO)
     rates = rng.normal(size=(60, 3)) * ARW / math.sqrt(0.5)
     for rate in rates:
-        filters.wander(bank, family.scaled(ARW * ONE), 0.5, ZERO, ZERO, ZERO)
-        filters.take(bank, family, filters.look(bank, still(rate)))
+        filters.wander(bank, ARW * ONE, 0.5, ZERO, ZERO, ZERO)
+        filters.take(bank, filters.look(bank, still(rate)))
     value, variance = filters.bias(bank, ZERO)
     np.testing.assert_allclose(value[0], rates.mean(0), atol=0.01 * ARW / math.sqrt(30.0))
     np.testing.assert_allclose(np.sqrt(variance), ARW / math.sqrt(30.0), rtol=1e-3)
@@ -60,11 +60,10 @@ def test_level_the_three_axes_apart_are_the_dense_filter() -> None:
     up = np.array([0.0, 0.0, -1.0])
     tilt, rate = np.cross(accel / gravity - up, up), gyro - local_earth()
     bias, variance = np.empty((len(gyro), 3)), np.empty((len(gyro), 3))
-    scaled = family.scaled(ARW * ONE)
     for k in range(len(gyro)):
-        filters.wander(bank, scaled, dt, ZERO, ZERO, ZERO)
+        filters.wander(bank, ARW * ONE, dt, ZERO, ZERO, ZERO)
         slot = AtRest(dt, rate[k], tilt[k], ZERO, ARW**2 + level * 1e-12, tilt2, still2)
-        filters.take(bank, family, filters.look(bank, slot))
+        filters.take(bank, filters.look(bank, slot))
         (bias[k],), (variance[k],) = filters.bias(bank, ZERO)
     off = np.abs(bias - dense.bias).max(0) / DPH
     assert off[:2].max() < 0.002
@@ -79,14 +78,14 @@ def random_bank(rng: np.random.Generator, family: filters.Family) -> Bank:
     root = rng.normal(size=(*shape, filters.STATES, filters.STATES))
     weight = rng.random(shape)
     estimate = Estimate(rng.normal(size=(*shape, filters.STATES)), root @ np.swapaxes(root, -1, -2))
-    return Bank(estimate, weight / weight.sum(-1, keepdims=True))
+    return Bank(family, estimate, weight / weight.sum(-1, keepdims=True))
 
 
 def test_mixing_is_that_of_the_interacting_multiple_model_within_each_group() -> None:
     family = filters.unknown_family(np.array([1e-6, 1e-4]))
     bank = random_bank(np.random.default_rng(1), family)
-    before = Bank(bank.estimate, bank.weight)
-    filters.mix(bank, family, 600.0)
+    before = Bank(family, bank.estimate, bank.weight)
+    filters.mix(bank, 600.0)
     n, stay = len(family.prior), math.exp(-600.0 / filters.DWELL_S)
     switch = np.kron(np.eye(2), stay * np.eye(n) + (1.0 - stay) * family.prior)
     weight, (x, p) = before.weight[0, 1], before.estimate
@@ -112,8 +111,8 @@ def test_a_sensitivity_to_the_specific_force_is_learned_from_poses(truth: float)
         filters.come_to_rest(bank, ZERO)
         for _ in range(60):
             rate = per_g * (force @ [[0, 1, 0], [0, 0, 1], [1, 0, 0]]) + rng.normal(size=3) * ARW * 1.4
-            filters.wander(bank, family.scaled(ARW * ONE), 0.5, ZERO, ZERO, ZERO)
-            filters.take(bank, family, filters.look(bank, still(rate, force=force - forces[0])))
+            filters.wander(bank, ARW * ONE, 0.5, ZERO, ZERO, ZERO)
+            filters.take(bank, filters.look(bank, still(rate, force=force - forces[0])))
     found = filters.sensitivity(bank)[0]
     expected = per_g * np.array([[0, 0, 1], [1, 0, 0], [0, 1, 0]])
     np.testing.assert_allclose(found, expected, atol=5.0 * DPH / 9.81)

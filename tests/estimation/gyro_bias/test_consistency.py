@@ -20,6 +20,8 @@ from tests.estimation.gyro_bias.records import (
     with_rest,
 )
 
+pytestmark = pytest.mark.timeout(900)
+"""Fifty runs of ten minutes take half a minute of CPU, and longer where others work."""
 RUNS = 50
 AT_S = (30.0, 60.0, 120.0, 240.0, 420.0, 599.0)
 INSTABILITY = 0.776 / 0.664

@@ -136,3 +136,18 @@ def test_a_steep_slope_without_a_model_is_followed(slope_dph: float, largest_dph
     error = (vector(added, "gyro_random_error") - bias)[600:]
     assert np.sqrt(np.mean((error / vector(added, "gyro_random_error_sd")[600:]) ** 2)) < z
     assert np.abs(error).max() < largest_dph * DPH
+
+
+def test_it_goes_on_from_a_snapshot() -> None:
+    block, _, _, _ = in_the_hand(0.05, 9, rests=4)
+    half = round(85.0 * RATE_HZ)
+    stage = GyroBias(mode="learned")
+    stage.process(block.rows(0, half))
+    saved = stage.snapshot()
+    rest = block.rows(half, len(block))
+    expected = vector(stage.process(rest))
+    other = GyroBias(mode="learned")
+    other.restore(saved)
+    np.testing.assert_array_equal(vector(other.process(rest)), expected)
+    stage.restore(saved)
+    np.testing.assert_array_equal(vector(stage.process(rest)), expected)
