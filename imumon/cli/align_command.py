@@ -10,7 +10,17 @@ from typing import TYPE_CHECKING
 
 import click
 
-from imumon.cli.common import SECONDS, Number, device_help, json_option, note, print_json, say
+from imumon.cli.common import (
+    PATH,
+    SECONDS,
+    Number,
+    baud_option,
+    device_help,
+    json_option,
+    note,
+    print_json,
+    warn,
+)
 from imumon.cli.setup_options import make_setup
 from imumon.errors import EXIT_NEGATIVE, EXIT_OK, ImumonError, Reason
 
@@ -26,7 +36,6 @@ if TYPE_CHECKING:
     from imumon.run.setup import Setup
 
 REFRESH_S = 0.25
-_path = click.Path(path_type=Path)
 
 
 @click.command("align")
@@ -36,7 +45,7 @@ _path = click.Path(path_type=Path)
     "--until", type=Number(min=0, min_open=True, max=90), help="Sigma of the heading wanted, degrees [0.05]."
 )
 @click.option("--device", help=device_help)
-@click.option("--baud", type=click.IntRange(min=1), help="Baud rate; the device file's first when not given.")
+@baud_option
 @click.option(
     "--positions",
     type=click.IntRange(1, 12),
@@ -45,9 +54,9 @@ _path = click.Path(path_type=Path)
     help="Rest in so many positions, turned between: then the bias of the gyros does not matter.",
 )
 @click.option("--seconds", type=SECONDS, help="Give up after this time; live only.")
-@click.option("--out", type=_path, help="Folder for the live session; default: a new one in ./sessions.")
-@click.option("--pipeline", type=_path, help="Pipeline file: place, model and parameters of the estimators.")
-@click.option("--model", type=_path, help="Bias model; it may know the warm-up of the accelerometers.")
+@click.option("--out", type=PATH, help="Folder for the live session; default: a new one in ./sessions.")
+@click.option("--pipeline", type=PATH, help="Pipeline file: place, model and parameters of the estimators.")
+@click.option("--model", type=PATH, help="Bias model; it may know the warm-up of the accelerometers.")
 @json_option
 def command(
     source: str,
@@ -153,8 +162,7 @@ def _recorded(path: Path, device: str | None, make: Callable[..., Setup]) -> Ali
     with _Shown(stage) as shown:
         for _ in run_over(source.items, pipeline):
             shown.renew()
-    for text in [*source.warnings(), *pipeline.warnings()]:
-        say("WARN", text)
+    warn([*source.warnings(), *pipeline.warnings()])
     _refuse_without_sensors(stage.status, str(path), [column.name for column in source.columns(pipeline)])
     return stage
 

@@ -8,19 +8,17 @@ from typing import TYPE_CHECKING
 
 import click
 
-from imumon.cli.common import json_option, print_json, print_rows, say
+from imumon.cli.common import PATH, json_option, print_json, print_rows, warn
 
 if TYPE_CHECKING:
     from imumon.allan.analysis import Result
 
-_file = click.Path(path_type=Path)
-
 
 @click.command("allan")
-@click.argument("recording", metavar="SESSION|TABLE", type=_file)
-@click.option("--plot", type=_file, help="Draw the curves, log-log, to this PNG.")
-@click.option("--noise-out", type=_file, help="Write the terms as the noise section of a pipeline YAML.")
-@click.option("--kalibr", type=_file, help="Write the terms as Kalibr's imu.yaml.")
+@click.argument("recording", metavar="SESSION|TABLE", type=PATH)
+@click.option("--plot", type=PATH, help="Draw the curves, log-log, to this PNG.")
+@click.option("--noise-out", type=PATH, help="Write the terms as the noise section of a pipeline YAML.")
+@click.option("--kalibr", type=PATH, help="Write the terms as Kalibr's imu.yaml.")
 @json_option
 def command(
     recording: Path, plot: Path | None, noise_out: Path | None, kalibr: Path | None, as_json: bool
@@ -38,8 +36,7 @@ def command(
     output.check_outputs(plot, noise_out, kalibr)
     opened = read_channels(recording, lambda _: [RestDetector()])
     results = analyse(opened.series)
-    for text in [*opened.warnings, *_of_the_fit(results)]:
-        say("WARN", text)
+    warn([*opened.warnings, *_of_the_fit(results)])
     written: dict[str, Path] = {}
     if plot is not None:
         from imumon.allan.plot import write_plot

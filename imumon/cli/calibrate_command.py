@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from imumon.cli.common import Number, json_option, print_json, print_rows, say
+from imumon.cli.common import PATH, Number, json_option, print_json, print_rows, warn
 from imumon.files import check_output
 
 if TYPE_CHECKING:
@@ -19,8 +19,8 @@ SHOWN = {"rad/s": ("°/h", 206264.80624709636), "m/s^2": ("mg", 1e3 / 9.80665)}
 
 
 @click.command("calibrate")
-@click.argument("sessions", nargs=-1, required=True, metavar="SESSION...", type=click.Path(path_type=Path))
-@click.option("--out", required=True, type=click.Path(path_type=Path), help="Model file to write.")
+@click.argument("sessions", nargs=-1, required=True, metavar="SESSION...", type=PATH)
+@click.option("--out", required=True, type=PATH, help="Model file to write.")
 @click.option(
     "--latitude", type=Number(min=-90, max=90), help="Degrees; with --heading the earth rate is removed."
 )
@@ -47,8 +47,7 @@ def command(
 
     result = calibrate_sessions(sessions, latitude, heading, serial)
     result.model.write(out)
-    for text in result.warnings:
-        say("WARN", text)
+    warn(result.warnings)
     if as_json:
         print_json(_report(result, out))
     else:

@@ -13,7 +13,9 @@ from typing import TYPE_CHECKING, Literal, Unpack
 import click
 
 from imumon.cli.common import (
+    PATH,
     SECONDS,
+    baud_option,
     bind_option,
     device_help,
     json_option,
@@ -39,13 +41,11 @@ View = Literal["native", "web", "none"]
 @click.command("monitor")
 @click.argument("port")
 @click.option("--device", required=True, help=device_help)
-@click.option("--baud", type=click.IntRange(min=1), help="Baud rate; the device file's first when not given.")
+@baud_option
 @click.option(
     "--view", type=click.Choice(["native", "web", "none"]), help="Default: native with a display, else web."
 )
-@click.option(
-    "--out", type=click.Path(path_type=Path), help="Session folder; default: a new one in ./sessions."
-)
+@click.option("--out", type=PATH, help="Session folder; default: a new one in ./sessions.")
 @click.option("--seconds", type=SECONDS, help="Stop after this time.")
 @setup_options
 @window_option

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import click
 
-from imumon.cli.common import SECONDS, Number, device_help, say
+from imumon.cli.common import PATH, SECONDS, Number, device_help, say, seed_option
 
 CHECK_S = 0.25
 """How often the device is looked after."""
@@ -18,16 +18,9 @@ CHECK_S = 0.25
 @click.command("virtual")
 @click.option("--device", default="ax1", show_default=True, help=device_help)
 @click.option("--scenario", help="What the unit does: a name or a file (docs/simulation.md).")
-@click.option("--link", type=click.Path(path_type=Path), help="Symlink to make to the port.")
+@click.option("--link", type=PATH, help="Symlink to make to the port.")
 @click.option("--rate", type=Number(min=0, min_open=True, max=1e5), help="Packets per second.")
-@click.option(
-    "-s",
-    "--seed",
-    default=0,
-    show_default=True,
-    type=click.IntRange(min=0),
-    help="Seed of the simulated noise.",
-)
+@seed_option
 @click.option("--seconds", type=SECONDS, help="Stop after this time.")
 def command(
     device: str,
