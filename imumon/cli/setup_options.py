@@ -29,6 +29,16 @@ class SetupOptions(TypedDict):
     heading: float | None
 
 
+NOT_GIVEN: SetupOptions = {
+    "pipeline": None,
+    "model": None,
+    "zupt": None,
+    "random_error": None,
+    "published": None,
+    "latitude": None,
+    "heading": None,
+}
+
 _OPTIONS = (
     click.option(
         "--pipeline", type=PATH, help="Pipeline file: place, model and parameters of the estimators."
