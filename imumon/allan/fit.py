@@ -63,6 +63,15 @@ ROUNDS, CLOSE, LARGEST_ERROR = 8, 0.05, 3.0
 FEWEST, FEWEST_BEFORE = 5, 4
 """Averaging times that a fit must keep; and that one before a disturbance must have."""
 
+COLUMNS = (*SHAPES, "filter")
+"""What is fitted, by the columns of the design.
+
+A low-pass filter takes from white noise, at averaging times longer than itself, what has the shape of
+quantization: its column is that shape with a minus.
+"""
+WHITE, QUANTIZATION, RAMP, FILTER = map(COLUMNS.index, ("white", "quantization", "ramp", "filter"))
+EVERY = tuple(range(len(COLUMNS)))
+
 Scale = Callable[[float], float]
 
 
@@ -168,7 +177,7 @@ class _Problem:
         factor = cho_factor(self._matrix(columns, found), lower=True)
         active = [column for column, value in zip(columns, found, strict=True) if value > 0.0]
         design = self.design[:, active]
-        covariance = np.zeros((6, 6))
+        covariance = np.zeros((len(COLUMNS), len(COLUMNS)))
         scale = np.linalg.norm(design, axis=0)
         information = (design / scale).T @ cho_solve(factor, design / scale)
         covariance[np.ix_(active, active)] = np.linalg.pinv(information) / np.outer(scale, scale)
@@ -201,22 +210,16 @@ def _bounded(design: FloatArray, target: FloatArray) -> FloatArray:
 
 
 def _spread(columns: tuple[int, ...], values: FloatArray) -> FloatArray:
-    coefficients = np.zeros(6)
+    coefficients = np.zeros(len(COLUMNS))
     coefficients[list(columns)] = values
     return coefficients
 
 
 def _signed(coefficients: FloatArray) -> FloatArray:
     """Return the coefficients of the five shapes, (5,), with what a filter takes away."""
-    signed = coefficients[:5].copy()
+    signed = coefficients[:FILTER].copy()
     signed[QUANTIZATION] -= coefficients[FILTER]
     return signed
-
-
-WHITE, QUANTIZATION, RAMP, FILTER = 0, 3, 4, 5
-"""A low-pass filter takes from white noise, at averaging times longer than itself, what has the shape of
-quantization: the sixth column of the design is that shape with a minus."""
-EVERY = (0, 1, 2, 3, 4, 5)
 
 
 def fit_terms(variances: FloatArray, covariances: Covariances, interval_s: float, last: int) -> Fit | None:
@@ -280,7 +283,7 @@ def _is_filtered(variances: FloatArray, m: IntArray, solution: _Solution) -> boo
 
     Quantization is none behind a filter; where it is called for, it stands for the end of a bump.
     """
-    coefficients = solution.coefficients[:5]
+    coefficients = solution.coefficients[:FILTER]
     if coefficients[QUANTIZATION] > 0.0:
         return False
     shapes = np.column_stack([shape(m.astype(np.float64)) for shape in SHAPES.values()])
