@@ -59,10 +59,10 @@ def import_table(table: Path, map_path: Path, out: Path) -> ImportReport:
         for a table that cannot be read, rows that cannot be taken, or times that do not increase; EXISTS when
         the output is there already.
     """
-    source = TableImport(table, map_path)
-    refuse_existing(out)
     if not out.name:
         raise ImumonError(Reason.EXISTS, f"{out} is there already", "give the name of a new folder")
+    refuse_existing(out)
+    source = TableImport(table, map_path)
     partial = out.with_name(f".{out.name}.{os.getpid()}.partial")
     try:
         partial.mkdir(parents=True)
