@@ -1,8 +1,11 @@
-"""Text files read whole, or refused with the reason, and written whole or not at all."""
+"""Text files read whole, or refused with the reason, and written whole or not at all; values for JSON."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from imumon.errors import ImumonError, Reason
 
@@ -47,3 +50,15 @@ def check_output(path: Path, *, replace: bool = False) -> None:
         )
     if not path.parent.is_dir():
         raise ImumonError(Reason.BAD_CONFIG, f"{path}: there is no folder {path.parent}", "make it first")
+
+
+def plain(value: Any) -> Any:
+    """Return a value as JSON knows it: paths as text, numbers without the types of NumPy, NaN as None."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, Path):
+        return str(value)
+    value = value.item() if hasattr(value, "item") else value
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -12,6 +12,7 @@ from typing import Any
 import click
 
 from imumon.errors import ImumonError, Reason
+from imumon.files import plain
 
 PATH = click.Path(path_type=Path)
 TABLE = "Table to write: NAME.parquet or NAME.csv."
@@ -55,17 +56,7 @@ device_help = "Name of a known device (imumon devices) or path of a device file.
 
 def print_json(data: Mapping[str, Any]) -> None:
     """Print one JSON object; NaN, which JSON does not know, becomes null."""
-    click.echo(json.dumps(_plain(data), indent=2))
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return str(value) if isinstance(value, Path) else value
+    click.echo(json.dumps(plain(data), indent=2))
 
 
 def split_columns(text: str | None) -> list[str] | None:
