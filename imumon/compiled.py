@@ -10,16 +10,18 @@ What has to be compiled, and so keeps a command waiting, is said to the logger `
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, TypeVar, overload
+from typing import Any, TypeVar, cast, overload
 
 import numba
+import numpy as np
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
 
 from imumon.sources import stamp
 
 F = TypeVar("F", bound=Callable[..., Any])
+Fields = TypeVar("Fields")
 
 PACKAGE = __name__.partition(".")[0]
 
@@ -46,6 +48,29 @@ def njit(function: F | None = None, **options: Any) -> F | Callable[[F], F]:
         kernel._cache = _Cache(function)  # what numba's enable_caching does, with a cache of our own
     compiled: F = kernel
     return compiled
+
+
+_TYPES = {"int": np.int64, "IntArray": np.int64, "float": np.float64, "FloatArray": np.float64}
+
+
+def record(fields: type[Fields], **shapes: int | tuple[int, ...]) -> Fields:
+    """Return one NumPy record of zeros, of which compiled functions read and write the fields by name.
+
+    Parameters
+    ----------
+    fields : type
+        A class that annotates the fields as int, float, IntArray or FloatArray.
+    shapes : int or tuple of int
+        Of the fields that are arrays.
+    """
+    return records(fields, 1, **shapes)[0]
+
+
+def records(fields: type[Fields], count: int, **shapes: int | tuple[int, ...]) -> Sequence[Fields]:
+    """Return an array of so many such records."""
+    layout = [(name, _TYPES[kind], shapes.get(name, ())) for name, kind in fields.__annotations__.items()]
+    made: Any = np.zeros(count, np.dtype((np.record, layout)))
+    return cast(Sequence[Fields], made)
 
 
 def kernel_modules() -> tuple[str, ...]:

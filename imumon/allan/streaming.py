@@ -22,7 +22,7 @@ from imumon.allan.confidence import TRUSTED_FREEDOM, intervals
 from imumon.allan.covariance import NOISES, Runs, freedom
 from imumon.allan.series import JITTER, nominal_interval_ns
 from imumon.blocks import FloatArray, IntArray
-from imumon.compiled import njit
+from imumon.compiled import njit, record
 
 STRIDES_PER_TAU = 16
 FIRST_RING = 4
@@ -35,58 +35,68 @@ _SLOPES = np.array([-1.0, 0.0, 1.0, -2.0])
 """Exponent of the Allan variance over tau for each of `NOISES`."""
 
 
-@njit
-def stream(
-    time_ns: IntArray,
-    segment: IntArray,
-    values: FloatArray,
-    interval_ns: float,
-    offset: float,
-    rings: FloatArray,
-    sums: FloatArray,
-    counts: IntArray,
-    total: FloatArray,
-    state: IntArray,
-) -> int:
-    """Add samples; return how many rows were used, all of them unless the interval no longer fits.
+class _Run:
+    """What is carried from sample to sample.
 
     Parameters
     ----------
-    values : array, (n,)
-        NaN where the channel has no sample.
+    interval_ns, offset : float
+        Time from sample to sample, 0 while it is being learned; what is taken from every value.
     rings : array, (RINGS, RING)
+        Running sums at the last positions of each stride.
     sums, counts : arrays, (OCTAVES,)
-    total : array, (1,)
+        Of the squared differences.
+    position : int
+        Samples in the run; -1: there is no run.
+    total : float
         Running sum of the run.
-    state : array of int64, (4,)
-        Position in the run (-1: none), time and segment of the last sample, steps in a row that did not fit.
+    time_ns, segment : int
+        Of the last sample.
+    misfits : int
+        Steps in a row that did not fit the interval.
     """
+
+    interval_ns: float
+    offset: float
+    rings: FloatArray
+    sums: FloatArray
+    counts: IntArray
+    position: int
+    total: float
+    time_ns: int
+    segment: int
+    misfits: int
+
+
+@njit
+def stream(time_ns: IntArray, segment: IntArray, values: FloatArray, run: _Run) -> int:
+    """Add samples, NaN where there is none; return how many rows were used, all unless the interval fails."""
     for row in range(len(values)):
         value = values[row]
         if np.isnan(value):
             continue
-        if state[0] >= 0:
-            step = (time_ns[row] - state[1]) / interval_ns
-            if segment[row] != state[2] or abs(step - 1.0) > JITTER:
-                state[0] = -1
-                state[3] += 1
+        if run.position >= 0:
+            step = (time_ns[row] - run.time_ns) / run.interval_ns
+            if segment[row] != run.segment or abs(step - 1.0) > JITTER:
+                run.position = -1
+                run.misfits += 1
             else:
-                state[3] = 0
-        state[1], state[2] = time_ns[row], segment[row]
-        if state[3] >= LEARN:
+                run.misfits = 0
+        run.time_ns, run.segment = time_ns[row], segment[row]
+        if run.misfits >= LEARN:
             return row
-        if state[0] < 0:
-            state[0] = 0
-            total[0] = 0.0
-            rings[:, 0] = 0.0
-        state[0] += 1
-        total[0] += value - offset
-        position, now = state[0], total[0]
+        if run.position < 0:
+            run.position = 0
+            run.total = 0.0
+            run.rings[:, 0] = 0.0
+        run.position += 1
+        run.total += value - run.offset
+        position, now = run.position, run.total
         for ring in range(RINGS):
             place = position >> ring
             if place << ring != position:
                 break
-            rings[ring, place & (RING - 1)] = now
+            run.rings[ring, place & (RING - 1)] = now
             first = 0 if ring == 0 else FIRST_RING + ring
             for octave in range(first, FIRST_RING + ring + 1):
                 if octave >= OCTAVES:
@@ -94,10 +104,10 @@ def stream(
                 back = 1 << (octave - ring)
                 if place < 2 * back:
                     break
-                middle = rings[ring, (place - back) & (RING - 1)]
-                difference = now - 2.0 * middle + rings[ring, (place - 2 * back) & (RING - 1)]
-                sums[octave] += difference * difference
-                counts[octave] += 1
+                middle = run.rings[ring, (place - back) & (RING - 1)]
+                difference = now - 2.0 * middle + run.rings[ring, (place - 2 * back) & (RING - 1)]
+                run.sums[octave] += difference * difference
+                run.counts[octave] += 1
     return len(values)
 
 
@@ -128,18 +138,13 @@ class StreamingAllan:
 
     def _begin(self) -> None:
         self._waiting: list[tuple[int, int, float]] = []
-        self._interval_ns = 0.0
-        self._offset = 0.0
-        self._rings = np.zeros((RINGS, RING))
-        self._sums = np.zeros(OCTAVES)
-        self._counts = np.zeros(OCTAVES, np.int64)
-        self._total = np.zeros(1)
-        self._state = np.array([-1, 0, 0, 0], np.int64)
+        self._run = record(_Run, rings=(RINGS, RING), sums=OCTAVES, counts=OCTAVES)
+        self._run.position = -1
 
     @property
     def interval_s(self) -> float:
         """Time from sample to sample; 0 while it is being learned."""
-        return self._interval_ns * 1e-9
+        return self._run.interval_ns * 1e-9
 
     @property
     def restarts(self) -> int:
@@ -153,10 +158,10 @@ class StreamingAllan:
         """
         start = 0
         while start < len(values):
-            if not self._interval_ns:
+            if not self._run.interval_ns:
                 start = self._learn(time_ns, segment, values, start)
             else:
-                start += self._add(time_ns[start:], segment[start:], values[start:])
+                start += stream(time_ns[start:], segment[start:], values[start:], self._run)
                 if start < len(values):
                     self._begin()
                     self._restarts += 1
@@ -169,33 +174,26 @@ class StreamingAllan:
             if len(self._waiting) == LEARN:
                 times, segments, first = (np.array(part) for part in zip(*self._waiting, strict=True))
                 self._waiting = []
-                self._interval_ns = nominal_interval_ns(times, segments)
-                self._offset = float(first[0])
-                if self._interval_ns:
-                    self._add(times, segments, first)
+                self._run.interval_ns = nominal_interval_ns(times, segments)
+                self._run.offset = float(first[0])
+                if self._run.interval_ns:
+                    stream(times, segments, first, self._run)
                 return row + 1
         return len(values)
 
-    def _add(self, time_ns: IntArray, segment: IntArray, values: FloatArray) -> int:
-        return int(
-            stream(
-                time_ns, segment, values, self._interval_ns, self._offset,
-                self._rings, self._sums, self._counts, self._total, self._state,
-            )
-        )  # fmt: skip
-
     def curve(self) -> LiveCurve:
         """Return the curve so far; empty while there is none."""
-        n = int(np.count_nonzero(self._counts))
+        run = self._run
+        n = int(np.count_nonzero(run.counts))
         m = 2.0 ** np.arange(n)
         stride = np.maximum(1.0, m / STRIDES_PER_TAU)
-        variance = self._sums[:n] / self._counts[:n] / (2.0 * m**2)
-        length = (self._counts[:n] - 1) * stride + 2.0 * m
+        variance = run.sums[:n] / run.counts[:n] / (2.0 * m**2)
+        length = (run.counts[:n] - 1) * stride + 2.0 * m
         names = identify(variance)
         edf = np.array(
             [_freedom(int(k), int(row), float(r)) for k, row, r in zip(m, names, length / m, strict=True)]
         )
-        tau_s = np.asarray(m * self._interval_ns * 1e-9, np.float64)
+        tau_s = np.asarray(m * run.interval_ns * 1e-9, np.float64)
         return LiveCurve(tau_s, np.sqrt(variance), *intervals(variance, edf), edf)
 
 

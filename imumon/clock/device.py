@@ -22,13 +22,14 @@ slack (8 bits at 100 Hz).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from fractions import Fraction
 
 import numpy as np
 
 from imumon.blocks import NO_INT, IntArray, missing
 from imumon.clock.host import CRYSTAL_PPM
-from imumon.compiled import njit
+from imumon.compiled import njit, record, records
 from imumon.errors import ImumonError, Reason
 from imumon.protocols.base import Timing
 
@@ -57,32 +58,46 @@ MAX_TIME_NS = 1 << 61
 
 # What the device time comes from; a better source has a higher number.
 ARRIVALS, ROWS, COUNTER, TICKS = range(4)
-# Columns of the table of sources: a count is NUMERATOR / DENOMINATOR ns; it wraps at MODULUS, 0: never.
-# Counts beyond LIMIT are damage (0: the device has no such source).  1 / STEADINESS is how exact the unit is.
-NUMERATOR, DENOMINATOR, MODULUS, LIMIT, STEADINESS = range(5)
-# Integer state.
-(
-    SOURCE,
-    SEGMENT,
-    ROW,
-    RAW,
-    COUNT,
-    TIME,
-    HELD,
-    LAST_ARRIVAL,
-    TIME_AT_ARRIVAL,
-    USUAL_DELAY,
-    REOPENED,
-    RAW_COUNTER,
-    HELD_PACKETS,
-    TIME_AT_COUNTER,
-    PERIOD,
-    GAPS,
-    MISSING,
-    RESETS,
-) = range(18)
 NO_SOURCE = -1
 RESTART = -1
+
+
+class _Source:
+    """A count is numerator / denominator ns; it wraps at the modulus, 0: never.
+
+    Counts beyond the limit are damage (0: the device has no such source).  1 / steadiness is how exact the
+    unit is.
+    """
+
+    numerator: int
+    denominator: int
+    modulus: int
+    limit: int
+    steadiness: int
+
+
+class _State:
+    """What is carried from sample to sample."""
+
+    counter_modulus: int
+    source: int
+    segment: int
+    row: int
+    raw: int
+    count: int
+    time: int
+    held: int
+    last_arrival: int
+    time_at_arrival: int
+    usual_delay: int
+    reopened: int
+    raw_counter: int
+    held_packets: int
+    time_at_counter: int
+    period: int
+    gaps: int
+    missing: int
+    resets: int
 
 
 class DeviceClock:
@@ -109,11 +124,11 @@ class DeviceClock:
         self.timing = timing
         period = _check(timing)
         self._sources = _sources(timing, period)
-        self._counter_modulus = 1 << timing.counter_bits if timing.counter_bits else 0
-        self._state: IntArray = np.zeros(18, np.int64)
-        self._state[SOURCE] = NO_SOURCE
-        self._state[[LAST_ARRIVAL, RAW_COUNTER]] = NO_INT
-        self._state[PERIOD] = int(period) if period else 0
+        self._state = record(_State)
+        self._state.counter_modulus = 1 << timing.counter_bits if timing.counter_bits else 0
+        self._state.source = NO_SOURCE
+        self._state.last_arrival = self._state.raw_counter = NO_INT
+        self._state.period = int(period) if period else 0
 
     @property
     def drift_limit_ppm(self) -> float:
@@ -123,17 +138,17 @@ class DeviceClock:
     @property
     def counter_gaps(self) -> int:
         """Times that the packet counter skipped values."""
-        return int(self._state[GAPS])
+        return int(self._state.gaps)
 
     @property
     def packets_missing(self) -> int:
         """Packets that did not come, by the counter; those around a restart are not known."""
-        return int(self._state[MISSING])
+        return int(self._state.missing)
 
     @property
     def resets(self) -> int:
         """Restarts of the device's clock or counter."""
-        return int(self._state[RESETS])
+        return int(self._state.resets)
 
     def new_connection(self) -> None:
         """Say that the port was opened anew before the next sample.
@@ -141,7 +156,7 @@ class DeviceClock:
         A clock that goes on as the time away demands stays in its segment; the test for that is stricter than
         between packets of one connection, as nothing can have queued up.
         """
-        self._state[REOPENED] = 1
+        self._state.reopened = 1
 
     def process(
         self,
@@ -166,8 +181,8 @@ class DeviceClock:
         ImumonError
             BAD_CONFIG when neither ticks, counter, rate nor arrival times can date the samples.
         """
-        dated = self._sources[TICKS, LIMIT] and device_ticks is not None
-        if n and not dated and not self._sources[ROWS, LIMIT] and arrival_ns is None:
+        dated = self._sources[TICKS].limit and device_ticks is not None
+        if n and not dated and not self._sources[ROWS].limit and arrival_ns is None:
             raise ImumonError(
                 Reason.BAD_CONFIG,
                 "the samples have no device clock, no rate and no arrival times, so they cannot be dated",
@@ -181,7 +196,6 @@ class DeviceClock:
             absent if device_ticks is None else device_ticks,
             absent if arrival_ns is None else arrival_ns,
             self._sources,
-            self._counter_modulus,
             self._state,
             time_ns,
             segment,
@@ -207,21 +221,24 @@ def _check(timing: Timing) -> Fraction | None:
     return (10**9 / Fraction(timing.rate_hz)).limit_denominator(1000)
 
 
-def _sources(timing: Timing, period: Fraction | None) -> IntArray:
-    """Return the table of sources, (4, 5)."""
-    table = np.zeros((4, 5), np.int64)
-    table[ARRIVALS] = 1, 1, 0, np.iinfo(np.int64).max, CLOCK_STEADINESS
+def _sources(timing: Timing, period: Fraction | None) -> Sequence[_Source]:
+    """Return the sources, worst first."""
+    table = records(_Source, 4)
     entries = [
         (TICKS, timing.tick_ns, timing.tick_bits, CLOCK_STEADINESS),
         (COUNTER, period if timing.counter_bits else None, timing.counter_bits or 0, RATE_STEADINESS),
         (ROWS, period, 0, RATE_STEADINESS),
     ]
-    for source, unit, bits, steadiness in entries:
+    arrivals = table[ARRIVALS]
+    arrivals.numerator = arrivals.denominator = 1
+    arrivals.limit, arrivals.steadiness = np.iinfo(np.int64).max, CLOCK_STEADINESS
+    for number, unit, bits, steadiness in entries:
         if unit is not None:
-            limit = min(int(MAX_TIME_NS / unit), MAX_TIME_NS)
+            source = table[number]
+            source.numerator, source.denominator, source.steadiness = *unit.as_integer_ratio(), steadiness
+            source.limit = min(int(MAX_TIME_NS / unit), MAX_TIME_NS)
             # A range beyond the limit is never seen to wrap.
-            modulus = 1 << bits if bits and 1 << bits <= limit else 0
-            table[source] = unit.numerator, unit.denominator, modulus, limit, steadiness
+            source.modulus = 1 << bits if bits and 1 << bits <= source.limit else 0
     return table
 
 
@@ -230,174 +247,171 @@ def _unwrap(
     counter: IntArray,
     ticks: IntArray,
     arrival: IntArray,
-    sources: IntArray,
-    counter_modulus: int,
-    state: IntArray,
+    sources: Sequence[_Source],
+    state: _State,
     time_ns: IntArray,
     segment: IntArray,
 ) -> None:
     for i in range(len(time_ns)):
-        number, raw = _best(sources, counter_modulus, counter[i], ticks[i], arrival[i], state[ROW])
+        number, raw = _best(sources, state, counter[i], ticks[i], arrival[i])
         source = sources[number]
-        packets = _packets(counter_modulus, state, counter[i])
-        state[ROW] += 1
-        if number == NO_SOURCE or (number < state[SOURCE] and state[HELD] < LOST_SOURCE_ROWS):
-            state[HELD] += 1
-            state[HELD_PACKETS] += packets
-        elif number != state[SOURCE]:
-            state[SEGMENT] += state[SOURCE] != NO_SOURCE
+        packets = _packets(state, counter[i])
+        state.row += 1
+        if number == NO_SOURCE or (number < state.source and state.held < LOST_SOURCE_ROWS):
+            state.held += 1
+            state.held_packets += packets
+        elif number != state.source:
+            state.segment += state.source != NO_SOURCE
             _begin(source, state, number, raw, arrival[i])
         else:
             step = _step(source, state, raw, arrival[i])
             if number == COUNTER:
                 packets = step
             elif number == TICKS and step != RESTART:
-                packets = _packets_in(source, counter_modulus, state, packets, counter[i] != NO_INT, step)
+                packets = _packets_in(source, state, packets, counter[i] != NO_INT, step)
             if step == RESTART or packets == RESTART:
                 packets = 0
-                state[SEGMENT] += 1
-                state[RESETS] += number >= COUNTER
+                state.segment += 1
+                state.resets += number >= COUNTER
                 _begin(source, state, number, raw, arrival[i])
             else:
                 _advance(source, state, raw, step, arrival[i])
-        if counter_modulus and counter[i] != NO_INT:
-            state[RAW_COUNTER] = counter[i] % counter_modulus
+        if state.counter_modulus and counter[i] != NO_INT:
+            state.raw_counter = counter[i] % state.counter_modulus
         if packets > 1:
-            state[GAPS] += 1
-            state[MISSING] += packets - 1
-        time_ns[i] = state[TIME]
-        segment[i] = state[SEGMENT]
+            state.gaps += 1
+            state.missing += packets - 1
+        time_ns[i] = state.time
+        segment[i] = state.segment
 
 
 @njit
 def _best(
-    sources: IntArray, counter_modulus: int, counter: int, ticks: int, arrival: int, row: int
+    sources: Sequence[_Source], state: _State, counter: int, ticks: int, arrival: int
 ) -> tuple[int, int]:
     """Return the best source that this row has, and its count."""
-    if sources[TICKS, LIMIT] and -sources[TICKS, LIMIT] <= ticks <= sources[TICKS, LIMIT]:
-        modulus = sources[TICKS, MODULUS]
+    if sources[TICKS].limit and -sources[TICKS].limit <= ticks <= sources[TICKS].limit:
+        modulus = sources[TICKS].modulus
         return TICKS, ticks % modulus if modulus else ticks
-    if sources[COUNTER, LIMIT] and counter != NO_INT:
-        return COUNTER, counter % counter_modulus
-    if sources[ROWS, LIMIT]:
-        return ROWS, row
+    if sources[COUNTER].limit and counter != NO_INT:
+        return COUNTER, counter % state.counter_modulus
+    if sources[ROWS].limit:
+        return ROWS, state.row
     if arrival != NO_INT:
         return ARRIVALS, arrival
     return NO_SOURCE, 0
 
 
 @njit
-def _packets(counter_modulus: int, state: IntArray, counter: int) -> int:
+def _packets(state: _State, counter: int) -> int:
     """Return by how much the packet counter has advanced, modulo its range; 0 when it is not known."""
-    if counter_modulus == 0 or counter == NO_INT or state[RAW_COUNTER] == NO_INT:
+    if state.counter_modulus == 0 or counter == NO_INT or state.raw_counter == NO_INT:
         return 0
-    return int((counter - state[RAW_COUNTER]) % counter_modulus)
+    return int((counter - state.raw_counter) % state.counter_modulus)
 
 
 @njit
-def _packets_in(
-    source: IntArray, counter_modulus: int, state: IntArray, packets: int, counted: bool, step: int
-) -> int:
+def _packets_in(source: _Source, state: _State, packets: int, counted: bool, step: int) -> int:
     """Return by how much the packet counter has advanced while the clock made `step`, or RESTART.
 
     Learns the packet period on the way, from steps of one packet, or from every row if there is no counter.
     """
-    first = state[RAW_COUNTER] == NO_INT
+    first = state.raw_counter == NO_INT
     if not counted and not first:
         return 0
-    held, period = state[HELD_PACKETS], state[PERIOD]
-    elapsed = _ns(source, state[COUNT] + step) - state[TIME_AT_COUNTER]
-    state[TIME_AT_COUNTER] += elapsed
-    state[HELD_PACKETS] = 0
+    held, period, modulus = state.held_packets, state.period, state.counter_modulus
+    elapsed = _ns(source, state.count + step) - state.time_at_counter
+    state.time_at_counter += elapsed
+    state.held_packets = 0
     if first or held + packets == 1:
         _learn_period(state, elapsed)
     if first or period == 0:
         return packets
     room = elapsed // period
-    rounds = (room - held - packets + counter_modulus // 2) // counter_modulus
+    rounds = (room - held - packets + modulus // 2) // modulus
     # The clock may be coarse: one tick more or less.
     most = RESTARTED_FACTOR * (elapsed + _ns(source, 1)) // period + RESTARTED_PACKETS
-    return RESTART if held + packets > most else int(packets + max(rounds, 0) * counter_modulus)
+    return RESTART if held + packets > most else int(packets + max(rounds, 0) * modulus)
 
 
 @njit
-def _learn_period(state: IntArray, elapsed: int) -> None:
-    period = state[PERIOD]
+def _learn_period(state: _State, elapsed: int) -> None:
+    period = state.period
     if period == 0:
-        state[PERIOD] = elapsed
+        state.period = elapsed
         return
     most = period // PERIOD_MEMORY
-    state[PERIOD] = max(period + min(max((elapsed - period) // PERIOD_MEMORY, -most), most), 1)
+    state.period = max(period + min(max((elapsed - period) // PERIOD_MEMORY, -most), most), 1)
 
 
 @njit
-def _ns(source: IntArray, count: int) -> int:
-    """Return counts in ns, rounded down, without the overflow that count * NUMERATOR might have."""
-    whole = count // source[DENOMINATOR]
-    part = count % source[DENOMINATOR]
-    return int(whole * source[NUMERATOR] + part * source[NUMERATOR] // source[DENOMINATOR])
+def _ns(source: _Source, count: int) -> int:
+    """Return counts in ns, rounded down, without the overflow that count * numerator might have."""
+    whole = count // source.denominator
+    part = count % source.denominator
+    return int(whole * source.numerator + part * source.numerator // source.denominator)
 
 
 @njit
-def _step(source: IntArray, state: IntArray, raw: int, arrival: int) -> int:
+def _step(source: _Source, state: _State, raw: int, arrival: int) -> int:
     """Return by how many counts the source has advanced, or RESTART."""
-    step = raw - state[RAW]
-    if source[MODULUS]:
-        step %= source[MODULUS]
+    step = raw - state.raw
+    if source.modulus:
+        step %= source.modulus
     elif step < 0:
         return RESTART
     step_ns = _ns(source, step)
-    small = 2 * step_ns <= 3 * state[PERIOD]
-    if arrival == NO_INT or state[LAST_ARRIVAL] == NO_INT:
-        return RESTART if raw < state[RAW] and step_ns > UNSEEN_GAP_NS else int(step)
-    expected_ns = arrival - state[USUAL_DELAY] - state[TIME]
-    tolerance_ns = abs(expected_ns) // source[STEADINESS]
-    if source[MODULUS] and (state[REOPENED] or not small):
-        range_ns = _ns(source, source[MODULUS])
+    small = 2 * step_ns <= 3 * state.period
+    if arrival == NO_INT or state.last_arrival == NO_INT:
+        return RESTART if raw < state.raw and step_ns > UNSEEN_GAP_NS else int(step)
+    expected_ns = arrival - state.usual_delay - state.time
+    tolerance_ns = abs(expected_ns) // source.steadiness
+    if source.modulus and (state.reopened or not small):
+        range_ns = _ns(source, source.modulus)
         lacking_ns = expected_ns - step_ns
         if lacking_ns > max(SCATTER_NS, range_ns // 2):
-            step += (lacking_ns + range_ns // 2) // range_ns * source[MODULUS]
+            step += (lacking_ns + range_ns // 2) // range_ns * source.modulus
             step_ns = _ns(source, step)
-    if state[REOPENED]:
+    if state.reopened:
         return RESTART if abs(step_ns - expected_ns) > REOPENED_SLACK_NS + tolerance_ns else int(step)
     if small:
         return int(step)
-    behind_ns = (arrival - state[LAST_ARRIVAL]) - (state[TIME] + step_ns - state[TIME_AT_ARRIVAL])
+    behind_ns = (arrival - state.last_arrival) - (state.time + step_ns - state.time_at_arrival)
     return RESTART if max(step_ns - expected_ns, behind_ns) > SLACK_NS + tolerance_ns else int(step)
 
 
 @njit
-def _begin(source: IntArray, state: IntArray, number: int, raw: int, arrival: int) -> None:
+def _begin(source: _Source, state: _State, number: int, raw: int, arrival: int) -> None:
     """Let device time begin at the raw count."""
-    state[SOURCE] = number
-    state[HELD] = 0
-    state[RAW] = raw
-    state[COUNT] = raw
-    state[TIME] = _ns(source, raw)
-    state[HELD_PACKETS] = 0
-    state[TIME_AT_COUNTER] = state[TIME]
-    state[REOPENED] = 0
-    state[LAST_ARRIVAL] = arrival
-    state[TIME_AT_ARRIVAL] = state[TIME]
-    state[USUAL_DELAY] = arrival - state[TIME] if arrival != NO_INT else 0
+    state.source = number
+    state.held = 0
+    state.raw = raw
+    state.count = raw
+    state.time = _ns(source, raw)
+    state.held_packets = 0
+    state.time_at_counter = state.time
+    state.reopened = 0
+    state.last_arrival = arrival
+    state.time_at_arrival = state.time
+    state.usual_delay = arrival - state.time if arrival != NO_INT else 0
 
 
 @njit
-def _advance(source: IntArray, state: IntArray, raw: int, step: int, arrival: int) -> None:
+def _advance(source: _Source, state: _State, raw: int, step: int, arrival: int) -> None:
     """Move device time on, and with it the delay that is usual: down at once, up in ten seconds."""
-    state[HELD] = 0
-    state[RAW] = raw
-    state[COUNT] += step
-    state[TIME] = _ns(source, state[COUNT])
+    state.held = 0
+    state.raw = raw
+    state.count += step
+    state.time = _ns(source, state.count)
     if arrival == NO_INT:
         return
-    delay = arrival - state[TIME]
-    more = delay - state[USUAL_DELAY]
-    if state[LAST_ARRIVAL] == NO_INT or more < 0:
-        state[USUAL_DELAY] = delay
+    delay = arrival - state.time
+    more = delay - state.usual_delay
+    if state.last_arrival == NO_INT or more < 0:
+        state.usual_delay = delay
     else:
-        elapsed = min(state[TIME] - state[TIME_AT_ARRIVAL], DELAY_MEMORY_NS)
-        state[USUAL_DELAY] += int(more * (elapsed / DELAY_MEMORY_NS))
-    state[LAST_ARRIVAL] = arrival
-    state[TIME_AT_ARRIVAL] = state[TIME]
-    state[REOPENED] = 0
+        elapsed = min(state.time - state.time_at_arrival, DELAY_MEMORY_NS)
+        state.usual_delay += int(more * (elapsed / DELAY_MEMORY_NS))
+    state.last_arrival = arrival
+    state.time_at_arrival = state.time
+    state.reopened = 0

@@ -17,11 +17,12 @@ A delay that all packets have in common cannot be seen: it is part of the offset
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
-from imumon.blocks import NO_INT, FloatArray, IntArray
-from imumon.compiled import njit
+from imumon.blocks import NO_INT, IntArray
+from imumon.compiled import njit, record, records
 
 BLOCK_NS = 30_000_000_000
 """The memory moves on in blocks of this length; each keeps its own hull, so that it can be forgotten."""
@@ -47,11 +48,40 @@ MARGIN = 1 / 6
 TOUCH = 1 / 32
 """Uncertainty of a point of contact, as a part of the mean distance of the points from the line."""
 
-STARTED, SEGMENT, X0, Y0, LAST_X, LAST_ARRIVAL, LAST_HOST, BLOCK, FAR_SINCE, SIZE, VERTEX, LEFT, RIGHT = (
-    range(13)
-)
-COUNT, SUM_X, SUM_Y, SLOPE = range(4)
 NOT_FAR = -1
+
+
+class _Block:
+    """Hull and sums of the samples of one block; x and y are relative to the origin of the fit."""
+
+    size: int
+    hull: IntArray
+    count: float
+    sum_x: float
+    sum_y: float
+
+
+class _Fit:
+    """The line, and the hull and sums of all blocks that are remembered."""
+
+    started: int
+    segment: int
+    x0: int
+    y0: int
+    last_x: int
+    last_arrival: int
+    last_host: int
+    block: int
+    far_since: int
+    size: int
+    hull: IntArray
+    vertex: int
+    left: int
+    right: int
+    count: float
+    sum_x: float
+    sum_y: float
+    slope: float
 
 
 class HostClock:
@@ -71,32 +101,28 @@ class HostClock:
 
     def __init__(self, drift_limit_ppm: float = CRYSTAL_PPM) -> None:
         self._limit = drift_limit_ppm * 1e-6
-        self._state: IntArray = np.zeros(13, np.int64)
-        self._fit: FloatArray = np.zeros(4)
-        self._hull: IntArray = np.zeros((BLOCKS * VERTICES, 2), np.int64)
-        self._block_hulls: IntArray = np.zeros((BLOCKS, VERTICES, 2), np.int64)
-        self._block_sizes: IntArray = np.zeros(BLOCKS, np.int64)
-        self._block_sums: FloatArray = np.zeros((BLOCKS, 3))
+        self._fit = record(_Fit, hull=(BLOCKS * VERTICES, 2))
+        self._blocks = records(_Block, BLOCKS, hull=(VERTICES, 2))
 
     @property
     def offset_ns(self) -> int | None:
         """Host time minus device time at the latest sample; None before the first."""
-        if not self._state[STARTED]:
+        if not self._fit.started:
             return None
-        x = int(self._state[LAST_X])
-        return int(self._state[Y0]) + int(_line(self._state, self._fit, self._hull, x))
+        x = int(self._fit.last_x)
+        return int(self._fit.y0) + int(_line(self._fit, x))
 
     @property
     def drift_ppm(self) -> float:
         """Rate of the host clock against the device clock, minus one: positive when the device is slow."""
-        return float(self._fit[SLOPE]) * 1e6
+        return float(self._fit.slope) * 1e6
 
     @property
     def delay_ns(self) -> int | None:
         """Arrival minus host time of the latest sample: transport delay above the least; None at first."""
-        if not self._state[STARTED]:
+        if not self._fit.started:
             return None
-        return int(self._state[LAST_ARRIVAL] - self._state[LAST_HOST])
+        return int(self._fit.last_arrival - self._fit.last_host)
 
     def process(self, device_time_ns: IntArray, segment: IntArray, arrival_ns: IntArray) -> IntArray:
         """Return host time (n,) in ns for samples in order of arrival.
@@ -109,19 +135,7 @@ class HostClock:
             Unix time in ns; a row with `NO_INT` gets host time `NO_INT` and leaves the fit alone.
         """
         host_ns = np.empty(len(device_time_ns), np.int64)
-        _fit_samples(
-            device_time_ns,
-            segment,
-            arrival_ns,
-            self._limit,
-            self._state,
-            self._fit,
-            self._hull,
-            self._block_hulls,
-            self._block_sizes,
-            self._block_sums,
-            host_ns,
-        )
+        _fit_samples(device_time_ns, segment, arrival_ns, self._limit, self._fit, self._blocks, host_ns)
         return host_ns
 
 
@@ -131,116 +145,95 @@ def _fit_samples(
     segment: IntArray,
     arrival: IntArray,
     limit: float,
-    state: IntArray,
-    fit: FloatArray,
-    hull: IntArray,
-    block_hulls: IntArray,
-    block_sizes: IntArray,
-    block_sums: FloatArray,
+    fit: _Fit,
+    blocks: Sequence[_Block],
     host: IntArray,
 ) -> None:
     for i in range(len(device)):
         if arrival[i] == NO_INT or device[i] == NO_INT:
             host[i] = NO_INT
             continue
-        if _must_start(state, fit, hull, device[i], segment[i], arrival[i]):
-            _start(state, fit, block_sizes, block_sums, device[i], segment[i], arrival[i])
-        x = device[i] - state[X0]
-        y = arrival[i] - device[i] - state[Y0]
-        block = x // BLOCK_NS
-        if block != state[BLOCK]:
-            _forget(state, fit, hull, block_hulls, block_sizes, block_sums, block)
-        row = block % BLOCKS
-        block_sizes[row] = _push(block_hulls[row], block_sizes[row], x, y)
-        state[SIZE] = _push(hull, state[SIZE], x, y)
-        block_sums[row, COUNT] += 1.0
-        block_sums[row, SUM_X] += x
-        block_sums[row, SUM_Y] += y
-        fit[COUNT] += 1.0
-        fit[SUM_X] += x
-        fit[SUM_Y] += y
-        _support(state, fit, hull, limit)
-        time = min(state[Y0] + _line(state, fit, hull, x) + device[i], arrival[i])
+        if _must_start(fit, device[i], segment[i], arrival[i]):
+            _start(fit, blocks, device[i], segment[i], arrival[i])
+        x = device[i] - fit.x0
+        y = arrival[i] - device[i] - fit.y0
+        if x // BLOCK_NS != fit.block:
+            _forget(fit, blocks, x // BLOCK_NS)
+        block = blocks[fit.block % BLOCKS]
+        block.size = _push(block.hull, block.size, x, y)
+        fit.size = _push(fit.hull, fit.size, x, y)
+        _add(block, 1.0, x, y)
+        _add(fit, 1.0, x, y)
+        _support(fit, limit)
+        time = min(fit.y0 + _line(fit, x) + device[i], arrival[i])
         # Should the arrival have gone back, then it is the bound that holds.
-        time = min(max(time, state[LAST_HOST]), arrival[i])
-        state[LAST_X] = x
-        state[LAST_ARRIVAL] = arrival[i]
-        state[LAST_HOST] = time
+        time = min(max(time, fit.last_host), arrival[i])
+        fit.last_x = x
+        fit.last_arrival = arrival[i]
+        fit.last_host = time
         host[i] = time
 
 
 @njit
-def _must_start(
-    state: IntArray, fit: FloatArray, hull: IntArray, device: int, segment: int, arrival: int
-) -> bool:
+def _add(sums: _Fit | _Block, count: float, x: float, y: float) -> None:
+    sums.count += count
+    sums.sum_x += x
+    sums.sum_y += y
+
+
+@njit
+def _must_start(fit: _Fit, device: int, segment: int, arrival: int) -> bool:
     """Tell whether the fit so far says nothing about this sample: another segment, or a clock was set."""
-    x = device - state[X0]
-    if not state[STARTED] or segment != state[SEGMENT]:
+    x = device - fit.x0
+    if not fit.started or segment != fit.segment:
         return True
-    above = arrival - device - state[Y0] - _line(state, fit, hull, x)
+    above = arrival - device - fit.y0 - _line(fit, x)
     if above < -STEP_NS:
         return True
     if above < STEP_NS:
-        state[FAR_SINCE] = NOT_FAR
-    elif state[FAR_SINCE] == NOT_FAR:
-        state[FAR_SINCE] = x
-    return bool(state[FAR_SINCE] != NOT_FAR and x - state[FAR_SINCE] > STEP_AFTER_NS)
+        fit.far_since = NOT_FAR
+    elif fit.far_since == NOT_FAR:
+        fit.far_since = x
+    return bool(fit.far_since != NOT_FAR and x - fit.far_since > STEP_AFTER_NS)
 
 
 @njit
-def _start(
-    state: IntArray,
-    fit: FloatArray,
-    block_sizes: IntArray,
-    block_sums: FloatArray,
-    device: int,
-    segment: int,
-    arrival: int,
-) -> None:
+def _start(fit: _Fit, blocks: Sequence[_Block], device: int, segment: int, arrival: int) -> None:
     """Begin a fit with this sample as the origin; only the host time given out last is remembered."""
-    if not state[STARTED]:
-        state[LAST_HOST] = NO_INT
-    state[STARTED] = 1
-    state[SEGMENT] = segment
-    state[X0] = device
-    state[Y0] = arrival - device
-    state[BLOCK] = 0
-    state[FAR_SINCE] = NOT_FAR
-    state[SIZE] = 0
-    state[LEFT] = 0
-    state[RIGHT] = 0
-    # Fills, as an assignment to a slice takes a second more to compile.
-    fit.fill(0.0)
-    block_sizes.fill(0)
-    block_sums.fill(0.0)
+    if not fit.started:
+        fit.last_host = NO_INT
+    fit.started = 1
+    fit.segment = segment
+    fit.x0 = device
+    fit.y0 = arrival - device
+    fit.block = 0
+    fit.far_since = NOT_FAR
+    fit.left = fit.right = 0
+    fit.slope = 0.0
+    _empty(fit)
+    for block in blocks:
+        _empty(block)
 
 
 @njit
-def _forget(
-    state: IntArray,
-    fit: FloatArray,
-    hull: IntArray,
-    block_hulls: IntArray,
-    block_sizes: IntArray,
-    block_sums: FloatArray,
-    block: int,
-) -> None:
-    """Move on to `block`: drop the blocks that are too old, join the hulls of the others."""
-    for new in range(max(state[BLOCK] + 1, block - BLOCKS + 1), block + 1):
-        block_sizes[new % BLOCKS] = 0
-        block_sums[new % BLOCKS].fill(0.0)
-    state[BLOCK] = block
-    state[SIZE] = 0
-    state[LEFT] = 0
-    state[RIGHT] = 0
-    for k in range(SLOPE):
-        fit[k] = 0.0
-    for old in range(max(0, block - BLOCKS + 1), block):
-        row = old % BLOCKS
-        for k in range(block_sizes[row]):
-            state[SIZE] = _push(hull, state[SIZE], block_hulls[row, k, 0], block_hulls[row, k, 1])
-        for k in range(SLOPE):
-            fit[k] += block_sums[row, k]
+def _empty(sums: _Fit | _Block) -> None:
+    sums.size = 0
+    sums.count = sums.sum_x = sums.sum_y = 0.0
+
+
+@njit
+def _forget(fit: _Fit, blocks: Sequence[_Block], number: int) -> None:
+    """Move on to the block `number`: drop the blocks that are too old, join the hulls of the others."""
+    for new in range(max(fit.block + 1, number - BLOCKS + 1), number + 1):
+        _empty(blocks[new % BLOCKS])
+    fit.block = number
+    fit.left = fit.right = 0
+    _empty(fit)
+    for old in range(max(0, number - BLOCKS + 1), number):
+        block = blocks[old % BLOCKS]
+        for k in range(block.size):
+            fit.size = _push(fit.hull, fit.size, block.hull[k, 0], block.hull[k, 1])
+        _add(fit, block.count, block.sum_x, block.sum_y)
 
 
 @njit
@@ -284,21 +277,21 @@ def _edge_at(hull: IntArray, last: int, k: int, x: float) -> int:
 
 
 @njit
-def _support(state: IntArray, fit: FloatArray, hull: IntArray, limit: float) -> None:
+def _support(fit: _Fit, limit: float) -> None:
     """Choose the line: slope of the chord, drawn to zero while unsure, and the vertex it then touches."""
-    last = state[SIZE] - 1
+    hull, last = fit.hull, fit.size - 1
     if last == 0:
-        state[VERTEX] = 0
-        fit[SLOPE] = 0.0
+        fit.vertex = 0
+        fit.slope = 0.0
         return
     span = float(hull[last, 0] - hull[0, 0])
     x_left, x_right = hull[0, 0] + MARGIN * span, hull[last, 0] - MARGIN * span
-    state[LEFT] = _edge_at(hull, last, state[LEFT], x_left)
-    state[RIGHT] = k = _edge_at(hull, last, state[RIGHT], x_right)
-    y_left = hull[state[LEFT], 1] + _slope(hull, state[LEFT]) * (x_left - hull[state[LEFT], 0])
+    fit.left = _edge_at(hull, last, fit.left, x_left)
+    fit.right = k = _edge_at(hull, last, fit.right, x_right)
+    y_left = hull[fit.left, 1] + _slope(hull, fit.left) * (x_left - hull[fit.left, 0])
     y_right = hull[k, 1] + _slope(hull, k) * (x_right - hull[k, 0])
     chord = (y_right - y_left) / (x_right - x_left)
-    distance = fit[SUM_Y] / fit[COUNT] - y_left - chord * (fit[SUM_X] / fit[COUNT] - x_left)
+    distance = fit.sum_y / fit.count - y_left - chord * (fit.sum_x / fit.count - x_left)
     # Least squares of the prior, 0 with sigma PRIOR * limit, and the chord, sigma TOUCH * distance / span.
     unsure = TOUCH * max(distance, 0.0) / (PRIOR * limit * span)
     slope = min(max(chord / (1.0 + unsure * unsure), -limit), limit)
@@ -306,12 +299,12 @@ def _support(state: IntArray, fit: FloatArray, hull: IntArray, limit: float) -> 
         k += 1
     while k > 0 and _slope(hull, k - 1) > slope:
         k -= 1
-    state[VERTEX] = k
-    fit[SLOPE] = slope
+    fit.vertex = k
+    fit.slope = slope
 
 
 @njit
-def _line(state: IntArray, fit: FloatArray, hull: IntArray, x: int) -> int:
-    """Return the line at x, relative to Y0, rounded down to ns."""
-    vertex = hull[state[VERTEX]]
-    return int(vertex[1] + math.floor(fit[SLOPE] * (x - vertex[0])))
+def _line(fit: _Fit, x: int) -> int:
+    """Return the line at x, relative to y0, rounded down to ns."""
+    vertex = fit.hull[fit.vertex]
+    return int(vertex[1] + math.floor(fit.slope * (x - vertex[0])))
