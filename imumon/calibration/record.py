@@ -9,10 +9,10 @@ from pathlib import Path
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.errors import ImumonError, Reason
 from imumon.estimation.rest.stage import RestDetector
-from imumon.estimation.temperature_rate.parameters import TemperatureRateParameters
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.pipeline import Estimator
 from imumon.protocols.device import DeviceFile
+from imumon.protocols.thermometer import TemperatureRateParameters
 from imumon.recordings.reader import open_recording
 from imumon.recordings.reduced import ACCEL, AXES, GYRO, TEMPERATURES, Mask, Reduced, reduce
 

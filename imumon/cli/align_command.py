@@ -18,8 +18,9 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from imumon.cli.live_run import Lines
+    from imumon.estimation.alignment.guide import Guide
     from imumon.estimation.alignment.stage import Alignment
-    from imumon.estimation.alignment.standing import Standing
+    from imumon.estimation.alignment.status import Status
     from imumon.pipeline import Pipeline
     from imumon.run.live import LiveRun
     from imumon.run.setup import Setup
@@ -36,6 +37,13 @@ _path = click.Path(path_type=Path)
 )
 @click.option("--device", help=device_help)
 @click.option("--baud", type=click.IntRange(min=1), help="Baud rate; the device file's first when not given.")
+@click.option(
+    "--positions",
+    type=click.IntRange(1, 12),
+    default=1,
+    show_default=True,
+    help="Rest in so many positions, turned between: then the bias of the gyros does not matter.",
+)
 @click.option("--seconds", type=SECONDS, help="Give up after this time; live only.")
 @click.option("--out", type=_path, help="Folder for the live session; default: a new one in ./sessions.")
 @click.option("--pipeline", type=_path, help="Pipeline file: place, model and parameters of the estimators.")
@@ -47,6 +55,7 @@ def command(
     until: float | None,
     device: str | None,
     baud: int | None,
+    positions: int,
     seconds: float | None,
     out: Path | None,
     pipeline: Path | None,
@@ -57,6 +66,9 @@ def command(
 
     A port is recorded until the sigma of the heading is small enough, or can be seen not to become so;
     a session is gone through to its end.  Exit code 0: settled; 1: not settled.
+
+    With --positions 2 it says when to turn the unit, by about 180° about the vertical: the gyros measure by
+    how much, and what turns with the unit is their bias.
     """
 
     def setup(recorded: str | None = None, where: str = "") -> Setup:
@@ -78,13 +90,14 @@ def command(
             raise click.UsageError("--baud, --seconds and --out are for a port; a session is only read")
         stage = _recorded(Path(source), device, setup)
     else:
-        stage = _live(source, device, baud, seconds, out, setup())
-    standing = stage.standing
+        stage = _live(source, device, baud, seconds, out, setup(), positions)
+    status = stage.status
     if as_json:
-        print_json(as_data(standing))
+        print_json(as_data(status, positions))
     else:
-        _report(standing, stage.wanted_deg)
-    return EXIT_OK if standing.settled_s is not None else EXIT_NEGATIVE
+        _report(status, stage.wanted_deg)
+    settled = status.settled_s is not None and status.positions >= positions
+    return EXIT_OK if settled else EXIT_NEGATIVE
 
 
 def _with_sigma(setup: Setup, until: float | None) -> Setup:
@@ -142,12 +155,18 @@ def _recorded(path: Path, device: str | None, make: Callable[..., Setup]) -> Ali
             shown.renew()
     for text in [*source.warnings(), *pipeline.warnings()]:
         say("WARN", text)
-    _refuse_without_sensors(stage.standing, str(path), [column.name for column in source.columns(pipeline)])
+    _refuse_without_sensors(stage.status, str(path), [column.name for column in source.columns(pipeline)])
     return stage
 
 
 def _live(
-    port: str, device: str | None, baud: int | None, seconds: float | None, out: Path | None, setup: Setup
+    port: str,
+    device: str | None,
+    baud: int | None,
+    seconds: float | None,
+    out: Path | None,
+    setup: Setup,
+    positions: int,
 ) -> Alignment:
     """Record and align a port until the heading has settled, or will not, or the time is over."""
     from imumon.cli.live_run import Lines, heed_signals, new_run, port_settings
@@ -172,7 +191,7 @@ def _live(
     try:
         warm_up(profile, setup)
         run.begin(())
-        _wait(run, stage, lines, ended, deadline)
+        _wait(run, stage, lines, ended, deadline, positions)
     finally:
         summary = run.stop()
         lines.write()
@@ -180,32 +199,42 @@ def _live(
     problem = run.failure or nothing_decoded(settings, profile, summary.counters)
     if problem is not None:
         raise problem
-    _refuse_without_sensors(stage.standing, port, [column.name for column in run.pipeline.columns])
+    _refuse_without_sensors(stage.status, port, [column.name for column in run.pipeline.columns])
     return stage
 
 
 def _wait(
-    run: LiveRun, stage: Alignment, lines: Lines, ended: threading.Event, deadline: float | None
+    run: LiveRun,
+    stage: Alignment,
+    lines: Lines,
+    ended: threading.Event,
+    deadline: float | None,
+    positions: int,
 ) -> None:
-    with _Shown(stage) as shown:
+    from imumon.estimation.alignment.guide import Guide
+
+    guide = Guide(positions)
+    with _Shown(stage, guide) as shown:
         while deadline is None or time.monotonic() < deadline:
             left = REFRESH_S if deadline is None else min(REFRESH_S, deadline - time.monotonic())
             if ended.wait(max(left, 0.0)) or not run.processing:
                 return
             lines.write()
             shown.renew()
-            if stage.standing.settled_s is not None or stage.standing.hopeless:
+            for text in guide.said(stage.status):
+                note(text)
+            if guide.done:
                 return
 
 
 class _Shown:
     """A line on the terminal: the state, the sigma on its way to the one wanted, and the time to go."""
 
-    def __init__(self, stage: Alignment) -> None:
+    def __init__(self, stage: Alignment, guide: Guide | None = None) -> None:
         from rich.console import Console
         from rich.progress import BarColumn, Progress, TextColumn
 
-        self._stage = stage
+        self._stage, self._guide = stage, guide
         self._bar = Progress(
             TextColumn("{task.description}"),
             BarColumn(20),
@@ -225,17 +254,17 @@ class _Shown:
     def renew(self) -> None:
         from imumon.estimation.alignment.charting import heading_text, to_go_text
 
-        standing, wanted = self._stage.standing, self._stage.wanted_deg
-        text = f"{heading_text(standing)}; {to_go_text(standing, wanted)}"
-        share = 0.0 if standing.shown is None else min((standing.wanted / standing.shown.sd) ** 2, 1.0)
-        if standing.phase == "coarse":
-            share = min(standing.coarse_s / standing.coarse_wanted_s, 1.0)
-        self._bar.update(self._task, description=standing.phase, completed=share, text=text)
+        status, wanted = self._stage.status, self._stage.wanted_deg
+        text = f"{heading_text(status)}; {to_go_text(status, wanted)}"
+        if self._guide is not None and self._guide.order:
+            text = f"{self._guide.order}; {text}"
+        share = 0.0 if status.shown is None else min((status.wanted / status.shown.sd) ** 2, 1.0)
+        self._bar.update(self._task, description=status.phase, completed=share, text=text)
 
 
-def _refuse_without_sensors(standing: Standing, where: str, columns: Sequence[str]) -> None:
+def _refuse_without_sensors(status: Status, where: str, columns: Sequence[str]) -> None:
     """Raise BAD_DATA when there was not one whole reading of gyros and accelerometers."""
-    if standing.phase != "waiting" or standing.seconds > 0.0:
+    if status.phase != "waiting" or status.seconds > 0.0:
         return
     needed = [f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz"]
     lacking = [name for name in needed if name not in columns]
@@ -249,28 +278,29 @@ def _refuse_without_sensors(standing: Standing, where: str, columns: Sequence[st
     )
 
 
-def as_data(standing: Standing) -> dict[str, object]:
+def as_data(status: Status, positions: int = 1) -> dict[str, object]:
     """Return what ``--json`` prints; headings in degrees clockwise from true north, 0 to 360."""
     import math
 
     def degrees(heading: float) -> float:
         return math.degrees(heading) % 360.0
 
-    shown = standing.shown
+    shown = status.shown
     return {
         "heading_deg": math.nan if shown is None else degrees(shown.heading),
         "heading_sd_deg": math.nan if shown is None else math.degrees(shown.sd),
-        "estimator": standing.chosen,
-        "settled_s": standing.settled_s,
-        "observable": standing.observable,
+        "estimator": status.chosen,
+        "settled_s": status.settled_s if status.positions >= positions else None,
+        "observable": status.observable,
+        "positions": status.positions,
         "estimators": {
             name: {"heading_deg": degrees(estimate.heading), "sd_deg": math.degrees(estimate.sd)}
-            for name, estimate in standing.estimates.items()
+            for name, estimate in status.estimates.items()
         },
     }
 
 
-def _report(standing: Standing, wanted_deg: float) -> None:
+def _report(status: Status, wanted_deg: float) -> None:
     from rich.box import SIMPLE
     from rich.console import Console
     from rich.table import Table
@@ -278,12 +308,12 @@ def _report(standing: Standing, wanted_deg: float) -> None:
     from imumon.estimation.alignment.report import estimator_rows, rows
 
     console: Console = Console(highlight=False)
-    if standing.time_s > 0.0:
+    if status.time_s > 0.0:
         table = Table("estimator", "heading [°]", "σ [°]", box=SIMPLE, padding=(0, 1, 0, 0))
-        for row in estimator_rows(standing):
+        for row in estimator_rows(status):
             table.add_row(*row)
         console.print(table)
-    told = rows(standing, wanted_deg)
+    told = rows(status, wanted_deg)
     width = max(map(len, told))
     for label, text in told.items():
         console.print(f"  {label:<{width}}  {text}", soft_wrap=True)

@@ -11,8 +11,8 @@ from pydantic import Field, PositiveFloat, PositiveInt
 
 from imumon.config import StrictModel, parse_yaml
 from imumon.errors import ImumonError, Reason
-from imumon.estimation.temperature_rate.parameters import TemperatureRateParameters
 from imumon.protocols.base import Decoder, Encoder
+from imumon.protocols.thermometer import TemperatureRateParameters
 
 FORMAT = "imumon-device/1"
 

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from imumon.estimation.temperature_rate.parameters import TemperatureRateParameters
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.pipeline import Estimator
+from imumon.protocols.thermometer import TemperatureRateParameters
 from imumon.published import dense_zupt, random_error, self_alignment
 from imumon.published.fir import FirExponentialRate, FirStage
 from imumon.published.local_level import LocalLevel, from_noise

@@ -6,10 +6,10 @@ from imumon.allan.stage import AllanStage
 from imumon.estimation.alignment.stage import Alignment
 from imumon.estimation.gyro_bias.stage import GyroBias
 from imumon.estimation.rest.stage import RestDetector
-from imumon.estimation.temperature_rate.parameters import TemperatureRateParameters
 from imumon.estimation.watch.stage import ModelWatch
 from imumon.pipeline import Estimator
 from imumon.protocols.device import DeviceFile
+from imumon.protocols.thermometer import TemperatureRateParameters
 from imumon.run.published import published_stages, temperature_rate
 from imumon.run.setup import Setup
 

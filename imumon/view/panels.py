@@ -127,18 +127,10 @@ PANELS: tuple[Panel, ...] = (
         ALIGNMENT,
         "Heading from true north, 2σ",
         [
-            with_sd("heading_total_average", "average", RED),
-            with_sd("heading_curve_fit", "curve-fit", ORANGE),
-            with_sd("heading_tilt_corrected", "tilt-corrected", GREEN),
+            with_sd("heading_gyro_mean", "gyro-mean", RED),
+            with_sd("heading_hann_mean", "Hann-mean", ORANGE),
             with_sd("heading", "shown", BLUE),
         ],
-        "°",
-    ),
-    band_panel(
-        "heading_line_exponential",
-        ALIGNMENT,
-        "Heading by line and exponential, 2σ",
-        [with_sd("heading_line_exponential", "line-exponential", VIOLET)],
         "°",
     ),
     band_panel(
@@ -150,9 +142,6 @@ PANELS: tuple[Panel, ...] = (
     ),
     band_panel("control_rate", ALIGNMENT, "Horizontal control rates", _north_and_east("control_rate"), "°/h"),
     band_panel(
-        "control_angle", ALIGNMENT, "Integral of the control rates", _north_and_east("control_angle"), "°"
-    ),
-    band_panel(
         "level",
         ALIGNMENT,
         "Roll and pitch by the alignment",
@@ -162,7 +151,7 @@ PANELS: tuple[Panel, ...] = (
     band_panel(
         "level_drift",
         ALIGNMENT,
-        "Drift of roll and pitch since the coarse alignment",
+        "Drift of roll and pitch since the first rest",
         [Band("roll_drift", "roll", RED), Band("pitch_drift", "pitch", GREEN)],
         "µg",
     ),

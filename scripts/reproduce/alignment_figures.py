@@ -96,11 +96,11 @@ def draw_run(folder: Path) -> None:
     run = align(plan(Case("figures"), tau, 0.0, 900.0), 1)
     t = np.arange(1, len(run.error["shown"]) + 1, dtype=float)
     figure, ax = _axes("Figure 7: control rate about east, and its integral", 2)
-    rate = np.degrees(run.columns["control_rate_east"]) * 3600.0
+    rate = np.degrees(run.columns["fixed_gain_loop_control_rate_east"]) * 3600.0
     ax[0].plot(t, rate, ".", ms=1.5, label="control rate, one sample a second")
     ax[0].set_ylabel("°/h")
-    angle = run.columns["control_angle_east"]
-    kept = np.isfinite(angle)
+    angle = np.cumsum(np.nan_to_num(run.columns["fixed_gain_loop_control_rate_east"]))
+    kept = np.isfinite(rate)
     ax[1].plot(t, 1e6 * angle, label="integral")
     slope, start = np.polyfit(t[kept], angle[kept], 1)
     ax[1].plot(t[kept], 1e6 * (slope * t[kept] + start), "r--", lw=0.8, label="fitted line")
@@ -112,9 +112,9 @@ def draw_run(folder: Path) -> None:
     ax[0].set_ylabel("µg")
     _write(figure, ax, folder, "figure-08.png")
     figure, ax = _axes("Figure 9: heading error, and the Cramér-Rao bound", 2)
-    colors = {"total_average": "k", "curve_fit": "r", "line_exponential": "m", "tilt_corrected": "g"}
+    colors = {"total_average": "k", "curve_fit": "r", "hann_mean": "m", "shown": "g"}
     begin = 36.0
-    known = bound_known(t[t > begin + 5] - begin)
+    known = bound_known(t[t > 5])
     free = bound_free(begin, t[t > begin + 30], tau, 83.7)
     for name, color in colors.items():
         label = name.replace("_", " ")
@@ -124,7 +124,7 @@ def draw_run(folder: Path) -> None:
     ax[0].axhspan(-0.05, 0.05, color="0.9")
     ax[0].set_ylim(-0.4, 0.4)
     ax[0].set_ylabel("°")
-    ax[1].semilogy(t[t > begin + 5], known, "b-", lw=2.0, label="bound, level seen by the gyros")
+    ax[1].semilogy(t[t > 5], known, "b-", lw=2.0, label="bound, level seen by the gyros")
     ax[1].semilogy(t[t > begin + 30], free, "c-", lw=2.0, label="bound, control rates alone")
     ax[1].set_ylim(1e-4, 1.0)
     ax[1].set_ylabel("° (dashed: sigma)")

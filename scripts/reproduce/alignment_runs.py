@@ -12,11 +12,13 @@ import numpy as np
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.estimation.alignment.parameters import AlignmentParameters
 from imumon.estimation.alignment.stage import Alignment
-from imumon.estimation.alignment.standing import Standing
+from imumon.estimation.alignment.status import Status
+from imumon.published.self_alignment import Params, SelfAlignment
 from imumon.simulation.unit import SimulatedUnit
 from imumon.simulation.unit.scenario import Scenario
 
-ESTIMATORS = ("total_average", "curve_fit", "line_exponential", "tilt_corrected")
+ESTIMATORS = ("gyro_mean", "hann_mean", "total_average", "curve_fit")
+"""Beside the joint fit: the means of the gyros, and the published methods, which have no sigma."""
 LATITUDE_DEG, AMPLITUDE_UG, RATE_HZ, SECONDS = 36.0, 83.7, 200.0, 300.0
 ARW = 2.43e-4
 """deg/√h: 1e-6 rad/s per sample at 200 Hz."""
@@ -58,7 +60,7 @@ class Run:
     heading_deg: float
     error: Mapping[str, FloatArray]
     sd: Mapping[str, FloatArray]
-    standing: Standing
+    status: Status
     notices: Sequence[str]
     columns: Mapping[str, FloatArray]
 
@@ -91,19 +93,21 @@ def align(scenario: Scenario, seed: int, parameters: AlignmentParameters | None 
     """Run a scenario through the stage."""
     sent, _ = SimulatedUnit(scenario, seed).run(scenario.samples)
     stage = Alignment(parameters, LATITUDE_DEG, "FRD")
-    out = stage.process(SampleBlock({name: sent[name] for name in INPUTS}))
+    block = SampleBlock({name: sent[name] for name in INPUTS})
+    out = {**stage.process(block), **SelfAlignment(Params(math.radians(LATITUDE_DEG))).process(block)}
     step = round(scenario.rate_hz)
     rows = slice(step - 1, None, step)
     truth = scenario.attitude.heading_deg
     error, sd = {}, {}
     for name in ("", *ESTIMATORS):
-        column = f"heading_{name}" if name else "heading"
+        column = next(c for c in ("heading" + f"_{name}" * bool(name), f"{name}_heading") if c in out)
         error[name or "shown"] = (np.degrees(out[column][rows]) - truth + 180.0) % 360.0 - 180.0
-        sd[name or "shown"] = np.degrees(out[f"{column}_sd"][rows])
+        sigma = out.get(f"{column}_sd", np.full(len(block), np.nan))
+        sd[name or "shown"] = np.degrees(sigma[rows])
     warm_up = scenario.unit.accel_warm_up
     tau = warm_up.tau_s if warm_up is not None else math.nan
     kept = {name: values[rows].copy() for name, values in out.items()}
-    return Run(tau, truth, error, sd, stage.standing, stage.notices(), kept)
+    return Run(tau, truth, error, sd, stage.status, stage.notices(), kept)
 
 
 def runs(case: Case, count: int) -> Iterator[Run]:

@@ -1,4 +1,4 @@
-"""The alignment on a real site beside the plain and the Hann-weighted mean of the gyros: errors, sigmas."""
+"""The alignment on a real site beside plain and Hann-weighted mean of the gyros: errors and sigmas."""
 
 from __future__ import annotations
 
@@ -35,7 +35,10 @@ def outcome(scene: Scene, seed: int) -> FloatArray:
     for second in AT_S:
         n = round(second * RATE_HZ)
         heading, sd = float(out["heading"][n]), math.degrees(out["heading_sd"][n])
-        means = [mean_heading(rec.block, n, np.ones), mean_heading(rec.block, n, np.hanning)]
+        means = [
+            mean_heading(rec.block, n, np.ones),
+            mean_heading(rec.block, n, np.hanning),
+        ]
         rows.append([off_deg(heading, rec.heading), sd, *(off_deg(mean, rec.heading) for mean in means)])
     return np.array(rows)
 

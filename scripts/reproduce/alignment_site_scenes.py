@@ -1,15 +1,16 @@
-"""A navigation-grade unit on a real site: what it sends while people walk and a tripod settles."""
+"""A navigation-grade unit on a real site, where the ground sways, people walk, and a tripod settles."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from imumon.blocks import FloatArray, SampleBlock
-from imumon.geodesy import DEG_PER_H, EARTH_RATE, STANDARD_GRAVITY
+from imumon.geodesy import DEG_PER_H, EARTH_RATE, MICRO_G, STANDARD_GRAVITY
 
 LATITUDE_DEG = 36.0
 RATE_HZ = 100.0
@@ -172,12 +173,11 @@ def record(scene: Scene, seconds: float, seed: int) -> Record:
     """Return a seeded record of a level unit in forward-right-down axes."""
     rng = np.random.default_rng([seed, sum(map(ord, scene.name))])
     n, step = round(seconds * RATE_HZ), 1.0 / RATE_HZ
-    t, heading = step * np.arange(float(n)), rng.uniform(0.0, 2.0 * math.pi)
-    latitude = math.radians(LATITUDE_DEG)
+    t, heading, latitude = step * np.arange(n), rng.uniform(0.0, 2.0 * math.pi), math.radians(LATITUDE_DEG)
     earth = EARTH_RATE * np.array(
         [math.cos(latitude) * math.cos(heading), -math.cos(latitude) * math.sin(heading), -math.sin(latitude)]
     )
-    gyro = earth + rng.normal(size=(n, 3)) * math.radians(scene.arw) / 60.0 * math.sqrt(RATE_HZ)
+    gyro: FloatArray = earth + rng.normal(size=(n, 3)) * math.radians(scene.arw) / 60.0 * math.sqrt(RATE_HZ)
     gyro += scene.bias_deg_per_h * DEG_PER_H * rng.choice([-1.0, 1.0], 3)
     if scene.flicker_deg_per_h:
         from scipy.signal import lfilter
@@ -185,12 +185,13 @@ def record(scene: Scene, seconds: float, seed: int) -> Record:
         keep = math.exp(-step / 100.0)
         noise = rng.normal(size=(n, 3)) * math.sqrt(1.0 - keep**2)
         noise[0] = rng.normal(size=3)
-        gyro += scene.flicker_deg_per_h * DEG_PER_H * lfilter([1.0], [1.0, -keep], noise, axis=0)
+        gyro += np.asarray(scene.flicker_deg_per_h * DEG_PER_H * lfilter([1.0], [1.0, -keep], noise, axis=0))
     accel = np.array([0.0, 0.0, -STANDARD_GRAVITY]) + rng.normal(size=(n, 3)) * VRW * math.sqrt(RATE_HZ)
     amplitude, tau = scene.warm_up
-    accel[:, :2] -= (amplitude * 1e-6 * STANDARD_GRAVITY * np.expm1(-t / tau))[:, None]
+    drift: FloatArray = -amplitude * MICRO_G * np.expm1(-t / tau)
+    accel[:, :2] += drift[:, None]
     if scene.tilt is not None:
-        angle = scene.tilt(t, rng)
+        angle = scene.tilt(np.asarray(t, np.float64), rng)
         gyro[1:, :2] += np.diff(angle, axis=0) / step
         # Turned by a about its axes, the body sees the vector f as f - a x f.
         accel[:, 0] += angle[:, 1] * STANDARD_GRAVITY
@@ -204,7 +205,7 @@ def record(scene: Scene, seconds: float, seed: int) -> Record:
     return Record(SampleBlock({**time, **columns}), heading)
 
 
-def mean_heading(block: SampleBlock, rows: int, weights: Callable[[int], FloatArray]) -> float:
+def mean_heading(block: SampleBlock, rows: int, weights: Callable[..., Any]) -> float:
     """Return the heading, rad, of the weighted mean of the first rows of the gyros of a level unit."""
     w = weights(rows)
     x, y = (float(w @ block[f"gyro_{axis}"][:rows]) for axis in "xy")

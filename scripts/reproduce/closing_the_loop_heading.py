@@ -21,7 +21,7 @@ AMPLITUDE_UG, TAU_S = (84.0, -60.0, 0.0), 150.0
 TRAINING_S, ALIGNMENT_S = 1800.0, 300.0
 ARW_DEG_PER_SQRT_H = 2.4e-4
 SEEDS = 8
-ESTIMATORS = ("total_average", "curve_fit", "line_exponential", "tilt_corrected", "known_warm_up")
+ESTIMATORS = ("gyro_mean", "hann_mean", "joint", "joint, known warm-up")
 AT_S = (60, 120, 180, 300)
 
 
@@ -72,8 +72,10 @@ def heading() -> int:
 def _errors(seed: int, known: KnownWarmUp | None) -> list[list[float]]:
     """Return the heading error in degrees of each estimator at some times of one alignment."""
     block = _sent(ALIGNMENT_S, seed)
+    free = Alignment(AlignmentParameters(), LATITUDE_DEG, "FRD").process(block)
     found = Alignment(AlignmentParameters(known_warm_up=known), LATITUDE_DEG, "FRD").process(block)
+    columns = (free["heading_gyro_mean"], free["heading_hann_mean"], free["heading"], found["heading"])
     rows = [min(round(second * 50), len(block)) - 1 for second in AT_S]
-    values = np.array([np.degrees(np.asarray(found[f"heading_{name}"])[rows]) for name in ESTIMATORS])
+    values = np.array([np.degrees(np.asarray(column)[rows]) for column in columns])
     wrapped: list[list[float]] = ((values - HEADING_DEG + 180.0) % 360.0 - 180.0).tolist()
     return wrapped

@@ -1,7 +1,7 @@
-"""Heading of a unit at rest from the earth rate, while its accelerometers still warm up.
+"""Heading of a unit at rest from the earth rate, on real sites and while its accelerometers still warm up.
 
-`stage.Alignment` is the stage of the pipeline.  `loop` is the strapdown attitude with the fixed-gain control,
-`kernel` runs it sample by sample, `watch` finds disturbances, `sums` holds what the estimators need in
-constant memory, and `estimators` gets the headings and their sigmas from it.  Nothing is imported here, so
-that parameters can be read without loading the rest.
+`stage.Alignment` is the stage of the pipeline, `estimator` its steps: `motion` finds disturbances and follows
+turns, `record` keeps the slots of each position, `noise` makes what sways white, and `fit` gets heading and
+sigma from all of it.  The method of Lee et al. as printed is `imumon.published.self_alignment`.  Nothing is
+imported here, so that parameters can be read without loading the rest.
 """

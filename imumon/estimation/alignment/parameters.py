@@ -41,21 +41,22 @@ class AlignmentParameters(StrictModel):
 
     Parameters
     ----------
-    coarse_s : float
-        s of averaging that the fine alignment starts from.
-    corner_hz, damping : float
-        Of the second-order loop, s² + 2 damping w s + w².
+    coarse_s, corner_hz, damping : float
+        Of the fixed-gain loop as it is printed (`imumon.published`): s of averaging before it, and its poles,
+        s² + 2 damping w s + w².  The joint fit does not use them.
     settled_deg : float
         The heading is settled when its sigma is at most this.
     observable_deg : float
-        A heading with a larger sigma from the gyro's bias is not shown.
+        A heading with a larger sigma is not shown.
     gyro_bias_sd_deg_per_h : float, optional
-        Standard deviation of the bias of a horizontal gyro, from run to run.  When it is not given, it is
-        judged by the noise (a noisy gyro has a large bias) and by how well the rate fits the earth's.
+        Standard deviation of a gyro's bias, from run to run.  When it is not given, it is judged by the noise
+        (a noisy gyro has a large bias) and by how well the rate fits the earth's.
+    gyro_flicker_deg_per_h : float, optional
+        Standard deviation by which the bias changes from position to position: the bias instability.
+    gyro_scale_sd_ppm : float
+        Standard deviation of a gyro's scale factor: by so much a turn between two positions is mismeasured.
     accel_bias_sd_ug : float
         Standard deviation of the constant bias of an accelerometer; it tilts the level.
-    largest_drift_ug : float
-        A level that has changed by more has been tilted: no accelerometer warms up so much.
     known_warm_up : KnownWarmUp, optional
         Counted from the first sample of the device.
     """
@@ -66,6 +67,7 @@ class AlignmentParameters(StrictModel):
     settled_deg: float = Field(default=0.05, gt=0.0, le=90.0)
     observable_deg: float = Field(default=10.0, gt=0.0, le=60.0)
     gyro_bias_sd_deg_per_h: float | None = Field(default=None, ge=0.0, le=1e5)
+    gyro_flicker_deg_per_h: float | None = Field(default=None, ge=0.0, le=1e5)
+    gyro_scale_sd_ppm: float = Field(default=300.0, ge=0.0, le=1e5)
     accel_bias_sd_ug: float = Field(default=30.0, ge=0.0, le=1e5)
-    largest_drift_ug: float = Field(default=1000.0, gt=0.0, le=1e6)
     known_warm_up: KnownWarmUp | None = None

@@ -2,37 +2,38 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Collection, Mapping, Sequence
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from imumon.blocks import ColumnArray, FloatArray, SampleBlock
 from imumon.charts import Chart
 from imumon.columns import Column
-from imumon.estimation.alignment import charting, kernel, state
+from imumon.estimation.alignment import charting
+from imumon.estimation.alignment.estimator import SLOT_S, Aligner, State
+from imumon.estimation.alignment.motion import LEAST, Slot
 from imumon.estimation.alignment.parameters import AlignmentParameters
-from imumon.estimation.alignment.standing import Estimate, Standing, instead
-from imumon.estimation.alignment.watch import GAP, ROTATION, SCATTER, STEP, UNREST
-from imumon.estimation.temperature_rate.series import SegmentClock
-from imumon.geodesy import DEG_PER_H, EARTH_RATE, MICRO_G
+from imumon.estimation.alignment.status import Estimate, Status, instead
+from imumon.filters.slots import SlotGatherer, Slots, held
+from imumon.geodesy import DEG_PER_H, heading_of
 
-NAMES = ("total_average", "curve_fit", "line_exponential", "tilt_corrected", "known_warm_up")
-"""The estimators, in the order of the kernel's results."""
-REAL = 0.95
-"""Probability from which on a change of the level is called a tilt."""
+MEANS = ("gyro_mean", "hann_mean")
+"""What stands beside the joint fit."""
+OBSERVED_S = 30.0
+"""After so long it is said that a gyro does not see the north."""
+LIKELY = 0.5
+"""Probability of a tilt from which on it is said."""
 POINTS = 400
-"""Points that the chart keeps at the most."""
-
-_CAUSES = {
-    SCATTER: "a shock or vibration",
-    ROTATION: "the unit turned",
-    STEP: "the specific force jumped",
-    UNREST: "the unit moved",
-    GAP: "samples are missing",
-}
+"""Points that a chart keeps at the most."""
 _ANGLES = ("roll", "pitch")
+_STATE = (
+    "_aligner", "_down", "_prefix", "_begun", "_yaw", "_origin_ns", "_last_ns", "_said", "_points",
+    "_spacing", "_added", "_last", "_segment", "_status",
+)  # fmt: skip
+_CHANNELS = tuple(f"{sensor}_{axis}" for sensor in ("gyro", "accel", "mag") for axis in "xyz")
 
 
 class Alignment:
@@ -61,25 +62,19 @@ class Alignment:
         sent: Collection[str] = (),
     ) -> None:
         self._parameters = parameters or AlignmentParameters()
-        self._axes = axes
+        self._aligner = Aligner(self._parameters, latitude_deg)
+        self._slots = SlotGatherer(len(_CHANNELS) + 1, round(SLOT_S * 1e9))
+        self._down = 0.0 if axes is None else (1.0 if axes == "FRD" else -1.0)
         self._prefix = "aligned_" if set(_ANGLES) & set(sent) else ""
-        self._settings = _settings(self._parameters, latitude_deg)
-        self._level = EARTH_RATE * math.cos(math.radians(latitude_deg))
-        self._state = state.new_state()
-        kernel.new_segment(self._state)
-        # Views into the state: a record looks its fields up slowly.
-        self._number, self._flag, self._result = self._state.number, self._state.flag, self._state.result
-        self._clock = SegmentClock()
         self._begun = False
         self._yaw = math.nan
-        self._disturbed = self._restarts = 0
-        self._logged = 0
+        self._origin_ns = self._last_ns = self._segment = 0
         self._said: set[str] = set()
-        self._pending: list[str] = []
         self._points: list[tuple[float, float, float, float]] = []
         self._spacing = 1.0
         self._added = [column.name for column in self.columns]
-        self._standing = self._judge()
+        self._last = np.full(len(self._added), np.nan)
+        self._status = self._judge()
 
     @property
     def columns(self) -> Sequence[Column]:
@@ -89,25 +84,14 @@ class Alignment:
             "heading_sd": "its standard deviation",
             f"{self._prefix}roll": "roll of the alignment",
             f"{self._prefix}pitch": "pitch of the alignment",
-            "roll_drift": "change of roll since the coarse alignment",
-            "pitch_drift": "change of pitch since the coarse alignment",
-            "control_rate_east": "control rate about east",
-            "control_rate_north": "control rate about north",
-            "control_angle_east": "integral of the control rate about east",
-            "control_angle_north": "integral of the control rate about north",
+            "roll_drift": "change of roll since the first rest",
+            "pitch_drift": "change of pitch since the first rest",
             "heading_magnetic": "heading of the body x axis from magnetic north",
         }
-        for name in self._names:
-            texts[f"heading_{name}"] = f"heading by {name.replace('_', ' ')}"
+        for name in MEANS:
+            texts[f"heading_{name}"] = f"heading by the {name.replace('_', ' ')}"
             texts[f"heading_{name}_sd"] = "its standard deviation"
-        return [
-            Column(name, "rad/s" if name.startswith("control_rate") else "rad", description=text)
-            for name, text in texts.items()
-        ]
-
-    @property
-    def _names(self) -> tuple[str, ...]:
-        return NAMES if self._parameters.known_warm_up is not None else NAMES[:-1]
+        return [Column(name, "rad", description=text) for name, text in texts.items()]
 
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
         """Return the new columns of a block; NaN where there is nothing yet.
@@ -119,52 +103,126 @@ class Alignment:
             self._begun = True
             self._prefix = "aligned_" if "roll" in block or "pitch" in block else self._prefix
             self._added = [column.name for column in self.columns]
-        readings = np.full((n, 6), np.nan)
-        for j, name in enumerate(f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz"):
+        values = np.full((n, len(_CHANNELS) + 1), np.nan)
+        for j, name in enumerate(_CHANNELS):
             if name in block:
-                readings[:, j] = block[name]
-        field = block.mag
-        if field is None:
-            field = np.full((n, 3), np.nan)
-        rest = np.asarray(block["at_rest"]) if "at_rest" in block else np.ones(n, np.int64)
+                values[:, j] = block[name]
+        values[~np.isfinite(values[:, :6]).all(1), :6] = np.nan
+        # Unknown is no motion.
+        values[:, -1] = np.asarray(block.columns.get("at_rest", np.ones(n, np.int64))) != 0
         yaw = block.columns.get("yaw", np.empty(0))
         self._yaw = next(iter(yaw[np.isfinite(yaw)][-1:].tolist()), self._yaw)
-        out = np.full((n, kernel.OUTPUTS), np.nan)
-        for start, stop, begins, seconds in self._clock.runs(block["device_time_ns"], block["segment"]):
-            if begins:
-                kernel.new_segment(self._state)
-            part = slice(start, stop)
-            self._settle_axes(readings[part])
-            kernel.process(
-                seconds, readings[part], field[part], rest[part], self._settings, self._state, out[part]
-            )
-            self._collect()
-        self._standing = self._judge()
+        slots = self._slots.process(block["device_time_ns"], block["segment"], values)
+        rows = np.empty((len(slots), len(self._added)))
+        for k in range(len(slots)):
+            self._step(slots, k)
+            rows[k] = self._row()
+        out = held(slots.row, rows, self._last, n)
+        # What was said of another segment does not hold in a new one.
+        of = held(slots.row, slots.segment.astype(np.float64), np.array(float(self._segment)), n)
+        out[of != block["segment"]] = np.nan
+        if len(slots):
+            self._last, self._segment = rows[-1], int(slots.segment[-1])
+            self._status = self._judge()
         return {name: np.ascontiguousarray(out[:, j]) for j, name in enumerate(self._added)}
 
-    def _settle_axes(self, readings: FloatArray) -> None:
-        """Take the axes from the first specific force where nothing else tells them."""
-        if self._settings[state.DOWN] != 0.0:
+    def _step(self, slots: Slots, k: int) -> None:
+        """Give a slot to the estimator."""
+        start, end = int(slots.start_ns[k]), int(slots.end_ns[k])
+        state = self._aligner.state
+        if slots.begins[k] or not self._origin_ns:
+            if not slots.begins[k] or state.poses:
+                self._aligner.begin_anew("the device started anew")
+            self._aligner.state = state = State(
+                events=self._aligner.state.events, restarts=self._aligner.state.restarts
+            )
+            self._origin_ns, self._last_ns = start, start
+            self._points, self._spacing = [], 1.0
+        samples, valid = int(slots.samples[k]), int(slots.count[k, :6].min())
+        if samples > 1:
+            state.interval_s = (end - start) * 1e-9 / (samples - 1)
+        elif start > self._last_ns:
+            state.interval_s = (start - self._last_ns) * 1e-9
+        self._last_ns = end
+        if valid == 0:
             return
-        if self._axes is not None:
-            self._settings[state.DOWN] = 1.0 if self._axes == "FRD" else -1.0
-            return
-        whole = np.flatnonzero(np.isfinite(readings).all(1))
-        if len(whole):
-            self._settings[state.DOWN] = 1.0 if readings[whole[0], 5] < 0.0 else -1.0
+        mean = slots.mean[k]
+        if self._down == 0.0:
+            self._down = 1.0 if mean[5] < 0.0 else -1.0
+        slot = Slot(
+            time_s=0.5 * (start - self._origin_ns + end - self._origin_ns) * 1e-9,
+            length_s=samples * state.interval_s if state.interval_s < 30.0 else SLOT_S,
+            samples=valid,
+            mean=mean[:6],
+            variance=slots.variance[k, :6],
+            at_rest=bool(slots.smallest[k, -1] > 0.0),
+        )
+        self._aligner.step(slot, mean[6:9])
+        self._collect()
+
+    def _row(self) -> FloatArray:
+        """Return the columns of now."""
+        aligner, state = self._aligner, self._aligner.state
+        row = np.full(len(self._added), np.nan)
+        if not state.poses:
+            return row
+        shown = aligner.observable
+        row[0] = aligner.heading if shown else math.nan
+        row[1] = aligner.heading_sd
+        row[2:4] = self._level()
+        if state.first_angles is None and len(state.motion.recent) >= LEAST:
+            state.first_angles = (float(row[2]), float(row[3]))
+        if state.first_angles is not None:
+            row[4:6] = np.remainder(row[2:4] - state.first_angles + math.pi, 2.0 * math.pi) - math.pi
+        row[6] = self._magnetic()
+        for j, name in enumerate(MEANS):
+            if name in state.means:
+                estimate = state.means[name]
+                row[7 + 2 * j] = aligner.as_heading(estimate.heading) if shown else math.nan
+                row[8 + 2 * j] = estimate.sd
+        return row
+
+    def _level(self) -> tuple[float, float]:
+        """Return roll and pitch, rad, ZYX, by the accelerometers of the last two seconds."""
+        state = self._aligner.state
+        up = state.attitude[2]
+        if not state.motion.disturbed:
+            up = state.motion.recent[-LEAST:, 3:].mean(0)
+        x, y, z = -self._down * up / np.sqrt(up @ up)
+        return math.atan2(y, z), -math.asin(min(max(float(x), -1.0), 1.0))
+
+    def _magnetic(self) -> float:
+        state = self._aligner.state
+        if not state.field_sum[3]:
+            return math.nan
+        return heading_of(state.attitude[2], state.field_sum[:3] / state.field_sum[3]) % (2.0 * math.pi)
 
     def _collect(self) -> None:
-        """Keep points of the integrated control rates for the chart, half of them when there are too many."""
-        time_s = float(self._number[state.TIME])
+        """Keep points for the charts, half of them when there are too many."""
+        state = self._aligner.state
+        time_s = state.counted_s
+        if not state.poses or state.found is None or state.motion.disturbed:
+            return
         if self._points and time_s < self._points[-1][0]:
             self._points, self._spacing = [], 1.0
         if not self._points or time_s >= self._points[-1][0] + self._spacing:
-            east, north = self._state.path[:2].tolist()
-            chosen = int(self._flag[state.CHOSEN])
-            sd = float(self._state.result[chosen, 1]) if chosen >= 0 else math.nan
-            self._points.append((time_s, east, north, sd))
+            level = state.attitude @ state.motion.recent[-LEAST:, 3:].mean(0)
+            self._points.append((time_s, self._aligner.heading_sd, *(level[:2] / level[2]).tolist()))
         if len(self._points) > POINTS:
             self._points, self._spacing = self._points[::2], 2.0 * self._spacing
+
+    def snapshot(self) -> dict[str, object]:
+        """Return a copy of all that is remembered."""
+        return {
+            "slots": self._slots.snapshot(),
+            **copy.deepcopy({name: getattr(self, name) for name in _STATE}),
+        }
+
+    def restore(self, saved: Mapping[str, Any]) -> None:
+        """Go on from what `snapshot` returned."""
+        self._slots.restore(saved["slots"])
+        for name in _STATE:
+            setattr(self, name, copy.deepcopy(saved[name]))
 
     @property
     def wanted_deg(self) -> float:
@@ -172,108 +230,107 @@ class Alignment:
         return self._parameters.settled_deg
 
     @property
-    def standing(self) -> Standing:
+    def status(self) -> Status:
         """Where the alignment stood after the last block; may be read by another thread."""
-        return self._standing
+        return self._status
 
-    def _judge(self) -> Standing:
-        number, flag, result = self._number, self._flag, self._result
-        observable = bool(flag[state.OBSERVED])
-        estimates = {}
-        for k, name in enumerate(self._names):
-            heading, sd = result[k].tolist()
-            visible = observable and sd < self._settings[state.OBSERVABLE]
-            estimates[name] = Estimate(heading if visible else math.nan, sd)
-        chosen = NAMES[flag[state.CHOSEN]] if flag[state.CHOSEN] >= 0 else None
-        shown = None if chosen is None else estimates[chosen]
-        settled = float(number[state.SETTLED_AT])
-        known = chosen is not None
-        roll, pitch = math.nan, math.nan
-        if flag[state.PHASE] == state.FINE:
-            roll, pitch = kernel.level_angles(self._state, self._settings)
-        return Standing(
-            phase=self._phase(chosen is not None, observable, math.isfinite(settled)),
+    def _judge(self) -> Status:
+        aligner, state = self._aligner, self._aligner.state
+        observable = aligner.observable
+        estimates: dict[str, Estimate] = {}
+        shown = None
+        if state.found is not None:
+            shown = Estimate(aligner.heading if observable else math.nan, aligner.heading_sd)
+            estimates["joint"] = shown
+            for name, mean in state.means.items():
+                heading = aligner.as_heading(mean.heading) if observable else math.nan
+                estimates[name] = Estimate(heading, mean.sd)
+        rests = bool(state.poses) and len(state.motion.recent) >= LEAST
+        roll, pitch = self._level() if rests else (math.nan, math.nan)
+        last = state.fits[-1] if state.fits and len(state.fits) == len(state.poses) else None
+        turned = 0.0
+        if state.poses:
+            turned = self._aligner.turned
+        return Status(
+            phase=self._phase(),
             observable=observable,
-            chosen=chosen,
             shown=shown,
-            settled_s=settled if math.isfinite(settled) else None,
+            settled_s=state.settled_s,
             to_go_s=self._to_go(shown),
             estimates=estimates,
-            magnetic=kernel.magnetic_heading(self._state),
+            magnetic=self._magnetic(),
             device_yaw=self._yaw,
-            time_s=float(number[state.TIME]),
+            time_s=state.counted_s,
             roll=roll,
             pitch=pitch,
-            arw=math.sqrt(number[state.ARW2]) if known else math.nan,
-            bias_sd=math.sqrt(number[state.BIAS_VARIANCE]) if known else math.nan,
-            # A gyro that does not see the earth rate bends by its own drift as if the unit tilted.
-            tilting=known and observable and bool(number[state.REAL_TILT] > REAL),
-            disturbed=int(flag[state.LOGGED]),
-            restarts=int(flag[state.RESTARTS]),
-            seconds=0.0 if math.isnan(number[state.LAST]) else float(number[state.LAST]),
-            coarse_s=float(number[state.COARSE_TIME]),
-            shaken_s=float(flag[state.SHAKEN]) * kernel.SLOT,
-            coarse_wanted_s=self._parameters.coarse_s,
-            wanted=float(self._settings[state.SETTLED]),
-            earth_rate=self._level,
+            arw=math.nan if not state.fits else math.sqrt(state.fits[-1].white),
+            bias_sd=math.nan if state.found is None else state.found.bias_sd,
+            tilting=0.0 if state.found is None else state.found.tilting,
+            restarts=state.restarts,
+            disturbed=state.disturbed,
+            seconds=state.slot_end_s,
+            shaken_s=state.shaken_s,
+            wanted=math.radians(self._parameters.settled_deg),
+            earth_rate=aligner.level_rate,
+            positions=len(state.poses),
+            position_s=0.0 if last is None else last.seconds,
+            position_sd=math.inf if last is None else math.sqrt(last.variance[0]) / aligner.level_rate,
+            turned=turned,
         )
 
-    def _phase(self, known: bool, observable: bool, settled: bool) -> str:
-        flag = self._flag
-        if flag[state.DISTURBED]:
+    def _phase(self) -> str:
+        state = self._aligner.state
+        if not self._begun or not state.slot_end_s:
+            return "waiting"
+        if state.poses and state.motion.disturbed:
             return "disturbed"
-        if flag[state.PHASE] != state.FINE:
-            return "coarse" if flag[state.PHASE] == state.COARSE else "waiting"
-        if known and not observable:
-            return "not observable"
-        return "settled" if settled else "aligning"
+        if state.found is None:
+            return "coarse"
+        if not self._aligner.observable:
+            return "not observable" if state.counted_s > OBSERVED_S else "coarse"
+        return "settled" if state.settled_s is not None else "aligning"
 
     def _to_go(self, shown: Estimate | None) -> float | None:
         """Return the seconds until white noise alone would leave the sigma wanted."""
-        if shown is None or math.isnan(shown.heading):
+        state = self._aligner.state
+        if shown is None or state.found is None or math.isnan(shown.heading):
             return None
-        number = self._number
-        time_s, white = float(number[state.TIME]), number[state.ARW2] / self._level**2
-        lasting = number[state.BIAS_VARIANCE] / self._level**2
-        left = self._settings[state.SETTLED] ** 2 - lasting
-        if shown.sd <= self._settings[state.SETTLED]:
+        wanted = math.radians(self._parameters.settled_deg)
+        if shown.sd <= wanted:
             return 0.0
-        return max(white / left - time_s, 1.0) if left > 0.0 else None
+        white = state.found.noise_sd**2
+        left = wanted**2 - (state.found.bias_sd / self._aligner.level_rate) ** 2
+        # What a possible tilt adds falls with time, too.
+        return max(state.counted_s * (max(white, 0.0) / left - 1.0), 1.0) if left > 0.0 else None
 
     def lanes(self) -> Mapping[str, str]:
         """Return the state of the alignment, and what tells the heading that is shown."""
-        standing = self.standing
-        phase = "not observable with this gyro" if standing.phase == "not observable" else standing.phase
+        status = self.status
+        phase = "not observable with this gyro" if status.phase == "not observable" else status.phase
         shown = "none yet"
-        if standing.chosen is not None and standing.observable:
-            shown = standing.chosen.replace("_", " ")
-        elif standing.phase == "not observable":
-            shown = instead(standing)[0]
+        if status.phase == "not observable":
+            shown = instead(status)[0]
+        elif status.shown is not None and status.observable:
+            shown = "joint fit"
         return {"alignment": phase, "heading by": shown}
 
     def charts(self) -> Sequence[Chart]:
-        """Return the estimators beside each other, the sigma on its way, and the integrated control rates."""
-        if len(self._points) < 2 or self._state.flag[state.CHOSEN] < 0:
+        """Return the estimators beside each other, the sigma on its way, and the level."""
+        if len(self._points) < 2 or self._aligner.state.found is None:
             return []
-        standing, points = self.standing, np.array(self._points)
-        wanted, line = math.degrees(self._settings[state.SETTLED]), self._state.line
+        status, points = self.status, np.array(self._points)
+        wanted = self._parameters.settled_deg
         return [
-            charting.headings(standing),
-            charting.progress(standing, points[:, 0], points[:, 3], wanted),
-            charting.integrals(points[:, 0], points[:, 1:3], line),
+            charting.headings(status),
+            charting.progress(status, points[:, 0], points[:, 1], wanted),
+            charting.levels(points[:, 0], points[:, 2:4]),
         ]
 
     def notices(self) -> list[str]:
         """Return, once each, disturbances and what they did, and why there is no heading."""
-        found, self._pending = self._pending, []
-        flag, log = self._state.flag, self._state.log
-        logged = int(flag[state.LOGGED])
-        for number in range(max(self._logged, logged - state.LOG_ROWS), logged):
-            begin, end, cause, anew = log[number % state.LOG_ROWS]
-            span = f"alignment: {_CAUSES.get(int(cause), 'disturbed')} at {begin:.1f} s"
-            length = f" for {end - begin:.1f} s" if end > begin else ""
-            found.append(f"{span}{length}: " + ("the alignment starts anew" if anew else "left out"))
-        self._logged = logged
+        events = self._aligner.state.events
+        found = list(events)
+        events.clear()
         for text, true in self._conditions().items():
             if true and text not in self._said:
                 self._said.add(text)
@@ -281,36 +338,20 @@ class Alignment:
         return found
 
     def _conditions(self) -> dict[str, bool]:
-        standing, number = self.standing, self._state.number
-        known = standing.chosen is not None
-        level = self._level / DEG_PER_H
-        late = float(number[state.TIME]) > 30.0
+        status, state = self.status, self._aligner.state
+        level = self._aligner.level_rate / DEG_PER_H
+        declared = self._parameters.gyro_bias_sd_deg_per_h
+        contradicted = (
+            declared is not None and state.found is not None
+            and state.found.supposed_sd > 3.0 * max(declared, 1e-3) * DEG_PER_H
+        )  # fmt: skip
         return {
-            "alignment: the level changes as the gyros turn: the unit is tilting (a sinking tripod?); the "
-            "total average is free of that": standing.tilting,
+            "alignment: the level changes as the gyros turn: the unit is tilting (a tripod that settles?)": (
+                status.tilting > LIKELY and status.observable
+            ),
             "heading not observable with this gyro: its bias is not small beside the earth's horizontal "
-            f"rate of {level:.1f} °/h": known and late and not standing.observable,
+            f"rate of {level:.1f} °/h": status.phase == "not observable",
             "alignment: the rates contradict the declared bias of the gyros, or the latitude is wrong": bool(
-                self._state.flag[state.CONTRADICTED]
+                contradicted
             ),
         }
-
-
-def _settings(parameters: AlignmentParameters, latitude_deg: float) -> FloatArray:
-    values = np.zeros(state.SETTINGS)
-    bias, warm = parameters.gyro_bias_sd_deg_per_h, parameters.known_warm_up
-    values[state.COARSE_S] = parameters.coarse_s
-    values[state.CORNER] = 2.0 * math.pi * parameters.corner_hz
-    values[state.DAMPING] = parameters.damping
-    values[state.LATITUDE] = math.radians(latitude_deg)
-    values[state.OBSERVABLE] = math.radians(parameters.observable_deg)
-    values[state.BIAS_SD] = -1.0 if bias is None else bias * DEG_PER_H
-    values[state.LEVEL_SD] = parameters.accel_bias_sd_ug * 1e-6
-    values[state.LARGEST_DRIFT] = parameters.largest_drift_ug * 1e-6
-    values[state.SETTLED] = math.radians(parameters.settled_deg)
-    if warm is not None:
-        values[state.WARM_X : state.WARM_X + 3] = np.array(warm.amplitude_ug) * MICRO_G
-        values[state.WARM_TAU : state.WARM_TAU + 3] = warm.time_constant_s
-        values[state.WARM_SD] = (warm.amplitude_sd_ug or 0.0) * MICRO_G
-        values[state.WARM_TAU_SD] = warm.time_constant_sd_s
-    return values

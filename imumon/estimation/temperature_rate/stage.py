@@ -10,9 +10,9 @@ from imumon.blocks import ColumnArray, FloatArray, SampleBlock
 from imumon.columns import Column
 from imumon.errors import ImumonError, Reason
 from imumon.estimation.temperature_rate.level_bank import LevelBankRate
-from imumon.estimation.temperature_rate.parameters import TemperatureRateParameters
+from imumon.estimation.temperature_rate.readings import StepWatch
 from imumon.estimation.temperature_rate.series import RateMethod
-from imumon.estimation.temperature_rate.step import StepFinder
+from imumon.protocols.thermometer import TemperatureRateParameters
 
 CHANNEL = "temperature"
 KNOWN_CHANNELS = (CHANNEL, *(f"{CHANNEL}_{axis}" for axis in "xyz"))
@@ -55,7 +55,7 @@ class TemperatureRate:
         self._follow = channels is None
         self._methods: dict[str, RateMethod] = {}
         self._begun: set[str] = set()
-        self._finders: dict[str, StepFinder] = {}
+        self._watches: dict[str, StepWatch] = {}
         for channel in channels or ():
             self._add(channel)
 
@@ -94,9 +94,9 @@ class TemperatureRate:
                 return [np.full(n, np.nan) for _ in range(4)]
             first = int(valid[0])
             self._begun.add(channel)
-        if channel in self._finders:
-            self._finders[channel].process(reading[first:])
         time_ns, segment = block["device_time_ns"][first:], block["segment"][first:]
+        if channel in self._watches:
+            self._watches[channel].process(time_ns, segment, reading[first:])
         result = self._methods[channel].process(time_ns, segment, reading[first:])
         parts = (result.temperature, result.rate, result.temperature_sd, result.rate_sd)
         return [np.concatenate([np.full(first, np.nan), part]) for part in parts]
@@ -115,16 +115,16 @@ class TemperatureRate:
         parameters = self._parameters
         self._methods[channel] = self._new_method()
         if parameters.step_degc is not None:
-            self._finders[channel] = StepFinder(parameters.step_degc)
+            self._watches[channel] = StepWatch(parameters.step_degc)
 
     def notices(self) -> list[str]:
         """Return, once each, what is wrong with the declared step; for the log."""
         texts = []
-        for channel in list(self._finders):
-            found = self._finders[channel].contradiction()
+        for channel in list(self._watches):
+            found = self._watches[channel].finder.contradiction()
             if found is not None:
                 texts.append(f"{channel}: step_degc contradicts the data: {found}")
-                del self._finders[channel]
+                del self._watches[channel]
         return texts
 
 

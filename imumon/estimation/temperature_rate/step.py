@@ -1,13 +1,9 @@
-"""The quantization step of a sensor, found from its readings."""
+"""The quantization step of a sensor, found from how its readings differ."""
 
 from __future__ import annotations
 
-import math
-
-import numpy as np
-
-from imumon.blocks import FloatArray
-from imumon.compiled import njit
+from collections.abc import Iterable
+from dataclasses import dataclass
 
 TINY = 1e-6
 """°C; two readings closer than this are the same, and no step is smaller."""
@@ -17,71 +13,84 @@ MISFIT_ALLOWED = 0.2
 FAR_STEPS = 8.5
 """Changes of more steps than this tell nothing: rounding of the step would make any of them a multiple."""
 MEMORY = 1.0 / 32.0
-
-# State: the step, the share of changes that are no multiples of it, those that are, and all.
-STEP, MISFIT, SUPPORT, SEEN = range(4)
-_LAST = 4
-
-
-@njit
-def learn_step(change: float, state: FloatArray) -> None:
-    """Learn from a change of the reading, > 0: the step is the least, of which the others are multiples."""
-    state[SEEN] += 1.0
-    ratio = change / state[STEP]
-    if state[SUPPORT] == 0.0 or ratio < 0.75:
-        # A declared or assumed step gives way to the first change; a larger one to a smaller.
-        state[STEP], state[MISFIT], state[SUPPORT] = change, 0.0, 1.0
-        return
-    if ratio > FAR_STEPS:
-        return
-    whole = round(ratio)
-    if abs(ratio - whole) < 0.15:
-        state[SUPPORT] += 1.0
-        state[MISFIT] -= MEMORY * state[MISFIT]
-        if whole == 1.0:
-            state[STEP] += (change - state[STEP]) / min(state[SUPPORT], 64.0)
-    else:
-        state[MISFIT] += MEMORY * (1.0 - state[MISFIT])
+FIRST_STEP = 0.1
+"""Step assumed before one is seen, when none is declared, °C."""
+FINEST_STEP = 1e-4
+"""°C; finer steps are none."""
 
 
-@njit
-def _scan(readings: FloatArray, state: FloatArray) -> None:
-    for reading in readings:
-        if math.isfinite(reading):
-            change = abs(reading - state[_LAST])
-            if change > TINY:
-                learn_step(change, state)
-            state[_LAST] = reading
-
-
+@dataclass(slots=True)
 class StepFinder:
-    """Finds the step of one channel and says when it is not the declared one.
+    """Finds the step of one sensor and says when it is not the declared one.
 
     Parameters
     ----------
-    declared : float
+    declared : float, optional
         The step in °C that the sensor is said to have.
+    size : float
+        The step as far as it is known, °C.
+    support, seen : int
+        Changes that are multiples of it, and all.
+    misfit : float
+        Share of changes that are no multiples of it.
     """
 
-    def __init__(self, declared: float) -> None:
-        self._declared = declared
-        self._state = np.array([declared, 0.0, 0.0, 0.0, np.nan])
+    declared: float | None = None
+    size: float = FIRST_STEP
+    support: int = 0
+    seen: int = 0
+    misfit: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Begin with the declared step."""
+        if self.declared is not None:
+            if not self.declared > TINY:
+                raise ValueError(f"a step of {self.declared} °C")
+            self.size = self.declared
 
     @property
     def step(self) -> float | None:
         """The step in °C, None as long as the readings show none."""
-        known = self._state[SUPPORT] >= SUPPORT_NEEDED and self._state[MISFIT] < MISFIT_ALLOWED
-        return float(self._state[STEP]) if known else None
+        known = self.support >= SUPPORT_NEEDED and self.misfit < MISFIT_ALLOWED
+        return self.size if known and self.size >= FINEST_STEP else None
 
-    def process(self, reading: FloatArray) -> None:
-        """Learn from readings, (n,), °C."""
-        _scan(reading, self._state)
+    @property
+    def unseen(self) -> bool:
+        """Whether nothing is known of the step, neither said nor seen."""
+        return self.declared is None and self.seen == 0
+
+    @property
+    def stepless(self) -> bool:
+        """Whether enough changes were seen and are not multiples of any step."""
+        return self.size < FINEST_STEP or (self.seen > 2 * SUPPORT_NEEDED and self.step is None)
+
+    def learn(self, changes: Iterable[float]) -> None:
+        """Learn from differences of readings: the step is the least, of which the others are multiples."""
+        for difference in changes:
+            change = abs(difference)
+            if not change > TINY:
+                continue
+            self.seen += 1
+            ratio = change / self.size
+            if self.support == 0 or ratio < 0.75:
+                # A declared or assumed step gives way to the first change; a larger one to a smaller.
+                self.size, self.misfit, self.support = change, 0.0, 1
+            elif ratio <= FAR_STEPS:
+                whole = round(ratio)
+                if abs(ratio - whole) < 0.15:
+                    self.support += 1
+                    self.misfit -= MEMORY * self.misfit
+                    if whole == 1:
+                        self.size += (change - self.size) / min(self.support, 64)
+                else:
+                    self.misfit += MEMORY * (1.0 - self.misfit)
 
     def contradiction(self) -> str | None:
         """Return what the readings show instead of the declared step, or None."""
-        step = self.step
-        if step is not None and abs(step / self._declared - 1.0) > MISFIT_ALLOWED:
-            return f"the readings change in steps of {step:.4g} °C, not of {self._declared:.4g} °C"
-        if step is None and self._state[SEEN] >= CHANGES_NEEDED:
-            return f"the readings do not change in steps of {self._declared:.4g} °C, nor in any other"
+        if self.declared is None:
+            return None
+        if self.step is not None and abs(self.step / self.declared - 1.0) > MISFIT_ALLOWED:
+            return f"the readings change in steps of {self.step:.4g} °C, not of {self.declared:.4g} °C"
+        if self.step is None and self.seen >= CHANGES_NEEDED:
+            return f"the readings do not change in steps of {self.declared:.4g} °C, nor in any other"
         return None

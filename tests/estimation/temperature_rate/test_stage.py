@@ -8,10 +8,11 @@ import pytest
 from imumon.blocks import ColumnArray, SampleBlock
 from imumon.config import parse_yaml
 from imumon.errors import ImumonError
-from imumon.estimation.temperature_rate.parameters import TemperatureRateParameters
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.pipeline import Estimator
+from imumon.protocols.thermometer import TemperatureRateParameters
 from imumon.published.fir import FirExponentialRate
+from imumon.run.published import temperature_rate
 from tests.estimation.temperature_rate.records import clock, quantized, self_heating
 
 
@@ -68,7 +69,7 @@ def test_the_published_filter_can_be_chosen_in_yaml() -> None:
     temperature, _ = self_heating(0.1)
     reading = quantized(temperature, 0.0)
     time_ns, segment = clock(len(reading))
-    added = TemperatureRate(("temperature",), parameters).process(block(temperature=reading))
+    added = temperature_rate(parameters).process(block(temperature=reading))
     expected = FirExponentialRate(0.05, 180.0, 120.0, 90).process(time_ns, segment, reading)
     np.testing.assert_array_equal(added["temperature_rate"], expected.rate)
     np.testing.assert_array_equal(added["temperature_estimate_sd"], expected.temperature_sd)
@@ -99,7 +100,7 @@ def test_a_column_that_is_no_temperature_is_refused() -> None:
 @pytest.mark.parametrize("method", ["level_bank", "fir_exponential"])
 def test_a_declared_step_that_contradicts_the_data_is_said_once(method: str) -> None:
     parameters = TemperatureRateParameters.model_validate({"method": method, "step_degc": 0.2})
-    stage = TemperatureRate(("temperature",), parameters)
+    stage = temperature_rate(parameters)
     temperature, _ = self_heating(0.2)
     samples = block(temperature=quantized(temperature, 0.0))
     assert stage.notices() == []

@@ -19,48 +19,54 @@ class Estimate:
 
 
 @dataclass(frozen=True, slots=True)
-class Standing:
+class Status:
     """Where the alignment stands.
 
     Parameters
     ----------
     phase : str
         waiting, coarse, aligning, settled, not observable or disturbed.
-    chosen : str or None
-        The estimator whose heading is shown.
     shown : Estimate or None
-        Its heading; NaN where the gyro cannot see the north.
+        The heading; NaN where the gyro cannot see the north.
     settled_s : float or None
         s from the first sample until the heading settled, if it still is.
     to_go_s : float or None
         s until the sigma wanted is reached; None when it cannot be told, or never.
     estimates : mapping of str to Estimate
-        A heading is NaN where its sigma says that the gyro does not see the north.
+        The joint fit, which is shown, and plain and Hann-weighted mean of the gyros beside it.  A heading is
+        NaN where its sigma says that the gyro does not see the north.
     magnetic : float
         rad from magnetic north; NaN without a magnetometer.
     device_yaw : float
         The last yaw that the device reported, rad, in its own convention; NaN when it reports none.
     time_s : float
-        Undisturbed time of the fine alignment.
+        Undisturbed time.
     roll, pitch : float
-        rad; NaN before the fine alignment.
+        rad; NaN before the unit rests.
     arw, bias_sd : float
-        Noise of the gyros in rad/√s, and standard deviation of a horizontal gyro's bias in rad/s.
-    tilting : bool
-        Whether the unit tilts, rather than an accelerometer drifts.
-    seconds, coarse_s, shaken_s : float
-        Since the first sample; gathered by the coarse alignment; disturbed.
-    coarse_wanted_s, wanted : float
-        What the coarse alignment needs, s, and the sigma wanted, rad.
+        Noise of the gyros in rad/√s, and what their bias may be wrong by, rad/s.
+    tilting : float
+        Probability that the unit tilts, rather than an accelerometer drifts.
+    seconds, shaken_s : float
+        Since the first sample; disturbed.
+    wanted : float
+        The sigma wanted, rad.
     earth_rate : float
         Its horizontal part, rad/s.
     disturbed, restarts : int
         How often something was left out, and how often the alignment began anew.
+    positions : int
+        Poses that count, with that of now.
+    position_s : float
+        Undisturbed time in the pose of now.
+    position_sd : float
+        What white noise leaves of this pose alone, rad.
+    turned : float
+        Angle about the vertical since the pose before, rad, clockwise; also while the unit is being turned.
     """
 
     phase: str
     observable: bool
-    chosen: str | None
     shown: Estimate | None
     settled_s: float | None
     to_go_s: float | None
@@ -72,15 +78,22 @@ class Standing:
     pitch: float
     arw: float
     bias_sd: float
-    tilting: bool
+    tilting: float
     restarts: int
     disturbed: int
     seconds: float
-    coarse_s: float
     shaken_s: float
-    coarse_wanted_s: float
     wanted: float
     earth_rate: float
+    positions: int
+    position_s: float
+    position_sd: float
+    turned: float
+
+    @property
+    def chosen(self) -> str | None:
+        """The estimator whose heading is shown."""
+        return None if self.shown is None else "joint"
 
     @property
     def hopeless(self) -> bool:
@@ -88,10 +101,10 @@ class Standing:
         return self.time_s >= PATIENCE_S and self.to_go_s is None
 
 
-def instead(standing: Standing) -> tuple[str, float]:
+def instead(status: Status) -> tuple[str, float]:
     """Return what is shown where the gyro does not see the north, and its angle, rad."""
-    if math.isfinite(standing.device_yaw):
-        return "the device's own yaw", standing.device_yaw
-    if math.isfinite(standing.magnetic):
-        return "magnetic, not true north", standing.magnetic
+    if math.isfinite(status.device_yaw):
+        return "the device's own yaw", status.device_yaw
+    if math.isfinite(status.magnetic):
+        return "magnetic, not true north", status.magnetic
     return "nothing", math.nan

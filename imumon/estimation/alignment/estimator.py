@@ -1,0 +1,359 @@
+"""The alignment slot by slot: rest and turns, the record, and every second or so a new fit."""
+
+from __future__ import annotations
+
+import copy
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from imumon.blocks import FloatArray
+from imumon.estimation.alignment import fit
+from imumon.estimation.alignment.motion import LEAST, Motion, Slot
+from imumon.estimation.alignment.parameters import AlignmentParameters
+from imumon.estimation.alignment.record import Pose, Record
+from imumon.estimation.alignment.status import Estimate
+from imumon.geodesy import DEG_PER_H, EARTH_RATE, MICRO_G, STANDARD_GRAVITY, forward
+
+SLOT_S = 0.25
+RENEWED_S, RENEWED_SHARE = 1.0, 1.0 / 40.0
+"""A fit is renewed after a second, and after this share of the time that counts."""
+LONGEST_S = 120.0
+"""After a longer disturbance, or a gap of a quarter of it, the alignment begins anew: an attitude that was
+followed for so long has lost what was found."""
+SAME_TURN, SAME_LEVEL = 3e-5, 1e-5
+"""Angles, rad, below which a unit stands as before; so many cost less than 0.002° of heading."""
+SIGMAS = 6.0
+AFTER = 3
+"""Slots after a disturbance that do not count: what is left of it in them is below the limit, but adds up."""
+TYPICAL_BIAS, TYPICAL_ARW, BIAS_POWER = 10.0 * DEG_PER_H, math.radians(0.1) / 60.0, 1.5
+"""A gyro with the noise 0.1 °/√h has a bias of about 10 °/h; better gyros have less, by the power 1.5: data
+sheets of MEMS, fibre and ring laser gyros, from 0.3 °/√h and 50 °/h to 0.002 °/√h and 0.03 °/h."""
+LEAST_ARW = math.radians(1e-4) / 60.0
+"""The best ring laser gyros."""
+SMALLER, LARGER = 1.2, 2.2
+"""Standard deviation of the logarithm of a bias about that: below, the scatter of the data sheets; above, a
+factor 80 at two of them, for a low-noise gyro may have any bias until it is calibrated."""
+SIZES = np.linspace(-2.4, 9.0, 14)
+"""Logarithms of the sizes thought of, over the typical one."""
+DECLARED = 0.999
+"""Probability that a declared bias holds."""
+
+
+@dataclass
+class State:
+    """All that is remembered."""
+
+    record: Record = field(default_factory=Record)
+    motion: Motion = field(default_factory=Motion)
+    poses: list[Pose] = field(default_factory=list)
+    attitude: FloatArray = field(default_factory=lambda: np.eye(3))
+    """Body axes to the frame of the first pose, now."""
+    field_sum: FloatArray = field(default_factory=lambda: np.zeros(4))
+    now_s: float = 0.0
+    slot_end_s: float = 0.0
+    interval_s: float = 0.0
+    evaluated_s: float = -math.inf
+    counted_s: float = 0.0
+    shaken_s: float = 0.0
+    found: fit.Heading | None = None
+    fits: list[fit.PoseFit] = field(default_factory=list)
+    means: dict[str, Estimate] = field(default_factory=dict)
+    settled_s: float | None = None
+    first_angles: tuple[float, float] | None = None
+    events: list[str] = field(default_factory=list)
+    disturbed: int = 0
+    restarts: int = 0
+
+
+class Aligner:
+    """The alignment of one device, fed with slots.
+
+    Parameters
+    ----------
+    parameters : AlignmentParameters
+    latitude_deg : float
+    """
+
+    def __init__(self, parameters: AlignmentParameters, latitude_deg: float) -> None:
+        self.parameters = parameters
+        self.latitude = math.radians(latitude_deg)
+        self.level_rate = EARTH_RATE * math.cos(self.latitude)
+        self.state = State()
+
+    def snapshot(self) -> State:
+        """Return a copy of the state."""
+        return copy.deepcopy(self.state)
+
+    def restore(self, saved: State) -> None:
+        """Go on from a state that `snapshot` returned."""
+        self.state = copy.deepcopy(saved)
+
+    def begin_anew(self, why: str) -> None:
+        """Forget all poses; say why, when there were any."""
+        old = self.state
+        restarts, events = old.restarts, old.events
+        if old.poses:
+            restarts += 1
+            events.append(f"alignment: {why}: the alignment starts anew")
+        self.state = State(
+            now_s=old.now_s, slot_end_s=old.slot_end_s, interval_s=old.interval_s, shaken_s=old.shaken_s,
+            events=events, disturbed=old.disturbed, restarts=restarts,
+        )  # fmt: skip
+
+    def step(self, slot: Slot, magnetic: FloatArray) -> None:
+        """Go on by a slot."""
+        state, motion = self.state, self.state.motion
+        gap = slot.time_s - 0.5 * slot.length_s - state.slot_end_s
+        if state.poses and gap > LONGEST_S / 4.0:
+            self.begin_anew(f"samples are missing at {state.slot_end_s:.1f} s for {gap:.1f} s")
+            state, motion = self.state, self.state.motion
+        elif state.poses and gap > max(SLOT_S, 2.5 * slot.length_s):
+            state.record.add(
+                state.slot_end_s + 0.5 * gap, 0.0, slot.mean[:3], slot.mean[3:], len(state.poses) - 1
+            )
+        state.slot_end_s = slot.time_s + 0.5 * slot.length_s
+        state.now_s = slot.time_s
+        if not motion.disturbed:
+            cause = motion.judge(slot)
+            if cause:
+                self._begin_disturbance(slot, cause)
+        if motion.disturbed:
+            self._disturbed(slot)
+        else:
+            motion.go_on(slot)
+            self._count(slot)
+        if np.isfinite(magnetic).all() and not motion.disturbed:
+            state.field_sum += [*(slot.samples * magnetic), slot.samples]
+        if not motion.disturbed and state.counted_s >= state.evaluated_s + max(
+            RENEWED_S, RENEWED_SHARE * state.counted_s
+        ):
+            self.evaluate()
+
+    def _begin_disturbance(self, slot: Slot, cause: str) -> None:
+        state = self.state
+        state.motion.begin(slot, cause)
+        state.disturbed += 1
+        state.record.leave_out(state.motion.begun_s - slot.length_s)
+
+    def _disturbed(self, slot: Slot) -> None:
+        """Follow the unit until it rests again."""
+        state, motion = self.state, self.state.motion
+        before = motion.turned
+        calm = motion.follow(slot)
+        state.attitude = state.attitude @ before.T @ motion.turned
+        if not calm:
+            for other in motion.calm:
+                self._skip(other)
+            motion.calm = []
+            self._skip(slot)
+        else:
+            motion.calm.append(slot)
+        if state.poses and slot.time_s - motion.begun_s > LONGEST_S:
+            self.begin_anew(f"{motion.cause} at {motion.begun_s:.1f} s for {LONGEST_S:g} s")
+        elif motion.rested:
+            self._rest()
+
+    def _skip(self, slot: Slot) -> None:
+        if self.state.poses:
+            self.state.shaken_s += slot.length_s
+            self.state.record.add(slot.time_s, 0.0, slot.mean[:3], slot.mean[3:], len(self.state.poses) - 1)
+
+    def _count(self, slot: Slot) -> None:
+        state = self.state
+        state.record.add(slot.time_s, float(slot.samples), slot.mean[:3], slot.mean[3:], len(state.poses) - 1)
+        state.counted_s += slot.length_s
+
+    def _rest(self) -> None:
+        """Count the calm slots, in the pose of before or in a new one."""
+        state, motion = self.state, self.state.motion
+        calm, first = list(motion.calm), not state.poses
+        same = False
+        if first:
+            up = np.mean([slot.mean[3:] for slot in calm], axis=0)
+            up /= np.sqrt(up @ up)
+            ahead = forward(up)
+            state.attitude = np.vstack([ahead, np.cross(up, ahead), up])
+            state.poses.append(Pose(state.attitude, 0.0, calm[0].time_s))
+        else:
+            same = self._new_pose(calm)
+        motion.rest(same)
+        for k, slot in enumerate(calm):
+            if k < AFTER and not first:
+                self._skip(slot)
+            else:
+                self._count(slot)
+
+    def _new_pose(self, calm: list[Slot]) -> bool:
+        """Return whether the unit stands as before a disturbance; else begin a pose."""
+        state, motion = self.state, self.state.motion
+        middle, spread, _ = motion.usual()
+        seconds = max(calm[0].time_s - motion.begun_s, calm[0].length_s)
+        up = np.mean([slot.mean[3:] for slot in calm], axis=0)
+        step = np.sqrt(np.sum((up / np.sqrt(up @ up) - middle[3:] / np.sqrt(middle[3:] @ middle[3:])) ** 2))
+        attitude = levelled(state.attitude, up)
+        before = levelled(state.poses[-1].attitude, middle[3:])
+        turn = azimuth_between(before, attitude)
+        noise = float(spread[:3].max()) * math.sqrt(calm[0].length_s * seconds)
+        bumped = SIGMAS * float(spread[3:].max()) / math.sqrt(LEAST) / STANDARD_GRAVITY
+        for_s = f"alignment: {motion.cause} at {motion.begun_s:.1f} s for {seconds:.1f} s"
+        if abs(turn) < max(SAME_TURN, SIGMAS * noise) and step < max(SAME_LEVEL, bumped):
+            state.attitude = before
+            state.events.append(f"{for_s}: left out")
+            return True
+        state.attitude = attitude
+        scale = self.parameters.gyro_scale_sd_ppm * 1e-6 * motion.angle
+        drift = DRIFT_WHILE_TURNED * EARTH_RATE * seconds * min(motion.angle, 1.0)
+        variance = state.poses[-1].turn_variance + scale**2 + noise**2 + drift**2
+        state.poses.append(Pose(attitude, variance, calm[0].time_s))
+        state.field_sum[:] = 0.0
+        state.events.append(
+            f"{for_s}: left out; a new position, turned by {-math.degrees(turn):.2f}° about the vertical"
+        )
+        return False
+
+    def evaluate(self) -> None:
+        """Fit all poses anew, and renew the heading."""
+        state, parameters = self.state, self.parameters
+        state.evaluated_s = state.counted_s
+        record, fits, attitudes, turns = state.record, [], [], []
+        for number, pose in enumerate(state.poses):
+            rows = record.of_pose(number)
+            if len(rows) < fit.LEAST_CELLS:
+                continue
+            weight = record.weight[rows]
+            up = weight @ record.force[rows]
+            gravity = math.sqrt(up @ up) / weight.sum()
+            attitude = levelled(pose.attitude, up)
+            time = record.time_s[rows] - record.time_s[rows[0]] + SLOT_S / 2
+            level = record.force[rows] @ attitude.T / gravity
+            found = fit.fit_pose(
+                time, weight, record.rate[rows] @ attitude.T,
+                -1j * (level[:, 0] + 1j * level[:, 1]) - self._known(record.time_s[rows], attitude),
+                self._drift_sd(),
+            )  # fmt: skip
+            if found is None:
+                continue
+            fits.append(found)
+            attitudes.append(attitude)
+            turns.append(pose.turn_variance)
+        state.fits = fits
+        if not fits:
+            return
+        sizes, log_prior = self._bias_prior(math.sqrt(fits[-1].white))
+        place = fit.Place(
+            self.latitude, sizes, log_prior, (parameters.gyro_flicker_deg_per_h or 0.0) * DEG_PER_H,
+            parameters.accel_bias_sd_ug * 1e-6,
+        )  # fmt: skip
+        state.found = fit.heading(fits, attitudes, np.array(turns), place)
+        self._means()
+        self._settle()
+
+    def _known(self, time_s: FloatArray, attitude: FloatArray) -> FloatArray:
+        """Return the angle that a known warm-up makes, rad, (n,) complex as the level."""
+        warm = self.parameters.known_warm_up
+        if warm is None:
+            return np.zeros(len(time_s))
+        drift = -np.expm1(-time_s[:, None] / np.array(warm.time_constant_s)) * np.array(warm.amplitude_ug)
+        seen = drift * MICRO_G / STANDARD_GRAVITY @ attitude.T
+        angle: FloatArray = -1j * (seen[:, 0] + 1j * seen[:, 1])
+        return angle
+
+    def _drift_sd(self) -> float:
+        warm = self.parameters.known_warm_up
+        if warm is None or warm.amplitude_sd_ug is None:
+            return fit.WARM_UP
+        relative = warm.time_constant_sd_s / float(np.mean(warm.time_constant_s))
+        return math.hypot(warm.amplitude_sd_ug, relative * max(map(abs, warm.amplitude_ug))) * 1e-6
+
+    def _bias_prior(self, arw: float) -> tuple[FloatArray, FloatArray]:
+        """Return sizes of the bias that are thought of, rad/s, and the logarithms of their probabilities."""
+        typical = TYPICAL_BIAS * (max(arw, LEAST_ARW) / TYPICAL_ARW) ** BIAS_POWER
+        declared = self.parameters.gyro_bias_sd_deg_per_h
+        if declared is None:
+            logs = -0.5 * (SIZES / np.where(SIZES < 0.0, SMALLER, LARGER)) ** 2
+            return typical * np.exp(SIZES), logs - np.log(np.exp(logs).sum())
+        larger = SIZES[SIZES > 0.0]
+        logs = -0.5 * (larger / LARGER) ** 2
+        sizes = np.r_[declared * DEG_PER_H, max(typical, declared * DEG_PER_H) * np.exp(larger)]
+        return sizes, np.r_[math.log(DECLARED), logs - np.log(np.exp(logs).sum()) + math.log(1.0 - DECLARED)]
+
+    def _means(self) -> None:
+        """Renew the plain and the Hann-weighted mean of the gyros in the pose of now."""
+        state = self.state
+        found = state.found
+        rows = state.record.of_pose(len(state.poses) - 1)
+        if found is None or len(rows) < fit.LEAST_CELLS:
+            return
+        weight, attitude = state.record.weight[rows], levelled(state.poses[-1].attitude, state.attitude[2])
+        rate = state.record.rate[rows] @ attitude.T
+        white = state.fits[-1].white / state.fits[-1].seconds
+        for name, taper, factor in (("gyro_mean", 1.0, 1.0), ("hann_mean", np.hanning(len(rows)), 1.5)):
+            x, y, _ = (weight * taper) @ rate
+            sd = math.sqrt(white * factor + found.supposed_sd**2) / self.level_rate
+            state.means[name] = Estimate(math.atan2(y, x), sd)
+
+    def _settle(self) -> None:
+        state = self.state
+        sd = math.inf if state.found is None else self.heading_sd
+        wanted = math.radians(self.parameters.settled_deg)
+        if state.settled_s is None and sd <= wanted and self.observable:
+            state.settled_s = state.now_s
+        elif state.settled_s is not None and (sd > STILL_SETTLED * wanted or not self.observable):
+            state.settled_s = None
+
+    @property
+    def observable(self) -> bool:
+        """Whether the bias of the gyros leaves a heading."""
+        found = self.state.found
+        return found is not None and self.heading_sd < math.radians(self.parameters.observable_deg)
+
+    @property
+    def heading_sd(self) -> float:
+        """Sigma of the heading of now, rad, with that of the turns."""
+        state = self.state
+        if state.found is None:
+            return math.nan
+        return min(
+            math.hypot(state.found.sd, math.sqrt(state.poses[-1].turn_variance)), math.pi / math.sqrt(3.0)
+        )
+
+    @property
+    def heading(self) -> float:
+        """Heading of now, rad, 0 to 2π; NaN while there is none."""
+        return self.as_heading(math.nan if self.state.found is None else self.state.found.north)
+
+    @property
+    def turned(self) -> float:
+        """Angle of the last turn about the vertical, or of the one that goes on, rad, clockwise."""
+        poses, state = self.state.poses, self.state
+        if state.motion.disturbed:
+            return -azimuth_between(poses[-1].attitude, state.attitude)
+        return -azimuth_between(poses[-2].attitude, poses[-1].attitude) if len(poses) > 1 else 0.0
+
+    def as_heading(self, north: float) -> float:
+        """Return the heading of the body from the direction of north in the frame of the first pose."""
+        up = self.state.attitude[2]
+        ahead = self.state.attitude @ forward(up / np.sqrt(up @ up))
+        return (north - math.atan2(ahead[1], ahead[0])) % (2.0 * math.pi)
+
+
+DRIFT_WHILE_TURNED = 1.0
+"""While the unit turns by a radian or more, the rate that is taken off may be wrong by the earth's."""
+STILL_SETTLED = 1.25
+"""A settled heading remains settled until its sigma is larger by this factor."""
+
+
+def levelled(attitude: FloatArray, up: FloatArray) -> FloatArray:
+    """Return an attitude (3, 3) whose vertical is that of a specific force (3,), with the same azimuth."""
+    up = up / np.sqrt(up @ up)
+    ahead = attitude[0] - (attitude[0] @ up) * up
+    ahead /= np.sqrt(ahead @ ahead)
+    return np.vstack([ahead, np.cross(up, ahead), up])
+
+
+def azimuth_between(before: FloatArray, after: FloatArray) -> float:
+    """Return the angle about the vertical by which a body has turned, rad, counter-clockwise from above."""
+    turn = after @ before.T
+    return math.atan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1])

@@ -1,0 +1,117 @@
+"""Every kind of thermometer against constant, drifting and ramping temperatures: the worst row first."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterable
+
+import numpy as np
+from thermometer_kinds import KINDS, PER_HOUR, Kind, Profile, constant, drifting, ramp
+
+from imumon.blocks import FloatArray, SampleBlock
+from imumon.estimation.temperature_rate.stage import TemperatureRate
+
+STEADY_S, SETTLED_S = 1800.0, 600.0
+RAMP_S, ONSET_S = 300.0, 20.0
+HOLDS_S = (60.0, 300.0, 1200.0)
+BLOCK_S = 10.0
+
+
+def errors(kind: Kind, profile: Profile, seconds: float, seed: int) -> dict[str, FloatArray]:
+    """Return once a second: time, errors of temperature and rate (°C, °C/h), and both in units of sigma."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(int(seconds * kind.rate_hz)) / kind.rate_hz
+    temperature, rate = profile(t, 25.0 + rng.uniform(-0.5, 0.5))
+    reading = kind.read(temperature, rng)
+    stage = TemperatureRate()
+    time_ns = np.round(t * 1e9).astype(np.int64)
+    length = max(round(BLOCK_S * kind.rate_hz), 1)
+    parts = []
+    for i in range(0, len(t), length):
+        rows = slice(i, i + length)
+        columns = {"device_time_ns": time_ns[rows], "segment": np.zeros(len(t[rows]), np.int64)}
+        parts.append(stage.process(SampleBlock({**columns, "temperature": reading[rows]})))
+    names = ("temperature_estimate", "temperature_rate", "temperature_estimate_sd", "temperature_rate_sd")
+    each = slice(max(round(kind.rate_hz), 1) - 1, None, max(round(kind.rate_hz), 1))
+    estimate, slope, sd, slope_sd = (np.concatenate([part[name] for part in parts])[each] for name in names)
+    off, slope_off = estimate - temperature[each], slope - rate[each]
+    return {
+        "t": t[each],
+        "temperature": off,
+        "rate": slope_off * PER_HOUR,
+        "z": off / sd,
+        "rate_z": slope_off / slope_sd,
+    }
+
+
+def rms(x: FloatArray) -> float:
+    """Return the root mean square."""
+    return float(np.sqrt(np.mean(x**2)))
+
+
+def steady_row(kind: Kind, profile: Profile, seeds: int) -> list[float]:
+    """Return rms of the rate's error, rms and max of its z, max of temperature's error and of its z."""
+    runs = [errors(kind, profile, STEADY_S, seed) for seed in range(seeds)]
+    late = {name: np.concatenate([run[name][run["t"] > SETTLED_S] for run in runs]) for name in runs[0]}
+    return [
+        rms(late["rate"]),
+        rms(late["rate_z"]),
+        float(np.abs(late["rate_z"]).max()),
+        float(np.abs(late["temperature"]).max()),
+        float(np.abs(late["z"]).max()),
+    ]
+
+
+def ramp_row(kind: Kind, hold_s: float, seeds: int) -> list[float]:
+    """Return the largest error of temperature after the hold; from 20 s on z, that of the rate, its rms."""
+    worst = np.zeros(4)
+    for seed in range(seeds):
+        run = errors(kind, ramp(hold_s), hold_s + RAMP_S, seed)
+        after, later = run["t"] > hold_s, run["t"] > hold_s + ONSET_S
+        numbers = [
+            np.abs(run["temperature"][after]).max(),
+            np.abs(run["z"][later]).max(),
+            np.abs(run["rate_z"][later]).max(),
+            rms(run["rate"][later]),
+        ]
+        worst = np.maximum(worst, numbers)
+    return worst.tolist()
+
+
+def main() -> None:
+    """Print the two tables."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", type=int, default=2)
+    parser.add_argument("--kinds", default="", help="only kinds with this text in the name")
+    parser.add_argument("--holds", type=float, nargs="*", default=HOLDS_S)
+    parser.add_argument("--part", choices=("steady", "ramp"), help="only one of the tables")
+    given = parser.parse_args()
+    kinds = [kind for kind in KINDS if given.kinds in kind.name]
+    if given.part != "ramp":
+        print(
+            "| thermometer | temperature | rate rms °C/h | rate z rms | z max | temperature max °C | z max |"
+        )
+        print("|---|---|---|---|---|---|---|")
+        profiles = (("constant", constant), ("5 °C/h", drifting))
+        show((k.name, name, steady_row(k, profile, given.seeds)) for k in kinds for name, profile in profiles)
+    if given.part != "steady":
+        print(
+            "\n| thermometer | hold s | temperature max °C | z max from 20 s | rate z max | rate rms °C/h |"
+        )
+        print("|---|---|---|---|---|---|")
+        show((k.name, f"{hold:g}", ramp_row(k, hold, given.seeds)) for k in kinds for hold in given.holds)
+
+
+def show(rows: Iterable[tuple[str, str, list[float]]]) -> None:
+    """Print rows, those first whose second number is largest; say on the way how far it has come."""
+    done = []
+    for row in rows:
+        print(row, file=sys.stderr, flush=True)
+        done.append(row)
+    for kind, case, numbers in sorted(done, key=lambda row: -row[2][1]):
+        print(f"| {kind} | {case} | " + " | ".join(f"{x:.3g}" for x in numbers) + " |", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,40 @@
+from __future__ import annotations
+
+from imumon.blocks import SampleBlock
+from imumon.estimation.alignment.guide import Guide
+from imumon.estimation.alignment.parameters import AlignmentParameters
+from imumon.estimation.alignment.stage import Alignment
+from tests.estimation.alignment.units import samples, scenario
+
+
+def _guided(block: SampleBlock, guide: Guide) -> list[str]:
+    stage, said = Alignment(AlignmentParameters(settled_deg=0.2), 36.0), []
+    for start in range(0, len(block), 50):
+        stage.process(block.rows(start, start + 50))
+        said += guide.said(stage.status)
+        if guide.done:
+            break
+    return said
+
+
+def test_a_person_is_led_through_two_positions() -> None:
+    turn = {"kind": "turn", "at_s": 50.0, "duration_s": 4.0, "heading_deg": 170.0}
+    guide = Guide(2)
+    said = _guided(samples(scenario(150.0, rate_hz=100.0, motion=[turn])), guide)
+    assert said[0] == "position 1 of 2: do not touch the unit"
+    assert said[1] == "turn the unit now by about 180° about the vertical"
+    assert said[-1] == "done"
+    assert guide.done
+
+
+def test_one_position_needs_no_words_and_ends_when_settled() -> None:
+    guide = Guide(1)
+    assert _guided(samples(scenario(60.0, rate_hz=100.0)), guide) == []
+    assert guide.done
+
+
+def test_a_unit_that_is_not_turned_is_waited_for() -> None:
+    guide = Guide(2)
+    said = _guided(samples(scenario(90.0, rate_hz=100.0)), guide)
+    assert said[-1].startswith("turn the unit now")
+    assert not guide.done
