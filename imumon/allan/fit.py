@@ -68,29 +68,22 @@ Scale = Callable[[float], float]
 
 @dataclass(frozen=True, slots=True)
 class Term:
-    """A term: its name, what it is for an accelerometer, and its square per unit of its coefficient.
+    """A term, its square per unit of its coefficient, and by how many sigmas it must be called for.
 
-    Parameters
-    ----------
-    per_unit : callable
-        Takes the sample interval in s; the coefficient is the Allan variance at one sample.
-    unit_suffix : str
-        Unit, behind that of the channel; "" for the channel's own.
+    `per_unit` takes the sample interval in s; the coefficient is the Allan variance at one sample.
     """
 
     name: str
-    noise: str
     per_unit: Scale
-    unit_suffix: str
     shown: float = SHOWN
 
 
 TERMS = (
-    Term("angle_random_walk", "white", lambda dt: dt, "*sqrt(s)"),
-    Term("bias_instability", "flicker", lambda _: math.pi / (2.0 * math.log(2.0)), ""),
-    Term("rate_random_walk", "walk", lambda dt: 3.0 / dt, "/sqrt(s)"),
-    Term("quantization", "quantization", lambda dt: dt**2 / 3.0, "*s"),
-    Term("rate_ramp", "ramp", lambda dt: 2.0 / dt**2, "/s", RAMP_SHOWN),
+    Term("angle_random_walk", lambda dt: dt),
+    Term("bias_instability", lambda _: math.pi / (2.0 * math.log(2.0))),
+    Term("rate_random_walk", lambda dt: 3.0 / dt),
+    Term("quantization", lambda dt: dt**2 / 3.0),
+    Term("rate_ramp", lambda dt: 2.0 / dt**2, RAMP_SHOWN),
 )
 """In the order of `imumon.allan.covariance.NOISES`, the ramp last."""
 
