@@ -1,4 +1,4 @@
-"""Runs less what a known model predicts of them: what is left is what that model lacks."""
+"""Subtract the bias that a known model predicts from runs; the rest is what that model lacks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whole recordings in means over slots of some seconds, and which of the slots are at rest."""
+"""Means of whole recordings over slots of some seconds, and which of the slots are at rest."""
 
 from __future__ import annotations
 
