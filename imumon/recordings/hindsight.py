@@ -43,19 +43,15 @@ def rest_in_hindsight(
     """
     told = rest.copy()
     for start, stop in _pauses(rest, run):
-        own = run == run[start]
-        allowed = SIGMAS * _scatter(mean[own & rest]) + drift * (stop - start)
-        most_variance = np.nanmax(variance[own & rest], axis=0, initial=0.0)
-        before = np.arange(max(start - BESIDE, 0), start)
-        after = np.arange(stop, min(stop + BESIDE, len(rest)))
-        beside = np.concatenate([before, after])
-        beside = beside[(run[beside] == run[start]) & rest[beside]]
-        if stop - start <= LONGEST and len(beside) >= BESIDE // 2:
-            pause = np.arange(start, stop)
-            near = np.abs(mean[pause] - _between(pause, beside, mean)) <= allowed
-            told[pause] = (near | ~np.isfinite(mean[pause])).all() and not (
-                variance[pause] > most_variance
-            ).any()
+        near = np.r_[max(start - BESIDE, 0) : start, stop : min(stop + BESIDE, len(rest))]
+        beside = near[(run[near] == run[start]) & rest[near]]
+        if stop - start > LONGEST or len(beside) < BESIDE // 2:
+            continue
+        pause, others = np.arange(start, stop), rest & (run == run[start])
+        allowed = SIGMAS * _scatter(mean[others]) + drift * len(pause)
+        on_line = np.abs(mean[pause] - _between(pause, beside, mean)) <= allowed
+        loud = variance[pause] > np.nanmax(variance[others], axis=0, initial=0.0)
+        told[pause] = (on_line | ~np.isfinite(mean[pause])).all() and not loud.any()
     return told
 
 
