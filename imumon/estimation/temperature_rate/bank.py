@@ -95,13 +95,18 @@ class Bank:
         return mean[..., 0] + mean[..., ERROR], variance
 
 
-def started(temperature: float, sd: float, rate: float, unit: float, kinds: FloatArray | None = None) -> Bank:
+def started(
+    temperature: tuple[float, float],
+    rate: tuple[float, float],
+    unit: float,
+    kinds: FloatArray | None = None,
+) -> Bank:
     """Return a bank that begins at a temperature and a rough rate.
 
     Parameters
     ----------
-    temperature, sd, rate : float
-        °C, °C and °C/s.
+    temperature, rate : (float, float)
+        And their standard deviations, to which what any rate has is added: °C, °C/s.
     unit : float
         Of the slow errors, °C.
     kinds : array (k,), optional
@@ -110,10 +115,10 @@ def started(temperature: float, sd: float, rate: float, unit: float, kinds: Floa
     shape = (len(JERKS), KINDS)
     weight = np.broadcast_to(np.full(KINDS, 1.0 / KINDS) if kinds is None else kinds, shape) / len(JERKS)
     mean = np.zeros((*shape, 4))
-    mean[..., TEMPERATURE], mean[..., RATE] = temperature, rate
+    mean[..., TEMPERATURE], mean[..., RATE] = temperature[0], rate[0]
     covariance = np.zeros((*shape, 4, 4))
-    covariance[..., 0, 0] = sd * sd
-    covariance[..., 1, 1] = (START_RATE + 0.5 * abs(rate)) ** 2
+    covariance[..., 0, 0] = temperature[1] ** 2
+    covariance[..., 1, 1] = (START_RATE + rate[1]) ** 2
     covariance[..., 2, 2] = np.minimum(START_ACCELERATION**2, JERKS * FORGETTING_S / 2.0)[:, np.newaxis]
     covariance[..., 3, 3] = (unit * SLOW_SIGMA) ** 2
     return Bank(weight.copy(), mean, covariance, np.zeros(shape))

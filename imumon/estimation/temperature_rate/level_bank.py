@@ -36,6 +36,11 @@ class LevelBankRate:
         return self.state.sensor.finder.step
 
     @property
+    def refuses(self) -> bool:
+        """Whether the readings contradict every model of the sensor's noise, and are given themselves."""
+        return self.state.refuses
+
+    @property
     def noise(self) -> float:
         """Standard deviation in °C of white noise before quantization, as the bank weighs the level kinds."""
         bank = self.state.bank
@@ -55,14 +60,15 @@ class LevelBankRate:
         reading : array, (n,)
             °C; NaN where there is none.
         """
-        rows, shown, origins, raw_sd = [], [self.state.shown], [self._origin], [self._raw_sd()]
+        sensor = self.state.sensor
+        rows, shown, origins, scatter = [], [self.state.given], [self._origin], [sensor.scatter]
         for row, begins, slot in self._readings.process(time_ns, segment, reading):
             if begins:
                 self.state.begin()
             rows.append(row)
             shown.append(step(self.state, slot))
             origins.append((self._readings.origin_ns, self._readings.segment))
-            raw_sd.append(self._raw_sd())
+            scatter.append(sensor.scatter)
         self._origin = origins[-1]
         which = np.searchsorted(np.array(rows, np.int64), np.arange(len(reading)), side="right")
         each, origin = np.array(shown)[which], np.array(origins, np.int64)[which]
@@ -71,9 +77,5 @@ class LevelBankRate:
         # Before the first slot of a segment ends there is the reading.
         fresh = (segment != origin[:, 1]) | (seconds < each[:, 0])
         known = np.where(np.isfinite(reading), 1.0, np.nan)
-        raw = (reading, 0.0 * known, np.array(raw_sd)[which] * known, START_RATE * known)
+        raw = (reading, 0.0 * known, np.array(scatter)[which] * known, START_RATE * known)
         return RateEstimate(*(np.where(fresh, own, part) for own, part in zip(raw, parts, strict=True)))
-
-    def _raw_sd(self) -> float:
-        """Return the standard deviation in °C of a reading taken as it is."""
-        return float(max(self.state.sensor.unit, self.state.sensor.inside**0.5))

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from imumon.estimation.temperature_rate.refresh import RefreshFinder
 from imumon.estimation.temperature_rate.step import StepFinder
 
 MEMORY = 1.0 / 32.0
@@ -18,8 +19,6 @@ SLOWER = 1.01
 """Factor by which the interval between changes grows with each change that comes later."""
 MOST_INDEPENDENT = 32.0
 """More readings would place an edge, σ/√n, finer than its sigma is known between two of the bank's."""
-SLOW_S, LEAPS = 1.5, 2
-"""A reading that changes no faster than this and by more than a step, so many times, is refreshed slowly."""
 DITHERED = 0.2
 """White noise of so many steps within a slot makes its mean nearly linear in the temperature."""
 
@@ -60,13 +59,20 @@ class Reading:
     before: float
     gap_s: float
 
-    @property
-    def newest(self) -> Reading:
-        """The last of the readings alone."""
+    def newest(self, time_s: float) -> Reading:
+        """Return the last of the readings alone, taken at a time."""
         return replace(
-            self, start_s=self.end_s, mean=self.last, variance=0.0, low=self.last, high=self.last,
-            first=self.last, changes=0, step_squares=0.0, before=np.nan,
+            self, start_s=time_s, end_s=time_s, count=1, mean=self.last, variance=0.0, low=self.last,
+            high=self.last, first=self.last, changes=0, step_squares=0.0, before=np.nan,
         )  # fmt: skip
+
+    @property
+    def changed_s(self) -> float:
+        """When the last reading came, if it is the only one that differs; else the end of the slot."""
+        if self.changes != 1 or self.first == self.last:
+            return self.start_s if self.changes == 1 else self.end_s
+        share = (self.last - self.mean) / (self.last - self.first)
+        return self.start_s + round(share * self.count) * self.gap_s
 
     @property
     def time_s(self) -> float:
@@ -105,8 +111,8 @@ class Sensor:
         Usual time between slots that change.
     changed_s : float
         When the reading changed last.
-    leaps : int
-        Single changes by more than a step while the reading hardly ever changes: slow refreshes.
+    refresh : RefreshFinder
+        When a reading that is repeated over slots is a new one.
     learned : int
         Slots that changed.
     slots : int
@@ -122,7 +128,7 @@ class Sensor:
     interval_s: float = 0.0
     usual_s: float = 0.0
     changed_s: float = float("nan")
-    leaps: int = 0
+    refresh: RefreshFinder = field(default_factory=RefreshFinder)
     learned: int = 0
     slots: int = 0
     means: tuple[float, ...] = field(default=())
@@ -137,22 +143,28 @@ class Sensor:
         """What the sensor's noise is measured in, °C: a step, or the noise of a slot where that is larger."""
         return max(self.step, float(np.sqrt(self.roughness)), 1e-4)
 
+    @property
+    def scatter(self) -> float:
+        """Standard deviation of a single reading, °C."""
+        return max(self.unit, float(np.sqrt(self.inside)))
+
     def independent(self, reading: Reading) -> float:
         """Return how many independent readings a slot has; less than one where a reading outlasts it."""
         share = self.squares / self.spread if self.spread > 0.0 else 1.0
         count = min(max(share * reading.count, 1.0), MOST_INDEPENDENT)
-        slow = 1.0 if self.refreshes_slowly else self.interval_s / max(reading.duration_s, reading.gap_s)
+        slow = 1.0 if self.refresh.slow else self.interval_s / max(reading.duration_s, reading.gap_s)
         return min(count, reading.count) / max(slow, 1.0)
 
-    @property
-    def refreshes_slowly(self) -> bool:
-        """Whether a reading is repeated over slots until there is another."""
-        return self.leaps >= LEAPS and self.interval_s > SLOW_S
-
-    def is_old(self, reading: Reading) -> bool:
-        """Tell whether a reading is still that of the last refresh."""
-        old = not reading.changes and reading.time_s - self.changed_s < 1.5 * self.interval_s
-        return self.refreshes_slowly and old
+    def fresh(self, reading: Reading) -> Reading | None:
+        """Return what a slot has that was not there before, None where it repeats the last reading."""
+        if not self.refresh.slow:
+            return reading
+        at = (
+            reading.changed_s
+            if reading.changes
+            else self.refresh.refreshed(reading.start_s - reading.gap_s, reading.end_s)
+        )
+        return None if at is None else reading.newest(at)
 
     def is_dead(self, now_s: float) -> bool:
         """Tell whether noise of more than a step has stopped."""
@@ -180,15 +192,29 @@ class Sensor:
 
     def learn(self, reading: Reading) -> None:
         """Learn from a slot that has readings."""
-        self.slots += 1
-        if not self.refreshes_slowly:
-            self._learn_roughness(reading.mean)
-        elif reading.changes:
-            self._learn_roughness(reading.last)
-        if not reading.changes:
+        slow = self.refresh.slow
+        if reading.changes:
+            self._learn_refresh(reading)
+        if self.refresh.slow and not slow:
+            # What looked like noise from slot to slot were the refreshes.
+            self.roughness, self.means, self.slots = self.step**2 / 12.0, (), 0
+        fresh = self.fresh(reading)
+        if fresh is not None:
+            self.slots += 1
+            self._learn_roughness(fresh.mean)
+        if reading.changes:
+            self._learn_changes(reading)
+            self.finder.learn(reading.differences)
+
+    def _learn_refresh(self, reading: Reading) -> None:
+        if reading.changes > 1:
+            self.refresh.doubt()
             return
-        self._learn_changes(reading)
-        self.finder.learn(reading.differences)
+        before = reading.before if np.isfinite(reading.before) else reading.first
+        silent_s = reading.changed_s - self.changed_s
+        if self.interval_s:
+            silent_s = min(silent_s, self.interval_s)
+        self.refresh.learn(reading.changed_s, reading.last - before, silent_s, self.step, reading.gap_s)
 
     def _learn_roughness(self, mean: float) -> None:
         self.means = (*self.means[-2:], mean)
@@ -209,18 +235,11 @@ class Sensor:
             self.inside += weight * (variance - self.inside)
             self.squares += weight * (reading.step_squares - self.squares)
             self.spread += weight * (2.0 * reading.count * variance - self.spread)
-        since = (
-            reading.duration_s / reading.changes if reading.changes > 1 else reading.time_s - self.changed_s
-        )
+        gap_s = reading.changed_s - self.changed_s
+        since = reading.duration_s / reading.changes if reading.changes > 1 else gap_s
         if self.learned > 1 or reading.changes > 1:
             longest = SLOWER * max(self.interval_s, reading.gap_s) if self.interval_s else since
             self.interval_s = min(since, longest)
-        leap = np.sqrt(reading.step_squares) > 1.5 * self.step and self.interval_s > SLOW_S
-        if self.step and reading.changes == 1 and leap:
-            self.leaps += 1
-            if self.leaps == LEAPS:
-                # What looked like noise from slot to slot were the refreshes.
-                self.roughness, self.means = self.step**2 / 12.0, ()
         if self.learned > 1:
-            self.usual_s += weight * (reading.time_s - self.changed_s - self.usual_s)
-        self.changed_s = reading.time_s
+            self.usual_s += weight * (gap_s - self.usual_s)
+        self.changed_s = reading.changed_s

@@ -56,6 +56,7 @@ class TemperatureRate:
         self._methods: dict[str, RateMethod] = {}
         self._begun: set[str] = set()
         self._watches: dict[str, StepWatch] = {}
+        self._refused: set[str] = set()
         for channel in channels or ():
             self._add(channel)
 
@@ -118,8 +119,15 @@ class TemperatureRate:
             self._watches[channel] = StepWatch(parameters.step_degc)
 
     def notices(self) -> list[str]:
-        """Return, once each, what is wrong with the declared step; for the log."""
+        """Return, once each, what is wrong with the declared step and with the readings; for the log."""
         texts = []
+        for channel, method in self._methods.items():
+            if isinstance(method, LevelBankRate) and method.refuses and channel not in self._refused:
+                self._refused.add(channel)
+                texts.append(
+                    f"{channel}: its readings jump as no temperature and no known noise does: "
+                    "they are shown themselves, without a rate"
+                )
         for channel in list(self._watches):
             found = self._watches[channel].finder.contradiction()
             if found is not None:

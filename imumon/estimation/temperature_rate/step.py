@@ -10,6 +10,8 @@ TINY = 1e-6
 SUPPORT_NEEDED, CHANGES_NEEDED = 8, 100
 """Changes after which a step is known; and after which it is known that there is none."""
 MISFIT_ALLOWED = 0.2
+ROUNDED = 0.2
+"""Steps of 0.0625 °C written with two digits change by 0.06 or 0.07 °C: off by a sixth."""
 FAR_STEPS = 8.5
 """Changes of more steps than this tell nothing: rounding of the step would make any of them a multiple."""
 MEMORY = 1.0 / 32.0
@@ -77,7 +79,7 @@ class StepFinder:
                 self.size, self.misfit, self.support = change, 0.0, 1
             elif ratio <= FAR_STEPS:
                 whole = round(ratio)
-                if abs(ratio - whole) < 0.15:
+                if abs(ratio - whole) < ROUNDED:
                     self.support += 1
                     self.misfit -= MEMORY * self.misfit
                     if whole == 1:

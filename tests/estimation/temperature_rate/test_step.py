@@ -39,6 +39,12 @@ def test_steps_skipped_at_first_are_found_later() -> None:
     assert found(0.05, np.array(readings)).step == pytest.approx(0.05)
 
 
+def test_steps_written_with_too_few_digits_are_found() -> None:
+    temperature, _ = self_heating(0.3)
+    reading = np.round(quantized(temperature, 0.2 * 0.0625, step=0.0625), 2)
+    assert found(0.1, reading).step == pytest.approx(0.0625, rel=0.05)
+
+
 def test_readings_without_steps_contradict_any() -> None:
     finder = found(0.05, 25.0 + 0.1 * np.random.default_rng(1).standard_normal(500))
     assert finder.step is None

@@ -1,0 +1,71 @@
+"""The interval at which a reading is refreshed, found from its changes alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from imumon.blocks import FloatArray
+from imumon.estimation.temperature_rate.level_bank import LevelBankRate
+from imumon.estimation.temperature_rate.refresh import RefreshFinder
+from tests.estimation.temperature_rate.records import clock, quantized, steady
+
+STEP, RATE_HZ = 0.0625, 20.0
+RAMP = 2.0 / 60.0
+
+
+def heard(reading: FloatArray, gap_s: float) -> RefreshFinder:
+    """Return what the finder has learned from every change of a reading."""
+    finder, last_s = RefreshFinder(), 0.0
+    for i in np.flatnonzero(np.diff(reading)) + 1:
+        finder.learn(i * gap_s, float(reading[i] - reading[i - 1]), i * gap_s - last_s, STEP, gap_s)
+        last_s = i * gap_s
+    return finder
+
+
+def repeated(temperature: FloatArray, interval_s: float, noise: float, seed: int) -> FloatArray:
+    """Return a temperature, sampled at RATE_HZ, as read by a thermometer refreshed at intervals."""
+    repeat = round(interval_s * RATE_HZ)
+    fresh = quantized(temperature[::repeat], noise * STEP, seed, STEP)
+    return np.repeat(fresh, repeat)[: len(temperature)]
+
+
+@pytest.mark.parametrize("interval_s", [2.0, 4.0, 7.5, 20.0])
+@pytest.mark.parametrize("seed", range(3))
+def test_the_interval_is_found_from_flicker(interval_s: float, seed: int) -> None:
+    temperature = np.full(int(60 * interval_s * RATE_HZ), 25.02)
+    finder = heard(repeated(temperature, interval_s, 0.5, seed), 1.0 / RATE_HZ)
+    assert finder.slow
+    assert finder.interval_s == pytest.approx(interval_s, rel=0.02)
+
+
+@pytest.mark.parametrize("rate", [3.0, 20.0, 100.0])
+@pytest.mark.parametrize("noise", [0.0, 0.1, 0.5])
+def test_crossings_of_a_thermometer_read_at_every_sample_are_no_refreshes(rate: float, noise: float) -> None:
+    temperature = steady(rate, 0.5, RATE_HZ)
+    assert not heard(quantized(temperature, noise * STEP, step=STEP), 1.0 / RATE_HZ).slow
+
+
+def test_a_leap_after_a_silence_is_a_refresh_unless_it_is_a_fault() -> None:
+    leap, jump = RefreshFinder(), RefreshFinder()
+    leap.learn(60.0, 2.0, 60.0, STEP, 0.05)
+    jump.learn(60.0, 20.0, 60.0, STEP, 0.05)
+    assert leap.slow
+    assert leap.interval_s == 60.0
+    assert not jump.slow
+
+
+@pytest.mark.parametrize("interval_s", [4.0, 10.0, 60.0])
+@pytest.mark.parametrize("hold_s", [60.0, 300.0])
+def test_a_ramp_is_never_farther_off_than_the_age_of_the_reading_allows(
+    interval_s: float, hold_s: float
+) -> None:
+    t = np.arange(int((hold_s + 240.0) * RATE_HZ)) / RATE_HZ
+    temperature = 25.02 + RAMP * np.maximum(t - hold_s, 0.0)
+    time_ns, segment = clock(len(t), RATE_HZ)
+    result = LevelBankRate().process(time_ns, segment, repeated(temperature, interval_s, 0.3, 11))
+    error = result.temperature - temperature
+    assert np.abs(error[t > hold_s]).max() < 0.15 + RAMP * interval_s
+    later = t > hold_s + 20.0 + interval_s
+    assert np.abs(error / result.temperature_sd)[later].max() < 6.0
+    assert np.abs((result.rate - RAMP) / result.rate_sd)[later].max() < 6.0
