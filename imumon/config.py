@@ -11,6 +11,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from imumon.errors import ImumonError, Reason
+from imumon.files import read_text
 
 Location = tuple[str | int, ...]
 
@@ -57,13 +58,7 @@ def load_yaml(path: Path, model: type[Model]) -> Model:
     ImumonError
         BAD_CONFIG, naming file and line, what was found and what was expected.
     """
-    try:
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise ImumonError(Reason.BAD_CONFIG, f"{path}: cannot be read: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise ImumonError(Reason.BAD_CONFIG, f"{path}: is not UTF-8 text (byte {error.start})") from error
-    return parse_yaml(text, model, str(path))
+    return parse_yaml(read_text(path), model, str(path))
 
 
 def parse_yaml(text: str, model: type[Model], source: str) -> Model:
@@ -102,16 +97,8 @@ def dump_yaml(data: Mapping[str, Any], *, flow: bool | None = False) -> str:
     flow : bool or None
         Whether lists are in one line; None for those without another list in them.
     """
-    return str(
-        yaml.dump(
-            dict(data),
-            Dumper=YamlDumper,
-            sort_keys=False,
-            allow_unicode=True,
-            width=110,
-            default_flow_style=flow,
-        )
-    )
+    style: Any = {"sort_keys": False, "allow_unicode": True, "width": 110, "default_flow_style": flow}
+    return str(yaml.dump(dict(data), Dumper=YamlDumper, **style))
 
 
 def _describe(item: Any, root: yaml.Node, source: str) -> str:

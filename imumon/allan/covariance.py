@@ -1,4 +1,4 @@
-"""How uncertain an overlapping deviation is, and how the averaging times hang together.
+"""Variance of an overlapping deviation, and covariance between averaging times.
 
 A difference of the integrated signal is stationary for every power-law noise, with a covariance that
 follows from the generalised autocovariance G of the integral (Greenhall and Riley, "Uncertainty of stability

@@ -63,34 +63,36 @@ ROUNDS, CLOSE, LARGEST_ERROR = 8, 0.05, 3.0
 FEWEST, FEWEST_BEFORE = 5, 4
 """Averaging times that a fit must keep; and that one before a disturbance must have."""
 
+COLUMNS = (*SHAPES, "filter")
+"""What is fitted, by the columns of the design.
+
+A low-pass filter takes from white noise, at averaging times longer than itself, what has the shape of
+quantization: its column is that shape with a minus.
+"""
+WHITE, QUANTIZATION, RAMP, FILTER = map(COLUMNS.index, ("white", "quantization", "ramp", "filter"))
+EVERY = tuple(range(len(COLUMNS)))
+
 Scale = Callable[[float], float]
 
 
 @dataclass(frozen=True, slots=True)
 class Term:
-    """A term: its name, what it is for an accelerometer, and its square per unit of its coefficient.
+    """A term, its square per unit of its coefficient, and by how many sigmas it must be called for.
 
-    Parameters
-    ----------
-    per_unit : callable
-        Takes the sample interval in s; the coefficient is the Allan variance at one sample.
-    unit_suffix : str
-        Unit, behind that of the channel; "" for the channel's own.
+    `per_unit` takes the sample interval in s; the coefficient is the Allan variance at one sample.
     """
 
     name: str
-    noise: str
     per_unit: Scale
-    unit_suffix: str
     shown: float = SHOWN
 
 
 TERMS = (
-    Term("angle_random_walk", "white", lambda dt: dt, "*sqrt(s)"),
-    Term("bias_instability", "flicker", lambda _: math.pi / (2.0 * math.log(2.0)), ""),
-    Term("rate_random_walk", "walk", lambda dt: 3.0 / dt, "/sqrt(s)"),
-    Term("quantization", "quantization", lambda dt: dt**2 / 3.0, "*s"),
-    Term("rate_ramp", "ramp", lambda dt: 2.0 / dt**2, "/s", RAMP_SHOWN),
+    Term("angle_random_walk", lambda dt: dt),
+    Term("bias_instability", lambda _: math.pi / (2.0 * math.log(2.0))),
+    Term("rate_random_walk", lambda dt: 3.0 / dt),
+    Term("quantization", lambda dt: dt**2 / 3.0),
+    Term("rate_ramp", lambda dt: 2.0 / dt**2, RAMP_SHOWN),
 )
 """In the order of `imumon.allan.covariance.NOISES`, the ramp last."""
 
@@ -175,7 +177,7 @@ class _Problem:
         factor = cho_factor(self._matrix(columns, found), lower=True)
         active = [column for column, value in zip(columns, found, strict=True) if value > 0.0]
         design = self.design[:, active]
-        covariance = np.zeros((6, 6))
+        covariance = np.zeros((len(COLUMNS), len(COLUMNS)))
         scale = np.linalg.norm(design, axis=0)
         information = (design / scale).T @ cho_solve(factor, design / scale)
         covariance[np.ix_(active, active)] = np.linalg.pinv(information) / np.outer(scale, scale)
@@ -208,22 +210,16 @@ def _bounded(design: FloatArray, target: FloatArray) -> FloatArray:
 
 
 def _spread(columns: tuple[int, ...], values: FloatArray) -> FloatArray:
-    coefficients = np.zeros(6)
+    coefficients = np.zeros(len(COLUMNS))
     coefficients[list(columns)] = values
     return coefficients
 
 
 def _signed(coefficients: FloatArray) -> FloatArray:
     """Return the coefficients of the five shapes, (5,), with what a filter takes away."""
-    signed = coefficients[:5].copy()
+    signed = coefficients[:FILTER].copy()
     signed[QUANTIZATION] -= coefficients[FILTER]
     return signed
-
-
-WHITE, QUANTIZATION, RAMP, FILTER = 0, 3, 4, 5
-"""A low-pass filter takes from white noise, at averaging times longer than itself, what has the shape of
-quantization: the sixth column of the design is that shape with a minus."""
-EVERY = (0, 1, 2, 3, 4, 5)
 
 
 def fit_terms(variances: FloatArray, covariances: Covariances, interval_s: float, last: int) -> Fit | None:
@@ -287,7 +283,7 @@ def _is_filtered(variances: FloatArray, m: IntArray, solution: _Solution) -> boo
 
     Quantization is none behind a filter; where it is called for, it stands for the end of a bump.
     """
-    coefficients = solution.coefficients[:5]
+    coefficients = solution.coefficients[:FILTER]
     if coefficients[QUANTIZATION] > 0.0:
         return False
     shapes = np.column_stack([shape(m.astype(np.float64)) for shape in SHAPES.values()])

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,39 +15,72 @@ from imumon.allan.recording import GROUPS, UNITS, group_of, rate_hz
 from imumon.blocks import FloatArray
 from imumon.config import dump_yaml
 from imumon.errors import ImumonError, Reason
+from imumon.files import check_output
+from imumon.geodesy import MICRO_G
 
-UNIT_OF_TERM = {
+_DEG = math.degrees(1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class TermOfSensor:
+    """How a term of one sensor is told.
+
+    Parameters
+    ----------
+    unit, key : str
+        SI unit, and key in the noise section of a pipeline.
+    title, shown, factor : str, str, float
+        What a person reads: its name, its unit, and how many of it are one SI unit.
+    """
+
+    unit: str
+    key: str
+    title: str
+    shown: str
+    factor: float
+
+
+TERMS_OF = {
     "gyro": {
-        "angle_random_walk": "rad/sqrt(s)",
-        "bias_instability": "rad/s",
-        "rate_random_walk": "rad/s/sqrt(s)",
-        "quantization": "rad",
-        "rate_ramp": "rad/s^2",
+        "angle_random_walk": TermOfSensor(
+            "rad/sqrt(s)", "angle_random_walk_rad_per_sqrt_s", "angle random walk", "deg/√h", 60.0 * _DEG
+        ),
+        "bias_instability": TermOfSensor(
+            "rad/s", "bias_instability_rad_per_s", "bias instability", "deg/h", 3600.0 * _DEG
+        ),
+        "rate_random_walk": TermOfSensor(
+            "rad/s/sqrt(s)",
+            "rate_random_walk_rad_per_s_sqrt_s",
+            "rate random walk",
+            "deg/h/√h",
+            60.0 * 3600.0 * _DEG,
+        ),
+        "quantization": TermOfSensor("rad", "quantization_rad", "quantization", "arcsec", 3600.0 * _DEG),
+        "rate_ramp": TermOfSensor(
+            "rad/s^2", "rate_ramp_rad_per_s2", "rate ramp", "deg/h/h", 3600.0**2 * _DEG
+        ),
     },
     "accel": {
-        "angle_random_walk": "m/s/sqrt(s)",
-        "bias_instability": "m/s^2",
-        "rate_random_walk": "m/s^2/sqrt(s)",
-        "quantization": "m/s",
-        "rate_ramp": "m/s^3",
+        "angle_random_walk": TermOfSensor(
+            "m/s/sqrt(s)", "velocity_random_walk_m_per_s_sqrt_s", "velocity random walk", "m/s/√h", 60.0
+        ),
+        "bias_instability": TermOfSensor(
+            "m/s^2", "bias_instability_m_per_s2", "bias instability", "µg", 1.0 / MICRO_G
+        ),
+        "rate_random_walk": TermOfSensor(
+            "m/s^2/sqrt(s)",
+            "acceleration_random_walk_m_per_s2_sqrt_s",
+            "accel. random walk",
+            "µg/√h",
+            60.0 / MICRO_G,
+        ),
+        "quantization": TermOfSensor("m/s", "quantization_m_per_s", "quantization", "mm/s", 1e3),
+        "rate_ramp": TermOfSensor(
+            "m/s^3", "acceleration_ramp_m_per_s3", "accel. ramp", "µg/h", 3600.0 / MICRO_G
+        ),
     },
 }
-NOISE_KEYS = {
-    "gyro": {
-        "angle_random_walk": "angle_random_walk_rad_per_sqrt_s",
-        "bias_instability": "bias_instability_rad_per_s",
-        "rate_random_walk": "rate_random_walk_rad_per_s_sqrt_s",
-        "quantization": "quantization_rad",
-        "rate_ramp": "rate_ramp_rad_per_s2",
-    },
-    "accel": {
-        "angle_random_walk": "velocity_random_walk_m_per_s_sqrt_s",
-        "bias_instability": "bias_instability_m_per_s2",
-        "rate_random_walk": "acceleration_random_walk_m_per_s2_sqrt_s",
-        "quantization": "quantization_m_per_s",
-        "rate_ramp": "acceleration_ramp_m_per_s3",
-    },
-}
+"""Every term of each sensor, by the names in `imumon.allan.fit.TERMS`."""
 KALIBR_NAMES = {"gyro": "gyroscope", "accel": "accelerometer"}
 
 
@@ -60,14 +95,9 @@ def check_outputs(plot: Path | None, *files: Path | None) -> None:
     """
     if plot is not None and plot.suffix.lower() != ".png":
         raise ImumonError(Reason.BAD_CONFIG, f"{plot}: the picture is a PNG", "name it NAME.png")
-    for path in files:
-        if path is not None and path.exists():
-            raise ImumonError(
-                Reason.EXISTS, f"{path} is there already", "nothing was overwritten; give another name"
-            )
     for path in (plot, *files):
-        if path is not None and not path.parent.is_dir():
-            raise ImumonError(Reason.BAD_CONFIG, f"{path}: there is no folder {path.parent}", "make it first")
+        if path is not None:
+            check_output(path, replace=path is plot)
 
 
 def as_json(results: Mapping[str, Result]) -> dict[str, Any]:
@@ -76,8 +106,10 @@ def as_json(results: Mapping[str, Result]) -> dict[str, Any]:
 
 
 def _channel(name: str, result: Result) -> dict[str, Any]:
-    units, fit, series = UNIT_OF_TERM[group_of(name)], result.fit, result.series
-    terms = {term.name: _estimate(fit.terms[term.name] if fit else None, units[term.name]) for term in TERMS}
+    told, fit, series = TERMS_OF[group_of(name)], result.fit, result.series
+    terms = {
+        term.name: _estimate(fit.terms[term.name] if fit else None, told[term.name].unit) for term in TERMS
+    }
     return {
         "tau_s": _numbers(result.tau_s),
         "oadev": _numbers(result.allan.values),
@@ -121,7 +153,7 @@ def noise_section(results: Mapping[str, Result]) -> dict[str, dict[str, list[flo
         axes = [results.get(f"{group}_{axis}") for axis in "xyz"]
         if any(axes):
             section[group] = {
-                key: [_value(result, term) for result in axes] for term, key in NOISE_KEYS[group].items()
+                told.key: [_value(result, term) for result in axes] for term, told in TERMS_OF[group].items()
             }
     return section
 

@@ -121,7 +121,7 @@ def calibrate(
             "leave --latitude and --heading away",
         )
     findings, channels, warnings = _all_channels(records, cells)
-    warnings += _doubts(records, cells)
+    warnings += _remarks(records, cells)
     known = cells.temperature
     return Calibration(
         model=BiasModel(
@@ -227,7 +227,7 @@ def _apart_text(name: str, runs: IntArray) -> str:
     return f"{name}: runs {numbers} have no temperature in common with the others: {what}"
 
 
-def _doubts(records: Sequence[Record], cells: Cells) -> list[str]:
+def _remarks(records: Sequence[Record], cells: Cells) -> list[str]:
     said = []
     devices = sorted({record.device for record in records if record.device is not None})
     if len(devices) > 1:

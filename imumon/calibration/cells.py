@@ -51,12 +51,8 @@ class Channel:
 
     def only(self, chosen: Mask) -> Channel:
         """Return the cells that are chosen."""
-        parts = (self.temperature, self.value, self.white, self.seconds)
-        temperature, value, white, seconds = (part[chosen] for part in parts)
-        run, level = self.run[chosen], self.level[chosen]
-        return replace(
-            self, temperature=temperature, value=value, white=white, seconds=seconds, run=run, level=level
-        )
+        names = ("temperature", "value", "white", "seconds", "run", "level")
+        return replace(self, **{name: getattr(self, name)[chosen] for name in names})
 
     def points(self, slow: float = 0.0) -> Points:
         """Return what to fit; `slow` is the variance of what varies slowly, which a cell does not average."""
@@ -108,41 +104,26 @@ def group(records: Sequence[Record], latitude_deg: float | None, heading_deg: fl
     known = np.concatenate([t[i] for t, i in zip(temperatures, chosen, strict=True)])
     width = float(np.ptp(known)) / CELLS_PER_SPAN if len(known) else 0.0
     runs: list[Run] = []
-    parts: list[tuple[IntArray, IntArray, IntArray]] = []
+    blocks: list[tuple[int, IntArray]] = []
+    none, empty = np.empty(0, np.int64), np.empty(0)
+    parts: list[tuple[IntArray, IntArray, FloatArray, FloatArray, FloatArray]] = []
+    parts.append((none, none, empty, empty, empty))
     cells = 0
-    for number, (record, rows, t) in enumerate(zip(records, chosen, temperatures, strict=True)):
-        for index, run_rows in enumerate(_runs(record, rows)):
-            seconds = _seconds(record, run_rows)
+    for number, (record, chosen_rows, all_t) in enumerate(zip(records, chosen, temperatures, strict=True)):
+        for index, rows in enumerate(_runs(record, chosen_rows)):
+            seconds, t = _seconds(record, rows), all_t[rows]
             if seconds.sum() < SHORTEST_RUN_S:
                 continue
-            start_s = np.asarray(record.means.start_ns[run_rows] * 1e-9, np.float64)
-            cell = _cells(start_s, seconds, t[run_rows], width) + cells
+            start_s = np.asarray(record.means.start_ns[rows] * 1e-9, np.float64)
+            cell = _cells(start_s, seconds, t, width) + cells
             cells = int(cell[-1]) + 1
-            parts.append((run_rows, np.full(len(run_rows), len(runs)), cell))
-            runs.append(_run(record, number, index, run_rows, t, seconds, latitude_deg, heading_deg))
-    return _gathered(records, tuple(runs), parts, temperatures)
-
-
-def _gathered(
-    records: Sequence[Record],
-    runs: tuple[Run, ...],
-    parts: list[tuple[IntArray, IntArray, IntArray]],
-    temperatures: list[FloatArray],
-) -> Cells:
-    empty_int, empty = np.empty(0, np.int64), np.empty(0)
-    of = [run.record for run in runs]
-    rows = [part[0] for part in parts]
-    return Cells(
-        runs=runs,
-        block=tuple(zip(of, rows, strict=True)),
-        run=np.concatenate([empty_int, *(part[1] for part in parts)]),
-        cell=np.concatenate([empty_int, *(part[2] for part in parts)]),
-        seconds=np.concatenate([empty, *(_seconds(records[r], i) for r, i in zip(of, rows, strict=True))]),
-        temperature=np.concatenate([empty, *(temperatures[r][i] for r, i in zip(of, rows, strict=True))]),
-        rate=np.concatenate(
-            [empty, *(_rate(records[r], i, temperatures[r]) for r, i in zip(of, rows, strict=True))]
-        ),
-    )
+            rate = np.gradient(t, start_s) if len(rows) > 1 else np.zeros(1)
+            parts.append((np.full(len(rows), len(runs)), cell, seconds, t, rate))
+            blocks.append((number, rows))
+            ends = (float(t.min()), float(t.max()))
+            earth = _earth_rate(record, rows, latitude_deg, heading_deg)
+            runs.append(Run(number, index, float(seconds.sum()), len(rows), ends, earth))
+    return Cells(tuple(runs), tuple(blocks), *(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
 def channel_of(
@@ -255,32 +236,15 @@ def _cells(time_s: FloatArray, seconds: FloatArray, temperature: FloatArray, wid
     return cell
 
 
-def _run(
-    record: Record,
-    number: int,
-    index: int,
-    rows: IntArray,
-    temperature: FloatArray,
-    seconds: FloatArray,
-    latitude_deg: float | None,
-    heading_deg: float | None,
-) -> Run:
-    earth = None
-    if latitude_deg is not None and heading_deg is not None:
-        accel = np.array(
-            [np.nanmean(record.of(name)[rows]) if record.has(name) else np.nan for name in ACCEL]
-        )
-        if np.isfinite(accel).all():
-            up = accel / np.linalg.norm(accel)
-            x, y, z = earth_rate_in_body(up, np.deg2rad(heading_deg), np.deg2rad(latitude_deg)).tolist()
-            earth = x, y, z
-    t = temperature[rows]
-    ends = (float(t.min()), float(t.max()))
-    return Run(number, index, float(seconds.sum()), len(rows), ends, earth)
-
-
-def _rate(record: Record, rows: IntArray, temperature: FloatArray) -> FloatArray:
-    """Return the temperature rate of blocks from their neighbours, °C/s; 0 for a block by itself."""
-    if len(rows) < 2:
-        return np.zeros(len(rows))
-    return np.asarray(np.gradient(temperature[rows], record.means.start_ns[rows] * 1e-9))
+def _earth_rate(
+    record: Record, rows: IntArray, latitude_deg: float | None, heading_deg: float | None
+) -> tuple[float, float, float] | None:
+    """Return the earth rate in body axes, rad/s; None without place, heading or accelerometers."""
+    if latitude_deg is None or heading_deg is None or not all(map(record.has, ACCEL)):
+        return None
+    accel = np.array([np.nanmean(record.of(name)[rows]) for name in ACCEL])
+    if not np.isfinite(accel).all():
+        return None
+    up = accel / np.linalg.norm(accel)
+    x, y, z = earth_rate_in_body(up, np.deg2rad(heading_deg), np.deg2rad(latitude_deg)).tolist()
+    return x, y, z

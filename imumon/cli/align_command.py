@@ -2,31 +2,35 @@
 
 from __future__ import annotations
 
-import threading
-import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from imumon.cli.common import SECONDS, Number, device_help, json_option, note, print_json, say
-from imumon.cli.setup_options import make_setup
+from imumon.cli.common import (
+    PATH,
+    SECONDS,
+    Number,
+    baud_option,
+    device_help,
+    json_option,
+    note,
+    print_json,
+    warn,
+)
+from imumon.cli.live_run import PortRun
+from imumon.cli.setup_options import NOT_GIVEN, SetupOptions, make_setup
 from imumon.errors import EXIT_NEGATIVE, EXIT_OK, ImumonError, Reason
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from imumon.cli.live_run import Lines
     from imumon.estimation.alignment.guide import Guide
     from imumon.estimation.alignment.stage import Alignment
     from imumon.estimation.alignment.status import Status
     from imumon.pipeline import Pipeline
-    from imumon.run.live import LiveRun
     from imumon.run.setup import Setup
-
-REFRESH_S = 0.25
-_path = click.Path(path_type=Path)
 
 
 @click.command("align")
@@ -36,7 +40,7 @@ _path = click.Path(path_type=Path)
     "--until", type=Number(min=0, min_open=True, max=90), help="Sigma of the heading wanted, degrees [0.05]."
 )
 @click.option("--device", help=device_help)
-@click.option("--baud", type=click.IntRange(min=1), help="Baud rate; the device file's first when not given.")
+@baud_option
 @click.option(
     "--positions",
     type=click.IntRange(1, 12),
@@ -45,9 +49,9 @@ _path = click.Path(path_type=Path)
     help="Rest in so many positions, turned between: then the bias of the gyros does not matter.",
 )
 @click.option("--seconds", type=SECONDS, help="Give up after this time; live only.")
-@click.option("--out", type=_path, help="Folder for the live session; default: a new one in ./sessions.")
-@click.option("--pipeline", type=_path, help="Pipeline file: place, model and parameters of the estimators.")
-@click.option("--model", type=_path, help="Bias model; it may know the warm-up of the accelerometers.")
+@click.option("--out", type=PATH, help="Folder for the live session; default: a new one in ./sessions.")
+@click.option("--pipeline", type=PATH, help="Pipeline file: place, model and parameters of the estimators.")
+@click.option("--model", type=PATH, help="Bias model; it may know the warm-up of the accelerometers.")
 @json_option
 def command(
     source: str,
@@ -72,17 +76,7 @@ def command(
     """
 
     def setup(recorded: str | None = None, where: str = "") -> Setup:
-        from imumon.cli.setup_options import SetupOptions
-
-        given = SetupOptions(
-            pipeline=pipeline,
-            model=model,
-            zupt=None,
-            random_error=None,
-            published=None,
-            latitude=latitude,
-            heading=None,
-        )
+        given: SetupOptions = {**NOT_GIVEN, "pipeline": pipeline, "model": model, "latitude": latitude}
         return _with_sigma(make_setup(given, recorded, where), until)
 
     if _is_recording(source):
@@ -90,7 +84,9 @@ def command(
             raise click.UsageError("--baud, --seconds and --out are for a port; a session is only read")
         stage = _recorded(Path(source), device, setup)
     else:
-        stage = _live(source, device, baud, seconds, out, setup(), positions)
+        made = setup()
+        live = PortRun(source, _needed(device, source), baud, made, out, seconds)
+        stage = _live(live, positions)
     status = stage.status
     if as_json:
         print_json(as_data(status, positions))
@@ -153,25 +149,14 @@ def _recorded(path: Path, device: str | None, make: Callable[..., Setup]) -> Ali
     with _Shown(stage) as shown:
         for _ in run_over(source.items, pipeline):
             shown.renew()
-    for text in [*source.warnings(), *pipeline.warnings()]:
-        say("WARN", text)
+    warn([*source.warnings(), *pipeline.warnings()])
     _refuse_without_sensors(stage.status, str(path), [column.name for column in source.columns(pipeline)])
     return stage
 
 
-def _live(
-    port: str,
-    device: str | None,
-    baud: int | None,
-    seconds: float | None,
-    out: Path | None,
-    setup: Setup,
-    positions: int,
-) -> Alignment:
-    """Record and align a port until the heading has settled, or will not, or the time is over."""
-    from imumon.cli.live_run import Lines, heed_signals, new_run, port_settings
-    from imumon.protocols.device import device_names, device_text, parse_device
-    from imumon.run.live import nothing_decoded, warm_up
+def _needed(device: str | None, port: str) -> str:
+    """Return the device; raises BAD_CONFIG when none was named, as a port cannot tell."""
+    from imumon.protocols.device import device_names
 
     if device is None:
         raise ImumonError(
@@ -179,52 +164,35 @@ def _live(
             f"{port} is a port, so its device must be named",
             f"add --device NAME: {', '.join(device_names())}, or a file; imumon detect {port} may tell",
         )
-    text, where = device_text(device)
-    profile = parse_device(text, where)
-    settings = port_settings(port, profile, baud)
-    ended, lines = threading.Event(), Lines()
-    heed_signals(ended)
-    run = new_run(profile, text, settings, setup, out, lines)
-    run.open()
-    deadline = None if seconds is None else time.monotonic() + seconds
-    stage = _stage_of(run.pipeline)
+    return device
+
+
+def _live(live: PortRun, positions: int) -> Alignment:
+    """Record and align a port until the heading has settled, or will not, or the time is over."""
+    stage = _stage_of(live.run.pipeline)
     try:
-        warm_up(profile, setup)
-        run.begin(())
-        _wait(run, stage, lines, ended, deadline, positions)
+        live.begin(())
+        _wait(live, stage, positions)
     finally:
-        summary = run.stop()
-        lines.write()
+        summary = live.run.stop()
+        live.lines.write()
     note(f"recorded: {summary.session}")
-    problem = run.failure or nothing_decoded(settings, profile, summary.counters)
-    if problem is not None:
-        raise problem
-    _refuse_without_sensors(stage.status, port, [column.name for column in run.pipeline.columns])
+    live.raise_problem(summary)
+    columns = [column.name for column in live.run.pipeline.columns]
+    _refuse_without_sensors(stage.status, live.port, columns)
     return stage
 
 
-def _wait(
-    run: LiveRun,
-    stage: Alignment,
-    lines: Lines,
-    ended: threading.Event,
-    deadline: float | None,
-    positions: int,
-) -> None:
+def _wait(live: PortRun, stage: Alignment, positions: int) -> None:
     from imumon.estimation.alignment.guide import Guide
 
     guide = Guide(positions)
     with _Shown(stage, guide) as shown:
-        while deadline is None or time.monotonic() < deadline:
-            left = REFRESH_S if deadline is None else min(REFRESH_S, deadline - time.monotonic())
-            if ended.wait(max(left, 0.0)) or not run.processing:
-                return
-            lines.write()
+        while not guide.done and live.ending.wait() and live.run.processing:
+            live.lines.write()
             shown.renew()
             for text in guide.said(stage.status):
                 note(text)
-            if guide.done:
-                return
 
 
 class _Shown:

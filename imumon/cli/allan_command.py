@@ -8,19 +8,17 @@ from typing import TYPE_CHECKING
 
 import click
 
-from imumon.cli.common import json_option, print_json, print_rows, say
+from imumon.cli.common import PATH, json_option, print_json, print_rows, warn
 
 if TYPE_CHECKING:
     from imumon.allan.analysis import Result
 
-_file = click.Path(path_type=Path)
-
 
 @click.command("allan")
-@click.argument("recording", metavar="SESSION|TABLE", type=_file)
-@click.option("--plot", type=_file, help="Draw the curves, log-log, to this PNG.")
-@click.option("--noise-out", type=_file, help="Write the terms as the noise section of a pipeline YAML.")
-@click.option("--kalibr", type=_file, help="Write the terms as Kalibr's imu.yaml.")
+@click.argument("recording", metavar="SESSION|TABLE", type=PATH)
+@click.option("--plot", type=PATH, help="Draw the curves, log-log, to this PNG.")
+@click.option("--noise-out", type=PATH, help="Write the terms as the noise section of a pipeline YAML.")
+@click.option("--kalibr", type=PATH, help="Write the terms as Kalibr's imu.yaml.")
 @json_option
 def command(
     recording: Path, plot: Path | None, noise_out: Path | None, kalibr: Path | None, as_json: bool
@@ -38,8 +36,7 @@ def command(
     output.check_outputs(plot, noise_out, kalibr)
     opened = read_channels(recording, lambda _: [RestDetector()])
     results = analyse(opened.series)
-    for text in [*opened.warnings, *_of_the_fit(results)]:
-        say("WARN", text)
+    warn([*opened.warnings, *_of_the_fit(results)])
     written: dict[str, Path] = {}
     if plot is not None:
         from imumon.allan.plot import write_plot
@@ -96,25 +93,6 @@ def _percent(variance_error: float) -> str:
 
 LARGE = 1e5
 """From here on a number is written with a power of ten."""
-_DEG = math.degrees(1.0)
-_G = 9.80665
-_READ = {
-    "gyro": {
-        "angle_random_walk": ("angle random walk", "deg/√h", 60.0 * _DEG),
-        "bias_instability": ("bias instability", "deg/h", 3600.0 * _DEG),
-        "rate_random_walk": ("rate random walk", "deg/h/√h", 60.0 * 3600.0 * _DEG),
-        "quantization": ("quantization", "arcsec", 3600.0 * _DEG),
-        "rate_ramp": ("rate ramp", "deg/h/h", 3600.0**2 * _DEG),
-    },
-    "accel": {
-        "angle_random_walk": ("velocity random walk", "m/s/√h", 60.0),
-        "bias_instability": ("bias instability", "µg", 1e6 / _G),
-        "rate_random_walk": ("accel. random walk", "µg/√h", 60.0 * 1e6 / _G),
-        "quantization": ("quantization", "mm/s", 1e3),
-        "rate_ramp": ("accel. ramp", "µg/h", 3600.0 * 1e6 / _G),
-    },
-}
-"""What a person reads of each term: its name, its unit, and how many of it are one SI unit."""
 
 
 def _show(results: dict[str, Result]) -> None:
@@ -122,8 +100,10 @@ def _show(results: dict[str, Result]) -> None:
     from rich.console import Console
     from rich.table import Column, Table
 
+    from imumon.allan.output import TERMS_OF
+
     console = Console()
-    for group, terms in _READ.items():
+    for group, terms in TERMS_OF.items():
         of_group = {name: result for name, result in results.items() if name.startswith(group)}
         if not of_group:
             continue
@@ -131,11 +111,12 @@ def _show(results: dict[str, Result]) -> None:
         table = Table(
             Column("", no_wrap=True), Column("", no_wrap=True), *axes, box=SIMPLE, padding=(0, 1, 0, 0)
         )
-        for term, (title, unit, factor) in terms.items():
-            table.add_row(title, unit, *(_with_sd(result, term, factor) for result in of_group.values()))
-        level, factor = terms["bias_instability"][1:]
-        lowest = (f"{factor * result.allan.values[result.lowest]:.4g}" for result in of_group.values())
-        table.add_row("lowest deviation", level, *lowest)
+        for term, told in terms.items():
+            cells = (_with_sd(result, term, told.factor) for result in of_group.values())
+            table.add_row(told.title, told.shown, *cells)
+        level = terms["bias_instability"]
+        lowest = (f"{level.factor * result.allan.values[result.lowest]:.4g}" for result in of_group.values())
+        table.add_row("lowest deviation", level.shown, *lowest)
         table.add_row("  at τ", "s", *(f"{result.tau_s[result.lowest]:.4g}" for result in of_group.values()))
         longest = (f"{result.longest_tau_s:.4g}" for result in of_group.values())
         table.add_row("longest trusted τ", "s", *longest)

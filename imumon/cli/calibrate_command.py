@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from imumon.cli.common import Number, json_option, print_json, print_rows, say
-from imumon.errors import ImumonError, Reason
+from imumon.cli.common import PATH, Number, json_option, print_json, print_rows, warn
+from imumon.files import check_output
 
 if TYPE_CHECKING:
     from imumon.calibration.calibration import Calibration, Finding
@@ -19,8 +19,8 @@ SHOWN = {"rad/s": ("°/h", 206264.80624709636), "m/s^2": ("mg", 1e3 / 9.80665)}
 
 
 @click.command("calibrate")
-@click.argument("sessions", nargs=-1, required=True, metavar="SESSION...", type=click.Path(path_type=Path))
-@click.option("--out", required=True, type=click.Path(path_type=Path), help="Model file to write.")
+@click.argument("sessions", nargs=-1, required=True, metavar="SESSION...", type=PATH)
+@click.option("--out", required=True, type=PATH, help="Model file to write.")
 @click.option(
     "--latitude", type=Number(min=-90, max=90), help="Degrees; with --heading the earth rate is removed."
 )
@@ -42,18 +42,12 @@ def command(
     Several kinds of curve are tried on temperature levels left out; the one that errs least there is fitted
     to all data.  What cannot give a good model is refused, with the reason.
     """
-    if out.exists():
-        raise ImumonError(
-            Reason.EXISTS, f"{out} is there already", "nothing was overwritten; give another name"
-        )
-    if not out.parent.is_dir():
-        raise ImumonError(Reason.BAD_CONFIG, f"{out}: there is no folder {out.parent}", "make it first")
+    check_output(out)
     from imumon.calibration.calibration import calibrate_sessions
 
     result = calibrate_sessions(sessions, latitude, heading, serial)
     result.model.write(out)
-    for text in result.warnings:
-        say("WARN", text)
+    warn(result.warnings)
     if as_json:
         print_json(_report(result, out))
     else:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -12,12 +12,18 @@ from typing import Any
 import click
 
 from imumon.errors import ImumonError, Reason
+from imumon.files import plain
 
+PATH = click.Path(path_type=Path)
+TABLE = "Table to write: NAME.parquet or NAME.csv."
 json_option = click.option(
     "--json", "as_json", is_flag=True, help="Print one JSON object on standard output."
 )
-table_option = click.option(
-    "--out", type=click.Path(path_type=Path), help="Table to write: NAME.parquet or NAME.csv."
+baud_option = click.option(
+    "--baud", type=click.IntRange(min=1), help="Baud rate; the device file's first when not given."
+)
+seed_option = click.option(
+    "-s", "--seed", default=0, show_default=True, type=click.IntRange(min=0), help="Seed of all noise."
 )
 columns_option = click.option("--columns", help="Columns of the table, separated by commas; default: all.")
 
@@ -50,17 +56,7 @@ device_help = "Name of a known device (imumon devices) or path of a device file.
 
 def print_json(data: Mapping[str, Any]) -> None:
     """Print one JSON object; NaN, which JSON does not know, becomes null."""
-    click.echo(json.dumps(_plain(data), indent=2))
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return str(value) if isinstance(value, Path) else value
+    click.echo(json.dumps(plain(data), indent=2))
 
 
 def split_columns(text: str | None) -> list[str] | None:
@@ -89,6 +85,12 @@ def say(level: str, text: str) -> None:
     """Write a log line on standard error."""
     color = {"WARN": "yellow", "ERROR": "red"}.get(level)
     note(f"{level:5} {text}", color=color)
+
+
+def warn(texts: Iterable[str]) -> None:
+    """Write warnings as log lines on standard error."""
+    for text in texts:
+        say("WARN", text)
 
 
 def print_rows(rows: Mapping[str, str]) -> None:

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 import click
 
 from imumon.cli.common import (
+    PATH,
+    TABLE,
     columns_option,
     device_help,
     json_option,
@@ -15,6 +17,7 @@ from imumon.cli.common import (
     print_rows,
     say,
     split_columns,
+    warn,
 )
 from imumon.errors import ImumonError, Reason
 
@@ -24,11 +27,9 @@ if TYPE_CHECKING:
 
 
 @click.command("decode")
-@click.argument("file", type=click.Path(path_type=Path))
+@click.argument("file", type=PATH)
 @click.option("--device", help=device_help + "  A session knows its own.")
-@click.option(
-    "--out", type=click.Path(path_type=Path), required=True, help="Table to write: NAME.parquet or NAME.csv."
-)
+@click.option("--out", type=PATH, required=True, help=TABLE)
 @columns_option
 @json_option
 def command(file: Path, device: str | None, out: Path, columns: str | None, as_json: bool) -> int:
@@ -52,8 +53,7 @@ def command(file: Path, device: str | None, out: Path, columns: str | None, as_j
         if as_json:
             print_json(_result(source, pipeline, {}, 0))
         raise _nothing(source, pipeline) from error
-    for text in source.warnings():
-        say("WARN", text)
+    warn(source.warnings())
     for notice in pipeline.notices():
         say("INFO", f"device: {notice}")
     if as_json:

@@ -9,13 +9,12 @@ from typing import TYPE_CHECKING
 
 import click
 
-from imumon.cli.common import json_option, print_json, print_rows, say
+from imumon.cli.common import PATH, json_option, print_json, print_rows, warn
 from imumon.errors import ImumonError, Reason
 
 if TYPE_CHECKING:
     from imumon.diagnosis.recording import Run
 
-RECORDING = click.Path(path_type=Path)
 SEVERAL = ("--train", "--test")
 
 Tell = Callable[[str], None]
@@ -39,13 +38,9 @@ class _SeveralValues(click.Command):
 
 @click.command("diagnose", cls=_SeveralValues)
 @click.option(
-    "--train",
-    required=True,
-    multiple=True,
-    type=RECORDING,
-    help="Session or table to learn from; repeatable.",
+    "--train", required=True, multiple=True, type=PATH, help="Session or table to learn from; repeatable."
 )
-@click.option("--test", multiple=True, type=RECORDING, help="Session or table for the proof; repeatable.")
+@click.option("--test", multiple=True, type=PATH, help="Session or table for the proof; repeatable.")
 @click.option(
     "--declared",
     default=None,
@@ -53,13 +48,10 @@ class _SeveralValues(click.Command):
     " default: polynomial 3.",
 )
 @click.option(
-    "--model",
-    "model_path",
-    type=RECORDING,
-    help="Instead: the bias model that is assumed, by imumon calibrate.",
+    "--model", "model_path", type=PATH, help="Instead: the bias model that is assumed, by imumon calibrate."
 )
-@click.option("--map", "map_path", type=RECORDING, help="YAML file: what is in which column of the tables.")
-@click.option("--out", required=True, type=RECORDING, help="Folder for the report and the extended model.")
+@click.option("--map", "map_path", type=PATH, help="YAML file: what is in which column of the tables.")
+@click.option("--out", required=True, type=PATH, help="Folder for the report and the extended model.")
 @json_option
 def command(
     train: tuple[Path, ...],
@@ -99,8 +91,7 @@ def command(
         extended_model(diagnosis).write(out / "model.yaml")
         write_report(diagnosis, out / "report.json")
         write_page(diagnosis, out / "report.html", tell)
-    for text in diagnosis.caveats:
-        say("WARN", text)
+    warn(diagnosis.caveats)
     if as_json:
         print_json(report(diagnosis))
     print_rows({verdict.name: verdict.summary for verdict in diagnosis.verdicts})

@@ -6,15 +6,13 @@ from pathlib import Path
 
 import click
 
-from imumon.cli.common import columns_option, json_option, print_json, print_rows, say, split_columns
+from imumon.cli.common import PATH, columns_option, json_option, print_json, print_rows, split_columns, warn
 
 
 @click.command("export")
-@click.argument("session", type=click.Path(path_type=Path))
+@click.argument("session", type=PATH)
 @click.option("--to", "kind", required=True, type=click.Choice(["parquet", "csv"]), help="Format.")
-@click.option(
-    "--out", type=click.Path(path_type=Path), help="Table to write; default: export.FORMAT in the session."
-)
+@click.option("--out", type=PATH, help="Table to write; default: export.FORMAT in the session.")
 @columns_option
 @json_option
 def command(session: Path, kind: str, out: Path | None, columns: str | None, as_json: bool) -> None:
@@ -40,8 +38,7 @@ def command(session: Path, kind: str, out: Path | None, columns: str | None, as_
         split_columns(columns),
         lambda: source.columns(pipeline),
     )
-    for text in source.warnings():
-        say("WARN", text)
+    warn(source.warnings())
     if as_json:
         streams = pipeline.counters.as_dict()["streams"]
         out = tables.get(MAIN)

@@ -7,19 +7,13 @@ from pathlib import Path
 
 import click
 
-from imumon.cli.common import json_option, print_json, print_rows, say
+from imumon.cli.common import PATH, json_option, print_json, print_rows, say
 
 
 @click.command("import")
-@click.argument("table", type=click.Path(path_type=Path))
-@click.option(
-    "--map",
-    "map_path",
-    required=True,
-    type=click.Path(path_type=Path),
-    help="YAML file: what is in which column.",
-)
-@click.option("--out", required=True, type=click.Path(path_type=Path), help="Session folder to make.")
+@click.argument("table", type=PATH)
+@click.option("--map", "map_path", required=True, type=PATH, help="YAML file: what is in which column.")
+@click.option("--out", required=True, type=PATH, help="Session folder to make.")
 @json_option
 def command(table: Path, map_path: Path, out: Path, as_json: bool) -> None:
     """Make a session of TABLE, a CSV or Parquet file of any origin.  docs/import-map.md explains the map."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import signal
 import sys
 import threading
@@ -14,49 +15,116 @@ from imumon.cli.common import note, say
 from imumon.errors import ImumonError, Reason
 
 if TYPE_CHECKING:
-    from imumon.protocols.device import DeviceFile
-    from imumon.run.live import LiveRun
+    from collections.abc import Callable, Sequence
+
+    from imumon.run.live import LiveRun, LiveSummary
     from imumon.run.setup import Setup
-    from imumon.transport.settings import PortSettings
+    from imumon.view.items import ViewItem
+
+REFRESH_S = 0.25
+"""How often a command looks after what it waits for."""
 
 
-def port_settings(port: str, device: DeviceFile, baud: int | None) -> PortSettings:
-    """Return how a port is opened for a device, at its first baud rate unless another is given."""
-    from imumon.transport.settings import PortSettings
+class Ending:
+    """The end of a command: Ctrl-C and the like, or its time is over.
 
-    serial = device.serial
-    rate = baud or serial.baudrates[0]
-    return PortSettings(port, rate, serial.bytesize, serial.parity, serial.stopbits)
+    Parameters
+    ----------
+    seconds : float or None
+        How long the command runs, counted from `begin`; None: until a signal.
+    """
+
+    def __init__(self, seconds: float | None) -> None:
+        self._seconds, self._deadline = seconds, math.inf
+        self._signal = threading.Event()
+        for number in _ending_signals():
+            signal.signal(number, lambda *_: self._signal.set())
+        # Whoever starts this command may hold signals back until it can heed them.
+        if hasattr(signal, "pthread_sigmask"):  # not on Windows
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT, signal.SIGTERM})
+
+    def begin(self) -> None:
+        """Let the time begin."""
+        self._deadline = math.inf if self._seconds is None else time.monotonic() + self._seconds
+
+    def wait(self) -> bool:
+        """Let a moment pass; return whether the command goes on."""
+        left = self._deadline - time.monotonic()
+        if left <= 0.0:
+            return False
+        return not self._signal.wait(min(REFRESH_S, left))
 
 
-def new_run(
-    device: DeviceFile,
-    device_yaml: str,
-    settings: PortSettings,
-    setup: Setup,
-    out: Path | None,
-    lines: Lines,
-) -> LiveRun:
-    """Make the session; a default name that another monitor takes at the same moment is no obstacle."""
-    from imumon.recordings.folder import default_path
-    from imumon.run.live import LiveRun
+class PortRun:
+    """A port that is recorded, until its end is asked for.
 
-    while True:
-        folder = out or default_path(device.name, time.time_ns())
-        try:
-            return LiveRun(device, device_yaml, settings, setup, folder, lines.put)
-        except ImumonError as error:
-            if out is not None or error.reason is not Reason.EXISTS:
-                raise
+    Parameters
+    ----------
+    port : str
+        Anything that pyserial opens.
+    device : str
+        Name of a device, or path of a device file.
+    baud : int or None
+        The first of the device file when None.
+    setup : Setup
+        Of the estimators.
+    out : Path or None
+        Session folder; a new one in ./sessions when None.
+    seconds : float or None
+        How long to record.
+    """
 
+    def __init__(
+        self,
+        port: str,
+        device: str,
+        baud: int | None,
+        setup: Setup,
+        out: Path | None,
+        seconds: float | None,
+    ) -> None:
+        from imumon.protocols.device import device_text, parse_device
+        from imumon.transport.settings import PortSettings
 
-def heed_signals(ended: threading.Event) -> None:
-    """Let Ctrl-C and the like set the event instead of ending the program at once."""
-    for number in _ending_signals():
-        signal.signal(number, lambda *_: ended.set())
-    # Whoever starts this command may hold signals back until it can heed them.
-    if hasattr(signal, "pthread_sigmask"):  # not on Windows
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT, signal.SIGTERM})
+        text, source = device_text(device)
+        self.port = port
+        self._device, self._setup = parse_device(text, source), setup
+        serial = self._device.serial
+        self._settings = PortSettings(
+            port, baud or serial.baudrates[0], serial.bytesize, serial.parity, serial.stopbits
+        )
+        self.lines, self.ending = Lines(), Ending(seconds)
+        self.run = self._new_run(text, out)
+        self.run.open()
+        self.ending.begin()
+
+    def _new_run(self, device_yaml: str, out: Path | None) -> LiveRun:
+        """Make the session; a default name that another monitor takes at the same moment is no obstacle."""
+        from imumon.recordings.folder import default_path
+        from imumon.run.live import LiveRun
+
+        while True:
+            folder = out or default_path(self._device.name, time.time_ns())
+            try:
+                return LiveRun(self._device, device_yaml, self._settings, self._setup, folder, self.lines.put)
+            except ImumonError as error:
+                if out is not None or error.reason is not Reason.EXISTS:
+                    raise
+
+    def begin(self, publish: Sequence[Callable[[ViewItem], None]]) -> None:
+        """Begin to decode, once all is compiled."""
+        from imumon.run.live import warm_up
+
+        warm_up(self._device, self._setup)
+        self.run.begin(publish)
+
+    def raise_problem(self, summary: LiveSummary) -> None:
+        """Raise what ended the run, or that nothing could be decoded."""
+        from imumon.run.live import nothing_decoded
+
+        problem = self.run.failure or nothing_decoded(self._settings, self._device, summary.counters)
+        if problem is not None:
+            raise problem
 
 
 def _ending_signals() -> list[signal.Signals]:

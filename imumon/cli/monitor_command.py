@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 import sys
-import threading
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Unpack
@@ -13,7 +11,9 @@ from typing import TYPE_CHECKING, Literal, Unpack
 import click
 
 from imumon.cli.common import (
+    PATH,
     SECONDS,
+    baud_option,
     bind_option,
     device_help,
     json_option,
@@ -22,30 +22,27 @@ from imumon.cli.common import (
     print_rows,
     window_option,
 )
-from imumon.cli.live_run import Lines, heed_signals, new_run, port_settings
+from imumon.cli.live_run import PortRun
 from imumon.cli.setup_options import SetupOptions, make_setup, setup_options
 from imumon.errors import EXIT_NEGATIVE, EXIT_OK
 
 if TYPE_CHECKING:
-    from imumon.run.live import LiveRun, LiveSummary
+    from imumon.run.live import LiveSummary
     from imumon.run.narration import Progress
     from imumon.view.items import ViewItem, ViewSetup
     from imumon.view.publisher import ViewPublisher
 
-REFRESH_S = 0.25
 View = Literal["native", "web", "none"]
 
 
 @click.command("monitor")
 @click.argument("port")
 @click.option("--device", required=True, help=device_help)
-@click.option("--baud", type=click.IntRange(min=1), help="Baud rate; the device file's first when not given.")
+@baud_option
 @click.option(
     "--view", type=click.Choice(["native", "web", "none"]), help="Default: native with a display, else web."
 )
-@click.option(
-    "--out", type=click.Path(path_type=Path), help="Session folder; default: a new one in ./sessions."
-)
+@click.option("--out", type=PATH, help="Session folder; default: a new one in ./sessions.")
 @click.option("--seconds", type=SECONDS, help="Stop after this time.")
 @setup_options
 @window_option
@@ -68,38 +65,26 @@ def command(
     PORT is anything that pyserial opens: /dev/ttyUSB0, COM3, socket://host:port, rfc2217://host:port.
     Every byte received is kept; a lost or silent device is waited for and reopened.
     """
-    from imumon.protocols.device import device_text, parse_device
-    from imumon.run.live import nothing_decoded, warm_up
     from imumon.run.narration import view_setup
 
-    text, source = device_text(device)
-    profile = parse_device(text, source)
-    setup = make_setup(options)
-    settings = port_settings(port, profile, baud)
-    ended, lines = threading.Event(), Lines()
-    heed_signals(ended)
-    run = new_run(profile, text, settings, setup, out, lines)
-    run.open()
-    deadline = None if seconds is None else time.monotonic() + seconds
+    live = PortRun(port, device, baud, make_setup(options), out, seconds)
+    run = live.run
     views: _Views | None = None
     try:
         # The view's process starts while this one gets ready.
         shown = view_setup(run.session, run.pipeline.units, window)
         views = _Views(shown, run.session.view_path, view, bind)
-        warm_up(profile, setup)
-        run.begin(views.publish)
-        _watch(run, views, lines, ended, deadline)
+        live.begin(views.publish)
+        _watch(live, views)
     finally:
         summary = run.stop(views.files if views is not None else ())
         if views is not None:
             views.close()
-        lines.write()
+        live.lines.write()
     if as_json:
         print_json({**summary.as_dict(), "view_dropped": views.dropped})
     _report(summary, run.progress, views.dropped)
-    problem = run.failure or nothing_decoded(settings, profile, summary.counters)
-    if problem is not None:
-        raise problem
+    live.raise_problem(summary)
     return EXIT_NEGATIVE if summary.wire.bytes_unrecorded else EXIT_OK
 
 
@@ -149,16 +134,13 @@ class _Views:
 CLEAR_LINE = "\r\x1b[2K"
 
 
-def _watch(run: LiveRun, views: _Views, lines: Lines, ended: threading.Event, deadline: float | None) -> None:
+def _watch(live: PortRun, views: _Views) -> None:
     """Wait for the end, with a status line on a terminal that can show one."""
     interactive = sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
     clear = CLEAR_LINE if interactive else ""
-    stopped = False
+    run, lines, stopped = live.run, live.lines, False
     views.announce(lines.put)
-    while deadline is None or time.monotonic() < deadline:
-        left = REFRESH_S if deadline is None else min(REFRESH_S, deadline - time.monotonic())
-        if ended.wait(max(left, 0.0)):
-            break
+    while live.ending.wait():
         views.announce(lines.put)
         if not run.processing and not stopped:
             stopped = True

@@ -7,13 +7,14 @@ from dataclasses import asdict
 import click
 
 from imumon.cli.common import json_option, note, print_json
-from imumon.transport.ports import list_ports
 
 
 @click.command("ports")
 @json_option
 def command(as_json: bool) -> None:
     """List serial ports with their USB ids, and whether they can be opened."""
+    from imumon.transport.ports import list_ports
+
     ports = list_ports()
     if as_json:
         print_json({"ports": [{**asdict(port), "usb_id": port.usb_id} for port in ports]})

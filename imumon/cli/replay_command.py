@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Unpack
 import click
 
 from imumon.cli.common import (
+    PATH,
+    TABLE,
     bind_option,
     columns_option,
     json_option,
@@ -16,7 +18,6 @@ from imumon.cli.common import (
     print_rows,
     say,
     split_columns,
-    table_option,
     window_option,
 )
 from imumon.cli.setup_options import SetupOptions, make_setup, setup_options
@@ -33,9 +34,9 @@ CLOSE_S = 5.0
 
 
 @click.command("replay")
-@click.argument("session", type=click.Path(path_type=Path))
+@click.argument("session", type=PATH)
 @click.option("--speed", help="1 as recorded, N times as fast, or max.  Default: 1 with a view, else max.")
-@table_option
+@click.option("--out", type=PATH, help=TABLE)
 @columns_option
 @click.option("--view", type=click.Choice(["native", "web", "none"]), default="none", show_default=True)
 @setup_options

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, TypedDict, TypeVar
 
 import click
 
-from imumon.cli.common import Number
+from imumon.cli.common import PATH, Number
 from imumon.published.names import PUBLISHED
 
 if TYPE_CHECKING:
@@ -29,15 +29,21 @@ class SetupOptions(TypedDict):
     heading: float | None
 
 
+NOT_GIVEN: SetupOptions = {
+    "pipeline": None,
+    "model": None,
+    "zupt": None,
+    "random_error": None,
+    "published": None,
+    "latitude": None,
+    "heading": None,
+}
+
 _OPTIONS = (
     click.option(
-        "--pipeline",
-        type=click.Path(path_type=Path),
-        help="Pipeline file: place, model and parameters of the estimators.",
+        "--pipeline", type=PATH, help="Pipeline file: place, model and parameters of the estimators."
     ),
-    click.option(
-        "--model", type=click.Path(path_type=Path), help="Bias over temperature, from imumon calibrate."
-    ),
+    click.option("--model", type=PATH, help="Bias over temperature, from imumon calibrate."),
     click.option(
         "--zupt",
         type=click.Choice(["standard", "thermal", "learned"]),

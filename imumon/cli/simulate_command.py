@@ -10,7 +10,16 @@ from typing import TYPE_CHECKING
 
 import click
 
-from imumon.cli.common import SECONDS, Number, device_help, json_option, print_json, print_rows
+from imumon.cli.common import (
+    PATH,
+    SECONDS,
+    Number,
+    device_help,
+    json_option,
+    print_json,
+    print_rows,
+    seed_option,
+)
 
 if TYPE_CHECKING:
     from imumon.simulation.unit import Scenario
@@ -23,14 +32,9 @@ TABLES = (".parquet", ".csv")
 @click.argument("scenario")
 @click.option("--device", help=f"{device_help}  Default: {DEFAULT_DEVICE} for a session.")
 @click.option(
-    "--out",
-    required=True,
-    type=click.Path(path_type=Path),
-    help="Session folder to make; or a table: NAME.parquet or NAME.csv.",
+    "--out", required=True, type=PATH, help="Session folder to make; or a table: NAME.parquet or NAME.csv."
 )
-@click.option(
-    "-s", "--seed", default=0, show_default=True, type=click.IntRange(min=0), help="Seed of all noise."
-)
+@seed_option
 @click.option("--duration", type=SECONDS, help="Seconds to simulate; default: those of the scenario.")
 @click.option(
     "--rate", type=Number(min=0, min_open=True, max=10_000), help="Packets per second; default: as above."

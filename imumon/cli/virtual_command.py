@@ -2,32 +2,20 @@
 
 from __future__ import annotations
 
-import signal
-import threading
-import time
 from pathlib import Path
 
 import click
 
-from imumon.cli.common import SECONDS, Number, device_help, say
-
-CHECK_S = 0.25
-"""How often the device is looked after."""
+from imumon.cli.common import PATH, SECONDS, Number, device_help, say, seed_option
+from imumon.cli.live_run import Ending
 
 
 @click.command("virtual")
 @click.option("--device", default="ax1", show_default=True, help=device_help)
 @click.option("--scenario", help="What the unit does: a name or a file (docs/simulation.md).")
-@click.option("--link", type=click.Path(path_type=Path), help="Symlink to make to the port.")
+@click.option("--link", type=PATH, help="Symlink to make to the port.")
 @click.option("--rate", type=Number(min=0, min_open=True, max=1e5), help="Packets per second.")
-@click.option(
-    "-s",
-    "--seed",
-    default=0,
-    show_default=True,
-    type=click.IntRange(min=0),
-    help="Seed of the simulated noise.",
-)
+@seed_option
 @click.option("--seconds", type=SECONDS, help="Stop after this time.")
 def command(
     device: str,
@@ -45,16 +33,13 @@ def command(
     from imumon.simulation.unit.scenario import load_scenario
     from imumon.simulation.virtual_device import VirtualDevice
 
-    ended = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: ended.set())
+    ending = Ending(seconds)
     played = None if scenario is None else load_scenario(scenario)
     with VirtualDevice(load_device(device), link, rate, seed, scenario=played) as virtual:
         click.echo(virtual.port.path)
-        deadline = None if seconds is None else time.monotonic() + seconds
-        while virtual.failure is None and (deadline is None or time.monotonic() < deadline):
-            if ended.wait(CHECK_S if deadline is None else min(CHECK_S, max(deadline - time.monotonic(), 0))):
-                break
+        ending.begin()
+        while virtual.failure is None and ending.wait():
+            pass
     say("INFO", f"sent {virtual.packets_sent:,} packets; {virtual.port.bytes_lost:,} bytes had no reader")
     if virtual.failure is not None:
         raise virtual.failure

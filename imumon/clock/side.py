@@ -85,7 +85,7 @@ class SideClock:
 
 
 class SharedCounter:
-    """Takes out of the main stream's packet counter what other packets than its rows have counted.
+    """Removes from the main stream's packet counter the steps that packets of side streams made.
 
     Many devices number all their messages in one sequence, so a receiver's message leaves a hole between two
     inertial ones that is no loss.

@@ -1,1 +1,1 @@
-"""From recordings of a unit at rest to the name of what its bias model leaves over."""
+"""Find which effect a bias model lacks, from recordings of the unit at rest."""

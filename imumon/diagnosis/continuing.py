@@ -1,4 +1,4 @@
-"""Runs that go on where another ended: what an effect remembers goes on as well."""
+"""Runs that continue another one, so that effects with memory continue from its end."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ from imumon.diagnosis.channel import Channel, Declared
 from imumon.diagnosis.continuing import continued, predecessor
 from imumon.diagnosis.earth import VerticalRate, vertical_rate, without
 from imumon.diagnosis.known import modelled, temperature_of, without_known
-from imumon.diagnosis.recording import CHANNELS, Run, unit_of
+from imumon.diagnosis.recording import CHANNELS, Run, common_temperature, unit_of
 from imumon.diagnosis.selection import search
 from imumon.diagnosis.verdict import ChannelVerdict, judge
 from imumon.effects.base import LEAST_SPAN_DEGC, Survey
@@ -30,7 +30,6 @@ from imumon.effects.library import EFFECTS
 from imumon.errors import ImumonError, Reason
 from imumon.geodesy import DEG_PER_H, STANDARD_GRAVITY
 from imumon.models.model import BiasModel
-from imumon.recordings.reduced import TEMPERATURES
 
 LEAST_BLOCKS = 40
 LEAST_RUN_BLOCKS = 8
@@ -240,15 +239,8 @@ def _temperature_of(channel: str, runs: Sequence[Run]) -> str:
     ImumonError
         BAD_DATA when there is no temperature.
     """
-    own = f"temperature_{channel[-1]}"
-    for name in (own, *TEMPERATURES):
-        if all(name in run.mean and np.isfinite(run.mean[name]).sum() > 1 for run in runs):
-            return name
-    raise ImumonError(
-        Reason.BAD_DATA,
-        "there is no temperature in the training data, so there is no bias over temperature to diagnose",
-        "record with the temperature switched on, or name its column in the map",
-    )
+    lacking = "there is no temperature in the training data, so there is no bias over temperature to diagnose"
+    return common_temperature(f"temperature_{channel[-1]}", runs, lacking)
 
 
 def _usable(

@@ -1,4 +1,4 @@
-"""Coefficients of an extended model, what it leaves of the training data, and how it does on the test."""
+"""Fit an extended model: coefficients, residual in training, and score on the test runs."""
 
 from __future__ import annotations
 

@@ -123,7 +123,7 @@ def needed_in_pairs(
 ) -> dict[str, Leader]:
     """Return the leaders of families that are needed in pairs, by the gains of the pairs and the best alone.
 
-    Two effects at once hide one another: the one that stands in best for both may be neither.  So a pair
+    Two effects at once hide one another: the one that replaces both best may be neither.  So a pair
     counts that does better than any single candidate and needs both its members.  Of these, what carries
     over to another run goes first, then what says more alone.
     """

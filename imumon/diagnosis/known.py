@@ -1,4 +1,4 @@
-"""Runs less what a known model predicts of them: what is left is what that model lacks."""
+"""Subtract the bias that a known model predicts from runs; the rest is what that model lacks."""
 
 from __future__ import annotations
 
@@ -7,11 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from imumon.diagnosis.recording import SECOND_NS, Run
+from imumon.diagnosis.recording import SECOND_NS, Run, common_temperature
 from imumon.errors import ImumonError, Reason
 from imumon.models.model import BiasModel
 from imumon.models.predictor import BiasPredictor
-from imumon.recordings.reduced import TEMPERATURES
 
 
 def modelled(channels: Sequence[str], model: BiasModel) -> list[str]:
@@ -41,14 +40,7 @@ def temperature_of(channel: str, model: BiasModel, runs: Sequence[Run]) -> str:
         BAD_DATA when a run lacks it.
     """
     name = model.channels[channel].temperature_column.replace("_estimate", "")
-    for found in (name, *TEMPERATURES):
-        if all(found in run.mean and np.isfinite(run.mean[found]).sum() > 1 for run in runs):
-            return found
-    raise ImumonError(
-        Reason.BAD_DATA,
-        f"the bias model needs {name}, which not every run has",
-        "record with the temperature switched on, or name its column in the map",
-    )
+    return common_temperature(name, runs, f"the bias model needs {name}, which not every run has")
 
 
 def without_known(run: Run, model: BiasModel, temperatures: dict[str, str]) -> Run:

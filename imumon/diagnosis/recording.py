@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -136,6 +136,15 @@ def _run(means: Reduced, rows: IntArray, name: str) -> Run:
         rest=laid(share, 0.0),
         start_ns=int(means.start_ns[rows[0]]),
     )
+
+
+def common_temperature(wanted: str, runs: Sequence[Run], lacking: str) -> str:
+    """Return the temperature wanted, or another that every run has; raises BAD_DATA when there is none."""
+    for name in (wanted, *TEMPERATURES):
+        if all(name in run.mean and np.isfinite(run.mean[name]).sum() > 1 for run in runs):
+            return name
+    hint = "record with the temperature switched on, or name its column in the map"
+    raise ImumonError(Reason.BAD_DATA, lacking, hint)
 
 
 def unit_of(channel: str) -> str:

@@ -7,13 +7,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-
 from imumon import __version__
 from imumon.diagnosis.engine import Diagnosis
 from imumon.diagnosis.fitting import FittedPart
 from imumon.diagnosis.verdict import ChannelVerdict, Claim
 from imumon.effects.library import separated_by
+from imumon.files import plain
 
 FORMAT: Final = "imumon-diagnosis/1"
 
@@ -35,7 +34,7 @@ def report(diagnosis: Diagnosis) -> dict[str, Any]:
         "caveats": diagnosis.caveats,
         "channels": {verdict.name: _channel(verdict) for verdict in diagnosis.verdicts},
     }
-    found: dict[str, Any] = _plain(content)
+    found: dict[str, Any] = plain(content)
     return found
 
 
@@ -120,16 +119,3 @@ def _parameters(parts: Sequence[FittedPart]) -> dict[str, Any]:
     if len(each) == 1:
         return dict(each[0])
     return {key: [found.get(key) for found in each] for key in each[0]}
-
-
-def _plain(value: Any) -> Any:
-    """Return numbers without the types of numpy; NaN becomes None."""
-    if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    if isinstance(value, float) and not np.isfinite(value):
-        return None
-    return value

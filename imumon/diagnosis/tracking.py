@@ -1,7 +1,6 @@
-"""Following in the test what no training can predict: size of a jump, turn-on offset, amplitude, state at
-power-on.
+"""Estimate during the test what training cannot predict: size of a jump, turn-on offset, state at power-on.
 
-At each block only the blocks before it are used.
+Each block is predicted from the blocks before it.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ VAGUE = 1e4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prior:
-    """Columns (n, k) to follow, and what training says of their coefficients: mean and sd (k,)."""
+    """Columns (n, k) to estimate, and what training says of their coefficients: mean and sd (k,)."""
 
     columns: FloatArray
     mean: FloatArray

@@ -1,4 +1,4 @@
-"""From what the search found to what is claimed: gate, test, materiality, and a sentence for each channel."""
+"""Decide which of the effects found are claimed: by share explained, by the test, and by size."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ SPACING_S = 0.25
 
 
 class DeadTime(Follower):
-    """What follows is the temperature that was: a pure delay, as of heat that travels through a housing.
+    """The bias follows the temperature of a while ago: a pure delay, as heat takes through a housing.
 
     Before power-on the temperature is taken for that of the first sample.
     """

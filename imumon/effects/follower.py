@@ -1,4 +1,4 @@
-"""Effects by which a bias follows the temperature late: powers of it less those of what follows."""
+"""Effects by which a bias follows the temperature late: powers of it less those of the late one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The bias remembers from which side a temperature was reached, however long ago."""
+"""A bias that depends on the side from which a temperature was reached, however long ago."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The bias jumps once, at a time that nobody can foresee."""
+"""The bias jumps once, at an unknown time."""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ first sample behind it, so what a slot says is known from that row on.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -79,40 +79,26 @@ class Slots:
         return np.asarray(self.start_ns + (self.end_ns - self.start_ns) // 2)
 
 
-class _Open(NamedTuple):
-    """The slot that is being filled; scalars are arrays of one."""
-
-    begun: IntArray
-    begins: IntArray
-    segment: IntArray
-    origin_ns: IntArray
-    start_ns: IntArray
-    last_ns: IntArray
-    samples: IntArray
-    present: IntArray
-    shift: FloatArray
-    total: FloatArray
-    squares: FloatArray
-    smallest: FloatArray
-    largest: FloatArray
-    first: FloatArray
-    last: FloatArray
-    previous: FloatArray
-    step_count: IntArray
-    step_squares: FloatArray
-    changes: IntArray
+RecordArray = npt.NDArray[np.void]
 
 
-def _empty(columns: int) -> _Open:
-    """Return a slot that has seen nothing."""
-    scalar = np.zeros((7, 1), np.int64)
-    integer = np.zeros((3, columns), np.int64)
-    number = np.zeros((8, columns))
-    return _Open(
-        scalar[0], scalar[1], scalar[2], scalar[3], scalar[4], scalar[5], scalar[6], integer[0],
-        number[0], number[1], number[2], number[3], number[4], number[5], number[6], number[7],
-        integer[1], np.zeros(columns), integer[2],
-    )  # fmt: skip
+def _fields(names: str, kind: type) -> list[tuple[str, type]]:
+    return [(name, kind) for name in names.split()]
+
+
+OPEN = np.dtype(_fields("begun begins segment origin_ns start_ns stop_ns last_ns samples", np.int64))
+"""The slot that is being filled; it lasts until `stop_ns`."""
+OPEN_COLUMN = np.dtype(
+    _fields("present step_count changes", np.int64)
+    + _fields("shift total squares smallest largest first last previous step_squares", np.float64)
+)
+"""A column of it; sums are of the differences from `shift`, the slot's first value."""
+ENDED = np.dtype(_fields("row segment begins start_ns end_ns samples", np.int64))
+ENDED_COLUMN = np.dtype(
+    _fields("count step_count changes", np.int64)
+    + _fields("mean variance smallest largest first last step_squares", np.float64)
+)
+"""What is said of a slot, and of a column of it: the fields of `Slots`."""
 
 
 class SlotGatherer:
@@ -136,7 +122,8 @@ class SlotGatherer:
             raise ValueError(f"slots of {length_ns} ns")
         self.length_ns = length_ns
         self._columns = columns
-        self._open = _empty(columns)
+        self._open: RecordArray = np.zeros(1, OPEN)
+        self._open_columns: RecordArray = np.zeros(columns, OPEN_COLUMN)
 
     def process(self, time_ns: IntArray, segment: IntArray, values: FloatArray) -> Slots:
         """Return the slots that end within these rows.
@@ -152,33 +139,27 @@ class SlotGatherer:
         n = len(time_ns)
         if values.shape != (n, self._columns):
             raise ValueError(f"values of shape {values.shape} for {n} rows of {self._columns} columns")
-        integers, numbers = np.empty((n, 6), np.int64), np.empty((n, 7, self._columns))
-        counts = np.empty((n, 3, self._columns), np.int64)
+        ended, columns = np.empty(n, ENDED), np.empty((n, self._columns), ENDED_COLUMN)
         values = np.ascontiguousarray(values, np.float64)
-        m = _gather(time_ns, segment, values, self.length_ns, self._open, integers, numbers, counts)
-        row, label, begins, start, end, samples = integers[:m].T
-        mean, variance, smallest, largest, first, last, squares = np.moveaxis(numbers[:m], 1, 0)
-        count, step_count, changes = np.moveaxis(counts[:m], 1, 0)
-        return Slots(
-            row, label, begins == 1, start, end, samples, count, mean, variance,
-            smallest, largest, first, last, step_count, squares, changes,
-        )  # fmt: skip
+        m = _gather(time_ns, segment, values, self.length_ns, self._open, self._open_columns, ended, columns)
+        said = {name: ended[name][:m] for name in ended.dtype.names or ()}
+        said |= {name: columns[name][:m] for name in columns.dtype.names or ()}
+        return Slots(**(said | {"begins": said["begins"] == 1}))
 
     def finish(self) -> Slots:
         """Return the slot that is open at the end of the rows, if there is one; then begin as new."""
-        behind = self._open.segment + 1
+        behind = self._open["segment"] + 1
         last = self.process(np.zeros(1, np.int64), behind, np.full((1, self._columns), np.nan))
-        self._open = _empty(self._columns)
+        self._open[:], self._open_columns[:] = np.zeros(1, OPEN), np.zeros(self._columns, OPEN_COLUMN)
         return last
 
-    def snapshot(self) -> dict[str, npt.NDArray[np.int64] | FloatArray]:
+    def snapshot(self) -> dict[str, RecordArray]:
         """Return a copy of the state."""
-        return {name: values.copy() for name, values in self._open._asdict().items()}
+        return {"open": self._open.copy(), "columns": self._open_columns.copy()}
 
-    def restore(self, saved: dict[str, npt.NDArray[np.int64] | FloatArray]) -> None:
+    def restore(self, saved: dict[str, RecordArray]) -> None:
         """Go on from a state that `snapshot` returned."""
-        for name, values in self._open._asdict().items():
-            values[...] = saved[name]
+        self._open[:], self._open_columns[:] = saved["open"], saved["columns"]
 
 
 def held(row: IntArray, values: FloatArray, before: FloatArray, n: int) -> FloatArray:
@@ -196,90 +177,93 @@ def held(row: IntArray, values: FloatArray, before: FloatArray, n: int) -> Float
     return np.asarray(np.concatenate([np.asarray(before)[np.newaxis], values])[which])
 
 
-@njit
-def _clear(slot: _Open, time_ns: int) -> None:
-    """Begin a slot with the row at this time."""
-    slot.start_ns[0] = time_ns
-    slot.samples[0] = 0
-    slot.present[:] = 0
-    slot.total[:] = 0.0
-    slot.squares[:] = 0.0
-    slot.step_count[:] = 0
-    slot.step_squares[:] = 0.0
-    slot.changes[:] = 0
+# Records are passed as whole arrays: arrays in a tuple would cost more than all the sums, at each call.
 
 
 @njit
-def _close(slot: _Open, row: int, m: int, integers: IntArray, numbers: FloatArray, counts: IntArray) -> None:
-    """Write the slot into row m of the results."""
-    integers[m, 0], integers[m, 1], integers[m, 2] = row, slot.segment[0], slot.begins[0]
-    integers[m, 3], integers[m, 4], integers[m, 5] = slot.start_ns[0], slot.last_ns[0], slot.samples[0]
-    slot.begins[0] = 0
-    for j in range(len(slot.present)):
-        n = slot.present[j]
-        counts[m, 0, j], counts[m, 1, j], counts[m, 2, j] = n, slot.step_count[j], slot.changes[j]
-        numbers[m, 6, j] = slot.step_squares[j]
-        if n == 0:
-            numbers[m, :6, j] = np.nan
+def _begin(opened: Any, columns: Any, time_ns: int, length_ns: int) -> None:
+    """Begin a slot with the row at this time, on the grid of its segment."""
+    slot = opened[0]
+    slot.start_ns = time_ns
+    slot.stop_ns = slot.origin_ns + ((time_ns - slot.origin_ns) // length_ns + 1) * length_ns
+    slot.samples = 0
+    for j in range(len(columns)):
+        column = columns[j]
+        column.present = column.step_count = column.changes = 0
+        column.total = column.squares = column.step_squares = 0.0
+
+
+@njit
+def _close(opened: Any, columns: Any, row: int, ended: Any, said: Any) -> None:
+    """Write the slot into a row of the results."""
+    slot = opened[0]
+    ended.row, ended.segment, ended.begins = row, slot.segment, slot.begins
+    ended.start_ns, ended.end_ns, ended.samples = slot.start_ns, slot.last_ns, slot.samples
+    slot.begins = 0
+    for j in range(len(columns)):
+        column, out = columns[j], said[j]
+        out.count, out.step_count, out.changes = column.present, column.step_count, column.changes
+        out.step_squares = column.step_squares
+        if column.present == 0:
+            out.mean = out.variance = out.smallest = out.largest = out.first = out.last = np.nan
             continue
-        offset = slot.total[j] / n
-        numbers[m, 0, j] = slot.shift[j] + offset
-        numbers[m, 1, j] = max(slot.squares[j] / n - offset * offset, 0.0)
-        numbers[m, 2, j], numbers[m, 3, j] = slot.smallest[j], slot.largest[j]
-        numbers[m, 4, j], numbers[m, 5, j] = slot.first[j], slot.last[j]
+        offset = column.total / column.present
+        out.mean = column.shift + offset
+        out.variance = max(column.squares / column.present - offset * offset, 0.0)
+        out.smallest, out.largest = column.smallest, column.largest
+        out.first, out.last = column.first, column.last
 
 
 @njit
-def _add(slot: _Open, values: FloatArray, i: int) -> None:
+def _add(columns: Any, values: FloatArray, i: int) -> None:
     """Add a row; sums are taken from the slot's first value, so that a large mean costs no digits."""
-    slot.samples[0] += 1
-    for j in range(len(slot.present)):
-        x = values[i, j]
+    for j in range(len(columns)):
+        column, x = columns[j], values[i, j]
         if not np.isfinite(x):
-            slot.previous[j] = np.nan
+            column.previous = np.nan
             continue
-        if slot.present[j] == 0:
-            slot.shift[j] = slot.smallest[j] = slot.largest[j] = slot.first[j] = x
-        slot.present[j] += 1
-        offset = x - slot.shift[j]
-        slot.total[j] += offset
-        slot.squares[j] += offset * offset
-        slot.smallest[j] = min(slot.smallest[j], x)
-        slot.largest[j] = max(slot.largest[j], x)
-        slot.last[j] = x
-        step = x - slot.previous[j]
+        if column.present == 0:
+            column.shift = column.smallest = column.largest = column.first = x
+        column.present += 1
+        offset = x - column.shift
+        column.total += offset
+        column.squares += offset * offset
+        column.smallest = min(column.smallest, x)
+        column.largest = max(column.largest, x)
+        column.last = x
+        step = x - column.previous
         if np.isfinite(step):
-            slot.step_count[j] += 1
-            slot.step_squares[j] += step * step
-            slot.changes[j] += step != 0.0
-        slot.previous[j] = x
+            column.step_count += 1
+            column.step_squares += step * step
+            column.changes += step != 0.0
+        column.previous = x
 
 
 @njit
 def _gather(
-    time_ns: IntArray, segment: IntArray, values: FloatArray, length_ns: int, slot: _Open,
-    integers: IntArray, numbers: FloatArray, counts: IntArray,
+    time_ns: IntArray, segment: IntArray, values: FloatArray, length_ns: int, opened: Any, columns: Any,
+    ended: Any, said: Any,
 ) -> int:  # fmt: skip
     """Add the rows and write the slots that end; return how many."""
     m = 0
+    slot = opened[0]
     for i in range(len(time_ns)):
         now = time_ns[i]
         if now == NO_INT:
             continue
-        anew = segment[i] != slot.segment[0] or now < slot.last_ns[0]
-        if slot.begun[0] and (
-            anew
-            or (now - slot.origin_ns[0]) // length_ns != (slot.start_ns[0] - slot.origin_ns[0]) // length_ns
-        ):
-            _close(slot, i, m, integers, numbers, counts)
+        anew = segment[i] != slot.segment or now < slot.last_ns
+        if slot.begun and (anew or now >= slot.stop_ns):
+            _close(opened, columns, i, ended[m], said[m])
             m += 1
-            _clear(slot, now)
-        if anew or not slot.begun[0]:
-            slot.begun[0] = slot.begins[0] = 1
-            slot.segment[0] = segment[i]
-            slot.origin_ns[0] = now
-            slot.previous[:] = np.nan
-            _clear(slot, now)
-        slot.last_ns[0] = now
-        _add(slot, values, i)
+            _begin(opened, columns, now, length_ns)
+        if anew or not slot.begun:
+            slot.begun = slot.begins = 1
+            slot.segment = segment[i]
+            slot.origin_ns = now
+            for j in range(len(columns)):
+                columns[j].previous = np.nan
+            _begin(opened, columns, now, length_ns)
+        slot.last_ns = now
+        slot.samples += 1
+        _add(columns, values, i)
     return m

@@ -1,4 +1,4 @@
-"""Bias over temperature: its calibration, its curves, its model file, and its prediction live."""
+"""Bias over temperature: its curves, its model file, and its prediction live."""
 
 from imumon.models.model import BiasModel, ChannelModel, load_model
 

@@ -13,6 +13,7 @@ from imumon.blocks import FloatArray
 from imumon.config import StrictModel, dump_yaml, load_yaml
 from imumon.effects.library import AnyEffect
 from imumon.errors import ImumonError, Reason
+from imumon.files import write_text
 from imumon.models.curves.network import NetworkCurve
 from imumon.models.curves.polynomial import PolynomialCurve
 from imumon.models.curves.spline import SplineCurve
@@ -69,7 +70,7 @@ class ChannelModel(StrictModel):
             raise ValueError(f"temperature_range_degc {low} to {high} is empty")
         for effect in self.effects:
             if effect.scope in ("run", "event"):
-                raise ValueError(f"{effect.name} is another in each run: no model can foretell it")
+                raise ValueError(f"{effect.name} is another in each run: no model can predict it")
         return self
 
     @property
@@ -171,12 +172,7 @@ class BiasModel(StrictModel):
         OSError
             When it cannot be written; a file that was there before is untouched.
         """
-        partial = path.with_name(path.name + ".partial")
-        try:
-            partial.write_text(self.to_yaml(), encoding="utf-8")
-            partial.replace(path)
-        finally:
-            partial.unlink(missing_ok=True)
+        write_text(path, self.to_yaml())
 
     def to_yaml(self) -> str:
         """Return the text of the model file."""

@@ -29,7 +29,7 @@ class Prediction:
         db/dT of the curve, per °C; NaN before the first temperature.
     inside : array (n, k) of bool
         Whether the temperature is where the model was calibrated; False before the first.
-    doubt : array (n, k)
+    start_sd : array (n, k)
         Standard deviation of the bias due to the unknown state at power-on of effects with memory; it dies
         away.
     """
@@ -37,7 +37,7 @@ class Prediction:
     bias: FloatArray
     slope: FloatArray
     inside: npt.NDArray[np.bool_]
-    doubt: FloatArray
+    start_sd: FloatArray
 
 
 class BiasPredictor:
@@ -112,9 +112,9 @@ class BiasPredictor:
         for at, carrier in self._effects:
             reach = self._reach[at]
             within = np.clip(temperature[:, at], self._low[at] - reach, self._high[at] + reach)
-            added, doubt = carrier.process(time_ns, segment, within, accel)
+            added, start_sd = carrier.process(time_ns, segment, within, accel)
             bias[:, at] += added
-            variance[:, at] += doubt**2
+            variance[:, at] += start_sd**2
         return Prediction(bias, slope, outside == 0.0, np.sqrt(variance))
 
     def _held(self, segment: IntArray, temperature: FloatArray) -> FloatArray:

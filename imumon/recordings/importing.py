@@ -18,6 +18,7 @@ from imumon.blocks import ColumnArray, IntArray, SampleBlock
 from imumon.columns import KNOWN, Column
 from imumon.config import parse_yaml
 from imumon.errors import ImumonError, Reason
+from imumon.files import read_text
 from imumon.recordings.folder import SAMPLES_NAME, Session, fingerprint, refuse_existing
 from imumon.recordings.foreign import BadRow, Part, read_foreign
 from imumon.recordings.map import TableMap
@@ -58,10 +59,10 @@ def import_table(table: Path, map_path: Path, out: Path) -> ImportReport:
         for a table that cannot be read, rows that cannot be taken, or times that do not increase; EXISTS when
         the output is there already.
     """
-    source = TableImport(table, map_path)
-    refuse_existing(out)
     if not out.name:
         raise ImumonError(Reason.EXISTS, f"{out} is there already", "give the name of a new folder")
+    refuse_existing(out)
+    source = TableImport(table, map_path)
     partial = out.with_name(f".{out.name}.{os.getpid()}.partial")
     try:
         partial.mkdir(parents=True)
@@ -149,7 +150,7 @@ class TableImport:
 
     def __init__(self, table: Path, map_path: Path) -> None:
         self.table = table
-        self.map_text = _read_map(map_path)
+        self.map_text = read_text(map_path)
         self.map = parse_yaml(self.map_text, TableMap, str(map_path))
         names = [source.column for source in self.map.sources()]
         try:
@@ -292,12 +293,3 @@ def _metadata(source: TableImport, report: ImportReport) -> SessionMetadata:
         versions=versions_in_use(),
         counters={"samples": report.rows_out, "segments": report.segments},
     )
-
-
-def _read_map(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise ImumonError(Reason.BAD_CONFIG, f"{path}: cannot be read: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise ImumonError(Reason.BAD_CONFIG, f"{path}: is not UTF-8 text (byte {error.start})") from error

@@ -14,6 +14,7 @@ from pydantic import Field, NonNegativeInt
 from imumon import __version__
 from imumon.config import StrictModel, YamlDumper, parse_yaml
 from imumon.errors import ImumonError, Reason
+from imumon.files import read_text, write_text
 
 FORMAT: Final = "imumon-session/1"
 _PACKAGES = ("numpy", "numba", "scipy", "pyarrow", "mcap", "rerun-sdk")
@@ -102,12 +103,7 @@ def write_metadata(path: Path, metadata: SessionMetadata) -> None:
         When it cannot be written; the old file is untouched.
     """
     text = yaml.dump(metadata.model_dump(), Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=10_000)
-    partial = path.with_name(path.name + ".partial")
-    try:
-        partial.write_text(text, encoding="utf-8")
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
+    write_text(path, text)
 
 
 def read_metadata(path: Path) -> SessionMetadata:
@@ -118,12 +114,9 @@ def read_metadata(path: Path) -> SessionMetadata:
     ImumonError
         BAD_DATA, naming file and line, when it cannot be read or is not in the format of this version.
     """
+    text = read_text(path, Reason.BAD_DATA)
     try:
-        return parse_yaml(path.read_text(encoding="utf-8"), SessionMetadata, str(path))
-    except OSError as error:
-        raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise ImumonError(Reason.BAD_DATA, f"{path}: is not UTF-8 text (byte {error.start})") from error
+        return parse_yaml(text, SessionMetadata, str(path))
     except ImumonError as error:
         raise ImumonError(
             Reason.BAD_DATA, error.seen, f"this version of imumon reads sessions of format {FORMAT}"

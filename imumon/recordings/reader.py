@@ -1,4 +1,4 @@
-"""The one reader of whole recordings: what was recorded, as samples behind the stages asked for."""
+"""Read whole recordings, sessions and tables, as samples that went through the stages asked for."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class Recording:
         return (block for block in run_over(self.source.items, self.pipeline) if len(block))
 
     def warnings(self) -> list[str]:
-        """Tell, once the samples were read, what the recording does not hold and what the stages say."""
+        """Return, once the samples were read, what the recording lacks and what the stages say."""
         return [*self.source.warnings(), *self.pipeline.warnings()]
 
     def sha256(self) -> str:

@@ -1,4 +1,4 @@
-"""Whole recordings in means over slots of some seconds, and which of the slots are at rest."""
+"""Means of whole recordings over slots of some seconds, and which of the slots are at rest."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from imumon.blocks import ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.filters.slots import SlotGatherer, Slots
+from imumon.recordings.hindsight import rest_in_hindsight
 
 AXES = "xyz"
 GYRO = tuple(f"gyro_{axis}" for axis in AXES)
@@ -22,6 +23,8 @@ PIECE = 4096
 QUIET_QUANTILE = 0.25
 LOUDER = 3.0
 """A slot is quiet when its scatter on every axis is at most this much above that of the quietest quarter."""
+DRIFT = {**dict.fromkeys(GYRO, 1e-4), **dict.fromkeys(ACCEL, 1.5e-3)}
+"""What a bias at rest may drift, rad/s² and m/s³: as much as the rest detector permits by default."""
 JERK = 0.02
 """And when its mean specific force is within this of a neighbour's, m/s² (0.1°), beyond its own noise."""
 
@@ -46,7 +49,7 @@ class Reduced:
     span_s : array, (n,)
         Time between its first and its last sample.
     rest_share : array, (n,)
-        Share of its samples at rest; NaN when nobody judged.
+        Share of its samples at rest, in hindsight; NaN when nobody judged.
     count : array of int64, (n, m)
         Finite values.
     mean, variance : array, (n, m)
@@ -182,6 +185,10 @@ def _gathered(parts: list[_Part], names: tuple[str, ...], slot_s: float, length_
     number = (first_ns - origin) // length_ns
     with np.errstate(invalid="ignore", divide="ignore"):
         unbiased = np.where(count > 1, variance * count / (count - 1), np.nan)
+    share = mean[:, -1]
+    sensors = [at for at, name in enumerate(names) if name in (*GYRO, *ACCEL)]
+    drift = np.array([DRIFT[names[at]] * slot_s for at in sensors])
+    rest = rest_in_hindsight(share == 1.0, run, mean[:, sensors], unbiased[:, sensors], drift)
     return Reduced(
         names=names,
         slot_s=slot_s,
@@ -190,7 +197,7 @@ def _gathered(parts: list[_Part], names: tuple[str, ...], slot_s: float, length_
         segment=joined("segment"),
         start_ns=origin + number * length_ns,
         span_s=(joined("end_ns") - first_ns) * 1e-9,
-        rest_share=mean[:, -1],
+        rest_share=np.where(rest & np.isfinite(share), 1.0, share),
         count=count[:, :-1],
         mean=mean[:, :-1],
         variance=unbiased[:, :-1],

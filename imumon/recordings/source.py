@@ -55,7 +55,7 @@ class Source:
             raise ImumonError(Reason.EXISTS, f"{out} is what is read", "give another name for the table")
 
     def warnings(self) -> list[str]:
-        """Tell, after the run, what the recording does not hold."""
+        """Return what is missing from the recording, as it is known after the run."""
         if not isinstance(self.items, WireReader):
             return []
         said, summary = [], self.items.summary

@@ -11,7 +11,6 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Literal
 
 import numpy as np
@@ -25,6 +24,7 @@ from imumon.blocks import NO_INT, ColumnArray, SampleBlock, join
 from imumon.columns import KNOWN, Column, ColumnType
 from imumon.config import StrictModel, dump_yaml, load_yaml
 from imumon.errors import ImumonError, Reason
+from imumon.files import check_output, write_text
 from imumon.recordings.folder import Session
 
 FORMAT = "imumon-table/1"
@@ -59,7 +59,8 @@ class TableWriter:
     """
 
     def __init__(self, path: Path, columns: Mapping[str, Column]) -> None:
-        _check_output(path)
+        _check_suffix(path, Reason.BAD_CONFIG)
+        check_output(path, replace=True)
         self.path = path
         self.rows = 0
         self._columns = dict(columns)
@@ -124,9 +125,7 @@ class TableWriter:
         """Return itself."""
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         """Close, or drop everything when there was an error."""
         if kind is None:
             self.close()
@@ -319,12 +318,7 @@ def _write_units(path: Path, columns: Iterable[Column]) -> None:
         for column in columns
     }
     content = {"format": FORMAT, "imumon": __version__, "columns": entries}
-    partial = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        partial.write_text(dump_yaml(content), encoding="utf-8")
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
+    write_text(path, dump_yaml(content))
 
 
 def _csv_columns(path: Path) -> dict[str, Column]:
@@ -351,12 +345,6 @@ def _parquet_column(path: Path, field: Any) -> Column:
     dtype: ColumnType = "int64" if pa.types.is_integer(field.type) else "float64"
     unit = metadata.get("unit", fallback.unit)
     return Column(field.name, unit, dtype, metadata.get("description", fallback.description))
-
-
-def _check_output(path: Path) -> None:
-    _check_suffix(path, Reason.BAD_CONFIG)
-    if not path.parent.is_dir():
-        raise ImumonError(Reason.BAD_CONFIG, f"{path}: there is no folder {path.parent}", "make it first")
 
 
 def _check_suffix(path: Path, reason: Reason) -> None:

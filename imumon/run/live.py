@@ -226,7 +226,7 @@ class LiveRun:
         return Narrator(self.pipeline, self._settings, publish, self._say, card, self.session.path)
 
     def _metadata(self, device: DeviceFile, device_yaml: str, setup: Setup) -> SessionMetadata:
-        s = self._settings
+        line = asdict(self._settings)
         return SessionMetadata(
             source="live",
             created=iso_utc(self._began_ns),
@@ -235,15 +235,7 @@ class LiveRun:
             axes=device.axes,
             device_yaml=device_yaml,
             pipeline_yaml=setup.text(),
-            port=PortUsed(
-                url=s.url,
-                settings={
-                    "baudrate": s.baudrate,
-                    "bytesize": s.bytesize,
-                    "parity": s.parity,
-                    "stopbits": s.stopbits,
-                },
-            ),
+            port=PortUsed(url=line.pop("url"), settings=line),
             versions=versions_in_use(),
         )
 

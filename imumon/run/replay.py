@@ -1,4 +1,4 @@
-"""A run over what was recorded, at the pace at which it was, and shown as it was shown live."""
+"""Run a recording again, at its own pace or faster, and show it as it was shown live."""
 
 from __future__ import annotations
 

@@ -15,6 +15,7 @@ from imumon.estimation.alignment.warm_up import known_warm_up
 from imumon.estimation.gyro_bias.parameters import GyroBiasParameters
 from imumon.estimation.rest.parameters import RestParameters
 from imumon.estimation.watch.parameters import WatchParameters
+from imumon.files import read_text
 from imumon.models.model import BiasModel, load_model
 from imumon.published.names import PublishedMethod
 from imumon.published.parameters import Channel, GyroNoise, RandomErrorParameters
@@ -156,12 +157,4 @@ def load_setup(path: Path) -> Setup:
     ImumonError
         BAD_CONFIG, naming file and line, what was found and what was expected.
     """
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ImumonError(
-            Reason.BAD_CONFIG,
-            f"{path}: cannot be read: {error}",
-            "give a pipeline file (format: imumon-pipeline/1)",
-        ) from error
-    return parse_setup(text, str(path))
+    return parse_setup(read_text(path, hint=f"give a pipeline file (format: {FORMAT})"), str(path))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 import time
 from pathlib import Path
-from types import TracebackType
 from typing import Protocol
 
 from imumon.blocks import SampleBlock
@@ -104,9 +103,7 @@ class VirtualDevice:
         """Return the device, which sends already."""
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Close the device."""
         self.close()
 

@@ -18,7 +18,6 @@ import threading
 import time
 import tty
 from pathlib import Path
-from types import TracebackType
 
 from imumon.errors import ImumonError, Reason
 
@@ -177,9 +176,7 @@ class VirtualPort:
         """Return the port itself."""
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Close the port."""
         self.close()
 

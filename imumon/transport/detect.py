@@ -41,7 +41,7 @@ class Candidate(Protocol):
         """Decode bytes that arrived at `arrival_ns` (Unix time, ns)."""
 
     def finish(self) -> None:
-        """Decode what is held on the understanding that no more bytes come."""
+        """Decode what is held back: no more bytes will come."""
 
     def take(self) -> Sized:
         """Return the samples decoded since the last call."""

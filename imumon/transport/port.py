@@ -7,7 +7,6 @@ import select
 import socket
 import sys
 import time
-from types import TracebackType
 
 import serial
 from serial.urlhandler import protocol_socket
@@ -142,9 +141,7 @@ class Port:
         """Return the port itself."""
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Close the port."""
         self.close()
 

@@ -9,7 +9,6 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
-from types import TracebackType
 
 from imumon.errors import ImumonError
 from imumon.transport.errors import lost_error, silent_error
@@ -162,9 +161,7 @@ class Reader:
         self.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Stop reading."""
         self.stop()
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import rerun as rr
@@ -19,6 +20,20 @@ EVERYTHING = Window(None, rrb.TimeAxis(view_range=rr.TimeRange(start=_ENDLESS, e
 """Without the range of the axis the viewer shows a minute around the cursor."""
 
 
+@dataclass(frozen=True, slots=True)
+class Extras:
+    """Whether there are states, log lines, a status card, columns that no panel draws."""
+
+    lanes: bool
+    log: bool
+    status: bool
+    others: bool
+
+    def __bool__(self) -> bool:
+        """Tell whether there is any of it."""
+        return self.lanes or self.log or self.status or self.others
+
+
 def blueprint(
     setup: ViewSetup,
     panels: Sequence[Panel],
@@ -26,10 +41,7 @@ def blueprint(
     charts: Sequence[Chart] = (),
     timeline: str,
     live: bool,
-    lanes: bool,
-    log: bool,
-    status: bool,
-    others: bool,
+    extras: Extras,
 ) -> rrb.Blueprint:
     """Return the blueprint for what has come so far.
 
@@ -43,8 +55,7 @@ def blueprint(
         The one to follow.
     live : bool
         True to follow the last seconds, False for a recording: everything, with the time panel open.
-    lanes, log, status, others : bool
-        Whether there are states, log lines, a status card, columns that no panel draws.
+    extras : Extras
     """
     window = last_seconds(setup.window_s) if live else EVERYTHING
     views: dict[str, list[Any]] = {SCENE: [], STRIPS: [], LINK: []}
@@ -57,9 +68,9 @@ def blueprint(
         views.setdefault(panel.place, []).append(panel.view(setup, window))
     for chart in charts:
         views.setdefault(chart.place, []).append(chart_view(chart.key, chart.title))
-    if others:
+    if extras.others:
         views["Other"] = [series_view(OTHER, "Columns without a panel of their own", window)]
-    first = _first_tab("Live" if live else "Recording", views, window, lanes=lanes, log=log, status=status)
+    first = _first_tab("Live" if live else "Recording", views, window, extras)
     tabs = [_tab(place, views[place]) for place in views if place not in (SCENE, STRIPS, LINK)]
     return rrb.Blueprint(
         rrb.Tabs(first, *tabs, active_tab=0),
@@ -85,19 +96,17 @@ def _tab(name: str, views: list[Any]) -> Any:
     return rrb.Horizontal(*columns, name=name)
 
 
-def _first_tab(
-    name: str, views: dict[str, list[Any]], window: Window, *, lanes: bool, log: bool, status: bool
-) -> Any:
+def _first_tab(name: str, views: dict[str, list[Any]], window: Window, extras: Extras) -> Any:
     left: list[tuple[float, Any]] = [(3.0, view) for view in views[SCENE]]
-    if status:
+    if extras.status:
         left.append((2.2, rrb.TextDocumentView(origin="/status", name="Status")))
     right: list[tuple[float, Any]] = [(1.0, view) for view in views[LINK]]
-    if lanes:
+    if extras.lanes:
         states = rrb.StateTimelineView(
             origin="/state", name="States", time_ranges=window.ranges, time_view=window.axis
         )
         right.append((1.6, states))
-    if log:
+    if extras.log:
         right.append((1.6, rrb.TextLogView(origin="/log", name="Log", columns=LOG_COLUMNS)))
     middle = [(1.0, view) for view in views[STRIPS]]
     columns = [(share, part) for share, part in ((3.0, left), (4.6, middle), (3.2, right)) if part]

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import os
-import subprocess
 from pathlib import Path
 
-from imumon.view.viewer import quiet_environment, viewer_binary
+from imumon.view.viewer import start_quietly, viewer_binary
 
 WORTH_BYTES = 4 << 20
 """Smaller segments stay as they are."""
@@ -31,13 +30,8 @@ class Compaction:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._part = path.with_name(f".{path.stem}.part{path.suffix}")
-        self._process = subprocess.Popen(
-            [str(viewer_binary()), "rrd", "optimize", str(path), "-o", str(self._part)],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            env=quiet_environment(),
-            start_new_session=True,
+        self._process = start_quietly(
+            [str(viewer_binary()), "rrd", "optimize", str(path), "-o", str(self._part)]
         )
         with contextlib.suppress(ProcessLookupError):  # done already
             os.setpriority(os.PRIO_PROCESS, self._process.pid, PRIORITY)

@@ -9,7 +9,7 @@ import rerun as rr
 
 from imumon.blocks import NO_INT, ColumnArray
 from imumon.charts import Chart
-from imumon.view.blueprint import blueprint
+from imumon.view.blueprint import Extras, blueprint
 from imumon.view.chart import declare_chart, log_chart
 from imumon.view.items import (
     Drawing,
@@ -246,12 +246,11 @@ class StreamLogger:
     def _arrange(self) -> None:
         """Send the blueprint when what there is to see has changed."""
         shown = frozenset(self._panels)
-        extras = (bool(self._lanes), self._has_log, "status" in self._lasting, bool(self._others))
+        extras = Extras(bool(self._lanes), self._has_log, "status" in self._lasting, bool(self._others))
         arranged = (shown, extras, frozenset(self._charts), self._timeline)
-        if arranged == self._arranged or not (shown or any(extras)):
+        if arranged == self._arranged or not (shown or extras):
             return
         self._arranged = arranged
-        lanes, log, status, others = extras
         self._rec.send_blueprint(
             blueprint(
                 self._setup,
@@ -259,10 +258,7 @@ class StreamLogger:
                 charts=list(self._charts.values()),
                 timeline=self._timeline,
                 live=self._live,
-                lanes=lanes,
-                log=log,
-                status=status,
-                others=others,
+                extras=extras,
             )
         )
 

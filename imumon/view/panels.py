@@ -140,7 +140,6 @@ PANELS: tuple[Panel, ...] = (
         [Band("heading_magnetic", "magnetic", GREY)],
         "°",
     ),
-    band_panel("control_rate", ALIGNMENT, "Horizontal control rates", _north_and_east("control_rate"), "°/h"),
     band_panel(
         "level",
         ALIGNMENT,

@@ -1,4 +1,4 @@
-"""The measuring process's end of the live view: publish and forget."""
+"""The live view as the measuring process sees it: publish and go on."""
 
 from __future__ import annotations
 

@@ -7,6 +7,7 @@ import os
 import socket
 import subprocess
 import sys
+from collections.abc import Sequence
 from enum import Enum
 from importlib.util import find_spec
 from pathlib import Path
@@ -118,24 +119,23 @@ def free_port(preferred: int, bind: str = LOCALHOST) -> int:
     raise ImumonError(Reason.BUSY, f"no free port from {preferred} on {bind}", "name another port")
 
 
-def start_viewer(port: int, *arguments: str) -> subprocess.Popen[bytes]:
-    """Start a native viewer that listens on 127.0.0.1; it outlives this program."""
+def start_quietly(command: Sequence[str], *, own_session: bool = True) -> subprocess.Popen[bytes]:
+    """Start one of Rerun's programs without input, output and analytics."""
     return subprocess.Popen(
-        [
-            str(viewer_binary()),
-            f"--port={port}",
-            f"--bind={LOCALHOST}",
-            f"--memory-limit={VIEWER_MEMORY}",
-            f"--server-memory-limit={SERVER_MEMORY}",
-            "--hide-welcome-screen",
-            *arguments,
-        ],
+        command,
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
         env=quiet_environment(),
-        start_new_session=True,
+        start_new_session=own_session,
     )
+
+
+def start_viewer(port: int, *arguments: str) -> subprocess.Popen[bytes]:
+    """Start a native viewer that listens on 127.0.0.1; it outlives this program."""
+    memory = (f"--memory-limit={VIEWER_MEMORY}", f"--server-memory-limit={SERVER_MEMORY}")
+    listening = (f"--port={port}", f"--bind={LOCALHOST}")
+    return start_quietly([str(viewer_binary()), *listening, *memory, "--hide-welcome-screen", *arguments])
 
 
 def proxy_url(port: int, host: str = LOCALHOST) -> str:

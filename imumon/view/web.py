@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import subprocess
 import sys
 import threading
 import time
@@ -17,7 +16,7 @@ from urllib.error import URLError
 from urllib.parse import quote
 
 from imumon.errors import ImumonError, Reason
-from imumon.view.viewer import LOCALHOST, free_port, proxy_url, quiet_environment, viewer_binary
+from imumon.view.viewer import LOCALHOST, free_port, proxy_url, start_quietly, viewer_binary
 
 ASSETS = {
     "/": "text/html; charset=utf-8",
@@ -56,13 +55,7 @@ def bundled_assets() -> dict[str, bytes]:
     """
     port = free_port(WEB_FETCH_PORT)
     command = [str(viewer_binary()), proxy_url(1), "--serve-web", f"--bind={LOCALHOST}"]
-    program = subprocess.Popen(
-        [*command, f"--web-viewer-port={port}", "--port=auto"],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        env=quiet_environment(),
-    )
+    program = start_quietly([*command, f"--web-viewer-port={port}", "--port=auto"], own_session=False)
     try:
         deadline = time.monotonic() + FETCH_S
         while True:

@@ -24,6 +24,8 @@ from tests.allan.simulated import noise
 
 IMUMON = str(Path(sys.executable).with_name("imumon"))
 N, INTERVAL_S = 40_000, 0.02
+WHITE = 3e-4
+"""rad/s/√Hz, 1 deg/√min: a coarse sensor, yet one that exists; more is taken for vibration."""
 
 
 class Section(StrictModel):
@@ -48,7 +50,7 @@ def columns() -> dict[str, Any]:
         "temperature": np.full(N, 25.0),
     }
     for seed, name in enumerate(CHANNELS):
-        size = 1e-3 * (1 + seed)
+        size = WHITE * (1 + seed)
         made[name] = noise(seed, N, INTERVAL_S, white=size, walk=0.1 * size) + (
             9.81 if name == "accel_z" else 0
         )
@@ -83,7 +85,7 @@ def test_json_has_curve_and_terms_of_every_channel(done: subprocess.CompletedPro
         assert channel["tau_s"][:2] == pytest.approx([INTERVAL_S, 2 * INTERVAL_S])
         assert channel["unit"] == ("rad/s" if name.startswith("gyro") else "m/s^2")
         white = channel["angle_random_walk"]
-        assert abs(white["value"] - 1e-3 * (1 + seed)) < 4 * white["sd"]
+        assert abs(white["value"] - WHITE * (1 + seed)) < 4 * white["sd"]
         assert channel["quantization"] is None
         assert 50 < channel["longest_tau_s"] < N * INTERVAL_S / 4
         assert channel["samples_missing"] == 3
@@ -124,7 +126,7 @@ def test_people_read_degrees_and_hours(table: Path) -> None:
     assert "deg/h/√h" in shown
     row = next(line for line in shown.splitlines() if "angle random walk" in line)
     value = float(row.split()[4].split("(")[0])
-    assert value == pytest.approx(np.rad2deg(1e-3) * 60, rel=0.02)
+    assert value == pytest.approx(np.rad2deg(WHITE) * 60, rel=0.02)
     assert max(map(len, shown.splitlines())) <= 80
 
 

@@ -42,7 +42,7 @@ def one_of_each() -> list[Effect]:
 
 
 def live(effect: Effect, drive: Drive, size: int, segment: IntArray | None = None) -> tuple[FloatArray, ...]:
-    """Return bias and doubt, carried along in blocks of a size."""
+    """Return bias and start_sd, carried along in blocks of a size."""
     carrier = Carrier(effect)
     time_ns = np.round(drive.time_s * 1e9).astype(np.int64)
     label = np.zeros(len(drive), np.int64) if segment is None else segment
@@ -130,9 +130,9 @@ def test_the_doubt_of_a_loop_ends_when_it_saturates(shape: str) -> None:
             "coefficients": [3.0],
         }
     )
-    _, doubt = live(effect, run(), 1000)
-    assert doubt[0] == pytest.approx(3.0 * 2.0 / np.sqrt(3.0), rel=0.03)
-    assert doubt[-1] < 0.01
+    _, start_sd = live(effect, run(), 1000)
+    assert start_sd[0] == pytest.approx(3.0 * 2.0 / np.sqrt(3.0), rel=0.03)
+    assert start_sd[-1] < 0.01
 
 
 def test_the_doubt_of_a_lag_decays_with_its_time_constant() -> None:
@@ -140,18 +140,18 @@ def test_the_doubt_of_a_lag_decays_with_its_time_constant() -> None:
         time_constant_s=300.0, middle_degc=0, half_span_degc=10, start_sd_degc=2.0, coefficients=[5.0]
     )
     drive = run()
-    _, doubt = live(effect, drive, 1000)
+    _, start_sd = live(effect, drive, 1000)
     expected = 5.0 * 2.0 / 10 * np.exp(-(drive.time_s - drive.time_s[0]) / 300.0)
-    np.testing.assert_allclose(doubt, expected, atol=1e-9)
+    np.testing.assert_allclose(start_sd, expected, atol=1e-9)
 
 
 def test_a_restart_of_the_device_forgets_the_state() -> None:
     effect = ThermalLag(time_constant_s=300.0, middle_degc=0.0, half_span_degc=1.0, coefficients=[1.0])
     drive = run(1000)
-    bias, doubt = live(effect, drive, 1000, np.repeat([0, 1], [400, 600]))
+    bias, start_sd = live(effect, drive, 1000, np.repeat([0, 1], [400, 600]))
     assert abs(bias[399]) > 1.0
     assert bias[400] == 0.0
-    assert doubt[400] == doubt[0]
+    assert start_sd[400] == start_sd[0]
 
 
 def test_a_missing_temperature_is_held_and_before_the_first_there_is_no_bias() -> None:
@@ -166,9 +166,9 @@ def test_a_missing_temperature_is_held_and_before_the_first_there_is_no_bias() -
 
 def test_an_effect_of_the_specific_force_adds_nothing_without_it() -> None:
     effect = GSensitivity(coefficients=[1.0, 2.0, 3.0])
-    bias, doubt = Carrier(effect).process(np.arange(3), np.zeros(3, np.int64), np.full(3, 20.0))
+    bias, start_sd = Carrier(effect).process(np.arange(3), np.zeros(3, np.int64), np.full(3, 20.0))
     assert not bias.any()
-    assert not doubt.any()
+    assert not start_sd.any()
 
 
 @pytest.mark.parametrize("value", [0.0, -1.0, float("nan"), float("inf")])

@@ -154,7 +154,7 @@ class ThermalInput:
             block["device_time_ns"], block["segment"], temperature, block.accel
         )
         known = np.isfinite(predicted.bias)
-        sd = np.where(known, predicted.doubt, np.nan)
+        sd = np.where(known, predicted.start_sd, np.nan)
         if self._by_rate:
             found, total = self._summed(seconds, block, predicted.slope)
             sd[:] = 0.0

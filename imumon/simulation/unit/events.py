@@ -10,29 +10,33 @@ from imumon.config import StrictModel
 from imumon.simulation.unit.parameters import NONE, Three
 
 
-class Turn(StrictModel):
+class _Timed(StrictModel):
+    at_s: float = Field(ge=0.0)
+
+
+class _Lasting(_Timed):
+    duration_s: float = Field(gt=0.0)
+
+
+class Turn(_Lasting):
     """A guided turn: the attitude changes by these angles, smoothly (minimum jerk), and stays there."""
 
     kind: Literal["turn"]
-    at_s: float = Field(ge=0.0)
-    duration_s: float = Field(gt=0.0)
     roll_deg: float = 0.0
     pitch_deg: float = 0.0
     heading_deg: float = 0.0
 
 
-class Rotation(StrictModel):
+class Rotation(_Lasting):
     """A turn at constant rates of roll, pitch and heading, from one moment to the next."""
 
     kind: Literal["rotation"]
-    at_s: float = Field(ge=0.0)
-    duration_s: float = Field(gt=0.0)
     roll_deg_per_s: float = 0.0
     pitch_deg_per_s: float = 0.0
     heading_deg_per_s: float = 0.0
 
 
-class Bump(StrictModel):
+class Bump(_Timed):
     """A knock against the table: it rings at a frequency and dies away.
 
     Parameters
@@ -44,25 +48,22 @@ class Bump(StrictModel):
     """
 
     kind: Literal["bump"]
-    at_s: float = Field(ge=0.0)
     frequency_hz: float = Field(gt=0.0)
     decay_s: float = Field(gt=0.0)
     acceleration_m_per_s2: Three = NONE
     tilt_deg: Three = NONE
 
 
-class Vibration(StrictModel):
+class Vibration(_Lasting):
     """A fan: a steady sine of acceleration (north, east, down) and of angle (roll, pitch, heading)."""
 
     kind: Literal["vibration"]
-    at_s: float = Field(ge=0.0)
-    duration_s: float = Field(gt=0.0)
     frequency_hz: float = Field(gt=0.0)
     acceleration_m_per_s2: Three = NONE
     tilt_deg: Three = NONE
 
 
-class Handling(StrictModel):
+class Handling(_Timed):
     """Rounds of rest and motion: each begins with a rest, then the unit is swung and carried about.
 
     Parameters
@@ -78,7 +79,6 @@ class Handling(StrictModel):
     """
 
     kind: Literal["handling"]
-    at_s: float = Field(ge=0.0)
     rounds: int = Field(ge=1)
     every_s: float = Field(gt=0.0)
     rest_s: float = Field(gt=0.0)

@@ -1,4 +1,4 @@
-"""Random errors that carry their state from block to block, each from a generator of its own.
+"""Random errors that keep their state between blocks, each with its own generator.
 
 A generator's seed is the seed of the unit and the name of the error, so one error that is switched off leaves
 the others as they were.

@@ -26,22 +26,22 @@ ThreePositive = Annotated[tuple[_Positive, _Positive, _Positive], BeforeValidato
 NONE = (0.0, 0.0, 0.0)
 
 
-class Tanh(StrictModel):
+class _Shape(StrictModel):
+    amplitude: float
+    at_degc: float
+    width_degc: float = Field(gt=0.0)
+
+
+class Tanh(_Shape):
     """amplitude tanh(u), u = (T - at_degc) / width_degc."""
 
     kind: Literal["tanh"]
-    amplitude: float
-    at_degc: float
-    width_degc: float = Field(gt=0.0)
 
 
-class Sin(StrictModel):
+class Sin(_Shape):
     """amplitude sin(u), u = (T - at_degc) / width_degc."""
 
     kind: Literal["sin"]
-    amplitude: float
-    at_degc: float
-    width_degc: float = Field(gt=0.0)
 
 
 class Polynomial(StrictModel):

@@ -11,8 +11,9 @@ from typing import Any, Literal, Self, TypeVar
 
 from pydantic import Field, field_validator, model_validator
 
-from imumon.config import StrictModel, parse_yaml
+from imumon.config import StrictModel, load_yaml, parse_yaml
 from imumon.errors import ImumonError, Reason
+from imumon.files import read_text
 from imumon.simulation.unit.events import Event
 from imumon.simulation.unit.parameters import UnitParameters
 
@@ -175,10 +176,7 @@ Loaded = TypeVar("Loaded", Scenario, Unit)
 
 
 def _load(path: Path, model: type[Loaded]) -> Loaded:
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ImumonError(Reason.BAD_CONFIG, f"{path}: cannot be read: {error}") from error
+    text = read_text(path)
     base = parse_yaml(text, _Header, str(path)).base
     if base is not None:
         _refuse_chain(_path(base, *_KINDS[model.__name__], _names(_KINDS[model.__name__][0])), base, path)
@@ -190,11 +188,7 @@ _KINDS = {"Scenario": ("scenarios", "scenario"), "Unit": ("units", "unit")}
 
 def _refuse_chain(base: Path, name: str, path: Path) -> None:
     """Raise when a base has a base itself: a chain may be a circle, and is hard to read."""
-    try:
-        chained = parse_yaml(base.read_text(encoding="utf-8"), _Header, str(base)).base is not None
-    except (OSError, UnicodeDecodeError) as error:
-        raise ImumonError(Reason.BAD_CONFIG, f"{base}: cannot be read: {error}") from error
-    if chained:
+    if load_yaml(base, _Header).base is not None:
         raise ImumonError(
             Reason.BAD_CONFIG,
             f"{path}: its base {name!r} has a base itself",

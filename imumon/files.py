@@ -1,0 +1,64 @@
+"""Text files read whole, or refused with the reason, and written whole or not at all; values for JSON."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from imumon.errors import ImumonError, Reason
+
+
+def read_text(path: Path, reason: Reason = Reason.BAD_CONFIG, hint: str = "") -> str:
+    """Return the text of a file; raises an `ImumonError` of this reason when it cannot be read."""
+    try:
+        return path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise ImumonError(reason, f"{path}: cannot be read: {error.strerror}", hint) from error
+    except UnicodeDecodeError as error:
+        raise ImumonError(reason, f"{path}: is not UTF-8 text (byte {error.start})", hint) from error
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a file; whoever reads sees the old one or the new one, never a part.
+
+    Raises
+    ------
+    OSError
+        When it cannot be written; a file that was there before is untouched.
+    """
+    partial = path.with_name(f"{path.name}.partial")
+    try:
+        partial.write_text(text, encoding="utf-8")
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def check_output(path: Path, *, replace: bool = False) -> None:
+    """Refuse an output that has no folder, or that is there already unless it may be replaced.
+
+    Raises
+    ------
+    ImumonError
+        EXISTS or BAD_CONFIG.
+    """
+    if path.exists() and not replace:
+        raise ImumonError(
+            Reason.EXISTS, f"{path} is there already", "nothing was overwritten; give another name"
+        )
+    if not path.parent.is_dir():
+        raise ImumonError(Reason.BAD_CONFIG, f"{path}: there is no folder {path.parent}", "make it first")
+
+
+def plain(value: Any) -> Any:
+    """Return a value as JSON knows it: paths as text, numbers without the types of NumPy, NaN as None."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, Path):
+        return str(value)
+    value = value.item() if hasattr(value, "item") else value
+    return None if isinstance(value, float) and not math.isfinite(value) else value
