@@ -118,7 +118,7 @@ class GyroBias:
         """Return the new columns of a block; NaN where there is no estimate.
 
         Needs ``device_time_ns`` and ``segment``, the gyros, and ``at_rest``; the accelerometers tell a slow
-        rotation from a bias.
+        rotation from a bias, and ``turn_hypothesis_{x,y,z}`` what the rest detector has not decided.
         """
         n = len(block)
         gyro = block.gyro
@@ -177,7 +177,10 @@ class GyroBias:
         self._shown = spread[-1]
         warming = spread[:, 2] * (temperature - spread[:, 3])
         bias[:] = spread[:, 0] + total + np.where(np.isfinite(warming), warming, 0.0)
-        sd[:] = drift_sd[:] = spread[:, 1]
+        hypothesis = block.vector("turn_hypothesis")
+        # What is a turn or a change of the bias, nobody knows yet: the whole of it may be missing in the bias.
+        undecided = 0.0 if hypothesis is None else np.where(np.isfinite(hypothesis), hypothesis, 0.0)
+        sd[:] = drift_sd[:] = np.hypot(spread[:, 1], undecided)
         np.subtract(gyro, bias, out=corrected)
         np.subtract(bias, curve, out=drift)
         seen = at_rows[at_rows < n]

@@ -282,3 +282,16 @@ def test_constant_readings_are_survived() -> None:
 def test_the_thermal_mode_needs_a_model() -> None:
     with pytest.raises(ImumonError, match="needs a bias model"):
         GyroBias(mode="thermal")
+
+
+def test_what_the_rest_detector_has_not_decided_is_in_the_sigma() -> None:
+    block, _ = record(SLOW, 60.0, 1)
+    without = run(block)
+    undecided = np.where(np.arange(len(block)) < len(block) // 2, 0.0, 0.02)
+    columns = {f"turn_hypothesis_{axis}": undecided * (axis == "z") for axis in "xyz"}
+    widened = run(block.with_columns(columns))
+    for axis in "xyz":
+        np.testing.assert_array_equal(widened[f"gyro_bias_{axis}"], without[f"gyro_bias_{axis}"])
+    expected = np.hypot(without["gyro_bias_sd_z"], undecided)
+    np.testing.assert_array_equal(widened["gyro_bias_sd_z"], expected)
+    np.testing.assert_array_equal(widened["gyro_bias_sd_x"], without["gyro_bias_sd_x"])
