@@ -112,10 +112,11 @@ def collect(blocks: Iterable[SampleBlock], name: str, progress: Progress | None 
     another = np.diff(means.run, prepend=-1) != 0
     parts = np.split(np.arange(len(means)), np.flatnonzero(another | gap)[1:])
     names = [name] if len(parts) == 1 else [f"{name}, run {index + 1}" for index in range(len(parts))]
-    return [_run(means, rows, text) for rows, text in zip(parts, names, strict=True) if len(rows)]
+    rest = np.nan_to_num(means.share_in_hindsight(), nan=1.0)
+    return [_run(means, rest, rows, text) for rows, text in zip(parts, names, strict=True) if len(rows)]
 
 
-def _run(means: Reduced, rows: IntArray, name: str) -> Run:
+def _run(means: Reduced, rest: FloatArray, rows: IntArray, name: str) -> Run:
     """Lay these slots out on a grid of seconds from the first of them."""
     second = means.number[rows] - means.number[rows[0]]
     n = int(second[-1]) + 1
@@ -126,14 +127,13 @@ def _run(means: Reduced, rows: IntArray, name: str) -> Run:
         return grid
 
     columns = {key: at for at, key in enumerate(means.names) if means.count[rows, at].any()}
-    share = np.where(np.isfinite(means.rest_share), means.rest_share, 1.0)
     return Run(
         name=name,
         time_s=np.arange(n, dtype=np.float64) + 0.5,
         count={key: laid(means.count[:, at], 0.0) for key, at in columns.items()},
         mean={key: laid(means.mean[:, at], np.nan) for key, at in columns.items()},
         variance={key: laid(means.variance[:, at], np.nan) for key, at in columns.items()},
-        rest=laid(share, 0.0),
+        rest=laid(rest, 0.0),
         start_ns=int(means.start_ns[rows[0]]),
     )
 

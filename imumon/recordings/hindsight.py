@@ -65,7 +65,9 @@ def _pauses(rest: Mask, run: IntArray) -> Sequence[tuple[int, int]]:
 def _scatter(mean: FloatArray) -> FloatArray:
     """Return the standard deviation of a slot's mean, (m,), from neighbours: slow drift is not in it."""
     steps = np.abs(np.diff(mean, axis=0))
-    return np.asarray(np.nanmedian(steps, axis=0) / (0.6745 * np.sqrt(2.0)) if len(steps) else np.zeros(0))
+    known = [column[np.isfinite(column)] for column in steps.T]
+    medians = np.array([np.median(column) if len(column) else 0.0 for column in known], np.float64)
+    return np.asarray(medians / (0.6745 * 2.0**0.5))
 
 
 def _between(pause: IntArray, beside: IntArray, mean: FloatArray) -> FloatArray:

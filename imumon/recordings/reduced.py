@@ -49,7 +49,7 @@ class Reduced:
     span_s : array, (n,)
         Time between its first and its last sample.
     rest_share : array, (n,)
-        Share of its samples at rest, in hindsight; NaN when nobody judged.
+        Share of its samples at rest; NaN when nobody judged.
     count : array of int64, (n, m)
         Finite values.
     mean, variance : array, (n, m)
@@ -86,11 +86,20 @@ class Reduced:
         return bool(np.isfinite(self.of(name)).any())
 
     def at_rest(self) -> Mask:
-        """Return which slots are at rest: as the detector judged every sample, else by `quiet`.
+        """Return which slots are at rest: as the detector judged, in hindsight, else by `quiet`.
 
         Never by the size of the rate, which is what is to be found.
         """
-        return np.where(np.isfinite(self.rest_share), self.rest_share == 1.0, self.quiet())
+        share = self.share_in_hindsight()
+        return np.where(np.isfinite(share), share == 1.0, self.quiet())
+
+    def share_in_hindsight(self) -> FloatArray:
+        """Return the share of each slot at rest, (n,): all of it where the slots on both sides say so."""
+        sensors = [at for at, name in enumerate(self.names) if name in DRIFT]
+        drift = np.array([DRIFT[self.names[at]] * self.slot_s for at in sensors])
+        mean, variance = self.mean[:, sensors], self.variance[:, sensors]
+        rest = rest_in_hindsight(self.rest_share == 1.0, self.run, mean, variance, drift)
+        return np.where(rest & np.isfinite(self.rest_share), 1.0, self.rest_share)
 
     def quiet(self) -> Mask:
         """Return which slots scatter little and have the specific force of their neighbours, (n,)."""
@@ -185,10 +194,6 @@ def _gathered(parts: list[_Part], names: tuple[str, ...], slot_s: float, length_
     number = (first_ns - origin) // length_ns
     with np.errstate(invalid="ignore", divide="ignore"):
         unbiased = np.where(count > 1, variance * count / (count - 1), np.nan)
-    share = mean[:, -1]
-    sensors = [at for at, name in enumerate(names) if name in (*GYRO, *ACCEL)]
-    drift = np.array([DRIFT[names[at]] * slot_s for at in sensors])
-    rest = rest_in_hindsight(share == 1.0, run, mean[:, sensors], unbiased[:, sensors], drift)
     return Reduced(
         names=names,
         slot_s=slot_s,
@@ -197,7 +202,7 @@ def _gathered(parts: list[_Part], names: tuple[str, ...], slot_s: float, length_
         segment=joined("segment"),
         start_ns=origin + number * length_ns,
         span_s=(joined("end_ns") - first_ns) * 1e-9,
-        rest_share=np.where(rest & np.isfinite(share), 1.0, share),
+        rest_share=mean[:, -1],
         count=count[:, :-1],
         mean=mean[:, :-1],
         variance=unbiased[:, :-1],

@@ -178,7 +178,7 @@ class GyroBias:
         warming = spread[:, 2] * (temperature - spread[:, 3])
         bias[:] = spread[:, 0] + total + np.where(np.isfinite(warming), warming, 0.0)
         hypothesis = block.vector("turn_hypothesis")
-        # What is a turn or a change of the bias, nobody knows yet: the whole of it may be missing in the bias.
+        # A turn or a change of the bias, nobody knows yet: the whole of it may be missing in the bias.
         undecided = 0.0 if hypothesis is None else np.where(np.isfinite(hypothesis), hypothesis, 0.0)
         sd[:] = drift_sd[:] = np.hypot(spread[:, 1], undecided)
         np.subtract(gyro, bias, out=corrected)
