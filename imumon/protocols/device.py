@@ -7,7 +7,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Literal
 
-from pydantic import Field, PositiveFloat, PositiveInt
+from pydantic import Field, PositiveFloat, PositiveInt, field_validator
 
 from imumon.config import StrictModel, parse_yaml
 from imumon.errors import ImumonError, Reason
@@ -59,7 +59,14 @@ class _Header(StrictModel, extra="ignore"):
     """The part of a device file that tells which protocol reads the rest."""
 
     format: Literal["imumon-device/1"]
-    protocol: Literal["fixed", "xsens-mtdata2", "xsens-mtdata", "mip"]
+    protocol: str
+
+    @field_validator("protocol")
+    @classmethod
+    def _known(cls, name: str) -> str:
+        if name not in PROTOCOLS:
+            raise ValueError(f"expected {', '.join(PROTOCOLS)}")
+        return name
 
 
 def device_folder() -> Path:
