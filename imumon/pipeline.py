@@ -202,7 +202,7 @@ class Pipeline:
         """Say that no more bytes come: samples held back behind a damaged header come out."""
         if self._decoder is not None:
             self._decoder.finish()
-            self._ready.append(self._decoded(end=True))
+            self.pause()
 
     def pause(self) -> None:
         """Say that the port fell silent or closed: a row that waits for more of its fields comes out."""

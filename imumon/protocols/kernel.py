@@ -1,4 +1,4 @@
-"""Compiled building blocks of all decoders: numbers out of bytes, whatever their type and byte order."""
+"""What all decoders share: the types of numbers, and the bytes that are held from chunk to chunk."""
 
 from __future__ import annotations
 
@@ -9,9 +9,6 @@ import numpy as np
 from imumon.blocks import IntArray
 from imumon.compiled import njit
 from imumon.protocols.base import DATED, HELD, RECEIVED, ByteArray
-
-BIG = 64
-"""Added to a number kind when the most significant byte comes first."""
 
 U8, I8, U16, I16, U24, I24, U32, I32, U64, I64, F32, F64, FP1632 = range(13)
 
@@ -43,37 +40,6 @@ NUMBER_TYPES: dict[str, NumberType] = {
     "fp1632": NumberType(FP1632, 6, False, True),
 }
 """Number types by the name that device files use.  u64 above 2**63-1 wraps to negative."""
-
-
-# Places are unsigned inside: with a signed one numba tests each index for being negative, which costs more
-# than the load.
-
-
-@njit(inline="always")
-def bytes_little(buf: ByteArray, at: int, size: int) -> np.uint64:
-    """Assemble `size` bytes, least significant first."""
-    place = np.uint64(at)
-    value = np.uint64(0)
-    for i in range(size):
-        value |= np.uint64(buf[place + np.uint64(i)]) << np.uint64(8 * i)
-    return value
-
-
-@njit(inline="always")
-def bytes_big(buf: ByteArray, at: int, size: int) -> np.uint64:
-    """Assemble `size` bytes, most significant first."""
-    place = np.uint64(at)
-    value = np.uint64(0)
-    for i in range(size):
-        value = (value << np.uint64(8)) | np.uint64(buf[place + np.uint64(i)])
-    return value
-
-
-@njit(inline="always")
-def sign_extend(value: np.uint64, size: int) -> np.int64:
-    """Read the low `size` bytes as two's complement."""
-    shift = np.uint64(64 - 8 * size)
-    return np.int64(value << shift) >> np.int64(shift)
 
 
 @njit

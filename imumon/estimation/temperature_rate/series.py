@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
 
-from imumon.blocks import ColumnArray, FloatArray, IntArray
+from imumon.blocks import FloatArray, IntArray
 from imumon.compiled import njit
 
 
@@ -57,38 +57,6 @@ class RateMethod(Protocol):
 
     def process(self, time_ns: IntArray, segment: IntArray, reading: FloatArray) -> Rates:
         """Return the estimates of samples that follow those of the last call."""
-
-
-class Resumable:
-    """A method whose whole state is arrays, which can be saved and restored.
-
-    Parameters
-    ----------
-    **arrays : array
-        The state; changed in place from sample to sample.
-    """
-
-    def __init__(self, **arrays: ColumnArray) -> None:
-        self.clock = SegmentClock()
-        self._arrays = {**arrays, "clock": self.clock.state}
-
-    def save(self) -> dict[str, ColumnArray]:
-        """Return copies of the state's arrays."""
-        return {name: values.copy() for name, values in self._arrays.items()}
-
-    def restore(self, saved: Mapping[str, ColumnArray]) -> None:
-        """Go on from a saved state.
-
-        Raises
-        ------
-        ValueError
-            When it is not the state of such a method with these parameters.
-        """
-        shapes = {name: values.shape for name, values in self._arrays.items()}
-        if {name: np.shape(values) for name, values in saved.items()} != shapes:
-            raise ValueError(f"not a state of {type(self).__name__}: arrays of other names or shapes")
-        for name, values in self._arrays.items():
-            values[...] = saved[name]
 
 
 class SegmentClock:
