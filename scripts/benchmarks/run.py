@@ -24,6 +24,7 @@ SECTIONS = {
     "devices": "benchmarks.tagged",
     "clocks": "benchmarks.clocks",
     "pipeline": "benchmarks.path",
+    "replay": "benchmarks.replay",
     "temperature": "benchmarks.temperature",
     "rest": "benchmarks.rest",
     "zupt": "benchmarks.zupt",
