@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 
-from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.pipeline import Estimator
 from imumon.protocols.thermometer import TemperatureRateParameters
 from imumon.published import dense_zupt, random_error, self_alignment
@@ -43,13 +43,10 @@ def published_stages(setup: Setup, temperature: TemperatureRateParameters | None
     return stages
 
 
-def temperature_rate(given: TemperatureRateParameters) -> TemperatureRate:
-    """Return the stage of the temperature rate with the method that the device file says."""
-    if given.method == "fir_exponential":
-        step = DEFAULT_STEP_DEGC if given.step_degc is None else given.step_degc
-        params = step, given.window_s, given.time_constant_s, given.buffer_size
-        return TemperatureRate(parameters=given, new_method=lambda: FirExponentialRate(*params))
-    return TemperatureRate(parameters=given)
+def fir_method(given: TemperatureRateParameters) -> Callable[[], FirExponentialRate]:
+    """Return what makes the FIR exponential regression with the parameters of the device file."""
+    step = DEFAULT_STEP_DEGC if given.step_degc is None else given.step_degc
+    return partial(FirExponentialRate, step, given.window_s, given.time_constant_s, given.buffer_size)
 
 
 def _chosen(setup: Setup, names: Sequence[str]) -> list[PublishedMethod]:

@@ -85,6 +85,11 @@ class Setup(StrictModel):
         return own.model_copy(update=known)
 
     @property
+    def asks_for_published(self) -> bool:
+        """Whether a method of the papers runs beside the defaults."""
+        return bool(self.published) or self.random_error.method != "drift"
+
+    @property
     def alignment_with_warm_up(self) -> AlignmentParameters:
         """Parameters of the alignment, with the warm-up of the accelerometers that the model knows."""
         known = self.alignment.known_warm_up or known_warm_up(self.bias_model)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from imumon.allan.stage import AllanStage
-from imumon.estimation.alignment.stage import Alignment
 from imumon.estimation.gyro_bias.stage import GyroBias
 from imumon.estimation.rest.stage import RestDetector
+from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.estimation.watch.stage import ModelWatch
 from imumon.pipeline import Estimator
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.thermometer import TemperatureRateParameters
-from imumon.run.published import published_stages, temperature_rate
 from imumon.run.setup import Setup
 
 
@@ -30,7 +29,22 @@ def estimators(device: DeviceFile | None, setup: Setup | None = None) -> list[Es
         AllanStage(setup.allan),
     ]
     if setup.latitude_deg is not None:
+        from imumon.estimation.alignment.stage import Alignment  # scipy.signal and .spatial take 0.7 s
+
         axes = device.axes if device is not None else None
         sent = () if device is None else [column.name for column in device.decoder().possible_columns]
         stages.append(Alignment(setup.alignment_with_warm_up, setup.latitude_deg, axes, sent))
-    return [*stages, *published_stages(setup, temperature)]
+    if setup.asks_for_published:
+        from imumon.run.published import published_stages
+
+        stages += published_stages(setup, temperature)
+    return stages
+
+
+def temperature_rate(given: TemperatureRateParameters) -> TemperatureRate:
+    """Return the stage of the temperature rate with the method that the device file says."""
+    if given.method == "fir_exponential":
+        from imumon.run.published import fir_method
+
+        return TemperatureRate(parameters=given, new_method=fir_method(given))
+    return TemperatureRate(parameters=given)

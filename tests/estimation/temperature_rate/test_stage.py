@@ -12,7 +12,7 @@ from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.pipeline import Estimator
 from imumon.protocols.thermometer import TemperatureRateParameters
 from imumon.published.fir import FirExponentialRate
-from imumon.run.published import temperature_rate
+from imumon.run.stages import temperature_rate
 from tests.estimation.temperature_rate.records import clock, quantized, self_heating
 
 
