@@ -15,6 +15,7 @@ from functools import partial
 from typing import Any, TypeVar, cast, overload
 
 import numba
+import numba.np.linalg
 import numpy as np
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
 
@@ -22,8 +23,13 @@ from imumon.sources import stamp
 
 F = TypeVar("F", bound=Callable[..., Any])
 Fields = TypeVar("Fields")
+Row = TypeVar("Row", bound=tuple[Any, ...])
 
 PACKAGE = __name__.partition(".")[0]
+
+# Before its first kernel numba imports scipy.linalg, 0.13 s, to see that there is a BLAS.  SciPy is among the
+# requirements, and numba imports it again where a kernel multiplies matrices.
+numba.np.linalg.ensure_blas = lambda: None
 
 _log = logging.getLogger(__name__)
 _modules: dict[str, bool] = {}
@@ -83,9 +89,18 @@ def records(fields: type[Fields], count: int, **shapes: int | tuple[int, ...]) -
     """
     if taken := [name for name in fields.__annotations__ if hasattr(np.record, name)]:
         raise ValueError(f"{fields.__name__}: NumPy has another meaning for {', '.join(taken)}")
-    layout = [(name, _TYPES[kind], shapes.get(name, ())) for name, kind in fields.__annotations__.items()]
+    # A named tuple wraps what it is annotated with.
+    kinds = {k: str(getattr(v, "__forward_arg__", v)) for k, v in fields.__annotations__.items()}
+    layout = [(name, _TYPES[kind], shapes.get(name, ())) for name, kind in kinds.items()]
     made: Any = np.zeros(count, np.dtype((np.record, layout)))
     return cast(Sequence[Fields], made)
+
+
+def filled(fields: type[Row], rows: Sequence[Row]) -> Sequence[Row]:
+    """Return an array of records with the values of these rows, a named tuple each."""
+    made: Any = records(fields, len(rows))
+    made[:] = rows
+    return cast(Sequence[Row], made)
 
 
 def alone(made: Fields) -> Sequence[Fields]:

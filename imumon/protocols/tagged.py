@@ -9,7 +9,7 @@ import numpy as np
 
 from imumon.blocks import NO_INT, ColumnArray, IntArray, SampleBlock
 from imumon.columns import KNOWN, Column
-from imumon.compiled import alone, record, records
+from imumon.compiled import alone, filled, record
 from imumon.protocols.base import CAPACITY, COMMON, MAIN, Decoder, Groups, Timing
 from imumon.protocols.numbers import NUMBER_TYPES
 from imumon.protocols.tagged_kernel import (
@@ -134,30 +134,21 @@ class FieldTable:
     def compiled(self, framing: int) -> Table:
         """Return fields and values for the kernel."""
         field_of: ShortArray = np.full(1 << 16, -1, np.int16)
-        fields = records(CompiledField, len(self.fields))
-        stored = [value for field in self.fields for value in field.values if value.column is not None]
-        values = records(CompiledValue, len(stored))
-        first = 0
-        for number, (field, made) in enumerate(zip(self.fields, fields, strict=True)):
-            made.width, made.first, made.other = field.size, first, field_of[field.key]
-            made.group = 1 << self.groups.names.index(field.group) if field.group else 0
-            field_of[field.key] = number
-            offset = 0
+        bits = {name: 1 << number for number, name in enumerate(self.groups.names)}
+        fields: list[CompiledField] = []
+        values: list[CompiledValue] = []
+        for number, field in enumerate(self.fields):
+            first, offset = len(values), 0
             for value in field.values:
                 kind = NUMBER_TYPES[value.type]
                 if value.column is not None:
-                    entry = values[first]
-                    entry.kind, entry.width, entry.offset, entry.factor = (
-                        kind.code,
-                        kind.size,
-                        offset,
-                        value.factor,
-                    )
-                    entry.column = self.places[value.column.name]
-                    first += 1
+                    place = self.places[value.column.name]
+                    values.append(CompiledValue(kind.code, kind.size, offset, place, value.factor))
                 offset += kind.size
-            made.count = first - made.first
-        return Table(framing, field_of, fields, values)
+            other, bit = int(field_of[field.key]), bits.get(field.group, 0)
+            fields.append(CompiledField(field.size, first, len(values), other, bit))
+            field_of[field.key] = number
+        return Table(framing, field_of, filled(CompiledField, fields), filled(CompiledValue, values))
 
 
 @dataclass(frozen=True, slots=True)

@@ -74,17 +74,17 @@ SHAPES = {"types": 256, "roles": 256, "log": LOG_SIZE} | dict.fromkeys(
 """Of the arrays in a `State`."""
 
 
-class CompiledField:
-    """A field: bytes of data, its values (the first, how many), and another field of the same key, or -1."""
+class CompiledField(NamedTuple):
+    """A field: bytes of data, its values from `first` to `stop`, and another field of the same key, or -1."""
 
     width: int
     first: int
-    count: int
+    stop: int
     other: int
     group: int  # its bit
 
 
-class CompiledValue:
+class CompiledValue(NamedTuple):
     """A number in a field; the column is that of the floats, or the complement of that of the integers."""
 
     kind: int
@@ -253,8 +253,7 @@ def _decode(begin: int, end: int, layout: int, stream: Stream, state: State, tab
                 continue
         seen[number] += 1
         field = fields[number]
-        first = np.uint64(field.first)
-        stop = first + np.uint64(field.count)
+        first, stop = np.uint64(field.first), np.uint64(field.stop)
         known += int(stop > first)
         groups |= field.group
         for v in range(first, stop):
