@@ -50,7 +50,14 @@ def njit(function: F | None = None, **options: Any) -> F | Callable[[F], F]:
     return compiled
 
 
-_TYPES = {"int": np.int64, "IntArray": np.int64, "float": np.float64, "FloatArray": np.float64}
+_TYPES = {
+    "int": np.int64,
+    "IntArray": np.int64,
+    "float": np.float64,
+    "FloatArray": np.float64,
+    "ByteArray": np.uint8,
+    "WordArray": np.uint32,
+}
 
 
 def record(fields: type[Fields], **shapes: int | tuple[int, ...]) -> Fields:
@@ -59,7 +66,7 @@ def record(fields: type[Fields], **shapes: int | tuple[int, ...]) -> Fields:
     Parameters
     ----------
     fields : type
-        A class that annotates the fields as int, float, IntArray or FloatArray.
+        A class that annotates the fields as int, float, or an array of either, of bytes or of 32-bit words.
     shapes : int or tuple of int
         Of the fields that are arrays.
     """
@@ -67,10 +74,26 @@ def record(fields: type[Fields], **shapes: int | tuple[int, ...]) -> Fields:
 
 
 def records(fields: type[Fields], count: int, **shapes: int | tuple[int, ...]) -> Sequence[Fields]:
-    """Return an array of so many such records."""
+    """Return an array of so many such records.
+
+    Raises
+    ------
+    ValueError
+        When a NumPy record has an attribute of its own with the name of a field.
+    """
+    if taken := [name for name in fields.__annotations__ if hasattr(np.record, name)]:
+        raise ValueError(f"{fields.__name__}: NumPy has another meaning for {', '.join(taken)}")
     layout = [(name, _TYPES[kind], shapes.get(name, ())) for name, kind in fields.__annotations__.items()]
     made: Any = np.zeros(count, np.dtype((np.record, layout)))
     return cast(Sequence[Fields], made)
+
+
+def alone(made: Fields) -> Sequence[Fields]:
+    """Return a record as the array that it is the only one of: compiled code is called with that in 0.3 µs.
+
+    A record as such costs 2 µs a call, which counts where there are few bytes to a call.
+    """
+    return cast(Sequence[Fields], cast(Any, made).base)
 
 
 def kernel_modules() -> tuple[str, ...]:

@@ -79,6 +79,27 @@ def test_samples_do_not_depend_on_chunks_or_blocks(cuts: list[int], take_every: 
     assert one.hexdigest() == many.hexdigest()
 
 
+@given(together=st.lists(st.integers(1, 40), min_size=1, max_size=6), cut=st.integers(1, 57))
+@settings(max_examples=20, deadline=None)
+def test_reads_given_together_are_those_given_one_by_one(together: list[int], cut: int) -> None:
+    # The last byte of a packet comes alone, or with the next packet: the arrivals differ within a read.
+    whole = b"".join(data for data, _ in stream(60))
+    reads = [(whole[at : at + cut], START + at) for at in range(0, len(whole), cut)]
+    one_by_one, reference = run(reads, 3)
+    pipeline, at, turn = Pipeline(AX1, [CountingEstimator()]), 0, 0
+    while at < len(reads):
+        some = reads[at : at + together[turn % len(together)]]
+        ends = np.cumsum([len(data) for data, _ in some])
+        data = np.frombuffer(b"".join(data for data, _ in some), np.uint8)
+        pipeline.feed_reads(data, ends, np.array([arrival for _, arrival in some]))
+        at, turn = at + len(some), turn + 1
+    pipeline.finish()
+    block = pipeline.take()
+    assert pipeline.counters == reference.counters
+    for name in one_by_one.columns:
+        np.testing.assert_array_equal(block[name], one_by_one[name], err_msg=name)
+
+
 def test_counters_account_for_every_byte_and_packet() -> None:
     pieces = stream(60)
     block, pipeline = run(pieces, 1)

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from imumon.compiled import njit
-from imumon.protocols.base import ByteArray
+from imumon.compiled import njit, record
+from imumon.protocols.stream import ByteArray
 
-CrcTable = npt.NDArray[np.uint32]
+WordArray = npt.NDArray[np.uint32]
 
 NONE, SUM8, SUM8_NEGATED, XOR8, SUM16, FLETCHER16, FLETCHER16_256, CRC_FORWARD, CRC_REFLECTED = range(9)
 
@@ -63,39 +63,41 @@ CRCS = {
 CHECKSUM_NAMES = (*SIMPLE, *CRCS)
 
 
-@dataclass(frozen=True, slots=True)
 class Checksum:
-    """A checksum ready for the kernels: code, bytes, and what a CRC needs.
+    """A checksum ready for the kernels: code, width in bytes, and what a CRC needs.
 
     A CRC runs in a 32-bit register, left-aligned when it is not reflected, so that one pair of loops does for
     every width; `shift` brings the result down.
     """
 
     code: int
-    size: int
-    table: CrcTable
-    initial: int = 0
-    final_xor: int = 0
-    shift: int = 0
+    width: int
+    initial: int
+    final_xor: int
+    shift: int
+    table: WordArray
 
 
 def make_checksum(name: str) -> Checksum:
     """Return the checksum of this name (one of `CHECKSUM_NAMES`)."""
+    check = record(Checksum, table=(8, 256))
     if name in SIMPLE:
-        code, size = SIMPLE[name]
-        return Checksum(code, size, np.zeros((8, 256), np.uint32))
+        check.code, check.width = SIMPLE[name]
+        return check
     crc = CRCS[name]
-    shift = 0 if crc.reflected else 32 - crc.width
-    initial = _reverse(crc.initial, crc.width) if crc.reflected else crc.initial << shift
-    code = CRC_REFLECTED if crc.reflected else CRC_FORWARD
-    return Checksum(code, crc.width // 8, _crc_table(crc), initial, crc.final_xor, shift)
+    check.shift = 0 if crc.reflected else 32 - crc.width
+    check.initial = _reverse(crc.initial, crc.width) if crc.reflected else crc.initial << check.shift
+    check.code = CRC_REFLECTED if crc.reflected else CRC_FORWARD
+    check.width, check.final_xor = crc.width // 8, crc.final_xor
+    check.table[:] = _crc_table(crc)
+    return check
 
 
 def _reverse(value: int, width: int) -> int:
     return int(f"{value:0{width}b}"[::-1], 2)
 
 
-def _crc_table(crc: Crc) -> CrcTable:
+def _crc_table(crc: Crc) -> WordArray:
     """Tables T[k][b]: the register after byte b and k zero bytes, started from zero."""
     table = np.zeros((8, 256), np.uint32)
     for byte in range(256):
@@ -122,26 +124,17 @@ def _crc_table(crc: Crc) -> CrcTable:
 
 
 @njit
-def checksum(
-    code: int,
-    buf: ByteArray,
-    start: int,
-    stop: int,
-    table: CrcTable,
-    initial: int,
-    final_xor: int,
-    shift: int,
-) -> np.int64:
-    """Compute a checksum over buf[start:stop]; the other arguments are the fields of `Checksum`."""
+def checksum(check: Checksum, buf: ByteArray, start: int, stop: int) -> np.int64:
+    """Compute a checksum over buf[start:stop]."""
+    code, table, initial = check.code, check.table, check.initial
     first, last = np.uint64(start), np.uint64(stop)
     if code in (FLETCHER16, FLETCHER16_256):
         return np.int64(_fletcher(buf, first, last, 255 if code == FLETCHER16 else 256))
     if code == CRC_FORWARD:
-        return np.int64(
-            (_crc_forward(buf, first, last, table, initial) >> np.uint32(shift)) ^ np.uint32(final_xor)
-        )
+        crc = _crc_forward(buf, first, last, table, initial) >> np.uint32(check.shift)
+        return np.int64(crc ^ np.uint32(check.final_xor))
     if code == CRC_REFLECTED:
-        return np.int64(_crc_reflected(buf, first, last, table, initial) ^ np.uint32(final_xor))
+        return np.int64(_crc_reflected(buf, first, last, table, initial) ^ np.uint32(check.final_xor))
     if code == XOR8:
         value = np.uint8(0)
         for i in range(first, last):
@@ -173,7 +166,7 @@ def _fletcher(buf: ByteArray, first: np.uint64, last: np.uint64, modulus: int) -
 
 @njit
 def _crc_forward(
-    buf: ByteArray, first: np.uint64, last: np.uint64, table: CrcTable, initial: int
+    buf: ByteArray, first: np.uint64, last: np.uint64, table: WordArray, initial: int
 ) -> np.uint32:
     crc = np.uint32(initial)
     whole = first + (last - first) // np.uint64(8) * np.uint64(8)
@@ -190,7 +183,7 @@ def _crc_forward(
 
 @njit
 def _crc_reflected(
-    buf: ByteArray, first: np.uint64, last: np.uint64, table: CrcTable, initial: int
+    buf: ByteArray, first: np.uint64, last: np.uint64, table: WordArray, initial: int
 ) -> np.uint32:
     crc = np.uint32(initial)
     whole = first + (last - first) // np.uint64(8) * np.uint64(8)
@@ -206,7 +199,7 @@ def _crc_reflected(
 
 
 @njit
-def _last_four(buf: ByteArray, i: np.uint64, table: CrcTable) -> np.uint32:
+def _last_four(buf: ByteArray, i: np.uint64, table: WordArray) -> np.uint32:
     """Contribution of bytes 4 to 7 of eight, which the register does not reach."""
     return np.uint32(
         table[3, buf[i + np.uint64(4)]]

@@ -9,8 +9,9 @@ import numpy.typing as npt
 
 from imumon.blocks import NO_INT, ColumnArray, FloatArray, SampleBlock
 from imumon.errors import ImumonError, Reason
-from imumon.protocols.base import ByteArray, Encoder
-from imumon.protocols.kernel import NUMBER_TYPES, NumberType
+from imumon.protocols.base import Encoder
+from imumon.protocols.numbers import NUMBER_TYPES, NumberType
+from imumon.protocols.stream import ByteArray
 from imumon.protocols.tagged import Derived, Field, Value
 from imumon.protocols.tagged_kernel import FIXED, LONGEST_XBUS_PAYLOAD, MIP, XBUS
 

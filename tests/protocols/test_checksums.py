@@ -22,9 +22,7 @@ CHECK = {
 def compute(name: str, data: bytes) -> int:
     check = make_checksum(name)
     buf = np.frombuffer(b"xx" + data + b"yy", np.uint8)
-    return int(
-        checksum(check.code, buf, 2, 2 + len(data), check.table, check.initial, check.final_xor, check.shift)
-    )
+    return int(checksum(check, buf, 2, 2 + len(data)))
 
 
 def bitwise_crc(name: str, data: bytes) -> int:

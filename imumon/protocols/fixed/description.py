@@ -11,9 +11,10 @@ from pydantic import Field, NonNegativeInt, PositiveInt, StringConstraints, mode
 from imumon.columns import KNOWN, Column
 from imumon.config import StrictModel
 from imumon.errors import ImumonError
-from imumon.protocols.base import LONGEST_PACKET, Timing
+from imumon.protocols.base import Timing
 from imumon.protocols.checksums import CHECKSUM_NAMES, make_checksum
-from imumon.protocols.kernel import NUMBER_TYPES
+from imumon.protocols.numbers import NUMBER_TYPES
+from imumon.protocols.stream import LONGEST_PACKET
 from imumon.units import exact_conversion
 
 ByteOrder = Literal["big", "little"]
@@ -131,7 +132,7 @@ class Packet(StrictModel):
                 )
         check = self.checksum
         if check.type != "none":
-            self._inside("checksum", check.at, check.at + make_checksum(check.type).size)
+            self._inside("checksum", check.at, check.at + int(make_checksum(check.type).width))
             self._inside("checksum", check.first, check.last + 1)
             if check.first <= check.at <= check.last:
                 raise ValueError(

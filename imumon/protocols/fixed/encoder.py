@@ -6,10 +6,11 @@ import numpy as np
 
 from imumon.blocks import ColumnArray, SampleBlock
 from imumon.errors import ImumonError, Reason
-from imumon.protocols.base import ByteArray, Encoder
+from imumon.protocols.base import Encoder
 from imumon.protocols.checksums import checksum, make_checksum
 from imumon.protocols.fixed.description import Packet, PlacedColumn
-from imumon.protocols.kernel import NUMBER_TYPES
+from imumon.protocols.numbers import NUMBER_TYPES
+from imumon.protocols.stream import ByteArray
 
 
 class FixedEncoder(Encoder):
@@ -39,7 +40,7 @@ class FixedEncoder(Encoder):
             if item.column.name in block:
                 bits = _raw_bits(item, block[item.column.name])
                 self._put(packets, item.at, item.type, "big" if item.big else "little", bits)
-        if self._checksum.size:
+        if self._checksum.width:
             self._seal(packets)
         return [row.tobytes() for row in packets]
 
@@ -53,12 +54,8 @@ class FixedEncoder(Encoder):
 
     def _seal(self, packets: ByteArray) -> None:
         field, check = self._packet.checksum, self._checksum
-        sums = [
-            int(checksum(check.code, row, field.first, field.last + 1, check.table, check.initial,
-                         check.final_xor, check.shift))
-            for row in packets
-        ]  # fmt: skip
-        number = {1: "u8", 2: "u16", 4: "u32"}[check.size]
+        sums = [int(checksum(check, row, field.first, field.last + 1)) for row in packets]
+        number = {1: "u8", 2: "u16", 4: "u32"}[int(check.width)]
         self._put(packets, field.at, number, field.byte_order, np.array(sums, np.uint64))
 
 
