@@ -16,7 +16,6 @@ ends behind it is accepted, too; bytes count once.
 from __future__ import annotations
 
 from abc import abstractmethod
-from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -24,10 +23,10 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
-from imumon.blocks import IntArray, SampleBlock, join, missing
-from imumon.columns import Column
-from imumon.protocols.base import CHUNK, ByteArray, Counters, Decoder, Packets
+from imumon.blocks import IntArray
+from imumon.protocols.base import Counters, Decoder, Packets
 from imumon.protocols.checksums import Crc
+from imumon.protocols.stream import CHUNK, ByteArray
 
 BoolArray = npt.NDArray[np.bool_]
 
@@ -102,7 +101,8 @@ class Found:
     def bytes(self) -> ByteArray:
         """Return the bytes of packets that are all of one length, (n, length)."""
         size = int(self.length[0]) if len(self) else 0
-        return self.held[self.at[:, np.newaxis] + np.arange(size)]
+        packets: ByteArray = self.held[self.at[:, np.newaxis] + np.arange(size)]
+        return packets
 
 
 class FramedDecoder(Decoder):
@@ -121,8 +121,10 @@ class FramedDecoder(Decoder):
         self._waiting = 0  # bytes in the parts
         self._rest = b""  # searched, and still part of what may become a packet
         self._overlap = 0  # bytes at the front of the rest that belong to the packet accepted last
-        self._ends: list[int] = []
-        self._times: list[int] = []  # bytes up to each end, counted from the first, arrived at these times
+        self._ends: list[IntArray] = []
+        self._times: list[
+            IntArray
+        ] = []  # bytes up to each end, counted from the first, arrived at these times
         self._searched = 0  # bytes before the rest
         self._received = self._in_packets = self._checksum_errors = self._length_errors = 0
         self._by_frame = [0] * len(self._frames)
@@ -131,33 +133,22 @@ class FramedDecoder(Decoder):
     def _read(self, found: Found, arrival_ns: IntArray) -> Packets:
         """Return what the packets carry: a row for each that has something for a row, in order."""
 
-    def feed(self, data: bytes | memoryview | ByteArray, arrival_ns: int) -> None:
-        """Take bytes that arrived at `arrival_ns` (Unix time, ns)."""
+    def feed_reads(self, data: bytes | memoryview | ByteArray, ends: IntArray, arrivals_ns: IntArray) -> None:
+        """Take the bytes of several reads: of each where it ends in the data, and when it arrived."""
         self._parts.append(bytes(data))
-        self._received += len(data)
         self._waiting += len(data)
-        self._ends.append(self._received)
-        self._times.append(arrival_ns)
+        self._ends.append(ends + self._received)
+        self._times.append(arrivals_ns.copy())
+        self._received += len(data)
         if self._waiting > CHUNK:
             self._search(final=False)
 
     def finish(self) -> None:
-        """Decode what is held on the understanding that no more bytes come."""
+        """Decode what is held; see `Decoder.finish`."""
         self._search(final=True)
 
-    def take_packets(self) -> Packets:
-        """Return the packets decoded since the last call, with the groups of their fields."""
+    def _settle(self) -> None:
         self._search(final=False)
-        done, self._done = self._done, []
-        if not done:
-            empty = {column.name: missing(0, column.dtype) for column in self.columns}
-            return Packets(SampleBlock(empty), np.zeros(0, np.int64))
-        return Packets(join([part.block for part in done]), np.concatenate([part.groups for part in done]))
-
-    def discard(self) -> None:
-        """Forget the rows decoded since the last call."""
-        self._search(final=False)
-        self._done.clear()
 
     def counters(self) -> Counters:
         """Return what became of the bytes so far."""
@@ -185,16 +176,16 @@ class FramedDecoder(Decoder):
         taken, rest, overlap = _walk(at, verdict, len(held), self._overlap, final)
         found = Found(held, at[taken], verdict[taken], frame[taken])
         self._count(found, at, verdict, rest)
+        ends, times = np.concatenate(self._ends), np.concatenate(self._times)
         if len(found):
-            last_bytes = self._searched + found.at + found.length
-            times = np.array(self._times)[np.searchsorted(np.array(self._ends), last_bytes, "left")]
-            packets = self._read(found, times)
+            last = self._searched + found.at + found.length
+            packets = self._read(found, times[np.searchsorted(ends, last)])
             if len(packets):
                 self._done.append(packets)
         self._rest, self._overlap = data[rest:], overlap
         self._searched += rest
-        old = bisect_right(self._ends, self._searched)
-        del self._ends[:old], self._times[:old]
+        recent = int(np.searchsorted(ends, self._searched, "right"))
+        self._ends, self._times = [ends[recent:]], [times[recent:]]
 
     def _candidates(self, held: ByteArray, final: bool) -> tuple[IntArray, IntArray, IntArray]:
         """Return places, frames and verdicts of all sync patterns, in order, one for each place.
@@ -263,7 +254,7 @@ def _stands(at: IntArray, place: int) -> bool:
 
 
 def gathered(held: ByteArray, first: IntArray, last: IntArray) -> tuple[ByteArray, IntArray]:
-    """Return the bytes from each first to before each last place, one behind the other, and where each begins.
+    """Return the bytes from each first to before each last place, in one row, and where each begins.
 
     None of the spans may be empty.
     """
@@ -339,8 +330,8 @@ def _by_distance(crc: Crc, longest: int) -> tuple[IntArray, IntArray]:
     def with_zero(register: IntArray) -> IntArray:
         """Return the register after one more byte, which is zero."""
         if crc.reflected:
-            return (register >> 8) ^ step[register & 0xFF]
-        return ((register << 8) & mask) ^ step[register >> crc.width - 8]
+            return np.asarray((register >> 8) ^ step[register & 0xFF])
+        return np.asarray(((register << 8) & mask) ^ step[register >> crc.width - 8])
 
     table = np.empty((longest, 256), np.int64)
     empty = np.empty(longest + 1, np.int64)

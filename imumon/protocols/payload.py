@@ -11,9 +11,10 @@ import numpy as np
 from imumon.blocks import ColumnArray, FloatArray, IntArray, SampleBlock, missing
 from imumon.columns import KNOWN, Column
 from imumon.errors import ImumonError, Reason
-from imumon.protocols.base import MAIN, ByteArray, Groups, Packets, Timing
+from imumon.protocols.base import MAIN, Groups, Packets, Timing
 from imumon.protocols.framing import Found, Frame, FramedDecoder
-from imumon.protocols.kernel import NUMBER_TYPES
+from imumon.protocols.numbers import NUMBER_TYPES
+from imumon.protocols.stream import ByteArray
 from imumon.protocols.tagged import Value
 from imumon.protocols.tagged_encoder import packed
 
@@ -21,10 +22,13 @@ from imumon.protocols.tagged_encoder import packed
 class Layout(Protocol):
     """What packets of one kind carry."""
 
-    columns: tuple[Column, ...]
-    groups: tuple[str, ...]
-    of_column: dict[str, str]
-    """Group of each column that has one."""
+    @property
+    def columns(self) -> tuple[Column, ...]:
+        """What `read` returns."""
+
+    @property
+    def of_column(self) -> dict[str, str]:
+        """Group of each column that has one."""
 
     def read(self, found: Found) -> dict[str, ColumnArray]:
         """Return a value a packet for each column."""
@@ -51,7 +55,6 @@ class Placed:
                 if group:
                     self.of_column[value.column.name] = group
         self.columns = tuple(value.column for value, _ in names.values() if value.column is not None)
-        self.groups = tuple(dict.fromkeys(self.of_column.values()))
         self._values = [value for value, _ in names.values()]
         formats, offsets = [], []
         for value, at in names.values():
@@ -129,7 +132,7 @@ class LayoutDecoder(FramedDecoder):
         for column in layout.columns:
             self._columns.setdefault(column.name, column)
         self._layouts.append(layout)
-        self._group_bits.append(sum(1 << names.index(group) for group in layout.groups) or 1)
+        self._group_bits.append(sum(1 << names.index(group) for group in {*layout.of_column.values()}) or 1)
         return len(self._layouts) - 1
 
     def _read(self, found: Found, arrival_ns: IntArray) -> Packets:

@@ -10,7 +10,7 @@ import numpy as np
 from imumon.blocks import NO_INT, ColumnArray, IntArray, SampleBlock
 from imumon.columns import KNOWN, Column
 from imumon.compiled import alone, record, records
-from imumon.protocols.base import CAPACITY, COMMON, MAIN, Decoder, Groups, Timing
+from imumon.protocols.base import CAPACITY, COMMON, MAIN, CompiledDecoder, Groups, Timing
 from imumon.protocols.numbers import NUMBER_TYPES
 from imumon.protocols.tagged_kernel import (
     ANY_SIZE,
@@ -170,7 +170,7 @@ class _Seen:
     shown: tuple[Column, ...]
 
 
-class TaggedDecoder(Decoder):
+class TaggedDecoder(CompiledDecoder):
     """Decodes Xbus or MIP by a table of fields; a row for each packet that carries a known one.
 
     Parameters

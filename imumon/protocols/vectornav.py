@@ -23,7 +23,7 @@ import numpy.typing as npt
 from imumon.blocks import ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.columns import KNOWN, Column
 from imumon.errors import ImumonError, Reason
-from imumon.protocols.base import LONGEST_PACKET, MAIN, ByteArray, Encoder, Timing
+from imumon.protocols.base import MAIN, Encoder, Timing
 from imumon.protocols.checksums import CRCS
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.framing import (
@@ -34,8 +34,9 @@ from imumon.protocols.framing import (
     Found,
     Frame,
 )
-from imumon.protocols.kernel import NUMBER_TYPES
-from imumon.protocols.payload import LayoutDecoder, Placed, written
+from imumon.protocols.numbers import NUMBER_TYPES
+from imumon.protocols.payload import Layout, LayoutDecoder, Placed, written
+from imumon.protocols.stream import LONGEST_PACKET, ByteArray
 from imumon.protocols.tagged import NO_GROUP, Value
 from imumon.protocols.tagged_columns import count, known, number, vector
 
@@ -155,7 +156,8 @@ ATTITUDE_ITEMS = (
     Item("Ypr", YPR, "attitude"),
     Item("Quaternion", QUATERNION, "attitude"),
     _skipped("Dcm", 36, "attitude"),
-    Item("MagNed", _numbers(vector("mag_ned", "uT", "magnetic field north, east, down"), factor=GAUSS), "mag"),
+    Item("MagNed", _numbers(vector("mag_ned", "uT", "magnetic field, north, east, down"), factor=GAUSS),
+         "mag"),
     Item("AccelNed", _numbers(vector("accel_ned", "m/s^2", "acceleration with gravity, north, east, down"))),
     Item("LinearAccelBody", _numbers(vector("free_accel", "m/s^2", "acceleration without gravity"))),
     _skipped("LinearAccelNed", 12),
@@ -300,7 +302,7 @@ _POPCOUNT = np.array([bin(byte & 0x7F).count("1") for byte in range(256)])
 
 
 def _keys(held: ByteArray, at: IntArray) -> tuple[npt.NDArray[np.uint64], BoolArray]:
-    """Return the bytes of each header as one number, and for which these are all that its packet follows from.
+    """Return the bytes of each header as one number, and for which its packet follows from these.
 
     Headers are few and packets many, so one packet of each is read.  Not so for headers of more than eight
     bytes, and at the end of the data.
@@ -427,7 +429,6 @@ class SentenceLayout:
         self._values = values
         self.columns = tuple(value.column for value in values if value.column is not None)
         self.of_column = {column.name: MAIN for column in self.columns}
-        self.groups = (MAIN,)
 
     def read(self, found: Found) -> dict[str, ColumnArray]:
         """Return a value a line for each column."""
@@ -545,11 +546,11 @@ class VectorNavDecoder(LayoutDecoder):
         """Add the layout of a kind of packet; return its number, or -1 when it has nothing for a row."""
         alone = [base for base in FILTERED if base not in self._factory | kind.factory]
         placed = [(_without_suffix(value, alone), at, group) for value, at, group in kind.placed]
-        layout = SentenceLayout([value for value, _, _ in placed]) if kind.text else Placed(placed)
+        layout: Layout = SentenceLayout([v for v, _, _ in placed]) if kind.text else Placed(placed)
         if "gyro_x" in layout.of_column and "gyro" in alone:
             self._say(
-                "the angular rate is that of the device's filter, which has taken its own estimate of the gyro "
-                "bias off: a bias found from it is what that left; send UncompGyro or Imu (binary), or $VNIMU"
+                "the angular rate is that of the device's filter, which has taken its own estimate of "
+                "the gyro bias off: what imumon finds is the rest of it; send UncompGyro, Imu or $VNIMU"
             )
         return self._add(layout) if layout.columns else -1
 
