@@ -18,7 +18,6 @@ from math import pi
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from imumon.blocks import ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.columns import KNOWN, Column
@@ -299,34 +298,56 @@ class Header:
 
 
 _POPCOUNT = np.array([bin(byte & 0x7F).count("1") for byte in range(256)])
+_WIDEST = 16
+"""Bytes of a header of all groups of the first byte."""
 
 
-def _keys(held: ByteArray, at: IntArray) -> tuple[npt.NDArray[np.uint64], BoolArray]:
-    """Return the bytes of each header as one number, and for which its packet follows from these.
+def _sizes() -> tuple[IntArray, BoolArray, BoolArray]:
+    """Return by group, half of the word and its value: bytes of the fields; if all are known; if it goes on.
 
-    Headers are few and packets many, so one packet of each is read.  Not so for headers of more than eight
-    bytes, and at the end of the data.
+    Shapes (8, 2, 256).  A word goes on when its last bit or a field that counts itself is set.
     """
-    windows = np.lib.stride_tricks.sliding_window_view(np.pad(held, (0, 8)), 8)[at]
+    sizes = np.zeros((8, 2, 256), np.int64)
+    known, longer = np.zeros((8, 2, 256), np.bool_), np.zeros((8, 2, 256), np.bool_)
+    for group, half, value in np.ndindex(sizes.shape):
+        items = GROUPS.get(group, ())
+        bits = [8 * half + k for k in range(8) if value >> k & 1]
+        more = group != COMMON and 15 in bits
+        found = [items[bit] if bit < len(items) else None for bit in bits if not (more and bit == 15)]
+        known[group, half, value] = None not in found
+        longer[group, half, value] = more or any(item is not None and item.repeat for item in found)
+        sizes[group, half, value] = sum(_size(item) for item in found if item is not None)
+    return sizes, known, longer
+
+
+_SIZES, _KNOWN, _LONGER = _sizes()
+
+
+def _headers(held: ByteArray, at: IntArray) -> ByteArray:
+    """Return the bytes of each header as its first group byte has them, and zeros, (n, 16)."""
+    windows = np.lib.stride_tricks.sliding_window_view(np.pad(held, (0, _WIDEST)), _WIDEST)[at]
     size = 2 + 2 * _POPCOUNT[windows[:, 1]]
-    kept = np.arange(8) < size[:, np.newaxis]
-    keys = np.ascontiguousarray(np.where(kept, windows, np.uint8(0))).view(np.uint64)[:, 0]
-    return keys, (size <= 8) & (windows[:, 1] < 0x80) & (at + size <= len(held))
+    return np.where(np.arange(_WIDEST) < size[:, np.newaxis], windows, np.uint8(0))
 
 
 def _lengths(held: ByteArray, at: IntArray) -> IntArray:
-    """Return the length of the packet at each place; see `imumon.protocols.framing.Lengths`."""
-    keys, enough = _keys(held, at)
-    _, first, same = np.unique(keys, return_index=True, return_inverse=True)
-    one_by_one = ~enough
-    found = np.empty(len(first), np.int64)
-    for k, place in enumerate(at[first].tolist()):
-        header = read_header(held[place : place + MOST_HEADER].tobytes())
-        found[k] = _length(held[place:], header)
-        if not isinstance(header, int) and (header.size > 8 or any(item.repeat for item in header.items)):
-            one_by_one[same.reshape(-1) == k] = True
-    result = found[same.reshape(-1)]
-    for k in np.flatnonzero(one_by_one).tolist():
+    """Return the length of the packet at each place; see `imumon.protocols.framing.Lengths`.
+
+    Read at once, but for headers of a second group byte or word, and fields that count themselves.
+    """
+    headers, rows = _headers(held, at), np.arange(len(at))
+    place, length = np.full(len(at), 2), np.zeros(len(at), np.int64)
+    good, alone = headers[:, 1] != 0, headers[:, 1] >= 0x80
+    for group in range(1, 8):
+        there = headers[:, 1] >> (group - 1) & 1 != 0
+        for half in range(2):
+            word = headers[rows, np.minimum(place, _WIDEST - 1)]
+            length += np.where(there, _SIZES[group, half, word], 0)
+            good &= ~there | _KNOWN[group, half, word]
+            alone |= there & _LONGER[group, half, word]
+            place += there
+    result = np.where(good & (length > 0), place + length + 2, IMPOSSIBLE)
+    for k in np.flatnonzero(good & alone | (at + place > len(held))).tolist():
         packet = held[at[k] :]
         result[k] = _length(packet, read_header(packet[:MOST_HEADER].tobytes()))
     return result
@@ -491,11 +512,11 @@ class VectorNavDecoder(LayoutDecoder):
         """Return the number of the kind of each packet, its header; -1: one that is only counted."""
         kinds = np.full(len(found), -1, np.int64)
         binary = np.flatnonzero(found.frame == BINARY)
-        keys, enough = _keys(found.held, found.at[binary])
-        _, first, same = np.unique(keys, return_index=True, return_inverse=True)
-        of_key = np.array([self._kind(found, k) for k in binary[first].tolist()], np.int64)
-        kinds[binary] = of_key[same.reshape(-1)] if len(binary) else of_key
-        alone = ~enough | np.array([self._known[k].alone for k in kinds[binary].tolist()], np.bool_)
+        headers = np.ascontiguousarray(_headers(found.held, found.at[binary])).view(f"S{_WIDEST}")
+        _, first, same = np.unique(headers.reshape(-1), return_index=True, return_inverse=True)
+        of_header = np.array([self._kind(found, k) for k in binary[first].tolist()], np.int64)
+        kinds[binary] = of_header[same.reshape(-1)]
+        alone = np.array([self._known[k].alone for k in of_header.tolist()], np.bool_)[same.reshape(-1)]
         for k in [*binary[alone].tolist(), *np.flatnonzero(found.frame == SENTENCE).tolist()]:
             kinds[k] = self._kind(found, k)
         return kinds
@@ -522,7 +543,8 @@ class VectorNavDecoder(LayoutDecoder):
             for value in item.values:
                 placed.append((value, at, item.group))
                 at += NUMBER_TYPES[value.type].size
-        return self._known_kind(key, placed, repeats or header.size > 8)
+        alone = repeats or packet[1] >= 0x80 or header.size != 2 + 2 * int(_POPCOUNT[packet[1]])
+        return self._known_kind(key, placed, alone)
 
     def _known_kind(self, key: bytes, placed: Sequence[tuple[Value, int, str]], alone: bool) -> int:
         if key not in self._kinds:
