@@ -20,6 +20,7 @@ PROTOCOLS = {
     "fixed": "imumon.protocols.fixed.device:FixedDevice",
     "xsens-mtdata2": "imumon.protocols.xsens.mtdata2:MTData2Device",
     "xsens-mtdata": "imumon.protocols.xsens.mtdata:MTDataDevice",
+    "witmotion": "imumon.protocols.witmotion:WitMotionDevice",
     "vectornav": "imumon.protocols.vectornav:VectorNavDevice",
     "mip": "imumon.protocols.mip:MipDevice",
 }

@@ -15,7 +15,7 @@ from imumon.protocols.base import MAIN, Groups, Packets, Timing
 from imumon.protocols.framing import Found, Frame, FramedDecoder
 from imumon.protocols.numbers import NUMBER_TYPES
 from imumon.protocols.stream import ByteArray
-from imumon.protocols.tagged import Value
+from imumon.protocols.tagged import Derived, Value
 from imumon.protocols.tagged_encoder import packed
 
 
@@ -44,9 +44,13 @@ class Placed:
         one column the first counts.
     big : bool
         Whether the most significant byte comes first.
+    derived : sequence of Derived
+        Columns that are computed from others, which have names that begin with "_".
     """
 
-    def __init__(self, values: Sequence[tuple[Value, int, str]], big: bool = False) -> None:
+    def __init__(
+        self, values: Sequence[tuple[Value, int, str]], big: bool = False, derived: Sequence[Derived] = ()
+    ) -> None:
         names: dict[str, tuple[Value, int]] = {}
         self.of_column: dict[str, str] = {}
         for value, at, group in values:
@@ -54,7 +58,14 @@ class Placed:
                 names[value.column.name] = value, at
                 if group:
                     self.of_column[value.column.name] = group
-        self.columns = tuple(value.column for value, _ in names.values() if value.column is not None)
+        self._derived = [item for item in derived if names.keys() >= set(item.sources)]
+        for item in self._derived:
+            if item.sources[0] in self.of_column:
+                group = self.of_column[item.sources[0]]
+                self.of_column |= {column.name: group for column in item.results}
+        sent = [value.column for value, _ in names.values() if value.column is not None]
+        shown = [*sent, *(column for item in self._derived for column in item.results)]
+        self.columns = tuple(column for column in shown if not column.name.startswith("_"))
         self._values = [value for value, _ in names.values()]
         formats, offsets = [], []
         for value, at in names.values():
@@ -70,10 +81,13 @@ class Placed:
         names, formats, offsets = self._fields
         described = {"names": names, "formats": formats, "offsets": offsets, "itemsize": packets.shape[1]}
         records = packets.view(np.dtype(described))[:, 0]  # type: ignore[call-overload]  # numpy's own form
-        return {
-            column.name: self._scaled(value, records[column.name])
-            for column, value in zip(self.columns, self._values, strict=True)
+        columns = {
+            name: self._scaled(value, records[name]) for name, value in zip(names, self._values, strict=True)
         }
+        for item in self._derived:
+            made = item.decode(columns)
+            columns |= {column.name: values for column, values in zip(item.results, made, strict=True)}
+        return columns
 
     @staticmethod
     def _scaled(value: Value, raw: ColumnArray) -> ColumnArray:
