@@ -103,11 +103,10 @@ class Packets:
 
 
 class Decoder(ABC):
-    """Turns a byte stream into columns, whatever the chunking.
+    """Turns a byte stream into columns, whatever the chunking; `take` hands out what has come since.
 
-    A subclass supplies `_scan`, one compiled pass over the held bytes.  Rows are written into preallocated
-    columns; `take` hands out what has come since the last call.  After a bad checksum or an impossible
-    length the scan steps one byte and looks again, so a damaged packet never hides a good one.
+    After a bad checksum or an impossible length the search steps one byte and looks again, so a damaged
+    packet never hides a good one.
     """
 
     timing: Timing
@@ -115,8 +114,6 @@ class Decoder(ABC):
     """Groups of the fields, for a protocol that may spread one moment over several packets; else None."""
 
     def __init__(self) -> None:
-        self._stream = new_stream()
-        self._streams = alone(self._stream)
         self._end, self._arrival_ns = np.zeros(1, np.int64), np.zeros(1, np.int64)
         self._done: list[Packets] = []
 
@@ -129,6 +126,57 @@ class Decoder(ABC):
     def possible_columns(self) -> tuple[Column, ...]:
         """All columns that may ever come."""
         return self.columns
+
+    @abstractmethod
+    def feed_reads(self, data: bytes | memoryview | ByteArray, ends: IntArray, arrivals_ns: IntArray) -> None:
+        """Decode the bytes of several reads: of each where it ends in the data, and when it arrived."""
+
+    @abstractmethod
+    def finish(self) -> None:
+        """Decode what is held on the understanding that no more bytes come.
+
+        A damaged header that claims a long packet holds back the packets behind it until that length has
+        arrived; at the end of the data they are found.  What is pending afterwards is a packet cut short.
+        """
+
+    @abstractmethod
+    def counters(self) -> Counters:
+        """Return what became of the bytes so far."""
+
+    @abstractmethod
+    def _settle(self) -> None:
+        """Put everything that is decoded into `_done`."""
+
+    def notices(self) -> list[str]:
+        """Return, once each, what the device said that is not data (errors, configuration)."""
+        return []
+
+    def feed(self, data: bytes | memoryview | ByteArray, arrival_ns: int) -> None:
+        """Decode bytes that arrived at `arrival_ns` (Unix time, ns)."""
+        self._end[0], self._arrival_ns[0] = len(data), arrival_ns
+        self.feed_reads(data, self._end, self._arrival_ns)
+
+    def take(self) -> SampleBlock:
+        """Return the packets decoded since the last call, a row each, as arrays of their own."""
+        return self.take_packets().block
+
+    def take_packets(self) -> Packets:
+        """Return the packets decoded since the last call, with the groups of their fields."""
+        self._settle()
+        done, self._done = self._done, []
+        if not done:
+            empty = {column.name: missing(0, column.dtype) for column in self.columns}
+            return Packets(SampleBlock(empty), np.zeros(0, np.int64))
+        return Packets(join([part.block for part in done]), np.concatenate([part.groups for part in done]))
+
+
+class CompiledDecoder(Decoder):
+    """A decoder whose subclass supplies `_scan`, one compiled pass that writes rows into its columns."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._stream = new_stream()
+        self._streams = alone(self._stream)
 
     @abstractmethod
     def _scan(self, final: bool) -> bool:
@@ -155,15 +203,6 @@ class Decoder(ABC):
             packets_by_type=self._packets_by_type(),
         )
 
-    def notices(self) -> list[str]:
-        """Return, once each, what the device said that is not data (errors, configuration)."""
-        return []
-
-    def feed(self, data: bytes | memoryview | ByteArray, arrival_ns: int) -> None:
-        """Decode bytes that arrived at `arrival_ns` (Unix time, ns)."""
-        self._end[0], self._arrival_ns[0] = len(data), arrival_ns
-        self.feed_reads(data, self._end, self._arrival_ns)
-
     def feed_reads(self, data: bytes | memoryview | ByteArray, ends: IntArray, arrivals_ns: IntArray) -> None:
         """Decode the bytes of several reads: of each where it ends in the data, and when it arrived."""
         chunk = data if isinstance(data, np.ndarray) else np.frombuffer(data, np.uint8)
@@ -174,26 +213,12 @@ class Decoder(ABC):
             self._decode(final=False)
 
     def finish(self) -> None:
-        """Decode what is held on the understanding that no more bytes come.
-
-        A damaged header that claims a long packet holds back the packets behind it until that length has
-        arrived; at the end of the data they are found.  What is pending afterwards is a packet cut short.
-        """
+        """Decode what is held; see `Decoder.finish`."""
         self._decode(final=True)
 
-    def take(self) -> SampleBlock:
-        """Return the packets decoded since the last call, a row each, as arrays of their own."""
-        return self.take_packets().block
-
-    def take_packets(self) -> Packets:
-        """Return the packets decoded since the last call, with the groups of their fields."""
+    def _settle(self) -> None:
         if self._stream.rows:
             self._flush()
-        done, self._done = self._done, []
-        if not done:
-            empty = {column.name: missing(0, column.dtype) for column in self.columns}
-            return Packets(SampleBlock(empty), np.zeros(0, np.int64))
-        return Packets(join([part.block for part in done]), np.concatenate([part.groups for part in done]))
 
     def _decode(self, final: bool) -> None:
         while self._scan(final):

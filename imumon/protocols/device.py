@@ -20,6 +20,8 @@ PROTOCOLS = {
     "fixed": "imumon.protocols.fixed.device:FixedDevice",
     "xsens-mtdata2": "imumon.protocols.xsens.mtdata2:MTData2Device",
     "xsens-mtdata": "imumon.protocols.xsens.mtdata:MTDataDevice",
+    "witmotion": "imumon.protocols.witmotion:WitMotionDevice",
+    "vectornav": "imumon.protocols.vectornav:VectorNavDevice",
     "mip": "imumon.protocols.mip:MipDevice",
 }
 """Class that reads the device files of each protocol; imported when a device of it is loaded."""

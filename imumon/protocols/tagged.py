@@ -10,7 +10,7 @@ import numpy as np
 from imumon.blocks import NO_INT, ColumnArray, IntArray, SampleBlock
 from imumon.columns import KNOWN, Column
 from imumon.compiled import alone, filled, record
-from imumon.protocols.base import CAPACITY, COMMON, MAIN, Decoder, Groups, Timing
+from imumon.protocols.base import CAPACITY, COMMON, MAIN, CompiledDecoder, Groups, Timing
 from imumon.protocols.numbers import NUMBER_TYPES
 from imumon.protocols.tagged_kernel import (
     ANY_SIZE,
@@ -161,7 +161,7 @@ class _Seen:
     shown: tuple[Column, ...]
 
 
-class TaggedDecoder(Decoder):
+class TaggedDecoder(CompiledDecoder):
     """Decodes Xbus or MIP by a table of fields; a row for each packet that carries a known one.
 
     Parameters

@@ -14,7 +14,7 @@ import numpy as np
 from imumon.blocks import ColumnArray, IntArray, SampleBlock
 from imumon.columns import KNOWN, Column
 from imumon.compiled import alone, njit, record
-from imumon.protocols.base import CAPACITY, Decoder
+from imumon.protocols.base import CAPACITY, CompiledDecoder
 from imumon.protocols.checksums import Checksum, checksum, make_checksum
 from imumon.protocols.fixed.description import ByteOrder, Packet, PlacedColumn
 from imumon.protocols.numbers import NUMBER_TYPES
@@ -38,7 +38,7 @@ class _Frame:
     sum_big: int
 
 
-class FixedDecoder(Decoder):
+class FixedDecoder(CompiledDecoder):
     """Decoder of a packet that a device file describes."""
 
     def __init__(self, name: str, packet: Packet, rate_hz: float | None) -> None:
