@@ -413,16 +413,16 @@ def _take(state: State, params: Params, bank: Bank, reading: Reading) -> FloatAr
         flat * noise[1] ** 2 + (1.0 - flat) * YAW_NOISE**2,
         flat * STILLNESS**2,
     )
-    found = filters.look(bank, at_rest)
-    innovation = filters.innovation(bank, found)
+    filters.integrate(bank, at_rest)
+    innovation = filters.innovation(bank, at_rest)
     shown: FloatArray = np.where(state.chosen, innovation[-1], innovation[0])
     # Just after a contradiction the rotation is not known, and a rotation explains any rate for a while.
     contrary = state.contrary.readings and filters.disagreement(bank, at_rest)[0].max() > GATE
-    if contrary or filters.surprise(found)[0].max() > GATE:
+    if contrary or filters.surprise(bank, at_rest)[0].max() > GATE:
         _refuse(state, params, bank, reading)
         return shown
     state.contrary = Contrary()
-    likelihood = filters.take(bank, found)
+    likelihood = filters.take(bank, at_rest)
     if params.learns:
         fade = math.exp(-dt / FORGETTING_S)
         state.evidence = fade * state.evidence + likelihood[1] - likelihood[0]
