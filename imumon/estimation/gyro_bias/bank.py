@@ -27,7 +27,6 @@ from imumon.estimation.gyro_bias.steps import ROTATION, SLOPE, STATES, TAUS_S, V
 from imumon.filters.noise import flicker_sd
 
 _UNIT = np.eye(STATES)
-_WALK_AND_PROCESSES = _UNIT[WALK:SLOPE, : steps.SENSITIVITY].sum(0)
 SENSITIVITY = slice(steps.SENSITIVITY, STATES)
 FLOOR_PER_MARKOV = 0.776
 """Floor of the Allan deviation of the three processes together, over the standard deviation of one."""
@@ -85,11 +84,9 @@ class Family:
         """Weights of all filters of an axis before any measurement, (filters,)."""
         return np.tile(self.prior, len(self.sensitivity_sd)) / len(self.sensitivity_sd)
 
-    def scaled(self, white: FloatArray) -> FloatArray:
-        """Return K² and sd² of all filters in rad/s, (3, filters, 4); `white` (3,) is the angular random
-        walk."""
-        one = self.strength2 * white[:, np.newaxis, np.newaxis] ** 2 if self.relative else self.strength2
-        return np.tile(one, (1, len(self.sensitivity_sd), 1))
+    def unit2(self, white: FloatArray) -> FloatArray:
+        """Return what `strength2` is in units of, (3,); `white` (3,) is the angular random walk."""
+        return np.asarray(white**2) if self.relative else np.ones(3)
 
 
 NO_SENSITIVITY = np.zeros(1)
@@ -135,16 +132,17 @@ class Bank:
 def start(family: Family, variants: int, white: FloatArray) -> Bank:
     """Return a bank that knows nothing; `white` (3,) is the angular random walk, rad/sqrt(s)."""
     shape = (variants, 3, family.filters)
-    p = np.zeros((*shape, STATES, STATES))
+    states = STATES if family.sensitivity_sd.any() else SENSITIVITY.start
+    p = np.zeros((*shape, states, states))
     processes = np.arange(WALK + 1, SLOPE)
     p[..., WALK, WALK] = UNKNOWN_BIAS**2
-    p[..., processes, processes] = family.scaled(white)[..., 1:]
+    strength2 = family.strength2[..., 1:] * family.unit2(white)[:, np.newaxis, np.newaxis]
+    p[..., processes, processes] = np.tile(strength2, (1, len(family.sensitivity_sd), 1))
     p[1:, ..., SLOPE, SLOPE] = (SLOPE_PER_NOISE * white[:, np.newaxis]) ** 2
-    sensitivity = np.repeat(family.sensitivity_sd, len(family.prior))
-    for i in range(SENSITIVITY.start, SENSITIVITY.stop):
-        p[..., i, i] = sensitivity**2
+    for i in range(SENSITIVITY.start, states):
+        p[..., i, i] = np.repeat(family.sensitivity_sd, len(family.prior)) ** 2
     weight = np.tile(family.prior_of_all, (variants, 3, 1))
-    return Bank(family, np.zeros((*shape, STATES)), p, weight)
+    return Bank(family, np.zeros((*shape, states)), p, weight)
 
 
 def widen(bank: Bank, family: Family) -> None:
@@ -152,11 +150,13 @@ def widen(bank: Bank, family: Family) -> None:
 
     Until the pose changes all groups are the same: so it costs nothing to have one of them up to then.
     """
-    times, wanders = len(family.sensitivity_sd), len(family.prior)
-    x, p = (np.concatenate([part] * times, 2) for part in (bank.mean, bank.covariance))
-    sensitivity = np.repeat(family.sensitivity_sd, wanders)
-    for i in range(SENSITIVITY.start, SENSITIVITY.stop):
-        p[..., i, i] = sensitivity**2
+    times, wanders, known = len(family.sensitivity_sd), len(family.prior), SENSITIVITY.start
+    shape = (*bank.mean.shape[:2], times * wanders, STATES)
+    x, p = np.zeros(shape), np.zeros((*shape, STATES))
+    x[..., :known] = np.concatenate([bank.mean] * times, 2)
+    p[..., :known, :known] = np.concatenate([bank.covariance] * times, 2)
+    for i in range(known, STATES):
+        p[..., i, i] = np.repeat(family.sensitivity_sd, wanders) ** 2
     bank.family, bank.mean, bank.covariance = family, x, p
     bank.weight = np.concatenate([bank.weight] * times, 2) / times
 
@@ -201,8 +201,8 @@ def wander(
     growth : array (3,)
         What an unknown or doubtful temperature adds to the variance of the bias, (rad/s)².
     """
-    strength2 = bank.family.scaled(white)
-    steps.wander(bank.mean, bank.covariance, strength2, dt, warming, travel, growth)
+    unit2 = bank.family.unit2(white)
+    steps.wander(bank.mean, bank.covariance, bank.family.strength2, unit2, dt, warming, travel, growth)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -232,9 +232,12 @@ class AtRest:
     still2: FloatArray
 
 
-def bias_row(force: FloatArray) -> FloatArray:
-    """Return what makes the bias of the states, (10,)."""
-    return np.concatenate([_WALK_AND_PROCESSES, force])
+def bias_row(bank: Bank, force: FloatArray) -> FloatArray:
+    """Return what makes the bias of the states, (states,)."""
+    row = np.zeros(bank.mean.shape[-1])
+    row[WALK:SLOPE] = 1.0
+    row[SENSITIVITY] = force[: len(row) - SENSITIVITY.start]
+    return row
 
 
 def integrate(bank: Bank, slot: AtRest) -> None:
@@ -242,7 +245,7 @@ def integrate(bank: Bank, slot: AtRest) -> None:
     steps.integrate(
         bank.mean,
         bank.covariance,
-        bias_row(slot.force),
+        bias_row(bank, slot.force),
         slot.dt,
         slot.rate,
         slot.tilt,
@@ -259,7 +262,7 @@ def surprise(bank: Bank, slot: AtRest) -> FloatArray:
 
 def disagreement(bank: Bank, slot: AtRest) -> FloatArray:
     """Return the least squared difference of rate and bias over its variance, (variants, 3)."""
-    row = bias_row(slot.force)
+    row = bias_row(bank, slot.force)
     variance = bank.covariance @ row @ row + (slot.white2 / slot.dt)[:, np.newaxis]
     return np.asarray(((slot.rate[:, np.newaxis] - bank.mean @ row) ** 2 / variance).min(-1))
 
@@ -288,36 +291,18 @@ def mix(bank: Bank, dt: float) -> None:
     not change, so that groups do not mix.
     """
     family = bank.family
-    wanders = len(family.prior)
-    if wanders == 1:
-        return
-    shape = (*bank.weight.shape[:2], len(family.sensitivity_sd), wanders)
-    weight = bank.weight.reshape(shape)
-    x = bank.mean.reshape(*shape, STATES)
-    p = bank.covariance.reshape(*shape, STATES, STATES)
-    group = weight.sum(-1, keepdims=True)
-    share = weight / group
-    mean = np.einsum("...h,...hi->...i", share, x)[..., np.newaxis, :]
-    off = x - mean
-    spread = off[..., :, np.newaxis] * off[..., np.newaxis, :]
-    cover = np.einsum("...h,...hij->...ij", share, p + spread)[..., np.newaxis, :, :]
-    arriving = -math.expm1(-dt / DWELL_S) * family.prior
-    after = math.exp(-dt / DWELL_S) * share + arriving
-    taken = (arriving / after)[..., np.newaxis]
-    x = x - taken * off
-    taken = taken[..., np.newaxis]
-    p = p + taken * (cover - p + (1.0 - taken) * spread)
-    bank.weight = (group * after).reshape(bank.weight.shape)
-    bank.mean, bank.covariance = x.reshape(bank.mean.shape), p.reshape(bank.covariance.shape)
+    if len(family.prior) > 1:
+        stay = math.exp(-dt / DWELL_S)
+        steps.mix(bank.mean, bank.covariance, bank.weight, (1.0 - stay) * family.prior, stay)
 
 
 def _moments(bank: Bank, row: FloatArray) -> tuple[FloatArray, FloatArray]:
-    return steps.moments(bank.mean, bank.covariance, bank.weight, row)
+    return steps.moments(bank.mean, bank.covariance, bank.weight, row[: bank.mean.shape[-1]])
 
 
 def bias(bank: Bank, force: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the bias at a specific force (less that of the first rest) and its variance, (variants, 3)."""
-    return _moments(bank, bias_row(force))
+    return _moments(bank, bias_row(bank, force))
 
 
 def slope(bank: Bank) -> tuple[FloatArray, FloatArray]:

@@ -32,14 +32,17 @@ def wander(
     mean: FloatArray,
     covariance: FloatArray,
     strength2: FloatArray,
+    unit2: FloatArray,
     dt: float,
     warming: FloatArray,
     travel: FloatArray,
     growth: FloatArray,
 ) -> None:
-    """Bring the biases `dt` seconds on; as of `bank.wander`, `strength2` (3, filters, 4) being K² and sd²."""
+    """Bring the biases `dt` seconds on, as of `bank.wander`; `strength2` (3, wanders, 4) times `unit2` (3,)
+    are K² and sd²."""
     variants, axes, filters = mean.shape[:3]
-    decay, fresh = np.ones(STATES), np.full(len(TAUS_S) + 1, dt)
+    wanders = strength2.shape[1]
+    decay, fresh = np.ones(mean.shape[-1]), np.full(len(TAUS_S) + 1, dt)
     for i in range(len(TAUS_S)):
         decay[WALK + 1 + i] = math.exp(-dt / TAUS_S[i])
         fresh[1 + i] = -math.expm1(-2.0 * dt / TAUS_S[i])
@@ -47,14 +50,14 @@ def wander(
         for a in range(axes):
             for h in range(filters):
                 x, p = mean[v, a, h], covariance[v, a, h]
-                for i in range(STATES):
+                for i in range(len(x)):
                     x[i] *= decay[i]
-                    for j in range(STATES):
+                    for j in range(len(x)):
                         p[i, j] *= decay[i] * decay[j]
                 if v == 1:
                     _warm(x, p, dt, warming[a], travel[a])
                 for i in range(len(fresh)):
-                    p[WALK + i, WALK + i] += strength2[a, h, i] * fresh[i]
+                    p[WALK + i, WALK + i] += strength2[a, h % wanders, i] * unit2[a] * fresh[i]
                 p[WALK, WALK] += growth[a]
 
 
@@ -64,9 +67,9 @@ def _warm(x: FloatArray, p: FloatArray, dt: float, warming: float, travel: float
     walk = SLOPE_WALK**2 * dt
     square = x[SLOPE] ** 2 + p[SLOPE, SLOPE] + walk
     x[WALK] += warming * x[SLOPE]
-    for j in range(STATES):
+    for j in range(len(x)):
         p[WALK, j] += warming * p[SLOPE, j]
-    for j in range(STATES):
+    for j in range(len(x)):
         p[j, WALK] += warming * p[j, SLOPE]
     p[SLOPE, SLOPE] += walk + square * travel / CURVATURE_DEGC
 
@@ -85,22 +88,22 @@ def integrate(
     """Integrate rotation and velocity over a slot; as of `bank.AtRest`, `row` (10,) makes the bias."""
     variants, axes, filters = mean.shape[:3]
     half = 0.5 * dt * dt
-    along = np.empty(STATES)
+    along = np.empty(mean.shape[-1])
     for v in range(variants):
         for a in range(axes):
             for h in range(filters):
                 x, p = mean[v, a, h], covariance[v, a, h]
                 off = rate[a]
-                for j in range(STATES):
+                for j in range(len(x)):
                     off -= row[j] * x[j]
                     along[j] = 0.0
-                    for i in range(WALK, STATES):
+                    for i in range(WALK, len(x)):
                         along[j] += row[i] * p[i, j]
                 x[VELOCITY] += dt * (x[ROTATION] - tilt[a]) + half * off
                 x[ROTATION] += dt * off
                 # Rows of F P, of which the last two terms of F P Fᵀ are made.
                 first = second = 0.0
-                for j in range(STATES):
+                for j in range(len(x)):
                     p[VELOCITY, j] += dt * p[ROTATION, j] - half * along[j]
                     p[ROTATION, j] -= dt * along[j]
                     first += row[j] * p[ROTATION, j]
@@ -112,7 +115,7 @@ def integrate(
                 p[ROTATION, VELOCITY] += white2[a] * half
                 p[VELOCITY, VELOCITY] += white2[a] * half * half / dt + tilt2[a] * dt
                 p[VELOCITY, ROTATION] = p[ROTATION, VELOCITY]
-                for j in range(WALK, STATES):
+                for j in range(WALK, len(x)):
                     p[j, ROTATION], p[j, VELOCITY] = p[ROTATION, j], p[VELOCITY, j]
 
 
@@ -123,7 +126,7 @@ def take(
     """Correct with a velocity of zero and weigh the filters; return the log-likelihoods, (variants, 3)."""
     variants, axes, filters = weight.shape
     wanders = filters // groups
-    total, gain = np.zeros((variants, axes)), np.empty(STATES)
+    total, gain = np.zeros((variants, axes)), np.empty(mean.shape[-1])
     common, share = np.empty(groups), np.empty((axes, groups))
     for v in range(variants):
         common[:] = 0.0
@@ -160,13 +163,50 @@ def take(
 def _correct(x: FloatArray, p: FloatArray, still2: float, gain: FloatArray) -> float:
     """Correct one filter; return the logarithm of the density of its innovation."""
     innovation, variance = -x[VELOCITY], p[VELOCITY, VELOCITY] + still2
-    for i in range(STATES):
+    for i in range(len(x)):
         gain[i] = p[i, VELOCITY] / variance
-    for i in range(STATES):
+    for i in range(len(x)):
         x[i] += gain[i] * innovation
-        for j in range(STATES):
+        for j in range(len(x)):
             p[i, j] -= gain[i] * gain[j] * variance
-    return -0.5 * (innovation * innovation / variance + math.log(2.0 * math.pi * variance))
+    return float(-0.5 * (innovation * innovation / variance + math.log(2.0 * math.pi * variance)))
+
+
+@njit
+def mix(
+    mean: FloatArray, covariance: FloatArray, weight: FloatArray, arriving: FloatArray, stay: float
+) -> None:
+    """Mix the filters of each group, as of `bank.mix`: `arriving` (wanders,) go over to each, `stay` stay."""
+    variants, axes, filters = weight.shape
+    wanders, states = len(arriving), mean.shape[-1]
+    common, cover = np.empty(states), np.empty((states, states))
+    for v in range(variants):
+        for a in range(axes):
+            for first in range(0, filters, wanders):
+                group = 0.0
+                for h in range(first, first + wanders):
+                    group += weight[v, a, h]
+                common[:], cover[:] = 0.0, 0.0
+                for h in range(first, first + wanders):
+                    share = weight[v, a, h] / group
+                    for i in range(states):
+                        common[i] += share * mean[v, a, h, i]
+                for h in range(first, first + wanders):
+                    share, x = weight[v, a, h] / group, mean[v, a, h]
+                    for i in range(states):
+                        for j in range(states):
+                            spread = (x[i] - common[i]) * (x[j] - common[j])
+                            cover[i, j] += share * (covariance[v, a, h, i, j] + spread)
+                for h in range(first, first + wanders):
+                    after = stay * weight[v, a, h] / group + arriving[h - first]
+                    weight[v, a, h] = group * after
+                    taken, x, p = arriving[h - first] / after, mean[v, a, h], covariance[v, a, h]
+                    for i in range(states):
+                        for j in range(states):
+                            spread = (x[i] - common[i]) * (x[j] - common[j])
+                            p[i, j] += taken * (cover[i, j] - p[i, j] + (1.0 - taken) * spread)
+                    for i in range(states):
+                        x[i] -= taken * (x[i] - common[i])
 
 
 @njit
@@ -191,9 +231,9 @@ def moments(
 def _project(x: FloatArray, p: FloatArray, row: FloatArray) -> tuple[float, float]:
     """Return the mean and the variance of a sum of states."""
     value = variance = 0.0
-    for i in range(STATES):
+    for i in range(len(x)):
         if row[i] != 0.0:
             value += row[i] * x[i]
-            for j in range(STATES):
+            for j in range(len(x)):
                 variance += row[i] * p[i, j] * row[j]
     return value, variance

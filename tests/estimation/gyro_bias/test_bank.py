@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from imumon.blocks import FloatArray
 from imumon.estimation.gyro_bias import bank as filters
 from imumon.estimation.gyro_bias.bank import AtRest, Bank
+from imumon.estimation.gyro_bias.steps import ROTATION, STATES, VELOCITY, WALK
 from imumon.published.dense_zupt import DenseSettings, dense_filter
 from tests.estimation.gyro_bias.records import ARW, DPH, VRW, Truth, local_earth, record
 
@@ -52,11 +54,11 @@ def test_level_the_three_axes_apart_are_the_dense_filter() -> None:
     bank = filters.start(family, 1, ARW * ONE)
     gravity = float(np.linalg.norm(accel[:100].mean(0)))
     # The accelerometer's bias is the same as a tilt, and its random walk as one of the rotation.
-    p = np.zeros((1, 3, 1, filters.STATES, filters.STATES))
+    p = np.zeros((1, 3, 1, STATES, STATES))
     tilt_sd = np.array([math.hypot(1e-3, 1e-4), math.hypot(1e-3, 1e-4), 1e-4])
-    p[0, :, 0, filters.ROTATION, filters.ROTATION] = tilt_sd**2
-    p[0, :2, 0, filters.VELOCITY, filters.VELOCITY] = (1e-3 / gravity) ** 2
-    p[..., filters.WALK, filters.WALK] = settings.bias_sd**2
+    p[0, :, 0, ROTATION, ROTATION] = tilt_sd**2
+    p[0, :2, 0, VELOCITY, VELOCITY] = (1e-3 / gravity) ** 2
+    p[..., WALK, WALK] = settings.bias_sd**2
     bank.mean, bank.covariance = np.zeros(p.shape[:-1]), p
     level = np.array([1.0, 1.0, 0.0])
     still2 = level * (1e-3 / gravity) ** 2
@@ -79,16 +81,16 @@ def test_level_the_three_axes_apart_are_the_dense_filter() -> None:
 def random_bank(rng: np.random.Generator, family: filters.Family) -> Bank:
     """Return a bank with any states, covariances and weights."""
     shape = (1, 3, family.filters)
-    root = rng.normal(size=(*shape, filters.STATES, filters.STATES))
+    root = rng.normal(size=(*shape, STATES, STATES))
     weight = rng.random(shape)
-    mean, covariance = rng.normal(size=(*shape, filters.STATES)), root @ np.swapaxes(root, -1, -2)
+    mean, covariance = rng.normal(size=(*shape, STATES)), root @ np.swapaxes(root, -1, -2)
     return Bank(family, mean, covariance, weight / weight.sum(-1, keepdims=True))
 
 
 def test_mixing_is_that_of_the_interacting_multiple_model_within_each_group() -> None:
     family = filters.unknown_family(np.array([1e-6, 1e-4]))
     bank = random_bank(np.random.default_rng(1), family)
-    before = Bank(family, bank.mean, bank.covariance, bank.weight)
+    before = copy.deepcopy(bank)
     filters.mix(bank, 600.0)
     n, stay = len(family.prior), math.exp(-600.0 / filters.DWELL_S)
     switch = np.kron(np.eye(2), stay * np.eye(n) + (1.0 - stay) * family.prior)
