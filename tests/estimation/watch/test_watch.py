@@ -38,7 +38,7 @@ def _three(values: FloatArray) -> FloatArray:
 def alarm(
     seconds: FloatArray, innovation: FloatArray, temperature: FloatArray, rate: FloatArray, hours: float
 ) -> int:
-    return evidence.watch(evidence.State(), seconds, innovation, temperature, rate, evidence.limit(hours))
+    return evidence.watch(evidence.begin(), seconds, innovation, temperature, rate, evidence.limit(hours))
 
 
 def highest_sum(gains: FloatArray) -> float:
@@ -53,7 +53,7 @@ def test_the_evidence_is_the_largest_sum_of_logarithms_of_e_factors() -> None:
     rate[300:] = np.nan
     innovation[:, 1] += 0.5
     innovation[700:720] *= 9.0
-    state = evidence.State()
+    state = evidence.begin()
     evidence.watch(state, seconds, innovation, temperature, rate, 1e9)
     v = np.clip(innovation, -evidence.CLIP, evidence.CLIP)[evidence.LEARNING :, 1]
     past = np.clip(
@@ -75,7 +75,7 @@ def test_a_pause_forgets_the_extremes_of_the_temperature() -> None:
     seconds[200:] += 4 * evidence.SCALE_S
     temperature[:200] += 100.0 * np.sin(seconds[:200, np.newaxis])
     temperature[200:], rate[:] = 25.0, 0.0
-    state = evidence.State()
+    state = evidence.begin()
     evidence.watch(state, seconds, innovation, temperature, rate, 1e9)
     assert state.scale[:, : evidence.RATE] == pytest.approx(100.0 * np.exp(-4.0), rel=0.5)
     assert state.scale[:, evidence.RATE :] == pytest.approx(evidence.LEAST_RATE)
