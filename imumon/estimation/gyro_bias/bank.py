@@ -23,7 +23,7 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.estimation.gyro_bias import steps
-from imumon.estimation.gyro_bias.steps import ROTATION, SLOPE, STATES, TAUS_S, VELOCITY, WALK
+from imumon.estimation.gyro_bias.steps import ROTATION, SLOPE, STATES, TAUS_S, WALK
 from imumon.filters.noise import flicker_sd
 
 _UNIT = np.eye(STATES)
@@ -254,10 +254,17 @@ def integrate(bank: Bank, slot: AtRest) -> None:
     )
 
 
-def surprise(bank: Bank, slot: AtRest) -> FloatArray:
-    """Return the least squared normalised innovation: that of the most tolerant filter, (variants, 3)."""
-    variance = bank.covariance[..., VELOCITY, VELOCITY] + slot.still2[:, np.newaxis]
-    return np.asarray((bank.mean[..., VELOCITY] ** 2 / variance).min(-1))
+def look(bank: Bank, slot: AtRest) -> tuple[FloatArray, FloatArray]:
+    """Return what the zero velocity says, (variants, 3) each.
+
+    Returns
+    -------
+    innovation : array
+        Of the whole over its standard deviation; its sign is that of the bias.
+    surprise : array
+        The least squared normalised innovation: that of the most tolerant filter.
+    """
+    return steps.look(bank.mean, bank.covariance, bank.weight, slot.still2)
 
 
 def disagreement(bank: Bank, slot: AtRest) -> FloatArray:
@@ -265,12 +272,6 @@ def disagreement(bank: Bank, slot: AtRest) -> FloatArray:
     row = bias_row(bank, slot.force)
     variance = bank.covariance @ row @ row + (slot.white2 / slot.dt)[:, np.newaxis]
     return np.asarray(((slot.rate[:, np.newaxis] - bank.mean @ row) ** 2 / variance).min(-1))
-
-
-def innovation(bank: Bank, slot: AtRest) -> FloatArray:
-    """Return the innovation of the whole over its standard deviation; its sign is that of the bias."""
-    mean, variance = _moments(bank, _UNIT[VELOCITY])
-    return np.asarray(mean / np.sqrt(variance + slot.still2))
 
 
 def take(bank: Bank, slot: AtRest) -> FloatArray:
@@ -297,7 +298,7 @@ def mix(bank: Bank, dt: float) -> None:
 
 
 def _moments(bank: Bank, row: FloatArray) -> tuple[FloatArray, FloatArray]:
-    return steps.moments(bank.mean, bank.covariance, bank.weight, row[: bank.mean.shape[-1]])
+    return steps.moments(bank.mean, bank.covariance, bank.weight, row)
 
 
 def bias(bank: Bank, force: FloatArray) -> tuple[FloatArray, FloatArray]:

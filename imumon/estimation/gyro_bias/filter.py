@@ -426,11 +426,11 @@ def _take(state: State, params: Params, bank: Bank, noise: Noise, reading: Readi
         flat * STILLNESS**2,
     )
     filters.integrate(bank, at_rest)
-    innovation = filters.innovation(bank, at_rest)
+    innovation, surprise = filters.look(bank, at_rest)
     shown: FloatArray = np.where(state.chosen, innovation[-1], innovation[0])
     # Just after a contradiction the rotation is not known, and a rotation explains any rate for a while.
     contrary = state.contrary.readings and filters.disagreement(bank, at_rest)[0].max() > GATE
-    if contrary or filters.surprise(bank, at_rest)[0].max() > GATE:
+    if contrary or surprise[0].max() > GATE:
         _refuse(state, params, bank, reading)
         return shown
     state.contrary = Contrary()

@@ -120,6 +120,27 @@ def integrate(
 
 
 @njit
+def look(
+    mean: FloatArray, covariance: FloatArray, weight: FloatArray, still2: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the innovation of the whole over its standard deviation, and the least squared one of a filter
+    over its variance, (variants, 3) each."""
+    variants, axes, filters = weight.shape
+    whole, least = np.empty((variants, axes)), np.full((variants, axes), np.inf)
+    for v in range(variants):
+        for a in range(axes):
+            first = second = 0.0
+            for h in range(filters):
+                velocity = mean[v, a, h, VELOCITY]
+                variance = covariance[v, a, h, VELOCITY, VELOCITY] + still2[a]
+                first += weight[v, a, h] * velocity
+                second += weight[v, a, h] * (velocity * velocity + variance)
+                least[v, a] = min(least[v, a], velocity * velocity / variance)
+            whole[v, a] = first / math.sqrt(second - first * first)
+    return whole, least
+
+
+@njit
 def take(
     mean: FloatArray, covariance: FloatArray, weight: FloatArray, still2: FloatArray, groups: int
 ) -> FloatArray:
