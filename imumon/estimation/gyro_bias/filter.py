@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from imumon.blocks import FloatArray
+from imumon.compiled import njit
 from imumon.estimation.gyro_bias import bank as filters
 from imumon.estimation.gyro_bias.attitude import Attitude, Place, Turn
 from imumon.estimation.gyro_bias.bank import AtRest, Bank, Family
@@ -108,10 +109,10 @@ class Slot:
         Temperature of each gyro; NaN without any.
     growth : array (3,)
         What a doubtful temperature has added to the variance of the bias since the start, (rad/s)².
-    angles : array (k, 3)
-        Integrated rates since the slot before, rad, less the thermal model's part.
-    angles_s : array (k,)
-        Over how long each.
+    turning : array (k, 3)
+        Mean rates of shorter slots since the slot before, rad/s, less the thermal model's part.
+    turning_s : array (k,)
+        Over how long each; 0 behind a gap.
     gap : bool
         Whether readings were missing for a while.
     """
@@ -124,8 +125,8 @@ class Slot:
     force: FloatArray | None
     degc: FloatArray
     growth: FloatArray
-    angles: FloatArray
-    angles_s: FloatArray
+    turning: FloatArray
+    turning_s: FloatArray
     gap: bool
 
     @property
@@ -264,16 +265,14 @@ def step(state: State, params: Params, slot: Slot) -> FloatArray:
             state.at_rest = state.fresh = True
         innovation = _close(state, params, slot)
     elif state.bank is not None:
-        noise = _noise(state, params)
-        assert noise is not None
-        _coast(state, noise[0], slot.end_s, slot.degc, slot.growth)
+        _coast(state, params, _noise(state, params), slot)
         _show(state, params, slot.force)
     return innovation
 
 
 def _follow_turn(state: State, slot: Slot) -> None:
     known = np.where(np.isfinite(state.bias), state.bias, 0.0)
-    state.turn.add(slot.angles - slot.angles_s[:, np.newaxis] * known)
+    state.turn.add(slot.turning_s[:, np.newaxis] * (slot.turning - known))
     state.turn.lost |= slot.gap
     state.contrary.behind_gap |= slot.gap
 
@@ -320,7 +319,7 @@ def _count(state: State, params: Params, reading: Reading) -> FloatArray:
         state.white.begin()
     state.white.add(reading.slot.dt, reading.rate, reading.tilt)
     if state.bank is not None:
-        innovation = _take(state, params, state.bank, reading)
+        innovation = _take(state, params, state.bank, _noise(state, params), reading)
     if not state.zeroed:
         state.first.append(reading)
         count = len(state.first)
@@ -333,47 +332,62 @@ def _count(state: State, params: Params, reading: Reading) -> FloatArray:
     return innovation
 
 
-def _noise(state: State, params: Params) -> tuple[FloatArray, float] | None:
-    """Return the noise of gyros and tilt, None while it is not known."""
-    given, tilt = np.isfinite(params.white), params.tilt_noise
-    if not (state.white.known or (given.all() and math.isfinite(tilt))):
-        return None
-    white = params.white if given.all() else np.where(given, params.white, state.white.rate)
-    if math.isfinite(tilt):
-        return white, tilt / max(state.attitude.gravity, 1.0)
-    return white, state.white.tilt
+@dataclass(frozen=True, slots=True, eq=False)
+class Noise:
+    """White noise of the gyros, rad/sqrt(s), (3,), and of the tilt by the accelerometers, rad sqrt(s)."""
+
+    rate: FloatArray
+    tilt: float
+
+
+def _noise(state: State, params: Params) -> Noise:
+    """Return the noise; NaN while it is not known."""
+    rate, tilt = params.white, params.tilt_noise / max(state.attitude.gravity, 1.0)
+    if state.white.known:
+        rate = np.where(np.isfinite(rate), rate, state.white.rate)
+        tilt = tilt if math.isfinite(tilt) else state.white.tilt
+    return Noise(rate, tilt)
 
 
 def _filter_again(state: State, params: Params) -> None:
     """Filter all slots since the start anew, with the noise as it is known now."""
     noise = _noise(state, params)
-    if not state.first or noise is None:
+    if not (state.first and math.isfinite(noise.rate.sum() + noise.tilt)):
         return
     begin = state.first[0].slot
-    state.bank = filters.start(params.family.in_one_pose, 2 if params.learns else 1, noise[0])
+    state.bank = filters.start(params.family.in_one_pose, 2 if params.learns else 1, noise.rate)
     filters.come_to_rest(state.bank, state.attitude.flat)
     state.evidence, state.unmixed_s, state.contrary = np.zeros(3), 0.0, Contrary()
     state.used_s, state.growth = begin.start_s, begin.growth
-    state.at_degc = state.noted_degc = begin.degc
+    state.at_degc, state.noted_degc = begin.degc.copy(), begin.degc.copy()
     state.reference = begin.force
     for k, reading in enumerate(state.first):
-        _take(state, params, state.bank, replace(reading, fresh=reading.fresh and k > 0))
+        _take(state, params, state.bank, noise, replace(reading, fresh=reading.fresh and k > 0))
     _show(state, params, state.first[-1].slot.force)
 
 
-def _coast(state: State, white: FloatArray, end_s: float, degc: FloatArray, growth: FloatArray) -> None:
-    """Bring the biases to a time and temperature, without a measurement."""
+@njit
+def _changes(noted: FloatArray, now: FloatArray, least: float) -> FloatArray:
+    """Return by how much each has changed since it was noted, if by `least`, and note it; NaN is no change.
+
+    What comes late counts from where it came.
+    """
+    changes = np.zeros(3)
+    for j in range(3):
+        if not abs(now[j] - noted[j]) < least:
+            changes[j] = now[j] - noted[j] if np.isfinite(now[j] - noted[j]) else 0.0
+            noted[j] = now[j] if np.isfinite(now[j]) else noted[j]
+    return changes
+
+
+def _coast(state: State, params: Params, noise: Noise, slot: Slot) -> None:
+    """Bring the biases to the end of a slot, without a measurement."""
     assert state.bank is not None
-    warming = degc - state.at_degc
-    known = np.isfinite(warming)
-    moved = np.where(known, np.abs(degc - state.noted_degc), 0.0)
-    travel = np.where(moved >= MOVED_DEGC, moved, 0.0)
-    warming = np.where(known, warming, 0.0)
-    filters.wander(state.bank, white, end_s - state.used_s, warming, travel, growth - state.growth)
-    # A temperature that comes late is where the slope counts from.
-    state.at_degc = np.where(np.isfinite(degc), degc, state.at_degc)
-    state.noted_degc = np.where((travel > 0.0) | ~np.isfinite(state.noted_degc), degc, state.noted_degc)
-    state.growth, state.used_s = growth, end_s
+    warming = _changes(state.at_degc, slot.degc, 0.0) if params.learns else _zero()
+    travel = np.abs(_changes(state.noted_degc, slot.degc, MOVED_DEGC)) if params.learns else _zero()
+    dt, growth = slot.end_s - state.used_s, slot.growth - state.growth
+    filters.wander(state.bank, noise.rate, dt, warming, travel, growth)
+    state.growth, state.used_s = slot.growth, slot.end_s
 
 
 def _offset(state: State, params: Params, force: FloatArray | None) -> FloatArray:
@@ -388,12 +402,10 @@ def _offset(state: State, params: Params, force: FloatArray | None) -> FloatArra
     return offset
 
 
-def _take(state: State, params: Params, bank: Bank, reading: Reading) -> FloatArray:
+def _take(state: State, params: Params, bank: Bank, noise: Noise, reading: Reading) -> FloatArray:
     """Take a slot into the bank; return the normalised innovations, (3,)."""
     slot, dt = reading.slot, reading.slot.dt
-    noise = _noise(state, params)
-    assert noise is not None
-    _coast(state, noise[0], slot.end_s, slot.degc, slot.growth)
+    _coast(state, params, noise, slot)
     # Only at rest: nothing is learned of the bias while it moves, and doubts that only add up help nobody.
     state.unmixed_s += dt
     if state.unmixed_s >= MIX_S:
@@ -409,20 +421,20 @@ def _take(state: State, params: Params, bank: Bank, reading: Reading) -> FloatAr
         reading.rate,
         reading.tilt,
         _offset(state, params, slot.force),
-        noise[0] ** 2 + flat * ACCEL_WALK**2,
-        flat * noise[1] ** 2 + (1.0 - flat) * YAW_NOISE**2,
+        noise.rate**2 + flat * ACCEL_WALK**2,
+        YAW_NOISE**2 + flat * (noise.tilt**2 - YAW_NOISE**2),
         flat * STILLNESS**2,
     )
-    found = filters.look(bank, at_rest)
-    innovation = filters.innovation(bank, found)
+    filters.integrate(bank, at_rest)
+    innovation, surprise = filters.look(bank, at_rest)
     shown: FloatArray = np.where(state.chosen, innovation[-1], innovation[0])
     # Just after a contradiction the rotation is not known, and a rotation explains any rate for a while.
     contrary = state.contrary.readings and filters.disagreement(bank, at_rest)[0].max() > GATE
-    if contrary or filters.surprise(found)[0].max() > GATE:
+    if contrary or surprise[0].max() > GATE:
         _refuse(state, params, bank, reading)
         return shown
     state.contrary = Contrary()
-    likelihood = filters.take(bank, found)
+    likelihood = filters.take(bank, at_rest)
     if params.learns:
         fade = math.exp(-dt / FORGETTING_S)
         state.evidence = fade * state.evidence + likelihood[1] - likelihood[0]
@@ -461,8 +473,8 @@ def _show(state: State, params: Params, force: FloatArray | None) -> None:
         state.bias = np.where(chosen, value[1], value[0])
         state.slope = np.where(chosen, filters.slope(state.bank)[0][1], 0.0)
         share = 1.0 / (1.0 + np.exp(np.where(chosen, state.evidence, -state.evidence)))
-        own, other = np.where(chosen, variance[::-1], variance)
-        spread = own + share * (other - own + (value[1] - value[0]) ** 2)
+        own, both = np.where(chosen, variance[1], variance[0]), variance[0] + variance[1]
+        spread = own + share * (both - 2.0 * own + (value[1] - value[0]) ** 2)
     if state.contrary.readings:
         spread = spread + state.contrary.jump * (state.contrary.rate - state.bias) ** 2
     state.sd = np.sqrt(spread)

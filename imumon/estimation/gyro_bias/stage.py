@@ -18,7 +18,7 @@ from imumon.errors import ImumonError, Reason
 from imumon.estimation.gyro_bias.attitude import Place
 from imumon.estimation.gyro_bias.bank import known_family, unknown_family
 from imumon.estimation.gyro_bias.filter import PATIENCE_S, Params, State, restarted, step
-from imumon.estimation.gyro_bias.intake import SLOT_S, Intake, Samples
+from imumon.estimation.gyro_bias.intake import SLOT_S, Intake, Samples, complete
 from imumon.estimation.gyro_bias.parameters import GyroBiasParameters
 from imumon.estimation.gyro_bias.thermal_input import ThermalInput
 from imumon.estimation.gyro_bias.trail import BiasTrail
@@ -124,16 +124,16 @@ class GyroBias:
         gyro = block.gyro
         if gyro is None:
             gyro = np.full((n, 3), np.nan)
-        usable = (block["device_time_ns"] != NO_INT) & np.isfinite(gyro).all(1)
         first = 0
         if self._last is None:
+            usable = (block["device_time_ns"] != NO_INT) & complete(gyro)
             first = int(np.argmax(usable)) if usable.any() else n
-        result = np.full((6, n, 3), np.nan)
+        result = np.full((6, 3, n), np.nan)
         if first < n:
             later = block.rows(first, n) if first else block
-            self._follow(later, gyro[first:], result[:, first:])
+            self._follow(later, gyro[first:], result[:, :, first:].swapaxes(1, 2))
         return {
-            f"{name}_{axis}": np.ascontiguousarray(part[:, j])
+            f"{name}_{axis}": part[j]
             for (name, _, _), part in zip(_COLUMNS, result, strict=True)
             for j, axis in enumerate("xyz")
         }
@@ -175,12 +175,16 @@ class GyroBias:
             values, at_rows = np.empty((0, 4, 3)), np.empty(0, np.int64)
         spread = held(at_rows, values, self._shown, n)
         self._shown = spread[-1]
-        warming = spread[:, 2] * (temperature - spread[:, 3])
-        bias[:] = spread[:, 0] + total + np.where(np.isfinite(warming), warming, 0.0)
+        np.add(spread[:, 0], total, out=bias)
+        if spread[:, 2].any():
+            warming = spread[:, 2] * (temperature - spread[:, 3])
+            bias += np.where(np.isfinite(warming), warming, 0.0)
         hypothesis = block.vector("turn_hypothesis")
-        # A turn or a change of the bias, nobody knows yet: the whole of it may be missing in the bias.
-        undecided = 0.0 if hypothesis is None else np.where(np.isfinite(hypothesis), hypothesis, 0.0)
-        sd[:] = drift_sd[:] = np.hypot(spread[:, 1], undecided)
+        sd[:] = spread[:, 1]
+        if hypothesis is not None and hypothesis.any():
+            # A turn or a change of the bias, nobody knows yet: the whole of it may be missing in the bias.
+            sd[:] = np.hypot(sd, np.where(np.isfinite(hypothesis), hypothesis, 0.0))
+        drift_sd[:] = sd
         np.subtract(gyro, bias, out=corrected)
         np.subtract(bias, curve, out=drift)
         seen = at_rows[at_rows < n]
@@ -194,9 +198,10 @@ class GyroBias:
         times, labels = time_ns[dated], segment[dated]
         last_time, last_label = self._last if self._last is not None else (int(times[0]), int(labels[0]))
         self._last = int(times[-1]), int(labels[-1])
-        changed = np.diff(labels, prepend=last_label) != 0
-        back = np.diff(times, prepend=last_time) < 0
-        return [int(row) for row in dated[changed | back]]
+        begins = np.empty(len(dated), np.bool_)
+        begins[0] = labels[0] != last_label or times[0] < last_time
+        begins[1:] = (labels[1:] != labels[:-1]) | (times[1:] < times[:-1])
+        return [int(row) for row in dated[begins]]
 
     def _model_input(
         self, block: SampleBlock, temperature: FloatArray, breaks: Sequence[int]
