@@ -173,7 +173,7 @@ def advance(bank: Bank, dt: float, unit: float, least_jerk: float = 0.0) -> tupl
     """
     bank.unmixed_s += dt
     if bank.unmixed_s >= MIX_S:
-        mix(bank.filters, bank.unmixed_s, unit, bank.turn)
+        mix(bank.filters, np.zeros((2, len(bank.filters), MOMENTS)), bank.unmixed_s, unit, bank.turn)
         bank.unmixed_s, bank.turn = 0.0, (bank.turn + 1) % KINDS
     return predict(bank.filters, dt, unit, least_jerk)
 
@@ -264,43 +264,42 @@ def _add_square(f: Filter, t: float, r: float, a: float, e: float, factor: float
 
 
 @njit
-def mix(filters: Filters, dt: float, unit: float, turn: int) -> None:
+def mix(filters: Filters, sums: FloatArray, dt: float, unit: float, turn: int) -> None:
     """Pass weight, and with it states, between the filters, as over dt seconds.
 
-    In between they are sums: moments about the mean of all, times weight, so that merging costs no digits.
-    Kinds with next to no weight rest, with none; the one whose turn it is gets what it is due since the last.
+    In between they are `sums`, room for (2, filters, moments): moments about the mean of all, times weight,
+    so that merging costs no digits.  Kinds with next to no weight rest, with none; the one whose turn it is
+    gets what it is due since the last.
     """
     near, far = min(dt * CHANGE_PER_S, 0.4), min(dt * JUMP_PER_S, 0.4)
     change = min(dt * NATURE_PER_S, 0.4)
     x0, r0, a0 = _mean(filters)
-    sums = np.zeros((KINDS, MOMENTS, SMOOTHNESSES))
-    every = np.zeros((MOMENTS, SMOOTHNESSES))
+    for i in range(len(filters)):
+        f = filters[i]
+        if f.weight:
+            x, r, a = f.temperature - x0, f.rate - r0, f.acceleration - a0
+            _add_square(f, x, r, a, f.error, 1.0)
+            _write(f, x, r, a, sums[0, i])
     for k in range(KINDS):
-        whole = 0.0
-        for q in range(SMOOTHNESSES):
-            whole += filters[k * SMOOTHNESSES + q].weight
-        if whole > LEAST_WEIGHT:
-            for q in range(SMOOTHNESSES):
-                f = filters[k * SMOOTHNESSES + q]
-                x, r, a = f.temperature - x0, f.rate - r0, f.acceleration - a0
-                _add_square(f, x, r, a, f.error, 1.0)
-                _write(f, x, r, a, sums[k, :, q])
-            _pass_on(sums[k], near, far)
-            every += sums[k]
-    for k in range(KINDS):
-        if k == turn:
-            # From one kind of noise to another the slow error begins anew.
-            sums[k, :KNOWN] += change * every[:KNOWN]
-            sums[k, MOMENTS - 1] += change * every[0] * (unit * SLOW_SIGMA[k]) ** 2
-        for q in range(SMOOTHNESSES):
-            f = filters[k * SMOOTHNESSES + q]
-            f.weight = sums[k, 0, q]
-            if f.weight:
-                _read(f, sums[k, :, q])
-                _add_square(f, f.temperature, f.rate, f.acceleration, f.error, -1.0)
-                f.temperature += x0
-                f.rate += r0
-                f.acceleration += a0
+        _pass_on(sums, k * SMOOTHNESSES, near, far)
+    # From one kind of noise to another the slow error begins anew.
+    for q in range(SMOOTHNESSES):
+        to = sums[1, turn * SMOOTHNESSES + q]
+        for k in range(KINDS):
+            if k != turn:
+                others = sums[1, k * SMOOTHNESSES + q]
+                for m in range(KNOWN):
+                    to[m] += change * others[m]
+                to[MOMENTS - 1] += change * others[0] * (unit * SLOW_SIGMA[turn]) ** 2
+    for i in range(len(filters)):
+        f = filters[i]
+        f.weight = sums[1, i, 0]
+        if f.weight:
+            _read(f, sums[1, i])
+            _add_square(f, f.temperature, f.rate, f.acceleration, f.error, -1.0)
+            f.temperature += x0
+            f.rate += r0
+            f.acceleration += a0
 
 
 KNOWN, MOMENTS = 10, 15
@@ -310,7 +309,8 @@ KNOWN, MOMENTS = 10, 15
 @njit
 def _mean(filters: Filters) -> tuple[float, float, float]:
     x, r, a = 0.0, 0.0, 0.0
-    for f in filters:
+    for i in range(len(filters)):
+        f = filters[i]
         x += f.weight * f.temperature
         r += f.weight * f.rate
         a += f.weight * f.acceleration
@@ -320,41 +320,50 @@ def _mean(filters: Filters) -> tuple[float, float, float]:
 @njit
 def _write(f: Filter, x: float, r: float, a: float, to: FloatArray) -> None:
     """Write the moments of a filter times its weight, those of the slow error last."""
-    to[0], to[1], to[2], to[3] = 1.0, x, r, a
-    to[4], to[5], to[6], to[7], to[8], to[9] = f.tt, f.tr, f.ta, f.rr, f.ra, f.aa
-    to[10], to[11], to[12], to[13], to[14] = f.error, f.te, f.re, f.ae, f.ee
-    for m in range(MOMENTS):
-        to[m] *= f.weight
+    w = f.weight
+    to[0], to[1], to[2], to[3] = w, w * x, w * r, w * a
+    to[4], to[5], to[6] = w * f.tt, w * f.tr, w * f.ta
+    to[7], to[8], to[9] = w * f.rr, w * f.ra, w * f.aa
+    to[10], to[11], to[12], to[13], to[14] = w * f.error, w * f.te, w * f.re, w * f.ae, w * f.ee
 
 
 @njit
 def _read(f: Filter, sums: FloatArray) -> None:
     """Undo `_write`."""
-    for m in range(1, MOMENTS):
-        sums[m] /= sums[0]
-    f.temperature, f.rate, f.acceleration = sums[1], sums[2], sums[3]
-    f.tt, f.tr, f.ta, f.rr, f.ra, f.aa = sums[4], sums[5], sums[6], sums[7], sums[8], sums[9]
-    f.error, f.te, f.re, f.ae, f.ee = sums[10], sums[11], sums[12], sums[13], sums[14]
+    each = 1.0 / sums[0]
+    f.temperature, f.rate, f.acceleration = each * sums[1], each * sums[2], each * sums[3]
+    f.tt, f.tr, f.ta = each * sums[4], each * sums[5], each * sums[6]
+    f.rr, f.ra, f.aa = each * sums[7], each * sums[8], each * sums[9]
+    f.error, f.te, f.re = each * sums[10], each * sums[11], each * sums[12]
+    f.ae, f.ee = each * sums[13], each * sums[14]
 
 
 @njit
-def _pass_on(sums: FloatArray, near: float, far: float) -> None:
-    """Pass the sums of one kind of noise, (moments, q), from each smoothness to each other."""
-    before = sums.copy()
-    sums[:] = 0.0
-    flow = np.empty((SMOOTHNESSES, SMOOTHNESSES))
-    for i in range(SMOOTHNESSES):
-        neighbours = (i > 0) + (i < SMOOTHNESSES - 1)
-        whole = 1.0 + 0.5 * near * neighbours + far
-        for j in range(SMOOTHNESSES):
-            flow[i, j] = ((i == j) + 0.5 * near * (abs(i - j) == 1) + far / SMOOTHNESSES) / whole
+def _pass_on(sums: FloatArray, first: int, near: float, far: float) -> None:
+    """Pass the sums of one kind of noise, whose filters begin with the first, between its smoothnesses."""
+    before, after = sums[0], sums[1]
+    whole = 0.0
+    for q in range(SMOOTHNESSES):
+        whole += before[first + q, 0]
+        for m in range(MOMENTS):
+            after[first + q, m] = 0.0
+    if whole < LEAST_WEIGHT:
+        return
     for j in range(SMOOTHNESSES):
         total = 0.0
         for i in range(SMOOTHNESSES):
-            total += flow[i, j] * before[0, i]
-        for i in range(j + 1, SMOOTHNESSES):
-            flow[i, j] *= flow[i, j] * before[0, i] >= NEGLIGIBLE * total
-    for m in range(MOMENTS):
+            total += _flow(i, j, near, far) * before[first + i, 0]
         for i in range(SMOOTHNESSES):
-            for j in range(SMOOTHNESSES):
-                sums[m, j] += flow[i, j] * before[m, i]
+            share = _flow(i, j, near, far)
+            if i <= j or share * before[first + i, 0] > NEGLIGIBLE * total:
+                for m in range(MOMENTS):
+                    after[first + j, m] += share * before[first + i, m]
+
+
+@njit
+def _flow(i: int, j: int, near: float, far: float) -> float:
+    """Return which part of a filter's weight goes to another."""
+    if i == j:
+        neighbours = (i > 0) + (i < SMOOTHNESSES - 1)
+        return 1.0 - 0.5 * near * neighbours - far * (1.0 - 1.0 / SMOOTHNESSES)
+    return 0.5 * near * (abs(i - j) == 1) + far / SMOOTHNESSES

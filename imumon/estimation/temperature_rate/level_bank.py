@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
+import numpy as np
+
 from imumon.blocks import NO_INT, FloatArray, IntArray
 from imumon.estimation.temperature_rate.bank import WHITE_SIGMAS
 from imumon.estimation.temperature_rate.filter import State, extrapolate, step
-from imumon.estimation.temperature_rate.readings import Readings
+from imumon.estimation.temperature_rate.readings import SLOT_NS, Readings
 from imumon.estimation.temperature_rate.series import RateEstimate
 
 
@@ -24,6 +28,7 @@ class LevelBankRate:
     """
 
     def __init__(self, step_degc: float | None = None) -> None:
+        _compile()
         self.state = State.new(step_degc)
         self._readings = Readings()
         self._origin = (0, NO_INT)
@@ -75,3 +80,13 @@ class LevelBankRate:
             first, holds = row, (step(self.state, slot), self._origin, sensor.scatter)
         hold()
         return result
+
+
+@lru_cache(maxsize=1)
+def _compile() -> None:
+    """Compile what the first slots need, so that no packet waits for it."""
+    state, slots = State.new(None), Readings()
+    time_ns = np.arange(8) * SLOT_NS
+    for _, _, slot in slots.process(time_ns, np.zeros(8, np.int64), np.zeros(8)):
+        shown = step(state, slot)
+    extrapolate(time_ns[:0], time_ns[:0], np.zeros(0), shown, (0, 0), 0.0, *np.zeros((4, 0)))
