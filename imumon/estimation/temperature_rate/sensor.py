@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
-
-import numpy as np
 
 from imumon.estimation.temperature_rate.refresh import RefreshFinder
 from imumon.estimation.temperature_rate.step import StepFinder
@@ -63,7 +62,7 @@ class Reading:
         """Return the last of the readings alone, taken at a time."""
         return replace(
             self, start_s=time_s, end_s=time_s, count=1, mean=self.last, variance=0.0, low=self.last,
-            high=self.last, first=self.last, changes=0, step_squares=0.0, before=np.nan,
+            high=self.last, first=self.last, changes=0, step_squares=0.0, before=math.nan,
         )  # fmt: skip
 
     @property
@@ -82,7 +81,7 @@ class Reading:
     @property
     def differences(self) -> tuple[float, ...]:
         """Differences of readings, which tell the step of the sensor, °C."""
-        single = (float(np.sqrt(self.step_squares)),) if self.changes == 1 else ()
+        single = (math.sqrt(self.step_squares),) if self.changes == 1 else ()
         return (*single, self.first - self.before, self.high - self.low)
 
     @property
@@ -98,6 +97,8 @@ class Sensor:
     Parameters
     ----------
     finder : StepFinder
+    step : float
+        The quantization step in °C as far as it is known, 0 when there is none.
     inside : float
         Variance of the readings about their short-term mean, °C².
     roughness : float
@@ -121,6 +122,7 @@ class Sensor:
     """
 
     finder: StepFinder
+    step: float = field(init=False)
     inside: float = 0.0
     roughness: float = 0.0
     squares: float = 0.0
@@ -133,20 +135,19 @@ class Sensor:
     slots: int = 0
     means: tuple[float, ...] = field(default=())
 
-    @property
-    def step(self) -> float:
-        """The quantization step in °C as far as it is known, 0 when there is none."""
-        return 0.0 if self.finder.stepless else self.finder.size
+    def __post_init__(self) -> None:
+        """Begin with the step that the finder begins with."""
+        self.step = self.finder.size
 
     @property
     def unit(self) -> float:
         """What the sensor's noise is measured in, °C: a step, or the noise of a slot where that is larger."""
-        return max(self.step, float(np.sqrt(self.roughness)), 1e-4)
+        return max(self.step, math.sqrt(self.roughness), 1e-4)
 
     @property
     def scatter(self) -> float:
         """Standard deviation of a single reading, °C."""
-        return max(self.unit, float(np.sqrt(self.inside)))
+        return max(self.unit, math.sqrt(self.inside))
 
     def independent(self, reading: Reading) -> float:
         """Return how many independent readings a slot has; less than one where a reading outlasts it."""
@@ -183,11 +184,16 @@ class Sensor:
         z, variance = reading.mean / step, self.inside / step**2
         x, beta = z, 0.0
         for _ in range(4):
-            cosine = beta * np.cos(2.0 * np.pi * x)
-            rest = variance - 1.0 / 12.0 + cosine / np.pi**2 + (beta / np.pi * np.sin(2.0 * np.pi * x)) ** 2
+            cosine = beta * math.cos(2.0 * math.pi * x)
+            rest = (
+                variance
+                - 1.0 / 12.0
+                + cosine / math.pi**2
+                + (beta / math.pi * math.sin(2.0 * math.pi * x)) ** 2
+            )
             square = max(rest / max(1.0 - 4.0 * cosine, 0.2), DITHERED**2)
-            beta = float(np.exp(-2.0 * np.pi**2 * square))
-            x = z + beta / np.pi * float(np.sin(2.0 * np.pi * x))
+            beta = math.exp(-2.0 * math.pi**2 * square)
+            x = z + beta / math.pi * math.sin(2.0 * math.pi * x)
         return step * x
 
     def learn(self, reading: Reading) -> None:
@@ -205,12 +211,13 @@ class Sensor:
         if reading.changes:
             self._learn_changes(reading)
             self.finder.learn(reading.differences)
+            self.step = 0.0 if self.finder.stepless else self.finder.size
 
     def _learn_refresh(self, reading: Reading) -> None:
         if reading.changes > 1:
             self.refresh.doubt()
             return
-        before = reading.before if np.isfinite(reading.before) else reading.first
+        before = reading.before if math.isfinite(reading.before) else reading.first
         silent_s = reading.changed_s - self.changed_s
         if self.interval_s:
             silent_s = min(silent_s, self.interval_s)
