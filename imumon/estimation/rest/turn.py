@@ -13,23 +13,31 @@ import numpy as np
 from imumon.blocks import FloatArray
 from imumon.estimation.rest.parameters import RestParameters
 from imumon.estimation.rest.state import ACCEL, GYRO, LEVELS, SLOT_S, State
-from imumon.estimation.rest.windows import BEND_SIGMAS, CHI_SQUARE, CREEP, OBLIQUE, SLOTS, TINY, turned
+from imumon.estimation.rest.windows import (
+    BEND_SIGMAS,
+    CHI_SQUARE,
+    CREEP,
+    MEMORY_SLOTS,
+    OBLIQUE,
+    SLOTS,
+    TINY,
+    turned,
+)
 
 EARTH_TWICE = 1.46e-4
 """rad/s: a gyro that is turned round sees the earth's rate the other way."""
 SIGMAS = 6.0
-MEMORY_SLOTS = 32
 STEADY_SIGMAS = 3.0
 
 
 def hypothesis(
-    state: State, parameters: RestParameters, means: FloatArray, slots: FloatArray, now_s: float
+    state: State, parameters: RestParameters, recent: FloatArray, slots: FloatArray, now_s: float
 ) -> FloatArray:
     """Return the rate of the turn that the gyros show if their bias is still that of the last rest, (3,).
 
     Parameters
     ----------
-    means, slots : array, (6,)
+    recent, slots : array, (6,)
         Recent means, and how many slots they are of; 0 for an axis that is missing.
 
     Returns
@@ -39,14 +47,16 @@ def hypothesis(
     """
     if not state.anchored:
         return np.zeros(3)
-    there = state.known & (slots > 0)
-    change = np.where(there, means - state.anchor, 0.0)
-    noise = SIGMAS * np.sqrt(state.variance[0] / np.clip(slots, 1, MEMORY_SLOTS) + state.anchor_variance)
+    there = state.windows.known & (slots > 0)
+    change = np.where(there, recent - state.anchor, 0.0)
+    noise = SIGMAS * np.sqrt(
+        state.windows.variance[0] / np.clip(slots, 1, MEMORY_SLOTS) + state.anchor_variance
+    )
     noise += state.resolution
     force = float(np.linalg.norm(change[ACCEL]))
     allowed = EARTH_TWICE + parameters.gyro_g_sensitivity * force + _walk(state, parameters, now_s)
     turn, noise = change[GYRO], noise[GYRO]
-    if (np.abs(turn) <= allowed + noise).all() or _is_bias(state, parameters, turn, noise, means[ACCEL]):
+    if (np.abs(turn) <= allowed + noise).all() or _is_bias(state, parameters, turn, noise, recent[ACCEL]):
         return np.zeros(3)
     return turn
 
@@ -58,7 +68,7 @@ def _walk(state: State, parameters: RestParameters, now_s: float) -> FloatArray:
     """
     elapsed = max(now_s - state.anchor_s, 0.0)
     longest_s = SLOT_S * SLOTS[-1]
-    learnt = SIGMAS * np.sqrt(state.variance[-1][GYRO] * elapsed / longest_s)
+    learnt = SIGMAS * np.sqrt(state.windows.variance[-1][GYRO] * elapsed / longest_s)
     most = np.clip(learnt, parameters.gyro_walk, 2.0 * parameters.gyro_walk)
     return np.asarray(np.minimum(parameters.gyro_drift * elapsed, most))
 
@@ -69,23 +79,23 @@ def _is_bias(
     """Tell whether a turn like this would have tilted the unit, and gravity says that it has not."""
     size, gravity = float(np.linalg.norm(turn)), float(np.linalg.norm(force))
     window = steady_slots(state) // 4
-    seen = state.known[ACCEL].all() and gravity > 5.0 and state.quiet_slots >= 2 * window
+    seen = state.windows.known[ACCEL].all() and gravity > 5.0 and state.quiet_slots >= 2 * window
     if not seen or size > parameters.largest_jump:
         return False
     across = turn - (turn @ force) * force / gravity**2
     tilt = float(np.linalg.norm(across))
     # What accelerometers show in two windows of 4 s, by the limits of `windows`, or their drift would hide.
-    n, level = state.history.length, window.bit_length() - 1
-    seconds = float(state.history.seconds[n] - state.history.seconds[n - window])
-    shown = np.sqrt(2.0 * CHI_SQUARE * state.variance[level, ACCEL].max()) + state.resolution[ACCEL].max()
+    level, seconds = window.bit_length() - 1, state.span_s(window)
+    shown = (
+        np.sqrt(2.0 * CHI_SQUARE * state.windows.variance[level, ACCEL].max()) + state.resolution[ACCEL].max()
+    )
     least = (shown + parameters.accel_drift * seconds) / (gravity * seconds)
     return tilt > max(OBLIQUE * size, float(least), float(noise.max()))
 
 
 def steady_slots(state: State) -> int:
     """Return how many slots take 16 s, as a power of two; a slot is a sample at low rates."""
-    seconds, n = state.history.seconds, state.history.length
-    slot_s = (seconds[n] - seconds[max(n - MEMORY_SLOTS, 0)]) / MEMORY_SLOTS
+    slot_s = state.span_s(min(MEMORY_SLOTS, state.length)) / MEMORY_SLOTS
     longer = round(float(np.log2(max(slot_s / SLOT_S, 1.0))))
     return int(SLOTS[max(LEVELS - 1 - longer, 3)])
 
@@ -96,14 +106,14 @@ def is_steady(state: State, parameters: RestParameters) -> bool:
     Of 4 s after motion that was no turn about the vertical: it would tilt the unit, and gravity shows that.
     """
     half = steady_slots(state) // (2 if state.turning else 4)
-    history, n, level = state.history, state.history.length, half.bit_length() - 1
+    level = half.bit_length() - 1
     if state.quiet_slots < 2 * half:
         return False
-    recent, before = history.means(n - half * np.arange(3))
-    seconds = history.seconds[n] - history.seconds[n - half]
-    change, variance = recent - before, 2.0 * STEADY_SIGMAS**2 * state.variance[level]
+    recent, before = state.means(state.length - half * np.arange(3))
+    seconds = state.span_s(half)
+    change, variance = recent - before, 2.0 * STEADY_SIGMAS**2 * state.windows.variance[level]
     limit = np.sqrt(variance) + state.resolution + parameters.accel_drift * seconds
-    if (state.known & (np.abs(change) > limit))[ACCEL].any():
+    if (state.windows.known & (np.abs(change) > limit))[ACCEL].any():
         return False
     small = variance[np.newaxis, GYRO] / BEND_SIGMAS**2 + TINY
     return not turned(state, change[np.newaxis, GYRO], small, np.array([CREEP * seconds]))[0]
