@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -17,8 +18,8 @@ from imumon.estimation.alignment.status import Estimate
 from imumon.geodesy import DEG_PER_H, EARTH_RATE, MICRO_G, STANDARD_GRAVITY, forward
 
 SLOT_S = 0.25
-RENEWED_S, RENEWED_SHARE = 1.0, 1.0 / 40.0
-"""A fit is renewed after a second, and after this share of the time that counts."""
+RENEWED_S, RENEWED_SHARE = 1.0, 0.08
+"""A fit is renewed after a second, and after this share of the time that counts: sigma falls by 4 % in it."""
 LONGEST_S = 120.0
 """After a longer disturbance, or a gap of a quarter of it, the alignment begins anew: an attitude that was
 followed for so long has lost what was found."""
@@ -50,7 +51,10 @@ class State:
     poses: list[Pose] = field(default_factory=list)
     attitude: FloatArray = field(default_factory=lambda: np.eye(3))
     """Body axes to the frame of the first pose, now."""
-    field_sum: FloatArray = field(default_factory=lambda: np.zeros(4))
+    ahead: float = 0.0
+    """Direction of the body in that frame, rad, from its forward to its left."""
+    field_sum: list[float] = field(default_factory=lambda: [0.0] * 4)
+    """Of the magnetometer in this pose, body axes, and its samples."""
     now_s: float = 0.0
     slot_end_s: float = 0.0
     interval_s: float = 0.0
@@ -102,8 +106,8 @@ class Aligner:
             events=events, disturbed=old.disturbed, restarts=restarts,
         )  # fmt: skip
 
-    def step(self, slot: Slot, magnetic: FloatArray) -> None:
-        """Go on by a slot."""
+    def step(self, slot: Slot, magnetic: Sequence[float]) -> None:
+        """Go on by a slot, and its mean of the magnetometer, (3,)."""
         state, motion = self.state, self.state.motion
         gap = slot.time_s - 0.5 * slot.length_s - state.slot_end_s
         if state.poses and gap > LONGEST_S / 4.0:
@@ -124,12 +128,20 @@ class Aligner:
         else:
             motion.go_on(slot)
             self._count(slot)
-        if np.isfinite(magnetic).all() and not motion.disturbed:
-            state.field_sum += [*(slot.samples * magnetic), slot.samples]
+        if not motion.disturbed and math.isfinite(sum(magnetic)):
+            for axis, value in enumerate(magnetic):
+                state.field_sum[axis] += slot.samples * value
+            state.field_sum[3] += slot.samples
         if not motion.disturbed and state.counted_s >= state.evaluated_s + max(
             RENEWED_S, RENEWED_SHARE * state.counted_s
         ):
             self.evaluate()
+
+    def _stands(self, attitude: FloatArray) -> None:
+        """Take a new attitude."""
+        up = attitude[2]
+        ahead = attitude @ forward(up / np.sqrt(up @ up))
+        self.state.attitude, self.state.ahead = attitude, math.atan2(ahead[1], ahead[0])
 
     def _begin_disturbance(self, slot: Slot, cause: str) -> None:
         state = self.state
@@ -142,7 +154,7 @@ class Aligner:
         state, motion = self.state, self.state.motion
         before = motion.turned
         calm = motion.follow(slot)
-        state.attitude = state.attitude @ before.T @ motion.turned
+        self._stands(state.attitude @ before.T @ motion.turned)
         if not calm:
             for other in motion.calm:
                 self._skip(other)
@@ -174,7 +186,7 @@ class Aligner:
             up = np.mean([slot.mean[3:] for slot in calm], axis=0)
             up /= np.sqrt(up @ up)
             ahead = forward(up)
-            state.attitude = np.vstack([ahead, np.cross(up, ahead), up])
+            self._stands(np.vstack([ahead, np.cross(up, ahead), up]))
             state.poses.append(Pose(state.attitude, 0.0, calm[0].time_s))
         else:
             same = self._new_pose(calm)
@@ -188,7 +200,8 @@ class Aligner:
     def _new_pose(self, calm: list[Slot]) -> bool:
         """Return whether the unit stands as before a disturbance; else begin a pose."""
         state, motion = self.state, self.state.motion
-        middle, spread, _ = motion.usual()
+        usual = motion.usual()
+        middle, spread = usual.middle, usual.spread
         seconds = max(calm[0].time_s - motion.begun_s, calm[0].length_s)
         up = np.mean([slot.mean[3:] for slot in calm], axis=0)
         step = np.sqrt(np.sum((up / np.sqrt(up @ up) - middle[3:] / np.sqrt(middle[3:] @ middle[3:])) ** 2))
@@ -199,15 +212,15 @@ class Aligner:
         bumped = SIGMAS * float(spread[3:].max()) / math.sqrt(LEAST) / STANDARD_GRAVITY
         for_s = f"alignment: {motion.cause} at {motion.begun_s:.1f} s for {seconds:.1f} s"
         if abs(turn) < max(SAME_TURN, SIGMAS * noise) and step < max(SAME_LEVEL, bumped):
-            state.attitude = before
+            self._stands(before)
             state.events.append(f"{for_s}: left out")
             return True
-        state.attitude = attitude
+        self._stands(attitude)
         scale = self.parameters.gyro_scale_sd_ppm * 1e-6 * motion.angle
         drift = DRIFT_WHILE_TURNED * EARTH_RATE * seconds * min(motion.angle, 1.0)
         variance = state.poses[-1].turn_variance + scale**2 + noise**2 + drift**2
         state.poses.append(Pose(attitude, variance, calm[0].time_s))
-        state.field_sum[:] = 0.0
+        state.field_sum = [0.0] * 4
         state.events.append(
             f"{for_s}: left out; a new position, turned by {-math.degrees(turn):.2f}° about the vertical"
         )
@@ -334,9 +347,7 @@ class Aligner:
 
     def as_heading(self, north: float) -> float:
         """Return the heading of the body from the direction of north in the frame of the first pose."""
-        up = self.state.attitude[2]
-        ahead = self.state.attitude @ forward(up / np.sqrt(up @ up))
-        return (north - math.atan2(ahead[1], ahead[0])) % (2.0 * math.pi)
+        return (north - self.state.ahead) % (2.0 * math.pi)
 
 
 DRIFT_WHILE_TURNED = 1.0
