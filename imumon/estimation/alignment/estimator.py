@@ -13,13 +13,14 @@ from imumon.blocks import FloatArray
 from imumon.estimation.alignment import fit
 from imumon.estimation.alignment.motion import LEAST, Motion, Slot
 from imumon.estimation.alignment.parameters import AlignmentParameters
+from imumon.estimation.alignment.posterior import Heading, Place, heading
 from imumon.estimation.alignment.record import Pose, Record
 from imumon.estimation.alignment.status import Estimate
 from imumon.geodesy import DEG_PER_H, EARTH_RATE, MICRO_G, STANDARD_GRAVITY, forward
 
 SLOT_S = 0.25
-RENEWED_S, RENEWED_SHARE = 1.0, 0.08
-"""A fit is renewed after a second, and after this share of the time that counts: sigma falls by 4 % in it."""
+RENEWED_SHARE, RENEWED_S = 0.25, (1.0, 20.0)
+"""A fit is renewed after this share of the time that counts, sigma falling by a tenth; between these, s."""
 LONGEST_S = 120.0
 """After a longer disturbance, or a gap of a quarter of it, the alignment begins anew: an attitude that was
 followed for so long has lost what was found."""
@@ -33,6 +34,8 @@ TYPICAL_BIAS, TYPICAL_ARW, BIAS_POWER = 10.0 * DEG_PER_H, math.radians(0.1) / 60
 sheets of MEMS, fibre and ring laser gyros, from 0.3 °/√h and 50 °/h to 0.002 °/√h and 0.03 °/h."""
 LEAST_ARW = math.radians(1e-4) / 60.0
 """The best ring laser gyros."""
+LARGEST_TYPICAL = EARTH_RATE
+"""Larger biases leave no heading, whatever they are."""
 SMALLER, LARGER = 1.2, 2.2
 """Standard deviation of the logarithm of a bias about that: below, the scatter of the data sheets; above, a
 factor 80 at two of them, for a low-noise gyro may have any bias until it is calibrated."""
@@ -61,7 +64,7 @@ class State:
     evaluated_s: float = -math.inf
     counted_s: float = 0.0
     shaken_s: float = 0.0
-    found: fit.Heading | None = None
+    found: Heading | None = None
     fits: list[fit.PoseFit] = field(default_factory=list)
     means: dict[str, Estimate] = field(default_factory=dict)
     settled_s: float | None = None
@@ -132,9 +135,8 @@ class Aligner:
             for axis, value in enumerate(magnetic):
                 state.field_sum[axis] += slot.samples * value
             state.field_sum[3] += slot.samples
-        if not motion.disturbed and state.counted_s >= state.evaluated_s + max(
-            RENEWED_S, RENEWED_SHARE * state.counted_s
-        ):
+        after = min(max(RENEWED_SHARE * state.counted_s, RENEWED_S[0]), RENEWED_S[1])
+        if not motion.disturbed and state.counted_s >= state.evaluated_s + after:
             self.evaluate()
 
     def _stands(self, attitude: FloatArray) -> None:
@@ -241,11 +243,9 @@ class Aligner:
             attitude = levelled(pose.attitude, up)
             time = record.time_s[rows] - record.time_s[rows[0]] + SLOT_S / 2
             level = record.force[rows] @ attitude.T / gravity
-            found = fit.fit_pose(
-                time, weight, record.rate[rows] @ attitude.T,
-                -1j * (level[:, 0] + 1j * level[:, 1]) - self._known(record.time_s[rows], attitude),
-                self._drift_sd(),
-            )  # fmt: skip
+            angle = -1j * (level[:, 0] + 1j * level[:, 1]) - self._known(record.time_s[rows], attitude)
+            kept = fit.PoseRecord(time, weight, record.rate[rows] @ attitude.T, angle)
+            found = fit.fit_pose(kept, self._drift_sd())
             if found is None:
                 continue
             fits.append(found)
@@ -254,12 +254,12 @@ class Aligner:
         state.fits = fits
         if not fits:
             return
-        sizes, log_prior = self._bias_prior(math.sqrt(fits[-1].white))
-        place = fit.Place(
+        sizes, log_prior = self._bias_prior(math.sqrt(min(one.quietest for one in fits)))
+        place = Place(
             self.latitude, sizes, log_prior, (parameters.gyro_flicker_deg_per_h or 0.0) * DEG_PER_H,
             parameters.accel_bias_sd_ug * 1e-6,
         )  # fmt: skip
-        state.found = fit.heading(fits, attitudes, np.array(turns), place)
+        state.found = heading(fits, attitudes, np.array(turns), place)
         self._means()
         self._settle()
 
@@ -282,7 +282,7 @@ class Aligner:
 
     def _bias_prior(self, arw: float) -> tuple[FloatArray, FloatArray]:
         """Return sizes of the bias that are thought of, rad/s, and the logarithms of their probabilities."""
-        typical = TYPICAL_BIAS * (max(arw, LEAST_ARW) / TYPICAL_ARW) ** BIAS_POWER
+        typical = min(TYPICAL_BIAS * (max(arw, LEAST_ARW) / TYPICAL_ARW) ** BIAS_POWER, LARGEST_TYPICAL)
         declared = self.parameters.gyro_bias_sd_deg_per_h
         if declared is None:
             logs = -0.5 * (SIZES / np.where(SIZES < 0.0, SMALLER, LARGER)) ** 2

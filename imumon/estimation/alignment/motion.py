@@ -32,34 +32,36 @@ NORMAL = 1.4826
 
 @dataclass(frozen=True, slots=True)
 class Slot:
-    """One slot: middle and length in s, samples, mean and variance of the six channels, whether at rest."""
+    """A slot: middle and length in s, samples, mean and variance (2, 6) of the channels, whether at rest."""
 
     time_s: float
     length_s: float
     samples: int
-    mean: FloatArray
-    variance: FloatArray
+    values: FloatArray
     at_rest: bool
+
+    @property
+    def mean(self) -> FloatArray:
+        """Mean of gyros and accelerometers, rad/s and m/s², (6,)."""
+        mean: FloatArray = self.values[0]
+        return mean
 
 
 @dataclass(frozen=True, slots=True)
 class Usual:
-    """What slots at rest have been like, (6,) each.
+    """What slots at rest have been like.
 
     Parameters
     ----------
-    middle, spread : array
+    middle, spread : array (6,)
         Median of their means, and by how much these scatter, rad/s and m/s².
-    limit : array
-        Of the distance from the middle.
-    noisy : array
-        Limit of the variance within a slot.
+    limit : array (2, 6)
+        Of the distance from the middle, and of the variance within a slot.
     """
 
     middle: FloatArray
     spread: FloatArray
     limit: FloatArray
-    noisy: FloatArray
 
 
 @dataclass
@@ -104,16 +106,17 @@ class Motion:
         if len(self.recent) < LEAST:
             return ""
         usual = self.usual()
-        off = np.abs(slot.mean - usual.middle)
-        off[3:] = np.abs(slot.mean[3:] - self.level)  # an accelerometer may warm up
-        outside = (off > usual.limit).tolist()
-        if any(outside[:3]):
+        off = slot.values.copy()
+        off[0, :3] -= usual.middle[:3]
+        off[0, 3:] -= self.level  # an accelerometer may warm up
+        beyond = np.abs(off) > usual.limit
+        if not beyond.any():
+            return ""
+        if beyond[0, :3].any():
             return "the unit turned"
-        if any(outside[3:]):
+        if beyond[0, 3:].any():
             return "the specific force jumped"
-        if slot.samples >= LEAST and any((slot.variance > usual.noisy).tolist()):
-            return "a shock or vibration"
-        return ""
+        return "a shock or vibration" if slot.samples >= LEAST else ""
 
     def usual(self) -> Usual:
         """Return what recent slots were like."""
@@ -123,7 +126,9 @@ class Motion:
             middle = np.median(values, axis=0)
             spread = NORMAL * np.median(np.abs(values - middle), axis=0) + FINEST
             reach = LIMIT + 3.0 * LIMIT / math.sqrt(len(values))
-            self.known = Usual(middle[0], spread[0], reach * spread[0], (middle[1] + reach * spread[1]) ** 2)
+            limit = reach * spread
+            limit[1] = (middle[1] + limit[1]) ** 2
+            self.known = Usual(middle[0], spread[0], limit)
             self.age = 0
         return self.known
 
@@ -132,7 +137,7 @@ class Motion:
         self.age += 1
         if self.age > RENEWED * len(self.recent):
             self.known = None
-        self._remember(np.concatenate([self.recent[-RECENT + 1 :], [[slot.mean, slot.variance]]]))
+        self._remember(np.concatenate((self.recent[-RECENT + 1 :], slot.values[None])))
 
     def _remember(self, recent: FloatArray) -> None:
         self.recent = recent
@@ -169,7 +174,7 @@ class Motion:
 
     def rest(self, same: bool) -> None:
         """End the disturbance; the unit stands as before, or in a new pose."""
-        recent = np.array([[slot.mean, slot.variance] for slot in self.calm])
+        recent = np.array([slot.values for slot in self.calm])
         if same and len(self.recent) >= LEAST:
             recent = np.concatenate([self.recent, recent])
         self._remember(recent[-RECENT:])

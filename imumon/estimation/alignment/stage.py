@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from imumon.blocks import ColumnArray, SampleBlock
+from imumon.blocks import ColumnArray, FloatArray, SampleBlock
 from imumon.charts import Chart
 from imumon.columns import Column
 from imumon.estimation.alignment import charting
@@ -114,8 +114,9 @@ class Alignment:
         self._yaw = next(iter(yaw[np.isfinite(yaw)][-1:].tolist()), self._yaw)
         slots = self._slots.process(block["device_time_ns"], block["segment"], values)
         rows = np.empty((len(slots), len(self._added)))
+        spread = np.stack([slots.mean[:, :6], slots.variance[:, :6]], axis=1)
         for k in range(len(slots)):
-            self._step(slots, k)
+            self._step(slots, spread, k)
             rows[k] = self._row()
         out = held(slots.row, rows, self._last, n)
         # What was said of another segment does not hold in a new one.
@@ -126,8 +127,8 @@ class Alignment:
             self._status = self._judge()
         return {name: np.ascontiguousarray(out[:, j]) for j, name in enumerate(self._added)}
 
-    def _step(self, slots: Slots, k: int) -> None:
-        """Give a slot to the estimator."""
+    def _step(self, slots: Slots, values: FloatArray, k: int) -> None:
+        """Give a slot to the estimator; `values` are means and variances of all, (m, 2, 6)."""
         start, end = int(slots.start_ns[k]), int(slots.end_ns[k])
         state = self._aligner.state
         if slots.begins[k] or not self._origin_ns:
@@ -153,8 +154,7 @@ class Alignment:
             time_s=0.5 * (start - self._origin_ns + end - self._origin_ns) * 1e-9,
             length_s=samples * state.interval_s if state.interval_s < 30.0 else SLOT_S,
             samples=valid,
-            mean=mean[:6],
-            variance=slots.variance[k, :6],
+            values=values[k],
             at_rest=bool(slots.smallest[k, -1] > 0.0),
         )
         self._aligner.step(slot, mean[6:9].tolist())
