@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -12,13 +13,14 @@ from imumon.blocks import FloatArray
 from imumon.estimation.alignment import fit
 from imumon.estimation.alignment.motion import LEAST, Motion, Slot
 from imumon.estimation.alignment.parameters import AlignmentParameters
+from imumon.estimation.alignment.posterior import Heading, Place, heading
 from imumon.estimation.alignment.record import Pose, Record
 from imumon.estimation.alignment.status import Estimate
 from imumon.geodesy import DEG_PER_H, EARTH_RATE, MICRO_G, STANDARD_GRAVITY, forward
 
 SLOT_S = 0.25
-RENEWED_S, RENEWED_SHARE = 1.0, 1.0 / 40.0
-"""A fit is renewed after a second, and after this share of the time that counts."""
+RENEWED_SHARE, RENEWED_S = 0.25, (1.0, 20.0)
+"""A fit is renewed after this share of the time that counts, sigma falling by a tenth; between these, s."""
 LONGEST_S = 120.0
 """After a longer disturbance, or a gap of a quarter of it, the alignment begins anew: an attitude that was
 followed for so long has lost what was found."""
@@ -32,6 +34,8 @@ TYPICAL_BIAS, TYPICAL_ARW, BIAS_POWER = 10.0 * DEG_PER_H, math.radians(0.1) / 60
 sheets of MEMS, fibre and ring laser gyros, from 0.3 °/√h and 50 °/h to 0.002 °/√h and 0.03 °/h."""
 LEAST_ARW = math.radians(1e-4) / 60.0
 """The best ring laser gyros."""
+LARGEST_TYPICAL = EARTH_RATE
+"""Larger biases leave no heading, whatever they are."""
 SMALLER, LARGER = 1.2, 2.2
 """Standard deviation of the logarithm of a bias about that: below, the scatter of the data sheets; above, a
 factor 80 at two of them, for a low-noise gyro may have any bias until it is calibrated."""
@@ -50,14 +54,17 @@ class State:
     poses: list[Pose] = field(default_factory=list)
     attitude: FloatArray = field(default_factory=lambda: np.eye(3))
     """Body axes to the frame of the first pose, now."""
-    field_sum: FloatArray = field(default_factory=lambda: np.zeros(4))
+    ahead: float = 0.0
+    """Direction of the body in that frame, rad, from its forward to its left."""
+    field_sum: list[float] = field(default_factory=lambda: [0.0] * 4)
+    """Of the magnetometer in this pose, body axes, and its samples."""
     now_s: float = 0.0
     slot_end_s: float = 0.0
     interval_s: float = 0.0
     evaluated_s: float = -math.inf
     counted_s: float = 0.0
     shaken_s: float = 0.0
-    found: fit.Heading | None = None
+    found: Heading | None = None
     fits: list[fit.PoseFit] = field(default_factory=list)
     means: dict[str, Estimate] = field(default_factory=dict)
     settled_s: float | None = None
@@ -102,8 +109,8 @@ class Aligner:
             events=events, disturbed=old.disturbed, restarts=restarts,
         )  # fmt: skip
 
-    def step(self, slot: Slot, magnetic: FloatArray) -> None:
-        """Go on by a slot."""
+    def step(self, slot: Slot, magnetic: Sequence[float]) -> None:
+        """Go on by a slot, and its mean of the magnetometer, (3,)."""
         state, motion = self.state, self.state.motion
         gap = slot.time_s - 0.5 * slot.length_s - state.slot_end_s
         if state.poses and gap > LONGEST_S / 4.0:
@@ -124,12 +131,19 @@ class Aligner:
         else:
             motion.go_on(slot)
             self._count(slot)
-        if np.isfinite(magnetic).all() and not motion.disturbed:
-            state.field_sum += [*(slot.samples * magnetic), slot.samples]
-        if not motion.disturbed and state.counted_s >= state.evaluated_s + max(
-            RENEWED_S, RENEWED_SHARE * state.counted_s
-        ):
+        if not motion.disturbed and math.isfinite(sum(magnetic)):
+            for axis, value in enumerate(magnetic):
+                state.field_sum[axis] += slot.samples * value
+            state.field_sum[3] += slot.samples
+        after = min(max(RENEWED_SHARE * state.counted_s, RENEWED_S[0]), RENEWED_S[1])
+        if not motion.disturbed and state.counted_s >= state.evaluated_s + after:
             self.evaluate()
+
+    def _stands(self, attitude: FloatArray) -> None:
+        """Take a new attitude."""
+        up = attitude[2]
+        ahead = attitude @ forward(up / np.sqrt(up @ up))
+        self.state.attitude, self.state.ahead = attitude, math.atan2(ahead[1], ahead[0])
 
     def _begin_disturbance(self, slot: Slot, cause: str) -> None:
         state = self.state
@@ -142,7 +156,7 @@ class Aligner:
         state, motion = self.state, self.state.motion
         before = motion.turned
         calm = motion.follow(slot)
-        state.attitude = state.attitude @ before.T @ motion.turned
+        self._stands(state.attitude @ before.T @ motion.turned)
         if not calm:
             for other in motion.calm:
                 self._skip(other)
@@ -174,7 +188,7 @@ class Aligner:
             up = np.mean([slot.mean[3:] for slot in calm], axis=0)
             up /= np.sqrt(up @ up)
             ahead = forward(up)
-            state.attitude = np.vstack([ahead, np.cross(up, ahead), up])
+            self._stands(np.vstack([ahead, np.cross(up, ahead), up]))
             state.poses.append(Pose(state.attitude, 0.0, calm[0].time_s))
         else:
             same = self._new_pose(calm)
@@ -188,7 +202,8 @@ class Aligner:
     def _new_pose(self, calm: list[Slot]) -> bool:
         """Return whether the unit stands as before a disturbance; else begin a pose."""
         state, motion = self.state, self.state.motion
-        middle, spread, _ = motion.usual()
+        usual = motion.usual()
+        middle, spread = usual.middle, usual.spread
         seconds = max(calm[0].time_s - motion.begun_s, calm[0].length_s)
         up = np.mean([slot.mean[3:] for slot in calm], axis=0)
         step = np.sqrt(np.sum((up / np.sqrt(up @ up) - middle[3:] / np.sqrt(middle[3:] @ middle[3:])) ** 2))
@@ -199,15 +214,15 @@ class Aligner:
         bumped = SIGMAS * float(spread[3:].max()) / math.sqrt(LEAST) / STANDARD_GRAVITY
         for_s = f"alignment: {motion.cause} at {motion.begun_s:.1f} s for {seconds:.1f} s"
         if abs(turn) < max(SAME_TURN, SIGMAS * noise) and step < max(SAME_LEVEL, bumped):
-            state.attitude = before
+            self._stands(before)
             state.events.append(f"{for_s}: left out")
             return True
-        state.attitude = attitude
+        self._stands(attitude)
         scale = self.parameters.gyro_scale_sd_ppm * 1e-6 * motion.angle
         drift = DRIFT_WHILE_TURNED * EARTH_RATE * seconds * min(motion.angle, 1.0)
         variance = state.poses[-1].turn_variance + scale**2 + noise**2 + drift**2
         state.poses.append(Pose(attitude, variance, calm[0].time_s))
-        state.field_sum[:] = 0.0
+        state.field_sum = [0.0] * 4
         state.events.append(
             f"{for_s}: left out; a new position, turned by {-math.degrees(turn):.2f}° about the vertical"
         )
@@ -228,11 +243,9 @@ class Aligner:
             attitude = levelled(pose.attitude, up)
             time = record.time_s[rows] - record.time_s[rows[0]] + SLOT_S / 2
             level = record.force[rows] @ attitude.T / gravity
-            found = fit.fit_pose(
-                time, weight, record.rate[rows] @ attitude.T,
-                -1j * (level[:, 0] + 1j * level[:, 1]) - self._known(record.time_s[rows], attitude),
-                self._drift_sd(),
-            )  # fmt: skip
+            angle = -1j * (level[:, 0] + 1j * level[:, 1]) - self._known(record.time_s[rows], attitude)
+            kept = fit.PoseRecord(time, weight, record.rate[rows] @ attitude.T, angle)
+            found = fit.fit_pose(kept, self._drift_sd())
             if found is None:
                 continue
             fits.append(found)
@@ -241,12 +254,12 @@ class Aligner:
         state.fits = fits
         if not fits:
             return
-        sizes, log_prior = self._bias_prior(math.sqrt(fits[-1].white))
-        place = fit.Place(
+        sizes, log_prior = self._bias_prior(math.sqrt(min(one.quietest for one in fits)))
+        place = Place(
             self.latitude, sizes, log_prior, (parameters.gyro_flicker_deg_per_h or 0.0) * DEG_PER_H,
             parameters.accel_bias_sd_ug * 1e-6,
         )  # fmt: skip
-        state.found = fit.heading(fits, attitudes, np.array(turns), place)
+        state.found = heading(fits, attitudes, np.array(turns), place)
         self._means()
         self._settle()
 
@@ -269,7 +282,7 @@ class Aligner:
 
     def _bias_prior(self, arw: float) -> tuple[FloatArray, FloatArray]:
         """Return sizes of the bias that are thought of, rad/s, and the logarithms of their probabilities."""
-        typical = TYPICAL_BIAS * (max(arw, LEAST_ARW) / TYPICAL_ARW) ** BIAS_POWER
+        typical = min(TYPICAL_BIAS * (max(arw, LEAST_ARW) / TYPICAL_ARW) ** BIAS_POWER, LARGEST_TYPICAL)
         declared = self.parameters.gyro_bias_sd_deg_per_h
         if declared is None:
             logs = -0.5 * (SIZES / np.where(SIZES < 0.0, SMALLER, LARGER)) ** 2
@@ -334,9 +347,7 @@ class Aligner:
 
     def as_heading(self, north: float) -> float:
         """Return the heading of the body from the direction of north in the frame of the first pose."""
-        up = self.state.attitude[2]
-        ahead = self.state.attitude @ forward(up / np.sqrt(up @ up))
-        return (north - math.atan2(ahead[1], ahead[0])) % (2.0 * math.pi)
+        return (north - self.state.ahead) % (2.0 * math.pi)
 
 
 DRIFT_WHILE_TURNED = 1.0
