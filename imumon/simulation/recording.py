@@ -15,10 +15,9 @@ from imumon.recordings.folder import Session, create_session
 from imumon.recordings.metadata import PortUsed, SessionMetadata, iso_utc, versions_in_use
 from imumon.recordings.table import TableWriter
 from imumon.recordings.wire import WireWriter
-from imumon.simulation.bench import MICROSECOND
 from imumon.simulation.unit import TRUTH_COLUMNS, Scenario, SimulatedUnit
 from imumon.simulation.unit.noise import generator
-from imumon.simulation.unit.unit import CHUNK
+from imumon.simulation.unit.unit import CHUNK, MICROSECOND
 from imumon.simulation.virtual_device import refuse_overload
 from imumon.simulation.virtual_port import BITS_PER_BYTE
 from imumon.transport.reader import Bytes, Event, EventKind

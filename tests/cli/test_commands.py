@@ -17,7 +17,7 @@ import pytest
 
 from imumon.cli import COMMANDS
 from imumon.protocols.device import load_device
-from imumon.simulation.bench import BenchUnit
+from imumon.simulation.unit import SimulatedUnit, load_scenario
 from imumon.simulation.virtual_device import VirtualDevice
 from tests.cli.command import IMUMON, answer, imumon
 from tests.data_folder import measured
@@ -27,7 +27,7 @@ from tests.data_folder import measured
 def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two seconds of an AX1 as another tool would have captured it: cut at both ends, with one bad byte."""
     device = load_device("ax1")
-    data = bytearray(b"".join(device.encoder().encode(BenchUnit(100.0, device.axes).samples(200))))
+    data = bytearray(b"".join(device.encoder().encode(SimulatedUnit(load_scenario("bench")).samples(200))))
     data[58 * 50 + 20] ^= 0x10
     path = tmp_path_factory.mktemp("capture") / "ax1.raw"
     path.write_bytes(data[30:-10])
@@ -99,7 +99,7 @@ def test_decode_accounts_for_every_byte_of_a_capture(capture: Path, tmp_path: Pa
     assert table.schema.field("gyro_x").metadata[b"unit"] == b"rad/s"
     assert str(table.schema.field("device_time_ns").type) == "int64"
     assert table["arrival_time_ns"].null_count == 197
-    truth = BenchUnit(100.0, "FRD").samples(200)
+    truth = SimulatedUnit(load_scenario("bench")).samples(200)
     kept = table["packet_counter"].to_numpy()
     np.testing.assert_allclose(table["gyro_z"].to_numpy(), truth["gyro_z"][kept], atol=1e-8)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.signal import butter, sosfilt, sosfilt_zi
 
 from imumon.blocks import FloatArray
 
@@ -25,6 +24,8 @@ class LowPass:
     def __init__(self, cutoff_hz: float | None, rate_hz: float, start: FloatArray) -> None:
         self._sections: FloatArray | None = None
         if cutoff_hz is not None and rate_hz > 2.0 * cutoff_hz:
+            from scipy.signal import butter, sosfilt_zi  # takes 0.3 s, and not every unit has a filter
+
             self._sections = butter(2, cutoff_hz, fs=rate_hz, output="sos")
             self._carried = sosfilt_zi(self._sections)[:, :, np.newaxis] * start
 
@@ -32,5 +33,7 @@ class LowPass:
         """Return the next samples, filtered; both of shape (n, k)."""
         if self._sections is None:
             return values
+        from scipy.signal import sosfilt
+
         out, self._carried = sosfilt(self._sections, values, axis=0, zi=self._carried)
         return np.asarray(out)

@@ -8,7 +8,6 @@ import numpy as np
 
 from imumon.blocks import ColumnArray, FloatArray, SampleBlock
 from imumon.columns import KNOWN, Column
-from imumon.simulation.bench import MICROSECOND
 from imumon.simulation.frames import (
     FIELD_UT,
     FRD_TO_FLU,
@@ -25,6 +24,8 @@ from imumon.simulation.unit.noise import White, generator
 from imumon.simulation.unit.scenario import Scenario
 from imumon.simulation.unit.thermal import SensorTemperature, Thermometers
 
+MICROSECOND = Fraction(1000)
+"""ns."""
 CHUNK = 8192
 """Samples that are computed at once, whatever the calls ask for: so the calls cannot change a bit."""
 MAG_NOISE_UT = 0.08
