@@ -12,7 +12,7 @@ from imumon.blocks import NO_INT, ColumnArray, SampleBlock, join
 from imumon.columns import Column
 from imumon.pipeline import UNDATED, Digest, Pipeline
 from imumon.protocols.device import load_device
-from imumon.simulation.bench import BenchUnit
+from imumon.simulation.unit import SimulatedUnit, load_scenario
 
 AX1 = load_device("ax1")
 START = 1_700_000_000_000_000_000
@@ -40,8 +40,8 @@ class CountingEstimator:
 @cache
 def stream(n: int) -> list[tuple[bytes, int]]:
     """Packets of a unit with junk and a reboot, and when each arrives."""
-    packets = AX1.encoder().encode(BenchUnit(100.0, AX1.axes).samples(n))
-    packets += AX1.encoder().encode(BenchUnit(100.0, AX1.axes, seed=1).samples(n))
+    packets = AX1.encoder().encode(SimulatedUnit(load_scenario("bench")).samples(n))
+    packets += AX1.encoder().encode(SimulatedUnit(load_scenario("bench"), 1).samples(n))
     packets[n // 2] = b"junk" + packets[n // 2]
     packets[n // 3] = packets[n // 3][:20]
     return [(packet, START + i * 10_000_000) for i, packet in enumerate(packets)]

@@ -17,6 +17,7 @@ from imumon.errors import ImumonError, Reason
 from imumon.files import read_text, write_text
 
 FORMAT: Final = "imumon-session/1"
+SourceKind = Literal["live", "simulation", "import"]
 _PACKAGES = ("numpy", "numba", "scipy", "pyarrow", "mcap", "rerun-sdk")
 
 
@@ -57,7 +58,7 @@ class SessionMetadata(StrictModel):
     """
 
     format: Literal["imumon-session/1"] = FORMAT
-    source: Literal["live", "simulation", "import"]
+    source: SourceKind
     state: Literal["open", "closed"] = "open"
     created: str
     created_ns: int
@@ -75,6 +76,15 @@ class SessionMetadata(StrictModel):
     events: NonNegativeInt = 0
     results_digest: str | None = None
     views: list[str] = Field(default_factory=list)
+
+    @classmethod
+    def begun(
+        cls, source: Literal["live", "simulation", "import"], at_ns: int, **more: Any
+    ) -> SessionMetadata:
+        """Return the metadata of a session that begins at this Unix time (ns), made by this version."""
+        return cls(
+            source=source, created=iso_utc(at_ns), created_ns=at_ns, versions=versions_in_use(), **more
+        )
 
     def closed(self, ended_ns: int, **changes: Any) -> SessionMetadata:
         """Return the metadata of the session after its end in order at this Unix time (ns)."""

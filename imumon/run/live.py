@@ -22,13 +22,7 @@ from imumon.errors import ImumonError, Reason
 from imumon.pipeline import Digest, Pipeline, PipelineCounters
 from imumon.protocols.device import DeviceFile
 from imumon.recordings.folder import create_session, remove_empty
-from imumon.recordings.metadata import (
-    PortUsed,
-    SessionMetadata,
-    StreamSummary,
-    iso_utc,
-    versions_in_use,
-)
+from imumon.recordings.metadata import PortUsed, SessionMetadata, StreamSummary
 from imumon.recordings.recorder import Recorder
 from imumon.recordings.source import feed
 from imumon.recordings.wire import WireCounters, WireWriter
@@ -227,16 +221,14 @@ class LiveRun:
 
     def _metadata(self, device: DeviceFile, device_yaml: str, setup: Setup) -> SessionMetadata:
         line = asdict(self._settings)
-        return SessionMetadata(
-            source="live",
-            created=iso_utc(self._began_ns),
-            created_ns=self._began_ns,
+        return SessionMetadata.begun(
+            "live",
+            self._began_ns,
             device=device.name,
             axes=device.axes,
             device_yaml=device_yaml,
             pipeline_yaml=setup.text(),
             port=PortUsed(url=line.pop("url"), settings=line),
-            versions=versions_in_use(),
         )
 
     def _save(self) -> None:

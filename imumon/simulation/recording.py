@@ -12,13 +12,12 @@ from imumon.blocks import IntArray
 from imumon.columns import KNOWN, Column
 from imumon.protocols.device import DeviceFile
 from imumon.recordings.folder import Session, create_session
-from imumon.recordings.metadata import PortUsed, SessionMetadata, iso_utc, versions_in_use
+from imumon.recordings.metadata import PortUsed, SessionMetadata
 from imumon.recordings.table import TableWriter
 from imumon.recordings.wire import WireWriter
-from imumon.simulation.bench import MICROSECOND
 from imumon.simulation.unit import TRUTH_COLUMNS, Scenario, SimulatedUnit
 from imumon.simulation.unit.noise import generator
-from imumon.simulation.unit.unit import CHUNK
+from imumon.simulation.unit.unit import CHUNK, MICROSECOND
 from imumon.simulation.virtual_device import refuse_overload
 from imumon.simulation.virtual_port import BITS_PER_BYTE
 from imumon.transport.reader import Bytes, Event, EventKind
@@ -150,10 +149,9 @@ class _Arrivals:
 
 
 def _metadata(scenario: Scenario, device: DeviceFile, device_yaml: str, seed: int) -> SessionMetadata:
-    return SessionMetadata(
-        source="simulation",
-        created=iso_utc(START_NS),
-        created_ns=START_NS,
+    return SessionMetadata.begun(
+        "simulation",
+        START_NS,
         device=device.name,
         axes=device.axes,
         device_yaml=device_yaml,
@@ -161,5 +159,4 @@ def _metadata(scenario: Scenario, device: DeviceFile, device_yaml: str, seed: in
             url=f"simulation: {scenario.title}",
             settings={"seed": seed, "rate_hz": scenario.rate_hz, "duration_s": scenario.duration_s},
         ),
-        versions=versions_in_use(),
     )

@@ -15,7 +15,7 @@ from imumon.errors import ImumonError, Reason
 from imumon.protocols.device import load_device
 from imumon.simulation.unit.scenario import load_scenario
 from imumon.simulation.virtual_device import VirtualDevice
-from tests.cli.test_commands import IMUMON
+from tests.cli.command import IMUMON, imumon
 
 KEYS = ["heading_deg", "heading_sd_deg", "estimator", "settled_s", "observable", "positions", "estimators"]
 
@@ -152,8 +152,7 @@ def test_a_session_without_gyros_is_refused_by_name(tmp_path: Path) -> None:
     table, mapping, out = tmp_path / "accel.csv", tmp_path / "map.yaml", tmp_path / "s"
     table.write_text("ax,ay,az\n" + "0.0,0.0,-9.8\n" * 100)
     mapping.write_text("rate_hz: 100\naccel: {columns: [ax, ay, az], unit: m/s^2}\naxes: FRD\n")
-    arguments = [IMUMON, "import", str(table), "--map", str(mapping), "--out", str(out)]
-    done = subprocess.run(arguments, capture_output=True, text=True, timeout=90, check=False)
+    done = imumon("import", table, "--map", mapping, "--out", out)
     assert done.returncode == 0, done.stderr
     with pytest.raises(ImumonError, match="there is no gyro_x, gyro_y, gyro_z") as caught:
         align(out, "--latitude", 36)
