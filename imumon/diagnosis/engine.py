@@ -37,6 +37,8 @@ LEAST_REST = 0.5
 MANY_GAPS = 0.2
 MOST_SEARCH_BLOCKS = 700
 """Longer runs are searched in longer blocks; they are scored in blocks of 30 s all the same."""
+SHORTER, LEAST_SEARCH_BLOCKS = (1, 2, 3), 200
+"""Shorter runs in blocks of a half or a third: of few blocks the one with a jump in it decides."""
 HIGHEST_DEGREE = 8
 
 Progress = Callable[[str], None]
@@ -158,7 +160,7 @@ def _sensor(
         for floor in [white_floor(train, name, BLOCK_S)]
     ]
     searched, search_s = blocks, _search_block(blocks)
-    if search_s > BLOCK_S:
+    if search_s != BLOCK_S:
         usable = [run for run in train if run.name in {block.name for block in blocks}]
         every = list(dict.fromkeys(temperatures.values()))
         searched = [make_blocks(run, list(temperatures), every, search_s) for run in usable]
@@ -205,7 +207,8 @@ def _in_order(train: Sequence[Run], test: Sequence[Run], caveats: list[str]) -> 
 
 def _search_block(blocks: Sequence[RunBlocks]) -> float:
     longest = max(map(len, blocks))
-    return BLOCK_S * max(1, -(-longest // MOST_SEARCH_BLOCKS))
+    shorter = next((part for part in SHORTER if part * longest >= LEAST_SEARCH_BLOCKS), SHORTER[-1])
+    return BLOCK_S * max(1, -(-longest // MOST_SEARCH_BLOCKS)) / shorter
 
 
 def _channels(runs: Sequence[Run]) -> list[str]:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from imumon.diagnosis.channel import Channel
-from imumon.diagnosis.fitting import Fit, FittedPart, TestScore, fit, mean_rms, score
+from imumon.diagnosis.fitting import Fit, FittedPart, TestScore, fit, goes_on, mean_rms, score
 from imumon.diagnosis.selection import Finding, Search
 from imumon.effects.library import separated_by
 
@@ -97,7 +97,7 @@ def judge(channel: Channel, found: Search) -> ChannelVerdict:
     if scores is not None:
         # Jumps of the test itself may make the prediction worse, whatever else was found.
         predicts &= not scores[1].rms > scores[0].rms
-        if not predicts:
+        if not predicts and not (goes_on(channel, after) and scores[1].rms < scores[0].rms):
             # The declared model then predicts as it did, and is what the model file has.
             scores[1].rms = scores[0].rms
     verdict = ChannelVerdict(
