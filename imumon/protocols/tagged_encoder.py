@@ -132,14 +132,6 @@ class TaggedEncoder(Encoder):
         return np.concatenate([packet, checksum.astype(np.uint8)], axis=1)
 
 
-def xbus_message(kind: int, payload: bytes = b"", address: int = 0xFF) -> bytes:
-    """Return an Xbus message."""
-    size = len(payload)
-    length = bytes([size]) if size < 255 else bytes([255, size >> 8, size & 0xFF])
-    body = bytes([address, kind]) + length + payload
-    return b"\xfa" + body + bytes([-sum(body) & 0xFF])
-
-
 def _is_missing(values: ColumnArray) -> npt.NDArray[np.bool_]:
     return np.isnan(values) if values.dtype.kind == "f" else values == NO_INT
 

@@ -65,3 +65,11 @@ def damage(
                 stream += rng.integers(0, 256, int(rng.integers(1, 40)), np.uint8).tobytes()
         stream += changed
     return bytes(stream), whole
+
+
+def xbus_message(kind: int, payload: bytes = b"", address: int = 0xFF) -> bytes:
+    """Return an Xbus message."""
+    size = len(payload)
+    length = bytes([size]) if size < 255 else bytes([255, size >> 8, size & 0xFF])
+    body = bytes([address, kind]) + length + payload
+    return b"\xfa" + body + bytes([-sum(body) & 0xFF])

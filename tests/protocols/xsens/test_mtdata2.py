@@ -13,7 +13,6 @@ from imumon.errors import ImumonError, Reason
 from imumon.protocols.base import CAPACITY
 from imumon.protocols.device import load_device
 from imumon.protocols.stream import ByteArray
-from imumon.protocols.tagged_encoder import xbus_message
 from imumon.protocols.tagged_kernel import LIST, XBUS
 from imumon.protocols.xsens.fields import DEGREE, IDENTIFIERS, MTDATA2_FIELDS, PRECISIONS, Identifier
 from imumon.protocols.xsens.messages import MTDATA, MTDATA2
@@ -25,7 +24,7 @@ from imumon.protocols.xsens.mtdata2 import (
     Precision,
 )
 from tests.data_folder import measured
-from tests.protocols.streams import check_books, chunkings, damage, feed_in_chunks
+from tests.protocols.streams import check_books, chunkings, damage, feed_in_chunks, xbus_message
 from tests.protocols.tagged_twin import assert_same, decode_plainly
 from tests.protocols.xsens.golden import read_golden
 
