@@ -28,36 +28,52 @@ SMOOTHNESSES = len(JERKS)
 FORGETTING_S = 1800.0
 WHITE_SIGMAS = np.array([0.0003, 0.01, 0.02, 0.035, 0.06, 0.1, 0.13, 0.16, 0.2, 0.25])
 """White noise of the level kinds in steps: beyond the last the steps are no sharper than the noise."""
-SLOW_TIMES_S = np.array([5.0, 40.0])
-"""Correlation times of slow errors; every one with every standard deviation."""
-SLOW_LEVEL_SIGMAS, SLOW_LEVEL_WHITE = np.array([0.12, 0.25, 0.5, 1.0]), 0.06
-"""Standard deviations in units of slow errors before the quantizer, and white noise beside them in steps."""
+SLOW_LEVEL_SIGMAS, SLOW_LEVEL_TIMES_S = np.array([0.12, 0.25, 0.5, 1.0]), np.array([5.0, 40.0])
+"""Standard deviations in units, and correlation times, of slow errors before the quantizer: all pairs, ..."""
+SLOW_LEVEL_WHITE = 0.06
+"""... and white noise beside them in steps."""
 MEAN_FACTORS = np.array([0.7, 1.4, 2.8])
 """Variance of a slot's mean in the mean kinds, over that seen from slot to slot."""
-SLOW_SIGMAS = np.array([0.5, 1.0, 2.0, 4.0])
-"""Standard deviations in units of slow errors where the noise hides the steps."""
+SLOW_SHARES, SLOW_TIMES_S = np.array([2.0, 0.6, 0.2, 0.06]), np.array([3.0, 10.0, 30.0, 100.0])
+"""What of the scatter from slot to slot is the slow error's, where the noise hides the steps, and its
+correlation times: all pairs.  A slot's mean hides up to half of it, hence 2."""
 
 
-def _each_time(sigmas: FloatArray) -> FloatArray:
-    return np.repeat(sigmas, len(SLOW_TIMES_S))
+def _pairs(first: FloatArray, second: FloatArray) -> tuple[FloatArray, FloatArray]:
+    return np.repeat(first, len(second)), np.tile(second, len(first))
 
 
-LEVEL_SIGMAS = np.concatenate([WHITE_SIGMAS, _each_time(0.0 * SLOW_LEVEL_SIGMAS + SLOW_LEVEL_WHITE)])
-SLOW_SIGMA = np.concatenate(
-    [0.0 * WHITE_SIGMAS, _each_time(SLOW_LEVEL_SIGMAS), 0.0 * MEAN_FACTORS, _each_time(SLOW_SIGMAS)]
-)
-"""Standard deviation of the slow error of every kind, in units."""
-KINDS, LEVELS = len(SLOW_SIGMA), len(LEVEL_SIGMAS)
-SLOW_TIME_S = np.concatenate(
-    [
-        1.0 + 0.0 * WHITE_SIGMAS,
-        np.tile(SLOW_TIMES_S, len(SLOW_LEVEL_SIGMAS)),
-        1.0 + 0.0 * MEAN_FACTORS,
-        np.tile(SLOW_TIMES_S, len(SLOW_SIGMAS)),
-    ]
-)
-PRIOR = np.where(SLOW_SIGMA > 0.0, 0.1, 1.0)
+_LEVEL_SLOW, _LEVEL_TIMES = _pairs(SLOW_LEVEL_SIGMAS, SLOW_LEVEL_TIMES_S)
+_SHARES, _TIMES = _pairs(SLOW_SHARES, SLOW_TIMES_S)
+LEVEL_SIGMAS = np.concatenate([WHITE_SIGMAS, 0.0 * _LEVEL_SLOW + SLOW_LEVEL_WHITE])
+LEVEL_SLOW = np.concatenate([0.0 * WHITE_SIGMAS, _LEVEL_SLOW])
+"""Of the level kinds: white noise in steps and the slow error in units."""
+MEAN_WHITE = np.concatenate([MEAN_FACTORS, np.maximum(1.0 - _SHARES, 0.0)])
+MEAN_SLOW = np.concatenate([0.0 * MEAN_FACTORS, _SHARES])
+"""Of the others: white noise and the slow error over what is seen from slot to slot, as variances."""
+SLOW_TIME_S = np.concatenate([1.0 + 0.0 * WHITE_SIGMAS, _LEVEL_TIMES, 1.0 + 0.0 * MEAN_FACTORS, _TIMES])
+KINDS, LEVELS = len(SLOW_TIME_S), len(LEVEL_SIGMAS)
+PRIOR = np.where(np.append(LEVEL_SLOW, MEAN_SLOW) > 0.0, 0.1, 1.0)
 """Most converters have white noise: of a slow error so many times less is believed before it shows."""
+
+
+def slow_errors(unit: float, roughness: float, interval_s: float) -> FloatArray:
+    """Return the variance of the slow error of every kind, (k,), °C².
+
+    Parameters
+    ----------
+    unit : float
+        °C.
+    roughness : float
+        Variance that a reading seems to have from the second differences of readings, °C².
+    interval_s : float
+        Between these.  Of an error with the variance v that keeps φ until the next reading they show
+        v (1 - φ)(3 - φ)/3.
+    """
+    keep = np.exp(-interval_s / SLOW_TIME_S[LEVELS:])
+    seen = (1.0 - keep) * (3.0 - keep) / 3.0
+    return np.concatenate([(unit * LEVEL_SLOW) ** 2, roughness * MEAN_SLOW / seen])
+
 
 CHANGE_PER_S, JUMP_PER_S = 1.0 / 3600.0, 1e-7
 """Probability per second that the smoothness changes to a neighbour's, and to any."""
@@ -135,7 +151,7 @@ class Bank:
 def started(
     temperature: tuple[float, float],
     rate: tuple[float, float],
-    unit: float,
+    slow: FloatArray,
     kinds: FloatArray | None = None,
 ) -> Bank:
     """Return a bank that begins at a temperature and a rough rate.
@@ -144,8 +160,8 @@ def started(
     ----------
     temperature, rate : (float, float)
         And their standard deviations, to which what any rate has is added: °C, °C/s.
-    unit : float
-        Of the slow errors, °C.
+    slow : array (k,)
+        Variances of the slow errors, °C².
     kinds : array (k,), optional
         Weights of the kinds of noise, where they are known.
     """
@@ -158,7 +174,7 @@ def started(
         "tt": temperature[1] ** 2,
         "rr": (START_RATE + rate[1]) ** 2,
         "aa": np.tile(np.minimum(START_ACCELERATION**2, JERKS * FORGETTING_S / 2.0), KINDS),
-        "ee": np.repeat((unit * SLOW_SIGMA) ** 2, SMOOTHNESSES),
+        "ee": np.repeat(slow, SMOOTHNESSES),
     }
     table = np.asarray(filters)
     for name, value in values.items():
@@ -166,20 +182,20 @@ def started(
     return Bank(filters)
 
 
-def advance(bank: Bank, dt: float, unit: float, least_jerk: float = 0.0) -> tuple[float, float]:
+def advance(bank: Bank, dt: float, slow: FloatArray, least_jerk: float = 0.0) -> tuple[float, float]:
     """Mix the filters and move them on by dt seconds; return mean and variance of the reading to come.
 
     Without steps, that is, and without white noise.
     """
     bank.unmixed_s += dt
     if bank.unmixed_s >= MIX_S:
-        mix(bank.filters, np.zeros((2, len(bank.filters), MOMENTS)), bank.unmixed_s, unit, bank.turn)
+        mix(bank.filters, np.zeros((2, len(bank.filters), MOMENTS)), bank.unmixed_s, slow, bank.turn)
         bank.unmixed_s, bank.turn = 0.0, (bank.turn + 1) % KINDS
-    return predict(bank.filters, dt, unit, least_jerk)
+    return predict(bank.filters, dt, slow, least_jerk)
 
 
 @njit
-def predict(filters: Filters, dt: float, unit: float, least_jerk: float) -> tuple[float, float]:
+def predict(filters: Filters, dt: float, slow: FloatArray, least_jerk: float) -> tuple[float, float]:
     """Move the filters on by dt seconds: x = F x and P = F P Fᵀ + Q, written out; return as `advance`.
 
     F = [[1, dt, c, 0], [0, 1, g, 0], [0, 0, keep, 0], [0, 0, 0, fade]].
@@ -190,7 +206,7 @@ def predict(filters: Filters, dt: float, unit: float, least_jerk: float) -> tupl
     reference, mean, square = filters[0].temperature, 0.0, 0.0
     for k in range(KINDS):
         fade = math.exp(-dt / SLOW_TIME_S[k])
-        wander = (unit * SLOW_SIGMA[k]) ** 2 * (1.0 - fade * fade)
+        wander = slow[k] * (1.0 - fade * fade)
         for q in range(SMOOTHNESSES):
             f = filters[k * SMOOTHNESSES + q]
             if not f.weight:
@@ -264,7 +280,7 @@ def _add_square(f: Filter, t: float, r: float, a: float, e: float, factor: float
 
 
 @njit
-def mix(filters: Filters, sums: FloatArray, dt: float, unit: float, turn: int) -> None:
+def mix(filters: Filters, sums: FloatArray, dt: float, slow: FloatArray, turn: int) -> None:
     """Pass weight, and with it states, between the filters, as over dt seconds.
 
     In between they are `sums`, room for (2, filters, moments): moments about the mean of all, times weight,
@@ -290,7 +306,7 @@ def mix(filters: Filters, sums: FloatArray, dt: float, unit: float, turn: int) -
                 others = sums[1, k * SMOOTHNESSES + q]
                 for m in range(KNOWN):
                     to[m] += change * others[m]
-                to[MOMENTS - 1] += change * others[0] * (unit * SLOW_SIGMA[turn]) ** 2
+                to[MOMENTS - 1] += change * others[0] * slow[turn]
     for i in range(len(filters)):
         f = filters[i]
         f.weight = sums[1, i, 0]

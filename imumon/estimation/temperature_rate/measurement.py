@@ -22,12 +22,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from imumon.blocks import FloatArray
 from imumon.compiled import njit
 from imumon.estimation.temperature_rate.bank import (
     LEVEL_SIGMAS,
     LEVELS,
-    MEAN_FACTORS,
-    SLOW_SIGMA,
+    MEAN_WHITE,
     SMOOTHNESSES,
     Filter,
     Filters,
@@ -73,8 +73,8 @@ class Said(NamedTuple):
         Independent readings, 1 at least.
     levels : float
         Levels that were read.
-    white, slow : float
-        Variance of the mean as a whole, and without a slow error.
+    white : float
+        Variance of the mean.
     cell : float
         Between values that the mean can have.
     edge : float
@@ -98,7 +98,6 @@ class Said(NamedTuple):
     independent: float
     levels: float
     white: float
-    slow: float
     cell: float
     edge: float = 0.0
     above: float = 0.0
@@ -131,7 +130,6 @@ def said(reading: Reading, sensor: Sensor) -> Said:
         independent=count,
         levels=(reading.high - reading.low) / step + 1.0 if step else 1.0,
         white=sensor.roughness * repeats**2,
-        slow=0.5 * min(sensor.roughness, sensor.inside / count),
         cell=step / count,
     )
     return _with_shares(plain, reading, low, high) if case == FLICKER else plain
@@ -207,9 +205,7 @@ def _gaussian(mean: float, variance: float, measured: float, noise: float) -> Mo
 @njit
 def _as_mean(mean: float, variance: float, k: int, said: Said) -> Moments:
     """Take the slot's mean as a measurement: the mean and slow kinds."""
-    white = k - LEVELS < len(MEAN_FACTORS)
-    own = MEAN_FACTORS[k - LEVELS] * said.white if white else said.slow
-    noise = own + said.cell**2 / 12.0 + TINY**2
+    noise = MEAN_WHITE[k - LEVELS] * said.white + said.cell**2 / 12.0 + TINY**2
     after, left, _ = _gaussian(mean, variance, said.linear, noise)
     # The cell as a Gaussian of the same height, so that no probability exceeds one.
     cell = max(said.cell, TINY)
@@ -260,7 +256,7 @@ def _stay(mean: float, variance: float, growth: float, sigma: float, said: Said)
 
 
 class Merged(NamedTuple):
-    """The mean of all filters, variances of temperature and rate, and the sigma of slow errors, in units."""
+    """The mean of all filters, and variances of temperature, of rate and of the slow error, °C²."""
 
     temperature: float
     rate: float
@@ -271,7 +267,7 @@ class Merged(NamedTuple):
 
 
 @njit
-def merged(filters: Filters, step: float, level: float) -> Merged:
+def merged(filters: Filters, slow_errors: FloatArray, step: float, level: float) -> Merged:
     """Merge the filters into what is shown; `level` is the one that the readings stay on, NaN where none.
 
     Then the level kinds are confined to it.
@@ -284,7 +280,7 @@ def merged(filters: Filters, step: float, level: float) -> Merged:
         f, k = filters[i], i // SMOOTHNESSES
         if not f.weight:
             continue
-        slow += SLOW_SIGMA[k] * f.weight
+        slow += f.weight * slow_errors[k]
         weight, shift, shrink = f.weight, 0.0, 1.0
         spread = f.tt + 2.0 * f.te + f.ee
         if k < LEVELS and not math.isnan(level):
@@ -300,7 +296,7 @@ def merged(filters: Filters, step: float, level: float) -> Merged:
         square_r += weight * (f.rr + r * r / spread * (shrink - 1.0) + rate * rate)
     if not total > 1e-200:
         # The level is out of reach of all filters.
-        return merged(filters, step, math.nan)
+        return merged(filters, slow_errors, step, math.nan)
     mean_x, mean_r = mean_x / total, mean_r / total
     return Merged(
         main.temperature + mean_x,
