@@ -75,8 +75,12 @@ def slow_errors(unit: float, roughness: float, interval_s: float) -> FloatArray:
     return np.concatenate([(unit * LEVEL_SLOW) ** 2, roughness * MEAN_SLOW / seen])
 
 
-CHANGE_PER_S, JUMP_PER_S = 1.0 / 3600.0, 1e-7
-"""Probability per second that the smoothness changes to a neighbour's, and to any."""
+CHANGE_PER_S = 1.0 / 3600.0
+"""Probability per second that the smoothness changes to a neighbour's."""
+JUMP_PER_S, RARE_JUMP_PER_S = 1e-4, 1e-7
+"""The same to any: a jump every three hours as where a chamber goes through its program, one in months as
+where nobody touches the unit.  Which it is cannot be known before: the estimate is that of the rare jumps,
+which disturbs it least; the standard deviation is that of the frequent ones about it."""
 MIX_S = 3.9
 """Filters are mixed so often; a fraction of the time in which any could take over."""
 NATURE_PER_S = 1e-10
@@ -95,7 +99,8 @@ class Filter:
 
     Parameters
     ----------
-    weight : float
+    weight, rare : float
+        The probability where jumps of the smoothness are frequent, and where they are rare.
     temperature, rate, acceleration, error : float
         Means; the error is the slow one of the reading: °C, °C/s, °C/s², °C.
     tt, tr, ta, te, rr, ra, re, aa, ae, ee : float
@@ -104,6 +109,7 @@ class Filter:
     """
 
     weight: float
+    rare: float
     temperature: float
     rate: float
     acceleration: float
@@ -169,6 +175,7 @@ def started(
     share = PRIOR / PRIOR.sum() if kinds is None else kinds
     values = {
         "weight": np.repeat(share / SMOOTHNESSES, SMOOTHNESSES),
+        "rare": np.repeat(share / SMOOTHNESSES, SMOOTHNESSES),
         "temperature": temperature[0],
         "rate": rate[0],
         "tt": temperature[1] ** 2,
@@ -287,7 +294,6 @@ def mix(filters: Filters, sums: FloatArray, dt: float, slow: FloatArray, turn: i
     so that merging costs no digits.  Kinds with next to no weight rest, with none; the one whose turn it is
     gets what it is due since the last.
     """
-    near, far = min(dt * CHANGE_PER_S, 0.4), min(dt * JUMP_PER_S, 0.4)
     change = min(dt * NATURE_PER_S, 0.4)
     x0, r0, a0 = _mean(filters)
     for i in range(len(filters)):
@@ -297,7 +303,7 @@ def mix(filters: Filters, sums: FloatArray, dt: float, slow: FloatArray, turn: i
             _add_square(f, x, r, a, f.error, 1.0)
             _write(f, x, r, a, sums[0, i])
     for k in range(KINDS):
-        _pass_on(sums, k * SMOOTHNESSES, near, far)
+        _pass_on(sums, k * SMOOTHNESSES, dt)
     # From one kind of noise to another the slow error begins anew.
     for q in range(SMOOTHNESSES):
         to = sums[1, turn * SMOOTHNESSES + q]
@@ -306,10 +312,11 @@ def mix(filters: Filters, sums: FloatArray, dt: float, slow: FloatArray, turn: i
                 others = sums[1, k * SMOOTHNESSES + q]
                 for m in range(KNOWN):
                     to[m] += change * others[m]
-                to[MOMENTS - 1] += change * others[0] * slow[turn]
+                to[SLOW_VARIANCE] += change * others[0] * slow[turn]
+                to[RARE] += change * others[RARE]
     for i in range(len(filters)):
         f = filters[i]
-        f.weight = sums[1, i, 0]
+        f.weight, f.rare = sums[1, i, 0], sums[1, i, RARE]
         if f.weight:
             _read(f, sums[1, i])
             _add_square(f, f.temperature, f.rate, f.acceleration, f.error, -1.0)
@@ -318,8 +325,8 @@ def mix(filters: Filters, sums: FloatArray, dt: float, slow: FloatArray, turn: i
             f.acceleration += a0
 
 
-KNOWN, MOMENTS = 10, 15
-"""Moments of a filter with its weight, and how many of them, the first, are not those of the slow error."""
+KNOWN, SLOW_VARIANCE, RARE, MOMENTS = 10, 14, 15, 16
+"""The first moments of a filter are not those of the slow error; its last one; the other weight; all."""
 
 
 @njit
@@ -341,6 +348,7 @@ def _write(f: Filter, x: float, r: float, a: float, to: FloatArray) -> None:
     to[4], to[5], to[6] = w * f.tt, w * f.tr, w * f.ta
     to[7], to[8], to[9] = w * f.rr, w * f.ra, w * f.aa
     to[10], to[11], to[12], to[13], to[14] = w * f.error, w * f.te, w * f.re, w * f.ae, w * f.ee
+    to[RARE] = f.rare
 
 
 @njit
@@ -355,7 +363,7 @@ def _read(f: Filter, sums: FloatArray) -> None:
 
 
 @njit
-def _pass_on(sums: FloatArray, first: int, near: float, far: float) -> None:
+def _pass_on(sums: FloatArray, first: int, dt: float) -> None:
     """Pass the sums of one kind of noise, whose filters begin with the first, between its smoothnesses."""
     before, after = sums[0], sums[1]
     whole = 0.0
@@ -368,17 +376,20 @@ def _pass_on(sums: FloatArray, first: int, near: float, far: float) -> None:
     for j in range(SMOOTHNESSES):
         total = 0.0
         for i in range(SMOOTHNESSES):
-            total += _flow(i, j, near, far) * before[first + i, 0]
+            total += _flow(i, j, dt, RARE_JUMP_PER_S) * before[first + i, RARE]
         for i in range(SMOOTHNESSES):
-            share = _flow(i, j, near, far)
-            if i <= j or share * before[first + i, 0] > NEGLIGIBLE * total:
-                for m in range(MOMENTS):
+            rare = _flow(i, j, dt, RARE_JUMP_PER_S) * before[first + i, RARE]
+            if i <= j or rare > NEGLIGIBLE * total:
+                share = _flow(i, j, dt, JUMP_PER_S)
+                for m in range(RARE):
                     after[first + j, m] += share * before[first + i, m]
+                after[first + j, RARE] += rare
 
 
 @njit
-def _flow(i: int, j: int, near: float, far: float) -> float:
-    """Return which part of a filter's weight goes to another."""
+def _flow(i: int, j: int, dt: float, jump_per_s: float) -> float:
+    """Return which part of a filter's weight goes to another within dt seconds."""
+    near, far = min(dt * CHANGE_PER_S, 0.4), min(dt * jump_per_s, 0.4)
     if i == j:
         neighbours = (i > 0) + (i < SMOOTHNESSES - 1)
         return 1.0 - 0.5 * near * neighbours - far * (1.0 - 1.0 / SMOOTHNESSES)
