@@ -28,39 +28,59 @@ SMOOTHNESSES = len(JERKS)
 FORGETTING_S = 1800.0
 WHITE_SIGMAS = np.array([0.0003, 0.01, 0.02, 0.035, 0.06, 0.1, 0.13, 0.16, 0.2, 0.25])
 """White noise of the level kinds in steps: beyond the last the steps are no sharper than the noise."""
-SLOW_TIMES_S = np.array([5.0, 40.0])
-"""Correlation times of slow errors; every one with every standard deviation."""
-SLOW_LEVEL_SIGMAS, SLOW_LEVEL_WHITE = np.array([0.12, 0.25, 0.5, 1.0]), 0.06
-"""Standard deviations in units of slow errors before the quantizer, and white noise beside them in steps."""
+SLOW_LEVEL_SIGMAS, SLOW_LEVEL_TIMES_S = np.array([0.12, 0.25, 0.5, 1.0]), np.array([5.0, 40.0])
+"""Standard deviations in units, and correlation times, of slow errors before the quantizer: all pairs, ..."""
+SLOW_LEVEL_WHITE = 0.06
+"""... and white noise beside them in steps."""
 MEAN_FACTORS = np.array([0.7, 1.4, 2.8])
 """Variance of a slot's mean in the mean kinds, over that seen from slot to slot."""
-SLOW_SIGMAS = np.array([0.5, 1.0, 2.0, 4.0])
-"""Standard deviations in units of slow errors where the noise hides the steps."""
+SLOW_SHARES, SLOW_TIMES_S = np.array([2.0, 0.6, 0.2, 0.06]), np.array([3.0, 10.0, 30.0, 100.0])
+"""What of the scatter from slot to slot is the slow error's, where the noise hides the steps, and its
+correlation times: all pairs.  A slot's mean hides up to half of it, hence 2."""
 
 
-def _each_time(sigmas: FloatArray) -> FloatArray:
-    return np.repeat(sigmas, len(SLOW_TIMES_S))
+def _pairs(first: FloatArray, second: FloatArray) -> tuple[FloatArray, FloatArray]:
+    return np.repeat(first, len(second)), np.tile(second, len(first))
 
 
-LEVEL_SIGMAS = np.concatenate([WHITE_SIGMAS, _each_time(0.0 * SLOW_LEVEL_SIGMAS + SLOW_LEVEL_WHITE)])
-SLOW_SIGMA = np.concatenate(
-    [0.0 * WHITE_SIGMAS, _each_time(SLOW_LEVEL_SIGMAS), 0.0 * MEAN_FACTORS, _each_time(SLOW_SIGMAS)]
-)
-"""Standard deviation of the slow error of every kind, in units."""
-KINDS, LEVELS = len(SLOW_SIGMA), len(LEVEL_SIGMAS)
-SLOW_TIME_S = np.concatenate(
-    [
-        1.0 + 0.0 * WHITE_SIGMAS,
-        np.tile(SLOW_TIMES_S, len(SLOW_LEVEL_SIGMAS)),
-        1.0 + 0.0 * MEAN_FACTORS,
-        np.tile(SLOW_TIMES_S, len(SLOW_SIGMAS)),
-    ]
-)
-PRIOR = np.where(SLOW_SIGMA > 0.0, 0.1, 1.0)
+_LEVEL_SLOW, _LEVEL_TIMES = _pairs(SLOW_LEVEL_SIGMAS, SLOW_LEVEL_TIMES_S)
+_SHARES, _TIMES = _pairs(SLOW_SHARES, SLOW_TIMES_S)
+LEVEL_SIGMAS = np.concatenate([WHITE_SIGMAS, 0.0 * _LEVEL_SLOW + SLOW_LEVEL_WHITE])
+LEVEL_SLOW = np.concatenate([0.0 * WHITE_SIGMAS, _LEVEL_SLOW])
+"""Of the level kinds: white noise in steps and the slow error in units."""
+MEAN_WHITE = np.concatenate([MEAN_FACTORS, np.maximum(1.0 - _SHARES, 0.0)])
+MEAN_SLOW = np.concatenate([0.0 * MEAN_FACTORS, _SHARES])
+"""Of the others: white noise and the slow error over what is seen from slot to slot, as variances."""
+SLOW_TIME_S = np.concatenate([1.0 + 0.0 * WHITE_SIGMAS, _LEVEL_TIMES, 1.0 + 0.0 * MEAN_FACTORS, _TIMES])
+KINDS, LEVELS = len(SLOW_TIME_S), len(LEVEL_SIGMAS)
+PRIOR = np.where(np.append(LEVEL_SLOW, MEAN_SLOW) > 0.0, 0.1, 1.0)
 """Most converters have white noise: of a slow error so many times less is believed before it shows."""
 
-CHANGE_PER_S, JUMP_PER_S = 1.0 / 3600.0, 1e-7
-"""Probability per second that the smoothness changes to a neighbour's, and to any."""
+
+def slow_errors(unit: float, roughness: float, interval_s: float) -> FloatArray:
+    """Return the variance of the slow error of every kind, (k,), °C².
+
+    Parameters
+    ----------
+    unit : float
+        °C.
+    roughness : float
+        Variance that a reading seems to have from the second differences of readings, °C².
+    interval_s : float
+        Between these.  Of an error with the variance v that keeps φ until the next reading they show
+        v (1 - φ)(3 - φ)/3.
+    """
+    keep = np.exp(-interval_s / SLOW_TIME_S[LEVELS:])
+    seen = (1.0 - keep) * (3.0 - keep) / 3.0
+    return np.concatenate([(unit * LEVEL_SLOW) ** 2, roughness * MEAN_SLOW / seen])
+
+
+CHANGE_PER_S = 1.0 / 3600.0
+"""Probability per second that the smoothness changes to a neighbour's."""
+JUMP_PER_S, RARE_JUMP_PER_S = 1e-4, 1e-7
+"""The same to any: a jump every three hours as where a chamber goes through its program, one in months as
+where nobody touches the unit.  Which it is cannot be known before: the estimate is that of the rare jumps,
+which disturbs it least; the standard deviation is that of the frequent ones about it."""
 MIX_S = 3.9
 """Filters are mixed so often; a fraction of the time in which any could take over."""
 NATURE_PER_S = 1e-10
@@ -79,7 +99,8 @@ class Filter:
 
     Parameters
     ----------
-    weight : float
+    weight, rare : float
+        The probability where jumps of the smoothness are frequent, and where they are rare.
     temperature, rate, acceleration, error : float
         Means; the error is the slow one of the reading: °C, °C/s, °C/s², °C.
     tt, tr, ta, te, rr, ra, re, aa, ae, ee : float
@@ -88,6 +109,7 @@ class Filter:
     """
 
     weight: float
+    rare: float
     temperature: float
     rate: float
     acceleration: float
@@ -135,7 +157,7 @@ class Bank:
 def started(
     temperature: tuple[float, float],
     rate: tuple[float, float],
-    unit: float,
+    slow: FloatArray,
     kinds: FloatArray | None = None,
 ) -> Bank:
     """Return a bank that begins at a temperature and a rough rate.
@@ -144,8 +166,8 @@ def started(
     ----------
     temperature, rate : (float, float)
         And their standard deviations, to which what any rate has is added: °C, °C/s.
-    unit : float
-        Of the slow errors, °C.
+    slow : array (k,)
+        Variances of the slow errors, °C².
     kinds : array (k,), optional
         Weights of the kinds of noise, where they are known.
     """
@@ -153,12 +175,13 @@ def started(
     share = PRIOR / PRIOR.sum() if kinds is None else kinds
     values = {
         "weight": np.repeat(share / SMOOTHNESSES, SMOOTHNESSES),
+        "rare": np.repeat(share / SMOOTHNESSES, SMOOTHNESSES),
         "temperature": temperature[0],
         "rate": rate[0],
         "tt": temperature[1] ** 2,
         "rr": (START_RATE + rate[1]) ** 2,
         "aa": np.tile(np.minimum(START_ACCELERATION**2, JERKS * FORGETTING_S / 2.0), KINDS),
-        "ee": np.repeat((unit * SLOW_SIGMA) ** 2, SMOOTHNESSES),
+        "ee": np.repeat(slow, SMOOTHNESSES),
     }
     table = np.asarray(filters)
     for name, value in values.items():
@@ -166,20 +189,20 @@ def started(
     return Bank(filters)
 
 
-def advance(bank: Bank, dt: float, unit: float, least_jerk: float = 0.0) -> tuple[float, float]:
+def advance(bank: Bank, dt: float, slow: FloatArray, least_jerk: float = 0.0) -> tuple[float, float]:
     """Mix the filters and move them on by dt seconds; return mean and variance of the reading to come.
 
     Without steps, that is, and without white noise.
     """
     bank.unmixed_s += dt
     if bank.unmixed_s >= MIX_S:
-        mix(bank.filters, np.zeros((2, len(bank.filters), MOMENTS)), bank.unmixed_s, unit, bank.turn)
+        mix(bank.filters, np.zeros((2, len(bank.filters), MOMENTS)), bank.unmixed_s, slow, bank.turn)
         bank.unmixed_s, bank.turn = 0.0, (bank.turn + 1) % KINDS
-    return predict(bank.filters, dt, unit, least_jerk)
+    return predict(bank.filters, dt, slow, least_jerk)
 
 
 @njit
-def predict(filters: Filters, dt: float, unit: float, least_jerk: float) -> tuple[float, float]:
+def predict(filters: Filters, dt: float, slow: FloatArray, least_jerk: float) -> tuple[float, float]:
     """Move the filters on by dt seconds: x = F x and P = F P Fᵀ + Q, written out; return as `advance`.
 
     F = [[1, dt, c, 0], [0, 1, g, 0], [0, 0, keep, 0], [0, 0, 0, fade]].
@@ -190,7 +213,7 @@ def predict(filters: Filters, dt: float, unit: float, least_jerk: float) -> tupl
     reference, mean, square = filters[0].temperature, 0.0, 0.0
     for k in range(KINDS):
         fade = math.exp(-dt / SLOW_TIME_S[k])
-        wander = (unit * SLOW_SIGMA[k]) ** 2 * (1.0 - fade * fade)
+        wander = slow[k] * (1.0 - fade * fade)
         for q in range(SMOOTHNESSES):
             f = filters[k * SMOOTHNESSES + q]
             if not f.weight:
@@ -264,14 +287,13 @@ def _add_square(f: Filter, t: float, r: float, a: float, e: float, factor: float
 
 
 @njit
-def mix(filters: Filters, sums: FloatArray, dt: float, unit: float, turn: int) -> None:
+def mix(filters: Filters, sums: FloatArray, dt: float, slow: FloatArray, turn: int) -> None:
     """Pass weight, and with it states, between the filters, as over dt seconds.
 
     In between they are `sums`, room for (2, filters, moments): moments about the mean of all, times weight,
     so that merging costs no digits.  Kinds with next to no weight rest, with none; the one whose turn it is
     gets what it is due since the last.
     """
-    near, far = min(dt * CHANGE_PER_S, 0.4), min(dt * JUMP_PER_S, 0.4)
     change = min(dt * NATURE_PER_S, 0.4)
     x0, r0, a0 = _mean(filters)
     for i in range(len(filters)):
@@ -281,7 +303,7 @@ def mix(filters: Filters, sums: FloatArray, dt: float, unit: float, turn: int) -
             _add_square(f, x, r, a, f.error, 1.0)
             _write(f, x, r, a, sums[0, i])
     for k in range(KINDS):
-        _pass_on(sums, k * SMOOTHNESSES, near, far)
+        _pass_on(sums, k * SMOOTHNESSES, dt)
     # From one kind of noise to another the slow error begins anew.
     for q in range(SMOOTHNESSES):
         to = sums[1, turn * SMOOTHNESSES + q]
@@ -290,10 +312,11 @@ def mix(filters: Filters, sums: FloatArray, dt: float, unit: float, turn: int) -
                 others = sums[1, k * SMOOTHNESSES + q]
                 for m in range(KNOWN):
                     to[m] += change * others[m]
-                to[MOMENTS - 1] += change * others[0] * (unit * SLOW_SIGMA[turn]) ** 2
+                to[SLOW_VARIANCE] += change * others[0] * slow[turn]
+                to[RARE] += change * others[RARE]
     for i in range(len(filters)):
         f = filters[i]
-        f.weight = sums[1, i, 0]
+        f.weight, f.rare = sums[1, i, 0], sums[1, i, RARE]
         if f.weight:
             _read(f, sums[1, i])
             _add_square(f, f.temperature, f.rate, f.acceleration, f.error, -1.0)
@@ -302,8 +325,8 @@ def mix(filters: Filters, sums: FloatArray, dt: float, unit: float, turn: int) -
             f.acceleration += a0
 
 
-KNOWN, MOMENTS = 10, 15
-"""Moments of a filter with its weight, and how many of them, the first, are not those of the slow error."""
+KNOWN, SLOW_VARIANCE, RARE, MOMENTS = 10, 14, 15, 16
+"""The first moments of a filter are not those of the slow error; its last one; the other weight; all."""
 
 
 @njit
@@ -325,6 +348,7 @@ def _write(f: Filter, x: float, r: float, a: float, to: FloatArray) -> None:
     to[4], to[5], to[6] = w * f.tt, w * f.tr, w * f.ta
     to[7], to[8], to[9] = w * f.rr, w * f.ra, w * f.aa
     to[10], to[11], to[12], to[13], to[14] = w * f.error, w * f.te, w * f.re, w * f.ae, w * f.ee
+    to[RARE] = f.rare
 
 
 @njit
@@ -339,7 +363,7 @@ def _read(f: Filter, sums: FloatArray) -> None:
 
 
 @njit
-def _pass_on(sums: FloatArray, first: int, near: float, far: float) -> None:
+def _pass_on(sums: FloatArray, first: int, dt: float) -> None:
     """Pass the sums of one kind of noise, whose filters begin with the first, between its smoothnesses."""
     before, after = sums[0], sums[1]
     whole = 0.0
@@ -352,17 +376,20 @@ def _pass_on(sums: FloatArray, first: int, near: float, far: float) -> None:
     for j in range(SMOOTHNESSES):
         total = 0.0
         for i in range(SMOOTHNESSES):
-            total += _flow(i, j, near, far) * before[first + i, 0]
+            total += _flow(i, j, dt, RARE_JUMP_PER_S) * before[first + i, RARE]
         for i in range(SMOOTHNESSES):
-            share = _flow(i, j, near, far)
-            if i <= j or share * before[first + i, 0] > NEGLIGIBLE * total:
-                for m in range(MOMENTS):
+            rare = _flow(i, j, dt, RARE_JUMP_PER_S) * before[first + i, RARE]
+            if i <= j or rare > NEGLIGIBLE * total:
+                share = _flow(i, j, dt, JUMP_PER_S)
+                for m in range(RARE):
                     after[first + j, m] += share * before[first + i, m]
+                after[first + j, RARE] += rare
 
 
 @njit
-def _flow(i: int, j: int, near: float, far: float) -> float:
-    """Return which part of a filter's weight goes to another."""
+def _flow(i: int, j: int, dt: float, jump_per_s: float) -> float:
+    """Return which part of a filter's weight goes to another within dt seconds."""
+    near, far = min(dt * CHANGE_PER_S, 0.4), min(dt * jump_per_s, 0.4)
     if i == j:
         neighbours = (i > 0) + (i < SMOOTHNESSES - 1)
         return 1.0 - 0.5 * near * neighbours - far * (1.0 - 1.0 / SMOOTHNESSES)

@@ -172,17 +172,17 @@ def _estimate(state: State, reading: Reading) -> Shown:
     seen_s = sensor.changed_s if dead else state.last_s
     if state.bank is not None and not heard and not repeats and reading.end_s - seen_s > GAP_S:
         state.bank, state.shown = None, Shown()
-    fresh = state.bank is None
+    fresh, slow = state.bank is None, sensor.slow_errors
     if state.bank is None:
         if taken is None or dead:
             return state.shown
-        state.bank = started((taken.mean, _start_sd(taken, sensor)), (0.0, 0.0), sensor.unit)
+        state.bank = started((taken.mean, _start_sd(taken, sensor)), (0.0, 0.0), slow)
         state.step = sensor.step
         state.time_s, state.faults, state.usual_s = taken.time_s, 0, 0.0
     at = taken.time_s if taken is not None and heard else reading.end_s
     dt = max(at - state.time_s, 0.0)
     unseen = (not heard and not repeats) or dt > max(LATE_S, LATE_FACTOR * state.usual_s)
-    predicted = advance(state.bank, dt, sensor.unit, UNSEEN_JERK if unseen else 0.0)
+    predicted = advance(state.bank, dt, slow, UNSEEN_JERK if unseen else 0.0)
     state.time_s = max(at, state.time_s)
     if taken is not None and heard:
         state.bank = _heard(state, state.bank, predicted, taken)
@@ -193,7 +193,7 @@ def _estimate(state: State, reading: Reading) -> Shown:
         state.last, state.last_s = taken.last, taken.time_s
         state.usual_s = dt
     still = taken is not None and heard and not state.faults and not taken.changes and sensor.step > 0.0
-    means = merged(state.bank.filters, sensor.step, taken.last if taken is not None and still else math.nan)
+    means = merged(state.bank.filters, slow, sensor.step, taken.last if taken is not None and still else math.nan)
     state.shown = _shown(state, means, reading.end_s, fresh)
     if (heard or repeats) and not state.faults:
         _keep_near(state, means.slow, reading if taken is None else taken, reading.end_s)
@@ -206,7 +206,7 @@ def _begin_slow(state: State, before: float, taken: Reading) -> None:
     state.last, state.last_s = before, taken.time_s - sensor.refresh.interval_s
     moved = (taken.last - before) / sensor.refresh.interval_s
     temperature = (taken.mean, _start_sd(taken, sensor))
-    state.bank = started(temperature, (0.0, abs(moved)), sensor.unit)
+    state.bank = started(temperature, (0.0, abs(moved)), sensor.slow_errors)
     state.time_s, state.faults, state.step = taken.time_s, 0, sensor.step
 
 
@@ -219,7 +219,7 @@ def _keep_near(state: State, slow: float, reading: Reading, end_s: float) -> Non
     low, high = reading.low, reading.high
     if reading.changes >= 4:
         low = high = sensor.linear(reading)
-    allowed = 0.5 * sensor.step + ALLOWED * math.hypot(math.sqrt(sensor.roughness), slow * sensor.unit)
+    allowed = 0.5 * sensor.step + ALLOWED * math.sqrt(sensor.roughness + slow)
     if sensor.refresh.slow:
         age = max(end_s - state.last_s, 0.0)
         low, high = low + state.slowest * age, high + state.fastest * age
@@ -251,7 +251,7 @@ def _heard(state: State, bank: Bank, predicted: tuple[float, float], reading: Re
     before = sensor.means[-2] if len(sensor.means) > 1 else reading.mean
     slope = (reading.mean - before) / max(reading.time_s - state.last_s, 1e-6)
     temperature = (reading.mean, _start_sd(reading, sensor))
-    return started(temperature, (slope, 0.5 * abs(slope)), sensor.unit, bank.kinds)
+    return started(temperature, (slope, 0.5 * abs(slope)), sensor.slow_errors, bank.kinds)
 
 
 def _shown(state: State, means: Merged, end_s: float, fresh: bool) -> Shown:

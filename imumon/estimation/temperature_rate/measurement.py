@@ -22,12 +22,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from imumon.blocks import FloatArray
 from imumon.compiled import njit
 from imumon.estimation.temperature_rate.bank import (
     LEVEL_SIGMAS,
     LEVELS,
-    MEAN_FACTORS,
-    SLOW_SIGMA,
+    MEAN_WHITE,
     SMOOTHNESSES,
     Filter,
     Filters,
@@ -73,8 +73,8 @@ class Said(NamedTuple):
         Independent readings, 1 at least.
     levels : float
         Levels that were read.
-    white, slow : float
-        Variance of the mean as a whole, and without a slow error.
+    white : float
+        Variance of the mean.
     cell : float
         Between values that the mean can have.
     edge : float
@@ -98,7 +98,6 @@ class Said(NamedTuple):
     independent: float
     levels: float
     white: float
-    slow: float
     cell: float
     edge: float = 0.0
     above: float = 0.0
@@ -131,7 +130,6 @@ def said(reading: Reading, sensor: Sensor) -> Said:
         independent=count,
         levels=(reading.high - reading.low) / step + 1.0 if step else 1.0,
         white=sensor.roughness * repeats**2,
-        slow=0.5 * min(sensor.roughness, sensor.inside / count),
         cell=step / count,
     )
     return _with_shares(plain, reading, low, high) if case == FLICKER else plain
@@ -186,14 +184,18 @@ def measure(filters: Filters, said: Said) -> None:
         condition(f, mean, variance)
         log_evidence[i] = log
         best = max(best, log)
-    total = 0.0
+    total, rare = 0.0, 0.0
     for i in range(len(filters)):
         f = filters[i]
         if f.weight:
-            f.weight *= math.exp(max(log_evidence[i] - best, IMPOSSIBLE))
+            evidence = math.exp(max(log_evidence[i] - best, IMPOSSIBLE))
+            f.weight *= evidence
+            f.rare *= evidence
             total += f.weight
-    for f in filters:
-        f.weight /= total
+            rare += f.rare
+    for i in range(len(filters)):
+        filters[i].weight /= total
+        filters[i].rare /= rare
 
 
 @njit
@@ -207,9 +209,7 @@ def _gaussian(mean: float, variance: float, measured: float, noise: float) -> Mo
 @njit
 def _as_mean(mean: float, variance: float, k: int, said: Said) -> Moments:
     """Take the slot's mean as a measurement: the mean and slow kinds."""
-    white = k - LEVELS < len(MEAN_FACTORS)
-    own = MEAN_FACTORS[k - LEVELS] * said.white if white else said.slow
-    noise = own + said.cell**2 / 12.0 + TINY**2
+    noise = MEAN_WHITE[k - LEVELS] * said.white + said.cell**2 / 12.0 + TINY**2
     after, left, _ = _gaussian(mean, variance, said.linear, noise)
     # The cell as a Gaussian of the same height, so that no probability exceeds one.
     cell = max(said.cell, TINY)
@@ -260,7 +260,7 @@ def _stay(mean: float, variance: float, growth: float, sigma: float, said: Said)
 
 
 class Merged(NamedTuple):
-    """The mean of all filters, variances of temperature and rate, and the sigma of slow errors, in units."""
+    """The mean of all filters, and variances of temperature, of rate and of the slow error, °C²."""
 
     temperature: float
     rate: float
@@ -271,64 +271,69 @@ class Merged(NamedTuple):
 
 
 @njit
-def merged(filters: Filters, step: float, level: float) -> Merged:
+def merged(filters: Filters, slow_errors: FloatArray, step: float, level: float) -> Merged:
     """Merge the filters into what is shown; `level` is the one that the readings stay on, NaN where none.
 
     Then the level kinds are confined to it.
     """
-    total, slow = 0.0, 0.0
-    mean_x, mean_r, mean_a, square_x, square_r = 0.0, 0.0, 0.0, 0.0, 0.0
-    # About a filter with much weight, so that the differences of squares keep their digits.
+    total, rare, slow = 0.0, 0.0, 0.0
+    x, r, a = 0.0, 0.0, 0.0
+    sum_x, sum_r, square_x, square_r = 0.0, 0.0, 0.0, 0.0
+    # About the heaviest filter, so that the differences of squares keep their digits.
     main = _heaviest(filters)
     for i in range(len(filters)):
         f, k = filters[i], i // SMOOTHNESSES
         if not f.weight:
             continue
-        slow += SLOW_SIGMA[k] * f.weight
-        weight, shift, shrink = f.weight, 0.0, 1.0
-        spread = f.tt + 2.0 * f.te + f.ee
+        slow += slow_errors[k] * f.weight
+        mass, shift, shrink = 1.0, 0.0, 1.0
         if k < LEVELS and not math.isnan(level):
-            weight, shift, shrink = _confined(f, LEVEL_SIGMAS[k] * step, step, level)
-        t, r, a = f.tt + f.te, f.tr + f.re, f.ta + f.ae
-        x = f.temperature + t * shift - main.temperature
-        rate = f.rate + r * shift - main.rate
+            mass, shift, shrink = _confined(f, LEVEL_SIGMAS[k] * step, step, level)
+        gain_x, gain_r = f.tt + f.te, f.tr + f.re
+        spread = gain_x + f.te + f.ee
+        off_x = f.temperature + gain_x * shift - main.temperature
+        off_r = f.rate + gain_r * shift - main.rate
+        rare += f.rare * mass
+        x += f.rare * mass * off_x
+        r += f.rare * mass * off_r
+        a += f.rare * mass * (f.acceleration + (f.ta + f.ae) * shift)
+        weight = f.weight * mass
         total += weight
-        mean_x += weight * x
-        mean_r += weight * rate
-        mean_a += weight * (f.acceleration + a * shift)
-        square_x += weight * (f.tt + t * t / spread * (shrink - 1.0) + x * x)
-        square_r += weight * (f.rr + r * r / spread * (shrink - 1.0) + rate * rate)
-    if not total > 1e-200:
+        sum_x += weight * off_x
+        sum_r += weight * off_r
+        square_x += weight * (f.tt + gain_x * gain_x / spread * (shrink - 1.0) + off_x * off_x)
+        square_r += weight * (f.rr + gain_r * gain_r / spread * (shrink - 1.0) + off_r * off_r)
+    if not min(total, rare) > 1e-200:
         # The level is out of reach of all filters.
-        return merged(filters, step, math.nan)
-    mean_x, mean_r = mean_x / total, mean_r / total
+        return merged(filters, slow_errors, step, math.nan)
+    x, r, a = x / rare, r / rare, a / rare
     return Merged(
-        main.temperature + mean_x,
-        main.rate + mean_r,
-        mean_a / total,
-        square_x / total - mean_x * mean_x,
-        square_r / total - mean_r * mean_r,
+        main.temperature + x,
+        main.rate + r,
+        a,
+        (square_x - 2.0 * x * sum_x) / total + x * x,
+        (square_r - 2.0 * r * sum_r) / total + r * r,
         slow,
     )
 
 
 @njit
 def _heaviest(filters: Filters) -> Filter:
-    best = filters[0]
-    for f in filters:
-        if f.weight > best.weight:
-            best = f
-    return best
+    best = 0
+    for i in range(len(filters)):
+        if filters[i].rare > filters[best].rare:
+            best = i
+    return filters[best]
 
 
 @njit
 def _confined(f: Filter, noise: float, step: float, level: float) -> tuple[float, float, float]:
-    """Return weight, shift over sd and shrinking of the variance by a level that is sharp for a filter."""
+    """Return probability, shift over sd and shrinking of the variance by a level that is sharp for a filter."""
     spread = f.tt + 2.0 * f.te + f.ee
     sd = math.sqrt(spread)
     if sd < SHARPER * noise:
-        return f.weight, 0.0, 1.0
+        return 1.0, 0.0, 1.0
     half = 0.5 * step - min(EDGE * noise, 0.3 * step)
     offset = f.temperature + f.error - level
     shift, shrink, log_mass = truncated((-half - offset) / sd, (half - offset) / sd)
-    return f.weight * math.exp(log_mass), shift / sd, shrink
+    return math.exp(log_mass), shift / sd, shrink

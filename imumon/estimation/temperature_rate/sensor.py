@@ -5,9 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 
+from imumon.blocks import FloatArray
+from imumon.estimation.temperature_rate.bank import slow_errors
 from imumon.estimation.temperature_rate.refresh import RefreshFinder
 from imumon.estimation.temperature_rate.step import StepFinder
 
+SLOT_S = 1.0
 MEMORY = 1.0 / 32.0
 """Weight of a new slot in what is learned, after as many slots."""
 MOST = 9.0
@@ -143,6 +146,12 @@ class Sensor:
     def unit(self) -> float:
         """What the sensor's noise is measured in, °C: a step, or the noise of a slot where that is larger."""
         return max(self.step, math.sqrt(self.roughness), 1e-4)
+
+    @property
+    def slow_errors(self) -> FloatArray:
+        """Variances of the bank's slow errors, °C²."""
+        roughness = max(self.roughness, self.step**2 / 12.0)
+        return slow_errors(self.unit, roughness, self.refresh.interval_s if self.refresh.slow else SLOT_S)
 
     @property
     def scatter(self) -> float:
