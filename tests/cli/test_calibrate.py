@@ -49,7 +49,8 @@ def test_a_session_becomes_a_model(session: Path, tmp_path: Path) -> None:
     assert "is there already" in again.stderr
 
 
-def test_the_table_for_people_marks_what_is_chosen(session: Path, tmp_path: Path) -> None:
+def test_the_table_for_people_marks_what_is_chosen(tmp_path: Path) -> None:
+    session = imported(tmp_path, soak(300.0)[:3600:2])
     done = imumon("calibrate", session, session, "--out", tmp_path / "model.yaml")
     assert done.returncode == 0, done.stderr
     rows = [line for line in done.stdout.splitlines() if line.startswith("gyro_")]
