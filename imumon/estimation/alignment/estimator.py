@@ -125,12 +125,12 @@ class Aligner:
         if not motion.disturbed:
             cause = motion.judge(slot)
             if cause:
-                self._begin_disturbance(slot, cause)
+                motion.begin(slot, cause)
         if motion.disturbed:
             self._disturbed(slot)
         else:
             motion.go_on(slot)
-            self._count(slot)
+            self._add(slot, len(state.poses) - 1, counts=True)
         if not motion.disturbed and math.isfinite(sum(magnetic)):
             for axis, value in enumerate(magnetic):
                 state.field_sum[axis] += slot.samples * value
@@ -145,59 +145,64 @@ class Aligner:
         ahead = attitude @ forward(up / np.sqrt(up @ up))
         self.state.attitude, self.state.ahead = attitude, math.atan2(ahead[1], ahead[0])
 
-    def _begin_disturbance(self, slot: Slot, cause: str) -> None:
-        state = self.state
-        state.motion.begin(slot, cause)
-        state.disturbed += 1
-        state.record.leave_out(state.motion.begun_s - slot.length_s)
-
     def _disturbed(self, slot: Slot) -> None:
         """Follow the unit until it rests again."""
         state, motion = self.state, self.state.motion
         before = motion.turned
-        calm = motion.follow(slot)
+        motion.follow(slot)
         self._stands(state.attitude @ before.T @ motion.turned)
-        if not calm:
-            for other in motion.calm:
-                self._skip(other)
-            motion.calm = []
-            self._skip(slot)
-        else:
-            motion.calm.append(slot)
-        if state.poses and slot.time_s - motion.begun_s > LONGEST_S:
+        if not state.poses and not motion.calm:
+            motion.passed.clear()
+        if state.poses and motion.seconds > LONGEST_S:
             self.begin_anew(f"{motion.cause} at {motion.begun_s:.1f} s for {LONGEST_S:g} s")
         elif motion.rested:
             self._rest()
 
-    def _skip(self, slot: Slot) -> None:
-        if self.state.poses:
-            self.state.shaken_s += slot.length_s
-            self.state.record.add(slot.time_s, 0.0, slot.mean[:3], slot.mean[3:], len(self.state.poses) - 1)
-
-    def _count(self, slot: Slot) -> None:
-        state = self.state
-        state.record.add(slot.time_s, float(slot.samples), slot.mean[:3], slot.mean[3:], len(state.poses) - 1)
-        state.counted_s += slot.length_s
-
     def _rest(self) -> None:
-        """Count the calm slots, in the pose of before or in a new one."""
+        """Begin the first pose, or go on in that of before, or in a new one; count what may count."""
         state, motion = self.state, self.state.motion
-        calm, first = list(motion.calm), not state.poses
-        same = False
-        if first:
+        passed, calm = motion.passed, motion.passed[-motion.calm :]
+        skipped, same = 0, False
+        if not state.poses:
             up = np.mean([slot.mean[3:] for slot in calm], axis=0)
             up /= np.sqrt(up @ up)
             ahead = forward(up)
             self._stands(np.vstack([ahead, np.cross(up, ahead), up]))
             state.poses.append(Pose(state.attitude, 0.0, calm[0].time_s))
         else:
+            before = len(state.poses) - 1
             same = self._new_pose(calm)
+            if not (same and motion.returned):
+                skipped = len(passed) - len(calm) + AFTER
+                state.disturbed += 1
+                state.record.leave_out(motion.begun_s - calm[0].length_s)
+                state.events.append(self._left_out(same))
+                for slot in passed[: len(passed) - len(calm)]:
+                    self._add(slot, before, counts=False)
+                passed, skipped = calm, AFTER
         motion.rest(same)
-        for k, slot in enumerate(calm):
-            if k < AFTER and not first:
-                self._skip(slot)
-            else:
-                self._count(slot)
+        for k, slot in enumerate(passed):
+            self._add(slot, len(state.poses) - 1, counts=k >= skipped)
+
+    def _add(self, slot: Slot, pose: int, counts: bool) -> None:
+        """Add a slot to the record of a pose."""
+        state = self.state
+        weight = float(slot.samples) if counts else 0.0
+        state.record.add(slot.time_s, weight, slot.mean[:3], slot.mean[3:], pose)
+        if counts:
+            state.counted_s += slot.length_s
+        else:
+            state.shaken_s += slot.length_s
+
+    def _left_out(self, same: bool) -> str:
+        """Return what is said of a disturbance that does not count."""
+        motion, poses = self.state.motion, self.state.poses
+        seconds = motion.seconds - sum(slot.length_s for slot in motion.passed[-motion.calm :])
+        said = f"alignment: {motion.cause} at {motion.begun_s:.1f} s for {seconds:.1f} s: left out"
+        if same:
+            return said
+        turned = -math.degrees(azimuth_between(poses[-2].attitude, poses[-1].attitude))
+        return f"{said}; a new position, turned by {turned:.2f}° about the vertical"
 
     def _new_pose(self, calm: list[Slot]) -> bool:
         """Return whether the unit stands as before a disturbance; else begin a pose."""
@@ -212,10 +217,8 @@ class Aligner:
         turn = azimuth_between(before, attitude)
         noise = float(spread[:3].max()) * math.sqrt(calm[0].length_s * seconds)
         bumped = SIGMAS * float(spread[3:].max()) / math.sqrt(LEAST) / STANDARD_GRAVITY
-        for_s = f"alignment: {motion.cause} at {motion.begun_s:.1f} s for {seconds:.1f} s"
         if abs(turn) < max(SAME_TURN, SIGMAS * noise) and step < max(SAME_LEVEL, bumped):
             self._stands(before)
-            state.events.append(f"{for_s}: left out")
             return True
         self._stands(attitude)
         scale = self.parameters.gyro_scale_sd_ppm * 1e-6 * motion.angle
@@ -223,9 +226,6 @@ class Aligner:
         variance = state.poses[-1].turn_variance + scale**2 + noise**2 + drift**2
         state.poses.append(Pose(attitude, variance, calm[0].time_s))
         state.field_sum = [0.0] * 4
-        state.events.append(
-            f"{for_s}: left out; a new position, turned by {-math.degrees(turn):.2f}° about the vertical"
-        )
         return False
 
     def evaluate(self) -> None:

@@ -10,7 +10,6 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from imumon.blocks import FloatArray
 
@@ -26,6 +25,8 @@ FINEST = np.array([2e-8, 2e-8, 2e-8, 2e-4, 2e-4, 2e-4])
 """The scatter of means is never taken for less, rad/s and m/s²: 20 µg, 0.004 °/h."""
 TURNING = 1e-3
 """rad/s: a unit whose rate differs by more from that at rest is still being turned; a hand is not slower."""
+REMAINS = 3.0
+"""Standard deviations of the gyros' noise, above which a disturbance has left an angle."""
 NORMAL = 1.4826
 """Standard deviation of normal values over the median of their sizes."""
 
@@ -72,8 +73,10 @@ class Motion:
     ----------
     recent : array (m, 2, 6)
         Means and variances of the last undisturbed slots.
-    calm : list of Slot
-        Slots that may be a new rest.
+    passed : list of Slot
+        Those of the disturbance.
+    calm : int
+        How many of the last of them may be a new rest.
     base : array (3,)
         Rate at the last rest, rad/s.
     level : array (3,)
@@ -85,7 +88,8 @@ class Motion:
     """
 
     recent: FloatArray = field(default_factory=lambda: np.zeros((0, 2, 6)))
-    calm: list[Slot] = field(default_factory=list)
+    passed: list[Slot] = field(default_factory=list)
+    calm: int = 0
     base: FloatArray | None = None
     level: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
     turned: FloatArray = field(default_factory=lambda: np.eye(3))
@@ -147,36 +151,61 @@ class Motion:
         """Begin a disturbance."""
         self.base = np.median(self.recent[:, 0, :3], axis=0) if len(self.recent) else None
         self.disturbed, self.cause, self.begun_s = True, cause, slot.time_s - 0.5 * slot.length_s
-        self.turned, self.last, self.angle, self.calm = np.eye(3), np.zeros(3), 0.0, []
+        self.turned, self.last, self.angle = np.eye(3), np.zeros(3), 0.0
+        self.passed, self.calm = [], 0
 
-    def follow(self, slot: Slot) -> bool:
-        """Follow the unit through a disturbed slot; return whether it may rest in it."""
-        if self.base is not None:
-            angle = slot.length_s * (slot.mean[:3] - self.base)
-            # First-order coning correction of successive slots: Savage 1998, J. Guidance 21(1), eq. 41.
-            turn = angle + np.cross(self.last, angle) / 12.0
-            self.turned = self.turned @ Rotation.from_rotvec(turn).as_matrix()
-            self.last = angle
-            self.angle += float(np.sqrt(angle @ angle))
-        if self.base is not None and np.abs(slot.mean[:3] - self.base).max() > TURNING:
-            return False
-        if not self.calm or len(self.recent) < LEAST:
-            return True
-        off = slot.mean - np.median([other.mean for other in self.calm], axis=0)
-        return bool((np.abs(off) < 2.0 * LIMIT * self.usual().spread).all())
+    def follow(self, slot: Slot) -> None:
+        """Follow the unit through a disturbed slot."""
+        self.passed.append(slot)
+        if self.base is None:
+            self.calm += 1
+            return
+        rate = slot.mean[:3] - self.base
+        angle = slot.length_s * rate
+        # First-order coning correction of successive slots: Savage 1998, J. Guidance 21(1), eq. 41.
+        self.turned = self.turned @ rotation(angle + np.cross(self.last, angle) / 12.0)
+        self.last = angle
+        self.angle += math.sqrt(angle @ angle)
+        self.calm = 0 if np.abs(rate).max() > TURNING else self.calm + 1
 
     @property
     def rested(self) -> bool:
         """Whether the calm has lasted."""
-        if len(self.calm) < LEAST or not self.calm[-1].at_rest:
+        if self.calm < LEAST or not self.passed[-1].at_rest:
             return False
-        return float(np.std([slot.mean[:3] for slot in self.calm], axis=0).max()) < TURNING
+        return float(np.std([slot.mean[:3] for slot in self.passed[-LEAST:]], axis=0).max()) < TURNING
+
+    @property
+    def seconds(self) -> float:
+        """Length of the disturbance, with the calm after it."""
+        return self.passed[-1].time_s + 0.5 * self.passed[-1].length_s - self.begun_s
+
+    @property
+    def returned(self) -> bool:
+        """Whether the gyros saw no angle remain: then all of it may count, and nothing is lost."""
+        seconds, known = self.seconds, max(len(self.recent), 1)
+        # Their noise over that time, and that of the rate at rest, a median.
+        noise = math.sqrt(self.passed[-1].length_s * seconds + math.pi / 2.0 * seconds**2 / known)
+        turn = self.turned - self.turned.T
+        remains = 0.5 * np.abs([turn[2, 1], turn[0, 2], turn[1, 0]])
+        return bool((remains < REMAINS * noise * self.usual().spread[:3]).all())
 
     def rest(self, same: bool) -> None:
         """End the disturbance; the unit stands as before, or in a new pose."""
-        recent = np.array([slot.values for slot in self.calm])
+        recent = np.array([slot.values for slot in self.passed[-self.calm :]])
         if same and len(self.recent) >= LEAST:
             recent = np.concatenate([self.recent, recent])
         self._remember(recent[-RECENT:])
         self.known = None
-        self.disturbed, self.calm = False, []
+        self.disturbed, self.passed, self.calm = False, [], 0
+
+
+def rotation(vector: FloatArray) -> FloatArray:
+    """Return the matrix (3, 3) of a rotation vector, rad (Rodrigues)."""
+    x, y, z = vector.tolist()
+    across = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    angle = math.sqrt(x * x + y * y + z * z)
+    if angle < 1e-6:
+        return np.asarray(np.eye(3) + across)
+    half = math.sin(0.5 * angle) / (0.5 * angle)
+    return np.asarray(np.eye(3) + math.sin(angle) / angle * across + 0.5 * half**2 * (across @ across))
