@@ -239,8 +239,38 @@ def series_view(
     )
 
 
-def attitude(key: str, columns: tuple[str, ...], quaternions: Callable[[FloatArray], FloatArray]) -> Panel:
+@dataclass(frozen=True, slots=True)
+class Reference:
+    """What a body is drawn in: its entity, the title of the view, names of the axes.
+
+    `up` says which way the third axis points, 1 or -1; None: as the device's axes do.
+    """
+
+    root: str
+    title: str
+    axes: tuple[str, str, str]
+    up: float | None = None
+
+
+DEVICE = Reference(ROOT_ATTITUDE, "Attitude: body in the device's reference frame", ("X", "Y", "Z"))
+EARTH = Reference(
+    "/attitude_estimate", "Attitude by the estimator: the device sends none", ("east", "north", "up"), up=1.0
+)
+
+
+def attitude(
+    key: str,
+    columns: tuple[str, ...],
+    quaternions: Callable[[FloatArray], FloatArray],
+    reference: Reference = DEVICE,
+) -> Panel:
     """Return a panel that turns a solid body; `quaternions` makes x, y, z, w of the columns, (n, 4)."""
+    body = f"{reference.root}/body"
+
+    def declare(rec: rr.RecordingStream) -> None:
+        rec.log(f"/samples/{key}", rr.SeriesLines(names=list(columns)), static=True)
+        draw_body(rec, body)
+        draw_reference(rec, reference)
 
     def log(rec: rr.RecordingStream, rows: Rows) -> None:
         values = rows.matrix(columns)
@@ -248,23 +278,24 @@ def attitude(key: str, columns: tuple[str, ...], quaternions: Callable[[FloatArr
         keep: Any = np.isfinite(values).all(axis=1) & rows.thinned(ATTITUDE_STEP_NS)
         if keep.any():
             turned = rr.Transform3D.columns(quaternion=quaternions(values[keep]))
-            rec.send_columns(BODY, indexes=rows.kept(keep).indexes, columns=turned)
+            rec.send_columns(body, indexes=rows.kept(keep).indexes, columns=turned)
 
-    return Panel(
-        key, SCENE, columns, lambda rec: draw_body(rec, f"/samples/{key}", columns), log, attitude_view
-    )
+    def view(setup: ViewSetup, window: Window) -> Any:  # noqa: ARG001 - a scene has no time axis
+        up = reference.up or (-1.0 if setup.z_down else 1.0)
+        return attitude_view(reference, up)
+
+    return Panel(key, SCENE, columns, declare, log, view)
 
 
-def draw_body(rec: rr.RecordingStream, exact: str, columns: Sequence[str]) -> None:
-    """Log the housing with its connector and axes, and the reference axes."""
-    rec.log(exact, rr.SeriesLines(names=list(columns)), static=True)
+def draw_body(rec: rr.RecordingStream, body: str) -> None:
+    """Log the housing with its connector, and its axes."""
     housing = rr.Boxes3D(
         centers=[[0.0, 0.0, 0.0], [-0.62, 0.0, 0.0], [0.42, 0.0, 0.0]],
         half_sizes=[[0.5, 0.34, 0.13], [0.12, 0.12, 0.07], [0.05, 0.3, 0.135]],
         colors=[[95, 105, 125], [200, 165, 70], [230, 230, 235]],
         fill_mode="solid",
     )
-    rec.log(f"{BODY}/housing", housing, static=True)
+    rec.log(f"{body}/housing", housing, static=True)
     axes = np.eye(3)
     body_axes = rr.Arrows3D(
         origins=0.1 * axes,
@@ -273,19 +304,28 @@ def draw_body(rec: rr.RecordingStream, exact: str, columns: Sequence[str]) -> No
         labels=["x", "y", "z"],
         radii=0.022,
     )
-    rec.log(f"{BODY}/axes", body_axes, static=True)
-    reference = rr.Arrows3D(
-        vectors=1.5 * axes, colors=[list(GREY)], labels=["X", "Y", "Z"], radii=0.008, show_labels=True
+    rec.log(f"{body}/axes", body_axes, static=True)
+
+
+def draw_reference(rec: rr.RecordingStream, reference: Reference) -> None:
+    """Log the axes that the body turns in."""
+    if reference.up is not None:
+        rec.log(reference.root, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    arrows = rr.Arrows3D(
+        vectors=1.5 * np.eye(3),
+        colors=[list(GREY)],
+        labels=list(reference.axes),
+        radii=0.008,
+        show_labels=True,
     )
-    rec.log(f"{ROOT_ATTITUDE}/reference", reference, static=True)
+    rec.log(f"{reference.root}/reference", arrows, static=True)
 
 
-def attitude_view(setup: ViewSetup, window: Window) -> Any:  # noqa: ARG001 - a scene has no time axis
-    """Return the 3-D view, seen from above and ahead whichever way the reference frame has z."""
-    up = -1.0 if setup.z_down else 1.0
+def attitude_view(reference: Reference, up: float) -> Any:
+    """Return the 3-D view, seen from above and ahead whichever way the third axis points."""
     return rrb.Spatial3DView(
-        origin=ROOT_ATTITUDE,
-        name="Attitude: body in the device's reference frame",
+        origin=reference.root,
+        name=reference.title,
         line_grid=rrb.LineGrid3D(visible=True, spacing=0.5, color=[*GREY, 60]),
         eye_controls=rrb.EyeControls3D(
             position=[1.8, up * 1.7, up * 1.2], look_target=[0, 0, 0.08 * up], eye_up=[0, 0, up]

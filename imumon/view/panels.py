@@ -9,12 +9,14 @@ from collections.abc import Iterator
 
 from imumon.charts import AXIS_COLORS, BLUE, GREEN, GREY, ORANGE, RED, VIOLET, Color
 from imumon.view.bands import Band, band_panel, with_sd
-from imumon.view.layout import LINK, Panel, attitude, from_euler, from_wxyz, strip
+from imumon.view.layout import EARTH, LINK, Panel, attitude, from_euler, from_wxyz, strip
 
 THERMAL = "Temperature"
 """Tab of the temperature estimates."""
 BIAS = "Gyro bias"
 """Tab of the bias estimates."""
+ATTITUDE = "Attitude"
+"""Tab of the attitude by the estimator, apart from what a device reports."""
 PUBLISHED = "SR-RSUKF"
 """Tab of the published filter and what it must be compared with."""
 ALIGNMENT = "Alignment"
@@ -79,6 +81,7 @@ def _published_heading(method: str, name: str, color: Color) -> Panel:
 PANELS: tuple[Panel, ...] = (
     attitude("attitude", ("q_w", "q_x", "q_y", "q_z"), from_wxyz),
     attitude("attitude_from_angles", ("roll", "pitch", "yaw"), from_euler),
+    attitude("attitude_estimate", tuple(f"attitude_estimate_{part}" for part in "wxyz"), from_wxyz, EARTH),
     strip("gyro", "Angular rate", _axes("gyro"), shown="°/s"),
     strip("accel", "Specific force", _axes("accel")),
     strip("mag", "Magnetic field", _axes("mag")),
@@ -104,6 +107,23 @@ PANELS: tuple[Panel, ...] = (
         place=BIAS,
         limits=(-3.0, 3.0),
         sparse=True,
+    ),
+    band_panel(
+        "attitude_estimate_level",
+        ATTITUDE,
+        "Roll and pitch by the estimator, 2σ",
+        [
+            Band(f"attitude_estimate_{name}", name, color, "attitude_estimate_tilt_sd")
+            for name, color in (("roll", RED), ("pitch", GREEN))
+        ],
+        "°",
+    ),
+    band_panel(
+        "attitude_estimate_heading",
+        ATTITUDE,
+        "Heading by the estimator, from magnetic north or free, 2σ",
+        [with_sd("attitude_estimate_heading", "heading", BLUE)],
+        "°",
     ),
     # A panel for each axis: beside the turn-on bias of another its drift could not be seen.
     *(
@@ -215,4 +235,4 @@ PANELS: tuple[Panel, ...] = (
         steps=True,
     ),
 )
-"""All panels, in the order in which they stand.  Whichever of two attitudes comes first turns the body."""
+"""All panels, in the order in which they stand.  The attitude that comes first turns the body."""
