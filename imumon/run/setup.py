@@ -12,6 +12,7 @@ from imumon.config import StrictModel, dump_yaml, parse_yaml
 from imumon.errors import ImumonError, Reason
 from imumon.estimation.alignment.parameters import AlignmentParameters
 from imumon.estimation.alignment.warm_up import known_warm_up
+from imumon.estimation.attitude.parameters import AttitudeParameters
 from imumon.estimation.gyro_bias.parameters import GyroBiasParameters
 from imumon.estimation.rest.parameters import RestParameters
 from imumon.estimation.watch.parameters import WatchParameters
@@ -43,6 +44,7 @@ class Setup(StrictModel):
     rest: RestParameters = RestParameters()
     zupt: GyroBiasParameters = GyroBiasParameters()
     random_error: RandomErrorParameters = RandomErrorParameters()
+    attitude: AttitudeParameters = AttitudeParameters()
     alignment: AlignmentParameters = AlignmentParameters()
     watch: WatchParameters = WatchParameters()
     noise: Noise = Noise()

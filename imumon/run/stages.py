@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from imumon.allan.stage import AllanStage
+from imumon.estimation.attitude.stage import AttitudeEstimate
 from imumon.estimation.gyro_bias.stage import GyroBias
 from imumon.estimation.rest.stage import RestDetector
 from imumon.estimation.temperature_rate.stage import TemperatureRate
@@ -21,17 +22,18 @@ def estimators(device: DeviceFile | None, setup: Setup | None = None) -> list[Es
     setup = setup or Setup()
     temperature = device.temperature if device is not None else TemperatureRateParameters()
     model = setup.bias_model
+    axes = device.axes if device is not None else None
     stages: list[Estimator] = [
         temperature_rate(temperature),
         RestDetector(setup.rest),
         GyroBias(setup.zupt_with_noise, model, setup.mode, setup.latitude_deg, setup.heading_deg),
         ModelWatch(setup.watch, modelled=model is not None),
         AllanStage(setup.allan),
+        AttitudeEstimate(setup.attitude, axes, None, setup.latitude_deg, setup.heading_deg),
     ]
     if setup.latitude_deg is not None:
         from imumon.estimation.alignment.stage import Alignment  # scipy.signal and .spatial take 0.7 s
 
-        axes = device.axes if device is not None else None
         sent = () if device is None else [column.name for column in device.decoder().possible_columns]
         stages.append(Alignment(setup.alignment_with_warm_up, setup.latitude_deg, axes, sent))
     if setup.asks_for_published:

@@ -14,10 +14,32 @@ from imumon.charts import AXIS_COLORS, GREY
 from imumon.view.items import ViewSetup
 from imumon.view.layout import SCENE, Rows, Window
 
-ROOT = "/attitude"
-BODY = f"{ROOT}/body"
 STEP_NS = 20_000_000
 """The body is redrawn at the most 50 times a second; every quaternion is in ``/samples/attitude``."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reference:
+    """What the body is drawn in: its entity, the title of the view, names of the axes.
+
+    `up` says which way the third axis points, 1 or -1; None: as the axes of the device do.
+    """
+
+    root: str
+    title: str
+    axes: tuple[str, str, str]
+    up: float | None = None
+
+    @property
+    def body(self) -> str:
+        """Entity of the body."""
+        return f"{self.root}/body"
+
+
+DEVICE = Reference("/attitude", "Attitude: body in the device's reference frame", ("X", "Y", "Z"))
+EARTH = Reference(
+    "/attitude_estimate", "Attitude by the estimator: the device sends none", ("east", "north", "up"), up=1.0
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +48,7 @@ class Attitude:
 
     key: str
     columns: tuple[str, ...]
+    reference: Reference = DEVICE
     place: str = SCENE
 
     def declare(self, rec: rr.RecordingStream) -> None:
@@ -37,16 +60,19 @@ class Attitude:
             colors=[[95, 105, 125], [200, 165, 70], [230, 230, 235]],
             fill_mode="solid",
         )
-        rec.log(f"{BODY}/housing", housing, static=True)
+        rec.log(f"{self.reference.body}/housing", housing, static=True)
         axes, colors = np.eye(3), [list(color) for color in AXIS_COLORS.values()]
         body_axes = rr.Arrows3D(
             origins=0.1 * axes, vectors=0.95 * axes, colors=colors, labels=["x", "y", "z"], radii=0.022
         )
-        rec.log(f"{BODY}/axes", body_axes, static=True)
+        rec.log(f"{self.reference.body}/axes", body_axes, static=True)
+        if self.reference.up is not None:
+            rec.log(self.reference.root, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        labels = list(self.reference.axes)
         reference = rr.Arrows3D(
-            vectors=1.5 * axes, colors=[list(GREY)], labels=["X", "Y", "Z"], radii=0.008, show_labels=True
+            vectors=1.5 * axes, colors=[list(GREY)], labels=labels, radii=0.008, show_labels=True
         )
-        rec.log(f"{ROOT}/reference", reference, static=True)
+        rec.log(f"{self.reference.root}/reference", reference, static=True)
 
     def log(self, rec: rr.RecordingStream, rows: Rows) -> None:
         """Log the exact values, and turn the body."""
@@ -56,14 +82,14 @@ class Attitude:
         keep: Any = np.isfinite(values).all(axis=1) & rows.thinned(STEP_NS)
         if keep.any():
             turned = rr.Transform3D.columns(quaternion=xyzw(values[keep]))
-            rec.send_columns(BODY, indexes=rows.kept(keep).indexes, columns=turned)
+            rec.send_columns(self.reference.body, indexes=rows.kept(keep).indexes, columns=turned)
 
     def view(self, setup: ViewSetup, _: Window) -> Any:
         """Return the 3-D view, seen from above and ahead whichever way the reference frame has z."""
-        up = -1.0 if setup.z_down else 1.0
+        up = self.reference.up or (-1.0 if setup.z_down else 1.0)
         return rrb.Spatial3DView(
-            origin=ROOT,
-            name="Attitude: body in the device's reference frame",
+            origin=self.reference.root,
+            name=self.reference.title,
             line_grid=rrb.LineGrid3D(visible=True, spacing=0.5, color=[*GREY, 60]),
             eye_controls=rrb.EyeControls3D(
                 position=[1.8, up * 1.7, up * 1.2], look_target=[0, 0, 0.08 * up], eye_up=[0, 0, up]

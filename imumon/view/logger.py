@@ -9,7 +9,7 @@ import rerun as rr
 
 from imumon.blocks import NO_INT, ColumnArray
 from imumon.charts import Chart
-from imumon.view.attitude import ROOT as ATTITUDE
+from imumon.view.attitude import DEVICE
 from imumon.view.blueprint import Contents, blueprint
 from imumon.view.chart import declare_chart, log_chart
 from imumon.view.items import (
@@ -96,7 +96,7 @@ class StreamLogger:
         if setup.properties:
             rec.send_property("session", rr.AnyValues(True, **setup.properties))
         down = rr.ViewCoordinates.RIGHT_HAND_Z_DOWN
-        rec.log(ATTITUDE, down if setup.z_down else rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        rec.log(DEVICE.root, down if setup.z_down else rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         for panel in self._panels.values():
             panel.declare(rec)
         for name in self._others:

@@ -8,13 +8,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from imumon.charts import AXIS_COLORS, BLUE, GREEN, GREY, ORANGE, RED, VIOLET, Color
-from imumon.view.attitude import Attitude
+from imumon.view.attitude import EARTH, Attitude
 from imumon.view.layout import LINK, Bands, Line, Panel, Strip
 
 THERMAL = "Temperature"
 """Tab of the temperature estimates."""
 BIAS = "Gyro bias"
 """Tab of the bias estimates."""
+ATTITUDE = "Attitude"
+"""Tab of the attitude by the estimator, apart from what a device reports."""
 PUBLISHED = "SR-RSUKF"
 """Tab of the published filter and what it must be compared with."""
 ALIGNMENT = "Alignment"
@@ -84,6 +86,7 @@ def _phi(key: str, title: str, place: str) -> Panel:
 PANELS: tuple[Panel, ...] = (
     Attitude("attitude", ("q_w", "q_x", "q_y", "q_z")),
     Attitude("attitude_from_angles", ("roll", "pitch", "yaw")),
+    Attitude("attitude_estimate", tuple(f"attitude_estimate_{part}" for part in "wxyz"), EARTH),
     Strip("gyro", "Angular rate", _axes("gyro"), "°/s"),
     Strip("accel", "Specific force", _axes("accel")),
     Strip("mag", "Magnetic field", _axes("mag")),
@@ -116,6 +119,23 @@ PANELS: tuple[Panel, ...] = (
         place=BIAS,
         look="points",
         limits=(-3.0, 3.0),
+    ),
+    Bands(
+        "attitude_estimate_level",
+        "Roll and pitch by the estimator, 2σ",
+        tuple(
+            Line(f"attitude_estimate_{name}", name, color, "attitude_estimate_tilt_sd")
+            for name, color in (("roll", RED), ("pitch", GREEN))
+        ),
+        "°",
+        ATTITUDE,
+    ),
+    Bands(
+        "attitude_estimate_heading",
+        "Heading by the estimator, from magnetic north or free, 2σ",
+        (_with_sd("attitude_estimate_heading", "heading", BLUE),),
+        "°",
+        ATTITUDE,
     ),
     # A panel for each axis: beside the turn-on bias of another its drift could not be seen.
     *(
@@ -218,4 +238,4 @@ PANELS: tuple[Panel, ...] = (
         look="steps",
     ),
 )
-"""All panels, in the order in which they stand.  Whichever of two attitudes comes first turns the body."""
+"""All panels, in the order in which they stand.  The attitude that comes first turns the body."""

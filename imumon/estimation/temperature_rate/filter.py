@@ -193,7 +193,9 @@ def _estimate(state: State, reading: Reading) -> Shown:
         state.last, state.last_s = taken.last, taken.time_s
         state.usual_s = dt
     still = taken is not None and heard and not state.faults and not taken.changes and sensor.step > 0.0
-    means = merged(state.bank.filters, slow, sensor.step, taken.last if taken is not None and still else math.nan)
+    means = merged(
+        state.bank.filters, slow, sensor.step, taken.last if taken is not None and still else math.nan
+    )
     state.shown = _shown(state, means, reading.end_s, fresh)
     if (heard or repeats) and not state.faults:
         _keep_near(state, means.slow, reading if taken is None else taken, reading.end_s)

@@ -1,0 +1,125 @@
+"""The filter VQF (Laidig and Seel, Information Fusion 2023, doi 10.1016/j.inffus.2022.10.014) over samples.
+
+VQF takes samples at a constant rate.  Here the rate is that of the first samples, and each angular rate is
+multiplied by its own interval over the usual one: so the angle is right whatever the intervals are.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from vqf import VQF
+
+from imumon.blocks import FloatArray, IntArray
+from imumon.estimation.attitude.angles import heading
+
+LEARNED = 16
+"""Intervals that the rate is taken from."""
+TAU_MAG_S = 9.0
+"""VQF's default: so slowly the heading follows the magnetometer."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Readings:
+    """Rows that have a time and a rate.
+
+    Parameters
+    ----------
+    time_ns : array of int64 (n,)
+    angle, accel, mag : array (n, 3)
+        Turn since the row before, rad, m/s² and any unit; of accel and mag zero where there is none.
+    has_mag : array of bool (n,)
+    """
+
+    time_ns: IntArray
+    angle: FloatArray
+    accel: FloatArray
+    mag: FloatArray
+    has_mag: npt.NDArray[np.bool_]
+
+
+class Fusion:
+    """Attitude from one begin to the next: a restart, a gap."""
+
+    def __init__(self) -> None:
+        self._first: list[int] = []
+        self._seen_mag = 0
+        self._vqf: VQF | None = None
+        self._interval_s = 0.0
+        self._bias_known = False
+        self.first_heading = 0.0
+        """Heading in axes of its own that the body began with, rad."""
+        self.north = False
+        """Whether the heading refers to the magnetometer."""
+        self.disturbed = False
+        """Whether VQF takes the magnetic field for disturbed."""
+        self.last = np.full(4, np.nan)
+        """The latest quaternion, w, x, y, z, (4,), from body axes to north or to level axes of its own."""
+
+    @property
+    def begun(self) -> bool:
+        """Whether there is an attitude."""
+        return not math.isnan(self.last[0])
+
+    def process(
+        self, readings: Readings, start: int, stop: int, bias_known: bool, q: FloatArray, north: IntArray
+    ) -> None:
+        """Follow rows start..stop; fill their quaternions, (n, 4), and whether they refer to north, (n,)."""
+        start = self._learn(readings, start, stop)
+        if start == stop or self._vqf is None:
+            return
+        self._know_bias(self._vqf, bias_known)
+        level = start
+        if not self.north:
+            # Up to here nothing says where north is.
+            has_mag = readings.has_mag[start:stop]
+            level = start + int(np.argmax(has_mag)) if has_mag.any() else stop
+        gyro = readings.angle[start:stop] * (1.0 / self._interval_s)
+        if start < level:
+            found = self._vqf.updateBatch(gyro[: level - start], readings.accel[start:level])
+            q[start:level] = found["quat6D"]
+            if not self.begun:
+                self.first_heading = float(heading(found["quat6D"][:1])[0])
+        if level < stop:
+            self.north = True
+            mag = readings.mag[level:stop]
+            found = self._vqf.updateBatch(gyro[level - start :], readings.accel[level:stop], mag)
+            q[level:stop] = found["quat9D"]
+            # Before it has taken a field as its reference VQF calls every field disturbed, and follows it.
+            self.disturbed = bool(found["magDistDetected"][-1]) and self._vqf.getMagRefNorm() > 0.0
+            north[level:stop] = 1
+        self.last = q[stop - 1].copy()
+
+    def _learn(self, readings: Readings, start: int, stop: int) -> int:
+        """Take the rate from the first intervals; return the first row that the filter may have."""
+        while self._vqf is None and start < stop:
+            self._first.append(int(readings.time_ns[start]))
+            self._seen_mag += bool(readings.has_mag[start])
+            if len(self._first) > LEARNED and readings.accel[start].any():
+                self._begin()
+            start += 1
+        return start
+
+    def _begin(self) -> None:
+        intervals = np.diff(self._first)
+        usual = intervals[intervals <= 1.5 * np.median(intervals)]
+        self._interval_s = max(float(usual.mean()), 1.0) * 1e-9
+        between_mag = len(self._first) / self._seen_mag if self._seen_mag else 1.0
+        self._vqf = VQF(self._interval_s, magTs=between_mag * self._interval_s, tauMag=TAU_MAG_S)
+
+    def _know_bias(self, vqf: VQF, known: bool) -> None:
+        """Let VQF estimate the bias while nobody else knows it."""
+        if known == self._bias_known:
+            return
+        self._bias_known = known
+        vqf.setBiasEstimate(np.zeros(3), math.radians(vqf.params["biasSigmaInit"]))
+        vqf.setMotionBiasEstEnabled(not known)
+        vqf.setRestBiasEstEnabled(not known)
+
+    def gyro_only(self) -> FloatArray:
+        """Return the quaternion by the gyros alone, (4,), from body axes to axes of its own."""
+        assert self._vqf is not None
+        return np.asarray(self._vqf.getQuat3D())

@@ -1,0 +1,26 @@
+"""What a pipeline file says of the attitude; apart from the stage, so that it loads quickly."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from imumon.config import StrictModel
+
+
+class AttitudeParameters(StrictModel):
+    """Which sensors are used, and what of their errors rest does not show.
+
+    Parameters
+    ----------
+    use_magnetometer : bool
+        Whether the heading is taken from the magnetometer, where there is one.
+    accel_bias_m_per_s2 : float
+        Standard deviation of what the accelerometers are off at rest.  The default, 5 mg, is the turn-on
+        error that data sheets of calibrated MEMS units state; a magnitude that is not gravity's widens it.
+    gyro_scale : float
+        Standard deviation of each element of the matrix of scale and misalignment: 1 % without calibration.
+    """
+
+    use_magnetometer: bool = True
+    accel_bias_m_per_s2: float = Field(default=0.05, ge=0.0, le=10.0)
+    gyro_scale: float = Field(default=0.01, ge=0.0, le=0.5)

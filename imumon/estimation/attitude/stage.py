@@ -1,0 +1,276 @@
+"""Attitude as a stage of the pipeline."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from imumon.blocks import NO_INT, ColumnArray, FloatArray, IntArray, SampleBlock
+from imumon.columns import Column
+from imumon.estimation.attitude.angles import heading, level_angles, matrix, turned_clockwise
+from imumon.estimation.attitude.fusion import Fusion, Readings
+from imumon.estimation.attitude.parameters import AttitudeParameters
+from imumon.estimation.attitude.uncertainty import Errors, Slot, Uncertainty
+from imumon.filters.slots import SlotGatherer, Slots
+from imumon.geodesy import EARTH_RATE
+from imumon.models.magnetometer import MagnetometerModel
+
+SLOT_NS = 500_000_000
+"""So often it is judged how far the attitude may be off: as often as the bias says something new."""
+GAP_NS = 250_000_000
+"""A longer pause hides turns."""
+Q = tuple(f"attitude_estimate_{part}" for part in "wxyz")
+NORTH = "attitude_estimate_north"
+_REST = 12
+_COLUMNS = 13
+"""Of the slots: rate, force, field and sigma of the bias, three each, and whether it is at rest."""
+
+
+@dataclass(slots=True, eq=False)
+class _Rows:
+    """Rows that have a time and a rate: what goes in, where it begins anew, and what is found for each."""
+
+    readings: Readings
+    bias_known: npt.NDArray[np.bool_]
+    begins: set[int]
+    slots: Slots
+    q: FloatArray
+    north: IntArray
+    sd: FloatArray
+
+
+class AttitudeEstimate:
+    """Attitude from body axes to east-north-up by VQF, with the bias of the stage before.
+
+    Where ``gyro_bias`` is known the rate is without it, and while the unit is ``at_rest`` it does not turn;
+    before, VQF estimates the bias by its own means.  North is that of the magnetometer.  Without one the
+    heading begins at `heading_deg` or 0 and is free: its standard deviation is that of its change since the
+    first rest.
+
+    Parameters
+    ----------
+    parameters : AttitudeParameters
+    axes : "FRD", "FLU" or None
+        Body axes, for roll and pitch; None: whichever stands upright at the beginning.
+    magnetometer : MagnetometerModel or None
+        Hard and soft iron.
+    latitude_deg, heading_deg : float or None
+        Of the place, and of the body's x axis at the beginning.
+    """
+
+    def __init__(
+        self,
+        parameters: AttitudeParameters | None = None,
+        axes: Literal["FRD", "FLU"] | None = None,
+        magnetometer: MagnetometerModel | None = None,
+        latitude_deg: float | None = None,
+        heading_deg: float | None = None,
+    ) -> None:
+        self._parameters = parameters or AttitudeParameters()
+        self._down = 0.0 if axes is None else (1.0 if axes == "FRD" else -1.0)
+        self._magnetometer = magnetometer
+        self._errors = Errors(
+            self._parameters.accel_bias_m_per_s2,
+            self._parameters.gyro_scale,
+            0.0 if latitude_deg is None else EARTH_RATE,
+            math.nan if magnetometer is None else magnetometer.error_sd,
+        )
+        self._heading = math.radians(heading_deg or 0.0)
+        self._slots = SlotGatherer(_COLUMNS, SLOT_NS)
+        self._last: tuple[int, int] | None = None
+        self._ended_ns = 0
+        self._fusion = Fusion()
+        self._uncertainty = Uncertainty()
+        self._gaps = 0
+        self._names = [column.name for column in self.columns if column.name != NORTH]
+        self._said: set[str] = set()
+
+    @property
+    def columns(self) -> Sequence[Column]:
+        """The columns that `process` adds."""
+        angles = {
+            "roll": "roll by the estimator",
+            "pitch": "pitch by the estimator",
+            "tilt_sd": "standard deviation of roll and pitch",
+            "heading": "heading of the body x axis, clockwise from magnetic north, or free",
+            "heading_sd": "its standard deviation; of its change since the beginning where it is free",
+        }
+        return [
+            *(
+                Column(name, "1", description=f"attitude by the estimator, body to east-north-up, {name[-1]}")
+                for name in Q
+            ),
+            *(Column(f"attitude_estimate_{name}", "rad", description=text) for name, text in angles.items()),
+            Column(NORTH, "1", "int64", "1 where the heading is from magnetic north, 0 where it is free"),
+        ]
+
+    def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
+        """Return the new columns of a block; NaN where there is no attitude, none without gyros or gravity.
+
+        Needs ``device_time_ns`` and ``segment``, gyros and accelerometers; uses ``mag_*``, ``gyro_bias_*``,
+        ``gyro_bias_sd_*`` and ``at_rest``.
+        """
+        gyro, accel = block.gyro, block.accel
+        if gyro is None or accel is None:
+            return {}
+        n = len(block)
+        which = np.flatnonzero((block["device_time_ns"] != NO_INT) & np.isfinite(gyro).all(1))
+        found = self._rows(
+            block
+            if len(which) == n
+            else SampleBlock({name: values[which] for name, values in block.columns.items()})
+        )
+        self._follow(found)
+        roll, pitch = level_angles(found.q, self._down)
+        values = np.vstack([found.q.T, roll, pitch, found.sd[0], heading(found.q), found.sd[1]])
+        values[:, np.isnan(found.q[:, 0])] = np.nan
+        north = np.where(np.isnan(found.q[:, 0]), NO_INT, found.north)
+        if len(which) < n:
+            values, north = _spread(values, np.nan, which, n), _spread(north, NO_INT, which, n)
+        return {**dict(zip(self._names, values, strict=True)), NORTH: north}
+
+    def _rows(self, block: SampleBlock) -> _Rows:
+        """Gather what the filter takes, of rows that it can take."""
+        n, gyro, accel, mag = len(block), block.gyro, block.accel, None
+        assert gyro is not None
+        assert accel is not None
+        if self._parameters.use_magnetometer:
+            mag = block.mag
+        if mag is None:
+            mag = np.full((n, 3), np.nan)
+        elif self._magnetometer is not None:
+            mag = self._magnetometer.corrected(mag)
+        corrected, bias_sd = block.vector("gyro_corrected"), block.vector("gyro_bias_sd")
+        known, rest, rate = np.zeros(n, bool), np.zeros(n, bool), gyro
+        if corrected is not None:
+            known = _whole(corrected)
+            rate = corrected if known.all() else np.where(known[:, np.newaxis], corrected, gyro)
+            rest = known & np.asarray(block.columns.get("at_rest", np.zeros(n, np.int64)) == 1)
+        values = np.empty((n, _COLUMNS))
+        values[:, :3], values[:, 3:6], values[:, 6:9] = rate, accel, mag
+        values[:, 9:12] = np.nan if bias_sd is None else bias_sd
+        values[:, _REST] = rest
+        time_ns, segment = block["device_time_ns"], block["segment"]
+        begins, interval_s = self._intervals(time_ns, segment)
+        angle = rate * (interval_s * ~rest)[:, np.newaxis]
+        has_mag = _whole(mag)
+        readings = Readings(time_ns, angle, _or_zero(accel), _or_zero(mag), has_mag)
+        slots = self._slots.process(time_ns, segment, values)
+        q, north, sd = np.full((n, 4), np.nan), np.zeros(n, np.int64), np.empty((2, n))
+        return _Rows(readings, known, begins, slots, q, north, sd)
+
+    def _follow(self, rows: _Rows) -> None:
+        """Run the filter from edge to edge: a slot has ended, it begins anew, the bias is known from here."""
+        n, known = len(rows.q), rows.bias_known
+        ended = {int(row): k for k, row in enumerate(rows.slots.row)}
+        learned = np.flatnonzero(known[1:] != known[:-1]) + 1
+        edges = sorted({0, n, *rows.begins, *ended, *learned.tolist()})
+        for start, stop in pairwise(edges):
+            if start in ended:
+                self._judge(rows.slots, ended[start])
+            if start in rows.begins:
+                self._fusion, self._uncertainty = Fusion(), Uncertainty()
+            fusion = self._fusion
+            fusion.process(rows.readings, start, stop, bool(known[start]), rows.q, rows.north)
+            if self._down == 0.0 and fusion.begun:
+                self._down = 1.0 if matrix(fusion.last)[2, 2] < 0.0 else -1.0
+            if not rows.north[start:stop].all() and fusion.begun:
+                free = rows.q[start:stop][rows.north[start:stop] == 0]
+                rows.q[start:stop][rows.north[start:stop] == 0] = turned_clockwise(
+                    free, self._heading - fusion.first_heading
+                )
+            rows.sd[0, start:stop], rows.sd[1, start:stop] = (
+                self._uncertainty.tilt_sd,
+                self._uncertainty.heading_sd,
+            )
+
+    def _intervals(self, time_ns: IntArray, segment: IntArray) -> tuple[set[int], FloatArray]:
+        """Return the rows that begin anew, after a restart or a gap, and the time since the row before, s."""
+        if not len(time_ns):
+            return set(), np.empty(0)
+        last_ns, last_segment = self._last or (int(time_ns[0]), int(segment[0]))
+        self._last = int(time_ns[-1]), int(segment[-1])
+        interval = np.empty_like(time_ns)
+        interval[0], interval[1:] = time_ns[0] - last_ns, time_ns[1:] - time_ns[:-1]
+        changed = np.empty(len(segment), bool)
+        changed[0], changed[1:] = segment[0] != last_segment, segment[1:] != segment[:-1]
+        gap = (interval > GAP_NS) & ~changed
+        self._gaps += int(gap.sum())
+        begins = set(np.flatnonzero(changed | gap | (interval < 0)).tolist())
+        return begins, np.asarray(interval * 1e-9, np.float64)
+
+    def _judge(self, slots: Slots, k: int) -> None:
+        """Say how far the attitude may be off, by a slot that has ended."""
+        fusion = self._fusion
+        start_ns = int(slots.start_ns[k]) if slots.begins[k] else self._ended_ns
+        self._ended_ns = int(slots.end_ns[k])
+        if not fusion.begun:
+            return
+        mean = slots.mean[k]
+        self._uncertainty.step(
+            Slot(
+                seconds=(self._ended_ns - start_ns) * 1e-9,
+                rest=bool(slots.smallest[k, _REST] == 1.0),
+                rate=mean[:3],
+                force=mean[3:6],
+                mag=mean[6:9],
+                bias_sd=mean[9:12],
+                attitude=matrix(fusion.last),
+                gyro_only=matrix(fusion.gyro_only()),
+                north=fusion.north,
+                disturbed=fusion.disturbed,
+            ),
+            self._errors,
+        )
+
+    def lanes(self) -> Mapping[str, str]:
+        """Return what the heading of the estimated attitude refers to."""
+        if not self._fusion.begun:
+            return {"attitude": "waiting"}
+        if not self._fusion.north:
+            return {"attitude": "heading free"}
+        if self._fusion.disturbed:
+            return {"attitude": "disturbed: magnetic field"}
+        calibrated = self._magnetometer is not None
+        return {"attitude": "magnetic north" if calibrated else "magnetic north, magnetometer not calibrated"}
+
+    def notices(self) -> list[str]:
+        """Return, once each, what is missing for a whole attitude."""
+        begun = self._fusion.begun
+        conditions = {
+            "attitude: without a magnetometer the heading is free; it counts from "
+            f"{math.degrees(self._heading):.0f}° at the beginning": begun and not self._fusion.north,
+            "attitude: the magnetometer is not calibrated, so nobody knows how far the heading is off; "
+            "record a figure-eight, then: imumon magnetometer SESSION --out MODEL.yaml": (
+                self._fusion.north and self._magnetometer is None
+            ),
+            f"attitude: begun anew after a gap of more than {GAP_NS * 1e-9:g} s, in which the unit may have "
+            "turned": self._gaps > 0,
+        }
+        texts = [text for text, true in conditions.items() if true and text not in self._said]
+        self._said.update(texts)
+        return texts
+
+
+def _whole(vectors: FloatArray) -> npt.NDArray[np.bool_]:
+    """Return which vectors have all components, (n,)."""
+    return np.asarray(np.isfinite(vectors).all(1))
+
+
+def _or_zero(vectors: FloatArray) -> FloatArray:
+    """Return whole vectors as they are, others as zero: what VQF passes over, (n, 3)."""
+    finite = _whole(vectors)
+    return vectors if finite.all() else np.where(finite[:, np.newaxis], vectors, 0.0)
+
+
+def _spread(values: ColumnArray, missing: float, which: IntArray, n: int) -> ColumnArray:
+    """Return values of some rows among n, (..., n)."""
+    result = np.full((*values.shape[:-1], n), missing, values.dtype)
+    result[..., which] = values
+    return result

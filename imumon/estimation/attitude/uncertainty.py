@@ -1,0 +1,202 @@
+"""How far the attitude may be off: tilt by what the accelerometers may be, heading by what the gyros may be.
+
+At rest the specific force shows the vertical but for the accelerometers' error, and the filter may still be
+on its way there.  In motion the filter takes accelerations for gravity, nobody knows how much; but
+the gyros have carried the vertical of the last rest along, with errors that are known.  So::
+
+    rest      tilt² = (accelerometer / g)² + (filter's up less the measured up)²
+    motion    tilt² = (accelerometer / g)² + turned² + (filter's up less the gyros' up)²
+    turned    = ∫ C (bias + M ω) dt, the bias and the matrix M of scale and misalignment staying as they are
+    heading   its part about the vertical; it stays at rest
+
+A magnetometer that is calibrated ties the heading down: its error over the horizontal field, the tilt times
+the tangent of the dip, and what the gyros have added, which the filter forgets with its time constant.  In a
+long motion this is a bound: nobody knows how far the accelerometers have kept the tilt better than the gyros.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from imumon.blocks import FloatArray
+from imumon.estimation.attitude.fusion import TAU_MAG_S
+from imumon.geodesy import STANDARD_GRAVITY
+
+GRAVITY_SPREAD = 0.03
+"""m/s²: between equator and poles gravity differs by no more from the standard (WGS-84: 9.780 to 9.832)."""
+UNKNOWN = 1.0
+"""Beyond so much, rad, an error is no small angle any more, and its standard deviation says nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class Errors:
+    """Standard deviations that are known beforehand.
+
+    Parameters
+    ----------
+    accel : float
+        m/s².
+    scale : float
+        Of the angle turned over itself.
+    earth_rate : float
+        What of the earth rate the bias does not hold, rad/s.
+    magnetometer : float
+        Unit of the field; NaN when it is not calibrated.
+    """
+
+    accel: float
+    scale: float
+    earth_rate: float
+    magnetometer: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Slot:
+    """Half a second: length, whether it was at rest, and means, (3,) each, in body axes.
+
+    Parameters
+    ----------
+    rate, force, mag : array (3,)
+        rad/s, m/s², unit of the field; NaN where there is none.
+    bias_sd : array (3,)
+        rad/s; NaN where the bias is not known.
+    attitude, gyro_only : array (3, 3)
+        At its end, from body axes to east-north-up, and to axes of the gyros' own.
+    north, disturbed : bool
+        Whether the heading is by the magnetometer, and whether the field is disturbed.
+    """
+
+    seconds: float
+    rest: bool
+    rate: FloatArray
+    force: FloatArray
+    mag: FloatArray
+    bias_sd: FloatArray
+    attitude: FloatArray
+    gyro_only: FloatArray
+    north: bool
+    disturbed: bool
+
+
+@dataclass(slots=True, eq=False)
+class Turned:
+    """Error of the angles since some moment, east, north, up, for each error of the gyros that stays.
+
+    Parameters
+    ----------
+    bias : array (3, 3)
+        ∫ C sd dt: by the bias of each gyro, rad.
+    scale : array (3, 3, 3)
+        ∫ C ω dt: by each element of the matrix of scale and misalignment; what turns back takes it back.
+    earth : float
+        By the earth rate that the bias does not hold, rad.
+    """
+
+    bias: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
+    scale: FloatArray = field(default_factory=lambda: np.zeros((3, 3, 3)))
+    earth: float = 0.0
+
+    def add(self, slot: Slot, errors: Errors) -> None:
+        """Add a slot."""
+        self.bias += slot.attitude * slot.bias_sd * slot.seconds
+        self.scale += slot.attitude[:, :, np.newaxis] * slot.rate * slot.seconds
+        self.earth += errors.earth_rate * slot.seconds
+
+    def forget(self, keep: float) -> None:
+        """Keep a share."""
+        self.bias *= keep
+        self.scale *= keep
+        self.earth *= keep
+
+    def variance(self, errors: Errors) -> FloatArray:
+        """Return the variance of the angles about east, north and up, rad², (3,)."""
+        scale = errors.scale**2 * (self.scale**2).sum((1, 2))
+        return np.asarray((self.bias**2).sum(1) + scale + self.earth**2)
+
+
+@dataclass(slots=True, eq=False)
+class Uncertainty:
+    """What has come together since the attitude began.
+
+    Parameters
+    ----------
+    up : array (3,)
+        Up at the last rest, in the axes of the gyros alone; NaN before the first rest.
+    accel_sd : float
+        Tilt by the accelerometers, rad.
+    since_rest, since_north : Turned
+        What the vertical of the last rest has gone through, and the heading since it was last tied down.
+    heading_variance : float
+        By the bias in the motions before, rad²: each rest measures the bias anew.
+    tilt_sd, heading_sd : float
+        rad; NaN where nothing can be said.
+    """
+
+    up: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
+    accel_sd: float = math.nan
+    since_rest: Turned = field(default_factory=Turned)
+    since_north: Turned = field(default_factory=Turned)
+    heading_variance: float = 0.0
+    tilt_sd: float = math.nan
+    heading_sd: float = math.nan
+
+    def step(self, slot: Slot, errors: Errors) -> None:
+        """Follow one slot."""
+        up = slot.attitude[2]
+        if slot.rest and np.isfinite(slot.force).all():
+            measured = self._come_to_rest(slot, errors)
+            self.tilt_sd = _small(math.hypot(self.accel_sd, _angle(up, measured)))
+        else:
+            if math.isfinite(self.accel_sd):
+                self.since_rest.add(slot, errors)
+                self.since_north.add(slot, errors)
+            carried = _angle(up, slot.gyro_only.T @ self.up)
+            turned = math.sqrt(float(self.since_rest.variance(errors)[:2].mean()))
+            self.tilt_sd = _small(math.hypot(self.accel_sd, turned, carried))
+        if slot.north:
+            self.heading_sd = self._magnetic(slot, errors)
+        else:
+            self.heading_sd = _small(self._drifted(errors)) if math.isfinite(self.accel_sd) else math.nan
+
+    def _come_to_rest(self, slot: Slot, errors: Errors) -> FloatArray:
+        """Take the vertical that the accelerometers show, and close the account of a motion."""
+        magnitude = float(np.linalg.norm(slot.force))
+        contradiction = max(abs(magnitude - STANDARD_GRAVITY) - GRAVITY_SPREAD, 0.0)
+        self.accel_sd = max(errors.accel, contradiction) / STANDARD_GRAVITY
+        measured = slot.force / magnitude
+        self.up = slot.gyro_only @ measured
+        self.heading_variance += float((self.since_north.bias[2] ** 2).sum())
+        self.since_north.bias[:] = 0.0
+        self.since_rest = Turned()
+        return np.asarray(measured)
+
+    def _drifted(self, errors: Errors) -> float:
+        """Return the standard deviation of the heading by the gyros, rad."""
+        return math.sqrt(self.heading_variance + float(self.since_north.variance(errors)[2]))
+
+    def _magnetic(self, slot: Slot, errors: Errors) -> float:
+        """Return the standard deviation of a heading that follows the magnetometer, rad."""
+        if not slot.disturbed:
+            # What the gyros have added is forgotten as the filter follows the field.
+            keep = math.exp(-slot.seconds / TAU_MAG_S)
+            self.since_north.forget(keep)
+            self.heading_variance *= keep * keep
+        vertical = float(slot.mag @ slot.attitude[2])
+        horizontal = math.sqrt(max(float(slot.mag @ slot.mag) - vertical * vertical, 0.0))
+        if not horizontal > 0.0:
+            return math.nan
+        tied = math.hypot(errors.magnetometer, vertical * self.tilt_sd) / horizontal
+        return _small(math.hypot(tied, self._drifted(errors)))
+
+
+def _angle(a: FloatArray, b: FloatArray) -> float:
+    """Return the angle between two directions, rad; small ones to full precision."""
+    chord = math.sqrt(float((a - b) @ (a - b)))
+    return 2.0 * math.asin(min(0.5 * chord, 1.0)) if math.isfinite(chord) else math.nan
+
+
+def _small(sd: float) -> float:
+    return sd if sd < UNKNOWN else math.nan

@@ -1,0 +1,185 @@
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Literal
+
+import numpy as np
+import pytest
+
+from imumon.blocks import NO_INT, SampleBlock, join
+from imumon.estimation.attitude.parameters import AttitudeParameters
+from imumon.estimation.attitude.stage import AttitudeEstimate
+from imumon.estimation.gyro_bias.stage import GyroBias
+from imumon.estimation.rest.stage import RestDetector
+from imumon.models.magnetometer import MagnetometerModel
+from tests.estimation.attitude.scenes import NORTH_DEG, matrices, scene, without_mag, wrapped
+
+Q = [f"attitude_estimate_{part}" for part in "wxyz"]
+CALIBRATED = MagnetometerModel(
+    unit="uT",
+    hard_iron=[0.0] * 3,
+    hard_iron_sd=[0.05] * 3,
+    soft_iron=np.eye(3).tolist(),
+    soft_iron_sd=np.full((3, 3), 1e-3).tolist(),
+    field=47.0,
+    residual_sd=0.1,
+    coverage=1.0,
+)
+
+
+def estimated(block: SampleBlock, stage: AttitudeEstimate) -> SampleBlock:
+    for before in (RestDetector(), GyroBias(mode="learned")):
+        block = block.with_columns(before.process(block))
+    return SampleBlock(dict(stage.process(block)))
+
+
+@pytest.mark.parametrize("axes", ["FRD", "FLU"])
+@pytest.mark.parametrize("rate_hz", [50.0, 400.0])
+def test_it_follows_turns_and_its_errors_are_as_its_sigma_says(
+    axes: Literal["FRD", "FLU"], rate_hz: float
+) -> None:
+    # The simulated gyros have no error of scale; three mg are drawn for the accelerometers.
+    given = AttitudeParameters(gyro_scale=1e-3, accel_bias_m_per_s2=0.03)
+    for seed in (1, 2):
+        made = scene(axes, rate_hz, seed=seed)
+        stage = AttitudeEstimate(given, axes, CALIBRATED)
+        found = estimated(made.block, stage)
+        turn = matrices(np.column_stack([found[name] for name in Q])) @ np.swapaxes(made.attitude, 1, 2)
+        later = np.isfinite(found["attitude_estimate_heading_sd"])
+        assert later[int(30 * rate_hz) :].all()
+        tilt = (
+            np.column_stack([turn[:, 1, 2], turn[:, 0, 2]])
+            / found["attitude_estimate_tilt_sd"][:, np.newaxis]
+        )
+        heading = found["attitude_estimate_heading"] - np.arctan2(
+            made.attitude[:, 0, 0], made.attitude[:, 1, 0]
+        )
+        error = wrapped(heading + np.radians(NORTH_DEG)) / found["attitude_estimate_heading_sd"]
+        assert np.sqrt(np.mean(tilt[later] ** 2)) < 1.8
+        assert np.abs(tilt[later]).max() < 5.0
+        assert np.sqrt(np.mean(error[later] ** 2)) < 1.8
+        assert np.abs(error[later]).max() < 5.0
+        settled = later & made.at_rest & (np.arange(len(later)) > 100 * rate_hz)
+        assert found["attitude_estimate_heading_sd"][settled].max() < np.radians(2.0)
+        assert found["attitude_estimate_tilt_sd"][settled].max() < np.radians(0.3)
+        assert stage.lanes() == {"attitude": "magnetic north"}
+        assert (found["attitude_estimate_north"][later] == 1).all()
+
+
+@pytest.mark.parametrize("axes", ["FRD", "FLU"])
+def test_roll_and_pitch_are_those_that_the_device_would_send(axes: Literal["FRD", "FLU"]) -> None:
+    made = scene(axes)
+    found = estimated(made.block, AttitudeEstimate(axes=axes))
+    up = made.attitude[:, 2] * (-1.0 if axes == "FRD" else 1.0)
+    late = slice(1000, None)
+    roll, pitch = np.arctan2(up[:, 1], up[:, 2]), -np.arcsin(up[:, 0])
+    assert np.abs(found["attitude_estimate_roll"] - roll)[late].max() < np.radians(1.0)
+    assert np.abs(found["attitude_estimate_pitch"] - pitch)[late].max() < np.radians(1.0)
+    unknown = estimated(made.block, AttitudeEstimate())
+    np.testing.assert_array_equal(unknown["attitude_estimate_roll"], found["attitude_estimate_roll"])
+
+
+def test_without_a_magnetometer_the_heading_is_free_and_its_change_has_a_sigma() -> None:
+    for seed in (1, 2, 3):
+        made = scene(seed=seed)
+        stage = AttitudeEstimate(AttitudeParameters(gyro_scale=1e-3), "FRD", heading_deg=10.0)
+        found = estimated(without_mag(made.block), stage)
+        heading = np.unwrap(found["attitude_estimate_heading"][20:])
+        true = np.unwrap(np.arctan2(made.attitude[20:, 0, 0], made.attitude[20:, 1, 0]))
+        assert wrapped(heading[:1] - np.radians(10.0)) == pytest.approx(0.0, abs=0.01)
+        error = heading - true - (heading - true)[3000]
+        sd = found["attitude_estimate_heading_sd"][20:]
+        assert np.degrees(sd[-1]) < 2.0
+        assert abs(error[-1]) < 4.0 * sd[-1]
+        assert np.isnan(sd[0])  # nothing is known of the bias yet
+        assert (found["attitude_estimate_north"][20:] == 0).all()
+        assert stage.lanes() == {"attitude": "heading free"}
+        assert [text for text in stage.notices() if "heading is free; it counts from 10°" in text]
+        assert stage.notices() == []
+
+
+def test_a_heading_at_rest_does_not_drift() -> None:
+    made = scene(turns=False)
+    found = estimated(without_mag(made.block), AttitudeEstimate(axes="FRD"))
+    heading = np.unwrap(found["attitude_estimate_heading"][1500:])
+    assert np.ptp(heading) < np.radians(0.02)  # the bias alone would turn it by seven degrees
+
+
+def test_a_magnetometer_without_calibration_gives_north_but_no_sigma() -> None:
+    made = scene()
+    stage = AttitudeEstimate(axes="FRD")
+    found = estimated(made.block, stage)
+    assert (found["attitude_estimate_north"][20:] == 1).all()
+    assert np.isnan(found["attitude_estimate_heading_sd"]).all()
+    assert np.isfinite(found["attitude_estimate_tilt_sd"][-1])
+    assert stage.lanes() == {"attitude": "magnetic north, magnetometer not calibrated"}
+    assert any("imumon magnetometer" in text for text in stage.notices())
+
+
+def test_hard_and_soft_iron_are_taken_out() -> None:
+    made = scene()
+    soft = np.array([[1.1, 0.05, 0.0], [0.05, 0.9, 0.02], [0.0, 0.02, 1.0]])
+    hard = np.array([15.0, -20.0, 8.0])
+    mag = made.block.mag
+    assert mag is not None
+    bent = mag @ np.linalg.inv(soft).T + hard
+    block = made.block.with_columns({f"mag_{axis}": bent[:, j] for j, axis in enumerate("xyz")})
+    model = CALIBRATED.model_copy(update={"hard_iron": hard.tolist(), "soft_iron": soft.tolist()})
+    plain = estimated(made.block, AttitudeEstimate(axes="FRD", magnetometer=CALIBRATED))
+    found = estimated(block, AttitudeEstimate(axes="FRD", magnetometer=model))
+    bare = estimated(block, AttitudeEstimate(axes="FRD"))
+    away = wrapped(found["attitude_estimate_heading"] - plain["attitude_estimate_heading"])
+    assert np.abs(away[3000:]).max() < np.radians(0.01)
+    wrong = wrapped(bare["attitude_estimate_heading"] - plain["attitude_estimate_heading"])
+    assert np.abs(wrong[3000:]).max() > np.radians(20.0)
+
+
+@pytest.mark.parametrize("slower", [1, 4])
+def test_the_result_does_not_depend_on_the_blocks(slower: int) -> None:
+    made = scene(seconds=70.0)
+    block = made.block
+    rows = np.arange(len(block))
+    sparse = {f"mag_{axis}": np.where(rows % slower == 0, block[f"mag_{axis}"], np.nan) for axis in "xyz"}
+    segment = (rows >= 5000).astype(np.int64)
+    time_ns = block["device_time_ns"] + np.where(rows >= 3000, 700_000_000, 0)
+    time_ns = np.where(rows == 1234, NO_INT, time_ns - np.where(rows >= 5000, time_ns[5000], 0))
+    accel = {"accel_x": np.where((rows > 2000) & (rows < 2005), np.nan, block["accel_x"])}
+    gyro = {"gyro_y": np.where((rows > 2500) & (rows < 2504), np.nan, block["gyro_y"])}
+    block = block.with_columns({**sparse, **accel, **gyro, "segment": segment, "device_time_ns": time_ns})
+    for before in (RestDetector(), GyroBias(mode="learned")):
+        block = block.with_columns(before.process(block))
+    whole = AttitudeEstimate(axes="FRD").process(block)
+    cuts = np.unique(np.random.default_rng(4).integers(1, len(block), 60)).tolist()
+    for edges in ([0, *cuts, len(block)], [*range(0, len(block), 7), len(block)]):
+        stage = AttitudeEstimate(axes="FRD")
+        parts = [SampleBlock(dict(stage.process(block.rows(a, b)))) for a, b in pairwise(edges) if a < b]
+        pieces = join(parts)
+        for name, expected in whole.items():
+            np.testing.assert_array_equal(pieces[name], expected, err_msg=name)
+    q = whole["attitude_estimate_w"]
+    assert np.isnan(q[[0, 1234, 2501, 3000, 5000]]).all()  # no rate known yet, no time, no gyro, begun anew
+    assert np.isfinite(q[[20, 2002, 2999, 3020, 4999, 5020]]).all()
+    assert whole["attitude_estimate_north"][3000] == NO_INT
+    assert any("begun anew after a gap" in text for text in stage.notices())
+
+
+def test_intervals_that_differ_do_not_turn_the_heading() -> None:
+    made = scene(seconds=100.0)
+    keep = np.ones(len(made.block), bool)
+    keep[np.random.default_rng(2).permutation(np.arange(3000, 10_000))[:2500]] = False
+    keep[-1] = True
+    block = without_mag(SampleBlock({name: values[keep] for name, values in made.block.columns.items()}))
+    found = estimated(block, AttitudeEstimate(AttitudeParameters(gyro_scale=1e-3), "FRD"))
+    heading = np.unwrap(found["attitude_estimate_heading"][20:])
+    true = np.unwrap(np.arctan2(made.attitude[keep][20:, 0, 0], made.attitude[keep][20:, 1, 0]))
+    assert abs((heading - true)[-1] - (heading - true)[2900]) < np.radians(2.0)
+
+
+def test_gyros_without_gravity_have_no_attitude() -> None:
+    made = scene(seconds=5.0)
+    names = [name for name in made.block.columns if not name.startswith("accel")]
+    stage = AttitudeEstimate()
+    assert stage.process(SampleBlock({name: made.block[name] for name in names})) == {}
+    assert stage.lanes() == {"attitude": "waiting"}
+    silent = made.block.with_columns({f"accel_{axis}": np.full(500, np.nan) for axis in "xyz"})
+    assert np.isnan(stage.process(silent)["attitude_estimate_w"]).all()
