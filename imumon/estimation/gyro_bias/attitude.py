@@ -180,8 +180,7 @@ def turned_earth(up: FloatArray, place: Place, turn: Turn) -> FloatArray:
     if place.oriented:
         return np.zeros(3)
     change = turn.matrix - np.eye(3)
+    square = (change * change) @ np.ones(3)
     if math.isfinite(place.latitude):
-        shape = 0.5 * place.horizontal**2 * (np.eye(3) - np.outer(up, up))
-    else:
-        shape = place.horizontal**2 / 3.0 * np.eye(3)
-    return np.diag(change @ shape @ change.T).copy()
+        return np.asarray(0.5 * place.horizontal**2 * (square - (change @ up) ** 2))
+    return np.asarray(place.horizontal**2 / 3.0 * square)

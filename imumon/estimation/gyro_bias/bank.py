@@ -302,7 +302,7 @@ def law(bank: Bank, family: Family) -> tuple[FloatArray, FloatArray]:
 
     The terms are those of `law.Law`.  Before the pose has changed, `family` says what the sensitivities are.
     """
-    unseen2 = float(np.mean(family.sensitivity_sd**2))
+    unseen2 = float(family.sensitivity_sd @ family.sensitivity_sd) / len(family.sensitivity_sd)
     return mixture(bank.mean, bank.covariance, bank.weight, unseen2)
 
 

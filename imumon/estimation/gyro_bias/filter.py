@@ -18,7 +18,7 @@ from imumon.compiled import njit
 from imumon.estimation.gyro_bias import bank as filters
 from imumon.estimation.gyro_bias.attitude import Attitude, Place, Turn, turned_earth
 from imumon.estimation.gyro_bias.bank import AtRest, Bank, Family
-from imumon.estimation.gyro_bias.law import Law, at_slot, laws
+from imumon.estimation.gyro_bias.law import LAW, Laws, at_slot, no_law, sd_at_slot
 from imumon.estimation.gyro_bias.white import WhiteNoise
 
 SAME_POSE = 0.02
@@ -216,7 +216,7 @@ class State:
         Variance used so far, and that of coming to rest in another attitude.
     evidence, chosen : array (3,)
         For a slope, and whether it is used.
-    law : Law
+    law : Laws
         The estimate, less the thermal model's part.
     contrary : Contrary
         What speaks against it.
@@ -244,7 +244,7 @@ class State:
     arrival: FloatArray = field(default_factory=_zero)
     evidence: FloatArray = field(default_factory=_zero)
     chosen: npt.NDArray[np.bool_] = field(default_factory=lambda: np.zeros(3, bool))
-    law: Law = field(default_factory=lambda: laws(1)[0])
+    law: Laws = field(default_factory=no_law)
     reference: FloatArray | None = None
 
 
@@ -272,7 +272,7 @@ def step(state: State, params: Params, slot: Slot) -> FloatArray:
 
 
 def _follow_turn(state: State, slot: Slot) -> None:
-    bias, _ = at_slot(state.law)
+    bias = at_slot(state.law)
     known = np.where(np.isfinite(bias), bias, 0.0)
     state.turn.add(slot.turning_s[:, np.newaxis] * (slot.turning - known))
     state.turn.lost |= slot.gap
@@ -294,7 +294,7 @@ def _close(state: State, params: Params, slot: Slot) -> FloatArray:
     """End a slot at rest: let the one before count, and keep this one until the next."""
     attitude = state.attitude
     if state.fresh:
-        drift = (slot.end_s - state.left_s) * float(at_slot(state.law)[1].max())
+        drift = (slot.end_s - state.left_s) * float(sd_at_slot(state.law).max())
         state.arrival = state.arrival + attitude.come_to_rest(
             slot.force, params.place, state.turn, drift, state.turn.lost
         )
@@ -465,26 +465,32 @@ def _show(state: State, params: Params, slot: Slot) -> None:
     may be there all the same.
     """
     assert state.bank is not None
-    law = laws(1)[0]
     mean, covariance = filters.law(state.bank, params.family)
-    law.terms[:], law.covariance[:] = mean[0], covariance[0]
+    terms, known = mean[0], covariance[0]
     if params.learns:
         if state.at_rest:
             slope, variance = mean[1, :, 1], covariance[1, :, 1, 1]
             state.chosen = (slope**2 > SIGNIFICANCE * variance) & (state.evidence > EVIDENCE)
-        own, other = state.chosen.astype(np.int64), (~state.chosen).astype(np.int64)
-        off = mean[other, AXES] - mean[own, AXES]
-        share = 1.0 / (1.0 + np.exp(np.where(state.chosen, state.evidence, -state.evidence)))
-        law.terms[:], known = mean[own, AXES], covariance[own, AXES]
-        further = covariance[other, AXES] - known + off[:, :, np.newaxis] * off[:, np.newaxis]
-        law.covariance[:] = known + share[:, np.newaxis, np.newaxis] * further
+        terms, known = _of_both(mean, covariance, state.chosen, state.evidence)
+    law = np.zeros(1, LAW)
+    law["terms"], law["covariance"], law["degc"] = terms, known, state.at_degc
     if state.reference is not None and slot.force is not None:
-        law.reference[:] = state.reference
-        law.offset[:] = _offset(state, params, slot.force) if state.at_rest else slot.force - state.reference
+        law["reference"] = state.reference
+        law["offset"] = _offset(state, params, slot.force) if state.at_rest else slot.force - state.reference
     if state.contrary.readings:
-        doubt = state.contrary.jump * (state.contrary.rate - at_slot(law)[0]) ** 2
-        law.covariance[:, 0, 0] += doubt
-    law.degc[:], law.earth = state.at_degc, params.place.turning
+        law["covariance"][0, :, 0, 0] += state.contrary.jump * (state.contrary.rate - at_slot(law)) ** 2
+    law["earth"] = params.place.turning
     if not state.at_rest:
-        law.turned[:] = np.sqrt(turned_earth(state.attitude.up, params.place, state.turn))
+        law["turned"] = np.sqrt(turned_earth(state.attitude.up, params.place, state.turn))
     state.law = law
+
+
+def _of_both(
+    mean: FloatArray, covariance: FloatArray, chosen: npt.NDArray[np.bool_], evidence: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the terms of the variant that is chosen on each axis, and the covariance of both together."""
+    own = chosen.astype(np.int64)
+    terms, known = mean[own, AXES], covariance[own, AXES]
+    off, other = mean[1 - own, AXES] - terms, covariance[1 - own, AXES]
+    share = 1.0 / (1.0 + np.exp(np.where(chosen, evidence, -evidence)))[:, np.newaxis, np.newaxis]
+    return terms, known + share * (other - known + off[:, :, np.newaxis] * off[:, np.newaxis])

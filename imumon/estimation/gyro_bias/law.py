@@ -12,71 +12,56 @@ The last is the earth rate, as far as it is part of the bias: it keeps its direc
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from imumon.blocks import FloatArray, IntArray
-from imumon.compiled import njit, records
+from imumon.compiled import njit
 from imumon.estimation.gyro_bias.steps import SENSITIVITY, SLOPE, WALK
 
 TERMS = 5
 """Bias, slope over temperature, and the sensitivity to the specific force along three axes."""
 
 
-class Law:
-    """What a slot says of the bias, of each axis (`imumon.compiled.record`).
-
-    Parameters
-    ----------
-    terms, covariance : array (3, 5), (3, 5, 5)
-        Mean and covariance of the terms: rad/s, rad/s/°C, and rad/s per m/s².
-    degc : array (3,)
-        Temperature of the slot, °C.
-    reference, offset : array (3,)
-        Specific force of the first rest, and by how much that of the slot differs from it, m/s².
-    turned : array (3,)
-        Standard deviation of what the turn since the last rest has made of the earth rate, rad/s.
-    earth : float
-        Earth rate that is part of the bias and turns with it, rad/s.
-    """
-
-    terms: FloatArray
-    covariance: FloatArray
-    degc: FloatArray
-    reference: FloatArray
-    offset: FloatArray
-    turned: FloatArray
-    earth: float
+LAW = np.dtype(
+    [
+        ("terms", np.float64, (3, TERMS)),
+        ("covariance", np.float64, (3, TERMS, TERMS)),
+        ("degc", np.float64, 3),
+        ("reference", np.float64, 3),
+        ("offset", np.float64, 3),
+        ("turned", np.float64, 3),
+        ("earth", np.float64),
+    ]
+)
+"""What a slot says of the bias, of each axis: mean and covariance of the terms, in rad/s, °C and m/s²; the
+temperature of the slot; the specific force of the first rest, and by how much that of the slot differs from
+it; the standard deviation of what the turn since the last rest has made of the earth rate that is part of the
+bias; and that rate, rad/s."""
+PATH = np.dtype([("angle", np.float64), ("time_ns", np.int64)])
+"""Angle turned since the last slot, rad, and when it was added to."""
+Laws = npt.NDArray[np.void]
 
 
-def laws(count: int) -> Sequence[Law]:
-    """Return an array of laws that say nothing."""
-    three = dict.fromkeys(("degc", "reference", "offset", "turned"), 3)
-    made = records(Law, count, terms=(3, TERMS), covariance=(3, TERMS, TERMS), **three)
-    for law in made:
-        law.terms[:] = law.covariance[:] = np.nan
-    return made
+def no_law() -> Laws:
+    """Return a law that says nothing, (1,)."""
+    law: Laws = np.zeros(1, LAW)
+    law["terms"] = law["covariance"] = np.nan
+    return law
 
 
-def at_slot(law: Law) -> tuple[FloatArray, FloatArray]:
-    """Return the bias at the specific force of the slot, and its standard deviation, rad/s, (3,) each."""
-    row = np.concatenate([[1.0, 0.0], law.offset])
-    variance = law.covariance @ row @ row + law.turned**2
-    return law.terms @ row, np.sqrt(variance)
+def at_slot(law: Laws) -> FloatArray:
+    """Return the bias at the specific force of the slot, rad/s, (3,)."""
+    terms = law["terms"][0]
+    return np.asarray(terms[:, 0] + terms[:, 2:] @ law["offset"][0])
 
 
-def in_order(said: Sequence[tuple[int, Law]], before: Law) -> tuple[IntArray, Sequence[Law]]:
-    """Return the rows from which on laws hold, (m,), and the laws, (m + 1,), first that of before."""
-    found = laws(len(said) + 1)
-    array: Any = found
-    array[0] = before
-    ordered = sorted(said, key=lambda one: one[0])
-    for k, (_, law) in enumerate(ordered):
-        array[k + 1] = law
-    return np.array([row for row, _ in ordered], np.int64), found
+def sd_at_slot(law: Laws) -> FloatArray:
+    """Return its standard deviation, rad/s, (3,)."""
+    row = np.concatenate([[1.0, 0.0], law["offset"][0]])
+    return np.asarray(np.sqrt(law["covariance"][0] @ row @ row + law["turned"][0] ** 2))
 
 
 @njit
@@ -130,18 +115,11 @@ def _gather(p: FloatArray, terms: IntArray, seen: int, found: FloatArray) -> Non
             found[0, 0] += p[i, j]
 
 
-class Path:
-    """Angle turned since the last slot, rad, and when it was added to, ns (`imumon.compiled.record`)."""
-
-    angle: float
-    time_ns: int
-
-
 @njit
 def at_samples(
     rows: IntArray,
     laws: Any,
-    path: Any,
+    since: Any,
     time_ns: IntArray,
     moving: npt.NDArray[np.bool_],
     gyro: FloatArray,
@@ -150,11 +128,12 @@ def at_samples(
     bias: FloatArray,
     sd: FloatArray,
 ) -> None:
-    """Fill in bias and standard deviation of samples, (n, 3); `laws` (m + 1) hold from `rows` (m,) on.
+    """Fill in bias and standard deviation of samples, (n, 3).
 
+    The first of the `laws` (m + 1,) holds at first, the others from `rows` (m,) on; `since` (1,) is a `PATH`.
     At rest, and without accelerometers, the specific force is that of the slot: there its noise says nothing.
     """
-    row, k = np.zeros(TERMS), 0
+    row, k, path = np.zeros(TERMS), 0, since[0]
     for i in range(len(time_ns)):
         while k < len(rows) and rows[k] <= i:
             k += 1

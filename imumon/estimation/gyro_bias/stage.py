@@ -14,13 +14,12 @@ import numpy.typing as npt
 from imumon.blocks import NO_INT, ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.charts import Chart
 from imumon.columns import Column
-from imumon.compiled import record
 from imumon.errors import ImumonError, Reason
 from imumon.estimation.gyro_bias.attitude import Place
 from imumon.estimation.gyro_bias.bank import known_family, unknown_family
 from imumon.estimation.gyro_bias.filter import PATIENCE_S, Params, State, restarted, step
 from imumon.estimation.gyro_bias.intake import SLOT_S, Intake, Samples, complete
-from imumon.estimation.gyro_bias.law import Law, Path, at_samples, in_order, laws
+from imumon.estimation.gyro_bias.law import PATH, Laws, at_samples, no_law
 from imumon.estimation.gyro_bias.parameters import GyroBiasParameters
 from imumon.estimation.gyro_bias.thermal_input import ThermalInput
 from imumon.estimation.gyro_bias.trail import BiasTrail
@@ -89,7 +88,7 @@ class GyroBias:
         self._params = _params(self._parameters, mode, Place(_angle(latitude_deg), _angle(heading_deg)))
         self._state = State()
         self._intake = Intake(self._thermal.doubt)
-        self._law, self._path = laws(1)[0], record(Path)
+        self._law, self._path = no_law(), np.zeros(1, PATH)
         self._trail = BiasTrail(model)
         self._last: tuple[int, int] | None = None
         self._origin_ns = 0
@@ -155,7 +154,7 @@ class GyroBias:
             doubt,
             self._rest(block),
         )
-        said: list[tuple[int, Law]] = []
+        said: list[tuple[int, Laws]] = []
         for row, begins, slot in self._intake.process(samples):
             if begins:
                 self._state = restarted(self._state)
@@ -164,21 +163,12 @@ class GyroBias:
                 innovation[at] = step(self._state, self._params, slot)
             said.append((row, self._state.law))
         # What was known before a restart is void from there until a slot has said something.
-        said += [(row, laws(1)[0]) for row in breaks]
-        rows, held = in_order(said, self._law)
-        self._law = held[-1]
-        at_samples(
-            rows,
-            held,
-            self._path,
-            samples.time_ns,
-            ~samples.rest,
-            samples.gyro,
-            samples.accel,
-            temperature,
-            bias,
-            sd,
-        )
+        said = sorted([*said, *((row, no_law()) for row in breaks)], key=lambda one: one[0])
+        rows = np.array([row for row, _ in said], np.int64)
+        laws = np.concatenate([self._law, *(law for _, law in said)])
+        self._law = laws[-1:].copy()
+        sent = samples.gyro, samples.accel, temperature
+        at_samples(rows, laws, self._path, samples.time_ns, ~samples.rest, *sent, bias, sd)
         bias += total
         hypothesis = block.vector("turn_hypothesis")
         if hypothesis is not None and hypothesis.any():
