@@ -112,6 +112,8 @@ class Slot:
         Temperature of each gyro; NaN without any.
     growth : array (3,)
         What a doubtful temperature has added to the variance of the bias since the start, (rad/s)².
+    undecided : array (3,)
+        A turn, rad/s, of which nobody knew shortly before whether it was a change of the bias; else 0.
     turning : array (k, 3)
         Mean rates of shorter slots since the slot before, rad/s, less the thermal model's part.
     turning_s : array (k,)
@@ -128,6 +130,7 @@ class Slot:
     force: FloatArray | None
     degc: FloatArray
     growth: FloatArray
+    undecided: FloatArray
     turning: FloatArray
     turning_s: FloatArray
     gap: bool
@@ -298,6 +301,7 @@ def _close(state: State, params: Params, slot: Slot) -> FloatArray:
         state.arrival = state.arrival + attitude.come_to_rest(
             slot.force, params.place, state.turn, drift, state.turn.lost
         )
+        state.arrival = state.arrival + slot.undecided**2
     usable = (slot.force is not None) == (attitude.gravity > 0.0)
     tilt = np.zeros(3)
     if usable and slot.force is not None:

@@ -152,6 +152,7 @@ class GyroBias:
             np.full((n, 3), np.nan) if accel is None else accel,
             temperature,
             doubt,
+            _undecided(block),
             self._rest(block),
         )
         said: list[tuple[int, Laws]] = []
@@ -170,10 +171,9 @@ class GyroBias:
         sent = samples.gyro, samples.accel, temperature
         at_samples(rows, laws, self._path, samples.time_ns, ~samples.rest, *sent, bias, sd)
         bias += total
-        hypothesis = block.vector("turn_hypothesis")
-        if hypothesis is not None and hypothesis.any():
+        if samples.turn.any():
             # A turn or a change of the bias, nobody knows yet: the whole of it may be missing in the bias.
-            sd[:] = np.hypot(sd, np.where(np.isfinite(hypothesis), hypothesis, 0.0))
+            sd[:] = np.hypot(sd, samples.turn)
         drift_sd[:] = sd
         np.subtract(gyro, bias, out=corrected)
         np.subtract(bias, curve, out=drift)
@@ -240,6 +240,14 @@ class GyroBias:
                 "the unit turns; the bias is estimated anew"
             )
         return texts
+
+
+def _undecided(block: SampleBlock) -> FloatArray:
+    """Return the turn that may be a change of the bias, 0 where there is none, (n, 3)."""
+    hypothesis = block.vector("turn_hypothesis")
+    if hypothesis is None:
+        return np.zeros((len(block), 3))
+    return np.nan_to_num(hypothesis, copy=False)
 
 
 def _angle(degrees: float | None) -> float:
