@@ -113,7 +113,8 @@ class Slot:
     growth : array (3,)
         What a doubtful temperature has added to the variance of the bias since the start, (rad/s)².
     undecided : array (3,)
-        A turn, rad/s, of which nobody knew shortly before whether it was a change of the bias; else 0.
+        A turn, rad/s, of which nobody knows whether it is a change of the bias, or, at rest, nobody knew
+        until then; else 0.
     turning : array (k, 3)
         Mean rates of shorter slots since the slot before, rad/s, less the thermal model's part.
     turning_s : array (k,)
@@ -485,6 +486,7 @@ def _show(state: State, params: Params, slot: Slot) -> None:
         law["covariance"][0, :, 0, 0] += state.contrary.jump * (state.contrary.rate - at_slot(law)) ** 2
     law["earth"] = params.place.turning
     if not state.at_rest:
+        law["undecided"] = slot.undecided
         law["turned"] = np.sqrt(turned_earth(state.attitude.up, params.place, state.turn))
     state.law = law
 

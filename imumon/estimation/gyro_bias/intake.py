@@ -160,9 +160,9 @@ class Intake:
         follows = bool(before.rest and still and not gap)
         before.rest = bool(slots.last[k, REST] == 1.0) and rest
         # What had not been decided is a change of the bias when the unit is said to be at rest after all.
-        first = slots.first[k, TURN]
-        undecided = first if first.any() else before.turn
-        before.turn = slots.last[k, TURN]
+        first, last = slots.first[k, TURN], slots.last[k, TURN]
+        undecided = (first if first.any() else before.turn) if rest else last
+        before.turn = last
         rates, spans = self._turns.take(int(slots.row[k]))
         degc = np.where(rest, slots.mean[k, DEGC], slots.last[k, DEGC])
         growth = self._doubt.step(slots.last[k, DEGC], slots.last[k, DOUBT])

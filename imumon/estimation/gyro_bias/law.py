@@ -4,9 +4,10 @@ From slot to slot the filters say what the bias is and how it follows the specif
 A unit in the hand is in another pose half a second later, so at each sample in motion::
 
     bias     = terms · r,   r = (1, T - T_slot, f - f_first rest)
-    variance = r · covariance · r + (turned + EARTH_RATE / √3 times the angle turned since the slot)²
+    variance = r · covariance · r + (turned + earth / √3 times the angle turned since the slot)² + undecided²
 
-The last is the earth rate, as far as it is part of the bias: it keeps its direction while the unit turns.
+The earth rate, as far as it is part of the bias, keeps its direction while the unit turns.  Undecided is a
+turn that may be a change of the bias: nobody knows yet, and the whole of it may be missing.
 """
 
 from __future__ import annotations
@@ -33,13 +34,14 @@ LAW = np.dtype(
         ("reference", np.float64, 3),
         ("offset", np.float64, 3),
         ("turned", np.float64, 3),
+        ("undecided", np.float64, 3),
         ("earth", np.float64),
     ]
 )
 """What a slot says of the bias, of each axis: mean and covariance of the terms, in rad/s, °C and m/s²; the
 temperature of the slot; the specific force of the first rest, and by how much that of the slot differs from
 it; the standard deviation of what the turn since the last rest has made of the earth rate that is part of the
-bias; and that rate, rad/s."""
+bias; a turn at the end of the slot that may be a change of the bias; and the earth rate, rad/s."""
 PATH = np.dtype([("angle", np.float64), ("time_ns", np.int64)])
 """Angle turned since the last slot, rad, and when it was added to."""
 Laws = npt.NDArray[np.void]
@@ -125,6 +127,7 @@ def at_samples(
     gyro: FloatArray,
     force: FloatArray,
     degc: FloatArray,
+    turn: FloatArray,
     bias: FloatArray,
     sd: FloatArray,
 ) -> None:
@@ -153,7 +156,8 @@ def at_samples(
                 for n in range(TERMS):
                     variance += row[m] * law.covariance[a, m, n] * row[n]
             earth = law.turned[a] + law.earth / math.sqrt(3.0) * min(path.angle, 2.0)
-            bias[i, a], sd[i, a] = value, math.sqrt(variance + earth * earth)
+            undecided = max(abs(turn[i, a]), abs(law.undecided[a]))
+            bias[i, a], sd[i, a] = value, math.sqrt(variance + earth * earth + undecided * undecided)
 
 
 @njit

@@ -168,12 +168,9 @@ class GyroBias:
         rows = np.array([row for row, _ in said], np.int64)
         laws = np.concatenate([self._law, *(law for _, law in said)])
         self._law = laws[-1:].copy()
-        sent = samples.gyro, samples.accel, temperature
+        sent = samples.gyro, samples.accel, temperature, samples.turn
         at_samples(rows, laws, self._path, samples.time_ns, ~samples.rest, *sent, bias, sd)
         bias += total
-        if samples.turn.any():
-            # A turn or a change of the bias, nobody knows yet: the whole of it may be missing in the bias.
-            sd[:] = np.hypot(sd, samples.turn)
         drift_sd[:] = sd
         np.subtract(gyro, bias, out=corrected)
         np.subtract(bias, curve, out=drift)
