@@ -37,6 +37,11 @@ class Place:
         return math.isfinite(self.heading) and math.isfinite(self.latitude)
 
     @property
+    def turning(self) -> float:
+        """Earth rate that is part of the bias, and turns against the body, rad/s."""
+        return 0.0 if self.oriented else self.horizontal
+
+    @property
     def horizontal(self) -> float:
         """Horizontal earth rate, rad/s; the most it can be where the latitude is not known."""
         return EARTH_RATE * (math.cos(self.latitude) if math.isfinite(self.latitude) else 1.0)
@@ -161,17 +166,21 @@ class Attitude:
             else:
                 self.north = north_in_body(self.up, place.heading)
         elif placed:
-            added = _turned_earth(before, place, turn)
+            added = turned_earth(before, place, turn)
         if math.isfinite(place.latitude):
             self.earth = earth_rate_along(self.up, self.north, place.latitude)
         return added
 
 
-def _turned_earth(up: FloatArray, place: Place, turn: Turn) -> FloatArray:
-    """Cover what a turn does to the part of the earth rate that is taken for bias, its direction unknown."""
+def turned_earth(up: FloatArray, place: Place, turn: Turn) -> FloatArray:
+    """Return the variance of what a turn does to the earth rate that is taken for bias, (3,).
+
+    Its direction is not known; `up` (3,) is that before the turn.
+    """
+    if place.oriented:
+        return np.zeros(3)
     change = turn.matrix - np.eye(3)
+    square = (change * change) @ np.ones(3)
     if math.isfinite(place.latitude):
-        shape = 0.5 * place.horizontal**2 * (np.eye(3) - np.outer(up, up))
-    else:
-        shape = place.horizontal**2 / 3.0 * np.eye(3)
-    return np.diag(change @ shape @ change.T).copy()
+        return np.asarray(0.5 * place.horizontal**2 * (square - (change @ up) ** 2))
+    return np.asarray(place.horizontal**2 / 3.0 * square)

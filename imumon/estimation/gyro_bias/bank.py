@@ -23,10 +23,10 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.estimation.gyro_bias import steps
+from imumon.estimation.gyro_bias.law import mixture
 from imumon.estimation.gyro_bias.steps import ROTATION, SLOPE, STATES, TAUS_S, WALK
 from imumon.filters.noise import flicker_sd
 
-_UNIT = np.eye(STATES)
 SENSITIVITY = slice(steps.SENSITIVITY, STATES)
 FLOOR_PER_MARKOV = 0.776
 """Floor of the Allan deviation of the three processes together, over the standard deviation of one."""
@@ -297,18 +297,13 @@ def mix(bank: Bank, dt: float) -> None:
         steps.mix(bank.mean, bank.covariance, bank.weight, (1.0 - stay) * family.prior, stay)
 
 
-def _moments(bank: Bank, row: FloatArray) -> tuple[FloatArray, FloatArray]:
-    return steps.moments(bank.mean, bank.covariance, bank.weight, row)
+def law(bank: Bank, family: Family) -> tuple[FloatArray, FloatArray]:
+    """Return mean and covariance of the bias and of what it follows, (variants, 3, 5) and one axis more.
 
-
-def bias(bank: Bank, force: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the bias at a specific force (less that of the first rest) and its variance, (variants, 3)."""
-    return _moments(bank, bias_row(bank, force))
-
-
-def slope(bank: Bank) -> tuple[FloatArray, FloatArray]:
-    """Return the slope over temperature, rad/s/°C, and its variance, (variants, 3)."""
-    return _moments(bank, _UNIT[SLOPE])
+    The terms are those of `law.Law`.  Before the pose has changed, `family` says what the sensitivities are.
+    """
+    unseen2 = float(family.sensitivity_sd @ family.sensitivity_sd) / len(family.sensitivity_sd)
+    return mixture(bank.mean, bank.covariance, bank.weight, unseen2)
 
 
 def sensitivity(bank: Bank) -> FloatArray:

@@ -11,12 +11,14 @@ import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from imumon.blocks import FloatArray
 from imumon.compiled import njit
 from imumon.estimation.gyro_bias import bank as filters
-from imumon.estimation.gyro_bias.attitude import Attitude, Place, Turn
+from imumon.estimation.gyro_bias.attitude import Attitude, Place, Turn, turned_earth
 from imumon.estimation.gyro_bias.bank import AtRest, Bank, Family
+from imumon.estimation.gyro_bias.law import LAW, Laws, at_slot, no_law, sd_at_slot
 from imumon.estimation.gyro_bias.white import WhiteNoise
 
 SAME_POSE = 0.02
@@ -50,6 +52,7 @@ MOVED_DEGC = 0.5
 """The temperature has moved when it is this far from where it was last noted: noise does not count."""
 SIGNIFICANCE, EVIDENCE = 9.0, 8.0
 """A slope is used when d² > 9 P_dd and the log-likelihoods differ by more than 8 in its favour."""
+AXES = np.arange(3)
 REFILTERED = (8, 30)
 """Slots of the first rest after which, besides its end, all of it is filtered anew with the noise known."""
 
@@ -109,6 +112,9 @@ class Slot:
         Temperature of each gyro; NaN without any.
     growth : array (3,)
         What a doubtful temperature has added to the variance of the bias since the start, (rad/s)².
+    undecided : array (3,)
+        A turn, rad/s, of which nobody knows whether it is a change of the bias, or, at rest, nobody knew
+        until then; else 0.
     turning : array (k, 3)
         Mean rates of shorter slots since the slot before, rad/s, less the thermal model's part.
     turning_s : array (k,)
@@ -125,6 +131,7 @@ class Slot:
     force: FloatArray | None
     degc: FloatArray
     growth: FloatArray
+    undecided: FloatArray
     turning: FloatArray
     turning_s: FloatArray
     gap: bool
@@ -213,7 +220,7 @@ class State:
         Variance used so far, and that of coming to rest in another attitude.
     evidence, chosen : array (3,)
         For a slope, and whether it is used.
-    bias, sd, slope : array (3,)
+    law : Laws
         The estimate, less the thermal model's part.
     contrary : Contrary
         What speaks against it.
@@ -240,10 +247,8 @@ class State:
     growth: FloatArray = field(default_factory=_zero)
     arrival: FloatArray = field(default_factory=_zero)
     evidence: FloatArray = field(default_factory=_zero)
-    chosen: FloatArray = field(default_factory=lambda: np.zeros(3, bool))
-    bias: FloatArray = field(default_factory=_nothing)
-    sd: FloatArray = field(default_factory=_nothing)
-    slope: FloatArray = field(default_factory=_zero)
+    chosen: npt.NDArray[np.bool_] = field(default_factory=lambda: np.zeros(3, bool))
+    law: Laws = field(default_factory=no_law)
     reference: FloatArray | None = None
 
 
@@ -266,12 +271,13 @@ def step(state: State, params: Params, slot: Slot) -> FloatArray:
         innovation = _close(state, params, slot)
     elif state.bank is not None:
         _coast(state, params, _noise(state, params), slot)
-        _show(state, params, slot.force)
+        _show(state, params, slot)
     return innovation
 
 
 def _follow_turn(state: State, slot: Slot) -> None:
-    known = np.where(np.isfinite(state.bias), state.bias, 0.0)
+    bias = at_slot(state.law)
+    known = np.where(np.isfinite(bias), bias, 0.0)
     state.turn.add(slot.turning_s[:, np.newaxis] * (slot.turning - known))
     state.turn.lost |= slot.gap
     state.contrary.behind_gap |= slot.gap
@@ -292,10 +298,11 @@ def _close(state: State, params: Params, slot: Slot) -> FloatArray:
     """End a slot at rest: let the one before count, and keep this one until the next."""
     attitude = state.attitude
     if state.fresh:
-        drift = (slot.end_s - state.left_s) * float(state.sd.max())
+        drift = (slot.end_s - state.left_s) * float(sd_at_slot(state.law).max())
         state.arrival = state.arrival + attitude.come_to_rest(
             slot.force, params.place, state.turn, drift, state.turn.lost
         )
+        state.arrival = state.arrival + slot.undecided**2
     usable = (slot.force is not None) == (attitude.gravity > 0.0)
     tilt = np.zeros(3)
     if usable and slot.force is not None:
@@ -328,7 +335,7 @@ def _count(state: State, params: Params, reading: Reading) -> FloatArray:
         if count >= params.first_slots:
             state.zeroed, state.first = state.bank is not None, []
     if state.bank is not None:
-        _show(state, params, reading.slot.force)
+        _show(state, params, reading.slot)
     return innovation
 
 
@@ -363,7 +370,7 @@ def _filter_again(state: State, params: Params) -> None:
     state.reference = begin.force
     for k, reading in enumerate(state.first):
         _take(state, params, state.bank, noise, replace(reading, fresh=reading.fresh and k > 0))
-    _show(state, params, state.first[-1].slot.force)
+    _show(state, params, state.first[-1].slot)
 
 
 @njit
@@ -438,8 +445,6 @@ def _take(state: State, params: Params, bank: Bank, noise: Noise, reading: Readi
     if params.learns:
         fade = math.exp(-dt / FORGETTING_S)
         state.evidence = fade * state.evidence + likelihood[1] - likelihood[0]
-        slope, variance = filters.slope(bank)
-        state.chosen = (slope[1] ** 2 > SIGNIFICANCE * variance[1]) & (state.evidence > EVIDENCE)
     return shown
 
 
@@ -458,23 +463,40 @@ def _refuse(state: State, params: Params, bank: Bank, reading: Reading) -> None:
         state.first, state.zeroed = [], True
 
 
-def _show(state: State, params: Params, force: FloatArray | None) -> None:
-    """Make the estimate of the bank the one that is shown.
+def _show(state: State, params: Params, slot: Slot) -> None:
+    """Make the law of the bank the one that is shown.
 
-    The standard deviation is that of both variants, with and without slope, each by its likelihood: a slope
-    that is not proven may be there all the same.
+    It is that of both variants, with and without slope, each by its likelihood: a slope that is not proven
+    may be there all the same.
     """
     assert state.bank is not None
-    value, variance = filters.bias(state.bank, _offset(state, params, force))
-    state.bias, state.slope = value[0], np.zeros(3)
-    spread = variance[0]
-    if len(value) > 1:
-        chosen = state.chosen
-        state.bias = np.where(chosen, value[1], value[0])
-        state.slope = np.where(chosen, filters.slope(state.bank)[0][1], 0.0)
-        share = 1.0 / (1.0 + np.exp(np.where(chosen, state.evidence, -state.evidence)))
-        own, both = np.where(chosen, variance[1], variance[0]), variance[0] + variance[1]
-        spread = own + share * (both - 2.0 * own + (value[1] - value[0]) ** 2)
+    mean, covariance = filters.law(state.bank, params.family)
+    terms, known = mean[0], covariance[0]
+    if params.learns:
+        if state.at_rest:
+            slope, variance = mean[1, :, 1], covariance[1, :, 1, 1]
+            state.chosen = (slope**2 > SIGNIFICANCE * variance) & (state.evidence > EVIDENCE)
+        terms, known = _of_both(mean, covariance, state.chosen, state.evidence)
+    law = np.zeros(1, LAW)
+    law["terms"], law["covariance"], law["degc"] = terms, known, state.at_degc
+    if state.reference is not None and slot.force is not None:
+        law["reference"] = state.reference
+        law["offset"] = _offset(state, params, slot.force) if state.at_rest else slot.force - state.reference
     if state.contrary.readings:
-        spread = spread + state.contrary.jump * (state.contrary.rate - state.bias) ** 2
-    state.sd = np.sqrt(spread)
+        law["covariance"][0, :, 0, 0] += state.contrary.jump * (state.contrary.rate - at_slot(law)) ** 2
+    law["earth"] = params.place.turning
+    if not state.at_rest:
+        law["undecided"] = slot.undecided
+        law["turned"] = np.sqrt(turned_earth(state.attitude.up, params.place, state.turn))
+    state.law = law
+
+
+def _of_both(
+    mean: FloatArray, covariance: FloatArray, chosen: npt.NDArray[np.bool_], evidence: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the terms of the variant that is chosen on each axis, and the covariance of both together."""
+    own = chosen.astype(np.int64)
+    terms, known = mean[own, AXES], covariance[own, AXES]
+    off, other = mean[1 - own, AXES] - terms, covariance[1 - own, AXES]
+    share = 1.0 / (1.0 + np.exp(np.where(chosen, evidence, -evidence)))[:, np.newaxis, np.newaxis]
+    return terms, known + share * (other - known + off[:, :, np.newaxis] * off[:, np.newaxis])

@@ -20,8 +20,8 @@ GAP_S = 0.25
 LEAST_COVERED = 0.5
 """Share of a slot that must have samples, else there is a gap in it."""
 # Columns of the gatherer.
-AT_REST_RATE, AT_REST_FORCE, RATE, FORCE, DEGC, DOUBT = (slice(3 * i, 3 * i + 3) for i in range(6))
-REST, COLUMNS = 18, 19
+AT_REST_RATE, AT_REST_FORCE, RATE, FORCE, DEGC, DOUBT, TURN = (slice(3 * i, 3 * i + 3) for i in range(7))
+REST, COLUMNS = 21, 22
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,6 +37,8 @@ class Samples:
         m/s²; NaN where there is none.
     degc, doubt : array (n, 3)
         Temperature, and standard deviation of the thermal model for want of knowledge of its state, rad/s.
+    turn : array (n, 3)
+        A turn that may be a change of the bias, rad/s; 0 where there is none.
     rest : array of bool (n,)
     """
 
@@ -46,17 +48,20 @@ class Samples:
     accel: FloatArray
     degc: FloatArray
     doubt: FloatArray
+    turn: FloatArray
     rest: npt.NDArray[np.bool_]
 
 
 @dataclass(slots=True, eq=False)
 class _Before:
-    """The slot before: end and usual interval, s; whether it was at rest at its end; origin of time."""
+    """The slot before: end and usual interval, s; whether it was at rest at its end, and what was undecided
+    there; origin of time."""
 
     origin_ns: int = 0
     end_s: float = 0.0
     interval_s: float = 0.0
     rest: bool = False
+    turn: FloatArray = field(default_factory=lambda: np.zeros(3))
 
 
 @dataclass(slots=True, eq=False)
@@ -119,7 +124,7 @@ class Intake:
         values[:, AT_REST_FORCE] = np.where(rest, force, np.nan)
         values[:, RATE], values[:, FORCE] = samples.gyro, force
         values[:, DEGC], values[:, DOUBT] = samples.degc, samples.doubt
-        values[:, REST] = samples.rest
+        values[:, TURN], values[:, REST] = samples.turn, samples.rest
         slots = self._gatherer.process(time_ns, samples.segment, values)
         self._turns.add(self._fine.process(time_ns, samples.segment, samples.gyro))
         for k in range(len(slots)):
@@ -154,6 +159,10 @@ class Intake:
         rest = bool(still or (arrives and slots.last[k, REST] == 1.0))
         follows = bool(before.rest and still and not gap)
         before.rest = bool(slots.last[k, REST] == 1.0) and rest
+        # What had not been decided is a change of the bias when the unit is said to be at rest after all.
+        first, last = slots.first[k, TURN], slots.last[k, TURN]
+        undecided = (first if first.any() else before.turn) if rest else last
+        before.turn = last
         rates, spans = self._turns.take(int(slots.row[k]))
         degc = np.where(rest, slots.mean[k, DEGC], slots.last[k, DEGC])
         growth = self._doubt.step(slots.last[k, DEGC], slots.last[k, DOUBT])
@@ -166,5 +175,16 @@ class Intake:
             return None
         forced = bool(slots.count[k, which.start])
         return Slot(
-            start, end, follows, rest, rate, force if forced else None, degc, growth, rates, spans, gap
+            start,
+            end,
+            follows,
+            rest,
+            rate,
+            force if forced else None,
+            degc,
+            growth,
+            undecided,
+            rates,
+            spans,
+            gap,
         )

@@ -228,33 +228,3 @@ def mix(
                             p[i, j] += taken * (cover[i, j] - p[i, j] + (1.0 - taken) * spread)
                     for i in range(states):
                         x[i] -= taken * (x[i] - common[i])
-
-
-@njit
-def moments(
-    mean: FloatArray, covariance: FloatArray, weight: FloatArray, row: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return mean and variance over the filters of a sum of states, `row` (10,) times x, (variants, 3)."""
-    variants, axes, filters = weight.shape
-    first, second = np.zeros((variants, axes)), np.zeros((variants, axes))
-    value, variance = np.empty(filters), np.empty(filters)
-    for v in range(variants):
-        for a in range(axes):
-            for h in range(filters):
-                value[h], variance[h] = _project(mean[v, a, h], covariance[v, a, h], row)
-                first[v, a] += weight[v, a, h] * value[h]
-            for h in range(filters):
-                second[v, a] += weight[v, a, h] * (variance[h] + (value[h] - first[v, a]) ** 2)
-    return first, second
-
-
-@njit
-def _project(x: FloatArray, p: FloatArray, row: FloatArray) -> tuple[float, float]:
-    """Return the mean and the variance of a sum of states."""
-    value = variance = 0.0
-    for i in range(len(x)):
-        if row[i] != 0.0:
-            value += row[i] * x[i]
-            for j in range(len(x)):
-                variance += row[i] * p[i, j] * row[j]
-    return value, variance
