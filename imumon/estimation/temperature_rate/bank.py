@@ -34,9 +34,9 @@ SLOW_LEVEL_WHITE = 0.06
 """... and white noise beside them in steps."""
 MEAN_FACTORS = np.array([0.7, 1.4, 2.8])
 """Variance of a slot's mean in the mean kinds, over that seen from slot to slot."""
-SLOW_SHARES, SLOW_TIMES_S = np.array([2.0, 0.6, 0.2, 0.06]), np.array([3.0, 10.0, 30.0, 100.0])
-"""What of the scatter from slot to slot is the slow error's, where the noise hides the steps, and its
-correlation times: all pairs.  A slot's mean hides up to half of it, hence 2."""
+SLOW_RATIOS, SLOW_TIMES_S = np.array([0.6, 2.0, 6.0, 20.0, 60.0, 200.0]), np.array([3.0, 10.0, 30.0, 100.0])
+"""Variance of slow errors where the noise hides the steps, over that seen from slot to slot, and correlation
+times, s: all pairs that change no faster than what is seen; a slot's mean hides up to half of that."""
 
 
 def _pairs(first: FloatArray, second: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -44,12 +44,13 @@ def _pairs(first: FloatArray, second: FloatArray) -> tuple[FloatArray, FloatArra
 
 
 _LEVEL_SLOW, _LEVEL_TIMES = _pairs(SLOW_LEVEL_SIGMAS, SLOW_LEVEL_TIMES_S)
-_SHARES, _TIMES = _pairs(SLOW_SHARES, SLOW_TIMES_S)
+_RATIOS, _TIMES = _pairs(SLOW_RATIOS, SLOW_TIMES_S)
+_RATIOS, _TIMES = _RATIOS[_RATIOS <= 2.0 * _TIMES], _TIMES[_RATIOS <= 2.0 * _TIMES]
 LEVEL_SIGMAS = np.concatenate([WHITE_SIGMAS, 0.0 * _LEVEL_SLOW + SLOW_LEVEL_WHITE])
 LEVEL_SLOW = np.concatenate([0.0 * WHITE_SIGMAS, _LEVEL_SLOW])
 """Of the level kinds: white noise in steps and the slow error in units."""
-MEAN_WHITE = np.concatenate([MEAN_FACTORS, np.maximum(1.0 - _SHARES, 0.0)])
-MEAN_SLOW = np.concatenate([0.0 * MEAN_FACTORS, _SHARES])
+MEAN_WHITE = np.concatenate([MEAN_FACTORS, np.maximum(1.0 - _RATIOS / _TIMES, 0.0)])
+MEAN_SLOW = np.concatenate([0.0 * MEAN_FACTORS, _RATIOS / _TIMES])
 """Of the others: white noise and the slow error over what is seen from slot to slot, as variances."""
 SLOW_TIME_S = np.concatenate([1.0 + 0.0 * WHITE_SIGMAS, _LEVEL_TIMES, 1.0 + 0.0 * MEAN_FACTORS, _TIMES])
 KINDS, LEVELS = len(SLOW_TIME_S), len(LEVEL_SIGMAS)
@@ -79,8 +80,10 @@ CHANGE_PER_S = 1.0 / 3600.0
 """Probability per second that the smoothness changes to a neighbour's."""
 JUMP_PER_S, RARE_JUMP_PER_S = 1e-4, 1e-7
 """The same to any: a jump every three hours as where a chamber goes through its program, one in months as
-where nobody touches the unit.  Which it is cannot be known before: the estimate is that of the rare jumps,
-which disturbs it least; the standard deviation is that of the frequent ones about it."""
+where nobody touches the unit."""
+FREQUENT, FORGOTTEN_S = 0.01, 3600.0
+"""Probability that jumps are frequent, before any is seen, and the time after which one is forgotten.  The
+estimate weighs both; its standard deviation is that of frequent jumps about it, as the next may have come."""
 MIX_S = 3.9
 """Filters are mixed so often; a fraction of the time in which any could take over."""
 NATURE_PER_S = 1e-10
@@ -100,7 +103,7 @@ class Filter:
     Parameters
     ----------
     weight, rare : float
-        The probability where jumps of the smoothness are frequent, and where they are rare.
+        The probability that it is right and jumps of the smoothness are frequent, or rare: of all filters 1.
     temperature, rate, acceleration, error : float
         Means; the error is the slow one of the reading: °C, °C/s, °C/s², °C.
     tt, tr, ta, te, rr, ra, re, aa, ae, ee : float
@@ -151,7 +154,7 @@ class Bank:
     def kinds(self) -> FloatArray:
         """Probability of each kind of noise, (k,)."""
         weights: FloatArray = np.asarray(self.filters)["weight"].reshape(KINDS, SMOOTHNESSES)
-        return np.asarray(weights.sum(1))
+        return np.asarray(weights.sum(1) / weights.sum())
 
 
 def started(
@@ -174,8 +177,8 @@ def started(
     filters = records(Filter, KINDS * SMOOTHNESSES)
     share = PRIOR / PRIOR.sum() if kinds is None else kinds
     values = {
-        "weight": np.repeat(share / SMOOTHNESSES, SMOOTHNESSES),
-        "rare": np.repeat(share / SMOOTHNESSES, SMOOTHNESSES),
+        "weight": np.repeat(share / SMOOTHNESSES, SMOOTHNESSES) * FREQUENT,
+        "rare": np.repeat(share / SMOOTHNESSES, SMOOTHNESSES) * (1.0 - FREQUENT),
         "temperature": temperature[0],
         "rate": rate[0],
         "tt": temperature[1] ** 2,
@@ -210,7 +213,7 @@ def predict(filters: Filters, dt: float, slow: FloatArray, least_jerk: float) ->
     keep = math.exp(-dt / FORGETTING_S)
     g = FORGETTING_S * (1.0 - keep)
     c = FORGETTING_S * (dt - g)
-    reference, mean, square = filters[0].temperature, 0.0, 0.0
+    reference, total, mean, square = filters[0].temperature, 0.0, 0.0, 0.0
     for k in range(KINDS):
         fade = math.exp(-dt / SLOW_TIME_S[k])
         wander = slow[k] * (1.0 - fade * fade)
@@ -231,9 +234,11 @@ def predict(filters: Filters, dt: float, slow: FloatArray, least_jerk: float) ->
             after = f.tt + 2.0 * f.te + f.ee
             f.growth = after - before
             off = f.temperature + f.error - reference
+            total += f.weight
             mean += f.weight * off
             square += f.weight * (after + off * off)
-    return reference + mean, square - mean * mean
+    mean /= total
+    return reference + mean, square / total - mean * mean
 
 
 @njit
@@ -314,9 +319,15 @@ def mix(filters: Filters, sums: FloatArray, dt: float, slow: FloatArray, turn: i
                     to[m] += change * others[m]
                 to[SLOW_VARIANCE] += change * others[0] * slow[turn]
                 to[RARE] += change * others[RARE]
+    frequent, rare = 0.0, 0.0
+    for i in range(len(filters)):
+        frequent += sums[1, i, 0]
+        rare += sums[1, i, RARE]
+    returns = (FREQUENT * (frequent + rare) - frequent) * min(dt / FORGOTTEN_S, 1.0)
     for i in range(len(filters)):
         f = filters[i]
-        f.weight, f.rare = sums[1, i, 0], sums[1, i, RARE]
+        f.weight = sums[1, i, 0] * (1.0 + returns / frequent)
+        f.rare = sums[1, i, RARE] * (1.0 - returns / rare)
         if f.weight:
             _read(f, sums[1, i])
             _add_square(f, f.temperature, f.rate, f.acceleration, f.error, -1.0)
@@ -331,13 +342,14 @@ KNOWN, SLOW_VARIANCE, RARE, MOMENTS = 10, 14, 15, 16
 
 @njit
 def _mean(filters: Filters) -> tuple[float, float, float]:
-    x, r, a = 0.0, 0.0, 0.0
+    total, x, r, a = 0.0, 0.0, 0.0, 0.0
     for i in range(len(filters)):
         f = filters[i]
+        total += f.weight
         x += f.weight * f.temperature
         r += f.weight * f.rate
         a += f.weight * f.acceleration
-    return x, r, a
+    return x / total, r / total, a / total
 
 
 @njit
@@ -368,7 +380,7 @@ def _pass_on(sums: FloatArray, first: int, dt: float) -> None:
     before, after = sums[0], sums[1]
     whole = 0.0
     for q in range(SMOOTHNESSES):
-        whole += before[first + q, 0]
+        whole += before[first + q, 0] + before[first + q, RARE]
         for m in range(MOMENTS):
             after[first + q, m] = 0.0
     if whole < LEAST_WEIGHT:

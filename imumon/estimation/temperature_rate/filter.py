@@ -11,6 +11,7 @@ from imumon.blocks import FloatArray, IntArray
 from imumon.compiled import njit
 from imumon.estimation.temperature_rate.bank import START_RATE, Bank, advance, started
 from imumon.estimation.temperature_rate.measurement import Merged, measure, merged, said
+from imumon.estimation.temperature_rate.refresh import SLOW_S
 from imumon.estimation.temperature_rate.sensor import Reading, Sensor
 from imumon.estimation.temperature_rate.step import StepFinder
 
@@ -34,6 +35,8 @@ UNSEEN_JERK = 1e-13
 """... let the temperature do this, °C²/s⁵, that nobody saw."""
 EDGES = 0.05
 """Edges between levels are known to so many steps: ±0.1 of nonlinearity is a good converter's."""
+UNAVERAGED = 0.5
+"""The mean of a slow error is known to so many of its deviations: below its correlation time it is 1/f."""
 COARSEST = 1.0
 """°C; as long as a reading has never changed, its steps may be those of the coarsest thermometers."""
 FROZEN_S, DRIFT_PER_S = 3600.0, 1.0 / 3600.0**2
@@ -264,13 +267,14 @@ def _shown(state: State, means: Merged, end_s: float, fresh: bool) -> Shown:
     frozen = min(DRIFT_PER_S * max(end_s - state.sensor.changed_s - FROZEN_S, 0.0), START_RATE)
     unseen = state.sensor.finder.unseen
     hidden = COARSEST / math.sqrt(12.0) if unseen else EDGES * state.sensor.step
+    late = abs(rate) * min(state.sensor.interval_s, SLOW_S) / math.sqrt(3.0)
     moved = COARSEST / math.sqrt(6.0) / max(end_s, 1.0) if unseen else 0.0
     shown = Shown(
         end_s,
         temperature,
         rate,
         means.acceleration,
-        math.hypot(math.sqrt(max(means.temperature_variance, 0.0)), hidden),
+        math.sqrt(max(means.temperature_variance, 0.0) + hidden**2 + late**2 + UNAVERAGED**2 * means.slow),
         math.sqrt(max(means.rate_variance, 0.0) + frozen**2 + moved**2),
     )
     if not fresh:

@@ -184,18 +184,17 @@ def measure(filters: Filters, said: Said) -> None:
         condition(f, mean, variance)
         log_evidence[i] = log
         best = max(best, log)
-    total, rare = 0.0, 0.0
+    total = 0.0
     for i in range(len(filters)):
         f = filters[i]
         if f.weight:
             evidence = math.exp(max(log_evidence[i] - best, IMPOSSIBLE))
             f.weight *= evidence
             f.rare *= evidence
-            total += f.weight
-            rare += f.rare
+            total += f.weight + f.rare
     for i in range(len(filters)):
         filters[i].weight /= total
-        filters[i].rare /= rare
+        filters[i].rare /= total
 
 
 @njit
@@ -276,7 +275,7 @@ def merged(filters: Filters, slow_errors: FloatArray, step: float, level: float)
 
     Then the level kinds are confined to it.
     """
-    total, rare, slow = 0.0, 0.0, 0.0
+    total, both, frequent, slow = 0.0, 0.0, 0.0, 0.0
     x, r, a = 0.0, 0.0, 0.0
     sum_x, sum_r, square_x, square_r = 0.0, 0.0, 0.0, 0.0
     # About the heaviest filter, so that the differences of squares keep their digits.
@@ -285,6 +284,7 @@ def merged(filters: Filters, slow_errors: FloatArray, step: float, level: float)
         f, k = filters[i], i // SMOOTHNESSES
         if not f.weight:
             continue
+        frequent += f.weight
         slow += slow_errors[k] * f.weight
         mass, shift, shrink = 1.0, 0.0, 1.0
         if k < LEVELS and not math.isnan(level):
@@ -293,27 +293,28 @@ def merged(filters: Filters, slow_errors: FloatArray, step: float, level: float)
         spread = gain_x + f.te + f.ee
         off_x = f.temperature + gain_x * shift - main.temperature
         off_r = f.rate + gain_r * shift - main.rate
-        rare += f.rare * mass
-        x += f.rare * mass * off_x
-        r += f.rare * mass * off_r
-        a += f.rare * mass * (f.acceleration + (f.ta + f.ae) * shift)
+        weight = (f.weight + f.rare) * mass
+        both += weight
+        x += weight * off_x
+        r += weight * off_r
+        a += weight * (f.acceleration + (f.ta + f.ae) * shift)
         weight = f.weight * mass
         total += weight
         sum_x += weight * off_x
         sum_r += weight * off_r
         square_x += weight * (f.tt + gain_x * gain_x / spread * (shrink - 1.0) + off_x * off_x)
         square_r += weight * (f.rr + gain_r * gain_r / spread * (shrink - 1.0) + off_r * off_r)
-    if not min(total, rare) > 1e-200:
+    if not total > 1e-200:
         # The level is out of reach of all filters.
         return merged(filters, slow_errors, step, math.nan)
-    x, r, a = x / rare, r / rare, a / rare
+    x, r, a = x / both, r / both, a / both
     return Merged(
         main.temperature + x,
         main.rate + r,
         a,
         (square_x - 2.0 * x * sum_x) / total + x * x,
         (square_r - 2.0 * r * sum_r) / total + r * r,
-        slow,
+        slow / frequent,
     )
 
 
@@ -321,7 +322,7 @@ def merged(filters: Filters, slow_errors: FloatArray, step: float, level: float)
 def _heaviest(filters: Filters) -> Filter:
     best = 0
     for i in range(len(filters)):
-        if filters[i].rare > filters[best].rare:
+        if filters[i].weight + filters[i].rare > filters[best].weight + filters[best].rare:
             best = i
     return filters[best]
 
