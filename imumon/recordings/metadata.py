@@ -8,11 +8,10 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final, Literal
 
-import yaml
 from pydantic import Field, NonNegativeInt
 
 from imumon import __version__
-from imumon.config import StrictModel, YamlDumper, parse_yaml
+from imumon.config import StrictModel, dump_yaml, parse_yaml
 from imumon.errors import ImumonError, Reason
 from imumon.files import read_text, write_text
 
@@ -112,8 +111,7 @@ def write_metadata(path: Path, metadata: SessionMetadata) -> None:
     OSError
         When it cannot be written; the old file is untouched.
     """
-    text = yaml.dump(metadata.model_dump(), Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=10_000)
-    write_text(path, text)
+    write_text(path, dump_yaml(metadata.model_dump()))
 
 
 def read_metadata(path: Path) -> SessionMetadata:
@@ -131,15 +129,3 @@ def read_metadata(path: Path) -> SessionMetadata:
         raise ImumonError(
             Reason.BAD_DATA, error.seen, f"this version of imumon reads sessions of format {FORMAT}"
         ) from error
-
-
-class _Dumper(YamlDumper):
-    """Writes texts of several lines as they are, so that the files that were used can be read in place."""
-
-
-def _represent_text(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
-    style = "|" if "\n" in text else None
-    return dumper.represent_scalar("tag:yaml.org,2002:str", text, style=style)
-
-
-_Dumper.add_representer(str, _represent_text)
