@@ -11,9 +11,9 @@ from typing import Any, Final, Literal
 from pydantic import Field, NonNegativeInt
 
 from imumon import __version__
-from imumon.config import StrictModel, dump_yaml, parse_yaml
+from imumon.config import StrictModel, parse_yaml
 from imumon.errors import ImumonError, Reason
-from imumon.files import read_text, write_text
+from imumon.files import read_text
 
 FORMAT: Final = "imumon-session/1"
 SourceKind = Literal["live", "simulation", "import"]
@@ -101,17 +101,6 @@ def versions_in_use() -> dict[str, str]:
     """Return the versions of imumon, Python, the platform and the packages that make the numbers."""
     own = {"imumon": __version__, "python": platform.python_version(), "platform": platform.platform()}
     return own | {name: version(name) for name in _PACKAGES}
-
-
-def write_metadata(path: Path, metadata: SessionMetadata) -> None:
-    """Write session.yaml; whoever reads sees the old file or the new one, never a part.
-
-    Raises
-    ------
-    OSError
-        When it cannot be written; the old file is untouched.
-    """
-    write_text(path, dump_yaml(metadata.model_dump()))
 
 
 def read_metadata(path: Path) -> SessionMetadata:
