@@ -125,7 +125,8 @@ class LiveRun:
         self._recorder = Recorder(self._writer, self._recording_problem, self._save)
         silent_after_s = max(SILENT_AFTER_S, SILENT_AFTER_PACKETS / (device.rate_hz or np.inf))
         self._reader = Reader(settings, self._recorder.put, self._items.put, silent_after_s=silent_after_s)
-        self._narrator = self._narrate(())
+        card = {"device": device.title, "port": str(settings), "recording": str(self.session.path)}
+        self._narrator = Narrator(self.pipeline, settings, (), say, card, self.session.path)
         self._thread = threading.Thread(target=self._run, name="pipeline", daemon=True)
         self._progress = self._narrator.progress(self._began_ns)
         self._finished = False
@@ -160,7 +161,7 @@ class LiveRun:
 
     def begin(self, publish: Sequence[Publish]) -> None:
         """Decode what has come and what comes, and show it to `publish` as view items."""
-        self._narrator = self._narrate(publish)
+        self._narrator.publish = tuple(publish)
         self._thread.start()
 
     def stop(self, views: Sequence[str] = ()) -> LiveSummary:
@@ -210,14 +211,6 @@ class LiveRun:
             f"decoding ended after {self.pipeline.counters.packets:,} packets by a defect of imumon",
             f"the recording is whole; please report the defect with it: {self.session.path}",
         )
-
-    def _narrate(self, publish: Sequence[Publish]) -> Narrator:
-        card = {
-            "device": self._device.title,
-            "port": str(self._settings),
-            "recording": str(self.session.path),
-        }
-        return Narrator(self.pipeline, self._settings, publish, self._say, card, self.session.path)
 
     def _metadata(self, device: DeviceFile, device_yaml: str, setup: Setup) -> SessionMetadata:
         line = asdict(self._settings)

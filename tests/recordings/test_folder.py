@@ -112,7 +112,7 @@ def test_a_session_that_cannot_be_written_leaves_nothing_behind(
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(folder, "write_metadata", full)
+    monkeypatch.setattr(folder, "write_text", full)
     with pytest.raises(ImumonError, match="No space left"):
         create_session(tmp_path / "s", metadata())
     assert list(tmp_path.iterdir()) == []
