@@ -19,7 +19,6 @@ CLEAN = 1.8
 allowed."""
 EXPLAINED = 0.6
 """Share of the excess over the white floor that has to be explained before anything is named."""
-CONFIRMED = 0.3
 MATERIAL = 1.3
 """With a declared model that leaves less than so many floors, what is missing is too small to matter."""
 
@@ -133,9 +132,8 @@ def _scores(channel: Channel, before: Fit, after: Fit) -> tuple[TestScore, TestS
 def _not_worse(channel: Channel, findings: Sequence[Finding]) -> tuple[list[Finding], list[dict[str, Any]]]:
     """Return the findings without those that the test refutes, and what those did.
 
-    A finding is refuted when the test is worse with it.  So is one that carries over when the test gets
-    better by less than `CONFIRMED` of what the finding says it should: the mean square of what it adds to
-    the prediction.  At last nothing stays that makes the prediction as a whole worse.
+    A finding is refuted when the test is worse with it.  At last nothing stays that makes the prediction as a
+    whole worse.
     """
     kept = list(findings)
     left_out: list[dict[str, Any]] = []
@@ -191,11 +189,7 @@ def _trial(
     record = {"name": finding.name, "test_rms_with": rms[0], "test_rms_without": rms[1]}
     if not np.isfinite(rms).all():
         return 0.0, record
-    better = rms[1] ** 2 - rms[0] ** 2
-    if not carries:
-        return better, record
-    change = [a - b for a, b in zip(*left, strict=True)]
-    return better - CONFIRMED * mean_rms(change, count) ** 2, record
+    return rms[1] ** 2 - rms[0] ** 2, record
 
 
 def _claims(channel: Channel, before: Fit, after: Fit, kept: Sequence[Finding]) -> list[Claim]:
