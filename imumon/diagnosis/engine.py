@@ -191,10 +191,10 @@ def _said_of_earth(earth: VerticalRate | None) -> str:
 
 def _unseen(train: Sequence[Run], test: Sequence[Run], caveats: list[str]) -> list[Run]:
     """Return the test runs without those that the training has: by their bytes, whatever their names."""
-    known = {(run.origin.sha256, run.origin.index) for run in train if run.origin is not None}
+    known = {(run.origin.sha256, run.origin.index, run.start_ns) for run in train if run.origin is not None}
     found = []
     for run in test:
-        if run.origin is not None and (run.origin.sha256, run.origin.index) in known:
+        if run.origin is not None and (run.origin.sha256, run.origin.index, run.start_ns) in known:
             caveats.append(f"{run.name}: not used as a test, the training has the same recording")
         else:
             found.append(run)
