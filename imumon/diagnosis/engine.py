@@ -100,7 +100,7 @@ def diagnose(
     degree, offsets = parse_declared(declared)
     caveats: list[str] = []
     channels = _channels(train)
-    test = _in_order(train, test, caveats)
+    test = _in_order(train, _unseen(train, test, caveats), caveats)
     if model is not None:
         channels = modelled(channels, model)
         temperatures = {name: temperature_of(name, model, train) for name in channels}
@@ -187,6 +187,18 @@ def _said_of_earth(earth: VerticalRate | None) -> str:
         f"several poses: the gyros have {common:+.2f} °/h per g of their own axis in common; it is taken for"
         f" the vertical earth rate (latitude {earth.latitude_deg:+.0f}°) and subtracted"
     )
+
+
+def _unseen(train: Sequence[Run], test: Sequence[Run], caveats: list[str]) -> list[Run]:
+    """Return the test runs without those that the training has: by their bytes, whatever their names."""
+    known = {(run.origin.sha256, run.origin.index, run.start_ns) for run in train if run.origin is not None}
+    found = []
+    for run in test:
+        if run.origin is not None and (run.origin.sha256, run.origin.index, run.start_ns) in known:
+            caveats.append(f"{run.name}: not used as a test, the training has the same recording")
+        else:
+            found.append(run)
+    return found
 
 
 def _in_order(train: Sequence[Run], test: Sequence[Run], caveats: list[str]) -> list[Run]:

@@ -11,7 +11,7 @@ import pytest
 from imumon.blocks import FloatArray
 from imumon.diagnosis.engine import Diagnosis, diagnose
 from imumon.diagnosis.extended import extended_model
-from imumon.diagnosis.recording import Run, read_runs
+from imumon.diagnosis.recording import Origin, Run, read_runs
 from imumon.diagnosis.report import report
 from imumon.errors import ImumonError
 from imumon.estimation.rest.stage import RestDetector
@@ -107,6 +107,25 @@ def test_where_nothing_is_missing_nothing_is_named() -> None:
     assert names(diagnosis) == []
     assert not verdict.unexplained
     assert extended_model(diagnosis).channels["gyro_x"].effects == []
+
+
+def test_what_only_the_test_shows_is_not_called_nothing() -> None:
+    train, test = three(nothing)
+    shifted = test[0].mean["gyro_x"] + 3 * WHITE_DPH * DPH
+    other = [replace(test[0], mean={**test[0].mean, "gyro_x": shifted})]
+    said = [diagnose(train, each).verdicts[0].summary for each in (test, other, [])]
+    assert said[0].startswith("nothing is missing")
+    assert "something is missing" in said[1]
+    assert "without a test" in said[2]
+
+
+def test_the_recording_that_was_trained_on_is_no_test() -> None:
+    train, _ = three(nothing)
+    train[0] = replace(train[0], origin=Origin("first", 0, "0" * 64))
+    copy = replace(train[0], name="copy", origin=Origin("copy", 0, "0" * 64))
+    diagnosis = diagnose(train, [copy])
+    assert not diagnosis.test
+    assert any("the training has the same recording" in text for text in diagnosis.caveats)
 
 
 def test_what_no_effect_explains_is_called_unexplained() -> None:
