@@ -25,6 +25,7 @@ COMMANDS = {
     "export": "Write the samples of a session as a table.",
     "align": "Find the heading of a resting unit by the earth rate.",
     "calibrate": "Find the bias over temperature from recordings at rest.",
+    "magnetometer": "Find hard and soft iron from a figure-eight.",
     "ports": "List serial ports.",
     "detect": "Find baud rate and protocol of a device by trying.",
     "allan": "Tell noise, bias instability and drift of a recording at rest.",

@@ -57,7 +57,11 @@ class MagnetometerModel(StrictModel):
         return np.asarray((mag - np.array(self.hard_iron)) @ np.array(self.soft_iron).T)
 
     @property
+    def fit_sd(self) -> float:
+        """Standard deviation of a component of the field by what the fit does not know."""
+        return float(np.hypot(max(self.hard_iron_sd), self.field * np.array(self.soft_iron_sd).max()))
+
+    @property
     def error_sd(self) -> float:
-        """Standard deviation of a component of the field by what the fit has left and does not know."""
-        scale = np.hypot(np.array(self.hard_iron_sd).max(), self.field * np.array(self.soft_iron_sd).max())
-        return float(np.hypot(self.residual_sd, scale))
+        """Standard deviation of a component of the field by that and by what is left over."""
+        return float(np.hypot(self.residual_sd, self.fit_sd))

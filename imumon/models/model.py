@@ -17,6 +17,7 @@ from imumon.files import write_text
 from imumon.models.curves.network import NetworkCurve
 from imumon.models.curves.polynomial import PolynomialCurve
 from imumon.models.curves.spline import SplineCurve
+from imumon.models.magnetometer import MagnetometerModel
 
 FORMAT: Final = "imumon-bias-model/1"
 UNITS = {
@@ -139,6 +140,8 @@ class BiasModel(StrictModel):
     channels : dict of str to ChannelModel
         gyro_x and so on.  The curve of an accelerometer is the change from the middle of its range, for its
         constant cannot be told from gravity.
+    magnetometer : MagnetometerModel or None
+        Hard and soft iron.
     """
 
     format: Literal["imumon-bias-model/1"] = FORMAT
@@ -153,10 +156,13 @@ class BiasModel(StrictModel):
     block_s: Annotated[FiniteFloat, Field(gt=0.0)] | None = None
     levels_degc: list[FiniteFloat] = Field(default_factory=list)
     trained_on: list[TrainedOn] = Field(default_factory=list)
-    channels: Annotated[dict[str, ChannelModel], Field(min_length=1)]
+    channels: dict[str, ChannelModel] = Field(default_factory=dict)
+    magnetometer: MagnetometerModel | None = None
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
+        if not self.channels and self.magnetometer is None:
+            raise ValueError("there is neither a channel nor a magnetometer")
         for name, channel in self.channels.items():
             if name not in UNITS:
                 raise ValueError(f"channel {name!r} is not known; there are {', '.join(UNITS)}")

@@ -17,6 +17,7 @@ from imumon.estimation.gyro_bias.parameters import GyroBiasParameters
 from imumon.estimation.rest.parameters import RestParameters
 from imumon.estimation.watch.parameters import WatchParameters
 from imumon.files import read_text
+from imumon.models.magnetometer import MagnetometerModel
 from imumon.models.model import BiasModel, load_model
 from imumon.published.names import PublishedMethod
 from imumon.published.parameters import Channel, GyroNoise, RandomErrorParameters
@@ -60,14 +61,19 @@ class Setup(StrictModel):
 
     @property
     def bias_model(self) -> BiasModel | None:
-        """The model, or None; a path has been replaced by `load_setup`."""
+        """The bias over temperature, or None; a path has been replaced by `load_setup`."""
         assert not isinstance(self.model, str)
-        return self.model
+        return self.model if self.model is not None and self.model.channels else None
+
+    @property
+    def magnetometer(self) -> MagnetometerModel | None:
+        """Hard and soft iron, where the model file has them."""
+        return self.model.magnetometer if isinstance(self.model, BiasModel) else None
 
     @property
     def mode(self) -> ZuptMode:
         """How the bias follows temperature: as chosen, else by the model if there is one, else learned."""
-        return self.zupt_mode or ("thermal" if self.model is not None else "learned")
+        return self.zupt_mode or ("thermal" if self.bias_model is not None else "learned")
 
     @property
     def zupt_with_noise(self) -> GyroBiasParameters:
@@ -124,7 +130,7 @@ class Setup(StrictModel):
 
     def checked(self) -> Setup:
         """Return the setup; raises BAD_CONFIG when its parts contradict each other."""
-        if self.zupt_mode == "thermal" and self.model is None:
+        if self.zupt_mode == "thermal" and self.bias_model is None:
             raise ImumonError(
                 Reason.BAD_CONFIG,
                 "the thermal mode needs the bias over temperature, and there is no model",

@@ -29,7 +29,7 @@ def estimators(device: DeviceFile | None, setup: Setup | None = None) -> list[Es
         GyroBias(setup.zupt_with_noise, model, setup.mode, setup.latitude_deg, setup.heading_deg),
         ModelWatch(setup.watch, modelled=model is not None),
         AllanStage(setup.allan),
-        AttitudeEstimate(setup.attitude, axes, None, setup.latitude_deg, setup.heading_deg),
+        AttitudeEstimate(setup.attitude, axes, setup.magnetometer, setup.latitude_deg, setup.heading_deg),
     ]
     if setup.latitude_deg is not None:
         from imumon.estimation.alignment.stage import Alignment  # scipy.signal and .spatial take 0.7 s

@@ -1,0 +1,261 @@
+"""Hard and soft iron from readings in many directions: the ellipsoid that they lie on.
+
+A closed form begins (least squares of a quadric whose trace is fixed, in units in which the readings are of
+size one); Gauss and Newton then make the squares of what is left of the strength the least::
+
+    r_k = |A (m_k - b)| - F,    A symmetric, det A = 1
+
+The covariance is that of least squares, with the scatter that is left, times how much slower than white it
+is: a field that differs from place to place does not average as noise does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from imumon.blocks import FloatArray, SampleBlock
+from imumon.errors import ImumonError, Reason
+from imumon.models.magnetometer import MagnetometerModel
+
+STEP_RAD = np.radians(1.0)
+"""A reading counts when its direction differs by so much from the last that did: rest must not weigh more."""
+CELLS = 60
+"""Directions are counted in so many cells of equal area, each about 30° wide."""
+LEAST_COVERAGE = 0.5
+"""Of the cells.  Seen from one side only an ellipsoid's far side is extrapolated."""
+LEAST_POINTS = 100
+"""For nine numbers and what is left over."""
+WORST_SD = 0.01
+"""Of the field's strength: an error of 0.6° of the heading where the field is level, 1.5° in Europe."""
+MOST_LEFT = 0.1
+"""Of the strength: what scatters more is another field at every place."""
+STEPS = 20
+TRIANGLE = np.triu_indices(3)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MagnetometerFit:
+    """A calibration, and what it was made of.
+
+    Parameters
+    ----------
+    model : MagnetometerModel
+    readings, field : array (n, 3)
+        As sent, and corrected; the readings that counted.
+    residual_before : float
+        Scatter of the strength as sent, in the same unit.
+    """
+
+    model: MagnetometerModel
+    readings: FloatArray
+    field: FloatArray
+    residual_before: float
+
+
+def fit_magnetometer(blocks: Iterable[SampleBlock], unit: str, source: str) -> MagnetometerFit:
+    """Fit hard and soft iron to the magnetometer of samples.
+
+    Parameters
+    ----------
+    unit : str
+        Of the readings.
+    source : str
+        Name for messages.
+
+    Raises
+    ------
+    ImumonError
+        BAD_DATA when there is no magnetometer, too little was turned, or the readings are on no ellipsoid;
+        it says how much of the directions was seen, and what to turn next.
+    """
+    found = [part for part in (_columns(block) for block in blocks) if part is not None]
+    if not found:
+        raise ImumonError(Reason.BAD_DATA, f"{source}: there is no magnetometer", "needs mag_x, mag_y, mag_z")
+    both = np.concatenate(found)
+    mag, accel = both[:, :3], both[:, 3:]
+    centre, matrix = _closed_form(mag) if len(mag) >= LEAST_POINTS else (mag.mean(0), np.eye(3))
+    which = _spread((mag - centre) @ matrix)
+    readings = mag[which]
+    directions = _unit((readings - centre) @ matrix)
+    coverage, seen = covered(directions)
+    if len(which) < LEAST_POINTS or coverage < LEAST_COVERAGE:
+        raise ImumonError(
+            Reason.BAD_DATA,
+            f"{source}: {coverage:.0%} of the directions were seen, {LEAST_COVERAGE:.0%} are needed",
+            f"draw figure-eights while turning the unit over; next: {_next(seen, directions, accel[which])}",
+        )
+    solved = _gauss_newton(readings, *_closed_form(readings))
+    if solved is None:
+        tilts = np.isfinite(accel).all(1)
+        up = _unit(accel[tilts])
+        share, cells = covered(up)
+        raise ImumonError(
+            Reason.BAD_DATA,
+            f"{source}: the readings lie on no ellipsoid; gravity was in {share:.0%} of the directions",
+            "away from iron and cables, draw figure-eights while turning the unit over; next: "
+            + _next(cells, up, up),
+        )
+    parameters, jacobian, residual = solved
+    model = _model(parameters, jacobian, residual, unit, coverage)
+    if model.fit_sd > WORST_SD * model.field or model.residual_sd > MOST_LEFT * model.field:
+        raise ImumonError(
+            Reason.BAD_DATA,
+            f"{source}: hard and soft iron are known to {model.fit_sd / model.field:.1%} of the field, "
+            f"{model.residual_sd / model.field:.1%} is left over; {coverage:.0%} of the directions were seen",
+            f"away from iron and cables, turn on; next: {_next(seen, directions, accel[which])}",
+        )
+    strength = np.linalg.norm(readings, axis=1)
+    return MagnetometerFit(model, readings, model.corrected(readings), float(strength.std()))
+
+
+def covered(directions: FloatArray) -> tuple[float, FloatArray]:
+    """Return the share of all directions that unit vectors, (n, 3), were in, and which cells, (CELLS,)."""
+    counts = np.bincount(np.argmax(directions @ _cells().T, axis=1), minlength=CELLS)
+    return float(np.mean(counts > 0)), np.asarray(counts > 0, np.float64)
+
+
+def _cells() -> FloatArray:
+    """Return the middles of cells of equal area on the sphere, (CELLS, 3): a spiral by the golden angle."""
+    k = np.arange(CELLS) + 0.5
+    z, turn = 1.0 - 2.0 * k / CELLS, np.pi * (1.0 + np.sqrt(5.0)) * k
+    level = np.sqrt(1.0 - z * z)
+    return np.column_stack([level * np.cos(turn), level * np.sin(turn), z])
+
+
+def _columns(block: SampleBlock) -> FloatArray | None:
+    """Return whole readings of field and specific force, (n, 6); the force NaN where there is none."""
+    mag, accel = block.mag, block.accel
+    if mag is None:
+        return None
+    both = np.column_stack([mag, np.full_like(mag, np.nan) if accel is None else accel])
+    return both[np.isfinite(mag).all(1)]
+
+
+def _unit(vectors: FloatArray) -> FloatArray:
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
+
+
+def _spread(vectors: FloatArray) -> list[int]:
+    """Return the rows whose direction differs by `STEP_RAD` from the last that was taken."""
+    directions, least = _unit(vectors), float(np.cos(STEP_RAD))
+    rows: list[int] = []
+    last = np.zeros(3)
+    for k, direction in enumerate(directions):
+        if direction @ last < least:
+            rows.append(k)
+            last = direction
+    return rows
+
+
+def _closed_form(readings: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return centre and matrix of the quadric of least squares; of a sphere where that is no ellipsoid."""
+    middle = 0.5 * (readings.max(0) + readings.min(0))
+    size = float(np.linalg.norm(readings - middle, axis=1).mean())
+    x, y, z = ((readings - middle) / size).T
+    # u'Qu + 2 q'u = 1 with the trace of Q as the right side: any ellipsoid has one.
+    design = np.column_stack(
+        [x * x + y * y - 2 * z * z, x * x + z * z - 2 * y * y, 2 * x * y, 2 * x * z, 2 * y * z,
+         2 * x, 2 * y, 2 * z, np.ones_like(x)]
+    )  # fmt: skip
+    a, b, c, d, e, *linear, constant = np.linalg.lstsq(design, x * x + y * y + z * z, rcond=None)[0]
+    quadric = np.array([[a + b - 1, c, d], [c, a - 2 * b - 1, e], [d, e, b - 2 * a - 1]])
+    centre = -np.linalg.solve(quadric, np.array(linear))
+    level = centre @ quadric @ centre - constant
+    values, vectors = np.linalg.eigh(quadric / level)
+    if not (values > 0.0).all():
+        return middle, np.eye(3) / size
+    matrix = vectors @ np.diag(np.sqrt(values)) @ vectors.T
+    return middle + size * centre, matrix / size
+
+
+def _gauss_newton(
+    readings: FloatArray, centre: FloatArray, matrix: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+    """Return centre and upper triangle of the matrix that makes readings unit vectors, (9,), the Jacobian of
+    what is left, (n, 9), and that, (n,); None when the readings do not determine them."""
+    parameters = np.concatenate([centre, matrix[TRIANGLE]])
+    for _ in range(STEPS):
+        residual, jacobian = _left(readings, parameters)
+        step, _, rank, _ = np.linalg.lstsq(jacobian, -residual, rcond=None)
+        parameters = parameters + step
+        if rank < 9 or not np.isfinite(parameters).all():
+            return None
+        if np.abs(jacobian @ step).max() < 1e-9:
+            residual, jacobian = _left(readings, parameters)
+            return parameters, jacobian, residual
+    return None
+
+
+def _left(readings: FloatArray, parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return |A (m - b)| - 1, (n,), and its derivatives, (n, 9)."""
+    matrix = _symmetric(parameters[3:])
+    away = readings - parameters[:3]
+    field = away @ matrix
+    strength = np.linalg.norm(field, axis=1)
+    direction = field / strength[:, np.newaxis]
+    outer = direction[:, :, np.newaxis] * away[:, np.newaxis, :]
+    outer = outer + np.swapaxes(outer, 1, 2)
+    outer[:, range(3), range(3)] *= 0.5
+    return strength - 1.0, np.column_stack([-direction @ matrix, outer[:, *TRIANGLE]])
+
+
+def _symmetric(triangle: FloatArray) -> FloatArray:
+    matrix = np.zeros((3, 3))
+    matrix[TRIANGLE] = triangle
+    return np.asarray(matrix + np.triu(matrix, 1).T)
+
+
+def _model(
+    parameters: FloatArray, jacobian: FloatArray, residual: FloatArray, unit: str, coverage: float
+) -> MagnetometerModel:
+    """Return the model, in the unit of the readings, with standard deviations."""
+    n = len(residual)
+    variance = float(residual @ residual) / (n - len(parameters))
+    covariance = np.linalg.inv(jacobian.T @ jacobian) * variance * slower_than_white(residual)
+    matrix = _symmetric(parameters[3:])
+    field = float(np.linalg.det(matrix)) ** (-1.0 / 3.0)
+    # A = F W with F = det(W)^(-1/3): the derivative of A for each element of W.
+    inverse = np.linalg.inv(matrix)
+    slopes = np.array([_symmetric(row) for row in np.eye(6)])
+    change = field * (slopes - np.einsum("kij,ji->k", slopes, inverse)[:, None, None] / 3.0 * matrix)
+    soft_variance = np.einsum("kij,kl,lij->ij", change, covariance[3:, 3:], change)
+    return MagnetometerModel(
+        unit=unit,
+        hard_iron=parameters[:3].tolist(),
+        hard_iron_sd=np.sqrt(np.diag(covariance)[:3]).tolist(),
+        soft_iron=(field * matrix).tolist(),
+        soft_iron_sd=np.sqrt(soft_variance).tolist(),
+        field=field,
+        residual_sd=field * float(np.sqrt(variance)),
+        coverage=coverage,
+    )
+
+
+def slower_than_white(residual: FloatArray) -> float:
+    """Return by how much the variance of means of neighbours exceeds that of white noise, at least 1.
+
+    The largest over lengths of means from 1 to a sixteenth of all: of those there are enough.
+    """
+    n, most, length = len(residual), 1.0, 1
+    variance = float(residual @ residual) / n
+    while n // length >= 16 and variance > 0.0:
+        means = residual[: n - n % length].reshape(-1, length).mean(1)
+        most = max(most, length * float(means @ means) / len(means) / variance)
+        length *= 2
+    return most
+
+
+def _next(seen: FloatArray, directions: FloatArray, accel: FloatArray) -> str:
+    """Say which side of the unit should point along the field, where most is missing."""
+    missing = (_cells() * (1.0 - seen)[:, np.newaxis]).sum(0)
+    axis = int(np.argmax(np.abs(missing)))
+    side = f"{'-' if missing[axis] < 0.0 else '+'}{'xyz'[axis]}"
+    vertical = (directions * accel).sum(1)
+    vertical = vertical[np.isfinite(vertical)]
+    if not len(vertical):
+        return f"turn the {side} axis along the magnetic field"
+    # The specific force points up, and the field of the northern hemisphere down.
+    return f"turn the {side} axis {'down' if vertical.mean() < 0.0 else 'up'}, and around there"
