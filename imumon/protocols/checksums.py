@@ -17,6 +17,7 @@ from imumon.protocols.stream import ByteArray
 WordArray = npt.NDArray[np.uint32]
 
 NONE, SUM8, SUM8_NEGATED, XOR8, SUM16, FLETCHER16, FLETCHER16_256, CRC_FORWARD, CRC_REFLECTED = range(9)
+WORDS_LITTLE, WORDS_BIG = 9, 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,13 +37,16 @@ SIMPLE = {
     "sum8-negated": (SUM8_NEGATED, 1),
     "xor8": (XOR8, 1),
     "sum16": (SUM16, 2),
+    "sum16-words-le": (WORDS_LITTLE, 2),
+    "sum16-words-be": (WORDS_BIG, 2),
     "fletcher16": (FLETCHER16, 2),
     "fletcher16-256": (FLETCHER16_256, 2),
 }
 """Kernel code and bytes by name.
 
-sum8-negated makes the sum of all bytes and the checksum zero.  fletcher16 is modulo 255 (RFC 1145, second sum
-in the high byte); fletcher16-256 is the variant modulo 256 that MIP and UBX use.
+sum8-negated makes the sum of all bytes and the checksum zero.  sum16-words-* adds numbers of 16 bits, low
+(le) or high byte (be) first; a last byte alone has zero for the other.  fletcher16 is modulo 255 (RFC 1145,
+second sum in the high byte); fletcher16-256 is the variant modulo 256 that MIP and UBX use.
 """
 
 CRCS = {
@@ -53,6 +57,7 @@ CRCS = {
     "crc16-aug-ccitt": Crc(16, 0x1021, 0x1D0F, False, 0x0000),
     "crc16-genibus": Crc(16, 0x1021, 0xFFFF, False, 0xFFFF),
     "crc16-kermit": Crc(16, 0x1021, 0x0000, True, 0x0000),
+    "crc16-mcrf4xx": Crc(16, 0x1021, 0xFFFF, True, 0x0000),
     "crc16-x25": Crc(16, 0x1021, 0xFFFF, True, 0xFFFF),
     "crc32": Crc(32, 0x04C11DB7, 0xFFFFFFFF, True, 0xFFFFFFFF),
     "crc32-mpeg2": Crc(32, 0x04C11DB7, 0xFFFFFFFF, False, 0x00000000),
@@ -141,6 +146,11 @@ def checksum(check: Checksum, buf: ByteArray, start: int, stop: int) -> np.int64
             value ^= buf[i]
         return np.int64(value)
     total = np.uint32(0)
+    if code in (WORDS_LITTLE, WORDS_BIG):
+        for i in range(first, last):
+            high = ((i - first) % np.uint64(2) == np.uint64(0)) == (code == WORDS_BIG)
+            total += np.uint32(buf[i]) << np.uint32(8 if high else 0)
+        return np.int64(total & np.uint32(0xFFFF))
     for i in range(first, last):
         total += np.uint32(buf[i])
     if code == SUM16:

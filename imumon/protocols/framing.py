@@ -18,14 +18,12 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
 
 from imumon.blocks import IntArray
 from imumon.protocols.base import Counters, Decoder, Packets
-from imumon.protocols.checksums import Crc
 from imumon.protocols.stream import CHUNK, ByteArray
 
 BoolArray = npt.NDArray[np.bool_]
@@ -53,12 +51,15 @@ class Frame:
         See `Lengths`.
     check : callable
         See `Check`.
+    tail : bytes
+        What may or may not follow a packet, and belongs to it.
     """
 
     name: str
     sync: bytes
     lengths: Lengths
     check: Check
+    tail: bytes = b""
 
     def places(self, held: ByteArray) -> IntArray:
         """Return where the sync pattern is, also where its first bytes are at the very end."""
@@ -69,7 +70,7 @@ class Frame:
             found = found[~there | (held[np.minimum(found + k, len(held) - 1)] == sync[k])]
         return found
 
-    def judged(self, held: ByteArray, at: IntArray) -> IntArray:
+    def judged(self, held: ByteArray, at: IntArray, final: bool) -> IntArray:
         """Return for each place the length of the valid packet that begins there, or what is wrong, (n,)."""
         verdict = np.full(len(at), INCOMPLETE, np.int64)
         begun = np.flatnonzero(at + len(self.sync) <= len(held))
@@ -78,7 +79,20 @@ class Frame:
         whole = np.flatnonzero(verdict > 0)
         right = self.check(held, at[whole], verdict[whole])
         verdict[whole[~right]] = BAD_SUM
+        if self.tail:
+            good = whole[right]
+            verdict[good] = self._with_tail(held, at[good], verdict[good], final)
         return verdict
+
+    def _with_tail(self, held: ByteArray, at: IntArray, length: IntArray, final: bool) -> IntArray:
+        """Return the lengths with that of the tail where it follows; `INCOMPLETE` where it may come yet."""
+        agree = np.ones(len(at), np.bool_)
+        for k, byte in enumerate(self.tail):
+            place = at + length + k
+            agree &= (place >= len(held)) | (held[np.minimum(place, len(held) - 1)] == byte)
+        there = at + length + len(self.tail) <= len(held)
+        cut = length if final else np.full(len(at), INCOMPLETE)
+        return np.where(agree, np.where(there, length + len(self.tail), cut), length)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,9 +112,10 @@ class Found:
         """Return some of the packets."""
         return Found(self.held, self.at[rows], self.length[rows], self.frame[rows])
 
-    def bytes(self) -> ByteArray:
-        """Return the bytes of packets that are all of one length, (n, length)."""
-        size = int(self.length[0]) if len(self) else 0
+    def bytes(self, size: int | None = None) -> ByteArray:
+        """Return the first bytes of each packet, (n, size); of packets of one length all when not given."""
+        if size is None:
+            size = int(self.length[0]) if len(self) else 0
         packets: ByteArray = self.held[self.at[:, np.newaxis] + np.arange(size)]
         return packets
 
@@ -196,7 +211,7 @@ class FramedDecoder(Decoder):
         at = np.concatenate(places)
         number = np.repeat(np.arange(len(places)), [len(found) for found in places])
         verdict = np.concatenate(
-            [frame.judged(held, found) for frame, found in zip(self._frames, places, strict=True)]
+            [frame.judged(held, found, final) for frame, found in zip(self._frames, places, strict=True)]
         )
         if len(places) == 1:
             return at, number, verdict
@@ -253,109 +268,39 @@ def _stands(at: IntArray, place: int) -> bool:
     return k < len(at) and at[k] == place
 
 
-def gathered(held: ByteArray, first: IntArray, last: IntArray) -> tuple[ByteArray, IntArray]:
-    """Return the bytes from each first to before each last place, in one row, and where each begins.
+def fixed_length(size: int) -> Lengths:
+    """Return the `Lengths` of packets that are all of one size."""
 
-    None of the spans may be empty.
-    """
-    sizes = last - first
-    begins = np.cumsum(sizes) - sizes
-    return held[np.repeat(first - begins, sizes) + np.arange(int(sizes.sum()))], begins
+    def lengths(held: ByteArray, at: IntArray) -> IntArray:
+        del held
+        return np.full(len(at), size, np.int64)
+
+    return lengths
 
 
-@dataclass(frozen=True, slots=True)
-class Sum:
-    """A checksum that adds bytes up: of the bytes `first` .. length - `size`, which stands in the last ones.
+def counted_length(at: int, size: int, more: int, longest: int, big: bool = False) -> Lengths:
+    """Return the `Lengths` of packets that say how many bytes they have besides `more`.
 
     Parameters
     ----------
-    first : int
-        Place in the packet of the first byte that counts.
-    size : int
-        Bytes of the checksum, low byte first.
-    negated : bool
-        The sum and the checksum add up to zero.
+    at, size : int
+        Place and bytes of the number.
+    more : int
+        Bytes that it does not count.
+    longest : int
+        Longest packet that is believed.
+    big : bool
+        Whether the most significant byte of the number comes first.
     """
 
-    first: int = 0
-    size: int = 1
-    negated: bool = False
+    def lengths(held: ByteArray, begin: IntArray) -> IntArray:
+        result = np.full(len(begin), INCOMPLETE, np.int64)
+        there = np.flatnonzero(begin + at + size <= len(held))
+        counted = np.zeros(len(there), np.int64)
+        for k in range(size):
+            shift = 8 * (size - 1 - k if big else k)
+            counted |= held[begin[there] + at + k].astype(np.int64) << shift
+        result[there] = np.where(counted + more <= longest, counted + more, IMPOSSIBLE)
+        return result
 
-    def __call__(self, held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
-        """Tell which packets are right; see `Check`."""
-        if not len(at):
-            return np.zeros(0, np.bool_)
-        data, begins = gathered(held, at + self.first, at + length - self.size)
-        sums = np.add.reduceat(data.astype(np.int64), begins)
-        sent = sum(held[at + length - self.size + k].astype(np.int64) << 8 * k for k in range(self.size))
-        return np.asarray(((-sums if self.negated else sums) - sent) & (1 << 8 * self.size) - 1 == 0)
-
-
-@dataclass(frozen=True, slots=True)
-class CyclicCheck:
-    """A CRC in the terms of the catalogue, in the last bytes of a packet, over all from `first` on.
-
-    It is linear: each byte adds what depends on its value and on its distance to the end, so all bytes of all
-    packets are looked up at once.
-    """
-
-    crc: Crc
-    first: int = 0
-    big: bool = False
-
-    def __call__(self, held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
-        """Tell which packets are right; see `Check`."""
-        if not len(at):
-            return np.zeros(0, np.bool_)
-        size = self.crc.width // 8
-        data, begins = gathered(held, at + self.first, at + length - size)
-        covered = length - size - self.first
-        table, empty = _by_distance(self.crc, 1 << int(covered.max()).bit_length())
-        distance = np.repeat(begins + covered - 1, covered) - np.arange(len(data))
-        value = np.bitwise_xor.reduceat(table[distance, data], begins) ^ empty[covered]
-        places = range(size)[:: -1 if self.big else 1]
-        sent = sum(held[at + length - size + k].astype(np.int64) << 8 * n for n, k in enumerate(places))
-        return np.asarray(value == sent)
-
-
-@lru_cache
-def _by_distance(crc: Crc, longest: int) -> tuple[IntArray, IntArray]:
-    """Return what a byte adds to the CRC by its distance to the end and its value, and the CRC of zeros.
-
-    Shapes: (longest, 256) and (longest + 1,).
-    """
-    mask = (1 << crc.width) - 1
-    step = np.array([_shifted(crc, byte) for byte in range(256)], np.int64)
-
-    def with_zero(register: IntArray) -> IntArray:
-        """Return the register after one more byte, which is zero."""
-        if crc.reflected:
-            return np.asarray((register >> 8) ^ step[register & 0xFF])
-        return np.asarray(((register << 8) & mask) ^ step[register >> crc.width - 8])
-
-    table = np.empty((longest, 256), np.int64)
-    empty = np.empty(longest + 1, np.int64)
-    table[0], empty[0] = step, _turned(crc.initial, crc.width) if crc.reflected else crc.initial
-    for k in range(1, longest + 1):
-        if k < longest:
-            table[k] = with_zero(table[k - 1])
-        empty[k] = with_zero(empty[k - 1 : k])[0]
-    return table, empty ^ crc.final_xor
-
-
-def _shifted(crc: Crc, byte: int) -> int:
-    """Return the register after a byte, begun at zero."""
-    if crc.reflected:
-        polynomial, register = _turned(crc.polynomial, crc.width), byte
-        for _ in range(8):
-            register = (register >> 1) ^ (polynomial if register & 1 else 0)
-        return register
-    top, register = 1 << crc.width - 1, byte << crc.width - 8
-    for _ in range(8):
-        register = (register << 1 ^ (crc.polynomial if register & top else 0)) & (1 << crc.width) - 1
-    return register
-
-
-def _turned(value: int, width: int) -> int:
-    """Return the bits in reverse order."""
-    return int(f"{value:0{width}b}"[::-1], 2)
+    return lengths

@@ -67,35 +67,49 @@ class Placed:
         shown = [*sent, *(column for item in self._derived for column in item.results)]
         self.columns = tuple(column for column in shown if not column.name.startswith("_"))
         self._values = [value for value, _ in names.values()]
-        formats, offsets = [], []
-        for value, at in names.values():
+        self._big = big
+        formats: list[tuple[str, int] | str] = []
+        for value in self._values:
             kind = NUMBER_TYPES[value.type]
             letter = "f" if not kind.integer else "i" if kind.signed or kind.size == 8 else "u"
-            formats.append(f"{'>' if big else '<'}{letter}{kind.size}")
-            offsets.append(at)
-        self._fields = list(names), formats, offsets
+            formats.append(("u1", 3) if kind.size == 3 else f"{'>' if big else '<'}{letter}{kind.size}")
+        self._size = max((at + NUMBER_TYPES[value.type].size for value, at in names.values()), default=1)
+        offsets = [at for _, at in names.values()]
+        self._type = np.dtype(
+            {"names": list(names), "formats": formats, "offsets": offsets, "itemsize": self._size}
+        )
 
     def read(self, found: Found) -> dict[str, ColumnArray]:
         """Return a value a packet for each column."""
-        packets = found.bytes()
-        names, formats, offsets = self._fields
-        described = {"names": names, "formats": formats, "offsets": offsets, "itemsize": packets.shape[1]}
-        records = packets.view(np.dtype(described))[:, 0]  # type: ignore[call-overload]  # numpy's own form
+        records = found.bytes(self._size).view(self._type)[:, 0]
         columns = {
-            name: self._scaled(value, records[name]) for name, value in zip(names, self._values, strict=True)
+            name: self._scaled(value, records[name])
+            for name, value in zip(self._type.names or (), self._values, strict=True)
         }
         for item in self._derived:
             made = item.decode(columns)
             columns |= {column.name: values for column, values in zip(item.results, made, strict=True)}
         return columns
 
-    @staticmethod
-    def _scaled(value: Value, raw: ColumnArray) -> ColumnArray:
+    def _scaled(self, value: Value, raw: ColumnArray) -> ColumnArray:
         assert value.column is not None
+        kind = NUMBER_TYPES[value.type]
+        if kind.size == 3:
+            raw = _of_three_bytes(raw, self._big, kind.signed)
         if value.column.dtype == "int64":
-            return raw.astype(np.int64)
+            if kind.integer:
+                return raw.astype(np.int64) * int(value.factor)
+            with np.errstate(invalid="ignore"):  # a clock that is not a number becomes the least integer
+                return np.rint(raw.astype(np.float64) * value.factor).astype(np.int64)
         result: FloatArray = raw.astype(np.float64)
         return result if value.factor == 1.0 else result * value.factor
+
+
+def _of_three_bytes(three: ColumnArray, big: bool, signed: bool) -> IntArray:
+    """Return integers of three bytes, (n, 3), which NumPy lacks."""
+    high, middle, low = three.astype(np.int64).T[:: 1 if big else -1]
+    whole: IntArray = high << 16 | middle << 8 | low
+    return whole - ((whole >> 23) << 24) if signed else whole
 
 
 class LayoutDecoder(FramedDecoder):
@@ -138,6 +152,10 @@ class LayoutDecoder(FramedDecoder):
     def _layout_numbers(self, found: Found) -> IntArray:
         """Return which layout each packet has, as `add` numbers them; -1: nothing for a row."""
 
+    def _plain(self, found: Found) -> Found:
+        """Return the packets as the layouts have them, where they are sent in another form."""
+        return found
+
     def _add(self, layout: Layout) -> int:
         """Add a layout; return its number."""
         names = self.groups.names if self.groups else ()
@@ -150,6 +168,7 @@ class LayoutDecoder(FramedDecoder):
         return len(self._layouts) - 1
 
     def _read(self, found: Found, arrival_ns: IntArray) -> Packets:
+        found = self._plain(found)
         numbers = self._layout_numbers(found)
         rows = np.flatnonzero(numbers >= 0)
         numbers = numbers[rows]

@@ -25,11 +25,11 @@ from imumon.errors import ImumonError, Reason
 from imumon.protocols.base import MAIN, Encoder, Timing
 from imumon.protocols.checksums import CRCS
 from imumon.protocols.device import DeviceFile
+from imumon.protocols.frame_checks import CyclicCheck
 from imumon.protocols.framing import (
     IMPOSSIBLE,
     INCOMPLETE,
     BoolArray,
-    CyclicCheck,
     Found,
     Frame,
 )

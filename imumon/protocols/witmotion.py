@@ -23,7 +23,8 @@ from imumon.errors import ImumonError, Reason
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.base import MAIN, Encoder, Timing
 from imumon.protocols.device import DeviceFile
-from imumon.protocols.framing import INCOMPLETE, NO_PACKET, BoolArray, Found, Frame, Sum
+from imumon.protocols.frame_checks import Sum, unchecked
+from imumon.protocols.framing import INCOMPLETE, NO_PACKET, Found, Frame, fixed_length
 from imumon.protocols.payload import LayoutDecoder, Placed, written
 from imumon.protocols.stream import ByteArray
 from imumon.protocols.tagged import NO_GROUP, Columns, Derived, Value
@@ -129,12 +130,7 @@ def _standing(items: Sequence[Item], at: int) -> list[tuple[Value, int, str]]:
 
 def _typed(kind: int) -> Frame:
     """Return the frame of a type."""
-
-    def lengths(held: ByteArray, at: IntArray) -> IntArray:
-        del held
-        return np.full(len(at), SIZE, np.int64)
-
-    return Frame(NAMES[kind], bytes([0x55, kind]), lengths, Sum())
+    return Frame(NAMES[kind], bytes([0x55, kind]), fixed_length(SIZE), Sum())
 
 
 def _combined_lengths(held: ByteArray, at: IntArray) -> IntArray:
@@ -148,11 +144,6 @@ def _combined_lengths(held: ByteArray, at: IntArray) -> IntArray:
     return np.where(waits & (result < 0), INCOMPLETE, result)
 
 
-def _unchecked(held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
-    del held, length
-    return np.ones(len(at), np.bool_)
-
-
 KINDS = (*ITEMS, 0x5F)
 
 
@@ -162,7 +153,7 @@ class WitMotionDecoder(LayoutDecoder):
     def __init__(self, rate_hz: float | None = None) -> None:
         frames = [
             *(_typed(kind) for kind in KINDS),
-            Frame("combined", b"\x55\x61", _combined_lengths, _unchecked),
+            Frame("combined", b"\x55\x61", _combined_lengths, unchecked),
         ]
         timing = Timing(tick_ns=Fraction(1_000_000), rate_hz=rate_hz)
         super().__init__(frames, timing, SIDE_GROUPS, apart=("gnss",))

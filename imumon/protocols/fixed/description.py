@@ -23,9 +23,10 @@ ColumnName = Annotated[str, StringConstraints(pattern=r"^[a-z][a-z0-9_]*$")]
 NumberName = Literal["u8", "i8", "u16", "i16", "u24", "i24", "u32", "i32", "u64", "i64", "f32", "f64"]
 IntegerName = Literal["u8", "u16", "u32"]
 ChecksumName = Literal[
-    "none", "sum8", "sum8-negated", "xor8", "sum16", "fletcher16", "fletcher16-256",
+    "none", "sum8", "sum8-negated", "xor8", "sum16", "sum16-words-le", "sum16-words-be",
+    "fletcher16", "fletcher16-256",
     "crc16-arc", "crc16-modbus", "crc16-xmodem", "crc16-ccitt-false", "crc16-aug-ccitt", "crc16-genibus",
-    "crc16-kermit", "crc16-x25", "crc32", "crc32-mpeg2", "crc32c",
+    "crc16-kermit", "crc16-mcrf4xx", "crc16-x25", "crc32", "crc32-mpeg2", "crc32c",
 ]  # fmt: skip
 assert set(get_args(ChecksumName)) == set(CHECKSUM_NAMES)
 
