@@ -13,24 +13,32 @@ import numpy as np
 from imumon.blocks import FloatArray
 from imumon.estimation.rest.compass import Verdict, verdict
 from imumon.estimation.rest.parameters import RestParameters
-from imumon.estimation.rest.state import AXES, GYRO, LEVELS, Slot, State
+from imumon.estimation.rest.state import AXES, GYRO, LEVELS, Anchor, Slot, State
 from imumon.estimation.rest.trial import RING, adopt, look
-from imumon.estimation.rest.turn import hypothesis, is_steady, steady_slots
-from imumon.estimation.rest.windows import BEFORE, MEMORY_SLOTS, Motion, bends, creeps, seen, set_band
+from imumon.estimation.rest.turn import Explained, hypothesis, is_back, is_steady, recent_mean, steady_slots
+from imumon.estimation.rest.wander import EVERY, wanders
+from imumon.estimation.rest.windows import Motion, seen, set_band
 
 GAP_S = 2.5
 SETTLE_S = 1.0
 SETTLE_SLOTS = 8
+UNDISTURBED = 8
+"""Slots before motion is seen that are left out of the mean before it."""
 TRIAL_EVERY = 4
 """Slots between two trials, while there is need of one."""
 HOLD_WINDOWS = 4.0
 """What showed only in windows of some length is watched for so many of them before it is rest again."""
-BEND_EVERY = 8
 SHORT_REST_S, MOST_CAUTION = 20.0, 8.0
 """A rest shorter than this that ends slowly was none, perhaps: the next is watched for twice as long."""
+LEAST_REST_S = 4.0
+"""A shorter one is no rest to come back to."""
+MOST_ANCHORS, SAME_SIGMAS = 3, 6.0
+"""Means of earlier rests that are remembered, and by how much they differ."""
 LONGEST_HOLD_S = 8.0
 """A turn that was steady is watched for no longer: its mean says when it ends."""
-KNOCK = Motion(0, 0.0, sudden=True)
+DECIDES_EVERY = 32
+SLOWLY = Motion(LEVELS - 1, 0.0, sudden=False, before=(2, 3), turning=True)
+KNOCK = Motion(0, 0.0, sudden=True, before=(2, 3))
 
 
 def begin(state: State, now_s: float, other: bool) -> None:
@@ -38,7 +46,8 @@ def begin(state: State, now_s: float, other: bool) -> None:
     if state.at_rest:
         _leave(state, KNOCK, now_s)
     if other:
-        state.anchored, state.doubted_since_s = False, np.nan
+        state.doubted_since_s = np.nan
+        state.anchors.clear()
         state.turn = np.zeros(3)
     state.ring_from = state.length
     state.long_hold_s = now_s
@@ -50,14 +59,24 @@ def step(state: State, parameters: RestParameters, slots: Sequence[Slot], k: int
     """Take slot k, which ends at end_s, and decide."""
     drift = parameters.drift
     motion = seen(state, slots, k, drift)
-    if motion is None and state.at_rest and state.slots % BEND_EVERY == 0:
-        motion = bends(state, drift) or creeps(state)
+    if motion is None and state.at_rest and state.slots % EVERY == 0:
+        motion = wanders(state)
     if motion is not None:
         if state.at_rest:
             _leave(state, motion, end_s)
+        elif state.turn.any() and state.quiet_slots >= 2 * RING:
+            before = state.means(state.length - np.array([UNDISTURBED, UNDISTURBED + RING]))[0]
+            state.steady, state.steady_s = np.where(state.windows.known, before, np.nan), end_s
         _watch(state, end_s, HOLD_WINDOWS * motion.seconds)
-    elif not state.at_rest and end_s >= state.hold_s and state.windows.known.any() and _may_return(state):
-        _return(state, parameters, end_s)
+    elif state.at_rest:
+        if state.turn.any() and state.slots % DECIDES_EVERY == 0:
+            _decide(state, parameters, end_s)
+    elif state.anchors and is_back(state, parameters, end_s):
+        _rest_again(state, parameters, np.zeros(3), end_s)
+    elif end_s >= state.hold_s and state.windows.known.any() and _may_return(state):
+        turn, rests = _judge(state, parameters, state.quiet_slots, end_s)
+        if rests:
+            _rest_again(state, parameters, turn, end_s)
     state.slots += 1
     ready = state.length - state.ring_from >= RING and end_s >= state.long_hold_s
     fits = state.quiet_slots >= RING and state.windows.known.all()
@@ -78,7 +97,7 @@ def _watch(state: State, now_s: float, seconds: float) -> None:
     state.hold_s = now_s + (min(hold_s, LONGEST_HOLD_S) if state.turning else hold_s)
     if seconds > SETTLE_S:
         state.long_hold_s = state.hold_s
-    state.quiet_from = state.length
+    state.quiet_from, state.quiet_since_s = state.length, now_s
 
 
 def _leave(state: State, motion: Motion, now_s: float) -> None:
@@ -86,64 +105,91 @@ def _leave(state: State, motion: Motion, now_s: float) -> None:
     windows, n, slots = state.windows, state.length, 2**motion.level
     older = np.full(AXES, np.nan)
     if motion.level > 2:
-        cuts = n - slots * np.array(motion.before)
-        older = state.means(np.maximum(cuts, state.quiet_from))[0]
-    state.anchor = np.where(np.isfinite(older), older, windows.rest_mean)
-    state.anchor_variance = windows.variance[min(motion.level + 2, LEVELS - 1)].copy()
-    state.anchored, state.anchor_s = True, now_s - HOLD_WINDOWS * motion.seconds
+        cuts = np.maximum(n - np.array(motion.before), state.quiet_from)
+        older = state.means(cuts)[0]
+    anchor = Anchor(
+        np.where(np.isfinite(older), older, windows.rest_mean),
+        windows.variance[min(motion.level + 2, LEVELS - 1)].copy(),
+        now_s - HOLD_WINDOWS * motion.seconds,
+    )
     if not motion.sudden:  # the bias may have followed what moved slowly
         recent = state.latest(slots)[0]
-        state.turn = np.where(state.windows.known & np.isfinite(recent), recent - state.anchor, 0.0)[GYRO]
+        change = np.where(windows.known & np.isfinite(recent), recent - anchor.mean, 0.0)
+        state.turn = change[GYRO]
+    if not state.anchors or now_s - state.rest_since_s > LEAST_REST_S:
+        _remember(state, anchor)
     long = now_s - state.rest_since_s > SHORT_REST_S
     state.caution = 1.0 if long else min((1.0 if motion.sudden else 2.0) * state.caution, MOST_CAUTION)
-    state.turning = motion.before != BEFORE
+    state.turning = motion.turning
     state.slow = state.turning or state.caution > 1.0
-    state.at_rest, state.doubted_since_s = False, np.nan
+    state.at_rest, state.doubted_since_s, state.steady = False, np.nan, np.full(AXES, np.nan)
     state.ring_from = n
 
 
-def _enter(state: State, mean: FloatArray, drift: FloatArray, now_s: float) -> None:
+def _remember(state: State, anchor: Anchor) -> None:
+    """Keep the mean of a rest, in place of those that are the same."""
+    others = []
+    for other in state.anchors:
+        same = SAME_SIGMAS * np.sqrt(other.variance + anchor.variance)
+        if (np.abs(other.mean - anchor.mean) > same)[GYRO].any():
+            others.append(other)
+    state.anchors = [anchor, *others[: MOST_ANCHORS - 1]]
+
+
+def _enter(state: State, mean: FloatArray, drift: FloatArray, turn: FloatArray, now_s: float) -> None:
     state.windows.rest_mean[:], state.rest_since_s = mean, now_s
-    state.at_rest, state.doubted_since_s, state.turn = True, np.nan, np.zeros(3)
+    state.at_rest, state.turn = True, turn
+    if not turn.any():
+        state.doubted_since_s = np.nan
     set_band(state.windows, drift)
 
 
-def _return(state: State, parameters: RestParameters, now_s: float) -> None:
-    """Quiet for long enough by the noise of the last rest: rest again, unless it still turns."""
-    slots = min(state.quiet_slots, MEMORY_SLOTS)
-    mean, count = state.latest(slots)
-    mean = np.where(count > 0, mean, state.windows.rest_mean)
-    if not _turns(state, parameters, mean, np.where(count > 0, float(slots), 0.0), now_s):
-        # What was before the mean became constant is no rest to compare with.
-        steady_from = state.length - steady_slots(state)
-        state.quiet_from = max(state.quiet_from, steady_from)
-        _enter(state, mean, parameters.drift, now_s)
+def _rest_again(state: State, parameters: RestParameters, turn: FloatArray, now_s: float) -> None:
+    """Rest by the noise of the last one; turn is what it may be instead."""
+    mean = recent_mean(state, state.quiet_slots)[0]
+    # What was before the mean became constant is no rest to compare with.
+    state.quiet_from = max(state.quiet_from, state.length - steady_slots(state))
+    mean = np.where(np.isfinite(mean), mean, state.windows.rest_mean)
+    _enter(state, mean, parameters.drift, turn, now_s)
 
 
-def _turns(
-    state: State,
-    parameters: RestParameters,
-    mean: FloatArray,
-    slots: FloatArray,
-    now_s: float,
-    fits: bool = True,
-) -> bool:
-    """Tell whether a unit that is quiet may be turning still; its rate is the hypothesis from now on.
+def _judge(
+    state: State, parameters: RestParameters, slots: int, now_s: float, fits: bool = True
+) -> tuple[FloatArray, bool]:
+    """Return the turn that quiet slots may be, and whether they may be rest.
 
     Motion that begins or ends so slowly that only the mean shows it has ended when the mean is constant; by a
     noise that no longer fits nothing is, and the trial has judged that.
     """
-    turn = hypothesis(state, parameters, mean, slots, now_s)
+    turn, explained = hypothesis(state, parameters, slots, now_s)
     if turn.any():
         said = verdict(state, turn)
-        state.turn = turn if said is Verdict.UNDECIDED else np.zeros(3)
-        state.turning = said is not Verdict.RESTS
+        if said is not Verdict.UNDECIDED:
+            turn = np.zeros(3)
+            explained = Explained.PLAINLY if said is Verdict.RESTS else Explained.NO
+            state.turning &= said is not Verdict.RESTS
         if np.isnan(state.doubted_since_s):
             state.doubted_since_s = now_s
-        long = now_s - state.doubted_since_s >= parameters.doubt_s
-        return state.turning and not (long and np.abs(turn).max() <= parameters.largest_jump)
+        if (
+            now_s - state.doubted_since_s >= parameters.doubt_s
+            and np.abs(turn).max() <= parameters.largest_jump
+        ):
+            return np.zeros(3), True
+    if explained is Explained.NO:
+        state.turn, state.turning = turn, True
+        return turn, False
     slow = state.slow or state.quiet_slots >= steady_slots(state) // 2
-    return state.anchored and slow and fits and not is_steady(state, parameters)
+    return turn, not (state.anchors and slow and fits and not is_steady(state, parameters))
+
+
+def _decide(state: State, parameters: RestParameters, now_s: float) -> None:
+    """At rest, though it may be a turn: ask the compass, and for how long nothing has decided."""
+    said = verdict(state, state.turn)
+    if said is Verdict.TURNS:
+        _leave(state, SLOWLY, now_s)
+        _watch(state, now_s, 0.0)
+    elif said is Verdict.RESTS or now_s - state.doubted_since_s >= parameters.doubt_s:
+        state.turn, state.doubted_since_s = np.zeros(3), np.nan
 
 
 def _try(state: State, parameters: RestParameters, now_s: float) -> None:
@@ -164,8 +210,8 @@ def _try(state: State, parameters: RestParameters, now_s: float) -> None:
         windows.rest_mean[unknown] = mean[unknown]
         adopt(state, noise, unknown)
         return
-    slots = np.where(noise.present, float(RING), 0.0)
-    if not _turns(state, parameters, mean, slots, now_s, state.quiet_slots >= RING):
+    turn, rests = _judge(state, parameters, RING, now_s, state.quiet_slots >= RING)
+    if rests:
         adopt(state, noise, noise.present)
-        _enter(state, mean, parameters.drift, now_s)
+        _enter(state, mean, parameters.drift, turn, now_s)
         _watch(state, now_s, 0.0)

@@ -18,9 +18,12 @@ AXES = 6
 GYRO, ACCEL = slice(0, 3), slice(3, 6)
 LEVELS = 8
 """Windows of 1, 2, 4 ... 128 slots are compared with their predecessors."""
-KEPT: int = 7 * 2 ** (LEVELS - 1)
-"""Slots that the longest windows and what they are compared with take."""
-CAPACITY = 3 * KEPT
+WIDTHS = np.array([16, 32, 32, 64, 64, 128])
+LAGS = np.array([32, 64, 128, 256, 512, 1024])
+"""Slots of the means, and between their beginnings, of which `wander` takes differences."""
+KEPT: int = int((LAGS + WIDTHS).max())
+"""Slots that they and the longest windows take."""
+CAPACITY = 2 * KEPT
 
 COARSEST_STEPS = (2.2e-3, 0.16)
 """No gyro (rad/s) and no accelerometer (m/s²) reads in coarser steps."""
@@ -141,6 +144,14 @@ def new_windows() -> Windows:
     )
 
 
+class Anchor(NamedTuple):
+    """Mean of an earlier rest and its variance, (6,) each, and when it ended, s."""
+
+    mean: FloatArray
+    variance: FloatArray
+    at_s: float
+
+
 @dataclass
 class State:
     """All that is carried from slot to slot; arrays are (6,) unless another shape is given.
@@ -153,16 +164,24 @@ class State:
     quiet_from, ring_from : int
         Places where the windows, and the slots of a trial, may begin.
     at_rest : bool
+    quiet_since_s : float
+        When the last sign of motion was.
     hold_s, long_hold_s : float
         Times before which there is no rest again; the latter for a trial.
     slots : int
         Slots since the beginning.
-    anchored : bool
-        Whether there is a mean of the rest before, `anchor`, of variance `anchor_variance` at `anchor_s`.
+    wander : array, (lags, 3)
+        Mean square of the differences of the gyros' means at rest (`wander`).
+    wander_lags : array, (lags,)
+        Over how many lags each was learnt.
+    anchors : list of Anchor
+        Means of earlier rests that differ, the latest first.
     doubted_since_s : float
-        Since when a mean has been steady that differs from the anchor; NaN when none has.
+        Since when a mean has been steady that differs from the anchors; NaN when none has.
     turn : array, (3,)
-        Rate, rad/s, by which the gyros differ from the anchor while nothing tells a turn from a bias.
+        Rate, rad/s, by which the gyros differ from the latest anchor while nothing tells a turn from a bias.
+    steady : array
+        Mean of a turn, when it was last undisturbed, at `steady_s`; NaN without any.
     rest_since_s : float
         When the last rest was found.
     caution : float
@@ -177,15 +196,17 @@ class State:
     quiet_from: int = 0
     ring_from: int = 0
     at_rest: bool = False
+    quiet_since_s: float = -np.inf
     hold_s: float = -np.inf
     long_hold_s: float = -np.inf
     slots: int = 0
-    anchored: bool = False
-    anchor: FloatArray = field(default_factory=lambda: np.zeros(AXES))
-    anchor_variance: FloatArray = field(default_factory=lambda: np.zeros(AXES))
-    anchor_s: float = 0.0
+    wander: FloatArray = field(default_factory=lambda: np.zeros((len(LAGS), 3)))
+    wander_lags: FloatArray = field(default_factory=lambda: np.zeros(len(LAGS)))
+    anchors: list[Anchor] = field(default_factory=list)
     doubted_since_s: float = np.nan
     turn: FloatArray = field(default_factory=lambda: np.zeros(3))
+    steady: FloatArray = field(default_factory=lambda: np.full(AXES, np.nan))
+    steady_s: float = 0.0
     rest_since_s: float = -np.inf
     caution: float = 1.0
     slow: bool = False
@@ -221,6 +242,12 @@ class State:
         """Return how long the latest slots took."""
         seconds = self.windows.seconds
         return float(seconds[self.length] - seconds[self.length - slots])
+
+    @property
+    def slot_s(self) -> float:
+        """Length of a slot, of late: at low rates that of a sample."""
+        slots = min(self.length, 32)
+        return self.span_s(slots) / slots if slots else SLOT_S
 
     def make_room(self) -> None:
         """Forget the oldest slots when there is no place left."""

@@ -23,6 +23,9 @@ LARGEST_MEAN_SD = np.array([3.5e-3, 3.5e-3, 3.5e-3, 0.03, 0.03, 0.03])
 """The same where a slot has `MEAN_OF` samples or more: 0.1 °/s/√Hz and 1.5 mg/√Hz, more than any sensor on
 sale has.  An engine that idles averages out; a road does not."""
 MEAN_OF = 3
+WHITE = 1.5
+"""A gyro may be noisier if its slots are no noisier than so many times what white noise of its samples makes
+them: it is the sensor then.  Accelerometers may not, for a road shakes them as evenly."""
 STEADY = 4.0
 """Ratio of the variances in the two halves of a trial."""
 LARGEST_RATIO = 20.0
@@ -76,9 +79,12 @@ def look(state: State, drift: FloatArray) -> Noise | None:
     of_1 = (single * single).mean(0) / 6.0
     count = (samples[n] - samples[n - RING]) / RING
     largest = np.where(count >= MEAN_OF, LARGEST_MEAN_SD, LARGEST_SD)
-    if (of_1 > largest**2).any():
+    loud = of_1 > largest**2
+    if loud[ACCEL].any():
         return None
     each, halves = _within(windows.within[n - RING : n])
+    if (loud & ~(of_1 * count < WHITE * each)).any():
+        return None
     mean = ring.mean(0)
     present = np.isfinite(mean)
     if not present.any() or (present & (each > MOST_WITHIN**2)).any():
@@ -148,4 +154,6 @@ def adopt(state: State, noise: Noise, which: BoolArray) -> None:
     windows.known[new] = True
     windows.sample_variance[new] = noise.sample[new]
     windows.variance[:, new] = np.array(start)[:, new]
+    if new[GYRO].any():
+        state.wander[:], state.wander_lags[:] = 0.0, 0.0
     windows.gain[:, new] = 1.0 / (1.0 + np.maximum(RING / SLOTS, 3.0))[:, np.newaxis]

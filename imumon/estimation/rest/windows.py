@@ -15,13 +15,10 @@ import numpy as np
 from imumon.blocks import FloatArray
 from imumon.compiled import njit
 from imumon.estimation.rest.state import (
-    ACCEL,
     AXES,
-    GYRO,
     HIDES,
     LEVELS,
     SLOT_S,
-    BoolArray,
     Slot,
     State,
     Windows,
@@ -44,37 +41,26 @@ MEMORY_SLOTS = 32
 """Slots of the mean at rest."""
 ROUNDING = 1e-9
 """Samples that differ by less than this share are equal: means of equal samples differ by rounding."""
-BEND_FROM = 2
-BEND_S = 600.0
-"""A drift as large as permitted builds up in no less: a case takes minutes to follow a temperature."""
-BEND_SIGMAS = 5.0
-"""One test a second of one quantity: a false alarm in some hundred hours of Gaussian noise."""
-OBLIQUE = 0.3
-"""Share of a difference across the vertical that no misalignment or tilt of a turntable explains (17°)."""
-CREEP = 2e-5
-"""rad/s²: 70 °/h/°C at 2 °C/min is 1.1e-5; more than this, about the vertical alone, for 96 s is a turn."""
 MOST_WITHIN = np.array([3.5e-2, 3.5e-2, 3.5e-2, 0.5, 0.5, 0.5])
 """rad/s and m/s², rms: more vibration is motion.  2 °/s and 0.5 m/s² are the limits of VQF's rest detection
 (Laidig and Seel 2023, restThGyr and restThAcc); an engine that idles stays at a third of them."""
 
 SLOTS = 2 ** np.arange(LEVELS)
-_BEND_CUTS = SLOTS[:, np.newaxis] * np.array([0, 1, 4, 7])
-
-
-BEFORE = (2, 3)
 
 
 class Motion(NamedTuple):
     """The shortest windows that showed motion: their level and their seconds.
 
-    sudden tells whether a sample or the vibration showed it as well; before is where, in such windows, the
-    latest begins and ends that was rest still.
+    sudden tells whether a sample or the vibration showed it as well; before is how many slots ago the latest
+    window ended, and began, that was rest still; turning, that only the gyros' mean about the vertical showed
+    it.
     """
 
     level: int
     seconds: float
-    sudden: bool = False
-    before: tuple[int, int] = BEFORE
+    sudden: bool
+    before: tuple[int, int]
+    turning: bool = False
 
 
 def seen(state: State, slots: Sequence[Slot], k: int, drift: FloatArray) -> Motion | None:
@@ -93,76 +79,7 @@ def seen(state: State, slots: Sequence[Slot], k: int, drift: FloatArray) -> Moti
     if level < 0 and not sudden:
         return None
     level = max(level, 0)
-    return Motion(level, state.span_s(2**level), sudden)
-
-
-def bends(state: State, drift: FloatArray) -> Motion | None:
-    """Tell whether the latest window of the gyros lies off the line through the six such windows before it.
-
-    So a turn about the vertical shows that begins more slowly than a bias may drift; what is not about the
-    vertical is drift, or the accelerometers show it.  Of windows of length L with centres at -L/2, -2.5 L
-    (three of them) and -5.5 L the line predicts m₂ + ⅔ (m₂ - m₁), with a variance of ²⁹⁄₉ times that of the
-    mean of three; a curvature c puts it off by 4.67 c L².
-    """
-    windows, n, quiet = state.windows, state.length, state.quiet_slots
-    levels = min(int(np.count_nonzero(quiet >= 7 * SLOTS)), LEVELS - 1)
-    if levels <= BEND_FROM:
-        return None
-    which = slice(BEND_FROM, levels)
-    cuts = n - _BEND_CUTS[which]
-    seconds = windows.seconds[cuts[:, 0]] - windows.seconds[cuts[:, 1]]
-    recent, middle, oldest = np.moveaxis(state.means(cuts)[..., GYRO], 1, 0)
-    off = recent - middle - (middle - oldest) * (2.0 / 3.0)
-    variance = (
-        windows.variance[which, GYRO] + (29.0 / 9.0) * windows.variance[BEND_FROM + 1 : levels + 1, GYRO]
-    )
-    allowed = (4.67 / BEND_S) * drift[0] * seconds**2
-    found = turned(state, off, variance + TINY, allowed) & (seconds <= LONGEST_S)
-    if found.any():
-        level = BEND_FROM + int(np.argmax(found))
-        return Motion(level, state.span_s(SLOTS[level]), before=(4, 7))
-    return None
-
-
-def turned(state: State, off: FloatArray, variance: FloatArray, allowed: FloatArray) -> BoolArray:
-    """Tell whether differences of gyros, (k, 3), are too large for noise and what is allowed, (k,).
-
-    Where gravity is known, about the vertical: what is oblique is drift, for gravity would have moved.
-    """
-    known = state.windows.known
-    off = np.where(known[GYRO], off, 0.0)
-    force = state.windows.rest_mean[ACCEL]
-    if not known.all():
-        excess = np.maximum(np.abs(off) - allowed[:, np.newaxis] - state.resolution[GYRO], 0.0)
-        return np.asarray((excess**2 / variance).sum(-1) > CHI_SQUARE)
-    up = force / np.linalg.norm(force)
-    along = np.abs(off @ up)
-    across = np.sqrt(np.maximum((off * off).sum(1) - along * along, 0.0))
-    vertical = across < np.maximum(OBLIQUE * along, BEND_SIGMAS * np.sqrt(variance.max(1)))
-    beyond = along - allowed - np.abs(up) @ state.resolution[GYRO] > BEND_SIGMAS * np.sqrt(variance @ up**2)
-    return np.asarray(vertical & beyond)
-
-
-def creeps(state: State) -> Motion | None:
-    """Tell whether the gyros' mean of the last 16 s is farther from that of 96 s before than a bias creeps.
-
-    So a turn shows that begins too slowly for `bends` in the noise of a cheap gyro.
-    """
-    windows, n, slots = state.windows, state.length, int(SLOTS[-1])
-    if state.quiet_slots < 7 * slots:
-        return None
-    cuts = n - slots * np.array([[0, 1], [6, 7]])
-    recent, oldest = state.means(cuts)[:, 0, GYRO]
-    seconds = windows.seconds[n] - windows.seconds[cuts[1, 0]]
-    found = turned(
-        state,
-        (recent - oldest)[np.newaxis],
-        2.0 * windows.variance[-1:, GYRO] + TINY,
-        CREEP * seconds[np.newaxis],
-    )
-    if not found[0]:
-        return None
-    return Motion(LEVELS - 1, state.span_s(slots), before=(6, 7))
+    return Motion(level, state.span_s(2**level), sudden, (2 << level, 3 << level))
 
 
 # What follows is compiled, for it runs with each slot.
