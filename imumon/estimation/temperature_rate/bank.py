@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -49,7 +50,7 @@ _RATIOS, _TIMES = _RATIOS[_RATIOS <= 2.0 * _TIMES], _TIMES[_RATIOS <= 2.0 * _TIM
 LEVEL_SIGMAS = np.concatenate([WHITE_SIGMAS, 0.0 * _LEVEL_SLOW + SLOW_LEVEL_WHITE])
 LEVEL_SLOW = np.concatenate([0.0 * WHITE_SIGMAS, _LEVEL_SLOW])
 """Of the level kinds: white noise in steps and the slow error in units."""
-MEAN_WHITE = np.concatenate([MEAN_FACTORS, np.maximum(1.0 - _RATIOS / _TIMES, 0.0)])
+MEAN_WHITE = np.concatenate([MEAN_FACTORS, np.maximum(1.0 - _RATIOS / _TIMES, 0.05)])
 MEAN_SLOW = np.concatenate([0.0 * MEAN_FACTORS, _RATIOS / _TIMES])
 """Of the others: white noise and the slow error over what is seen from slot to slot, as variances."""
 SLOW_TIME_S = np.concatenate([1.0 + 0.0 * WHITE_SIGMAS, _LEVEL_TIMES, 1.0 + 0.0 * MEAN_FACTORS, _TIMES])
@@ -71,9 +72,16 @@ def slow_errors(unit: float, roughness: float, interval_s: float) -> FloatArray:
         Between these.  Of an error with the variance v that keeps φ until the next reading they show
         v (1 - φ)(3 - φ)/3.
     """
+    return unit**2 * _OF_UNIT + roughness * _of_roughness(interval_s)
+
+
+_OF_UNIT = np.append(LEVEL_SLOW**2, 0.0 * MEAN_SLOW)
+
+
+@lru_cache(maxsize=8)
+def _of_roughness(interval_s: float) -> FloatArray:
     keep = np.exp(-interval_s / SLOW_TIME_S[LEVELS:])
-    seen = (1.0 - keep) * (3.0 - keep) / 3.0
-    return np.concatenate([(unit * LEVEL_SLOW) ** 2, roughness * MEAN_SLOW / seen])
+    return np.append(0.0 * LEVEL_SLOW, MEAN_SLOW * 3.0 / ((1.0 - keep) * (3.0 - keep)))
 
 
 CHANGE_PER_S = 1.0 / 3600.0

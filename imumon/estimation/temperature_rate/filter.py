@@ -33,8 +33,6 @@ LATE_S, LATE_FACTOR = 5.0, 3.0
 """Readings missed for so long, and so many times the usual interval, ..."""
 UNSEEN_JERK = 1e-13
 """... let the temperature do this, °C²/s⁵, that nobody saw."""
-EDGES = 0.05
-"""Edges between levels are known to so many steps: ±0.1 of nonlinearity is a good converter's."""
 UNAVERAGED = 0.5
 """The mean of a slow error is known to so many of its deviations: below its correlation time it is 1/f."""
 COARSEST = 1.0
@@ -236,7 +234,7 @@ def _keep_near(state: State, slow: float, reading: Reading, end_s: float) -> Non
 
 
 def _start_sd(reading: Reading, sensor: Sensor) -> float:
-    return math.hypot(sensor.step, math.sqrt(reading.variance))
+    return math.hypot(sensor.unit, math.sqrt(reading.variance))
 
 
 def _heard(state: State, bank: Bank, predicted: tuple[float, float], reading: Reading) -> Bank:
@@ -266,7 +264,7 @@ def _shown(state: State, means: Merged, end_s: float, fresh: bool) -> Shown:
     rate = means.rate + ahead * means.acceleration
     frozen = min(DRIFT_PER_S * max(end_s - state.sensor.changed_s - FROZEN_S, 0.0), START_RATE)
     unseen = state.sensor.finder.unseen
-    hidden = COARSEST / math.sqrt(12.0) if unseen else EDGES * state.sensor.step
+    hidden = COARSEST / math.sqrt(12.0) if unseen else state.sensor.edges
     late = abs(rate) * min(state.sensor.interval_s, SLOW_S) / math.sqrt(3.0)
     moved = COARSEST / math.sqrt(6.0) / max(end_s, 1.0) if unseen else 0.0
     shown = Shown(

@@ -329,7 +329,7 @@ def _heaviest(filters: Filters) -> Filter:
 
 @njit
 def _confined(f: Filter, noise: float, step: float, level: float) -> tuple[float, float, float]:
-    """Return probability, shift over sd and shrinking of the variance by a level sharp for a filter."""
+    """Return probability, shift over sd and shrinking of variance by a level that is sharp for a filter."""
     spread = f.tt + 2.0 * f.te + f.ee
     sd = math.sqrt(spread)
     if sd < SHARPER * noise:

@@ -13,6 +13,11 @@ from imumon.estimation.temperature_rate.step import StepFinder
 SLOT_S = 1.0
 MEMORY = 1.0 / 32.0
 """Weight of a new slot in what is learned, after as many slots."""
+FLICKER_S, FLICKERS = 10.0, 3
+"""So often a reading has to go back within this time to be known to flicker."""
+EDGES, STICKY_EDGES = 0.05, 0.5
+"""Edges between levels are known to so many steps: ±0.1 of nonlinearity is a good converter's; hysteresis
+of a step is half a step either way."""
 MOST = 9.0
 """A slot counts in a variance with no more than so many times what is known: a spike spoils little."""
 DEAD_S, DEAD_INTERVALS = 60.0, 10.0
@@ -113,12 +118,12 @@ class Sensor:
         Time within which the reading does not change twice: the refresh interval or more.
     usual_s : float
         Usual time between slots that change.
-    changed_s : float
-        When the reading changed last.
+    changed_s, change : float
+        When the reading changed last, and by how much, °C.
     refresh : RefreshFinder
         When a reading that is repeated over slots is a new one.
-    learned : int
-        Slots that changed.
+    learned, reversed : int
+        Slots that changed; and those in which a reading went back within `FLICKER_S`.
     slots : int
     means : tuple
         Means of the last slots, °C.
@@ -133,8 +138,10 @@ class Sensor:
     interval_s: float = 0.0
     usual_s: float = 0.0
     changed_s: float = float("nan")
+    change: float = 0.0
     refresh: RefreshFinder = field(default_factory=RefreshFinder)
     learned: int = 0
+    reversed: int = 0
     slots: int = 0
     means: tuple[float, ...] = field(default=())
 
@@ -152,6 +159,14 @@ class Sensor:
         """Variances of the bank's slow errors, °C²."""
         roughness = max(self.roughness, self.step**2 / 12.0)
         return slow_errors(self.unit, roughness, self.refresh.interval_s if self.refresh.slow else SLOT_S)
+
+    @property
+    def edges(self) -> float:
+        """How well the edges between levels are known, °C.
+
+        A converter with hysteresis follows only when it is off by a step or so; one that flickers has none.
+        """
+        return (EDGES if self.reversed >= FLICKERS else STICKY_EDGES) * self.step
 
     @property
     def scatter(self) -> float:
@@ -252,6 +267,9 @@ class Sensor:
             self.squares += weight * (reading.step_squares - self.squares)
             self.spread += weight * (2.0 * reading.count * variance - self.spread)
         gap_s = reading.changed_s - self.changed_s
+        change = reading.last - (reading.before if math.isfinite(reading.before) else reading.first)
+        self.reversed += reading.changes > 1 or (change * self.change < 0.0 and gap_s < FLICKER_S)
+        self.change = change
         since = reading.duration_s / reading.changes if reading.changes > 1 else gap_s
         if self.learned > 1 or reading.changes > 1:
             longest = SLOWER * max(self.interval_s, reading.gap_s) if self.interval_s else since
