@@ -20,6 +20,7 @@ from imumon.diagnosis.candidates import Pool
 from imumon.diagnosis.channel import Channel, Declared
 from imumon.diagnosis.continuing import continued, predecessor
 from imumon.diagnosis.earth import VerticalRate, vertical_rate, without
+from imumon.diagnosis.faults import without_faults
 from imumon.diagnosis.known import modelled, temperature_of, without_known
 from imumon.diagnosis.recording import CHANNELS, Run, common_temperature, unit_of
 from imumon.diagnosis.selection import search
@@ -100,6 +101,7 @@ def diagnose(
     degree, offsets = parse_declared(declared)
     caveats: list[str] = []
     channels = _channels(train)
+    train, test = (_sound(runs, channels, caveats) for runs in (train, test))
     test = _in_order(train, _unseen(train, test, caveats), caveats)
     if model is not None:
         channels = modelled(channels, model)
@@ -187,6 +189,13 @@ def _said_of_earth(earth: VerticalRate | None) -> str:
         f"several poses: the gyros have {common:+.2f} °/h per g of their own axis in common; it is taken for"
         f" the vertical earth rate (latitude {earth.latitude_deg:+.0f}°) and subtracted"
     )
+
+
+def _sound(runs: Sequence[Run], channels: Sequence[str], caveats: list[str]) -> list[Run]:
+    """Return runs without what is a fault of the data, which is named."""
+    both = [without_faults(run, channels) for run in runs]
+    caveats += [text for _, said in both for text in said]
+    return [run for run, _ in both]
 
 
 def _unseen(train: Sequence[Run], test: Sequence[Run], caveats: list[str]) -> list[Run]:

@@ -109,6 +109,29 @@ def test_where_nothing_is_missing_nothing_is_named() -> None:
     assert extended_model(diagnosis).channels["gyro_x"].effects == []
 
 
+@pytest.mark.parametrize(("value", "said"), [(3.0, "stuck for 600 s"), (1e3, "saturated for 600 s")])
+def test_a_channel_that_stands_still_is_a_fault_and_no_effect(value: float, said: str) -> None:
+    train, test = three(nothing)
+    mean, variance = train[0].mean["gyro_x"].copy(), train[0].variance["gyro_x"].copy()
+    mean[1000:1600], variance[1000:1600] = value * DPH, 0.0
+    train[0] = replace(
+        train[0], mean={**train[0].mean, "gyro_x": mean}, variance={**train[0].variance, "gyro_x": variance}
+    )
+    diagnosis = diagnose(train, test)
+    assert any(said in text for text in diagnosis.caveats)
+    assert names(diagnosis) == []
+    assert diagnosis.verdicts[0].summary.startswith("nothing is missing")
+
+
+def test_digits_coarser_than_the_noise_are_said() -> None:
+    train, test = three(nothing)
+    step = 200 * WHITE_DPH * DPH
+    coarse = [replace(r, mean={**r.mean, "gyro_x": np.round(r.mean["gyro_x"] / step) * step}) for r in train]
+    coarse = [replace(r, variance={"gyro_x": np.zeros(len(r.time_s))}) for r in coarse]
+    coarse[1].mean["gyro_x"][::100] += step
+    assert any("too few digits" in text for text in diagnose(coarse, test).caveats)
+
+
 def test_what_only_the_test_shows_is_not_called_nothing() -> None:
     train, test = three(nothing)
     shifted = test[0].mean["gyro_x"] + 3 * WHITE_DPH * DPH
