@@ -19,7 +19,7 @@ from imumon.estimation.alignment.status import Estimate
 from imumon.geodesy import DEG_PER_H, EARTH_RATE, MICRO_G, STANDARD_GRAVITY, forward
 
 SLOT_S = 0.25
-RENEWED_SHARE, RENEWED_S = 0.25, (1.0, 20.0)
+RENEWED_SHARE, RENEWED_S = 0.25, (1.0, 30.0)
 """A fit is renewed after this share of the time that counts, sigma falling by a tenth; between these, s."""
 LONGEST_S = 120.0
 """After a longer disturbance, or a gap of a quarter of it, the alignment begins anew: an attitude that was

@@ -35,11 +35,11 @@ _STEADY = len(TIME_CONSTANTS_S)
 PAIRS = np.array(
     [(k, k + 1) for k in range(_STEADY)] + [(_STEADY, _STEADY + 1 + k) for k in range(len(LATER))]
 ).T
-"""Courses of which a tilt is the sum: exponentials or, at last, a steady tilt that changes once; (2, pairs)."""
+"""Courses of which a tilt is the sum: exponentials, or a steady tilt that changes once; (2, pairs)."""
 TILTS = np.array([3e-5, 3e-4])
 """Standard deviations of the tilt, rad: of what tripods do, 30 to 300 µrad."""
 PROBABILITY = 1.0 / 3.0
-"""Prior probability that the unit tilts: it stands, its accelerometers warm up, or its tripod settles."""
+"""Prior probability that the unit tilts: of standing, warming up and settling, one."""
 WARM_UPS_S = np.array([30.0, 100.0, 300.0, 1000.0])
 WARM_UP = 1e-4
 """Time constants of accelerometers, and the standard deviation of each part of the drift, in g."""
@@ -150,12 +150,16 @@ def fit_pose(record: PoseRecord, drift_sd: float = WARM_UP) -> PoseFit | None:
     if tapered[0, 0] > BETTER * gram[0, 0]:
         gram = tapered
     told = _accelerometers(cells.level, length_s, 0.5 * (courses[1:] + courses[:-1]), drift_sd)
-    evidence, mean, variance = _hypotheses(gram, *told)
+    found = _hypotheses(gram, *told)
+    wider = _misfit(gram, found, len(windows.weights))
+    if wider > 1.0 and gram is not tapered:
+        found = _hypotheses(gram / wider, *told)
+    mean, variance = found.mean, found.variance
     upright = windows.scatter(data[:, 2:])[0]
     vertical_variance = upright / (float(products[0, 0]) * cells.share) + FINEST**2
     counted = length_s * len(data) * cells.share
     return PoseFit(
-        evidence,
+        found.log_evidence,
         complex(*middle) + mean,
         variance,
         above + float(products[0, -1] / products[0, 0]),
@@ -228,10 +232,29 @@ def _tapered(columns: FloatArray) -> FloatArray:
     return np.asarray(np.outer(observed, observed) / max(variance, FINEST**2))
 
 
-def _hypotheses(
-    gram: FloatArray, information: FloatArray, seen: ColumnArray
-) -> tuple[FloatArray, ColumnArray, FloatArray]:
-    """Return log evidence, mean and variance of c' under each hypothesis, with the tilt's angles eliminated.
+@dataclass(frozen=True, slots=True)
+class _Hypotheses:
+    """Log evidence, mean and variance of c' (h,), and the angles of the courses (h, kinds)."""
+
+    log_evidence: FloatArray
+    mean: ColumnArray
+    variance: FloatArray
+    angles: ColumnArray
+
+
+def _misfit(gram: FloatArray, found: _Hypotheses, rows: int) -> float:
+    """Return how much more than their noise the data are off what the most probable hypothesis says.
+
+    The noise was judged by what no trend explains; a sway of one period may look like a trend, and like no
+    hypothesis.
+    """
+    best = int(np.argmax(found.log_evidence + prior()))
+    off = np.r_[-found.mean[best], -found.angles[best], 1.0, 1.0j]
+    return float((off.conj() @ gram @ off).real) / (2.0 * max(rows - 3, 1))
+
+
+def _hypotheses(gram: FloatArray, information: FloatArray, seen: ColumnArray) -> _Hypotheses:
+    """Return what each hypothesis says of c', with the tilt's angles eliminated.
 
     Parameters
     ----------
@@ -253,10 +276,15 @@ def _hypotheses(
     explained = (c * np.abs(p) ** 2 - 2.0 * b * (p * q.conj()).real + a * np.abs(q) ** 2) / determinant
     # Two axes: every half of a logarithm counts twice.
     evidence = 0.5 * (explained + np.abs(mean) ** 2 * left) - np.log(determinant / known**2) - np.log(left)
-    return (
+    angles = np.zeros((len(mean) + 1, len(slopes)), complex)
+    row = np.arange(1, len(angles))
+    angles[row, first] = (c * (p - x * mean) - b * (q - y * mean)) / determinant
+    angles[row, second] = (a * (q - y * mean) - b * (p - x * mean)) / determinant
+    return _Hypotheses(
         np.r_[0.5 * abs(right) ** 2 / total - math.log(total), evidence],
         np.r_[right / total, mean],
         np.r_[1.0 / total, 1.0 / left],
+        angles,
     )
 
 

@@ -17,10 +17,11 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 
-CELLS, STEP = 192, 4
+CELLS, STEP = 160, 4
 """A record is first reduced to so many cells at most, and to a multiple of the step."""
-ROWS = 48
-"""Windows in a set at the most; more neighbours are added up."""
+ROWS = 40
+"""Windows in a set at the most; more neighbours are added up.  Products of such matrices are small enough for
+BLAS not to wake other threads, which would cost more than the product."""
 LEAST_ROWS = 6
 """The scatter of fewer means tells nothing: a quarter of the error, with two axes."""
 TREND = (2.0, 8.0, 32.0, 128.0)
@@ -103,28 +104,35 @@ def trend(rows: int) -> FloatArray:
 @lru_cache(maxsize=64)
 def bank(cells: int, hop: int) -> tuple[Windows, ...]:
     """Return sets of windows over cells, `hop` rows from one to the next, with ever wider edges."""
-    noise = np.eye(cells)
+    beside = 0.0
     if hop > 1:
         _, taps = layout(hop * CELLS)
         beside = float(taps[:hop] @ taps[hop:] / (taps @ taps))
-        noise += beside * (np.eye(cells, k=1) + np.eye(cells, k=-1))
-    found, wide = [_made(np.eye(cells), noise)], 2
+    found, wide = [_made(np.eye(cells), beside)], 2
     while cells // wide - 1 >= LEAST_ROWS:
-        middle = np.arange(wide, cells - wide + 1, wide)[:, None]
-        apart = np.abs(np.arange(cells) + 0.5 - middle) / wide
-        found.append(_made(np.where(apart < 1.0, 0.5 + 0.5 * np.cos(math.pi * apart), 0.0), noise))
+        middle = np.arange(wide - 1, cells - wide + 1, wide)[:, None]
+        apart = np.abs(np.arange(cells) - middle) / wide
+        found.append(_made(np.where(apart < 1.0, 0.5 + 0.5 * np.cos(math.pi * apart), 0.0), beside))
         wide *= 2
     return tuple(found)
 
 
-def _made(weights: FloatArray, noise: FloatArray) -> Windows:
-    """Return windows of these weights, (k, n), over cells with this covariance, (n, n)."""
+def _made(weights: FloatArray, beside: float) -> Windows:
+    """Return windows of these weights, (k, n), over cells that correlate so much with their neighbours."""
     together = -(-len(weights) // ROWS)
     weights = np.add.reduceat(weights, np.arange(0, len(weights), together), axis=0)
     whole = weights.sum(0) / weights.sum()
     weights = weights / weights.sum(1, keepdims=True)
     columns = 1 + min(2 * ((len(weights) - LEAST_ROWS) // LEAST_ROWS), len(TREND))
     slow = np.linalg.qr(weights @ trend(weights.shape[1])[:, :columns])[0]
-    covariance = weights @ noise @ weights.T
+    covariance = _noisy(weights, beside) @ weights.T
     expected = float(np.trace(covariance) - np.vdot(slow, covariance @ slow))
-    return Windows(weights, covariance, slow, expected, float(whole @ noise @ whole))
+    return Windows(weights, covariance, slow, expected, float(_noisy(whole, beside) @ whole))
+
+
+def _noisy(weights: FloatArray, beside: float) -> FloatArray:
+    """Return weights times the covariance of cells."""
+    found = weights.copy()
+    found[..., 1:] += beside * weights[..., :-1]
+    found[..., :-1] += beside * weights[..., 1:]
+    return found
