@@ -19,7 +19,7 @@ from imumon.estimation.alignment.status import Estimate
 from imumon.geodesy import DEG_PER_H, EARTH_RATE, MICRO_G, STANDARD_GRAVITY, forward
 
 SLOT_S = 0.25
-RENEWED_SHARE, RENEWED_S = 0.25, (1.0, 20.0)
+RENEWED_SHARE, RENEWED_S = 0.25, (1.0, 30.0)
 """A fit is renewed after this share of the time that counts, sigma falling by a tenth; between these, s."""
 LONGEST_S = 120.0
 """After a longer disturbance, or a gap of a quarter of it, the alignment begins anew: an attitude that was
@@ -29,18 +29,20 @@ SAME_TURN, SAME_LEVEL = 3e-5, 1e-5
 SIGMAS = 6.0
 AFTER = 3
 """Slots after a disturbance that do not count: what is left of it in them is below the limit, but adds up."""
-TYPICAL_BIAS, TYPICAL_ARW, BIAS_POWER = 10.0 * DEG_PER_H, math.radians(0.1) / 60.0, 1.5
-"""A gyro with the noise 0.1 °/√h has a bias of about 10 °/h; better gyros have less, by the power 1.5: data
-sheets of MEMS, fibre and ring laser gyros, from 0.3 °/√h and 50 °/h to 0.002 °/√h and 0.03 °/h."""
-LEAST_ARW = math.radians(1e-4) / 60.0
-"""The best ring laser gyros."""
-LARGEST_TYPICAL = EARTH_RATE
-"""Larger biases leave no heading, whatever they are."""
-SMALLER, LARGER = 1.2, 2.2
-"""Standard deviation of the logarithm of a bias about that: below, the scatter of the data sheets; above, a
-factor 80 at two of them, for a low-noise gyro may have any bias until it is calibrated."""
-SIZES = np.linspace(-2.4, 9.0, 14)
-"""Logarithms of the sizes thought of, over the typical one."""
+TYPICAL_BIAS, TYPICAL_ARW, BIAS_POWER = 2.0 * DEG_PER_H, math.radians(0.1) / 60.0, 1.86
+SCATTER = 1.5
+"""A gyro with the noise N has a bias of about 2 °/h (N / 0.1 °/√h)^1.86; 1.5 is the standard deviation of its
+logarithm.  Regression over data sheets, bias and noise in °/h and °/√h: Honeywell HG9900 0.0035 and 0.002,
+HG1700 1 and 0.125 (`hg9900_model`, `hg1700_model` of NavToolkit), iMAR FSAS 0.75 and 0.1, Xsens MTi-G 3600
+and 3 (Mathematical Problems in Engineering 2013, 435286, table 6)."""
+LEAST_ARW, LARGEST_TYPICAL = math.radians(0.002) / 60.0, EARTH_RATE
+"""The quietest of them; and a typical bias is not made larger than what leaves no heading anyway."""
+SIZES = np.linspace(-4.0, 12.0, 17)
+"""Logarithms of the sizes thought of, over the typical one: up to 200 °/h of the best gyros."""
+LARGER = int(np.sum(SIZES > 0.0))
+UNLIKE = 0.02
+"""Probability that a gyro is worse than its class, by any factor, as one that is not calibrated: so little
+that it costs nothing where the rates agree with the class, and where they do not, they decide."""
 DECLARED = 0.999
 """Probability that a declared bias holds."""
 
@@ -285,12 +287,11 @@ class Aligner:
         typical = min(TYPICAL_BIAS * (max(arw, LEAST_ARW) / TYPICAL_ARW) ** BIAS_POWER, LARGEST_TYPICAL)
         declared = self.parameters.gyro_bias_sd_deg_per_h
         if declared is None:
-            logs = -0.5 * (SIZES / np.where(SIZES < 0.0, SMALLER, LARGER)) ** 2
-            return typical * np.exp(SIZES), logs - np.log(np.exp(logs).sum())
-        larger = SIZES[SIZES > 0.0]
-        logs = -0.5 * (larger / LARGER) ** 2
-        sizes = np.r_[declared * DEG_PER_H, max(typical, declared * DEG_PER_H) * np.exp(larger)]
-        return sizes, np.r_[math.log(DECLARED), logs - np.log(np.exp(logs).sum()) + math.log(1.0 - DECLARED)]
+            return typical * np.exp(SIZES), np.log(
+                (1.0 - UNLIKE) * _normal(SIZES) + UNLIKE * (SIZES > 0.0) / LARGER
+            )
+        sizes = np.r_[declared * DEG_PER_H, max(typical, declared * DEG_PER_H) * np.exp(SIZES[SIZES > 0.0])]
+        return sizes, np.log(np.r_[DECLARED, np.full(LARGER, (1.0 - DECLARED) / LARGER)])
 
     def _means(self) -> None:
         """Renew the plain and the Hann-weighted mean of the gyros in the pose of now."""
@@ -354,6 +355,12 @@ DRIFT_WHILE_TURNED = 1.0
 """While the unit turns by a radian or more, the rate that is taken off may be wrong by the earth's."""
 STILL_SETTLED = 1.25
 """A settled heading remains settled until its sigma is larger by this factor."""
+
+
+def _normal(logarithms: FloatArray) -> FloatArray:
+    """Return the probabilities of logarithms of sizes by the scatter of a class."""
+    density = np.exp(-0.5 * (logarithms / SCATTER) ** 2)
+    return np.asarray(density / density.sum())
 
 
 def levelled(attitude: FloatArray, up: FloatArray) -> FloatArray:

@@ -23,18 +23,23 @@ import numpy as np
 
 from imumon.blocks import ColumnArray, FloatArray
 from imumon.estimation.alignment.lines import without_lines
-from imumon.estimation.alignment.windows import ROWS, Windows, bank, cells_of, trend
+from imumon.estimation.alignment.windows import ROWS, Windows, bank, in_cells, layout, trend
 
-TIME_CONSTANTS_S = np.geomspace(5.0, 600.0, 12)
-"""Of a tripod that settles: so close that the gyros do not tell neighbours apart at 200 µrad."""
-RAMP_S = 600.0
+TIME_CONSTANTS_S = np.geomspace(5.0, 640.0, 8)
+"""Of a tripod that settles.  Two neighbours together follow any time constant between them."""
+RAMP_S = 640.0
 """A steady tilt is told by its angle over this time."""
 LATER = (0.25, 0.5, 0.75)
 """Shares of the time after which a steady tilt may have begun."""
+_STEADY = len(TIME_CONSTANTS_S)
+PAIRS = np.array(
+    [(k, k + 1) for k in range(_STEADY)] + [(_STEADY, _STEADY + 1 + k) for k in range(len(LATER))]
+).T
+"""Courses of which a tilt is the sum: exponentials, or a steady tilt that changes once; (2, pairs)."""
 TILTS = np.array([3e-5, 3e-4])
 """Standard deviations of the tilt, rad: of what tripods do, 30 to 300 µrad."""
-PROBABILITY = 0.1
-"""Prior probability that the unit tilts."""
+PROBABILITY = 1.0 / 3.0
+"""Prior probability that the unit tilts: of standing, warming up and settling, one."""
 WARM_UPS_S = np.array([30.0, 100.0, 300.0, 1000.0])
 WARM_UP = 1e-4
 """Time constants of accelerometers, and the standard deviation of each part of the drift, in g."""
@@ -107,9 +112,8 @@ class PoseFit:
 
 def prior() -> FloatArray:
     """Return the logarithm of the prior probability of each hypothesis, (h,); the first: the unit stands."""
-    kinds = len(TIME_CONSTANTS_S) + 1 + len(LATER)
-    each = PROBABILITY / (kinds * len(TILTS))
-    return np.asarray(np.log(np.r_[1.0 - PROBABILITY, np.full(kinds * len(TILTS), each)]))
+    count = PAIRS.shape[1] * len(TILTS)
+    return np.asarray(np.log(np.r_[1.0 - PROBABILITY, np.full(count, PROBABILITY / count)]))
 
 
 def tilt_courses(time_s: FloatArray) -> FloatArray:
@@ -133,25 +137,29 @@ def fit_pose(record: PoseRecord, drift_sd: float = WARM_UP) -> PoseFit | None:
     if valid.sum() < LEAST_CELLS:
         return None
     cells = _in_cells(record, valid)
-    edges = cells.length_s * np.arange(len(cells.rate) + 1.0)
-    courses = tilt_courses(edges)
-    slopes = np.diff(courses, axis=0) / cells.length_s
+    length_s = float(cells.edges_s[1] - cells.edges_s[0])
+    courses = tilt_courses(cells.edges_s)
+    slopes = np.diff(courses, axis=0) / length_s
     middle, above = cells.rate[:, :2].mean(0), float(cells.rate[:, 2].mean())
     data = cells.rate - [*middle, above]
-    windows, scatter = _sharpest(data[:, :2])
+    windows, scatter = _sharpest(data[:, :2], bank(len(data), cells.hop))
     columns = np.column_stack([np.ones(len(data)), slopes, data])
     products = windows.products(columns)
     gram = products[:-1, :-1] * (cells.share / scatter)
     tapered = _tapered(columns[:, :-1]) * cells.share
     if tapered[0, 0] > BETTER * gram[0, 0]:
         gram = tapered
-    told = _accelerometers(cells.level, cells.length_s, 0.5 * (courses[1:] + courses[:-1]), drift_sd)
-    evidence, mean, variance = _hypotheses(gram, *told)
+    told = _accelerometers(cells.level, length_s, 0.5 * (courses[1:] + courses[:-1]), drift_sd)
+    found = _hypotheses(gram, *told)
+    wider = _misfit(gram, found, len(windows.weights))
+    if wider > 1.0 and gram is not tapered:
+        found = _hypotheses(gram / wider, *told)
+    mean, variance = found.mean, found.variance
     upright = windows.scatter(data[:, 2:])[0]
     vertical_variance = upright / (float(products[0, 0]) * cells.share) + FINEST**2
-    counted = cells.length_s * len(data) * cells.share
+    counted = length_s * len(data) * cells.share
     return PoseFit(
-        evidence,
+        found.log_evidence,
         complex(*middle) + mean,
         variance,
         above + float(products[0, -1] / products[0, 0]),
@@ -164,9 +172,13 @@ def fit_pose(record: PoseRecord, drift_sd: float = WARM_UP) -> PoseFit | None:
 
 @dataclass(frozen=True, slots=True)
 class _Cells:
-    """A record in cells of equal length: rate (n, 3), level (n,) complex, and the share of it that counts."""
+    """A record in cells: rate (n, 3), level (n,) complex, and the share of it that counts.
 
-    length_s: float
+    The edges, s, (n + 1,), are those of the cells if these did not overlap; a cell is `hop` rows long.
+    """
+
+    edges_s: FloatArray
+    hop: int
     rate: FloatArray
     level: ColumnArray
     share: float
@@ -174,28 +186,28 @@ class _Cells:
 
 def _in_cells(record: PoseRecord, valid: ColumnArray) -> _Cells:
     """Return the cells of a record, without its lines; where nothing counts, between their neighbours."""
-    count, each = cells_of(len(record.weight))
-    rows = np.arange(count * each)
-    columns = np.column_stack([record.rate, record.level.real, record.level.imag])[rows]
+    columns = np.column_stack([record.rate, record.level.real, record.level.imag])
+    rows = np.arange(len(columns))
     if not valid.all():
-        kept = np.flatnonzero(valid[rows])
+        kept = np.flatnonzero(valid)
         columns = np.column_stack([np.interp(rows, kept, column[kept]) for column in columns.T])
     horizontal = without_lines(columns[:, 0] + 1j * columns[:, 1], trend(len(rows)))
     columns[:, 0], columns[:, 1] = horizontal.real, horizontal.imag
-    weight = np.maximum(record.weight[rows], 1e-6 * record.weight.max()).reshape(count, each)
-    share = weight / weight.sum(1, keepdims=True)
-    means = np.einsum("ce,cej->cj", share, columns.reshape(count, each, -1))
-    step = (record.time_s[-1] - record.time_s[0]) / (len(record.time_s) - 1)
-    return _Cells(float(step) * each, means[:, :3], means[:, 3] + 1j * means[:, 4], float(valid[rows].mean()))
+    count, weights = layout(len(rows))
+    means = in_cells(columns, count, weights)
+    hop = max(len(weights) // 2, 1)
+    step = float(record.time_s[-1] - record.time_s[0]) / (len(rows) - 1)
+    edges = hop * step * (np.arange(count + 1.0) + (0.5 if hop > 1 else 0.0))
+    return _Cells(edges, hop, means[:, :3], means[:, 3] + 1j * means[:, 4], float(valid.mean()))
 
 
-def _sharpest(data: FloatArray) -> tuple[Windows, float]:
-    """Return the windows that leave the least variance of the mean of data, (n, axes), and that of a cell.
+def _sharpest(data: FloatArray, sets: tuple[Windows, ...]) -> tuple[Windows, float]:
+    """Return the set of windows with the least variance of the mean of data, (n, axes), and that of a cell.
 
     Wider edges are taken when they are better by more than their scatter may be wrong.
     """
     found: list[tuple[float, Windows, float]] = []
-    for windows in bank(len(data)):
+    for windows in sets:
         variance, uncertainty = windows.scatter(data)
         of_mean = variance * windows.variance
         if not found or (1.0 + uncertainty) * of_mean < found[-1][0]:
@@ -220,43 +232,66 @@ def _tapered(columns: FloatArray) -> FloatArray:
     return np.asarray(np.outer(observed, observed) / max(variance, FINEST**2))
 
 
-def _hypotheses(
-    gram: FloatArray, information: FloatArray, seen: ColumnArray
-) -> tuple[FloatArray, ColumnArray, FloatArray]:
-    """Return log evidence, mean and variance of c' under each hypothesis, with the tilt's angle eliminated.
+@dataclass(frozen=True, slots=True)
+class _Hypotheses:
+    """Log evidence, mean and variance of c' (h,), and the angles of the courses (h, kinds)."""
+
+    log_evidence: FloatArray
+    mean: ColumnArray
+    variance: FloatArray
+    angles: ColumnArray
+
+
+def _misfit(gram: FloatArray, found: _Hypotheses, rows: int) -> float:
+    """Return how much more than their noise the data are off what the most probable hypothesis says.
+
+    The noise was judged by what no trend explains; a sway of one period may look like a trend, and like no
+    hypothesis.
+    """
+    best = int(np.argmax(found.log_evidence + prior()))
+    off = np.r_[-found.mean[best], -found.angles[best], 1.0, 1.0j]
+    return float((off.conj() @ gram @ off).real) / (2.0 * max(rows - 3, 1))
+
+
+def _hypotheses(gram: FloatArray, information: FloatArray, seen: ColumnArray) -> _Hypotheses:
+    """Return what each hypothesis says of c', with the tilt's angles eliminated.
 
     Parameters
     ----------
     gram : array, (kinds + 3, kinds + 3)
-        Scalar products of the whitened columns: 1, slope of each kind of tilt, data forward and left.
-    information, seen : array, (kinds,)
-        What the accelerometers tell of the tilt's angle, and that times its mean.
+        Scalar products of the columns over the noise: 1, slope of each course, data forward and left.
+    information, seen : array, (kinds, kinds) and (kinds,)
+        What the accelerometers tell of the angles, and that times their means.
     """
-    total, crossed = float(gram[0, 0]), gram[0, 1:-2]
-    products = gram[:-2, -2] + 1j * gram[:-2, -1]
-    right, right_tilt = products[0], products[1:] + seen
-    own = np.maximum(np.diagonal(gram)[1:-2], 0.0) + information
-    curvature = (own[:, None] + TILTS**-2.0).ravel()
-    crossed, right_tilt = np.repeat(crossed, len(TILTS)), np.repeat(right_tilt, len(TILTS))
-    left = np.maximum(total - crossed**2 / curvature, DISTINCT * total)
-    mean = (right - crossed * right_tilt / curvature) / left
+    total, right = float(gram[0, 0]), complex(gram[0, -2], gram[0, -1])
+    tilt = gram[1:-2, 1:-2] + information
+    first, second = np.repeat(PAIRS, len(TILTS), axis=1)
+    known = np.tile(TILTS**-2.0, PAIRS.shape[1])
+    a, b, c = tilt[first, first] + known, tilt[first, second], tilt[second, second] + known
+    determinant = np.maximum(a * c - b**2, known**2)
+    slopes, data = gram[0, 1:-2], gram[1:-2, -2] + 1j * gram[1:-2, -1] + seen
+    x, y, p, q = slopes[first], slopes[second], data[first], data[second]
+    left = np.maximum(total - (c * x**2 - 2.0 * b * x * y + a * y**2) / determinant, DISTINCT * total)
+    mean = (right - (x * (c * p - b * q) + y * (a * q - b * p)) / determinant) / left
+    explained = (c * np.abs(p) ** 2 - 2.0 * b * (p * q.conj()).real + a * np.abs(q) ** 2) / determinant
     # Two axes: every half of a logarithm counts twice.
-    evidence = -np.log(curvature * np.tile(TILTS**2, len(own))) + 0.5 * np.abs(right_tilt) ** 2 / curvature
-    standing = right / total
-    return (
-        np.r_[
-            0.5 * np.abs(right) ** 2 / total - math.log(total),
-            evidence + 0.5 * np.abs(mean) ** 2 * left - np.log(left),
-        ],
-        np.r_[standing, mean],
+    evidence = 0.5 * (explained + np.abs(mean) ** 2 * left) - np.log(determinant / known**2) - np.log(left)
+    angles = np.zeros((len(mean) + 1, len(slopes)), complex)
+    row = np.arange(1, len(angles))
+    angles[row, first] = (c * (p - x * mean) - b * (q - y * mean)) / determinant
+    angles[row, second] = (a * (q - y * mean) - b * (p - x * mean)) / determinant
+    return _Hypotheses(
+        np.r_[0.5 * abs(right) ** 2 / total - math.log(total), evidence],
+        np.r_[right / total, mean],
         np.r_[1.0 / total, 1.0 / left],
+        angles,
     )
 
 
 def _accelerometers(
     level: ColumnArray, length_s: float, courses: FloatArray, drift_sd: float
 ) -> tuple[FloatArray, ColumnArray]:
-    """Return what the accelerometers tell of each tilt: information (kinds,), and that times the angle.
+    """Return the accelerometers' information of the angles, (kinds, kinds), and that times their means.
 
     Their drift is a sum of exponentials with unknown parts and a random walk; the level itself is unknown.
     """
@@ -265,11 +300,11 @@ def _accelerometers(
     values = level[: count * together].reshape(count, together).mean(1)
     shape = courses[: count * together].reshape(count, together, -1).mean(1)
     time = length_s * together * (np.arange(count) + 0.5)
-    slow = bank(count)[0].slow
+    slow = bank(count, 1)[0].slow
     left = values - slow @ (slow.T @ values)
     noise = float(np.vdot(left, left).real) / (2.0 * (count - slow.shape[1]))
     drifts = drift_sd * -np.expm1(-time[:, None] / WARM_UPS_S)
     covariance = LEVEL**2 + drifts @ drifts.T + WALK**2 * np.minimum.outer(time, time)
     covariance[np.diag_indices(count)] += noise + 1e-14
     weighted = np.linalg.solve(covariance, shape)
-    return np.einsum("bk,bk->k", shape, weighted), weighted.T @ (values - values.mean())
+    return shape.T @ weighted, weighted.T @ (values - values.mean())

@@ -17,10 +17,11 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 
-CELLS, STEP = 192, 4
+CELLS, STEP = 160, 4
 """A record is first reduced to so many cells at most, and to a multiple of the step."""
-ROWS = 48
-"""Windows in a set at the most; more neighbours are added up."""
+ROWS = 40
+"""Windows in a set at the most; more neighbours are added up.  Products of such matrices are small enough for
+BLAS not to wake other threads, which would cost more than the product."""
 LEAST_ROWS = 6
 """The scatter of fewer means tells nothing: a quarter of the error, with two axes."""
 TREND = (2.0, 8.0, 32.0, 128.0)
@@ -37,7 +38,7 @@ class Windows:
     weights : array, (k, n)
         Rows add up to one.
     covariance : array, (k, k)
-        Of the means, over the variance of a cell, when the noise of cells is white.
+        Of the means, over the variance of a cell, when the noise of rows is white.
     slow : array, (k, t)
         Orthonormal: what a trend is in the means; the first is the constant.
     expected : float
@@ -71,11 +72,27 @@ class Windows:
         return np.asarray(means.T @ np.linalg.solve(self.covariance, means))
 
 
-def cells_of(rows: int) -> tuple[int, int]:
-    """Return of how many cells, and of how many rows each, a record is made."""
-    each = -(-rows // CELLS)
-    cells = rows // each
-    return (cells - cells % STEP if cells > CELLS // 2 else cells), each
+def layout(rows: int) -> tuple[int, FloatArray]:
+    """Return how many cells a record has, and the weights of the rows in a cell, (2 hop,), whose sum is one.
+
+    A cell overlaps its neighbours as a triangle: what has about a period in a hop would else turn up as slow.
+    """
+    hop = -(-rows // CELLS)
+    if hop == 1:
+        return (rows - rows % STEP if rows > CELLS // 2 else rows), np.ones(1)
+    rise = (np.arange(hop) + 0.5) / hop**2
+    cells = rows // hop - 1
+    return cells - cells % STEP, np.r_[rise, rise[::-1]]
+
+
+def in_cells(columns: FloatArray, cells: int, weights: FloatArray) -> FloatArray:
+    """Return the means of the cells of columns, (cells, c), from (rows, c)."""
+    hop = len(weights) // 2
+    if not hop:
+        return columns[:cells]
+    blocks = columns[: (cells + 1) * hop].reshape(cells + 1, hop, -1)
+    rising = np.einsum("h,bhc->bc", weights[:hop], blocks[:-1])
+    return np.asarray(rising + np.einsum("h,bhc->bc", weights[hop:], blocks[1:]))
 
 
 def trend(rows: int) -> FloatArray:
@@ -85,26 +102,37 @@ def trend(rows: int) -> FloatArray:
 
 
 @lru_cache(maxsize=64)
-def bank(cells: int) -> tuple[Windows, ...]:
-    """Return sets of windows over so many cells, from sharp edges to wide ones."""
-    found, hop = [_made(np.eye(cells))], 2
-    while cells // hop - 1 >= LEAST_ROWS:
-        middle = np.arange(hop, cells - hop + 1, hop)[:, None]
-        apart = np.abs(np.arange(cells) + 0.5 - middle) / hop
-        found.append(_made(np.where(apart < 1.0, 0.5 + 0.5 * np.cos(math.pi * apart), 0.0)))
-        hop *= 2
+def bank(cells: int, hop: int) -> tuple[Windows, ...]:
+    """Return sets of windows over cells, `hop` rows from one to the next, with ever wider edges."""
+    beside = 0.0
+    if hop > 1:
+        _, taps = layout(hop * CELLS)
+        beside = float(taps[:hop] @ taps[hop:] / (taps @ taps))
+    found, wide = [_made(np.eye(cells), beside)], 2
+    while cells // wide - 1 >= LEAST_ROWS:
+        middle = np.arange(wide - 1, cells - wide + 1, wide)[:, None]
+        apart = np.abs(np.arange(cells) - middle) / wide
+        found.append(_made(np.where(apart < 1.0, 0.5 + 0.5 * np.cos(math.pi * apart), 0.0), beside))
+        wide *= 2
     return tuple(found)
 
 
-def _made(weights: FloatArray) -> Windows:
-    """Return windows of these weights, (k, n)."""
+def _made(weights: FloatArray, beside: float) -> Windows:
+    """Return windows of these weights, (k, n), over cells that correlate so much with their neighbours."""
     together = -(-len(weights) // ROWS)
     weights = np.add.reduceat(weights, np.arange(0, len(weights), together), axis=0)
-    share = weights.sum(1)
-    whole = share @ weights / share.sum() ** 2
-    weights = weights / share[:, None]
+    whole = weights.sum(0) / weights.sum()
+    weights = weights / weights.sum(1, keepdims=True)
     columns = 1 + min(2 * ((len(weights) - LEAST_ROWS) // LEAST_ROWS), len(TREND))
     slow = np.linalg.qr(weights @ trend(weights.shape[1])[:, :columns])[0]
-    covariance = weights @ weights.T
+    covariance = _noisy(weights, beside) @ weights.T
     expected = float(np.trace(covariance) - np.vdot(slow, covariance @ slow))
-    return Windows(weights, covariance, slow, expected, float(whole @ whole))
+    return Windows(weights, covariance, slow, expected, float(_noisy(whole, beside) @ whole))
+
+
+def _noisy(weights: FloatArray, beside: float) -> FloatArray:
+    """Return weights times the covariance of cells."""
+    found = weights.copy()
+    found[..., 1:] += beside * weights[..., :-1]
+    found[..., :-1] += beside * weights[..., 1:]
+    return found
