@@ -39,6 +39,7 @@ CLOSE_S = 5.0
 @click.option("--out", type=PATH, help=TABLE)
 @columns_option
 @click.option("--view", type=click.Choice(["native", "web", "none"]), default="none", show_default=True)
+@click.option("--smooth", is_flag=True, help="Also estimate with what came later: columns ..._smoothed.")
 @setup_options
 @window_option
 @bind_option
@@ -52,6 +53,7 @@ def command(
     window: float,
     bind: str,
     as_json: bool,
+    smooth: bool,
     **options: Unpack[SetupOptions],
 ) -> int:
     """Run SESSION again through the same code, bit for bit, to a table or to the view."""
@@ -67,7 +69,14 @@ def command(
     source = open_source(session)
     source.refuse_output(out)
     pace = _speed(speed, view)
-    pipeline, digest = Pipeline(source.device, estimators(source.device, setup)), Digest()
+    stages = estimators(source.device, setup)
+    disagreement: dict[str, float] | None = None
+    if smooth:
+        from imumon.run.smoothing import smoothed
+
+        stage = smoothed(open_source(session), setup)
+        stages, disagreement = [*stages, stage], stage.disagreement
+    pipeline, digest = Pipeline(source.device, stages), Digest()
     publisher = None if view == "none" else _publisher(source, pipeline, view, window, bind)
     narrator = None
     if publisher is not None:
@@ -79,8 +88,8 @@ def command(
     finally:
         if publisher is not None:
             publisher.close(CLOSE_S)
-    comparable = setup.text() == recorded
-    _report(source, pipeline, digest.hexdigest(), tables, rows, as_json, comparable)
+    comparable = setup.text() == recorded and not smooth
+    _report(source, pipeline, digest.hexdigest(), tables, rows, as_json, comparable, disagreement)
     return 0
 
 
@@ -103,6 +112,7 @@ def _report(
     rows: int,
     as_json: bool,
     comparable: bool,
+    disagreement: dict[str, float] | None,
 ) -> None:
     from imumon.protocols.base import MAIN
     from imumon.run.narration import advised, describe_losses, describe_streams
@@ -128,6 +138,7 @@ def _report(
                 **counters.as_dict(),
                 "results_digest": digest,
                 "identical_to_live": identical,
+                **({} if disagreement is None else {"disagreement": disagreement}),
             }
         )
     verdict = {
@@ -140,8 +151,16 @@ def _report(
             "samples": f"{rows:,}, {verdict[identical]}",
             "losses": describe_losses(counters),
             **describe_streams(counters, tables),
+            **_smoothing(disagreement),
         }
     )
+
+
+def _smoothing(disagreement: dict[str, float] | None) -> dict[str, str]:
+    if disagreement is None:
+        return {}
+    said = ", ".join(f"{name} {value:.2f}" for name, value in disagreement.items())
+    return {"forward less backward": f"{said} σ rms" if said else "nothing to compare"}
 
 
 def _speed(text: str | None, view: str) -> float | None:
