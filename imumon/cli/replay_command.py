@@ -45,6 +45,7 @@ VERDICT = {
 @click.option("--out", type=PATH, help=TABLE)
 @columns_option
 @click.option("--view", type=click.Choice(["native", "web", "none"]), default="none", show_default=True)
+@click.option("--smooth", is_flag=True, help="Also estimate with what came later: columns ..._smoothed.")
 @setup_options
 @window_option
 @bind_option
@@ -58,6 +59,7 @@ def command(
     window: float,
     bind: str,
     as_json: bool,
+    smooth: bool,
     **options: Unpack[SetupOptions],
 ) -> int:
     """Run SESSION again through the same code, bit for bit, to a table or to the view."""
@@ -76,7 +78,14 @@ def command(
     source = open_source(session)
     source.refuse_output(out)
     pace = _speed(speed, view)
-    pipeline, digest = Pipeline(source.device, estimators(source.device, setup)), Digest()
+    stages = estimators(source.device, setup)
+    disagreement: dict[str, float] | None = None
+    if smooth:
+        from imumon.run.smoothing import smoothed
+
+        stage = smoothed(open_source(session), setup)
+        stages, disagreement = [*stages, stage], stage.disagreement
+    pipeline, digest = Pipeline(source.device, stages), Digest()
     publisher = narrator = None
     if view != "none":
         from imumon.view.publisher import ViewPublisher
@@ -94,15 +103,16 @@ def command(
     finally:
         if publisher is not None:
             publisher.close(CLOSE_S)
-    live = opened.metadata.results_digest if setup.text() == recorded else None
+    live = opened.metadata.results_digest if setup.text() == recorded and not smooth else None
     identical = None if live is None else live == digest.hexdigest()
     _warn(source, pipeline, opened.path, identical)
     if as_json:
         made = {"session": source.path, "out": tables.get(MAIN), "rows": rows, "tables": tables}
         compared = {"results_digest": digest.hexdigest(), "identical_to_live": identical}
-        print_json({**made, **pipeline.counters.as_dict(), **compared})
+        smoothing = {} if disagreement is None else {"disagreement": disagreement}
+        print_json({**made, **pipeline.counters.as_dict(), **compared, **smoothing})
     said = {"samples": f"{rows:,}, {VERDICT[identical]}", "losses": describe_losses(pipeline.counters)}
-    print_rows(said | describe_streams(pipeline.counters, tables))
+    print_rows(said | describe_streams(pipeline.counters, tables) | _smoothing(disagreement))
     return EXIT_OK
 
 
@@ -112,6 +122,13 @@ def _warn(source: Source, pipeline: Pipeline, session: Path, identical: bool | N
     warn(advised(text, session) for text in [*source.warnings(), *pipeline.warnings()])
     if identical is False:
         warn(["the samples differ from those of the live run: another version, or bytes missing"])
+
+
+def _smoothing(disagreement: dict[str, float] | None) -> dict[str, str]:
+    if disagreement is None:
+        return {}
+    said = ", ".join(f"{name} {value:.2f}" for name, value in disagreement.items())
+    return {"forward less backward": f"{said} σ rms" if said else "nothing to compare"}
 
 
 def _speed(text: str | None, view: str) -> float | None:

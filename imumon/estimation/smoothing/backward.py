@@ -1,0 +1,60 @@
+"""The same stages against time.
+
+Seen backward, what turned by ω turns by -ω: the rates change their sign, and so does the bias that is found.
+Time counts from the end of each run, and the last run is the first.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from imumon.blocks import FloatArray, SampleBlock
+from imumon.estimation.smoothing.record import READINGS, SUFFIXES, Record
+from imumon.pipeline import Estimator
+
+
+def backward(record: Record, temperature: Estimator, bias: Estimator) -> dict[str, FloatArray]:
+    """Return temperature, its rate and the bias, with their sigmas, by what comes later, (n,) each.
+
+    Parameters
+    ----------
+    temperature, bias : Estimator
+        New stages.  The one of the bias must know of no curve over temperature: the rates come without it.
+    """
+    ends = np.flatnonzero(np.diff(record.run, append=-1))
+    last_ns = record.middle_ns[ends][np.searchsorted(record.run[ends], record.run)]
+    columns = {
+        "device_time_ns": (last_ns - record.middle_ns)[::-1],
+        "segment": (record.run.max(initial=0) - record.run)[::-1],
+        "at_rest": (record.columns["at_rest"] == 1.0).astype(np.int64)[::-1],
+    }
+    curve = known_curve(record)
+    for j, axis in enumerate("xyz"):
+        columns[f"gyro_{axis}"] = -(record.columns[f"gyro_{axis}"] - curve[:, j])[::-1]
+        columns[f"accel_{axis}"] = record.columns[f"accel_{axis}"][::-1]
+    columns |= {
+        name: record.columns[name][::-1] for name in READINGS if np.isfinite(record.columns[name]).any()
+    }
+    block = SampleBlock({name: np.ascontiguousarray(values) for name, values in columns.items()})
+    block = block.with_columns(temperature.process(block))
+    block = block.with_columns(bias.process(block))
+    found: dict[str, FloatArray] = {}
+    for suffix in SUFFIXES:
+        if f"temperature_estimate{suffix}" in block:
+            for name, sign in (("temperature_estimate", 1.0), ("temperature_rate", -1.0)):
+                found[f"{name}{suffix}"] = sign * block[f"{name}{suffix}"][::-1]
+                found[f"{name}_sd{suffix}"] = block[f"{name}_sd{suffix}"][::-1]
+    for j, axis in enumerate("xyz"):
+        found[f"gyro_bias_{axis}"] = curve[:, j] - block[f"gyro_bias_{axis}"][::-1]
+        found[f"gyro_bias_sd_{axis}"] = block[f"gyro_bias_sd_{axis}"][::-1]
+    return found
+
+
+def known_curve(record: Record) -> FloatArray:
+    """Return what the model says of the bias, rad/s, (n, 3): before the first estimate what it says there."""
+    curve = record.vector("gyro_bias") - record.vector("gyro_random_error")
+    for part in curve.T:
+        known = np.flatnonzero(np.isfinite(part))
+        nearest = np.searchsorted(known, np.arange(len(part))).clip(0, max(len(known) - 1, 0))
+        part[:] = part[known[nearest]] if len(known) else 0.0
+    return curve

@@ -1,0 +1,93 @@
+"""What went through the stages forward, in slots short enough that nothing they see is lost."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from imumon.blocks import NO_INT, FloatArray, IntArray, SampleBlock
+from imumon.filters.slots import SlotGatherer, Slots
+
+SLOT_NS = 31_250_000
+"""Half of the shortest slot that a stage thinks in, where turns are integrated."""
+SUFFIXES = ("", "_x", "_y", "_z")
+"""Of the columns of a thermometer."""
+READINGS = tuple(f"temperature{suffix}" for suffix in SUFFIXES)
+
+
+def _axes(name: str) -> list[str]:
+    return [f"{name}_{axis}" for axis in "xyz"]
+
+
+SENSORS = (*_axes("gyro"), *_axes("accel"))
+FORWARD = (
+    *(f"{name}{suffix}" for name in ("temperature_estimate", "temperature_rate") for suffix in SUFFIXES),
+    *(f"{name}_sd{suffix}" for name in ("temperature_estimate", "temperature_rate") for suffix in SUFFIXES),
+    *_axes("gyro_bias"),
+    *_axes("gyro_bias_sd"),
+    *_axes("gyro_random_error"),
+    "attitude_estimate_heading",
+)
+NAMES = (*SENSORS, *READINGS, "at_rest", *FORWARD)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Record:
+    """n slots of a recording, in order.
+
+    Parameters
+    ----------
+    stop : array of int64 (n,)
+        Row of the recording behind each.
+    run : array of int64 (n,)
+        Counts restarts.
+    middle_ns : array of int64 (n,)
+        Device time.
+    columns : dict of str to array (n,)
+        Means of the sensors; of readings, rest and estimates the last value.
+    """
+
+    stop: IntArray
+    run: IntArray
+    middle_ns: IntArray
+    columns: dict[str, FloatArray]
+
+    def vector(self, name: str) -> FloatArray:
+        """Return the three axes of a column, (n, 3)."""
+        return np.column_stack([self.columns[f"{name}_{axis}"] for axis in "xyz"])
+
+
+class Recorder:
+    """Gathers the blocks of a run, whatever they are cut into."""
+
+    def __init__(self) -> None:
+        self._slots = SlotGatherer(len(NAMES), SLOT_NS)
+        self._rows = 0
+        self._parts: list[tuple[IntArray, Slots]] = []
+
+    def add(self, block: SampleBlock) -> None:
+        """Take the next rows."""
+        n = len(block)
+        values = np.full((n, len(NAMES)), np.nan)
+        for j, name in enumerate(NAMES):
+            if name in block:
+                values[:, j] = block[name]
+        time_ns = block["device_time_ns"] if "device_time_ns" in block else np.full(n, NO_INT)
+        slots = self._slots.process(time_ns, block["segment"], values)
+        self._parts.append((slots.row + self._rows, slots))
+        self._rows += n
+
+    def finish(self) -> Record:
+        """Return the record of all rows."""
+        last = self._slots.finish()
+        parts = [*self._parts, (last.row + self._rows, last)]
+        stop = np.concatenate([rows for rows, _ in parts])
+        begins = np.concatenate([slots.begins for _, slots in parts])
+        middle = np.concatenate([slots.middle_ns for _, slots in parts])
+        mean, final = (np.concatenate([getattr(s, name) for _, s in parts]) for name in ("mean", "last"))
+        columns = {
+            name: np.ascontiguousarray((mean if name in SENSORS else final)[:, j])
+            for j, name in enumerate(NAMES)
+        }
+        return Record(stop, np.cumsum(begins), middle, columns)

@@ -1,0 +1,50 @@
+"""A recording forward, then backward through the same stages."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from imumon.estimation.attitude.stage import AttitudeEstimate
+from imumon.estimation.gyro_bias.stage import GyroBias
+from imumon.estimation.rest.stage import RestDetector
+from imumon.estimation.smoothing.backward import backward
+from imumon.estimation.smoothing.record import Record, Recorder
+from imumon.estimation.smoothing.stage import SmoothedEstimates
+from imumon.estimation.temperature_rate.stage import TemperatureRate
+from imumon.pipeline import Pipeline
+from imumon.protocols.thermometer import TemperatureRateParameters
+from imumon.recordings.source import Source, run_over
+from imumon.run.setup import Setup, ZuptMode
+from imumon.run.stages import estimators, temperature_rate
+
+NEEDED = (TemperatureRate, RestDetector, GyroBias, AttitudeEstimate)
+
+
+def smoothed(source: Source, setup: Setup) -> SmoothedEstimates:
+    """Run over a recording, forward and backward; return the stage that puts the result beside its rows."""
+    stages = [stage for stage in estimators(source.device, setup) if isinstance(stage, NEEDED)]
+    recorder = Recorder()
+    for block in run_over(source.items, Pipeline(source.device, stages)):
+        if len(block):
+            recorder.add(block)
+    record = recorder.finish()
+    given = source.device.temperature if source.device is not None else TemperatureRateParameters()
+    against_time = backward(record, temperature_rate(given), _bias(record, setup))
+    return SmoothedEstimates(record, against_time)
+
+
+def _bias(record: Record, setup: Setup) -> GyroBias:
+    """Return the stage that goes backward, for which the earth turns the other way."""
+    latitude = None if setup.latitude_deg is None else -setup.latitude_deg
+    heading = None if setup.heading_deg is None else _last_heading(record, setup.heading_deg) + 180.0
+    mode: ZuptMode = "learned" if setup.mode == "learned" else "standard"
+    return GyroBias(setup.zupt_with_noise, None, mode, latitude, heading)
+
+
+def _last_heading(record: Record, first_deg: float) -> float:
+    """Return the heading at the end of the recording, degrees."""
+    known = record.columns["attitude_estimate_heading"]
+    known = known[np.isfinite(known)]
+    return first_deg + (math.degrees(known[-1] - known[0]) if len(known) else 0.0)

@@ -1,0 +1,166 @@
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+
+from imumon.blocks import FloatArray, SampleBlock, join
+from imumon.estimation.gyro_bias.stage import GyroBias
+from imumon.estimation.rest.stage import RestDetector
+from imumon.estimation.smoothing.backward import backward
+from imumon.estimation.smoothing.record import Recorder
+from imumon.estimation.smoothing.stage import SmoothedEstimates
+from imumon.estimation.temperature_rate.stage import TemperatureRate
+from imumon.simulation.unit.scenario import Scenario
+from imumon.simulation.unit.unit import SimulatedUnit
+
+RATE_HZ = 50
+
+
+def recorded(seed: int, latitude_deg: float | None = None, **changes: Any) -> tuple[SampleBlock, SampleBlock]:
+    """Samples behind the stages, and the truth: a rest, a minute of handling, and a rest in the same pose."""
+    given = {
+        "format": "imumon-scenario/1",
+        "unit": "athermal",
+        "rate_hz": RATE_HZ,
+        "duration_s": 260.0,
+        "latitude_deg": 40.0,
+        "chamber": {"start_degc": 25.0},
+        "motion": [
+            {"kind": "handling", "at_s": 100.0, "rounds": 1, "every_s": 80.0, "rest_s": 10.0,
+             "swing_deg": [20.0, 15.0, 30.0], "heading_deg": 0.0}
+        ],
+    }  # fmt: skip
+    scenario = Scenario.model_validate(given | changes)
+    sent, truth = SimulatedUnit(scenario, seed).run(scenario.samples)
+    own = {"roll", "pitch", "yaw", *(f"q_{part}" for part in "wxyz"), *(f"mag_{axis}" for axis in "xyz")}
+    block = SampleBlock({name: values for name, values in sent.columns.items() if name not in own})
+    for stage in (TemperatureRate(), RestDetector(), GyroBias(mode="learned", latitude_deg=latitude_deg)):
+        block = block.with_columns(stage.process(block))
+    return block, truth
+
+
+def smooth(block: SampleBlock, latitude_deg: float | None = None) -> SmoothedEstimates:
+    recorder = Recorder()
+    recorder.add(block)
+    record = recorder.finish()
+    bias = GyroBias(mode="learned", latitude_deg=None if latitude_deg is None else -latitude_deg)
+    return SmoothedEstimates(record, backward(record, TemperatureRate(), bias))
+
+
+def true_bias(truth: SampleBlock, vertical: float) -> FloatArray:
+    """The bias, with the earth rate that the filter cannot tell from it: that of the latest rest."""
+    rate, bias = truth.vector("rate"), truth.vector("gyro_bias")
+    assert rate is not None
+    assert bias is not None
+    latest = np.maximum.accumulate(np.where(truth["at_rest"] == 1, np.arange(len(truth)), 0))
+    turned = rate[latest]
+    turned[:, 2] -= vertical
+    return np.asarray(bias + turned)
+
+
+@pytest.mark.parametrize(
+    "chamber",
+    [
+        {"start_degc": 25.0},
+        {"start_degc": 20.0, "lag_s": 60.0, "steps": [{"to_degc": 30.0, "rate_degc_per_min": 4.0}]},
+    ],
+)
+def test_the_smoothed_bias_errs_less_and_as_its_sigma_says(chamber: dict[str, Any]) -> None:
+    errors: dict[str, list[FloatArray]] = {"forward": [], "smoothed": [], "z": []}
+    for seed in range(2):
+        block, truth = recorded(seed, chamber=chamber, unit="crs05" if "steps" in chamber else "athermal")
+        stage = smooth(block)
+        found = SampleBlock(dict(stage.process(block)))
+        true = true_bias(truth, 0.0)
+        for j, axis in enumerate("xyz"):
+            known = np.isfinite(block[f"gyro_bias_{axis}"])
+            error = found[f"gyro_bias_smoothed_{axis}"] - true[:, j]
+            errors["forward"].append((block[f"gyro_bias_{axis}"] - true[:, j])[known])
+            errors["smoothed"].append(error[known])
+            errors["z"].append(error / found[f"gyro_bias_smoothed_sd_{axis}"])
+            assert np.isfinite(error).all()  # what comes later fills the beginning
+            assert stage.disagreement[f"gyro_bias_{axis}"] < 2.0
+    forward, smoothed, z = (np.concatenate(parts) for parts in errors.values())
+    assert np.sqrt(np.mean(smoothed**2)) < 0.95 * np.sqrt(np.mean(forward**2))
+    assert 0.5 < np.sqrt(np.mean(z**2)) < 1.8
+    assert np.abs(z).max() < 5.0
+
+
+def test_the_temperature_has_no_lag_left() -> None:
+    chamber = {"start_degc": 20.0, "lag_s": 60.0, "steps": [{"to_degc": 30.0, "rate_degc_per_min": 4.0}]}
+    for seed in range(2):
+        block, truth = recorded(seed, chamber=chamber)
+        found = SampleBlock(dict(smooth(block).process(block)))
+        late = slice(10 * RATE_HZ, None)
+        before = (block["temperature_estimate"] - truth["temperature"])[late]
+        error = (found["temperature_estimate_smoothed"] - truth["temperature"])[late]
+        z = error / found["temperature_estimate_smoothed_sd"][late]
+        assert np.sqrt(np.mean(error**2)) < np.sqrt(np.mean(before**2))
+        assert np.sqrt(np.mean(z**2)) < 1.8
+        # Where the chamber stops, the filter itself is six sigma off for a moment, in either direction.
+        assert np.quantile(np.abs(z), 0.99) < 4.0
+        rate = np.gradient(truth["temperature"]) * RATE_HZ
+        faster = found["temperature_rate_smoothed"] - rate
+        assert np.sqrt(np.mean(faster[late] ** 2)) < np.sqrt(
+            np.mean((block["temperature_rate"] - rate)[late] ** 2)
+        )
+
+
+def test_the_earth_turns_the_other_way_backward() -> None:
+    block, truth = recorded(5, latitude_deg=40.0)
+    stage = smooth(block, 40.0)
+    found = SampleBlock(dict(stage.process(block)))
+    vertical = -7.292115e-5 * np.sin(np.radians(40.0))  # about the axis that points down
+    true = true_bias(truth, vertical)
+    z = (found["gyro_bias_smoothed_z"] - true[:, 2]) / found["gyro_bias_smoothed_sd_z"]
+    assert np.abs(z).max() < 5.0
+    assert stage.disagreement["gyro_bias_z"] < 2.0
+
+
+def test_a_jump_that_the_model_lacks_shows_in_the_disagreement() -> None:
+    block, _ = recorded(6, motion=[])
+    jump = np.where(np.arange(len(block)) > 150 * RATE_HZ, np.radians(0.1), 0.0)
+    raw = {name: values for name, values in block.columns.items() if not name.startswith(("gyro_", "turn"))}
+    raw |= {f"gyro_{axis}": block[f"gyro_{axis}"] + jump for axis in "xyz"} | {
+        "at_rest": np.ones(len(block), np.int64)
+    }
+    jumped = SampleBlock(raw)
+    jumped = jumped.with_columns(GyroBias(mode="learned").process(jumped))
+    stage = smooth(jumped)
+    assert min(stage.disagreement[f"gyro_bias_{axis}"] for axis in "xyz") > 2.0
+    assert any("contradict each other in gyro_bias_x" in text for text in stage.notices())
+    assert stage.notices() == []
+
+
+def test_the_result_does_not_depend_on_the_blocks() -> None:
+    block, _ = recorded(7, duration_s=120.0, motion=[])
+    half = len(block) // 2
+    segment = (np.arange(len(block)) >= half).astype(np.int64)
+    block = block.with_columns({"segment": segment})
+    whole = smooth(block)
+    cuts = np.unique(np.random.default_rng(3).integers(1, len(block), 40)).tolist()
+    recorder = Recorder()
+    parts = [block.rows(a, b) for a, b in pairwise([0, *cuts, len(block)])]
+    for part in parts:
+        recorder.add(part)
+    record = recorder.finish()
+    assert record.run[0] == 1
+    assert record.run[-1] == 2
+    pieces = SmoothedEstimates(record, backward(record, TemperatureRate(), GyroBias(mode="learned")))
+    expected = whole.process(block)
+    got = join([SampleBlock(dict(pieces.process(part))) for part in parts])
+    assert {column.name for column in whole.columns} == set(expected)
+    for name, values in expected.items():
+        np.testing.assert_array_equal(got[name], values, err_msg=name)
+
+
+def test_a_recording_without_sensors_has_nothing_to_smooth() -> None:
+    empty = SampleBlock({"device_time_ns": np.arange(50) * 10_000_000, "segment": np.zeros(50, np.int64)})
+    stage = smooth(empty)
+    assert stage.process(empty) == {}
+    assert stage.disagreement == {}
+    nothing = SampleBlock({"device_time_ns": np.empty(0, np.int64), "segment": np.empty(0, np.int64)})
+    assert smooth(nothing).process(nothing) == {}
