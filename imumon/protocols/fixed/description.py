@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Annotated, Literal, Self, get_args
 
@@ -44,13 +44,25 @@ class LengthField(StrictModel):
 
 
 class ChecksumField(StrictModel):
-    """Which checksum, over which bytes (first and last included), and where it stands."""
+    """Which checksum, over which bytes (first and last included), and where it stands.
+
+    `zeros` bytes, which are not sent, count as if they followed the last.
+    """
 
     type: ChecksumName
     first: NonNegativeInt
     last: NonNegativeInt
     at: NonNegativeInt
     byte_order: ByteOrder | None = None
+    zeros: NonNegativeInt = 0
+
+
+class When(StrictModel):
+    """In which packets a field is there: those where a counter, divided by `modulo`, leaves `equals`."""
+
+    column: ColumnName
+    modulo: PositiveInt
+    equals: NonNegativeInt
 
 
 class PacketField(StrictModel):
@@ -68,6 +80,7 @@ class PacketField(StrictModel):
     offset: float | int = 0
     unit: str = "1"
     mask: PositiveInt | None = None
+    when: When | None = None
     description: str = ""
 
     @property
@@ -111,13 +124,15 @@ class PacketField(StrictModel):
 
 
 class Packet(StrictModel):
-    """Layout of the packet."""
+    """Layout of a packet; `tail` may follow it, and belongs to it when it does."""
 
+    name: str = Field(default="", pattern=r"^[a-z0-9_]*$")
     length: PositiveInt = Field(le=LONGEST_PACKET)
     byte_order: ByteOrder
     sync: list[Byte] = Field(min_length=1, max_length=8)
     length_field: LengthField | None = None
     checksum: ChecksumField
+    tail: list[Byte] = Field(default=[], max_length=8)
     fields: list[PacketField] = Field(min_length=1)
 
     @model_validator(mode="after")
@@ -146,12 +161,22 @@ class Packet(StrictModel):
                 if name in names:
                     raise ValueError(f"fields[{number}]: column {name} is there twice")
                 names.add(name)
+        for number, field in enumerate(self.fields):
+            if field.when is not None and field.when.column not in names:
+                raise ValueError(f"fields[{number}]: when: there is no column {field.when.column}")
         return self
+
+    @property
+    def plain(self) -> bool:
+        """Whether the compiled search can find and read it; else the frames do."""
+        return not (self.tail or self.checksum.zeros or any(field.when for field in self.fields))
 
     def placed(self) -> list[PlacedColumn]:
         """Return all columns of the packet in the order of the file."""
         return [
-            _place(field, index, name, (field.byte_order or self.byte_order) == "big")
+            replace(
+                _place(field, index, name, (field.byte_order or self.byte_order) == "big"), when=field.when
+            )
             for field in self.fields
             for index, name in enumerate(field.names)
         ]
@@ -186,6 +211,7 @@ class PlacedColumn:
     mask: int
     scale: float
     offset: float
+    when: When | None = None
 
 
 def _place(field: PacketField, index: int, name: str, big: bool) -> PlacedColumn:
