@@ -1,7 +1,7 @@
 """Lines of text, as most boards of hobbyists send them, described by a device file.
 
-A line is numbers between separators, pairs of key and number, or JSON; it may begin with a prefix and end with
-a checksum as NMEA has it.  A line counts when it has exactly the numbers that are described and all are
+A line is numbers between separators, pairs of key and number, or JSON; it may begin with a prefix and end
+with a checksum as NMEA has it.  A line counts when it has exactly the numbers that are described and all are
 finite: there is mostly no checksum, and a torn line must not become a sample.  So the first line of a stream
 without prefix, of which nobody knows where it began, does not count.
 """
@@ -66,7 +66,7 @@ class Line(StrictModel):
     """A kind of line.
 
     `values` is how many numbers or words it has, `separator` what stands between them: " " is any white
-    space.  `words` are places that hold something else than a number.
+    space.
     """
 
     name: str = Field(pattern=r"^[a-z0-9_]+$")
@@ -80,15 +80,13 @@ class Line(StrictModel):
 
     @model_validator(mode="after")
     def _places_fit_the_form(self) -> Self:
-        if any((field.at is None) == (self.form == "delimited") for field in self.fields):
-            raise ValueError(
-                f"fields of a {self.form} line need {'at' if self.form == 'delimited' else 'key'}"
-            )
+        place = "at" if self.form == "delimited" else "key"
+        if any(getattr(field, place) is None for field in self.fields):
+            raise ValueError(f"fields of a {self.form} line need {place}")
         if self.form == "delimited" and self.values is None:
             raise ValueError("values: say how many there are in a line")
-        if self.values is not None and any(
-            f.at is not None and f.keys[-1] >= self.values for f in self.fields
-        ):  # type: ignore[operator]  # places are integers
+        last = max((field.at + len(field.names) for field in self.fields if field.at is not None), default=0)
+        if self.values is not None and last > self.values:
             raise ValueError(f"a field is behind the {self.values} values")
         if self.checksum == "xor8" and not self.prefix.startswith("$"):
             raise ValueError("a line with checksum begins with $")
@@ -193,7 +191,7 @@ def _tree(leaves: dict[str, float]) -> Any:
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Column, scale, offset of a number of a line, and whether it is an integer."""
+    """Column, scale and offset of a number of a line."""
 
     column: Column
     scale: float
