@@ -18,6 +18,8 @@ FORMAT = "imumon-device/1"
 
 PROTOCOLS = {
     "fixed": "imumon.protocols.fixed.device:FixedDevice",
+    "text": "imumon.protocols.text:TextDevice",
+    "fixed-several": "imumon.protocols.fixed.device:SeveralDevice",
     "xsens-mtdata2": "imumon.protocols.xsens.mtdata2:MTData2Device",
     "xsens-mtdata": "imumon.protocols.xsens.mtdata:MTDataDevice",
     "witmotion": "imumon.protocols.witmotion:WitMotionDevice",

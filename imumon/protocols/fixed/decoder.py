@@ -48,7 +48,7 @@ class FixedDecoder(CompiledDecoder):
         self._name = name
         self._columns = (KNOWN["arrival_time_ns"], *(item.column for item in self._placed))
         self._frames, self._checksums = alone(_frame(packet)), alone(make_checksum(packet.checksum.type))
-        self._layout = _layout(self._placed, packet.length)
+        self._layout = record_type(self._placed, packet.length)
         self._packets: ByteArray = np.zeros((CAPACITY, packet.length), np.uint8)
         self._arrivals: IntArray = np.zeros(CAPACITY, np.int64)
 
@@ -66,11 +66,11 @@ class FixedDecoder(CompiledDecoder):
 
     def _rows(self, n: int) -> SampleBlock:
         records = self._packets[:n].view(self._layout)[:, 0]
-        columns = {item.column.name: _values(records[item.column.name], item) for item in self._placed}
+        columns = {item.column.name: column_values(records[item.column.name], item) for item in self._placed}
         return SampleBlock({"arrival_time_ns": self._arrivals[:n].copy(), **columns})
 
 
-def _layout(placed: list[PlacedColumn], length: int) -> np.dtype[np.void]:
+def record_type(placed: list[PlacedColumn], length: int) -> np.dtype[np.void]:
     """Return the packet as a structured type; a number of three bytes, which NumPy lacks, as its bytes."""
     formats: list[tuple[str, int] | str] = []
     for item in placed:
@@ -87,7 +87,7 @@ def _layout(placed: list[PlacedColumn], length: int) -> np.dtype[np.void]:
     )
 
 
-def _values(raw: ColumnArray, item: PlacedColumn) -> ColumnArray:
+def column_values(raw: ColumnArray, item: PlacedColumn) -> ColumnArray:
     """Return the column of one field: raw * scale + offset, or the integer."""
     number = NUMBER_TYPES[item.type]
     if number.size == 3:
