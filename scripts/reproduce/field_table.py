@@ -1,0 +1,258 @@
+"""Every estimator outside the scenarios it was built on, in one table: errors, peers, errors over sigma."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+from functools import partial
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+from alignment_site import outcome
+from alignment_site_scenes import SCENES as SITES
+from bias_race_runners import DEFAULTS, Run
+from bias_sigma_records import RATE_HZ, simulate
+from bias_sigma_table import CASES, estimated, places
+from rest_detector_scenes import GRADES, SCENES, Scene, measure_with_bias, steady_turn
+from rest_detector_table import FIELD, FULL_RATE_HZ, SECONDS, TURN_RATE_HZ, TURNS, Tally, vqf_rest
+from scipy.signal import savgol_filter
+from thermometer_kinds import KINDS, PER_HOUR, Kind, Profile, constant, drifting, ramp
+from thermometers_table import ONSET_S, SETTLED_S, STEADY_S, errors
+
+from imumon.blocks import FloatArray, SampleBlock
+from imumon.estimation.gyro_bias.stage import GyroBias
+from imumon.estimation.rest.stage import RestDetector
+from imumon.estimation.temperature_rate.stage import TemperatureRate
+from imumon.geodesy import DEG_PER_H
+from imumon.recordings.table import read_table
+from imumon.simulation.unit.scenario import load_scenario
+
+PARTS = ("rest", "thermometer", "north", "bias")
+HOLD_S, RAMP_S = 300.0, 300.0
+SMOOTH_S = 600.0
+"""Window of the Savitzky-Golay filter, which sees what comes later."""
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """A kind of data: the error and those of others, with a unit, and error over sigma."""
+
+    part: str
+    kind: str
+    unit: str
+    error: float
+    ratios: FloatArray
+    peers: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of error over sigma; NaN where nothing was claimed."""
+        return rms(self.ratios)
+
+    @property
+    def largest(self) -> float:
+        """Largest error over sigma."""
+        known = np.abs(self.ratios[np.isfinite(self.ratios)])
+        return float(known.max()) if len(known) else np.nan
+
+    def cells(self) -> list[str]:
+        """Return the row as text."""
+        peers = ", ".join(f"{name} {value:.3g}" for name, value in self.peers.items())
+        claimed = 100.0 * float(np.mean(np.isfinite(self.ratios)))
+        numbers = [f"{self.error:.3g} {self.unit}", peers, f"{claimed:.0f} %"]
+        return [self.part, self.kind, *numbers, f"{self.rms:.2f}", f"{self.largest:.1f}"]
+
+
+def rms(values: FloatArray) -> float:
+    """Return the root mean square of what is known."""
+    known = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(known**2))) if len(known) else np.nan
+
+
+def matrix(samples: SampleBlock, name: str) -> FloatArray:
+    """Return three columns, (n, 3)."""
+    return np.column_stack([samples[f"{name}_{axis}"] for axis in "xyz"])
+
+
+def turn(rate_dps: float, minutes: float, begun_s: float, seed: int) -> Scene:
+    """Return a steady turn, which is the same for every seed."""
+    del seed
+    return steady_turn(TURN_RATE_HZ, rate_dps, minutes, begun_s)
+
+
+def rest_rows(seeds: range) -> Iterator[Row]:
+    """Steady turns, slow tilts, hands and cars, with five grades of sensors: motion taken for rest."""
+    scenes: list[tuple[str, Callable[[int], Scene]]] = [
+        (
+            f"turn of {rate:g} °/s for {minutes:g} min, begun in {begun:g} s",
+            partial(turn, rate, minutes, begun),
+        )
+        for rate, minutes, begun in TURNS
+    ]
+    scenes += [(name, partial(SCENES[name], FULL_RATE_HZ, 2 * SECONDS)) for name in FIELD]
+    for grade in GRADES:
+        for name, make in scenes:
+            ours, theirs, ratios = Tally(), Tally(), []
+            for seed in seeds:
+                scene = make(seed)
+                samples, truth = measure_with_bias(scene, grade, seed)
+                found = samples.with_columns(RestDetector().process(samples))
+                bias = GyroBias().process(found)
+                estimate, sd = (
+                    np.column_stack([bias[f"{column}_{axis}"] for axis in "xyz"])
+                    for column in ("gyro_bias", "gyro_bias_sd")
+                )
+                ours.add(scene.t, scene.rest, found["at_rest"] == 1)
+                theirs.add(scene.t, scene.rest, vqf_rest(samples))
+                ratios.append((np.abs(estimate - truth) / sd).max(1)[:: round(TURN_RATE_HZ)])
+            peers = {"VQF": theirs.percent()[0], "rest found": ours.percent()[1]}
+            yield Row(
+                "rest", f"{name}, {grade.name}", "% false", ours.percent()[0], np.concatenate(ratios), peers
+            )
+
+
+def thermometer_rows(seeds: range) -> Iterator[Row]:
+    """Every kind of thermometer, at constant, drifting and ramping temperature: the rate of temperature."""
+    for kind in KINDS:
+        for name, profile, length, start in (
+            ("constant", constant, STEADY_S, SETTLED_S),
+            ("5 °C/h", drifting, STEADY_S, SETTLED_S),
+            ("2 °C/min after 300 s", ramp(HOLD_S), HOLD_S + RAMP_S, HOLD_S + ONSET_S + kind.refresh_s),
+        ):
+            runs = [errors(kind, profile, length, seed) for seed in seeds]
+            late = [run["t"] > start for run in runs]
+            off, ratios = (
+                np.concatenate([run[what][where] for run, where in zip(runs, late, strict=True)])
+                for what in ("rate", "rate_z")
+            )
+            peers = thermometer_peers(kind, profile, length, start, seeds)
+            yield Row("thermometer", f"{kind.name}, {name}", "°C/h", rms(off), ratios, peers)
+
+
+def thermometer_peers(
+    kind: Kind, profile: Profile, length: float, start: float, seeds: range
+) -> dict[str, float]:
+    """Return the rms of others' rates in °C/h: of a smoother and of a Kalman filter of two states."""
+    found: dict[str, list[FloatArray]] = {"Savitzky-Golay": [], "Kalman": []}
+    for seed in seeds:
+        rng = np.random.default_rng(seed)
+        t = np.arange(int(length * kind.rate_hz)) / kind.rate_hz
+        temperature, rate = profile(t, 25.0 + rng.uniform(-0.5, 0.5))
+        each = max(round(kind.rate_hz), 1)
+        seconds = kind.read(temperature, rng)[: len(t) // each * each].reshape(-1, each).mean(1)
+        truth = rate[each - 1 :: each][: len(seconds)]
+        dt = each / kind.rate_hz
+        window = min(round(SMOOTH_S / dt), len(seconds)) // 2 * 2 - 1
+        smooth = savgol_filter(seconds, window, 2, deriv=1, delta=dt)
+        late = (np.arange(len(seconds)) + 1) * dt > start
+        found["Savitzky-Golay"].append((smooth - truth)[late] * PER_HOUR)
+        found["Kalman"].append((two_states(seconds, dt, kind) - truth)[late] * PER_HOUR)
+    return {name: rms(np.concatenate(parts)) for name, parts in found.items()}
+
+
+def two_states(readings: FloatArray, dt: float, kind: Kind) -> FloatArray:
+    """Return the rate by a Kalman filter of temperature and rate, which walks by 1e-5 °C/s in √s."""
+    noise = max(kind.step**2 / 12.0, 1e-8) + float(np.var(np.diff(readings)) / 2.0)
+    x, p = np.array([readings[0], 0.0]), np.diag([noise, 1e-2])
+    step, walk = np.array([[1.0, dt], [0.0, 1.0]]), np.diag([0.0, 1e-10 * dt])
+    rates = np.empty(len(readings))
+    for k, reading in enumerate(readings):
+        x, p = step @ x, step @ p @ step.T + walk
+        gain = p[:, 0] / (p[0, 0] + noise)
+        x, p = x + gain * (reading - x[0]), p - np.outer(gain, p[0])
+        rates[k] = x[1]
+    return rates
+
+
+def north_rows(seeds: range) -> Iterator[Row]:
+    """Sites that sway, are walked upon and settle: the heading after 60 and 600 s."""
+    for scene in SITES:
+        found = np.array([outcome(scene, seed) for seed in seeds])
+        for k, name in enumerate(("60 s", "600 s")):
+            error, sd, plain, hann = found[:, k].T
+            peers = {"plain mean": rms(plain), "Hann mean": rms(hann)}
+            yield Row("north", f"{scene.name}, {name}", "°", rms(error), error / sd, peers)
+
+
+def bias_rows(seeds: range) -> Iterator[Row]:
+    """A unit in a hand, on a rover, in a car: the bias at rest and in motion."""
+    scenario = load_scenario("warm-up").model_copy(update={"rate_hz": RATE_HZ})
+    for name, case in CASES.items():
+        ratios, mistakes = [], []
+        peers: dict[str, list[FloatArray]] = {peer: [] for peer in DEFAULTS}
+        for seed in seeds:
+            record = simulate(case, seed)
+            error, sd, told = estimated(case, record)
+            where = places(record.rest)
+            seen = np.concatenate([where.ends, where.before, where.motion[:: round(RATE_HZ)]])
+            ratios.append((error / sd)[seen].ravel())
+            mistakes.append(error[where.motion].ravel())
+            time_s = told.samples["device_time_ns"] * 1e-9
+            run = Run(scenario, told.samples, record.bias, record.earth, time_s, record.rest)
+            for peer, method in DEFAULTS.items():
+                peers[peer].append((method(run) - record.bias - record.earth)[where.motion].ravel())
+        others = {peer: rms(np.concatenate(parts)) / DEG_PER_H for peer, parts in peers.items()}
+        found = np.concatenate(ratios)
+        yield Row("bias", name, "°/h", rms(np.concatenate(mistakes)) / DEG_PER_H, found, others)
+
+
+def measured_rows(folder: Path) -> Iterator[Row]:
+    """Tables in the units of imumon with the true bias in columns true_gyro_bias_{x,y,z}."""
+    for path in sorted([*folder.glob("*.parquet"), *folder.glob("*.csv")]):
+        samples, _ = read_table(path)
+        if "true_gyro_bias_x" not in samples:
+            print(f"{path.name}: no column true_gyro_bias_x, so it is left out", file=sys.stderr)
+            continue
+        for stage in (TemperatureRate(), RestDetector(), GyroBias()):
+            samples = samples.with_columns(stage.process(samples))
+        error = matrix(samples, "gyro_bias") - matrix(samples, "true_gyro_bias")
+        ratios = error / matrix(samples, "gyro_bias_sd")
+        yield Row("measured", path.stem, "°/h", rms(error) / DEG_PER_H, ratios.ravel())
+
+
+MAKERS: dict[str, Callable[[range], Iterator[Row]]] = {
+    "rest": rest_rows,
+    "thermometer": thermometer_rows,
+    "north": north_rows,
+    "bias": bias_rows,
+}
+
+
+def show(rows: Iterable[Row]) -> None:
+    """Print the table, the row with the largest rms of error over sigma first."""
+    done = []
+    for row in rows:
+        print(" | ".join(row.cells()), file=sys.stderr, flush=True)
+        done.append(row)
+    heads = ["part", "kind", "rms error", "others", "claimed", "error/σ rms", "max"]
+    print("| " + " | ".join(heads) + " |\n" + "|---" * len(heads) + "|")
+    for row in sorted(done, key=lambda row: -np.nan_to_num(row.rms)):
+        print("| " + " | ".join(row.cells()) + " |")
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(prog="scripts/reproduce/field", description=__doc__)
+    parser.add_argument("--seeds", type=int, default=3, help="runs of each kind (default: %(default)s)")
+    parser.add_argument("--first", type=int, default=1000, help="first seed (default: %(default)s)")
+    parser.add_argument("--part", choices=PARTS, action="append", help="only this part")
+    parser.add_argument("--data", type=Path, help="folder of tables with the true bias")
+    parser.add_argument("--quick", action="store_true", help="one seed, and the first kind of each part")
+    given = parser.parse_args()
+    seeds = range(given.first, given.first + (1 if given.quick else given.seeds))
+    parts = given.part or PARTS
+
+    def rows() -> Iterator[Row]:
+        for part in parts:
+            yield from islice(MAKERS[part](seeds), 1 if given.quick else None)
+        if given.data:
+            yield from measured_rows(given.data)
+
+    show(rows())
+
+
+if __name__ == "__main__":
+    main()
