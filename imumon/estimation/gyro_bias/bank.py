@@ -304,8 +304,3 @@ def law(bank: Bank, family: Family) -> tuple[FloatArray, FloatArray]:
     """
     unseen2 = float(family.sensitivity_sd @ family.sensitivity_sd) / len(family.sensitivity_sd)
     return mixture(bank.mean, bank.covariance, bank.weight, unseen2)
-
-
-def sensitivity(bank: Bank) -> FloatArray:
-    """Return the matrix of the sensitivity to the specific force, rad/s per m/s², (variants, 3, 3)."""
-    return np.asarray(np.einsum("...h,...hi->...i", bank.weight, bank.mean[..., SENSITIVITY]))

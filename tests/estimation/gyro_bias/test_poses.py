@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -66,7 +67,7 @@ def in_the_hand(
 @pytest.mark.parametrize("place_known", [True, False])
 @pytest.mark.parametrize("per_g_deg", [0.0, 0.01, 0.03, 0.1])
 def test_the_sigma_holds_in_the_hand(per_g_deg: float, place_known: bool) -> None:
-    at_ends, before_rests, late = [], [], []
+    at_ends, before_rests, in_motion, late = [], [], [], []
     for seed in range(4):
         block, bias, earth, rest = in_the_hand(per_g_deg, seed)
         stage = GyroBias(latitude_deg=LATITUDE_DEG, heading_deg=0.0) if place_known else GyroBias()
@@ -76,8 +77,9 @@ def test_the_sigma_holds_in_the_hand(per_g_deg: float, place_known: bool) -> Non
         ends, begins = (np.flatnonzero(np.diff(rest) == change) for change in (-1, 1))
         at_ends.append(z[ends[1:]])
         before_rests.append(z[begins])
+        in_motion.append(z[(rest == 0) & (np.arange(len(z)) > 60.0 * RATE_HZ)])
         late.append(error[ends[4:]] / DPH)
-    for found in (np.concatenate(at_ends), np.concatenate(before_rests)):
+    for found in (np.concatenate(part) for part in (at_ends, before_rests, in_motion)):
         assert np.sqrt(np.mean(found**2)) < 1.8
         assert np.abs(found).max() < 7.0
     # 60 ARW/sqrt(t) of a rest is 4.8 deg/h.
@@ -152,6 +154,15 @@ def test_a_steep_slope_without_a_model_is_followed(slope_dph: float, largest_dph
     error = (vector(added, "gyro_random_error") - bias)[600:]
     assert np.sqrt(np.mean((error / vector(added, "gyro_random_error_sd")[600:]) ** 2)) < z
     assert np.abs(error).max() < largest_dph * DPH
+
+
+def test_in_the_hand_the_division_into_blocks_does_not_matter() -> None:
+    block, _, _, _ = in_the_hand(0.05, 8, rests=4)
+    whole = GyroBias(mode="learned").process(block)
+    stage, edges = GyroBias(mode="learned"), [0, 1, 30, 3777, 3778, 4000, len(block)]
+    parts = [stage.process(block.rows(start, stop)) for start, stop in pairwise(edges)]
+    for name, values in whole.items():
+        np.testing.assert_array_equal(np.concatenate([part[name] for part in parts]), values)
 
 
 def test_it_goes_on_from_a_snapshot() -> None:
