@@ -55,7 +55,7 @@ MEAN_SLOW = np.concatenate([0.0 * MEAN_FACTORS, _RATIOS / _TIMES])
 """Of the others: white noise and the slow error over what is seen from slot to slot, as variances."""
 SLOW_TIME_S = np.concatenate([1.0 + 0.0 * WHITE_SIGMAS, _LEVEL_TIMES, 1.0 + 0.0 * MEAN_FACTORS, _TIMES])
 KINDS, LEVELS = len(SLOW_TIME_S), len(LEVEL_SIGMAS)
-PRIOR = np.where(np.append(LEVEL_SLOW, MEAN_SLOW) > 0.0, 0.1, 1.0)
+PRIOR = np.where(np.append(LEVEL_SLOW, MEAN_SLOW) > 0.0, 0.03, 1.0)
 """Most converters have white noise: of a slow error so many times less is believed before it shows."""
 
 
@@ -96,7 +96,7 @@ MIX_S = 3.9
 """Filters are mixed so often; a fraction of the time in which any could take over."""
 NATURE_PER_S = 1e-10
 """The same for the kind of the sensor's noise, to any."""
-LEAST_WEIGHT = 1e-12
+LEAST_WEIGHT = 3e-11
 """A kind with less probability rests until its turn comes to get what `NATURE_PER_S` grants it."""
 NEGLIGIBLE = 1e-4
 """A filter takes up no rougher one that would be less of it than this: it would lose what it knows."""

@@ -11,7 +11,7 @@ from imumon.blocks import FloatArray, IntArray
 from imumon.compiled import njit
 from imumon.estimation.temperature_rate.bank import START_RATE, Bank, advance, started
 from imumon.estimation.temperature_rate.measurement import Merged, measure, merged, said
-from imumon.estimation.temperature_rate.refresh import SLOW_S
+from imumon.estimation.temperature_rate.refresh import FASTEST, SLOW_S
 from imumon.estimation.temperature_rate.sensor import Reading, Sensor
 from imumon.estimation.temperature_rate.step import StepFinder
 
@@ -24,7 +24,8 @@ ALLOWED = 2.5
 STEP_CHANGE = 0.25
 """A step found to be so much larger is another."""
 GATE, GATE_STEPS, GATE_SLOTS = 8.0, 5.0, 3
-"""A reading off by so many deviations and steps is a fault; after so many slots it is the truth."""
+"""A reading off by so many deviations and steps, and by more than a temperature moves, is a fault; after so
+many slots it is the truth."""
 FASTER = 1.5
 """Until the next refresh a temperature moves no faster than so many times as since the last."""
 GAP_S = 600.0
@@ -165,11 +166,13 @@ def _estimate(state: State, reading: Reading) -> Shown:
     dead = sensor.is_dead(reading.time_s)
     heard = taken is not None and not dead
     repeats = reading.count > 0 and taken is None
+    coarser = False
     if taken is not None and heard and sensor.refresh.slow and not knew:
         _begin_slow(state, reading.before, taken)
     elif state.bank is not None and sensor.step > (1.0 + STEP_CHANGE) * state.step > 0.0:
         # So far the readings were taken for finer than they are.
         state.bank = None
+        coarser = True
     seen_s = sensor.changed_s if dead else state.last_s
     if state.bank is not None and not heard and not repeats and reading.end_s - seen_s > GAP_S:
         state.bank, state.shown = None, Shown()
@@ -177,7 +180,8 @@ def _estimate(state: State, reading: Reading) -> Shown:
     if state.bank is None:
         if taken is None or dead:
             return state.shown
-        state.bank = started((taken.mean, _start_sd(taken, sensor)), (0.0, 0.0), slow)
+        moved = (taken.last - state.last) / max(taken.time_s - state.last_s, 1.0) if coarser else 0.0
+        state.bank = started((taken.mean, _start_sd(taken, sensor)), (0.0, abs(moved)), slow)
         state.step = sensor.step
         state.time_s, state.faults, state.usual_s = taken.time_s, 0, 0.0
     at = taken.time_s if taken is not None and heard else reading.end_s
@@ -221,7 +225,7 @@ def _keep_near(state: State, slow: float, reading: Reading, end_s: float) -> Non
     sensor, shown = state.sensor, state.shown
     low, high = reading.low, reading.high
     if reading.changes >= 4:
-        low = high = sensor.linear(reading)
+        low = high = sensor.linear(reading) + (end_s - reading.time_s) * shown.rate
     allowed = 0.5 * sensor.step + ALLOWED * math.sqrt(sensor.roughness + slow)
     if sensor.refresh.slow:
         age = max(end_s - state.last_s, 0.0)
@@ -243,7 +247,8 @@ def _heard(state: State, bank: Bank, predicted: tuple[float, float], reading: Re
     mean, variance = predicted
     off = max(abs(reading.low - mean), abs(reading.high - mean))
     widest = variance + sensor.step**2 + sensor.inside + sensor.roughness
-    if off < GATE_STEPS * sensor.step or off * off < GATE * GATE * widest:
+    possible = FASTEST * (reading.time_s - state.last_s + reading.duration_s)
+    if off < max(GATE_STEPS * sensor.step, possible) or off * off < GATE * GATE * widest:
         state.faults = 0
         measure(bank.filters, said(reading, sensor))
         return bank

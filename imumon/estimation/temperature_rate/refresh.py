@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 SLOW_S, SLOWEST_S = 1.5, 120.0
 """Faster refreshes are seen within a slot and its neighbours; slower thermometers are not made."""
-FASTEST = 10.0 / 60.0
+FASTEST = 20.0 / 60.0
 """°C/s; a leap that would need more is a fault ("several °C/min" is what the paper's sensors meet)."""
 LEAP_STEPS = 1.5
 """More than one step, with half a step for its error."""
