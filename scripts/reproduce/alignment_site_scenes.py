@@ -16,8 +16,8 @@ LATITUDE_DEG = 36.0
 RATE_HZ = 100.0
 VRW = 5e-5
 """m/s/√s."""
-PAPER_ARW, SITE_ARW = 2.43e-4, 1e-3
-"""deg/√h: of the paper, and of a fibre-optic gyro."""
+PAPER_ARW, SITE_ARW, TACTICAL_ARW = 2.43e-4, 1e-3, 0.01
+"""deg/√h: of the paper, of a fibre-optic gyro, and of a tactical one."""
 
 Tilt = Callable[[FloatArray, np.random.Generator], FloatArray]
 """From seconds (n,) to the angle about the body's level axes, rad, (n, 2)."""
@@ -155,6 +155,25 @@ SCENES = (
         together(sway(20 * MICRO, 0.2), footsteps(2 * MICRO, 8.0), settling(50 * MICRO, 60.0)),
         (83.7, 150.0),
     ),
+    Scene("sway 2 µrad at 0.05 Hz", SITE_ARW, sway(2 * MICRO, 0.05)),
+    Scene("sway 200 µrad at 0.05 Hz", SITE_ARW, sway(200 * MICRO, 0.05)),
+    Scene("sway 200 µrad at 0.5 Hz", SITE_ARW, sway(200 * MICRO, 0.5)),
+    Scene("sway 200 µrad at 1.97 Hz", SITE_ARW, sway(200 * MICRO, 1.97)),
+    Scene("sway 20 µrad at 1.97 Hz, noise of the paper", PAPER_ARW, sway(20 * MICRO, 1.97)),
+    Scene("wind, 200 µrad at 0.5 Hz", SITE_ARW, wind(200 * MICRO, 0.5, 0.02)),
+    Scene("wind, 5 µrad at 0.1 Hz, noise of the paper", PAPER_ARW, wind(5 * MICRO, 0.1, 0.2)),
+    Scene("traffic, 1 µrad about 12 Hz", SITE_ARW, wind(MICRO, 12.0, 0.1)),
+    Scene("footsteps of 0.2 µrad every 1 s", SITE_ARW, footsteps(0.2 * MICRO, 1.0)),
+    Scene("footsteps of 20 µrad every 1 s", SITE_ARW, footsteps(20 * MICRO, 1.0)),
+    Scene("footsteps of 20 µrad every 60 s", SITE_ARW, footsteps(20 * MICRO, 60.0)),
+    Scene("footsteps of 5 µrad every 5 s, noise of the paper", PAPER_ARW, footsteps(5 * MICRO, 5.0)),
+    Scene("settling 5 µrad, 60 s", SITE_ARW, settling(5 * MICRO, 60.0)),
+    Scene("settling 500 µrad, 10 s", SITE_ARW, settling(500 * MICRO, 10.0)),
+    Scene("settling 500 µrad, 100 s", SITE_ARW, settling(500 * MICRO, 100.0)),
+    Scene("settling 500 µrad, 600 s", SITE_ARW, settling(500 * MICRO, 600.0)),
+    Scene("settling 20 µrad, 600 s, noise of the paper", PAPER_ARW, settling(20 * MICRO, 600.0)),
+    Scene("tactical", TACTICAL_ARW),
+    Scene("tactical, wind, 20 µrad at 0.25 Hz", TACTICAL_ARW, wind(20 * MICRO, 0.25, 0.05)),
     Scene("bias of 3 °/h, not declared", SITE_ARW, bias_deg_per_h=3.0),
     Scene("bias of 0.05 °/h, not declared", SITE_ARW, bias_deg_per_h=0.05),
     Scene("flicker of 0.01 °/h", SITE_ARW, flicker_deg_per_h=0.01),

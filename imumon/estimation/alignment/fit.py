@@ -10,8 +10,7 @@ own bias while they warm up.  Their sum alone cannot be divided; the gyros see �
 are that the unit stands (φ = 0), or that it settles exponentially with some time constant, or tilts steadily,
 from the start or since some time.  The size of the bias is unknown, too: what the vertical gyro shows beyond
 Ω sin L, and the horizontal ones beyond the length Ω cos L, tell of it.  Heading and sigma are mean and
-standard deviation over all of that, by the probability of each (Bayesian model averaging: Hoeting et al.,
-Statistical Science 14(4), 1999).
+standard deviation over all of that, by the probability of each (Bayesian model averaging).
 """
 
 from __future__ import annotations
@@ -38,8 +37,9 @@ PAIRS = np.array(
 """Courses of which a tilt is the sum: exponentials, or a steady tilt that changes once; (2, pairs)."""
 TILTS = np.array([3e-5, 3e-4])
 """Standard deviations of the tilt, rad: of what tripods do, 30 to 300 µrad."""
-PROBABILITY = 1.0 / 3.0
-"""Prior probability that the unit tilts: of standing, warming up and settling, one."""
+PROBABILITY = 0.1
+"""Prior probability that the unit tilts.  With more, a clean warm-up settles later than after a minute; with
+less, a tripod's errors exceed their sigma more often (`scripts/reproduce/alignment`, `alignment_site`)."""
 WARM_UPS_S = np.array([30.0, 100.0, 300.0, 1000.0])
 WARM_UP = 1e-4
 """Time constants of accelerometers, and the standard deviation of each part of the drift, in g."""

@@ -162,7 +162,7 @@ class Motion:
             return
         rate = slot.mean[:3] - self.base
         angle = slot.length_s * rate
-        # First-order coning correction of successive slots: Savage 1998, J. Guidance 21(1), eq. 41.
+        # Successive slots: rotation vectors do not add up where the axis turns (coning).
         self.turned = self.turned @ rotation(angle + np.cross(self.last, angle) / 12.0)
         self.last = angle
         self.angle += math.sqrt(angle @ angle)

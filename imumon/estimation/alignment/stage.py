@@ -352,7 +352,8 @@ class Alignment:
                 status.tilting > LIKELY and status.observable
             ),
             "heading not observable with this gyro: its bias is not small beside the earth's horizontal "
-            f"rate of {level:.1f} °/h": status.phase == "not observable",
+            f"rate of {level:.1f} °/h; a turn by half a circle, and a rest, tell them apart": status.phase
+            == "not observable",
             "alignment: the rates contradict the declared bias of the gyros, or the latitude is wrong": bool(
                 contradicted
             ),

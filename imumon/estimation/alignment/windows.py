@@ -22,8 +22,8 @@ CELLS, STEP = 160, 4
 ROWS = 40
 """Windows in a set at the most; more neighbours are added up.  Products of such matrices are small enough for
 BLAS not to wake other threads, which would cost more than the product."""
-LEAST_ROWS = 6
-"""The scatter of fewer means tells nothing: a quarter of the error, with two axes."""
+LEAST_ROWS = 4
+"""The scatter of fewer means tells nothing."""
 TREND = (2.0, 8.0, 32.0, 128.0)
 """Time constants in a record of the exponentials that are no scatter: as a tripod settles."""
 FLOOR = 1e-30

@@ -266,3 +266,16 @@ def test_it_goes_on_from_a_snapshot() -> None:
     expected, found = first.process(rest), second.process(rest)
     for name, values in expected.items():
         np.testing.assert_array_equal(values, found[name], err_msg=name)
+
+
+def test_footsteps_take_nothing_off() -> None:
+    steps = [
+        {"kind": "bump", "at_s": at, "frequency_hz": 5.0, "decay_s": 0.15, "tilt_deg": [1e-3, -5e-4, 0.0]}
+        for at in np.arange(15.0, 90.0, 4.3).tolist()
+    ]
+    stage, _ = aligned(samples(scenario(90.0, rate_hz=100.0, motion=steps)))
+    assert stage.status.time_s > 70.0
+    assert stage.status.positions == 1
+    assert stage.status.shown is not None
+    assert abs(error_deg(stage.status.shown.heading, 30.0)) < 0.05
+    assert stage.status.phase in ("settled", "disturbed")
