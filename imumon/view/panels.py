@@ -91,6 +91,13 @@ PANELS: tuple[Panel, ...] = (
     *_thermal({"": ORANGE}, "/samples/temperature"),
     *_thermal({f"_{axis}": color for axis, color in AXIS_COLORS.items()}, "/samples/temperature_axes"),
     band_panel("gyro_bias", BIAS, "Gyro bias, 2σ", _axis_bands("gyro_bias"), "°/h"),
+    band_panel(
+        "gyro_bias_smoothed",
+        BIAS,
+        "Gyro bias with what came later, 2σ",
+        _axis_bands("gyro_bias_smoothed"),
+        "°/h",
+    ),
     strip(
         "gyro_corrected",
         "Angular rate: raw and corrected",
