@@ -24,6 +24,7 @@ from imumon.columns import KNOWN, TIME_COLUMNS, Column
 from imumon.protocols.base import COMMON, MAIN, Counters, Timing
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.epochs import EpochAssembler, EpochCounters
+from imumon.protocols.stream import ByteArray
 
 UNDATED = NO_INT
 """Arrival time of bytes whose arrival nobody noted, as in a raw capture."""
@@ -192,6 +193,12 @@ class Pipeline:
         if self._decoder is None:
             raise ValueError("a pipeline without a device takes samples, not bytes")
         self._decoder.feed(data, arrival_ns)
+
+    def feed_reads(self, data: ByteArray, ends: IntArray, arrivals_ns: IntArray) -> None:
+        """Decode the bytes of several reads: of each where it ends in the data, and when it arrived."""
+        if self._decoder is None:
+            raise ValueError("a pipeline without a device takes samples, not bytes")
+        self._decoder.feed_reads(data, ends, arrivals_ns)
 
     def push(self, block: SampleBlock) -> None:
         """Take samples that have their times already, from a table."""

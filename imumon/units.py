@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
 from tokenize import TokenError
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from imumon.errors import ImumonError, Reason
+
+if TYPE_CHECKING:
+    from imumon.blocks import FloatArray
 
 # What the field writes and pint reads otherwise or not at all.
 _SPELLINGS = {
@@ -32,10 +37,6 @@ _SPELLINGS = {
 }
 """In this field "g" is never a gram and "C" never a coulomb."""
 
-# pint knows a gauss of the cgs system, which is not a tesla's kind.
-_ADDED = ["flux_gauss = 1e-4 * tesla"]
-
-
 _PI = Fraction("3.1415926535897932384626433832795028841971693993751")
 _COMMON = {
     ("deg/s", "rad/s"): _PI / 180,
@@ -49,8 +50,27 @@ _COMMON = {
 }
 """What nearly every device file needs, for a start without pint, which takes half a second.  The tests
 compare with pint."""
+EXAMPLES = {
+    "rad/s": "rad/s, deg/s, dps, mdps, deg/h",
+    "m/s^2": "m/s^2, g, mg",
+    "uT": "uT, nT, gauss, mgauss",
+    "degC": "degC, degF, K",
+    "rad": "rad, deg",
+    "Pa": "Pa, hPa, kPa, mbar",
+    "ns": "s, ms, us, ns",
+    "1": "1",
+}
+"""Units that are common for each unit that imumon uses."""
+
 LONGEST = 40
 """No unit is written with more characters."""
+_SCALED = re.compile(r"(?P<unit>.*\S)\s*/\s*(?P<count>\d+(?:\.\d+)?)", re.ASCII)
+_POWER_OF_NUMBER = re.compile(r"\d\s*(\*\*|\^)")
+"""No unit has it, and pint would compute 9**9**9**9."""
+
+
+_MALFORMED = (TokenError, SyntaxError, ArithmeticError, ValueError, TypeError, AttributeError, AssertionError)
+"""What pint raises on malformed text besides its own errors."""
 
 
 @lru_cache(maxsize=1)
@@ -59,26 +79,19 @@ def _registry() -> Any:
 
     # In fractions, so that a microsecond is exactly 1000 ns; rounded to float64 once, at the end.
     registry: Any = pint.UnitRegistry(non_int_type=Fraction)
-    for definition in _ADDED:
-        registry.define(definition)
+    registry.define("flux_gauss = 1e-4 * tesla")  # pint's is of the cgs system, not of a tesla's kind
     return registry
 
 
-def conversion(unit: str, target: str) -> tuple[float, float]:
-    """Return (factor, offset) so that value_in_target = factor * value_in_unit + offset.
+@lru_cache(maxsize=256)
+def exact_conversion(unit: str, target: str) -> tuple[Fraction, Fraction]:
+    """Return (factor, offset), not rounded, so that value_in_target = factor * value_in_unit + offset.
 
     Raises
     ------
     ImumonError
         BAD_CONFIG when the unit is unknown or measures something else than the target.
     """
-    factor, offset = exact_conversion(unit, target)
-    return float(factor), float(offset)
-
-
-@lru_cache(maxsize=256)
-def exact_conversion(unit: str, target: str) -> tuple[Fraction, Fraction]:
-    """Return `conversion` as fractions, not yet rounded."""
     if unit == target:
         return Fraction(1), Fraction(0)
     if (unit, target) in _COMMON:
@@ -89,10 +102,11 @@ def exact_conversion(unit: str, target: str) -> tuple[Fraction, Fraction]:
 def _by_pint(unit: str, target: str) -> tuple[Fraction, Fraction]:
     import pint
 
-    if len(unit) > LONGEST or unit.count("**") > 1:  # pint computes powers, however large
-        raise ImumonError(
-            Reason.BAD_CONFIG, f"unit {unit[:LONGEST]!r} is not known", f"expected one like {target!r}"
-        )
+    unknown = ImumonError(
+        Reason.BAD_CONFIG, f"unit {unit[:LONGEST]!r} is not known", f"expected one like {target!r}"
+    )
+    if len(unit) > LONGEST or _POWER_OF_NUMBER.search(unit):
+        raise unknown
     registry = _registry()
     try:
         source = registry.Unit(_spelled(unit))
@@ -104,22 +118,49 @@ def _by_pint(unit: str, target: str) -> tuple[Fraction, Fraction]:
         raise ImumonError(
             Reason.BAD_CONFIG, f"unit {unit!r} does not measure what {target!r} measures", "check the unit"
         ) from error
-    except (
-        pint.PintError,
-        TokenError,
-        SyntaxError,
-        ArithmeticError,
-        ValueError,
-        TypeError,
-        AttributeError,
-        AssertionError,
-    ) as error:  # all of which pint raises on malformed text
-        raise ImumonError(
-            Reason.BAD_CONFIG, f"unit {unit!r} is not known", f"expected one like {target!r}"
-        ) from error
+    except (pint.PintError, *_MALFORMED) as error:
+        raise unknown from error
     return at_one - at_zero, at_zero
 
 
 def _spelled(unit: str) -> str:
     spelled = _SPELLINGS.get(unit.strip(), unit.strip())
     return spelled.replace("gauss", "flux_gauss")
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """A unit of a table: value in `target` = factor * value + offset."""
+
+    text: str
+    target: str
+    factor: Fraction
+    offset: Fraction
+
+    def convert(self, values: FloatArray) -> FloatArray:
+        """Return values in this unit in the target unit; unchanged to the bit when the units are the same."""
+        if self.factor == 1 and self.offset == 0:
+            return values
+        return values * float(self.factor) + float(self.offset)
+
+
+def parse_unit(text: str, target: str) -> Unit:
+    """Parse a unit and check that it measures the same as `target`, a key of `EXAMPLES`.
+
+    A number that it is divided by is a scale: in "g/16384" a g has 16384 counts.
+
+    Raises
+    ------
+    ValueError
+        When it is unknown, not a unit, or of another kind.
+    """
+    usual = f"usual here: {EXAMPLES[target]}"
+    scaled = _SCALED.fullmatch(text)
+    bare, count = (scaled["unit"], Fraction(scaled["count"])) if scaled else (text, Fraction(1))
+    if not count:
+        raise ValueError(f"{text!r} is not a unit; {usual}")
+    try:
+        factor, offset = exact_conversion(bare, target)
+    except ImumonError as error:
+        raise ValueError(f"{error.seen}; {usual}") from error
+    return Unit(text, target, factor / count, offset)

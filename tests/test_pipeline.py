@@ -12,7 +12,7 @@ from imumon.blocks import NO_INT, ColumnArray, SampleBlock, join
 from imumon.columns import Column
 from imumon.pipeline import UNDATED, Digest, Pipeline
 from imumon.protocols.device import load_device
-from imumon.simulation.bench import BenchUnit
+from imumon.simulation.unit import SimulatedUnit, load_scenario
 
 AX1 = load_device("ax1")
 START = 1_700_000_000_000_000_000
@@ -40,8 +40,8 @@ class CountingEstimator:
 @cache
 def stream(n: int) -> list[tuple[bytes, int]]:
     """Packets of a unit with junk and a reboot, and when each arrives."""
-    packets = AX1.encoder().encode(BenchUnit(100.0, AX1.axes).samples(n))
-    packets += AX1.encoder().encode(BenchUnit(100.0, AX1.axes, seed=1).samples(n))
+    packets = AX1.encoder().encode(SimulatedUnit(load_scenario("bench")).samples(n))
+    packets += AX1.encoder().encode(SimulatedUnit(load_scenario("bench"), 1).samples(n))
     packets[n // 2] = b"junk" + packets[n // 2]
     packets[n // 3] = packets[n // 3][:20]
     return [(packet, START + i * 10_000_000) for i, packet in enumerate(packets)]
@@ -77,6 +77,27 @@ def test_samples_do_not_depend_on_chunks_or_blocks(cuts: list[int], take_every: 
     for start in range(0, len(pieced), 7):
         many.update(pieced.rows(start, start + 7))
     assert one.hexdigest() == many.hexdigest()
+
+
+@given(together=st.lists(st.integers(1, 40), min_size=1, max_size=6), cut=st.integers(1, 57))
+@settings(max_examples=20, deadline=None)
+def test_reads_given_together_are_those_given_one_by_one(together: list[int], cut: int) -> None:
+    # The last byte of a packet comes alone, or with the next packet: the arrivals differ within a read.
+    whole = b"".join(data for data, _ in stream(60))
+    reads = [(whole[at : at + cut], START + at) for at in range(0, len(whole), cut)]
+    one_by_one, reference = run(reads, 3)
+    pipeline, at, turn = Pipeline(AX1, [CountingEstimator()]), 0, 0
+    while at < len(reads):
+        some = reads[at : at + together[turn % len(together)]]
+        ends = np.cumsum([len(data) for data, _ in some])
+        data = np.frombuffer(b"".join(data for data, _ in some), np.uint8)
+        pipeline.feed_reads(data, ends, np.array([arrival for _, arrival in some]))
+        at, turn = at + len(some), turn + 1
+    pipeline.finish()
+    block = pipeline.take()
+    assert pipeline.counters == reference.counters
+    for name in one_by_one.columns:
+        np.testing.assert_array_equal(block[name], one_by_one[name], err_msg=name)
 
 
 def test_counters_account_for_every_byte_and_packet() -> None:

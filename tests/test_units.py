@@ -3,10 +3,13 @@ from __future__ import annotations
 import math
 from fractions import Fraction
 
+import numpy as np
 import pytest
 
 from imumon.errors import ImumonError
-from imumon.units import _COMMON, _by_pint, conversion
+from imumon.units import _COMMON, _by_pint, exact_conversion, parse_unit
+
+DEG = math.pi / 180
 
 
 @pytest.mark.parametrize(
@@ -32,7 +35,7 @@ from imumon.units import _COMMON, _by_pint, conversion
     ],
 )
 def test_factors_and_offsets(unit: str, target: str, factor: float, offset: float) -> None:
-    got_factor, got_offset = conversion(unit, target)
+    got_factor, got_offset = map(float, exact_conversion(unit, target))
     assert got_factor == pytest.approx(factor, rel=2.3e-16)
     assert got_offset == pytest.approx(offset, rel=2.3e-16)
 
@@ -51,9 +54,91 @@ def test_factors_and_offsets(unit: str, target: str, factor: float, offset: floa
 )
 def test_a_wrong_unit_is_refused(unit: str, words: str) -> None:
     with pytest.raises(ImumonError, match=words):
-        conversion(unit, "rad/s")
+        exact_conversion(unit, "rad/s")
 
 
 def test_the_common_factors_are_those_of_pint() -> None:
     for (unit, target), factor in _COMMON.items():
         assert _by_pint(unit, target) == (factor, Fraction(0)), unit
+
+
+@pytest.mark.parametrize(
+    ("text", "target", "value", "expected"),
+    [
+        ("°/s", "rad/s", 180.0, math.pi),
+        ("dps", "rad/s", 180.0, math.pi),
+        ("dps/16.4", "rad/s", 16.4, DEG),
+        ("ug", "m/s^2", 1e6, 9.80665),
+        ("µg", "m/s^2", 1e6, 9.80665),
+        ("g/16384", "m/s^2", 16384.0, 9.80665),
+        ("m/s²", "m/s^2", 2.0, 2.0),
+        ("m/s**2", "m/s^2", 2.0, 2.0),
+        ("cm/s^2", "m/s^2", 200.0, 2.0),
+        ("uT", "uT", 50.0, 50.0),
+        ("µT", "uT", 50.0, 50.0),
+        ("T", "uT", 50e-6, 50.0),
+        ("G", "uT", 0.5, 50.0),
+        ("mG", "uT", 500.0, 50.0),
+        ("degC", "degC", 25.5, 25.5),
+        ("degF", "degC", 212.0, 100.0),
+        ("K", "degC", 273.15, 0.0),
+        ("degC/256", "degC", 256.0, 1.0),
+        ("degF/10", "degC", 2120.0, 100.0),
+        ("deg", "rad", 180.0, math.pi),
+        ("1", "1", 0.5, 0.5),
+    ],
+)
+def test_units_of_inertial_sensors(text: str, target: str, value: float, expected: float) -> None:
+    converted = parse_unit(text, target).convert(np.array([value, np.nan]))
+    assert converted[0] == pytest.approx(expected, rel=1e-14, abs=1e-9)
+    assert np.isnan(converted[1])
+
+
+@pytest.mark.parametrize(("text", "target"), [("rad/s", "rad/s"), ("m/s^2", "m/s^2"), ("degC", "degC")])
+def test_values_in_the_right_unit_are_not_touched(text: str, target: str) -> None:
+    values = np.random.default_rng(1).normal(size=1000)
+    assert parse_unit(text, target).convert(values).tobytes() == values.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("text", "target", "message"),
+    [
+        (
+            "furlong/s",
+            "rad/s",
+            "'furlong/s' does not measure what 'rad/s' measures; usual here: rad/s, deg/s",
+        ),
+        ("xyzzy", "rad/s", "'xyzzy' is not known"),
+        ("kg", "m/s^2", "does not measure what"),
+        ("V", "degC", "does not measure what 'degC' measures; usual here: degC, degF, K"),
+        ("rad/s/", "rad/s", "is not known"),
+        ("1/0", "rad/s", "is not a unit"),
+        ("0*rad/s", "rad/s", "is not known"),
+        ("rad/s)", "rad/s", "is not known"),
+        ("rad/s/0", "rad/s", "is not a unit"),
+        ("2**9**9**9", "rad/s", "is not known"),
+        ("rad/s" * 20, "rad/s", "is not known"),
+        ("import os", "rad/s", "is not known"),
+    ],
+)
+def test_what_is_no_unit_here_is_refused_with_what_is(text: str, target: str, message: str) -> None:
+    with pytest.raises(ValueError, match=message.replace("^", r"\^")):
+        parse_unit(text, target)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("s", 10**9),
+        ("ms", 10**6),
+        ("us", 1000),
+        ("µs", 1000),
+        ("ns", 1),
+        ("min", 60 * 10**9),
+        ("s/32768", Fraction(10**9, 32768)),
+    ],
+)
+def test_units_of_time_are_exact(text: str, expected: Fraction) -> None:
+    unit = parse_unit(text, "ns")
+    assert unit.factor == expected
+    assert unit.offset == 0

@@ -35,6 +35,7 @@ from scipy.special import gammaincc
 
 from imumon.allan.covariance import SHAPES, Covariances
 from imumon.blocks import FloatArray, IntArray
+from imumon.filters.noise import FLOOR_PER_INSTABILITY
 
 FITTED = 2.0
 """A term is in the fit when the data call for it by this many standard deviations."""
@@ -89,7 +90,7 @@ class Term:
 
 TERMS = (
     Term("angle_random_walk", lambda dt: dt),
-    Term("bias_instability", lambda _: math.pi / (2.0 * math.log(2.0))),
+    Term("bias_instability", lambda _: FLOOR_PER_INSTABILITY**-2),
     Term("rate_random_walk", lambda dt: 3.0 / dt),
     Term("quantization", lambda dt: dt**2 / 3.0),
     Term("rate_ramp", lambda dt: 2.0 / dt**2, RAMP_SHOWN),

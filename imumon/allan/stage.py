@@ -12,6 +12,7 @@ from imumon.allan.streaming import LiveCurve, StreamingAllan
 from imumon.blocks import ColumnArray, FloatArray, SampleBlock
 from imumon.charts import AXIS_COLORS, GREY, ORANGE, Axis, Chart, Curve
 from imumon.columns import Column
+from imumon.filters.noise import NoiseTerms
 from imumon.geodesy import MICRO_G
 
 TAB = "Allan"
@@ -20,8 +21,6 @@ _GROUPS = {
     "accel": ("Allan deviation of the specific force, at rest", "µg", 1.0 / MICRO_G),
 }
 CHANNELS = tuple(f"{group}_{axis}" for group in _GROUPS for axis in AXIS_COLORS)
-FLICKER_LEVEL = 2.0 * math.log(2.0) / math.pi
-"""Allan variance of the flat part per squared bias instability: 0.664²."""
 
 
 class AllanStage:
@@ -113,5 +112,4 @@ def _bars(curve: LiveCurve) -> tuple[FloatArray, FloatArray]:
 
 def sheet_deviation(sheet: SheetLine, tau_s: FloatArray) -> FloatArray:
     """Return the Allan deviation that a data sheet promises at these averaging times, (n,)."""
-    variance = sheet.white**2 / tau_s + FLICKER_LEVEL * sheet.instability**2 + sheet.walk**2 * tau_s / 3.0
-    return np.asarray(np.sqrt(variance))
+    return np.sqrt(NoiseTerms(sheet.white, sheet.instability, sheet.walk).allan_variance(tau_s))

@@ -69,15 +69,16 @@ def main() -> None:
     """Run the command line; errors that a user can act on end with one clear message and their exit code."""
     _open_missing_streams()
     _tell_of_compiling()
-    code = _run()
+    code = run(sys.argv[1:])
     _settle_streams()
     sys.exit(code)
 
 
-def _run() -> int:
+def run(arguments: list[str]) -> int:
+    """Run one command and return its exit code; what went wrong is said on standard error."""
     try:
         # Not cli.main(), which ends with 1 by itself when the reader of our output went away, as `head` does.
-        with cli.make_context("imumon", sys.argv[1:]) as context:
+        with cli.make_context("imumon", arguments) as context:
             code = cli.invoke(context)
         sys.stdout.flush()
     except Exit as error:  # --help and --version

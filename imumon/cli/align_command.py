@@ -20,7 +20,7 @@ from imumon.cli.common import (
     warn,
 )
 from imumon.cli.live_run import PortRun
-from imumon.cli.setup_options import NOT_GIVEN, SetupOptions, make_setup
+from imumon.cli.setup_options import make_setup
 from imumon.errors import EXIT_NEGATIVE, EXIT_OK, ImumonError, Reason
 
 if TYPE_CHECKING:
@@ -76,8 +76,8 @@ def command(
     """
 
     def setup(recorded: str | None = None, where: str = "") -> Setup:
-        given: SetupOptions = {**NOT_GIVEN, "pipeline": pipeline, "model": model, "latitude": latitude}
-        return _with_sigma(make_setup(given, recorded, where), until)
+        made = make_setup({"pipeline": pipeline, "model": model, "latitude": latitude}, recorded, where)
+        return _with_sigma(made, until)
 
     if _is_recording(source):
         if baud is not None or seconds is not None or out is not None:

@@ -24,6 +24,7 @@ def command(name: str | None, as_json: bool) -> None:
             {
                 device.name: {
                     "title": device.title,
+                    "verified": device.verified,
                     "protocol": device.protocol,
                     "baudrates": list(device.serial.baudrates),
                     "rate_hz": device.rate_hz,
@@ -35,3 +36,4 @@ def command(name: str | None, as_json: bool) -> None:
         return
     for device in devices:
         click.echo(f"{device.name:<14} {device.title} ({device.protocol}, {device.serial.baudrates[0]} baud)")
+        click.echo(f"{'':<14} checked against {device.verified}")

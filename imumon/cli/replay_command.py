@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Unpack
+from typing import TYPE_CHECKING, Literal, Unpack
 
 import click
 
@@ -16,21 +16,27 @@ from imumon.cli.common import (
     json_option,
     print_json,
     print_rows,
-    say,
     split_columns,
+    warn,
     window_option,
 )
 from imumon.cli.setup_options import SetupOptions, make_setup, setup_options
-from imumon.errors import ImumonError, Reason
+from imumon.errors import EXIT_OK, ImumonError, Reason
 
 if TYPE_CHECKING:
     from imumon.blocks import SampleBlock
     from imumon.pipeline import Digest, Pipeline
+    from imumon.recordings.folder import Session
     from imumon.recordings.source import Source
-    from imumon.view.publisher import ViewPublisher
+    from imumon.view.items import ViewSetup
 
 CLOSE_S = 5.0
 """How long the view may take to show the last samples of a replay."""
+VERDICT = {
+    True: "bit for bit those of the live run",
+    False: "NOT those of the live run",
+    None: "with no live run of the same setup to compare",
+}
 
 
 @click.command("replay")
@@ -49,7 +55,7 @@ def command(
     speed: str | None,
     out: Path | None,
     columns: str | None,
-    view: str,
+    view: Literal["native", "web", "none"],
     window: float,
     bind: str,
     as_json: bool,
@@ -58,13 +64,16 @@ def command(
 ) -> int:
     """Run SESSION again through the same code, bit for bit, to a table or to the view."""
     from imumon.pipeline import Digest, Pipeline
+    from imumon.protocols.base import MAIN
     from imumon.recordings.folder import open_session
+    from imumon.recordings.side_tables import export_run
     from imumon.recordings.source import open_source
-    from imumon.run.narration import Narrator
+    from imumon.run.narration import Narrator, describe_losses, describe_streams
     from imumon.run.replay import replay
     from imumon.run.stages import estimators
 
-    recorded = open_session(session).metadata.pipeline_yaml  # a raw capture has no times: that is for decode
+    opened = open_session(session)  # a raw capture has no times: that is for decode
+    recorded = opened.metadata.pipeline_yaml
     setup = make_setup(options, recorded, f"{session} (pipeline_yaml)")
     source = open_source(session)
     source.refuse_output(out)
@@ -77,83 +86,42 @@ def command(
         stage = smoothed(open_source(session), setup)
         stages, disagreement = [*stages, stage], stage.disagreement
     pipeline, digest = Pipeline(source.device, stages), Digest()
-    publisher = None if view == "none" else _publisher(source, pipeline, view, window, bind)
-    narrator = None
-    if publisher is not None:
+    publisher = narrator = None
+    if view != "none":
+        from imumon.view.publisher import ViewPublisher
+
+        publisher = ViewPublisher(view, _shown(source, opened, pipeline, window), bind=bind).start()
         card = {"session": str(session), "replay": "as fast as it goes" if pace is None else f"{pace:g} x"}
         narrator = Narrator(pipeline, None, [publisher.publish], lambda *_: None, card, session)
     blocks = _digested(replay(source.items, pipeline, narrator, pace), pipeline, digest)
     try:
-        rows, tables = _run(blocks, source, pipeline, out, columns)
+        if out is None:
+            rows, tables = sum(map(len, blocks)), dict[str, Path]()
+        else:
+            chosen = split_columns(columns)
+            rows, tables = export_run(blocks, pipeline, out, chosen, lambda: source.columns(pipeline))
     finally:
         if publisher is not None:
             publisher.close(CLOSE_S)
-    comparable = setup.text() == recorded and not smooth
-    _report(source, pipeline, digest.hexdigest(), tables, rows, as_json, comparable, disagreement)
-    return 0
-
-
-def _run(
-    blocks: Iterator[SampleBlock], source: Source, pipeline: Pipeline, out: Path | None, columns: str | None
-) -> tuple[int, dict[str, Path]]:
-    if out is None:
-        return sum(len(block) for block in blocks), {}
-    from imumon.recordings.side_tables import export_run
-
-    rows, tables = export_run(blocks, pipeline, out, split_columns(columns), lambda: source.columns(pipeline))
-    return rows, tables
-
-
-def _report(
-    source: Source,
-    pipeline: Pipeline,
-    digest: str,
-    tables: dict[str, Path],
-    rows: int,
-    as_json: bool,
-    comparable: bool,
-    disagreement: dict[str, float] | None,
-) -> None:
-    from imumon.protocols.base import MAIN
-    from imumon.run.narration import advised, describe_losses, describe_streams
-
-    assert source.session is not None
-    live = source.session.metadata.results_digest if comparable else None
-    identical = None if live is None else live == digest
-    for text in [*source.warnings(), *pipeline.warnings()]:
-        say("WARN", advised(text, source.session.path))
-    if identical is False:
-        say(
-            "WARN",
-            "the samples differ from those of the live run: another version, or bytes missing",
-        )
-    counters = pipeline.counters
+    live = opened.metadata.results_digest if setup.text() == recorded and not smooth else None
+    identical = None if live is None else live == digest.hexdigest()
+    _warn(source, pipeline, opened.path, identical)
     if as_json:
-        print_json(
-            {
-                "session": source.path,
-                "out": tables.get(MAIN),
-                "rows": rows,
-                "tables": tables,
-                **counters.as_dict(),
-                "results_digest": digest,
-                "identical_to_live": identical,
-                **({} if disagreement is None else {"disagreement": disagreement}),
-            }
-        )
-    verdict = {
-        True: "bit for bit those of the live run",
-        False: "NOT those of the live run",
-        None: "with no live run of the same setup to compare",
-    }
-    print_rows(
-        {
-            "samples": f"{rows:,}, {verdict[identical]}",
-            "losses": describe_losses(counters),
-            **describe_streams(counters, tables),
-            **_smoothing(disagreement),
-        }
-    )
+        made = {"session": source.path, "out": tables.get(MAIN), "rows": rows, "tables": tables}
+        compared = {"results_digest": digest.hexdigest(), "identical_to_live": identical}
+        smoothing = {} if disagreement is None else {"disagreement": disagreement}
+        print_json({**made, **pipeline.counters.as_dict(), **compared, **smoothing})
+    said = {"samples": f"{rows:,}, {VERDICT[identical]}", "losses": describe_losses(pipeline.counters)}
+    print_rows(said | describe_streams(pipeline.counters, tables) | _smoothing(disagreement))
+    return EXIT_OK
+
+
+def _warn(source: Source, pipeline: Pipeline, session: Path, identical: bool | None) -> None:
+    from imumon.run.narration import advised
+
+    warn(advised(text, session) for text in [*source.warnings(), *pipeline.warnings()])
+    if identical is False:
+        warn(["the samples differ from those of the live run: another version, or bytes missing"])
 
 
 def _smoothing(disagreement: dict[str, float] | None) -> dict[str, str]:
@@ -177,14 +145,11 @@ def _speed(text: str | None, view: str) -> float | None:
     return speed
 
 
-def _publisher(source: Source, pipeline: Pipeline, view: str, window: float, bind: str) -> ViewPublisher:
+def _shown(source: Source, opened: Session, pipeline: Pipeline, window_s: float) -> ViewSetup:
     from imumon.run.narration import view_setup
-    from imumon.view.publisher import ViewPublisher
 
-    assert source.session is not None
     units = {column.name: column.unit for column in source.imported} | pipeline.units
-    setup = view_setup(source.session, units, window, replay=True)
-    return ViewPublisher("native" if view == "native" else "web", setup, bind=bind).start()
+    return view_setup(opened, units, window_s, replay=True)
 
 
 def _digested(blocks: Iterator[SampleBlock], pipeline: Pipeline, digest: Digest) -> Iterator[SampleBlock]:

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 
-class SetupOptions(TypedDict):
-    """The values of the options, None where one was not given."""
+class SetupOptions(TypedDict, total=False):
+    """The values of the options; None, or nothing, where one was not given."""
 
     pipeline: Path | None
     model: Path | None
@@ -28,16 +28,6 @@ class SetupOptions(TypedDict):
     latitude: float | None
     heading: float | None
 
-
-NOT_GIVEN: SetupOptions = {
-    "pipeline": None,
-    "model": None,
-    "zupt": None,
-    "random_error": None,
-    "published": None,
-    "latitude": None,
-    "heading": None,
-}
 
 _OPTIONS = (
     click.option(
@@ -86,29 +76,28 @@ def make_setup(given: SetupOptions, recorded: str | None = None, source: str = "
     from imumon.run.setup import Setup, load_setup, parse_setup
 
     setup = Setup()
-    if given["pipeline"] is not None:
-        setup = load_setup(given["pipeline"])
+    if (path := given.get("pipeline")) is not None:
+        setup = load_setup(path)
     elif recorded is not None:
         setup = parse_setup(recorded, source)
-    model = None
-    if given["model"] is not None:
+    model = random_error = published = None
+    if (path := given.get("model")) is not None:
         from imumon.models.model import load_model
 
-        model = load_model(given["model"])
-    random_error = published = None
-    if given["random_error"] is not None:
-        random_error = setup.random_error.model_copy(update={"method": given["random_error"]})
-    if given["published"] is not None:
-        published = [name for name in map(str.strip, given["published"].split(",")) if name]
+        model = load_model(path)
+    if (method := given.get("random_error")) is not None:
+        random_error = setup.random_error.model_copy(update={"method": method})
+    if (names := given.get("published")) is not None:
+        published = [name for name in map(str.strip, names.split(",")) if name]
         if wrong := [name for name in published if name not in PUBLISHED or published.count(name) > 1]:
             raise click.BadParameter(
                 f"{wrong[0]}: expected {', '.join(PUBLISHED)}, each once", None, None, "--published"
             )
     return setup.with_options(
         model=model,
-        zupt_mode=given["zupt"],
+        zupt_mode=given.get("zupt"),
         random_error=random_error,
         published=published,
-        latitude_deg=given["latitude"],
-        heading_deg=given["heading"],
+        latitude_deg=given.get("latitude"),
+        heading_deg=given.get("heading"),
     )

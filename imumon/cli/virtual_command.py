@@ -12,7 +12,7 @@ from imumon.cli.live_run import Ending
 
 @click.command("virtual")
 @click.option("--device", default="ax1", show_default=True, help=device_help)
-@click.option("--scenario", help="What the unit does: a name or a file (docs/simulation.md).")
+@click.option("--scenario", help="What the unit does: a name or a file (docs/simulation.md); default: bench.")
 @click.option("--link", type=PATH, help="Symlink to make to the port.")
 @click.option("--rate", type=Number(min=0, min_open=True, max=1e5), help="Packets per second.")
 @seed_option

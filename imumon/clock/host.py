@@ -54,7 +54,7 @@ NOT_FAR = -1
 class _Block:
     """Hull and sums of the samples of one block; x and y are relative to the origin of the fit."""
 
-    size: int
+    corners: int
     hull: IntArray
     count: float
     sum_x: float
@@ -73,7 +73,7 @@ class _Fit:
     last_host: int
     block: int
     far_since: int
-    size: int
+    corners: int
     hull: IntArray
     vertex: int
     left: int
@@ -160,8 +160,8 @@ def _fit_samples(
         if x // BLOCK_NS != fit.block:
             _forget(fit, blocks, x // BLOCK_NS)
         block = blocks[fit.block % BLOCKS]
-        block.size = _push(block.hull, block.size, x, y)
-        fit.size = _push(fit.hull, fit.size, x, y)
+        block.corners = _push(block.hull, block.corners, x, y)
+        fit.corners = _push(fit.hull, fit.corners, x, y)
         _add(block, 1.0, x, y)
         _add(fit, 1.0, x, y)
         _support(fit, limit)
@@ -217,7 +217,7 @@ def _start(fit: _Fit, blocks: Sequence[_Block], device: int, segment: int, arriv
 
 @njit
 def _empty(sums: _Fit | _Block) -> None:
-    sums.size = 0
+    sums.corners = 0
     sums.count = sums.sum_x = sums.sum_y = 0.0
 
 
@@ -231,8 +231,8 @@ def _forget(fit: _Fit, blocks: Sequence[_Block], number: int) -> None:
     _empty(fit)
     for old in range(max(0, number - BLOCKS + 1), number):
         block = blocks[old % BLOCKS]
-        for k in range(block.size):
-            fit.size = _push(fit.hull, fit.size, block.hull[k, 0], block.hull[k, 1])
+        for k in range(block.corners):
+            fit.corners = _push(fit.hull, fit.corners, block.hull[k, 0], block.hull[k, 1])
         _add(fit, block.count, block.sum_x, block.sum_y)
 
 
@@ -279,7 +279,7 @@ def _edge_at(hull: IntArray, last: int, k: int, x: float) -> int:
 @njit
 def _support(fit: _Fit, limit: float) -> None:
     """Choose the line: slope of the chord, drawn to zero while unsure, and the vertex it then touches."""
-    hull, last = fit.hull, fit.size - 1
+    hull, last = fit.hull, fit.corners - 1
     if last == 0:
         fit.vertex = 0
         fit.slope = 0.0

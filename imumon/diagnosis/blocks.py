@@ -61,6 +61,7 @@ class RunBlocks:
     valid: BoolArray
     duration_s: float
     origin: Origin | None = None
+    begun_in: str = ""
 
     def __len__(self) -> int:
         """Return the number of blocks."""
@@ -102,6 +103,7 @@ def make_blocks(
         valid=valid,
         duration_s=run.duration_s,
         origin=run.origin,
+        begun_in=run.begun_in,
     )
 
 

@@ -57,4 +57,5 @@ def continued(before: Run, after: Run) -> Run:
         rest=np.concatenate([np.zeros(first), after.rest]),
         start_ns=before.start_ns,
         earlier=before.earlier + first,
+        begun_in=before.begun_in or before.name,
     )

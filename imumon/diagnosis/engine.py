@@ -20,6 +20,7 @@ from imumon.diagnosis.candidates import Pool
 from imumon.diagnosis.channel import Channel, Declared
 from imumon.diagnosis.continuing import continued, predecessor
 from imumon.diagnosis.earth import VerticalRate, vertical_rate, without
+from imumon.diagnosis.faults import without_faults
 from imumon.diagnosis.known import modelled, temperature_of, without_known
 from imumon.diagnosis.recording import CHANNELS, Run, common_temperature, unit_of
 from imumon.diagnosis.selection import search
@@ -37,6 +38,8 @@ LEAST_REST = 0.5
 MANY_GAPS = 0.2
 MOST_SEARCH_BLOCKS = 700
 """Longer runs are searched in longer blocks; they are scored in blocks of 30 s all the same."""
+SHORTER, LEAST_SEARCH_BLOCKS = (1, 2, 3), 200
+"""Shorter runs in blocks of a half or a third: of few blocks the one with a jump in it decides."""
 HIGHEST_DEGREE = 8
 
 Progress = Callable[[str], None]
@@ -98,7 +101,8 @@ def diagnose(
     degree, offsets = parse_declared(declared)
     caveats: list[str] = []
     channels = _channels(train)
-    test = _in_order(train, test, caveats)
+    train, test = (_sound(runs, channels, caveats) for runs in (train, test))
+    test = _in_order(train, _unseen(train, test, caveats), caveats)
     if model is not None:
         channels = modelled(channels, model)
         temperatures = {name: temperature_of(name, model, train) for name in channels}
@@ -158,7 +162,7 @@ def _sensor(
         for floor in [white_floor(train, name, BLOCK_S)]
     ]
     searched, search_s = blocks, _search_block(blocks)
-    if search_s > BLOCK_S:
+    if search_s != BLOCK_S:
         usable = [run for run in train if run.name in {block.name for block in blocks}]
         every = list(dict.fromkeys(temperatures.values()))
         searched = [make_blocks(run, list(temperatures), every, search_s) for run in usable]
@@ -187,6 +191,25 @@ def _said_of_earth(earth: VerticalRate | None) -> str:
     )
 
 
+def _sound(runs: Sequence[Run], channels: Sequence[str], caveats: list[str]) -> list[Run]:
+    """Return runs without what is a fault of the data, which is named."""
+    both = [without_faults(run, channels) for run in runs]
+    caveats += [text for _, said in both for text in said]
+    return [run for run, _ in both]
+
+
+def _unseen(train: Sequence[Run], test: Sequence[Run], caveats: list[str]) -> list[Run]:
+    """Return the test runs without those that the training has: by their bytes, whatever their names."""
+    known = {(run.origin.sha256, run.origin.index, run.start_ns) for run in train if run.origin is not None}
+    found = []
+    for run in test:
+        if run.origin is not None and (run.origin.sha256, run.origin.index, run.start_ns) in known:
+            caveats.append(f"{run.name}: not used as a test, the training has the same recording")
+        else:
+            found.append(run)
+    return found
+
+
 def _in_order(train: Sequence[Run], test: Sequence[Run], caveats: list[str]) -> list[Run]:
     """Return the test runs; those that go on where another run ended have its time and temperatures."""
     found: list[Run] = []
@@ -205,7 +228,8 @@ def _in_order(train: Sequence[Run], test: Sequence[Run], caveats: list[str]) -> 
 
 def _search_block(blocks: Sequence[RunBlocks]) -> float:
     longest = max(map(len, blocks))
-    return BLOCK_S * max(1, -(-longest // MOST_SEARCH_BLOCKS))
+    shorter = next((part for part in SHORTER if part * longest >= LEAST_SEARCH_BLOCKS), SHORTER[-1])
+    return BLOCK_S * max(1, -(-longest // MOST_SEARCH_BLOCKS)) / shorter
 
 
 def _channels(runs: Sequence[Run]) -> list[str]:

@@ -176,7 +176,8 @@ def score(channel: Channel, model: Fit, like: Fit | None = None) -> TestScore:
         residual = run.mean[channel.name] - _predicted(channel, run, model)
         if channel.declared.offsets and use.any():
             residual = residual - residual[use].mean()
-        expected, near = _followed(run, run.drives[channel.temperature], residual, model)
+        lifted = 0.0 if _begun(channel, run) is not None else model.lifted
+        expected, near = _followed(run, run.drives[channel.temperature], residual, model, lifted)
         left.append(residual)
         followed.append(residual - expected)
         counted.append(use)
@@ -203,11 +204,26 @@ def mean_rms(parts: Sequence[FloatArray], counted: Sequence[BoolArray]) -> float
 def _predicted(channel: Channel, run: RunBlocks, model: Fit) -> FloatArray:
     """Return the bias that a fitted model predicts of a run, (n,)."""
     expected = channel.declared.columns(run.temperature[channel.temperature]) @ model.declared
+    drive, begun = run.drives[channel.temperature], _begun(channel, run)
     for part in model.parts:
         if part.carries:
-            simulated = part.effect.simulate(run.drives[channel.temperature])
+            simulated = part.effect.simulate(drive)
             expected = expected + run.average(simulated[:, np.newaxis])[:, 0]
-    return np.asarray(expected)
+        elif part.effect.scope == "event" and begun in part.runs:
+            expected = expected + run.average(part.effect.columns(drive)) @ part.own[part.runs.index(begun)]
+    return np.asarray(expected if begun is None else expected - model.lifted)
+
+
+def goes_on(channel: Channel, model: Fit) -> bool:
+    """Tell whether a jump of the training is still there in a run of the test."""
+    begun = [_begun(channel, run) for run in channel.test]
+    return any(part.effect.scope == "event" and run in part.runs for part in model.parts for run in begun)
+
+
+def _begun(channel: Channel, run: RunBlocks) -> int | None:
+    """Return the training run that a run goes on from; None where it begins with a power-on of its own."""
+    names = [other.name for other in channel.train]
+    return names.index(run.begun_in) if run.begun_in in names else None
 
 
 def _settled(channel: Channel, run: RunBlocks, model: Fit) -> BoolArray:
@@ -219,7 +235,9 @@ def _settled(channel: Channel, run: RunBlocks, model: Fit) -> BoolArray:
     return found
 
 
-def _followed(run: RunBlocks, drive: Drive, residual: FloatArray, model: Fit) -> tuple[FloatArray, BoolArray]:
+def _followed(
+    run: RunBlocks, drive: Drive, residual: FloatArray, model: Fit, lifted: float
+) -> tuple[FloatArray, BoolArray]:
     """Return what the past of the test says of its residual, and which blocks are near a jump."""
     level_sd, jumps = 0.0, False
     priors: list[Prior] = []
@@ -238,7 +256,7 @@ def _followed(run: RunBlocks, drive: Drive, residual: FloatArray, model: Fit) ->
                 np.sqrt(np.mean(part.start**2, axis=0)),
             )
             priors.append(Prior(columns, np.zeros(len(start_sd)), WIDER * start_sd))
-    level = Prior(np.ones((len(run), 1)), np.array([-model.lifted]), np.array([level_sd]))
+    level = Prior(np.ones((len(run), 1)), np.array([-lifted]), np.array([level_sd]))
     prior = Prior.joined([level, *priors])
     if not jumps and not prior.mean.any() and not prior.sd.any():
         return np.zeros(len(run)), np.zeros(len(run), bool)

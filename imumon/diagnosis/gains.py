@@ -127,7 +127,7 @@ def needed_in_pairs(
     counts that does better than any single candidate and needs both its members.  Of these, what carries
     over to another run goes first, then what says more alone.
     """
-    if max(gains, default=0.0) <= alone + PROVEN:
+    if max(gains, default=0.0) <= max(alone, PROVEN) + PROVEN:
         return {}
     found: dict[str, tuple[float, Leader]] = {}
     for (one, other), gain in zip(pairs, gains, strict=True):

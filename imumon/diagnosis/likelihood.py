@@ -1,4 +1,8 @@
-"""The likelihood of every candidate at once: generalised least squares for a grid of noise parameters."""
+"""The likelihood of every candidate at once: generalised least squares for a grid of noise parameters.
+
+The covariance of a run is s² [W + r F + q R], as `imumon.filters.noise` has it: W of the white noise of each
+block, F the mean of exp(-|lag|/tau) over `TAUS_S`, which is close to flicker, R = min(ti, tj) over 2 h.
+"""
 
 from __future__ import annotations
 
@@ -10,11 +14,16 @@ import numpy.typing as npt
 from imumon.blocks import FloatArray, IntArray
 from imumon.diagnosis.blocks import RunBlocks
 from imumon.diagnosis.candidates import Pool, Term
-from imumon.diagnosis.noise import FLICKER, WALK, Whitener, whitener
+from imumon.filters.noise import BiasNoise, Whitener, whitener
 
 Noise = tuple[float, float]
-"""Flicker r and random walk q, see `imumon.diagnosis.noise`."""
+"""Flicker r and random walk q, variances over that of the white noise of a full block."""
 
+TAUS_S = np.array([30.0, 100.0, 300.0, 1000.0, 3000.0, 10000.0])
+WALK_S = 7200.0
+FLICKER = (0.0, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 1000.0, 10000.0)
+WALK = (0.0, 0.3, 1.0, 3.0, 10.0, 100.0, 1000.0, 10000.0)
+GRID = [(r, q) for r in FLICKER for q in WALK]
 COARSE_FLICKER = (0.3, 3.0, 30.0, 1000.0)
 COARSE_WALK = (0.0, 10.0, 1000.0)
 COLLINEAR = 1e-5
@@ -37,15 +46,14 @@ class Likelihood:
         self.price = float(np.log(self.n))
         """What a parameter costs in BIC."""
         self._bounds = np.cumsum([0, *map(len, runs)]).tolist()
-        self._whiteners: dict[Noise, list[Whitener]] = {}
+        self._filters = [_filters(run) for run in runs]
 
     def best(self, values: FloatArray, base: FloatArray) -> tuple[float, Noise]:
         """Return the best log-likelihood of values (n,), and its noise on the whole grid."""
-        grid = [(r, q) for r in FLICKER for q in WALK]
-        left = [self._left(values, base, point)[0] for point in grid]
-        found = [float(self._of(one @ one, point)) for one, point in zip(left, grid, strict=True)]
+        left = [self._left(values, base, point)[0] for point in GRID]
+        found = [float(self._of(one @ one, point)) for one, point in zip(left, GRID, strict=True)]
         at = int(np.argmax(found))
-        return found[at], grid[at]
+        return found[at], GRID[at]
 
     def scan(
         self,
@@ -71,7 +79,7 @@ class Likelihood:
 
     def _of(self, squares: npt.ArrayLike, noise: Noise) -> FloatArray:
         """Return log-likelihoods from sums of squares of whitened residuals, s² profiled."""
-        determinant = sum(item.log_determinant for item in self._filters(noise))
+        determinant = sum(np.log(item.sd[:, GRID.index(noise)]).sum() for item in self._filters)
         return np.asarray(-0.5 * self.n * np.log(np.maximum(squares, 1e-300) / self.n) - determinant)
 
     def _left(self, values: FloatArray, base: FloatArray, noise: Noise) -> tuple[FloatArray, FloatArray]:
@@ -80,14 +88,19 @@ class Likelihood:
         basis = _orthonormal(both[:, :-1])
         return both[:, -1] - basis @ (basis.T @ both[:, -1]), basis
 
-    def _filters(self, noise: Noise) -> list[Whitener]:
-        if noise not in self._whiteners:
-            self._whiteners[noise] = [whitener(run.time_s, run.white, *noise) for run in self._runs]
-        return self._whiteners[noise]
-
     def _white(self, columns: FloatArray, noise: Noise) -> FloatArray:
         parts = [columns[a:b] for a, b in zip(self._bounds, self._bounds[1:], strict=False)]
-        return np.concatenate([item(part) for item, part in zip(self._filters(noise), parts, strict=True)])
+        at = GRID.index(noise)
+        return np.concatenate([item(part, at) for item, part in zip(self._filters, parts, strict=True)])
+
+
+def _filters(run: RunBlocks) -> Whitener:
+    """Return the filters of a run for the whole grid; the walk begins at power-on."""
+    flicker, walk = np.array(GRID).T
+    markov = np.sqrt(flicker / len(TAUS_S))[:, np.newaxis] * np.ones(len(TAUS_S))
+    noise = BiasNoise(TAUS_S, markov, np.sqrt(walk / WALK_S))
+    elapsed = np.diff(run.time_s, prepend=-np.inf)
+    return whitener(noise, elapsed, run.white, walk / WALK_S * run.time_s[0])
 
 
 def fine_grid(start: Noise) -> list[Noise]:

@@ -55,6 +55,8 @@ class Run:
         Device time of the first sample; None when it is not known.
     earlier : int
         Seconds at the beginning that are of another run, which this one goes on from.
+    begun_in : str
+        The run that began at this power-on, where that is another: what jumped in it stays where it is.
     """
 
     name: str
@@ -66,6 +68,7 @@ class Run:
     origin: Origin | None = None
     start_ns: int | None = None
     earlier: int = 0
+    begun_in: str = ""
 
     @property
     def duration_s(self) -> float:

@@ -160,7 +160,7 @@ class Search:
             scored[at] = Scored(one.candidate, *best, one.noise)
         scored += self._gains(joined_events(scored), fine_grid(noise))
         leaders = {name: Leader(group[0], group[0].gain) for name, group in families(scored, 1).items()}
-        if not self.findings and max(one.gain for one in scored) > PROVEN:
+        if not self.findings:
             leaders |= self._pairs(scored)
         return Table(scored, len(self._tried), leaders)
 
@@ -191,8 +191,10 @@ class Search:
         return self._likelihood.scan(channel.values, channel.design(self.found), channel.pool, terms, grid)
 
     def _pairs(self, scored: Sequence[Scored]) -> dict[str, Leader]:
-        """Look for two effects at once."""
-        pairs, pool = pairs_of(scored), self.channel.pool
+        """Look for two effects at once; a jump that is one of them may be anywhere in a block."""
+        leaders = [group[0] for group in families(scored, 1).values()]
+        jumps = [self._refined(one) for one in leaders if one.candidate.scope == "event"]
+        pairs, pool = pairs_of([*scored, *jumps]), self.channel.pool
         if not pairs:
             return {}
         null, noise = self.null()
@@ -227,11 +229,19 @@ class Search:
         self, order: Sequence[str], leaders: Mapping[str, Leader], pooled: Mapping[str, float]
     ) -> str:
         """Return the family to add: one that is there already where it does nearly as well, else what is
-        shared."""
+        shared.
+
+        A second event comes last: what carries over goes first where it does nearly as well.
+        """
         best = leaders[order[0]].gain
         slack = max(CLOSE, 0.3 * best)
-        for name in dict.fromkeys(finding.name for finding in self.findings):
-            if name in order and leaders[name].gain > max(PROVEN, best - slack):
+        names = dict.fromkeys(finding.name for finding in self.findings)
+        events = [name for name in names if EFFECTS[name].scope == "event"]
+        if order[0] in events:
+            lasting = next((name for name in order if name not in events), None)
+            return lasting if lasting and leaders[lasting].gain > max(PROVEN, best - slack) else order[0]
+        for name in names:
+            if name not in events and name in order and leaders[name].gain > max(PROVEN, best - slack):
                 return name
         shared = max((name for name in order if name in pooled), key=pooled.__getitem__, default=order[0])
         if leaders[shared].gain > LEAST_EVIDENCE and _near(leaders[shared].gain, best):
@@ -241,7 +251,8 @@ class Search:
     def _finding(self, leader: Leader, table: Table, pooled: Mapping[str, float]) -> Finding | None:
         """Return the effect with refined parameters, or None when it is too small beside those found."""
         name = leader.scored.family
-        candidate, refined = self._refined(leader.scored.candidate, leader.scored.noise)
+        best = self._refined(leader.scored)
+        candidate, refined = best.candidate, best.gain
         before, after = self._left(), self._left(candidate)
         size = float(np.sqrt(max(before**2 - after**2, 0.0)))
         largest = max((finding.size for finding in self.findings), default=0.0)
@@ -302,16 +313,14 @@ class Search:
             self.many_events |= any(run in taken for part in finding.candidate.parts for run in part.runs)
         return self.many_events
 
-    def _refined(self, candidate: Candidate, noise: Noise) -> tuple[Candidate, float]:
-        """Return the candidate with its nonlinear parameters refined, and its gain."""
-        best, gain = candidate, -np.inf
+    def _refined(self, best: Scored) -> Scored:
+        """Return the candidate with its nonlinear parameters refined."""
         for level in range(REFINEMENTS):
-            tried = [best, *best.neighbours(self._survey, level)]
-            highest = max(self._gains(tried, neighbours(noise)), key=lambda one: one.gain)
-            best, gain = highest.candidate, highest.gain
+            tried = [best.candidate, *best.candidate.neighbours(self._survey, level)]
+            best = max(self._gains(tried, neighbours(best.noise)), key=_gain)
             if len(tried) == 1:
                 break
-        return best, gain
+        return best
 
     def _left(self, *more: Candidate) -> float:
         """Return the rms that ordinary least squares leaves with what was found and more."""
@@ -328,7 +337,7 @@ class Search:
             noise = self.null()[1]
             for finding in everything:
                 self.findings = [other for other in everything if other is not finding]
-                finding.candidate, _ = self._refined(finding.candidate, noise)
+                finding.candidate = self._refined(Scored(finding.candidate, 0.0, 0.0, noise)).candidate
             self.findings = everything
 
     def _drop_needless(self) -> None:
@@ -350,7 +359,8 @@ class Search:
                 continue
             everything, fixed, before = list(self.findings), lag.candidate, self._evidence()
             self.findings = [finding for finding in everything if finding is not other]
-            lag.candidate, _ = self._refined(replace(fixed, free_start=True), self.null()[1])
+            free = Scored(replace(fixed, free_start=True), 0.0, 0.0, self.null()[1])
+            lag.candidate = self._refined(free).candidate
             if before - self._evidence() > CLOSE:
                 self.findings, lag.candidate = everything, fixed
             return
@@ -360,6 +370,10 @@ class Search:
         terms = (len(group) for one in self.found for group in self.channel.pool.terms(one))
         number = sum(terms) + sum(one.nonlinear for one in self.found)
         return 2 * self.null()[0] - number * self._likelihood.price
+
+
+def _gain(one: Scored) -> float:
+    return one.gain
 
 
 def _near(gain: float, best: float) -> bool:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from imumon.diagnosis.channel import Channel
-from imumon.diagnosis.fitting import Fit, FittedPart, TestScore, fit, mean_rms, score
+from imumon.diagnosis.fitting import Fit, FittedPart, TestScore, fit, goes_on, mean_rms, score
 from imumon.diagnosis.selection import Finding, Search
 from imumon.effects.library import separated_by
 
@@ -19,7 +19,6 @@ CLEAN = 1.8
 allowed."""
 EXPLAINED = 0.6
 """Share of the excess over the white floor that has to be explained before anything is named."""
-CONFIRMED = 0.3
 MATERIAL = 1.3
 """With a declared model that leaves less than so many floors, what is missing is too small to matter."""
 
@@ -97,7 +96,7 @@ def judge(channel: Channel, found: Search) -> ChannelVerdict:
     if scores is not None:
         # Jumps of the test itself may make the prediction worse, whatever else was found.
         predicts &= not scores[1].rms > scores[0].rms
-        if not predicts:
+        if not predicts and not (goes_on(channel, after) and scores[1].rms < scores[0].rms):
             # The declared model then predicts as it did, and is what the model file has.
             scores[1].rms = scores[0].rms
     verdict = ChannelVerdict(
@@ -133,9 +132,8 @@ def _scores(channel: Channel, before: Fit, after: Fit) -> tuple[TestScore, TestS
 def _not_worse(channel: Channel, findings: Sequence[Finding]) -> tuple[list[Finding], list[dict[str, Any]]]:
     """Return the findings without those that the test refutes, and what those did.
 
-    A finding is refuted when the test is worse with it.  So is one that carries over when the test gets
-    better by less than `CONFIRMED` of what the finding says it should: the mean square of what it adds to
-    the prediction.  At last nothing stays that makes the prediction as a whole worse.
+    A finding is refuted when the test is worse with it.  At last nothing stays that makes the prediction as a
+    whole worse.
     """
     kept = list(findings)
     left_out: list[dict[str, Any]] = []
@@ -191,11 +189,7 @@ def _trial(
     record = {"name": finding.name, "test_rms_with": rms[0], "test_rms_without": rms[1]}
     if not np.isfinite(rms).all():
         return 0.0, record
-    better = rms[1] ** 2 - rms[0] ** 2
-    if not carries:
-        return better, record
-    change = [a - b for a, b in zip(*left, strict=True)]
-    return better - CONFIRMED * mean_rms(change, count) ** 2, record
+    return rms[1] ** 2 - rms[0] ** 2, record
 
 
 def _claims(channel: Channel, before: Fit, after: Fit, kept: Sequence[Finding]) -> list[Claim]:
@@ -221,7 +215,7 @@ def summary(verdict: ChannelVerdict) -> str:
                 f"unexplained: the declared model leaves {before:.1f} white floors, structure or slow noise"
                 f" that none of the known effects explains{what}{worse}"
             )
-        return f"nothing is missing: {before:.2f} white floors are left by the declared model{worse}"
+        return f"{_nothing(verdict.test_before, before, floor)}{worse}"
     names = []
     for claim in verdict.claims:
         alike = claim.finding.alike
@@ -231,17 +225,42 @@ def summary(verdict: ChannelVerdict) -> str:
         else:
             names.append(claim.finding.name)
     text = f"{', and '.join(names)}: {before:.1f} white floors become {after:.2f} in training"
-    test = verdict.test_after, verdict.test_before
-    if test[0] is not None and test[1] is not None and np.isfinite(test[0].rms):
-        carried = verdict.predicts and any(part.carries for part in verdict.after.parts)
-        score_after = test[0].rms if carried else test[0].tracked_rms
-        how = "predicted" if carried else "tracked"
-        if np.isfinite(score_after):
-            text += f", {test[1].rms / floor:.1f} become {score_after / floor:.2f} in the test ({how})"
-        else:
-            text += "; the test has too little that is not near to a jump to be followed"
+    text += _tested(verdict)
     if before < MATERIAL:
         text += "; present, too small to matter"
     if verdict.unexplained:
         text += "; the remainder is unexplained"
     return text
+
+
+def _nothing(test: TestScore | None, before: float, floor: float) -> str:
+    """Say what a declared model leaves to which nothing was added; only the test can say that it is all."""
+    left = f"the declared model leaves {before:.2f} white floors in training"
+    if test is None:
+        return f"no effect is proven: {left}; without a test that is no proof that nothing is missing"
+    if not np.isfinite(test.rms):
+        return f"no effect is proven: {left}; the test has too little inside the trained temperatures"
+    where = f"{test.rms / floor:.2f} in the test{_covered(test)}"
+    if test.rms < MATERIAL * floor:
+        return f"nothing is missing: {left}, {where}"
+    return f"no effect is proven, but something is missing: {left}, {where}"
+
+
+def _tested(verdict: ChannelVerdict) -> str:
+    """Say what became of the test with the effects that are claimed."""
+    before, after = verdict.test_before, verdict.test_after
+    if before is None or after is None or not np.isfinite(after.rms):
+        return ""
+    predicted = any(part.carries for part in verdict.after.parts) and verdict.predicts
+    predicted |= goes_on(verdict.channel, verdict.after) and after.rms < before.rms
+    value, how = (after.rms, "predicted") if predicted else (after.tracked_rms, "tracked")
+    if not np.isfinite(value):
+        return "; the test has too little that is not near to a jump to be followed"
+    floor = verdict.channel.floor.sd
+    return f", {before.rms / floor:.1f} become {value / floor:.2f} in the test{_covered(after)} ({how})"
+
+
+def _covered(test: TestScore) -> str:
+    if test.coverage == 1.0:
+        return ""
+    return f", over the {test.coverage:.0%} of it that are inside the trained temperatures"

@@ -8,30 +8,19 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 
 import numpy as np
-import numpy.typing as npt
 
 from imumon.blocks import IntArray, SampleBlock, join, missing
 from imumon.columns import Column
-
-ByteArray = npt.NDArray[np.uint8]
+from imumon.compiled import alone
+from imumon.protocols.stream import CHUNK, ByteArray, append, new_stream
 
 MAIN = "imu"
 """Name of the stream of the inertial sensors."""
 COMMON = ("arrival_time_ns", "device_ticks", "packet_counter")
 """Columns of a packet that every stream of its fields has."""
 
-CHUNK = 1 << 16
-"""Bytes that one kernel call takes at the most; longer input is cut by `Decoder.feed`."""
-LONGEST_PACKET = 4096
-"""Bytes that a packet may have, so also the most that can be pending."""
 CAPACITY = 4096 + 8
 """Rows of the preallocated columns.  Not a power of two, so that columns do not share cache sets."""
-
-# Indices into the integer state that a kernel keeps between calls.
-# HELD bytes stand at the front of the held buffer; of the first DATED of them the arrival time is stored, the
-# others belong to the chunk that is being scanned (see `append_chunk` and `keep_rest` in kernel.py).
-RECEIVED, IN_PACKETS, SKIPPED, PACKETS, CHECKSUM_ERRORS, LENGTH_ERRORS, ROWS, HELD, DATED = range(9)
-STATE_SIZE = 9
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,11 +103,10 @@ class Packets:
 
 
 class Decoder(ABC):
-    """Turns a byte stream into columns, whatever the chunking.
+    """Turns a byte stream into columns, whatever the chunking; `take` hands out what has come since.
 
-    A subclass supplies `_scan`, one compiled pass over the held bytes.  Rows are written into preallocated
-    columns; `take` hands out what has come since the last call.  After a bad checksum or an impossible
-    length the scan steps one byte and looks again, so a damaged packet never hides a good one.
+    After a bad checksum or an impossible length the search steps one byte and looks again, so a damaged
+    packet never hides a good one.
     """
 
     timing: Timing
@@ -126,9 +114,7 @@ class Decoder(ABC):
     """Groups of the fields, for a protocol that may spread one moment over several packets; else None."""
 
     def __init__(self) -> None:
-        self._state: IntArray = np.zeros(STATE_SIZE, np.int64)
-        self._held: ByteArray = np.zeros(CHUNK + LONGEST_PACKET, np.uint8)
-        self._held_arrival: IntArray = np.zeros(LONGEST_PACKET, np.int64)
+        self._end, self._arrival_ns = np.zeros(1, np.int64), np.zeros(1, np.int64)
         self._done: list[Packets] = []
 
     @property
@@ -142,16 +128,24 @@ class Decoder(ABC):
         return self.columns
 
     @abstractmethod
-    def _scan(self, chunk: ByteArray, arrival_ns: int, final: bool) -> None:
-        """Append the chunk to the held bytes and decode packets until rows or bytes run out."""
+    def feed_reads(self, data: bytes | memoryview | ByteArray, ends: IntArray, arrivals_ns: IntArray) -> None:
+        """Decode the bytes of several reads: of each where it ends in the data, and when it arrived."""
 
     @abstractmethod
-    def _rows(self) -> SampleBlock:
-        """Return a copy of the rows in the preallocated columns."""
+    def finish(self) -> None:
+        """Decode what is held on the understanding that no more bytes come.
+
+        A damaged header that claims a long packet holds back the packets behind it until that length has
+        arrived; at the end of the data they are found.  What is pending afterwards is a packet cut short.
+        """
 
     @abstractmethod
     def counters(self) -> Counters:
         """Return what became of the bytes so far."""
+
+    @abstractmethod
+    def _settle(self) -> None:
+        """Put everything that is decoded into `_done`."""
 
     def notices(self) -> list[str]:
         """Return, once each, what the device said that is not data (errors, configuration)."""
@@ -159,20 +153,8 @@ class Decoder(ABC):
 
     def feed(self, data: bytes | memoryview | ByteArray, arrival_ns: int) -> None:
         """Decode bytes that arrived at `arrival_ns` (Unix time, ns)."""
-        chunk = data if isinstance(data, np.ndarray) else np.frombuffer(data, np.uint8)
-        if len(chunk) <= CHUNK:
-            self._feed(chunk, arrival_ns, final=False)
-            return
-        for start in range(0, len(chunk), CHUNK):
-            self._feed(chunk[start : start + CHUNK], arrival_ns, final=False)
-
-    def finish(self) -> None:
-        """Decode what is held on the understanding that no more bytes come.
-
-        A damaged header that claims a long packet holds back the packets behind it until that length has
-        arrived; at the end of the data they are found.  What is pending afterwards is a packet cut short.
-        """
-        self._feed(np.frombuffer(b"", np.uint8), 0, final=True)  # read-only, as what comes from a port
+        self._end[0], self._arrival_ns[0] = len(data), arrival_ns
+        self.feed_reads(data, self._end, self._arrival_ns)
 
     def take(self) -> SampleBlock:
         """Return the packets decoded since the last call, a row each, as arrays of their own."""
@@ -180,33 +162,76 @@ class Decoder(ABC):
 
     def take_packets(self) -> Packets:
         """Return the packets decoded since the last call, with the groups of their fields."""
-        if self._state[ROWS]:
-            self._flush()
+        self._settle()
         done, self._done = self._done, []
         if not done:
             empty = {column.name: missing(0, column.dtype) for column in self.columns}
             return Packets(SampleBlock(empty), np.zeros(0, np.int64))
         return Packets(join([part.block for part in done]), np.concatenate([part.groups for part in done]))
 
-    def discard(self) -> None:
-        """Forget the rows decoded since the last call."""
-        self._state[ROWS] = 0
-        self._done.clear()
 
-    def _feed(self, chunk: ByteArray, arrival_ns: int, final: bool) -> None:
-        self._scan(chunk, arrival_ns, final)
-        while self._state[ROWS] == CAPACITY:
+class CompiledDecoder(Decoder):
+    """A decoder whose subclass supplies `_scan`, one compiled pass that writes rows into its columns."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._stream = new_stream()
+        self._streams = alone(self._stream)
+
+    @abstractmethod
+    def _scan(self, final: bool) -> bool:
+        """Decode packets of the held bytes until these or the rows run out; tell whether the rows did."""
+
+    @abstractmethod
+    def _rows(self, n: int) -> SampleBlock:
+        """Return a copy of the first n rows in the preallocated columns."""
+
+    @abstractmethod
+    def _packets_by_type(self) -> dict[str, int]:
+        """Return how many packets of each type there were."""
+
+    def counters(self) -> Counters:
+        """Return what became of the bytes so far."""
+        stream = self._stream
+        return Counters(
+            bytes_received=int(stream.received),
+            bytes_in_packets=int(stream.in_packets),
+            bytes_skipped=int(stream.skipped),
+            packets=int(stream.packets),
+            checksum_errors=int(stream.checksum_errors),
+            length_errors=int(stream.length_errors),
+            packets_by_type=self._packets_by_type(),
+        )
+
+    def feed_reads(self, data: bytes | memoryview | ByteArray, ends: IntArray, arrivals_ns: IntArray) -> None:
+        """Decode the bytes of several reads: of each where it ends in the data, and when it arrived."""
+        chunk = data if isinstance(data, np.ndarray) else np.frombuffer(data, np.uint8)
+        for start in range(0, len(chunk), CHUNK):
+            # `append` passes over the reads that have no byte in this piece.
+            piece = chunk[start : start + CHUNK]
+            append(piece, ends - start if start else ends, arrivals_ns, self._streams)
+            self._decode(final=False)
+
+    def finish(self) -> None:
+        """Decode what is held; see `Decoder.finish`."""
+        self._decode(final=True)
+
+    def _settle(self) -> None:
+        if self._stream.rows:
             self._flush()
-            self._scan(chunk[:0], arrival_ns, final)
+
+    def _decode(self, final: bool) -> None:
+        while self._scan(final):
+            self._flush()
 
     def _flush(self) -> None:
-        groups = self._packet_groups()
-        self._done.append(Packets(self._rows(), groups))
-        self._state[ROWS] = 0
+        n = int(self._stream.rows)
+        self._done.append(Packets(self._rows(n), self._packet_groups(n)))
+        self._stream.rows = 0
 
-    def _packet_groups(self) -> IntArray:
+    def _packet_groups(self, n: int) -> IntArray:
         """Return the bits of the groups of each row; a protocol without groups has the main one only."""
-        return np.ones(int(self._state[ROWS]), np.int64)
+        return np.ones(n, np.int64)
 
 
 class Encoder(ABC):

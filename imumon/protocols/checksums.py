@@ -11,12 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from imumon.compiled import njit
-from imumon.protocols.base import ByteArray
+from imumon.compiled import njit, record
+from imumon.protocols.stream import ByteArray
 
-CrcTable = npt.NDArray[np.uint32]
+WordArray = npt.NDArray[np.uint32]
 
 NONE, SUM8, SUM8_NEGATED, XOR8, SUM16, FLETCHER16, FLETCHER16_256, CRC_FORWARD, CRC_REFLECTED = range(9)
+WORDS_LITTLE, WORDS_BIG = 9, 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,13 +37,16 @@ SIMPLE = {
     "sum8-negated": (SUM8_NEGATED, 1),
     "xor8": (XOR8, 1),
     "sum16": (SUM16, 2),
+    "sum16-words-le": (WORDS_LITTLE, 2),
+    "sum16-words-be": (WORDS_BIG, 2),
     "fletcher16": (FLETCHER16, 2),
     "fletcher16-256": (FLETCHER16_256, 2),
 }
 """Kernel code and bytes by name.
 
-sum8-negated makes the sum of all bytes and the checksum zero.  fletcher16 is modulo 255 (RFC 1145, second sum
-in the high byte); fletcher16-256 is the variant modulo 256 that MIP and UBX use.
+sum8-negated makes the sum of all bytes and the checksum zero.  sum16-words-* adds numbers of 16 bits, low
+(le) or high byte (be) first; a last byte alone has zero for the other.  fletcher16 is modulo 255 (RFC 1145,
+second sum in the high byte); fletcher16-256 is the variant modulo 256 that MIP and UBX use.
 """
 
 CRCS = {
@@ -53,6 +57,7 @@ CRCS = {
     "crc16-aug-ccitt": Crc(16, 0x1021, 0x1D0F, False, 0x0000),
     "crc16-genibus": Crc(16, 0x1021, 0xFFFF, False, 0xFFFF),
     "crc16-kermit": Crc(16, 0x1021, 0x0000, True, 0x0000),
+    "crc16-mcrf4xx": Crc(16, 0x1021, 0xFFFF, True, 0x0000),
     "crc16-x25": Crc(16, 0x1021, 0xFFFF, True, 0xFFFF),
     "crc32": Crc(32, 0x04C11DB7, 0xFFFFFFFF, True, 0xFFFFFFFF),
     "crc32-mpeg2": Crc(32, 0x04C11DB7, 0xFFFFFFFF, False, 0x00000000),
@@ -63,39 +68,41 @@ CRCS = {
 CHECKSUM_NAMES = (*SIMPLE, *CRCS)
 
 
-@dataclass(frozen=True, slots=True)
 class Checksum:
-    """A checksum ready for the kernels: code, bytes, and what a CRC needs.
+    """A checksum ready for the kernels: code, width in bytes, and what a CRC needs.
 
     A CRC runs in a 32-bit register, left-aligned when it is not reflected, so that one pair of loops does for
     every width; `shift` brings the result down.
     """
 
     code: int
-    size: int
-    table: CrcTable
-    initial: int = 0
-    final_xor: int = 0
-    shift: int = 0
+    width: int
+    initial: int
+    final_xor: int
+    shift: int
+    table: WordArray
 
 
 def make_checksum(name: str) -> Checksum:
     """Return the checksum of this name (one of `CHECKSUM_NAMES`)."""
+    check = record(Checksum, table=(8, 256))
     if name in SIMPLE:
-        code, size = SIMPLE[name]
-        return Checksum(code, size, np.zeros((8, 256), np.uint32))
+        check.code, check.width = SIMPLE[name]
+        return check
     crc = CRCS[name]
-    shift = 0 if crc.reflected else 32 - crc.width
-    initial = _reverse(crc.initial, crc.width) if crc.reflected else crc.initial << shift
-    code = CRC_REFLECTED if crc.reflected else CRC_FORWARD
-    return Checksum(code, crc.width // 8, _crc_table(crc), initial, crc.final_xor, shift)
+    check.shift = 0 if crc.reflected else 32 - crc.width
+    check.initial = _reverse(crc.initial, crc.width) if crc.reflected else crc.initial << check.shift
+    check.code = CRC_REFLECTED if crc.reflected else CRC_FORWARD
+    check.width, check.final_xor = crc.width // 8, crc.final_xor
+    check.table[:] = _crc_table(crc)
+    return check
 
 
 def _reverse(value: int, width: int) -> int:
     return int(f"{value:0{width}b}"[::-1], 2)
 
 
-def _crc_table(crc: Crc) -> CrcTable:
+def _crc_table(crc: Crc) -> WordArray:
     """Tables T[k][b]: the register after byte b and k zero bytes, started from zero."""
     table = np.zeros((8, 256), np.uint32)
     for byte in range(256):
@@ -122,32 +129,28 @@ def _crc_table(crc: Crc) -> CrcTable:
 
 
 @njit
-def checksum(
-    code: int,
-    buf: ByteArray,
-    start: int,
-    stop: int,
-    table: CrcTable,
-    initial: int,
-    final_xor: int,
-    shift: int,
-) -> np.int64:
-    """Compute a checksum over buf[start:stop]; the other arguments are the fields of `Checksum`."""
+def checksum(check: Checksum, buf: ByteArray, start: int, stop: int) -> np.int64:
+    """Compute a checksum over buf[start:stop]."""
+    code, table, initial = check.code, check.table, check.initial
     first, last = np.uint64(start), np.uint64(stop)
     if code in (FLETCHER16, FLETCHER16_256):
         return np.int64(_fletcher(buf, first, last, 255 if code == FLETCHER16 else 256))
     if code == CRC_FORWARD:
-        return np.int64(
-            (_crc_forward(buf, first, last, table, initial) >> np.uint32(shift)) ^ np.uint32(final_xor)
-        )
+        crc = _crc_forward(buf, first, last, table, initial) >> np.uint32(check.shift)
+        return np.int64(crc ^ np.uint32(check.final_xor))
     if code == CRC_REFLECTED:
-        return np.int64(_crc_reflected(buf, first, last, table, initial) ^ np.uint32(final_xor))
+        return np.int64(_crc_reflected(buf, first, last, table, initial) ^ np.uint32(check.final_xor))
     if code == XOR8:
         value = np.uint8(0)
         for i in range(first, last):
             value ^= buf[i]
         return np.int64(value)
     total = np.uint32(0)
+    if code in (WORDS_LITTLE, WORDS_BIG):
+        for i in range(first, last):
+            high = ((i - first) % np.uint64(2) == np.uint64(0)) == (code == WORDS_BIG)
+            total += np.uint32(buf[i]) << np.uint32(8 if high else 0)
+        return np.int64(total & np.uint32(0xFFFF))
     for i in range(first, last):
         total += np.uint32(buf[i])
     if code == SUM16:
@@ -173,7 +176,7 @@ def _fletcher(buf: ByteArray, first: np.uint64, last: np.uint64, modulus: int) -
 
 @njit
 def _crc_forward(
-    buf: ByteArray, first: np.uint64, last: np.uint64, table: CrcTable, initial: int
+    buf: ByteArray, first: np.uint64, last: np.uint64, table: WordArray, initial: int
 ) -> np.uint32:
     crc = np.uint32(initial)
     whole = first + (last - first) // np.uint64(8) * np.uint64(8)
@@ -190,7 +193,7 @@ def _crc_forward(
 
 @njit
 def _crc_reflected(
-    buf: ByteArray, first: np.uint64, last: np.uint64, table: CrcTable, initial: int
+    buf: ByteArray, first: np.uint64, last: np.uint64, table: WordArray, initial: int
 ) -> np.uint32:
     crc = np.uint32(initial)
     whole = first + (last - first) // np.uint64(8) * np.uint64(8)
@@ -206,7 +209,7 @@ def _crc_reflected(
 
 
 @njit
-def _last_four(buf: ByteArray, i: np.uint64, table: CrcTable) -> np.uint32:
+def _last_four(buf: ByteArray, i: np.uint64, table: WordArray) -> np.uint32:
     """Contribution of bytes 4 to 7 of eight, which the register does not reach."""
     return np.uint32(
         table[3, buf[i + np.uint64(4)]]

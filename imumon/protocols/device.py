@@ -18,8 +18,16 @@ FORMAT = "imumon-device/1"
 
 PROTOCOLS = {
     "fixed": "imumon.protocols.fixed.device:FixedDevice",
+    "text": "imumon.protocols.text:TextDevice",
+    "fixed-several": "imumon.protocols.fixed.device:SeveralDevice",
     "xsens-mtdata2": "imumon.protocols.xsens.mtdata2:MTData2Device",
     "xsens-mtdata": "imumon.protocols.xsens.mtdata:MTDataDevice",
+    "witmotion": "imumon.protocols.witmotion:WitMotionDevice",
+    "vectornav": "imumon.protocols.vectornav:VectorNavDevice",
+    "sbg": "imumon.protocols.sbg:SbgDevice",
+    "inertialsense": "imumon.protocols.inertialsense:InertialSenseDevice",
+    "hipnuc": "imumon.protocols.hipnuc:HipnucDevice",
+    "stim300": "imumon.protocols.stim300:StimDevice",
     "mip": "imumon.protocols.mip:MipDevice",
 }
 """Class that reads the device files of each protocol; imported when a device of it is loaded."""
@@ -40,6 +48,8 @@ class DeviceFile(StrictModel):
     format: Literal["imumon-device/1"]
     name: str = Field(pattern=r"^[a-z0-9][a-z0-9_-]*$")
     title: str
+    verified: str = "not said"
+    """Against what the decoder was checked."""
     protocol: str
     serial: SerialSettings = SerialSettings()
     rate_hz: PositiveFloat | None = None

@@ -14,14 +14,15 @@ had.  So a row waits for one epoch at the most.  Nothing is reordered and no fie
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import numpy.typing as npt
 
-from imumon.blocks import NO_INT, ColumnArray, IntArray, SampleBlock, join
-from imumon.compiled import njit
+from imumon.blocks import NO_INT, ColumnArray, IntArray, SampleBlock, join, missing
+from imumon.compiled import alone, njit, record, records
 from imumon.protocols.base import COMMON, Groups, Packets
 
 GENERATION = 32
@@ -61,34 +62,71 @@ class EpochCounters:
 
 RecordArray = npt.NDArray[np.void]
 
-STATE = np.dtype(
-    [
-        (name, np.int64)
-        for name in (
-            "apart",
-            "epoch",  # number of the open epoch, 0: none
-            "key_kind",
-            "key",
-            "mask",  # columns that it has
-            "after",  # main rows complete when it began
-            "in_generation",
-            "generations",
-            "any_now",  # columns that any epoch of this generation had
-            "any_before",
-            "all_now",
-            "all_before",
-            "epochs",
-            "incomplete",
-        )
-    ]
-)
-"""What is carried for each group."""
-ENTRY = np.dtype([(name, np.int64) for name in ("row", "group", "epoch", "own")])
-"""A packet belongs to an epoch, with these of its columns."""
-ENDED = np.dtype([(name, np.int64) for name in ("epoch", "group", "after", "until")])
-"""An epoch that ended; `after` and `until` count main rows as `Epochs` does."""
-COUNTS = np.dtype([(name, np.int64) for name in ("latest", "entries", "ended")])
-"""Number of the latest epoch; entries and ended epochs so far."""
+BITS = 62
+"""Columns of which each has a bit of its own in a word."""
+
+
+class _Group:
+    """What is carried for each group."""
+
+    apart: int
+    epoch: int  # number of the open epoch, 0: none
+    key_kind: int
+    key: int
+    mask: int  # columns that it has
+    after: int  # main rows complete when it began
+    in_generation: int
+    generations: int
+    any_now: int  # columns that any epoch of this generation had
+    any_before: int
+    all_now: int
+    all_before: int
+    epochs: int
+    incomplete: int
+
+
+class _Entry:
+    """A packet belongs to an epoch, with these of its columns."""
+
+    row: int
+    group: int
+    epoch: int
+    own: int
+
+
+class _Ended:
+    """An epoch that ended; `after` and `until` count main rows as `Epochs` does."""
+
+    epoch: int
+    group: int
+    after: int
+    until: int
+
+
+class _Counts:
+    """Number of the latest epoch; entries and ended epochs so far."""
+
+    latest: int
+    entries: int
+    ended: int
+
+
+class _Arrived(NamedTuple):
+    """Of each packet the groups, what tells its epoch, and the columns that it has."""
+
+    groups: IntArray
+    kind: IntArray
+    key: IntArray
+    masks: IntArray
+
+
+class _Books(NamedTuple):
+    """What the assignment reads and writes."""
+
+    groups: Sequence[_Group]
+    entries: Sequence[_Entry]
+    ended: Sequence[_Ended]
+    counts: Sequence[_Counts]
 
 
 class EpochAssembler:
@@ -102,25 +140,24 @@ class EpochAssembler:
     def __init__(self, groups: Groups) -> None:
         self._groups = groups
         n = len(groups.names)
-        self._state: RecordArray = np.zeros(n, STATE)
-        self._state["apart"] = groups.apart
-        self._counts: RecordArray = np.zeros(1, COUNTS)
+        self._state = records(_Group, n)
+        _array(self._state)["apart"] = groups.apart
+        self._counts = record(_Counts)
         self._bits: dict[str, int] = {}
         self._packets = np.zeros(n, np.int64)
         self.counted_aside: list[tuple[int, int]] = []
         """Of the side packets that `process` saw last: the main rows begun before each, and its counter."""
         self._pending: Packets | None = None
-        self._kept: RecordArray = np.zeros(0, ENTRY)
+        self._kept = _array(records(_Entry, 0))
         self._columns: dict[str, set[str]] = {name: set() for name in groups.names}
 
     @property
     def counters(self) -> dict[str, EpochCounters]:
         """What became of the packets, by stream; streams without epochs are left out."""
-        state = self._state
         return {
-            name: EpochCounters(int(self._packets[g]), int(state["incomplete"][g]))
-            for g, name in enumerate(self._groups.names)
-            if state["epochs"][g]
+            name: EpochCounters(int(self._packets[g]), int(group.incomplete))
+            for g, (name, group) in enumerate(zip(self._groups.names, self._state, strict=True))
+            if group.epochs
         }
 
     def columns(self, stream: str) -> frozenset[str]:
@@ -143,37 +180,37 @@ class EpochAssembler:
                 join([self._pending.block, packets.block]),
                 np.concatenate([self._pending.groups, packets.groups]),
             )
-        masks, group_masks = self._masks(packets.block)
-        entries, ends, behind = self._assigned(packets, held, masks, group_masks, end)
+        entries, ended, behind = self._assigned(packets, held, end)
         self.counted_aside = _counted(packets.block, behind, held)
+        is_open = entries["epoch"] == _array(self._state)["epoch"][entries["group"]]
+        complete = entries[~is_open]
         found = {}
         for g, name in enumerate(self._groups.names):
-            ended = ends[ends["group"] == g]
-            if g and not len(ended):
+            own = ended[ended["group"] == g]
+            if g and not len(own):
                 continue
-            made = entries[(entries["group"] == g) & np.isin(entries["epoch"], ended["epoch"])]
+            made = complete[complete["group"] == g]
             self._packets[g] += len(made)
-            place = np.searchsorted(ended["epoch"], made["epoch"])
-            block = self._gather(name, packets.block, made, place, len(ended))
-            more = _steps_within(packets.block, made["row"], place, len(ended))
-            found[name] = Epochs(block, ended["after"], ended["until"], more)
-        self._keep(packets, entries[~np.isin(entries["epoch"], ends["epoch"])])
+            place = np.searchsorted(own["epoch"], made["epoch"])
+            block = self._gather(name, packets.block, made, place, len(own))
+            more = _steps_within(packets.block, made["row"], place, len(own))
+            found[name] = Epochs(block, own["after"], own["until"], more)
+        self._keep(packets, entries[is_open])
         return found
 
-    def _assigned(
-        self, packets: Packets, held: int, masks: IntArray, group_masks: IntArray, end: bool
-    ) -> tuple[RecordArray, RecordArray, IntArray]:
+    def _assigned(self, packets: Packets, held: int, end: bool) -> tuple[RecordArray, RecordArray, IntArray]:
         """Return the entries, the epochs that ended, and the main rows begun before each side packet."""
-        n, kept = len(packets), len(self._kept)
-        most = (n - held) * len(self._groups.names) + kept
-        entries, ends = np.zeros(most, ENTRY), np.zeros(most + len(self._groups.names), ENDED)
-        entries[:kept] = self._kept
+        n, kept, n_groups = len(packets), len(self._kept), len(self._groups.names)
+        masks, group_masks = self._masks(packets.block)
+        most = (n - held) * n_groups + kept
+        entries, ended = records(_Entry, most), records(_Ended, most + n_groups)
+        _array(entries)[:kept] = self._kept
         behind = np.full(n, -1, np.int64)
-        self._counts["entries"], self._counts["ended"] = kept, 0
-        kind, key = _keys(packets.block)
-        _assign(packets.groups, kind, key, masks, group_masks, held, end, self._state, entries, ends,
-                behind, self._counts)  # fmt: skip
-        return entries[: self._counts["entries"][0]], ends[: self._counts["ended"][0]], behind
+        self._counts.entries, self._counts.ended = kept, 0
+        arrived = _Arrived(packets.groups, *_keys(packets.block), masks)
+        books = _Books(self._state, entries, ended, alone(self._counts))
+        _assign(arrived, group_masks, held, end, books, behind)
+        return _array(entries)[: self._counts.entries], _array(ended)[: self._counts.ended], behind
 
     def _masks(self, block: SampleBlock) -> tuple[IntArray, IntArray]:
         """Return which columns each packet has, (n,), and which each group may have: a bit a column."""
@@ -181,18 +218,18 @@ class EpochAssembler:
         group_masks = np.zeros(len(self._groups.names), np.int64)
         for name, group in self._groups.of_column.items():
             if name in block:
-                bit = np.int64(1) << self._bit(name)
-                masks |= np.where(_present(block[name]), bit, np.int64(0))
+                values, bit = block[name], self._bit(name)
+                _mark(values, NO_INT if values.dtype == np.int64 else np.nan, bit, masks)
                 group_masks[group] |= bit
         return masks, group_masks
 
-    def _bit(self, name: str) -> np.int64:
+    def _bit(self, name: str) -> int:
         """Return the bit of a column.
 
         Some protocols have more columns than a word has bits; those beyond share one, which at worst begins a
         row too early, or shows a value in two streams.
         """
-        return np.int64(self._bits.setdefault(name, len(self._bits)) % 62)
+        return 1 << self._bits.setdefault(name, len(self._bits)) % BITS
 
     def _gather(
         self, stream: str, block: SampleBlock, entries: RecordArray, place: IntArray, n: int
@@ -200,22 +237,28 @@ class EpochAssembler:
         """Return n rows of a stream, `place` being those of the entries; the first arrival counts."""
         row, own = entries["row"], entries["own"]
         known = self._columns[stream]
+        exact = len(self._bits) <= BITS
+        somewhere, everywhere = np.bitwise_or.reduce(own), np.bitwise_and.reduce(own)
         columns: dict[str, ColumnArray] = {}
         for name, values in block.columns.items():
-            taken = values[row]
-            present = _present(taken)
-            if name in self._groups.of_column:
-                present &= own >> self._bit(name) & 1 != 0
-            if name not in known and name not in COMMON and not present.any():
+            bit = self._bit(name) if name in self._groups.of_column else 0
+            if bit and not somewhere & bit and name not in known:
                 continue
+            taken = values[row]
+            if exact and bit:
+                present, all_present = own & bit != 0, bool(everywhere & bit)
+            else:
+                present = _present(taken) & (own & bit != 0) if bit else _present(taken)
+                all_present = bool(present.all())
+                if name not in known and name not in COMMON and not present.any():
+                    continue
             known.add(name)
-            if len(row) == n and present.all():
+            if len(row) == n and all_present:
                 columns[name] = taken
                 continue
-            result = np.full(n, NO_INT if values.dtype == np.int64 else np.nan, values.dtype)
+            columns[name] = missing(n, values.dtype)
             order = slice(None, None, -1) if name == "arrival_time_ns" else slice(None)
-            result[place[present][order]] = taken[present][order]
-            columns[name] = result
+            columns[name][place[present][order]] = taken[present][order]
         return SampleBlock(columns)
 
     def _keep(self, packets: Packets, entries: RecordArray) -> None:
@@ -228,6 +271,11 @@ class EpochAssembler:
             return
         block = SampleBlock({name: values[rows] for name, values in packets.block.columns.items()})
         self._pending = Packets(block, packets.groups[rows])
+
+
+def _array(made: Sequence[Any]) -> RecordArray:
+    """Return the records as NumPy sees them."""
+    return cast(RecordArray, made)
 
 
 def _present(values: ColumnArray) -> npt.NDArray[np.bool_]:
@@ -269,112 +317,120 @@ def _keys(block: SampleBlock) -> tuple[IntArray, IntArray]:
     return kind, key
 
 
-# Records are passed as whole arrays: a record of its own would be copied at each call.
+@njit
+def _mark(values: ColumnArray, absent: float, bit: int, masks: IntArray) -> None:
+    """Set the bit where there is a value: not NaN, and not what stands for none among integers."""
+    for i in range(len(values)):
+        if values[i] == values[i] and values[i] != absent:
+            masks[i] |= bit
 
 
 @njit
 def _assign(
-    groups: IntArray, kind: IntArray, key: IntArray, masks: IntArray, group_masks: IntArray, first: int,
-    end: bool, state: Any, entries: Any, ends: Any, behind: IntArray, counts: Any,
-) -> None:  # fmt: skip
+    arrived: _Arrived, group_masks: IntArray, first: int, end: bool, books: _Books, behind: IntArray
+) -> None:
     """Assign packets from row `first` on to epochs (see the text of the module).
 
     `behind` is filled with how many main rows had begun before each packet of a side stream.
     """
-    n_groups = len(group_masks)
+    groups, main = books.groups, books.groups[0]
     columns_apart = np.int64(0)
-    for g in range(1, n_groups):
-        if state[g].apart:
+    for g in range(1, len(groups)):
+        if groups[g].apart:
             columns_apart |= group_masks[g]
-    for i in range(first, len(groups)):
-        joined, together = groups[i] & 1 != 0, masks[i] & ~columns_apart
+    for i in range(first, len(arrived.groups)):
+        belongs, kind, key, mask = arrived.groups[i], arrived.kind[i], arrived.key[i], arrived.masks[i]
+        joined, together = belongs & 1 != 0, mask & ~columns_apart
         if joined:
-            _add(0, i, kind[i], key[i], together, state, entries, ends, counts)
-        elif together and state[0].epoch and not _is_other(0, kind[i], key[i], together, state):
-            _enter(0, i, together, state, entries, ends, counts)
+            _add(0, i, kind, key, together, books)
+        elif together and main.epoch and not _is_other(main, kind, key, together):
+            _enter(0, i, together, books)
             joined = True
         if not joined:
-            behind[i] = state[0].epochs + (state[0].epoch != 0)
-        for g in range(1, n_groups):
-            if groups[i] >> g == 0:
+            behind[i] = main.epochs + (main.epoch != 0)
+        for g in range(1, len(groups)):
+            if belongs >> g == 0:
                 break
-            if not groups[i] >> g & 1 or (joined and not state[g].apart):
+            if not belongs >> g & 1 or (joined and not groups[g].apart):
                 continue
-            own = masks[i] & group_masks[g]
-            if state[g].epoch and _is_other(g, kind[i], key[i], own, state):
-                state[g].apart = 1
+            own = mask & group_masks[g]
+            if groups[g].epoch and _is_other(groups[g], kind, key, own):
+                groups[g].apart = 1
                 columns_apart |= group_masks[g]
-            _add(g, i, kind[i], key[i], own, state, entries, ends, counts)
+            _add(g, i, kind, key, own, books)
     if end:
-        for g in range(n_groups):
-            if state[g].epoch:
-                _end(g, state, ends, counts)
+        for g in range(len(groups)):
+            if groups[g].epoch:
+                _end(g, books)
 
 
 @njit
-def _is_other(g: int, kind: int, key: int, own: int, state: Any) -> bool:
+def _is_other(group: _Group, kind: int, key: int, own: int) -> bool:
     """Tell whether a packet cannot belong to the open epoch of its group: another time, or a field again."""
-    other_time = kind != NO_TIME and (kind != state[g].key_kind or key != state[g].key)
-    return bool(other_time or own & state[g].mask)
+    other_time = kind != NO_TIME and (kind != group.key_kind or key != group.key)
+    return bool(other_time or own & group.mask)
 
 
 @njit
-def _add(
-    g: int, row: int, kind: int, key: int, own: int, state: Any, entries: Any, ends: Any, counts: Any
-) -> None:
+def _add(g: int, row: int, kind: int, key: int, own: int, books: _Books) -> None:
     """Add a packet to its group's epoch, which it may begin."""
-    if state[g].epoch and _is_other(g, kind, key, own, state):
-        _end(g, state, ends, counts)
-    if not state[g].epoch:
-        counts[0].latest += 1
-        state[g].epoch = counts[0].latest
-        state[g].key_kind, state[g].key, state[g].mask = kind, key, 0
-        state[g].after = state[0].epochs
+    group = books.groups[g]
+    if group.epoch and _is_other(group, kind, key, own):
+        _end(g, books)
+    if not group.epoch:
+        books.counts[0].latest += 1
+        group.epoch = books.counts[0].latest
+        group.key_kind, group.key, group.mask = kind, key, 0
+        group.after = books.groups[0].epochs
         if g == 0 and kind != NO_TIME:
-            _pull(kind, key, state, entries, counts)
-    _enter(g, row, own, state, entries, ends, counts)
+            _pull(kind, key, books)
+    _enter(g, row, own, books)
 
 
 @njit
-def _pull(kind: int, key: int, state: Any, entries: Any, counts: Any) -> None:
+def _pull(kind: int, key: int, books: _Books) -> None:
     """Take into the new main epoch what came before it with the same time."""
-    for g in range(1, len(state)):
-        if state[g].apart or not state[g].epoch or state[g].key_kind != kind or state[g].key != key:
+    entries, main = books.entries, books.groups[0]
+    for g in range(1, len(books.groups)):
+        group = books.groups[g]
+        if group.apart or not group.epoch or group.key_kind != kind or group.key != key:
             continue
-        for k in range(counts[0].entries - 1, -1, -1):
-            if entries[k].epoch == state[g].epoch:
-                entries[k].epoch, entries[k].group = state[0].epoch, 0
-        state[0].mask |= state[g].mask
-        state[g].epoch = 0
+        for k in range(books.counts[0].entries - 1, -1, -1):
+            if entries[k].epoch == group.epoch:
+                entries[k].epoch, entries[k].group = main.epoch, 0
+        main.mask |= group.mask
+        group.epoch = 0
 
 
 @njit
-def _enter(g: int, row: int, own: int, state: Any, entries: Any, ends: Any, counts: Any) -> None:
+def _enter(g: int, row: int, own: int, books: _Books) -> None:
     """Enter a packet into the open epoch, and end that when it has all that it may have."""
-    k = counts[0].entries
-    entries[k].row, entries[k].group, entries[k].epoch, entries[k].own = row, g, state[g].epoch, own
-    counts[0].entries = k + 1
-    state[g].mask |= own
-    usual = state[g].any_now | state[g].any_before
-    if state[g].generations and state[g].mask & usual == usual:
-        _end(g, state, ends, counts)
+    group, counts = books.groups[g], books.counts[0]
+    entry = books.entries[counts.entries]
+    entry.row, entry.group, entry.epoch, entry.own = row, g, group.epoch, own
+    counts.entries += 1
+    group.mask |= own
+    usual = group.any_now | group.any_before
+    if group.generations and group.mask & usual == usual:
+        _end(g, books)
 
 
 @njit
-def _end(g: int, state: Any, ends: Any, counts: Any) -> None:
+def _end(g: int, books: _Books) -> None:
     """End the open epoch of a group, and learn what epochs have."""
-    k = counts[0].ended
-    ends[k].epoch, ends[k].group = state[g].epoch, g
-    ends[k].after, ends[k].until = state[g].after, state[0].epochs
-    counts[0].ended = k + 1
-    mask, always = state[g].mask, state[g].all_before
-    state[g].epoch = 0
-    state[g].epochs += 1
-    state[g].incomplete += state[g].generations > 0 and mask & always != always
-    state[g].any_now |= mask
-    state[g].all_now = mask if state[g].in_generation == 0 else state[g].all_now & mask
-    state[g].in_generation += 1
-    if state[g].in_generation == GENERATION:
-        state[g].any_before, state[g].all_before = state[g].any_now, state[g].all_now
-        state[g].any_now = state[g].in_generation = 0
-        state[g].generations += 1
+    group, counts = books.groups[g], books.counts[0]
+    ended = books.ended[counts.ended]
+    ended.epoch, ended.group = group.epoch, g
+    ended.after, ended.until = group.after, books.groups[0].epochs
+    counts.ended += 1
+    mask, always = group.mask, group.all_before
+    group.epoch = 0
+    group.epochs += 1
+    group.incomplete += group.generations > 0 and mask & always != always
+    group.any_now |= mask
+    group.all_now = mask if group.in_generation == 0 else group.all_now & mask
+    group.in_generation += 1
+    if group.in_generation == GENERATION:
+        group.any_before, group.all_before = group.any_now, group.all_now
+        group.any_now = group.in_generation = 0
+        group.generations += 1

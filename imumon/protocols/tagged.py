@@ -7,37 +7,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imumon.blocks import NO_INT, ColumnArray, FloatArray, IntArray, SampleBlock
+from imumon.blocks import NO_INT, ColumnArray, IntArray, SampleBlock
 from imumon.columns import KNOWN, Column
-from imumon.protocols.base import (
-    CAPACITY,
-    CHECKSUM_ERRORS,
-    COMMON,
-    IN_PACKETS,
-    LENGTH_ERRORS,
-    MAIN,
-    PACKETS,
-    RECEIVED,
-    ROWS,
-    SKIPPED,
-    ByteArray,
-    Counters,
-    Decoder,
-    Groups,
-    Timing,
-)
-from imumon.protocols.kernel import NUMBER_TYPES
+from imumon.compiled import alone, filled, record
+from imumon.protocols.base import CAPACITY, COMMON, MAIN, CompiledDecoder, Groups, Timing
+from imumon.protocols.numbers import NUMBER_TYPES
 from imumon.protocols.tagged_kernel import (
     ANY_SIZE,
-    FIELDS,
     LOG_FULL,
-    LOG_SIZE,
-    LOGGED,
-    ROLES,
-    TYPES,
-    UNKNOWN,
-    UNKNOWN_KINDS,
+    ROWS_FULL,
+    SHAPES,
+    CompiledField,
+    CompiledValue,
+    Rows,
     ShortArray,
+    State,
+    Table,
     scan_packets,
 )
 
@@ -130,7 +115,6 @@ class FieldTable:
                 self.int_count += 1
         self.places = places
         self.groups = self._group(apart)
-        self._compile()
 
     def _group(self, apart: Collection[str]) -> Groups:
         """Return the groups of the columns; a column of fields of several groups has that of the first."""
@@ -147,26 +131,24 @@ class FieldTable:
                 of_column.setdefault(column.name, group or 0)
         return Groups(names, of_column, tuple(name in apart for name in names))
 
-    def _compile(self) -> None:
-        """Write fields and values into arrays."""
-        self.field_of: ShortArray = np.full(1 << 16, -1, np.int16)
-        self.compiled_fields: IntArray = np.zeros((len(self.fields), 5), np.int64)
-        rows: list[tuple[int, int, int, int]] = []
-        factors: list[float] = []
+    def compiled(self, framing: int) -> Table:
+        """Return fields and values for the kernel."""
+        field_of: ShortArray = np.full(1 << 16, -1, np.int16)
+        bits = {name: 1 << number for number, name in enumerate(self.groups.names)}
+        fields: list[CompiledField] = []
+        values: list[CompiledValue] = []
         for number, field in enumerate(self.fields):
-            first, offset = len(rows), 0
+            first, offset = len(values), 0
             for value in field.values:
                 kind = NUMBER_TYPES[value.type]
                 if value.column is not None:
-                    rows.append((kind.code, kind.size, offset, self.places[value.column.name]))
-                    factors.append(value.factor)
+                    place = self.places[value.column.name]
+                    values.append(CompiledValue(kind.code, kind.size, offset, place, value.factor))
                 offset += kind.size
-            other = self.field_of[field.key]
-            bit = 1 << self.groups.names.index(field.group) if field.group else 0
-            self.compiled_fields[number] = (field.size, first, len(rows) - first, other, bit)
-            self.field_of[field.key] = number
-        self.compiled_values: IntArray = np.array(rows, np.int64).reshape(-1, 4)
-        self.factors: FloatArray = np.array(factors, np.float64)
+            other, bit = int(field_of[field.key]), bits.get(field.group, 0)
+            fields.append(CompiledField(field.size, first, len(values), other, bit))
+            field_of[field.key] = number
+        return Table(framing, field_of, filled(CompiledField, fields), filled(CompiledValue, values))
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,7 +161,7 @@ class _Seen:
     shown: tuple[Column, ...]
 
 
-class TaggedDecoder(Decoder):
+class TaggedDecoder(CompiledDecoder):
     """Decodes Xbus or MIP by a table of fields; a row for each packet that carries a known one.
 
     Parameters
@@ -208,52 +190,28 @@ class TaggedDecoder(Decoder):
         self.timing = timing
         self.table = table
         self.groups = table.groups
-        self._framing = framing
         self._type_names = type_names
-        self._state = np.zeros(FIELDS + len(table.fields), np.int64)
+        self._state = record(State, **SHAPES)
+        self._states = alone(self._state)
         for kind, role in roles.items():
-            self._state[ROLES + kind] = role
-        self._log: ByteArray = np.zeros(LOG_SIZE, np.uint8)
-        self._floats: FloatArray = np.full((table.float_count, CAPACITY), np.nan)
-        self._ints: IntArray = np.full((table.int_count, CAPACITY), NO_INT, np.int64)
+            self._state.roles[kind] = role
+        self._compiled = table.compiled(framing)
+        floats = np.full((table.float_count, CAPACITY), np.nan)
+        ints = np.full((table.int_count, CAPACITY), NO_INT, np.int64)
+        self._decoded = Rows(floats, ints, np.zeros(len(table.fields), np.int64))
         self._said: dict[str, bool] = {}
         self._seen = _Seen(b"", (), (), (KNOWN["arrival_time_ns"],))
 
-    def discard(self) -> None:
-        """Forget the rows decoded since the last call."""
-        for column in self._look().stored:
-            self._cells(column, int(self._state[ROWS]))[:] = NO_INT if column.dtype == "int64" else np.nan
-        super().discard()
-
-    def _scan(self, chunk: ByteArray, arrival_ns: int, final: bool) -> None:
-        table = self.table
+    def _scan(self, final: bool) -> bool:
         while True:
-            scan_packets(
-                chunk,
-                arrival_ns,
-                final,
-                self._framing,
-                self._held,
-                self._held_arrival,
-                self._state,
-                self._log,
-                table.field_of,
-                table.compiled_fields,
-                table.compiled_values,
-                table.factors,
-                self._floats,
-                self._ints,
-            )
-            if not self._state[LOGGED]:
-                return
+            end = scan_packets(final, self._streams, self._states, self._compiled, self._decoded)
+            if end != LOG_FULL:
+                return bool(end == ROWS_FULL)
             self._read_log()
-            if not self._state[LOG_FULL]:
-                return
-            chunk = chunk[:0]
 
     def _read_log(self) -> None:
-        log = self._log[: self._state[LOGGED]].tobytes()
-        self._state[LOGGED] = 0
+        log = self._state.log[: self._state.logged].tobytes()
+        self._state.logged = 0
         while log:
             kind, size = log[0], int.from_bytes(log[1:3], "big")
             for text in self._describe(kind, log[3 : 3 + size]):
@@ -272,6 +230,7 @@ class TaggedDecoder(Decoder):
 
     def notices(self) -> list[str]:
         """Return, once each, what the device said that is not data, and what of it is not understood."""
+        self._read_log()
         for (key, size), _ in self.unknown_fields().items():
             self._say(f"field {self._field_name(key)} of {size} bytes is not known and is passed over")
         new = [text for text, given in self._said.items() if not given]
@@ -284,17 +243,18 @@ class TaggedDecoder(Decoder):
     def unknown_fields(self) -> dict[tuple[int, int], int]:
         """Return how often fields came that the table lacks, by identifier and size."""
         state = self._state
-        slots = state[UNKNOWN : UNKNOWN + 3 * state[UNKNOWN_KINDS]].reshape(-1, 3)
-        return {(int(key), int(size)): int(count) for key, size, count in slots}
+        kinds = slice(state.unknown_kinds)
+        keys, sizes = state.unknown_key[kinds].tolist(), state.unknown_size[kinds].tolist()
+        return dict(zip(zip(keys, sizes, strict=True), state.unknown_count[kinds].tolist(), strict=True))
 
     def seen_fields(self) -> dict[Field, int]:
         """Return how often each known field came, those that did not left out."""
-        counts = self._state[FIELDS:]
+        counts = self._decoded.seen
         return {self.table.fields[i]: int(counts[i]) for i in np.flatnonzero(counts)}
 
     def _look(self) -> _Seen:
         """Return what follows from the fields that have come; worked out anew only when there are more."""
-        key = (self._state[FIELDS:] > 0).tobytes()
+        key = (self._decoded.seen > 0).tobytes()
         if key != self._seen.key:
             names = {column.name for field in self.seen_fields() for column in field.columns}
             stored = tuple(column for name, column in self.table.columns.items() if name in names)
@@ -315,27 +275,16 @@ class TaggedDecoder(Decoder):
         """Time of arrival and the columns of all fields that have come so far."""
         return self._look().shown
 
-    def counters(self) -> Counters:
-        """Return what became of the bytes so far."""
-        state = self._state
-        kinds = np.flatnonzero(state[TYPES:ROLES])
-        return Counters(
-            bytes_received=int(state[RECEIVED]),
-            bytes_in_packets=int(state[IN_PACKETS]),
-            bytes_skipped=int(state[SKIPPED]),
-            packets=int(state[PACKETS]),
-            checksum_errors=int(state[CHECKSUM_ERRORS]),
-            length_errors=int(state[LENGTH_ERRORS]),
-            packets_by_type={self._type_name(int(kind)): int(state[TYPES + kind]) for kind in kinds},
-        )
+    def _packets_by_type(self) -> dict[str, int]:
+        counts = self._state.types
+        return {self._type_name(int(kind)): int(counts[kind]) for kind in np.flatnonzero(counts)}
 
     def _type_name(self, kind: int) -> str:
         return self._type_names.get(kind, f"0x{kind:02X}")
 
-    def _rows(self) -> SampleBlock:
-        n = int(self._state[ROWS])
+    def _rows(self, n: int) -> SampleBlock:
         seen = self._look()
-        found: dict[str, ColumnArray] = {"arrival_time_ns": self._ints[0, :n].copy()}
+        found: dict[str, ColumnArray] = {"arrival_time_ns": self._decoded.ints[0, :n].copy()}
         for column in seen.stored:
             values = self._cells(column, n)
             found[column.name] = values.copy()
@@ -345,15 +294,15 @@ class TaggedDecoder(Decoder):
                 found[column.name] = _fill(found.get(column.name), values)
         return SampleBlock({column.name: found[column.name] for column in seen.shown})
 
-    def _packet_groups(self) -> IntArray:
-        groups = self._ints[1, : int(self._state[ROWS])].copy()
+    def _packet_groups(self, n: int) -> IntArray:
+        groups = self._decoded.ints[1, :n].copy()
         groups[groups == 0] = 1 << (len(self.table.groups.names) - 1)
         return groups
 
     def _cells(self, column: Column, n: int) -> ColumnArray:
         """Return a view of the first n values of a column; where nothing was written they are missing."""
         place = self.table.places[column.name]
-        return self._floats[place, :n] if place >= 0 else self._ints[~place, :n]
+        return self._decoded.floats[place, :n] if place >= 0 else self._decoded.ints[~place, :n]
 
 
 def _fill(values: ColumnArray | None, others: ColumnArray) -> ColumnArray:

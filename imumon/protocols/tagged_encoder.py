@@ -9,8 +9,9 @@ import numpy.typing as npt
 
 from imumon.blocks import NO_INT, ColumnArray, FloatArray, SampleBlock
 from imumon.errors import ImumonError, Reason
-from imumon.protocols.base import ByteArray, Encoder
-from imumon.protocols.kernel import NUMBER_TYPES, NumberType
+from imumon.protocols.base import Encoder
+from imumon.protocols.numbers import NUMBER_TYPES, NumberType
+from imumon.protocols.stream import ByteArray
 from imumon.protocols.tagged import Derived, Field, Value
 from imumon.protocols.tagged_kernel import FIXED, LONGEST_XBUS_PAYLOAD, MIP, XBUS
 
@@ -105,7 +106,7 @@ class TaggedEncoder(Encoder):
     def _pack(
         self, field: Field, columns: Mapping[str, ColumnArray], rows: npt.NDArray[np.intp]
     ) -> ByteArray:
-        parts = [_pack_value(field, value, columns, rows) for value in field.values]
+        parts = [packed(field.name, value, columns, rows) for value in field.values]
         if self._role == FIXED:
             header: list[int] = []
         elif self._framing == XBUS:
@@ -131,27 +132,25 @@ class TaggedEncoder(Encoder):
         return np.concatenate([packet, checksum.astype(np.uint8)], axis=1)
 
 
-def xbus_message(kind: int, payload: bytes = b"", address: int = 0xFF) -> bytes:
-    """Return an Xbus message."""
-    size = len(payload)
-    length = bytes([size]) if size < 255 else bytes([255, size >> 8, size & 0xFF])
-    body = bytes([address, kind]) + length + payload
-    return b"\xfa" + body + bytes([-sum(body) & 0xFF])
-
-
 def _is_missing(values: ColumnArray) -> npt.NDArray[np.bool_]:
     return np.isnan(values) if values.dtype.kind == "f" else values == NO_INT
 
 
-def _pack_value(
-    field: Field, value: Value, columns: Mapping[str, ColumnArray], rows: npt.NDArray[np.intp]
+def packed(
+    name: str, value: Value, columns: Mapping[str, ColumnArray], rows: npt.NDArray[np.intp]
 ) -> ByteArray:
-    """Return the bytes of one number of a field, (n, size)."""
+    """Return the bytes of one number of a field of this name, most significant first, (n, size).
+
+    Raises
+    ------
+    ImumonError
+        BAD_DATA when a value does not fit.
+    """
     kind = NUMBER_TYPES[value.type]
     if value.column is None or value.column.name not in columns:
         return np.zeros((len(rows), kind.size), np.uint8)
     numbers = columns[value.column.name][rows]
-    where = f"{field.name}, column {value.column.name}"
+    where = f"{name}, column {value.column.name}"
     if value.type in ("f32", "f64"):
         return _pack_float(numbers / value.factor, kind, where)
     numbers = np.where(_is_missing(numbers), 0, numbers)

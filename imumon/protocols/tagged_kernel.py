@@ -22,30 +22,17 @@ answer only to commands; taking them for packets would make noise of every FA in
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import NamedTuple
+
 import numpy as np
 import numpy.typing as npt
 
 from imumon.blocks import FloatArray, IntArray
 from imumon.compiled import njit
-from imumon.protocols.base import (
-    CAPACITY,
-    CHECKSUM_ERRORS,
-    IN_PACKETS,
-    LENGTH_ERRORS,
-    PACKETS,
-    ROWS,
-    SKIPPED,
-    STATE_SIZE,
-    ByteArray,
-)
-from imumon.protocols.kernel import (
-    F32,
-    F64,
-    FP1632,
-    append_chunk,
-    arrival_of,
-    keep_rest,
-)
+from imumon.protocols.base import CAPACITY
+from imumon.protocols.numbers import F32, F64, FP1632
+from imumon.protocols.stream import ByteArray, Stream, arrival_of, keep_rest
 
 XBUS, MIP, WHOLE = range(3)
 """Framings; and the layout of a payload that is one field without header."""
@@ -56,24 +43,73 @@ MESSAGE, LIST, FIXED, COUNTED = range(4)
 ANY_SIZE = -1
 """Size of a field that is recognised, counted and skipped whatever its length."""
 
+BYTES_DONE, ROWS_FULL, LOG_FULL = range(3)
+"""Why a scan ended."""
+
 LONGEST_XBUS_PAYLOAD = 2048
-
-# The state continues that of `base`: bytes at the front that belong to the packet accepted last, used bytes
-# of the log, whether it is full, a payload length that did not fit the profile, kinds of unknown fields.
-OVERLAP, LOGGED, LOG_FULL, WRONG_LENGTH, UNKNOWN_KINDS = range(STATE_SIZE, STATE_SIZE + 5)
-TYPES = 32  # packets by type
-ROLES = TYPES + 256  # what each type is
-UNKNOWN = ROLES + 256  # identifier, size and count of fields that the table lacks
 MOST_UNKNOWN = 64
-FIELDS = UNKNOWN + 3 * MOST_UNKNOWN  # how often each field of the table came
-
 LOG_SIZE = 1 << 14
 
-# Columns of the compiled tables.
-FIELD_SIZE, FIRST, COUNT, NEXT, GROUP = range(5)
-KIND, SIZE, OFFSET, COLUMN = range(4)
-
 ShortArray = npt.NDArray[np.int16]
+
+
+class State:
+    """What a scan keeps besides the stream."""
+
+    overlap: int  # bytes at the front that belong to the packet accepted last
+    wrong_length: int  # of a payload that did not fit the profile
+    types: IntArray  # packets by type
+    roles: IntArray  # what each type is
+    unknown_kinds: int
+    unknown_key: IntArray  # fields that the table lacks
+    unknown_size: IntArray
+    unknown_count: IntArray
+    logged: int
+    log: ByteArray  # messages for the user, one behind the other
+
+
+SHAPES = {"types": 256, "roles": 256, "log": LOG_SIZE} | dict.fromkeys(
+    ("unknown_key", "unknown_size", "unknown_count"), MOST_UNKNOWN
+)
+"""Of the arrays in a `State`."""
+
+
+class CompiledField(NamedTuple):
+    """A field: bytes of data, its values from `first` to `stop`, and another field of the same key, or -1."""
+
+    width: int
+    first: int
+    stop: int
+    other: int
+    group: int  # its bit
+
+
+class CompiledValue(NamedTuple):
+    """A number in a field; the column is that of the floats, or the complement of that of the integers."""
+
+    kind: int
+    width: int
+    offset: int
+    column: int
+    factor: float
+
+
+class Table(NamedTuple):
+    """What packets are made of."""
+
+    framing: int
+    field_of: ShortArray
+    fields: Sequence[CompiledField]
+    values: Sequence[CompiledValue]
+
+
+class Rows(NamedTuple):
+    """Columns of what is decoded, the first integers arrivals and groups; how often each field came."""
+
+    floats: FloatArray
+    ints: IntArray
+    seen: IntArray
+
 
 _INCOMPLETE, _NO_PACKET, _IMPOSSIBLE, _BAD_SUM, _NO_ROOM = -1, -2, -3, -4, -5
 
@@ -136,23 +172,19 @@ def _list_whole(buf: ByteArray, at: int, end: int, framing: int) -> bool:
 
 
 @njit
-def _note_unknown(key: int, size: int, state: IntArray) -> None:
+def _note_unknown(key: int, size: int, state: State) -> None:
     """Count a field that the table lacks, or has with another size."""
-    kinds = state[UNKNOWN_KINDS]
+    kinds = state.unknown_kinds
     for k in range(kinds):
-        slot = UNKNOWN + 3 * k
-        if state[slot] == key and state[slot + 1] == size:
-            state[slot + 2] += 1
+        if state.unknown_key[k] == key and state.unknown_size[k] == size:
+            state.unknown_count[k] += 1
             return
     if kinds == MOST_UNKNOWN:
         # The last place stands for all further kinds.
-        state[UNKNOWN + 3 * kinds - 1] += 1
+        state.unknown_count[kinds - 1] += 1
         return
-    slot = UNKNOWN + 3 * kinds
-    state[slot] = key
-    state[slot + 1] = size
-    state[slot + 2] = 1
-    state[UNKNOWN_KINDS] += 1
+    state.unknown_key[kinds], state.unknown_size[kinds], state.unknown_count[kinds] = key, size, 1
+    state.unknown_kinds += 1
 
 
 @njit(inline="always")
@@ -188,31 +220,20 @@ def _four(a: np.uint8, b: np.uint8, c: np.uint8, d: np.uint8) -> np.uint64:
 
 
 @njit
-def _decode(
-    buf: ByteArray,
-    begin: int,
-    end: int,
-    kind: int,
-    layout: int,
-    state: IntArray,
-    field_of: ShortArray,
-    fields: IntArray,
-    values: IntArray,
-    factors: FloatArray,
-    floats: FloatArray,
-    ints: IntArray,
-) -> int:
+def _decode(begin: int, end: int, layout: int, stream: Stream, state: State, table: Table, rows: Rows) -> int:
     """Decode a payload into the next row; return how many of its fields had values.
 
     `layout` is the framing, or `WHOLE` when the payload is the first field of the table without a header.
-    This is one function, because arrays are costly to pass.
     """
-    row = np.uint64(state[ROWS])
+    # Names, as taking an array out of a tuple anew for each number costs more than the number.
+    buf, fields, values, field_of = stream.bytes, table.fields, table.values, table.field_of
+    floats, ints, seen = rows.floats, rows.ints, rows.seen
+    row = np.uint64(stream.rows)
     known = 0
     groups = np.int64(0)
     at = np.int64(begin)
     while at < end:
-        field = np.int64(0)
+        number = 0
         size = np.int64(end - at)
         if layout != WHOLE:
             if layout == XBUS:
@@ -220,56 +241,57 @@ def _decode(
                 size = np.int64(buf[at + 2])
                 at += 3
             else:
-                key = (np.int64(kind) << 8) | np.int64(buf[at + 1])
+                key = (np.int64(buf[begin - 2]) << 8) | np.int64(buf[at + 1])
                 size = np.int64(buf[at]) - 2
                 at += 2
-            field = np.int64(field_of[key])
-            while field >= 0 and fields[field, FIELD_SIZE] != size and fields[field, FIELD_SIZE] != ANY_SIZE:
-                field = fields[field, NEXT]
-            if field < 0:
+            number = int(field_of[key])
+            while number >= 0 and fields[number].width != size and fields[number].width != ANY_SIZE:
+                number = fields[number].other
+            if number < 0:
                 _note_unknown(int(key), int(size), state)
                 at += size
                 continue
-        found = np.uint64(field)
-        state[np.uint64(FIELDS) + found] += 1
-        first = np.uint64(fields[found, FIRST])
-        stop = first + np.uint64(fields[found, COUNT])
+        seen[number] += 1
+        field = fields[number]
+        first, stop = np.uint64(field.first), np.uint64(field.stop)
         known += int(stop > first)
-        groups |= fields[found, GROUP]
+        groups |= field.group
         for v in range(first, stop):
-            column, width = values[v, COLUMN], values[v, SIZE]
-            place = np.uint64(at + values[v, OFFSET])
+            value = values[v]
+            width = value.width
+            place = np.uint64(at + value.offset)
             if width == 4:
                 bits = _four(buf[place], buf[place + _1], buf[place + _2], buf[place + _3])
             else:
                 bits = np.uint64(0)
                 for i in range(place, place + np.uint64(width)):
                     bits = (bits << np.uint64(8)) | np.uint64(buf[i])
-            if column >= 0:
-                floats[np.uint64(column), row] = _number(bits, values[v, KIND], width) * factors[v]
+            if value.column >= 0:
+                floats[np.uint64(value.column), row] = _number(bits, value.kind, width) * value.factor
             else:
-                ints[np.uint64(~column), row] = _integer(bits, values[v, KIND], width)
+                ints[np.uint64(~value.column), row] = _integer(bits, value.kind, width)
         at += size
     ints[1, row] = groups
     return known
 
 
 @njit
-def _log_message(buf: ByteArray, at: int, end: int, kind: int, state: IntArray, log: ByteArray) -> None:
+def _log_message(buf: ByteArray, at: int, end: int, kind: int, state: State) -> None:
     """Keep a message for the user: type, length in two bytes, payload."""
-    to = state[LOGGED]
+    to, log = state.logged, state.log
     size = end - at
     log[to] = kind
     log[to + 1] = size >> 8
     log[to + 2] = size & 0xFF
     for i in range(size):
         log[to + 3 + i] = buf[at + i]
-    state[LOGGED] = to + 3 + size
+    state.logged = to + 3 + size
 
 
 @njit
-def _judge(buf: ByteArray, at: int, n: int, done: int, framing: int, state: IntArray, whole_size: int) -> int:
+def _judge(at: int, done: int, framing: int, stream: Stream, state: State, whole_size: int) -> int:
     """Return the length of the valid packet at a preamble, or what is wrong with it."""
+    buf, n = stream.bytes, stream.held
     length = _packet_length(buf, at, n, framing)
     if length < 0:
         return length
@@ -279,15 +301,15 @@ def _judge(buf: ByteArray, at: int, n: int, done: int, framing: int, state: IntA
         return _INCOMPLETE
     if not _sums_right(buf, at, length, framing):
         return _BAD_SUM
-    role = state[ROLES + buf[at + 2]]
+    role = state.roles[buf[at + 2]]
     begin = _payload_begin(buf, at, framing)
     end = at + length - (1 if framing == XBUS else 2)
     if role == LIST and not _list_whole(buf, begin, end, framing):
         return _IMPOSSIBLE
     if role == FIXED and end - begin != whole_size:
-        state[WRONG_LENGTH] = end - begin
+        state.wrong_length = end - begin
         return _IMPOSSIBLE
-    if role == MESSAGE and state[LOGGED] + 3 + end - begin > LOG_SIZE:
+    if role == MESSAGE and state.logged + 3 + end - begin > LOG_SIZE:
         return _NO_ROOM
     return length
 
@@ -300,51 +322,43 @@ def _payload_begin(buf: ByteArray, at: int, framing: int) -> int:
 
 @njit
 def scan_packets(
-    chunk: ByteArray,
-    arrival_ns: int,
-    final: bool,
-    framing: int,
-    held: ByteArray,
-    held_arrival: IntArray,
-    state: IntArray,
-    log: ByteArray,
-    field_of: ShortArray,
-    fields: IntArray,
-    values: IntArray,
-    factors: FloatArray,
-    floats: FloatArray,
-    ints: IntArray,
-) -> None:
-    """Append the chunk and decode until rows, room in the log or bytes run out.
+    final: bool, streams: Sequence[Stream], states: Sequence[State], table: Table, rows: Rows
+) -> int:
+    """Decode until bytes, rows or room in the log run out; return which did.
 
     `done` is where the packet accepted last ends; `at` may be before it (see the text of the module).
     """
-    n = append_chunk(chunk, held, state)
+    stream, state, ints = streams[0], states[0], rows.ints
+    held, n, framing = stream.bytes, stream.held, table.framing
+    whole_size = table.fields[0].width
+    why = BYTES_DONE
     sync = 0xFA if framing == XBUS else 0x75
     at = 0
-    done = state[OVERLAP]
+    done = state.overlap
     pending = -1  # at the end of the data: the first packet cut short
     bad_sums = 0  # not yet counted: when nothing good follows, they are part of what is pending
     bad_lengths = 0
-    state[LOG_FULL] = 0
     while True:
         if at < done < n and held[done] == sync:
             at = done
         while at < n and held[at] != sync:
             at += 1
-        if at >= n or state[ROWS] == CAPACITY:
+        if at >= n:
             break
-        verdict = _judge(held, at, n, done, framing, state, fields[0, FIELD_SIZE])
+        if stream.rows == CAPACITY:
+            why = ROWS_FULL
+            break
+        verdict = _judge(at, done, framing, stream, state, whole_size)
         if verdict == _NO_ROOM:
-            state[LOG_FULL] = 1
+            why = LOG_FULL
             break
         if verdict == _INCOMPLETE and not final:
             break
         if verdict == _INCOMPLETE and pending < 0:
             pending = at
         if verdict >= 0 or pending == at:
-            state[CHECKSUM_ERRORS] += bad_sums
-            state[LENGTH_ERRORS] += bad_lengths
+            stream.checksum_errors += bad_sums
+            stream.length_errors += bad_lengths
             bad_sums = bad_lengths = 0
         if verdict < 0:
             # Inside a good packet a preamble may well be data.
@@ -355,28 +369,27 @@ def scan_packets(
         kind = held[at + 2]
         begin = _payload_begin(held, at, framing)
         pending = -1
-        state[SKIPPED] += max(at - done, 0)
-        state[IN_PACKETS] += at + verdict - max(at, done)
-        state[PACKETS] += 1
-        state[TYPES + kind] += 1
+        stream.skipped += max(at - done, 0)
+        stream.in_packets += at + verdict - max(at, done)
+        stream.packets += 1
+        state.types[kind] += 1
         done = at + verdict
         end = done - (1 if framing == XBUS else 2)
         at += 1
-        role = state[ROLES + kind]
+        role = state.roles[kind]
         if role == MESSAGE:
-            _log_message(held, begin, end, kind, state, log)
+            _log_message(held, begin, end, kind, state)
         elif role != COUNTED:
             layout = WHOLE if role == FIXED else framing
-            if _decode(
-                held, begin, end, kind, layout, state, field_of, fields, values, factors, floats, ints
-            ):
-                ints[0, state[ROWS]] = arrival_of(done - 1, arrival_ns, held_arrival, state)
-                state[ROWS] += 1
+            if _decode(begin, end, layout, stream, state, table, rows):
+                ints[0, stream.rows] = arrival_of(done - 1, stream)
+                stream.rows += 1
     if pending >= 0:
         at = pending
     else:
-        state[CHECKSUM_ERRORS] += bad_sums
-        state[LENGTH_ERRORS] += bad_lengths
-    state[SKIPPED] += max(at - done, 0)
-    state[OVERLAP] = max(done - at, 0)
-    keep_rest(at, arrival_ns, held, held_arrival, state, state[ROWS] == CAPACITY or state[LOG_FULL] == 1)
+        stream.checksum_errors += bad_sums
+        stream.length_errors += bad_lengths
+    stream.skipped += max(at - done, 0)
+    state.overlap = max(done - at, 0)
+    keep_rest(at, stream)
+    return why

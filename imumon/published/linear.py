@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from imumon.blocks import FloatArray
 from imumon.compiled import njit
+from imumon.published.scalar import BoolArray, ScalarFilter
 
 FORGETTING = 0.95
 
@@ -77,7 +77,7 @@ class State(NamedTuple):
     largest_fading: FloatArray
 
 
-class LinearFilter:
+class LinearFilter(ScalarFilter[LinearSeries]):
     """Kalman filter on model L.
 
     Parameters
@@ -100,34 +100,16 @@ class LinearFilter:
         """The largest λ so far."""
         return float(self.state.largest_fading[0])
 
-    def process(
-        self,
-        reading: FloatArray,
-        measured: npt.NDArray[np.bool_] | None = None,
-        steps: FloatArray | None = None,
-    ) -> LinearSeries:
-        """Return what the filter says at samples that follow those of the last call.
-
-        Parameters
-        ----------
-        reading : array, (n,)
-            Data; predicted only where it is NaN or not `measured`.
-        measured : array of bool, (n,), optional
-            Default always.
-        steps : array, (n,), optional
-            Time since the last sample in sampling intervals: what q is multiplied with.  Default 1.
-        """
-        n = len(reading)
-        use = np.isfinite(reading) if measured is None else measured & np.isfinite(reading)
-        series = LinearSeries(*(np.empty(n) for _ in LinearSeries._fields))
-        _run(reading, use, np.ones(n) if steps is None else steps, self._settings, self.state, series)
+    def _filter(self, reading: FloatArray, use: BoolArray, steps: FloatArray) -> LinearSeries:
+        series = LinearSeries(*(np.empty(len(reading)) for _ in LinearSeries._fields))
+        _run(reading, use, steps, self._settings, self.state, series)
         return series
 
 
 @njit
 def _run(
     reading: FloatArray,
-    use: npt.NDArray[np.bool_],
+    use: BoolArray,
     steps: FloatArray,
     settings: Settings,
     state: State,

@@ -20,11 +20,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from imumon.blocks import FloatArray, IntArray
 from imumon.compiled import njit
 from imumon.errors import ImumonError, Reason
+from imumon.published.scalar import BoolArray, ScalarFilter
 
 STATES = ("x", "x_before", "phi", "delta1", "delta2")
 N = len(STATES)
@@ -108,7 +108,7 @@ class State(NamedTuple):
     clamped: IntArray
 
 
-class SigmaPointFilter:
+class SigmaPointFilter(ScalarFilter[FilterSeries]):
     """SR-RSUKF of one axis; with μ = 0 it is the SR-UKF.
 
     Parameters
@@ -148,27 +148,8 @@ class SigmaPointFilter:
         """Steps at which φ wanted to leave its limits."""
         return int(self.state.clamped[0])
 
-    def process(
-        self,
-        reading: FloatArray,
-        measured: npt.NDArray[np.bool_] | None = None,
-        steps: FloatArray | None = None,
-    ) -> FilterSeries:
-        """Return what the filter says at samples that follow those of the last call.
-
-        Parameters
-        ----------
-        reading : array, (n,)
-            Data; not used where it is NaN or not `measured`.
-        measured : array of bool, (n,), optional
-            Whether the sample may be learnt from: the unit is at rest.  Default always.
-        steps : array, (n,), optional
-            Time since the last sample in sampling intervals.  Default 1.
-        """
-        n = len(reading)
-        use = np.isfinite(reading) if measured is None else measured & np.isfinite(reading)
-        steps = np.ones(n) if steps is None else steps
-        series = FilterSeries(*(np.empty(n) for _ in FilterSeries._fields))
+    def _filter(self, reading: FloatArray, use: BoolArray, steps: FloatArray) -> FilterSeries:
+        series = FilterSeries(*(np.empty(len(reading)) for _ in FilterSeries._fields))
         _run(reading, use, steps, self.settings, self.state, series)
         return series
 
@@ -215,7 +196,7 @@ def check_risk(model: ModelNL, risk: Sequence[float]) -> None:
 @njit
 def _run(
     reading: FloatArray,
-    use: npt.NDArray[np.bool_],
+    use: BoolArray,
     steps: FloatArray,
     settings: Settings,
     state: State,

@@ -9,8 +9,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Literal
 
+from imumon.config import dump_yaml
 from imumon.errors import ImumonError, Reason
-from imumon.recordings.metadata import SessionMetadata, read_metadata, write_metadata
+from imumon.files import write_text
+from imumon.recordings.metadata import SessionMetadata, read_metadata
 
 METADATA_NAME = "session.yaml"
 WIRE_NAME = "wire.mcap"
@@ -55,7 +57,7 @@ class Session:
 
     def save(self, metadata: SessionMetadata) -> None:
         """Replace the metadata on disk; raises OSError when that fails, and the old file stays."""
-        write_metadata(self.path / METADATA_NAME, metadata)
+        write_text(self.path / METADATA_NAME, dump_yaml(metadata.model_dump()))
 
 
 def default_path(device: str, now_ns: int) -> Path:

@@ -22,7 +22,7 @@ import pyarrow.parquet as pq
 from imumon.blocks import FloatArray, IntArray
 from imumon.errors import ImumonError, Reason
 from imumon.recordings.map import TIMESTAMPS, TextFormat, TimeColumn
-from imumon.recordings.units import parse_unit
+from imumon.units import parse_unit
 
 ROWS_PER_PART = 20_000
 CONTROL_SHARE = 0.05

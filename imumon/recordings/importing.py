@@ -22,7 +22,7 @@ from imumon.files import read_text
 from imumon.recordings.folder import SAMPLES_NAME, Session, fingerprint, refuse_existing
 from imumon.recordings.foreign import BadRow, Part, read_foreign
 from imumon.recordings.map import TableMap
-from imumon.recordings.metadata import SessionMetadata, TableUsed, iso_utc, versions_in_use
+from imumon.recordings.metadata import SessionMetadata, TableUsed
 from imumon.recordings.table import TableWriter
 
 LISTED = 10
@@ -272,13 +272,9 @@ def _scalars(node: yaml.Node | None) -> list[yaml.ScalarNode]:
 
 def _metadata(source: TableImport, report: ImportReport) -> SessionMetadata:
     now_ns = time.time_ns()
-    return SessionMetadata(
-        source="import",
-        state="closed",
-        created=iso_utc(now_ns),
-        created_ns=now_ns,
-        ended=iso_utc(now_ns),
-        ended_ns=now_ns,
+    begun = SessionMetadata.begun(
+        "import",
+        now_ns,
         device="import",
         axes=source.map.axes,
         table=TableUsed(
@@ -290,6 +286,6 @@ def _metadata(source: TableImport, report: ImportReport) -> SessionMetadata:
             rows_out=report.rows_out,
             rows_dropped=report.rows_dropped,
         ),
-        versions=versions_in_use(),
         counters={"samples": report.rows_out, "segments": report.segments},
     )
+    return begun.closed(now_ns)

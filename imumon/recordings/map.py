@@ -4,44 +4,30 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
-from functools import partial
-from typing import Annotated, Any, Literal
+from typing import Annotated, ClassVar, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Field, NonNegativeInt, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Field,
+    NonNegativeInt,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 
 from imumon.columns import KNOWN
 from imumon.config import StrictModel
-from imumon.recordings.units import Unit, parse_unit
+from imumon.units import Unit, parse_unit
 
 TIMESTAMPS = "iso8601"
 """In place of a unit of time: the column holds dates with times."""
-
-
-def _one_is_a_unit(value: Any) -> Any:
-    return "1" if value == 1 and not isinstance(value, bool) else value
-
-
-def _check_unit(text: str, targets: tuple[str, ...]) -> str:
-    if text not in targets:
-        parse_unit(text, targets[0])
-    return text
 
 
 def _check_time_unit(text: str) -> str:
     if text != TIMESTAMPS:
         parse_unit(text, "ns")
     return text
-
-
-Three = Annotated[list[str], Field(min_length=3, max_length=3)]
-RateUnit = Annotated[str, AfterValidator(partial(_check_unit, targets=("rad/s",)))]
-ForceUnit = Annotated[str, AfterValidator(partial(_check_unit, targets=("m/s^2",)))]
-FieldUnit = Annotated[
-    str, BeforeValidator(_one_is_a_unit), AfterValidator(partial(_check_unit, targets=("uT", "1")))
-]
-TemperatureUnit = Annotated[str, AfterValidator(partial(_check_unit, targets=("degC",)))]
-PressureUnit = Annotated[str, AfterValidator(partial(_check_unit, targets=("Pa",)))]
-"""Units are checked where the map is read, so that the error names the line."""
 
 
 class TimeColumn(StrictModel):
@@ -52,60 +38,100 @@ class TimeColumn(StrictModel):
     backwards: Literal["error", "segment"] = "error"
 
 
-class Gyro(StrictModel):
+def _axes(name: str) -> tuple[str, ...]:
+    return tuple(f"{name}_{axis}" for axis in "xyz")
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """A column of the table and the canonical column that it becomes."""
+
+    column: str
+    target: str
+    unit: Unit
+
+
+class Group(StrictModel):
+    """The columns of one quantity and their unit, which is checked here, so that an error names the line."""
+
+    columns: list[str]
+    unit: Annotated[str, BeforeValidator(lambda given: "1" if given == 1 and given is not True else given)]
+
+    becomes: ClassVar[tuple[tuple[str, ...], ...]]
+    """The canonical columns, for each number of columns that there may be."""
+
+    @field_validator("columns")
+    @classmethod
+    def _as_many_as_may_be(cls, given: list[str]) -> list[str]:
+        counts = [len(targets) for targets in cls.becomes]
+        if len(given) not in counts:
+            raise ValueError(f"expected {' or '.join(map(str, counts))} columns, got {len(given)}")
+        return given
+
+    @field_validator("unit")
+    @classmethod
+    def _measures_the_same(cls, given: str, info: ValidationInfo) -> str:
+        columns = info.data.get("columns", cls.becomes[0])
+        for target in cls.targets(len(columns)):
+            cls.unit_of(target, given)
+        return given
+
+    @classmethod
+    def targets(cls, count: int) -> tuple[str, ...]:
+        """Return the canonical columns for so many columns."""
+        return next(targets for targets in cls.becomes if len(targets) == count)
+
+    @classmethod
+    def unit_of(cls, target: str, given: str) -> Unit:
+        """Return the unit as one of a canonical column; arbitrary units of a field stay arbitrary."""
+        unit = "1" if given == "1" and target.startswith("mag_") else KNOWN[target].unit
+        if unit == "1" != given:  # to pint an angle is a plain number, too
+            raise ValueError(f"a quaternion has unit 1, got {given!r}")
+        return parse_unit(given, unit)
+
+    def sources(self) -> list[Source]:
+        """Return what becomes of each column."""
+        targets = self.targets(len(self.columns))
+        return [
+            Source(column, target, self.unit_of(target, self.unit))
+            for column, target in zip(self.columns, targets, strict=True)
+        ]
+
+
+class Gyro(Group):
     """Angular rate about x, y, z."""
 
-    columns: Three
-    unit: RateUnit
+    becomes = (_axes("gyro"),)
 
 
-class Accel(StrictModel):
+class Accel(Group):
     """Specific force along x, y, z."""
 
-    columns: Three
-    unit: ForceUnit
+    becomes = (_axes("accel"),)
 
 
-class Mag(StrictModel):
+class Mag(Group):
     """Magnetic field along x, y, z; unit 1 when the sensor has arbitrary units."""
 
-    columns: Three
-    unit: FieldUnit
+    becomes = (_axes("mag"),)
 
 
-class Temperature(StrictModel):
+class Temperature(Group):
     """Temperature of the sensor, one for all or one for each of x, y, z."""
 
-    columns: Annotated[list[str], Field(min_length=1, max_length=3)]
-    unit: TemperatureUnit
-
-    @model_validator(mode="after")
-    def _one_or_three(self) -> Temperature:
-        if len(self.columns) == 2:
-            raise ValueError("temperature has one column, or three for x, y, z; got 2")
-        return self
+    becomes = (("temperature",), _axes("temperature"))
 
 
-class Pressure(StrictModel):
+class Pressure(Group):
     """Static pressure."""
 
-    columns: Annotated[list[str], Field(min_length=1, max_length=1)]
-    unit: PressureUnit
+    becomes = (("pressure",),)
 
 
-class Attitude(StrictModel):
+class Attitude(Group):
     """Attitude as the device reports it: quaternion w, x, y, z with unit 1, or roll, pitch, yaw."""
 
-    columns: Annotated[list[str], Field(min_length=3, max_length=4)]
-    unit: Annotated[str, BeforeValidator(_one_is_a_unit)]
-
-    @model_validator(mode="after")
-    def _unit_fits(self) -> Attitude:
-        if len(self.columns) == 4 and self.unit != "1":
-            raise ValueError(f"a quaternion (4 columns) has unit 1, got {self.unit!r}")
-        if len(self.columns) == 3:
-            parse_unit(self.unit, "rad")
-        return self
+    becomes = (("q_w", "q_x", "q_y", "q_z"), ("roll", "pitch", "yaw"))
 
 
 class TextFormat(StrictModel):
@@ -125,15 +151,6 @@ class TextFormat(StrictModel):
         if twice := [name for name, count in Counter(self.columns or []).items() if count > 1]:
             raise ValueError(f"csv.columns names {', '.join(twice)} more than once")
         return self
-
-
-@dataclass(frozen=True, slots=True)
-class Source:
-    """A column of the table and the canonical column that it becomes."""
-
-    column: str
-    target: str
-    unit: Unit
 
 
 class TableMap(StrictModel):
@@ -169,32 +186,6 @@ class TableMap(StrictModel):
     def sources(self) -> list[Source]:
         """Return the columns of data that the map names, in canonical order."""
         groups = (self.gyro, self.accel, self.mag, self.temperature, self.attitude, self.pressure)
-        found = [
-            Source(column, target, parse_unit(group.unit, _unit_of(target, group.unit)))
-            for group in groups
-            if group is not None
-            for column, target in zip(group.columns, _targets(group), strict=True)
-        ]
+        found = [source for group in groups if group is not None for source in group.sources()]
         order = list(KNOWN)
         return sorted(found, key=lambda source: order.index(source.target))
-
-
-_TARGETS: dict[tuple[type[StrictModel], int], tuple[str, ...]] = {
-    (Gyro, 3): ("gyro_x", "gyro_y", "gyro_z"),
-    (Accel, 3): ("accel_x", "accel_y", "accel_z"),
-    (Mag, 3): ("mag_x", "mag_y", "mag_z"),
-    (Temperature, 1): ("temperature",),
-    (Temperature, 3): ("temperature_x", "temperature_y", "temperature_z"),
-    (Attitude, 4): ("q_w", "q_x", "q_y", "q_z"),
-    (Attitude, 3): ("roll", "pitch", "yaw"),
-    (Pressure, 1): ("pressure",),
-}
-
-
-def _targets(group: Gyro | Accel | Mag | Temperature | Attitude | Pressure) -> tuple[str, ...]:
-    return _TARGETS[type(group), len(group.columns)]
-
-
-def _unit_of(target: str, given: str) -> str:
-    """Return the unit to convert to; arbitrary units of a magnetic field stay arbitrary."""
-    return "1" if given == "1" and target.startswith("mag_") else KNOWN[target].unit

@@ -8,15 +8,15 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final, Literal
 
-import yaml
 from pydantic import Field, NonNegativeInt
 
 from imumon import __version__
-from imumon.config import StrictModel, YamlDumper, parse_yaml
+from imumon.config import StrictModel, parse_yaml
 from imumon.errors import ImumonError, Reason
-from imumon.files import read_text, write_text
+from imumon.files import read_text
 
 FORMAT: Final = "imumon-session/1"
+SourceKind = Literal["live", "simulation", "import"]
 _PACKAGES = ("numpy", "numba", "scipy", "pyarrow", "mcap", "rerun-sdk")
 
 
@@ -57,7 +57,7 @@ class SessionMetadata(StrictModel):
     """
 
     format: Literal["imumon-session/1"] = FORMAT
-    source: Literal["live", "simulation", "import"]
+    source: SourceKind
     state: Literal["open", "closed"] = "open"
     created: str
     created_ns: int
@@ -75,6 +75,15 @@ class SessionMetadata(StrictModel):
     events: NonNegativeInt = 0
     results_digest: str | None = None
     views: list[str] = Field(default_factory=list)
+
+    @classmethod
+    def begun(
+        cls, source: Literal["live", "simulation", "import"], at_ns: int, **more: Any
+    ) -> SessionMetadata:
+        """Return the metadata of a session that begins at this Unix time (ns), made by this version."""
+        return cls(
+            source=source, created=iso_utc(at_ns), created_ns=at_ns, versions=versions_in_use(), **more
+        )
 
     def closed(self, ended_ns: int, **changes: Any) -> SessionMetadata:
         """Return the metadata of the session after its end in order at this Unix time (ns)."""
@@ -94,18 +103,6 @@ def versions_in_use() -> dict[str, str]:
     return own | {name: version(name) for name in _PACKAGES}
 
 
-def write_metadata(path: Path, metadata: SessionMetadata) -> None:
-    """Write session.yaml; whoever reads sees the old file or the new one, never a part.
-
-    Raises
-    ------
-    OSError
-        When it cannot be written; the old file is untouched.
-    """
-    text = yaml.dump(metadata.model_dump(), Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=10_000)
-    write_text(path, text)
-
-
 def read_metadata(path: Path) -> SessionMetadata:
     """Read session.yaml.
 
@@ -121,15 +118,3 @@ def read_metadata(path: Path) -> SessionMetadata:
         raise ImumonError(
             Reason.BAD_DATA, error.seen, f"this version of imumon reads sessions of format {FORMAT}"
         ) from error
-
-
-class _Dumper(YamlDumper):
-    """Writes texts of several lines as they are, so that the files that were used can be read in place."""
-
-
-def _represent_text(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
-    style = "|" if "\n" in text else None
-    return dumper.represent_scalar("tag:yaml.org,2002:str", text, style=style)
-
-
-_Dumper.add_representer(str, _represent_text)

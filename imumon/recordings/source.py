@@ -14,11 +14,11 @@ from imumon.protocols.device import DeviceFile, load_device, parse_device
 from imumon.recordings.folder import Session, is_session, open_session
 from imumon.recordings.table import iterate_samples, read_columns
 from imumon.recordings.wire import WireReader
-from imumon.transport.reader import Bytes, EventKind, Item
+from imumon.transport.reader import Bytes, EventKind, Item, Reads
 
 READ_SIZE = 1 << 16
-BATCH_BYTES = 1 << 16
-"""Samples are handed on about as often as so many bytes were fed."""
+BATCH_BYTES = 1 << 18
+"""Samples are handed on about as often as so many bytes were fed: thousands at once, as each block costs."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,7 +143,7 @@ def run_over(items: Iterable[Item | SampleBlock], pipeline: Pipeline) -> Iterato
         From `WireReader`, `capture_items` or `iterate_samples`.
     """
     fed = 0
-    for item in items:
+    for item in items.batches() if isinstance(items, WireReader) else items:
         fed += feed(item, pipeline)
         if fed >= BATCH_BYTES:
             fed = 0
@@ -152,11 +152,14 @@ def run_over(items: Iterable[Item | SampleBlock], pipeline: Pipeline) -> Iterato
     yield pipeline.take()
 
 
-def feed(item: Item | SampleBlock, pipeline: Pipeline) -> int:
+def feed(item: Item | Reads | SampleBlock, pipeline: Pipeline) -> int:
     """Give a pipeline bytes, samples or an event; return how many bytes there were."""
     if isinstance(item, SampleBlock):
         pipeline.push(item)
         return sum(values.nbytes for values in item.columns.values())
+    if isinstance(item, Reads):
+        pipeline.feed_reads(item.data, item.ends, item.arrivals_ns)
+        return len(item.data)
     if isinstance(item, Bytes):
         pipeline.feed(item.data, item.arrival_ns)
         return len(item.data)

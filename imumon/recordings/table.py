@@ -15,7 +15,6 @@ from typing import Any, Literal
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
 
@@ -426,6 +425,8 @@ def _write_csv(path: Path, tables: Iterable[Any], schema: Any) -> None:
 
 def _as_text(values: Any) -> Any:
     """Return numbers as the shortest text that reads back the same; whole floats keep their ".0"."""
+    import pyarrow.compute as pc  # 50 ms, for CSV only
+
     text = values.cast(pa.string())
     if values.type != pa.float64():
         return text

@@ -22,13 +22,7 @@ from imumon.errors import ImumonError, Reason
 from imumon.pipeline import Digest, Pipeline, PipelineCounters
 from imumon.protocols.device import DeviceFile
 from imumon.recordings.folder import create_session, remove_empty
-from imumon.recordings.metadata import (
-    PortUsed,
-    SessionMetadata,
-    StreamSummary,
-    iso_utc,
-    versions_in_use,
-)
+from imumon.recordings.metadata import PortUsed, SessionMetadata, StreamSummary
 from imumon.recordings.recorder import Recorder
 from imumon.recordings.source import feed
 from imumon.recordings.wire import WireCounters, WireWriter
@@ -131,7 +125,8 @@ class LiveRun:
         self._recorder = Recorder(self._writer, self._recording_problem, self._save)
         silent_after_s = max(SILENT_AFTER_S, SILENT_AFTER_PACKETS / (device.rate_hz or np.inf))
         self._reader = Reader(settings, self._recorder.put, self._items.put, silent_after_s=silent_after_s)
-        self._narrator = self._narrate(())
+        card = {"device": device.title, "port": str(settings), "recording": str(self.session.path)}
+        self._narrator = Narrator(self.pipeline, settings, (), say, card, self.session.path)
         self._thread = threading.Thread(target=self._run, name="pipeline", daemon=True)
         self._progress = self._narrator.progress(self._began_ns)
         self._finished = False
@@ -166,7 +161,7 @@ class LiveRun:
 
     def begin(self, publish: Sequence[Publish]) -> None:
         """Decode what has come and what comes, and show it to `publish` as view items."""
-        self._narrator = self._narrate(publish)
+        self._narrator.publish = tuple(publish)
         self._thread.start()
 
     def stop(self, views: Sequence[str] = ()) -> LiveSummary:
@@ -217,26 +212,16 @@ class LiveRun:
             f"the recording is whole; please report the defect with it: {self.session.path}",
         )
 
-    def _narrate(self, publish: Sequence[Publish]) -> Narrator:
-        card = {
-            "device": self._device.title,
-            "port": str(self._settings),
-            "recording": str(self.session.path),
-        }
-        return Narrator(self.pipeline, self._settings, publish, self._say, card, self.session.path)
-
     def _metadata(self, device: DeviceFile, device_yaml: str, setup: Setup) -> SessionMetadata:
         line = asdict(self._settings)
-        return SessionMetadata(
-            source="live",
-            created=iso_utc(self._began_ns),
-            created_ns=self._began_ns,
+        return SessionMetadata.begun(
+            "live",
+            self._began_ns,
             device=device.name,
             axes=device.axes,
             device_yaml=device_yaml,
             pipeline_yaml=setup.text(),
             port=PortUsed(url=line.pop("url"), settings=line),
-            versions=versions_in_use(),
         )
 
     def _save(self) -> None:

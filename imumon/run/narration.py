@@ -99,7 +99,7 @@ class Narrator:
     ) -> None:
         self._session = session
         self._pipeline = pipeline
-        self._publish = tuple(publish)
+        self.publish = tuple(publish)
         self._say = say
         self._card = card
         self._timebase = Timebase()
@@ -279,7 +279,7 @@ class Narrator:
             self._emit(State(self._timebase.at(time_ns), lane, state))
 
     def _emit(self, item: ViewItem) -> None:
-        for publish in self._publish:
+        for publish in self.publish:
             publish(item)
 
 

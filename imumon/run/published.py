@@ -30,7 +30,7 @@ def published_stages(setup: Setup, temperature: TemperatureRateParameters | None
         methods = _random_error(setup, [setup.random_error.method])
         stages.append(random_error.InsteadOfDefault(methods))
     if "fir" in setup.published:
-        stages.append(_fir(temperature or TemperatureRateParameters()))
+        stages.append(FirStage(*_fir(temperature or TemperatureRateParameters())))
     if chosen := _chosen(setup, random_error.METHODS):
         stages.append(_random_error(setup, chosen))
     stages += [_dense_zupt(setup, method) for method in _chosen(setup, dense_zupt.METHODS)]
@@ -45,17 +45,17 @@ def published_stages(setup: Setup, temperature: TemperatureRateParameters | None
 
 def fir_method(given: TemperatureRateParameters) -> Callable[[], FirExponentialRate]:
     """Return what makes the FIR exponential regression with the parameters of the device file."""
+    return partial(FirExponentialRate, *_fir(given))
+
+
+def _fir(given: TemperatureRateParameters) -> tuple[float, float, float, int]:
+    """Return step, window, time constant and size of the buffer."""
     step = DEFAULT_STEP_DEGC if given.step_degc is None else given.step_degc
-    return partial(FirExponentialRate, step, given.window_s, given.time_constant_s, given.buffer_size)
+    return step, given.window_s, given.time_constant_s, given.buffer_size
 
 
 def _chosen(setup: Setup, names: Sequence[str]) -> list[PublishedMethod]:
     return [name for name in setup.published if name in names]
-
-
-def _fir(given: TemperatureRateParameters) -> FirStage:
-    step = DEFAULT_STEP_DEGC if given.step_degc is None else given.step_degc
-    return FirStage(step, given.window_s, given.time_constant_s, given.buffer_size)
 
 
 def _random_error(setup: Setup, methods: Sequence[str]) -> random_error.RandomErrorMethods:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -12,13 +13,12 @@ from imumon.blocks import IntArray
 from imumon.columns import KNOWN, Column
 from imumon.protocols.device import DeviceFile
 from imumon.recordings.folder import Session, create_session
-from imumon.recordings.metadata import PortUsed, SessionMetadata, iso_utc, versions_in_use
+from imumon.recordings.metadata import PortUsed, SessionMetadata
 from imumon.recordings.table import TableWriter
 from imumon.recordings.wire import WireWriter
-from imumon.simulation.bench import MICROSECOND
 from imumon.simulation.unit import TRUTH_COLUMNS, Scenario, SimulatedUnit
 from imumon.simulation.unit.noise import generator
-from imumon.simulation.unit.unit import CHUNK
+from imumon.simulation.unit.unit import CHUNK, MICROSECOND
 from imumon.simulation.virtual_device import refuse_overload
 from imumon.simulation.virtual_port import BITS_PER_BYTE
 from imumon.transport.reader import Bytes, Event, EventKind
@@ -53,21 +53,35 @@ def record_session(
         When the disk is full or fails; what was recorded stays, as of an interrupted session.
     """
     tick_ns = device.decoder().timing.tick_ns or MICROSECOND
-    first = device.encoder().encode(SimulatedUnit(scenario, seed, tick_ns).samples(1))[0]
+    encoder, arrivals = device.encoder(), _Arrivals(device.serial.baudrates[0], seed)
+    first = encoder.encode(SimulatedUnit(scenario, seed, tick_ns).samples(1))[0]
     refuse_overload(len(first), scenario.rate_hz, device.serial.baudrates[0])
     metadata = _metadata(scenario, device, device_yaml, seed)
     session = create_session(folder, metadata)
     text = yaml.safe_dump(scenario.model_dump(exclude_defaults=True), sort_keys=False, allow_unicode=True)
     (folder / SCENARIO_NAME).write_text(text, encoding="utf-8")
-    writer = WireWriter(session.wire_path, {"device": device.name, "source": "simulation"})
-    try:
-        counters = _write(
-            scenario, device, SimulatedUnit(scenario, seed, tick_ns), seed, session, writer, progress
-        )
-    finally:
-        writer.close()
-    ended_ns = START_NS + round(scenario.samples / scenario.rate_hz * 1e9)
-    closed = metadata.closed(ended_ns, counters=counters, events=writer.counters.events)
+    unit = SimulatedUnit(scenario, seed, tick_ns)
+    names = [KNOWN["device_time_ns"], KNOWN["segment"], *TRUTH_COLUMNS]
+    with (
+        closing(WireWriter(session.wire_path, {"device": device.name, "source": "simulation"})) as writer,
+        TableWriter(folder / TRUTH_NAME, {column.name: column for column in names}) as table,
+    ):
+        writer.write(Event(EventKind.OPENED, START_NS, f"simulation, seed {seed}"))
+        for size in _sizes(scenario):
+            sent, truth = unit.run(size)
+            time_ns = np.rint(sent["packet_counter"] * (1e9 / scenario.rate_hz)).astype(np.int64) + START_NS
+            for read in arrivals.reads(encoder.encode(sent), time_ns):
+                writer.write(read)
+            writer.flush()
+            table.write(truth)
+            progress(size)
+        writer.write(Event(EventKind.CLOSED, arrivals.last_ns, "the end of the scenario"))
+    made = writer.counters
+    closed = metadata.closed(
+        START_NS + round(scenario.samples / scenario.rate_hz * 1e9),
+        counters={"samples": scenario.samples, "packets": scenario.samples, "bytes_received": made.bytes},
+        events=made.events,
+    )
     session.save(closed)
     return Session(folder, closed)
 
@@ -93,33 +107,6 @@ def write_table(scenario: Scenario, seed: int, path: Path, progress: Progress) -
             writer.write(sent.with_columns(true))
             progress(size)
     return scenario.samples
-
-
-def _write(
-    scenario: Scenario,
-    device: DeviceFile,
-    unit: SimulatedUnit,
-    seed: int,
-    session: Session,
-    writer: WireWriter,
-    progress: Progress,
-) -> dict[str, int]:
-    """Write packets and truth; return the counters for the metadata."""
-    encoder, arrivals = device.encoder(), _Arrivals(device.serial.baudrates[0], seed)
-    names = [KNOWN["device_time_ns"], KNOWN["segment"], *TRUTH_COLUMNS]
-    writer.write(Event(EventKind.OPENED, START_NS, f"simulation, seed {seed}"))
-    with TableWriter(session.path / TRUTH_NAME, {column.name: column for column in names}) as table:
-        for size in _sizes(scenario):
-            sent, truth = unit.run(size)
-            packets = encoder.encode(sent)
-            time_ns = np.rint(sent["packet_counter"] * (1e9 / scenario.rate_hz)).astype(np.int64) + START_NS
-            for read in arrivals.reads(packets, time_ns):
-                writer.write(read)
-            writer.flush()
-            table.write(truth)
-            progress(size)
-        writer.write(Event(EventKind.CLOSED, arrivals.last_ns, "the end of the scenario"))
-    return {"samples": scenario.samples, "packets": scenario.samples, "bytes_received": writer.counters.bytes}
 
 
 def _sizes(scenario: Scenario) -> Iterator[int]:
@@ -150,10 +137,9 @@ class _Arrivals:
 
 
 def _metadata(scenario: Scenario, device: DeviceFile, device_yaml: str, seed: int) -> SessionMetadata:
-    return SessionMetadata(
-        source="simulation",
-        created=iso_utc(START_NS),
-        created_ns=START_NS,
+    return SessionMetadata.begun(
+        "simulation",
+        START_NS,
         device=device.name,
         axes=device.axes,
         device_yaml=device_yaml,
@@ -161,5 +147,4 @@ def _metadata(scenario: Scenario, device: DeviceFile, device_yaml: str, seed: in
             url=f"simulation: {scenario.title}",
             settings={"seed": seed, "rate_hz": scenario.rate_hz, "duration_s": scenario.duration_s},
         ),
-        versions=versions_in_use(),
     )

@@ -5,25 +5,16 @@ from __future__ import annotations
 import threading
 import time
 from pathlib import Path
-from typing import Protocol
 
-from imumon.blocks import SampleBlock
 from imumon.errors import ImumonError, Reason
 from imumon.protocols.device import DeviceFile
-from imumon.simulation.bench import MICROSECOND, BenchUnit
-from imumon.simulation.unit import Scenario, SimulatedUnit
+from imumon.simulation.unit import Scenario, SimulatedUnit, load_scenario
+from imumon.simulation.unit.unit import MICROSECOND
 from imumon.simulation.virtual_port import BITS_PER_BYTE, VirtualPort
 
 DEFAULT_RATE_HZ = 100.0
 TICK_S = 0.005
 """How often packets are handed to the port when the device sends faster than this."""
-
-
-class Samples(Protocol):
-    """A simulated unit: a bench unit, or one that plays a scenario."""
-
-    def samples(self, n: int) -> SampleBlock:
-        """Return the next n samples."""
 
 
 def refuse_overload(packet_bytes: int, rate_hz: float, baudrate: int) -> None:
@@ -53,7 +44,7 @@ class VirtualDevice:
     port : VirtualPort or None
         Port to send through; one is made when None.  Closed with the device.
     scenario : Scenario or None
-        What the unit does, in the axes of the device; None for a unit on a bench.
+        What the unit does, in the axes of the device; the scenario "bench" when None.
 
     Raises
     ------
@@ -70,10 +61,9 @@ class VirtualDevice:
         port: VirtualPort | None = None,
         scenario: Scenario | None = None,
     ) -> None:
-        self._device = device
-        self._scenario = scenario
         scenario_hz = None if scenario is None else scenario.rate_hz
         self._rate_hz = rate_hz or scenario_hz or device.rate_hz or DEFAULT_RATE_HZ
+        self._scenario = (scenario or load_scenario("bench")).played(self._rate_hz, device.axes)
         self._seed = seed
         self._encoder = device.encoder()
         self._tick_ns = device.decoder().timing.tick_ns or MICROSECOND
@@ -107,11 +97,8 @@ class VirtualDevice:
         """Close the device."""
         self.close()
 
-    def _switched_on(self, seed: int) -> Samples:
-        if self._scenario is None:
-            return BenchUnit(self._rate_hz, self._device.axes, seed, self._tick_ns)
-        scenario = self._scenario.played(self._rate_hz, self._device.axes)
-        return SimulatedUnit(scenario, seed, self._tick_ns)
+    def _switched_on(self, seed: int) -> SimulatedUnit:
+        return SimulatedUnit(self._scenario, seed, self._tick_ns)
 
     def _run(self) -> None:
         try:

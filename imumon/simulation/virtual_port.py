@@ -27,9 +27,6 @@ BACKLOG = 1 << 20
 """Bytes that wait to be sent; what a device writes beyond that is lost, as in a UART that overruns."""
 CHUNK_S = 0.001
 """Line time of what is handed over at once, as by an adapter in low-latency mode."""
-UNPACED_CHUNK = 4096
-UNPACED_PATIENCE_S = 1.0
-"""How long a device without a baud rate waits for a reader that does not read, before bytes are lost."""
 SAMPLING_TOLERANCE = 0.03
 """Rates closer than this are sampled correctly: at the ninth bit the error is a third of a bit."""
 
@@ -48,8 +45,8 @@ class VirtualPort:
     link : Path or None
         Name of a symlink to the device node, made here and removed by `unplug` and `close`; it stays the same
         when the device is plugged in again, as under ``/dev/serial/by-id``.
-    baudrate : int or None
-        Rate of the device, 8N1.  None sends as fast as the host reads, whatever rate the host has set.
+    baudrate : int
+        Rate of the device, 8N1.
 
     Raises
     ------
@@ -58,7 +55,7 @@ class VirtualPort:
         a killed process leaves it; BAD_CONFIG when the link cannot be made.
     """
 
-    def __init__(self, link: Path | None = None, baudrate: int | None = 115200) -> None:
+    def __init__(self, link: Path | None = None, baudrate: int = 115200) -> None:
         self.baudrate = baudrate
         self.bytes_sent = 0
         """Bytes that went over the line while a host had the port open."""
@@ -72,7 +69,6 @@ class VirtualPort:
         self._backlog = bytearray()
         self._mute = False
         self._closing = False
-        self._taken_at = time.monotonic()  # when the host last had room
         self._sampler: Sampler | None = None
         self._changed = threading.Condition()
         self.replug()
@@ -133,15 +129,11 @@ class VirtualPort:
         with self._changed:
             self._mute = False
 
-    def unplug(self, graceful: bool = False) -> None:
+    def unplug(self) -> None:
         """Pull the cable: the node disappears and the host's descriptor fails.
 
-        Graceful sends what was written and lets the host read it first (a driver that is unbound in order);
-        otherwise all that is under way is lost, in the middle of a packet.
+        All that is under way is lost, in the middle of a packet.
         """
-        if graceful:
-            self.drain()
-            self._wait_until_read()
         with self._changed:
             self._lose_backlog()
             self._close_master()
@@ -156,8 +148,7 @@ class VirtualPort:
             self._master, slave = os.openpty()
             self._node = os.ttyname(slave)
             tty.setraw(slave)
-            if self.baudrate is not None:
-                _set_rate(slave, self.baudrate)  # a host that sets no rate is right by chance, as at a bench
+            _set_rate(slave, self.baudrate)  # a host that sets no rate is right by chance, as at a bench
             os.close(slave)  # from here on the master hangs up while no host has the port open
             os.set_blocking(self._master, False)
             self._sampler = None
@@ -210,47 +201,29 @@ class VirtualPort:
                     free_at = time.monotonic()
                 if self._closing:
                     return
-                size, duration_s = self._next_chunk()
-            free_at += duration_s
+                rate = self.baudrate / BITS_PER_BYTE
+                size = min(len(self._backlog), math.ceil(rate * CHUNK_S))
+            free_at += size / rate
             time.sleep(max(free_at - time.monotonic(), 0.0))
             with self._changed:
                 data = bytes(self._backlog[:size])  # shorter when the cable was pulled meanwhile
-                done = self._deliver(data)
-                del self._backlog[:done]
+                self._deliver(data)
+                del self._backlog[:size]
                 self._changed.notify_all()
-            if done < len(data):
-                time.sleep(CHUNK_S)
 
-    def _next_chunk(self) -> tuple[int, float]:
-        if self.baudrate is None:
-            return UNPACED_CHUNK, 0.0
-        rate = self.baudrate / BITS_PER_BYTE
-        size = min(len(self._backlog), math.ceil(rate * CHUNK_S))
-        return size, size / rate
-
-    def _deliver(self, data: bytes) -> int:
-        """Hand bytes to the host; return how many are dealt with, delivered or not."""
+    def _deliver(self, data: bytes) -> None:
+        """Hand bytes to the host, if there is one and it has room."""
         if self._master is None or not self.host_listens():
             self.bytes_lost += len(data)
-            return len(data)
-        sampled = self._as_sampled(data)
-        taken = 0
+            return
+        sampled, taken = self._as_sampled(data), 0
         with contextlib.suppress(BlockingIOError):
             taken = os.write(self._master, sampled)
-        now = time.monotonic()
-        if taken:
-            self._taken_at = now
-        if self.baudrate is None and taken < len(data) and now - self._taken_at < UNPACED_PATIENCE_S:
-            self.bytes_sent += taken
-            return taken
         self.bytes_overrun += len(sampled) - taken
         self.bytes_sent += len(data)
-        return len(data)
 
     def _as_sampled(self, data: bytes) -> bytes:
         """Return the bytes that a host sees that samples the line at the rate it has set."""
-        if self.baudrate is None:
-            return data
         ratio = self.baudrate / max(self.host_baudrate(), 1)
         if abs(ratio - 1) <= SAMPLING_TOLERANCE:
             self._sampler = None
@@ -263,22 +236,6 @@ class VirtualPort:
         self.bytes_lost += len(self._backlog)
         self._backlog.clear()
         self._changed.notify_all()
-
-    def _wait_until_read(self, timeout_s: float = 1.0) -> None:
-        """Wait until the host has read what it was sent; the node tells how much is waiting."""
-        if not self.host_listens():
-            return
-        try:
-            slave = os.open(self._node, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-        except OSError:  # exclusive use; the bytes are in its buffer, so time has to do
-            time.sleep(0.1)
-            return
-        end = time.monotonic() + timeout_s
-        waiting = array.array("i", [1])
-        while waiting[0] and time.monotonic() < end:
-            time.sleep(CHUNK_S)
-            fcntl.ioctl(slave, termios.FIONREAD, waiting)
-        os.close(slave)
 
 
 class Sampler:

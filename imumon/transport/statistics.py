@@ -30,7 +30,6 @@ class LinkStatistics:
         self._buckets: deque[tuple[int, int]] = deque()  # number of the 0.1 s, bytes in it
         self._first_bucket: int | None = None
         self._warning = False
-        self._peak_bytes = 0
         self.bytes_total = 0
 
     def add(self, n_bytes: int, time_ns: int) -> None:
@@ -42,7 +41,6 @@ class LinkStatistics:
         if self._buckets and self._buckets[-1][0] == bucket:
             in_bucket += self._buckets.pop()[1]
         self._buckets.append((bucket, in_bucket))
-        self._peak_bytes = max(self._peak_bytes, in_bucket)
         self.bytes_total += n_bytes
         self._forget(bucket)
 
@@ -74,11 +72,6 @@ class LinkStatistics:
         if load is not None and now_ns // BUCKET_NS - (self._first_bucket or 0) > WINDOW_BUCKETS:
             self._warning = load > (CALM_BELOW if self._warning else WARN_ABOVE)
         return self._warning
-
-    @property
-    def peak_bytes_per_s(self) -> float:
-        """Largest arrival within 0.1 s, as a rate; an adapter that sends in bursts exceeds the line's."""
-        return self._peak_bytes / (BUCKET_NS * 1e-9)
 
     def _forget(self, bucket: int) -> None:
         while self._buckets and self._buckets[0][0] < bucket - WINDOW_BUCKETS:

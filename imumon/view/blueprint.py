@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import rerun as rr
 import rerun.blueprint as rrb
 
-from imumon.charts import Chart
 from imumon.view.chart import chart_view
 from imumon.view.items import ViewSetup
 from imumon.view.layout import LINK, OTHER, SCENE, STRIPS, Panel, Window, last_seconds, series_view
@@ -21,56 +19,50 @@ EVERYTHING = Window(None, rrb.TimeAxis(view_range=rr.TimeRange(start=_ENDLESS, e
 
 
 @dataclass(frozen=True, slots=True)
-class Extras:
-    """Whether there are states, log lines, a status card, columns that no panel draws."""
+class Contents:
+    """What there is to see.
 
+    Parameters
+    ----------
+    panels : tuple of Panel
+        Those that have data.
+    charts : tuple of (place, key, title)
+        Those that have been drawn.
+    lanes, log, status, others : bool
+        Whether there are states, log lines, a status card, columns that no panel draws.
+    """
+
+    panels: tuple[Panel, ...]
+    charts: tuple[tuple[str, str, str], ...]
     lanes: bool
     log: bool
     status: bool
     others: bool
 
     def __bool__(self) -> bool:
-        """Tell whether there is any of it."""
-        return self.lanes or self.log or self.status or self.others
+        """Tell whether there is anything besides charts."""
+        return bool(self.panels) or self.lanes or self.log or self.status or self.others
 
 
-def blueprint(
-    setup: ViewSetup,
-    panels: Sequence[Panel],
-    *,
-    charts: Sequence[Chart] = (),
-    timeline: str,
-    live: bool,
-    extras: Extras,
-) -> rrb.Blueprint:
+def blueprint(setup: ViewSetup, contents: Contents, timeline: str, *, live: bool) -> rrb.Blueprint:
     """Return the blueprint for what has come so far.
 
     Parameters
     ----------
-    panels : sequence of Panel
-        Those that have data.
-    charts : sequence of Chart
-        Those that have been drawn.
     timeline : str
         The one to follow.
     live : bool
         True to follow the last seconds, False for a recording: everything, with the time panel open.
-    extras : Extras
     """
     window = last_seconds(setup.window_s) if live else EVERYTHING
     views: dict[str, list[Any]] = {SCENE: [], STRIPS: [], LINK: []}
-    scenes = 0
-    for panel in panels:
-        if panel.place == SCENE:
-            scenes += 1
-            if scenes > 1:
-                continue
+    for panel in contents.panels:
         views.setdefault(panel.place, []).append(panel.view(setup, window))
-    for chart in charts:
-        views.setdefault(chart.place, []).append(chart_view(chart.key, chart.title))
-    if extras.others:
+    for place, key, title in contents.charts:
+        views.setdefault(place, []).append(chart_view(key, title))
+    if contents.others:
         views["Other"] = [series_view(OTHER, "Columns without a panel of their own", window)]
-    first = _first_tab("Live" if live else "Recording", views, window, extras)
+    first = _first_tab("Live" if live else "Recording", views, window, contents)
     tabs = [_tab(place, views[place]) for place in views if place not in (SCENE, STRIPS, LINK)]
     return rrb.Blueprint(
         rrb.Tabs(first, *tabs, active_tab=0),
@@ -96,17 +88,17 @@ def _tab(name: str, views: list[Any]) -> Any:
     return rrb.Horizontal(*columns, name=name)
 
 
-def _first_tab(name: str, views: dict[str, list[Any]], window: Window, extras: Extras) -> Any:
+def _first_tab(name: str, views: dict[str, list[Any]], window: Window, contents: Contents) -> Any:
     left: list[tuple[float, Any]] = [(3.0, view) for view in views[SCENE]]
-    if extras.status:
+    if contents.status:
         left.append((2.2, rrb.TextDocumentView(origin="/status", name="Status")))
     right: list[tuple[float, Any]] = [(1.0, view) for view in views[LINK]]
-    if extras.lanes:
+    if contents.lanes:
         states = rrb.StateTimelineView(
             origin="/state", name="States", time_ranges=window.ranges, time_view=window.axis
         )
         right.append((1.6, states))
-    if extras.log:
+    if contents.log:
         right.append((1.6, rrb.TextLogView(origin="/log", name="Log", columns=LOG_COLUMNS)))
     middle = [(1.0, view) for view in views[STRIPS]]
     columns = [(share, part) for share, part in ((3.0, left), (4.6, middle), (3.2, right)) if part]

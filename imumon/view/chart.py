@@ -71,13 +71,10 @@ def declare_chart(rec: rr.RecordingStream, chart: Chart) -> None:
     )
     rec.log(f"{root}/marks", marks, static=True)
     for curve in chart.curves:
-        path, radius, colors = _path(root, curve), rr.Radius.ui_points(curve.width / 2), [list(curve.color)]
-        if curve.points:
-            rec.log(path, rr.Points2D.from_fields(colors=colors, radii=radius, draw_order=50.0), static=True)
-        else:
-            rec.log(
-                path, rr.LineStrips2D.from_fields(colors=colors, radii=radius, draw_order=50.0), static=True
-            )
+        radius, colors = rr.Radius.ui_points(curve.width / 2), [list(curve.color)]
+        kind = rr.Points2D if curve.points else rr.LineStrips2D
+        look = kind.from_fields(colors=colors, radii=radius, draw_order=50.0)
+        rec.log(_path(root, curve), look, static=True)
         # The legend: a line of text in the curve's colour needs an entity of its own.
         if curve.listed:
             rec.log(_path(f"{root}/legend", curve), _legend(chart, curve), static=True)
@@ -90,16 +87,14 @@ def log_chart(rec: rr.RecordingStream, chart: Chart, indexes: list[rr.TimeColumn
     root = f"{CHARTS}/{chart.key}"
     _log_frame(rec, root, chart, x, y, indexes)
     for curve in chart.curves:
-        path = _path(root, curve)
         places = np.column_stack([x.place(curve.x) * WIDTH, -y.place(curve.y) * HEIGHT])
         if curve.points:
-            kept = places[np.isfinite(places).all(axis=1)]
-            points = rr.Points2D.columns(positions=kept)
-            rec.send_columns(path, indexes=indexes, columns=points.partition([len(kept)]))
+            parts: Any = places[np.isfinite(places).all(axis=1)]
+            drawn = rr.Points2D.columns(positions=parts)
         else:
-            strips = _strips(places)
-            lines = rr.LineStrips2D.columns(strips=strips)
-            rec.send_columns(path, indexes=indexes, columns=lines.partition([len(strips)]))
+            parts = _strips(places)
+            drawn = rr.LineStrips2D.columns(strips=parts)
+        rec.send_columns(_path(root, curve), indexes=indexes, columns=drawn.partition([len(parts)]))
 
 
 def chart_view(key: str, title: str) -> Any:

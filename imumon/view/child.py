@@ -7,19 +7,17 @@ Run as ``python -m imumon.view.child`` by `imumon.view.publisher`.
 from __future__ import annotations
 
 import os
-import select
 import signal
 import sys
 import threading
 import time
 import traceback
-from typing import BinaryIO
+from multiprocessing.connection import Connection
 
 import psutil
 
 from imumon.errors import ImumonError
-from imumon.view import frames
-from imumon.view.frames import Batch, Close, ReplayRequest, Report, Start
+from imumon.view.frames import Batch, ReplayRequest, Report, Start
 
 POLL_S = 0.5
 PARENT_S = 1.0
@@ -35,11 +33,11 @@ class Child:
     ----------
     start : Start
         What to show and where.
-    out : binary file
+    out : Connection
         Where reports and requests go.
     """
 
-    def __init__(self, start: Start, out: BinaryIO) -> None:
+    def __init__(self, start: Start, out: Connection) -> None:
         # Start the viewer first: it comes up while the library loads.
         from imumon.view.links import NativeLink, WebLink
 
@@ -55,7 +53,7 @@ class Child:
         self._logger = StreamLogger(self._rec, start.setup, live=True)
         self._delivered = -1
         self._request = 0
-        self._awaiting = 0
+        self._answered = True
 
     def poll(self) -> None:
         """Look after the viewer; ask for what it has not seen."""
@@ -66,17 +64,15 @@ class Child:
             self._delivered = -1
             self._logger.begin()
         self._request += 1
-        self._awaiting = self._request
-        self._send(ReplayRequest(self._request, self._delivered))
+        self._answered = False
+        self._out.send(ReplayRequest(self._request, self._delivered))
 
-    def take(self, frame: frames.Frame) -> None:
+    def take(self, batch: Batch) -> None:
         """Log a batch, unless nobody would see it or it is asked for again anyway."""
-        if isinstance(frame, frames.Replay):
-            if frame.request == self._awaiting:
-                self._awaiting = 0
-        elif isinstance(frame, Batch) and self._link.connected and not self._awaiting:
-            self._logger.log(frame.items)
-            self._delivered = frame.number
+        self._answered = self._answered or batch.answers == self._request
+        if self._answered and self._link.connected:
+            self._logger.log(batch.items)
+            self._delivered = batch.number
 
     def close(self) -> None:
         """Hand over what is left, within `GOODBYE_S`."""
@@ -86,34 +82,24 @@ class Child:
     def _report(self, report: Report) -> None:
         if report != self._reported:
             self._reported = report
-            self._send(report)
-
-    def _send(self, message: frames.Message) -> None:
-        self._out.write(frames.encode(message))
-        self._out.flush()
+            self._out.send(report)
 
 
-def run(stream: BinaryIO, out: BinaryIO) -> None:
-    """Take frames until the stream ends or says so."""
-    start = frames.read(stream)
-    if not isinstance(start, Start):
-        return
-    child = Child(start, out)
+def run(stream: Connection, out: Connection) -> None:
+    """Take batches until the stream ends."""
+    child = Child(stream.recv(), out)
     next_poll = 0.0
     while True:
         if time.monotonic() >= next_poll:
             child.poll()
             next_poll = time.monotonic() + POLL_S
-        if not select.select([stream], [], [], POLL_S / 2)[0]:
-            continue
-        frame = frames.read(stream)
-        if frame is None:
-            return
-        if isinstance(frame, Close):
-            child.close()
-            return
-        if not isinstance(frame, (Start, Report, ReplayRequest)):
-            child.take(frame)
+        if stream.poll(POLL_S / 2):
+            try:
+                batch = stream.recv()
+            except EOFError:
+                child.close()
+                return
+            child.take(batch)
 
 
 def watch(parent: int) -> None:
@@ -129,17 +115,16 @@ def watch(parent: int) -> None:
 def main() -> None:
     """Run, then leave without Rerun's own clean-up, which waits for a stuck viewer without end."""
     threading.Thread(target=watch, args=(os.getppid(),), daemon=True).start()
-    stream = os.fdopen(sys.stdin.fileno(), "rb", buffering=0, closefd=False)
-    out = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
+    stream = Connection(os.dup(sys.stdin.fileno()), writable=False)
+    out = Connection(os.dup(sys.stdout.fileno()), readable=False)
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # a library that prints must not disturb the frames
     code = 1
     try:
         run(stream, out)
         code = 0
     except ImumonError as error:
-        out.write(frames.encode(Report(error.seen, False, 0, 0, "")))
-        out.flush()
-    except (RuntimeError, OSError) as error:
+        out.send(Report(error.seen, False, 0, 0, ""))
+    except (RuntimeError, OSError, EOFError) as error:
         sys.stderr.write(f"{error}\n")
     except BaseException:
         traceback.print_exc()

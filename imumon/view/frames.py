@@ -1,16 +1,11 @@
-"""What the measuring process and the view process say to each other over two pipes."""
+"""What the measuring process and the view process say to each other over two pipes, pickled."""
 
 from __future__ import annotations
 
-import pickle
-import struct
 from dataclasses import dataclass
-from typing import BinaryIO
 
 from imumon.view.items import ViewItem, ViewSetup
 from imumon.view.viewer import LOCALHOST, VIEWER_PORT, WEB_PORT, Mode
-
-HEADER = struct.Struct("<Q")
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,25 +29,15 @@ class Start:
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """Items, numbered by the batch that they came in."""
+    """Items, numbered by the batch that they came in; the answer to a `ReplayRequest` bears its number."""
 
     number: int
     items: list[ViewItem]
+    answers: int | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Replay:
-    """The history that request `request` asked for follows."""
-
-    request: int
-
-
-@dataclass(frozen=True, slots=True)
-class Close:
-    """Flush and end."""
-
-
-Frame = Start | Batch | Replay | Close
+Frame = Start | Batch
+"""What the measuring process sends; the end of the pipe says to flush and end."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,42 +65,11 @@ class Report:
 
 @dataclass(frozen=True, slots=True)
 class ReplayRequest:
-    """Please send all batches after `after` again, announced by a `Replay` of this number."""
+    """Please send all batches after `after` again, as one that answers `request`."""
 
     request: int
     after: int
 
 
 Message = Report | ReplayRequest
-
-
-def encode(value: Frame | Message) -> bytes:
-    """Return a frame as bytes: length, then pickle."""
-    body = pickle.dumps(value, protocol=5)
-    return HEADER.pack(len(body)) + body
-
-
-def read(stream: BinaryIO) -> Frame | Message | None:
-    """Return the next frame, or None at the end of the stream.
-
-    Both ends are this program, so what is read can be trusted.
-    """
-    header = _exactly(stream, HEADER.size)
-    if header is None:
-        return None
-    body = _exactly(stream, HEADER.unpack(header)[0])
-    if body is None:
-        return None
-    value: Frame | Message = pickle.loads(body)
-    return value
-
-
-def _exactly(stream: BinaryIO, size: int) -> bytearray | None:
-    """Read from an unbuffered pipe, which hands out less than is asked for."""
-    data = bytearray()
-    while len(data) < size:
-        part = stream.read(min(size - len(data), 1 << 20))
-        if not part:
-            return None
-        data += part
-    return data
+"""What the view process sends."""

@@ -7,10 +7,10 @@ person reads another unit (°/s, °, %) the converted values go to ``/view/<pane
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -18,17 +18,23 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from imumon.blocks import ColumnArray, FloatArray, IntArray
-from imumon.charts import AXIS_COLORS, GREY, Color
+from imumon.charts import GREY, Color
 from imumon.columns import KNOWN
 from imumon.view.items import ViewSetup
 
 SCENE, STRIPS, LINK = "scene", "strips", "link"
 """Places in the first tab; any other place is a tab of that name."""
+OTHER = "/samples/other"
+"""Float columns that no panel draws: one entity each, in a tab of their own."""
+INTEGERS = "/samples/integers"
+"""Integer columns (device time as sent, counters, status), exact, for those who read the recording."""
 
-ROOT_ATTITUDE = "/attitude"
-BODY = f"{ROOT_ATTITUDE}/body"
-ATTITUDE_STEP_NS = 20_000_000
-"""The body is redrawn at the most 50 times a second; every quaternion is in ``/samples/attitude``."""
+SLOW_WINDOW_S = 600.0
+"""What is drawn with a band is slow: so many seconds are shown at least."""
+BAND_STEP_NS = 200_000_000
+"""Estimates with a band are logged at the most five times a second; a replay gives every value."""
+TWO_SIGMA = 4.0
+"""Rerun draws a band of one square root of the variance on either side."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,36 +97,29 @@ def last_seconds(seconds: float) -> Window:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class Panel:
-    """One view, and how its data gets there.
+class Panel(Protocol):
+    """One view, and how its data gets there."""
 
-    Parameters
-    ----------
-    key : str
-        Unique; the last part of the entity paths.
-    place : str
-        `SCENE`, `STRIPS`, `LINK`, or the name of a tab.
-    columns : tuple of str
-        All of these must be there, with a finite value somewhere, for the panel to appear.
-    declare : callable
-        Logs what does not change: names, colours, bodies.
-    log : callable
-        Logs rows.
-    view : callable
-        Makes the view for the blueprint.
-    """
+    @property
+    def key(self) -> str:
+        """Unique; the last part of the entity paths."""
 
-    key: str
-    place: str
-    columns: tuple[str, ...]
-    declare: Callable[[rr.RecordingStream], None]
-    log: Callable[[rr.RecordingStream, Rows], None]
-    view: Callable[[ViewSetup, Window], Any]
+    @property
+    def place(self) -> str:
+        """`SCENE`, `STRIPS`, `LINK`, or the name of a tab."""
 
-    def fed_by(self, columns: Mapping[str, ColumnArray]) -> bool:
-        """Tell whether all columns of the panel are among these."""
-        return all(name in columns for name in self.columns)
+    @property
+    def columns(self) -> Sequence[str]:
+        """All of these must be there, with a finite value somewhere, for the panel to appear."""
+
+    def declare(self, rec: rr.RecordingStream) -> None:
+        """Log what does not change: names, colours, bodies."""
+
+    def log(self, rec: rr.RecordingStream, rows: Rows) -> None:
+        """Log rows."""
+
+    def view(self, setup: ViewSetup, window: Window) -> Any:
+        """Return the view for the blueprint."""
 
 
 UNIT_TEXT = {"rad/s": "rad/s", "m/s^2": "m/s²", "uT": "µT", "degC": "°C", "arbitrary": "a.u."}
@@ -138,86 +137,133 @@ def unit_text(setup: ViewSetup, column: str) -> str:
     return "" if unit == "1" else UNIT_TEXT.get(unit, unit)
 
 
-def titled(name: str, unit: str) -> str:
-    """Return a title with its unit in brackets."""
-    return f"{name} [{unit}]" if unit else name
+@dataclass(frozen=True, slots=True)
+class Line:
+    """One line of a panel: its column, its name in the legend, its colour, the column of its sigma."""
+
+    column: str
+    name: str
+    color: Color
+    sd: str | None = None
 
 
-def strip(
-    key: str,
-    title: str,
-    series: Mapping[str, str],
-    *,
-    colors: Sequence[Color] = tuple(AXIS_COLORS.values()),
-    shown: str | None = None,
-    place: str = STRIPS,
-    steps: bool = False,
-    y_range: tuple[float, float] | None = None,
-    beside: str | None = None,
-    limits: tuple[float, float] | None = None,
-    sparse: bool = False,
-) -> Panel:
-    """Return a panel that draws columns over time.
+@dataclass(frozen=True, slots=True)
+class Strip:
+    """A panel that draws columns over time.
 
     Parameters
     ----------
-    series : mapping of str to str
-        Column to name in the legend.
-    shown : str, optional
+    unit : str, optional
         Draw the values in this unit of `FACTORS`, and keep the exact ones in ``/samples`` all the same.
-    steps : bool
-        Hold each value until the next instead of joining them by straight lines.
-    y_range : (low, high), optional
-        Fixed range of the y axis; it follows the data otherwise.
+    look : "lines", "steps" or "points"
+        Join the values by straight lines, or hold each until the next; or draw points and log only the rows
+        that have a value, where most have none.
     beside : str, optional
         Entity of another panel, drawn in the same view.
+    y_range : (low, high), optional
+        Fixed range of the y axis; it follows the data otherwise.
     limits : (low, high), optional
         Two level lines, in the unit that is drawn.
-    sparse : bool
-        Most rows have no value: draw points, and log only rows that have one.
     """
-    names = tuple(series)
-    exact, drawn = f"/samples/{key}", f"/view/{key}" if shown else f"/samples/{key}"
 
-    def declare(rec: rr.RecordingStream) -> None:
+    key: str
+    title: str
+    lines: tuple[Line, ...]
+    unit: str | None = None
+    place: str = STRIPS
+    look: Literal["lines", "steps", "points"] = "lines"
+    beside: str | None = None
+    y_range: tuple[float, float] | None = None
+    limits: tuple[float, float] | None = None
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """The columns that are drawn, and those of their sigmas."""
+        return tuple(name for line in self.lines for name in (line.column, line.sd) if name is not None)
+
+    @property
+    def exact(self) -> str:
+        """Entity of the exact values."""
+        return f"/samples/{self.key}"
+
+    @property
+    def drawn(self) -> str:
+        """Entity of what is drawn."""
+        return self.exact if self.unit is None else f"/view/{self.key}"
+
+    def declare(self, rec: rr.RecordingStream) -> None:
+        """Log names, colours and styles."""
         style: Any = {
-            "names": list(series.values()),
-            "colors": [list(color) for color in colors[: len(names)]],
+            "names": [line.name for line in self.lines],
+            "colors": [list(line.color) for line in self.lines],
         }
-        if sparse:
-            look: Any = rr.SeriesPoints(**style, marker_sizes=[2.0] * len(names))
+        if self.look == "points":
+            look: Any = rr.SeriesPoints(**style, marker_sizes=[2.0] * len(self.lines))
         else:
-            mode = rr.components.InterpolationMode.StepAfter if steps else None
-            look = rr.SeriesLines(**style, widths=[1.6] * len(names), interpolation_mode=mode)
-        rec.log(drawn, look, static=True)
-        if limits:
+            mode = rr.components.InterpolationMode.StepAfter if self.look == "steps" else None
+            look = rr.SeriesLines(**style, widths=[1.6] * len(self.lines), interpolation_mode=mode)
+        rec.log(self.drawn, look, static=True)
+        if self.limits:
             grey = rr.SeriesLines(names=["limit"] * 2, colors=[list(GREY)] * 2, widths=[1.0] * 2)
-            rec.log(f"{drawn}/limits", grey, static=True)
+            rec.log(f"{self.drawn}/limits", grey, static=True)
 
-    def log(rec: rr.RecordingStream, rows: Rows) -> None:
-        values = rows.matrix(names)
-        if sparse:
+    def log(self, rec: rr.RecordingStream, rows: Rows) -> None:
+        """Log the exact values, and those in the unit that is drawn."""
+        values = rows.matrix(self.columns)
+        if self.look == "points":
             kept: Any = np.isfinite(values).any(axis=1)
             if not kept.any():
                 return
             values, rows = values[kept], rows.kept(kept)
-        indexes = rows.indexes
-        rec.send_columns(exact, indexes=indexes, columns=rr.Scalars.columns(scalars=values))
-        if shown:
-            scaled = rr.Scalars.columns(scalars=values * FACTORS[shown])
-            rec.send_columns(drawn, indexes=indexes, columns=scaled)
-        if limits:
+        rec.send_columns(self.exact, indexes=rows.indexes, columns=rr.Scalars.columns(scalars=values))
+        if self.unit is not None:
+            scaled = rr.Scalars.columns(scalars=values * FACTORS[self.unit])
+            rec.send_columns(self.drawn, indexes=rows.indexes, columns=scaled)
+        if self.limits:
             ends = np.zeros(len(values), np.bool_)
             ends[[0, -1]] = True
-            levels = np.tile(limits, (int(ends.sum()), 1))
-            lines = rr.Scalars.columns(scalars=levels)
-            rec.send_columns(f"{drawn}/limits", indexes=rows.kept(ends).indexes, columns=lines)
+            levels = rr.Scalars.columns(scalars=np.tile(self.limits, (int(ends.sum()), 1)))
+            rec.send_columns(f"{self.drawn}/limits", indexes=rows.kept(ends).indexes, columns=levels)
 
-    def view(setup: ViewSetup, window: Window) -> Any:
-        unit = shown or unit_text(setup, names[0])
-        return series_view(drawn, titled(title, unit), window, y_range, beside)
+    def view(self, setup: ViewSetup, window: Window) -> Any:
+        """Return the view, its unit in the title."""
+        unit = unit_text(setup, self.lines[0].column) if self.unit is None else self.unit
+        title = f"{self.title} [{unit}]" if unit else self.title
+        return series_view(self.drawn, title, window, self.y_range, self.beside)
 
-    return Panel(key, place, names, declare, log, view)
+
+@dataclass(frozen=True, slots=True)
+class Bands(Strip):
+    """A panel that draws estimates inside their 2σ bands over the last ten minutes, in a `unit`."""
+
+    def declare(self, rec: rr.RecordingStream) -> None:
+        """Log names and colours; each band is an entity of its own."""
+        rec.log(self.exact, rr.SeriesLines(names=list(self.columns)), static=True)
+        for line in self.lines:
+            style = rr.Measurements.from_fields(names=[line.name], colors=[list(line.color)], widths=[1.6])
+            rec.log(f"{self.drawn}/{line.name}", style, static=True)
+
+    def log(self, rec: rr.RecordingStream, rows: Rows) -> None:
+        """Log some of the exact values, and the bands, five times a second."""
+        due = rows.thinned(BAND_STEP_NS)
+        scalars = rr.Scalars.columns(scalars=rows.matrix(self.columns)[due])
+        rec.send_columns(self.exact, indexes=rows.kept(due).indexes, columns=scalars)
+        factor = FACTORS[self.unit or ""]
+        for line in self.lines:
+            value = factor * rows.columns[line.column]
+            sd = np.zeros_like(value) if line.sd is None else factor * rows.columns[line.sd]
+            keep = due & np.isfinite(value) & np.isfinite(sd)
+            if keep.any():
+                measured = rr.Measurements.columns(values=value[keep], variances=TWO_SIGMA * sd[keep] ** 2)
+                rec.send_columns(
+                    f"{self.drawn}/{line.name}", indexes=rows.kept(keep).indexes, columns=measured
+                )
+
+    def view(self, setup: ViewSetup, window: Window) -> Any:
+        """Return the view; live it shows ten minutes at least."""
+        if window.ranges is not None:
+            window = last_seconds(max(SLOW_WINDOW_S, setup.window_s))
+        return Strip.view(self, setup, window)
 
 
 def series_view(
@@ -237,122 +283,3 @@ def series_view(
         axis_y=rrb.ScalarAxis(range=y_range) if y_range else None,
         plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop),
     )
-
-
-@dataclass(frozen=True, slots=True)
-class Reference:
-    """What a body is drawn in: its entity, the title of the view, names of the axes.
-
-    `up` says which way the third axis points, 1 or -1; None: as the device's axes do.
-    """
-
-    root: str
-    title: str
-    axes: tuple[str, str, str]
-    up: float | None = None
-
-
-DEVICE = Reference(ROOT_ATTITUDE, "Attitude: body in the device's reference frame", ("X", "Y", "Z"))
-EARTH = Reference(
-    "/attitude_estimate", "Attitude by the estimator: the device sends none", ("east", "north", "up"), up=1.0
-)
-
-
-def attitude(
-    key: str,
-    columns: tuple[str, ...],
-    quaternions: Callable[[FloatArray], FloatArray],
-    reference: Reference = DEVICE,
-) -> Panel:
-    """Return a panel that turns a solid body; `quaternions` makes x, y, z, w of the columns, (n, 4)."""
-    body = f"{reference.root}/body"
-
-    def declare(rec: rr.RecordingStream) -> None:
-        rec.log(f"/samples/{key}", rr.SeriesLines(names=list(columns)), static=True)
-        draw_body(rec, body)
-        draw_reference(rec, reference)
-
-    def log(rec: rr.RecordingStream, rows: Rows) -> None:
-        values = rows.matrix(columns)
-        rec.send_columns(f"/samples/{key}", indexes=rows.indexes, columns=rr.Scalars.columns(scalars=values))
-        keep: Any = np.isfinite(values).all(axis=1) & rows.thinned(ATTITUDE_STEP_NS)
-        if keep.any():
-            turned = rr.Transform3D.columns(quaternion=quaternions(values[keep]))
-            rec.send_columns(body, indexes=rows.kept(keep).indexes, columns=turned)
-
-    def view(setup: ViewSetup, window: Window) -> Any:  # noqa: ARG001 - a scene has no time axis
-        up = reference.up or (-1.0 if setup.z_down else 1.0)
-        return attitude_view(reference, up)
-
-    return Panel(key, SCENE, columns, declare, log, view)
-
-
-def draw_body(rec: rr.RecordingStream, body: str) -> None:
-    """Log the housing with its connector, and its axes."""
-    housing = rr.Boxes3D(
-        centers=[[0.0, 0.0, 0.0], [-0.62, 0.0, 0.0], [0.42, 0.0, 0.0]],
-        half_sizes=[[0.5, 0.34, 0.13], [0.12, 0.12, 0.07], [0.05, 0.3, 0.135]],
-        colors=[[95, 105, 125], [200, 165, 70], [230, 230, 235]],
-        fill_mode="solid",
-    )
-    rec.log(f"{body}/housing", housing, static=True)
-    axes = np.eye(3)
-    body_axes = rr.Arrows3D(
-        origins=0.1 * axes,
-        vectors=0.95 * axes,
-        colors=[list(color) for color in AXIS_COLORS.values()],
-        labels=["x", "y", "z"],
-        radii=0.022,
-    )
-    rec.log(f"{body}/axes", body_axes, static=True)
-
-
-def draw_reference(rec: rr.RecordingStream, reference: Reference) -> None:
-    """Log the axes that the body turns in."""
-    if reference.up is not None:
-        rec.log(reference.root, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    arrows = rr.Arrows3D(
-        vectors=1.5 * np.eye(3),
-        colors=[list(GREY)],
-        labels=list(reference.axes),
-        radii=0.008,
-        show_labels=True,
-    )
-    rec.log(f"{reference.root}/reference", arrows, static=True)
-
-
-def attitude_view(reference: Reference, up: float) -> Any:
-    """Return the 3-D view, seen from above and ahead whichever way the third axis points."""
-    return rrb.Spatial3DView(
-        origin=reference.root,
-        name=reference.title,
-        line_grid=rrb.LineGrid3D(visible=True, spacing=0.5, color=[*GREY, 60]),
-        eye_controls=rrb.EyeControls3D(
-            position=[1.8, up * 1.7, up * 1.2], look_target=[0, 0, 0.08 * up], eye_up=[0, 0, up]
-        ),
-    )
-
-
-def from_wxyz(values: FloatArray) -> FloatArray:
-    """Return quaternions x, y, z, w from w, x, y, z, shape (n, 4)."""
-    return np.ascontiguousarray(values[:, [1, 2, 3, 0]])
-
-
-def from_euler(values: FloatArray) -> FloatArray:
-    """Return quaternions x, y, z, w, (n, 4), from roll, pitch, yaw in rad (turns about z, then y, then x)."""
-    cr, cp, cy = np.cos(values / 2).T
-    sr, sp, sy = np.sin(values / 2).T
-    return np.column_stack(
-        [
-            sr * cp * cy - cr * sp * sy,
-            cr * sp * cy + sr * cp * sy,
-            cr * cp * sy - sr * sp * cy,
-            cr * cp * cy + sr * sp * sy,
-        ]
-    )
-
-
-OTHER = "/samples/other"
-"""Float columns that no panel draws: one entity each, in a tab of their own."""
-INTEGERS = "/samples/integers"
-"""Integer columns (device time as sent, counters, status), exact, for those who read the recording."""

@@ -9,7 +9,8 @@ import rerun as rr
 
 from imumon.blocks import NO_INT, ColumnArray
 from imumon.charts import Chart
-from imumon.view.blueprint import Extras, blueprint
+from imumon.view.attitude import DEVICE
+from imumon.view.blueprint import Contents, blueprint
 from imumon.view.chart import declare_chart, log_chart
 from imumon.view.items import (
     Drawing,
@@ -23,7 +24,7 @@ from imumon.view.items import (
     ViewSetup,
     lasting_key,
 )
-from imumon.view.layout import INTEGERS, OTHER, ROOT_ATTITUDE, SCENE, Panel, Rows
+from imumon.view.layout import INTEGERS, OTHER, SCENE, Panel, Rows
 from imumon.view.panels import PANELS
 
 APPLICATION_ID = "imumon"
@@ -82,7 +83,7 @@ class StreamLogger:
         self._early: list[Event] = []
         self._has_log = False
         self._timeline = "host_time"
-        self._arranged: object = None
+        self._arranged: tuple[Contents, str] | None = None
 
     def begin(self, *, arrange: bool = True) -> None:
         """Log what does not change (name, properties, styles, arrangement), and the latest states.
@@ -95,7 +96,7 @@ class StreamLogger:
         if setup.properties:
             rec.send_property("session", rr.AnyValues(True, **setup.properties))
         down = rr.ViewCoordinates.RIGHT_HAND_Z_DOWN
-        rec.log(ROOT_ATTITUDE, down if setup.z_down else rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        rec.log(DEVICE.root, down if setup.z_down else rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         for panel in self._panels.values():
             panel.declare(rec)
         for name in self._others:
@@ -141,7 +142,7 @@ class StreamLogger:
     def _log_panels(self, rows: Rows) -> set[str]:
         claimed: set[str] = set()
         for panel in PANELS:
-            if not panel.fed_by(rows.columns):
+            if not rows.columns.keys() >= set(panel.columns):
                 continue
             claimed.update(panel.columns)
             if panel.key not in self._panels:
@@ -245,22 +246,17 @@ class StreamLogger:
 
     def _arrange(self) -> None:
         """Send the blueprint when what there is to see has changed."""
-        shown = frozenset(self._panels)
-        extras = Extras(bool(self._lanes), self._has_log, "status" in self._lasting, bool(self._others))
-        arranged = (shown, extras, frozenset(self._charts), self._timeline)
-        if arranged == self._arranged or not (shown or extras):
-            return
-        self._arranged = arranged
-        self._rec.send_blueprint(
-            blueprint(
-                self._setup,
-                [panel for panel in PANELS if panel.key in shown],
-                charts=list(self._charts.values()),
-                timeline=self._timeline,
-                live=self._live,
-                extras=extras,
-            )
+        contents = Contents(
+            panels=tuple(panel for panel in PANELS if panel.key in self._panels),
+            charts=tuple((chart.place, chart.key, chart.title) for chart in self._charts.values()),
+            lanes=bool(self._lanes),
+            log=self._has_log,
+            status="status" in self._lasting,
+            others=bool(self._others),
         )
+        if contents and (contents, self._timeline) != self._arranged:
+            self._arranged = contents, self._timeline
+            self._rec.send_blueprint(blueprint(self._setup, contents, self._timeline, live=self._live))
 
 
 def status_card(event: Status) -> str:

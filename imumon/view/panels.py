@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from imumon.charts import AXIS_COLORS, BLUE, GREEN, GREY, ORANGE, RED, VIOLET, Color
-from imumon.view.bands import Band, band_panel, with_sd
-from imumon.view.layout import EARTH, LINK, Panel, attitude, from_euler, from_wxyz, strip
+from imumon.view.attitude import EARTH, Attitude
+from imumon.view.layout import LINK, Bands, Line, Panel, Strip
 
 THERMAL = "Temperature"
 """Tab of the temperature estimates."""
@@ -25,20 +25,22 @@ METHODS = "Published"
 """Tab of the published methods that `--published` chooses, each beside the default."""
 
 
-def _axes(name: str) -> dict[str, str]:
-    return {f"{name}_{axis}": axis for axis in "xyz"}
+def _with_sd(column: str, name: str, color: Color) -> Line:
+    """Return an estimate with its standard deviation: ``_sd`` stands before the axis in its column's name."""
+    quantity, _, axis = column.rpartition("_")
+    return Line(column, name, color, f"{quantity}_sd_{axis}" if axis in AXIS_COLORS else f"{column}_sd")
 
 
-def _axis_bands(name: str) -> list[Band]:
-    return [with_sd(f"{name}_{axis}", axis, color) for axis, color in AXIS_COLORS.items()]
+def _axes(name: str) -> tuple[Line, ...]:
+    return tuple(Line(f"{name}_{axis}", axis, color) for axis, color in AXIS_COLORS.items())
 
 
-def _north_and_east(name: str) -> list[Band]:
-    return [Band(f"{name}_east", "east", RED), Band(f"{name}_north", "north", BLUE)]
+def _axes_with_sd(name: str) -> tuple[Line, ...]:
+    return tuple(_with_sd(f"{name}_{axis}", axis, color) for axis, color in AXIS_COLORS.items())
 
 
-def _means_at_rest(axis: str) -> list[Band]:
-    return [Band(f"gyro_rest_mean_{axis}", "mean", VIOLET), Band(f"gyro_rest_hold_{axis}", "hold", GREY)]
+def _means_at_rest(axis: str) -> tuple[Line, ...]:
+    return Line(f"gyro_rest_mean_{axis}", "mean", VIOLET), Line(f"gyro_rest_hold_{axis}", "hold", GREY)
 
 
 def _thermal(suffixes: dict[str, Color], readings: str) -> Iterator[Panel]:
@@ -48,8 +50,8 @@ def _thermal(suffixes: dict[str, Color], readings: str) -> Iterator[Panel]:
         ("temperature_rate", "Temperature rate, 2σ", "°C/h", None),
     )
     for name, title, unit, beside in rows:
-        bands = [with_sd(name + suffix, suffix[1:] or "sensor", color) for suffix, color in suffixes.items()]
-        yield band_panel(name + "".join(suffixes), THERMAL, title, bands, unit, beside=beside)
+        lines = tuple(_with_sd(name + end, end[1:] or "sensor", color) for end, color in suffixes.items())
+        yield Bands(name + "".join(suffixes), title, lines, unit, THERMAL, beside=beside)
 
 
 def _published_temperature(suffix: str, default: str) -> Iterator[Panel]:
@@ -58,188 +60,189 @@ def _published_temperature(suffix: str, default: str) -> Iterator[Panel]:
     for name, title, unit in rows:
         column = f"fir_{name}{suffix}"
         title = f"{title}{suffix.replace('_', ' ')} (fir) beside the default, 2σ"
-        beside = f"/view/{name}{default}/**"
-        yield band_panel(column, METHODS, title, [with_sd(column, "fir", VIOLET)], unit, beside=beside)
+        line = _with_sd(column, "fir", VIOLET)
+        yield Bands(column, title, (line,), unit, METHODS, beside=f"/view/{name}{default}/**")
 
 
 def _published_gyro(method: str, title: str, quantity: str, default: str) -> Iterator[Panel]:
     """Yield the panels of a method, one for each gyro, with the entity of the default beside."""
     for axis, color in AXIS_COLORS.items():
         column = f"{method}_{quantity}_{axis}"
-        bands = [with_sd(column, method, color)]
-        beside = f"/view/{default.format(axis=axis)}/**"
         text = f"{title} {axis} ({method}) beside the default, 2σ"
-        yield band_panel(column, METHODS, text, bands, "°/h", beside=beside)
+        line = _with_sd(column, method, color)
+        yield Bands(column, text, (line,), "°/h", METHODS, beside=f"/view/{default.format(axis=axis)}/**")
 
 
 def _published_heading(method: str, name: str, color: Color) -> Panel:
     """Return the panel of a heading without a sigma."""
     column, title = f"{method}_heading", f"Heading ({method}) beside the default"
-    return band_panel(column, METHODS, title, [Band(column, name, color)], "°", beside="/view/heading/**")
+    return Bands(column, title, (Line(column, name, color),), "°", METHODS, beside="/view/heading/**")
+
+
+def _phi(key: str, title: str, place: str) -> Panel:
+    return Bands(key, title, _axes_with_sd(key), "", place, y_range=(-1.0, 1.0))
 
 
 PANELS: tuple[Panel, ...] = (
-    attitude("attitude", ("q_w", "q_x", "q_y", "q_z"), from_wxyz),
-    attitude("attitude_from_angles", ("roll", "pitch", "yaw"), from_euler),
-    attitude("attitude_estimate", tuple(f"attitude_estimate_{part}" for part in "wxyz"), from_wxyz, EARTH),
-    strip("gyro", "Angular rate", _axes("gyro"), shown="°/s"),
-    strip("accel", "Specific force", _axes("accel")),
-    strip("mag", "Magnetic field", _axes("mag")),
-    strip("angles", "Attitude as reported", {name: name for name in ("roll", "pitch", "yaw")}, shown="°"),
-    strip("temperature", "Temperature", {"temperature": "sensor"}, colors=[ORANGE], steps=True),
-    strip("temperature_axes", "Temperature", _axes("temperature"), steps=True),
+    Attitude("attitude", ("q_w", "q_x", "q_y", "q_z")),
+    Attitude("attitude_from_angles", ("roll", "pitch", "yaw")),
+    Attitude("attitude_estimate", tuple(f"attitude_estimate_{part}" for part in "wxyz"), EARTH),
+    Strip("gyro", "Angular rate", _axes("gyro"), "°/s"),
+    Strip("accel", "Specific force", _axes("accel")),
+    Strip("mag", "Magnetic field", _axes("mag")),
+    Strip(
+        "angles",
+        "Attitude as reported",
+        (Line("roll", "roll", RED), Line("pitch", "pitch", GREEN), Line("yaw", "yaw", BLUE)),
+        "°",
+    ),
+    Strip("temperature", "Temperature", (Line("temperature", "sensor", ORANGE),), look="steps"),
+    Strip("temperature_axes", "Temperature", _axes("temperature"), look="steps"),
     *_thermal({"": ORANGE}, "/samples/temperature"),
     *_thermal({f"_{axis}": color for axis, color in AXIS_COLORS.items()}, "/samples/temperature_axes"),
-    band_panel("gyro_bias", BIAS, "Gyro bias, 2σ", _axis_bands("gyro_bias"), "°/h"),
-    band_panel(
+    Bands("gyro_bias", "Gyro bias, 2σ", _axes_with_sd("gyro_bias"), "°/h", BIAS),
+    Bands(
         "gyro_bias_smoothed",
-        BIAS,
         "Gyro bias with what came later, 2σ",
-        _axis_bands("gyro_bias_smoothed"),
+        _axes_with_sd("gyro_bias_smoothed"),
         "°/h",
+        BIAS,
     ),
-    strip(
+    Strip(
         "gyro_corrected",
         "Angular rate: raw and corrected",
-        {f"gyro_corrected_{axis}": f"corrected {axis}" for axis in "xyz"},
-        colors=[ORANGE, VIOLET, GREY],
-        shown="°/s",
-        place=BIAS,
+        tuple(
+            Line(f"gyro_corrected_{axis}", f"corrected {axis}", color)
+            for axis, color in zip("xyz", (ORANGE, VIOLET, GREY), strict=True)
+        ),
+        "°/s",
+        BIAS,
         beside="/view/gyro",
     ),
-    strip(
+    Strip(
         "zupt_innovation",
         "Zero-velocity innovations over their σ, limits 3σ",
         _axes("zupt_innovation"),
         place=BIAS,
+        look="points",
         limits=(-3.0, 3.0),
-        sparse=True,
     ),
-    band_panel(
+    Bands(
         "attitude_estimate_level",
-        ATTITUDE,
         "Roll and pitch by the estimator, 2σ",
-        [
-            Band(f"attitude_estimate_{name}", name, color, "attitude_estimate_tilt_sd")
+        tuple(
+            Line(f"attitude_estimate_{name}", name, color, "attitude_estimate_tilt_sd")
             for name, color in (("roll", RED), ("pitch", GREEN))
-        ],
+        ),
         "°",
-    ),
-    band_panel(
-        "attitude_estimate_heading",
         ATTITUDE,
+    ),
+    Bands(
+        "attitude_estimate_heading",
         "Heading by the estimator, from magnetic north or free, 2σ",
-        [with_sd("attitude_estimate_heading", "heading", BLUE)],
+        (_with_sd("attitude_estimate_heading", "heading", BLUE),),
         "°",
+        ATTITUDE,
     ),
     # A panel for each axis: beside the turn-on bias of another its drift could not be seen.
     *(
-        band_panel(band.value, BIAS, f"Gyro bias {band.name} less the model's curve, 2σ", [band], "°/h")
-        for band in _axis_bands("gyro_random_error")
+        Bands(line.column, f"Gyro bias {line.name} less the model's curve, 2σ", (line,), "°/h", BIAS)
+        for line in _axes_with_sd("gyro_random_error")
     ),
     *(
-        band_panel(
+        Bands(
             f"gyro_beside_{axis}",
-            PUBLISHED,
             f"Gyro {axis}: SR-RSUKF ({axis}) beside the default, the mean at rest and the held beginning, 2σ",
-            [with_sd(f"gyro_drift_{axis}", "default", ORANGE), *_means_at_rest(axis)],
+            (_with_sd(f"gyro_drift_{axis}", "default", ORANGE), *_means_at_rest(axis)),
             "°/h",
+            PUBLISHED,
             beside=f"/view/gyro_random_error_{axis}/**",
         )
         for axis in "xyz"
     ),
-    band_panel("gyro_phi", PUBLISHED, "φ of SR-RSUKF, 2σ", _axis_bands("gyro_phi"), "", y_range=(-1.0, 1.0)),
-    band_panel(
+    _phi("gyro_phi", "φ of SR-RSUKF, 2σ", PUBLISHED),
+    Bands(
         "heading",
-        ALIGNMENT,
         "Heading from true north, 2σ",
-        [
-            with_sd("heading_gyro_mean", "gyro-mean", RED),
-            with_sd("heading_hann_mean", "Hann-mean", ORANGE),
-            with_sd("heading", "shown", BLUE),
-        ],
+        (
+            _with_sd("heading_gyro_mean", "gyro-mean", RED),
+            _with_sd("heading_hann_mean", "Hann-mean", ORANGE),
+            _with_sd("heading", "shown", BLUE),
+        ),
         "°",
+        ALIGNMENT,
     ),
-    band_panel(
+    Bands(
         "heading_magnetic",
-        ALIGNMENT,
         "Heading from magnetic north",
-        [Band("heading_magnetic", "magnetic", GREY)],
+        (Line("heading_magnetic", "magnetic", GREY),),
         "°",
+        ALIGNMENT,
     ),
-    band_panel(
+    Bands(
         "level",
-        ALIGNMENT,
         "Roll and pitch by the alignment",
-        [Band("aligned_roll", "roll", RED), Band("aligned_pitch", "pitch", GREEN)],
+        (Line("aligned_roll", "roll", RED), Line("aligned_pitch", "pitch", GREEN)),
         "°",
-    ),
-    band_panel(
-        "level_drift",
         ALIGNMENT,
+    ),
+    Bands(
+        "level_drift",
         "Drift of roll and pitch since the first rest",
-        [Band("roll_drift", "roll", RED), Band("pitch_drift", "pitch", GREEN)],
+        (Line("roll_drift", "roll", RED), Line("pitch_drift", "pitch", GREEN)),
         "µg",
+        ALIGNMENT,
     ),
     *_published_temperature("", ""),
     *(panel for axis in "xyz" for panel in _published_temperature(f"_{axis}", "_x_y_z")),
-    *_published_gyro("stf", "Random error", "random_error", "gyro_random_error_{axis}"),
-    *_published_gyro("sr_ukf", "Random error", "random_error", "gyro_random_error_{axis}"),
-    *_published_gyro("sr_rsukf", "Random error", "random_error", "gyro_random_error_{axis}"),
     *(
-        band_panel(name, METHODS, f"φ ({method}), 2σ", _axis_bands(name), "", y_range=(-1.0, 1.0))
-        for method in ("sr_ukf", "sr_rsukf")
-        for name in [f"{method}_phi"]
+        panel
+        for method in ("stf", "sr_ukf", "sr_rsukf")
+        for panel in _published_gyro(method, "Random error", "random_error", "gyro_random_error_{axis}")
     ),
+    *(_phi(f"{method}_phi", f"φ ({method}), 2σ", METHODS) for method in ("sr_ukf", "sr_rsukf")),
     *_published_gyro("dense_zupt", "Gyro bias", "gyro_bias", "gyro_bias"),
     *_published_gyro("dense_tczupt", "Gyro bias", "gyro_bias", "gyro_bias"),
     _published_heading("fixed_gain_loop", "now", GREY),
     _published_heading("total_average", "average", RED),
     _published_heading("curve_fit", "curve-fit", ORANGE),
-    band_panel(
+    Bands(
         "fixed_gain_loop_control_rate",
-        METHODS,
         "Horizontal control rates (fixed_gain_loop)",
-        _north_and_east("fixed_gain_loop_control_rate"),
+        (
+            Line("fixed_gain_loop_control_rate_east", "east", RED),
+            Line("fixed_gain_loop_control_rate_north", "north", BLUE),
+        ),
         "°/h",
+        METHODS,
     ),
     *(
-        band_panel(
+        Bands(
             f"gyro_rest_{axis}",
-            METHODS,
             f"Gyro {axis}: exponential mean at rest, and the beginning held",
             _means_at_rest(axis),
             "°/h",
+            METHODS,
         )
         for axis in "xyz"
     ),
-    strip("pressure", "Pressure", {"pressure": "static"}, colors=[VIOLET]),
-    strip(
-        "packet_rate",
-        "Packet rate",
-        {"packet_rate": "packets"},
-        colors=[BLUE],
-        shown="1/s",
-        place=LINK,
-        steps=True,
-    ),
-    strip(
+    Strip("pressure", "Pressure", (Line("pressure", "static", VIOLET),)),
+    Strip("packet_rate", "Packet rate", (Line("packet_rate", "packets", BLUE),), "1/s", LINK, "steps"),
+    Strip(
         "link_load",
         "Link load",
-        {"link_load": "load"},
-        colors=[ORANGE],
-        shown="%",
-        place=LINK,
-        steps=True,
+        (Line("link_load", "load", ORANGE),),
+        "%",
+        LINK,
+        "steps",
         y_range=(0.0, 100.0),
     ),
-    strip(
+    Strip(
         "losses",
         "Packets lost and damaged, so far",
-        {"packets_lost": "lost", "packets_damaged": "damaged"},
-        colors=[RED, VIOLET],
+        (Line("packets_lost", "lost", RED), Line("packets_damaged", "damaged", VIOLET)),
         place=LINK,
-        steps=True,
+        look="steps",
     ),
 )
 """All panels, in the order in which they stand.  The attitude that comes first turns the body."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import select
 import signal
 import subprocess
 import sys
@@ -12,10 +11,10 @@ import threading
 import time
 from collections import deque
 from dataclasses import dataclass, replace
-from typing import BinaryIO
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection
 
-from imumon.view import frames
-from imumon.view.frames import Batch, Close, Replay, ReplayRequest, Report, Start
+from imumon.view.frames import Batch, Frame, ReplayRequest, Report, Start
 from imumon.view.items import ViewItem, ViewSetup, item_bytes, lasting_key, merge
 from imumon.view.queue import DropOldestQueue
 from imumon.view.viewer import LOCALHOST, VIEWER_PORT, WEB_PORT, Mode, quiet_environment
@@ -29,8 +28,8 @@ BACKOFF_S = (0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
 STEADY_S = 30.0
 """A view process that lived this long is started again without delay."""
 STUCK_S = 30.0
-"""A view process that takes nothing for this long is killed and started again.  (A server whose browser
-hangs stalls for 16 s and then goes on.)"""
+"""A view process that does not take a frame in this time is killed and started again.  (A server whose
+browser hangs stalls for 16 s and then goes on.)"""
 GOODBYE_S = 1.0
 
 
@@ -110,7 +109,6 @@ class ViewPublisher:
         self._report = Report("view starts", False, port, web_port, "")
         self._request: ReplayRequest | None = None
         self._process: subprocess.Popen[bytes] | None = None
-        self._ending = threading.Event()
         self._supervisor = threading.Thread(target=self._supervise, name="view publisher", daemon=True)
 
     def start(self) -> ViewPublisher:
@@ -146,7 +144,6 @@ class ViewPublisher:
         deadline = time.monotonic() + timeout_s
         self._queue.close()
         self._supervisor.join(max(0.0, timeout_s - 0.3))
-        self._ending.set()
         process = self._process
         if process is not None and process.poll() is None:
             _kill(process)
@@ -174,53 +171,49 @@ class ViewPublisher:
 
     def _run_process(self) -> None:
         """Run one view process from its start to its end."""
-        process = subprocess.Popen(
-            [sys.executable, "-m", "imumon.view.child"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            env=quiet_environment(),
-            start_new_session=True,  # Ctrl-C is for the measuring process, which then closes this one
-        )
+        stdin, to_process = Pipe(duplex=False)
+        from_process, stdout = Pipe(duplex=False)
+        with stdin, stdout:
+            process = subprocess.Popen(
+                [sys.executable, "-m", "imumon.view.child"],
+                stdin=stdin.fileno(),
+                stdout=stdout.fileno(),
+                stderr=subprocess.DEVNULL,
+                env=quiet_environment(),
+                start_new_session=True,  # Ctrl-C is for the measuring process, which then closes this one
+            )
         self._process = process
         self._request = None
         listener = threading.Thread(
-            target=self._listen, args=[process.stdout], name="view reports", daemon=True
+            target=self._listen, args=[from_process], name="view reports", daemon=True
         )
         listener.start()
         try:
-            self._feed(process)
+            with to_process:
+                self._feed(process, to_process)
             with contextlib.suppress(subprocess.TimeoutExpired):
                 process.wait(GOODBYE_S)
         finally:
             _kill(process)
             process.wait()
             listener.join()
-            for pipe in (process.stdin, process.stdout):
-                if pipe is not None:
-                    pipe.close()
+            from_process.close()
         if not self._queue.is_closed():
             text = "view restarts" if self._report.port else self._report.text
             self._report = replace(self._report, text=text, connected=False)
 
-    def _feed(self, process: subprocess.Popen[bytes]) -> None:
+    def _feed(self, process: subprocess.Popen[bytes], pipe: Connection) -> None:
         """Send frames until the process is gone or everything is sent and the queue closed."""
-        pipe = _Pipe(process, self._ending)
-        if not pipe.send(self._start):
-            return
-        while process.poll() is None:
+        sent = _send(pipe, self._start, process)
+        closing = False
+        while sent and not closing and process.poll() is None:
             closing = self._queue.is_closed()
             batch = self._next_batch(wait_s=0.25)
             request, self._request = self._request, None
             if request is not None:
-                again = Batch(self._number, self._history.after(request.after))
-                if not (pipe.send(Replay(request.request)) and pipe.send(again)):
-                    return
-            elif batch is not None and not pipe.send(batch):
-                return
-            if closing:
-                pipe.send(Close())
-                return
+                batch = Batch(self._number, self._history.after(request.after), request.request)
+            if batch is not None:
+                sent = _send(pipe, batch, process)
 
     def _next_batch(self, wait_s: float) -> Batch | None:
         items = merge(self._queue.take(BATCH_S, wait_s))
@@ -231,14 +224,16 @@ class ViewPublisher:
         self._history.add(batch, time.monotonic())
         return batch
 
-    def _listen(self, reports: BinaryIO) -> None:
+    def _listen(self, reports: Connection) -> None:
         """Take what the view process says until it ends."""
-        while (message := frames.read(reports)) is not None:
-            if isinstance(message, ReplayRequest):
-                self._request = message
-            elif isinstance(message, Report):
-                self._report = message
-                self._remember(message)
+        with contextlib.suppress(EOFError, OSError):
+            while True:
+                message = reports.recv()
+                if isinstance(message, ReplayRequest):
+                    self._request = message
+                else:
+                    self._report = message
+                    self._remember(message)
 
     def _remember(self, report: Report) -> None:
         """Start a later view process on the same ports, and do not open a second window."""
@@ -258,31 +253,15 @@ def _kill(process: subprocess.Popen[bytes]) -> None:
         os.killpg(process.pid, signal.SIGKILL)
 
 
-class _Pipe:
-    """Writes frames to a process that may have stopped reading."""
-
-    def __init__(self, process: subprocess.Popen[bytes], ending: threading.Event) -> None:
-        assert process.stdin is not None
-        self._process = process
-        self._ending = ending
-        self._fd = process.stdin.fileno()
-        os.set_blocking(self._fd, False)
-
-    def send(self, frame: frames.Frame) -> bool:
-        """Write a frame; False when the process is gone, stuck for `STUCK_S`, or not worth waiting for."""
-        left = memoryview(frames.encode(frame))
-        stuck_at = time.monotonic() + STUCK_S
-        while left:
-            if self._ending.is_set() or time.monotonic() > stuck_at or self._process.poll() is not None:
-                return False
-            if not select.select([], [self._fd], [], 0.1)[1]:
-                continue
-            try:
-                written = os.write(self._fd, left)
-            except BlockingIOError:
-                continue
-            except OSError:  # the process went away between the two calls
-                return False
-            left = left[written:]
-            stuck_at = time.monotonic() + STUCK_S
-        return True
+def _send(pipe: Connection, frame: Frame, process: subprocess.Popen[bytes]) -> bool:
+    """Send a frame; False when the process is gone, maybe since it was killed for taking nothing."""
+    stuck = threading.Timer(STUCK_S, _kill, [process])
+    stuck.daemon = True
+    stuck.start()
+    try:
+        pipe.send(frame)
+    except OSError:
+        return False
+    finally:
+        stuck.cancel()
+    return True

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 import threading
 from collections import deque
 from pathlib import Path
@@ -11,17 +13,19 @@ import rerun as rr
 
 from imumon.blocks import IntArray
 from imumon.errors import ImumonError, Reason
-from imumon.view import compact
-from imumon.view.compact import Compaction
 from imumon.view.items import Samples, ViewItem, ViewSetup, item_rows, merge
 from imumon.view.logger import APPLICATION_ID, StreamLogger
 from imumon.view.queue import DropOldestQueue
+from imumon.view.viewer import start_quietly, viewer_binary
 
 BATCH_S = 2.0
 """Items of this long become one chunk per panel.  A chunk costs about 1.4 kB beside its rows."""
 SEGMENT_S = 1800.0
 QUEUE_BYTES = 64 << 20
 FLUSH_S = 5.0
+WORTH_BYTES = 4 << 20
+"""Smaller segments are not compacted."""
+PRIORITY = 15
 
 
 class ViewRecorder:
@@ -157,7 +161,7 @@ class ViewRecorder:
         count = len(self._files)
         path = self._path if count == 0 else self._path.with_suffix(f".{count:04d}{self._path.suffix}")
         self._rec.set_sinks(rr.FileSink(path))
-        if count and self._compaction is None and self._files[-1].stat().st_size > compact.WORTH_BYTES:
+        if count and self._compaction is None and self._files[-1].stat().st_size > WORTH_BYTES:
             self._compaction = Compaction(self._files[-1])
         self._files.append(path)
         self._logger.begin(arrange=count == 0)
@@ -168,3 +172,45 @@ def _times_ns(item: ViewItem) -> IntArray | None:
     if isinstance(item, Samples):
         return item.host_ns if item.device_ns is None else item.device_ns
     return None if item.at.device_ns is None else np.array([item.at.device_ns], np.int64)
+
+
+class Compaction:
+    """One run of ``rerun rrd optimize`` at low priority: few large chunks in place of many small ones.
+
+    The segment is replaced when it has succeeded, and not before.
+
+    Parameters
+    ----------
+    path : Path
+        A segment that is finished.
+
+    Raises
+    ------
+    ImumonError
+        NOT_FOUND when this installation has no viewer program.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._part = path.with_name(f".{path.stem}.part{path.suffix}")
+        self._process = start_quietly(
+            [str(viewer_binary()), "rrd", "optimize", str(path), "-o", str(self._part)]
+        )
+        with contextlib.suppress(ProcessLookupError):  # done already
+            os.setpriority(os.PRIO_PROCESS, self._process.pid, PRIORITY)
+
+    def is_done(self) -> bool:
+        """Tell whether it has ended, and if it has succeeded put the new file in the place of the old."""
+        code = self._process.poll()
+        if code is None:
+            return False
+        if code == 0 and self._part.exists():
+            self._part.replace(self._path)
+        self._part.unlink(missing_ok=True)
+        return True
+
+    def stop(self) -> None:
+        """End it; the segment stays as it was."""
+        self._process.kill()
+        self._process.wait()
+        self._part.unlink(missing_ok=True)

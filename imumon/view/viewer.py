@@ -36,16 +36,10 @@ class Answer(Enum):
     OTHER = "belongs to another program"
 
 
-def has_display() -> bool:
-    """Tell whether a window can be opened here."""
-    if sys.platform in ("darwin", "win32"):
-        return True
-    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
-
-
 def default_mode() -> Mode:
-    """Return "native" where there is a display, otherwise "web"."""
-    return "native" if has_display() else "web"
+    """Return "native" where a window can be opened, otherwise "web"."""
+    display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    return "native" if display or sys.platform in ("darwin", "win32") else "web"
 
 
 def viewer_binary() -> Path:

@@ -11,22 +11,29 @@ import numpy as np
 from benchmarks.measure import Bar, Table, Time, measure, millions
 from benchmarks.streams import Damaged, damage, samples
 from imumon.blocks import SampleBlock, join
-from imumon.protocols.base import ByteArray, Decoder
+from imumon.protocols.base import Decoder
 from imumon.protocols.device import load_device
 from imumon.protocols.fixed.device import FixedDevice
+from imumon.protocols.stream import ByteArray
 
 CHUNKS = (256, 1024, 4096, 16_384, 65_536, 262_144, 1_048_576)
 PACKETS = 20_000
+TAKEN_AFTER = 65_536
+"""As a recording is read."""
 CODES = {"u8": "u1", "u16": "u2", "i16": "i2", "u32": "u4", "i32": "i4"}
 STRUCT_CODES = {"u8": "B", "u16": "H", "i16": "h", "u32": "I", "i32": "i"}
 
 
 def feed_all(decoder: Decoder, chunks: list[ByteArray], take: bool) -> None:
-    """Feed the chunks; take the columns after each chunk, or forget them."""
-    done: Callable[[], object] = decoder.take if take else decoder.discard
+    """Feed the chunks; take the columns after each chunk, or about once in `TAKEN_AFTER` bytes."""
+    waiting = 0
     for chunk in chunks:
         decoder.feed(chunk, 1)
-        done()
+        waiting += len(chunk)
+        if take or waiting >= TAKEN_AFTER:
+            decoder.take()
+            waiting = 0
+    decoder.take()
 
 
 def cut(data: bytes, size: int) -> list[ByteArray]:

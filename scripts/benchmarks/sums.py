@@ -8,21 +8,19 @@ import numpy as np
 from numba import njit
 
 from benchmarks.measure import Bar, Table, measure
-from imumon.protocols.base import ByteArray
-from imumon.protocols.checksums import CHECKSUM_NAMES, CrcTable, checksum, make_checksum
+from imumon.protocols.checksums import CHECKSUM_NAMES, Checksum, checksum, make_checksum
+from imumon.protocols.stream import ByteArray
 
 LENGTHS = (16, 58, 255)
 BYTES = 16_384
 
 
 @njit(nogil=True)
-def over_packets(
-    code: int, buf: ByteArray, length: int, table: CrcTable, initial: int, final_xor: int, shift: int
-) -> np.int64:
+def over_packets(check: Checksum, buf: ByteArray, length: int) -> np.int64:
     """Add up the checksums of packets that lie one behind the other."""
     total = np.int64(0)
     for start in range(0, len(buf) - length + 1, length):
-        total += checksum(code, buf, start, start + length, table, initial, final_xor, shift)
+        total += checksum(check, buf, start, start + length)
     return total
 
 
@@ -33,16 +31,7 @@ def run() -> tuple[list[Table], list[Bar]]:
     for name in CHECKSUM_NAMES:
         check = make_checksum(name)
         for length in LENGTHS:
-            functions[f"{name} {length}"] = partial(
-                over_packets,
-                check.code,
-                buf,
-                length,
-                check.table,
-                check.initial,
-                check.final_xor,
-                check.shift,
-            )
+            functions[f"{name} {length}"] = partial(over_packets, check, buf, length)
     times = measure(functions)
     table = Table("Checksums, ns by bytes covered", ["checksum", *map(str, LENGTHS), "ns/byte beyond 58"])
     for name in CHECKSUM_NAMES:

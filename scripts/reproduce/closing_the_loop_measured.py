@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +13,7 @@ from matplotlib.figure import Figure
 from thermal_calibration_data import TWO_LEVELS_MAP
 
 from imumon.blocks import FloatArray
+from imumon.diagnosis.blocks import BLOCK_S
 from imumon.diagnosis.candidates import candidates
 from imumon.diagnosis.engine import Diagnosis, diagnose
 from imumon.diagnosis.fitting import Fit, TestScore, fit, score
@@ -20,9 +22,12 @@ from imumon.diagnosis.report import report
 from imumon.diagnosis.verdict import ChannelVerdict
 from imumon.errors import ImumonError
 from imumon.estimation.rest.stage import RestDetector
+from imumon.recordings.reduced import AXES
 
 SHARES = (0.5, 0.6, 0.65, 0.7)
 DRAWN = 0.65
+LEFT_OUT = (0.65, 0.7)
+SHIFTS_S = range(3, 31, 3)
 INSISTED = ("thermal_lag", "hysteresis", "warm_up", "drift", "periodic", "temperature_rate")
 
 
@@ -48,6 +53,9 @@ def measured(data: Path, figures: Path) -> int:
         assert verdict.test_before is not None
         print(f"| {verdict.name} | {_deg(verdict.test_before.rms)} | " + " | ".join(cells) + " |")
     _draw(drawn, figures)
+    print("\n## The same with one block left out, or with blocks that begin later\n")
+    for share in LEFT_OUT:
+        _one_block_less(run, share)
     print("\n## two-levels\n")
     _two_levels(data / "two-levels")
     return 0
@@ -73,6 +81,25 @@ def _part(run: Run, start: int, stop: int) -> Run:
         rest=run.rest[start:stop],
         start_ns=run.start_ns + start * SECOND_NS,
     )
+
+
+def _one_block_less(run: Run, share: float) -> None:
+    """Print how often which effects are named, and the range of the errors in the test, deg/s."""
+    (train,), test = _split(run, share)
+    without, later = [], []
+    for at in range(0, len(train.time_s), round(BLOCK_S)):
+        rest = train.rest.copy()
+        rest[at : at + round(BLOCK_S)] = 0.0
+        without.append(diagnose([replace(train, rest=rest)], test, sensors=("gyro",)).verdicts)
+    for shift in SHIFTS_S:
+        first = _part(run, shift, len(train.time_s))
+        later.append(diagnose([first], test, sensors=("gyro",)).verdicts)
+    for what, found in (("a block left out", without), ("blocks begin later", later)):
+        for axis, verdicts in zip(AXES, zip(*found, strict=True), strict=True):
+            said = Counter(", ".join(claim.finding.name for claim in v.claims) or "nothing" for v in verdicts)
+            after = [v.test_after.rms for v in verdicts if v.test_after is not None]
+            names = "; ".join(f"{name} {count}" for name, count in said.most_common())
+            print(f"{share:.0%}, {what}, {axis}: {names}; {_deg(min(after))} to {_deg(max(after))}")
 
 
 def _row(share: float, verdict: ChannelVerdict, found: dict[str, dict[str, float]]) -> None:

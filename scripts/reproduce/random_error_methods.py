@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 
 from imumon.blocks import ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.estimation.gyro_bias.stage import GyroBias
-from imumon.filters.noise import NoiseFit, fit_noise
+from imumon.filters.noise import NoiseTerms, fit_noise
 from imumon.published.linear import LinearFilter, ModelL
 from imumon.published.local_level import fit_local_level, means_of
 from imumon.published.rest_means import ExponentialMean, RestMean, hold
@@ -100,7 +100,7 @@ def fit_record(record: Record, reading: FloatArray) -> tuple[float, float]:
     )
 
 
-def fitted_noise(means: Sequence[RestMean]) -> NoiseFit:
+def fitted_noise(means: Sequence[RestMean]) -> NoiseTerms:
     """Return white noise, flicker and walk by likelihood, rad and s."""
     elapsed = [np.inf if mean.begins else mean.elapsed_s for mean in means]
     covered = np.array([mean.covered_s or 1.0 for mean in means])

@@ -47,7 +47,7 @@ def published(points: Points, neurons: int, seed: int, restarts: int = RESTARTS)
     parts = (place < 0.65, (place >= 0.65) & (place < 0.85), place >= 0.85)
     scaling = Scaling.of(points)
     training, validation = (scaling.apply(points.only(part)) for part in parts[:2])
-    weights = [train(start, training, validation, decay=0.0) for start in starts(neurons, restarts, random)]
+    weights = [train(start, training, validation) for start in starts(neurons, restarts, random)]
     error = np.sqrt([mean_square(one, validation) for one in weights])
     curve = scaling.curve(weights[np.argmin(error)])
     residual = points.value - curve.value(points.temperature)
@@ -88,7 +88,7 @@ def size_study(soak: Soak) -> list[SizeRow]:
         trained, apart, true = [], [], []
         for axis, channel in enumerate(soak.channels):
             points = soak.halfminutes(axis)
-            found = published(points.only(soak.dwelling(points)), n, seed=n, restarts=6)
+            found = published(points.only(soak.dwelling(points)), n, seed=n)
             trained.append(found.residual)
             true.append(rms(found.curve.value(INSIDE) - soak.bias[:, axis]))
             residual = held_out(channel.points(), lambda p, n=n: fit_network(p, n, restarts=3))  # type: ignore[misc]  # mypy cannot infer a lambda with a default

@@ -143,6 +143,25 @@ KINDS = [
     Kind("0.0029 °C, 17 steps white and 1/f", MPU, both(white(0.05), flicker(0.02))),
     Kind("0.0039 °C, 1/f of 1 step, 1 Hz", 1 / 256, flicker(1 / 256), 100.0, 1.0),
     Kind("0.05 °C, 2 Hz stream, 0.3 step", 0.05, white(0.015), 2.0),
+    *(
+        Kind(f"refresh {t:g} s, {s} step, 20 Hz", FINE, white(s * FINE), 20.0, t)
+        for t in (1, 10, 60)
+        for s in (0, 1)
+    ),
+    Kind("white 0.3 step, 1 kHz", FINE, white(0.3 * FINE), 1000.0),
+    Kind("refresh 1 s, 0.3 step, 1 kHz", FINE, white(0.3 * FINE), 1000.0, 1.0),
+    Kind("refresh 1 s, correlated 5 s, 0.5 step", FINE, correlated(0.5 * FINE, 5.0), 100.0, 1.0),
+    Kind("refresh 10 s, 1/f, 0.5 step", FINE, flicker(0.5 * FINE), 20.0, 10.0),
+    Kind("0.001 °C, white 0.5 step", 0.001, white(0.0005)),
+    Kind("0.001 °C, 1/f, 20 steps", 0.001, flicker(0.02)),
+    Kind("0.25 °C, refresh 10 s, 0.1 step", 0.25, white(0.025), 20.0, 10.0),
+    Kind("0.5 °C, 1/f, 0.3 step", 0.5, flicker(0.15), 20.0),
+    Kind("IIR of 16 at 10 Hz, 1 step", FINE, correlated(FINE, 1.6), 100.0, 0.1),
+    Kind("IIR of 16 at 1 Hz, 0.5 step", FINE, correlated(0.5 * FINE, 16.0), 20.0, 1.0),
+    Kind("popcorn 3 steps, 60 s, white 0.5", FINE, both(telegraph(3 * FINE, 60.0), white(0.5 * FINE)), 20.0),
+    Kind("popcorn 0.3 step, 5 s, white 0.1", FINE, both(telegraph(0.3 * FINE, 5.0), white(0.1 * FINE)), 20.0),
+    Kind("hysteresis of a step, no noise", FINE, white(0.0), 20.0, 0.0, sticky(FINE)),
+    Kind("hysteresis of a step, white 0.5", FINE, white(0.5 * FINE), 20.0, 0.0, sticky(FINE)),
 ]
 
 

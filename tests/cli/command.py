@@ -1,10 +1,18 @@
-"""The installed command, and the map of a table, for the tests that run it as a user does."""
+"""Commands as a user runs them: in this process, or as the installed program where a process is the point."""
 
 from __future__ import annotations
 
+import json
+import signal
 import subprocess
 import sys
+from contextlib import chdir
 from pathlib import Path
+from typing import Any
+
+from click.testing import CliRunner
+
+from imumon.cli import run
 
 IMUMON = str(Path(sys.executable).with_name("imumon"))
 MAP = """
@@ -12,8 +20,25 @@ time: {column: t, unit: s}
 gyro: {columns: [gx, gy, gz], unit: rad/s}
 temperature: {columns: [temp], unit: degC}
 """
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
-def imumon(*arguments: object) -> subprocess.CompletedProcess[str]:
-    command = [IMUMON, *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=170, check=False)
+def imumon(*arguments: object, cwd: Path = Path()) -> subprocess.CompletedProcess[str]:
+    """Run a command in this process, which saves its start; outputs and exit code are those of a real one."""
+    given, handlers = [*map(str, arguments)], [signal.getsignal(number) for number in SIGNALS]
+    with CliRunner().isolation() as (out, err, _), chdir(cwd):
+        try:
+            code = run(given)
+        finally:
+            for number, handler in zip(SIGNALS, handlers, strict=True):
+                signal.signal(number, handler)
+    return subprocess.CompletedProcess(given, code, out.getvalue().decode(), err.getvalue().decode())
+
+
+def answer(*arguments: object) -> dict[str, Any]:
+    """Return what ``--json`` prints; standard output holds nothing else."""
+    done = imumon(*arguments, "--json")
+    assert done.returncode == 0, done.stderr
+    result = json.loads(done.stdout)
+    assert isinstance(result, dict)
+    return result

@@ -7,15 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from imumon.cli.align_command import command
-from imumon.cli.simulate_command import command as simulate
-from imumon.errors import ImumonError, Reason
 from imumon.protocols.device import load_device
 from imumon.simulation.unit.scenario import load_scenario
 from imumon.simulation.virtual_device import VirtualDevice
-from tests.cli.test_commands import IMUMON
+from tests.cli.command import IMUMON, answer, imumon
 
 KEYS = ["heading_deg", "heading_sd_deg", "estimator", "settled_s", "observable", "positions", "estimators"]
 
@@ -24,19 +20,8 @@ def simulated(folder: Path, name: str, seconds: float, extra: str = "") -> Path:
     """Make a session of a scenario at 50 Hz."""
     file = folder / "changed.yaml"
     file.write_text(f"format: imumon-scenario/1\nbase: {name}\n{extra}")
-    arguments = [
-        file if extra else name,
-        "--device",
-        "ax1",
-        "--out",
-        folder / name,
-        "--duration",
-        seconds,
-        "--rate",
-        50,
-    ]
-    done = CliRunner().invoke(simulate, [*map(str, arguments)], catch_exceptions=False)
-    assert done.exit_code == 0, done.output
+    length = ("--duration", seconds, "--rate", 50)
+    answer("simulate", file if extra else name, "--device", "ax1", "--out", folder / name, *length)
     return folder / name
 
 
@@ -46,12 +31,17 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def align(*arguments: object) -> tuple[int, dict[str, Any]]:
-    done = CliRunner().invoke(
-        command, [*map(str, arguments), "--json"], catch_exceptions=False, standalone_mode=False
-    )
+    done = imumon("align", *arguments, "--json")
     result = json.loads(done.stdout)
     assert isinstance(result, dict)
-    return done.return_value, result
+    return done.returncode, result
+
+
+def refused(*arguments: object) -> str:
+    """Return what is said of wrong arguments, with exit code and reason."""
+    done = imumon("align", *arguments)
+    assert done.stdout == ""
+    return f"{done.returncode} {done.stderr}"
 
 
 def test_a_recorded_session_is_aligned_and_says_so_in_json(session: Path) -> None:
@@ -70,9 +60,8 @@ def test_a_recorded_session_is_aligned_and_says_so_in_json(session: Path) -> Non
 
 
 def test_a_sigma_that_is_not_reached_is_exit_code_1_with_the_time_to_go(session: Path) -> None:
-    arguments = [str(session), "--latitude", "36", "--until", "0.005"]
-    done = CliRunner().invoke(command, arguments, catch_exceptions=False, standalone_mode=False)
-    assert done.return_value == 1
+    done = imumon("align", session, "--latitude", 36, "--until", 0.005)
+    assert done.returncode == 1
     assert "no (σ ≤ 0.005°)" in done.stdout
     code, result = align(session, "--latitude", 36, "--until", 0.005)
     assert (code, result["settled_s"]) == (1, None)
@@ -94,14 +83,14 @@ def test_gyros_that_cannot_see_the_earth_rate_give_no_north(tmp_path: Path) -> N
     assert result["heading_deg"] is None
     assert result["observable"] is False
     assert all(estimate["heading_deg"] is None for estimate in result["estimators"].values())
-    done = CliRunner().invoke(command, [str(path), "--latitude", "36"], standalone_mode=False)
+    done = imumon("align", path, "--latitude", 36)
     assert "heading not observable with this gyro; shown instead: the device's own yaw 30.0°" in done.stdout
 
 
 def test_data_that_are_too_short_say_what_is_missing(tmp_path: Path) -> None:
     path = simulated(tmp_path, "alignment", 2.5)
-    done = CliRunner().invoke(command, [str(path), "--latitude", "36"], standalone_mode=False)
-    assert done.return_value == 1
+    done = imumon("align", path, "--latitude", 36)
+    assert done.returncode == 1
     assert "s of rest do not tell a heading" in done.stdout
 
 
@@ -135,36 +124,33 @@ def test_at_a_pole_there_is_no_heading(session: Path, latitude: float) -> None:
 
 
 def test_without_a_latitude_it_is_said_what_to_add(session: Path) -> None:
-    with pytest.raises(ImumonError, match="the latitude is not known") as caught:
-        align(session)
-    assert caught.value.reason is Reason.BAD_CONFIG
-    assert "--latitude" in caught.value.hint
+    said = refused(session)
+    assert said.startswith("2 imumon: bad configuration: ")
+    assert "the latitude is not known" in said
+    assert "--latitude" in said
 
 
 def test_a_latitude_that_does_not_exist_and_options_of_a_port_are_refused(session: Path) -> None:
-    assert "range" in CliRunner().invoke(command, [str(session), "--latitude", "95"]).output
-    wrong = CliRunner().invoke(command, [str(session), "--latitude", "36", "--baud", "9600"])
-    assert wrong.exit_code == 2
-    assert "for a port" in wrong.output
+    assert "range" in refused(session, "--latitude", 95)
+    wrong = refused(session, "--latitude", 36, "--baud", 9600)
+    assert wrong.startswith("2 ")
+    assert "for a port" in wrong
 
 
 def test_a_session_without_gyros_is_refused_by_name(tmp_path: Path) -> None:
     table, mapping, out = tmp_path / "accel.csv", tmp_path / "map.yaml", tmp_path / "s"
     table.write_text("ax,ay,az\n" + "0.0,0.0,-9.8\n" * 100)
     mapping.write_text("rate_hz: 100\naccel: {columns: [ax, ay, az], unit: m/s^2}\naxes: FRD\n")
-    arguments = [IMUMON, "import", str(table), "--map", str(mapping), "--out", str(out)]
-    done = subprocess.run(arguments, capture_output=True, text=True, timeout=90, check=False)
+    done = imumon("import", table, "--map", mapping, "--out", out)
     assert done.returncode == 0, done.stderr
-    with pytest.raises(ImumonError, match="there is no gyro_x, gyro_y, gyro_z") as caught:
-        align(out, "--latitude", 36)
-    assert caught.value.reason is Reason.BAD_DATA
+    said = refused(out, "--latitude", 36)
+    assert said.startswith("4 ")
+    assert "there is no gyro_x, gyro_y, gyro_z" in said
 
 
 def test_what_is_neither_a_session_nor_a_port_is_said(tmp_path: Path) -> None:
-    with pytest.raises(ImumonError, match="neither a session nor a port"):
-        align(tmp_path / "nothing", "--latitude", 36)
-    with pytest.raises(ImumonError, match="its device must be named"):
-        align("/dev/ttyUSB77", "--latitude", 36)
+    assert "neither a session nor a port" in refused(tmp_path / "nothing", "--latitude", 36)
+    assert "its device must be named" in refused("/dev/ttyUSB77", "--latitude", 36)
 
 
 def test_a_live_unit_is_aligned_through_its_port_and_recorded(tmp_path: Path) -> None:

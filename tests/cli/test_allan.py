@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +20,8 @@ from imumon.config import StrictModel, parse_yaml
 from imumon.recordings.importing import import_table
 from imumon.recordings.table import export_blocks
 from tests.allan.simulated import noise
+from tests.cli.command import imumon
 
-IMUMON = str(Path(sys.executable).with_name("imumon"))
 N, INTERVAL_S = 40_000, 0.02
 WHITE = 3e-4
 """rad/s/√Hz, 1 deg/√min: a coarse sensor, yet one that exists; more is taken for vibration."""
@@ -33,8 +32,7 @@ class Section(StrictModel):
 
 
 def allan(*arguments: object) -> subprocess.CompletedProcess[str]:
-    command = [IMUMON, "allan", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    return imumon("allan", *arguments)
 
 
 def write(path: Path, columns: dict[str, Any]) -> Path:

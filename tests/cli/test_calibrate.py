@@ -32,6 +32,12 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return imported(tmp_path_factory.mktemp("calibrated"), soak(300.0)[::2])
 
 
+@pytest.fixture(scope="module")
+def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A session that is soon read, and gives no model."""
+    return imported(tmp_path_factory.mktemp("short"), np.linspace(20.0, 23.0, 1500))
+
+
 def test_a_session_becomes_a_model(session: Path, tmp_path: Path) -> None:
     out = tmp_path / "model.yaml"
     done = imumon("calibrate", session, "--out", out, "--serial", "SN 7", "--json")
@@ -49,7 +55,10 @@ def test_a_session_becomes_a_model(session: Path, tmp_path: Path) -> None:
     assert "is there already" in again.stderr
 
 
-def test_the_table_for_people_marks_what_is_chosen(session: Path, tmp_path: Path) -> None:
+def test_the_table_for_people_marks_what_is_chosen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for steps in ("FIRST", "LAST"):  # how good the networks are does not matter here
+        monkeypatch.setattr(f"imumon.models.curves.training.{steps}", 5)
+    session = imported(tmp_path, soak(300.0)[:3600:2])
     done = imumon("calibrate", session, session, "--out", tmp_path / "model.yaml")
     assert done.returncode == 0, done.stderr
     rows = [line for line in done.stdout.splitlines() if line.startswith("gyro_")]
@@ -68,25 +77,24 @@ def test_the_table_for_people_marks_what_is_chosen(session: Path, tmp_path: Path
     ],
 )
 def test_wrong_options_end_with_2(
-    session: Path, tmp_path: Path, arguments: tuple[object, ...], code: int, said: str
+    short: Path, tmp_path: Path, arguments: tuple[object, ...], code: int, said: str
 ) -> None:
-    done = imumon("calibrate", session, "--out", tmp_path / "model.yaml", *arguments)
+    done = imumon("calibrate", short, "--out", tmp_path / "model.yaml", *arguments)
     assert done.returncode == code
     assert said in done.stderr
     assert not (tmp_path / "model.yaml").exists()
 
 
-def test_what_cannot_give_a_model_ends_with_4_and_no_file(tmp_path: Path) -> None:
-    session = imported(tmp_path, np.linspace(20.0, 23.0, 1500))
-    done = imumon("calibrate", session, "--out", tmp_path / "model.yaml")
+def test_what_cannot_give_a_model_ends_with_4_and_no_file(short: Path, tmp_path: Path) -> None:
+    done = imumon("calibrate", short, "--out", tmp_path / "model.yaml")
     assert done.returncode == 4
     assert "a model needs 5" in done.stderr
     assert "Traceback" not in done.stderr
     assert not (tmp_path / "model.yaml").exists()
 
 
-def test_a_folder_that_is_not_there_is_said(session: Path, tmp_path: Path) -> None:
-    done = imumon("calibrate", session, "--out", tmp_path / "no" / "model.yaml")
+def test_a_folder_that_is_not_there_is_said(short: Path, tmp_path: Path) -> None:
+    done = imumon("calibrate", short, "--out", tmp_path / "no" / "model.yaml")
     assert done.returncode == 2
     assert "there is no folder" in done.stderr
     assert imumon("calibrate", tmp_path / "nothing", "--out", tmp_path / "m.yaml").returncode == 4

@@ -103,5 +103,6 @@ def test_the_chamber_cycle_is_never_made_worse(tmp_path: Path) -> None:
         assert found["after"]["test_rms"] <= found["before"]["test_rms"], name
     x = channels["gyro_x"]
     assert x["after"]["test_rms"] < 0.5 * x["before"]["test_rms"]
-    assert set(x["indistinguishable"][0]) >= {"hysteresis", "thermal_lag"}
+    assert [effect["name"] for effect in x["effects"]] == ["step"]
+    assert not x["in_model_file"]
     assert channels["gyro_y"]["unexplained"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Unpack
 
 import click
 import pytest
@@ -11,12 +12,9 @@ from imumon.cli.setup_options import SetupOptions, make_setup
 from imumon.run.setup import Setup
 
 
-def given(**options: str) -> Setup:
-    nothing = SetupOptions(
-        pipeline=None, model=None, zupt=None, random_error=None, published=None, latitude=None, heading=None
-    )
+def given(**options: Unpack[SetupOptions]) -> Setup:
     recorded = "format: imumon-pipeline/1\npublished: [stf]\nrandom_error: {risk: 0.25}\n"
-    return make_setup({**nothing, **options}, recorded, "session.yaml")  # type: ignore[typeddict-item]
+    return make_setup(options, recorded, "session.yaml")
 
 
 def test_published_methods_are_named_by_commas_and_go_before_the_file() -> None:
@@ -40,13 +38,4 @@ def test_a_session_keeps_what_was_chosen(tmp_path: Path) -> None:
     text = given(published="curve_fit").text()
     assert text is not None
     (tmp_path / "pipeline.yaml").write_text(text)
-    nothing = SetupOptions(
-        pipeline=tmp_path / "pipeline.yaml",
-        model=None,
-        zupt=None,
-        random_error=None,
-        published=None,
-        latitude=None,
-        heading=None,
-    )
-    assert make_setup(nothing).published == ["curve_fit"]
+    assert make_setup({"pipeline": tmp_path / "pipeline.yaml"}).published == ["curve_fit"]

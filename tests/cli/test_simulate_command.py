@@ -1,28 +1,17 @@
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
-import pytest
-from click.testing import CliRunner
-
-from imumon.cli.simulate_command import command
-from imumon.errors import ImumonError
 from imumon.recordings.folder import open_session
 from imumon.recordings.table import read_table
 from imumon.simulation.recording import TRUTH_NAME
-
-
-def run(*arguments: object) -> dict[str, object]:
-    done = CliRunner().invoke(command, [*map(str, arguments), "--json"], catch_exceptions=False)
-    assert done.exit_code == 0, done.output
-    result = json.loads(done.stdout)
-    assert isinstance(result, dict)
-    return result
+from tests.cli.command import answer, imumon
 
 
 def test_a_session_is_made_with_the_truth_beside_it(tmp_path: Path) -> None:
-    result = run("crs05-ramp", "--device", "ax1", "--out", tmp_path / "s", "--duration", 3, "-s", 2)
+    result = answer(
+        "simulate", "crs05-ramp", "--device", "ax1", "--out", tmp_path / "s", "--duration", 3, "-s", 2
+    )
     assert result["samples"] == 300
     session = open_session(tmp_path / "s")
     assert session.metadata.source == "simulation"
@@ -32,8 +21,19 @@ def test_a_session_is_made_with_the_truth_beside_it(tmp_path: Path) -> None:
 
 
 def test_a_table_takes_the_axes_of_a_device_and_another_rate(tmp_path: Path) -> None:
-    run("crs05-ramp", "--out", tmp_path / "frd.parquet", "--duration", 1, "--rate", 50)
-    run("crs05-ramp", "--out", tmp_path / "flu.csv", "--duration", 1, "--rate", 50, "--device", "xsens")
+    answer("simulate", "crs05-ramp", "--out", tmp_path / "frd.parquet", "--duration", 1, "--rate", 50)
+    answer(
+        "simulate",
+        "crs05-ramp",
+        "--out",
+        tmp_path / "flu.csv",
+        "--duration",
+        1,
+        "--rate",
+        50,
+        "--device",
+        "xsens",
+    )
     frd, flu = read_table(tmp_path / "frd.parquet")[0], read_table(tmp_path / "flu.csv")[0]
     assert len(frd) == len(flu) == 50
     assert frd["accel_z"].mean() < -9.5
@@ -43,6 +43,7 @@ def test_a_table_takes_the_axes_of_a_device_and_another_rate(tmp_path: Path) -> 
 def test_a_scenario_in_a_file_with_an_error_is_refused_with_its_line(tmp_path: Path) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text("format: imumon-scenario/1\nbase: crs05-ramp\nrate_hz: -3\n")
-    with pytest.raises(ImumonError, match=r"mine\.yaml:3: rate_hz"):
-        run(path, "--out", tmp_path / "s")
+    done = imumon("simulate", path, "--out", tmp_path / "s")
+    assert done.returncode == 2
+    assert "mine.yaml:3: rate_hz" in done.stderr
     assert not (tmp_path / "s").exists()

@@ -11,12 +11,14 @@ import pytest
 from imumon.blocks import FloatArray
 from imumon.diagnosis.engine import Diagnosis, diagnose
 from imumon.diagnosis.extended import extended_model
-from imumon.diagnosis.recording import Run
+from imumon.diagnosis.recording import Origin, Run, read_runs
 from imumon.diagnosis.report import report
 from imumon.errors import ImumonError
+from imumon.estimation.rest.stage import RestDetector
 from imumon.models.curves.spline import SplineCurve
 from imumon.models.model import BiasModel, ChannelModel, load_model
 from imumon.models.predictor import BiasPredictor
+from tests.data_folder import measured
 from tests.diagnosis.units import DPH, WHITE_DPH, Bias, cubic, lagged, ramps, run, three
 
 LAG_S = 200.0
@@ -107,6 +109,48 @@ def test_where_nothing_is_missing_nothing_is_named() -> None:
     assert extended_model(diagnosis).channels["gyro_x"].effects == []
 
 
+@pytest.mark.parametrize(("value", "said"), [(3.0, "stuck for 600 s"), (1e3, "saturated for 600 s")])
+def test_a_channel_that_stands_still_is_a_fault_and_no_effect(value: float, said: str) -> None:
+    train, test = three(nothing)
+    mean, variance = train[0].mean["gyro_x"].copy(), train[0].variance["gyro_x"].copy()
+    mean[1000:1600], variance[1000:1600] = value * DPH, 0.0
+    train[0] = replace(
+        train[0], mean={**train[0].mean, "gyro_x": mean}, variance={**train[0].variance, "gyro_x": variance}
+    )
+    diagnosis = diagnose(train, test)
+    assert any(said in text for text in diagnosis.caveats)
+    assert names(diagnosis) == []
+    assert diagnosis.verdicts[0].summary.startswith("nothing is missing")
+
+
+def test_digits_coarser_than_the_noise_are_said() -> None:
+    train, test = three(nothing)
+    step = 200 * WHITE_DPH * DPH
+    coarse = [replace(r, mean={**r.mean, "gyro_x": np.round(r.mean["gyro_x"] / step) * step}) for r in train]
+    coarse = [replace(r, variance={"gyro_x": np.zeros(len(r.time_s))}) for r in coarse]
+    coarse[1].mean["gyro_x"][::100] += step
+    assert any("too few digits" in text for text in diagnose(coarse, test).caveats)
+
+
+def test_what_only_the_test_shows_is_not_called_nothing() -> None:
+    train, test = three(nothing)
+    shifted = test[0].mean["gyro_x"] + 3 * WHITE_DPH * DPH
+    other = [replace(test[0], mean={**test[0].mean, "gyro_x": shifted})]
+    said = [diagnose(train, each).verdicts[0].summary for each in (test, other, [])]
+    assert said[0].startswith("nothing is missing")
+    assert "something is missing" in said[1]
+    assert "without a test" in said[2]
+
+
+def test_the_recording_that_was_trained_on_is_no_test() -> None:
+    train, _ = three(nothing)
+    train[0] = replace(train[0], origin=Origin("first", 0, "0" * 64))
+    copy = replace(train[0], name="copy", origin=Origin("copy", 0, "0" * 64))
+    diagnosis = diagnose(train, [copy])
+    assert not diagnosis.test
+    assert any("the training has the same recording" in text for text in diagnosis.caveats)
+
+
 def test_what_no_effect_explains_is_called_unexplained() -> None:
     diagnosis = diagnose(*three(telegraph))
     assert names(diagnosis) == []
@@ -170,6 +214,47 @@ def test_a_test_that_goes_on_where_training_ended_takes_lag_and_time_with_it() -
     assert score.residual[0][0] == pytest.approx(0.0, abs=5 * WHITE_DPH * DPH)
 
 
+def test_a_jump_stays_where_the_test_goes_on_and_is_no_part_of_the_model_file() -> None:
+    def jump(time: FloatArray, temperature: FloatArray) -> FloatArray:  # noqa: ARG001 - as all biases
+        return np.where(time > 3700.0, 12.0, 0.0)
+
+    whole = run(4, *ramps(9000, up=True), jump)
+    first = replace(_part(whole, 0, 6050), start_ns=7_000_000_000)
+    last = replace(_part(whole, 6050, 9000), start_ns=6057_000_000_000)
+    diagnosis = diagnose([first], [last])
+    assert names(diagnosis) == ["step"]
+    before, after = diagnosis.verdicts[0].test_before, diagnosis.verdicts[0].test_after
+    assert before is not None
+    assert after is not None
+    assert before.rms > 2.5 * diagnosis.verdicts[0].channel.floor.sd
+    assert after.rms < 1.2 * diagnosis.verdicts[0].channel.floor.sd
+    assert not diagnosis.verdicts[0].predicts
+    assert extended_model(diagnosis).channels["gyro_x"].effects == []
+
+
+def test_what_is_found_in_a_measured_run_hangs_on_no_block_and_on_no_boundary_of_blocks() -> None:
+    folder = measured("chamber-cycle")
+    path, table_map = folder / "cooling-heating.csv", folder / "map.yaml"
+    whole = read_runs(path, table_map, lambda _: [RestDetector()])[0]
+    n = len(whole.time_s)
+    at = int(0.65 * n)
+
+    def found(first: int, lost: int) -> tuple[list[str], float, float]:
+        train = replace(_part(whole, first, at), start_ns=first * 10**9)
+        train.rest[lost : lost + 30] = 0.0
+        test = replace(_part(whole, at, n), start_ns=at * 10**9)
+        verdict = diagnose([train], [test], sensors=("gyro",)).verdicts[0]
+        assert verdict.test_before is not None
+        assert verdict.test_after is not None
+        said = [claim.finding.name for claim in verdict.claims]
+        return said, verdict.test_before.rms, verdict.test_after.rms
+
+    for first, lost in [(0, 30 * block) for block in range(0, at // 30, 6)] + [(7, 0), (15, 0), (23, 0)]:
+        said, before, after = found(first, lost)
+        assert "step" in said, (first, lost)
+        assert after < 0.55 * before, (first, lost)
+
+
 def _part(whole: Run, start: int, stop: int) -> Run:
     def cut(parts: dict[str, FloatArray]) -> dict[str, FloatArray]:
         return {name: values[start:stop] for name, values in parts.items()}
@@ -180,7 +265,7 @@ def _part(whole: Run, start: int, stop: int) -> Run:
         cut(whole.count),
         cut(whole.mean),
         cut(whole.variance),
-        whole.rest[start:stop],
+        whole.rest[start:stop].copy(),
     )
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from imumon.blocks import NO_INT, SampleBlock
-from imumon.protocols.kernel import NUMBER_TYPES
+from imumon.protocols.numbers import NUMBER_TYPES
 from imumon.protocols.tagged import Field
 from imumon.protocols.tagged_kernel import ANY_SIZE, FIXED, LIST, MIP, XBUS
 

@@ -15,16 +15,14 @@ CHECK = {
     "crc16-aug-ccitt": 0xE5CC, "crc16-genibus": 0xD64E, "crc16-kermit": 0x2189, "crc16-x25": 0x906E,
     "crc32": 0xCBF43926, "crc32-mpeg2": 0x0376E6E7, "crc32c": 0xE3069283,
     "sum8": 0xDD, "sum8-negated": 0x23, "xor8": 0x31, "sum16": 0x01DD, "fletcher16": 0x1EDE,
-    "fletcher16-256": 0x15DD,
+    "fletcher16-256": 0x15DD, "crc16-mcrf4xx": 0x6F91, "sum16-words-le": 0xD509, "sum16-words-be": 0x09D4,
 }  # fmt: skip
 
 
 def compute(name: str, data: bytes) -> int:
     check = make_checksum(name)
     buf = np.frombuffer(b"xx" + data + b"yy", np.uint8)
-    return int(
-        checksum(check.code, buf, 2, 2 + len(data), check.table, check.initial, check.final_xor, check.shift)
-    )
+    return int(checksum(check, buf, 2, 2 + len(data)))
 
 
 def bitwise_crc(name: str, data: bytes) -> int:

@@ -10,9 +10,9 @@ from imumon.columns import KNOWN, Column
 from imumon.errors import ImumonError, Reason
 from imumon.protocols.base import CAPACITY, Timing
 from imumon.protocols.tagged import MOST_NOTICES, Derived, Field, FieldTable, TaggedDecoder, Value
-from imumon.protocols.tagged_encoder import TaggedEncoder, xbus_message
+from imumon.protocols.tagged_encoder import TaggedEncoder
 from imumon.protocols.tagged_kernel import COUNTED, FIXED, LIST, LOG_SIZE, MESSAGE, XBUS
-from tests.protocols.streams import feed_in_chunks
+from tests.protocols.streams import feed_in_chunks, xbus_message
 
 WIDE, LEVEL = Column("wide", "1", "int64"), Column("level", "m")
 DOUBLE = Derived(

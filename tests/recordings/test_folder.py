@@ -8,22 +8,20 @@ import pytest
 from imumon.errors import ImumonError, Reason
 from imumon.recordings import folder
 from imumon.recordings.folder import create_session, default_path, is_session, open_session
-from imumon.recordings.metadata import PortUsed, SessionMetadata, iso_utc, versions_in_use
+from imumon.recordings.metadata import PortUsed, SessionMetadata
 
 NOW = 1_767_268_805_000_000_007
 DEVICE = "format: imumon-device/1\nname: test # µ\n\n  indented: 'x'\n"
 
 
 def metadata() -> SessionMetadata:
-    return SessionMetadata(
-        source="live",
-        created=iso_utc(NOW),
-        created_ns=NOW,
+    return SessionMetadata.begun(
+        "live",
+        NOW,
         device="test",
         axes="FRD",
         device_yaml=DEVICE,
         port=PortUsed(url="/dev/ttyUSB0", settings={"baudrate": 115200, "parity": "N"}),
-        versions=versions_in_use(),
         counters={"bytes": 7},
     )
 
@@ -114,7 +112,7 @@ def test_a_session_that_cannot_be_written_leaves_nothing_behind(
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(folder, "write_metadata", full)
+    monkeypatch.setattr(folder, "write_text", full)
     with pytest.raises(ImumonError, match="No space left"):
         create_session(tmp_path / "s", metadata())
     assert list(tmp_path.iterdir()) == []

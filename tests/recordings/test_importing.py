@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import os
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -18,9 +17,7 @@ from imumon.recordings.folder import open_session
 from imumon.recordings.foreign import time_parser
 from imumon.recordings.importing import ImportReport, import_table
 from imumon.recordings.table import iterate_samples
-
-DATA = Path(os.environ.get("IMUMON_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
-needs_data = pytest.mark.skipif(not DATA.is_dir(), reason=f"measured data not found at {DATA} (IMUMON_DATA)")
+from tests.data_folder import measured
 
 MAP = "time: {column: t, unit: s}\ngyro: {columns: [x, y, z], unit: deg/s}\naxes: FRD\n"
 HEADER = "t,x,y,z,note\n"
@@ -294,9 +291,8 @@ def test_an_existing_session_is_not_overwritten(tmp_path: Path) -> None:
     assert caught.value.reason is Reason.EXISTS
 
 
-@needs_data
 def test_the_chamber_cycle_is_imported_row_for_row(tmp_path: Path) -> None:
-    folder = DATA / "chamber-cycle"
+    folder = measured("chamber-cycle")
     report = import_table(folder / "cooling-heating.csv", folder / "map.yaml", tmp_path / "s")
     samples = join(list(iterate_samples(open_session(tmp_path / "s"), 1000)))
     plain = np.loadtxt(folder / "cooling-heating.csv", delimiter=",", skiprows=1)
@@ -309,7 +305,6 @@ def test_the_chamber_cycle_is_imported_row_for_row(tmp_path: Path) -> None:
     assert read.tobytes() == np.ascontiguousarray(plain[:, 1:]).tobytes()
 
 
-@needs_data
 @pytest.mark.parametrize(
     ("name", "rows", "bad"), [("cold", 3258, [1, 9, 3258]), ("hot", 6537, [1, 2, 13, 6537])]
 )
@@ -323,7 +318,7 @@ def test_a_terminal_log_with_faults_is_refused_until_the_map_says_to_drop_them(
         "csv: {header: false, columns: [temp, ax, ay, az, gx, gy, gz]}\n"
     )
     map_path.write_text(text)
-    table = DATA / "two-levels" / f"{name}.csv"
+    table = measured(f"two-levels/{name}.csv")
     with pytest.raises(ImumonError, match=f"{len(bad)} of {rows} rows") as caught:
         import_table(table, map_path, tmp_path / "s")
     assert "PuTTY log" in caught.value.seen

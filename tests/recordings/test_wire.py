@@ -12,7 +12,7 @@ from mcap.writer import CompressionType, Writer
 
 from imumon.errors import ImumonError, Reason
 from imumon.recordings import wire
-from imumon.recordings.wire import WireReader, WireWriter, read_wire
+from imumon.recordings.wire import WireReader, WireWriter
 from imumon.transport.reader import Bytes, Event, EventKind, Item
 
 ITEMS: list[Item] = [
@@ -51,7 +51,7 @@ def test_reading_does_not_depend_on_the_size_of_the_pieces(
     record(path, items).close()
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(wire, "READ_SIZE", read_size)
-        assert list(read_wire(path)) == items
+        assert list(WireReader(path)) == items
 
 
 def test_a_file_cut_at_any_byte_is_read_to_its_last_whole_record(tmp_path: Path) -> None:
@@ -139,7 +139,7 @@ def test_a_file_that_another_tool_put_into_chunks_is_read(tmp_path: Path) -> Non
         for index in range(500):
             writer.add_message(channel, index, b"%d" % index, index)
         writer.finish()  # type: ignore[no-untyped-call]  # the library does not say
-    assert list(read_wire(path)) == [Bytes(b"%d" % index, index) for index in range(500)]
+    assert list(WireReader(path)) == [Bytes(b"%d" % index, index) for index in range(500)]
 
 
 @pytest.mark.parametrize("content", [b"gx,gy,gz\n1,2,3\n", b"\x89MCAP1\r\n" + bytes(40)])
@@ -147,7 +147,7 @@ def test_a_file_of_another_kind_is_refused(tmp_path: Path, content: bytes) -> No
     path = tmp_path / "w.mcap"
     path.write_bytes(content)
     with pytest.raises(ImumonError, match="is not a wire file") as caught:
-        list(read_wire(path))
+        list(WireReader(path))
     assert caught.value.reason is Reason.BAD_DATA
 
 
@@ -158,7 +158,7 @@ def test_an_mcap_file_of_another_profile_is_refused(tmp_path: Path) -> None:
         writer.start(profile="ros2")
         writer.finish()  # type: ignore[no-untyped-call]  # the library does not say
     with pytest.raises(ImumonError, match="profile 'ros2'"):
-        list(read_wire(path))
+        list(WireReader(path))
 
 
 def test_an_existing_file_is_not_overwritten(tmp_path: Path) -> None:
@@ -242,7 +242,7 @@ def test_closing_on_a_full_disk_counts_what_is_lost_and_leaves_a_readable_file(
         writer.close()
     assert writer.counters.bytes_on_disk == 3 + 24
     assert writer.counters.bytes_unrecorded == 256
-    assert list(read_wire(tmp_path / "w.mcap")) == ITEMS[:3]
+    assert list(WireReader(tmp_path / "w.mcap")) == ITEMS[:3]
     writer.close()
 
 
@@ -251,4 +251,4 @@ def test_an_event_of_a_newer_version_is_refused_rather_than_passed_over(tmp_path
     record(path, ITEMS).close()
     path.write_bytes(path.read_bytes().replace(b'"lost"', b'"moon"'))
     with pytest.raises(ImumonError, match="moon"):
-        list(read_wire(path))
+        list(WireReader(path))

@@ -3,7 +3,7 @@ from __future__ import annotations
 import errno
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +23,7 @@ from imumon.run.stages import estimators
 from imumon.simulation.virtual_device import VirtualDevice
 from imumon.transport.settings import PortSettings
 from imumon.view.items import Log, State, Status, ViewItem
+from tests.transport.helpers import wait_until
 
 AX1 = load_device("ax1")
 
@@ -39,13 +40,6 @@ class Watcher:
 
     def states(self, lane: str) -> list[str]:
         return [item.state for item in self.items if isinstance(item, State) and item.lane == lane]
-
-
-def wait_until(condition: Callable[[], bool], seconds: float = 15.0) -> None:
-    deadline = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < deadline, "waited too long"
-        time.sleep(0.02)
 
 
 def start(path: str, folder: Path, watcher: Watcher, baudrate: int = 115200) -> LiveRun:
@@ -73,7 +67,7 @@ def test_a_replay_gives_the_live_samples_bit_for_bit(tmp_path: Path) -> None:
     watcher = Watcher()
     with VirtualDevice(AX1, tmp_path / "ahrs") as device:
         run = start(device.port.path, tmp_path / "session", watcher)
-        wait_until(lambda: run.pipeline.counters.packets > 150)
+        assert wait_until(lambda: run.pipeline.counters.packets > 150, 15.0)
         summary = run.stop(["view.rrd"])
     session = open_session(tmp_path / "session")
     block, pipeline = replayed(session)
@@ -97,13 +91,13 @@ def test_an_unplugged_device_comes_back_and_a_reboot_begins_a_segment(
 ) -> None:
     watcher = Watcher()
     run = start(ahrs.port.path, tmp_path / "session", watcher)
-    wait_until(lambda: run.pipeline.counters.packets > 30)
+    assert wait_until(lambda: run.pipeline.counters.packets > 30, 15.0)
     ahrs.port.unplug()
-    wait_until(lambda: "lost" in watcher.states("port"))
+    assert wait_until(lambda: "lost" in watcher.states("port"), 15.0)
     ahrs.reboot()
     ahrs.port.replug()
     before = run.pipeline.counters.packets
-    wait_until(lambda: run.pipeline.counters.packets > before + 30)
+    assert wait_until(lambda: run.pipeline.counters.packets > before + 30, 15.0)
     summary = run.stop()
     assert watcher.states("port") == ["open", "lost", "open", "closed"]
     assert summary.counters.clock_restarts == 1
@@ -120,11 +114,13 @@ def test_an_unplugged_device_comes_back_and_a_reboot_begins_a_segment(
 def test_silence_is_said_and_ends_by_itself(tmp_path: Path, ahrs: VirtualDevice) -> None:
     watcher = Watcher()
     run = start(ahrs.port.path, tmp_path / "session", watcher)
-    wait_until(lambda: run.pipeline.counters.packets > 10)
+    assert wait_until(lambda: run.pipeline.counters.packets > 10, 15.0)
     ahrs.port.silence()
-    wait_until(lambda: "silent" in watcher.states("port"))
+    assert wait_until(lambda: "silent" in watcher.states("port"), 15.0)
     ahrs.port.resume()
-    wait_until(lambda: watcher.states("port")[-1] == "open")
+    before = run.pipeline.counters.packets
+    assert wait_until(lambda: watcher.states("port")[-1] == "open", 15.0)
+    assert wait_until(lambda: run.pipeline.counters.packets > before, 15.0)
     summary = run.stop()
     assert summary.counters.clock_restarts == 0
     assert summary.counters.packets_missing > 50
@@ -133,7 +129,7 @@ def test_silence_is_said_and_ends_by_itself(tmp_path: Path, ahrs: VirtualDevice)
 def test_a_wrong_baud_rate_is_named(tmp_path: Path, ahrs: VirtualDevice) -> None:
     watcher = Watcher()
     run = start(ahrs.port.path, tmp_path / "session", watcher, baudrate=57600)
-    wait_until(lambda: "bad: does not frame" in watcher.states("data"))
+    assert wait_until(lambda: "bad: does not frame" in watcher.states("data"), 15.0)
     summary = run.stop()
     problem = nothing_decoded(PortSettings(ahrs.port.path, 57600), AX1, summary.counters)
     assert problem is not None
@@ -152,7 +148,7 @@ def test_a_port_that_cannot_be_opened_leaves_nothing_behind(tmp_path: Path) -> N
 
 def test_a_session_is_not_overwritten(tmp_path: Path, ahrs: VirtualDevice) -> None:
     run = start(ahrs.port.path, tmp_path / "session", Watcher())
-    wait_until(lambda: run.pipeline.counters.packets > 5)
+    assert wait_until(lambda: run.pipeline.counters.packets > 5, 15.0)
     run.stop()
     before = (tmp_path / "session" / "wire.mcap").read_bytes()
     with pytest.raises(ImumonError) as caught:
@@ -182,13 +178,13 @@ def test_a_run_that_did_not_decode_everything_has_no_digest_to_compare_with(
     monkeypatch.setattr(threading, "excepthook", lambda event: seen.append(event.exc_value))
     with VirtualDevice(AX1, tmp_path / "ahrs") as device:
         run = start(device.port.path, tmp_path / "session", Watcher())
-        wait_until(lambda: run.pipeline.counters.packets > 20)
+        assert wait_until(lambda: run.pipeline.counters.packets > 20, 15.0)
 
         def fail() -> SampleBlock:
             raise ValueError("a defect")
 
         monkeypatch.setattr(run.pipeline, "take", fail)
-        wait_until(lambda: not run.processing)
+        assert wait_until(lambda: not run.processing, 15.0)
         received = run.pipeline.counters.bytes_received
         time.sleep(0.5)
         summary = run.stop()
@@ -210,6 +206,6 @@ def test_a_device_that_sends_every_two_seconds_is_not_called_silent(tmp_path: Pa
         run = LiveRun(slow, text, PortSettings(device.port.path), Setup(), tmp_path / "session", watcher.say)
         run.open()
         run.begin([watcher.items.append])
-        wait_until(lambda: run.pipeline.counters.packets == 2)
+        assert wait_until(lambda: run.pipeline.counters.packets == 2, 15.0)
         run.stop()
     assert watcher.states("port") == ["open", "closed"]

@@ -5,7 +5,7 @@ from pathlib import Path
 from imumon.pipeline import Pipeline
 from imumon.protocols.device import load_device
 from imumon.run.narration import Narrator, advised
-from imumon.simulation.bench import BenchUnit
+from imumon.simulation.unit import SimulatedUnit, load_scenario
 from imumon.transport.reader import Event, EventKind
 from imumon.transport.settings import PortSettings
 from imumon.view.items import Log, Numbers, State, Status, ViewItem
@@ -24,7 +24,7 @@ def narrated() -> tuple[Pipeline, Narrator, list[ViewItem]]:
 
 def send(pipeline: Pipeline, narrator: Narrator, seconds: int, damage: bool = False) -> int:
     """Send at 100 Hz with a tick twice a second; return the time at the end."""
-    packets = AX1.encoder().encode(BenchUnit(100.0, AX1.axes).samples(100 * seconds))
+    packets = AX1.encoder().encode(SimulatedUnit(load_scenario("bench")).samples(100 * seconds))
     now = START
     for number, packet in enumerate(packets):
         now = START + number * 10_000_000

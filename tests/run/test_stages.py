@@ -35,7 +35,7 @@ def warming(n: int, starts_at: int) -> SampleBlock:
 
 
 @given(cuts=st.lists(st.integers(1, 2399), max_size=8), starts_at=st.integers(0, 900))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=10, deadline=None)
 def test_a_channel_that_comes_late_is_the_same_whatever_the_blocks(cuts: list[int], starts_at: int) -> None:
     block = warming(2400, starts_at)
     whole = Pipeline(None, estimators(None))

@@ -12,7 +12,7 @@ from imumon.protocols.device import device_text, parse_device
 from imumon.recordings.folder import Session, open_session
 from imumon.recordings.source import open_source, run_over
 from imumon.recordings.table import read_table
-from imumon.recordings.wire import read_wire
+from imumon.recordings.wire import WireReader
 from imumon.simulation.recording import SCENARIO_NAME, START_NS, TRUTH_NAME, record_session, write_table
 from imumon.simulation.unit import Scenario, SimulatedUnit, load_scenario
 from imumon.simulation.unit.unit import CHUNK
@@ -83,7 +83,7 @@ def test_other_devices_send_a_scenario_in_their_own_axes(tmp_path: Path, device:
 
 def test_the_same_seed_gives_the_same_bytes_at_the_same_times(tmp_path: Path) -> None:
     paths = [record(tmp_path / str(i), "ax1", plan(2.0), seed).wire_path for i, seed in enumerate((1, 1, 2))]
-    first, again, other = ([item for item in read_wire(path) if isinstance(item, Bytes)] for path in paths)
+    first, again, other = ([item for item in WireReader(path) if isinstance(item, Bytes)] for path in paths)
     assert first == again
     assert first != other
 

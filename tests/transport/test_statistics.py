@@ -66,14 +66,6 @@ def test_a_network_stream_has_a_rate_but_no_load() -> None:
     assert not statistics.overloaded(now)
 
 
-def test_the_peak_is_the_largest_burst() -> None:
-    statistics = LinkStatistics(LINE)
-    stream(statistics, 1000, 0.0, 1.0)
-    statistics.add(3000, SECOND + 1)
-    stream(statistics, 1000, 1.2, 3.0)
-    assert statistics.peak_bytes_per_s == 30_000
-
-
 def test_a_backlog_at_the_start_is_no_overload() -> None:
     statistics = LinkStatistics(PortSettings("/dev/ttyUSB0", 115200))
     statistics.add(4000, 0)

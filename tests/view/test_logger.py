@@ -9,8 +9,9 @@ import rerun as rr
 
 from imumon.blocks import ColumnArray, SampleBlock
 from imumon.charts import BLUE, GREEN, GREY, ORANGE, RED, VIOLET
+from imumon.view.attitude import xyzw
 from imumon.view.items import Numbers, State, Status, Timebase, ViewItem, ViewSetup, merge
-from imumon.view.layout import INTEGERS, OTHER, Rows, Window, from_euler, from_wxyz, strip, unit_text
+from imumon.view.layout import INTEGERS, OTHER, Line, Rows, Strip, Window, unit_text
 from imumon.view.logger import BAD, GOOD, PLAIN, WAIT, StreamLogger, state_color, status_card
 from imumon.view.panels import PANELS
 from tests.view.streams import GYRO, QUATERNION, Stream, block, entities, record_batches, scalars
@@ -174,7 +175,7 @@ def test_panel_keys_and_columns_are_unique_enough_to_tell_panels_apart() -> None
 def test_euler_angles_and_quaternion_turn_the_body_alike() -> None:
     rng = np.random.default_rng(1)
     angles = rng.uniform([-3.0, -1.5, -3.0], [3.0, 1.5, 3.0], (50, 3))
-    for (roll, pitch, yaw), (x, y, z, w) in zip(angles, from_euler(angles), strict=True):
+    for (roll, pitch, yaw), (x, y, z, w) in zip(angles, xyzw(angles), strict=True):
         about_x = np.array([[1, 0, 0], [0, np.cos(roll), -np.sin(roll)], [0, np.sin(roll), np.cos(roll)]])
         about_y = np.array([[np.cos(pitch), 0, np.sin(pitch)], [0, 1, 0], [-np.sin(pitch), 0, np.cos(pitch)]])
         about_z = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
@@ -186,7 +187,7 @@ def test_euler_angles_and_quaternion_turn_the_body_alike() -> None:
             ]
         )
         np.testing.assert_allclose(turned, about_z @ about_y @ about_x, atol=1e-12)
-    assert from_wxyz(np.array([[1.0, 2.0, 3.0, 4.0]])).tolist() == [[2.0, 3.0, 4.0, 1.0]]
+    assert xyzw(np.array([[1.0, 2.0, 3.0, 4.0]])).tolist() == [[2.0, 3.0, 4.0, 1.0]]
 
 
 def test_units_are_those_of_the_device() -> None:
@@ -222,7 +223,7 @@ def test_colours_read_on_the_dark_and_on_the_light_theme(color: tuple[int, int, 
 
 
 def test_limits_and_the_raw_rate_stand_in_the_view_of_a_strip(write: Callable[[Write], Path]) -> None:
-    panel = strip("a", "A", {"temperature": "t"}, limits=(-2.0, 2.0), beside="/view/gyro")
+    panel = Strip("a", "A", (Line("temperature", "t", RED),), limits=(-2.0, 2.0), beside="/view/gyro")
     n = 30
     values: dict[str, ColumnArray] = {"temperature": np.linspace(0.0, 1.0, n)}
     rows = Rows(values, np.arange(n), None, None)
@@ -235,7 +236,7 @@ def test_limits_and_the_raw_rate_stand_in_the_view_of_a_strip(write: Callable[[W
 
 
 def test_of_a_sparse_column_only_the_rows_with_a_value_are_logged(write: Callable[[Write], Path]) -> None:
-    panel = strip("a", "A", {"temperature": "t"}, sparse=True, limits=(-3.0, 3.0))
+    panel = Strip("a", "A", (Line("temperature", "t", RED),), look="points", limits=(-3.0, 3.0))
     values = np.full(30, np.nan)
     values[[4, 17]] = 1.5, -0.5
     rows = Rows({"temperature": values}, np.arange(30), None, None)

@@ -232,6 +232,19 @@ def test_stopped_view_process_costs_bounded_memory_and_does_not_block_exit(
     assert time.monotonic() - started < CLOSE_S
 
 
+def test_view_process_that_takes_nothing_is_started_again(
+    publish: Publish, port: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("imumon.view.publisher.STUCK_S", 1.0)
+    publisher = publish("web", port)
+    stream = Stream(publisher.publish)
+    stream.run_until(lambda: publisher.state.connected, 20, "serving")
+    os.kill(child().pid, signal.SIGSTOP)
+    stream.send(20_000)  # more than a pipe holds
+    stream.run_until(lambda: publisher.state.restarts == 1, 20, "noticed")
+    stream.run_until(lambda: publisher.state.connected, 20, "serving again")
+
+
 @pytest.mark.parametrize("after_s", [0.0, 0.1, 0.2, 0.3, 0.4])
 def test_close_at_any_time_leaves_no_process(publish: Publish, port: int, after_s: float) -> None:
     publisher = publish("web", port)

@@ -174,7 +174,7 @@ def test_full_disk_is_reported_and_what_is_missing_counted(tmp_path: Path) -> No
 def test_finished_segments_are_compacted_and_hold_the_same(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("imumon.view.compact.WORTH_BYTES", 1000)
+    monkeypatch.setattr("imumon.view.recorder.WORTH_BYTES", 1000)
     monkeypatch.setattr("imumon.view.recorder.BATCH_S", 0.01)
     recorder = ViewRecorder(tmp_path / "view.rrd", SETUP, segment_s=10.0)
     stream = Stream(recorder.publish)

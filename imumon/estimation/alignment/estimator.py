@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -12,13 +13,14 @@ from imumon.blocks import FloatArray
 from imumon.estimation.alignment import fit
 from imumon.estimation.alignment.motion import LEAST, Motion, Slot
 from imumon.estimation.alignment.parameters import AlignmentParameters
+from imumon.estimation.alignment.posterior import Heading, Place, heading
 from imumon.estimation.alignment.record import Pose, Record
 from imumon.estimation.alignment.status import Estimate
 from imumon.geodesy import DEG_PER_H, EARTH_RATE, MICRO_G, STANDARD_GRAVITY, forward
 
 SLOT_S = 0.25
-RENEWED_S, RENEWED_SHARE = 1.0, 1.0 / 40.0
-"""A fit is renewed after a second, and after this share of the time that counts."""
+RENEWED_SHARE, RENEWED_S = 0.25, (1.0, 30.0)
+"""A fit is renewed after this share of the time that counts, sigma falling by a tenth; between these, s."""
 LONGEST_S = 120.0
 """After a longer disturbance, or a gap of a quarter of it, the alignment begins anew: an attitude that was
 followed for so long has lost what was found."""
@@ -27,16 +29,20 @@ SAME_TURN, SAME_LEVEL = 3e-5, 1e-5
 SIGMAS = 6.0
 AFTER = 3
 """Slots after a disturbance that do not count: what is left of it in them is below the limit, but adds up."""
-TYPICAL_BIAS, TYPICAL_ARW, BIAS_POWER = 10.0 * DEG_PER_H, math.radians(0.1) / 60.0, 1.5
-"""A gyro with the noise 0.1 °/√h has a bias of about 10 °/h; better gyros have less, by the power 1.5: data
-sheets of MEMS, fibre and ring laser gyros, from 0.3 °/√h and 50 °/h to 0.002 °/√h and 0.03 °/h."""
-LEAST_ARW = math.radians(1e-4) / 60.0
-"""The best ring laser gyros."""
-SMALLER, LARGER = 1.2, 2.2
-"""Standard deviation of the logarithm of a bias about that: below, the scatter of the data sheets; above, a
-factor 80 at two of them, for a low-noise gyro may have any bias until it is calibrated."""
-SIZES = np.linspace(-2.4, 9.0, 14)
-"""Logarithms of the sizes thought of, over the typical one."""
+TYPICAL_BIAS, TYPICAL_ARW, BIAS_POWER = 2.0 * DEG_PER_H, math.radians(0.1) / 60.0, 1.86
+SCATTER = 1.5
+"""A gyro with the noise N has a bias of about 2 °/h (N / 0.1 °/√h)^1.86; 1.5 is the standard deviation of its
+logarithm.  Regression over data sheets, bias and noise in °/h and °/√h: Honeywell HG9900 0.0035 and 0.002,
+HG1700 1 and 0.125 (`hg9900_model`, `hg1700_model` of NavToolkit), iMAR FSAS 0.75 and 0.1, Xsens MTi-G 3600
+and 3 (Mathematical Problems in Engineering 2013, 435286, table 6)."""
+LEAST_ARW, LARGEST_TYPICAL = math.radians(0.002) / 60.0, EARTH_RATE
+"""The quietest of them; and a typical bias is not made larger than what leaves no heading anyway."""
+SIZES = np.linspace(-4.0, 12.0, 17)
+"""Logarithms of the sizes thought of, over the typical one: up to 200 °/h of the best gyros."""
+LARGER = int(np.sum(SIZES > 0.0))
+UNLIKE = 0.02
+"""Probability that a gyro is worse than its class, by any factor, as one that is not calibrated: so little
+that it costs nothing where the rates agree with the class, and where they do not, they decide."""
 DECLARED = 0.999
 """Probability that a declared bias holds."""
 
@@ -50,14 +56,17 @@ class State:
     poses: list[Pose] = field(default_factory=list)
     attitude: FloatArray = field(default_factory=lambda: np.eye(3))
     """Body axes to the frame of the first pose, now."""
-    field_sum: FloatArray = field(default_factory=lambda: np.zeros(4))
+    ahead: float = 0.0
+    """Direction of the body in that frame, rad, from its forward to its left."""
+    field_sum: list[float] = field(default_factory=lambda: [0.0] * 4)
+    """Of the magnetometer in this pose, body axes, and its samples."""
     now_s: float = 0.0
     slot_end_s: float = 0.0
     interval_s: float = 0.0
     evaluated_s: float = -math.inf
     counted_s: float = 0.0
     shaken_s: float = 0.0
-    found: fit.Heading | None = None
+    found: Heading | None = None
     fits: list[fit.PoseFit] = field(default_factory=list)
     means: dict[str, Estimate] = field(default_factory=dict)
     settled_s: float | None = None
@@ -102,8 +111,8 @@ class Aligner:
             events=events, disturbed=old.disturbed, restarts=restarts,
         )  # fmt: skip
 
-    def step(self, slot: Slot, magnetic: FloatArray) -> None:
-        """Go on by a slot."""
+    def step(self, slot: Slot, magnetic: Sequence[float]) -> None:
+        """Go on by a slot, and its mean of the magnetometer, (3,)."""
         state, motion = self.state, self.state.motion
         gap = slot.time_s - 0.5 * slot.length_s - state.slot_end_s
         if state.poses and gap > LONGEST_S / 4.0:
@@ -118,77 +127,90 @@ class Aligner:
         if not motion.disturbed:
             cause = motion.judge(slot)
             if cause:
-                self._begin_disturbance(slot, cause)
+                motion.begin(slot, cause)
         if motion.disturbed:
             self._disturbed(slot)
         else:
             motion.go_on(slot)
-            self._count(slot)
-        if np.isfinite(magnetic).all() and not motion.disturbed:
-            state.field_sum += [*(slot.samples * magnetic), slot.samples]
-        if not motion.disturbed and state.counted_s >= state.evaluated_s + max(
-            RENEWED_S, RENEWED_SHARE * state.counted_s
-        ):
+            self._add(slot, len(state.poses) - 1, counts=True)
+        if not motion.disturbed and math.isfinite(sum(magnetic)):
+            for axis, value in enumerate(magnetic):
+                state.field_sum[axis] += slot.samples * value
+            state.field_sum[3] += slot.samples
+        after = min(max(RENEWED_SHARE * state.counted_s, RENEWED_S[0]), RENEWED_S[1])
+        if not motion.disturbed and state.counted_s >= state.evaluated_s + after:
             self.evaluate()
 
-    def _begin_disturbance(self, slot: Slot, cause: str) -> None:
-        state = self.state
-        state.motion.begin(slot, cause)
-        state.disturbed += 1
-        state.record.leave_out(state.motion.begun_s - slot.length_s)
+    def _stands(self, attitude: FloatArray) -> None:
+        """Take a new attitude."""
+        up = attitude[2]
+        ahead = attitude @ forward(up / np.sqrt(up @ up))
+        self.state.attitude, self.state.ahead = attitude, math.atan2(ahead[1], ahead[0])
 
     def _disturbed(self, slot: Slot) -> None:
         """Follow the unit until it rests again."""
         state, motion = self.state, self.state.motion
         before = motion.turned
-        calm = motion.follow(slot)
-        state.attitude = state.attitude @ before.T @ motion.turned
-        if not calm:
-            for other in motion.calm:
-                self._skip(other)
-            motion.calm = []
-            self._skip(slot)
-        else:
-            motion.calm.append(slot)
-        if state.poses and slot.time_s - motion.begun_s > LONGEST_S:
+        motion.follow(slot)
+        self._stands(state.attitude @ before.T @ motion.turned)
+        if not state.poses and not motion.calm:
+            motion.passed.clear()
+        if state.poses and motion.seconds > LONGEST_S:
             self.begin_anew(f"{motion.cause} at {motion.begun_s:.1f} s for {LONGEST_S:g} s")
         elif motion.rested:
             self._rest()
 
-    def _skip(self, slot: Slot) -> None:
-        if self.state.poses:
-            self.state.shaken_s += slot.length_s
-            self.state.record.add(slot.time_s, 0.0, slot.mean[:3], slot.mean[3:], len(self.state.poses) - 1)
-
-    def _count(self, slot: Slot) -> None:
-        state = self.state
-        state.record.add(slot.time_s, float(slot.samples), slot.mean[:3], slot.mean[3:], len(state.poses) - 1)
-        state.counted_s += slot.length_s
-
     def _rest(self) -> None:
-        """Count the calm slots, in the pose of before or in a new one."""
+        """Begin the first pose, or go on in that of before, or in a new one; count what may count."""
         state, motion = self.state, self.state.motion
-        calm, first = list(motion.calm), not state.poses
-        same = False
-        if first:
+        passed, calm = motion.passed, motion.passed[-motion.calm :]
+        skipped, same = 0, False
+        if not state.poses:
             up = np.mean([slot.mean[3:] for slot in calm], axis=0)
             up /= np.sqrt(up @ up)
             ahead = forward(up)
-            state.attitude = np.vstack([ahead, np.cross(up, ahead), up])
+            self._stands(np.vstack([ahead, np.cross(up, ahead), up]))
             state.poses.append(Pose(state.attitude, 0.0, calm[0].time_s))
         else:
+            before = len(state.poses) - 1
             same = self._new_pose(calm)
+            if not (same and motion.returned):
+                skipped = len(passed) - len(calm) + AFTER
+                state.disturbed += 1
+                state.record.leave_out(motion.begun_s - calm[0].length_s)
+                state.events.append(self._left_out(same))
+                for slot in passed[: len(passed) - len(calm)]:
+                    self._add(slot, before, counts=False)
+                passed, skipped = calm, AFTER
         motion.rest(same)
-        for k, slot in enumerate(calm):
-            if k < AFTER and not first:
-                self._skip(slot)
-            else:
-                self._count(slot)
+        for k, slot in enumerate(passed):
+            self._add(slot, len(state.poses) - 1, counts=k >= skipped)
+
+    def _add(self, slot: Slot, pose: int, counts: bool) -> None:
+        """Add a slot to the record of a pose."""
+        state = self.state
+        weight = float(slot.samples) if counts else 0.0
+        state.record.add(slot.time_s, weight, slot.mean[:3], slot.mean[3:], pose)
+        if counts:
+            state.counted_s += slot.length_s
+        else:
+            state.shaken_s += slot.length_s
+
+    def _left_out(self, same: bool) -> str:
+        """Return what is said of a disturbance that does not count."""
+        motion, poses = self.state.motion, self.state.poses
+        seconds = motion.seconds - sum(slot.length_s for slot in motion.passed[-motion.calm :])
+        said = f"alignment: {motion.cause} at {motion.begun_s:.1f} s for {seconds:.1f} s: left out"
+        if same:
+            return said
+        turned = -math.degrees(azimuth_between(poses[-2].attitude, poses[-1].attitude))
+        return f"{said}; a new position, turned by {turned:.2f}° about the vertical"
 
     def _new_pose(self, calm: list[Slot]) -> bool:
         """Return whether the unit stands as before a disturbance; else begin a pose."""
         state, motion = self.state, self.state.motion
-        middle, spread, _ = motion.usual()
+        usual = motion.usual()
+        middle, spread = usual.middle, usual.spread
         seconds = max(calm[0].time_s - motion.begun_s, calm[0].length_s)
         up = np.mean([slot.mean[3:] for slot in calm], axis=0)
         step = np.sqrt(np.sum((up / np.sqrt(up @ up) - middle[3:] / np.sqrt(middle[3:] @ middle[3:])) ** 2))
@@ -197,20 +219,15 @@ class Aligner:
         turn = azimuth_between(before, attitude)
         noise = float(spread[:3].max()) * math.sqrt(calm[0].length_s * seconds)
         bumped = SIGMAS * float(spread[3:].max()) / math.sqrt(LEAST) / STANDARD_GRAVITY
-        for_s = f"alignment: {motion.cause} at {motion.begun_s:.1f} s for {seconds:.1f} s"
         if abs(turn) < max(SAME_TURN, SIGMAS * noise) and step < max(SAME_LEVEL, bumped):
-            state.attitude = before
-            state.events.append(f"{for_s}: left out")
+            self._stands(before)
             return True
-        state.attitude = attitude
+        self._stands(attitude)
         scale = self.parameters.gyro_scale_sd_ppm * 1e-6 * motion.angle
         drift = DRIFT_WHILE_TURNED * EARTH_RATE * seconds * min(motion.angle, 1.0)
         variance = state.poses[-1].turn_variance + scale**2 + noise**2 + drift**2
         state.poses.append(Pose(attitude, variance, calm[0].time_s))
-        state.field_sum[:] = 0.0
-        state.events.append(
-            f"{for_s}: left out; a new position, turned by {-math.degrees(turn):.2f}° about the vertical"
-        )
+        state.field_sum = [0.0] * 4
         return False
 
     def evaluate(self) -> None:
@@ -228,11 +245,9 @@ class Aligner:
             attitude = levelled(pose.attitude, up)
             time = record.time_s[rows] - record.time_s[rows[0]] + SLOT_S / 2
             level = record.force[rows] @ attitude.T / gravity
-            found = fit.fit_pose(
-                time, weight, record.rate[rows] @ attitude.T,
-                -1j * (level[:, 0] + 1j * level[:, 1]) - self._known(record.time_s[rows], attitude),
-                self._drift_sd(),
-            )  # fmt: skip
+            angle = -1j * (level[:, 0] + 1j * level[:, 1]) - self._known(record.time_s[rows], attitude)
+            kept = fit.PoseRecord(time, weight, record.rate[rows] @ attitude.T, angle)
+            found = fit.fit_pose(kept, self._drift_sd())
             if found is None:
                 continue
             fits.append(found)
@@ -241,12 +256,12 @@ class Aligner:
         state.fits = fits
         if not fits:
             return
-        sizes, log_prior = self._bias_prior(math.sqrt(fits[-1].white))
-        place = fit.Place(
+        sizes, log_prior = self._bias_prior(math.sqrt(min(one.quietest for one in fits)))
+        place = Place(
             self.latitude, sizes, log_prior, (parameters.gyro_flicker_deg_per_h or 0.0) * DEG_PER_H,
             parameters.accel_bias_sd_ug * 1e-6,
         )  # fmt: skip
-        state.found = fit.heading(fits, attitudes, np.array(turns), place)
+        state.found = heading(fits, attitudes, np.array(turns), place)
         self._means()
         self._settle()
 
@@ -269,15 +284,14 @@ class Aligner:
 
     def _bias_prior(self, arw: float) -> tuple[FloatArray, FloatArray]:
         """Return sizes of the bias that are thought of, rad/s, and the logarithms of their probabilities."""
-        typical = TYPICAL_BIAS * (max(arw, LEAST_ARW) / TYPICAL_ARW) ** BIAS_POWER
+        typical = min(TYPICAL_BIAS * (max(arw, LEAST_ARW) / TYPICAL_ARW) ** BIAS_POWER, LARGEST_TYPICAL)
         declared = self.parameters.gyro_bias_sd_deg_per_h
         if declared is None:
-            logs = -0.5 * (SIZES / np.where(SIZES < 0.0, SMALLER, LARGER)) ** 2
-            return typical * np.exp(SIZES), logs - np.log(np.exp(logs).sum())
-        larger = SIZES[SIZES > 0.0]
-        logs = -0.5 * (larger / LARGER) ** 2
-        sizes = np.r_[declared * DEG_PER_H, max(typical, declared * DEG_PER_H) * np.exp(larger)]
-        return sizes, np.r_[math.log(DECLARED), logs - np.log(np.exp(logs).sum()) + math.log(1.0 - DECLARED)]
+            return typical * np.exp(SIZES), np.log(
+                (1.0 - UNLIKE) * _normal(SIZES) + UNLIKE * (SIZES > 0.0) / LARGER
+            )
+        sizes = np.r_[declared * DEG_PER_H, max(typical, declared * DEG_PER_H) * np.exp(SIZES[SIZES > 0.0])]
+        return sizes, np.log(np.r_[DECLARED, np.full(LARGER, (1.0 - DECLARED) / LARGER)])
 
     def _means(self) -> None:
         """Renew the plain and the Hann-weighted mean of the gyros in the pose of now."""
@@ -334,15 +348,19 @@ class Aligner:
 
     def as_heading(self, north: float) -> float:
         """Return the heading of the body from the direction of north in the frame of the first pose."""
-        up = self.state.attitude[2]
-        ahead = self.state.attitude @ forward(up / np.sqrt(up @ up))
-        return (north - math.atan2(ahead[1], ahead[0])) % (2.0 * math.pi)
+        return (north - self.state.ahead) % (2.0 * math.pi)
 
 
 DRIFT_WHILE_TURNED = 1.0
 """While the unit turns by a radian or more, the rate that is taken off may be wrong by the earth's."""
 STILL_SETTLED = 1.25
 """A settled heading remains settled until its sigma is larger by this factor."""
+
+
+def _normal(logarithms: FloatArray) -> FloatArray:
+    """Return the probabilities of logarithms of sizes by the scatter of a class."""
+    density = np.exp(-0.5 * (logarithms / SCATTER) ** 2)
+    return np.asarray(density / density.sum())
 
 
 def levelled(attitude: FloatArray, up: FloatArray) -> FloatArray:

@@ -17,25 +17,29 @@ Statistical Science 14(4), 1999).
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from imumon.blocks import ColumnArray, FloatArray
-from imumon.estimation.alignment.noise import fitted, lines
-from imumon.geodesy import EARTH_RATE
+from imumon.estimation.alignment.lines import without_lines
+from imumon.estimation.alignment.windows import ROWS, Windows, bank, in_cells, layout, trend
 
-TIME_CONSTANTS_S = np.geomspace(5.0, 600.0, 12)
-"""Of a tripod that settles: so close that the gyros do not tell neighbours apart at 200 µrad."""
-RAMP_S = 600.0
+TIME_CONSTANTS_S = np.geomspace(5.0, 640.0, 8)
+"""Of a tripod that settles.  Two neighbours together follow any time constant between them."""
+RAMP_S = 640.0
 """A steady tilt is told by its angle over this time."""
 LATER = (0.25, 0.5, 0.75)
 """Shares of the time after which a steady tilt may have begun."""
+_STEADY = len(TIME_CONSTANTS_S)
+PAIRS = np.array(
+    [(k, k + 1) for k in range(_STEADY)] + [(_STEADY, _STEADY + 1 + k) for k in range(len(LATER))]
+).T
+"""Courses of which a tilt is the sum: exponentials, or a steady tilt that changes once; (2, pairs)."""
 TILTS = np.array([3e-5, 3e-4])
 """Standard deviations of the tilt, rad: of what tripods do, 30 to 300 µrad."""
-PROBABILITY = 0.1
-"""Prior probability that the unit tilts."""
+PROBABILITY = 1.0 / 3.0
+"""Prior probability that the unit tilts: of standing, warming up and settling, one."""
 WARM_UPS_S = np.array([30.0, 100.0, 300.0, 1000.0])
 WARM_UP = 1e-4
 """Time constants of accelerometers, and the standard deviation of each part of the drift, in g."""
@@ -43,8 +47,6 @@ WALK = 1e-7
 """Random walk of an accelerometer, g/√s: 6 µg in an hour."""
 LEVEL = 1e-3
 """Standard deviation of the mean level about its estimate, rad: wide, but not so wide as to cost digits."""
-BLOCKS = 48
-"""Averages to which the accelerometers' record is reduced."""
 FINEST = 1e-10
 """rad/s, 2e-5 °/h: no mean of a gyro is better, whatever a record without noise says."""
 BETTER = 2.0
@@ -54,6 +56,28 @@ DISTINCT = 1e-9
 """A tilt that looks like the earth rate to this share leaves nothing to tell them apart."""
 LEAST_CELLS = 12
 """Nothing is told from less."""
+
+
+@dataclass(frozen=True, slots=True)
+class PoseRecord:
+    """What is kept of a pose.
+
+    Parameters
+    ----------
+    time_s : array, (n,)
+        Middles of the cells since the pose began.
+    weight : array, (n,)
+        Samples in each; zero where it does not count.
+    rate : array, (n, 3)
+        rad/s, forward, left, up.
+    level : array of complex, (n,)
+        Angle of the unit as the accelerometers see it, rad about forward + i left.
+    """
+
+    time_s: FloatArray
+    weight: FloatArray
+    rate: FloatArray
+    level: ColumnArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,8 +93,9 @@ class PoseFit:
         Of each axis.
     vertical, vertical_variance : float
         Mean of the vertical gyro, rad/s.
-    white : float
-        Power spectral density of the noise of a horizontal gyro at frequency zero, (rad/s)²/Hz.
+    white, quietest : float
+        Power spectral density of the noise at frequency zero, (rad/s)²/Hz: of a horizontal gyro, and of the
+        quietest, as that of the unit at rest.
     seconds : float
         Time that counts.
     """
@@ -81,14 +106,14 @@ class PoseFit:
     vertical: float
     vertical_variance: float
     white: float
+    quietest: float
     seconds: float
 
 
 def prior() -> FloatArray:
     """Return the logarithm of the prior probability of each hypothesis, (h,); the first: the unit stands."""
-    kinds = len(TIME_CONSTANTS_S) + 1 + len(LATER)
-    each = PROBABILITY / (kinds * len(TILTS))
-    return np.asarray(np.log(np.r_[1.0 - PROBABILITY, np.full(kinds * len(TILTS), each)]))
+    count = PAIRS.shape[1] * len(TILTS)
+    return np.asarray(np.log(np.r_[1.0 - PROBABILITY, np.full(count, PROBABILITY / count)]))
 
 
 def tilt_courses(time_s: FloatArray) -> FloatArray:
@@ -99,63 +124,95 @@ def tilt_courses(time_s: FloatArray) -> FloatArray:
     return np.column_stack(kinds)
 
 
-def fit_pose(
-    time_s: FloatArray, weight: FloatArray, rate: FloatArray, level: ColumnArray, drift_sd: float = WARM_UP
-) -> PoseFit | None:
+def fit_pose(record: PoseRecord, drift_sd: float = WARM_UP) -> PoseFit | None:
     """Fit a pose, or return None when there is too little.
 
     Parameters
     ----------
-    time_s : array, (n,)
-        Middles of the cells since the pose began.
-    weight : array, (n,)
-        Samples in each; zero where it does not count.
-    rate : array, (n, 3)
-        rad/s, forward, left, up.
-    level : array of complex, (n,)
-        Angle of the unit as the accelerometers see it, rad about forward + i left.
+    record : PoseRecord
     drift_sd : float
         Standard deviation of each part of the drift of an accelerometer, in g.
     """
-    valid = weight > 0.0
+    valid = record.weight > 0.0
     if valid.sum() < LEAST_CELLS:
         return None
-    root = np.sqrt(weight / np.median(weight[valid]))
-    step = (time_s[-1] - time_s[0]) / (len(time_s) - 1)
-    courses = tilt_courses(time_s)
-    slopes = np.gradient(courses, time_s, axis=0)
-    trend = np.column_stack([np.ones(len(time_s)), np.exp(-np.outer(time_s, 8.0 / time_s[-1] / [1.0, 4.0]))])
-    horizontal = rate[:, 0] + 1j * rate[:, 1]
-    waves = lines(_residual(trend, horizontal, root) * valid, time_s)
-    removed = np.hstack([trend, waves])
-    noise = fitted(_residual(removed, horizontal, root), valid, removed.shape[1])
-    middle = np.average(horizontal, weights=weight)
-    data = np.where(valid, horizontal - middle, 0.0)
-    if not valid.all():
-        part = waves @ np.linalg.lstsq(root[:, None] * waves, root * data, rcond=None)[0]
-        data = part + noise.filled(data - part, valid)
-    columns = np.column_stack([waves, np.ones(len(time_s)), slopes, data.real, data.imag])
-    white = (root * valid)[:, None] * noise.white(columns)
-    gram = _eliminated(white.T @ white, waves.shape[1])
-    tapered = _tapered(np.column_stack([np.ones(len(time_s)), slopes, data.real, data.imag]))
+    cells = _in_cells(record, valid)
+    length_s = float(cells.edges_s[1] - cells.edges_s[0])
+    courses = tilt_courses(cells.edges_s)
+    slopes = np.diff(courses, axis=0) / length_s
+    middle, above = cells.rate[:, :2].mean(0), float(cells.rate[:, 2].mean())
+    data = cells.rate - [*middle, above]
+    windows, scatter = _sharpest(data[:, :2], bank(len(data), cells.hop))
+    columns = np.column_stack([np.ones(len(data)), slopes, data])
+    products = windows.products(columns)
+    gram = products[:-1, :-1] * (cells.share / scatter)
+    tapered = _tapered(columns[:, :-1]) * cells.share
     if tapered[0, 0] > BETTER * gram[0, 0]:
         gram = tapered
-    evidence, mean, variance = _hypotheses(gram, *_accelerometers(level, weight, courses, drift_sd))
-    above = np.average(rate[:, 2], weights=weight)
-    upright = fitted(_residual(trend[:, :1], rate[:, 2], root), valid, 1)
-    columns = np.column_stack([np.ones(len(time_s)), upright.filled(rate[:, 2] - above, valid)])
-    seen = (root * valid)[:, None] * upright.white(columns)
-    information, right = (seen.T @ seen)[0].tolist()
-    counted = float(step * valid.sum())
+    told = _accelerometers(cells.level, length_s, 0.5 * (courses[1:] + courses[:-1]), drift_sd)
+    found = _hypotheses(gram, *told)
+    wider = _misfit(gram, found, len(windows.weights))
+    if wider > 1.0 and gram is not tapered:
+        found = _hypotheses(gram / wider, *told)
+    mean, variance = found.mean, found.variance
+    upright = windows.scatter(data[:, 2:])[0]
+    vertical_variance = upright / (float(products[0, 0]) * cells.share) + FINEST**2
+    counted = length_s * len(data) * cells.share
     return PoseFit(
-        evidence,
-        middle + mean,
+        found.log_evidence,
+        complex(*middle) + mean,
         variance,
-        above + right / information,
-        1.0 / information,
+        above + float(products[0, -1] / products[0, 0]),
+        vertical_variance,
         float(variance[0]) * counted,
+        min(float(variance[0]), vertical_variance) * counted,
         counted,
     )
+
+
+@dataclass(frozen=True, slots=True)
+class _Cells:
+    """A record in cells: rate (n, 3), level (n,) complex, and the share of it that counts.
+
+    The edges, s, (n + 1,), are those of the cells if these did not overlap; a cell is `hop` rows long.
+    """
+
+    edges_s: FloatArray
+    hop: int
+    rate: FloatArray
+    level: ColumnArray
+    share: float
+
+
+def _in_cells(record: PoseRecord, valid: ColumnArray) -> _Cells:
+    """Return the cells of a record, without its lines; where nothing counts, between their neighbours."""
+    columns = np.column_stack([record.rate, record.level.real, record.level.imag])
+    rows = np.arange(len(columns))
+    if not valid.all():
+        kept = np.flatnonzero(valid)
+        columns = np.column_stack([np.interp(rows, kept, column[kept]) for column in columns.T])
+    horizontal = without_lines(columns[:, 0] + 1j * columns[:, 1], trend(len(rows)))
+    columns[:, 0], columns[:, 1] = horizontal.real, horizontal.imag
+    count, weights = layout(len(rows))
+    means = in_cells(columns, count, weights)
+    hop = max(len(weights) // 2, 1)
+    step = float(record.time_s[-1] - record.time_s[0]) / (len(rows) - 1)
+    edges = hop * step * (np.arange(count + 1.0) + (0.5 if hop > 1 else 0.0))
+    return _Cells(edges, hop, means[:, :3], means[:, 3] + 1j * means[:, 4], float(valid.mean()))
+
+
+def _sharpest(data: FloatArray, sets: tuple[Windows, ...]) -> tuple[Windows, float]:
+    """Return the set of windows with the least variance of the mean of data, (n, axes), and that of a cell.
+
+    Wider edges are taken when they are better by more than their scatter may be wrong.
+    """
+    found: list[tuple[float, Windows, float]] = []
+    for windows in sets:
+        variance, uncertainty = windows.scatter(data)
+        of_mean = variance * windows.variance
+        if not found or (1.0 + uncertainty) * of_mean < found[-1][0]:
+            found.append((of_mean, windows, variance))
+    return found[-1][1:]
 
 
 def _tapered(columns: FloatArray) -> FloatArray:
@@ -175,200 +232,79 @@ def _tapered(columns: FloatArray) -> FloatArray:
     return np.asarray(np.outer(observed, observed) / max(variance, FINEST**2))
 
 
-def _eliminated(gram: FloatArray, count: int) -> FloatArray:
-    """Return the products of columns that are left when the first ones are fitted to them (Schur)."""
-    if not count:
-        return gram
-    rest = gram[count:, count:] - gram[count:, :count] @ np.linalg.solve(
-        gram[:count, :count], gram[:count, count:]
-    )
-    return np.asarray(rest)
+@dataclass(frozen=True, slots=True)
+class _Hypotheses:
+    """Log evidence, mean and variance of c' (h,), and the angles of the courses (h, kinds)."""
+
+    log_evidence: FloatArray
+    mean: ColumnArray
+    variance: FloatArray
+    angles: ColumnArray
 
 
-def _residual(trend: FloatArray, values: ColumnArray, root: FloatArray) -> ColumnArray:
-    """Return what a slow trend leaves of values."""
-    used = trend[:, :1] if len(values) < 4 * LEAST_CELLS else trend
-    solution = np.linalg.lstsq(used * root[:, None], values * root, rcond=None)[0]
-    return values - used @ solution
+def _misfit(gram: FloatArray, found: _Hypotheses, rows: int) -> float:
+    """Return how much more than their noise the data are off what the most probable hypothesis says.
+
+    The noise was judged by what no trend explains; a sway of one period may look like a trend, and like no
+    hypothesis.
+    """
+    best = int(np.argmax(found.log_evidence + prior()))
+    off = np.r_[-found.mean[best], -found.angles[best], 1.0, 1.0j]
+    return float((off.conj() @ gram @ off).real) / (2.0 * max(rows - 3, 1))
 
 
-def _hypotheses(
-    gram: FloatArray, information: FloatArray, seen: ColumnArray
-) -> tuple[FloatArray, ColumnArray, FloatArray]:
-    """Return log evidence, mean and variance of c' under each hypothesis, with the tilt's angle eliminated.
+def _hypotheses(gram: FloatArray, information: FloatArray, seen: ColumnArray) -> _Hypotheses:
+    """Return what each hypothesis says of c', with the tilt's angles eliminated.
 
     Parameters
     ----------
     gram : array, (kinds + 3, kinds + 3)
-        Scalar products of the whitened columns: 1, slope of each kind of tilt, data forward and left.
-    information, seen : array, (kinds,)
-        What the accelerometers tell of the tilt's angle, and that times its mean.
+        Scalar products of the columns over the noise: 1, slope of each course, data forward and left.
+    information, seen : array, (kinds, kinds) and (kinds,)
+        What the accelerometers tell of the angles, and that times their means.
     """
-    total, crossed = float(gram[0, 0]), gram[0, 1:-2]
-    products = gram[:-2, -2] + 1j * gram[:-2, -1]
-    right, right_tilt = products[0], products[1:] + seen
-    own = np.maximum(np.diagonal(gram)[1:-2], 0.0) + information
-    curvature = (own[:, None] + TILTS**-2.0).ravel()
-    crossed, right_tilt = np.repeat(crossed, len(TILTS)), np.repeat(right_tilt, len(TILTS))
-    left = np.maximum(total - crossed**2 / curvature, DISTINCT * total)
-    mean = (right - crossed * right_tilt / curvature) / left
+    total, right = float(gram[0, 0]), complex(gram[0, -2], gram[0, -1])
+    tilt = gram[1:-2, 1:-2] + information
+    first, second = np.repeat(PAIRS, len(TILTS), axis=1)
+    known = np.tile(TILTS**-2.0, PAIRS.shape[1])
+    a, b, c = tilt[first, first] + known, tilt[first, second], tilt[second, second] + known
+    determinant = np.maximum(a * c - b**2, known**2)
+    slopes, data = gram[0, 1:-2], gram[1:-2, -2] + 1j * gram[1:-2, -1] + seen
+    x, y, p, q = slopes[first], slopes[second], data[first], data[second]
+    left = np.maximum(total - (c * x**2 - 2.0 * b * x * y + a * y**2) / determinant, DISTINCT * total)
+    mean = (right - (x * (c * p - b * q) + y * (a * q - b * p)) / determinant) / left
+    explained = (c * np.abs(p) ** 2 - 2.0 * b * (p * q.conj()).real + a * np.abs(q) ** 2) / determinant
     # Two axes: every half of a logarithm counts twice.
-    evidence = -np.log(curvature * np.tile(TILTS**2, len(own))) + 0.5 * np.abs(right_tilt) ** 2 / curvature
-    standing = right / total
-    return (
-        np.r_[
-            0.5 * np.abs(right) ** 2 / total - math.log(total),
-            evidence + 0.5 * np.abs(mean) ** 2 * left - np.log(left),
-        ],
-        np.r_[standing, mean],
+    evidence = 0.5 * (explained + np.abs(mean) ** 2 * left) - np.log(determinant / known**2) - np.log(left)
+    angles = np.zeros((len(mean) + 1, len(slopes)), complex)
+    row = np.arange(1, len(angles))
+    angles[row, first] = (c * (p - x * mean) - b * (q - y * mean)) / determinant
+    angles[row, second] = (a * (q - y * mean) - b * (p - x * mean)) / determinant
+    return _Hypotheses(
+        np.r_[0.5 * abs(right) ** 2 / total - math.log(total), evidence],
+        np.r_[right / total, mean],
         np.r_[1.0 / total, 1.0 / left],
+        angles,
     )
 
 
 def _accelerometers(
-    level: ColumnArray, weight: FloatArray, courses: FloatArray, drift_sd: float
+    level: ColumnArray, length_s: float, courses: FloatArray, drift_sd: float
 ) -> tuple[FloatArray, ColumnArray]:
-    """Return what the accelerometers tell of each tilt: information (kinds,), and that times the angle.
+    """Return the accelerometers' information of the angles, (kinds, kinds), and that times their means.
 
     Their drift is a sum of exponentials with unknown parts and a random walk; the level itself is unknown.
     """
-    cells = max(len(level) // BLOCKS, 4)
-    count = len(level) // cells
-    if count < 4:
-        return np.zeros(courses.shape[1]), np.zeros(courses.shape[1], complex)
-    parts = (slice(0, count * cells),)
-    w = weight[parts].reshape(count, cells)
-    total = w.sum(1)
-    kept = total > 0.0
-    share = w[kept] / total[kept, None]
-    values = (share * level[parts].reshape(count, cells)[kept]).sum(1)
-    shape = np.einsum("bc,bck->bk", share, courses[parts].reshape(count, cells, -1)[kept])
-    time = RAMP_S * shape[:, len(TIME_CONSTANTS_S)]
-    steps = np.abs(np.diff(values)) ** 2
-    noise = 0.5 * 0.5 * (float(np.median(steps)) / math.log(2.0) if len(steps) else 0.0)
+    together = -(-len(level) // ROWS)
+    count = len(level) // together
+    values = level[: count * together].reshape(count, together).mean(1)
+    shape = courses[: count * together].reshape(count, together, -1).mean(1)
+    time = length_s * together * (np.arange(count) + 0.5)
+    slow = bank(count, 1)[0].slow
+    left = values - slow @ (slow.T @ values)
+    noise = float(np.vdot(left, left).real) / (2.0 * (count - slow.shape[1]))
     drifts = drift_sd * -np.expm1(-time[:, None] / WARM_UPS_S)
     covariance = LEVEL**2 + drifts @ drifts.T + WALK**2 * np.minimum.outer(time, time)
-    covariance[np.diag_indices(len(time))] += noise + 1e-14
+    covariance[np.diag_indices(count)] += noise + 1e-14
     weighted = np.linalg.solve(covariance, shape)
-    return np.einsum("bk,bk->k", shape, weighted), weighted.T @ (values - values.mean())
-
-
-@dataclass(frozen=True, slots=True)
-class Place:
-    """Where the unit is, and what its gyros may be wrong by.
-
-    Parameters
-    ----------
-    latitude : float
-        rad.
-    bias_sds : array, (s,)
-        Standard deviations of a gyro's bias that are thought of, rad/s.
-    bias_log_prior : array, (s,)
-    flicker : float
-        Standard deviation by which a bias changes from pose to pose, rad/s.
-    level_sd : float
-        Standard deviation of an accelerometer's bias, in g.
-    """
-
-    latitude: float
-    bias_sds: FloatArray
-    bias_log_prior: FloatArray
-    flicker: float
-    level_sd: float
-
-
-@dataclass(frozen=True, slots=True)
-class Heading:
-    """The posterior.
-
-    Parameters
-    ----------
-    north : float
-        Direction of north in the frame of the first pose, rad from its forward to its left.
-    sd : float
-        rad.
-    bias_sd : float
-        Posterior root mean square of a horizontal gyro's bias that the poses do not cancel, rad/s.
-    supposed_sd : float
-        Posterior root mean square of the size of the bias, rad/s.
-    tilting : float
-        Probability that the unit tilts.
-    noise_sd : float
-        What white noise alone leaves, rad.
-    """
-
-    north: float
-    sd: float
-    bias_sd: float
-    supposed_sd: float
-    tilting: float
-    noise_sd: float
-
-
-def heading(
-    fits: Sequence[PoseFit], attitudes: Sequence[FloatArray], turn_variances: FloatArray, place: Place
-) -> Heading:
-    """Return the direction of north.
-
-    Parameters
-    ----------
-    fits : sequence of PoseFit, (p,)
-    attitudes : sequence of array (3, 3)
-        Body axes to the frame of the first pose, level as in that pose.
-    turn_variances : array, (p,)
-        Of their angles about the vertical, rad².
-    """
-    poses, level = len(fits), EARTH_RATE * math.cos(place.latitude)
-    values = np.stack([fit.mean for fit in fits], 1)  # (h, p)
-    common = FINEST**2 + place.flicker**2
-    spread = np.stack([fit.variance for fit in fits], 1) + common + level**2 * turn_variances
-    seen = np.concatenate(
-        [values.real, values.imag, np.tile([fit.vertical for fit in fits], (len(values), 1))], 1
-    )
-    vertical = np.array([fit.vertical_variance for fit in fits]) + common
-    noise = np.concatenate([spread, spread, np.tile(vertical, (len(values), 1))], 1)
-    by_bias = np.concatenate([np.stack([matrix[axis] for matrix in attitudes]) for axis in range(3)])
-    upward = np.r_[np.zeros(2 * poses), np.full(poses, EARTH_RATE * math.sin(place.latitude))]
-    by_north = np.zeros((3 * poses, 2))
-    by_north[:poses, 0] = by_north[poses : 2 * poses, 1] = level
-    covariance = place.bias_sds[:, None, None] ** 2 * (by_bias @ by_bias.T)
-    whole = covariance[None] + noise[:, None, :, None] * np.eye(3 * poses)  # (h, s, 3p, 3p)
-    inverse = np.linalg.inv(whole)
-    log_weight = np.sum([fit.log_evidence for fit in fits], 0) + prior()
-    start = math.atan2(*(float(x) for x in _first_guess(seen[0], noise[0], poses)))
-    angle = np.full(whole.shape[:2], start)
-    for _ in range(4):
-        unit = np.stack([np.cos(angle), np.sin(angle)], -1)
-        across = np.stack([-np.sin(angle), np.cos(angle)], -1)
-        left = (seen - upward)[:, None] - unit @ by_north.T
-        slope = across @ by_north.T
-        weighted = np.einsum("hsij,hsj->hsi", inverse, slope)
-        curvature = np.einsum("hsi,hsi->hs", weighted, slope)
-        angle = angle + np.clip(np.einsum("hsi,hsi->hs", weighted, left) / curvature, -0.5, 0.5)
-    misfit = np.einsum("hsi,hsij,hsj->hs", left, inverse, left)
-    logs = log_weight[:, None] + place.bias_log_prior - 0.5 * misfit
-    logs -= 0.5 * np.linalg.slogdet(whole)[1] + 0.5 * np.log(curvature)
-    probability = np.exp(logs - logs.max())
-    probability /= probability.sum()
-    centre = float(np.angle(np.sum(probability * np.exp(1j * angle))))
-    off = np.remainder(angle - centre + math.pi, 2.0 * math.pi) - math.pi
-    variance = float(np.sum(probability * (1.0 / curvature + off**2)))
-    turned = (place.level_sd * math.tan(place.latitude)) ** 2 if abs(place.latitude) < 1.5 else math.inf
-    white = 1.0 / float(np.sum(1.0 / spread[0])) / level**2
-    by_size = probability.sum(0)
-    supposed = math.sqrt(float(by_size @ place.bias_sds**2))
-    left_over = max(float(by_size @ (1.0 / curvature[0])) - white, 0.0)
-    return Heading(
-        centre,
-        min(math.sqrt(variance + turned), math.pi / math.sqrt(3.0)),
-        math.sqrt(left_over) * level,
-        supposed,
-        1.0 - float(probability[0].sum()),
-        math.sqrt(white),
-    )
-
-
-def _first_guess(seen: FloatArray, noise: FloatArray, poses: int) -> tuple[float, float]:
-    """Return left and forward part of the mean of the poses."""
-    weight = 1.0 / noise[:poses]
-    return float(weight @ seen[poses : 2 * poses]), float(weight @ seen[:poses])
+    return shape.T @ weighted, weighted.T @ (values - values.mean())

@@ -10,14 +10,13 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from imumon.blocks import FloatArray
 
 RECENT = 120
 """Slots of which the usual level and scatter are taken: half a minute holds two periods of slow sway."""
-RENEWED = 8
-"""Slots after which they are taken anew."""
+RENEWED = 0.25
+"""They are taken anew after this share of these slots."""
 LEAST = 8
 """Slots, 2 s, after which a unit is taken to rest, at the start and after a disturbance."""
 LIMIT = 7.0
@@ -26,20 +25,44 @@ FINEST = np.array([2e-8, 2e-8, 2e-8, 2e-4, 2e-4, 2e-4])
 """The scatter of means is never taken for less, rad/s and m/s²: 20 µg, 0.004 °/h."""
 TURNING = 1e-3
 """rad/s: a unit whose rate differs by more from that at rest is still being turned; a hand is not slower."""
+REMAINS = 3.0
+"""Standard deviations of the gyros' noise, above which a disturbance has left an angle."""
 NORMAL = 1.4826
 """Standard deviation of normal values over the median of their sizes."""
 
 
 @dataclass(frozen=True, slots=True)
 class Slot:
-    """One slot: middle and length in s, samples, mean and variance of the six channels, whether at rest."""
+    """A slot: middle and length in s, samples, mean and variance (2, 6) of the channels, whether at rest."""
 
     time_s: float
     length_s: float
     samples: int
-    mean: FloatArray
-    variance: FloatArray
+    values: FloatArray
     at_rest: bool
+
+    @property
+    def mean(self) -> FloatArray:
+        """Mean of gyros and accelerometers, rad/s and m/s², (6,)."""
+        mean: FloatArray = self.values[0]
+        return mean
+
+
+@dataclass(frozen=True, slots=True)
+class Usual:
+    """What slots at rest have been like.
+
+    Parameters
+    ----------
+    middle, spread : array (6,)
+        Median of their means, and by how much these scatter, rad/s and m/s².
+    limit : array (2, 6)
+        Of the distance from the middle, and of the variance within a slot.
+    """
+
+    middle: FloatArray
+    spread: FloatArray
+    limit: FloatArray
 
 
 @dataclass
@@ -48,26 +71,32 @@ class Motion:
 
     Parameters
     ----------
-    recent : array (m, 6), scatter : array (m, 6)
+    recent : array (m, 2, 6)
         Means and variances of the last undisturbed slots.
-    calm : list of Slot
-        Slots that may be a new rest.
+    passed : list of Slot
+        Those of the disturbance.
+    calm : int
+        How many of the last of them may be a new rest.
     base : array (3,)
         Rate at the last rest, rad/s.
+    level : array (3,)
+        Mean specific force of the last slots at rest, m/s².
     turned : array (3, 3)
         Body axes of now to those when the disturbance began.
     last : array (3,)
         Angle of the last slot, rad, for the coning correction.
     """
 
-    recent: FloatArray = field(default_factory=lambda: np.zeros((0, 6)))
-    scatter: FloatArray = field(default_factory=lambda: np.zeros((0, 6)))
-    calm: list[Slot] = field(default_factory=list)
+    recent: FloatArray = field(default_factory=lambda: np.zeros((0, 2, 6)))
+    passed: list[Slot] = field(default_factory=list)
+    calm: int = 0
     base: FloatArray | None = None
+    level: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
     turned: FloatArray = field(default_factory=lambda: np.eye(3))
     last: FloatArray = field(default_factory=lambda: np.zeros(3))
-    known: tuple[FloatArray, FloatArray, FloatArray] | None = None
+    known: Usual | None = None
     age: int = 0
+    """Slots since the usual was taken."""
     disturbed: bool = True
     cause: str = ""
     begun_s: float = math.nan
@@ -80,74 +109,103 @@ class Motion:
             return "the unit moved"
         if len(self.recent) < LEAST:
             return ""
-        middle, spread, scatter = self.usual()
-        middle = middle.copy()
-        middle[3:] = np.median(self.recent[-LEAST:, 3:], axis=0)  # an accelerometer may warm up
-        limit = LIMIT + 3.0 * LIMIT / math.sqrt(len(self.recent))
-        off = np.abs(slot.mean - middle) > limit * spread
-        if off[:3].any():
+        usual = self.usual()
+        off = slot.values.copy()
+        off[0, :3] -= usual.middle[:3]
+        off[0, 3:] -= self.level  # an accelerometer may warm up
+        beyond = np.abs(off) > usual.limit
+        if not beyond.any():
+            return ""
+        if beyond[0, :3].any():
             return "the unit turned"
-        if off[3:].any():
+        if beyond[0, 3:].any():
             return "the specific force jumped"
-        noisy = np.sqrt(slot.variance) > scatter[0] + limit * scatter[1]
-        if slot.samples >= LEAST and noisy.any():
-            return "a shock or vibration"
-        return ""
+        return "a shock or vibration" if slot.samples >= LEAST else ""
 
-    def usual(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return median and scatter of the means of recent slots, (6,), and both of their noise, (2, 6)."""
+    def usual(self) -> Usual:
+        """Return what recent slots were like."""
         if self.known is None:
-            middle = np.median(self.recent, axis=0)
-            spread = NORMAL * np.median(np.abs(self.recent - middle), axis=0) + FINEST
-            noise = np.sqrt(self.scatter)
-            usual = np.median(noise, axis=0)
-            varied = NORMAL * np.median(np.abs(noise - usual), axis=0) + FINEST
-            self.known = middle, spread, np.stack([usual, varied])
+            values = self.recent.copy()
+            values[:, 1] = np.sqrt(values[:, 1])
+            middle = np.median(values, axis=0)
+            spread = NORMAL * np.median(np.abs(values - middle), axis=0) + FINEST
+            reach = LIMIT + 3.0 * LIMIT / math.sqrt(len(values))
+            limit = reach * spread
+            limit[1] = (middle[1] + limit[1]) ** 2
+            self.known = Usual(middle[0], spread[0], limit)
+            self.age = 0
         return self.known
 
     def go_on(self, slot: Slot) -> None:
         """Add an undisturbed slot."""
         self.age += 1
-        if len(self.recent) < RECENT or self.age % RENEWED == 0:
+        if self.age > RENEWED * len(self.recent):
             self.known = None
-        self.recent = np.vstack([self.recent[-RECENT + 1 :], slot.mean])
-        self.scatter = np.vstack([self.scatter[-RECENT + 1 :], slot.variance])
+        self._remember(np.concatenate((self.recent[-RECENT + 1 :], slot.values[None])))
+
+    def _remember(self, recent: FloatArray) -> None:
+        self.recent = recent
+        self.level = np.add.reduce(recent[-LEAST:, 0, 3:]) / len(recent[-LEAST:])
 
     def begin(self, slot: Slot, cause: str) -> None:
         """Begin a disturbance."""
-        self.base = np.median(self.recent[:, :3], axis=0) if len(self.recent) else None
+        self.base = np.median(self.recent[:, 0, :3], axis=0) if len(self.recent) else None
         self.disturbed, self.cause, self.begun_s = True, cause, slot.time_s - 0.5 * slot.length_s
-        self.turned, self.last, self.angle, self.calm = np.eye(3), np.zeros(3), 0.0, []
+        self.turned, self.last, self.angle = np.eye(3), np.zeros(3), 0.0
+        self.passed, self.calm = [], 0
 
-    def follow(self, slot: Slot) -> bool:
-        """Follow the unit through a disturbed slot; return whether it may rest in it."""
-        if self.base is not None:
-            angle = slot.length_s * (slot.mean[:3] - self.base)
-            # First-order coning correction of successive slots: Savage 1998, J. Guidance 21(1), eq. 41.
-            turn = angle + np.cross(self.last, angle) / 12.0
-            self.turned = self.turned @ Rotation.from_rotvec(turn).as_matrix()
-            self.last = angle
-            self.angle += float(np.sqrt(angle @ angle))
-        if self.base is not None and np.abs(slot.mean[:3] - self.base).max() > TURNING:
-            return False
-        if not self.calm or len(self.recent) < LEAST:
-            return True
-        off = slot.mean - np.median([other.mean for other in self.calm], axis=0)
-        return bool((np.abs(off) < 2.0 * LIMIT * self.usual()[1]).all())
+    def follow(self, slot: Slot) -> None:
+        """Follow the unit through a disturbed slot."""
+        self.passed.append(slot)
+        if self.base is None:
+            self.calm += 1
+            return
+        rate = slot.mean[:3] - self.base
+        angle = slot.length_s * rate
+        # First-order coning correction of successive slots: Savage 1998, J. Guidance 21(1), eq. 41.
+        self.turned = self.turned @ rotation(angle + np.cross(self.last, angle) / 12.0)
+        self.last = angle
+        self.angle += math.sqrt(angle @ angle)
+        self.calm = 0 if np.abs(rate).max() > TURNING else self.calm + 1
 
     @property
     def rested(self) -> bool:
         """Whether the calm has lasted."""
-        if len(self.calm) < LEAST or not self.calm[-1].at_rest:
+        if self.calm < LEAST or not self.passed[-1].at_rest:
             return False
-        return float(np.std([slot.mean[:3] for slot in self.calm], axis=0).max()) < TURNING
+        return float(np.std([slot.mean[:3] for slot in self.passed[-LEAST:]], axis=0).max()) < TURNING
+
+    @property
+    def seconds(self) -> float:
+        """Length of the disturbance, with the calm after it."""
+        return self.passed[-1].time_s + 0.5 * self.passed[-1].length_s - self.begun_s
+
+    @property
+    def returned(self) -> bool:
+        """Whether the gyros saw no angle remain: then all of it may count, and nothing is lost."""
+        seconds, known = self.seconds, max(len(self.recent), 1)
+        # Their noise over that time, and that of the rate at rest, a median.
+        noise = math.sqrt(self.passed[-1].length_s * seconds + math.pi / 2.0 * seconds**2 / known)
+        turn = self.turned - self.turned.T
+        remains = 0.5 * np.abs([turn[2, 1], turn[0, 2], turn[1, 0]])
+        return bool((remains < REMAINS * noise * self.usual().spread[:3]).all())
 
     def rest(self, same: bool) -> None:
         """End the disturbance; the unit stands as before, or in a new pose."""
-        means = np.array([slot.mean for slot in self.calm])
-        scatter = np.array([slot.variance for slot in self.calm])
+        recent = np.array([slot.values for slot in self.passed[-self.calm :]])
         if same and len(self.recent) >= LEAST:
-            means = np.vstack([self.recent, means])
-            scatter = np.vstack([self.scatter, scatter])
-        self.recent, self.scatter, self.known = means[-RECENT:], scatter[-RECENT:], None
-        self.disturbed, self.calm = False, []
+            recent = np.concatenate([self.recent, recent])
+        self._remember(recent[-RECENT:])
+        self.known = None
+        self.disturbed, self.passed, self.calm = False, [], 0
+
+
+def rotation(vector: FloatArray) -> FloatArray:
+    """Return the matrix (3, 3) of a rotation vector, rad (Rodrigues)."""
+    x, y, z = vector.tolist()
+    across = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    angle = math.sqrt(x * x + y * y + z * z)
+    if angle < 1e-6:
+        return np.asarray(np.eye(3) + across)
+    half = math.sin(0.5 * angle) / (0.5 * angle)
+    return np.asarray(np.eye(3) + math.sin(angle) / angle * across + 0.5 * half**2 * (across @ across))

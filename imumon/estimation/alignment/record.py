@@ -13,8 +13,8 @@ import numpy.typing as npt
 
 from imumon.blocks import FloatArray, IntArray
 
-CAPACITY = 1024
-"""Cells that are kept: 4 minutes of quarters of a second, then of halves, and so on."""
+CAPACITY = 4096
+"""Cells that are kept: 17 minutes of quarters of a second, then of halves, and so on."""
 AXES = 3
 
 

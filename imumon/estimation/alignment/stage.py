@@ -18,7 +18,7 @@ from imumon.estimation.alignment.motion import LEAST, Slot
 from imumon.estimation.alignment.parameters import AlignmentParameters
 from imumon.estimation.alignment.status import Estimate, Status, instead
 from imumon.filters.slots import SlotGatherer, Slots, held
-from imumon.geodesy import DEG_PER_H, heading_of
+from imumon.geodesy import DEG_PER_H
 
 MEANS = ("gyro_mean", "hann_mean")
 """What stands beside the joint fit."""
@@ -114,8 +114,9 @@ class Alignment:
         self._yaw = next(iter(yaw[np.isfinite(yaw)][-1:].tolist()), self._yaw)
         slots = self._slots.process(block["device_time_ns"], block["segment"], values)
         rows = np.empty((len(slots), len(self._added)))
+        spread = np.stack([slots.mean[:, :6], slots.variance[:, :6]], axis=1)
         for k in range(len(slots)):
-            self._step(slots, k)
+            self._step(slots, spread, k)
             rows[k] = self._row()
         out = held(slots.row, rows, self._last, n)
         # What was said of another segment does not hold in a new one.
@@ -126,8 +127,8 @@ class Alignment:
             self._status = self._judge()
         return {name: np.ascontiguousarray(out[:, j]) for j, name in enumerate(self._added)}
 
-    def _step(self, slots: Slots, k: int) -> None:
-        """Give a slot to the estimator."""
+    def _step(self, slots: Slots, values: FloatArray, k: int) -> None:
+        """Give a slot to the estimator; `values` are means and variances of all, (m, 2, 6)."""
         start, end = int(slots.start_ns[k]), int(slots.end_ns[k])
         state = self._aligner.state
         if slots.begins[k] or not self._origin_ns:
@@ -153,17 +154,16 @@ class Alignment:
             time_s=0.5 * (start - self._origin_ns + end - self._origin_ns) * 1e-9,
             length_s=samples * state.interval_s if state.interval_s < 30.0 else SLOT_S,
             samples=valid,
-            mean=mean[:6],
-            variance=slots.variance[k, :6],
+            values=values[k],
             at_rest=bool(slots.smallest[k, -1] > 0.0),
         )
-        self._aligner.step(slot, mean[6:9])
+        self._aligner.step(slot, mean[6:9].tolist())
         self._collect()
 
-    def _row(self) -> FloatArray:
+    def _row(self) -> list[float]:
         """Return the columns of now."""
         aligner, state = self._aligner, self._aligner.state
-        row = np.full(len(self._added), np.nan)
+        row = [math.nan] * len(self._added)
         if not state.poses:
             return row
         shown = aligner.observable
@@ -171,9 +171,10 @@ class Alignment:
         row[1] = aligner.heading_sd
         row[2:4] = self._level()
         if state.first_angles is None and len(state.motion.recent) >= LEAST:
-            state.first_angles = (float(row[2]), float(row[3]))
+            state.first_angles = (row[2], row[3])
         if state.first_angles is not None:
-            row[4:6] = np.remainder(row[2:4] - state.first_angles + math.pi, 2.0 * math.pi) - math.pi
+            for axis, first in enumerate(state.first_angles):
+                row[4 + axis] = math.remainder(row[2 + axis] - first, 2.0 * math.pi)
         row[6] = self._magnetic()
         for j, name in enumerate(MEANS):
             if name in state.means:
@@ -187,15 +188,16 @@ class Alignment:
         state = self._aligner.state
         up = state.attitude[2]
         if not state.motion.disturbed:
-            up = state.motion.recent[-LEAST:, 3:].mean(0)
-        x, y, z = -self._down * up / np.sqrt(up @ up)
-        return math.atan2(y, z), -math.asin(min(max(float(x), -1.0), 1.0))
+            up = state.motion.level
+        x, y, z = (-self._down * value for value in up.tolist())
+        return math.atan2(y, z), -math.atan2(x, math.hypot(y, z))
 
     def _magnetic(self) -> float:
         state = self._aligner.state
         if not state.field_sum[3]:
             return math.nan
-        return heading_of(state.attitude[2], state.field_sum[:3] / state.field_sum[3]) % (2.0 * math.pi)
+        ahead, left, _ = (state.attitude @ state.field_sum[:3]).tolist()
+        return self._aligner.as_heading(math.atan2(left, ahead))
 
     def _collect(self) -> None:
         """Keep points for the charts, half of them when there are too many."""
@@ -206,7 +208,7 @@ class Alignment:
         if self._points and time_s < self._points[-1][0]:
             self._points, self._spacing = [], 1.0
         if not self._points or time_s >= self._points[-1][0] + self._spacing:
-            level = state.attitude @ state.motion.recent[-LEAST:, 3:].mean(0)
+            level = state.attitude @ state.motion.level
             self._points.append((time_s, self._aligner.heading_sd, *(level[:2] / level[2]).tolist()))
         if len(self._points) > POINTS:
             self._points, self._spacing = self._points[::2], 2.0 * self._spacing

@@ -11,11 +11,14 @@ import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from imumon.blocks import FloatArray
+from imumon.compiled import njit
 from imumon.estimation.gyro_bias import bank as filters
-from imumon.estimation.gyro_bias.attitude import Attitude, Place, Turn
+from imumon.estimation.gyro_bias.attitude import Attitude, Place, Turn, turned_earth
 from imumon.estimation.gyro_bias.bank import AtRest, Bank, Family
+from imumon.estimation.gyro_bias.law import LAW, Laws, at_slot, no_law, sd_at_slot
 from imumon.estimation.gyro_bias.white import WhiteNoise
 
 SAME_POSE = 0.02
@@ -49,6 +52,7 @@ MOVED_DEGC = 0.5
 """The temperature has moved when it is this far from where it was last noted: noise does not count."""
 SIGNIFICANCE, EVIDENCE = 9.0, 8.0
 """A slope is used when d² > 9 P_dd and the log-likelihoods differ by more than 8 in its favour."""
+AXES = np.arange(3)
 REFILTERED = (8, 30)
 """Slots of the first rest after which, besides its end, all of it is filtered anew with the noise known."""
 
@@ -108,10 +112,13 @@ class Slot:
         Temperature of each gyro; NaN without any.
     growth : array (3,)
         What a doubtful temperature has added to the variance of the bias since the start, (rad/s)².
-    angles : array (k, 3)
-        Integrated rates since the slot before, rad, less the thermal model's part.
-    angles_s : array (k,)
-        Over how long each.
+    undecided : array (3,)
+        A turn, rad/s, of which nobody knows whether it is a change of the bias, or, at rest, nobody knew
+        until then; else 0.
+    turning : array (k, 3)
+        Mean rates of shorter slots since the slot before, rad/s, less the thermal model's part.
+    turning_s : array (k,)
+        Over how long each; 0 behind a gap.
     gap : bool
         Whether readings were missing for a while.
     """
@@ -124,8 +131,9 @@ class Slot:
     force: FloatArray | None
     degc: FloatArray
     growth: FloatArray
-    angles: FloatArray
-    angles_s: FloatArray
+    undecided: FloatArray
+    turning: FloatArray
+    turning_s: FloatArray
     gap: bool
 
     @property
@@ -212,7 +220,7 @@ class State:
         Variance used so far, and that of coming to rest in another attitude.
     evidence, chosen : array (3,)
         For a slope, and whether it is used.
-    bias, sd, slope : array (3,)
+    law : Laws
         The estimate, less the thermal model's part.
     contrary : Contrary
         What speaks against it.
@@ -239,10 +247,8 @@ class State:
     growth: FloatArray = field(default_factory=_zero)
     arrival: FloatArray = field(default_factory=_zero)
     evidence: FloatArray = field(default_factory=_zero)
-    chosen: FloatArray = field(default_factory=lambda: np.zeros(3, bool))
-    bias: FloatArray = field(default_factory=_nothing)
-    sd: FloatArray = field(default_factory=_nothing)
-    slope: FloatArray = field(default_factory=_zero)
+    chosen: npt.NDArray[np.bool_] = field(default_factory=lambda: np.zeros(3, bool))
+    law: Laws = field(default_factory=no_law)
     reference: FloatArray | None = None
 
 
@@ -264,16 +270,15 @@ def step(state: State, params: Params, slot: Slot) -> FloatArray:
             state.at_rest = state.fresh = True
         innovation = _close(state, params, slot)
     elif state.bank is not None:
-        noise = _noise(state, params)
-        assert noise is not None
-        _coast(state, noise[0], slot.end_s, slot.degc, slot.growth)
-        _show(state, params, slot.force)
+        _coast(state, params, _noise(state, params), slot)
+        _show(state, params, slot)
     return innovation
 
 
 def _follow_turn(state: State, slot: Slot) -> None:
-    known = np.where(np.isfinite(state.bias), state.bias, 0.0)
-    state.turn.add(slot.angles - slot.angles_s[:, np.newaxis] * known)
+    bias = at_slot(state.law)
+    known = np.where(np.isfinite(bias), bias, 0.0)
+    state.turn.add(slot.turning_s[:, np.newaxis] * (slot.turning - known))
     state.turn.lost |= slot.gap
     state.contrary.behind_gap |= slot.gap
 
@@ -293,10 +298,11 @@ def _close(state: State, params: Params, slot: Slot) -> FloatArray:
     """End a slot at rest: let the one before count, and keep this one until the next."""
     attitude = state.attitude
     if state.fresh:
-        drift = (slot.end_s - state.left_s) * float(state.sd.max())
+        drift = (slot.end_s - state.left_s) * float(sd_at_slot(state.law).max())
         state.arrival = state.arrival + attitude.come_to_rest(
             slot.force, params.place, state.turn, drift, state.turn.lost
         )
+        state.arrival = state.arrival + slot.undecided**2
     usable = (slot.force is not None) == (attitude.gravity > 0.0)
     tilt = np.zeros(3)
     if usable and slot.force is not None:
@@ -320,7 +326,7 @@ def _count(state: State, params: Params, reading: Reading) -> FloatArray:
         state.white.begin()
     state.white.add(reading.slot.dt, reading.rate, reading.tilt)
     if state.bank is not None:
-        innovation = _take(state, params, state.bank, reading)
+        innovation = _take(state, params, state.bank, _noise(state, params), reading)
     if not state.zeroed:
         state.first.append(reading)
         count = len(state.first)
@@ -329,51 +335,66 @@ def _count(state: State, params: Params, reading: Reading) -> FloatArray:
         if count >= params.first_slots:
             state.zeroed, state.first = state.bank is not None, []
     if state.bank is not None:
-        _show(state, params, reading.slot.force)
+        _show(state, params, reading.slot)
     return innovation
 
 
-def _noise(state: State, params: Params) -> tuple[FloatArray, float] | None:
-    """Return the noise of gyros and tilt, None while it is not known."""
-    given, tilt = np.isfinite(params.white), params.tilt_noise
-    if not (state.white.known or (given.all() and math.isfinite(tilt))):
-        return None
-    white = params.white if given.all() else np.where(given, params.white, state.white.rate)
-    if math.isfinite(tilt):
-        return white, tilt / max(state.attitude.gravity, 1.0)
-    return white, state.white.tilt
+@dataclass(frozen=True, slots=True, eq=False)
+class Noise:
+    """White noise of the gyros, rad/sqrt(s), (3,), and of the tilt by the accelerometers, rad sqrt(s)."""
+
+    rate: FloatArray
+    tilt: float
+
+
+def _noise(state: State, params: Params) -> Noise:
+    """Return the noise; NaN while it is not known."""
+    rate, tilt = params.white, params.tilt_noise / max(state.attitude.gravity, 1.0)
+    if state.white.known:
+        rate = np.where(np.isfinite(rate), rate, state.white.rate)
+        tilt = tilt if math.isfinite(tilt) else state.white.tilt
+    return Noise(rate, tilt)
 
 
 def _filter_again(state: State, params: Params) -> None:
     """Filter all slots since the start anew, with the noise as it is known now."""
     noise = _noise(state, params)
-    if not state.first or noise is None:
+    if not (state.first and math.isfinite(noise.rate.sum() + noise.tilt)):
         return
     begin = state.first[0].slot
-    state.bank = filters.start(params.family.in_one_pose, 2 if params.learns else 1, noise[0])
+    state.bank = filters.start(params.family.in_one_pose, 2 if params.learns else 1, noise.rate)
     filters.come_to_rest(state.bank, state.attitude.flat)
     state.evidence, state.unmixed_s, state.contrary = np.zeros(3), 0.0, Contrary()
     state.used_s, state.growth = begin.start_s, begin.growth
-    state.at_degc = state.noted_degc = begin.degc
+    state.at_degc, state.noted_degc = begin.degc.copy(), begin.degc.copy()
     state.reference = begin.force
     for k, reading in enumerate(state.first):
-        _take(state, params, state.bank, replace(reading, fresh=reading.fresh and k > 0))
-    _show(state, params, state.first[-1].slot.force)
+        _take(state, params, state.bank, noise, replace(reading, fresh=reading.fresh and k > 0))
+    _show(state, params, state.first[-1].slot)
 
 
-def _coast(state: State, white: FloatArray, end_s: float, degc: FloatArray, growth: FloatArray) -> None:
-    """Bring the biases to a time and temperature, without a measurement."""
+@njit
+def _changes(noted: FloatArray, now: FloatArray, least: float) -> FloatArray:
+    """Return by how much each has changed since it was noted, if by `least`, and note it; NaN is no change.
+
+    What comes late counts from where it came.
+    """
+    changes = np.zeros(3)
+    for j in range(3):
+        if not abs(now[j] - noted[j]) < least:
+            changes[j] = now[j] - noted[j] if np.isfinite(now[j] - noted[j]) else 0.0
+            noted[j] = now[j] if np.isfinite(now[j]) else noted[j]
+    return changes
+
+
+def _coast(state: State, params: Params, noise: Noise, slot: Slot) -> None:
+    """Bring the biases to the end of a slot, without a measurement."""
     assert state.bank is not None
-    warming = degc - state.at_degc
-    known = np.isfinite(warming)
-    moved = np.where(known, np.abs(degc - state.noted_degc), 0.0)
-    travel = np.where(moved >= MOVED_DEGC, moved, 0.0)
-    warming = np.where(known, warming, 0.0)
-    filters.wander(state.bank, white, end_s - state.used_s, warming, travel, growth - state.growth)
-    # A temperature that comes late is where the slope counts from.
-    state.at_degc = np.where(np.isfinite(degc), degc, state.at_degc)
-    state.noted_degc = np.where((travel > 0.0) | ~np.isfinite(state.noted_degc), degc, state.noted_degc)
-    state.growth, state.used_s = growth, end_s
+    warming = _changes(state.at_degc, slot.degc, 0.0) if params.learns else _zero()
+    travel = np.abs(_changes(state.noted_degc, slot.degc, MOVED_DEGC)) if params.learns else _zero()
+    dt, growth = slot.end_s - state.used_s, slot.growth - state.growth
+    filters.wander(state.bank, noise.rate, dt, warming, travel, growth)
+    state.growth, state.used_s = slot.growth, slot.end_s
 
 
 def _offset(state: State, params: Params, force: FloatArray | None) -> FloatArray:
@@ -388,12 +409,10 @@ def _offset(state: State, params: Params, force: FloatArray | None) -> FloatArra
     return offset
 
 
-def _take(state: State, params: Params, bank: Bank, reading: Reading) -> FloatArray:
+def _take(state: State, params: Params, bank: Bank, noise: Noise, reading: Reading) -> FloatArray:
     """Take a slot into the bank; return the normalised innovations, (3,)."""
     slot, dt = reading.slot, reading.slot.dt
-    noise = _noise(state, params)
-    assert noise is not None
-    _coast(state, noise[0], slot.end_s, slot.degc, slot.growth)
+    _coast(state, params, noise, slot)
     # Only at rest: nothing is learned of the bias while it moves, and doubts that only add up help nobody.
     state.unmixed_s += dt
     if state.unmixed_s >= MIX_S:
@@ -409,25 +428,23 @@ def _take(state: State, params: Params, bank: Bank, reading: Reading) -> FloatAr
         reading.rate,
         reading.tilt,
         _offset(state, params, slot.force),
-        noise[0] ** 2 + flat * ACCEL_WALK**2,
-        flat * noise[1] ** 2 + (1.0 - flat) * YAW_NOISE**2,
+        noise.rate**2 + flat * ACCEL_WALK**2,
+        YAW_NOISE**2 + flat * (noise.tilt**2 - YAW_NOISE**2),
         flat * STILLNESS**2,
     )
-    found = filters.look(bank, at_rest)
-    innovation = filters.innovation(bank, found)
+    filters.integrate(bank, at_rest)
+    innovation, surprise = filters.look(bank, at_rest)
     shown: FloatArray = np.where(state.chosen, innovation[-1], innovation[0])
     # Just after a contradiction the rotation is not known, and a rotation explains any rate for a while.
     contrary = state.contrary.readings and filters.disagreement(bank, at_rest)[0].max() > GATE
-    if contrary or filters.surprise(found)[0].max() > GATE:
+    if contrary or surprise[0].max() > GATE:
         _refuse(state, params, bank, reading)
         return shown
     state.contrary = Contrary()
-    likelihood = filters.take(bank, found)
+    likelihood = filters.take(bank, at_rest)
     if params.learns:
         fade = math.exp(-dt / FORGETTING_S)
         state.evidence = fade * state.evidence + likelihood[1] - likelihood[0]
-        slope, variance = filters.slope(bank)
-        state.chosen = (slope[1] ** 2 > SIGNIFICANCE * variance[1]) & (state.evidence > EVIDENCE)
     return shown
 
 
@@ -446,23 +463,40 @@ def _refuse(state: State, params: Params, bank: Bank, reading: Reading) -> None:
         state.first, state.zeroed = [], True
 
 
-def _show(state: State, params: Params, force: FloatArray | None) -> None:
-    """Make the estimate of the bank the one that is shown.
+def _show(state: State, params: Params, slot: Slot) -> None:
+    """Make the law of the bank the one that is shown.
 
-    The standard deviation is that of both variants, with and without slope, each by its likelihood: a slope
-    that is not proven may be there all the same.
+    It is that of both variants, with and without slope, each by its likelihood: a slope that is not proven
+    may be there all the same.
     """
     assert state.bank is not None
-    value, variance = filters.bias(state.bank, _offset(state, params, force))
-    state.bias, state.slope = value[0], np.zeros(3)
-    spread = variance[0]
-    if len(value) > 1:
-        chosen = state.chosen
-        state.bias = np.where(chosen, value[1], value[0])
-        state.slope = np.where(chosen, filters.slope(state.bank)[0][1], 0.0)
-        share = 1.0 / (1.0 + np.exp(np.where(chosen, state.evidence, -state.evidence)))
-        own, other = np.where(chosen, variance[::-1], variance)
-        spread = own + share * (other - own + (value[1] - value[0]) ** 2)
+    mean, covariance = filters.law(state.bank, params.family)
+    terms, known = mean[0], covariance[0]
+    if params.learns:
+        if state.at_rest:
+            slope, variance = mean[1, :, 1], covariance[1, :, 1, 1]
+            state.chosen = (slope**2 > SIGNIFICANCE * variance) & (state.evidence > EVIDENCE)
+        terms, known = _of_both(mean, covariance, state.chosen, state.evidence)
+    law = np.zeros(1, LAW)
+    law["terms"], law["covariance"], law["degc"] = terms, known, state.at_degc
+    if state.reference is not None and slot.force is not None:
+        law["reference"] = state.reference
+        law["offset"] = _offset(state, params, slot.force) if state.at_rest else slot.force - state.reference
     if state.contrary.readings:
-        spread = spread + state.contrary.jump * (state.contrary.rate - state.bias) ** 2
-    state.sd = np.sqrt(spread)
+        law["covariance"][0, :, 0, 0] += state.contrary.jump * (state.contrary.rate - at_slot(law)) ** 2
+    law["earth"] = params.place.turning
+    if not state.at_rest:
+        law["undecided"] = slot.undecided
+        law["turned"] = np.sqrt(turned_earth(state.attitude.up, params.place, state.turn))
+    state.law = law
+
+
+def _of_both(
+    mean: FloatArray, covariance: FloatArray, chosen: npt.NDArray[np.bool_], evidence: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the terms of the variant that is chosen on each axis, and the covariance of both together."""
+    own = chosen.astype(np.int64)
+    terms, known = mean[own, AXES], covariance[own, AXES]
+    off, other = mean[1 - own, AXES] - terms, covariance[1 - own, AXES]
+    share = 1.0 / (1.0 + np.exp(np.where(chosen, evidence, -evidence)))[:, np.newaxis, np.newaxis]
+    return terms, known + share * (other - known + off[:, :, np.newaxis] * off[:, np.newaxis])

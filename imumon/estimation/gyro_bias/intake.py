@@ -20,8 +20,8 @@ GAP_S = 0.25
 LEAST_COVERED = 0.5
 """Share of a slot that must have samples, else there is a gap in it."""
 # Columns of the gatherer.
-AT_REST_RATE, AT_REST_FORCE, RATE, FORCE, DEGC, DOUBT = (slice(3 * i, 3 * i + 3) for i in range(6))
-REST, COLUMNS = 18, 19
+AT_REST_RATE, AT_REST_FORCE, RATE, FORCE, DEGC, DOUBT, TURN = (slice(3 * i, 3 * i + 3) for i in range(7))
+REST, COLUMNS = 21, 22
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,6 +37,8 @@ class Samples:
         m/s²; NaN where there is none.
     degc, doubt : array (n, 3)
         Temperature, and standard deviation of the thermal model for want of knowledge of its state, rad/s.
+    turn : array (n, 3)
+        A turn that may be a change of the bias, rad/s; 0 where there is none.
     rest : array of bool (n,)
     """
 
@@ -46,43 +48,57 @@ class Samples:
     accel: FloatArray
     degc: FloatArray
     doubt: FloatArray
+    turn: FloatArray
     rest: npt.NDArray[np.bool_]
 
 
 @dataclass(slots=True, eq=False)
 class _Before:
-    """The slot before: end and usual interval, s; whether it was at rest at its end; origin of time."""
+    """The slot before: end and usual interval, s; whether it was at rest at its end, and what was undecided
+    there; origin of time."""
 
     origin_ns: int = 0
     end_s: float = 0.0
     interval_s: float = 0.0
     rest: bool = False
+    turn: FloatArray = field(default_factory=lambda: np.zeros(3))
 
 
 @dataclass(slots=True, eq=False)
 class _Turns:
-    """Angles of fine slots that wait for the end of theirs, and the time of the last."""
+    """Fine slots that wait for the end of theirs: mean rates (k, 3), spans (k,) and rows; and the last."""
 
-    angles: list[FloatArray] = field(default_factory=list)
-    spans: list[float] = field(default_factory=list)
+    rates: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    spans: FloatArray = field(default_factory=lambda: np.zeros(0))
+    rows: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
     end_ns: int = 0
     span_s: float = 0.0
 
-    def add(self, slots: Slots, k: int) -> None:
-        """Take a fine slot."""
-        start = int(slots.start_ns[k]) if slots.begins[k] else self.end_ns
-        span = (int(slots.end_ns[k]) - start) * 1e-9
-        gap = span > max(GAP_S, 3.0 * self.span_s)
-        self.end_ns, self.span_s = int(slots.end_ns[k]), span
-        if not gap:
-            self.angles.append(slots.mean[k] * span)
-            self.spans.append(span)
+    def add(self, slots: Slots) -> None:
+        """Take the fine slots of a block; those behind a gap say nothing of what happened in it."""
+        self.rows = np.concatenate([np.zeros(len(self.rows), np.int64), slots.row])
+        if not len(slots):
+            return
+        start = np.concatenate([[self.end_ns], slots.end_ns[:-1]])
+        spans = (slots.end_ns - np.where(slots.begins, slots.start_ns, start)) * 1e-9
+        before = np.concatenate([[self.span_s], spans[:-1]])
+        self.end_ns, self.span_s = int(slots.end_ns[-1]), float(spans[-1])
+        known = spans <= np.maximum(GAP_S, 3.0 * before)
+        self.rates = np.concatenate([self.rates, slots.mean])
+        self.spans = np.concatenate([self.spans, np.where(known, spans, 0.0)])
 
-    def take(self) -> tuple[FloatArray, FloatArray]:
-        """Return angles (k, 3) and spans (k,) since the last call."""
-        found = np.array(self.angles).reshape(-1, 3), np.array(self.spans)
-        self.angles, self.spans = [], []
+    def take(self, row: int) -> tuple[FloatArray, FloatArray]:
+        """Return rates (k, 3) and spans (k,) of the slots that ended up to a row, and forget them."""
+        k = int(np.searchsorted(self.rows, row, side="right"))
+        found = self.rates[:k], self.spans[:k]
+        self.rates, self.spans, self.rows = self.rates[k:], self.spans[k:], self.rows[k:]
         return found
+
+
+def complete(vectors: FloatArray) -> npt.NDArray[np.bool_]:
+    """Return whether all three components are there, (n,)."""
+    x, y, z = vectors.T
+    return np.asarray(np.isfinite(x) & np.isfinite(y) & np.isfinite(z))
 
 
 class Intake:
@@ -92,32 +108,27 @@ class Intake:
         self._gatherer = SlotGatherer(COLUMNS, round(SLOT_S * 1e9))
         self._fine = SlotGatherer(3, round(FINE_S * 1e9))
         self._doubt = doubt
+        self._values = np.empty((0, COLUMNS))
         self._before = _Before()
         self._turns = _Turns()
 
     def process(self, samples: Samples) -> Iterator[tuple[int, bool, Slot | None]]:
         """Yield the row behind each slot, whether a segment begins with it, and what it says, if anything."""
-        usable = np.isfinite(samples.gyro).all(1)
-        time_ns = np.where(usable, samples.time_ns, NO_INT)
-        whole = np.isfinite(samples.accel).all(1, keepdims=True)
-        force = np.where(whole, samples.accel, np.nan)
-        values = np.empty((len(time_ns), COLUMNS))
+        time_ns = np.where(complete(samples.gyro), samples.time_ns, NO_INT)
+        force = np.where(complete(samples.accel)[:, np.newaxis], samples.accel, np.nan)
+        if len(self._values) < len(time_ns):
+            self._values = np.empty((len(time_ns), COLUMNS))
+        values = self._values[: len(time_ns)]
         rest = samples.rest[:, np.newaxis]
         values[:, AT_REST_RATE] = np.where(rest, samples.gyro, np.nan)
         values[:, AT_REST_FORCE] = np.where(rest, force, np.nan)
         values[:, RATE], values[:, FORCE] = samples.gyro, force
         values[:, DEGC], values[:, DOUBT] = samples.degc, samples.doubt
-        values[:, REST] = samples.rest
+        values[:, TURN], values[:, REST] = samples.turn, samples.rest
         slots = self._gatherer.process(time_ns, samples.segment, values)
-        fine = self._fine.process(time_ns, samples.segment, samples.gyro)
-        f = 0
+        self._turns.add(self._fine.process(time_ns, samples.segment, samples.gyro))
         for k in range(len(slots)):
-            while f < len(fine) and fine.row[f] <= slots.row[k]:
-                self._turns.add(fine, f)
-                f += 1
             yield int(slots.row[k]), bool(slots.begins[k]), self._slot(slots, k)
-        for left in range(f, len(fine)):
-            self._turns.add(fine, left)
 
     def _slot(self, slots: Slots, k: int) -> Slot | None:
         """Return what a slot says; None of a single sample before which nothing is known."""
@@ -148,7 +159,11 @@ class Intake:
         rest = bool(still or (arrives and slots.last[k, REST] == 1.0))
         follows = bool(before.rest and still and not gap)
         before.rest = bool(slots.last[k, REST] == 1.0) and rest
-        angles, spans = self._turns.take()
+        # What had not been decided is a change of the bias when the unit is said to be at rest after all.
+        first, last = slots.first[k, TURN], slots.last[k, TURN]
+        undecided = (first if first.any() else before.turn) if rest else last
+        before.turn = last
+        rates, spans = self._turns.take(int(slots.row[k]))
         degc = np.where(rest, slots.mean[k, DEGC], slots.last[k, DEGC])
         growth = self._doubt.step(slots.last[k, DEGC], slots.last[k, DOUBT])
         rate, force, which = slots.mean[k, RATE], slots.mean[k, FORCE], FORCE
@@ -160,5 +175,16 @@ class Intake:
             return None
         forced = bool(slots.count[k, which.start])
         return Slot(
-            start, end, follows, rest, rate, force if forced else None, degc, growth, angles, spans, gap
+            start,
+            end,
+            follows,
+            rest,
+            rate,
+            force if forced else None,
+            degc,
+            growth,
+            undecided,
+            rates,
+            spans,
+            gap,
         )

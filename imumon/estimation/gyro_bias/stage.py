@@ -18,11 +18,11 @@ from imumon.errors import ImumonError, Reason
 from imumon.estimation.gyro_bias.attitude import Place
 from imumon.estimation.gyro_bias.bank import known_family, unknown_family
 from imumon.estimation.gyro_bias.filter import PATIENCE_S, Params, State, restarted, step
-from imumon.estimation.gyro_bias.intake import SLOT_S, Intake, Samples
+from imumon.estimation.gyro_bias.intake import SLOT_S, Intake, Samples, complete
+from imumon.estimation.gyro_bias.law import PATH, Laws, at_samples, no_law
 from imumon.estimation.gyro_bias.parameters import GyroBiasParameters
 from imumon.estimation.gyro_bias.thermal_input import ThermalInput
 from imumon.estimation.gyro_bias.trail import BiasTrail
-from imumon.filters.slots import held
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.models.model import BiasModel
 
@@ -88,7 +88,7 @@ class GyroBias:
         self._params = _params(self._parameters, mode, Place(_angle(latitude_deg), _angle(heading_deg)))
         self._state = State()
         self._intake = Intake(self._thermal.doubt)
-        self._shown = np.tile(np.nan, (4, 3))
+        self._law, self._path = no_law(), np.zeros(1, PATH)
         self._trail = BiasTrail(model)
         self._last: tuple[int, int] | None = None
         self._origin_ns = 0
@@ -124,16 +124,16 @@ class GyroBias:
         gyro = block.gyro
         if gyro is None:
             gyro = np.full((n, 3), np.nan)
-        usable = (block["device_time_ns"] != NO_INT) & np.isfinite(gyro).all(1)
         first = 0
         if self._last is None:
+            usable = (block["device_time_ns"] != NO_INT) & complete(gyro)
             first = int(np.argmax(usable)) if usable.any() else n
-        result = np.full((6, n, 3), np.nan)
+        result = np.full((6, 3, n), np.nan)
         if first < n:
             later = block.rows(first, n) if first else block
-            self._follow(later, gyro[first:], result[:, first:])
+            self._follow(later, gyro[first:], result[:, :, first:].swapaxes(1, 2))
         return {
-            f"{name}_{axis}": np.ascontiguousarray(part[:, j])
+            f"{name}_{axis}": part[j]
             for (name, _, _), part in zip(_COLUMNS, result, strict=True)
             for j, axis in enumerate("xyz")
         }
@@ -152,38 +152,29 @@ class GyroBias:
             np.full((n, 3), np.nan) if accel is None else accel,
             temperature,
             doubt,
+            _undecided(block),
             self._rest(block),
         )
-        rows, shown = [], []
+        said: list[tuple[int, Laws]] = []
         for row, begins, slot in self._intake.process(samples):
             if begins:
                 self._state = restarted(self._state)
             if slot is not None:
                 at = min(row, n - 1)
                 innovation[at] = step(self._state, self._params, slot)
-            state = self._state
-            rows.append(row)
-            shown.append(np.array([state.bias, state.sd, state.slope, state.at_degc]))
+            said.append((row, self._state.law))
         # What was known before a restart is void from there until a slot has said something.
-        rows += breaks
-        shown += [np.tile(np.nan, (4, 3))] * len(breaks)
-        if rows:
-            order = np.argsort(rows, kind="stable")
-            values = np.array(shown)[order]
-            at_rows = np.array(rows, np.int64)[order]
-        else:
-            values, at_rows = np.empty((0, 4, 3)), np.empty(0, np.int64)
-        spread = held(at_rows, values, self._shown, n)
-        self._shown = spread[-1]
-        warming = spread[:, 2] * (temperature - spread[:, 3])
-        bias[:] = spread[:, 0] + total + np.where(np.isfinite(warming), warming, 0.0)
-        hypothesis = block.vector("turn_hypothesis")
-        # A turn or a change of the bias, nobody knows yet: the whole of it may be missing in the bias.
-        undecided = 0.0 if hypothesis is None else np.where(np.isfinite(hypothesis), hypothesis, 0.0)
-        sd[:] = drift_sd[:] = np.hypot(spread[:, 1], undecided)
+        said = sorted([*said, *((row, no_law()) for row in breaks)], key=lambda one: one[0])
+        rows = np.array([row for row, _ in said], np.int64)
+        laws = np.concatenate([self._law, *(law for _, law in said)])
+        self._law = laws[-1:].copy()
+        sent = samples.gyro, samples.accel, temperature, samples.turn
+        at_samples(rows, laws, self._path, samples.time_ns, ~samples.rest, *sent, bias, sd)
+        bias += total
+        drift_sd[:] = sd
         np.subtract(gyro, bias, out=corrected)
         np.subtract(bias, curve, out=drift)
-        seen = at_rows[at_rows < n]
+        seen = rows[rows < n]
         self._trail.add(block["device_time_ns"][seen], temperature[seen], bias[seen])
 
     def _breaks(self, time_ns: IntArray, segment: IntArray) -> list[int]:
@@ -194,9 +185,10 @@ class GyroBias:
         times, labels = time_ns[dated], segment[dated]
         last_time, last_label = self._last if self._last is not None else (int(times[0]), int(labels[0]))
         self._last = int(times[-1]), int(labels[-1])
-        changed = np.diff(labels, prepend=last_label) != 0
-        back = np.diff(times, prepend=last_time) < 0
-        return [int(row) for row in dated[changed | back]]
+        begins = np.empty(len(dated), np.bool_)
+        begins[0] = labels[0] != last_label or times[0] < last_time
+        begins[1:] = (labels[1:] != labels[:-1]) | (times[1:] < times[:-1])
+        return [int(row) for row in dated[begins]]
 
     def _model_input(
         self, block: SampleBlock, temperature: FloatArray, breaks: Sequence[int]
@@ -245,6 +237,14 @@ class GyroBias:
                 "the unit turns; the bias is estimated anew"
             )
         return texts
+
+
+def _undecided(block: SampleBlock) -> FloatArray:
+    """Return the turn that may be a change of the bias, 0 where there is none, (n, 3)."""
+    hypothesis = block.vector("turn_hypothesis")
+    if hypothesis is None:
+        return np.zeros((len(block), 3))
+    return np.nan_to_num(hypothesis, copy=False)
 
 
 def _angle(degrees: float | None) -> float:

@@ -40,9 +40,11 @@ class ThermalDoubt:
     outside_degc: FloatArray = field(init=False)
     first_sd: FloatArray = field(init=False)
     faded: FloatArray = field(init=False)
+    modelled: bool = field(init=False)
 
     def __post_init__(self) -> None:
         """Begin."""
+        self.modelled = bool(self.steepness.any())
         self.begin()
 
     def begin(self) -> None:
@@ -52,7 +54,7 @@ class ThermalDoubt:
 
     def step(self, degc: FloatArray, sd: FloatArray) -> FloatArray:
         """Return the variance at these temperatures, with this sd of the state, (3,); NaN changes nothing."""
-        if not self.steepness.any():
+        if not self.modelled:
             return self.variance
         self.mark_degc = np.where(np.isfinite(self.mark_degc), self.mark_degc, degc)
         moved = np.abs(degc - self.mark_degc)

@@ -58,7 +58,8 @@ class WhiteNoise:
         if len(self.last) == 2:
             (dt_2, values_2), (dt_1, values_1) = self.last
             squares = (values - 2.0 * values_1 + values_2) ** 2 / (1.0 / dt + 4.0 / dt_1 + 1.0 / dt_2)
-            new = np.append(squares[:3], 0.5 * squares[3:].sum())
+            new = squares[:4]
+            new[3] = 0.5 * (squares[3] + squares[4] + squares[5])
             if self.known:
                 new = np.minimum(new, CLIP * self.squares / self.count)
             keep = 1.0 - 1.0 / MEMORY_SLOTS

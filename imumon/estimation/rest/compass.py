@@ -48,15 +48,17 @@ def reference(block: SampleBlock) -> FloatArray | None:
 
 def verdict(state: State, turn: FloatArray) -> Verdict:
     """Tell whether the heading has changed as a turn, (3,) rad/s, makes it change."""
+    if not np.isfinite(state.windows.reference[state.length - 1, 0]):
+        return Verdict.UNDECIDED
     rate = float(np.linalg.norm(turn))
     slots = min(state.quiet_slots - ENDS, int(WANTED_RAD / (rate * SLOT_S)) + 1)
     if slots < 2 * ENDS:
         return Verdict.UNDECIDED
-    n, values = state.history.length, state.history.reference
+    n, values = state.length, state.windows.reference
     then, now = values[n - slots - ENDS : n - slots], values[n - ENDS : n]
     noise = float(np.sqrt(np.diff(values[n - slots - ENDS : n], axis=0).var(0).sum() / (2.0 * ENDS)))
     start, end = then.mean(0), now.mean(0)
-    seconds = float(state.history.seconds[n] - state.history.seconds[n - slots])
+    seconds = state.span_s(slots)
     # The field turns against the body; of the yaw the sense depends on the axes.
     if start[2] == 0.0:
         expected = [_turned(start, UP, sense * rate * seconds) for sense in (-1.0, 1.0)]

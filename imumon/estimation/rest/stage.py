@@ -14,7 +14,8 @@ from imumon.columns import Column
 from imumon.estimation.rest.compass import reference
 from imumon.estimation.rest.detector import GAP_S, begin, step
 from imumon.estimation.rest.parameters import RestParameters
-from imumon.estimation.rest.state import AXES, SLOT_S, Slot, State
+from imumon.estimation.rest.state import AXES, SLOT_S, Slot, State, empty_slots
+from imumon.estimation.rest.windows import compile_kernels
 from imumon.filters.slots import SlotGatherer, Slots, held
 
 INPUTS = tuple(f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz")
@@ -70,51 +71,59 @@ class RestDetector:
             readings[:, AXES:] = heading
         time_ns, segment = block["device_time_ns"], block["segment"]
         rows = np.flatnonzero((time_ns != NO_INT) & np.isfinite(readings[:, :AXES]).any(1))
-        before = self._last_ns, self._last_segment, self._at_rest
-        turn = np.empty((len(rows), 3))
-        before_turn = self._state.turn
-        found = self._follow(time_ns[rows], segment[rows], readings[rows], turn)
-        if len(rows) < n:
+        if len(rows) == n:
+            found, turn = self._follow(time_ns, segment, readings)
+        else:
+            before = self._last_ns, self._last_segment, self._at_rest
+            before_turn = self._state.turn
+            found, turn = self._follow(time_ns[rows], segment[rows], readings[rows])
             found = _held(rows, found, time_ns, segment, before)
             turn = held(rows, turn, before_turn, n)
         return {AT_REST.name: found, **{column.name: turn[:, j] for j, column in enumerate(TURN)}}
 
     def _follow(
-        self, time_ns: IntArray, segment: IntArray, readings: FloatArray, turn: FloatArray
-    ) -> IntArray:
-        """Return at_rest of rows that have a time and a reading, and fill turn, (n, 3)."""
-        n = len(time_ns)
-        at_rest = np.empty(n, np.int64)
+        self, time_ns: IntArray, segment: IntArray, readings: FloatArray
+    ) -> tuple[IntArray, FloatArray]:
+        """Return at_rest and turn, (n, 3), of rows that have a time and a reading."""
+        n, state = len(time_ns), self._state
         if not n:
-            return at_rest
-        slots = self._slots.process(time_ns, segment, readings)
+            return np.empty(0, np.int64), np.empty((0, 3))
+        ended = self._slots.process(time_ns, segment, readings)
         if self._last_ns == NO_INT:
-            begin(self._state, 1e-9 * float(time_ns[0]), other=True)
-        start = 0
+            compile_kernels()  # before the first slot, not with it
+            begin(state, 1e-9 * float(time_ns[0]), other=True)
+        edges = [0, *ended.row.tolist(), n]
+        rest, turn = np.empty(len(edges) - 1, np.int64), np.empty((len(edges) - 1, 3))
+        outside: list[tuple[int, int]] = []
+        other = (ended.segment != segment[ended.row]) | (time_ns[ended.row] < ended.start_ns)
+        gap = time_ns[ended.row] - ended.end_ns > int(GAP_S * 1e9)
         with np.errstate(invalid="ignore", divide="ignore"):
-            for k, slot in enumerate(_each(slots, time_ns)):
-                stop = int(slots.row[k])
-                self._fill(at_rest, readings, start, stop)
-                turn[start:stop] = self._state.turn
-                other = bool(slots.segment[k] != segment[stop]) or slot.end_s < slot.start_s
-                if other or 1e-9 * float(time_ns[stop] - slots.end_ns[k]) > GAP_S:
-                    begin(self._state, slot.end_s, other)
+            slots, end_s = _slots_of(ended, time_ns), (1e-9 * time_ns[ended.row]).tolist()
+            for k, end in enumerate(end_s):
+                rest[k], turn[k] = self._at_rest, state.turn
+                if other[k] or gap[k]:
+                    begin(state, end, bool(other[k]))
                 else:
-                    step(self._state, self._parameters, slot)
-                self._at_rest, start = int(self._state.at_rest), stop
-        self._fill(at_rest, readings, start, n)
-        turn[start:] = self._state.turn
+                    step(state, self._parameters, slots, k, end)
+                if self._at_rest and not state.at_rest:
+                    outside.append(self._outside(readings, edges[k], edges[k + 1]))
+                self._at_rest = int(state.at_rest)
+            rest[-1], turn[-1] = self._at_rest, state.turn
+            if self._at_rest:
+                outside.append(self._outside(readings, edges[-2], n))
+                self._at_rest = int(outside[-1][0] == n)
+        lengths = np.diff(edges)
+        found = np.repeat(rest, lengths)
+        for start, stop in outside:
+            found[start:stop] = 0
         self._last_ns, self._last_segment = int(time_ns[-1]), int(segment[-1])
-        return at_rest
+        return found, np.repeat(turn, lengths, axis=0)
 
-    def _fill(self, at_rest: IntArray, readings: FloatArray, start: int, stop: int) -> None:
-        """Fill in rows of the slot that is open: at rest as before, until a sample leaves the band."""
-        at_rest[start:stop] = self._at_rest
-        if self._at_rest:
-            part = readings[start:stop, :AXES]
-            outside = ((part < self._state.low) | (part > self._state.high)).any(1)
-            if outside.any():
-                at_rest[start + int(np.argmax(outside)) : stop] = self._at_rest = 0
+    def _outside(self, readings: FloatArray, start: int, stop: int) -> tuple[int, int]:
+        """Return the rows of a slot from the first sample on that is outside the band of a unit at rest."""
+        part, windows = readings[start:stop, :AXES], self._state.windows
+        out = ((part < windows.low) | (part > windows.high)).any(1)
+        return start + (int(np.argmax(out)) if out.any() else stop - start), stop
 
     def notices(self) -> list[str]:
         """Return nothing: there is nothing to declare that the data could contradict."""
@@ -129,19 +138,20 @@ class RestDetector:
         vars(self).update(deepcopy(saved))
 
 
-def _each(slots: Slots, time_ns: IntArray) -> list[Slot]:
-    """Return the slots one by one; time_ns is that of the rows."""
-    start_s, end_s = 1e-9 * slots.start_ns, 1e-9 * time_ns[slots.row]
-    count = slots.count[:, :AXES].astype(np.float64)
-    within = np.where(count > 1, slots.variance[:, :AXES] * count / np.maximum(count - 1.0, 1.0), np.nan)
-    mean = slots.mean[:, :AXES]
-    others = [part[:, :AXES] for part in (slots.smallest, slots.largest, slots.first, slots.last)]
-    return [
-        Slot(*values)
-        for values in zip(
-            start_s.tolist(), end_s.tolist(), count, mean, within, *others, slots.mean[:, AXES:], strict=True
-        )
-    ]
+def _slots_of(ended: Slots, time_ns: IntArray) -> Sequence[Slot]:
+    """Return the slots as the detector takes them; time_ns is that of the rows."""
+    made = empty_slots(len(ended))
+    slots: Any = made
+    slots["start_s"], slots["end_s"] = 1e-9 * ended.start_ns, 1e-9 * time_ns[ended.row]
+    count = ended.count[:, :AXES].astype(np.float64)
+    slots["samples"], slots["average"] = count, ended.mean[:, :AXES]
+    slots["within"] = np.where(
+        count > 1.0, ended.variance[:, :AXES] * count / np.maximum(count - 1.0, 1.0), np.nan
+    )
+    slots["smallest"], slots["largest"] = ended.smallest[:, :AXES], ended.largest[:, :AXES]
+    slots["first"], slots["last"] = ended.first[:, :AXES], ended.last[:, :AXES]
+    slots["reference"] = ended.mean[:, AXES:]
+    return made
 
 
 def _held(

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import numpy.typing as npt
 
 from imumon.blocks import FloatArray
+from imumon.compiled import records
 
 SLOT_S = 0.125
 AXES = 6
@@ -15,25 +18,30 @@ AXES = 6
 GYRO, ACCEL = slice(0, 3), slice(3, 6)
 LEVELS = 8
 """Windows of 1, 2, 4 ... 128 slots are compared with their predecessors."""
-KEPT: int = 7 * 2 ** (LEVELS - 1)
-"""Slots that the longest windows and what they are compared with take."""
-CAPACITY = 3 * KEPT
+WIDTHS = np.array([16, 32, 32, 64, 64, 128])
+LAGS = np.array([32, 64, 128, 256, 512, 1024])
+"""Slots of the means, and between their beginnings, of which `wander` takes differences."""
+KEPT: int = int((LAGS + WIDTHS).max())
+"""Slots that they and the longest windows take."""
+CAPACITY = 2 * KEPT
 
 COARSEST_STEPS = (2.2e-3, 0.16)
 """No gyro (rad/s) and no accelerometer (m/s²) reads in coarser steps."""
 
+HIDES = 0.25
+"""Noise hides the steps of a sensor when its variance is more than this share of a step squared."""
+
 BoolArray = npt.NDArray[np.bool_]
 
 
-@dataclass(slots=True)
 class Slot:
-    """One slot of samples of the six axes; arrays are (6,).
+    """One slot of samples of the six axes; a record, arrays are (6,).
 
     Parameters
     ----------
     start_s, end_s : float
         Time of its first sample and of the first behind it, s.
-    count, mean, within : array
+    samples, average, within : array
         Finite samples, their mean, and their variance about it (n - 1; NaN for a single one).
     smallest, largest, first, last : array
         Of the finite samples; NaN without any.
@@ -43,8 +51,8 @@ class Slot:
 
     start_s: float
     end_s: float
-    count: FloatArray
-    mean: FloatArray
+    samples: FloatArray
+    average: FloatArray
     within: FloatArray
     smallest: FloatArray
     largest: FloatArray
@@ -52,78 +60,96 @@ class Slot:
     last: FloatArray
     reference: FloatArray
 
-    @property
-    def seconds(self) -> float:
-        """Length of the slot."""
-        return self.end_s - self.start_s
+
+_ARRAYS = ("samples", "average", "within", "smallest", "largest", "first", "last")
+_ONE: Any = records(Slot, 1, **dict.fromkeys(_ARRAYS, AXES), reference=3)
 
 
-@dataclass
-class History:
-    """The latest slots, oldest first; the mean of any window of them is a difference of running sums.
+def empty_slots(count: int) -> Sequence[Slot]:
+    """Return so many slots to be filled in."""
+    made: Any = np.zeros(count, _ONE.dtype)
+    return cast(Sequence[Slot], made)
+
+
+class Windows(NamedTuple):
+    """The latest slots, oldest first, and the noise at rest that windows of them had; filled in place.
+
+    The mean of any window is a difference of running sums (`means`).
 
     Parameters
     ----------
-    length : int
-        Slots in it.
-    total, count : array, (CAPACITY + 1, 6)
+    total, samples : array, (CAPACITY + 1, 6)
         Sum and number of the samples of all slots before each.
     seconds : array, (CAPACITY + 1,)
         Seconds of all slots before each.
-    mean, within : array, (CAPACITY, 6)
+    average, within : array, (CAPACITY, 6)
         Of each slot.
     reference : array, (CAPACITY, 3)
         The same of what turns with the heading.
+    known : array of bool, (6,)
+        Axes whose noise at rest is known.
+    sample_variance : array, (6,)
+        Variance of a sample at rest.
+    variance, gain : array, (LEVELS, 6)
+        Variance of the mean of a window at rest, and the share of the next window in it.
+    step : array, (6,)
+        Least difference of two readings that was seen.
+    last : array, (6,)
+        Last reading.
+    rest_mean : array, (6,)
+        Mean at rest, while there is rest.
+    low, high : array, (6,)
+        Band of single readings of a unit at rest.
+    recent : array, (3, 6)
+        Means that are being compared: the latest window and the two before it.
     """
 
-    length: int = 0
-    total: FloatArray = field(default_factory=lambda: np.zeros((CAPACITY + 1, AXES)))
-    count: FloatArray = field(default_factory=lambda: np.zeros((CAPACITY + 1, AXES)))
-    seconds: FloatArray = field(default_factory=lambda: np.zeros(CAPACITY + 1))
-    mean: FloatArray = field(default_factory=lambda: np.zeros((CAPACITY, AXES)))
-    within: FloatArray = field(default_factory=lambda: np.zeros((CAPACITY, AXES)))
-    reference: FloatArray = field(default_factory=lambda: np.zeros((CAPACITY, 3)))
-
-    def add(self, slot: Slot) -> int:
-        """Add a slot; return by how many places the older ones have moved to make room."""
-        moved = 0
-        if self.length == CAPACITY:
-            moved = self._make_room()
-        n = self.length
-        self.total[n + 1] = self.total[n] + np.where(slot.count > 0, slot.count * slot.mean, 0.0)
-        self.count[n + 1] = self.count[n] + slot.count
-        self.seconds[n + 1] = self.seconds[n] + slot.seconds
-        self.mean[n], self.within[n], self.reference[n] = slot.mean, slot.within, slot.reference
-        self.length = n + 1
-        return moved
-
-    def _make_room(self) -> int:
-        moved = CAPACITY - KEPT
-        for sums in (self.total, self.count, self.seconds):
-            sums[: KEPT + 1] = sums[moved:] - sums[moved]
-        for values in (self.mean, self.within, self.reference):
-            values[:KEPT] = values[moved:]
-        self.length = KEPT
-        return moved
-
-    def means(self, cuts: npt.NDArray[np.intp]) -> FloatArray:
-        """Return the means of the windows between neighbouring cuts, (..., k, 6) for (..., k + 1).
-
-        The cuts fall; NaN where a window is empty.
-        """
-        total, count = self.total[cuts], self.count[cuts]
-        difference = total[..., :-1, :] - total[..., 1:, :]
-        return np.asarray(difference / (count[..., :-1, :] - count[..., 1:, :]))
-
-    def latest(self, slots: int) -> tuple[FloatArray, FloatArray]:
-        """Return mean and number of the samples of the latest slots, (6,) each; NaN without any."""
-        n = self.length
-        count = self.count[n] - self.count[n - slots]
-        return (self.total[n] - self.total[n - slots]) / count, count
+    total: FloatArray
+    samples: FloatArray
+    seconds: FloatArray
+    average: FloatArray
+    within: FloatArray
+    reference: FloatArray
+    known: BoolArray
+    sample_variance: FloatArray
+    variance: FloatArray
+    gain: FloatArray
+    step: FloatArray
+    last: FloatArray
+    rest_mean: FloatArray
+    low: FloatArray
+    high: FloatArray
+    recent: FloatArray
 
 
-def _six(value: float) -> FloatArray:
-    return np.full(AXES, value)
+def new_windows() -> Windows:
+    """Return windows of which nothing is known."""
+    return Windows(
+        total=np.zeros((CAPACITY + 1, AXES)),
+        samples=np.zeros((CAPACITY + 1, AXES)),
+        seconds=np.zeros(CAPACITY + 1),
+        average=np.zeros((CAPACITY, AXES)),
+        within=np.zeros((CAPACITY, AXES)),
+        reference=np.zeros((CAPACITY, 3)),
+        known=np.zeros(AXES, np.bool_),
+        sample_variance=np.zeros(AXES),
+        variance=np.zeros((LEVELS, AXES)),
+        gain=np.zeros((LEVELS, AXES)),
+        step=np.repeat(COARSEST_STEPS, 3),
+        last=np.full(AXES, np.nan),
+        rest_mean=np.zeros(AXES),
+        low=np.zeros(AXES),
+        high=np.zeros(AXES),
+        recent=np.zeros((3, AXES)),
+    )
+
+
+class Anchor(NamedTuple):
+    """Mean of an earlier rest and its variance, (6,) each, and when it ended, s."""
+
+    mean: FloatArray
+    variance: FloatArray
+    at_s: float
 
 
 @dataclass
@@ -132,34 +158,30 @@ class State:
 
     Parameters
     ----------
+    windows : Windows
+    length : int
+        Slots in them.
+    quiet_from, ring_from : int
+        Places where the windows, and the slots of a trial, may begin.
     at_rest : bool
-    history : History
-    known : array of bool
-        Axes whose noise at rest is known.
-    sample_variance : array
-        Variance of a sample at rest.
-    variance, gain : array, (LEVELS, 6)
-        Variance of the mean of a window at rest, and the share of the next window in it.
-    step : array
-        Least difference of two readings that was seen.
-    last : array
-        Last reading.
-    low, high : array
-        Band of single readings of a unit at rest.
-    rest_mean : array
-        Mean at rest, while there is rest.
-    windows_from, ring_from : int
-        Places in the history where the windows, and the slots of a trial, may begin.
+    quiet_since_s : float
+        When the last sign of motion was.
     hold_s, long_hold_s : float
         Times before which there is no rest again; the latter for a trial.
     slots : int
         Slots since the beginning.
-    anchored : bool
-        Whether there is a mean of the rest before, `anchor`, of variance `anchor_variance` at `anchor_s`.
+    wander : array, (lags, 3)
+        Mean square of the differences of the gyros' means at rest (`wander`).
+    wander_lags : array, (lags,)
+        Over how many lags each was learnt.
+    anchors : list of Anchor
+        Means of earlier rests that differ, the latest first.
     doubted_since_s : float
-        Since when a mean has been steady that differs from the anchor; NaN when none has.
+        Since when a mean has been steady that differs from the anchors; NaN when none has.
     turn : array, (3,)
-        Rate, rad/s, by which the gyros differ from the anchor while nothing tells a turn from a bias.
+        Rate, rad/s, by which the gyros differ from the latest anchor while nothing tells a turn from a bias.
+    steady : array
+        Mean of a turn, when it was last undisturbed, at `steady_s`; NaN without any.
     rest_since_s : float
         When the last rest was found.
     caution : float
@@ -169,28 +191,22 @@ class State:
         the hypothesis since.
     """
 
-    at_rest: bool = False
-    history: History = field(default_factory=History)
-    known: BoolArray = field(default_factory=lambda: np.zeros(AXES, np.bool_))
-    sample_variance: FloatArray = field(default_factory=lambda: _six(0.0))
-    variance: FloatArray = field(default_factory=lambda: np.zeros((LEVELS, AXES)))
-    gain: FloatArray = field(default_factory=lambda: np.zeros((LEVELS, AXES)))
-    step: FloatArray = field(default_factory=lambda: np.repeat(COARSEST_STEPS, 3))
-    last: FloatArray = field(default_factory=lambda: _six(np.nan))
-    low: FloatArray = field(default_factory=lambda: _six(-np.inf))
-    high: FloatArray = field(default_factory=lambda: _six(np.inf))
-    rest_mean: FloatArray = field(default_factory=lambda: _six(0.0))
-    windows_from: int = 0
+    windows: Windows = field(default_factory=new_windows)
+    length: int = 0
+    quiet_from: int = 0
     ring_from: int = 0
+    at_rest: bool = False
+    quiet_since_s: float = -np.inf
     hold_s: float = -np.inf
     long_hold_s: float = -np.inf
     slots: int = 0
-    anchored: bool = False
-    anchor: FloatArray = field(default_factory=lambda: _six(0.0))
-    anchor_variance: FloatArray = field(default_factory=lambda: _six(0.0))
-    anchor_s: float = 0.0
+    wander: FloatArray = field(default_factory=lambda: np.zeros((len(LAGS), 3)))
+    wander_lags: FloatArray = field(default_factory=lambda: np.zeros(len(LAGS)))
+    anchors: list[Anchor] = field(default_factory=list)
     doubted_since_s: float = np.nan
     turn: FloatArray = field(default_factory=lambda: np.zeros(3))
+    steady: FloatArray = field(default_factory=lambda: np.full(AXES, np.nan))
+    steady_s: float = 0.0
     rest_since_s: float = -np.inf
     caution: float = 1.0
     slow: bool = False
@@ -199,23 +215,48 @@ class State:
     @property
     def quiet_slots(self) -> int:
         """Slots since the last sign of motion."""
-        return self.history.length - self.windows_from
+        return self.length - self.quiet_from
 
     @property
     def resolution(self) -> FloatArray:
         """Step of each axis whose noise does not hide it, else 0, (6,)."""
-        return np.where(self.sample_variance < 0.25 * self.step**2, self.step, 0.0)
+        windows = self.windows
+        return np.where(windows.sample_variance < HIDES * windows.step**2, windows.step, 0.0)
 
-    def add(self, slot: Slot) -> None:
-        """Add a slot to the history, and see how fine the sensor's steps are."""
-        moved = self.history.add(slot)
-        self.windows_from = max(self.windows_from - moved, 0)
-        self.ring_from = max(self.ring_from - moved, 0)
-        least = ROUNDING * (np.abs(slot.mean) + 1e-3)
-        for step in (slot.largest - slot.smallest, np.abs(slot.first - self.last)):
-            self.step = np.where((step > least) & (step < self.step), step, self.step)
-        self.last = np.where(slot.count > 0, slot.last, self.last)
+    def means(self, cuts: npt.NDArray[np.intp]) -> FloatArray:
+        """Return the means between neighbouring cuts, (..., k, 6) for (..., k + 1).
 
+        The cuts are numbers of slots and fall; NaN where a window is empty.
+        """
+        total, samples = self.windows.total[cuts], self.windows.samples[cuts]
+        difference = total[..., :-1, :] - total[..., 1:, :]
+        return np.asarray(difference / (samples[..., :-1, :] - samples[..., 1:, :]))
 
-ROUNDING = 1e-9
-"""Samples that differ by less than this share are equal: means of equal samples differ by rounding."""
+    def latest(self, slots: int) -> tuple[FloatArray, FloatArray]:
+        """Return mean and number of the samples of the latest slots, (6,) each; NaN without any."""
+        n, total, samples = self.length, self.windows.total, self.windows.samples
+        count = samples[n] - samples[n - slots]
+        return (total[n] - total[n - slots]) / count, count
+
+    def span_s(self, slots: int) -> float:
+        """Return how long the latest slots took."""
+        seconds = self.windows.seconds
+        return float(seconds[self.length] - seconds[self.length - slots])
+
+    @property
+    def slot_s(self) -> float:
+        """Length of a slot, of late: at low rates that of a sample."""
+        slots = min(self.length, 32)
+        return self.span_s(slots) / slots if slots else SLOT_S
+
+    def make_room(self) -> None:
+        """Forget the oldest slots when there is no place left."""
+        if self.length < CAPACITY:
+            return
+        moved, windows = CAPACITY - KEPT, self.windows
+        for sums in (windows.total, windows.samples, windows.seconds):
+            sums[: KEPT + 1] = sums[moved:] - sums[moved]
+        for values in (windows.average, windows.within, windows.reference):
+            values[:KEPT] = values[moved:]
+        self.length = KEPT
+        self.quiet_from, self.ring_from = max(self.quiet_from - moved, 0), max(self.ring_from - moved, 0)

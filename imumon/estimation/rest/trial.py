@@ -23,6 +23,9 @@ LARGEST_MEAN_SD = np.array([3.5e-3, 3.5e-3, 3.5e-3, 0.03, 0.03, 0.03])
 """The same where a slot has `MEAN_OF` samples or more: 0.1 °/s/√Hz and 1.5 mg/√Hz, more than any sensor on
 sale has.  An engine that idles averages out; a road does not."""
 MEAN_OF = 3
+WHITE = 1.5
+"""A gyro may be noisier if its slots are no noisier than so many times what white noise of its samples makes
+them: it is the sensor then.  Accelerometers may not, for a road shakes them as evenly."""
 STEADY = 4.0
 """Ratio of the variances in the two halves of a trial."""
 LARGEST_RATIO = 20.0
@@ -32,12 +35,10 @@ NEIGHBOUR = np.sqrt(0.5)
 
 
 class Noise(NamedTuple):
-    """What a trial found; arrays are (6,).
+    """The noise of a unit at rest, by a trial; arrays are (6,).
 
     Parameters
     ----------
-    rests : bool
-        Whether all axes are noise about a constant.
     present : array of bool
         Axes that were there in all slots.
     mean : array
@@ -48,7 +49,6 @@ class Noise(NamedTuple):
         Variance of a sample.
     """
 
-    rests: bool
     present: BoolArray
     mean: FloatArray
     of_1: FloatArray
@@ -58,9 +58,9 @@ class Noise(NamedTuple):
 
     def is_alike(self, state: State) -> BoolArray:
         """Tell of which axes the noise is that of the last rest, (6,)."""
-        before = state.variance[0]
+        before = state.windows.variance[0]
         alike = np.maximum(before, self.of_1) <= ALIKE * np.minimum(before, self.of_1)
-        return np.asarray(alike & (self.sample <= ALIKE * state.sample_variance))
+        return np.asarray(alike & (self.sample <= ALIKE * state.windows.sample_variance))
 
 
 def second_differences(means: FloatArray, width: int) -> FloatArray:
@@ -70,38 +70,42 @@ def second_differences(means: FloatArray, width: int) -> FloatArray:
     return np.asarray(part[: -2 * width] - 2.0 * part[width:-width] + part[2 * width :])
 
 
-def look(state: State, drift: FloatArray) -> Noise:
-    """Look for rest in the latest slots of the history."""
-    n = state.history.length
-    ring, within = state.history.mean[n - RING : n], state.history.within[n - RING : n]
-    seconds = float(state.history.seconds[n] - state.history.seconds[n - RING])
+def look(state: State, drift: FloatArray) -> Noise | None:
+    """Return the noise of the latest slots where they are noise about a constant; None where they are not."""
+    windows = state.windows
+    n, samples = state.length, windows.samples
+    ring = windows.average[n - RING : n]
+    single = ring[:-2] - 2.0 * ring[1:-1] + ring[2:]
+    of_1 = (single * single).mean(0) / 6.0
+    count = (samples[n] - samples[n - RING]) / RING
+    largest = np.where(count >= MEAN_OF, LARGEST_MEAN_SD, LARGEST_SD)
+    loud = of_1 > largest**2
+    if loud[ACCEL].any():
+        return None
+    each, halves = _within(windows.within[n - RING : n])
+    if (loud & ~(of_1 * count < WHITE * each)).any():
+        return None
     mean = ring.mean(0)
     present = np.isfinite(mean)
-    single = second_differences(ring, 1)
-    of_1, of_4, of_8 = (
-        (d**2).mean(0) / 6.0 for d in (single, second_differences(ring, 4), second_differences(ring, 8))
-    )
-    each, halves = _within(within)
+    if not present.any() or (present & (each > MOST_WITHIN**2)).any():
+        return None
+    of_4, of_8 = ((second_differences(ring, width) ** 2).mean(0) / 6.0 for width in (4, 8))
     sample = np.fmax(of_1, each)
-    noise = Noise(False, present, mean, of_1, of_4, of_8, sample)
-    count = (state.history.count[n] - state.history.count[n - RING]) / RING
-    largest = np.where(count >= MEAN_OF, LARGEST_MEAN_SD, LARGEST_SD)
-    if not present.any() or (present & ((of_1 > largest**2) | (each > MOST_WITHIN**2))).any():
-        return noise
-    step2 = state.step**2
+    noise = Noise(present, mean, of_1, of_4, of_8, sample)
+    step2 = windows.step**2
     floor = np.where(sample < 0.25 * step2, step2 / 12.0, 0.0)
     scaled = single**2 / (6.0 * (of_1 + floor + TINY))
     if (scaled.max(0) > LARGEST_RATIO * np.maximum(scaled.mean(0), 1.0)).any():
-        return noise
+        return None
     power = np.array([scaled[: HALF - 1].sum(0), scaled[HALF - 1 :].sum(0)])
     ratio = (halves + floor) / (sample + floor + TINY)
     rests = all(
-        _is_noise(noise, floor, sensor, _change(ring, noise, floor, drift * seconds))
+        _is_noise(noise, floor, sensor, _change(ring, noise, floor, drift * state.span_s(RING)))
         and _is_steady(power[:, sensor], ratio[:, sensor])
         for sensor in (GYRO, ACCEL)
         if present[sensor].any()
     )
-    return noise._replace(rests=rests)
+    return noise if rests else None
 
 
 def _within(within: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -142,11 +146,14 @@ def _is_steady(*powers: FloatArray) -> bool:
 
 def adopt(state: State, noise: Noise, which: BoolArray) -> None:
     """Take the noise of some axes, (6,), as that of the unit at rest, unless it is known from more data."""
-    new = which & noise.present & ~(state.known & noise.is_alike(state))
+    new = which & noise.present & ~(state.windows.known & noise.is_alike(state))
     of_4, of_8 = np.maximum(noise.of_1 / 4.0, noise.of_4), np.maximum(noise.of_1 / 8.0, noise.of_8)
     start = [noise.of_1, np.maximum(noise.of_1 / 2.0, of_4), of_4, of_8]
     start += [of_8 * NEIGHBOUR**k for k in range(1, LEVELS - 3)]
-    state.known |= new
-    state.sample_variance = np.where(new, noise.sample, state.sample_variance)
-    state.variance = np.where(new, start, state.variance)
-    state.gain = np.where(new, 1.0 / (1.0 + np.maximum(RING / SLOTS, 3.0))[:, np.newaxis], state.gain)
+    windows = state.windows
+    windows.known[new] = True
+    windows.sample_variance[new] = noise.sample[new]
+    windows.variance[:, new] = np.array(start)[:, new]
+    if new[GYRO].any():
+        state.wander[:], state.wander_lags[:] = 0.0, 0.0
+    windows.gain[:, new] = 1.0 / (1.0 + np.maximum(RING / SLOTS, 3.0))[:, np.newaxis]

@@ -8,59 +8,135 @@ a magnetometer, or the device's own yaw, that turns along says turn, and one tha
 
 from __future__ import annotations
 
+from enum import Enum
+
 import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.estimation.rest.parameters import RestParameters
-from imumon.estimation.rest.state import ACCEL, GYRO, LEVELS, SLOT_S, State
-from imumon.estimation.rest.windows import BEND_SIGMAS, CHI_SQUARE, CREEP, OBLIQUE, SLOTS, TINY, turned
+from imumon.estimation.rest.state import ACCEL, GYRO, KEPT, LEVELS, SLOT_S, Anchor, State
+from imumon.estimation.rest.wander import CREEP, OBLIQUE, turned, wander_after
+from imumon.estimation.rest.windows import CHI_SQUARE, MEMORY_SLOTS, SLOTS, TINY
 
 EARTH_TWICE = 1.46e-4
 """rad/s: a gyro that is turned round sees the earth's rate the other way."""
 SIGMAS = 6.0
-MEMORY_SLOTS = 32
 STEADY_SIGMAS = 3.0
+PLAIN_SIGMAS = 2.0
+"""Sigmas of a change of which nobody would ask whether it is a turn."""
+BACK_SIGMAS = 3.0
+BACK_S, SLOW_BACK_S = 0.25, 4.0
+TILTED = 0.05
+"""m/s² (0.3°): less change of the specific force from rest to rest is drift of the accelerometers."""
+
+
+class Explained(Enum):
+    """Whether a bias may have changed as the gyros' mean has since an earlier rest."""
+
+    NO = 0
+    PERHAPS = 1
+    PLAINLY = 2
 
 
 def hypothesis(
-    state: State, parameters: RestParameters, means: FloatArray, slots: FloatArray, now_s: float
-) -> FloatArray:
+    state: State, parameters: RestParameters, slots: int, now_s: float
+) -> tuple[FloatArray, Explained]:
     """Return the rate of the turn that the gyros show if their bias is still that of the last rest, (3,).
 
     Parameters
     ----------
-    means, slots : array, (6,)
-        Recent means, and how many slots they are of; 0 for an axis that is missing.
+    slots : int
+        The latest, which are quiet.
 
     Returns
     -------
     array, (3,)
-        rad/s; zero where the bias can have changed by as much.
+        rad/s; zero where it is plainly the bias that has changed.
+    Explained
+        Whether the bias can have changed by as much.
     """
-    if not state.anchored:
-        return np.zeros(3)
-    there = state.known & (slots > 0)
-    change = np.where(there, means - state.anchor, 0.0)
-    noise = SIGMAS * np.sqrt(state.variance[0] / np.clip(slots, 1, MEMORY_SLOTS) + state.anchor_variance)
-    noise += state.resolution
+    if not state.anchors:
+        return np.zeros(3), Explained.PLAINLY
+    recent, variance = recent_mean(state, slots)
+    # It is while the unit moved that a turn began, or the bias changed: a steady mean does neither.
+    since_s = min(state.quiet_since_s, now_s - state.span_s(slots))
+    turn = np.where(np.isfinite(recent), recent - state.anchors[0].mean, 0.0)[GYRO]
+    limit = SIGMAS * np.sqrt(variance + state.anchors[0].variance) + state.resolution
+    if _is_bias(state, parameters, turn, limit[GYRO], recent[ACCEL]):
+        return np.zeros(3), Explained.PLAINLY
+    if _turns_on(state, recent, limit):
+        return turn, Explained.NO
+    best = Explained.NO
+    for anchor in state.anchors:
+        found = _explained(state, parameters, anchor, recent, variance, since_s)
+        best = max(best, found, key=lambda one: one.value)
+    return (np.zeros(3) if best is Explained.PLAINLY else turn), best
+
+
+def _explained(
+    state: State,
+    parameters: RestParameters,
+    anchor: Anchor,
+    recent: FloatArray,
+    variance: FloatArray,
+    since_s: float,
+) -> Explained:
+    """Tell whether the bias may have changed from an earlier rest to a mean that has been since a time."""
+    change = np.abs(np.where(np.isfinite(recent), recent - anchor.mean, 0.0))
+    noise = variance + anchor.variance
+    moved_s = max(since_s - anchor.at_s, 0.0)
     force = float(np.linalg.norm(change[ACCEL]))
-    allowed = EARTH_TWICE + parameters.gyro_g_sensitivity * force + _walk(state, parameters, now_s)
-    turn, noise = change[GYRO], noise[GYRO]
-    if (np.abs(turn) <= allowed + noise).all() or _is_bias(state, parameters, turn, noise, means[ACCEL]):
-        return np.zeros(3)
-    return turn
+    still = state.windows.known[ACCEL].all() and force < SIGMAS * np.sqrt(noise[ACCEL].max()) + TILTED
+    slope = CREEP if still else parameters.gyro_drift
+    wander = np.sqrt(np.maximum(wander_after(state, moved_s), noise[GYRO]))
+    plain = parameters.gyro_g_sensitivity * force + (0.0 if still else EARTH_TWICE) + state.resolution[GYRO]
+    drift = min(slope * moved_s, parameters.gyro_walk)
+    if not still:
+        plain += drift
+    usual, most = PLAIN_SIGMAS * wander, SIGMAS * wander
+    if (change[GYRO] <= np.minimum(usual, parameters.gyro_walk) + plain).all():
+        return Explained.PLAINLY
+    if (change[GYRO] <= np.minimum(most, 2.0 * parameters.gyro_walk) + plain + drift).all():
+        return Explained.PERHAPS if still else Explained.PLAINLY
+    return Explained.NO
 
 
-def _walk(state: State, parameters: RestParameters, now_s: float) -> FloatArray:
-    """Return by how much each bias may have changed since the last rest, (3,), whatever the temperature does.
+def is_back(state: State, parameters: RestParameters, now_s: float) -> bool:
+    """Tell whether all means are again what they were at an earlier rest.
 
-    It drifts, but no farther than `gyro_walk`, or than the noise of its means of 16 s lets expect.
+    For a quarter of a second after a knock, and for 4 s after what showed slowly.
     """
-    elapsed = max(now_s - state.anchor_s, 0.0)
-    longest_s = SLOT_S * SLOTS[-1]
-    learnt = SIGMAS * np.sqrt(state.variance[-1][GYRO] * elapsed / longest_s)
-    most = np.clip(learnt, parameters.gyro_walk, 2.0 * parameters.gyro_walk)
-    return np.asarray(np.minimum(parameters.gyro_drift * elapsed, most))
+    slots = state.quiet_slots
+    least_s = SLOW_BACK_S if state.slow else BACK_S
+    if slots < 2 or state.span_s(min(slots, KEPT)) < least_s:
+        return False
+    recent, variance = recent_mean(state, slots)
+    for anchor in state.anchors:
+        limit = BACK_SIGMAS * np.sqrt(variance + anchor.variance) + state.resolution
+        limit[ACCEL] += min(parameters.accel_drift * (now_s - anchor.at_s), TILTED)
+        change = np.abs(np.where(np.isfinite(recent), recent - anchor.mean, 0.0))
+        refuted = not state.slow or 3.0 * np.abs(change[GYRO]).max() < np.abs(state.turn).max()
+        if refuted and (change <= limit).all():
+            return True
+    return False
+
+
+def recent_mean(state: State, slots: int) -> tuple[FloatArray, FloatArray]:
+    """Return the mean of the latest slots, of 8 s at most, and its variance at rest, (6,)."""
+    slots = min(slots, steady_slots(state) // 2)
+    mean, count = state.latest(slots)
+    there = state.windows.known & (count > 0)
+    return np.where(there, mean, np.nan), state.windows.variance[slots.bit_length() - 1]
+
+
+def _turns_on(state: State, recent: FloatArray, limit: FloatArray) -> bool:
+    """Tell whether something disturbed a turn, and the mean is what it was before: no turn ends like that."""
+    if not np.isfinite(state.steady).any():
+        return False
+    between_s = max(state.quiet_since_s - state.steady_s, 0.0)
+    near, far = (np.abs(recent - mean)[GYRO] for mean in (state.steady, state.anchors[0].mean))
+    same = (near <= limit[GYRO] + CREEP * between_s) | ~np.isfinite(near)
+    return bool(same.all() and np.nansum(near) < np.nansum(far))
 
 
 def _is_bias(
@@ -69,23 +145,23 @@ def _is_bias(
     """Tell whether a turn like this would have tilted the unit, and gravity says that it has not."""
     size, gravity = float(np.linalg.norm(turn)), float(np.linalg.norm(force))
     window = steady_slots(state) // 4
-    seen = state.known[ACCEL].all() and gravity > 5.0 and state.quiet_slots >= 2 * window
+    seen = state.windows.known[ACCEL].all() and gravity > 5.0 and state.quiet_slots >= 2 * window
     if not seen or size > parameters.largest_jump:
         return False
     across = turn - (turn @ force) * force / gravity**2
     tilt = float(np.linalg.norm(across))
     # What accelerometers show in two windows of 4 s, by the limits of `windows`, or their drift would hide.
-    n, level = state.history.length, window.bit_length() - 1
-    seconds = float(state.history.seconds[n] - state.history.seconds[n - window])
-    shown = np.sqrt(2.0 * CHI_SQUARE * state.variance[level, ACCEL].max()) + state.resolution[ACCEL].max()
+    level, seconds = window.bit_length() - 1, state.span_s(window)
+    shown = (
+        np.sqrt(2.0 * CHI_SQUARE * state.windows.variance[level, ACCEL].max()) + state.resolution[ACCEL].max()
+    )
     least = (shown + parameters.accel_drift * seconds) / (gravity * seconds)
     return tilt > max(OBLIQUE * size, float(least), float(noise.max()))
 
 
 def steady_slots(state: State) -> int:
     """Return how many slots take 16 s, as a power of two; a slot is a sample at low rates."""
-    seconds, n = state.history.seconds, state.history.length
-    slot_s = (seconds[n] - seconds[max(n - MEMORY_SLOTS, 0)]) / MEMORY_SLOTS
+    slot_s = state.span_s(min(MEMORY_SLOTS, state.length)) / MEMORY_SLOTS
     longer = round(float(np.log2(max(slot_s / SLOT_S, 1.0))))
     return int(SLOTS[max(LEVELS - 1 - longer, 3)])
 
@@ -96,14 +172,16 @@ def is_steady(state: State, parameters: RestParameters) -> bool:
     Of 4 s after motion that was no turn about the vertical: it would tilt the unit, and gravity shows that.
     """
     half = steady_slots(state) // (2 if state.turning else 4)
-    history, n, level = state.history, state.history.length, half.bit_length() - 1
+    level = half.bit_length() - 1
     if state.quiet_slots < 2 * half:
         return False
-    recent, before = history.means(n - half * np.arange(3))
-    seconds = history.seconds[n] - history.seconds[n - half]
-    change, variance = recent - before, 2.0 * STEADY_SIGMAS**2 * state.variance[level]
+    recent, before = state.means(state.length - half * np.arange(3))
+    seconds = state.span_s(half)
+    change, variance = recent - before, 2.0 * STEADY_SIGMAS**2 * state.windows.variance[level]
     limit = np.sqrt(variance) + state.resolution + parameters.accel_drift * seconds
-    if (state.known & (np.abs(change) > limit))[ACCEL].any():
+    if (state.windows.known & (np.abs(change) > limit))[ACCEL].any():
         return False
-    small = variance[np.newaxis, GYRO] / BEND_SIGMAS**2 + TINY
-    return not turned(state, change[np.newaxis, GYRO], small, np.array([CREEP * seconds]))[0]
+    turns, _ = turned(
+        state, change[np.newaxis, GYRO], variance[np.newaxis, GYRO] + TINY, np.array([CREEP * seconds])
+    )
+    return not turns[0]

@@ -7,12 +7,23 @@ sensor explains of a difference does not count.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.estimation.rest.state import ACCEL, AXES, GYRO, LEVELS, BoolArray, Slot, State
+from imumon.compiled import njit
+from imumon.estimation.rest.state import (
+    AXES,
+    HIDES,
+    LEVELS,
+    SLOT_S,
+    Slot,
+    State,
+    Windows,
+    empty_slots,
+)
 
 CHI_SQUARE = 42.0
 """Three axes together: once in 2e8 for Gaussian noise of known variance."""
@@ -24,182 +35,219 @@ COLOUR = 5.0
 """Variance of the means of longer windows may be so many times that of white noise: a hand is slower."""
 LEAST_GAIN, MOST_SURPRISE = 1.0 / 64.0, 4.0
 TINY = 1e-24
-BEND_FROM = 2
-BEND_S = 600.0
-"""A drift as large as permitted builds up in no less: a case takes minutes to follow a temperature."""
-BEND_SIGMAS = 5.0
-"""One test a second of one quantity: a false alarm in some hundred hours of Gaussian noise."""
-OBLIQUE = 0.3
-"""Share of a difference across the vertical that no misalignment or tilt of a turntable explains (17°)."""
-CREEP = 2e-5
-"""rad/s²: 70 °/h/°C at 2 °C/min is 1.1e-5; more than this, about the vertical alone, for 96 s is a turn."""
+SAMPLE_MEMORY = 1.0 / 64.0
+SPIKE_SIGMAS = 7.0
+MEMORY_SLOTS = 32
+"""Slots of the mean at rest."""
+ROUNDING = 1e-9
+"""Samples that differ by less than this share are equal: means of equal samples differ by rounding."""
 MOST_WITHIN = np.array([3.5e-2, 3.5e-2, 3.5e-2, 0.5, 0.5, 0.5])
 """rad/s and m/s², rms: more vibration is motion.  2 °/s and 0.5 m/s² are the limits of VQF's rest detection
 (Laidig and Seel 2023, restThGyr and restThAcc); an engine that idles stays at a third of them."""
 
 SLOTS = 2 ** np.arange(LEVELS)
-_CUTS = SLOTS[:, np.newaxis] * np.arange(4)
-_BEND_CUTS = SLOTS[:, np.newaxis] * np.array([0, 1, 4, 7])
-_LAGS = np.array([1.0, 2.0])[:, np.newaxis]
-_WEIGHTS = np.array([2.0, 3.0])[:, np.newaxis]
-"""Of the variance in the difference to the mean one window before, and two before: as old as it is rare."""
-_WHITE = 1.0 / SLOTS[:, np.newaxis]
-
-
-BEFORE = (2, 3)
 
 
 class Motion(NamedTuple):
     """The shortest windows that showed motion: their level and their seconds.
 
-    sudden tells whether a sample or the vibration showed it as well; before is where, in such windows, the
-    latest begins and ends that was rest still.
+    sudden tells whether a sample or the vibration showed it as well; before is how many slots ago the latest
+    window ended, and began, that was rest still; turning, that only the gyros' mean about the vertical showed
+    it.
     """
 
     level: int
     seconds: float
-    sudden: bool = False
-    before: tuple[int, int] = BEFORE
+    sudden: bool
+    before: tuple[int, int]
+    turning: bool = False
 
 
-def seen(state: State, slot: Slot, drift: FloatArray, spike: bool) -> Motion | None:
-    """Take the slot that was added last; return the motion that it shows.
+def seen(state: State, slots: Sequence[Slot], k: int, drift: FloatArray) -> Motion | None:
+    """Take a slot, learn the noise from it if there is no motion in it, and return the motion that it shows.
 
     Parameters
     ----------
+    k : int
+        Which of the slots.
     drift : array, (6,)
         Permitted, rad/s² and m/s³.
-    spike : bool
-        Whether a sample was outside the band.
     """
-    motion = _windows(state, drift)
-    if spike or shaken(state, slot):
-        return Motion(0, slot.seconds, sudden=True) if motion is None else motion._replace(sudden=True)
-    return motion
-
-
-def bends(state: State, drift: FloatArray) -> Motion | None:
-    """Tell whether the latest window of the gyros lies off the line through the six such windows before it.
-
-    So a turn about the vertical shows that begins more slowly than a bias may drift; what is not about the
-    vertical is drift, or the accelerometers show it.  Of windows of length L with centres at -L/2, -2.5 L
-    (three of them) and -5.5 L the line predicts m₂ + ⅔ (m₂ - m₁), with a variance of ²⁹⁄₉ times that of the
-    mean of three; a curvature c puts it off by 4.67 c L².
-    """
-    history, n = state.history, state.history.length
-    levels = min(int(np.count_nonzero(state.quiet_slots >= 7 * SLOTS)), LEVELS - 1)
-    if levels <= BEND_FROM:
+    state.make_room()
+    level, sudden = _take(state.windows, state.length, state.quiet_from, slots, k, drift, state.at_rest)
+    state.length += 1
+    if level < 0 and not sudden:
         return None
-    which = slice(BEND_FROM, levels)
-    cuts = n - _BEND_CUTS[which]
-    seconds = history.seconds[cuts[:, 0]] - history.seconds[cuts[:, 1]]
-    recent, middle, oldest = np.moveaxis(history.means(cuts)[..., GYRO], 1, 0)
-    off = recent - middle - (middle - oldest) * (2.0 / 3.0)
-    variance = state.variance[which, GYRO] + (29.0 / 9.0) * state.variance[BEND_FROM + 1 : levels + 1, GYRO]
-    allowed = (4.67 / BEND_S) * drift[0] * seconds**2
-    found = turned(state, off, variance + TINY, allowed) & (seconds <= LONGEST_S)
-    if found.any():
-        level = BEND_FROM + int(np.argmax(found))
-        return Motion(level, float(history.seconds[n] - history.seconds[n - SLOTS[level]]), before=(4, 7))
-    return None
+    level = max(level, 0)
+    return Motion(level, state.span_s(2**level), sudden, (2 << level, 3 << level))
 
 
-def turned(state: State, off: FloatArray, variance: FloatArray, allowed: FloatArray) -> BoolArray:
-    """Tell whether differences of gyros, (k, 3), are too large for noise and what is allowed, (k,).
-
-    Where gravity is known, about the vertical: what is oblique is drift, for gravity would have moved.
-    """
-    off = np.where(state.known[GYRO], off, 0.0)
-    force = state.rest_mean[ACCEL]
-    if not state.known.all():
-        excess = np.maximum(np.abs(off) - allowed[:, np.newaxis] - state.resolution[GYRO], 0.0)
-        return np.asarray((excess**2 / variance).sum(-1) > CHI_SQUARE)
-    up = force / np.linalg.norm(force)
-    along = np.abs(off @ up)
-    across = np.linalg.norm(off - (off @ up)[:, np.newaxis] * up, axis=1)
-    vertical = across < np.maximum(OBLIQUE * along, BEND_SIGMAS * np.sqrt(variance.max(1)))
-    beyond = along - allowed - np.abs(up) @ state.resolution[GYRO] > BEND_SIGMAS * np.sqrt(variance @ up**2)
-    return np.asarray(vertical & beyond)
+# What follows is compiled, for it runs with each slot.
 
 
-def creeps(state: State) -> Motion | None:
-    """Tell whether the gyros' mean of the last 16 s is farther from that of 96 s before than a bias creeps.
-
-    So a turn shows that begins too slowly for `bends` in the noise of a cheap gyro.
-    """
-    history, n, slots = state.history, state.history.length, int(SLOTS[-1])
-    if state.quiet_slots < 7 * slots:
-        return None
-    cuts = n - slots * np.array([[0, 1], [6, 7]])
-    recent, oldest = history.means(cuts)[:, 0, GYRO]
-    seconds = history.seconds[n] - history.seconds[cuts[1, 0]]
-    found = turned(
-        state,
-        (recent - oldest)[np.newaxis],
-        2.0 * state.variance[-1:, GYRO] + TINY,
-        CREEP * seconds[np.newaxis],
-    )
-    if not found[0]:
-        return None
-    return Motion(LEVELS - 1, float(history.seconds[n] - history.seconds[n - slots]), before=(6, 7))
+@njit
+def _take(
+    windows: Windows, n: int, quiet_from: int, slots: Sequence[Slot], k: int, drift: FloatArray, at_rest: bool
+) -> tuple[int, bool]:
+    """Return the level of the shortest windows that show motion, -1 for none, and whether it is sudden."""
+    slot = slots[k]
+    _add(windows, n, slot)
+    spike, present = False, False
+    for j in range(AXES):
+        present |= windows.known[j] and slot.samples[j] > 0
+        spike |= slot.smallest[j] < windows.low[j] or slot.largest[j] > windows.high[j]
+    if not present:
+        return -1, False
+    level = _compare(windows, n + 1, quiet_from, drift)
+    sudden = (spike and at_rest) or _shaken(windows, slot)
+    if at_rest and level < 0 and not sudden:
+        _keep(windows, n + 1 - quiet_from, slot, drift)
+    return level, sudden
 
 
-def _windows(state: State, drift: FloatArray) -> Motion | None:
+@njit
+def _add(windows: Windows, n: int, slot: Slot) -> None:
+    """Add a slot to the n of the history, and see how fine the sensor's steps are."""
+    windows.seconds[n + 1] = windows.seconds[n] + (slot.end_s - slot.start_s)
+    for j in range(3):
+        windows.reference[n, j] = slot.reference[j]
+    for j in range(AXES):
+        present = slot.samples[j] > 0.0
+        windows.average[n, j], windows.within[n, j] = slot.average[j], slot.within[j]
+        windows.total[n + 1, j] = windows.total[n, j] + (
+            slot.samples[j] * slot.average[j] if present else 0.0
+        )
+        windows.samples[n + 1, j] = windows.samples[n, j] + slot.samples[j]
+        least = ROUNDING * (abs(slot.average[j]) + 1e-3)
+        for step in (slot.largest[j] - slot.smallest[j], abs(slot.first[j] - windows.last[j])):
+            if least < step < windows.step[j]:
+                windows.step[j] = step
+        if present:
+            windows.last[j] = slot.last[j]
+
+
+@njit
+def _compare(windows: Windows, n: int, quiet_from: int, drift: FloatArray) -> int:
     """Compare the windows that end now with the two before them, and learn from them."""
-    history, n = state.history, state.history.length
-    quiet = state.quiet_slots
-    ending = min((quiet & -quiet).bit_length(), LEVELS)
-    cuts = n - _CUTS[:ending]
-    seconds = history.seconds[n] - history.seconds[cuts[:, 1]]
-    means = history.means(np.maximum(cuts, state.windows_from))
-    if seconds[-1] > LONGEST_S:
-        ending = int(np.count_nonzero(seconds <= LONGEST_S))
-        means, seconds = means[:ending], seconds[:ending]
-    if not ending:
-        return None
-    found = _unlikely(state, means, seconds, drift)
-    _learn(state, means)
-    if not found.any():
-        return None
-    level = int(np.argmax(found))
-    return Motion(level, float(seconds[level]))
+    found, levels = -1, 0
+    while levels < LEVELS and (n - quiet_from) % (1 << levels) == 0:
+        if windows.seconds[n] - windows.seconds[n - (1 << levels)] > LONGEST_S:
+            break
+        levels += 1
+    for level in range(levels - 1, -1, -1):
+        _fill_recent(windows, n, quiet_from, 1 << level)
+        if _differ(windows, level, windows.seconds[n] - windows.seconds[n - (1 << level)], drift):
+            found = level
+        _learn(windows, level)
+    return found
 
 
-def _unlikely(state: State, means: FloatArray, seconds: FloatArray, drift: FloatArray) -> FloatArray:
-    """Tell of each level whether its windows, (k, 3, 6), differ by more than noise, drift and step."""
-    allowed = _LAGS * drift * seconds[:, np.newaxis, np.newaxis] + state.resolution
-    excess = np.abs(means[:, :1] - means[:, 1:]) - allowed
-    excess = np.where(state.known & (excess > 0.0), excess, 0.0)
-    chi = excess**2 / (_WEIGHTS * (state.variance[: len(means), np.newaxis] + TINY))
-    limit = chi.reshape(len(means), -1, AXES // 2).sum(-1) > CHI_SQUARE
-    return np.asarray(limit.any(-1))
+@njit(error_model="numpy")
+def _fill_recent(windows: Windows, n: int, quiet_from: int, slots: int) -> None:
+    """Write the means of the last three windows of so many slots, latest first; NaN where one is empty."""
+    new = n
+    for lag in range(3):
+        old = max(new - slots, quiet_from)
+        for j in range(AXES):
+            total = windows.total[new, j] - windows.total[old, j]
+            windows.recent[lag, j] = total / (windows.samples[new, j] - windows.samples[old, j])
+        new = old
 
 
-def _learn(state: State, means: FloatArray) -> None:
+@njit
+def _differ(windows: Windows, level: int, seconds: float, drift: FloatArray) -> bool:
+    """Tell whether the latest window differs from one of the two before by more than noise, drift and step.
+
+    Of the variance in the difference to the older one two parts of three are its: it is as old as it is rare.
+    """
+    for lag in (1, 2):
+        for sensor in (0, 3):
+            chi = 0.0
+            for j in range(sensor, sensor + 3):
+                change = abs(windows.recent[0, j] - windows.recent[lag, j])
+                excess = change - lag * drift[j] * seconds - _resolution(windows, j)
+                if windows.known[j] and excess > 0.0:
+                    chi += excess * excess / ((1.0 + lag) * (windows.variance[level, j] + TINY))
+            if chi > CHI_SQUARE:
+                return True
+    return False
+
+
+@njit
+def _resolution(windows: Windows, j: int) -> float:
+    step = windows.step[j]
+    return step if windows.sample_variance[j] < HIDES * step * step else 0.0
+
+
+@njit
+def _learn(windows: Windows, level: int) -> None:
     """Take the second difference as a measure of the variance; a single one cannot raise it much."""
-    k = len(means)
-    old, gain = state.variance[:k], state.gain[:k]
-    second = means[:, 0] - 2.0 * means[:, 1] + means[:, 2]
-    sample = np.minimum(second**2 / 6.0, MOST_SURPRISE * old + TINY)
-    highest = COLOUR * np.maximum(_WHITE[:k] * state.variance[0], QUIET**2)
-    learns = state.known & np.isfinite(second)
-    state.variance[:k] = np.where(learns, np.minimum(old + gain * (sample - old), highest), old)
-    state.gain[:k] = np.where(learns & (gain > LEAST_GAIN), gain / (1.0 + gain), gain)
+    for j in range(AXES):
+        second = windows.recent[0, j] - 2.0 * windows.recent[1, j] + windows.recent[2, j]
+        if not (windows.known[j] and np.isfinite(second)):
+            continue
+        old, gain = windows.variance[level, j], windows.gain[level, j]
+        sample = min(second * second / 6.0, MOST_SURPRISE * old + TINY)
+        highest = COLOUR * max(windows.variance[0, j] / (1 << level), QUIET[j] ** 2)
+        windows.variance[level, j] = min(old + gain * (sample - old), highest)
+        if gain > LEAST_GAIN:
+            windows.gain[level, j] = gain / (1.0 + gain)
 
 
-def vibration_factor(count: FloatArray) -> FloatArray:
+@njit
+def vibration_factor(count: float) -> float:
     """Return how many times its mean the variance of count samples may be (Wilson and Hilferty)."""
-    part = 2.0 / (9.0 * np.maximum(0.5 * (count - 1.0), 1.0))
-    return np.asarray(2.0 * (1.0 - part + 6.0 * np.sqrt(part)) ** 3)
+    part = 2.0 / (9.0 * max(0.5 * (count - 1.0), 1.0))
+    return 2.0 * (1.0 - part + 6.0 * np.sqrt(part)) ** 3  # type: ignore[no-any-return]
 
 
-def shaken(state: State, slot: Slot) -> bool:
+@njit
+def _shaken(windows: Windows, slot: Slot) -> bool:
     """Tell whether samples vary more within the slot than they did at rest."""
-    suspect = state.known & (slot.within > 2.0 * state.sample_variance) & (slot.count >= 3)
-    most = slot.within > MOST_WITHIN**2
-    if not (suspect | most).any():  # the factor is 2 at least: most slots need no more than this
-        return False
-    if most.any():
-        return True
-    limit = state.sample_variance * vibration_factor(slot.count) + state.resolution**2
-    return bool((suspect & (slot.within > limit)).any())
+    for j in range(AXES):
+        within = slot.within[j]
+        if within > MOST_WITHIN[j] ** 2:
+            return True
+        if windows.known[j] and slot.samples[j] >= 3 and within > 2.0 * windows.sample_variance[j]:
+            limit = windows.sample_variance[j] * vibration_factor(slot.samples[j])
+            if within > limit + _resolution(windows, j) ** 2:
+                return True
+    return False
+
+
+@njit
+def _keep(windows: Windows, quiet: int, slot: Slot, drift: FloatArray) -> None:
+    """At rest still: follow the mean and the noise, and set the band outside which a sample is motion."""
+    share = 1.0 / min(quiet, MEMORY_SLOTS)
+    for j in range(AXES):
+        if not windows.known[j]:
+            continue
+        known = windows.sample_variance[j]
+        if slot.samples[j] > 0.0:
+            windows.rest_mean[j] += share * (slot.average[j] - windows.rest_mean[j])
+            within = slot.within[j] if np.isfinite(slot.within[j]) else windows.variance[0, j]
+            windows.sample_variance[j] += SAMPLE_MEMORY * (min(within, MOST_SURPRISE * known + TINY) - known)
+        _set_band(windows, j, drift[j])
+
+
+@njit
+def _set_band(windows: Windows, j: int, drift: float) -> None:
+    sd = np.sqrt(windows.sample_variance[j] + windows.variance[0, j])
+    width = SPIKE_SIGMAS * sd + 1.5 * _resolution(windows, j) + drift * MEMORY_SLOTS * SLOT_S
+    windows.low[j], windows.high[j] = windows.rest_mean[j] - width, windows.rest_mean[j] + width
+
+
+@njit
+def set_band(windows: Windows, drift: FloatArray) -> None:
+    """Set the band outside which a single sample is motion."""
+    for j in range(AXES):
+        windows.low[j], windows.high[j] = -np.inf, np.inf
+        if windows.known[j]:
+            _set_band(windows, j, drift[j])
+
+
+def compile_kernels() -> None:
+    """Compile what runs with each slot, or load it."""
+    state = State()
+    seen(state, empty_slots(1), 0, np.zeros(AXES))
+    set_band(state.windows, np.zeros(AXES))

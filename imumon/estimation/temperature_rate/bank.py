@@ -13,92 +13,162 @@ They are mixed as an interacting multiple model (Blom and Bar-Shalom 1988).
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.filters.kalman import Estimate, predict
+from imumon.compiled import njit, records
 
 JERKS = 10.0 ** np.arange(-27.0, -3.5, 1.5)
 """Jerk densities, °C²/s⁵: from a rate that keeps to 0.001 °C/h for a day to a jump of 2 °C/min in 3 s."""
+SMOOTHNESSES = len(JERKS)
 FORGETTING_S = 1800.0
 WHITE_SIGMAS = np.array([0.0003, 0.01, 0.02, 0.035, 0.06, 0.1, 0.13, 0.16, 0.2, 0.25])
 """White noise of the level kinds in steps: beyond the last the steps are no sharper than the noise."""
-SLOW_TIMES_S = np.array([5.0, 40.0])
-"""Correlation times of slow errors; every one with every standard deviation."""
-SLOW_LEVEL_SIGMAS, SLOW_LEVEL_WHITE = np.array([0.12, 0.25, 0.5, 1.0]), 0.06
-"""Standard deviations in units of slow errors before the quantizer, and white noise beside them in steps."""
+SLOW_LEVEL_SIGMAS, SLOW_LEVEL_TIMES_S = np.array([0.12, 0.25, 0.5, 1.0]), np.array([5.0, 40.0])
+"""Standard deviations in units, and correlation times, of slow errors before the quantizer: all pairs, ..."""
+SLOW_LEVEL_WHITE = 0.06
+"""... and white noise beside them in steps."""
 MEAN_FACTORS = np.array([0.7, 1.4, 2.8])
 """Variance of a slot's mean in the mean kinds, over that seen from slot to slot."""
-SLOW_SIGMAS = np.array([0.5, 1.0, 2.0, 4.0])
-"""Standard deviations in units of slow errors where the noise hides the steps."""
+SLOW_RATIOS, SLOW_TIMES_S = np.array([0.6, 2.0, 6.0, 20.0, 60.0, 200.0]), np.array([3.0, 10.0, 30.0, 100.0])
+"""Variance of slow errors where the noise hides the steps, over that seen from slot to slot, and correlation
+times, s: all pairs that change no faster than what is seen; a slot's mean hides up to half of that."""
 
 
-def _each_time(sigmas: FloatArray) -> FloatArray:
-    return np.repeat(sigmas, len(SLOW_TIMES_S))
+def _pairs(first: FloatArray, second: FloatArray) -> tuple[FloatArray, FloatArray]:
+    return np.repeat(first, len(second)), np.tile(second, len(first))
 
 
-LEVEL_SIGMAS = np.concatenate([WHITE_SIGMAS, _each_time(0.0 * SLOW_LEVEL_SIGMAS + SLOW_LEVEL_WHITE)])
-SLOW_SIGMA = np.concatenate(
-    [0.0 * WHITE_SIGMAS, _each_time(SLOW_LEVEL_SIGMAS), 0.0 * MEAN_FACTORS, _each_time(SLOW_SIGMAS)]
-)
-"""Standard deviation of the slow error of every kind, in units."""
-KINDS, LEVELS = len(SLOW_SIGMA), len(LEVEL_SIGMAS)
-SLOW_TIME_S = np.concatenate(
-    [
-        1.0 + 0.0 * WHITE_SIGMAS,
-        np.tile(SLOW_TIMES_S, len(SLOW_LEVEL_SIGMAS)),
-        1.0 + 0.0 * MEAN_FACTORS,
-        np.tile(SLOW_TIMES_S, len(SLOW_SIGMAS)),
-    ]
-)
-LEVEL, MEAN = slice(0, LEVELS), slice(LEVELS, LEVELS + len(MEAN_FACTORS))
-SLOW = slice(LEVELS + len(MEAN_FACTORS), KINDS)
+_LEVEL_SLOW, _LEVEL_TIMES = _pairs(SLOW_LEVEL_SIGMAS, SLOW_LEVEL_TIMES_S)
+_RATIOS, _TIMES = _pairs(SLOW_RATIOS, SLOW_TIMES_S)
+_RATIOS, _TIMES = _RATIOS[_RATIOS <= 2.0 * _TIMES], _TIMES[_RATIOS <= 2.0 * _TIMES]
+LEVEL_SIGMAS = np.concatenate([WHITE_SIGMAS, 0.0 * _LEVEL_SLOW + SLOW_LEVEL_WHITE])
+LEVEL_SLOW = np.concatenate([0.0 * WHITE_SIGMAS, _LEVEL_SLOW])
+"""Of the level kinds: white noise in steps and the slow error in units."""
+MEAN_WHITE = np.concatenate([MEAN_FACTORS, np.maximum(1.0 - _RATIOS / _TIMES, 0.05)])
+MEAN_SLOW = np.concatenate([0.0 * MEAN_FACTORS, _RATIOS / _TIMES])
+"""Of the others: white noise and the slow error over what is seen from slot to slot, as variances."""
+SLOW_TIME_S = np.concatenate([1.0 + 0.0 * WHITE_SIGMAS, _LEVEL_TIMES, 1.0 + 0.0 * MEAN_FACTORS, _TIMES])
+KINDS, LEVELS = len(SLOW_TIME_S), len(LEVEL_SIGMAS)
+PRIOR = np.where(np.append(LEVEL_SLOW, MEAN_SLOW) > 0.0, 0.1, 1.0)
+"""Most converters have white noise: of a slow error so many times less is believed before it shows."""
 
-CHANGE_PER_S, JUMP_PER_S = 1.0 / 3600.0, 1e-7
-"""Probability per second that the smoothness changes to a neighbour's, and to any."""
+
+def slow_errors(unit: float, roughness: float, interval_s: float) -> FloatArray:
+    """Return the variance of the slow error of every kind, (k,), °C².
+
+    Parameters
+    ----------
+    unit : float
+        °C.
+    roughness : float
+        Variance that a reading seems to have from the second differences of readings, °C².
+    interval_s : float
+        Between these.  Of an error with the variance v that keeps φ until the next reading they show
+        v (1 - φ)(3 - φ)/3.
+    """
+    return unit**2 * _OF_UNIT + roughness * _of_roughness(interval_s)
+
+
+_OF_UNIT = np.append(LEVEL_SLOW**2, 0.0 * MEAN_SLOW)
+
+
+@lru_cache(maxsize=8)
+def _of_roughness(interval_s: float) -> FloatArray:
+    keep = np.exp(-interval_s / SLOW_TIME_S[LEVELS:])
+    return np.append(0.0 * LEVEL_SLOW, MEAN_SLOW * 3.0 / ((1.0 - keep) * (3.0 - keep)))
+
+
+CHANGE_PER_S = 1.0 / 3600.0
+"""Probability per second that the smoothness changes to a neighbour's."""
+JUMP_PER_S, RARE_JUMP_PER_S = 1e-4, 1e-7
+"""The same to any: a jump every three hours as where a chamber goes through its program, one in months as
+where nobody touches the unit."""
+FREQUENT, FORGOTTEN_S = 0.01, 3600.0
+"""Probability that jumps are frequent, before any is seen, and the time after which one is forgotten.  The
+estimate weighs both; its standard deviation is that of frequent jumps about it, as the next may have come."""
 MIX_S = 3.9
 """Filters are mixed so often; a fraction of the time in which any could take over."""
 NATURE_PER_S = 1e-10
 """The same for the kind of the sensor's noise, to any."""
+LEAST_WEIGHT = 1e-12
+"""A kind with less probability rests until its turn comes to get what `NATURE_PER_S` grants it."""
 NEGLIGIBLE = 1e-4
 """A filter takes up no rougher one that would be less of it than this: it would lose what it knows."""
-ROUGHER = np.tri(len(JERKS), k=-1, dtype=bool)
-"""Whether the first is rougher than the second."""
 START_RATE = 20.0 / 3600.0
 START_ACCELERATION = START_RATE / 300.0
 """Standard deviations of rate and acceleration at the start, °C/s and °C/s²."""
-TEMPERATURE, RATE, ACCELERATION, ERROR = range(4)
 
 
-@dataclass(slots=True, eq=False)
-class Bank:
-    """Weight (q, k), mean (q, k, 4) and covariance (q, k, 4, 4) of every filter: q smoothnesses, k kinds.
+class Filter:
+    """One filter: its probability, means and covariances, these by the first letters of the two.
 
-    The states are temperature, rate, acceleration and the slow error of the reading: °C, °C/s, °C/s², °C.
-    By `growth`, (q, k), °C², the variance of the reading grew since the last slot; the filters were
-    last mixed `unmixed_s` ago.
+    Parameters
+    ----------
+    weight, rare : float
+        The probability that it is right and jumps of the smoothness are frequent, or rare: of all filters 1.
+    temperature, rate, acceleration, error : float
+        Means; the error is the slow one of the reading: °C, °C/s, °C/s², °C.
+    tt, tr, ta, te, rr, ra, re, aa, ae, ee : float
+    growth : float
+        By which the variance of the reading grew since the last slot, °C².
     """
 
-    weight: FloatArray
-    mean: FloatArray
-    covariance: FloatArray
-    growth: FloatArray
+    weight: float
+    rare: float
+    temperature: float
+    rate: float
+    acceleration: float
+    error: float
+    tt: float
+    tr: float
+    ta: float
+    te: float
+    rr: float
+    ra: float
+    re: float
+    aa: float
+    ae: float
+    ee: float
+    growth: float
+
+
+Filters = Sequence[Filter]
+
+
+@dataclass(slots=True)
+class Bank:
+    """The filters: for each of the `KINDS` of noise those of the `JERKS`, one after the other.
+
+    Parameters
+    ----------
+    filters : records
+    unmixed_s : float
+        Since they were last mixed.
+    turn : int
+        The kind of noise that may wake at the next mixing.
+    """
+
+    filters: Filters
     unmixed_s: float = 0.0
+    turn: int = 0
 
     @property
-    def reading(self) -> tuple[FloatArray, FloatArray]:
-        """Mean and variance of what a sensor without steps would read: temperature and slow error."""
-        mean, cov = self.mean, self.covariance
-        variance = cov[..., 0, 0] + 2.0 * cov[..., 0, ERROR] + cov[..., ERROR, ERROR]
-        return mean[..., 0] + mean[..., ERROR], variance
+    def kinds(self) -> FloatArray:
+        """Probability of each kind of noise, (k,)."""
+        weights: FloatArray = np.asarray(self.filters)["weight"].reshape(KINDS, SMOOTHNESSES)
+        return np.asarray(weights.sum(1) / weights.sum())
 
 
 def started(
     temperature: tuple[float, float],
     rate: tuple[float, float],
-    unit: float,
+    slow: FloatArray,
     kinds: FloatArray | None = None,
 ) -> Bank:
     """Return a bank that begins at a temperature and a rough rate.
@@ -107,112 +177,240 @@ def started(
     ----------
     temperature, rate : (float, float)
         And their standard deviations, to which what any rate has is added: °C, °C/s.
-    unit : float
-        Of the slow errors, °C.
+    slow : array (k,)
+        Variances of the slow errors, °C².
     kinds : array (k,), optional
         Weights of the kinds of noise, where they are known.
     """
-    shape = (len(JERKS), KINDS)
-    weight = np.broadcast_to(np.full(KINDS, 1.0 / KINDS) if kinds is None else kinds, shape) / len(JERKS)
-    mean = np.zeros((*shape, 4))
-    mean[..., TEMPERATURE], mean[..., RATE] = temperature[0], rate[0]
-    covariance = np.zeros((*shape, 4, 4))
-    covariance[..., 0, 0] = temperature[1] ** 2
-    covariance[..., 1, 1] = (START_RATE + rate[1]) ** 2
-    covariance[..., 2, 2] = np.minimum(START_ACCELERATION**2, JERKS * FORGETTING_S / 2.0)[:, np.newaxis]
-    covariance[..., 3, 3] = (unit * SLOW_SIGMA) ** 2
-    return Bank(weight.copy(), mean, covariance, np.zeros(shape))
+    filters = records(Filter, KINDS * SMOOTHNESSES)
+    share = PRIOR / PRIOR.sum() if kinds is None else kinds
+    values = {
+        "weight": np.repeat(share / SMOOTHNESSES, SMOOTHNESSES) * FREQUENT,
+        "rare": np.repeat(share / SMOOTHNESSES, SMOOTHNESSES) * (1.0 - FREQUENT),
+        "temperature": temperature[0],
+        "rate": rate[0],
+        "tt": temperature[1] ** 2,
+        "rr": (START_RATE + rate[1]) ** 2,
+        "aa": np.tile(np.minimum(START_ACCELERATION**2, JERKS * FORGETTING_S / 2.0), KINDS),
+        "ee": np.repeat(slow, SMOOTHNESSES),
+    }
+    table = np.asarray(filters)
+    for name, value in values.items():
+        table[name] = value
+    return Bank(filters)
 
 
-def motion(dt: float, unit: float, least_jerk: float = 0.0) -> tuple[FloatArray, FloatArray]:
-    """Return transition (k, 4, 4) and noise (q, k, 4, 4) over dt seconds."""
-    keep = np.exp(-dt / FORGETTING_S)
+def advance(bank: Bank, dt: float, slow: FloatArray, least_jerk: float = 0.0) -> tuple[float, float]:
+    """Mix the filters and move them on by dt seconds; return mean and variance of the reading to come.
+
+    Without steps, that is, and without white noise.
+    """
+    bank.unmixed_s += dt
+    if bank.unmixed_s >= MIX_S:
+        mix(bank.filters, np.zeros((2, len(bank.filters), MOMENTS)), bank.unmixed_s, slow, bank.turn)
+        bank.unmixed_s, bank.turn = 0.0, (bank.turn + 1) % KINDS
+    return predict(bank.filters, dt, slow, least_jerk)
+
+
+@njit
+def predict(filters: Filters, dt: float, slow: FloatArray, least_jerk: float) -> tuple[float, float]:
+    """Move the filters on by dt seconds: x = F x and P = F P Fᵀ + Q, written out; return as `advance`.
+
+    F = [[1, dt, c, 0], [0, 1, g, 0], [0, 0, keep, 0], [0, 0, 0, fade]].
+    """
+    keep = math.exp(-dt / FORGETTING_S)
     g = FORGETTING_S * (1.0 - keep)
-    transition = np.zeros((KINDS, 4, 4))
-    transition[:, :3, :3] = [[1.0, dt, FORGETTING_S * (dt - g)], [0.0, 1.0, g], [0.0, 0.0, keep]]
-    fading = np.exp(-dt / SLOW_TIME_S)
-    transition[:, ERROR, ERROR] = fading
-    jerk = np.array(
-        [[dt**5 / 20, dt**4 / 8, dt**3 / 6], [dt**4 / 8, dt**3 / 3, dt**2 / 2], [dt**3 / 6, dt**2 / 2, dt]]
-    )
-    noise = np.zeros((len(JERKS), KINDS, 4, 4))
-    noise[..., :3, :3] = (np.maximum(JERKS, least_jerk)[:, np.newaxis, np.newaxis] * jerk)[:, np.newaxis]
-    noise[..., ERROR, ERROR] = (unit * SLOW_SIGMA) ** 2 * (1.0 - fading**2)
-    return transition, noise
+    c = FORGETTING_S * (dt - g)
+    reference, total, mean, square = filters[0].temperature, 0.0, 0.0, 0.0
+    for k in range(KINDS):
+        fade = math.exp(-dt / SLOW_TIME_S[k])
+        wander = slow[k] * (1.0 - fade * fade)
+        for q in range(SMOOTHNESSES):
+            f = filters[k * SMOOTHNESSES + q]
+            if not f.weight:
+                continue
+            before = f.tt + 2.0 * f.te + f.ee
+            jerk = max(JERKS[q], least_jerk) * dt
+            _move(f, dt, c, g, keep, fade)
+            f.tt += jerk * dt**4 / 20.0
+            f.tr += jerk * dt**3 / 8.0
+            f.ta += jerk * dt * dt / 6.0
+            f.rr += jerk * dt * dt / 3.0
+            f.ra += jerk * dt / 2.0
+            f.aa += jerk
+            f.ee += wander
+            after = f.tt + 2.0 * f.te + f.ee
+            f.growth = after - before
+            off = f.temperature + f.error - reference
+            total += f.weight
+            mean += f.weight * off
+            square += f.weight * (after + off * off)
+    mean /= total
+    return reference + mean, square / total - mean * mean
 
 
-def advance(bank: Bank, dt: float, unit: float, least_jerk: float = 0.0) -> Bank:
-    """Mix the filters and move them on by dt seconds."""
-    unmixed_s = bank.unmixed_s + dt
-    if unmixed_s >= MIX_S:
-        bank, unmixed_s = mixed(bank, unmixed_s, unit), 0.0
-    transition, noise = motion(dt, unit, least_jerk)
-    moved = predict(Estimate(bank.mean, bank.covariance), transition, noise)
-    after = Bank(bank.weight, moved.mean, moved.covariance, bank.growth, unmixed_s)
-    after.growth = after.reading[1] - bank.reading[1]
-    return after
+@njit
+def _move(f: Filter, dt: float, c: float, g: float, keep: float, fade: float) -> None:
+    """Apply F; the order is such that nothing is needed after it has been written."""
+    f.temperature += dt * f.rate + c * f.acceleration
+    f.rate += g * f.acceleration
+    f.acceleration *= keep
+    f.error *= fade
+    tr, ta = f.tr + dt * f.rr + c * f.ra, f.ta + dt * f.ra + c * f.aa
+    ra = f.ra + g * f.aa
+    f.tt += dt * (f.tr + tr) + c * (f.ta + ta)
+    f.tr = tr + g * ta
+    f.ta = keep * ta
+    f.te = fade * (f.te + dt * f.re + c * f.ae)
+    f.rr += g * (f.ra + ra)
+    f.ra = keep * ra
+    f.re = fade * (f.re + g * f.ae)
+    f.aa *= keep * keep
+    f.ae *= keep * fade
+    f.ee *= fade * fade
 
 
-def mixed(bank: Bank, dt: float, unit: float) -> Bank:
+@njit
+def condition(f: Filter, mean: float, variance: float) -> None:
+    """Give what a sensor without steps would read these moments, and the states what follows from them."""
+    t, r, a, e = f.tt + f.te, f.tr + f.re, f.ta + f.ae, f.te + f.ee
+    spread = t + e
+    shift = (mean - f.temperature - f.error) / spread
+    change = (variance - spread) / (spread * spread)
+    f.temperature += t * shift
+    f.rate += r * shift
+    f.acceleration += a * shift
+    f.error += e * shift
+    _add_square(f, t, r, a, e, change)
+
+
+@njit
+def _add_square(f: Filter, t: float, r: float, a: float, e: float, factor: float) -> None:
+    """Add a vector's outer product with itself to the covariance."""
+    f.tt += factor * t * t
+    f.tr += factor * t * r
+    f.ta += factor * t * a
+    f.te += factor * t * e
+    f.rr += factor * r * r
+    f.ra += factor * r * a
+    f.re += factor * r * e
+    f.aa += factor * a * a
+    f.ae += factor * a * e
+    f.ee += factor * e * e
+
+
+@njit
+def mix(filters: Filters, sums: FloatArray, dt: float, slow: FloatArray, turn: int) -> None:
     """Pass weight, and with it states, between the filters, as over dt seconds.
 
-    The moments are summed about the mean of all, so that merging costs no digits.
+    In between they are `sums`, room for (2, filters, moments): moments about the mean of all, times weight,
+    so that merging costs no digits.  Kinds with next to no weight rest, with none; the one whose turn it is
+    gets what it is due since the last.
     """
-    q = len(JERKS)
-    near, far = min(dt * CHANGE_PER_S, 0.4), min(dt * JUMP_PER_S, 0.4)
-    stay = np.eye(q) + 0.5 * near * (np.eye(q, k=1) + np.eye(q, k=-1)) + far / q
-    stay /= stay.sum(1, keepdims=True)
-    centre = bank.weight.ravel() @ bank.mean.reshape(-1, 4)
-    centre[ERROR] = 0.0
-    offset = bank.mean - centre
-    moments = np.empty((q, KINDS, 21))
-    moments[..., 0] = bank.weight
-    moments[..., 1:5] = bank.weight[..., np.newaxis] * offset
-    second = bank.covariance + offset[..., :, np.newaxis] * offset[..., np.newaxis, :]
-    moments[..., 5:] = (bank.weight[..., np.newaxis, np.newaxis] * second).reshape(q, KINDS, 16)
-    share = stay[:, :, np.newaxis] * bank.weight[:, np.newaxis] / (stay.T @ bank.weight)
-    flow = np.where((share < NEGLIGIBLE) & ROUGHER[:, :, np.newaxis], 0.0, stay[:, :, np.newaxis])
-    moments = (flow.transpose(2, 1, 0) @ moments.transpose(1, 0, 2)).transpose(1, 0, 2)
-    # From one kind of noise to another the slow error begins anew.
     change = min(dt * NATURE_PER_S, 0.4)
-    others = np.broadcast_to(moments.sum(1, keepdims=True) * (change / KINDS), moments.shape).copy()
-    others[..., [4, 8, 12, 16, 17, 18, 19]] = 0.0
-    others[..., 20] = others[..., 0] * (unit * SLOW_SIGMA) ** 2
-    moments = (1.0 - change) * moments + others
-    weight = moments[..., 0]
-    offset = moments[..., 1:5] / weight[..., np.newaxis]
-    second = (moments[..., 5:] / weight[..., np.newaxis]).reshape(q, KINDS, 4, 4)
-    return Bank(
-        weight / weight.sum(),
-        centre + offset,
-        second - offset[..., :, np.newaxis] * offset[..., np.newaxis, :],
-        bank.growth,
-    )
+    x0, r0, a0 = _mean(filters)
+    for i in range(len(filters)):
+        f = filters[i]
+        if f.weight:
+            x, r, a = f.temperature - x0, f.rate - r0, f.acceleration - a0
+            _add_square(f, x, r, a, f.error, 1.0)
+            _write(f, x, r, a, sums[0, i])
+    for k in range(KINDS):
+        _pass_on(sums, k * SMOOTHNESSES, dt)
+    # From one kind of noise to another the slow error begins anew.
+    for q in range(SMOOTHNESSES):
+        to = sums[1, turn * SMOOTHNESSES + q]
+        for k in range(KINDS):
+            if k != turn:
+                others = sums[1, k * SMOOTHNESSES + q]
+                for m in range(KNOWN):
+                    to[m] += change * others[m]
+                to[SLOW_VARIANCE] += change * others[0] * slow[turn]
+                to[RARE] += change * others[RARE]
+    frequent, rare = 0.0, 0.0
+    for i in range(len(filters)):
+        frequent += sums[1, i, 0]
+        rare += sums[1, i, RARE]
+    returns = (FREQUENT * (frequent + rare) - frequent) * min(dt / FORGOTTEN_S, 1.0)
+    for i in range(len(filters)):
+        f = filters[i]
+        f.weight = sums[1, i, 0] * (1.0 + returns / frequent)
+        f.rare = sums[1, i, RARE] * (1.0 - returns / rare)
+        if f.weight:
+            _read(f, sums[1, i])
+            _add_square(f, f.temperature, f.rate, f.acceleration, f.error, -1.0)
+            f.temperature += x0
+            f.rate += r0
+            f.acceleration += a0
 
 
-def conditioned(bank: Bank, mean: FloatArray, variance: FloatArray) -> Bank:
-    """Give what a sensor without steps would read these moments, and the states what follows from them."""
-    before, spread = bank.reading
-    gain = (bank.covariance[..., 0] + bank.covariance[..., ERROR]) / spread[..., np.newaxis]
-    change = (variance - spread)[..., np.newaxis, np.newaxis]
-    return Bank(
-        bank.weight,
-        bank.mean + gain * (mean - before)[..., np.newaxis],
-        bank.covariance + gain[..., :, np.newaxis] * gain[..., np.newaxis, :] * change,
-        bank.growth,
-        bank.unmixed_s,
-    )
+KNOWN, SLOW_VARIANCE, RARE, MOMENTS = 10, 14, 15, 16
+"""The first moments of a filter are not those of the slow error; its last one; the other weight; all."""
 
 
-def reweighed(weight: FloatArray, log_evidence: FloatArray) -> FloatArray:
-    """Return weights times evidence, normalized."""
-    product = weight * np.exp(np.maximum(log_evidence - log_evidence.max(), -60.0))
-    return np.asarray(product / product.sum())
+@njit
+def _mean(filters: Filters) -> tuple[float, float, float]:
+    total, x, r, a = 0.0, 0.0, 0.0, 0.0
+    for i in range(len(filters)):
+        f = filters[i]
+        total += f.weight
+        x += f.weight * f.temperature
+        r += f.weight * f.rate
+        a += f.weight * f.acceleration
+    return x / total, r / total, a / total
 
 
-def merged(weight: FloatArray, mean: FloatArray, variance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return mean and variance (...) of a mixture of (q, k) filters, each with (q, k, ...)."""
-    shares = weight.ravel()
-    centre = shares @ mean.reshape(len(shares), -1)
-    spread = shares @ (variance + (mean - centre.reshape(mean.shape[2:])) ** 2).reshape(len(shares), -1)
-    return centre.reshape(mean.shape[2:]), spread.reshape(mean.shape[2:])
+@njit
+def _write(f: Filter, x: float, r: float, a: float, to: FloatArray) -> None:
+    """Write the moments of a filter times its weight, those of the slow error last."""
+    w = f.weight
+    to[0], to[1], to[2], to[3] = w, w * x, w * r, w * a
+    to[4], to[5], to[6] = w * f.tt, w * f.tr, w * f.ta
+    to[7], to[8], to[9] = w * f.rr, w * f.ra, w * f.aa
+    to[10], to[11], to[12], to[13], to[14] = w * f.error, w * f.te, w * f.re, w * f.ae, w * f.ee
+    to[RARE] = f.rare
+
+
+@njit
+def _read(f: Filter, sums: FloatArray) -> None:
+    """Undo `_write`."""
+    each = 1.0 / sums[0]
+    f.temperature, f.rate, f.acceleration = each * sums[1], each * sums[2], each * sums[3]
+    f.tt, f.tr, f.ta = each * sums[4], each * sums[5], each * sums[6]
+    f.rr, f.ra, f.aa = each * sums[7], each * sums[8], each * sums[9]
+    f.error, f.te, f.re = each * sums[10], each * sums[11], each * sums[12]
+    f.ae, f.ee = each * sums[13], each * sums[14]
+
+
+@njit
+def _pass_on(sums: FloatArray, first: int, dt: float) -> None:
+    """Pass the sums of one kind of noise, whose filters begin with the first, between its smoothnesses."""
+    before, after = sums[0], sums[1]
+    whole = 0.0
+    for q in range(SMOOTHNESSES):
+        whole += before[first + q, 0] + before[first + q, RARE]
+        for m in range(MOMENTS):
+            after[first + q, m] = 0.0
+    if whole < LEAST_WEIGHT:
+        return
+    for j in range(SMOOTHNESSES):
+        total = 0.0
+        for i in range(SMOOTHNESSES):
+            total += _flow(i, j, dt, RARE_JUMP_PER_S) * before[first + i, RARE]
+        for i in range(SMOOTHNESSES):
+            rare = _flow(i, j, dt, RARE_JUMP_PER_S) * before[first + i, RARE]
+            if i <= j or rare > NEGLIGIBLE * total:
+                share = _flow(i, j, dt, JUMP_PER_S)
+                for m in range(RARE):
+                    after[first + j, m] += share * before[first + i, m]
+                after[first + j, RARE] += rare
+
+
+@njit
+def _flow(i: int, j: int, dt: float, jump_per_s: float) -> float:
+    """Return which part of a filter's weight goes to another within dt seconds."""
+    near, far = min(dt * CHANGE_PER_S, 0.4), min(dt * jump_per_s, 0.4)
+    if i == j:
+        neighbours = (i > 0) + (i < SMOOTHNESSES - 1)
+        return 1.0 - 0.5 * near * neighbours - far * (1.0 - 1.0 / SMOOTHNESSES)
+    return 0.5 * near * (abs(i - j) == 1) + far / SMOOTHNESSES

@@ -2,25 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from copy import deepcopy
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-import numpy as np
-
-from imumon.blocks import FloatArray
-from imumon.estimation.temperature_rate.bank import (
-    ACCELERATION,
-    RATE,
-    SLOW_SIGMA,
-    START_RATE,
-    TEMPERATURE,
-    Bank,
-    advance,
-    merged,
-    started,
-)
-from imumon.estimation.temperature_rate.measurement import confined, measured
+from imumon.blocks import FloatArray, IntArray
+from imumon.compiled import njit
+from imumon.estimation.temperature_rate.bank import START_RATE, Bank, advance, started
+from imumon.estimation.temperature_rate.measurement import Merged, measure, merged, said
+from imumon.estimation.temperature_rate.refresh import SLOW_S
 from imumon.estimation.temperature_rate.sensor import Reading, Sensor
 from imumon.estimation.temperature_rate.step import StepFinder
 
@@ -42,8 +33,8 @@ LATE_S, LATE_FACTOR = 5.0, 3.0
 """Readings missed for so long, and so many times the usual interval, ..."""
 UNSEEN_JERK = 1e-13
 """... let the temperature do this, °C²/s⁵, that nobody saw."""
-EDGES = 0.05
-"""Edges between levels are known to so many steps: ±0.1 of nonlinearity is a good converter's."""
+UNAVERAGED = 0.5
+"""The mean of a slow error is known to so many of its deviations: below its correlation time it is 1/f."""
 COARSEST = 1.0
 """°C; as long as a reading has never changed, its steps may be those of the coarsest thermometers."""
 FROZEN_S, DRIFT_PER_S = 3600.0, 1.0 / 3600.0**2
@@ -70,11 +61,11 @@ class Shown(NamedTuple):
     """
 
     time_s: float = 0.0
-    temperature: float = np.nan
-    rate: float = np.nan
-    acceleration: float = np.nan
-    temperature_sd: float = np.nan
-    rate_sd: float = np.nan
+    temperature: float = math.nan
+    rate: float = math.nan
+    acceleration: float = math.nan
+    temperature_sd: float = math.nan
+    rate_sd: float = math.nan
     temperature_left: float = 0.0
     rate_left: float = 0.0
 
@@ -114,8 +105,8 @@ class State:
     shown: Shown = field(default_factory=Shown)
     time_s: float = 0.0
     end_s: float = 0.0
-    last: float = np.nan
-    last_s: float = -np.inf
+    last: float = math.nan
+    last_s: float = -math.inf
     usual_s: float = 0.0
     slowest: float = 0.0
     fastest: float = 0.0
@@ -136,8 +127,9 @@ class State:
 
     def begin(self) -> None:
         """Begin anew, in a new segment; what is known of the sensor stays."""
-        self.bank, self.shown, self.given, self.last, self.last_s = None, Shown(), Shown(), np.nan, -np.inf
-        self.sensor.changed_s, self.sensor.means = np.nan, ()
+        self.bank, self.shown, self.given = None, Shown(), Shown()
+        self.last, self.last_s = math.nan, -math.inf
+        self.sensor.changed_s, self.sensor.means = math.nan, ()
 
 
 def step(state: State, reading: Reading) -> Shown:
@@ -145,7 +137,7 @@ def step(state: State, reading: Reading) -> Shown:
     before = state.shown
     shown = _estimate(state, reading)
     age = max(reading.end_s - before.time_s, 0.0)
-    state.broken *= float(np.exp(-age / BROKEN_S)) if before.time_s else 1.0
+    state.broken *= math.exp(-age / BROKEN_S) if before.time_s else 1.0
     change = shown.rate - before.rate - age * before.acceleration
     state.broken += bool(abs(change) > BROKEN * before.rate_sd)
     state.refuses = state.broken > (0.5 * MOST_BROKEN if state.refuses else MOST_BROKEN)
@@ -158,8 +150,8 @@ def step(state: State, reading: Reading) -> Shown:
 
 def _raw(sensor: Sensor, reading: Reading) -> Shown:
     """Return the mean of a slot's readings and how far they may be off; the rate is not known (NaN)."""
-    sd = float(np.sqrt(sensor.step**2 + sensor.inside + sensor.roughness))
-    return Shown(reading.end_s, reading.mean, 0.0, np.nan, sd, np.nan)
+    sd = math.sqrt(sensor.step**2 + sensor.inside + sensor.roughness)
+    return Shown(reading.end_s, reading.mean, 0.0, math.nan, sd, math.nan)
 
 
 def _estimate(state: State, reading: Reading) -> Shown:
@@ -167,7 +159,7 @@ def _estimate(state: State, reading: Reading) -> Shown:
     sensor, knew = state.sensor, state.sensor.refresh.slow
     if reading.count:
         sensor.learn(reading)
-        if not np.isfinite(sensor.changed_s):
+        if not math.isfinite(sensor.changed_s):
             sensor.changed_s = reading.time_s
     taken = sensor.fresh(reading) if reading.count else None
     dead = sensor.is_dead(reading.time_s)
@@ -181,32 +173,33 @@ def _estimate(state: State, reading: Reading) -> Shown:
     seen_s = sensor.changed_s if dead else state.last_s
     if state.bank is not None and not heard and not repeats and reading.end_s - seen_s > GAP_S:
         state.bank, state.shown = None, Shown()
-    fresh = state.bank is None
+    fresh, slow = state.bank is None, sensor.slow_errors
     if state.bank is None:
         if taken is None or dead:
             return state.shown
-        state.bank = started((taken.mean, _start_sd(taken, sensor)), (0.0, 0.0), sensor.unit)
+        state.bank = started((taken.mean, _start_sd(taken, sensor)), (0.0, 0.0), slow)
         state.step = sensor.step
         state.time_s, state.faults, state.usual_s = taken.time_s, 0, 0.0
     at = taken.time_s if taken is not None and heard else reading.end_s
     dt = max(at - state.time_s, 0.0)
     unseen = (not heard and not repeats) or dt > max(LATE_S, LATE_FACTOR * state.usual_s)
-    bank = advance(state.bank, dt, sensor.unit, UNSEEN_JERK if unseen else 0.0)
+    predicted = advance(state.bank, dt, slow, UNSEEN_JERK if unseen else 0.0)
     state.time_s = max(at, state.time_s)
     if taken is not None and heard:
-        bank = _heard(state, bank, taken)
+        state.bank = _heard(state, state.bank, predicted, taken)
         if sensor.refresh.slow:
             moved, since = taken.last - state.last, FASTER / max(at - state.last_s, 1.0)
             state.slowest = min(moved - sensor.unit, 0.0) * since
             state.fastest = max(moved + sensor.unit, 0.0) * since
         state.last, state.last_s = taken.last, taken.time_s
         state.usual_s = dt
-    state.bank = bank
     still = taken is not None and heard and not state.faults and not taken.changes and sensor.step > 0.0
-    shown = confined(bank, taken, sensor) if taken is not None and still else bank
-    state.shown = _shown(state, shown, reading.end_s, fresh)
+    means = merged(
+        state.bank.filters, slow, sensor.step, taken.last if taken is not None and still else math.nan
+    )
+    state.shown = _shown(state, means, reading.end_s, fresh)
     if (heard or repeats) and not state.faults:
-        _keep_near(state, reading if taken is None else taken, reading.end_s)
+        _keep_near(state, means.slow, reading if taken is None else taken, reading.end_s)
     return state.shown
 
 
@@ -216,45 +209,44 @@ def _begin_slow(state: State, before: float, taken: Reading) -> None:
     state.last, state.last_s = before, taken.time_s - sensor.refresh.interval_s
     moved = (taken.last - before) / sensor.refresh.interval_s
     temperature = (taken.mean, _start_sd(taken, sensor))
-    state.bank = started(temperature, (0.0, abs(moved)), sensor.unit)
+    state.bank = started(temperature, (0.0, abs(moved)), sensor.slow_errors)
     state.time_s, state.faults, state.step = taken.time_s, 0, sensor.step
 
 
-def _keep_near(state: State, reading: Reading, end_s: float) -> None:
+def _keep_near(state: State, slow: float, reading: Reading, end_s: float) -> None:
     """Keep what is shown as near to the readings as they allow (the idea of the paper's equation 15).
 
     A reading that is repeated until the next refresh allows what the temperature may move by its age.
     """
-    sensor, bank, shown = state.sensor, state.bank, state.shown
-    assert bank is not None
-    slow = float(bank.weight.sum(0) @ SLOW_SIGMA) * sensor.unit
+    sensor, shown = state.sensor, state.shown
     low, high = reading.low, reading.high
     if reading.changes >= 4:
         low = high = sensor.linear(reading)
-    allowed = 0.5 * sensor.step + ALLOWED * float(np.hypot(np.sqrt(sensor.roughness), slow))
+    allowed = 0.5 * sensor.step + ALLOWED * math.sqrt(sensor.roughness + slow)
     if sensor.refresh.slow:
         age = max(end_s - state.last_s, 0.0)
         low, high = low + state.slowest * age, high + state.fastest * age
     temperature = shown.temperature + shown.temperature_left
     off = temperature - min(max(temperature, low - allowed), high + allowed)
     if off:
-        sd = float(np.hypot(shown.temperature_sd, off))
+        sd = math.hypot(shown.temperature_sd, off)
         state.shown = shown._replace(temperature=shown.temperature - off, temperature_sd=sd)
 
 
 def _start_sd(reading: Reading, sensor: Sensor) -> float:
-    return float(np.hypot(sensor.step, np.sqrt(reading.variance)))
+    return math.hypot(sensor.unit, math.sqrt(reading.variance))
 
 
-def _heard(state: State, bank: Bank, reading: Reading) -> Bank:
+def _heard(state: State, bank: Bank, predicted: tuple[float, float], reading: Reading) -> Bank:
     """Return the bank given readings, or as it was where they are a fault."""
     sensor = state.sensor
-    mean, variance = merged(bank.weight, *bank.reading)
+    mean, variance = predicted
     off = max(abs(reading.low - mean), abs(reading.high - mean))
     widest = variance + sensor.step**2 + sensor.inside + sensor.roughness
     if off < GATE_STEPS * sensor.step or off * off < GATE * GATE * widest:
         state.faults = 0
-        return measured(bank, reading, sensor)
+        measure(bank.filters, said(reading, sensor))
+        return bank
     state.faults += 1
     if state.faults < GATE_SLOTS and not sensor.refresh.slow:
         return bank
@@ -262,31 +254,31 @@ def _heard(state: State, bank: Bank, reading: Reading) -> Bank:
     before = sensor.means[-2] if len(sensor.means) > 1 else reading.mean
     slope = (reading.mean - before) / max(reading.time_s - state.last_s, 1e-6)
     temperature = (reading.mean, _start_sd(reading, sensor))
-    return started(temperature, (slope, 0.5 * abs(slope)), sensor.unit, bank.weight.sum(0))
+    return started(temperature, (slope, 0.5 * abs(slope)), sensor.slow_errors, bank.kinds)
 
 
-def _shown(state: State, bank: Bank, end_s: float, fresh: bool) -> Shown:
-    """Merge the filters into what is shown from the end of the slot on."""
-    centre, spread = merged(bank.weight, bank.mean, np.diagonal(bank.covariance, axis1=-2, axis2=-1))
+def _shown(state: State, means: Merged, end_s: float, fresh: bool) -> Shown:
+    """Return what is shown from the end of the slot on."""
     ahead = end_s - state.time_s
-    temperature = float(centre[TEMPERATURE] + ahead * centre[RATE])
-    rate = float(centre[RATE] + ahead * centre[ACCELERATION])
+    temperature = means.temperature + ahead * means.rate
+    rate = means.rate + ahead * means.acceleration
     frozen = min(DRIFT_PER_S * max(end_s - state.sensor.changed_s - FROZEN_S, 0.0), START_RATE)
     unseen = state.sensor.finder.unseen
-    hidden = COARSEST / np.sqrt(12.0) if unseen else EDGES * state.sensor.step
-    moved = COARSEST / np.sqrt(6.0) / max(end_s, 1.0) if unseen else 0.0
+    hidden = COARSEST / math.sqrt(12.0) if unseen else state.sensor.edges
+    late = abs(rate) * min(state.sensor.interval_s, SLOW_S) / math.sqrt(3.0)
+    moved = COARSEST / math.sqrt(6.0) / max(end_s, 1.0) if unseen else 0.0
     shown = Shown(
         end_s,
         temperature,
         rate,
-        float(centre[ACCELERATION]),
-        float(np.hypot(np.sqrt(max(spread[TEMPERATURE], 0.0)), hidden)),
-        float(np.sqrt(max(spread[RATE], 0.0) + frozen**2 + moved**2)),
+        means.acceleration,
+        math.sqrt(max(means.temperature_variance, 0.0) + hidden**2 + late**2 + UNAVERAGED**2 * means.slow),
+        math.sqrt(max(means.rate_variance, 0.0) + frozen**2 + moved**2),
     )
     if not fresh:
         before = state.shown
         age = end_s - before.time_s
-        fade = float(np.exp(-age / GLIDE_S))
+        fade = math.exp(-age / GLIDE_S)
         left = before.temperature + age * before.rate + fade * before.temperature_left - temperature
         if abs(left) > max(SURPRISING * before.temperature_sd, 0.5 * state.sensor.step):
             left = 0.0
@@ -295,23 +287,27 @@ def _shown(state: State, bank: Bank, end_s: float, fresh: bool) -> Shown:
     return shown
 
 
-def extrapolated(
-    shown: FloatArray, time_s: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return temperature, rate and their standard deviations, (n,) each.
+@njit
+def extrapolate(
+    time_ns: IntArray, segment: IntArray, reading: FloatArray, shown: Shown, origin: tuple[int, int],
+    scatter: float, temperature: FloatArray, rate: FloatArray, temperature_sd: FloatArray,
+    rate_sd: FloatArray,
+) -> None:  # fmt: skip
+    """Write temperature, rate and their standard deviations at samples, (n,) each, from what is shown.
 
-    Parameters
-    ----------
-    shown : array (n, 8)
-        Fields of `Shown` that hold for each sample.
-    time_s : array (n,)
+    `origin` is the time and the segment that its time refers to.  Before the first slot of a segment ends
+    there is the reading, with its scatter.
     """
-    start, temperature, rate, acceleration, temperature_sd, rate_sd, left, rate_left = shown.T
-    age = time_s - start
-    fade = np.exp(-age / GLIDE_S)
-    return (
-        temperature + age * rate + fade * left,
-        rate + age * acceleration + fade * rate_left,
-        np.hypot(temperature_sd, fade * left),
-        np.hypot(rate_sd, fade * rate_left),
-    )
+    for i in range(len(time_ns)):
+        age = (time_ns[i] - origin[0]) * 1e-9 - shown.time_s
+        if segment[i] == origin[1] and age >= 0.0:
+            fade = math.exp(-age / GLIDE_S)
+            left, rate_left = fade * shown.temperature_left, fade * shown.rate_left
+            temperature[i] = shown.temperature + age * shown.rate + left
+            rate[i] = shown.rate + age * shown.acceleration + rate_left
+            temperature_sd[i] = math.hypot(shown.temperature_sd, left)
+            rate_sd[i] = math.hypot(shown.rate_sd, rate_left)
+        elif math.isfinite(reading[i]):
+            temperature[i], rate[i], temperature_sd[i], rate_sd[i] = reading[i], 0.0, scatter, START_RATE
+        else:
+            temperature[i] = rate[i] = temperature_sd[i] = rate_sd[i] = math.nan

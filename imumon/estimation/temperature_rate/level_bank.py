@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from imumon.blocks import NO_INT, FloatArray, IntArray
-from imumon.estimation.temperature_rate.bank import START_RATE, WHITE_SIGMAS
-from imumon.estimation.temperature_rate.filter import State, extrapolated, step
-from imumon.estimation.temperature_rate.readings import Readings
+from imumon.estimation.temperature_rate.bank import WHITE_SIGMAS
+from imumon.estimation.temperature_rate.filter import State, extrapolate, step
+from imumon.estimation.temperature_rate.readings import SLOT_NS, Readings
 from imumon.estimation.temperature_rate.series import RateEstimate
 
 
@@ -26,6 +28,7 @@ class LevelBankRate:
     """
 
     def __init__(self, step_degc: float | None = None) -> None:
+        _compile()
         self.state = State.new(step_degc)
         self._readings = Readings()
         self._origin = (0, NO_INT)
@@ -46,7 +49,7 @@ class LevelBankRate:
         bank = self.state.bank
         if bank is None:
             return float("nan")
-        weight = bank.weight.sum(0)[: len(WHITE_SIGMAS)]
+        weight = bank.kinds[: len(WHITE_SIGMAS)]
         return float(weight @ WHITE_SIGMAS / weight.sum() * self.state.sensor.step)
 
     def process(self, time_ns: IntArray, segment: IntArray, reading: FloatArray) -> RateEstimate:
@@ -60,22 +63,30 @@ class LevelBankRate:
         reading : array, (n,)
             °C; NaN where there is none.
         """
-        sensor = self.state.sensor
-        rows, shown, origins, scatter = [], [self.state.given], [self._origin], [sensor.scatter]
+        sensor, result = self.state.sensor, RateEstimate.empty(len(reading))
+        parts = (result.temperature, result.rate, result.temperature_sd, result.rate_sd)
+        first, holds = 0, (self.state.given, self._origin, sensor.scatter)
+
+        def hold(until: int | None = None) -> None:
+            """Write what has been given so far to the rows until the next slot's."""
+            rows = slice(first, until)
+            extrapolate(time_ns[rows], segment[rows], reading[rows], *holds, *(part[rows] for part in parts))
+
         for row, begins, slot in self._readings.process(time_ns, segment, reading):
+            hold(row)
             if begins:
                 self.state.begin()
-            rows.append(row)
-            shown.append(step(self.state, slot))
-            origins.append((self._readings.origin_ns, self._readings.segment))
-            scatter.append(sensor.scatter)
-        self._origin = origins[-1]
-        which = np.searchsorted(np.array(rows, np.int64), np.arange(len(reading)), side="right")
-        each, origin = np.array(shown)[which], np.array(origins, np.int64)[which]
-        seconds = np.asarray((time_ns - origin[:, 0]) * 1e-9, np.float64)
-        parts = extrapolated(each, seconds)
-        # Before the first slot of a segment ends there is the reading.
-        fresh = (segment != origin[:, 1]) | (seconds < each[:, 0])
-        known = np.where(np.isfinite(reading), 1.0, np.nan)
-        raw = (reading, 0.0 * known, np.array(scatter)[which] * known, START_RATE * known)
-        return RateEstimate(*(np.where(fresh, own, part) for own, part in zip(raw, parts, strict=True)))
+            self._origin = (self._readings.origin_ns, self._readings.segment)
+            first, holds = row, (step(self.state, slot), self._origin, sensor.scatter)
+        hold()
+        return result
+
+
+@lru_cache(maxsize=1)
+def _compile() -> None:
+    """Compile what the first slots need, so that no packet waits for it."""
+    state, slots = State.new(None), Readings()
+    time_ns = np.arange(8) * SLOT_NS
+    for _, _, slot in slots.process(time_ns, np.zeros(8, np.int64), np.zeros(8)):
+        shown = step(state, slot)
+    extrapolate(time_ns[:0], time_ns[:0], np.zeros(0), shown, (0, 0), 0.0, *np.zeros((4, 0)))

@@ -4,7 +4,7 @@ A slot's readings are one of three kinds.
 
 - *one level*: the temperature is inside it, away from the edges by what the noise demands.  Where a
   prediction is sharper than the noise, each such slot is a measurement.  Where it is not, the same interval
-  says nothing new every second: it is applied to what is shown (`confined`), and taken into the state only
+  says nothing new every second: it is applied to what is shown (`merged`), and taken into the state only
   when the prediction grows fast, has grown wider than the level, or contradicts it.
 - *two levels*: the share of the upper one weighs the boundary between them.  Where a filter moves so fast
   that noise does not matter, the time of the crossing is the measurement.
@@ -17,22 +17,21 @@ kind, so that all can be compared.
 
 from __future__ import annotations
 
+import math
+from typing import NamedTuple
+
 import numpy as np
-import numpy.typing as npt
-from scipy.special import gammaln
 
 from imumon.blocks import FloatArray
+from imumon.compiled import njit
 from imumon.estimation.temperature_rate.bank import (
-    KINDS,
-    LEVEL,
     LEVEL_SIGMAS,
-    MEAN,
-    MEAN_FACTORS,
-    RATE,
-    SLOW,
-    Bank,
-    conditioned,
-    reweighed,
+    LEVELS,
+    MEAN_WHITE,
+    SMOOTHNESSES,
+    Filter,
+    Filters,
+    condition,
 )
 from imumon.estimation.temperature_rate.moments import ROOT_2_PI, truncated, weigh
 from imumon.estimation.temperature_rate.sensor import Reading, Sensor
@@ -47,179 +46,295 @@ WIDER = 1.5
 """A prediction wider than so many steps is replaced by the level."""
 GROWN = 0.1
 """So is one that grows wider by so many steps from slot to slot: to stay is news then."""
-SURPRISE = float(np.log(0.02))
+SURPRISE = math.log(0.02)
 """So is one that has less than this log probability to be inside."""
 EDGE = 1.5
 """Readings that do not flicker keep the temperature so many noise deviations from the edge."""
 TINY = 1e-6
+IMPOSSIBLE = -60.0
+"""Least log probability relative to the best filter's: none is lost for ever."""
 
-Moments = tuple[FloatArray, FloatArray, FloatArray]
-"""Mean and variance of the reading without steps, and log probability of what was read; (q, k) each."""
-
-
-def measured(bank: Bank, reading: Reading, sensor: Sensor) -> Bank:
-    """Return the bank given the readings of a slot."""
-    prior = bank.reading
-    mean, variance, log_evidence = _as_mean(prior, reading, sensor)
-    if sensor.step:
-        level = _as_level(bank, prior, reading, sensor)
-        for whole, part in zip((mean, variance, log_evidence), level, strict=True):
-            whole[:, LEVEL] = part
-    else:
-        log_evidence[:, LEVEL] = -60.0
-    after = conditioned(bank, mean, variance)
-    after.weight = reweighed(bank.weight, log_evidence)
-    return after
+Moments = tuple[float, float, float]
+"""Mean and variance of the reading without steps, and log probability of what was read."""
+NO_STEP, MANY, STAY, FLICKER = range(4)
 
 
-def _as_mean(prior: tuple[FloatArray, FloatArray], reading: Reading, sensor: Sensor) -> Moments:
-    """Take the slot's mean as a measurement: the mean and slow kinds, (q, k)."""
-    predicted, spread = prior
-    cell = sensor.step / max(sensor.independent(reading), 1.0)
-    # A reading that is repeated over m slots has a variance of m times what its slots show, and counts once.
-    repeats = 1.0 / min(sensor.independent(reading), 1.0)
-    own = np.zeros(KINDS)
-    own[MEAN] = MEAN_FACTORS * sensor.roughness * repeats**2
-    own[SLOW] = 0.5 * min(sensor.roughness, sensor.inside / max(sensor.independent(reading), 1.0))
-    noise = own + cell**2 / 12.0 + TINY**2
-    residual = sensor.linear(reading) - predicted
-    # The cell as a Gaussian of the same height, so that no probability exceeds one.
-    total = spread + noise
-    smeared = total + (cell**2 if cell else TINY**2) / (2.0 * np.pi)
-    log_cell = np.log(max(cell, TINY) / ROOT_2_PI)
-    log_evidence = log_cell - 0.5 * np.log(smeared) - 0.5 * residual**2 / smeared
-    return predicted + spread / total * residual, spread * noise / total, log_evidence
+class Said(NamedTuple):
+    """What a slot's readings say, as all filters need it; °C, °C², s.
+
+    Parameters
+    ----------
+    case : int
+        NO_STEP of the sensor is known; MANY levels; STAY on one; FLICKER between two, or cross.
+    step, duration_s, gap_s : float
+    mean, linear : float
+        Of the readings, and with the quantizer's ripple taken off.
+    independent : float
+        Independent readings, 1 at least.
+    levels : float
+        Levels that were read.
+    white : float
+        Variance of the mean.
+    cell : float
+        Between values that the mean can have.
+    edge : float
+        FLICKER: between the two levels.
+    above, below : float
+        Independent readings on either side of it.
+    lattice : float
+        Log of the number of orders in which they can come.
+    readings, changes, since_s : float
+        Readings, how many of them differ from the one before, and time from a single crossing to the middle.
+    upward : bool
+        The direction of a single crossing.
+    """
+
+    case: int
+    step: float
+    duration_s: float
+    gap_s: float
+    mean: float
+    linear: float
+    independent: float
+    levels: float
+    white: float
+    cell: float
+    edge: float = 0.0
+    above: float = 0.0
+    below: float = 0.0
+    lattice: float = 0.0
+    readings: float = 0.0
+    changes: int = 0
+    since_s: float = 0.0
+    upward: bool = False
 
 
-def _as_level(bank: Bank, prior: tuple[FloatArray, FloatArray], reading: Reading, sensor: Sensor) -> Moments:
-    """Take the slot's readings as levels: the level kinds, (q, levels)."""
-    mean, variance = (part[:, LEVEL] for part in prior)
-    rate, rate_variance = bank.mean[:, LEVEL, RATE], bank.covariance[:, LEVEL, RATE, RATE]
-    step, low, high = sensor.step, reading.low, reading.high
-    noise = LEVEL_SIGMAS * step
-    if np.isfinite(reading.before):
+def said(reading: Reading, sensor: Sensor) -> Said:
+    """Return what a slot with readings says."""
+    step, low, high, independent = sensor.step, reading.low, reading.high, sensor.independent(reading)
+    if math.isfinite(reading.before):
         low, high = min(low, reading.before), max(high, reading.before)
-    if high - low > 1.5 * step:
-        levels = (reading.high - reading.low) / step + 1.0
-        inside = noise**2 / max(sensor.independent(reading), 1.0) + step**2 / 12.0 / levels**2
-        total = variance + inside
-        residual = reading.mean - mean
-        log = (
-            np.log(step / max(sensor.independent(reading), 1.0) / ROOT_2_PI)
-            - 0.5 * np.log(total)
-            - 0.5 * residual**2 / total
-        )
-        return mean + variance / total * residual, variance * inside / total, log
-    sigma = np.hypot(noise, rate * reading.duration_s / np.sqrt(12.0))
-    if high - low < 0.5 * step:
-        edges = (reading.mean - 0.5 * step, reading.mean + 0.5 * step)
-        grown = bank.growth[:, LEVEL] > (GROWN * step) ** 2
-        return _stay((mean, variance, grown), edges, sensor.independent(reading), sigma, step)
-    return _flicker_or_cross(mean, variance, rate, rate_variance, (low, high), reading, sensor, sigma)
-
-
-def _stay(
-    prior: tuple[FloatArray, FloatArray, npt.NDArray[np.bool_]],
-    edges: tuple[float, float],
-    count: float,
-    sigma: FloatArray,
-    step: float,
-) -> Moments:
-    """Take a reading that does not change, where it says something new."""
-    mean, variance, grown = prior
-    low, high = edges
-    sd = np.sqrt(variance)
-    soft = sd < SHARPER * sigma
-    deep = np.minimum(mean - low, high - mean) > 5.0 * sigma + 3.0 * sd
-    shift, shrink, log_mass = truncated((low - mean) / sd, (high - mean) / sd)
-    known = (sd < WIDER * step) & (log_mass > SURPRISE) & ~grown
-    result_mean = np.where(known, mean, mean + shift * sd)
-    result_variance = np.where(known, variance, shrink * variance)
-    log_evidence = np.where(known, 0.0, log_mass)
-    result_mean, result_variance = (
-        np.where(soft, mean, result_mean),
-        np.where(soft, variance, result_variance),
+    count = max(independent, 1.0)
+    # A reading that is repeated over m slots has a variance of m times what its slots show, and counts once.
+    repeats = 1.0 / min(independent, 1.0)
+    case = NO_STEP
+    if step:
+        case = MANY if high - low > 1.5 * step else STAY if high - low < 0.5 * step else FLICKER
+    plain = Said(
+        case=case,
+        step=step,
+        duration_s=reading.duration_s,
+        gap_s=reading.gap_s,
+        mean=reading.mean,
+        linear=sensor.linear(reading),
+        independent=count,
+        levels=(reading.high - reading.low) / step + 1.0 if step else 1.0,
+        white=sensor.roughness * repeats**2,
+        cell=step / count,
     )
-    log_evidence = np.where(soft, 0.0, log_evidence)
-    weighing = soft & ~deep
-    if weighing.any():
-        m, v, log = weigh((mean[weighing], sd[weighing]), edges, (count, count), sigma[weighing])
-        result_mean[weighing], result_variance[weighing], log_evidence[weighing] = m, v, log
-    return result_mean, result_variance, log_evidence
+    return _with_shares(plain, reading, low, high) if case == FLICKER else plain
 
 
-def _flicker_or_cross(
-    mean: FloatArray,
-    variance: FloatArray,
-    rate: FloatArray,
-    rate_variance: FloatArray,
-    levels: tuple[float, float],
-    reading: Reading,
-    sensor: Sensor,
-    sigma: FloatArray,
-) -> Moments:
-    """Take two neighbouring levels: the share of the upper one, or the time of the crossing."""
-    edge = 0.5 * (levels[0] + levels[1])
+def _with_shares(plain: Said, reading: Reading, low: float, high: float) -> Said:
+    """Add how the readings of two neighbouring levels are shared between them, and when a crossing was."""
     count, total = reading.count, reading.count * reading.mean
-    crossed_between = np.isfinite(reading.before) and reading.before != reading.first
+    crossed_between = math.isfinite(reading.before) and reading.before != reading.first
     if crossed_between:
         # The level changed between two slots: the last reading of the other belongs to the crossing.
         count, total = count + 1, total + reading.before
-    share = float(
-        np.clip((total / count - levels[0]) / (levels[1] - levels[0]), 0.5 / count, 1.0 - 0.5 / count)
-    )
+    share = min(max((total / count - low) / (high - low), 0.5 / count), 1.0 - 0.5 / count)
     # Independent readings change level this often; a single crossing changes it once.
     own = reading.changes / (2.0 * share * (1.0 - share))
-    independent = max(sensor.independent(reading), 1.0)
-    counted = float(np.clip(own, 1.0, independent))
+    counted = min(max(own, 1.0), plain.independent)
     above, below = counted * share, counted * (1.0 - share)
-    lattice = gammaln(counted + 1.0) - gammaln(above + 1.0) - gammaln(below + 1.0)
-    lattice += np.log(counted / independent)
-    result = weigh((mean, np.sqrt(variance)), (edge, edge), (above, below), sigma)
-    log_evidence = result[2] + lattice
-    noise = LEVEL_SIGMAS * sensor.step
-    moved = np.abs(rate) * reading.duration_s
-    few = 1.0 + SWEEP * noise * count / np.maximum(moved, TINY)
-    upward = reading.last > edge
-    sweeps = (moved > SWEEP * noise) & (reading.changes <= few) & ((rate > 0.0) == upward)
-    if reading.changes % 2 == 0 or not sweeps.any():
-        return result[0], result[1], log_evidence
+    lattice = math.lgamma(counted + 1.0) - math.lgamma(above + 1.0) - math.lgamma(below + 1.0)
     # A clean crossing comes after the readings at the level that is left.
+    edge = 0.5 * (low + high)
+    upward = reading.last > edge
     left = (1.0 - share if upward else share) * count
     begin = reading.start_s - (reading.gap_s if crossed_between else 0.0)
-    since = reading.time_s - (begin + (left - 0.5) * reading.gap_s)
-    each = np.maximum(np.abs(rate) * reading.gap_s, TINY**2)
-    width = each * (each / 12.0 + noise / CROWDED) + rate_variance * since**2
-    total_variance, residual = variance + width, edge + rate * since - mean
-    crossing = (
-        np.log(each * count / independent / ROOT_2_PI)
-        - 0.5 * np.log(total_variance)
-        - 0.5 * residual**2 / total_variance
-    )
-    return (
-        np.where(sweeps, mean + variance / total_variance * residual, result[0]),
-        np.where(sweeps, variance * width / total_variance, result[1]),
-        np.where(sweeps, crossing, log_evidence),
+    return plain._replace(
+        edge=edge,
+        above=above,
+        below=below,
+        lattice=lattice + math.log(counted / plain.independent),
+        readings=float(count),
+        changes=reading.changes,
+        since_s=reading.time_s - (begin + (left - 0.5) * reading.gap_s),
+        upward=upward,
     )
 
 
-def confined(bank: Bank, reading: Reading, sensor: Sensor) -> Bank:
-    """Return the bank with the level kinds confined to the level that is being read, for what is shown."""
-    step, noise = sensor.step, LEVEL_SIGMAS * sensor.step
-    mean, variance = bank.reading
-    sd = np.sqrt(variance[:, LEVEL])
-    half = 0.5 * step - np.minimum(EDGE * noise, 0.3 * step)
-    offset = mean[:, LEVEL] - reading.last
-    shift, shrink, log_mass = truncated((-half - offset) / sd, (half - offset) / sd)
-    hard = sd >= SHARPER * noise
-    mean, variance, weight = mean.copy(), variance.copy(), bank.weight.copy()
-    mean[:, LEVEL] += np.where(hard, shift * sd, 0.0)
-    variance[:, LEVEL] *= np.where(hard, shrink, 1.0)
-    weight[:, LEVEL] *= np.where(hard, np.exp(log_mass), 1.0)
-    total = weight.sum()
+@njit
+def measure(filters: Filters, said: Said) -> None:
+    """Give the bank what a slot says."""
+    log_evidence = np.empty(len(filters))
+    best = -math.inf
+    for i in range(len(filters)):
+        f, k = filters[i], i // SMOOTHNESSES
+        if not f.weight:
+            continue
+        mean, variance = f.temperature + f.error, f.tt + 2.0 * f.te + f.ee
+        if k >= LEVELS:
+            mean, variance, log = _as_mean(mean, variance, k, said)
+        elif said.case == NO_STEP:
+            log = IMPOSSIBLE
+        else:
+            mean, variance, log = _as_level(f, LEVEL_SIGMAS[k] * said.step, mean, variance, said)
+        condition(f, mean, variance)
+        log_evidence[i] = log
+        best = max(best, log)
+    total = 0.0
+    for i in range(len(filters)):
+        f = filters[i]
+        if f.weight:
+            evidence = math.exp(max(log_evidence[i] - best, IMPOSSIBLE))
+            f.weight *= evidence
+            f.rare *= evidence
+            total += f.weight + f.rare
+    for i in range(len(filters)):
+        filters[i].weight /= total
+        filters[i].rare /= total
+
+
+@njit
+def _gaussian(mean: float, variance: float, measured: float, noise: float) -> Moments:
+    """Correct a Gaussian by a measurement with noise; the log density is that over 1/√(2π)."""
+    total, residual = variance + noise, measured - mean
+    log = -0.5 * math.log(total) - 0.5 * residual * residual / total
+    return mean + variance / total * residual, variance * noise / total, log
+
+
+@njit
+def _as_mean(mean: float, variance: float, k: int, said: Said) -> Moments:
+    """Take the slot's mean as a measurement: the mean and slow kinds."""
+    noise = MEAN_WHITE[k - LEVELS] * said.white + said.cell**2 / 12.0 + TINY**2
+    after, left, _ = _gaussian(mean, variance, said.linear, noise)
+    # The cell as a Gaussian of the same height, so that no probability exceeds one.
+    cell = max(said.cell, TINY)
+    smeared = variance + noise + cell**2 / (2.0 * math.pi)
+    log = math.log(cell / ROOT_2_PI) - 0.5 * math.log(smeared) - 0.5 * (said.linear - mean) ** 2 / smeared
+    return after, left, log
+
+
+@njit
+def _as_level(f: Filter, noise: float, mean: float, variance: float, said: Said) -> Moments:
+    """Take the slot's readings as levels: the level kinds."""
+    step, rate = said.step, f.rate
+    if said.case == MANY:
+        inside = noise**2 / said.independent + (step / said.levels) ** 2 / 12.0
+        after, left, log = _gaussian(mean, variance, said.mean, inside)
+        return after, left, log + math.log(step / said.independent / ROOT_2_PI)
+    sigma = math.hypot(noise, rate * said.duration_s / math.sqrt(12.0))
+    if said.case == STAY:
+        return _stay(mean, variance, f.growth, sigma, said)
+    moved = abs(rate) * said.duration_s
+    if (
+        said.changes % 2
+        and moved > SWEEP * noise
+        and said.changes <= 1.0 + SWEEP * noise * said.readings / max(moved, TINY)
+        and (rate > 0.0) == said.upward
+    ):
+        each = max(abs(rate) * said.gap_s, TINY**2)
+        width = each * (each / 12.0 + noise / CROWDED) + f.rr * said.since_s**2
+        after, left, log = _gaussian(mean, variance, said.edge + rate * said.since_s, width)
+        return after, left, log + math.log(each * said.readings / said.independent / ROOT_2_PI)
+    after, left, log = weigh(mean, math.sqrt(variance), said.edge, said.edge, said.above, said.below, sigma)
+    return after, left, log + said.lattice
+
+
+@njit
+def _stay(mean: float, variance: float, growth: float, sigma: float, said: Said) -> Moments:
+    """Take a reading that does not change, where it says something new."""
+    step, sd = said.step, math.sqrt(variance)
+    low, high = said.mean - 0.5 * step, said.mean + 0.5 * step
+    if sd < SHARPER * sigma:
+        if min(mean - low, high - mean) > 5.0 * sigma + 3.0 * sd:
+            return mean, variance, 0.0
+        return weigh(mean, sd, low, high, said.independent, said.independent, sigma)
+    shift, shrink, log_mass = truncated((low - mean) / sd, (high - mean) / sd)
+    if sd < WIDER * step and log_mass > SURPRISE and growth <= (GROWN * step) ** 2:
+        return mean, variance, 0.0
+    return mean + shift * sd, shrink * variance, log_mass
+
+
+class Merged(NamedTuple):
+    """The mean of all filters, and variances of temperature, of rate and of the slow error, °C²."""
+
+    temperature: float
+    rate: float
+    acceleration: float
+    temperature_variance: float
+    rate_variance: float
+    slow: float
+
+
+@njit
+def merged(filters: Filters, slow_errors: FloatArray, step: float, level: float) -> Merged:
+    """Merge the filters into what is shown; `level` is the one that the readings stay on, NaN where none.
+
+    Then the level kinds are confined to it.
+    """
+    total, both, frequent, slow = 0.0, 0.0, 0.0, 0.0
+    x, r, a = 0.0, 0.0, 0.0
+    sum_x, sum_r, square_x, square_r = 0.0, 0.0, 0.0, 0.0
+    # About the heaviest filter, so that the differences of squares keep their digits.
+    main = _heaviest(filters)
+    for i in range(len(filters)):
+        f, k = filters[i], i // SMOOTHNESSES
+        if not f.weight:
+            continue
+        frequent += f.weight
+        slow += slow_errors[k] * f.weight
+        mass, shift, shrink = 1.0, 0.0, 1.0
+        if k < LEVELS and not math.isnan(level):
+            mass, shift, shrink = _confined(f, LEVEL_SIGMAS[k] * step, step, level)
+        gain_x, gain_r = f.tt + f.te, f.tr + f.re
+        spread = gain_x + f.te + f.ee
+        off_x = f.temperature + gain_x * shift - main.temperature
+        off_r = f.rate + gain_r * shift - main.rate
+        weight = (f.weight + f.rare) * mass
+        both += weight
+        x += weight * off_x
+        r += weight * off_r
+        a += weight * (f.acceleration + (f.ta + f.ae) * shift)
+        weight = f.weight * mass
+        total += weight
+        sum_x += weight * off_x
+        sum_r += weight * off_r
+        square_x += weight * (f.tt + gain_x * gain_x / spread * (shrink - 1.0) + off_x * off_x)
+        square_r += weight * (f.rr + gain_r * gain_r / spread * (shrink - 1.0) + off_r * off_r)
     if not total > 1e-200:
         # The level is out of reach of all filters.
-        return bank
-    shown = conditioned(bank, mean, variance)
-    shown.weight = weight / total
-    return shown
+        return merged(filters, slow_errors, step, math.nan)
+    x, r, a = x / both, r / both, a / both
+    return Merged(
+        main.temperature + x,
+        main.rate + r,
+        a,
+        (square_x - 2.0 * x * sum_x) / total + x * x,
+        (square_r - 2.0 * r * sum_r) / total + r * r,
+        slow / frequent,
+    )
+
+
+@njit
+def _heaviest(filters: Filters) -> Filter:
+    best = 0
+    for i in range(len(filters)):
+        if filters[i].weight + filters[i].rare > filters[best].weight + filters[best].rare:
+            best = i
+    return filters[best]
+
+
+@njit
+def _confined(f: Filter, noise: float, step: float, level: float) -> tuple[float, float, float]:
+    """Return probability, shift over sd and shrinking of variance by a level that is sharp for a filter."""
+    spread = f.tt + 2.0 * f.te + f.ee
+    sd = math.sqrt(spread)
+    if sd < SHARPER * noise:
+        return 1.0, 0.0, 1.0
+    half = 0.5 * step - min(EDGE * noise, 0.3 * step)
+    offset = f.temperature + f.error - level
+    shift, shrink, log_mass = truncated((-half - offset) / sd, (half - offset) / sd)
+    return math.exp(log_mass), shift / sd, shrink

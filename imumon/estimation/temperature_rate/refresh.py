@@ -8,9 +8,8 @@ every level.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-
-import numpy as np
 
 SLOW_S, SLOWEST_S = 1.5, 120.0
 """Faster refreshes are seen within a slot and its neighbours; slower thermometers are not made."""
@@ -22,7 +21,7 @@ JITTER = 0.01
 """The interval wanders by so much, and by 1.5 samples."""
 FARTHEST = 8
 """Multiples beyond this tell little: with the jitter, most times are on the comb."""
-KNOWN, MOST = float(np.log(1000.0)), 3.0 * float(np.log(1000.0))
+KNOWN, MOST = math.log(1000.0), 3.0 * math.log(1000.0)
 """Log odds from which on the interval is believed, and most that are kept."""
 
 
@@ -73,7 +72,7 @@ class RefreshFinder:
             Quantization step, 0 for none, and time between two samples.
         """
         gap = time_s - self.changed_s
-        if np.isfinite(gap):
+        if math.isfinite(gap):
             self._compare(gap, change, step, 1.5 * gap_s + JITTER * gap)
         self.changed_s, self.change = time_s, change
         waited = min(silent_s, SLOWEST_S)
@@ -84,11 +83,11 @@ class RefreshFinder:
 
     def refreshed(self, start_s: float, end_s: float) -> float | None:
         """Return when between two times the reading was refreshed to what it was, or None."""
-        if not np.isfinite(self.changed_s):
+        if not math.isfinite(self.changed_s):
             return None
-        passed = np.floor((end_s - self.changed_s) / self.interval_s)
+        passed = math.floor((end_s - self.changed_s) / self.interval_s)
         last = self.changed_s + passed * self.interval_s
-        return float(last) if passed >= 1 and last > start_s else None
+        return last if passed >= 1 and last > start_s else None
 
     def _compare(self, gap: float, change: float, step: float, tolerance: float) -> None:
         whole = round(gap / self.interval_s) if self.interval_s else 0
@@ -101,7 +100,7 @@ class RefreshFinder:
         if whole and off < tolerance:
             # Crossings at a constant rate are equally spaced too: one step each, the same way.
             needless = whole > 1 or change * self.change < 0.0 or abs(change) > LEAP_STEPS * step
-            odds = np.log(max(self.interval_s / (2.0 * tolerance), 1.0))
+            odds = math.log(max(self.interval_s / (2.0 * tolerance), 1.0))
             self.evidence = min(self.evidence + needless * odds, MOST)
             self.interval_s += 0.1 * (gap / whole - self.interval_s)
             return

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 
-import numpy as np
-
+from imumon.blocks import FloatArray
+from imumon.estimation.temperature_rate.bank import slow_errors
 from imumon.estimation.temperature_rate.refresh import RefreshFinder
 from imumon.estimation.temperature_rate.step import StepFinder
 
+SLOT_S = 1.0
 MEMORY = 1.0 / 32.0
 """Weight of a new slot in what is learned, after as many slots."""
+FLICKER_S, FLICKERS = 10.0, 3
+"""So often a reading has to go back within this time to be known to flicker."""
+EDGES, STICKY_EDGES = 0.05, 0.5
+"""Edges between levels are known to so many steps: ±0.1 of nonlinearity is a good converter's; hysteresis
+of a step is half a step either way."""
 MOST = 9.0
 """A slot counts in a variance with no more than so many times what is known: a spike spoils little."""
 DEAD_S, DEAD_INTERVALS = 60.0, 10.0
@@ -63,7 +70,7 @@ class Reading:
         """Return the last of the readings alone, taken at a time."""
         return replace(
             self, start_s=time_s, end_s=time_s, count=1, mean=self.last, variance=0.0, low=self.last,
-            high=self.last, first=self.last, changes=0, step_squares=0.0, before=np.nan,
+            high=self.last, first=self.last, changes=0, step_squares=0.0, before=math.nan,
         )  # fmt: skip
 
     @property
@@ -82,7 +89,7 @@ class Reading:
     @property
     def differences(self) -> tuple[float, ...]:
         """Differences of readings, which tell the step of the sensor, °C."""
-        single = (float(np.sqrt(self.step_squares)),) if self.changes == 1 else ()
+        single = (math.sqrt(self.step_squares),) if self.changes == 1 else ()
         return (*single, self.first - self.before, self.high - self.low)
 
     @property
@@ -98,6 +105,8 @@ class Sensor:
     Parameters
     ----------
     finder : StepFinder
+    step : float
+        The quantization step in °C as far as it is known, 0 when there is none.
     inside : float
         Variance of the readings about their short-term mean, °C².
     roughness : float
@@ -109,18 +118,19 @@ class Sensor:
         Time within which the reading does not change twice: the refresh interval or more.
     usual_s : float
         Usual time between slots that change.
-    changed_s : float
-        When the reading changed last.
+    changed_s, change : float
+        When the reading changed last, and by how much, °C.
     refresh : RefreshFinder
         When a reading that is repeated over slots is a new one.
-    learned : int
-        Slots that changed.
+    learned, reversed : int
+        Slots that changed; and those in which a reading went back within `FLICKER_S`.
     slots : int
     means : tuple
         Means of the last slots, °C.
     """
 
     finder: StepFinder
+    step: float = field(init=False)
     inside: float = 0.0
     roughness: float = 0.0
     squares: float = 0.0
@@ -128,25 +138,40 @@ class Sensor:
     interval_s: float = 0.0
     usual_s: float = 0.0
     changed_s: float = float("nan")
+    change: float = 0.0
     refresh: RefreshFinder = field(default_factory=RefreshFinder)
     learned: int = 0
+    reversed: int = 0
     slots: int = 0
     means: tuple[float, ...] = field(default=())
 
-    @property
-    def step(self) -> float:
-        """The quantization step in °C as far as it is known, 0 when there is none."""
-        return 0.0 if self.finder.stepless else self.finder.size
+    def __post_init__(self) -> None:
+        """Begin with the step that the finder begins with."""
+        self.step = self.finder.size
 
     @property
     def unit(self) -> float:
         """What the sensor's noise is measured in, °C: a step, or the noise of a slot where that is larger."""
-        return max(self.step, float(np.sqrt(self.roughness)), 1e-4)
+        return max(self.step, math.sqrt(self.roughness), 1e-4)
+
+    @property
+    def slow_errors(self) -> FloatArray:
+        """Variances of the bank's slow errors, °C²."""
+        roughness = max(self.roughness, self.step**2 / 12.0)
+        return slow_errors(self.unit, roughness, self.refresh.interval_s if self.refresh.slow else SLOT_S)
+
+    @property
+    def edges(self) -> float:
+        """How well the edges between levels are known, °C.
+
+        A converter with hysteresis follows only when it is off by a step or so; one that flickers has none.
+        """
+        return (EDGES if self.reversed >= FLICKERS else STICKY_EDGES) * self.step
 
     @property
     def scatter(self) -> float:
         """Standard deviation of a single reading, °C."""
-        return max(self.unit, float(np.sqrt(self.inside)))
+        return max(self.unit, math.sqrt(self.inside))
 
     def independent(self, reading: Reading) -> float:
         """Return how many independent readings a slot has; less than one where a reading outlasts it."""
@@ -183,11 +208,16 @@ class Sensor:
         z, variance = reading.mean / step, self.inside / step**2
         x, beta = z, 0.0
         for _ in range(4):
-            cosine = beta * np.cos(2.0 * np.pi * x)
-            rest = variance - 1.0 / 12.0 + cosine / np.pi**2 + (beta / np.pi * np.sin(2.0 * np.pi * x)) ** 2
+            cosine = beta * math.cos(2.0 * math.pi * x)
+            rest = (
+                variance
+                - 1.0 / 12.0
+                + cosine / math.pi**2
+                + (beta / math.pi * math.sin(2.0 * math.pi * x)) ** 2
+            )
             square = max(rest / max(1.0 - 4.0 * cosine, 0.2), DITHERED**2)
-            beta = float(np.exp(-2.0 * np.pi**2 * square))
-            x = z + beta / np.pi * float(np.sin(2.0 * np.pi * x))
+            beta = math.exp(-2.0 * math.pi**2 * square)
+            x = z + beta / math.pi * math.sin(2.0 * math.pi * x)
         return step * x
 
     def learn(self, reading: Reading) -> None:
@@ -205,12 +235,13 @@ class Sensor:
         if reading.changes:
             self._learn_changes(reading)
             self.finder.learn(reading.differences)
+            self.step = 0.0 if self.finder.stepless else self.finder.size
 
     def _learn_refresh(self, reading: Reading) -> None:
         if reading.changes > 1:
             self.refresh.doubt()
             return
-        before = reading.before if np.isfinite(reading.before) else reading.first
+        before = reading.before if math.isfinite(reading.before) else reading.first
         silent_s = reading.changed_s - self.changed_s
         if self.interval_s:
             silent_s = min(silent_s, self.interval_s)
@@ -236,6 +267,9 @@ class Sensor:
             self.squares += weight * (reading.step_squares - self.squares)
             self.spread += weight * (2.0 * reading.count * variance - self.spread)
         gap_s = reading.changed_s - self.changed_s
+        change = reading.last - (reading.before if math.isfinite(reading.before) else reading.first)
+        self.reversed += reading.changes > 1 or (change * self.change < 0.0 and gap_s < FLICKER_S)
+        self.change = change
         since = reading.duration_s / reading.changes if reading.changes > 1 else gap_s
         if self.learned > 1 or reading.changes > 1:
             longest = SLOWER * max(self.interval_s, reading.gap_s) if self.interval_s else since

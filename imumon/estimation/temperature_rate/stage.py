@@ -86,13 +86,12 @@ class TemperatureRate:
         Rows before the first reading are kept from the method: there may have been no column for them, and
         what follows must not depend on that.
         """
-        n = len(block)
         reading = self._reading(channel, block)
         first = 0
         if channel not in self._begun:
             valid = np.flatnonzero(np.isfinite(reading))
             if not len(valid):
-                return [np.full(n, np.nan) for _ in range(4)]
+                return [np.full(len(block), np.nan) for _ in range(4)]
             first = int(valid[0])
             self._begun.add(channel)
         time_ns, segment = block["device_time_ns"][first:], block["segment"][first:]
@@ -100,7 +99,7 @@ class TemperatureRate:
             self._watches[channel].process(time_ns, segment, reading[first:])
         result = self._methods[channel].process(time_ns, segment, reading[first:])
         parts = (result.temperature, result.rate, result.temperature_sd, result.rate_sd)
-        return [np.concatenate([np.full(first, np.nan), part]) for part in parts]
+        return [np.concatenate([np.full(first, np.nan), part]) for part in parts] if first else parts
 
     def _reading(self, channel: str, block: SampleBlock) -> FloatArray:
         """Return the readings, NaN where there is none or it is out of range."""

@@ -32,7 +32,7 @@ class StepFinder:
     size : float
         The step as far as it is known, °C.
     support, seen : int
-        Changes that are multiples of it, and all.
+        Changes that are multiples of it, and all since it was first seen.
     misfit : float
         Share of changes that are no multiples of it.
     """
@@ -76,7 +76,7 @@ class StepFinder:
             ratio = change / self.size
             if self.support == 0 or ratio < 0.75:
                 # A declared or assumed step gives way to the first change; a larger one to a smaller.
-                self.size, self.misfit, self.support = change, 0.0, 1
+                self.size, self.misfit, self.support, self.seen = change, 0.0, 1, 1
             elif ratio <= FAR_STEPS:
                 whole = round(ratio)
                 if abs(ratio - whole) < ROUNDED:

@@ -19,11 +19,11 @@ Steps are blocks of `BLOCK` slots at rest; a θ of either sign is a test of its 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
 
 import numpy as np
 
 from imumon.blocks import FloatArray
+from imumon.compiled import njit, record
 
 BLOCK = 10
 """Slots of half a second at rest that make a step of the tests."""
@@ -70,14 +70,14 @@ TESTS = 3 * (PAST * 2 * len(THETAS) + len(PAST_S) * len(THETAS) + len(LARGE))
 
 _LEAST = np.repeat([LEAST_DEGC, LEAST_RATE], [len(TEMPERATURE_S), 1 + len(RATE_S)])
 _LARGE = np.array(LARGE)
+_WARM_UP_S = np.array(WARM_UP_S)
 _SIGNED = np.array([*THETAS, *(-theta for theta in THETAS)])
 _TESTED = np.ones((REGRESSORS, len(_SIGNED)), np.bool_)
 _TESTED[PAST:, len(THETAS) :] = False
 
 
-@dataclass
 class State:
-    """All that is carried from slot to slot, per axis.
+    """All that is carried from slot to slot, per axis: a record (`imumon.compiled.record`).
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ class State:
         Largest values of the regressors of temperature and rate.
     past : array (3, 3)
         Means of earlier innovations.
-    along, size, power : array (3, 12)
+    along, absolute, power : array (3, 12)
         Sums of r v, abs(r) and r² over the block.
     square : array (3,)
         Sum of v² over the block.
@@ -101,27 +101,36 @@ class State:
         The same when there was the alarm.
     first_s, last_s : float
         Time of the first slot and of the last, s.
-    slots : int
-        Since the start.
-    alarm : bool
-        Whether there was one.
+    slots, alarm : int
+        Slots since the start, and whether there was an alarm.
     """
 
-    low: FloatArray = field(default_factory=lambda: np.full((3, len(_DRIVEN_S)), np.nan))
-    scale: FloatArray = field(default_factory=lambda: np.tile(_LEAST, (3, 1)))
-    past: FloatArray = field(default_factory=lambda: np.zeros((3, len(PAST_S))))
-    along: FloatArray = field(default_factory=lambda: np.zeros((3, REGRESSORS)))
-    size: FloatArray = field(default_factory=lambda: np.zeros((3, REGRESSORS)))
-    power: FloatArray = field(default_factory=lambda: np.zeros((3, REGRESSORS)))
-    square: FloatArray = field(default_factory=lambda: np.zeros((3,)))
-    tests: FloatArray = field(default_factory=lambda: np.zeros((3, REGRESSORS, len(_SIGNED))))
-    sizes: FloatArray = field(default_factory=lambda: np.zeros((3, len(LARGE))))
-    peaks: FloatArray = field(default_factory=lambda: np.zeros((3, REGRESSORS + 1)))
-    at_alarm: FloatArray = field(default_factory=lambda: np.zeros((3, REGRESSORS + 1)))
-    first_s: float = 0.0
-    last_s: float = 0.0
-    slots: int = 0
-    alarm: bool = False
+    low: FloatArray
+    scale: FloatArray
+    past: FloatArray
+    along: FloatArray
+    absolute: FloatArray
+    power: FloatArray
+    square: FloatArray
+    tests: FloatArray
+    sizes: FloatArray
+    peaks: FloatArray
+    at_alarm: FloatArray
+    first_s: float
+    last_s: float
+    slots: int
+    alarm: int
+
+
+def begin() -> State:
+    """Return the state before the first slot."""
+    sums = dict.fromkeys(("along", "absolute", "power"), (3, REGRESSORS))
+    peaks = dict.fromkeys(("peaks", "at_alarm"), (3, REGRESSORS + 1))
+    tests = {"tests": (3, REGRESSORS, len(_SIGNED)), "sizes": (3, len(LARGE))}
+    driven = {"low": (3, len(_DRIVEN_S)), "scale": (3, len(_LEAST)), "past": (3, len(PAST_S))}
+    state = record(State, square=3, **driven, **sums, **tests, **peaks)
+    state.low[:], state.scale[:] = np.nan, _LEAST
+    return state
 
 
 def limit(false_alarm_hours: float, slot_s: float = 0.5) -> float:
@@ -154,8 +163,8 @@ def watch(
     for i, now_s in enumerate(seconds.tolist()):
         highest = step(state, now_s, innovation[i], temperature[i], rate[i])
         if highest >= alarm_at and not state.alarm:
-            state.alarm, found = True, i
-            state.at_alarm = state.peaks.copy()
+            state.alarm, found = 1, i
+            state.at_alarm[:] = state.peaks
     return found
 
 
@@ -163,49 +172,71 @@ def step(
     state: State, now_s: float, innovation: FloatArray, temperature: FloatArray, rate: FloatArray
 ) -> float:
     """Take a slot, (3,) each; at the end of a block return the highest of the tests, else 0."""
+    counted = _regress(state, now_s, innovation, temperature, rate) - LEARNING
+    return _end_block(state) if counted > 0 and counted % BLOCK == 0 else 0.0
+
+
+@njit
+def _regress(
+    state: State, now_s: float, innovation: FloatArray, temperature: FloatArray, rate: FloatArray
+) -> int:
+    """Bring the regressors on, and add a slot to the sums of its block; return the number of slots."""
     if state.slots == 0:
         state.first_s = state.last_s = now_s
-    v = np.clip(innovation, -CLIP, CLIP)
-    driven = _drive(state, now_s - state.last_s, temperature, rate)
-    warm = np.broadcast_to(np.exp((state.first_s - now_s) / np.array(WARM_UP_S)), (3, len(WARM_UP_S)))
-    past = np.clip(state.past * _UNIT, -1.0, 1.0)
-    state.past = _KEEP * state.past + (1.0 - _KEEP) * v[:, np.newaxis]
-    state.last_s = now_s
+    dt, state.last_s = now_s - state.last_s, now_s
     state.slots += 1
-    if state.slots <= LEARNING:
-        return 0.0
-    regressor = np.concatenate([driven, np.ones((3, 1)), warm, past], axis=1)
-    state.along = state.along + regressor * v[:, np.newaxis]
-    state.size = state.size + np.abs(regressor)
-    state.power = state.power + regressor**2
-    state.square = state.square + v**2
-    return _end_block(state) if (state.slots - LEARNING) % BLOCK == 0 else 0.0
+    regressor = np.ones(REGRESSORS)
+    for j in range(len(_WARM_UP_S)):
+        regressor[WARM_UP + j] = math.exp((state.first_s - now_s) / _WARM_UP_S[j])
+    for a in range(3):
+        v = min(max(innovation[a], -CLIP), CLIP)
+        _drive(state.low[a], state.scale[a], dt, temperature[a], rate[a], regressor)
+        for j in range(len(_KEEP)):
+            past = state.past[a, j]
+            regressor[PAST + j] = min(max(past * _UNIT[j], -1.0), 1.0)
+            state.past[a, j] = _KEEP[j] * past + (1.0 - _KEEP[j]) * v
+        if state.slots > LEARNING:
+            state.square[a] += v * v
+            for j in range(REGRESSORS):
+                state.along[a, j] += regressor[j] * v
+                state.absolute[a, j] += abs(regressor[j])
+                state.power[a, j] += regressor[j] * regressor[j]
+    return state.slots
 
 
-def _drive(state: State, dt: float, temperature: FloatArray, rate: FloatArray) -> FloatArray:
-    """Return the regressors of temperature and rate, between -1 and 1, (3, 6); 0 where unknown."""
-    value = np.repeat(np.column_stack([temperature, rate]), [len(TEMPERATURE_S), len(RATE_S)], axis=1)
-    low = state.low + (1.0 - np.exp(-dt / _DRIVEN_S)) * (value - state.low)
-    low = np.where(np.isfinite(state.low), low, value)
-    state.low = np.where(np.isfinite(value), low, state.low)
-    high = value - low
-    driven = np.concatenate([high[:, :RATE], rate[:, np.newaxis], high[:, RATE:]], axis=1)
-    scale = np.maximum(np.maximum(np.abs(driven), math.exp(-dt / SCALE_S) * state.scale), _LEAST)
-    known = np.isfinite(driven)
-    state.scale = np.where(known, scale, state.scale)
-    return np.where(known, driven / state.scale, 0.0)
+@njit
+def _drive(
+    low: FloatArray, scale: FloatArray, dt: float, temperature: float, rate: float, regressor: FloatArray
+) -> None:
+    """Fill in the regressors of temperature and rate, between -1 and 1; 0 where unknown."""
+    forget = math.exp(-dt / SCALE_S)
+    for j in range(len(scale)):
+        # Of the rate itself, and then what passes the high-passes.
+        k = j if j < RATE else j - 1
+        value = temperature if j < RATE else rate
+        driven = value
+        if j != RATE:
+            if not np.isfinite(low[k]):
+                low[k] = value
+            elif np.isfinite(value):
+                low[k] += (1.0 - math.exp(-dt / _DRIVEN_S[k])) * (value - low[k])
+            driven = value - low[k]
+        regressor[j] = 0.0
+        if np.isfinite(driven):
+            scale[j] = max(abs(driven), forget * scale[j], _LEAST[j])
+            regressor[j] = driven / scale[j]
 
 
 def _end_block(state: State) -> float:
     """Bring every test on, and return the highest."""
-    cost = TOLERANCE * state.size[..., np.newaxis] * np.abs(_SIGNED)
+    cost = TOLERANCE * state.absolute[..., np.newaxis] * np.abs(_SIGNED)
     cost = cost + 0.5 * KAPPA * state.power[..., np.newaxis] * _SIGNED**2
     gain = np.where(_TESTED, state.along[..., np.newaxis] * _SIGNED - cost, 0.0)
-    state.tests = np.maximum(state.tests, 0.0) + gain
+    state.tests[:] = np.maximum(state.tests, 0.0) + gain
     large = _LARGE * state.square[:, np.newaxis] + 0.5 * BLOCK * np.log(1.0 - 2.0 * _LARGE * KAPPA)
-    state.sizes = np.maximum(state.sizes, 0.0) + large
+    state.sizes[:] = np.maximum(state.sizes, 0.0) + large
     now = np.concatenate([state.tests.max(-1), state.sizes.max(-1, keepdims=True)], axis=1)
-    state.peaks = np.maximum(state.peaks, now)
-    state.along, state.size, state.power = (np.zeros((3, REGRESSORS)) for _ in range(3))
-    state.square = np.zeros(3)
+    state.peaks[:] = np.maximum(state.peaks, now)
+    for sums in (state.along, state.absolute, state.power, state.square):
+        sums[:] = 0.0
     return float(state.peaks.max())

@@ -37,7 +37,7 @@ class ModelWatch:
         given = parameters or WatchParameters()
         self._alarm_at = evidence.limit(given.false_alarm_hours)
         self._modelled = modelled
-        self._state = evidence.State()
+        self._state = evidence.begin()
         self._clock = SegmentClock()
         self._suspect_segment: int | None = None
         self._pending: list[str] = []
@@ -55,14 +55,15 @@ class ModelWatch:
         ``temperature_estimate`` and ``temperature_rate``, of each axis before those of the unit.
         """
         suspect = np.zeros(len(block), np.int64)
-        innovation = block.vector(INNOVATION)
-        if innovation is None:
+        names = [f"{INNOVATION}_{axis}" for axis in AXES]
+        if any(name not in block for name in names):
             return {SUSPECT.name: suspect}
         segment = block["segment"]
-        slots = np.flatnonzero(np.isfinite(innovation[:, 0]))
-        known = slots[np.isfinite(innovation[slots]).all(1)]
+        slots = np.flatnonzero(np.isfinite(block[names[0]]))
+        innovation = np.column_stack([block[name][slots] for name in names])
+        known = np.isfinite(innovation).all(1)
         since = 0
-        for row, segment_of_alarm in self._follow(block, known, innovation[known]):
+        for row, segment_of_alarm in self._follow(block, slots[known], innovation[known]):
             self._mark(suspect, segment, since, row)
             self._suspect_segment, since = segment_of_alarm, row
         self._mark(suspect, segment, since, len(block))
@@ -83,7 +84,7 @@ class ModelWatch:
         rate = _of_axes(block, "temperature_rate", slots)
         for start, stop, begins, seconds in self._clock.runs(block["device_time_ns"][slots], segments):
             if begins:
-                self._state = evidence.State()
+                self._state = evidence.begin()
                 changes.append((int(slots[start]), None))
             found = evidence.watch(
                 self._state,

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import least_squares
+from scipy.optimize import leastsq
 
 from imumon.blocks import FloatArray
 from imumon.models.curves.network import NetworkCurve
@@ -17,6 +17,9 @@ DECAY = 1e-7
 """Penalty on the squared weights, per point of unit variance: keeps weights finite that the data leaves free.
 
 With 1e-5 it costs 2 % of the span, more than the noise of the soak, and the slope suffers."""
+FIRST_STEP = 0.1
+"""Bound of the first step, in norms of the start; the least that MINPACK takes.  With its usual 100 that step
+makes neurons so steep that they jump between two levels, where no sample sees it."""
 FIRST, LAST = 50, 200
 """Evaluations from every start, and of those that go on."""
 MERGED = 200
@@ -140,8 +143,11 @@ def train(
         own = root[:, np.newaxis] * response(weights, data.u)[1]
         return np.vstack([own, shrink * np.eye(len(weights))])
 
-    found = least_squares(residual, start, derivative, method="lm", max_nfev=evaluations)
-    return np.asarray(found.x if validation is None else best)
+    same = np.ones(len(start))
+    found = leastsq(
+        residual, start, Dfun=derivative, full_output=True, maxfev=evaluations, factor=FIRST_STEP, diag=same
+    )
+    return np.asarray(found[0] if validation is None else best)
 
 
 def fit_network(points: Points, neurons: int, seed: int = 0, restarts: int = RESTARTS) -> NetworkCurve:

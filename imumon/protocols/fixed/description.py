@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Annotated, Literal, Self, get_args
@@ -11,9 +12,10 @@ from pydantic import Field, NonNegativeInt, PositiveInt, StringConstraints, mode
 from imumon.columns import KNOWN, Column
 from imumon.config import StrictModel
 from imumon.errors import ImumonError
-from imumon.protocols.base import LONGEST_PACKET, Timing
+from imumon.protocols.base import Timing
 from imumon.protocols.checksums import CHECKSUM_NAMES, make_checksum
-from imumon.protocols.kernel import NUMBER_TYPES
+from imumon.protocols.numbers import NUMBER_TYPES
+from imumon.protocols.stream import LONGEST_PACKET
 from imumon.units import exact_conversion
 
 ByteOrder = Literal["big", "little"]
@@ -22,9 +24,10 @@ ColumnName = Annotated[str, StringConstraints(pattern=r"^[a-z][a-z0-9_]*$")]
 NumberName = Literal["u8", "i8", "u16", "i16", "u24", "i24", "u32", "i32", "u64", "i64", "f32", "f64"]
 IntegerName = Literal["u8", "u16", "u32"]
 ChecksumName = Literal[
-    "none", "sum8", "sum8-negated", "xor8", "sum16", "fletcher16", "fletcher16-256",
+    "none", "sum8", "sum8-negated", "xor8", "sum16", "sum16-words-le", "sum16-words-be",
+    "fletcher16", "fletcher16-256",
     "crc16-arc", "crc16-modbus", "crc16-xmodem", "crc16-ccitt-false", "crc16-aug-ccitt", "crc16-genibus",
-    "crc16-kermit", "crc16-x25", "crc32", "crc32-mpeg2", "crc32c",
+    "crc16-kermit", "crc16-mcrf4xx", "crc16-x25", "crc32", "crc32-mpeg2", "crc32c",
 ]  # fmt: skip
 assert set(get_args(ChecksumName)) == set(CHECKSUM_NAMES)
 
@@ -42,54 +45,54 @@ class LengthField(StrictModel):
 
 
 class ChecksumField(StrictModel):
-    """Which checksum, over which bytes (first and last included), and where it stands."""
+    """Which checksum, over which bytes (first and last included), and where it stands.
+
+    `zeros` bytes, which are not sent, count as if they followed the last.
+    """
 
     type: ChecksumName
     first: NonNegativeInt
     last: NonNegativeInt
     at: NonNegativeInt
     byte_order: ByteOrder | None = None
+    zeros: NonNegativeInt = 0
 
 
-class PacketField(StrictModel):
-    """One number, or several of the same type in a row: value = (raw * scale + offset) in the unit.
+class When(StrictModel):
+    """In which packets a field is there: those where a counter, divided by `modulo`, leaves `equals`."""
 
-    A mask picks bits out of an unsigned field and shifts them down to bit 0.
-    """
+    column: ColumnName
+    modulo: PositiveInt
+    equals: NonNegativeInt
 
-    at: NonNegativeInt
+
+class NumberField(StrictModel):
+    """One number, or several of the same type in a row: value = (raw * scale + offset) in the unit."""
+
     type: NumberName
-    byte_order: ByteOrder | None = None
     column: ColumnName | None = None
     columns: list[ColumnName] | None = Field(default=None, min_length=1)
     scale: float | int | Annotated[str, StringConstraints(pattern=r"^\d+/\d+$")] = 1
     offset: float | int = 0
     unit: str = "1"
-    mask: PositiveInt | None = None
     description: str = ""
 
     @property
     def names(self) -> list[str]:
-        """The columns that this field fills, in order of their bytes."""
+        """The columns that this field fills, in their order."""
         return self.columns if self.columns is not None else [self.column or ""]
 
     @property
-    def end(self) -> int:
-        """First byte behind the field."""
-        return self.at + NUMBER_TYPES[self.type].size * len(self.names)
+    def bits(self) -> int:
+        """Bits of the number, at which a counter wraps."""
+        return 8 * NUMBER_TYPES[self.type].size
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         if (self.column is None) == (self.columns is None):
             raise ValueError("give either column: NAME or columns: [NAME, ...]")
-        number = NUMBER_TYPES[self.type]
-        if self.mask is not None:
-            if number.signed:
-                raise ValueError(f"a mask needs an unsigned type, not {self.type}")
-            if self.mask >= 1 << (8 * number.size):
-                raise ValueError(f"mask {self.mask:#x} is wider than {self.type}")
         for name in self.names:
-            self._check_unit(name, number.integer)
+            self._check_unit(name, NUMBER_TYPES[self.type].integer)
         return self
 
     def _check_unit(self, name: str, integer: bool) -> None:
@@ -107,15 +110,82 @@ class PacketField(StrictModel):
         except ImumonError as error:
             raise ValueError(f"{name}: {error.seen}") from error
 
+    def scaled(self, name: str) -> tuple[Column, float, float]:
+        """Return a column, and scale and offset that give it in its unit."""
+        integer = NUMBER_TYPES[self.type].integer
+        known = KNOWN.get(name)
+        if known is not None and known.dtype == "int64":
+            # A clock that counts in floating point is made whole nanoseconds; an integer one stays as sent.
+            factor = Fraction(1) if integer else _fraction(self.scale) * exact_conversion(self.unit, "ns")[0]
+            return known, float(factor), 0.0
+        if known is None or (self.unit == ARBITRARY and name.startswith("mag_")):
+            plain = integer and self.unit == "1" and self.scale == 1 and self.offset == 0
+            dtype: Literal["int64", "float64"] = "int64" if plain else "float64"
+            description = self.description or (known.description if known else "")
+            return (
+                Column(name, self.unit, dtype, description),
+                float(_fraction(self.scale)),
+                float(self.offset),
+            )
+        factor, zero = exact_conversion(self.unit, known.unit)
+        offset = factor * _fraction(self.offset) + zero
+        return known, float(factor * _fraction(self.scale)), float(offset)
+
+
+class PacketField(NumberField):
+    """A number at a place of a packet.
+
+    A mask picks bits out of an unsigned field and shifts them down to bit 0.
+    """
+
+    at: NonNegativeInt
+    byte_order: ByteOrder | None = None
+    mask: PositiveInt | None = None
+    when: When | None = None
+
+    @property
+    def end(self) -> int:
+        """First byte behind the field."""
+        return self.at + NUMBER_TYPES[self.type].size * len(self.names)
+
+    @property
+    def bits(self) -> int:
+        """Bits of the number that count."""
+        return super().bits if self.mask is None else self.mask.bit_count()
+
+    @model_validator(mode="after")
+    def _mask_fits(self) -> Self:
+        if self.mask is not None:
+            if NUMBER_TYPES[self.type].signed:
+                raise ValueError(f"a mask needs an unsigned type, not {self.type}")
+            if self.mask >= 1 << super().bits:
+                raise ValueError(f"mask {self.mask:#x} is wider than {self.type}")
+        return self
+
+
+def timing_of(fields: Sequence[NumberField], rate_hz: float | None) -> Timing:
+    """Return how a device counts time: the width of its counter and of its clock, and the tick."""
+    by_name = {name: field for field in fields for name in field.names}
+    counter, ticks = by_name.get("packet_counter"), by_name.get("device_ticks")
+    tick_ns, tick_bits = None, 0
+    if ticks is not None:
+        tick_ns = _fraction(ticks.scale) * exact_conversion(ticks.unit, "ns")[0]
+        tick_bits = ticks.bits
+        if not NUMBER_TYPES[ticks.type].integer:
+            tick_ns, tick_bits = Fraction(1), 0
+    return Timing(counter.bits if counter else None, tick_ns, tick_bits, rate_hz)
+
 
 class Packet(StrictModel):
-    """Layout of the packet."""
+    """Layout of a packet; `tail` may follow it, and belongs to it when it does."""
 
+    name: str = Field(default="", pattern=r"^[a-z0-9_]*$")
     length: PositiveInt = Field(le=LONGEST_PACKET)
     byte_order: ByteOrder
     sync: list[Byte] = Field(min_length=1, max_length=8)
     length_field: LengthField | None = None
     checksum: ChecksumField
+    tail: list[Byte] = Field(default=[], max_length=8)
     fields: list[PacketField] = Field(min_length=1)
 
     @model_validator(mode="after")
@@ -131,7 +201,7 @@ class Packet(StrictModel):
                 )
         check = self.checksum
         if check.type != "none":
-            self._inside("checksum", check.at, check.at + make_checksum(check.type).size)
+            self._inside("checksum", check.at, check.at + int(make_checksum(check.type).width))
             self._inside("checksum", check.first, check.last + 1)
             if check.first <= check.at <= check.last:
                 raise ValueError(
@@ -144,7 +214,15 @@ class Packet(StrictModel):
                 if name in names:
                     raise ValueError(f"fields[{number}]: column {name} is there twice")
                 names.add(name)
+        for number, field in enumerate(self.fields):
+            if field.when is not None and field.when.column not in names:
+                raise ValueError(f"fields[{number}]: when: there is no column {field.when.column}")
         return self
+
+    @property
+    def plain(self) -> bool:
+        """Whether the compiled search can find and read it; else the frames do."""
+        return not (self.tail or self.checksum.zeros or any(field.when for field in self.fields))
 
     def placed(self) -> list[PlacedColumn]:
         """Return all columns of the packet in the order of the file."""
@@ -155,16 +233,8 @@ class Packet(StrictModel):
         ]
 
     def timing(self, rate_hz: float | None) -> Timing:
-        """Return how the packet counts time: the width of its counter and of its clock, and the tick."""
-        fields = {name: field for field in self.fields for name in field.names}
-        counter, ticks = fields.get("packet_counter"), fields.get("device_ticks")
-        tick_ns, tick_bits = None, 0
-        if ticks is not None:
-            tick_ns = _fraction(ticks.scale) * exact_conversion(ticks.unit, "ns")[0]
-            tick_bits = _bits(ticks)
-            if not NUMBER_TYPES[ticks.type].integer:
-                tick_ns, tick_bits = Fraction(1), 0
-        return Timing(_bits(counter) if counter else None, tick_ns, tick_bits, rate_hz)
+        """Return how the packet counts time."""
+        return timing_of(self.fields, rate_hz)
 
     def _inside(self, what: str, start: int, stop: int) -> None:
         if start >= stop or stop > self.length:
@@ -184,39 +254,15 @@ class PlacedColumn:
     mask: int
     scale: float
     offset: float
+    when: When | None = None
 
 
 def _place(field: PacketField, index: int, name: str, big: bool) -> PlacedColumn:
-    number = NUMBER_TYPES[field.type]
-    at = field.at + index * number.size
-    mask = field.mask or 0
-    known = KNOWN.get(name)
-    if known is not None and known.dtype == "int64":
-        # A clock that counts in floating point is made whole nanoseconds; an integer one stays as it is sent.
-        exact = (
-            _fraction(field.scale) * exact_conversion(field.unit, "ns")[0]
-            if not number.integer
-            else Fraction(1)
-        )
-        return PlacedColumn(known, at, field.type, big, mask, float(exact), 0.0)
-    if known is None or (field.unit == ARBITRARY and name.startswith("mag_")):
-        plain = number.integer and field.unit == "1" and field.scale == 1 and field.offset == 0
-        dtype: Literal["int64", "float64"] = "int64" if plain else "float64"
-        column = Column(name, field.unit, dtype, field.description or (known.description if known else ""))
-        return PlacedColumn(
-            column, at, field.type, big, mask, float(_fraction(field.scale)), float(field.offset)
-        )
-    factor, zero = exact_conversion(field.unit, known.unit)
-    scale, offset = factor * _fraction(field.scale), factor * _fraction(field.offset) + zero
-    return PlacedColumn(known, at, field.type, big, mask, float(scale), float(offset))
+    at = field.at + index * NUMBER_TYPES[field.type].size
+    column, scale, offset = field.scaled(name)
+    return PlacedColumn(column, at, field.type, big, field.mask or 0, scale, offset, field.when)
 
 
 def _fraction(number: float | int | str) -> Fraction:
     """Take a decimal for what it says: 0.1 is a tenth."""
     return Fraction(str(number)) if isinstance(number, float) else Fraction(number)
-
-
-def _bits(field: PacketField) -> int:
-    if field.mask is not None:
-        return field.mask.bit_count()
-    return 8 * NUMBER_TYPES[field.type].size

@@ -2,18 +2,33 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from imumon.blocks import ColumnArray, SampleBlock
 from imumon.errors import ImumonError, Reason
-from imumon.protocols.base import ByteArray, Encoder
+from imumon.protocols.base import Encoder
 from imumon.protocols.checksums import checksum, make_checksum
 from imumon.protocols.fixed.description import Packet, PlacedColumn
-from imumon.protocols.kernel import NUMBER_TYPES
+from imumon.protocols.numbers import NUMBER_TYPES
+from imumon.protocols.stream import ByteArray
 
 
 class FixedEncoder(Encoder):
-    """Encoder of a packet that a device file describes."""
+    """Makes the packets that a device file describes, one after the other for each row."""
+
+    def __init__(self, packets: Sequence[Packet]) -> None:
+        self._encoders = [PacketEncoder(packet) for packet in packets]
+
+    def encode(self, block: SampleBlock) -> list[bytes]:
+        """Return the packets of each row; see `PacketEncoder.encode`."""
+        parts = [encoder.encode(block) for encoder in self._encoders]
+        return [b"".join(row) for row in zip(*parts, strict=True)]
+
+
+class PacketEncoder:
+    """Makes one packet a row."""
 
     def __init__(self, packet: Packet) -> None:
         self._packet = packet
@@ -38,10 +53,14 @@ class FixedEncoder(Encoder):
         for item in self._placed:
             if item.column.name in block:
                 bits = _raw_bits(item, block[item.column.name])
+                if item.when is not None and item.when.column in block:
+                    chosen = block[item.when.column] % item.when.modulo == item.when.equals
+                    bits = np.where(chosen, bits, np.uint64(0))
                 self._put(packets, item.at, item.type, "big" if item.big else "little", bits)
-        if self._checksum.size:
+        if self._checksum.width:
             self._seal(packets)
-        return [row.tobytes() for row in packets]
+        tail = bytes(self._packet.tail)
+        return [row.tobytes() + tail for row in packets]
 
     def _put(
         self, packets: ByteArray, at: int, number: str, order: str | None, bits: ColumnArray | np.uint64
@@ -53,12 +72,9 @@ class FixedEncoder(Encoder):
 
     def _seal(self, packets: ByteArray) -> None:
         field, check = self._packet.checksum, self._checksum
-        sums = [
-            int(checksum(check.code, row, field.first, field.last + 1, check.table, check.initial,
-                         check.final_xor, check.shift))
-            for row in packets
-        ]  # fmt: skip
-        number = {1: "u8", 2: "u16", 4: "u32"}[check.size]
+        covered = np.pad(packets[:, field.first : field.last + 1], ((0, 0), (0, field.zeros)))
+        sums = [int(checksum(check, row, 0, len(row))) for row in covered]
+        number = {1: "u8", 2: "u16", 4: "u32"}[int(check.width)]
         self._put(packets, field.at, number, field.byte_order, np.array(sums, np.uint64))
 
 

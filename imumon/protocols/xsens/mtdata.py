@@ -11,7 +11,7 @@ from imumon.protocols.base import Timing
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.tagged import Derived, FieldTable, TaggedDecoder
 from imumon.protocols.tagged_encoder import TaggedEncoder
-from imumon.protocols.tagged_kernel import FIXED, WRONG_LENGTH, XBUS
+from imumon.protocols.tagged_kernel import FIXED, XBUS
 from imumon.protocols.xsens.fields import DERIVED, DEVICE_TICKS_OF_UTC
 from imumon.protocols.xsens.messages import (
     CONFIGURATION,
@@ -52,7 +52,7 @@ class MTDataDecoder(TaggedDecoder):
 
     def notices(self) -> list[str]:
         """Return, once each, what the device said that is not data, and a length that does not fit."""
-        seen = int(self._state[WRONG_LENGTH])
+        seen = int(self._state.wrong_length)
         if seen:
             fitting = profiles_of_length(seen)
             hint = f"; {seen} bytes fit {' or '.join(fitting)}" if fitting else ""

@@ -10,7 +10,6 @@ import zlib
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.signal import lfilter
 
 from imumon.blocks import FloatArray
 
@@ -61,6 +60,8 @@ class GaussMarkov:
 
     def take(self, n: int) -> FloatArray:
         """Return the next n values of each column, (n, k)."""
+        from scipy.signal import lfilter  # takes 0.3 s, and not every unit has such an error
+
         noise = self._random.standard_normal((n, len(self._sd))) * (self._drive * self._sd)
         carried = self._decay * self._last[np.newaxis]
         values, _ = lfilter([1.0], [1.0, -self._decay], noise, axis=0, zi=carried)

@@ -5,9 +5,8 @@ A scenario or a unit may name a `base` of its kind: what it does not say itself,
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, Literal, Self, TypeVar
+from typing import Any, ClassVar, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
@@ -17,7 +16,85 @@ from imumon.files import read_text
 from imumon.simulation.unit.events import Event
 from imumon.simulation.unit.parameters import UnitParameters
 
-FORMAT = "imumon-scenario/1"
+
+class _Based(StrictModel):
+    """What is read from a file of its kind, and may name a base."""
+
+    kind: ClassVar[str]
+    """Its word in messages; with an s the folder of those that come along."""
+
+    base: str | None = None
+
+    @classmethod
+    def names(cls) -> list[str]:
+        """Return the names that `load` knows without a path."""
+        return sorted(path.stem for path in _configs(f"{cls.kind}s").glob("*.yaml"))
+
+    @classmethod
+    def load(cls, name: str | Path) -> Self:
+        """Read one by its known name or the path of its file.
+
+        Raises
+        ------
+        ImumonError
+            BAD_CONFIG, naming file and line, what was found and what was expected.
+        """
+        path = cls._path(name)
+        text = read_text(path)
+        base = parse_yaml(text, _Header, str(path)).base
+        # A chain may be a circle, and is hard to read.
+        if base is not None and load_yaml(cls._path(base), _Header).base is not None:
+            raise ImumonError(
+                Reason.BAD_CONFIG,
+                f"{path}: its base {base!r} has a base itself",
+                "name that one, and repeat the changes",
+            )
+        return parse_yaml(text, cls, str(path))
+
+    @classmethod
+    def named(cls, name: str) -> Self:
+        """Do as `load`; a wrong name is a ValueError, which becomes an error with file and line."""
+        try:
+            cls._path(name)
+        except ImumonError as error:
+            raise ValueError(f"{error.seen}; {error.hint}") from error
+        return cls.load(name)
+
+    @classmethod
+    def _path(cls, name: str | Path) -> Path:
+        if isinstance(name, Path) or _looks_like_path(name):
+            return Path(name)
+        if name not in cls.names():
+            raise ImumonError(
+                Reason.BAD_CONFIG,
+                f"no {cls.kind} {name!r}",
+                f"there are {', '.join(cls.names())}, or give a path (NAME.yaml)",
+            )
+        return _configs(f"{cls.kind}s") / f"{name}.yaml"
+
+    @model_validator(mode="before")
+    @classmethod
+    def _on_base(cls, given: Any) -> Any:
+        """Fill in the values of the base for the keys that are not given; complete, so without base."""
+        if not isinstance(given, dict) or not isinstance(given.get("base"), str):
+            return given
+        base = cls.named(given["base"])
+        return {name: getattr(base, name) for name in cls.model_fields} | given | {"base": None}
+
+
+class _Header(StrictModel, extra="ignore"):
+    """What tells whether a file may serve as a base."""
+
+    base: str | None = None
+
+
+def _looks_like_path(name: str) -> bool:
+    return name.endswith((".yaml", ".yml")) or "/" in name
+
+
+def _configs(folder: str) -> Path:
+    packaged = Path(__file__).resolve().parents[2] / "configs" / folder
+    return packaged if packaged.is_dir() else Path(__file__).resolve().parents[3] / "configs" / folder
 
 
 class Attitude(StrictModel):
@@ -70,20 +147,13 @@ class Chamber(StrictModel):
     lag_s: float = Field(default=0.0, ge=0.0)
 
 
-class Unit(UnitParameters):
+class Unit(UnitParameters, _Based):
     """A unit in a scenario: named, written out, or a base with changes."""
 
-    base: str | None = None
-
-    @model_validator(mode="before")
-    @classmethod
-    def _on_base(cls, given: Any) -> Any:
-        if not isinstance(given, dict) or not isinstance(given.get("base"), str):
-            return given
-        return _filled(given, load_unit(_known(given["base"], unit_names(), "unit")))
+    kind = "unit"
 
 
-class Scenario(StrictModel):
+class Scenario(_Based):
     """A scenario, complete: everything that `imumon.simulation.unit.SimulatedUnit` needs but the seed.
 
     Parameters
@@ -98,9 +168,10 @@ class Scenario(StrictModel):
         They give the earth rate and the specific force at rest.
     """
 
+    kind = "scenario"
+
     format: Literal["imumon-scenario/1"]
     title: str = ""
-    base: str | None = None
     unit: Unit
     rate_hz: float = Field(gt=0.0, le=10_000.0)
     duration_s: float = Field(gt=0.0, le=1e7)
@@ -114,14 +185,7 @@ class Scenario(StrictModel):
     @field_validator("unit", mode="before")
     @classmethod
     def _named_unit(cls, given: Any) -> Any:
-        return load_unit(_known(given, unit_names(), "unit")) if isinstance(given, str) else given
-
-    @model_validator(mode="before")
-    @classmethod
-    def _on_base(cls, given: Any) -> Any:
-        if not isinstance(given, dict) or not isinstance(given.get("base"), str):
-            return given
-        return _filled(given, load_scenario(_known(given["base"], scenario_names(), "scenario")))
+        return Unit.named(given) if isinstance(given, str) else given
 
     @property
     def samples(self) -> int:
@@ -133,101 +197,4 @@ class Scenario(StrictModel):
         return self.model_copy(update={"rate_hz": rate_hz, "axes": axes})
 
 
-class _Header(StrictModel, extra="ignore"):
-    """What tells whether a file may serve as a base."""
-
-    base: str | None = None
-
-
-def load_scenario(name: str | Path) -> Scenario:
-    """Read a scenario by its known name or the path of its file.
-
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG, naming file and line, what was found and what was expected.
-    """
-    path = _path(name, "scenarios", "scenario", scenario_names())
-    return _load(path, Scenario)
-
-
-def load_unit(name: str | Path) -> Unit:
-    """Read a unit by its known name or the path of its file.
-
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG, naming file and line, what was found and what was expected.
-    """
-    return _load(_path(name, "units", "unit", unit_names()), Unit)
-
-
-def scenario_names() -> list[str]:
-    """Return the names that `load_scenario` knows without a path."""
-    return _names("scenarios")
-
-
-def unit_names() -> list[str]:
-    """Return the names that `load_unit` knows without a path."""
-    return _names("units")
-
-
-Loaded = TypeVar("Loaded", Scenario, Unit)
-
-
-def _load(path: Path, model: type[Loaded]) -> Loaded:
-    text = read_text(path)
-    base = parse_yaml(text, _Header, str(path)).base
-    if base is not None:
-        _refuse_chain(_path(base, *_KINDS[model.__name__], _names(_KINDS[model.__name__][0])), base, path)
-    return parse_yaml(text, model, str(path))
-
-
-_KINDS = {"Scenario": ("scenarios", "scenario"), "Unit": ("units", "unit")}
-
-
-def _refuse_chain(base: Path, name: str, path: Path) -> None:
-    """Raise when a base has a base itself: a chain may be a circle, and is hard to read."""
-    if load_yaml(base, _Header).base is not None:
-        raise ImumonError(
-            Reason.BAD_CONFIG,
-            f"{path}: its base {name!r} has a base itself",
-            "name that one, and repeat the changes",
-        )
-
-
-def _filled(given: dict[str, Any], base: Scenario | Unit) -> dict[str, Any]:
-    """Return the keys given, and for those that are not the values of the base; complete, so without base."""
-    return {name: getattr(base, name) for name in type(base).model_fields} | given | {"base": None}
-
-
-def _known(name: str, names: Iterable[str], kind: str) -> str:
-    """Return the name; a ValueError, which becomes an error with file and line, when there is none such."""
-    if not _looks_like_path(name) and name not in names:
-        raise ValueError(f"no {kind} {name!r}; there are {', '.join(names)}, or give a path (NAME.yaml)")
-    return name
-
-
-def _path(name: str | Path, folder: str, kind: str, names: list[str]) -> Path:
-    if isinstance(name, Path) or _looks_like_path(name):
-        return Path(name)
-    if name not in names:
-        raise ImumonError(
-            Reason.BAD_CONFIG,
-            f"no {kind} {name!r}",
-            f"there are: {', '.join(names)}; or give the path of a file (NAME.yaml)",
-        )
-    return _folder(folder) / f"{name}.yaml"
-
-
-def _looks_like_path(name: str) -> bool:
-    return name.endswith((".yaml", ".yml")) or "/" in name
-
-
-def _names(folder: str) -> list[str]:
-    return sorted(path.stem for path in _folder(folder).glob("*.yaml"))
-
-
-def _folder(name: str) -> Path:
-    packaged = Path(__file__).resolve().parents[2] / "configs" / name
-    return packaged if packaged.is_dir() else Path(__file__).resolve().parents[3] / "configs" / name
+load_scenario, load_unit = Scenario.load, Unit.load

@@ -24,17 +24,17 @@ LATITUDE_DEG = 40.93
 
 @dataclass(frozen=True)
 class Truth:
-    """A unit: noise in SI units, flicker as the standard deviation of each of three processes, rad/s."""
+    """A unit: noise in SI units; flicker, of all axes or of each: sd of each of three processes, rad/s."""
 
     rate_hz: float = 100.0
     arw: float = ARW
     vrw: float = VRW
-    flicker: float = 2.0 * DPH
+    flicker: float | FloatArray = 2.0 * DPH
     walk: float = 0.0
     low_pass_hz: float | None = 30.0
 
 
-def markov(rng: np.random.Generator, n: int, dt: float, tau: float, sd: float) -> FloatArray:
+def markov(rng: np.random.Generator, n: int, dt: float, tau: float, sd: float | FloatArray) -> FloatArray:
     """Return a Gauss-Markov process, (n, 3)."""
     decay = math.exp(-dt / tau)
     drive = rng.normal(size=(n, 3)) * sd * math.sqrt(1.0 - decay * decay)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 from imumon.blocks import FloatArray
 from imumon.estimation.gyro_bias import bank as filters
 from imumon.estimation.gyro_bias.bank import AtRest, Bank
-from imumon.filters.kalman import Estimate
+from imumon.estimation.gyro_bias.steps import ROTATION, STATES, VELOCITY, WALK
 from imumon.published.dense_zupt import DenseSettings, dense_filter
 from tests.estimation.gyro_bias.records import ARW, DPH, VRW, Truth, local_earth, record
 
@@ -22,6 +23,17 @@ def still(rate: FloatArray, dt: float = 0.5, force: FloatArray = ZERO) -> AtRest
     return AtRest(dt, rate, ZERO, force, ARW**2 * ONE, 1e-20 * ONE, ZERO)
 
 
+def take(bank: Bank, slot: AtRest) -> None:
+    filters.integrate(bank, slot)
+    filters.take(bank, slot)
+
+
+def bias(bank: Bank) -> tuple[FloatArray, FloatArray]:
+    """Return bias and variance, (variants, 3) each, in the pose of the first rest."""
+    mean, covariance = filters.law(bank, bank.family)
+    return mean[..., 0], covariance[..., 0, 0]
+
+
 def test_with_white_noise_alone_it_is_the_mean_with_its_sigma() -> None:
     rng = np.random.default_rng(0)
     family = filters.known_family(ZERO, ZERO)
@@ -30,8 +42,8 @@ def test_with_white_noise_alone_it_is_the_mean_with_its_sigma() -> None:
     rates = rng.normal(size=(60, 3)) * ARW / math.sqrt(0.5)
     for rate in rates:
         filters.wander(bank, ARW * ONE, 0.5, ZERO, ZERO, ZERO)
-        filters.take(bank, filters.look(bank, still(rate)))
-    value, variance = filters.bias(bank, ZERO)
+        take(bank, still(rate))
+    value, variance = bias(bank)
     np.testing.assert_allclose(value[0], rates.mean(0), atol=0.01 * ARW / math.sqrt(30.0))
     np.testing.assert_allclose(np.sqrt(variance), ARW / math.sqrt(30.0), rtol=1e-3)
 
@@ -48,24 +60,24 @@ def test_level_the_three_axes_apart_are_the_dense_filter() -> None:
     bank = filters.start(family, 1, ARW * ONE)
     gravity = float(np.linalg.norm(accel[:100].mean(0)))
     # The accelerometer's bias is the same as a tilt, and its random walk as one of the rotation.
-    p = np.zeros((1, 3, 1, filters.STATES, filters.STATES))
+    p = np.zeros((1, 3, 1, STATES, STATES))
     tilt_sd = np.array([math.hypot(1e-3, 1e-4), math.hypot(1e-3, 1e-4), 1e-4])
-    p[0, :, 0, filters.ROTATION, filters.ROTATION] = tilt_sd**2
-    p[0, :2, 0, filters.VELOCITY, filters.VELOCITY] = (1e-3 / gravity) ** 2
-    p[..., filters.WALK, filters.WALK] = settings.bias_sd**2
-    bank.estimate = Estimate(np.zeros(p.shape[:-1]), p)
+    p[0, :, 0, ROTATION, ROTATION] = tilt_sd**2
+    p[0, :2, 0, VELOCITY, VELOCITY] = (1e-3 / gravity) ** 2
+    p[..., WALK, WALK] = settings.bias_sd**2
+    bank.mean, bank.covariance = np.zeros(p.shape[:-1]), p
     level = np.array([1.0, 1.0, 0.0])
     still2 = level * (1e-3 / gravity) ** 2
     tilt2 = np.array([(VRW / gravity) ** 2, (VRW / gravity) ** 2, 1e-4**2 * dt])
     up = np.array([0.0, 0.0, -1.0])
     tilt, rate = np.cross(accel / gravity - up, up), gyro - local_earth()
-    bias, variance = np.empty((len(gyro), 3)), np.empty((len(gyro), 3))
+    found, variance = np.empty((len(gyro), 3)), np.empty((len(gyro), 3))
     for k in range(len(gyro)):
         filters.wander(bank, ARW * ONE, dt, ZERO, ZERO, ZERO)
         slot = AtRest(dt, rate[k], tilt[k], ZERO, ARW**2 + level * 1e-12, tilt2, still2)
-        filters.take(bank, filters.look(bank, slot))
-        (bias[k],), (variance[k],) = filters.bias(bank, ZERO)
-    off = np.abs(bias - dense.bias).max(0) / DPH
+        take(bank, slot)
+        (found[k],), (variance[k],) = bias(bank)
+    off = np.abs(found - dense.bias).max(0) / DPH
     assert off[:2].max() < 0.002
     # Here the heading is held over a sample, there at its end.
     assert off[2] < 0.02
@@ -75,20 +87,20 @@ def test_level_the_three_axes_apart_are_the_dense_filter() -> None:
 def random_bank(rng: np.random.Generator, family: filters.Family) -> Bank:
     """Return a bank with any states, covariances and weights."""
     shape = (1, 3, family.filters)
-    root = rng.normal(size=(*shape, filters.STATES, filters.STATES))
+    root = rng.normal(size=(*shape, STATES, STATES))
     weight = rng.random(shape)
-    estimate = Estimate(rng.normal(size=(*shape, filters.STATES)), root @ np.swapaxes(root, -1, -2))
-    return Bank(family, estimate, weight / weight.sum(-1, keepdims=True))
+    mean, covariance = rng.normal(size=(*shape, STATES)), root @ np.swapaxes(root, -1, -2)
+    return Bank(family, mean, covariance, weight / weight.sum(-1, keepdims=True))
 
 
 def test_mixing_is_that_of_the_interacting_multiple_model_within_each_group() -> None:
     family = filters.unknown_family(np.array([1e-6, 1e-4]))
     bank = random_bank(np.random.default_rng(1), family)
-    before = Bank(family, bank.estimate, bank.weight)
+    before = copy.deepcopy(bank)
     filters.mix(bank, 600.0)
     n, stay = len(family.prior), math.exp(-600.0 / filters.DWELL_S)
     switch = np.kron(np.eye(2), stay * np.eye(n) + (1.0 - stay) * family.prior)
-    weight, (x, p) = before.weight[0, 1], before.estimate
+    weight, x, p = before.weight[0, 1], before.mean, before.covariance
     after = weight @ switch
     np.testing.assert_allclose(bank.weight[0, 1], after, rtol=1e-12)
     for j in (0, 9):
@@ -96,8 +108,8 @@ def test_mixing_is_that_of_the_interacting_multiple_model_within_each_group() ->
         mean = share @ x[0, 1]
         off = x[0, 1] - mean
         cover = np.einsum("h,hij->ij", share, p[0, 1] + off[:, :, np.newaxis] * off[:, np.newaxis, :])
-        np.testing.assert_allclose(bank.estimate.mean[0, 1, j], mean, rtol=1e-9)
-        np.testing.assert_allclose(bank.estimate.covariance[0, 1, j], cover, rtol=1e-9)
+        np.testing.assert_allclose(bank.mean[0, 1, j], mean, rtol=1e-9)
+        np.testing.assert_allclose(bank.covariance[0, 1, j], cover, rtol=1e-9)
 
 
 @pytest.mark.parametrize("truth", [0.0, 0.02])
@@ -112,7 +124,7 @@ def test_a_sensitivity_to_the_specific_force_is_learned_from_poses(truth: float)
         for _ in range(60):
             rate = per_g * (force @ [[0, 1, 0], [0, 0, 1], [1, 0, 0]]) + rng.normal(size=3) * ARW * 1.4
             filters.wander(bank, ARW * ONE, 0.5, ZERO, ZERO, ZERO)
-            filters.take(bank, filters.look(bank, still(rate, force=force - forces[0])))
+            take(bank, still(rate, force=force - forces[0]))
     found = filters.sensitivity(bank)[0]
     expected = per_g * np.array([[0, 0, 1], [1, 0, 0], [0, 1, 0]])
     np.testing.assert_allclose(found, expected, atol=5.0 * DPH / 9.81)

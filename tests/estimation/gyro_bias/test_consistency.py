@@ -1,4 +1,4 @@
-"""What is claimed is true: errors and innovations over their sigmas, 50 runs, flicker noise in the truth."""
+"""What is claimed is true: errors and innovations over their sigmas, flicker noise in the truth."""
 
 from __future__ import annotations
 
@@ -20,8 +20,6 @@ from tests.estimation.gyro_bias.records import (
     with_rest,
 )
 
-pytestmark = pytest.mark.timeout(900)
-"""Fifty runs of ten minutes take half a minute of CPU, and longer where others work."""
 RUNS = 50
 AT_S = (30.0, 60.0, 120.0, 240.0, 420.0, 599.0)
 INSTABILITY = 0.776 / 0.664
@@ -57,13 +55,17 @@ def test_with_known_noise_errors_and_innovations_are_within_chi_square_bounds() 
     assert np.abs(lagged).max() < 4.0 / np.sqrt(len(innovations))
 
 
-@pytest.mark.parametrize(("flicker", "least", "most"), [(1.0, 0.2, 1.22), (2.0, 0.4, 1.22), (5.0, 0.6, 1.6)])
-def test_with_nothing_known_the_claim_is_careful_not_bold(flicker: float, least: float, most: float) -> None:
-    errors, innovations = runs(Truth(rate_hz=10.0, flicker=flicker * DPH, low_pass_hz=None), None)
-    squares = np.mean(errors**2, axis=(0, 2))
-    assert least < squares.min() <= squares.max() < most
+def test_with_nothing_known_the_claim_is_careful_not_bold() -> None:
+    """The axes wander differently: each has its own bounds."""
+    flicker = np.array([1.0, 2.0, 5.0]) * DPH
+    errors, innovations = runs(Truth(rate_hz=10.0, flicker=flicker, low_pass_hz=None), None)
+    squares = np.mean(errors**2, axis=0)
+    assert (squares.min(0) > [0.2, 0.4, 0.6]).all()
+    most = np.array([1.22, 1.22, 1.6])
+    assert (squares.mean(0) < most).all()
+    assert (squares.max(0) < most * chi2.ppf(0.99, RUNS) / RUNS).all()
     assert np.mean(np.abs(errors) < 2.0) > 0.9
-    assert np.mean(innovations**2) == pytest.approx(1.0, abs=0.03)
+    assert np.mean(innovations**2, axis=0) == pytest.approx(np.ones(3), abs=0.03)
 
 
 def test_without_a_model_the_claim_holds_while_it_moves_and_warms_up() -> None:

@@ -116,6 +116,22 @@ def test_a_jump_makes_the_sigma_wide_at_once_and_is_believed_in_the_end(gap_s: f
     assert any("jumped" in text for text in stage.notices())
 
 
+def test_what_was_a_turn_or_a_change_of_the_bias_is_learned_once_it_is_rest() -> None:
+    block, bias = record(TRUTH, 240.0, 3)
+    t = np.arange(len(block)) / RATE_HZ
+    jump = np.where(t > 120.0, math.radians(0.3), 0.0)
+    undecided = (t > 120.0) & (t < 135.0)
+    columns = {
+        "gyro_x": block["gyro_x"] + jump,
+        "at_rest": 1 - undecided,
+        **{f"turn_hypothesis_{axis}": undecided * jump * (axis == "x") for axis in "xyz"},
+    }
+    added = GyroBias().process(block.with_columns(columns))
+    error = added["gyro_bias_x"] - bias[:, 0] - jump
+    assert np.abs(error / added["gyro_bias_sd_x"])[t > 125.0].max() < 5.0
+    assert np.abs(error[t > 145.0]).max() < 15.0 * DPH
+
+
 def test_a_turn_of_half_a_minute_that_nobody_noticed_is_not_learned() -> None:
     block, bias = record(TRUTH, 300.0, 4)
     t = np.arange(len(block)) / RATE_HZ

@@ -169,7 +169,9 @@ def test_a_turn_keeps_the_bias_and_turns_the_earth_rate() -> None:
     moving[np.flatnonzero(moving)[0]] = False
     # What was taken for flicker of 10 s dies away meanwhile.
     assert np.ptp(vector(added)[moving], axis=0).max() < 0.2 * DPH
-    assert (np.diff(sd[moving][:, 0]) >= 0.0).all()
+    by_the_second = sd[moving][: 29 * 20, 0].reshape(-1, 20).mean(1)
+    assert (np.diff(by_the_second) > -0.02 * by_the_second[1:]).all()
+    assert by_the_second[-1] > 1.2 * by_the_second[0]
     assert sd[moving][-1, 0] > sd[moving][0, 0]
     assert np.abs(off[-1]).max() / DPH < 1.0
     corrected = vector(added, "gyro_corrected")
@@ -293,5 +295,5 @@ def test_what_the_rest_detector_has_not_decided_is_in_the_sigma() -> None:
     for axis in "xyz":
         np.testing.assert_array_equal(widened[f"gyro_bias_{axis}"], without[f"gyro_bias_{axis}"])
     expected = np.hypot(without["gyro_bias_sd_z"], undecided)
-    np.testing.assert_array_equal(widened["gyro_bias_sd_z"], expected)
+    np.testing.assert_allclose(widened["gyro_bias_sd_z"], expected, rtol=1e-12)
     np.testing.assert_array_equal(widened["gyro_bias_sd_x"], without["gyro_bias_sd_x"])

@@ -184,7 +184,7 @@ def test_after_a_gap_and_after_a_restart_rest_is_found_anew() -> None:
     assert np.all(rest[2150:] == 1)
     t, gyro, accel = noise(40.0)
     rest = detect(block(np.where(t < 20.0, t, t + 60.0), gyro, accel))
-    assert not np.any(rest[2000:2090])
+    assert not np.any(rest[2000:2025])
     assert np.all(rest[2150:] == 1)
 
 

@@ -114,7 +114,7 @@ def test_a_slow_tilt_to_and_fro_is_hardly_ever_rest() -> None:
     accel[:, 1] -= GRAVITY * np.sin(angle)
     rest = found(block(t, gyro, accel))[1]
     assert rest[(t > 5.0) & (t < 100.0)].all()
-    assert rest[t > 100.0].mean() < 0.02
+    assert rest[t > 100.0].mean() < 0.03
 
 
 def test_road_vibration_is_no_rest_and_an_idling_engine_is() -> None:

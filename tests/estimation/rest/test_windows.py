@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from imumon.blocks import FloatArray
-from imumon.estimation.rest.state import CAPACITY, LEVELS, Slot, State
+from imumon.estimation.rest.state import CAPACITY, LEVELS, State, empty_slots
 from imumon.estimation.rest.trial import look, second_differences
 from imumon.estimation.rest.windows import seen, vibration_factor
 from tests.estimation.rest.scenes import block, detect, noise
@@ -24,22 +24,24 @@ def _empty_windows() -> Iterator[None]:
         yield
 
 
-def slots(means: FloatArray, samples: int = 12) -> list[Slot]:
+def slots(means: FloatArray, samples: int = 12) -> Any:
     """Return slots of samples of these means, (n, 6), an eighth of a second each."""
-    count, within = np.full(6, float(samples)), samples * SD**2
-    return [
-        Slot(0.125 * k, 0.125 * (k + 1), count, mean, within, mean, mean, mean, mean, np.full(3, np.nan))
-        for k, mean in enumerate(means)
-    ]
+    made: Any = empty_slots(len(means))
+    made["start_s"], made["end_s"] = 0.125 * np.arange(len(means)), 0.125 * np.arange(1, len(means) + 1)
+    made["samples"], made["within"], made["reference"] = samples, samples * SD**2, np.nan
+    for name in ("average", "smallest", "largest", "first", "last"):
+        made[name] = means
+    return made
 
 
 def resting() -> State:
     """Return the state of a unit whose noise is known and white."""
     state = State(at_rest=True)
-    state.known[:] = True
-    state.sample_variance = 12 * SD**2
-    state.variance[:] = SD**2 / 2.0 ** np.arange(LEVELS)[:, np.newaxis]
-    state.step[:] = 0.0
+    windows = state.windows
+    windows.known[:], windows.step[:] = True, 0.0
+    windows.sample_variance[:] = 12 * SD**2
+    windows.variance[:] = SD**2 / 2.0 ** np.arange(LEVELS)[:, np.newaxis]
+    windows.low[:], windows.high[:] = -np.inf, np.inf
     return state
 
 
@@ -47,11 +49,13 @@ def test_the_means_of_any_window_are_those_of_its_samples_though_the_history_is_
     rng = np.random.default_rng(0)
     means, state = rng.normal(size=(2 * CAPACITY, 6)), State()
     counts = rng.integers(0, 4, (2 * CAPACITY, 6)).astype(np.float64)
-    for slot, count in zip(slots(means), counts, strict=True):
-        state.add(replace(slot, count=count))
-    n = state.history.length
+    taken = slots(means)
+    taken["samples"] = counts
+    for k in range(len(taken)):
+        seen(state, taken, k, DRIFT)
+    n = state.length
     for length in (1, 7, 128):
-        got = state.history.means(np.array([n - length, n - 2 * length]))[0]
+        got = state.means(np.array([n - length, n - 2 * length]))[0]
         part = slice(len(means) - 2 * length, len(means) - length)
         total = counts[part].sum(0)
         expected = (means[part] * counts[part]).sum(0) / np.where(total > 0, total, np.nan)
@@ -60,12 +64,12 @@ def test_the_means_of_any_window_are_those_of_its_samples_though_the_history_is_
 
 def test_variances_of_windows_of_all_lengths_are_learnt_from_white_noise() -> None:
     state, rng = resting(), np.random.default_rng(1)
-    state.variance *= 3.0
-    state.gain[:] = 0.2
-    for slot in slots(SD * rng.standard_normal((20_000, 6))):
-        state.add(slot)
-        seen(state, slot, DRIFT, spike=False)
-    ratio = (state.variance / SD**2).mean(1) * 2.0 ** np.arange(LEVELS)
+    state.windows.variance[:] *= 3.0
+    state.windows.gain[:] = 0.2
+    taken = slots(SD * rng.standard_normal((20_000, 6)))
+    for k in range(len(taken)):
+        seen(state, taken, k, DRIFT)
+    ratio = (state.windows.variance / SD**2).mean(1) * 2.0 ** np.arange(LEVELS)
     assert ratio[:5] == pytest.approx(1.0, abs=0.35)
 
 
@@ -76,10 +80,11 @@ def test_a_step_shows_in_the_windows_that_are_long_enough_and_in_no_others() -> 
     means = np.zeros((64, 6))
     means[48:, 0] = 3.0 * SD[0]
     found = []
-    for slot in slots(means):
-        state.add(slot)
-        found.append(seen(state, slot, np.zeros(6), spike=False))
-        state.variance[:] = SD**2 / 2.0 ** np.arange(LEVELS)[:, np.newaxis]
+    taken = slots(means)
+    for k in range(len(taken)):
+        found.append(seen(state, taken, k, np.zeros(6)))
+        state.windows.low[:], state.windows.high[:] = -np.inf, np.inf
+        state.windows.variance[:] = SD**2 / 2.0 ** np.arange(LEVELS)[:, np.newaxis]
     first = next(k for k, motion in enumerate(found) if motion)
     motion = found[first]
     assert motion is not None
@@ -103,25 +108,27 @@ def test_second_differences_are_those_of_means_of_all_windows() -> None:
 
 @pytest.mark.parametrize("slope", [0.0, 1.0])
 def test_a_trial_finds_the_noise_and_lets_a_permitted_drift_pass(slope: float) -> None:
-    rng, of_1, of_8, rests = np.random.default_rng(3), [], [], []
+    rng, of_1, of_8 = np.random.default_rng(3), [], []
     for _ in range(100):
-        state = State(step=np.zeros(6))
-        for slot in slots(SD * rng.standard_normal((32, 6)) + slope * np.outer(np.arange(32) / 8, DRIFT)):
-            state.add(slot)
+        state = State()
+        state.windows.step[:] = 0.0
+        taken = slots(SD * rng.standard_normal((32, 6)) + slope * np.outer(np.arange(32) / 8, DRIFT))
+        for k in range(len(taken)):
+            seen(state, taken, k, DRIFT)
         noise = look(state, DRIFT)
-        of_1.append(noise.of_1 / SD**2)
-        of_8.append(8 * noise.of_8 / SD**2)
-        rests.append(noise.rests)
+        if noise is not None:
+            of_1.append(noise.of_1 / SD**2)
+            of_8.append(8 * noise.of_8 / SD**2)
     assert np.mean(of_1) == pytest.approx(1.0, abs=0.03)
     assert np.mean(of_8) == pytest.approx(1.0, abs=0.1)
-    assert np.mean(rests) > 0.9
+    assert len(of_1) > 90
 
 
 def test_the_variance_of_resting_samples_is_below_the_limit_of_vibration() -> None:
     rng = np.random.default_rng(4)
     for count in (3, 12, 125):
         variances = rng.standard_normal((20_000, count)).var(1, ddof=1)
-        assert variances.max() < vibration_factor(np.array(float(count)))
+        assert variances.max() < vibration_factor(float(count))
 
 
 def test_false_alarms_are_rare_whatever_the_rate() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -13,7 +15,6 @@ from imumon.estimation.watch.parameters import WatchParameters
 from imumon.estimation.watch.stage import ModelWatch
 from imumon.models.curves.polynomial import PolynomialCurve
 from imumon.models.model import BiasModel, ChannelModel
-from imumon.pipeline import Estimator
 from imumon.simulation.unit import SimulatedUnit, load_scenario
 from imumon.simulation.unit.curves import curve_value
 from imumon.simulation.unit.scenario import Scenario
@@ -38,7 +39,7 @@ def _three(values: FloatArray) -> FloatArray:
 def alarm(
     seconds: FloatArray, innovation: FloatArray, temperature: FloatArray, rate: FloatArray, hours: float
 ) -> int:
-    return evidence.watch(evidence.State(), seconds, innovation, temperature, rate, evidence.limit(hours))
+    return evidence.watch(evidence.begin(), seconds, innovation, temperature, rate, evidence.limit(hours))
 
 
 def highest_sum(gains: FloatArray) -> float:
@@ -53,7 +54,7 @@ def test_the_evidence_is_the_largest_sum_of_logarithms_of_e_factors() -> None:
     rate[300:] = np.nan
     innovation[:, 1] += 0.5
     innovation[700:720] *= 9.0
-    state = evidence.State()
+    state = evidence.begin()
     evidence.watch(state, seconds, innovation, temperature, rate, 1e9)
     v = np.clip(innovation, -evidence.CLIP, evidence.CLIP)[evidence.LEARNING :, 1]
     past = np.clip(
@@ -75,7 +76,7 @@ def test_a_pause_forgets_the_extremes_of_the_temperature() -> None:
     seconds[200:] += 4 * evidence.SCALE_S
     temperature[:200] += 100.0 * np.sin(seconds[:200, np.newaxis])
     temperature[200:], rate[:] = 25.0, 0.0
-    state = evidence.State()
+    state = evidence.begin()
     evidence.watch(state, seconds, innovation, temperature, rate, 1e9)
     assert state.scale[:, : evidence.RATE] == pytest.approx(100.0 * np.exp(-4.0), rel=0.5)
     assert state.scale[:, evidence.RATE :] == pytest.approx(evidence.LEAST_RATE)
@@ -172,18 +173,21 @@ def true_model() -> BiasModel:
     return BiasModel(made_by="a test", created="2026-01-01T00:00:00Z", channels=channels)
 
 
-def watched(gyro_lag_s: float, size: int, seed: int = 1) -> tuple[ModelWatch, SampleBlock]:
-    sent, _ = SimulatedUnit(scenario(gyro_lag_s), seed=seed).run(1800 * 20)
+@cache
+def followed(gyro_lag_s: float) -> SampleBlock:
+    """Return what the stages before the watch say of a unit."""
+    sent, _ = SimulatedUnit(scenario(gyro_lag_s), seed=1).run(1800 * 20)
     sent = sent.with_columns({"at_rest": np.ones(len(sent), np.int64)})
-    watch = ModelWatch(modelled=True)
-    stages: list[Estimator] = [TemperatureRate(), GyroBias(model=true_model(), mode="thermal"), watch]
-    suspect = []
-    for at in range(0, len(sent), size):
-        part = sent.rows(at, min(at + size, len(sent)))
-        for stage in stages:
-            part = part.with_columns(stage.process(part))
-        suspect.append(part["model_suspect"])
-    return watch, sent.with_columns({"model_suspect": np.concatenate(suspect)})
+    for stage in (TemperatureRate(), GyroBias(model=true_model(), mode="thermal")):
+        sent = sent.with_columns(stage.process(sent))
+    return sent
+
+
+def watched(gyro_lag_s: float, size: int) -> tuple[ModelWatch, FloatArray]:
+    """Return a watch that has seen a unit in blocks of this size, and what it said."""
+    watch, sent = ModelWatch(modelled=True), followed(gyro_lag_s)
+    parts = [sent.rows(at, min(at + size, len(sent))) for at in range(0, len(sent), size)]
+    return watch, np.concatenate([watch.process(part)["model_suspect"] for part in parts])
 
 
 def test_a_unit_that_is_as_its_model_says_is_not_suspected() -> None:
@@ -198,8 +202,8 @@ def test_a_lag_that_the_model_lacks_is_suspected_whatever_the_blocks() -> None:
     (said,) = watch.notices()
     assert "thermal_lag" in said
     assert "imumon diagnose --train SESSION" in said
-    _, parts = watched(60.0, 777)
-    np.testing.assert_array_equal(whole["model_suspect"], parts["model_suspect"])
+    np.testing.assert_array_equal(whole, watched(60.0, 777)[1])
+    np.testing.assert_array_equal(whole, watched(60.0, 9)[1])
 
 
 def test_rarer_false_alarms_take_more_evidence() -> None:

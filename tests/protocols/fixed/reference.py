@@ -65,12 +65,10 @@ def _judge(device: FixedDevice, piece: bytes, sync: bytes) -> str:
     check = make_checksum(packet.checksum.type)
     buf = np.frombuffer(piece, np.uint8)
     first, stop = packet.checksum.first, packet.checksum.last + 1
-    computed = int(
-        checksum(check.code, buf, first, stop, check.table, check.initial, check.final_xor, check.shift)
-    )
+    computed = int(checksum(check, buf, first, stop))
     at = packet.checksum.at
     order = packet.checksum.byte_order or packet.byte_order
-    return "good" if computed == int.from_bytes(piece[at : at + check.size], order) else "checksum"
+    return "good" if computed == int.from_bytes(piece[at : at + check.width], order) else "checksum"
 
 
 def _fields(device: FixedDevice, piece: bytes) -> dict[str, float | int]:

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from imumon.blocks import SampleBlock
 from imumon.errors import ImumonError, Reason
 from imumon.protocols.device import device_text, load_device, parse_device
-from imumon.protocols.tagged_encoder import xbus_message
 from imumon.protocols.tagged_kernel import FIXED, XBUS
 from imumon.protocols.xsens.messages import MTDATA
 from imumon.protocols.xsens.mtdata import MTDataDecoder, MTDataDevice, MTDataEncoder
@@ -24,7 +23,7 @@ from imumon.protocols.xsens.profile import (
     profile_lines,
     profiles_of_length,
 )
-from tests.protocols.streams import chunkings, damage, feed_in_chunks
+from tests.protocols.streams import chunkings, damage, feed_in_chunks, xbus_message
 from tests.protocols.tagged_twin import assert_same, decode_plainly
 
 USUAL = Profile(output_mode=["temperature", "calibrated", "orientation"])

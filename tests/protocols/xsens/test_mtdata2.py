@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from imumon.blocks import NO_INT, SampleBlock
 from imumon.errors import ImumonError, Reason
-from imumon.protocols.base import CAPACITY, ByteArray
+from imumon.protocols.base import CAPACITY
 from imumon.protocols.device import load_device
-from imumon.protocols.tagged_encoder import xbus_message
+from imumon.protocols.stream import ByteArray
 from imumon.protocols.tagged_kernel import LIST, XBUS
 from imumon.protocols.xsens.fields import DEGREE, IDENTIFIERS, MTDATA2_FIELDS, PRECISIONS, Identifier
 from imumon.protocols.xsens.messages import MTDATA, MTDATA2
@@ -24,7 +24,7 @@ from imumon.protocols.xsens.mtdata2 import (
     Precision,
 )
 from tests.data_folder import measured
-from tests.protocols.streams import check_books, chunkings, damage, feed_in_chunks
+from tests.protocols.streams import check_books, chunkings, damage, feed_in_chunks, xbus_message
 from tests.protocols.tagged_twin import assert_same, decode_plainly
 from tests.protocols.xsens.golden import read_golden
 
@@ -379,17 +379,6 @@ def test_more_rows_than_the_preallocated_columns_hold() -> None:
     decoder = MTData2Decoder()
     decoder.feed(stream(n, names=["PacketCounter"]), 1)
     assert decoder.take()["packet_counter"].tolist() == list(range(n))
-    decoder.feed(stream(n, names=["PacketCounter"]), 1)
-    decoder.discard()
-    assert len(decoder.take()) == 0
-
-
-def test_discarded_values_do_not_show_in_later_rows() -> None:
-    decoder = MTData2Decoder()
-    decoder.feed(stream(3, names=["PacketCounter", "Temperature"]), 1)
-    decoder.discard()
-    decoder.feed(stream(3, names=["PacketCounter"]), 1)
-    assert np.all(np.isnan(decoder.take()["temperature"]))
 
 
 @pytest.mark.parametrize("kind", [bytes, bytearray, memoryview])

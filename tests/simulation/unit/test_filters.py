@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imumon.simulation.unit.filters import LowPass
+from imumon.simulation.unit.unit import LowPass
 
 
 def test_the_low_pass_lets_0_770_of_the_standard_deviation_through_at_100_hz() -> None:

@@ -13,7 +13,7 @@ from imumon.protocols.device import load_device
 from imumon.simulation.unit import SimulatedUnit, load_scenario, load_unit
 from imumon.simulation.unit.curves import axis_values
 from imumon.simulation.unit.parameters import UnitParameters
-from imumon.simulation.unit.scenario import Scenario, scenario_names, unit_names
+from imumon.simulation.unit.scenario import Scenario, Unit
 
 GOOD = """\
 format: imumon-scenario/1
@@ -35,7 +35,7 @@ def refusal(path: Path, text: str) -> str:
     return caught.value.seen
 
 
-@pytest.mark.parametrize("name", scenario_names())
+@pytest.mark.parametrize("name", Scenario.names())
 def test_every_scenario_that_comes_along_runs_and_fits_into_packets(name: str) -> None:
     plan = load_scenario(name)
     assert plan.title
@@ -43,7 +43,7 @@ def test_every_scenario_that_comes_along_runs_and_fits_into_packets(name: str) -
     assert len(load_device("ax1").encoder().encode(unit.samples(50))) == 50
 
 
-@pytest.mark.parametrize("name", unit_names())
+@pytest.mark.parametrize("name", Unit.names())
 def test_every_unit_that_comes_along_loads(name: str) -> None:
     assert load_unit(name).title
 
@@ -138,7 +138,7 @@ def test_the_example_in_the_documentation_is_a_scenario(tmp_path: Path) -> None:
 def test_the_documentation_names_every_scenario_unit_and_key() -> None:
     text = DOCUMENT.read_text(encoding="utf-8")
     keys = set(UnitParameters.model_fields) - {"format", "title"}
-    assert [name for name in (*scenario_names(), *unit_names(), *keys) if f"`{name}`" not in text] == []
+    assert [name for name in (*Scenario.names(), *Unit.names(), *keys) if f"`{name}`" not in text] == []
 
 
 def test_the_loop_of_crs05_is_one_and_a_half_percent_of_the_span() -> None:

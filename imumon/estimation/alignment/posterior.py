@@ -1,0 +1,180 @@
+"""The heading from all poses: mean and standard deviation over what cannot be known.
+
+The hypotheses of `fit` are weighed by their probability, and so is the size of the gyros' bias: what the
+vertical gyro shows beyond Ω sin L, and the horizontal ones beyond the length Ω cos L, tell of it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from imumon.blocks import FloatArray
+from imumon.estimation.alignment.fit import FINEST, PoseFit, prior
+from imumon.geodesy import EARTH_RATE
+
+ROUNDS = 4
+"""Gauss-Newton steps to the heading."""
+FLAT = 1e-3
+"""1/rad²: what is flatter knows no heading, and rounding may have made it so."""
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where the unit is, and what its gyros may be wrong by.
+
+    Parameters
+    ----------
+    latitude : float
+        rad.
+    bias_sds : array, (s,)
+        Standard deviations of a gyro's bias that are thought of, rad/s.
+    bias_log_prior : array, (s,)
+    flicker : float
+        Standard deviation by which a bias changes from pose to pose, rad/s.
+    level_sd : float
+        Standard deviation of an accelerometer's bias, in g.
+    """
+
+    latitude: float
+    bias_sds: FloatArray
+    bias_log_prior: FloatArray
+    flicker: float
+    level_sd: float
+
+
+@dataclass(frozen=True, slots=True)
+class Heading:
+    """The posterior.
+
+    Parameters
+    ----------
+    north : float
+        Direction of north in the frame of the first pose, rad from its forward to its left.
+    sd : float
+        rad.
+    bias_sd : float
+        Posterior root mean square of a horizontal gyro's bias that the poses do not cancel, rad/s.
+    supposed_sd : float
+        Posterior root mean square of the size of the bias, rad/s.
+    tilting : float
+        Probability that the unit tilts.
+    noise_sd : float
+        What white noise alone leaves, rad.
+    """
+
+    north: float
+    sd: float
+    bias_sd: float
+    supposed_sd: float
+    tilting: float
+    noise_sd: float
+
+
+def heading(
+    fits: Sequence[PoseFit], attitudes: Sequence[FloatArray], turn_variances: FloatArray, place: Place
+) -> Heading:
+    """Return the direction of north.
+
+    Parameters
+    ----------
+    fits : sequence of PoseFit, (p,)
+    attitudes : sequence of array (3, 3)
+        Body axes to the frame of the first pose, level as in that pose.
+    turn_variances : array, (p,)
+        Of their angles about the vertical, rad².
+    """
+    poses, level = len(fits), EARTH_RATE * math.cos(place.latitude)
+    values = np.stack([fit.mean for fit in fits], 1)  # (h, p)
+    common = FINEST**2 + place.flicker**2
+    spread = np.stack([fit.variance for fit in fits], 1) + common + level**2 * turn_variances
+    seen = np.concatenate(
+        [values.real, values.imag, np.tile([fit.vertical for fit in fits], (len(values), 1))], 1
+    )
+    vertical = np.array([fit.vertical_variance for fit in fits]) + common
+    noise = np.concatenate([spread, spread, np.tile(vertical, (len(values), 1))], 1)
+    by_bias = np.concatenate([np.stack([matrix[axis] for matrix in attitudes]) for axis in range(3)])
+    upward = np.r_[np.zeros(2 * poses), np.full(poses, EARTH_RATE * math.sin(place.latitude))]
+    by_north = np.zeros((3 * poses, 2))
+    by_north[:poses, 0] = by_north[poses : 2 * poses, 1] = level
+    offered = np.zeros((*seen.shape, 3))
+    offered[..., 0], offered[..., 1:] = seen - upward, -by_north
+    forms, log_determinant = _without_bias(offered, noise, by_bias, place.bias_sds)
+    start = math.atan2(*(float(x) for x in _first_guess(seen[0], noise[0], poses)))
+    angle, misfit, curvature = _closest(forms, start)
+    log_weight = np.sum([fit.log_evidence for fit in fits], 0) + prior()
+    logs = log_weight[:, None] + place.bias_log_prior - 0.5 * misfit
+    logs -= 0.5 * log_determinant + 0.5 * np.log(curvature)
+    probability = np.exp(logs - logs.max())
+    probability /= probability.sum()
+    centre = float(np.angle(np.sum(probability * np.exp(1j * angle))))
+    off = np.remainder(angle - centre + math.pi, 2.0 * math.pi) - math.pi
+    variance = float(np.sum(probability * (1.0 / curvature + off**2)))
+    turned = (place.level_sd * math.tan(place.latitude)) ** 2 if abs(place.latitude) < 1.5 else math.inf
+    white = 1.0 / float(np.sum(1.0 / spread[0])) / level**2
+    by_size = probability.sum(0)
+    supposed = math.sqrt(float(by_size @ place.bias_sds**2))
+    left_over = max(float(by_size @ (1.0 / curvature[0])) - white, 0.0)
+    return Heading(
+        centre,
+        min(math.sqrt(variance + turned), math.pi / math.sqrt(3.0)),
+        math.sqrt(left_over) * level,
+        supposed,
+        1.0 - float(probability[0].sum()),
+        math.sqrt(white),
+    )
+
+
+def _without_bias(
+    columns: FloatArray, noise: FloatArray, by_bias: FloatArray, sizes: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return products of columns, weighted by noise and a bias of each size, and that log determinant.
+
+    The covariance is D + s² A Aᵀ.  Its inverse is of rank three beside that of D (Woodbury), and in the axes
+    in which Aᵀ D⁻¹ A is diagonal, all sizes s cost one decomposition.
+
+    Parameters
+    ----------
+    columns : array, (h, n, 3)
+    noise : array, (h, n)
+        Diagonal of D.
+    by_bias : array, (n, 3)
+        A.
+    sizes : array, (s,)
+
+    Returns
+    -------
+    array, (h, s, 3, 3), and array, (h, s)
+    """
+    weighted = columns / noise[..., None]
+    own = weighted.transpose(0, 2, 1) @ columns
+    values, vectors = np.linalg.eigh((by_bias.T[None] / noise[:, None]) @ by_bias)
+    shared = vectors.transpose(0, 2, 1) @ (by_bias.T @ weighted)  # (h, 3, 3)
+    across = shared.transpose(0, 2, 1)
+    grown = 1.0 + sizes[:, None] ** 2 * values[:, None]  # (h, s, 3)
+    # What a bias of any size would leave, and what is left more because its size is limited.
+    unlimited = own - across @ (shared / values[..., None])
+    forms = unlimited[:, None] + across[:, None] @ (shared[:, None] / (grown * values[:, None])[..., None])
+    return forms, np.log(grown).sum(-1) + np.log(noise).sum(1)[:, None]
+
+
+def _closest(forms: FloatArray, start: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return where (1, cos a, sin a) makes each form least, (h, s): a, the form, and its curvature."""
+    constant, by_cos, by_sin = forms[..., 0, 0], forms[..., 0, 1], forms[..., 0, 2]
+    cos_cos, cos_sin, sin_sin = forms[..., 1, 1], forms[..., 1, 2], forms[..., 2, 2]
+    angle = np.full(constant.shape, start)
+    for _ in range(ROUNDS):
+        c, s = np.cos(angle), np.sin(angle)
+        along, across = by_cos + cos_cos * c + cos_sin * s, by_sin + cos_sin * c + sin_sin * s
+        curvature = np.maximum(cos_cos * s**2 - 2.0 * cos_sin * s * c + sin_sin * c**2, FLAT)
+        angle = angle + np.clip((s * along - c * across) / curvature, -0.5, 0.5)
+    return angle, constant + (by_cos + along) * c + (by_sin + across) * s, curvature
+
+
+def _first_guess(seen: FloatArray, noise: FloatArray, poses: int) -> tuple[float, float]:
+    """Return left and forward part of the mean of the poses."""
+    weight = 1.0 / noise[:poses]
+    return float(weight @ seen[poses : 2 * poses]), float(weight @ seen[:poses])

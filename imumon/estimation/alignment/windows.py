@@ -1,0 +1,138 @@
+"""Means of a record under windows with smooth edges, of which the sharpest that the noise allows are taken.
+
+The angle of a swaying unit is bounded.  Its rate therefore falls out of a mean whose weights begin and end
+gradually, and it stays in one whose weights jump.  White noise is weighed best by weights that jump.  So the
+record is cut into some dozens of overlapping Hann windows, which add up to weights that are flat but for
+their ends, of several lengths; how the means of the windows scatter tells how good each length is, whatever
+it is that sways.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from imumon.blocks import FloatArray
+
+CELLS, STEP = 160, 4
+"""A record is first reduced to so many cells at most, and to a multiple of the step."""
+ROWS = 40
+"""Windows in a set at the most; more neighbours are added up.  Products of such matrices are small enough for
+BLAS not to wake other threads, which would cost more than the product."""
+LEAST_ROWS = 6
+"""The scatter of fewer means tells nothing: a quarter of the error, with two axes."""
+TREND = (2.0, 8.0, 32.0, 128.0)
+"""Time constants in a record of the exponentials that are no scatter: as a tripod settles."""
+FLOOR = 1e-30
+
+
+@dataclass(frozen=True, slots=True)
+class Windows:
+    """Windows over n cells.
+
+    Parameters
+    ----------
+    weights : array, (k, n)
+        Rows add up to one.
+    covariance : array, (k, k)
+        Of the means, over the variance of a cell, when the noise of rows is white.
+    slow : array, (k, t)
+        Orthonormal: what a trend is in the means; the first is the constant.
+    expected : float
+        Sum of the squares that the trend leaves of the means, over the variance of a cell.
+    variance : float
+        Of the mean of all cells under these windows, over that of a cell.
+    """
+
+    weights: FloatArray
+    covariance: FloatArray
+    slow: FloatArray
+    expected: float
+    variance: float
+
+    def scatter(self, data: FloatArray) -> tuple[float, float]:
+        """Return the variance of a cell by the scatter of the means of data, (n, a), and its uncertainty.
+
+        The latter is the relative standard deviation.  With few degrees of freedom a mean's distribution is
+        that of Student, which is wider.
+        """
+        means = self.weights @ data
+        left = means - self.slow @ (self.slow.T @ means)
+        axes = int(data.shape[1])
+        free = axes * (len(means) - int(self.slow.shape[1]))
+        wider = free / max(free - 2.0, 1.0)
+        return wider * float(np.vdot(left, left)) / (axes * self.expected) + FLOOR, math.sqrt(2.0 / free)
+
+    def products(self, columns: FloatArray) -> FloatArray:
+        """Return the products of columns, (n, c), seen through windows and weighed by the covariance."""
+        means = self.weights @ columns
+        return np.asarray(means.T @ np.linalg.solve(self.covariance, means))
+
+
+def layout(rows: int) -> tuple[int, FloatArray]:
+    """Return how many cells a record has, and the weights of the rows in a cell, (2 hop,), whose sum is one.
+
+    A cell overlaps its neighbours as a triangle: what has about a period in a hop would else turn up as slow.
+    """
+    hop = -(-rows // CELLS)
+    if hop == 1:
+        return (rows - rows % STEP if rows > CELLS // 2 else rows), np.ones(1)
+    rise = (np.arange(hop) + 0.5) / hop**2
+    cells = rows // hop - 1
+    return cells - cells % STEP, np.r_[rise, rise[::-1]]
+
+
+def in_cells(columns: FloatArray, cells: int, weights: FloatArray) -> FloatArray:
+    """Return the means of the cells of columns, (cells, c), from (rows, c)."""
+    hop = len(weights) // 2
+    if not hop:
+        return columns[:cells]
+    blocks = columns[: (cells + 1) * hop].reshape(cells + 1, hop, -1)
+    rising = np.einsum("h,bhc->bc", weights[:hop], blocks[:-1])
+    return np.asarray(rising + np.einsum("h,bhc->bc", weights[hop:], blocks[1:]))
+
+
+def trend(rows: int) -> FloatArray:
+    """Return a constant and the exponentials of a trend over so many rows, (rows, 5)."""
+    at = (np.arange(rows) + 0.5) / rows
+    return np.stack([np.ones(rows), *(np.exp(-rate * at) for rate in TREND)], 1)
+
+
+@lru_cache(maxsize=64)
+def bank(cells: int, hop: int) -> tuple[Windows, ...]:
+    """Return sets of windows over cells, `hop` rows from one to the next, with ever wider edges."""
+    beside = 0.0
+    if hop > 1:
+        _, taps = layout(hop * CELLS)
+        beside = float(taps[:hop] @ taps[hop:] / (taps @ taps))
+    found, wide = [_made(np.eye(cells), beside)], 2
+    while cells // wide - 1 >= LEAST_ROWS:
+        middle = np.arange(wide - 1, cells - wide + 1, wide)[:, None]
+        apart = np.abs(np.arange(cells) - middle) / wide
+        found.append(_made(np.where(apart < 1.0, 0.5 + 0.5 * np.cos(math.pi * apart), 0.0), beside))
+        wide *= 2
+    return tuple(found)
+
+
+def _made(weights: FloatArray, beside: float) -> Windows:
+    """Return windows of these weights, (k, n), over cells that correlate so much with their neighbours."""
+    together = -(-len(weights) // ROWS)
+    weights = np.add.reduceat(weights, np.arange(0, len(weights), together), axis=0)
+    whole = weights.sum(0) / weights.sum()
+    weights = weights / weights.sum(1, keepdims=True)
+    columns = 1 + min(2 * ((len(weights) - LEAST_ROWS) // LEAST_ROWS), len(TREND))
+    slow = np.linalg.qr(weights @ trend(weights.shape[1])[:, :columns])[0]
+    covariance = _noisy(weights, beside) @ weights.T
+    expected = float(np.trace(covariance) - np.vdot(slow, covariance @ slow))
+    return Windows(weights, covariance, slow, expected, float(_noisy(whole, beside) @ whole))
+
+
+def _noisy(weights: FloatArray, beside: float) -> FloatArray:
+    """Return weights times the covariance of cells."""
+    found = weights.copy()
+    found[..., 1:] += beside * weights[..., :-1]
+    found[..., :-1] += beside * weights[..., 1:]
+    return found

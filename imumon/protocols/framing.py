@@ -1,0 +1,306 @@
+"""Packets among bytes: what a frame is, and the one search for frames, in plain NumPy.
+
+A frame begins with a sync pattern; its length is fixed, in a field, or follows from what its header says; a
+checksum tells whether it came whole.  A family of devices says so in a `Frame` for each kind of packet, and
+`FramedDecoder` does the rest: every byte becomes part of a packet, is skipped, or is pending.
+
+The bytes are searched when somebody takes what they hold (live 20 times a second), not as they come: so a
+read of a few bytes costs next to nothing, and what is found does not depend on how the stream was cut.
+
+How damage is survived: after a bad checksum or an impossible length the search goes on at the next byte.  A
+damaged packet that lost bytes and passes its check all the same (one in 256 with a sum of eight bits) ends
+inside the next.  So where no sync pattern follows an accepted packet, a valid one that begins inside it and
+ends behind it is accepted, too; bytes count once.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from imumon.blocks import IntArray
+from imumon.protocols.base import Counters, Decoder, Packets
+from imumon.protocols.stream import CHUNK, ByteArray
+
+BoolArray = npt.NDArray[np.bool_]
+
+INCOMPLETE, NO_PACKET, IMPOSSIBLE, BAD_SUM = -1, -2, -3, -4
+"""Instead of a length: more bytes must come, nothing of this kind, no such length, the checksum differs."""
+
+Lengths = Callable[[ByteArray, IntArray], IntArray]
+"""Takes the bytes and places of sync patterns, (n,); returns the whole length or one of the codes, (n,)."""
+Check = Callable[[ByteArray, IntArray, IntArray], BoolArray]
+"""Takes the bytes, places and lengths of whole packets, (n,) each; tells which are right."""
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """How packets of one kind are told from other bytes.
+
+    Parameters
+    ----------
+    name : str
+        What the kind is called in the counters.
+    sync : bytes
+        What a packet begins with.
+    lengths : callable
+        See `Lengths`.
+    check : callable
+        See `Check`.
+    tail : bytes
+        What may or may not follow a packet, and belongs to it.
+    """
+
+    name: str
+    sync: bytes
+    lengths: Lengths
+    check: Check
+    tail: bytes = b""
+
+    def places(self, held: ByteArray) -> IntArray:
+        """Return where the sync pattern is, also where its first bytes are at the very end."""
+        sync = np.frombuffer(self.sync, np.uint8)
+        found: IntArray = np.flatnonzero(held == sync[0])
+        for k in range(1, len(sync)):
+            there = found + k < len(held)
+            found = found[~there | (held[np.minimum(found + k, len(held) - 1)] == sync[k])]
+        return found
+
+    def judged(self, held: ByteArray, at: IntArray, final: bool) -> IntArray:
+        """Return for each place the length of the valid packet that begins there, or what is wrong, (n,)."""
+        verdict = np.full(len(at), INCOMPLETE, np.int64)
+        begun = np.flatnonzero(at + len(self.sync) <= len(held))
+        verdict[begun] = self.lengths(held, at[begun])
+        verdict[(verdict > 0) & (at + verdict > len(held))] = INCOMPLETE
+        whole = np.flatnonzero(verdict > 0)
+        right = self.check(held, at[whole], verdict[whole])
+        verdict[whole[~right]] = BAD_SUM
+        if self.tail:
+            good = whole[right]
+            verdict[good] = self._with_tail(held, at[good], verdict[good], final)
+        return verdict
+
+    def _with_tail(self, held: ByteArray, at: IntArray, length: IntArray, final: bool) -> IntArray:
+        """Return the lengths with that of the tail where it follows; `INCOMPLETE` where it may come yet."""
+        agree = np.ones(len(at), np.bool_)
+        for k, byte in enumerate(self.tail):
+            place = at + length + k
+            agree &= (place >= len(held)) | (held[np.minimum(place, len(held) - 1)] == byte)
+        there = at + length + len(self.tail) <= len(held)
+        cut = length if final else np.full(len(at), INCOMPLETE)
+        return np.where(agree, np.where(there, length + len(self.tail), cut), length)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """Packets among held bytes: where each begins, its length, and the number of its frame, (n,) each."""
+
+    held: ByteArray
+    at: IntArray
+    length: IntArray
+    frame: IntArray
+
+    def __len__(self) -> int:
+        """Return the number of packets."""
+        return len(self.at)
+
+    def only(self, rows: IntArray | BoolArray) -> Found:
+        """Return some of the packets."""
+        return Found(self.held, self.at[rows], self.length[rows], self.frame[rows])
+
+    def bytes(self, size: int | None = None) -> ByteArray:
+        """Return the first bytes of each packet, (n, size); of packets of one length all when not given."""
+        if size is None:
+            size = int(self.length[0]) if len(self) else 0
+        packets: ByteArray = self.held[self.at[:, np.newaxis] + np.arange(size)]
+        return packets
+
+
+class FramedDecoder(Decoder):
+    """Finds packets by frames, and keeps count of every byte; a subclass reads what is in them.
+
+    Parameters
+    ----------
+    frames : sequence of Frame
+        Kinds of packets; where two begin at the same place the first that is valid counts.
+    """
+
+    def __init__(self, frames: Sequence[Frame]) -> None:
+        super().__init__()
+        self._frames = tuple(frames)
+        self._parts: list[bytes] = []
+        self._waiting = 0  # bytes in the parts
+        self._rest = b""  # searched, and still part of what may become a packet
+        self._overlap = 0  # bytes at the front of the rest that belong to the packet accepted last
+        self._ends: list[IntArray] = []
+        self._times: list[
+            IntArray
+        ] = []  # bytes up to each end, counted from the first, arrived at these times
+        self._searched = 0  # bytes before the rest
+        self._received = self._in_packets = self._checksum_errors = self._length_errors = 0
+        self._by_frame = [0] * len(self._frames)
+
+    @abstractmethod
+    def _read(self, found: Found, arrival_ns: IntArray) -> Packets:
+        """Return what the packets carry: a row for each that has something for a row, in order."""
+
+    def feed_reads(self, data: bytes | memoryview | ByteArray, ends: IntArray, arrivals_ns: IntArray) -> None:
+        """Take the bytes of several reads: of each where it ends in the data, and when it arrived."""
+        self._parts.append(bytes(data))
+        self._waiting += len(data)
+        self._ends.append(ends + self._received)
+        self._times.append(arrivals_ns.copy())
+        self._received += len(data)
+        if self._waiting > CHUNK:
+            self._search(final=False)
+
+    def finish(self) -> None:
+        """Decode what is held; see `Decoder.finish`."""
+        self._search(final=True)
+
+    def _settle(self) -> None:
+        self._search(final=False)
+
+    def counters(self) -> Counters:
+        """Return what became of the bytes so far."""
+        self._search(final=False)
+        named = {f.name: n for f, n in zip(self._frames, self._by_frame, strict=True) if n}
+        return Counters(
+            bytes_received=self._received,
+            bytes_in_packets=self._in_packets,
+            bytes_skipped=self._received - self._in_packets - len(self._rest) + self._overlap,
+            packets=sum(self._by_frame),
+            checksum_errors=self._checksum_errors,
+            length_errors=self._length_errors,
+            packets_by_type=named,
+        )
+
+    def _search(self, final: bool) -> None:
+        """Find the packets in what has come, and keep what may still become one."""
+        if not self._waiting and not (final and self._rest):
+            return
+        data = b"".join([self._rest, *self._parts])
+        held = np.frombuffer(data, np.uint8)
+        self._parts.clear()
+        self._waiting = 0
+        at, frame, verdict = self._candidates(held, final)
+        taken, rest, overlap = _walk(at, verdict, len(held), self._overlap, final)
+        found = Found(held, at[taken], verdict[taken], frame[taken])
+        self._count(found, at, verdict, rest)
+        ends, times = np.concatenate(self._ends), np.concatenate(self._times)
+        if len(found):
+            last = self._searched + found.at + found.length
+            packets = self._read(found, times[np.searchsorted(ends, last)])
+            if len(packets):
+                self._done.append(packets)
+        self._rest, self._overlap = data[rest:], overlap
+        self._searched += rest
+        recent = int(np.searchsorted(ends, self._searched, "right"))
+        self._ends, self._times = [ends[recent:]], [times[recent:]]
+
+    def _candidates(self, held: ByteArray, final: bool) -> tuple[IntArray, IntArray, IntArray]:
+        """Return places, frames and verdicts of all sync patterns, in order, one for each place.
+
+        The first frame counts that finds a packet there; or that may still find one, when more bytes come.
+        """
+        places = [frame.places(held) for frame in self._frames]
+        at = np.concatenate(places)
+        number = np.repeat(np.arange(len(places)), [len(found) for found in places])
+        verdict = np.concatenate(
+            [frame.judged(held, found, final) for frame, found in zip(self._frames, places, strict=True)]
+        )
+        if len(places) == 1:
+            return at, number, verdict
+        hopeless = (verdict <= 0) & (final | (verdict != INCOMPLETE))
+        order = np.lexsort((number, hopeless, at))
+        at, number, verdict = at[order], number[order], verdict[order]
+        first = np.diff(at, prepend=-1) > 0
+        return at[first], number[first], verdict[first]
+
+    def _count(self, found: Found, at: IntArray, verdict: IntArray, rest: int) -> None:
+        """Count the packets, their bytes once each, and the errors outside of them."""
+        ends = found.at + found.length
+        begins = np.maximum(found.at, np.concatenate([[self._overlap], ends[:-1]])) if len(found) else ends
+        self._in_packets += int(np.sum(ends - begins))
+        for number, packets in enumerate(np.bincount(found.frame, minlength=len(self._frames)).tolist()):
+            self._by_frame[number] += packets
+        inside = np.searchsorted(found.at, at, "right") - 1
+        covered = np.where(inside >= 0, ends[inside], 0) if len(found) else np.zeros(len(at), np.int64)
+        outside = (at >= np.maximum(covered, self._overlap)) & (at < rest)
+        self._checksum_errors += int(np.sum(outside & (verdict == BAD_SUM)))
+        self._length_errors += int(np.sum(outside & (verdict == IMPOSSIBLE)))
+
+
+def _walk(at: IntArray, verdict: IntArray, size: int, done: int, final: bool) -> tuple[IntArray, int, int]:
+    """Return which candidates are taken, where the rest begins, and how many of its bytes are in a packet.
+
+    A candidate that is not complete holds back what follows; at the end of the data it is passed over, and
+    stays pending when no packet follows.
+    """
+    of_interest = np.flatnonzero((verdict > 0) | (verdict == INCOMPLETE))
+    taken: list[int] = []
+    rest, pending = size, -1
+    for number, start, length in zip(
+        of_interest.tolist(), at[of_interest].tolist(), verdict[of_interest].tolist(), strict=True
+    ):
+        if start < done and (0 < length <= done - start or _stands(at, done)):
+            continue
+        if length > 0:
+            taken.append(number)
+            done, pending = start + length, -1
+        elif not final:
+            rest = start
+            break
+        elif pending < 0 and start >= done:
+            pending = start
+    if pending >= 0:
+        rest = pending
+    return np.array(taken, np.int64), rest, max(done - rest, 0)
+
+
+def _stands(at: IntArray, place: int) -> bool:
+    """Tell whether there is a sync pattern at a place."""
+    k = int(np.searchsorted(at, place))
+    return k < len(at) and at[k] == place
+
+
+def fixed_length(size: int) -> Lengths:
+    """Return the `Lengths` of packets that are all of one size."""
+
+    def lengths(held: ByteArray, at: IntArray) -> IntArray:
+        del held
+        return np.full(len(at), size, np.int64)
+
+    return lengths
+
+
+def counted_length(at: int, size: int, more: int, longest: int, big: bool = False) -> Lengths:
+    """Return the `Lengths` of packets that say how many bytes they have besides `more`.
+
+    Parameters
+    ----------
+    at, size : int
+        Place and bytes of the number.
+    more : int
+        Bytes that it does not count.
+    longest : int
+        Longest packet that is believed.
+    big : bool
+        Whether the most significant byte of the number comes first.
+    """
+
+    def lengths(held: ByteArray, begin: IntArray) -> IntArray:
+        result = np.full(len(begin), INCOMPLETE, np.int64)
+        there = np.flatnonzero(begin + at + size <= len(held))
+        counted = np.zeros(len(there), np.int64)
+        for k in range(size):
+            shift = 8 * (size - 1 - k if big else k)
+            counted |= held[begin[there] + at + k].astype(np.int64) << shift
+        result[there] = np.where(counted + more <= longest, counted + more, IMPOSSIBLE)
+        return result
+
+    return lengths

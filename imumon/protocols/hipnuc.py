@@ -1,0 +1,178 @@
+"""HiPNUC CH0x, CH10x, HI12 ... HI14: the packets 0x91, 0x81 and 0x83.
+
+Facts from the vendor's drivers.  0x83 says by the bits of a word which fields follow.  The temperature of
+0x91 and 0x81 has steps of 1 degC: too coarse for a rate of change, so prefer 0x83 with bit 8.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from fractions import Fraction
+from math import pi
+from typing import Final, Literal
+
+import numpy as np
+
+from imumon.blocks import IntArray
+from imumon.columns import KNOWN, Column
+from imumon.geodesy import STANDARD_GRAVITY
+from imumon.protocols.base import Timing
+from imumon.protocols.checksums import CRCS, checksum, make_checksum
+from imumon.protocols.device import DeviceFile
+from imumon.protocols.frame_checks import CyclicCheck, gathered
+from imumon.protocols.framing import BoolArray, Found, Frame, counted_length
+from imumon.protocols.messages import Message, Part, TableDecoder, TableEncoder, part, whole
+from imumon.protocols.numbers import NUMBER_TYPES
+from imumon.protocols.stream import ByteArray
+from imumon.protocols.tagged_columns import count, known, number, vector
+
+SYNC = b"\x5a\xa5"
+HEADER, LONGEST = 6, 512 + 6
+DEGREE: Final = pi / 180
+SHORT_FORCE: Final = 0.0048828
+SHORT_MAG: Final = 0.030517
+OF_BITS = 0x83
+
+FORCE, RATE, MAG = (known(*(f"{base}_{axis}" for axis in "xyz")) for base in ("accel", "gyro", "mag"))
+ANGLES, QUATERNION = known("roll", "pitch", "yaw"), known("q_w", "q_x", "q_y", "q_z")
+TEMPERATURE, PRESSURE = known("temperature"), known("pressure")
+STATUS = part(1, "u16", [KNOWN["status"]])
+INS_STATUS = whole(3, "u8", "ins_status", "status of the filter")
+PLACE = known("longitude", "latitude", "altitude")
+VELOCITY_ENU = vector("velocity_enu", "m/s", "velocity east, north, up")
+FREE_ENU = vector("free_accel_enu", "m/s^2", "acceleration without gravity, east, north, up")
+
+PACKETS = {
+    0x91: Message("imu91", 76, (STATUS, part(3, "i8", TEMPERATURE), part(4, "f32", PRESSURE),
+                                part(8, "u32", [KNOWN["device_ticks"]], 1000.0),
+                                part(12, "f32", FORCE, STANDARD_GRAVITY), part(24, "f32", RATE, DEGREE),
+                                part(36, "f32", MAG), part(48, "f32", ANGLES, DEGREE),
+                                part(60, "f32", QUATERNION))),
+    0x81: Message("ins81", 104, (STATUS, INS_STATUS, whole(4, "u16", "gps_week", "GPS week"),
+                                 whole(6, "u32", "gps_time_of_week", "GPS time of week", "ms"),
+                                 part(12, "i16", RATE, 1e-3), part(18, "i16", FORCE, SHORT_FORCE),
+                                 part(24, "i16", MAG, SHORT_MAG), part(34, "i8", TEMPERATURE),
+                                 part(42, "i16", ANGLES[:2], DEGREE / 100),
+                                 part(46, "u16", ANGLES[2:], DEGREE / 100), part(48, "i16", QUATERNION, 1e-4),
+                                 part(56, "i32", PLACE[:2], 1e-7), part(64, "i32", PLACE[2:], 1e-3),
+                                 part(78, "i16", VELOCITY_ENU, 0.01),
+                                 part(84, "i16", FREE_ENU, SHORT_FORCE))),
+}  # fmt: skip
+"""Packets with one layout, by their tag."""
+
+Bit = tuple[str, Sequence[Column], float, int]
+
+
+def _several(name: str, unit: str, what: str) -> Sequence[Column]:
+    return tuple(number(f"{axis}{name}", unit, f"{axis}: {what}") for axis in ("heave", "surge", "sway"))
+
+
+BITS: dict[int, Bit] = {
+    0: ("f32", FORCE, 1.0, 12),
+    1: ("f32", RATE, DEGREE, 12),
+    2: ("f32", MAG, 1.0, 12),
+    3: ("f32", ANGLES, DEGREE, 12),
+    4: ("f32", QUATERNION, 1.0, 16),
+    5: ("u64", [KNOWN["device_ticks"]], 1.0, 8),
+    6: ("", (), 1.0, 8),
+    7: ("f32", PRESSURE, 1.0, 4),
+    8: ("f32", TEMPERATURE, 1.0, 4),
+    9: ("f32", vector("inclination", "deg", "of the axis"), 1.0, 12),
+    10: ("f32", _several("", "m", "displacement"), 1.0, 12),
+    11: ("f32", _several("_frequency", "Hz", "frequency"), 1.0, 12),
+    12: ("f32", VELOCITY_ENU, 1.0, 12),
+    13: ("f32", FREE_ENU, 1.0, 12),
+    14: ("f64", PLACE, 1.0, 24),
+    15: ("u8", [count(f"quality_{k}", "quality of the solution") for k in range(4)], 1.0, 4),
+    16: ("f32", [number("odometer_speed", "m/s", "of the odometer")], 1.0, 4),
+    17: ("f32", [number("undulation", "m", "of the geoid")], 1.0, 4),
+    18: ("f32", [number("correction_age", "s", "of differential corrections")], 1.0, 4),
+    19: ("u8", [count("node", "number of the node")], 1.0, 4),
+    30: ("f64", [number(f"gnss_{c.name}", c.unit, "of the receiver") for c in PLACE], 1.0, 24),
+    31: ("f32", vector("gnss_velocity", "m/s", "of the receiver"), 1.0, 12),
+}
+"""Fields of 0x83: number type, columns, factor, and bytes.
+
+The unit of the rate, deg/s, is by analogy with 0x91: the vendor prints both under one name.
+"""
+
+
+def of_bits(bits: int) -> Message:
+    """Return the message 0x83 with the fields of these bits; it ends at the first bit that nobody knows."""
+    parts: list[tuple[Part, ...]] = [STATUS, INS_STATUS]
+    at = 8
+    for bit in (bit for bit in range(32) if bits >> bit & 1):
+        if bit not in BITS:
+            break
+        kind, columns, factor, size = BITS[bit]
+        if columns:
+            assert len(columns) * NUMBER_TYPES[kind].size <= size
+            parts.append(part(at, kind, columns, factor))
+        at += size
+    return Message(f"imu83:{bits:#x}", at, tuple(parts))
+
+
+_CRC = CyclicCheck(CRCS["crc16-xmodem"])
+_XMODEM = make_checksum("crc16-xmodem")
+
+
+def _right(held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
+    """Check the CRC, which stands in the header: as if it stood behind the payload."""
+    if not len(at):
+        return np.zeros(0, np.bool_)
+    data, begins = gathered(held, at, at + length)
+    place = np.arange(len(data)) - np.repeat(begins, length)
+    behind = np.where(place < np.repeat(length, length) - 2, place + 2, place - np.repeat(length, length) + 6)
+    moved = data[np.repeat(begins, length) + np.where(place < 4, place, behind)]
+    return _CRC(moved, begins, length)
+
+
+def _wrapped(key: int, payload: bytes) -> bytes:
+    first = bytes([key]) if key < 0x100 else bytes([OF_BITS, 0, 0, 0]) + (key >> 8).to_bytes(4, "little")
+    payload = first + payload[len(first) :]
+    head = SYNC + len(payload).to_bytes(2, "little")
+    body = np.frombuffer(head + payload, np.uint8)
+    return head + int(checksum(_XMODEM, body, 0, len(body))).to_bytes(2, "little") + payload
+
+
+class HipnucDecoder(TableDecoder):
+    """Decodes the first packet of each frame: devices send one."""
+
+    def __init__(self, rate_hz: float | None = None) -> None:
+        frame = Frame("HiPNUC", SYNC, counted_length(2, 2, HEADER, LONGEST), _right)
+        timing = Timing(tick_ns=Fraction(1000), rate_hz=rate_hz)
+        super().__init__([frame], PACKETS, timing, HEADER, HEADER)
+
+    def _keys(self, found: Found) -> IntArray:
+        keys = np.where(found.length > HEADER, _byte(found, HEADER), -1)
+        variable = np.flatnonzero((keys == OF_BITS) & (found.length >= HEADER + 8))
+        bits = sum(_byte(found, HEADER + 4 + k)[variable] << 8 * k for k in range(4))
+        keys[variable] = np.asarray(bits) << 8 | OF_BITS
+        for key in np.unique(keys[variable]).tolist():
+            self._messages.setdefault(key, of_bits(key >> 8))
+        if np.any((keys >= 0) & ~np.isin(keys, list(self._messages))):
+            self._say("packets with other tags than 0x81, 0x83 and 0x91 are counted and not read")
+        return keys
+
+
+def _byte(found: Found, place: int) -> IntArray:
+    return found.held[np.minimum(found.at + place, len(found.held) - 1)].astype(np.int64)
+
+
+class HipnucDevice(DeviceFile):
+    """Device file of a HiPNUC unit.
+
+    `sends` is for its virtual twin alone: ``imu91``, ``ins81``, or the bits of 0x83, ``imu83:0x123``.
+    """
+
+    protocol: Literal["hipnuc"]
+    sends: list[str]
+
+    def decoder(self) -> HipnucDecoder:
+        """Make a decoder for this device."""
+        return HipnucDecoder(self.rate_hz)
+
+    def encoder(self) -> TableEncoder:
+        """Make an encoder that sends what the device would send."""
+        bits = [int(n.partition(":")[2], 16) for n in self.sends if n.startswith("imu83:0x")]
+        return TableEncoder(PACKETS | {b << 8 | OF_BITS: of_bits(b) for b in bits}, self.sends, _wrapped)

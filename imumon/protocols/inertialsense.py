@@ -1,0 +1,118 @@
+"""Inertial Sense IMX-5, uINS, uIMU: data sets of the ISB protocol.
+
+Facts from the vendor's SDK and manual.  Temperature comes in other data sets than the inertial sensors, at
+rates of its own.  PIMU carries increments, with the time over which they were summed.
+"""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from typing import Final, Literal
+
+import numpy as np
+
+from imumon.blocks import ColumnArray, IntArray
+from imumon.columns import KNOWN
+from imumon.protocols.base import Timing
+from imumon.protocols.device import DeviceFile
+from imumon.protocols.frame_checks import Fletcher
+from imumon.protocols.framing import Found, Frame, counted_length
+from imumon.protocols.messages import Message, TableDecoder, TableEncoder, part, whole
+from imumon.protocols.stream import LONGEST_PACKET
+from imumon.protocols.tagged import Columns, Derived
+from imumon.protocols.tagged_columns import known, number, vector
+
+SYNC = b"\xef\x49"
+HEADER, AROUND = 6, 8
+DATA, SET_DATA, WITH_OFFSET = 4, 5, 0x20
+KILOPASCAL: Final = 1000.0
+
+TIME = part(0, "f64", [KNOWN["device_ticks"]], 1e9)
+FORCE, RATE, MAG = (known(*(f"{base}_{axis}" for axis in "xyz")) for base in ("accel", "gyro", "mag"))
+STATUS = [KNOWN["status"]]
+DELTA_TIME = [number("delta_time", "s", "time over which the increments were summed")]
+THETA = vector("delta_theta", "rad", "rotation over the sample")
+DELTA_VELOCITY = vector("delta_velocity", "m/s", "velocity increment")
+ANGLES = known("roll", "pitch", "yaw")
+BODY_VELOCITY = vector("velocity_body", "m/s", "velocity in the body frame")
+POSITION = known("latitude", "longitude", "altitude")
+OF_WEEK = (whole(0, "u32", "gps_week", "GPS week"), part(4, "f64", [number("gps_time_of_week", "s", "GPS")]))
+FILTER = (whole(12, "u32", "ins_status", "status of the filter, bits"),
+          whole(16, "u32", "hardware_status", "status of the hardware, bits"))  # fmt: skip
+
+
+def _mean_rates(columns: Columns) -> list[ColumnArray]:
+    with np.errstate(all="ignore"):  # an interval of zero gives no rate
+        means = [columns[c.name] / columns["delta_time"] for c in (*THETA, *DELTA_VELOCITY)]
+    return [np.where(np.isfinite(mean), mean, np.nan) for mean in means]
+
+
+def _increments(columns: Columns) -> list[ColumnArray]:
+    return [columns[column.name] * columns["delta_time"] for column in (*RATE, *FORCE)]
+
+
+MEANS = Derived(tuple(c.name for c in (*DELTA_TIME, *THETA, *DELTA_VELOCITY)), (*RATE, *FORCE), _mean_rates,
+                lambda columns: [columns["delta_time"], *_increments(columns)])  # fmt: skip
+
+DATA_SETS = {
+    58: Message("imu", 36, (TIME, part(8, "u32", STATUS), part(12, "f32", RATE), part(24, "f32", FORCE))),
+    97: Message("imu_raw", 36, (TIME, part(8, "u32", STATUS), part(12, "f32", RATE), part(24, "f32", FORCE))),
+    3: Message("pimu", 40, (TIME, part(8, "f32", DELTA_TIME), part(12, "u32", STATUS), part(16, "f32", THETA),
+                            part(28, "f32", DELTA_VELOCITY)), derived=(MEANS,)),
+    11: Message("sys_sensors", 80, (TIME, part(8, "f32", known("temperature")), part(12, "f32", RATE),
+                                    part(24, "f32", FORCE), part(36, "f32", MAG),
+                                    part(48, "f32", known("pressure"), KILOPASCAL)), "sensors"),
+    10: Message("sys_params", 64, (whole(0, "u32", "time_of_week_ms", "GPS time of week", "ms"),
+                                   part(12, "f32", known("temperature"))), "temperature"),
+    52: Message("mag", 20, (TIME, part(8, "f32", MAG)), "mag"),
+    53: Message("baro", 24, (TIME, part(8, "f32", known("pressure"), KILOPASCAL),
+                             part(12, "f32", [number("altitude_msl", "m", "from the pressure")]),
+                             part(16, "f32", [number("baro_temperature", "degC", "of the barometer")])),
+                "pressure"),
+    4: Message("ins_1", 80, (*OF_WEEK, *FILTER, part(20, "f32", ANGLES), part(32, "f32", BODY_VELOCITY),
+                             part(44, "f64", POSITION)), "filter"),
+    5: Message("ins_2", 72, (*OF_WEEK, *FILTER, part(20, "f32", known("q_w", "q_x", "q_y", "q_z")),
+                             part(36, "f32", BODY_VELOCITY), part(48, "f64", POSITION)), "filter"),
+}  # fmt: skip
+"""Data sets by their identifier."""
+
+
+def _wrapped(key: int, payload: bytes) -> bytes:
+    body = SYNC + bytes([DATA, key]) + len(payload).to_bytes(2, "little") + payload
+    low = high = 0
+    for byte in body:
+        low = (low + byte) & 0xFF
+        high = (high + low) & 0xFF
+    return body + bytes([low, high])
+
+
+class InertialSenseDecoder(TableDecoder):
+    """Decodes data sets that come whole; other packets are counted."""
+
+    def __init__(self, rate_hz: float | None = None) -> None:
+        frame = Frame("ISB", SYNC, counted_length(4, 2, AROUND, LONGEST_PACKET), Fletcher())
+        timing = Timing(tick_ns=Fraction(1), rate_hz=rate_hz)
+        super().__init__([frame], DATA_SETS, timing, HEADER, AROUND)
+
+    def _keys(self, found: Found) -> IntArray:
+        flags = found.held[found.at + 2]
+        in_part = flags & WITH_OFFSET != 0
+        if np.any(in_part):
+            self._say("data sets that come in part are counted and not read")
+        data = np.isin(flags & 0x0F, (DATA, SET_DATA)) & ~in_part
+        return np.where(data, found.held[found.at + 3].astype(np.int64), -1)
+
+
+class InertialSenseDevice(DeviceFile):
+    """Device file of an Inertial Sense unit; `sends` is for its virtual twin alone."""
+
+    protocol: Literal["inertialsense"]
+    sends: list[str]
+
+    def decoder(self) -> InertialSenseDecoder:
+        """Make a decoder for this device."""
+        return InertialSenseDecoder(self.rate_hz)
+
+    def encoder(self) -> TableEncoder:
+        """Make an encoder that sends what the device would send."""
+        return TableEncoder(DATA_SETS, self.sends, _wrapped)

@@ -1,0 +1,144 @@
+"""SBG Systems Ellipse, Ekinox, Quanta, Pulse: the logs of sbgECom.
+
+Facts from the vendor's documentation and code.  Every log begins with the time since power-up.  The inertial
+sensors come as IMU_SHORT (integers) or, from older firmware, as IMU_DATA; the rate and acceleration of logs
+52 and 53 have bias, gravity and earth rate taken off, and are columns of their own.
+"""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from typing import Literal
+
+import numpy as np
+
+from imumon.blocks import ColumnArray, IntArray
+from imumon.columns import KNOWN
+from imumon.protocols.base import Timing
+from imumon.protocols.checksums import CRCS, checksum, make_checksum
+from imumon.protocols.device import DeviceFile
+from imumon.protocols.frame_checks import CyclicCheck
+from imumon.protocols.framing import BoolArray, Found, Frame, counted_length
+from imumon.protocols.messages import Message, TableDecoder, TableEncoder, part, whole
+from imumon.protocols.stream import LONGEST_PACKET, ByteArray
+from imumon.protocols.tagged import Columns, Derived
+from imumon.protocols.tagged_columns import count, known, number, vector
+
+SYNC, END = b"\xff\x5a", 0x33
+HEADER, AROUND = 6, 9
+LARGE = 0x80
+"""Bit of the class of a page of a large log, whose payload begins with the number of the page."""
+HIGH_RATE = 1 << 10
+"""Bit of the status of IMU_SHORT: the rates have the scale of fast sensors."""
+FAST, FINE = 12_304_174.0, 67_108_864.0
+
+TIME = part(0, "u32", [KNOWN["device_ticks"]])
+STATUS = part(4, "u16", [KNOWN["status"]])
+FORCE, RATE, MAG = (known(*(f"{base}_{axis}" for axis in "xyz")) for base in ("accel", "gyro", "mag"))
+RAW_RATE = tuple(count(f"_rate_{axis}", "rate as it is sent") for axis in "xyz")
+FILTER = count("filter_status", "mode of the filter and what it uses, bits")
+
+
+def _to_rates(columns: Columns) -> list[ColumnArray]:
+    scale = np.where(columns["status"] & HIGH_RATE, FAST, FINE)
+    return [columns[column.name] / scale for column in RAW_RATE]
+
+
+def _of_rates(columns: Columns) -> list[ColumnArray]:
+    status = columns.get("status", np.zeros(len(columns["gyro_x"]), np.int64))
+    scale = np.where(status & HIGH_RATE, FAST, FINE)
+    return [np.rint(np.nan_to_num(columns[f"gyro_{axis}"]) * scale).astype(np.int64) for axis in "xyz"]
+
+
+RATES = Derived(tuple(column.name for column in RAW_RATE), RATE, _to_rates, _of_rates)
+
+ANGLES = known("roll", "pitch", "yaw")
+ANGLE_SIGMA = tuple(
+    number(f"{name}_sigma", "rad", f"uncertainty of {name}") for name in ("roll", "pitch", "yaw")
+)
+DECLINATION = (number("declination", "rad", "of the magnetic field"),
+               number("inclination", "rad", "of the magnetic field"))  # fmt: skip
+VELOCITY = vector("velocity", "m/s", "velocity north, east, down")
+VELOCITY_SIGMA = vector("velocity_sigma", "m/s", "uncertainty of the velocity north, east, down")
+POSITION_SIGMA = tuple(number(f"{name}_sigma", "m", f"uncertainty of the {name}")
+                       for name in ("latitude", "longitude", "altitude"))  # fmt: skip
+FREE = (vector("gyro_compensated", "rad/s", "angular rate, bias and earth rate taken off"),
+        vector("free_accel", "m/s^2", "acceleration without gravity and bias"))  # fmt: skip
+NED = (vector("rate_ned", "rad/s", "angular rate, bias and earth rate taken off, north, east, down"),
+       vector("free_accel_ned", "m/s^2", "acceleration without gravity, north, east, down"))  # fmt: skip
+
+LOGS = {
+    44: Message("imu_short", 32, (TIME, STATUS, part(6, "i32", FORCE, 2.0**-20), part(18, "i32", RAW_RATE),
+                                  part(30, "i16", known("temperature"), 1 / 256)), derived=(RATES,)),
+    3: Message("imu_data", 58, (TIME, STATUS, part(6, "f32", FORCE), part(18, "f32", RATE),
+                                part(30, "f32", known("temperature"))), least=34),
+    4: Message("mag", 30, (TIME, whole(4, "u16", "mag_status", "status of the magnetometer"),
+                           part(6, "f32", vector("mag", "a.u.", "field, 1 when calibrated"))), "mag"),
+    6: Message("ekf_euler", 40, (TIME, part(4, "f32", ANGLES), part(16, "f32", ANGLE_SIGMA),
+                                 part(28, "u32", [FILTER]), part(32, "f32", DECLINATION)),
+                "filter", least=32),
+    7: Message("ekf_quat", 44, (TIME, part(4, "f32", known("q_w", "q_x", "q_y", "q_z")),
+                                part(20, "f32", ANGLE_SIGMA), part(32, "u32", [FILTER]),
+                                part(36, "f32", DECLINATION)), "filter", least=36),
+    8: Message("ekf_nav", 72, (TIME, part(4, "f32", VELOCITY), part(16, "f32", VELOCITY_SIGMA),
+                               part(28, "f64", known("latitude", "longitude", "altitude")),
+                               part(52, "f32", [number("undulation", "m", "of the geoid")]),
+                               part(56, "f32", POSITION_SIGMA), part(68, "u32", [FILTER])), "filter"),
+    1: Message("status", 27, (TIME, whole(4, "u16", "general_status", "power, temperature, processor, bits"),
+                              whole(8, "u32", "com_status", "ports, bits"),
+                              whole(12, "u32", "aiding_status", "what aids the filter, bits"),
+                              whole(22, "u32", "up_time", "since power-up", "s"),
+                              whole(26, "u8", "processor_load", "in use, percent")), "status", least=22),
+    2: Message("utc_time", 33, (TIME, whole(4, "u16", "clock_status", "clock and UTC, bits"),
+                                whole(17, "u32", "gps_time_of_week", "GPS time of week", "ms")), "clock",
+               least=21),
+    52: Message("rate_body", 32, (TIME, part(8, "f32", FREE[0]), part(20, "f32", FREE[1])), "filter"),
+    53: Message("rate_ned", 32, (TIME, part(8, "f32", NED[0]), part(20, "f32", NED[1])), "filter"),
+    54: Message("velocity_body", 32, (TIME, part(8, "f32", vector("velocity_body", "m/s", "in the body"))),
+                "filter", least=20),
+}  # fmt: skip
+"""Logs of class 0 by their identifier, those with the inertial sensors first."""
+
+_CRC = CyclicCheck(CRCS["crc16-kermit"], first=2)
+_KERMIT = make_checksum("crc16-kermit")
+
+
+def _right(held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
+    return np.asarray((held[at + length - 1] == END) & _CRC(held, at, length - 1))
+
+
+def _wrapped(key: int, payload: bytes) -> bytes:
+    body = np.frombuffer(bytes([key, 0]) + len(payload).to_bytes(2, "little") + payload, np.uint8)
+    crc = int(checksum(_KERMIT, body, 0, len(body)))
+    return SYNC + body.tobytes() + crc.to_bytes(2, "little") + bytes([END])
+
+
+class SbgDecoder(TableDecoder):
+    """Decodes the logs of class 0; all other frames are counted."""
+
+    def __init__(self, rate_hz: float | None = None) -> None:
+        frame = Frame("sbgECom", SYNC, counted_length(4, 2, AROUND, LONGEST_PACKET), _right)
+        timing = Timing(tick_ns=Fraction(1000), tick_bits=32, rate_hz=rate_hz)
+        super().__init__([frame], LOGS, timing, HEADER, AROUND)
+
+    def _keys(self, found: Found) -> IntArray:
+        kind = found.held[found.at + 3]
+        keys = np.where(kind == 0, found.held[found.at + 2].astype(np.int64), -1)
+        if np.any(kind & LARGE):
+            self._say("logs in several pages are counted and not read")
+        return keys
+
+
+class SbgDevice(DeviceFile):
+    """Device file of an SBG Systems unit; `sends` is for its virtual twin alone."""
+
+    protocol: Literal["sbg"]
+    sends: list[str]
+
+    def decoder(self) -> SbgDecoder:
+        """Make a decoder for this device."""
+        return SbgDecoder(self.rate_hz)
+
+    def encoder(self) -> TableEncoder:
+        """Make an encoder that sends what the device would send."""
+        return TableEncoder(LOGS, self.sends, _wrapped)

@@ -1,0 +1,158 @@
+"""Safran (Sensonor) STIM300, STIM318 and STIM210: datagrams of normal mode.
+
+Facts from the data sheet TS1524 and third-party drivers.  A datagram begins with its identifier, has the
+blocks that this stands for, and ends with a CRC over all of it and zeros, which are not sent, up to a
+multiple of four bytes.  What the numbers mean - rates or increments, the range of the accelerometers - is
+set in the unit and is not in the datagram: the device file has to say it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from fractions import Fraction
+from functools import partial
+from math import pi
+from typing import Final, Literal
+
+import numpy as np
+from pydantic import PositiveFloat, model_validator
+
+from imumon.blocks import IntArray
+from imumon.columns import KNOWN, Column
+from imumon.geodesy import STANDARD_GRAVITY
+from imumon.protocols.base import Timing
+from imumon.protocols.checksums import CRCS, checksum, make_checksum
+from imumon.protocols.device import DeviceFile
+from imumon.protocols.frame_checks import CyclicCheck
+from imumon.protocols.framing import Found, Frame, fixed_length
+from imumon.protocols.messages import Message, Part, TableDecoder, TableEncoder, part, whole
+from imumon.protocols.tagged_columns import known, number, vector
+
+TICK_NS: Final = 500_000
+"""The counter counts samples of the internal 2000 Hz, not datagrams."""
+CRC_SIZE = 4
+BLOCKS: dict[int, tuple[str, int]] = {
+    0x90: ("gyro", 2),
+    0x91: ("gyro acc", 0),
+    0x92: ("gyro incl", 0),
+    0x93: ("gyro acc incl", 2),
+    0x94: ("gyro gyro_temp", 3),
+    0xA5: ("gyro acc gyro_temp acc_temp", 2),
+    0xA6: ("gyro incl gyro_temp incl_temp", 2),
+    0xA7: ("gyro acc incl gyro_temp acc_temp incl_temp", 1),
+}
+"""Blocks of each datagram, and the zeros that count before its CRC."""
+WITH_PULSE = dict(zip(BLOCKS, range(0xF0, 0xF8), strict=True))
+"""Identifier of the same datagram with the block of the pulse (PPS)."""
+PULSE_ZEROS = (2, 0, 0, 2, 3, 2, 2, 1)
+BLOCK_SIZES = {"gyro": 10, "acc": 10, "incl": 10, "gyro_temp": 7, "acc_temp": 7, "incl_temp": 7, "pps": 4}
+RANGE_BITS = {5: 20, 10: 19, 30: 18, 80: 16}
+"""Bits behind the point of an acceleration in g, by the range in g; of an increment in m/s three more."""
+
+AccelRange = Literal[5, 10, 30, 80]
+Output = Literal["rate", "increment"]
+Block = tuple[str, Sequence[Column], float]
+
+
+def _blocks(output: Output, accel_range_g: AccelRange, rate_hz: float | None) -> dict[str, Block]:
+    """Return for each block the type, columns and factor of its numbers."""
+    per_sample = rate_hz or 1.0
+    rate = pi / 180 * (2.0**-14 if output == "rate" else 2.0**-21 * per_sample)
+    bits = RANGE_BITS[accel_range_g]
+    force = STANDARD_GRAVITY * 2.0**-bits if output == "rate" else 2.0 ** -(bits + 3) * per_sample
+    tilt = STANDARD_GRAVITY * 2.0**-22 if output == "rate" else 2.0**-25 * per_sample
+    return {
+        "gyro": ("i24", known("gyro_x", "gyro_y", "gyro_z"), rate),
+        "acc": ("i24", known("accel_x", "accel_y", "accel_z"), force),
+        "incl": ("i24", vector("inclinometer", "m/s^2", "specific force of the inclinometer"), tilt),
+        "gyro_temp": ("i16", known("temperature_x", "temperature_y", "temperature_z"), 2.0**-8),
+        "acc_temp": ("i16", vector("accel_temperature", "degC", "of the accelerometer"), 2.0**-8),
+        "incl_temp": ("i16", vector("inclinometer_temperature", "degC", "of the inclinometer"), 2.0**-8),
+        "pps": ("u24", [number("time_since_pps", "us", "since the edge of the pulse")], 1.0),
+    }
+
+
+def datagrams(output: Output, accel_range_g: AccelRange, rate_hz: float | None) -> dict[int, Message]:
+    """Return the datagrams of normal mode by their identifier, which is byte 0 of the payload."""
+    blocks = _blocks(output, accel_range_g, rate_hz)
+    messages = {}
+    for plain, pulse in WITH_PULSE.items():
+        for key, names in ((plain, BLOCKS[plain][0]), (pulse, f"{BLOCKS[plain][0]} pps")):
+            at, parts = 1, list[tuple[Part, ...]]()
+            for name in names.split():
+                kind, columns, factor = blocks[name]
+                parts.append(part(at, kind, columns, factor))
+                at += BLOCK_SIZES[name]
+                parts.append(whole(at - 1, "u8", f"{name}_status", f"status of {name}, bits; 0 is good"))
+            parts.append(part(at, "u8", [KNOWN["device_ticks"]]))
+            parts.append(part(at + 1, "u16", [number("latency", "us", "measurement to transmission")]))
+            messages[key] = Message(f"{key:02X}", at + 3, tuple(parts))
+    return messages
+
+
+ZEROS = {key: zeros for key, (_, zeros) in BLOCKS.items()} | dict(
+    zip(WITH_PULSE.values(), PULSE_ZEROS, strict=True)
+)
+_CRC = CRCS["crc32-mpeg2"]
+_CHECKSUM = make_checksum("crc32-mpeg2")
+
+
+def _wrapped(key: int, payload: bytes, line_end: bool) -> bytes:
+    body = bytes([key]) + payload[1:]
+    covered = np.frombuffer(body + bytes(ZEROS[key]), np.uint8)
+    crc = int(checksum(_CHECKSUM, covered, 0, len(covered))).to_bytes(CRC_SIZE, "big")
+    return body + crc + (b"\r\n" if line_end else b"")
+
+
+class StimDecoder(TableDecoder):
+    """Decodes the datagrams of normal mode, with and without a line end behind them."""
+
+    def __init__(self, messages: dict[int, Message], said: str, rate_hz: float | None = None) -> None:
+        frames = [
+            Frame(
+                f"datagram {key:02X}",
+                bytes([key]),
+                fixed_length(message.size + CRC_SIZE),
+                CyclicCheck(_CRC, big=True, zeros=ZEROS[key]),
+                b"\r\n",
+            )
+            for key, message in messages.items()
+        ]
+        timing = Timing(tick_ns=Fraction(TICK_NS), tick_bits=8, rate_hz=rate_hz)
+        super().__init__(frames, messages, timing, 0, CRC_SIZE, big=True)
+        self._assumed = said
+
+    def _keys(self, found: Found) -> IntArray:
+        if len(found):
+            self._say(self._assumed)
+        return found.held[found.at].astype(np.int64)
+
+
+class StimDevice(DeviceFile):
+    """Device file of a STIM300; `sends` and `line_end` are for its virtual twin alone."""
+
+    protocol: Literal["stim300"]
+    output: Output
+    accel_range_g: AccelRange
+    rate_hz: PositiveFloat
+    sends: str = "A5"
+    line_end: bool = False
+
+    @model_validator(mode="after")
+    def _is_there(self) -> StimDevice:
+        if self.sends not in {f"{key:02X}" for key in ZEROS}:
+            raise ValueError(f"sends: expected one of {', '.join(f'{key:02X}' for key in ZEROS)}")
+        return self
+
+    def decoder(self) -> StimDecoder:
+        """Make a decoder for this device."""
+        said = (
+            f"read as {self.output}s with accelerometers of {self.accel_range_g} g, as the device file says: "
+            "the datagrams do not tell"
+        )
+        return StimDecoder(datagrams(self.output, self.accel_range_g, self.rate_hz), said, self.rate_hz)
+
+    def encoder(self) -> TableEncoder:
+        """Make an encoder that sends what the device would send."""
+        messages = datagrams(self.output, self.accel_range_g, self.rate_hz)
+        return TableEncoder(messages, [self.sends], partial(_wrapped, line_end=self.line_end), big=True)

@@ -1,0 +1,313 @@
+"""Lines of text, as most boards of hobbyists send them, described by a device file.
+
+A line is numbers between separators, pairs of key and number, or JSON; it may begin with a prefix and end
+with a checksum as NMEA has it.  A line counts when it has exactly the numbers that are described and all are
+finite: there is mostly no checksum, and a torn line must not become a sample.  So the first line of a stream
+without prefix, of which nobody knows where it began, does not count.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import reduce
+from math import isfinite
+from operator import xor
+from typing import Any, Final, Literal, Self
+
+import numpy as np
+from pydantic import Field, NonNegativeInt, PositiveInt, model_validator
+
+from imumon.blocks import NO_INT, ColumnArray, FloatArray, IntArray, SampleBlock
+from imumon.columns import Column
+from imumon.config import StrictModel
+from imumon.protocols.base import Encoder
+from imumon.protocols.device import DeviceFile
+from imumon.protocols.fixed.description import NumberField, NumberName, timing_of
+from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, BoolArray, Check, Found, Frame, Lengths
+from imumon.protocols.payload import LayoutDecoder
+from imumon.protocols.stream import ByteArray
+
+LINE_END: Final = 0x0A
+LONGEST_LINE: Final = 1024
+"""Bytes of a line that is believed; more is binary data."""
+NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+
+
+class TextField(NumberField):
+    """Numbers at a place of a line: `at` counts from 0; `key` is that of a pair, or a path as ``gyro.0``.
+
+    Of several columns, the first is at `at`, or has the key with ".0" behind it.
+    """
+
+    type: NumberName = "f64"
+    at: NonNegativeInt | None = None
+    key: str | None = None
+
+    @model_validator(mode="after")
+    def _one_place(self) -> Self:
+        if (self.at is None) == (self.key is None):
+            raise ValueError("give either at: PLACE or key: NAME")
+        return self
+
+    @property
+    def keys(self) -> list[str | int]:
+        """Place or key of each column."""
+        if self.at is not None:
+            return [self.at + k for k in range(len(self.names))]
+        if self.column is not None:
+            return [self.key or ""]
+        return [f"{self.key}.{k}" for k in range(len(self.names))]
+
+
+class Line(StrictModel):
+    """A kind of line.
+
+    `values` is how many numbers or words it has, `separator` what stands between them: " " is any white
+    space.
+    """
+
+    name: str = Field(pattern=r"^[a-z0-9_]+$")
+    prefix: str = ""
+    form: Literal["delimited", "pairs", "json"] = "delimited"
+    separator: Literal[",", ";", "\t", " ", "|"] = ","
+    decimal: Literal[".", ","] = "."
+    checksum: Literal["none", "xor8"] = "none"
+    values: PositiveInt | None = None
+    fields: list[TextField] = Field(min_length=1)
+
+    @model_validator(mode="after")
+    def _places_fit_the_form(self) -> Self:
+        place = "at" if self.form == "delimited" else "key"
+        if any(getattr(field, place) is None for field in self.fields):
+            raise ValueError(f"fields of a {self.form} line need {place}")
+        if self.form == "delimited" and self.values is None:
+            raise ValueError("values: say how many there are in a line")
+        last = max((field.at + len(field.names) for field in self.fields if field.at is not None), default=0)
+        if self.values is not None and last > self.values:
+            raise ValueError(f"a field is behind the {self.values} values")
+        if self.checksum == "xor8" and not self.prefix.startswith("$"):
+            raise ValueError("a line with checksum begins with $")
+        if self.decimal == self.separator:
+            raise ValueError("separator and decimal point are the same")
+        return self
+
+    @property
+    def wanted(self) -> list[str | int]:
+        """Places or keys of all columns."""
+        return [key for field in self.fields for key in field.keys]
+
+    def read(self, text: str) -> list[float] | None:
+        """Return the numbers of a line, in the order of the columns; None when it is not one of these."""
+        body = text.strip("\r\n")
+        if self.checksum == "xor8":
+            body, star, given = body.rpartition("*")
+            if not star or not re.fullmatch("[0-9A-Fa-f]{2}", given) or int(given, 16) != _xor(body[1:]):
+                return None
+        if not body.startswith(self.prefix):
+            return None
+        try:
+            words = self._words(body[len(self.prefix) :])
+            numbers = [self._number(words[key]) for key in self.wanted]
+        except (ValueError, KeyError, IndexError, RecursionError):
+            return None
+        return numbers
+
+    def _words(self, body: str) -> Any:
+        """Return what stands at each place or key."""
+        if self.form == "json":
+            tree = json.loads(body)
+            return {key: reduce(_step, str(key).split("."), tree) for key in self.wanted}
+        separator = None if self.separator == " " else self.separator
+        words = body.split(separator)
+        if self.form == "pairs":
+            if self.values is not None and len(words) != self.values:
+                raise ValueError("another number of pairs")
+            return dict(self._pair(word) for word in words)
+        if len(words) != self.values:
+            raise ValueError("another number of values")
+        return words
+
+    @staticmethod
+    def _pair(word: str) -> tuple[str, str]:
+        key, sign, value = re.split("([:=])", word, maxsplit=1)
+        del sign
+        return key.strip(), value
+
+    def _number(self, word: Any) -> float:
+        if isinstance(word, str):
+            word = word.strip()
+            if self.decimal == ",":
+                word = word.replace(",", ".")
+            if not NUMBER.fullmatch(word):
+                raise ValueError("not a number")
+        elif isinstance(word, bool) or not isinstance(word, int | float):
+            raise ValueError("not a number")
+        value = float(word)
+        if not isfinite(value):
+            raise ValueError("not finite")
+        return value
+
+    def write(self, numbers: Sequence[float]) -> bytes:
+        """Return the line with these numbers, in the order of the columns."""
+        words = {key: f"{number:.12g}" for key, number in zip(self.wanted, numbers, strict=True)}
+        if self.decimal == ",":
+            words = {key: word.replace(".", ",") for key, word in words.items()}
+        if self.form == "json":
+            body = json.dumps(_tree({str(key): float(word) for key, word in words.items()}))
+        elif self.form == "pairs":
+            body = self.separator.join(f"{key}:{word}" for key, word in words.items())
+        else:
+            body = self.separator.join(words.get(k, "0") for k in range(self.values or 0))
+        line = self.prefix + body
+        return (f"{line}*{_xor(line[1:]):02X}" if self.checksum == "xor8" else line).encode() + b"\r\n"
+
+
+def _xor(text: str) -> int:
+    return reduce(xor, text.encode("ascii", "replace"), 0)
+
+
+def _step(tree: Any, key: str) -> Any:
+    if isinstance(tree, list):
+        return tree[int(key)]
+    if not isinstance(tree, dict):
+        raise ValueError("no such path")
+    return tree[key]
+
+
+def _tree(leaves: dict[str, float]) -> Any:
+    """Return the JSON value with these leaves by their paths; keys that are all numbers make a list."""
+    if "" in leaves:
+        return leaves[""]
+    heads = dict.fromkeys(path.partition(".")[0] for path in leaves)
+    branches = {
+        head: _tree({p.partition(".")[2]: v for p, v in leaves.items() if p.partition(".")[0] == head})
+        for head in heads
+    }
+    return list(branches.values()) if all(head.isdigit() for head in heads) else branches
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Column, scale and offset of a number of a line."""
+
+    column: Column
+    scale: float
+    offset: float
+
+    def decoded(self, raw: FloatArray) -> ColumnArray:
+        """Return the values of the column."""
+        values = raw * self.scale + self.offset
+        if self.column.dtype == "float64":
+            return values
+        whole = np.abs(values) < 2.0**62
+        return np.where(whole, np.rint(np.where(whole, values, 0)).astype(np.int64), NO_INT)
+
+    def raw(self, values: ColumnArray) -> FloatArray:
+        """Return the numbers to be sent; what is missing is zero."""
+        if self.column.dtype == "int64":
+            values = np.where(values == NO_INT, 0, values)
+        return np.nan_to_num((values.astype(np.float64) - self.offset) / self.scale)
+
+
+class LineLayout:
+    """What lines of one kind carry."""
+
+    def __init__(self, line: Line) -> None:
+        self._line = line
+        self.places = [Place(*field.scaled(name)) for field in line.fields for name in field.names]
+        self.columns = tuple(place.column for place in self.places)
+        self.of_column: dict[str, str] = {}
+
+    def read(self, found: Found) -> dict[str, ColumnArray]:
+        """Return a value a line for each column."""
+        lines = (self._line.read(text) for text in _texts(found.held, found.at, found.length))
+        numbers = np.array([line for line in lines if line is not None])
+        return {p.column.name: p.decoded(numbers[:, k]) for k, p in enumerate(self.places)}
+
+
+def _texts(held: ByteArray, at: IntArray, length: IntArray) -> list[str]:
+    spans = zip(at.tolist(), length.tolist(), strict=True)
+    return [held[a : a + n].tobytes().decode("ascii", "replace") for a, n in spans]
+
+
+def line_lengths(after_end: bool) -> Lengths:
+    """Return the `Lengths` of lines.
+
+    Parameters
+    ----------
+    after_end : bool
+        The line begins behind a line end, which is counted to it instead of the one at its own end.
+    """
+
+    def lengths(held: ByteArray, at: IntArray) -> IntArray:
+        ends = np.flatnonzero(held == LINE_END)
+        k = np.searchsorted(ends, at, "right" if after_end else "left")
+        there = k < len(ends)
+        result = np.full(len(at), INCOMPLETE, np.int64)
+        result[there] = ends[k[there]] - at[there] + (0 if after_end else 1)
+        result[~there & (len(held) - at > LONGEST_LINE)] = IMPOSSIBLE
+        result[result > LONGEST_LINE] = IMPOSSIBLE
+        return result
+
+    return lengths
+
+
+def lines_right(read: Callable[[str], object]) -> Check:
+    """Return the `Check` of lines that are right when they can be read."""
+
+    def right(held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
+        return np.array([read(text) is not None for text in _texts(held, at, length)], np.bool_)
+
+    return right
+
+
+class TextDecoder(LayoutDecoder):
+    """Decodes described lines, a row for each; of several kinds that fit a line the first counts."""
+
+    def __init__(self, lines: Sequence[Line], rate_hz: float | None) -> None:
+        frames = [
+            Frame(x.name, x.prefix.encode() or b"\n", line_lengths(not x.prefix), lines_right(x.read))
+            for x in lines
+        ]
+        timing = timing_of([field for line in lines for field in line.fields], rate_hz)
+        super().__init__(frames, timing)
+        for line in lines:
+            self._add(LineLayout(line))
+
+    def _layout_numbers(self, found: Found) -> IntArray:
+        return found.frame
+
+
+class TextEncoder(Encoder):
+    """Makes the lines of a sample, one after the other."""
+
+    def __init__(self, lines: Sequence[Line]) -> None:
+        self._lines = [(line, LineLayout(line).places) for line in lines]
+
+    def encode(self, block: SampleBlock) -> list[bytes]:
+        """Return the lines of each row; see `imumon.protocols.base.Encoder`."""
+        zeros = np.zeros(len(block))
+        parts = []
+        for line, places in self._lines:
+            raw = [p.raw(block[p.column.name]) if p.column.name in block else zeros for p in places]
+            parts.append([line.write(row) for row in np.column_stack(raw).tolist()])
+        return [b"".join(row) for row in zip(*parts, strict=True)]
+
+
+class TextDevice(DeviceFile):
+    """Device file of a device that sends lines of text; `sends` is for its virtual twin alone."""
+
+    protocol: Literal["text"]
+    lines: list[Line] = Field(min_length=1)
+    sends: list[str] = Field(default=[], max_length=32)
+
+    def decoder(self) -> TextDecoder:
+        """Make a decoder for these lines."""
+        return TextDecoder(self.lines, self.rate_hz)
+
+    def encoder(self) -> TextEncoder:
+        """Make an encoder for the lines that are sent: all when `sends` is empty."""
+        return TextEncoder([line for line in self.lines if not self.sends or line.name in self.sends])

@@ -1,0 +1,106 @@
+"""The panel with the body: a box that turns as the device says."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from imumon.blocks import FloatArray
+from imumon.charts import AXIS_COLORS, GREY
+from imumon.view.items import ViewSetup
+from imumon.view.layout import SCENE, Rows, Window
+
+STEP_NS = 20_000_000
+"""The body is redrawn at the most 50 times a second; every quaternion is in ``/samples/attitude``."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reference:
+    """What the body is drawn in: its entity, the title of the view, names of the axes.
+
+    `up` says which way the third axis points, 1 or -1; None: as the axes of the device do.
+    """
+
+    root: str
+    title: str
+    axes: tuple[str, str, str]
+    up: float | None = None
+
+    @property
+    def body(self) -> str:
+        """Entity of the body."""
+        return f"{self.root}/body"
+
+
+DEVICE = Reference("/attitude", "Attitude: body in the device's reference frame", ("X", "Y", "Z"))
+EARTH = Reference(
+    "/attitude_estimate", "Attitude by the estimator: the device sends none", ("east", "north", "up"), up=1.0
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Attitude:
+    """A panel that turns a solid body by a quaternion w, x, y, z, or by roll, pitch and yaw."""
+
+    key: str
+    columns: tuple[str, ...]
+    reference: Reference = DEVICE
+    place: str = SCENE
+
+    def declare(self, rec: rr.RecordingStream) -> None:
+        """Log the housing with its connector and axes, and the reference axes."""
+        rec.log(f"/samples/{self.key}", rr.SeriesLines(names=list(self.columns)), static=True)
+        housing = rr.Boxes3D(
+            centers=[[0.0, 0.0, 0.0], [-0.62, 0.0, 0.0], [0.42, 0.0, 0.0]],
+            half_sizes=[[0.5, 0.34, 0.13], [0.12, 0.12, 0.07], [0.05, 0.3, 0.135]],
+            colors=[[95, 105, 125], [200, 165, 70], [230, 230, 235]],
+            fill_mode="solid",
+        )
+        rec.log(f"{self.reference.body}/housing", housing, static=True)
+        axes, colors = np.eye(3), [list(color) for color in AXIS_COLORS.values()]
+        body_axes = rr.Arrows3D(
+            origins=0.1 * axes, vectors=0.95 * axes, colors=colors, labels=["x", "y", "z"], radii=0.022
+        )
+        rec.log(f"{self.reference.body}/axes", body_axes, static=True)
+        if self.reference.up is not None:
+            rec.log(self.reference.root, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        labels = list(self.reference.axes)
+        reference = rr.Arrows3D(
+            vectors=1.5 * axes, colors=[list(GREY)], labels=labels, radii=0.008, show_labels=True
+        )
+        rec.log(f"{self.reference.root}/reference", reference, static=True)
+
+    def log(self, rec: rr.RecordingStream, rows: Rows) -> None:
+        """Log the exact values, and turn the body."""
+        values = rows.matrix(self.columns)
+        exact = rr.Scalars.columns(scalars=values)
+        rec.send_columns(f"/samples/{self.key}", indexes=rows.indexes, columns=exact)
+        keep: Any = np.isfinite(values).all(axis=1) & rows.thinned(STEP_NS)
+        if keep.any():
+            turned = rr.Transform3D.columns(quaternion=xyzw(values[keep]))
+            rec.send_columns(self.reference.body, indexes=rows.kept(keep).indexes, columns=turned)
+
+    def view(self, setup: ViewSetup, _: Window) -> Any:
+        """Return the 3-D view, seen from above and ahead whichever way the reference frame has z."""
+        up = self.reference.up or (-1.0 if setup.z_down else 1.0)
+        return rrb.Spatial3DView(
+            origin=self.reference.root,
+            name=self.reference.title,
+            line_grid=rrb.LineGrid3D(visible=True, spacing=0.5, color=[*GREY, 60]),
+            eye_controls=rrb.EyeControls3D(
+                position=[1.8, up * 1.7, up * 1.2], look_target=[0, 0, 0.08 * up], eye_up=[0, 0, up]
+            ),
+        )
+
+
+def xyzw(values: FloatArray) -> FloatArray:
+    """Return quaternions x, y, z, w, (n, 4), from w, x, y, z, or from roll, pitch, yaw in rad."""
+    if values.shape[1] == 4:
+        return np.ascontiguousarray(values[:, [1, 2, 3, 0]])
+    from scipy.spatial.transform import Rotation  # takes 0.3 s, and few devices send angles alone
+
+    return np.asarray(Rotation.from_euler("ZYX", values[:, ::-1]).as_quat())

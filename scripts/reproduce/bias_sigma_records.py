@@ -1,0 +1,185 @@
+"""Units that are carried, handled and driven, with what they send and the truth: rest and motion in turn."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+from scipy.signal import lfilter
+from scipy.spatial.transform import Rotation
+
+from imumon.blocks import FloatArray, SampleBlock
+from imumon.geodesy import DEG_PER_H, EARTH_RATE, STANDARD_GRAVITY
+
+RATE_HZ = 50.0
+TAUS_S = (10.0, 100.0, 1000.0)
+SLOPES_DPH = np.array([45.0, -100.0, 0.3])
+"""Slopes of the axes over temperature, deg/h per °C, where `Sensor.thermal` is one."""
+SENSOR_STEP_DEGC = 0.0625
+FIRST_REST_S = 60.0
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """Noise of a sensor: angle and velocity random walk, deg/√h and m/s/√s, flicker of three processes each,
+    deg/h, sensitivity to temperature over that of an industrial one, and turn-on bias, deg/s."""
+
+    angle_walk: float
+    velocity_walk: float
+    flicker_dph: float
+    thermal: float
+    turn_on: float
+
+
+SENSORS = {
+    "tactical": Sensor(0.02, 2e-4, 0.1, 0.03, 0.01),
+    "industrial": Sensor(0.28, 1e-3, 2.0, 1.0, 0.5),
+    "consumer": Sensor(0.6, 3e-3, 20.0, 3.0, 3.0),
+}
+
+
+@dataclass(frozen=True)
+class Case:
+    """How a unit is handled.
+
+    Parameters
+    ----------
+    sensor : str
+    per_g : float
+        Largest entry of the matrix of sensitivity to the specific force, deg/s/g.
+    rest_s, motion_s : float
+        Length of rests (the first lasts a minute) and of what lies between; no rests where rest_s is 0.
+    rests : int
+    temperature : str
+        "constant", "ramp" (2 °C/min) or "warm-up" (20 °C, time constant 400 s).
+    place : bool
+        Whether the estimator is told latitude and heading.
+    motion : str
+        "hand": turned to any pose and shaken; "rover" and "car": driven about on the level.
+    """
+
+    sensor: str = "industrial"
+    per_g: float = 0.02
+    rest_s: float = 12.0
+    motion_s: float = 20.0
+    rests: int = 10
+    temperature: str = "constant"
+    place: bool = False
+    motion: str = "hand"
+
+
+BASE = Case()
+DRIVES = {"rover": (1.0, 0.3, 0.02), "car": (12.0, 0.1, 0.005)}
+"""Mean speed, m/s, rms yaw rate, rad/s, and the slowest change of both, Hz."""
+LATITUDE_DEG = 40.93
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """What a unit sent, its bias and the earth rate in its axes, (n, 3), and whether it was at rest."""
+
+    samples: SampleBlock
+    bias: FloatArray
+    earth: FloatArray
+    rest: npt.NDArray[np.bool_]
+
+
+def _waves(rng: np.random.Generator, t: FloatArray, low_hz: float, high_hz: float, size: float) -> FloatArray:
+    """Return smooth motion of three axes with frequencies between these, rms `size`, (n, 3)."""
+    parts = 6
+    f = np.exp(rng.uniform(math.log(low_hz), math.log(high_hz), (parts, 3)))
+    phase, weight = rng.uniform(0.0, 2.0 * np.pi, (parts, 3)), rng.uniform(0.5, 1.5, (parts, 3))
+    total = (weight * np.sin(2.0 * np.pi * f * t[:, None, None] + phase)).sum(1)
+    return np.asarray(size * math.sqrt(2.0 / parts) * total)
+
+
+def _moved(case: Case, rng: np.random.Generator, seconds: float) -> tuple[FloatArray, FloatArray]:
+    """Return rates, rad/s, and accelerations in the axes of the ground, m/s², from rest to rest, (n, 3)."""
+    t = np.arange(round(seconds * RATE_HZ)) / RATE_HZ
+    ramp = np.clip(np.minimum(t, t[-1] - t) / min(1.0, 0.25 * seconds), 0.0, 1.0)[:, np.newaxis]
+    ramp = np.asarray(ramp * ramp * (3.0 - 2.0 * ramp))
+    if case.motion == "hand":
+        return ramp * _waves(rng, t, 0.05, 1.0, 1.0), ramp * _waves(rng, t, 0.3, 3.0, 1.0)
+    # It speeds up, brakes and turns; the road is rough; what tilts it comes back.
+    speed, turning, slowest_hz = DRIVES[case.motion]
+    yaw = ramp[:, 0] * _waves(rng, t, slowest_hz, 0.1, turning)[:, 2]
+    along = ramp[:, 0] * speed * (1.0 + 0.5 * _waves(rng, t, slowest_hz, 0.1, 1.0)[:, 0])
+    heading = np.cumsum(yaw) / RATE_HZ
+    velocity = along[:, np.newaxis] * np.column_stack([np.cos(heading), np.sin(heading), np.zeros(len(t))])
+    rate = np.gradient(ramp * _waves(rng, t, 0.05, 1.0, 0.03), 1.0 / RATE_HZ, axis=0)
+    rate[:, 2] = yaw
+    return rate, np.gradient(velocity, 1.0 / RATE_HZ, axis=0) + ramp * _waves(rng, t, 2.0, 15.0, 1.0)
+
+
+def _temperature(case: Case, t: FloatArray) -> FloatArray:
+    if case.temperature == "ramp":
+        return np.asarray(25.0 + t / 30.0)
+    if case.temperature == "warm-up":
+        return np.asarray(45.0 - 20.0 * np.exp(-t / 400.0))
+    return np.full(len(t), 25.0)
+
+
+def _markov(rng: np.random.Generator, n: int, tau: float, sd: float) -> FloatArray:
+    decay = math.exp(-1.0 / (RATE_HZ * tau))
+    drive = rng.normal(size=(n, 3)) * sd * math.sqrt(1.0 - decay * decay)
+    drive[0] = rng.normal(size=3) * sd
+    return np.asarray(lfilter([1.0], [1.0, -decay], drive, axis=0))
+
+
+def simulate(case: Case, seed: int) -> Record:
+    """Return a record."""
+    rng = np.random.default_rng(seed)
+    rates, accelerations, still = [], [], []
+    for k in range(max(case.rests, 1)):
+        seconds = case.rest_s and (FIRST_REST_S if k == 0 else case.rest_s)
+        moved, shaken = _moved(case, rng, case.motion_s)
+        n = round(seconds * RATE_HZ)
+        rates += [np.zeros((n, 3)), moved]
+        accelerations += [np.zeros((n, 3)), shaken]
+        still += [np.ones(n, np.bool_), np.zeros(len(moved), np.bool_)]
+    rate, acceleration, rest = (np.concatenate(parts) for parts in (rates, accelerations, still))
+    n = len(rate)
+    steps = Rotation.from_rotvec(rate / RATE_HZ).as_matrix()
+    body_to_ground, poses = np.eye(3), np.empty((n, 3, 3))
+    for k in range(n):
+        body_to_ground = body_to_ground @ steps[k]
+        poses[k] = body_to_ground
+    latitude = math.radians(LATITUDE_DEG)
+    earth = EARTH_RATE * np.array([math.cos(latitude), 0.0, -math.sin(latitude)]) @ poses
+    gravity = np.array([0.0, 0.0, -STANDARD_GRAVITY])
+    force = np.einsum("ni,nij->nj", acceleration + gravity, poses)
+    return Record(*_sensed(case, rng, rate + earth, force), earth, rest)
+
+
+def _sensed(
+    case: Case, rng: np.random.Generator, rate: FloatArray, force: FloatArray
+) -> tuple[SampleBlock, FloatArray]:
+    """Return what the sensors make of it, and the bias."""
+    n, sensor = len(rate), SENSORS[case.sensor]
+    t = np.arange(n) / RATE_HZ
+    degc = _temperature(case, t)
+    bias = np.radians(sensor.turn_on) * rng.normal(size=3)
+    bias = bias + sum(_markov(rng, n, tau, sensor.flicker_dph * DEG_PER_H) for tau in TAUS_S)
+    bias = bias + sensor.thermal * SLOPES_DPH * DEG_PER_H * (degc - 25.0)[:, np.newaxis]
+    matrix = rng.uniform(-1.0, 1.0, (3, 3))
+    matrix *= math.radians(case.per_g) / STANDARD_GRAVITY / np.abs(matrix).max()
+    bias = bias + force @ matrix.T
+    white, shaking = rng.normal(size=(2, n, 3)) * math.sqrt(RATE_HZ)
+    gyro = rate + bias + math.radians(sensor.angle_walk) / 60.0 * white
+    accel = force + sensor.velocity_walk * shaking
+    read = np.round((degc + 0.02 * rng.normal(size=n)) / SENSOR_STEP_DEGC) * SENSOR_STEP_DEGC
+    columns = {
+        "device_time_ns": np.round(t * 1e9).astype(np.int64),
+        "segment": np.zeros(n, np.int64),
+        "temperature": read,
+        **{f"gyro_{axis}": gyro[:, j] for j, axis in enumerate("xyz")},
+        **{f"accel_{axis}": accel[:, j] for j, axis in enumerate("xyz")},
+    }
+    return SampleBlock(columns), bias
+
+
+def varied(**changes: object) -> Case:
+    """Return the base case with changes."""
+    return replace(BASE, **changes)  # type: ignore[arg-type]  # any field of a case

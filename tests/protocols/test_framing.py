@@ -1,0 +1,94 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from imumon.blocks import SampleBlock
+from imumon.protocols.checksums import checksum, make_checksum
+from imumon.protocols.device import load_device
+from imumon.protocols.frame_checks import check_of
+from tests.protocols.streams import chunkings, damage, feed_in_chunks
+from tests.protocols.test_checksums import CHECK
+
+FAMILIES = ("vectornav", "witmotion", "sbg", "inertialsense", "hipnuc", "stim300", "kvh1750")
+
+
+def samples(n: int, seed: int = 0) -> SampleBlock:
+    rng = np.random.default_rng(seed)
+    columns = {f"{what}_{axis}": rng.normal(0, 1, n) for what in ("gyro", "accel", "mag") for axis in "xyz"}
+    return SampleBlock({**columns, "device_ticks": np.arange(1, n + 1) * 20_000_000})
+
+
+def packets_of(family: str, n: int = 60, seed: int = 0) -> list[bytes]:
+    return load_device(family).encoder().encode(samples(n, seed))
+
+
+@pytest.mark.parametrize("name", CHECK)
+@pytest.mark.parametrize("big", [False, True])
+def test_checks_of_many_packets_agree_with_the_catalogue(name: str, big: bool) -> None:
+    size = int(make_checksum(name).width)
+    value = CHECK[name].to_bytes(size, "big" if big else "little")
+    packets = [b"x123456789" + value, b"x12345678" + value, b"y123456789" + value]
+    held = np.frombuffer(b"".join(packets), np.uint8)
+    length = np.array([len(packet) for packet in packets])
+    right = check_of(name, first=1, big=big)(held, np.cumsum(length) - length, length)
+    assert right.tolist() == [True, False, True]
+
+
+def test_zeros_that_are_not_sent_count() -> None:
+    data = b"\x01\x02\x03"
+    padded = np.frombuffer(data + bytes(5), np.uint8)
+    crc = int(checksum(make_checksum("crc32-mpeg2"), padded, 0, 8)).to_bytes(4, "big")
+    held = np.frombuffer(data + crc, np.uint8)
+    one, size = np.array([0]), np.array([7])
+    assert check_of("crc32-mpeg2", big=True, zeros=5)(held, one, size).tolist() == [True]
+    assert check_of("crc32-mpeg2", big=True, zeros=4)(held, one, size).tolist() == [False]
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+@given(lengths=chunkings, seed=st.integers(0, 1000))
+@settings(max_examples=8, deadline=None)
+def test_any_chunking_gives_the_same_packets(family: str, lengths: list[int], seed: int) -> None:
+    stream, _ = damage(packets_of(family, seed=seed), np.random.default_rng(seed), 0.1, 0.1, 0.2)
+    arrival = [n // 100 * 1_000_000 for n in range(len(stream))]
+    device = load_device(family)
+    whole, cut = device.decoder(), device.decoder()
+    expected = feed_in_chunks(whole, stream, [len(stream)], arrival)
+    got = feed_in_chunks(cut, stream, lengths, arrival)
+    assert whole.counters() == cut.counters()
+    assert list(got.columns) == list(expected.columns)
+    for name in expected.columns:
+        np.testing.assert_array_equal(got[name], expected[name], err_msg=name)
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize("lengths", [[1], [13], [997], [65536]])
+def test_no_intact_packet_is_lost_on_a_damaged_stream(family: str, lengths: list[int]) -> None:
+    packets = packets_of(family, 40 if lengths == [1] else 400)
+    stream, whole = damage(packets, np.random.default_rng(5), 0.1, 0.1, 0.2)
+    decoder = load_device(family).decoder()
+    block = feed_in_chunks(decoder, stream, lengths)
+    x = packets_of(family, len(packets))
+    alone = load_device(family).decoder()
+    alone.feed(b"".join(x), 0)
+    alone.finish()
+    every = alone.take()
+    sent = {value.tobytes() for value in every["accel_x"][~np.isnan(every["accel_x"])][whole]}
+    got = {value.tobytes() for value in block["accel_x"][~np.isnan(block["accel_x"])]}
+    assert sent <= got
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+@given(data=st.binary(max_size=600), seed=st.integers(0, 1000))
+@settings(max_examples=25, deadline=None)
+def test_rubbish_between_packets_is_no_harm(family: str, data: bytes, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    packets = packets_of(family, 5)
+    mutated = bytearray(b"".join(packets))
+    for place in rng.integers(len(mutated), size=8):
+        mutated[place] = int(rng.integers(256))
+    decoder = load_device(family).decoder()
+    block = feed_in_chunks(decoder, bytes(mutated) + data + b"".join(packets) + data, [31])
+    assert len(block) >= len(packets) - 1

@@ -1,0 +1,139 @@
+"""Families that are tables of messages: against frames of the vendors' own encoders."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from imumon.blocks import NO_INT, SampleBlock
+from imumon.errors import ImumonError
+from imumon.geodesy import STANDARD_GRAVITY
+from imumon.protocols.device import device_text, load_device, parse_device
+from tests.data_folder import measured
+from tests.protocols.streams import feed_in_chunks
+
+DEGREE = np.pi / 180
+HIPNUC_91 = bytes.fromhex(
+    "5AA54C0014BB9108152309A2C44708151C00CCE861BE9A35563E65EA723F31D07CBD75DDC5BB6BD724BC8988FC4001006A41AB2A"
+    "70C296D45041ED03434141F4F4C2CCCAF8BE736A19BEF0001C3D8D375C3F"
+)
+
+
+def vectors(device: str, name: str) -> SampleBlock:
+    """Decode a file of frames, all of which must be valid."""
+    decoder = load_device(device).decoder()
+    block = feed_in_chunks(decoder, measured(f"vectors/{name}").read_bytes(), [11])
+    counters = decoder.counters()
+    assert counters.bytes_in_packets == counters.bytes_received
+    return block
+
+
+def test_sbg_frames_of_the_vendor() -> None:
+    block = vectors("sbg", "sbg_vendor_vectors.bin")
+    assert len(block) == 24
+    assert block["device_ticks"][[0, 8, 16]].tolist() == [123_456_789, 123_461_789, 123_466_789]
+    assert block["accel_z"][0] == pytest.approx(-9.8000002)
+    assert block["gyro_y"][0] == pytest.approx(-1.000017e-4, rel=1e-6)
+    assert block["status"][16] == 0x07FF  # the scale of fast sensors
+    assert block["gyro_z"][16] == pytest.approx(10.0)
+    assert block["temperature"][[0, 8, 16]].tolist() == [31.5, 11.5, -8.5]
+    assert block["accel_x"][1] == -1.0
+    assert block["temperature"][1] == -12.25
+    assert block["yaw"][2] == 3.0
+    assert [block[f"q_{c}"][3] for c in "wxyz"] == [0.5, -0.5, 0.5, 0.5]
+    up_time = block["up_time"][block["up_time"] != NO_INT]
+    assert up_time.tolist() == [3600] * 3
+    assert block["processor_load"][block["processor_load"] != NO_INT].tolist() == [42] * 3
+
+
+def test_inertial_sense_packets_of_the_vendor() -> None:
+    block = vectors("inertialsense", "isb_vendor_vectors.bin")
+    assert len(block) == 9
+    assert block["device_ticks"][:3].tolist() == [123_456_000_000, 123_456_000_000, 123_000_000_000]
+    assert block["gyro_x"][[0, 3, 6]] == pytest.approx([0.01, 0.02, 0.03])
+    assert block["status"][0] == 0x00030003
+    assert block["accel_z"][1] == pytest.approx(-9.8)  # -0.0392 m/s in 4 ms
+    assert block["temperature"][2] == 31.5
+    assert block["gyro_x"][2] == 0.25
+
+
+def test_stim_datagrams_of_another_implementation() -> None:
+    block = vectors("stim300", "stim300_pystim300_vectors.bin")
+    assert len(block) == 18
+    np.testing.assert_allclose([block[f"gyro_{c}"][0] / DEGREE for c in "xyz"], [1, 2, -3])
+    accel = [block[f"accel_{c}"][3] / STANDARD_GRAVITY for c in "xyz"]
+    np.testing.assert_allclose(accel, [0.1, -0.2, 0.05], atol=2e-6)
+    assert [block[f"temperature_{c}"][9] for c in "xyz"] == [25.0, 25.5, 26.0]
+    assert block["device_ticks"][0] == 42
+    assert block["latency"][0] == 1234
+
+
+def test_what_a_stim_does_not_say_comes_from_the_device_file() -> None:
+    text, source = device_text("stim300")
+    other = text.replace("output: rate ", "output: increment ").replace(
+        "accel_range_g: 10", "accel_range_g: 5"
+    )
+    data = measured("vectors/stim300_pystim300_vectors.bin").read_bytes()
+    decoder = parse_device(other, source).decoder()
+    block = feed_in_chunks(decoder, data, [50])
+    # 2^14 counts are 1/128 degree a sample, at 500 Hz.
+    assert block["gyro_x"][0] / DEGREE == pytest.approx(500 / 128)
+    assert block["accel_x"][3] == pytest.approx(0x00CCCD / 2**23 * 500)
+    assert any("increments" in text and "5 g" in text for text in decoder.notices())
+
+
+@pytest.mark.parametrize("end", [b"", b"\r\n"])
+def test_a_line_end_belongs_to_the_datagram(end: bytes) -> None:
+    datagram = bytes.fromhex("900040000080 00FF4000002A04D2DC70DB2F")
+    decoder = load_device("stim300").decoder()
+    block = feed_in_chunks(decoder, (datagram + end) * 4, [1])
+    assert len(block) == 4
+    assert decoder.counters().bytes_in_packets == 4 * len(datagram + end)
+
+
+def test_a_hipnuc_frame_of_the_vendor() -> None:
+    block = feed_in_chunks(load_device("hipnuc").decoder(), HIPNUC_91, [7])
+    assert block["device_ticks"][0] == 1_840_392_000
+    assert block["temperature"][0] == 35
+    assert block["pressure"][0] == pytest.approx(100_676.07)
+    assert block["accel_z"][0] / STANDARD_GRAVITY == pytest.approx(0.94888908)
+    assert block["gyro_x"][0] / DEGREE == pytest.approx(-0.061721984)
+    assert block["mag_z"][0] == pytest.approx(-60.041668)
+    assert block["yaw"][0] / DEGREE == pytest.approx(-122.47706)
+    assert block["q_z"][0] == pytest.approx(0.86022264)
+
+
+def test_a_hipnuc_frame_says_by_bits_what_follows() -> None:
+    text, source = device_text("hipnuc")
+    device = parse_device(text.replace("sends: [imu91]", "sends: ['imu83:0x123']"), source)
+    sent = {"accel_x": np.array([1.5, 2.5]), "temperature": np.array([20.125, 20.25]),
+            "gyro_z": np.array([0.1, 0.2]), "device_ticks": np.array([5000, 15000])}  # fmt: skip
+    packets = device.encoder().encode(SampleBlock(sent))
+    assert len(packets[0]) == 6 + 8 + 12 + 12 + 8 + 4
+    block = feed_in_chunks(device.decoder(), b"".join(packets), [9])
+    for name, values in sent.items():
+        np.testing.assert_allclose(block[name], values, rtol=1e-6)
+
+
+def test_a_shorter_log_of_older_firmware_lacks_the_tail() -> None:
+    device = load_device("sbg")
+    text, source = device_text("sbg")
+    encoder = parse_device(text.replace("sends: [imu_short]", "sends: [ekf_euler]"), source).encoder()
+    packet = encoder.encode(SampleBlock({"roll": np.array([0.5]), "device_ticks": np.array([7])}))[0]
+    body = packet[2:4] + (32).to_bytes(2, "little") + packet[6:38]
+    crc = 0
+    for byte in body:
+        crc ^= byte
+        for _ in range(8):
+            crc = crc >> 1 ^ (0x8408 if crc & 1 else 0)
+    block = feed_in_chunks(device.decoder(), packet[:2] + body + crc.to_bytes(2, "little") + b"\x33", [5])
+    assert block["roll"][0] == 0.5
+    assert "declination" not in block
+
+
+@pytest.mark.parametrize("device", ["sbg", "inertialsense", "hipnuc"])
+def test_a_message_that_is_not_there_is_named(device: str) -> None:
+    text, source = device_text(device)
+    wrong = "\n".join("sends: [nonsense]" if line.startswith("sends:") else line for line in text.split("\n"))
+    with pytest.raises(ImumonError, match="nonsense"):
+        parse_device(wrong, source).encoder()

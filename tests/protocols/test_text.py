@@ -1,0 +1,139 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from imumon.blocks import SampleBlock
+from imumon.protocols.device import load_device, parse_device
+from imumon.protocols.text import TextDevice
+from tests.protocols.streams import chunkings, feed_in_chunks
+from tests.protocols.test_device import complaint
+
+HEAD = "format: imumon-device/1\nname: t\ntitle: t\nprotocol: text\naxes: FLU\nlines:\n"
+CSV = HEAD + (
+    "  - name: csv\n    values: 4\n    fields:\n"
+    "      - {at: 0, type: u32, column: device_ticks, unit: us}\n"
+    "      - {at: 1, columns: [gyro_x, gyro_y, gyro_z], unit: deg/s}\n"
+)
+JSON = HEAD + (
+    "  - name: j\n    form: json\n    fields:\n"
+    "      - {key: imu.gyro, columns: [gyro_x, gyro_y, gyro_z], unit: deg/s}\n"
+    "      - {key: temp, column: temperature, unit: degC}\n"
+)
+PAIRS = HEAD + (
+    "  - name: p\n    form: pairs\n    separator: ' '\n    fields:\n"
+    "      - {key: gx, column: gyro_x, unit: deg/s}\n      - {key: T, column: temperature, unit: degC}\n"
+)
+SUM = HEAD + (
+    "  - name: s\n    prefix: '$IMU,'\n    checksum: xor8\n    values: 3\n    fields:\n"
+    "      - {at: 0, columns: [accel_x, accel_y, accel_z], unit: m/s^2}\n"
+)
+
+
+def decoded(text: str, data: bytes, lengths: list[int] | None = None) -> SampleBlock:
+    return feed_in_chunks(parse_device(text, "t.yaml").decoder(), data, lengths or [13])
+
+
+def test_lines_with_separators() -> None:
+    block = decoded(CSV, b"garbage\r\n1000,1,-2.5,.5e1\r\n2000,4,5,6\n3000,7,8\n4000,1,nan,2\n5000,1,2,3\n")
+    assert block["device_ticks"].tolist() == [1000, 2000, 5000]
+    np.testing.assert_allclose(np.rad2deg(block["gyro_y"]), [-2.5, 5, 2])
+    np.testing.assert_allclose(np.rad2deg(block["gyro_z"]), [5, 6, 3])
+
+
+def test_the_first_line_may_be_torn_and_does_not_count() -> None:
+    assert len(decoded(CSV, b"00,1,2,3\n1000,1,2,3\n")) == 1
+
+
+def test_pairs_and_json() -> None:
+    block = decoded(PAIRS, b"\ngx:90 T:21.5 note:hello\ngx=45  T=22\ngx:1\n")
+    np.testing.assert_allclose(np.rad2deg(block["gyro_x"]), [90, 45])
+    assert block["temperature"].tolist() == [21.5, 22]
+    good = b'{"t": 1, "imu": {"gyro": [1, 2, 3]}, "temp": 20.5}\n'
+    block = decoded(
+        JSON, b"\n" + good + b'{"imu": {"gyro": [1, 2]}, "temp": 1}\n{"imu": 1, "temp": true}\n' + good
+    )
+    np.testing.assert_allclose(np.rad2deg(block["gyro_z"]), [3, 3])
+    assert block["temperature"].tolist() == [20.5, 20.5]
+
+
+def test_a_decimal_comma() -> None:
+    text = CSV.replace("values: 4", "values: 4\n    separator: ;\n    decimal: ','")
+    assert np.rad2deg(decoded(text, b"\n1;1,5;2;3\n")["gyro_x"])[0] == pytest.approx(1.5)
+
+
+def test_sentences_with_checksum_anywhere_in_the_stream() -> None:
+    device = parse_device(SUM, "t.yaml")
+    sent = SampleBlock({"accel_x": np.array([1.5, 2.5]), "accel_z": np.array([9.75, 9.5])})
+    first, second = device.encoder().encode(sent)
+    damaged = first.replace(b"1.5", b"1.7")
+    decoder = device.decoder()
+    block = feed_in_chunks(decoder, b"\x00$I" + first + damaged + b"junk" + second, [3])
+    assert block["accel_x"].tolist() == [1.5, 2.5]
+    assert decoder.counters().checksum_errors == 1
+
+
+@pytest.mark.parametrize("text", [CSV, JSON, PAIRS, SUM])
+@given(lengths=chunkings, seed=st.integers(0, 100))
+@settings(max_examples=10, deadline=None)
+def test_what_is_written_is_read_whatever_the_chunks(text: str, lengths: list[int], seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    names = [f"{base}_{axis}" for base in ("gyro", "accel") for axis in "xyz"]
+    sent = SampleBlock(
+        {**{name: rng.normal(0, 1, 20) for name in names}, "temperature": rng.normal(20, 1, 20),
+         "device_ticks": np.arange(20) * 1000}
+    )  # fmt: skip
+    device = parse_device(text, "t.yaml")
+    block = feed_in_chunks(device.decoder(), b"\n" + b"".join(device.encoder().encode(sent)) + b"\n", lengths)
+    assert len(block) == 20
+    for name in block.columns:
+        if name in sent.columns:
+            np.testing.assert_allclose(block[name], sent[name], rtol=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("sentence", "column", "value"),
+    [
+        (b"$HEHDT,274.07,T*19", "heading_true", 274.07),
+        (b"$GPROT,35.6,A*01", "rate_of_turn", 35.6),
+        (b"$PASHR,123816.80,312.95,T,-0.83,-0.42,-0.01,0.234,0.224,0.298,2,1*0B", "heading_true", 312.95),
+        (b"$GPHDG,98.3,0.0,E,12.6,W*4B", "heading_magnetic", 98.3),
+    ],
+)
+def test_nmea_sentences(sentence: bytes, column: str, value: float) -> None:
+    block = feed_in_chunks(load_device("nmea").decoder(), sentence + b"\r\n", [5])
+    assert block[column][0] == value
+    wrong = sentence[:-1] + (b"2" if sentence[-1:] != b"2" else b"3") + b"\r\n"
+    assert len(feed_in_chunks(load_device("nmea").decoder(), wrong, [5])) == 0
+
+
+def test_known_boards() -> None:
+    line = b"#YPRAG=10.0,-5.0,1.0,0.0,0.0,256.0,0.1,0.2,0.3\r\n"
+    block = feed_in_chunks(load_device("razor").decoder(), line, [7])
+    assert block["accel_z"][0] == pytest.approx(9.80665)
+    assert block["gyro_z"][0] == 0.3
+    block = feed_in_chunks(load_device("motioncal").decoder(), b"Raw:0,0,8192,16,0,0,10,0,400\r\n", [7])
+    assert block["accel_z"][0] == pytest.approx(9.80665)
+    assert np.rad2deg(block["gyro_x"][0]) == pytest.approx(1.0)
+    assert block["mag_z"][0] == 40
+
+
+@pytest.mark.parametrize(
+    ("text", "old", "new", "words"),
+    [
+        (CSV, "values: 4", "values: 3", "behind the 3 values"),
+        (CSV, "    values: 4\n", "", "say how many"),
+        (CSV, "at: 0", "key: t", "need at"),
+        (SUM, "'$IMU,'", "'IMU,'", "begins with $"),
+        (CSV, "at: 0, type", "at: 0, key: t, type", "give either at"),
+    ],
+)
+def test_wrong_descriptions_are_refused(text: str, old: str, new: str, words: str) -> None:
+    assert old in text
+    assert words in complaint(text.replace(old, new))
+
+
+def test_the_device_is_one_of_text() -> None:
+    assert isinstance(load_device("razor"), TextDevice)
