@@ -101,6 +101,13 @@ PANELS: tuple[Panel, ...] = (
     *_thermal({"": ORANGE}, "/samples/temperature"),
     *_thermal({f"_{axis}": color for axis, color in AXIS_COLORS.items()}, "/samples/temperature_axes"),
     Bands("gyro_bias", "Gyro bias, 2σ", _axes_with_sd("gyro_bias"), "°/h", BIAS),
+    Bands(
+        "gyro_bias_smoothed",
+        "Gyro bias with what came later, 2σ",
+        _axes_with_sd("gyro_bias_smoothed"),
+        "°/h",
+        BIAS,
+    ),
     Strip(
         "gyro_corrected",
         "Angular rate: raw and corrected",

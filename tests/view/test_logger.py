@@ -92,6 +92,20 @@ def test_columns_of_nan_alone_do_not_make_a_panel(write: Callable[[Write], Path]
     assert "/samples/mag" not in entities(write(lambda logger: logger.log([samples])))
 
 
+@pytest.mark.parametrize("reports", [True, False])
+def test_an_estimated_attitude_turns_the_body_of_a_device_that_reports_none(
+    write: Callable[[Write], Path], reports: bool
+) -> None:
+    sent = block(0, 100)
+    names = [f"attitude_estimate_{part}" for part in "wxyz"]
+    estimated = {name: np.r_[np.nan, sent[own][1:]] for name, own in zip(names, QUATERNION, strict=True)}
+    if not reports:
+        sent = block(0, 100, leave_out=("q_",))
+    path = write(lambda logger: logger.log([Timebase().samples(sent.with_columns(estimated))]))
+    there = {name for name in entities(path) if name.endswith("/body")}
+    assert there == {"/attitude/body" if reports else "/attitude_estimate/body"}
+
+
 def test_unknown_columns_are_recorded_too(write: Callable[[Write], Path]) -> None:
     extra = block(0, 20).with_columns({"humidity": np.linspace(40.0, 41.0, 20)})
     path = write(lambda logger: logger.log([Timebase().samples(extra)]))

@@ -21,15 +21,15 @@ from imumon.filters.slots import SlotGatherer, Slots
 from imumon.geodesy import EARTH_RATE
 from imumon.models.magnetometer import MagnetometerModel
 
-SLOT_NS = 500_000_000
-"""So often it is judged how far the attitude may be off: as often as the bias says something new."""
+SLOT_NS = 1_000_000_000
+"""So often it is judged how far the attitude may be off: bias and path grow little in a second."""
 GAP_NS = 250_000_000
 """A longer pause hides turns."""
 Q = tuple(f"attitude_estimate_{part}" for part in "wxyz")
 NORTH = "attitude_estimate_north"
-_REST = 12
-_COLUMNS = 13
-"""Of the slots: rate, force, field and sigma of the bias, three each, and whether it is at rest."""
+_REST = 6
+_COLUMNS = 7
+"""Of the slots: rate and force, three each, and whether it is at rest."""
 
 
 @dataclass(slots=True, eq=False)
@@ -38,6 +38,7 @@ class _Rows:
 
     readings: Readings
     bias_known: npt.NDArray[np.bool_]
+    bias_sd: FloatArray
     begins: set[int]
     slots: Slots
     q: FloatArray
@@ -87,6 +88,7 @@ class AttitudeEstimate:
         self._ended_ns = 0
         self._fusion = Fusion()
         self._uncertainty = Uncertainty()
+        self._field = np.full(3, np.nan)
         self._gaps = 0
         self._names = [column.name for column in self.columns if column.name != NORTH]
         self._said: set[str] = set()
@@ -120,19 +122,20 @@ class AttitudeEstimate:
         if gyro is None or accel is None:
             return {}
         n = len(block)
-        which = np.flatnonzero((block["device_time_ns"] != NO_INT) & np.isfinite(gyro).all(1))
+        which = np.flatnonzero((block["device_time_ns"] != NO_INT) & _whole(gyro))
         found = self._rows(
             block
             if len(which) == n
             else SampleBlock({name: values[which] for name, values in block.columns.items()})
         )
         self._follow(found)
-        roll, pitch = level_angles(found.q, self._down)
-        values = np.vstack([found.q.T, roll, pitch, found.sd[0], heading(found.q), found.sd[1]])
-        values[:, np.isnan(found.q[:, 0])] = np.nan
-        north = np.where(np.isnan(found.q[:, 0]), NO_INT, found.north)
+        q = found.q
+        roll, pitch = level_angles(q, self._down)
+        values = [*(part.copy() for part in q.T), roll, pitch, found.sd[0], heading(q), found.sd[1]]
+        north = np.where(np.isnan(q[:, 0]), NO_INT, found.north)
         if len(which) < n:
-            values, north = _spread(values, np.nan, which, n), _spread(north, NO_INT, which, n)
+            values = [_spread(part, np.nan, which, n) for part in values]
+            north = _spread(north, NO_INT, which, n)
         return {**dict(zip(self._names, values, strict=True)), NORTH: north}
 
     def _rows(self, block: SampleBlock) -> _Rows:
@@ -147,15 +150,15 @@ class AttitudeEstimate:
         elif self._magnetometer is not None:
             mag = self._magnetometer.corrected(mag)
         corrected, bias_sd = block.vector("gyro_corrected"), block.vector("gyro_bias_sd")
+        if bias_sd is None:
+            bias_sd = np.full((n, 3), np.nan)
         known, rest, rate = np.zeros(n, bool), np.zeros(n, bool), gyro
         if corrected is not None:
             known = _whole(corrected)
             rate = corrected if known.all() else np.where(known[:, np.newaxis], corrected, gyro)
             rest = known & np.asarray(block.columns.get("at_rest", np.zeros(n, np.int64)) == 1)
         values = np.empty((n, _COLUMNS))
-        values[:, :3], values[:, 3:6], values[:, 6:9] = rate, accel, mag
-        values[:, 9:12] = np.nan if bias_sd is None else bias_sd
-        values[:, _REST] = rest
+        values[:, :3], values[:, 3:6], values[:, _REST] = rate, accel, rest
         time_ns, segment = block["device_time_ns"], block["segment"]
         begins, interval_s = self._intervals(time_ns, segment)
         angle = rate * (interval_s * ~rest)[:, np.newaxis]
@@ -163,7 +166,7 @@ class AttitudeEstimate:
         readings = Readings(time_ns, angle, _or_zero(accel), _or_zero(mag), has_mag)
         slots = self._slots.process(time_ns, segment, values)
         q, north, sd = np.full((n, 4), np.nan), np.zeros(n, np.int64), np.empty((2, n))
-        return _Rows(readings, known, begins, slots, q, north, sd)
+        return _Rows(readings, known, bias_sd, begins, slots, q, north, sd)
 
     def _follow(self, rows: _Rows) -> None:
         """Run the filter from edge to edge: a slot has ended, it begins anew, the bias is known from here."""
@@ -171,24 +174,36 @@ class AttitudeEstimate:
         ended = {int(row): k for k, row in enumerate(rows.slots.row)}
         learned = np.flatnonzero(known[1:] != known[:-1]) + 1
         edges = sorted({0, n, *rows.begins, *ended, *learned.tolist()})
+        begun = 0
         for start, stop in pairwise(edges):
             if start in ended:
-                self._judge(rows.slots, ended[start])
+                self._judge(rows, ended[start], start)
             if start in rows.begins:
                 self._fusion, self._uncertainty = Fusion(), Uncertainty()
             fusion = self._fusion
             fusion.process(rows.readings, start, stop, bool(known[start]), rows.q, rows.north)
             if self._down == 0.0 and fusion.begun:
                 self._down = 1.0 if matrix(fusion.last)[2, 2] < 0.0 else -1.0
-            if not rows.north[start:stop].all() and fusion.begun:
-                free = rows.q[start:stop][rows.north[start:stop] == 0]
-                rows.q[start:stop][rows.north[start:stop] == 0] = turned_clockwise(
-                    free, self._heading - fusion.first_heading
-                )
             rows.sd[0, start:stop], rows.sd[1, start:stop] = (
                 self._uncertainty.tilt_sd,
                 self._uncertainty.heading_sd,
             )
+            if stop == n or stop in rows.begins:
+                self._turn_free(rows, begun, stop)
+                begun = stop
+        self._keep_field(rows.readings, n)
+
+    def _turn_free(self, rows: _Rows, start: int, stop: int) -> None:
+        """Let the heading of rows that nothing ties to north begin where it was said."""
+        free = np.flatnonzero(rows.north[start:stop] == 0) + start
+        if len(free) and self._fusion.begun:
+            rows.q[free] = turned_clockwise(rows.q[free], self._heading - self._fusion.first_heading)
+
+    def _keep_field(self, readings: Readings, stop: int) -> None:
+        """Keep the latest reading of the magnetometer before a row."""
+        found = np.flatnonzero(readings.has_mag[:stop])
+        if len(found):
+            self._field = readings.mag[found[-1]].copy()
 
     def _intervals(self, time_ns: IntArray, segment: IntArray) -> tuple[set[int], FloatArray]:
         """Return the rows that begin anew, after a restart or a gap, and the time since the row before, s."""
@@ -205,13 +220,14 @@ class AttitudeEstimate:
         begins = set(np.flatnonzero(changed | gap | (interval < 0)).tolist())
         return begins, np.asarray(interval * 1e-9, np.float64)
 
-    def _judge(self, slots: Slots, k: int) -> None:
-        """Say how far the attitude may be off, by a slot that has ended."""
-        fusion = self._fusion
+    def _judge(self, rows: _Rows, k: int, row: int) -> None:
+        """Say how far the attitude may be off, by a slot that has ended before a row."""
+        fusion, slots = self._fusion, rows.slots
         start_ns = int(slots.start_ns[k]) if slots.begins[k] else self._ended_ns
         self._ended_ns = int(slots.end_ns[k])
         if not fusion.begun:
             return
+        self._keep_field(rows.readings, row)
         mean = slots.mean[k]
         self._uncertainty.step(
             Slot(
@@ -219,8 +235,8 @@ class AttitudeEstimate:
                 rest=bool(slots.smallest[k, _REST] == 1.0),
                 rate=mean[:3],
                 force=mean[3:6],
-                mag=mean[6:9],
-                bias_sd=mean[9:12],
+                mag=self._field,
+                bias_sd=rows.bias_sd[row],
                 attitude=matrix(fusion.last),
                 gyro_only=matrix(fusion.gyro_only()),
                 north=fusion.north,
@@ -260,7 +276,7 @@ class AttitudeEstimate:
 
 def _whole(vectors: FloatArray) -> npt.NDArray[np.bool_]:
     """Return which vectors have all components, (n,)."""
-    return np.asarray(np.isfinite(vectors).all(1))
+    return np.asarray(np.isfinite(vectors[:, 0] + vectors[:, 1] + vectors[:, 2]))
 
 
 def _or_zero(vectors: FloatArray) -> FloatArray:

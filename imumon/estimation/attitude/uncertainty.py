@@ -55,14 +55,16 @@ class Errors:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Slot:
-    """Half a second: length, whether it was at rest, and means, (3,) each, in body axes.
+    """A second: its length, and whether it was at rest.
 
     Parameters
     ----------
-    rate, force, mag : array (3,)
-        rad/s, m/s², unit of the field; NaN where there is none.
+    rate, force : array (3,)
+        Means in body axes, rad/s and m/s²; NaN where there is none.
+    mag : array (3,)
+        At its end, in the unit of the field.
     bias_sd : array (3,)
-        rad/s; NaN where the bias is not known.
+        At its end, rad/s; NaN where the bias is not known.
     attitude, gyro_only : array (3, 3)
         At its end, from body axes to east-north-up, and to axes of the gyros' own.
     north, disturbed : bool

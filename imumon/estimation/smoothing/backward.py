@@ -51,10 +51,7 @@ def backward(record: Record, temperature: Estimator, bias: Estimator) -> dict[st
 
 
 def known_curve(record: Record) -> FloatArray:
-    """Return what the model says of the bias, rad/s, (n, 3): before the first estimate what it says there."""
+    """Return what the model says of the bias, rad/s, (n, 3): zero without one, NaN while it is not known."""
     curve = record.vector("gyro_bias") - record.vector("gyro_random_error")
-    for part in curve.T:
-        known = np.flatnonzero(np.isfinite(part))
-        nearest = np.searchsorted(known, np.arange(len(part))).clip(0, max(len(known) - 1, 0))
-        part[:] = part[known[nearest]] if len(known) else 0.0
-    return curve
+    modelled = (np.nan_to_num(curve) != 0.0).any(0)
+    return np.where(np.isfinite(curve) | modelled, curve, 0.0)
