@@ -123,7 +123,7 @@ def test_an_ximu3_file_that_the_vendors_decoder_read() -> None:
     accel = [block[f"accel_{c}"][0] / STANDARD_GRAVITY for c in "xyz"]
     np.testing.assert_allclose(accel, [0.01, -0.02, 1], rtol=1e-6)
     assert block["temperature"][1] == 25.5
-    assert np.rad2deg(block["yaw"][-1]) == 3.0  # a message of text
+    assert np.rad2deg(block["yaw"][-1]) == pytest.approx(3.0)  # a message of text
 
 
 def test_a_mavlink_message_of_pymavlink() -> None:
