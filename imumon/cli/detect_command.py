@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
@@ -10,6 +11,7 @@ import click
 from imumon.cli.common import SECONDS, device_help, json_option, note, print_json
 
 if TYPE_CHECKING:
+    from imumon.protocols.text_proposal import Proposal
     from imumon.transport.detect import Evidence
     from imumon.transport.settings import PortSettings
 
@@ -23,37 +25,93 @@ if TYPE_CHECKING:
 @click.option(
     "--seconds", default=1.5, show_default=True, type=SECONDS, help="How long to listen at each rate."
 )
+@click.option(
+    "--propose",
+    "proposed",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Write the device file that is proposed for lines of text that nobody knows; must not exist.",
+)
 @json_option
-def command(port: str, names: tuple[str, ...], rates: tuple[int, ...], seconds: float, as_json: bool) -> None:
+def command(
+    port: str,
+    names: tuple[str, ...],
+    rates: tuple[int, ...],
+    seconds: float,
+    proposed: Path | None,
+    as_json: bool,
+) -> None:
     """Find baud rate and protocol of the device on PORT by trying, and show the evidence.
 
-    Exit code 0 when a device was found, 3 when nothing frames.
+    For lines of text that no device file describes one is proposed, with the reasons: look at it, and give
+    its path as --device.  Exit code 0 when a device was found, 3 when nothing frames.
     """
+    from imumon.files import check_output
     from imumon.protocols.device import device_names, load_device
-    from imumon.transport.detect import baudrates_to_try, detect, failure
+    from imumon.transport.detect import Verdict, baudrates_to_try, detect, failure
 
-    devices = [load_device(name) for name in names or device_names()]
-    own_rates = [rate for device in devices for rate in device.serial.baudrates[:1]]
+    if proposed is not None:
+        check_output(proposed)
+    heard = bytearray()
+
+    def begin(settings: PortSettings) -> None:
+        heard.clear()
+        note(f"listening to {_where(settings)}")
+
+    devices = {name: load_device(name) for name in names or device_names()}
+    own_rates = [rate for device in devices.values() for rate in device.serial.baudrates[:1]]
     evidence = detect(
         port,
-        {device.name: device.decoder for device in devices},
+        {name: device.decoder for name, device in devices.items()},
         list(rates) or baudrates_to_try(own_rates),
         seconds,
-        before_rate=lambda settings: note(f"listening to {_where(settings)}"),
+        begin,
+        heard.extend,
     )
     wrong = failure(port, evidence)
-    best = None if wrong else evidence[0]
+    fit = [item for item in evidence if item.verdict is Verdict.FRAMES]
+    proposal = _propose(bytes(heard), evidence) if wrong else None
     if as_json:
-        found = {"device": best.protocol, "baudrate": best.baudrate} if best else None
+        found = [{"device": item.protocol, "baudrate": item.baudrate} for item in fit]
         rows = [{**asdict(e), "share_framed": e.share_framed, "verdict": e.verdict.value} for e in evidence]
-        print_json({"found": found, "evidence": rows})
+        print_json(
+            {
+                "found": found[0] if found else None,
+                "fit": found,
+                "evidence": rows,
+                "proposal": proposal.text if proposal else None,
+            }
+        )
     else:
         _show(evidence)
-        if best:
-            rate = f" --baud {best.baudrate}" if best.baudrate is not None else ""
-            click.echo(f"\n{best.protocol}: imumon monitor {port} --device {best.protocol}{rate}")
+        _suggest(port, fit)
+        if proposal:
+            click.echo(f"\nlines of text that no device file describes; this one may:\n\n{proposal.text}")
+    if proposal and proposed:
+        from imumon.files import write_text
+
+        write_text(proposed, proposal.text)
+        note(f"look at {proposed}, then: imumon monitor {port} --device {proposed}")
     if wrong:
         raise wrong
+
+
+def _propose(heard: bytes, evidence: list[Evidence]) -> Proposal | None:
+    """Return a device file for what was heard at the last rate, when that is lines of text."""
+    last = max(evidence, key=lambda item: (item.tells_the_rate, item.text_share), default=None)
+    if last is None or not last.tells_the_rate:
+        return None
+    from imumon.protocols.text_proposal import propose
+
+    return propose(heard, last.seconds, last.baudrate)
+
+
+def _suggest(port: str, fit: list[Evidence]) -> None:
+    """Say what to type for each device that fits."""
+    if len(fit) > 1:
+        click.echo("\nmore than one fits; the columns and their units tell which it is")
+    for item in fit:
+        rate = f" --baud {item.baudrate}" if item.baudrate is not None else ""
+        click.echo(f"\n{item.protocol}: imumon monitor {port} --device {item.protocol}{rate}")
 
 
 def _where(settings: PortSettings) -> str:

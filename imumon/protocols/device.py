@@ -19,6 +19,8 @@ FORMAT = "imumon-device/1"
 PROTOCOLS = {
     "fixed": "imumon.protocols.fixed.device:FixedDevice",
     "text": "imumon.protocols.text:TextDevice",
+    "ximu3": "imumon.protocols.ximu3:XimuDevice",
+    "mavlink": "imumon.protocols.mavlink:MavlinkDevice",
     "fixed-several": "imumon.protocols.fixed.device:SeveralDevice",
     "xsens-mtdata2": "imumon.protocols.xsens.mtdata2:MTData2Device",
     "xsens-mtdata": "imumon.protocols.xsens.mtdata:MTDataDevice",

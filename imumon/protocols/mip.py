@@ -18,6 +18,19 @@ from imumon.errors import ImumonError, Reason
 from imumon.geodesy import STANDARD_GRAVITY as G
 from imumon.protocols.base import MAIN, Timing
 from imumon.protocols.device import DeviceFile
+from imumon.protocols.epochs import GENERATION
+from imumon.protocols.mip_filter import (
+    GAUSS,
+    GPS_TIME,
+    MILLIBAR,
+    Attitude,
+    counted,
+    doubles,
+    euler,
+    filter_fields,
+    floats,
+    valid,
+)
 from imumon.protocols.tagged import NO_GROUP, Columns, Derived, Field, FieldTable, TaggedDecoder, Value
 from imumon.protocols.tagged_columns import (
     MATRIX,
@@ -31,10 +44,6 @@ from imumon.protocols.tagged_columns import (
 from imumon.protocols.tagged_encoder import TaggedEncoder
 from imumon.protocols.tagged_kernel import COUNTED, LIST, MIP
 
-GAUSS = 100.0
-"""Gauss in µT."""
-MILLIBAR = 100.0
-"""Millibar in Pa."""
 WEEK_NS = 7 * 86_400 * 10**9
 
 SENSOR, FILTER, SYSTEM = 0x80, 0x82, 0xA0
@@ -65,31 +74,7 @@ ROLES = {
 ERRORS = {1: "unknown command", 2: "invalid checksum", 3: "invalid parameter", 4: "failed", 5: "timed out"}
 """Codes of an acknowledgement that is none."""
 
-Attitude = Literal["filter", "imu"]
 Clock = Literal["reference", "gps"]
-
-
-def _floats(columns: Iterable[Column], factor: float = 1.0) -> tuple[Value, ...]:
-    return tuple(Value(column, "f32", factor) for column in columns)
-
-
-def _doubles(columns: Iterable[Column]) -> tuple[Value, ...]:
-    return tuple(Value(column, "f64") for column in columns)
-
-
-def _count(name: str, description: str, kind: str, unit: str = "1") -> Value:
-    return Value(count(name, description, unit), kind)
-
-
-def _valid(name: str) -> Value:
-    return _count(f"{name}_valid", f"validity of {name.replace('_', ' ')}", "u16")
-
-
-_GPS_TIME = (
-    Value(number("gps_time_of_week", "s", "GPS time of week"), "f64"),
-    _count("gps_week", "GPS week", "u16"),
-    _valid("gps_time"),
-)
 
 
 def _shared(descriptor_set: int, clock: Clock) -> list[Field]:
@@ -99,23 +84,27 @@ def _shared(descriptor_set: int, clock: Clock) -> list[Field]:
     )
     table: tuple[tuple[int, str, tuple[Value, ...]], ...] = (
         (0xD5, "ReferenceTime", (Value(reference, "u64"),)),
-        (0xD3, "GpsTime", _GPS_TIME),
+        (0xD3, "GpsTime", GPS_TIME),
         (
             0xD7,
             "ExternalTime",
-            (_count("external_time", "external clock", "u64", "ns"), _valid("external_time")),
+            (counted("external_time", "external clock", "u64", "ns"), valid("external_time")),
         ),
-        (0xD0, "EventSource", (_count("event_source", "trigger of the packet; 0: none", "u8"),)),
-        (0xD1, "Ticks", (_count("base_ticks", "base periods since power-up", "u32"),)),
-        (0xD2, "DeltaTicks", (_count("delta_base_ticks", "base periods since the last packet", "u32"),)),
-        (0xD4, "DeltaTime", _doubles((number("delta_time", "s", "external time since the last packet"),))),
-        (0xD6, "ReferenceTimeDelta", (_count("delta_reference_time", "since the last packet", "u64", "ns"),)),
+        (0xD0, "EventSource", (counted("event_source", "trigger of the packet; 0: none", "u8"),)),
+        (0xD1, "Ticks", (counted("base_ticks", "base periods since power-up", "u32"),)),
+        (0xD2, "DeltaTicks", (counted("delta_base_ticks", "base periods since the last packet", "u32"),)),
+        (0xD4, "DeltaTime", doubles((number("delta_time", "s", "external time since the last packet"),))),
+        (
+            0xD6,
+            "ReferenceTimeDelta",
+            (counted("delta_reference_time", "since the last packet", "u64", "ns"),),
+        ),
         (
             0xD8,
             "ExternalTimeDelta",
             (
-                _count("delta_external_time", "since the last packet", "u64", "ns"),
-                _valid("delta_external_time"),
+                counted("delta_external_time", "since the last packet", "u64", "ns"),
+                valid("delta_external_time"),
             ),
         ),
     )
@@ -125,16 +114,16 @@ def _shared(descriptor_set: int, clock: Clock) -> list[Field]:
 def _sensor_fields(attitude: Attitude) -> list[Field]:
     own = attitude == "imu"
     quaternion = QUATERNION if own else vector("imu_q", "1", "attitude of the complementary filter", "wxyz")
-    euler = _euler("" if own else "imu_")
+    angles = euler("" if own else "imu_")
     temperature = number("temperature", "degC", "mean sensor temperature")
     table: tuple[tuple[int, str, tuple[Value, ...]], ...] = (
-        (0x05, "ScaledGyro", _floats(known("gyro_x", "gyro_y", "gyro_z"))),
-        (0x04, "ScaledAccel", _floats(known("accel_x", "accel_y", "accel_z"), G)),
-        (0x06, "ScaledMag", _floats(known("mag_x", "mag_y", "mag_z"), GAUSS)),
+        (0x05, "ScaledGyro", floats(known("gyro_x", "gyro_y", "gyro_z"))),
+        (0x04, "ScaledAccel", floats(known("accel_x", "accel_y", "accel_z"), G)),
+        (0x06, "ScaledMag", floats(known("mag_x", "mag_y", "mag_z"), GAUSS)),
         (
             0x14,
             "Temperature",
-            _floats(
+            floats(
                 (
                     number("temperature_min", "degC", "lowest sensor temperature"),
                     number("temperature_max", "degC", "highest sensor temperature"),
@@ -143,36 +132,36 @@ def _sensor_fields(attitude: Attitude) -> list[Field]:
             ),
         ),
         (0x17, "ScaledPressure", (Value(KNOWN["pressure"], "f32", MILLIBAR),)),
-        (0x0A, "ImuQuaternion", _floats(quaternion)),
-        (0x0C, "ImuEuler", _floats(euler)),
-        (0x09, "ImuMatrix", _floats(MATRIX) if own else ()),
-        (0x07, "DeltaTheta", _floats(vector("delta_theta", "rad", "rotation over the sample"))),
-        (0x08, "DeltaVelocity", _floats(vector("delta_velocity", "m/s", "velocity increment"), G)),
-        (0x10, "NorthVector", _floats(vector("north", "uT", "magnetic north in the body"), GAUSS)),
-        (0x11, "UpVector", _floats(vector("up", "m/s^2", "vertical in the body"), G)),
-        (0x12, "SensorGpsTime", _GPS_TIME),
-        (0x18, "Overrange", (_count("overrange", "sensors out of range, bits", "u16"),)),
+        (0x0A, "ImuQuaternion", floats(quaternion)),
+        (0x0C, "ImuEuler", floats(angles)),
+        (0x09, "ImuMatrix", floats(MATRIX) if own else ()),
+        (0x07, "DeltaTheta", floats(vector("delta_theta", "rad", "rotation over the sample"))),
+        (0x08, "DeltaVelocity", floats(vector("delta_velocity", "m/s", "velocity increment"), G)),
+        (0x10, "NorthVector", floats(vector("north", "uT", "magnetic north in the body"), GAUSS)),
+        (0x11, "UpVector", floats(vector("up", "m/s^2", "vertical in the body"), G)),
+        (0x12, "SensorGpsTime", GPS_TIME),
+        (0x18, "Overrange", (counted("overrange", "sensors out of range, bits", "u16"),)),
         (
             0x40,
             "Odometer",
             (
                 Value(number("odometer_speed", "m/s", "speed of the odometer"), "f32"),
                 Value(number("odometer_accuracy", "m/s", "accuracy of that speed"), "f32"),
-                _valid("odometer"),
+                valid("odometer"),
             ),
         ),
-        (0x01, "RawAccel", _floats(vector("raw_accel", "1", "accelerometer, raw counts"))),
-        (0x02, "RawGyro", _floats(vector("raw_gyro", "1", "gyroscope, raw counts"))),
-        (0x03, "RawMag", _floats(vector("raw_mag", "1", "magnetometer, raw counts"))),
-        (0x16, "RawPressure", _floats((number("raw_pressure", "1", "pressure, raw counts"),))),
+        (0x01, "RawAccel", floats(vector("raw_accel", "1", "accelerometer, raw counts"))),
+        (0x02, "RawGyro", floats(vector("raw_gyro", "1", "gyroscope, raw counts"))),
+        (0x03, "RawMag", floats(vector("raw_mag", "1", "magnetometer, raw counts"))),
+        (0x16, "RawPressure", floats((number("raw_pressure", "1", "pressure, raw counts"),))),
         (0x0B, "ImuUpdateMatrix", ()),
         (0x0D, "RawTemperature", ()),
-        (0x0E, "InternalTimestamp", (_count("internal_timestamp", "internal clock of old devices", "u32"),)),
+        (0x0E, "InternalTimestamp", (counted("internal_timestamp", "internal clock of old devices", "u32"),)),
         (
             0x0F,
             "PpsTimestamp",
-            (_count("pps_seconds", "time since the last pulse, s", "u32", "s"),
-             _count("pps_microseconds", "and us", "u32", "us")),
+            (counted("pps_seconds", "time since the last pulse, s", "u32", "s"),
+             counted("pps_microseconds", "and us", "u32", "us")),
         ),
     )  # fmt: skip
     return [
@@ -193,61 +182,6 @@ _SENSOR_GROUPS = {
 """What of the sensor set is not inertial."""
 
 
-def _euler(prefix: str) -> tuple[Column, ...]:
-    if not prefix:
-        return known("roll", "pitch", "yaw")
-    return tuple(
-        number(f"{prefix}{angle}", "rad", f"{angle} of another filter") for angle in ("roll", "pitch", "yaw")
-    )
-
-
-_FILTER_VECTORS = (
-    (0x06, "GyroBias", "gyro_bias", "rad/s", "estimated gyroscope bias"),
-    (0x07, "AccelBias", "accel_bias", "m/s^2", "estimated accelerometer bias"),
-    (0x08, "PositionSigma", "position_sigma", "m", "position uncertainty north, east, down"),
-    (0x09, "VelocitySigma", "velocity_sigma", "m/s", "velocity uncertainty north, east, down"),
-    (0x0A, "EulerSigma", "euler_sigma", "rad", "uncertainty of roll, pitch, yaw"),
-    (0x0B, "GyroBiasSigma", "gyro_bias_sigma", "rad/s", "uncertainty of the gyroscope bias"),
-    (0x0C, "AccelBiasSigma", "accel_bias_sigma", "m/s^2", "uncertainty of the accelerometer bias"),
-    (0x0D, "LinearAcceleration", "free_accel", "m/s^2", "acceleration without gravity"),
-    (0x0E, "CompensatedRate", "gyro_compensated", "rad/s", "angular rate less the estimated bias"),
-    (0x13, "GravityVector", "gravity", "m/s^2", "gravity in the body"),
-    (0x1C, "CompensatedAcceleration", "accel_compensated", "m/s^2", "specific force less the estimated bias"),
-)
-
-
-def _filter_fields(attitude: Attitude) -> list[Field]:
-    own = attitude == "filter"
-    quaternion = QUATERNION if own else vector("filter_q", "1", "attitude of the filter", "wxyz")
-    table: tuple[tuple[int, str, tuple[Value, ...]], ...] = (
-        (0x03, "Quaternion", (*_floats(quaternion), _valid("attitude"))),
-        (0x05, "Euler", (*_floats(_euler("" if own else "filter_")), _valid("attitude"))),
-        (0x04, "Matrix", (*_floats(MATRIX), _valid("attitude")) if own else ()),
-        (0x01, "Position", (*_doubles(known("latitude", "longitude", "altitude")), _valid("position"))),
-        (
-            0x02,
-            "Velocity",
-            (*_floats(vector("velocity", "m/s", "velocity north, east, down")), _valid("velocity")),
-        ),
-        (0x11, "FilterGpsTime", _GPS_TIME),
-        (
-            0x10,
-            "FilterStatus",
-            (
-                _count("filter_state", "state of the filter", "u16"),
-                _count("filter_dynamics", "dynamics mode of the filter", "u16"),
-                Value(KNOWN["status"], "u16"),
-            ),
-        ),
-        *((code, name, (*_floats(vector(column, unit, what)), _valid(column)))
-          for code, name, column, unit, what in _FILTER_VECTORS),
-    )  # fmt: skip
-    return [
-        Field(FILTER << 8 | code, name, values, NO_GROUP if code == 0x11 else "filter")
-        for code, name, values in table
-    ]
-
-
 def _gnss_fields(descriptor_set: int) -> list[Field]:
     prefix = GNSS[descriptor_set]
 
@@ -256,23 +190,23 @@ def _gnss_fields(descriptor_set: int) -> list[Field]:
             number(f"{prefix}_{name}", unit, f"receiver {prefix}: {name}") for name, unit in names_and_units
         )
 
-    place = _doubles(of(("latitude", "deg"), ("longitude", "deg"), ("altitude", "m"), ("altitude_msl", "m")))
-    accuracy = _floats(of(("horizontal_accuracy", "m"), ("vertical_accuracy", "m")))
+    place = doubles(of(("latitude", "deg"), ("longitude", "deg"), ("altitude", "m"), ("altitude_msl", "m")))
+    accuracy = floats(of(("horizontal_accuracy", "m"), ("vertical_accuracy", "m")))
     motion = ("velocity_north", "velocity_east", "velocity_down", "speed", "ground_speed")
     degree = np.pi / 180
     return [
         Field(
-            descriptor_set << 8 | 0x03, "Position", (*place, *accuracy, _valid(f"{prefix}_position")), prefix
+            descriptor_set << 8 | 0x03, "Position", (*place, *accuracy, valid(f"{prefix}_position")), prefix
         ),
         Field(
             descriptor_set << 8 | 0x05,
             "Velocity",
             (
-                *_floats(of(*((name, "m/s") for name in motion))),
-                *_floats(of(("course", "rad")), degree),
-                *_floats(of(("speed_accuracy", "m/s"))),
-                *_floats(of(("course_accuracy", "rad")), degree),
-                _valid(f"{prefix}_velocity"),
+                *floats(of(*((name, "m/s") for name in motion))),
+                *floats(of(("course", "rad")), degree),
+                *floats(of(("speed_accuracy", "m/s"))),
+                *floats(of(("course_accuracy", "rad")), degree),
+                valid(f"{prefix}_velocity"),
             ),
             prefix,
         ),
@@ -280,8 +214,8 @@ def _gnss_fields(descriptor_set: int) -> list[Field]:
             descriptor_set << 8 | 0x07,
             "Dop",
             (
-                *_floats(of(*((f"{x}dop", "1") for x in ("g", "p", "h", "v", "t", "n", "e")))),
-                _valid(f"{prefix}_dop"),
+                *floats(of(*((f"{x}dop", "1") for x in ("g", "p", "h", "v", "t", "n", "e")))),
+                valid(f"{prefix}_dop"),
             ),
             prefix,
         ),
@@ -290,7 +224,7 @@ def _gnss_fields(descriptor_set: int) -> list[Field]:
 
 def mip_fields(attitude: Attitude = "filter", clock: Clock = "reference") -> list[Field]:
     """Return every field that is understood."""
-    sets = {SENSOR: _sensor_fields(attitude), FILTER: _filter_fields(attitude)}
+    sets = {SENSOR: _sensor_fields(attitude), FILTER: filter_fields(FILTER, attitude)}
     sets.update({code: _gnss_fields(code) for code in GNSS})
     shared_first = [field for code in sets for field in _shared(code, clock)]
     return [*shared_first, *(field for fields in sets.values() for field in fields)]
@@ -340,6 +274,16 @@ class MipDecoder(TaggedDecoder):
 
     def _type_name(self, kind: int) -> str:
         return SET_NAMES.get(kind, f"set 0x{kind:02X}")
+
+    def notices(self) -> list[str]:
+        """Return, once each, what the device said that is not data, and that only corrected rates come."""
+        seen = {field.name: n for field, n in self.seen_fields().items()}
+        if seen.get("CompensatedRate", 0) >= GENERATION and "ScaledGyro" not in seen:
+            self._say(
+                "only rates come from which the device's filter has taken its own estimate of the bias "
+                "(CompensatedRate, gyro_compensated_*): send ScaledGyro"
+            )
+        return super().notices()
 
     def _field_name(self, key: int) -> str:
         name = next((field.name for field in self.table.fields if field.key == key), f"0x{key & 0xFF:02X}")

@@ -101,7 +101,8 @@ class Placed:
                 return raw.astype(np.int64) * int(value.factor)
             with np.errstate(invalid="ignore"):  # a clock that is not a number becomes the least integer
                 return np.rint(raw.astype(np.float64) * value.factor).astype(np.int64)
-        result: FloatArray = raw.astype(np.float64)
+        with np.errstate(invalid="ignore"):  # a signalling NaN becomes a quiet one
+            result: FloatArray = raw.astype(np.float64)
         return result if value.factor == 1.0 else result * value.factor
 
 

@@ -27,6 +27,12 @@ ENOUGH_PACKETS = 5
 FRAMED = 0.8
 """Share of bytes in packets from which a stream frames; the packets cut at both ends are missing from 1."""
 FRAMED_IN_PART = 0.2
+TRIED_BYTES = 2048
+"""With so many bytes and not one valid packet the rate or the protocol is another: four of the longest
+packets that the known devices send (512 bytes)."""
+ENOUGH_TEXT = 100
+MOSTLY_TEXT = 0.95
+"""Share of printable bytes from which a stream is text: at a wrong rate a third of all bytes is."""
 SILENT_RATES = 3
 """After so many rates without a byte it is silent: a wrong rate garbles bytes, it does not stop them."""
 POLL_S = 0.05
@@ -55,6 +61,8 @@ class Verdict(Enum):
 
     FRAMES = "frames"
     """Nearly all bytes are in valid packets."""
+    UNREAD = "frames, and nothing in it is known"
+    """Nearly all bytes are in valid packets, of which none makes a sample."""
     PARTLY = "frames in part"
     """Valid packets, with many bytes between them."""
     NOTHING = "does not frame"
@@ -115,12 +123,18 @@ class Evidence:
         return self.bytes_in_packets / complete if complete else 0.0
 
     @property
+    def tells_the_rate(self) -> bool:
+        """Whether these bytes came at the right rate: they frame, or they are text."""
+        is_text = self.bytes_received >= ENOUGH_TEXT and self.text_share > MOSTLY_TEXT
+        return is_text or self.verdict in (Verdict.FRAMES, Verdict.UNREAD)
+
+    @property
     def verdict(self) -> Verdict:
         """What follows from the numbers."""
         if self.bytes_received == 0:
             return Verdict.SILENT
         if self.packets >= ENOUGH_PACKETS and self.share_framed >= FRAMED:
-            return Verdict.FRAMES
+            return Verdict.FRAMES if self.samples else Verdict.UNREAD
         return Verdict.PARTLY if self.packets and self.share_framed >= FRAMED_IN_PART else Verdict.NOTHING
 
 
@@ -135,6 +149,7 @@ def detect(
     baudrates: Sequence[int] = COMMON_BAUDRATES,
     seconds_each: float = 1.5,
     before_rate: Callable[[PortSettings], None] = lambda _: None,
+    heard: Callable[[bytes], None] = lambda _: None,
 ) -> list[Evidence]:
     """Listen at one rate after the other until the bytes frame; return the evidence, the best first.
 
@@ -150,6 +165,8 @@ def detect(
         Time to listen at each rate; less when the evidence is overwhelming.
     before_rate : callable
         Told what is tried next.
+    heard : callable
+        Given the bytes as they come.
 
     Raises
     ------
@@ -164,20 +181,20 @@ def detect(
         settings = PortSettings(url, baudrate=rate)
         before_rate(settings)
         try:
-            evidence += listen(settings, candidates, seconds_each)
+            evidence += listen(settings, candidates, seconds_each, heard)
         except ImumonError as error:
             if error.reason is not Reason.BAD_CONFIG or rate == rates[-1]:
                 raise
-        if (
-            any(item.verdict is Verdict.FRAMES for item in evidence)
-            or _silent_rates(evidence) >= SILENT_RATES
-        ):
+        if any(item.tells_the_rate for item in evidence) or _silent_rates(evidence) >= SILENT_RATES:
             break
     return sorted(evidence, key=_order)
 
 
 def listen(
-    settings: PortSettings, candidates: Mapping[str, Callable[[], Candidate]], seconds: float
+    settings: PortSettings,
+    candidates: Mapping[str, Callable[[], Candidate]],
+    seconds: float,
+    heard: Callable[[bytes], None] = lambda _: None,
 ) -> list[Evidence]:
     """Feed what arrives within `seconds` to every candidate; return the evidence in their order."""
     decoders = {name: factory() for name, factory in candidates.items()}
@@ -186,8 +203,9 @@ def listen(
     with open_port(settings) as port:
         start = time.monotonic()
         elapsed = 0.0
-        while elapsed < seconds and not _overwhelming(decoders.values()):
+        while elapsed < seconds and not _decided(decoders.values(), counts):
             data = port.read(min(POLL_S, seconds - elapsed))
+            heard(data)
             for byte in data:
                 counts[byte] += 1
             for name, decoder in decoders.items():
@@ -225,9 +243,13 @@ def _likely_cause(evidence: Sequence[Evidence]) -> str:
             " or missing.  Check ground and cable, and that no other program reads the port."
         )
     text = max(evidence, key=lambda item: item.text_share)
-    if text.text_share > 0.95:
+    if text.text_share > MOSTLY_TEXT:
         rate = "" if text.baudrate is None else f" at {text.baudrate}"
         return f"The bytes{rate} are text that no protocol here knows: the device may be in command mode."
+    if best.verdict is Verdict.UNREAD:
+        return (
+            f"{best.protocol} frames, but nothing that it sends is known: see what the device is set to send."
+        )
     tried = ", ".join(dict.fromkeys(str(item.baudrate) for item in evidence))
     hint = f"Another protocol, or another rate than those tried ({tried}); the manual of the device tells."
     if all(item.odd_share > 0.5 for item in evidence):
@@ -266,9 +288,14 @@ def _weigh(
     )
 
 
-def _overwhelming(decoders: Iterable[Candidate]) -> bool:
-    for decoder in decoders:
-        counters = decoder.counters()
+def _decided(decoders: Iterable[Candidate], counts: Sequence[int]) -> bool:
+    """Tell whether listening on would prove nothing more, for a candidate or against all."""
+    books = [decoder.counters() for decoder in decoders]
+    n_bytes = sum(counts)
+    text = sum(counts[byte] for byte in TEXT) > MOSTLY_TEXT * n_bytes
+    if n_bytes >= TRIED_BYTES and not text and not any(counters.packets for counters in books):
+        return True
+    for counters in books:
         good = counters.bytes_in_packets >= FRAMED * (counters.bytes_received - counters.bytes_pending)
         if counters.packets >= PLENTY_OF_PACKETS and good:
             return True

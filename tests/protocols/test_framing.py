@@ -12,7 +12,17 @@ from imumon.protocols.frame_checks import check_of
 from tests.protocols.streams import chunkings, damage, feed_in_chunks
 from tests.protocols.test_checksums import CHECK
 
-FAMILIES = ("vectornav", "witmotion", "sbg", "inertialsense", "hipnuc", "stim300", "kvh1750")
+FAMILIES = (
+    "vectornav",
+    "witmotion",
+    "sbg",
+    "inertialsense",
+    "hipnuc",
+    "stim300",
+    "kvh1750",
+    "ximu3",
+    "mavlink",
+)
 
 
 def samples(n: int, seed: int = 0) -> SampleBlock:

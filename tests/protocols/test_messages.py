@@ -115,6 +115,54 @@ def test_a_hipnuc_frame_says_by_bits_what_follows() -> None:
         np.testing.assert_allclose(block[name], values, rtol=1e-6)
 
 
+def test_an_ximu3_file_that_the_vendors_decoder_read() -> None:
+    block = vectors("ximu3", "ximu3_checked_with_vendor_wheel.ximu3")
+    assert len(block) == 21
+    assert block["device_ticks"][0] == 1_000_000
+    np.testing.assert_allclose([block[f"gyro_{c}"][0] / DEGREE for c in "xyz"], [0, -2.25, 10])
+    accel = [block[f"accel_{c}"][0] / STANDARD_GRAVITY for c in "xyz"]
+    np.testing.assert_allclose(accel, [0.01, -0.02, 1], rtol=1e-6)
+    assert block["temperature"][1] == 25.5
+    assert np.rad2deg(block["yaw"][-1]) == pytest.approx(3.0)  # a message of text
+
+
+def test_a_mavlink_message_of_pymavlink() -> None:
+    message = "fd1d00000001011b00000100000000000000020003000400050006000700080009000a0000c409045d"
+    decoder = load_device("mavlink").decoder()
+    block = feed_in_chunks(decoder, bytes.fromhex(message), [6])
+    assert block["device_ticks"].tolist() == [1]
+    np.testing.assert_allclose(
+        [block[f"accel_{c}"][0] for c in "xyz"], np.array([2, 3, 4]) * STANDARD_GRAVITY / 1e3
+    )
+    np.testing.assert_allclose([block[f"gyro_{c}"][0] for c in "xyz"], [5e-3, 6e-3, 7e-3])
+    assert block["temperature"][0] == 25.0
+    assert any("206 deg/h" in text for text in decoder.notices())
+
+
+def test_mavlink_of_one_vehicle_is_read_in_both_versions() -> None:
+    device = load_device("mavlink")
+    block = SampleBlock({"gyro_x": np.array([0.5, 0.25, 0.125]), "device_ticks": np.arange(3) * 1000})
+    mine = device.encoder().encode(block)
+    body = bytes([62, 7, 1, 1, 105]) + mine[0][10:-2].ljust(62, b"\0")
+    first = b"\xfe" + body + mcrf4xx(body + b"\x5d")
+    foreign = mine[1][1:5] + bytes([9]) + mine[1][6:-2]
+    foreign = b"\xfd" + foreign + mcrf4xx(foreign + b"\x5d")
+    decoder = device.decoder()
+    rows = feed_in_chunks(decoder, mine[0] + foreign + first + mine[2], [40])
+    assert rows["gyro_x"].tolist() == [0.5, 0.5, 0.125]
+    assert decoder.counters().packets_by_type == {"MAVLink 1": 1, "MAVLink 2": 3}
+    assert any("only vehicle 1" in text for text in decoder.notices())
+
+
+def mcrf4xx(data: bytes) -> bytes:
+    crc = 0xFFFF
+    for byte in data:
+        crc ^= byte
+        for _ in range(8):
+            crc = crc >> 1 ^ (0x8408 if crc & 1 else 0)
+    return crc.to_bytes(2, "little")
+
+
 def test_a_shorter_log_of_older_firmware_lacks_the_tail() -> None:
     device = load_device("sbg")
     text, source = device_text("sbg")
@@ -131,7 +179,7 @@ def test_a_shorter_log_of_older_firmware_lacks_the_tail() -> None:
     assert "declination" not in block
 
 
-@pytest.mark.parametrize("device", ["sbg", "inertialsense", "hipnuc"])
+@pytest.mark.parametrize("device", ["sbg", "inertialsense", "hipnuc", "ximu3", "mavlink"])
 def test_a_message_that_is_not_there_is_named(device: str) -> None:
     text, source = device_text(device)
     wrong = "\n".join("sends: [nonsense]" if line.startswith("sends:") else line for line in text.split("\n"))

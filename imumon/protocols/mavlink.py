@@ -1,0 +1,223 @@
+"""MAVLink 1 and 2 over a serial line: the inertial messages of ArduPilot and PX4.
+
+Facts from the protocol's documentation and the common dialect; the checksum has a byte for each message, so a
+message that is not in the table cannot be checked and is not read.  Version 2 leaves out zeros at the end.
+Only the first vehicle that is heard is read: a stream may hold many.
+
+SCALED_IMU and RAW_IMU have rates in steps of 1 mrad/s, 206 deg/h.
+"""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from typing import Final, Literal
+
+import numpy as np
+
+from imumon.blocks import ColumnArray, IntArray
+from imumon.columns import KNOWN
+from imumon.geodesy import STANDARD_GRAVITY
+from imumon.protocols.base import MAIN, Timing
+from imumon.protocols.checksums import CRCS, checksum, make_checksum
+from imumon.protocols.device import DeviceFile
+from imumon.protocols.frame_checks import CyclicCheck, gathered
+from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, BoolArray, Found, Frame, Lengths
+from imumon.protocols.messages import Message, TableDecoder, TableEncoder, part, whole
+from imumon.protocols.stream import ByteArray
+from imumon.protocols.tagged import Columns, Derived
+from imumon.protocols.tagged_columns import count, known, number, vector
+
+FIRST, SECOND = b"\xfe", b"\xfd"
+HEADERS = {FIRST: 6, SECOND: 10}
+SIGNATURE: Final = 13
+SIGNED: Final = 1
+GAUSS, HECTOPASCAL = 100.0, 100.0
+LONGEST: Final = 64
+"""Bytes of the longest payload in the table, with its extensions."""
+
+FORCE, RATE, MAG = (known(*(f"{base}_{axis}" for axis in "xyz")) for base in ("accel", "gyro", "mag"))
+TICKS = [KNOWN["device_ticks"]]
+HUNDREDTHS = count("_hundredths", "temperature, 0 when there is none")
+ANGLES, QUATERNION = known("roll", "pitch", "yaw"), known("q_w", "q_x", "q_y", "q_z")
+FILTER_RATE = vector("gyro_compensated", "rad/s", "angular rate less the filter's bias")
+
+
+def _to_celsius(columns: Columns) -> list[ColumnArray]:
+    raw = columns[HUNDREDTHS.name]
+    return [np.where(raw == 0, np.nan, raw / 100)]
+
+
+def _of_celsius(columns: Columns) -> list[ColumnArray]:
+    raw = np.rint(np.nan_to_num(columns["temperature"]) * 100)
+    return [np.where(np.isnan(columns["temperature"]), 0, np.where(raw == 0, 1, raw)).astype(np.int64)]
+
+
+CELSIUS = Derived((HUNDREDTHS.name,), known("temperature"), _to_celsius, _of_celsius)
+
+
+def _imu(
+    at: int, temperature_at: int, size: int, name: str, ticks: str, factor: float, group: str
+) -> Message:
+    parts = (
+        part(0, ticks, TICKS, factor),
+        part(at, "i16", FORCE, STANDARD_GRAVITY / 1000),
+        part(at + 6, "i16", RATE, 1e-3),
+        part(at + 12, "i16", MAG, GAUSS / 1000),
+        part(temperature_at, "i16", [HUNDREDTHS]),
+    )
+    return Message(name, size, parts, group, (CELSIUS,), least=1)
+
+
+MESSAGES = {
+    105: Message("highres_imu", 63, (part(0, "u64", TICKS), part(8, "f32", FORCE), part(20, "f32", RATE),
+                                     part(32, "f32", MAG, GAUSS),
+                                     part(44, "f32", known("pressure"), HECTOPASCAL),
+                                     part(52, "f32", [number("pressure_altitude", "m", "from the pressure")]),
+                                     part(56, "f32", known("temperature")),
+                                     whole(60, "u16", "updated", "which values are new, bits")), least=1),
+    26: _imu(4, 22, 24, "scaled_imu", "u32", 1000.0, MAIN),
+    27: _imu(8, 27, 29, "raw_imu", "u64", 1.0, MAIN),
+    29: Message("scaled_pressure", 16, (part(0, "u32", TICKS, 1000.0),
+                                        part(4, "f32", known("pressure"), HECTOPASCAL)), "pressure", least=1),
+    30: Message("attitude", 28, (part(0, "u32", TICKS, 1000.0), part(4, "f32", ANGLES),
+                                 part(16, "f32", FILTER_RATE)), "attitude", least=1),
+    31: Message("attitude_quaternion", 32, (part(0, "u32", TICKS, 1000.0), part(4, "f32", QUATERNION),
+                                            part(20, "f32", FILTER_RATE)), "attitude", least=1),
+    0: Message("heartbeat", 9, (whole(0, "u32", "vehicle_mode", "mode of the vehicle"),), "vehicle", least=1),
+}  # fmt: skip
+"""Messages by their number; the second and third sensors (116, 129) are only counted."""
+EXTRA = {
+    0: 50,
+    26: 170,
+    27: 144,
+    29: 115,
+    30: 39,
+    31: 246,
+    105: 93,
+    116: 76,
+    129: 46,
+    2: 137,
+    111: 34,
+    107: 108,
+}
+"""Byte of each message that the checksum counts behind the last."""
+_CRC = CyclicCheck(CRCS["crc16-mcrf4xx"])
+_MCRF4XX = make_checksum("crc16-mcrf4xx")
+
+
+def _number(held: ByteArray, at: IntArray, header: int) -> IntArray:
+    """Return the number of each message."""
+    if header == HEADERS[FIRST]:
+        return held[at + 5].astype(np.int64)
+    return (
+        held[at + 7].astype(np.int64)
+        | held[at + 8].astype(np.int64) << 8
+        | held[at + 9].astype(np.int64) << 16
+    )
+
+
+def _lengths(header: int) -> Lengths:
+    def lengths(held: ByteArray, at: IntArray) -> IntArray:
+        result = np.full(len(at), INCOMPLETE, np.int64)
+        there = np.flatnonzero(at + header <= len(held))
+        begin = at[there]
+        size = header + 2 + held[begin + 1].astype(np.int64)
+        if header == HEADERS[SECOND]:
+            flags = held[begin + 2]
+            size += SIGNATURE * (flags & SIGNED)
+            size[flags > SIGNED] = IMPOSSIBLE
+        result[there] = np.where(np.isin(_number(held, begin, header), list(EXTRA)), size, IMPOSSIBLE)
+        return result
+
+    return lengths
+
+
+def _unsigned(held: ByteArray, at: IntArray, length: IntArray, header: int) -> IntArray:
+    """Return the lengths without signatures."""
+    return length - SIGNATURE * (held[at + 2] & SIGNED) if header == HEADERS[SECOND] else length
+
+
+class _Right:
+    """Check of messages whose header has so many bytes."""
+
+    def __init__(self, header: int) -> None:
+        self._header = header
+
+    def __call__(self, held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
+        """Tell which messages are right; see `imumon.protocols.framing.Check`."""
+        if not len(at):
+            return np.zeros(0, np.bool_)
+        size = _unsigned(held, at, length, self._header)
+        data, begins = gathered(held, at + 1, at + size)
+        extra = np.array([EXTRA[k] for k in _number(held, at, self._header).tolist()], np.uint8)
+        widened = np.insert(data, begins + size - 3, extra)
+        return _CRC(widened, begins + np.arange(len(at)), size)
+
+
+class MavlinkDecoder(TableDecoder):
+    """Decodes the inertial messages of the first vehicle that is heard."""
+
+    def __init__(self, rate_hz: float | None = None) -> None:
+        frames = [
+            Frame(f"MAVLink {k + 1}", sync, _lengths(header), _Right(header))
+            for k, (sync, header) in enumerate(HEADERS.items())
+        ]
+        timing = Timing(tick_ns=Fraction(1000), rate_hz=rate_hz)
+        super().__init__(frames, MESSAGES, timing, HEADERS[SECOND], HEADERS[SECOND])
+        self._vehicle = -1
+
+    def _plain(self, found: Found) -> Found:
+        """Return the messages as those of version 2 with all their zeros."""
+        size = HEADERS[SECOND] + LONGEST
+        held = np.zeros((len(found), size), np.uint8)
+        for frame, header in enumerate(HEADERS.values()):
+            rows = np.flatnonzero(found.frame == frame)
+            at = found.at[rows]
+            number = _number(found.held, at, header)
+            vehicle = at + (3 if frame == 0 else 5)
+            for k in range(2):
+                held[rows, 5 + k] = found.held[vehicle + k]
+            for k in range(3):
+                held[rows, 7 + k] = number >> 8 * k & 0xFF
+            counted = found.held[at + 1]
+            for k in range(LONGEST):
+                there = counted > k
+                held[rows[there], HEADERS[SECOND] + k] = found.held[at[there] + header + k]
+        begins = np.arange(len(found)) * size
+        return Found(held.reshape(-1), begins, np.full(len(found), size), found.frame)
+
+    def _keys(self, found: Found) -> IntArray:
+        keys = _number(found.held, found.at, HEADERS[SECOND])
+        vehicle = found.held[found.at + 5].astype(np.int64) << 8 | found.held[found.at + 6]
+        if self._vehicle < 0 and len(vehicle):
+            self._vehicle = int(vehicle[0])
+        others = vehicle != self._vehicle
+        if np.any(others):
+            self._say(
+                f"only vehicle {self._vehicle >> 8}, component {self._vehicle & 0xFF} is read of several"
+            )
+        if np.any(np.isin(keys, (26, 27))):
+            self._say("rates of SCALED_IMU and RAW_IMU have steps of 206 deg/h: HIGHRES_IMU is finer")
+        return np.where(others, -1, keys)
+
+
+def _wrapped(key: int, payload: bytes) -> bytes:
+    payload = payload.rstrip(b"\0") or b"\0"
+    body = bytes([len(payload), 0, 0, 0, 1, 1]) + key.to_bytes(3, "little") + payload
+    covered = np.frombuffer(body + bytes([EXTRA[key]]), np.uint8)
+    return SECOND + body + int(checksum(_MCRF4XX, covered, 0, len(covered))).to_bytes(2, "little")
+
+
+class MavlinkDevice(DeviceFile):
+    """Device file of an autopilot; `sends` is for its virtual twin alone."""
+
+    protocol: Literal["mavlink"]
+    sends: list[str]
+
+    def decoder(self) -> MavlinkDecoder:
+        """Make a decoder for this device."""
+        return MavlinkDecoder(self.rate_hz)
+
+    def encoder(self) -> TableEncoder:
+        """Make an encoder that sends what the device would send."""
+        return TableEncoder(MESSAGES, self.sends, _wrapped)

@@ -1,0 +1,224 @@
+"""The filter data set of MIP (0x82): every field, as the vendor's public definitions have it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Literal
+
+from imumon.columns import KNOWN, Column
+from imumon.protocols.tagged import NO_GROUP, Field, Value
+from imumon.protocols.tagged_columns import MATRIX, QUATERNION, count, known, number, vector
+
+GAUSS = 100.0
+"""Gauss in µT."""
+MILLIBAR = 100.0
+"""Millibar in Pa."""
+
+Attitude = Literal["filter", "imu"]
+Row = tuple[int, str, tuple[Value, ...]]
+
+
+def floats(columns: Iterable[Column], factor: float = 1.0) -> tuple[Value, ...]:
+    """Return numbers of four bytes."""
+    return tuple(Value(column, "f32", factor) for column in columns)
+
+
+def doubles(columns: Iterable[Column]) -> tuple[Value, ...]:
+    """Return numbers of eight bytes."""
+    return tuple(Value(column, "f64") for column in columns)
+
+
+def counted(name: str, description: str, kind: str, unit: str = "1") -> Value:
+    """Return an integer."""
+    return Value(count(name, description, unit), kind)
+
+
+def valid(name: str) -> Value:
+    """Return the flags that say whether a field is valid."""
+    return counted(f"{name}_valid", f"validity of {name.replace('_', ' ')}", "u16")
+
+
+GPS_TIME = (
+    Value(number("gps_time_of_week", "s", "GPS time of week"), "f64"),
+    counted("gps_week", "GPS week", "u16"),
+    valid("gps_time"),
+)
+
+
+def euler(prefix: str) -> tuple[Column, ...]:
+    """Return roll, pitch and yaw, the canonical ones without a prefix."""
+    if not prefix:
+        return known("roll", "pitch", "yaw")
+    return tuple(
+        number(f"{prefix}{angle}", "rad", f"{angle} of another filter") for angle in ("roll", "pitch", "yaw")
+    )
+
+
+_VECTORS = (
+    (0x06, "GyroBias", "gyro_bias", "rad/s", "estimated gyroscope bias"),
+    (0x07, "AccelBias", "accel_bias", "m/s^2", "estimated accelerometer bias"),
+    (0x08, "PositionSigma", "position_sigma", "m", "position uncertainty north, east, down"),
+    (0x09, "VelocitySigma", "velocity_sigma", "m/s", "velocity uncertainty north, east, down"),
+    (0x0A, "EulerSigma", "euler_sigma", "rad", "uncertainty of roll, pitch, yaw"),
+    (0x0B, "GyroBiasSigma", "gyro_bias_sigma", "rad/s", "uncertainty of the gyroscope bias"),
+    (0x0C, "AccelBiasSigma", "accel_bias_sigma", "m/s^2", "uncertainty of the accelerometer bias"),
+    (0x0D, "LinearAcceleration", "free_accel", "m/s^2", "acceleration without gravity"),
+    (0x0E, "CompensatedRate", "gyro_compensated", "rad/s", "angular rate less the estimated bias"),
+    (0x13, "GravityVector", "gravity", "m/s^2", "gravity in the body"),
+    (0x16, "GyroScale", "gyro_scale_error", "1", "estimated scale error of the gyroscope"),
+    (0x17, "AccelScale", "accel_scale_error", "1", "estimated scale error of the accelerometer"),
+    (0x18, "GyroScaleSigma", "gyro_scale_error_sigma", "1", "uncertainty of that"),
+    (0x19, "AccelScaleSigma", "accel_scale_error_sigma", "1", "uncertainty of that"),
+    (0x1A, "MagBias", "mag_bias", "uT", "estimated magnetometer bias"),
+    (0x1B, "MagBiasSigma", "mag_bias_sigma", "uT", "uncertainty of that"),
+    (0x1C, "CompensatedAcceleration", "accel_compensated", "m/s^2", "specific force less the estimated bias"),
+    (0x25, "HardIron", "mag_hard_iron", "uT", "estimated hard iron"),
+    (0x28, "HardIronSigma", "mag_hard_iron_sigma", "uT", "uncertainty of that"),
+    (0x2C, "MagResidual", "mag_residual", "uT", "residual of the magnetometer"),
+    (0x30, "AntennaOffset", "antenna_offset", "m", "estimated offset of the antenna"),
+    (0x31, "AntennaOffsetSigma", "antenna_offset_sigma", "m", "uncertainty of that"),
+    (0x36, "PositionEcefSigma", "ecef_sigma", "m", "uncertainty of the earth-fixed position"),
+    (0x37, "VelocityEcefSigma", "ecef_velocity_sigma", "m/s", "uncertainty of the earth-fixed velocity"),
+    (0x41, "VelocityEcef", "ecef_velocity", "m/s", "velocity, earth-centred earth-fixed"),
+)
+"""Code, name, column, unit and meaning of three numbers and their validity."""
+
+_MATRICES = (
+    (0x26, "SoftIron", "mag_soft_iron", "1", "estimated soft iron"),
+    (0x29, "SoftIronSigma", "mag_soft_iron_sigma", "1", "uncertainty of that"),
+    (0x2A, "MagCovariance", "mag_covariance", "1", "covariance of the magnetometer, as it is sent"),
+)
+_SINGLE = (
+    (0x0F, "GravityMagnitude", "gravity_magnitude", "m/s^2", "gravity of WGS-84"),
+    (0x21, "PressureAltitude", "pressure_altitude", "m", "altitude of the pressure"),
+    (0x22, "DensityAltitude", "density_altitude", "m", "altitude of the density"),
+    (0x47, "OdometerScale", "odometer_scale_error", "1", "estimated scale error of the odometer"),
+    (0x48, "OdometerScaleSigma", "odometer_scale_error_sigma", "1", "uncertainty of that"),
+)
+_NOT_READ = (
+    (0x23, "MagScale"), (0x24, "MagScaleSigma"), (0x27, "CompensatedMag"), (0x2B, "GravityCovariance"),
+    (0x2D, "MagFilteredResidual"),
+)  # fmt: skip
+"""Named by the vendor without saying what is in them."""
+
+
+def _three(code: int, name: str, column: str, unit: str, what: str) -> Row:
+    factor = GAUSS if unit == "uT" else 1.0
+    return code, name, (*floats(vector(column, unit, what), factor), valid(column))
+
+
+def _nine(code: int, name: str, column: str, unit: str, what: str) -> Row:
+    columns = [number(f"{column}_{i}{j}", unit, what) for i in "123" for j in "123"]
+    return code, name, (*floats(columns), valid(column))
+
+
+def _aiding() -> list[Row]:
+    """Return fields about what aids the filter."""
+
+    def receiver(prefix: str) -> Value:
+        return counted(f"{prefix}_receiver", "number of the receiver", "u8")
+
+    def tow(prefix: str) -> Value:
+        return Value(number(f"{prefix}_time_of_week", "s", "GPS time of week"), "f32")
+
+    def passed(kind: str, n: int) -> tuple[Value, ...]:
+        return (Value(None, kind),) * n
+
+    offset = vector("receiver_antenna_offset", "m", "estimated offset of the antenna of a receiver")
+    offset_sigma = vector("receiver_antenna_offset_sigma", "m", "uncertainty of that")
+    clock = (number("clock_bias", "m", "of the receiver"), number("clock_drift", "m/s", "of the receiver"))
+    clock_sigma = (
+        number("clock_bias_sigma", "m", "uncertainty"),
+        number("clock_drift_sigma", "m/s", "uncertainty"),
+    )
+    antennas = (number("antennas_heading", "rad", "heading of two antennas"),
+                number("antennas_heading_sigma", "rad", "uncertainty of that"))  # fmt: skip
+    status = "status of the aiding, bits"
+    return [
+        (0x32, "ClockCorrection", (receiver("clock"), *floats(clock), valid("clock"))),
+        (0x33, "ClockCorrectionSigma", (receiver("clock_sigma"), *floats(clock_sigma), valid("clock_sigma"))),
+        (0x34, "ReceiverAntennaOffset", (receiver("antenna"), *floats(offset), valid("antenna"))),
+        (0x35, "ReceiverAntennaOffsetSigma",
+         (receiver("antenna_sigma"), *floats(offset_sigma), valid("antenna_sigma"))),
+        (0x43, "PositionAiding", (receiver("position_aiding"), tow("position_aiding"),
+                                  counted("position_aiding_status", status, "u16"), *passed("u64", 1))),
+        (0x44, "AttitudeAiding", (tow("attitude_aiding"), counted("attitude_aiding_status", status, "u16"),
+                                  *passed("u64", 1))),
+        (0x45, "HeadingAiding", (tow("heading_aiding"), counted("heading_aiding_type", "what aids", "u8"),
+                                 *passed("f32", 2))),
+        (0x46, "AidingSummary", (tow("aiding"), counted("aiding_source", "number of the source", "u8"),
+                                 counted("aiding_type", "kind of measurement", "u8"),
+                                 counted("aiding_indicator", "what became of it, bits", "u8"))),
+        (0x49, "DualAntenna", (tow("antennas"), *floats(antennas),
+                               counted("antennas_fix", "kind of fix", "u8"),
+                               counted("antennas_status", "data of both receivers, bits", "u16"),
+                               valid("antennas"))),
+    ]  # fmt: skip
+
+
+def _models() -> list[Row]:
+    """Return fields of the filter's models and of heading and place in other forms."""
+    heading = (number("filter_heading", "rad", "heading that aided the filter"),
+               number("filter_heading_sigma", "rad", "uncertainty of that"))  # fmt: skip
+    earth = vector("mag_model", "uT", "field of the world magnetic model north, east, down")
+    angles = (number("inclination", "rad", "of the magnetic model"),
+              number("declination", "rad", "of the magnetic model"))  # fmt: skip
+    air = (number("geometric_altitude", "m", "standard atmosphere"),
+           number("geopotential_altitude", "m", "standard atmosphere"),
+           number("standard_temperature", "degC", "standard atmosphere"))  # fmt: skip
+    pressure = (number("standard_pressure", "Pa", "standard atmosphere"),)
+    density = (number("standard_density", "kg/m^3", "standard atmosphere"),)
+    sigma = vector("q_sigma", "1", "uncertainty of the quaternion", "wxyz")
+    place = vector("ecef", "m", "position, earth-centred earth-fixed")
+    relative = vector("relative_position", "m", "from the reference place, north, east, down")
+    return [
+        (0x12, "QuaternionSigma", (*floats(sigma), valid("q_sigma"))),
+        (0x14, "HeadingUpdate", (*floats(heading),
+                                 counted("heading_source", "what gave the heading, bits", "u16"),
+                                 valid("filter_heading"))),
+        (0x15, "MagneticModel", (*floats(earth, GAUSS), *floats(angles), valid("mag_model"))),
+        (0x20, "StandardAtmosphere", (*floats(air), *floats(pressure, MILLIBAR), *floats(density),
+                                      valid("standard_atmosphere"))),
+        (0x40, "PositionEcef", (*doubles(place), valid("ecef"))),
+        (0x42, "RelativePosition", (*doubles(relative), valid("relative_position"))),
+    ]  # fmt: skip
+
+
+def filter_fields(descriptor_set: int, attitude: Attitude) -> list[Field]:
+    """Return the fields of the filter set.
+
+    Parameters
+    ----------
+    descriptor_set : int
+        Its number.
+    attitude : str
+        Whether the attitude of this set ("filter") or of the sensor set ("imu") has the canonical names.
+    """
+    own = attitude == "filter"
+    quaternion = QUATERNION if own else vector("filter_q", "1", "attitude of the filter", "wxyz")
+    status = (
+        counted("filter_state", "state of the filter", "u16"),
+        counted("filter_dynamics", "dynamics mode of the filter", "u16"),
+        Value(KNOWN["status"], "u16"),
+    )
+    velocity = vector("velocity", "m/s", "velocity north, east, down")
+    table: list[Row] = [
+        (0x03, "Quaternion", (*floats(quaternion), valid("attitude"))),
+        (0x05, "Euler", (*floats(euler("" if own else "filter_")), valid("attitude"))),
+        (0x04, "Matrix", (*floats(MATRIX), valid("attitude")) if own else ()),
+        (0x01, "Position", (*doubles(known("latitude", "longitude", "altitude")), valid("position"))),
+        (0x02, "Velocity", (*floats(velocity), valid("velocity"))),
+        (0x11, "FilterGpsTime", GPS_TIME),
+        (0x10, "FilterStatus", status),
+        *(_three(*row) for row in _VECTORS),
+        *(_nine(*row) for row in _MATRICES),
+        *((code, name, (*floats([number(column, unit, what)]), valid(column)))
+          for code, name, column, unit, what in _SINGLE),
+        *_models(),
+        *_aiding(),
+        *((code, name, ()) for code, name in _NOT_READ),
+    ]  # fmt: skip
+    return [
+        Field(descriptor_set << 8 | code, name, values, NO_GROUP if code == 0x11 else "filter")
+        for code, name, values in table
+    ]

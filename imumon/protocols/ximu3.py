@@ -1,0 +1,162 @@
+"""x-io x-IMU3: binary and text data messages, as they come by USB, serial, network, or in ``.ximu3`` files.
+
+Facts from the vendor's software.  A message ends with a line feed; its first byte, an upper-case letter (plus
+0x80 when binary), says what it is.  There is no checksum: a message counts when it has exactly its length (or
+its numbers) and a time that a device can have run.  Temperature comes in messages of its own, five a second.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from fractions import Fraction
+from math import pi
+from typing import Final, Literal
+
+import numpy as np
+
+from imumon.blocks import IntArray
+from imumon.columns import KNOWN, Column
+from imumon.geodesy import STANDARD_GRAVITY
+from imumon.protocols.base import MAIN, Timing
+from imumon.protocols.device import DeviceFile
+from imumon.protocols.framing import BoolArray, Check, Found, Frame
+from imumon.protocols.messages import Message, TableDecoder, TableEncoder, part
+from imumon.protocols.stream import ByteArray
+from imumon.protocols.tagged_columns import known, number, vector
+from imumon.protocols.text import NUMBER, line_lengths, lines_right
+
+BINARY: Final = 0x80
+END, ESCAPE = b"\x0a", b"\xdb"
+ESCAPED_END, ESCAPED_ESCAPE = b"\xdb\xdc", b"\xdb\xdd"
+STUFFED: Final = re.compile(b"([^\xdb]|\xdb\xdc|\xdb\xdd)*", re.DOTALL)
+"""Bytes in which every escape is one of the two."""
+TIME_SIZE: Final = 8
+YEARS_US: Final = 1 << 58
+"""Microseconds of 9000 years: a message that claims more began in the middle of another."""
+DEGREE: Final = pi / 180
+
+MATRIX = [number(f"matrix_{i}{j}", "1", "rotation matrix") for i in "xyz" for j in "xyz"]
+
+Kind = tuple[str, str, list[tuple[Sequence[Column], float]]]
+KINDS: dict[str, Kind] = {
+    "I": ("inertial", MAIN, [(known("gyro_x", "gyro_y", "gyro_z"), DEGREE),
+                             (known("accel_x", "accel_y", "accel_z"), STANDARD_GRAVITY)]),
+    "M": ("magnetometer", "mag", [(vector("mag", "a.u.", "magnetic field, 1 when calibrated"), 1.0)]),
+    "T": ("temperature", "temperature", [(known("temperature"), 1.0)]),
+    "Q": ("quaternion", "attitude", [(known("q_w", "q_x", "q_y", "q_z"), 1.0)]),
+    "A": ("euler", "attitude", [(known("roll", "pitch", "yaw"), DEGREE)]),
+    "R": ("matrix", "attitude", [(MATRIX, 1.0)]),
+    "L": ("linear", "attitude", [(vector("free_accel", "m/s^2", "without gravity"), STANDARD_GRAVITY)]),
+    "E": ("earth", "attitude", [(vector("earth_accel", "m/s^2", "without gravity, in the reference frame"),
+                                 STANDARD_GRAVITY)]),
+    "H": ("high_g", "high_g", [(vector("accel_high_g", "m/s^2", "for high accelerations"),
+                                STANDARD_GRAVITY)]),
+    "B": ("battery", "status", [([number("battery", "1", "charge, percent"),
+                                  number("battery_voltage", "V", "of the battery"),
+                                  number("charging", "1", "status of charging")], 1.0)]),
+    "W": ("rssi", "status", [([number("rssi_percent", "1", "strength of the radio signal"),
+                               number("rssi_power", "1", "the same, dBm")], 1.0)]),
+    "Y": ("sync", "sync", [([number("sync_edge", "1", "edge at the input")], 1.0)]),
+}  # fmt: skip
+"""Messages with numbers: name, group, and columns with their factors; all are f32."""
+
+
+def _message(letter: str) -> Message:
+    name, group, vectors = KINDS[letter]
+    at, parts = TIME_SIZE, [part(0, "u64", [KNOWN["device_ticks"]])]
+    for columns, factor in vectors:
+        parts.append(part(at, "f32", columns, factor))
+        at += 4 * len(columns)
+    return Message(name, at, tuple(parts), group)
+
+
+MESSAGES = {ord(letter): _message(letter) for letter in KINDS}
+
+
+def _without_escapes(message: bytes) -> bytes:
+    """Return a message without its end and its escapes."""
+    return message[:-1].replace(ESCAPED_END, END).replace(ESCAPED_ESCAPE, ESCAPE)
+
+
+def _right(size: int) -> Check:
+    """Return the check of a binary message: its bytes without escapes, and its time."""
+
+    def right(held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
+        spans = zip(at.tolist(), length.tolist(), strict=True)
+        return np.array([_is_whole(held[a : a + n].tobytes(), size) for a, n in spans], np.bool_)
+
+    return right
+
+
+def _is_whole(message: bytes, size: int) -> bool:
+    if not STUFFED.fullmatch(message):
+        return False
+    plain = _without_escapes(message)
+    return len(plain) == size + 1 and int.from_bytes(plain[1 : 1 + TIME_SIZE], "little") < YEARS_US
+
+
+def _numbers(text: str) -> list[float] | None:
+    """Return time and numbers of a text message, else None."""
+    letter, *words = text.rstrip("\r\n").split(",")
+    size = sum(len(columns) for columns, _ in KINDS[letter][2])
+    good = len(words) == size + 1 and words[0].isdigit() and all(NUMBER.fullmatch(word) for word in words)
+    return [float(word) for word in words] if good and float(words[0]) < YEARS_US else None
+
+
+class XimuDecoder(TableDecoder):
+    """Decodes data messages with numbers; answers to commands and notes are skipped."""
+
+    def __init__(self, rate_hz: float | None = None) -> None:
+        frames = [
+            Frame(m.name, bytes([key | BINARY]), line_lengths(after_end=False), _right(m.size))
+            for key, m in MESSAGES.items()
+        ]
+        frames += [
+            Frame(f"{m.name} text", bytes([key]) + b",", line_lengths(after_end=False), lines_right(_numbers))
+            for key, m in MESSAGES.items()
+        ]
+        timing = Timing(tick_ns=Fraction(1000), rate_hz=rate_hz)
+        super().__init__(frames, MESSAGES, timing, 1, 1)
+
+    def _plain(self, found: Found) -> Found:
+        """Return all messages as binary ones without escapes."""
+        spans = zip(found.at.tolist(), found.length.tolist(), found.frame.tolist(), strict=True)
+        parts = []
+        for at, length, frame in spans:
+            message = found.held[at : at + length].tobytes()
+            parts.append(_as_binary(message) if frame >= len(MESSAGES) else _without_escapes(message))
+        lengths = np.array([len(one) for one in parts], np.int64)
+        held = np.frombuffer(b"".join(parts), np.uint8)
+        return Found(held, np.cumsum(lengths) - lengths, lengths, found.frame)
+
+    def _keys(self, found: Found) -> IntArray:
+        return found.held[found.at].astype(np.int64) & ~BINARY
+
+
+def _as_binary(message: bytes) -> bytes:
+    numbers = _numbers(message.decode("ascii"))
+    assert numbers is not None
+    return (
+        message[:1] + int(numbers[0]).to_bytes(TIME_SIZE, "little") + np.array(numbers[1:], "<f4").tobytes()
+    )
+
+
+def _wrapped(key: int, payload: bytes) -> bytes:
+    stuffed = payload.replace(ESCAPE, ESCAPED_ESCAPE).replace(END, ESCAPED_END)
+    return bytes([key | BINARY]) + stuffed + END
+
+
+class XimuDevice(DeviceFile):
+    """Device file of an x-IMU3; `sends` is for its virtual twin alone."""
+
+    protocol: Literal["ximu3"]
+    sends: list[str]
+
+    def decoder(self) -> XimuDecoder:
+        """Make a decoder for this device."""
+        return XimuDecoder(self.rate_hz)
+
+    def encoder(self) -> TableEncoder:
+        """Make an encoder that sends what the device would send."""
+        return TableEncoder(MESSAGES, self.sends, _wrapped)
