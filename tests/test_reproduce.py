@@ -16,7 +16,19 @@ FOLDER = ROOT / "scripts" / "reproduce"
 
 SMALL = {
     "allan_terms": ["1"],
-    "field": ["--quick"],
+    **dict.fromkeys(
+        (
+            "alignment",
+            "bias_race",
+            "closing_the_loop",
+            "field",
+            "random_error",
+            "tczupt",
+            "temperature_rate",
+            "thermal_calibration",
+        ),
+        ["--quick"],
+    ),  # fmt: skip
 }
 """Arguments of a run of some seconds."""
 

@@ -148,8 +148,13 @@ def main() -> None:
     """Print the tables and draw the figures."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("runs", nargs="?", type=int, default=50)
-    count = parser.parse_args().runs
+    parser.add_argument("--quick", action="store_true", help="a few seconds: the first of everything")
+    given = parser.parse_args()
+    count = given.runs
     closed_forms()
+    if given.quick:
+        statistics(CASES[0], list(runs(CASES[0], 1)))
+        return
     for case in CASES:
         statistics(case, list(runs(case, count)))
     times()

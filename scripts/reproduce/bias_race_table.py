@@ -112,7 +112,13 @@ def main() -> None:
     """Print the tables and whether the bars are met."""
     parser = argparse.ArgumentParser(prog="scripts/reproduce/bias_race", description=__doc__)
     parser.add_argument("--seeds", type=int, default=10, help="runs of each scene (default: %(default)s)")
-    seeds = parser.parse_args().seeds
+    parser.add_argument("--quick", action="store_true", help="a few seconds: the first of everything")
+    given = parser.parse_args()
+    seeds = given.seeds
+    if given.quick:
+        run = simulate(scenario_of(ATHERMAL), 0)
+        print(f"imumon learned: {score(run, imumon('learned', None, True)(run))[0]:.1f} deg/h")
+        return
     begun = time.monotonic()
     model = calibrated()
     print(f"Model from the soak test ({time.monotonic() - begun:.0f} s).\n", file=sys.stderr)

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
+QUICK = "step and warm-up"
 DATA = Path(os.environ.get("IMUMON_DATA", ROOT.parent / "shared" / "data"))
 DOCS = ROOT / "docs"
 
@@ -15,7 +16,8 @@ DOCS = ROOT / "docs"
 def main() -> int:
     """Run one part."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--part", required=True, choices=("simulated", "measured", "heading"))
+    parser.add_argument("--part", choices=("simulated", "measured", "heading"), default="simulated")
+    parser.add_argument("--quick", action="store_true", help="a few seconds: the first of everything")
     parser.add_argument("data", nargs="?", type=Path, default=DATA, help="folder of the measured recordings")
     parser.add_argument("--repeat", type=int, default=4, help="simulated: cases of each kind")
     parser.add_argument("--jobs", type=int, default=2, help="simulated: processes")
@@ -23,6 +25,8 @@ def main() -> int:
     if given.part == "simulated":
         from closing_the_loop_statistics import main as statistics
 
+        if given.quick:
+            return statistics(["--repeat", "1", "--jobs", "1", "--only", QUICK])
         out = DOCS / "appendix" / "closing-the-loop-results.md"
         return statistics(["--repeat", str(given.repeat), "--jobs", str(given.jobs), "--out", str(out)])
     if given.part == "measured":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import sys
 from collections.abc import Callable, Iterable, Sequence
@@ -51,7 +52,14 @@ TURN, TURN_FROM, TURN_TO = 0.5, 20, 40
 def main() -> None:
     """Write tables to standard output and figures to docs/figures/random-error."""
     default = os.environ.get("IMUMON_DATA", str(ROOT.parent / "shared" / "data"))
-    folder = Path(sys.argv[1] if len(sys.argv) > 1 else default)
+    parser = argparse.ArgumentParser(prog="scripts/reproduce/random_error", description=__doc__)
+    parser.add_argument("data", nargs="?", default=default, help="folder of the measured recordings")
+    parser.add_argument("--quick", action="store_true", help="a few seconds: the first of everything")
+    given = parser.parse_args()
+    if given.quick:
+        compensated([simulate(60.0, 0)])
+        return
+    folder = Path(given.data)
     minutes = [simulate(60.0, seed) for seed in range(MINUTE_SEEDS)]
     print(f"Simulated MTi-28A noise at {RATE_HZ} Hz; R = {VARIANCE} (deg/s)². Allan deviations in °/h.\n")
     compensated(minutes)

@@ -239,7 +239,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="scripts/reproduce/tczupt")
     parser.add_argument("--runs", type=int, default=8, help="records of the ramp test, at least 5")
     parser.add_argument("--no-figures", action="store_true")
+    parser.add_argument("--quick", action="store_true", help="a few seconds: the first of everything")
     options = parser.parse_args()
+    if options.quick:
+        responses()
+        return
     records = [simulate("crs05-ramp", seed) for seed in range(max(5, options.runs))]
     print("# ZUPT and TCZUPT: tables\n\nMade by `scripts/reproduce/tczupt`;", end=" ")
     print(f"{len(records)} records of the ramp test.")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import sys
 from collections.abc import Callable, Sequence
@@ -118,7 +119,14 @@ def ensemble() -> None:
 def main() -> None:
     """Write tables to standard output and figures to docs/figures/temperature-rate."""
     default = os.environ.get("IMUMON_DATA", str(ROOT.parent / "shared" / "data"))
-    folder = Path(sys.argv[1] if len(sys.argv) > 1 else default)
+    parser = argparse.ArgumentParser(prog="scripts/reproduce/temperature_rate", description=__doc__)
+    parser.add_argument("data", nargs="?", default=default, help="folder of the measured recordings")
+    parser.add_argument("--quick", action="store_true", help="a few seconds: the first of everything")
+    given = parser.parse_args()
+    if given.quick:
+        table([simulate("heating", 0.0)], SETTLED_MIN)
+        return
+    folder = Path(given.data)
     print(f"Simulated at 10 Hz for 3 h, step {STEP} °C, after {SETTLED_MIN:.0f} min; FIR buffer {BUFFER}.\n")
     shapes = ("heating", "wobble", "steady")
     table([simulate(shape, noise) for shape in shapes for noise in (0.0, 0.005)], SETTLED_MIN)

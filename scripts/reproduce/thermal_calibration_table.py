@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import sys
 import tempfile
@@ -158,8 +159,16 @@ def measured(data: Path) -> list[str]:
 
 
 def main() -> None:
-    given = sys.argv[1] if len(sys.argv) > 1 else os.environ.get("IMUMON_DATA")
-    data = Path(given) if given else ROOT.parent / "shared" / "data"
+    default = os.environ.get("IMUMON_DATA", str(ROOT.parent / "shared" / "data"))
+    parser = argparse.ArgumentParser(prog="scripts/reproduce/thermal_calibration", description=__doc__)
+    parser.add_argument("data", nargs="?", default=default, help="folder of the measured recordings")
+    parser.add_argument("--quick", action="store_true", help="a few seconds: the first of everything")
+    given = parser.parse_args()
+    if given.quick:
+        soak = simulated_soak(SEED)
+        print("\n".join(f"- {name}" for name in slope_methods(soak, 0)))
+        return
+    data = Path(given.data)
     FIGURES.mkdir(parents=True, exist_ok=True)
     text = ["# Thermal calibration: results", "", "Made by scripts/reproduce/thermal_calibration.", ""]
     text += simulated(simulated_soak(SEED))
