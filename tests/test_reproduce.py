@@ -16,6 +16,7 @@ FOLDER = ROOT / "scripts" / "reproduce"
 
 SMALL = {
     "allan_terms": ["1"],
+    "smoothing": ["--quick"],
 }
 """Arguments of a run of some seconds."""
 
