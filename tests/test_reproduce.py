@@ -14,21 +14,17 @@ import pytest
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "scripts" / "reproduce"
 
+QUICK = (
+    "alignment bias_race closing_the_loop field random_error smoothing tczupt temperature_rate "
+    "thermal_calibration"
+).split()
 SMALL = {
     "allan_terms": ["1"],
-    **dict.fromkeys(
-        (
-            "alignment",
-            "bias_race",
-            "closing_the_loop",
-            "field",
-            "random_error",
-            "tczupt",
-            "temperature_rate",
-            "thermal_calibration",
-        ),
-        ["--quick"],
-    ),  # fmt: skip
+    "bias_sigma": ["--seeds", "1", "--only", "tactical"],
+    "rest_detector": ["--seeds", "1", "--quick"],
+    "alignment_site": ["1", "--only", "quiet"],
+    "thermometers": ["--seeds", "1", "--kinds", "white 0.1 step", "--part", "ramp", "--holds", "60"],
+    **dict.fromkeys(QUICK, ["--quick"]),
 }
 """Arguments of a run of some seconds."""
 
