@@ -23,8 +23,8 @@ import numpy as np
 from imumon.blocks import FloatArray
 from imumon.compiled import njit, records
 
-JERKS = 10.0 ** np.arange(-27.0, -3.5, 1.5)
-"""Jerk densities, °C²/s⁵: from a rate that keeps to 0.001 °C/h for a day to a jump of 2 °C/min in 3 s."""
+JERKS = 10.0 ** np.append(np.arange(-27.0, -3.5, 1.5), -2.0)
+"""Jerk densities, °C²/s⁵: from a rate that keeps to 0.001 °C/h for a day to a jump of 10 °C/min in 2 s."""
 SMOOTHNESSES = len(JERKS)
 FORGETTING_S = 1800.0
 WHITE_SIGMAS = np.array([0.0003, 0.01, 0.02, 0.035, 0.06, 0.1, 0.13, 0.16, 0.2, 0.25])
