@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.signal import butter, sosfilt
+from scipy.signal import butter, lfilter, sosfilt
 from scipy.spatial.transform import Rotation
 
 from imumon.blocks import ColumnArray, FloatArray, SampleBlock
@@ -21,7 +21,7 @@ DEG_PER_H = DEG / 3600.0
 class Grade:
     """White noise of a sample at 100 Hz, rad/s and m/s² (going with the root of the rate), and its steps.
 
-    gyro_walk is the rate random walk, rad/s/√s.
+    gyro_walk is the rate random walk, rad/s/√s, and gyro_flicker the floor of the Allan deviation, rad/s.
     """
 
     name: str
@@ -30,6 +30,7 @@ class Grade:
     gyro_walk: float = 0.0
     gyro_step: float = 0.0
     accel_step: float = 0.0
+    gyro_flicker: float = 0.0
 
 
 GRADES = (
@@ -39,6 +40,26 @@ GRADES = (
     Grade("tactical", 3e-5, 2e-3, 5e-8),
     Grade("navigation", 1e-6, 2e-4, 1e-9),
 )
+
+
+def _sensor(name: str, arw: float, flicker: float, micro_g: float, steps: tuple[float, float]) -> Grade:
+    """Return a sensor by its data sheet: °/√h, °/h, µg/√Hz, and steps in °/s and m/s²."""
+    white, force = arw / 60.0 * DEG * 10.0, micro_g * 1e-6 * GRAVITY * 10.0
+    return Grade(name, white, force, 0.0, steps[0] * DEG, steps[1], flicker * DEG_PER_H)
+
+
+SENSORS = (
+    _sensor("tactical: 0.1 °/h, 0.003 °/√h", 0.003, 0.1, 50.0, (0.0, 0.0)),
+    _sensor("industrial: 5 °/h, 0.15 °/√h", 0.15, 5.0, 60.0, (0.0, 0.0)),
+    _sensor("as BMI160: 15 °/h, 0.42 °/√h", 0.42, 15.0, 180.0, (0.0038, 6e-4)),
+    _sensor("as MPU-6050: 40 °/h, 0.3 °/√h", 0.3, 40.0, 400.0, (0.0076, 6e-4)),
+    _sensor("coarse: 20 °/h, steps of 0.06 °/s", 0.3, 20.0, 200.0, (0.06, 0.038)),
+    _sensor("noisy: 30 °/h, 1.8 °/√h", 1.8, 30.0, 500.0, (0.0, 0.0)),
+)
+"""Gyros with flicker noise, from tactical to worse than what consumers buy."""
+FLICKER_TAUS_S = (10.0, 100.0, 1000.0)
+FLOOR_PER_MARKOV = 0.776
+"""Floor of the Allan deviation of Markov processes with these time constants, over the sd of one."""
 BIAS = np.array([2.0, -0.3, 0.4]) * DEG
 
 
@@ -177,13 +198,18 @@ def walk_then_rest(rate_hz: float, seconds: float, seed: int = 0) -> Scene:
     return scene
 
 
-def steady_turn(rate_hz: float, turn_dps: float, minutes: float, ramp_s: float) -> Scene:
-    """Rest of 150 s, a turn about the vertical, begun and ended evenly in ramp_s, and 90 s of rest."""
+def steady_turn(
+    rate_hz: float, turn_dps: float, minutes: float, ramp_s: float, tilt_deg: float = 0.0
+) -> Scene:
+    """Rest of 150 s, a turn, begun and ended evenly in ramp_s, and 90 s of rest; its axis is tilted."""
     seconds = 60.0 * minutes + ramp_s
     scene = still(rate_hz, 150.0 + seconds + 90.0)
     since = scene.t - 150.0
     rate = turn_dps * DEG * np.clip(np.minimum(since, seconds - since) / ramp_s, 0.0, 1.0)
-    scene.angles[:, 2] += np.cumsum(rate) / rate_hz
+    axis = np.array([np.sin(tilt_deg * DEG), 0.0, np.cos(tilt_deg * DEG)])
+    turn = Rotation.from_rotvec(np.outer(np.cumsum(rate) / rate_hz, axis))
+    placed = turn * Rotation.from_euler("ZYX", scene.angles[0, ::-1])
+    scene.angles[:] = placed.as_euler("ZYX")[:, ::-1]
     scene.rest[(since > 0.0) & (since <= seconds)] = False
     return scene
 
@@ -325,6 +351,11 @@ def measure_with_bias(scene: Scene, grade: Grade, seed: int) -> tuple[SampleBloc
     gyro = np.vstack([turn[:1], turn]) + BIAS + scene.gyro_extra
     gyro += grade.gyro_sd * scale * rng.standard_normal((n, 3))
     walk = grade.gyro_walk / np.sqrt(rate_hz) * np.cumsum(rng.standard_normal((n, 3)), 0)
+    for tau_s in FLICKER_TAUS_S if grade.gyro_flicker else ():
+        keeps = np.exp(-1.0 / (rate_hz * tau_s))
+        steps = np.sqrt(1.0 - keeps**2) * rng.standard_normal((n, 3))
+        steps[0] /= np.sqrt(1.0 - keeps**2)
+        walk += grade.gyro_flicker / FLOOR_PER_MARKOV * lfilter([1.0], [1.0, -keeps], steps, axis=0)
     gyro += walk
     accel = body_to_ned.inv().apply([0.0, 0.0, -GRAVITY]) + scene.acceleration + np.array([0.1, -0.2, 0.05])
     accel += grade.accel_sd * scale * rng.standard_normal((n, 3))

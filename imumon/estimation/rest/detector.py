@@ -69,9 +69,9 @@ def step(state: State, parameters: RestParameters, slots: Sequence[Slot], k: int
             state.steady, state.steady_s = np.where(state.windows.known, before, np.nan), end_s
         _watch(state, end_s, HOLD_WINDOWS * motion.seconds)
     elif state.at_rest:
-        if state.turn.any() and state.slots % DECIDES_EVERY == 0:
+        if state.slots % DECIDES_EVERY == 0 and state.turn.any():
             _decide(state, parameters, end_s)
-    elif state.anchors and is_back(state, parameters, end_s):
+    elif state.anchors and _may_be_back(state) and is_back(state, parameters, end_s):
         _rest_again(state, parameters, np.zeros(3), end_s)
     elif end_s >= state.hold_s and state.windows.known.any() and _may_return(state):
         turn, rests = _judge(state, parameters, state.quiet_slots, end_s)
@@ -82,6 +82,12 @@ def step(state: State, parameters: RestParameters, slots: Sequence[Slot], k: int
     fits = state.quiet_slots >= RING and state.windows.known.all()
     if ready and not fits and state.slots % TRIAL_EVERY == 0:
         _try(state, parameters, end_s)
+
+
+def _may_be_back(state: State) -> bool:
+    """Tell whether to look for the old means: with each slot after a knock, each second after a while."""
+    quiet = state.quiet_slots
+    return quiet >= 2 and (state.slots % EVERY == 0 or (quiet < RING and not state.slow))
 
 
 def _may_return(state: State) -> bool:

@@ -174,6 +174,8 @@ class State:
         Mean square of the differences of the gyros' means at rest (`wander`).
     wander_lags : array, (lags,)
         Over how many lags each was learnt.
+    squares : array, (lags, 3)
+        The same, weighed against what is expected where little was learnt.
     anchors : list of Anchor
         Means of earlier rests that differ, the latest first.
     doubted_since_s : float
@@ -202,6 +204,7 @@ class State:
     slots: int = 0
     wander: FloatArray = field(default_factory=lambda: np.zeros((len(LAGS), 3)))
     wander_lags: FloatArray = field(default_factory=lambda: np.zeros(len(LAGS)))
+    squares: FloatArray = field(default_factory=lambda: np.zeros((len(LAGS), 3)))
     anchors: list[Anchor] = field(default_factory=list)
     doubted_since_s: float = np.nan
     turn: FloatArray = field(default_factory=lambda: np.zeros(3))

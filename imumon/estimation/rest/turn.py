@@ -108,7 +108,7 @@ def is_back(state: State, parameters: RestParameters, now_s: float) -> bool:
     """
     slots = state.quiet_slots
     least_s = SLOW_BACK_S if state.slow else BACK_S
-    if slots < 2 or state.span_s(min(slots, KEPT)) < least_s:
+    if state.span_s(min(slots, KEPT)) < least_s:
         return False
     recent, variance = recent_mean(state, slots)
     for anchor in state.anchors:

@@ -58,7 +58,8 @@ def wanders(state: State) -> Motion | None:
     if not len(which):
         return None
     means = state.means(n - _ENDS[which])[..., GYRO]
-    off, square = means[:, 0] - means[:, 2], mean_squares(state)[which]
+    state.squares = mean_squares(state)
+    off, square = means[:, 0] - means[:, 2], state.squares[which]
     lags = state.wander_lags[which]
     limit2 = SIGMAS**2 * square * (1.0 + 2.0 / (PRIOR_LAGS + lags))[:, np.newaxis] + TINY
     found, ratio = turned(state, off, limit2, CREEP * lag_s)
@@ -111,6 +112,6 @@ def wander_after(state: State, seconds: float) -> FloatArray:
 
     Beyond the longest lag it grows as between flicker and walk.
     """
-    lags_s, squares = LAGS * state.slot_s, mean_squares(state)
+    lags_s, squares = LAGS * state.slot_s, state.squares
     k = int(np.searchsorted(lags_s, min(max(seconds, lags_s[0]), lags_s[-1])))
     return np.asarray(squares[k] * max(seconds / lags_s[k], 1.0) ** 0.5)
