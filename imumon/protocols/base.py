@@ -152,7 +152,7 @@ class Decoder(ABC):
         return []
 
     def warnings(self) -> list[str]:
-        """Return, once each, why numbers are not fit for an estimate, as where the device has corrected them."""
+        """Return, once each, why numbers are not fit for an estimate: the device has corrected them, say."""
         return []
 
     def feed(self, data: bytes | memoryview | ByteArray, arrival_ns: int) -> None:

@@ -152,7 +152,10 @@ class Line(StrictModel):
 
     def write(self, numbers: Sequence[float]) -> bytes:
         """Return the line with these numbers, in the order of the columns."""
-        words = {key: f"{number:.12g}" for key, number in zip(self.wanted, numbers, strict=True)}
+        words = {
+            key: f"{number:.0f}" if number.is_integer() else f"{number:.7g}"
+            for key, number in zip(self.wanted, numbers, strict=True)
+        }
         if self.decimal == ",":
             words = {key: word.replace(".", ",") for key, word in words.items()}
         if self.form == "json":
