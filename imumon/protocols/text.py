@@ -23,7 +23,7 @@ from pydantic import Field, NonNegativeInt, PositiveInt, model_validator
 from imumon.blocks import NO_INT, ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.columns import Column
 from imumon.config import StrictModel
-from imumon.protocols.base import Encoder
+from imumon.protocols.base import COMMON, MAIN, Encoder
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.fixed.description import NumberField, NumberName, timing_of
 from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, BoolArray, Check, Found, Frame, Lengths
@@ -222,7 +222,7 @@ class LineLayout:
         self._line = line
         self.places = [Place(*field.scaled(name)) for field in line.fields for name in field.names]
         self.columns = tuple(place.column for place in self.places)
-        self.of_column: dict[str, str] = {}
+        self.of_column = {c.name: MAIN for c in self.columns if c.name not in COMMON}
 
     def read(self, found: Found) -> dict[str, ColumnArray]:
         """Return a value a line for each column."""
