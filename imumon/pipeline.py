@@ -239,8 +239,9 @@ class Pipeline:
         return self._decoder.notices() if self._decoder is not None else []
 
     def warnings(self) -> list[str]:
-        """Return, once each, what the estimators have to say of the data or of their parameters."""
-        return [text for stage in self._estimators for text in stage.notices()]
+        """Return, once each, what decoder and estimators have to say of the data or of their parameters."""
+        decoded = self._decoder.warnings() if self._decoder is not None else []
+        return [*decoded, *(text for stage in self._estimators for text in stage.notices())]
 
     def charts(self) -> list[Chart]:
         """Return the charts of the estimators as they are now."""

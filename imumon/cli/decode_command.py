@@ -53,7 +53,7 @@ def command(file: Path, device: str | None, out: Path, columns: str | None, as_j
         if as_json:
             print_json(_result(source, pipeline, {}, 0))
         raise _nothing(source, pipeline) from error
-    warn(source.warnings())
+    warn([*source.warnings(), *pipeline.warnings()])
     for notice in pipeline.notices():
         say("INFO", f"device: {notice}")
     if as_json:

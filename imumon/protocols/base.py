@@ -151,6 +151,10 @@ class Decoder(ABC):
         """Return, once each, what the device said that is not data (errors, configuration)."""
         return []
 
+    def warnings(self) -> list[str]:
+        """Return, once each, why numbers are not fit for an estimate: the device has corrected them, say."""
+        return []
+
     def feed(self, data: bytes | memoryview | ByteArray, arrival_ns: int) -> None:
         """Decode bytes that arrived at `arrival_ns` (Unix time, ns)."""
         self._end[0], self._arrival_ns[0] = len(data), arrival_ns

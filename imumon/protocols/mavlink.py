@@ -197,7 +197,7 @@ class MavlinkDecoder(TableDecoder):
                 f"only vehicle {self._vehicle >> 8}, component {self._vehicle & 0xFF} is read of several"
             )
         if np.any(np.isin(keys, (26, 27))):
-            self._say("rates of SCALED_IMU and RAW_IMU have steps of 206 deg/h: HIGHRES_IMU is finer")
+            self._warn("rates of SCALED_IMU and RAW_IMU have steps of 206 deg/h: HIGHRES_IMU is finer")
         return np.where(others, -1, keys)
 
 

@@ -271,19 +271,22 @@ class MipDecoder(TaggedDecoder):
     ) -> None:
         table = FieldTable(mip_fields(attitude, clock), _derived(clock), apart=GNSS.values())
         super().__init__(table, MIP, ROLES, SET_NAMES, Timing(tick_ns=Fraction(1), rate_hz=rate_hz))
+        self._warned = False
 
     def _type_name(self, kind: int) -> str:
         return SET_NAMES.get(kind, f"set 0x{kind:02X}")
 
-    def notices(self) -> list[str]:
-        """Return, once each, what the device said that is not data, and that only corrected rates come."""
+    def warnings(self) -> list[str]:
+        """Return, once, that only corrected rates come."""
         seen = {field.name: n for field, n in self.seen_fields().items()}
-        if seen.get("CompensatedRate", 0) >= GENERATION and "ScaledGyro" not in seen:
-            self._say(
-                "only rates come from which the device's filter has taken its own estimate of the bias "
-                "(CompensatedRate, gyro_compensated_*): send ScaledGyro"
-            )
-        return super().notices()
+        alone = seen.get("CompensatedRate", 0) >= GENERATION and "ScaledGyro" not in seen
+        if not alone or self._warned:
+            return []
+        self._warned = True
+        return [
+            "only rates come from which the device's filter has taken its own estimate of the bias "
+            "(CompensatedRate, gyro_compensated_*): send ScaledGyro"
+        ]
 
     def _field_name(self, key: int) -> str:
         name = next((field.name for field in self.table.fields if field.key == key), f"0x{key & 0xFF:02X}")

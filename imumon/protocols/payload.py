@@ -142,6 +142,7 @@ class LayoutDecoder(FramedDecoder):
         self._group_bits: list[int] = []
         self._columns: dict[str, Column] = {"arrival_time_ns": KNOWN["arrival_time_ns"]}
         self._said: dict[str, bool] = {}
+        self._warned: dict[str, bool] = {}
 
     @property
     def columns(self) -> tuple[Column, ...]:
@@ -191,12 +192,24 @@ class LayoutDecoder(FramedDecoder):
 
     def notices(self) -> list[str]:
         """Return, once each, what the device said that is not data."""
-        new = [text for text, given in self._said.items() if not given]
-        self._said.update(dict.fromkeys(new, True))
-        return new
+        return _once(self._said)
+
+    def warnings(self) -> list[str]:
+        """Return, once each, why numbers are not fit for an estimate."""
+        return _once(self._warned)
 
     def _say(self, text: str) -> None:
         self._said.setdefault(text, False)
+
+    def _warn(self, text: str) -> None:
+        self._warned.setdefault(text, False)
+
+
+def _once(said: dict[str, bool]) -> list[str]:
+    """Return the texts that were not given before."""
+    new = [text for text, given in said.items() if not given]
+    said.update(dict.fromkeys(new, True))
+    return new
 
 
 def written(values: Sequence[Value], block: SampleBlock, where: str, big: bool = False) -> ByteArray:

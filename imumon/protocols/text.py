@@ -23,7 +23,7 @@ from pydantic import Field, NonNegativeInt, PositiveInt, model_validator
 from imumon.blocks import NO_INT, ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.columns import Column
 from imumon.config import StrictModel
-from imumon.protocols.base import Encoder
+from imumon.protocols.base import COMMON, MAIN, Encoder
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.fixed.description import NumberField, NumberName, timing_of
 from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, BoolArray, Check, Found, Frame, Lengths
@@ -152,7 +152,10 @@ class Line(StrictModel):
 
     def write(self, numbers: Sequence[float]) -> bytes:
         """Return the line with these numbers, in the order of the columns."""
-        words = {key: f"{number:.12g}" for key, number in zip(self.wanted, numbers, strict=True)}
+        words = {
+            key: f"{number:.0f}" if number.is_integer() else f"{number:.7g}"
+            for key, number in zip(self.wanted, numbers, strict=True)
+        }
         if self.decimal == ",":
             words = {key: word.replace(".", ",") for key, word in words.items()}
         if self.form == "json":
@@ -219,7 +222,7 @@ class LineLayout:
         self._line = line
         self.places = [Place(*field.scaled(name)) for field in line.fields for name in field.names]
         self.columns = tuple(place.column for place in self.places)
-        self.of_column: dict[str, str] = {}
+        self.of_column = {c.name: MAIN for c in self.columns if c.name not in COMMON}
 
     def read(self, found: Found) -> dict[str, ColumnArray]:
         """Return a value a line for each column."""

@@ -570,7 +570,7 @@ class VectorNavDecoder(LayoutDecoder):
         placed = [(_without_suffix(value, alone), at, group) for value, at, group in kind.placed]
         layout: Layout = SentenceLayout([v for v, _, _ in placed]) if kind.text else Placed(placed)
         if "gyro_x" in layout.of_column and "gyro" in alone:
-            self._say(
+            self._warn(
                 "the angular rate is that of the device's filter, which has taken its own estimate of "
                 "the gyro bias off: what imumon finds is the rest of it; send UncompGyro, Imu or $VNIMU"
             )

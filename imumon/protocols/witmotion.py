@@ -185,7 +185,7 @@ class WitMotionDecoder(LayoutDecoder):
         run = run - moved
         self._zeros = int(run[-1]) if len(run) else self._zeros
         if np.any(run >= ZEROS):
-            self._say(
+            self._warn(
                 "the device sends rates of exactly zero: at rest it takes off what it holds for bias, "
                 "so bias and noise found from them mean nothing"
             )

@@ -136,7 +136,7 @@ def test_a_mavlink_message_of_pymavlink() -> None:
     )
     np.testing.assert_allclose([block[f"gyro_{c}"][0] for c in "xyz"], [5e-3, 6e-3, 7e-3])
     assert block["temperature"][0] == 25.0
-    assert any("206 deg/h" in text for text in decoder.notices())
+    assert any("206 deg/h" in text for text in decoder.warnings())
 
 
 def test_mavlink_of_one_vehicle_is_read_in_both_versions() -> None:

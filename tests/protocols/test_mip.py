@@ -159,10 +159,11 @@ def test_corrected_rates_alone_are_said() -> None:
     decoder = MipDecoder()
     block = feed_in_chunks(decoder, b"".join(corrected), [100])
     assert "gyro_x" not in block
-    assert any("send ScaledGyro" in text for text in decoder.notices())
+    assert any("send ScaledGyro" in text for text in decoder.warnings())
+    assert decoder.warnings() == []
     decoder = MipDecoder()
     feed_in_chunks(decoder, b"".join(raw + corrected), [100])
-    assert decoder.notices() == []
+    assert decoder.warnings() == []
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,8 @@ import pytest
 
 from imumon.blocks import SampleBlock
 from imumon.errors import ImumonError
+from imumon.pipeline import Pipeline
+from imumon.protocols.device import load_device
 from imumon.protocols.framing import IMPOSSIBLE
 from imumon.protocols.vectornav import VectorNavDecoder, VectorNavEncoder, _crc, read_header
 from tests.data_folder import measured
@@ -39,7 +41,7 @@ def test_a_capture_in_the_middle_of_foreign_text_is_decoded_as_its_author_did() 
     decoder = VectorNavDecoder()
     block = feed_in_chunks(decoder, data, [997])
     assert decoder.counters().packets_by_type == {"binary": 4446}
-    assert decoder.notices() == []
+    assert decoder.notices() == decoder.warnings() == []
     for k, (name, factor) in enumerate(AUTHORS_COLUMNS.items()):
         # Seven digits in the author's table.
         np.testing.assert_allclose(block[name][: len(theirs)] / factor, theirs[:, k], rtol=1e-6, atol=1e-7)
@@ -60,7 +62,7 @@ def test_sentences_are_read_and_torn_ones_refused() -> None:
     assert block["gyro_x"][0] == -1.012502
     assert block["mag_z"][0] == pytest.approx(54.79)
     assert np.rad2deg(block["yaw"][1]) == pytest.approx(-95.878)
-    assert any("filter" in text and "UncompGyro" in text for text in decoder.notices())
+    assert any("filter" in text and "UncompGyro" in text for text in decoder.warnings())
 
 
 def test_rates_that_the_filter_has_corrected_step_back_for_those_of_the_factory() -> None:
@@ -69,11 +71,21 @@ def test_rates_that_the_filter_has_corrected_step_back_for_those_of_the_factory(
     corrected = VectorNavEncoder(["Common.TimeStartup", "Common.AngRate"]).encode(block)
     alone = feed_in_chunks(decoder := VectorNavDecoder(), b"".join(corrected), [99])
     np.testing.assert_array_equal(alone["gyro_x"], 0.5)
-    assert decoder.notices()
+    assert decoder.warnings()
     mixed = feed_in_chunks(decoder := VectorNavDecoder(), b"".join(raw[:1] + corrected + raw[1:]), [7])
     np.testing.assert_array_equal(np.isnan(mixed["gyro_x"]), [False, True, True, True, False, False])
     np.testing.assert_array_equal(mixed["gyro_compensated_x"][1:4], 0.5)
-    assert decoder.notices() == []
+    assert decoder.warnings() == []
+
+
+def test_a_recording_of_corrected_rates_alone_is_warned_of() -> None:
+    block = SampleBlock({"device_ticks": np.arange(1, 50) * 20_000_000})
+    packets = VectorNavEncoder(["Common.TimeStartup", "Common.AngRate"]).encode(block)
+    pipeline = Pipeline(load_device("vectornav"), [])
+    pipeline.feed(b"".join(packets), 1)
+    pipeline.finish()
+    assert any("UncompGyro" in text for text in pipeline.warnings())
+    assert pipeline.warnings() == []
 
 
 @pytest.mark.parametrize(

@@ -59,7 +59,7 @@ def test_rates_of_exactly_zero_are_said(zeros: int, said: bool) -> None:
     for packet in WitMotionEncoder(["gyro"]).encode(SampleBlock({"gyro_z": rate})):
         decoder.feed(packet, 0)
         decoder.take()
-    assert any("exactly zero" in text for text in decoder.notices()) is said
+    assert any("exactly zero" in text for text in decoder.warnings()) is said
 
 
 def test_a_position_is_in_degrees() -> None:

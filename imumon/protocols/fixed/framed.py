@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from imumon.blocks import NO_INT, ColumnArray, IntArray
+from imumon.protocols.base import COMMON, MAIN
 from imumon.protocols.checksums import make_checksum
 from imumon.protocols.fixed.decoder import column_values, record_type
 from imumon.protocols.fixed.description import Packet
@@ -29,7 +30,7 @@ class DescribedLayout:
         self._length = packet.length
         self._type = record_type(self._placed, packet.length)
         self.columns = tuple(item.column for item in self._placed)
-        self.of_column: dict[str, str] = {}
+        self.of_column = {c.name: MAIN for c in self.columns if c.name not in COMMON}
 
     def read(self, found: Found) -> dict[str, ColumnArray]:
         """Return a value a packet for each column."""
