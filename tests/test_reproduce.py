@@ -15,16 +15,15 @@ ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "scripts" / "reproduce"
 
 QUICK = (
-    "alignment bias_race closing_the_loop field random_error smoothing tczupt temperature_rate "
-    "thermal_calibration"
-).split()
-SMALL = {
+    "alignment", "bias_race", "closing_the_loop", "field", "random_error", "rest_detector", "smoothing",
+    "tczupt", "temperature_rate", "thermal_calibration",
+)  # fmt: skip
+SMALL: dict[str, list[str]] = {
     "allan_terms": ["1"],
     "bias_sigma": ["--seeds", "1", "--only", "tactical"],
-    "rest_detector": ["--seeds", "1", "--quick"],
     "alignment_site": ["1", "--only", "quiet"],
     "thermometers": ["--seeds", "1", "--kinds", "white 0.1 step", "--part", "ramp", "--holds", "60"],
-    **dict.fromkeys(QUICK, ["--quick"]),
+    **{name: ["--quick"] for name in QUICK},
 }
 """Arguments of a run of some seconds."""
 

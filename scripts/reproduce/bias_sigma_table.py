@@ -110,10 +110,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="scripts/reproduce/bias_sigma", description=__doc__)
     parser.add_argument("--seeds", type=int, default=5, help="runs of each case (default: %(default)s)")
     parser.add_argument("--first", type=int, default=100, help="first seed (default: %(default)s)")
+    parser.add_argument("--only", choices=list(CASES), help="one case")
     options = parser.parse_args()
     seeds = range(options.first, options.first + options.seeds)
     scenario = load_scenario("warm-up").model_copy(update={"rate_hz": RATE_HZ})
-    rows = {name: row(case, seeds, scenario) for name, case in CASES.items()}
+    rows = {name: row(case, seeds, scenario) for name, case in CASES.items() if options.only in (None, name)}
     print(f"{options.seeds} seeds from {options.first}; an industrial sensor of 0.02 °/s/g in the hand,")
     print("rests of 12 s with 20 s of motion between, constant temperature, place unknown\n")
     heads = ["rms z, ends of rests", "max", "rms z, before the next", "max", "rms z, in motion", "max"]

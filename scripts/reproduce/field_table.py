@@ -16,7 +16,7 @@ from alignment_site_scenes import SCENES as SITES
 from bias_race_runners import DEFAULTS, Run
 from bias_sigma_records import RATE_HZ, simulate
 from bias_sigma_table import CASES, estimated, places
-from rest_detector_scenes import GRADES, SCENES, Scene, measure_with_bias, steady_turn
+from rest_detector_scenes import SCENES, SENSORS, Scene, measure_with_bias, steady_turn
 from rest_detector_table import FIELD, FULL_RATE_HZ, SECONDS, TURN_RATE_HZ, TURNS, Tally, vqf_rest
 from scipy.signal import savgol_filter
 from thermometer_kinds import KINDS, PER_HOUR, Kind, Profile, constant, drifting, ramp
@@ -77,23 +77,23 @@ def matrix(samples: SampleBlock, name: str) -> FloatArray:
     return np.column_stack([samples[f"{name}_{axis}"] for axis in "xyz"])
 
 
-def turn(rate_dps: float, minutes: float, begun_s: float, seed: int) -> Scene:
+def turn(rate_dps: float, minutes: float, begun_s: float, tilt_deg: float, seed: int) -> Scene:
     """Return a steady turn, which is the same for every seed."""
     del seed
-    return steady_turn(TURN_RATE_HZ, rate_dps, minutes, begun_s)
+    return steady_turn(TURN_RATE_HZ, rate_dps, minutes, begun_s, tilt_deg)
 
 
 def rest_rows(seeds: range) -> Iterator[Row]:
-    """Steady turns, slow tilts, hands and cars, with five grades of sensors: motion taken for rest."""
+    """Steady turns, slow tilts, hands and cars, with six grades of sensors: motion taken for rest."""
     scenes: list[tuple[str, Callable[[int], Scene]]] = [
         (
-            f"turn of {rate:g} °/s for {minutes:g} min, begun in {begun:g} s",
-            partial(turn, rate, minutes, begun),
+            f"turn of {rate:g} °/s for {minutes:g} min, begun in {begun:g} s, {tilt:g}° off the vertical",
+            partial(turn, rate, minutes, begun, tilt),
         )
-        for rate, minutes, begun in TURNS
+        for rate, minutes, begun, tilt in TURNS
     ]
     scenes += [(name, partial(SCENES[name], FULL_RATE_HZ, 2 * SECONDS)) for name in FIELD]
-    for grade in GRADES:
+    for grade in SENSORS:
         for name, make in scenes:
             ours, theirs, ratios = Tally(), Tally(), []
             for seed in seeds:

@@ -188,7 +188,12 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=5, help="runs of each scene (default: %(default)s)")
     parser.add_argument("--only", choices=["field", "bench"], help="one kind of scenes")
     parser.add_argument("--first", type=int, default=0, help="number of the first seed (default: 0)")
+    parser.add_argument("--quick", action="store_true", help="a few seconds: the first of everything")
     given = parser.parse_args()
+    if given.quick:
+        scenes = [(given.first, SCENES[FIELD[0]](FULL_RATE_HZ, SECONDS, given.first))]
+        print(f"{FIELD_HEADER}\n{field_row(FIELD[0], SENSORS[0], scenes)[1]}")
+        return
     print("# Rest detector: tables\n\nMade by `scripts/reproduce/rest_detector`.\n")
     if given.only != "bench":
         outside(given.seeds, given.first)
