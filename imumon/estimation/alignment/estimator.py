@@ -27,8 +27,6 @@ followed for so long has lost what was found."""
 SAME_TURN, SAME_LEVEL = 3e-5, 1e-5
 """Angles, rad, below which a unit stands as before; so many cost less than 0.002° of heading."""
 SIGMAS = 6.0
-AFTER = 3
-"""Slots after a disturbance that do not count: what is left of it in them is below the limit, but adds up."""
 TYPICAL_BIAS, TYPICAL_ARW, BIAS_POWER = 2.0 * DEG_PER_H, math.radians(0.1) / 60.0, 1.86
 SCATTER = 1.5
 """A gyro with the noise N has a bias of about 2 °/h (N / 0.1 °/√h)^1.86; 1.5 is the standard deviation of its
@@ -164,7 +162,7 @@ class Aligner:
         """Begin the first pose, or go on in that of before, or in a new one; count what may count."""
         state, motion = self.state, self.state.motion
         passed, calm = motion.passed, motion.passed[-motion.calm :]
-        skipped, same = 0, False
+        same = False
         if not state.poses:
             up = np.mean([slot.mean[3:] for slot in calm], axis=0)
             up /= np.sqrt(up @ up)
@@ -173,18 +171,18 @@ class Aligner:
             state.poses.append(Pose(state.attitude, 0.0, calm[0].time_s))
         else:
             before = len(state.poses) - 1
-            same = self._new_pose(calm)
+            same = self._new_pose(calm[-LEAST // 2 :])
             if not (same and motion.returned):
-                skipped = len(passed) - len(calm) + AFTER
                 state.disturbed += 1
                 state.record.leave_out(motion.begun_s - calm[0].length_s)
                 state.events.append(self._left_out(same))
-                for slot in passed[: len(passed) - len(calm)]:
+                for slot in passed:
                     self._add(slot, before, counts=False)
-                passed, skipped = calm, AFTER
+                passed = []
         motion.rest(same)
-        for k, slot in enumerate(passed):
-            self._add(slot, len(state.poses) - 1, counts=k >= skipped)
+        self._settle()
+        for slot in passed:
+            self._add(slot, len(state.poses) - 1, counts=True)
 
     def _add(self, slot: Slot, pose: int, counts: bool) -> None:
         """Add a slot to the record of a pose."""
