@@ -35,6 +35,8 @@ MOSTLY_TEXT = 0.95
 """Share of printable bytes from which a stream is text: at a wrong rate a third of all bytes is."""
 SILENT_RATES = 3
 """After so many rates without a byte it is silent: a wrong rate garbles bytes, it does not stop them."""
+GLANCE_S = 0.5
+"""Time for which all rates are listened to first: five packets of a device that sends 10 a second."""
 POLL_S = 0.05
 TEXT = frozenset(b"\t\r\n" + bytes(range(0x20, 0x7F)))
 ODD = frozenset(b"\x00\xff")
@@ -162,7 +164,7 @@ def detect(
     baudrates : sequence of int
         Rates in bit/s, in the order to try them.
     seconds_each : float
-        Time to listen at each rate; less when the evidence is overwhelming.
+        Time to listen at each rate when a glance at all has told nothing; less when there is enough evidence.
     before_rate : callable
         Told what is tried next.
     heard : callable
@@ -175,19 +177,37 @@ def detect(
     """
     for factory in candidates.values():
         factory().feed(b"\0", 0)  # compiled kernels are loaded before bytes pile up
-    evidence: list[Evidence] = []
     rates = baudrates if PortSettings(url).has_line else baudrates[:1]
+    evidence: list[Evidence] = []
+    for seconds in [GLANCE_S, seconds_each] if seconds_each > GLANCE_S and len(rates) > 1 else [seconds_each]:
+        evidence = _try_all(url, candidates, rates, seconds, before_rate, heard)
+        if any(item.verdict is Verdict.FRAMES for item in evidence):
+            break
+        rates = [item.baudrate for item in evidence if item.tells_the_rate and item.baudrate][:1] or rates
+    return sorted(evidence, key=_order)
+
+
+def _try_all(
+    url: str,
+    candidates: Mapping[str, Callable[[], Candidate]],
+    rates: Sequence[int],
+    seconds: float,
+    before_rate: Callable[[PortSettings], None],
+    heard: Callable[[bytes], None],
+) -> list[Evidence]:
+    """Listen at one rate after the other until one is told or the port is silent."""
+    evidence: list[Evidence] = []
     for rate in rates:
         settings = PortSettings(url, baudrate=rate)
         before_rate(settings)
         try:
-            evidence += listen(settings, candidates, seconds_each, heard)
+            evidence += listen(settings, candidates, seconds, heard)
         except ImumonError as error:
             if error.reason is not Reason.BAD_CONFIG or rate == rates[-1]:
                 raise
         if any(item.tells_the_rate for item in evidence) or _silent_rates(evidence) >= SILENT_RATES:
             break
-    return sorted(evidence, key=_order)
+    return evidence
 
 
 def listen(
@@ -245,7 +265,10 @@ def _likely_cause(evidence: Sequence[Evidence]) -> str:
     text = max(evidence, key=lambda item: item.text_share)
     if text.text_share > MOSTLY_TEXT:
         rate = "" if text.baudrate is None else f" at {text.baudrate}"
-        return f"The bytes{rate} are text that no protocol here knows: the device may be in command mode."
+        return (
+            f"The bytes{rate} are text that no device file here describes: the device may be in command mode,"
+            " or needs a device file (--seconds 10 hears enough lines to propose one)."
+        )
     if best.verdict is Verdict.UNREAD:
         return (
             f"{best.protocol} frames, but nothing that it sends is known: see what the device is set to send."

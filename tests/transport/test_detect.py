@@ -146,6 +146,20 @@ def test_text_points_to_command_mode() -> None:
     assert "command mode" in error.hint
 
 
+def test_text_is_listened_to_for_as_long_as_asked_at_its_rate() -> None:
+    heard, tried = bytearray(), list[int]()
+
+    def begin(settings: PortSettings) -> None:
+        heard.clear()
+        tried.append(settings.baudrate)
+
+    with VirtualPort(baudrate=57600) as device, sending(device, lambda n: b"%d,2,3\r\n" % n):
+        evidence = detect(device.path, CANDIDATES, [115200, 57600, 9600], 1.0, begin, heard.extend)
+    assert tried == [115200, 57600, 57600]
+    assert all(item.baudrate == 57600 and item.seconds >= 1.0 for item in evidence)
+    assert heard.count(b"\n") > 100
+
+
 def test_bytes_of_one_kind_point_to_the_line() -> None:
     with VirtualPort(baudrate=115200) as device, sending(device, lambda _: b"\x00\xff\x00"):
         error = failure(device.path, detect(device.path, CANDIDATES, [115200], 0.2))
