@@ -1,0 +1,46 @@
+"""What ``imumon detect`` suggests."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from imumon.protocols.device import device_text, load_device
+from imumon.simulation.virtual_device import VirtualDevice
+from imumon.simulation.virtual_port import VirtualPort
+from tests.cli.command import answer, imumon
+from tests.transport.test_detect import sending
+
+
+def test_a_device_file_given_by_path_is_suggested_by_path(tmp_path: Path) -> None:
+    mine = tmp_path / "mine.yaml"
+    mine.write_text(device_text("sbg")[0], encoding="utf-8")
+    with VirtualDevice(load_device("sbg"), tmp_path / "sbg") as device:
+        path = device.port.path
+        done = imumon("detect", path, "--device", mine, "--device", "sbg", "--baud", 115200)
+        result = answer("detect", path, "--device", mine, "--baud", 115200)
+    assert f"imumon monitor {path} --device {mine} --baud 115200" in done.stdout
+    assert "more than one fits" in done.stdout
+    assert "--device sbg --baud 115200" in done.stdout
+    assert result["fit"] == [{"device": str(mine), "baudrate": 115200}]
+
+
+def test_lines_of_text_get_a_device_file_that_reads_them(tmp_path: Path) -> None:
+    rng = np.random.default_rng(2)
+    rows = np.column_stack([rng.normal((0, 0, 9.8), 0.05, (200, 3)), rng.normal(0, 0.2, (200, 3))])
+    lines = [(",".join(f"{x:.3f}" for x in row) + "\r\n").encode() for row in rows]
+    board, capture = tmp_path / "board.yaml", tmp_path / "capture.txt"
+    capture.write_bytes(b"".join(lines))
+    with VirtualPort(baudrate=115200) as port, sending(port, lambda n: lines[n % 200]):
+        done = imumon("detect", port.path, "--propose", board, "--baud", 115200, "--seconds", 1)
+    assert done.returncode == 3, done.stderr
+    assert "gravity is 9.80665" in done.stdout
+    result = answer("decode", capture, "--device", board, "--out", tmp_path / "t.csv")
+    assert result["samples"] == 199  # the first line may be torn
+    assert imumon("detect", "/dev/ttyNONE", "--propose", board).returncode == 2
+
+
+def test_devices_say_against_what_they_were_checked() -> None:
+    assert "checked against 24 frames" in imumon("devices").stdout
+    assert all(device["verified"] != "not said" for device in answer("devices").values())
