@@ -113,6 +113,14 @@ def _of_three_bytes(three: ColumnArray, big: bool, signed: bool) -> IntArray:
     return whole - ((whole >> 23) << 24) if signed else whole
 
 
+_ORDER = {name: place for place, name in enumerate(KNOWN)}
+
+
+def _place(name: str) -> tuple[int, str]:
+    """Return what columns are sorted by: the canonical ones first, in their order."""
+    return _ORDER.get(name, len(_ORDER)), name
+
+
 class LayoutDecoder(FramedDecoder):
     """Decodes packets by layouts; a row for each that has one.
 
@@ -148,7 +156,13 @@ class LayoutDecoder(FramedDecoder):
     def columns(self) -> tuple[Column, ...]:
         """Time of arrival and the columns of all layouts that have come so far."""
         self._search(final=False)
-        return tuple(self._columns.values())
+        return tuple(self._columns[name] for name in sorted(self._columns, key=_place))
+
+    def take_packets(self) -> Packets:
+        """Return the packets decoded since the last call; chunks do not change the order of columns."""
+        packets = super().take_packets()
+        names = sorted(packets.block.columns, key=_place)
+        return Packets(SampleBlock({name: packets.block[name] for name in names}), packets.groups)
 
     @abstractmethod
     def _layout_numbers(self, found: Found) -> IntArray:
