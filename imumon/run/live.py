@@ -19,6 +19,7 @@ import numpy as np
 from imumon.blocks import SampleBlock
 from imumon.columns import KNOWN
 from imumon.errors import ImumonError, Reason
+from imumon.geodesy import STANDARD_GRAVITY
 from imumon.pipeline import Digest, Pipeline, PipelineCounters
 from imumon.protocols.device import DeviceFile
 from imumon.recordings.folder import create_session, remove_empty
@@ -42,7 +43,7 @@ SILENT_AFTER_PACKETS = 3
 
 
 def warm_up(device: DeviceFile, setup: Setup) -> None:
-    """Compile what the first packets need, so that no packet waits for it.
+    """Compile what packets, rest and motion need, so that no packet waits for it.
 
     The compiled code is kept on disk: the first start after an installation takes ten seconds or so, later
     ones some tenths of a second.
@@ -53,6 +54,23 @@ def warm_up(device: DeviceFile, setup: Setup) -> None:
         pipeline.feed(packet, number)
     pipeline.finish()
     pipeline.take()
+    at_rest = Pipeline(None, estimators(device, setup))
+    at_rest.push(rest_and_turn())
+    at_rest.finish()
+    at_rest.take()
+
+
+def rest_and_turn() -> SampleBlock:
+    """Return two minutes at rest, at 20 Hz, and a turn of some seconds: every stage then does all it does."""
+    n, moving = 2600, 100
+    rng = np.random.default_rng(0)
+    noise = {
+        f"{sensor}_{axis}": 1e-3 * rng.standard_normal(n) for sensor in ("gyro", "accel") for axis in "xyz"
+    }
+    noise["accel_z"] += STANDARD_GRAVITY
+    noise["gyro_x"][-moving:] += 1.0
+    times = {"device_time_ns": np.arange(n) * 50_000_000, "segment": np.zeros(n, np.int64)}
+    return SampleBlock({**times, **noise, "temperature": np.linspace(25.0, 26.0, n).round(1)})
 
 
 @dataclass(frozen=True, slots=True)

@@ -100,7 +100,9 @@ def packets(device_name: str) -> None:
 
 
 def fixed() -> None:
+    """Decode and date packets of the demo's device: one process, as numba takes half a second to begin."""
     packets("ax1")
+    clocks()
 
 
 def tagged() -> None:
@@ -119,6 +121,22 @@ def clocks() -> None:
     numbers = np.arange(3)
     time_ns, segment = DeviceClock(load_device("ax1").decoder().timing).process(numbers, numbers, numbers, 3)
     HostClock().process(time_ns, segment, numbers)
+
+
+def temperature() -> None:
+    """Follow a temperature; apart from the other stages, so that they are compiled side by side."""
+    from imumon.estimation.temperature_rate.stage import TemperatureRate
+    from imumon.run.live import rest_and_turn
+
+    TemperatureRate().process(rest_and_turn())
+
+
+def rest() -> None:
+    """Tell rest from motion."""
+    from imumon.estimation.rest.stage import RestDetector
+    from imumon.run.live import rest_and_turn
+
+    RestDetector().process(rest_and_turn())
 
 
 def estimators() -> None:
@@ -144,7 +162,12 @@ def recordings() -> None:
         cli.main(["allan", table], standalone_mode=False)
 
 
-FIRST: dict[str, Callable[[], None]] = {"tagged packets": tagged, "fixed packets": fixed, "clocks": clocks}
+FIRST: dict[str, Callable[[], None]] = {
+    "fixed packets and clocks": fixed,
+    "tagged packets": tagged,
+    "temperature rate": temperature,
+    "rest": rest,
+}
 THEN: dict[str, Callable[[], None]] = {"estimators": estimators, "simulation and Allan deviation": recordings}
 
 if __name__ == "__main__":
