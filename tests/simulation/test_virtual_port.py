@@ -105,10 +105,10 @@ def test_the_link_names_the_node_while_plugged_in(tmp_path: Path) -> None:
     with VirtualPort(link) as device:
         assert device.path == str(link)
         assert os.path.realpath(link).startswith("/dev/pts/")
-        node = os.path.realpath(link)
         device.unplug()
-        assert not link.is_symlink()
-        assert not Path(node).exists()
+        assert not link.is_symlink()  # its node may be another process's by now
+        with pytest.raises(serial.SerialException):
+            serial.Serial(str(link), 115200)
         device.replug()
         with serial.Serial(str(link), 115200, timeout=2) as host:
             device.write(b"again")
