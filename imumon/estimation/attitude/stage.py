@@ -90,6 +90,7 @@ class AttitudeEstimate:
         self._uncertainty = Uncertainty()
         self._field = np.full(3, np.nan)
         self._gaps = 0
+        self._reported = False
         self._names = [column.name for column in self.columns if column.name != NORTH]
         self._said: set[str] = set()
 
@@ -121,6 +122,7 @@ class AttitudeEstimate:
         gyro, accel = block.gyro, block.accel
         if gyro is None or accel is None:
             return {}
+        self._reported |= "q_w" in block or "roll" in block
         n = len(block)
         which = np.flatnonzero((block["device_time_ns"] != NO_INT) & _whole(gyro))
         found = self._rows(
@@ -257,7 +259,9 @@ class AttitudeEstimate:
         return {"attitude": "magnetic north" if calibrated else "magnetic north, magnetometer not calibrated"}
 
     def notices(self) -> list[str]:
-        """Return, once each, what is missing for a whole attitude."""
+        """Return, once each, what is missing for a whole attitude, where the device sends none."""
+        if self._reported:
+            return []
         begun = self._fusion.begun
         conditions = {
             "attitude: without a magnetometer the heading is free; it counts from "
