@@ -77,6 +77,7 @@ def calibrate_sessions(
         BAD_DATA when a session cannot be read or the data does not allow a model; BAD_CONFIG when latitude or
         heading cannot be used.
     """
+    _check_place(latitude_deg, heading_deg)  # before minutes of reading
     records, warnings = [], []
     for path in paths:
         record, said = read_session(path)
@@ -104,13 +105,7 @@ def calibrate(
         BAD_DATA, with the numbers seen, when the data does not allow a model; BAD_CONFIG when only one of
         latitude and heading is given, or the heading cannot be used.
     """
-    if (latitude_deg is None) != (heading_deg is None):
-        missing = "latitude" if latitude_deg is None else "heading"
-        raise ImumonError(
-            Reason.BAD_CONFIG,
-            f"the earth rate needs latitude and heading; there is no {missing}",
-            "give both, or neither: then the earth rate stays in the constant of the curves",
-        )
+    _check_place(latitude_deg, heading_deg)
     check_columns(records)
     cells = group(records, latitude_deg, heading_deg)
     check_coverage(records, cells)
@@ -144,6 +139,16 @@ def calibrate(
         rate_rms=float(np.sqrt(np.average(cells.rate**2, weights=cells.seconds))),
         warnings=warnings,
     )
+
+
+def _check_place(latitude_deg: float | None, heading_deg: float | None) -> None:
+    if (latitude_deg is None) != (heading_deg is None):
+        missing = "latitude" if latitude_deg is None else "heading"
+        raise ImumonError(
+            Reason.BAD_CONFIG,
+            f"the earth rate needs latitude and heading; there is no {missing}",
+            "give both, or neither: then the earth rate stays in the constant of the curves",
+        )
 
 
 def _all_channels(
