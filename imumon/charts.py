@@ -66,6 +66,10 @@ class Chart:
         Unique among the charts of a run; a later chart of the same key replaces the earlier.
     place : str
         The tab it stands in.
+    headline : str
+        What matters most, large.
+    notes : tuple of str
+        Values that belong to the curves, a line each.
     """
 
     key: str
@@ -74,6 +78,8 @@ class Chart:
     x: Axis
     y: Axis
     curves: tuple[Curve, ...]
+    headline: str = ""
+    notes: tuple[str, ...] = ()
 
     @property
     def nbytes(self) -> int:

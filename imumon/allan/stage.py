@@ -17,9 +17,10 @@ from imumon.geodesy import MICRO_G
 
 TAB = "Allan"
 _GROUPS = {
-    "gyro": ("Allan deviation of the angular rate, at rest", "deg/h", math.degrees(3600.0)),
+    "gyro": ("Allan deviation of the angular rate, at rest", "°/h", math.degrees(3600.0)),
     "accel": ("Allan deviation of the specific force, at rest", "µg", 1.0 / MICRO_G),
 }
+_WALKS, _PER_SI = {"gyro": "°/√h", "accel": "m/s/√h"}, {"gyro": math.degrees(1.0), "accel": 1.0}
 CHANNELS = tuple(f"{group}_{axis}" for group in _GROUPS for axis in AXIS_COLORS)
 
 
@@ -79,7 +80,8 @@ class AllanStage:
             curves = allan_curves(found, self._sheets[group], factor)
             if curves:
                 x, y = Axis("averaging time [s]", log=True), Axis(f"[{unit}]", log=True)
-                charts.append(Chart(f"allan_{group}", TAB, title, x, y, tuple(curves)))
+                notes = tuple(_note(axis, found[axis], group) for axis in found)
+                charts.append(Chart(f"allan_{group}", TAB, title, x, y, tuple(curves), notes=notes))
         return charts
 
 
@@ -94,11 +96,34 @@ def allan_curves(found: Mapping[str, LiveCurve], sheet: SheetLine | None, factor
     ]
     bars = [_bars(curve) for curve in shown.values()]
     x, y = (np.concatenate(part) for part in zip(*bars, strict=True))
-    curves.append(Curve("68 %", x, factor * y, GREY, width=1.0))
+    curves += [Curve("68 %", x, factor * y, GREY, width=1.0), _guide(shown, factor)]
     if sheet is not None:
         tau = max((curve.tau_s for curve in shown.values()), key=len)
         curves.append(Curve("data sheet", tau, factor * sheet_deviation(sheet, tau), ORANGE, width=1.2))
     return curves
+
+
+def _note(axis: str, curve: LiveCurve, group: str) -> str:
+    """Return what can be read off a curve: at 1 s the random walk, with its interval, and the lowest."""
+    _, unit, factor = _GROUPS[group]
+    text = "-"
+    near = int(np.argmin(np.abs(np.log(curve.tau_s)), axis=0)) if len(curve.tau_s) else 0
+    if len(curve.tau_s) and 0.5 <= curve.tau_s[near] <= 2.0:
+        per_root_hour = 60.0 * math.sqrt(curve.tau_s[near]) * _PER_SI[group]
+        reach = 0.5 * (curve.high[near] - curve.low[near]) * per_root_hour
+        text = f"{curve.deviation[near] * per_root_hour:.3g} ± {reach:.2g} {_WALKS[group]}"
+    lowest = int(np.argmin(curve.deviation)) if len(curve.tau_s) else 0
+    so_far = " so far" if lowest == len(curve.tau_s) - 1 else ""
+    least = f"{factor * curve.deviation[lowest]:.3g} {unit}" if len(curve.tau_s) else "-"
+    return f"{axis}  random walk {text:24} lowest {least}{so_far}"
+
+
+def _guide(shown: Mapping[str, LiveCurve], factor: float) -> Curve:
+    """Return a line of the slope of white noise through the longest curve at its middle."""
+    curve = max(shown.values(), key=lambda one: len(one.tau_s))
+    middle = len(curve.tau_s) // 2
+    line = factor * curve.deviation[middle] * np.sqrt(curve.tau_s[middle] / curve.tau_s)
+    return Curve("slope -1/2", curve.tau_s, line, GREY, width=0.7)
 
 
 def _bars(curve: LiveCurve) -> tuple[FloatArray, FloatArray]:

@@ -6,6 +6,7 @@ from imumon.allan.stage import AllanStage
 from imumon.estimation.attitude.stage import AttitudeEstimate
 from imumon.estimation.gyro_bias.stage import GyroBias
 from imumon.estimation.rest.stage import RestDetector
+from imumon.estimation.spectrum.stage import LiveSpectrum
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.estimation.watch.stage import ModelWatch
 from imumon.pipeline import Estimator
@@ -29,6 +30,7 @@ def estimators(device: DeviceFile | None, setup: Setup | None = None) -> list[Es
         GyroBias(setup.zupt_with_noise, model, setup.mode, setup.latitude_deg, setup.heading_deg),
         ModelWatch(setup.watch, modelled=model is not None),
         AllanStage(setup.allan),
+        LiveSpectrum(),
         AttitudeEstimate(setup.attitude, axes, setup.magnetometer, setup.latitude_deg, setup.heading_deg),
     ]
     if setup.latitude_deg is not None:

@@ -12,7 +12,8 @@ import rerun.blueprint as rrb
 from imumon.blocks import FloatArray
 from imumon.charts import AXIS_COLORS, GREY
 from imumon.view.items import ViewSetup
-from imumon.view.layout import SCENE, Rows, Window
+from imumon.view.layout import SCENE, Rows
+from imumon.view.window import Window
 
 STEP_NS = 20_000_000
 """The body is redrawn at the most 50 times a second; every quaternion is in ``/samples/attitude``."""
@@ -83,6 +84,18 @@ class Attitude:
         if keep.any():
             turned = rr.Transform3D.columns(quaternion=xyzw(values[keep]))
             rec.send_columns(self.reference.body, indexes=rows.kept(keep).indexes, columns=turned)
+
+    @property
+    def drawn(self) -> str:
+        """Entity of the body."""
+        return self.reference.body
+
+    def reach(self, _: Rows) -> None:
+        """Return nothing: a body has no axis."""
+
+    def readings(self, _: ViewSetup) -> tuple[()]:
+        """Return nothing: angles are in panels of their own."""
+        return ()
 
     def view(self, setup: ViewSetup, _: Window) -> Any:
         """Return the 3-D view, seen from above and ahead whichever way the reference frame has z."""

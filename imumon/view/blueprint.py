@@ -5,17 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import rerun as rr
 import rerun.blueprint as rrb
 
-from imumon.view.chart import chart_view
 from imumon.view.items import ViewSetup
-from imumon.view.layout import LINK, OTHER, SCENE, STRIPS, Panel, Window, last_seconds, series_view
+from imumon.view.layout import FIRST, LINK, SCENE, STRIPS, Panel, tab_of
+from imumon.view.log_text import LOG_TEXT
+from imumon.view.panel_log import card_path
+from imumon.view.pictures import chart_view
+from imumon.view.window import Window, series_view, slow_window
 
-LOG_COLUMNS = rrb.TextLogColumns(text_log_columns=["LogLevel", "Body"])
-_ENDLESS = rr.TimeRangeBoundary.infinite()
-EVERYTHING = Window(None, rrb.TimeAxis(view_range=rr.TimeRange(start=_ENDLESS, end=_ENDLESS)))
-"""Without the range of the axis the viewer shows a minute around the cursor."""
+OTHER_TAB = "Other"
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,20 +27,30 @@ class Contents:
         Those that have data.
     charts : tuple of (place, key, title)
         Those that have been drawn.
-    lanes, log, status, others : bool
-        Whether there are states, log lines, a status card, columns that no panel draws.
+    lanes : tuple of str
+        Entities of the lanes of states, from above.
+    log, status : bool
+        Whether there are log lines, a status card.
+    others : tuple of (title, entities)
+        Views of the columns that no panel draws.
+    cards : tuple of str
+        Tabs that have a card of numbers.
+    full : bool
+        Whether as much has come as the slow tabs show.
     """
 
     panels: tuple[Panel, ...]
     charts: tuple[tuple[str, str, str], ...]
-    lanes: bool
+    lanes: tuple[str, ...]
     log: bool
     status: bool
-    others: bool
+    others: tuple[tuple[str, tuple[str, ...]], ...]
+    cards: tuple[str, ...]
+    full: bool
 
     def __bool__(self) -> bool:
         """Tell whether there is anything besides charts."""
-        return bool(self.panels) or self.lanes or self.log or self.status or self.others
+        return bool(self.panels or self.lanes or self.others) or self.log or self.status
 
 
 def blueprint(setup: ViewSetup, contents: Contents, timeline: str, *, live: bool) -> rrb.Blueprint:
@@ -54,16 +63,19 @@ def blueprint(setup: ViewSetup, contents: Contents, timeline: str, *, live: bool
     live : bool
         True to follow the last seconds, False for a recording: everything, with the time panel open.
     """
-    window = last_seconds(setup.window_s) if live else EVERYTHING
+    window = Window(setup.window_s if live else None)
+    slow = Window(slow_window(setup.window_s), contents.full) if live else Window()
     views: dict[str, list[Any]] = {SCENE: [], STRIPS: [], LINK: []}
     for panel in contents.panels:
-        views.setdefault(panel.place, []).append(panel.view(setup, window))
+        shown = window if tab_of(panel.place) == FIRST else slow
+        views.setdefault(panel.place, []).append(panel.view(setup, shown))
     for place, key, title in contents.charts:
         views.setdefault(place, []).append(chart_view(key, title))
-    if contents.others:
-        views["Other"] = [series_view(OTHER, "Columns without a panel of their own", window)]
-    first = _first_tab("Live" if live else "Recording", views, window, contents)
-    tabs = [_tab(place, views[place]) for place in views if place not in (SCENE, STRIPS, LINK)]
+    views[OTHER_TAB] = [
+        series_view(paths[0], title, slow, others=paths[1:]) for title, paths in contents.others
+    ]
+    first = _first_tab(FIRST if live else "Recording", views, window, contents)
+    tabs = [_tab(place, views[place], contents) for place in views if tab_of(place) != FIRST and views[place]]
     return rrb.Blueprint(
         rrb.Tabs(first, *tabs, active_tab=0),
         rrb.TimePanel(
@@ -78,28 +90,40 @@ def blueprint(setup: ViewSetup, contents: Contents, timeline: str, *, live: bool
     )
 
 
-def _tab(name: str, views: list[Any]) -> Any:
-    """Return a tab of its own: series above each other, charts to their right; charts alone side by side."""
+def _tab(name: str, views: list[Any], contents: Contents) -> Any:
+    """Return a tab of its own: its numbers, series above each other, charts to their right."""
     charts = [view for view in views if isinstance(view, rrb.Spatial2DView)]
     series = [view for view in views if view not in charts]
-    if not series:
-        return rrb.Horizontal(*charts, name=name)
-    columns = [rrb.Vertical(*part) for part in (series, charts) if part]
-    return rrb.Horizontal(*columns, name=name)
+    numbers = [rrb.TextDocumentView(origin=card_path(name), name="Now")] if name in contents.cards else []
+    parts: list[tuple[float, Any]] = [(0.9, view) for view in numbers]
+    if series:
+        parts.append((2.2, rrb.Grid(*series) if name == OTHER_TAB else rrb.Vertical(*series)))
+    if charts:
+        parts.append((2.0, rrb.Vertical(*charts) if series else rrb.Grid(*charts)))
+    return rrb.Horizontal(
+        *[part for _, part in parts], column_shares=[share for share, _ in parts], name=name
+    )
 
 
 def _first_tab(name: str, views: dict[str, list[Any]], window: Window, contents: Contents) -> Any:
-    left: list[tuple[float, Any]] = [(3.0, view) for view in views[SCENE]]
+    left: list[tuple[float, Any]] = [(2.4, view) for view in views[SCENE]]
+    if FIRST in contents.cards:
+        left.append((2.4, rrb.TextDocumentView(origin=card_path(FIRST), name="Now")))
     if contents.status:
-        left.append((2.2, rrb.TextDocumentView(origin="/status", name="Status")))
-    right: list[tuple[float, Any]] = [(1.0, view) for view in views[LINK]]
+        left.append((1.6, rrb.TextDocumentView(origin="/status", name="Status")))
+    right: list[tuple[float, Any]] = []
     if contents.lanes:
         states = rrb.StateTimelineView(
-            origin="/state", name="States", time_ranges=window.ranges, time_view=window.axis
+            origin="/",
+            contents=list(contents.lanes),
+            name="States",
+            time_ranges=window.ranges,
+            time_view=window.axis,
         )
-        right.append((1.6, states))
+        right.append((0.35 * len(contents.lanes) + 0.4, states))
     if contents.log:
-        right.append((1.6, rrb.TextLogView(origin="/log", name="Log", columns=LOG_COLUMNS)))
+        right.append((1.6, rrb.TextDocumentView(origin=LOG_TEXT, name="Log")))
+    right += [(0.9, view) for view in views[LINK]]
     middle = [(1.0, view) for view in views[STRIPS]]
     columns = [(share, part) for share, part in ((3.0, left), (4.6, middle), (3.2, right)) if part]
     return rrb.Horizontal(

@@ -77,6 +77,7 @@ class Child:
     def close(self) -> None:
         """Hand over what is left, within `GOODBYE_S`."""
         if self._link.connected:
+            self._logger.finish()
             self._rec.flush(timeout_sec=GOODBYE_S)
 
     def _report(self, report: Report) -> None:

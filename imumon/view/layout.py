@@ -8,20 +8,24 @@ person reads another unit (°/s, °, %) the converted values go to ``/view/<pane
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal, Protocol
 
 import numpy as np
 import numpy.typing as npt
 import rerun as rr
-import rerun.blueprint as rrb
 
 from imumon.blocks import ColumnArray, FloatArray, IntArray
 from imumon.charts import GREY, Color
 from imumon.columns import KNOWN
+from imumon.view.cards import Reading
+from imumon.view.extent import Reach, declare_extent
 from imumon.view.items import ViewSetup
+from imumon.view.window import Window, series_view
 
+FIRST = "Live"
+"""The first tab."""
 SCENE, STRIPS, LINK = "scene", "strips", "link"
 """Places in the first tab; any other place is a tab of that name."""
 OTHER = "/samples/other"
@@ -29,12 +33,15 @@ OTHER = "/samples/other"
 INTEGERS = "/samples/integers"
 """Integer columns (device time as sent, counters, status), exact, for those who read the recording."""
 
-SLOW_WINDOW_S = 600.0
-"""What is drawn with a band is slow: so many seconds are shown at least."""
 BAND_STEP_NS = 200_000_000
 """Estimates with a band are logged at the most five times a second; a replay gives every value."""
 TWO_SIGMA = 4.0
 """Rerun draws a band of one square root of the variance on either side."""
+
+
+def tab_of(place: str) -> str:
+    """Return the name of the tab in which a place is."""
+    return FIRST if place in (SCENE, STRIPS, LINK) else place
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,14 +65,19 @@ class Rows:
             columns.append(rr.TimeColumn("host_time", timestamp=self.host_ns.view("datetime64[ns]")))
         return columns
 
-    def kept(self, keep: npt.NDArray[np.bool_]) -> Rows:
+    @property
+    def clock(self) -> IntArray | None:
+        """Device time, or host time where there is none, ns."""
+        return self.host_ns if self.device_ns is None else self.device_ns
+
+    def kept(self, keep: npt.NDArray[np.bool_] | IntArray) -> Rows:
         """Return the times of the rows to keep, without their columns."""
         times = (self.sample, self.device_ns, self.host_ns)
         return Rows({}, *[None if values is None else values[keep] for values in times])
 
     def thinned(self, step_ns: int) -> npt.NDArray[np.bool_]:
         """Return which rows are the first in a step of time, shape (n,): all when there is no clock."""
-        clock = self.host_ns if self.device_ns is None else self.device_ns
+        clock = self.clock
         if clock is None:
             return np.ones(len(next(iter(self.columns.values()))), np.bool_)
         step = clock // step_ns
@@ -74,27 +86,6 @@ class Rows:
     def matrix(self, names: Sequence[str]) -> FloatArray:
         """Return the named columns side by side, shape (n, len(names))."""
         return np.column_stack([self.columns[name] for name in names]).astype(np.float64, copy=False)
-
-
-@dataclass(frozen=True, slots=True)
-class Window:
-    """What the strips show of a timeline: the last seconds, or everything when there is no limit."""
-
-    ranges: Sequence[rrb.VisibleTimeRange] | None
-    axis: rrb.TimeAxis | None
-
-
-TEMPORAL = ("device_time", "host_time")
-
-
-def last_seconds(seconds: float) -> Window:
-    """Return the window that follows the newest data, on whichever timeline is chosen."""
-    start = rrb.TimeRangeBoundary.cursor_relative(seconds=-seconds)
-    end = rrb.TimeRangeBoundary.cursor_relative()
-    return Window(
-        ranges=[rrb.VisibleTimeRange(timeline, start=start, end=end) for timeline in TEMPORAL],
-        axis=rrb.TimeAxis(view_range=rr.TimeRange(start=start, end=end)),
-    )
 
 
 class Panel(Protocol):
@@ -109,6 +100,10 @@ class Panel(Protocol):
         """`SCENE`, `STRIPS`, `LINK`, or the name of a tab."""
 
     @property
+    def drawn(self) -> str:
+        """Entity of what is drawn."""
+
+    @property
     def columns(self) -> Sequence[str]:
         """All of these must be there, with a finite value somewhere, for the panel to appear."""
 
@@ -117,6 +112,12 @@ class Panel(Protocol):
 
     def log(self, rec: rr.RecordingStream, rows: Rows) -> None:
         """Log rows."""
+
+    def reach(self, rows: Rows) -> Reach | None:
+        """Return what the vertical axis has to show of the rows; None where there is no such axis."""
+
+    def readings(self, setup: ViewSetup) -> Sequence[Reading]:
+        """Return what the card of its tab shows as numbers."""
 
     def view(self, setup: ViewSetup, window: Window) -> Any:
         """Return the view for the blueprint."""
@@ -164,6 +165,14 @@ class Strip:
         Fixed range of the y axis; it follows the data otherwise.
     limits : (low, high), optional
         Two level lines, in the unit that is drawn.
+    least : float, optional
+        The axis spans at least as much, in the unit that is drawn.
+    floor : float, optional
+        The axis begins here.
+    card : str, optional
+        What the card of the tab calls the present values; it does not show them without.
+    headline : bool, optional
+        Whether the card shows the last line's value large.
     """
 
     key: str
@@ -175,6 +184,10 @@ class Strip:
     beside: str | None = None
     y_range: tuple[float, float] | None = None
     limits: tuple[float, float] | None = None
+    least: float = 0.0
+    floor: float | None = None
+    card: str = ""
+    headline: bool = False
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -206,6 +219,32 @@ class Strip:
         if self.limits:
             grey = rr.SeriesLines(names=["limit"] * 2, colors=[list(GREY)] * 2, widths=[1.0] * 2)
             rec.log(f"{self.drawn}/limits", grey, static=True)
+        declare_extent(rec, self.drawn)
+
+    def reach(self, rows: Rows) -> Reach:
+        """Return the lines, in the unit that is drawn."""
+        values = self._factor * rows.matrix([line.column for line in self.lines])
+        return Reach(values, np.zeros_like(values), self.least, self.floor)
+
+    def readings(self, setup: ViewSetup) -> list[Reading]:
+        """Return one for each line, when the card is to show them."""
+        if not self.card:
+            return []
+        last = self.lines[-1]
+        return [
+            Reading(
+                self.card, line.name, line.column, line.sd, self._unit(setup), self._factor,
+                self.headline and line is last,
+            )
+            for line in self.lines
+        ]  # fmt: skip
+
+    @property
+    def _factor(self) -> float:
+        return FACTORS[self.unit or ""]
+
+    def _unit(self, setup: ViewSetup) -> str:
+        return unit_text(setup, self.lines[0].column) if self.unit is None else self.unit
 
     def log(self, rec: rr.RecordingStream, rows: Rows) -> None:
         """Log the exact values, and those in the unit that is drawn."""
@@ -217,7 +256,7 @@ class Strip:
             values, rows = values[kept], rows.kept(kept)
         rec.send_columns(self.exact, indexes=rows.indexes, columns=rr.Scalars.columns(scalars=values))
         if self.unit is not None:
-            scaled = rr.Scalars.columns(scalars=values * FACTORS[self.unit])
+            scaled = rr.Scalars.columns(scalars=values * self._factor)
             rec.send_columns(self.drawn, indexes=rows.indexes, columns=scaled)
         if self.limits:
             ends = np.zeros(len(values), np.bool_)
@@ -227,14 +266,14 @@ class Strip:
 
     def view(self, setup: ViewSetup, window: Window) -> Any:
         """Return the view, its unit in the title."""
-        unit = unit_text(setup, self.lines[0].column) if self.unit is None else self.unit
+        unit = self._unit(setup)
         title = f"{self.title} [{unit}]" if unit else self.title
-        return series_view(self.drawn, title, window, self.y_range, self.beside)
+        return series_view(self.drawn, title, window, self.y_range, [self.beside] if self.beside else [])
 
 
 @dataclass(frozen=True, slots=True)
 class Bands(Strip):
-    """A panel that draws estimates inside their 2σ bands over the last ten minutes, in a `unit`."""
+    """A panel that draws estimates inside their 2σ bands, in a `unit`."""
 
     def declare(self, rec: rr.RecordingStream) -> None:
         """Log names and colours; each band is an entity of its own."""
@@ -242,44 +281,26 @@ class Bands(Strip):
         for line in self.lines:
             style = rr.Measurements.from_fields(names=[line.name], colors=[list(line.color)], widths=[1.6])
             rec.log(f"{self.drawn}/{line.name}", style, static=True)
+        declare_extent(rec, self.drawn)
+
+    def reach(self, rows: Rows) -> Reach:
+        """Return the estimates with the 2σ about them."""
+        found = Strip.reach(self, rows)
+        zero = np.zeros(len(found.values))
+        sds = [zero if line.sd is None else 2.0 * self._factor * rows.columns[line.sd] for line in self.lines]
+        return replace(found, reach=np.nan_to_num(np.column_stack(sds), nan=0.0))
 
     def log(self, rec: rr.RecordingStream, rows: Rows) -> None:
         """Log some of the exact values, and the bands, five times a second."""
         due = rows.thinned(BAND_STEP_NS)
         scalars = rr.Scalars.columns(scalars=rows.matrix(self.columns)[due])
         rec.send_columns(self.exact, indexes=rows.kept(due).indexes, columns=scalars)
-        factor = FACTORS[self.unit or ""]
         for line in self.lines:
-            value = factor * rows.columns[line.column]
-            sd = np.zeros_like(value) if line.sd is None else factor * rows.columns[line.sd]
+            value = self._factor * rows.columns[line.column]
+            sd = np.zeros_like(value) if line.sd is None else self._factor * rows.columns[line.sd]
             keep = due & np.isfinite(value) & np.isfinite(sd)
             if keep.any():
                 measured = rr.Measurements.columns(values=value[keep], variances=TWO_SIGMA * sd[keep] ** 2)
                 rec.send_columns(
                     f"{self.drawn}/{line.name}", indexes=rows.kept(keep).indexes, columns=measured
                 )
-
-    def view(self, setup: ViewSetup, window: Window) -> Any:
-        """Return the view; live it shows ten minutes at least."""
-        if window.ranges is not None:
-            window = last_seconds(max(SLOW_WINDOW_S, setup.window_s))
-        return Strip.view(self, setup, window)
-
-
-def series_view(
-    origin: str,
-    name: str,
-    window: Window,
-    y_range: tuple[float, float] | None = None,
-    beside: str | None = None,
-) -> Any:
-    """Return a view of series over time with the legend in its corner."""
-    return rrb.TimeSeriesView(
-        origin="/" if beside else origin,
-        contents=[f"{origin}/**", *([beside] if beside else [])],
-        name=name,
-        time_ranges=window.ranges,
-        axis_x=window.axis,
-        axis_y=rrb.ScalarAxis(range=y_range) if y_range else None,
-        plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop),
-    )

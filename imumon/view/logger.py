@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Iterable, Mapping
 
 import numpy as np
@@ -11,7 +13,6 @@ from imumon.blocks import NO_INT, ColumnArray
 from imumon.charts import Chart
 from imumon.view.attitude import DEVICE
 from imumon.view.blueprint import Contents, blueprint
-from imumon.view.chart import declare_chart, log_chart
 from imumon.view.items import (
     Drawing,
     Event,
@@ -24,33 +25,20 @@ from imumon.view.items import (
     ViewSetup,
     lasting_key,
 )
-from imumon.view.layout import INTEGERS, OTHER, SCENE, Panel, Rows
-from imumon.view.panels import PANELS
+from imumon.view.lanes import COLORED_STATES, declare_lane, lane_path
+from imumon.view.layout import INTEGERS, OTHER, Rows, unit_text
+from imumon.view.log_text import LOG_TEXT, LogText, plain
+from imumon.view.panel_log import PanelLog
+from imumon.view.pictures import log_picture
+from imumon.view.window import slow_window
 
 APPLICATION_ID = "imumon"
-
-GOOD, WAIT, BAD, PLAIN = 0x2E9E5BFF, 0xE0A020FF, 0xD64545FF, 0x6C7A92FF
-STATE_COLORS = {
-    **dict.fromkeys(
-        ("open", "ok", "good", "synchronised", "connected", "running", "rest", "valid", "settled"), GOOD
-    ),
-    **dict.fromkeys(
-        ("opening", "waiting", "silent", "starting", "reconnecting", "warning", "acquiring", "aligning"), WAIT
-    ),
-    **dict.fromkeys(
-        ("lost", "closed", "error", "failed", "bad", "jumped", "invalid", "clipping", "suspect", "disturbed"),
-        BAD,
-    ),
-    "not": PLAIN,
-}
-"""Colour of a state by the first of its words, in lower case, that is here; else it is grey-blue."""
 
 ELSEWHERE = {"device_time_ns", "host_time_ns", "arrival_time_ns", "device_ticks"}
 """Integer columns that are a timeline, or of the transport: the wire recording has them."""
 
-COLORED_STATES = 40
-"""States of a lane that get a colour of ours; the viewer colours any others itself."""
-
+LIVE_PICTURE_S, RECORDED_PICTURE_S = 5.0, 60.0
+"""A chart is drawn so often, and as it is at the end."""
 EARLY_EVENTS = 1000
 """Events before the first sample that are shown again on the timelines that begin with it."""
 
@@ -75,15 +63,20 @@ class StreamLogger:
         self._rec = rec
         self._setup = setup
         self._live = live
-        self._panels: dict[str, Panel] = {}
+        self._panels = PanelLog(rec, setup, live=live)
         self._others: set[str] = set()
         self._lanes: dict[str, list[str]] = {}
         self._lasting: dict[str, Event] = {}
         self._charts: dict[str, Chart] = {}
+        self._drawn_s: dict[str, float] = {}
         self._early: list[Event] = []
         self._has_log = False
         self._timeline = "host_time"
         self._arranged: tuple[Contents, str] | None = None
+        self._newest: Rows | None = None
+        self._began_ns: int | None = None
+        self._full = False
+        self._log_text = LogText()
 
     def begin(self, *, arrange: bool = True) -> None:
         """Log what does not change (name, properties, styles, arrangement), and the latest states.
@@ -97,15 +90,12 @@ class StreamLogger:
             rec.send_property("session", rr.AnyValues(True, **setup.properties))
         down = rr.ViewCoordinates.RIGHT_HAND_Z_DOWN
         rec.log(DEVICE.root, down if setup.z_down else rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-        for panel in self._panels.values():
-            panel.declare(rec)
+        self._panels.declare()
         for name in self._others:
             self._declare_other(name)
-        for lane in self._lanes:
-            self._declare_lane(lane)
-        charts, self._charts = self._charts, {}
-        for chart in charts.values():
-            self._know_chart(chart)
+        for lane, states in self._lanes.items():
+            declare_lane(rec, lane, states)
+        self._drawn_s.clear()
         for event in self._lasting.values():
             self._log_event(event)
         if arrange:
@@ -121,6 +111,8 @@ class StreamLogger:
                 self._log_event(item)
                 if item.at.sample is None and len(self._early) < EARLY_EVENTS:
                     self._early.append(item)
+        if self._newest is not None:
+            self._panels.log_cards(self._newest)
         self._arrange()
 
     def _log_samples(self, item: Samples) -> None:
@@ -132,28 +124,25 @@ class StreamLogger:
             self._timeline = "sample"
         if self._early and item.first is not None:
             self._log_early_events(item)
-        claimed = self._log_panels(rows)
+        claimed = self._panels.log(rows)
+        if not item.stream:
+            self._note(rows)
         self._log_integers(rows, item.stream)
         for name, values in rows.columns.items():
             if values.dtype == np.float64 and name not in claimed:
                 own = name.removeprefix(f"{item.stream}_")
                 self._log_other(f"{item.stream}/{own}" if item.stream else name, values, rows)
 
-    def _log_panels(self, rows: Rows) -> set[str]:
-        claimed: set[str] = set()
-        for panel in PANELS:
-            if not rows.columns.keys() >= set(panel.columns):
-                continue
-            claimed.update(panel.columns)
-            if panel.key not in self._panels:
-                if not all(np.isfinite(rows.columns[name]).any() for name in panel.columns):
-                    continue
-                if panel.place == SCENE and any(other.place == SCENE for other in self._panels.values()):
-                    continue
-                self._panels[panel.key] = panel
-                panel.declare(self._rec)
-            panel.log(self._rec, rows)
-        return claimed
+    def _note(self, rows: Rows) -> None:
+        """Note how far the data has come: for the cards, and for when the slow tabs are full."""
+        if not len(next(iter(rows.columns.values()), ())):
+            return
+        clock = rows.clock
+        last = len(next(iter(rows.columns.values()))) - 1
+        self._newest = rows.kept(np.array([last]))
+        if clock is not None:
+            self._began_ns = int(clock[0]) if self._began_ns is None else self._began_ns
+            self._full |= int(clock[-1]) - self._began_ns > 1e9 * slow_window(self._setup.window_s)
 
     def _log_integers(self, rows: Rows, stream: str) -> None:
         integers = {
@@ -196,6 +185,8 @@ class StreamLogger:
         key = lasting_key(event)
         if key is not None:
             self._lasting[key] = event
+        if isinstance(event, Log) and rows is None:
+            self._log_text.add(event)
         if not indexes:
             return
         if isinstance(event, Numbers):
@@ -203,43 +194,57 @@ class StreamLogger:
         elif isinstance(event, State):
             self._know_state(event)
             change = rr.StateChange.columns(state=[event.state])
-            self._rec.send_columns(_lane_path(event.lane), indexes=indexes, columns=change)
+            self._rec.send_columns(lane_path(event.lane), indexes=indexes, columns=change)
         elif isinstance(event, Log):
             self._has_log = True
             line = rr.TextLog.columns(text=[event.text], level=[event.level])
             self._rec.send_columns("/log", indexes=indexes, columns=line)
+            text = rr.TextDocument.columns(text=[self._log_text.text], media_type=["text/markdown"])
+            self._rec.send_columns(LOG_TEXT, indexes=indexes, columns=text)
         elif isinstance(event, Drawing):
-            self._know_chart(event.chart)
-            log_chart(self._rec, event.chart, indexes)
+            self._draw(event, indexes)
         else:
-            card = rr.TextDocument.columns(text=[status_card(event)], media_type=["text/markdown"])
-            self._rec.send_columns("/status", indexes=indexes, columns=card)
+            text = rr.TextDocument.columns(text=[status_card(event)], media_type=["text/markdown"])
+            self._rec.send_columns("/status", indexes=indexes, columns=text)
 
     def _log_numbers(self, values: Mapping[str, float], times: Rows) -> None:
         columns = {name: np.array([value], np.float64) for name, value in values.items()}
         rows = Rows(columns, times.sample, times.device_ns, times.host_ns)
-        claimed = self._log_panels(rows)
+        claimed = self._panels.log(rows)
         for name in columns.keys() - claimed:
             self._log_other(name, columns[name], rows)
 
-    def _know_chart(self, chart: Chart) -> None:
-        known = self._charts.get(chart.key)
-        if known is None or [curve.name for curve in known.curves] != [c.name for c in chart.curves]:
-            declare_chart(self._rec, chart)
+    def _draw(self, event: Drawing, indexes: list[rr.TimeColumn]) -> None:
+        """Draw a chart when it is time: a picture takes 0.1 s, and 60 kB of a recording."""
+        chart, now = event.chart, time.monotonic()
         self._charts[chart.key] = chart
+        step = LIVE_PICTURE_S if self._live else RECORDED_PICTURE_S
+        if now - self._drawn_s.get(chart.key, -math.inf) >= step:
+            self._drawn_s[chart.key] = now
+            log_picture(self._rec, chart, indexes)
+
+    def finish(self) -> None:
+        """Draw every chart as it is at the end."""
+        self._drawn_s.clear()
+        for event in self._lasting.values():
+            if isinstance(event, Drawing):
+                self._log_event(event)
 
     def _know_state(self, event: State) -> None:
         known = self._lanes.setdefault(event.lane, [])
         if event.state not in known and len(known) < COLORED_STATES:
             known.append(event.state)
-            self._declare_lane(event.lane)
+            declare_lane(self._rec, event.lane, known)
 
-    def _declare_lane(self, lane: str) -> None:
-        states = self._lanes[lane]
-        colors = np.array([state_color(state) for state in states], dtype=np.uint32)
-        self._rec.log(
-            _lane_path(lane), rr.StateConfiguration(values=states, labels=states, colors=colors), static=True
-        )
+    def _other_views(self) -> tuple[tuple[str, tuple[str, ...]], ...]:
+        """Return a title and the entities of each view of what no panel draws: one for stream and unit."""
+        found: dict[str, list[str]] = {}
+        for name in sorted(self._others):
+            stream, _, _ = name.rpartition("/")
+            unit = unit_text(self._setup, name.replace("/", "_")) or "no unit"
+            title = f"{stream}: {unit}" if stream else unit
+            found.setdefault(title, []).append(f"{OTHER}/{name}")
+        return tuple((title, tuple(paths)) for title, paths in found.items())
 
     def _declare_other(self, name: str) -> None:
         self._rec.log(f"{OTHER}/{name}", rr.SeriesLines(names=[name]), static=True)
@@ -247,12 +252,14 @@ class StreamLogger:
     def _arrange(self) -> None:
         """Send the blueprint when what there is to see has changed."""
         contents = Contents(
-            panels=tuple(panel for panel in PANELS if panel.key in self._panels),
+            panels=self._panels.shown,
             charts=tuple((chart.place, chart.key, chart.title) for chart in self._charts.values()),
-            lanes=bool(self._lanes),
+            lanes=tuple(sorted(map(lane_path, self._lanes))),
             log=self._has_log,
             status="status" in self._lasting,
-            others=bool(self._others),
+            others=self._other_views(),
+            cards=tuple(self._panels.readings()),
+            full=self._full,
         )
         if contents and (contents, self._timeline) != self._arranged:
             self._arranged = contents, self._timeline
@@ -261,19 +268,8 @@ class StreamLogger:
 
 def status_card(event: Status) -> str:
     """Return the status card as a compact Markdown table."""
-    rows = [f"| **{name}** | {value} |" for name, value in event.fields.items()]
+    rows = [f"| **{name}** | {plain(value)} |" for name, value in event.fields.items()]
     return "\n".join(["| | |", "|:--|:--|", *rows])
-
-
-def state_color(state: str) -> int:
-    """Return the colour of a state as 0xRRGGBBAA: that of the first of its words that has one."""
-    words = [word.rstrip(":,") for word in state.lower().split(":")[0].split()]
-    return next((STATE_COLORS[word] for word in words if word in STATE_COLORS), PLAIN)
-
-
-def _lane_path(lane: str) -> str:
-    """Return the entity of a lane; a blank in it would have to be escaped, and be shown so."""
-    return f"/state/{lane.replace(' ', '_')}"
 
 
 def _one(value: int | None) -> np.ndarray[tuple[int], np.dtype[np.int64]] | None:

@@ -15,6 +15,8 @@ THERMAL = "Temperature"
 """Tab of the temperature estimates."""
 BIAS = "Gyro bias"
 """Tab of the bias estimates."""
+RESIDUAL = "Residual"
+"""Tab of what the bias model leaves over; its chart stands there, too."""
 ATTITUDE = "Attitude"
 """Tab of the attitude by the estimator, apart from what a device reports."""
 PUBLISHED = "SR-RSUKF"
@@ -51,7 +53,8 @@ def _thermal(suffixes: dict[str, Color], readings: str) -> Iterator[Panel]:
     )
     for name, title, unit, beside in rows:
         lines = tuple(_with_sd(name + end, end[1:] or "sensor", color) for end, color in suffixes.items())
-        yield Bands(name + "".join(suffixes), title, lines, unit, THERMAL, beside=beside)
+        card = "temperature rate" if unit == "°C/h" else "temperature"
+        yield Bands(name + "".join(suffixes), title, lines, unit, THERMAL, beside=beside, card=card)
 
 
 def _published_temperature(suffix: str, default: str) -> Iterator[Panel]:
@@ -87,26 +90,34 @@ PANELS: tuple[Panel, ...] = (
     Attitude("attitude", ("q_w", "q_x", "q_y", "q_z")),
     Attitude("attitude_from_angles", ("roll", "pitch", "yaw")),
     Attitude("attitude_estimate", tuple(f"attitude_estimate_{part}" for part in "wxyz"), EARTH),
-    Strip("gyro", "Angular rate", _axes("gyro"), "°/s"),
-    Strip("accel", "Specific force", _axes("accel")),
-    Strip("mag", "Magnetic field", _axes("mag")),
+    Strip("gyro", "Angular rate", _axes("gyro"), "°/s", card="angular rate"),
+    Strip("accel", "Specific force", _axes("accel"), card="specific force"),
+    Strip("mag", "Magnetic field", _axes("mag"), card="magnetic field"),
     Strip(
         "angles",
         "Attitude as reported",
         (Line("roll", "roll", RED), Line("pitch", "pitch", GREEN), Line("yaw", "yaw", BLUE)),
         "°",
+        card="reported",
     ),
-    Strip("temperature", "Temperature", (Line("temperature", "sensor", ORANGE),), look="steps"),
-    Strip("temperature_axes", "Temperature", _axes("temperature"), look="steps"),
+    Strip(
+        "temperature",
+        "Temperature",
+        (Line("temperature", "sensor", ORANGE),),
+        look="steps",
+        card="temperature read",
+    ),
+    Strip("temperature_axes", "Temperature", _axes("temperature"), look="steps", card="temperature read"),
     *_thermal({"": ORANGE}, "/samples/temperature"),
     *_thermal({f"_{axis}": color for axis, color in AXIS_COLORS.items()}, "/samples/temperature_axes"),
-    Bands("gyro_bias", "Gyro bias, 2σ", _axes_with_sd("gyro_bias"), "°/h", BIAS),
+    Bands("gyro_bias", "Gyro bias, 2σ", _axes_with_sd("gyro_bias"), "°/h", BIAS, card="gyro bias"),
     Bands(
         "gyro_bias_smoothed",
         "Gyro bias with what came later, 2σ",
         _axes_with_sd("gyro_bias_smoothed"),
         "°/h",
         BIAS,
+        card="gyro bias, smoothed",
     ),
     Strip(
         "gyro_corrected",
@@ -136,6 +147,7 @@ PANELS: tuple[Panel, ...] = (
         ),
         "°",
         ATTITUDE,
+        card="estimated",
     ),
     Bands(
         "attitude_estimate_heading",
@@ -143,10 +155,11 @@ PANELS: tuple[Panel, ...] = (
         (_with_sd("attitude_estimate_heading", "heading", BLUE),),
         "°",
         ATTITUDE,
+        card="estimated heading",
     ),
     # A panel for each axis: beside the turn-on bias of another its drift could not be seen.
     *(
-        Bands(line.column, f"Gyro bias {line.name} less the model's curve, 2σ", (line,), "°/h", BIAS)
+        Bands(line.column, f"Gyro bias {line.name} less the model's curve, 2σ", (line,), "°/h", RESIDUAL)
         for line in _axes_with_sd("gyro_random_error")
     ),
     *(
@@ -171,6 +184,8 @@ PANELS: tuple[Panel, ...] = (
         ),
         "°",
         ALIGNMENT,
+        card="heading by",
+        headline=True,
     ),
     Bands(
         "heading_magnetic",
@@ -178,6 +193,7 @@ PANELS: tuple[Panel, ...] = (
         (Line("heading_magnetic", "magnetic", GREY),),
         "°",
         ALIGNMENT,
+        card="magnetic heading",
     ),
     Bands(
         "level",
@@ -185,6 +201,7 @@ PANELS: tuple[Panel, ...] = (
         (Line("aligned_roll", "roll", RED), Line("aligned_pitch", "pitch", GREEN)),
         "°",
         ALIGNMENT,
+        card="level",
     ),
     Bands(
         "level_drift",
@@ -226,8 +243,17 @@ PANELS: tuple[Panel, ...] = (
         )
         for axis in "xyz"
     ),
-    Strip("pressure", "Pressure", (Line("pressure", "static", VIOLET),)),
-    Strip("packet_rate", "Packet rate", (Line("packet_rate", "packets", BLUE),), "1/s", LINK, "steps"),
+    Strip("pressure", "Pressure", (Line("pressure", "static", VIOLET),), card="pressure"),
+    Strip(
+        "packet_rate",
+        "Packet rate",
+        (Line("packet_rate", "packets", BLUE),),
+        "1/s",
+        LINK,
+        "steps",
+        least=4.0,  # a count over 2 s is known to half a packet a second
+        card="packets",
+    ),
     Strip(
         "link_load",
         "Link load",
@@ -235,7 +261,9 @@ PANELS: tuple[Panel, ...] = (
         "%",
         LINK,
         "steps",
-        y_range=(0.0, 100.0),
+        least=10.0,
+        floor=0.0,
+        card="link load",
     ),
     Strip(
         "losses",
@@ -243,6 +271,8 @@ PANELS: tuple[Panel, ...] = (
         (Line("packets_lost", "lost", RED), Line("packets_damaged", "damaged", VIOLET)),
         place=LINK,
         look="steps",
+        least=4.0,  # whole packets
+        floor=0.0,
     ),
 )
 """All panels, in the order in which they stand.  The attitude that comes first turns the body."""

@@ -106,6 +106,7 @@ class ViewRecorder:
                 self._refused += sum(map(item_rows, items))
             if self._compaction is not None and self._compaction.is_done():
                 self._compaction = None
+        self._logger.finish()
         self._rec.disconnect()
         if self._compaction is not None:
             self._compaction.stop()

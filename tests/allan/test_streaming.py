@@ -143,7 +143,7 @@ def test_the_stage_draws_a_chart_with_the_line_of_the_data_sheet() -> None:
     assert stage.process(block(5000)) == {}
     assert stage.notices() == []
     (chart,) = stage.charts()
-    assert [curve.name for curve in chart.curves] == ["x", "y", "z", "68 %", "data sheet"]
+    assert [curve.name for curve in chart.curves] == ["x", "y", "z", "68 %", "slope -1/2", "data sheet"]
     assert chart.x.log
     assert chart.y.log
     np.testing.assert_allclose(chart.curves[0].y[:4], chart.curves[-1].y[:4], rtol=0.05)

@@ -64,8 +64,9 @@ def test_every_panel_with_data_has_a_view(tmp_path: Path) -> None:
             "/view/packet_rate",
             "/view/link_load",
             "/samples/losses",
-            "/state",
-            "/log",
+            "/",
+            "/cards/Live",
+            "/log_text",
             "/status",
         ]
     )
@@ -96,6 +97,27 @@ def test_live_view_follows_device_time_and_shows_the_last_seconds(tmp_path: Path
     assert "-20000000000" in str(found["VisibleTimeRanges:ranges"])
 
 
+def test_slow_tabs_show_the_time_since_the_start_and_later_ten_minutes(tmp_path: Path) -> None:
+    items: list[ViewItem] = []
+    timebase = Timebase()
+    for first in (0, 70_000):  # at 100 Hz
+        part = block(first, 50)
+        columns = dict.fromkeys(("temperature_rate", "temperature_rate_sd"), part["temperature"])
+        items.append(timebase.samples(part.with_columns(columns)))
+    early = arranged(tmp_path / "early.rrd", items[:1], SETUP, live=True)
+    late = arranged(tmp_path / "late.rrd", items, SETUP, live=True)
+    assert "-600000000000" not in str(early["VisibleTimeRanges:ranges"])
+    assert "-600000000000" in str(late["VisibleTimeRanges:ranges"])
+
+
+def test_columns_of_different_units_stand_in_different_views(tmp_path: Path) -> None:
+    plain = block(0, 50)
+    setup = ViewSetup("test", "test", units={"supply": "V"})
+    extra = plain.with_columns({"humidity": plain["temperature"], "supply": plain["temperature"]})
+    found = arranged(tmp_path / "a.rrd", [Timebase().samples(extra)], setup, live=True)
+    assert {"V", "no unit"} <= set(map(str, found["ViewBlueprint:display_name"]))
+
+
 def test_recording_shows_everything(tmp_path: Path) -> None:
     found = arranged(tmp_path / "a.rrd", everything(), SETUP, live=False)
     assert "VisibleTimeRanges:ranges" not in found
@@ -105,7 +127,7 @@ def test_recording_shows_everything(tmp_path: Path) -> None:
 def test_columns_without_a_panel_have_a_tab(tmp_path: Path) -> None:
     extra = block(0, 50).with_columns({"humidity": block(0, 50)["temperature"]})
     found = arranged(tmp_path / "a.rrd", [Timebase().samples(extra)], SETUP, live=True)
-    assert "/samples/other" in found["ViewBlueprint:space_origin"]
+    assert "/samples/other/humidity" in found["ViewBlueprint:space_origin"]
     assert "Other" in found["ContainerBlueprint:display_name"]
 
 

@@ -11,9 +11,10 @@ from imumon.blocks import ColumnArray, SampleBlock
 from imumon.charts import BLUE, GREEN, GREY, ORANGE, RED, VIOLET
 from imumon.view.attitude import xyzw
 from imumon.view.items import Numbers, State, Status, Timebase, ViewItem, ViewSetup, merge
-from imumon.view.layout import INTEGERS, OTHER, Line, Rows, Strip, Window, unit_text
-from imumon.view.logger import BAD, GOOD, PLAIN, WAIT, StreamLogger, state_color, status_card
+from imumon.view.layout import INTEGERS, OTHER, Line, Rows, Strip, unit_text
+from imumon.view.logger import StreamLogger, status_card
 from imumon.view.panels import PANELS
+from imumon.view.window import Window
 from tests.view.streams import GYRO, QUATERNION, Stream, block, entities, record_batches, scalars
 
 Write = Callable[[StreamLogger], None]
@@ -129,7 +130,7 @@ def test_state_before_the_first_sample_shows_on_device_time(write: Callable[[Wri
     path = write(lambda logger: Stream(lambda item: logger.log([item])).send(10))
     times = [
         time
-        for batch in record_batches(path, "/state/port")
+        for batch in record_batches(path, "/1-Port")
         if "device_time" in batch.schema.names
         for time in batch.column("device_time").cast("int64").to_pylist()
     ]
@@ -164,7 +165,7 @@ def test_numbers_and_card_are_logged(write: Callable[[Write], Path]) -> None:
     assert scalars([path], "/view/link_load")[3].tolist() == [[25.0]]
     assert scalars([path], "/samples/losses")[3].tolist() == [[2.0, 1.0]]
     assert scalars([path], "/samples/other/odd")[3].tolist() == [[7.0]]
-    assert {"/status", "/state/clock"} <= entities(path)
+    assert {"/status", "/4-Clock"} <= entities(path)
 
 
 def test_panel_keys_and_columns_are_unique_enough_to_tell_panels_apart() -> None:
@@ -196,15 +197,6 @@ def test_units_are_those_of_the_device() -> None:
     assert unit_text(ViewSetup("t", "t"), "unheard_of") == ""
 
 
-def test_state_colours_follow_the_first_word() -> None:
-    assert state_color("OPEN") == GOOD
-    assert state_color("waiting for data") == WAIT
-    assert state_color("segment 3") == PLAIN
-    assert state_color("MODEL OK") == GOOD
-    assert state_color("MODEL SUSPECT: the bias follows dT/dt, ok otherwise") == BAD
-    assert state_color("not valid") == PLAIN
-
-
 def test_status_card_is_a_table() -> None:
     card = status_card(Status(Timebase().at(), {"Port": "/dev/ttyUSB0", "Lost": "0"}))
     assert "| **Port** | /dev/ttyUSB0 |" in card.splitlines()
@@ -231,7 +223,7 @@ def test_limits_and_the_raw_rate_stand_in_the_view_of_a_strip(write: Callable[[W
     (batch,) = record_batches(path, "/samples/a/limits")
     np.testing.assert_array_equal(batch.column("sample").to_numpy(), [0, n - 1])
     np.testing.assert_array_equal(batch.column("Scalars:scalars").flatten().to_numpy(), [-2, 2, -2, 2])
-    view = panel.view(ViewSetup("test", "test"), Window(None, None))
+    view = panel.view(ViewSetup("test", "test"), Window())
     assert view.contents == ["/samples/a/**", "/view/gyro"]
 
 

@@ -62,7 +62,7 @@ def test_segments_open_as_one_and_each_alone(tmp_path: Path) -> None:
     np.testing.assert_array_equal(scalars([whole], "/samples/gyro")[3], stream.column(GYRO))
     for path in recorder.files:
         rerun("rrd", "verify", str(path))
-        assert {"/state/port", "/status", "/attitude/body/housing"} <= entities(path)
+        assert {"/1-Port", "/status", "/attitude/body/housing"} <= entities(path)
     assert RrdReader(str(recorder.files[0])).blueprints()
 
 

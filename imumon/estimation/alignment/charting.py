@@ -1,4 +1,4 @@
-"""Charts of the alignment; what changes is told by the labels of the axes, for titles stand for ever."""
+"""Charts of the alignment."""
 
 from __future__ import annotations
 
@@ -56,8 +56,16 @@ def headings(status: Status) -> Chart:
             np.array([off - reach, off + reach, np.nan, off, off]),
         )
         curves.append(Curve(name.replace("_", " "), x, y, ESTIMATOR_COLORS[name], width=3.0))
-    x_axis, y_axis = Axis(f"estimator · {heading_text(status)}"), Axis("heading less the one shown [°]")
-    return Chart("alignment_headings", PLACE, "Headings of all estimators, 2σ", x_axis, y_axis, tuple(curves))
+    x_axis, y_axis = Axis("estimator"), Axis("heading less the one shown [°]")
+    return Chart(
+        "alignment_headings",
+        PLACE,
+        "Headings of all estimators, 2σ",
+        x_axis,
+        y_axis,
+        tuple(curves),
+        headline=heading_text(status),
+    )
 
 
 def progress(status: Status, time_s: FloatArray, sd: FloatArray, wanted_deg: float) -> Chart:
@@ -67,8 +75,9 @@ def progress(status: Status, time_s: FloatArray, sd: FloatArray, wanted_deg: flo
         Curve("σ", time_s, np.degrees(sd), GREEN, width=2.0),
         Curve("wanted", ends, np.full(2, wanted_deg), GREY),
     )
-    x, y = Axis(f"observed time [s] · {to_go_text(status, wanted_deg)}", log=True), Axis("σ [°]", log=True)
-    return Chart("alignment_progress", PLACE, "Sigma of the heading shown", x, y, curves)
+    x, y = Axis("observed time [s]", log=True), Axis("σ [°]", log=True)
+    text = to_go_text(status, wanted_deg)
+    return Chart("alignment_progress", PLACE, "Sigma of the heading shown", x, y, curves, headline=text)
 
 
 def levels(time_s: FloatArray, angles: FloatArray) -> Chart:

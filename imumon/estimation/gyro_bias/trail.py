@@ -11,7 +11,7 @@ from imumon.charts import AXIS_COLORS, GREY, Axis, Chart, Curve
 from imumon.estimation.gyro_bias.thermal_input import GYROS
 from imumon.models.model import BiasModel
 
-TAB = "Gyro bias"
+TAB, RESIDUAL = "Gyro bias", "Residual"
 DEG_PER_HOUR = math.degrees(3600.0)
 SPACING_NS = 1_000_000_000
 MOST_POINTS = 250
@@ -62,7 +62,7 @@ class BiasTrail:
             charts.append(
                 Chart(
                     "gyro_bias_left",
-                    TAB,
+                    RESIDUAL,
                     "Gyro bias less the calibrated curve",
                     x,
                     Axis("[°/h]"),

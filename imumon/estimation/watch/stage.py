@@ -105,12 +105,12 @@ class ModelWatch:
             self._pending.append(text)
 
     def lanes(self) -> Mapping[str, str]:
-        """Return the lane ``model``: MODEL OK, MODEL SUSPECT with the reason, or MODEL waiting for rest."""
+        """Return the lane ``model``: MODEL OK, MODEL SUSPECT with the reason, waiting, or no model."""
         if self._state.alarm:
             return {LANE: f"MODEL SUSPECT: {judge(self._state.peaks, self._modelled).reason}"}
         if self._state.slots < evidence.LEARNING + evidence.BLOCK:
-            return {LANE: "MODEL waiting for rest"}
-        return {LANE: "MODEL OK"}
+            return {LANE: "waiting for rest"}
+        return {LANE: "MODEL OK" if self._modelled else "no model; the filter agrees with itself"}
 
     def notices(self) -> list[str]:
         """Return, once each, what is suspected and which command tells more; for the log."""

@@ -128,7 +128,7 @@ def test_a_restart_of_the_device_clears_the_suspicion() -> None:
         }
     )
     watch = ModelWatch(modelled=True)
-    assert watch.lanes() == {"model": "MODEL waiting for rest"}
+    assert watch.lanes() == {"model": "waiting for rest"}
     suspect = watch.process(block)["model_suspect"]
     first = int(np.argmax(suspect))
     assert seconds[first] < 1000.0

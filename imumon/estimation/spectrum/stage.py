@@ -1,0 +1,118 @@
+"""Live spectra of the gyros and accelerometers as a stage of the pipeline: no columns, but charts."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from imumon.blocks import ColumnArray, FloatArray, IntArray, SampleBlock
+from imumon.charts import AXIS_COLORS, Axis, Chart, Curve
+from imumon.columns import Column
+from imumon.estimation.spectrum.welch import Peak, Spectrum, peaks, welch
+
+TAB = "Spectrum"
+SPAN_S = 30.0
+"""What is looked at: the last so many seconds."""
+MOST_SAMPLES = 32768
+SEGMENTS = 7
+"""A segment is two of these parts plus one of the span: thirteen of them overlap by half."""
+FEWEST = 256
+"""Samples that are needed."""
+GAP = 20.0
+"""A gap of more intervals is not bridged: the spectrum is that of what came after it."""
+_GROUPS = {
+    "gyro": ("Angular rate, the last 30 s", "°/s", float(np.degrees(1.0))),
+    "accel": ("Specific force, the last 30 s", "m/s²", 1.0),
+}
+CHANNELS = tuple(f"{group}_{axis}" for group in _GROUPS for axis in AXIS_COLORS)
+
+
+class LiveSpectrum:
+    """Power spectral densities of the last seconds, up to half the rate, with their lines named."""
+
+    def __init__(self) -> None:
+        self._blocks: deque[tuple[IntArray, dict[str, FloatArray]]] = deque()
+        self._held = 0
+        self._segment: int | None = None
+
+    @property
+    def columns(self) -> Sequence[Column]:
+        """No columns: a spectrum is not a quantity of each sample."""
+        return ()
+
+    def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
+        """Take the samples of a block; needs ``device_time_ns`` and ``segment``."""
+        names = [name for name in CHANNELS if name in block]
+        if not len(block) or not names:
+            return {}
+        segment = int(block["segment"][-1])
+        rows = np.flatnonzero(block["segment"] == segment)
+        if segment != self._segment or len(rows) < len(block):
+            self._blocks.clear()
+            self._held, self._segment = 0, segment
+        times = np.asarray(block["device_time_ns"][rows], np.int64)
+        self._blocks.append((times, {name: np.asarray(block[name][rows], np.float64) for name in names}))
+        self._held += len(rows)
+        while len(self._blocks) > 1 and self._is_old(times[-1]):
+            self._held -= len(self._blocks.popleft()[0])
+        return {}
+
+    def _is_old(self, now_ns: int) -> bool:
+        """Tell whether the oldest block can go."""
+        end = int(self._blocks[0][0][-1])
+        return now_ns - end > SPAN_S * 1e9 or self._held - len(self._blocks[0][0]) > MOST_SAMPLES
+
+    def notices(self) -> list[str]:
+        """Say nothing."""
+        return []
+
+    def charts(self) -> Sequence[Chart]:
+        """Return one chart per sensor; none while there are too few samples."""
+        if self._held < FEWEST:
+            return []
+        times = np.concatenate([block for block, _ in self._blocks])
+        interval = float(np.median(np.diff(times)))
+        if interval <= 0:
+            return []
+        breaks = np.flatnonzero(np.diff(times) > GAP * interval)
+        first = int(breaks[-1]) + 1 if len(breaks) else 0
+        if len(times) - first < FEWEST:
+            return []
+        even = np.arange(times[first], times[-1], interval)
+        found = {}
+        for name in CHANNELS:
+            if all(name in columns for _, columns in self._blocks):
+                values = np.concatenate([columns[name] for _, columns in self._blocks])[first:]
+                found[name] = _spectrum(even, times[first:], values, interval * 1e-9)
+        return [chart for group in _GROUPS if (chart := _chart(group, found)) is not None]
+
+
+def _spectrum(even: FloatArray, times: IntArray, values: FloatArray, interval_s: float) -> Spectrum | None:
+    """Return the spectrum on an even grid: a lost packet is a straight line; None with few values."""
+    known = np.isfinite(values)
+    if known.mean() < 0.5:
+        return None
+    laid = np.interp(even, times[known], values[known])
+    return welch(laid, interval_s, max(2 * (len(laid) // SEGMENTS), 2))
+
+
+def _chart(group: str, found: Mapping[str, Spectrum | None]) -> Chart | None:
+    title, unit, factor = _GROUPS[group]
+    curves, notes = [], []
+    for axis, color in AXIS_COLORS.items():
+        spectrum = found.get(f"{group}_{axis}")
+        if spectrum is None or not (spectrum.density[1:] > 0).any():
+            continue
+        density = factor * np.sqrt(spectrum.density[1:])
+        curves.append(Curve(axis, spectrum.frequency_hz[1:], density, color, width=1.2))
+        notes.append(f"{axis}  " + (_named(peaks(spectrum), unit, factor) or "no line above the noise"))
+    if not curves:
+        return None
+    x, y = Axis("frequency [Hz]", log=True), Axis(f"amplitude spectral density [{unit}/√Hz]", log=True)
+    return Chart(f"spectrum_{group}", TAB, title, x, y, tuple(curves), notes=tuple(notes))
+
+
+def _named(lines: Sequence[Peak], unit: str, factor: float) -> str:
+    return "   ".join(f"{line.frequency_hz:.4g} Hz: {factor * line.rms:.3g} {unit} rms" for line in lines)

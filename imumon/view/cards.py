@@ -1,0 +1,113 @@
+"""The present values as numbers, in field digits: one card for each tab."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from imumon.blocks import ColumnArray, FloatArray
+
+DIGITS = {"°/s": 3, "m/s²": 3, "µT": 2, "a.u.": 4, "°": 2, "°C": 2, "°C/h": 1, "°/h": 1, "1/s": 1, "%": 0}
+"""Decimals of a value without a sigma; others have five digits."""
+AXES = ["x", "y", "z"]
+MOST_DECIMALS = 9
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """One number of a card: its row and name, its column and that of its sigma, and how it is shown."""
+
+    row: str
+    name: str
+    column: str
+    sd: str | None
+    unit: str
+    factor: float
+    headline: bool = False
+
+
+@dataclass(slots=True)
+class Gathered:
+    """The finite values of a column since the card was written; what was shown stays until there are more."""
+
+    total: float = 0.0
+    count: int = 0
+    shown: float = math.nan
+
+    def add(self, values: FloatArray, *, mean: bool) -> None:
+        """Take values: their mean counts, or the last of them."""
+        finite = values[np.isfinite(values)]
+        if len(finite) and mean:
+            self.total, self.count = self.total + float(finite.sum()), self.count + len(finite)
+        elif len(finite):
+            self.total, self.count = float(finite[-1]), 1
+
+    def take(self) -> float:
+        """Return the value to show, and begin anew."""
+        if self.count:
+            self.shown = self.total / self.count
+        self.total, self.count = 0.0, 0
+        return self.shown
+
+
+@dataclass(slots=True)
+class Cards:
+    """Gathers the columns that the cards show."""
+
+    _columns: dict[str, Gathered] = field(default_factory=dict)
+
+    def add(self, readings: Iterable[Reading], columns: Mapping[str, ColumnArray]) -> None:
+        """Take rows: of a column without a sigma the mean is shown, for single samples cannot be read."""
+        for reading in readings:
+            self._add(reading.column, columns, mean=reading.sd is None and reading.unit != "°")
+            if reading.sd is not None:
+                self._add(reading.sd, columns, mean=False)
+
+    def take(self) -> dict[str, float]:
+        """Return the present value of every column, and begin anew."""
+        return {name: gathered.take() for name, gathered in self._columns.items()}
+
+    def _add(self, name: str, columns: Mapping[str, ColumnArray], *, mean: bool) -> None:
+        if name in columns:
+            gathered = self._columns.setdefault(name, Gathered())
+            gathered.add(np.asarray(columns[name], np.float64), mean=mean)
+
+
+def card(readings: Sequence[Reading], now: Mapping[str, float]) -> str:
+    """Return readings as Markdown, with the present value of each column; a row of axes has a unit once."""
+    lines = [f"# {cell(one, now)} {one.unit}".replace(" °", "°") for one in readings if one.headline]
+    lines += ["", "| | x | y | z | |", "|:--|--:|--:|--:|:--|"]
+    rows: dict[tuple[str, str], list[Reading]] = {}
+    for reading in readings:
+        rows.setdefault((reading.row, reading.unit), []).append(reading)
+    for (label, unit), found in rows.items():
+        if [one.name for one in found] == AXES:
+            cells = " | ".join(cell(one, now) for one in found)
+            lines.append(f"| **{label}** | {cells} | {unit} |")
+            continue
+        for one in found:
+            name = label if len(found) == 1 else f"{label} {one.name}"
+            lines.append(f"| **{name}** | {cell(one, now)} | | | {unit} |")
+    return "\n".join(lines)
+
+
+def cell(reading: Reading, now: Mapping[str, float]) -> str:
+    """Return the present value of a reading, with its sigma where it has one."""
+    value = reading.factor * now.get(reading.column, math.nan)
+    sd = math.nan if reading.sd is None else reading.factor * now.get(reading.sd, math.nan)
+    return measured(value, sd, DIGITS.get(reading.unit))
+
+
+def measured(value: float, sd: float = math.nan, decimals: int | None = None) -> str:
+    """Return a value as it is written in a log book: with a sigma of two digits, or so many decimals."""
+    if not math.isfinite(value):
+        return "–"
+    if not (math.isfinite(sd) and sd > 0):
+        return f"{value:.5g}" if decimals is None else f"{value:.{decimals}f}"
+    places = min(1 - int(f"{sd:.1e}".split("e")[1]), MOST_DECIMALS)
+    if places < 0:
+        return f"{round(value, places):.0f} ± {round(sd, places):.0f}"
+    return f"{value:.{places}f} ± {sd:.{places}f}"

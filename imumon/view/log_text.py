@@ -1,0 +1,46 @@
+"""The newest log lines as a text that wraps, each with the time of the wall clock."""
+
+from __future__ import annotations
+
+import re
+from collections import deque
+from datetime import datetime
+
+from imumon.view.items import Log
+
+LOG_TEXT = "/log_text"
+"""Entity of the text; the lines themselves are in ``/log``."""
+LINES = 30
+MARKUP = re.compile(r"([\\`*_{}\[\]<>()#+|!~-])")
+"""What Markdown would take for markup."""
+
+
+class LogText:
+    """Keeps the last lines, the newest first."""
+
+    def __init__(self) -> None:
+        self._lines: deque[str] = deque(maxlen=LINES)
+
+    @property
+    def text(self) -> str:
+        """The lines as Markdown."""
+        return "\n\n".join(self._lines)
+
+    def add(self, line: Log) -> None:
+        """Take a line."""
+        mark = "" if line.level in ("INFO", "DEBUG", "TRACE") else f"**{line.level}** "
+        self._lines.appendleft(f"`{_clock(line.at.host_ns)}` {mark}{plain(line.text)}")
+
+
+def plain(text: str) -> str:
+    """Return a text in Markdown that shows it as it is."""
+    return MARKUP.sub(r"\\\1", text)
+
+
+def _clock(host_ns: int | None) -> str:
+    if host_ns is None:
+        return "--:--:--"
+    try:
+        return datetime.fromtimestamp(host_ns * 1e-9).astimezone().strftime("%H:%M:%S")
+    except (OverflowError, OSError, ValueError):  # a damaged time
+        return "--:--:--"

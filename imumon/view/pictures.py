@@ -1,0 +1,113 @@
+"""Draws charts as pictures: Rerun's own plots have time on their horizontal axis, and linear axes only."""
+
+from __future__ import annotations
+
+import io
+from typing import Any
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from imumon.blocks import FloatArray
+from imumon.charts import Chart, Curve
+
+CHARTS = "/charts"
+SIZE_INCH, DOTS_PER_INCH = (8.0, 6.0), 140
+"""1120 x 840: sharp in half of a full HD screen, and readable on twice as many dots."""
+ROOM = {"left": 0.1, "right": 0.985, "bottom": 0.085}
+"""Fixed: to fit them to the labels takes as long as all else."""
+FEW_DECADES = 30.0
+"""An axis that spans less has numbers at the marks between its decades, too."""
+TOP, NOTE, HEADLINE = 0.975, 0.032, 0.07
+"""Where the axes end, and what a line of notes and a headline take of it."""
+PAPER, INK, FAINT = "#0d0d0d", "#d8d8d8", "#3a3a3a"
+"""Those of the viewer's dark theme; on the light one it stands as a dark picture."""
+STYLE: Any = {
+    "axes.edgecolor": "#808080",
+    "axes.facecolor": PAPER,
+    "axes.labelcolor": INK,
+    "figure.facecolor": PAPER,
+    "font.size": 10.0,
+    "legend.facecolor": PAPER,
+    "legend.edgecolor": FAINT,
+    "text.color": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
+}
+
+
+def log_picture(rec: rr.RecordingStream, chart: Chart, indexes: list[rr.TimeColumn]) -> None:
+    """Log a chart at one moment; `indexes` has one row."""
+    image = rr.EncodedImage.columns(blob=[picture(chart)], media_type=["image/png"])
+    rec.send_columns(f"{CHARTS}/{chart.key}", indexes=indexes, columns=image)
+
+
+def chart_view(key: str, title: str) -> Any:
+    """Return the view of one chart."""
+    return rrb.Spatial2DView(origin=f"{CHARTS}/{key}", name=title)
+
+
+def picture(chart: Chart) -> bytes:
+    """Return the chart as a PNG."""
+    import matplotlib as mpl  # takes 0.3 s, and only a run with charts needs it
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=SIZE_INCH, dpi=DOTS_PER_INCH)
+        FigureCanvasAgg(figure)
+        axes = figure.add_subplot()
+        for curve in chart.curves:
+            _draw(axes, curve)
+        _frame(axes, chart)
+        out = io.BytesIO()
+        figure.savefig(out, format="png", pil_kwargs={"compress_level": 3})
+    return out.getvalue()
+
+
+def _draw(axes: Any, curve: Curve) -> None:
+    color = tuple(part / 255 for part in curve.color)
+    label = curve.name if curve.listed else None
+    look = {"ls": "", "marker": "o", "ms": curve.width} if curve.points else {"lw": curve.width}
+    axes.plot(curve.x, curve.y, color=color, label=label, **look)
+
+
+def _frame(axes: Any, chart: Chart) -> None:
+    """Set scales, grid, labels, legend and notes."""
+    from matplotlib.ticker import AutoMinorLocator
+
+    for axis, name in ((chart.x, "x"), (chart.y, "y")):
+        if axis.log and _has_logarithm(chart, name):
+            _logarithmic(axes, name)
+    axes.set(xlabel=chart.x.label, ylabel=chart.y.label)
+    for axis, scale in ((axes.xaxis, chart.x), (axes.yaxis, chart.y)):
+        if not scale.log:
+            axis.set_minor_locator(AutoMinorLocator())
+    axes.grid(which="major", color=FAINT, lw=0.8)
+    axes.grid(which="minor", color=FAINT, lw=0.3)
+    if any(curve.listed for curve in chart.curves):
+        axes.legend(loc="best", fontsize=9)
+    top = TOP - NOTE * len(chart.notes) - (HEADLINE if chart.headline else 0.0)
+    axes.figure.subplots_adjust(top=top, **ROOM)
+    if chart.notes:
+        axes.set_title("\n".join(chart.notes), fontsize=10, loc="left", family="monospace")
+    if chart.headline:
+        axes.figure.suptitle(chart.headline, fontsize=20)
+
+
+def _logarithmic(axes: Any, name: str) -> None:
+    """Make an axis logarithmic, its numbers written out; those between the decades where there are few."""
+    from matplotlib.ticker import FuncFormatter, NullFormatter
+
+    axes.set(**{f"{name}scale": "log"})
+    axis = getattr(axes, f"{name}axis")
+    low, high = axis.get_view_interval()
+    plain = FuncFormatter(lambda value, _: f"{value:g}")
+    axis.set_major_formatter(plain)
+    axis.set_minor_formatter(plain if high < FEW_DECADES * low else NullFormatter())
+
+
+def _has_logarithm(chart: Chart, name: str) -> bool:
+    values: list[FloatArray] = [getattr(curve, name) for curve in chart.curves]
+    return any(bool((np.asarray(part) > 0).any()) for part in values)

@@ -1,0 +1,87 @@
+"""What the series of a tab show of time, and where their legend stands."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import rerun as rr
+import rerun.blueprint as rrb
+
+SLOW_WINDOW_S = 600.0
+"""The tabs behind the first show what is slow: the time since the start, then so many seconds at least."""
+MARGIN = 0.11
+"""Share of a window that stays free on the right, for the legend: there it never covers data."""
+GROWING_S = 120.0
+"""While a window grows its margin is that of one of at most this length, so that little stays empty."""
+TEMPORAL = ("device_time", "host_time")
+ENDLESS = rrb.TimeRangeBoundary.infinite()
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """What the series of a tab show of a timeline, all the same.
+
+    Parameters
+    ----------
+    seconds : float or None
+        Length, and a margin for the legend beyond the newest data; None for a whole recording.
+    full : bool
+        Whether so much has come; until then it begins where the data does.
+    """
+
+    seconds: float | None = None
+    full: bool = True
+
+    @property
+    def ranges(self) -> list[rrb.VisibleTimeRange] | None:
+        """What is queried, on whichever timeline is chosen."""
+        if self.seconds is None:
+            return None
+        end = rrb.TimeRangeBoundary.cursor_relative()
+        return [rrb.VisibleTimeRange(timeline, start=self._start, end=end) for timeline in TEMPORAL]
+
+    @property
+    def axis(self) -> rrb.TimeAxis:
+        """What the axis shows; without it the viewer shows a minute around the cursor."""
+        if self.seconds is None:
+            return rrb.TimeAxis(view_range=rr.TimeRange(start=ENDLESS, end=ENDLESS))
+        margin = MARGIN * (self.seconds if self.full else min(self.seconds, GROWING_S))
+        end = rrb.TimeRangeBoundary.cursor_relative(seconds=margin)
+        return rrb.TimeAxis(view_range=rr.TimeRange(start=self._start, end=end))
+
+    @property
+    def legend(self) -> rrb.PlotLegend:
+        """The legend: in the margin where there is one."""
+        return rrb.PlotLegend(rrb.Corner2D.LeftTop if self.seconds is None else rrb.Corner2D.RightTop)
+
+    @property
+    def _start(self) -> rrb.TimeRangeBoundary:
+        if not self.full or self.seconds is None:
+            return ENDLESS
+        return rrb.TimeRangeBoundary.cursor_relative(seconds=-self.seconds)
+
+
+def series_view(
+    origin: str,
+    name: str,
+    window: Window,
+    y_range: tuple[float, float] | None = None,
+    others: Sequence[str] = (),
+) -> Any:
+    """Return a view of series over time, with other entities beside the first, and a legend."""
+    return rrb.TimeSeriesView(
+        origin="/" if others else origin,
+        contents=[f"{origin}/**", *others],
+        name=name,
+        time_ranges=window.ranges,
+        axis_x=window.axis,
+        axis_y=rrb.ScalarAxis(range=y_range) if y_range else None,
+        plot_legend=window.legend,
+    )
+
+
+def slow_window(window_s: float) -> float:
+    """Return the length of the slow tabs' window, by that of the first."""
+    return max(SLOW_WINDOW_S, window_s)
