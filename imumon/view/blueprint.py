@@ -122,8 +122,8 @@ def _first_tab(name: str, views: dict[str, list[Any]], window: Window, contents:
         )
         right.append((0.35 * len(contents.lanes) + 0.4, states))
     if contents.log:
-        right.append((1.6, rrb.TextDocumentView(origin=LOG_TEXT, name="Log")))
-    right += [(0.9, view) for view in views[LINK]]
+        right.append((1.3, rrb.TextDocumentView(origin=LOG_TEXT, name="Log")))
+    right += [(1.2, view) for view in views[LINK]]
     middle = [(1.0, view) for view in views[STRIPS]]
     columns = [(share, part) for share, part in ((3.0, left), (4.6, middle), (3.2, right)) if part]
     return rrb.Horizontal(

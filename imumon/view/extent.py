@@ -27,6 +27,8 @@ LEAST_STEPS = 4.0
 """The axis spans at least so many steps of a quantized column: three of its values can be read."""
 
 
+STILL = 0.02
+"""What never changes is shown on an axis of this share of its value."""
 MOST_MARKS = 7
 """The viewer writes numbers at powers of ten that are 15 points apart or more: so many in a low strip."""
 
@@ -76,6 +78,8 @@ class Extent:
         self._last, self._low, self._high = now, np.inf, -np.inf
         low, high = min(low for low, _ in self._past), max(high for _, high in self._past)
         least = max(drawn.least, LEAST_STEPS * self._step if np.isfinite(self._step) else 0.0)
+        if low == high:  # nothing is known of what it resolves
+            least = max(least, STILL * abs(low))
         short = max(0.0, least - (high - low))
         if drawn.floor is not None and low >= drawn.floor:
             low, high = drawn.floor, max(high, drawn.floor + least)

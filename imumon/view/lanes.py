@@ -13,10 +13,14 @@ NAMES = {
     "motion": "Motion",
     "model": "Bias-model",
     "alignment": "Alignment",
+    "heading by": "Heading-by",
     "attitude": "Attitude",
     "status": "Device-status",
 }
 """What a person calls the lanes, from above: first what everything else depends on."""
+
+LAST = 9
+"""The viewer sorts by name: from here on the names themselves decide."""
 
 GOOD, WAIT, BAD, PLAIN = 0x2E9E5BFF, 0xE0A020FF, 0xD64545FF, 0x6C7A92FF
 _WORDS = {
@@ -41,7 +45,7 @@ def state_color(state: str) -> int:
 def lane_path(lane: str) -> str:
     """Return the entity of a lane; lanes stand in the order of these, and the viewer shows no other name."""
     names = list(NAMES)
-    place = names.index(lane) + 1 if lane in names else len(names)
+    place = min(names.index(lane) + 1 if lane in names else LAST, LAST)
     return f"/{place}-{NAMES.get(lane, lane).replace(' ', '-')}"
 
 

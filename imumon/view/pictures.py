@@ -13,10 +13,12 @@ from imumon.blocks import FloatArray
 from imumon.charts import Chart, Curve
 
 CHARTS = "/charts"
-SIZE_INCH, DOTS_PER_INCH = (8.0, 6.0), 140
-"""1120 x 840: sharp in half of a full HD screen, and readable on twice as many dots."""
+SIZE_INCH, DOTS_PER_INCH = (8.0, 5.4), 140
+"""1120 x 756: sharp in half of a full HD screen, and readable on twice as many dots."""
 ROOM = {"left": 0.1, "right": 0.985, "bottom": 0.085}
 """Fixed: to fit them to the labels takes as long as all else."""
+LETTERS = 40
+"""So many of a headline fit at full size."""
 FEW_DECADES = 30.0
 """An axis that spans less has numbers at the marks between its decades, too."""
 TOP, NOTE, HEADLINE = 0.975, 0.032, 0.07
@@ -93,7 +95,7 @@ def _frame(axes: Any, chart: Chart) -> None:
     if chart.notes:
         axes.set_title("\n".join(chart.notes), fontsize=10, loc="left", family="monospace")
     if chart.headline:
-        axes.figure.suptitle(chart.headline, fontsize=20)
+        axes.figure.suptitle(chart.headline, fontsize=min(20.0, 20.0 * LETTERS / len(chart.headline)))
 
 
 def _logarithmic(axes: Any, name: str) -> None:
