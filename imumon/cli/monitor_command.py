@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import os
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Unpack
@@ -24,15 +26,16 @@ from imumon.cli.common import (
 )
 from imumon.cli.live_run import PortRun
 from imumon.cli.setup_options import SetupOptions, make_setup, setup_options
-from imumon.errors import EXIT_NEGATIVE, EXIT_OK
+from imumon.errors import EXIT_NEGATIVE, EXIT_OK, ImumonError, Reason
 
 if TYPE_CHECKING:
     from imumon.run.live import LiveSummary
     from imumon.run.narration import Progress
     from imumon.view.items import ViewItem, ViewSetup
     from imumon.view.publisher import ViewPublisher
+    from imumon.view.terminal import TerminalView
 
-View = Literal["native", "web", "none"]
+View = Literal["native", "web", "terminal", "none"]
 
 
 @click.command("monitor")
@@ -40,7 +43,9 @@ View = Literal["native", "web", "none"]
 @click.option("--device", required=True, help=device_help)
 @baud_option
 @click.option(
-    "--view", type=click.Choice(["native", "web", "none"]), help="Default: native with a display, else web."
+    "--view",
+    type=click.Choice(["native", "web", "terminal", "none"]),
+    help="Default: native with a display, else web; terminal shows numbers where the command runs.",
 )
 @click.option("--out", type=PATH, help="Session folder; default: a new one in ./sessions.")
 @click.option("--seconds", type=SECONDS, help="Stop after this time.")
@@ -67,6 +72,12 @@ def command(
     """
     from imumon.run.narration import view_setup
 
+    if view == "terminal" and not _is_terminal():
+        raise ImumonError(
+            Reason.BAD_CONFIG,
+            "--view terminal: standard error is no terminal",
+            "run it in a terminal, or use --view web or none",
+        )
     live = PortRun(port, device, baud, make_setup(options), out, seconds)
     run = live.run
     views: _Views | None = None
@@ -97,7 +108,12 @@ class _Views:
 
         mode = view or default_mode()
         self._live: ViewPublisher | None = None
-        if mode != "none":
+        self.terminal: TerminalView | None = None
+        if mode == "terminal":
+            from imumon.view.terminal import TerminalView
+
+            self.terminal = TerminalView(setup)
+        elif mode != "none":
             from imumon.view.publisher import ViewPublisher
 
             self._live = ViewPublisher(mode, setup, bind=bind).start()
@@ -105,6 +121,8 @@ class _Views:
         self.publish: list[Callable[[ViewItem], None]] = [self._recorder.publish]
         if self._live is not None:
             self.publish.append(self._live.publish)
+        if self.terminal is not None:
+            self.publish.append(self.terminal.publish)
         self._announced = ""
 
     @property
@@ -131,15 +149,20 @@ class _Views:
         self._recorder.close()
 
 
+SCREEN_S = 1.0
+"""At 9600 baud a line takes 0.1 s; some ten change."""
 CLEAR_LINE = "\r\x1b[2K"
 
 
 def _watch(live: PortRun, views: _Views) -> None:
     """Wait for the end, with a status line on a terminal that can show one."""
-    interactive = sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
+    interactive = _is_terminal()
     clear = CLEAR_LINE if interactive else ""
     run, lines, stopped = live.run, live.lines, False
     views.announce(lines.put)
+    if views.terminal is not None:
+        _watch_in_terminal(live, views.terminal)
+        return
     while live.ending.wait():
         views.announce(lines.put)
         if not run.processing and not stopped:
@@ -149,6 +172,27 @@ def _watch(live: PortRun, views: _Views) -> None:
         if interactive:
             note(f"{clear}{status_line(run.progress, views.state)}", newline=False)
     note(clear, newline=False)
+
+
+def _watch_in_terminal(live: PortRun, view: TerminalView) -> None:
+    """Draw the screen once a second, until the end; log lines are on it."""
+    from imumon.view.terminal import Screen
+
+    screen = Screen(lambda text: note(text, newline=False))
+    drawn = -math.inf
+    try:
+        while live.ending.wait():
+            if time.monotonic() - drawn < SCREEN_S:
+                continue
+            drawn = time.monotonic()
+            columns, rows = os.get_terminal_size(sys.stderr.fileno())
+            screen.show(view.lines(columns, rows, status_line(live.run.progress, "")), columns, rows)
+    finally:
+        screen.close()
+
+
+def _is_terminal() -> bool:
+    return sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
 
 
 def status_line(progress: Progress, view: str) -> str:

@@ -1,0 +1,180 @@
+"""The view in a terminal: present values, the last minute of them, states and the log."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from datetime import datetime
+from textwrap import wrap
+
+import numpy as np
+
+from imumon.view.cards import AXES, Cards, Reading, cell
+from imumon.view.items import Log, Numbers, Samples, State, ViewItem, ViewSetup, merge
+from imumon.view.lanes import NAMES
+from imumon.view.layout import Rows
+from imumon.view.panels import PANELS
+from imumon.view.queue import DropOldestQueue
+
+QUEUE_BYTES = 4 << 20
+HISTORY = 60
+"""Values that a sparkline is made of: one each time the screen is drawn."""
+LOG_LINES = 100
+BARS = "▁▂▃▄▅▆▇█"
+NAME, CELL, UNIT, SPARK = 18, 15, 5, 10
+"""Columns of text that the parts of a row take."""
+WIDE = 120
+"""From so many columns on every axis has its sparkline."""
+
+
+class TerminalView:
+    """Gathers view items and tells what a screen of some size shows of them.
+
+    `publish` may be called from any thread and returns at once; `lines` from one thread.
+
+    Parameters
+    ----------
+    setup : ViewSetup
+        Title and units.
+    """
+
+    def __init__(self, setup: ViewSetup) -> None:
+        self._setup = setup
+        self._queue = DropOldestQueue(QUEUE_BYTES)
+        self._cards = Cards()
+        self._readings: dict[str, Sequence[Reading]] = {}
+        self._past: dict[str, deque[float]] = {}
+        self._lanes: dict[str, str] = {}
+        self._log: deque[str] = deque(maxlen=LOG_LINES)
+
+    @property
+    def publish(self) -> Callable[[ViewItem], None]:
+        """Where view items go."""
+        return self._queue.put
+
+    def lines(self, columns: int, rows: int, status: str) -> list[str]:
+        """Return the text of a screen, at most so many rows, each at most so many columns wide."""
+        self._take()
+        now = self._cards.take()
+        for name, value in now.items():
+            self._past.setdefault(name, deque(maxlen=HISTORY)).append(value)
+        found = [f"{self._setup.title}  {status}", *wrap(self._states(), columns), ""]
+        found += [line for readings in self._readings.values() for line in self._rows(readings, now, columns)]
+        room = rows - len(found) - 1
+        if room > 0:
+            log = [part for line in self._log for part in wrap(line, columns, subsequent_indent="  ")]
+            found += ["", *log[-room:]]
+        return [line[:columns] for line in found[:rows]]
+
+    def _take(self) -> None:
+        for item in merge(self._queue.take(0.0, 0.0)):
+            if isinstance(item, Samples):
+                self._gather(Rows(item.block.columns, None, None, None))
+            elif isinstance(item, Numbers):
+                columns = {name: np.array([value]) for name, value in item.values.items()}
+                self._gather(Rows(columns, None, None, None))
+            elif isinstance(item, State):
+                self._lanes[item.lane] = item.state
+            elif isinstance(item, Log):
+                self._log.append(_logged(item))
+
+    def _gather(self, rows: Rows) -> None:
+        for panel in PANELS:
+            readings = panel.readings(self._setup)
+            if not readings or not rows.columns.keys() >= set(panel.columns):
+                continue
+            if panel.key not in self._readings and all(
+                np.isfinite(rows.columns[name]).any() for name in panel.columns
+            ):
+                self._readings[panel.key] = readings
+            self._cards.add(readings, rows.columns)
+
+    def _states(self) -> str:
+        order = {name: at for at, name in enumerate(NAMES)}
+        lanes = sorted(self._lanes.items(), key=lambda item: order.get(item[0], len(order)))
+        return "  ".join(f"{NAMES.get(lane, lane)} {state}" for lane, state in lanes)
+
+    def _rows(self, readings: Sequence[Reading], now: Mapping[str, float], columns: int) -> list[str]:
+        """Return the rows of one panel: three axes beside each other, other values below each other."""
+        if [one.name for one in readings] == AXES:
+            cells = "".join(f"{cell(one, now):>{CELL}}" for one in readings)
+            shown = readings if columns >= WIDE else [self._liveliest(readings)]
+            sparks = "  ".join(f"{one.name} {self._spark(one)}" for one in shown)
+            return [f"{readings[0].row:{NAME}}{cells} {readings[0].unit:{UNIT}} {sparks}"]
+        return [
+            f"{_label(one, readings):{NAME}}{cell(one, now):>{CELL}} {one.unit:{UNIT}} {self._spark(one)}"
+            for one in readings
+        ]
+
+    def _liveliest(self, readings: Sequence[Reading]) -> Reading:
+        """Return the axis that changes most."""
+
+        def spread(reading: Reading) -> float:
+            known = [value for value in self._past.get(reading.column, ()) if math.isfinite(value)]
+            return max(known) - min(known) if known else -1.0
+
+        return max(readings, key=spread)
+
+    def _spark(self, reading: Reading) -> str:
+        return sparkline(list(self._past.get(reading.column, ()))[-SPARK:])
+
+
+def sparkline(values: Sequence[float]) -> str:
+    """Return values as bars from the lowest to the highest; a blank where there is none."""
+    known = [value for value in values if math.isfinite(value)]
+    if not known:
+        return " " * len(values)
+    low, span = min(known), max(known) - min(known)
+    steps = [(value - low) / (span or 1.0) for value in values]
+    return "".join(BARS[round(step * (len(BARS) - 1))] if math.isfinite(step) else " " for step in steps)
+
+
+def _label(reading: Reading, readings: Sequence[Reading]) -> str:
+    return reading.row if len(readings) == 1 else f"{reading.row} {reading.name}"
+
+
+def _logged(line: Log) -> str:
+    clock = ""
+    if line.at.host_ns is not None and 0 <= line.at.host_ns < 2**62:
+        clock = datetime.fromtimestamp(line.at.host_ns * 1e-9).astimezone().strftime("%H:%M:%S ")
+    return f"{clock}{line.level + ' ' if line.level not in ('INFO', 'DEBUG') else ''}{line.text}"
+
+
+class Screen:
+    """Writes lines to a terminal, only those that changed: it stays usable at 9600 baud.
+
+    Parameters
+    ----------
+    write : callable
+        Takes text for the terminal.
+    """
+
+    def __init__(self, write: Callable[[str], None]) -> None:
+        self._write = write
+        self._shown: list[str] = []
+        self._size = (0, 0)
+        write("\x1b[?1049h\x1b[?25l\x1b[2J")  # a screen of its own, without a cursor
+
+    def show(self, lines: Sequence[str], columns: int, rows: int) -> None:
+        """Write what has changed since the last time; all of it when the terminal has another size."""
+        if (columns, rows) != self._size:
+            self._size, self._shown = (columns, rows), []
+            self._write("\x1b[2J")
+        parts = []
+        for row in range(max(len(lines), len(self._shown))):
+            line = harmless(lines[row]) if row < len(lines) else ""
+            if row >= len(self._shown) or line != self._shown[row]:
+                parts.append(f"\x1b[{row + 1};1H{line}\x1b[K")
+        self._shown = [harmless(line) for line in lines]
+        if parts:
+            self._write("".join(parts))
+
+    def close(self) -> None:
+        """Give the terminal back as it was."""
+        self._write("\x1b[?25h\x1b[?1049l")
+
+
+def harmless(text: str) -> str:
+    """Return a text without characters that a terminal obeys."""
+    return "".join(letter if letter.isprintable() else "�" for letter in text)

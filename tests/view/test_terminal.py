@@ -1,0 +1,155 @@
+"""The view in a terminal: what stands on a screen, and a real run in real terminals of two sizes."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import pty
+import re
+import struct
+import subprocess
+import termios
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imumon.protocols.device import load_device
+from imumon.simulation.virtual_device import VirtualDevice
+from imumon.view.items import Instant, Log, State, Timebase, ViewSetup
+from imumon.view.terminal import Screen, TerminalView, sparkline
+from tests.cli.command import IMUMON
+from tests.view.streams import block
+
+SETUP = ViewSetup("bench", "bench")
+CONTROL = re.compile(r"\x1b\[(\??)([\d;]*)([A-Za-z])")
+
+
+class Glass:
+    """A terminal that understands what `Screen` sends, and nothing else."""
+
+    def __init__(self, columns: int, rows: int) -> None:
+        self.lines = [" " * columns for _ in range(rows)]
+        self.columns, self.written = columns, 0
+        self._row = self._column = 0
+
+    def feed(self, text: str) -> None:
+        self.written += len(text)
+        at = 0
+        for control in CONTROL.finditer(text):
+            self._put(text[at : control.start()])
+            at = control.end()
+            _, given, what = control.groups()
+            if what == "H":
+                self._row, self._column = (int(part) - 1 for part in given.split(";"))
+            elif what == "J":
+                self.lines = [" " * self.columns for _ in self.lines]
+            elif what == "K":
+                self.lines[self._row] = self.lines[self._row][: self._column].ljust(self.columns)
+            else:
+                assert what in "hlm"
+        self._put(text[at:])
+
+    def _put(self, text: str) -> None:
+        if text:
+            line = self.lines[self._row]
+            end = self._column + len(text)
+            assert end <= self.columns, text
+            self.lines[self._row] = line[: self._column] + text + line[end:]
+            self._column = end
+
+
+@pytest.mark.parametrize(("columns", "rows"), [(80, 24), (200, 60), (20, 5), (1, 1)])
+def test_whatever_the_size_the_screen_shows_what_the_lines_say(columns: int, rows: int) -> None:
+    view, timebase = TerminalView(SETUP), Timebase()
+    glass = Glass(columns, rows)
+    screen = Screen(glass.feed)
+    for second in range(5):
+        view.publish(timebase.samples(block(100 * second, 100)))
+        view.publish(State(Instant(None, None, None), "port", "open"))
+        view.publish(Log(Instant(None, None, None), f"line {second} \x1b[2J of a device", "WARN"))
+        lines = view.lines(columns, rows, "open")
+        screen.show(lines, columns, rows)
+        assert len(lines) <= rows
+        for shown, line in zip(glass.lines, lines, strict=False):
+            assert shown.rstrip() == line.replace("\x1b", "�").rstrip()
+    if columns >= 80:
+        text = "\n".join(glass.lines)
+        assert "Port open" in text
+        assert "angular rate" in text
+        assert "WARN line 4" in text
+
+
+def test_only_what_changed_is_written_again() -> None:
+    glass = Glass(80, 24)
+    screen = Screen(glass.feed)
+    lines = [f"line {number}" for number in range(20)]
+    screen.show(lines, 80, 24)
+    before = glass.written
+    screen.show(lines, 80, 24)
+    assert glass.written == before
+    screen.show([*lines[:7], "changed", *lines[8:15]], 80, 24)
+    assert glass.written - before < 120
+    assert glass.lines[7].rstrip() == "changed"
+    assert glass.lines[17].strip() == ""
+
+
+def test_a_sparkline_goes_from_the_lowest_to_the_highest() -> None:
+    assert sparkline([0.0, 1.0, 2.0, 7.0]) == "▁▂▃█"
+    assert sparkline([np.nan, 1.0, 1.0]) == " ▁▁"
+    assert sparkline([]) == ""
+    assert sparkline([np.nan]) == " "
+
+
+def _in_terminal(arguments: list[str], columns: int, rows: int, cwd: Path) -> tuple[int, str]:
+    """Run a command in a terminal of this size; return its exit code and what it wrote there."""
+    ours, theirs = pty.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", rows, columns, 0, 0))
+    environment = os.environ | {"TERM": "xterm"}
+    process = subprocess.Popen(
+        [IMUMON, *arguments], stdin=theirs, stdout=theirs, stderr=theirs, cwd=cwd, env=environment
+    )
+    os.close(theirs)
+    os.set_blocking(ours, False)
+    parts: list[bytes] = []
+    end = time.monotonic() + 60
+    while time.monotonic() < end:
+        try:
+            part = os.read(ours, 65536)
+        except BlockingIOError:
+            part = b""
+        except OSError:  # the other side is closed
+            break
+        parts.append(part)
+        if not part:
+            if process.poll() is not None:
+                break
+            time.sleep(0.05)
+    os.close(ours)
+    return process.wait(10), b"".join(parts).decode()
+
+
+@pytest.mark.parametrize(("columns", "rows"), [(80, 24), (200, 60)])
+def test_a_live_run_in_a_real_terminal(tmp_path: Path, columns: int, rows: int) -> None:
+    with VirtualDevice(load_device("ax1"), tmp_path / "ahrs") as ahrs:
+        arguments = ["monitor", ahrs.port.path, "--device", "ax1", "--view", "terminal", "--seconds", "5"]
+        code, text = _in_terminal(arguments, columns, rows, tmp_path)
+    assert code == 0, text
+    own = text[text.index("\x1b[?1049h") : text.index("\x1b[?1049l")]
+    glass = Glass(columns, rows)
+    glass.feed(own)
+    shown = "\n".join(glass.lines)
+    for part in ("Port open", "angular rate", "specific force", "temperature", "°/s", "packets"):
+        assert part in shown, shown
+    assert "recorded" in text[text.index("\x1b[?1049l") :]
+
+
+def test_without_a_terminal_it_says_so_and_records_nothing(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [IMUMON, "monitor", "/dev/null", "--device", "ax1", "--view", "terminal"],
+        capture_output=True, text=True, cwd=tmp_path, check=False,
+    )  # fmt: skip
+    assert done.returncode == 2
+    assert "no terminal" in done.stderr
+    assert not list(tmp_path.iterdir())
