@@ -78,8 +78,9 @@ class Attitude:
     def log(self, rec: rr.RecordingStream, rows: Rows) -> None:
         """Log the exact values, and turn the body."""
         values = rows.matrix(self.columns)
-        exact = rr.Scalars.columns(scalars=values)
-        rec.send_columns(f"/samples/{self.key}", indexes=rows.indexes, columns=exact)
+        if not rows.step_ns:
+            exact = rr.Scalars.columns(scalars=values)
+            rec.send_columns(f"/samples/{self.key}", indexes=rows.indexes, columns=exact)
         keep: Any = np.isfinite(values).all(axis=1) & rows.thinned(STEP_NS)
         if keep.any():
             turned = rr.Transform3D.columns(quaternion=xyzw(values[keep]))

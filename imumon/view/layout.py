@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import Any, Literal, Protocol
 
 import numpy as np
@@ -46,12 +47,17 @@ def tab_of(place: str) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Rows of columns with their times; a timeline that the rows do not have is None."""
+    """Rows of columns with their times; a timeline that the rows do not have is None.
+
+    With `step_ns` they are for a recording, which is a picture (the wire has every byte): of each step
+    of time only the extremes are drawn, so that spikes stay, and in one unit.
+    """
 
     columns: Mapping[str, ColumnArray]
     sample: IntArray | None
     device_ns: IntArray | None
     host_ns: IntArray | None
+    step_ns: int = 0
 
     @cached_property
     def indexes(self) -> list[rr.TimeColumn]:
@@ -73,14 +79,28 @@ class Rows:
     def kept(self, keep: npt.NDArray[np.bool_] | IntArray) -> Rows:
         """Return the times of the rows to keep, without their columns."""
         times = (self.sample, self.device_ns, self.host_ns)
-        return Rows({}, *[None if values is None else values[keep] for values in times])
+        sample, device_ns, host_ns = (None if values is None else values[keep] for values in times)
+        return Rows({}, sample, device_ns, host_ns)
+
+    def extremes(self, values: FloatArray) -> npt.NDArray[np.bool_]:
+        """Return which rows have the least or greatest value of a line in its step, or begin one, (n,)."""
+        clock = self.clock
+        if not self.step_ns or clock is None:
+            return np.ones(len(values), np.bool_)
+        keep = self.thinned(self.step_ns)
+        starts = np.flatnonzero(keep).tolist()
+        for start, stop in pairwise([*starts, len(values)]):
+            part = values[start:stop]
+            keep[start + np.argmin(np.nan_to_num(part, nan=np.inf), axis=0)] = True
+            keep[start + np.argmax(np.nan_to_num(part, nan=-np.inf), axis=0)] = True
+        return keep
 
     def thinned(self, step_ns: int) -> npt.NDArray[np.bool_]:
         """Return which rows are the first in a step of time, shape (n,): all when there is no clock."""
         clock = self.clock
         if clock is None:
             return np.ones(len(next(iter(self.columns.values()))), np.bool_)
-        step = clock // step_ns
+        step = clock // max(step_ns, self.step_ns)
         return np.asarray(np.diff(step, prepend=step[:1] - 1) != 0)
 
     def matrix(self, names: Sequence[str]) -> FloatArray:
@@ -249,12 +269,13 @@ class Strip:
     def log(self, rec: rr.RecordingStream, rows: Rows) -> None:
         """Log the exact values, and those in the unit that is drawn."""
         values = rows.matrix(self.columns)
-        if self.look == "points":
-            kept: Any = np.isfinite(values).any(axis=1)
-            if not kept.any():
-                return
-            values, rows = values[kept], rows.kept(kept)
-        rec.send_columns(self.exact, indexes=rows.indexes, columns=rr.Scalars.columns(scalars=values))
+        both = self.unit is not None and not rows.step_ns
+        kept: Any = np.isfinite(values).any(axis=1) if self.look == "points" else rows.extremes(values)
+        if not kept.any():
+            return
+        values, rows = values[kept], rows.kept(kept)
+        if both or self.unit is None:
+            rec.send_columns(self.exact, indexes=rows.indexes, columns=rr.Scalars.columns(scalars=values))
         if self.unit is not None:
             scaled = rr.Scalars.columns(scalars=values * self._factor)
             rec.send_columns(self.drawn, indexes=rows.indexes, columns=scaled)
@@ -293,8 +314,9 @@ class Bands(Strip):
     def log(self, rec: rr.RecordingStream, rows: Rows) -> None:
         """Log some of the exact values, and the bands, five times a second."""
         due = rows.thinned(BAND_STEP_NS)
-        scalars = rr.Scalars.columns(scalars=rows.matrix(self.columns)[due])
-        rec.send_columns(self.exact, indexes=rows.kept(due).indexes, columns=scalars)
+        if not rows.step_ns:
+            scalars = rr.Scalars.columns(scalars=rows.matrix(self.columns)[due])
+            rec.send_columns(self.exact, indexes=rows.kept(due).indexes, columns=scalars)
         for line in self.lines:
             value = self._factor * rows.columns[line.column]
             sd = np.zeros_like(value) if line.sd is None else self._factor * rows.columns[line.sd]

@@ -37,6 +37,8 @@ APPLICATION_ID = "imumon"
 ELSEWHERE = {"device_time_ns", "host_time_ns", "arrival_time_ns", "device_ticks"}
 """Integer columns that are a timeline, or of the transport: the wire recording has them."""
 
+RECORDED_STEP_NS = 500_000_000
+"""Of so much time a recording of the view keeps the extremes."""
 LIVE_PICTURE_S, RECORDED_PICTURE_S = 5.0, 60.0
 """A chart is drawn so often, and as it is at the end."""
 EARLY_EVENTS = 1000
@@ -117,7 +119,8 @@ class StreamLogger:
 
     def _log_samples(self, item: Samples) -> None:
         count = None if item.first is None else np.arange(item.first, item.first + item.rows, dtype=np.int64)
-        rows = Rows(item.block.columns, count, item.device_ns, item.host_ns)
+        step_ns = 0 if self._live else RECORDED_STEP_NS
+        rows = Rows(item.block.columns, count, item.device_ns, item.host_ns, step_ns)
         if item.device_ns is not None:
             self._timeline = "device_time"
         elif item.host_ns is None and self._timeline == "host_time":
@@ -154,6 +157,9 @@ class StreamLogger:
         if device is not None and not (rows.device_ns is not None and np.array_equal(device, rows.device_ns)):
             integers["device_time_ns"] = device
         if integers:
+            if rows.step_ns:
+                due = rows.thinned(rows.step_ns)
+                integers, rows = {name: values[due] for name, values in integers.items()}, rows.kept(due)
             entity = f"{INTEGERS}/{stream}" if stream else INTEGERS
             self._rec.send_columns(
                 entity, indexes=rows.indexes, columns=rr.AnyValues.columns(True, **integers)
@@ -165,9 +171,9 @@ class StreamLogger:
                 return
             self._others.add(name)
             self._declare_other(name)
-        self._rec.send_columns(
-            f"{OTHER}/{name}", indexes=rows.indexes, columns=rr.Scalars.columns(scalars=values)
-        )
+        kept = rows.extremes(np.asarray(values, np.float64)[:, np.newaxis])
+        scalars = rr.Scalars.columns(scalars=values[kept])
+        self._rec.send_columns(f"{OTHER}/{name}", indexes=rows.kept(kept).indexes, columns=scalars)
 
     def _log_early_events(self, first: Samples) -> None:
         """Show the events before the first sample on the timelines that begin with it."""
@@ -175,7 +181,7 @@ class StreamLogger:
             device = None if first.device_ns is None else int(first.device_ns[0])
             if device is not None and first.host_ns is not None and event.at.host_ns is not None:
                 device -= max(0, int(first.host_ns[0]) - event.at.host_ns)
-            self._log_event(event, Rows({}, *map(_one, (first.first, device, None))))
+            self._log_event(event, Rows({}, _one(first.first), _one(device), None))
         self._early.clear()
 
     def _log_event(self, event: Event, rows: Rows | None = None) -> None:

@@ -18,7 +18,7 @@ from imumon.view.logger import APPLICATION_ID, StreamLogger
 from imumon.view.queue import DropOldestQueue
 from imumon.view.viewer import start_quietly, viewer_binary
 
-BATCH_S = 2.0
+BATCH_S = 10.0
 """Items of this long become one chunk per panel.  A chunk costs about 1.4 kB beside its rows."""
 SEGMENT_S = 1800.0
 QUEUE_BYTES = 64 << 20

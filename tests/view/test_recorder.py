@@ -17,7 +17,7 @@ from imumon.errors import ImumonError, Reason
 from imumon.view.items import Status, Timebase, ViewSetup
 from imumon.view.recorder import ViewRecorder
 from imumon.view.viewer import quiet_environment, viewer_binary
-from tests.view.streams import GYRO, RATE_HZ, Stream, block, entities, record_batches, scalars
+from tests.view.streams import ACCEL, RATE_HZ, Stream, block, entities, record_batches, scalars
 
 SETUP = ViewSetup("test", "recording-1", properties={"device": "synthetic"})
 
@@ -30,7 +30,23 @@ def rerun(*arguments: str) -> None:
     assert done.returncode == 0, done.stderr.decode()
 
 
-def test_samples_come_back_bit_for_bit(tmp_path: Path) -> None:
+def check_extremes(files: list[Path], stream: Stream) -> None:
+    """Of every half second the least and greatest value of each axis must be there, exact, at their times."""
+    sample, device, host, accel = scalars(files, "/samples/accel")
+    sent = stream.column(ACCEL)
+    np.testing.assert_array_equal(accel, sent[sample])
+    times = block(0, stream.sent)
+    np.testing.assert_array_equal(device, times["device_time_ns"][sample])
+    np.testing.assert_array_equal(host, times["host_time_ns"][sample])
+    step = times["device_time_ns"] // 500_000_000
+    for number in np.unique(step):
+        inside = sent[step == number]
+        kept = accel[step[sample] == number]
+        np.testing.assert_array_equal(kept.min(axis=0), inside.min(axis=0))
+        np.testing.assert_array_equal(kept.max(axis=0), inside.max(axis=0))
+
+
+def test_spikes_come_back_bit_for_bit_in_a_fraction_of_the_rows(tmp_path: Path) -> None:
     recorder = ViewRecorder(tmp_path / "view.rrd", SETUP)
     stream = Stream(recorder.publish)
     for _ in range(20):
@@ -38,11 +54,8 @@ def test_samples_come_back_bit_for_bit(tmp_path: Path) -> None:
     recorder.close()
     assert recorder.files == [tmp_path / "view.rrd"]
     assert recorder.dropped == 0
-    sample, device, host, gyro = scalars(recorder.files, "/samples/gyro")
-    np.testing.assert_array_equal(sample, np.arange(500))
-    np.testing.assert_array_equal(device, block(0, 500)["device_time_ns"])
-    np.testing.assert_array_equal(host, block(0, 500)["host_time_ns"])
-    np.testing.assert_array_equal(gyro, stream.column(GYRO))
+    check_extremes(recorder.files, stream)
+    assert len(scalars(recorder.files, "/samples/accel")[0]) <= 10 * 7
     rerun("rrd", "verify", str(tmp_path / "view.rrd"))
 
 
@@ -54,12 +67,12 @@ def test_segments_open_as_one_and_each_alone(tmp_path: Path) -> None:
     recorder.close()
     names = ["view.rrd", "view.0001.rrd", "view.0002.rrd", "view.0003.rrd"]
     assert [path.name for path in recorder.files] == names
-    np.testing.assert_array_equal(scalars(recorder.files, "/samples/gyro")[0], np.arange(3500))
+    check_extremes(recorder.files, stream)
     whole = tmp_path / "whole.rrd"
     rerun("rrd", "merge", *map(str, recorder.files), "-o", str(whole))
     (store,) = RrdReader(str(whole)).recordings()
     assert (store.application_id, store.recording_id) == ("imumon", "recording-1")
-    np.testing.assert_array_equal(scalars([whole], "/samples/gyro")[3], stream.column(GYRO))
+    check_extremes([whole], stream)
     for path in recorder.files:
         rerun("rrd", "verify", str(path))
         assert {"/1-Port", "/status", "/attitude/body/housing"} <= entities(path)
@@ -75,8 +88,9 @@ def test_segments_end_where_the_data_says_however_it_was_queued(tmp_path: Path) 
         while stream.sent < 1300:
             stream.send(min(n, 1300 - stream.sent))
         recorder.close()
-        rows = [len(scalars([path], "/samples/gyro")[0]) for path in recorder.files]
-        assert rows == [500, 500, 300]
+        ends = [scalars([path], "/samples/accel")[0][[0, -1]] // 500 for path in recorder.files]
+        np.testing.assert_array_equal(ends, [[0, 0], [1, 1], [2, 2]])
+        check_extremes(recorder.files, stream)
 
 
 def test_segments_cost_no_threads(tmp_path: Path) -> None:
@@ -115,7 +129,7 @@ def test_killed_process_leaves_a_readable_file(tmp_path: Path) -> None:
         path = Path(sys.argv[1])
         recorder = ViewRecorder(path, ViewSetup("test", "killed"))
         stream = Stream(recorder.publish)
-        for _ in range(10):
+        for _ in range(40):
             stream.send(50)
         size = path.stat().st_size
         while path.stat().st_size < size + 50_000:
@@ -128,8 +142,9 @@ def test_killed_process_leaves_a_readable_file(tmp_path: Path) -> None:
     assert done.returncode == -signal.SIGKILL
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # rerun says that the footer is missing, as it must be
-        sample, *_ = scalars([path], "/samples/gyro")
-    np.testing.assert_array_equal(sample, np.arange(500))
+        sample, *_ = scalars([path], "/samples/accel")
+    assert sample[0] == 0
+    assert sample[-1] >= 1900
 
 
 def test_existing_recording_is_not_overwritten(tmp_path: Path) -> None:
@@ -156,8 +171,8 @@ def test_full_disk_is_reported_and_what_is_missing_counted(tmp_path: Path) -> No
         resource.setrlimit(resource.RLIMIT_FSIZE, (500_000, 500_000))
         recorder = ViewRecorder(Path(sys.argv[1]), ViewSetup("test", "full"))
         stream = Stream(recorder.publish)
-        stream.send(20_000)
         while not recorder.error:
+            stream.send(20_000)
             time.sleep(0.02)
         before = recorder.dropped
         stream.send(500)
@@ -185,10 +200,10 @@ def test_finished_segments_are_compacted_and_hold_the_same(
         time.sleep(0.01)
     first = tmp_path / "view.rrd"
     deadline = time.monotonic() + 20
-    while (chunks := len(list(record_batches(first, "/samples/gyro")))) > 2 and time.monotonic() < deadline:
+    while (chunks := len(list(record_batches(first, "/samples/accel")))) > 2 and time.monotonic() < deadline:
         time.sleep(0.05)
     assert chunks <= 2  # of about 50 that were written
     recorder.close()
-    np.testing.assert_array_equal(scalars(recorder.files, "/samples/gyro")[3], stream.column(GYRO))
+    check_extremes(recorder.files, stream)
     assert RrdReader(str(first)).blueprints()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["view.0001.rrd", "view.rrd"]
