@@ -17,13 +17,12 @@ from imumon.blocks import IntArray
 from imumon.columns import KNOWN, Column
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.base import Timing
-from imumon.protocols.checksums import CRCS, checksum, make_checksum
+from imumon.protocols.checksums import CRCS
 from imumon.protocols.device import DeviceFile
-from imumon.protocols.frame_checks import CyclicCheck, gathered
-from imumon.protocols.framing import BoolArray, Found, Frame, counted_length
+from imumon.protocols.frame_checks import CyclicCheck, rearranged
+from imumon.protocols.framing import Found, Frame, counted_length
 from imumon.protocols.messages import Message, Part, TableDecoder, TableEncoder, part, whole
 from imumon.protocols.numbers import NUMBER_TYPES
-from imumon.protocols.stream import ByteArray
 from imumon.protocols.tagged_columns import count, known, number, vector
 
 SYNC = b"\x5a\xa5"
@@ -112,34 +111,23 @@ def of_bits(bits: int) -> Message:
     return Message(f"imu83:{bits:#x}", at, tuple(parts))
 
 
-_CRC = CyclicCheck(CRCS["crc16-xmodem"])
-_XMODEM = make_checksum("crc16-xmodem")
-
-
-def _right(held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
-    """Check the CRC, which stands in the header: as if it stood behind the payload."""
-    if not len(at):
-        return np.zeros(0, np.bool_)
-    data, begins = gathered(held, at, at + length)
-    place = np.arange(len(data)) - np.repeat(begins, length)
-    behind = np.where(place < np.repeat(length, length) - 2, place + 2, place - np.repeat(length, length) + 6)
-    moved = data[np.repeat(begins, length) + np.where(place < 4, place, behind)]
-    return _CRC(moved, begins, length)
+_XMODEM = CyclicCheck(CRCS["crc16-xmodem"])
+_RIGHT = rearranged(_XMODEM, lambda size: [*range(4), *range(HEADER, size), 4, 5])
+"""The CRC stands in the header: as if it stood behind the payload."""
 
 
 def _wrapped(key: int, payload: bytes) -> bytes:
     first = bytes([key]) if key < 0x100 else bytes([OF_BITS, 0, 0, 0]) + (key >> 8).to_bytes(4, "little")
     payload = first + payload[len(first) :]
     head = SYNC + len(payload).to_bytes(2, "little")
-    body = np.frombuffer(head + payload, np.uint8)
-    return head + int(checksum(_XMODEM, body, 0, len(body))).to_bytes(2, "little") + payload
+    return head + _XMODEM.sealed(head + payload)[-2:] + payload
 
 
 class HipnucDecoder(TableDecoder):
     """Decodes the first packet of each frame: devices send one."""
 
     def __init__(self, rate_hz: float | None = None) -> None:
-        frame = Frame("HiPNUC", SYNC, counted_length(2, 2, HEADER, LONGEST), _right)
+        frame = Frame("HiPNUC", SYNC, counted_length(2, 2, HEADER, LONGEST), _RIGHT)
         timing = Timing(tick_ns=Fraction(1000), rate_hz=rate_hz)
         super().__init__([frame], PACKETS, timing, HEADER, HEADER)
 

@@ -78,12 +78,7 @@ DATA_SETS = {
 
 
 def _wrapped(key: int, payload: bytes) -> bytes:
-    body = SYNC + bytes([DATA, key]) + len(payload).to_bytes(2, "little") + payload
-    low = high = 0
-    for byte in body:
-        low = (low + byte) & 0xFF
-        high = (high + low) & 0xFF
-    return body + bytes([low, high])
+    return Fletcher().sealed(SYNC + bytes([DATA, key]) + len(payload).to_bytes(2, "little") + payload)
 
 
 class InertialSenseDecoder(TableDecoder):

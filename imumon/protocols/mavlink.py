@@ -18,10 +18,10 @@ from imumon.blocks import ColumnArray, IntArray
 from imumon.columns import KNOWN
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.base import MAIN, Timing
-from imumon.protocols.checksums import CRCS, checksum, make_checksum
+from imumon.protocols.checksums import CRCS
 from imumon.protocols.device import DeviceFile
-from imumon.protocols.frame_checks import CyclicCheck, gathered
-from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, BoolArray, Found, Frame, Lengths
+from imumon.protocols.frame_checks import CyclicCheck, sent
+from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, BoolArray, Check, Found, Frame, Lengths
 from imumon.protocols.messages import Message, TableDecoder, TableEncoder, part, whole
 from imumon.protocols.stream import ByteArray
 from imumon.protocols.tagged import Columns, Derived
@@ -86,34 +86,18 @@ MESSAGES = {
     0: Message("heartbeat", 9, (whole(0, "u32", "vehicle_mode", "mode of the vehicle"),), "vehicle", least=1),
 }  # fmt: skip
 """Messages by their number; the second and third sensors (116, 129) are only counted."""
-EXTRA = {
-    0: 50,
-    26: 170,
-    27: 144,
-    29: 115,
-    30: 39,
-    31: 246,
-    105: 93,
-    116: 76,
-    129: 46,
-    2: 137,
-    111: 34,
-    107: 108,
-}
+EXTRA = {0: 50, 2: 137, 26: 170, 27: 144, 29: 115, 30: 39, 31: 246, 105: 93, 107: 108, 111: 34, 116: 76,
+         129: 46}  # fmt: skip
 """Byte of each message that the checksum counts behind the last."""
+EXTRAS = np.full(256, -1)
+EXTRAS[list(EXTRA)] = [*EXTRA.values()]
 _CRC = CyclicCheck(CRCS["crc16-mcrf4xx"])
-_MCRF4XX = make_checksum("crc16-mcrf4xx")
+_BEFORE_EXTRA = CyclicCheck(CRCS["crc16-mcrf4xx"], zeros=1)
 
 
 def _number(held: ByteArray, at: IntArray, header: int) -> IntArray:
     """Return the number of each message."""
-    if header == HEADERS[FIRST]:
-        return held[at + 5].astype(np.int64)
-    return (
-        held[at + 7].astype(np.int64)
-        | held[at + 8].astype(np.int64) << 8
-        | held[at + 9].astype(np.int64) << 16
-    )
+    return sent(held, at + header, 1 if header == HEADERS[FIRST] else 3, big=False)
 
 
 def _lengths(header: int) -> Lengths:
@@ -121,37 +105,29 @@ def _lengths(header: int) -> Lengths:
         result = np.full(len(at), INCOMPLETE, np.int64)
         there = np.flatnonzero(at + header <= len(held))
         begin = at[there]
-        size = header + 2 + held[begin + 1].astype(np.int64)
+        number, size = _number(held, begin, header), header + 2 + held[begin + 1].astype(np.int64)
+        good = (number < len(EXTRAS)) & (EXTRAS[number % len(EXTRAS)] >= 0)
         if header == HEADERS[SECOND]:
             flags = held[begin + 2]
             size += SIGNATURE * (flags & SIGNED)
-            size[flags > SIGNED] = IMPOSSIBLE
-        result[there] = np.where(np.isin(_number(held, begin, header), list(EXTRA)), size, IMPOSSIBLE)
+            good &= flags <= SIGNED
+        result[there] = np.where(good, size, IMPOSSIBLE)
         return result
 
     return lengths
 
 
-def _unsigned(held: ByteArray, at: IntArray, length: IntArray, header: int) -> IntArray:
-    """Return the lengths without signatures."""
-    return length - SIGNATURE * (held[at + 2] & SIGNED) if header == HEADERS[SECOND] else length
+def _right(header: int) -> Check:
+    """Return the check of messages whose header has so many bytes."""
 
+    def right(held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
+        signature = SIGNATURE * (held[at + 2] & SIGNED) if header == HEADERS[SECOND] else 0
+        end, extra = at + length - signature, EXTRAS[_number(held, at, header)]
+        # The CRC is linear: that of a zero in the place of the extra byte, and what this adds.
+        crc = _BEFORE_EXTRA.values(held, at + 1, end - 2) ^ _BEFORE_EXTRA.of_last_byte[extra]
+        return np.asarray(crc == sent(held, end, 2, big=False))
 
-class _Right:
-    """Check of messages whose header has so many bytes."""
-
-    def __init__(self, header: int) -> None:
-        self._header = header
-
-    def __call__(self, held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
-        """Tell which messages are right; see `imumon.protocols.framing.Check`."""
-        if not len(at):
-            return np.zeros(0, np.bool_)
-        size = _unsigned(held, at, length, self._header)
-        data, begins = gathered(held, at + 1, at + size)
-        extra = np.array([EXTRA[k] for k in _number(held, at, self._header).tolist()], np.uint8)
-        widened = np.insert(data, begins + size - 3, extra)
-        return _CRC(widened, begins + np.arange(len(at)), size)
+    return right
 
 
 class MavlinkDecoder(TableDecoder):
@@ -159,7 +135,7 @@ class MavlinkDecoder(TableDecoder):
 
     def __init__(self, rate_hz: float | None = None) -> None:
         frames = [
-            Frame(f"MAVLink {k + 1}", sync, _lengths(header), _Right(header))
+            Frame(f"MAVLink {k + 1}", sync, _lengths(header), _right(header))
             for k, (sync, header) in enumerate(HEADERS.items())
         ]
         timing = Timing(tick_ns=Fraction(1000), rate_hz=rate_hz)
@@ -204,8 +180,7 @@ class MavlinkDecoder(TableDecoder):
 def _wrapped(key: int, payload: bytes) -> bytes:
     payload = payload.rstrip(b"\0") or b"\0"
     body = bytes([len(payload), 0, 0, 0, 1, 1]) + key.to_bytes(3, "little") + payload
-    covered = np.frombuffer(body + bytes([EXTRA[key]]), np.uint8)
-    return SECOND + body + int(checksum(_MCRF4XX, covered, 0, len(covered))).to_bytes(2, "little")
+    return SECOND + body + _CRC.sealed(body + bytes([EXTRA[key]]))[-2:]
 
 
 class MavlinkDevice(DeviceFile):

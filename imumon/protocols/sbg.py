@@ -15,7 +15,7 @@ import numpy as np
 from imumon.blocks import ColumnArray, IntArray
 from imumon.columns import KNOWN
 from imumon.protocols.base import Timing
-from imumon.protocols.checksums import CRCS, checksum, make_checksum
+from imumon.protocols.checksums import CRCS
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.frame_checks import CyclicCheck
 from imumon.protocols.framing import BoolArray, Found, Frame, counted_length
@@ -100,7 +100,6 @@ LOGS = {
 """Logs of class 0 by their identifier, those with the inertial sensors first."""
 
 _CRC = CyclicCheck(CRCS["crc16-kermit"], first=2)
-_KERMIT = make_checksum("crc16-kermit")
 
 
 def _right(held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
@@ -108,9 +107,7 @@ def _right(held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
 
 
 def _wrapped(key: int, payload: bytes) -> bytes:
-    body = np.frombuffer(bytes([key, 0]) + len(payload).to_bytes(2, "little") + payload, np.uint8)
-    crc = int(checksum(_KERMIT, body, 0, len(body)))
-    return SYNC + body.tobytes() + crc.to_bytes(2, "little") + bytes([END])
+    return _CRC.sealed(SYNC + bytes([key, 0]) + len(payload).to_bytes(2, "little") + payload) + bytes([END])
 
 
 class SbgDecoder(TableDecoder):

@@ -21,7 +21,7 @@ from imumon.blocks import IntArray
 from imumon.columns import KNOWN, Column
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.base import Timing
-from imumon.protocols.checksums import CRCS, checksum, make_checksum
+from imumon.protocols.checksums import CRCS
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.frame_checks import CyclicCheck
 from imumon.protocols.framing import Found, Frame, fixed_length
@@ -93,15 +93,11 @@ def datagrams(output: Output, accel_range_g: AccelRange, rate_hz: float | None) 
 ZEROS = {key: zeros for key, (_, zeros) in BLOCKS.items()} | dict(
     zip(WITH_PULSE.values(), PULSE_ZEROS, strict=True)
 )
-_CRC = CRCS["crc32-mpeg2"]
-_CHECKSUM = make_checksum("crc32-mpeg2")
+CHECKS = {key: CyclicCheck(CRCS["crc32-mpeg2"], big=True, zeros=zeros) for key, zeros in ZEROS.items()}
 
 
 def _wrapped(key: int, payload: bytes, line_end: bool) -> bytes:
-    body = bytes([key]) + payload[1:]
-    covered = np.frombuffer(body + bytes(ZEROS[key]), np.uint8)
-    crc = int(checksum(_CHECKSUM, covered, 0, len(covered))).to_bytes(CRC_SIZE, "big")
-    return body + crc + (b"\r\n" if line_end else b"")
+    return CHECKS[key].sealed(bytes([key]) + payload[1:]) + (b"\r\n" if line_end else b"")
 
 
 class StimDecoder(TableDecoder):
@@ -113,7 +109,7 @@ class StimDecoder(TableDecoder):
                 f"datagram {key:02X}",
                 bytes([key]),
                 fixed_length(message.size + CRC_SIZE),
-                CyclicCheck(_CRC, big=True, zeros=ZEROS[key]),
+                CHECKS[key],
                 b"\r\n",
             )
             for key, message in messages.items()

@@ -25,7 +25,7 @@ from imumon.errors import ImumonError, Reason
 from imumon.protocols.base import MAIN, Encoder, Timing
 from imumon.protocols.checksums import CRCS
 from imumon.protocols.device import DeviceFile
-from imumon.protocols.frame_checks import CyclicCheck
+from imumon.protocols.frame_checks import CyclicCheck, Xor
 from imumon.protocols.framing import (
     IMPOSSIBLE,
     INCOMPLETE,
@@ -382,6 +382,7 @@ SENTENCES: dict[str, tuple[Value, ...]] = {
 }
 """Numbers of each ASCII sentence."""
 LONGEST_SENTENCE = 512
+XMODEM = CyclicCheck(CRCS["crc16-xmodem"], first=1, big=True)
 
 
 def _sentence_lengths(held: ByteArray, at: IntArray) -> IntArray:
@@ -407,12 +408,9 @@ def _sentence(line: bytes) -> tuple[str, list[str]] | None:
     body, star, given = line.rstrip(b"\r\n").rpartition(b"*")
     if not star or len(given) not in (2, 4) or not body.isascii():
         return None
-    if len(given) == 2:
-        computed = int(np.bitwise_xor.reduce(np.frombuffer(body[1:], np.uint8)))
-    else:
-        computed = _crc(body[1:])
+    check = Xor(first=1) if len(given) == 2 else XMODEM
     try:
-        if int(given, 16) != computed:
+        if check.sealed(body) != body + bytes.fromhex(given.decode()):
             return None
     except ValueError:
         return None
@@ -424,16 +422,6 @@ def _sentence(line: bytes) -> tuple[str, list[str]] | None:
         if len(fields) != len(values) or any(_real(text) is None for text in fields):
             return None
     return name, fields
-
-
-def _crc(data: bytes) -> int:
-    register = 0
-    for byte in data:
-        register = ((register >> 8) | (register << 8)) & 0xFFFF ^ byte
-        register ^= (register & 0xFF) >> 4
-        register ^= (register << 12) & 0xFFFF
-        register ^= (register & 0xFF) << 5
-    return register & 0xFFFF
 
 
 def _real(text: str) -> float | None:
@@ -466,7 +454,6 @@ class SentenceLayout:
 
 
 BINARY, SPLIT, SENTENCE = range(3)
-_XMODEM = CyclicCheck(CRCS["crc16-xmodem"], first=1, big=True)
 
 
 def _split_lengths(held: ByteArray, at: IntArray) -> IntArray:
@@ -484,8 +471,8 @@ class VectorNavDecoder(LayoutDecoder):
 
     def __init__(self, rate_hz: float | None = None) -> None:
         frames = (
-            Frame("binary", b"\xfa", _lengths, _XMODEM),
-            Frame("split", b"\xfb", _split_lengths, _XMODEM),
+            Frame("binary", b"\xfa", _lengths, XMODEM),
+            Frame("split", b"\xfb", _split_lengths, XMODEM),
             Frame("ascii", b"$VN", _sentence_lengths, _sentences_right),
         )
         timing = Timing(tick_ns=Fraction(1), rate_hz=rate_hz)
@@ -644,7 +631,7 @@ class VectorNavEncoder(Encoder):
         """Return one packet per row; see `imumon.protocols.base.Encoder`."""
         payload = written(self._values, block, "binary output")
         bodies = [self._header + row.tobytes() for row in payload]
-        return [body + _crc(body[1:]).to_bytes(2, "big") for body in bodies]
+        return [XMODEM.sealed(body) for body in bodies]
 
 
 def _names(item: Item) -> set[str]:

@@ -220,7 +220,7 @@ class WitMotionEncoder(Encoder):
             padded = np.zeros((len(block), PAYLOAD), np.uint8)
             padded[:, : payload.shape[1]] = payload
             frames.append([bytes([0x55, kind]) + row.tobytes() for row in padded])
-        return [b"".join(one + bytes([sum(one) & 0xFF]) for one in row) for row in zip(*frames, strict=True)]
+        return [b"".join(map(Sum().sealed, row)) for row in zip(*frames, strict=True)]
 
 
 class WitMotionDevice(DeviceFile):

@@ -9,8 +9,8 @@ import numpy as np
 from imumon.blocks import ColumnArray, SampleBlock
 from imumon.errors import ImumonError, Reason
 from imumon.protocols.base import Encoder
-from imumon.protocols.checksums import checksum, make_checksum
 from imumon.protocols.fixed.description import Packet, PlacedColumn
+from imumon.protocols.frame_checks import trailing
 from imumon.protocols.numbers import NUMBER_TYPES
 from imumon.protocols.stream import ByteArray
 
@@ -33,7 +33,6 @@ class PacketEncoder:
     def __init__(self, packet: Packet) -> None:
         self._packet = packet
         self._placed = packet.placed()
-        self._checksum = make_checksum(packet.checksum.type)
 
     def encode(self, block: SampleBlock) -> list[bytes]:
         """Return one packet per row; columns that the block lacks are sent as zero.
@@ -57,7 +56,7 @@ class PacketEncoder:
                     chosen = block[item.when.column] % item.when.modulo == item.when.equals
                     bits = np.where(chosen, bits, np.uint64(0))
                 self._put(packets, item.at, item.type, "big" if item.big else "little", bits)
-        if self._checksum.width:
+        if self._packet.checksum.type != "none":
             self._seal(packets)
         tail = bytes(self._packet.tail)
         return [row.tobytes() + tail for row in packets]
@@ -71,11 +70,12 @@ class PacketEncoder:
             packets[:, at + place] |= ((bits >> np.uint64(8 * i)) & np.uint64(0xFF)).astype(np.uint8)
 
     def _seal(self, packets: ByteArray) -> None:
-        field, check = self._packet.checksum, self._checksum
-        covered = np.pad(packets[:, field.first : field.last + 1], ((0, 0), (0, field.zeros)))
-        sums = [int(checksum(check, row, 0, len(row))) for row in covered]
-        number = {1: "u8", 2: "u16", 4: "u32"}[int(check.width)]
-        self._put(packets, field.at, number, field.byte_order, np.array(sums, np.uint64))
+        field = self._packet.checksum
+        check = trailing(field.type, zeros=field.zeros)
+        begins = np.arange(len(packets)) * self._packet.length
+        sums = check.values(packets.reshape(-1), begins + field.first, begins + field.last + 1)
+        number = {1: "u8", 2: "u16", 4: "u32"}[check.size]
+        self._put(packets, field.at, number, field.byte_order, sums.astype(np.uint64))
 
 
 def _raw_bits(item: PlacedColumn, values: ColumnArray) -> ColumnArray:

@@ -12,11 +12,10 @@ import numpy as np
 
 from imumon.blocks import NO_INT, ColumnArray, IntArray
 from imumon.protocols.base import COMMON, MAIN
-from imumon.protocols.checksums import make_checksum
 from imumon.protocols.fixed.decoder import column_values, record_type
 from imumon.protocols.fixed.description import Packet
-from imumon.protocols.frame_checks import check_of
-from imumon.protocols.framing import IMPOSSIBLE, BoolArray, Check, Found, Frame, Lengths
+from imumon.protocols.frame_checks import rearranged, trailing, unchecked
+from imumon.protocols.framing import IMPOSSIBLE, Check, Found, Frame, Lengths
 from imumon.protocols.numbers import NUMBER_TYPES
 from imumon.protocols.payload import LayoutDecoder
 from imumon.protocols.stream import ByteArray
@@ -93,16 +92,8 @@ def _lengths(packet: Packet) -> Lengths:
 
 def _check(packet: Packet) -> Check:
     field = packet.checksum
-    big = (field.byte_order or packet.byte_order) == "big"
-    check = check_of(field.type, 0, big, field.zeros)
-    covered = [*range(field.first, field.last + 1)]
-    covered += [field.at + k for k in range(int(make_checksum(field.type).width))]
-    places = np.array(covered, np.int64)
-
-    def right(held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
-        del length
-        moved = held[at[:, np.newaxis] + places].reshape(-1)  # as if the checksum followed what it covers
-        begins = np.arange(len(at)) * len(places)
-        return check(moved, begins, np.full(len(at), len(places)))
-
-    return right
+    if field.type == "none":
+        return unchecked
+    check = trailing(field.type, big=(field.byte_order or packet.byte_order) == "big", zeros=field.zeros)
+    places = [*range(field.first, field.last + 1), *range(field.at, field.at + check.size)]
+    return rearranged(check, lambda _: places)
