@@ -74,8 +74,12 @@ class Trailing(ABC):
     def sealed(self, body: bytes) -> bytes:
         """Return the packet: the body and its checksum."""
         held = np.frombuffer(body, np.uint8)
-        value = int(self.values(held, np.array([self.first]), np.array([len(body)]))[0])
-        return body + value.to_bytes(self.size, "big" if self.big else "little")
+        return body + self.stored(self.values(held, np.array([self.first]), np.array([len(body)]))).tobytes()
+
+    def stored(self, values: IntArray) -> ByteArray:
+        """Return checksums as they stand in packets, (n, size)."""
+        most_first = values.astype(">i8").view(np.uint8).reshape(-1, 8)[:, 8 - self.size :]
+        return most_first if self.big else most_first[:, ::-1]
 
 
 @dataclass(frozen=True)

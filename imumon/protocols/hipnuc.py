@@ -7,9 +7,10 @@ Facts from the vendor's drivers.  0x83 says by the bits of a word which fields f
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from fractions import Fraction
 from math import pi
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 
@@ -18,10 +19,10 @@ from imumon.columns import KNOWN, Column
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.base import Timing
 from imumon.protocols.checksums import CRCS
-from imumon.protocols.device import DeviceFile
+from imumon.protocols.device import FamilyDevice
 from imumon.protocols.frame_checks import CyclicCheck, rearranged
 from imumon.protocols.framing import Found, Frame, counted_length
-from imumon.protocols.messages import Message, Part, TableDecoder, TableEncoder, part, whole
+from imumon.protocols.messages import Message, Part, TableDecoder, TableEncoder, TableFamily, part, whole
 from imumon.protocols.numbers import NUMBER_TYPES
 from imumon.protocols.tagged_columns import count, known, number, vector
 
@@ -98,7 +99,7 @@ The unit of the rate, deg/s, is by analogy with 0x91: the vendor prints both und
 
 def of_bits(bits: int) -> Message:
     """Return the message 0x83 with the fields of these bits; it ends at the first bit that nobody knows."""
-    parts: list[tuple[Part, ...]] = [STATUS, INS_STATUS]
+    parts: list[Part] = [STATUS, INS_STATUS]
     at = 8
     for bit in (bit for bit in range(32) if bits >> bit & 1):
         if bit not in BITS:
@@ -126,19 +127,15 @@ def _wrapped(key: int, payload: bytes) -> bytes:
 class HipnucDecoder(TableDecoder):
     """Decodes the first packet of each frame: devices send one."""
 
-    def __init__(self, rate_hz: float | None = None) -> None:
-        frame = Frame("HiPNUC", SYNC, counted_length(2, 2, HEADER, LONGEST), _RIGHT)
-        timing = Timing(tick_ns=Fraction(1000), rate_hz=rate_hz)
-        super().__init__([frame], PACKETS, timing, HEADER, HEADER)
+    def _message(self, key: int) -> Message | None:
+        return of_bits(key >> 8) if key & 0xFF == OF_BITS else super()._message(key)
 
     def _keys(self, found: Found) -> IntArray:
         keys = np.where(found.length > HEADER, _byte(found, HEADER), -1)
         variable = np.flatnonzero((keys == OF_BITS) & (found.length >= HEADER + 8))
         bits = sum(_byte(found, HEADER + 4 + k)[variable] << 8 * k for k in range(4))
         keys[variable] = np.asarray(bits) << 8 | OF_BITS
-        for key in np.unique(keys[variable]).tolist():
-            self._messages.setdefault(key, of_bits(key >> 8))
-        if np.any((keys >= 0) & ~np.isin(keys, list(self._messages))):
+        if np.any((keys >= 0) & ~np.isin(keys & 0xFF, (*PACKETS, OF_BITS))):
             self._say("packets with other tags than 0x81, 0x83 and 0x91 are counted and not read")
         return keys
 
@@ -147,20 +144,24 @@ def _byte(found: Found, place: int) -> IntArray:
     return found.held[np.minimum(found.at + place, len(found.held) - 1)].astype(np.int64)
 
 
-class HipnucDevice(DeviceFile):
-    """Device file of a HiPNUC unit.
+HIPNUC = TableFamily(
+    PACKETS,
+    [Frame("HiPNUC", SYNC, counted_length(2, 2, HEADER, LONGEST), _RIGHT)],
+    HipnucDecoder,
+    _wrapped,
+    Timing(tick_ns=Fraction(1000)),
+    HEADER,
+    HEADER,
+)
 
-    `sends` is for its virtual twin alone: ``imu91``, ``ins81``, or the bits of 0x83, ``imu83:0x123``.
-    """
 
-    protocol: Literal["hipnuc"]
-    sends: list[str]
+class HipnucDevice(FamilyDevice):
+    """Device file of a HiPNUC unit: `sends` ``imu91``, ``ins81``, or the bits of 0x83, ``imu83:0x123``."""
 
-    def decoder(self) -> HipnucDecoder:
-        """Make a decoder for this device."""
-        return HipnucDecoder(self.rate_hz)
+    family = HIPNUC
 
     def encoder(self) -> TableEncoder:
         """Make an encoder that sends what the device would send."""
         bits = [int(n.partition(":")[2], 16) for n in self.sends if n.startswith("imu83:0x")]
-        return TableEncoder(PACKETS | {b << 8 | OF_BITS: of_bits(b) for b in bits}, self.sends, _wrapped)
+        messages = PACKETS | {b << 8 | OF_BITS: of_bits(b) for b in bits}
+        return replace(HIPNUC, messages=messages).encoder(self.sends)

@@ -10,7 +10,7 @@ SCALED_IMU and RAW_IMU have rates in steps of 1 mrad/s, 206 deg/h.
 from __future__ import annotations
 
 from fractions import Fraction
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 
@@ -19,12 +19,12 @@ from imumon.columns import KNOWN
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.base import MAIN, Timing
 from imumon.protocols.checksums import CRCS
-from imumon.protocols.device import DeviceFile
+from imumon.protocols.device import FamilyDevice
 from imumon.protocols.frame_checks import CyclicCheck, sent
 from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, BoolArray, Check, Found, Frame, Lengths
-from imumon.protocols.messages import Message, TableDecoder, TableEncoder, part, whole
+from imumon.protocols.messages import Message, TableDecoder, TableFamily, part, whole
+from imumon.protocols.numbers import Columns, Derived
 from imumon.protocols.stream import ByteArray
-from imumon.protocols.tagged import Columns, Derived
 from imumon.protocols.tagged_columns import count, known, number, vector
 
 FIRST, SECOND = b"\xfe", b"\xfd"
@@ -133,14 +133,7 @@ def _right(header: int) -> Check:
 class MavlinkDecoder(TableDecoder):
     """Decodes the inertial messages of the first vehicle that is heard."""
 
-    def __init__(self, rate_hz: float | None = None) -> None:
-        frames = [
-            Frame(f"MAVLink {k + 1}", sync, _lengths(header), _right(header))
-            for k, (sync, header) in enumerate(HEADERS.items())
-        ]
-        timing = Timing(tick_ns=Fraction(1000), rate_hz=rate_hz)
-        super().__init__(frames, MESSAGES, timing, HEADERS[SECOND], HEADERS[SECOND])
-        self._vehicle = -1
+    _vehicle = -1
 
     def _plain(self, found: Found) -> Found:
         """Return the messages as those of version 2 with all their zeros."""
@@ -183,16 +176,18 @@ def _wrapped(key: int, payload: bytes) -> bytes:
     return SECOND + body + _CRC.sealed(body + bytes([EXTRA[key]]))[-2:]
 
 
-class MavlinkDevice(DeviceFile):
-    """Device file of an autopilot; `sends` is for its virtual twin alone."""
+class MavlinkDevice(FamilyDevice):
+    """Device file of an autopilot."""
 
-    protocol: Literal["mavlink"]
-    sends: list[str]
-
-    def decoder(self) -> MavlinkDecoder:
-        """Make a decoder for this device."""
-        return MavlinkDecoder(self.rate_hz)
-
-    def encoder(self) -> TableEncoder:
-        """Make an encoder that sends what the device would send."""
-        return TableEncoder(MESSAGES, self.sends, _wrapped)
+    family = TableFamily(
+        MESSAGES,
+        [
+            Frame(f"MAVLink {k + 1}", sync, _lengths(header), _right(header))
+            for k, (sync, header) in enumerate(HEADERS.items())
+        ],
+        MavlinkDecoder,
+        _wrapped,
+        Timing(tick_ns=Fraction(1000)),
+        HEADERS[SECOND],
+        HEADERS[SECOND],
+    )

@@ -20,16 +20,14 @@ import numpy as np
 
 from imumon.blocks import IntArray, SampleBlock
 from imumon.columns import KNOWN
-from imumon.errors import ImumonError, Reason
-from imumon.protocols.base import MAIN, Encoder, Timing
+from imumon.protocols.base import MAIN, Encoder, Timing, chosen
 from imumon.protocols.checksums import CRCS
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.frame_checks import CyclicCheck
 from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, BoolArray, Found, Frame, counted_length
-from imumon.protocols.numbers import NUMBER_TYPES
-from imumon.protocols.payload import Layout, LayoutDecoder, Placed, written
+from imumon.protocols.numbers import NUMBER_TYPES, Placed, Value, packed
+from imumon.protocols.payload import Layout, LayoutDecoder, Record
 from imumon.protocols.stream import LONGEST_PACKET, ByteArray
-from imumon.protocols.tagged import Value
 from imumon.protocols.text import XOR, LineLayout, Place, line_lengths, lines_right, sentence_body
 from imumon.protocols.vectornav_fields import (
     COMMON,
@@ -286,7 +284,7 @@ class VectorNavDecoder(LayoutDecoder):
         """Add the layout of a kind of packet; return its number, or -1 when it has nothing for a row."""
         alone = [base for base in FILTERED if base not in self._factory | kind.factory]
         placed = [(_without_suffix(value, alone), at, group) for value, at, group in kind.placed]
-        layout: Layout = Placed(placed)
+        layout: Layout = Record([Placed(*item) for item in placed])
         if kind.text:
             places = [Place(v.column, v.factor) for v, _, _ in placed if v.column is not None]
             layout = LineLayout(_numbers_of, places)
@@ -346,12 +344,7 @@ class VectorNavEncoder(Encoder):
             for bit, item in enumerate(items)
             if item is not None and item.values
         }
-        for name in names:
-            if name not in places:
-                raise ImumonError(
-                    Reason.BAD_CONFIG, f"no field {name!r}", f"there are: {', '.join(sorted(places))}"
-                )
-        sent = sorted((places[name] for name in names), key=lambda place: place[:2])
+        sent = sorted(chosen(names, places, "field"), key=lambda place: place[:2])
         words: dict[int, int] = {}
         for group, bit, _ in sent:
             words[group] = words.get(group, 0) | 1 << bit
@@ -363,9 +356,9 @@ class VectorNavEncoder(Encoder):
 
     def encode(self, block: SampleBlock) -> list[bytes]:
         """Return one packet per row; see `imumon.protocols.base.Encoder`."""
-        payload = written(self._values, block, "binary output")
-        bodies = [self._header + row.tobytes() for row in payload]
-        return [XMODEM.sealed(body) for body in bodies]
+        rows = np.arange(len(block))
+        parts = [packed("binary output", v, block.columns, rows)[:, ::-1] for v in self._values]
+        return [XMODEM.sealed(self._header + row.tobytes()) for row in np.concatenate(parts, axis=1)]
 
 
 def _names(item: Item) -> set[str]:

@@ -11,8 +11,7 @@ from math import pi
 
 from imumon.columns import KNOWN, Column
 from imumon.protocols.base import MAIN
-from imumon.protocols.numbers import NUMBER_TYPES
-from imumon.protocols.tagged import NO_GROUP, Value
+from imumon.protocols.numbers import NO_GROUP, NUMBER_TYPES, Value
 from imumon.protocols.tagged_columns import count, known, number, vector
 
 DEGREE = pi / 180

@@ -12,7 +12,8 @@ from math import pi
 
 from imumon.columns import KNOWN, Column
 from imumon.protocols.base import MAIN
-from imumon.protocols.tagged import NO_GROUP, Field, Value
+from imumon.protocols.numbers import NO_GROUP, Value
+from imumon.protocols.tagged import Field
 from imumon.protocols.tagged_columns import (
     MATRIX,
     QUATERNION,
