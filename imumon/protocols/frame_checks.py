@@ -26,7 +26,7 @@ def aligned(held: ByteArray, first: IntArray, last: IntArray) -> Iterator[tuple[
         yield np.arange(len(sizes)), windows(held, first, int(sizes[0]))
         return
     octaves = np.frexp(sizes)[1]
-    for octave in np.unique(octaves).tolist():
+    for octave in np.flatnonzero(np.bincount(octaves)).tolist():
         which = np.flatnonzero(octaves == octave)
         place = last[which, np.newaxis] + np.arange(-int(sizes[which].max()), 0)
         there = place >= first[which, np.newaxis]
@@ -184,9 +184,9 @@ def rearranged(check: Check, order: Callable[[int], Sequence[int]]) -> Check:
 
     def right(held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
         verdict = np.zeros(len(at), np.bool_)
-        for size in np.unique(length).tolist():
+        for size in np.flatnonzero(np.bincount(length)).tolist():
             which, places = np.flatnonzero(length == size), order(size)
-            moved = windows(held, at[which], size)[:, places]
+            moved = windows(held, at[which], size).take(places, axis=1)
             begins = np.arange(len(which)) * len(places)
             verdict[which] = check(moved.reshape(-1), begins, np.full(len(which), len(places)))
         return verdict

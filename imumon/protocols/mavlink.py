@@ -21,7 +21,7 @@ from imumon.protocols.base import MAIN, Timing
 from imumon.protocols.checksums import CRCS
 from imumon.protocols.device import FamilyDevice
 from imumon.protocols.frame_checks import CyclicCheck, sent
-from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, BoolArray, Check, Found, Frame, Lengths
+from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, BoolArray, Check, Found, Frame, Lengths, windows
 from imumon.protocols.messages import Message, TableDecoder, TableFamily, part, whole
 from imumon.protocols.numbers import Columns, Derived
 from imumon.protocols.stream import ByteArray
@@ -138,20 +138,14 @@ class MavlinkDecoder(TableDecoder):
     def _plain(self, found: Found) -> Found:
         """Return the messages as those of version 2 with all their zeros."""
         size = HEADERS[SECOND] + LONGEST
-        held = np.zeros((len(found), size), np.uint8)
+        held, padded = np.zeros((len(found), size), np.uint8), np.pad(found.held, (0, LONGEST))
         for frame, header in enumerate(HEADERS.values()):
             rows = np.flatnonzero(found.frame == frame)
             at = found.at[rows]
-            number = _number(found.held, at, header)
-            vehicle = at + (3 if frame == 0 else 5)
-            for k in range(2):
-                held[rows, 5 + k] = found.held[vehicle + k]
-            for k in range(3):
-                held[rows, 7 + k] = number >> 8 * k & 0xFF
-            counted = found.held[at + 1]
-            for k in range(LONGEST):
-                there = counted > k
-                held[rows[there], HEADERS[SECOND] + k] = found.held[at[there] + header + k]
+            numbers = 1 if header == HEADERS[FIRST] else 3
+            held[rows, 5 : 7 + numbers] = windows(found.held, at + header - numbers - 2, 2 + numbers)
+            there = np.arange(LONGEST) < found.held[at + 1][:, np.newaxis]
+            held[rows, HEADERS[SECOND] :] = windows(padded, at + header, LONGEST) * there
         begins = np.arange(len(found)) * size
         return Found(held.reshape(-1), begins, np.full(len(found), size), found.frame)
 

@@ -159,7 +159,7 @@ class LayoutDecoder(FramedDecoder):
         numbers = numbers[rows]
         columns: dict[str, ColumnArray] = {"arrival_time_ns": arrival_ns[rows]}
         groups = np.ones(len(rows), np.int64)
-        for number in np.unique(numbers).tolist():
+        for number in np.flatnonzero(np.bincount(numbers)).tolist():
             mine = np.flatnonzero(numbers == number)
             layout = self._layouts[number]
             groups[mine] = self._group_bits[number]

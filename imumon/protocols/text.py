@@ -10,10 +10,11 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import reduce
+from functools import lru_cache, reduce
 from math import isfinite
+from operator import xor
 from typing import Any, Final, Literal, Self
 
 import numpy as np
@@ -25,16 +26,17 @@ from imumon.config import StrictModel
 from imumon.protocols.base import COMMON, MAIN, Encoder
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.fixed.description import NumberField, NumberName, timing_of
-from imumon.protocols.frame_checks import Trailing, Xor
+from imumon.protocols.frame_checks import Trailing
 from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, BoolArray, Check, Found, Frame, Lengths
 from imumon.protocols.payload import LayoutDecoder
 from imumon.protocols.stream import ByteArray
 
 LINE_END: Final = 0x0A
+MOST_LINES: Final = 1 << 14
+"""Lines of which the numbers are remembered: those of a search of 64 KiB and more."""
 LONGEST_LINE: Final = 1024
 """Bytes of a line that is believed; more is binary data."""
-HEXADECIMAL = re.compile("[0-9A-Fa-f]*")
-XOR = Xor(first=1)
+HEXADECIMAL = re.compile("[0-9A-Fa-f]{2}|[0-9A-Fa-f]{4}")
 NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
@@ -109,7 +111,7 @@ class Line(StrictModel):
     def read(self, text: str) -> list[float] | None:
         """Return the numbers of a line, in the order of the columns; None when it is not one of these."""
         body = text.strip("\r\n")
-        checked = sentence_body(body, {2: XOR}) if self.checksum == "xor8" else body
+        checked = sentence_body(body) if self.checksum == "xor8" else body
         if checked is None or not checked.startswith(self.prefix):
             return None
         try:
@@ -174,24 +176,30 @@ class Line(StrictModel):
 
 def sentence(body: str) -> bytes:
     """Return what begins with `$` with its checksum, as NMEA has it."""
-    return f"{body}*{XOR.sealed(body.encode())[-1]:02X}".encode()
+    return f"{body}*{_xor(body):02X}".encode()
 
 
-def sentence_body(text: str, checks: Mapping[int, Trailing]) -> str | None:
+def sentence_body(text: str, crc: Trailing | None = None) -> str | None:
     """Return what a sentence has before its checksum, or None when that is wrong.
 
     Parameters
     ----------
     text : str
         The line without its end.
-    checks : mapping of int to Trailing
-        Which checksum it is by the number of its hexadecimal digits.
+    crc : Trailing
+        What the checksum is when it has four hexadecimal digits.
     """
     body, star, given = text.rpartition("*")
-    if not star or len(given) not in checks or not HEXADECIMAL.fullmatch(given):
+    if not star or not HEXADECIMAL.fullmatch(given):
         return None
+    if len(given) == 2:
+        return body if int(given, 16) == _xor(body) else None
     bare = body.encode("ascii", "replace")
-    return body if checks[len(given)].sealed(bare) == bare + bytes.fromhex(given) else None
+    return body if crc is not None and crc.sealed(bare) == bare + bytes.fromhex(given) else None
+
+
+def _xor(body: str) -> int:
+    return reduce(xor, body[1:].encode("ascii", "replace"), 0)
 
 
 def _step(tree: Any, key: str) -> Any:
@@ -300,14 +308,16 @@ class TextDecoder(LayoutDecoder):
     """Decodes described lines, a row for each; of several kinds that fit a line the first counts."""
 
     def __init__(self, lines: Sequence[Line], rate_hz: float | None) -> None:
+        # A line is read when it is checked, and again for its numbers.
+        readers = [lru_cache(MOST_LINES)(line.read) for line in lines]
         frames = [
-            Frame(x.name, x.prefix.encode() or b"\n", line_lengths(not x.prefix), lines_right(x.read))
-            for x in lines
+            Frame(x.name, x.prefix.encode() or b"\n", line_lengths(not x.prefix), lines_right(read))
+            for x, read in zip(lines, readers, strict=True)
         ]
         timing = timing_of([field for line in lines for field in line.fields], rate_hz)
         super().__init__(frames, timing)
-        for line in lines:
-            self._add(LineLayout(line.read, line.places))
+        for line, read in zip(lines, readers, strict=True):
+            self._add(LineLayout(read, line.places))
 
     def _layout_numbers(self, found: Found) -> IntArray:
         return found.frame

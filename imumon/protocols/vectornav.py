@@ -24,11 +24,11 @@ from imumon.protocols.base import MAIN, Encoder, Timing, chosen
 from imumon.protocols.checksums import CRCS
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.frame_checks import CyclicCheck
-from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, BoolArray, Found, Frame, counted_length
+from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, BoolArray, Found, Frame, counted_length, windows
 from imumon.protocols.numbers import NUMBER_TYPES, Placed, Value, packed
 from imumon.protocols.payload import Layout, LayoutDecoder, Record
 from imumon.protocols.stream import LONGEST_PACKET, ByteArray
-from imumon.protocols.text import XOR, LineLayout, Place, line_lengths, lines_right, sentence_body
+from imumon.protocols.text import LineLayout, Place, line_lengths, lines_right, sentence_body
 from imumon.protocols.vectornav_fields import (
     COMMON,
     FILTERED,
@@ -102,6 +102,8 @@ class Header:
 _POPCOUNT = np.array([bin(byte & 0x7F).count("1") for byte in range(256)])
 _WIDEST = 16
 """Bytes of a header of all groups of the first byte."""
+OFTEN = 8
+"""A header counts as often when it is more than this part of what is left."""
 
 
 def _sizes() -> tuple[IntArray, BoolArray, BoolArray]:
@@ -127,20 +129,54 @@ _SIZES, _KNOWN, _LONGER = _sizes()
 
 def _headers(held: ByteArray, at: IntArray) -> ByteArray:
     """Return the bytes of each header as its first group byte has them, and zeros, (n, 16)."""
-    windows = np.lib.stride_tricks.sliding_window_view(np.pad(held, (0, _WIDEST)), _WIDEST)[at]
-    size = 2 + 2 * _POPCOUNT[windows[:, 1]]
-    return np.where(np.arange(_WIDEST) < size[:, np.newaxis], windows, np.uint8(0))
+    inside = np.all(at + _WIDEST <= len(held))
+    headers = windows(held if inside else np.pad(held, (0, _WIDEST)), at, _WIDEST)
+    size = 2 + 2 * _POPCOUNT[headers[:, 1]]
+    return headers * (np.arange(_WIDEST) < size[:, np.newaxis])
+
+
+def _alike(headers: ByteArray) -> tuple[IntArray, IntArray]:
+    """Return numbers of different headers, and which of these each is.
+
+    A stream has few kinds of packets, so they are told apart one after the other; of what is rare by then
+    some may be the same.
+    """
+    words = headers.view(np.uint64)
+    which, left, different = np.zeros(len(headers), np.int64), np.arange(len(headers)), list[int]()
+    often = True
+    while often and len(left):
+        first, before = int(left[0]), len(left)
+        equal = (words[left, 0] == words[first, 0]) & (words[left, 1] == words[first, 1])
+        which[left[equal]] = len(different)
+        different.append(first)
+        left = left[~equal]
+        often = before - len(left) > before // OFTEN
+    which[left] = len(different) + np.arange(len(left))
+    return np.array([*different, *left.tolist()], np.int64), which
 
 
 def _lengths(held: ByteArray, at: IntArray) -> IntArray:
-    """Return the length of the packet at each place; see `imumon.protocols.framing.Lengths`.
+    """Return the length of the packet at each place; see `imumon.protocols.framing.Lengths`."""
+    headers = _headers(held, at)
+    different, which = _alike(headers)
+    length, size, alone = _announced(headers[different])
+    length, size, alone = length[which], size[which], alone[which]
+    for k in np.flatnonzero(alone | (at + size > len(held))).tolist():
+        packet = held[at[k] :]
+        length[k] = _length(packet, read_header(packet[:MOST_HEADER].tobytes()))
+    return length
 
-    Read at once, but for headers of a second group byte or word, and fields that count themselves.
+
+def _announced(headers: ByteArray) -> tuple[IntArray, IntArray, BoolArray]:
+    """Return length of the packets, bytes of the headers, and which have to be read one by one.
+
+    Those are headers with a second group byte or word, and with fields that count themselves.
     """
-    headers, rows = _headers(held, at), np.arange(len(at))
-    place, length = np.full(len(at), 2), np.zeros(len(at), np.int64)
+    rows = np.arange(len(headers))
+    place, length = np.full(len(headers), 2), np.zeros(len(headers), np.int64)
     good, alone = headers[:, 1] != 0, headers[:, 1] >= 0x80
-    for group in range(1, 8):
+    announced = int(np.bitwise_or.reduce(headers[:, 1])) if len(headers) else 0
+    for group in (group for group in range(1, 8) if announced >> group - 1 & 1):
         there = headers[:, 1] >> (group - 1) & 1 != 0
         for half in range(2):
             word = headers[rows, np.minimum(place, _WIDEST - 1)]
@@ -148,11 +184,7 @@ def _lengths(held: ByteArray, at: IntArray) -> IntArray:
             good &= ~there | _KNOWN[group, half, word]
             alone |= there & _LONGER[group, half, word]
             place += there
-    result = np.where(good & (length > 0), place + length + 2, IMPOSSIBLE)
-    for k in np.flatnonzero(good & alone | (at + place > len(held))).tolist():
-        packet = held[at[k] :]
-        result[k] = _length(packet, read_header(packet[:MOST_HEADER].tobytes()))
-    return result
+    return np.where(good & (length > 0), place + length + 2, IMPOSSIBLE), place, good & alone
 
 
 def _length(packet: ByteArray, header: Header | int) -> int:
@@ -167,7 +199,7 @@ XMODEM = CyclicCheck(CRCS["crc16-xmodem"], first=1, big=True)
 
 def _sentence(text: str) -> tuple[str, list[str]] | None:
     """Return header and fields of a line that is right, else None: torn lines may have a sum that fits."""
-    body = sentence_body(text.rstrip("\r\n"), {2: XOR, 4: XMODEM})
+    body = sentence_body(text.rstrip("\r\n"), XMODEM)
     if body is None or not body.isascii():
         return None
     name, *fields = body[3:].split(",")
@@ -228,11 +260,10 @@ class VectorNavDecoder(LayoutDecoder):
         """Return the number of the kind of each packet, its header; -1: one that is only counted."""
         kinds = np.full(len(found), -1, np.int64)
         binary = np.flatnonzero(found.frame == BINARY)
-        headers = np.ascontiguousarray(_headers(found.held, found.at[binary])).view(f"S{_WIDEST}")
-        _, first, same = np.unique(headers.reshape(-1), return_index=True, return_inverse=True)
+        first, same = _alike(_headers(found.held, found.at[binary]))
         of_header = np.array([self._kind(found, k) for k in binary[first].tolist()], np.int64)
-        kinds[binary] = of_header[same.reshape(-1)]
-        alone = np.array([self._known[k].alone for k in of_header.tolist()], np.bool_)[same.reshape(-1)]
+        kinds[binary] = of_header[same]
+        alone = np.array([self._known[k].alone for k in of_header.tolist()], np.bool_)[same]
         for k in [*binary[alone].tolist(), *np.flatnonzero(found.frame == SENTENCE).tolist()]:
             kinds[k] = self._kind(found, k)
         return kinds
