@@ -26,6 +26,12 @@ COMMON = ("arrival_time_ns", "device_ticks", "packet_counter")
 MOST_NOTICES = 1000
 """Different notices that a decoder gives at the most; more would be a stream of rubbish."""
 
+ONLY_CORRECTED = (
+    "only rates come from which the device's filter has taken its own estimate of the bias "
+    "(gyro_compensated_*): what imumon finds is the rest of it"
+)
+"""Warning of a device that sends no rate as it was calibrated in the factory."""
+
 CAPACITY = 4096 + 8
 """Rows of the preallocated columns.  Not a power of two, so that columns do not share cache sets."""
 

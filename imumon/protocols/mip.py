@@ -15,7 +15,7 @@ import numpy as np
 from imumon.blocks import NO_INT, ColumnArray
 from imumon.columns import KNOWN, Column
 from imumon.geodesy import STANDARD_GRAVITY as G
-from imumon.protocols.base import MAIN, Timing, chosen
+from imumon.protocols.base import MAIN, ONLY_CORRECTED, Timing, chosen
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.epochs import GENERATION
 from imumon.protocols.mip_filter import (
@@ -279,10 +279,7 @@ class MipDecoder(TaggedDecoder):
         """Return, once, that only corrected rates come."""
         seen = {field.name: n for field, n in self.seen_fields().items()}
         if seen.get("CompensatedRate", 0) >= GENERATION and "ScaledGyro" not in seen:
-            self._warn(
-                "only rates come from which the device's filter has taken its own estimate of the bias "
-                "(CompensatedRate, gyro_compensated_*): send ScaledGyro"
-            )
+            self._warn(f"{ONLY_CORRECTED}; send ScaledGyro besides CompensatedRate")
         return super().warnings()
 
     def _field_name(self, key: int) -> str:

@@ -10,7 +10,8 @@ import numpy as np
 
 from imumon.blocks import ColumnArray, IntArray, SampleBlock, missing
 from imumon.columns import KNOWN, Column
-from imumon.protocols.base import MAIN, Groups, Packets, Timing
+from imumon.protocols.base import MAIN, ONLY_CORRECTED, Groups, Packets, Timing
+from imumon.protocols.epochs import GENERATION
 from imumon.protocols.framing import Found, Frame, FramedDecoder
 from imumon.protocols.numbers import Derived, Placed, record_type
 from imumon.protocols.stream import ByteArray
@@ -132,6 +133,13 @@ class LayoutDecoder(FramedDecoder):
         packets = super().take_packets()
         names = sorted(packets.block.columns, key=_place)
         return Packets(SampleBlock({name: packets.block[name] for name in names}), packets.groups)
+
+    def warnings(self) -> list[str]:
+        """Return, once each, why numbers are not fit for an estimate; see `Decoder.warnings`."""
+        corrected = "gyro_compensated_x" in self._columns and "gyro_x" not in self._columns
+        if corrected and sum(self._by_frame) >= GENERATION:
+            self._warn(ONLY_CORRECTED)
+        return super().warnings()
 
     @abstractmethod
     def _layout_numbers(self, found: Found) -> IntArray:
