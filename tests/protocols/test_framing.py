@@ -1,5 +1,8 @@
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -112,3 +115,29 @@ def test_rubbish_between_packets_is_no_harm(family: str, data: bytes, seed: int)
     decoder = load_device(family).decoder()
     block = feed_in_chunks(decoder, bytes(mutated) + data + b"".join(packets) + data, [31])
     assert len(block) >= len(packets) - 1
+
+
+FRAMED = """
+import sys
+import numpy as np
+from imumon.blocks import SampleBlock
+from imumon.protocols.device import device_names, load_device
+from imumon.protocols.framing import FramedDecoder
+for name in device_names():
+    device = load_device(name)
+    decoder = device.decoder()
+    if isinstance(decoder, FramedDecoder):
+        decoder.feed(b"".join(device.encoder().encode(SampleBlock({"gyro_x": np.ones(3)}))), 0)
+        decoder.take_packets(), decoder.counters()
+        print(name)
+modules = [module for name, module in sys.modules.items() if name.startswith("imumon")]
+kernels = {k for module in modules for k in vars(module).values() if hasattr(k, "nopython_signatures")}
+assert kernels
+sys.exit(", ".join(sorted(k.__name__ for k in kernels if k.signatures)))
+"""
+
+
+def test_what_is_framed_by_numpy_compiles_nothing() -> None:
+    done = subprocess.run([sys.executable, "-c", FRAMED], capture_output=True, text=True, check=False)
+    assert done.stderr.strip() == ""
+    assert {"vectornav", "witmotion", "sbg", "stim300", "ximu3"} <= set(done.stdout.split())

@@ -526,7 +526,7 @@ def test_a_value_missing_in_a_field_that_is_sent_becomes_nan_or_zero() -> None:
     np.testing.assert_array_equal(decoder.take()["accel_y"], [np.nan, 0])
 
 
-@pytest.mark.parametrize("name", ["Accelleration", "GnssSatInfo"])
+@pytest.mark.parametrize("name", ["Accelleration", "GnssPvtPulse"])
 def test_an_identifier_that_cannot_be_encoded_is_refused(name: str) -> None:
     with pytest.raises(ImumonError, match=name) as caught:
         MTData2Encoder([name])
