@@ -99,7 +99,7 @@ def diagnose(
         BAD_DATA when the data cannot show anything, saying why; BAD_CONFIG for a wrong declared model.
     """
     degree, offsets = parse_declared(declared)
-    caveats: list[str] = []
+    caveats = [*dict.fromkeys(text for run in (*train, *test) for text in run.warnings)]
     channels = _channels(train)
     train, test = (_sound(runs, channels, caveats) for runs in (train, test))
     test = _in_order(train, _unseen(train, test, caveats), caveats)

@@ -57,6 +57,8 @@ class Run:
         Seconds at the beginning that are of another run, which this one goes on from.
     begun_in : str
         The run that began at this power-on, where that is another: what jumped in it stays where it is.
+    warnings : tuple of str
+        Why its numbers may not be fit for an estimate: the device has corrected its rates itself, say.
     """
 
     name: str
@@ -69,6 +71,7 @@ class Run:
     start_ns: int | None = None
     earlier: int = 0
     begun_in: str = ""
+    warnings: tuple[str, ...] = ()
 
     @property
     def duration_s(self) -> float:
@@ -104,8 +107,10 @@ def read_runs(
             f"{path}: too short: its longest run is {longest:.0f} s; {SHORTEST_RUN_S:.0f} s are needed",
             "record the unit at rest for an hour or more while its temperature changes",
         )
-    sha256 = recording.sha256()
-    return [replace(run, origin=Origin(recording.name, at, sha256)) for at, run in enumerate(runs)]
+    sha256, said = recording.sha256(), tuple(f"{path}: {text}" for text in recording.warnings())
+    return [
+        replace(run, origin=Origin(recording.name, at, sha256), warnings=said) for at, run in enumerate(runs)
+    ]
 
 
 def collect(blocks: Iterable[SampleBlock], name: str, progress: Progress | None = None) -> list[Run]:

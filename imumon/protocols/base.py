@@ -3,21 +3,34 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
+from typing import TypeVar
 
 import numpy as np
 
 from imumon.blocks import IntArray, SampleBlock, join, missing
 from imumon.columns import Column
 from imumon.compiled import alone
+from imumon.errors import ImumonError, Reason
 from imumon.protocols.stream import CHUNK, ByteArray, append, new_stream
+
+T = TypeVar("T")
 
 MAIN = "imu"
 """Name of the stream of the inertial sensors."""
 COMMON = ("arrival_time_ns", "device_ticks", "packet_counter")
 """Columns of a packet that every stream of its fields has."""
+
+MOST_NOTICES = 1000
+"""Different notices that a decoder gives at the most; more would be a stream of rubbish."""
+
+ONLY_CORRECTED = (
+    "only rates come from which the device's filter has taken its own estimate of the bias "
+    "(gyro_compensated_*): what imumon finds is the rest of it"
+)
+"""Warning of a device that sends no rate as it was calibrated in the factory."""
 
 CAPACITY = 4096 + 8
 """Rows of the preallocated columns.  Not a power of two, so that columns do not share cache sets."""
@@ -116,6 +129,8 @@ class Decoder(ABC):
     def __init__(self) -> None:
         self._end, self._arrival_ns = np.zeros(1, np.int64), np.zeros(1, np.int64)
         self._done: list[Packets] = []
+        self._said: dict[str, bool] = {}
+        self._warned: dict[str, bool] = {}
 
     @property
     @abstractmethod
@@ -148,12 +163,20 @@ class Decoder(ABC):
         """Put everything that is decoded into `_done`."""
 
     def notices(self) -> list[str]:
-        """Return, once each, what the device said that is not data (errors, configuration)."""
-        return []
+        """Return, once each, what the device said that is not data (errors, warnings, configuration)."""
+        return _once(self._said)
 
     def warnings(self) -> list[str]:
         """Return, once each, why numbers are not fit for an estimate: the device has corrected them, say."""
-        return []
+        return _once(self._warned)
+
+    def _say(self, text: str) -> None:
+        """Keep a notice unless it was given before."""
+        if len(self._said) < MOST_NOTICES:
+            self._said.setdefault(text, False)
+
+    def _warn(self, text: str) -> None:
+        self._warned.setdefault(text, False)
 
     def feed(self, data: bytes | memoryview | ByteArray, arrival_ns: int) -> None:
         """Decode bytes that arrived at `arrival_ns` (Unix time, ns)."""
@@ -172,6 +195,13 @@ class Decoder(ABC):
             empty = {column.name: missing(0, column.dtype) for column in self.columns}
             return Packets(SampleBlock(empty), np.zeros(0, np.int64))
         return Packets(join([part.block for part in done]), np.concatenate([part.groups for part in done]))
+
+
+def _once(said: dict[str, bool]) -> list[str]:
+    """Return the texts that were not given before."""
+    new = [text for text, given in said.items() if not given]
+    said.update(dict.fromkeys(new, True))
+    return new
 
 
 class CompiledDecoder(Decoder):
@@ -250,3 +280,20 @@ class Encoder(ABC):
         ImumonError
             BAD_DATA when a value does not fit the field that carries it.
         """
+
+
+def chosen(names: Sequence[str], there: Mapping[str, T], what: str) -> list[T]:
+    """Return what is sent, by its names.
+
+    Raises
+    ------
+    ImumonError
+        BAD_CONFIG when there is nothing of a name, or nothing to send.
+    """
+    for name in names:
+        if name not in there:
+            known = ", ".join(sorted(there))
+            raise ImumonError(Reason.BAD_CONFIG, f"no {what} {name!r}", f"there are: {known}")
+    if not names:
+        raise ImumonError(Reason.BAD_CONFIG, "there is nothing to send")
+    return [there[name] for name in names]

@@ -91,23 +91,24 @@ def make_checksum(name: str) -> Checksum:
         return check
     crc = CRCS[name]
     check.shift = 0 if crc.reflected else 32 - crc.width
-    check.initial = _reverse(crc.initial, crc.width) if crc.reflected else crc.initial << check.shift
+    check.initial = reversed_bits(crc.initial, crc.width) if crc.reflected else crc.initial << check.shift
     check.code = CRC_REFLECTED if crc.reflected else CRC_FORWARD
     check.width, check.final_xor = crc.width // 8, crc.final_xor
-    check.table[:] = _crc_table(crc)
+    check.table[:] = crc_table(crc)
     return check
 
 
-def _reverse(value: int, width: int) -> int:
+def reversed_bits(value: int, width: int) -> int:
+    """Return the bits in reverse order."""
     return int(f"{value:0{width}b}"[::-1], 2)
 
 
-def _crc_table(crc: Crc) -> WordArray:
+def crc_table(crc: Crc) -> WordArray:
     """Tables T[k][b]: the register after byte b and k zero bytes, started from zero."""
     table = np.zeros((8, 256), np.uint32)
     for byte in range(256):
         if crc.reflected:
-            polynomial, register = _reverse(crc.polynomial, crc.width), byte
+            polynomial, register = reversed_bits(crc.polynomial, crc.width), byte
             for _ in range(8):
                 register = (register >> 1) ^ (polynomial if register & 1 else 0)
         else:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from importlib import import_module
 from pathlib import Path
-from typing import Literal
+from typing import ClassVar, Literal, Protocol
 
 from pydantic import Field, PositiveFloat, PositiveInt, field_validator
 
@@ -65,6 +65,31 @@ class DeviceFile(StrictModel):
     @abstractmethod
     def encoder(self) -> Encoder:
         """Make an encoder that sends what the device would send."""
+
+
+class Family(Protocol):
+    """What makes decoders and encoders of a family whose device files say no more than others."""
+
+    def decoder(self, rate_hz: float | None) -> Decoder:
+        """Make a decoder for packets that come at this nominal rate."""
+
+    def encoder(self, sends: list[str]) -> Encoder:
+        """Make an encoder of what has these names."""
+
+
+class FamilyDevice(DeviceFile):
+    """Device file of a family; `sends` is for its virtual twin alone."""
+
+    family: ClassVar[Family]
+    sends: list[str]
+
+    def decoder(self) -> Decoder:
+        """Make a decoder for this device."""
+        return self.family.decoder(self.rate_hz)
+
+    def encoder(self) -> Encoder:
+        """Make an encoder that sends what the device would send."""
+        return self.family.encoder(self.sends)
 
 
 class _Header(StrictModel, extra="ignore"):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal
@@ -9,19 +11,26 @@ from typing import Literal
 import numpy as np
 
 from imumon.blocks import IntArray
-from imumon.protocols.checksums import CRCS, Crc
-from imumon.protocols.framing import BoolArray, Check
+from imumon.protocols.checksums import CRCS, Crc, crc_table, reversed_bits
+from imumon.protocols.framing import BoolArray, Check, windows
 from imumon.protocols.stream import ByteArray
 
 
-def gathered(held: ByteArray, first: IntArray, last: IntArray) -> tuple[ByteArray, IntArray]:
-    """Return the bytes from each first to before each last place, in one row, and where each begins.
+def aligned(held: ByteArray, first: IntArray, last: IntArray) -> Iterator[tuple[IntArray, ByteArray]]:
+    """Yield numbers of spans, and their bytes with zeros before the shorter ones, (m, longest).
 
-    None of the spans may be empty.
+    Those of one length come at once; others with those that are at most twice as long.
     """
     sizes = last - first
-    begins = np.cumsum(sizes) - sizes
-    return held[np.repeat(first - begins, sizes) + np.arange(int(sizes.sum()))], begins
+    if len(sizes) and np.all(sizes == sizes[0]):
+        yield np.arange(len(sizes)), windows(held, first, int(sizes[0]))
+        return
+    octaves = np.frexp(sizes)[1]
+    for octave in np.flatnonzero(np.bincount(octaves)).tolist():
+        which = np.flatnonzero(octaves == octave)
+        place = last[which, np.newaxis] + np.arange(-int(sizes[which].max()), 0)
+        there = place >= first[which, np.newaxis]
+        yield which, np.where(there, held[np.where(there, place, 0)], np.uint8(0))
 
 
 def sent(held: ByteArray, end: IntArray, size: int, big: bool) -> IntArray:
@@ -39,9 +48,43 @@ def unchecked(held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
     return np.ones(len(at), np.bool_)
 
 
-@dataclass(frozen=True, slots=True)
-class Sum:
-    """A checksum that adds up numbers of the bytes `first` .. length - `size`, and stands in the last ones.
+class Trailing(ABC):
+    """A checksum of all bytes from `first` on, in the last `size` bytes of a packet."""
+
+    first: int
+    size: int
+    big: bool
+
+    def values(self, held: ByteArray, first: IntArray, last: IntArray) -> IntArray:
+        """Return the checksums of the bytes from each first to before each last place."""
+        found = np.zeros(len(first), np.int64)
+        for which, data in aligned(held, first, last):
+            found[which] = self._of(data, (last - first)[which])
+        return found
+
+    @abstractmethod
+    def _of(self, data: ByteArray, size: IntArray) -> IntArray:
+        """Return the checksums of rows of which these are the sizes; what is before is zero."""
+
+    def __call__(self, held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
+        """Tell which packets are right; see `Check`."""
+        computed = self.values(held, at + self.first, at + length - self.size)
+        return np.asarray(computed == sent(held, at + length, self.size, self.big))
+
+    def sealed(self, body: bytes) -> bytes:
+        """Return the packet: the body and its checksum."""
+        held = np.frombuffer(body, np.uint8)
+        return body + self.stored(self.values(held, np.array([self.first]), np.array([len(body)]))).tobytes()
+
+    def stored(self, values: IntArray) -> ByteArray:
+        """Return checksums as they stand in packets, (n, size)."""
+        most_first = values.astype(">i8").view(np.uint8).reshape(-1, 8)[:, 8 - self.size :]
+        return most_first if self.big else most_first[:, ::-1]
+
+
+@dataclass(frozen=True)
+class Sum(Trailing):
+    """A checksum that adds up numbers.
 
     Parameters
     ----------
@@ -64,57 +107,47 @@ class Sum:
     big: bool = False
     words: Literal["", "little", "big"] = ""
 
-    def __call__(self, held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
-        """Tell which packets are right; see `Check`."""
-        if not len(at):
-            return np.zeros(0, np.bool_)
-        data, begins = gathered(held, at + self.first, at + length - self.size)
-        numbers = data.astype(np.int64)
+    def _of(self, data: ByteArray, size: IntArray) -> IntArray:
         if self.words:
-            place = np.arange(len(data)) - np.repeat(begins, np.diff(begins, append=len(data)))
-            numbers <<= np.where((place % 2 == 0) == (self.words == "big"), 8, 0)
-        sums = np.add.reduceat(numbers, begins)
-        difference = (-sums if self.negated else sums) - sent(held, at + length, self.size, self.big)
-        return np.asarray(difference & (1 << 8 * self.size) - 1 == 0)
+            even = (np.arange(data.shape[1]) - data.shape[1] + size[:, np.newaxis]) % 2 == 0
+            sums = np.sum(data.astype(np.int64) << np.where(even == (self.words == "big"), 8, 0), axis=1)
+        else:
+            sums = np.sum(data, axis=1, dtype=np.int64)
+        return np.asarray((-sums if self.negated else sums) & (1 << 8 * self.size) - 1)
 
 
-@dataclass(frozen=True, slots=True)
-class Xor:
-    """The exclusive or of the bytes from `first` on, in the last byte."""
+@dataclass(frozen=True)
+class Xor(Trailing):
+    """The exclusive or of the bytes, in the last byte."""
 
     first: int = 0
+    size: int = 1
+    big: bool = False
 
-    def __call__(self, held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
-        """Tell which packets are right; see `Check`."""
-        if not len(at):
-            return np.zeros(0, np.bool_)
-        data, begins = gathered(held, at + self.first, at + length - 1)
-        return np.asarray(np.bitwise_xor.reduceat(data, begins) == held[at + length - 1])
+    def _of(self, data: ByteArray, size: IntArray) -> IntArray:
+        del size
+        return np.asarray(np.bitwise_xor.reduce(data, axis=1), np.int64)
 
 
-@dataclass(frozen=True, slots=True)
-class Fletcher:
-    """Fletcher's two sums of eight bits, of the bytes from `first` on, in the last two: see `checksums`."""
+@dataclass(frozen=True)
+class Fletcher(Trailing):
+    """Fletcher's two sums of eight bits: see `checksums`."""
 
     first: int = 0
     modulus: int = 256
     big: bool = False
+    size: int = 2
 
-    def __call__(self, held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
-        """Tell which packets are right; see `Check`."""
-        if not len(at):
-            return np.zeros(0, np.bool_)
-        data, begins = gathered(held, at + self.first, at + length - 2)
-        covered = length - 2 - self.first
-        distance = np.repeat(begins + covered, covered) - np.arange(len(data))
-        low = np.add.reduceat(data.astype(np.int64), begins) % self.modulus
-        high = np.add.reduceat(data * distance, begins) % self.modulus
-        return np.asarray((high << 8 | low) == sent(held, at + length, 2, self.big))
+    def _of(self, data: ByteArray, size: IntArray) -> IntArray:
+        del size
+        distance = np.arange(data.shape[1], 0, -1)
+        low, high = np.sum(data, axis=1, dtype=np.int64), data @ distance
+        return np.asarray(high % self.modulus << 8 | low % self.modulus)
 
 
-@dataclass(frozen=True, slots=True)
-class CyclicCheck:
-    """A CRC in the terms of the catalogue, in the last bytes of a packet, over all from `first` on.
+@dataclass(frozen=True)
+class CyclicCheck(Trailing):
+    """A CRC in the terms of the catalogue.
 
     It is linear: each byte adds what depends on its value and on its distance to the end, so all bytes of all
     packets are looked up at once.  `zeros` more bytes, which are not sent, count as if they came before it.
@@ -125,45 +158,72 @@ class CyclicCheck:
     big: bool = False
     zeros: int = 0
 
-    def __call__(self, held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
-        """Tell which packets are right; see `Check`."""
-        if not len(at):
-            return np.zeros(0, np.bool_)
-        size = self.crc.width // 8
-        data, begins = gathered(held, at + self.first, at + length - size)
-        covered = length - size - self.first
-        table, empty = _by_distance(self.crc, 1 << int(covered.max() + self.zeros).bit_length())
-        distance = np.repeat(begins + covered - 1 + self.zeros, covered) - np.arange(len(data))
-        value = np.bitwise_xor.reduceat(table[distance, data], begins) ^ empty[covered + self.zeros]
-        return np.asarray(value == sent(held, at + length, size, self.big))
+    @property
+    def size(self) -> int:  # type: ignore[override]
+        """Bytes of the CRC."""
+        return self.crc.width // 8
+
+    @property
+    def of_last_byte(self) -> IntArray:
+        """What the last byte adds, by its value."""
+        return by_distance(self.crc, 1)[0]
+
+    def _of(self, data: ByteArray, size: IntArray) -> IntArray:
+        longest = data.shape[1] + self.zeros
+        table, empty = by_distance(self.crc, 1 << longest.bit_length())
+        distance = np.arange(longest - 1, self.zeros - 1, -1)
+        value = np.bitwise_xor.reduce(table.take(data + 256 * distance), axis=1)
+        return np.asarray(value ^ empty[size + self.zeros])
+
+
+def rearranged(check: Check, order: Callable[[int], Sequence[int]]) -> Check:
+    """Return the check of packets that have their bytes in another order.
+
+    `order` takes the length of a packet, and returns the places of what counts, those of the checksum last.
+    """
+
+    def right(held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
+        verdict = np.zeros(len(at), np.bool_)
+        for size in np.flatnonzero(np.bincount(length)).tolist():
+            which, places = np.flatnonzero(length == size), order(size)
+            moved = windows(held, at[which], size).take(places, axis=1)
+            begins = np.arange(len(which)) * len(places)
+            verdict[which] = check(moved.reshape(-1), begins, np.full(len(which), len(places)))
+        return verdict
+
+    return right
 
 
 def check_of(name: str, first: int = 0, big: bool = False, zeros: int = 0) -> Check:
     """Return the check of this name (`imumon.protocols.checksums`), over all bytes from `first` on."""
+    return unchecked if name == "none" else trailing(name, first, big, zeros)
+
+
+def trailing(name: str, first: int = 0, big: bool = False, zeros: int = 0) -> Trailing:
+    """Return the checksum of this name, which is not "none"; see `check_of`."""
     if name in CRCS:
         return CyclicCheck(CRCS[name], first, big, zeros)
-    if name.startswith("fletcher16"):
-        return Fletcher(first, 256 if name == "fletcher16-256" else 255, big)
-    simple: dict[str, Check] = {
-        "none": unchecked,
+    simple = {
         "xor8": Xor(first),
         "sum8": Sum(first),
         "sum8-negated": Sum(first, negated=True),
         "sum16": Sum(first, 2, big=big),
         "sum16-words-le": Sum(first, 2, big=big, words="little"),
         "sum16-words-be": Sum(first, 2, big=big, words="big"),
+        "fletcher16": Fletcher(first, 255, big),
+        "fletcher16-256": Fletcher(first, 256, big),
     }
     return simple[name]
 
 
 @lru_cache
-def _by_distance(crc: Crc, longest: int) -> tuple[IntArray, IntArray]:
+def by_distance(crc: Crc, longest: int) -> tuple[IntArray, IntArray]:
     """Return what a byte adds to the CRC by its distance to the end and its value, and the CRC of zeros.
 
-    Shapes: (longest, 256) and (longest + 1,).
+    Shapes: (longest * 256,), distance first, and (longest + 1,).
     """
     mask = (1 << crc.width) - 1
-    step = np.array([_shifted(crc, byte) for byte in range(256)], np.int64)
+    step = crc_table(crc)[0].astype(np.int64) >> (0 if crc.reflected else 32 - crc.width)
 
     def with_zero(register: IntArray) -> IntArray:
         """Return the register after one more byte, which is zero."""
@@ -171,29 +231,12 @@ def _by_distance(crc: Crc, longest: int) -> tuple[IntArray, IntArray]:
             return np.asarray((register >> 8) ^ step[register & 0xFF])
         return np.asarray(((register << 8) & mask) ^ step[register >> crc.width - 8])
 
-    table = np.empty((longest, 256), np.int64)
+    table = np.empty((longest, 256), np.uint16 if crc.width == 16 else np.uint32)
     empty = np.empty(longest + 1, np.int64)
-    table[0], empty[0] = step, _turned(crc.initial, crc.width) if crc.reflected else crc.initial
-    for k in range(1, longest + 1):
-        if k < longest:
-            table[k] = with_zero(table[k - 1])
-        empty[k] = with_zero(empty[k - 1 : k])[0]
-    return table, empty ^ crc.final_xor
-
-
-def _shifted(crc: Crc, byte: int) -> int:
-    """Return the register after a byte, begun at zero."""
-    if crc.reflected:
-        polynomial, register = _turned(crc.polynomial, crc.width), byte
-        for _ in range(8):
-            register = (register >> 1) ^ (polynomial if register & 1 else 0)
-        return register
-    top, register = 1 << crc.width - 1, byte << crc.width - 8
-    for _ in range(8):
-        register = (register << 1 ^ (crc.polynomial if register & top else 0)) & (1 << crc.width) - 1
-    return register
-
-
-def _turned(value: int, width: int) -> int:
-    """Return the bits in reverse order."""
-    return int(f"{value:0{width}b}"[::-1], 2)
+    empty[0] = reversed_bits(crc.initial, crc.width) if crc.reflected else crc.initial
+    added = step
+    for k in range(longest):
+        table[k] = added
+        added = with_zero(added)
+        empty[k + 1] = with_zero(empty[k : k + 1])[0]
+    return table.reshape(-1), empty ^ crc.final_xor

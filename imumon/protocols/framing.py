@@ -31,6 +31,9 @@ BoolArray = npt.NDArray[np.bool_]
 INCOMPLETE, NO_PACKET, IMPOSSIBLE, BAD_SUM = -1, -2, -3, -4
 """Instead of a length: more bytes must come, nothing of this kind, no such length, the checksum differs."""
 
+MOST_AT_ONCE = 1 << 20
+"""Bytes that are searched at once at the most: what is made of them takes twenty times as much memory."""
+
 Lengths = Callable[[ByteArray, IntArray], IntArray]
 """Takes the bytes and places of sync patterns, (n,); returns the whole length or one of the codes, (n,)."""
 Check = Callable[[ByteArray, IntArray, IntArray], BoolArray]
@@ -70,19 +73,19 @@ class Frame:
             found = found[~there | (held[np.minimum(found + k, len(held) - 1)] == sync[k])]
         return found
 
-    def judged(self, held: ByteArray, at: IntArray, final: bool) -> IntArray:
-        """Return for each place the length of the valid packet that begins there, or what is wrong, (n,)."""
-        verdict = np.full(len(at), INCOMPLETE, np.int64)
+    def measured(self, held: ByteArray, at: IntArray) -> IntArray:
+        """Return for each place the length that a packet has there, if it is right, or why there is none."""
+        length = np.full(len(at), INCOMPLETE, np.int64)
         begun = np.flatnonzero(at + len(self.sync) <= len(held))
-        verdict[begun] = self.lengths(held, at[begun])
-        verdict[(verdict > 0) & (at + verdict > len(held))] = INCOMPLETE
-        whole = np.flatnonzero(verdict > 0)
-        right = self.check(held, at[whole], verdict[whole])
-        verdict[whole[~right]] = BAD_SUM
-        if self.tail:
-            good = whole[right]
-            verdict[good] = self._with_tail(held, at[good], verdict[good], final)
-        return verdict
+        length[begun] = self.lengths(held, at[begun])
+        length[(length > 0) & (at + length > len(held))] = INCOMPLETE
+        return length
+
+    def judged(self, held: ByteArray, at: IntArray, length: IntArray, final: bool) -> IntArray:
+        """Return for each whole packet its length with its tail, or what is wrong, (n,)."""
+        right = self.check(held, at, length)
+        whole = self._with_tail(held, at, length, final) if self.tail else length
+        return np.where(right, whole, BAD_SUM)
 
     def _with_tail(self, held: ByteArray, at: IntArray, length: IntArray, final: bool) -> IntArray:
         """Return the lengths with that of the tail where it follows; `INCOMPLETE` where it may come yet."""
@@ -116,8 +119,16 @@ class Found:
         """Return the first bytes of each packet, (n, size); of packets of one length all when not given."""
         if size is None:
             size = int(self.length[0]) if len(self) else 0
-        packets: ByteArray = self.held[self.at[:, np.newaxis] + np.arange(size)]
-        return packets
+        return windows(self.held, self.at, size)
+
+
+def windows(held: ByteArray, at: IntArray, size: int) -> ByteArray:
+    """Return so many bytes from each place on, (n, size)."""
+    if not size or not len(at):
+        return np.zeros((len(at), size), np.uint8)
+    # Taken as items of one type they are copied as wholes, twenty times faster than byte by byte.
+    every = np.ndarray((len(held) - size + 1,), f"V{size}", held, strides=(1,))
+    return every[at].view(np.uint8).reshape(-1, size)
 
 
 class FramedDecoder(Decoder):
@@ -150,13 +161,15 @@ class FramedDecoder(Decoder):
 
     def feed_reads(self, data: bytes | memoryview | ByteArray, ends: IntArray, arrivals_ns: IntArray) -> None:
         """Take the bytes of several reads: of each where it ends in the data, and when it arrived."""
-        self._parts.append(bytes(data))
-        self._waiting += len(data)
         self._ends.append(ends + self._received)
         self._times.append(arrivals_ns.copy())
-        self._received += len(data)
-        if self._waiting > CHUNK:
-            self._search(final=False)
+        for start in range(0, len(data), MOST_AT_ONCE):
+            part = bytes(data[start : start + MOST_AT_ONCE])
+            self._parts.append(part)
+            self._waiting += len(part)
+            self._received += len(part)
+            if self._waiting > CHUNK:
+                self._search(final=False)
 
     def finish(self) -> None:
         """Decode what is held; see `Decoder.finish`."""
@@ -184,13 +197,18 @@ class FramedDecoder(Decoder):
         if not self._waiting and not (final and self._rest):
             return
         data = b"".join([self._rest, *self._parts])
-        held = np.frombuffer(data, np.uint8)
         self._parts.clear()
         self._waiting = 0
-        at, frame, verdict = self._candidates(held, final)
-        taken, rest, overlap = _walk(at, verdict, len(held), self._overlap, final)
-        found = Found(held, at[taken], verdict[taken], frame[taken])
-        self._count(found, at, verdict, rest)
+        candidates = _Candidates(self._frames, np.frombuffer(data, np.uint8), final)
+        sure = candidates.followed(self._overlap)
+        visible = candidates.outside(sure)
+        taken, rest, overlap = candidates.walk(visible, self._overlap)
+        if not candidates.contains(taken, sure):
+            # A packet that should not be ends inside a sure one: what is in the sure ones counts, too.
+            visible = candidates.outside(sure[:0])
+            taken, rest, overlap = candidates.walk(visible, self._overlap)
+        found = candidates.found(taken)
+        self._count(found, candidates.at[visible], candidates.verdict[visible], rest)
         ends, times = np.concatenate(self._ends), np.concatenate(self._times)
         if len(found):
             last = self._searched + found.at + found.length
@@ -201,25 +219,6 @@ class FramedDecoder(Decoder):
         self._searched += rest
         recent = int(np.searchsorted(ends, self._searched, "right"))
         self._ends, self._times = [ends[recent:]], [times[recent:]]
-
-    def _candidates(self, held: ByteArray, final: bool) -> tuple[IntArray, IntArray, IntArray]:
-        """Return places, frames and verdicts of all sync patterns, in order, one for each place.
-
-        The first frame counts that finds a packet there; or that may still find one, when more bytes come.
-        """
-        places = [frame.places(held) for frame in self._frames]
-        at = np.concatenate(places)
-        number = np.repeat(np.arange(len(places)), [len(found) for found in places])
-        verdict = np.concatenate(
-            [frame.judged(held, found, final) for frame, found in zip(self._frames, places, strict=True)]
-        )
-        if len(places) == 1:
-            return at, number, verdict
-        hopeless = (verdict <= 0) & (final | (verdict != INCOMPLETE))
-        order = np.lexsort((number, hopeless, at))
-        at, number, verdict = at[order], number[order], verdict[order]
-        first = np.diff(at, prepend=-1) > 0
-        return at[first], number[first], verdict[first]
 
     def _count(self, found: Found, at: IntArray, verdict: IntArray, rest: int) -> None:
         """Count the packets, their bytes once each, and the errors outside of them."""
@@ -235,37 +234,113 @@ class FramedDecoder(Decoder):
         self._length_errors += int(np.sum(outside & (verdict == IMPOSSIBLE)))
 
 
-def _walk(at: IntArray, verdict: IntArray, size: int, done: int, final: bool) -> tuple[IntArray, int, int]:
-    """Return which candidates are taken, where the rest begins, and how many of its bytes are in a packet.
+UNKNOWN = -5
+"""Instead of a verdict: its checksum has not been looked at."""
 
-    A candidate that is not complete holds back what follows; at the end of the data it is passed over, and
-    stays pending when no packet follows.
+
+class _Candidates:
+    """Places of sync patterns in order, with the frames they are of; of several frames the first comes first.
+
+    Checksums cost most, and most places in the middle of a packet are no packets.  So first the candidates
+    are checked that another one follows at once; what is inside of those that are right need not be.
     """
-    of_interest = np.flatnonzero((verdict > 0) | (verdict == INCOMPLETE))
-    taken: list[int] = []
-    rest, pending = size, -1
-    for number, start, length in zip(
-        of_interest.tolist(), at[of_interest].tolist(), verdict[of_interest].tolist(), strict=True
-    ):
-        if start < done and (0 < length <= done - start or _stands(at, done)):
-            continue
-        if length > 0:
-            taken.append(number)
-            done, pending = start + length, -1
-        elif not final:
-            rest = start
-            break
-        elif pending < 0 and start >= done:
-            pending = start
-    if pending >= 0:
-        rest = pending
-    return np.array(taken, np.int64), rest, max(done - rest, 0)
 
+    def __init__(self, frames: Sequence[Frame], held: ByteArray, final: bool) -> None:
+        self._frames, self._held, self._final = frames, held, final
+        places = [frame.places(held) for frame in frames]
+        self.at = np.concatenate(places)
+        self.frame = np.repeat(np.arange(len(frames)), [len(one) for one in places])
+        measured = [f.measured(held, one) for f, one in zip(frames, places, strict=True) if len(one)]
+        length = np.concatenate([*measured, np.zeros(0, np.int64)])
+        if len(frames) > 1:
+            order = np.argsort(self.at, kind="stable")
+            self.at, self.frame, length = self.at[order], self.frame[order], length[order]
+        self.length = length
+        self.verdict = np.where(length > 0, UNKNOWN, length)
+        self._begins = np.zeros(len(held) + 1, np.bool_)
+        self._begins[self.at] = True
 
-def _stands(at: IntArray, place: int) -> bool:
-    """Tell whether there is a sync pattern at a place."""
-    k = int(np.searchsorted(at, place))
-    return k < len(at) and at[k] == place
+    def _judge(self, which: IntArray) -> None:
+        """Look at the checksums of some candidates."""
+        which = which[self.verdict[which] == UNKNOWN]
+        for number in np.flatnonzero(np.bincount(self.frame[which])).tolist():
+            mine = which[self.frame[which] == number]
+            self.verdict[mine] = self._frames[number].judged(
+                self._held, self.at[mine], self.length[mine], self._final
+            )
+
+    def followed(self, done: int) -> IntArray:
+        """Return valid packets, one behind the other from `done` on, each with a sync pattern behind it."""
+        tails = np.array([len(frame.tail) for frame in self._frames])[self.frame]
+        end = self.at + self.length
+        last = len(self._begins) - 1
+        followed = self._begins[np.minimum(end, last)] | self._begins[np.minimum(end + tails, last)]
+        sure = np.flatnonzero((self.length > 0) & followed & (self.at >= done))
+        self._judge(sure)
+        sure = sure[self.verdict[sure] > 0]
+        end = self.at[sure] + self.verdict[sure]
+        before = np.maximum.accumulate(np.concatenate([[done], end[:-1]])) if len(sure) else end
+        return sure[self._begins[end] & (self.at[sure] >= before)]
+
+    def outside(self, packets: IntArray) -> IntArray:
+        """Return the candidates that do not begin within these packets, one for each place.
+
+        The first frame counts that finds a packet there; or that may still find one, when more bytes come.
+        """
+        inside = np.searchsorted(self.at[packets], self.at) - 1
+        ends = np.concatenate([self.at[packets] + self.verdict[packets], [0]])
+        visible = np.flatnonzero(self.at >= ends[inside])
+        self._judge(visible)
+        at = self.at[visible]
+        if np.all(np.diff(at)):
+            return visible
+        verdict = self.verdict[visible]
+        hopeless = (verdict <= 0) & (self._final | (verdict != INCOMPLETE))
+        visible = visible[np.lexsort((self.frame[visible], hopeless, at))]
+        return visible[np.diff(self.at[visible], prepend=-1) > 0]
+
+    def contains(self, some: IntArray, others: IntArray) -> bool:
+        """Tell whether the others are among some candidates."""
+        there = np.zeros(len(self.at), np.bool_)
+        there[some] = True
+        return bool(np.all(there[others]))
+
+    def found(self, which: IntArray) -> Found:
+        """Return some candidates as packets."""
+        return Found(self._held, self.at[which], self.verdict[which], self.frame[which])
+
+    def walk(self, visible: IntArray, done: int) -> tuple[IntArray, int, int]:
+        """Return which candidates are taken, where the rest begins, and how many of its bytes are taken.
+
+        A candidate that is not complete holds back what follows; at the end of the data it is passed over,
+        and stays pending when no packet follows.
+        """
+        verdict = self.verdict[visible]
+        of_interest = visible[(verdict > 0) | (verdict == INCOMPLETE)]
+        at, verdict = self.at[of_interest], self.verdict[of_interest]
+        # Most packets stand one directly behind the other: such a run is taken at once.
+        joined = (verdict[:-1] > 0) & (verdict[1:] > 0) & (at[1:] == at[:-1] + verdict[:-1])
+        stops = np.append(np.flatnonzero(~joined), len(at) - 1)
+        run_end = stops[np.searchsorted(stops, np.arange(len(at)))] + 1
+        runs: list[IntArray] = [of_interest[:0]]
+        k, rest, pending = 0, len(self._held), -1
+        while k < len(at):
+            start, length = int(at[k]), int(verdict[k])
+            if start < done and (0 < length <= done - start or self._begins[done]):
+                k += 1
+            elif length > 0:
+                stop = int(run_end[k])
+                runs.append(of_interest[k:stop])
+                done, pending, k = int(at[stop - 1] + verdict[stop - 1]), -1, stop
+            elif not self._final:
+                rest = start
+                break
+            else:
+                pending = start if pending < 0 and start >= done else pending
+                k += 1
+        if pending >= 0:
+            rest = pending
+        return np.concatenate(runs), rest, max(done - rest, 0)
 
 
 def fixed_length(size: int) -> Lengths:

@@ -7,9 +7,10 @@ Facts from the vendor's drivers.  0x83 says by the bits of a word which fields f
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from fractions import Fraction
 from math import pi
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 
@@ -17,13 +18,12 @@ from imumon.blocks import IntArray
 from imumon.columns import KNOWN, Column
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.base import Timing
-from imumon.protocols.checksums import CRCS, checksum, make_checksum
-from imumon.protocols.device import DeviceFile
-from imumon.protocols.frame_checks import CyclicCheck, gathered
-from imumon.protocols.framing import BoolArray, Found, Frame, counted_length
-from imumon.protocols.messages import Message, Part, TableDecoder, TableEncoder, part, whole
+from imumon.protocols.checksums import CRCS
+from imumon.protocols.device import FamilyDevice
+from imumon.protocols.frame_checks import CyclicCheck, rearranged
+from imumon.protocols.framing import Found, Frame, counted_length
+from imumon.protocols.messages import Message, Part, TableDecoder, TableEncoder, TableFamily, part, whole
 from imumon.protocols.numbers import NUMBER_TYPES
-from imumon.protocols.stream import ByteArray
 from imumon.protocols.tagged_columns import count, known, number, vector
 
 SYNC = b"\x5a\xa5"
@@ -99,7 +99,7 @@ The unit of the rate, deg/s, is by analogy with 0x91: the vendor prints both und
 
 def of_bits(bits: int) -> Message:
     """Return the message 0x83 with the fields of these bits; it ends at the first bit that nobody knows."""
-    parts: list[tuple[Part, ...]] = [STATUS, INS_STATUS]
+    parts: list[Part] = [STATUS, INS_STATUS]
     at = 8
     for bit in (bit for bit in range(32) if bits >> bit & 1):
         if bit not in BITS:
@@ -112,45 +112,30 @@ def of_bits(bits: int) -> Message:
     return Message(f"imu83:{bits:#x}", at, tuple(parts))
 
 
-_CRC = CyclicCheck(CRCS["crc16-xmodem"])
-_XMODEM = make_checksum("crc16-xmodem")
-
-
-def _right(held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
-    """Check the CRC, which stands in the header: as if it stood behind the payload."""
-    if not len(at):
-        return np.zeros(0, np.bool_)
-    data, begins = gathered(held, at, at + length)
-    place = np.arange(len(data)) - np.repeat(begins, length)
-    behind = np.where(place < np.repeat(length, length) - 2, place + 2, place - np.repeat(length, length) + 6)
-    moved = data[np.repeat(begins, length) + np.where(place < 4, place, behind)]
-    return _CRC(moved, begins, length)
+_XMODEM = CyclicCheck(CRCS["crc16-xmodem"])
+_RIGHT = rearranged(_XMODEM, lambda size: [*range(4), *range(HEADER, size), 4, 5])
+"""The CRC stands in the header: as if it stood behind the payload."""
 
 
 def _wrapped(key: int, payload: bytes) -> bytes:
     first = bytes([key]) if key < 0x100 else bytes([OF_BITS, 0, 0, 0]) + (key >> 8).to_bytes(4, "little")
     payload = first + payload[len(first) :]
     head = SYNC + len(payload).to_bytes(2, "little")
-    body = np.frombuffer(head + payload, np.uint8)
-    return head + int(checksum(_XMODEM, body, 0, len(body))).to_bytes(2, "little") + payload
+    return head + _XMODEM.sealed(head + payload)[-2:] + payload
 
 
 class HipnucDecoder(TableDecoder):
     """Decodes the first packet of each frame: devices send one."""
 
-    def __init__(self, rate_hz: float | None = None) -> None:
-        frame = Frame("HiPNUC", SYNC, counted_length(2, 2, HEADER, LONGEST), _right)
-        timing = Timing(tick_ns=Fraction(1000), rate_hz=rate_hz)
-        super().__init__([frame], PACKETS, timing, HEADER, HEADER)
+    def _message(self, key: int) -> Message | None:
+        return of_bits(key >> 8) if key & 0xFF == OF_BITS else super()._message(key)
 
     def _keys(self, found: Found) -> IntArray:
         keys = np.where(found.length > HEADER, _byte(found, HEADER), -1)
         variable = np.flatnonzero((keys == OF_BITS) & (found.length >= HEADER + 8))
         bits = sum(_byte(found, HEADER + 4 + k)[variable] << 8 * k for k in range(4))
         keys[variable] = np.asarray(bits) << 8 | OF_BITS
-        for key in np.unique(keys[variable]).tolist():
-            self._messages.setdefault(key, of_bits(key >> 8))
-        if np.any((keys >= 0) & ~np.isin(keys, list(self._messages))):
+        if np.any((keys >= 0) & ~np.isin(keys & 0xFF, (*PACKETS, OF_BITS))):
             self._say("packets with other tags than 0x81, 0x83 and 0x91 are counted and not read")
         return keys
 
@@ -159,20 +144,24 @@ def _byte(found: Found, place: int) -> IntArray:
     return found.held[np.minimum(found.at + place, len(found.held) - 1)].astype(np.int64)
 
 
-class HipnucDevice(DeviceFile):
-    """Device file of a HiPNUC unit.
+HIPNUC = TableFamily(
+    PACKETS,
+    [Frame("HiPNUC", SYNC, counted_length(2, 2, HEADER, LONGEST), _RIGHT)],
+    HipnucDecoder,
+    _wrapped,
+    Timing(tick_ns=Fraction(1000)),
+    HEADER,
+    HEADER,
+)
 
-    `sends` is for its virtual twin alone: ``imu91``, ``ins81``, or the bits of 0x83, ``imu83:0x123``.
-    """
 
-    protocol: Literal["hipnuc"]
-    sends: list[str]
+class HipnucDevice(FamilyDevice):
+    """Device file of a HiPNUC unit: `sends` ``imu91``, ``ins81``, or the bits of 0x83, ``imu83:0x123``."""
 
-    def decoder(self) -> HipnucDecoder:
-        """Make a decoder for this device."""
-        return HipnucDecoder(self.rate_hz)
+    family = HIPNUC
 
     def encoder(self) -> TableEncoder:
         """Make an encoder that sends what the device would send."""
         bits = [int(n.partition(":")[2], 16) for n in self.sends if n.startswith("imu83:0x")]
-        return TableEncoder(PACKETS | {b << 8 | OF_BITS: of_bits(b) for b in bits}, self.sends, _wrapped)
+        messages = PACKETS | {b << 8 | OF_BITS: of_bits(b) for b in bits}
+        return replace(HIPNUC, messages=messages).encoder(self.sends)

@@ -7,19 +7,19 @@ rates of its own.  PIMU carries increments, with the time over which they were s
 from __future__ import annotations
 
 from fractions import Fraction
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 
 from imumon.blocks import ColumnArray, IntArray
 from imumon.columns import KNOWN
 from imumon.protocols.base import Timing
-from imumon.protocols.device import DeviceFile
+from imumon.protocols.device import FamilyDevice
 from imumon.protocols.frame_checks import Fletcher
 from imumon.protocols.framing import Found, Frame, counted_length
-from imumon.protocols.messages import Message, TableDecoder, TableEncoder, part, whole
+from imumon.protocols.messages import Message, TableDecoder, TableFamily, part, whole
+from imumon.protocols.numbers import Columns, Derived
 from imumon.protocols.stream import LONGEST_PACKET
-from imumon.protocols.tagged import Columns, Derived
 from imumon.protocols.tagged_columns import known, number, vector
 
 SYNC = b"\xef\x49"
@@ -78,21 +78,11 @@ DATA_SETS = {
 
 
 def _wrapped(key: int, payload: bytes) -> bytes:
-    body = SYNC + bytes([DATA, key]) + len(payload).to_bytes(2, "little") + payload
-    low = high = 0
-    for byte in body:
-        low = (low + byte) & 0xFF
-        high = (high + low) & 0xFF
-    return body + bytes([low, high])
+    return Fletcher().sealed(SYNC + bytes([DATA, key]) + len(payload).to_bytes(2, "little") + payload)
 
 
 class InertialSenseDecoder(TableDecoder):
     """Decodes data sets that come whole; other packets are counted."""
-
-    def __init__(self, rate_hz: float | None = None) -> None:
-        frame = Frame("ISB", SYNC, counted_length(4, 2, AROUND, LONGEST_PACKET), Fletcher())
-        timing = Timing(tick_ns=Fraction(1), rate_hz=rate_hz)
-        super().__init__([frame], DATA_SETS, timing, HEADER, AROUND)
 
     def _keys(self, found: Found) -> IntArray:
         flags = found.held[found.at + 2]
@@ -103,16 +93,15 @@ class InertialSenseDecoder(TableDecoder):
         return np.where(data, found.held[found.at + 3].astype(np.int64), -1)
 
 
-class InertialSenseDevice(DeviceFile):
-    """Device file of an Inertial Sense unit; `sends` is for its virtual twin alone."""
+class InertialSenseDevice(FamilyDevice):
+    """Device file of an Inertial Sense unit."""
 
-    protocol: Literal["inertialsense"]
-    sends: list[str]
-
-    def decoder(self) -> InertialSenseDecoder:
-        """Make a decoder for this device."""
-        return InertialSenseDecoder(self.rate_hz)
-
-    def encoder(self) -> TableEncoder:
-        """Make an encoder that sends what the device would send."""
-        return TableEncoder(DATA_SETS, self.sends, _wrapped)
+    family = TableFamily(
+        DATA_SETS,
+        [Frame("ISB", SYNC, counted_length(4, 2, AROUND, LONGEST_PACKET), Fletcher())],
+        InertialSenseDecoder,
+        _wrapped,
+        Timing(tick_ns=Fraction(1)),
+        HEADER,
+        AROUND,
+    )

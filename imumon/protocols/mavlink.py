@@ -10,7 +10,7 @@ SCALED_IMU and RAW_IMU have rates in steps of 1 mrad/s, 206 deg/h.
 from __future__ import annotations
 
 from fractions import Fraction
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 
@@ -18,13 +18,13 @@ from imumon.blocks import ColumnArray, IntArray
 from imumon.columns import KNOWN
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.base import MAIN, Timing
-from imumon.protocols.checksums import CRCS, checksum, make_checksum
-from imumon.protocols.device import DeviceFile
-from imumon.protocols.frame_checks import CyclicCheck, gathered
-from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, BoolArray, Found, Frame, Lengths
-from imumon.protocols.messages import Message, TableDecoder, TableEncoder, part, whole
+from imumon.protocols.checksums import CRCS
+from imumon.protocols.device import FamilyDevice
+from imumon.protocols.frame_checks import CyclicCheck, sent
+from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, BoolArray, Check, Found, Frame, Lengths, windows
+from imumon.protocols.messages import Message, TableDecoder, TableFamily, part, whole
+from imumon.protocols.numbers import Columns, Derived
 from imumon.protocols.stream import ByteArray
-from imumon.protocols.tagged import Columns, Derived
 from imumon.protocols.tagged_columns import count, known, number, vector
 
 FIRST, SECOND = b"\xfe", b"\xfd"
@@ -86,34 +86,18 @@ MESSAGES = {
     0: Message("heartbeat", 9, (whole(0, "u32", "vehicle_mode", "mode of the vehicle"),), "vehicle", least=1),
 }  # fmt: skip
 """Messages by their number; the second and third sensors (116, 129) are only counted."""
-EXTRA = {
-    0: 50,
-    26: 170,
-    27: 144,
-    29: 115,
-    30: 39,
-    31: 246,
-    105: 93,
-    116: 76,
-    129: 46,
-    2: 137,
-    111: 34,
-    107: 108,
-}
+EXTRA = {0: 50, 2: 137, 26: 170, 27: 144, 29: 115, 30: 39, 31: 246, 105: 93, 107: 108, 111: 34, 116: 76,
+         129: 46}  # fmt: skip
 """Byte of each message that the checksum counts behind the last."""
+EXTRAS = np.full(256, -1)
+EXTRAS[list(EXTRA)] = [*EXTRA.values()]
 _CRC = CyclicCheck(CRCS["crc16-mcrf4xx"])
-_MCRF4XX = make_checksum("crc16-mcrf4xx")
+_BEFORE_EXTRA = CyclicCheck(CRCS["crc16-mcrf4xx"], zeros=1)
 
 
 def _number(held: ByteArray, at: IntArray, header: int) -> IntArray:
     """Return the number of each message."""
-    if header == HEADERS[FIRST]:
-        return held[at + 5].astype(np.int64)
-    return (
-        held[at + 7].astype(np.int64)
-        | held[at + 8].astype(np.int64) << 8
-        | held[at + 9].astype(np.int64) << 16
-    )
+    return sent(held, at + header, 1 if header == HEADERS[FIRST] else 3, big=False)
 
 
 def _lengths(header: int) -> Lengths:
@@ -121,68 +105,47 @@ def _lengths(header: int) -> Lengths:
         result = np.full(len(at), INCOMPLETE, np.int64)
         there = np.flatnonzero(at + header <= len(held))
         begin = at[there]
-        size = header + 2 + held[begin + 1].astype(np.int64)
+        number, size = _number(held, begin, header), header + 2 + held[begin + 1].astype(np.int64)
+        good = (number < len(EXTRAS)) & (EXTRAS[number % len(EXTRAS)] >= 0)
         if header == HEADERS[SECOND]:
             flags = held[begin + 2]
             size += SIGNATURE * (flags & SIGNED)
-            size[flags > SIGNED] = IMPOSSIBLE
-        result[there] = np.where(np.isin(_number(held, begin, header), list(EXTRA)), size, IMPOSSIBLE)
+            good &= flags <= SIGNED
+        result[there] = np.where(good, size, IMPOSSIBLE)
         return result
 
     return lengths
 
 
-def _unsigned(held: ByteArray, at: IntArray, length: IntArray, header: int) -> IntArray:
-    """Return the lengths without signatures."""
-    return length - SIGNATURE * (held[at + 2] & SIGNED) if header == HEADERS[SECOND] else length
+def _right(header: int) -> Check:
+    """Return the check of messages whose header has so many bytes."""
 
+    def right(held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
+        signature = SIGNATURE * (held[at + 2] & SIGNED) if header == HEADERS[SECOND] else 0
+        end, extra = at + length - signature, EXTRAS[_number(held, at, header)]
+        # The CRC is linear: that of a zero in the place of the extra byte, and what this adds.
+        crc = _BEFORE_EXTRA.values(held, at + 1, end - 2) ^ _BEFORE_EXTRA.of_last_byte[extra]
+        return np.asarray(crc == sent(held, end, 2, big=False))
 
-class _Right:
-    """Check of messages whose header has so many bytes."""
-
-    def __init__(self, header: int) -> None:
-        self._header = header
-
-    def __call__(self, held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
-        """Tell which messages are right; see `imumon.protocols.framing.Check`."""
-        if not len(at):
-            return np.zeros(0, np.bool_)
-        size = _unsigned(held, at, length, self._header)
-        data, begins = gathered(held, at + 1, at + size)
-        extra = np.array([EXTRA[k] for k in _number(held, at, self._header).tolist()], np.uint8)
-        widened = np.insert(data, begins + size - 3, extra)
-        return _CRC(widened, begins + np.arange(len(at)), size)
+    return right
 
 
 class MavlinkDecoder(TableDecoder):
     """Decodes the inertial messages of the first vehicle that is heard."""
 
-    def __init__(self, rate_hz: float | None = None) -> None:
-        frames = [
-            Frame(f"MAVLink {k + 1}", sync, _lengths(header), _Right(header))
-            for k, (sync, header) in enumerate(HEADERS.items())
-        ]
-        timing = Timing(tick_ns=Fraction(1000), rate_hz=rate_hz)
-        super().__init__(frames, MESSAGES, timing, HEADERS[SECOND], HEADERS[SECOND])
-        self._vehicle = -1
+    _vehicle = -1
 
     def _plain(self, found: Found) -> Found:
         """Return the messages as those of version 2 with all their zeros."""
         size = HEADERS[SECOND] + LONGEST
-        held = np.zeros((len(found), size), np.uint8)
+        held, padded = np.zeros((len(found), size), np.uint8), np.pad(found.held, (0, LONGEST))
         for frame, header in enumerate(HEADERS.values()):
             rows = np.flatnonzero(found.frame == frame)
             at = found.at[rows]
-            number = _number(found.held, at, header)
-            vehicle = at + (3 if frame == 0 else 5)
-            for k in range(2):
-                held[rows, 5 + k] = found.held[vehicle + k]
-            for k in range(3):
-                held[rows, 7 + k] = number >> 8 * k & 0xFF
-            counted = found.held[at + 1]
-            for k in range(LONGEST):
-                there = counted > k
-                held[rows[there], HEADERS[SECOND] + k] = found.held[at[there] + header + k]
+            numbers = 1 if header == HEADERS[FIRST] else 3
+            held[rows, 5 : 7 + numbers] = windows(found.held, at + header - numbers - 2, 2 + numbers)
+            there = np.arange(LONGEST) < found.held[at + 1][:, np.newaxis]
+            held[rows, HEADERS[SECOND] :] = windows(padded, at + header, LONGEST) * there
         begins = np.arange(len(found)) * size
         return Found(held.reshape(-1), begins, np.full(len(found), size), found.frame)
 
@@ -204,20 +167,21 @@ class MavlinkDecoder(TableDecoder):
 def _wrapped(key: int, payload: bytes) -> bytes:
     payload = payload.rstrip(b"\0") or b"\0"
     body = bytes([len(payload), 0, 0, 0, 1, 1]) + key.to_bytes(3, "little") + payload
-    covered = np.frombuffer(body + bytes([EXTRA[key]]), np.uint8)
-    return SECOND + body + int(checksum(_MCRF4XX, covered, 0, len(covered))).to_bytes(2, "little")
+    return SECOND + body + _CRC.sealed(body + bytes([EXTRA[key]]))[-2:]
 
 
-class MavlinkDevice(DeviceFile):
-    """Device file of an autopilot; `sends` is for its virtual twin alone."""
+class MavlinkDevice(FamilyDevice):
+    """Device file of an autopilot."""
 
-    protocol: Literal["mavlink"]
-    sends: list[str]
-
-    def decoder(self) -> MavlinkDecoder:
-        """Make a decoder for this device."""
-        return MavlinkDecoder(self.rate_hz)
-
-    def encoder(self) -> TableEncoder:
-        """Make an encoder that sends what the device would send."""
-        return TableEncoder(MESSAGES, self.sends, _wrapped)
+    family = TableFamily(
+        MESSAGES,
+        [
+            Frame(f"MAVLink {k + 1}", sync, _lengths(header), _right(header))
+            for k, (sync, header) in enumerate(HEADERS.items())
+        ],
+        MavlinkDecoder,
+        _wrapped,
+        Timing(tick_ns=Fraction(1000)),
+        HEADERS[SECOND],
+        HEADERS[SECOND],
+    )

@@ -14,9 +14,8 @@ import numpy as np
 
 from imumon.blocks import NO_INT, ColumnArray
 from imumon.columns import KNOWN, Column
-from imumon.errors import ImumonError, Reason
 from imumon.geodesy import STANDARD_GRAVITY as G
-from imumon.protocols.base import MAIN, Timing
+from imumon.protocols.base import MAIN, ONLY_CORRECTED, Timing, chosen
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.epochs import GENERATION
 from imumon.protocols.mip_filter import (
@@ -31,7 +30,8 @@ from imumon.protocols.mip_filter import (
     floats,
     valid,
 )
-from imumon.protocols.tagged import NO_GROUP, Columns, Derived, Field, FieldTable, TaggedDecoder, Value
+from imumon.protocols.numbers import NO_GROUP, Columns, Derived, Value
+from imumon.protocols.tagged import Field, FieldTable, TaggedDecoder
 from imumon.protocols.tagged_columns import (
     MATRIX,
     QUATERNION,
@@ -271,7 +271,6 @@ class MipDecoder(TaggedDecoder):
     ) -> None:
         table = FieldTable(mip_fields(attitude, clock), _derived(clock), apart=GNSS.values())
         super().__init__(table, MIP, ROLES, SET_NAMES, Timing(tick_ns=Fraction(1), rate_hz=rate_hz))
-        self._warned = False
 
     def _type_name(self, kind: int) -> str:
         return SET_NAMES.get(kind, f"set 0x{kind:02X}")
@@ -279,14 +278,9 @@ class MipDecoder(TaggedDecoder):
     def warnings(self) -> list[str]:
         """Return, once, that only corrected rates come."""
         seen = {field.name: n for field, n in self.seen_fields().items()}
-        alone = seen.get("CompensatedRate", 0) >= GENERATION and "ScaledGyro" not in seen
-        if not alone or self._warned:
-            return []
-        self._warned = True
-        return [
-            "only rates come from which the device's filter has taken its own estimate of the bias "
-            "(CompensatedRate, gyro_compensated_*): send ScaledGyro"
-        ]
+        if seen.get("CompensatedRate", 0) >= GENERATION and "ScaledGyro" not in seen:
+            self._warn(f"{ONLY_CORRECTED}; send ScaledGyro besides CompensatedRate")
+        return super().warnings()
 
     def _field_name(self, key: int) -> str:
         name = next((field.name for field in self.table.fields if field.key == key), f"0x{key & 0xFF:02X}")
@@ -326,14 +320,8 @@ class MipEncoder(TaggedEncoder):
         clock: Clock = "reference",
     ) -> None:
         there = {f.name: f for f in mip_fields(attitude, clock) if f.key >> 8 == descriptor_set and f.values}
-        for name in names:
-            if name not in there:
-                raise ImumonError(
-                    Reason.BAD_CONFIG,
-                    f"no field {name!r} in descriptor set 0x{descriptor_set:02X}",
-                    f"there are: {', '.join(sorted(there))}",
-                )
-        super().__init__([there[name] for name in names], _derived(clock), MIP, descriptor_set, LIST)
+        fields = chosen(names, there, f"field of descriptor set 0x{descriptor_set:02X}")
+        super().__init__(fields, _derived(clock), MIP, descriptor_set, LIST)
 
 
 class MipDevice(DeviceFile):

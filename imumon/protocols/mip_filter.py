@@ -6,7 +6,8 @@ from collections.abc import Iterable
 from typing import Literal
 
 from imumon.columns import KNOWN, Column
-from imumon.protocols.tagged import NO_GROUP, Field, Value
+from imumon.protocols.numbers import NO_GROUP, Value
+from imumon.protocols.tagged import Field
 from imumon.protocols.tagged_columns import MATRIX, QUATERNION, count, known, number, vector
 
 GAUSS = 100.0

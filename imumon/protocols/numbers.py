@@ -1,8 +1,18 @@
-"""The types of numbers in packets."""
+"""Numbers in packets: their types, what they mean, and how they are read and written."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from imumon.blocks import NO_INT, ColumnArray, FloatArray, IntArray
+from imumon.columns import Column
+from imumon.errors import ImumonError, Reason
+from imumon.protocols.stream import ByteArray
 
 U8, I8, U16, I16, U24, I24, U32, I32, U64, I64, F32, F64, FP1632 = range(13)
 
@@ -34,3 +44,158 @@ NUMBER_TYPES: dict[str, NumberType] = {
     "fp1632": NumberType(FP1632, 6, False, True),
 }
 """Number types by the name that device files use.  u64 above 2**63-1 wraps to negative."""
+
+WRAPPING = ("packet_counter", "device_ticks")
+"""Columns of which only the low bits are sent."""
+
+_FLOAT32_MAX = float(np.finfo(np.float32).max)
+
+
+@dataclass(frozen=True, slots=True)
+class Value:
+    """A number: its column (None: passed over) is number * factor + offset; a mask picks bits out of it."""
+
+    column: Column | None
+    type: str
+    factor: float = 1.0
+    offset: float = 0.0
+    mask: int = 0
+
+    @property
+    def lowest_bit(self) -> int:
+        """Number of the lowest bit of the mask."""
+        return (self.mask & -self.mask).bit_length() - 1
+
+
+Columns = Mapping[str, ColumnArray]
+
+
+@dataclass(frozen=True, slots=True)
+class Derived:
+    """Columns computed from others (a time from a date, a quaternion from a matrix), and back to encode."""
+
+    sources: tuple[str, ...]
+    results: tuple[Column, ...]
+    decode: Callable[[Columns], list[ColumnArray]]
+    encode: Callable[[Columns], list[ColumnArray]]
+
+
+NO_GROUP = ""
+"""Group of times and counters."""
+
+
+class Placed(NamedTuple):
+    """A number at a place of a packet, and the group that it belongs to."""
+
+    value: Value
+    at: int
+    group: str = NO_GROUP
+    big: bool = False
+
+    @property
+    def name(self) -> str:
+        """Name of the column."""
+        return "" if self.value.column is None else self.value.column.name
+
+    @property
+    def end(self) -> int:
+        """First byte behind the number."""
+        return self.at + NUMBER_TYPES[self.value.type].size
+
+    def read(self, raw: ColumnArray) -> ColumnArray:
+        """Return the column of what the field of `record_type` has."""
+        value, kind = self.value, NUMBER_TYPES[self.value.type]
+        assert value.column is not None
+        if kind.size == 3:
+            raw = _of_three_bytes(raw, self.big, kind.signed)
+        if value.mask:
+            picked = (raw.astype(np.uint64) & np.uint64(value.mask)) >> np.uint64(value.lowest_bit)
+            raw = picked.astype(np.int64)
+        if value.column.dtype == "int64" and kind.integer:
+            return raw.astype(np.int64) * int(value.factor)
+        with np.errstate(invalid="ignore"):  # a signalling NaN becomes a quiet one
+            numbers: FloatArray = raw.astype(np.float64)
+            if value.factor != 1.0:
+                numbers *= value.factor
+            if value.offset:
+                numbers += value.offset
+            # A clock that is not a number becomes the least integer.
+            return numbers if value.column.dtype == "float64" else np.rint(numbers).astype(np.int64)
+
+
+def record_type(numbers: Sequence[Placed], size: int) -> np.dtype[np.void]:
+    """Return packets of a size as a structured type; numbers of three bytes, which NumPy lacks, as bytes."""
+    formats: list[tuple[str, int] | str] = []
+    for item in numbers:
+        kind = NUMBER_TYPES[item.value.type]
+        letter = "f" if not kind.integer else "i" if kind.signed or kind.size == 8 else "u"
+        formats.append(("u1", 3) if kind.size == 3 else f"{'>' if item.big else '<'}{letter}{kind.size}")
+    names, offsets = [item.name for item in numbers], [item.at for item in numbers]
+    return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": size})
+
+
+def _of_three_bytes(three: ColumnArray, big: bool, signed: bool) -> IntArray:
+    """Return integers of three bytes, (n, 3)."""
+    high, middle, low = three.astype(np.int64).T[:: 1 if big else -1]
+    whole: IntArray = high << 16 | middle << 8 | low
+    return whole - ((whole >> 23) << 24) if signed else whole
+
+
+def is_missing(values: ColumnArray) -> npt.NDArray[np.bool_]:
+    """Tell which values are missing."""
+    return np.isnan(values) if values.dtype.kind == "f" else values == NO_INT
+
+
+def packed(name: str, value: Value, columns: Columns, rows: npt.NDArray[np.intp]) -> ByteArray:
+    """Return the bytes of one number of a field of this name, most significant first, (n, size).
+
+    Raises
+    ------
+    ImumonError
+        BAD_DATA when a value does not fit.
+    """
+    kind = NUMBER_TYPES[value.type]
+    if value.column is None or value.column.name not in columns:
+        return np.zeros((len(rows), kind.size), np.uint8)
+    numbers = columns[value.column.name][rows]
+    where = f"{name}, column {value.column.name}"
+    if value.type in ("f32", "f64"):
+        return _pack_float((numbers - value.offset) / value.factor, kind, where)
+    numbers = np.where(is_missing(numbers), value.offset if numbers.dtype.kind == "f" else 0, numbers)
+    if numbers.dtype.kind == "f" or value.factor != 1.0:
+        scaled = (numbers - value.offset) / value.factor * (2.0**32 if value.type == "fp1632" else 1.0)
+        _refuse(~np.isfinite(scaled) | (np.abs(scaled) > 2.0**62), numbers, where)
+        numbers = np.rint(scaled).astype(np.int64)
+    elif value.type == "fp1632":
+        numbers = numbers * (1 << 32)
+    if value.mask:
+        numbers = numbers << value.lowest_bit & value.mask
+    elif value.column.name not in WRAPPING:
+        _refuse_outside(numbers, kind, where)
+    most_first = numbers.astype(">i8").view(np.uint8).reshape(-1, 8)[:, 8 - kind.size :]
+    # The fraction of fp16.32 goes before the integer part.
+    return most_first[:, [2, 3, 4, 5, 0, 1]] if value.type == "fp1632" else most_first
+
+
+def _pack_float(numbers: FloatArray, kind: NumberType, where: str) -> ByteArray:
+    if kind.size == 4:
+        _refuse(np.isfinite(numbers) & (np.abs(numbers) > _FLOAT32_MAX), numbers, where)
+    return numbers.astype(f">f{kind.size}").view(np.uint8).reshape(-1, kind.size)
+
+
+def _refuse_outside(numbers: ColumnArray, kind: NumberType, where: str) -> None:
+    if kind.size == 8:
+        return
+    bits = 8 * kind.size
+    low, high = (-(1 << (bits - 1)), (1 << (bits - 1)) - 1) if kind.signed else (0, (1 << bits) - 1)
+    _refuse((numbers < low) | (numbers > high), numbers, where)
+
+
+def _refuse(bad: npt.NDArray[np.bool_], numbers: ColumnArray, where: str) -> None:
+    if np.any(bad):
+        first = int(np.argmax(bad))
+        raise ImumonError(
+            Reason.BAD_DATA,
+            f"{where}: {numbers[first]} does not fit ({int(np.sum(bad))} of {len(bad)} values)",
+            "choose a wider number format or a larger scale, or leave the column out",
+        )

@@ -8,20 +8,19 @@ sensors come as IMU_SHORT (integers) or, from older firmware, as IMU_DATA; the r
 from __future__ import annotations
 
 from fractions import Fraction
-from typing import Literal
 
 import numpy as np
 
 from imumon.blocks import ColumnArray, IntArray
 from imumon.columns import KNOWN
 from imumon.protocols.base import Timing
-from imumon.protocols.checksums import CRCS, checksum, make_checksum
-from imumon.protocols.device import DeviceFile
+from imumon.protocols.checksums import CRCS
+from imumon.protocols.device import FamilyDevice
 from imumon.protocols.frame_checks import CyclicCheck
 from imumon.protocols.framing import BoolArray, Found, Frame, counted_length
-from imumon.protocols.messages import Message, TableDecoder, TableEncoder, part, whole
+from imumon.protocols.messages import Message, TableDecoder, TableFamily, part, whole
+from imumon.protocols.numbers import Columns, Derived
 from imumon.protocols.stream import LONGEST_PACKET, ByteArray
-from imumon.protocols.tagged import Columns, Derived
 from imumon.protocols.tagged_columns import count, known, number, vector
 
 SYNC, END = b"\xff\x5a", 0x33
@@ -100,7 +99,6 @@ LOGS = {
 """Logs of class 0 by their identifier, those with the inertial sensors first."""
 
 _CRC = CyclicCheck(CRCS["crc16-kermit"], first=2)
-_KERMIT = make_checksum("crc16-kermit")
 
 
 def _right(held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
@@ -108,37 +106,28 @@ def _right(held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
 
 
 def _wrapped(key: int, payload: bytes) -> bytes:
-    body = np.frombuffer(bytes([key, 0]) + len(payload).to_bytes(2, "little") + payload, np.uint8)
-    crc = int(checksum(_KERMIT, body, 0, len(body)))
-    return SYNC + body.tobytes() + crc.to_bytes(2, "little") + bytes([END])
+    return _CRC.sealed(SYNC + bytes([key, 0]) + len(payload).to_bytes(2, "little") + payload) + bytes([END])
 
 
 class SbgDecoder(TableDecoder):
     """Decodes the logs of class 0; all other frames are counted."""
 
-    def __init__(self, rate_hz: float | None = None) -> None:
-        frame = Frame("sbgECom", SYNC, counted_length(4, 2, AROUND, LONGEST_PACKET), _right)
-        timing = Timing(tick_ns=Fraction(1000), tick_bits=32, rate_hz=rate_hz)
-        super().__init__([frame], LOGS, timing, HEADER, AROUND)
-
     def _keys(self, found: Found) -> IntArray:
         kind = found.held[found.at + 3]
-        keys = np.where(kind == 0, found.held[found.at + 2].astype(np.int64), -1)
         if np.any(kind & LARGE):
             self._say("logs in several pages are counted and not read")
-        return keys
+        return np.where(kind == 0, found.held[found.at + 2].astype(np.int64), -1)
 
 
-class SbgDevice(DeviceFile):
-    """Device file of an SBG Systems unit; `sends` is for its virtual twin alone."""
+class SbgDevice(FamilyDevice):
+    """Device file of an SBG Systems unit."""
 
-    protocol: Literal["sbg"]
-    sends: list[str]
-
-    def decoder(self) -> SbgDecoder:
-        """Make a decoder for this device."""
-        return SbgDecoder(self.rate_hz)
-
-    def encoder(self) -> TableEncoder:
-        """Make an encoder that sends what the device would send."""
-        return TableEncoder(LOGS, self.sends, _wrapped)
+    family = TableFamily(
+        LOGS,
+        [Frame("sbgECom", SYNC, counted_length(4, 2, AROUND, LONGEST_PACKET), _right)],
+        SbgDecoder,
+        _wrapped,
+        Timing(tick_ns=Fraction(1000), tick_bits=32),
+        HEADER,
+        AROUND,
+    )

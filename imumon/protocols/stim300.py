@@ -21,11 +21,11 @@ from imumon.blocks import IntArray
 from imumon.columns import KNOWN, Column
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.base import Timing
-from imumon.protocols.checksums import CRCS, checksum, make_checksum
+from imumon.protocols.checksums import CRCS
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.frame_checks import CyclicCheck
 from imumon.protocols.framing import Found, Frame, fixed_length
-from imumon.protocols.messages import Message, Part, TableDecoder, TableEncoder, part, whole
+from imumon.protocols.messages import Message, Part, TableDecoder, TableEncoder, TableFamily, part, whole
 from imumon.protocols.tagged_columns import known, number, vector
 
 TICK_NS: Final = 500_000
@@ -78,7 +78,7 @@ def datagrams(output: Output, accel_range_g: AccelRange, rate_hz: float | None) 
     messages = {}
     for plain, pulse in WITH_PULSE.items():
         for key, names in ((plain, BLOCKS[plain][0]), (pulse, f"{BLOCKS[plain][0]} pps")):
-            at, parts = 1, list[tuple[Part, ...]]()
+            at, parts = 1, list[Part]()
             for name in names.split():
                 kind, columns, factor = blocks[name]
                 parts.append(part(at, kind, columns, factor))
@@ -93,38 +93,22 @@ def datagrams(output: Output, accel_range_g: AccelRange, rate_hz: float | None) 
 ZEROS = {key: zeros for key, (_, zeros) in BLOCKS.items()} | dict(
     zip(WITH_PULSE.values(), PULSE_ZEROS, strict=True)
 )
-_CRC = CRCS["crc32-mpeg2"]
-_CHECKSUM = make_checksum("crc32-mpeg2")
+CHECKS = {key: CyclicCheck(CRCS["crc32-mpeg2"], big=True, zeros=zeros) for key, zeros in ZEROS.items()}
 
 
 def _wrapped(key: int, payload: bytes, line_end: bool) -> bytes:
-    body = bytes([key]) + payload[1:]
-    covered = np.frombuffer(body + bytes(ZEROS[key]), np.uint8)
-    crc = int(checksum(_CHECKSUM, covered, 0, len(covered))).to_bytes(CRC_SIZE, "big")
-    return body + crc + (b"\r\n" if line_end else b"")
+    return CHECKS[key].sealed(bytes([key]) + payload[1:]) + (b"\r\n" if line_end else b"")
 
 
 class StimDecoder(TableDecoder):
     """Decodes the datagrams of normal mode, with and without a line end behind them."""
 
-    def __init__(self, messages: dict[int, Message], said: str, rate_hz: float | None = None) -> None:
-        frames = [
-            Frame(
-                f"datagram {key:02X}",
-                bytes([key]),
-                fixed_length(message.size + CRC_SIZE),
-                CyclicCheck(_CRC, big=True, zeros=ZEROS[key]),
-                b"\r\n",
-            )
-            for key, message in messages.items()
-        ]
-        timing = Timing(tick_ns=Fraction(TICK_NS), tick_bits=8, rate_hz=rate_hz)
-        super().__init__(frames, messages, timing, 0, CRC_SIZE, big=True)
-        self._assumed = said
+    def __init__(self, assumed: str, family: TableFamily, rate_hz: float | None) -> None:
+        super().__init__(family, rate_hz)
+        self._assumed = assumed
 
     def _keys(self, found: Found) -> IntArray:
-        if len(found):
-            self._say(self._assumed)
+        self._say(self._assumed)
         return found.held[found.at].astype(np.int64)
 
 
@@ -144,15 +128,26 @@ class StimDevice(DeviceFile):
             raise ValueError(f"sends: expected one of {', '.join(f'{key:02X}' for key in ZEROS)}")
         return self
 
-    def decoder(self) -> StimDecoder:
-        """Make a decoder for this device."""
-        said = (
+    @property
+    def _family(self) -> TableFamily:
+        messages = datagrams(self.output, self.accel_range_g, self.rate_hz)
+        frames = [
+            Frame(f"datagram {key:02X}", bytes([key]), fixed_length(m.size + CRC_SIZE), CHECKS[key], b"\r\n")
+            for key, m in messages.items()
+        ]
+        decodes = partial(
+            StimDecoder,
             f"read as {self.output}s with accelerometers of {self.accel_range_g} g, as the device file says: "
-            "the datagrams do not tell"
+            "the datagrams do not tell",
         )
-        return StimDecoder(datagrams(self.output, self.accel_range_g, self.rate_hz), said, self.rate_hz)
+        timing = Timing(tick_ns=Fraction(TICK_NS), tick_bits=8)
+        wrap = partial(_wrapped, line_end=self.line_end)
+        return TableFamily(messages, frames, decodes, wrap, timing, 0, CRC_SIZE, big=True)
+
+    def decoder(self) -> TableDecoder:
+        """Make a decoder for this device."""
+        return self._family.decoder(self.rate_hz)
 
     def encoder(self) -> TableEncoder:
         """Make an encoder that sends what the device would send."""
-        messages = datagrams(self.output, self.accel_range_g, self.rate_hz)
-        return TableEncoder(messages, [self.sends], partial(_wrapped, line_end=self.line_end), big=True)
+        return self._family.encoder([self.sends])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +11,7 @@ from imumon.blocks import NO_INT, ColumnArray, IntArray, SampleBlock
 from imumon.columns import KNOWN, Column
 from imumon.compiled import alone, filled, record
 from imumon.protocols.base import CAPACITY, COMMON, MAIN, CompiledDecoder, Groups, Timing
-from imumon.protocols.numbers import NUMBER_TYPES
+from imumon.protocols.numbers import NUMBER_TYPES, Derived, Value
 from imumon.protocols.tagged_kernel import (
     ANY_SIZE,
     LOG_FULL,
@@ -25,18 +25,6 @@ from imumon.protocols.tagged_kernel import (
     Table,
     scan_packets,
 )
-
-MOST_NOTICES = 1000
-"""Different notices that a decoder gives at the most; more would be a stream of rubbish."""
-
-
-@dataclass(frozen=True, slots=True)
-class Value:
-    """A number in a field: its column (None: passed over), its type, and the factor to the unit."""
-
-    column: Column | None
-    type: str
-    factor: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,21 +51,6 @@ class Field:
         return tuple(value.column for value in self.values if value.column is not None)
 
 
-Columns = Mapping[str, ColumnArray]
-
-
-@dataclass(frozen=True, slots=True)
-class Derived:
-    """Columns computed from others (a time from a date, a quaternion from a matrix), and back to encode."""
-
-    sources: tuple[str, ...]
-    results: tuple[Column, ...]
-    decode: Callable[[Columns], list[ColumnArray]]
-    encode: Callable[[Columns], list[ColumnArray]]
-
-
-NO_GROUP = ""
-"""Group of times and counters."""
 OTHER = "other"
 """Stream of packets that have nothing but fields of no group."""
 
@@ -199,7 +172,6 @@ class TaggedDecoder(CompiledDecoder):
         floats = np.full((table.float_count, CAPACITY), np.nan)
         ints = np.full((table.int_count, CAPACITY), NO_INT, np.int64)
         self._decoded = Rows(floats, ints, np.zeros(len(table.fields), np.int64))
-        self._said: dict[str, bool] = {}
         self._seen = _Seen(b"", (), (), (KNOWN["arrival_time_ns"],))
 
     def _scan(self, final: bool) -> bool:
@@ -223,19 +195,12 @@ class TaggedDecoder(CompiledDecoder):
         del kind, payload
         return ()
 
-    def _say(self, text: str) -> None:
-        """Keep a notice unless it was given before."""
-        if len(self._said) < MOST_NOTICES:
-            self._said.setdefault(text, False)
-
     def notices(self) -> list[str]:
         """Return, once each, what the device said that is not data, and what of it is not understood."""
         self._read_log()
         for (key, size), _ in self.unknown_fields().items():
             self._say(f"field {self._field_name(key)} of {size} bytes is not known and is passed over")
-        new = [text for text, given in self._said.items() if not given]
-        self._said.update(dict.fromkeys(new, True))
-        return new
+        return super().notices()
 
     def _field_name(self, key: int) -> str:
         return f"0x{key:04X}"

@@ -6,7 +6,7 @@ import numpy as np
 
 from imumon.blocks import NO_INT, ColumnArray, FloatArray
 from imumon.columns import KNOWN, Column
-from imumon.protocols.tagged import Columns, Derived
+from imumon.protocols.numbers import Columns, Derived
 
 DATE_PARTS = ("nanosecond", "year", "month", "day", "hour", "minute", "second")
 

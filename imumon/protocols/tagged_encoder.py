@@ -7,18 +7,13 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from imumon.blocks import NO_INT, ColumnArray, FloatArray, SampleBlock
+from imumon.blocks import ColumnArray, SampleBlock
 from imumon.errors import ImumonError, Reason
 from imumon.protocols.base import Encoder
-from imumon.protocols.numbers import NUMBER_TYPES, NumberType
+from imumon.protocols.numbers import Derived, is_missing, packed
 from imumon.protocols.stream import ByteArray
-from imumon.protocols.tagged import Derived, Field, Value
+from imumon.protocols.tagged import Field
 from imumon.protocols.tagged_kernel import FIXED, LONGEST_XBUS_PAYLOAD, MIP, XBUS
-
-WRAPPING = ("packet_counter", "device_ticks")
-"""Columns of which only the low bits are sent."""
-
-_FLOAT32_MAX = float(np.finfo(np.float32).max)
 
 
 class TaggedEncoder(Encoder):
@@ -100,7 +95,7 @@ class TaggedEncoder(Encoder):
             return np.ones(n, np.bool_)
         present = np.zeros(n, np.bool_)
         for values in found:
-            present |= ~_is_missing(values)
+            present |= ~is_missing(values)
         return present
 
     def _pack(
@@ -130,62 +125,3 @@ class TaggedEncoder(Encoder):
         else:
             checksum = (0xFA - sums[:, -1:]) & 0xFF
         return np.concatenate([packet, checksum.astype(np.uint8)], axis=1)
-
-
-def _is_missing(values: ColumnArray) -> npt.NDArray[np.bool_]:
-    return np.isnan(values) if values.dtype.kind == "f" else values == NO_INT
-
-
-def packed(
-    name: str, value: Value, columns: Mapping[str, ColumnArray], rows: npt.NDArray[np.intp]
-) -> ByteArray:
-    """Return the bytes of one number of a field of this name, most significant first, (n, size).
-
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when a value does not fit.
-    """
-    kind = NUMBER_TYPES[value.type]
-    if value.column is None or value.column.name not in columns:
-        return np.zeros((len(rows), kind.size), np.uint8)
-    numbers = columns[value.column.name][rows]
-    where = f"{name}, column {value.column.name}"
-    if value.type in ("f32", "f64"):
-        return _pack_float(numbers / value.factor, kind, where)
-    numbers = np.where(_is_missing(numbers), 0, numbers)
-    if numbers.dtype.kind == "f" or value.factor != 1.0:
-        scaled = numbers / value.factor * (2.0**32 if value.type == "fp1632" else 1.0)
-        _refuse(~np.isfinite(scaled) | (np.abs(scaled) > 2.0**62), numbers, where)
-        numbers = np.rint(scaled).astype(np.int64)
-    elif value.type == "fp1632":
-        numbers = numbers * (1 << 32)
-    if value.column.name not in WRAPPING:
-        _refuse_outside(numbers, kind, where)
-    most_first = numbers.astype(">i8").view(np.uint8).reshape(-1, 8)[:, 8 - kind.size :]
-    # The fraction of fp16.32 goes before the integer part.
-    return most_first[:, [2, 3, 4, 5, 0, 1]] if value.type == "fp1632" else most_first
-
-
-def _pack_float(numbers: FloatArray, kind: NumberType, where: str) -> ByteArray:
-    if kind.size == 4:
-        _refuse(np.isfinite(numbers) & (np.abs(numbers) > _FLOAT32_MAX), numbers, where)
-    return numbers.astype(f">f{kind.size}").view(np.uint8).reshape(-1, kind.size)
-
-
-def _refuse_outside(numbers: ColumnArray, kind: NumberType, where: str) -> None:
-    if kind.size == 8:
-        return
-    bits = 8 * kind.size
-    low, high = (-(1 << (bits - 1)), (1 << (bits - 1)) - 1) if kind.signed else (0, (1 << bits) - 1)
-    _refuse((numbers < low) | (numbers > high), numbers, where)
-
-
-def _refuse(bad: npt.NDArray[np.bool_], numbers: ColumnArray, where: str) -> None:
-    if np.any(bad):
-        first = int(np.argmax(bad))
-        raise ImumonError(
-            Reason.BAD_DATA,
-            f"{where}: {numbers[first]} does not fit ({int(np.sum(bad))} of {len(bad)} values)",
-            "choose a wider number format or leave the column out",
-        )

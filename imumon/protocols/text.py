@@ -12,7 +12,7 @@ import json
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import reduce
+from functools import lru_cache, reduce
 from math import isfinite
 from operator import xor
 from typing import Any, Final, Literal, Self
@@ -26,13 +26,17 @@ from imumon.config import StrictModel
 from imumon.protocols.base import COMMON, MAIN, Encoder
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.fixed.description import NumberField, NumberName, timing_of
+from imumon.protocols.frame_checks import Trailing
 from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, BoolArray, Check, Found, Frame, Lengths
 from imumon.protocols.payload import LayoutDecoder
 from imumon.protocols.stream import ByteArray
 
 LINE_END: Final = 0x0A
+MOST_LINES: Final = 1 << 14
+"""Lines of which the numbers are remembered: those of a search of 64 KiB and more."""
 LONGEST_LINE: Final = 1024
 """Bytes of a line that is believed; more is binary data."""
+HEXADECIMAL = re.compile("[0-9A-Fa-f]{2}|[0-9A-Fa-f]{4}")
 NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
@@ -99,17 +103,19 @@ class Line(StrictModel):
         """Places or keys of all columns."""
         return [key for field in self.fields for key in field.keys]
 
+    @property
+    def places(self) -> list[Place]:
+        """What each number is."""
+        return [Place(*field.scaled(name)) for field in self.fields for name in field.names]
+
     def read(self, text: str) -> list[float] | None:
         """Return the numbers of a line, in the order of the columns; None when it is not one of these."""
         body = text.strip("\r\n")
-        if self.checksum == "xor8":
-            body, star, given = body.rpartition("*")
-            if not star or not re.fullmatch("[0-9A-Fa-f]{2}", given) or int(given, 16) != _xor(body[1:]):
-                return None
-        if not body.startswith(self.prefix):
+        checked = sentence_body(body) if self.checksum == "xor8" else body
+        if checked is None or not checked.startswith(self.prefix):
             return None
         try:
-            words = self._words(body[len(self.prefix) :])
+            words = self._words(checked[len(self.prefix) :])
             numbers = [self._number(words[key]) for key in self.wanted]
         except (ValueError, KeyError, IndexError, RecursionError):
             return None
@@ -165,11 +171,35 @@ class Line(StrictModel):
         else:
             body = self.separator.join(words.get(k, "0") for k in range(self.values or 0))
         line = self.prefix + body
-        return (f"{line}*{_xor(line[1:]):02X}" if self.checksum == "xor8" else line).encode() + b"\r\n"
+        return (sentence(line) if self.checksum == "xor8" else line.encode()) + b"\r\n"
 
 
-def _xor(text: str) -> int:
-    return reduce(xor, text.encode("ascii", "replace"), 0)
+def sentence(body: str) -> bytes:
+    """Return what begins with `$` with its checksum, as NMEA has it."""
+    return f"{body}*{_xor(body):02X}".encode()
+
+
+def sentence_body(text: str, crc: Trailing | None = None) -> str | None:
+    """Return what a sentence has before its checksum, or None when that is wrong.
+
+    Parameters
+    ----------
+    text : str
+        The line without its end.
+    crc : Trailing
+        What the checksum is when it has four hexadecimal digits.
+    """
+    body, star, given = text.rpartition("*")
+    if not star or not HEXADECIMAL.fullmatch(given):
+        return None
+    if len(given) == 2:
+        return body if int(given, 16) == _xor(body) else None
+    bare = body.encode("ascii", "replace")
+    return body if crc is not None and crc.sealed(bare) == bare + bytes.fromhex(given) else None
+
+
+def _xor(body: str) -> int:
+    return reduce(xor, body[1:].encode("ascii", "replace"), 0)
 
 
 def _step(tree: Any, key: str) -> Any:
@@ -198,7 +228,7 @@ class Place:
 
     column: Column
     scale: float
-    offset: float
+    offset: float = 0.0
 
     def decoded(self, raw: FloatArray) -> ColumnArray:
         """Return the values of the column."""
@@ -216,17 +246,24 @@ class Place:
 
 
 class LineLayout:
-    """What lines of one kind carry."""
+    """What lines of one kind carry.
 
-    def __init__(self, line: Line) -> None:
-        self._line = line
-        self.places = [Place(*field.scaled(name)) for field in line.fields for name in field.names]
-        self.columns = tuple(place.column for place in self.places)
+    Parameters
+    ----------
+    read : callable
+        Returns the numbers of a line.
+    places : sequence of Place
+        What each of them is.
+    """
+
+    def __init__(self, read: Callable[[str], list[float] | None], places: Sequence[Place]) -> None:
+        self._read, self.places = read, places
+        self.columns = tuple(place.column for place in places)
         self.of_column = {c.name: MAIN for c in self.columns if c.name not in COMMON}
 
     def read(self, found: Found) -> dict[str, ColumnArray]:
         """Return a value a line for each column."""
-        lines = (self._line.read(text) for text in _texts(found.held, found.at, found.length))
+        lines = (self._read(text) for text in _texts(found.held, found.at, found.length))
         numbers = np.array([line for line in lines if line is not None])
         return {p.column.name: p.decoded(numbers[:, k]) for k, p in enumerate(self.places)}
 
@@ -271,14 +308,16 @@ class TextDecoder(LayoutDecoder):
     """Decodes described lines, a row for each; of several kinds that fit a line the first counts."""
 
     def __init__(self, lines: Sequence[Line], rate_hz: float | None) -> None:
+        # A line is read when it is checked, and again for its numbers.
+        readers = [lru_cache(MOST_LINES)(line.read) for line in lines]
         frames = [
-            Frame(x.name, x.prefix.encode() or b"\n", line_lengths(not x.prefix), lines_right(x.read))
-            for x in lines
+            Frame(x.name, x.prefix.encode() or b"\n", line_lengths(not x.prefix), lines_right(read))
+            for x, read in zip(lines, readers, strict=True)
         ]
         timing = timing_of([field for line in lines for field in line.fields], rate_hz)
         super().__init__(frames, timing)
-        for line in lines:
-            self._add(LineLayout(line))
+        for line, read in zip(lines, readers, strict=True):
+            self._add(LineLayout(read, line.places))
 
     def _layout_numbers(self, found: Found) -> IntArray:
         return found.frame
@@ -288,7 +327,7 @@ class TextEncoder(Encoder):
     """Makes the lines of a sample, one after the other."""
 
     def __init__(self, lines: Sequence[Line]) -> None:
-        self._lines = [(line, LineLayout(line).places) for line in lines]
+        self._lines = [(line, line.places) for line in lines]
 
     def encode(self, block: SampleBlock) -> list[bytes]:
         """Return the lines of each row; see `imumon.protocols.base.Encoder`."""

@@ -14,230 +14,32 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from math import pi
 from typing import Literal
 
 import numpy as np
 
-from imumon.blocks import ColumnArray, FloatArray, IntArray, SampleBlock
-from imumon.columns import KNOWN, Column
-from imumon.errors import ImumonError, Reason
-from imumon.protocols.base import MAIN, Encoder, Timing
+from imumon.blocks import IntArray, SampleBlock
+from imumon.columns import KNOWN
+from imumon.protocols.base import MAIN, Encoder, Timing, chosen
 from imumon.protocols.checksums import CRCS
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.frame_checks import CyclicCheck
-from imumon.protocols.framing import (
-    IMPOSSIBLE,
-    INCOMPLETE,
-    BoolArray,
-    Found,
-    Frame,
-)
-from imumon.protocols.numbers import NUMBER_TYPES
-from imumon.protocols.payload import Layout, LayoutDecoder, Placed, written
+from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, BoolArray, Found, Frame, counted_length, windows
+from imumon.protocols.numbers import NUMBER_TYPES, Placed, Value, packed
+from imumon.protocols.payload import Layout, LayoutDecoder, Record
 from imumon.protocols.stream import LONGEST_PACKET, ByteArray
-from imumon.protocols.tagged import NO_GROUP, Value
-from imumon.protocols.tagged_columns import count, known, number, vector
-
-DEGREE = pi / 180
-GAUSS = 100.0
-KILOPASCAL = 1000.0
-COMMON, TIME, IMU, GNSS1, ATTITUDE, INS, GNSS2, GNSS3 = 1, 2, 3, 4, 5, 6, 7, 12
-RECEIVERS = {GNSS1: "gnss1", GNSS2: "gnss2", GNSS3: "gnss3"}
-SIDE_GROUPS = ("mag", "temperature", "pressure", "attitude", "filter", *RECEIVERS.values())
-FILTERED = ("gyro", "accel", "mag")
-"""What the device sends both as it was calibrated in the factory and as its filter has left it."""
-
-
-@dataclass(frozen=True, slots=True)
-class Item:
-    """A field of a binary group: its name, its numbers, and the group of columns that it belongs to.
-
-    A field that only counts bytes has none but `size`; one with `repeat` has so many more bytes for each
-    count of the byte at `counter`.
-    """
-
-    name: str
-    values: tuple[Value, ...] = ()
-    group: str = MAIN
-    size: int = 0
-    repeat: int = 0
-    counter: int = 0
-
-
-def _numbers(columns: Sequence[Column | None], kind: str = "f32", factor: float = 1.0) -> tuple[Value, ...]:
-    return tuple(Value(column, kind, factor) for column in columns)
-
-
-def _whole(name: str, description: str, kind: str, unit: str = "1") -> tuple[Value, ...]:
-    return (Value(count(name, description, unit), kind),)
-
-
-def _filtered(base: str) -> tuple[Column, ...]:
-    """Columns of what the filter has left; where nothing else comes they become those without a suffix."""
-    unit = KNOWN[f"{base}_x"].unit
-    return vector(f"{base}_compensated", unit, f"{base}, corrected by the device's own filter")
-
-
-GYRO, ACCEL, MAG = (known(*(f"{base}_{axis}" for axis in "xyz")) for base in FILTERED)
-YPR = _numbers(known("yaw", "pitch", "roll"), factor=DEGREE)
-QUATERNION = _numbers(known("q_x", "q_y", "q_z", "q_w"))
-TICKS = (Value(KNOWN["device_ticks"], "u64"),)
-RATE = Item("AngRate", _numbers(_filtered("gyro")))
-FORCE = Item("Accel", _numbers(_filtered("accel")))
-FIELD = Item("Mag", _numbers(_filtered("mag"), factor=GAUSS), "mag")
-DELTA_TIME = number("delta_time", "s", "time over which the increments were summed")
-DELTA_THETA = _numbers((DELTA_TIME,)) + _numbers(
-    vector("delta_theta", "rad", "rotation over the sample"), factor=DEGREE
+from imumon.protocols.text import LineLayout, Place, line_lengths, lines_right, sentence_body
+from imumon.protocols.vectornav_fields import (
+    COMMON,
+    FILTERED,
+    GROUP_NAMES,
+    GROUPS,
+    RECEIVERS,
+    SENTENCES,
+    SIDE_GROUPS,
+    Item,
+    size_of,
 )
-DELTA_VELOCITY = _numbers(vector("delta_velocity", "m/s", "velocity increment"))
-TEMPERATURE = _numbers(known("temperature"))
-PRESSURE = _numbers(known("pressure"), factor=KILOPASCAL)
-POSITION = _numbers(known("latitude", "longitude", "altitude"), "f64")
-VELOCITY_NED = _numbers(vector("velocity", "m/s", "velocity north, east, down"))
-SYNC_IN = _whole("sync_in_count", "pulses at the input", "u32")
-PPS = _whole("time_since_pps", "time since the receiver's last pulse", "u64", "ns")
-GPS_TIME = _whole("gps_time", "time since 1980-01-06 on the GPS clock", "u64", "ns")
-SYNC_TIME = _whole("time_since_sync_in", "time since the last pulse at the input", "u64", "ns")
-STATUS = (Value(KNOWN["status"], "u16"),)
-
-
-def _skipped(name: str, size: int, group: str = MAIN) -> Item:
-    return Item(name, (), group, size)
-
-
-COMMON_ITEMS = (
-    Item("TimeStartup", TICKS, NO_GROUP),
-    Item("TimeGps", GPS_TIME, NO_GROUP),
-    Item("TimeSyncIn", SYNC_TIME, NO_GROUP),
-    Item("Ypr", YPR, "attitude"),
-    Item("Quaternion", QUATERNION, "attitude"),
-    RATE,
-    Item("Position", POSITION, "filter"),
-    Item("Velocity", VELOCITY_NED, "filter"),
-    FORCE,
-    Item("Imu", _numbers(ACCEL) + _numbers(GYRO)),
-    Item("MagPres", _numbers(_filtered("mag"), factor=GAUSS) + TEMPERATURE + PRESSURE, "mag"),
-    Item("Deltas", DELTA_THETA + DELTA_VELOCITY),
-    Item("Status", STATUS),
-    Item("SyncInCnt", SYNC_IN),
-    Item("TimeGpsPps", PPS, NO_GROUP),
-)
-TIME_ITEMS = (
-    Item("TimeStartup", TICKS, NO_GROUP),
-    Item("TimeGps", GPS_TIME, NO_GROUP),
-    Item("TimeGpsTow", _whole("gps_time_of_week", "GPS time of week", "u64", "ns"), NO_GROUP),
-    Item("TimeGpsWeek", _whole("gps_week", "GPS week", "u16"), NO_GROUP),
-    Item("TimeSyncIn", SYNC_TIME, NO_GROUP),
-    Item("TimeGpsPps", PPS, NO_GROUP),
-    _skipped("TimeUtc", 8),
-    Item("SyncInCnt", SYNC_IN),
-    Item("SyncOutCnt", _whole("sync_out_count", "pulses at the output", "u32")),
-    Item("TimeStatus", _whole("time_status", "which clocks are valid, bits", "u8")),
-)
-IMU_ITEMS = (
-    Item("ImuStatus", _whole("imu_status", "status of the sensors", "u16")),
-    Item("UncompMag", _numbers(MAG, factor=GAUSS), "mag"),
-    Item("UncompAccel", _numbers(ACCEL)),
-    Item("UncompGyro", _numbers(GYRO)),
-    Item("Temperature", TEMPERATURE, "temperature"),
-    Item("Pressure", PRESSURE, "pressure"),
-    Item("DeltaTheta", DELTA_THETA),
-    Item("DeltaVelocity", DELTA_VELOCITY),
-    FIELD,
-    FORCE,
-    RATE,
-    Item("SensSat", _whole("saturation", "saturated: mag, accel, gyro x y z, pressure, bits", "u16")),
-    _skipped("reserved", 40),
-)
-ATTITUDE_ITEMS = (
-    Item("VpeStatus", STATUS),
-    Item("Ypr", YPR, "attitude"),
-    Item("Quaternion", QUATERNION, "attitude"),
-    _skipped("Dcm", 36, "attitude"),
-    Item("MagNed", _numbers(vector("mag_ned", "uT", "magnetic field, north, east, down"), factor=GAUSS),
-         "mag"),
-    Item("AccelNed", _numbers(vector("accel_ned", "m/s^2", "acceleration with gravity, north, east, down"))),
-    Item("LinearAccelBody", _numbers(vector("free_accel", "m/s^2", "acceleration without gravity"))),
-    _skipped("LinearAccelNed", 12),
-    Item("YprU", _numbers(vector("ypr_sigma", "rad", "uncertainty of yaw, pitch, roll"),
-                          factor=DEGREE), "attitude"),
-    _skipped("reserved", 12), _skipped("reserved", 28), _skipped("reserved", 24),
-    Item("Heave", _numbers(vector("heave", "m", "heave, its rate, and delayed"))),
-    Item("AttU", _numbers((number("attitude_sigma", "rad", "uncertainty of the attitude"),), factor=DEGREE),
-         "attitude"),
-)  # fmt: skip
-INS_ITEMS = (
-    Item("InsStatus", _whole("ins_status", "status of the navigation filter", "u16"), "filter"),
-    Item("Position", POSITION, "filter"),
-    _skipped("PositionEcef", 24, "filter"),
-    Item("VelocityBody", _numbers(vector("velocity_body", "m/s", "velocity in the body frame")), "filter"),
-    Item("Velocity", VELOCITY_NED, "filter"),
-    *(_skipped(name, 12, "filter") for name in ("VelocityEcef", "MagEcef", "AccelEcef", "LinearAccelEcef")),
-    Item("PositionU", _numbers((number("position_sigma", "m", "uncertainty of the position"),)), "filter"),
-    Item("VelocityU", _numbers((number("velocity_sigma", "m/s", "uncertainty of the velocity"),)), "filter"),
-    _skipped("reserved", 68),
-    _skipped("reserved", 64),
-)
-
-
-def _receiver_items(prefix: str) -> tuple[Item | None, ...]:
-    """Return the fields of a receiver."""
-
-    def real(name: str, unit: str, kind: str = "f32", factor: float = 1.0) -> Value:
-        return Value(number(f"{prefix}_{name}", unit, f"receiver {prefix}: {name}"), kind, factor)
-
-    def whole(name: str, kind: str, unit: str = "1") -> tuple[Value, ...]:
-        return _whole(f"{prefix}_{name}", f"receiver {prefix}: {name.replace('_', ' ')}", kind, unit)
-
-    place = tuple(real(name, unit, "f64") for name, unit in
-                  (("latitude", "deg"), ("longitude", "deg"), ("altitude", "m")))  # fmt: skip
-    velocity = tuple(real(f"velocity_{name}", "m/s") for name in ("north", "east", "down"))
-    sigma = tuple(real(f"position_sigma_{name}", "m") for name in ("north", "east", "down"))
-    dilution = tuple(real(f"{name}dop", "1") for name in "gptvhne")
-    fields: tuple[tuple[str, tuple[Value, ...], int], ...] = (
-        ("TimeUtc", (), 8),
-        ("Tow", whole("time_of_week", "u64", "ns"), 8),
-        ("Week", whole("week", "u16"), 2),
-        ("NumSats", whole("satellites", "u8"), 1),
-        ("Fix", whole("fix", "u8"), 1),
-        ("Position", place, 24),
-        ("PositionEcef", (), 24),
-        ("Velocity", velocity, 12),
-        ("VelocityEcef", (), 12),
-        ("PositionU", sigma, 12),
-        ("VelocityU", (real("velocity_sigma", "m/s"),), 4),
-        ("TimeU", (real("time_sigma", "s"),), 4),
-        ("TimeInfo", (), 2),
-        ("Dop", dilution, 28),
-    )
-    items = [Item(name, values, prefix, size) for name, values, size in fields]
-    return (
-        *items,
-        Item("SatInfo", (), prefix, 2, repeat=8),
-        None,
-        Item("RawMeas", (), prefix, 12, repeat=28, counter=10),
-        Item("Status", whole("status", "u16"), prefix),
-        Item("AltMsl", (real("altitude_msl", "m", "f64"),), prefix),
-    )
-
-
-GROUP_NAMES = {COMMON: "Common", TIME: "Time", IMU: "Imu", ATTITUDE: "Attitude", INS: "Ins",
-               GNSS1: "Gnss1", GNSS2: "Gnss2", GNSS3: "Gnss3"}  # fmt: skip
-GROUPS: dict[int, tuple[Item | None, ...]] = {
-    COMMON: COMMON_ITEMS,
-    TIME: TIME_ITEMS,
-    IMU: IMU_ITEMS,
-    ATTITUDE: ATTITUDE_ITEMS,
-    INS: INS_ITEMS,
-    **{group: _receiver_items(prefix) for group, prefix in RECEIVERS.items()},
-}
-"""Fields of each group by bit; None is a bit that has none."""
-
-
-def _size(item: Item) -> int:
-    return sum(NUMBER_TYPES[value.type].size for value in item.values) or item.size
-
 
 MOST_HEADER = 64
 
@@ -291,7 +93,7 @@ class Header:
                 if at + item.counter >= len(packet):
                     return INCOMPLETE
                 at += item.repeat * int(packet[at + item.counter])
-            at += _size(item)
+            at += size_of(item)
             if at + 2 > LONGEST_PACKET:
                 return IMPOSSIBLE
         return [*places, at]
@@ -300,6 +102,8 @@ class Header:
 _POPCOUNT = np.array([bin(byte & 0x7F).count("1") for byte in range(256)])
 _WIDEST = 16
 """Bytes of a header of all groups of the first byte."""
+OFTEN = 8
+"""A header counts as often when it is more than this part of what is left."""
 
 
 def _sizes() -> tuple[IntArray, BoolArray, BoolArray]:
@@ -316,7 +120,7 @@ def _sizes() -> tuple[IntArray, BoolArray, BoolArray]:
         found = [items[bit] if bit < len(items) else None for bit in bits if not (more and bit == 15)]
         known[group, half, value] = None not in found
         longer[group, half, value] = more or any(item is not None and item.repeat for item in found)
-        sizes[group, half, value] = sum(_size(item) for item in found if item is not None)
+        sizes[group, half, value] = sum(size_of(item) for item in found if item is not None)
     return sizes, known, longer
 
 
@@ -325,20 +129,54 @@ _SIZES, _KNOWN, _LONGER = _sizes()
 
 def _headers(held: ByteArray, at: IntArray) -> ByteArray:
     """Return the bytes of each header as its first group byte has them, and zeros, (n, 16)."""
-    windows = np.lib.stride_tricks.sliding_window_view(np.pad(held, (0, _WIDEST)), _WIDEST)[at]
-    size = 2 + 2 * _POPCOUNT[windows[:, 1]]
-    return np.where(np.arange(_WIDEST) < size[:, np.newaxis], windows, np.uint8(0))
+    inside = np.all(at + _WIDEST <= len(held))
+    headers = windows(held if inside else np.pad(held, (0, _WIDEST)), at, _WIDEST)
+    size = 2 + 2 * _POPCOUNT[headers[:, 1]]
+    return headers * (np.arange(_WIDEST) < size[:, np.newaxis])
+
+
+def _alike(headers: ByteArray) -> tuple[IntArray, IntArray]:
+    """Return numbers of different headers, and which of these each is.
+
+    A stream has few kinds of packets, so they are told apart one after the other; of what is rare by then
+    some may be the same.
+    """
+    words = headers.view(np.uint64)
+    which, left, different = np.zeros(len(headers), np.int64), np.arange(len(headers)), list[int]()
+    often = True
+    while often and len(left):
+        first, before = int(left[0]), len(left)
+        equal = (words[left, 0] == words[first, 0]) & (words[left, 1] == words[first, 1])
+        which[left[equal]] = len(different)
+        different.append(first)
+        left = left[~equal]
+        often = before - len(left) > before // OFTEN
+    which[left] = len(different) + np.arange(len(left))
+    return np.array([*different, *left.tolist()], np.int64), which
 
 
 def _lengths(held: ByteArray, at: IntArray) -> IntArray:
-    """Return the length of the packet at each place; see `imumon.protocols.framing.Lengths`.
+    """Return the length of the packet at each place; see `imumon.protocols.framing.Lengths`."""
+    headers = _headers(held, at)
+    different, which = _alike(headers)
+    length, size, alone = _announced(headers[different])
+    length, size, alone = length[which], size[which], alone[which]
+    for k in np.flatnonzero(alone | (at + size > len(held))).tolist():
+        packet = held[at[k] :]
+        length[k] = _length(packet, read_header(packet[:MOST_HEADER].tobytes()))
+    return length
 
-    Read at once, but for headers of a second group byte or word, and fields that count themselves.
+
+def _announced(headers: ByteArray) -> tuple[IntArray, IntArray, BoolArray]:
+    """Return length of the packets, bytes of the headers, and which have to be read one by one.
+
+    Those are headers with a second group byte or word, and with fields that count themselves.
     """
-    headers, rows = _headers(held, at), np.arange(len(at))
-    place, length = np.full(len(at), 2), np.zeros(len(at), np.int64)
+    rows = np.arange(len(headers))
+    place, length = np.full(len(headers), 2), np.zeros(len(headers), np.int64)
     good, alone = headers[:, 1] != 0, headers[:, 1] >= 0x80
-    for group in range(1, 8):
+    announced = int(np.bitwise_or.reduce(headers[:, 1])) if len(headers) else 0
+    for group in (group for group in range(1, 8) if announced >> group - 1 & 1):
         there = headers[:, 1] >> (group - 1) & 1 != 0
         for half in range(2):
             word = headers[rows, np.minimum(place, _WIDEST - 1)]
@@ -346,11 +184,7 @@ def _lengths(held: ByteArray, at: IntArray) -> IntArray:
             good &= ~there | _KNOWN[group, half, word]
             alone |= there & _LONGER[group, half, word]
             place += there
-    result = np.where(good & (length > 0), place + length + 2, IMPOSSIBLE)
-    for k in np.flatnonzero(good & alone | (at + place > len(held))).tolist():
-        packet = held[at[k] :]
-        result[k] = _length(packet, read_header(packet[:MOST_HEADER].tobytes()))
-    return result
+    return np.where(good & (length > 0), place + length + 2, IMPOSSIBLE), place, good & alone
 
 
 def _length(packet: ByteArray, header: Header | int) -> int:
@@ -360,63 +194,15 @@ def _length(packet: ByteArray, header: Header | int) -> int:
     return offsets if isinstance(offsets, int) else offsets[-1] + 2
 
 
-_RATE, _FORCE, _FIELD = RATE.values, FORCE.values, FIELD.values
-_RAW_RATE, _RAW_FORCE, _RAW_FIELD = _numbers(GYRO), _numbers(ACCEL), _numbers(MAG, factor=GAUSS)
-_BODY, _INERTIAL = (
-    _numbers(vector("free_accel", "m/s^2", "acceleration without gravity")),
-    _numbers(vector("accel_ned", "m/s^2", "acceleration without gravity, north, east, down")),
-)
-SENTENCES: dict[str, tuple[Value, ...]] = {
-    "YPR": YPR,
-    "QTN": QUATERNION,
-    "QMR": (*QUATERNION, *_FIELD, *_FORCE, *_RATE),
-    "MAG": _FIELD,
-    "ACC": _FORCE,
-    "GYR": _RATE,
-    "MAR": (*_FIELD, *_FORCE, *_RATE),
-    "YMR": (*YPR, *_FIELD, *_FORCE, *_RATE),
-    "YBA": (*YPR, *_BODY, *_RATE),
-    "YIA": (*YPR, *_INERTIAL, *_RATE),
-    "IMU": (*_RAW_FIELD, *_RAW_FORCE, *_RAW_RATE, *TEMPERATURE, *PRESSURE),
-    "DTV": (*DELTA_THETA, *DELTA_VELOCITY),
-}
-"""Numbers of each ASCII sentence."""
-LONGEST_SENTENCE = 512
+XMODEM = CyclicCheck(CRCS["crc16-xmodem"], first=1, big=True)
 
 
-def _sentence_lengths(held: ByteArray, at: IntArray) -> IntArray:
-    """Return the length of the line at each place, its end included."""
-    ends = np.flatnonzero(held == 0x0A)
-    k = np.searchsorted(ends, at)
-    there = k < len(ends)
-    length = np.full(len(at), INCOMPLETE, np.int64)
-    length[there] = ends[k[there]] + 1 - at[there]
-    length[~there & (len(held) - at > LONGEST_SENTENCE)] = IMPOSSIBLE
-    length[length > LONGEST_SENTENCE] = IMPOSSIBLE
-    return length
-
-
-def _sentences_right(held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
-    """Check the sum and the number of fields of each line: torn lines may have a sum that fits."""
-    spans = zip(at.tolist(), length.tolist(), strict=True)
-    return np.array([_sentence(held[a : a + n].tobytes()) is not None for a, n in spans], np.bool_)
-
-
-def _sentence(line: bytes) -> tuple[str, list[str]] | None:
-    """Return header and fields of a line that is right, else None."""
-    body, star, given = line.rstrip(b"\r\n").rpartition(b"*")
-    if not star or len(given) not in (2, 4) or not body.isascii():
+def _sentence(text: str) -> tuple[str, list[str]] | None:
+    """Return header and fields of a line that is right, else None: torn lines may have a sum that fits."""
+    body = sentence_body(text.rstrip("\r\n"), XMODEM)
+    if body is None or not body.isascii():
         return None
-    if len(given) == 2:
-        computed = int(np.bitwise_xor.reduce(np.frombuffer(body[1:], np.uint8)))
-    else:
-        computed = _crc(body[1:])
-    try:
-        if int(given, 16) != computed:
-            return None
-    except ValueError:
-        return None
-    name, *fields = body[3:].decode("ascii").split(",")
+    name, *fields = body[3:].split(",")
     values = SENTENCES.get(name)
     if values is not None:
         if fields and fields[-1][:1] in ("S", "T") and len(fields) > len(values):
@@ -426,16 +212,6 @@ def _sentence(line: bytes) -> tuple[str, list[str]] | None:
     return name, fields
 
 
-def _crc(data: bytes) -> int:
-    register = 0
-    for byte in data:
-        register = ((register >> 8) | (register << 8)) & 0xFFFF ^ byte
-        register ^= (register & 0xFF) >> 4
-        register ^= (register << 12) & 0xFFFF
-        register ^= (register & 0xFF) << 5
-    return register & 0xFFFF
-
-
 def _real(text: str) -> float | None:
     try:
         return float(text) if "_" not in text else None
@@ -443,40 +219,12 @@ def _real(text: str) -> float | None:
         return None
 
 
-class SentenceLayout:
-    """A line of text with one number a field."""
-
-    def __init__(self, values: Sequence[Value]) -> None:
-        self._values = values
-        self.columns = tuple(value.column for value in values if value.column is not None)
-        self.of_column = {column.name: MAIN for column in self.columns}
-
-    def read(self, found: Found) -> dict[str, ColumnArray]:
-        """Return a value a line for each column."""
-        lines = (
-            _sentence(found.held[a : a + n].tobytes())
-            for a, n in zip(found.at.tolist(), found.length.tolist(), strict=True)
-        )
-        numbers: FloatArray = np.array([[float(t) for t in line[1]] for line in lines if line is not None])
-        return {
-            value.column.name: numbers[:, k] * value.factor
-            for k, value in enumerate(self._values)
-            if value.column is not None
-        }
+def _numbers_of(text: str) -> list[float] | None:
+    read = _sentence(text)
+    return None if read is None else [float(field) for field in read[1]]
 
 
 BINARY, SPLIT, SENTENCE = range(3)
-_XMODEM = CyclicCheck(CRCS["crc16-xmodem"], first=1, big=True)
-
-
-def _split_lengths(held: ByteArray, at: IntArray) -> IntArray:
-    """Return the length of the parts of a long message (FB), which are counted and not read."""
-    length = np.full(len(at), INCOMPLETE, np.int64)
-    there = np.flatnonzero(at + 6 <= len(held))
-    size = held[at[there] + 4].astype(np.int64) | held[at[there] + 5].astype(np.int64) << 8
-    length[there] = np.where(held[at[there] + 1] == 0, size + 8, IMPOSSIBLE)
-    length[length > LONGEST_PACKET] = IMPOSSIBLE
-    return length
 
 
 class VectorNavDecoder(LayoutDecoder):
@@ -484,9 +232,9 @@ class VectorNavDecoder(LayoutDecoder):
 
     def __init__(self, rate_hz: float | None = None) -> None:
         frames = (
-            Frame("binary", b"\xfa", _lengths, _XMODEM),
-            Frame("split", b"\xfb", _split_lengths, _XMODEM),
-            Frame("ascii", b"$VN", _sentence_lengths, _sentences_right),
+            Frame("binary", b"\xfa", _lengths, XMODEM),
+            Frame("split", b"\xfb\x00", counted_length(4, 2, 8, LONGEST_PACKET), XMODEM),
+            Frame("ascii", b"$VN", line_lengths(after_end=False), lines_right(_sentence)),
         )
         timing = Timing(tick_ns=Fraction(1), rate_hz=rate_hz)
         super().__init__(frames, timing, SIDE_GROUPS, apart=tuple(RECEIVERS.values()))
@@ -512,11 +260,10 @@ class VectorNavDecoder(LayoutDecoder):
         """Return the number of the kind of each packet, its header; -1: one that is only counted."""
         kinds = np.full(len(found), -1, np.int64)
         binary = np.flatnonzero(found.frame == BINARY)
-        headers = np.ascontiguousarray(_headers(found.held, found.at[binary])).view(f"S{_WIDEST}")
-        _, first, same = np.unique(headers.reshape(-1), return_index=True, return_inverse=True)
+        first, same = _alike(_headers(found.held, found.at[binary]))
         of_header = np.array([self._kind(found, k) for k in binary[first].tolist()], np.int64)
-        kinds[binary] = of_header[same.reshape(-1)]
-        alone = np.array([self._known[k].alone for k in of_header.tolist()], np.bool_)[same.reshape(-1)]
+        kinds[binary] = of_header[same]
+        alone = np.array([self._known[k].alone for k in of_header.tolist()], np.bool_)[same]
         for k in [*binary[alone].tolist(), *np.flatnonzero(found.frame == SENTENCE).tolist()]:
             kinds[k] = self._kind(found, k)
         return kinds
@@ -527,7 +274,7 @@ class VectorNavDecoder(LayoutDecoder):
         if found.frame[k] == SENTENCE:
             key = packet[:6].tobytes()
             if key not in self._kinds:
-                self._tell(packet.tobytes())
+                self._tell(packet.tobytes().decode("ascii", "replace"))
             placed = [(value, 0, MAIN) for value in SENTENCES.get(key[3:].decode("ascii", "replace"), ())]
             return self._known_kind(key, placed, alone=False)
         header = read_header(packet[:MOST_HEADER].tobytes())
@@ -568,7 +315,10 @@ class VectorNavDecoder(LayoutDecoder):
         """Add the layout of a kind of packet; return its number, or -1 when it has nothing for a row."""
         alone = [base for base in FILTERED if base not in self._factory | kind.factory]
         placed = [(_without_suffix(value, alone), at, group) for value, at, group in kind.placed]
-        layout: Layout = SentenceLayout([v for v, _, _ in placed]) if kind.text else Placed(placed)
+        layout: Layout = Record([Placed(*item) for item in placed])
+        if kind.text:
+            places = [Place(v.column, v.factor) for v, _, _ in placed if v.column is not None]
+            layout = LineLayout(_numbers_of, places)
         if "gyro_x" in layout.of_column and "gyro" in alone:
             self._warn(
                 "the angular rate is that of the device's filter, which has taken its own estimate of "
@@ -576,7 +326,7 @@ class VectorNavDecoder(LayoutDecoder):
             )
         return self._add(layout) if layout.columns else -1
 
-    def _tell(self, line: bytes) -> None:
+    def _tell(self, line: str) -> None:
         """Say what a sentence says that is not data."""
         read = _sentence(line)
         assert read is not None
@@ -625,12 +375,7 @@ class VectorNavEncoder(Encoder):
             for bit, item in enumerate(items)
             if item is not None and item.values
         }
-        for name in names:
-            if name not in places:
-                raise ImumonError(
-                    Reason.BAD_CONFIG, f"no field {name!r}", f"there are: {', '.join(sorted(places))}"
-                )
-        sent = sorted((places[name] for name in names), key=lambda place: place[:2])
+        sent = sorted(chosen(names, places, "field"), key=lambda place: place[:2])
         words: dict[int, int] = {}
         for group, bit, _ in sent:
             words[group] = words.get(group, 0) | 1 << bit
@@ -642,9 +387,9 @@ class VectorNavEncoder(Encoder):
 
     def encode(self, block: SampleBlock) -> list[bytes]:
         """Return one packet per row; see `imumon.protocols.base.Encoder`."""
-        payload = written(self._values, block, "binary output")
-        bodies = [self._header + row.tobytes() for row in payload]
-        return [body + _crc(body[1:]).to_bytes(2, "big") for body in bodies]
+        rows = np.arange(len(block))
+        parts = [packed("binary output", v, block.columns, rows)[:, ::-1] for v in self._values]
+        return [XMODEM.sealed(self._header + row.tobytes()) for row in np.concatenate(parts, axis=1)]
 
 
 def _names(item: Item) -> set[str]:

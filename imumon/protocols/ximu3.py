@@ -11,7 +11,7 @@ import re
 from collections.abc import Sequence
 from fractions import Fraction
 from math import pi
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 
@@ -19,9 +19,9 @@ from imumon.blocks import IntArray
 from imumon.columns import KNOWN, Column
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.base import MAIN, Timing
-from imumon.protocols.device import DeviceFile
+from imumon.protocols.device import FamilyDevice
 from imumon.protocols.framing import BoolArray, Check, Found, Frame
-from imumon.protocols.messages import Message, TableDecoder, TableEncoder, part
+from imumon.protocols.messages import Message, TableDecoder, TableFamily, part
 from imumon.protocols.stream import ByteArray
 from imumon.protocols.tagged_columns import known, number, vector
 from imumon.protocols.text import NUMBER, line_lengths, lines_right
@@ -35,6 +35,7 @@ TIME_SIZE: Final = 8
 YEARS_US: Final = 1 << 58
 """Microseconds of 9000 years: a message that claims more began in the middle of another."""
 DEGREE: Final = pi / 180
+LINE: Final = line_lengths(after_end=False)
 
 MATRIX = [number(f"matrix_{i}{j}", "1", "rotation matrix") for i in "xyz" for j in "xyz"]
 
@@ -107,18 +108,6 @@ def _numbers(text: str) -> list[float] | None:
 class XimuDecoder(TableDecoder):
     """Decodes data messages with numbers; answers to commands and notes are skipped."""
 
-    def __init__(self, rate_hz: float | None = None) -> None:
-        frames = [
-            Frame(m.name, bytes([key | BINARY]), line_lengths(after_end=False), _right(m.size))
-            for key, m in MESSAGES.items()
-        ]
-        frames += [
-            Frame(f"{m.name} text", bytes([key]) + b",", line_lengths(after_end=False), lines_right(_numbers))
-            for key, m in MESSAGES.items()
-        ]
-        timing = Timing(tick_ns=Fraction(1000), rate_hz=rate_hz)
-        super().__init__(frames, MESSAGES, timing, 1, 1)
-
     def _plain(self, found: Found) -> Found:
         """Return all messages as binary ones without escapes."""
         spans = zip(found.at.tolist(), found.length.tolist(), found.frame.tolist(), strict=True)
@@ -147,16 +136,13 @@ def _wrapped(key: int, payload: bytes) -> bytes:
     return bytes([key | BINARY]) + stuffed + END
 
 
-class XimuDevice(DeviceFile):
-    """Device file of an x-IMU3; `sends` is for its virtual twin alone."""
+FRAMES = [
+    *(Frame(m.name, bytes([key | BINARY]), LINE, _right(m.size)) for key, m in MESSAGES.items()),
+    *(Frame(f"{m.name} text", b"%c," % key, LINE, lines_right(_numbers)) for key, m in MESSAGES.items()),
+]
 
-    protocol: Literal["ximu3"]
-    sends: list[str]
 
-    def decoder(self) -> XimuDecoder:
-        """Make a decoder for this device."""
-        return XimuDecoder(self.rate_hz)
+class XimuDevice(FamilyDevice):
+    """Device file of an x-IMU3."""
 
-    def encoder(self) -> TableEncoder:
-        """Make an encoder that sends what the device would send."""
-        return TableEncoder(MESSAGES, self.sends, _wrapped)
+    family = TableFamily(MESSAGES, FRAMES, XimuDecoder, _wrapped, Timing(tick_ns=Fraction(1000)), 1, 1)

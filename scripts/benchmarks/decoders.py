@@ -47,8 +47,8 @@ def by_numpy(device: FixedDevice, data: bytes) -> Callable[[], object]:
     placed = device.packet.placed()
     layout = np.dtype(
         {
-            "names": [item.column.name for item in placed],
-            "formats": [(">" if item.big else "<") + CODES[item.type] for item in placed],
+            "names": [item.name for item in placed],
+            "formats": [(">" if item.big else "<") + CODES[item.value.type] for item in placed],
             "offsets": [item.at for item in placed],
             "itemsize": device.packet.length,
         }
@@ -56,7 +56,7 @@ def by_numpy(device: FixedDevice, data: bytes) -> Callable[[], object]:
 
     def decode() -> object:
         records = np.frombuffer(data, layout)
-        return [records[item.column.name] * item.scale + item.offset for item in placed]
+        return [records[item.name] * item.value.factor + item.value.offset for item in placed]
 
     return decode
 
@@ -66,10 +66,10 @@ def by_struct(device: FixedDevice, data: bytes) -> Callable[[], object]:
     placed = sorted(device.packet.placed(), key=lambda item: item.at)
     code, at = ">", 0
     for item in placed:
-        code += f"{item.at - at}x{STRUCT_CODES[item.type]}"
-        at = item.at + struct.calcsize(STRUCT_CODES[item.type])
+        code += f"{item.at - at}x{STRUCT_CODES[item.value.type]}"
+        at = item.at + struct.calcsize(STRUCT_CODES[item.value.type])
     code += f"{device.packet.length - at}x"
-    scales = [(item.scale, item.offset) for item in placed]
+    scales = [(item.value.factor, item.value.offset) for item in placed]
 
     def decode() -> object:
         return [

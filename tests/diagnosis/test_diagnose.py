@@ -18,6 +18,9 @@ from imumon.estimation.rest.stage import RestDetector
 from imumon.models.curves.spline import SplineCurve
 from imumon.models.model import BiasModel, ChannelModel, load_model
 from imumon.models.predictor import BiasPredictor
+from imumon.protocols.device import device_text, parse_device
+from imumon.simulation.recording import record_session
+from imumon.simulation.unit import load_scenario
 from tests.data_folder import measured
 from tests.diagnosis.units import DPH, WHITE_DPH, Bias, cubic, lagged, ramps, run, three
 
@@ -305,3 +308,18 @@ def test_gaps_are_left_out_and_said() -> None:
     diagnosis = diagnose(train, test)
     assert any("72% of its seconds" in text for text in diagnosis.caveats)
     assert "thermal_lag" in names(diagnosis)
+
+
+@pytest.mark.parametrize(("field", "warned"), [("Imu.UncompGyro", False), ("Common.AngRate", True)])
+def test_rates_that_the_device_has_corrected_are_said(field: str, warned: bool, tmp_path: Path) -> None:
+    text, source = device_text("vectornav")
+    sends = f"sends: [Common.TimeStartup, {field}, Imu.Temperature]"
+    text = "\n".join(sends if line.startswith("sends:") else line for line in text.splitlines())
+    scenario = load_scenario("bumps-and-fan").model_copy(update={"duration_s": 320.0, "rate_hz": 20.0})
+    record_session(scenario, parse_device(text, source), text, 1, tmp_path / "session", lambda _: None)
+    runs = read_runs(tmp_path / "session", None)
+    assert any("UncompGyro" in said for said in runs[0].warnings) is warned
+    train, test = three(nothing)
+    train[0] = replace(train[0], warnings=runs[0].warnings)
+    caveats = diagnose(train, test).caveats
+    assert sum("UncompGyro" in said for said in caveats) == warned

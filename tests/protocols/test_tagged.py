@@ -8,8 +8,9 @@ import pytest
 from imumon.blocks import NO_INT, SampleBlock
 from imumon.columns import KNOWN, Column
 from imumon.errors import ImumonError, Reason
-from imumon.protocols.base import CAPACITY, Timing
-from imumon.protocols.tagged import MOST_NOTICES, Derived, Field, FieldTable, TaggedDecoder, Value
+from imumon.protocols.base import CAPACITY, MOST_NOTICES, Timing
+from imumon.protocols.numbers import Derived, Value
+from imumon.protocols.tagged import Field, FieldTable, TaggedDecoder
 from imumon.protocols.tagged_encoder import TaggedEncoder
 from imumon.protocols.tagged_kernel import COUNTED, FIXED, LIST, LOG_SIZE, MESSAGE, XBUS
 from tests.protocols.streams import feed_in_chunks, xbus_message

@@ -10,7 +10,7 @@ from imumon.errors import ImumonError
 from imumon.pipeline import Pipeline
 from imumon.protocols.device import load_device
 from imumon.protocols.framing import IMPOSSIBLE
-from imumon.protocols.vectornav import VectorNavDecoder, VectorNavEncoder, _crc, read_header
+from imumon.protocols.vectornav import XMODEM, VectorNavDecoder, VectorNavEncoder, read_header
 from tests.data_folder import measured
 from tests.protocols.streams import feed_in_chunks
 
@@ -113,7 +113,7 @@ def test_headers_that_nobody_knows(header: str) -> None:
 def test_fields_that_count_themselves(satellites: int) -> None:
     information = bytes([satellites, 0]) + bytes(range(8 * satellites))
     body = bytes.fromhex("08 1840") + bytes([9, 3]) + information
-    packet = b"\xfa" + body + _crc(body).to_bytes(2, "big")
+    packet = XMODEM.sealed(b"\xfa" + body)
     block = feed_in_chunks(VectorNavDecoder(), packet * 3, [11])
     assert block["gnss1_satellites"].tolist() == [9, 9, 9]
     assert block["gnss1_fix"].tolist() == [3, 3, 3]

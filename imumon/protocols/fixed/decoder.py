@@ -11,13 +11,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from imumon.blocks import ColumnArray, IntArray, SampleBlock
+from imumon.blocks import IntArray, SampleBlock
 from imumon.columns import KNOWN, Column
 from imumon.compiled import alone, njit, record
 from imumon.protocols.base import CAPACITY, CompiledDecoder
 from imumon.protocols.checksums import Checksum, checksum, make_checksum
-from imumon.protocols.fixed.description import ByteOrder, Packet, PlacedColumn
-from imumon.protocols.numbers import NUMBER_TYPES
+from imumon.protocols.fixed.description import Packet
+from imumon.protocols.payload import Record
 from imumon.protocols.stream import ByteArray, Stream, arrival_of, keep_rest
 
 LONGEST_HEADER = 12
@@ -43,12 +43,11 @@ class FixedDecoder(CompiledDecoder):
 
     def __init__(self, name: str, packet: Packet, rate_hz: float | None) -> None:
         super().__init__()
-        self._placed = packet.placed()
+        self._record = Record(packet.placed(), size=packet.length)
         self.timing = packet.timing(rate_hz)
         self._name = name
-        self._columns = (KNOWN["arrival_time_ns"], *(item.column for item in self._placed))
+        self._columns = (KNOWN["arrival_time_ns"], *self._record.columns)
         self._frames, self._checksums = alone(_frame(packet)), alone(make_checksum(packet.checksum.type))
-        self._layout = record_type(self._placed, packet.length)
         self._packets: ByteArray = np.zeros((CAPACITY, packet.length), np.uint8)
         self._arrivals: IntArray = np.zeros(CAPACITY, np.int64)
 
@@ -65,61 +64,14 @@ class FixedDecoder(CompiledDecoder):
         return _scan_fixed(final, self._streams, self._frames, self._checksums, self._packets, self._arrivals)
 
     def _rows(self, n: int) -> SampleBlock:
-        records = self._packets[:n].view(self._layout)[:, 0]
-        columns = {item.column.name: column_values(records[item.column.name], item) for item in self._placed}
+        columns = self._record.columns_of(self._packets[:n])
         return SampleBlock({"arrival_time_ns": self._arrivals[:n].copy(), **columns})
-
-
-def record_type(placed: list[PlacedColumn], length: int) -> np.dtype[np.void]:
-    """Return the packet as a structured type; a number of three bytes, which NumPy lacks, as its bytes."""
-    formats: list[tuple[str, int] | str] = []
-    for item in placed:
-        number = NUMBER_TYPES[item.type]
-        kind = "f" if not number.integer else "i" if number.signed or number.size == 8 else "u"
-        formats.append(("u1", 3) if number.size == 3 else f"{'>' if item.big else '<'}{kind}{number.size}")
-    return np.dtype(
-        {
-            "names": [item.column.name for item in placed],
-            "formats": formats,
-            "offsets": [item.at for item in placed],
-            "itemsize": length,
-        }
-    )
-
-
-def column_values(raw: ColumnArray, item: PlacedColumn) -> ColumnArray:
-    """Return the column of one field: raw * scale + offset, or the integer."""
-    number = NUMBER_TYPES[item.type]
-    if number.size == 3:
-        raw = _whole(raw, item.big, number.signed)
-    if item.mask:
-        low_bit = (item.mask & -item.mask).bit_length() - 1
-        raw = ((raw.astype(np.uint64) & np.uint64(item.mask)) >> np.uint64(low_bit)).astype(np.int64)
-    if item.column.dtype == "float64":
-        values = raw.astype(np.float64)
-        values *= item.scale
-        values += item.offset
-        return values
-    if not number.integer:
-        with np.errstate(invalid="ignore"):  # a clock that is not a number becomes the least integer
-            return np.rint(raw.astype(np.float64) * item.scale).astype(np.int64)
-    return raw.astype(np.int64)
-
-
-def _whole(three: ColumnArray, big: bool, signed: bool) -> IntArray:
-    """Return integers of three bytes, (n, 3)."""
-    high, middle, low = three.astype(np.int64).T[:: 1 if big else -1]
-    whole: IntArray = high << 16 | middle << 8 | low
-    return whole - ((whole >> 23) << 24) if signed else whole
 
 
 def _frame(packet: Packet) -> _Frame:
     header = list(enumerate(packet.sync))
-    field, check = packet.length_field, packet.checksum
-    if field is not None:
-        order: ByteOrder = field.byte_order or packet.byte_order
-        value = field.value.to_bytes(NUMBER_TYPES[field.type].size, order)
-        header += [(field.at + i, byte) for i, byte in enumerate(value)]
+    check = packet.checksum
+    header += packet.length_bytes()
     frame = record(_Frame, header_at=LONGEST_HEADER, header_byte=LONGEST_HEADER)
     frame.length, frame.sync_size, frame.header_size = packet.length, len(packet.sync), len(header)
     frame.header_at[: len(header)], frame.header_byte[: len(header)] = np.transpose(header)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from fractions import Fraction
 from typing import Annotated, Literal, Self, get_args
 
@@ -12,9 +11,10 @@ from pydantic import Field, NonNegativeInt, PositiveInt, StringConstraints, mode
 from imumon.columns import KNOWN, Column
 from imumon.config import StrictModel
 from imumon.errors import ImumonError
-from imumon.protocols.base import Timing
-from imumon.protocols.checksums import CHECKSUM_NAMES, make_checksum
-from imumon.protocols.numbers import NUMBER_TYPES
+from imumon.protocols.base import COMMON, MAIN, Timing
+from imumon.protocols.checksums import CHECKSUM_NAMES
+from imumon.protocols.frame_checks import Trailing, trailing
+from imumon.protocols.numbers import NO_GROUP, NUMBER_TYPES, Placed, Value
 from imumon.protocols.stream import LONGEST_PACKET
 from imumon.units import exact_conversion
 
@@ -201,7 +201,7 @@ class Packet(StrictModel):
                 )
         check = self.checksum
         if check.type != "none":
-            self._inside("checksum", check.at, check.at + int(make_checksum(check.type).width))
+            self._inside("checksum", check.at, check.at + trailing(check.type).size)
             self._inside("checksum", check.first, check.last + 1)
             if check.first <= check.at <= check.last:
                 raise ValueError(
@@ -224,13 +224,36 @@ class Packet(StrictModel):
         """Whether the compiled search can find and read it; else the frames do."""
         return not (self.tail or self.checksum.zeros or any(field.when for field in self.fields))
 
-    def placed(self) -> list[PlacedColumn]:
-        """Return all columns of the packet in the order of the file."""
+    def placed(self) -> list[Placed]:
+        """Return all numbers of the packet in the order of the file."""
         return [
-            _place(field, index, name, (field.byte_order or self.byte_order) == "big")
+            Placed(
+                Value(column, field.type, scale, offset, field.mask or 0),
+                field.at + k * NUMBER_TYPES[field.type].size,
+                NO_GROUP if column.name in COMMON else MAIN,
+                (field.byte_order or self.byte_order) == "big",
+            )
             for field in self.fields
-            for index, name in enumerate(field.names)
+            for k, (column, scale, offset) in enumerate(map(field.scaled, field.names))
         ]
+
+    def length_bytes(self) -> list[tuple[int, int]]:
+        """Return places and values of the bytes of the length."""
+        field = self.length_field
+        if field is None:
+            return []
+        size = NUMBER_TYPES[field.type].size
+        return [*enumerate(field.value.to_bytes(size, field.byte_order or self.byte_order), field.at)]
+
+    def check(self) -> Trailing | None:
+        """Return the checksum, if there is one."""
+        field = self.checksum
+        big = (field.byte_order or self.byte_order) == "big"
+        return None if field.type == "none" else trailing(field.type, big=big, zeros=field.zeros)
+
+    def turns(self) -> dict[str, When]:
+        """Return in which packets the columns are there that are not in all."""
+        return {name: field.when for field in self.fields for name in field.names if field.when}
 
     def timing(self, rate_hz: float | None) -> Timing:
         """Return how the packet counts time."""
@@ -241,26 +264,6 @@ class Packet(StrictModel):
             raise ValueError(
                 f"{what}: bytes {start} to {stop - 1} are outside the packet of {self.length} bytes"
             )
-
-
-@dataclass(frozen=True, slots=True)
-class PlacedColumn:
-    """One column of the packet with everything the kernels need: value = raw * scale + offset."""
-
-    column: Column
-    at: int
-    type: str
-    big: bool
-    mask: int
-    scale: float
-    offset: float
-    when: When | None = None
-
-
-def _place(field: PacketField, index: int, name: str, big: bool) -> PlacedColumn:
-    at = field.at + index * NUMBER_TYPES[field.type].size
-    column, scale, offset = field.scaled(name)
-    return PlacedColumn(column, at, field.type, big, field.mask or 0, scale, offset, field.when)
 
 
 def _fraction(number: float | int | str) -> Fraction:

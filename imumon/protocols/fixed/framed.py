@@ -11,35 +11,26 @@ from dataclasses import replace
 import numpy as np
 
 from imumon.blocks import NO_INT, ColumnArray, IntArray
-from imumon.protocols.base import COMMON, MAIN
-from imumon.protocols.checksums import make_checksum
-from imumon.protocols.fixed.decoder import column_values, record_type
 from imumon.protocols.fixed.description import Packet
-from imumon.protocols.frame_checks import check_of
-from imumon.protocols.framing import IMPOSSIBLE, BoolArray, Check, Found, Frame, Lengths
-from imumon.protocols.numbers import NUMBER_TYPES
-from imumon.protocols.payload import LayoutDecoder
+from imumon.protocols.frame_checks import rearranged, unchecked
+from imumon.protocols.framing import IMPOSSIBLE, Check, Found, Frame, Lengths
+from imumon.protocols.payload import LayoutDecoder, Record
 from imumon.protocols.stream import ByteArray
 
 
-class DescribedLayout:
+class DescribedLayout(Record):
     """What a described packet carries; a field that is not there at its turn is missing."""
 
     def __init__(self, packet: Packet) -> None:
-        self._placed = packet.placed()
-        self._length = packet.length
-        self._type = record_type(self._placed, packet.length)
-        self.columns = tuple(item.column for item in self._placed)
-        self.of_column = {c.name: MAIN for c in self.columns if c.name not in COMMON}
+        super().__init__(packet.placed())
+        self._turns = packet.turns()
 
     def read(self, found: Found) -> dict[str, ColumnArray]:
         """Return a value a packet for each column."""
-        records = found.bytes(self._length).view(self._type)[:, 0]
-        columns = {item.column.name: column_values(records[item.column.name], item) for item in self._placed}
-        for item in self._placed:
-            if item.when is not None:
-                absent = columns[item.when.column] % item.when.modulo != item.when.equals
-                columns[item.column.name][absent] = NO_INT if item.column.dtype == "int64" else np.nan
+        columns = super().read(found)
+        for name, when in self._turns.items():
+            absent = columns[when.column] % when.modulo != when.equals
+            columns[name][absent] = NO_INT if columns[name].dtype == np.int64 else np.nan
         return columns
 
 
@@ -76,33 +67,19 @@ def _frame(packet: Packet, name: str) -> Frame:
 
 
 def _lengths(packet: Packet) -> Lengths:
-    field = packet.length_field
-
     def lengths(held: ByteArray, at: IntArray) -> IntArray:
         result = np.full(len(at), packet.length, np.int64)
-        if field is not None:
-            order = field.byte_order or packet.byte_order
-            for k, byte in enumerate(field.value.to_bytes(NUMBER_TYPES[field.type].size, order)):
-                place = at + field.at + k
-                agrees = held[np.minimum(place, len(held) - 1)] == byte
-                result[(place < len(held)) & ~agrees] = IMPOSSIBLE
+        for place, byte in packet.length_bytes():
+            agrees = held[np.minimum(at + place, len(held) - 1)] == byte
+            result[(at + place < len(held)) & ~agrees] = IMPOSSIBLE
         return result
 
     return lengths
 
 
 def _check(packet: Packet) -> Check:
-    field = packet.checksum
-    big = (field.byte_order or packet.byte_order) == "big"
-    check = check_of(field.type, 0, big, field.zeros)
-    covered = [*range(field.first, field.last + 1)]
-    covered += [field.at + k for k in range(int(make_checksum(field.type).width))]
-    places = np.array(covered, np.int64)
-
-    def right(held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
-        del length
-        moved = held[at[:, np.newaxis] + places].reshape(-1)  # as if the checksum followed what it covers
-        begins = np.arange(len(at)) * len(places)
-        return check(moved, begins, np.full(len(at), len(places)))
-
-    return right
+    field, check = packet.checksum, packet.check()
+    if check is None:
+        return unchecked
+    places = [*range(field.first, field.last + 1), *range(field.at, field.at + check.size)]
+    return rearranged(check, lambda _: places)

@@ -7,12 +7,14 @@ the reference frame.  Values are in the device's units times a factor.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import pi
 
 from imumon.columns import KNOWN, Column
 from imumon.protocols.base import MAIN
-from imumon.protocols.tagged import NO_GROUP, Field, Value
+from imumon.protocols.numbers import NO_GROUP, Value
+from imumon.protocols.tagged import Field
 from imumon.protocols.tagged_columns import (
     MATRIX,
     QUATERNION,
@@ -70,6 +72,7 @@ class Identifier:
 
     `values` with an empty type are real numbers in the precision that the identifier says; without values,
     the field is recognised and counted whatever its size.  `raw`: the last bit says if counts are signed.
+    `each` returns what more there is for the k-th of a number of things, which the size of the field tells.
     """
 
     code: int
@@ -77,6 +80,7 @@ class Identifier:
     values: tuple[Value, ...] = ()
     framed: bool = False
     raw: bool = False
+    each: Callable[[int], tuple[Value, ...]] | None = None
 
     @property
     def group(self) -> str:
@@ -189,6 +193,20 @@ _SOLUTION = (
     Value(None, "u8"),
 )
 
+MOST_SATELLITES, SATELLITES_SENT = 60, 8
+"""Satellites in a GnssSatInfo at the most, and in one of the virtual device."""
+
+
+def _satellite(k: int) -> tuple[Value, ...]:
+    return (
+        _gnss_count(f"sat{k}_id", f"satellite {k}: system times 256 and number", "u16"),
+        _gnss_count(f"sat{k}_cno", f"satellite {k}: carrier to noise, dBHz", "u8"),
+        _gnss_count(f"sat{k}_flags", f"satellite {k}: quality (0-2), used (3), health (4-5)", "u8"),
+    )
+
+
+_SATELLITES = (_TIME_OF_WEEK, _gnss_count("satellites_seen", "satellites listed", "u8"), Value(None, "u24"))
+
 IDENTIFIERS: tuple[Identifier, ...] = (
     _plain(0x1020, "PacketCounter", Value(KNOWN["packet_counter"], "u16")),
     _plain(0x1060, "SampleTimeFine", Value(KNOWN["device_ticks"], "u32")),
@@ -231,7 +249,7 @@ IDENTIFIERS: tuple[Identifier, ...] = (
     _plain(0xE080, "DeviceId", Value(count("device_id", "identity of the device"), "u64")),
     _plain(0xE090, "LocationId", Value(count("location_id", "number given by the user"), "u16")),
     _plain(0x7010, "GnssPvtData", *_PVT),
-    _plain(0x7020, "GnssSatInfo"),
+    Identifier(0x7020, "GnssSatInfo", _SATELLITES, each=_satellite),
     _plain(0x7030, "GnssPvtPulse"),
     _plain(0x8830, "GpsDop", _TIME_OF_WEEK, *_dilutions("g", "p", "t", "v", "h", "n", "e")),
     _plain(0x8840, "GpsSol", *_SOLUTION),
@@ -262,6 +280,10 @@ IDENTIFIERS: tuple[Identifier, ...] = (
 def _variants(identifier: Identifier) -> list[Field]:
     """Return the fields that an identifier stands for, one for each format."""
     values, name = identifier.values, identifier.name
+    if identifier.each is not None:
+        numbers = sorted(range(MOST_SATELLITES + 1), key=lambda n: n != SATELLITES_SENT)
+        more = [[value for k in range(n) for value in identifier.each(k + 1)] for n in numbers]
+        return [Field(identifier.code, name, (*values, *each), identifier.group) for each in more]
     if identifier.raw:
         kinds = ("u16", "i16")
         # The temperature is signed in either format.

@@ -9,7 +9,8 @@ from typing import Literal
 from imumon.columns import KNOWN
 from imumon.protocols.base import Timing
 from imumon.protocols.device import DeviceFile
-from imumon.protocols.tagged import Derived, FieldTable, TaggedDecoder
+from imumon.protocols.numbers import Derived
+from imumon.protocols.tagged import FieldTable, TaggedDecoder
 from imumon.protocols.tagged_encoder import TaggedEncoder
 from imumon.protocols.tagged_kernel import FIXED, XBUS
 from imumon.protocols.xsens.fields import DERIVED, DEVICE_TICKS_OF_UTC

@@ -6,8 +6,7 @@ from collections.abc import Iterable, Sequence
 from fractions import Fraction
 from typing import Literal
 
-from imumon.errors import ImumonError, Reason
-from imumon.protocols.base import Timing
+from imumon.protocols.base import Timing, chosen
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.tagged import Field, FieldTable, TaggedDecoder
 from imumon.protocols.tagged_encoder import TaggedEncoder
@@ -70,11 +69,8 @@ def find_fields(names: Sequence[str], precision: Precision = "float32", frame: F
     """
     found = []
     code_of_precision = tuple(PRECISIONS).index(precision)
-    for name in names:
-        item = next((item for item in IDENTIFIERS if item.name == name and item.values), None)
-        if item is None:
-            known = ", ".join(sorted({item.name for item in IDENTIFIERS if item.values}))
-            raise ImumonError(Reason.BAD_CONFIG, f"no data identifier {name!r}", f"there are: {known}")
+    there = {item.name: item for item in reversed(IDENTIFIERS) if item.values}
+    for item in chosen(names, there, "data identifier"):
         code = item.code | (FRAMES[frame] if item.framed else 0)
         if not item.raw and not item.values[0].type:
             code |= code_of_precision

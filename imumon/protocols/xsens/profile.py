@@ -15,7 +15,8 @@ from pydantic import model_validator
 
 from imumon.columns import KNOWN
 from imumon.config import StrictModel
-from imumon.protocols.tagged import Field, Value
+from imumon.protocols.numbers import Value
+from imumon.protocols.tagged import Field
 from imumon.protocols.tagged_columns import MATRIX, QUATERNION, count, known, number
 from imumon.protocols.xsens.fields import (
     ACCEL,

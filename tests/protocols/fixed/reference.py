@@ -74,18 +74,20 @@ def _judge(device: FixedDevice, piece: bytes, sync: bytes) -> str:
 def _fields(device: FixedDevice, piece: bytes) -> dict[str, float | int]:
     row: dict[str, float | int] = {}
     for item in device.packet.placed():
-        if item.type in ("u24", "i24"):
+        value, kind = item.value, item.value.type
+        if kind in ("u24", "i24"):
             raw: float | int = int.from_bytes(
-                piece[item.at : item.at + 3], "big" if item.big else "little", signed=item.type == "i24"
+                piece[item.at : item.at + 3], "big" if item.big else "little", signed=kind == "i24"
             )
         else:
-            raw = struct.unpack_from((">" if item.big else "<") + CODES[item.type], piece, item.at)[0]
-        if item.mask:
-            shift = (item.mask & -item.mask).bit_length() - 1
-            raw = (int(raw) & item.mask) >> shift
-        if item.column.dtype == "float64":
-            raw = float(raw) * item.scale + item.offset
-        elif item.type in ("f32", "f64"):
-            raw = round(float(raw) * item.scale)
-        row[item.column.name] = raw
+            raw = struct.unpack_from((">" if item.big else "<") + CODES[kind], piece, item.at)[0]
+        if value.mask:
+            shift = (value.mask & -value.mask).bit_length() - 1
+            raw = (int(raw) & value.mask) >> shift
+        assert value.column is not None
+        if value.column.dtype == "float64":
+            raw = float(raw) * value.factor + value.offset
+        elif kind in ("f32", "f64"):
+            raw = round(float(raw) * value.factor)
+        row[item.name] = raw
     return row
