@@ -243,7 +243,7 @@ class Configuration:
             raise ImumonError(
                 Reason.REFUSED,
                 f"the device takes the settings and reads them back, but {problem}",
-                self._family.silent_hint,
+                self._family.silent_hint if not stream.columns else "",
             )
 
     def _apply(self, name: str, value: bytes) -> None:

@@ -17,6 +17,8 @@ PACKETS = 20
 """With so many packets, delays of a USB adapter (16 ms) move the rate by less than `TOLERANCE`."""
 TOLERANCE = 0.1
 """Difference of rates that no clock explains; the next whole divisor differs by less only above ten."""
+SETTLE_S = 0.3
+"""Time after a change of which nothing is measured: what was kept back comes at once."""
 MAIN_COLUMNS = ("gyro_x", "accel_x", "delta_velocity_x", "q_w", "roll", "mag_x", "temperature", "pressure")
 """What the rate is measured on: the first of them that comes."""
 
@@ -67,7 +69,7 @@ def measure(link: CommandLink, device: DeviceFile, rate_hz: float | None) -> Str
     """
     decoder, times = device.decoder(), dict[str, list[np.ndarray]]()
     seconds = min(max(PACKETS / rate_hz, LEAST_S), MOST_S) if rate_hz else LEAST_S
-    link.discard()
+    link.discard(SETTLE_S)
     start = time.monotonic()
     while (left := start + seconds - time.monotonic()) > 0:
         decoder.feed(link.port.read(min(left, 0.05)), time.time_ns())

@@ -126,6 +126,8 @@ class Family(ABC):
     baudrates: ClassVar[Sequence[int]]
     stores_at_once: ClassVar[bool] = False
     """Whether the device writes into flash whatever it is told."""
+    save_confirmed: ClassVar[bool] = True
+    """Whether the device says that it has written into flash."""
     hello_quiets: ClassVar[bool] = False
     """Whether the first question stops the data."""
     reset_s: ClassVar[float] = 0.0

@@ -321,7 +321,7 @@ class Mip(Family):
             f"{names.get(of << 8 | code, f'0x{code:02X}')} {f'{base / by:.6g} Hz' if by else 'never'}"
             for code, by in formatted(value)
         ]
-        return f"{SET_NAMES[of]}: {', '.join(shown) or 'nothing'}"
+        return ", ".join(shown) or "nothing"
 
     def baud_value(self, baudrate: int) -> bytes:
         """Return the baud rate as a number of 32 bits."""
