@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 @click.command("configure")
 @click.argument("port")
 @click.option("--device", required=True, help=device_help)
-@click.option("--rate", type=Number(min=0, min_open=True, max=1e5), help="Samples per second.")
+@click.option("--rate", type=Number(min=0.1, max=1e5), help="Samples per second.")
 @click.option(
     "--outputs",
     help="Outputs, separated by commas: inertial, increments, magnetometer, temperature, pressure, attitude, "
@@ -60,7 +60,7 @@ def command(
         raise ImumonError(
             Reason.BAD_CONFIG, "--save, but nothing to save", "give --rate, --outputs or --baud"
         )
-    report = Report(described.name, port)
+    report = Report(described.name, port, verified=family.verified)
     if dry_run:
         _plan(family, wish, baud, at or described.serial.baudrates[0], save, report)
         print_json(report.as_dict(None)) if as_json else _show_plan(report)
@@ -96,7 +96,7 @@ def _plan(family: Family, wish: Wish, baud: int | None, now: int, save: bool, re
     from imumon.run.configure import check_load, planned
     from imumon.transport.settings import PortSettings
 
-    report.plan = planned(family, wish, baud, save)
+    report.plan = planned(family, wish, baud, save, now)
     report.assumed, report.result = family.assumed(), "planned"
     if not wish.empty:
         warning = check_load(family, family.wanted({}, wish), PortSettings(report.port, baud or now))
@@ -109,6 +109,7 @@ def _show_plan(report: Report) -> None:
         click.echo(f"{request.shown:<{width}}  {request.meaning}")
     for text in report.assumed:
         click.echo(f"assumed: {text}")
+    click.echo(f"commands checked against: {report.verified}")
     warn(report.warnings)
     note("dry run: nothing was sent, and the port was not opened")
 

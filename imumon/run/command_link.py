@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from imumon.errors import ImumonError, Reason
 from imumon.protocols.commands.core import CommandError, Family, Refusal, Request
 from imumon.protocols.device import DeviceFile
-from imumon.transport.detect import GLANCE_S, Evidence, detect
+from imumon.transport.detect import GLANCE_S, Evidence, Verdict, detect
 from imumon.transport.errors import wrong_baud_error
 from imumon.transport.port import Port, open_port
 from imumon.transport.settings import PortSettings
@@ -163,7 +163,7 @@ def connect(url: str, device: DeviceFile, family: Family, baudrate: int | None) 
 def _rates_heard(url: str, device: DeviceFile, evidence: list[Evidence]) -> list[int]:
     """Return the rate at which packets of the device came; when nothing came, all of its rates."""
     best = evidence[0]
-    if best.packets:
+    if best.verdict not in (Verdict.NOTHING, Verdict.SILENT):
         return [best.baudrate or device.serial.baudrates[0]]
     if not any(item.bytes_received for item in evidence):
         return list(device.serial.baudrates) if PortSettings(url).has_line else [device.serial.baudrates[0]]

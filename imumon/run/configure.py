@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from typing import Any
@@ -39,6 +39,7 @@ class Report:
     port: str
     identity: tuple[str, ...] = ()
     assumed: tuple[str, ...] = ()
+    verified: str = ""
     before: dict[str, str] = field(default_factory=dict)
     after: dict[str, str] = field(default_factory=dict)
     plan: list[Request] = field(default_factory=list)
@@ -60,6 +61,7 @@ class Report:
             "device": self.device,
             "identity": self.identity,
             "assumed": self.assumed,
+            "verified": self.verified,
             "before": self.before,
             "after": self.after,
             "plan": [_as_dict(request) for request in self.plan],
@@ -82,8 +84,8 @@ def _as_dict(request: Request) -> dict[str, str]:
     return {"meaning": request.meaning, "bytes": request.frame.hex(" ").upper(), "text": request.shown}
 
 
-def planned(family: Family, wish: Wish, baudrate: int | None, save: bool) -> list[Request]:
-    """Return all that would be sent to a device of which nothing is known, in order.
+def planned(family: Family, wish: Wish, baudrate: int | None, save: bool, now: int) -> list[Request]:
+    """Return all that would be sent to a device of which only its baud rate `now` is known, in order.
 
     Raises
     ------
@@ -97,7 +99,8 @@ def planned(family: Family, wish: Wish, baudrate: int | None, save: bool) -> lis
             "give both --rate and --outputs, or leave --dry-run out and --save too: flash stays as it is",
         )
     values = _with_baud(family, family.wanted({}, wish), baudrate)
-    found = [family.hello(), *family.quiet(), *map(family.read, family.settings())]
+    values = {name: values[name] for name in _in_order(values, baudrate, now)}
+    found = [family.hello(), *family.quiet(), *family.questions(), *map(family.read, family.settings())]
     found += [request for name, value in values.items() for request in family.write(name, value)]
     found += [family.read(name) for name in values]
     found += family.resume()
@@ -106,6 +109,12 @@ def planned(family: Family, wish: Wish, baudrate: int | None, save: bool) -> lis
 
 def _with_baud(family: Family, values: dict[str, bytes], baudrate: int | None) -> dict[str, bytes]:
     return values if baudrate is None else {**values, BAUD: family.baud_value(baudrate)}
+
+
+def _in_order(names: Iterable[str], baudrate: int | None, now: int) -> list[str]:
+    """Return settings in the order of changing: a faster line before more data, a slower one after less."""
+    faster = baudrate is not None and baudrate > now
+    return sorted(names, key=lambda name: name != BAUD) if faster else list(names)
 
 
 def check_load(family: Family, values: Mapping[str, bytes], line: PortSettings) -> str:
@@ -184,8 +193,7 @@ class Configuration:
 
     def _prepare(self, wish: Wish, baudrate: int | None, save: bool) -> list[Change]:
         """Read the device and return what is to change, in order; nothing is written yet."""
-        for request in self._family.quiet():
-            self._link.ask(request)
+        self._quiet()
         self._family = self._family.learn(self._link.ask)
         self._present = {name: self._link.ask(self._family.read(name)) for name in self._family.settings()}
         report, family = self._report, self._family
@@ -202,12 +210,10 @@ class Configuration:
             warning = check_load(family, after, full)
             report.warnings += [warning] if warning else []
         changes = [
-            Change(name, self._present[name], value)
-            for name, value in wanted.items()
-            if not family.settled(name, value, self._present[name])
+            Change(name, self._present[name], wanted[name])
+            for name in _in_order(wanted, baudrate, line.baudrate)
+            if not family.settled(name, wanted[name], self._present[name])
         ]
-        if baudrate is not None and baudrate > line.baudrate:
-            changes.sort(key=lambda change: change.name != BAUD)  # first a faster line, then more data
         report.plan = [request for change in changes for request in family.write(change.name, change.after)]
         if changes and family.stores_at_once and not save:
             raise ImumonError(
@@ -225,8 +231,7 @@ class Configuration:
             self._begun.append(change)
             self._report.flash_begun |= self._family.stores_at_once
             self._apply(change.name, change.after)
-        for request in self._family.resume():
-            self._link.ask(request)
+        self._resume()
         self._report.result = (
             "done" if changes else "read" if wish.empty and baudrate is None else "unchanged"
         )
@@ -275,8 +280,7 @@ class Configuration:
         if not self._link.answers_at(new, WAKE_S + self._family.reset_s):
             line.set_baudrate(old)
             raise CommandError(requests[0], f"no answer at {new} baud", refused=False)
-        for request in self._family.quiet():
-            self._link.ask(request)
+        self._quiet()
 
     def _save(self, wish: Wish, baudrate: int | None) -> None:
         """Write into flash what was asked for, also where it was so already."""
@@ -291,26 +295,36 @@ class Configuration:
 
     def _restore(self) -> None:
         """Put back what was begun, the last first, and let the data come again if they came before."""
-        report = self._report
-        report.result = "failed"
+        self._report.result = "failed"
         left = self._begun[::-1]
         try:
             if left:
+                self._tell("putting the device back as it was")
                 self._find()
             while left:
-                change = left[0]
-                self._apply(change.name, change.before)
-                report.restored.append(f"{change.name}: {self._family.describe(change.name, change.before)}")
+                self._put_back(left[0])
                 left.pop(0)
             for request in self._family.save(self._saving) if self._saving else ():
                 self._link.ask(request)
             if self._link.streaming:
-                for request in self._family.resume():
-                    self._link.ask(request)
+                self._resume()
         except (CommandError, ImumonError) as error:
-            report.not_restored = [f"{c.name}: {self._family.describe(c.name, c.before)}" for c in left]
-            if left or self._begun:
-                report.warnings.append(f"putting back stopped: {error}".splitlines()[0])
+            self._report.not_restored += [self._shown(change) for change in left]
+            self._report.warnings.append(f"putting back stopped: {error}".splitlines()[0])
+
+    def _put_back(self, change: Change) -> None:
+        """Put a setting back; one that the device refuses does not keep the others from it."""
+        try:
+            self._apply(change.name, change.before)
+        except CommandError as error:
+            if not error.refused:
+                raise
+            self._report.not_restored.append(f"{self._shown(change)} ({error.why})")
+        else:
+            self._report.restored.append(self._shown(change))
+
+    def _shown(self, change: Change) -> str:
+        return f"{change.name}: {self._family.describe(change.name, change.before)}"
 
     def _find(self) -> None:
         """Find the rate at which the device answers now, and let it be quiet."""
@@ -322,8 +336,22 @@ class Configuration:
                 ]
         if not any(self._link.answers_at(rate, WAKE_S) for rate in dict.fromkeys(rates)):
             raise ImumonError(Reason.SILENT, "the device does not answer any more")
-        for request in self._family.quiet():
-            self._link.ask(request)
+        self._quiet()
+
+    def _quiet(self) -> None:
+        self._try_each(self._family.quiet())
+
+    def _resume(self) -> None:
+        self._try_each(self._family.resume())
+
+    def _try_each(self, requests: Sequence[Request]) -> None:
+        """Ask; a device that does not know how to be quiet is configured between its data."""
+        for request in requests:
+            try:
+                self._link.ask(request)
+            except CommandError as error:
+                if not error.refused or self._family.hello_quiets:
+                    raise
 
 
 def _explained(error: CommandError) -> ImumonError:
@@ -338,7 +366,10 @@ def _uninterrupted() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = {number: signal.signal(number, signal.SIG_IGN) for number in (signal.SIGINT, signal.SIGTERM)}
+    names = [name for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    before = {
+        number: signal.signal(number, signal.SIG_IGN) for number in map(signal.Signals.__getitem__, names)
+    }
     try:
         yield
     finally:

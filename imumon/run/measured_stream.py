@@ -12,11 +12,13 @@ from imumon.protocols.device import DeviceFile
 from imumon.run.command_link import CommandLink
 
 LEAST_S, MOST_S = 1.5, 5.0
-"""Shortest and longest time of listening; a temperature that comes once a second is heard in the shortest."""
+"""Shortest and longest time for `PACKETS`; a temperature that comes once a second is heard in the shortest."""
 PACKETS = 20
 """With so many packets, delays of a USB adapter (16 ms) move the rate by less than `TOLERANCE`."""
 TOLERANCE = 0.1
 """Difference of rates that no clock explains; the next whole divisor differs by less only above ten."""
+PERIODS = 2.5
+"""At any rate so many samples are waited for."""
 SETTLE_S = 0.3
 """Time after a change of which nothing is measured: what was kept back comes at once."""
 MAIN_COLUMNS = ("gyro_x", "accel_x", "delta_velocity_x", "q_w", "roll", "mag_x", "temperature", "pressure")
@@ -68,7 +70,7 @@ def measure(link: CommandLink, device: DeviceFile, rate_hz: float | None) -> Str
         LOST when the port failed.
     """
     decoder, times = device.decoder(), dict[str, list[np.ndarray]]()
-    seconds = min(max(PACKETS / rate_hz, LEAST_S), MOST_S) if rate_hz else LEAST_S
+    seconds = max(min(max(PACKETS / rate_hz, LEAST_S), MOST_S), PERIODS / rate_hz) if rate_hz else LEAST_S
     link.discard(SETTLE_S)
     start = time.monotonic()
     while (left := start + seconds - time.monotonic()) > 0:

@@ -15,7 +15,7 @@ from imumon.protocols.device import load_device
 from imumon.run import command_link, measured_stream
 from imumon.run.command_link import CommandLink
 from imumon.run.configure import Configuration, Report
-from imumon.simulation.firmware.core import Firmware
+from imumon.simulation.firmware.core import Firmware, Sending
 from imumon.simulation.firmware.families import firmware_of
 from imumon.simulation.unit import SimulatedUnit, load_scenario
 from imumon.transport.errors import lost_error
@@ -38,6 +38,8 @@ class LoopedPort:
         self._rate_hz, self._axes = rate_hz, self.device.axes
         self._answers = b""
         self._samples = 0.0
+        self._sending: Sending | None = None
+        self._sent_by = dict(self.firmware.settings.volatile)
         self._units: dict[float, SimulatedUnit] = {}
 
     def monotonic(self) -> float:
@@ -77,7 +79,9 @@ class LoopedPort:
         firmware = self.firmware
         if firmware.dead or not firmware.streaming or self.settings.baudrate != firmware.baudrate:
             return b""
-        sending = firmware.sending()
+        if firmware.settings.volatile != self._sent_by:
+            self._sent_by, self._sending = dict(firmware.settings.volatile), firmware.sending()
+        sending = self._sending
         rate = self._rate_hz if sending is None else sending.rate_hz
         self._samples += seconds * rate
         n, self._samples = int(self._samples), self._samples % 1.0

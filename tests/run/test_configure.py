@@ -217,8 +217,8 @@ def test_a_dry_run_needs_no_device(name: str) -> None:
     from imumon.protocols.device import load_device
 
     family = family_of(load_device(name))
-    frames = [request.frame for request in planned(family, WISH, BAUDRATE, save=True)]
+    frames = [request.frame for request in planned(family, WISH, BAUDRATE, save=True, now=9600)]
     assert frames[0] == family.hello().frame
     assert len(frames) > 6
     with pytest.raises(ImumonError, match="does not know what the device sends now"):
-        planned(family, Wish(20.0), None, save=False)
+        planned(family, Wish(20.0), None, save=False, now=9600)

@@ -124,6 +124,8 @@ class Family(ABC):
     columns: ClassVar[Mapping[str, tuple[str, ...]]]
     """For each output the columns of which one must come when it is on."""
     baudrates: ClassVar[Sequence[int]]
+    verified: ClassVar[str]
+    """Against what the commands were checked."""
     stores_at_once: ClassVar[bool] = False
     """Whether the device writes into flash whatever it is told."""
     save_confirmed: ClassVar[bool] = True
@@ -151,6 +153,10 @@ class Family(ABC):
 
     def resume(self) -> tuple[Request, ...]:
         """Return what lets the data come again."""
+        return ()
+
+    def questions(self) -> tuple[Request, ...]:
+        """Return what `learn` asks of a device of the newest kind."""
         return ()
 
     def learn(self, ask: Ask) -> Self:

@@ -161,6 +161,9 @@ class Mip(Family):
     speed_in_base: bool = False
     identity: tuple[str, ...] = ()
     title: ClassVar[str] = "MicroStrain"
+    verified: ClassVar[str] = (
+        "frames of other programs (0x08, 0x0A), and the virtual device; never a real unit"
+    )
     baudrates: ClassVar[Sequence[int]] = (115_200, 230_400, 460_800, 921_600)
     columns: ClassVar[Mapping[str, tuple[str, ...]]] = {
         "inertial": ("gyro_x",),
@@ -188,22 +191,33 @@ class Mip(Family):
         """Return Resume."""
         return (request(BASE, RESUME, b"", "Resume: data again"),)
 
+    def questions(self) -> tuple[Request, ...]:
+        """Return requests for the name, the base rates, and by which command the baud rate is set."""
+        return (
+            request(BASE, DEVICE_INFO, b"", "GetDeviceInfo", timeout_s=SAVE_S),
+            _base_rate(True, SENSOR),
+            _base_rate(True, FILTER),
+            request(THREE_DM, UART_BAUD, READ, "read baud rate (UARTBaudRate)"),
+        )
+
     def learn(self, ask: Ask) -> Mip:
         """Ask what it is, which commands it knows and its base rates."""
-        info = ask(request(BASE, DEVICE_INFO, b"", "GetDeviceInfo", timeout_s=SAVE_S))
+        about, sensors, _, uart = self.questions()
+        info = ask(about)
         said = tuple(
             filter(None, (info[at : at + 16].decode("ascii", "replace").strip(" \0") for at in (2, 18, 34)))
         )
-        modern = _known(ask, _base_rate(True, SENSOR)) is not None
-        rates = {}
-        for of in (SENSOR, FILTER):
-            rate = _known(ask, _base_rate(modern, of))
-            if rate is not None and len(rate) >= 2 and any(rate[:2]):
-                rates[of] = int.from_bytes(rate[:2], "big")
+        rate = _known(ask, sensors)
+        modern = rate is not None
+        answers = {
+            SENSOR: rate if modern else _known(ask, _base_rate(False, SENSOR)),
+            FILTER: _known(ask, _base_rate(modern, FILTER)),
+        }
+        rates = {of: int.from_bytes(answer[:2], "big") for of, answer in answers.items() if answer}
+        rates = {of: base for of, base in rates.items() if base}
         if SENSOR not in rates:
             raise ImumonError(Reason.BAD_DATA, "the device tells no base rate of its sensors")
         there = replace(self, identity=said, modern=modern, base_hz=rates)
-        uart = request(THREE_DM, UART_BAUD, READ, "read baud rate (UARTBaudRate)")
         return replace(there, speed_in_base=_known(ask, uart) is None)
 
     def assumed(self) -> tuple[str, ...]:
@@ -283,7 +297,8 @@ class Mip(Family):
             )
             by = divisor(self.base_hz[of], rate) if codes else 1
             result[name] = message_format([(code, by) for code in codes])
-            result[name.replace("format", "stream")] = ON if codes else OFF
+            if codes:
+                result[name.replace("format", "stream")] = ON
         if not any(formatted(value) for name, value in result.items() if "format" in name):
             raise nothing_to_keep("output", "give --outputs")
         return result

@@ -198,6 +198,9 @@ class VectorNav(Family):
     base_hz: int = FAST_HZ
     identity: tuple[str, ...] = ()
     title: ClassVar[str] = "VectorNav"
+    verified: ClassVar[str] = (
+        "lines of other programs and of the vendor's, and the virtual device; never a real unit"
+    )
     baudrates: ClassVar[Sequence[int]] = (
         9600,
         19_200,
@@ -236,10 +239,13 @@ class VectorNav(Family):
         """Return $VNASY,1."""
         return (request("VNASY,1", "data again"),)
 
+    def questions(self) -> tuple[Request, ...]:
+        """Return reads of model and firmware."""
+        return self.hello(), request("VNRRG,04", "read the firmware", "4")
+
     def learn(self, ask: Ask) -> VectorNav:
         """Ask the model, of which the base rate depends, and the firmware."""
-        model = ask(self.hello()).decode("ascii", "replace")
-        firmware = ask(request("VNRRG,04", "read the firmware", "4")).decode("ascii", "replace")
+        model, firmware = (ask(question).decode("ascii", "replace") for question in self.questions())
         return replace(self, base_hz=_base_hz(model), identity=(model, f"firmware {firmware}"))
 
     def assumed(self) -> tuple[str, ...]:
@@ -247,6 +253,7 @@ class VectorNav(Family):
         return (
             f"base rate {FAST_HZ} Hz (VN-100, 110); {SLOW_HZ} Hz for the others: the model is asked first",
             "binary output 1 goes to serial port 1, or where it goes now",
+            "binary outputs 2 and 3 are off; where they are not, they are switched off",
         )
 
     def settings(self) -> tuple[str, ...]:
@@ -303,6 +310,11 @@ class VectorNav(Family):
             name: replace(now[name], port=0).value for name in (SECOND, THIRD) if name in now and now[name].on
         }
         return {ASCII: b"0", **off, OUTPUT: new.value}
+
+    def settled(self, name: str, wanted: bytes, found: bytes) -> bool:
+        """Tell whether it reads back; of an output that is off the rest does not matter."""
+        off = name in (OUTPUT, SECOND, THIRD) and not (Output.read(wanted).on or Output.read(found).on)
+        return off or wanted == found
 
     def rate_hz(self, values: Mapping[str, bytes]) -> float | None:
         """Return the rate of the first binary output."""

@@ -81,6 +81,7 @@ class WitMotion(Family):
     """Commands of a WitMotion module."""
 
     title: ClassVar[str] = "WitMotion"
+    verified: ClassVar[str] = "codes of the vendor's sample code, and the virtual device; never a real unit"
     save_confirmed: ClassVar[bool] = False
     baudrates: ClassVar[Sequence[int]] = tuple(BAUD_CODES.values())
     columns: ClassVar[Mapping[str, tuple[str, ...]]] = {

@@ -114,6 +114,7 @@ class Xsens(Family):
 
     identity: tuple[str, ...] = ()
     title: ClassVar[str] = "Xsens MTi"
+    verified: ClassVar[str] = "frames of other programs, and the virtual device; never a real unit"
     stores_at_once: ClassVar[bool] = True
     hello_quiets: ClassVar[bool] = True
     reset_s: ClassVar[float] = 5.0
@@ -144,12 +145,16 @@ class Xsens(Family):
         """Return GoToMeasurement."""
         return (request(GO_TO_MEASUREMENT),)
 
+    def questions(self) -> tuple[Request, ...]:
+        """Return requests for product code and firmware."""
+        return request(REQ_PRODUCT_CODE), request(REQ_FIRMWARE)
+
     def learn(self, ask: Ask) -> Xsens:
         """Ask what it is."""
         said = []
-        for kind, say in ((REQ_PRODUCT_CODE, _text), (REQ_FIRMWARE, _version)):
+        for question, say in zip(self.questions(), (_text, _version), strict=True):
             try:
-                said.append(say(ask(request(kind))))
+                said.append(say(ask(question)))
             except (
                 CommandError
             ) as error:  # a unit that does not say what it is can be configured all the same
@@ -187,16 +192,19 @@ class Xsens(Family):
         if rate not in RATES:
             raise no_rate(rate, RATES, f"the device divides {FASTEST_HZ} Hz by a whole number")
         if wish.outputs is None:
-            timed = [code for code, often in entries(present[OUTPUT]) if often != WITH_EVERY_PACKET]
-            kept = [item for item in entries(present[OUTPUT]) if item[1] == WITH_EVERY_PACKET]
+            now, fastest = entries(present[OUTPUT]), self.rate_hz(present)
+            timed = [(code, rate if hz == fastest else hz) for code, hz in now if hz != WITH_EVERY_PACKET]
+            kept = [item for item in now if item[1] == WITH_EVERY_PACKET]
         else:
-            timed = [code for name in wish.outputs for code in IDENTIFIERS[name] if name != "status"]
+            timed = [(code, rate) for name in wish.outputs for code in IDENTIFIERS[name] if name != "status"]
             kept = [(0xE020, WITH_EVERY_PACKET)] if "status" in wish.outputs else []
         if not timed:
             raise ImumonError(
                 Reason.BAD_CONFIG, "a status alone has no rate" if kept else "nothing to send", "add inertial"
             )
-        often = [(code, min(round(rate), MOST_HZ.get(code & 0xFFF0, FASTEST_HZ))) for code in timed]
+        often = [(code, round(min(hz, rate, MOST_HZ.get(code & 0xFFF0, FASTEST_HZ)))) for code, hz in timed]
+        if max(rates := [hz for _, hz in often]) < rate:
+            raise no_rate(rate, rates, "these outputs are slower")
         return {OUTPUT: packed((*kept, *often) if wish.outputs is None else (*ALWAYS, *often, *kept))}
 
     def settled(self, name: str, wanted: bytes, found: bytes) -> bool:

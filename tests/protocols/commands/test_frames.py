@@ -112,6 +112,7 @@ def test_what_a_family_lacks_is_named() -> None:
     ("family", "rate", "near"),
     [
         (xsens.Xsens(), 300.0, "200 and 400"),
+        (xsens.Xsens(), 450.0, "400 Hz"),
         (mip.Mip(), 300.0, "250 and 500"),
         (vectornav.VectorNav(), 300.0, "266.667 and 400"),
         (witmotion.WitMotion(), 300.0, "200 Hz"),
@@ -123,6 +124,13 @@ def test_a_rate_that_does_not_exist_is_refused_with_the_nearest(
 ) -> None:
     with pytest.raises(ImumonError, match=near):
         family.wanted({}, Wish(rate, ("inertial",)))
+
+
+def test_an_output_that_is_slower_than_asked_for_is_refused_alone() -> None:
+    with pytest.raises(ImumonError, match=r"400 Hz .these outputs are slower.\nnearest: 100 Hz"):
+        xsens.Xsens().wanted({}, Wish(400.0, ("magnetometer",)))
+    both = xsens.Xsens().wanted({}, Wish(400.0, ("inertial", "magnetometer")))[xsens.OUTPUT]
+    assert xsens.entries(both)[2:] == [(0x4020, 400), (0x8020, 400), (0xC020, 100)]
 
 
 def test_a_rate_may_be_rounded_as_people_do() -> None:
@@ -137,9 +145,9 @@ def test_what_is_not_asked_for_stays() -> None:
     wanted = family.wanted(present, Wish(rate_hz=200.0))
     assert wanted == {vectornav.ASCII: b"0", vectornav.OUTPUT: b"2,4,14,003E,003A"}
     assert family.wanted(present, Wish(outputs=("inertial",)))[vectornav.OUTPUT] == b"2,40,05,0001,000C"
-    present = {xsens.OUTPUT: xsens.packed([(0x1020, 0xFFFF), (0x8020, 100), (0xC020, 100)])}
-    slower = xsens.Xsens().wanted(present, Wish(rate_hz=400.0))[xsens.OUTPUT]
-    assert xsens.entries(slower) == [(0x1020, 0xFFFF), (0x8020, 400), (0xC020, 100)]
+    present = {xsens.OUTPUT: xsens.packed([(0x1020, 0xFFFF), (0x8020, 100), (0xC020, 100), (0x5042, 4)])}
+    faster = xsens.Xsens().wanted(present, Wish(rate_hz=400.0))[xsens.OUTPUT]
+    assert xsens.entries(faster) == [(0x1020, 0xFFFF), (0x8020, 400), (0xC020, 100), (0x5042, 4)]
     present = {mip.SENSOR_FORMAT: mip.message_format([(4, 10), (5, 5)]), mip.FILTER_FORMAT_NAME: b"\0"}
     assert mip.Mip().wanted(present, Wish(outputs=("inertial",)))[mip.SENSOR_FORMAT] == mip.message_format(
         [(0xD5, 5), (4, 5), (5, 5)]
