@@ -12,7 +12,7 @@ from imumon.protocols.device import DeviceFile
 from imumon.run.command_link import CommandLink
 
 LEAST_S, MOST_S = 1.5, 5.0
-"""Shortest and longest time for `PACKETS`; a temperature that comes once a second is heard in the shortest."""
+"""Shortest and longest time for `PACKETS`; what comes once a second is heard in the shortest."""
 PACKETS = 20
 """With so many packets, delays of a USB adapter (16 ms) move the rate by less than `TOLERANCE`."""
 TOLERANCE = 0.1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import signal
 import subprocess
 import time
@@ -143,6 +144,48 @@ def test_a_device_that_only_sends_is_said_to_be_deaf(tmp_path: Path) -> None:
         done = imumon("configure", virtual.port.path, "--device", "vectornav", *ASKED)
     assert done.returncode == 3
     assert "sends, but no vectornav device answers" in done.stderr
+
+
+def test_a_device_that_is_silent_is_found_by_asking_and_left_silent(tmp_path: Path) -> None:
+    with VirtualDevice(load_device("microstrain"), tmp_path / "imu") as virtual:
+        firmware = firmware_of(virtual)
+        firmware.streaming, firmware.baudrate, virtual.port.baudrate = False, 460_800, 460_800
+        firmware.settings.volatile["baud rate"] = (460_800).to_bytes(4, "big")
+        done = imumon("configure", virtual.port.path, "--device", "microstrain", "--rate", 3)
+        assert not firmware.streaming
+        looked = answer("configure", virtual.port.path, "--device", "microstrain", "--at", 460_800)
+    assert done.returncode == 2
+    assert "no rate of 3 Hz" in done.stderr
+    assert looked["before"]["baud rate"] == "460800"
+    assert looked["result"] == "read"
+
+
+def test_json_says_what_failed(tmp_path: Path) -> None:
+    with VirtualDevice(load_device("witmotion"), tmp_path / "imu") as virtual:
+        firmware_of(virtual).faults = Faults(ignored=frozenset(range(1000)))
+        done = imumon("configure", virtual.port.path, "--device", "witmotion", *ASKED, "--json")
+    assert done.returncode == 1
+    result = json.loads(done.stdout)
+    assert result["result"] == "failed"
+    assert not result["saved"]
+    assert not result["flash_begun"]
+    assert result["not_restored"] == []
+    assert [item["answered"] for item in result["sent"]].count(None) >= 2
+
+
+def test_on_its_own_imumon_sends_nothing(tmp_path: Path) -> None:
+    with VirtualDevice(load_device("vectornav"), tmp_path / "imu") as virtual:
+        path, firmware = virtual.port.path, firmware_of(virtual)
+        heard: list[bytes] = []
+        hear = firmware.hear
+        firmware.hear = lambda data: heard.append(data) or hear(data)  # type: ignore[method-assign, func-returns-value]
+        assert imumon("detect", path, "--device", "vectornav").returncode == 0
+        out = ["--out", str(tmp_path / "session"), "--view", "none", "--seconds", "1"]
+        subprocess.run([IMUMON, "monitor", path, "--device", "vectornav", *out], check=True)
+        assert imumon("ports").returncode == 0
+        assert heard == []
+        assert imumon("configure", path, "--device", "vectornav").returncode == 0
+        assert heard
 
 
 def test_a_dry_run_opens_nothing() -> None:
