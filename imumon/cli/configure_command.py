@@ -82,6 +82,9 @@ def command(
         if as_json:
             print_json(report.as_dict(link))
         _tell(report, family, str(link.port.settings))
+    now = link.port.settings.baudrate
+    again = f" --baud {now}" if now != described.serial.baudrates[0] and link.port.settings.has_line else ""
+    note(f"to watch it: imumon monitor {port} --device {device}{again}")
 
 
 def _names(outputs: str) -> list[str]:

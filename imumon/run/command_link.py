@@ -144,7 +144,9 @@ def connect(url: str, device: DeviceFile, family: Family, baudrate: int | None) 
     if baudrate is None:
         evidence = detect(url, {device.name: device.decoder}, device.serial.baudrates, GLANCE_S)
     rates = [baudrate] if baudrate is not None else _rates_heard(url, device, evidence)
-    link = CommandLink(open_port(PortSettings(url, baudrate=rates[0])), family, streaming=False)
+    line = device.serial
+    settings = PortSettings(url, rates[0], line.bytesize, line.parity, line.stopbits)
+    link = CommandLink(open_port(settings), family, streaming=False)
     try:
         link.streaming = link.discard(HEAR_S if not any(item.packets for item in evidence) else 0.1) > 0
         link.streaming |= any(item.packets for item in evidence)

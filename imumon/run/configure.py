@@ -193,6 +193,9 @@ class Configuration:
 
     def _prepare(self, wish: Wish, baudrate: int | None, save: bool) -> list[Change]:
         """Read the device and return what is to change, in order; nothing is written yet."""
+        if self._link.port.shared_with:
+            others = ", ".join(self._link.port.shared_with)
+            self._report.warnings.append(f"{others} reads this port, too: answers may go there")
         self._quiet()
         self._family = self._family.learn(self._link.ask)
         self._present = {name: self._link.ask(self._family.read(name)) for name in self._family.settings()}
@@ -215,6 +218,12 @@ class Configuration:
             if not family.settled(name, wanted[name], self._present[name])
         ]
         report.plan = [request for change in changes for request in family.write(change.name, change.after)]
+        if any(change.name == BAUD and family.baud_of(change.before) is None for change in changes):
+            raise ImumonError(
+                Reason.BAD_DATA,
+                f"the device tells a baud rate that imumon could not put back: {report.before[BAUD]}",
+                "leave --baud out",
+            )
         if changes and family.stores_at_once and not save:
             raise ImumonError(
                 Reason.BAD_CONFIG,
@@ -268,10 +277,7 @@ class Configuration:
         """Change the baud rate of the device and follow it; go back when it does not answer there."""
         line, new = self._link.port, self._family.baud_of(value)
         old = line.settings.baudrate
-        if new is None:
-            raise ImumonError(
-                Reason.BAD_DATA, f"the device had a baud rate that imumon does not know: {value!r}"
-            )
+        assert new is not None
         line.set_baudrate(new)  # refused now, not when the device has gone there
         line.set_baudrate(old)
         requests = self._family.write(BAUD, value)
@@ -328,13 +334,14 @@ class Configuration:
 
     def _find(self) -> None:
         """Find the rate at which the device answers now, and let it be quiet."""
-        rates = [self._link.port.settings.baudrate]
+        rates, patience = [self._link.port.settings.baudrate], WAKE_S
         for change in self._begun:
             if change.name == BAUD:
+                patience += self._family.reset_s
                 rates += [
                     rate for value in (change.before, change.after) if (rate := self._family.baud_of(value))
                 ]
-        if not any(self._link.answers_at(rate, WAKE_S) for rate in dict.fromkeys(rates)):
+        if not any(self._link.answers_at(rate, patience) for rate in dict.fromkeys(rates)):
             raise ImumonError(Reason.SILENT, "the device does not answer any more")
         self._quiet()
 

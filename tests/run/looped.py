@@ -32,6 +32,7 @@ class LoopedPort:
         assert made is not None
         self.firmware: Firmware = made
         self.settings = PortSettings("/dev/looped", self.device.serial.baudrates[0])
+        self.shared_with: tuple[str, ...] = ()
         self.now_s = 1000.0
         self.on_write: Callable[[int], None] = lambda _: None
         self.writes = 0

@@ -203,6 +203,21 @@ def test_a_device_that_sends_at_another_rate_than_it_says_is_put_back(
     assert one.as_found
 
 
+def test_a_baud_rate_that_could_not_be_put_back_is_not_changed(monkeypatch: pytest.MonkeyPatch) -> None:
+    one = looped(monkeypatch, "witmotion")
+    settings = one.port.firmware.settings
+    settings.volatile[BAUD] = settings.flash[BAUD] = settings.delivered[BAUD] = b"\x77\x00"
+    assert "could not put back: code 119" in failed(one, WISH, BAUDRATE, False).seen
+    assert one.as_found
+
+
+def test_who_else_reads_the_port_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    one = looped(monkeypatch, "vectornav")
+    one.port.shared_with = ("minicom (7)",)
+    succeeded(one, Wish(), None, save=False)
+    assert one.report.warnings == ["minicom (7) reads this port, too: answers may go there"]
+
+
 def test_a_silent_device_is_left_silent_when_it_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     one = looped(monkeypatch, "microstrain")
     one.port.firmware.streaming = False

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imumon.protocols.commands.core import Message, Refusal, Request
@@ -63,6 +63,7 @@ def test_answers_are_found_whatever_the_chunks(name: str, size: int) -> None:
 
 
 @pytest.mark.parametrize("name", DEVICES)
+@settings(deadline=None)
 @given(data=st.data())
 def test_damaged_bytes_never_raise(name: str, data: st.DataObject) -> None:
     stream = bytearray(STREAMS[name][1])
@@ -80,6 +81,7 @@ def test_damaged_bytes_never_raise(name: str, data: st.DataObject) -> None:
 
 
 @pytest.mark.parametrize("name", DEVICES)
+@settings(deadline=None)
 @given(
     kind=st.integers(0, 255), payload=st.binary(max_size=64), letters=st.sampled_from(["RRG", "WRG", "ERR"])
 )
@@ -97,6 +99,7 @@ def test_well_formed_nonsense_never_raises(name: str, kind: int, payload: bytes,
 
 
 @pytest.mark.parametrize("name", DEVICES)
+@settings(deadline=None)
 @given(noise=st.binary(max_size=300))
 def test_firmware_bears_any_bytes(name: str, noise: bytes) -> None:
     firmware = firmware_of(load_device(name), 100.0)
