@@ -18,6 +18,8 @@ from imumon.transport.settings import PortSettings
 
 WAKE_S = 2.0
 """How long a device is asked at a new baud rate; the slowest to change that is known waits 0.25 s."""
+LISTENINGS = 3
+"""How often a stream may be listened to before it is wrong: a host that stalls sees any rate once."""
 NEARLY_FULL = 0.8
 """Share of the line from which packets may have to wait."""
 
@@ -248,10 +250,13 @@ class Configuration:
             return
         values = {**self._present, **{change.name: change.after for change in changes}}
         rate = self._family.rate_hz(values)
-        self._report.stream = stream = measure(self._link, self._device, rate)
-        self._report.warnings += stream.warnings
         wanted = [self._family.columns[name] for name in wish.outputs or ()]
-        problem = stream.problem(wanted, rate)
+        for _ in range(LISTENINGS):
+            self._report.stream = stream = measure(self._link, self._device, rate)
+            problem = stream.problem(wanted, rate)
+            if not problem:
+                break
+        self._report.warnings += stream.warnings
         if problem:
             self._report.result = "failed"
             raise ImumonError(

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 
 from imumon.errors import ImumonError, Reason
 from imumon.protocols.commands.core import BAUD, Wish
+from imumon.protocols.device import DeviceFile
+from imumon.run import configure
+from imumon.run.command_link import CommandLink
 from imumon.run.configure import planned
+from imumon.run.measured_stream import Stream
 from imumon.simulation.firmware.core import Faults
 from imumon.simulation.firmware.mip import MipFirmware
 from tests.run.looped import Looped, failed, looped
@@ -201,6 +206,18 @@ def test_a_device_that_sends_at_another_rate_than_it_says_is_put_back(
     monkeypatch.setattr(one.port.firmware, "outputs", lambda: (real()[0] / 2, real()[1]))
     assert "Hz, not at 20 Hz" in failed(one, WISH, None, False).seen
     assert one.as_found
+
+
+def test_a_host_that_stalls_once_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    one, rates = looped(monkeypatch, "witmotion"), [30.0, 20.0]
+    real = configure.measure
+
+    def stalled(link: CommandLink, device: DeviceFile, rate_hz: float | None) -> Stream:
+        return replace(real(link, device, rate_hz), rate_hz=rates.pop(0))
+
+    monkeypatch.setattr(configure, "measure", stalled)
+    succeeded(one)
+    assert rates == []
 
 
 def test_a_baud_rate_that_could_not_be_put_back_is_not_changed(monkeypatch: pytest.MonkeyPatch) -> None:
