@@ -10,7 +10,7 @@ import pytest
 from imumon.errors import ImumonError, Reason
 from imumon.protocols.commands.core import BAUD, Wish
 from imumon.protocols.device import DeviceFile
-from imumon.run import configure
+from imumon.run import configure, measured_stream
 from imumon.run.command_link import CommandLink
 from imumon.run.configure import planned
 from imumon.run.measured_stream import Stream
@@ -210,7 +210,7 @@ def test_a_device_that_sends_at_another_rate_than_it_says_is_put_back(
 
 def test_a_host_that_stalls_once_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     one, rates = looped(monkeypatch, "witmotion"), [30.0, 20.0]
-    real = configure.measure
+    real = measured_stream.measure
 
     def stalled(link: CommandLink, device: DeviceFile, rate_hz: float | None) -> Stream:
         return replace(real(link, device, rate_hz), rate_hz=rates.pop(0))
