@@ -35,6 +35,8 @@ class Reason(Enum):
     """A YAML file or an option is wrong."""
     BAD_DATA = "bad data"
     """A capture, table or recording does not hold what it should."""
+    REFUSED = "refused by the device"
+    """The device answered, and said no, or did something else than it was told."""
     EXISTS = "exists already"
     """The output is already there, and nothing is overwritten."""
 
@@ -43,6 +45,8 @@ class Reason(Enum):
         """Exit code of the command line for this reason."""
         if self in (Reason.BAD_CONFIG, Reason.EXISTS):
             return EXIT_USAGE
+        if self is Reason.REFUSED:
+            return EXIT_NEGATIVE
         return EXIT_DATA if self is Reason.BAD_DATA else EXIT_PORT
 
 

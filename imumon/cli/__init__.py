@@ -30,6 +30,7 @@ COMMANDS = {
     "detect": "Find baud rate and protocol of a device by trying.",
     "allan": "Tell noise, bias instability and drift of a recording at rest.",
     "diagnose": "Name the effect that a bias model lacks.",
+    "configure": "Set rate, outputs and baud rate of a device.",
     "devices": "List the devices that imumon knows.",
     "virtual": "Be a device: a simulated AHRS on a pseudo-terminal.",
     "simulate": "Make a session or a table of a scenario, with the truth.",

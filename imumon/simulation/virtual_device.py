@@ -1,4 +1,7 @@
-"""A virtual AHRS: a simulated unit behind a real pseudo-terminal, sending packets at its rate."""
+"""A virtual AHRS: a simulated unit behind a real pseudo-terminal, sending packets at its rate.
+
+Where imumon can configure devices of its kind, it answers the same commands and does as it is told.
+"""
 
 from __future__ import annotations
 
@@ -8,13 +11,15 @@ from pathlib import Path
 
 from imumon.errors import ImumonError, Reason
 from imumon.protocols.device import DeviceFile
+from imumon.simulation.firmware.core import Sending
+from imumon.simulation.firmware.families import firmware_of
 from imumon.simulation.unit import Scenario, SimulatedUnit, load_scenario
 from imumon.simulation.unit.unit import MICROSECOND
 from imumon.simulation.virtual_port import BITS_PER_BYTE, VirtualPort
 
 DEFAULT_RATE_HZ = 100.0
 TICK_S = 0.005
-"""How often packets are handed to the port when the device sends faster than this."""
+"""How often commands are looked for, and packets handed over by a device that sends faster than this."""
 
 
 def refuse_overload(packet_bytes: int, rate_hz: float, baudrate: int) -> None:
@@ -63,14 +68,17 @@ class VirtualDevice:
     ) -> None:
         scenario_hz = None if scenario is None else scenario.rate_hz
         self._rate_hz = rate_hz or scenario_hz or device.rate_hz or DEFAULT_RATE_HZ
-        self._scenario = (scenario or load_scenario("bench")).played(self._rate_hz, device.axes)
-        self._seed = seed
+        self._plan, self._axes = scenario or load_scenario("bench"), device.axes
+        self._default_hz, self._seed = self._rate_hz, seed
         self._encoder = device.encoder()
         self._tick_ns = device.decoder().timing.tick_ns or MICROSECOND
         packet = self._encoder.encode(self._switched_on(0).samples(1))[0]
         refuse_overload(len(packet), self._rate_hz, device.serial.baudrates[0])
         self._unit = self._switched_on(seed)
         self._rebooted = False
+        self.firmware = firmware_of(device, self._rate_hz)
+        """What answers commands; None for a kind of device that is not configured by imumon."""
+        self._sending: Sending | None = None
         self._closing = threading.Event()
         self.packets_sent = 0
         self.failure: ImumonError | None = None
@@ -80,7 +88,7 @@ class VirtualDevice:
         self._thread.start()
 
     def reboot(self) -> None:
-        """Start the unit anew: its counter and clock begin at zero."""
+        """Switch it off and on: its counter and clock begin at zero, its settings are those in flash."""
         self._rebooted = True
 
     def close(self) -> None:
@@ -98,7 +106,7 @@ class VirtualDevice:
         self.close()
 
     def _switched_on(self, seed: int) -> SimulatedUnit:
-        return SimulatedUnit(self._scenario, seed, self._tick_ns)
+        return SimulatedUnit(self._plan.played(self._rate_hz, self._axes), seed, self._tick_ns)
 
     def _run(self) -> None:
         try:
@@ -110,15 +118,56 @@ class VirtualDevice:
         start, sent = time.monotonic(), 0
         while not self._closing.is_set():
             if self._rebooted:
-                self._rebooted = False
-                self._unit = self._switched_on(self._seed + 1)
+                self._reboot()
+            if self._obeyed():
+                start, sent = time.monotonic(), 0
             due = int((time.monotonic() - start) * self._rate_hz) - sent
             if due > 0:
-                for packet in self._encoder.encode(self._unit.samples(due)):
-                    self.port.write(packet)
+                self._send_samples(due)
                 sent += due
-                self.packets_sent += due
             next_due = start + (sent + 1) / self._rate_hz
-            self._closing.wait(
-                max(next_due - time.monotonic(), TICK_S if self._rate_hz > 1 / TICK_S else 0.0)
-            )
+            wait = max(next_due - time.monotonic(), TICK_S if self._rate_hz > 1 / TICK_S else 0.0)
+            self._closing.wait(wait if self.firmware is None else min(wait, TICK_S))
+
+    def _send_samples(self, n: int) -> None:
+        samples = self._unit.samples(n)
+        if self._sending is not None:
+            self.port.write(self._sending.encode(samples))
+        else:
+            for packet in self._encoder.encode(samples):
+                self.port.write(packet)
+        self.packets_sent += n
+
+    def _reboot(self) -> None:
+        self._rebooted = False
+        if self.firmware is not None:
+            self.firmware.power_on()
+            self._configure()
+        self._unit = self._switched_on(self._seed + 1)
+
+    def _obeyed(self) -> bool:
+        """Answer the commands that have come; tell whether the samples begin anew, or none are sent."""
+        firmware = self.firmware
+        if firmware is None:
+            return False
+        heard = self.port.read()
+        if heard:
+            before = dict(firmware.settings.volatile)
+            self.port.write(firmware.hear(heard))
+            if firmware.unplugged:
+                self.port.unplug()
+            if firmware.baudrate != self.port.baudrate:
+                self.port.drain()  # the answer goes at the old rate
+                self.port.baudrate = firmware.baudrate
+            if firmware.settings.volatile != before:
+                self._configure()
+                return True
+        return firmware.dead or not firmware.streaming
+
+    def _configure(self) -> None:
+        """Send from now on what the settings say."""
+        assert self.firmware is not None
+        self._sending = self.firmware.sending()
+        self._rate_hz = self._default_hz if self._sending is None else self._sending.rate_hz
+        self._unit = self._switched_on(self._seed)
+        self.port.baudrate = self.firmware.baudrate

@@ -97,16 +97,18 @@ class VirtualPort:
             return self._changed.wait_for(lambda: not self._backlog, timeout_s)
 
     def read(self, timeout_s: float = 0.0) -> bytes:
-        """Return what the host has sent to the device, waiting at most `timeout_s`."""
+        """Return what the host has sent, as the device samples it, waiting at most `timeout_s`."""
         master = self._master
         if master is None or not self.host_listens():
             return b""
         if not select.select([master], [], [], timeout_s)[0]:
             return b""
         try:
-            return os.read(master, 4096)
+            data = os.read(master, 4096)
         except OSError:  # the host has just closed its end
             return b""
+        ratio = self.host_baudrate() / self.baudrate
+        return data if abs(ratio - 1) <= SAMPLING_TOLERANCE else Sampler(ratio).feed(data)
 
     def host_listens(self) -> bool:
         """Tell whether a host has the port open."""

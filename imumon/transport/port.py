@@ -7,6 +7,7 @@ import select
 import socket
 import sys
 import time
+from dataclasses import replace
 
 import serial
 from serial.urlhandler import protocol_socket
@@ -111,6 +112,22 @@ class Port:
             self._handle.write(data)
         except PORT_ERRORS as error:
             raise lost_error(self.settings, error) from error
+
+    def set_baudrate(self, baudrate: int) -> None:
+        """Let the line run at another rate, without closing the port.
+
+        Raises
+        ------
+        ImumonError
+            BAD_CONFIG when the adapter has no such rate; LOST when the port failed.
+        """
+        try:
+            self._handle.baudrate = baudrate
+        except ValueError as error:
+            raise open_error(replace(self.settings, baudrate=baudrate), error) from error
+        except PORT_ERRORS as error:
+            raise lost_error(self.settings, error) from error
+        self.settings = replace(self.settings, baudrate=baudrate)
 
     def gone(self) -> str:
         """Return why the opened device is no longer the one under its name; empty when it is.
