@@ -26,7 +26,9 @@ from imumon.protocols.commands.core import (
     nothing_to_keep,
     search,
 )
-from imumon.protocols.vectornav import GROUP_NAMES, LONGEST_SENTENCE, read_header
+from imumon.protocols.text import LONGEST_LINE
+from imumon.protocols.vectornav import read_header
+from imumon.protocols.vectornav_fields import GROUP_NAMES
 
 SYNC = b"$VN"
 ERRORS = {1: "hard fault", 2: "serial buffer overflow", 3: "invalid checksum", 4: "invalid command",
@@ -76,9 +78,9 @@ def crc(data: bytes) -> int:
 
 
 def _sized(held: bytes, at: int) -> tuple[int, Message | None]:
-    end = held.find(b"\n", at, at + LONGEST_SENTENCE)
+    end = held.find(b"\n", at, at + LONGEST_LINE)
     if end < 0:
-        return (-1 if len(held) - at < LONGEST_SENTENCE else 0), None
+        return (-1 if len(held) - at < LONGEST_LINE else 0), None
     body, star, given = held[at + 1 : end].rstrip(b"\r").rpartition(b"*")
     if not star or not body.isascii() or len(given) not in (2, 4):
         return 0, None

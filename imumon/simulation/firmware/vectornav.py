@@ -8,7 +8,8 @@ from imumon.protocols.commands.core import BAUD, Message
 from imumon.protocols.commands.vectornav import ASCII, FAST_HZ, OUTPUT, REGISTERS, VectorNav, frame
 from imumon.protocols.commands.vectornav import Output as Register
 from imumon.protocols.device import DeviceFile
-from imumon.protocols.vectornav import GROUP_NAMES, GROUPS, VectorNavDevice, VectorNavEncoder
+from imumon.protocols.vectornav import VectorNavDevice, VectorNavEncoder
+from imumon.protocols.vectornav_fields import GROUP_NAMES, GROUPS
 from imumon.simulation.firmware.core import Firmware, Output, nearest
 
 INVALID_COMMAND, INVALID_PARAMETER, INVALID_REGISTER = 4, 7, 8

@@ -22,7 +22,8 @@ from imumon.protocols.commands.witmotion import (
     UNLOCK,
 )
 from imumon.protocols.device import DeviceFile
-from imumon.protocols.witmotion import NAMES, WitMotionDevice, WitMotionEncoder
+from imumon.protocols.messages import TableEncoder
+from imumon.protocols.witmotion import TYPES, WitMotionDevice
 from imumon.simulation.firmware.core import Firmware, Output
 
 SYNC = b"\xff\xaa"
@@ -43,7 +44,7 @@ class WitMotionFirmware(Firmware):
     def __init__(self, device: DeviceFile, rate_hz: float) -> None:
         assert isinstance(device, WitMotionDevice)
         baudrate = device.serial.baudrates[0]
-        bits = {name: 1 << kind - FIRST_FRAME for kind, name in NAMES.items()}
+        bits = {message.name: 1 << kind - FIRST_FRAME for kind, message in TYPES.items()}
         content = sum(bits[name] for name in device.sends)
         rate = min(RATES, key=lambda code: abs(RATES[code] - rate_hz))
         code = next(code for code, there in BAUD_CODES.items() if there == baudrate)
@@ -93,11 +94,11 @@ class WitMotionFirmware(Firmware):
     def outputs(self) -> tuple[float, list[Output]]:
         """Return the frames of a sample; what the encoder lacks is left out."""
         content = int.from_bytes(self.settings.volatile[CONTENT], "little")
-        names = [NAMES[FIRST_FRAME + bit] for bit in range(len(BITS)) if content >> bit & 1]
+        names = [TYPES[FIRST_FRAME + bit].name for bit in range(len(BITS)) if content >> bit & 1]
         rate = RATES[self.settings.volatile[RATE][0]]
         every = {name: round(FASTEST_HZ / rate) for name in names if name not in NOT_ENCODED}
         return FASTEST_HZ, [Output(_encoder, every)]
 
 
-def _encoder(names: Sequence[str]) -> WitMotionEncoder:
-    return WitMotionEncoder(names)
+def _encoder(names: Sequence[str]) -> TableEncoder:
+    return WitMotionDevice.family.encoder(names)
