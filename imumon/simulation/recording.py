@@ -43,8 +43,8 @@ def record_session(
 ) -> Session:
     """Make a session of a scenario: the packets that the device sends, and beside them the truth.
 
-    The truth is in truth.parquet, one row a packet, the scenario as it was played in scenario.yaml, and the log
-    of the chamber, where there is one, in chamber.csv; all are ignored by whatever reads the session.
+    The truth is in truth.parquet, one row a packet, the scenario as it was played in scenario.yaml, and the
+    log of the chamber, where there is one, in chamber.csv; all are ignored by whatever reads the session.
 
     Raises
     ------

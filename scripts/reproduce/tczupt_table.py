@@ -140,7 +140,7 @@ def calibrated(chains: list[Chain]) -> None:
     residual = np.sqrt(np.mean(np.square([[t.residual for t in one.bias] for one in chains]), axis=0)) / DPH
     bad = np.sum([[t.bad for t in one.bias] for one in chains], axis=0)
     print(
-        f"\nWhole chain: {len(chains)} soaks of their own noise, {chains[0].samples} settled means of 30 s each;"
+        f"\nWhole chain: {len(chains)} soaks of their own noise, {chains[0].samples} settled means of 30 s;"
         f" rms residual of training, validation and test means, deg/h: "
         f"{'; '.join(f'{axis} {three(row)}' for axis, row in zip('xyz', residual, strict=True))}; "
         f"starts that ended badly: {' '.join(map(str, bad))} of {RESTARTS * len(chains)}."
