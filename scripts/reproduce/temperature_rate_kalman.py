@@ -14,7 +14,7 @@ from imumon.published.rate_comparison import RENEWAL_S
 
 STEP, BUFFER = 0.05, 1000
 WALKS = np.append(0.0, 10.0 ** np.arange(-6.0, -0.4, 0.5))
-"""Random walks that are tried for each of α, β and γ, °C/√s: from nothing to a level in a tenth of a second."""
+"""Random walks tried for each of α, β and γ, °C/√s: from nothing to steps in a tenth of a second."""
 NOISES = (0.25, 1.0)
 """Standard deviation of a measurement in steps: the paper's, and four times as much."""
 SETTLED_S = 1200.0

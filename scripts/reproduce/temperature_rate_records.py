@@ -64,7 +64,7 @@ def steady(t: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def lively(t: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the record of an accelerometer: heats twice as fast, and its rate varies by ±1 °C/h within 10 min.
+    """Return an accelerometer that heats twice as fast, its rate varying by ±1 °C/h within 10 min.
 
     As in the paper's figures 4 and 6 (bottom); the others are of a laser gyro.
     """
