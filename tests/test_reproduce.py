@@ -22,7 +22,7 @@ SMALL: dict[str, list[str]] = {
     "allan_terms": ["1"],
     "bias_sigma": ["--seeds", "1", "--only", "tactical"],
     "alignment_site": ["1", "--only", "quiet"],
-    "thermometers": ["--seeds", "1", "--kinds", "white 0.1 step", "--part", "ramp", "--holds", "60"],
+    "thermometers": ["--seeds", "1", "--kinds", "white 0.25 step, 10 Hz", "--holds", "60"],
     **{name: ["--quick"] for name in QUICK},
 }
 """Arguments of a run of some seconds."""

@@ -18,6 +18,7 @@ from imumon.recordings.table import TableWriter
 from imumon.recordings.wire import WireWriter
 from imumon.simulation.unit import TRUTH_COLUMNS, Scenario, SimulatedUnit
 from imumon.simulation.unit.noise import generator
+from imumon.simulation.unit.thermal import chamber_log
 from imumon.simulation.unit.unit import CHUNK, MICROSECOND
 from imumon.simulation.virtual_device import refuse_overload
 from imumon.simulation.virtual_port import BITS_PER_BYTE
@@ -25,6 +26,7 @@ from imumon.transport.reader import Bytes, Event, EventKind
 
 TRUTH_NAME = "truth.parquet"
 SCENARIO_NAME = "scenario.yaml"
+CHAMBER_NAME = "chamber.csv"
 START_NS = 1_767_225_600_000_000_000
 """Unix time at which simulated units are switched on, 2026-01-01: the same seed gives the same session."""
 LATENCY_NS = 1_000_000
@@ -41,8 +43,8 @@ def record_session(
 ) -> Session:
     """Make a session of a scenario: the packets that the device sends, and beside them the truth.
 
-    The truth is in truth.parquet, one row a packet, the scenario as it was played in scenario.yaml; both are
-    ignored by whatever reads the session.
+    The truth is in truth.parquet, one row a packet, the scenario as it was played in scenario.yaml, and the
+    log of the chamber, where there is one, in chamber.csv; all are ignored by whatever reads the session.
 
     Raises
     ------
@@ -60,6 +62,8 @@ def record_session(
     session = create_session(folder, metadata)
     text = yaml.safe_dump(scenario.model_dump(exclude_defaults=True), sort_keys=False, allow_unicode=True)
     (folder / SCENARIO_NAME).write_text(text, encoding="utf-8")
+    if scenario.chamber.log is not None:
+        _write_chamber(scenario, seed, folder / CHAMBER_NAME)
     unit = SimulatedUnit(scenario, seed, tick_ns)
     names = [KNOWN["device_time_ns"], KNOWN["segment"], *TRUTH_COLUMNS]
     with (
@@ -107,6 +111,12 @@ def write_table(scenario: Scenario, seed: int, path: Path, progress: Progress) -
             writer.write(sent.with_columns(true))
             progress(size)
     return scenario.samples
+
+
+def _write_chamber(scenario: Scenario, seed: int, path: Path) -> None:
+    time_s, read = chamber_log(scenario, seed)
+    rows = np.column_stack([time_s, read])
+    np.savetxt(path, rows, fmt="%.3f", delimiter=",", header="time_s,wall_degc,case_degc", comments="")
 
 
 def _sizes(scenario: Scenario) -> Iterator[int]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -76,6 +77,20 @@ def slopes(temperature: FloatArray) -> FloatArray:
     return np.radians([curve_slope(getattr(terms, axis), temperature) for axis in "xyz"]).T
 
 
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """What a filter knows of the gyros: bias and its derivative at temperatures (n,), each (n, 3).
+
+    rad/s and rad/s/degC, without the earth rate.
+    """
+
+    value: Callable[[FloatArray], FloatArray]
+    slope: Callable[[FloatArray], FloatArray]
+
+
+TRUE = Calibration(curves, slopes)
+
+
 def true_model(residual_dph: float = 1.0) -> BiasModel:
     """Return the true curve as a model file would hold it."""
     knots = np.linspace(LOWEST, HIGHEST, 300)
@@ -107,6 +122,7 @@ class Filter:
     k: float = 0.1
     p0: float = 2.2
     temperature: str = "true"
+    calibration: Calibration = TRUE
 
 
 def run(record: Record, chosen: Filter, residual: float = 0.0) -> tuple[FloatArray, DenseRun]:
@@ -114,7 +130,7 @@ def run(record: Record, chosen: Filter, residual: float = 0.0) -> tuple[FloatArr
     temperature = record.temperature
     if chosen.temperature == "reading":
         temperature = record.block["temperature"]
-    thermal = curves(temperature)
+    thermal = chosen.calibration.value(temperature)
     gyro = record.gyro - thermal if chosen.thermal == "calibrated" else record.gyro
     start = (gyro[:ZEROING] - record.earth).mean(0) + residual * DPH
     part = slice(ZEROING, None)
@@ -129,11 +145,9 @@ def _drift(record: Record, chosen: Filter, temperature: FloatArray, thermal: Flo
     """Return what the thermal term adds at each sample after the zeroing, (n, 3)."""
     if chosen.thermal == "increments":
         return np.diff(thermal, axis=0)[ZEROING - 1 :]
-    if chosen.thermal == "rate":
-        rate = np.gradient(record.temperature) * RATE_HZ
-        return (slopes(temperature) * rate[:, np.newaxis] / RATE_HZ)[ZEROING:]
-    if chosen.thermal == "fir":
-        return (slopes(temperature) * fir_rate(record)[:, np.newaxis] / RATE_HZ)[ZEROING:]
+    if chosen.thermal in ("rate", "fir"):
+        rate = fir_rate(record) if chosen.thermal == "fir" else np.gradient(record.temperature) * RATE_HZ
+        return (chosen.calibration.slope(temperature) * rate[:, np.newaxis] / RATE_HZ)[ZEROING:]
     return None
 
 

@@ -64,8 +64,12 @@ def steady(t: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def lively(t: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return self-heating whose rate varies by ±1 °C/h within 10 min, as in the paper's figure 4."""
-    temperature, rate = heating(t)
+    """Return an accelerometer that heats twice as fast, its rate varying by ±1 °C/h within 10 min.
+
+    As in the paper's figures 4 and 6 (bottom); the others are of a laser gyro.
+    """
+    temperature, rate = heating(2.0 * t)
+    rate = 2.0 * rate
     minutes, w = t / 60.0, 2 * np.pi / 1200.0
     depth = 1.0 / PER_HOUR
     for start in (60.0, 100.0, 120.0, 160.0):

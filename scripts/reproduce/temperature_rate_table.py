@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from temperature_rate_band import bound, consistency, elsewhere
 from temperature_rate_figures import draw_all
+from temperature_rate_kalman import search
 from temperature_rate_records import PER_HOUR, Record, measured, simulate
 
 from imumon.blocks import FloatArray, IntArray
@@ -128,8 +129,10 @@ def main() -> None:
         return
     folder = Path(given.data)
     print(f"Simulated at 10 Hz for 3 h, step {STEP} °C, after {SETTLED_MIN:.0f} min; FIR buffer {BUFFER}.\n")
-    shapes = ("heating", "wobble", "steady")
+    shapes = ("heating", "lively", "wobble", "steady")
     table([simulate(shape, noise) for shape in shapes for noise in (0.0, 0.005)], SETTLED_MIN)
+    print("\nThe paper's search for a Kalman filter.")
+    search()
     print("\nThe level bank over five seeds.\n")
     ensemble()
     print("\nThe band, and that of an exact posterior that knows the shape but for offset and factor.\n")

@@ -63,9 +63,9 @@ class Soak:
         return np.abs(points.temperature - self.centers[points.level]) < DWELLING_DEGC
 
 
-def simulated_soak(seed: int) -> Soak:
-    """Run the scenario crs05-soak; the truth is its curve plus the earth rate, which stays in it."""
-    scenario = load_scenario("crs05-soak")
+def simulated_soak(seed: int, name: str = "crs05-soak") -> Soak:
+    """Run a scenario of the soak; the truth is its curve plus the earth rate, which stays in it."""
+    scenario = load_scenario(name)
     unit = SimulatedUnit(scenario, seed)
     earth: list[FloatArray] = []
 
@@ -77,7 +77,7 @@ def simulated_soak(seed: int) -> Soak:
             earth.append(np.array([truth[f"rate_{axis}"][0] for axis in AXES]))
             yield block
 
-    record = record_of(blocks(), "crs05-soak", "0" * 64, axes=scenario.axes)
+    record = record_of(blocks(), name, "0" * 64, axes=scenario.axes)
     terms = [getattr(scenario.unit.gyro_bias_deg_per_s, axis) for axis in AXES]
     cells = group([record], None, None)
     centers = levels(cells)

@@ -113,16 +113,24 @@ def slope_size_study(soak: Soak) -> list[SizeRow]:
 def level_means(soak: Soak, axis: int) -> Points:
     """Return the mean of each level."""
     points = soak.halfminutes(axis)
-    dwelling = points.only(soak.dwelling(points))
-    number = np.arange(len(soak.centers))
-    t = np.array([dwelling.temperature[dwelling.level == k].mean() for k in number])
-    value = np.array([dwelling.value[dwelling.level == k].mean() for k in number])
+    return means_of_levels(points.only(soak.dwelling(points)))
+
+
+def means_of_levels(points: Points) -> Points:
+    """Return the mean of the points of each level."""
+    number = np.unique(points.level)
+    t = np.array([points.temperature[points.level == k].mean() for k in number])
+    value = np.array([points.value[points.level == k].mean() for k in number])
     return Points(t, value, np.ones(len(t)), number)
 
 
 def level_differences(soak: Soak, axis: int) -> Points:
     """Return slopes from each level to the next, at the temperature half way."""
-    means = level_means(soak, axis)
+    return differences(level_means(soak, axis))
+
+
+def differences(means: Points) -> Points:
+    """Return slopes from each of the means to the next, at the temperature half way."""
     middle = 0.5 * (means.temperature[1:] + means.temperature[:-1])
     slope = np.diff(means.value) / np.diff(means.temperature)
     return Points(middle, slope, np.ones(len(slope)), means.level[1:])

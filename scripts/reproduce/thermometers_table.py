@@ -8,6 +8,7 @@ from collections.abc import Iterable
 
 import numpy as np
 from thermometer_kinds import KINDS, PER_HOUR, Kind, Profile, constant, drifting, ramp
+from thermometers_bias import bias_rows
 
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.estimation.temperature_rate.stage import TemperatureRate
@@ -85,30 +86,34 @@ def ramp_row(kind: Kind, hold_s: float, seeds: range) -> list[float]:
 
 
 def main() -> None:
-    """Print the two tables."""
+    """Print the three tables."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--first", type=int, default=0, help="the first seed")
     parser.add_argument("--kinds", default="", help="only kinds with this text in the name")
     parser.add_argument("--holds", type=float, nargs="*", default=HOLDS_S)
-    parser.add_argument("--part", choices=("steady", "ramp"), help="only one of the tables")
+    parser.add_argument("--part", choices=("steady", "ramp", "bias"), help="only one of the tables")
     given = parser.parse_args()
     seeds = range(given.first, given.first + given.seeds)
     kinds = [kind for kind in KINDS if given.kinds in kind.name]
-    if given.part != "ramp":
+    if given.part in (None, "steady"):
         print(
             "| thermometer | temperature | rate rms °C/h | rate z rms | z max | temperature max °C | z max |"
         )
         print("|---|---|---|---|---|---|---|")
         profiles = (("constant", constant), ("5 °C/h", drifting))
         show((k.name, name, steady_row(k, profile, seeds)) for k in kinds for name, profile in profiles)
-    if given.part != "steady":
+    if given.part in (None, "ramp"):
         print(
             "\n| thermometer | hold s | temperature max °C "
             "| z max from 20 s + a refresh | rate z max | rate rms °C/h |"
         )
         print("|---|---|---|---|---|---|")
         show((k.name, f"{hold:g}", ramp_row(k, hold, seeds)) for k in kinds for hold in given.holds)
+    if given.part in (None, "bias"):
+        print("\n| thermometer | case | bias with the estimate °/h | over that with the reading | that °/h |")
+        print("|---|---|---|---|---|")
+        show((k.name, name, row) for k in kinds for name, row in bias_rows(k, seeds))
 
 
 def show(rows: Iterable[tuple[str, str, list[float]]]) -> None:

@@ -13,7 +13,14 @@ from imumon.recordings.folder import Session, open_session
 from imumon.recordings.source import open_source, run_over
 from imumon.recordings.table import read_table
 from imumon.recordings.wire import WireReader
-from imumon.simulation.recording import SCENARIO_NAME, START_NS, TRUTH_NAME, record_session, write_table
+from imumon.simulation.recording import (
+    CHAMBER_NAME,
+    SCENARIO_NAME,
+    START_NS,
+    TRUTH_NAME,
+    record_session,
+    write_table,
+)
 from imumon.simulation.unit import Scenario, SimulatedUnit, load_scenario
 from imumon.simulation.unit.unit import CHUNK
 from imumon.transport.reader import Bytes
@@ -91,6 +98,15 @@ def test_the_same_seed_gives_the_same_bytes_at_the_same_times(tmp_path: Path) ->
 def test_the_scenario_is_kept_and_can_be_played_again(tmp_path: Path) -> None:
     session = record(tmp_path / "s", "ax1", plan(2.0))
     assert load_scenario(session.path / SCENARIO_NAME) == plan(2.0)
+
+
+def test_the_log_of_the_chamber_is_beside_the_session(tmp_path: Path) -> None:
+    scenario = load_scenario("crs05-ramp").model_copy(update={"duration_s": 30.0})
+    session = record(tmp_path / "s", "ax1", scenario)
+    table = np.genfromtxt(session.path / CHAMBER_NAME, delimiter=",", names=True)
+    assert table.dtype.names == ("time_s", "wall_degc", "case_degc")
+    np.testing.assert_array_equal(table["time_s"], [0.0, 10.0, 20.0])
+    np.testing.assert_allclose(table["wall_degc"], 27.28, atol=0.25)
 
 
 def test_what_does_not_fit_is_refused_before_anything_is_made(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from imumon.compiled import njit
 from imumon.estimation.temperature_rate.bank import START_RATE, Bank, advance, started
 from imumon.estimation.temperature_rate.measurement import Merged, measure, merged, said
 from imumon.estimation.temperature_rate.refresh import FASTEST, SLOW_S
-from imumon.estimation.temperature_rate.sensor import Reading, Sensor
+from imumon.estimation.temperature_rate.sensor import SLOT_S, Reading, Sensor
 from imumon.estimation.temperature_rate.step import StepFinder
 
 GLIDE_S = 3.0
@@ -59,6 +59,8 @@ class Shown(NamedTuple):
     temperature_sd, rate_sd : float
     temperature_left, rate_left : float
         The remainders at `time_s`.
+    reach : float
+        No sample is shown farther from the readings beside it than this, °C.
     """
 
     time_s: float = 0.0
@@ -69,6 +71,7 @@ class Shown(NamedTuple):
     rate_sd: float = math.nan
     temperature_left: float = 0.0
     rate_left: float = 0.0
+    reach: float = math.inf
 
 
 @dataclass(slots=True, eq=False)
@@ -227,7 +230,10 @@ def _keep_near(state: State, slow: float, reading: Reading, end_s: float) -> Non
     if reading.changes >= 4:
         low = high = sensor.linear(reading) + (end_s - reading.time_s) * shown.rate
     allowed = 0.5 * sensor.step + ALLOWED * math.sqrt(sensor.roughness + slow)
-    if sensor.refresh.slow:
+    if not sensor.refresh.slow:
+        reach = 0.5 * sensor.step + ALLOWED * math.sqrt(sensor.inside + sensor.roughness + slow)
+        shown = state.shown = shown._replace(reach=reach)
+    else:
         age = max(end_s - state.last_s, 0.0)
         low, high = low + state.slowest * age, high + state.fastest * age
     temperature = shown.temperature + shown.temperature_left
@@ -295,24 +301,31 @@ def _shown(state: State, means: Merged, end_s: float, fresh: bool) -> Shown:
 @njit
 def extrapolate(
     time_ns: IntArray, segment: IntArray, reading: FloatArray, shown: Shown, origin: tuple[int, int],
-    scatter: float, temperature: FloatArray, rate: FloatArray, temperature_sd: FloatArray,
+    scatter: float, before: float, temperature: FloatArray, rate: FloatArray, temperature_sd: FloatArray,
     rate_sd: FloatArray,
 ) -> None:  # fmt: skip
     """Write temperature, rate and their standard deviations at samples, (n,) each, from what is shown.
 
     `origin` is the time and the segment that its time refers to.  Before the first slot of a segment ends
-    there is the reading, with its scatter.
+    there is the reading, with its scatter.  Until a slot ends a temperature may begin to move, and two
+    readings in a row (`before` is that before the first), which no single spike makes, show it; a fault
+    has moved faster since the slot before.
     """
     for i in range(len(time_ns)):
         age = (time_ns[i] - origin[0]) * 1e-9 - shown.time_s
         if segment[i] == origin[1] and age >= 0.0:
             fade = math.exp(-age / GLIDE_S)
             left, rate_left = fade * shown.temperature_left, fade * shown.rate_left
-            temperature[i] = shown.temperature + age * shown.rate + left
+            at = shown.temperature + age * shown.rate + left
+            low, high = min(before, reading[i]) - shown.reach, max(before, reading[i]) + shown.reach
+            off = min(at - low, 0.0) + max(at - high, 0.0)
+            off = off if abs(off) < FASTEST * (SLOT_S + age) else 0.0
+            temperature[i] = at - off
             rate[i] = shown.rate + age * shown.acceleration + rate_left
-            temperature_sd[i] = math.hypot(shown.temperature_sd, left)
+            temperature_sd[i] = math.hypot(shown.temperature_sd, left) + abs(off)
             rate_sd[i] = math.hypot(shown.rate_sd, rate_left)
         elif math.isfinite(reading[i]):
             temperature[i], rate[i], temperature_sd[i], rate_sd[i] = reading[i], 0.0, scatter, START_RATE
         else:
             temperature[i] = rate[i] = temperature_sd[i] = rate_sd[i] = math.nan
+        before = reading[i]

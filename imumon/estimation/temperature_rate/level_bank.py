@@ -32,6 +32,7 @@ class LevelBankRate:
         self.state = State.new(step_degc)
         self._readings = Readings()
         self._origin = (0, NO_INT)
+        self._before = np.nan
 
     @property
     def step(self) -> float | None:
@@ -70,7 +71,9 @@ class LevelBankRate:
         def hold(until: int | None = None) -> None:
             """Write what has been given so far to the rows until the next slot's."""
             rows = slice(first, until)
-            extrapolate(time_ns[rows], segment[rows], reading[rows], *holds, *(part[rows] for part in parts))
+            before = float(reading[first - 1]) if first else self._before
+            into = (part[rows] for part in parts)
+            extrapolate(time_ns[rows], segment[rows], reading[rows], *holds, before, *into)
 
         for row, begins, slot in self._readings.process(time_ns, segment, reading):
             hold(row)
@@ -79,6 +82,7 @@ class LevelBankRate:
             self._origin = (self._readings.origin_ns, self._readings.segment)
             first, holds = row, (step(self.state, slot), self._origin, sensor.scatter)
         hold()
+        self._before = float(reading[-1]) if len(reading) else self._before
         return result
 
 
@@ -89,4 +93,4 @@ def _compile() -> None:
     time_ns = np.arange(8) * SLOT_NS
     for _, _, slot in slots.process(time_ns, np.zeros(8, np.int64), np.zeros(8)):
         shown = step(state, slot)
-    extrapolate(time_ns[:0], time_ns[:0], np.zeros(0), shown, (0, 0), 0.0, *np.zeros((4, 0)))
+    extrapolate(time_ns[:0], time_ns[:0], np.zeros(0), shown, (0, 0), 0.0, np.nan, *np.zeros((4, 0)))

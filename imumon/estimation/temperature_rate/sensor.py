@@ -111,6 +111,8 @@ class Sensor:
         Variance of the readings about their short-term mean, °C².
     roughness : float
         Variance of a slot's mean as seen from three neighbouring slots, °C².
+    dither : float
+        Variance of white noise before the quantizer, steps².
     squares, spread : float
         Squared differences of neighbours in a slot, and what they would be if all readings were independent:
         less where readings are repeated or correlated, °C².
@@ -133,6 +135,7 @@ class Sensor:
     step: float = field(init=False)
     inside: float = 0.0
     roughness: float = 0.0
+    dither: float = DITHERED**2
     squares: float = 0.0
     spread: float = 0.0
     interval_s: float = 0.0
@@ -199,26 +202,27 @@ class Sensor:
     def linear(self, reading: Reading) -> float:
         """Return the temperature that a dithered slot shows, the quantizer's ripple taken off.
 
-        White noise of s steps leaves E[reading] = x - β/π sin 2πx, β = exp(-2π²s²), x in steps; the variance
-        of the readings gives s (first harmonic of the rounding error, Widrow and Kollar 2008, ch. 4).
+        White noise of s steps leaves E[reading] = x - β/π sin 2πx, β = exp(-2π²s²), x in steps from a level
+        (first harmonic of the rounding error, Widrow and Kollar 2008, ch. 4).
         """
-        step = self.step
-        if not step or reading.changes < 4 or self.independent(reading) < 4.0:
+        if not self._dithers(reading):
             return reading.mean
-        z, variance = reading.mean / step, self.inside / step**2
-        x, beta = z, 0.0
-        for _ in range(4):
-            cosine = beta * math.cos(2.0 * math.pi * x)
-            rest = (
-                variance
-                - 1.0 / 12.0
-                + cosine / math.pi**2
-                + (beta / math.pi * math.sin(2.0 * math.pi * x)) ** 2
-            )
-            square = max(rest / max(1.0 - 4.0 * cosine, 0.2), DITHERED**2)
-            beta = math.exp(-2.0 * math.pi**2 * square)
-            x = z + beta / math.pi * math.sin(2.0 * math.pi * x)
-        return step * x
+        return reading.low + self.step * _undithered((reading.mean - reading.low) / self.step, self.dither)
+
+    def _dithers(self, reading: Reading) -> bool:
+        return self.step > 0.0 and reading.changes >= 4 and self.independent(reading) >= 4.0
+
+    def _learn_dither(self, reading: Reading, weight: float) -> None:
+        """Learn s² from the variance of the readings, 1/12 + s² - c (1/π² + 4 s²) - d²/π².
+
+        c and d are β cos 2πx and β sin 2πx: the place x matters, as a slow temperature stays at one.
+        """
+        x = _undithered((reading.mean - reading.low) / self.step, self.dither)
+        beta = math.exp(-2.0 * math.pi**2 * self.dither)
+        cosine, sine = beta * math.cos(2.0 * math.pi * x), beta * math.sin(2.0 * math.pi * x)
+        rest = reading.variance / self.step**2 - 1.0 / 12.0 + cosine / math.pi**2 + (sine / math.pi) ** 2
+        square = max(rest / max(1.0 - 4.0 * cosine, 0.2), DITHERED**2)
+        self.dither += weight * (min(square, MOST * self.dither) - self.dither)
 
     def learn(self, reading: Reading) -> None:
         """Learn from a slot that has readings."""
@@ -266,6 +270,8 @@ class Sensor:
             self.inside += weight * (variance - self.inside)
             self.squares += weight * (reading.step_squares - self.squares)
             self.spread += weight * (2.0 * reading.count * variance - self.spread)
+            if self._dithers(reading):
+                self._learn_dither(reading, weight)
         gap_s = reading.changed_s - self.changed_s
         change = reading.last - (reading.before if math.isfinite(reading.before) else reading.first)
         self.reversed += reading.changes > 1 or (change * self.change < 0.0 and gap_s < FLICKER_S)
@@ -277,3 +283,11 @@ class Sensor:
         if self.learned > 1:
             self.usual_s += weight * (gap_s - self.usual_s)
         self.changed_s = reading.changed_s
+
+
+def _undithered(z: float, square: float) -> float:
+    """Return the x whose dithered readings have the mean z, in steps, with noise of this variance, steps²."""
+    beta, x = math.exp(-2.0 * math.pi**2 * square), z
+    for _ in range(4):
+        x = z + beta / math.pi * math.sin(2.0 * math.pi * x)
+    return x

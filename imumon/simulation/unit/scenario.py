@@ -14,7 +14,7 @@ from imumon.config import StrictModel, load_yaml, parse_yaml
 from imumon.errors import ImumonError, Reason
 from imumon.files import read_text
 from imumon.simulation.unit.events import Event
-from imumon.simulation.unit.parameters import UnitParameters
+from imumon.simulation.unit.parameters import Thermometer, UnitParameters
 
 
 class _Based(StrictModel):
@@ -128,6 +128,20 @@ class Wobble(StrictModel):
     period_s: float = Field(gt=0.0)
 
 
+class ChamberLog(StrictModel):
+    """Two thermometers on a computer of their own: at the inner wall of the chamber, and on the unit's case.
+
+    Parameters
+    ----------
+    interval_s : float
+    thermometer : Thermometer
+        Of either; the default is a thermocouple behind a data logger.
+    """
+
+    interval_s: float = Field(default=10.0, gt=0.0)
+    thermometer: Thermometer = Thermometer(step_degc=0.1, noise_degc=0.05)
+
+
 class Chamber(StrictModel):
     """The temperature around the unit; after the last step it stays.
 
@@ -139,12 +153,15 @@ class Chamber(StrictModel):
     wobble : Wobble or None
     lag_s : float
         Time constant with which the unit follows the chamber, a first-order filter; 0: at once.
+    log : ChamberLog or None
+        What is logged of the chamber beside the unit.
     """
 
     start_degc: float
     steps: list[Step] = Field(default_factory=list)
     wobble: Wobble | None = None
     lag_s: float = Field(default=0.0, ge=0.0)
+    log: ChamberLog | None = None
 
 
 class Unit(UnitParameters, _Based):

@@ -12,7 +12,7 @@ from imumon.effects.thermal_lag import ThermalLag
 from imumon.effects.warm_up import WarmUp
 from imumon.simulation.unit.noise import White, generator
 from imumon.simulation.unit.parameters import SelfHeating, Thermometer
-from imumon.simulation.unit.scenario import Chamber
+from imumon.simulation.unit.scenario import Chamber, Scenario
 
 
 def chamber_knots(chamber: Chamber) -> tuple[FloatArray, FloatArray]:
@@ -82,11 +82,15 @@ class Thermometers:
     rate_hz : float
         Packets per second; a reading is held for a whole number of packets.
     seed : int
+    name : str
+        Of their noise.
     """
 
-    def __init__(self, parameters: Thermometer, count: int, rate_hz: float, seed: int) -> None:
+    def __init__(
+        self, parameters: Thermometer, count: int, rate_hz: float, seed: int, name: str = "thermometer"
+    ) -> None:
         self._step = parameters.step_degc
-        self._noise = White([parameters.noise_degc] * count, generator(seed, "thermometer"))
+        self._noise = White([parameters.noise_degc] * count, generator(seed, name))
         self._packets = max(round(rate_hz / parameters.rate_hz), 1) if parameters.rate_hz else 1
         self._held: FloatArray = np.full((1, count), np.nan)
 
@@ -101,3 +105,23 @@ class Thermometers:
         self._held = readings[-1:]
         before = -(-first // self._packets) - 1
         return np.asarray(readings[np.arange(first, first + n) // self._packets - before])
+
+
+def chamber_log(scenario: Scenario, seed: int) -> tuple[FloatArray, FloatArray]:
+    """Return times since power-on (s), (n,), and what the log reads of wall and case (°C), (n, 2).
+
+    The case has the temperature of the unit without its own heat.
+
+    Raises
+    ------
+    ValueError
+        When the scenario has no log.
+    """
+    chamber = scenario.chamber
+    if chamber.log is None:
+        raise ValueError("the chamber of this scenario has no log")
+    time_s = np.arange(0.0, scenario.duration_s, chamber.log.interval_s)
+    wall = np.tile(chamber_temperature(chamber, time_s)[:, np.newaxis], 2)
+    true = Lags([0.0, chamber.lag_s]).process(time_s, wall)
+    sensors = Thermometers(chamber.log.thermometer, 2, 1.0 / chamber.log.interval_s, seed, "chamber log")
+    return time_s, sensors.process(0, true)

@@ -275,3 +275,32 @@ def run_at(reading: FloatArray, rate_hz: float) -> RateEstimate:
     """Return the estimates of a record at a sampling rate."""
     time_ns, segment = clock(len(reading), rate_hz)
     return LevelBankRate().process(time_ns, segment, reading)
+
+
+def dithered(temperature: FloatArray, noise: float, step: float = 1.0) -> FloatArray:
+    noisy = temperature + noise * np.random.default_rng(7).standard_normal(len(temperature))
+    return np.asarray(step * np.round(noisy / step), np.float64)
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.03])
+@pytest.mark.parametrize("noise", [0.25, 0.3, 0.4])
+def test_the_ripple_of_a_dithered_quantizer_is_no_temperature(noise: float, offset: float) -> None:
+    """A slow drift through the levels, of any phase: the mean of the readings alone is off by 0.05 step."""
+    rate_hz, rate, step = 400.0, 5.0, 0.0625
+    t = np.arange(int(900 * rate_hz)) / rate_hz
+    temperature = 25.0 + rate / PER_HOUR * t
+    result = run_at(dithered(temperature, noise * step, step) + offset, rate_hz)
+    late = t > 600.0
+    assert np.abs(result.temperature - temperature - offset)[late].max() < 0.04 * step
+    assert np.abs(result.rate * PER_HOUR - rate)[late].max() < 0.5
+
+
+def test_a_fine_reading_is_followed_within_the_second_in_which_it_moves() -> None:
+    rate_hz, step = 100.0, 0.001
+    t = np.arange(int(400 * rate_hz)) / rate_hz
+    temperature = 25.0 + np.maximum(t - 300.5, 0.0) / 30.0
+    reading = dithered(temperature, 0.5 * step, step)
+    reading[20_000] += 0.2
+    result = run_at(reading, rate_hz)
+    after = t > 200.0
+    assert np.abs(result.temperature - temperature)[after].max() < 6.0 * step

@@ -12,6 +12,7 @@ from imumon.simulation.unit.thermal import (
     SensorTemperature,
     Thermometers,
     chamber_knots,
+    chamber_log,
     chamber_temperature,
 )
 
@@ -79,3 +80,21 @@ def test_a_lag_follows_a_ramp_exactly_at_any_rate(step_s: float) -> None:
 def test_a_lag_stays_where_it_is_in_equilibrium() -> None:
     out = Lags([100.0]).process(np.asarray(0.01 * np.arange(5000), np.float64), np.full((5000, 1), -20.53))
     np.testing.assert_allclose(out, -20.53, rtol=1e-12)
+
+
+def test_the_log_shows_the_wall_and_the_case_behind_it() -> None:
+    scenario = load_scenario("crs05-soak-chamber")
+    time_s, read = chamber_log(scenario, 1)
+    assert read.shape == (13_500, 2)
+    wall = chamber_temperature(scenario.chamber, time_s)
+    unit = SensorTemperature(scenario.chamber, None).process(time_s)[:, 0]
+    assert np.std(read[:, 0] - wall) == pytest.approx(np.hypot(0.1 / np.sqrt(12), 0.05), rel=0.1)
+    assert np.std(read[:, 1] - unit) == pytest.approx(np.hypot(0.1 / np.sqrt(12), 0.05), rel=0.1)
+    # A step of 5 °C at 1 °C/min leaves the case tau (1 - exp(-5 min / tau)) minutes behind at its end.
+    behind = (wall - read[:, 1])[np.abs(time_s - 9300.0) < 1.0]
+    assert behind == pytest.approx(-10.0 * np.expm1(-0.5), abs=0.3)
+
+
+def test_a_chamber_without_a_log_has_none() -> None:
+    with pytest.raises(ValueError, match="no log"):
+        chamber_log(load_scenario("crs05-soak"), 1)
