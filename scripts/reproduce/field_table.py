@@ -17,12 +17,22 @@ from bias_race_runners import DEFAULTS, Run
 from bias_sigma_records import RATE_HZ, simulate
 from bias_sigma_table import CASES, estimated, places
 from rest_detector_scenes import SCENES, SENSORS, Scene, measure_with_bias, steady_turn
-from rest_detector_table import FIELD, FULL_RATE_HZ, SECONDS, TURN_RATE_HZ, TURNS, Tally, vqf_rest
+from rest_detector_table import (
+    FIELD,
+    FULL_RATE_HZ,
+    SECONDS,
+    TURN_RATE_HZ,
+    TURNS,
+    Tally,
+    bias_over_sigma,
+    matrix,
+    vqf_rest,
+)
 from scipy.signal import savgol_filter
 from thermometer_kinds import KINDS, PER_HOUR, Kind, Profile, constant, drifting, ramp
 from thermometers_table import ONSET_S, SETTLED_S, STEADY_S, errors
 
-from imumon.blocks import FloatArray, SampleBlock
+from imumon.blocks import FloatArray
 from imumon.estimation.gyro_bias.stage import GyroBias
 from imumon.estimation.rest.stage import RestDetector
 from imumon.estimation.temperature_rate.stage import TemperatureRate
@@ -72,11 +82,6 @@ def rms(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(known**2))) if len(known) else np.nan
 
 
-def matrix(samples: SampleBlock, name: str) -> FloatArray:
-    """Return three columns, (n, 3)."""
-    return np.column_stack([samples[f"{name}_{axis}"] for axis in "xyz"])
-
-
 def turn(rate_dps: float, minutes: float, begun_s: float, tilt_deg: float, seed: int) -> Scene:
     """Return a steady turn, which is the same for every seed."""
     del seed
@@ -100,14 +105,9 @@ def rest_rows(seeds: range) -> Iterator[Row]:
                 scene = make(seed)
                 samples, truth = measure_with_bias(scene, grade, seed)
                 found = samples.with_columns(RestDetector().process(samples))
-                bias = GyroBias().process(found)
-                estimate, sd = (
-                    np.column_stack([bias[f"{column}_{axis}"] for axis in "xyz"])
-                    for column in ("gyro_bias", "gyro_bias_sd")
-                )
                 ours.add(scene.t, scene.rest, found["at_rest"] == 1)
                 theirs.add(scene.t, scene.rest, vqf_rest(samples))
-                ratios.append((np.abs(estimate - truth) / sd).max(1)[:: round(TURN_RATE_HZ)])
+                ratios.append(bias_over_sigma(found, truth)[:: round(TURN_RATE_HZ)].ravel())
             peers = {"VQF": theirs.percent()[0], "rest found": ours.percent()[1]}
             yield Row(
                 "rest", f"{name}, {grade.name}", "% false", ours.percent()[0], np.concatenate(ratios), peers

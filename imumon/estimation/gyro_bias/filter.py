@@ -270,8 +270,9 @@ def step(state: State, params: Params, slot: Slot) -> FloatArray:
             state.at_rest = state.fresh = True
         innovation = _close(state, params, slot)
     elif state.bank is not None:
-        _coast(state, params, _noise(state, params), slot)
-        _show(state, params, slot)
+        noise = _noise(state, params)
+        _coast(state, params, noise, slot)
+        _show(state, params, noise, slot)
     return innovation
 
 
@@ -325,8 +326,9 @@ def _count(state: State, params: Params, reading: Reading) -> FloatArray:
     if reading.fresh:
         state.white.begin()
     state.white.add(reading.slot.dt, reading.rate, reading.tilt)
+    noise = _noise(state, params)
     if state.bank is not None:
-        innovation = _take(state, params, state.bank, _noise(state, params), reading)
+        innovation = _take(state, params, state.bank, noise, reading)
     if not state.zeroed:
         state.first.append(reading)
         count = len(state.first)
@@ -335,7 +337,7 @@ def _count(state: State, params: Params, reading: Reading) -> FloatArray:
         if count >= params.first_slots:
             state.zeroed, state.first = state.bank is not None, []
     if state.bank is not None:
-        _show(state, params, reading.slot)
+        _show(state, params, noise, reading.slot)
     return innovation
 
 
@@ -370,7 +372,7 @@ def _filter_again(state: State, params: Params) -> None:
     state.reference = begin.force
     for k, reading in enumerate(state.first):
         _take(state, params, state.bank, noise, replace(reading, fresh=reading.fresh and k > 0))
-    _show(state, params, state.first[-1].slot)
+    _show(state, params, noise, state.first[-1].slot)
 
 
 @njit
@@ -463,14 +465,16 @@ def _refuse(state: State, params: Params, bank: Bank, reading: Reading) -> None:
         state.first, state.zeroed = [], True
 
 
-def _show(state: State, params: Params, slot: Slot) -> None:
+def _show(state: State, params: Params, noise: Noise, slot: Slot) -> None:
     """Make the law of the bank the one that is shown.
 
     It is that of both variants, with and without slope, each by its likelihood: a slope that is not proven
     may be there all the same.
     """
     assert state.bank is not None
-    mean, covariance = filters.law(state.bank, params.family)
+    # It holds until the next slot ends; at rest the one that waits comes on top.
+    ahead_s = slot.dt * (2.0 if state.at_rest else 1.0)
+    mean, covariance = filters.law(state.bank, params.family, noise.rate, ahead_s)
     terms, known = mean[0], covariance[0]
     if params.learns:
         if state.at_rest:
@@ -498,5 +502,6 @@ def _of_both(
     own = chosen.astype(np.int64)
     terms, known = mean[own, AXES], covariance[own, AXES]
     off, other = mean[1 - own, AXES] - terms, covariance[1 - own, AXES]
-    share = 1.0 / (1.0 + np.exp(np.where(chosen, evidence, -evidence)))[:, np.newaxis, np.newaxis]
+    against = np.where(chosen, -evidence, evidence)
+    share = (0.5 + 0.5 * np.tanh(0.5 * against))[:, np.newaxis, np.newaxis]
     return terms, known + share * (other - known + off[:, :, np.newaxis] * off[:, np.newaxis])

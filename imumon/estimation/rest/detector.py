@@ -15,7 +15,16 @@ from imumon.estimation.rest.compass import Verdict, verdict
 from imumon.estimation.rest.parameters import RestParameters
 from imumon.estimation.rest.state import AXES, GYRO, LEVELS, Anchor, Slot, State
 from imumon.estimation.rest.trial import RING, adopt, look
-from imumon.estimation.rest.turn import Explained, hypothesis, is_back, is_steady, recent_mean, steady_slots
+from imumon.estimation.rest.turn import (
+    Explained,
+    hypothesis,
+    is_back,
+    is_steady,
+    recent_mean,
+    steady_slots,
+    still_off,
+    upright,
+)
 from imumon.estimation.rest.wander import EVERY, wanders
 from imumon.estimation.rest.windows import Motion, seen, set_band
 
@@ -61,6 +70,11 @@ def step(state: State, parameters: RestParameters, slots: Sequence[Slot], k: int
     motion = seen(state, slots, k, drift)
     if motion is None and state.at_rest and state.slots % EVERY == 0:
         motion = wanders(state)
+    if motion is not None and not motion.certain:  # rest, with the turn as hypothesis
+        if not state.turn.any():
+            _note(state, motion, end_s)
+            state.doubted_since_s = end_s
+        motion = None
     if motion is not None:
         if state.at_rest:
             _leave(state, motion, end_s)
@@ -71,8 +85,8 @@ def step(state: State, parameters: RestParameters, slots: Sequence[Slot], k: int
     elif state.at_rest:
         if state.slots % DECIDES_EVERY == 0 and state.turn.any():
             _decide(state, parameters, end_s)
-    elif state.anchors and _may_be_back(state) and is_back(state, parameters, end_s):
-        _rest_again(state, parameters, np.zeros(3), end_s)
+    elif state.anchors and _may_be_back(state) and (anchor := is_back(state, parameters, end_s)):
+        _rest_again(state, parameters, anchor.turn, end_s)
     elif end_s >= state.hold_s and state.windows.known.any() and _may_return(state):
         turn, rests = _judge(state, parameters, state.quiet_slots, end_s)
         if rests:
@@ -108,6 +122,17 @@ def _watch(state: State, now_s: float, seconds: float) -> None:
 
 def _leave(state: State, motion: Motion, now_s: float) -> None:
     """Rest ends: keep the mean from before what moved, and let no sample be a spike."""
+    _note(state, motion, now_s)
+    long = now_s - state.rest_since_s > SHORT_REST_S
+    state.caution = 1.0 if long else min((1.0 if motion.sudden else 2.0) * state.caution, MOST_CAUTION)
+    state.turning = motion.turning
+    state.slow = state.turning or state.caution > 1.0
+    state.at_rest, state.doubted_since_s, state.steady = False, np.nan, np.full(AXES, np.nan)
+    state.ring_from = state.length
+
+
+def _note(state: State, motion: Motion, now_s: float) -> None:
+    """Keep the mean from before what moved, and by how much it differs: the bias may have followed."""
     windows, n, slots = state.windows, state.length, 2**motion.level
     older = np.full(AXES, np.nan)
     if motion.level > 2:
@@ -117,19 +142,17 @@ def _leave(state: State, motion: Motion, now_s: float) -> None:
         np.where(np.isfinite(older), older, windows.rest_mean),
         windows.variance[min(motion.level + 2, LEVELS - 1)].copy(),
         now_s - HOLD_WINDOWS * motion.seconds,
+        np.zeros(3) if motion.turning else state.turn,
     )
-    if not motion.sudden:  # the bias may have followed what moved slowly
-        recent = state.latest(slots)[0]
-        change = np.where(windows.known & np.isfinite(recent), recent - anchor.mean, 0.0)
-        state.turn = change[GYRO]
-    if not state.anchors or now_s - state.rest_since_s > LEAST_REST_S:
+    recent = np.where(windows.known, state.latest(slots)[0], np.nan)
+    turn = anchor.turn_now(recent)
+    noted = state.anchors[0].turn_now(recent) if motion.turning and state.turn.any() else np.zeros(3)
+    if noted @ noted > turn @ turn:  # it has been seen before, and is still growing
+        turn = noted
+    elif not state.anchors or now_s - state.rest_since_s > LEAST_REST_S:
         _remember(state, anchor)
-    long = now_s - state.rest_since_s > SHORT_REST_S
-    state.caution = 1.0 if long else min((1.0 if motion.sudden else 2.0) * state.caution, MOST_CAUTION)
-    state.turning = motion.turning
-    state.slow = state.turning or state.caution > 1.0
-    state.at_rest, state.doubted_since_s, state.steady = False, np.nan, np.full(AXES, np.nan)
-    state.ring_from = n
+    if not motion.sudden:
+        state.turn = upright(state, turn) if motion.turning else turn
 
 
 def _remember(state: State, anchor: Anchor) -> None:
@@ -145,8 +168,8 @@ def _remember(state: State, anchor: Anchor) -> None:
 def _enter(state: State, mean: FloatArray, drift: FloatArray, turn: FloatArray, now_s: float) -> None:
     state.windows.rest_mean[:], state.rest_since_s = mean, now_s
     state.at_rest, state.turn = True, turn
-    if not turn.any():
-        state.doubted_since_s = np.nan
+    since_s = now_s if np.isnan(state.doubted_since_s) else state.doubted_since_s
+    state.doubted_since_s = since_s if turn.any() else np.nan
     set_band(state.windows, drift)
 
 
@@ -189,12 +212,15 @@ def _judge(
 
 
 def _decide(state: State, parameters: RestParameters, now_s: float) -> None:
-    """At rest, though it may be a turn: ask the compass, and for how long nothing has decided."""
+    """At rest, though it may be a turn: ask the compass, the old mean, and the time it has taken."""
     said = verdict(state, state.turn)
     if said is Verdict.TURNS:
         _leave(state, SLOWLY, now_s)
         _watch(state, now_s, 0.0)
-    elif said is Verdict.RESTS or now_s - state.doubted_since_s >= parameters.doubt_s:
+        return
+    late = now_s - state.doubted_since_s >= parameters.doubt_s
+    state.turn = still_off(state)
+    if said is Verdict.RESTS or late or not state.turn.any():
         state.turn, state.doubted_since_s = np.zeros(3), np.nan
 
 

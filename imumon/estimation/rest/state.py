@@ -145,11 +145,17 @@ def new_windows() -> Windows:
 
 
 class Anchor(NamedTuple):
-    """Mean of an earlier rest and its variance, (6,) each, and when it ended, s."""
+    """Mean of an earlier rest and its variance, (6,) each, its end, s, and what turn it may be, (3,)."""
 
     mean: FloatArray
     variance: FloatArray
     at_s: float
+    turn: FloatArray
+
+    def turn_now(self, mean: FloatArray) -> FloatArray:
+        """Return the turn that a mean, (6,), is if the bias has not changed since, (3,)."""
+        change = mean - self.mean
+        return np.where(np.isfinite(change), change, 0.0)[GYRO] + self.turn
 
 
 @dataclass

@@ -51,7 +51,7 @@ def hypothesis(
     Returns
     -------
     array, (3,)
-        rad/s; zero where it is plainly the bias that has changed.
+        rad/s; where it is plainly the bias that has changed, what was the hypothesis in that rest, or zero.
     Explained
         Whether the bias can have changed by as much.
     """
@@ -60,17 +60,20 @@ def hypothesis(
     recent, variance = recent_mean(state, slots)
     # It is while the unit moved that a turn began, or the bias changed: a steady mean does neither.
     since_s = min(state.quiet_since_s, now_s - state.span_s(slots))
-    turn = np.where(np.isfinite(recent), recent - state.anchors[0].mean, 0.0)[GYRO]
+    turn = state.anchors[0].turn_now(recent)
     limit = SIGMAS * np.sqrt(variance + state.anchors[0].variance) + state.resolution
-    if _is_bias(state, parameters, turn, limit[GYRO], recent[ACCEL]):
+    wander = SIGMAS * np.sqrt(wander_after(state, now_s - state.anchors[0].at_s))
+    if _is_bias(state, parameters, turn, np.maximum(limit[GYRO], wander), recent[ACCEL]):
         return np.zeros(3), Explained.PLAINLY
     if _turns_on(state, recent, limit):
         return turn, Explained.NO
     best = Explained.NO
     for anchor in state.anchors:
         found = _explained(state, parameters, anchor, recent, variance, since_s)
+        if found is Explained.PLAINLY:
+            return anchor.turn, found
         best = max(best, found, key=lambda one: one.value)
-    return (np.zeros(3) if best is Explained.PLAINLY else turn), best
+    return turn, best
 
 
 def _explained(
@@ -101,24 +104,49 @@ def _explained(
     return Explained.NO
 
 
-def is_back(state: State, parameters: RestParameters, now_s: float) -> bool:
-    """Tell whether all means are again what they were at an earlier rest.
+def is_back(state: State, parameters: RestParameters, now_s: float) -> Anchor | None:
+    """Return the earlier rest of which all means are again what they were.
 
     For a quarter of a second after a knock, and for 4 s after what showed slowly.
     """
     slots = state.quiet_slots
     least_s = SLOW_BACK_S if state.slow else BACK_S
     if state.span_s(min(slots, KEPT)) < least_s:
-        return False
+        return None
     recent, variance = recent_mean(state, slots)
     for anchor in state.anchors:
         limit = BACK_SIGMAS * np.sqrt(variance + anchor.variance) + state.resolution
         limit[ACCEL] += min(parameters.accel_drift * (now_s - anchor.at_s), TILTED)
         change = np.abs(np.where(np.isfinite(recent), recent - anchor.mean, 0.0))
-        refuted = not state.slow or 3.0 * np.abs(change[GYRO]).max() < np.abs(state.turn).max()
+        refuted = not state.slow or _over(state.turn, change[GYRO])
         if refuted and (change <= limit).all():
-            return True
-    return False
+            return anchor
+    return None
+
+
+def still_off(state: State) -> FloatArray:
+    """Return the turn that it may be by the latest mean at rest, (3,).
+
+    The most that it has been; zero when it is over.  It is about the vertical: another would have tilted the
+    unit.
+    """
+    turn = upright(state, state.anchors[0].turn_now(recent_mean(state, state.quiet_slots)[0]))
+    if _over(state.turn, turn):
+        return np.zeros(3)
+    return turn if turn @ turn > state.turn @ state.turn else state.turn
+
+
+def upright(state: State, turn: FloatArray) -> FloatArray:
+    """Return the part of a turn, (3,), that is about the vertical; all of it where gravity is not known."""
+    force = state.windows.rest_mean[ACCEL]
+    if not state.windows.known[ACCEL].all():
+        return turn
+    return np.asarray((turn @ force) * force / (force @ force))
+
+
+def _over(turn: FloatArray, change: FloatArray) -> bool:
+    """Tell whether what is left of a turn is so little that it has ended."""
+    return bool(3.0 * np.abs(change).max() < np.abs(turn).max())
 
 
 def recent_mean(state: State, slots: int) -> tuple[FloatArray, FloatArray]:
@@ -156,7 +184,8 @@ def _is_bias(
         np.sqrt(2.0 * CHI_SQUARE * state.windows.variance[level, ACCEL].max()) + state.resolution[ACCEL].max()
     )
     least = (shown + parameters.accel_drift * seconds) / (gravity * seconds)
-    return tilt > max(OBLIQUE * size, float(least), float(noise.max()))
+    wander = float(np.linalg.norm(across * noise))
+    return tilt > max(OBLIQUE * size, float(least)) and tilt * tilt > wander
 
 
 def steady_slots(state: State) -> int:
@@ -181,7 +210,7 @@ def is_steady(state: State, parameters: RestParameters) -> bool:
     limit = np.sqrt(variance) + state.resolution + parameters.accel_drift * seconds
     if (state.windows.known & (np.abs(change) > limit))[ACCEL].any():
         return False
-    turns, _ = turned(
+    times = turned(
         state, change[np.newaxis, GYRO], variance[np.newaxis, GYRO] + TINY, np.array([CREEP * seconds])
     )
-    return not turns[0]
+    return bool(times[0] <= 1.0)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.estimation.rest.state import ACCEL, GYRO, LAGS, WIDTHS, BoolArray, State
+from imumon.estimation.rest.state import ACCEL, GYRO, LAGS, WIDTHS, State
 from imumon.estimation.rest.windows import CHI_SQUARE, LONGEST_S, MOST_SURPRISE, TINY, Motion
 
 EVERY = 8
@@ -21,8 +21,14 @@ SIGMAS = 4.0
 """One independent test in 10 s or so: a false alarm in some ten hours of Gaussian noise; it costs 16 s."""
 OBLIQUE = 0.3
 """Share of a difference across the vertical that no misalignment or tilt of a turntable explains (17°)."""
+PERHAPS = 0.75
+"""Share of the limit, three standard deviations, from which on a difference may be a turn: it stays rest, and
+the whole difference is the hypothesis."""
 CREEP = 2e-5
 """rad/s²: 70 °/h/°C at 2 °C/min is 1.1e-5; more than this, about the vertical alone, is a turn."""
+ALL_CREEP = 10.0
+"""What makes a bias creep, temperature, has all axes creep: one by more than ten times what both others do,
+in one unit of a hundred where each of them may have any part of the slope of the first."""
 PRIOR_LAGS, MOST_LAGS = 4.0, 32.0
 """Lags that an expectation is worth against what was learnt, and that are remembered."""
 WIDER, FARTHER = 0.75, 1.2
@@ -48,7 +54,7 @@ def mean_squares(state: State) -> FloatArray:
 
 
 def wanders(state: State) -> Motion | None:
-    """Tell whether a recent mean is too far from one before it, and learn how far they are apart at rest."""
+    """Tell whether a recent mean is too far from one before it, or may be, and learn how far they go."""
     n, windows = state.length, state.windows
     which = np.flatnonzero(state.quiet_slots >= LAGS + WIDTHS)
     ends = windows.seconds[n - _ENDS[which]]
@@ -62,49 +68,46 @@ def wanders(state: State) -> Motion | None:
     off, square = means[:, 0] - means[:, 2], state.squares[which]
     lags = state.wander_lags[which]
     limit2 = SIGMAS**2 * square * (1.0 + 2.0 / (PRIOR_LAGS + lags))[:, np.newaxis] + TINY
-    found, ratio = turned(state, off, limit2, CREEP * lag_s)
+    ratio = turned(state, off, limit2, CREEP * lag_s)
     more = state.span_s(EVERY) / lag_s
     sample = np.fmin(off * off, MOST_SURPRISE * square)
     state.wander[which] += (more / (lags + more))[:, np.newaxis] * (sample - state.wander[which])
     state.wander_lags[which] = np.minimum(lags + more, MOST_LAGS)
-    if not found.any():
+    if not (ratio > PERHAPS).any():
         return None
-    shortest, clearest = which[np.argmax(found)], which[np.argmax(np.where(found, ratio, 0.0))]
+    certain = bool((ratio > 1.0).any())
+    shortest, clearest = which[np.argmax(ratio > (1.0 if certain else PERHAPS))], which[np.argmax(ratio)]
     before = (int(LAGS[clearest]), int(LAGS[clearest] + WIDTHS[clearest]))
     width = int(WIDTHS[shortest])
-    return Motion(width.bit_length() - 1, state.span_s(width), False, before, turning=True)
+    return Motion(width.bit_length() - 1, state.span_s(width), False, before, turning=True, certain=certain)
 
 
-def turned(
-    state: State, off: FloatArray, limit2: FloatArray, allowed: FloatArray
-) -> tuple[BoolArray, FloatArray]:
-    """Tell whether differences of gyros, (k, 3), are too large: beyond what is allowed, (k,), and limits.
+def turned(state: State, off: FloatArray, limit2: FloatArray, creep: FloatArray) -> FloatArray:
+    """Return how many times the limit differences of gyros, (k, 3), are beyond a creeping bias, (k,).
 
-    Where gravity is known, about the vertical: what is oblique is drift, for gravity would have moved.
+    Where gravity is known, about the vertical: what is oblique is drift, for gravity would have moved, and
+    counts as zero.
 
     Parameters
     ----------
     limit2 : array, (k, 3)
         Squares of the limits of each axis.
-
-    Returns
-    -------
-    array of bool, array (k,)
-        Whether it is a turn, and by how many times the limit.
+    creep : array, (k,)
+        By how much a bias may have crept, rad/s.
     """
     known = state.windows.known
     off = np.where(known[GYRO] & np.isfinite(off), off, 0.0)
     if not known.all():
-        excess = np.maximum(np.abs(off) - allowed[:, np.newaxis] - state.resolution[GYRO], 0.0)
-        ratio = np.sqrt((excess**2 / limit2).sum(-1))
-        return ratio > np.sqrt(CHI_SQUARE) / 5.0, ratio
+        excess = np.maximum(np.abs(off) - creep[:, np.newaxis] - state.resolution[GYRO], 0.0)
+        return np.asarray(np.sqrt((excess**2 / limit2).sum(-1)) * (5.0 / np.sqrt(CHI_SQUARE)))
     force = state.windows.rest_mean[ACCEL]
     up = force / np.sqrt(force @ force)
     along = np.abs(off @ up)
     across2 = np.maximum((off * off).sum(1) - along * along, 0.0)
     vertical = across2 < np.maximum((OBLIQUE * along) ** 2, limit2.max(1))
-    ratio = (along - allowed - np.abs(up) @ state.resolution[GYRO]) / np.sqrt(limit2 @ up**2)
-    return vertical & (ratio > 1.0), ratio
+    crept = np.minimum(creep, ALL_CREEP * np.sqrt(across2))
+    ratio = (along - crept - np.abs(up) @ state.resolution[GYRO]) / np.sqrt(limit2 @ up**2)
+    return np.where(vertical, ratio, 0.0)
 
 
 def wander_after(state: State, seconds: float) -> FloatArray:

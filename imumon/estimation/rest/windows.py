@@ -53,7 +53,7 @@ class Motion(NamedTuple):
 
     sudden tells whether a sample or the vibration showed it as well; before is how many slots ago the latest
     window ended, and began, that was rest still; turning, that only the gyros' mean about the vertical showed
-    it.
+    it; certain, that it is no rest: else nobody knows whether the bias has changed.
     """
 
     level: int
@@ -61,6 +61,7 @@ class Motion(NamedTuple):
     sudden: bool
     before: tuple[int, int]
     turning: bool = False
+    certain: bool = True
 
 
 def seen(state: State, slots: Sequence[Slot], k: int, drift: FloatArray) -> Motion | None:

@@ -30,7 +30,7 @@ def take(bank: Bank, slot: AtRest) -> None:
 
 def bias(bank: Bank) -> tuple[FloatArray, FloatArray]:
     """Return bias and variance, (variants, 3) each, in the pose of the first rest."""
-    mean, covariance = filters.law(bank, bank.family)
+    mean, covariance = filters.law(bank, bank.family, ARW * ONE, 0.0)
     return mean[..., 0], covariance[..., 0, 0]
 
 
@@ -46,6 +46,15 @@ def test_with_white_noise_alone_it_is_the_mean_with_its_sigma() -> None:
     value, variance = bias(bank)
     np.testing.assert_allclose(value[0], rates.mean(0), atol=0.01 * ARW / math.sqrt(30.0))
     np.testing.assert_allclose(np.sqrt(variance), ARW / math.sqrt(30.0), rtol=1e-3)
+
+
+def test_what_is_said_ahead_has_wandered_as_the_filter_would_have_predicted() -> None:
+    family = filters.unknown_family()
+    bank = filters.start(family, 1, ARW * ONE)
+    bank.covariance[...] = 0.0
+    now, ahead = (filters.law(bank, family, ARW * ONE, after_s)[1][0, :, 0, 0] for after_s in (0.0, 1.0))
+    filters.wander(bank, ARW * ONE, 1.0, ZERO, ZERO, ZERO)
+    np.testing.assert_allclose(ahead - now, bias(bank)[1][0], rtol=0.1)
 
 
 def test_level_the_three_axes_apart_are_the_dense_filter() -> None:
@@ -125,6 +134,6 @@ def test_a_sensitivity_to_the_specific_force_is_learned_from_poses(truth: float)
             rate = per_g * (force @ [[0, 1, 0], [0, 0, 1], [1, 0, 0]]) + rng.normal(size=3) * ARW * 1.4
             filters.wander(bank, ARW * ONE, 0.5, ZERO, ZERO, ZERO)
             take(bank, still(rate, force=force - forces[0]))
-    found = filters.law(bank, family)[0][0, :, 2:]
+    found = filters.law(bank, family, ARW * ONE, 0.0)[0][0, :, 2:]
     expected = per_g * np.array([[0, 0, 1], [1, 0, 0], [0, 1, 0]])
     np.testing.assert_allclose(found, expected, atol=5.0 * DPH / 9.81)
