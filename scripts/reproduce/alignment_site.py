@@ -6,7 +6,7 @@ import argparse
 import math
 
 import numpy as np
-from alignment_site_scenes import LATITUDE_DEG, RATE_HZ, SCENES, Scene, mean_heading, record
+from alignment_site_scenes import SCENES, Scene, mean_heading, record
 
 from imumon.blocks import FloatArray
 from imumon.estimation.alignment.parameters import AlignmentParameters
@@ -31,16 +31,13 @@ def rms(values: FloatArray) -> float:
 def outcome(scene: Scene, seed: int) -> FloatArray:
     """Return error, sigma, error of the plain and of the Hann mean, degrees, at each time, (2, 4)."""
     rec = record(scene, max(AT_S) + 1.0, seed)
-    stage = Alignment(AlignmentParameters.model_validate(scene.parameters), LATITUDE_DEG, "FRD")
+    stage = Alignment(AlignmentParameters.model_validate(scene.parameters), scene.latitude_deg, None if scene.any_attitude else "FRD")
     out = stage.process(rec.block)
     rows = []
     for second in AT_S:
-        n = round(second * RATE_HZ)
+        n = round(second * scene.rate_hz)
         heading, sd = float(out["heading"][n]), math.degrees(out["heading_sd"][n])
-        means = [
-            mean_heading(rec.block, n, np.ones),
-            mean_heading(rec.block, n, np.hanning),
-        ]
+        means = [mean_heading(rec.level_rate[:n], weights) for weights in (np.ones, np.hanning)]
         rows.append([off_deg(heading, rec.heading), sd, *(off_deg(mean, rec.heading) for mean in means)])
     return np.array(rows)
 

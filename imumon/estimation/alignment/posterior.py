@@ -13,11 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.estimation.alignment.fit import FINEST, PoseFit, prior
+from imumon.estimation.alignment.fit import FINEST, PoseFit
+from imumon.estimation.alignment.hypotheses import SETTLES, prior
 from imumon.geodesy import EARTH_RATE
 
 ROUNDS = 4
 """Gauss-Newton steps to the heading."""
+LIKELIEST = 40
+"""Hypotheses that are looked at beside the first."""
 FLAT = 1e-3
 """1/rad²: what is flatter knows no heading, and rounding may have made it so."""
 
@@ -88,9 +91,12 @@ def heading(
         Of their angles about the vertical, rad².
     """
     poses, level = len(fits), EARTH_RATE * math.cos(place.latitude)
-    values = np.stack([fit.mean for fit in fits], 1)  # (h, p)
+    log_weight = np.sum([fit.log_evidence for fit in fits], 0) + prior()
+    likely = np.r_[0, 1 + np.argsort(log_weight[1:])[-LIKELIEST:]]
+    log_weight = log_weight[likely]
+    values = np.stack([fit.mean for fit in fits], 1)[likely]  # (h, p)
     common = FINEST**2 + place.flicker**2
-    spread = np.stack([fit.variance for fit in fits], 1) + common + level**2 * turn_variances
+    spread = np.stack([fit.variance for fit in fits], 1)[likely] + common + level**2 * turn_variances
     seen = np.concatenate(
         [values.real, values.imag, np.tile([fit.vertical for fit in fits], (len(values), 1))], 1
     )
@@ -105,7 +111,6 @@ def heading(
     forms, log_determinant = _without_bias(offered, noise, by_bias, place.bias_sds)
     start = math.atan2(*(float(x) for x in _first_guess(seen[0], noise[0], poses)))
     angle, misfit, curvature = _closest(forms, start)
-    log_weight = np.sum([fit.log_evidence for fit in fits], 0) + prior()
     logs = log_weight[:, None] + place.bias_log_prior - 0.5 * misfit
     logs -= 0.5 * log_determinant + 0.5 * np.log(curvature)
     probability = np.exp(logs - logs.max())
@@ -123,7 +128,7 @@ def heading(
         min(math.sqrt(variance + turned), math.pi / math.sqrt(3.0)),
         math.sqrt(left_over) * level,
         supposed,
-        1.0 - float(probability[0].sum()),
+        float(probability[(likely >= SETTLES.start) & (likely < SETTLES.stop)].sum()),
         math.sqrt(white),
     )
 
