@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imumon.blocks import ColumnArray, FloatArray
-from imumon.estimation.alignment.hypotheses import Seen, courses, prior, told
+from imumon.estimation.alignment.hypotheses import Seen, courses, told
 from imumon.estimation.alignment.lines import without_lines
 from imumon.estimation.alignment.windows import ROWS, Windows, bank, in_cells, layout, slowly
 
@@ -80,9 +80,10 @@ class PoseFit:
         Time that counts.
     """
 
-    log_evidence: FloatArray
+    log_weight: FloatArray
     mean: ColumnArray
     variance: FloatArray
+    settles: FloatArray
     vertical: float
     vertical_variance: float
     white: float
@@ -113,15 +114,16 @@ def fit_pose(record: PoseRecord, drift_sd: float = WARM_UP) -> PoseFit | None:
     gram = products[:-1, :-1] * cells.share
     level = _accelerometers(cells.level, length_s, 0.5 * (angles[1:] + angles[:-1]), drift_sd)
     found = told(Seen(gram, len(windows.weights) * cells.share, scatter, *level))
-    best = int(np.argmax(found.log_evidence + prior()))
+    best = int(np.argmax(found.log_weight))
     white = found.noise[best] / float(gram[0, 0])
     upright = windows.scatter(data[:, 2:])[0]
     vertical_variance = upright / float(gram[0, 0]) + FINEST**2
     counted = length_s * len(data) * cells.share
     return PoseFit(
-        found.log_evidence,
+        found.log_weight,
         complex(*middle) + found.mean,
         found.variance,
+        found.settles,
         above + float(products[0, -1] / products[0, 0]),
         vertical_variance,
         white * counted,

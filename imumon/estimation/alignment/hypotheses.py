@@ -7,6 +7,7 @@ hypothesis is a set of courses of which φ is the sum, with coefficients of some
     a tripod settles, or tilts ever farther      two neighbours of eight exponentials, or two ramps
     it sways slowly, in a narrow band            sine and cosine at four neighbouring frequencies
     it sways slowly, at no certain frequency     the same over the whole of the band
+    it settles and sways                         two of these together
 
 All that is faster is left to the windows.  A sway that takes as long as the record cannot be told from the
 earth rate by its shape, only by the accelerometers; these see it truly only if the unit turns rather than
@@ -32,11 +33,11 @@ LATER = (0.25, 0.5, 0.75)
 """Shares of the time after which a steady tilt may have begun."""
 _STEADY = len(TIME_CONSTANTS_S)
 _SWAYS = _STEADY + 1 + len(LATER)
-CYCLES = 0.25 * np.arange(1.0, 19.0)
-"""Periods in the record of the sways: four neighbours together follow all between them to 1 %."""
-SIZES = np.array([3e-6, 3e-5, 3e-4, 3e-3])
-"""Standard deviations of the tilt, rad: what tripods and buildings do, 3 µrad to 3 mrad."""
-NOISES = 2.0 ** np.arange(-4.0, 4.0)
+CYCLES = 0.25 * np.arange(1.0, 25.0)
+"""Periods in the record of the sways: four neighbours together follow all between them to some percent."""
+SIZES = np.array([1e-5, 1e-4, 1e-3])
+"""Standard deviations of the tilt, rad: tripods and buildings do from a few µrad to some mrad."""
+NOISES = 2.0 ** np.arange(-6.0, 3.0)
 """Variances of the noise that are thought of, over the one its scatter shows."""
 SETTLING, SWAYING = 0.1, 0.1
 """Prior probabilities.  With more, a clean warm-up settles later than after a minute; with less, errors
@@ -53,20 +54,53 @@ def _sway_columns(nodes: IntArray) -> IntArray:
 _PAIRS = np.array(
     [(k, k + 1) for k in range(_STEADY)] + [(_STEADY, _STEADY + 1 + k) for k in range(len(LATER))]
 )
-_BANDS = _sway_columns(np.arange(len(CYCLES) - 3)[:, None] + np.arange(4))
+_BANDS = _sway_columns(np.arange(0, len(CYCLES) - 3, 2)[:, None] + np.arange(4))
 _WHOLE = _sway_columns(np.arange(1, len(CYCLES), 2)[None])
-FAMILIES = ((_PAIRS, True), (_BANDS, True), (_BANDS, False), (_WHOLE, True), (_WHOLE, False))
-"""Courses of each hypothesis, (k, r), and whether the accelerometers see it."""
-SETTLES = slice(1, 1 + len(_PAIRS) * len(SIZES))
-"""Those of the hypotheses in which a tripod settles; the first: the unit stands."""
+_OF_ONE = SIZES[:, None] ** -2.0
 
 
-def prior() -> FloatArray:
-    """Return the logarithm of the prior probability of each hypothesis, (h,)."""
-    counts = [len(columns) * len(SIZES) for columns, _ in FAMILIES]
-    shares = [SETTLING, *[SWAYING / 4.0] * 4]
-    parts = [np.full(count, share / count) for count, share in zip(counts, shares, strict=True)]
-    return np.asarray(np.log(np.concatenate([[1.0 - SETTLING - SWAYING], *parts])))
+@dataclass(frozen=True, slots=True)
+class Family:
+    """Hypotheses of the same rank.
+
+    Parameters
+    ----------
+    columns : array, (k, r)
+        Their courses.
+    precision : array, (s, r)
+        One over the variance of each angle, for each size.
+    seen : bool
+        Whether the accelerometers see the tilt.
+    share : float
+        Prior probability of all of them.
+    """
+
+    columns: IntArray
+    precision: FloatArray
+    seen: bool
+    share: float
+
+    def beside(self, other: Family, which: int, share: float) -> Family:
+        """Return these, each together with one of another family, that has the index `which`."""
+        k, size = divmod(which, len(other.precision))
+        columns, precision = other.columns[k], other.precision[size]
+        return Family(
+            np.concatenate([self.columns, np.tile(columns, (len(self.columns), 1))], axis=1),
+            np.concatenate([self.precision, np.tile(precision, (len(self.precision), 1))], axis=1),
+            self.seen,
+            share,
+        )
+
+
+def _sways(columns: IntArray, seen: bool) -> Family:
+    """Return sways whose sines share their variance."""
+    rank = columns.shape[1]
+    return Family(columns, np.tile(0.5 * rank * _OF_ONE, (1, rank)), seen, 0.25 * SWAYING)
+
+
+SETTLES = Family(_PAIRS, np.tile(_OF_ONE, (1, 2)), True, SETTLING)
+SWAYS = _sways(_BANDS, True)
+OTHERS = (_sways(_BANDS, False), _sways(_WHOLE, True), _sways(_WHOLE, False))
 
 
 def courses(time_s: FloatArray) -> FloatArray:
@@ -104,69 +138,82 @@ class Seen:
 
 @dataclass(frozen=True, slots=True)
 class Told:
-    """What each hypothesis says: log evidence, mean of c', its variance, and that of the noise, all (h,)."""
+    """What each hypothesis says: its log probability, mean of c', variance of that, and of the noise; (h,)."""
 
-    log_evidence: FloatArray
+    log_weight: FloatArray
     mean: ColumnArray
     variance: FloatArray
     noise: FloatArray
+    settles: FloatArray
 
 
 def told(seen: Seen) -> Told:
-    """Return what each hypothesis says of c'."""
+    """Return what each hypothesis says of c'.
+
+    A unit may settle and sway: what settles is tried beside the likeliest sway, and what sways beside the
+    likeliest way to settle.
+    """
     noise = seen.noise * NOISES
     total = float(seen.gram[0, 0]) / noise
     right = complex(seen.gram[0, -2], seen.gram[0, -1]) / noise
-    stands = _over_noises(seen, np.zeros(1), np.broadcast_to(total, (1, len(noise))), right / total)
-    parts = [stands, *[_family(seen, columns, trusted) for columns, trusted in FAMILIES]]
+    stands = _over_noises(
+        seen, math.log(1.0 - SETTLING - SWAYING), np.zeros(1),
+        np.broadcast_to(total, (1, len(noise))), right / total, 0.0,
+    )  # fmt: skip
+    settles, sways = _family(seen, SETTLES, 1.0), _family(seen, SWAYS, 0.0)
+    parts = [stands, settles, sways, *[_family(seen, family, 0.0) for family in OTHERS]]
+    both = 0.5 * SETTLING * SWAYS.share
+    sway, settle = int(np.argmax(sways.log_weight)), int(np.argmax(settles.log_weight))
+    parts.append(_family(seen, SETTLES.beside(SWAYS, sway, both), 1.0))
+    parts.append(_family(seen, SWAYS.beside(SETTLES, settle, both), 1.0))
     return Told(*(np.concatenate([getattr(part, name) for part in parts]) for name in Told.__slots__))
 
 
-def _family(seen: Seen, columns: IntArray, trusted: bool) -> Told:
-    """Return what the hypotheses of the same courses, (k, r), say; sizes vary fastest."""
-    gram, noise = seen.gram, seen.noise * NOISES[:, None]
+def _family(seen: Seen, family: Family, settles: float) -> Told:
+    """Return what the hypotheses of a family say; sizes vary fastest."""
+    gram, noise, columns, own = seen.gram, seen.noise * NOISES[:, None], family.columns, family.precision
     ones, data = gram[0, 1:-2][columns], (gram[1:-2, -2] + 1j * gram[1:-2, -1])[columns]
     slopes = gram[1:-2, 1:-2][columns[:, :, None], columns[:, None, :]]
     known = seen.information[columns[:, :, None], columns[:, None, :]][:, None]
     level = seen.level[columns][:, None, :, None]
-    rank = columns.shape[1]
-    # Sine and cosine share their size with their neighbours; the angles of exponentials do not.
-    own = SIZES**-2.0 * (0.5 * rank if rank > 2 else 1.0)
-    sized = own[:, None, None] * np.eye(rank)
-    both = known + sized
-    log_prior = -np.linalg.slogdet(both)[1] + rank * np.log(own)
-    if trusted:
-        root = np.linalg.inv(np.linalg.cholesky(both))
-        across = root @ slopes[:, None] @ root.swapaxes(-1, -2)
-        values, vectors = np.linalg.eigh(across)
+    both = known + own[:, :, None] * np.eye(columns.shape[1])
+    log_prior = np.log(own).sum(1) + math.log(family.share / (len(columns) * len(own)))
+    if family.seen:
+        lower = np.linalg.cholesky(both)
+        log_prior = log_prior - 2.0 * np.log(np.diagonal(lower, axis1=-2, axis2=-1)).sum(-1)
+        root = np.linalg.inv(lower)
+        values, vectors = np.linalg.eigh(root @ slopes[:, None] @ root.swapaxes(-1, -2))
         turn = vectors.swapaxes(-1, -2) @ root
         w = (turn @ level)[..., None, :, 0]
     else:
+        # The sines of a sway share their variance: all sizes have the same axes.
         explained = np.sum(level.conj() * np.linalg.solve(both, level), axis=(-2, -1)).real
-        log_prior = log_prior + 0.5 * explained
+        log_prior = log_prior + 0.5 * explained - np.linalg.slogdet(both)[1]
         values, vectors = np.linalg.eigh(slopes)
-        values = values[:, None] / own[:, None]
-        turn = vectors.swapaxes(-1, -2)[:, None] / np.sqrt(own)[:, None, None]
+        values = values[:, None] / own
+        turn = vectors.swapaxes(-1, -2)[:, None] / np.sqrt(own)[:, :, None]
         w = np.zeros(1)
     p, q = (turn @ ones[:, None, :, None])[..., None, :, 0], (turn @ data[:, None, :, None])[..., None, :, 0]
-    loss = 1.0 / (1.0 + np.maximum(values, 0.0)[..., None, :] / noise)  # (k, sizes, noises, r)
+    loss = 1.0 / (1.0 + np.maximum(values, 0.0)[..., None, :] / noise)  # (k, s, noises, r)
     pulled = q / noise + w
     total = gram[0, 0] / noise[:, 0]
     left = np.maximum(total - np.sum(p**2 * loss, axis=-1) / noise[:, 0] ** 2, DISTINCT * total)
     right = complex(gram[0, -2], gram[0, -1]) / noise[:, 0]
     mean = (right - np.sum(p * loss * pulled, axis=-1) / noise[:, 0]) / left
     # Two axes: every half of a logarithm counts twice.
-    evidence = 0.5 * np.sum(loss * np.abs(pulled) ** 2, axis=-1) + np.sum(np.log(loss), axis=-1)
+    evidence = 0.5 * np.sum(loss * (pulled.real**2 + pulled.imag**2), axis=-1) + np.log(loss.prod(-1))
     count = len(NOISES)
-    evidence = evidence + log_prior[..., None]
-    return _over_noises(seen, evidence.reshape(-1, count), left.reshape(-1, count), mean.reshape(-1, count))
+    shaped = (part.reshape(-1, count) for part in (evidence, left, mean))
+    return _over_noises(seen, np.broadcast_to(log_prior, evidence.shape[:2]).ravel()[:, None], *shaped, settles)
 
 
-def _over_noises(seen: Seen, evidence: FloatArray, left: FloatArray, mean: ColumnArray) -> Told:
+def _over_noises(
+    seen: Seen, log_prior: FloatArray | float, evidence: FloatArray, left: FloatArray, mean: ColumnArray, settles: float
+) -> Told:
     """Return what hypotheses say whatever the noise, from what they say for each size of it, (h, noises)."""
     noise = seen.noise * NOISES
     squares = float(seen.gram[-2, -2] + seen.gram[-1, -1])
-    logs = evidence + 0.5 * np.abs(mean) ** 2 * left - np.log(left)
+    logs = log_prior + evidence + 0.5 * np.abs(mean) ** 2 * left - np.log(left)
     logs = logs - 0.5 * squares / noise - seen.rows * np.log(noise)
     most = logs.max(axis=1, keepdims=True)
     weight = np.exp(logs - most)
@@ -174,4 +221,4 @@ def _over_noises(seen: Seen, evidence: FloatArray, left: FloatArray, mean: Colum
     weight /= sums[:, None]
     centre = np.sum(weight * mean, axis=1)
     variance = np.sum(weight * (1.0 / left + 0.5 * np.abs(mean - centre[:, None]) ** 2), axis=1)
-    return Told(most[:, 0] + np.log(sums), centre, variance, weight @ noise)
+    return Told(most[:, 0] + np.log(sums), centre, variance, weight @ noise, np.full(len(sums), settles))
