@@ -195,5 +195,8 @@ def _accelerometers(
     drifts = drift_sd * -np.expm1(-time[:, None] / WARM_UPS_S)
     covariance = LEVEL**2 + drifts @ drifts.T + WALK**2 * np.minimum.outer(time, time)
     covariance[np.diag_indices(count)] += noise + 1e-14
-    weighted = np.linalg.solve(covariance, shape)
-    return shape.T @ weighted, weighted.T @ (values - values.mean())
+    # Whitened one by one: the products of such columns have no negative eigenvalue, whatever the rounding.
+    columns = np.column_stack([shape, values.real - values.real.mean(), values.imag - values.imag.mean()])
+    white = np.linalg.solve(np.linalg.cholesky(covariance), columns)
+    products = white[:, :-2].T @ white
+    return products[:, :-2], products[:, -2] + 1j * products[:, -1]

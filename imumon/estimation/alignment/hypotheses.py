@@ -4,7 +4,7 @@ Gyros see the rate of the tilt, dφ/dt, on top of c'; accelerometers see φ itse
 hypothesis is a set of courses of which φ is the sum, with coefficients of some standard deviation:
 
     the unit stands                              φ = 0
-    a tripod settles, or tilts ever farther      two neighbours of eight exponentials, or two ramps
+    a tripod settles, or tilts ever farther      three neighbours of eight exponentials, or two ramps
     it sways slowly, in a narrow band            sine and cosine at four neighbouring frequencies
     it sways slowly, at no certain frequency     the same over the whole of the band
     it settles and sways                         two of these together
@@ -26,7 +26,7 @@ import numpy as np
 from imumon.blocks import ColumnArray, FloatArray, IntArray
 
 TIME_CONSTANTS_S = np.geomspace(5.0, 640.0, 8)
-"""Of a tripod that settles.  Two neighbours together follow any time constant between them."""
+"""Of a tripod that settles.  Three neighbours together follow any time constant between them."""
 RAMP_S = 640.0
 """A steady tilt is told by its angle over this time."""
 LATER = (0.25, 0.5, 0.75)
@@ -51,8 +51,9 @@ def _sway_columns(nodes: IntArray) -> IntArray:
     return np.concatenate([_SWAYS + 2 * nodes, _SWAYS + 2 * nodes + 1], axis=1)
 
 
-_PAIRS = np.array(
-    [(k, k + 1) for k in range(_STEADY)] + [(_STEADY, _STEADY + 1 + k) for k in range(len(LATER))]
+_TRIPLES = np.array(
+    [(k, k + 1, k + 2) for k in range(_STEADY - 2)]
+    + [(_STEADY - 1, _STEADY, _STEADY + 1 + k) for k in range(len(LATER))]
 )
 _BANDS = _sway_columns(np.arange(0, len(CYCLES) - 3, 2)[:, None] + np.arange(4))
 _WHOLE = _sway_columns(np.arange(1, len(CYCLES), 2)[None])
@@ -98,7 +99,7 @@ def _sways(columns: IntArray, seen: bool) -> Family:
     return Family(columns, np.tile(0.5 * rank * _OF_ONE, (1, rank)), seen, 0.25 * SWAYING)
 
 
-SETTLES = Family(_PAIRS, np.tile(_OF_ONE, (1, 2)), True, SETTLING)
+SETTLES = Family(_TRIPLES, np.tile(_OF_ONE, (1, 3)), True, SETTLING)
 SWAYS = _sways(_BANDS, True)
 OTHERS = (_sways(_BANDS, False), _sways(_WHOLE, True), _sways(_WHOLE, False))
 
