@@ -141,11 +141,13 @@ SCENES = (
     Scene("sway 100 µrad at 0.15 Hz, swelling", SITE_ARW, swelling(100 * MICRO, 0.15)),
     Scene("sway 100 µrad at 0.15 Hz, its frequency ±10 %", SITE_ARW, sway(100 * MICRO, 0.15, modulation=0.1)),
     Scene(
-        "sway 100 µrad at 0.04 Hz and 30 µrad at 0.11 Hz", SITE_ARW,
+        "sway 100 µrad at 0.04 Hz and 30 µrad at 0.11 Hz",
+        SITE_ARW,
         together(sway(100 * MICRO, 0.04), sway(30 * MICRO, 0.11)),
     ),
     Scene(
-        "sway 100 µrad at 0.05 Hz, settling 100 µrad, 200 s", SITE_ARW,
+        "sway 100 µrad at 0.05 Hz, settling 100 µrad, 200 s",
+        SITE_ARW,
         together(sway(100 * MICRO, 0.05), settling(100 * MICRO, 200.0)),
     ),
     Scene("wind, 50 µrad at 0.03 Hz", SITE_ARW, wind(50 * MICRO, 0.03, 0.2)),
@@ -161,14 +163,43 @@ SCENES = (
     Scene("settling 10 µrad, 30 s", SITE_ARW, settling(10 * MICRO, 30.0)),
     Scene("settling 100 µrad, 100 s, tactical", TACTICAL_ARW, settling(100 * MICRO, 100.0)),
     Scene("quiet, accelerometers ten times as noisy", SITE_ARW, vrw=10 * VRW),
-    Scene("sway 200 µrad at 0.05 Hz, accelerometers ten times as noisy", SITE_ARW, sway(200 * MICRO, 0.05), vrw=10 * VRW),
+    Scene(
+        "sway 200 µrad at 0.05 Hz, accelerometers ten times as noisy",
+        SITE_ARW,
+        sway(200 * MICRO, 0.05),
+        vrw=10 * VRW,
+    ),
     Scene("sway 200 µrad at 0.05 Hz, tactical", TACTICAL_ARW, sway(200 * MICRO, 0.05)),
-    Scene("settling 50 µrad, 100 s, accelerometers of a tenth of the noise", SITE_ARW, settling(50 * MICRO, 100.0), vrw=VRW / 10),
+    Scene(
+        "settling 50 µrad, 100 s, accelerometers of a tenth of the noise",
+        SITE_ARW,
+        settling(50 * MICRO, 100.0),
+        vrw=VRW / 10,
+    ),
     Scene("accelerometers that jump by 30 µg", SITE_ARW, steps_ug=30.0),
     Scene("gyros of a tenth of the noise", SITE_ARW / 10),
-    Scene("at 0°, any attitude, 10 Hz, sway 20 µrad at 0.2 Hz", SITE_ARW, sway(20 * MICRO, 0.2), latitude_deg=0.0, rate_hz=10.0, any_attitude=True),
-    Scene("at 60°, any attitude, settling 50 µrad, 60 s", SITE_ARW, settling(50 * MICRO, 60.0), latitude_deg=60.0, any_attitude=True),
-    Scene("at -75°, any attitude, sway 100 µrad at 0.05 Hz", SITE_ARW, sway(100 * MICRO, 0.05), latitude_deg=-75.0, any_attitude=True),
+    Scene(
+        "at 0°, any attitude, 10 Hz, sway 20 µrad at 0.2 Hz",
+        SITE_ARW,
+        sway(20 * MICRO, 0.2),
+        latitude_deg=0.0,
+        rate_hz=10.0,
+        any_attitude=True,
+    ),
+    Scene(
+        "at 60°, any attitude, settling 50 µrad, 60 s",
+        SITE_ARW,
+        settling(50 * MICRO, 60.0),
+        latitude_deg=60.0,
+        any_attitude=True,
+    ),
+    Scene(
+        "at -75°, any attitude, sway 100 µrad at 0.05 Hz",
+        SITE_ARW,
+        sway(100 * MICRO, 0.05),
+        latitude_deg=-75.0,
+        any_attitude=True,
+    ),
     Scene("at 80°, quiet, 200 Hz", SITE_ARW, latitude_deg=80.0, rate_hz=200.0),
 )
 
@@ -185,11 +216,40 @@ class Record:
 def record(scene: Scene, seconds: float, seed: int) -> Record:
     """Return a seeded record of a unit; it is level, in forward-right-down axes, if not in any attitude."""
     rng = np.random.default_rng([seed, sum(map(ord, scene.name))])
-    n, step = round(seconds * scene.rate_hz), 1.0 / scene.rate_hz
-    t, heading, latitude = step * np.arange(n), rng.uniform(0.0, 2.0 * math.pi), math.radians(scene.latitude_deg)
-    north, east = (np.array([math.cos(heading), -math.sin(heading), 0.0]), np.array([math.sin(heading), math.cos(heading), 0.0]))
-    earth = EARTH_RATE * (math.cos(latitude) * north - math.sin(latitude) * np.array([0.0, 0.0, 1.0]))
-    gyro: FloatArray = earth + rng.normal(size=(n, 3)) * math.radians(scene.arw) / 60.0 * math.sqrt(scene.rate_hz)
+    n, heading = round(seconds * scene.rate_hz), rng.uniform(0.0, 2.0 * math.pi)
+    gyro, accel = _at_rest(scene, n, heading, rng)
+    if scene.tilt is not None:
+        step = 1.0 / scene.rate_hz
+        angle = scene.tilt(np.asarray(step * np.arange(n), np.float64), rng)
+        gyro[1:, :2] += np.diff(angle, axis=0) / step
+        # Turned by a about its axes, the body sees the vector f as f - a x f; above its pivot, it swings.
+        swing = scene.lever_m * np.gradient(np.gradient(angle, step, axis=0), step, axis=0)
+        seen = angle * STANDARD_GRAVITY + swing
+        accel[:, 0] += seen[:, 1]
+        accel[:, 1] -= seen[:, 0]
+    level = gyro[:, :2].copy()
+    if scene.any_attitude:
+        body = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+        body *= np.linalg.det(body)
+        gyro, accel = gyro @ body.T, accel @ body.T
+        ahead = body.T @ forward(body @ np.array([0.0, 0.0, -1.0]))
+        heading += math.atan2(ahead[1], ahead[0])
+        level = level @ np.array([[ahead[0], -ahead[1]], [ahead[1], ahead[0]]])
+    columns = {f"gyro_{a}": gyro[:, j].copy() for j, a in enumerate("xyz")}
+    columns |= {f"accel_{a}": accel[:, j].copy() for j, a in enumerate("xyz")}
+    time_ns = (np.arange(n) * (1e9 / scene.rate_hz)).astype(np.int64)
+    block = SampleBlock({"device_time_ns": time_ns, "segment": np.zeros(n, np.int64), **columns})
+    return Record(block, heading, level)
+
+
+def _at_rest(scene: Scene, n: int, heading: float, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+    """Return what gyros and accelerometers of a level unit at rest send, (n, 3) each."""
+    step, latitude = 1.0 / scene.rate_hz, math.radians(scene.latitude_deg)
+    north = np.array([math.cos(heading), -math.sin(heading), 0.0])
+    east = np.array([math.sin(heading), math.cos(heading), 0.0])
+    down = np.array([0.0, 0.0, 1.0])
+    gyro = rng.normal(size=(n, 3)) * math.radians(scene.arw) / 60.0 / math.sqrt(step)
+    gyro += EARTH_RATE * (math.cos(latitude) * north - math.sin(latitude) * down)
     gyro += scene.bias_deg_per_h * DEG_PER_H * rng.choice([-1.0, 1.0], 3)
     gyro += scene.east_bias_deg_per_h * DEG_PER_H * rng.choice([-1.0, 1.0]) * east
     if scene.flicker_deg_per_h:
@@ -198,38 +258,14 @@ def record(scene: Scene, seconds: float, seed: int) -> Record:
         keep = math.exp(-step / 100.0)
         noise = rng.normal(size=(n, 3)) * math.sqrt(1.0 - keep**2)
         noise[0] = rng.normal(size=3)
-        gyro += np.asarray(scene.flicker_deg_per_h * DEG_PER_H * lfilter([1.0], [1.0, -keep], noise, axis=0))
-    accel = np.array([0.0, 0.0, -STANDARD_GRAVITY]) + rng.normal(size=(n, 3)) * scene.vrw * math.sqrt(scene.rate_hz)
+        gyro += scene.flicker_deg_per_h * DEG_PER_H * np.asarray(lfilter([1.0], [1.0, -keep], noise, axis=0))
+    accel = rng.normal(size=(n, 3)) * scene.vrw / math.sqrt(step) - STANDARD_GRAVITY * down
     amplitude, tau = scene.warm_up
-    drift: FloatArray = -amplitude * MICRO_G * np.expm1(-t / tau)
-    accel[:, :2] += drift[:, None]
+    accel[:, :2] -= amplitude * MICRO_G * np.expm1(-step * np.arange(n) / tau)[:, None]
     if scene.steps_ug:
         jumps = rng.normal(size=(n, 2)) * (rng.uniform(size=(n, 2)) < step / 100.0)
         accel[:, :2] += scene.steps_ug * MICRO_G * np.cumsum(jumps, axis=0)
-    if scene.tilt is not None:
-        angle = scene.tilt(np.asarray(t, np.float64), rng)
-        gyro[1:, :2] += np.diff(angle, axis=0) / step
-        # Turned by a about its axes, the body sees the vector f as f - a x f; above its pivot, it swings.
-        swing = scene.lever_m * np.gradient(np.gradient(angle, step, axis=0), step, axis=0)
-        seen = angle * STANDARD_GRAVITY + swing
-        accel[:, 0] += seen[:, 1]
-        accel[:, 1] -= seen[:, 0]
-    level_rate = gyro[:, :2].copy()
-    if scene.any_attitude:
-        turned = np.linalg.qr(rng.normal(size=(3, 3)))[0]
-        turned *= np.linalg.det(turned)
-        gyro, accel = gyro @ turned.T, accel @ turned.T
-        ahead = turned.T @ forward(turned @ np.array([0.0, 0.0, -1.0]))
-        heading += math.atan2(ahead[1], ahead[0])
-        angle = math.atan2(ahead[1], ahead[0])
-        level_rate = level_rate @ np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
-    columns = {f"gyro_{a}": gyro[:, j].copy() for j, a in enumerate("xyz")}
-    columns |= {f"accel_{a}": accel[:, j].copy() for j, a in enumerate("xyz")}
-    time = {
-        "device_time_ns": (np.arange(n) * (1e9 * step)).astype(np.int64),
-        "segment": np.zeros(n, np.int64),
-    }
-    return Record(SampleBlock({**time, **columns}), heading, level_rate)
+    return gyro, accel
 
 
 def mean_heading(rate: FloatArray, weights: Callable[[int], FloatArray]) -> float:

@@ -19,7 +19,7 @@ from imumon.estimation.alignment.status import Estimate
 from imumon.geodesy import DEG_PER_H, EARTH_RATE, MICRO_G, STANDARD_GRAVITY, forward
 
 SLOT_S = 0.25
-RENEWED_SHARE, RENEWED_S = 0.25, (1.0, 30.0)
+RENEWED_SHARE, RENEWED_S = 0.25, (1.0, 60.0)
 """A fit is renewed after this share of the time that counts, sigma falling by a tenth; between these, s."""
 LONGEST_S = 120.0
 """After a longer disturbance, or a gap of a quarter of it, the alignment begins anew: an attitude that was
@@ -41,7 +41,7 @@ LARGER = int(np.sum(SIZES > 0.0))
 WORSE = np.exp([2.0, 4.0, 6.0, 8.0])
 SOME = np.array([[True, False, False], [False, True, False], [False, False, True]])
 SOME = np.concatenate([SOME, ~SOME])
-SINGLY = 0.005
+SINGLY = 0.01
 """Gyros that may be worse than the others, by which factors, and the probability of that."""
 UNLIKE = 0.02
 """Probability that a gyro is worse than its class, by any factor, as one that is not calibrated: so little
@@ -286,7 +286,7 @@ class Aligner:
         return math.hypot(warm.amplitude_sd_ug, relative * max(map(abs, warm.amplitude_ug))) * 1e-6
 
     def _bias_prior(self, arw: float) -> tuple[FloatArray, FloatArray]:
-        """Return sizes of the biases that are thought of, rad/s, (s, 3), and the logarithms of their probabilities.
+        """Return sizes of biases that are thought of, rad/s, (s, 3), and the logs of their probabilities.
 
         All gyros are of a class, or all are worse, or one or two of them.
         """

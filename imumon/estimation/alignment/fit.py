@@ -15,7 +15,6 @@ standard deviation over all of that, by the probability of each (Bayesian model 
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np

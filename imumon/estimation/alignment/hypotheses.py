@@ -6,7 +6,6 @@ hypothesis is a set of courses of which φ is the sum, with coefficients of some
     the unit stands                              φ = 0
     a tripod settles, or tilts ever farther      three neighbours of eight exponentials, or two ramps
     it sways slowly, in a narrow band            sine and cosine at four neighbouring frequencies
-    it sways slowly, at no certain frequency     the same over the whole of the band
     it settles and sways                         two of these together
 
 All that is faster is left to the windows.  A sway that takes as long as the record cannot be told from the
@@ -56,7 +55,6 @@ _TRIPLES = np.array(
     + [(_STEADY - 1, _STEADY, _STEADY + 1 + k) for k in range(len(LATER))]
 )
 _BANDS = _sway_columns(np.arange(0, len(CYCLES) - 3, 2)[:, None] + np.arange(4))
-_WHOLE = _sway_columns(np.arange(1, len(CYCLES), 2)[None])
 _OF_ONE = SIZES[:, None] ** -2.0
 
 
@@ -93,15 +91,11 @@ class Family:
         )
 
 
-def _sways(columns: IntArray, seen: bool) -> Family:
-    """Return sways whose sines share their variance."""
-    rank = columns.shape[1]
-    return Family(columns, np.tile(0.5 * rank * _OF_ONE, (1, rank)), seen, 0.25 * SWAYING)
-
-
 SETTLES = Family(_TRIPLES, np.tile(_OF_ONE, (1, 3)), True, SETTLING)
-SWAYS = _sways(_BANDS, True)
-OTHERS = (_sways(_BANDS, False), _sways(_WHOLE, True), _sways(_WHOLE, False))
+# The sines of a sway share its variance.
+SWAYS, UNSEEN = (
+    Family(_BANDS, np.tile(4.0 * _OF_ONE, (1, 8)), seen, 0.5 * SWAYING) for seen in (True, False)
+)
 
 
 def courses(time_s: FloatArray) -> FloatArray:
@@ -121,7 +115,7 @@ class Seen:
     Parameters
     ----------
     gram : array, (kinds + 3, kinds + 3)
-        Scalar products of the columns over white noise of one: 1, slope of each course, data forward and left.
+        Scalar products of the columns over white noise of one: 1, slopes of courses, data forward and left.
     rows : float
         Observations in them.
     noise : float
@@ -139,7 +133,19 @@ class Seen:
 
 @dataclass(frozen=True, slots=True)
 class Told:
-    """What each hypothesis says: its log probability, mean of c', variance of that, and of the noise; (h,)."""
+    """What each hypothesis says, all (h,).
+
+    Parameters
+    ----------
+    log_weight : array
+        Logarithm of prior probability times evidence.
+    mean, variance : array
+        Of c', the variance that of each axis.
+    noise : array
+        Variance of the noise.
+    settles : array
+        One where the unit settles, zero elsewhere.
+    """
 
     log_weight: FloatArray
     mean: ColumnArray
@@ -154,49 +160,47 @@ def told(seen: Seen) -> Told:
     A unit may settle and sway: what settles is tried beside the likeliest sway, and what sways beside the
     likeliest way to settle.
     """
-    noise = seen.noise * NOISES
-    total = float(seen.gram[0, 0]) / noise
-    right = complex(seen.gram[0, -2], seen.gram[0, -1]) / noise
-    stands = _over_noises(
-        seen, math.log(1.0 - SETTLING - SWAYING), np.zeros(1),
-        np.broadcast_to(total, (1, len(noise))), right / total, 0.0,
-    )  # fmt: skip
-    settles, sways = _family(seen, SETTLES, 1.0), _family(seen, SWAYS, 0.0)
-    parts = [stands, settles, sways, *[_family(seen, family, 0.0) for family in OTHERS]]
-    both = 0.5 * SETTLING * SWAYS.share
+    settles, sways = _family(seen, SETTLES), _family(seen, SWAYS)
+    both = 0.5 * SETTLING * SWAYING
     sway, settle = int(np.argmax(sways.log_weight)), int(np.argmax(settles.log_weight))
-    parts.append(_family(seen, SETTLES.beside(SWAYS, sway, both), 1.0))
-    parts.append(_family(seen, SWAYS.beside(SETTLES, settle, both), 1.0))
+    parts = [
+        _stands(seen), settles, sways, _family(seen, UNSEEN),
+        _family(seen, SETTLES.beside(SWAYS, sway, both)), _family(seen, SWAYS.beside(SETTLES, settle, both)),
+    ]  # fmt: skip
+    parts[1].settles[:] = parts[4].settles[:] = parts[5].settles[:] = 1.0
     return Told(*(np.concatenate([getattr(part, name) for part in parts]) for name in Told.__slots__))
 
 
-def _family(seen: Seen, family: Family, settles: float) -> Told:
-    """Return what the hypotheses of a family say; sizes vary fastest."""
-    gram, noise, columns, own = seen.gram, seen.noise * NOISES[:, None], family.columns, family.precision
-    ones, data = gram[0, 1:-2][columns], (gram[1:-2, -2] + 1j * gram[1:-2, -1])[columns]
-    slopes = gram[1:-2, 1:-2][columns[:, :, None], columns[:, None, :]]
-    known = seen.information[columns[:, :, None], columns[:, None, :]][:, None]
-    level = seen.level[columns][:, None, :, None]
-    both = known + own[:, :, None] * np.eye(columns.shape[1])
-    log_prior = np.log(own).sum(1) + math.log(family.share / (len(columns) * len(own)))
-    if family.seen:
-        lower = np.linalg.cholesky(both)
-        log_prior = log_prior - 2.0 * np.log(np.diagonal(lower, axis1=-2, axis2=-1)).sum(-1)
-        root = np.linalg.inv(lower)
-        values, vectors = np.linalg.eigh(root @ slopes[:, None] @ root.swapaxes(-1, -2))
-        turn = vectors.swapaxes(-1, -2) @ root
-        w = (turn @ level)[..., None, :, 0]
-    else:
-        # The sines of a sway share their variance: all sizes have the same axes.
-        explained = np.sum(level.conj() * np.linalg.solve(both, level), axis=(-2, -1)).real
-        log_prior = log_prior + 0.5 * explained - np.linalg.slogdet(both)[1]
-        values, vectors = np.linalg.eigh(slopes)
-        values = values[:, None] / own
-        turn = vectors.swapaxes(-1, -2)[:, None] / np.sqrt(own)[:, :, None]
-        w = np.zeros(1)
-    p, q = (turn @ ones[:, None, :, None])[..., None, :, 0], (turn @ data[:, None, :, None])[..., None, :, 0]
+@dataclass(frozen=True, slots=True)
+class _Given:
+    """What hypotheses say for each size of the noise, (h, noises): evidence, information and mean of c'."""
+
+    evidence: FloatArray
+    left: FloatArray
+    mean: ColumnArray
+
+
+def _stands(seen: Seen) -> Told:
+    """Return what is said if the unit stands."""
+    total = seen.gram[0, 0] / (seen.noise * NOISES)
+    mean = np.full((1, len(NOISES)), complex(seen.gram[0, -2], seen.gram[0, -1]) / seen.gram[0, 0])
+    given = _Given(np.zeros((1, len(NOISES))), total[None], mean)
+    return _over_noises(seen, given, np.full(1, math.log(1.0 - SETTLING - SWAYING)))
+
+
+def _family(seen: Seen, family: Family) -> Told:
+    """Return what the hypotheses of a family say; sizes vary fastest.
+
+    In the axes in which the gyros' information of the angles is diagonal and what is known without them is
+    one, all sizes of the noise cost one decomposition.
+    """
+    gram, noise, columns = seen.gram, seen.noise * NOISES[:, None], family.columns
+    values, turn, level, log_prior = _axes(seen, family)
+    slopes, data = gram[0, 1:-2][columns], (gram[1:-2, -2] + 1j * gram[1:-2, -1])[columns]
+    p = (turn @ slopes[:, None, :, None])[..., None, :, 0]
+    q = (turn @ data[:, None, :, None])[..., None, :, 0]
     loss = 1.0 / (1.0 + np.maximum(values, 0.0)[..., None, :] / noise)  # (k, s, noises, r)
-    pulled = q / noise + w
+    pulled = q / noise + level
     total = gram[0, 0] / noise[:, 0]
     left = np.maximum(total - np.sum(p**2 * loss, axis=-1) / noise[:, 0] ** 2, DISTINCT * total)
     right = complex(gram[0, -2], gram[0, -1]) / noise[:, 0]
@@ -204,22 +208,46 @@ def _family(seen: Seen, family: Family, settles: float) -> Told:
     # Two axes: every half of a logarithm counts twice.
     evidence = 0.5 * np.sum(loss * (pulled.real**2 + pulled.imag**2), axis=-1) + np.log(loss.prod(-1))
     count = len(NOISES)
-    shaped = (part.reshape(-1, count) for part in (evidence, left, mean))
-    return _over_noises(seen, np.broadcast_to(log_prior, evidence.shape[:2]).ravel()[:, None], *shaped, settles)
+    given = _Given(evidence.reshape(-1, count), left.reshape(-1, count), mean.reshape(-1, count))
+    log_prior = log_prior + math.log(family.share / given.left.shape[0])
+    return _over_noises(seen, given, np.broadcast_to(log_prior, evidence.shape[:2]).ravel())
 
 
-def _over_noises(
-    seen: Seen, log_prior: FloatArray | float, evidence: FloatArray, left: FloatArray, mean: ColumnArray, settles: float
-) -> Told:
-    """Return what hypotheses say whatever the noise, from what they say for each size of it, (h, noises)."""
+def _axes(seen: Seen, family: Family) -> tuple[FloatArray, FloatArray, ColumnArray, FloatArray]:
+    """Return what is known along axes in which all is diagonal.
+
+    These are the gyros' information (k, s, r), the axes (k, s, r, r), what the accelerometers say there, and
+    how well they agree with the sizes of the angles, a logarithm (k, s).
+    """
+    columns, own = family.columns, family.precision
+    slopes = seen.gram[1:-2, 1:-2][columns[:, :, None], columns[:, None, :]]
+    known = seen.information[columns[:, :, None], columns[:, None, :]][:, None]
+    level = seen.level[columns][:, None, :, None]
+    both = known + own[:, :, None] * np.eye(columns.shape[1])
+    lower = np.linalg.cholesky(both)
+    log_prior = np.log(own).sum(1) - 2.0 * np.log(np.diagonal(lower, axis1=-2, axis2=-1)).sum(-1)
+    root = np.linalg.inv(lower)
+    if not family.seen:
+        # The accelerometers sway by angles of their own, of the same size; the axes are those of all sizes.
+        explained = (np.abs(root @ level) ** 2).sum((-2, -1))
+        values, vectors = np.linalg.eigh(slopes)
+        turn = vectors.swapaxes(-1, -2)[:, None] / np.sqrt(own)[:, :, None]
+        return values[:, None] / own, turn, np.zeros(1, np.complex128), log_prior + 0.5 * explained
+    values, vectors = np.linalg.eigh(root @ slopes[:, None] @ root.swapaxes(-1, -2))
+    turn = vectors.swapaxes(-1, -2) @ root
+    return values, turn, (turn @ level)[..., None, :, 0], log_prior
+
+
+def _over_noises(seen: Seen, given: _Given, log_prior: FloatArray) -> Told:
+    """Return what hypotheses say whatever the noise; their log prior is (h,)."""
     noise = seen.noise * NOISES
     squares = float(seen.gram[-2, -2] + seen.gram[-1, -1])
-    logs = log_prior + evidence + 0.5 * np.abs(mean) ** 2 * left - np.log(left)
-    logs = logs - 0.5 * squares / noise - seen.rows * np.log(noise)
+    logs = log_prior[:, None] + given.evidence + 0.5 * np.abs(given.mean) ** 2 * given.left
+    logs -= np.log(given.left) + 0.5 * squares / noise + seen.rows * np.log(noise)
     most = logs.max(axis=1, keepdims=True)
     weight = np.exp(logs - most)
     sums = weight.sum(axis=1)
     weight /= sums[:, None]
-    centre = np.sum(weight * mean, axis=1)
-    variance = np.sum(weight * (1.0 / left + 0.5 * np.abs(mean - centre[:, None]) ** 2), axis=1)
-    return Told(most[:, 0] + np.log(sums), centre, variance, weight @ noise, np.full(len(sums), settles))
+    centre = np.sum(weight * given.mean, axis=1)
+    variance = np.sum(weight * (1.0 / given.left + 0.5 * np.abs(given.mean - centre[:, None]) ** 2), axis=1)
+    return Told(most[:, 0] + np.log(sums), centre, variance, weight @ noise, np.zeros(len(sums)))

@@ -198,6 +198,8 @@ class Motion:
         slots = min(len(self.passed), known // 2)
         angle = length_s * np.cumsum(self.recent[:, 0, :3] - self.recent[:, 0, :3].mean(0), axis=0)
         wandered = np.sqrt(np.mean((angle[slots:] - angle[: known - slots]) ** 2, axis=0))
+        # Of a longer time than was seen at rest, nothing is known but that.
+        wandered *= len(self.passed) / max(slots, 1)
         noise = np.maximum(wandered, math.sqrt(length_s * seconds) * self.usual().spread[:3])
         # The rate at rest is a median.
         noise *= math.sqrt(1.0 + math.pi / 2.0 * seconds / (known * length_s))

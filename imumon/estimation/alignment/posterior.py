@@ -133,7 +133,7 @@ def heading(
 
 
 def _together(fits: Sequence[PoseFit]) -> tuple[FloatArray, IntArray]:
-    """Return the likeliest hypotheses of all poses together: log weight (h,), and that of each pose (p, h)."""
+    """Return the likeliest hypotheses of all poses: log weight (h,), and which of each pose (p, h)."""
     log_weight, which = np.zeros(1), np.zeros((0, 1), np.int64)
     for fit in fits:
         own = np.argsort(-fit.log_weight)[:LIKELIEST]
