@@ -1,4 +1,4 @@
-"""The heading from the record: a weighted fit of each pose, and the posterior over what cannot be known.
+"""What a pose tells of the horizontal rate: lines and fast sway off, the rest by hypotheses.
 
 In a pose the gyros see, in level axes that do not turn (complex: forward + i left),
 
@@ -6,11 +6,8 @@ In a pose the gyros see, in level axes that do not turn (complex: forward + i le
     v = Ω sin L + b_up + noise                 (vertical)
 
 and the accelerometers, as an angle, see φ + d + noise: the true tilt φ of the unit and the drift d of their
-own bias while they warm up.  Their sum alone cannot be divided; the gyros see φ and not d.  So the hypotheses
-are that the unit stands (φ = 0), or that it settles exponentially with some time constant, or tilts steadily,
-from the start or since some time.  The size of the bias is unknown, too: what the vertical gyro shows beyond
-Ω sin L, and the horizontal ones beyond the length Ω cos L, tell of it.  Heading and sigma are mean and
-standard deviation over all of that, by the probability of each (Bayesian model averaging).
+own bias while they warm up.  Their sum alone cannot be divided; the gyros see φ and not d.  `hypotheses` says
+how the unit may tilt, and what c' is then.
 """
 
 from __future__ import annotations
@@ -65,11 +62,14 @@ class PoseFit:
 
     Parameters
     ----------
-    log_evidence : array, (h,)
+    log_weight : array, (h,)
+        Logarithm of prior probability times evidence.
     mean : array of complex, (h,)
         rad/s, forward + i left.
     variance : array, (h,)
         Of each axis.
+    settles : array, (h,)
+        One where the unit settles.
     vertical, vertical_variance : float
         Mean of the vertical gyro, rad/s.
     white, quietest : float

@@ -33,14 +33,14 @@ LATER = (0.25, 0.5, 0.75)
 _STEADY = len(TIME_CONSTANTS_S)
 _SWAYS = _STEADY + 1 + len(LATER)
 CYCLES = 0.25 * np.arange(1.0, 25.0)
-"""Periods in the record of the sways: four neighbours together follow all between them to some percent."""
+"""Periods in the record of the sways: four neighbours together follow all between them to 1 %."""
 SIZES = np.array([1e-5, 1e-4, 1e-3])
 """Standard deviations of the tilt, rad: tripods and buildings do from a few µrad to some mrad."""
 NOISES = 2.0 ** np.arange(-6.0, 3.0)
 """Variances of the noise that are thought of, over the one its scatter shows."""
 SETTLING, SWAYING = 0.1, 0.1
-"""Prior probabilities.  With more, a clean warm-up settles later than after a minute; with less, errors
-exceed their sigma more often (`scripts/reproduce/alignment`, `alignment_site`)."""
+"""Prior probabilities, independent of each other.  With more, a clean warm-up settles later than after a
+minute; with less, errors exceed their sigma more often (`scripts/reproduce/alignment`, `alignment_site`)."""
 DISTINCT = 1e-9
 """A tilt that looks like the earth rate to this share leaves nothing to tell them apart."""
 
@@ -91,10 +91,11 @@ class Family:
         )
 
 
-SETTLES = Family(_TRIPLES, np.tile(_OF_ONE, (1, 3)), True, SETTLING)
+SETTLES = Family(_TRIPLES, np.tile(_OF_ONE, (1, 3)), True, SETTLING * (1.0 - SWAYING))
 # The sines of a sway share its variance.
 SWAYS, UNSEEN = (
-    Family(_BANDS, np.tile(4.0 * _OF_ONE, (1, 8)), seen, 0.5 * SWAYING) for seen in (True, False)
+    Family(_BANDS, np.tile(4.0 * _OF_ONE, (1, 8)), seen, 0.5 * SWAYING * (1.0 - SETTLING))
+    for seen in (True, False)
 )
 
 
@@ -185,7 +186,7 @@ def _stands(seen: Seen) -> Told:
     total = seen.gram[0, 0] / (seen.noise * NOISES)
     mean = np.full((1, len(NOISES)), complex(seen.gram[0, -2], seen.gram[0, -1]) / seen.gram[0, 0])
     given = _Given(np.zeros((1, len(NOISES))), total[None], mean)
-    return _over_noises(seen, given, np.full(1, math.log(1.0 - SETTLING - SWAYING)))
+    return _over_noises(seen, given, np.full(1, math.log((1.0 - SETTLING) * (1.0 - SWAYING))))
 
 
 def _family(seen: Seen, family: Family) -> Told:
