@@ -30,6 +30,10 @@ LEVEL = 1e-3
 """Standard deviation of the mean level about its estimate, rad: wide, but not so wide as to cost digits."""
 FINEST = 1e-10
 """rad/s, 2e-5 °/h: no mean of a gyro is better, whatever a record without noise says."""
+LUCKY = 1.0 / 64.0
+"""The noise may be less than its scatter by this factor, when a slow sway is in that."""
+ALIKE = 0.5
+"""The noise of horizontal gyros is not less than that of the vertical one by more than this factor."""
 LEAST_CELLS = 12
 """Nothing is told from less."""
 
@@ -108,11 +112,14 @@ def fit_pose(record: PoseRecord, drift_sd: float = WARM_UP) -> PoseFit | None:
     slopes = np.diff(angles, axis=0) / length_s
     middle, above = cells.rate[:, :2].mean(0), float(cells.rate[:, 2].mean())
     data = cells.rate - [*middle, above]
-    windows, scatter = _sharpest(data[:, :2], bank(len(data), cells.hop))
+    sets = bank(len(data), cells.hop)
+    windows, scatter = _sharpest(data[:, :2], sets)
+    # Of several sets, that with the least scatter may have it by luck; the vertical gyro sees no tilt.
+    least = max(scatter * LUCKY, ALIKE * sets[0].scatter(data[:, 2:])[0])
     products = windows.products(np.column_stack([np.ones(len(data)), slopes, data]))
     gram = products[:-1, :-1] * cells.share
     level = _accelerometers(cells.level, length_s, 0.5 * (angles[1:] + angles[:-1]), drift_sd)
-    found = told(Seen(gram, len(windows.weights) * cells.share, scatter, *level))
+    found = told(Seen(gram, len(windows.weights) * cells.share, least, *level))
     best = int(np.argmax(found.log_weight))
     white = found.noise[best] / float(gram[0, 0])
     upright = windows.scatter(data[:, 2:])[0]

@@ -36,8 +36,8 @@ CYCLES = 0.25 * np.arange(1.0, 25.0)
 """Periods in the record of the sways: four neighbours together follow all between them to 1 %."""
 SIZES = np.array([1e-5, 1e-4, 1e-3])
 """Standard deviations of the tilt, rad: tripods and buildings do from a few µrad to some mrad."""
-NOISES = 2.0 ** np.arange(-6.0, 3.0)
-"""Variances of the noise that are thought of, over the one its scatter shows."""
+NOISES = 2.0 ** np.arange(9.0)
+"""Variances of the noise that are thought of, over the least."""
 SETTLING, SWAYING = 0.1, 0.1
 """Prior probabilities, independent of each other.  With more, a clean warm-up settles later than after a
 minute; with less, errors exceed their sigma more often (`scripts/reproduce/alignment`, `alignment_site`)."""
@@ -120,7 +120,7 @@ class Seen:
     rows : float
         Observations in them.
     noise : float
-        Variance of the noise, by its scatter.
+        The least variance of the noise.
     information, level : array, (kinds, kinds), and (kinds,) complex
         What the accelerometers tell of the angles, and that times their means.
     """
