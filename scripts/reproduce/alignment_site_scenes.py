@@ -5,12 +5,22 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
+from alignment_site_tilts import (
+    Tilt,
+    creeping,
+    footsteps,
+    lorry,
+    settling,
+    sway,
+    swelling,
+    together,
+    wind,
+)
 
 from imumon.blocks import FloatArray, SampleBlock
-from imumon.geodesy import DEG_PER_H, EARTH_RATE, MICRO_G, STANDARD_GRAVITY
+from imumon.geodesy import DEG_PER_H, EARTH_RATE, MICRO_G, STANDARD_GRAVITY, forward
 
 LATITUDE_DEG = 36.0
 RATE_HZ = 100.0
@@ -18,9 +28,6 @@ VRW = 5e-5
 """m/s/√s."""
 PAPER_ARW, SITE_ARW, TACTICAL_ARW = 2.43e-4, 1e-3, 0.01
 """deg/√h: of the paper, of a fibre-optic gyro, and of a tactical one."""
-
-Tilt = Callable[[FloatArray, np.random.Generator], FloatArray]
-"""From seconds (n,) to the angle about the body's level axes, rad, (n, 2)."""
 
 
 @dataclass(frozen=True)
@@ -37,8 +44,18 @@ class Scene:
         µg of both level accelerometers, and s.
     bias_deg_per_h : float
         Of each gyro, its sign drawn.
+    east_bias_deg_per_h : float
+        Of nothing but a gyro that points east, as the unit then stands.
     flicker_deg_per_h : float
         Standard deviation of a Gauss-Markov process of 100 s in each gyro.
+    vrw : float
+        m/s/√s.
+    lever_m : float
+        How far above the pivot of a tilt the accelerometers are; they see its acceleration, too.
+    steps_ug : float
+        Standard deviation of jumps of each accelerometer, one in 100 s.
+    any_attitude : bool
+        The body stands on any of its sides, rather than level.
     """
 
     name: str
@@ -46,80 +63,15 @@ class Scene:
     tilt: Tilt | None = None
     warm_up: tuple[float, float] = (0.0, 150.0)
     bias_deg_per_h: float = 0.0
+    east_bias_deg_per_h: float = 0.0
     flicker_deg_per_h: float = 0.0
+    vrw: float = VRW
+    lever_m: float = 0.0
+    steps_ug: float = 0.0
+    latitude_deg: float = LATITUDE_DEG
+    rate_hz: float = RATE_HZ
+    any_attitude: bool = False
     parameters: Mapping[str, float] = field(default_factory=dict)
-
-
-def _direction(rng: np.random.Generator) -> FloatArray:
-    angle = rng.uniform(0.0, 2.0 * math.pi)
-    return np.array([math.cos(angle), math.sin(angle)])
-
-
-def sway(amplitude: float, hertz: float) -> Tilt:
-    """Return a sine of this amplitude, rad, in a random direction."""
-
-    def tilt(t: FloatArray, rng: np.random.Generator) -> FloatArray:
-        wave = amplitude * np.sin(2.0 * math.pi * hertz * t + rng.uniform(0.0, 2.0 * math.pi))
-        return np.outer(wave, _direction(rng))
-
-    return tilt
-
-
-def wind(amplitude: float, hertz: float, damping: float) -> Tilt:
-    """Return a resonance driven by noise, of this standard deviation, rad, about each level axis."""
-
-    def tilt(t: FloatArray, rng: np.random.Generator) -> FloatArray:
-        from scipy.signal import lfilter
-
-        step, w = float(t[1] - t[0]), 2.0 * math.pi * hertz
-        radius, angle = math.exp(-damping * w * step), w * step * math.sqrt(1.0 - damping**2)
-        driven = lfilter(
-            [1.0], [1.0, -2.0 * radius * math.cos(angle), radius**2], rng.normal(size=(len(t), 2)), axis=0
-        )
-        return np.asarray(amplitude * driven / driven.std())
-
-    return tilt
-
-
-def footsteps(amplitude: float, every_s: float) -> Tilt:
-    """Return short swings of the ground, rad, at 5 Hz, gone after half a second."""
-
-    def tilt(t: FloatArray, rng: np.random.Generator) -> FloatArray:
-        total = np.zeros((len(t), 2))
-        at = rng.uniform(0.0, every_s)
-        while at < t[-1]:
-            since = t - at
-            swing = np.where(
-                since > 0.0, np.sin(10.0 * math.pi * since) * np.exp(-np.maximum(since, 0.0) / 0.15), 0.0
-            )
-            total += amplitude * np.outer(swing, _direction(rng))
-            at += every_s * rng.uniform(0.8, 1.2)
-        return total
-
-    return tilt
-
-
-def settling(amplitude: float, tau_s: float) -> Tilt:
-    """Return a tripod that settles by this angle, rad."""
-
-    def tilt(t: FloatArray, rng: np.random.Generator) -> FloatArray:
-        return np.outer(-amplitude * np.expm1(-t / tau_s), _direction(rng))
-
-    return tilt
-
-
-def creeping(amplitude: float, tau_s: float) -> Tilt:
-    """Return a tripod that creeps by the logarithm of time; `amplitude` rad at ten minutes."""
-
-    def tilt(t: FloatArray, rng: np.random.Generator) -> FloatArray:
-        return np.outer(amplitude * np.log1p(t / tau_s) / math.log1p(600.0 / tau_s), _direction(rng))
-
-    return tilt
-
-
-def together(*parts: Tilt) -> Tilt:
-    """Return the sum of motions."""
-    return lambda t, rng: np.sum([part(t, rng) for part in parts], axis=0)
 
 
 MICRO = 1e-6
@@ -177,55 +129,146 @@ SCENES = (
     Scene("bias of 3 °/h, not declared", SITE_ARW, bias_deg_per_h=3.0),
     Scene("bias of 0.05 °/h, not declared", SITE_ARW, bias_deg_per_h=0.05),
     Scene("flicker of 0.01 °/h", SITE_ARW, flicker_deg_per_h=0.01),
+    Scene("bias of 3 °/h of the gyro that points east", SITE_ARW, east_bias_deg_per_h=3.0),
+    Scene("sway 2000 µrad at 0.01 Hz", SITE_ARW, sway(2000 * MICRO, 0.01)),
+    Scene("sway 50 µrad at 0.01 Hz", SITE_ARW, sway(50 * MICRO, 0.01)),
+    Scene("sway 500 µrad at 0.02 Hz, noise of the paper", PAPER_ARW, sway(500 * MICRO, 0.02)),
+    Scene("sway 50 µrad at 0.03 Hz, warm-up", SITE_ARW, sway(50 * MICRO, 0.03), (83.7, 150.0)),
+    Scene("sway 2000 µrad at 0.1 Hz", SITE_ARW, sway(2000 * MICRO, 0.1)),
+    Scene("sway 200 µrad at 0.08 Hz, 3 m above its pivot", SITE_ARW, sway(200 * MICRO, 0.08), lever_m=3.0),
+    Scene("sway 100 µrad at 4.3 Hz, 1 m above its pivot", SITE_ARW, sway(100 * MICRO, 4.3), lever_m=1.0),
+    Scene("sway 100 µrad at 0.06 Hz, dying in 40 s", SITE_ARW, sway(100 * MICRO, 0.06, 40.0)),
+    Scene("sway 100 µrad at 0.15 Hz, swelling", SITE_ARW, swelling(100 * MICRO, 0.15)),
+    Scene("sway 100 µrad at 0.15 Hz, its frequency ±10 %", SITE_ARW, sway(100 * MICRO, 0.15, modulation=0.1)),
+    Scene(
+        "sway 100 µrad at 0.04 Hz and 30 µrad at 0.11 Hz",
+        SITE_ARW,
+        together(sway(100 * MICRO, 0.04), sway(30 * MICRO, 0.11)),
+    ),
+    Scene(
+        "sway 100 µrad at 0.05 Hz, settling 100 µrad, 200 s",
+        SITE_ARW,
+        together(sway(100 * MICRO, 0.05), settling(100 * MICRO, 200.0)),
+    ),
+    Scene("wind, 50 µrad at 0.03 Hz", SITE_ARW, wind(50 * MICRO, 0.03, 0.2)),
+    Scene("wind, 10 µrad at 0.01 Hz", SITE_ARW, wind(10 * MICRO, 0.01, 0.5)),
+    Scene("footsteps of 200 µrad every 5 s", SITE_ARW, footsteps(200 * MICRO, 5.0)),
+    Scene("footsteps of 100 µrad every 0.5 s", SITE_ARW, footsteps(100 * MICRO, 0.5)),
+    Scene("footsteps of 100 µrad every 20 s", SITE_ARW, footsteps(100 * MICRO, 20.0)),
+    Scene("lorries, 30 µrad every 40 s", SITE_ARW, lorry(30 * MICRO, 40.0)),
+    Scene("lorries, 5 µrad every 15 s", SITE_ARW, lorry(5 * MICRO, 15.0)),
+    Scene("settling 2000 µrad, 100 s", SITE_ARW, settling(2000 * MICRO, 100.0)),
+    Scene("settling 2000 µrad, 3000 s", SITE_ARW, settling(2000 * MICRO, 3000.0)),
+    Scene("settling 100 µrad, 5 s", SITE_ARW, settling(100 * MICRO, 5.0)),
+    Scene("settling 10 µrad, 30 s", SITE_ARW, settling(10 * MICRO, 30.0)),
+    Scene("settling 100 µrad, 100 s, tactical", TACTICAL_ARW, settling(100 * MICRO, 100.0)),
+    Scene("quiet, accelerometers ten times as noisy", SITE_ARW, vrw=10 * VRW),
+    Scene(
+        "sway 200 µrad at 0.05 Hz, accelerometers ten times as noisy",
+        SITE_ARW,
+        sway(200 * MICRO, 0.05),
+        vrw=10 * VRW,
+    ),
+    Scene("sway 200 µrad at 0.05 Hz, tactical", TACTICAL_ARW, sway(200 * MICRO, 0.05)),
+    Scene(
+        "settling 50 µrad, 100 s, accelerometers of a tenth of the noise",
+        SITE_ARW,
+        settling(50 * MICRO, 100.0),
+        vrw=VRW / 10,
+    ),
+    Scene("accelerometers that jump by 30 µg", SITE_ARW, steps_ug=30.0),
+    Scene("gyros of a tenth of the noise", SITE_ARW / 10),
+    Scene(
+        "at 0°, any attitude, 10 Hz, sway 20 µrad at 0.2 Hz",
+        SITE_ARW,
+        sway(20 * MICRO, 0.2),
+        latitude_deg=0.0,
+        rate_hz=10.0,
+        any_attitude=True,
+    ),
+    Scene(
+        "at 60°, any attitude, settling 50 µrad, 60 s",
+        SITE_ARW,
+        settling(50 * MICRO, 60.0),
+        latitude_deg=60.0,
+        any_attitude=True,
+    ),
+    Scene(
+        "at -75°, any attitude, sway 100 µrad at 0.05 Hz",
+        SITE_ARW,
+        sway(100 * MICRO, 0.05),
+        latitude_deg=-75.0,
+        any_attitude=True,
+    ),
+    Scene("at 80°, quiet, 200 Hz", SITE_ARW, latitude_deg=80.0, rate_hz=200.0),
 )
 
 
 @dataclass(frozen=True)
 class Record:
-    """What the unit sent, and its heading, rad."""
+    """What the unit sent, its heading, rad, and its gyros in level axes forward and right, (n, 2)."""
 
     block: SampleBlock
     heading: float
+    level_rate: FloatArray
 
 
 def record(scene: Scene, seconds: float, seed: int) -> Record:
-    """Return a seeded record of a level unit in forward-right-down axes."""
+    """Return a seeded record of a unit; it is level, in forward-right-down axes, if not in any attitude."""
     rng = np.random.default_rng([seed, sum(map(ord, scene.name))])
-    n, step = round(seconds * RATE_HZ), 1.0 / RATE_HZ
-    t, heading, latitude = step * np.arange(n), rng.uniform(0.0, 2.0 * math.pi), math.radians(LATITUDE_DEG)
-    earth = EARTH_RATE * np.array(
-        [math.cos(latitude) * math.cos(heading), -math.cos(latitude) * math.sin(heading), -math.sin(latitude)]
-    )
-    gyro: FloatArray = earth + rng.normal(size=(n, 3)) * math.radians(scene.arw) / 60.0 * math.sqrt(RATE_HZ)
+    n, heading = round(seconds * scene.rate_hz), rng.uniform(0.0, 2.0 * math.pi)
+    gyro, accel = _at_rest(scene, n, heading, rng)
+    if scene.tilt is not None:
+        step = 1.0 / scene.rate_hz
+        angle = scene.tilt(np.asarray(step * np.arange(n), np.float64), rng)
+        gyro[1:, :2] += np.diff(angle, axis=0) / step
+        # Turned by a about its axes, the body sees the vector f as f - a x f; above its pivot, it swings.
+        swing = scene.lever_m * np.gradient(np.gradient(angle, step, axis=0), step, axis=0)
+        seen = angle * STANDARD_GRAVITY + swing
+        accel[:, 0] += seen[:, 1]
+        accel[:, 1] -= seen[:, 0]
+    level = gyro[:, :2].copy()
+    if scene.any_attitude:
+        body = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+        body *= np.linalg.det(body)
+        gyro, accel = gyro @ body.T, accel @ body.T
+        ahead = body.T @ forward(body @ np.array([0.0, 0.0, -1.0]))
+        heading += math.atan2(ahead[1], ahead[0])
+        level = level @ np.array([[ahead[0], -ahead[1]], [ahead[1], ahead[0]]])
+    columns = {f"gyro_{a}": gyro[:, j].copy() for j, a in enumerate("xyz")}
+    columns |= {f"accel_{a}": accel[:, j].copy() for j, a in enumerate("xyz")}
+    time_ns = (np.arange(n) * (1e9 / scene.rate_hz)).astype(np.int64)
+    block = SampleBlock({"device_time_ns": time_ns, "segment": np.zeros(n, np.int64), **columns})
+    return Record(block, heading, level)
+
+
+def _at_rest(scene: Scene, n: int, heading: float, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+    """Return what gyros and accelerometers of a level unit at rest send, (n, 3) each."""
+    step, latitude = 1.0 / scene.rate_hz, math.radians(scene.latitude_deg)
+    north = np.array([math.cos(heading), -math.sin(heading), 0.0])
+    east = np.array([math.sin(heading), math.cos(heading), 0.0])
+    down = np.array([0.0, 0.0, 1.0])
+    gyro = rng.normal(size=(n, 3)) * math.radians(scene.arw) / 60.0 / math.sqrt(step)
+    gyro += EARTH_RATE * (math.cos(latitude) * north - math.sin(latitude) * down)
     gyro += scene.bias_deg_per_h * DEG_PER_H * rng.choice([-1.0, 1.0], 3)
+    gyro += scene.east_bias_deg_per_h * DEG_PER_H * rng.choice([-1.0, 1.0]) * east
     if scene.flicker_deg_per_h:
         from scipy.signal import lfilter
 
         keep = math.exp(-step / 100.0)
         noise = rng.normal(size=(n, 3)) * math.sqrt(1.0 - keep**2)
         noise[0] = rng.normal(size=3)
-        gyro += np.asarray(scene.flicker_deg_per_h * DEG_PER_H * lfilter([1.0], [1.0, -keep], noise, axis=0))
-    accel = np.array([0.0, 0.0, -STANDARD_GRAVITY]) + rng.normal(size=(n, 3)) * VRW * math.sqrt(RATE_HZ)
+        gyro += scene.flicker_deg_per_h * DEG_PER_H * np.asarray(lfilter([1.0], [1.0, -keep], noise, axis=0))
+    accel = rng.normal(size=(n, 3)) * scene.vrw / math.sqrt(step) - STANDARD_GRAVITY * down
     amplitude, tau = scene.warm_up
-    drift: FloatArray = -amplitude * MICRO_G * np.expm1(-t / tau)
-    accel[:, :2] += drift[:, None]
-    if scene.tilt is not None:
-        angle = scene.tilt(np.asarray(t, np.float64), rng)
-        gyro[1:, :2] += np.diff(angle, axis=0) / step
-        # Turned by a about its axes, the body sees the vector f as f - a x f.
-        accel[:, 0] += angle[:, 1] * STANDARD_GRAVITY
-        accel[:, 1] -= angle[:, 0] * STANDARD_GRAVITY
-    columns = {f"gyro_{a}": gyro[:, j].copy() for j, a in enumerate("xyz")}
-    columns |= {f"accel_{a}": accel[:, j].copy() for j, a in enumerate("xyz")}
-    time = {
-        "device_time_ns": (np.arange(n) * (1e9 * step)).astype(np.int64),
-        "segment": np.zeros(n, np.int64),
-    }
-    return Record(SampleBlock({**time, **columns}), heading)
+    accel[:, :2] -= amplitude * MICRO_G * np.expm1(-step * np.arange(n) / tau)[:, None]
+    if scene.steps_ug:
+        jumps = rng.normal(size=(n, 2)) * (rng.uniform(size=(n, 2)) < step / 100.0)
+        accel[:, :2] += scene.steps_ug * MICRO_G * np.cumsum(jumps, axis=0)
+    return gyro, accel
 
 
-def mean_heading(block: SampleBlock, rows: int, weights: Callable[..., Any]) -> float:
-    """Return the heading, rad, of the weighted mean of the first rows of the gyros of a level unit."""
-    w = weights(rows)
-    x, y = (float(w @ block[f"gyro_{axis}"][:rows]) for axis in "xy")
+def mean_heading(rate: FloatArray, weights: Callable[[int], FloatArray]) -> float:
+    """Return the heading, rad, of the weighted mean of gyros, (n, 2), forward and right."""
+    x, y = weights(len(rate)) @ rate
     return math.atan2(-y, x)

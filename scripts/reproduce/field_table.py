@@ -11,7 +11,7 @@ from itertools import islice
 from pathlib import Path
 
 import numpy as np
-from alignment_site import outcome
+from alignment_site import AT_S, outcome
 from alignment_site_scenes import SCENES as SITES
 from bias_race_runners import DEFAULTS, Run
 from bias_sigma_records import RATE_HZ, simulate
@@ -168,13 +168,13 @@ def two_states(readings: FloatArray, dt: float, kind: Kind) -> FloatArray:
 
 
 def north_rows(seeds: range) -> Iterator[Row]:
-    """Sites that sway, are walked upon and settle: the heading after 60 and 600 s."""
+    """Sites that sway, are walked upon and settle: the heading after 20, 60 and 600 s."""
     for scene in SITES:
-        found = np.array([outcome(scene, seed) for seed in seeds])
-        for k, name in enumerate(("60 s", "600 s")):
+        found = np.array([outcome(scene, seed)[0] for seed in seeds])
+        for k, second in enumerate(AT_S):
             error, sd, plain, hann = found[:, k].T
             peers = {"plain mean": rms(plain), "Hann mean": rms(hann)}
-            yield Row("north", f"{scene.name}, {name}", "°", rms(error), error / sd, peers)
+            yield Row("north", f"{scene.name}, {second} s", "°", rms(error), error / sd, peers)
 
 
 def bias_rows(seeds: range) -> Iterator[Row]:

@@ -19,7 +19,7 @@ from imumon.estimation.alignment.status import Estimate
 from imumon.geodesy import DEG_PER_H, EARTH_RATE, MICRO_G, STANDARD_GRAVITY, forward
 
 SLOT_S = 0.25
-RENEWED_SHARE, RENEWED_S = 0.25, (1.0, 30.0)
+RENEWED_SHARE, RENEWED_S = 0.25, (1.0, 60.0)
 """A fit is renewed after this share of the time that counts, sigma falling by a tenth; between these, s."""
 LONGEST_S = 120.0
 """After a longer disturbance, or a gap of a quarter of it, the alignment begins anew: an attitude that was
@@ -38,6 +38,11 @@ LEAST_ARW, LARGEST_TYPICAL = math.radians(0.002) / 60.0, EARTH_RATE
 SIZES = np.linspace(-4.0, 12.0, 17)
 """Logarithms of the sizes thought of, over the typical one: up to 200 °/h of the best gyros."""
 LARGER = int(np.sum(SIZES > 0.0))
+WORSE = np.exp([2.0, 4.0, 6.0, 8.0])
+SOME = np.array([[True, False, False], [False, True, False], [False, False, True]])
+SOME = np.concatenate([SOME, ~SOME])
+SINGLY = 0.01
+"""Gyros that may be worse than the others, by which factors, and the probability of that."""
 UNLIKE = 0.02
 """Probability that a gyro is worse than its class, by any factor, as one that is not calibrated: so little
 that it costs nothing where the rates agree with the class, and where they do not, they decide."""
@@ -281,15 +286,23 @@ class Aligner:
         return math.hypot(warm.amplitude_sd_ug, relative * max(map(abs, warm.amplitude_ug))) * 1e-6
 
     def _bias_prior(self, arw: float) -> tuple[FloatArray, FloatArray]:
-        """Return sizes of the bias that are thought of, rad/s, and the logarithms of their probabilities."""
+        """Return sizes of biases that are thought of, rad/s, (s, 3), and the logs of their probabilities.
+
+        All gyros are of a class, or all are worse, or one or two of them.
+        """
         typical = min(TYPICAL_BIAS * (max(arw, LEAST_ARW) / TYPICAL_ARW) ** BIAS_POWER, LARGEST_TYPICAL)
         declared = self.parameters.gyro_bias_sd_deg_per_h
         if declared is None:
-            return typical * np.exp(SIZES), np.log(
-                (1.0 - UNLIKE) * _normal(SIZES) + UNLIKE * (SIZES > 0.0) / LARGER
+            sizes = typical * np.exp(SIZES)
+            some = np.where(SOME, (typical * WORSE)[:, None, None], typical).reshape(-1, 3)
+            alike = (1.0 - UNLIKE - SINGLY) * _normal(SIZES) + UNLIKE * (SIZES > 0.0) / LARGER
+            return np.concatenate([np.tile(sizes[:, None], (1, 3)), some]), np.log(
+                np.concatenate([alike, np.full(len(some), SINGLY / len(some))])
             )
-        sizes = np.r_[declared * DEG_PER_H, max(typical, declared * DEG_PER_H) * np.exp(SIZES[SIZES > 0.0])]
-        return sizes, np.log(np.r_[DECLARED, np.full(LARGER, (1.0 - DECLARED) / LARGER)])
+        worse = max(typical, declared * DEG_PER_H) * np.exp(SIZES[SIZES > 0.0])
+        sizes = np.r_[declared * DEG_PER_H, worse]
+        probability = np.r_[DECLARED, np.full(LARGER, (1.0 - DECLARED) / LARGER)]
+        return np.tile(sizes[:, None], (1, 3)), np.log(probability)
 
     def _means(self) -> None:
         """Renew the plain and the Hann-weighted mean of the gyros in the pose of now."""

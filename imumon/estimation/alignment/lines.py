@@ -12,9 +12,9 @@ LARGEST = 3
 """Lines that are taken off."""
 LEAST_ROWS = 48
 """Twelve seconds: a line needs some periods."""
-LOWEST_CYCLES = 2
-"""A line of fewer periods in the record is no line, but a drift; and with so few less than two rows to a
-period, sine and cosine are one."""
+LOWEST_CYCLES = 5
+"""A line of fewer periods in the record is no line, but one of the slow sways; and with so few less than two
+rows to a period, sine and cosine are one."""
 PADDED = 2
 OUTSTANDING = 30.0
 """Power of a line over the median: exp(-30 ln 2 / 2) of four values per cell in 1024 cells is 0.1 %."""

@@ -19,6 +19,8 @@ RENEWED = 0.25
 """They are taken anew after this share of these slots."""
 LEAST = 8
 """Slots, 2 s, after which a unit is taken to rest, at the start and after a disturbance."""
+PATIENT = 40
+"""Slots, 10 s, after which it is taken to rest though it trembles more than before, as when people walk."""
 LIMIT = 7.0
 """Standard deviations: less than once a year for Gaussian means of six channels in slots of 1/4 s."""
 FINEST = np.array([2e-8, 2e-8, 2e-8, 2e-4, 2e-4, 2e-4])
@@ -77,6 +79,8 @@ class Motion:
         Those of the disturbance.
     calm : int
         How many of the last of them may be a new rest.
+    still : int
+        How many of the last of them were as usual.
     base : array (3,)
         Rate at the last rest, rad/s.
     level : array (3,)
@@ -90,6 +94,7 @@ class Motion:
     recent: FloatArray = field(default_factory=lambda: np.zeros((0, 2, 6)))
     passed: list[Slot] = field(default_factory=list)
     calm: int = 0
+    still: int = 0
     base: FloatArray | None = None
     level: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
     turned: FloatArray = field(default_factory=lambda: np.eye(3))
@@ -152,7 +157,7 @@ class Motion:
         self.base = np.median(self.recent[:, 0, :3], axis=0) if len(self.recent) else None
         self.disturbed, self.cause, self.begun_s = True, cause, slot.time_s - 0.5 * slot.length_s
         self.turned, self.last, self.angle = np.eye(3), np.zeros(3), 0.0
-        self.passed, self.calm = [], 0
+        self.passed, self.calm, self.still = [], 0, 0
 
     def follow(self, slot: Slot) -> None:
         """Follow the unit through a disturbed slot."""
@@ -167,11 +172,15 @@ class Motion:
         self.last = angle
         self.angle += math.sqrt(angle @ angle)
         self.calm = 0 if np.abs(rate).max() > TURNING else self.calm + 1
+        trembles = bool((np.abs(rate) > self.usual().limit[0, :3]).any())
+        self.still = 0 if trembles else self.still + 1
 
     @property
     def rested(self) -> bool:
         """Whether the calm has lasted."""
         if self.calm < LEAST or not self.passed[-1].at_rest:
+            return False
+        if self.base is not None and self.still < LEAST and self.calm < PATIENT:
             return False
         return float(np.std([slot.mean[:3] for slot in self.passed[-LEAST:]], axis=0).max()) < TURNING
 
@@ -184,11 +193,19 @@ class Motion:
     def returned(self) -> bool:
         """Whether the gyros saw no angle remain: then all of it may count, and nothing is lost."""
         seconds, known = self.seconds, max(len(self.recent), 1)
-        # Their noise over that time, and that of the rate at rest, a median.
-        noise = math.sqrt(self.passed[-1].length_s * seconds + math.pi / 2.0 * seconds**2 / known)
+        length_s = self.passed[-1].length_s
+        # By how much the angle wanders in such a time at rest, where the unit sways more than its noise says.
+        slots = min(len(self.passed), known // 2)
+        angle = length_s * np.cumsum(self.recent[:, 0, :3] - self.recent[:, 0, :3].mean(0), axis=0)
+        wandered = np.sqrt(np.mean((angle[slots:] - angle[: known - slots]) ** 2, axis=0))
+        # Of a longer time than was seen at rest, nothing is known but that.
+        wandered *= len(self.passed) / max(slots, 1)
+        noise = np.maximum(wandered, math.sqrt(length_s * seconds) * self.usual().spread[:3])
+        # The rate at rest is a median.
+        noise *= math.sqrt(1.0 + math.pi / 2.0 * seconds / (known * length_s))
         turn = self.turned - self.turned.T
         remains = 0.5 * np.abs([turn[2, 1], turn[0, 2], turn[1, 0]])
-        return bool((remains < REMAINS * noise * self.usual().spread[:3]).all())
+        return bool((remains < REMAINS * noise).all())
 
     def rest(self, same: bool) -> None:
         """End the disturbance; the unit stands as before, or in a new pose."""

@@ -12,12 +12,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imumon.blocks import FloatArray
-from imumon.estimation.alignment.fit import FINEST, PoseFit, prior
+from imumon.blocks import FloatArray, IntArray
+from imumon.estimation.alignment.fit import FINEST, PoseFit
 from imumon.geodesy import EARTH_RATE
 
 ROUNDS = 4
 """Gauss-Newton steps to the heading."""
+LIKELIEST = 24
+"""Hypotheses that are looked at; the others have lost by far."""
 FLAT = 1e-3
 """1/rad²: what is flatter knows no heading, and rounding may have made it so."""
 
@@ -30,8 +32,8 @@ class Place:
     ----------
     latitude : float
         rad.
-    bias_sds : array, (s,)
-        Standard deviations of a gyro's bias that are thought of, rad/s.
+    bias_sds : array, (s, 3)
+        Standard deviations of the gyros' biases that are thought of, body axes, rad/s.
     bias_log_prior : array, (s,)
     flicker : float
         Standard deviation by which a bias changes from pose to pose, rad/s.
@@ -61,7 +63,7 @@ class Heading:
     supposed_sd : float
         Posterior root mean square of the size of the bias, rad/s.
     tilting : float
-        Probability that the unit tilts.
+        Probability that the unit settles, or tilts ever farther.
     noise_sd : float
         What white noise alone leaves, rad.
     """
@@ -88,9 +90,12 @@ def heading(
         Of their angles about the vertical, rad².
     """
     poses, level = len(fits), EARTH_RATE * math.cos(place.latitude)
-    values = np.stack([fit.mean for fit in fits], 1)  # (h, p)
+    log_weight, which = _together(fits)
+    values = np.stack([fit.mean[k] for fit, k in zip(fits, which, strict=True)], 1)  # (h, p)
     common = FINEST**2 + place.flicker**2
-    spread = np.stack([fit.variance for fit in fits], 1) + common + level**2 * turn_variances
+    spread = np.stack([fit.variance[k] for fit, k in zip(fits, which, strict=True)], 1)
+    spread += common + level**2 * turn_variances
+    settles = np.max([fit.settles[k] for fit, k in zip(fits, which, strict=True)], axis=0)
     seen = np.concatenate(
         [values.real, values.imag, np.tile([fit.vertical for fit in fits], (len(values), 1))], 1
     )
@@ -105,7 +110,6 @@ def heading(
     forms, log_determinant = _without_bias(offered, noise, by_bias, place.bias_sds)
     start = math.atan2(*(float(x) for x in _first_guess(seen[0], noise[0], poses)))
     angle, misfit, curvature = _closest(forms, start)
-    log_weight = np.sum([fit.log_evidence for fit in fits], 0) + prior()
     logs = log_weight[:, None] + place.bias_log_prior - 0.5 * misfit
     logs -= 0.5 * log_determinant + 0.5 * np.log(curvature)
     probability = np.exp(logs - logs.max())
@@ -116,25 +120,36 @@ def heading(
     turned = (place.level_sd * math.tan(place.latitude)) ** 2 if abs(place.latitude) < 1.5 else math.inf
     white = 1.0 / float(np.sum(1.0 / spread[0])) / level**2
     by_size = probability.sum(0)
-    supposed = math.sqrt(float(by_size @ place.bias_sds**2))
+    supposed = math.sqrt(float(by_size @ np.mean(place.bias_sds**2, axis=1)))
     left_over = max(float(by_size @ (1.0 / curvature[0])) - white, 0.0)
     return Heading(
         centre,
         min(math.sqrt(variance + turned), math.pi / math.sqrt(3.0)),
         math.sqrt(left_over) * level,
         supposed,
-        1.0 - float(probability[0].sum()),
+        float(probability.sum(1) @ settles),
         math.sqrt(white),
     )
+
+
+def _together(fits: Sequence[PoseFit]) -> tuple[FloatArray, IntArray]:
+    """Return the likeliest hypotheses of all poses: log weight (h,), and which of each pose (p, h)."""
+    log_weight, which = np.zeros(1), np.zeros((0, 1), np.int64)
+    for fit in fits:
+        own = np.argsort(-fit.log_weight)[:LIKELIEST]
+        log_weight = (log_weight[:, None] + fit.log_weight[own]).ravel()
+        which = np.vstack([np.repeat(which, len(own), axis=1), np.tile(own, which.shape[1])])
+        best = np.argsort(-log_weight)[:LIKELIEST]
+        log_weight, which = log_weight[best], which[:, best]
+    return log_weight, which
 
 
 def _without_bias(
     columns: FloatArray, noise: FloatArray, by_bias: FloatArray, sizes: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return products of columns, weighted by noise and a bias of each size, and that log determinant.
+    """Return products of columns, weighted by noise and biases of each size, and that log determinant.
 
-    The covariance is D + s² A Aᵀ.  Its inverse is of rank three beside that of D (Woodbury), and in the axes
-    in which Aᵀ D⁻¹ A is diagonal, all sizes s cost one decomposition.
+    The covariance is D + A S² Aᵀ; its inverse is of rank three beside that of D (Woodbury).
 
     Parameters
     ----------
@@ -143,7 +158,8 @@ def _without_bias(
         Diagonal of D.
     by_bias : array, (n, 3)
         A.
-    sizes : array, (s,)
+    sizes : array, (s, 3)
+        Diagonals of S.
 
     Returns
     -------
@@ -151,14 +167,11 @@ def _without_bias(
     """
     weighted = columns / noise[..., None]
     own = weighted.transpose(0, 2, 1) @ columns
-    values, vectors = np.linalg.eigh((by_bias.T[None] / noise[:, None]) @ by_bias)
-    shared = vectors.transpose(0, 2, 1) @ (by_bias.T @ weighted)  # (h, 3, 3)
-    across = shared.transpose(0, 2, 1)
-    grown = 1.0 + sizes[:, None] ** 2 * values[:, None]  # (h, s, 3)
-    # What a bias of any size would leave, and what is left more because its size is limited.
-    unlimited = own - across @ (shared / values[..., None])
-    forms = unlimited[:, None] + across[:, None] @ (shared[:, None] / (grown * values[:, None])[..., None])
-    return forms, np.log(grown).sum(-1) + np.log(noise).sum(1)[:, None]
+    known = (by_bias.T[None] / noise[:, None]) @ by_bias
+    shared = sizes[:, :, None] * (by_bias.T @ weighted)[:, None]  # (h, s, 3, 3)
+    grown = np.eye(3) + sizes[:, :, None] * known[:, None] * sizes[:, None, :]
+    forms = own[:, None] - shared.swapaxes(-1, -2) @ np.linalg.solve(grown, shared)
+    return forms, np.log(np.linalg.det(grown)) + np.log(noise).sum(1)[:, None]
 
 
 def _closest(forms: FloatArray, start: float) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -24,6 +24,12 @@ def rows(status: Status, wanted_deg: float) -> dict[str, str]:
             f"noise {_short(status.arw / DEG_PER_SQRT_H)} °/√h, "
             f"σ of a horizontal bias {_short(status.bias_sd / DEG_PER_H)} °/h"
         )
+    if status.shown is not None and status.observable and not status.bias_declared and status.positions == 1:
+        holds = status.shown.sd * status.earth_rate / DEG_PER_H
+        told["condition"] = (
+            "the gyros' turn-on bias is not declared: sigma holds only if that of the one that points east "
+            f"is below {_short(holds)} °/h (gyro_bias_sd_deg_per_h; or --positions 2 removes it)"
+        )
     told["data"] = f"{status.time_s:.0f} of {status.seconds:.0f} s counted"
     if status.positions > 1:
         told["positions"] = f"{status.positions}, the last turned by {math.degrees(status.turned):.1f}°"

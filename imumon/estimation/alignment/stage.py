@@ -278,6 +278,7 @@ class Alignment:
             position_s=0.0 if last is None else last.seconds,
             position_sd=math.inf if last is None else math.sqrt(last.variance[0]) / aligner.level_rate,
             turned=turned,
+            bias_declared=self._parameters.gyro_bias_sd_deg_per_h is not None,
         )
 
     def _phase(self) -> str:
@@ -354,6 +355,11 @@ class Alignment:
             "heading not observable with this gyro: its bias is not small beside the earth's horizontal "
             f"rate of {level:.1f} °/h; a turn by half a circle, and a rest, tell them apart": status.phase
             == "not observable",
+            "alignment: the gyros' turn-on bias is not declared (gyro_bias_sd_deg_per_h): the sigma takes it "
+            f"for that of gyros of such noise; {0.01 * level:.2g} °/h more on a gyro that points east turn "
+            "the heading by 0.57°, unseen; a turn by half a circle and a rest take it off": (
+                status.phase in ("aligning", "settled") and not status.bias_declared and status.positions == 1
+            ),
             "alignment: the rates contradict the declared bias of the gyros, or the latitude is wrong": bool(
                 contradicted
             ),

@@ -63,6 +63,8 @@ class Status:
         What white noise leaves of this pose alone, rad.
     turned : float
         Angle about the vertical since the pose before, rad, clockwise; also while the unit is being turned.
+    bias_declared : bool
+        Whether the pipeline file says how large the gyros' biases are.
     """
 
     phase: str
@@ -89,6 +91,7 @@ class Status:
     position_s: float
     position_sd: float
     turned: float
+    bias_declared: bool
 
     @property
     def chosen(self) -> str | None:

@@ -26,6 +26,8 @@ LEAST_ROWS = 4
 """The scatter of fewer means tells nothing."""
 TREND = (2.0, 8.0, 32.0, 128.0)
 """Time constants in a record of the exponentials that are no scatter: as a tripod settles."""
+CYCLES = 4
+"""Periods in a record of the fastest of the slow sways, which are fitted, and are no scatter either."""
 FLOOR = 1e-30
 
 
@@ -101,6 +103,12 @@ def trend(rows: int) -> FloatArray:
     return np.stack([np.ones(rows), *(np.exp(-rate * at) for rate in TREND)], 1)
 
 
+def slowly(rows: int) -> FloatArray:
+    """Return a trend and slow waves, which are no scatter either, (rows, 13)."""
+    at = (np.arange(rows) + 0.5) / rows
+    return np.concatenate([trend(rows), np.cos(math.pi * np.outer(at, np.arange(1, 2 * CYCLES + 1)))], 1)
+
+
 @lru_cache(maxsize=64)
 def bank(cells: int, hop: int) -> tuple[Windows, ...]:
     """Return sets of windows over cells, `hop` rows from one to the next, with ever wider edges."""
@@ -123,8 +131,9 @@ def _made(weights: FloatArray, beside: float) -> Windows:
     weights = np.add.reduceat(weights, np.arange(0, len(weights), together), axis=0)
     whole = weights.sum(0) / weights.sum()
     weights = weights / weights.sum(1, keepdims=True)
-    columns = 1 + min(2 * ((len(weights) - LEAST_ROWS) // LEAST_ROWS), len(TREND))
-    slow = np.linalg.qr(weights @ trend(weights.shape[1])[:, :columns])[0]
+    basis = slowly(weights.shape[1])
+    columns = 1 + min(2 * ((len(weights) - LEAST_ROWS) // LEAST_ROWS), basis.shape[1] - 1)
+    slow = np.linalg.qr(weights @ basis[:, :columns])[0]
     covariance = _noisy(weights, beside) @ weights.T
     expected = float(np.trace(covariance) - np.vdot(slow, covariance @ slow))
     return Windows(weights, covariance, slow, expected, float(_noisy(whole, beside) @ whole))

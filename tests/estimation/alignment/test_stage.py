@@ -8,6 +8,7 @@ import pytest
 
 from imumon.blocks import SampleBlock
 from imumon.estimation.alignment.parameters import AlignmentParameters
+from imumon.estimation.alignment.report import rows
 from imumon.estimation.alignment.stage import Alignment
 from tests.estimation.alignment.units import (
     INPUTS,
@@ -76,6 +77,24 @@ def test_a_declared_bias_counts_and_is_contradicted_when_it_is_too_small() -> No
     assert stage.status.shown.sd == pytest.approx(expected, rel=0.1)
 
 
+def test_a_bias_of_nothing_but_the_east_gyro_is_in_the_sigma_and_said() -> None:
+    block = samples(
+        scenario(90.0, attitude=(0.0, 0.0, 0.0), gyro_turn_on={"offset_deg_per_h": [0.0, 3.0, 0.0]})
+    )
+    stage, _ = aligned(block)
+    status = stage.status
+    error = 14.0 if status.shown is None or math.isnan(status.shown.heading) else 0.0
+    error = error or error_deg(status.shown.heading, 0.0)  # type: ignore[union-attr]  # shown, or 14
+    assert abs(error) > 10.0
+    assert status.shown is not None
+    assert abs(error) < 5.0 * math.degrees(status.shown.sd)
+    quiet, _ = aligned(samples(scenario(90.0)))
+    assert any("turn-on bias is not declared" in text for text in quiet.notices())
+    assert "sigma holds only if" in rows(quiet.status, 0.05)["condition"]
+    declared, _ = aligned(samples(scenario(90.0)), {"gyro_bias_sd_deg_per_h": 0.001})
+    assert "condition" not in rows(declared.status, 0.05)
+
+
 def test_a_knock_that_leaves_an_angle_is_left_out_and_said() -> None:
     slam = {**KNOCK, "frequency_hz": 15.0, "tilt_deg": [0.005, 0.005, 0.0]}
     block = samples(scenario(120.0, motion=[{**slam, "at_s": 70.0}]))
@@ -90,7 +109,8 @@ def test_a_knock_that_leaves_an_angle_is_left_out_and_said() -> None:
 
 
 def test_a_knock_that_leaves_no_angle_counts() -> None:
-    stage, _ = aligned(samples(scenario(120.0, motion=[{**KNOCK, "at_s": 70.0}])))
+    block = samples(scenario(120.0, motion=[{**KNOCK, "at_s": 70.0}]))
+    stage, _ = aligned(block, {"gyro_bias_sd_deg_per_h": 0.0})
     assert stage.notices() == []
     assert stage.status.time_s > 119.0
     assert stage.status.shown is not None

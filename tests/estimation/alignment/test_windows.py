@@ -78,7 +78,7 @@ def test_a_tripod_of_any_time_constant_is_followed(tau_s: float) -> None:
     edges = SLOT_S * np.arange(1201)
     found = fit_pose(_pose(300.0, -5e-4 * np.expm1(-edges / tau_s)))
     assert found is not None
-    best = int(np.argmax(found.log_evidence))
+    best = int(np.argmax(found.log_weight))
     assert best > 0
     assert abs(found.mean[best] - (5e-5 + 2e-5j)) < 4.0 * math.sqrt(found.variance[best])
-    assert math.sqrt(found.variance[best]) < 1e-7
+    assert math.sqrt(found.variance[best]) < 2e-7

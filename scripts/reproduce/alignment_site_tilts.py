@@ -1,0 +1,114 @@
+"""How a unit that should stand still moves: sway, wind, footsteps, a tripod that settles, a lorry."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from imumon.blocks import FloatArray
+
+Tilt = Callable[[FloatArray, np.random.Generator], FloatArray]
+"""From seconds (n,) to the angle about the body's level axes, rad, (n, 2)."""
+
+
+def _direction(rng: np.random.Generator) -> FloatArray:
+    angle = rng.uniform(0.0, 2.0 * math.pi)
+    return np.array([math.cos(angle), math.sin(angle)])
+
+
+def sway(amplitude: float, hertz: float, decay_s: float = math.inf, modulation: float = 0.0) -> Tilt:
+    """Return a sine of this amplitude, rad, in a random direction.
+
+    It may die away, and its frequency may swing by a share `modulation` of itself, eight times slower.
+    """
+
+    def tilt(t: FloatArray, rng: np.random.Generator) -> FloatArray:
+        phase = 2.0 * math.pi * hertz * t + rng.uniform(0.0, 2.0 * math.pi)
+        phase += 8.0 * modulation * np.sin(phase / 8.0)
+        return np.outer(amplitude * np.exp(-t / decay_s) * np.sin(phase), _direction(rng))
+
+    return tilt
+
+
+def swelling(amplitude: float, hertz: float) -> Tilt:
+    """Return a sway whose amplitude swells and falls, eight times slower than it sways."""
+
+    def tilt(t: FloatArray, rng: np.random.Generator) -> FloatArray:
+        swell = 0.5 + 0.5 * np.sin(2.0 * math.pi * hertz / 8.0 * t + rng.uniform(0.0, 2.0 * math.pi))
+        return np.asarray(sway(amplitude, hertz)(t, rng) * swell[:, None])
+
+    return tilt
+
+
+def lorry(amplitude: float, every_s: float) -> Tilt:
+    """Return lorries that pass: the ground leans and comes back within some 6 s, and trembles at 8 Hz."""
+
+    def tilt(t: FloatArray, rng: np.random.Generator) -> FloatArray:
+        total = np.zeros((len(t), 2))
+        at = rng.uniform(0.0, every_s)
+        while at < t[-1]:
+            near = np.exp(-0.5 * ((t - at) / 1.5) ** 2)
+            total += amplitude * np.outer(near * (1.0 + 0.3 * np.sin(16.0 * math.pi * t)), _direction(rng))
+            at += every_s * rng.uniform(0.5, 1.5)
+        return total
+
+    return tilt
+
+
+def wind(amplitude: float, hertz: float, damping: float) -> Tilt:
+    """Return a resonance driven by noise, of this standard deviation, rad, about each level axis."""
+
+    def tilt(t: FloatArray, rng: np.random.Generator) -> FloatArray:
+        from scipy.signal import lfilter
+
+        step, w = float(t[1] - t[0]), 2.0 * math.pi * hertz
+        radius, angle = math.exp(-damping * w * step), w * step * math.sqrt(1.0 - damping**2)
+        driven = lfilter(
+            [1.0], [1.0, -2.0 * radius * math.cos(angle), radius**2], rng.normal(size=(len(t), 2)), axis=0
+        )
+        return np.asarray(amplitude * driven / driven.std())
+
+    return tilt
+
+
+def footsteps(amplitude: float, every_s: float) -> Tilt:
+    """Return short swings of the ground, rad, at 5 Hz, gone after half a second."""
+
+    def tilt(t: FloatArray, rng: np.random.Generator) -> FloatArray:
+        total = np.zeros((len(t), 2))
+        at = rng.uniform(0.0, every_s)
+        while at < t[-1]:
+            since = t - at
+            swing = np.where(
+                since > 0.0, np.sin(10.0 * math.pi * since) * np.exp(-np.maximum(since, 0.0) / 0.15), 0.0
+            )
+            total += amplitude * np.outer(swing, _direction(rng))
+            at += every_s * rng.uniform(0.8, 1.2)
+        return total
+
+    return tilt
+
+
+def settling(amplitude: float, tau_s: float) -> Tilt:
+    """Return a tripod that settles by this angle, rad."""
+
+    def tilt(t: FloatArray, rng: np.random.Generator) -> FloatArray:
+        return np.outer(-amplitude * np.expm1(-t / tau_s), _direction(rng))
+
+    return tilt
+
+
+def creeping(amplitude: float, tau_s: float) -> Tilt:
+    """Return a tripod that creeps by the logarithm of time; `amplitude` rad at ten minutes."""
+
+    def tilt(t: FloatArray, rng: np.random.Generator) -> FloatArray:
+        return np.outer(amplitude * np.log1p(t / tau_s) / math.log1p(600.0 / tau_s), _direction(rng))
+
+    return tilt
+
+
+def together(*parts: Tilt) -> Tilt:
+    """Return the sum of motions."""
+    return lambda t, rng: np.sum([part(t, rng) for part in parts], axis=0)
