@@ -7,12 +7,11 @@ import math
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.charts import BLUE, GREEN, GREY, ORANGE, RED, Axis, Chart, Curve
+from imumon.charts import GREEN, GREY, ORANGE, RED, Axis, Chart, Curve
 from imumon.estimation.alignment.status import Status, instead
 
 PLACE = "Alignment"
 ESTIMATOR_COLORS = {"joint": GREEN, "gyro_mean": RED, "hann_mean": ORANGE}
-_AXES = (("forward", RED), ("left", BLUE))
 
 
 def heading_text(status: Status) -> str:
@@ -78,13 +77,3 @@ def progress(status: Status, time_s: FloatArray, sd: FloatArray, wanted_deg: flo
     x, y = Axis("observed time [s]", log=True), Axis("σ [°]", log=True)
     text = to_go_text(status, wanted_deg)
     return Chart("alignment_progress", PLACE, "Sigma of the heading shown", x, y, curves, headline=text)
-
-
-def levels(time_s: FloatArray, angles: FloatArray) -> Chart:
-    """Return the specific force along the level axes, (n, 2) in g, since the first pose's was level."""
-    curves = tuple(
-        Curve(name, time_s, 1e6 * angles[:, axis], color, points=True, width=3.0)
-        for axis, (name, color) in enumerate(_AXES)
-    )
-    x, y = Axis("observed time [s]"), Axis("specific force [µg]")
-    return Chart("alignment_level", PLACE, "Level: drift of the accelerometers, or a tilt", x, y, curves)

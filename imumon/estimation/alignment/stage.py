@@ -70,7 +70,7 @@ class Alignment:
         self._yaw = math.nan
         self._origin_ns = self._last_ns = self._segment = 0
         self._said: set[str] = set()
-        self._points: list[tuple[float, float, float, float]] = []
+        self._points: list[tuple[float, float]] = []
         self._spacing = 1.0
         self._added = [column.name for column in self.columns]
         self._last = np.full(len(self._added), np.nan)
@@ -208,8 +208,7 @@ class Alignment:
         if self._points and time_s < self._points[-1][0]:
             self._points, self._spacing = [], 1.0
         if not self._points or time_s >= self._points[-1][0] + self._spacing:
-            level = state.attitude @ state.motion.level
-            self._points.append((time_s, self._aligner.heading_sd, *(level[:2] / level[2]).tolist()))
+            self._points.append((time_s, self._aligner.heading_sd))
         if len(self._points) > POINTS:
             self._points, self._spacing = self._points[::2], 2.0 * self._spacing
 
@@ -318,7 +317,7 @@ class Alignment:
         return {"alignment": phase, "heading by": shown}
 
     def charts(self) -> Sequence[Chart]:
-        """Return the estimators beside each other, the sigma on its way, and the level."""
+        """Return the estimators beside each other, and the sigma on its way."""
         if len(self._points) < 2 or self._aligner.state.found is None:
             return []
         status, points = self.status, np.array(self._points)
@@ -326,7 +325,6 @@ class Alignment:
         return [
             charting.headings(status),
             charting.progress(status, points[:, 0], points[:, 1], wanted),
-            charting.levels(points[:, 0], points[:, 2:4]),
         ]
 
     def notices(self) -> list[str]:

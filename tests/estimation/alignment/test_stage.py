@@ -184,16 +184,15 @@ def test_charts_and_lanes_say_where_it_stands() -> None:
     stage, block = Alignment(AlignmentParameters(), 36.0), samples(scenario(90.0))
     in_pieces(stage, block, range(1000, len(block), 1000))
     assert stage.lanes() == {"alignment": "settled", "heading by": "joint fit"}
-    headings, progress, level = stage.charts()
+    headings, progress = stage.charts()
     assert [curve.name for curve in headings.curves] == ["joint", "gyro mean", "hann mean"]
     shown = stage.status.shown
     assert shown is not None
-    assert f"{math.degrees(shown.heading):.3f}°" in headings.x.label
-    assert progress.x.label.endswith("settled")
+    assert f"{math.degrees(shown.heading):.3f}°" in headings.headline
+    assert progress.headline == "settled"
     sigma, wanted = progress.curves
     assert sigma.y[-1] == pytest.approx(math.degrees(stage.status.shown.sd), rel=0.05)  # type: ignore[union-attr]  # it is settled
     assert (wanted.y == 0.05).all()
-    assert [curve.name for curve in level.curves] == ["forward", "left"]
 
 
 def test_without_an_observable_heading_the_chart_shows_what_the_device_says_as_such() -> None:
@@ -201,7 +200,7 @@ def test_without_an_observable_heading_the_chart_shows_what_the_device_says_as_s
     stage, _ = aligned(block.with_columns({"yaw": np.full(len(block), math.radians(-100.0))}))
     # One block gives one point only; the chart needs a second.
     stage.process(samples(scenario(110.0, arw=MEMS_ARW, rate_hz=50.0)).rows(5000, 5500))
-    text = stage.charts()[0].x.label
+    text = stage.charts()[0].headline
     assert "heading not observable with this gyro; shown instead: the device's own yaw 260.0°" in text
     assert stage.lanes() == {
         "alignment": "not observable with this gyro", "heading by": "the device's own yaw",
