@@ -93,6 +93,19 @@ def warn(texts: Iterable[str]) -> None:
         say("WARN", text)
 
 
+def warn_of_no_display(view: str | None) -> None:
+    """Say that no window can be opened, where one is asked for."""
+    from imumon.view.viewer import has_display
+
+    if view == "native" and not has_display():
+        warn(
+            [
+                "--view native: there is no display here, so no window opens; --view web shows the run in a"
+                " browser, monitor --view terminal where it runs"
+            ]
+        )
+
+
 def print_rows(rows: Mapping[str, str]) -> None:
     """Write labelled lines on standard error."""
     width = max(map(len, rows), default=0)

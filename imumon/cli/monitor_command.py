@@ -22,6 +22,7 @@ from imumon.cli.common import (
     note,
     print_json,
     print_rows,
+    warn_of_no_display,
     window_option,
 )
 from imumon.cli.live_run import PortRun
@@ -78,6 +79,7 @@ def command(
             "--view terminal: standard error is no terminal",
             "run it in a terminal, or use --view web or none",
         )
+    warn_of_no_display(view)
     live = PortRun(port, device, baud, make_setup(options), out, seconds)
     run = live.run
     views: _Views | None = None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Unpack
@@ -14,10 +15,12 @@ from imumon.cli.common import (
     bind_option,
     columns_option,
     json_option,
+    note,
     print_json,
     print_rows,
     split_columns,
     warn,
+    warn_of_no_display,
     window_option,
 )
 from imumon.cli.setup_options import SetupOptions, make_setup, setup_options
@@ -29,7 +32,10 @@ if TYPE_CHECKING:
     from imumon.recordings.folder import Session
     from imumon.recordings.source import Source
     from imumon.view.items import ViewSetup
+    from imumon.view.publisher import ViewPublisher
 
+STARTING_S = 10.0
+"""How long a view may take until it has an address."""
 CLOSE_S = 5.0
 """How long the view may take to show the last samples of a replay."""
 VERDICT = {
@@ -90,7 +96,9 @@ def command(
     if view != "none":
         from imumon.view.publisher import ViewPublisher
 
+        warn_of_no_display(view)
         publisher = ViewPublisher(view, _shown(source, opened, pipeline, window), bind=bind).start()
+        _announce(publisher)
         card = {"session": str(session), "replay": "as fast as it goes" if pace is None else f"{pace:g} x"}
         narrator = Narrator(pipeline, None, [publisher.publish], lambda *_: None, card, session)
     blocks = _digested(replay(source.items, pipeline, narrator, pace), pipeline, digest)
@@ -100,6 +108,8 @@ def command(
         else:
             chosen = split_columns(columns)
             rows, tables = export_run(blocks, pipeline, out, chosen, lambda: source.columns(pipeline))
+        if publisher is not None and view == "web":
+            _serve(publisher)
     finally:
         if publisher is not None:
             publisher.close(CLOSE_S)
@@ -114,6 +124,24 @@ def command(
     said = {"samples": f"{rows:,}, {VERDICT[identical]}", "losses": describe_losses(pipeline.counters)}
     print_rows(said | describe_streams(pipeline.counters, tables) | _smoothing(disagreement))
     return EXIT_OK
+
+
+def _announce(publisher: ViewPublisher) -> None:
+    """Say where the view is, before what it shows is over."""
+    end = time.monotonic() + STARTING_S
+    while not publisher.url and time.monotonic() < end:
+        time.sleep(0.05)
+    note(f"view: {publisher.url or publisher.state}")
+
+
+def _serve(publisher: ViewPublisher) -> None:
+    """Keep the page until Ctrl-C: the servers end with this command."""
+    from imumon.cli.live_run import Ending
+
+    note(f"all is shown; {publisher.url} stays until Ctrl-C")
+    ending = Ending(None)
+    while ending.wait():
+        pass
 
 
 def _warn(source: Source, pipeline: Pipeline, session: Path, identical: bool | None) -> None:

@@ -296,6 +296,7 @@ def view_setup(
         units=units,
         z_down=metadata.axes == "FRD",
         window_s=window_s,
+        first_tab="Replay" if replay else "Live",
         properties={"device": metadata.device, "session": str(session.path), **port},
     )
 

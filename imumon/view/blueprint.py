@@ -74,7 +74,7 @@ def blueprint(setup: ViewSetup, contents: Contents, timeline: str, *, live: bool
     views[OTHER_TAB] = [
         series_view(paths[0], title, slow, others=paths[1:]) for title, paths in contents.others
     ]
-    first = _first_tab(FIRST if live else "Recording", views, window, contents)
+    first = _first_tab(setup.first_tab if live else "Recording", views, window, contents)
     tabs = [_tab(place, views[place], contents) for place in views if tab_of(place) != FIRST and views[place]]
     return rrb.Blueprint(
         rrb.Tabs(first, *tabs, active_tab=0),

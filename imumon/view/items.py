@@ -168,6 +168,8 @@ class ViewSetup:
         True for a device with FRD axes, whose reference frame has z down.
     window_s : float
         Seconds that the live strips show.
+    first_tab : str
+        What the first tab is called while the data comes.
     properties : mapping of str to str
         What else describes the session: device, port, rate.
     """
@@ -177,6 +179,7 @@ class ViewSetup:
     units: Mapping[str, str] = field(default_factory=dict)
     z_down: bool = False
     window_s: float = 15.0
+    first_tab: str = "Live"
     properties: Mapping[str, str] = field(default_factory=dict)
 
 

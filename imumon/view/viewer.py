@@ -38,8 +38,13 @@ class Answer(Enum):
 
 def default_mode() -> Mode:
     """Return "native" where a window can be opened, otherwise "web"."""
+    return "native" if has_display() else "web"
+
+
+def has_display() -> bool:
+    """Tell whether a window can be opened here."""
     display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-    return "native" if display or sys.platform in ("darwin", "win32") else "web"
+    return bool(display) or sys.platform in ("darwin", "win32")
 
 
 def viewer_binary() -> Path:

@@ -1,0 +1,52 @@
+"""A recording shown again: in a browser until Ctrl-C, and what is said where no window can open."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import urllib.request
+from pathlib import Path
+
+import pytest
+
+from tests.cli.command import IMUMON, imumon
+
+
+@pytest.fixture
+def session(tmp_path: Path) -> Path:
+    folder = tmp_path / "session"
+    assert imumon("simulate", "bench", "--out", folder, "--duration", 3).returncode == 0
+    return folder
+
+
+def test_a_replay_in_the_browser_serves_until_it_is_interrupted(session: Path) -> None:
+    process = subprocess.Popen(
+        [IMUMON, "replay", str(session), "--view", "web", "--speed", "max", "--json"],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    assert process.stderr is not None
+    said = ""
+    for line in process.stderr:
+        said += line
+        if "until Ctrl-C" in line:
+            break
+    address = re.search(r"http://127\.0\.0\.1:\d+\S*", said)
+    assert address, said
+    with urllib.request.urlopen(address[0], timeout=10) as page:
+        assert page.status == 200
+    process.send_signal(signal.SIGINT)
+    out, rest = process.communicate(timeout=30)
+    assert process.returncode == 0, rest
+    assert '"rows": 300' in out
+
+
+def test_without_a_display_a_native_view_says_so(session: Path) -> None:
+    environment = {name: value for name, value in os.environ.items() if "DISPLAY" not in name}
+    done = subprocess.run(
+        [IMUMON, "replay", str(session), "--view", "native", "--speed", "max"],
+        env=environment, capture_output=True, text=True, check=False, timeout=60,
+    )  # fmt: skip
+    assert "there is no display here" in done.stderr
+    assert "300" in done.stderr
