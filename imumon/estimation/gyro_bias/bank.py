@@ -23,8 +23,8 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.estimation.gyro_bias import steps
-from imumon.estimation.gyro_bias.law import mixture
-from imumon.estimation.gyro_bias.steps import ROTATION, SLOPE, STATES, TAUS_S, WALK
+from imumon.estimation.gyro_bias.law import TERMS
+from imumon.estimation.gyro_bias.steps import ROTATION, SLOPE, STATES, TAUS_S, VELOCITY, WALK
 from imumon.filters.noise import flicker_sd
 
 SENSITIVITY = slice(steps.SENSITIVITY, STATES)
@@ -46,6 +46,8 @@ UNKNOWN_ROTATION = 0.01
 SLOPE_PER_NOISE = 3.6
 """Standard deviation of a slope before any measurement, per °C and sqrt(s), over the angular random walk:
 what is noisy drifts with temperature as well.  60 °/h/°C at 0.28 °/√h."""
+LEAST_WEIGHT = 1e-30
+"""What no filter's weight falls below: a weight of zero could not be divided by."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,6 +130,16 @@ class Bank:
     covariance: FloatArray
     weight: FloatArray
 
+    @property
+    def in_a_row(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Means, covariances and weights of all filters, (n, states), (n, states, states) and (n,)."""
+        n, states = self.weight.size, self.mean.shape[-1]
+        return (
+            self.mean.reshape(n, states),
+            self.covariance.reshape(n, states, states),
+            self.weight.reshape(n),
+        )
+
 
 def start(family: Family, variants: int, white: FloatArray) -> Bank:
     """Return a bank that knows nothing; `white` (3,) is the angular random walk, rad/sqrt(s)."""
@@ -201,8 +213,13 @@ def wander(
     growth : array (3,)
         What an unknown or doubtful temperature adds to the variance of the bias, (rad/s)².
     """
-    unit2 = bank.family.unit2(white)
-    steps.wander(bank.mean, bank.covariance, bank.family.strength2, unit2, dt, warming, travel, growth)
+    mean, covariance, _ = bank.in_a_row
+    decay, fresh = np.ones(mean.shape[1]), np.full(1 + len(TAUS_S), dt)
+    decay[WALK + 1 : SLOPE] = [math.exp(-dt / tau) for tau in TAUS_S]
+    fresh[1:] = [-math.expm1(-2.0 * dt / tau) for tau in TAUS_S]
+    process = bank.family.strength2 * bank.family.unit2(white)[:, np.newaxis, np.newaxis] * fresh
+    filters = bank.family.filters
+    steps.wander(mean, covariance, decay, process, filters, dt, warming, travel, growth)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -242,10 +259,12 @@ def bias_row(bank: Bank, force: FloatArray) -> FloatArray:
 
 def integrate(bank: Bank, slot: AtRest) -> None:
     """Integrate the rotation over a slot; `take` accepts what the zero velocity at its end says."""
+    mean, covariance, _ = bank.in_a_row
     steps.integrate(
-        bank.mean,
-        bank.covariance,
+        mean,
+        covariance,
         bias_row(bank, slot.force),
+        bank.family.filters,
         slot.dt,
         slot.rate,
         slot.tilt,
@@ -264,7 +283,12 @@ def look(bank: Bank, slot: AtRest) -> tuple[FloatArray, FloatArray]:
     surprise : array
         The least squared normalised innovation: that of the most tolerant filter.
     """
-    return steps.look(bank.mean, bank.covariance, bank.weight, slot.still2)
+    velocity = bank.mean[..., VELOCITY]
+    square = velocity * velocity
+    variance = bank.covariance[..., VELOCITY, VELOCITY] + slot.still2[:, np.newaxis]
+    first = (bank.weight * velocity).sum(-1)
+    second = (bank.weight * (square + variance)).sum(-1)
+    return first / np.sqrt(second - first * first), (square / variance).min(-1)
 
 
 def disagreement(bank: Bank, slot: AtRest) -> FloatArray:
@@ -280,8 +304,21 @@ def take(bank: Bank, slot: AtRest) -> FloatArray:
     How sensitive to the specific force a unit is holds for its three axes together: a group has one
     probability, to which the evidence of all axes is multiplied.
     """
-    groups = len(bank.family.sensitivity_sd)
-    return steps.take(bank.mean, bank.covariance, bank.weight, slot.still2, groups)
+    mean, covariance, _ = bank.in_a_row
+    density = np.empty_like(bank.weight)
+    steps.correct(mean, covariance, bank.family.filters, slot.still2, density.reshape(-1))
+    most = density.max(-1, keepdims=True)
+    groups = (*bank.weight.shape[:2], len(bank.family.sensitivity_sd), len(bank.family.prior))
+    weight = bank.weight.reshape(groups)
+    before = weight.sum(-1)
+    weight *= np.exp(density - most).reshape(groups)
+    share = np.maximum(weight.sum(-1), LEAST_WEIGHT)
+    evidence = np.log(share / before).sum(1) + np.log(before[:, 0])
+    together = np.exp(evidence - evidence.max(-1, keepdims=True))
+    together /= together.sum(-1, keepdims=True)
+    weight *= (np.maximum(together, LEAST_WEIGHT)[:, np.newaxis] / share)[..., np.newaxis]
+    np.maximum(weight, LEAST_WEIGHT, out=weight)
+    return np.asarray(most[..., 0] + np.log(share.sum(-1)))
 
 
 def mix(bank: Bank, dt: float) -> None:
@@ -294,7 +331,8 @@ def mix(bank: Bank, dt: float) -> None:
     family = bank.family
     if len(family.prior) > 1:
         stay = math.exp(-dt / DWELL_S)
-        steps.mix(bank.mean, bank.covariance, bank.weight, (1.0 - stay) * family.prior, stay)
+        room = np.empty(bank.mean.shape[-1]), np.empty(bank.covariance.shape[-2:])
+        steps.mix(*bank.in_a_row, (1.0 - stay) * family.prior, stay, *room)
 
 
 def law(bank: Bank, family: Family) -> tuple[FloatArray, FloatArray]:
@@ -302,5 +340,20 @@ def law(bank: Bank, family: Family) -> tuple[FloatArray, FloatArray]:
 
     The terms are those of `law.Law`.  Before the pose has changed, `family` says what the sensitivities are.
     """
-    unseen2 = float(family.sensitivity_sd @ family.sensitivity_sd) / len(family.sensitivity_sd)
-    return mixture(bank.mean, bank.covariance, bank.weight, unseen2)
+    states = bank.mean.shape[-1]
+    terms = np.zeros((TERMS, STATES))
+    terms[0, WALK:SLOPE] = 1.0
+    terms[1:, SLOPE:] = np.eye(TERMS - 1)
+    terms = terms[:, :states]
+    value = bank.mean @ terms.T
+    share = bank.weight[..., np.newaxis, :]
+    mean = (share @ value)[..., 0, :]
+    of_all = share @ bank.covariance.reshape(*bank.weight.shape, states * states)
+    off = value - mean[..., np.newaxis, :]
+    within = terms @ of_all.reshape(*bank.weight.shape[:2], states, states) @ terms.T
+    covariance = within + (off * bank.weight[..., np.newaxis]).swapaxes(-1, -2) @ off
+    if states < STATES:
+        unseen = np.arange(2, TERMS)
+        unseen2 = family.sensitivity_sd @ family.sensitivity_sd / len(family.sensitivity_sd)
+        covariance[..., unseen, unseen] = unseen2
+    return mean, covariance

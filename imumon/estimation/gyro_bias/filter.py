@@ -14,7 +14,6 @@ import numpy as np
 import numpy.typing as npt
 
 from imumon.blocks import FloatArray
-from imumon.compiled import njit
 from imumon.estimation.gyro_bias import bank as filters
 from imumon.estimation.gyro_bias.attitude import Attitude, Place, Turn, turned_earth
 from imumon.estimation.gyro_bias.bank import AtRest, Bank, Family
@@ -373,18 +372,15 @@ def _filter_again(state: State, params: Params) -> None:
     _show(state, params, state.first[-1].slot)
 
 
-@njit
 def _changes(noted: FloatArray, now: FloatArray, least: float) -> FloatArray:
     """Return by how much each has changed since it was noted, if by `least`, and note it; NaN is no change.
 
     What comes late counts from where it came.
     """
-    changes = np.zeros(3)
-    for j in range(3):
-        if not abs(now[j] - noted[j]) < least:
-            changes[j] = now[j] - noted[j] if np.isfinite(now[j] - noted[j]) else 0.0
-            noted[j] = now[j] if np.isfinite(now[j]) else noted[j]
-    return changes
+    change = now - noted
+    counts = ~(np.abs(change) < least)
+    noted[counts & np.isfinite(now)] = now[counts & np.isfinite(now)]
+    return np.where(counts & np.isfinite(change), change, 0.0)
 
 
 def _coast(state: State, params: Params, noise: Noise, slot: Slot) -> None:
