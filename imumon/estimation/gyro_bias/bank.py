@@ -24,7 +24,7 @@ import numpy as np
 from imumon.blocks import FloatArray
 from imumon.estimation.gyro_bias import steps
 from imumon.estimation.gyro_bias.law import TERMS
-from imumon.estimation.gyro_bias.steps import ROTATION, SLOPE, STATES, TAUS_S, VELOCITY, WALK
+from imumon.estimation.gyro_bias.steps import ROTATION, SLOPE, STATES, TAUS_S, WALK
 from imumon.filters.noise import flicker_sd
 
 SENSITIVITY = slice(steps.SENSITIVITY, STATES)
@@ -46,8 +46,6 @@ UNKNOWN_ROTATION = 0.01
 SLOPE_PER_NOISE = 3.6
 """Standard deviation of a slope before any measurement, per °C and sqrt(s), over the angular random walk:
 what is noisy drifts with temperature as well.  60 °/h/°C at 0.28 °/√h."""
-LEAST_WEIGHT = 1e-30
-"""What no filter's weight falls below: a weight of zero could not be divided by."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -214,12 +212,9 @@ def wander(
         What an unknown or doubtful temperature adds to the variance of the bias, (rad/s)².
     """
     mean, covariance, _ = bank.in_a_row
-    decay, fresh = np.ones(mean.shape[1]), np.full(1 + len(TAUS_S), dt)
-    decay[WALK + 1 : SLOPE] = [math.exp(-dt / tau) for tau in TAUS_S]
-    fresh[1:] = [-math.expm1(-2.0 * dt / tau) for tau in TAUS_S]
-    process = bank.family.strength2 * bank.family.unit2(white)[:, np.newaxis, np.newaxis] * fresh
-    filters = bank.family.filters
-    steps.wander(mean, covariance, decay, process, filters, dt, warming, travel, growth)
+    family = bank.family
+    unit2 = family.unit2(white)
+    steps.wander(mean, covariance, family.filters, family.strength2, unit2, dt, warming, travel, growth)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -283,12 +278,12 @@ def look(bank: Bank, slot: AtRest) -> tuple[FloatArray, FloatArray]:
     surprise : array
         The least squared normalised innovation: that of the most tolerant filter.
     """
-    velocity = bank.mean[..., VELOCITY]
-    square = velocity * velocity
-    variance = bank.covariance[..., VELOCITY, VELOCITY] + slot.still2[:, np.newaxis]
-    first = (bank.weight * velocity).sum(-1)
-    second = (bank.weight * (square + variance)).sum(-1)
-    return first / np.sqrt(second - first * first), (square / variance).min(-1)
+    mean, covariance, _ = bank.in_a_row
+    rows = bank.weight.shape[:2]
+    whole, least = np.empty(rows), np.empty(rows)
+    weight = bank.weight.reshape(-1, bank.weight.shape[-1])
+    steps.look(mean, covariance, weight, slot.still2, whole.reshape(-1), least.reshape(-1))
+    return whole, least
 
 
 def disagreement(bank: Bank, slot: AtRest) -> FloatArray:
@@ -304,21 +299,14 @@ def take(bank: Bank, slot: AtRest) -> FloatArray:
     How sensitive to the specific force a unit is holds for its three axes together: a group has one
     probability, to which the evidence of all axes is multiplied.
     """
-    mean, covariance, _ = bank.in_a_row
-    density = np.empty_like(bank.weight)
-    steps.correct(mean, covariance, bank.family.filters, slot.still2, density.reshape(-1))
-    most = density.max(-1, keepdims=True)
-    groups = (*bank.weight.shape[:2], len(bank.family.sensitivity_sd), len(bank.family.prior))
-    weight = bank.weight.reshape(groups)
-    before = weight.sum(-1)
-    weight *= np.exp(density - most).reshape(groups)
-    share = np.maximum(weight.sum(-1), LEAST_WEIGHT)
-    evidence = np.log(share / before).sum(1) + np.log(before[:, 0])
-    together = np.exp(evidence - evidence.max(-1, keepdims=True))
-    together /= together.sum(-1, keepdims=True)
-    weight *= (np.maximum(together, LEAST_WEIGHT)[:, np.newaxis] / share)[..., np.newaxis]
-    np.maximum(weight, LEAST_WEIGHT, out=weight)
-    return np.asarray(most[..., 0] + np.log(share.sum(-1)))
+    mean, covariance, weight = bank.in_a_row
+    groups, wanders = len(bank.family.sensitivity_sd), len(bank.family.prior)
+    likelihood, total = np.empty(len(weight)), np.empty(bank.weight.shape[:2])
+    steps.correct(mean, covariance, groups * wanders, slot.still2, likelihood)
+    shape = (total.size, groups, wanders)
+    room = np.empty(shape[:2]), np.empty(groups)
+    steps.weigh(likelihood.reshape(shape), weight.reshape(shape), *room, total.reshape(-1))
+    return total
 
 
 def mix(bank: Bank, dt: float) -> None:

@@ -377,10 +377,12 @@ def _changes(noted: FloatArray, now: FloatArray, least: float) -> FloatArray:
 
     What comes late counts from where it came.
     """
-    change = now - noted
-    counts = ~(np.abs(change) < least)
-    noted[counts & np.isfinite(now)] = now[counts & np.isfinite(now)]
-    return np.where(counts & np.isfinite(change), change, 0.0)
+    changes = [0.0, 0.0, 0.0]
+    for j, (was, is_now) in enumerate(zip(noted.tolist(), now.tolist(), strict=True)):
+        if not abs(is_now - was) < least and math.isfinite(is_now):
+            changes[j] = is_now - was if math.isfinite(was) else 0.0
+            noted[j] = is_now
+    return np.array(changes)
 
 
 def _coast(state: State, params: Params, noise: Noise, slot: Slot) -> None:

@@ -20,6 +20,8 @@ from imumon.compiled import inner, njit
 
 ROTATION, VELOCITY, WALK, SLOPE, SENSITIVITY, STATES = 0, 1, 2, 6, 7, 10
 TAUS_S = np.array([10.0, 100.0, 1000.0])
+LEAST_WEIGHT = 1e-30
+"""What no filter's weight falls below: a weight of zero could not be divided by."""
 AXES = 3
 SLOPE_WALK = math.radians(0.02) / 3600.0
 """Random walk of the slope, rad/s/°C/sqrt(s)."""
@@ -31,9 +33,9 @@ CURVATURE_DEGC = 30.0
 def wander(
     mean: FloatArray,
     covariance: FloatArray,
-    decay: FloatArray,
-    process: FloatArray,
     filters: int,
+    strength2: FloatArray,
+    unit2: FloatArray,
     dt: float,
     warming: FloatArray,
     travel: FloatArray,
@@ -41,19 +43,25 @@ def wander(
 ) -> None:
     """Bring the biases `dt` seconds on, as of `bank.wander`.
 
-    `decay` (states,) is the diagonal of F, `process` (3, wanders, 4) the variance that the walk and the
-    processes receive; an axis has so many `filters`.
+    An axis has so many `filters`; `strength2` (3, wanders, 4) times `unit2` (3,) are K² and sd².
     """
+    decay, fresh = np.empty(mean.shape[1]), np.empty(strength2.shape[2])
+    for i in range(len(decay)):
+        decay[i] = 1.0
+    fresh[0] = dt
+    for i in range(len(TAUS_S)):
+        decay[WALK + 1 + i] = math.exp(-dt / TAUS_S[i])
+        fresh[1 + i] = -math.expm1(-2.0 * dt / TAUS_S[i])
     for k in range(len(mean)):
-        x, p, a, w = mean[k], covariance[k], k // filters % AXES, k % filters % process.shape[1]
+        x, p, a, w = mean[k], covariance[k], k // filters % AXES, k % filters % strength2.shape[1]
         for i in range(len(x)):
             x[i] *= decay[i]
             for j in range(len(x)):
                 p[i, j] *= decay[i] * decay[j]
         if k >= AXES * filters:
             _warm(x, p, dt, warming[a], travel[a])
-        for i in range(process.shape[2]):
-            p[WALK + i, WALK + i] += process[a, w, i]
+        for i in range(len(fresh)):
+            p[WALK + i, WALK + i] += strength2[a, w, i] * unit2[a] * fresh[i]
         p[WALK, WALK] += growth[a]
 
 
@@ -132,6 +140,74 @@ def correct(
 
 
 @njit
+def look(
+    mean: FloatArray,
+    covariance: FloatArray,
+    weight: FloatArray,
+    still2: FloatArray,
+    whole: FloatArray,
+    least: FloatArray,
+) -> None:
+    """Fill in what `bank.look` returns, (rows,) each; `weight` is (rows, filters)."""
+    rows, filters = weight.shape
+    for r in range(rows):
+        first = second = 0.0
+        least[r] = np.inf
+        for h in range(filters):
+            k = r * filters + h
+            velocity, variance = mean[k, VELOCITY], covariance[k, VELOCITY, VELOCITY] + still2[r % AXES]
+            first += weight[r, h] * velocity
+            second += weight[r, h] * (velocity * velocity + variance)
+            least[r] = min(least[r], velocity * velocity / variance)
+        whole[r] = first / math.sqrt(second - first * first)
+
+
+@njit
+def weigh(
+    likelihood: FloatArray, weight: FloatArray, share: FloatArray, common: FloatArray, total: FloatArray
+) -> None:
+    """Weigh the filters by the logarithms of their likelihoods, (rows, groups, wanders) as the weights are.
+
+    `total` (rows,) is filled with those of the whole; `share` (rows, groups) and `common` (groups,) are room
+    to work in.
+    """
+    rows, groups, wanders = weight.shape
+    for r in range(rows):
+        most, whole = -np.inf, 0.0
+        for g in range(groups):
+            for w in range(wanders):
+                most = max(most, likelihood[r, g, w])
+        for g in range(groups):
+            before = after = 0.0
+            for w in range(wanders):
+                before += weight[r, g, w]
+                weight[r, g, w] *= math.exp(likelihood[r, g, w] - most)
+                after += weight[r, g, w]
+            share[r, g] = max(after, LEAST_WEIGHT)
+            whole += share[r, g]
+            common[g] = math.log(share[r, g] / before) + (math.log(before) if r % AXES == 0 else common[g])
+        total[r] = most + math.log(whole)
+        if r % AXES == AXES - 1:
+            _make_common(r - AXES + 1, weight, share, common)
+
+
+@inner
+def _make_common(first: int, weight: FloatArray, share: FloatArray, common: FloatArray) -> None:
+    """Give the groups of three axes, from row `first` on, their probabilities; `common` are the logarithms."""
+    highest, whole = -np.inf, 0.0
+    for g in range(len(common)):
+        highest = max(highest, common[g])
+    for g in range(len(common)):
+        common[g] = math.exp(common[g] - highest)
+        whole += common[g]
+    for r in range(first, first + AXES):
+        for g in range(len(common)):
+            factor = max(common[g] / whole, LEAST_WEIGHT) / share[r, g]
+            for w in range(weight.shape[2]):
+                weight[r, g, w] = max(weight[r, g, w] * factor, LEAST_WEIGHT)
+
+
+@njit
 def mix(
     mean: FloatArray,
     covariance: FloatArray,
@@ -152,14 +228,18 @@ def mix(
             group += weight[h]
         for i in range(states):
             common[i] = 0.0
-            for h in range(first, first + len(arriving)):
-                common[i] += weight[h] / group * mean[h, i]
-        for i in range(states):
             for j in range(states):
                 cover[i, j] = 0.0
-                for h in range(first, first + len(arriving)):
+        for h in range(first, first + len(arriving)):
+            share = weight[h] / group
+            for i in range(states):
+                common[i] += share * mean[h, i]
+        for h in range(first, first + len(arriving)):
+            share = weight[h] / group
+            for i in range(states):
+                for j in range(states):
                     spread = (mean[h, i] - common[i]) * (mean[h, j] - common[j])
-                    cover[i, j] += weight[h] / group * (covariance[h, i, j] + spread)
+                    cover[i, j] += share * (covariance[h, i, j] + spread)
         for h in range(first, first + len(arriving)):
             after = stay * weight[h] / group + arriving[h - first]
             weight[h] = group * after
