@@ -195,7 +195,7 @@ def wander(
     white: FloatArray,
     dt: float,
     warming: FloatArray,
-    travel: FloatArray,
+    difference: FloatArray,
     growth: FloatArray,
 ) -> None:
     """Bring the biases `dt` seconds on.
@@ -206,15 +206,15 @@ def wander(
         Angular random walk, rad/sqrt(s).
     warming : array (3,)
         Change of the temperature, °C, for the variant that learns its slope.
-    travel : array (3,)
+    difference : array (3,)
         The same without the noise, as a distance: the slope is another at another temperature.
     growth : array (3,)
-        What an unknown or doubtful temperature adds to the variance of the bias, (rad/s)².
+        What an unknown or uncertain temperature adds to the variance of the bias, (rad/s)².
     """
     mean, covariance, _ = bank.in_a_row
     family = bank.family
     unit2 = family.unit2(white)
-    steps.wander(mean, covariance, family.filters, family.strength2, unit2, dt, warming, travel, growth)
+    steps.wander(mean, covariance, family.filters, family.strength2, unit2, dt, warming, difference, growth)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -110,7 +110,7 @@ class Slot:
     degc : array (3,)
         Temperature of each gyro; NaN without any.
     growth : array (3,)
-        What a doubtful temperature has added to the variance of the bias since the start, (rad/s)².
+        What an uncertain temperature has added to the variance of the bias since the start, (rad/s)².
     undecided : array (3,)
         A turn, rad/s, of which nobody knows whether it is a change of the bias, or, at rest, nobody knew
         until then; else 0.
@@ -389,9 +389,9 @@ def _coast(state: State, params: Params, noise: Noise, slot: Slot) -> None:
     """Bring the biases to the end of a slot, without a measurement."""
     assert state.bank is not None
     warming = _changes(state.at_degc, slot.degc, 0.0) if params.learns else _zero()
-    travel = np.abs(_changes(state.noted_degc, slot.degc, MOVED_DEGC)) if params.learns else _zero()
+    difference = np.abs(_changes(state.noted_degc, slot.degc, MOVED_DEGC)) if params.learns else _zero()
     dt, growth = slot.end_s - state.used_s, slot.growth - state.growth
-    filters.wander(state.bank, noise.rate, dt, warming, travel, growth)
+    filters.wander(state.bank, noise.rate, dt, warming, difference, growth)
     state.growth, state.used_s = slot.growth, slot.end_s
 
 
@@ -411,7 +411,7 @@ def _take(state: State, params: Params, bank: Bank, noise: Noise, reading: Readi
     """Take a slot into the bank; return the normalised innovations, (3,)."""
     slot, dt = reading.slot, reading.slot.dt
     _coast(state, params, noise, slot)
-    # Only at rest: nothing is learned of the bias while it moves, and doubts that only add up help nobody.
+    # Only at rest: nothing is learned of the bias while it moves, and variances that only add up help nobody.
     state.unmixed_s += dt
     if state.unmixed_s >= MIX_S:
         filters.mix(bank, state.unmixed_s)

@@ -38,7 +38,7 @@ def wander(
     unit2: FloatArray,
     dt: float,
     warming: FloatArray,
-    travel: FloatArray,
+    difference: FloatArray,
     growth: FloatArray,
 ) -> None:
     """Bring the biases `dt` seconds on, as of `bank.wander`.
@@ -59,14 +59,14 @@ def wander(
             for j in range(len(x)):
                 p[i, j] *= decay[i] * decay[j]
         if k >= AXES * filters:
-            _warm(x, p, dt, warming[a], travel[a])
+            _warm(x, p, dt, warming[a], difference[a])
         for i in range(len(fresh)):
             p[WALK + i, WALK + i] += strength2[a, w, i] * unit2[a] * fresh[i]
         p[WALK, WALK] += growth[a]
 
 
 @inner
-def _warm(x: FloatArray, p: FloatArray, dt: float, warming: float, travel: float) -> None:
+def _warm(x: FloatArray, p: FloatArray, dt: float, warming: float, difference: float) -> None:
     """Move the walk by the slope, and let the slope be another at another temperature."""
     walk = SLOPE_WALK**2 * dt
     square = x[SLOPE] ** 2 + p[SLOPE, SLOPE] + walk
@@ -75,7 +75,7 @@ def _warm(x: FloatArray, p: FloatArray, dt: float, warming: float, travel: float
         p[WALK, j] += warming * p[SLOPE, j]
     for j in range(len(x)):
         p[j, WALK] += warming * p[j, SLOPE]
-    p[SLOPE, SLOPE] += walk + square * travel / CURVATURE_DEGC
+    p[SLOPE, SLOPE] += walk + square * difference / CURVATURE_DEGC
 
 
 @njit
@@ -193,7 +193,7 @@ def weigh(
 
 @inner
 def _make_common(first: int, weight: FloatArray, share: FloatArray, common: FloatArray) -> None:
-    """Give the groups of three axes, from row `first` on, their probabilities; `common` are the logarithms."""
+    """Give the groups of three axes, from row `first` on, their probabilities: `common` are the logs."""
     highest, whole = -np.inf, 0.0
     for g in range(len(common)):
         highest = max(highest, common[g])

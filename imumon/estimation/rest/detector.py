@@ -46,7 +46,7 @@ def begin(state: State, now_s: float, other: bool) -> None:
     if state.at_rest:
         _leave(state, KNOCK, now_s)
     if other:
-        state.doubted_since_s = np.nan
+        state.undecided_since_s = np.nan
         state.anchors.clear()
         state.turn = np.zeros(3)
     state.ring_from = state.length
@@ -128,7 +128,7 @@ def _leave(state: State, motion: Motion, now_s: float) -> None:
     state.caution = 1.0 if long else min((1.0 if motion.sudden else 2.0) * state.caution, MOST_CAUTION)
     state.turning = motion.turning
     state.slow = state.turning or state.caution > 1.0
-    state.at_rest, state.doubted_since_s, state.steady = False, np.nan, np.full(AXES, np.nan)
+    state.at_rest, state.undecided_since_s, state.steady = False, np.nan, np.full(AXES, np.nan)
     state.ring_from = n
 
 
@@ -146,7 +146,7 @@ def _enter(state: State, mean: FloatArray, drift: FloatArray, turn: FloatArray, 
     state.windows.rest_mean[:], state.rest_since_s = mean, now_s
     state.at_rest, state.turn = True, turn
     if not turn.any():
-        state.doubted_since_s = np.nan
+        state.undecided_since_s = np.nan
     set_band(state.windows, drift)
 
 
@@ -174,10 +174,10 @@ def _judge(
             turn = np.zeros(3)
             explained = Explained.PLAINLY if said is Verdict.RESTS else Explained.NO
             state.turning &= said is not Verdict.RESTS
-        if np.isnan(state.doubted_since_s):
-            state.doubted_since_s = now_s
+        if np.isnan(state.undecided_since_s):
+            state.undecided_since_s = now_s
         if (
-            now_s - state.doubted_since_s >= parameters.doubt_s
+            now_s - state.undecided_since_s >= parameters.undecided_s
             and np.abs(turn).max() <= parameters.largest_jump
         ):
             return np.zeros(3), True
@@ -194,8 +194,8 @@ def _decide(state: State, parameters: RestParameters, now_s: float) -> None:
     if said is Verdict.TURNS:
         _leave(state, SLOWLY, now_s)
         _watch(state, now_s, 0.0)
-    elif said is Verdict.RESTS or now_s - state.doubted_since_s >= parameters.doubt_s:
-        state.turn, state.doubted_since_s = np.zeros(3), np.nan
+    elif said is Verdict.RESTS or now_s - state.undecided_since_s >= parameters.undecided_s:
+        state.turn, state.undecided_since_s = np.zeros(3), np.nan
 
 
 def _try(state: State, parameters: RestParameters, now_s: float) -> None:
@@ -206,7 +206,7 @@ def _try(state: State, parameters: RestParameters, now_s: float) -> None:
         return
     noise = look(state, parameters.drift)
     if noise is None:
-        state.doubted_since_s = np.nan
+        state.undecided_since_s = np.nan
         if state.at_rest:
             _leave(state, KNOCK, now_s)
             _watch(state, now_s, 0.0)
