@@ -90,6 +90,10 @@ class Family:
 
 
 NO_SENSITIVITY = np.zeros(1)
+_TERMS = np.zeros((TERMS, STATES))
+"""What makes the terms of a law of the states: the first sums the walk and the processes."""
+_TERMS[0, WALK:SLOPE] = 1.0
+_TERMS[1:, SLOPE:] = np.eye(TERMS - 1)
 
 
 def unknown_family(sensitivity_sd: FloatArray = NO_SENSITIVITY) -> Family:
@@ -328,18 +332,15 @@ def law(bank: Bank, family: Family) -> tuple[FloatArray, FloatArray]:
 
     The terms are those of `law.Law`.  Before the pose has changed, `family` says what the sensitivities are.
     """
-    states = bank.mean.shape[-1]
-    terms = np.zeros((TERMS, STATES))
-    terms[0, WALK:SLOPE] = 1.0
-    terms[1:, SLOPE:] = np.eye(TERMS - 1)
-    terms = terms[:, :states]
+    rows, states = bank.weight.shape[:2], bank.mean.shape[-1]
+    terms = _TERMS[:, :states]
     value = bank.mean @ terms.T
     share = bank.weight[..., np.newaxis, :]
-    mean = (share @ value)[..., 0, :]
-    of_all = share @ bank.covariance.reshape(*bank.weight.shape, states * states)
-    off = value - mean[..., np.newaxis, :]
-    within = terms @ of_all.reshape(*bank.weight.shape[:2], states, states) @ terms.T
-    covariance = within + (off * bank.weight[..., np.newaxis]).swapaxes(-1, -2) @ off
+    mean = share @ value
+    off = value - mean
+    of_all = (share @ bank.covariance.reshape(*bank.weight.shape, -1)).reshape(*rows, states, states)
+    covariance = terms @ of_all @ terms.T + (off.swapaxes(-1, -2) * share) @ off
+    mean = mean[..., 0, :]
     if states < STATES:
         unseen = np.arange(2, TERMS)
         unseen2 = family.sensitivity_sd @ family.sensitivity_sd / len(family.sensitivity_sd)
