@@ -18,6 +18,7 @@ import numba
 import numba.np.linalg
 import numpy as np
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
+from numba.extending import register_jitable
 
 from imumon.sources import stamp
 
@@ -47,13 +48,27 @@ def njit(function: F | None = None, **options: Any) -> F | Callable[[F], F]:
     """
     if function is None:
         return partial(njit, **options)
-    keep = options.pop("cache", True)
-    kernel: Any = numba.njit(**{"nogil": True, **options})(function)
-    if keep:
-        _modules.setdefault(function.__module__, False)
-        kernel._cache = _Cache(function)  # what numba's enable_caching does, with a cache of our own
+    kernel: Any = numba.njit(**{"nogil": True, "no_cfunc_wrapper": True, **options})(function)
+    _modules.setdefault(function.__module__, False)
+    kernel._cache = _Cache(function)  # what numba's enable_caching does, with a cache of our own
     compiled: F = kernel
     return compiled
+
+
+@overload
+def inner(function: F) -> F: ...
+@overload
+def inner(**options: Any) -> Callable[[F], F]: ...
+def inner(function: F | None = None, **options: Any) -> F | Callable[[F], F]:
+    """Let compiled functions call this one; called from Python it is the plain function that it was.
+
+    It is compiled as a part of the kernels that need it: without a way in from Python and a file of its own,
+    a function of ten lines takes half as long.
+    """
+    if function is None:
+        return partial(inner, **options)
+    part: F = register_jitable(no_cfunc_wrapper=True, **options)(function)
+    return part
 
 
 _TYPES = {

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from imumon.blocks import FloatArray, IntArray
-from imumon.compiled import njit
+from imumon.compiled import inner, njit
 
 
 def integrate(values: FloatArray, offset: float) -> FloatArray:
@@ -21,7 +21,7 @@ def integrate(values: FloatArray, offset: float) -> FloatArray:
     return total
 
 
-@njit(fastmath={"reassoc"})
+@inner(fastmath={"reassoc"})
 def _second_differences(x: FloatArray, start: int, stop: int, m: int) -> float:
     """Return the sum of squares of the second differences that begin at start..stop."""
     total = 0.0
@@ -31,7 +31,7 @@ def _second_differences(x: FloatArray, start: int, stop: int, m: int) -> float:
     return total
 
 
-@njit(fastmath={"reassoc"})
+@inner(fastmath={"reassoc"})
 def _all_runs(x: FloatArray, start: int, positions: int, m: int, window: float) -> tuple[float, float, float]:
     """Return the sums of squares of second differences, third differences, and windows of m of the second.
 

@@ -29,7 +29,7 @@ import numpy as np
 
 from imumon.blocks import NO_INT, IntArray, missing
 from imumon.clock.host import CRYSTAL_PPM
-from imumon.compiled import njit, record, records
+from imumon.compiled import inner, njit, record, records
 from imumon.errors import ImumonError, Reason
 from imumon.protocols.base import Timing
 
@@ -285,7 +285,7 @@ def _unwrap(
         segment[i] = state.segment
 
 
-@njit
+@inner
 def _best(
     sources: Sequence[_Source], state: _State, counter: int, ticks: int, arrival: int
 ) -> tuple[int, int]:
@@ -302,7 +302,7 @@ def _best(
     return NO_SOURCE, 0
 
 
-@njit
+@inner
 def _packets(state: _State, counter: int) -> int:
     """Return by how much the packet counter has advanced, modulo its range; 0 when it is not known."""
     if state.counter_modulus == 0 or counter == NO_INT or state.raw_counter == NO_INT:
@@ -310,7 +310,7 @@ def _packets(state: _State, counter: int) -> int:
     return int((counter - state.raw_counter) % state.counter_modulus)
 
 
-@njit
+@inner
 def _packets_in(source: _Source, state: _State, packets: int, counted: bool, step: int) -> int:
     """Return by how much the packet counter has advanced while the clock made `step`, or RESTART.
 
@@ -334,7 +334,7 @@ def _packets_in(source: _Source, state: _State, packets: int, counted: bool, ste
     return RESTART if held + packets > most else int(packets + max(rounds, 0) * modulus)
 
 
-@njit
+@inner
 def _learn_period(state: _State, elapsed: int) -> None:
     period = state.period
     if period == 0:
@@ -344,7 +344,7 @@ def _learn_period(state: _State, elapsed: int) -> None:
     state.period = max(period + min(max((elapsed - period) // PERIOD_MEMORY, -most), most), 1)
 
 
-@njit
+@inner
 def _ns(source: _Source, count: int) -> int:
     """Return counts in ns, rounded down, without the overflow that count * numerator might have."""
     whole = count // source.denominator
@@ -352,7 +352,7 @@ def _ns(source: _Source, count: int) -> int:
     return int(whole * source.numerator + part * source.numerator // source.denominator)
 
 
-@njit
+@inner
 def _step(source: _Source, state: _State, raw: int, arrival: int) -> int:
     """Return by how many counts the source has advanced, or RESTART."""
     step = raw - state.raw
@@ -380,7 +380,7 @@ def _step(source: _Source, state: _State, raw: int, arrival: int) -> int:
     return RESTART if max(step_ns - expected_ns, behind_ns) > SLACK_NS + tolerance_ns else int(step)
 
 
-@njit
+@inner
 def _begin(source: _Source, state: _State, number: int, raw: int, arrival: int) -> None:
     """Let device time begin at the raw count."""
     state.source = number
@@ -396,7 +396,7 @@ def _begin(source: _Source, state: _State, number: int, raw: int, arrival: int) 
     state.usual_delay = arrival - state.time if arrival != NO_INT else 0
 
 
-@njit
+@inner
 def _advance(source: _Source, state: _State, raw: int, step: int, arrival: int) -> None:
     """Move device time on, and with it the delay that is usual: down at once, up in ten seconds."""
     state.held = 0

@@ -22,7 +22,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from imumon.blocks import NO_INT, IntArray
-from imumon.compiled import njit, record, records
+from imumon.compiled import inner, njit, record, records
 
 BLOCK_NS = 30_000_000_000
 """The memory moves on in blocks of this length; each keeps its own hull, so that it can be forgotten."""
@@ -174,14 +174,14 @@ def _fit_samples(
         host[i] = time
 
 
-@njit
+@inner
 def _add(sums: _Fit | _Block, count: float, x: float, y: float) -> None:
     sums.count += count
     sums.sum_x += x
     sums.sum_y += y
 
 
-@njit
+@inner
 def _must_start(fit: _Fit, device: int, segment: int, arrival: int) -> bool:
     """Tell whether the fit so far says nothing about this sample: another segment, or a clock was set."""
     x = device - fit.x0
@@ -197,7 +197,7 @@ def _must_start(fit: _Fit, device: int, segment: int, arrival: int) -> bool:
     return bool(fit.far_since != NOT_FAR and x - fit.far_since > STEP_AFTER_NS)
 
 
-@njit
+@inner
 def _start(fit: _Fit, blocks: Sequence[_Block], device: int, segment: int, arrival: int) -> None:
     """Begin a fit with this sample as the origin; only the host time given out last is remembered."""
     if not fit.started:
@@ -215,13 +215,13 @@ def _start(fit: _Fit, blocks: Sequence[_Block], device: int, segment: int, arriv
         _empty(block)
 
 
-@njit
+@inner
 def _empty(sums: _Fit | _Block) -> None:
     sums.corners = 0
     sums.count = sums.sum_x = sums.sum_y = 0.0
 
 
-@njit
+@inner
 def _forget(fit: _Fit, blocks: Sequence[_Block], number: int) -> None:
     """Move on to the block `number`: drop the blocks that are too old, join the hulls of the others."""
     for new in range(max(fit.block + 1, number - BLOCKS + 1), number + 1):
@@ -236,7 +236,7 @@ def _forget(fit: _Fit, blocks: Sequence[_Block], number: int) -> None:
         _add(fit, block.count, block.sum_x, block.sum_y)
 
 
-@njit
+@inner
 def _push(hull: IntArray, size: int, x: int, y: int) -> int:
     """Add a point at the right of a lower hull and return the new size (Andrew's monotone chain)."""
     if size and hull[size - 1, 0] == x:
@@ -256,18 +256,18 @@ def _push(hull: IntArray, size: int, x: int, y: int) -> int:
     return size + 1
 
 
-@njit
+@inner
 def _is_below(a: IntArray, b: IntArray, x: int, y: int) -> bool:
     """Tell whether b lies below the line from a to (x, y).  Products in float64, as int64 would overflow."""
     return bool(float(b[1] - a[1]) * float(x - a[0]) < float(y - a[1]) * float(b[0] - a[0]))
 
 
-@njit
+@inner
 def _slope(hull: IntArray, k: int) -> float:
     return float((hull[k + 1, 1] - hull[k, 1]) / (hull[k + 1, 0] - hull[k, 0]))
 
 
-@njit
+@inner
 def _edge_at(hull: IntArray, last: int, k: int, x: float) -> int:
     """Return the edge over x, searching from k to the right; x only moves to the right, so this is quick."""
     k = min(k, last - 1)
@@ -276,7 +276,7 @@ def _edge_at(hull: IntArray, last: int, k: int, x: float) -> int:
     return k
 
 
-@njit
+@inner
 def _support(fit: _Fit, limit: float) -> None:
     """Choose the line: slope of the chord, drawn to zero while unsure, and the vertex it then touches."""
     hull, last = fit.hull, fit.corners - 1
@@ -303,7 +303,7 @@ def _support(fit: _Fit, limit: float) -> None:
     fit.slope = slope
 
 
-@njit
+@inner
 def _line(fit: _Fit, x: int) -> int:
     """Return the line at x, relative to y0, rounded down to ns."""
     vertex = fit.hull[fit.vertex]

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imumon.blocks import NO_INT, FloatArray, IntArray
-from imumon.compiled import njit
+from imumon.compiled import inner, njit
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -180,7 +180,7 @@ def held(row: IntArray, values: FloatArray, before: FloatArray, n: int) -> Float
 # Records are passed as whole arrays: arrays in a tuple would cost more than all the sums, at each call.
 
 
-@njit
+@inner
 def _begin(opened: Any, columns: Any, time_ns: int, length_ns: int) -> None:
     """Begin a slot with the row at this time, on the grid of its segment."""
     slot = opened[0]
@@ -193,7 +193,7 @@ def _begin(opened: Any, columns: Any, time_ns: int, length_ns: int) -> None:
         column.total = column.squares = column.step_squares = 0.0
 
 
-@njit
+@inner
 def _close(opened: Any, columns: Any, row: int, ended: Any, said: Any) -> None:
     """Write the slot into a row of the results."""
     slot = opened[0]
@@ -214,7 +214,7 @@ def _close(opened: Any, columns: Any, row: int, ended: Any, said: Any) -> None:
         out.first, out.last = column.first, column.last
 
 
-@njit
+@inner
 def _add(columns: Any, values: FloatArray, i: int) -> None:
     """Add a row; sums are taken from the slot's first value, so that a large mean costs no digits."""
     for j in range(len(columns)):

@@ -11,13 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from imumon.compiled import njit, record
+from imumon.compiled import inner, njit, record
 from imumon.protocols.stream import ByteArray
 
 WordArray = npt.NDArray[np.uint32]
 
-NONE, SUM8, SUM8_NEGATED, XOR8, SUM16, FLETCHER16, FLETCHER16_256, CRC_FORWARD, CRC_REFLECTED = range(9)
-WORDS_LITTLE, WORDS_BIG = 9, 10
+NONE, SUM, XOR, FLETCHER, CRC = range(5)
+"""How the bytes are put together."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,17 +32,17 @@ class Crc:
 
 
 SIMPLE = {
-    "none": (NONE, 0),
-    "sum8": (SUM8, 1),
-    "sum8-negated": (SUM8_NEGATED, 1),
-    "xor8": (XOR8, 1),
-    "sum16": (SUM16, 2),
-    "sum16-words-le": (WORDS_LITTLE, 2),
-    "sum16-words-be": (WORDS_BIG, 2),
-    "fletcher16": (FLETCHER16, 2),
-    "fletcher16-256": (FLETCHER16_256, 2),
+    "none": (NONE, 0, 0, 0),
+    "sum8": (SUM, 1, 1, 0),
+    "sum8-negated": (SUM, 1, -1, 0),
+    "xor8": (XOR, 1, 0, 0),
+    "sum16": (SUM, 2, 1, 0),
+    "sum16-words-le": (SUM, 2, 1, 255),
+    "sum16-words-be": (SUM, 2, 256, -255),
+    "fletcher16": (FLETCHER, 2, 255, 0),
+    "fletcher16-256": (FLETCHER, 2, 256, 0),
 }
-"""Kernel code and bytes by name.
+"""By name: how, bytes of the result, weight of every byte or modulus, and weight of each second byte on top.
 
 sum8-negated makes the sum of all bytes and the checksum zero.  sum16-words-* adds numbers of 16 bits, low
 (le) or high byte (be) first; a last byte alone has zero for the other.  fletcher16 is modulo 255 (RFC 1145,
@@ -69,17 +69,19 @@ CHECKSUM_NAMES = (*SIMPLE, *CRCS)
 
 
 class Checksum:
-    """A checksum ready for the kernels: code, width in bytes, and what a CRC needs.
+    """A checksum ready for the kernels: how, width in bytes, weights or modulus, and what a CRC needs.
 
-    A CRC runs in a 32-bit register, left-aligned when it is not reflected, so that one pair of loops does for
-    every width; `shift` brings the result down.
+    A CRC runs in a register of 32 bits of which the lowest byte meets the next byte of the data.  One that is
+    not reflected is kept with its bytes in reverse, so that one loop does for all; `turned` says so.
     """
 
-    code: int
+    how: int
     width: int
+    factor: int
+    second: int
     initial: int
     final_xor: int
-    shift: int
+    turned: int
     table: WordArray
 
 
@@ -87,15 +89,25 @@ def make_checksum(name: str) -> Checksum:
     """Return the checksum of this name (one of `CHECKSUM_NAMES`)."""
     check = record(Checksum, table=(8, 256))
     if name in SIMPLE:
-        check.code, check.width = SIMPLE[name]
+        check.how, check.width, check.factor, check.second = SIMPLE[name]
         return check
     crc = CRCS[name]
-    check.shift = 0 if crc.reflected else 32 - crc.width
-    check.initial = reversed_bits(crc.initial, crc.width) if crc.reflected else crc.initial << check.shift
-    check.code = CRC_REFLECTED if crc.reflected else CRC_FORWARD
-    check.width, check.final_xor = crc.width // 8, crc.final_xor
-    check.table[:] = crc_table(crc)
+    check.how, check.width, check.final_xor, check.turned = (
+        CRC,
+        crc.width // 8,
+        crc.final_xor,
+        not crc.reflected,
+    )
+    check.initial = _in_register(crc, crc.initial)
+    check.table[:] = _crc_table(crc)
     return check
+
+
+def _in_register(crc: Crc, value: int) -> int:
+    """Return a value of the catalogue as it is in the register."""
+    if crc.reflected:
+        return reversed_bits(value, crc.width)
+    return int.from_bytes(value.to_bytes(crc.width // 8, "big"), "little")
 
 
 def reversed_bits(value: int, width: int) -> int:
@@ -103,25 +115,25 @@ def reversed_bits(value: int, width: int) -> int:
     return int(f"{value:0{width}b}"[::-1], 2)
 
 
-def crc_table(crc: Crc) -> WordArray:
-    """Tables T[k][b]: the register after byte b and k zero bytes, started from zero."""
-    table = np.zeros((8, 256), np.uint32)
+def crc_of_bytes(crc: Crc) -> list[int]:
+    """Return the register after each byte, started from zero, its bits in the order of the catalogue."""
+    found = []
     for byte in range(256):
-        if crc.reflected:
-            polynomial, register = reversed_bits(crc.polynomial, crc.width), byte
-            for _ in range(8):
-                register = (register >> 1) ^ (polynomial if register & 1 else 0)
-        else:
-            polynomial, register = crc.polynomial << (32 - crc.width), byte << 24
-            for _ in range(8):
-                register = ((register << 1) & 0xFFFFFFFF) ^ (polynomial if register & 0x80000000 else 0)
-        table[0, byte] = register
-    for k in range(1, 8):
-        last = table[k - 1]
-        if crc.reflected:
-            table[k] = (last >> 8) ^ table[0, last & 0xFF]
-        else:
-            table[k] = (last << 8) ^ table[0, last >> 24]
+        register = reversed_bits(byte, 8) if crc.reflected else byte
+        register <<= crc.width - 8
+        for _ in range(8):
+            register = register << 1 ^ (crc.polynomial if register >> (crc.width - 1) & 1 else 0)
+            register &= (1 << crc.width) - 1
+        found.append(register)
+    return found
+
+
+def _crc_table(crc: Crc) -> WordArray:
+    """Tables T[k][b]: the register after byte b and 7 - k zero bytes, started from zero."""
+    table = np.zeros((8, 256), np.uint32)
+    table[7] = [_in_register(crc, register) for register in crc_of_bytes(crc)]
+    for k in range(6, -1, -1):
+        table[k] = table[k + 1] >> 8 ^ table[7, table[k + 1] & 0xFF]
     return table
 
 
@@ -132,89 +144,50 @@ def crc_table(crc: Crc) -> WordArray:
 @njit
 def checksum(check: Checksum, buf: ByteArray, start: int, stop: int) -> np.int64:
     """Compute a checksum over buf[start:stop]."""
-    code, table, initial = check.code, check.table, check.initial
-    first, last = np.uint64(start), np.uint64(stop)
-    if code in (FLETCHER16, FLETCHER16_256):
-        return np.int64(_fletcher(buf, first, last, 255 if code == FLETCHER16 else 256))
-    if code == CRC_FORWARD:
-        crc = _crc_forward(buf, first, last, table, initial) >> np.uint32(check.shift)
-        return np.int64(crc ^ np.uint32(check.final_xor))
-    if code == CRC_REFLECTED:
-        return np.int64(_crc_reflected(buf, first, last, table, initial) ^ np.uint32(check.final_xor))
-    if code == XOR8:
-        value = np.uint8(0)
-        for i in range(first, last):
-            value ^= buf[i]
-        return np.int64(value)
-    total = np.uint32(0)
-    if code in (WORDS_LITTLE, WORDS_BIG):
-        for i in range(first, last):
-            high = ((i - first) % np.uint64(2) == np.uint64(0)) == (code == WORDS_BIG)
-            total += np.uint32(buf[i]) << np.uint32(8 if high else 0)
-        return np.int64(total & np.uint32(0xFFFF))
-    for i in range(first, last):
-        total += np.uint32(buf[i])
-    if code == SUM16:
-        return np.int64(total & np.uint32(0xFFFF))
-    if code == SUM8_NEGATED:
-        return np.int64((np.uint32(0) - total) & np.uint32(0xFF))
-    return np.int64(total & np.uint32(0xFF))
+    if check.how == CRC:
+        return _crc(check, buf, start, stop)
+    if check.how == FLETCHER:
+        return _fletcher(buf, start, stop, check.factor)
+    first, total, second, all_bits = np.uint64(start), np.uint32(0), np.uint32(0), np.uint8(0)
+    for i in range(np.uint64(stop - start)):
+        byte = buf[first + i]
+        total += np.uint32(byte)
+        second += np.uint32(byte) * np.uint32(i & np.uint64(1))
+        all_bits ^= byte
+    if check.how == XOR:
+        return np.int64(all_bits)
+    return (check.factor * np.int64(total) + check.second * np.int64(second)) & ((1 << 8 * check.width) - 1)
 
 
-@njit
-def _fletcher(buf: ByteArray, first: np.uint64, last: np.uint64, modulus: int) -> np.int64:
+@inner
+def _fletcher(buf: ByteArray, start: int, stop: int, modulus: int) -> np.int64:
     """Both sums at once: the second is the sum of the bytes weighted by their distance to the end."""
-    low = np.uint32(0)
-    high = np.uint32(0)
-    for i in range(first, last):
+    last, low, high = np.uint64(stop), np.uint32(0), np.uint32(0)
+    for i in range(np.uint64(start), last):
         byte = np.uint32(buf[i])
         low += byte
         high += byte * np.uint32(last - i)
-    if modulus == 256:
-        return (np.int64(high & np.uint32(255)) << 8) | np.int64(low & np.uint32(255))
-    return (np.int64(high % np.uint32(255)) << 8) | np.int64(low % np.uint32(255))
+    return np.int64(high) % modulus << 8 | np.int64(low) % modulus
 
 
-@njit
-def _crc_forward(
-    buf: ByteArray, first: np.uint64, last: np.uint64, table: WordArray, initial: int
-) -> np.uint32:
-    crc = np.uint32(initial)
-    whole = first + (last - first) // np.uint64(8) * np.uint64(8)
-    for i in range(first, whole, np.uint64(8)):
-        a = np.uint32(buf[i]) ^ (crc >> np.uint32(24))
-        b = np.uint32(buf[i + np.uint64(1)]) ^ ((crc >> np.uint32(16)) & np.uint32(0xFF))
-        c = np.uint32(buf[i + np.uint64(2)]) ^ ((crc >> np.uint32(8)) & np.uint32(0xFF))
-        d = np.uint32(buf[i + np.uint64(3)]) ^ (crc & np.uint32(0xFF))
-        crc = table[7, a] ^ table[6, b] ^ table[5, c] ^ table[4, d] ^ _last_four(buf, np.uint64(i), table)
-    for i in range(whole, last):
-        crc = np.uint32(crc << np.uint32(8)) ^ table[0, np.uint32(crc >> np.uint32(24)) ^ np.uint32(buf[i])]
-    return crc
-
-
-@njit
-def _crc_reflected(
-    buf: ByteArray, first: np.uint64, last: np.uint64, table: WordArray, initial: int
-) -> np.uint32:
-    crc = np.uint32(initial)
-    whole = first + (last - first) // np.uint64(8) * np.uint64(8)
-    for i in range(first, whole, np.uint64(8)):
-        a = np.uint32(buf[i]) ^ (crc & np.uint32(0xFF))
-        b = np.uint32(buf[i + np.uint64(1)]) ^ ((crc >> np.uint32(8)) & np.uint32(0xFF))
-        c = np.uint32(buf[i + np.uint64(2)]) ^ ((crc >> np.uint32(16)) & np.uint32(0xFF))
-        d = np.uint32(buf[i + np.uint64(3)]) ^ (crc >> np.uint32(24))
-        crc = table[7, a] ^ table[6, b] ^ table[5, c] ^ table[4, d] ^ _last_four(buf, np.uint64(i), table)
-    for i in range(whole, last):
-        crc = np.uint32(crc >> np.uint32(8)) ^ table[0, (crc ^ np.uint32(buf[i])) & np.uint32(0xFF)]
-    return crc
-
-
-@njit
-def _last_four(buf: ByteArray, i: np.uint64, table: WordArray) -> np.uint32:
-    """Contribution of bytes 4 to 7 of eight, which the register does not reach."""
-    return np.uint32(
-        table[3, buf[i + np.uint64(4)]]
-        ^ table[2, buf[i + np.uint64(5)]]
-        ^ table[1, buf[i + np.uint64(6)]]
-        ^ table[0, buf[i + np.uint64(7)]]
-    )
+@inner
+def _crc(check: Checksum, buf: ByteArray, start: int, stop: int) -> np.int64:
+    """Eight bytes at a time; the register reaches the first four of them."""
+    crc, table, at = np.uint32(check.initial), check.table, np.uint64(start)
+    for _ in range((stop - start) // 8):
+        register, crc = crc, np.uint32(0)
+        for k in range(np.uint64(8)):
+            crc ^= table[k, np.uint32(buf[at + k]) ^ register & np.uint32(0xFF)]
+            register >>= np.uint32(8)
+        at += np.uint64(8)
+    for _ in range((stop - start) % 8):
+        crc = crc >> np.uint32(8) ^ table[7, crc & np.uint32(0xFF) ^ np.uint32(buf[at])]
+        at += np.uint64(1)
+    value = np.int64(crc)
+    if check.turned:
+        turned = np.int64(0)
+        for _ in range(check.width):
+            turned = turned << 8 | value & 0xFF
+            value >>= 8
+        value = turned
+    return value ^ check.final_xor

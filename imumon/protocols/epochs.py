@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imumon.blocks import NO_INT, ColumnArray, IntArray, SampleBlock, join, missing
-from imumon.compiled import alone, njit, record, records
+from imumon.compiled import alone, inner, njit, record, records
 from imumon.protocols.base import COMMON, Groups, Packets
 
 GENERATION = 32
@@ -364,14 +364,14 @@ def _assign(
                 _end(g, books)
 
 
-@njit
+@inner
 def _is_other(group: _Group, kind: int, key: int, own: int) -> bool:
     """Tell whether a packet cannot belong to the open epoch of its group: another time, or a field again."""
     other_time = kind != NO_TIME and (kind != group.key_kind or key != group.key)
     return bool(other_time or own & group.mask)
 
 
-@njit
+@inner
 def _add(g: int, row: int, kind: int, key: int, own: int, books: _Books) -> None:
     """Add a packet to its group's epoch, which it may begin."""
     group = books.groups[g]
@@ -387,7 +387,7 @@ def _add(g: int, row: int, kind: int, key: int, own: int, books: _Books) -> None
     _enter(g, row, own, books)
 
 
-@njit
+@inner
 def _pull(kind: int, key: int, books: _Books) -> None:
     """Take into the new main epoch what came before it with the same time."""
     entries, main = books.entries, books.groups[0]
@@ -402,7 +402,7 @@ def _pull(kind: int, key: int, books: _Books) -> None:
         group.epoch = 0
 
 
-@njit
+@inner
 def _enter(g: int, row: int, own: int, books: _Books) -> None:
     """Enter a packet into the open epoch, and end that when it has all that it may have."""
     group, counts = books.groups[g], books.counts[0]
@@ -415,7 +415,7 @@ def _enter(g: int, row: int, own: int, books: _Books) -> None:
         _end(g, books)
 
 
-@njit
+@inner
 def _end(g: int, books: _Books) -> None:
     """End the open epoch of a group, and learn what epochs have."""
     group, counts = books.groups[g], books.counts[0]

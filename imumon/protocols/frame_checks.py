@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from imumon.blocks import IntArray
-from imumon.protocols.checksums import CRCS, Crc, crc_table, reversed_bits
+from imumon.protocols.checksums import CRCS, Crc, crc_of_bytes, reversed_bits
 from imumon.protocols.framing import BoolArray, Check, windows
 from imumon.protocols.stream import ByteArray
 
@@ -223,7 +223,9 @@ def by_distance(crc: Crc, longest: int) -> tuple[IntArray, IntArray]:
     Shapes: (longest * 256,), distance first, and (longest + 1,).
     """
     mask = (1 << crc.width) - 1
-    step = crc_table(crc)[0].astype(np.int64) >> (0 if crc.reflected else 32 - crc.width)
+    step = np.array(
+        [reversed_bits(one, crc.width) if crc.reflected else one for one in crc_of_bytes(crc)], np.int64
+    )
 
     def with_zero(register: IntArray) -> IntArray:
         """Return the register after one more byte, which is zero."""

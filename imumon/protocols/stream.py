@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imumon.blocks import IntArray
-from imumon.compiled import njit, record
+from imumon.compiled import inner, njit, record
 
 ByteArray = npt.NDArray[np.uint8]
 
@@ -66,7 +66,7 @@ def append(chunk: ByteArray, ends: IntArray, arrivals: IntArray, streams: Sequen
     stream.held += size
 
 
-@njit(inline="always")
+@inner(inline="always")
 def arrival_of(at: int, stream: Stream) -> int:
     """Return when the held byte at this place arrived; places are asked for from left to right."""
     while stream.ends[stream.read] <= at:
@@ -74,7 +74,7 @@ def arrival_of(at: int, stream: Stream) -> int:
     return int(stream.arrivals[stream.read])
 
 
-@njit
+@inner
 def keep_rest(start: int, stream: Stream) -> None:
     """Move the bytes from `start` on to the front, with their reads."""
     held, ends, arrivals = stream.bytes, stream.ends, stream.arrivals

@@ -29,7 +29,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imumon.blocks import FloatArray, IntArray
-from imumon.compiled import njit
+from imumon.compiled import inner, njit
 from imumon.protocols.base import CAPACITY
 from imumon.protocols.numbers import F32, F64, FP1632
 from imumon.protocols.stream import ByteArray, Stream, arrival_of, keep_rest
@@ -117,7 +117,7 @@ _INCOMPLETE, _NO_PACKET, _IMPOSSIBLE, _BAD_SUM, _NO_ROOM = -1, -2, -3, -4, -5
 _1, _2, _3 = np.uint64(1), np.uint64(2), np.uint64(3)
 
 
-@njit
+@inner
 def _packet_length(buf: ByteArray, at: int, n: int, framing: int) -> int:
     """Return the length that the header at a preamble claims, or why there is none."""
     if at + 1 >= n:
@@ -139,7 +139,7 @@ def _packet_length(buf: ByteArray, at: int, n: int, framing: int) -> int:
     return _IMPOSSIBLE if length > LONGEST_XBUS_PAYLOAD else length + 7
 
 
-@njit
+@inner
 def _sums_right(buf: ByteArray, at: int, length: int, framing: int) -> bool:
     """Check the checksum of a whole packet."""
     first = np.uint32(0)
@@ -159,7 +159,7 @@ def _sums_right(buf: ByteArray, at: int, length: int, framing: int) -> bool:
     )
 
 
-@njit
+@inner
 def _list_whole(buf: ByteArray, at: int, end: int, framing: int) -> bool:
     """Tell whether the fields fill the payload exactly."""
     if framing == XBUS:
@@ -171,7 +171,7 @@ def _list_whole(buf: ByteArray, at: int, end: int, framing: int) -> bool:
     return at == end
 
 
-@njit
+@inner
 def _note_unknown(key: int, size: int, state: State) -> None:
     """Count a field that the table lacks, or has with another size."""
     kinds = state.unknown_kinds
@@ -187,7 +187,7 @@ def _note_unknown(key: int, size: int, state: State) -> None:
     state.unknown_kinds += 1
 
 
-@njit(inline="always")
+@inner(inline="always")
 def _number(bits: np.uint64, number: int, size: int) -> float:
     """Interpret the bytes of a number, assembled with the most significant first, as float64."""
     if number == F32:
@@ -201,14 +201,14 @@ def _number(bits: np.uint64, number: int, size: int) -> float:
     return np.float64(_integer(bits, number, size))
 
 
-@njit(inline="always")
+@inner(inline="always")
 def _integer(bits: np.uint64, number: int, size: int) -> np.int64:
     """Interpret the bytes of an integer; odd kinds are signed."""
     shift = np.uint64(64 - 8 * size)
     return np.int64(bits << shift) >> np.int64(shift) if number & 1 else np.int64(bits)
 
 
-@njit(inline="always")
+@inner(inline="always")
 def _four(a: np.uint8, b: np.uint8, c: np.uint8, d: np.uint8) -> np.uint64:
     """Assemble four bytes, most significant first; without a loop it is a single load."""
     return np.uint64(
@@ -219,7 +219,7 @@ def _four(a: np.uint8, b: np.uint8, c: np.uint8, d: np.uint8) -> np.uint64:
     )
 
 
-@njit
+@inner
 def _decode(begin: int, end: int, layout: int, stream: Stream, state: State, table: Table, rows: Rows) -> int:
     """Decode a payload into the next row; return how many of its fields had values.
 
@@ -275,7 +275,7 @@ def _decode(begin: int, end: int, layout: int, stream: Stream, state: State, tab
     return known
 
 
-@njit
+@inner
 def _log_message(buf: ByteArray, at: int, end: int, kind: int, state: State) -> None:
     """Keep a message for the user: type, length in two bytes, payload."""
     to, log = state.logged, state.log
@@ -288,7 +288,7 @@ def _log_message(buf: ByteArray, at: int, end: int, kind: int, state: State) -> 
     state.logged = to + 3 + size
 
 
-@njit
+@inner
 def _judge(at: int, done: int, framing: int, stream: Stream, state: State, whole_size: int) -> int:
     """Return the length of the valid packet at a preamble, or what is wrong with it."""
     buf, n = stream.bytes, stream.held
@@ -314,7 +314,7 @@ def _judge(at: int, done: int, framing: int, stream: Stream, state: State, whole
     return length
 
 
-@njit
+@inner
 def _payload_begin(buf: ByteArray, at: int, framing: int) -> int:
     """Return where the payload of a packet begins."""
     return at + 6 if framing == XBUS and buf[at + 3] == 0xFF else at + 4

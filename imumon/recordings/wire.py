@@ -27,7 +27,7 @@ from zstandard import ZstdError
 
 from imumon import __version__
 from imumon.blocks import IntArray
-from imumon.compiled import njit
+from imumon.compiled import inner, njit
 from imumon.errors import ImumonError, Reason
 from imumon.transport.reader import ByteArray, Bytes, Event, EventKind, Item, Reads
 
@@ -459,7 +459,7 @@ def _gather(
     return n, offset
 
 
-@njit
+@inner
 def _little(buffer: ByteArray, at: int, size: int) -> int:
     """Return a number whose least byte comes first; one beyond int64 is negative."""
     number = np.int64(0)

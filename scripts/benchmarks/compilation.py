@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import subprocess
@@ -72,6 +73,7 @@ def main() -> None:
 
     # What a demo needs comes first, so that nothing of it is charged to another task.
     tasks = {**{name: {**FIRST, **THEN}[name] for name in DEMO}, **FIRST, **THEN}
+    gc.disable()  # as support.compile_kernels does
     event.register("numba:compile", Listener())  # type: ignore[no-untyped-call]  # numba has no types here
     for name, task in tasks.items():
         kernels: defaultdict[str, float] = defaultdict(float)

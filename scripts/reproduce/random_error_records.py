@@ -35,7 +35,7 @@ class Record:
 
 
 def simulate(seconds: float, seed: int, ramp: float = 0.0) -> Record:
-    """Return MTi-28A noise at rest: white noise through a low-pass, and flicker that starts at nought."""
+    """Return MTi-28A noise at rest: white noise through a low-pass, and flicker that starts at zero."""
     rng = np.random.default_rng(seed)
     n = int(seconds * RATE_HZ)
     every = WHITE_HZ // RATE_HZ

@@ -120,7 +120,7 @@ def test_a_loop_stays_in_a_soak_and_a_lag_does_not() -> None:
 
 
 @pytest.mark.parametrize("shape", ["play", "smooth"])
-def test_the_doubt_of_a_loop_ends_when_it_saturates(shape: str) -> None:
+def test_the_unknown_start_of_a_loop_ends_when_it_saturates(shape: str) -> None:
     effect = Hysteresis.model_validate(
         {
             "half_width_degc": 2.0,
@@ -135,7 +135,7 @@ def test_the_doubt_of_a_loop_ends_when_it_saturates(shape: str) -> None:
     assert start_sd[-1] < 0.01
 
 
-def test_the_doubt_of_a_lag_decays_with_its_time_constant() -> None:
+def test_the_unknown_start_of_a_lag_decays_with_its_time_constant() -> None:
     effect = ThermalLag(
         time_constant_s=300.0, middle_degc=0, half_span_degc=10, start_sd_degc=2.0, coefficients=[5.0]
     )

@@ -23,7 +23,7 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.estimation.gyro_bias import steps
-from imumon.estimation.gyro_bias.law import mixture
+from imumon.estimation.gyro_bias.law import TERMS
 from imumon.estimation.gyro_bias.steps import ROTATION, SLOPE, STATES, TAUS_S, WALK
 from imumon.filters.noise import flicker_sd
 
@@ -94,6 +94,10 @@ class Family:
 NO_SENSITIVITY = np.zeros(1)
 GROWTH = np.append(1.0, 2.0 / TAUS_S)
 """Variance by which the walk and the processes move in a second, over K² and sd²."""
+_TERMS = np.zeros((TERMS, STATES))
+"""What makes the terms of a law of the states: the first sums the walk and the processes."""
+_TERMS[0, WALK:SLOPE] = 1.0
+_TERMS[1:, SLOPE:] = np.eye(TERMS - 1)
 
 
 def unknown_family(sensitivity_sd: FloatArray = NO_SENSITIVITY) -> Family:
@@ -131,6 +135,16 @@ class Bank:
     mean: FloatArray
     covariance: FloatArray
     weight: FloatArray
+
+    @property
+    def in_a_row(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Means, covariances and weights of all filters, (n, states), (n, states, states) and (n,)."""
+        n, states = self.weight.size, self.mean.shape[-1]
+        return (
+            self.mean.reshape(n, states),
+            self.covariance.reshape(n, states, states),
+            self.weight.reshape(n),
+        )
 
 
 def start(family: Family, variants: int, white: FloatArray) -> Bank:
@@ -189,7 +203,7 @@ def wander(
     white: FloatArray,
     dt: float,
     warming: FloatArray,
-    travel: FloatArray,
+    difference: FloatArray,
     growth: FloatArray,
 ) -> None:
     """Bring the biases `dt` seconds on.
@@ -200,13 +214,15 @@ def wander(
         Angular random walk, rad/sqrt(s).
     warming : array (3,)
         Change of the temperature, °C, for the variant that learns its slope.
-    travel : array (3,)
+    difference : array (3,)
         The same without the noise, as a distance: the slope is another at another temperature.
     growth : array (3,)
-        What an unknown or doubtful temperature adds to the variance of the bias, (rad/s)².
+        What an unknown or uncertain temperature adds to the variance of the bias, (rad/s)².
     """
-    unit2 = bank.family.unit2(white)
-    steps.wander(bank.mean, bank.covariance, bank.family.strength2, unit2, dt, warming, travel, growth)
+    mean, covariance, _ = bank.in_a_row
+    family = bank.family
+    unit2 = family.unit2(white)
+    steps.wander(mean, covariance, family.filters, family.strength2, unit2, dt, warming, difference, growth)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -246,10 +262,12 @@ def bias_row(bank: Bank, force: FloatArray) -> FloatArray:
 
 def integrate(bank: Bank, slot: AtRest) -> None:
     """Integrate the rotation over a slot; `take` accepts what the zero velocity at its end says."""
+    mean, covariance, _ = bank.in_a_row
     steps.integrate(
-        bank.mean,
-        bank.covariance,
+        mean,
+        covariance,
         bias_row(bank, slot.force),
+        bank.family.filters,
         slot.dt,
         slot.rate,
         slot.tilt,
@@ -268,7 +286,12 @@ def look(bank: Bank, slot: AtRest) -> tuple[FloatArray, FloatArray]:
     surprise : array
         The least squared normalised innovation: that of the most tolerant filter.
     """
-    return steps.look(bank.mean, bank.covariance, bank.weight, slot.still2)
+    mean, covariance, _ = bank.in_a_row
+    rows = bank.weight.shape[:2]
+    whole, least = np.empty(rows), np.empty(rows)
+    weight = bank.weight.reshape(-1, bank.weight.shape[-1])
+    steps.look(mean, covariance, weight, slot.still2, whole.reshape(-1), least.reshape(-1))
+    return whole, least
 
 
 def disagreement(bank: Bank, slot: AtRest) -> FloatArray:
@@ -284,8 +307,14 @@ def take(bank: Bank, slot: AtRest) -> FloatArray:
     How sensitive to the specific force a unit is holds for its three axes together: a group has one
     probability, to which the evidence of all axes is multiplied.
     """
-    groups = len(bank.family.sensitivity_sd)
-    return steps.take(bank.mean, bank.covariance, bank.weight, slot.still2, groups)
+    mean, covariance, weight = bank.in_a_row
+    groups, wanders = len(bank.family.sensitivity_sd), len(bank.family.prior)
+    likelihood, total = np.empty(len(weight)), np.empty(bank.weight.shape[:2])
+    steps.correct(mean, covariance, groups * wanders, slot.still2, likelihood)
+    shape = (total.size, groups, wanders)
+    room = np.empty(shape[:2]), np.empty(groups)
+    steps.weigh(likelihood.reshape(shape), weight.reshape(shape), *room, total.reshape(-1))
+    return total
 
 
 def mix(bank: Bank, dt: float) -> None:
@@ -298,7 +327,8 @@ def mix(bank: Bank, dt: float) -> None:
     family = bank.family
     if len(family.prior) > 1:
         stay = math.exp(-dt / DWELL_S)
-        steps.mix(bank.mean, bank.covariance, bank.weight, (1.0 - stay) * family.prior, stay)
+        room = np.empty(bank.mean.shape[-1]), np.empty(bank.covariance.shape[-2:])
+        steps.mix(*bank.in_a_row, (1.0 - stay) * family.prior, stay, *room)
 
 
 def law(bank: Bank, family: Family, white: FloatArray, ahead_s: float) -> tuple[FloatArray, FloatArray]:
@@ -307,8 +337,19 @@ def law(bank: Bank, family: Family, white: FloatArray, ahead_s: float) -> tuple[
     The terms are those of `law.Law`.  Before the pose has changed, `family` says what the sensitivities are.
     The covariance is that of `ahead_s` seconds later, few against 10: meanwhile the bias wanders unseen.
     """
-    unseen2 = float(family.sensitivity_sd @ family.sensitivity_sd) / len(family.sensitivity_sd)
-    mean, covariance = mixture(bank.mean, bank.covariance, bank.weight, unseen2)
+    rows, states = bank.weight.shape[:2], bank.mean.shape[-1]
+    terms = _TERMS[:, :states]
+    value = bank.mean @ terms.T
+    share = bank.weight[..., np.newaxis, :]
+    mean = share @ value
+    off = value - mean
+    of_all = (share @ bank.covariance.reshape(*bank.weight.shape, -1)).reshape(*rows, states, states)
+    covariance = terms @ of_all @ terms.T + (off.swapaxes(-1, -2) * share) @ off
+    mean = mean[..., 0, :]
+    if states < STATES:
+        unseen = np.arange(2, TERMS)
+        unseen2 = family.sensitivity_sd @ family.sensitivity_sd / len(family.sensitivity_sd)
+        covariance[..., unseen, unseen] = unseen2
     growth = (bank.family.strength2 @ GROWTH)[..., np.newaxis]
     weight = bank.weight.reshape(len(mean), 3, -1, growth.shape[1])
     covariance[..., 0, 0] += ahead_s * bank.family.unit2(white) * (weight @ growth)[..., 0].sum(-1)

@@ -14,7 +14,6 @@ import numpy as np
 import numpy.typing as npt
 
 from imumon.blocks import FloatArray
-from imumon.compiled import njit
 from imumon.estimation.gyro_bias import bank as filters
 from imumon.estimation.gyro_bias.attitude import Attitude, Place, Turn, turned_earth
 from imumon.estimation.gyro_bias.bank import AtRest, Bank, Family
@@ -111,7 +110,7 @@ class Slot:
     degc : array (3,)
         Temperature of each gyro; NaN without any.
     growth : array (3,)
-        What a doubtful temperature has added to the variance of the bias since the start, (rad/s)².
+        What an uncertain temperature has added to the variance of the bias since the start, (rad/s)².
     undecided : array (3,)
         A turn, rad/s, of which nobody knows whether it is a change of the bias, or, at rest, nobody knew
         until then; else 0.
@@ -375,27 +374,26 @@ def _filter_again(state: State, params: Params) -> None:
     _show(state, params, noise, state.first[-1].slot)
 
 
-@njit
 def _changes(noted: FloatArray, now: FloatArray, least: float) -> FloatArray:
     """Return by how much each has changed since it was noted, if by `least`, and note it; NaN is no change.
 
     What comes late counts from where it came.
     """
-    changes = np.zeros(3)
-    for j in range(3):
-        if not abs(now[j] - noted[j]) < least:
-            changes[j] = now[j] - noted[j] if np.isfinite(now[j] - noted[j]) else 0.0
-            noted[j] = now[j] if np.isfinite(now[j]) else noted[j]
-    return changes
+    changes = [0.0, 0.0, 0.0]
+    for j, (was, is_now) in enumerate(zip(noted.tolist(), now.tolist(), strict=True)):
+        if not abs(is_now - was) < least and math.isfinite(is_now):
+            changes[j] = is_now - was if math.isfinite(was) else 0.0
+            noted[j] = is_now
+    return np.array(changes)
 
 
 def _coast(state: State, params: Params, noise: Noise, slot: Slot) -> None:
     """Bring the biases to the end of a slot, without a measurement."""
     assert state.bank is not None
     warming = _changes(state.at_degc, slot.degc, 0.0) if params.learns else _zero()
-    travel = np.abs(_changes(state.noted_degc, slot.degc, MOVED_DEGC)) if params.learns else _zero()
+    difference = np.abs(_changes(state.noted_degc, slot.degc, MOVED_DEGC)) if params.learns else _zero()
     dt, growth = slot.end_s - state.used_s, slot.growth - state.growth
-    filters.wander(state.bank, noise.rate, dt, warming, travel, growth)
+    filters.wander(state.bank, noise.rate, dt, warming, difference, growth)
     state.growth, state.used_s = slot.growth, slot.end_s
 
 
@@ -415,7 +413,7 @@ def _take(state: State, params: Params, bank: Bank, noise: Noise, reading: Readi
     """Take a slot into the bank; return the normalised innovations, (3,)."""
     slot, dt = reading.slot, reading.slot.dt
     _coast(state, params, noise, slot)
-    # Only at rest: nothing is learned of the bias while it moves, and doubts that only add up help nobody.
+    # Only at rest: nothing is learned of the bias while it moves, and variances that only add up help nobody.
     state.unmixed_s += dt
     if state.unmixed_s >= MIX_S:
         filters.mix(bank, state.unmixed_s)

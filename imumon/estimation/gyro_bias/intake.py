@@ -11,7 +11,7 @@ import numpy.typing as npt
 from imumon.blocks import NO_INT, FloatArray, IntArray
 from imumon.estimation.gyro_bias.attitude import FINE_S
 from imumon.estimation.gyro_bias.filter import Slot
-from imumon.estimation.gyro_bias.thermal_input import ThermalDoubt
+from imumon.estimation.gyro_bias.thermal_input import ThermalVariance
 from imumon.filters.slots import SlotGatherer, Slots
 
 SLOT_S = 0.5
@@ -20,7 +20,7 @@ GAP_S = 0.25
 LEAST_COVERED = 0.5
 """Share of a slot that must have samples, else there is a gap in it."""
 # Columns of the gatherer.
-AT_REST_RATE, AT_REST_FORCE, RATE, FORCE, DEGC, DOUBT, TURN = (slice(3 * i, 3 * i + 3) for i in range(7))
+AT_REST_RATE, AT_REST_FORCE, RATE, FORCE, DEGC, INITIAL_SD, TURN = (slice(3 * i, 3 * i + 3) for i in range(7))
 REST, COLUMNS = 21, 22
 
 
@@ -35,7 +35,7 @@ class Samples:
         Less what the thermal model has added, rad/s.
     accel : array (n, 3)
         m/s²; NaN where there is none.
-    degc, doubt : array (n, 3)
+    degc, initial_sd : array (n, 3)
         Temperature, and standard deviation of the thermal model for want of knowledge of its state, rad/s.
     turn : array (n, 3)
         A turn that may be a change of the bias, rad/s; 0 where there is none.
@@ -47,7 +47,7 @@ class Samples:
     gyro: FloatArray
     accel: FloatArray
     degc: FloatArray
-    doubt: FloatArray
+    initial_sd: FloatArray
     turn: FloatArray
     rest: npt.NDArray[np.bool_]
 
@@ -104,10 +104,10 @@ def complete(vectors: FloatArray) -> npt.NDArray[np.bool_]:
 class Intake:
     """Gathers samples; the same slots whatever the division into blocks."""
 
-    def __init__(self, doubt: ThermalDoubt) -> None:
+    def __init__(self, thermal: ThermalVariance) -> None:
         self._gatherer = SlotGatherer(COLUMNS, round(SLOT_S * 1e9))
         self._fine = SlotGatherer(3, round(FINE_S * 1e9))
-        self._doubt = doubt
+        self._thermal = thermal
         self._values = np.empty((0, COLUMNS))
         self._before = _Before()
         self._turns = _Turns()
@@ -123,7 +123,7 @@ class Intake:
         values[:, AT_REST_RATE] = np.where(rest, samples.gyro, np.nan)
         values[:, AT_REST_FORCE] = np.where(rest, force, np.nan)
         values[:, RATE], values[:, FORCE] = samples.gyro, force
-        values[:, DEGC], values[:, DOUBT] = samples.degc, samples.doubt
+        values[:, DEGC], values[:, INITIAL_SD] = samples.degc, samples.initial_sd
         values[:, TURN], values[:, REST] = samples.turn, samples.rest
         slots = self._gatherer.process(time_ns, samples.segment, values)
         self._turns.add(self._fine.process(time_ns, samples.segment, samples.gyro))
@@ -135,7 +135,7 @@ class Intake:
         before, samples = self._before, int(slots.samples[k])
         if slots.begins[k]:
             before = self._before = _Before(origin_ns=int(slots.start_ns[k]))
-            self._doubt.begin()
+            self._thermal.begin()
         start = (int(slots.start_ns[k]) - before.origin_ns) * 1e-9
         end = (int(slots.end_ns[k]) - before.origin_ns) * 1e-9
         inside = (end - start) / (samples - 1) if samples > 1 else 0.0
@@ -165,7 +165,7 @@ class Intake:
         before.turn = last
         rates, spans = self._turns.take(int(slots.row[k]))
         degc = np.where(rest, slots.mean[k, DEGC], slots.last[k, DEGC])
-        growth = self._doubt.step(slots.last[k, DEGC], slots.last[k, DOUBT])
+        growth = self._thermal.step(slots.last[k, DEGC], slots.last[k, INITIAL_SD])
         rate, force, which = slots.mean[k, RATE], slots.mean[k, FORCE], FORCE
         if rest and not still:
             share = float(slots.count[k, AT_REST_RATE.start]) / samples

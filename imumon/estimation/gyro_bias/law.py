@@ -19,8 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imumon.blocks import FloatArray, IntArray
-from imumon.compiled import njit
-from imumon.estimation.gyro_bias.steps import SENSITIVITY, SLOPE, WALK
+from imumon.compiled import inner, njit
 
 TERMS = 5
 """Bias, slope over temperature, and the sensitivity to the specific force along three axes."""
@@ -67,57 +66,6 @@ def sd_at_slot(law: Laws) -> FloatArray:
 
 
 @njit
-def mixture(
-    mean: FloatArray, covariance: FloatArray, weight: FloatArray, unseen2: float
-) -> tuple[FloatArray, FloatArray]:
-    """Return mean and covariance of the terms over the filters of a bank, (variants, 3, 5) and one more.
-
-    `unseen2` is the variance of the sensitivities while the filters have none, the pose being the first.
-    """
-    variants, axes, filters = weight.shape
-    first, second = np.zeros((variants, axes, TERMS)), np.zeros((variants, axes, TERMS, TERMS))
-    terms = np.array([WALK, SLOPE, SENSITIVITY, SENSITIVITY + 1, SENSITIVITY + 2])
-    seen = TERMS if mean.shape[-1] > SENSITIVITY else 2
-    value, root = np.zeros((filters, TERMS)), np.zeros((TERMS, TERMS))
-    for v in range(variants):
-        for a in range(axes):
-            for h in range(filters):
-                x = mean[v, a, h]
-                for k in range(seen):
-                    value[h, k] = x[terms[k]]
-                for i in range(WALK + 1, SLOPE):
-                    value[h, 0] += x[i]
-                for k in range(seen):
-                    first[v, a, k] += weight[v, a, h] * value[h, k]
-            for h in range(filters):
-                p = covariance[v, a, h]
-                _gather(p, terms, seen, root)
-                for k in range(seen):
-                    for m in range(seen):
-                        spread = (value[h, k] - first[v, a, k]) * (value[h, m] - first[v, a, m])
-                        second[v, a, k, m] += weight[v, a, h] * (root[k, m] + spread)
-            for k in range(seen, TERMS):
-                second[v, a, k, k] = unseen2
-    return first, second
-
-
-@njit
-def _gather(p: FloatArray, terms: IntArray, seen: int, found: FloatArray) -> None:
-    """Fill in the covariance of the terms of one filter; the first sums the walk and the processes."""
-    for k in range(1, seen):
-        for m in range(1, seen):
-            found[k, m] = p[terms[k], terms[m]]
-        found[0, k] = 0.0
-        for i in range(WALK, SLOPE):
-            found[0, k] += p[i, terms[k]]
-        found[k, 0] = found[0, k]
-    found[0, 0] = 0.0
-    for i in range(WALK, SLOPE):
-        for j in range(WALK, SLOPE):
-            found[0, 0] += p[i, j]
-
-
-@njit
 def at_samples(
     rows: IntArray,
     laws: Any,
@@ -136,7 +84,7 @@ def at_samples(
     The first of the `laws` (m + 1,) holds at first, the others from `rows` (m,) on; `since` (1,) is a `PATH`.
     At rest, and without accelerometers, the specific force is that of the slot: there its noise says nothing.
     """
-    row, k, path = np.zeros(TERMS), 0, since[0]
+    row, k, path = np.empty(TERMS), 0, since[0]
     for i in range(len(time_ns)):
         while k < len(rows) and rows[k] <= i:
             k += 1
@@ -160,7 +108,7 @@ def at_samples(
             bias[i, a], sd[i, a] = value, math.sqrt(variance + earth * earth + undecided * undecided)
 
 
-@njit
+@inner
 def _turn(path: Any, now_ns: int, moving: bool, gyro: FloatArray, mean: FloatArray) -> None:
     """Add the turn up to a sample."""
     x, y, z = gyro[0] - mean[0, 0], gyro[1] - mean[1, 0], gyro[2] - mean[2, 0]

@@ -87,7 +87,7 @@ class GyroBias:
         )
         self._params = _params(self._parameters, mode, Place(_angle(latitude_deg), _angle(heading_deg)))
         self._state = State()
-        self._intake = Intake(self._thermal.doubt)
+        self._intake = Intake(self._thermal.variance)
         self._law, self._path = no_law(), np.zeros(1, PATH)
         self._trail = BiasTrail(model)
         self._last: tuple[int, int] | None = None
@@ -144,14 +144,14 @@ class GyroBias:
         n, accel = len(block), block.accel
         temperature = self._thermal.temperature(block)
         breaks = self._breaks(block["device_time_ns"], block["segment"])
-        total, curve, doubt = self._model_input(block, temperature, breaks)
+        total, curve, initial_sd = self._model_input(block, temperature, breaks)
         samples = Samples(
             block["device_time_ns"],
             block["segment"],
             gyro - total,
             np.full((n, 3), np.nan) if accel is None else accel,
             temperature,
-            doubt,
+            initial_sd,
             _undecided(block),
             self._rest(block),
         )
@@ -203,8 +203,8 @@ class GyroBias:
             rows = block if stop - start == len(block) else block.rows(start, stop)
             seconds = (rows["device_time_ns"] - self._origin_ns) * 1e-9
             parts.append(self._thermal.process(seconds, rows, temperature[start:stop]))
-        total, curve, doubt = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
-        return total, curve, doubt
+        total, curve, initial_sd = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+        return total, curve, initial_sd
 
     def charts(self) -> Sequence[Chart]:
         """Return the bias over temperature, beside the model's curve where there is a model."""

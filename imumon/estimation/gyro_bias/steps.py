@@ -1,11 +1,12 @@
 """Predict and correct, for all filters of a bank: compiled, for in NumPy the calls cost more than the sums.
 
-The states of a filter and what they are is in `bank`.  All arrays have the leading axes (variant, axis,
-filter).  A filter's matrices are nearly empty, and only what is in them is written out here:
+The states of a filter and what they are is in `bank`.  The filters are in one row, (n, states) and
+(n, states, states), those of an axis side by side.  A filter's matrices are nearly empty, and only what is in
+them is written out here:
 
     wander     x = F x + u, P = F P Fᵀ + Q     F diagonal, and the slope, which moves the walk
     integrate  the same                        F the identity but for the rows of rotation and velocity
-    take       x + K ν, P - K S Kᵀ             H = (0, 1, 0, ...): the velocity
+    correct    x + K ν, P - K S Kᵀ             H = (0, 1, 0, ...): the velocity
 """
 
 from __future__ import annotations
@@ -15,54 +16,57 @@ import math
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.compiled import njit
+from imumon.compiled import inner, njit
 
 ROTATION, VELOCITY, WALK, SLOPE, SENSITIVITY, STATES = 0, 1, 2, 6, 7, 10
 TAUS_S = np.array([10.0, 100.0, 1000.0])
+LEAST_WEIGHT = 1e-30
+"""What no filter's weight falls below: a weight of zero could not be divided by."""
+AXES = 3
 SLOPE_WALK = math.radians(0.02) / 3600.0
 """Random walk of the slope, rad/s/°C/sqrt(s)."""
 CURVATURE_DEGC = 30.0
 """Temperature difference over which a slope changes by as much as itself."""
-LEAST_WEIGHT = 1e-30
-"""What no filter's weight falls below: a weight of zero could not be divided by."""
 
 
 @njit
 def wander(
     mean: FloatArray,
     covariance: FloatArray,
+    filters: int,
     strength2: FloatArray,
     unit2: FloatArray,
     dt: float,
     warming: FloatArray,
-    travel: FloatArray,
+    difference: FloatArray,
     growth: FloatArray,
 ) -> None:
-    """Bring the biases `dt` seconds on, as of `bank.wander`; `strength2` (3, wanders, 4) times `unit2` (3,)
-    are K² and sd²."""
-    variants, axes, filters = mean.shape[:3]
-    wanders = strength2.shape[1]
-    decay, fresh = np.ones(mean.shape[-1]), np.full(len(TAUS_S) + 1, dt)
+    """Bring the biases `dt` seconds on, as of `bank.wander`.
+
+    An axis has so many `filters`; `strength2` (3, wanders, 4) times `unit2` (3,) are K² and sd².
+    """
+    decay, fresh = np.empty(mean.shape[1]), np.empty(strength2.shape[2])
+    for i in range(len(decay)):
+        decay[i] = 1.0
+    fresh[0] = dt
     for i in range(len(TAUS_S)):
         decay[WALK + 1 + i] = math.exp(-dt / TAUS_S[i])
         fresh[1 + i] = -math.expm1(-2.0 * dt / TAUS_S[i])
-    for v in range(variants):
-        for a in range(axes):
-            for h in range(filters):
-                x, p = mean[v, a, h], covariance[v, a, h]
-                for i in range(len(x)):
-                    x[i] *= decay[i]
-                    for j in range(len(x)):
-                        p[i, j] *= decay[i] * decay[j]
-                if v == 1:
-                    _warm(x, p, dt, warming[a], travel[a])
-                for i in range(len(fresh)):
-                    p[WALK + i, WALK + i] += strength2[a, h % wanders, i] * unit2[a] * fresh[i]
-                p[WALK, WALK] += growth[a]
+    for k in range(len(mean)):
+        x, p, a, w = mean[k], covariance[k], k // filters % AXES, k % filters % strength2.shape[1]
+        for i in range(len(x)):
+            x[i] *= decay[i]
+            for j in range(len(x)):
+                p[i, j] *= decay[i] * decay[j]
+        if k >= AXES * filters:
+            _warm(x, p, dt, warming[a], difference[a])
+        for i in range(len(fresh)):
+            p[WALK + i, WALK + i] += strength2[a, w, i] * unit2[a] * fresh[i]
+        p[WALK, WALK] += growth[a]
 
 
-@njit
-def _warm(x: FloatArray, p: FloatArray, dt: float, warming: float, travel: float) -> None:
+@inner
+def _warm(x: FloatArray, p: FloatArray, dt: float, warming: float, difference: float) -> None:
     """Move the walk by the slope, and let the slope be another at another temperature."""
     walk = SLOPE_WALK**2 * dt
     square = x[SLOPE] ** 2 + p[SLOPE, SLOPE] + walk
@@ -71,7 +75,7 @@ def _warm(x: FloatArray, p: FloatArray, dt: float, warming: float, travel: float
         p[WALK, j] += warming * p[SLOPE, j]
     for j in range(len(x)):
         p[j, WALK] += warming * p[j, SLOPE]
-    p[SLOPE, SLOPE] += walk + square * travel / CURVATURE_DEGC
+    p[SLOPE, SLOPE] += walk + square * difference / CURVATURE_DEGC
 
 
 @njit
@@ -79,152 +83,172 @@ def integrate(
     mean: FloatArray,
     covariance: FloatArray,
     row: FloatArray,
+    filters: int,
     dt: float,
     rate: FloatArray,
     tilt: FloatArray,
     white2: FloatArray,
     tilt2: FloatArray,
 ) -> None:
-    """Integrate rotation and velocity over a slot; as of `bank.AtRest`, `row` (10,) makes the bias."""
-    variants, axes, filters = mean.shape[:3]
+    """Integrate rotation and velocity over a slot; as of `bank.AtRest`, `row` (states,) makes the bias."""
     half = 0.5 * dt * dt
-    along = np.empty(mean.shape[-1])
-    for v in range(variants):
-        for a in range(axes):
-            for h in range(filters):
-                x, p = mean[v, a, h], covariance[v, a, h]
-                off = rate[a]
-                for j in range(len(x)):
-                    off -= row[j] * x[j]
-                    along[j] = 0.0
-                    for i in range(WALK, len(x)):
-                        along[j] += row[i] * p[i, j]
-                x[VELOCITY] += dt * (x[ROTATION] - tilt[a]) + half * off
-                x[ROTATION] += dt * off
-                # Rows of F P, of which the last two terms of F P Fᵀ are made.
-                first = second = 0.0
-                for j in range(len(x)):
-                    p[VELOCITY, j] += dt * p[ROTATION, j] - half * along[j]
-                    p[ROTATION, j] -= dt * along[j]
-                    first += row[j] * p[ROTATION, j]
-                    second += row[j] * p[VELOCITY, j]
-                p[VELOCITY, VELOCITY] += dt * p[VELOCITY, ROTATION] - half * second
-                p[ROTATION, VELOCITY] += dt * p[ROTATION, ROTATION] - half * first
-                p[ROTATION, ROTATION] -= dt * first
-                p[ROTATION, ROTATION] += white2[a] * dt
-                p[ROTATION, VELOCITY] += white2[a] * half
-                p[VELOCITY, VELOCITY] += white2[a] * half * half / dt + tilt2[a] * dt
-                p[VELOCITY, ROTATION] = p[ROTATION, VELOCITY]
-                for j in range(WALK, len(x)):
-                    p[j, ROTATION], p[j, VELOCITY] = p[ROTATION, j], p[VELOCITY, j]
+    along = np.empty(len(row))
+    for k in range(len(mean)):
+        x, p, a = mean[k], covariance[k], k // filters % AXES
+        off = rate[a]
+        for j in range(len(x)):
+            off -= row[j] * x[j]
+            along[j] = 0.0
+            for i in range(WALK, len(x)):
+                along[j] += row[i] * p[i, j]
+        x[VELOCITY] += dt * (x[ROTATION] - tilt[a]) + half * off
+        x[ROTATION] += dt * off
+        # Rows of F P, of which the last two terms of F P Fᵀ are made.
+        first = second = 0.0
+        for j in range(len(x)):
+            p[VELOCITY, j] += dt * p[ROTATION, j] - half * along[j]
+            p[ROTATION, j] -= dt * along[j]
+            first += row[j] * p[ROTATION, j]
+            second += row[j] * p[VELOCITY, j]
+        p[VELOCITY, VELOCITY] += dt * p[VELOCITY, ROTATION] - half * second
+        p[ROTATION, VELOCITY] += dt * p[ROTATION, ROTATION] - half * first
+        p[ROTATION, ROTATION] -= dt * first
+        p[ROTATION, ROTATION] += white2[a] * dt
+        p[ROTATION, VELOCITY] += white2[a] * half
+        p[VELOCITY, VELOCITY] += white2[a] * half * half / dt + tilt2[a] * dt
+        p[VELOCITY, ROTATION] = p[ROTATION, VELOCITY]
+        for j in range(WALK, len(x)):
+            p[j, ROTATION], p[j, VELOCITY] = p[ROTATION, j], p[VELOCITY, j]
+
+
+@njit
+def correct(
+    mean: FloatArray, covariance: FloatArray, filters: int, still2: FloatArray, likelihood: FloatArray
+) -> None:
+    """Correct with a velocity of zero; fill in the logarithms of the densities of the innovations, (n,)."""
+    gain = np.empty(mean.shape[1])
+    for k in range(len(mean)):
+        x, p = mean[k], covariance[k]
+        innovation, variance = -x[VELOCITY], p[VELOCITY, VELOCITY] + still2[k // filters % AXES]
+        for i in range(len(x)):
+            gain[i] = p[i, VELOCITY] / variance
+        for i in range(len(x)):
+            x[i] += gain[i] * innovation
+            for j in range(len(x)):
+                p[i, j] -= gain[i] * gain[j] * variance
+        likelihood[k] = -0.5 * (innovation * innovation / variance + math.log(2.0 * math.pi * variance))
 
 
 @njit
 def look(
-    mean: FloatArray, covariance: FloatArray, weight: FloatArray, still2: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return the innovation of the whole over its standard deviation, and the least squared one of a filter
-    over its variance, (variants, 3) each."""
-    variants, axes, filters = weight.shape
-    whole, least = np.empty((variants, axes)), np.full((variants, axes), np.inf)
-    for v in range(variants):
-        for a in range(axes):
-            first = second = 0.0
-            for h in range(filters):
-                velocity = mean[v, a, h, VELOCITY]
-                variance = covariance[v, a, h, VELOCITY, VELOCITY] + still2[a]
-                first += weight[v, a, h] * velocity
-                second += weight[v, a, h] * (velocity * velocity + variance)
-                least[v, a] = min(least[v, a], velocity * velocity / variance)
-            whole[v, a] = first / math.sqrt(second - first * first)
-    return whole, least
+    mean: FloatArray,
+    covariance: FloatArray,
+    weight: FloatArray,
+    still2: FloatArray,
+    whole: FloatArray,
+    least: FloatArray,
+) -> None:
+    """Fill in what `bank.look` returns, (rows,) each; `weight` is (rows, filters)."""
+    rows, filters = weight.shape
+    for r in range(rows):
+        first = second = 0.0
+        least[r] = np.inf
+        for h in range(filters):
+            k = r * filters + h
+            velocity, variance = mean[k, VELOCITY], covariance[k, VELOCITY, VELOCITY] + still2[r % AXES]
+            first += weight[r, h] * velocity
+            second += weight[r, h] * (velocity * velocity + variance)
+            least[r] = min(least[r], velocity * velocity / variance)
+        whole[r] = first / math.sqrt(second - first * first)
 
 
 @njit
-def take(
-    mean: FloatArray, covariance: FloatArray, weight: FloatArray, still2: FloatArray, groups: int
-) -> FloatArray:
-    """Correct with a velocity of zero and weigh the filters; return the log-likelihoods, (variants, 3)."""
-    variants, axes, filters = weight.shape
-    wanders = filters // groups
-    total, gain = np.zeros((variants, axes)), np.empty(mean.shape[-1])
-    common, share = np.empty(groups), np.empty((axes, groups))
-    for v in range(variants):
-        common[:] = 0.0
-        for a in range(axes):
-            most = -np.inf
-            likelihood = np.empty(filters)
-            for h in range(filters):
-                likelihood[h] = _correct(mean[v, a, h], covariance[v, a, h], still2[a], gain)
-                most = max(most, likelihood[h])
-            for g in range(groups):
-                before = after = 0.0
-                for h in range(g * wanders, (g + 1) * wanders):
-                    before += weight[v, a, h]
-                    weight[v, a, h] *= math.exp(likelihood[h] - most)
-                    after += weight[v, a, h]
-                share[a, g] = max(after, LEAST_WEIGHT)
-                total[v, a] += share[a, g]
-                common[g] += math.log(share[a, g] / before) + (math.log(before) if a == 0 else 0.0)
-            total[v, a] = most + math.log(total[v, a])
-        highest = common.max()
-        whole = 0.0
+def weigh(
+    likelihood: FloatArray, weight: FloatArray, share: FloatArray, common: FloatArray, total: FloatArray
+) -> None:
+    """Weigh the filters by the logarithms of their likelihoods, (rows, groups, wanders) as the weights are.
+
+    `total` (rows,) is filled with those of the whole; `share` (rows, groups) and `common` (groups,) are room
+    to work in.
+    """
+    rows, groups, wanders = weight.shape
+    for r in range(rows):
+        most, whole = -np.inf, 0.0
         for g in range(groups):
-            common[g] = math.exp(common[g] - highest)
-            whole += common[g]
-        for a in range(axes):
-            for h in range(filters):
-                g = h // wanders
-                factor = max(common[g] / whole, LEAST_WEIGHT) / share[a, g]
-                weight[v, a, h] = max(weight[v, a, h] * factor, LEAST_WEIGHT)
-    return total
+            for w in range(wanders):
+                most = max(most, likelihood[r, g, w])
+        for g in range(groups):
+            before = after = 0.0
+            for w in range(wanders):
+                before += weight[r, g, w]
+                weight[r, g, w] *= math.exp(likelihood[r, g, w] - most)
+                after += weight[r, g, w]
+            share[r, g] = max(after, LEAST_WEIGHT)
+            whole += share[r, g]
+            common[g] = math.log(share[r, g] / before) + (math.log(before) if r % AXES == 0 else common[g])
+        total[r] = most + math.log(whole)
+        if r % AXES == AXES - 1:
+            _make_common(r - AXES + 1, weight, share, common)
 
 
-@njit
-def _correct(x: FloatArray, p: FloatArray, still2: float, gain: FloatArray) -> float:
-    """Correct one filter; return the logarithm of the density of its innovation."""
-    innovation, variance = -x[VELOCITY], p[VELOCITY, VELOCITY] + still2
-    for i in range(len(x)):
-        gain[i] = p[i, VELOCITY] / variance
-    for i in range(len(x)):
-        x[i] += gain[i] * innovation
-        for j in range(len(x)):
-            p[i, j] -= gain[i] * gain[j] * variance
-    return float(-0.5 * (innovation * innovation / variance + math.log(2.0 * math.pi * variance)))
+@inner
+def _make_common(first: int, weight: FloatArray, share: FloatArray, common: FloatArray) -> None:
+    """Give the groups of three axes, from row `first` on, their probabilities: `common` are the logs."""
+    highest, whole = -np.inf, 0.0
+    for g in range(len(common)):
+        highest = max(highest, common[g])
+    for g in range(len(common)):
+        common[g] = math.exp(common[g] - highest)
+        whole += common[g]
+    for r in range(first, first + AXES):
+        for g in range(len(common)):
+            factor = max(common[g] / whole, LEAST_WEIGHT) / share[r, g]
+            for w in range(weight.shape[2]):
+                weight[r, g, w] = max(weight[r, g, w] * factor, LEAST_WEIGHT)
 
 
 @njit
 def mix(
-    mean: FloatArray, covariance: FloatArray, weight: FloatArray, arriving: FloatArray, stay: float
+    mean: FloatArray,
+    covariance: FloatArray,
+    weight: FloatArray,
+    arriving: FloatArray,
+    stay: float,
+    common: FloatArray,
+    cover: FloatArray,
 ) -> None:
-    """Mix the filters of each group, as of `bank.mix`: `arriving` (wanders,) go over to each, `stay` stay."""
-    variants, axes, filters = weight.shape
-    wanders, states = len(arriving), mean.shape[-1]
-    common, cover = np.empty(states), np.empty((states, states))
-    for v in range(variants):
-        for a in range(axes):
-            for first in range(0, filters, wanders):
-                group = 0.0
-                for h in range(first, first + wanders):
-                    group += weight[v, a, h]
-                common[:], cover[:] = 0.0, 0.0
-                for h in range(first, first + wanders):
-                    share = weight[v, a, h] / group
-                    for i in range(states):
-                        common[i] += share * mean[v, a, h, i]
-                for h in range(first, first + wanders):
-                    share, x = weight[v, a, h] / group, mean[v, a, h]
-                    for i in range(states):
-                        for j in range(states):
-                            spread = (x[i] - common[i]) * (x[j] - common[j])
-                            cover[i, j] += share * (covariance[v, a, h, i, j] + spread)
-                for h in range(first, first + wanders):
-                    after = stay * weight[v, a, h] / group + arriving[h - first]
-                    weight[v, a, h] = group * after
-                    taken, x, p = arriving[h - first] / after, mean[v, a, h], covariance[v, a, h]
-                    for i in range(states):
-                        for j in range(states):
-                            spread = (x[i] - common[i]) * (x[j] - common[j])
-                            p[i, j] += taken * (cover[i, j] - p[i, j] + (1.0 - taken) * spread)
-                    for i in range(states):
-                        x[i] -= taken * (x[i] - common[i])
+    """Mix the filters of each group, as of `bank.mix`: `arriving` (wanders,) go over to each, `stay` stay.
+
+    `common` (states,) and `cover` (states, states) are room to work in.
+    """
+    states = len(common)
+    for first in range(0, len(mean), len(arriving)):
+        group = 0.0
+        for h in range(first, first + len(arriving)):
+            group += weight[h]
+        for i in range(states):
+            common[i] = 0.0
+            for j in range(states):
+                cover[i, j] = 0.0
+        for h in range(first, first + len(arriving)):
+            share = weight[h] / group
+            for i in range(states):
+                common[i] += share * mean[h, i]
+        for h in range(first, first + len(arriving)):
+            share = weight[h] / group
+            for i in range(states):
+                for j in range(states):
+                    spread = (mean[h, i] - common[i]) * (mean[h, j] - common[j])
+                    cover[i, j] += share * (covariance[h, i, j] + spread)
+        for h in range(first, first + len(arriving)):
+            after = stay * weight[h] / group + arriving[h - first]
+            weight[h] = group * after
+            taken = arriving[h - first] / after
+            for i in range(states):
+                for j in range(states):
+                    spread = (mean[h, i] - common[i]) * (mean[h, j] - common[j])
+                    covariance[h, i, j] += taken * (
+                        cover[i, j] - covariance[h, i, j] + (1.0 - taken) * spread
+                    )
+            for i in range(states):
+                mean[h, i] -= taken * (mean[h, i] - common[i])

@@ -19,8 +19,8 @@ MARK_DEGC = 0.5
 
 
 @dataclass(slots=True, eq=False)
-class ThermalDoubt:
-    """Variance that a doubtful thermal model has brought since the start, of three axes.
+class ThermalVariance:
+    """Variance that an uncertain thermal model has brought since the start, of three axes.
 
     Within the calibrated range the error of the curve is a random walk over temperature; outside it the slope
     itself is unknown.  An unknown state at power-on has moved the bias by its sd at first less that now.
@@ -101,7 +101,7 @@ class ThermalInput:
                 low, high = channel.temperature_range_degc
                 slopes = channel.slope(np.linspace(low, high, 101))
                 row[:] = channel.residual_sd, np.sqrt(np.mean(slopes**2)), low, high
-        self.doubt = ThermalDoubt(*trust.T)
+        self.variance = ThermalVariance(*trust.T)
         self._reference = np.full(3, np.nan)
         self._total = np.zeros(3)
         self._last_s = np.full(3, np.nan)
@@ -113,7 +113,7 @@ class ThermalInput:
     @property
     def ranges_degc(self) -> FloatArray:
         """Calibrated range of each axis, (3, 2)."""
-        return np.column_stack([self.doubt.low_degc, self.doubt.high_degc])
+        return np.column_stack([self.variance.low_degc, self.variance.high_degc])
 
     def begin(self) -> None:
         """Start the sums at zero."""

@@ -55,7 +55,7 @@ def begin(state: State, now_s: float, other: bool) -> None:
     if state.at_rest:
         _leave(state, KNOCK, now_s)
     if other:
-        state.doubted_since_s = np.nan
+        state.undecided_since_s = np.nan
         state.anchors.clear()
         state.turn = np.zeros(3)
     state.ring_from = state.length
@@ -73,7 +73,7 @@ def step(state: State, parameters: RestParameters, slots: Sequence[Slot], k: int
     if motion is not None and not motion.certain:  # rest, with the turn as hypothesis
         if not state.turn.any():
             _note(state, motion, end_s)
-            state.doubted_since_s = end_s
+            state.undecided_since_s = end_s
         motion = None
     if motion is not None:
         if state.at_rest:
@@ -127,7 +127,7 @@ def _leave(state: State, motion: Motion, now_s: float) -> None:
     state.caution = 1.0 if long else min((1.0 if motion.sudden else 2.0) * state.caution, MOST_CAUTION)
     state.turning = motion.turning
     state.slow = state.turning or state.caution > 1.0
-    state.at_rest, state.doubted_since_s, state.steady = False, np.nan, np.full(AXES, np.nan)
+    state.at_rest, state.undecided_since_s, state.steady = False, np.nan, np.full(AXES, np.nan)
     state.ring_from = state.length
 
 
@@ -168,8 +168,8 @@ def _remember(state: State, anchor: Anchor) -> None:
 def _enter(state: State, mean: FloatArray, drift: FloatArray, turn: FloatArray, now_s: float) -> None:
     state.windows.rest_mean[:], state.rest_since_s = mean, now_s
     state.at_rest, state.turn = True, turn
-    since_s = now_s if np.isnan(state.doubted_since_s) else state.doubted_since_s
-    state.doubted_since_s = since_s if turn.any() else np.nan
+    since_s = now_s if np.isnan(state.undecided_since_s) else state.undecided_since_s
+    state.undecided_since_s = since_s if turn.any() else np.nan
     set_band(state.windows, drift)
 
 
@@ -197,10 +197,10 @@ def _judge(
             turn = np.zeros(3)
             explained = Explained.PLAINLY if said is Verdict.RESTS else Explained.NO
             state.turning &= said is not Verdict.RESTS
-        if np.isnan(state.doubted_since_s):
-            state.doubted_since_s = now_s
+        if np.isnan(state.undecided_since_s):
+            state.undecided_since_s = now_s
         if (
-            now_s - state.doubted_since_s >= parameters.doubt_s
+            now_s - state.undecided_since_s >= parameters.undecided_s
             and np.abs(turn).max() <= parameters.largest_jump
         ):
             return np.zeros(3), True
@@ -218,10 +218,10 @@ def _decide(state: State, parameters: RestParameters, now_s: float) -> None:
         _leave(state, SLOWLY, now_s)
         _watch(state, now_s, 0.0)
         return
-    late = now_s - state.doubted_since_s >= parameters.doubt_s
+    late = now_s - state.undecided_since_s >= parameters.undecided_s
     state.turn = still_off(state)
     if said is Verdict.RESTS or late or not state.turn.any():
-        state.turn, state.doubted_since_s = np.zeros(3), np.nan
+        state.turn, state.undecided_since_s = np.zeros(3), np.nan
 
 
 def _try(state: State, parameters: RestParameters, now_s: float) -> None:
@@ -232,7 +232,7 @@ def _try(state: State, parameters: RestParameters, now_s: float) -> None:
         return
     noise = look(state, parameters.drift)
     if noise is None:
-        state.doubted_since_s = np.nan
+        state.undecided_since_s = np.nan
         if state.at_rest:
             _leave(state, KNOCK, now_s)
             _watch(state, now_s, 0.0)

@@ -26,7 +26,7 @@ class RestParameters(StrictModel):
     gyro_walk : float
         Change of a gyro's bias from one rest to the next that needs no explanation, however long the motion
         between them was, rad/s: 8.7e-4 is 180 deg/h.  Twice as much for a gyro whose noise lets expect it.
-    doubt_s : float
+    undecided_s : float
         A steady gyro mean that differs from that of the last rest is a turn about the vertical for so long,
         and bias from then on, if it differs by no more than largest_jump and nothing decides before.
     largest_jump : float
@@ -37,7 +37,7 @@ class RestParameters(StrictModel):
     accel_drift: float = Field(default=1.5e-3, ge=0.0, le=10.0)
     gyro_g_sensitivity: float = Field(default=1.8e-4, ge=0.0, le=0.1)
     gyro_walk: float = Field(default=8.7e-4, ge=0.0, le=1.0)
-    doubt_s: float = Field(default=14400.0, ge=0.0, le=86400.0)
+    undecided_s: float = Field(default=14400.0, ge=0.0, le=86400.0)
     largest_jump: float = Field(default=0.017, ge=0.0, le=10.0)
 
     @cached_property

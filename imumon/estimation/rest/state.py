@@ -184,7 +184,7 @@ class State:
         The same, weighed against what is expected where little was learnt.
     anchors : list of Anchor
         Means of earlier rests that differ, the latest first.
-    doubted_since_s : float
+    undecided_since_s : float
         Since when a mean has been steady that differs from the anchors; NaN when none has.
     turn : array, (3,)
         Rate, rad/s, by which the gyros differ from the latest anchor while nothing tells a turn from a bias.
@@ -212,7 +212,7 @@ class State:
     wander_lags: FloatArray = field(default_factory=lambda: np.zeros(len(LAGS)))
     squares: FloatArray = field(default_factory=lambda: np.zeros((len(LAGS), 3)))
     anchors: list[Anchor] = field(default_factory=list)
-    doubted_since_s: float = np.nan
+    undecided_since_s: float = np.nan
     turn: FloatArray = field(default_factory=lambda: np.zeros(3))
     steady: FloatArray = field(default_factory=lambda: np.full(AXES, np.nan))
     steady_s: float = 0.0

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.compiled import njit
+from imumon.compiled import inner, njit
 from imumon.estimation.rest.state import (
     AXES,
     HIDES,
@@ -106,7 +106,7 @@ def _take(
     return level, sudden
 
 
-@njit
+@inner
 def _add(windows: Windows, n: int, slot: Slot) -> None:
     """Add a slot to the n of the history, and see how fine the sensor's steps are."""
     windows.seconds[n + 1] = windows.seconds[n] + (slot.end_s - slot.start_s)
@@ -127,7 +127,7 @@ def _add(windows: Windows, n: int, slot: Slot) -> None:
             windows.last[j] = slot.last[j]
 
 
-@njit
+@inner
 def _compare(windows: Windows, n: int, quiet_from: int, drift: FloatArray) -> int:
     """Compare the windows that end now with the two before them, and learn from them."""
     found, levels = -1, 0
@@ -143,7 +143,7 @@ def _compare(windows: Windows, n: int, quiet_from: int, drift: FloatArray) -> in
     return found
 
 
-@njit(error_model="numpy")
+@inner(error_model="numpy")
 def _fill_recent(windows: Windows, n: int, quiet_from: int, slots: int) -> None:
     """Write the means of the last three windows of so many slots, latest first; NaN where one is empty."""
     new = n
@@ -155,7 +155,7 @@ def _fill_recent(windows: Windows, n: int, quiet_from: int, slots: int) -> None:
         new = old
 
 
-@njit
+@inner
 def _differ(windows: Windows, level: int, seconds: float, drift: FloatArray) -> bool:
     """Tell whether the latest window differs from one of the two before by more than noise, drift and step.
 
@@ -174,13 +174,13 @@ def _differ(windows: Windows, level: int, seconds: float, drift: FloatArray) -> 
     return False
 
 
-@njit
+@inner
 def _resolution(windows: Windows, j: int) -> float:
     step = windows.step[j]
     return step if windows.sample_variance[j] < HIDES * step * step else 0.0
 
 
-@njit
+@inner
 def _learn(windows: Windows, level: int) -> None:
     """Take the second difference as a measure of the variance; a single one cannot raise it much."""
     for j in range(AXES):
@@ -195,14 +195,14 @@ def _learn(windows: Windows, level: int) -> None:
             windows.gain[level, j] = gain / (1.0 + gain)
 
 
-@njit
+@inner
 def vibration_factor(count: float) -> float:
     """Return how many times its mean the variance of count samples may be (Wilson and Hilferty)."""
     part = 2.0 / (9.0 * max(0.5 * (count - 1.0), 1.0))
     return 2.0 * (1.0 - part + 6.0 * np.sqrt(part)) ** 3  # type: ignore[no-any-return]
 
 
-@njit
+@inner
 def _shaken(windows: Windows, slot: Slot) -> bool:
     """Tell whether samples vary more within the slot than they did at rest."""
     for j in range(AXES):
@@ -216,7 +216,7 @@ def _shaken(windows: Windows, slot: Slot) -> bool:
     return False
 
 
-@njit
+@inner
 def _keep(windows: Windows, quiet: int, slot: Slot, drift: FloatArray) -> None:
     """At rest still: follow the mean and the noise, and set the band outside which a sample is motion."""
     share = 1.0 / min(quiet, MEMORY_SLOTS)
@@ -231,7 +231,7 @@ def _keep(windows: Windows, quiet: int, slot: Slot, drift: FloatArray) -> None:
         _set_band(windows, j, drift[j])
 
 
-@njit
+@inner
 def _set_band(windows: Windows, j: int, drift: float) -> None:
     sd = np.sqrt(windows.sample_variance[j] + windows.variance[0, j])
     width = SPIKE_SIGMAS * sd + 1.5 * _resolution(windows, j) + drift * MEMORY_SLOTS * SLOT_S

@@ -21,7 +21,7 @@ from functools import lru_cache
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.compiled import njit, records
+from imumon.compiled import inner, njit, records
 
 JERKS = 10.0 ** np.append(np.arange(-27.0, -3.5, 1.5), -2.0)
 """Jerk densities, °C²/s⁵: from a rate that keeps to 0.001 °C/h for a day to a jump of 10 °C/min in 2 s."""
@@ -249,7 +249,7 @@ def predict(filters: Filters, dt: float, slow: FloatArray, least_jerk: float) ->
     return reference + mean, square / total - mean * mean
 
 
-@njit
+@inner
 def _move(f: Filter, dt: float, c: float, g: float, keep: float, fade: float) -> None:
     """Apply F; the order is such that nothing is needed after it has been written."""
     f.temperature += dt * f.rate + c * f.acceleration
@@ -270,7 +270,7 @@ def _move(f: Filter, dt: float, c: float, g: float, keep: float, fade: float) ->
     f.ee *= fade * fade
 
 
-@njit
+@inner
 def condition(f: Filter, mean: float, variance: float) -> None:
     """Give what a sensor without steps would read these moments, and the states what follows from them."""
     t, r, a, e = f.tt + f.te, f.tr + f.re, f.ta + f.ae, f.te + f.ee
@@ -284,7 +284,7 @@ def condition(f: Filter, mean: float, variance: float) -> None:
     _add_square(f, t, r, a, e, change)
 
 
-@njit
+@inner
 def _add_square(f: Filter, t: float, r: float, a: float, e: float, factor: float) -> None:
     """Add a vector's outer product with itself to the covariance."""
     f.tt += factor * t * t
@@ -348,7 +348,7 @@ KNOWN, SLOW_VARIANCE, RARE, MOMENTS = 10, 14, 15, 16
 """The first moments of a filter are not those of the slow error; its last one; the other weight; all."""
 
 
-@njit
+@inner
 def _mean(filters: Filters) -> tuple[float, float, float]:
     total, x, r, a = 0.0, 0.0, 0.0, 0.0
     for i in range(len(filters)):
@@ -360,7 +360,7 @@ def _mean(filters: Filters) -> tuple[float, float, float]:
     return x / total, r / total, a / total
 
 
-@njit
+@inner
 def _write(f: Filter, x: float, r: float, a: float, to: FloatArray) -> None:
     """Write the moments of a filter times its weight, those of the slow error last."""
     w = f.weight
@@ -371,7 +371,7 @@ def _write(f: Filter, x: float, r: float, a: float, to: FloatArray) -> None:
     to[RARE] = f.rare
 
 
-@njit
+@inner
 def _read(f: Filter, sums: FloatArray) -> None:
     """Undo `_write`."""
     each = 1.0 / sums[0]
@@ -382,7 +382,7 @@ def _read(f: Filter, sums: FloatArray) -> None:
     f.ae, f.ee = each * sums[13], each * sums[14]
 
 
-@njit
+@inner
 def _pass_on(sums: FloatArray, first: int, dt: float) -> None:
     """Pass the sums of one kind of noise, whose filters begin with the first, between its smoothnesses."""
     before, after = sums[0], sums[1]
@@ -406,7 +406,7 @@ def _pass_on(sums: FloatArray, first: int, dt: float) -> None:
                 after[first + j, RARE] += rare
 
 
-@njit
+@inner
 def _flow(i: int, j: int, dt: float, jump_per_s: float) -> float:
     """Return which part of a filter's weight goes to another within dt seconds."""
     near, far = min(dt * CHANGE_PER_S, 0.4), min(dt * jump_per_s, 0.4)

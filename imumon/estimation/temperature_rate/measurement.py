@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.compiled import njit
+from imumon.compiled import inner, njit
 from imumon.estimation.temperature_rate.bank import (
     LEVEL_SIGMAS,
     LEVELS,
@@ -197,7 +197,7 @@ def measure(filters: Filters, said: Said) -> None:
         filters[i].rare /= total
 
 
-@njit
+@inner
 def _gaussian(mean: float, variance: float, measured: float, noise: float) -> Moments:
     """Correct a Gaussian by a measurement with noise; the log density is that over 1/√(2π)."""
     total, residual = variance + noise, measured - mean
@@ -205,7 +205,7 @@ def _gaussian(mean: float, variance: float, measured: float, noise: float) -> Mo
     return mean + variance / total * residual, variance * noise / total, log
 
 
-@njit
+@inner
 def _as_mean(mean: float, variance: float, k: int, said: Said) -> Moments:
     """Take the slot's mean as a measurement: the mean and slow kinds."""
     noise = MEAN_WHITE[k - LEVELS] * said.white + said.cell**2 / 12.0 + TINY**2
@@ -217,7 +217,7 @@ def _as_mean(mean: float, variance: float, k: int, said: Said) -> Moments:
     return after, left, log
 
 
-@njit
+@inner
 def _as_level(f: Filter, noise: float, mean: float, variance: float, said: Said) -> Moments:
     """Take the slot's readings as levels: the level kinds."""
     step, rate = said.step, f.rate
@@ -243,7 +243,7 @@ def _as_level(f: Filter, noise: float, mean: float, variance: float, said: Said)
     return after, left, log + said.lattice
 
 
-@njit
+@inner
 def _stay(mean: float, variance: float, growth: float, sigma: float, said: Said) -> Moments:
     """Take a reading that does not change, where it says something new."""
     step, sd = said.step, math.sqrt(variance)
@@ -318,7 +318,7 @@ def merged(filters: Filters, slow_errors: FloatArray, step: float, level: float)
     )
 
 
-@njit
+@inner
 def _heaviest(filters: Filters) -> Filter:
     best = 0
     for i in range(len(filters)):
@@ -327,7 +327,7 @@ def _heaviest(filters: Filters) -> Filter:
     return filters[best]
 
 
-@njit
+@inner
 def _confined(f: Filter, noise: float, step: float, level: float) -> tuple[float, float, float]:
     """Return probability, shift over sd and shrinking of variance by a level that is sharp for a filter."""
     spread = f.tt + 2.0 * f.te + f.ee

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from imumon.compiled import njit
+from imumon.compiled import inner
 
 ROOT_2_PI = math.sqrt(2.0 * math.pi)
 ROOT_HALF = math.sqrt(0.5)
@@ -13,19 +13,19 @@ FAR = -8.0
 NEWTON_STEPS = 20
 
 
-@njit
+@inner
 def density(x: float) -> float:
     """Return φ(x), the density of the standard normal distribution."""
     return math.exp(-0.5 * x * x) / ROOT_2_PI
 
 
-@njit
+@inner
 def probability(x: float) -> float:
     """Return Φ(x), the probability below x."""
     return 0.5 * math.erfc(-x * ROOT_HALF)
 
 
-@njit
+@inner
 def log_probability(x: float) -> float:
     """Return ln Φ(x)."""
     if x < FAR:
@@ -33,7 +33,7 @@ def log_probability(x: float) -> float:
     return math.log(probability(x))
 
 
-@njit
+@inner
 def inverse_mills(x: float) -> float:
     """Return φ(x)/Φ(x)."""
     if x < FAR:
@@ -41,7 +41,7 @@ def inverse_mills(x: float) -> float:
     return density(x) / probability(x)
 
 
-@njit
+@inner
 def truncated(low: float, high: float) -> tuple[float, float, float]:
     """Return mean, variance and log probability of a standard normal between low < high."""
     mirrored = low > 0.0
@@ -62,7 +62,7 @@ def truncated(low: float, high: float) -> tuple[float, float, float]:
     return -mean if mirrored else mean, variance, log_mass
 
 
-@njit
+@inner
 def weigh(
     mean: float, sd: float, low: float, high: float, above: float, below: float, sigma: float
 ) -> tuple[float, float, float]:

@@ -51,7 +51,7 @@ class RefreshFinder:
         """Whether the reading is known to be repeated over slots until there is another."""
         return self.evidence >= KNOWN and self.interval_s > SLOW_S
 
-    def doubt(self) -> None:
+    def refute(self) -> None:
         """Learn that the reading changed more than once within a slot."""
         self.evidence = max(self.evidence - KNOWN, 0.0)
 

@@ -243,7 +243,7 @@ class Sensor:
 
     def _learn_refresh(self, reading: Reading) -> None:
         if reading.changes > 1:
-            self.refresh.doubt()
+            self.refresh.refute()
             return
         before = reading.before if math.isfinite(reading.before) else reading.first
         silent_s = reading.changed_s - self.changed_s

@@ -23,7 +23,7 @@ import math
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.compiled import njit, record
+from imumon.compiled import inner, njit, record
 
 BLOCK = 10
 """Slots of half a second at rest that make a step of the tests."""
@@ -185,7 +185,8 @@ def _regress(
         state.first_s = state.last_s = now_s
     dt, state.last_s = now_s - state.last_s, now_s
     state.slots += 1
-    regressor = np.ones(REGRESSORS)
+    regressor = np.empty(REGRESSORS)
+    regressor[CONSTANT] = 1.0
     for j in range(len(_WARM_UP_S)):
         regressor[WARM_UP + j] = math.exp((state.first_s - now_s) / _WARM_UP_S[j])
     for a in range(3):
@@ -204,7 +205,7 @@ def _regress(
     return state.slots
 
 
-@njit
+@inner
 def _drive(
     low: FloatArray, scale: FloatArray, dt: float, temperature: float, rate: float, regressor: FloatArray
 ) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 
 from imumon.blocks import IntArray, SampleBlock
 from imumon.columns import KNOWN, Column
-from imumon.compiled import alone, njit, record
+from imumon.compiled import alone, inner, njit, record
 from imumon.protocols.base import CAPACITY, CompiledDecoder
 from imumon.protocols.checksums import Checksum, checksum, make_checksum
 from imumon.protocols.fixed.description import Packet
@@ -135,7 +135,7 @@ def _scan_fixed(
     return bool(row == len(packets))
 
 
-@njit
+@inner
 def _judge(held: ByteArray, at: int, stop: int, frame: _Frame, check: Checksum) -> int:
     """Tell whether a packet begins at a place: sync bytes, length, whether all of it is there, checksum."""
     available = stop - at

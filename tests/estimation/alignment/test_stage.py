@@ -60,7 +60,7 @@ def test_a_mems_gyro_never_shows_a_north(seed: int) -> None:
     assert any("heading not observable with this gyro" in text for text in stage.notices())
 
 
-def test_a_mems_gyro_whose_bias_happens_to_be_nought_shows_no_north_either() -> None:
+def test_a_mems_gyro_whose_bias_happens_to_be_zero_shows_no_north_either() -> None:
     stage, out = aligned(samples(scenario(150.0, arw=MEMS_ARW, rate_hz=50.0)))
     assert not stage.status.observable
     assert np.isnan(out["heading"]).all()

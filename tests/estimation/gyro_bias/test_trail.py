@@ -58,7 +58,7 @@ def test_the_chart_has_curve_trail_and_the_current_point() -> None:
     assert named["now x"].y[-1] == pytest.approx(np.degrees(bias[-10:, 0]).mean() * 3600.0, abs=6.0)
     assert named["now x"].x[-1] == pytest.approx(35.0, abs=0.1)
     assert {curve.name for curve in left.curves} == {"x", "now x", "y", "now y", "z", "now z"}
-    offset = 60.0 * 35.0  # the curve of the model is nought in the middle of its range
+    offset = 60.0 * 35.0  # the curve of the model is zero in the middle of its range
     rest = next(curve for curve in left.curves if curve.name == "x")
     assert np.ptp(rest.y) < 60.0
     assert rest.y[-1] == pytest.approx(offset, abs=20.0)

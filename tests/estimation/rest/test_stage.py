@@ -70,10 +70,10 @@ def test_steady_yaw_is_motion_by_the_change_of_the_gyros_mean() -> None:
     assert rest_again(t, rest, 60.0) < 3.0
 
 
-def test_a_bias_that_jumps_is_doubted_for_a_while_and_then_taken() -> None:
+def test_a_bias_that_jumps_is_undecided_for_a_while_and_then_taken() -> None:
     t, gyro, accel = noise(70.0)
     gyro[t > 20, 2] += 0.8 * DEG
-    parameters = RestParameters(gyro_drift=1e-5, doubt_s=30.0)
+    parameters = RestParameters(gyro_drift=1e-5, undecided_s=30.0)
     again = rest_again(t, detect(block(t, gyro, accel), parameters), 20.0)
     assert 30.0 < again < 38.0
 

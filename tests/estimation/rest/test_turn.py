@@ -61,7 +61,7 @@ def test_a_steady_turn_is_no_rest_and_the_rest_after_it_is_found(
     assert not hypothesis[(before | after) & (rest == 1)].any()
 
 
-def test_a_slow_drift_of_all_axes_is_rest_and_of_the_vertical_alone_is_doubted_at_the_same_rate() -> None:
+def test_a_slow_drift_of_all_axes_is_rest_and_of_the_vertical_alone_is_undecided_at_the_same_rate() -> None:
     t, gyro, accel = noise(400.0, 25.0, 2e-4)
     slope = 6e-5 * np.clip(t - BEGIN_S, 0.0, 100.0)
     vertical = gyro.copy()
