@@ -145,7 +145,7 @@ class Unit:
 
 
 def parse_unit(text: str, target: str) -> Unit:
-    """Parse a unit and check that it measures the same as `target`, a key of `EXAMPLES`.
+    """Parse a unit and check that it measures the same as `target`; `EXAMPLES` has those inside imumon.
 
     A number that it is divided by is a scale: in "g/16384" a g has 16384 counts.
 
@@ -154,7 +154,7 @@ def parse_unit(text: str, target: str) -> Unit:
     ValueError
         When it is unknown, not a unit, or of another kind.
     """
-    usual = f"usual here: {EXAMPLES[target]}"
+    usual = f"usual here: {EXAMPLES.get(target, 'V, A, rpm, 1')}"
     scaled = _SCALED.fullmatch(text)
     bare, count = (scaled["unit"], Fraction(scaled["count"])) if scaled else (text, Fraction(1))
     if not count:

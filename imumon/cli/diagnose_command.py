@@ -51,6 +51,11 @@ class _SeveralValues(click.Command):
     "--model", "model_path", type=PATH, help="Instead: the bias model that is assumed, by imumon calibrate."
 )
 @click.option("--map", "map_path", type=PATH, help="YAML file: what is in which column of the tables.")
+@click.option(
+    "--drivers",
+    default="all",
+    help="What else that was recorded may drive an effect: all that varies (the default), none, or NAME,...",
+)
 @click.option("--out", required=True, type=PATH, help="Folder for the report and the extended model.")
 @json_option
 def command(
@@ -59,6 +64,7 @@ def command(
     declared: str | None,
     model_path: Path | None,
     map_path: Path | None,
+    drivers: str,
     out: Path,
     as_json: bool,
 ) -> None:
@@ -87,7 +93,8 @@ def command(
         split = len(train)
         training = [run for group in runs[:split] for run in group]
         testing = [run for group in runs[split:] for run in group]
-        diagnosis = diagnose(training, testing, assumed, tell, model=model)
+        chosen = {"all": None, "none": []}.get(drivers, drivers.split(","))
+        diagnosis = diagnose(training, testing, assumed, tell, model=model, drivers=chosen)
         extended_model(diagnosis).write(out / "model.yaml")
         write_report(diagnosis, out / "report.json")
         write_page(diagnosis, out / "report.html", tell)

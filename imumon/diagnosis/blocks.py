@@ -74,15 +74,25 @@ class RunBlocks:
 
 
 def make_blocks(
-    run: Run, channels: Sequence[str], temperatures: Sequence[str], block_s: float = BLOCK_S
+    run: Run,
+    channels: Sequence[str],
+    temperatures: Sequence[str],
+    drivers: Sequence[str] = (),
+    block_s: float = BLOCK_S,
 ) -> RunBlocks:
-    """Return the block means of a run over the seconds at rest in which every channel has samples."""
+    """Return the block means of a run over the seconds at rest in which every channel has samples.
+
+    `drivers` are what may drive effects besides the temperatures.
+    """
     valid = run.rest >= REST_SHARE
     for name in channels:
         valid = valid & np.isfinite(run.mean[name])
     accel = _filled([run.mean.get(f"accel_{axis}") for axis in "xyz"], run.time_s)
+    others = {
+        name: filled for name in drivers if (filled := _bridged(run.mean.get(name), run.time_s)) is not None
+    }
     drives = {
-        name: Drive(run.time_s, filled, accel)
+        name: Drive(run.time_s, filled, accel, others)
         for name in temperatures
         if (filled := _bridged(run.mean[name], run.time_s)) is not None
     }

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.diagnosis.recording import SECOND_NS, Run
+from imumon.diagnosis.recording import CHANNELS, SECOND_NS, Run
 
 LONGEST_PAUSE_S = 60.0
 """A recording that begins later than this after another, by the device's clock, is one from power-on."""
@@ -30,7 +30,7 @@ def _pause_s(before: Run, after: Run) -> float | None:
 
 
 def continued(before: Run, after: Run) -> Run:
-    """Return a run with the time and the temperatures of the one that it goes on from; its samples alone
+    """Return a run with the time and the drivers of the one that it goes on from; its samples alone
     count."""
     assert before.start_ns is not None
     assert after.start_ns is not None
@@ -42,7 +42,7 @@ def continued(before: Run, after: Run) -> Run:
         for name, values in parts.items():
             whole = np.full(n, np.nan)
             whole[first:] = values
-            if name.startswith("temperature") and name in earlier:
+            if name not in CHANNELS and name in earlier:
                 whole[: len(before.time_s)] = earlier[name]
             found[name] = whole
         return found

@@ -19,6 +19,7 @@ from imumon.diagnosis.blocks import (
 from imumon.diagnosis.candidates import Pool
 from imumon.diagnosis.channel import Channel, Declared
 from imumon.diagnosis.continuing import continued, predecessor
+from imumon.diagnosis.drivers import recorded, shadows, with_drivers
 from imumon.diagnosis.earth import VerticalRate, vertical_rate, without
 from imumon.diagnosis.faults import without_faults
 from imumon.diagnosis.known import modelled, temperature_of, without_known
@@ -88,10 +89,13 @@ def diagnose(
     progress: Progress | None = None,
     sensors: Sequence[str] = ("gyro", "accel"),
     model: BiasModel | None = None,
+    drivers: Sequence[str] | None = None,
 ) -> Diagnosis:
     """Find what the declared model leaves over in the training runs, name it, and prove it on the test runs.
 
     With a `model` that is known, its bias is taken from every run first, and `declared` is about the rest.
+    `drivers` are what may drive an effect beside temperature, time and specific force; None: all that was
+    recorded and varies.
 
     Raises
     ------
@@ -110,8 +114,9 @@ def diagnose(
     else:
         temperatures = {name: _temperature_of(name, train) for name in channels}
     used = list(dict.fromkeys(temperatures.values()))
-    blocks = _usable(train, channels, used, caveats, "training")
-    tested = _usable(test, channels, used, caveats, "test") if test else []
+    others = recorded(train, test, used, drivers, caveats)
+    blocks = _usable(train, channels, used, others, caveats, "training")
+    tested = _usable(test, channels, used, others, caveats, "test") if test else []
     total = sum(map(len, blocks))
     if total < LEAST_BLOCKS:
         raise ImumonError(
@@ -128,6 +133,11 @@ def diagnose(
         )
         degree = 0
     _remark(blocks, tested, caveats)
+    if others and seen.thermal and (said := shadows(blocks, used[0], seen.scale, degree)):
+        caveats.append(
+            f"{', '.join(said)} went with temperature or time in training: what depends on one of them looks"
+            " as if it depended on the other"
+        )
     diagnosis = Diagnosis(declared, BLOCK_S, [], blocks, tested, seen, caveats, model)
     for sensor in sensors:
         group = [name for name in channels if name.startswith(sensor)]
@@ -165,12 +175,14 @@ def _sensor(
     if search_s != BLOCK_S:
         usable = [run for run in train if run.name in {block.name for block in blocks}]
         every = list(dict.fromkeys(temperatures.values()))
-        searched = [make_blocks(run, list(temperatures), every, search_s) for run in usable]
+        others = list(blocks[0].drives[used[0]].others)
+        searched = [make_blocks(run, list(temperatures), every, others, search_s) for run in usable]
         searched = searched if earth is None else without(searched, group, earth)
         pools = {temperature: Pool(searched, temperature) for temperature in used}
+    temperature = temperatures[group[0]]
     found = search(
         [channel.in_blocks(pools[channel.temperature], BLOCK_S / search_s) for channel in channels],
-        survey(searched, temperatures[group[0]], degree, search_s),
+        with_drivers(survey(searched, temperature, degree, search_s), searched, temperature),
         [name for name, effect in EFFECTS.items() if group[0].startswith(effect.sensors)],
         progress,
     )
@@ -268,7 +280,12 @@ def _temperature_of(channel: str, runs: Sequence[Run]) -> str:
 
 
 def _usable(
-    runs: Sequence[Run], channels: Sequence[str], temperatures: Sequence[str], caveats: list[str], what: str
+    runs: Sequence[Run],
+    channels: Sequence[str],
+    temperatures: Sequence[str],
+    drivers: Sequence[str],
+    caveats: list[str],
+    what: str,
 ) -> list[RunBlocks]:
     """Return the runs as blocks, without those that cannot be used, which are named.
 
@@ -295,7 +312,7 @@ def _usable(
             )
         if resting < 1.0 - MANY_GAPS:
             caveats.append(f"{run.name}: at rest for {resting:.0%} of its time; the rest is left out")
-        blocks = make_blocks(run, channels, temperatures)
+        blocks = make_blocks(run, channels, temperatures, drivers)
         if len(blocks) < LEAST_RUN_BLOCKS:
             caveats.append(
                 f"{run.name}: not used, {len(blocks)} blocks of {BLOCK_S:.0f} s at rest are too few"

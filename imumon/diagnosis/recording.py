@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain, islice
 from pathlib import Path
 
 import numpy as np
 
 from imumon.blocks import FloatArray, IntArray, SampleBlock
 from imumon.columns import KNOWN
+from imumon.effects.vibration import VIBRATION
 from imumon.errors import ImumonError, Reason
 from imumon.recordings.reader import Stages, no_stages, open_recording
 from imumon.recordings.reduced import ACCEL, GYRO, TEMPERATURES, Progress, Reduced, reduce
 
 CHANNELS = (*GYRO, *ACCEL)
+DRIVERS = ("pressure", *(f"mag_{axis}" for axis in "xyz"))
+"""Of the columns that are known, what may drive a bias besides temperature and specific force."""
 SECOND_NS = 1_000_000_000
 LONGEST_GAP_S = 6 * 3600
 """A longer gap begins another run: nothing is known of what was between."""
@@ -95,7 +99,13 @@ def read_runs(
         BAD_DATA when there is nothing to read, no run of five minutes, or a table that needs a map.
     """
     recording = open_recording(path, stages, map_path)
-    everything = collect(recording.blocks(), recording.name, progress)
+    blocks = recording.blocks()
+    first = list(islice(blocks, 1))
+    # What is in a table of imumon's own beside the known columns may be made of the gyros themselves.
+    own = recording.source.session is None and map_path is None
+    made = {column.name for stage in stages(None) for column in stage.columns}
+    further = [] if own or not first else _further(first[0], made)
+    everything = collect(chain(first, blocks), recording.name, progress, further)
     runs = [run for run in everything if run.duration_s >= SHORTEST_RUN_S]
     if not runs:
         longest = max((run.duration_s for run in everything), default=0.0)
@@ -108,9 +118,26 @@ def read_runs(
     return [replace(run, origin=Origin(recording.name, at, sha256)) for at, run in enumerate(runs)]
 
 
-def collect(blocks: Iterable[SampleBlock], name: str, progress: Progress | None = None) -> list[Run]:
-    """Return the runs in a stream of samples with times; without ``at_rest`` it is taken as at rest."""
-    means = reduce(blocks, (*CHANNELS, *TEMPERATURES), 1.0, progress)
+def _further(block: SampleBlock, made: Container[str]) -> list[str]:
+    """Return the columns beyond the known ones that were measured: no counters, and none that stages made."""
+    return [
+        name
+        for name, values in block.columns.items()
+        if name not in KNOWN and name not in made and values.dtype == np.float64
+    ]
+
+
+def collect(
+    blocks: Iterable[SampleBlock],
+    name: str,
+    progress: Progress | None = None,
+    further: Sequence[str] = (),
+) -> list[Run]:
+    """Return the runs in a stream of samples with times; without ``at_rest`` it is taken as at rest.
+
+    `further` are columns that may drive a bias beside the known ones.
+    """
+    means = reduce(blocks, (*CHANNELS, *TEMPERATURES, *DRIVERS, *further), 1.0, progress)
     gap = np.diff(means.number, prepend=0) > LONGEST_GAP_S
     another = np.diff(means.run, prepend=-1) != 0
     parts = np.split(np.arange(len(means)), np.flatnonzero(another | gap)[1:])
@@ -130,12 +157,17 @@ def _run(means: Reduced, rest: FloatArray, rows: IntArray, name: str) -> Run:
         return grid
 
     columns = {key: at for at, key in enumerate(means.names) if means.count[rows, at].any()}
+    mean = {key: laid(means.mean[:, at], np.nan) for key, at in columns.items()}
+    variance = {key: laid(means.variance[:, at], np.nan) for key, at in columns.items()}
+    scatter = sum((variance[key] for key in ACCEL if key in variance), np.zeros(n))
+    if columns.keys() >= set(ACCEL) and np.isfinite(scatter).any():
+        mean[VIBRATION] = scatter
     return Run(
         name=name,
         time_s=np.arange(n, dtype=np.float64) + 0.5,
         count={key: laid(means.count[:, at], 0.0) for key, at in columns.items()},
-        mean={key: laid(means.mean[:, at], np.nan) for key, at in columns.items()},
-        variance={key: laid(means.variance[:, at], np.nan) for key, at in columns.items()},
+        mean=mean,
+        variance=variance,
         rest=laid(rest, 0.0),
         start_ns=int(means.start_ns[rows[0]]),
     )

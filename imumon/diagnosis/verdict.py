@@ -176,7 +176,7 @@ def _trial(
     channel: Channel, kept: Sequence[Finding], finding: Finding, everything: Fit
 ) -> tuple[float, dict[str, Any]]:
     """Return by how much the test confirms a finding (negative when it refutes it), and the numbers."""
-    carries = any(part.carries for part in everything.parts if part.effect.name == finding.name)
+    carries = any(part.carries for part in everything.parts if part.effect.label == finding.name)
     with_it = score(channel, everything)
     without = score(channel, _fit(channel, _others(kept, finding)), like=everything)
     count = [a & b for a, b in zip(with_it.quiet, without.quiet, strict=True)]

@@ -132,6 +132,42 @@ def test_digits_coarser_than_the_noise_are_said() -> None:
     assert any("too few digits" in text for text in diagnose(coarse, test).caveats)
 
 
+def with_supply(train: list[Run], test: list[Run], sensitive: float) -> tuple[list[Run], list[Run]]:
+    """Return runs with a supply that is switched, on which the gyro depends by so many °/h per 0.1 V."""
+    found = []
+    for at, one in enumerate((*train, *test)):
+        random = np.random.default_rng(at)
+        level = random.normal(size=1 + int(one.time_s[-1] // 400))[(one.time_s // 400).astype(int)]
+        supply = 5.0 + 0.1 * level + 0.002 * random.standard_normal(len(level))
+        gyro = one.mean["gyro_x"] + sensitive * level * DPH
+        found.append(replace(one, mean={**one.mean, "supply_voltage": supply, "gyro_x": gyro}))
+    return found[:2], found[2:]
+
+
+def test_a_recorded_driver_is_named_and_goes_into_the_model_file(tmp_path: Path) -> None:
+    train, test = with_supply(*three(nothing), 8.0)
+    diagnosis = diagnose(train, test)
+    assert names(diagnosis) == ["curve(supply_voltage)"]
+    score = diagnosis.verdicts[0].test_after
+    assert score is not None
+    assert score.rms < 1.2 * diagnosis.verdicts[0].channel.floor.sd
+    extended_model(diagnosis).write(tmp_path / "model.yaml")
+    model = load_model(tmp_path / "model.yaml")
+    # What knows the driver lacks nothing more; without it, the supply, nothing explains the rest.
+    assert names(diagnose(train, test, "polynomial 0", model=model)) == []
+    alone = diagnose(train, test, drivers=[])
+    assert not any("supply" in name for name in names(alone))
+    predictor = BiasPredictor(model, ["gyro_x"])
+    assert predictor.drivers == ("supply_voltage",)
+
+
+def test_a_driver_that_does_nothing_is_not_named_and_one_that_is_not_there_is_refused() -> None:
+    train, test = with_supply(*three(lag), 0.0)
+    assert names(diagnose(train, test)) == ["thermal_lag"]
+    with pytest.raises(ImumonError, match="load is not in the training data"):
+        diagnose(train, test, drivers=["load"])
+
+
 def test_what_only_the_test_shows_is_not_called_nothing() -> None:
     train, test = three(nothing)
     shifted = test[0].mean["gyro_x"] + 3 * WHITE_DPH * DPH
