@@ -239,7 +239,7 @@ def _nothing(test: TestScore | None, before: float, floor: float) -> str:
     if test is None:
         return f"no effect is proven: {left}; without a test that is no proof that nothing is missing"
     if not np.isfinite(test.rms):
-        return f"no effect is proven: {left}; the test has too little inside the trained temperatures"
+        return f"no effect is proven: {left}; the test has too little inside what training covered"
     where = f"{test.rms / floor:.2f} in the test{_covered(test)}"
     if test.rms < MATERIAL * floor:
         return f"nothing is missing: {left}, {where}"
@@ -263,4 +263,4 @@ def _tested(verdict: ChannelVerdict) -> str:
 def _covered(test: TestScore) -> str:
     if test.coverage == 1.0:
         return ""
-    return f", over the {test.coverage:.0%} of it that are inside the trained temperatures"
+    return f", over the {test.coverage:.0%} of it that are inside what training covered"

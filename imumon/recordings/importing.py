@@ -229,7 +229,7 @@ def _columns(table_map: TableMap) -> dict[str, Column]:
         for name, column in KNOWN.items()
         if name in names
     }
-    return known | {name: Column(name, other.unit) for name, other in table_map.other.items()}
+    return known | {s.target: Column(s.target, s.unit.target) for s in sources if s.target not in KNOWN}
 
 
 def _block(part: Part, table_map: TableMap, clock: _Clock) -> SampleBlock:

@@ -18,7 +18,7 @@ from pydantic import (
 
 from imumon.columns import KNOWN
 from imumon.config import StrictModel
-from imumon.units import Unit, parse_unit
+from imumon.units import Unit, parse_own_unit, parse_unit
 
 TIMESTAMPS = "iso8601"
 """In place of a unit of time: the column holds dates with times."""
@@ -147,7 +147,7 @@ class Other(StrictModel):
     @field_validator("unit")
     @classmethod
     def _is_a_unit(cls, given: str) -> str:
-        parse_unit(given, given)
+        parse_own_unit(given)
         return given
 
 
@@ -218,7 +218,5 @@ class TableMap(StrictModel):
         found = [source for group in groups if group is not None for source in group.sources()]
         order = list(KNOWN)
         found.sort(key=lambda source: order.index(source.target))
-        others = [
-            Source(one.column, name, parse_unit(one.unit, one.unit)) for name, one in self.other.items()
-        ]
+        others = [Source(one.column, name, parse_own_unit(one.unit)) for name, one in self.other.items()]
         return [*found, *others]
