@@ -26,6 +26,8 @@ def predecessor(run: Run, others: Sequence[Run]) -> Run | None:
 def _pause_s(before: Run, after: Run) -> float | None:
     if before.start_ns is None or after.start_ns is None:
         return None
+    if before.slot_s != after.slot_s:
+        return None
     return (after.start_ns - before.start_ns) / SECOND_NS - before.duration_s
 
 
@@ -34,7 +36,8 @@ def continued(before: Run, after: Run) -> Run:
     count."""
     assert before.start_ns is not None
     assert after.start_ns is not None
-    first = max(round((after.start_ns - before.start_ns) / SECOND_NS), len(before.time_s))
+    slot_s = after.slot_s
+    first = max(round((after.start_ns - before.start_ns) / SECOND_NS / slot_s), len(before.time_s))
     n = first + len(after.time_s)
 
     def joined(parts: dict[str, FloatArray], earlier: dict[str, FloatArray]) -> dict[str, FloatArray]:
@@ -50,7 +53,7 @@ def continued(before: Run, after: Run) -> Run:
     count = {name: np.concatenate([np.zeros(first), values]) for name, values in after.count.items()}
     return replace(
         after,
-        time_s=np.arange(n, dtype=np.float64) + 0.5,
+        time_s=(np.arange(n, dtype=np.float64) + 0.5) * slot_s,
         count=count,
         mean=joined(after.mean, before.mean),
         variance=joined(after.variance, {}),
