@@ -34,7 +34,7 @@ class Candidate:
     """One or more parts of the same family, and whether the state at power-on of each run is free.
 
     The family is the label of its effects.  `choice` is the price in BIC for having been chosen among what
-    other drivers there are (Chen & Chen 2008, doi:10.1093/biomet/asn034, eq. 2 with gamma = 1).
+    other drivers there are (extended BIC, gamma = 1: Chen & Chen 2008, doi:10.1093/biomet/asn034).
     """
 
     family: str

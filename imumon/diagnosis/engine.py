@@ -21,7 +21,7 @@ from imumon.diagnosis.channel import Channel, Declared
 from imumon.diagnosis.continuing import continued, predecessor
 from imumon.diagnosis.drivers import recorded, shadows, with_drivers
 from imumon.diagnosis.earth import VerticalRate, vertical_rate, without
-from imumon.diagnosis.faults import without_faults
+from imumon.diagnosis.faults import faults, without_standstill
 from imumon.diagnosis.holding_out import STRETCHES, divided
 from imumon.diagnosis.known import modelled, temperature_of, without_known
 from imumon.diagnosis.recording import CHANNELS, Run, common_temperature, unit_of
@@ -193,7 +193,15 @@ def _sensor(
     used = list(dict.fromkeys(temperatures[name] for name in group))
     pools = {temperature: Pool(blocks, temperature) for temperature in used}
     channels = [
-        Channel(name, unit_of(name), floor, models[name], pools[temperatures[name]], tested)
+        Channel(
+            name,
+            unit_of(name),
+            floor,
+            models[name],
+            pools[temperatures[name]],
+            tested,
+            faults(train, name, temperatures[name], floor.sd),
+        )
         for name in group
         for floor in [white_floor(train, name, block_s).of_blocks(blocks)]
     ]
@@ -231,7 +239,7 @@ def _said_of_earth(earth: VerticalRate | None) -> str:
 
 def _sound(runs: Sequence[Run], channels: Sequence[str], caveats: list[str]) -> list[Run]:
     """Return runs without what is a fault of the data, which is named."""
-    both = [without_faults(run, channels) for run in runs]
+    both = [without_standstill(run, channels) for run in runs]
     caveats += [text for _, said in both for text in said]
     return [run for run, _ in both]
 

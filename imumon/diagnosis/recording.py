@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Container, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
 
@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from imumon.blocks import FloatArray, IntArray, SampleBlock
 from imumon.columns import KNOWN
+from imumon.diagnosis.values import Look, Watcher
 from imumon.effects.vibration import VIBRATION
 from imumon.errors import ImumonError, Reason
 from imumon.recordings.reader import Stages, no_stages, open_recording
@@ -68,6 +69,8 @@ class Run:
         Whole seconds; more than one where a log is slower than a sample a second.
     share : float
         Of it that is used; the rest of it is held out for a test, or was.
+    looks : mapping of str to Look
+        What was seen of the single samples of channels, in the whole recording.
     """
 
     name: str
@@ -82,6 +85,7 @@ class Run:
     begun_in: str = ""
     slot_s: float = 1.0
     share: float = 1.0
+    looks: Mapping[str, Look] = field(default_factory=dict)
 
     @property
     def duration_s(self) -> float:
@@ -122,7 +126,10 @@ def read_runs(
     made = {column.name for stage in stages(None) for column in stage.columns}
     further = [] if own or not first else _further(first[0], made)
     slot_s = _slot_s(first)
-    everything = collect(chain(first, blocks), recording.name, progress, further, slot_s)
+    watcher = Watcher(CHANNELS)
+    samples = watcher.through(chain(first, blocks))
+    everything = collect(samples, recording.name, progress, further, slot_s)
+    looks = watcher.looks()
     if at_rest:
         for run in everything:
             run.rest[:] = 1.0
@@ -135,7 +142,9 @@ def read_runs(
             "record the unit at rest for an hour or more while its temperature changes",
         )
     sha256 = recording.sha256()
-    return [replace(run, origin=Origin(recording.name, at, sha256)) for at, run in enumerate(runs)]
+    return [
+        replace(run, origin=Origin(recording.name, at, sha256), looks=looks) for at, run in enumerate(runs)
+    ]
 
 
 def _further(block: SampleBlock, made: Container[str]) -> list[str]:

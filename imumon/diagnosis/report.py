@@ -83,6 +83,7 @@ def _channel(verdict: ChannelVerdict) -> dict[str, Any]:
         ],
         "left_out": verdict.left_out,
         "in_model_file": verdict.predicts,
+        "faults": [fault.text for fault in verdict.channel.faults],
         "unexplained": verdict.unexplained,
         "remark": verdict.remark,
         "summary": verdict.summary,

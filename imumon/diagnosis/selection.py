@@ -263,7 +263,7 @@ class Search:
         before, after = self._left(), self._left(candidate)
         size = float(np.sqrt(max(before**2 - after**2, 0.0)))
         largest = max((finding.size for finding in self.findings), default=0.0)
-        if size < max(LEAST_SIZE * self.channel.floor.sd, SECOND_SHARE * largest):
+        if size < max(LEAST_SIZE * self.channel.floor.sd, SECOND_SHARE * largest, self.channel.blind):
             return None
         rivals = {other: one.gain for other, one in table.leaders.items()}
         rivals[name] = max(leader.gain, refined)
