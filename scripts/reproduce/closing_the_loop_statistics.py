@@ -202,7 +202,8 @@ def tables(results: Sequence[Result]) -> str:
     with_columns = (COLUMNS, DRIVEN)
     plain = [r for r in results if not r.label.startswith(with_columns)]
     parts = [make(plain) for make in (_detection, _kinds, _nothing, _confusion, _errors) if plain]
-    parts += [_columns([r for r in results if r.label.startswith(with_columns)])]
+    further = [r for r in results if r.label.startswith(with_columns)]
+    parts += [_columns(further)] if further else []
     return "\n\n".join(parts) + "\n"
 
 
