@@ -145,7 +145,7 @@ class Unit:
 
 
 def parse_unit(text: str, target: str) -> Unit:
-    """Parse a unit and check that it measures the same as `target`, a key of `EXAMPLES`.
+    """Parse a unit and check that it measures the same as `target`.
 
     A number that it is divided by is a scale: in "g/16384" a g has 16384 counts.
 
@@ -154,7 +154,7 @@ def parse_unit(text: str, target: str) -> Unit:
     ValueError
         When it is unknown, not a unit, or of another kind.
     """
-    usual = f"usual here: {EXAMPLES[target]}"
+    usual = f"usual here: {EXAMPLES.get(target, target)}"
     scaled = _SCALED.fullmatch(text)
     bare, count = (scaled["unit"], Fraction(scaled["count"])) if scaled else (text, Fraction(1))
     if not count:
@@ -164,3 +164,20 @@ def parse_unit(text: str, target: str) -> Unit:
     except ImumonError as error:
         raise ValueError(f"{error.seen}; {usual}") from error
     return Unit(text, target, factor / count, offset)
+
+
+def parse_own_unit(text: str) -> Unit:
+    """Parse a unit that is kept, whatever it measures; of raw counts, the one that is divided.
+
+    Raises
+    ------
+    ValueError
+        When it is unknown, or not a unit.
+    """
+    scaled = _SCALED.fullmatch(text)
+    bare = scaled["unit"] if scaled else text
+    try:
+        _by_pint(bare, bare)
+    except ImumonError as error:
+        raise ValueError(f"{error.seen}; usual here: V, A, rpm, degC, 1") from error
+    return parse_unit(text, bare)

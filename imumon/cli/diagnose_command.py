@@ -51,6 +51,14 @@ class _SeveralValues(click.Command):
     "--model", "model_path", type=PATH, help="Instead: the bias model that is assumed, by imumon calibrate."
 )
 @click.option("--map", "map_path", type=PATH, help="YAML file: what is in which column of the tables.")
+@click.option(
+    "--drivers",
+    default="all",
+    help="What else that was recorded may drive an effect: all that varies (the default), none, or NAME,...",
+)
+@click.option(
+    "--at-rest", is_flag=True, help="The unit was at rest all the time, whatever the samples look like."
+)
 @click.option("--out", required=True, type=PATH, help="Folder for the report and the extended model.")
 @json_option
 def command(
@@ -59,6 +67,8 @@ def command(
     declared: str | None,
     model_path: Path | None,
     map_path: Path | None,
+    drivers: str,
+    at_rest: bool,
     out: Path,
     as_json: bool,
 ) -> None:
@@ -83,11 +93,12 @@ def command(
     parse_declared(assumed)
     _make(out)
     with _progress() as tell:
-        runs = [_read(path, map_path, tell) for path in (*train, *test)]
+        runs = [_read(path, map_path, at_rest, tell) for path in (*train, *test)]
         split = len(train)
         training = [run for group in runs[:split] for run in group]
         testing = [run for group in runs[split:] for run in group]
-        diagnosis = diagnose(training, testing, assumed, tell, model=model)
+        chosen = {"all": None, "none": []}.get(drivers, drivers.split(","))
+        diagnosis = diagnose(training, testing, assumed, tell, model=model, drivers=chosen)
         extended_model(diagnosis).write(out / "model.yaml")
         write_report(diagnosis, out / "report.json")
         write_page(diagnosis, out / "report.html", tell)
@@ -99,7 +110,7 @@ def command(
     print_rows({what: str(out / name) for what, name in written.items()})
 
 
-def _read(path: Path, map_path: Path | None, tell: Tell) -> list[Run]:
+def _read(path: Path, map_path: Path | None, at_rest: bool, tell: Tell) -> list[Run]:
     from imumon.diagnosis.recording import read_runs
     from imumon.estimation.rest.stage import RestDetector
 
@@ -110,7 +121,7 @@ def _read(path: Path, map_path: Path | None, tell: Tell) -> list[Run]:
         rows += more
         tell(f"reading {path.name}: {rows:,} samples")
 
-    return read_runs(path, map_path, lambda _: [RestDetector()], count)
+    return read_runs(path, map_path, lambda _: [RestDetector()], count, at_rest)
 
 
 def _make(out: Path) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -14,6 +14,8 @@ from imumon.diagnosis.recording import Origin, Run
 from imumon.effects.base import Drive, Survey
 
 BLOCK_S = 30.0
+LEAST_SLOTS = 6
+"""Slots in a block: halves and thirds of it are blocks, too, and differences inside tell the white floor."""
 LEAST_SHARE = 0.5
 """A block with less of its seconds at rest is a gap."""
 REST_SHARE = 0.99
@@ -46,9 +48,9 @@ class RunBlocks:
     temperature : mapping of str to array of shape (n,)
         Temperatures in °C.
     drives : mapping of str to Drive
-        What drives the effects, each second, for each temperature; gaps are bridged.
-    valid : array of shape (seconds,)
-        Which seconds the means are of.
+        What drives the effects, each slot, for each temperature; gaps are bridged.
+    weight : array of shape (slots,)
+        Of each slot in the means: samples, over those of a whole slot.
     """
 
     name: str
@@ -58,7 +60,8 @@ class RunBlocks:
     mean: dict[str, FloatArray]
     temperature: dict[str, FloatArray]
     drives: dict[str, Drive]
-    valid: BoolArray
+    weight: FloatArray
+    slots: int
     duration_s: float
     origin: Origin | None = None
     begun_in: str = ""
@@ -68,27 +71,41 @@ class RunBlocks:
         return len(self.time_s)
 
     def average(self, columns: FloatArray) -> FloatArray:
-        """Return block means (n, k) of columns (seconds, k)."""
-        means, share = _block_means(columns, self.valid, self.block_s)
+        """Return block means (n, k) of columns (slots, k)."""
+        means, share = _block_means(columns, self.weight, self.slots)
         return means[share >= LEAST_SHARE]
 
 
 def make_blocks(
-    run: Run, channels: Sequence[str], temperatures: Sequence[str], block_s: float = BLOCK_S
+    run: Run,
+    channels: Sequence[str],
+    temperatures: Sequence[str],
+    drivers: Sequence[str] = (),
+    block_s: float = BLOCK_S,
 ) -> RunBlocks:
-    """Return the block means of a run over the seconds at rest in which every channel has samples."""
+    """Return the block means of a run over the slots at rest in which every channel has samples.
+
+    `drivers` are what may drive effects besides the temperatures.
+    """
     valid = run.rest >= REST_SHARE
     for name in channels:
         valid = valid & np.isfinite(run.mean[name])
     accel = _filled([run.mean.get(f"accel_{axis}") for axis in "xyz"], run.time_s)
+    others = {
+        name: filled for name in drivers if (filled := _bridged(run.mean.get(name), run.time_s)) is not None
+    }
     drives = {
-        name: Drive(run.time_s, filled, accel)
+        name: Drive(run.time_s, filled, accel, others)
         for name in temperatures
         if (filled := _bridged(run.mean[name], run.time_s)) is not None
     }
     wanted = [run.time_s, *(np.where(valid, run.mean[name], 0.0) for name in channels)]
     parts = np.column_stack([*wanted, *(drive.temperature_degc for drive in drives.values())])
-    means, share = _block_means(parts, valid, block_s)
+    count = run.count[channels[0]]
+    weight = np.zeros(len(count))
+    weight[valid] = count[valid] / run.samples_per_slot(channels[0])
+    slots = max(1, round(block_s / run.slot_s))
+    means, share = _block_means(parts, weight, slots)
     keep = share >= LEAST_SHARE
     means = means[keep]
     first = 1 + len(channels)
@@ -100,18 +117,23 @@ def make_blocks(
         mean={name: means[:, 1 + i] for i, name in enumerate(channels)},
         temperature={name: means[:, first + i] for i, name in enumerate(drives)},
         drives=drives,
-        valid=valid,
+        weight=weight,
+        slots=slots,
         duration_s=run.duration_s,
         origin=run.origin,
         begun_in=run.begun_in,
     )
 
 
-def _block_means(columns: FloatArray, valid: BoolArray, block_s: float) -> tuple[FloatArray, FloatArray]:
-    """Return means over the valid seconds of each block, and their share of the block."""
-    width = round(block_s)
-    starts = np.arange(0, len(valid), width)
-    weight = valid.astype(np.float64)
+def common_block_s(runs: Sequence[Run]) -> float:
+    """Return the length of a block: 30 s, or more where a log has few samples in that."""
+    slot_s = max(run.slot_s for run in runs)
+    return LEAST_SLOTS * slot_s * -(-BLOCK_S // (LEAST_SLOTS * slot_s))
+
+
+def _block_means(columns: FloatArray, weight: FloatArray, width: int) -> tuple[FloatArray, FloatArray]:
+    """Return weighted means over blocks of so many slots, and the sum of weights over that of a full one."""
+    starts = np.arange(0, len(weight), width)
     count = np.add.reduceat(weight, starts)
     with np.errstate(invalid="ignore", divide="ignore"):
         means = np.add.reduceat(columns * weight[:, np.newaxis], starts, axis=0) / count[:, np.newaxis]
@@ -141,29 +163,35 @@ class WhiteFloor:
     sd: float
     source: str
 
+    def of_blocks(self, runs: Sequence[RunBlocks]) -> WhiteFloor:
+        """Return that of the blocks that there are, some of which are not full."""
+        white = np.concatenate([run.white for run in runs])
+        return replace(self, sd=self.sd * float(np.sqrt(white.mean())))
+
 
 def white_floor(runs: Sequence[Run], channel: str, block_s: float = BLOCK_S) -> WhiteFloor:
     """Return the white floor of a channel from the scatter inside blocks.
 
-    The variance of the samples within a second over their number is right for independent samples.  It is
-    compared with half the mean square difference of neighbouring means of 1, 2, 4 and 8 s (an Allan
+    The variance of the samples within a slot over their number is right for independent samples.  It is
+    compared with half the mean square difference of neighbouring means of 1, 2, 4 and 8 slots (an Allan
     variance): an output filter makes the short ones too small, rounding makes them too large.  The first
     that agrees with the next is taken.
     """
     candidates: list[tuple[str, float]] = []
     weighted, seconds, samples = 0.0, 0.0, 0.0
+    slot_s = runs[0].slot_s
     for run in runs:
         variance, count = run.variance[channel], run.count[channel]
         usable = (run.rest >= REST_SHARE) & np.isfinite(variance) & (count > 1)
         weighted += float((variance[usable] * (count[usable] - 1)).sum())
         seconds += float((count[usable] - 1).sum())
-        samples = max(samples, run.samples_per_second(channel))
-    if seconds > 0 and samples >= 4:
+        samples = max(samples, run.samples_per_slot(channel) / run.slot_s)
+    if seconds > 0 and samples * slot_s >= 4:
         candidates.append(("samples inside seconds", weighted / seconds / samples / block_s))
     for step in STEPS_S:
         value = _difference_variance(runs, channel, step, block_s)
         if np.isfinite(value):
-            candidates.append((f"means of {step} s inside blocks", value))
+            candidates.append((f"means of {step * slot_s:.0f} s inside blocks", value))
     for (source, value), (_, following) in pairwise(candidates):
         if value > 0 and abs(following / value - 1.0) < PLATEAU:
             return WhiteFloor(float(np.sqrt(value)), source)
@@ -174,15 +202,16 @@ def white_floor(runs: Sequence[Run], channel: str, block_s: float = BLOCK_S) -> 
 
 
 def _difference_variance(runs: Sequence[Run], channel: str, step: int, block_s: float) -> float:
-    """Return the variance of a block mean from differences of neighbouring means of `step` seconds.
+    """Return the variance of a block mean from differences of neighbouring means of `step` slots.
 
     The differences are taken within blocks and less the mean of their block, so that no ramp gets in.
     """
-    width = round(block_s)
-    total, count = 0.0, 0.0
+    total, count, share = 0.0, 0.0, 1.0
     for run in runs:
         usable = (run.rest >= REST_SHARE) & np.isfinite(run.mean[channel])
         values = np.where(usable, run.mean[channel], np.nan)
+        width = max(1, round(block_s / run.slot_s))
+        share = step / width
         blocks = len(values) // width
         per_block = width // step
         if not blocks or per_block < 3:
@@ -197,7 +226,7 @@ def _difference_variance(runs: Sequence[Run], channel: str, step: int, block_s: 
         k = per_block - 1
         total += float((spread**2).sum()) / (2.0 * (1.0 - 1.0 / k**2))
         count += float(whole.sum()) * k
-    return total / count * step / block_s if count > 0 else float("nan")
+    return total / count * share if count > 0 else float("nan")
 
 
 def survey(runs: Sequence[RunBlocks], temperature: str | None, degree: int, block_s: float) -> Survey:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from imumon.blocks import FloatArray
 from imumon.diagnosis.blocks import RunBlocks
 from imumon.effects.base import Effect, Survey
 from imumon.effects.follower import may_sum
-from imumon.effects.library import EFFECTS
+from imumon.effects.library import EFFECTS, kind_of
 
 SHARED = -1
 """Scope: one coefficient for all runs; a number from 0 on is the one run that has it."""
@@ -31,11 +31,16 @@ class Part:
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """One or more parts of the same family, and whether the state at power-on of each run is free."""
+    """One or more parts of the same family, and whether the state at power-on of each run is free.
+
+    The family is the label of its effects.  `choice` is the price in BIC for having been chosen among what
+    other drivers there are (extended BIC, gamma = 1: Chen & Chen 2008, doi:10.1093/biomet/asn034).
+    """
 
     family: str
     parts: tuple[Part, ...]
     free_start: bool = False
+    choice: float = 0.0
 
     @property
     def nonlinear(self) -> int:
@@ -45,16 +50,16 @@ class Candidate:
     @property
     def scope(self) -> str:
         """Whose its coefficients are by nature, see `imumon.effects.base.Scope`."""
-        return EFFECTS[self.family].scope
+        return kind_of(self.family).scope
+
+    def contains(self, family: str) -> bool:
+        """Tell whether what another family adds is in the main a special case of this one."""
+        return self.parts[0].effect.contains(family)
 
     def neighbours(self, survey: Survey, level: int) -> list[Candidate]:
         """Return candidates with one parameter of one part changed, closer at each level."""
         return [
-            Candidate(
-                self.family,
-                (*self.parts[:at], Part(effect, part.runs), *self.parts[at + 1 :]),
-                self.free_start,
-            )
+            replace(self, parts=(*self.parts[:at], Part(effect, part.runs), *self.parts[at + 1 :]))
             for at, part in enumerate(self.parts)
             for effect in part.effect.refined(survey, level)
         ]
@@ -78,7 +83,8 @@ def candidates(survey: Survey, families: Iterable[str] = tuple(EFFECTS)) -> list
             found += [Candidate(name, (Part(effect, every[1:]),)) for effect in grid]
         else:
             single = [(Part(effect),) for effect in grid]
-            found += [Candidate(name, part) for part in single]
+            found += [Candidate(part[0].effect.label, part) for part in single]
+            found += _driven(family, survey)
             if family.free_start != "never":
                 found += [Candidate(name, part, free_start=True) for part in single]
             if family.scope == "either" and survey.runs > 1:
@@ -87,6 +93,16 @@ def candidates(survey: Survey, families: Iterable[str] = tuple(EFFECTS)) -> list
             groups = family.sums(grid) if may_sum(survey, 2) else []
             found += [Candidate(name, tuple(map(Part, group)), start) for group in groups for start in starts]
     return found
+
+
+def _driven(family: type[Effect], survey: Survey) -> list[Candidate]:
+    """Return what may be of another driver than the temperature."""
+    price = 2.0 * float(np.log(survey.choices))
+    return [
+        Candidate(effect.label, (Part(effect),), choice=price)
+        for driver in survey.others
+        for effect in family.driven(survey, driver)
+    ]
 
 
 @dataclass(slots=True)

@@ -12,6 +12,7 @@ import numpy as np
 from imumon.blocks import FloatArray
 from imumon.diagnosis.blocks import RunBlocks, WhiteFloor
 from imumon.diagnosis.candidates import Candidate, Pool
+from imumon.diagnosis.faults import Fault
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +62,8 @@ class Channel:
     pool : Pool
         Training runs, which temperature drives the channel, and the columns of effects over them.
     test : sequence of RunBlocks
+    faults : sequence of Fault
+        What is wrong with its data.
     """
 
     name: str
@@ -69,6 +72,12 @@ class Channel:
     declared: Declared
     pool: Pool
     test: Sequence[RunBlocks]
+    faults: Sequence[Fault] = ()
+
+    @property
+    def blind(self) -> float:
+        """rms below which an effect is not told from a fault of the data."""
+        return max((fault.blind for fault in self.faults), default=0.0)
 
     @property
     def train(self) -> Sequence[RunBlocks]:

@@ -86,7 +86,7 @@ def _beside(run: RunBlocks, temperature: str, declared: Declared) -> FloatArray:
     """Return what else a bias may follow, so that it is not taken for a pose, (n, k)."""
     middle, half = declared.middle_degc, declared.half_span_degc
     effects: list[Effect] = [
-        *(ThermalLag(time_constant_s=tau, middle_degc=middle, half_span_degc=half) for tau in LAGS_S),
+        *(ThermalLag(time_constant_s=tau, middle=middle, half_span=half) for tau in LAGS_S),
         *(WarmUp(time_constant_s=tau) for tau in LAGS_S),
         Drift(),
     ]

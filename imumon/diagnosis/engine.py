@@ -9,9 +9,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from imumon.diagnosis.blocks import (
-    BLOCK_S,
     REST_SHARE,
     RunBlocks,
+    common_block_s,
     make_blocks,
     survey,
     white_floor,
@@ -19,8 +19,10 @@ from imumon.diagnosis.blocks import (
 from imumon.diagnosis.candidates import Pool
 from imumon.diagnosis.channel import Channel, Declared
 from imumon.diagnosis.continuing import continued, predecessor
+from imumon.diagnosis.drivers import recorded, shadows, with_drivers
 from imumon.diagnosis.earth import VerticalRate, vertical_rate, without
-from imumon.diagnosis.faults import without_faults
+from imumon.diagnosis.faults import faults, without_standstill
+from imumon.diagnosis.holding_out import STRETCHES, divided
 from imumon.diagnosis.known import modelled, temperature_of, without_known
 from imumon.diagnosis.recording import CHANNELS, Run, common_temperature, unit_of
 from imumon.diagnosis.selection import search
@@ -35,6 +37,8 @@ from imumon.models.model import BiasModel
 LEAST_BLOCKS = 40
 LEAST_RUN_BLOCKS = 8
 LEAST_REST = 0.5
+LEAST_THERE = 0.1
+"""Share of its time in which a channel that is used has samples."""
 MANY_GAPS = 0.2
 MOST_SEARCH_BLOCKS = 700
 """Longer runs are searched in longer blocks; they are scored in blocks of 30 s all the same."""
@@ -45,11 +49,21 @@ HIGHEST_DEGREE = 8
 Progress = Callable[[str], None]
 
 
+@dataclass(frozen=True, slots=True)
+class Names:
+    """Channels, the temperatures that their curves are over, and other drivers."""
+
+    channels: Sequence[str]
+    temperatures: Sequence[str]
+    drivers: Sequence[str]
+
+
 @dataclass(slots=True)
 class Diagnosis:
     """Verdicts on all channels, and what has to be said of the data.
 
-    `model` is the one that was given to begin with, or None.
+    `model` is the one that was given to begin with, or None.  `held_out` says that the test is part of the
+    one run that there is.
     """
 
     declared: str
@@ -60,6 +74,7 @@ class Diagnosis:
     survey: Survey
     caveats: list[str] = field(default_factory=list)
     model: BiasModel | None = None
+    held_out: bool = False
 
 
 def parse_declared(text: str) -> tuple[int, bool]:
@@ -88,10 +103,13 @@ def diagnose(
     progress: Progress | None = None,
     sensors: Sequence[str] = ("gyro", "accel"),
     model: BiasModel | None = None,
+    drivers: Sequence[str] | None = None,
 ) -> Diagnosis:
     """Find what the declared model leaves over in the training runs, name it, and prove it on the test runs.
 
     With a `model` that is known, its bias is taken from every run first, and `declared` is about the rest.
+    `drivers` are what may drive an effect beside temperature, time and specific force; None: all that was
+    recorded and varies.
 
     Raises
     ------
@@ -100,9 +118,18 @@ def diagnose(
     """
     degree, offsets = parse_declared(declared)
     caveats = [*dict.fromkeys(text for run in (*train, *test) for text in run.warnings)]
-    channels = _channels(train)
+    channels = _channels(train, caveats)
     train, test = (_sound(runs, channels, caveats) for runs in (train, test))
     test = _in_order(train, _unseen(train, test, caveats), caveats)
+    long = len(train) == 1 and train[0].duration_s >= 2 * LEAST_BLOCKS * common_block_s(train)
+    held = long and not test
+    if held:
+        train, test = ([part] for part in divided(train[0]))
+        caveats.append(
+            f"no test data: every other {train[0].duration_s / STRETCHES / 60:.0f} min of the one run are"
+            " held out as a test.  That is weaker than another power-on: what is particular to this run, and"
+            " any noise that is slower, is in both"
+        )
     if model is not None:
         channels = modelled(channels, model)
         temperatures = {name: temperature_of(name, model, train) for name in channels}
@@ -110,17 +137,21 @@ def diagnose(
     else:
         temperatures = {name: _temperature_of(name, train) for name in channels}
     used = list(dict.fromkeys(temperatures.values()))
-    blocks = _usable(train, channels, used, caveats, "training")
-    tested = _usable(test, channels, used, caveats, "test") if test else []
+    others = recorded(train, test, used, drivers, caveats)
+    block_s = common_block_s([*train, *test])
+    names = Names(channels, used, others)
+    blocks = _usable(train, names, block_s, caveats, "training")
+    tested = _usable(test, names, block_s, caveats, "test") if test else []
     total = sum(map(len, blocks))
     if total < LEAST_BLOCKS:
         raise ImumonError(
             Reason.BAD_DATA,
-            f"too short: the training data has {total * BLOCK_S / 60:.0f} min at rest, {len(blocks)} run(s);"
-            f" at least {LEAST_BLOCKS * BLOCK_S / 60:.0f} min are needed",
-            "record the unit at rest for an hour or more while its temperature changes",
+            f"too short: the training data has {total} means of {block_s:.0f} s at rest;"
+            f" {LEAST_BLOCKS} are needed, {LEAST_BLOCKS * block_s / 60:.0f} min",
+            "record the unit at rest for an hour or more while its temperature changes;"
+            " if it was at rest and is not seen to be, add --at-rest",
         )
-    seen = survey(blocks, used[0], degree, BLOCK_S)
+    seen = survey(blocks, used[0], degree, block_s)
     if not seen.thermal:
         caveats.append(
             f"the temperature moves by {seen.span_degc:.1f} °C only ({LEAST_SPAN_DEGC:.0f} °C are needed):"
@@ -128,7 +159,12 @@ def diagnose(
         )
         degree = 0
     _remark(blocks, tested, caveats)
-    diagnosis = Diagnosis(declared, BLOCK_S, [], blocks, tested, seen, caveats, model)
+    if others and seen.thermal and (said := shadows(blocks, used[0], seen.scale, degree)):
+        caveats.append(
+            f"{', '.join(said)} went with temperature or time in training: what depends on one of them looks"
+            " as if it depended on the other"
+        )
+    diagnosis = Diagnosis(declared, block_s, [], blocks, tested, seen, caveats, model, held)
     for sensor in sensors:
         group = [name for name in channels if name.startswith(sensor)]
         if group:
@@ -146,7 +182,7 @@ def _sensor(
     progress: Progress | None,
 ) -> list[ChannelVerdict]:
     """Return the verdicts on the axes of one sensor."""
-    blocks, tested = diagnosis.train, diagnosis.test
+    blocks, tested, block_s = diagnosis.train, diagnosis.test, diagnosis.block_s
     models = {name: Declared.over(blocks, temperatures[name], degree, offsets) for name in group}
     earth = None
     if group[0].startswith("gyro") and diagnosis.survey.accel_range >= LEAST_RANGE:
@@ -157,20 +193,30 @@ def _sensor(
     used = list(dict.fromkeys(temperatures[name] for name in group))
     pools = {temperature: Pool(blocks, temperature) for temperature in used}
     channels = [
-        Channel(name, unit_of(name), floor, models[name], pools[temperatures[name]], tested)
+        Channel(
+            name,
+            unit_of(name),
+            floor,
+            models[name],
+            pools[temperatures[name]],
+            tested,
+            faults(train, name, temperatures[name], floor.sd),
+        )
         for name in group
-        for floor in [white_floor(train, name, BLOCK_S)]
+        for floor in [white_floor(train, name, block_s).of_blocks(blocks)]
     ]
     searched, search_s = blocks, _search_block(blocks)
-    if search_s != BLOCK_S:
+    if search_s != block_s:
         usable = [run for run in train if run.name in {block.name for block in blocks}]
         every = list(dict.fromkeys(temperatures.values()))
-        searched = [make_blocks(run, list(temperatures), every, search_s) for run in usable]
+        others = list(blocks[0].drives[used[0]].others)
+        searched = [make_blocks(run, list(temperatures), every, others, search_s) for run in usable]
         searched = searched if earth is None else without(searched, group, earth)
         pools = {temperature: Pool(searched, temperature) for temperature in used}
+    temperature = temperatures[group[0]]
     found = search(
-        [channel.in_blocks(pools[channel.temperature], BLOCK_S / search_s) for channel in channels],
-        survey(searched, temperatures[group[0]], degree, search_s),
+        [channel.in_blocks(pools[channel.temperature], block_s / search_s) for channel in channels],
+        with_drivers(survey(searched, temperature, degree, search_s), searched, temperature),
         [name for name, effect in EFFECTS.items() if group[0].startswith(effect.sensors)],
         progress,
     )
@@ -193,7 +239,7 @@ def _said_of_earth(earth: VerticalRate | None) -> str:
 
 def _sound(runs: Sequence[Run], channels: Sequence[str], caveats: list[str]) -> list[Run]:
     """Return runs without what is a fault of the data, which is named."""
-    both = [without_faults(run, channels) for run in runs]
+    both = [without_standstill(run, channels) for run in runs]
     caveats += [text for _, said in both for text in said]
     return [run for run, _ in both]
 
@@ -229,23 +275,30 @@ def _in_order(train: Sequence[Run], test: Sequence[Run], caveats: list[str]) -> 
 def _search_block(blocks: Sequence[RunBlocks]) -> float:
     longest = max(map(len, blocks))
     shorter = next((part for part in SHORTER if part * longest >= LEAST_SEARCH_BLOCKS), SHORTER[-1])
-    return BLOCK_S * max(1, -(-longest // MOST_SEARCH_BLOCKS)) / shorter
+    return blocks[0].block_s * max(1, -(-longest // MOST_SEARCH_BLOCKS)) / shorter
 
 
-def _channels(runs: Sequence[Run]) -> list[str]:
-    """Return the channels that every training run has at half of its seconds or more.
+def _channels(runs: Sequence[Run], caveats: list[str]) -> list[str]:
+    """Return the channels that every training run has at a tenth of its time or more, and that vary at all.
 
     Raises
     ------
     ImumonError
         BAD_DATA when there is none.
     """
-    found = [
-        name
-        for name in CHANNELS
-        if all(name in run.mean and np.isfinite(run.mean[name]).mean() > 0.1 for run in runs)
-    ]
-    found = [name for name in found if any(np.nanstd(run.mean[name]) > 0 for run in runs)]
+    found = []
+    for name in CHANNELS:
+        there = [run for run in runs if name in run.mean and np.isfinite(run.mean[name]).mean() > LEAST_THERE]
+        if not there:
+            continue
+        if len(there) < len(runs):
+            lacking = ", ".join(run.name for run in runs if run not in there)
+            caveats.append(f"{name} is left out: {lacking} hardly has it")
+        elif not any(np.nanstd(run.mean[name]) > 0 or np.nanmax(run.variance[name]) > 0 for run in runs):
+            value = float(np.nanmean(runs[0].mean[name]))
+            caveats.append(f"{name} is left out: it has one value throughout, {value:g} {unit_of(name)}")
+        else:
+            found.append(name)
     if not found:
         raise ImumonError(
             Reason.BAD_DATA,
@@ -268,7 +321,7 @@ def _temperature_of(channel: str, runs: Sequence[Run]) -> str:
 
 
 def _usable(
-    runs: Sequence[Run], channels: Sequence[str], temperatures: Sequence[str], caveats: list[str], what: str
+    runs: Sequence[Run], names: Names, block_s: float, caveats: list[str], what: str
 ) -> list[RunBlocks]:
     """Return the runs as blocks, without those that cannot be used, which are named.
 
@@ -280,25 +333,23 @@ def _usable(
     found = []
     moving = []
     for run in runs:
-        if any(name not in run.mean for name in (*channels, *temperatures)):
-            lacking = [name for name in (*channels, *temperatures) if name not in run.mean]
+        lacking = [name for name in (*names.channels, *names.temperatures) if name not in run.mean]
+        if lacking:
             caveats.append(f"{run.name}: not used, it lacks {', '.join(lacking)}")
             continue
-        there = np.isfinite(run.mean[channels[0]])[run.earlier :]
+        there = np.isfinite(run.mean[names.channels[0]])[run.earlier :]
         resting = float((run.rest[run.earlier :][there] >= REST_SHARE).mean()) if there.any() else 0.0
         if resting < LEAST_REST:
             moving.append(f"{run.name}: at rest for {resting:.0%} of its {run.duration_s / 60:.0f} min")
             continue
-        if there.mean() < 1.0 - MANY_GAPS:
-            caveats.append(
-                f"{run.name}: samples in {there.mean():.0%} of its seconds only; gaps are left out"
-            )
+        if there.mean() < run.share * (1.0 - MANY_GAPS):
+            caveats.append(f"{run.name}: samples in {there.mean():.0%} of its time only; gaps are left out")
         if resting < 1.0 - MANY_GAPS:
             caveats.append(f"{run.name}: at rest for {resting:.0%} of its time; the rest is left out")
-        blocks = make_blocks(run, channels, temperatures)
+        blocks = make_blocks(run, names.channels, names.temperatures, names.drivers, block_s)
         if len(blocks) < LEAST_RUN_BLOCKS:
             caveats.append(
-                f"{run.name}: not used, {len(blocks)} blocks of {BLOCK_S:.0f} s at rest are too few"
+                f"{run.name}: not used, {len(blocks)} blocks of {block_s:.0f} s at rest are too few"
             )
             continue
         found.append(blocks)
@@ -306,7 +357,7 @@ def _usable(
         raise ImumonError(
             Reason.BAD_DATA,
             "the unit moves: " + "; ".join(moving),
-            "what the bias model lacks can be told only of a unit at rest",
+            "what the bias model lacks can be told only of a unit at rest; if it was, add --at-rest",
         )
     caveats += [f"{text}: not used, it moves" for text in moving]
     if what == "test" and not found:

@@ -101,7 +101,7 @@ def _trained_on(run: RunBlocks) -> TrainedOn:
         session=run.origin.session,
         run=run.origin.index,
         sha256=run.origin.sha256,
-        rest_s=float(run.valid.sum()),
+        rest_s=float(run.weight.sum()) * run.block_s / run.slots,
         blocks=len(run),
         temperature_range_degc=[float(temperature.min()), float(temperature.max())],
     )

@@ -1,22 +1,47 @@
-"""Faults of the data, found before any physics is asked: values that stand still while time goes on."""
+"""Faults of the data, found before any physics is asked: what they are, and what they leave to be seen."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.diagnosis.blocks import BLOCK_S
-from imumon.diagnosis.recording import Run
+from imumon.diagnosis.recording import Run, unit_of
+from imumon.diagnosis.values import Look
 
 ROUNDED = 0.5
-"""With more of its seconds in which nothing changes a channel is not stuck: its digits are too coarse."""
+"""With more of its time in which nothing changes a channel is not stuck: its digits are too coarse."""
+LEAST_STILL = 6
+"""Slots of one value, and 30 s, that are a fault."""
+LOUDER = 1.3
+"""Factor between the noise at the cold and at the warm end that is said."""
+LEAST_NOISE = 0.2
+"""Of a step: less noise is not told, for hardly any sample leaves its step."""
+REPEATED = 0.3
+"""Share of samples that equal the one before, of a channel whose digits are fine, that is said."""
 
 
-def without_faults(run: Run, channels: Sequence[str]) -> tuple[Run, list[str]]:
-    """Return a run without the seconds in which a channel stands still, and what has to be said of them.
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """What is wrong with the data of a channel.
+
+    Parameters
+    ----------
+    text : str
+    blind : float
+        rms of what it alone makes of a smooth bias: a smaller effect cannot be seen.  Infinite where nothing
+        that is fitted would be the bias.
+    """
+
+    text: str
+    blind: float = 0.0
+
+
+def without_standstill(run: Run, channels: Sequence[str]) -> tuple[Run, list[str]]:
+    """Return a run without the slots in which a channel stands still, and what has to be said of them.
 
     Noise never gives the same value for as long as a block (30 s), but a stuck sensor does, one at its limit,
     and one whose digits are coarser than its noise.  The last is said and kept.
@@ -25,29 +50,105 @@ def without_faults(run: Run, channels: Sequence[str]) -> tuple[Run, list[str]]:
     for name in channels:
         if name not in mean:
             continue
-        still = _standing(mean[name], run.variance[name])
+        still = _standing(mean[name], run.variance[name], max(LEAST_STILL, BLOCK_S / run.slot_s))
         known = np.isfinite(mean[name])
         if not still.any():
             continue
-        seconds, share = int(still.sum()), still.sum() / known.sum()
-        if share > ROUNDED:
-            said.append(f"{run.name}: {name} does not change in {share:.0%} of its seconds: too few digits")
+        seconds, share = still.sum() * run.slot_s, still.sum() / known.sum()
+        look = run.looks.get(name)
+        if share > ROUNDED or (look is not None and look.step > look.noise * np.sqrt(1.0 - look.repeated)):
+            said.append(f"{run.name}: {name} does not change in {share:.0%} of its time: too few digits")
             continue
         values = mean[name][still]
         limits = np.nanmin(mean[name]), np.nanmax(mean[name])
         what = "saturated" if np.isin(values, limits).all() else "stuck"
-        said.append(f"{run.name}: {name} is {what} for {seconds} s; they are left out")
+        said.append(f"{run.name}: {name} is {what} for {seconds:.0f} s; they are left out")
         mean[name] = np.where(still, np.nan, mean[name])
         variance[name] = np.where(still, np.nan, variance[name])
     return replace(run, mean=mean, variance=variance), said
 
 
-def _standing(mean: FloatArray, variance: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-    """Tell in which seconds a channel has one value for as long as a block or longer, (n,)."""
+def _standing(
+    mean: FloatArray, variance: FloatArray, least: float
+) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    """Tell in which slots a channel has one value for as many of them or more, (n,)."""
     same = (np.diff(mean, prepend=np.nan) == 0.0) & ~(variance > 0.0)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]])))
     still = np.zeros(len(mean), np.bool_)
     for start, stop in edges.reshape(-1, 2).tolist():
-        # The second before the first that repeats has the value as well.
-        still[start - 1 : stop] = stop - start + 1 >= BLOCK_S
+        # The slot before the first that repeats has the value as well.
+        still[start - 1 : stop] = stop - start + 1 >= least
     return still
+
+
+def faults(runs: Sequence[Run], channel: str, temperature: str, floor: float) -> list[Fault]:
+    """Return what is wrong with the values of a channel; `floor` is the white noise of a block."""
+    found = []
+    looks = [run.looks[channel] for run in runs if channel in run.looks]
+    for make in (_of_digits, _of_atoms, _of_repeats):
+        each = [fault for look in looks if (fault := make(look, channel, floor)) is not None]
+        if each:
+            found.append(max(each, key=lambda fault: fault.blind))
+    louder = _of_noise(runs, channel, temperature) if not found else None
+    return [*found, *([louder] if louder is not None else [])]
+
+
+def _of_digits(look: Look, channel: str, floor: float) -> Fault | None:
+    """Tell digits that are too coarse for their noise to carry what lies between them.
+
+    The mean of rounded samples errs by up to q/pi exp(-2 pi² sigma²/q²), q the step: the first term of the
+    Fourier series of the sawtooth that rounding is, averaged over normal noise.
+    """
+    if not look.step > 0.0:
+        return None
+    ratio = look.noise / look.step if np.isfinite(look.noise) else 0.0
+    # Of samples that are mostly one value and now and then the next, the differences are those of the grid.
+    ratio *= float(np.sqrt(1.0 - look.repeated))
+    error = look.step / np.pi * float(np.exp(-2.0 * (np.pi * ratio) ** 2))
+    if error < 0.5 * floor:
+        return None
+    times = f"{1 / ratio:.1f}" if ratio > LEAST_NOISE else f"more than {1 / LEAST_NOISE:.0f}"
+    text = f"quantized: steps of {look.step:.3g} {unit_of(channel)}, {times} times the noise"
+    # A curve through the stairs errs by their own rms, that of an even distribution, at most.
+    return Fault(text, look.step / float(np.sqrt(12.0)))
+
+
+def _of_atoms(look: Look, channel: str, _: float) -> Fault | None:
+    """Tell a value that comes too often: at the end of the others, away from them, or amid them."""
+    if not look.atom_share > 0.0:
+        return None
+    value = f"{look.atom_share:.1%} of the samples are {look.atom + 0.0:.4g} {unit_of(channel)}"
+    kind = {"end": "saturated", "apart": "dropouts", "inside": "dead-band"}[look.place]
+    return Fault(f"{kind}: {value}", np.inf)
+
+
+def _of_repeats(look: Look, _: str, __: float) -> Fault | None:
+    """Tell a channel that has a new value less often than there are samples."""
+    fine = not look.step > 0.0 or look.step < 0.5 * look.noise
+    if not fine or look.repeated < REPEATED or look.atom_share > 0.0:
+        return None
+    every = 1.0 / max(1.0 - look.repeated, 1e-6)
+    return Fault(f"another rate: a new value with every {every:.1f}th sample only")
+
+
+def _of_noise(runs: Sequence[Run], channel: str, temperature: str) -> Fault | None:
+    """Tell white noise that depends on the temperature."""
+    values, warmth = (
+        np.concatenate(parts)
+        for parts in zip(
+            *((run.variance[channel], run.mean[temperature]) for run in runs if temperature in run.mean),
+            strict=True,
+        )
+    )
+    known = np.isfinite(values) & np.isfinite(warmth) & (values > 0.0)
+    if known.sum() < 100:
+        return None
+    values, warmth = values[known], warmth[known]
+    low, high = np.quantile(warmth, (0.2, 0.8))
+    cold, warm = (float(np.sqrt(np.median(values[part]))) for part in (warmth <= low, warmth >= high))
+    if not high > low or max(cold, warm) < LOUDER * min(cold, warm):
+        return None
+    return Fault(
+        f"noise that depends on temperature: {warm / cold:.2f} times as large above {high:.0f} °C as below"
+        f" {low:.0f} °C"
+    )

@@ -121,7 +121,7 @@ def _against(axes: Axes, runs: Sequence[RunBlocks], verdict: ChannelVerdict, nam
     after = _split(runs, verdict.after.train)
     for at, run in enumerate(runs):
         drive = run.drives[verdict.channel.temperature]
-        parts = [part for part in verdict.after.parts if part.effect.name == name]
+        parts = [part for part in verdict.after.parts if part.effect.label == name]
         part = np.sum([one.added(run, drive, at) for one in parts], axis=0)
         axes.plot(
             part * scale,

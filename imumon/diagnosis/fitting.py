@@ -13,6 +13,7 @@ from imumon.diagnosis.candidates import Candidate, Part
 from imumon.diagnosis.channel import Channel, ordinary
 from imumon.diagnosis.tracking import Prior, track
 from imumon.effects.base import Drive, Effect
+from imumon.models.model import REACH
 
 CARRY_SPREAD = 0.35
 """Own coefficients carry over when none is further from their mean than this share of it."""
@@ -171,7 +172,8 @@ def score(channel: Channel, model: Fit, like: Fit | None = None) -> TestScore:
     left, followed, counted, covered, quiet = [], [], [], [], []
     for run in channel.test:
         t = run.temperature[channel.temperature]
-        covered.append((t >= trained.min()) & (t <= trained.max()))
+        inside_range = (t >= trained.min()) & (t <= trained.max())
+        covered.append(inside_range & _within_drivers(channel, run, like or model))
         use = covered[-1] & _settled(channel, run, like or model)
         residual = run.mean[channel.name] - _predicted(channel, run, model)
         if channel.declared.offsets and use.any():
@@ -224,6 +226,18 @@ def _begun(channel: Channel, run: RunBlocks) -> int | None:
     """Return the training run that a run goes on from; None where it begins with a power-on of its own."""
     names = [other.name for other in channel.train]
     return names.index(run.begun_in) if run.begun_in in names else None
+
+
+def _within_drivers(channel: Channel, run: RunBlocks, model: Fit) -> BoolArray:
+    """Tell at which blocks of a run every other driver is where training, or nearly, has shown it, (n,)."""
+    drive, found = run.drives[channel.temperature], np.ones(len(run), bool)
+    for effect in (part.effect for part in model.parts):
+        for name in effect.inputs:
+            scale = effect.scale_of(name)
+            if scale is not None and name in drive.others:
+                far = np.abs(run.average(drive.others[name][:, np.newaxis])[:, 0] - scale.middle)
+                found &= far <= scale.half_span * (1.0 + 2.0 * REACH)
+    return found
 
 
 def _settled(channel: Channel, run: RunBlocks, model: Fit) -> BoolArray:

@@ -17,6 +17,8 @@ SHORT_LIST = 6
 """Best candidates of each family, by the coarse grid of noise, that are looked at closely."""
 PAIR_LIST = 4
 """Best candidates of each family that are tried in pairs."""
+OF_OTHERS = 4
+"""Families of other drivers than temperature and time of which pairs are tried: the best of the best."""
 TIE = 1e-3
 """Gain that decides between the members of a pair, which have that of the pair."""
 
@@ -84,7 +86,8 @@ def pooled_gains(tables: Sequence[Table], logarithm: float) -> dict[str, float]:
         return {}
     pooled: dict[str, float] = {}
     for same in zip(*(table.scored[: table.common] for table in shown), strict=True):
-        gain = sum(one.fit for one in same) - same[0].candidate.nonlinear * logarithm
+        candidate = same[0].candidate
+        gain = sum(one.fit for one in same) - candidate.nonlinear * logarithm - candidate.choice
         pooled[same[0].family] = max(pooled.get(same[0].family, -np.inf), gain)
     # Jumps come at times of their own, and loops of several widths differ: there each channel's best counts.
     return {
@@ -114,7 +117,9 @@ def pairs_of(scored: Sequence[Scored]) -> list[tuple[Scored, Scored]]:
     Free starts are left out: with one, a lag can do as a warm-up.
     """
     lists = families([one for one in scored if not one.candidate.free_start], PAIR_LIST)
-    members = [one for group in lists.values() for one in group]
+    others = sorted((group[0] for group in lists.values() if group[0].candidate.choice), key=_worst_first)
+    members = [one for group in lists.values() for one in group if not one.candidate.choice]
+    members += others[:OF_OTHERS]
     return [(one, other) for one, other in combinations(members, 2) if one.family != other.family]
 
 

@@ -54,6 +54,7 @@ def without_known(run: Run, model: BiasModel, temperatures: dict[str, str]) -> R
         np.zeros(len(time_ns), np.int64),
         temperature,
         np.column_stack(force) if len(force) == 3 else None,
+        run.mean,
     )
     changed = {name: run.mean[name] - predicted.bias[:, at] for at, name in enumerate(names)}
     return replace(run, mean={**run.mean, **changed})

@@ -90,7 +90,7 @@ def _channel(diagnosis: Diagnosis, verdict: ChannelVerdict, content: dict[str, A
 
 def _parameters(found: dict[str, Any]) -> str:
     fitted = ("coefficients", "start", "runs", "amplitude")
-    hidden = (*fitted, "middle_degc", "half_span_degc", "smoothing_s", "slack_degc", "start_sd_degc")
+    hidden = (*fitted, "middle", "half_span", "smoothing_s", "slack", "start_sd", "driver", "drivers")
     return ", ".join(f"{key} {_text(value)}" for key, value in found.items() if key not in hidden)
 
 

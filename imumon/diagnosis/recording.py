@@ -1,21 +1,29 @@
-"""Recordings read for the diagnosis: means of one second, one run from each power-on."""
+"""Recordings read for the diagnosis: means of a second, or of a sample, one run from each power-on."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Container, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from imumon.blocks import FloatArray, IntArray, SampleBlock
 from imumon.columns import KNOWN
+from imumon.diagnosis.values import Look, Watcher
+from imumon.effects.vibration import VIBRATION
 from imumon.errors import ImumonError, Reason
 from imumon.recordings.reader import Stages, no_stages, open_recording
 from imumon.recordings.reduced import ACCEL, GYRO, TEMPERATURES, Progress, Reduced, reduce
 
 CHANNELS = (*GYRO, *ACCEL)
+DRIVERS = ("pressure", *(f"mag_{axis}" for axis in "xyz"))
+"""Of the columns that are known, what may drive a bias besides temperature and specific force."""
 SECOND_NS = 1_000_000_000
+LOOKED_AT = 1000
+"""Rows from which the rate of a log is told."""
 LONGEST_GAP_S = 6 * 3600
 """A longer gap begins another run: nothing is known of what was between."""
 SHORTEST_RUN_S = 300.0
@@ -33,20 +41,20 @@ class Origin:
 
 @dataclass(slots=True)
 class Run:
-    """One run from power-on in means of one second; a second without samples is NaN.
+    """One run from power-on in means of a slot, a second in most; a slot without samples is NaN.
 
     Parameters
     ----------
     name : str
         Where it comes from.
     time_s : array of shape (n,)
-        Middle of each second since the first sample.
+        Middle of each slot since the first sample.
     count : mapping of str to array of shape (n,)
-        Samples in each second.
+        Samples in each slot.
     mean : mapping of str to array of shape (n,)
         Mean of channels in SI units and of temperatures in °C.
     variance : mapping of str to array of shape (n,)
-        Variance of the samples within each second; NaN with fewer than two.
+        Variance of the samples within each slot; NaN with fewer than two.
     rest : array of shape (n,)
         Share of the samples at which the unit was at rest.
     origin : Origin or None
@@ -54,11 +62,17 @@ class Run:
     start_ns : int or None
         Device time of the first sample; None when it is not known.
     earlier : int
-        Seconds at the beginning that are of another run, which this one goes on from.
+        Slots at the beginning that are of another run, which this one goes on from.
     begun_in : str
         The run that began at this power-on, where that is another: what jumped in it stays where it is.
     warnings : tuple of str
         Why its numbers may not be fit for an estimate: the device has corrected its rates itself, say.
+    slot_s : float
+        Whole seconds; more than one where a log is slower than a sample a second.
+    share : float
+        Of it that is used; the rest of it is held out for a test, or was.
+    looks : mapping of str to Look
+        What was seen of the single samples of channels, in the whole recording.
     """
 
     name: str
@@ -72,16 +86,21 @@ class Run:
     earlier: int = 0
     begun_in: str = ""
     warnings: tuple[str, ...] = ()
+    slot_s: float = 1.0
+    share: float = 1.0
+    looks: Mapping[str, Look] = field(default_factory=dict)
 
     @property
     def duration_s(self) -> float:
         """Length in seconds."""
-        return float(len(self.time_s))
+        return len(self.time_s) * self.slot_s
 
-    def samples_per_second(self, channel: str) -> float:
-        """Return the mean number of samples in the seconds that have any."""
-        count = self.count[channel]
-        return float(count[count > 0].mean()) if (count > 0).any() else 0.0
+    def samples_per_slot(self, channel: str) -> float:
+        """Return the mean number of samples in a slot that no gap cuts: its neighbours have samples, too."""
+        some = self.count[channel] > 0
+        whole = some & np.append(some[1:], False) & np.append(False, some[:-1])
+        chosen = whole if whole.any() else some
+        return float(self.count[channel][chosen].mean()) if chosen.any() else 0.0
 
 
 def read_runs(
@@ -89,8 +108,11 @@ def read_runs(
     map_path: Path | None,
     stages: Stages = no_stages,
     progress: Progress | None = None,
+    at_rest: bool = False,
 ) -> list[Run]:
     """Read a session, or a table with its map (one that imumon wrote needs none), as runs from power-on.
+
+    `at_rest` says that the unit was at rest all the time, whatever the samples look like.
 
     Raises
     ------
@@ -98,7 +120,22 @@ def read_runs(
         BAD_DATA when there is nothing to read, no run of five minutes, or a table that needs a map.
     """
     recording = open_recording(path, stages, map_path)
-    everything = collect(recording.blocks(), recording.name, progress)
+    blocks = recording.blocks()
+    first: list[SampleBlock] = []
+    while sum(map(len, first)) < LOOKED_AT and (more := next(blocks, None)) is not None:
+        first.append(more)
+    # What is in a table of imumon's own beside the known columns may be made of the gyros themselves.
+    own = recording.source.session is None and map_path is None
+    made = {column.name for stage in stages(None) for column in stage.columns}
+    further = [] if own or not first else _further(first[0], made)
+    slot_s = _slot_s(first)
+    watcher = Watcher(CHANNELS)
+    samples = watcher.through(chain(first, blocks))
+    everything = collect(samples, recording.name, progress, further, slot_s)
+    looks = watcher.looks()
+    if at_rest:
+        for run in everything:
+            run.rest[:] = 1.0
     runs = [run for run in everything if run.duration_s >= SHORTEST_RUN_S]
     if not runs:
         longest = max((run.duration_s for run in everything), default=0.0)
@@ -109,23 +146,62 @@ def read_runs(
         )
     sha256, said = recording.sha256(), tuple(f"{path}: {text}" for text in recording.warnings())
     return [
-        replace(run, origin=Origin(recording.name, at, sha256), warnings=said) for at, run in enumerate(runs)
+        replace(run, origin=Origin(recording.name, at, sha256), warnings=said, looks=looks)
+        for at, run in enumerate(runs)
     ]
 
 
-def collect(blocks: Iterable[SampleBlock], name: str, progress: Progress | None = None) -> list[Run]:
-    """Return the runs in a stream of samples with times; without ``at_rest`` it is taken as at rest."""
-    means = reduce(blocks, (*CHANNELS, *TEMPERATURES), 1.0, progress)
-    gap = np.diff(means.number, prepend=0) > LONGEST_GAP_S
+def _further(block: SampleBlock, made: Container[str]) -> list[str]:
+    """Return the columns beyond the known ones that were measured: no counters, and none that stages made."""
+    return [
+        name
+        for name, values in block.columns.items()
+        if name not in KNOWN and name not in made and values.dtype == np.float64
+    ]
+
+
+def _slot_s(blocks: Sequence[SampleBlock]) -> float:
+    """Return how long a slot is in which a log has a sample: a second, or more for a slower one."""
+    steps = [np.diff(block["device_time_ns"][_measured(block)]) for block in blocks]
+    forward = np.concatenate([step[step > 0] for step in steps]) if steps else np.empty(0)
+    period_s = float(np.median(forward)) / SECOND_NS if len(forward) else 0.0
+    # A clock that is off by a percent still puts a sample into each slot.
+    return float(max(1, np.ceil(period_s / 1.01)))
+
+
+def _measured(block: SampleBlock) -> npt.NDArray[np.bool_]:
+    """Tell which rows have a gyro or an accelerometer."""
+    found = np.zeros(len(block), np.bool_)
+    for name in CHANNELS:
+        if name in block:
+            found |= np.isfinite(block[name])
+    return found
+
+
+def collect(
+    blocks: Iterable[SampleBlock],
+    name: str,
+    progress: Progress | None = None,
+    further: Sequence[str] = (),
+    slot_s: float = 1.0,
+) -> list[Run]:
+    """Return the runs in a stream of samples with times; without ``at_rest`` it is taken as at rest.
+
+    `further` are columns that may drive a bias beside the known ones.  A log slower than a sample a second is
+    too slow for a rest detector: a slot is then at rest when it is like its neighbours.
+    """
+    means = reduce(blocks, (*CHANNELS, *TEMPERATURES, *DRIVERS, *further), slot_s, progress)
+    gap = np.diff(means.number, prepend=0) > LONGEST_GAP_S / slot_s
     another = np.diff(means.run, prepend=-1) != 0
     parts = np.split(np.arange(len(means)), np.flatnonzero(another | gap)[1:])
     names = [name] if len(parts) == 1 else [f"{name}, run {index + 1}" for index in range(len(parts))]
-    rest = np.nan_to_num(means.share_in_hindsight(), nan=1.0)
+    slow = means.quiet().astype(np.float64)
+    rest = slow if slot_s > 1.0 else np.nan_to_num(means.share_in_hindsight(), nan=1.0)
     return [_run(means, rest, rows, text) for rows, text in zip(parts, names, strict=True) if len(rows)]
 
 
 def _run(means: Reduced, rest: FloatArray, rows: IntArray, name: str) -> Run:
-    """Lay these slots out on a grid of seconds from the first of them."""
+    """Lay these slots out on a grid of all slots from the first of them."""
     second = means.number[rows] - means.number[rows[0]]
     n = int(second[-1]) + 1
 
@@ -135,14 +211,20 @@ def _run(means: Reduced, rest: FloatArray, rows: IntArray, name: str) -> Run:
         return grid
 
     columns = {key: at for at, key in enumerate(means.names) if means.count[rows, at].any()}
+    mean = {key: laid(means.mean[:, at], np.nan) for key, at in columns.items()}
+    variance = {key: laid(means.variance[:, at], np.nan) for key, at in columns.items()}
+    scatter = sum((variance[key] for key in ACCEL if key in variance), np.zeros(n))
+    if columns.keys() >= set(ACCEL) and np.isfinite(scatter).mean() > 0.5:
+        mean[VIBRATION] = scatter
     return Run(
         name=name,
-        time_s=np.arange(n, dtype=np.float64) + 0.5,
+        time_s=(np.arange(n, dtype=np.float64) + 0.5) * means.slot_s,
         count={key: laid(means.count[:, at], 0.0) for key, at in columns.items()},
-        mean={key: laid(means.mean[:, at], np.nan) for key, at in columns.items()},
-        variance={key: laid(means.variance[:, at], np.nan) for key, at in columns.items()},
+        mean=mean,
+        variance=variance,
         rest=laid(rest, 0.0),
         start_ns=int(means.start_ns[rows[0]]),
+        slot_s=means.slot_s,
     )
 
 

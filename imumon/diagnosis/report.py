@@ -26,7 +26,8 @@ def report(diagnosis: Diagnosis) -> dict[str, Any]:
         "block_s": diagnosis.block_s,
         "train": [_run(run.name, len(run), run.duration_s) for run in diagnosis.train],
         "test": [_run(run.name, len(run), run.duration_s) for run in diagnosis.test],
-        "independent_test": bool(diagnosis.test),
+        "independent_test": bool(diagnosis.test) and not diagnosis.held_out,
+        "held_out": diagnosis.held_out,
         "temperature_range_degc": [
             diagnosis.survey.middle_degc - diagnosis.survey.half_span_degc,
             diagnosis.survey.middle_degc + diagnosis.survey.half_span_degc,
@@ -82,6 +83,7 @@ def _channel(verdict: ChannelVerdict) -> dict[str, Any]:
         ],
         "left_out": verdict.left_out,
         "in_model_file": verdict.predicts,
+        "faults": [fault.text for fault in verdict.channel.faults],
         "unexplained": verdict.unexplained,
         "remark": verdict.remark,
         "summary": verdict.summary,

@@ -25,7 +25,7 @@ from imumon.diagnosis.gains import (
 )
 from imumon.diagnosis.likelihood import Likelihood, Noise, coarse_grid, fine_grid, neighbours
 from imumon.effects.base import Survey
-from imumon.effects.library import EFFECTS
+from imumon.effects.library import kind_of
 
 CLOSE = 10.0
 """Families whose gains differ by less are not told apart."""
@@ -178,7 +178,7 @@ class Search:
         scored = []
         for at, (candidate, (defining, start)) in enumerate(zip(tried, both, strict=True)):
             fit = ratio[at] - (len(defining) + len(start)) * price
-            gain = fit - candidate.nonlinear * price
+            gain = fit - candidate.nonlinear * price - candidate.choice
             if start:
                 gain = min(gain, ratio[at] - max(0.0, alone[tuple(start)]) - len(defining) * price)
             scored.append(Scored(candidate, gain, fit, noise[at]))
@@ -204,7 +204,8 @@ class Search:
             len(group) + sum(one.candidate.nonlinear for one in pair)
             for pair, group in zip(pairs, terms, strict=True)
         ]
-        gains = 2 * (likelihood - null) - np.array(number) * self._likelihood.price
+        choice = np.array([sum(one.candidate.choice for one in pair) for pair in pairs])
+        gains = 2 * (likelihood - null) - np.array(number) * self._likelihood.price - choice
         return needed_in_pairs(pairs, gains.tolist(), max(one.gain for one in scored))
 
     def decide(self, table: Table, pooled: Mapping[str, float]) -> None:
@@ -236,12 +237,18 @@ class Search:
         best = leaders[order[0]].gain
         slack = max(CLOSE, 0.3 * best)
         names = dict.fromkeys(finding.name for finding in self.findings)
-        events = [name for name in names if EFFECTS[name].scope == "event"]
+        events = [name for name in names if kind_of(name).scope == "event"]
         if order[0] in events:
             lasting = next((name for name in order if name not in events), None)
             return lasting if lasting and leaders[lasting].gain > max(PROVEN, best - slack) else order[0]
         for name in names:
             if name not in events and name in order and leaders[name].gain > max(PROVEN, best - slack):
+                return name
+        candidate = leaders[order[0]].scored.candidate
+        for name in order[1:]:
+            usual = candidate.choice and not leaders[name].scored.candidate.choice
+            simpler = candidate.contains(name) or usual
+            if simpler and leaders[name].gain > max(PROVEN, best - CLOSE):
                 return name
         shared = max((name for name in order if name in pooled), key=pooled.__getitem__, default=order[0])
         if leaders[shared].gain > LEAST_EVIDENCE and _near(leaders[shared].gain, best):
@@ -256,7 +263,7 @@ class Search:
         before, after = self._left(), self._left(candidate)
         size = float(np.sqrt(max(before**2 - after**2, 0.0)))
         largest = max((finding.size for finding in self.findings), default=0.0)
-        if size < max(LEAST_SIZE * self.channel.floor.sd, SECOND_SHARE * largest):
+        if size < max(LEAST_SIZE * self.channel.floor.sd, SECOND_SHARE * largest, self.channel.blind):
             return None
         rivals = {other: one.gain for other, one in table.leaders.items()}
         rivals[name] = max(leader.gain, refined)
@@ -268,6 +275,8 @@ class Search:
         chosen, best, close = leader.scored.family, table.best, []
         for name, other in table.leaders.items():
             if name == chosen or other.gain <= PROVEN or _beside(leader, name, other):
+                continue
+            if other.scored.candidate.contains(chosen):
                 continue
             near = _near(other.gain, best)
             if name in pooled and chosen in pooled:
@@ -353,7 +362,7 @@ class Search:
     def _merge_start(self) -> None:
         """Take for a start out of equilibrium what passed for an effect of its own, if that does."""
         for lag in self.findings:
-            looks_like = EFFECTS[lag.name].start_looks_like
+            looks_like = kind_of(lag.name).start_looks_like
             other = next((one for one in self.findings if one.name in looks_like), None)
             if other is None or lag.candidate.free_start:
                 continue
@@ -369,7 +378,8 @@ class Search:
         """Return twice the log-likelihood of the model so far less the price of its parameters."""
         terms = (len(group) for one in self.found for group in self.channel.pool.terms(one))
         number = sum(terms) + sum(one.nonlinear for one in self.found)
-        return 2 * self.null()[0] - number * self._likelihood.price
+        choice = sum(one.choice for one in self.found)
+        return 2 * self.null()[0] - number * self._likelihood.price - choice
 
 
 def _gain(one: Scored) -> float:

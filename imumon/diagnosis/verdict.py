@@ -82,7 +82,8 @@ def judge(channel: Channel, found: Search) -> ChannelVerdict:
     before = fit(channel, [])
     kept, left_out = _not_worse(channel, findings)
     after = _fit(channel, kept)
-    floor, remark = channel.floor.sd, ""
+    # What the digits alone make of a smooth bias is no structure.
+    floor, remark = float(np.hypot(channel.floor.sd, channel.blind)), ""
     share = explained_share(before.train_rms, after.train_rms, floor)
     passes = after.train_rms < CLEAN * floor or share >= EXPLAINED
     if found.many_events or (kept and not passes):
@@ -114,7 +115,7 @@ def judge(channel: Channel, found: Search) -> ChannelVerdict:
         remark=remark,
         predicts=predicts,
     )
-    verdict.summary = summary(verdict)
+    verdict.summary = "; ".join([*(fault.text for fault in channel.faults), summary(verdict)])
     return verdict
 
 
@@ -176,7 +177,7 @@ def _trial(
     channel: Channel, kept: Sequence[Finding], finding: Finding, everything: Fit
 ) -> tuple[float, dict[str, Any]]:
     """Return by how much the test confirms a finding (negative when it refutes it), and the numbers."""
-    carries = any(part.carries for part in everything.parts if part.effect.name == finding.name)
+    carries = any(part.carries for part in everything.parts if part.effect.label == finding.name)
     with_it = score(channel, everything)
     without = score(channel, _fit(channel, _others(kept, finding)), like=everything)
     count = [a & b for a, b in zip(with_it.quiet, without.quiet, strict=True)]
@@ -207,6 +208,9 @@ def summary(verdict: ChannelVerdict) -> str:
     """Return one sentence on a channel."""
     floor = verdict.channel.floor.sd
     before, after = verdict.before.train_rms / floor, verdict.after.train_rms / floor
+    limit = float(np.hypot(floor, verdict.channel.blind))
+    if np.isinf(verdict.channel.blind):
+        return "no effect is looked for beside that"
     if not verdict.claims:
         worse = "".join(f"; {item['name']} was found but made the test worse" for item in verdict.left_out)
         if verdict.unexplained:
@@ -215,7 +219,7 @@ def summary(verdict: ChannelVerdict) -> str:
                 f"unexplained: the declared model leaves {before:.1f} white floors, structure or slow noise"
                 f" that none of the known effects explains{what}{worse}"
             )
-        return f"{_nothing(verdict.test_before, before, floor)}{worse}"
+        return f"{_nothing(verdict.test_before, before, floor, limit)}{worse}"
     names = []
     for claim in verdict.claims:
         alike = claim.finding.alike
@@ -233,24 +237,27 @@ def summary(verdict: ChannelVerdict) -> str:
     return text
 
 
-def _nothing(test: TestScore | None, before: float, floor: float) -> str:
+def _nothing(test: TestScore | None, before: float, floor: float, limit: float) -> str:
     """Say what a declared model leaves to which nothing was added; only the test can say that it is all."""
     left = f"the declared model leaves {before:.2f} white floors in training"
     if test is None:
         return f"no effect is proven: {left}; without a test that is no proof that nothing is missing"
     if not np.isfinite(test.rms):
-        return f"no effect is proven: {left}; the test has too little inside the trained temperatures"
+        return f"no effect is proven: {left}; the test has too little inside what training covered"
     where = f"{test.rms / floor:.2f} in the test{_covered(test)}"
-    if test.rms < MATERIAL * floor:
-        return f"nothing is missing: {left}, {where}"
+    if test.rms < MATERIAL * limit:
+        what = "nothing is missing" if limit == floor else "nothing but the digits is seen"
+        return f"{what}: {left}, {where}"
     return f"no effect is proven, but something is missing: {left}, {where}"
 
 
 def _tested(verdict: ChannelVerdict) -> str:
     """Say what became of the test with the effects that are claimed."""
     before, after = verdict.test_before, verdict.test_after
-    if before is None or after is None or not np.isfinite(after.rms):
-        return ""
+    if before is None or after is None:
+        return "; without a test nothing proves it"
+    if not np.isfinite(after.rms):
+        return "; no proof: the test has too little inside what training covered"
     predicted = any(part.carries for part in verdict.after.parts) and verdict.predicts
     predicted |= goes_on(verdict.channel, verdict.after) and after.rms < before.rms
     value, how = (after.rms, "predicted") if predicted else (after.tracked_rms, "tracked")
@@ -263,4 +270,4 @@ def _tested(verdict: ChannelVerdict) -> str:
 def _covered(test: TestScore) -> str:
     if test.coverage == 1.0:
         return ""
-    return f", over the {test.coverage:.0%} of it that are inside the trained temperatures"
+    return f", over the {test.coverage:.0%} of it that are inside what training covered"

@@ -19,7 +19,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.polynomial import Polynomial
-from pydantic import Field, FiniteFloat
+from pydantic import Field, FiniteFloat, model_validator
 
 from imumon.blocks import FloatArray
 from imumon.config import StrictModel
@@ -33,6 +33,10 @@ Scope = Literal["shared", "either", "run", "event"]
 """Whose the coefficients are: shared by all runs; shared, or else each run's own; each run's own by nature;
 or those of something that happens once in a run, at a time of its own.  Own ones do not carry over."""
 
+TEMPERATURE = "temperature"
+"""The driver that the declared curve is over; in a model file, what `temperature_column` says."""
+ACCEL = "accel"
+"""The three components of the specific force, where an effect names what drives it."""
 LEAST_SPAN_DEGC = 3.0
 """With less the curve itself is not determined, let alone what it lacks."""
 FORGOTTEN = float(np.exp(-3.0))
@@ -51,15 +55,30 @@ class Drive:
         Finite.
     accel : array of shape (n, 3), or None
         Specific force in m/s², body axes.
+    others : mapping of str to array of shape (n,)
+        Whatever else was recorded, each in its own unit; finite.
     """
 
     time_s: FloatArray
     temperature_degc: FloatArray
     accel: FloatArray | None = None
+    others: Mapping[str, FloatArray] = field(default_factory=dict)
+
+    def of(self, driver: str) -> FloatArray:
+        """Return what drives an effect, (n,)."""
+        return self.temperature_degc if driver == TEMPERATURE else self.others[driver]
 
     def __len__(self) -> int:
         """Return the number of times."""
         return len(self.time_s)
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """Middle and half of the span of a driver in the training runs, in its unit."""
+
+    middle: float
+    half_span: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +101,10 @@ class Survey:
         Degree of the declared polynomial.
     middle_degc, half_span_degc : float
         Temperature is scaled to u = (T - middle) / half span.
+    others : mapping of str to Scale
+        Further drivers that were recorded and that vary.
+    choices : float
+        Effective number of things that an effect of these can be: as many as are independent of one another.
     """
 
     durations_s: Sequence[float]
@@ -92,6 +115,13 @@ class Survey:
     degree: int
     middle_degc: float
     half_span_degc: float
+    others: Mapping[str, Scale] = field(default_factory=dict)
+    choices: float = 1.0
+
+    @property
+    def scale(self) -> Scale:
+        """That of the temperature."""
+        return Scale(self.middle_degc, self.half_span_degc)
 
     @property
     def runs(self) -> int:
@@ -115,20 +145,20 @@ class Memory:
 
     Parameters
     ----------
-    time_s, temperature_degc : float
+    time_s, driver : float
         The last ones seen (behind the slack of a smooth loop).
-    follower_degc : float
-        Where the temperature stands that follows: lagged, or dragged along.
-    ahead_degc : float
-        How far a smooth loop's temperature is ahead of what it drags.
+    follower : float
+        Where the one stands that follows the driver: lagged, or dragged along.
+    ahead : float
+        How far the driver of a smooth loop is ahead of what it drags.
     past : array of shape (k, 2)
-        Earlier times and temperatures, where a delay needs them.
+        Earlier times and values of the driver, where a delay needs them.
     """
 
     time_s: float = NAN
-    temperature_degc: float = NAN
-    follower_degc: float = NAN
-    ahead_degc: float = NAN
+    driver: float = NAN
+    follower: float = NAN
+    ahead: float = NAN
     past: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
 
 
@@ -146,8 +176,6 @@ class Effect(StrictModel):
     sensors: ClassVar[tuple[str, ...]] = ("gyro", "accel")
     """Whose channels may have it."""
     scope: ClassVar[Scope] = "shared"
-    needs_accel: ClassVar[bool] = False
-    """Whether the specific force drives it."""
     nonlinear: ClassVar[tuple[str, ...]] = ()
     """Parameters that are searched and refined."""
     free_start: ClassVar[Literal["never", "alone", "in sums"]] = "never"
@@ -161,6 +189,14 @@ class Effect(StrictModel):
 
     coefficients: list[FiniteFloat] = Field(default_factory=list)
 
+    @model_validator(mode="before")
+    @classmethod
+    def _as_of_temperature(cls, given: Any) -> Any:
+        """Take the keys of the first format, when temperature was all that drove an effect."""
+        if not isinstance(given, dict):
+            return given
+        return {str(key).removesuffix("_degc"): value for key, value in given.items()}
+
     @classmethod
     def __pydantic_init_subclass__(cls, **_: Any) -> None:
         if "kind" in cls.model_fields:
@@ -171,12 +207,35 @@ class Effect(StrictModel):
         """Number of columns."""
         return 1
 
+    @property
+    def label(self) -> str:
+        """What it is called: that of its kind, and what drives it where that is not the temperature."""
+        return self.name
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """What drives it besides time and temperature."""
+        return ()
+
+    def contains(self, label: str) -> bool:  # noqa: ARG002 - for those that may
+        """Tell whether the effect of a label is in the main a special case of this one."""
+        return False
+
+    def scale_of(self, driver: str) -> Scale | None:  # noqa: ARG002 - for those that have one
+        """Return where a driver went in training; None where its place does not matter."""
+        return None
+
     # What there is to try
 
     @classmethod
     def grid(cls, survey: Survey) -> list[Self]:
         """Return the effects worth trying on such runs; none where the runs cannot show the effect."""
         raise NotImplementedError
+
+    @classmethod
+    def driven(cls, survey: Survey, driver: str) -> list[Self]:  # noqa: ARG003 - for those that can be
+        """Return the effects of another driver that are worth trying."""
+        return []
 
     @classmethod
     def sums(cls, grid: Sequence[Self]) -> list[tuple[Self, ...]]:  # noqa: ARG003 - for those that need it
@@ -227,18 +286,18 @@ class Effect(StrictModel):
 
     # The state at power-on
 
-    def starts(self, temperature_degc: float) -> tuple[Memory, Memory] | None:  # noqa: ARG002 - for those with memory
+    def starts(self, drive: Drive) -> tuple[Memory, Memory] | None:  # noqa: ARG002 - for those with memory
         """Return a low and a high state at power-on, or None where it is known."""
         return None
 
     @property
-    def start_sd(self) -> float:
+    def start_share(self) -> float:
         """Standard deviation of the state at power-on; 1 is half the way between those of `starts`."""
         return 1.0
 
     def start_columns(self, drive: Drive) -> FloatArray:
         """Return what a state at power-on higher by 1 adds to the first column, (n, m)."""
-        ends = self.starts(float(drive.temperature_degc[0])) if len(drive) else None
+        ends = self.starts(drive) if len(drive) else None
         if ends is None:
             return np.empty((len(drive), 0))
         low, high = (self.advance(memory, drive)[:, :1] for memory in ends)
@@ -262,6 +321,37 @@ class Effect(StrictModel):
     def described(self, coefficients: FloatArray) -> dict[str, Any]:  # noqa: ARG002 - for those with more to say
         """Return what else is worth reporting of fitted coefficients (runs, k)."""
         return {}
+
+
+class DrivenEffect(Effect):
+    """An effect of the temperature, or of whatever else was recorded.
+
+    Parameters
+    ----------
+    driver : str
+        The temperature that the channel's curve is over, or another recorded column.  Parameters that are not
+        times are in its unit.
+    """
+
+    operator: ClassVar[str]
+    """What it does with its driver, in a word; it is in the name of an effect of another driver."""
+
+    driver: Annotated[str, Field(min_length=1)] = TEMPERATURE
+
+    @property
+    def label(self) -> str:
+        """That of its kind, or for instance ``lag(supply_voltage)``."""
+        return self.name if self.of_temperature else f"{self.operator}({self.driver})"
+
+    @property
+    def of_temperature(self) -> bool:
+        """Whether it is one of the temperature that the curve is over."""
+        return self.driver == TEMPERATURE
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """The driver, where it is another."""
+        return () if self.of_temperature else (self.driver,)
 
 
 def logarithmic(low: float, high: float, ratio: float) -> list[float]:

@@ -26,6 +26,7 @@ class DeadTime(Follower):
     """
 
     kind: Literal["dead_time"] = "dead_time"
+    operator = "delay"
     nonlinear = ("delay_s",)
     suspected_by = ("temperature rate",)
     separated_by: ClassVar[Mapping[str, str]] = {
@@ -44,11 +45,11 @@ class DeadTime(Follower):
 
     def follow(self, memory: Memory, drive: Drive) -> FloatArray:
         """Return the delayed temperature, between those remembered on a straight line."""
-        time, temperature = drive.time_s, drive.temperature_degc
+        time, values = drive.time_s, drive.of(self.driver)
         if not len(time):
-            return temperature
+            return values
         interval = np.floor(np.concatenate([[memory.time_s], time]) / SPACING_S)
-        new = np.column_stack([time, temperature])[~(interval[1:] <= interval[:-1])]
+        new = np.column_stack([time, values])[~(interval[1:] <= interval[:-1])]
         past = np.concatenate([memory.past, new])
         needed = np.searchsorted(past[:, 0], time[-1] - self.delay_s, side="right") - 1
         memory.time_s, memory.past = time[-1], past[max(needed, 0) :]

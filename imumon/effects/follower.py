@@ -1,4 +1,4 @@
-"""Effects by which a bias follows the temperature late: powers of it less those of the late one."""
+"""Effects by which a bias follows its driver late: powers of it less those of the late one."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field, FiniteFloat
 
 from imumon.blocks import FloatArray
-from imumon.effects.base import Drive, Effect, Memory, Positive, Survey
+from imumon.effects.base import Drive, DrivenEffect, Effect, Memory, Positive, Scale, Survey
 
 MOST_IN_SUMS = 9
 """Parameters of which sums are tried."""
@@ -18,17 +18,24 @@ MOST_IN_SUMS = 9
 E = TypeVar("E", bound=Effect)
 
 
-class Follower(Effect):
-    """u^k - v^k, k = 1 .. order: u the temperature, v what follows it, both as (T - middle) / half span."""
+class Follower(DrivenEffect):
+    """u^k - v^k, k = 1 .. order: u the driver, v what follows it, both as (driver - middle) / half span.
+
+    Of another driver than the temperature, which no declared curve is over, u is a column as well, the last.
+    """
 
     order: Annotated[int, Field(ge=1, le=9)] = 1
-    middle_degc: FiniteFloat
-    half_span_degc: Positive
+    middle: FiniteFloat
+    half_span: Positive
+
+    def scale_of(self, driver: str) -> Scale | None:
+        """Return that of its driver."""
+        return Scale(self.middle, self.half_span) if driver == self.driver else None
 
     @property
     def width(self) -> int:
-        """One for each power."""
-        return self.order
+        """One for each power, and that of the driver itself."""
+        return self.order + (not self.of_temperature)
 
     @classmethod
     def forms(cls, survey: Survey) -> list[dict[str, Any]]:
@@ -36,21 +43,26 @@ class Follower(Effect):
         show it."""
         if not survey.thermal:
             return []
-        scale = {"middle_degc": survey.middle_degc, "half_span_degc": survey.half_span_degc}
+        scale = {"middle": survey.middle_degc, "half_span": survey.half_span_degc}
         return [{"order": order, **scale} for order in ((1, 3) if may_sum(survey, 4) else (1,))]
 
     def follow(self, memory: Memory, drive: Drive) -> FloatArray:
-        """Return the temperature that follows, °C, (n,), and carry the memory along."""
+        """Return what follows the driver, (n,), and carry the memory along."""
         raise NotImplementedError
+
+    def contains(self, label: str) -> bool:
+        """Tell whether it is a curve over the same driver, or its rate, of which nothing is declared."""
+        return label in (f"curve({self.driver})", f"rate({self.driver})")
 
     def advance(self, memory: Memory, drive: Drive) -> FloatArray:
         """Return the differences of powers, ahead less following."""
         ahead, behind = (
             np.cumprod(np.repeat(u[:, np.newaxis], self.order, axis=1), axis=1)
-            for values in (drive.temperature_degc, self.follow(memory, drive))
-            for u in [(values - self.middle_degc) / self.half_span_degc]
+            for values in (drive.of(self.driver), self.follow(memory, drive))
+            for u in [(values - self.middle) / self.half_span]
         )
-        return np.asarray(ahead - behind)
+        late = ahead - behind
+        return np.asarray(late if self.of_temperature else np.column_stack([late, ahead[:, :1]]))
 
 
 def may_sum(survey: Survey, reversals: int) -> bool:

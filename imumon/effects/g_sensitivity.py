@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import ClassVar, Literal, Self
 
 from imumon.blocks import FloatArray
-from imumon.effects.base import Drive, Effect, Memory, Survey
+from imumon.effects.base import ACCEL, Drive, Effect, Memory, Survey
 
 LEAST_RANGE = 2.0
 """m/s², about twelve degrees of tilt: with less, poses and turn-on offsets look alike."""
@@ -21,7 +21,6 @@ class GSensitivity(Effect):
 
     kind: Literal["g_sensitivity"] = "g_sensitivity"
     sensors = ("gyro",)
-    needs_accel = True
     suspected_by = ("follow each other",)
     separated_by: ClassVar[Mapping[str, str]] = {
         "run_offset": "at least four poses within one run",
@@ -32,6 +31,11 @@ class GSensitivity(Effect):
     def width(self) -> int:
         """One for each axis."""
         return 3
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """The specific force."""
+        return (ACCEL,)
 
     @classmethod
     def grid(cls, survey: Survey) -> list[Self]:

@@ -14,6 +14,8 @@ from imumon.effects.follower import Follower, sums_of
 NARROWEST_DEGC = 0.3
 WIDEST_DEGC = 14.0
 RATIO = 1.35
+SHARES = (0.05, 0.1, 0.2, 0.4)
+"""Half widths of a loop of another driver, of its span."""
 SLACK_DEGC = 0.15
 """Way of the thermometer that its noise and its steps make up."""
 
@@ -22,12 +24,13 @@ class Hysteresis(Follower):
     """What follows is dragged along with a backlash of this half width, or in a smooth loop (Dahl's).
 
     Sums of several widths make any loop (Prandtl and Ishlinskii); the powers let its width change with
-    temperature.  A smooth loop goes behind a backlash of half width `slack_degc`, so that the noise of a
+    temperature.  A smooth loop goes behind a backlash of half width `slack`, so that the noise of a
     thermometer moves nothing.
     """
 
     kind: Literal["hysteresis"] = "hysteresis"
-    nonlinear = ("half_width_degc",)
+    operator = "loop"
+    nonlinear = ("half_width",)
     free_start = "alone"
     suspected_by = ("temperature", "temperature rate")
     separated_by: ClassVar[Mapping[str, str]] = {
@@ -36,9 +39,9 @@ class Hysteresis(Follower):
         "warm_up": "power-on in equilibrium with the ambient temperature held",
         "drift": "a second ramp in the other direction",
     }
-    half_width_degc: Positive
+    half_width: Positive
     shape: Literal["play", "smooth"] = "play"
-    slack_degc: NotNegative = SLACK_DEGC
+    slack: NotNegative = SLACK_DEGC
 
     @classmethod
     def grid(cls, survey: Survey) -> list[Self]:
@@ -46,10 +49,20 @@ class Hysteresis(Follower):
         widths = logarithmic(NARROWEST_DEGC, min(WIDEST_DEGC, survey.span_degc / 2), RATIO)
         shapes: tuple[Literal["play", "smooth"], ...] = ("play", "smooth")
         return [
-            cls(half_width_degc=width, shape=shape, **form)
+            cls(half_width=width, shape=shape, **form)
             for form in cls.forms(survey)
             for shape in shapes
             for width in widths
+        ]
+
+    @classmethod
+    def driven(cls, survey: Survey, driver: str) -> list[Self]:
+        """Return backlashes of a tenth to four fifths of the span."""
+        scale = survey.others[driver]
+        return [
+            cls(driver=driver, half_width=share * 2 * half, slack=0.0, middle=scale.middle, half_span=half)
+            for half in [scale.half_span]
+            for share in SHARES
         ]
 
     @classmethod
@@ -61,32 +74,31 @@ class Hysteresis(Follower):
         return [*sums_of(plays, (2, 3)), *sums_of(smooth, (2,))]
 
     def follow(self, memory: Memory, drive: Drive) -> FloatArray:
-        """Return the temperature that is dragged along."""
+        """Return what is dragged along."""
         from imumon.effects.operators import play, smooth_loop
 
-        temperature = drive.temperature_degc
-        if not len(temperature):
-            return temperature
+        values = drive.of(self.driver)
+        if not len(values):
+            return values
         if self.shape == "play":
-            dragged = play(temperature, self.half_width_degc, memory.follower_degc)
-            memory.follower_degc = dragged[-1]
+            dragged = play(values, self.half_width, memory.follower)
+            memory.follower = dragged[-1]
             return dragged
-        steady = play(temperature, self.slack_degc, memory.temperature_degc)
-        ahead = smooth_loop(steady, self.half_width_degc, memory.temperature_degc, memory.ahead_degc)
-        memory.temperature_degc, memory.ahead_degc = steady[-1], ahead[-1]
-        return np.asarray(temperature - ahead)
+        steady = play(values, self.slack, memory.driver)
+        ahead = smooth_loop(steady, self.half_width, memory.driver, memory.ahead)
+        memory.driver, memory.ahead = steady[-1], ahead[-1]
+        return np.asarray(values - ahead)
 
-    def starts(self, temperature_degc: float) -> tuple[Memory, Memory]:
+    def starts(self, drive: Drive) -> tuple[Memory, Memory]:
         """Return the ends between which a loop can be."""
+        first = float(drive.of(self.driver)[0])
         low, high = (
-            Memory(
-                temperature_degc=temperature_degc, follower_degc=temperature_degc - ahead, ahead_degc=ahead
-            )
-            for ahead in (-self.half_width_degc, self.half_width_degc)
+            Memory(driver=first, follower=first - ahead, ahead=ahead)
+            for ahead in (-self.half_width, self.half_width)
         )
         return low, high
 
     @property
-    def start_sd(self) -> float:
+    def start_share(self) -> float:
         """Somewhere between two ends, nobody knows where: that over the root of three."""
         return 1.0 / float(np.sqrt(3.0))

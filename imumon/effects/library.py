@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Union
 
 from pydantic import AfterValidator, Field
 
-from imumon.effects.base import Effect
+from imumon.effects.base import DrivenEffect, Effect
 
 FILES = (
     "temperature_curve",
@@ -22,6 +22,7 @@ FILES = (
     "run_offset",
     "periodic",
     "g_sensitivity",
+    "product",
 )
 OTHERWISE = "another run with a different course of temperature, the ambient held after power-on"
 
@@ -36,6 +37,13 @@ def _effect(name: str) -> type[Effect]:
 
 
 EFFECTS: dict[str, type[Effect]] = {name: _effect(name) for name in FILES}
+_OPERATORS = {kind.operator: kind for kind in EFFECTS.values() if issubclass(kind, DrivenEffect)}
+
+
+def kind_of(label: str) -> type[Effect]:
+    """Return the effect that a label such as ``thermal_lag`` or ``lag(supply_voltage)`` is of."""
+    first = label.partition("(")[0]
+    return EFFECTS.get(first) or _OPERATORS[first]
 
 
 def _complete(effect: Effect) -> Effect:
@@ -55,9 +63,17 @@ else:
 
 
 def separated_by(one: str, other: str) -> str:
-    """Return what to record to tell two effects apart."""
-    said = EFFECTS[one].separated_by.get(other) or EFFECTS[other].separated_by.get(one)
+    """Return what to record to tell two effects, given by their labels, apart."""
+    if "(" in one + other and _driver(one) != _driver(other):
+        free = [name for name in (one, other) if "(" in name]
+        return f"a run in which what {' and '.join(free)} depends on goes another way than the rest"
+    kinds = kind_of(one), kind_of(other)
+    said = kinds[0].separated_by.get(kinds[1].name) or kinds[1].separated_by.get(kinds[0].name)
     return said or OTHERWISE
+
+
+def _driver(label: str) -> str:
+    return label.partition("(")[2]
 
 
 def suspected_by(trait: str) -> tuple[str, ...]:

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from itertools import pairwise
 
 import numpy as np
 
 from imumon.blocks import FloatArray, IntArray
-from imumon.effects.base import Drive, Effect, Memory
+from imumon.effects.base import ACCEL, Drive, Effect, Memory
+
+NOTHING: Mapping[str, FloatArray] = {}
 
 
 class Carrier:
     """Carries an effect along live: the bias that it adds, and how unsure its state at power-on leaves it.
 
-    Whatever the division into blocks; where the device restarts the state is forgotten.  The temperature may
-    be missing (NaN): the last one holds, as does the specific force; before the first the bias is NaN.
-    An effect of the specific force adds nothing where there is none at all.
+    Whatever the division into blocks; where the device restarts the state is forgotten.  Temperature and
+    whatever else drives the effect may be missing (NaN): the last value holds; before the first the bias is
+    NaN.  An effect of the specific force adds nothing where there is none at all; the bias of one of a driver
+    that is not recorded is not known (NaN).
 
     Parameters
     ----------
@@ -25,13 +29,19 @@ class Carrier:
 
     def __init__(self, effect: Effect) -> None:
         self._effect = effect
+        self._others = [name for name in effect.inputs if name != ACCEL]
         self._segment: int | None = None
         self._start_ns = 0
-        self._last = np.full(4 if effect.needs_accel else 1, np.nan)
+        self._last = np.full(1 + len(self._others) + 3 * (ACCEL in effect.inputs), np.nan)
         self._memories: list[Memory] = []
 
     def process(
-        self, time_ns: IntArray, segment: IntArray, temperature: FloatArray, accel: FloatArray | None = None
+        self,
+        time_ns: IntArray,
+        segment: IntArray,
+        temperature: FloatArray,
+        accel: FloatArray | None = None,
+        others: Mapping[str, FloatArray] = NOTHING,
     ) -> tuple[FloatArray, FloatArray]:
         """Return the bias at each sample, from this sample and those before it, and its start's sd.
 
@@ -43,14 +53,17 @@ class Carrier:
         temperature : array of shape (n,)
             °C.
         accel : array of shape (n, 3), or None
+        others : mapping of str to array of shape (n,)
+            What else may drive an effect.
         """
         n = len(segment)
         bias, start_sd = np.zeros(n), np.zeros(n)
-        driven = temperature[:, np.newaxis]
-        if self._effect.needs_accel:
+        parts = [temperature, *(others.get(name, np.full(n, np.nan)) for name in self._others)]
+        if ACCEL in self._effect.inputs:
             if accel is None:
                 return bias, start_sd
-            driven = np.column_stack([temperature, accel])
+            parts.append(accel)
+        driven = np.column_stack(parts)
         cuts = np.flatnonzero(np.diff(segment)) + 1
         for a, b in pairwise([0, *cuts.tolist(), n]):
             if b > a:
@@ -70,14 +83,18 @@ class Carrier:
             return bias, start_sd
         first = int(np.argmax(known))
         seconds = np.asarray((time_ns[first:] - self._start_ns) * 1e-9, np.float64)
-        held = held[first:]
-        drive = Drive(seconds, held[:, 0].copy(), held[:, 1:] if self._effect.needs_accel else None)
+        drive = self._drive(seconds, held[first:])
         if not self._memories:
-            self._memories = [Memory(), *(self._effect.starts(float(held[0, 0])) or ())]
+            self._memories = [Memory(), *(self._effect.starts(drive) or ())]
         bias[first:], *ends = [self._effect.added(memory, drive) for memory in self._memories]
         if ends:
-            start_sd[first:] = 0.5 * self._effect.start_sd * np.abs(ends[1] - ends[0])
+            start_sd[first:] = 0.5 * self._effect.start_share * np.abs(ends[1] - ends[0])
         return bias, start_sd
+
+    def _drive(self, seconds: FloatArray, held: FloatArray) -> Drive:
+        behind = 1 + len(self._others)
+        others = {name: held[:, at].copy() for at, name in enumerate(self._others, start=1)}
+        return Drive(seconds, held[:, 0].copy(), held[:, behind:] if behind < held.shape[1] else None, others)
 
 
 def _held(values: FloatArray, before: float) -> FloatArray:

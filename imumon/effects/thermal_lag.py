@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from typing import ClassVar, Literal, Self
 
 import numpy as np
@@ -19,12 +20,14 @@ START_SD_DEGC = 1.0
 
 
 class ThermalLag(Follower):
-    """What follows is the temperature behind a first-order lag.
+    """What follows is the driver behind a first-order lag.
 
-    `start_sd_degc` is how far the sensor's temperature may be from the thermometer's at power-on.
+    `start_sd` is how far what follows (the sensor's temperature) may be from its driver (the thermometer's)
+    at power-on.
     """
 
     kind: Literal["thermal_lag"] = "thermal_lag"
+    operator = "lag"
     nonlinear = ("time_constant_s",)
     free_start = "in sums"
     start_looks_like = ("warm_up", "stress_relaxation")
@@ -38,7 +41,7 @@ class ThermalLag(Follower):
         "drift": "a second ramp in the other direction",
     }
     time_constant_s: Positive
-    start_sd_degc: NotNegative = START_SD_DEGC
+    start_sd: NotNegative = START_SD_DEGC
 
     @classmethod
     def grid(cls, survey: Survey) -> list[Self]:
@@ -47,33 +50,37 @@ class ThermalLag(Follower):
         return [cls(time_constant_s=tau, **form) for form in cls.forms(survey) for tau in times]
 
     @classmethod
+    def driven(cls, survey: Survey, driver: str) -> list[Self]:
+        """Return time constants up to a quarter of the shortest run; power-on finds it in equilibrium."""
+        scale = asdict(survey.others[driver])
+        times = logarithmic(SHORTEST_S, min(LONGEST_S, survey.shortest_s / 4), RATIO**2)
+        return [cls(driver=driver, time_constant_s=tau, start_sd=0.0, **scale) for tau in times]
+
+    @classmethod
     def sums(cls, grid: Sequence[Self]) -> list[tuple[Self, ...]]:
         """Return sums of two lags."""
         return sums_of([lag for lag in grid if lag.order == 1], (2,))
 
     def follow(self, memory: Memory, drive: Drive) -> FloatArray:
-        """Return the lagged temperature."""
+        """Return the lagged driver."""
         from imumon.effects.operators import first_order
 
-        time, temperature = drive.time_s, drive.temperature_degc
-        before = memory.time_s, memory.temperature_degc, memory.follower_degc
-        lagged = first_order(time, temperature, self.time_constant_s, *before)
+        time, values = drive.time_s, drive.of(self.driver)
+        before = memory.time_s, memory.driver, memory.follower
+        lagged = first_order(time, values, self.time_constant_s, *before)
         if len(lagged):
-            memory.time_s, memory.temperature_degc, memory.follower_degc = (
-                time[-1],
-                temperature[-1],
-                lagged[-1],
-            )
+            memory.time_s, memory.driver, memory.follower = time[-1], values[-1], lagged[-1]
         return lagged
 
-    def starts(self, temperature_degc: float) -> tuple[Memory, Memory]:
+    def starts(self, drive: Drive) -> tuple[Memory, Memory]:
         """Return a sensor colder and one warmer than its thermometer by the standard deviation."""
-        low, high = (temperature_degc + sign * self.start_sd_degc for sign in (-1.0, 1.0))
-        return Memory(0.0, temperature_degc, low), Memory(0.0, temperature_degc, high)
+        first = float(drive.of(self.driver)[0])
+        low, high = (first + sign * self.start_sd for sign in (-1.0, 1.0))
+        return Memory(0.0, first, low), Memory(0.0, first, high)
 
     def with_start(self, start: FloatArray) -> Self:
         """Return it as unsure of its start as the training runs were apart."""
         if not start.size or not self.coefficients[0]:
             return self
-        seen = float(np.sqrt(np.mean(start**2))) * self.start_sd_degc / abs(self.coefficients[0])
-        return self.model_copy(update={"start_sd_degc": max(START_SD_DEGC, seen)})
+        seen = float(np.sqrt(np.mean(start**2))) * self.start_sd / abs(self.coefficients[0])
+        return self.model_copy(update={"start_sd": max(START_SD_DEGC, seen)})

@@ -7,7 +7,7 @@ from typing import Annotated, Final, Literal, Self
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field, FiniteFloat, NonNegativeInt, model_validator
+from pydantic import BeforeValidator, Field, FiniteFloat, NonNegativeInt, model_validator
 
 from imumon.blocks import FloatArray
 from imumon.config import StrictModel, dump_yaml, load_yaml
@@ -19,7 +19,9 @@ from imumon.models.curves.polynomial import PolynomialCurve
 from imumon.models.curves.spline import SplineCurve
 from imumon.models.magnetometer import MagnetometerModel
 
-FORMAT: Final = "imumon-bias-model/1"
+FORMAT: Final = "imumon-bias-model/2"
+READ: Final = ("imumon-bias-model/1", FORMAT)
+"""Formats that are read; the first knew no driver of an effect but temperature, time and specific force."""
 UNITS = {
     **{f"gyro_{axis}": "rad/s" for axis in "xyz"},
     **{f"accel_{axis}": "m/s^2" for axis in "xyz"},
@@ -144,7 +146,9 @@ class BiasModel(StrictModel):
         Hard and soft iron.
     """
 
-    format: Literal["imumon-bias-model/1"] = FORMAT
+    format: Annotated[
+        Literal["imumon-bias-model/2"], BeforeValidator(lambda given: FORMAT if given in READ else given)
+    ] = FORMAT
     made_by: str
     created: str
     device: str | None = None

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from imumon.blocks import FloatArray, IntArray
-from imumon.effects.live import Carrier
+from imumon.effects.base import ACCEL, Effect
+from imumon.effects.live import NOTHING, Carrier
+from imumon.effects.vibration import VIBRATION, Vibration
 from imumon.errors import ImumonError, Reason
-from imumon.models.model import BiasModel, ChannelModel
+from imumon.models.model import REACH, BiasModel, ChannelModel
 
 PIECES = 2048
 """Pieces of the table that stands for a curve live; its error is 1e-9 of the curve's span or less."""
@@ -45,9 +47,9 @@ class BiasPredictor:
 
     Where there is no temperature the last one holds.  After a restart of the device (a new segment) there is
     none until the next reading: nobody knows how long the unit was off.  Outside the calibrated range see
-    `imumon.models.model.REACH`; effects see a temperature that is held there.  Costs about 0.1 µs per sample
-    and channel, whatever the curve, and 50 µs per block; an effect costs 40 to 90 ns in long blocks, and
-    0.2 ms for each block.
+    `imumon.models.model.REACH`; effects see a temperature that is held there, and so any other driver.  Costs
+    about 0.1 µs per sample and channel, whatever the curve, and 50 µs per block; an effect costs 40 to 90 ns
+    in long blocks, and 0.2 ms for each block.
 
     Parameters
     ----------
@@ -79,7 +81,11 @@ class BiasPredictor:
         self._column = np.arange(len(models))
         self._last = np.full(len(models), np.nan)
         self._segment = -1
-        self._effects = [(at, Carrier(effect)) for at, m in enumerate(models) for effect in m.effects]
+        self._effects = [(at, effect, Carrier(effect)) for at, m in enumerate(models) for effect in m.effects]
+        inputs = dict.fromkeys(name for _, effect, _ in self._effects for name in effect.inputs)
+        self._vibration = Vibration() if VIBRATION in inputs else None
+        self.drivers = tuple(name for name in inputs if name not in (ACCEL, VIBRATION))
+        """Further columns that effects need."""
 
     def process(
         self,
@@ -87,6 +93,7 @@ class BiasPredictor:
         segment: IntArray,
         temperature: FloatArray,
         accel: FloatArray | None = None,
+        others: Mapping[str, FloatArray] = NOTHING,
     ) -> Prediction:
         """Return the expected bias of the next samples.
 
@@ -98,6 +105,8 @@ class BiasPredictor:
             °C, of each channel; NaN where there is none.
         accel : array (n, 3), optional
             Specific force, m/s²; without it an effect of the specific force adds nothing.
+        others : mapping of str to array (n,)
+            The columns `drivers`; without one of them the bias of a channel that needs it is NaN.
         """
         n, k = len(time_ns), len(self._last)
         if temperature.shape != (n, k) or len(segment) != n:
@@ -108,11 +117,13 @@ class BiasPredictor:
         outside = held - near
         bias += np.where(outside == 0.0, 0.0, slope * np.clip(outside, -self._reach, self._reach))
         slope[np.abs(outside) > self._reach] = 0.0
+        if self._vibration is not None and accel is not None and VIBRATION not in others:
+            others = {**others, VIBRATION: self._vibration.process(time_ns, segment, accel)}
         variance = np.zeros((n, k))
-        for at, carrier in self._effects:
+        for at, effect, carrier in self._effects:
             reach = self._reach[at]
             within = np.clip(temperature[:, at], self._low[at] - reach, self._high[at] + reach)
-            added, start_sd = carrier.process(time_ns, segment, within, accel)
+            added, start_sd = carrier.process(time_ns, segment, within, accel, _within(effect, others))
             bias[:, at] += added
             variance[:, at] += start_sd**2
         return Prediction(bias, slope, outside == 0.0, np.sqrt(variance))
@@ -136,6 +147,18 @@ class BiasPredictor:
         s = position - piece
         c0, c1, c2, c3 = self._cubics[self._column, piece].transpose(2, 0, 1)
         return c0 + s * (c1 + s * (c2 + s * c3)), (c1 + s * (2.0 * c2 + 3.0 * s * c3)) * self._per_degc
+
+
+def _within(effect: Effect, others: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+    """Return the drivers of an effect, held where they leave what training showed."""
+    found = {}
+    for name in effect.inputs:
+        if name in others:
+            scale = effect.scale_of(name)
+            far = np.inf if scale is None else scale.half_span * (1.0 + 2.0 * REACH)
+            middle = 0.0 if scale is None else scale.middle
+            found[name] = np.clip(others[name], middle - far, middle + far)
+    return found
 
 
 def _cubics(channel: ChannelModel) -> FloatArray:

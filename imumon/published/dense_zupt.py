@@ -413,7 +413,9 @@ class DenseZupt:
                     break
             if f"temperature_rate{suffix}" in block:
                 rate[:, j] = block[f"temperature_rate{suffix}"]
-        predicted = self._predictor.process(block["device_time_ns"], block["segment"], temperature)
+        others = {name: block[name] for name in self._predictor.drivers if name in block}
+        times, segment = block["device_time_ns"], block["segment"]
+        predicted = self._predictor.process(times, segment, temperature, others=others)
         if self._method == "dense_zupt":
             curve[:, self._axes] = predicted.bias
         else:

@@ -274,7 +274,8 @@ class RandomErrorMethods:
                 if name in block:
                     temperature[:, j] = block[name]
             times, segment = block["device_time_ns"], block["segment"]
-            bias = self._predictor.process(times, segment, temperature).bias
+            others = {name: block[name] for name in self._predictor.drivers if name in block}
+            bias = self._predictor.process(times, segment, temperature, others=others).bias
             readings[:, [AXES.index(name[-1]) for name in self._modelled]] -= bias
         return readings
 

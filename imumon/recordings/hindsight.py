@@ -48,7 +48,7 @@ def rest_in_hindsight(
         if stop - start > LONGEST or len(beside) < BESIDE // 2:
             continue
         pause, others = np.arange(start, stop), rest & (run == run[start])
-        allowed = SIGMAS * _scatter(mean[others]) + drift * len(pause)
+        allowed = SIGMAS * scatter_of_steps(mean[others]) + drift * len(pause)
         on_line = np.abs(mean[pause] - _between(pause, beside, mean)) <= allowed
         loud = variance[pause] > np.nanmax(variance[others], axis=0, initial=0.0)
         told[pause] = (on_line | ~np.isfinite(mean[pause])).all() and not loud.any()
@@ -62,7 +62,7 @@ def _pauses(rest: Mask, run: IntArray) -> Sequence[tuple[int, int]]:
     return [(a, b) for a, b in pairwise(bounds) if a < b and not rest[a]]
 
 
-def _scatter(mean: FloatArray) -> FloatArray:
+def scatter_of_steps(mean: FloatArray) -> FloatArray:
     """Return the standard deviation of a slot's mean, (m,), from neighbours: slow drift is not in it."""
     steps = np.abs(np.diff(mean, axis=0))
     known = [column[np.isfinite(column)] for column in steps.T]

@@ -224,11 +224,12 @@ def _columns(table_map: TableMap) -> dict[str, Column]:
     sources = table_map.sources()
     arbitrary = {source.target for source in sources if source.unit.target == "1"}
     names = {"device_time_ns", "segment", *(source.target for source in sources)}
-    return {
+    known = {
         name: Column(name, "1", column.dtype, column.description) if name in arbitrary else column
         for name, column in KNOWN.items()
         if name in names
     }
+    return known | {s.target: Column(s.target, s.unit.target) for s in sources if s.target not in KNOWN}
 
 
 def _block(part: Part, table_map: TableMap, clock: _Clock) -> SampleBlock:

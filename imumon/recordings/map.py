@@ -18,7 +18,7 @@ from pydantic import (
 
 from imumon.columns import KNOWN
 from imumon.config import StrictModel
-from imumon.units import Unit, parse_unit
+from imumon.units import Unit, parse_own_unit, parse_unit
 
 TIMESTAMPS = "iso8601"
 """In place of a unit of time: the column holds dates with times."""
@@ -134,6 +134,32 @@ class Attitude(Group):
     becomes = (("q_w", "q_x", "q_y", "q_z"), ("roll", "pitch", "yaw"))
 
 
+RESERVED = (*KNOWN, "accel", "gyro", "vibration", "at_rest")
+"""Names that mean something already."""
+
+
+class Other(StrictModel):
+    """A further column, whatever it is; it keeps its unit."""
+
+    column: str
+    unit: Annotated[str, BeforeValidator(lambda given: "1" if given == 1 and given is not True else given)]
+
+    @field_validator("unit")
+    @classmethod
+    def _is_a_unit(cls, given: str) -> str:
+        parse_own_unit(given)
+        return given
+
+
+def _check_name(name: str) -> str:
+    if name in RESERVED:
+        raise ValueError(f"{name!r} is the name of something else; give the column another")
+    return name
+
+
+Name = Annotated[str, Field(pattern="^[a-z][a-z0-9_]*$"), AfterValidator(_check_name)]
+
+
 class TextFormat(StrictModel):
     """How the text is laid out, where it is not commas below one line of names."""
 
@@ -164,6 +190,7 @@ class TableMap(StrictModel):
     temperature: Temperature | None = None
     attitude: Attitude | None = None
     pressure: Pressure | None = None
+    other: dict[Name, Other] = Field(default_factory=dict)
     axes: Literal["FLU", "FRD"] | None = None
     csv: TextFormat = TextFormat()
     bad_rows: Literal["error", "drop"] = "error"
@@ -175,7 +202,9 @@ class TableMap(StrictModel):
             raise ValueError(f"a map has either time: {{column: ..., unit: ...}} or rate_hz: ...; {given}")
         sources = self.sources()
         if not sources:
-            raise ValueError("the map names no data: add gyro, accel, mag, temperature, attitude or pressure")
+            raise ValueError(
+                "the map names no data: add gyro, accel, mag, temperature, attitude, pressure or other"
+            )
         names = Counter(source.column for source in sources)
         if self.time is not None:
             names[self.time.column] += 1
@@ -184,8 +213,10 @@ class TableMap(StrictModel):
         return self
 
     def sources(self) -> list[Source]:
-        """Return the columns of data that the map names, in canonical order."""
+        """Return the columns of data that the map names, in canonical order; others come last."""
         groups = (self.gyro, self.accel, self.mag, self.temperature, self.attitude, self.pressure)
         found = [source for group in groups if group is not None for source in group.sources()]
         order = list(KNOWN)
-        return sorted(found, key=lambda source: order.index(source.target))
+        found.sort(key=lambda source: order.index(source.target))
+        others = [Source(one.column, name, parse_own_unit(one.unit)) for name, one in self.other.items()]
+        return [*found, *others]

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from imumon.blocks import ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.filters.slots import SlotGatherer, Slots
-from imumon.recordings.hindsight import rest_in_hindsight
+from imumon.recordings.hindsight import rest_in_hindsight, scatter_of_steps
 
 AXES = "xyz"
 GYRO = tuple(f"gyro_{axis}" for axis in AXES)
@@ -21,6 +21,8 @@ COLDEST_DEGC, HOTTEST_DEGC = -100.0, 250.0
 PIECE = 4096
 """Samples at a time, to bound the memory: as many slots may end in them."""
 QUIET_QUANTILE = 0.25
+TELLING = 8
+"""Samples in a slot whose scatter tells: 1 in 400 of them has half or twice of what it should be."""
 LOUDER = 3.0
 """A slot is quiet when its scatter on every axis is at most this much above that of the quietest quarter."""
 DRIFT = {**dict.fromkeys(GYRO, 1e-4), **dict.fromkeys(ACCEL, 1.5e-3)}
@@ -106,12 +108,17 @@ class Reduced:
         quiet = np.ones(len(self), np.bool_)
         sensors = [name for name in (*GYRO, *ACCEL) if name in self.names and self.has(name)]
         for name in sensors:
-            scatter = np.sqrt(self.variance[:, self.names.index(name)])
+            at = self.names.index(name)
+            scatter = np.sqrt(np.where(self.count[:, at] >= TELLING, self.variance[:, at], np.nan))
+            sd = scatter / np.sqrt(np.maximum(self.count[:, at], 1))
             known = scatter[np.isfinite(scatter)]
             if len(known):
                 quiet &= ~(scatter > LOUDER * np.quantile(known, QUIET_QUANTILE))
+            few = ~np.isfinite(sd) & np.isfinite(self.of(name))
+            if few.any():  # then neighbours tell how far a slot scatters
+                sd = np.where(few, scatter_of_steps(self.of(name)[:, np.newaxis])[0], sd)
             if name in ACCEL:
-                quiet &= _steady(self.of(name), np.sqrt(self.mean_variance(name)))
+                quiet &= _steady(self.of(name), sd)
         return quiet
 
 

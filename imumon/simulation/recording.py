@@ -102,6 +102,9 @@ def write_table(scenario: Scenario, seed: int, path: Path, progress: Progress) -
     """
     unit = SimulatedUnit(scenario, seed)
     known = KNOWN | {"supply_voltage": Column("supply_voltage", "V")}
+    known |= {
+        name: Column(name, course.unit) for name, course in scenario.drivers.items() if name not in KNOWN
+    }
     truth_columns = {c.name: Column(f"true_{c.name}", c.unit, c.dtype, c.description) for c in TRUTH_COLUMNS}
     with TableWriter(path, {}) as writer:
         for size in _sizes(scenario):

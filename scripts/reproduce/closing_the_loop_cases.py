@@ -56,6 +56,8 @@ class Setting:
     unequal: bool = False
     start_off_degc: float = 0.0
     latitude_deg: float | None = None
+    driver: str = ""
+    """Which further column drives the bias, of `closing_the_loop_drivers`; "none" for columns alone."""
     label: str = ""
 
 

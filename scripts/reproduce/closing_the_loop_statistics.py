@@ -19,6 +19,7 @@ from pathlib import Path
 for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
     os.environ.setdefault(name, "1")
 
+import closing_the_loop_drivers as drivers  # noqa: E402
 import numpy as np  # noqa: E402 - the number of threads is read when it is imported
 from closing_the_loop_cases import OUTSIDE, Setting, make_case  # noqa: E402
 
@@ -38,6 +39,10 @@ IN_LIBRARY = (
     "stress_relaxation",
     "dead_time",
 )
+COLUMNS = "ten columns"
+"""Label of the cases with further columns that have nothing to do with the bias."""
+DRIVEN = "driven: "
+BESIDE = ("thermal_lag", "hysteresis", "warm_up", "drift", "temperature_rate", "telegraph", "slow wander")
 FIRST = 10
 """Those of the library when the cases were numbered: others come last, so that no seed changes."""
 SIZES = (0.5, 1.0, 2.0, 5.0, 10.0)
@@ -91,13 +96,21 @@ def settings() -> list[Setting]:
     ]
     found += [Setting((name,), size, label=name) for name in IN_LIBRARY[FIRST:] for size in SIZES]
     found += [Setting((name,), 5.0, axes=(1,), label=f"{name}, one axis") for name in IN_LIBRARY[FIRST:]]
+    found += [
+        Setting((), 0.0, noise=noise, driver="none", label=f"{COLUMNS}, {noise}")
+        for noise in ("white", "flicker", "walk")
+    ]
+    found += [Setting((name,), 5.0, driver="none", label=f"{COLUMNS}, {name}") for name in BESIDE]
+    found += [
+        Setting((), size, driver=name, label=f"{DRIVEN}{name}") for name in drivers.DRIVING for size in SIZES
+    ]
     return found
 
 
 def run_case(job: tuple[Setting, int]) -> list[Result]:
     """Return the results of the three channels of a case."""
     setting, seed = job
-    case = make_case(setting, seed)
+    case = drivers.make(setting, seed) if setting.driver else make_case(setting, seed)
     began = time.perf_counter()
     diagnosis = diagnose(case.runs[:2], case.runs[2:], sensors=("gyro",))
     seconds = time.perf_counter() - began
@@ -146,6 +159,18 @@ def right(result: Result) -> bool:
     return hit and not stray
 
 
+def false_drivers(result: Result) -> list[str]:
+    """Return the drivers that are named beyond what is true and what is said not to be told apart from it."""
+    sets = [set(group) for group in result.sets]
+    return [
+        name
+        for name in result.named
+        if "(" in name
+        and name not in result.truth
+        and not any(name in group and group & set(result.truth) for group in sets)
+    ]
+
+
 def interval(hits: int, count: int) -> tuple[float, float]:
     """Return the 95 % interval of Wilson for a share."""
     if not count:
@@ -174,8 +199,55 @@ def jobs(repeat: int, only: str | None, first: int) -> Iterable[tuple[Setting, i
 
 def tables(results: Sequence[Result]) -> str:
     """Return the tables as Markdown."""
-    parts = [_detection(results), _kinds(results), _nothing(results), _confusion(results), _errors(results)]
+    with_columns = (COLUMNS, DRIVEN)
+    plain = [r for r in results if not r.label.startswith(with_columns)]
+    parts = [make(plain) for make in (_detection, _kinds, _nothing, _confusion, _errors) if plain]
+    further = [r for r in results if r.label.startswith(with_columns)]
+    parts += [_columns(further)] if further else []
     return "\n\n".join(parts) + "\n"
+
+
+def _columns(results: Sequence[Result]) -> str:
+    lines = [
+        "### Ten further recorded columns",
+        "",
+        "Three random walks, a ramp, two swings, noise, a switched supply, and two that go with temperature."
+        " In the lower table one of them, or another beside them, drives the bias.",
+        "",
+        "| case | channels | false drivers | names |",
+        "|---|---|---|---|",
+    ]
+    beside = [r for r in results if r.label.startswith(COLUMNS)]
+    for label in dict.fromkeys(r.label for r in beside):
+        found = [r for r in beside if r.label == label]
+        names = ", ".join(f"{name} {count}" for name, count in Counter(_verdict(r) for r in found).items())
+        wrong = share(sum(bool(false_drivers(r)) for r in found), len(found))
+        lines.append(f"| {label.removeprefix(COLUMNS + ', ')} | {len(found)} | {wrong} | {names} |")
+    total = share(sum(bool(false_drivers(r)) for r in beside), len(beside))
+    lines += [f"| all | {len(beside)} | {total} | |", ""]
+    driven = [r for r in results if r.label.startswith(DRIVEN)]
+    heads = " | ".join(f"right at {size:g}" for size in SIZES)
+    lines += [f"| driven by | {heads} | within 1.3 in the test | worse |", "|---" * (len(SIZES) + 3) + "|"]
+    for label in dict.fromkeys(r.label for r in driven):
+        found = [r for r in driven if r.label == label]
+        cells = [
+            share(sum(map(right, sized)), len(sized))
+            for size in SIZES
+            for sized in [[r for r in found if r.size == size]]
+        ]
+        large = [r for r in found if r.size >= 3]
+        within = share(sum(r.after <= 1.3 for r in large), len(large))
+        worse = sum(r.after > r.before * (1 + 1e-9) for r in found)
+        lines.append(f"| {label.removeprefix(DRIVEN)} | {' | '.join(cells)} | {within} | {worse} |")
+    large = [r for r in driven if r.size >= 3]
+    named = [name for r in driven for name in false_drivers(r)]
+    lines += [
+        "",
+        f"Driven, at 3 floors and more: named right {share(sum(map(right, large)), len(large))};"
+        f" another driver named in {sum(bool(false_drivers(r)) for r in driven)} of {len(driven)} channels"
+        f"{' (' + ', '.join(sorted(set(named))) + ')' if named else ''}.",
+    ]
+    return "\n".join(lines)
 
 
 def _detection(results: Sequence[Result]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ from pydantic import ValidationError
 
 from imumon.blocks import FloatArray, IntArray
 from imumon.effects import library
-from imumon.effects.base import Drive, Effect, Survey
+from imumon.effects.base import Drive, Effect, Scale, Survey
 from imumon.effects.dead_time import DeadTime
 from imumon.effects.g_sensitivity import GSensitivity
 from imumon.effects.hysteresis import Hysteresis
@@ -19,6 +20,7 @@ from imumon.effects.live import Carrier
 from imumon.effects.stress_relaxation import StressRelaxation
 from imumon.effects.temperature_rate import TemperatureRate
 from imumon.effects.thermal_lag import ThermalLag
+from imumon.effects.vibration import Vibration
 
 SURVEY = Survey((7200.0, 7200.0), 30.0, 4, 19.6, 30.0, 3, 25.0, 15.0)
 
@@ -29,15 +31,17 @@ def run(n: int = 4000, seed: int = 0) -> Drive:
     time = np.sort(random.uniform(0.0, 4000.0, n))
     temperature = np.interp(time, [0, 1500, 2200, 4000], [20.0, 38.0, 38.0, 15.0])
     accel = np.where((time < 2000)[:, np.newaxis], [0.0, 0.0, 9.8], [9.8, 0.0, 0.0])
-    return Drive(time, temperature + random.normal(0, 0.02, n), accel)
+    supply = 5.0 + 0.1 * np.sin(time / 300.0)
+    return Drive(time, temperature + random.normal(0, 0.02, n), accel, {"supply_voltage": supply})
 
 
 def one_of_each() -> list[Effect]:
-    """Return one effect of each family, with coefficients."""
+    """Return one effect of each family, with coefficients, and one of another driver where there can be."""
+    driven = replace(SURVEY, others={"supply_voltage": Scale(5.0, 0.1)})
     found = []
     for family in EFFECTS.values():
-        effect = family.grid(SURVEY)[0]
-        found.append(effect.with_coefficients(np.arange(1.0, effect.width + 1)))
+        for effect in (*family.grid(SURVEY)[:1], *family.driven(driven, "supply_voltage")[:1]):
+            found.append(effect.with_coefficients(np.arange(1.0, effect.width + 1)))
     return found
 
 
@@ -54,18 +58,19 @@ def live(effect: Effect, drive: Drive, size: int, segment: IntArray | None = Non
             label[i : i + size],
             drive.temperature_degc[i : i + size],
             force[i : i + size],
+            {name: values[i : i + size] for name, values in drive.others.items()},
         )
         for i in range(0, len(drive), size)
     ]
     return tuple(np.concatenate(part) for part in zip(*parts, strict=True))
 
 
-@pytest.mark.parametrize("effect", one_of_each(), ids=lambda effect: effect.name)
+@pytest.mark.parametrize("effect", one_of_each(), ids=lambda effect: effect.label)
 def test_the_width_is_the_number_of_columns(effect: Effect) -> None:
     assert effect.columns(run(50)).shape == (50, effect.width)
 
 
-@pytest.mark.parametrize("effect", one_of_each(), ids=lambda effect: effect.name)
+@pytest.mark.parametrize("effect", one_of_each(), ids=lambda effect: effect.label)
 @pytest.mark.parametrize("size", [1, 7, 333])
 def test_the_division_into_blocks_does_not_matter(effect: Effect, size: int) -> None:
     drive = run(1000)
@@ -76,14 +81,15 @@ def test_the_division_into_blocks_does_not_matter(effect: Effect, size: int) -> 
         np.testing.assert_array_equal(whole, parts)
 
 
-@pytest.mark.parametrize("effect", one_of_each(), ids=lambda effect: effect.name)
+@pytest.mark.parametrize("effect", one_of_each(), ids=lambda effect: effect.label)
 def test_live_it_is_what_is_simulated(effect: Effect) -> None:
     drive = run()
-    since = Drive(drive.time_s - drive.time_s[0], drive.temperature_degc, drive.accel)
+    since = replace(drive, time_s=drive.time_s - drive.time_s[0])
     bias, _ = live(effect, drive, 100)
     expected = effect.simulate(since)
     # The rate has a filter live and none over a whole run: it is late by the filter's time.
-    tolerance = 0.02 if isinstance(effect, TemperatureRate) else 1e-6 * np.ptp(expected) + 1e-9
+    filtered = isinstance(effect, TemperatureRate) and effect.of_temperature
+    tolerance = 0.02 if filtered else 1e-6 * np.ptp(expected) + 1e-9
     assert np.median(np.abs(bias - expected)) <= tolerance
     assert np.abs(bias).max() > 1e-4
 
@@ -105,7 +111,7 @@ def plain_lag(drive: Drive, tau: float) -> FloatArray:
 
 def test_a_lag_is_the_solution_of_its_equation() -> None:
     drive = run(150)
-    effect = ThermalLag(time_constant_s=200.0, middle_degc=0.0, half_span_degc=1.0)
+    effect = ThermalLag(time_constant_s=200.0, middle=0.0, half_span=1.0)
     lag = drive.temperature_degc - effect.columns(drive)[:, 0]
     np.testing.assert_allclose(lag, plain_lag(drive, 200.0), atol=2e-3)
 
@@ -113,8 +119,8 @@ def test_a_lag_is_the_solution_of_its_equation() -> None:
 def test_a_loop_stays_in_a_soak_and_a_lag_does_not() -> None:
     drive = run()
     soak = (drive.time_s > 2100) & (drive.time_s < 2200)
-    lag = ThermalLag(time_constant_s=60.0, middle_degc=0.0, half_span_degc=1.0, coefficients=[1.0])
-    loop = Hysteresis(half_width_degc=2.0, middle_degc=0.0, half_span_degc=1.0, coefficients=[1.0])
+    lag = ThermalLag(time_constant_s=60.0, middle=0.0, half_span=1.0, coefficients=[1.0])
+    loop = Hysteresis(half_width=2.0, middle=0.0, half_span=1.0, coefficients=[1.0])
     assert np.abs(lag.simulate(drive)[soak]).max() < 0.1
     assert np.abs(loop.simulate(drive)[soak]).min() > 1.8
 
@@ -123,10 +129,10 @@ def test_a_loop_stays_in_a_soak_and_a_lag_does_not() -> None:
 def test_the_unknown_start_of_a_loop_ends_when_it_saturates(shape: str) -> None:
     effect = Hysteresis.model_validate(
         {
-            "half_width_degc": 2.0,
+            "half_width": 2.0,
             "shape": shape,
-            "middle_degc": 0.0,
-            "half_span_degc": 1.0,
+            "middle": 0.0,
+            "half_span": 1.0,
             "coefficients": [3.0],
         }
     )
@@ -136,17 +142,44 @@ def test_the_unknown_start_of_a_loop_ends_when_it_saturates(shape: str) -> None:
 
 
 def test_the_unknown_start_of_a_lag_decays_with_its_time_constant() -> None:
-    effect = ThermalLag(
-        time_constant_s=300.0, middle_degc=0, half_span_degc=10, start_sd_degc=2.0, coefficients=[5.0]
-    )
+    effect = ThermalLag(time_constant_s=300.0, middle=0, half_span=10, start_sd=2.0, coefficients=[5.0])
     drive = run()
     _, start_sd = live(effect, drive, 1000)
     expected = 5.0 * 2.0 / 10 * np.exp(-(drive.time_s - drive.time_s[0]) / 300.0)
     np.testing.assert_allclose(start_sd, expected, atol=1e-9)
 
 
+def test_without_its_driver_the_bias_is_not_known() -> None:
+    effect = ThermalLag(
+        driver="supply_voltage", time_constant_s=60.0, middle=5.0, half_span=0.1, coefficients=[1.0, 0.0]
+    )
+    bias, _ = Carrier(effect).process(np.arange(3), np.zeros(3, np.int64), np.full(3, 20.0))
+    assert np.isnan(bias).all()
+
+
+def test_keys_of_the_first_format_are_taken_and_the_driver_is_then_the_temperature() -> None:
+    old = {"time_constant_s": 60.0, "middle_degc": 25.0, "half_span_degc": 10.0, "start_sd_degc": 2.0}
+    effect = ThermalLag.model_validate(old)
+    assert (effect.driver, effect.middle, effect.start_sd) == ("temperature", 25.0, 2.0)
+
+
+def test_the_vibration_of_a_second_is_the_variance_of_its_samples() -> None:
+    random = np.random.default_rng(1)
+    accel = random.normal(0, 0.3, (1000, 3))
+    time_ns = np.arange(1000) * 10_000_000
+    whole = Vibration().process(time_ns, np.zeros(1000, np.int64), accel)
+    carried = Vibration()
+    parts = [
+        carried.process(time_ns[i : i + 7], np.zeros(len(time_ns[i : i + 7]), np.int64), accel[i : i + 7])
+        for i in range(0, 1000, 7)
+    ]
+    np.testing.assert_array_equal(whole, np.concatenate(parts))
+    assert np.isnan(whole[:100]).all()
+    assert whole[100] == pytest.approx(accel[:100].var(axis=0, ddof=1).sum())
+
+
 def test_a_restart_of_the_device_forgets_the_state() -> None:
-    effect = ThermalLag(time_constant_s=300.0, middle_degc=0.0, half_span_degc=1.0, coefficients=[1.0])
+    effect = ThermalLag(time_constant_s=300.0, middle=0.0, half_span=1.0, coefficients=[1.0])
     drive = run(1000)
     bias, start_sd = live(effect, drive, 1000, np.repeat([0, 1], [400, 600]))
     assert abs(bias[399]) > 1.0
@@ -155,7 +188,7 @@ def test_a_restart_of_the_device_forgets_the_state() -> None:
 
 
 def test_a_missing_temperature_is_held_and_before_the_first_there_is_no_bias() -> None:
-    effect = ThermalLag(time_constant_s=100.0, middle_degc=0.0, half_span_degc=1.0, coefficients=[1.0])
+    effect = ThermalLag(time_constant_s=100.0, middle=0.0, half_span=1.0, coefficients=[1.0])
     time_ns = np.arange(6) * 10_000_000_000
     temperature = np.array([np.nan, np.nan, 20.0, 25.0, np.nan, np.nan])
     bias, _ = Carrier(effect).process(time_ns, np.zeros(6, np.int64), temperature)
@@ -174,7 +207,7 @@ def test_an_effect_of_the_specific_force_adds_nothing_without_it() -> None:
 @pytest.mark.parametrize("value", [0.0, -1.0, float("nan"), float("inf")])
 def test_an_impossible_time_constant_is_refused(value: float) -> None:
     with pytest.raises(ValidationError):
-        ThermalLag(time_constant_s=value, middle_degc=0.0, half_span_degc=1.0)
+        ThermalLag(time_constant_s=value, middle=0.0, half_span=1.0)
 
 
 def test_the_library_has_a_line_for_every_file_with_an_effect() -> None:
@@ -189,7 +222,7 @@ def test_all_that_an_effect_says_of_others_is_of_the_library() -> None:
 
 
 def test_a_delay_gives_the_temperature_that_was() -> None:
-    effect = DeadTime(delay_s=200.0, middle_degc=0.0, half_span_degc=1.0)
+    effect = DeadTime(delay_s=200.0, middle=0.0, half_span=1.0)
     time: FloatArray = np.linspace(0.0, 4000.0, 8001)
     temperature = np.interp(time, [0, 1500, 2200, 4000], [20.0, 38.0, 38.0, 15.0])
     was = temperature - effect.columns(Drive(time, temperature))[:, 0]

@@ -104,7 +104,7 @@ def test_a_written_file_is_read_again(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("line", "instead", "said"),
     [
-        ("format: imumon-bias-model/1", "format: imumon-bias-model/9", ":1: format: "),
+        ("format: imumon-bias-model/2", "format: imumon-bias-model/9", ":1: format: "),
         ("    effects: []", "    effects: [{kind: drift}]", "drift needs 1 coefficients, there are 0"),
         ("    unit: rad/s", "    unit: deg/s", "unit: "),
         ("    unit: rad/s", "    unit: m/s^2", "channel gyro_x is in rad/s, not m/s^2"),

@@ -16,7 +16,7 @@ from imumon.recordings import foreign
 from imumon.recordings.folder import open_session
 from imumon.recordings.foreign import time_parser
 from imumon.recordings.importing import ImportReport, import_table
-from imumon.recordings.table import iterate_samples
+from imumon.recordings.table import iterate_samples, iterate_table, read_columns
 from tests.data_folder import measured
 
 MAP = "time: {column: t, unit: s}\ngyro: {columns: [x, y, z], unit: deg/s}\naxes: FRD\n"
@@ -330,3 +330,18 @@ def test_a_terminal_log_with_faults_is_refused_until_the_map_says_to_drop_them(
     assert samples.temperature is not None
     expected = (13, 14) if name == "cold" else (46, 50)
     assert expected[0] < samples.temperature.mean() < expected[1]
+
+
+def test_a_further_column_keeps_its_name_and_unit(tmp_path: Path) -> None:
+    table, table_map = tmp_path / "log.csv", tmp_path / "map.yaml"
+    rows = "\n".join(f"{i / 10},{i},{5 + i / 100}" for i in range(20))
+    table.write_text(f"t,gx,bat\n{rows}\n")
+    table_map.write_text(
+        "time: {column: t, unit: s}\npressure: {columns: [gx], unit: hPa}\n"
+        "other: {supply_voltage: {column: bat, unit: V}}\n"
+    )
+    import_table(table, table_map, tmp_path / "session")
+    columns = read_columns(tmp_path / "session" / "samples.parquet")
+    assert columns["supply_voltage"].unit == "V"
+    (block,) = iterate_table(tmp_path / "session" / "samples.parquet")
+    assert block["supply_voltage"][-1] == 5.19

@@ -70,6 +70,13 @@ def test_three_temperatures_and_three_angles() -> None:
         ("skip_rows: 2", "header: false", r"map.yaml:11: csv: a table without header needs csv.columns"),
         ("skip_rows: 2", "columns: [a, b]", r"map.yaml:11: csv: .*add header: false"),
         ("skip_rows: 2", "header: false, columns: [a, a]", r"map.yaml:11: csv: csv.columns names a more"),
+        ("bad_rows: drop", "other: {v: {column: bat, unit: wibbles}}", r"map.yaml:12: other.v.unit"),
+        (
+            "bad_rows: drop",
+            "other: {pressure: {column: q, unit: V}}",
+            r"something else",
+        ),
+        ("bad_rows: drop", "other: {v: {column: ax, unit: V}}", r"column 'ax' is used more than once"),
         ("bad_rows: drop", "bad_rows: ignore", r"map.yaml:12: bad_rows: .*'error' or 'drop'"),
     ],
 )

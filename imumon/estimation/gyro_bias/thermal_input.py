@@ -152,9 +152,9 @@ class ThermalInput:
         n = len(block)
         if self._predictor is None:
             return np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3))
-        predicted = self._predictor.process(
-            block["device_time_ns"], block["segment"], temperature, block.accel
-        )
+        others = {name: block[name] for name in self._predictor.drivers if name in block}
+        times, segment = block["device_time_ns"], block["segment"]
+        predicted = self._predictor.process(times, segment, temperature, block.accel, others)
         known = np.isfinite(predicted.bias)
         sd = np.where(known, predicted.start_sd, np.nan)
         if self._by_rate:

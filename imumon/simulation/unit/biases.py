@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -48,12 +48,21 @@ class Bias:
         self._lags = Lags(lag_s)
         self._carried = [[(effect, Memory()) for effect in axis] for axis in effects]
 
-    def process(self, time_s: FloatArray, temperature_degc: FloatArray, force: FloatArray) -> FloatArray:
-        """Return the biases at the next times (n,), temperatures and specific forces in m/s²; each (n, 3)."""
+    def process(
+        self,
+        time_s: FloatArray,
+        temperature_degc: FloatArray,
+        force: FloatArray,
+        others: Mapping[str, FloatArray],
+    ) -> FloatArray:
+        """Return the biases at the next times (n,), temperatures and specific forces in m/s²; each (n, 3).
+
+        `others` are further drivers of effects, (n,) each.
+        """
         inside = self._lags.process(time_s, temperature_degc)
         bias = axis_values(self._curves, inside) * self._scale
         for axis, carried in enumerate(self._carried):
-            drive = Drive(time_s, np.ascontiguousarray(inside[:, axis]), force)
+            drive = Drive(time_s, np.ascontiguousarray(inside[:, axis]), force, others)
             for effect, memory in carried:
                 bias[:, axis] += effect.added(memory, drive)
         for drift in self._random:
@@ -71,11 +80,11 @@ def gyro_bias(unit: UnitParameters, step_s: float, seed: int) -> Bias:
         effects.append([RunOffset(coefficients=[constant]), *more])
         if loop is not None:
             effect = Hysteresis(
-                half_width_degc=loop.width_degc,
+                half_width=loop.width_degc,
                 shape=loop.kind,
-                slack_degc=0.0,
-                middle_degc=0.0,
-                half_span_degc=loop.width_degc,
+                slack=0.0,
+                middle=0.0,
+                half_span=loop.width_degc,
             )
             effects[-1].append(effect.with_coefficients([loop.half_width_deg_per_h[axis] * DEG_PER_H]))
     random: list[GaussMarkov | RandomWalk] = [

@@ -5,12 +5,14 @@ A scenario or a unit may name a `base` of its kind: what it does not say itself,
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, ClassVar, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
 from imumon.config import StrictModel, load_yaml, parse_yaml
+from imumon.effects.base import ACCEL
 from imumon.errors import ImumonError, Reason
 from imumon.files import read_text
 from imumon.simulation.unit.events import Event
@@ -170,6 +172,32 @@ class Unit(UnitParameters, _Based):
     kind = "unit"
 
 
+class Course(StrictModel):
+    """What a further sensor shows: straight between its corners, held after the last, with white noise.
+
+    Parameters
+    ----------
+    unit : str
+    at_s, value : list of float
+        The corners, times since power-on increasing.
+    noise : float
+        Standard deviation of a reading.
+    """
+
+    unit: str
+    at_s: list[float] = Field(min_length=1)
+    value: list[float] = Field(min_length=1)
+    noise: float = Field(default=0.0, ge=0.0)
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if len(self.at_s) != len(self.value):
+            raise ValueError(f"{len(self.at_s)} times for {len(self.value)} values")
+        if any(b <= a for a, b in pairwise(self.at_s)):
+            raise ValueError("at_s does not increase")
+        return self
+
+
 class Scenario(_Based):
     """A scenario, complete: everything that `imumon.simulation.unit.SimulatedUnit` needs but the seed.
 
@@ -183,6 +211,8 @@ class Scenario(_Based):
         Body axes of the unit.
     latitude_deg, gravity_m_per_s2 : float
         They give the earth rate and the specific force at rest.
+    drivers : dict of str to Course
+        Further columns; effects of the unit may depend on them.
     """
 
     kind = "scenario"
@@ -198,6 +228,16 @@ class Scenario(_Based):
     attitude: Attitude = Attitude()
     chamber: Chamber
     motion: list[Event] = Field(default_factory=list)
+    drivers: dict[str, Course] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _has_what_drives_the_unit(self) -> Self:
+        unit = self.unit
+        for effects in (unit.gyro_effects_deg_per_h, unit.accel_effects_ug):
+            for effect in (*effects.x, *effects.y, *effects.z):
+                if lacking := [n for n in effect.inputs if n != ACCEL and n not in self.drivers]:
+                    raise ValueError(f"{effect.label} of the unit needs {lacking[0]} among the drivers")
+        return self
 
     @field_validator("unit", mode="before")
     @classmethod

@@ -41,7 +41,7 @@ class Lags:
 
     def __init__(self, time_constants_s: Sequence[float]) -> None:
         self._lags = [
-            ThermalLag(time_constant_s=tau, middle_degc=0.0, half_span_degc=1.0) if tau else None
+            ThermalLag(time_constant_s=tau, middle=0.0, half_span=1.0) if tau else None
             for tau in time_constants_s
         ]
         self._memories = [Memory() for _ in self._lags]

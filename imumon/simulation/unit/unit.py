@@ -132,6 +132,9 @@ class _Sensors:
         ]
         self._white = White(np.array(densities) * np.sqrt(rate), generator(seed, "white"))
         self._mag_noise = White([MAG_NOISE_UT] * 3, generator(seed, "magnetometer"))
+        self._drivers = scenario.drivers
+        sds = np.array([course.noise for course in scenario.drivers.values()])
+        self._driver_noise = White(sds, generator(seed, "drivers"))
         self._thermometers = Thermometers(unit.thermometer, 4, rate, seed)
         self._low_pass: LowPass | None = None
 
@@ -142,7 +145,15 @@ class _Sensors:
         motion = self._motion(time_s)
         rate, force, field = self._in_body(motion)
         everywhere = np.broadcast_to(force, (CHUNK, 3))
-        bias = [part.process(time_s, temperature, everywhere) for part in (self._gyro_bias, self._accel_bias)]
+        others = {
+            name: np.interp(time_s, course.at_s, course.value) for name, course in self._drivers.items()
+        }
+        bias = [
+            part.process(time_s, temperature, everywhere, others)
+            for part in (self._gyro_bias, self._accel_bias)
+        ]
+        read = self._driver_noise.take(CHUNK)
+        recorded = {name: values + read[:, at] for at, (name, values) in enumerate(others.items())}
         sensed = np.column_stack([rate + bias[0], force + bias[1]])
         if self._low_pass is None:
             self._low_pass = LowPass(self._scenario.unit.low_pass_hz, self._scenario.rate_hz, sensed[0])
@@ -156,7 +167,7 @@ class _Sensors:
             **split("temperature", readings),
             "temperature": readings[:, 3],
             **reported(motion.angles, self._scenario.axes),
-            **_CONSTANT,
+            **(_CONSTANT | recorded),
             **split(f"{_TRUE}gyro_bias", bias[0]),
             **split(f"{_TRUE}accel_bias", bias[1]),
             **split(f"{_TRUE}rate", rate),

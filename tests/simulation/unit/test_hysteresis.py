@@ -14,7 +14,7 @@ WIDTH = 2.0
 
 def loop(kind: str) -> Hysteresis:
     """Return the loop of a unit file, between -1 and 1."""
-    found = {"half_width_degc": WIDTH, "shape": kind, "slack_degc": 0.0}
+    found = {"half_width": WIDTH, "shape": kind, "slack": 0.0}
     return Hysteresis.model_validate(
         {**found, "middle_degc": 0.0, "half_span_degc": WIDTH, "coefficients": [1.0]}
     )
