@@ -13,7 +13,8 @@ import pytest
 
 from imumon.recordings import recorder as recorder_module
 from imumon.recordings.recorder import Recorder
-from imumon.recordings.wire import WireReader, WireWriter
+from imumon.recordings.wire import WireWriter
+from imumon.recordings.wire_reader import WireReader
 from imumon.transport.reader import Bytes
 
 CHILD = """
