@@ -9,6 +9,7 @@ from imumon.compiled import njit
 from imumon.recordings.wire_format import (
     CHECK_LENGTH,
     CHECK_OP,
+    CHECK_SEQUENCE_AT,
     CHUNK_OP,
     DATA_END_OP,
     FOOTER_OP,
@@ -46,8 +47,9 @@ def gather(
     data: ByteArray,
     ends: IntArray,
     arrivals: IntArray,
-) -> tuple[int, int]:
-    """Copy reads to `data` while they follow each other without fault; return how many, and the next offset.
+    checks: IntArray,
+) -> tuple[int, int, int]:
+    """Copy reads to `data` while they follow each other without fault, and pass check records over.
 
     A read is taken when what follows it begins as a record does: a damaged length leads elsewhere.
 
@@ -55,13 +57,26 @@ def gather(
     ----------
     sequence : int
         That the first must have; -1 when they are not numbered.
+
+    Returns
+    -------
+    reads, checks, offset : int
+        How many were found, and where the next record begins; `checks` has where the check records begin.
     """
-    n = used = 0
-    while n < len(ends) and offset + _HEAD <= len(buffer) and buffer[offset] == MESSAGE_OP:
+    n = used = passed = 0
+    while n < len(ends) and passed < len(checks) and offset + HEAD <= len(buffer):
+        if buffer[offset] == CHECK_OP and begins(buffer, offset, topics):
+            if sequence >= 0 and little(buffer, offset + CHECK_SEQUENCE_AT, 4) != (sequence + n) & 0xFFFFFFFF:
+                break
+            checks[passed] = offset
+            passed += 1
+            offset += _RECORD + CHECK_LENGTH
+            continue
         size = little(buffer, offset + 1, 8) - _FIELDS
         after = offset + _HEAD + size
         if (
-            topics[little(buffer, offset + 9, 2)] != WIRE
+            buffer[offset] != MESSAGE_OP
+            or topics[little(buffer, offset + 9, 2)] != WIRE
             or not 0 <= size <= min(len(buffer) - offset - _HEAD - HEAD, len(data) - used)
             or (sequence >= 0 and little(buffer, offset + SEQUENCE_AT, 4) != (sequence + n) & 0xFFFFFFFF)
             or not begins(buffer, offset, topics)
@@ -75,7 +90,7 @@ def gather(
         ends[n], arrivals[n] = used, little(buffer, offset + 15, 8)
         n += 1
         offset = after
-    return n, offset
+    return n, passed, offset
 
 
 @njit

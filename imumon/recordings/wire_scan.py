@@ -23,6 +23,7 @@ from imumon.recordings.wire_format import (
     CHANNEL_OP,
     CHECK_OP,
     CHECK_SEQUENCE_AT,
+    CHECK_SIZE,
     CHUNK_OP,
     DATA_END_OP,
     EVENT_CHANNEL,
@@ -60,7 +61,7 @@ WINDOW = 1 << 16
 """How far behind a record in doubt is looked for the next good one, before the record is taken."""
 KEPT_PLACES = 100
 """Damaged places of which the details are kept; all are counted."""
-_BATCH_BYTES, _BATCH_READS = 1 << 16, 1 << 13
+_BATCH_BYTES, _BATCH_READS, _BATCH_CHECKS = 1 << 16, 1 << 13, 1 << 10
 """Most that is handed on at once."""
 _BEHIND = 1 << 31
 """A sequence that is so far ahead, modulo 2^32, is behind."""
@@ -227,23 +228,27 @@ class Scan:
             if self._lost is not None:
                 self._search(view, end)
                 continue
-            reads = self._many(view)
+            before = self._at
+            reads = self._many(buffer, view)
             if len(reads.ends):
                 yield self._counted(reads)
-            else:
+            elif self._at == before:
                 yield from self._record(buffer, view, end)
 
-    def _many(self, view: ByteArray) -> Reads:
-        """Take out the reads whose messages follow each other from here on."""
+    def _many(self, buffer: bytes, view: ByteArray) -> Reads:
+        """Take out the reads whose messages follow each other from here on, and check their blocks."""
         data = np.empty(_BATCH_BYTES, np.uint8)
         ends, arrivals_ns = np.empty(_BATCH_READS, np.int64), np.empty(_BATCH_READS, np.int64)
-        n, self._at = gather(view, self._at, self._topics, self._sequence, data, ends, arrivals_ns)
+        checks, start = np.empty(_BATCH_CHECKS, np.int64), (self._at, self._topics, self._sequence)
+        n, passed, self._at = gather(view, *start, data, ends, arrivals_ns, checks)
         data.setflags(write=False)  # as what comes from a port: the decoders need one kernel for both
         if n:
             self._settle(int(arrivals_ns[0]), 0)
             self._last_ns = int(arrivals_ns[n - 1])
             if self._sequence >= 0:
                 self._sequence = (self._sequence + n) & _MASK
+        for at in checks[:passed].tolist():
+            self._check(buffer, at)
         used = int(ends[n - 1]) if n else 0
         return Reads(data[:used], ends[:n], arrivals_ns[:n])
 
@@ -273,7 +278,8 @@ class Scan:
         elif opcode == MESSAGE_OP:
             yield from self._message(buffer, view, after)
         elif opcode == CHECK_OP:
-            self._check(buffer, after)
+            self._check(buffer, at)
+            self._at = after
         else:
             try:
                 items = self._rare(opcode, memoryview(buffer)[:at], buffer[at + RECORD.size : after])
@@ -431,26 +437,25 @@ class Scan:
         self._open, self._block.damaged = None, True
         self.found.damage.add(Place(offset, size, self._last_ns, time_ns, messages, altered=False))
 
-    def _check(self, buffer: bytes, after: int) -> None:
+    def _check(self, buffer: bytes, at: int) -> None:
         """Compare the block that ends here with what was written."""
-        check = Check.unpack(buffer, self._at)
-        if check is None:
-            self._lose()
+        check, block = Check.unpack(buffer, at), self._block
+        if check is None:  # its beginning is good, so this costs no read
+            block.damaged = True
+            self.found.damage.add(Place(self._position + at, CHECK_SIZE, self._last_ns, 0, 0, altered=False))
             return
-        block, at = self._block, self._position + self._at
-        block.take(memoryview(buffer)[block.begin : self._at])
-        ahead = (check.sequence - self._sequence) & _MASK if self._sequence >= 0 else 0
+        block.take(memoryview(buffer)[block.begin : at])
+        ahead = (check.sequence - self._sequence) & _MASK if self._sequence >= 0 and at == self._at else 0
         self._settle(check.time_ns, ahead if ahead < _BEHIND else 0)
         as_written = not block.damaged and (block.size, block.crc) == (check.size, check.crc)
         if not as_written and not block.damaged:
-            place = Place(at - block.size, block.size, block.after_ns, self._last_ns, 0, altered=True)
-            self.found.damage.add(place)
-        if self._sequence >= 0:
+            start = self._position + at - block.size
+            self.found.damage.add(Place(start, block.size, block.after_ns, check.time_ns, 0, altered=True))
+        if self._sequence >= 0 and at == self._at:
             self._sequence = check.sequence
         self._resolve(as_written)
         self.found.good = True
-        self._at = after
-        self._block = _Block(begin=after, after_ns=self._last_ns)
+        self._block = _Block(begin=at + CHECK_SIZE, after_ns=check.time_ns)
 
     def _end_data(self, before: memoryview, expected: int) -> None:
         self.found.checksum_ok = zlib.crc32(before, self._crc) == expected if expected else None
