@@ -1,4 +1,4 @@
-"""The recorder: gets what the reader puts into a queue to the system within 0.2 s, and to the medium within 1 s."""
+"""The recorder: gets what is read to the system within 0.2 s, and to the medium within 1 s."""
 
 from __future__ import annotations
 

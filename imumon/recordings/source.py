@@ -71,7 +71,9 @@ class Source:
                 f"{summary.tail_bytes} bytes at the end of {self.items.path.name} are not a whole record"
             )
         if summary.bytes_unrecorded:
-            said.append(f"{summary.bytes_unrecorded:,} bytes could not be recorded at the time")
+            said.append(
+                f"{summary.bytes_unrecorded:,} bytes could not be recorded at the time, or were lost since"
+            )
         said += _damage(summary.damage, self.items.path.name, self._began_ns())
         if summary.checksum_ok is False:
             said.append(f"{self.items.path.name} was changed after it was recorded: its checksum differs")

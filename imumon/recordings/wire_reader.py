@@ -30,6 +30,8 @@ class WireSummary:
     """The file was finished in order; False after a power failure, a kill or a full disk."""
     checksum_ok: bool | None = None
     """Whether the checksum over the file agrees; None when there is none because it was not finished."""
+    last_ns: int = 0
+    """Unix time of the last message."""
     damage: Damage = field(default_factory=Damage)
     """What is missing in the middle, or is not as it was written."""
     metadata: dict[str, str] = field(default_factory=dict)
@@ -47,6 +49,8 @@ class WireReader:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.summary = WireSummary()
+        self.damage = Damage()
+        """What was found so far by the iteration that goes on."""
 
     def __iter__(self) -> Iterator[Item]:
         """Yield the items in the order in which they were written, each read by itself.
@@ -71,6 +75,7 @@ class WireReader:
             BAD_DATA, when the file cannot be read or is not a wire file.
         """
         scan = Scan(self.path)
+        self.damage = scan.found.damage
         try:
             with self.path.open("rb") as file:
                 scan.begin(file.read(len(MAGIC)))
@@ -94,6 +99,7 @@ def _summary(scan: Scan, size: int, last: bytes) -> WireSummary:
         tail_bytes=tail,
         complete=found.data_ended and last == MAGIC,
         checksum_ok=found.checksum_ok,
+        last_ns=scan.last_ns,
         damage=found.damage,
         metadata=found.metadata,
     )

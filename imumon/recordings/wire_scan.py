@@ -173,7 +173,8 @@ class Scan:
         self._open: tuple[int, int] | None = None
         """Offset and size of a damaged place behind which there was no message yet."""
         self._block = _Block()
-        self._last_ns = 0
+        self.last_ns = 0
+        """Unix time of the last message."""
         self._strange: list[ImumonError] = []
         """Events that are not understood: damage, or from a newer version; the next check tells."""
         self._foreign: ImumonError | None = None
@@ -244,7 +245,7 @@ class Scan:
         data.setflags(write=False)  # as what comes from a port: the decoders need one kernel for both
         if n:
             self._settle(int(arrivals_ns[0]), 0)
-            self._last_ns = int(arrivals_ns[n - 1])
+            self.last_ns = int(arrivals_ns[n - 1])
             if self._sequence >= 0:
                 self._sequence = (self._sequence + n) & _MASK
         for at in checks[:passed].tolist():
@@ -314,7 +315,7 @@ class Scan:
         if not self._number(view, after, sequence, time_ns):
             self._lose()
             return
-        self._at, self._last_ns, self.found.good = after, time_ns, True
+        self._at, self.last_ns, self.found.good = after, time_ns, True
         body = buffer[at + MESSAGE.size : after]
         yield from self._payload(channel, body, time_ns)
 
@@ -338,7 +339,7 @@ class Scan:
         if ahead >= _BEHIND and sequence == 0:  # another tool wrote them without numbers
             self._sequence = -1
             return True
-        if ahead >= _BEHIND and time_ns <= self._last_ns:
+        if ahead >= _BEHIND and time_ns <= self.last_ns:
             return False
         self._settle(time_ns, ahead if ahead < _BEHIND else 0)
         self._sequence = (sequence + 1) & _MASK
@@ -403,7 +404,7 @@ class Scan:
             elif isinstance(inside, Message):
                 if inside.log_time >= 1 << 63:
                     raise ValueError("the time is out of range")
-                self._last_ns = inside.log_time
+                self.last_ns = inside.log_time
                 items += self._payload(inside.channel_id, inside.data, inside.log_time)
         return items
 
@@ -435,14 +436,14 @@ class Scan:
             return
         offset, size = self._open or (self._position + self._at, 0)
         self._open, self._block.damaged = None, True
-        self.found.damage.add(Place(offset, size, self._last_ns, time_ns, messages, altered=False))
+        self.found.damage.add(Place(offset, size, self.last_ns, time_ns, messages, altered=False))
 
     def _check(self, buffer: bytes, at: int) -> None:
         """Compare the block that ends here with what was written."""
         check, block = Check.unpack(buffer, at), self._block
         if check is None:  # its beginning is good, so this costs no read
             block.damaged = True
-            self.found.damage.add(Place(self._position + at, CHECK_SIZE, self._last_ns, 0, 0, altered=False))
+            self.found.damage.add(Place(self._position + at, CHECK_SIZE, self.last_ns, 0, 0, altered=False))
             return
         block.take(memoryview(buffer)[block.begin : at])
         ahead = (check.sequence - self._sequence) & _MASK if self._sequence >= 0 and at == self._at else 0

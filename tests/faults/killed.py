@@ -17,6 +17,7 @@ import numpy as np
 from imumon.protocols.device import load_device
 from imumon.recordings.wire_reader import WireReader
 from imumon.simulation.unit import SimulatedUnit, load_scenario
+from imumon.simulation.unit.unit import MICROSECOND
 from imumon.transport.reader import Bytes
 from tests.faults.rows import Row
 
@@ -32,7 +33,8 @@ class Line:
         tty.setraw(self._slave)
         self.path = os.ttyname(self._slave)
         device = load_device("ax1")
-        unit = SimulatedUnit(load_scenario("bench").played(rate_hz, device.axes), 0, 1000)
+        scenario = load_scenario("bench").played(rate_hz, device.axes)
+        unit = SimulatedUnit(scenario, 0, device.decoder().timing.tick_ns or MICROSECOND)
         self._packets = device.encoder().encode(unit.samples(round(PREPARED_S * rate_hz)))
         self._rate_hz = rate_hz
         self.sent: list[int] = []

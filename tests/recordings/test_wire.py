@@ -37,7 +37,13 @@ def test_what_is_written_is_read_in_order_with_its_times(tmp_path: Path) -> None
     reader = WireReader(tmp_path / "w.mcap")
     assert list(reader) == ITEMS
     assert reader.summary == WireSummary(
-        3, 283, 2, complete=True, checksum_ok=True, metadata={"device": "test"}
+        3,
+        283,
+        2,
+        complete=True,
+        checksum_ok=True,
+        last_ns=1_700_000_000_030_000_000,
+        metadata={"device": "test"},
     )
 
 
