@@ -9,13 +9,12 @@ from typing import Any
 
 from imumon.errors import ImumonError, Reason
 
-
 LARGEST_TEXT = 16 << 20
 """Bytes: four for each character of the longest document."""
 
 
 def read_text(path: Path, reason: Reason = Reason.BAD_CONFIG, hint: str = "") -> str:
-    """Return the text of a file; raises an `ImumonError` of this reason when it cannot be read, or is huge."""
+    """Return the text of a file; raises an `ImumonError` of this reason when it is huge or unreadable."""
     try:
         with path.open("rb") as file:
             content = file.read(LARGEST_TEXT + 1)

@@ -9,6 +9,7 @@ import rerun as rr
 
 from imumon.blocks import NO_INT, ColumnArray
 from imumon.charts import Chart
+from imumon.harmless import for_markdown
 from imumon.view.attitude import DEVICE
 from imumon.view.blueprint import Contents, blueprint
 from imumon.view.chart import declare_chart, log_chart
@@ -261,7 +262,7 @@ class StreamLogger:
 
 def status_card(event: Status) -> str:
     """Return the status card as a compact Markdown table."""
-    rows = [f"| **{name}** | {value} |" for name, value in event.fields.items()]
+    rows = [f"| **{for_markdown(name)}** | {for_markdown(value)} |" for name, value in event.fields.items()]
     return "\n".join(["| | |", "|:--|:--|", *rows])
 
 

@@ -95,7 +95,7 @@ def attack_all(folder: Path) -> Iterator[Row]:
         for name, text in DOCUMENTS.items():
             path.write_text(text, encoding="utf-8")
             said = refused(lambda load=load, path=path: load(path))  # type: ignore[misc]  # bound at once
-            if not said or said.startswith("wrong") or "\n" in said.strip() and len(said) > 2000:
+            if not said or said.startswith("wrong") or ("\n" in said.strip() and len(said) > 2000):
                 bad.append(f"{name}: {said or 'taken'}")
         yield Row(
             f"hostile {kind} file", len(DOCUMENTS), "; ".join(bad) or "each refused in words", held=not bad
