@@ -15,7 +15,7 @@ from tests.faults.rows import Row
 SIZE = 10_000
 FACTOR = 4
 STEEPEST = 2.2 * FACTOR
-"""Linear cost gives 4, quadratic 16; caches, a busy machine and a first search with less to do are between."""
+"""Linear cost gives 4, quadratic 16; caches and a busy machine are between."""
 NOISE_S = 0.004
 """A call that takes less is not measured well enough to be judged, and costs nobody anything."""
 
