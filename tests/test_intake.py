@@ -22,7 +22,8 @@ def record(n: int, seed: int = 0) -> Columns:
 
 def seen(columns: Columns, sizes: list[int] | None = None) -> tuple[SampleBlock, Intake]:
     """Return what the stages see, spread over all rows."""
-    intake, parts, start = Intake(), [], 0
+    parts: list[SampleBlock] = []
+    intake, start = Intake(), 0
     block = SampleBlock(columns)
     while start < len(block):
         size = sizes[len(parts) % len(sizes)] if sizes else len(block)

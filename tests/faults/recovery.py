@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +12,7 @@ from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY
 from imumon.pipeline import Pipeline
 from imumon.run.setup import Setup
 from imumon.run.stages import estimators
+from tests.faults.rows import Row
 
 Columns = dict[str, ColumnArray]
 LATITUDE_DEG = 48.0
@@ -47,6 +48,16 @@ def healthy(rate_hz: float = RATE_HZ, length_s: float = LENGTH_S, seed: int = 0)
     columns["mag_z"] = -40.0 + 0.1 * rng.standard_normal(n)
     return columns
 
+
+SIGMAS = {f"gyro_bias_{axis}": f"gyro_bias_sd_{axis}" for axis in "xyz"} | {
+    "temperature_estimate": "temperature_estimate_sd",
+    "temperature_rate": "temperature_rate_sd",
+    "heading": "heading_sd",
+}
+SOON_S = 120.0
+"""Promised: so long after the data is good again every column that it can have is there."""
+FAR = 5.0
+"""Sigmas: six estimates of thirty faults are 5e-6 likely to be so far off once by chance."""
 
 Fault = Callable[[Columns, slice], None]
 
@@ -142,6 +153,45 @@ FAULTS: dict[str, Fault] = {
 }
 
 
+@dataclass(frozen=True, slots=True)
+class Variant:
+    """A device that is out of the ordinary all the time."""
+
+    rate_hz: float = RATE_HZ
+    length_s: float = 200.0
+    absent: str = ""
+    zero: str = ""
+
+    def columns(self) -> Columns:
+        """Return what it sends."""
+        columns = healthy(self.rate_hz, self.length_s)
+        for name in [name for name in columns if self.absent and name.startswith(tuple(self.absent.split()))]:
+            del columns[name]
+        for name in columns:
+            if self.zero and name.startswith(tuple(self.zero.split())):
+                columns[name][:] = 0.0
+        return columns
+
+
+VARIANTS: dict[str, Variant] = {
+    "0.001 Hz": Variant(0.001, 1e6),
+    "0.01 Hz": Variant(0.01, 1e5),
+    "0.1 Hz": Variant(0.1, 2e4),
+    "4 kHz": Variant(4000.0, 60.0),
+    "one sample": Variant(1.0, 1.0),
+    "no gyro": Variant(absent="gyro"),
+    "no accelerometer": Variant(absent="accel"),
+    "no temperature": Variant(absent="temperature"),
+    "no magnetometer": Variant(absent="mag"),
+    "times only": Variant(absent="gyro accel temperature mag"),
+    "a gyro axis absent": Variant(absent="gyro_y"),
+    "gyro constant zero": Variant(zero="gyro"),
+    "accelerometer constant zero": Variant(zero="accel"),
+    "temperature constant zero": Variant(zero="temperature"),
+    "all constant zero": Variant(zero="gyro accel temperature mag"),
+}
+
+
 def run(columns: Columns, latitude_deg: float | None) -> tuple[SampleBlock, Pipeline]:
     """Run samples through all stages; return all columns."""
     pipeline = Pipeline(None, estimators(None, Setup(latitude_deg=latitude_deg)))
@@ -165,6 +215,8 @@ class Outcome:
     """Columns with an infinity, or beyond 1e6, anywhere."""
     alive_after_s: float
     """When the last of the columns came back, counted from the end of the fault."""
+    off: list[str]
+    """Estimates that end further from those of the healthy record than their sigmas allow."""
 
 
 def compare(clean: SampleBlock, struck: SampleBlock, fault_end_s: float, rate_hz: float) -> Outcome:
@@ -190,7 +242,20 @@ def compare(clean: SampleBlock, struck: SampleBlock, fault_end_s: float, rate_hz
         first_clean = np.flatnonzero(np.isfinite(values))
         late = behind[0] / rate_hz - max(0.0, first_clean[0] / rate_hz - fault_end_s)
         latest = max(latest, float(late))
-    return Outcome(dead, wild, latest)
+    return Outcome(dead, wild, latest, _off(clean, struck))
+
+
+def _off(clean: SampleBlock, struck: SampleBlock) -> list[str]:
+    """Compare the last estimates that have a sigma."""
+    off = []
+    for name, sd_name in SIGMAS.items():
+        if name not in clean or name not in struck:
+            continue
+        pairs = [(block[name], block[sd_name]) for block in (clean, struck)]
+        ends = [(v[s][-1], sd[s][-1]) for v, sd in pairs if (s := np.isfinite(v) & np.isfinite(sd)).any()]
+        if len(ends) == 2 and abs(ends[0][0] - ends[1][0]) > FAR * np.hypot(ends[0][1], ends[1][1]):
+            off.append(f"{name} by {abs(ends[0][0] - ends[1][0]) / np.hypot(ends[0][1], ends[1][1]):.1f} sd")
+    return off
 
 
 def attack_all(latitude_deg: float | None, names: list[str] | None = None) -> Iterator[tuple[str, Outcome]]:
@@ -201,3 +266,35 @@ def attack_all(latitude_deg: float | None, names: list[str] | None = None) -> It
         FAULTS[name](columns, slice(round(FAULT_S[0] * RATE_HZ), round(FAULT_S[1] * RATE_HZ)))
         struck, _ = run(columns, latitude_deg)
         yield name, compare(clean, struck, FAULT_S[1], RATE_HZ)
+
+
+def attack_rows(names: list[str] | None = None) -> Iterator[Row]:
+    """Run each fault without and with a latitude, as rows of a table."""
+    for latitude_deg in (None, LATITUDE_DEG):
+        place = "no latitude" if latitude_deg is None else f"latitude {latitude_deg:g}°"
+        for name, outcome in attack_all(latitude_deg, names):
+            said = f"all columns back {max(outcome.alive_after_s, 0.0):.1f} s after its end at the latest"
+            if outcome.dead:
+                said = f"dead: {', '.join(outcome.dead)}"
+            if outcome.wild:
+                said += f"; wild: {', '.join(outcome.wild)}"
+            if outcome.off:
+                said += f"; off at the end: {', '.join(outcome.off)}"
+            held = not (outcome.dead or outcome.wild or outcome.off) and outcome.alive_after_s <= SOON_S
+            yield Row(f"{name}, {place}", 1, said, held)
+
+
+def variant_rows(names: Sequence[str] | None = None) -> Iterator[Row]:
+    """Run each device that is out of the ordinary, without and with a latitude."""
+    for name in names or VARIANTS:
+        variant = VARIANTS[name]
+        for latitude_deg in (None, LATITUDE_DEG):
+            sent = variant.columns()
+            block, pipeline = run(sent, latitude_deg)
+            made = {k: v for k, v in block.columns.items() if k not in sent and v.dtype == np.float64}
+            there = sum(bool(np.isfinite(values).any()) for values in made.values())
+            wild = [k for k, values in made.items() if np.isinf(values).any()]
+            left_out = [text for text in pipeline.warnings() if text.startswith("left out")]
+            place = "no latitude" if latitude_deg is None else f"latitude {latitude_deg:g}°"
+            said = "; ".join([f"{there} of {len(made)} columns have values", *left_out, *wild])
+            yield Row(f"{name}, {place}", 1, said, held=not wild)
