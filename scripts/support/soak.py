@@ -18,22 +18,22 @@ Section = Callable[[Path, bool], Iterator[Row]]
 
 
 def _damage(folder: Path, short: bool) -> Iterator[Row]:
-    yield from damage.attack_all(folder, 10 if short else 1000, 1)
+    yield from damage.attack_all(folder, 10 if short else 100, 1)
 
 
 def _killed(folder: Path, short: bool) -> Iterator[Row]:
     for rate_hz in (100.0, 1000.0):
-        yield killed.kill_many(folder, rate_hz, 2 if short else 15, 1)
+        yield killed.kill_many(folder, rate_hz, 2 if short else 10, 1)
 
 
 def _medium(folder: Path, short: bool) -> Iterator[Row]:
     for rate_hz in (100.0, 1000.0, 10_000.0):
-        yield medium.measure(folder, rate_hz, 3.0 if short else 30.0)
+        yield medium.measure(folder, rate_hz, 3.0 if short else 20.0)
 
 
 def _documents(folder: Path, short: bool) -> Iterator[Row]:
     yield from documents.attack_all(folder)
-    yield documents.mutate_devices(200 if short else 5000, 1)
+    yield documents.mutate_devices(200 if short else 2000, 1)
 
 
 def _cost(_: Path, short: bool) -> Iterator[Row]:

@@ -54,7 +54,7 @@ def measure(folder: Path, rate_hz: float, seconds: float) -> Row:
     return Row(
         f"power cut while {rate_hz:g} reads/s of {PACKET} bytes are recorded",
         len(took),
-        f"a sync takes {1e3 * np.median(took):.1f} ms, at most {1e3 * took.max():.0f} ms; a read is on the medium"
-        f" after {latest:.2f} s at most; {100 * cpu / seconds:.1f} % of a processor",
+        f"a sync takes {1e3 * np.median(took):.1f} ms, at most {1e3 * took.max():.0f} ms;"
+        f" a read is on the medium after {latest:.2f} s at most; {100 * cpu / seconds:.1f} % of a processor",
         held=latest <= PROMISED_S,
     )
