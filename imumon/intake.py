@@ -1,4 +1,4 @@
-"""What no estimate may be made from: values no sensor has, sensors that stand still, times that do not go on.
+"""What no estimate may be made from: values no sensor has, saturated sensors, times that do not go on.
 
 Stages see such a value as missing and such a row not at all; tables keep both as they were sent.  So a fault
 is kept out at one place, whatever a stage would make of it, and its end is the end of what is left out.
@@ -33,7 +33,11 @@ LONGEST_GAP_S = 1e6
 """Within a segment, eleven days: a clock that leaps so far did not count."""
 STUBBORN = 100
 """Rows in a row that go on from another time: then the clock was set, and a segment of its own begins."""
-SENSORS = tuple(tuple(f"{sensor}_{axis}" for axis in "xyz") for sensor in ("gyro", "accel", "mag"))
+IMPOSSIBLE_AT_REST = {"gyro": (0.0, 2.0), "accel": (1.0, 30.0)}
+"""What the largest axis says at rest, at least and at most, rad/s and m/s^2: 115 °/s of bias, 3 g.
+
+A sensor whose noise is below its step stands still at rest, and is right; beyond this it is saturated or dead.
+"""
 BY_CHANCE = 1e-9
 """Probability at which repeated readings are no chance: a day at 4 kHz has 3.5e8 samples."""
 
@@ -71,7 +75,7 @@ class Intake:
 
     def __init__(self) -> None:
         self._clock = _Clock()
-        self._still = {sensor: _Still() for sensor in SENSORS}
+        self._still = {sensor: _Still() for sensor in IMPOSSIBLE_AT_REST}
         self._zero: set[str] = set()
         """Thermometers that have said something else than zero."""
         self._left_out: Counter[str] = Counter()
@@ -90,8 +94,9 @@ class Intake:
             if limits is not None and (sound := self._sound(name, values, limits)) is not None:
                 changed[name] = sound
         for sensor, still in self._still.items():
-            if all(name in block for name in sensor):
-                self._stand_still(sensor, still, block, changed)
+            axes = tuple(f"{sensor}_{axis}" for axis in "xyz")
+            if all(name in block for name in axes):
+                self._stand_still(axes, still, block, changed)
         for name in block.columns:
             if name.startswith("temperature") and name not in self._zero:
                 self._begin(name, block, changed)
@@ -127,12 +132,18 @@ class Intake:
         self, sensor: tuple[str, ...], still: _Still, block: SampleBlock, changed: dict[str, ColumnArray]
     ) -> None:
         """Leave out what all axes of a sensor repeat more often than by chance."""
-        stands = still.judge(np.stack([block[name] for name in sensor]))
-        if stands is not None:
-            for name in sensor:
-                changed[name] = np.where(stands, np.nan, changed.get(name, block[name]))
-            name = sensor[0].removesuffix("_x")
-            self._left_out[f"{name} while all its axes stand still"] += int(stands.sum())
+        name = sensor[0].removesuffix("_x")
+        readings = np.stack([block[axis] for axis in sensor])
+        stands = still.judge(readings)
+        if stands is None:
+            return
+        least, most = IMPOSSIBLE_AT_REST[name]
+        length = np.abs(readings).max(axis=0)
+        stands &= (length < least) | (length > most)
+        if stands.any():
+            for axis in sensor:
+                changed[axis] = np.where(stands, np.nan, changed.get(axis, block[axis]))
+            self._left_out[f"{name} while its axes stand still where none can at rest"] += int(stands.sum())
 
     def _begin(self, name: str, block: SampleBlock, changed: dict[str, ColumnArray]) -> None:
         """Leave out the zeros of a thermometer that has not said anything yet."""

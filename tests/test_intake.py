@@ -55,7 +55,7 @@ def test_what_no_gyro_says_is_left_out_and_said_once(value: float) -> None:
 def test_a_gyro_that_stands_still_is_left_out_until_it_moves() -> None:
     columns = record(5000)
     for axis in "xyz":
-        columns[f"gyro_{axis}"][2000:3000] = columns[f"gyro_{axis}"][2000]
+        columns[f"gyro_{axis}"][2000:3000] = 35.0
     block, _ = seen(columns)
     out = np.flatnonzero(np.isnan(block["gyro_x"]))
     assert 2000 < out[0] <= 2005
@@ -66,7 +66,7 @@ def test_a_gyro_that_stands_still_is_left_out_until_it_moves() -> None:
 def test_a_gyro_that_stands_still_from_the_start_is_left_out_soon() -> None:
     columns = record(5000)
     for axis in "xyz":
-        columns[f"gyro_{axis}"][:3000] = 0.25
+        columns[f"gyro_{axis}"][:3000] = -35.0
     block, _ = seen(columns)
     assert np.isnan(block["gyro_x"][40:3000]).all()
     assert not np.isnan(block["gyro_x"][3000:]).any()
@@ -80,6 +80,15 @@ def test_a_sensor_that_is_read_more_often_than_it_measures_is_taken(each: int) -
     block, _ = seen(columns)
     assert np.isnan(block["gyro_x"]).mean() < 0.02
     assert not np.isnan(block["gyro_x"][10_000:]).any()
+
+
+def test_a_gyro_whose_noise_is_below_its_step_may_stand_still_at_rest() -> None:
+    columns = record(5000)
+    for axis in "xyz":
+        columns[f"gyro_{axis}"][2000:] = 0.01
+    block, intake = seen(columns)
+    assert intake.left_out == 0
+    assert np.array_equal(block["gyro_x"], columns["gyro_x"])
 
 
 def test_a_gyro_with_coarse_steps_is_taken() -> None:
@@ -134,7 +143,7 @@ def test_the_division_into_blocks_makes_no_difference(sizes: list[int], seed: in
         part, kind = slice(start, start + length), rng.integers(5)
         if kind == 0:
             for axis in "xyz":
-                columns[f"gyro_{axis}"][part] = columns[f"gyro_{axis}"][start]
+                columns[f"gyro_{axis}"][part] = 35.0
         elif kind == 1:
             columns["device_time_ns"][part] = columns["device_time_ns"][start]
         elif kind == 2:
