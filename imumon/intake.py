@@ -36,7 +36,7 @@ STUBBORN = 100
 IMPOSSIBLE_AT_REST = {"gyro": (0.0, 2.0), "accel": (1.0, 30.0)}
 """What the largest axis says at rest, at least and at most, rad/s and m/s^2: 115 °/s of bias, 3 g.
 
-A sensor whose noise is below its step stands still at rest, and is right; beyond this it is saturated or dead.
+A sensor whose noise is below its step stands still at rest, rightly; beyond this it is saturated or dead.
 """
 BY_CHANCE = 1e-9
 """Probability at which repeated readings are no chance: a day at 4 kHz has 3.5e8 samples."""
@@ -210,8 +210,8 @@ class _Still:
 def _allowed(pairs: IntArray, repeats: IntArray) -> IntArray:
     """Return how many repetitions may be chance, by Laplace's rule of succession."""
     chance = (repeats + 1.0) / (pairs + 2.0)
-    allowed: IntArray = np.ceil(np.log(BY_CHANCE) / np.log(chance)).astype(np.int64)
-    return allowed
+    allowed = np.ceil(np.log(BY_CHANCE) / np.log(chance)).astype(np.int64)
+    return np.where(pairs == repeats, 0, allowed)  # it has not said anything else yet
 
 
 class _Clock:
