@@ -76,8 +76,8 @@ class Intake:
     def __init__(self) -> None:
         self._clock = _Clock()
         self._still = {sensor: _Still() for sensor in IMPOSSIBLE_AT_REST}
-        self._zero: set[str] = set()
-        """Thermometers that have said something else than zero."""
+        self._begun: set[str] = set()
+        """Gyros and thermometers that have said something else than zero."""
         self._left_out: Counter[str] = Counter()
         self._said: set[str] = set()
 
@@ -98,8 +98,10 @@ class Intake:
             if all(name in block for name in axes):
                 self._stand_still(axes, still, block, changed)
         for name in block.columns:
-            if name.startswith("temperature") and name not in self._zero:
-                self._begin(name, block, changed)
+            if name.startswith("temperature") and name not in self._begun:
+                self._begin(name, (name,), block, changed)
+        if "gyro" not in self._begun and all(f"gyro_{axis}" in block for axis in "xyz"):
+            self._begin("gyro", tuple(f"gyro_{axis}" for axis in "xyz"), block, changed)
         rows: BoolArray | None = None
         if "device_time_ns" in block and "segment" in block:
             kept, shift = self._clock.judge(block["device_time_ns"], block["segment"])
@@ -145,14 +147,18 @@ class Intake:
                 changed[axis] = np.where(stands, np.nan, changed.get(axis, block[axis]))
             self._left_out[f"{name} while its axes stand still where none can at rest"] += int(stands.sum())
 
-    def _begin(self, name: str, block: SampleBlock, changed: dict[str, ColumnArray]) -> None:
-        """Leave out the zeros of a thermometer that has not said anything yet."""
-        begun = np.maximum.accumulate((block[name] != 0.0) & ~np.isnan(block[name]))
+    def _begin(
+        self, sensor: str, columns: tuple[str, ...], block: SampleBlock, changed: dict[str, ColumnArray]
+    ) -> None:
+        """Leave out the zeros of a sensor that has not said anything yet."""
+        readings = np.stack([block[name] for name in columns])
+        begun = np.maximum.accumulate(np.any((readings != 0.0) & ~np.isnan(readings), axis=0))
         if begun[-1:].any():
-            self._zero.add(name)
-        if zeros := int((~begun & ~np.isnan(block[name])).sum()):
-            changed[name] = np.where(begun, changed.get(name, block[name]), np.nan)
-            self._left_out[f"{name} while it has said nothing but zero"] += zeros
+            self._begun.add(sensor)
+        if zeros := int((~begun & ~np.isnan(readings).any(axis=0)).sum()):
+            for name in columns:
+                changed[name] = np.where(begun, changed.get(name, block[name]), np.nan)
+            self._left_out[f"{sensor} while it has said nothing but zero"] += zeros
 
 
 def _limits(name: str) -> tuple[float, float, str] | None:

@@ -71,10 +71,7 @@ def _refined(values: ColumnArray, time: FloatArray, frequency: float) -> FloatAr
     grown = 1.0 / time[-1]
     for _ in range(ROUNDS):
         a, b, by_a, by_b = _solved(columns, values).tolist()
-        strength = abs(a) ** 2 + abs(b) ** 2
-        if strength == 0.0:  # a sensor that says nothing but zero has no line
-            break
-        shift = (by_a * b.conjugate() - by_b * a.conjugate()).real / strength * grown
+        shift = (by_a * b.conjugate() - by_b * a.conjugate()).real / (abs(a) ** 2 + abs(b) ** 2) * grown
         frequency += min(max(shift, -grown), grown)
         columns = _line(time, frequency)
         if abs(shift) < 1e-4 * grown:
