@@ -1,4 +1,7 @@
-"""YAML files read strictly: unknown keys refused, every error with file, line and what was expected."""
+"""YAML files read strictly: unknown keys refused, every error with file, line and what was expected.
+
+Each document is held to the limits below, whatever it is: a device, a pipeline, a map, a model, a session.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +15,15 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from imumon.errors import ImumonError, Reason
 from imumon.files import read_text
+
+MOST_CHARACTERS = 4 << 20
+"""A model of a network with a thousand hidden units has a tenth of that."""
+DEEPEST = 50
+"""Lists and mappings within each other; what imumon writes has ten at most."""
+MOST_VALUES = 1_000_000
+"""Keys and values, those behind an alias each time that it stands there."""
+LARGEST_NUMBER = 2.0**63
+"""No quantity is larger: times are int64, and squares of what is smaller are far from the end of float64."""
 
 Location = tuple[str | int, ...]
 
@@ -71,15 +83,17 @@ def parse_yaml(text: str, model: type[Model], source: str) -> Model:
         BAD_CONFIG, naming source and line, what was found and what was expected.
     """
     try:
+        _refuse_deep(text, source)
         loader = _Loader(text)
         root = loader.get_single_node()
+        _refuse_unreasonable(root, loader, source)
         data = None if root is None else loader.construct_document(root)
     except yaml.MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else 1
         problem = error.problem or "not YAML"
         raise ImumonError(Reason.BAD_CONFIG, f"{source}:{line}: not valid YAML: {problem}") from error
-    except (yaml.YAMLError, ValueError, AttributeError, IndexError, TypeError) as error:
-        # The last four come from values such as a date with a month 13.
+    except (yaml.YAMLError, ValueError, AttributeError, IndexError, TypeError, ArithmeticError) as error:
+        # All but the first come from values such as a date with a month 13.
         raise ImumonError(Reason.BAD_CONFIG, f"{source}: not valid YAML: {error}") from error
     _refuse_duplicate_keys(root, source)
     if root is None or not isinstance(data, dict):
@@ -143,6 +157,68 @@ def _locate(root: yaml.Node, location: Location) -> tuple[int, str]:
 
 
 _UNION_TAGS = {"str", "int", "float", "bool", "function-after", "function-before", "[key]"}
+
+
+def _refuse_deep(text: str, source: str) -> None:
+    """Refuse what is too long or nested too deeply, before the parser builds it: libyaml would crash."""
+    if len(text) > MOST_CHARACTERS:
+        raise ImumonError(
+            Reason.BAD_CONFIG, f"{source}: has {len(text):,} characters, at most {MOST_CHARACTERS:,} may be"
+        )
+    depth, loader = 0, _Loader(text)
+    while loader.check_event():
+        event = loader.get_event()
+        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+        if depth > DEEPEST:
+            line = event.start_mark.line + 1
+            raise ImumonError(
+                Reason.BAD_CONFIG,
+                f"{source}:{line}: nested more than {DEEPEST} deep, which no file of imumon is",
+            )
+
+
+def _refuse_unreasonable(root: yaml.Node | None, loader: Any, source: str) -> None:
+    """Refuse documents that contain themselves or grow by aliases, and numbers that are no quantity."""
+    sizes: dict[int, int] = {}
+    """Of each node, with all that it contains; 0 while it is being counted."""
+
+    def size(node: yaml.Node) -> int:
+        known = sizes.get(id(node))
+        if known == 0:
+            raise _at(node, source, "contains itself, by an alias")
+        if known is not None:
+            return known
+        sizes[id(node)] = 0
+        inside: list[yaml.Node] = []
+        if isinstance(node, yaml.ScalarNode):
+            _refuse_number(node, loader, source)
+        elif isinstance(node, yaml.MappingNode):
+            inside = [part for pair in node.value for part in pair]
+        else:
+            inside = node.value
+        sizes[id(node)] = total = 1 + sum(map(size, inside))
+        if total > MOST_VALUES:
+            raise _at(node, source, f"has {total:,} values with its aliases, at most {MOST_VALUES:,} may be")
+        return total
+
+    if root is not None:
+        size(root)
+
+
+def _refuse_number(node: yaml.ScalarNode, loader: Any, source: str) -> None:
+    if node.tag not in ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float"):
+        return
+    shown = node.value if len(node.value) <= 40 else f"{node.value[:37]}..."
+    try:
+        number = loader.construct_object(node)
+    except (ArithmeticError, IndexError, TypeError, ValueError) as error:  # "1:59:59", "0x", "!!int"
+        raise _at(node, source, f"{shown} is not a number that can be read") from error
+    if not -LARGEST_NUMBER < number < LARGEST_NUMBER:  # nor NaN
+        raise _at(node, source, f"{shown} is not a reasonable number: expected a finite one within ±2^63")
+
+
+def _at(node: yaml.Node, source: str, seen: str) -> ImumonError:
+    return ImumonError(Reason.BAD_CONFIG, f"{source}:{node.start_mark.line + 1}: {seen}")
 
 
 def _refuse_duplicate_keys(node: yaml.Node | None, source: str) -> None:

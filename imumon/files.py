@@ -9,15 +9,25 @@ from typing import Any
 
 from imumon.errors import ImumonError, Reason
 
+LARGEST_TEXT = 16 << 20
+"""Bytes: four for each character of the longest document."""
+
 
 def read_text(path: Path, reason: Reason = Reason.BAD_CONFIG, hint: str = "") -> str:
-    """Return the text of a file; raises an `ImumonError` of this reason when it cannot be read."""
+    """Return the text of a file; raises an `ImumonError` of this reason when it is huge or unreadable."""
     try:
-        return path.read_text(encoding="utf-8")
+        with path.open("rb") as file:
+            content = file.read(LARGEST_TEXT + 1)
+        if len(content) > LARGEST_TEXT:
+            large = f"{path}: has more than {LARGEST_TEXT >> 20} MiB, so it is no file of settings"
+            raise ImumonError(reason, large, hint or "give another file")
+        return content.decode("utf-8").replace("\r\n", "\n").replace("\r", "\n")
     except OSError as error:
         raise ImumonError(reason, f"{path}: cannot be read: {error.strerror}", hint) from error
     except UnicodeDecodeError as error:
         raise ImumonError(reason, f"{path}: is not UTF-8 text (byte {error.start})", hint) from error
+    except ValueError as error:
+        raise ImumonError(reason, f"{str(path)!r} is no path: it has a NUL character", hint) from error
 
 
 def write_text(path: Path, text: str) -> None:

@@ -21,6 +21,7 @@ from imumon.clock.held import HeldReadings
 from imumon.clock.rate import Intervals
 from imumon.clock.side import SharedCounter, SideClock
 from imumon.columns import KNOWN, TIME_COLUMNS, Column
+from imumon.intake import Intake
 from imumon.protocols.base import COMMON, MAIN, Counters, Timing
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.epochs import EpochAssembler, EpochCounters
@@ -77,7 +78,7 @@ class StreamCounters:
 
 @dataclass(frozen=True, slots=True)
 class PipelineCounters:
-    """What became of every byte and packet; the keys of ``--json`` and of session.yaml."""
+    """What became of every byte and packet, and of values (`left_out`); the keys of ``--json``."""
 
     packets: int
     packets_by_type: dict[str, int]
@@ -91,6 +92,7 @@ class PipelineCounters:
     packets_missing: int
     clock_restarts: int
     samples: int
+    left_out: int
     streams: dict[str, StreamCounters]
 
     def as_dict(self) -> dict[str, object]:
@@ -114,6 +116,7 @@ class Pipeline:
         self._device_clock = DeviceClock(self._decoder.timing if self._decoder is not None else Timing())
         self.host_clock = HostClock(self._device_clock.drift_limit_ppm)
         self._estimators = tuple(estimators)
+        self._intake = Intake()
         self._samples = 0
         self._ready: list[SampleBlock] = []
         groups = self._decoder.groups if self._decoder is not None else None
@@ -169,6 +172,7 @@ class Pipeline:
             packets_missing=self._device_clock.packets_missing,
             clock_restarts=self._device_clock.resets,
             samples=self._samples,
+            left_out=self._intake.left_out,
             streams=self._stream_counters(),
         )
 
@@ -241,6 +245,7 @@ class Pipeline:
     def warnings(self) -> list[str]:
         """Return, once each, what decoder and estimators have to say of the data or of their parameters."""
         decoded = self._decoder.warnings() if self._decoder is not None else []
+        decoded = [*decoded, *self._intake.notices()]
         return [*decoded, *(text for stage in self._estimators for text in stage.notices())]
 
     def charts(self) -> list[Chart]:
@@ -302,9 +307,16 @@ class Pipeline:
             self._intervals.setdefault(stream, Intervals()).add(block["device_time_ns"], segment)
 
     def _estimate(self, block: SampleBlock) -> SampleBlock:
+        """Run the stages over what no sensor fault spoils; the columns that were sent stay as they are."""
+        if not self._estimators:
+            return block
+        taken = self._intake.process(block)
+        seen, added = taken.block, dict[str, ColumnArray]()
         for stage in self._estimators:
-            block = block.with_columns(stage.process(block))
-        return block
+            new = stage.process(seen)
+            seen = seen.with_columns(new)
+            added |= {name: taken.spread(values) for name, values in new.items()}
+        return block.with_columns(added)
 
 
 class Digest:

@@ -65,8 +65,9 @@ EXAMPLES = {
 LONGEST = 40
 """No unit is written with more characters."""
 _SCALED = re.compile(r"(?P<unit>.*\S)\s*/\s*(?P<count>\d+(?:\.\d+)?)", re.ASCII)
-_POWER_OF_NUMBER = re.compile(r"\d\s*(\*\*|\^)")
-"""No unit has it, and pint would compute 9**9**9**9."""
+_BIG_POWER = re.compile(r"[\d)]\s*(\*\*|\^)|(\*\*|\^)(?!\s*[+-]?\d(?!\d))|\d[eE][+-]?\d\d")
+"""A power of a number or of a bracket, by anything but one digit, or of ten by two: no unit has it, and pint
+would compute 9**9**9**9."""
 
 
 _MALFORMED = (TokenError, SyntaxError, ArithmeticError, ValueError, TypeError, AttributeError, AssertionError)
@@ -105,7 +106,7 @@ def _by_pint(unit: str, target: str) -> tuple[Fraction, Fraction]:
     unknown = ImumonError(
         Reason.BAD_CONFIG, f"unit {unit[:LONGEST]!r} is not known", f"expected one like {target!r}"
     )
-    if len(unit) > LONGEST or _POWER_OF_NUMBER.search(unit):
+    if len(unit) > LONGEST or _BIG_POWER.search(unit):
         raise unknown
     registry = _registry()
     try:
@@ -155,6 +156,8 @@ def parse_unit(text: str, target: str) -> Unit:
         When it is unknown, not a unit, or of another kind.
     """
     usual = f"usual here: {EXAMPLES.get(target, target)}"
+    if len(text) > 2 * LONGEST:
+        raise ValueError(f"{text[:LONGEST]!r}... is not known; {usual}")
     scaled = _SCALED.fullmatch(text)
     bare, count = (scaled["unit"], Fraction(scaled["count"])) if scaled else (text, Fraction(1))
     if not count:

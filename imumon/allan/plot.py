@@ -16,6 +16,7 @@ from imumon.allan.fit import TERMS
 from imumon.allan.recording import GROUPS, group_of
 from imumon.errors import ImumonError, Reason
 from imumon.geodesy import MICRO_G
+from imumon.harmless import for_plot
 
 COLORS = {"x": "#d03c3c", "y": "#2a9a4f", "z": "#3b78d8"}
 SHOWN = {"gyro": (float(np.rad2deg(3600.0)), "deg/h"), "accel": (1.0 / MICRO_G, "µg")}
@@ -44,7 +45,7 @@ def write_plot(path: Path, results: Mapping[str, Result], title: str) -> None:
     for number, group in enumerate(groups):
         axes = figure.add_subplot(1, len(groups), number + 1)
         _draw(axes, group, {name: result for name, result in results.items() if group_of(name) == group})
-    figure.suptitle(title, fontsize=11)
+    figure.suptitle(for_plot(title), fontsize=11)
     try:
         figure.savefig(path, dpi=130, format="png")
     except OSError as error:

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from imumon.calibration.magnetometer import MagnetometerFit
 from imumon.errors import ImumonError, Reason
+from imumon.harmless import for_plot
 
 PLANES = ((0, 1), (1, 2), (2, 0))
 MOST_POINTS = 1500
@@ -39,8 +40,9 @@ def write_magnetometer_plot(path: Path, fit: MagnetometerFit, title: str) -> Non
         axes.grid(color="0.9", lw=0.5)
     figure.axes[0].legend(loc="upper right", fontsize=9, framealpha=0.9)
     figure.suptitle(
-        f"{title}: strength {model.field:.4g} {model.unit}, scatter {fit.residual_before:.2g} as sent, "
-        f"{model.residual_sd:.2g} corrected; {model.coverage:.0%} of the directions",
+        f"{for_plot(title)}: strength {model.field:.4g} {model.unit}, "
+        f"scatter {fit.residual_before:.2g} as sent, {model.residual_sd:.2g} corrected; "
+        f"{model.coverage:.0%} of the directions",
         fontsize=11,
     )
     try:

@@ -13,6 +13,7 @@ from imumon.cli.common import (
     SECONDS,
     Number,
     baud_option,
+    console,
     device_help,
     json_option,
     note,
@@ -22,10 +23,9 @@ from imumon.cli.common import (
 from imumon.cli.live_run import PortRun
 from imumon.cli.setup_options import make_setup
 from imumon.errors import EXIT_NEGATIVE, EXIT_OK, ImumonError, Reason
+from imumon.harmless import for_log
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from imumon.estimation.alignment.guide import Guide
     from imumon.estimation.alignment.stage import Alignment
     from imumon.estimation.alignment.status import Status
@@ -199,15 +199,14 @@ class _Shown:
     """A line on the terminal: the state, the sigma on its way to the one wanted, and the time to go."""
 
     def __init__(self, stage: Alignment, guide: Guide | None = None) -> None:
-        from rich.console import Console
         from rich.progress import BarColumn, Progress, TextColumn
 
         self._stage, self._guide = stage, guide
         self._bar = Progress(
-            TextColumn("{task.description}"),
+            TextColumn("{task.description}", markup=False),
             BarColumn(20),
-            TextColumn("{task.fields[text]}"),
-            console=Console(stderr=True),
+            TextColumn("{task.fields[text]}", markup=False),
+            console=console(error=True),
             transient=True,
         )
         self._task = self._bar.add_task("alignment", total=1.0, text="")
@@ -270,18 +269,17 @@ def as_data(status: Status, positions: int = 1) -> dict[str, object]:
 
 def _report(status: Status, wanted_deg: float) -> None:
     from rich.box import SIMPLE
-    from rich.console import Console
     from rich.table import Table
 
     from imumon.estimation.alignment.report import estimator_rows, rows
 
-    console: Console = Console(highlight=False)
+    out = console()
     if status.time_s > 0.0:
         table = Table("estimator", "heading [°]", "σ [°]", box=SIMPLE, padding=(0, 1, 0, 0))
         for row in estimator_rows(status):
             table.add_row(*row)
-        console.print(table)
+        out.print(table)
     told = rows(status, wanted_deg)
     width = max(map(len, told))
     for label, text in told.items():
-        console.print(f"  {label:<{width}}  {text}", soft_wrap=True)
+        out.print(f"  {label:<{width}}  {for_log(text)}", soft_wrap=True)

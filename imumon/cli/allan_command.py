@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from imumon.cli.common import PATH, json_option, print_json, print_rows, warn
+from imumon.cli.common import PATH, console, json_option, print_json, print_rows, warn
 
 if TYPE_CHECKING:
     from imumon.allan.analysis import Result
@@ -97,12 +97,11 @@ LARGE = 1e5
 
 def _show(results: dict[str, Result]) -> None:
     from rich.box import SIMPLE
-    from rich.console import Console
     from rich.table import Column, Table
 
     from imumon.allan.output import TERMS_OF
 
-    console = Console()
+    out = console()
     for group, terms in TERMS_OF.items():
         of_group = {name: result for name, result in results.items() if name.startswith(group)}
         if not of_group:
@@ -120,11 +119,9 @@ def _show(results: dict[str, Result]) -> None:
         table.add_row("  at τ", "s", *(f"{result.tau_s[result.lowest]:.4g}" for result in of_group.values()))
         longest = (f"{result.longest_tau_s:.4g}" for result in of_group.values())
         table.add_row("longest trusted τ", "s", *longest)
-        console.print(table)
-    console.print(
-        "1.234(56): 1.234 with a standard deviation of 0.056.  -: not shown by the data.", style="dim"
-    )
-    console.print("Bias instability B: the flat part of the curve is 0.664 B.", style="dim")
+        out.print(table)
+    out.print("1.234(56): 1.234 with a standard deviation of 0.056.  -: not shown by the data.", style="dim")
+    out.print("Bias instability B: the flat part of the curve is 0.664 B.", style="dim")
 
 
 def _with_sd(result: Result, term: str, factor: float) -> str:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from imumon.cli.common import PATH, Number, json_option, print_json, print_rows, warn
+from imumon.cli.common import PATH, Number, json_option, print_json, print_rows, show, warn
 from imumon.files import check_output
 
 if TYPE_CHECKING:
@@ -86,8 +86,8 @@ def _show(result: Calibration) -> None:
     """Print the error of every candidate at levels left out, a line per channel."""
     names = list(dict.fromkeys(name for f in result.findings.values() for name in f.choice.held_out_rms))
     heads = [name.replace("polynomial", "poly").replace("network", "net") for name in names]
-    click.echo("rms error at temperature levels left out; * is chosen")
-    click.echo(f"{'':14}" + "".join(f"{head:>9}" for head in heads))
+    show("rms error at temperature levels left out; * is chosen")
+    show(f"{'':14}" + "".join(f"{head:>9}" for head in heads))
     for channel, finding in result.findings.items():
         unit, factor = SHOWN[result.model.channels[channel].unit]
         cells = []
@@ -95,7 +95,7 @@ def _show(result: Calibration) -> None:
             value = finding.choice.held_out_rms.get(name)
             mark = "*" if name == finding.choice.name else " "
             cells.append(f"{'-':>8} " if value is None else f"{value * factor:8.3g}{mark}")
-        click.echo(f"{channel:8}{unit:>6}" + "".join(cells))
+        show(f"{channel:8}{unit:>6}" + "".join(cells))
 
 
 def _summary(result: Calibration, out: Path) -> dict[str, str]:

@@ -7,12 +7,16 @@ import math
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from imumon.errors import ImumonError, Reason
 from imumon.files import plain
+from imumon.harmless import for_log, for_terminal
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 PATH = click.Path(path_type=Path)
 TABLE = "Table to write: NAME.parquet or NAME.csv."
@@ -75,16 +79,31 @@ def split_columns(text: str | None) -> list[str] | None:
     return names
 
 
-def note(text: str, *, color: str | None = None, newline: bool = True) -> None:
-    """Write on standard error; a terminal that was closed or a full disk below a log stops no recording."""
+def note(text: str, *, color: str | None = None, newline: bool = True, control: str = "") -> None:
+    """Write on standard error, behind what controls the terminal.
+
+    A terminal that was closed or a full disk below a log stops no recording.
+    """
     with suppress(OSError):
-        click.secho(text, err=True, fg=color, nl=newline)
+        click.echo(control + click.style(for_terminal(text), fg=color), err=True, nl=newline)
+
+
+def show(text: str, *, newline: bool = True) -> None:
+    """Write on standard output."""
+    click.echo(for_terminal(text), nl=newline)
+
+
+def console(*, error: bool = False) -> Console:
+    """Return what draws tables and bars; texts in them are no markup."""
+    from rich.console import Console
+
+    return Console(stderr=error, markup=False, emoji=False, highlight=False)
 
 
 def say(level: str, text: str) -> None:
     """Write a log line on standard error."""
     color = {"WARN": "yellow", "ERROR": "red"}.get(level)
-    note(f"{level:5} {text}", color=color)
+    note(f"{level:5} {for_log(text)}", color=color)
 
 
 def warn(texts: Iterable[str]) -> None:
@@ -110,4 +129,4 @@ def print_rows(rows: Mapping[str, str]) -> None:
     """Write labelled lines on standard error."""
     width = max(map(len, rows), default=0)
     for label, text in rows.items():
-        note(f"  {label:<{width}}  {text}")
+        note(f"  {label:<{width}}  {for_log(text)}")

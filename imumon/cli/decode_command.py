@@ -82,6 +82,7 @@ def _result(source: Source, pipeline: Pipeline, tables: dict[str, Path], rows: i
         "rows": rows,
         "tables": tables,
         **pipeline.counters.as_dict(),
+        **source.losses(),
     }
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from imumon.cli.common import SECONDS, device_help, json_option, note, print_json
+from imumon.cli.common import SECONDS, console, device_help, json_option, note, print_json, show
 
 if TYPE_CHECKING:
     from imumon.protocols.text_proposal import Proposal
@@ -85,7 +85,7 @@ def command(
         _show(evidence)
         _suggest(port, fit)
         if proposal:
-            click.echo(f"\nlines of text that no device file describes; this one may:\n\n{proposal.text}")
+            show(f"\nlines of text that no device file describes; this one may:\n\n{proposal.text}")
     if proposal and proposed:
         from imumon.files import write_text
 
@@ -108,10 +108,10 @@ def _propose(heard: bytes, evidence: list[Evidence]) -> Proposal | None:
 def _suggest(port: str, fit: list[Evidence]) -> None:
     """Say what to type for each device that fits."""
     if len(fit) > 1:
-        click.echo("\nmore than one fits; the columns and their units tell which it is")
+        show("\nmore than one fits; the columns and their units tell which it is")
     for item in fit:
         rate = f" --baud {item.baudrate}" if item.baudrate is not None else ""
-        click.echo(f"\n{item.protocol}: imumon monitor {port} --device {item.protocol}{rate}")
+        show(f"\n{item.protocol}: imumon monitor {port} --device {item.protocol}{rate}")
 
 
 def _where(settings: PortSettings) -> str:
@@ -120,7 +120,6 @@ def _where(settings: PortSettings) -> str:
 
 def _show(evidence: list[Evidence]) -> None:
     from rich.box import SIMPLE
-    from rich.console import Console
     from rich.table import Column, Table
 
     names = ("device", "baud", "bytes/s", "packets", "samples", "framed", "damaged", "verdict")
@@ -136,4 +135,4 @@ def _show(evidence: list[Evidence]) -> None:
             str(item.checksum_errors),
             item.verdict.value,
         )
-    Console().print(table)
+    console().print(table)

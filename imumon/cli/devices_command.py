@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from imumon.cli.common import json_option, print_json
+from imumon.cli.common import json_option, print_json, show
 
 
 @click.command("devices")
@@ -16,7 +16,7 @@ def command(name: str | None, as_json: bool) -> None:
 
     if name is not None:
         load_device(name)
-        click.echo(device_text(name)[0], nl=False)
+        show(device_text(name)[0], newline=False)
         return
     devices = [load_device(known) for known in device_names()]
     if as_json:
@@ -35,5 +35,5 @@ def command(name: str | None, as_json: bool) -> None:
         )
         return
     for device in devices:
-        click.echo(f"{device.name:<14} {device.title} ({device.protocol}, {device.serial.baudrates[0]} baud)")
-        click.echo(f"{'':<14} checked against {device.verified}")
+        show(f"{device.name:<14} {device.title} ({device.protocol}, {device.serial.baudrates[0]} baud)")
+        show(f"{'':<14} checked against {device.verified}")

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from imumon.cli.common import PATH, json_option, print_json, print_rows, warn
+from imumon.cli.common import PATH, console, json_option, print_json, print_rows, warn
 from imumon.errors import ImumonError, Reason
+from imumon.harmless import for_log
 
 if TYPE_CHECKING:
     from imumon.diagnosis.recording import Run
@@ -136,10 +137,14 @@ def _make(out: Path) -> None:
 @contextmanager
 def _progress() -> Iterator[Tell]:
     """Show on standard error what is being done, and for how long."""
-    from rich.console import Console
     from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+    columns = (
+        SpinnerColumn(),
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        TimeElapsedColumn(),
+    )
+    with Progress(*columns, console=console(error=True), transient=True) as bar:
         task = bar.add_task("reading", total=None)
-        yield lambda text: bar.update(task, description=text)
+        yield lambda text: bar.update(task, description=for_log(text))

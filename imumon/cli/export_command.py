@@ -42,5 +42,6 @@ def command(session: Path, kind: str, out: Path | None, columns: str | None, as_
     if as_json:
         streams = pipeline.counters.as_dict()["streams"]
         out = tables.get(MAIN)
-        print_json({"session": session, "out": out, "rows": rows, "tables": tables, "streams": streams})
+        made = {"session": session, "out": out, "rows": rows, "tables": tables, "streams": streams}
+        print_json(made | source.losses())
     print_rows(describe_streams(pipeline.counters, tables))

@@ -156,5 +156,5 @@ class Lines:
                 level, text = self._waiting.get_nowait()
             except Empty:
                 return
-            note(before, newline=False)
+            note("", newline=False, control=before)
             say(level, text)

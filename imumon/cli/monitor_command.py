@@ -172,8 +172,8 @@ def _watch(live: PortRun, views: _Views) -> None:
             lines.put("ERROR", "decoding stopped; reading and recording go on, decode the session afterwards")
         lines.write(clear)
         if interactive:
-            note(f"{clear}{status_line(run.progress, views.state)}", newline=False)
-    note(clear, newline=False)
+            note(status_line(run.progress, views.state), newline=False, control=clear)
+    note("", newline=False, control=clear)
 
 
 def _watch_in_terminal(live: PortRun, view: TerminalView) -> None:

@@ -6,7 +6,7 @@ from dataclasses import asdict
 
 import click
 
-from imumon.cli.common import json_option, note, print_json
+from imumon.cli.common import json_option, note, print_json, show
 
 
 @click.command("ports")
@@ -23,7 +23,7 @@ def command(as_json: bool) -> None:
         note("no serial ports exist; imumon virtual makes one without hardware")
         return
     for port in ports:
-        click.echo(str(port))
+        show(str(port))
         facts = {
             "stable name": port.by_id,
             "driver": port.driver,
@@ -34,4 +34,4 @@ def command(as_json: bool) -> None:
         }
         for label, text in facts.items():
             if text:
-                click.echo(f"    {label:<14} {text}")
+                show(f"    {label:<14} {text}")

@@ -120,7 +120,7 @@ def command(
         made = {"session": source.path, "out": tables.get(MAIN), "rows": rows, "tables": tables}
         compared = {"results_digest": digest.hexdigest(), "identical_to_live": identical}
         smoothing = {} if disagreement is None else {"disagreement": disagreement}
-        print_json({**made, **pipeline.counters.as_dict(), **compared, **smoothing})
+        print_json({**made, **pipeline.counters.as_dict(), **source.losses(), **compared, **smoothing})
     said = {"samples": f"{rows:,}, {VERDICT[identical]}", "losses": describe_losses(pipeline.counters)}
     print_rows(said | describe_streams(pipeline.counters, tables) | _smoothing(disagreement))
     return EXIT_OK

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from imumon.cli.common import PATH, SECONDS, Number, device_help, say, seed_option
+from imumon.cli.common import PATH, SECONDS, Number, device_help, say, seed_option, show
 from imumon.cli.live_run import Ending
 
 
@@ -36,7 +36,7 @@ def command(
     ending = Ending(seconds)
     played = None if scenario is None else load_scenario(scenario)
     with VirtualDevice(load_device(device), link, rate, seed, scenario=played) as virtual:
-        click.echo(virtual.port.path)
+        show(virtual.port.path)
         ending.begin()
         while virtual.failure is None and ending.wait():
             pass

@@ -16,6 +16,7 @@ from imumon.diagnosis.blocks import RunBlocks
 from imumon.diagnosis.engine import Diagnosis
 from imumon.diagnosis.verdict import ChannelVerdict
 from imumon.geodesy import DEG_PER_H, MICRO_G
+from imumon.harmless import for_plot
 
 HOUR_S = 3600.0
 SCALES = {"rad/s": (1.0 / DEG_PER_H, "°/h"), "m/s^2": (1.0 / MICRO_G, "µg")}
@@ -72,7 +73,7 @@ def _in_time(axes: Axes, runs: Sequence[RunBlocks], verdict: ChannelVerdict) -> 
     before, after = _split(runs, verdict.before.train), _split(runs, verdict.after.train)
     for at, run in enumerate(runs):
         colour = COLOURS[at % len(COLOURS)]
-        axes.plot(run.time_s / HOUR_S, before[at] * scale, ".", ms=3, color=colour, label=run.name)
+        axes.plot(run.time_s / HOUR_S, before[at] * scale, ".", ms=3, color=colour, label=for_plot(run.name))
         axes.plot(run.time_s / HOUR_S, (before[at] - after[at]) * scale, "-", lw=1, color=colour)
     axes.set(xlabel="time since power-on, h", ylabel=f"{verdict.name}, {unit}")
     axes.legend(fontsize=6)
@@ -89,7 +90,7 @@ def _loops(axes: Axes, runs: Sequence[RunBlocks], verdict: ChannelVerdict) -> No
             ms=3,
             lw=0.5,
             color=COLOURS[at % len(COLOURS)],
-            label=run.name,
+            label=for_plot(run.name),
         )
     axes.set(xlabel="temperature, °C", ylabel=f"{verdict.name}, {unit}")
 
@@ -129,7 +130,7 @@ def _against(axes: Axes, runs: Sequence[RunBlocks], verdict: ChannelVerdict, nam
             ".",
             ms=3,
             color=COLOURS[at % len(COLOURS)],
-            label=run.name,
+            label=for_plot(run.name),
         )
     low, high = axes.get_xlim()
     axes.plot([low, high], [low, high], "k:", lw=1)

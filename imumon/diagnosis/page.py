@@ -12,6 +12,7 @@ from imumon.diagnosis.engine import Diagnosis, Progress
 from imumon.diagnosis.figures import SCALES, figures
 from imumon.diagnosis.report import report
 from imumon.diagnosis.verdict import ChannelVerdict
+from imumon.harmless import for_html
 
 TEMPLATE = "report.html.j2"
 
@@ -22,6 +23,7 @@ def write_page(diagnosis: Diagnosis, path: Path, progress: Progress | None = Non
         loader=PackageLoader("imumon.diagnosis", "."),
         autoescape=select_autoescape(default=True, default_for_string=True),
         undefined=StrictUndefined,
+        finalize=for_html,
     )
     content = report(diagnosis)
     channels = []

@@ -11,6 +11,7 @@ from pydantic import Field, PositiveFloat, PositiveInt, field_validator
 
 from imumon.config import StrictModel, parse_yaml
 from imumon.errors import ImumonError, Reason
+from imumon.files import read_text
 from imumon.protocols.base import Decoder, Encoder
 from imumon.protocols.thermometer import TemperatureRateParameters
 
@@ -127,16 +128,13 @@ def device_text(name: str) -> tuple[str, str]:
     """
     looks_like_path = name.endswith((".yaml", ".yml")) or "/" in name
     path = Path(name) if looks_like_path else device_folder() / f"{name}.yaml"
-    try:
-        return path.read_text(encoding="utf-8"), str(path)
-    except FileNotFoundError as error:
+    if "\0" not in name and not path.exists():
         raise ImumonError(
             Reason.BAD_CONFIG,
             f"no device {name!r}" + (": no such file" if looks_like_path else ""),
             f"known devices: {', '.join(device_names())}; or give the path of a device file (NAME.yaml)",
-        ) from error
-    except (OSError, UnicodeDecodeError) as error:
-        raise ImumonError(Reason.BAD_CONFIG, f"{path}: cannot be read: {error}") from error
+        )
+    return read_text(path), str(path)
 
 
 def parse_device(text: str, source: str) -> DeviceFile:

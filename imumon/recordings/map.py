@@ -10,7 +10,6 @@ from pydantic import (
     AfterValidator,
     BeforeValidator,
     Field,
-    NonNegativeInt,
     ValidationInfo,
     field_validator,
     model_validator,
@@ -22,6 +21,9 @@ from imumon.units import Unit, parse_own_unit, parse_unit
 
 TIMESTAMPS = "iso8601"
 """In place of a unit of time: the column holds dates with times."""
+
+MOST_SKIPPED = 1_000_000
+"""Lines before the data; no table has a header of so many."""
 
 
 def _check_time_unit(text: str) -> str:
@@ -165,7 +167,7 @@ class TextFormat(StrictModel):
 
     delimiter: Annotated[str, Field(min_length=1, max_length=1)] | Literal["whitespace"] = ","
     header: bool = True
-    skip_rows: NonNegativeInt = 0
+    skip_rows: Annotated[int, Field(ge=0, le=MOST_SKIPPED)] = 0
     columns: list[str] | None = None
 
     @model_validator(mode="after")

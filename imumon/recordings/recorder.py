@@ -1,4 +1,4 @@
-"""The recorder thread: takes what the reader puts into a queue and gets it to the disk within 0.2 s."""
+"""The recorder: gets what is read to the system within 0.2 s, and to the medium within 1 s."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ from imumon.transport.reader import Item
 
 FLUSH_PERIOD_S = 0.1
 """Half of what is promised, so that a late wake-up does not break the promise."""
+SYNC_PERIOD_S = 0.3
+"""A third of what is promised, 1 s; how long the medium takes comes on top, 0.3 s once on a busy disk."""
 SAVE_PERIOD_S = 5.0
 STOP_TIMEOUT_S = 10.0
 """How long `Recorder.stop` waits for a disk that does not answer."""
@@ -20,6 +22,8 @@ STOP_TIMEOUT_S = 10.0
 
 class Recorder:
     """Writes a wire file from a queue, in a thread of its own, and never stops because of the disk.
+
+    What may take long, waiting for the medium and writing the metadata, is done by a second thread.
 
     While the disk is full or fails, items are kept up to a limit and then counted (`WireCounters`); the
     recording goes on as soon as writing works again.
@@ -29,10 +33,10 @@ class Recorder:
     writer : WireWriter
         Used by the recorder alone from `start` to the return of `stop`, which closes it.
     on_problem : callable
-        Called from the recorder's thread with one sentence when writing begins to fail, and with None when it
-        works again.
+        Called from the recorder's threads with one sentence when writing begins to fail, and with None when
+        all works again.
     save : callable
-        Called from the recorder's thread every 5 s, to write the session's metadata; an `OSError` or
+        Called from the second thread every 5 s, to write the session's metadata; an `OSError` or
         `ImumonError` from it is a problem like any other.
     """
 
@@ -46,8 +50,11 @@ class Recorder:
         self._on_problem = on_problem
         self._save = save
         self._items: SimpleQueue[Item | None] = SimpleQueue()
-        self._problem: str | None = None
+        self._problems: dict[str, str] = {}
+        self._lock = threading.Lock()
+        self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
+        self._keeper = threading.Thread(target=self._keep, name="recorder, medium", daemon=True)
 
     @property
     def counters(self) -> WireCounters:
@@ -57,15 +64,16 @@ class Recorder:
     @property
     def problem(self) -> str | None:
         """Why writing fails at present, or None."""
-        return self._problem
+        return next(iter(self._problems.values()), None)
 
     def put(self, item: Item) -> None:
         """Take an item; returns at once.  A sink for `imumon.transport.reader.Reader`."""
         self._items.put(item)
 
     def start(self) -> None:
-        """Start the thread."""
+        """Start the threads."""
         self._thread.start()
+        self._keeper.start()
 
     def stop(self) -> WireCounters:
         """Write what was put, close the file, and return the counters.
@@ -73,21 +81,30 @@ class Recorder:
         A disk that does not answer is waited for 10 s; then the thread is left behind, and `problem` says so.
         """
         self._items.put(None)
-        self._thread.join(STOP_TIMEOUT_S)
+        self._stopping.set()
+        deadline = time.monotonic() + STOP_TIMEOUT_S
+        for thread in (self._thread, self._keeper):
+            thread.join(max(0.0, deadline - time.monotonic()))
         if self._thread.is_alive():
-            self._say(f"the disk did not answer for {STOP_TIMEOUT_S:.0f} s; the recording was not closed")
+            said = f"the disk did not answer for {STOP_TIMEOUT_S:.0f} s; the recording was not closed"
+            self._say(_WRITING, said)
         return self._writer.counters
 
     def _run(self) -> None:
-        next_save = time.monotonic() + SAVE_PERIOD_S
         stopped = False
         while not stopped:
             stopped = self._take_until(time.monotonic() + FLUSH_PERIOD_S)
-            self._try(self._writer.flush, "the recording cannot be written")
-            if time.monotonic() >= next_save and self._problem is None:
+            self._try(self._writer.flush, _WRITING)
+        self._try(self._writer.close, "the recording could not be finished")
+
+    def _keep(self) -> None:
+        """Let the medium have what was written, and renew the metadata; either may take seconds."""
+        next_save = time.monotonic() + SAVE_PERIOD_S
+        while not self._stopping.wait(SYNC_PERIOD_S):
+            self._try(self._writer.sync, "the disk does not keep the recording")
+            if time.monotonic() >= next_save:
                 next_save = time.monotonic() + SAVE_PERIOD_S
                 self._try(self._save, "the session's metadata cannot be written")
-        self._try(self._writer.close, "the recording could not be finished")
 
     def _take_until(self, deadline: float) -> bool:
         """Write what comes until the deadline; return True at the end of the queue."""
@@ -106,11 +123,21 @@ class Recorder:
             action()
         except (OSError, ImumonError) as error:
             reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-            self._say(f"{what}: {reason}")
+            self._say(what, f"{what}: {reason}")
         else:
-            self._say(None)
+            self._say(what, None)
 
-    def _say(self, problem: str | None) -> None:
-        if problem != self._problem:
-            self._problem = problem
-            self._on_problem(problem)
+    def _say(self, what: str, problem: str | None) -> None:
+        """Note how one kind of work goes, and tell when it begins to fail, or all works again."""
+        with self._lock:
+            if problem == self._problems.get(what):
+                return
+            if problem is not None:
+                self._problems[what] = problem
+            else:
+                del self._problems[what]
+            if problem is not None or not self._problems:
+                self._on_problem(problem)
+
+
+_WRITING = "the recording cannot be written"

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 from imumon.blocks import SampleBlock
 from imumon.columns import Column
@@ -12,11 +13,15 @@ from imumon.errors import ImumonError, Reason
 from imumon.pipeline import UNDATED, Pipeline
 from imumon.protocols.device import DeviceFile, load_device, parse_device
 from imumon.recordings.folder import Session, is_session, open_session
+from imumon.recordings.metadata import iso_utc
 from imumon.recordings.table import iterate_samples, read_columns
-from imumon.recordings.wire import WireReader
+from imumon.recordings.wire_reader import WireReader
+from imumon.recordings.wire_scan import Damage, Place
 from imumon.transport.reader import Bytes, EventKind, Item, Reads
 
 READ_SIZE = 1 << 16
+SHOWN_PLACES = 5
+"""Damaged places that are said one by one."""
 BATCH_BYTES = 1 << 18
 """Samples are handed on about as often as so many bytes were fed: thousands at once, as each block costs."""
 
@@ -66,10 +71,74 @@ class Source:
                 f"{summary.tail_bytes} bytes at the end of {self.items.path.name} are not a whole record"
             )
         if summary.bytes_unrecorded:
-            said.append(f"{summary.bytes_unrecorded:,} bytes could not be recorded at the time")
+            said.append(
+                f"{summary.bytes_unrecorded:,} bytes could not be recorded at the time, or were lost since"
+            )
+        said += _damage(summary.damage, self.items.path.name, self._began_ns())
         if summary.checksum_ok is False:
             said.append(f"{self.items.path.name} was changed after it was recorded: its checksum differs")
         return said
+
+    def losses(self) -> dict[str, Any]:
+        """Return what is missing from the recording as ``--json`` has it, as it is known after the run."""
+        if not isinstance(self.items, WireReader):
+            return {}
+        summary = self.items.summary
+        damage = asdict(summary.damage)
+        where = [
+            {
+                "offset": place.offset,
+                "bytes": place.size,
+                "at_s": round((place.after_ns - self._began_ns()) * 1e-9, 6) if place.after_ns else None,
+                "seconds": place.seconds,
+                "after_ns": place.after_ns or None,
+                "before_ns": place.before_ns or None,
+                "messages": place.messages,
+                "altered": place.altered,
+            }
+            for place in summary.damage.where
+        ]
+        return {
+            "recording": {
+                "complete": summary.complete,
+                "checksum_ok": summary.checksum_ok,
+                "bytes_unrecorded": summary.bytes_unrecorded,
+                "tail_bytes": summary.tail_bytes,
+                "damage": {**damage, "where": where},
+            }
+        }
+
+    def _began_ns(self) -> int:
+        return 0 if self.session is None else self.session.metadata.created_ns
+
+
+def _damage(damage: Damage, name: str, began_ns: int) -> list[str]:
+    """Return what there is to say of damage: the sum, and the first places."""
+    said = []
+    if damage.places:
+        parts = [f"{damage.bytes:,} bytes of no use"] if damage.bytes else []
+        parts += (
+            [f"{damage.bytes_altered:,} bytes in blocks that were altered"] if damage.bytes_altered else []
+        )
+        parts += [f"{damage.messages:,} reads or events missing"] if damage.messages else []
+        count = f"{damage.places:,} place{'s' if damage.places > 1 else ''}"
+        said.append(f"{name} is damaged in {count}, {damage.seconds:.3f} s in all: {', '.join(parts)}")
+        said += [f"damaged: {_place(place, began_ns)}" for place in damage.where[:SHOWN_PLACES]]
+        if damage.places > SHOWN_PLACES:
+            said.append(f"damaged: {damage.places - SHOWN_PLACES:,} more places, the first with --json")
+    if damage.events:
+        said.append(f"{damage.events:,} events of {name} are damaged and were left out")
+    return said
+
+
+def _place(place: Place, began_ns: int) -> str:
+    what = "altered" if place.altered else f"{place.messages:,} missing"
+    where = f"{place.size:,} bytes at byte {place.offset:,}"
+    if not place.after_ns:
+        return f"{where}, before the first message ({what})"
+    since = (place.after_ns - began_ns) * 1e-9
+    when = f"{place.seconds:.3f} s from {iso_utc(place.after_ns)}, {since:.3f} s after the start"
+    return f"{where}, {when} ({what})"
 
 
 def open_source(path: Path, device_name: str | None = None) -> Source:

@@ -24,6 +24,7 @@ from imumon.columns import KNOWN, Column, ColumnType
 from imumon.config import StrictModel, dump_yaml, load_yaml
 from imumon.errors import ImumonError, Reason
 from imumon.files import check_output, write_text
+from imumon.harmless import for_csv
 from imumon.recordings.folder import Session
 
 FORMAT = "imumon-table/1"
@@ -417,7 +418,7 @@ def _merged(parts: Sequence[Path], schema: Any) -> Iterator[Any]:
 def _write_csv(path: Path, tables: Iterable[Any], schema: Any) -> None:
     options = pa_csv.WriteOptions(include_header=False, quoting_style="none")
     with path.open("wb") as file:
-        file.write(",".join(schema.names).encode() + b"\n")
+        file.write(",".join(map(for_csv, schema.names)).encode() + b"\n")
         for table in tables:
             texts = [_as_text(table.column(name)) for name in schema.names]
             pa_csv.write_csv(pa.Table.from_arrays(texts, names=schema.names), file, options)

@@ -198,7 +198,7 @@ class LiveRun:
             self.failure = self._decoding_ended()
         closed = self.session.metadata.closed(
             ended_ns,
-            counters=self._flat_counters() | {"bytes_unrecorded": wire.bytes_unrecorded},
+            counters=flat_counters(counters) | {"bytes_unrecorded": wire.bytes_unrecorded},
             events=wire.events,
             results_digest=digest,
             streams=stream_summaries(counters),
@@ -244,21 +244,9 @@ class LiveRun:
 
     def _save(self) -> None:
         """Renew session.yaml, so that a killed session tells how far it came."""
-        streams = stream_summaries(self.pipeline.counters)
-        metadata = self.session.metadata.model_copy(
-            update={"counters": self._flat_counters(), "streams": streams}
-        )
-        self.session.save(metadata)
-
-    def _flat_counters(self) -> dict[str, int]:
-        counters = self.pipeline.counters.as_dict()
-        by_type = counters.pop("packets_by_type")
-        counters.pop("streams")
-        assert isinstance(by_type, dict)
-        return {
-            **{name: value for name, value in counters.items() if isinstance(value, int)},
-            **{f"packets_by_type.{name}": count for name, count in by_type.items()},
-        }
+        counters = self.pipeline.counters
+        changes = {"counters": flat_counters(counters), "streams": stream_summaries(counters)}
+        self.session.save(self.session.metadata.model_copy(update=changes))
 
     def _recording_problem(self, problem: str | None) -> None:
         if problem is None:
@@ -305,6 +293,15 @@ class LiveRun:
                 if item.kind is EventKind.CLOSED:
                     return True
         return False
+
+
+def flat_counters(counters: PipelineCounters) -> dict[str, int]:
+    """Return what session.yaml has as counters."""
+    named = counters.as_dict()
+    return {
+        **{name: value for name, value in named.items() if isinstance(value, int)},
+        **{f"packets_by_type.{name}": count for name, count in counters.packets_by_type.items()},
+    }
 
 
 def stream_summaries(counters: PipelineCounters) -> dict[str, StreamSummary]:

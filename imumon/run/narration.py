@@ -12,6 +12,7 @@ from types import MappingProxyType
 import numpy as np
 
 from imumon.blocks import NO_INT, SampleBlock
+from imumon.harmless import for_log
 from imumon.pipeline import Pipeline, PipelineCounters
 from imumon.recordings.folder import Session
 from imumon.transport.reader import Event, EventKind
@@ -165,6 +166,7 @@ class Narrator:
 
     def log(self, level: str, text: str, time_ns: int | None = None) -> None:
         """Show a log line."""
+        text = for_log(text)
         self._say(level, text)
         self._emit(Log(self._timebase.at(time_ns), text, level))
 

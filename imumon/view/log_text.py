@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import re
 from collections import deque
 from datetime import datetime
 
+from imumon.harmless import for_markdown
 from imumon.view.items import Log
 
 LOG_TEXT = "/log_text"
 """Entity of the text; the lines themselves are in ``/log``."""
 LINES = 30
-MARKUP = re.compile(r"([\\`*_{}\[\]<>()#+|!~-])")
-"""What Markdown would take for markup."""
 
 
 class LogText:
@@ -29,12 +27,7 @@ class LogText:
     def add(self, line: Log) -> None:
         """Take a line."""
         mark = "" if line.level in ("INFO", "DEBUG", "TRACE") else f"**{line.level}** "
-        self._lines.appendleft(f"`{_clock(line.at.host_ns)}` {mark}{plain(line.text)}")
-
-
-def plain(text: str) -> str:
-    """Return a text in Markdown that shows it as it is."""
-    return MARKUP.sub(r"\\\1", text)
+        self._lines.appendleft(f"`{_clock(line.at.host_ns)}` {mark}{for_markdown(line.text)}")
 
 
 def _clock(host_ns: int | None) -> str:

@@ -11,6 +11,7 @@ import rerun as rr
 
 from imumon.blocks import NO_INT, ColumnArray
 from imumon.charts import Chart
+from imumon.harmless import for_markdown
 from imumon.view.attitude import DEVICE
 from imumon.view.blueprint import Contents, blueprint
 from imumon.view.items import (
@@ -27,7 +28,7 @@ from imumon.view.items import (
 )
 from imumon.view.lanes import COLORED_STATES, declare_lane, lane_path
 from imumon.view.layout import INTEGERS, OTHER, Rows, unit_text
-from imumon.view.log_text import LOG_TEXT, LogText, plain
+from imumon.view.log_text import LOG_TEXT, LogText
 from imumon.view.panel_log import PanelLog
 from imumon.view.pictures import log_picture
 from imumon.view.window import slow_window
@@ -274,7 +275,7 @@ class StreamLogger:
 
 def status_card(event: Status) -> str:
     """Return the status card as a compact Markdown table."""
-    rows = [f"| **{name}** | {plain(value)} |" for name, value in event.fields.items()]
+    rows = [f"| **{for_markdown(name)}** | {for_markdown(value)} |" for name, value in event.fields.items()]
     return "\n".join(["| | |", "|:--|:--|", *rows])
 
 

@@ -11,6 +11,7 @@ import rerun.blueprint as rrb
 
 from imumon.blocks import FloatArray
 from imumon.charts import Chart, Curve
+from imumon.harmless import for_plot
 
 CHARTS = "/charts"
 SIZE_INCH, DOTS_PER_INCH = (8.0, 5.4), 140
@@ -70,7 +71,7 @@ def picture(chart: Chart) -> bytes:
 
 def _draw(axes: Any, curve: Curve) -> None:
     color = tuple(part / 255 for part in curve.color)
-    label = curve.name if curve.listed else None
+    label = for_plot(curve.name) if curve.listed else None
     look = {"ls": "", "marker": "o", "ms": curve.width} if curve.points else {"lw": curve.width}
     axes.plot(curve.x, curve.y, color=color, label=label, **look)
 
@@ -82,7 +83,7 @@ def _frame(axes: Any, chart: Chart) -> None:
     for axis, name in ((chart.x, "x"), (chart.y, "y")):
         if axis.log and _has_logarithm(chart, name):
             _logarithmic(axes, name)
-    axes.set(xlabel=chart.x.label, ylabel=chart.y.label)
+    axes.set(xlabel=for_plot(chart.x.label), ylabel=for_plot(chart.y.label))
     for axis, scale in ((axes.xaxis, chart.x), (axes.yaxis, chart.y)):
         if not scale.log:
             axis.set_minor_locator(AutoMinorLocator())
@@ -93,9 +94,11 @@ def _frame(axes: Any, chart: Chart) -> None:
     top = TOP - NOTE * len(chart.notes) - (HEADLINE if chart.headline else 0.0)
     axes.figure.subplots_adjust(top=top, **ROOM)
     if chart.notes:
-        axes.set_title("\n".join(chart.notes), fontsize=10, loc="left", family="monospace")
+        axes.set_title("\n".join(map(for_plot, chart.notes)), fontsize=10, loc="left", family="monospace")
     if chart.headline:
-        axes.figure.suptitle(chart.headline, fontsize=min(20.0, 20.0 * LETTERS / len(chart.headline)))
+        axes.figure.suptitle(
+            for_plot(chart.headline), fontsize=min(20.0, 20.0 * LETTERS / len(chart.headline))
+        )
 
 
 def _logarithmic(axes: Any, name: str) -> None:

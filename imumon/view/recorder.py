@@ -81,6 +81,11 @@ class ViewRecorder:
         return self._queue.dropped + self._refused
 
     @property
+    def has_room(self) -> bool:
+        """Tell whether the queue is less than half full: who can wait, loses nothing."""
+        return self._queue.size < QUEUE_BYTES // 2
+
+    @property
     def error(self) -> str:
         """Why nothing is written any more (disk full, ...); empty while all is well."""
         return self._error

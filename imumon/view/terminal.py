@@ -10,6 +10,7 @@ from textwrap import wrap
 
 import numpy as np
 
+from imumon.harmless import for_log
 from imumon.view.cards import AXES, Cards, Reading, cell
 from imumon.view.items import Log, Numbers, Samples, State, ViewItem, ViewSetup, merge
 from imumon.view.lanes import NAMES
@@ -65,7 +66,7 @@ class TerminalView:
         if room > 0:
             log = [part for line in self._log for part in wrap(line, columns, subsequent_indent="  ")]
             found += ["", *log[-room:]]
-        return [line[:columns] for line in found[:rows]]
+        return [_one_line(line)[:columns] for line in found[:rows]]
 
     def _take(self) -> None:
         for item in merge(self._queue.take(0.0, 0.0)):
@@ -163,10 +164,10 @@ class Screen:
             self._write("\x1b[2J")
         parts = []
         for row in range(max(len(lines), len(self._shown))):
-            line = harmless(lines[row]) if row < len(lines) else ""
+            line = _one_line(lines[row]) if row < len(lines) else ""
             if row >= len(self._shown) or line != self._shown[row]:
                 parts.append(f"\x1b[{row + 1};1H{line}\x1b[K")
-        self._shown = [harmless(line) for line in lines]
+        self._shown = [_one_line(line) for line in lines]
         if parts:
             self._write("".join(parts))
 
@@ -175,6 +176,5 @@ class Screen:
         self._write("\x1b[?25h\x1b[?1049l")
 
 
-def harmless(text: str) -> str:
-    """Return a text without characters that a terminal obeys."""
-    return "".join(letter if letter.isprintable() else "�" for letter in text)
+def _one_line(text: str) -> str:
+    return for_log(text).replace("\t", " ")

@@ -13,7 +13,8 @@ import pytest
 
 from imumon.recordings import recorder as recorder_module
 from imumon.recordings.recorder import Recorder
-from imumon.recordings.wire import WireReader, WireWriter
+from imumon.recordings.wire import WireWriter
+from imumon.recordings.wire_reader import WireReader
 from imumon.transport.reader import Bytes
 
 CHILD = """
@@ -107,7 +108,7 @@ def test_metadata_is_saved_again_and_again_and_its_failure_is_a_problem(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(recorder_module, "SAVE_PERIOD_S", 0.05)
-    monkeypatch.setattr(recorder_module, "FLUSH_PERIOD_S", 0.02)
+    monkeypatch.setattr(recorder_module, "SYNC_PERIOD_S", 0.02)
     saved = threading.Semaphore(0)
     failed = threading.Event()
 

@@ -11,8 +11,9 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
 from imumon.errors import ImumonError, Reason
-from imumon.recordings import wire
-from imumon.recordings.wire import WireReader, WireWriter
+from imumon.recordings import wire, wire_format, wire_reader
+from imumon.recordings.wire import WireWriter
+from imumon.recordings.wire_reader import WireReader, WireSummary
 from imumon.transport.reader import Bytes, Event, EventKind, Item
 
 ITEMS: list[Item] = [
@@ -35,7 +36,15 @@ def test_what_is_written_is_read_in_order_with_its_times(tmp_path: Path) -> None
     record(tmp_path / "w.mcap", ITEMS).close()
     reader = WireReader(tmp_path / "w.mcap")
     assert list(reader) == ITEMS
-    assert reader.summary == wire.WireSummary(3, 283, 2, complete=True, checksum_ok=True)
+    assert reader.summary == WireSummary(
+        3,
+        283,
+        2,
+        complete=True,
+        checksum_ok=True,
+        last_ns=1_700_000_000_030_000_000,
+        metadata={"device": "test"},
+    )
 
 
 @given(
@@ -50,7 +59,7 @@ def test_reading_does_not_depend_on_the_size_of_the_pieces(
     items: list[Item] = [Bytes(data, time_ns) for data, time_ns in reads]
     record(path, items).close()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(wire, "READ_SIZE", read_size)
+        patch.setattr(wire_reader, "READ_SIZE", read_size)
         assert list(WireReader(path)) == items
 
 
@@ -69,11 +78,13 @@ def test_a_file_cut_at_any_byte_is_read_to_its_last_whole_record(tmp_path: Path)
     for size in range(len(whole)):
         cut.write_bytes(whole[:size])
         reader = WireReader(cut)
-        count = sum(end <= size for end in ends[1:])
+        count = sum(end - wire_format.CHECK_SIZE <= size for end in ends[1:])
         assert list(reader) == ITEMS[:count], size
         assert not reader.summary.complete
         if ends[0] <= size < ends[-1]:
-            assert reader.summary.tail_bytes == size - max(end for end in ends if end <= size)
+            whole_ends = [*ends, *(end - wire_format.CHECK_SIZE for end in ends)]
+            assert reader.summary.tail_bytes == size - max(end for end in whole_ends if end <= size)
+            assert not reader.summary.damage.places
 
 
 def test_a_tail_of_zeros_as_a_power_failure_leaves_it_is_reported(tmp_path: Path) -> None:
@@ -99,24 +110,23 @@ def test_a_flipped_bit_is_seen_by_the_checksum(tmp_path: Path) -> None:
     assert reader.summary.checksum_ok is False
 
 
-def test_any_flipped_bit_is_read_over_up_to_or_refused_in_words(tmp_path: Path) -> None:
+def test_any_flipped_bit_is_told_and_costs_no_other_record(tmp_path: Path) -> None:
     path = tmp_path / "w.mcap"
     record(path, ITEMS).close()
-    whole, refused = path.read_bytes(), set()
+    whole = path.read_bytes()
+    data_end = whole.rindex(wire_format.MARKER) + wire_format.CHECK_SIZE - wire_format.RECORD.size
     for bit in range(0, 8 * len(whole), 5):
         damaged = bytearray(whole)
         damaged[bit // 8] ^= 1 << bit % 8
         path.write_bytes(damaged)
         reader = WireReader(path)
-        try:
-            items = list(reader)
-        except ImumonError as error:
-            refused.add(error.reason)
-            continue
-        times = [item.arrival_ns if isinstance(item, Bytes) else item.time_ns for item in items]
-        assert all(0 <= time_ns < 2**63 for time_ns in times)
-        assert items == ITEMS or not reader.summary.complete or not reader.summary.checksum_ok
-    assert refused == {Reason.BAD_DATA}
+        items = list(reader)
+        same = sum(item in ITEMS for item in items)
+        assert same >= len(ITEMS) - 1, bit
+        if bit // 8 < data_end:
+            summary = reader.summary
+            assert summary.damage.places or summary.damage.events, bit
+            assert items == ITEMS or summary.damage.bytes_altered or summary.damage.messages == 1, bit
 
 
 def test_the_file_is_mcap_for_other_readers(tmp_path: Path) -> None:
@@ -134,7 +144,7 @@ def test_a_file_that_another_tool_put_into_chunks_is_read(tmp_path: Path) -> Non
     path = tmp_path / "chunked.mcap"
     with path.open("wb") as file:
         writer = Writer(file, compression=CompressionType.ZSTD, chunk_size=4000)
-        writer.start(profile=wire.FORMAT)
+        writer.start(profile=wire_format.FORMAT)
         channel = writer.register_channel("/wire", "x-bytes", 0)
         for index in range(500):
             writer.add_message(channel, index, b"%d" % index, index)
@@ -248,7 +258,8 @@ def test_closing_on_a_full_disk_counts_what_is_lost_and_leaves_a_readable_file(
 
 def test_an_event_of_a_newer_version_is_refused_rather_than_passed_over(tmp_path: Path) -> None:
     path = tmp_path / "w.mcap"
-    record(path, ITEMS).close()
-    path.write_bytes(path.read_bytes().replace(b'"lost"', b'"moon"'))
+    writer = record(path, ITEMS)
+    writer._add_event("moon", 1_700_000_000_030_000_001, {"detail": "rising"})
+    writer.close()
     with pytest.raises(ImumonError, match="moon"):
         list(WireReader(path))

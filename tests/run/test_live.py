@@ -15,7 +15,7 @@ from imumon.pipeline import Digest, Pipeline
 from imumon.protocols.device import device_text, load_device, parse_device
 from imumon.recordings.folder import Session, open_session
 from imumon.recordings.source import run_over, session_device
-from imumon.recordings.wire import WireReader
+from imumon.recordings.wire_reader import WireReader
 from imumon.run import live
 from imumon.run.live import LiveRun, nothing_decoded, warm_up
 from imumon.run.setup import Setup

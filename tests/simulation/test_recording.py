@@ -12,7 +12,7 @@ from imumon.protocols.device import device_text, parse_device
 from imumon.recordings.folder import Session, open_session
 from imumon.recordings.source import open_source, run_over
 from imumon.recordings.table import read_table
-from imumon.recordings.wire import WireReader
+from imumon.recordings.wire_reader import WireReader
 from imumon.simulation.recording import (
     CHAMBER_NAME,
     SCENARIO_NAME,

@@ -9,7 +9,7 @@ from typing import Annotated, Literal, Self, get_args
 from pydantic import Field, NonNegativeInt, PositiveInt, StringConstraints, model_validator
 
 from imumon.columns import KNOWN, Column
-from imumon.config import StrictModel
+from imumon.config import LARGEST_NUMBER, StrictModel
 from imumon.errors import ImumonError
 from imumon.protocols.base import COMMON, MAIN, Timing
 from imumon.protocols.checksums import CHECKSUM_NAMES
@@ -72,7 +72,7 @@ class NumberField(StrictModel):
     type: NumberName
     column: ColumnName | None = None
     columns: list[ColumnName] | None = Field(default=None, min_length=1)
-    scale: float | int | Annotated[str, StringConstraints(pattern=r"^\d+/\d+$")] = 1
+    scale: float | int | Annotated[str, StringConstraints(pattern=r"^\d{1,19}/[1-9]\d{0,18}$")] = 1
     offset: float | int = 0
     unit: str = "1"
     description: str = ""
@@ -91,6 +91,8 @@ class NumberField(StrictModel):
     def _consistent(self) -> Self:
         if (self.column is None) == (self.columns is None):
             raise ValueError("give either column: NAME or columns: [NAME, ...]")
+        if not 0 < abs(_fraction(self.scale)) < LARGEST_NUMBER:
+            raise ValueError(f"scale {self.scale} is not a reasonable number")
         for name in self.names:
             self._check_unit(name, NUMBER_TYPES[self.type].integer)
         return self

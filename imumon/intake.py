@@ -1,0 +1,264 @@
+"""What no estimate may be made from: values no sensor has, saturated sensors, times that do not go on.
+
+Stages see such a value as missing and such a row not at all; tables keep both as they were sent.  So a fault
+is kept out at one place, whatever a stage would make of it, and its end is the end of what is left out.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from imumon.blocks import ColumnArray, FloatArray, IntArray, SampleBlock
+
+BoolArray = npt.NDArray[np.bool_]
+
+RANGES: dict[str, tuple[float, float, str]] = {
+    "gyro_": (-1e3, 1e3, "rad/s"),
+    "accel_": (-1e6, 1e6, "m/s^2"),
+    "mag_": (-1e9, 1e9, ""),
+    "temperature": (-273.15, 2000.0, "°C"),
+    "pressure": (0.0, 1e10, "Pa"),
+    "q_": (-2.0, 2.0, ""),
+}
+"""By the beginning of a column's name, what a sensor may say: three times the widest range that is sold.
+
+50,000 °/s, 100,000 g; 32-bit counts of a magnetometer without unit; absolute zero and a thermocouple; 1 GPa;
+a quaternion that was not normalised.
+"""
+LONGEST_GAP_S = 1e6
+"""Within a segment, eleven days: a clock that leaps so far did not count."""
+STUBBORN = 100
+"""Rows in a row that go on from another time: then the clock was set, and a segment of its own begins."""
+IMPOSSIBLE_AT_REST = {"gyro": (0.0, 2.0), "accel": (1.0, 30.0)}
+"""What the largest axis says at rest, at least and at most, rad/s and m/s^2: 115 °/s of bias, 3 g.
+
+A sensor whose noise is below its step stands still at rest, rightly; beyond this it is saturated or dead.
+"""
+BY_CHANCE = 1e-9
+"""Probability at which repeated readings are no chance: a day at 4 kHz has 3.5e8 samples."""
+
+
+@dataclass(frozen=True, slots=True)
+class Taken:
+    """What the stages see of a block.
+
+    Parameters
+    ----------
+    block : SampleBlock
+        Its rows that are taken, values that are not left out.
+    rows : array of bool, or None
+        Which rows of the block these are; None for all.
+    """
+
+    block: SampleBlock
+    rows: BoolArray | None
+
+    def spread(self, column: ColumnArray) -> ColumnArray:
+        """Return a column of the rows that were taken as one of all rows, missing in between."""
+        if self.rows is None:
+            return column
+        none = np.nan if column.dtype == np.float64 else np.iinfo(np.int64).min
+        whole = np.full(len(self.rows), none, column.dtype)
+        whole[self.rows] = column
+        return whole
+
+
+class Intake:
+    """Keeps out of the stages what no estimate may be made from, and counts it.
+
+    The result does not depend on the division into blocks.
+    """
+
+    def __init__(self) -> None:
+        self._clock = _Clock()
+        self._still = {sensor: _Still() for sensor in IMPOSSIBLE_AT_REST}
+        self._begun: set[str] = set()
+        """Gyros and thermometers that have said something else than zero."""
+        self._left_out: Counter[str] = Counter()
+        self._said: set[str] = set()
+
+    @property
+    def left_out(self) -> int:
+        """Values and rows that were left out so far."""
+        return self._left_out.total()
+
+    def process(self, block: SampleBlock) -> Taken:
+        """Return what the stages may see of a block."""
+        changed: dict[str, ColumnArray] = {}
+        for name, values in block.columns.items():
+            limits = _limits(name) if values.dtype == np.float64 else None
+            if limits is not None and (sound := self._sound(name, values, limits)) is not None:
+                changed[name] = sound
+        for sensor, still in self._still.items():
+            axes = tuple(f"{sensor}_{axis}" for axis in "xyz")
+            if all(name in block for name in axes):
+                self._stand_still(axes, still, block, changed)
+        for name in block.columns:
+            if name.startswith("temperature") and name not in self._begun:
+                self._begin(name, (name,), block, changed)
+        if "gyro" not in self._begun and all(f"gyro_{axis}" in block for axis in "xyz"):
+            self._begin("gyro", tuple(f"gyro_{axis}" for axis in "xyz"), block, changed)
+        rows: BoolArray | None = None
+        if "device_time_ns" in block and "segment" in block:
+            kept, shift = self._clock.judge(block["device_time_ns"], block["segment"])
+            if shift is not None:
+                changed["segment"] = block["segment"] + shift
+            rows = None if kept is None else kept
+        seen = block.with_columns(changed) if changed else block
+        if rows is not None:
+            self._left_out["rows whose time does not go on"] += int((~rows).sum())
+            seen = SampleBlock({name: values[rows] for name, values in seen.columns.items()})
+        return Taken(seen, rows)
+
+    def notices(self) -> list[str]:
+        """Return, once each, what began to be left out."""
+        new = [what for what in self._left_out if what not in self._said]
+        self._said.update(new)
+        return [f"left out of all estimates: {what}" for what in new]
+
+    def _sound(self, name: str, values: FloatArray, limits: tuple[float, float, str]) -> FloatArray | None:
+        """Return the values with NaN where none can be, or None when all can."""
+        low, high, unit = limits
+        bad = ~((values >= low) & (values <= high)) & ~np.isnan(values)
+        count = int(bad.sum())
+        if not count:
+            return None
+        self._left_out[f"{name} beyond {low:g} to {high:g} {unit}".rstrip()] += count
+        return np.where(bad, np.nan, values)
+
+    def _stand_still(
+        self, sensor: tuple[str, ...], still: _Still, block: SampleBlock, changed: dict[str, ColumnArray]
+    ) -> None:
+        """Leave out what all axes of a sensor repeat more often than by chance."""
+        name = sensor[0].removesuffix("_x")
+        readings = np.stack([block[axis] for axis in sensor])
+        stands = still.judge(readings)
+        if stands is None:
+            return
+        least, most = IMPOSSIBLE_AT_REST[name]
+        length = np.abs(readings).max(axis=0)
+        stands &= (length < least) | (length > most)
+        if stands.any():
+            for axis in sensor:
+                changed[axis] = np.where(stands, np.nan, changed.get(axis, block[axis]))
+            self._left_out[f"{name} while its axes stand still where none can at rest"] += int(stands.sum())
+
+    def _begin(
+        self, sensor: str, columns: tuple[str, ...], block: SampleBlock, changed: dict[str, ColumnArray]
+    ) -> None:
+        """Leave out the zeros of a sensor that has not said anything yet."""
+        readings = np.stack([block[name] for name in columns])
+        begun = np.maximum.accumulate(np.any((readings != 0.0) & ~np.isnan(readings), axis=0))
+        if begun[-1:].any():
+            self._begun.add(sensor)
+        if zeros := int((~begun & ~np.isnan(readings).any(axis=0)).sum()):
+            for name in columns:
+                changed[name] = np.where(begun, changed.get(name, block[name]), np.nan)
+            self._left_out[f"{sensor} while it has said nothing but zero"] += zeros
+
+
+def _limits(name: str) -> tuple[float, float, str] | None:
+    return next((limits for start, limits in RANGES.items() if name.startswith(start)), None)
+
+
+class _Still:
+    """Tells a sensor that stands still from one that happens to say the same again.
+
+    How often it does so is learned from what came before; a sensor with coarse steps, or that is read more
+    often than it measures, repeats itself.  Then n repetitions by chance have the probability p^n.
+    """
+
+    def __init__(self) -> None:
+        self._last = np.full(3, np.nan)
+        self._run = 0
+        """Readings before this one that are the same as the last."""
+        self._allowed = -1
+        """How often they may be, as it was when they began; -1 when that has not been looked up."""
+        self._pairs = self._repeats = 0
+
+    def judge(self, readings: FloatArray) -> BoolArray | None:
+        """Return where readings, (3, n), stand still, or None when none does."""
+        n = readings.shape[1]
+        if not n:
+            return None
+        same = np.all(readings == np.column_stack([self._last, readings[:, :-1]]), axis=0)
+        self._last = readings[:, -1]
+        if not same.any():
+            self._pairs, self._run, self._allowed = self._pairs + n, 0, -1
+            return None
+        begins = np.flatnonzero(~same)
+        pairs = self._pairs + np.arange(n)
+        repeats = self._repeats + np.concatenate([[0], np.cumsum(same)[:-1]])
+        allowed = _allowed(pairs[begins], repeats[begins])
+        if not begins.size or begins[0] > 0:  # a run goes on from the block before
+            begins, allowed = np.concatenate([[0], begins]), np.concatenate([[self._carried()], allowed])
+            before = self._run + 1
+        else:
+            before = 0
+        lengths = np.diff(np.append(begins, n))
+        count = np.arange(n) - np.repeat(begins, lengths)
+        count[: lengths[0]] += before
+        stands = count > np.repeat(allowed, lengths)
+        self._run, self._allowed = int(count[-1]), int(allowed[-1])
+        self._pairs, self._repeats = self._pairs + n, self._repeats + int(same.sum())
+        return stands if stands.any() else None
+
+    def _carried(self) -> int:
+        if self._allowed >= 0:
+            return self._allowed
+        return int(_allowed(np.array([self._pairs - 1]), np.array([self._repeats]))[0])
+
+
+def _allowed(pairs: IntArray, repeats: IntArray) -> IntArray:
+    """Return how many repetitions may be chance, by Laplace's rule of succession."""
+    chance = (repeats + 1.0) / (pairs + 2.0)
+    allowed = np.ceil(np.log(BY_CHANCE) / np.log(chance)).astype(np.int64)
+    return np.where(pairs == repeats, 0, allowed)  # it has not said anything else yet
+
+
+class _Clock:
+    """Judges the time of each row by that of the last row that was taken."""
+
+    def __init__(self) -> None:
+        self._last: tuple[int, int] | None = None
+        """Time and segment of the last row taken."""
+        self._rejected: list[int] = [0, 0]
+        """How many rows in a row were left out and go on from each other, and the time of the last."""
+        self._shift = 0
+        """Segments that were begun here."""
+
+    def judge(self, time_ns: IntArray, segment: IntArray) -> tuple[BoolArray | None, IntArray | None]:
+        """Return which rows are taken, None for all, and what to add to their segment, None for nothing."""
+        if not len(time_ns):
+            return None, None
+        if self._last is not None and self._is_plain(time_ns, segment):
+            self._last, self._rejected = (int(time_ns[-1]), int(segment[-1])), [0, 0]
+            return None, np.full(len(time_ns), self._shift) if self._shift else None
+        taken, shift = np.empty(len(time_ns), np.bool_), np.empty(len(time_ns), np.int64)
+        for row, (time, part) in enumerate(zip(time_ns.tolist(), segment.tolist(), strict=True)):
+            taken[row] = self._take(time, part)
+            shift[row] = self._shift
+        return None if taken.all() else taken, shift if self._shift else None
+
+    def _is_plain(self, time_ns: IntArray, segment: IntArray) -> bool:
+        assert self._last is not None
+        before = np.concatenate([[self._last[0]], time_ns[:-1]])
+        same = segment == np.concatenate([[self._last[1]], segment[:-1]])
+        step = time_ns.astype(np.float64) - before
+        return bool(np.all(~same | ((time_ns > before) & (step <= LONGEST_GAP_S * 1e9))))
+
+    def _take(self, time_ns: int, segment: int) -> bool:
+        last = self._last
+        if last is not None and segment == last[1] and not 0 < time_ns - last[0] <= LONGEST_GAP_S * 1e9:
+            count, before = self._rejected
+            goes_on = count and 0 < time_ns - before <= LONGEST_GAP_S * 1e9
+            self._rejected = [count + 1 if goes_on else 1, time_ns]
+            if self._rejected[0] < STUBBORN:
+                return False
+            self._shift += 1
+        self._last, self._rejected = (time_ns, segment), [0, 0]
+        return True

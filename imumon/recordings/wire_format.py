@@ -1,0 +1,79 @@
+"""The records of a wire file: what MCAP says, and the check record that imumon adds.
+
+The layout is in docs/session-format.md.  A check record seals the bytes since the one before: who reads the
+file while it is written, or after a crash, can tell what is as it was written, and can find back into a file
+that is damaged in the middle.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from dataclasses import dataclass
+
+FORMAT = "imumon-wire/1"
+"""Written as the profile of the MCAP file."""
+WIRE_TOPIC, EVENT_TOPIC = "/wire", "/event"
+WIRE_CHANNEL, EVENT_CHANNEL = 1, 2
+"""Always these, so that a file whose beginning is damaged can be read."""
+UNRECORDED = "unrecorded"
+"""Kind of the message in `EVENT_TOPIC` that tells how many bytes are missing before it."""
+
+MAGIC = b"\x89MCAP0\r\n"
+RECORD = struct.Struct("<BQ")
+"""Opcode, and bytes that follow."""
+MESSAGE = struct.Struct("<BQHIQQ")
+"""Opcode, bytes that follow, channel, sequence, log time, publish time; then the payload."""
+SEQUENCE_AT = 11
+MESSAGE_FIELDS = MESSAGE.size - RECORD.size
+HEADER_OP, FOOTER_OP, SCHEMA_OP, CHANNEL_OP, MESSAGE_OP, CHUNK_OP = 0x01, 0x02, 0x03, 0x04, 0x05, 0x06
+MESSAGE_INDEX_OP, ATTACHMENT_OP, METADATA_OP, DATA_END_OP = 0x07, 0x09, 0x0C, 0x0F
+
+CHECK_OP = 0x91
+"""MCAP leaves 0x80 and above to the application; other readers pass such a record over."""
+MARKER = bytes.fromhex("a3d1f08b5ce749268e7f13b0c96d42f5")
+"""What to search for: 16 bytes drawn once at random, so that no device sends them."""
+_CHECK = struct.Struct("<BQ16sQQIIq")
+CHECK_SIZE = _CHECK.size + 4
+CHECK_LENGTH = CHECK_SIZE - RECORD.size
+CHECK_SEQUENCE_AT = RECORD.size + 16 + 8 + 8
+"""Where the number of the next message stands, as `SEQUENCE_AT` in a message."""
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """A check record.
+
+    Parameters
+    ----------
+    start, size : int
+        Where in the file the bytes begin that it seals, and how many they are; the record itself is not among
+        them.
+    sequence : int
+        Of the message that follows, modulo 2^32.
+    crc : int
+        CRC-32 of the bytes.
+    time_ns : int
+        Unix time of the latest message before, 0 when there is none.
+    """
+
+    start: int
+    size: int
+    sequence: int
+    crc: int
+    time_ns: int
+
+    def pack(self) -> bytes:
+        """Return the record."""
+        fields = self.start, self.size, self.sequence, self.crc, self.time_ns
+        body = _CHECK.pack(CHECK_OP, CHECK_LENGTH, MARKER, *fields)
+        return body + zlib.crc32(body).to_bytes(4, "little")
+
+    @classmethod
+    def unpack(cls, buffer: bytes, offset: int) -> Check | None:
+        """Return the record that begins here, or None when it is not one, or damaged."""
+        record = buffer[offset : offset + CHECK_SIZE]
+        if len(record) < CHECK_SIZE or zlib.crc32(record[:-4]).to_bytes(4, "little") != record[-4:]:
+            return None
+        opcode, length, marker, *fields = _CHECK.unpack_from(record)
+        return cls(*fields) if (opcode, length, marker) == (CHECK_OP, CHECK_LENGTH, MARKER) else None

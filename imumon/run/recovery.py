@@ -1,0 +1,133 @@
+"""A session that was interrupted or damaged, made whole: its wire file, its counters, its view."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from imumon.errors import ImumonError, Reason
+from imumon.pipeline import Pipeline
+from imumon.recordings.folder import METADATA_NAME, Session, open_session
+from imumon.recordings.metadata import SessionMetadata
+from imumon.recordings.recovery import is_sound, keep_original, read_summary, refuse_recording, rewrite
+from imumon.recordings.source import Source, open_source
+from imumon.recordings.wire_reader import WireReader, WireSummary
+from imumon.run.live import flat_counters, stream_summaries
+from imumon.run.narration import Narrator, view_setup
+from imumon.run.replay import replay
+from imumon.run.setup import Setup, parse_setup
+from imumon.run.stages import estimators
+from imumon.view.recorder import ViewRecorder
+
+WINDOW_S = 15.0
+WAIT_S = 0.05
+CLOSE_S = 600.0
+"""How long the last items of the view may take."""
+
+
+@dataclass(slots=True)
+class Recovered:
+    """What a recovery did."""
+
+    session: Path
+    before: WireSummary
+    """What the wire file held before."""
+    done: list[str] = field(default_factory=list)
+    """What was written, one sentence each; empty when there was nothing to do."""
+    originals: list[Path] = field(default_factory=list)
+    """Where the files are that were replaced."""
+    warnings: list[str] = field(default_factory=list)
+    """What the recording lacks."""
+
+
+def recover(path: Path) -> Recovered:
+    """Make a session whole that was interrupted or damaged; one that is whole is left as it is.
+
+    Raises
+    ------
+    ImumonError
+        BAD_DATA when this is no session with a wire file; BUSY when it is being recorded.
+    OSError
+        When the disk is full or fails; each file is then as it was, or whole and new.
+    """
+    session = open_session(path)
+    if session.metadata.source == "import":
+        hint = "it follows from its table: imumon import makes it anew"
+        raise ImumonError(Reason.BAD_DATA, f"{path} is an imported session, which has no bytes", hint)
+    refuse_recording(session.wire_path)
+    result = Recovered(session.path, read_summary(session.wire_path))
+    source = open_source(session.path)
+    sound = is_sound(result.before)
+    if (
+        sound
+        and session.state == "closed"
+        and all((session.path / n).exists() for n in session.metadata.views)
+    ):
+        return result
+    if not sound:
+        result.originals.append(rewrite(session.wire_path))
+        result.done.append(f"{session.wire_path.name}: {result.before.reads:,} reads written anew, finished")
+        source = open_source(session.path)
+    metadata, warnings = _run_again(session, source, result)
+    if metadata != session.metadata:
+        result.originals.append(keep_original(session.path / METADATA_NAME))
+        session.save(metadata)
+        result.done.append(f"{METADATA_NAME}: closed, with the counters of what there is")
+    result.warnings = [*source.warnings(), *warnings]
+    return result
+
+
+def _run_again(session: Session, source: Source, result: Recovered) -> tuple[SessionMetadata, list[str]]:
+    """Run over the bytes as the live run did; write the view, and return the metadata of a closed session."""
+    recorded = session.metadata.pipeline_yaml
+    setup = Setup() if recorded is None else parse_setup(recorded, f"{session.path} (pipeline_yaml)")
+    pipeline = Pipeline(source.device, estimators(source.device, setup))
+    partial = session.path / "recovering.rrd"
+    for left in session.path.glob("recovering*.rrd"):
+        left.unlink()
+    recorder = ViewRecorder(partial, view_setup(session, pipeline.units, WINDOW_S))
+    card = {"session": str(session.path), "recording": "recovered"}
+    warnings: list[str] = []
+
+    def say(level: str, text: str) -> None:
+        if level == "WARN":
+            warnings.append(text)
+
+    narrator = Narrator(pipeline, None, [recorder.publish], say, card, session.path)
+    for _ in replay(source.items, pipeline, narrator):
+        while not recorder.has_room:
+            time.sleep(WAIT_S)
+    recorder.close(CLOSE_S)
+    if recorder.error or recorder.dropped:
+        raise ImumonError(
+            Reason.BAD_DATA, recorder.error or "the view cannot be written", "is the disk full?"
+        )
+    views = _put_in_place(session, recorder.files, result)
+    assert isinstance(source.items, WireReader)
+    summary = source.items.summary
+    ended_ns = session.metadata.ended_ns or max(summary.last_ns, session.metadata.created_ns)
+    counters = flat_counters(pipeline.counters) | {"bytes_unrecorded": summary.bytes_unrecorded}
+    closed = session.metadata.closed(
+        ended_ns,
+        counters=counters,
+        events=summary.events,
+        streams=stream_summaries(pipeline.counters),
+        views=views,
+    )
+    return closed, warnings
+
+
+def _put_in_place(session: Session, files: list[Path], result: Recovered) -> list[str]:
+    """Let the new segments of the view take the names of the old ones, which are kept."""
+    stem, suffix = session.view_path.stem, session.view_path.suffix
+    for old in sorted(session.path.glob(f"{stem}*{suffix}")):
+        result.originals.append(keep_original(old))
+        old.unlink()
+    names = []
+    for new in files:
+        name = new.name.replace("recovering", stem)
+        new.replace(session.path / name)
+        names.append(name)
+    result.done.append(f"{', '.join(names)}: written anew")
+    return names

@@ -1,0 +1,100 @@
+"""Command line of scripts/soak: sections of attacks, as tables of docs/reliability.md."""
+
+from __future__ import annotations
+
+import argparse
+import platform
+import re
+import warnings
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from tests.faults import cost, damage, documents, killed, medium, recovery
+from tests.faults.rows import Row
+
+DOCS = Path(__file__).parents[2] / "docs" / "reliability.md"
+Section = Callable[[Path, bool], Iterator[Row]]
+
+
+def _damage(folder: Path, short: bool) -> Iterator[Row]:
+    yield from damage.attack_all(folder, 10 if short else 100, 1)
+
+
+def _killed(folder: Path, short: bool) -> Iterator[Row]:
+    for rate_hz in (100.0, 1000.0):
+        yield killed.kill_many(folder, rate_hz, 2 if short else 10, 1)
+
+
+def _medium(folder: Path, short: bool) -> Iterator[Row]:
+    for rate_hz in (100.0, 1000.0, 10_000.0):
+        yield medium.measure(folder, rate_hz, 3.0 if short else 20.0)
+
+
+def _documents(folder: Path, short: bool) -> Iterator[Row]:
+    yield from documents.attack_all(folder)
+    yield documents.mutate_devices(200 if short else 2000, 1)
+
+
+def _cost(_: Path, short: bool) -> Iterator[Row]:
+    yield from cost.measure_all(("ax1", "sbg") if short else None)
+
+
+def _recovery(_: Path, short: bool) -> Iterator[Row]:
+    yield from recovery.attack_rows(["one sample of 1e30", "10 s of NaN, all"] if short else None)
+
+
+def _devices(_: Path, short: bool) -> Iterator[Row]:
+    yield from recovery.variant_rows(("0.1 Hz", "all constant zero") if short else None)
+
+
+SECTIONS: dict[str, Section] = {
+    "damage": _damage,
+    "killed": _killed,
+    "medium": _medium,
+    "documents": _documents,
+    "cost": _cost,
+    "recovery": _recovery,
+    "devices": _devices,
+}
+
+
+def main() -> int:
+    """Run the sections; return 1 when something did not hold."""
+    warnings.simplefilter("ignore")
+    parser = argparse.ArgumentParser(prog="scripts/soak", description=__doc__)
+    parser.add_argument("sections", nargs="*", metavar="SECTION", help=f"of {', '.join(SECTIONS)}")
+    parser.add_argument("--short", action="store_true", help="few times each: a minute or two in all")
+    parser.add_argument("--write", action="store_true", help=f"write the tables into {DOCS.name}")
+    options = parser.parse_args()
+    if unknown := set(options.sections) - SECTIONS.keys():
+        parser.error(f"no section {', '.join(sorted(unknown))}; there are: {', '.join(SECTIONS)}")
+    held = True
+    for name in options.sections or SECTIONS:
+        with TemporaryDirectory() as folder:
+            rows = []
+            for row in SECTIONS[name](Path(folder), options.short):
+                print(
+                    f"{'held' if row.held else 'FAIL'}  {row.fault} ({row.times}): {row.outcome}", flush=True
+                )
+                rows.append(row)
+        held = held and all(row.held for row in rows)
+        if options.write:
+            write(name, rows)
+    return int(not held)
+
+
+def write(name: str, rows: list[Row]) -> None:
+    """Put a table between the marks of its section."""
+    lines = ["| fault | times tried | outcome | held |", "|---|---:|---|---|"]
+    lines += [f"| {r.fault} | {r.times:,} | {r.outcome} | {'yes' if r.held else '**no**'} |" for r in rows]
+    command = f"`scripts/soak {name}`, on {platform.machine()}, Python {platform.python_version()}:"
+    table = "\n".join([f"<!-- soak {name} -->", command, "", *lines, f"<!-- end {name} -->"])
+    pattern = re.compile(rf"<!-- soak {name} -->.*?<!-- end {name} -->", re.DOTALL)
+    text = DOCS.read_text(encoding="utf-8")
+    assert pattern.search(text), name
+    DOCS.write_text(pattern.sub(lambda _: table, text), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,141 @@
+"""YAML files that attack their loaders: each must be refused in one clear line, at once."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from imumon.allan.parameters import Noise
+from imumon.config import load_yaml
+from imumon.errors import ImumonError, Reason
+from imumon.models.model import load_model
+from imumon.protocols.device import device_text, load_device, parse_device
+from imumon.recordings.importing import TableImport
+from imumon.recordings.metadata import read_metadata
+from imumon.run.setup import load_setup
+from imumon.simulation.unit import load_scenario
+from tests.faults.rows import Row
+
+LONGEST_S = 2.0
+"""With pint imported, which takes half a second, on a busy machine."""
+
+
+def _bomb() -> str:
+    lines = ["a: &a [1, 1, 1, 1, 1, 1, 1, 1, 1]"]
+    lines += [f"{chr(98 + n)}: &{chr(98 + n)} [{', '.join([f'*{chr(97 + n)}'] * 9)}]" for n in range(9)]
+    return "\n".join(lines)
+
+
+DOCUMENTS: dict[str, str] = {
+    "contains itself": "format: &a [*a]",
+    "a mapping that contains itself": "format: &a {b: *a}",
+    "aliases that grow to 4e9 values": _bomb(),
+    "100,000 brackets": "format: " + "[" * 100_000,
+    "100,000 mappings": "{a: " * 100_000,
+    "1e400": "format: x\nlatitude_deg: 1e400",
+    "10^19": "format: x\nlatitude_deg: 10000000000000000000",
+    "not a number": "format: x\nlatitude_deg: .nan",
+    "infinity": "format: x\nlatitude_deg: -.inf",
+    "an integer of 5000 digits": "format: x\nlatitude_deg: " + "9" * 5000,
+    "base sixty with 3000 digits": "format: x\nlatitude_deg: 1" + ":59" * 3000 + ".5",
+    "a Python object": "format: !!python/object/apply:os.system [true]",
+    "5 MB in one line": "format: " + "x" * 5_000_000,
+    "a control character": "format: \x07",
+    "nothing": "",
+}
+
+
+def _map(path: Path) -> object:
+    table = path.with_name("table.csv")
+    table.write_text("t,gx\n0,1\n")
+    return TableImport(table, path)
+
+
+LOADERS: dict[str, Callable[[Path], object]] = {
+    "session": read_metadata,
+    "device": lambda path: load_device(str(path)),
+    "pipeline": load_setup,
+    "model": load_model,
+    "map": _map,
+    "noise": lambda path: load_yaml(path, Noise),
+    "scenario": load_scenario,
+}
+
+
+def device_with(old: str, new: str) -> str:
+    """Return the file of a device that is known, changed at one place."""
+    text = device_text("ax1")[0]
+    assert old in text, old
+    return text.replace(old, new, 1)
+
+
+def refused(load: Callable[[], object]) -> str:
+    """Return why something was refused; "" when it was taken, and another line for anything wrong."""
+    began = time.perf_counter()
+    try:
+        load()
+    except ImumonError as error:
+        took = time.perf_counter() - began
+        if took > LONGEST_S:
+            return f"wrong: refused after {took:.1f} s"
+        if error.reason not in (Reason.BAD_CONFIG, Reason.BAD_DATA):
+            return f"wrong: {error.reason}"
+        return error.seen
+    return ""
+
+
+def attack_all(folder: Path) -> Iterator[Row]:
+    """Give each document to each loader."""
+    for kind, load in LOADERS.items():
+        path = folder / f"{kind}.yaml"
+        bad = []
+        for name, text in DOCUMENTS.items():
+            path.write_text(text, encoding="utf-8")
+            said = refused(lambda load=load, path=path: load(path))  # type: ignore[misc]  # bound at once
+            if not said or said.startswith("wrong") or ("\n" in said.strip() and len(said) > 2000):
+                bad.append(f"{name}: {said or 'taken'}")
+        yield Row(
+            f"hostile {kind} file", len(DOCUMENTS), "; ".join(bad) or "each refused in words", held=not bad
+        )
+
+
+def mutate(text: str, rng: np.random.Generator) -> str:
+    """Return a text with some of its tokens exchanged for hostile ones."""
+    tokens = [
+        "1e400",
+        ".nan",
+        "-.inf",
+        "99999999999999999999",
+        "[",
+        "{",
+        "&a",
+        "*a",
+        "!!int",
+        "\x00",
+        "~",
+        "0",
+    ]
+    tokens += ["10^10^10^10 deg/s", "1/0", '"', "- - - -", "\t", "? ", "\u2028", "-1", "9" * 400, "../../x"]
+    words = text.split(" ")
+    for _ in range(int(rng.integers(1, 4))):
+        words[int(rng.integers(len(words)))] = tokens[int(rng.integers(len(tokens)))]
+    return " ".join(words)
+
+
+def mutate_devices(times: int, seed: int) -> Row:
+    """Load changed files of a known device; one that is taken must make a decoder that decodes."""
+    rng = np.random.default_rng(seed)
+    text, taken, slowest = device_text("ax1")[0], 0, 0.0
+    for _ in range(times):
+        began = time.perf_counter()
+        try:
+            decoder = parse_device(mutate(text, rng), "device.yaml").decoder()
+            decoder.feed(rng.bytes(200), 0)
+            taken += 1
+        except ImumonError:
+            pass
+        slowest = max(slowest, time.perf_counter() - began)
+    return Row("device file with hostile words", times, f"{taken} taken and decoding, the others refused")

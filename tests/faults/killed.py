@@ -1,0 +1,106 @@
+"""A recording program that is killed: how old the newest byte is that is lost."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+import tty
+from bisect import bisect_right
+from pathlib import Path
+
+import numpy as np
+
+from imumon.protocols.device import load_device
+from imumon.recordings.wire_reader import WireReader
+from imumon.simulation.unit import SimulatedUnit, load_scenario
+from imumon.simulation.unit.unit import MICROSECOND
+from imumon.transport.reader import Bytes
+from tests.faults.rows import Row
+
+PROMISED_S = 0.2
+PREPARED_S = 12.0
+
+
+class Line:
+    """A pseudo-terminal into which packets are written at their rate, each noted with its time."""
+
+    def __init__(self, rate_hz: float) -> None:
+        self._master, self._slave = os.openpty()
+        tty.setraw(self._slave)
+        self.path = os.ttyname(self._slave)
+        device = load_device("ax1")
+        scenario = load_scenario("bench").played(rate_hz, device.axes)
+        unit = SimulatedUnit(scenario, 0, device.decoder().timing.tick_ns or MICROSECOND)
+        self._packets = device.encoder().encode(unit.samples(round(PREPARED_S * rate_hz)))
+        self._rate_hz = rate_hz
+        self.sent: list[int] = []
+        """Bytes sent after each packet."""
+        self.times: list[float] = []
+        self._end = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+
+    def start(self) -> None:
+        """Begin to send."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop sending and close the line."""
+        self._end.set()
+        self._thread.join()
+        os.close(self._master)
+        os.close(self._slave)
+
+    def _run(self) -> None:
+        start, total = time.monotonic(), 0
+        for number, packet in enumerate(self._packets):
+            wait = start + number / self._rate_hz - time.monotonic()
+            if wait > 0.001 and self._end.wait(wait):
+                return
+            now = time.monotonic()
+            total += os.write(self._master, packet)
+            self.sent.append(total)
+            self.times.append(now)
+            if self._end.is_set():
+                return
+
+
+def kill_one(folder: Path, rate_hz: float, after_s: float, signal_number: int = signal.SIGKILL) -> float:
+    """Kill a monitor so long after its first bytes; return the age (s) of the oldest byte that is lost."""
+    line = Line(rate_hz)
+    arguments = ["monitor", line.path, "--device", "ax1", "--view", "none", "--out", str(folder)]
+    program = [sys.executable, "-c", "from imumon.cli import main; main()", *arguments]
+    wire = folder / "wire.mcap"
+    with subprocess.Popen(program, stderr=subprocess.DEVNULL) as child:
+        try:
+            while not wire.exists() and child.poll() is None:
+                time.sleep(0.02)
+            time.sleep(0.2)  # the reader runs
+            line.start()
+            time.sleep(after_s)
+            child.send_signal(signal_number)
+            killed = time.monotonic()
+            child.wait()
+        finally:
+            child.kill()
+            line.close()
+    kept = sum(len(item.data) for item in WireReader(wire) if isinstance(item, Bytes))
+    lost = bisect_right(line.sent, kept)
+    return killed - line.times[lost] if lost < len(line.times) and line.times[lost] < killed else 0.0
+
+
+def kill_many(folder: Path, rate_hz: float, times: int, seed: int) -> Row:
+    """Kill a monitor at random moments of its first 8 s, in which it also saves its metadata."""
+    rng = np.random.default_rng(seed)
+    ages = np.array(
+        [kill_one(folder / f"{rate_hz:g}-{n}", rate_hz, float(rng.uniform(0.5, 8.0))) for n in range(times)]
+    )
+    return Row(
+        f"SIGKILL at {rate_hz:g} Hz",
+        times,
+        f"lost {ages.mean():.3f} s on average, at most {ages.max():.3f} s (promised: {PROMISED_S:g} s)",
+        held=bool(ages.max() <= PROMISED_S),
+    )

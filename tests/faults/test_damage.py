@@ -1,0 +1,94 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap.stream_reader import StreamReader
+
+from imumon.errors import ImumonError
+from imumon.recordings.wire_format import CHECK_SIZE, MARKER
+from imumon.recordings.wire_reader import WireReader
+from imumon.transport.reader import Bytes
+from tests.faults.damage import attack_all, made_items, record
+
+
+def test_damage_costs_what_it_touched_and_is_told(tmp_path: Path) -> None:
+    missed = [row for row in attack_all(tmp_path, 8, 1, seconds=4.0) if not row.held]
+    assert not missed
+
+
+def test_other_readers_of_mcap_pass_the_check_records_over(tmp_path: Path) -> None:
+    items = made_items(2.0, 100.0, 40, 0)
+    record(tmp_path / "w.mcap", items, closed=True)
+    reads = [(item.arrival_ns, item.data) for item in items if isinstance(item, Bytes)]
+    with (tmp_path / "w.mcap").open("rb") as file:
+        assert file.read().count(MARKER) >= 20
+        file.seek(0)
+        found = [(m.log_time, m.data) for _, channel, m in make_reader(file).iter_messages(["/wire"])]
+        assert found == reads
+        file.seek(0)
+        assert make_reader(file).get_summary().statistics.message_count == len(items)  # type: ignore[union-attr]
+        file.seek(0)
+        assert sum(1 for _ in StreamReader(file, validate_crcs=True).records) > len(items)
+
+
+def test_a_place_says_where_it_is_how_long_and_how_many_reads(tmp_path: Path) -> None:
+    items = made_items(2.0, 100.0, 40, 0)
+    record(tmp_path / "w.mcap", items, closed=True)
+    content = bytearray((tmp_path / "w.mcap").read_bytes())
+    at = content.index(items[50].data) - 31  # type: ignore[union-attr]  # it is Bytes
+    content[at : at + 3 * 71] = bytes(3 * 71)
+    (tmp_path / "w.mcap").write_bytes(content)
+    reader = WireReader(tmp_path / "w.mcap")
+    assert list(reader) == items[:50] + items[53:]
+    [place] = reader.summary.damage.where
+    assert (place.offset, place.size, place.messages, place.altered) == (at, 3 * 71, 3, False)
+    assert place.after_ns == items[49].arrival_ns  # type: ignore[union-attr]
+    assert place.seconds == pytest.approx(0.04)
+
+
+def test_a_changed_payload_of_a_killed_session_is_told_with_its_block(tmp_path: Path) -> None:
+    items = made_items(2.0, 100.0, 40, 0)
+    record(tmp_path / "w.mcap", items, closed=False)
+    content = bytearray((tmp_path / "w.mcap").read_bytes())
+    content[content.index(items[120].data) + 5] ^= 4  # type: ignore[union-attr]  # it is Bytes
+    (tmp_path / "w.mcap").write_bytes(content)
+    reader = WireReader(tmp_path / "w.mcap")
+    assert len(list(reader)) == len(items)
+    damage = reader.summary.damage
+    assert (damage.places, damage.bytes, damage.messages) == (1, 0, 0)
+    assert 0 < damage.bytes_altered < 1000
+    assert damage.where[0].seconds <= 0.1
+
+
+def test_the_beginning_may_be_gone_altogether(tmp_path: Path) -> None:
+    items = made_items(20.0, 100.0, 40, 0)
+    record(tmp_path / "w.mcap", items, closed=True)
+    content = bytearray((tmp_path / "w.mcap").read_bytes())
+    content[:4096] = bytes(4096)
+    (tmp_path / "w.mcap").write_bytes(content)
+    reader = WireReader(tmp_path / "w.mcap")
+    read = list(reader)
+    assert read == items[-len(read) :]
+    assert reader.summary.damage.messages == len(items) - len(read) < 60
+
+
+def test_a_block_that_is_there_twice_is_read_once(tmp_path: Path) -> None:
+    items = made_items(4.0, 100.0, 40, 0)
+    record(tmp_path / "w.mcap", items, closed=True)
+    content = (tmp_path / "w.mcap").read_bytes()
+    first = content.index(MARKER, 8000) - 9 + CHECK_SIZE
+    second = content.index(MARKER, first) - 9 + CHECK_SIZE
+    (tmp_path / "w.mcap").write_bytes(content[:second] + content[first:])
+    reader = WireReader(tmp_path / "w.mcap")
+    assert list(reader) == items
+    assert reader.summary.damage.bytes == second - first - CHECK_SIZE
+
+
+@pytest.mark.parametrize("size", [1, 1000, 100_000])
+def test_random_bytes_are_no_wire_file(tmp_path: Path, size: int) -> None:
+    (tmp_path / "w.mcap").write_bytes(np.random.default_rng(size).bytes(size))
+    with pytest.raises(ImumonError, match="is not a wire file"):
+        list(WireReader(tmp_path / "w.mcap"))

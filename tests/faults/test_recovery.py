@@ -1,0 +1,32 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.faults.recovery import SOON_S, VARIANTS, attack_all, run
+
+SEVERE = [
+    "one sample of 1e30",
+    "10 s of NaN, all",
+    "10 s saturated gyro",
+    "first 60 s saturated gyro",
+    "time leaps to 2^62 for 5 samples",
+    "a new segment every 0.5 s for 10 s",
+]
+
+
+@pytest.mark.parametrize("latitude_deg", [None, 48.0])
+def test_every_stage_recovers_when_the_data_is_good_again(latitude_deg: float | None) -> None:
+    for name, outcome in attack_all(latitude_deg, SEVERE):
+        assert not outcome.dead, name
+        assert not outcome.wild, name
+        assert outcome.alive_after_s < SOON_S, name
+
+
+@pytest.mark.parametrize("name", sorted(VARIANTS.keys() - {"4 kHz"}))
+@pytest.mark.parametrize("latitude_deg", [None, 48.0])
+def test_devices_out_of_the_ordinary_have_columns_without_infinities(
+    name: str, latitude_deg: float | None
+) -> None:
+    block, _ = run(VARIANTS[name].columns(), latitude_deg)
+    assert not [k for k, v in block.columns.items() if v.dtype == np.float64 and np.isinf(v).any()]

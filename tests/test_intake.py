@@ -1,0 +1,158 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from imumon.blocks import ColumnArray, SampleBlock, join
+from imumon.intake import STUBBORN, Intake
+
+Columns = dict[str, ColumnArray]
+
+
+def record(n: int, seed: int = 0) -> Columns:
+    rng = np.random.default_rng(seed)
+    columns: Columns = {f"gyro_{axis}": rng.standard_normal(n) for axis in "xyz"}
+    columns["temperature"] = 25.0 + np.arange(n) * 0.001
+    columns["device_time_ns"] = np.arange(n) * 10_000_000
+    columns["segment"] = np.zeros(n, np.int64)
+    return columns
+
+
+def seen(columns: Columns, sizes: list[int] | None = None) -> tuple[SampleBlock, Intake]:
+    """Return what the stages see, spread over all rows."""
+    parts: list[SampleBlock] = []
+    intake, start = Intake(), 0
+    block = SampleBlock(columns)
+    while start < len(block):
+        size = sizes[len(parts) % len(sizes)] if sizes else len(block)
+        taken = intake.process(block.rows(start, min(start + size, len(block))))
+        parts.append(SampleBlock({name: taken.spread(v) for name, v in taken.block.columns.items()}))
+        start += size
+    return join(parts), intake
+
+
+def test_a_healthy_record_passes_as_it_is() -> None:
+    columns = record(5000)
+    block, intake = seen(columns)
+    assert intake.left_out == 0
+    assert all(np.array_equal(block[name], values) for name, values in columns.items())
+
+
+@pytest.mark.parametrize("value", [1e30, -1e300, np.inf, -np.inf, 1001.0])
+def test_what_no_gyro_says_is_left_out_and_said_once(value: float) -> None:
+    columns = record(500)
+    columns["gyro_y"][100] = value
+    block, intake = seen(columns)
+    assert np.flatnonzero(np.isnan(block["gyro_y"])).tolist() == [100]
+    assert not np.isnan(block["gyro_x"]).any()
+    assert intake.notices() == ["left out of all estimates: gyro_y beyond -1000 to 1000 rad/s"]
+    assert not intake.notices()
+    assert intake.left_out == 1
+
+
+def test_a_gyro_that_stands_still_is_left_out_until_it_moves() -> None:
+    columns = record(5000)
+    for axis in "xyz":
+        columns[f"gyro_{axis}"][2000:3000] = 35.0
+    block, _ = seen(columns)
+    out = np.flatnonzero(np.isnan(block["gyro_x"]))
+    assert 2000 < out[0] <= 2005
+    assert out[-1] == 2999
+    assert len(out) == 3000 - out[0]
+
+
+def test_a_gyro_that_stands_still_from_the_start_is_left_out_soon() -> None:
+    columns = record(5000)
+    for axis in "xyz":
+        columns[f"gyro_{axis}"][:3000] = -35.0
+    block, _ = seen(columns)
+    assert np.isnan(block["gyro_x"][40:3000]).all()
+    assert not np.isnan(block["gyro_x"][3000:]).any()
+
+
+@pytest.mark.parametrize("each", [2, 10, 100])
+def test_a_sensor_that_is_read_more_often_than_it_measures_is_taken(each: int) -> None:
+    columns = record(20_000)
+    for axis in "xyz":
+        columns[f"gyro_{axis}"] = np.repeat(columns[f"gyro_{axis}"][: 20_000 // each], each)
+    block, _ = seen(columns)
+    assert np.isnan(block["gyro_x"]).mean() < 0.02
+    assert not np.isnan(block["gyro_x"][10_000:]).any()
+
+
+def test_a_gyro_whose_noise_is_below_its_step_may_stand_still_at_rest() -> None:
+    columns = record(5000)
+    for axis in "xyz":
+        columns[f"gyro_{axis}"][2000:] = 0.01
+    block, intake = seen(columns)
+    assert intake.left_out == 0
+    assert np.array_equal(block["gyro_x"], columns["gyro_x"])
+
+
+def test_a_gyro_with_coarse_steps_is_taken() -> None:
+    columns = record(20_000)
+    for axis in "xyz":
+        columns[f"gyro_{axis}"] = np.round(columns[f"gyro_{axis}"] / 3.0) * 3.0
+    block, _ = seen(columns)
+    assert np.isnan(block["gyro_x"]).mean() < 0.001
+
+
+def test_a_thermometer_that_has_not_begun_is_left_out() -> None:
+    columns = record(500)
+    columns["temperature"][:200] = 0.0
+    columns["temperature"][300] = 0.0
+    block, _ = seen(columns)
+    assert np.flatnonzero(np.isnan(block["temperature"])).tolist() == list(range(200))
+
+
+def test_rows_whose_time_stands_still_are_left_out() -> None:
+    columns = record(500)
+    columns["device_time_ns"][100:200] = columns["device_time_ns"][100]
+    block, intake = seen(columns)
+    assert np.flatnonzero(np.isnan(block["gyro_x"])).tolist() == list(range(101, 200))
+    assert intake.left_out == 99
+
+
+def test_a_time_that_leaps_and_comes_back_costs_its_rows_only() -> None:
+    columns = record(500)
+    columns["device_time_ns"][100:105] = 1 << 62
+    block, _ = seen(columns)
+    assert np.flatnonzero(np.isnan(block["gyro_x"])).tolist() == list(range(100, 105))
+
+
+def test_a_clock_that_was_set_goes_on_in_a_segment_of_its_own() -> None:
+    columns = record(1000)
+    columns["device_time_ns"][500:] -= 4_000_000_000
+    block, _ = seen(columns)
+    assert np.isnan(block["gyro_x"]).sum() == STUBBORN - 1
+    assert block["segment"][-1] == 1
+
+
+@given(
+    sizes=st.lists(st.integers(1, 60), min_size=1, max_size=6),
+    seed=st.integers(0, 50),
+)
+@settings(max_examples=60, deadline=None)
+def test_the_division_into_blocks_makes_no_difference(sizes: list[int], seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    columns = record(400, seed)
+    for _ in range(6):
+        start, length = (int(value) for value in rng.integers(0, 300, 2))
+        part, kind = slice(start, start + length), rng.integers(5)
+        if kind == 0:
+            for axis in "xyz":
+                columns[f"gyro_{axis}"][part] = 35.0
+        elif kind == 1:
+            columns["device_time_ns"][part] = columns["device_time_ns"][start]
+        elif kind == 2:
+            columns["device_time_ns"][start:] += int(rng.integers(-(10**17), 10**17))
+        elif kind == 3:
+            columns["gyro_x"][part] = 1e30
+        else:
+            columns["temperature"][: start // 2] = 0.0
+    (whole, one), (parts, other) = seen(columns), seen(columns, sizes)
+    for name, values in whole.columns.items():
+        np.testing.assert_array_equal(values, parts[name])
+    assert one.left_out == other.left_out
