@@ -30,7 +30,7 @@ TURNING = 1e-3
 REMAINS = 3.0
 """Standard deviations of the gyros' noise, above which a disturbance has left an angle."""
 WANDERS = 2.0
-"""An angle of as many times the farthest that it wanders at rest is no knock's: sway and steps vary by so much."""
+"""An angle of as many times the farthest that it wanders at rest is no knock's: sway and steps vary so."""
 NORMAL = 1.4826
 """Standard deviation of normal values over the median of their sizes."""
 
