@@ -63,7 +63,7 @@ def row(scene: Scene, seeds: range) -> tuple[float, str]:
         past = [rms(z) / RMS_Z, largest / MAX_Z]
         if second >= FROM_S:
             past += [ratio / RATIO, SHOWN / max(float(shown.mean()), 0.01)]
-        worse = max(worse, *(value for value in past if math.isfinite(value)))
+        worse = max([worse, *(value for value in past if math.isfinite(value))])
         cells += [
             f"{rms(error):.4f}", f"{ratio:.2f}", f"{np.median(sd):.4f}", f"{100 * shown.mean():.0f} %",
             f"{rms(z):.2f}", f"{largest:.1f}",

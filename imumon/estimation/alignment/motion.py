@@ -29,6 +29,8 @@ TURNING = 1e-3
 """rad/s: a unit whose rate differs by more from that at rest is still being turned; a hand is not slower."""
 REMAINS = 3.0
 """Standard deviations of the gyros' noise, above which a disturbance has left an angle."""
+WANDERS = 2.0
+"""An angle of as many times the farthest that it wanders at rest is no knock's: sway and steps vary so."""
 NORMAL = 1.4826
 """Standard deviation of normal values over the median of their sizes."""
 
@@ -194,18 +196,17 @@ class Motion:
         """Whether the gyros saw no angle remain: then all of it may count, and nothing is lost."""
         seconds, known = self.seconds, max(len(self.recent), 1)
         length_s = self.passed[-1].length_s
-        # By how much the angle wanders in such a time at rest, where the unit sways more than its noise says.
+        # How far the angle wanders in such a time at rest, where the unit sways more than its noise says.
         slots = min(len(self.passed), known // 2)
         angle = length_s * np.cumsum(self.recent[:, 0, :3] - self.recent[:, 0, :3].mean(0), axis=0)
-        wandered = np.sqrt(np.mean((angle[slots:] - angle[: known - slots]) ** 2, axis=0))
+        farthest = np.abs(angle[slots:] - angle[: known - slots]).max(axis=0)
         # Of a longer time than was seen at rest, nothing is known but that.
-        wandered *= len(self.passed) / max(slots, 1)
-        noise = np.maximum(wandered, math.sqrt(length_s * seconds) * self.usual().spread[:3])
-        # The rate at rest is a median.
-        noise *= math.sqrt(1.0 + math.pi / 2.0 * seconds / (known * length_s))
+        farthest *= len(self.passed) / max(slots, 1)
+        # Their noise over that time, and that of the rate at rest, a median.
+        noise = math.sqrt(length_s * seconds + math.pi / 2.0 * seconds**2 / known) * self.usual().spread[:3]
         turn = self.turned - self.turned.T
         remains = 0.5 * np.abs([turn[2, 1], turn[0, 2], turn[1, 0]])
-        return bool((remains < REMAINS * noise).all())
+        return bool((remains < np.maximum(REMAINS * noise, WANDERS * farthest)).all())
 
     def rest(self, same: bool) -> None:
         """End the disturbance; the unit stands as before, or in a new pose."""
