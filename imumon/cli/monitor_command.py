@@ -180,7 +180,7 @@ def _watch_in_terminal(live: PortRun, view: TerminalView) -> None:
     """Draw the screen once a second, until the end; log lines are on it."""
     from imumon.view.terminal import Screen
 
-    screen = Screen(lambda text: note(text, newline=False))
+    screen = Screen(lambda text: note("", newline=False, control=text))
     drawn = -math.inf
     try:
         while live.ending.wait():

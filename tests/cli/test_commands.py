@@ -402,5 +402,5 @@ def test_a_virtual_device_whose_values_do_not_fit_says_so(tmp_path: Path) -> Non
     )
     done = imumon("virtual", "--device", tmp_path / "odd.yaml", "--seconds", 20)
     assert done.returncode == 4
-    assert "does not fit its field" in done.stderr
+    assert "179420 does not fit" in done.stderr
     assert "Traceback" not in done.stderr
