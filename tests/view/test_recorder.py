@@ -93,7 +93,8 @@ def test_segments_end_where_the_data_says_however_it_was_queued(tmp_path: Path) 
         check_extremes(recorder.files, stream)
 
 
-def test_segments_cost_no_threads(tmp_path: Path) -> None:
+def test_segments_cost_no_threads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("imumon.view.recorder.BATCH_S", 0.5)
     recorder = ViewRecorder(tmp_path / "view.rrd", SETUP, segment_s=1.0)
     stream = Stream(recorder.publish)
     stream.send(3 * RATE_HZ)
@@ -124,8 +125,10 @@ def test_killed_process_leaves_a_readable_file(tmp_path: Path) -> None:
         import os, signal, sys, time
         from pathlib import Path
         from imumon.view.items import ViewSetup
+        from imumon.view import recorder as rooms
         from imumon.view.recorder import ViewRecorder
         from tests.view.streams import Stream
+        rooms.BATCH_S = 0.5
         path = Path(sys.argv[1])
         recorder = ViewRecorder(path, ViewSetup("test", "killed"))
         stream = Stream(recorder.publish)
@@ -165,8 +168,10 @@ def test_full_disk_is_reported_and_what_is_missing_counted(tmp_path: Path) -> No
         import resource, signal, sys, time
         from pathlib import Path
         from imumon.view.items import ViewSetup
+        from imumon.view import recorder as rooms
         from imumon.view.recorder import ViewRecorder
         from tests.view.streams import Stream
+        rooms.BATCH_S = 0.5
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
         resource.setrlimit(resource.RLIMIT_FSIZE, (500_000, 500_000))
         recorder = ViewRecorder(Path(sys.argv[1]), ViewSetup("test", "full"))
