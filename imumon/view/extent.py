@@ -29,8 +29,11 @@ LEAST_STEPS = 4.0
 
 STILL = 0.02
 """What never changes is shown on an axis of this share of its value."""
-MOST_MARKS = 7
-"""The viewer writes numbers at powers of ten that are 15 points apart or more: so many in a low strip."""
+FEW_MARKS, FEWEST_MARKS = 5, 3
+"""The viewer writes numbers at powers of ten that are 15 to 20 points apart or more: so many steps from end
+to end in a strip of a hundred points, and in one of seventy."""
+AHEAD = 0.1
+"""The ends leave so much of the span free, for what comes until the next step."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,10 +68,13 @@ class Extent:
     _last: int | None = None
     _usual: deque[float] = field(default_factory=lambda: deque(maxlen=REMEMBERED))
 
-    def ends(self, clock: IntArray | None, drawn: Reach, *, low_strip: bool) -> tuple[float, float] | None:
+    def ends(
+        self, clock: IntArray | None, drawn: Reach, marks: int | None = None
+    ) -> tuple[float, float] | None:
         """Return both ends of the axis, once in a step of time; None while it goes on.
 
-        In a low strip they are moved outwards until three marks or more have room for their numbers.
+        With `marks` they are moved outwards until three marks, and no more than so many steps between them,
+        have room for their numbers.
         """
         self._gather(drawn)
         now = 0 if clock is None or not len(clock) else int(clock[-1]) // STEP_NS
@@ -85,7 +91,10 @@ class Extent:
             low, high = drawn.floor, max(high, drawn.floor + least)
         else:
             low, high = low - 0.5 * short, high + 0.5 * short
-        return round_ends(low, high) if low_strip else (low, high)
+        if marks is None:
+            return low, high
+        ahead = AHEAD * (high - low)
+        return round_ends(low if low == drawn.floor else low - ahead, high + ahead, marks)
 
     def _gather(self, drawn: Reach) -> None:
         """Take rows, without a band that is wider than is usual here."""
@@ -101,14 +110,14 @@ class Extent:
         self._high = max(self._high, float(np.nanmax(drawn.values + half)))
 
 
-def round_ends(low: float, high: float) -> tuple[float, float]:
-    """Return ends at marks, a power of ten apart, two to `MOST_MARKS` of them from end to end."""
+def round_ends(low: float, high: float, most: int) -> tuple[float, float]:
+    """Return ends at marks, a power of ten apart, with two steps from end to end or more, up to `most`."""
     span = max(high - low, 1e-12 * max(abs(low), abs(high)), 1e-300)
     power = math.floor(math.log10(span)) - 1
     while True:
         step = 10.0**power
         first, last = math.floor(low / step + 1e-9), math.ceil(high / step - 1e-9)
-        if last - first <= MOST_MARKS:
+        if last - first <= most:
             return first * step, max(last, first + 2) * step
         power += 1
 

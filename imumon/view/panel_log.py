@@ -6,9 +6,9 @@ import numpy as np
 import rerun as rr
 
 from imumon.view.cards import Cards, Reading, card
-from imumon.view.extent import Extent, entity
+from imumon.view.extent import FEW_MARKS, FEWEST_MARKS, Extent, entity
 from imumon.view.items import ViewSetup
-from imumon.view.layout import FIRST, SCENE, Panel, Rows, tab_of
+from imumon.view.layout import FIRST, LINK, SCENE, Panel, Rows, tab_of
 from imumon.view.panels import PANELS
 
 HIGH_STRIPS = 2
@@ -98,7 +98,8 @@ class PanelLog:
             return
         neighbours = sum(other.place == panel.place for other in self._shown.values())
         known = self._extents.setdefault(panel.key, Extent())
-        ends = known.ends(rows.clock, reach, low_strip=neighbours > HIGH_STRIPS)
+        crowded = FEW_MARKS if neighbours > HIGH_STRIPS else None
+        ends = known.ends(rows.clock, reach, FEWEST_MARKS if panel.place == LINK else crowded)
         if ends is not None:
             indexes = rows.kept(np.array([len(reach.values) - 1])).indexes
             scalars = rr.Scalars.columns(scalars=np.array([ends]))

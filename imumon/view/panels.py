@@ -261,8 +261,7 @@ PANELS: tuple[Panel, ...] = (
         "%",
         LINK,
         "steps",
-        least=10.0,
-        floor=0.0,
+        y_range=(0.0, 100.0),
         card="link load",
     ),
     Strip(
