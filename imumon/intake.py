@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import numpy.typing as npt
@@ -123,6 +124,8 @@ class Intake:
     def _sound(self, name: str, values: FloatArray, limits: tuple[float, float, str]) -> FloatArray | None:
         """Return the values with NaN where none can be, or None when all can."""
         low, high, unit = limits
+        if not len(values) or (low <= values.min() and values.max() <= high):  # not so where one is NaN
+            return None
         bad = ~((values >= low) & (values <= high)) & ~np.isnan(values)
         count = int(bad.sum())
         if not count:
@@ -161,6 +164,7 @@ class Intake:
             self._left_out[f"{sensor} while it has said nothing but zero"] += zeros
 
 
+@cache
 def _limits(name: str) -> tuple[float, float, str] | None:
     return next((limits for start, limits in RANGES.items() if name.startswith(start)), None)
 
@@ -185,8 +189,12 @@ class _Still:
         n = readings.shape[1]
         if not n:
             return None
-        same = np.all(readings == np.column_stack([self._last, readings[:, :-1]]), axis=0)
-        self._last = readings[:, -1]
+        same = np.empty(n, np.bool_)
+        same[0] = np.array_equal(readings[:, 0], self._last)
+        np.equal(readings[0, 1:], readings[0, :-1], out=same[1:])
+        if same[1:].any():
+            same[1:] &= (readings[1:, 1:] == readings[1:, :-1]).all(axis=0)
+        self._last = readings[:, -1].copy()
         if not same.any():
             self._pairs, self._run, self._allowed = self._pairs + n, 0, -1
             return None
