@@ -40,7 +40,7 @@ ELSEWHERE = {"device_time_ns", "host_time_ns", "arrival_time_ns", "device_ticks"
 
 RECORDED_STEP_NS = 500_000_000
 """Of so much time a recording of the view keeps the extremes."""
-LIVE_PICTURE_S, RECORDED_PICTURE_S = 5.0, 60.0
+LIVE_PICTURE_S, RECORDED_PICTURE_S = 5.0, 600.0
 """A chart is drawn so often, and as it is at the end."""
 EARLY_EVENTS = 1000
 """Events before the first sample that are shown again on the timelines that begin with it."""
