@@ -269,12 +269,12 @@ class Strip:
     def log(self, rec: rr.RecordingStream, rows: Rows) -> None:
         """Log the exact values, and those in the unit that is drawn."""
         values = rows.matrix(self.columns)
-        both = self.unit is not None and not rows.step_ns
+        exact = self.unit is None or not rows.step_ns
         kept: Any = np.isfinite(values).any(axis=1) if self.look == "points" else rows.extremes(values)
         if not kept.any():
             return
         values, rows = values[kept], rows.kept(kept)
-        if both or self.unit is None:
+        if exact:
             rec.send_columns(self.exact, indexes=rows.indexes, columns=rr.Scalars.columns(scalars=values))
         if self.unit is not None:
             scaled = rr.Scalars.columns(scalars=values * self._factor)

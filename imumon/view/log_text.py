@@ -27,10 +27,11 @@ class LogText:
     def add(self, line: Log) -> None:
         """Take a line."""
         mark = "" if line.level in ("INFO", "DEBUG", "TRACE") else f"**{line.level}** "
-        self._lines.appendleft(f"`{_clock(line.at.host_ns)}` {mark}{for_markdown(line.text)}")
+        self._lines.appendleft(f"`{clock(line.at.host_ns)}` {mark}{for_markdown(line.text)}")
 
 
-def _clock(host_ns: int | None) -> str:
+def clock(host_ns: int | None) -> str:
+    """Return the time of day where this program runs; dashes where it is not known or damaged."""
     if host_ns is None:
         return "--:--:--"
     try:

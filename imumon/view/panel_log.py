@@ -8,12 +8,12 @@ import rerun as rr
 from imumon.view.cards import Cards, Reading, card
 from imumon.view.extent import FEW_MARKS, FEWEST_MARKS, Extent, entity
 from imumon.view.items import ViewSetup
-from imumon.view.layout import FIRST, LINK, SCENE, Panel, Rows, tab_of
-from imumon.view.panels import PANELS
+from imumon.view.layout import FIRST, LINK, Panel, Rows, tab_of
+from imumon.view.shown import ShownPanels
 
 HIGH_STRIPS = 2
 """With more in a tab each is too low for numbers at all marks of its axis."""
-LIVE_STEP_NS, RECORDED_STEP_NS = 500_000_000, 10_000_000_000
+LIVE_CARD_NS, RECORDED_CARD_NS = 500_000_000, 10_000_000_000
 """How often the cards are written: a person cannot read faster; in a recording each costs 2 kB."""
 
 
@@ -30,9 +30,8 @@ class PanelLog:
 
     def __init__(self, rec: rr.RecordingStream, setup: ViewSetup, *, live: bool) -> None:
         self._rec = rec
-        self._setup = setup
-        self._step_ns = LIVE_STEP_NS if live else RECORDED_STEP_NS
-        self._shown: dict[str, Panel] = {}
+        self._step_ns = LIVE_CARD_NS if live else RECORDED_CARD_NS
+        self._panels = ShownPanels(setup)
         self._extents: dict[str, Extent] = {}
         self._cards = Cards()
         self._written_ns: int | None = None
@@ -40,24 +39,24 @@ class PanelLog:
     @property
     def shown(self) -> tuple[Panel, ...]:
         """The panels that have data."""
-        return tuple(panel for panel in PANELS if panel.key in self._shown)
+        return self._panels.in_order
 
     def declare(self) -> None:
         """Log what does not change, for a new reader."""
-        for panel in self._shown.values():
+        for panel in self._panels.begun.values():
             panel.declare(self._rec)
 
     def log(self, rows: Rows) -> set[str]:
         """Log rows; return the columns that panels draw."""
         claimed: set[str] = set()
-        for panel in PANELS:
-            if not rows.columns.keys() >= set(panel.columns):
-                continue
+        for panel in self._panels.drawing(rows):
             claimed.update(panel.columns)
-            if panel.key in self._shown or self._begins(panel, rows):
+            if self._panels.begins(panel, rows):
+                panel.declare(self._rec)
+            if panel.key in self._panels.begun:
                 panel.log(self._rec, rows)
                 self._log_extent(panel, rows)
-                self._cards.add(panel.readings(self._setup), rows.columns)
+                self._cards.add(self._panels.readings[panel.key], rows.columns)
         return claimed
 
     def log_cards(self, newest: Rows) -> None:
@@ -76,27 +75,17 @@ class PanelLog:
         """Return what the card of each tab shows: that of the first tab everything."""
         found: dict[str, list[Reading]] = {}
         for panel in self.shown:
-            readings = panel.readings(self._setup)
+            readings = self._panels.readings[panel.key]
             for place in dict.fromkeys((FIRST, tab_of(panel.place))):
                 if readings:
                     found.setdefault(place, []).extend(readings)
         return found
 
-    def _begins(self, panel: Panel, rows: Rows) -> bool:
-        """Take a panel up when each of its columns has a value; only one body can turn."""
-        if not all(np.isfinite(rows.columns[name]).any() for name in panel.columns):
-            return False
-        if panel.place == SCENE and any(other.place == SCENE for other in self._shown.values()):
-            return False
-        self._shown[panel.key] = panel
-        panel.declare(self._rec)
-        return True
-
     def _log_extent(self, panel: Panel, rows: Rows) -> None:
         reach = panel.reach(rows)
         if reach is None:
             return
-        neighbours = sum(other.place == panel.place for other in self._shown.values())
+        neighbours = sum(other.place == panel.place for other in self._panels.begun.values())
         known = self._extents.setdefault(panel.key, Extent())
         crowded = FEW_MARKS if neighbours > HIGH_STRIPS else None
         ends = known.ends(rows.clock, reach, FEWEST_MARKS if panel.place == LINK else crowded)

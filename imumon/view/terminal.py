@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from datetime import datetime
 from textwrap import wrap
 
 import numpy as np
@@ -15,8 +14,9 @@ from imumon.view.cards import AXES, Cards, Reading, cell
 from imumon.view.items import Log, Numbers, Samples, State, ViewItem, ViewSetup, merge
 from imumon.view.lanes import NAMES
 from imumon.view.layout import Rows
-from imumon.view.panels import PANELS
+from imumon.view.log_text import clock
 from imumon.view.queue import DropOldestQueue
+from imumon.view.shown import ShownPanels
 
 QUEUE_BYTES = 4 << 20
 HISTORY = 60
@@ -44,7 +44,7 @@ class TerminalView:
         self._setup = setup
         self._queue = DropOldestQueue(QUEUE_BYTES)
         self._cards = Cards()
-        self._readings: dict[str, Sequence[Reading]] = {}
+        self._panels = ShownPanels(setup)
         self._past: dict[str, deque[float]] = {}
         self._lanes: dict[str, str] = {}
         self._log: deque[str] = deque(maxlen=LOG_LINES)
@@ -61,7 +61,9 @@ class TerminalView:
         for name, value in now.items():
             self._past.setdefault(name, deque(maxlen=HISTORY)).append(value)
         found = [f"{self._setup.title}  {status}", *wrap(self._states(), columns), ""]
-        found += [line for readings in self._readings.values() for line in self._rows(readings, now, columns)]
+        for key in self._panels.begun:
+            if readings := self._panels.readings[key]:
+                found += self._rows(readings, now, columns)
         room = rows - len(found) - 1
         if room > 0:
             log = [part for line in self._log for part in wrap(line, columns, subsequent_indent="  ")]
@@ -81,15 +83,9 @@ class TerminalView:
                 self._log.append(_logged(item))
 
     def _gather(self, rows: Rows) -> None:
-        for panel in PANELS:
-            readings = panel.readings(self._setup)
-            if not readings or not rows.columns.keys() >= set(panel.columns):
-                continue
-            if panel.key not in self._readings and all(
-                np.isfinite(rows.columns[name]).any() for name in panel.columns
-            ):
-                self._readings[panel.key] = readings
-            self._cards.add(readings, rows.columns)
+        for panel in self._panels.drawing(rows):
+            self._panels.begins(panel, rows)
+            self._cards.add(self._panels.readings[panel.key], rows.columns)
 
     def _states(self) -> str:
         order = {name: at for at, name in enumerate(NAMES)}
@@ -136,10 +132,8 @@ def _label(reading: Reading, readings: Sequence[Reading]) -> str:
 
 
 def _logged(line: Log) -> str:
-    clock = ""
-    if line.at.host_ns is not None and 0 <= line.at.host_ns < 2**62:
-        clock = datetime.fromtimestamp(line.at.host_ns * 1e-9).astimezone().strftime("%H:%M:%S ")
-    return f"{clock}{line.level + ' ' if line.level not in ('INFO', 'DEBUG') else ''}{line.text}"
+    when = "" if line.at.host_ns is None else f"{clock(line.at.host_ns)} "
+    return f"{when}{line.level + ' ' if line.level not in ('INFO', 'DEBUG') else ''}{line.text}"
 
 
 class Screen:

@@ -55,6 +55,8 @@ def test_spikes_come_back_bit_for_bit_in_a_fraction_of_the_rows(tmp_path: Path) 
     assert recorder.files == [tmp_path / "view.rrd"]
     assert recorder.dropped == 0
     check_extremes(recorder.files, stream)
+    assert "/view/gyro" in entities(recorder.files[0])
+    assert "/samples/gyro" not in entities(recorder.files[0])  # the same in another unit
     assert len(scalars(recorder.files, "/samples/accel")[0]) <= 10 * 7
     rerun("rrd", "verify", str(tmp_path / "view.rrd"))
 
