@@ -20,7 +20,8 @@ _GROUPS = {
     "gyro": ("Allan deviation of the angular rate, at rest", "°/h", math.degrees(3600.0)),
     "accel": ("Allan deviation of the specific force, at rest", "µg", 1.0 / MICRO_G),
 }
-_WALKS, _PER_SI = {"gyro": "°/√h", "accel": "m/s/√h"}, {"gyro": math.degrees(1.0), "accel": 1.0}
+_WALKS = {"gyro": ("°/√h", math.degrees(60.0)), "accel": ("m/s/√h", 60.0)}
+"""Unit of the random walk, and how many of it one in SI units per √s is."""
 CHANNELS = tuple(f"{group}_{axis}" for group in _GROUPS for axis in AXIS_COLORS)
 
 
@@ -105,17 +106,18 @@ def allan_curves(found: Mapping[str, LiveCurve], sheet: SheetLine | None, factor
 
 def _note(axis: str, curve: LiveCurve, group: str) -> str:
     """Return what can be read off a curve: at 1 s the random walk, with its interval, and the lowest."""
-    _, unit, factor = _GROUPS[group]
-    text = "-"
-    near = int(np.argmin(np.abs(np.log(curve.tau_s)), axis=0)) if len(curve.tau_s) else 0
-    if len(curve.tau_s) and 0.5 <= curve.tau_s[near] <= 2.0:
-        per_root_hour = 60.0 * math.sqrt(curve.tau_s[near]) * _PER_SI[group]
-        reach = 0.5 * (curve.high[near] - curve.low[near]) * per_root_hour
-        text = f"{curve.deviation[near] * per_root_hour:.3g} ± {reach:.2g} {_WALKS[group]}"
-    lowest = int(np.argmin(curve.deviation)) if len(curve.tau_s) else 0
-    so_far = " so far" if lowest == len(curve.tau_s) - 1 else ""
-    least = f"{factor * curve.deviation[lowest]:.3g} {unit}" if len(curve.tau_s) else "-"
-    return f"{axis}  random walk {text:24} lowest {least}{so_far}"
+    walk = least = "-"
+    if len(curve.tau_s):
+        (_, unit, factor), (per_root_hour, walks) = _GROUPS[group], _WALKS[group]
+        near = int(np.argmin(np.abs(np.log(curve.tau_s))))
+        if 0.5 <= curve.tau_s[near] <= 2.0:
+            scale = walks * math.sqrt(curve.tau_s[near])
+            reach = 0.5 * (curve.high[near] - curve.low[near]) * scale
+            walk = f"{curve.deviation[near] * scale:.3g} ± {reach:.2g} {per_root_hour}"
+        lowest = int(np.argmin(curve.deviation))
+        so_far = " so far" if lowest == len(curve.tau_s) - 1 else ""
+        least = f"{factor * curve.deviation[lowest]:.3g} {unit}{so_far}"
+    return f"{axis}  random walk {walk:24} lowest {least}"
 
 
 def _guide(shown: Mapping[str, LiveCurve], factor: float) -> Curve:

@@ -16,10 +16,10 @@ TAB = "Spectrum"
 SPAN_S = 30.0
 """What is looked at: the last so many seconds."""
 MOST_SAMPLES = 32768
-SEGMENTS = 7
-"""A segment is two of these parts plus one of the span: thirteen of them overlap by half."""
+PARTS = 7
+"""A segment is two of so many parts of the span: six of them overlap by half."""
 FEWEST = 256
-"""Samples that are needed."""
+"""Samples that are needed: with fewer a segment has too few bins for a floor beside a line."""
 GAP = 20.0
 """A gap of more intervals is not bridged: the spectrum is that of what came after it."""
 _GROUPS = {
@@ -95,7 +95,7 @@ def _spectrum(even: FloatArray, times: IntArray, values: FloatArray, interval_s:
     if known.mean() < 0.5:
         return None
     laid = np.interp(even, times[known], values[known])
-    return welch(laid, interval_s, max(2 * (len(laid) // SEGMENTS), 2))
+    return welch(laid, interval_s, max(2 * (len(laid) // PARTS), 2))
 
 
 def _chart(group: str, found: Mapping[str, Spectrum | None]) -> Chart | None:
