@@ -25,6 +25,17 @@ OUTPUTS = {
 }
 """What can be asked for, whatever the family; the time or counter of the sample comes with it."""
 
+USUAL_COLUMNS: dict[str, tuple[str, ...]] = {
+    "inertial": ("gyro_x",),
+    "increments": ("delta_velocity_x",),
+    "magnetometer": ("mag_x",),
+    "temperature": ("temperature",),
+    "pressure": ("pressure",),
+    "attitude": ("q_w",),
+    "status": ("status",),
+}
+"""For each output the columns of which one must come, in most families."""
+
 BAUD = "baud rate"
 """Name of the setting that changes the line itself."""
 ANSWER_S = 0.5
@@ -117,6 +128,34 @@ class Wish:
         return self.rate_hz is None and self.outputs is None
 
 
+Sizer = Callable[[bytes, int], tuple[int, Message | None]]
+"""Takes bytes and a place; returns the size of the packet there (0: none; -1: cut off), and its message."""
+
+
+def search(held: bytes, sync: bytes, sized: Sizer) -> tuple[list[Message], int]:
+    """Return the messages among bytes, and how many bytes are done with.
+
+    A packet that is cut off hides none behind it: what follows is looked at, and looked at again when more
+    has come.
+    """
+    found: list[Message] = []
+    cut = -1
+    at = held.find(sync)
+    while at >= 0:
+        size, message = sized(held, at)
+        if size < 0 and cut < 0:
+            cut = at
+        if message is not None:
+            found.append(message)
+        at = held.find(sync, at + max(size, 1))
+    if cut >= 0:
+        return found, cut
+    for k in range(len(sync) - 1, 0, -1):
+        if held.endswith(sync[:k]):
+            return found, len(held) - k
+    return found, len(held)
+
+
 class Family(ABC):
     """How devices of a family are configured: pure functions of settings, which are bytes under names."""
 
@@ -139,9 +178,17 @@ class Family(ABC):
     identity: tuple[str, ...] = ()
     """What the device says of itself, after `learn`."""
 
+    sync: ClassVar[bytes]
+    """How what may be an answer begins."""
+
+    @staticmethod
     @abstractmethod
+    def sized(held: bytes, at: int) -> tuple[int, Message | None]:
+        """Return the size of what begins there, and its message; see `Sizer`."""
+
     def messages(self, held: bytes) -> tuple[list[Message], int]:
         """Return what in these bytes may be an answer, and how many of them are done with."""
+        return search(held, self.sync, self.sized)
 
     @abstractmethod
     def hello(self) -> Request:
@@ -273,31 +320,3 @@ def divisor(base_hz: float, rate_hz: float, most: int = 65535) -> int:
     low = min(max(int(exact), 1), most)
     there = [base_hz / low, base_hz / min(low + 1, most)]
     raise no_rate(rate_hz, there, f"the device divides {base_hz:g} Hz by a whole number")
-
-
-Sizer = Callable[[bytes, int], tuple[int, Message | None]]
-"""Takes bytes and a place; returns the size of the packet there (0: none; -1: cut off), and its message."""
-
-
-def search(held: bytes, sync: bytes, sized: Sizer) -> tuple[list[Message], int]:
-    """Return the messages among bytes, and how many bytes are done with.
-
-    A packet that is cut off hides none behind it: what follows is looked at, and looked at again when more
-    has come.
-    """
-    found: list[Message] = []
-    cut = -1
-    at = held.find(sync)
-    while at >= 0:
-        size, message = sized(held, at)
-        if size < 0 and cut < 0:
-            cut = at
-        if message is not None:
-            found.append(message)
-        at = held.find(sync, at + max(size, 1))
-    if cut >= 0:
-        return found, cut
-    for k in range(len(sync) - 1, 0, -1):
-        if held.endswith(sync[:k]):
-            return found, len(held) - k
-    return found, len(held)

@@ -17,6 +17,7 @@ from imumon.errors import ImumonError, Reason
 from imumon.protocols.commands.core import (
     BAUD,
     SAVE_S,
+    USUAL_COLUMNS,
     Ask,
     CommandError,
     Family,
@@ -26,7 +27,6 @@ from imumon.protocols.commands.core import (
     Wish,
     divisor,
     nothing_to_keep,
-    search,
 )
 from imumon.protocols.mip import ERRORS, FILTER, SENSOR, SET_NAMES, Clock, mip_fields
 from imumon.protocols.mip_filter import Attitude
@@ -81,16 +81,6 @@ def frame(descriptor_set: int, *fields: tuple[int, bytes]) -> bytes:
     payload = b"".join(bytes([len(data) + 2, code]) + data for code, data in fields)
     body = SYNC + bytes([descriptor_set, len(payload)]) + payload
     return body + checksum(body)
-
-
-def _sized(held: bytes, at: int) -> tuple[int, Message | None]:
-    if at + 4 > len(held):
-        return -1, None
-    size = held[at + 3] + 6
-    if at + size > len(held):
-        return -1, None
-    packet = held[at : at + size]
-    return (size, Message(packet[2], packet[4:-2])) if checksum(packet[:-2]) == packet[-2:] else (0, None)
 
 
 def fields(payload: bytes) -> list[tuple[int, bytes]]:
@@ -160,24 +150,24 @@ class Mip(Family):
     base_hz: Mapping[int, int] = field(default_factory=lambda: {SENSOR: USUAL_BASE_HZ, FILTER: USUAL_BASE_HZ})
     speed_in_base: bool = False
     identity: tuple[str, ...] = ()
+    sync: ClassVar[bytes] = SYNC
     title: ClassVar[str] = "MicroStrain"
     verified: ClassVar[str] = (
         "frames of other programs (0x08, 0x0A), and the virtual device; never a real unit"
     )
     baudrates: ClassVar[Sequence[int]] = (115_200, 230_400, 460_800, 921_600)
-    columns: ClassVar[Mapping[str, tuple[str, ...]]] = {
-        "inertial": ("gyro_x",),
-        "increments": ("delta_velocity_x",),
-        "magnetometer": ("mag_x",),
-        "temperature": ("temperature",),
-        "pressure": ("pressure",),
-        "attitude": ("q_w",),
-        "status": ("overrange",),
-    }
+    columns: ClassVar[Mapping[str, tuple[str, ...]]] = USUAL_COLUMNS | {"status": ("overrange",)}
 
-    def messages(self, held: bytes) -> tuple[list[Message], int]:
-        """Find MIP packets; see `Family.messages`."""
-        return search(held, SYNC, _sized)
+    @staticmethod
+    def sized(held: bytes, at: int) -> tuple[int, Message | None]:
+        """Return the size of what begins there, and its message; see `Family.sized`."""
+        if at + 4 > len(held):
+            return -1, None
+        size = held[at + 3] + 6
+        if at + size > len(held):
+            return -1, None
+        packet = held[at : at + size]
+        return (size, Message(packet[2], packet[4:-2])) if checksum(packet[:-2]) == packet[-2:] else (0, None)
 
     def hello(self) -> Request:
         """Return a ping."""

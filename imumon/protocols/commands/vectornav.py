@@ -16,6 +16,7 @@ import numpy as np
 from imumon.protocols.commands.core import (
     BAUD,
     SAVE_S,
+    USUAL_COLUMNS,
     Ask,
     Family,
     Message,
@@ -24,7 +25,6 @@ from imumon.protocols.commands.core import (
     Wish,
     divisor,
     nothing_to_keep,
-    search,
 )
 from imumon.protocols.text import LONGEST_LINE
 from imumon.protocols.vectornav import read_header
@@ -75,21 +75,6 @@ def crc(data: bytes) -> int:
         for _ in range(8):
             register = (register << 1 ^ (0x1021 if register & 0x8000 else 0)) & 0xFFFF
     return register
-
-
-def _sized(held: bytes, at: int) -> tuple[int, Message | None]:
-    end = held.find(b"\n", at, at + LONGEST_LINE)
-    if end < 0:
-        return (-1 if len(held) - at < LONGEST_LINE else 0), None
-    body, star, given = held[at + 1 : end].rstrip(b"\r").rpartition(b"*")
-    if not star or not body.isascii() or len(given) not in (2, 4):
-        return 0, None
-    text = body.decode()
-    try:
-        right = int(given, 16) == (xor(text) if len(given) == 2 else crc(body))
-    except ValueError:
-        right = False
-    return (end + 1 - at, Message(text[2:5], text[6:].encode())) if right else (0, None)
 
 
 def request(command: str, meaning: str, echo: str = "", timeout_s: float = 0.5) -> Request:
@@ -199,6 +184,7 @@ class VectorNav(Family):
 
     base_hz: int = FAST_HZ
     identity: tuple[str, ...] = ()
+    sync: ClassVar[bytes] = SYNC
     title: ClassVar[str] = "VectorNav"
     verified: ClassVar[str] = (
         "lines of other programs and of the vendor's, and the virtual device; never a real unit"
@@ -215,19 +201,23 @@ class VectorNav(Family):
         921_600,
     )
     silent_hint: ClassVar[str] = "the binary output may go to the other serial port of the device"
-    columns: ClassVar[Mapping[str, tuple[str, ...]]] = {
-        "inertial": ("gyro_x",),
-        "increments": ("delta_velocity_x",),
-        "magnetometer": ("mag_x",),
-        "temperature": ("temperature",),
-        "pressure": ("pressure",),
-        "attitude": ("q_w",),
-        "status": ("status",),
-    }
+    columns: ClassVar[Mapping[str, tuple[str, ...]]] = USUAL_COLUMNS
 
-    def messages(self, held: bytes) -> tuple[list[Message], int]:
-        """Find sentences; see `Family.messages`."""
-        return search(held, SYNC, _sized)
+    @staticmethod
+    def sized(held: bytes, at: int) -> tuple[int, Message | None]:
+        """Return the size of what begins there, and its message; see `Family.sized`."""
+        end = held.find(b"\n", at, at + LONGEST_LINE)
+        if end < 0:
+            return (-1 if len(held) - at < LONGEST_LINE else 0), None
+        body, star, given = held[at + 1 : end].rstrip(b"\r").rpartition(b"*")
+        if not star or not body.isascii() or len(given) not in (2, 4):
+            return 0, None
+        text = body.decode()
+        try:
+            right = int(given, 16) == (xor(text) if len(given) == 2 else crc(body))
+        except ValueError:
+            right = False
+        return (end + 1 - at, Message(text[2:5], text[6:].encode())) if right else (0, None)
 
     def hello(self) -> Request:
         """Return a request for the model."""

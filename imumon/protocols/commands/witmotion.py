@@ -21,7 +21,6 @@ from imumon.protocols.commands.core import (
     Wish,
     no_rate,
     nothing_to_keep,
-    search,
 )
 
 SYNC = b"\x55"
@@ -62,15 +61,6 @@ def frame(register: int, value: bytes) -> bytes:
     return b"\xff\xaa" + bytes([register]) + value
 
 
-def _sized(held: bytes, at: int) -> tuple[int, Message | None]:
-    packet = held[at : at + SIZE]
-    if len(packet) < SIZE:
-        return -1, None
-    if sum(packet[:-1]) & 0xFF != packet[-1]:
-        return 0, None
-    return SIZE, Message(packet[1], packet[2:10])
-
-
 def _registers(message: Message) -> bytes | Refusal | None:
     """Return the first of the four registers of an answer."""
     return message.payload[:2] if message.kind == REGISTER_ANSWER else None
@@ -80,6 +70,7 @@ def _registers(message: Message) -> bytes | Refusal | None:
 class WitMotion(Family):
     """Commands of a WitMotion module."""
 
+    sync: ClassVar[bytes] = SYNC
     title: ClassVar[str] = "WitMotion"
     verified: ClassVar[str] = "codes of the vendor's sample code, and the virtual device; never a real unit"
     save_confirmed: ClassVar[bool] = False
@@ -92,9 +83,15 @@ class WitMotion(Family):
         "attitude": ("roll",),
     }
 
-    def messages(self, held: bytes) -> tuple[list[Message], int]:
-        """Find frames of 11 bytes; see `Family.messages`."""
-        return search(held, SYNC, _sized)
+    @staticmethod
+    def sized(held: bytes, at: int) -> tuple[int, Message | None]:
+        """Return the size of what begins there, and its message; see `Family.sized`."""
+        packet = held[at : at + SIZE]
+        if len(packet) < SIZE:
+            return -1, None
+        if sum(packet[:-1]) & 0xFF != packet[-1]:
+            return 0, None
+        return SIZE, Message(packet[1], packet[2:10])
 
     def hello(self) -> Request:
         """Return a read of the output rate."""

@@ -15,6 +15,7 @@ from imumon.errors import ImumonError, Reason
 from imumon.protocols.commands.core import (
     BAUD,
     SAVE_S,
+    USUAL_COLUMNS,
     Ask,
     CommandError,
     Family,
@@ -24,7 +25,6 @@ from imumon.protocols.commands.core import (
     Wish,
     no_rate,
     nothing_to_keep,
-    search,
 )
 from imumon.protocols.xsens.fields import MTDATA2_FIELDS
 from imumon.protocols.xsens.messages import ERROR, ERRORS, NAMES, identifier_name
@@ -65,24 +65,6 @@ def frame(kind: int, payload: bytes = b"") -> bytes:
     return b"\xfa" + body + bytes([-sum(body) & 0xFF])
 
 
-def _sized(held: bytes, at: int) -> tuple[int, Message | None]:
-    header = held[at : at + 6]
-    if len(header) < 4:
-        return -1, None
-    size, start = header[3], at + 4
-    if size == 255:
-        if len(header) < 6:
-            return -1, None
-        size, start = int.from_bytes(header[4:6], "big"), at + 6
-    if size > LONGEST:
-        return 0, None
-    if start + size >= len(held):
-        return -1, None
-    if sum(held[at + 1 : start + size + 1]) & 0xFF:
-        return 0, None
-    return start + size + 1 - at, Message(header[2], held[start : start + size])
-
-
 def request(kind: int, payload: bytes = b"", meaning: str = "", timeout_s: float = SAVE_S) -> Request:
     """Return a request; its answer has the next number, an Error message says no."""
 
@@ -113,25 +95,33 @@ class Xsens(Family):
     """Commands of an MTi."""
 
     identity: tuple[str, ...] = ()
+    sync: ClassVar[bytes] = SYNC
     title: ClassVar[str] = "Xsens MTi"
     verified: ClassVar[str] = "frames of other programs, and the virtual device; never a real unit"
     stores_at_once: ClassVar[bool] = True
     hello_quiets: ClassVar[bool] = True
     reset_s: ClassVar[float] = 5.0
     baudrates: ClassVar[Sequence[int]] = tuple(BAUD_CODES.values())
-    columns: ClassVar[Mapping[str, tuple[str, ...]]] = {
-        "inertial": ("gyro_x",),
-        "increments": ("delta_velocity_x",),
-        "magnetometer": ("mag_x",),
-        "temperature": ("temperature",),
-        "pressure": ("pressure",),
-        "attitude": ("q_w",),
-        "status": ("status",),
-    }
+    columns: ClassVar[Mapping[str, tuple[str, ...]]] = USUAL_COLUMNS
 
-    def messages(self, held: bytes) -> tuple[list[Message], int]:
-        """Find Xbus messages; see `Family.messages`."""
-        return search(held, SYNC, _sized)
+    @staticmethod
+    def sized(held: bytes, at: int) -> tuple[int, Message | None]:
+        """Return the size of what begins there, and its message; see `Family.sized`."""
+        header = held[at : at + 6]
+        if len(header) < 4:
+            return -1, None
+        size, start = header[3], at + 4
+        if size == 255:
+            if len(header) < 6:
+                return -1, None
+            size, start = int.from_bytes(header[4:6], "big"), at + 6
+        if size > LONGEST:
+            return 0, None
+        if start + size >= len(held):
+            return -1, None
+        if sum(held[at + 1 : start + size + 1]) & 0xFF:
+            return 0, None
+        return start + size + 1 - at, Message(header[2], held[start : start + size])
 
     def hello(self) -> Request:
         """Return GoToConfig: in the state of measurement an MTi answers nothing else."""
