@@ -27,6 +27,7 @@ COMMANDS = {
     "align": "Find the heading of a resting unit by the earth rate.",
     "calibrate": "Find the bias over temperature from recordings at rest.",
     "magnetometer": "Find hard and soft iron from a figure-eight.",
+    "doctor": "Look what this computer lacks, and say what to do.",
     "ports": "List serial ports.",
     "detect": "Find baud rate and protocol of a device by trying.",
     "allan": "Tell noise, bias instability and drift of a recording at rest.",
