@@ -69,6 +69,9 @@ def cli() -> None:
 
 def main() -> None:
     """Run the command line; errors that a user can act on end with one clear message and their exit code."""
+    # Read when NumPy is imported.  The matrices are small: threads that wait in a spin cost up to eight times
+    # the work on a machine that has something else to do.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     _open_missing_streams()
     _tell_of_compiling()
     code = run(sys.argv[1:])
