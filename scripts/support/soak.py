@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from tests.faults import cost, damage, documents, killed, medium, recovery
+from tests.faults import cost, damage, documents, killed, line, medium, recovery
 from tests.faults.rows import Row
 
 DOCS = Path(__file__).parents[2] / "docs" / "reliability.md"
@@ -24,6 +24,10 @@ def _damage(folder: Path, short: bool) -> Iterator[Row]:
 def _killed(folder: Path, short: bool) -> Iterator[Row]:
     for rate_hz in (100.0, 1000.0):
         yield killed.kill_many(folder, rate_hz, 2 if short else 10, 1)
+
+
+def _line(folder: Path, short: bool) -> Iterator[Row]:
+    yield from line.attack_all(folder, 1 if short else 10, 1)
 
 
 def _medium(folder: Path, short: bool) -> Iterator[Row]:
@@ -50,6 +54,7 @@ def _devices(_: Path, short: bool) -> Iterator[Row]:
 
 SECTIONS: dict[str, Section] = {
     "damage": _damage,
+    "line": _line,
     "killed": _killed,
     "medium": _medium,
     "documents": _documents,
