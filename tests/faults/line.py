@@ -282,8 +282,9 @@ class Watched:
     def __init__(self, line: Line, folder: Path) -> None:
         self.line, self.folder = line, folder
         self.items: list[ViewItem] = []
+        self.said: list[str] = []
         text, settings = device_text(DEVICE.name)[0], PortSettings(line.port.path, line.port.baudrate)
-        self.run = LiveRun(DEVICE, text, settings, Setup(), folder, lambda *_: None)
+        self.run = LiveRun(DEVICE, text, settings, Setup(), folder, lambda _, text: self.said.append(text))
         self.run.open()
         self.run.begin([self.items.append])
 
