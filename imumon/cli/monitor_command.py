@@ -23,6 +23,7 @@ from imumon.cli.common import (
     print_json,
     print_rows,
     warn_of_no_display,
+    warn_of_readers,
     window_option,
 )
 from imumon.cli.live_run import PortRun
@@ -80,6 +81,7 @@ def command(
             "run it in a terminal, or use --view web or none",
         )
     warn_of_no_display(view)
+    warn_of_readers(view, bind)
     live = PortRun(port, device, baud, make_setup(options), out, seconds)
     run = live.run
     views: _Views | None = None

@@ -21,6 +21,7 @@ from imumon.cli.common import (
     split_columns,
     warn,
     warn_of_no_display,
+    warn_of_readers,
     window_option,
 )
 from imumon.cli.setup_options import SetupOptions, make_setup, setup_options
@@ -97,6 +98,7 @@ def command(
         from imumon.view.publisher import ViewPublisher
 
         warn_of_no_display(view)
+        warn_of_readers(view, bind)
         publisher = ViewPublisher(view, _shown(source, opened, pipeline, window), bind=bind).start()
         _announce(publisher)
         card = {"session": str(session), "replay": "as fast as it goes" if pace is None else f"{pace:g} x"}

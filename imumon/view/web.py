@@ -16,6 +16,7 @@ from urllib.error import URLError
 from urllib.parse import quote
 
 from imumon.errors import ImumonError, Reason
+from imumon.view.gate import HOST, refusal
 from imumon.view.viewer import LOCALHOST, free_port, proxy_url, start_quietly, viewer_binary
 
 ASSETS = {
@@ -28,7 +29,6 @@ ASSETS = {
 
 FETCH_S = 10.0
 ALIVE = "/alive"
-HOST = re.compile(r"([\w.-]+|\[[0-9a-fA-F:]+\])(?::\d+)?$")
 
 SCRIPT = """
 <script>
@@ -154,6 +154,9 @@ class _Handler(BaseHTTPRequestHandler):
     def do_GET(self) -> None:
         """Answer with a file, or lead the bare address to the one that names the stream."""
         site = self._site
+        if said := refusal(self.headers.get("Host", ""), self.headers.get("Origin", "")):
+            self.send_error(HTTPStatus.FORBIDDEN, explain=said)
+            return
         path, _, query = self.path.partition("?")
         body = site.files.get(path)
         if body is None:
