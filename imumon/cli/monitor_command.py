@@ -148,6 +148,7 @@ class _Views:
             tell("INFO", f"live view: {self._live.url}")
 
     def close(self) -> None:
+        self._recorder.end()
         if self._live is not None:
             self._live.close()
         self._recorder.close()

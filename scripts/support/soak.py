@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from tests.faults import cost, damage, disk, documents, killed, line, medium, recovery
+from tests.faults import cost, damage, disk, documents, killed, line, medium, recovery, viewer
 from tests.faults.rows import Row
 
 DOCS = Path(__file__).parents[2] / "docs" / "reliability.md"
@@ -34,6 +34,10 @@ def _disk(folder: Path, short: bool) -> Iterator[Row]:
 
 def _line(folder: Path, short: bool) -> Iterator[Row]:
     yield from line.attack_all(folder, 1 if short else 10, 1)
+
+
+def _viewer(folder: Path, short: bool) -> Iterator[Row]:
+    yield from viewer.attack_all(folder, 2.0 if short else 20.0)
 
 
 def _medium(folder: Path, short: bool) -> Iterator[Row]:
@@ -63,6 +67,7 @@ SECTIONS: dict[str, Section] = {
     "line": _line,
     "killed": _killed,
     "disk": _disk,
+    "viewer": _viewer,
     "medium": _medium,
     "documents": _documents,
     "cost": _cost,
