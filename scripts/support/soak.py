@@ -10,7 +10,19 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from tests.faults import cost, damage, disk, documents, killed, line, medium, recovery, viewer
+from tests.faults import (
+    cost,
+    damage,
+    disk,
+    documents,
+    endurance,
+    fuzz,
+    killed,
+    line,
+    medium,
+    recovery,
+    viewer,
+)
 from tests.faults.rows import Row
 
 DOCS = Path(__file__).parents[2] / "docs" / "reliability.md"
@@ -50,6 +62,20 @@ def _documents(folder: Path, short: bool) -> Iterator[Row]:
     yield documents.mutate_devices(200 if short else 2000, 1)
 
 
+def _fuzz(_: Path, short: bool) -> Iterator[Row]:
+    yield from fuzz.fuzz_all(50 if short else 5000, 1)
+
+
+def _endurance(folder: Path, short: bool) -> Iterator[Row]:
+    yield endurance.accelerated(folder, 400.0, 0.1 if short else 2.0)
+    yield endurance.real_time(folder, 1000.0, 0.5 if short else 10.0)
+
+
+def _days(folder: Path, short: bool) -> Iterator[Row]:
+    yield endurance.accelerated(folder, 400.0, 0.1 if short else 24.0)
+    yield endurance.real_time(folder, 100.0, 0.5 if short else 60.0)
+
+
 def _cost(_: Path, short: bool) -> Iterator[Row]:
     yield from cost.measure_all(("ax1", "sbg") if short else None)
 
@@ -70,27 +96,31 @@ SECTIONS: dict[str, Section] = {
     "viewer": _viewer,
     "medium": _medium,
     "documents": _documents,
+    "fuzz": _fuzz,
     "cost": _cost,
     "recovery": _recovery,
     "devices": _devices,
+    "endurance": _endurance,
 }
+LONG: dict[str, Section] = {"days": _days}
+"""Sections that are run by their name only: an hour and more."""
 
 
 def main() -> int:
     """Run the sections; return 1 when something did not hold."""
     warnings.simplefilter("ignore")
     parser = argparse.ArgumentParser(prog="scripts/soak", description=__doc__)
-    parser.add_argument("sections", nargs="*", metavar="SECTION", help=f"of {', '.join(SECTIONS)}")
+    parser.add_argument("sections", nargs="*", metavar="SECTION", help=f"of {', '.join(SECTIONS | LONG)}")
     parser.add_argument("--short", action="store_true", help="few times each: a minute or two in all")
     parser.add_argument("--write", action="store_true", help=f"write the tables into {DOCS.name}")
     options = parser.parse_args()
-    if unknown := set(options.sections) - SECTIONS.keys():
-        parser.error(f"no section {', '.join(sorted(unknown))}; there are: {', '.join(SECTIONS)}")
+    if unknown := set(options.sections) - (SECTIONS | LONG).keys():
+        parser.error(f"no section {', '.join(sorted(unknown))}; there are: {', '.join(SECTIONS | LONG)}")
     held = True
     for name in options.sections or SECTIONS:
         with TemporaryDirectory() as folder:
             rows = []
-            for row in SECTIONS[name](Path(folder), options.short):
+            for row in (SECTIONS | LONG)[name](Path(folder), options.short):
                 print(
                     f"{'held' if row.held else 'FAIL'}  {row.fault} ({row.times}): {row.outcome}", flush=True
                 )
