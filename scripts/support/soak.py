@@ -127,15 +127,16 @@ def main() -> int:
                 rows.append(row)
         held = held and all(row.held for row in rows)
         if options.write:
-            write(name, rows)
+            write(name, rows, options.short)
     return int(not held)
 
 
-def write(name: str, rows: list[Row]) -> None:
+def write(name: str, rows: list[Row], short: bool) -> None:
     """Put a table between the marks of its section."""
     lines = ["| fault | times tried | outcome | held |", "|---|---:|---|---|"]
     lines += [f"| {r.fault} | {r.times:,} | {r.outcome} | {'yes' if r.held else '**no**'} |" for r in rows]
-    command = f"`scripts/soak {name}`, on {platform.machine()}, Python {platform.python_version()}:"
+    form = f"{name} --short" if short else name
+    command = f"`scripts/soak {form}`, on {platform.machine()}, Python {platform.python_version()}:"
     table = "\n".join([f"<!-- soak {name} -->", command, "", *lines, f"<!-- end {name} -->"])
     pattern = re.compile(rf"<!-- soak {name} -->.*?<!-- end {name} -->", re.DOTALL)
     text = DOCS.read_text(encoding="utf-8")

@@ -1,10 +1,13 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
 
+from imumon.cli import EXIT_INTERRUPTED
+from imumon.errors import EXIT_NEGATIVE, EXIT_OK, Reason
 from imumon.protocols.device import load_device
 from imumon.recordings.folder import open_session
 from imumon.simulation.virtual_device import VirtualDevice
@@ -31,6 +34,13 @@ def test_a_recording_that_is_killed_is_begun_again_and_both_sessions_are_good(tm
         assert not told["recording"]["damage"]["places"]
     lines = [json.loads(line) for line in (second / "log.jsonl").read_text().splitlines()]
     assert [line["level"] for line in lines if "port opened" in line["text"]] == ["INFO"]
+
+
+def test_every_exit_code_is_documented() -> None:
+    docs = (Path(__file__).parents[2] / "docs" / "reliability.md").read_text(encoding="utf-8")
+    table = docs.partition("| exit code |")[2]
+    documented = {int(code) for code in re.findall(r"^\| (\d+) \|", table, re.MULTILINE)}
+    assert documented == {EXIT_OK, EXIT_INTERRUPTED, *(r.exit_code for r in Reason), EXIT_NEGATIVE}
 
 
 def test_a_wrong_device_is_not_tried_again(tmp_path: Path) -> None:
