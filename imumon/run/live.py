@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -20,7 +20,7 @@ from imumon.blocks import SampleBlock
 from imumon.columns import KNOWN
 from imumon.errors import ImumonError, Reason
 from imumon.geodesy import STANDARD_GRAVITY
-from imumon.pipeline import Digest, Pipeline, PipelineCounters
+from imumon.pipeline import Digest, Estimator, Pipeline, PipelineCounters
 from imumon.protocols.device import DeviceFile
 from imumon.recordings.folder import create_session, remove_empty
 from imumon.recordings.metadata import PortUsed, SessionMetadata, StreamSummary
@@ -115,6 +115,8 @@ class LiveRun:
         Where the session goes; must not hold one.
     say : callable
         Where log lines go; called from several threads.
+    stages : sequence of Estimator
+        More stages, behind the others.
 
     Raises
     ------
@@ -130,9 +132,12 @@ class LiveRun:
         setup: Setup,
         folder: Path,
         say: Say,
+        stages: Sequence[Estimator] = (),
     ) -> None:
         self._device = device
-        self.pipeline = Pipeline(device, estimators(device, setup))
+        self.pipeline = Pipeline(device, [*estimators(device, setup), *stages])
+        self.taken: Callable[[SampleBlock, Mapping[str, SampleBlock]], None] | None = None
+        """Given, in the pipeline's thread, the samples and those of the side streams as they come."""
         self._settings = settings
         self._say = say
         self._items: SimpleQueue[Item] = SimpleQueue()
@@ -275,6 +280,8 @@ class LiveRun:
 
     def _hand_on(self, block: SampleBlock) -> None:
         self._digest.update(block, self.pipeline.side)
+        if self.taken is not None:
+            self.taken(block, self.pipeline.side)
         self._narrator.samples(block, self.pipeline.side)
 
     def _take_batch(self) -> bool:
