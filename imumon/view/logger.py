@@ -9,9 +9,10 @@ from itertools import groupby
 
 import numpy as np
 import rerun as rr
+import rerun.blueprint as rrb
 
 from imumon.blocks import NO_INT, ColumnArray, FloatArray
-from imumon.charts import Chart
+from imumon.charts import AXIS_COLORS, BLUE, GREEN, RED, Chart
 from imumon.harmless import for_markdown
 from imumon.view.attitude import DEVICE
 from imumon.view.blueprint import Contents, blueprint
@@ -39,6 +40,8 @@ APPLICATION_ID = "imumon"
 ELSEWHERE = {"device_time_ns", "host_time_ns", "arrival_time_ns", "device_ticks"}
 """Integer columns that are a timeline, or of the transport: the wire recording has them."""
 
+PART_COLORS = {**AXIS_COLORS, "roll": RED, "pitch": GREEN, "yaw": BLUE}
+"""Colour of a column that no panel draws, by how its name ends."""
 RECORDED_STEP_NS = 500_000_000
 """Of so much time a recording of the view keeps the extremes."""
 LIVE_PICTURE_S, RECORDED_PICTURE_S = 5.0, 600.0
@@ -78,9 +81,11 @@ class StreamLogger:
         self._has_log = False
         self._timeline = "host_time"
         self._arranged: tuple[Contents, str] | None = None
+        self.arrangement: rrb.Blueprint | None = None
+        """The blueprint that was sent last."""
         self._newest: Rows | None = None
         self._began_ns: int | None = None
-        self._full = False
+        self._age_ns = 0
         self._log_text = LogText()
 
     def begin(self, *, arrange: bool = True) -> None:
@@ -152,7 +157,7 @@ class StreamLogger:
         self._newest = rows.kept(np.array([last]))
         if clock is not None:
             self._began_ns = int(clock[0]) if self._began_ns is None else self._began_ns
-            self._full |= int(clock[-1]) - self._began_ns > 1e9 * slow_window(self._setup.window_s)
+            self._age_ns = max(self._age_ns, int(clock[-1]) - self._began_ns)
 
     def _log_integers(self, rows: Rows, stream: str) -> None:
         integers = {
@@ -178,7 +183,7 @@ class StreamLogger:
                 return
             self._others.add(name)
             self._declare_other(name)
-        kept = rows.extremes(np.asarray(values, np.float64)[:, np.newaxis])
+        kept = rows.extremes(np.asarray(values, np.float64)[:, np.newaxis]) & np.isfinite(values)
         scalars = rr.Scalars.columns(scalars=values[kept])
         self._rec.send_columns(f"{OTHER}/{name}", indexes=rows.kept(kept).indexes, columns=scalars)
 
@@ -243,7 +248,9 @@ class StreamLogger:
         chart = event.chart
         self._charts[chart.key] = chart
         if self._is_due(chart.key, LIVE_PICTURE_S if self._live else RECORDED_PICTURE_S):
-            log_picture(self._rec, chart, indexes)
+            stacked = sum(other.place == chart.place for other in self._charts.values()) > 1
+            beside = any(panel.place == chart.place for panel in self._panels.shown)
+            log_picture(self._rec, chart, indexes, stacked=stacked and beside)
 
     def _is_due(self, key: str, step_s: float) -> bool:
         """Tell, and remember, whether so much time has passed since this was last logged."""
@@ -277,7 +284,9 @@ class StreamLogger:
         return tuple((title, tuple(paths)) for title, paths in found.items())
 
     def _declare_other(self, name: str) -> None:
-        self._rec.log(f"{OTHER}/{name}", rr.SeriesLines(names=[name]), static=True)
+        color = PART_COLORS.get(name.rpartition("_")[2])
+        look = rr.SeriesLines(names=[name], colors=None if color is None else [list(color)])
+        self._rec.log(f"{OTHER}/{name}", look, static=True)
 
     def _arrange(self) -> None:
         """Send the blueprint when what there is to see has changed."""
@@ -289,11 +298,13 @@ class StreamLogger:
             status="status" in self._lasting,
             others=self._other_views(),
             cards=tuple(self._panels.readings()),
-            full=self._full,
+            filled=self._age_ns > 1e9 * self._setup.window_s,
+            full=self._age_ns > 1e9 * slow_window(self._setup.window_s),
         )
         if contents and (contents, self._timeline) != self._arranged:
             self._arranged = contents, self._timeline
-            self._rec.send_blueprint(blueprint(self._setup, contents, self._timeline, live=self._live))
+            self.arrangement = blueprint(self._setup, contents, self._timeline, live=self._live)
+            self._rec.send_blueprint(self.arrangement)
 
 
 def status_card(event: Status) -> str:
