@@ -210,11 +210,14 @@ def status_line(progress: Progress, view: str) -> str:
 
 
 def _report(summary: LiveSummary, progress: Progress, view_dropped: int) -> None:
+    from imumon.run.account import describe_disk, describe_span
     from imumon.run.narration import describe, describe_losses
 
-    rows = {"recorded": f"{summary.elapsed_s:.1f} s, {summary.wire.bytes_on_disk:,} bytes on disk"}
+    rows = {"recorded": describe_span(summary.began_ns, summary.ended_ns)}
     rows |= describe(progress)
     rows["losses"] = describe_losses(summary.counters)
+    rows["outages"] = summary.outages.describe()
+    rows["on disk"] = describe_disk(summary.session)
     if summary.wire.bytes_unrecorded:
         rows["NOT RECORDED"] = f"{summary.wire.bytes_unrecorded:,} bytes: {summary.recording_problem}"
     if view_dropped:

@@ -49,11 +49,12 @@ class Scene:
     record: Callable[[Path], Iterator[Item]]
     setup: Callable[[], Setup] = field(default=Setup)
     live: bool = True
+    baudrate: int | None = None
 
 
 def view_items(name: str, scene: Scene) -> tuple[ViewSetup, list[ViewItem]]:
     """Return what the view is told of a scene: before the first sample, and then in order."""
-    device = load_device(scene.device)
+    device = at_baud(load_device(scene.device), scene.baudrate)
     pipeline = Pipeline(device, estimators(device, scene.setup()))
     items: list[ViewItem] = []
     port = PortSettings("/dev/ttyUSB0", device.serial.baudrates[0])
@@ -67,19 +68,31 @@ def view_items(name: str, scene: Scene) -> tuple[ViewSetup, list[ViewItem]]:
 
 
 def simulated(
-    scenario: str, device: str, seconds: float, rate_hz: float = 100.0, **changes: object
+    scenario: str,
+    device: str,
+    seconds: float,
+    rate_hz: float = 100.0,
+    baudrate: int | None = None,
+    **changes: object,
 ) -> Callable[[Path], Iterator[Item]]:
     """Return a maker of what a virtual device sends when it plays this scenario, changed so."""
 
     def record(folder: Path) -> Iterator[Item]:
         text, source = device_text(device)
-        description: DeviceFile = parse_device(text, source)
+        description = at_baud(parse_device(text, source), baudrate)
         plan = load_scenario(scenario).model_copy(update={"duration_s": seconds, **changes})
         session = folder / "session"
         record_session(plan.played(rate_hz, description.axes), description, text, 0, session, lambda _: None)
         yield from WireReader(open_session(session).wire_path)
 
     return record
+
+
+def at_baud(device: DeviceFile, baudrate: int | None) -> DeviceFile:
+    """Return the device at another baud rate than its first."""
+    if baudrate is None:
+        return device
+    return device.model_copy(update={"serial": device.serial.model_copy(update={"baudrates": [baudrate]})})
 
 
 def capture(path: Path, seconds: float) -> Callable[[Path], Iterator[Item]]:
@@ -147,7 +160,12 @@ def scenes(data: Path) -> dict[str, Scene]:
             simulated("slow-rotation", "ax1", 240.0, motion=[]),
         ),
         "slow": Scene("The demo at 20 Hz, after 2 min", "ax1", simulated("bench", "ax1", 120.0, 20.0)),
-        "fast": Scene("A unit at 1 kHz, after 20 s", "xsens", simulated("bench", "xsens", 20.0, 1000.0)),
+        "fast": Scene(
+            "A unit at 1 kHz, after 20 s",
+            "xsens",
+            simulated("bench", "xsens", 20.0, 1000.0, 2_000_000),
+            baudrate=2_000_000,
+        ),
     }
     foreign = data / "microstrain" / "stream.bin"
     if foreign.exists():
