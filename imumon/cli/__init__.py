@@ -21,6 +21,7 @@ COMMANDS = {
     "monitor": "Record a device and watch it live.",
     "replay": "Run a recording again: same code, same numbers.",
     "view": "Show several sessions on one time axis.",
+    "mark": "Put a word into a recording that goes on.",
     "recover": "Finish a session that was interrupted or damaged.",
     "decode": "Turn a raw capture or a session into a table.",
     "import": "Make a session from a CSV or Parquet table.",

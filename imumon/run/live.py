@@ -28,6 +28,7 @@ from imumon.recordings.recorder import Recorder
 from imumon.recordings.source import feed
 from imumon.recordings.wire import WireCounters, WireWriter
 from imumon.run.account import Outages
+from imumon.run.marks import Marks
 from imumon.run.narration import Narrator, Progress, Publish, Say
 from imumon.run.setup import Setup
 from imumon.run.stages import estimators
@@ -140,6 +141,7 @@ class LiveRun:
         self._settings = settings
         self._say = say
         self._items: SimpleQueue[Item] = SimpleQueue()
+        self._marks, self._marking = Marks(folder), threading.Lock()
         self._digest, self._outages = Digest(), Outages()
         self._began_ns = time.time_ns()
         self.session = create_session(folder, self._metadata(device, device_yaml, setup))
@@ -191,7 +193,9 @@ class LiveRun:
 
         `views` are the files of the view's recording, for the session's metadata.
         """
+        self._take_marks()
         self._reader.stop()
+        self._marks.close()
         if self._thread.ident is not None:
             self._thread.join()
         wire = self._recorder.stop()
@@ -216,6 +220,15 @@ class LiveRun:
             self.session.path, self._began_ns, ended_ns, self._outages, counters, wire,
             self._recorder.problem, digest,
         )  # fmt: skip
+
+    def mark(self, kind: EventKind, text: str) -> None:
+        """Put what a person says of this moment into the recording; may be called from any thread."""
+        self._reader.mark(kind, text)
+
+    def _take_marks(self) -> None:
+        with self._marking:
+            for kind, text in self._marks.take():
+                self.mark(kind, text)
 
     def _wire_writer(self) -> WireWriter:
         settings = self._settings
@@ -267,6 +280,8 @@ class LiveRun:
             next_tick = time.monotonic()
             while not closed:
                 closed = self._take_batch()
+                if not closed:
+                    self._take_marks()
                 self._hand_on(self.pipeline.take())
                 if time.monotonic() >= next_tick or closed:
                     next_tick = time.monotonic() + TICK_S
