@@ -179,7 +179,7 @@ class StreamLogger:
 
     def _log_other(self, name: str, values: ColumnArray, rows: Rows) -> None:
         if name not in self._others:
-            if not np.isfinite(values).any():
+            if not np.any(np.isfinite(values) & (values != 0.0)):  # it has not said anything yet
                 return
             self._others.add(name)
             self._declare_other(name)

@@ -170,6 +170,9 @@ def scenes(data: Path) -> dict[str, Scene]:
     foreign = data / "microstrain" / "stream.bin"
     if foreign.exists():
         found["foreign"] = Scene(
-            "A measured GNSS/INS stream, MIP at 125 Hz", "microstrain", capture(foreign, 10.0)
+            "A measured GNSS/INS stream, MIP at 125 Hz",
+            "microstrain",
+            capture(foreign, 10.0),
+            baudrate=921_600,
         )
     return found
