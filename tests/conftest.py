@@ -14,6 +14,9 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+# As in the command line; read when NumPy is imported, which no test has done yet.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 # Where a failure blocks others, the same examples every time; at home, new ones.
 settings.register_profile("ci", derandomize=True)
 if os.environ.get("CI") == "true":

@@ -29,6 +29,7 @@ COMMANDS = {
     "align": "Find the heading of a resting unit by the earth rate.",
     "calibrate": "Find the bias over temperature from recordings at rest.",
     "magnetometer": "Find hard and soft iron from a figure-eight.",
+    "doctor": "Look what this computer lacks, and say what to do.",
     "ports": "List serial ports.",
     "detect": "Find baud rate and protocol of a device by trying.",
     "allan": "Tell noise, bias instability and drift of a recording at rest.",
@@ -71,6 +72,9 @@ def cli() -> None:
 
 def main() -> None:
     """Run the command line; errors that a user can act on end with one clear message and their exit code."""
+    # Read when NumPy is imported.  The matrices are small: threads that wait in a spin cost up to eight times
+    # the work on a machine that has something else to do.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     _open_missing_streams()
     _tell_of_compiling()
     code = run(sys.argv[1:])
