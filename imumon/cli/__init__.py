@@ -11,11 +11,14 @@ from importlib import import_module
 
 import click
 from click.exceptions import Exit
+from click.shell_completion import shell_complete
 
 from imumon.cli.common import note, say
 from imumon.errors import EXIT_OK, EXIT_USAGE, ImumonError
 
 EXIT_INTERRUPTED = 130
+COMPLETION = "_IMUMON_COMPLETE"
+"""What a shell sets when it asks what may come next."""
 
 COMMANDS = {
     "monitor": "Record a device and watch it live.",
@@ -75,6 +78,8 @@ def main() -> None:
     # Read when NumPy is imported.  The matrices are small: threads that wait in a spin cost up to eight times
     # the work on a machine that has something else to do.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    if instruction := os.environ.get(COMPLETION):
+        sys.exit(shell_complete(cli, {}, "imumon", COMPLETION, instruction))
     _open_missing_streams()
     _tell_of_compiling()
     code = run(sys.argv[1:])

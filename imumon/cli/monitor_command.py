@@ -70,7 +70,7 @@ def command(
 ) -> int:
     """Record the device on PORT and watch it live, until Ctrl-C or --seconds.
 
-    PORT is anything that pyserial opens: /dev/ttyUSB0, COM3, socket://host:port, rfc2217://host:port.
+    PORT is anything that pyserial opens: /dev/ttyUSB0, socket://host:port, rfc2217://host:port.
     Every byte received is kept; a lost or silent device is waited for and reopened.
     """
     from imumon.run.narration import view_setup
