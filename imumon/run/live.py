@@ -27,6 +27,8 @@ from imumon.recordings.metadata import PortUsed, SessionMetadata, StreamSummary
 from imumon.recordings.recorder import Recorder
 from imumon.recordings.source import feed
 from imumon.recordings.wire import WireCounters, WireWriter
+from imumon.run.account import Outages
+from imumon.run.marks import Marks
 from imumon.run.narration import Narrator, Progress, Publish, Say
 from imumon.run.setup import Setup
 from imumon.run.stages import estimators
@@ -78,7 +80,9 @@ class LiveSummary:
     """What a live run did."""
 
     session: Path
-    elapsed_s: float
+    began_ns: int
+    ended_ns: int
+    outages: Outages
     counters: PipelineCounters
     wire: WireCounters
     recording_problem: str | None
@@ -89,7 +93,8 @@ class LiveSummary:
         """Return the summary as ``monitor --json`` prints it."""
         return {
             "session": str(self.session),
-            "elapsed_s": round(self.elapsed_s, 3),
+            "elapsed_s": round((self.ended_ns - self.began_ns) * 1e-9, 3),
+            "outages": self.outages.as_data(),
             **self.counters.as_dict(),
             "bytes_recorded": self.wire.bytes_on_disk,
             "bytes_unrecorded": self.wire.bytes_unrecorded,
@@ -141,7 +146,8 @@ class LiveRun:
         self._settings = settings
         self._say = say
         self._items: SimpleQueue[Item] = SimpleQueue()
-        self._digest = Digest()
+        self._marks, self._marking = Marks(folder), threading.Lock()
+        self._digest, self._outages = Digest(), Outages()
         self._began_ns = time.time_ns()
         self.session = create_session(folder, self._metadata(device, device_yaml, setup))
         self._writer = self._wire_writer()
@@ -192,7 +198,9 @@ class LiveRun:
 
         `views` are the files of the view's recording, for the session's metadata.
         """
+        self._take_marks()
         self._reader.stop()
+        self._marks.close()
         if self._thread.ident is not None:
             self._thread.join()
         wire = self._recorder.stop()
@@ -213,8 +221,19 @@ class LiveRun:
             self.session.save(closed)
         except OSError as error:
             self._say("ERROR", f"session.yaml cannot be written: {error.strerror}")
-        elapsed = (ended_ns - self._began_ns) * 1e-9
-        return LiveSummary(self.session.path, elapsed, counters, wire, self._recorder.problem, digest)
+        return LiveSummary(
+            self.session.path, self._began_ns, ended_ns, self._outages, counters, wire,
+            self._recorder.problem, digest,
+        )  # fmt: skip
+
+    def mark(self, kind: EventKind, text: str) -> None:
+        """Put what a person says of this moment into the recording; may be called from any thread."""
+        self._reader.mark(kind, text)
+
+    def _take_marks(self) -> None:
+        with self._marking:
+            for kind, text in self._marks.take():
+                self.mark(kind, text)
 
     def _wire_writer(self) -> WireWriter:
         settings = self._settings
@@ -266,6 +285,8 @@ class LiveRun:
             next_tick = time.monotonic()
             while not closed:
                 closed = self._take_batch()
+                if not closed:
+                    self._take_marks()
                 self._hand_on(self.pipeline.take())
                 if time.monotonic() >= next_tick or closed:
                     next_tick = time.monotonic() + TICK_S
@@ -295,8 +316,10 @@ class LiveRun:
             feed(item, self.pipeline)
             if isinstance(item, Bytes):
                 self._narrator.received(len(item.data), item.arrival_ns)
+                self._outages.received(item.arrival_ns)
             else:
                 self._narrator.event(item)
+                self._outages.event(item)
                 if item.kind is EventKind.CLOSED:
                     return True
         return False
