@@ -131,7 +131,7 @@ class _Views:
 
     @property
     def files(self) -> list[str]:
-        return [path.name for path in self._recorder.files]
+        return [path.name for path in self._recorder.files if path.exists()]
 
     @property
     def dropped(self) -> int:

@@ -32,7 +32,7 @@ from imumon.run.marks import Marks
 from imumon.run.narration import Narrator, Progress, Publish, Say
 from imumon.run.setup import Setup
 from imumon.run.stages import estimators
-from imumon.transport.reader import SILENT_AFTER_S, Bytes, EventKind, Item, Reader
+from imumon.transport.reader import SILENT_AFTER_S, Bytes, Clock, EventKind, Item, Reader
 from imumon.transport.settings import PortSettings
 
 BATCH_S = 0.05
@@ -148,7 +148,8 @@ class LiveRun:
         self._items: SimpleQueue[Item] = SimpleQueue()
         self._marks, self._marking = Marks(folder), threading.Lock()
         self._digest, self._outages = Digest(), Outages()
-        self._began_ns = time.time_ns()
+        self._clock = Clock()
+        self._began_ns = self._clock.now_ns()
         self.session = create_session(folder, self._metadata(device, device_yaml, setup))
         self._writer = self._wire_writer()
         self._recorder = Recorder(self._writer, self._recording_problem, self._save)
@@ -204,7 +205,7 @@ class LiveRun:
         if self._thread.ident is not None:
             self._thread.join()
         wire = self._recorder.stop()
-        ended_ns = time.time_ns()
+        ended_ns = self._clock.now_ns()
         counters = self.pipeline.counters
         digest = self._digest.hexdigest() if self._finished else None
         if not self._finished and self._thread.ident is not None and self.failure is None:
@@ -290,10 +291,10 @@ class LiveRun:
                 self._hand_on(self.pipeline.take())
                 if time.monotonic() >= next_tick or closed:
                     next_tick = time.monotonic() + TICK_S
-                    self._progress = self._narrator.tick(time.time_ns())
+                    self._progress = self._narrator.tick(self._clock.now_ns())
             self.pipeline.finish()
             self._hand_on(self.pipeline.take())
-            self._progress = self._narrator.tick(time.time_ns())
+            self._progress = self._narrator.tick(self._clock.now_ns())
             self._finished = True
         except ImumonError as error:
             # Reading and recording go on; what could not be decoded can be decoded from the recording.

@@ -304,7 +304,7 @@ def merged(filters: Filters, slow_errors: FloatArray, step: float, level: float)
         sum_r += weight * off_r
         square_x += weight * (f.tt + gain_x * gain_x / spread * (shrink - 1.0) + off_x * off_x)
         square_r += weight * (f.rr + gain_r * gain_r / spread * (shrink - 1.0) + off_r * off_r)
-    if not total > 1e-200:
+    if not total > 1e-200 and not math.isnan(level):
         # The level is out of reach of all filters.
         return merged(filters, slow_errors, step, math.nan)
     x, r, a = x / both, r / both, a / both
