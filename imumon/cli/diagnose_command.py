@@ -78,7 +78,7 @@ def command(
     The recordings are of a unit at rest, each from power-on.  Two or more for training, warmed and cooled,
     tell most.
     """
-    from imumon.diagnosis.engine import diagnose, parse_declared
+    from imumon.diagnosis.engine import CUBIC, diagnose, parse_declared
     from imumon.diagnosis.extended import extended_model
     from imumon.diagnosis.page import write_page
     from imumon.diagnosis.report import report, write_report
@@ -89,8 +89,7 @@ def command(
             Reason.BAD_CONFIG, "--model and --declared are both given", "give one: each says what is assumed"
         )
     model = load_model(model_path) if model_path is not None else None
-    usual = "polynomial 3" if model is None else "polynomial 0"
-    assumed = usual if declared is None else declared
+    assumed = declared if declared is not None else CUBIC
     parse_declared(assumed)
     _make(out)
     with _progress() as tell:

@@ -80,6 +80,11 @@ def _channel(diagnosis: Diagnosis, verdict: ChannelVerdict, content: dict[str, A
             }
             for effect in content["effects"]
         ],
+        "turns": [
+            [step.done, _number(step.train_rms * scale), _number(step.test_rms * scale), _number(step.gain)]
+            for step in verdict.turns
+        ],
+        "unit": unit,
         "left_out": [
             f"{item['name']} was found in training and left out: with it the test has"
             f" {_number(item['test_rms_with'] * scale)} {unit}, without it"
