@@ -114,6 +114,11 @@ def settle(channel: Channel, found: Search) -> ChannelVerdict:
     return verdict
 
 
+def _left_in_test(scores: tuple[TestScore, TestScore] | None) -> float:
+    """Return what is left of the test, predicted or followed; 0 without one."""
+    return 0.0 if scores is None else float(np.fmin(scores[1].rms, scores[1].tracked_rms))
+
+
 def _better(one: ChannelVerdict, other: ChannelVerdict) -> bool:
     """Tell whether a verdict leaves less of the test than another."""
     left, before = one.test_after, other.test_after
@@ -128,7 +133,7 @@ def _shown(verdict: ChannelVerdict) -> bool:
     if before is None or after is None or not np.isfinite(after.rms):
         return False
     floor = verdict.channel.floor.sd
-    clean = min(after.rms, after.tracked_rms) < CLEAN * floor
+    clean = _left_in_test((before, after)) < CLEAN * floor
     return clean or explained_share(before.rms, after.rms, floor) >= EXPLAINED
 
 
@@ -176,7 +181,9 @@ def judge(channel: Channel, found: Search, left_out: Sequence[dict[str, Any]]) -
         test_before=None if scores is None else scores[0],
         test_after=None if scores is None else scores[1],
         claims=_claims(channel, given, after, kept),
-        unexplained=found.many_events or after.train_rms >= CLEAN * floor,
+        unexplained=found.many_events
+        or after.train_rms >= CLEAN * floor
+        or (bool(claimed) and _left_in_test(scores) >= CLEAN * floor),
         summary="",
         explained=share if claimed else 0.0,
         noise=found.null()[1],

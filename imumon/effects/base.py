@@ -221,6 +221,10 @@ class Effect(StrictModel):
         """Tell whether the effect of a label is in the main a special case of this one."""
         return False
 
+    def passes_for(self, label: str) -> bool:  # noqa: ARG002 - for those that may
+        """Tell whether, with these parameters, it is hardly told from the simpler effect of a label."""
+        return False
+
     def scale_of(self, driver: str) -> Scale | None:  # noqa: ARG002 - for those that have one
         """Return where a driver went in training; None where its place does not matter."""
         return None
