@@ -335,6 +335,16 @@ def _temperature_of(channel: str, runs: Sequence[Run]) -> str:
     return common_temperature(f"temperature_{channel[-1]}", runs, lacking)
 
 
+def resting(run: Run) -> bool:
+    """Tell whether the unit was at rest for most of a run."""
+    return any(_rest_share(run, name) >= LEAST_REST for name in CHANNELS if name in run.mean)
+
+
+def _rest_share(run: Run, channel: str) -> float:
+    there = np.isfinite(run.mean[channel])[run.earlier :]
+    return float((run.rest[run.earlier :][there] >= REST_SHARE).mean()) if there.any() else 0.0
+
+
 def _usable(
     runs: Sequence[Run], names: Names, block_s: float, caveats: list[str], what: str
 ) -> list[RunBlocks]:
@@ -353,14 +363,14 @@ def _usable(
             caveats.append(f"{run.name}: not used, it lacks {', '.join(lacking)}")
             continue
         there = np.isfinite(run.mean[names.channels[0]])[run.earlier :]
-        resting = float((run.rest[run.earlier :][there] >= REST_SHARE).mean()) if there.any() else 0.0
-        if resting < LEAST_REST:
-            moving.append(f"{run.name}: at rest for {resting:.0%} of its {run.duration_s / 60:.0f} min")
+        rest_share = _rest_share(run, names.channels[0])
+        if rest_share < LEAST_REST:
+            moving.append(f"{run.name}: at rest for {rest_share:.0%} of its {run.duration_s / 60:.0f} min")
             continue
         if there.mean() < run.share * (1.0 - MANY_GAPS):
             caveats.append(f"{run.name}: samples in {there.mean():.0%} of its time only; gaps are left out")
-        if resting < 1.0 - MANY_GAPS:
-            caveats.append(f"{run.name}: at rest for {resting:.0%} of its time; the rest is left out")
+        if rest_share < 1.0 - MANY_GAPS:
+            caveats.append(f"{run.name}: at rest for {rest_share:.0%} of its time; the rest is left out")
         blocks = make_blocks(run, names.channels, names.temperatures, names.drivers, block_s)
         if len(blocks) < LEAST_RUN_BLOCKS:
             caveats.append(

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from datetime import UTC, datetime
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.polynomial import Chebyshev, Polynomial
 
 from imumon import __version__
 from imumon.diagnosis.blocks import RunBlocks
-from imumon.diagnosis.engine import Diagnosis
-from imumon.diagnosis.verdict import ChannelVerdict
 from imumon.effects.base import Effect
 from imumon.effects.temperature_curve import TemperatureCurve
 from imumon.models.curves.polynomial import HIGHEST_ORDER, PolynomialCurve
 from imumon.models.model import BiasModel, ChannelModel, Curve, TrainedOn
+
+if TYPE_CHECKING:
+    from imumon.diagnosis.engine import Diagnosis
+    from imumon.diagnosis.verdict import ChannelVerdict
 
 MARGIN = 0.005
 """Share of the span that the range is widened by, so that an end is not in and out by turns."""
@@ -58,7 +60,7 @@ def _channel(verdict: ChannelVerdict, known: ChannelModel | None) -> ChannelMode
     if known is not None:
         if verdict.name.startswith("accel"):
             fitted_curve = fitted_curve - fitted_curve(declared.middle_degc)
-        curve, effects = _refitted(known, fitted_curve, effects)
+        curve, effects = refitted(known, fitted_curve, effects)
         update = {"residual_sd": residual, "held_out_rms": {}, "curve": curve, "effects": effects}
         return known.model_copy(update=update)
     curve, effects = _curve(fitted_curve, effects)
@@ -76,7 +78,7 @@ def _channel(verdict: ChannelVerdict, known: ChannelModel | None) -> ChannelMode
     )
 
 
-def _refitted(known: ChannelModel, more: Polynomial, effects: list[Effect]) -> tuple[Curve, list[Effect]]:
+def refitted(known: ChannelModel, more: Polynomial, effects: list[Effect]) -> tuple[Curve, list[Effect]]:
     """Return the curve of a known model with a polynomial more, and the effects beside it.
 
     To what is no polynomial itself it is added as an effect.

@@ -298,10 +298,11 @@ class Search:
             return False
         both = [leader, other]
         one, two = (each.scored.candidate for each in both)
-        alone = max(table.scored, key=_gain).candidate
-        if {one.scope, two.scope} - {"shared", "either"}:
+        alone = max(table.scored, key=_gain)
+        lasting = {one.scope, two.scope} <= {"shared", "either"} and not one.choice and not two.choice
+        if not lasting or _near(alone.gain, leader.gain):
             return False
-        if self._error_between_runs(one, two) * PREDICTED > self._error_between_runs(alone):
+        if self._error_between_runs(one, two) * PREDICTED > self._error_between_runs(alone.candidate):
             return False
         left = self._left(one, two)
         rivals = {key: found.gain for key, found in table.leaders.items()}

@@ -162,9 +162,8 @@ def judge(channel: Channel, found: Search, left_out: Sequence[dict[str, Any]]) -
         kept, after = refit, before
     scores = _scores(channel, given, after)
     if scores is not None and claimed and not np.isfinite(scores[1].rms):
-        remark = (
-            f"{', '.join(one.name for one in claimed)} cannot be proven: no block of the test can be scored"
-        )
+        nothing = {"test_rms_with": float("nan"), "test_rms_without": float("nan")}
+        refuted += [{"name": one.name, **nothing} for one in claimed]
         kept, claimed, after = refit, [], before
         scores = _scores(channel, given, after)
     predicts = not after.parts or any(part.carries for part in after.parts)
@@ -315,7 +314,7 @@ def summary(verdict: ChannelVerdict) -> str:
     if not verdict.claims and verdict.refit:
         return _refitted(verdict)
     if not verdict.claims:
-        worse = "".join(f"; {item['name']} was found but made the test worse" for item in verdict.left_out)
+        worse = "".join(f"; {item['name']} was found but {_why(item)}" for item in verdict.left_out)
         what = f" ({verdict.remark})" if verdict.remark else ""
         if verdict.unexplained:
             return (
@@ -338,6 +337,12 @@ def summary(verdict: ChannelVerdict) -> str:
     if verdict.unexplained:
         text += "; the remainder is unexplained"
     return text
+
+
+def _why(item: dict[str, Any]) -> str:
+    """Say why something that was found is left out."""
+    unproven = np.isnan(item["test_rms_with"])
+    return "no block of the test can be scored with it" if unproven else "made the test worse"
 
 
 def _refitted(verdict: ChannelVerdict) -> str:
