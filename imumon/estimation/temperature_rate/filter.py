@@ -283,7 +283,7 @@ def _shown(state: State, means: Merged, end_s: float, fresh: bool) -> Shown:
         temperature,
         rate,
         means.acceleration,
-        math.sqrt(max(means.temperature_variance, 0.0) + hidden**2 + late**2 + UNAVERAGED**2 * means.slow),
+        math.sqrt(max(means.temperature_variance, 0.0) + hidden**2 + late**2 + UNAVERAGED**2 * (means.slow + means.walked)),
         math.sqrt(max(means.rate_variance, 0.0) + frozen**2 + moved**2),
     )
     if not fresh:

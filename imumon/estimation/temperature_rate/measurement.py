@@ -22,15 +22,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from imumon.blocks import FloatArray
 from imumon.compiled import inner, njit
 from imumon.estimation.temperature_rate.bank import (
-    LEVEL_SIGMAS,
     LEVELS,
-    MEAN_WHITE,
     SMOOTHNESSES,
+    WALKED_S,
+    WHITE,
     Filter,
     Filters,
+    Slow,
     condition,
 )
 from imumon.estimation.temperature_rate.moments import ROOT_2_PI, truncated, weigh
@@ -154,6 +154,7 @@ def _with_shares(plain: Said, reading: Reading, low: float, high: float) -> Said
     left = (1.0 - share if upward else share) * count
     begin = reading.start_s - (reading.gap_s if crossed_between else 0.0)
     return plain._replace(
+        duration_s=reading.end_s - begin,
         edge=edge,
         above=above,
         below=below,
@@ -180,7 +181,7 @@ def measure(filters: Filters, said: Said) -> None:
         elif said.case == NO_STEP:
             log = IMPOSSIBLE
         else:
-            mean, variance, log = _as_level(f, LEVEL_SIGMAS[k] * said.step, mean, variance, said)
+            mean, variance, log = _as_level(f, WHITE[k] * said.step, mean, variance, said)
         condition(f, mean, variance)
         log_evidence[i] = log
         best = max(best, log)
@@ -208,7 +209,7 @@ def _gaussian(mean: float, variance: float, measured: float, noise: float) -> Mo
 @inner
 def _as_mean(mean: float, variance: float, k: int, said: Said) -> Moments:
     """Take the slot's mean as a measurement: the mean and slow kinds."""
-    noise = MEAN_WHITE[k - LEVELS] * said.white + said.cell**2 / 12.0 + TINY**2
+    noise = WHITE[k] * said.white + said.cell**2 / 12.0 + TINY**2
     after, left, _ = _gaussian(mean, variance, said.linear, noise)
     # The cell as a Gaussian of the same height, so that no probability exceeds one.
     cell = max(said.cell, TINY)
@@ -259,7 +260,7 @@ def _stay(mean: float, variance: float, growth: float, sigma: float, said: Said)
 
 
 class Merged(NamedTuple):
-    """The mean of all filters, and variances of temperature, of rate and of the slow error, °C²."""
+    """The mean of all filters, and variances of temperature, rate, the slow error and how far it has walked."""
 
     temperature: float
     rate: float
@@ -267,15 +268,16 @@ class Merged(NamedTuple):
     temperature_variance: float
     rate_variance: float
     slow: float
+    walked: float
 
 
 @njit
-def merged(filters: Filters, slow_errors: FloatArray, step: float, level: float) -> Merged:
+def merged(filters: Filters, slow_errors: Slow, step: float, level: float) -> Merged:
     """Merge the filters into what is shown; `level` is the one that the readings stay on, NaN where none.
 
     Then the level kinds are confined to it.
     """
-    total, both, frequent, slow = 0.0, 0.0, 0.0, 0.0
+    total, both, frequent, slow, walked = 0.0, 0.0, 0.0, 0.0, 0.0
     x, r, a = 0.0, 0.0, 0.0
     sum_x, sum_r, square_x, square_r = 0.0, 0.0, 0.0, 0.0
     # About the heaviest filter, so that the differences of squares keep their digits.
@@ -285,10 +287,11 @@ def merged(filters: Filters, slow_errors: FloatArray, step: float, level: float)
         if not f.weight:
             continue
         frequent += f.weight
-        slow += slow_errors[k] * f.weight
+        slow += slow_errors.variance[k] * f.weight
+        walked += slow_errors.walk[k] * WALKED_S * f.weight
         mass, shift, shrink = 1.0, 0.0, 1.0
         if k < LEVELS and not math.isnan(level):
-            mass, shift, shrink = _confined(f, LEVEL_SIGMAS[k] * step, step, level)
+            mass, shift, shrink = _confined(f, WHITE[k] * step, step, level)
         gain_x, gain_r = f.tt + f.te, f.tr + f.re
         spread = gain_x + f.te + f.ee
         off_x = f.temperature + gain_x * shift - main.temperature
@@ -315,6 +318,7 @@ def merged(filters: Filters, slow_errors: FloatArray, step: float, level: float)
         (square_x - 2.0 * x * sum_x) / total + x * x,
         (square_r - 2.0 * r * sum_r) / total + r * r,
         slow / frequent,
+        walked / frequent,
     )
 
 
