@@ -32,9 +32,9 @@ SMOOTHNESSES = len(JERKS)
 FORGETTING_S = 1800.0
 WHITE_SIGMAS = (0.0003, 0.01, 0.02, 0.035, 0.06, 0.1, 0.13, 0.16, 0.2, 0.25)
 """White noise of the level kinds in steps: beyond the last the steps are no sharper than the noise."""
-SLOW_LEVEL_SIGMAS, SLOW_LEVEL_TIMES_S = (0.12, 0.25, 0.5, 1.0), (5.0, 40.0)
-"""Standard deviations in units, and correlation times, of slow errors before the quantizer: all pairs, ..."""
-SLOW_LEVEL_WHITE = 0.06
+SLOW_LEVEL_SIGMAS = (0.12, 0.25, 0.5, 1.0)
+"""Standard deviations in units, of slow errors before the quantizer, ..."""
+SLOW_LEVEL_WHITES = (0.06, 0.2)
 """... and white noise beside them in steps."""
 MEAN_FACTORS = (0.7, 1.4, 2.8)
 """Variance of a slot's mean in the mean kinds, over that seen from slot to slot."""
@@ -43,8 +43,8 @@ SLOW_RATIOS, SLOW_TIMES_S = (0.6, 2.0, 6.0, 20.0, 60.0, 200.0), (3.0, 10.0, 30.0
 times, s: all pairs that change no faster than what is seen; a slot's mean hides up to half of that."""
 FLICKER_TIME_S = 3.0
 """1/f noise from here to minutes is as likely under a process with this time and a walk as under two processes."""
-FLICKER_LEVEL_WHITES, FLICKER_LEVEL_WALK = (0.06, 0.2), 0.01
-"""Before the quantizer: white noise beside it in steps, and variance of the walk per second over the process's."""
+SLOW_LEVEL_TIMES = ((5.0, 0.0), (40.0, 0.0), (FLICKER_TIME_S, 0.01))
+"""Correlation times of slow errors before the quantizer, and the walk beside them per second over the variance."""
 FLICKER_RATIOS, FLICKER_WALKS = (0.6, 2.0), (0.01, 0.06)
 """Where the noise hides the steps: the process as above, and the walk from slot to slot over what is seen there."""
 WALKED_S = 900.0
@@ -78,10 +78,9 @@ def _mean_kind(ratio: float, time_s: float, walk: float = 0.0) -> Kind:
 
 LEVEL_KINDS = [
     *(Kind(white) for white in WHITE_SIGMAS),
-    *(Kind(SLOW_LEVEL_WHITE, sd**2, time_s) for sd, time_s in product(SLOW_LEVEL_SIGMAS, SLOW_LEVEL_TIMES_S)),
     *(
-        Kind(white, sd**2, FLICKER_TIME_S, FLICKER_LEVEL_WALK * sd**2)
-        for sd, white in product(SLOW_LEVEL_SIGMAS, FLICKER_LEVEL_WHITES)
+        Kind(white, sd**2, time_s, walk * sd**2)
+        for white, sd, (time_s, walk) in product(SLOW_LEVEL_WHITES, SLOW_LEVEL_SIGMAS, SLOW_LEVEL_TIMES)
     ),
 ]
 MEAN_KINDS = [
