@@ -32,6 +32,7 @@ SMOOTHNESSES = len(JERKS)
 FORGETTING_S = 1800.0
 WHITE_SIGMAS = (0.0003, 0.01, 0.02, 0.035, 0.06, 0.1, 0.13, 0.16, 0.2, 0.25)
 """White noise of the level kinds in steps: beyond the last the steps are no sharper than the noise."""
+SLOT_S = 1.0
 SLOW_LEVEL_SIGMAS = (0.12, 0.25, 0.5, 1.0)
 """Standard deviations in units, of slow errors before the quantizer, ..."""
 SLOW_LEVEL_WHITES = (0.06, 0.2)
@@ -79,7 +80,7 @@ def _mean_kind(ratio: float, time_s: float, walk: float = 0.0) -> Kind:
 LEVEL_KINDS = [
     *(Kind(white) for white in WHITE_SIGMAS),
     *(
-        Kind(white, sd**2, time_s, walk * sd**2)
+        Kind(math.hypot(white, sd * math.sqrt(SLOT_S / (3.0 * time_s))), sd**2, time_s, walk * sd**2)
         for white, sd, (time_s, walk) in product(SLOW_LEVEL_WHITES, SLOW_LEVEL_SIGMAS, SLOW_LEVEL_TIMES)
     ),
 ]

@@ -131,6 +131,7 @@ def said(reading: Reading, sensor: Sensor) -> Said:
         levels=(reading.high - reading.low) / step + 1.0 if step else 1.0,
         white=sensor.roughness * repeats**2,
         cell=step / count,
+        changes=reading.changes,
     )
     return _with_shares(plain, reading, low, high) if case == FLICKER else plain
 
@@ -154,13 +155,11 @@ def _with_shares(plain: Said, reading: Reading, low: float, high: float) -> Said
     left = (1.0 - share if upward else share) * count
     begin = reading.start_s - (reading.gap_s if crossed_between else 0.0)
     return plain._replace(
-        duration_s=reading.end_s - begin,
         edge=edge,
         above=above,
         below=below,
         lattice=lattice + math.log(counted / plain.independent),
         readings=float(count),
-        changes=reading.changes,
         since_s=reading.time_s - (begin + (left - 0.5) * reading.gap_s),
         upward=upward,
     )
@@ -254,7 +253,7 @@ def _stay(mean: float, variance: float, growth: float, sigma: float, said: Said)
             return mean, variance, 0.0
         return weigh(mean, sd, low, high, said.independent, said.independent, sigma)
     shift, shrink, log_mass = truncated((low - mean) / sd, (high - mean) / sd)
-    if sd < WIDER * step and log_mass > SURPRISE and growth <= (GROWN * step) ** 2:
+    if not said.changes and sd < WIDER * step and log_mass > SURPRISE and growth <= (GROWN * step) ** 2:
         return mean, variance, 0.0
     return mean + shift * sd, shrink * variance, log_mass
 
