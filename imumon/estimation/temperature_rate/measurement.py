@@ -120,6 +120,8 @@ def said(reading: Reading, sensor: Sensor) -> Said:
     case = NO_STEP
     if step:
         case = MANY if high - low > 1.5 * step else STAY if high - low < 0.5 * step else FLICKER
+        if case == MANY and reading.count == 1:
+            case = STAY
     plain = Said(
         case=case,
         step=step,
@@ -155,11 +157,12 @@ def _with_shares(plain: Said, reading: Reading, low: float, high: float) -> Said
     left = (1.0 - share if upward else share) * count
     begin = reading.start_s - (reading.gap_s if crossed_between else 0.0)
     return plain._replace(
+        duration_s=reading.end_s - begin,
         edge=edge,
         above=above,
         below=below,
         lattice=lattice + math.log(counted / plain.independent),
-        readings=float(count),
+        readings=float(reading.count),
         since_s=reading.time_s - (begin + (left - 0.5) * reading.gap_s),
         upward=upward,
     )
@@ -226,7 +229,7 @@ def _as_level(f: Filter, noise: float, mean: float, variance: float, said: Said)
         after, left, log = _gaussian(mean, variance, said.mean, inside)
         return after, left, log + math.log(step / said.independent / ROOT_2_PI)
     sigma = math.hypot(noise, rate * said.duration_s / math.sqrt(12.0))
-    if said.case == STAY:
+    if said.case == STAY or (said.readings == 1.0 and math.sqrt(variance) < SHARPER * sigma):
         return _stay(mean, variance, f.growth, sigma, said)
     moved = abs(rate) * said.duration_s
     if (
@@ -253,7 +256,7 @@ def _stay(mean: float, variance: float, growth: float, sigma: float, said: Said)
             return mean, variance, 0.0
         return weigh(mean, sd, low, high, said.independent, said.independent, sigma)
     shift, shrink, log_mass = truncated((low - mean) / sd, (high - mean) / sd)
-    if not said.changes and sd < WIDER * step and log_mass > SURPRISE and growth <= (GROWN * step) ** 2:
+    if sd < WIDER * step and log_mass > SURPRISE and growth <= (GROWN * step) ** 2:
         return mean, variance, 0.0
     return mean + shift * sd, shrink * variance, log_mass
 

@@ -65,12 +65,13 @@ class Reading:
     before: float
     gap_s: float
 
-    def newest(self, time_s: float) -> Reading:
-        """Return the last of the readings alone, taken at a time; it has changed or not since the one before."""
+    def newest(self, time_s: float, gap_s: float) -> Reading:
+        """Return the last of the readings alone, taken at a time, so long after the one before."""
         before = self.before if math.isfinite(self.before) else self.first
         return replace(
             self, start_s=time_s, end_s=time_s, count=1, mean=self.last, variance=0.0, low=self.last,
-            high=self.last, first=self.last, changes=int(before != self.last), step_squares=0.0, before=math.nan,
+            high=self.last, first=self.last, changes=int(before != self.last), step_squares=0.0, before=before,
+            gap_s=gap_s,
         )  # fmt: skip
 
     @property
@@ -192,7 +193,7 @@ class Sensor:
             if reading.changes
             else self.refresh.refreshed(reading.start_s - reading.gap_s, reading.end_s)
         )
-        return None if at is None else reading.newest(at)
+        return None if at is None else reading.newest(at, self.refresh.interval_s)
 
     def is_dead(self, now_s: float) -> bool:
         """Tell whether noise of more than a step has stopped."""
