@@ -21,6 +21,7 @@ SURPRISING = 6.0
 """A change by so many standard deviations and half a step corrects an error: then the temperature jumps."""
 ALLOWED = 2.5
 """The temperature is within half a step and so many standard deviations of the noise of the readings."""
+SLOW_ALLOWED = 0.5
 STEP_CHANGE = 0.25
 """A step found to be so much larger is another."""
 GATE, GATE_STEPS, GATE_SLOTS = 8.0, 5.0, 3
@@ -229,6 +230,7 @@ def _keep_near(state: State, slow: float, reading: Reading, end_s: float) -> Non
     low, high = reading.low, reading.high
     if reading.changes >= 4:
         low = high = sensor.linear(reading) + (end_s - reading.time_s) * shown.rate
+    slow *= (SLOW_ALLOWED / ALLOWED) ** 2
     allowed = 0.5 * sensor.step + ALLOWED * math.sqrt(sensor.roughness + slow)
     if not sensor.refresh.slow:
         reach = 0.5 * sensor.step + ALLOWED * math.sqrt(sensor.inside + sensor.roughness + slow)
