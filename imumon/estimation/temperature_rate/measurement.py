@@ -258,7 +258,8 @@ def _stay(mean: float, variance: float, growth: float, sigma: float, said: Said)
     shift, shrink, log_mass = truncated((low - mean) / sd, (high - mean) / sd)
     if sd < WIDER * step and log_mass > SURPRISE and growth <= (GROWN * step) ** 2:
         return mean, variance, 0.0
-    return mean + shift * sd, shrink * variance, log_mass
+    # No edge is sharper than the noise: far outside the variance would vanish, and rounding make it negative.
+    return mean + shift * sd, max(shrink * variance, sigma * sigma), log_mass
 
 
 class Merged(NamedTuple):
@@ -309,7 +310,7 @@ def merged(filters: Filters, slow_errors: Slow, step: float, level: float) -> Me
         sum_r += weight * off_r
         square_x += weight * (f.tt + gain_x * gain_x / spread * (shrink - 1.0) + off_x * off_x)
         square_r += weight * (f.rr + gain_r * gain_r / spread * (shrink - 1.0) + off_r * off_r)
-    if not total > 1e-200:
+    if not total > 1e-200 and not math.isnan(level):
         # The level is out of reach of all filters.
         return merged(filters, slow_errors, step, math.nan)
     x, r, a = x / both, r / both, a / both
