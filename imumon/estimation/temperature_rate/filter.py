@@ -27,8 +27,6 @@ STEP_CHANGE = 0.25
 GATE, GATE_STEPS, GATE_SLOTS = 8.0, 5.0, 3
 """A reading off by so many deviations and steps, and by more than a temperature moves, is a fault; after so
 many slots it is the truth."""
-FASTER = 1.5
-"""Until the next refresh a temperature moves no faster than so many times as since the last."""
 GAP_S = 600.0
 """After so long without a reading, or of a dead sensor, there is no estimate; a later reading begins anew."""
 LATE_S, LATE_FACTOR = 5.0, 3.0
@@ -196,7 +194,7 @@ def _estimate(state: State, reading: Reading) -> Shown:
     if taken is not None and heard:
         state.bank = _heard(state, state.bank, predicted, taken)
         if sensor.refresh.slow:
-            moved, since = taken.last - state.last, FASTER / max(at - state.last_s, 1.0)
+            moved, since = taken.last - state.last, 1.0 / max(at - state.last_s, 1.0)
             state.slowest = min(moved - sensor.unit, 0.0) * since
             state.fastest = max(moved + sensor.unit, 0.0) * since
         state.last, state.last_s = taken.last, taken.time_s
