@@ -6,8 +6,8 @@ T''', with T'' forgetting itself in `FORGETTING_S`) and in what the sensor's err
 - level kinds: the reading is the level that the temperature, with a little white noise, is in;
 - mean kinds: the reading is the temperature with white errors, quantization among them.
 
-Some of either have a slow error as well, a Gauss-Markov process, which is the fourth state; and some of these a random
-walk beside it, together 1/f noise, which is part of the temperature that they estimate.
+Some of either have a slow error as well, a Gauss-Markov process, which is the fourth state; and some of these
+a random walk beside it, together 1/f noise.  The walk is part of the temperature that they estimate.
 
 They are mixed as an interacting multiple model (Blom and Bar-Shalom 1988).
 """
@@ -33,23 +33,23 @@ FORGETTING_S = 1800.0
 WHITE_SIGMAS = (0.0003, 0.01, 0.02, 0.035, 0.06, 0.1, 0.13, 0.16, 0.2, 0.25)
 """White noise of the level kinds in steps: beyond the last the steps are no sharper than the noise."""
 SLOT_S = 1.0
-SLOW_LEVEL_SIGMAS = (0.12, 0.25, 0.5, 1.0)
-"""Standard deviations in units, of slow errors before the quantizer, ..."""
-SLOW_LEVEL_WHITES = (0.06, 0.2)
-"""... and white noise beside them in steps."""
+"""Readings are gathered over this time."""
+SLOW_LEVEL_SIGMAS, SLOW_LEVEL_WHITES = (0.12, 0.25, 0.5, 1.0), (0.06, 0.2)
+"""Before the quantizer: deviations of slow errors, in units, and of white noise beside them, in steps."""
 MEAN_FACTORS = (0.7, 1.4, 2.8)
 """Variance of a slot's mean in the mean kinds, over that seen from slot to slot."""
 SLOW_RATIOS, SLOW_TIMES_S = (0.6, 2.0, 6.0, 20.0, 60.0, 200.0), (3.0, 10.0, 30.0, 100.0)
 """Variance of slow errors where the noise hides the steps, over that seen from slot to slot, and correlation
 times, s: all pairs that change no faster than what is seen; a slot's mean hides up to half of that."""
 FLICKER_TIME_S = 3.0
-"""1/f noise from here to minutes is as likely under a process with this time and a walk as under two processes."""
+"""1/f noise in means of a second is as likely under a process with this time and a walk as under two; under
+one, -2 log likelihood of half an hour is 60 to 150 more."""
 SLOW_LEVEL_TIMES = ((5.0, 0.0), (40.0, 0.0), (FLICKER_TIME_S, 0.01))
-"""Correlation times of slow errors before the quantizer, and the walk beside them per second over the variance."""
+"""Of slow errors before the quantizer: correlation time, and variance of the walk per second over theirs."""
 FLICKER_RATIOS, FLICKER_WALKS = (0.6, 2.0), (0.01, 0.06)
-"""Where the noise hides the steps: the process as above, and the walk from slot to slot over what is seen there."""
+"""Where the noise hides the steps: the process, as above, and the walk of one reading over what is seen."""
 WALKED_S = 900.0
-"""A sensor's walk, being 1/f noise, goes no farther than in this time."""
+"""A sensor's walk, which stands for 1/f noise, goes no farther than in this time."""
 
 
 class Kind(NamedTuple):
@@ -60,7 +60,7 @@ class Kind(NamedTuple):
     white : float
         Standard deviation in steps, of a level kind; else variance over that seen from slot to slot.
     slow : float
-        Variance of the process in units² of the sensor; or the part of what is seen that it is, in a slot.
+        Variance of the process in units² of the sensor; else the part that it has in what is seen.
     time_s : float
         Its correlation time.
     walk : float
@@ -77,10 +77,15 @@ def _mean_kind(ratio: float, time_s: float, walk: float = 0.0) -> Kind:
     return Kind(max(1.0 - ratio / time_s, 0.05), ratio / time_s, time_s, walk)
 
 
+def _level_kind(white: float, sd: float, time_s: float, walk: float) -> Kind:
+    """Return a kind whose readings of a slot scatter as the process moves in it, too."""
+    return Kind(math.hypot(white, sd * math.sqrt(SLOT_S / (3.0 * time_s))), sd**2, time_s, walk * sd**2)
+
+
 LEVEL_KINDS = [
     *(Kind(white) for white in WHITE_SIGMAS),
     *(
-        Kind(math.hypot(white, sd * math.sqrt(SLOT_S / (3.0 * time_s))), sd**2, time_s, walk * sd**2)
+        _level_kind(white, sd, time_s, walk)
         for white, sd, (time_s, walk) in product(SLOW_LEVEL_WHITES, SLOW_LEVEL_SIGMAS, SLOW_LEVEL_TIMES)
     ),
 ]
@@ -97,7 +102,7 @@ PRIOR = np.where(SLOW > 0.0, 0.03, 1.0)
 
 
 class Slow(NamedTuple):
-    """The slow errors of every kind of noise: variance, and that which the walk gains, (k,), °C² and °C²/s."""
+    """The slow errors of every kind: variance, and that which the walk gains, (k,), °C² and °C²/s."""
 
     variance: FloatArray
     walk: FloatArray

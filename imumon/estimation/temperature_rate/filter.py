@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 from imumon.blocks import FloatArray, IntArray
 from imumon.compiled import njit
-from imumon.estimation.temperature_rate.bank import START_RATE, Bank, advance, started
+from imumon.estimation.temperature_rate.bank import SLOT_S, START_RATE, Bank, advance, started
 from imumon.estimation.temperature_rate.measurement import Merged, measure, merged, said
 from imumon.estimation.temperature_rate.refresh import FASTEST, SLOW_S
-from imumon.estimation.temperature_rate.sensor import SLOT_S, Reading, Sensor
+from imumon.estimation.temperature_rate.sensor import Reading, Sensor
 from imumon.estimation.temperature_rate.step import StepFinder
 
 GLIDE_S = 3.0
@@ -20,8 +20,9 @@ GLIDE_S = 3.0
 SURPRISING = 6.0
 """A change by so many standard deviations and half a step corrects an error: then the temperature jumps."""
 ALLOWED = 2.5
-"""The temperature is within half a step and so many standard deviations of the noise of the readings."""
+"""The temperature is within half a step and so many standard deviations of the noise of the readings, ..."""
 SLOW_ALLOWED = 0.5
+"""... of their slow error so many: the nearer, the less is a ramp missed that begins in it."""
 STEP_CHANGE = 0.25
 """A step found to be so much larger is another."""
 GATE, GATE_STEPS, GATE_SLOTS = 8.0, 5.0, 3
@@ -90,7 +91,7 @@ class State:
     usual_s : float
         Time between the last two slots with readings.
     slowest, fastest : float
-        Rates that the last two readings allow until the next, °C/s; for slow refreshes.
+        Rates that the last two readings show and allow until the next, °C/s; for slow refreshes.
     step : float
         The step that the bank takes the readings to have, °C.
     faults : int
@@ -283,7 +284,12 @@ def _shown(state: State, means: Merged, end_s: float, fresh: bool) -> Shown:
         temperature,
         rate,
         means.acceleration,
-        math.sqrt(max(means.temperature_variance, 0.0) + hidden**2 + late**2 + UNAVERAGED**2 * (means.slow + means.walked)),
+        math.sqrt(
+            max(means.temperature_variance, 0.0)
+            + hidden**2
+            + late**2
+            + UNAVERAGED**2 * (means.slow + means.walked)
+        ),
         math.sqrt(max(means.rate_variance, 0.0) + frozen**2 + moved**2),
     )
     if not fresh:

@@ -10,6 +10,8 @@ A slot's readings are one of three kinds.
   that noise does not matter, the time of the crossing is the measurement.
 - *more*: the mean is the measurement.
 
+A single reading, as of a thermometer that is refreshed slowly, is one of these with the reading before it.
+
 That is what the level kinds hear.  The mean and slow kinds take the mean of any slot with its errors.
 Probabilities are those of the lattice that the mean of a slot's independent readings can take, whatever the
 kind, so that all can be compared.
@@ -120,8 +122,8 @@ def said(reading: Reading, sensor: Sensor) -> Said:
     case = NO_STEP
     if step:
         case = MANY if high - low > 1.5 * step else STAY if high - low < 0.5 * step else FLICKER
-        if case == MANY and reading.count == 1:
-            case = STAY
+        # A leap says no more than the level where it ends.
+        case = STAY if case == MANY and reading.count == 1 else case
     plain = Said(
         case=case,
         step=step,
@@ -229,6 +231,7 @@ def _as_level(f: Filter, noise: float, mean: float, variance: float, said: Said)
         after, left, log = _gaussian(mean, variance, said.mean, inside)
         return after, left, log + math.log(step / said.independent / ROOT_2_PI)
     sigma = math.hypot(noise, rate * said.duration_s / math.sqrt(12.0))
+    # Where every reading counts the one before has been heard: only the last is new.
     if said.case == STAY or (said.readings == 1.0 and math.sqrt(variance) < SHARPER * sigma):
         return _stay(mean, variance, f.growth, sigma, said)
     moved = abs(rate) * said.duration_s
@@ -263,7 +266,7 @@ def _stay(mean: float, variance: float, growth: float, sigma: float, said: Said)
 
 
 class Merged(NamedTuple):
-    """The mean of all filters, and variances of temperature, rate, the slow error and how far it has walked."""
+    """The mean of all filters, and variances of temperature, rate, the slow error and its walk, °C²."""
 
     temperature: float
     rate: float

@@ -12,7 +12,7 @@ import math
 from dataclasses import dataclass
 
 SLOW_S, SLOWEST_S = 0.9, 120.0
-"""Faster refreshes are seen within a slot and its neighbours; slower thermometers are not made."""
+"""Faster refreshes are seen within a slot; slower thermometers are not made."""
 FASTEST = 20.0 / 60.0
 """°C/s; a leap that would need more is a fault ("several °C/min" is what the paper's sensors meet)."""
 LEAP_STEPS = 1.5

@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 
-from imumon.estimation.temperature_rate.bank import Slow, slow_errors
+from imumon.estimation.temperature_rate.bank import SLOT_S, Slow, slow_errors
 from imumon.estimation.temperature_rate.refresh import RefreshFinder
 from imumon.estimation.temperature_rate.step import StepFinder
 
-SLOT_S = 1.0
 MEMORY = 1.0 / 32.0
 """Weight of a new slot in what is learned, after as many slots."""
 FLICKER_S, FLICKERS = 10.0, 3
@@ -70,8 +69,8 @@ class Reading:
         before = self.before if math.isfinite(self.before) else self.first
         return replace(
             self, start_s=time_s, end_s=time_s, count=1, mean=self.last, variance=0.0, low=self.last,
-            high=self.last, first=self.last, changes=int(before != self.last), step_squares=0.0, before=before,
-            gap_s=gap_s,
+            high=self.last, first=self.last, changes=int(before != self.last), step_squares=0.0,
+            before=before, gap_s=gap_s,
         )  # fmt: skip
 
     @property
