@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from imumon.cli.common import PATH, console, json_option, print_json, print_rows, warn
+from imumon.cli.common import PATH, json_option, print_json, print_rows, warn
+from imumon.cli.progress import reading_bar
 from imumon.errors import ImumonError, Reason
-from imumon.harmless import for_log
 
 if TYPE_CHECKING:
     from imumon.diagnosis.recording import Run
 
 SEVERAL = ("--train", "--test")
-
-Tell = Callable[[str], None]
 
 
 class _SeveralValues(click.Command):
@@ -93,8 +89,8 @@ def command(
     assumed = usual if declared is None else declared
     parse_declared(assumed)
     _make(out)
-    with _progress() as tell:
-        runs = [_read(path, map_path, at_rest, tell) for path in (*train, *test)]
+    with reading_bar([*train, *test], quiet=as_json) as tell:
+        runs = [_read(path, map_path, at_rest) for path in (*train, *test)]
         split = len(train)
         training = [run for group in runs[:split] for run in group]
         testing = [run for group in runs[split:] for run in group]
@@ -111,18 +107,11 @@ def command(
     print_rows({what: str(out / name) for what, name in written.items()})
 
 
-def _read(path: Path, map_path: Path | None, at_rest: bool, tell: Tell) -> list[Run]:
+def _read(path: Path, map_path: Path | None, at_rest: bool) -> list[Run]:
     from imumon.diagnosis.recording import read_runs
     from imumon.estimation.rest.stage import RestDetector
 
-    rows = 0
-
-    def count(more: int) -> None:
-        nonlocal rows
-        rows += more
-        tell(f"reading {path.name}: {rows:,} samples")
-
-    return read_runs(path, map_path, lambda _: [RestDetector()], count, at_rest)
+    return read_runs(path, map_path, lambda _: [RestDetector()], at_rest=at_rest)
 
 
 def _make(out: Path) -> None:
@@ -132,19 +121,3 @@ def _make(out: Path) -> None:
         raise ImumonError(
             Reason.BAD_CONFIG, f"the folder {out} cannot be made: {error.strerror}", "give another folder"
         ) from error
-
-
-@contextmanager
-def _progress() -> Iterator[Tell]:
-    """Show on standard error what is being done, and for how long."""
-    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-
-    columns = (
-        SpinnerColumn(),
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        TimeElapsedColumn(),
-    )
-    with Progress(*columns, console=console(error=True), transient=True) as bar:
-        task = bar.add_task("reading", total=None)
-        yield lambda text: bar.update(task, description=for_log(text))

@@ -277,10 +277,11 @@ class Sensor:
         self.reversed += reading.changes > 1 or (change * self.change < 0.0 and gap_s < FLICKER_S)
         self.change = change
         since = reading.duration_s / reading.changes if reading.changes > 1 else gap_s
-        if self.learned > 1 or reading.changes > 1:
+        known = self.learned > 1 and math.isfinite(gap_s)  # not where a segment begins
+        if known or reading.changes > 1:
             longest = SLOWER * max(self.interval_s, reading.gap_s) if self.interval_s else since
             self.interval_s = min(since, longest)
-        if self.learned > 1:
+        if known:
             self.usual_s += weight * (gap_s - self.usual_s)
         self.changed_s = reading.changed_s
 

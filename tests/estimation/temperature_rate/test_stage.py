@@ -154,3 +154,12 @@ def test_a_ramp_after_a_hold_is_no_reason_to_refuse() -> None:
     added = stage.process(block(temperature=quantized(temperature, 0.01)))
     assert np.isfinite(added["temperature_rate"]).all()
     assert stage.notices() == []
+
+
+def test_a_reading_that_changes_in_the_first_second_of_a_segment_is_taken() -> None:
+    segments, n = 6, 500
+    temperature = np.tile(np.repeat([20.0, 20.05], (150, n - 150)), segments)
+    segment = np.repeat(np.arange(segments), n)
+    time_ns = np.tile(np.arange(n) * 4_000_000, segments)
+    sent = SampleBlock({"device_time_ns": time_ns, "segment": segment, "temperature": temperature})
+    assert np.isfinite(TemperatureRate().process(sent)["temperature_rate"][-1])
