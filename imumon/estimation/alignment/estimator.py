@@ -39,11 +39,12 @@ LEAST_ARW, LARGEST_TYPICAL = math.radians(0.002) / 60.0, EARTH_RATE
 SIZES = np.linspace(-4.0, 12.0, 17)
 """Logarithms of the sizes thought of, over the typical one: up to 200 °/h of the best gyros."""
 LARGER = int(np.sum(SIZES > 0.0))
-WORSE = np.exp([2.0, 4.0, 6.0, 8.0])
+WORSE = np.exp([2.0, 4.0, 6.0, 8.0, 10.0])
 SOME = np.array([[True, False, False], [False, True, False], [False, False, True]])
 SOME = np.concatenate([SOME, ~SOME])
-SINGLY = 0.01
-"""Gyros that may be worse than the others, by which factors, and the probability of that."""
+SINGLY = 0.003
+"""Gyros that may be worse than the others, by which factors, and the probability of that: of the best gyros up
+to twice the earth rate, and as seldom as a normal value beyond three standard deviations."""
 UNLIKE = 0.02
 """Probability that a gyro is worse than its class, by any factor, as one that is not calibrated: so little
 that it costs nothing where the rates agree with the class, and where they do not, they decide."""
