@@ -43,8 +43,8 @@ WORSE = np.exp([2.0, 4.0, 6.0, 8.0, 10.0])
 SOME = np.array([[True, False, False], [False, True, False], [False, False, True]])
 SOME = np.concatenate([SOME, ~SOME])
 SINGLY = 0.003
-"""Gyros that may be worse than the others, by which factors, and the probability of that: of the best gyros up
-to twice the earth rate, and as seldom as a normal value beyond three standard deviations."""
+"""Gyros that may be worse than the others, by which factors, and the probability of that: up to twice the earth
+rate for the best gyros, and as seldom as a normal value beyond three standard deviations."""
 UNLIKE = 0.02
 """Probability that a gyro is worse than its class, by any factor, as one that is not calibrated: so little
 that it costs nothing where the rates agree with the class, and where they do not, they decide."""
