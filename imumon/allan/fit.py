@@ -242,12 +242,13 @@ def fit_terms(variances: FloatArray, covariances: Covariances, interval_s: float
         return None
     start, stop, error = _range_and_error(variances[:n], covariances, interval_s)
     problem = _Problem(variances[start:stop], _part(covariances, start, stop), error)
-    solution = _with_alike(problem, _smallest(problem))
+    smallest = _smallest(problem)
+    solution = problem.fit(_with_alike(smallest), ALIKE)
     told = TERMS if stop == n else TERMS[:1]
     terms: dict[str, Estimate | None] = dict.fromkeys(term.name for term in TERMS)
     for column, term in enumerate(told if error <= NO_SUM else ()):
         coefficient = float(solution.coefficients[column])
-        if coefficient > 0.0 and _is_shown(problem, solution, column):
+        if coefficient > 0.0 and _is_shown(problem, smallest, column):
             value = math.sqrt(coefficient * term.per_unit(interval_s))
             spread = math.sqrt(float(solution.covariance[column, column]))
             terms[term.name] = Estimate(value, 0.5 * value * spread / coefficient)
@@ -256,19 +257,15 @@ def fit_terms(variances: FloatArray, covariances: Covariances, interval_s: float
 
 def _is_shown(problem: _Problem, solution: _Solution, column: int) -> bool:
     """Tell whether the fit without a term calls for it, whatever may stand in its place."""
-    others = tuple(sorted(_alike(solution) - {column}))
+    beside = _with_alike(solution) if column in ALIKE else np.flatnonzero(solution.coefficients).tolist()
+    others = tuple(other for other in beside if other != column)
     return not others or problem.called_for(problem.fit(others), column) > TERMS[column].shown
 
 
-def _alike(solution: _Solution) -> frozenset[int]:
-    """Return the columns of a solution, with those that look alike."""
+def _with_alike(solution: _Solution) -> tuple[int, ...]:
+    """Return the columns of a solution, with what is not called for, but could stand in their place."""
     found = frozenset(np.flatnonzero(solution.coefficients).tolist())
-    return found | ALIKE if found & ALIKE else found
-
-
-def _with_alike(problem: _Problem, solution: _Solution) -> _Solution:
-    """Return the fit with what is not called for, but could have taken a part in the place of its like."""
-    return problem.fit(tuple(sorted(_alike(solution))), ALIKE)
+    return tuple(sorted(found | ALIKE if found & ALIKE else found))
 
 
 def _range_and_error(
