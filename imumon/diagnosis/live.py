@@ -95,17 +95,25 @@ class LiveDiagnosis:
         """Take the seconds that have ended; a new segment is a new run."""
         cuts = [0, *np.flatnonzero(slots.begins).tolist(), len(slots)]
         for start, stop in pairwise(cuts):
-            if stop == start:
-                continue
-            part = slots[start:stop]
-            if part.begins[0] and self._parts:
-                self._begin()
-            self._parts.append(part)
-            elapsed = (int(part.end_ns[-1]) - int(self._parts[0].start_ns[0])) / SECOND_NS
-            if elapsed >= self._next_look_s and self._shadow is None and self.offered is None:
-                self._look(elapsed)
-            if self._shadow is not None and elapsed >= self._next_judged_s:
-                self._judge(self._shadow, elapsed)
+            if stop > start:
+                part = slots[start:stop]
+                if part.begins[0] and self._parts:
+                    self._begin()
+                self._follow(part)
+
+    def _follow(self, part: Slots) -> None:
+        """Take seconds of one run, and stop wherever it is time to look or to judge."""
+        begun_ns = int((self._parts or [part])[0].start_ns[0])
+        while len(part):
+            elapsed = (part.end_ns - begun_ns) / SECOND_NS
+            due = min(self._next_look_s, self._next_judged_s if self._shadow is not None else np.inf)
+            count = min(int(np.searchsorted(elapsed, due)) + 1, len(part))
+            self._parts.append(part[:count])
+            now_s, part = float(elapsed[count - 1]), part[count:]
+            if self._shadow is not None and now_s >= self._next_judged_s:
+                self._judge(self._shadow, now_s)
+            if now_s >= self._next_look_s:
+                self._look(now_s)
 
     def _look(self, elapsed_s: float) -> None:
         from imumon.diagnosis.glance import better_models
@@ -113,6 +121,8 @@ class LiveDiagnosis:
         self._looks += 1
         while self._next_look_s <= elapsed_s:
             self._next_look_s *= GROWTH
+        if self.offered is not None:
+            return
         found = better_models(self._run(), self._model, self._gyros, self._looks)
         if not found:
             self.state = ""
