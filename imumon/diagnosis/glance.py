@@ -28,7 +28,7 @@ from imumon.models.predictor import BiasPredictor
 
 LEAST_BLOCKS = 40
 """As the whole diagnosis needs."""
-MOST = 8
+MOST = 6
 """Of the grid of an effect so many are tried, spread over it: their neighbours have a gain nearly as good."""
 CLOSE = 10.0
 """Families whose gains differ by less are not told apart, as in the whole diagnosis."""
