@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -20,7 +20,7 @@ from imumon.blocks import SampleBlock
 from imumon.columns import KNOWN
 from imumon.errors import ImumonError, Reason
 from imumon.geodesy import STANDARD_GRAVITY
-from imumon.pipeline import Digest, Pipeline, PipelineCounters
+from imumon.pipeline import Digest, Estimator, Pipeline, PipelineCounters
 from imumon.protocols.device import DeviceFile
 from imumon.recordings.folder import create_session, remove_empty
 from imumon.recordings.metadata import PortUsed, SessionMetadata, StreamSummary
@@ -32,7 +32,7 @@ from imumon.run.marks import Marks
 from imumon.run.narration import Narrator, Progress, Publish, Say
 from imumon.run.setup import Setup
 from imumon.run.stages import estimators
-from imumon.transport.reader import SILENT_AFTER_S, Bytes, EventKind, Item, Reader
+from imumon.transport.reader import SILENT_AFTER_S, Bytes, Clock, EventKind, Item, Reader
 from imumon.transport.settings import PortSettings
 
 BATCH_S = 0.05
@@ -120,6 +120,8 @@ class LiveRun:
         Where the session goes; must not hold one.
     say : callable
         Where log lines go; called from several threads.
+    stages : sequence of Estimator
+        More stages, behind the others.
 
     Raises
     ------
@@ -135,15 +137,19 @@ class LiveRun:
         setup: Setup,
         folder: Path,
         say: Say,
+        stages: Sequence[Estimator] = (),
     ) -> None:
         self._device = device
-        self.pipeline = Pipeline(device, estimators(device, setup))
+        self.pipeline = Pipeline(device, [*estimators(device, setup), *stages])
+        self.taken: Callable[[SampleBlock, Mapping[str, SampleBlock]], None] | None = None
+        """Given, in the pipeline's thread, the samples and those of the side streams as they come."""
         self._settings = settings
         self._say = say
         self._items: SimpleQueue[Item] = SimpleQueue()
         self._marks, self._marking = Marks(folder), threading.Lock()
         self._digest, self._outages = Digest(), Outages()
-        self._began_ns = time.time_ns()
+        self._clock = Clock()
+        self._began_ns = self._clock.now_ns()
         self.session = create_session(folder, self._metadata(device, device_yaml, setup))
         self._writer = self._wire_writer()
         self._recorder = Recorder(self._writer, self._recording_problem, self._save)
@@ -199,7 +205,7 @@ class LiveRun:
         if self._thread.ident is not None:
             self._thread.join()
         wire = self._recorder.stop()
-        ended_ns = time.time_ns()
+        ended_ns = self._clock.now_ns()
         counters = self.pipeline.counters
         digest = self._digest.hexdigest() if self._finished else None
         if not self._finished and self._thread.ident is not None and self.failure is None:
@@ -285,10 +291,10 @@ class LiveRun:
                 self._hand_on(self.pipeline.take())
                 if time.monotonic() >= next_tick or closed:
                     next_tick = time.monotonic() + TICK_S
-                    self._progress = self._narrator.tick(time.time_ns())
+                    self._progress = self._narrator.tick(self._clock.now_ns())
             self.pipeline.finish()
             self._hand_on(self.pipeline.take())
-            self._progress = self._narrator.tick(time.time_ns())
+            self._progress = self._narrator.tick(self._clock.now_ns())
             self._finished = True
         except ImumonError as error:
             # Reading and recording go on; what could not be decoded can be decoded from the recording.
@@ -296,6 +302,8 @@ class LiveRun:
 
     def _hand_on(self, block: SampleBlock) -> None:
         self._digest.update(block, self.pipeline.side)
+        if self.taken is not None:
+            self.taken(block, self.pipeline.side)
         self._narrator.samples(block, self.pipeline.side)
 
     def _take_batch(self) -> bool:

@@ -23,8 +23,9 @@ ByteArray = npt.NDArray[np.uint8]
 
 SILENT_AFTER_S = 1.0
 FIRST_DELAY_S = 0.1
-LONGEST_DELAY_S = 2.0
-"""Reopening is tried after 0.1 s, then after twice the time, up to 2 s, for ever."""
+LONGEST_DELAY_S = 0.5
+"""Reopening is tried after 0.1 s, then after twice the time, up to 0.5 s, for ever: a device that is back is
+read within 1 s.  A try takes a millisecond."""
 CHECK_SILENT_S = 1.0
 """How often a silent port is checked for having been replaced."""
 
