@@ -178,7 +178,7 @@ def score(channel: Channel, model: Fit, like: Fit | None = None) -> TestScore:
         residual = run.mean[channel.name] - _predicted(channel, run, model)
         if channel.declared.offsets and use.any():
             residual = residual - residual[use].mean()
-        lifted = 0.0 if _begun(channel, run) is not None else model.lifted
+        lifted = 0.0 if begun(channel, run) is not None else model.lifted
         expected, near = _followed(run, run.drives[channel.temperature], residual, model, lifted)
         left.append(residual)
         followed.append(residual - expected)
@@ -206,23 +206,25 @@ def mean_rms(parts: Sequence[FloatArray], counted: Sequence[BoolArray]) -> float
 def _predicted(channel: Channel, run: RunBlocks, model: Fit) -> FloatArray:
     """Return the bias that a fitted model predicts of a run, (n,)."""
     expected = channel.declared.columns(run.temperature[channel.temperature]) @ model.declared
-    drive, begun = run.drives[channel.temperature], _begun(channel, run)
+    drive, which = run.drives[channel.temperature], begun(channel, run)
     for part in model.parts:
         if part.carries:
             simulated = part.effect.simulate(drive)
             expected = expected + run.average(simulated[:, np.newaxis])[:, 0]
-        elif part.effect.scope == "event" and begun in part.runs:
-            expected = expected + run.average(part.effect.columns(drive)) @ part.own[part.runs.index(begun)]
-    return np.asarray(expected if begun is None else expected - model.lifted)
+        elif part.effect.scope == "event" and which in part.runs:
+            expected = expected + run.average(part.effect.columns(drive)) @ part.own[part.runs.index(which)]
+    return np.asarray(expected if which is None else expected - model.lifted)
 
 
 def goes_on(channel: Channel, model: Fit) -> bool:
     """Tell whether a jump of the training is still there in a run of the test."""
-    begun = [_begun(channel, run) for run in channel.test]
-    return any(part.effect.scope == "event" and run in part.runs for part in model.parts for run in begun)
+    goes_on_from = [begun(channel, run) for run in channel.test]
+    return any(
+        part.effect.scope == "event" and run in part.runs for part in model.parts for run in goes_on_from
+    )
 
 
-def _begun(channel: Channel, run: RunBlocks) -> int | None:
+def begun(channel: Channel, run: RunBlocks) -> int | None:
     """Return the training run that a run goes on from; None where it begins with a power-on of its own."""
     names = [other.name for other in channel.train]
     return names.index(run.begun_in) if run.begun_in in names else None

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
+from scipy.special import gammaln
 
 from imumon.blocks import FloatArray, IntArray
 from imumon.diagnosis.blocks import RunBlocks
@@ -29,6 +30,9 @@ COARSE_WALK = (0.0, 10.0, 1000.0)
 COLLINEAR = 1e-5
 """A column of which less is left beside the base is not used."""
 RIDGE = 1e-9
+TAILS = (4.0, 8.0, 16.0, 64.0, np.inf)
+"""Degrees of freedom of Student's t that innovations may have; infinite: normal."""
+REWEIGHTED = 20
 
 
 class Likelihood:
@@ -76,6 +80,40 @@ class Likelihood:
             better = found > best
             best[better], noise[better] = found[better], index
         return best, [grid[index] for index in noise.tolist()]
+
+    def beyond_tails(
+        self, values: FloatArray, base: FloatArray, columns: FloatArray, noises: Sequence[Noise]
+    ) -> float:
+        """Return twice the log-likelihood ratio of columns (n, k) beside a base, the innovations being
+        Student's t with the tails that suit each model best (Lange, Little and Taylor 1989,
+        doi:10.1080/01621459.1989.10478852).
+
+        An innovation is then no proof that is not far beyond what the other innovations do.
+        """
+        best = [
+            max(self._heavy(values, design, noise, tails) for noise in noises for tails in TAILS)
+            for design in (base, np.column_stack([base, columns]))
+        ]
+        return 2.0 * (best[1] - best[0])
+
+    def _heavy(self, values: FloatArray, base: FloatArray, noise: Noise, tails: float) -> float:
+        """Return the log-likelihood of a base with innovations of Student's t, by reweighting."""
+        both = self._white(np.column_stack([base, values]), noise)
+        weight = np.ones(self.n)
+        for _ in range(REWEIGHTED if np.isfinite(tails) else 1):
+            root = np.sqrt(weight)[:, np.newaxis]
+            basis = _orthonormal(both[:, :-1] * root)
+            target = both[:, -1] * root[:, 0]
+            left = (target - basis @ (basis.T @ target)) / root[:, 0]
+            variance = float(np.mean(weight * left**2))
+            if np.isfinite(tails):
+                weight = (tails + 1.0) / (tails + left**2 / variance)
+        spread = self._of(self.n * variance, noise) - 0.5 * self.n * np.log(2.0 * np.pi)
+        if not np.isfinite(tails):
+            return float(spread - 0.5 * self.n)
+        constant = gammaln(0.5 * (tails + 1.0)) - gammaln(0.5 * tails) - 0.5 * np.log(0.5 * tails)
+        peaked = 0.5 * (tails + 1.0) * np.log1p(left**2 / (tails * variance)).sum()
+        return float(spread + self.n * constant - peaked)
 
     def _of(self, squares: npt.ArrayLike, noise: Noise) -> FloatArray:
         """Return log-likelihoods from sums of squares of whitened residuals, s² profiled."""

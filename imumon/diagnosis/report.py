@@ -97,6 +97,7 @@ def _effect(claim: Claim) -> dict[str, Any]:
         "parameters": _parameters(claim.parts),
         "carried_over": any(part.carries for part in claim.parts),
         "evidence": {
+            "proven_by": "test" if finding.by_test else "training",
             "gain_bic": finding.gain,
             "pooled_gain_bic": finding.pooled_gain,
             "rms_explained": finding.size,

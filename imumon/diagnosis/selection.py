@@ -71,6 +71,8 @@ class Finding:
         Families that cannot be told apart from it, it among them; empty when there is no other.
     size : float
         rms of what it takes away from the residual.
+    by_test : bool
+        Whether the test alone proves it.
     """
 
     candidate: Candidate
@@ -79,6 +81,7 @@ class Finding:
     rivals: dict[str, float]
     alike: list[str]
     size: float
+    by_test: bool = False
 
     @property
     def name(self) -> str:
@@ -119,7 +122,7 @@ class Search:
     """The search in one channel, and what it found.
 
     `findings` are the effects in the order in which they were found; `many_events` says that a run has more
-    than one event, such as two jumps, which no effect explains.
+    than one event, such as two jumps, which no effect explains.  `last` is what was tried last.
     """
 
     def __init__(
@@ -129,6 +132,7 @@ class Search:
         self.findings: list[Finding] = []
         self.many_events = False
         self.finished = False
+        self.last: Table | None = None
         self._survey, self._likelihood, self._tried = survey, likelihood, tried
         self._known: dict[tuple[int, ...], tuple[list[Candidate], float, Noise]] = {}
 
@@ -210,7 +214,7 @@ class Search:
 
     def decide(self, table: Table, pooled: Mapping[str, float]) -> None:
         """Add the effect that explains most, unless none is proven and large enough."""
-        leaders = table.leaders
+        self.last, leaders = table, table.leaders
         order = sorted(leaders, key=lambda name: -leaders[name].gain)
         while order and leaders[order[0]].gain > PROVEN:
             name = self._choose(order, leaders, pooled)
@@ -263,12 +267,26 @@ class Search:
         before, after = self._left(), self._left(candidate)
         size = float(np.sqrt(max(before**2 - after**2, 0.0)))
         largest = max((finding.size for finding in self.findings), default=0.0)
+        if candidate.scope == "event" and not leader.partner and not self._stands_out(best):
+            return None
         if size < max(LEAST_SIZE * self.channel.floor.sd, SECOND_SHARE * largest, self.channel.blind):
             return None
         rivals = {other: one.gain for other, one in table.leaders.items()}
         rivals[name] = max(leader.gain, refined)
         alike = self._alike(leader, table, pooled, after)
         return Finding(candidate, rivals[name], pooled.get(name, leader.gain), rivals, alike, size)
+
+    def _stands_out(self, best: Scored) -> bool:
+        """Tell whether a jump is proven even with noise that jumps by itself."""
+        channel, price = self.channel, self._likelihood.price
+        terms = channel.pool.terms(best.candidate)[0]
+        ratio = self._likelihood.beyond_tails(
+            channel.values,
+            channel.design(self.found),
+            channel.pool.matrix(terms),
+            [self.null()[1], best.noise],
+        )
+        return ratio - (len(terms) + best.candidate.nonlinear) * price > PROVEN
 
     def _alike(self, leader: Leader, table: Table, pooled: Mapping[str, float], left: float) -> list[str]:
         """Return the families that are not told apart from the one chosen, by gain or by what they leave."""

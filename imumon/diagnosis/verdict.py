@@ -11,6 +11,7 @@ import numpy as np
 
 from imumon.diagnosis.channel import Channel
 from imumon.diagnosis.fitting import Fit, FittedPart, TestScore, fit, goes_on, mean_rms, score
+from imumon.diagnosis.foretold import foretold
 from imumon.diagnosis.selection import Finding, Search
 from imumon.effects.library import separated_by
 
@@ -21,6 +22,7 @@ EXPLAINED = 0.6
 """Share of the excess over the white floor that has to be explained before anything is named."""
 MATERIAL = 1.3
 """With a declared model that leaves less than so many floors, what is missing is too small to matter."""
+BY_TEST = "the test alone proves it: in training noise as slow as the one that is seen might go as far"
 
 
 @dataclass(slots=True)
@@ -78,8 +80,10 @@ def explained_share(before: float, after: float, floor: float) -> float:
 
 def judge(channel: Channel, found: Search) -> ChannelVerdict:
     """Return what is claimed of a channel, and what is not and why."""
-    findings = [one for one in found.findings if not (found.many_events and one.candidate.scope == "event")]
     before = fit(channel, [])
+    # A jump that is too small to matter is not told from the steps of a walk.
+    small = found.many_events or before.train_rms < MATERIAL * channel.floor.sd
+    findings = [one for one in found.findings if not (small and one.candidate.scope == "event")]
     kept, left_out = _not_worse(channel, findings)
     after = _fit(channel, kept)
     # What the digits alone make of a smooth bias is no structure.
@@ -92,6 +96,11 @@ def judge(channel: Channel, found: Search) -> ChannelVerdict:
         why = "there is more than one jump in a run" if found.many_events else few
         remark = f"the best of the known effects is {best.name}, but {why}"
         kept, after = [], before
+    if not kept and not found.many_events and before.train_rms >= CLEAN * floor:
+        one = foretold(channel, found, before)
+        if one is not None:
+            kept, after = [one], _fit(channel, [one])
+            share, remark = explained_share(before.train_rms, after.train_rms, floor), BY_TEST
     scores = _scores(channel, before, after)
     predicts = not after.parts or any(part.carries for part in after.parts)
     if scores is not None:
@@ -230,6 +239,8 @@ def summary(verdict: ChannelVerdict) -> str:
             names.append(claim.finding.name)
     text = f"{', and '.join(names)}: {before:.1f} white floors become {after:.2f} in training"
     text += _tested(verdict)
+    if verdict.remark:
+        text += f"; {verdict.remark}"
     if before < MATERIAL:
         text += "; present, too small to matter"
     if verdict.unexplained:
