@@ -50,7 +50,8 @@ def _channel(verdict: ChannelVerdict, known: ChannelModel | None) -> ChannelMode
     rms = fitted.train_rms if scored is None or not np.isfinite(scored.rms) else scored.rms
     residual = float(np.sqrt(max(rms**2 - verdict.channel.floor.sd**2, 0.0)))
     if known is not None:
-        constant = float(fitted.declared[0])
+        # That of an accelerometer is gravity's.
+        constant = 0.0 if verdict.name.startswith("accel") else float(fitted.declared[0])
         return known.model_copy(
             update={
                 "residual_sd": residual,

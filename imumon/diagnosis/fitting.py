@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imumon.blocks import FloatArray
-from imumon.diagnosis.blocks import BoolArray, RunBlocks
+from imumon.blocks import FloatArray, IntArray
+from imumon.diagnosis.blocks import RunBlocks
 from imumon.diagnosis.candidates import Candidate, Part
 from imumon.diagnosis.channel import Channel, ordinary
+from imumon.diagnosis.poses import BoolArray
 from imumon.diagnosis.tracking import Prior, track
 from imumon.effects.base import Drive, Effect
 from imumon.models.model import REACH
@@ -18,6 +19,8 @@ from imumon.models.model import REACH
 CARRY_SPREAD = 0.35
 """Own coefficients carry over when none is further from their mean than this share of it."""
 LEAST_TEST_BLOCKS = 10
+LEAST_LEVEL_BLOCKS = 4
+"""Of fewer the mean takes too much of their own noise away."""
 WIDER = 2.0
 """What differs from run to run is known from few: the prior allows for so many times what was seen."""
 
@@ -84,10 +87,11 @@ class Fit:
 def fit(channel: Channel, found: Sequence[Candidate]) -> Fit:
     """Fit the declared model and the candidates by ordinary least squares."""
     pool, runs, width = channel.pool, len(channel.train), channel.base.shape[1]
+    further = channel.declared.degree + 1
     design = channel.design(found)
     coefficients = ordinary(design, channel.values)
-    model = coefficients[: channel.declared.degree + 1].copy()
-    model[0] += float(coefficients[channel.declared.degree + 1 : width].sum()) / runs
+    model = coefficients[:further].copy()
+    model[0] += float(coefficients[further:width].sum()) / (width - further + 1)
     parts: list[FittedPart] = []
     lifted, at = 0.0, width
     for candidate in found:
@@ -176,8 +180,8 @@ def score(channel: Channel, model: Fit, like: Fit | None = None) -> TestScore:
         covered.append(inside_range & _within_drivers(channel, run, like or model))
         use = covered[-1] & _settled(channel, run, like or model)
         residual = run.mean[channel.name] - _predicted(channel, run, model)
-        if channel.declared.offsets and use.any():
-            residual = residual - residual[use].mean()
+        if channel.declared.own:
+            residual, use = _without_levels(residual, use, channel.declared.levels(run))
         lifted = 0.0 if begun(channel, run) is not None else model.lifted
         expected, near = _followed(run, run.drives[channel.temperature], residual, model, lifted)
         left.append(residual)
@@ -195,6 +199,17 @@ def score(channel: Channel, model: Fit, like: Fit | None = None) -> TestScore:
         counted=counted,
         quiet=quiet,
     )
+
+
+def _without_levels(residual: FloatArray, use: BoolArray, levels: IntArray) -> tuple[FloatArray, BoolArray]:
+    """Return a residual less the mean of each level, and which blocks count: of levels with enough."""
+    left, counted = residual.copy(), use.copy()
+    for level in np.unique(levels):
+        here = levels == level
+        number = int((here & use).sum())
+        left[here] -= residual[here & use].mean() if number else 0.0
+        counted[here] &= number >= LEAST_LEVEL_BLOCKS
+    return left, counted
 
 
 def mean_rms(parts: Sequence[FloatArray], counted: Sequence[BoolArray]) -> float:

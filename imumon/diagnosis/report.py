@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
+
+import numpy as np
 
 from imumon import __version__
 from imumon.diagnosis.engine import Diagnosis
 from imumon.diagnosis.fitting import FittedPart
+from imumon.diagnosis.gravity import Length
 from imumon.diagnosis.verdict import ChannelVerdict, Claim
 from imumon.effects.library import separated_by
 from imumon.files import plain
@@ -33,6 +37,7 @@ def report(diagnosis: Diagnosis) -> dict[str, Any]:
             diagnosis.survey.middle_degc + diagnosis.survey.half_span_degc,
         ],
         "caveats": diagnosis.caveats,
+        "length_of_gravity": _length(diagnosis.length),
         "channels": {verdict.name: _channel(verdict) for verdict in diagnosis.verdicts},
     }
     found: dict[str, Any] = plain(content)
@@ -48,6 +53,12 @@ def _declared(diagnosis: Diagnosis) -> str:
     if diagnosis.model is None:
         return diagnosis.declared
     return f"model of {diagnosis.model.created} and {diagnosis.declared}"
+
+
+def _length(found: Length | None) -> dict[str, Any] | None:
+    if found is None:
+        return None
+    return {name: np.asarray(value).tolist() for name, value in asdict(found).items()}
 
 
 def _run(name: str, blocks: int, duration_s: float) -> dict[str, Any]:
