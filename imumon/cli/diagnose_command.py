@@ -92,8 +92,8 @@ def command(
     usual = "polynomial 3" if model is None else "polynomial 0"
     assumed = usual if declared is None else declared
     parse_declared(assumed)
-    _make(out)
-    with _progress() as tell:
+    make_folder(out)
+    with progress() as tell:
         runs = [_read(path, map_path, at_rest, tell) for path in (*train, *test)]
         split = len(train)
         training = [run for group in runs[:split] for run in group]
@@ -125,7 +125,8 @@ def _read(path: Path, map_path: Path | None, at_rest: bool, tell: Tell) -> list[
     return read_runs(path, map_path, lambda _: [RestDetector()], count, at_rest)
 
 
-def _make(out: Path) -> None:
+def make_folder(out: Path) -> None:
+    """Make a folder for results; raises BAD_CONFIG when that fails."""
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -135,7 +136,7 @@ def _make(out: Path) -> None:
 
 
 @contextmanager
-def _progress() -> Iterator[Tell]:
+def progress() -> Iterator[Tell]:
     """Show on standard error what is being done, and for how long."""
     from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 

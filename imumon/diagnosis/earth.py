@@ -13,7 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from imumon.blocks import FloatArray
+from imumon.blocks import FloatArray, IntArray
 from imumon.diagnosis.blocks import RunBlocks
 from imumon.diagnosis.channel import INDEPENDENT, Declared, estimated
 from imumon.diagnosis.gains import PROVEN
@@ -29,6 +29,8 @@ ALLOWANCE = 1.05
 SIGMAS = 3.0
 SPREAD = 0.15
 LAGS_S = (60.0, 250.0, 1000.0)
+LEAST_FREE = 1e-3
+"""Share of a jump, or of one beside another, that is left beside the rest, below which it is not told."""
 LEAST_TURN = 0.5
 """Change of a direction's component, about 30°, from which on its part of the earth rate is looked for."""
 LEAST_LEVEL = 0.1
@@ -51,6 +53,8 @@ class EarthRate:
     @property
     def latitude_deg(self) -> float:
         """Latitude, north positive where the specific force at rest points up."""
+        if self.upright and self.level:
+            return float(np.degrees(np.arctan2(self.up, self.across)))
         if self.upright:
             return float(np.degrees(np.arcsin(np.clip(self.up / EARTH_RATE, -1.0, 1.0))))
         return float(np.degrees(np.arccos(np.clip(self.across / EARTH_RATE, -1.0, 1.0))))
@@ -116,12 +120,11 @@ def _common(
     force = np.concatenate([part for run in runs if (part := specific_force(run)) is not None])
     each, sigma = [], []
     for axis, name in enumerate(channels):
-        temperature = temperatures[name]
         values = np.concatenate([run.mean[name] for run in runs])
-        beside = np.concatenate([_beside(run, temperature, declared) for run in runs])
-        across = np.delete(force, axis, axis=1)
-        columns = np.column_stack([declared.training(runs, temperature), beside, across, seen[:, axis]])
-        columns = np.column_stack([_jumps(columns, values, [len(run) for run in runs]), columns])
+        beside = np.concatenate([_beside(run, temperatures[name], declared) for run in runs])
+        own, across = declared.training(runs, temperatures[name]), np.delete(force, axis, axis=1)
+        columns = np.column_stack([own, beside, across, seen[:, axis]])
+        columns = np.column_stack([_jumps(columns, values, runs), columns])
         estimate, sd = estimated(columns, values, seen.shape[2])
         each.append(estimate)
         sigma.append(sd)
@@ -135,25 +138,41 @@ def _common(
     return mean if same and is_seen and size <= ALLOWANCE * EARTH_RATE else None
 
 
-def _jumps(columns: FloatArray, values: FloatArray, lengths: Sequence[int]) -> FloatArray:
-    """Return a column for the largest jump of each run that is plain beside the others, (n, jumps)."""
-    n, found = len(values), np.empty((len(values), 0))
-    for first, stop in pairwise(np.cumsum([0, *lengths]).tolist()):
-        at = np.arange(first + EDGE_BLOCKS, stop - EDGE_BLOCKS)
-        rows = np.arange(n)[:, np.newaxis]
-        steps = ((rows >= at) & (rows < stop)).astype(np.float64)
-        known = np.column_stack([columns, found])
-        norm = np.linalg.norm(known, axis=0)
-        basis = np.linalg.qr(known / np.where(norm > 0, norm, 1.0))[0]
-        left = values - basis @ (basis.T @ values)
-        steps_left = steps - basis @ (basis.T @ steps)
-        size = np.einsum("ij,ij->j", steps_left, steps_left)
-        gain = np.where(size > 1e-3 * len(values), (left @ steps_left) ** 2 / np.maximum(size, 1e-9), 0.0)
-        best = int(np.argmax(gain)) if len(gain) else 0
-        share = float(gain[best] / (left @ left)) if len(gain) else 0.0
-        if -n / INDEPENDENT * np.log1p(-min(share, 1.0 - 1e-9)) > PROVEN:
-            found = np.column_stack([found, steps[:, best]])
-    return found
+def _jumps(columns: FloatArray, values: FloatArray, runs: Sequence[RunBlocks]) -> FloatArray:
+    """Return a column for the jump, or for each of two in different runs, that leaves least, if that is
+    plain, (n, jumps).  One at a turn of the unit is that turn's."""
+    n = len(values)
+    parts = list(pairwise(np.cumsum([0, *map(len, runs)]).tolist()))
+    at = [first + _within(run.pose) for run, (first, _) in zip(runs, parts, strict=True)]
+    rows = np.arange(n)[:, np.newaxis]
+    steps = np.hstack([(rows >= k) & (rows < stop) for k, (_, stop) in zip(at, parts, strict=True)]) * 1.0
+    run = np.repeat(np.arange(len(at)), [len(k) for k in at])
+    norm = np.linalg.norm(columns, axis=0)
+    basis = np.linalg.qr(columns / np.where(norm > 0, norm, 1.0))[0]
+    left, free = values - basis @ (basis.T @ values), steps - basis @ (basis.T @ steps)
+    slope, gram = free.T @ left, free.T @ free
+    size = np.diag(gram)
+    told = size > LEAST_FREE * n
+    single = np.where(told, slope**2 / np.where(told, size, 1.0), 0.0)
+    determinant = np.outer(size, size) - gram**2
+    usable = (
+        (run[:, np.newaxis] < run) & (determinant > LEAST_FREE * np.outer(size, size)) & np.outer(told, told)
+    )
+    cross = np.outer(slope**2, size) - 2.0 * np.outer(slope, slope) * gram + np.outer(size, slope**2)
+    double = np.where(usable, cross / np.where(usable, determinant, 1.0), 0.0)
+    best = np.unravel_index(int(np.argmax(double)), double.shape)
+    total = float(left @ left)
+    one, two = (-n / INDEPENDENT * np.log1p(-min(gain.max() / total, 1 - 1e-9)) for gain in (single, double))
+    if two > max(2.0 * PROVEN, one + PROVEN):
+        return np.asarray(steps[:, best])
+    return np.asarray(steps[:, [int(np.argmax(single))]] if one > PROVEN else steps[:, :0])
+
+
+def _within(pose: IntArray) -> IntArray:
+    """Return the blocks of a run that are in the middle of a pose."""
+    turns = np.flatnonzero(np.diff(pose, prepend=-1, append=pose[-1] + 1))
+    at = np.arange(len(pose))
+    return np.asarray(at[np.abs(np.subtract.outer(at, turns)).min(axis=1) >= EDGE_BLOCKS])
 
 
 def _directions(runs: Sequence[RunBlocks]) -> FloatArray | None:

@@ -212,7 +212,7 @@ def _sensor(
         for name in group
         for floor in [white_floor(train, name, block_s).of_blocks(blocks)]
     ]
-    searched, search_s = blocks, _search_block(blocks)
+    searched, search_s = blocks, search_block(blocks)
     if search_s != block_s:
         usable = [run for run in train if run.name in {block.name for block in blocks}]
         every = list(dict.fromkeys(temperatures.values()))
@@ -295,7 +295,8 @@ def _in_order(train: Sequence[Run], test: Sequence[Run], caveats: list[str]) -> 
     return found
 
 
-def _search_block(blocks: Sequence[RunBlocks]) -> float:
+def search_block(blocks: Sequence[RunBlocks]) -> float:
+    """Return the length in seconds of the blocks that these, of the usual length, are searched in."""
     longest = max(map(len, blocks))
     shorter = next((part for part in SHORTER if part * longest >= LEAST_SEARCH_BLOCKS), SHORTER[-1])
     return blocks[0].block_s * max(1, -(-longest // MOST_SEARCH_BLOCKS)) / shorter

@@ -47,6 +47,7 @@ def foretold(channel: Channel, found: Search, before: Fit) -> Finding | None:
     alike = [finding.name for rms, finding in tried if rms < ALIKE * least][:MOST_NAMES]
     best.rivals = {finding.name: finding.gain for _, finding in tried}
     best.alike = alike if len(alike) > 1 else []
+    best.others = {finding.name: finding.candidate for _, finding in tried if finding.name in alike[1:]}
     return best
 
 

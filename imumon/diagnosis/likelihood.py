@@ -54,10 +54,19 @@ class Likelihood:
 
     def best(self, values: FloatArray, base: FloatArray) -> tuple[float, Noise]:
         """Return the best log-likelihood of values (n,), and its noise on the whole grid."""
-        left = [self._left(values, base, point)[0] for point in GRID]
-        found = [float(self._of(one @ one, point)) for one, point in zip(left, GRID, strict=True)]
+        found = [self.at(values, base, point) for point in GRID]
         at = int(np.argmax(found))
         return found[at], GRID[at]
+
+    def at(self, values: FloatArray, base: FloatArray, noise: Noise) -> float:
+        """Return the log-likelihood of values (n,) with a noise."""
+        left = self._left(values, base, noise)[0]
+        return float(self._of(left @ left, noise))
+
+    def scale(self, values: FloatArray, base: FloatArray, noise: Noise) -> float:
+        """Return s, the standard deviation of the white noise of a full block that is most likely."""
+        left = self._left(values, base, noise)[0]
+        return float(np.sqrt(left @ left / self.n))
 
     def scan(
         self,

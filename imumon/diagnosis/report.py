@@ -14,6 +14,7 @@ from imumon import __version__
 from imumon.diagnosis.engine import Diagnosis
 from imumon.diagnosis.fitting import FittedPart
 from imumon.diagnosis.gravity import Length
+from imumon.diagnosis.questions import Answer
 from imumon.diagnosis.verdict import ChannelVerdict, Claim
 from imumon.effects.library import separated_by
 from imumon.files import plain
@@ -36,6 +37,7 @@ def report(diagnosis: Diagnosis) -> dict[str, Any]:
             diagnosis.survey.middle_degc - diagnosis.survey.half_span_degc,
             diagnosis.survey.middle_degc + diagnosis.survey.half_span_degc,
         ],
+        "fastest_degc_per_min": _fastest(diagnosis),
         "caveats": diagnosis.caveats,
         "length_of_gravity": _length(diagnosis.length),
         "channels": {verdict.name: _channel(verdict) for verdict in diagnosis.verdicts},
@@ -55,6 +57,17 @@ def _declared(diagnosis: Diagnosis) -> str:
     return f"model of {diagnosis.model.created} and {diagnosis.declared}"
 
 
+def _fastest(diagnosis: Diagnosis) -> float:
+    """Return the rate of the temperature that all but a twentieth of the training stays below."""
+    rates = [
+        np.abs(np.diff(t) / np.diff(run.time_s))
+        for run in diagnosis.train
+        for t in run.temperature.values()
+        if len(run) > 1
+    ]
+    return 60.0 * float(np.quantile(np.concatenate(rates), 0.95))
+
+
 def _length(found: Length | None) -> dict[str, Any] | None:
     if found is None:
         return None
@@ -72,7 +85,12 @@ def _channel(verdict: ChannelVerdict) -> dict[str, Any]:
         "unit": verdict.channel.unit,
         "noise_floor_rms": verdict.channel.floor.sd,
         "noise_floor_from": verdict.channel.floor.source,
-        "slow_noise": {"flicker": verdict.noise[0], "random_walk": verdict.noise[1]},
+        "slow_noise": {
+            "flicker": verdict.noise[0],
+            "random_walk": verdict.noise[1],
+            "flicker_rms": verdict.slow.flicker,
+            "random_walk_per_sqrt_s": verdict.slow.walk,
+        },
         "before": {
             "train_rms": verdict.before.train_rms,
             "test_rms": nothing if before is None else before.rms,
@@ -92,12 +110,23 @@ def _channel(verdict: ChannelVerdict) -> dict[str, Any]:
             for claim in verdict.claims
             for other in claim.finding.alike[1:]
         ],
+        "questions": [[_answer(one) for one in asked.answers] for asked in verdict.questions],
         "left_out": verdict.left_out,
         "in_model_file": verdict.predicts,
         "faults": [fault.text for fault in verdict.channel.faults],
         "unexplained": verdict.unexplained,
         "remark": verdict.remark,
         "summary": verdict.summary,
+    }
+
+
+def _answer(answer: Answer) -> dict[str, Any]:
+    """Return a model that may be the unit's, with effects as in a model file."""
+    effects = [part.effect for part in answer.fit.parts if part.carries]
+    return {
+        "name": answer.name,
+        "declared": answer.fit.declared.tolist(),
+        "effects": [effect.model_dump() for effect in effects],
     }
 
 

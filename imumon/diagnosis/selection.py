@@ -4,7 +4,7 @@ agree."""
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -73,6 +73,8 @@ class Finding:
         rms of what it takes away from the residual.
     by_test : bool
         Whether the test alone proves it.
+    others : dict of str to Candidate
+        The best of each other family that is not told apart from it.
     """
 
     candidate: Candidate
@@ -82,6 +84,7 @@ class Finding:
     alike: list[str]
     size: float
     by_test: bool = False
+    others: dict[str, Candidate] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
@@ -149,6 +152,16 @@ class Search:
             best = self._likelihood.best(self.channel.values, self.channel.design(found))
             self._known[key] = found, *best
         return self._known[key][1:]
+
+    def noise_sd(self) -> float:
+        """Return the white noise of a block that the likelihood of the model so far is largest with."""
+        return self._likelihood.scale(self.channel.values, self.channel.design(self.found), self.null()[1])
+
+    def noise_gain(self) -> float:
+        """Return by how much slow noise is likelier than white noise alone, in BIC."""
+        values, base = self.channel.values, self.channel.design(self.found)
+        white = self._likelihood.at(values, base, (0.0, 0.0))
+        return 2.0 * (self.null()[0] - white) - 2.0 * self._likelihood.price
 
     # One stage
 
@@ -274,7 +287,9 @@ class Search:
         rivals = {other: one.gain for other, one in table.leaders.items()}
         rivals[name] = max(leader.gain, refined)
         alike = self._alike(leader, table, pooled, after)
-        return Finding(candidate, rivals[name], pooled.get(name, leader.gain), rivals, alike, size)
+        others = {other: table.leaders[other].scored.candidate for other in alike[1:]}
+        pooled_gain = pooled.get(name, leader.gain)
+        return Finding(candidate, rivals[name], pooled_gain, rivals, alike, size, others=others)
 
     def _stands_out(self, best: Scored) -> bool:
         """Tell whether a jump is proven even with noise that jumps by itself."""

@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import islice
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
 from imumon.diagnosis.channel import Channel
 from imumon.diagnosis.fitting import Fit, FittedPart, TestScore, fit, goes_on, mean_rms, score
 from imumon.diagnosis.foretold import foretold
+from imumon.diagnosis.likelihood import WALK_S
+from imumon.diagnosis.questions import Question, questions
 from imumon.diagnosis.selection import Finding, Search
 from imumon.effects.library import separated_by
 
@@ -35,6 +37,21 @@ class Claim:
     test_alone: float
 
 
+@dataclass(frozen=True, slots=True)
+class SlowNoise:
+    """Flicker, rms over the correlation times of the likelihood, and random walk per root of a second."""
+
+    flicker: float = 0.0
+    walk: float = 0.0
+
+    @classmethod
+    def of(cls, found: Search) -> Self:
+        """Return that of the model that was found."""
+        flicker, walk = np.sqrt(found.null()[1])
+        sd = found.noise_sd()
+        return cls(float(flicker * sd), float(walk * sd / np.sqrt(WALK_S)))
+
+
 @dataclass(slots=True)
 class ChannelVerdict:
     """What is said of a channel.
@@ -47,6 +64,10 @@ class ChannelVerdict:
         None without a test.
     left_out : list of dict
         What was found but made the test worse.
+    slow : SlowNoise
+        In the unit of the channel.
+    questions : list of Question
+        What is open.
     predicts : bool
         Whether the extended model goes into the model file; else the declared one does: nothing of what is
         claimed carries over, or the levels of the test make the prediction worse with it.
@@ -65,6 +86,8 @@ class ChannelVerdict:
     left_out: list[dict[str, Any]] = field(default_factory=list)
     remark: str = ""
     predicts: bool = True
+    slow: SlowNoise = SlowNoise()
+    questions: list[Question] = field(default_factory=list)
 
     @property
     def name(self) -> str:
@@ -123,7 +146,9 @@ def judge(channel: Channel, found: Search) -> ChannelVerdict:
         left_out=left_out,
         remark=remark,
         predicts=predicts,
+        slow=SlowNoise.of(found),
     )
+    verdict.questions = questions(channel, found, kept, verdict.unexplained)
     verdict.summary = "; ".join([*(fault.text for fault in channel.faults), summary(verdict)])
     return verdict
 
