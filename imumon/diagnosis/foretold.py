@@ -29,22 +29,26 @@ def foretold(channel: Channel, found: Search, before: Fit) -> Finding | None:
         return None
     tried: list[tuple[float, Finding]] = []
     for name, leader in found.last.leaders.items():
-        candidate = leader.scored.candidate
-        if leader.scored.fit <= 0.0 or candidate.scope in ("run", "event"):
+        if leader.scored.fit <= 0.0 or leader.scored.candidate.scope in ("run", "event"):
             continue
-        after = fit(channel, [candidate])
-        scores = score(channel, before, like=after), score(channel, after)
-        if _share(*scores, channel.floor.sd) >= FORETOLD and all(part.carries for part in after.parts):
-            size = float(np.sqrt(max(before.train_rms**2 - after.train_rms**2, 0.0)))
-            gain = leader.scored.gain
-            tried.append(
-                (scores[1].rms, Finding(candidate, gain, gain, {name: gain}, [], size, by_test=True))
-            )
+        # The likelihood looks at what is fast; of a slow course least squares see more.
+        fits = [(one, fit(channel, [one])) for one in found.of_family(name)]
+        slow = min(fits, key=lambda one: one[1].train_rms, default=None)
+        both = [leader.scored.candidate, *([slow[0]] if slow is not None else [])]
+        for candidate in both:
+            after = fit(channel, [candidate])
+            scores = score(channel, before, like=after), score(channel, after)
+            if _share(*scores, channel.floor.sd) >= FORETOLD and all(part.carries for part in after.parts):
+                size = float(np.sqrt(max(before.train_rms**2 - after.train_rms**2, 0.0)))
+                gain = leader.scored.gain
+                finding = Finding(candidate, gain, gain, {name: gain}, [], size, by_test=True)
+                tried.append((scores[1].rms, finding))
     if not tried:
         return None
     tried.sort(key=lambda one: one[0])
     least, best = tried[0]
-    alike = [finding.name for rms, finding in tried if rms < ALIKE * least][:MOST_NAMES]
+    near = (finding.name for rms, finding in tried if rms < ALIKE * least)
+    alike = list(dict.fromkeys(near))[:MOST_NAMES]
     best.rivals = {finding.name: finding.gain for _, finding in tried}
     best.alike = alike if len(alike) > 1 else []
     best.others = {finding.name: finding.candidate for _, finding in tried if finding.name in alike[1:]}

@@ -144,6 +144,12 @@ class Search:
         """The candidates of the findings."""
         return [finding.candidate for finding in self.findings]
 
+    def of_family(self, name: str) -> list[Candidate]:
+        """Return what was tried of a family, of one part each and with no free start."""
+        return [
+            one for one in self._tried if one.family == name and len(one.parts) == 1 and not one.free_start
+        ]
+
     def null(self) -> tuple[float, Noise]:
         """Return the log-likelihood of the model so far, and its noise."""
         found = self.found

@@ -8,13 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imumon.blocks import FloatArray
 from imumon.cli import run as command
 from imumon.diagnosis.engine import diagnose
 from imumon.diagnosis.report import write_report
 from imumon.simulation.unit import SimulatedUnit, load_scenario
 from imumon.simulation.unit.thermal import chamber_temperature
-from tests.diagnosis.units import lagged, run, three
+from tests.diagnosis.units import lagged, three
 
 
 @pytest.fixture(scope="module")
@@ -57,17 +56,3 @@ def test_what_is_no_report_is_refused(tmp_path: Path, capsys: pytest.CaptureFixt
     (tmp_path / "report.json").write_text(json.dumps({"format": "something else"}))
     assert command(["plan", str(tmp_path), "--out", str(tmp_path / "plan")]) != 0
     assert "report.json" in capsys.readouterr().err
-
-
-def test_what_is_unexplained_is_asked_against_noise() -> None:
-    random = np.random.default_rng(5)
-    time: FloatArray = np.arange(6000, dtype=np.float64) + 0.5
-    temperature: FloatArray = np.asarray(25.0 + 12.0 * np.sin(time / 1200.0))
-    walk: FloatArray = np.asarray(np.cumsum(random.standard_normal(6000)) * 0.3)
-    made = [
-        run(seed, time, temperature, lambda t, _: np.asarray(np.interp(t, time, walk))) for seed in (1, 2)
-    ]
-    diagnosis = diagnose(made[:1], made[1:])
-    (verdict,) = diagnosis.verdicts
-    assert verdict.unexplained
-    assert verdict.questions[0].answers[0].name == "nothing"

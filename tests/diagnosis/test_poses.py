@@ -116,11 +116,6 @@ def test_a_jump_is_no_earth_rate_and_no_g_sensitivity() -> None:
     assert names(diagnosis) == [["step"]] * 3
 
 
-def test_without_a_magnetometer_the_level_part_is_said_to_be_an_offset_of_each_pose() -> None:
-    diagnosis = found("gyro", nothing, mag=False)
-    assert any("a magnetometer would tell" in text for text in diagnosis.caveats)
-
-
 def test_a_turn_begins_a_pose_and_a_block_is_of_one() -> None:
     random = np.random.default_rng(0)
     force = np.array([0.0, 0.0, 9.8]) + 1e-3 * random.standard_normal((100, 3))
