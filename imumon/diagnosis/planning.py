@@ -63,9 +63,10 @@ class _Rms(StrictModel, extra="ignore"):
 
 
 class Model(StrictModel, extra="ignore"):
-    """An answer: its name, the declared polynomial of u, and effects."""
+    """An answer: its name, whether it carries over, the declared polynomial of u, and effects."""
 
     name: str
+    carries: bool
     declared: list[float]
     effects: list[AnyEffect]
 
@@ -173,7 +174,7 @@ def plan(report: Report, question: Open, most_s: float, progress: Progress | Non
         return Plan(
             question, None, None, why_not=f"{lacking} must vary apart from the rest: no chamber does that"
         )
-    if any(not answer.effects and answer.name != NOTHING for answer in question.answers):
+    if not all(answer.carries for answer in question.answers):
         return Plan(question, None, None, why_not="what is another in each run is told by more sessions")
     bench = _Bench(report, question)
     low, high = report.temperature_range_degc

@@ -13,6 +13,7 @@ from imumon.diagnosis.candidates import Candidate
 from imumon.diagnosis.channel import Channel
 from imumon.diagnosis.fitting import Fit, fit
 from imumon.diagnosis.selection import Finding, Search
+from imumon.effects.base import ACCEL
 
 NOTHING = "nothing"
 """The answer that there is slow noise and no effect; alone: is it noise, or something that the course of
@@ -23,10 +24,11 @@ MOST_ANSWERS = 2
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """An effect that may be the one, or `NOTHING`, and the model that has it."""
+    """An effect that may be the one, or `NOTHING`, the model that has it, and whether that carries over."""
 
     name: str
     fit: Fit
+    carries: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,15 +50,25 @@ def questions(channel: Channel, found: Search, kept: Sequence[Finding], unexplai
     if unexplained and found.last is not None:
         leaders = sorted(found.last.leaders.values(), key=lambda one: -one.scored.gain)
         tried = [one.scored.candidate for one in leaders if one.scored.fit > 0.0]
-        left = [one for one in tried if one.scope in ("shared", "either") and one not in claimed]
+        left = [one for one in tried if one not in claimed and _may_be_tried(one)]
         asked.append(_question(channel, claimed, left[:MOST_ANSWERS], nothing=True))
     return asked
+
+
+def _may_be_tried(candidate: Candidate) -> bool:
+    """Tell whether a chamber, or poses, can make an effect show itself in another run."""
+    inputs = {name for part in candidate.parts for name in part.effect.inputs}
+    return candidate.scope in ("shared", "either") and inputs <= {ACCEL}
 
 
 def _question(
     channel: Channel, beside: Sequence[Candidate], tried: Sequence[Candidate], *, nothing: bool = False
 ) -> Question:
-    answers = [Answer(one.family, fit(channel, [*beside, one])) for one in tried]
+    answers = []
+    for one in tried:
+        model = fit(channel, [*beside, one])
+        own = model.parts[-len(one.parts) :]
+        answers.append(Answer(one.family, model, all(part.carries for part in own)))
     if nothing:
         answers.insert(0, Answer(NOTHING, fit(channel, beside)))
     return Question(tuple(answers))

@@ -125,6 +125,7 @@ def _answer(answer: Answer) -> dict[str, Any]:
     effects = [part.effect for part in answer.fit.parts if part.carries]
     return {
         "name": answer.name,
+        "carries": answer.carries,
         "declared": answer.fit.declared.tolist(),
         "effects": [effect.model_dump() for effect in effects],
     }
