@@ -6,6 +6,8 @@ tells a loop that was gone through once from a wander.  But a wander does not go
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from imumon.diagnosis.blocks import RunBlocks
@@ -19,24 +21,25 @@ walks, telegraph noise, bursts and a hidden supply, 384 channels, none had an ef
 0.54, with one run to train on, or than 0.35, with two."""
 
 
-def foretold(channel: Channel, found: Search, before: Fit) -> Finding | None:
+def foretold(channel: Channel, found: Search, before: Fit, beside: Sequence[Finding]) -> Finding | None:
     """Return the effect that foretells the test best, if it does so well, where nothing was proven.
 
-    Only effects count that make the training likelier, by more than their coefficients cost, and only a test
-    that is not woven into the training.
+    `beside` is what is fitted anew of a model that was given.  Only effects count that make the training
+    likelier, by more than their coefficients cost, and only a test that is not woven into the training.
     """
     if found.last is None or not channel.test or any(_woven(channel, run) for run in channel.test):
         return None
+    also = [finding.candidate for finding in beside]
     tried: list[tuple[float, Finding]] = []
     for name, leader in found.last.leaders.items():
         if leader.scored.fit <= 0.0 or leader.scored.candidate.scope in ("run", "event"):
             continue
         # The likelihood looks at what is fast; of a slow course least squares see more.
-        fits = [(one, fit(channel, [one])) for one in found.of_family(name)]
+        fits = [(one, fit(channel, [*also, one])) for one in found.of_family(name)]
         slow = min(fits, key=lambda one: one[1].train_rms, default=None)
         both = [leader.scored.candidate, *([slow[0]] if slow is not None else [])]
         for candidate in both:
-            after = fit(channel, [candidate])
+            after = fit(channel, [*also, candidate])
             scores = score(channel, before, like=after), score(channel, after)
             if _share(*scores, channel.floor.sd) >= FORETOLD and all(part.carries for part in after.parts):
                 size = float(np.sqrt(max(before.train_rms**2 - after.train_rms**2, 0.0)))

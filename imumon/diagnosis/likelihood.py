@@ -7,14 +7,15 @@ block, F the mean of exp(-|lag|/tau) over `TAUS_S`, which is close to flicker, R
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import lgamma
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import gammaln
 
 from imumon.blocks import FloatArray, IntArray
 from imumon.diagnosis.blocks import RunBlocks
 from imumon.diagnosis.candidates import Pool, Term
+from imumon.diagnosis.poses import BoolArray
 from imumon.filters.noise import BiasNoise, Whitener, whitener
 
 Noise = tuple[float, float]
@@ -42,21 +43,36 @@ class Likelihood:
     ----------
     runs : sequence of RunBlocks
         Training runs, in blocks; n in all.
+    grid : sequence of Noise
+        Of noise parameters, of which others may take a part.
     """
 
-    def __init__(self, runs: Sequence[RunBlocks]) -> None:
-        self._runs = runs
+    def __init__(self, runs: Sequence[RunBlocks], grid: Sequence[Noise] = GRID) -> None:
+        self._grid = list(grid)
         self.n = sum(map(len, runs))
         self.price = float(np.log(self.n))
         """What a parameter costs in BIC."""
         self._bounds = np.cumsum([0, *map(len, runs)]).tolist()
-        self._filters = [_filters(run) for run in runs]
+        self._filters = [_filters(run, self._grid) for run in runs]
 
     def best(self, values: FloatArray, base: FloatArray) -> tuple[float, Noise]:
         """Return the best log-likelihood of values (n,), and its noise on the whole grid."""
-        found = [self.at(values, base, point) for point in GRID]
+        found = [self.at(values, base, point) for point in self._grid]
         at = int(np.argmax(found))
-        return found[at], GRID[at]
+        return found[at], self._grid[at]
+
+    def of_later(self, values: FloatArray, early: BoolArray) -> float:
+        """Return the log-likelihood of later values given the early ones, with the noise that those show."""
+        white = [self._white(values[:, np.newaxis], point)[:, 0] for point in self._grid]
+        sds = [np.concatenate([item.sd[:, at] for item in self._filters]) for at in range(len(self._grid))]
+        variance = [float(np.mean(one[early] ** 2)) for one in white]
+        fit = [
+            -0.5 * early.sum() * np.log(v) - np.log(sd[early]).sum()
+            for v, sd in zip(variance, sds, strict=True)
+        ]
+        at = int(np.argmax(fit))
+        later, sd = white[at][~early], sds[at][~early] * np.sqrt(variance[at])
+        return float(-0.5 * np.sum(later**2) / variance[at] - np.log(sd).sum())
 
     def at(self, values: FloatArray, base: FloatArray, noise: Noise) -> float:
         """Return the log-likelihood of values (n,) with a noise."""
@@ -120,13 +136,13 @@ class Likelihood:
         spread = self._of(self.n * variance, noise) - 0.5 * self.n * np.log(2.0 * np.pi)
         if not np.isfinite(tails):
             return float(spread - 0.5 * self.n)
-        constant = gammaln(0.5 * (tails + 1.0)) - gammaln(0.5 * tails) - 0.5 * np.log(0.5 * tails)
+        constant = lgamma(0.5 * (tails + 1.0)) - lgamma(0.5 * tails) - 0.5 * np.log(0.5 * tails)
         peaked = 0.5 * (tails + 1.0) * np.log1p(left**2 / (tails * variance)).sum()
         return float(spread + self.n * constant - peaked)
 
     def _of(self, squares: npt.ArrayLike, noise: Noise) -> FloatArray:
         """Return log-likelihoods from sums of squares of whitened residuals, s² profiled."""
-        determinant = sum(np.log(item.sd[:, GRID.index(noise)]).sum() for item in self._filters)
+        determinant = sum(np.log(item.sd[:, self._grid.index(noise)]).sum() for item in self._filters)
         return np.asarray(-0.5 * self.n * np.log(np.maximum(squares, 1e-300) / self.n) - determinant)
 
     def _left(self, values: FloatArray, base: FloatArray, noise: Noise) -> tuple[FloatArray, FloatArray]:
@@ -137,13 +153,13 @@ class Likelihood:
 
     def _white(self, columns: FloatArray, noise: Noise) -> FloatArray:
         parts = [columns[a:b] for a, b in zip(self._bounds, self._bounds[1:], strict=False)]
-        at = GRID.index(noise)
+        at = self._grid.index(noise)
         return np.concatenate([item(part, at) for item, part in zip(self._filters, parts, strict=True)])
 
 
-def _filters(run: RunBlocks) -> Whitener:
-    """Return the filters of a run for the whole grid; the walk begins at power-on."""
-    flicker, walk = np.array(GRID).T
+def _filters(run: RunBlocks, grid: Sequence[Noise]) -> Whitener:
+    """Return the filters of a run for a grid; the walk begins at power-on."""
+    flicker, walk = np.array(grid).T
     markov = np.sqrt(flicker / len(TAUS_S))[:, np.newaxis] * np.ones(len(TAUS_S))
     noise = BiasNoise(TAUS_S, markov, np.sqrt(walk / WALK_S))
     elapsed = np.diff(run.time_s, prepend=-np.inf)
