@@ -47,6 +47,12 @@ class EventKind(Enum):
     """Another program reads from the port as well, so bytes are missing."""
     CLOSED = "closed"
     """The reader was stopped; nothing follows."""
+    MARK = "mark"
+    """A person marked this moment; the details are the words."""
+    START = "start"
+    """A person began a part of the recording; the details are its name."""
+    STOP = "stop"
+    """A person ended that part."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,6 +185,10 @@ class Reader:
         thread = threading.Thread(target=self._run, args=(port, wakeup), name=name, daemon=True)
         self._running = thread, wakeup
         thread.start()
+
+    def mark(self, kind: EventKind, text: str) -> None:
+        """Hand on what a person says of this moment; may be called from any thread."""
+        self._say(kind, text)
 
     def stop(self) -> None:
         """Stop reading and close the port; returns when both are done, within 0.5 s."""

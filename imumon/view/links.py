@@ -126,12 +126,12 @@ class NativeLink:
 
 
 class WebLink:
-    """A server on this machine that viewers in a browser, or elsewhere, come to and leave.
+    """A server on this machine that viewers in a browser come to and leave.
 
     Parameters
     ----------
     start : Start
-        Ports and the address to bind; ports in use are passed over.
+        Ports, and the address that the page is on; ports in use are passed over.
     tell : callable
         Takes a `Report` when the servers are up.
     """
@@ -140,9 +140,10 @@ class WebLink:
 
     def __init__(self, start: Start, tell: Tell) -> None:
         self._tell = tell
-        self._bind = start.bind
-        self._port = free_port(start.port, start.bind)
-        self._web = WebServer(start.bind, free_port(start.web_port, start.bind), self._port)
+        self._port = free_port(start.port)
+        device = start.setup.properties.get("device", "")
+        title = " - ".join(filter(None, (device, start.setup.title, "imumon")))
+        self._web = WebServer(start.bind, free_port(start.web_port, start.bind), self._port, title)
         self._serving = False
         self._gate: Gate | None = None
 
@@ -155,7 +156,7 @@ class WebLink:
 
         address, port = behind = hidden_address()
         rec.set_sinks(rr.GrpcServerSink(address, port, server_memory_limit=SERVER_MEMORY, newest_first=True))
-        self._gate = Gate(self._bind, self._port, behind)
+        self._gate = Gate(LOCALHOST, self._port, behind)
         self._tell(Report("serving the web viewer", True, self._port, self._web.port, self._web.url))
         return Change.NEW
 

@@ -7,6 +7,7 @@ import subprocess
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -222,8 +223,9 @@ def test_another_web_site_cannot_read_the_stream(publish: Publish, port: int) ->
     publisher = publish("web", port)
     Stream(publisher.publish).run_until(lambda: publisher.state.connected, 20, "serving")
     path = "/rerun.sdk_comms.v1alpha1.MessageProxyService/ReadMessages"
-    for headers, status in ASKED:
-        connection = http.client.HTTPConnection("127.0.0.1", publisher.stream_port, timeout=10)
+    ports = publisher.stream_port, publisher.stream_port + 1
+    for at, (headers, status) in product(ports, ASKED):
+        connection = http.client.HTTPConnection("127.0.0.1", at, timeout=10)
         asked = {"Content-Type": "application/grpc-web+proto", "X-Grpc-Web": "1", **headers}
         connection.request("POST", path, bytes(5), asked)
         with closing(connection), connection.getresponse() as response:
