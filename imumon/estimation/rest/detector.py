@@ -36,15 +36,16 @@ UNDISTURBED = 8
 """Slots before motion is seen that are left out of the mean before it."""
 TRIAL_EVERY = 4
 """Slots between two trials, while there is need of one."""
-HOLD_WINDOWS = 4.0
-"""What showed only in windows of some length is watched for so many of them before it is rest again."""
+HOLD_WINDOWS, LONGEST_HOLD_S = 4.0, 16.0
+"""What showed only in windows of some length is watched for so many of them, 16 s at most, before it is rest
+again."""
 SHORT_REST_S, MOST_CAUTION = 20.0, 8.0
 """A rest shorter than this that ends slowly was none, perhaps: the next is watched for twice as long."""
 LEAST_REST_S = 4.0
 """A shorter one is no rest to come back to."""
 MOST_ANCHORS, SAME_SIGMAS = 3, 6.0
 """Means of earlier rests that are remembered, and by how much they differ."""
-LONGEST_HOLD_S = 8.0
+TURN_HOLD_S = 8.0
 """A turn that was steady is watched for no longer: its mean says when it ends."""
 DECIDES_EVERY = 32
 LOOKS_EVERY = 2
@@ -133,8 +134,8 @@ def _may_return(state: State) -> bool:
 
 def _watch(state: State, now_s: float, seconds: float) -> None:
     """Forget all windows; the next rest is so many seconds away at least."""
-    hold_s = state.caution * max(seconds, SETTLE_S)
-    state.hold_s = now_s + (min(hold_s, LONGEST_HOLD_S) if state.turning else hold_s)
+    hold_s = state.caution * min(max(seconds, SETTLE_S), LONGEST_HOLD_S)
+    state.hold_s = now_s + (min(hold_s, TURN_HOLD_S) if state.turning else hold_s)
     if seconds > SETTLE_S:
         state.long_hold_s = state.hold_s
     state.quiet_from, state.quiet_since_s = state.length, now_s

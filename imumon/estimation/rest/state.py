@@ -275,7 +275,7 @@ class State:
     def resolution(self) -> FloatArray:
         """What is left of the step of each axis after its noise, (6,)."""
         windows = self.windows
-        noise = np.maximum(windows.sample_variance / windows.step**2 - ROUNDED, 0.0)
+        noise = np.maximum(windows.sample_variance / (windows.step**2 + 1e-24) - ROUNDED, 0.0)
         return np.asarray(windows.step * np.exp(-DITHER * noise))
 
     def means(self, cuts: npt.NDArray[np.intp]) -> FloatArray:

@@ -65,10 +65,10 @@ def hypothesis(
     since_s = min(state.quiet_since_s, now_s - state.span_s(slots))
     turn = state.anchors[0].turn_now(recent)
     limit = SIGMAS * np.sqrt(variance + state.anchors[0].variance) + state.resolution
-    wander = SIGMAS * np.sqrt(wander_after(state, now_s - state.anchors[0].at_s))
+    wander = PLAIN_SIGMAS * np.sqrt(wander_after(state, now_s - state.anchors[0].at_s))
     if _is_bias(state, parameters, turn, np.maximum(limit[GYRO], wander), recent[ACCEL]):
         return np.zeros(3), Explained.PLAINLY
-    if _turns_on(state, recent, limit):
+    if _turns_on(state, turn, recent, limit):
         return turn, Explained.NO
     best = Explained.NO
     for anchor in state.anchors:
@@ -168,10 +168,13 @@ def recent_mean(state: State, slots: int) -> tuple[FloatArray, FloatArray]:
     return np.where(there, mean, np.nan), state.windows.variance[slots.bit_length() - 1]
 
 
-def _turns_on(state: State, recent: FloatArray, limit: FloatArray) -> bool:
+def _turns_on(state: State, turn: FloatArray, recent: FloatArray, limit: FloatArray) -> bool:
     """Tell whether something disturbed a turn, and the mean is what it was before: no turn ends like that."""
     if not np.isfinite(state.steady).any():
         return False
+    across = turn - upright(state, turn)
+    if state.quiet_slots > steady_slots(state) and across @ across > OBLIQUE**2 * (turn @ turn):
+        return False  # gravity would have shown it by now
     between_s = max(state.quiet_since_s - state.steady_s, 0.0)
     near, far = (np.abs(recent - mean)[GYRO] for mean in (state.steady, state.anchors[0].mean))
     same = (near <= limit[GYRO] + CREEP * between_s) | ~np.isfinite(near)
@@ -226,7 +229,8 @@ def is_steady(state: State, parameters: RestParameters) -> bool:
     if (state.windows.known & (np.abs(change) > limit))[:, ACCEL].any():
         return False
     wander = np.array([np.maximum(variance[GYRO], wander_after(state, lag)) for lag in seconds.tolist()])
-    return bool((_turned(state, change[:, GYRO], sigmas**2 * wander, CREEP * seconds) <= 1.0).all())
+    creep = np.asarray(CREEP * seconds)
+    return bool((_turned(state, change[:, GYRO], np.asarray(sigmas**2 * wander), creep) <= 1.0).all())
 
 
 def _turned(state: State, off: FloatArray, limit2: FloatArray, creep: FloatArray) -> FloatArray:

@@ -9,14 +9,14 @@ flicker.  Tried are ten strengths, and for each of them::
     a turn began and has ended                                   only about the vertical
     the bias began to creep, as it does with temperature         all axes, each by its own slope
 
-Each has the probability of its means (generalised likelihoods of a change in coloured noise, as Willsky and
-Jones 1976, but weighed instead of maximised), times that of such a change.  The level axes tell how strong the
-flicker is and whether something creeps: they cannot turn unseen, for gravity would.
+Each has the probability of its means (likelihoods of a change in coloured noise, as Willsky and Jones 1976,
+but weighed instead of maximised), times that of such a change.  The level axes tell how strong the
+flicker is, and whether something creeps: they cannot turn unseen, for gravity would show it.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -43,7 +43,7 @@ UNKNOWN = 1e6
 TURN_EVERY_S = 600.0
 """A turn, and a change of temperature, is expected every ten minutes, and to last as long."""
 RATES = 20.0
-"""2 ln of the ratio of the largest and the smallest rate: a turn of 0.01 °/s is as likely as one of 300 °/s."""
+"""2 ln of the ratio of the largest and the smallest rate: 0.01 °/s is as likely as 300 °/s."""
 OBLIQUE = 0.3
 """Share of a difference across the vertical that no misalignment or tilt of a turntable explains (17°)."""
 CREEP = 2e-5
@@ -106,7 +106,7 @@ def kept_edge(units: int) -> int:
 @lru_cache(128)
 def changes(last: int, unit_s: float) -> Changes:
     """Return what may have happened in `last` units of `unit_s` seconds."""
-    edges = np.append(EDGES[EDGES < LAST * last], last)
+    edges = np.append(EDGES[LAST * last > EDGES], last)
     width, bins = np.diff(edges).astype(np.float64), len(edges) - 1
     variance = STRENGTHS[:, np.newaxis, np.newaxis] * unit_s * _correlation(edges, unit_s)
     covariance = np.diag(1.0 / width) + variance + UNKNOWN
@@ -183,7 +183,7 @@ def look_for_turn(state: State) -> Turning | None:
     x = known.shapes @ seen
     best = likely + 0.5 * (x[..., 0] ** 2).max(1)
     which = best > best.max() - SURPRISE
-    return _weigh(state, known, which, likely[which, np.newaxis], x[which], np.sqrt(white), frame[:, 0], means)
+    return _weigh(state, known, which, likely[which, np.newaxis], x[which], np.sqrt(white), frame[:, 0])
 
 
 def _frame(state: State, means: FloatArray) -> FloatArray:
@@ -206,7 +206,6 @@ def _weigh(
     x: FloatArray,
     white_sd: FloatArray,
     up: FloatArray,
-    means: FloatArray,
 ) -> Turning:
     """Return what the changes x, (s, h, 3) standard deviations about the vertical and level, make likely."""
     size = known.size[which]

@@ -178,7 +178,7 @@ def _differ(windows: Windows, level: int, seconds: float, drift: FloatArray) -> 
 @inner
 def _resolution(windows: Windows, j: int) -> float:
     step = windows.step[j]
-    noise = max(windows.sample_variance[j] / (step * step) - ROUNDED, 0.0)
+    noise = max(windows.sample_variance[j] / (step * step + TINY) - ROUNDED, 0.0)
     return step * np.exp(-DITHER * noise)  # type: ignore[no-any-return]
 
 
