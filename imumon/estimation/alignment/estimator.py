@@ -15,12 +15,13 @@ from imumon.estimation.alignment.motion import LEAST, Motion, Slot
 from imumon.estimation.alignment.parameters import AlignmentParameters
 from imumon.estimation.alignment.posterior import Heading, Place, heading
 from imumon.estimation.alignment.record import Pose, Record
-from imumon.estimation.alignment.status import Estimate
+from imumon.estimation.alignment.status import Estimate, Position
 from imumon.geodesy import DEG_PER_H, EARTH_RATE, MICRO_G, STANDARD_GRAVITY, forward
 
 SLOT_S = 0.25
-RENEWED_SHARE, RENEWED_S = 0.25, (1.0, 60.0)
-"""A fit is renewed after this share of the time that counts, sigma falling by a tenth; between these, s."""
+RENEWED_SHARE, RENEWED_S = 1.0 / 3.0, (1.0, 60.0)
+"""A fit is renewed after so much more of the time that counts in a pose, sigma falling by an eighth; between
+these, s."""
 LONGEST_S = 120.0
 """After a longer disturbance, or a gap of a quarter of it, the alignment begins anew: an attitude that was
 followed for so long has lost what was found."""
@@ -38,11 +39,12 @@ LEAST_ARW, LARGEST_TYPICAL = math.radians(0.002) / 60.0, EARTH_RATE
 SIZES = np.linspace(-4.0, 12.0, 17)
 """Logarithms of the sizes thought of, over the typical one: up to 200 °/h of the best gyros."""
 LARGER = int(np.sum(SIZES > 0.0))
-WORSE = np.exp([2.0, 4.0, 6.0, 8.0])
+WORSE = np.exp([2.0, 4.0, 6.0, 8.0, 10.0])
 SOME = np.array([[True, False, False], [False, True, False], [False, False, True]])
 SOME = np.concatenate([SOME, ~SOME])
-SINGLY = 0.01
-"""Gyros that may be worse than the others, by which factors, and the probability of that."""
+SINGLY = 0.003
+"""Gyros that may be worse than the others, by which factors, and the probability of that: up to twice the
+earth rate for the best gyros, and as seldom as a normal value beyond three standard deviations."""
 UNLIKE = 0.02
 """Probability that a gyro is worse than its class, by any factor, as one that is not calibrated: so little
 that it costs nothing where the rates agree with the class, and where they do not, they decide."""
@@ -66,8 +68,9 @@ class State:
     now_s: float = 0.0
     slot_end_s: float = 0.0
     interval_s: float = 0.0
-    evaluated_s: float = -math.inf
     counted_s: float = 0.0
+    due_s: float = 0.0
+    """Time counted at which the next fit is due."""
     shaken_s: float = 0.0
     found: Heading | None = None
     fits: list[fit.PoseFit] = field(default_factory=list)
@@ -93,6 +96,10 @@ class Aligner:
         self.latitude = math.radians(latitude_deg)
         self.level_rate = EARTH_RATE * math.cos(self.latitude)
         self.state = State()
+        self.run = 0
+        """How often the device has begun."""
+        self.past: list[Position] = []
+        """Positions of alignments before this."""
 
     def snapshot(self) -> State:
         """Return a copy of the state."""
@@ -104,7 +111,7 @@ class Aligner:
 
     def begin_anew(self, why: str) -> None:
         """Forget all poses; say why, when there were any."""
-        old = self.state
+        self.past, old = self.finish(), self.state
         restarts, events = old.restarts, old.events
         if old.poses:
             restarts += 1
@@ -125,8 +132,7 @@ class Aligner:
             state.record.add(
                 state.slot_end_s + 0.5 * gap, 0.0, slot.mean[:3], slot.mean[3:], len(state.poses) - 1
             )
-        state.slot_end_s = slot.time_s + 0.5 * slot.length_s
-        state.now_s = slot.time_s
+        self._now(slot)
         if not motion.disturbed:
             cause = motion.judge(slot)
             if cause:
@@ -136,19 +142,32 @@ class Aligner:
         else:
             motion.go_on(slot)
             self._add(slot, len(state.poses) - 1, counts=True)
-        if not motion.disturbed and math.isfinite(sum(magnetic)):
+        if not motion.disturbed:
+            self._at_rest(slot, magnetic)
+
+    def count(self, slot: Slot, magnetic: Sequence[float]) -> None:
+        """Count a slot by which `Motion.rest_on` has gone on."""
+        self._now(slot)
+        self._add(slot, len(self.state.poses) - 1, counts=True)
+        self._at_rest(slot, magnetic)
+
+    def _now(self, slot: Slot) -> None:
+        self.state.slot_end_s = slot.time_s + 0.5 * slot.length_s
+        self.state.now_s = slot.time_s
+
+    def _at_rest(self, slot: Slot, magnetic: Sequence[float]) -> None:
+        """Take the magnetometer of a slot at rest; fit anew when it is time."""
+        state = self.state
+        if math.isfinite(sum(magnetic)):
             for axis, value in enumerate(magnetic):
                 state.field_sum[axis] += slot.samples * value
             state.field_sum[3] += slot.samples
-        after = min(max(RENEWED_SHARE * state.counted_s, RENEWED_S[0]), RENEWED_S[1])
-        if not motion.disturbed and state.counted_s >= state.evaluated_s + after:
+        if state.counted_s >= state.due_s:
             self.evaluate()
 
     def _stands(self, attitude: FloatArray) -> None:
         """Take a new attitude."""
-        up = attitude[2]
-        ahead = attitude @ forward(up / np.sqrt(up @ up))
-        self.state.attitude, self.state.ahead = attitude, math.atan2(ahead[1], ahead[0])
+        self.state.attitude, self.state.ahead = attitude, ahead_of(attitude)
 
     def _disturbed(self, slot: Slot) -> None:
         """Follow the unit until it rests again."""
@@ -173,7 +192,7 @@ class Aligner:
             up /= np.sqrt(up @ up)
             ahead = forward(up)
             self._stands(np.vstack([ahead, np.cross(up, ahead), up]))
-            state.poses.append(Pose(state.attitude, 0.0, calm[0].time_s))
+            state.poses.append(Pose(state.attitude, 0.0, state.counted_s))
         else:
             before = len(state.poses) - 1
             same = self._new_pose(calm[-LEAST // 2 :])
@@ -229,36 +248,35 @@ class Aligner:
         scale = self.parameters.gyro_scale_sd_ppm * 1e-6 * motion.angle
         drift = DRIFT_WHILE_TURNED * EARTH_RATE * seconds * min(motion.angle, 1.0)
         variance = state.poses[-1].turn_variance + scale**2 + noise**2 + drift**2
-        state.poses.append(Pose(attitude, variance, calm[0].time_s))
+        state.poses.append(Pose(attitude, variance, state.counted_s))
+        state.due_s = state.counted_s
         state.field_sum = [0.0] * 4
         return False
 
     def evaluate(self) -> None:
-        """Fit all poses anew, and renew the heading."""
-        state, parameters = self.state, self.parameters
-        state.evaluated_s = state.counted_s
-        record, fits, attitudes, turns = state.record, [], [], []
+        """Fit anew what may have changed, and renew the heading."""
+        state = self.state
+        fits, attitudes, turns = [], [], []
         for number, pose in enumerate(state.poses):
-            rows = record.of_pose(number)
-            if len(rows) < fit.LEAST_CELLS:
+            told = pose.told or self._fitted(number, pose)
+            if told is None:
                 continue
-            weight = record.weight[rows]
-            up = weight @ record.force[rows]
-            gravity = math.sqrt(up @ up) / weight.sum()
-            attitude = levelled(pose.attitude, up)
-            time = record.time_s[rows] - record.time_s[rows[0]] + SLOT_S / 2
-            level = record.force[rows] @ attitude.T / gravity
-            angle = -1j * (level[:, 0] + 1j * level[:, 1]) - self._known(record.time_s[rows], attitude)
-            kept = fit.PoseRecord(time, weight, record.rate[rows] @ attitude.T, angle)
-            found = fit.fit_pose(kept, self._drift_sd())
-            if found is None:
-                continue
-            fits.append(found)
-            attitudes.append(attitude)
+            if number < len(state.poses) - 1:
+                pose.told = told
+            fits.append(told[0])
+            attitudes.append(told[1])
             turns.append(pose.turn_variance)
         state.fits = fits
-        if not fits:
-            return
+        if fits:
+            self._find(fits, attitudes, turns)
+        here_s = state.counted_s - state.poses[-1].counted_s
+        # A bias that hides the north goes on to do so until the unit is turned.
+        after_s = here_s if self.hidden else min(RENEWED_SHARE * here_s, RENEWED_S[1])
+        state.due_s = state.counted_s + max(after_s, RENEWED_S[0])
+
+    def _find(self, fits: list[fit.PoseFit], attitudes: list[FloatArray], turns: list[float]) -> None:
+        """Renew the heading from what the poses tell."""
+        state, parameters = self.state, self.parameters
         sizes, log_prior = self._bias_prior(math.sqrt(min(one.quietest for one in fits)))
         place = Place(
             self.latitude, sizes, log_prior, (parameters.gyro_flicker_deg_per_h or 0.0) * DEG_PER_H,
@@ -267,6 +285,23 @@ class Aligner:
         state.found = heading(fits, attitudes, np.array(turns), place)
         self._means()
         self._settle()
+
+    def _fitted(self, number: int, pose: Pose) -> tuple[fit.PoseFit, FloatArray] | None:
+        """Return what a pose tells, and its attitude with the level of all of it."""
+        record = self.state.record
+        rows = record.of_pose(number)
+        if len(rows) < fit.LEAST_CELLS:
+            return None
+        weight = record.weight[rows]
+        up = weight @ record.force[rows]
+        gravity = math.sqrt(up @ up) / weight.sum()
+        attitude = levelled(pose.attitude, up)
+        time = record.time_s[rows] - record.time_s[rows[0]] + SLOT_S / 2
+        level = record.force[rows] @ attitude.T / gravity
+        angle = -1j * (level[:, 0] + 1j * level[:, 1]) - self._known(record.time_s[rows], attitude)
+        kept = fit.PoseRecord(time, weight, record.rate[rows] @ attitude.T, angle)
+        found = fit.fit_pose(kept, self._drift_sd())
+        return None if found is None else (found, attitude)
 
     def _known(self, time_s: FloatArray, attitude: FloatArray) -> FloatArray:
         """Return the angle that a known warm-up makes, rad, (n,) complex as the level."""
@@ -335,6 +370,13 @@ class Aligner:
         return found is not None and self.heading_sd < math.radians(self.parameters.observable_deg)
 
     @property
+    def hidden(self) -> bool:
+        """Whether the gyros' bias leaves no heading, however long this pose lasts."""
+        found = self.state.found
+        limit = self.level_rate * math.radians(self.parameters.observable_deg)
+        return found is not None and found.bias_sd > limit
+
+    @property
     def heading_sd(self) -> float:
         """Sigma of the heading of now, rad, with that of the turns."""
         state = self.state
@@ -348,6 +390,21 @@ class Aligner:
     def heading(self) -> float:
         """Heading of now, rad, 0 to 2π; NaN while there is none."""
         return self.as_heading(math.nan if self.state.found is None else self.state.found.north)
+
+    def finish(self) -> list[Position]:
+        """Fit what has come since the last fit; return where the unit stood still until now."""
+        state, found = self.state, list(self.past)
+        if state.poses:
+            self.evaluate()
+        for number, pose in enumerate(state.poses):
+            times = state.record.time_s[state.record.of_pose(number)]
+            if state.found is None or not len(times):
+                continue
+            sd = min(math.hypot(state.found.sd, math.sqrt(pose.turn_variance)), math.pi / math.sqrt(3.0))
+            shown = sd < math.radians(self.parameters.observable_deg)
+            north = state.found.north - ahead_of(pose.attitude) if shown else math.nan
+            found.append(Position(self.run, float(times[0]), float(times[-1]), north % (2.0 * math.pi), sd))
+        return found
 
     @property
     def turned(self) -> float:
@@ -372,6 +429,13 @@ def _normal(logarithms: FloatArray) -> FloatArray:
     """Return the probabilities of logarithms of sizes by the scatter of a class."""
     density = np.exp(-0.5 * (logarithms / SCATTER) ** 2)
     return np.asarray(density / density.sum())
+
+
+def ahead_of(attitude: FloatArray) -> float:
+    """Return the direction of a body in the frame of the first pose, rad, from its forward to its left."""
+    up = attitude[2]
+    ahead = attitude @ forward(up / np.sqrt(up @ up))
+    return math.atan2(ahead[1], ahead[0])
 
 
 def levelled(attitude: FloatArray, up: FloatArray) -> FloatArray:
