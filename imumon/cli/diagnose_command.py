@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from imumon.cli.common import PATH, console, json_option, print_json, print_rows, warn
+from imumon.cli.common import PATH, json_option, print_json, print_rows, warn
+from imumon.cli.progress import reading_bar
 from imumon.errors import ImumonError, Reason
-from imumon.harmless import for_log
 
 if TYPE_CHECKING:
     from imumon.diagnosis.recording import Run
+    from imumon.models.model import BiasModel
 
 SEVERAL = ("--train", "--test")
-
-Tell = Callable[[str], None]
 
 
 class _SeveralValues(click.Command):
@@ -49,7 +46,10 @@ class _SeveralValues(click.Command):
     " default: polynomial 3.",
 )
 @click.option(
-    "--model", "model_path", type=PATH, help="Instead: the bias model that is assumed, by imumon calibrate."
+    "--model",
+    "model_path",
+    type=PATH,
+    help="Instead: the bias model that is assumed, by imumon calibrate, or a session that ran with it.",
 )
 @click.option("--map", "map_path", type=PATH, help="YAML file: what is in which column of the tables.")
 @click.option(
@@ -78,23 +78,21 @@ def command(
     The recordings are of a unit at rest, each from power-on.  Two or more for training, warmed and cooled,
     tell most.
     """
-    from imumon.diagnosis.engine import diagnose, parse_declared
+    from imumon.diagnosis.engine import CUBIC, diagnose, parse_declared
     from imumon.diagnosis.extended import extended_model
     from imumon.diagnosis.page import write_page
     from imumon.diagnosis.report import report, write_report
-    from imumon.models.model import load_model
 
     if declared is not None and model_path is not None:
         raise ImumonError(
             Reason.BAD_CONFIG, "--model and --declared are both given", "give one: each says what is assumed"
         )
-    model = load_model(model_path) if model_path is not None else None
-    usual = "polynomial 3" if model is None else "polynomial 0"
-    assumed = usual if declared is None else declared
+    model = model_of(model_path) if model_path is not None else None
+    assumed = declared if declared is not None else CUBIC
     parse_declared(assumed)
     _make(out)
-    with _progress() as tell:
-        runs = [_read(path, map_path, at_rest, tell) for path in (*train, *test)]
+    with reading_bar([*train, *test], quiet=as_json) as tell:
+        runs = [read(path, map_path, at_rest) for path in (*train, *test)]
         split = len(train)
         training = [run for group in runs[:split] for run in group]
         testing = [run for group in runs[split:] for run in group]
@@ -111,18 +109,27 @@ def command(
     print_rows({what: str(out / name) for what, name in written.items()})
 
 
-def _read(path: Path, map_path: Path | None, at_rest: bool, tell: Tell) -> list[Run]:
+def model_of(path: Path) -> BiasModel:
+    """Read a model file, or the model of a session that ran with one."""
+    from imumon.models.model import load_model
+    from imumon.recordings.folder import is_session, open_session
+    from imumon.run.setup import parse_setup
+
+    if not is_session(path):
+        return load_model(path)
+    text = open_session(path).metadata.pipeline_yaml
+    model = None if text is None else parse_setup(text, f"{path} (pipeline_yaml)").bias_model
+    if model is None:
+        raise ImumonError(Reason.BAD_CONFIG, f"{path} ran without a bias model", "give a model file")
+    return model
+
+
+def read(path: Path, map_path: Path | None, at_rest: bool) -> list[Run]:
+    """Read a recording as runs from power-on."""
     from imumon.diagnosis.recording import read_runs
     from imumon.estimation.rest.stage import RestDetector
 
-    rows = 0
-
-    def count(more: int) -> None:
-        nonlocal rows
-        rows += more
-        tell(f"reading {path.name}: {rows:,} samples")
-
-    return read_runs(path, map_path, lambda _: [RestDetector()], count, at_rest)
+    return read_runs(path, map_path, lambda _: [RestDetector()], at_rest=at_rest)
 
 
 def _make(out: Path) -> None:
@@ -132,19 +139,3 @@ def _make(out: Path) -> None:
         raise ImumonError(
             Reason.BAD_CONFIG, f"the folder {out} cannot be made: {error.strerror}", "give another folder"
         ) from error
-
-
-@contextmanager
-def _progress() -> Iterator[Tell]:
-    """Show on standard error what is being done, and for how long."""
-    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-
-    columns = (
-        SpinnerColumn(),
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        TimeElapsedColumn(),
-    )
-    with Progress(*columns, console=console(error=True), transient=True) as bar:
-        task = bar.add_task("reading", total=None)
-        yield lambda text: bar.update(task, description=for_log(text))

@@ -11,8 +11,9 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.diagnosis.blocks import RunBlocks, WhiteFloor
-from imumon.diagnosis.candidates import Candidate, Pool
+from imumon.diagnosis.candidates import Candidate, Part, Pool
 from imumon.diagnosis.faults import Fault
+from imumon.effects.base import Effect
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +65,10 @@ class Channel:
     test : sequence of RunBlocks
     faults : sequence of Fault
         What is wrong with its data.
+    known : tuple of Effect, or None
+        Of the model that was given, whose curve is off the means already; None when none was given.
+    kept : tuple of Effect
+        Those of them that stay as they are: these runs do not show them.
     """
 
     name: str
@@ -73,6 +78,8 @@ class Channel:
     pool: Pool
     test: Sequence[RunBlocks]
     faults: Sequence[Fault] = ()
+    known: tuple[Effect, ...] | None = None
+    kept: tuple[Effect, ...] = ()
 
     @property
     def blind(self) -> float:
@@ -91,8 +98,12 @@ class Channel:
 
     @cached_property
     def values(self) -> FloatArray:
-        """Block means over all training runs, (n,)."""
-        return np.concatenate([run.mean[self.name] for run in self.train])
+        """Block means over all training runs less the effects that stay as they are, (n,)."""
+        means = np.concatenate([run.mean[self.name] for run in self.train])
+        for effect in self.kept:
+            columns = self.pool.design([Candidate(effect.label, (Part(effect),))])
+            means = means - columns @ np.asarray(effect.coefficients)
+        return means
 
     @cached_property
     def base(self) -> FloatArray:
@@ -102,6 +113,12 @@ class Channel:
     def design(self, found: Sequence[Candidate]) -> FloatArray:
         """Return the columns of the declared model and of what was found, (n, k)."""
         return np.column_stack([self.base, self.pool.design(found)])
+
+    def as_given(self) -> Channel:
+        """Return it with the model that was given as it is, but for a constant."""
+        if self.known is None:
+            return self
+        return replace(self, declared=replace(self.declared, degree=0), kept=self.known)
 
     def in_blocks(self, pool: Pool, share: float) -> Channel:
         """Return it over training runs in longer blocks, which have this share of the white variance."""

@@ -23,10 +23,17 @@ from imumon.diagnosis.drivers import recorded, shadows, with_drivers
 from imumon.diagnosis.earth import VerticalRate, vertical_rate, without
 from imumon.diagnosis.faults import faults, without_standstill
 from imumon.diagnosis.holding_out import STRETCHES, divided
-from imumon.diagnosis.known import modelled, temperature_of, without_known
+from imumon.diagnosis.known import (
+    drivers_of,
+    effects_of,
+    modelled,
+    order_of,
+    temperature_of,
+    without_curve,
+)
 from imumon.diagnosis.recording import CHANNELS, Run, common_temperature, unit_of
 from imumon.diagnosis.selection import search
-from imumon.diagnosis.verdict import ChannelVerdict, judge
+from imumon.diagnosis.verdict import ChannelVerdict, settle
 from imumon.effects.base import LEAST_SPAN_DEGC, Survey
 from imumon.effects.g_sensitivity import LEAST_RANGE
 from imumon.effects.library import EFFECTS
@@ -45,6 +52,9 @@ MOST_SEARCH_BLOCKS = 700
 SHORTER, LEAST_SEARCH_BLOCKS = (1, 2, 3), 200
 """Shorter runs in blocks of a half or a third: of few blocks the one with a jump in it decides."""
 HIGHEST_DEGREE = 8
+
+CUBIC = "polynomial 3"
+"""What is declared where nothing is said."""
 
 Progress = Callable[[str], None]
 
@@ -99,7 +109,7 @@ def parse_declared(text: str) -> tuple[int, bool]:
 def diagnose(
     train: Sequence[Run],
     test: Sequence[Run],
-    declared: str = "polynomial 3",
+    declared: str = CUBIC,
     progress: Progress | None = None,
     sensors: Sequence[str] = ("gyro", "accel"),
     model: BiasModel | None = None,
@@ -107,7 +117,8 @@ def diagnose(
 ) -> Diagnosis:
     """Find what the declared model leaves over in the training runs, name it, and prove it on the test runs.
 
-    With a `model` that is known, its bias is taken from every run first, and `declared` is about the rest.
+    With a `model` that is known, its curve is taken from every run; curve and effects of it are fitted anew
+    beside what is found, where the runs show them, and `declared` does not count.
     `drivers` are what may drive an effect beside temperature, time and specific force; None: all that was
     recorded and varies.
 
@@ -133,7 +144,10 @@ def diagnose(
     if model is not None:
         channels = modelled(channels, model)
         temperatures = {name: temperature_of(name, model, train) for name in channels}
-        train, test = ([without_known(run, model, temperatures) for run in runs] for runs in (train, test))
+        train, test = ([without_curve(run, model, temperatures) for run in runs] for runs in (train, test))
+        degree = max(order_of(model.channels[name]) for name in channels)
+        needed = [name for name in drivers_of(model, channels) if name not in temperatures.values()]
+        drivers = drivers if drivers is None else list(dict.fromkeys([*drivers, *needed]))
     else:
         temperatures = {name: _temperature_of(name, train) for name in channels}
     used = list(dict.fromkeys(temperatures.values()))
@@ -201,6 +215,7 @@ def _sensor(
             pools[temperatures[name]],
             tested,
             faults(train, name, temperatures[name], floor.sd),
+            known=None if diagnosis.model is None else effects_of(diagnosis.model.channels[name]),
         )
         for name in group
         for floor in [white_floor(train, name, block_s).of_blocks(blocks)]
@@ -220,7 +235,7 @@ def _sensor(
         [name for name, effect in EFFECTS.items() if group[0].startswith(effect.sensors)],
         progress,
     )
-    return [judge(channel, one) for channel, one in zip(channels, found, strict=True)]
+    return [settle(channel, one) for channel, one in zip(channels, found, strict=True)]
 
 
 def _said_of_earth(earth: VerticalRate | None) -> str:
@@ -320,6 +335,16 @@ def _temperature_of(channel: str, runs: Sequence[Run]) -> str:
     return common_temperature(f"temperature_{channel[-1]}", runs, lacking)
 
 
+def resting(run: Run) -> bool:
+    """Tell whether the unit was at rest for most of a run."""
+    return any(_rest_share(run, name) >= LEAST_REST for name in CHANNELS if name in run.mean)
+
+
+def _rest_share(run: Run, channel: str) -> float:
+    there = np.isfinite(run.mean[channel])[run.earlier :]
+    return float((run.rest[run.earlier :][there] >= REST_SHARE).mean()) if there.any() else 0.0
+
+
 def _usable(
     runs: Sequence[Run], names: Names, block_s: float, caveats: list[str], what: str
 ) -> list[RunBlocks]:
@@ -338,14 +363,14 @@ def _usable(
             caveats.append(f"{run.name}: not used, it lacks {', '.join(lacking)}")
             continue
         there = np.isfinite(run.mean[names.channels[0]])[run.earlier :]
-        resting = float((run.rest[run.earlier :][there] >= REST_SHARE).mean()) if there.any() else 0.0
-        if resting < LEAST_REST:
-            moving.append(f"{run.name}: at rest for {resting:.0%} of its {run.duration_s / 60:.0f} min")
+        rest_share = _rest_share(run, names.channels[0])
+        if rest_share < LEAST_REST:
+            moving.append(f"{run.name}: at rest for {rest_share:.0%} of its {run.duration_s / 60:.0f} min")
             continue
         if there.mean() < run.share * (1.0 - MANY_GAPS):
             caveats.append(f"{run.name}: samples in {there.mean():.0%} of its time only; gaps are left out")
-        if resting < 1.0 - MANY_GAPS:
-            caveats.append(f"{run.name}: at rest for {resting:.0%} of its time; the rest is left out")
+        if rest_share < 1.0 - MANY_GAPS:
+            caveats.append(f"{run.name}: at rest for {rest_share:.0%} of its time; the rest is left out")
         blocks = make_blocks(run, names.channels, names.temperatures, names.drivers, block_s)
         if len(blocks) < LEAST_RUN_BLOCKS:
             caveats.append(

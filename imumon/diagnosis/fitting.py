@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -88,7 +88,7 @@ def fit(channel: Channel, found: Sequence[Candidate]) -> Fit:
     coefficients = ordinary(design, channel.values)
     model = coefficients[: channel.declared.degree + 1].copy()
     model[0] += float(coefficients[channel.declared.degree + 1 : width].sum()) / runs
-    parts: list[FittedPart] = []
+    parts = [_as_it_is(effect) for effect in channel.kept]
     lifted, at = 0.0, width
     for candidate in found:
         defining, start = map(len, pool.terms(candidate))
@@ -101,6 +101,17 @@ def fit(channel: Channel, found: Sequence[Candidate]) -> Fit:
         parts += fitted
         at += defining + start
     return Fit(model, parts, channel.values - design @ coefficients, lifted)
+
+
+def fit_given(channel: Channel) -> Fit:
+    """Fit what was assumed: the declared model, or to the model that was given a constant."""
+    found = fit(channel.as_given(), [])
+    missing = channel.declared.degree + 1 - len(found.declared)
+    return replace(found, declared=np.pad(found.declared, (0, missing)))
+
+
+def _as_it_is(effect: Effect) -> FittedPart:
+    return FittedPart(effect, (), np.array([effect.coefficients]), np.empty((0, 0)), carries=True)
 
 
 def _parts(candidate: Candidate, own: FloatArray, start: FloatArray, runs: int) -> list[FittedPart]:

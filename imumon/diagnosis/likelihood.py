@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imumon.blocks import FloatArray, IntArray
-from imumon.diagnosis.blocks import RunBlocks
+from imumon.diagnosis.blocks import BoolArray, RunBlocks
 from imumon.diagnosis.candidates import Pool, Term
 from imumon.filters.noise import BiasNoise, Whitener, whitener
 
@@ -38,22 +38,37 @@ class Likelihood:
     ----------
     runs : sequence of RunBlocks
         Training runs, in blocks; n in all.
+    grid : sequence of Noise
+        Of noise parameters, of which others may take a part.
     """
 
-    def __init__(self, runs: Sequence[RunBlocks]) -> None:
-        self._runs = runs
+    def __init__(self, runs: Sequence[RunBlocks], grid: Sequence[Noise] = GRID) -> None:
+        self._grid = list(grid)
         self.n = sum(map(len, runs))
         self.price = float(np.log(self.n))
         """What a parameter costs in BIC."""
         self._bounds = np.cumsum([0, *map(len, runs)]).tolist()
-        self._filters = [_filters(run) for run in runs]
+        self._filters = [_filters(run, self._grid) for run in runs]
 
     def best(self, values: FloatArray, base: FloatArray) -> tuple[float, Noise]:
         """Return the best log-likelihood of values (n,), and its noise on the whole grid."""
-        left = [self._left(values, base, point)[0] for point in GRID]
-        found = [float(self._of(one @ one, point)) for one, point in zip(left, GRID, strict=True)]
+        left = [self._left(values, base, point)[0] for point in self._grid]
+        found = [float(self._of(one @ one, point)) for one, point in zip(left, self._grid, strict=True)]
         at = int(np.argmax(found))
-        return found[at], GRID[at]
+        return found[at], self._grid[at]
+
+    def of_later(self, values: FloatArray, early: BoolArray) -> float:
+        """Return the log-likelihood of later values given the early ones, with the noise that those show."""
+        white = [self._white(values[:, np.newaxis], point)[:, 0] for point in self._grid]
+        sds = [np.concatenate([item.sd[:, at] for item in self._filters]) for at in range(len(self._grid))]
+        variance = [float(np.mean(one[early] ** 2)) for one in white]
+        fit = [
+            -0.5 * early.sum() * np.log(v) - np.log(sd[early]).sum()
+            for v, sd in zip(variance, sds, strict=True)
+        ]
+        at = int(np.argmax(fit))
+        later, sd = white[at][~early], sds[at][~early] * np.sqrt(variance[at])
+        return float(-0.5 * np.sum(later**2) / variance[at] - np.log(sd).sum())
 
     def scan(
         self,
@@ -79,7 +94,7 @@ class Likelihood:
 
     def _of(self, squares: npt.ArrayLike, noise: Noise) -> FloatArray:
         """Return log-likelihoods from sums of squares of whitened residuals, s² profiled."""
-        determinant = sum(np.log(item.sd[:, GRID.index(noise)]).sum() for item in self._filters)
+        determinant = sum(np.log(item.sd[:, self._grid.index(noise)]).sum() for item in self._filters)
         return np.asarray(-0.5 * self.n * np.log(np.maximum(squares, 1e-300) / self.n) - determinant)
 
     def _left(self, values: FloatArray, base: FloatArray, noise: Noise) -> tuple[FloatArray, FloatArray]:
@@ -90,13 +105,13 @@ class Likelihood:
 
     def _white(self, columns: FloatArray, noise: Noise) -> FloatArray:
         parts = [columns[a:b] for a, b in zip(self._bounds, self._bounds[1:], strict=False)]
-        at = GRID.index(noise)
+        at = self._grid.index(noise)
         return np.concatenate([item(part, at) for item, part in zip(self._filters, parts, strict=True)])
 
 
-def _filters(run: RunBlocks) -> Whitener:
-    """Return the filters of a run for the whole grid; the walk begins at power-on."""
-    flicker, walk = np.array(GRID).T
+def _filters(run: RunBlocks, grid: Sequence[Noise]) -> Whitener:
+    """Return the filters of a run for a grid; the walk begins at power-on."""
+    flicker, walk = np.array(grid).T
     markov = np.sqrt(flicker / len(TAUS_S))[:, np.newaxis] * np.ones(len(TAUS_S))
     noise = BiasNoise(TAUS_S, markov, np.sqrt(walk / WALK_S))
     elapsed = np.diff(run.time_s, prepend=-np.inf)

@@ -47,7 +47,7 @@ def write_report(diagnosis: Diagnosis, path: Path) -> None:
 def _declared(diagnosis: Diagnosis) -> str:
     if diagnosis.model is None:
         return diagnosis.declared
-    return f"model of {diagnosis.model.created} and {diagnosis.declared}"
+    return f"model of {diagnosis.model.created}"
 
 
 def _run(name: str, blocks: int, duration_s: float) -> dict[str, Any]:
@@ -81,6 +81,16 @@ def _channel(verdict: ChannelVerdict) -> dict[str, Any]:
             for claim in verdict.claims
             for other in claim.finding.alike[1:]
         ],
+        "turns": [
+            {
+                "done": step.done,
+                "gain_bic": step.gain,
+                "train_rms": step.train_rms,
+                "test_rms": step.test_rms,
+            }
+            for step in verdict.turns
+        ],
+        "fitted_anew": verdict.refit,
         "left_out": verdict.left_out,
         "in_model_file": verdict.predicts,
         "faults": [fault.text for fault in verdict.channel.faults],

@@ -10,13 +10,14 @@ from imumon.estimation.spectrum.stage import LiveSpectrum
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.estimation.watch.stage import ModelWatch
 from imumon.pipeline import Estimator
+from imumon.plugins import STAGES, plugins
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.thermometer import TemperatureRateParameters
 from imumon.run.setup import Setup
 
 
 def estimators(device: DeviceFile | None, setup: Setup | None = None) -> list[Estimator]:
-    """Return new estimators for a device, or for a table when there is none.
+    """Return new estimators for a device, or for a table when there is none; those of plug-ins come last.
 
     The heading is sought only where the latitude is known.
     """
@@ -29,6 +30,7 @@ def estimators(device: DeviceFile | None, setup: Setup | None = None) -> list[Es
         RestDetector(setup.rest),
         GyroBias(setup.zupt_with_noise, model, setup.mode, setup.latitude_deg, setup.heading_deg),
         ModelWatch(setup.watch, modelled=model is not None),
+        *_better_model(setup),
         AllanStage(setup.allan),
         LiveSpectrum(),
         AttitudeEstimate(setup.attitude, axes, setup.magnetometer, setup.latitude_deg, setup.heading_deg),
@@ -42,7 +44,16 @@ def estimators(device: DeviceFile | None, setup: Setup | None = None) -> list[Es
         from imumon.run.published import published_stages
 
         stages += published_stages(setup, temperature)
-    return stages
+    return [*stages, *(make() for make in plugins(STAGES).values())]
+
+
+def _better_model(setup: Setup) -> list[Estimator]:
+    """Return the stage that looks for a better model than the present one, where there is one."""
+    if setup.bias_model is None:
+        return []
+    from imumon.diagnosis.live import LiveDiagnosis  # what the diagnosis needs takes time to load
+
+    return [LiveDiagnosis(setup.bias_model, setup.watch.learn)]
 
 
 def temperature_rate(given: TemperatureRateParameters) -> TemperatureRate:
