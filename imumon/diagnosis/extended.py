@@ -14,7 +14,7 @@ from imumon.diagnosis.blocks import RunBlocks
 from imumon.effects.base import Effect
 from imumon.effects.temperature_curve import TemperatureCurve
 from imumon.models.curves.polynomial import HIGHEST_ORDER, PolynomialCurve
-from imumon.models.model import BiasModel, ChannelModel, Curve, TrainedOn
+from imumon.models.model import BiasModel, ChannelModel, TrainedOn
 
 if TYPE_CHECKING:
     from imumon.diagnosis.engine import Diagnosis
@@ -60,9 +60,7 @@ def _channel(verdict: ChannelVerdict, known: ChannelModel | None) -> ChannelMode
     if known is not None:
         if verdict.name.startswith("accel"):
             fitted_curve = fitted_curve - fitted_curve(declared.middle_degc)
-        curve, effects = refitted(known, fitted_curve, effects)
-        update = {"residual_sd": residual, "held_out_rms": {}, "curve": curve, "effects": effects}
-        return known.model_copy(update=update)
+        return refitted(known, fitted_curve, effects, residual)
     curve, effects = _curve(fitted_curve, effects)
     if verdict.name.startswith("accel"):
         curve = curve.minus(float(curve.value(declared.middle_degc)))
@@ -78,27 +76,35 @@ def _channel(verdict: ChannelVerdict, known: ChannelModel | None) -> ChannelMode
     )
 
 
-def refitted(known: ChannelModel, more: Polynomial, effects: list[Effect]) -> tuple[Curve, list[Effect]]:
-    """Return the curve of a known model with a polynomial more, and the effects beside it.
+def refitted(
+    known: ChannelModel, more: Polynomial, effects: list[Effect], residual_sd: float
+) -> ChannelModel:
+    """Return a known model with a polynomial more in its curve, and these effects beside it.
 
-    To what is no polynomial itself it is added as an effect.
+    To what is no polynomial itself it is added as an effect.  The curve holds where it was fitted, which is
+    the domain of the polynomial.
     """
     curve = known.curve
     added = [part for effect in known.effects if (part := effect.polynomial()) is not None]
+    own = [part for effect in effects if (part := effect.polynomial()) is not None]
+    low, high = more.domain.tolist()
+    known_low, known_high = known.temperature_range_degc
+    update: dict[str, Any] = {"residual_sd": residual_sd, "held_out_rms": {}}
+    if more.degree() > 0 or own:
+        update["temperature_range_degc"] = [max(low, known_low), min(high, known_high)]
     if isinstance(curve, PolynomialCurve):
         ends = curve.center_degc - curve.half_width_degc, curve.center_degc + curve.half_width_degc
         added.append(Chebyshev(curve.coefficients, domain=ends).convert(kind=Polynomial))
-        return _curve(_sum(more, added), effects)
-    added += [part for effect in effects if (part := effect.polynomial()) is not None]
+        update["curve"], update["effects"] = _curve(_sum(more, added), effects)
+        return known.model_copy(update=update)
     others = [effect for effect in effects if effect.polynomial() is None]
-    constant, *powers = _sum(more, added).coef.tolist()
+    constant, *powers = _sum(more, [*added, *own]).coef.tolist()
     if any(powers):
-        low, high = more.domain.tolist()
         shape = TemperatureCurve(
             middle=0.5 * (low + high), half_span=0.5 * (high - low), first_power=1, powers=len(powers)
         )
         others.append(shape.with_coefficients(powers))
-    return curve.minus(-constant), others
+    return known.model_copy(update={**update, "curve": curve.minus(-constant), "effects": others})
 
 
 def _sum(first: Polynomial, others: Sequence[Polynomial]) -> Polynomial:

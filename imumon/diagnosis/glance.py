@@ -20,7 +20,7 @@ from imumon.diagnosis.gains import PROVEN
 from imumon.diagnosis.known import CUBIC, temperature_of
 from imumon.diagnosis.likelihood import Likelihood, coarse_grid
 from imumon.diagnosis.recording import SECOND_NS, Run
-from imumon.effects.base import Effect, Survey
+from imumon.effects.base import Survey
 from imumon.effects.library import EFFECTS
 from imumon.effects.temperature_curve import TemperatureCurve
 from imumon.models.model import BiasModel, ChannelModel
@@ -28,7 +28,7 @@ from imumon.models.predictor import BiasPredictor
 
 LEAST_BLOCKS = 40
 """As the whole diagnosis needs."""
-MOST = 8
+MOST = 6
 """Of the grid of an effect so many are tried, spread over it: their neighbours have a gain nearly as good."""
 CLOSE = 10.0
 """Families whose gains differ by less are not told apart, as in the whole diagnosis."""
@@ -116,7 +116,7 @@ class _Glance:
         self._blocks = pool.runs[0]
         seen = survey(pool.runs, pool.temperature, CUBIC, BLOCK_S)
         degree = CUBIC if seen.thermal else 0
-        self._declared = Declared.over(pool.runs, pool.temperature, degree, offsets=False)
+        self._declared = Declared.over(pool.runs, pool.temperature, degree, "")
         self._few = _few(seen)
         self._terms = [pool.terms(candidate)[0] for candidate in self._few]
 
@@ -138,9 +138,8 @@ class _Glance:
         coefficients = ordinary(design, values)
         left = values - design @ coefficients
         before, after = float(values.std()), float(np.sqrt(np.mean(left**2)))
-        extended = self._extended(model, best, coefficients)
         # What is left holds the white noise of the means as well: no smaller than it is.
-        extended = extended.model_copy(update={"residual_sd": min(model.residual_sd, after)})
+        extended = self._extended(model, best, coefficients, min(model.residual_sd, after))
         return Better(name, near, best.gain - price, before, after, extended)
 
     def _tried(self, values: FloatArray) -> list[_Tried]:
@@ -171,18 +170,18 @@ class _Glance:
         more = [] if one.candidate is None else [self._pool.design([one.candidate])]
         return np.column_stack([self._base(one.curve), *more])
 
-    def _extended(self, model: ChannelModel, one: _Tried, coefficients: FloatArray) -> ChannelModel:
+    def _extended(
+        self, model: ChannelModel, one: _Tried, coefficients: FloatArray, residual_sd: float
+    ) -> ChannelModel:
         from imumon.diagnosis.extended import refitted
 
         split = self._declared.degree + 1 if one.curve else 1
         middle, half = self._declared.middle_degc, self._declared.half_span_degc
         more = Polynomial(coefficients[:split], domain=[middle - half, middle + half])
-        effects: list[Effect] = []
+        effects = [effect for effect in model.effects if effect.polynomial() is None]
         if one.candidate is not None:
-            effects = [one.candidate.parts[0].effect.with_coefficients(coefficients[split:])]
-        known = [effect for effect in model.effects if not effect.is_curve]
-        curve, effects = refitted(model, more, [*known, *effects])
-        return model.model_copy(update={"curve": curve, "effects": effects})
+            effects.append(one.candidate.parts[0].effect.with_coefficients(coefficients[split:]))
+        return refitted(model, more, effects, residual_sd)
 
 
 def _few(seen: Survey) -> list[Candidate]:

@@ -3,39 +3,65 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
 from functools import partial
 from itertools import pairwise
 
 import numpy as np
 
-from imumon.blocks import ColumnArray, FloatArray, SampleBlock
+from imumon.blocks import ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.charts import BLUE, RED, Axis, Chart, Curve
 from imumon.columns import Column
 from imumon.diagnosis.blocks import BLOCK_S, REST_SHARE
 from imumon.diagnosis.recording import SECOND_NS, Run
 from imumon.diagnosis.shadow import Shadow
+from imumon.effects.base import ACCEL as FORCE
+from imumon.effects.base import BoolArray
+from imumon.effects.vibration import VIBRATION
 from imumon.filters.slots import SlotGatherer, Slots
 from imumon.geodesy import DEG_PER_H
 from imumon.models.model import BiasModel, TrainedOn
-from imumon.recordings.reduced import ACCEL, GYRO, TEMPERATURES
+from imumon.models.predictor import BiasPredictor
+from imumon.recordings.reduced import ACCEL, GYRO
 
 LANE, RESIDUAL = "model", "Residual"
-FIRST_LOOK_S, GROWTH = 1200.0, 1.6
+FIRST_LOOK_S, GROWTH = 1200.0, 2.0
 """First look, and by how much longer a run is at each next one: so the looks cost as much per second, however
 long it gets."""
 JUDGED_S = 300.0
 """How often a shadow is judged: ten means of 30 s."""
 HELD_NS = 10 * SECOND_NS
 """Samples wait so long until they are reduced to seconds: short blocks then cost no more than long ones."""
-PIECE = 4096
+PIECE = 16_384
 """Samples at a time, to bound the memory."""
 DIAGNOSE = "imumon diagnose --train SESSION --model SESSION --out DIR"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Seconds:
+    """What is kept of n seconds and k columns."""
+
+    begins: BoolArray
+    start_ns: IntArray
+    end_ns: IntArray
+    count: IntArray
+    mean: FloatArray
+
+    @classmethod
+    def of(cls, slots: Slots) -> _Seconds:
+        return cls(*(getattr(slots, field.name).copy() for field in fields(cls)))
+
+    def __len__(self) -> int:
+        return len(self.begins)
+
+    def __getitem__(self, which: slice) -> _Seconds:
+        return _Seconds(*(getattr(self, field.name)[which] for field in fields(self)))
 
 
 class LiveDiagnosis:
     """Says when a better model than the present one exists: MODEL CAN BE BETTER, with effect, gain and error.
 
-    A run from power-on is looked at after 20 min, and whenever it has become 1.6 times as long.
+    A run from power-on is looked at after 20 min, and whenever it has become twice as long.
 
     Parameters
     ----------
@@ -48,7 +74,12 @@ class LiveDiagnosis:
     def __init__(self, model: BiasModel, learn: bool = False) -> None:
         self._model, self._learn = model, learn
         self._gyros = [name for name in GYRO if name in model.channels]
-        self._names = [*self._gyros, *TEMPERATURES, *ACCEL]
+        needed = BiasPredictor(model, self._gyros)
+        self._temperatures = [name.replace("_estimate", "") for name in needed.temperature_columns]
+        self._temperatures = list(dict.fromkeys([*self._temperatures, "temperature"]))
+        inputs = {name for gyro in self._gyros for one in model.channels[gyro].effects for name in one.inputs}
+        self._names = [*self._gyros, *self._temperatures, *(ACCEL if inputs & {FORCE, VIBRATION} else ())]
+        self._names += needed.drivers
         self._gatherer = SlotGatherer(len(self._names) + 1, SECOND_NS)
         self._waiting: list[SampleBlock] = []
         self._pending: list[str] = []
@@ -59,7 +90,7 @@ class LiveDiagnosis:
 
     def _begin(self) -> None:
         """Begin with a run from power-on; a shadow that has not won yet is of another."""
-        self._parts: list[Slots] = []
+        self._parts: list[_Seconds] = []
         self._next_look_s, self._next_judged_s, self._looks = FIRST_LOOK_S, 0.0, 0
         self._shadow: Shadow | None = None
         self.state = ""
@@ -83,7 +114,7 @@ class LiveDiagnosis:
             for start in range(0, len(block), PIECE):
                 part = block.rows(start, start + PIECE)
                 slots = self._gatherer.process(part["device_time_ns"], part["segment"], self._values(part))
-                self._take(slots)
+                self._take(_Seconds.of(slots))
         self._waiting = []
 
     def _values(self, block: SampleBlock) -> FloatArray:
@@ -91,21 +122,29 @@ class LiveDiagnosis:
         values = np.column_stack([block.columns.get(name, missing()) for name in (*self._names, "at_rest")])
         return values.astype(np.float64, copy=False)
 
-    def _take(self, slots: Slots) -> None:
+    def _take(self, slots: _Seconds) -> None:
         """Take the seconds that have ended; a new segment is a new run."""
         cuts = [0, *np.flatnonzero(slots.begins).tolist(), len(slots)]
         for start, stop in pairwise(cuts):
-            if stop == start:
-                continue
-            part = slots[start:stop]
-            if part.begins[0] and self._parts:
-                self._begin()
-            self._parts.append(part)
-            elapsed = (int(part.end_ns[-1]) - int(self._parts[0].start_ns[0])) / SECOND_NS
-            if elapsed >= self._next_look_s and self._shadow is None and self.offered is None:
-                self._look(elapsed)
-            if self._shadow is not None and elapsed >= self._next_judged_s:
-                self._judge(self._shadow, elapsed)
+            if stop > start:
+                part = slots[start:stop]
+                if part.begins[0] and self._parts:
+                    self._begin()
+                self._follow(part)
+
+    def _follow(self, part: _Seconds) -> None:
+        """Take seconds of one run, and stop wherever it is time to look or to judge."""
+        begun_ns = int((self._parts or [part])[0].start_ns[0])
+        while len(part):
+            elapsed = (part.end_ns - begun_ns) / SECOND_NS
+            due = min(self._next_look_s, self._next_judged_s if self._shadow is not None else np.inf)
+            count = min(int(np.searchsorted(elapsed, due)) + 1, len(part))
+            self._parts.append(part[:count])
+            now_s, part = float(elapsed[count - 1]), part[count:]
+            if self._shadow is not None and now_s >= self._next_judged_s:
+                self._judge(self._shadow, now_s)
+            if now_s >= self._next_look_s:
+                self._look(now_s)
 
     def _look(self, elapsed_s: float) -> None:
         from imumon.diagnosis.glance import better_models
@@ -113,6 +152,8 @@ class LiveDiagnosis:
         self._looks += 1
         while self._next_look_s <= elapsed_s:
             self._next_look_s *= GROWTH
+        if self.offered is not None:
+            return
         found = better_models(self._run(), self._model, self._gyros, self._looks)
         if not found:
             self.state = ""
@@ -161,7 +202,7 @@ class LiveDiagnosis:
             np.arange(n, dtype=np.float64) + 0.5,
             {self._names[at]: laid("count", at, 0.0) for at in there},
             {self._names[at]: laid("mean", at, np.nan) for at in there},
-            {self._names[at]: laid("variance", at, np.nan) for at in there},
+            {},
             laid("mean", len(self._names), 0.0),
         )
 
@@ -169,7 +210,7 @@ class LiveDiagnosis:
         """Return what a learned model says of this session."""
         run = self._run()
         at_rest = run.rest >= REST_SHARE
-        known = [run.mean[name] for name in TEMPERATURES if name in run.mean]
+        known = [run.mean[name] for name in self._temperatures if name in run.mean]
         temperature = np.concatenate([values[at_rest & np.isfinite(values)] for values in known])
         return TrainedOn(
             session=session,

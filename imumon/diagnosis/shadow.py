@@ -9,15 +9,17 @@ al. 2011, doi:10.1214/10-STS347).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.diagnosis.blocks import BoolArray, RunBlocks
+from imumon.diagnosis.blocks import RunBlocks
 from imumon.diagnosis.gains import PROVEN
 from imumon.diagnosis.glance import GRID, Better, residual
+from imumon.diagnosis.known import temperature_of
 from imumon.diagnosis.likelihood import Likelihood
+from imumon.diagnosis.poses import BoolArray
 from imumon.diagnosis.recording import Run
 from imumon.models.model import BiasModel
 
@@ -76,8 +78,12 @@ class Shadow:
         self.score: Score | None = None
 
     def judge(self, run: Run) -> Score | None:
-        """Return how both do on a run, the later part of which is new; None before there is any."""
+        """Return how both do on a run, the later part of which is new; None before there is any.
+
+        What is outside the temperatures of the earlier part, where the better one is from, does not count.
+        """
         names = [one.channel for one in self.found]
+        run = self._within(run, names)
         present, shadow = (residual(run, model, names) for model in (self._present, self.model))
         early = present.time_s < self._since_s
         if early.all() or early.sum() < LEAST_LATER:
@@ -91,6 +97,15 @@ class Shadow:
             int((~early).sum()),
         )
         return self.score
+
+    def _within(self, run: Run, names: Sequence[str]) -> Run:
+        """Return a run at rest only where its temperatures are among those of the earlier part."""
+        inside = np.ones(len(run.time_s), bool)
+        for name in names:
+            t = run.mean[temperature_of(name, self.model, [run])]
+            known = t[(run.time_s < self._since_s) & np.isfinite(t)]
+            inside &= (t >= known.min()) & (t <= known.max())
+        return replace(run, rest=np.where(inside, run.rest, 0.0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
