@@ -13,6 +13,7 @@ from imumon.errors import ImumonError, Reason
 
 if TYPE_CHECKING:
     from imumon.diagnosis.recording import Run
+    from imumon.models.model import BiasModel
 
 SEVERAL = ("--train", "--test")
 
@@ -45,7 +46,10 @@ class _SeveralValues(click.Command):
     " default: polynomial 3.",
 )
 @click.option(
-    "--model", "model_path", type=PATH, help="Instead: the bias model that is assumed, by imumon calibrate."
+    "--model",
+    "model_path",
+    type=PATH,
+    help="Instead: the bias model that is assumed, by imumon calibrate, or a session that ran with it.",
 )
 @click.option("--map", "map_path", type=PATH, help="YAML file: what is in which column of the tables.")
 @click.option(
@@ -74,23 +78,21 @@ def command(
     The recordings are of a unit at rest, each from power-on.  Two or more for training, warmed and cooled,
     tell most.
     """
-    from imumon.diagnosis.engine import diagnose, parse_declared
+    from imumon.diagnosis.engine import CUBIC, diagnose, parse_declared
     from imumon.diagnosis.extended import extended_model
     from imumon.diagnosis.page import write_page
     from imumon.diagnosis.report import report, write_report
-    from imumon.models.model import load_model
 
     if declared is not None and model_path is not None:
         raise ImumonError(
             Reason.BAD_CONFIG, "--model and --declared are both given", "give one: each says what is assumed"
         )
-    model = load_model(model_path) if model_path is not None else None
-    usual = "polynomial 3" if model is None else "polynomial 0"
-    assumed = usual if declared is None else declared
+    model = model_of(model_path) if model_path is not None else None
+    assumed = declared if declared is not None else CUBIC
     parse_declared(assumed)
-    _make(out)
+    make_folder(out)
     with reading_bar([*train, *test], quiet=as_json) as tell:
-        runs = [_read(path, map_path, at_rest) for path in (*train, *test)]
+        runs = [read(path, map_path, at_rest) for path in (*train, *test)]
         split = len(train)
         training = [run for group in runs[:split] for run in group]
         testing = [run for group in runs[split:] for run in group]
@@ -107,14 +109,31 @@ def command(
     print_rows({what: str(out / name) for what, name in written.items()})
 
 
-def _read(path: Path, map_path: Path | None, at_rest: bool) -> list[Run]:
+def model_of(path: Path) -> BiasModel:
+    """Read a model file, or the model of a session that ran with one."""
+    from imumon.models.model import load_model
+    from imumon.recordings.folder import is_session, open_session
+    from imumon.run.setup import parse_setup
+
+    if not is_session(path):
+        return load_model(path)
+    text = open_session(path).metadata.pipeline_yaml
+    model = None if text is None else parse_setup(text, f"{path} (pipeline_yaml)").bias_model
+    if model is None:
+        raise ImumonError(Reason.BAD_CONFIG, f"{path} ran without a bias model", "give a model file")
+    return model
+
+
+def read(path: Path, map_path: Path | None, at_rest: bool) -> list[Run]:
+    """Read a recording as runs from power-on."""
     from imumon.diagnosis.recording import read_runs
     from imumon.estimation.rest.stage import RestDetector
 
     return read_runs(path, map_path, lambda _: [RestDetector()], at_rest=at_rest)
 
 
-def _make(out: Path) -> None:
+def make_folder(out: Path) -> None:
+    """Make a folder for results; raises BAD_CONFIG when that fails."""
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -34,6 +34,7 @@ from imumon.errors import EXIT_NEGATIVE, EXIT_OK, ImumonError, Reason
 if TYPE_CHECKING:
     from imumon.run.live import LiveRun, LiveSummary
     from imumon.run.narration import Progress
+    from imumon.run.setup import Setup
     from imumon.view.items import ViewItem, ViewSetup
     from imumon.view.publisher import ViewPublisher
     from imumon.view.terminal import TerminalView
@@ -52,6 +53,12 @@ View = Literal["native", "web", "terminal", "none"]
 )
 @click.option("--out", type=PATH, help="Session folder; default: a new one in ./sessions.")
 @click.option("--seconds", type=SECONDS, help="Stop after this time.")
+@click.option(
+    "--learn",
+    is_flag=True,
+    help="Where a better bias model than --model exists, run it beside, and keep it with the session if it"
+    " wins.",
+)
 @setup_options
 @window_option
 @bind_option
@@ -65,6 +72,7 @@ def command(
     seconds: float | None,
     window: float,
     bind: str,
+    learn: bool,
     as_json: bool,
     **options: Unpack[SetupOptions],
 ) -> int:
@@ -73,6 +81,7 @@ def command(
     PORT is anything that pyserial opens: /dev/ttyUSB0, socket://host:port, rfc2217://host:port.
     Every byte received is kept; a lost or silent device is waited for and reopened.
     """
+    from imumon.run.learning import compared, keep_learned
     from imumon.run.narration import view_setup
 
     if view == "terminal" and not _is_terminal():
@@ -82,7 +91,7 @@ def command(
             "run it in a terminal, or use --view web or none",
         )
     warn_of_no_display(view)
-    live = PortRun(port, device, baud, make_setup(options), out, seconds)
+    live = PortRun(port, device, baud, _learning(make_setup(options), learn), out, seconds)
     run = live.run
     views: _Views | None = None
     try:
@@ -96,11 +105,27 @@ def command(
         if views is not None:
             views.close()
         live.lines.write()
+    learned = keep_learned(run.pipeline, run.session)
     if as_json:
-        print_json({**summary.as_dict(), "view_dropped": views.dropped})
+        print_json({**summary.as_dict(), "view_dropped": views.dropped, "learned_model": learned})
     _report(summary, run.progress, views.dropped)
+    if learned is not None:
+        print_rows({"learned": f"{learned}; before and after: {compared(run.session, learned)}"})
     live.raise_problem(summary)
     return EXIT_NEGATIVE if summary.wire.bytes_unrecorded else EXIT_OK
+
+
+def _learning(setup: Setup, learn: bool) -> Setup:
+    """Return the setup that learns, where that is asked for."""
+    if not learn:
+        return setup
+    if setup.bias_model is None:
+        raise ImumonError(
+            Reason.BAD_CONFIG,
+            "--learn: there is no bias model that could be better",
+            "add --model MODEL.yaml, made by: imumon calibrate SESSION... --out MODEL.yaml",
+        )
+    return setup.model_copy(update={"watch": setup.watch.model_copy(update={"learn": True})})
 
 
 class _Views:

@@ -27,6 +27,7 @@ from imumon.cli.live_run import serve
 from imumon.cli.progress import reading_bar
 from imumon.cli.setup_options import SetupOptions, make_setup, setup_options
 from imumon.errors import EXIT_OK, ImumonError, Reason
+from imumon.files import check_output
 
 if TYPE_CHECKING:
     from imumon.blocks import SampleBlock
@@ -53,6 +54,13 @@ VERDICT = {
 @click.option("--out", type=PATH, help=TABLE)
 @columns_option
 @click.option("--view", type=click.Choice(["native", "web", "none"]), default="none", show_default=True)
+@click.option(
+    "--compare-models",
+    nargs=2,
+    type=PATH,
+    metavar="A B",
+    help="Instead: a page of what two bias models (files, or sessions that ran with one) leave; with --out.",
+)
 @click.option("--smooth", is_flag=True, help="Also estimate with what came later: columns ..._smoothed.")
 @setup_options
 @window_option
@@ -68,9 +76,12 @@ def command(
     bind: str,
     as_json: bool,
     smooth: bool,
+    compare_models: tuple[Path, Path] | None,
     **options: Unpack[SetupOptions],
 ) -> int:
     """Run SESSION again through the same code, bit for bit, to a table or to the view."""
+    if compare_models is not None:
+        return _compare(session, compare_models, out, as_json)
     from imumon.pipeline import Digest, Pipeline
     from imumon.protocols.base import MAIN
     from imumon.recordings.folder import open_session
@@ -126,6 +137,29 @@ def command(
         print_json({**made, **pipeline.counters.as_dict(), **source.losses(), **compared, **smoothing})
     said = {"samples": f"{rows:,}, {VERDICT[identical]}", "losses": describe_losses(pipeline.counters)}
     print_rows(said | describe_streams(pipeline.counters, tables) | _smoothing(disagreement))
+    return EXIT_OK
+
+
+def _compare(session: Path, given: tuple[Path, Path], out: Path | None, as_json: bool) -> int:
+    """Write the page of what two models leave of a session."""
+    from imumon.cli.diagnose_command import model_of, read
+    from imumon.diagnosis.comparing import compare, write_comparison
+
+    if out is None or out.suffix != ".html":
+        raise ImumonError(
+            Reason.BAD_CONFIG,
+            "--compare-models makes a page, which has no name",
+            "add --out PAGE.html",
+        )
+    check_output(out)
+    first, second = (model_of(path) for path in given)
+    compared = compare(read(session, None, at_rest=False), (first, second))
+    write_comparison(compared, (str(given[0]), str(given[1])), str(session), out)
+    rows = {f"{one.run} {one.channel}": one.rms for one in compared}
+    if as_json:
+        print_json({"out": out, "rms": {name: list(rms) for name, rms in rows.items()}})
+    said = {name: f"{before:.3g} become {after:.3g} rad/s or m/s²" for name, (before, after) in rows.items()}
+    print_rows(said | {"page": str(out)})
     return EXIT_OK
 
 

@@ -17,21 +17,28 @@ from imumon.diagnosis.blocks import (
     white_floor,
 )
 from imumon.diagnosis.candidates import Pool
-from imumon.diagnosis.channel import Channel, Declared
+from imumon.diagnosis.channel import Channel, Declared, Own
 from imumon.diagnosis.continuing import continued, predecessor
 from imumon.diagnosis.drivers import recorded, shadows, with_drivers
-from imumon.diagnosis.earth import VerticalRate, vertical_rate, without
+from imumon.diagnosis.earth import EarthRate, earth_rate, turned, without
 from imumon.diagnosis.faults import faults, without_standstill
+from imumon.diagnosis.gravity import Length, at_poses, length
 from imumon.diagnosis.holding_out import STRETCHES, divided
-from imumon.diagnosis.known import modelled, temperature_of, without_known
+from imumon.diagnosis.known import (
+    drivers_of,
+    effects_of,
+    modelled,
+    order_of,
+    temperature_of,
+    without_curve,
+)
 from imumon.diagnosis.recording import CHANNELS, Run, common_temperature, unit_of
 from imumon.diagnosis.selection import search
-from imumon.diagnosis.verdict import ChannelVerdict, judge
+from imumon.diagnosis.verdict import ChannelVerdict, settle
 from imumon.effects.base import LEAST_SPAN_DEGC, Survey
-from imumon.effects.g_sensitivity import LEAST_RANGE
 from imumon.effects.library import EFFECTS
 from imumon.errors import ImumonError, Reason
-from imumon.geodesy import DEG_PER_H, STANDARD_GRAVITY
+from imumon.geodesy import DEG_PER_H
 from imumon.models.model import BiasModel
 
 LEAST_BLOCKS = 40
@@ -45,6 +52,9 @@ MOST_SEARCH_BLOCKS = 700
 SHORTER, LEAST_SEARCH_BLOCKS = (1, 2, 3), 200
 """Shorter runs in blocks of a half or a third: of few blocks the one with a jump in it decides."""
 HIGHEST_DEGREE = 8
+
+CUBIC = "polynomial 3"
+"""What is declared where nothing is said."""
 
 Progress = Callable[[str], None]
 
@@ -63,7 +73,7 @@ class Diagnosis:
     """Verdicts on all channels, and what has to be said of the data.
 
     `model` is the one that was given to begin with, or None.  `held_out` says that the test is part of the
-    one run that there is.
+    one run that there is.  `length` is what follows from |f| = g in several poses.
     """
 
     declared: str
@@ -75,6 +85,7 @@ class Diagnosis:
     caveats: list[str] = field(default_factory=list)
     model: BiasModel | None = None
     held_out: bool = False
+    length: Length | None = None
 
 
 def parse_declared(text: str) -> tuple[int, bool]:
@@ -99,7 +110,7 @@ def parse_declared(text: str) -> tuple[int, bool]:
 def diagnose(
     train: Sequence[Run],
     test: Sequence[Run],
-    declared: str = "polynomial 3",
+    declared: str = CUBIC,
     progress: Progress | None = None,
     sensors: Sequence[str] = ("gyro", "accel"),
     model: BiasModel | None = None,
@@ -107,7 +118,8 @@ def diagnose(
 ) -> Diagnosis:
     """Find what the declared model leaves over in the training runs, name it, and prove it on the test runs.
 
-    With a `model` that is known, its bias is taken from every run first, and `declared` is about the rest.
+    With a `model` that is known, its curve is taken from every run; curve and effects of it are fitted anew
+    beside what is found, where the runs show them, and `declared` does not count.
     `drivers` are what may drive an effect beside temperature, time and specific force; None: all that was
     recorded and varies.
 
@@ -133,7 +145,10 @@ def diagnose(
     if model is not None:
         channels = modelled(channels, model)
         temperatures = {name: temperature_of(name, model, train) for name in channels}
-        train, test = ([without_known(run, model, temperatures) for run in runs] for runs in (train, test))
+        train, test = ([without_curve(run, model, temperatures) for run in runs] for runs in (train, test))
+        degree = max(order_of(model.channels[name]) for name in channels)
+        needed = [name for name in drivers_of(model, channels) if name not in temperatures.values()]
+        drivers = drivers if drivers is None else list(dict.fromkeys([*drivers, *needed]))
     else:
         temperatures = {name: _temperature_of(name, train) for name in channels}
     used = list(dict.fromkeys(temperatures.values()))
@@ -183,10 +198,16 @@ def _sensor(
 ) -> list[ChannelVerdict]:
     """Return the verdicts on the axes of one sensor."""
     blocks, tested, block_s = diagnosis.train, diagnosis.test, diagnosis.block_s
-    models = {name: Declared.over(blocks, temperatures[name], degree, offsets) for name in group}
+    own: Own = "run" if offsets else ""
+    if group[0].startswith("accel"):
+        # In each pose another part of gravity is seen, which nobody knows to a micro-g.
+        own = "pose"
+        _add_length(group, temperatures[group[0]], degree, diagnosis)
+        blocks, tested = at_poses(blocks), at_poses(tested)
+    models = {name: Declared.over(blocks, temperatures[name], degree, own) for name in group}
     earth = None
-    if group[0].startswith("gyro") and diagnosis.survey.accel_range >= LEAST_RANGE:
-        earth = vertical_rate(blocks, group, temperatures, models[group[0]])
+    if group[0].startswith("gyro") and turned(blocks):
+        earth = earth_rate(blocks, group, temperatures, models[group[0]])
         diagnosis.caveats.append(_said_of_earth(earth))
     if earth is not None:
         blocks, tested = without(blocks, group, earth), without(tested, group, earth)
@@ -201,17 +222,19 @@ def _sensor(
             pools[temperatures[name]],
             tested,
             faults(train, name, temperatures[name], floor.sd),
+            known=None if diagnosis.model is None else effects_of(diagnosis.model.channels[name]),
         )
         for name in group
         for floor in [white_floor(train, name, block_s).of_blocks(blocks)]
     ]
-    searched, search_s = blocks, _search_block(blocks)
+    searched, search_s = blocks, search_block(blocks)
     if search_s != block_s:
         usable = [run for run in train if run.name in {block.name for block in blocks}]
         every = list(dict.fromkeys(temperatures.values()))
         others = list(blocks[0].drives[used[0]].others)
         searched = [make_blocks(run, list(temperatures), every, others, search_s) for run in usable]
         searched = searched if earth is None else without(searched, group, earth)
+        searched = at_poses(searched) if own == "pose" else searched
         pools = {temperature: Pool(searched, temperature) for temperature in used}
     temperature = temperatures[group[0]]
     found = search(
@@ -220,20 +243,35 @@ def _sensor(
         [name for name, effect in EFFECTS.items() if group[0].startswith(effect.sensors)],
         progress,
     )
-    return [judge(channel, one) for channel, one in zip(channels, found, strict=True)]
+    return [settle(channel, one) for channel, one in zip(channels, found, strict=True)]
 
 
-def _said_of_earth(earth: VerticalRate | None) -> str:
+def _add_length(group: Sequence[str], temperature: str, degree: int, diagnosis: Diagnosis) -> None:
+    """Add to a diagnosis what follows from the length of gravity, where there are poses enough."""
+    declared = Declared.over(diagnosis.train, temperature, degree, "pose")
+    found = length(diagnosis.train, temperature, declared) if len(group) == 3 else None
+    if found is not None:
+        diagnosis.length = found[1]
+        diagnosis.caveats.append(found[1].said(found[0]))
+
+
+def _said_of_earth(earth: EarthRate | None) -> str:
     if earth is None:
         return (
             "several poses: what is named g_sensitivity holds the vertical earth rate as well, up to"
             " 15.04 °/h per g on the diagonal; the horizontal earth rate of each pose is not told from"
             " an offset"
         )
-    common = earth.per_force * STANDARD_GRAVITY / DEG_PER_H
+    parts = [f"{earth.up / DEG_PER_H:+.2f} °/h up"] if earth.upright else []
+    parts += [f"{earth.across / DEG_PER_H:.2f} °/h level"] if earth.level else []
+    rest = (
+        ""
+        if earth.level
+        else "; its horizontal part is another offset in each pose, which a magnetometer would tell"
+    )
     return (
-        f"several poses: the gyros have {common:+.2f} °/h per g of their own axis in common; it is taken for"
-        f" the vertical earth rate (latitude {earth.latitude_deg:+.0f}°) and subtracted"
+        f"several poses: the gyros have {' and '.join(parts)} in common; it is taken for the earth rate"
+        f" (latitude {earth.latitude_deg:+.0f}°) and subtracted{rest}"
     )
 
 
@@ -272,7 +310,8 @@ def _in_order(train: Sequence[Run], test: Sequence[Run], caveats: list[str]) -> 
     return found
 
 
-def _search_block(blocks: Sequence[RunBlocks]) -> float:
+def search_block(blocks: Sequence[RunBlocks]) -> float:
+    """Return the length in seconds of the blocks that these, of the usual length, are searched in."""
     longest = max(map(len, blocks))
     shorter = next((part for part in SHORTER if part * longest >= LEAST_SEARCH_BLOCKS), SHORTER[-1])
     return blocks[0].block_s * max(1, -(-longest // MOST_SEARCH_BLOCKS)) / shorter
@@ -320,6 +359,16 @@ def _temperature_of(channel: str, runs: Sequence[Run]) -> str:
     return common_temperature(f"temperature_{channel[-1]}", runs, lacking)
 
 
+def resting(run: Run) -> bool:
+    """Tell whether the unit was at rest for most of a run."""
+    return any(_rest_share(run, name) >= LEAST_REST for name in CHANNELS if name in run.mean)
+
+
+def _rest_share(run: Run, channel: str) -> float:
+    there = np.isfinite(run.mean[channel])[run.earlier :]
+    return float((run.rest[run.earlier :][there] >= REST_SHARE).mean()) if there.any() else 0.0
+
+
 def _usable(
     runs: Sequence[Run], names: Names, block_s: float, caveats: list[str], what: str
 ) -> list[RunBlocks]:
@@ -338,14 +387,14 @@ def _usable(
             caveats.append(f"{run.name}: not used, it lacks {', '.join(lacking)}")
             continue
         there = np.isfinite(run.mean[names.channels[0]])[run.earlier :]
-        resting = float((run.rest[run.earlier :][there] >= REST_SHARE).mean()) if there.any() else 0.0
-        if resting < LEAST_REST:
-            moving.append(f"{run.name}: at rest for {resting:.0%} of its {run.duration_s / 60:.0f} min")
+        rest_share = _rest_share(run, names.channels[0])
+        if rest_share < LEAST_REST:
+            moving.append(f"{run.name}: at rest for {rest_share:.0%} of its {run.duration_s / 60:.0f} min")
             continue
         if there.mean() < run.share * (1.0 - MANY_GAPS):
             caveats.append(f"{run.name}: samples in {there.mean():.0%} of its time only; gaps are left out")
-        if resting < 1.0 - MANY_GAPS:
-            caveats.append(f"{run.name}: at rest for {resting:.0%} of its time; the rest is left out")
+        if rest_share < 1.0 - MANY_GAPS:
+            caveats.append(f"{run.name}: at rest for {rest_share:.0%} of its time; the rest is left out")
         blocks = make_blocks(run, names.channels, names.temperatures, names.drivers, block_s)
         if len(blocks) < LEAST_RUN_BLOCKS:
             caveats.append(

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from datetime import UTC, datetime
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.polynomial import Chebyshev, Polynomial
 
 from imumon import __version__
 from imumon.diagnosis.blocks import RunBlocks
-from imumon.diagnosis.engine import Diagnosis
-from imumon.diagnosis.verdict import ChannelVerdict
 from imumon.effects.base import Effect
+from imumon.effects.temperature_curve import TemperatureCurve
 from imumon.models.curves.polynomial import HIGHEST_ORDER, PolynomialCurve
 from imumon.models.model import BiasModel, ChannelModel, TrainedOn
+
+if TYPE_CHECKING:
+    from imumon.diagnosis.engine import Diagnosis
+    from imumon.diagnosis.verdict import ChannelVerdict
 
 MARGIN = 0.005
 """Share of the span that the range is widened by, so that an end is not in and out by turns."""
@@ -49,20 +53,15 @@ def _channel(verdict: ChannelVerdict, known: ChannelModel | None) -> ChannelMode
     scored = verdict.test_after
     rms = fitted.train_rms if scored is None or not np.isfinite(scored.rms) else scored.rms
     residual = float(np.sqrt(max(rms**2 - verdict.channel.floor.sd**2, 0.0)))
-    if known is not None:
-        constant = float(fitted.declared[0])
-        return known.model_copy(
-            update={
-                "residual_sd": residual,
-                "held_out_rms": {},
-                "curve": known.curve.minus(-constant),
-                "effects": [*known.effects, *effects],
-            }
-        )
     declared = verdict.channel.declared
     half = declared.half_span_degc
     low, high = declared.middle_degc - half, declared.middle_degc + half
-    curve, effects = _curve(Polynomial(fitted.declared, domain=[low, high]), effects)
+    fitted_curve = Polynomial(fitted.declared, domain=[low, high])
+    if known is not None:
+        if verdict.name.startswith("accel"):
+            fitted_curve = fitted_curve - fitted_curve(declared.middle_degc)
+        return refitted(known, fitted_curve, effects, residual)
+    curve, effects = _curve(fitted_curve, effects)
     if verdict.name.startswith("accel"):
         curve = curve.minus(float(curve.value(declared.middle_degc)))
     return ChannelModel.model_validate(
@@ -75,6 +74,44 @@ def _channel(verdict: ChannelVerdict, known: ChannelModel | None) -> ChannelMode
             "effects": effects,
         }
     )
+
+
+def refitted(
+    known: ChannelModel, more: Polynomial, effects: list[Effect], residual_sd: float
+) -> ChannelModel:
+    """Return a known model with a polynomial more in its curve, and these effects beside it.
+
+    To what is no polynomial itself it is added as an effect.  The curve holds where it was fitted, which is
+    the domain of the polynomial.
+    """
+    curve = known.curve
+    added = [part for effect in known.effects if (part := effect.polynomial()) is not None]
+    own = [part for effect in effects if (part := effect.polynomial()) is not None]
+    low, high = more.domain.tolist()
+    known_low, known_high = known.temperature_range_degc
+    update: dict[str, Any] = {"residual_sd": residual_sd, "held_out_rms": {}}
+    if more.degree() > 0 or own:
+        update["temperature_range_degc"] = [max(low, known_low), min(high, known_high)]
+    if isinstance(curve, PolynomialCurve):
+        ends = curve.center_degc - curve.half_width_degc, curve.center_degc + curve.half_width_degc
+        added.append(Chebyshev(curve.coefficients, domain=ends).convert(kind=Polynomial))
+        update["curve"], update["effects"] = _curve(_sum(more, added), effects)
+        return known.model_copy(update=update)
+    others = [effect for effect in effects if effect.polynomial() is None]
+    constant, *powers = _sum(more, [*added, *own]).coef.tolist()
+    if any(powers):
+        shape = TemperatureCurve(
+            middle=0.5 * (low + high), half_span=0.5 * (high - low), first_power=1, powers=len(powers)
+        )
+        others.append(shape.with_coefficients(powers))
+    return known.model_copy(update={**update, "curve": curve.minus(-constant), "effects": others})
+
+
+def _sum(first: Polynomial, others: Sequence[Polynomial]) -> Polynomial:
+    """Return the sum, on the domain of the first."""
+    for other in others:
+        first = first + other.convert(domain=first.domain, window=first.window)
+    return first
 
 
 def _curve(declared: Polynomial, effects: list[Effect]) -> tuple[PolynomialCurve, list[Effect]]:

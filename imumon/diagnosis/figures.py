@@ -45,10 +45,11 @@ def figures(diagnosis: Diagnosis, verdict: ChannelVerdict) -> dict[str, str]:
     rivals = _rivals(verdict)
     if rivals:
         drawn["Candidates by gain (BIC), first effect"] = lambda axes: _ranking(axes, rivals)
-    return {caption: _svg(draw) for caption, draw in drawn.items()}
+    return {caption: svg(draw) for caption, draw in drawn.items()}
 
 
-def _svg(draw: Callable[[Axes], None]) -> str:
+def svg(draw: Callable[[Axes], None]) -> str:
+    """Return what is drawn as SVG text."""
     settings: Any = {"svg.fonttype": "path", "svg.hashsalt": "imumon", "font.size": 8}
     with mpl.rc_context(settings):
         figure = Figure(figsize=SIZE, layout="constrained")

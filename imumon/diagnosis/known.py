@@ -1,4 +1,4 @@
-"""Subtract the bias that a known model predicts from runs; the rest is what that model lacks."""
+"""A model that is known: its curve is taken from the runs, its effects are fitted beside what it lacks."""
 
 from __future__ import annotations
 
@@ -7,10 +7,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from imumon.diagnosis.recording import SECOND_NS, Run, common_temperature
+from imumon.diagnosis.recording import Run, common_temperature
+from imumon.effects.base import Effect
 from imumon.errors import ImumonError, Reason
-from imumon.models.model import BiasModel
+from imumon.models.curves.polynomial import PolynomialCurve
+from imumon.models.model import BiasModel, ChannelModel
 from imumon.models.predictor import BiasPredictor
+
+CUBIC = 3
+"""As what is assumed without a model: other curves keep their shape, and have a cubic added."""
 
 
 def modelled(channels: Sequence[str], model: BiasModel) -> list[str]:
@@ -43,18 +48,32 @@ def temperature_of(channel: str, model: BiasModel, runs: Sequence[Run]) -> str:
     return common_temperature(name, runs, f"the bias model needs {name}, which not every run has")
 
 
-def without_known(run: Run, model: BiasModel, temperatures: dict[str, str]) -> Run:
-    """Return a run with the model's bias, effects carried along from power-on, taken from its channels."""
-    names = [name for name in temperatures if name in run.mean]
-    time_ns = np.round(run.time_s * SECOND_NS).astype(np.int64)
-    temperature = np.column_stack([run.mean[temperatures[name]] for name in names])
-    force = [run.mean[f"accel_{axis}"] for axis in "xyz" if f"accel_{axis}" in run.mean]
-    predicted = BiasPredictor(model, names).process(
-        time_ns,
-        np.zeros(len(time_ns), np.int64),
-        temperature,
-        np.column_stack(force) if len(force) == 3 else None,
-        run.mean,
-    )
-    changed = {name: run.mean[name] - predicted.bias[:, at] for at, name in enumerate(names)}
+def order_of(channel: ChannelModel) -> int:
+    """Return the degree of the polynomial by which a curve is fitted anew: its own, or a cubic's."""
+    curve = channel.curve
+    return len(curve.coefficients) - 1 if isinstance(curve, PolynomialCurve) else CUBIC
+
+
+def effects_of(channel: ChannelModel) -> tuple[Effect, ...]:
+    """Return the effects of a model beside its curve, and what is part of that."""
+    return tuple(effect for effect in channel.effects if effect.polynomial() is None)
+
+
+def drivers_of(model: BiasModel, channels: Sequence[str]) -> tuple[str, ...]:
+    """Return the further columns that a model needs."""
+    return BiasPredictor(model, channels).drivers
+
+
+def without_curve(run: Run, model: BiasModel, temperatures: dict[str, str]) -> Run:
+    """Return a run with the model's curve over temperature taken from its channels."""
+    changed = {}
+    for name in temperatures:
+        if name in run.mean:
+            t, channel = run.mean[temperatures[name]], model.channels[name]
+            known = np.isfinite(t)
+            curve = np.interp(run.time_s, run.time_s[known], channel.value(t[known]))
+            for effect in channel.effects:
+                if (more := effect.polynomial()) is not None:
+                    curve = curve + more(np.interp(run.time_s, run.time_s[known], t[known]))
+            changed[name] = run.mean[name] - curve
     return replace(run, mean={**run.mean, **changed})

@@ -19,12 +19,6 @@ TEMPLATE = "report.html.j2"
 
 def write_page(diagnosis: Diagnosis, path: Path, progress: Progress | None = None) -> None:
     """Write report.html; raises OSError when that fails."""
-    environment = Environment(
-        loader=PackageLoader("imumon.diagnosis", "."),
-        autoescape=select_autoescape(default=True, default_for_string=True),
-        undefined=StrictUndefined,
-        finalize=for_html,
-    )
     content = report(diagnosis)
     channels = []
     for verdict in diagnosis.verdicts:
@@ -32,8 +26,18 @@ def write_page(diagnosis: Diagnosis, path: Path, progress: Progress | None = Non
             progress(f"drawing {verdict.name}")
         channels.append(_channel(diagnosis, verdict, content["channels"][verdict.name]))
     rows = [_row(verdict) for verdict in diagnosis.verdicts]
-    text = environment.get_template(TEMPLATE).render(report=content, rows=rows, channels=channels)
+    text = environment().get_template(TEMPLATE).render(report=content, rows=rows, channels=channels)
     path.write_text(text, encoding="utf-8")
+
+
+def environment() -> Environment:
+    """Return what fills in the pages: whatever comes from outside is text, not markup."""
+    return Environment(
+        loader=PackageLoader("imumon.diagnosis", "."),
+        autoescape=select_autoescape(default=True, default_for_string=True),
+        undefined=StrictUndefined,
+        finalize=for_html,
+    )
 
 
 def _row(verdict: ChannelVerdict) -> dict[str, Any]:
@@ -80,10 +84,17 @@ def _channel(diagnosis: Diagnosis, verdict: ChannelVerdict, content: dict[str, A
             }
             for effect in content["effects"]
         ],
+        "turns": [
+            [step.done, _number(step.train_rms * scale), _number(step.test_rms * scale), _number(step.gain)]
+            for step in verdict.turns
+        ],
+        "unit": unit,
         "left_out": [
             f"{item['name']} was found in training and left out: with it the test has"
             f" {_number(item['test_rms_with'] * scale)} {unit}, without it"
             f" {_number(item['test_rms_without'] * scale)} {unit}"
+            if np.isfinite(item["test_rms_with"])
+            else f"{item['name']} was found in training and left out: the test has nothing that can be scored"
             for item in verdict.left_out
         ],
         "figures": list(figures(diagnosis, verdict).items()),

@@ -4,12 +4,12 @@ agree."""
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.diagnosis.candidates import Candidate, candidates
+from imumon.diagnosis.candidates import Candidate, Part, candidates
 from imumon.diagnosis.channel import Channel, ordinary, residual_rms
 from imumon.diagnosis.gains import (
     PROVEN,
@@ -24,7 +24,7 @@ from imumon.diagnosis.gains import (
     pooled_gains,
 )
 from imumon.diagnosis.likelihood import Likelihood, Noise, coarse_grid, fine_grid, neighbours
-from imumon.effects.base import Survey
+from imumon.effects.base import Effect, Survey
 from imumon.effects.library import kind_of
 
 CLOSE = 10.0
@@ -71,6 +71,12 @@ class Finding:
         Families that cannot be told apart from it, it among them; empty when there is no other.
     size : float
         rms of what it takes away from the residual.
+    by_test : bool
+        Whether the test alone proves it.
+    others : dict of str to Candidate
+        The best of each other family that is not told apart from it.
+    known : bool
+        Whether it is of the model that was given, and fitted anew.
     """
 
     candidate: Candidate
@@ -79,11 +85,30 @@ class Finding:
     rivals: dict[str, float]
     alike: list[str]
     size: float
+    by_test: bool = False
+    others: dict[str, Candidate] = field(default_factory=dict)
+    known: bool = False
 
     @property
     def name(self) -> str:
         """Name of the effect."""
         return self.candidate.family
+
+
+@dataclass(frozen=True, slots=True)
+class Turn:
+    """A turn of the loop: what was done, the model that it led to, and the gain in BIC where there was one.
+
+    Parameters
+    ----------
+    done : str
+    model : sequence of Candidate
+    gain : float
+    """
+
+    done: str
+    model: Sequence[Candidate]
+    gain: float = float("nan")
 
 
 def search(
@@ -118,8 +143,10 @@ def search(
 class Search:
     """The search in one channel, and what it found.
 
-    `findings` are the effects in the order in which they were found; `many_events` says that a run has more
-    than one event, such as two jumps, which no effect explains.
+    `findings` are the effects in the order in which they were found, those of a model that was given first;
+    `many_events` says that a run has more than one event, such as two jumps, which no effect explains.
+    `turns` are those of the loop; `refit` says whether the curve that was given pays for being fitted anew;
+    `last` is what was tried last.
     """
 
     def __init__(
@@ -127,15 +154,26 @@ class Search:
     ) -> None:
         self.channel = channel
         self.findings: list[Finding] = []
+        self.turns: list[Turn] = []
         self.many_events = False
         self.finished = False
+        self.last: Table | None = None
+        self.refit = False
         self._survey, self._likelihood, self._tried = survey, likelihood, tried
         self._known: dict[tuple[int, ...], tuple[list[Candidate], float, Noise]] = {}
+        if channel.known is not None:
+            self._begin_with(channel.known)
 
     @property
     def found(self) -> list[Candidate]:
         """The candidates of the findings."""
         return [finding.candidate for finding in self.findings]
+
+    def of_family(self, name: str) -> list[Candidate]:
+        """Return what was tried of a family, of one part each and with no free start."""
+        return [
+            one for one in self._tried if one.family == name and len(one.parts) == 1 and not one.free_start
+        ]
 
     def null(self) -> tuple[float, Noise]:
         """Return the log-likelihood of the model so far, and its noise."""
@@ -145,6 +183,49 @@ class Search:
             best = self._likelihood.best(self.channel.values, self.channel.design(found))
             self._known[key] = found, *best
         return self._known[key][1:]
+
+    def noise_sd(self) -> float:
+        """Return the white noise of a block that the likelihood of the model so far is largest with."""
+        return self._likelihood.scale(self.channel.values, self.channel.design(self.found), self.null()[1])
+
+    def noise_gain(self) -> float:
+        """Return by how much slow noise is likelier than white noise alone, in BIC."""
+        values, base = self.channel.values, self.channel.design(self.found)
+        white = self._likelihood.at(values, base, (0.0, 0.0))
+        return 2.0 * (self.null()[0] - white) - 2.0 * self._likelihood.price
+
+    def _begin_with(self, known: Sequence[Effect]) -> None:
+        """Fit anew what the runs show of a model that was given; the rest of it stays as it is."""
+        given = self.channel.as_given()
+        before = 2 * self._likelihood.best(given.values, given.base)[0]
+        for effect in known:
+            candidate = Candidate(effect.label, (Part(effect),))
+            self.findings.append(Finding(candidate, 0.0, 0.0, {}, [], 0.0, known=True))
+        for finding in list(self.findings):
+            if self._worth(finding) <= PROVEN:
+                self.findings = [other for other in self.findings if other is not finding]
+                effect = finding.candidate.parts[0].effect
+                self.channel = replace(self.channel, kept=(*self.channel.kept, effect))
+                self._known.clear()
+        self._refine()
+        gain = self._evidence() - before - (self.channel.declared.degree) * self._likelihood.price
+        self.refit = gain > PROVEN
+        if self.refit:
+            self.turns.append(Turn("what was given is fitted anew", self.found, gain))
+
+    def resume(self, kept: Sequence[Finding], refuted: Sequence[str]) -> bool:
+        """Look again beside what is kept, without what the test has refuted; tell whether there is more.
+
+        The channel goes by itself now: with what others have in common it was led wrong.
+        """
+        self.findings = list(kept)
+        self.turns.append(Turn(f"the test refutes {', '.join(refuted)}", self.found))
+        self._tried = [one for one in self._tried if one.family not in refuted]
+        self.finished = self.many_events
+        while not self.finished and len(self.findings) < len(kept) + MOST_STAGES:
+            self.decide(self.table(), {})
+        self.tidy()
+        return {id(one) for one in self.findings} != {id(one) for one in kept}
 
     # One stage
 
@@ -210,7 +291,9 @@ class Search:
 
     def decide(self, table: Table, pooled: Mapping[str, float]) -> None:
         """Add the effect that explains most, unless none is proven and large enough."""
-        leaders = table.leaders
+        self.last, leaders = table, table.leaders
+        if self._take_pair(table, pooled):
+            return
         order = sorted(leaders, key=lambda name: -leaders[name].gain)
         while order and leaders[order[0]].gain > PROVEN:
             name = self._choose(order, leaders, pooled)
@@ -223,8 +306,42 @@ class Search:
             if self._second_event(finding):
                 break
             self.findings.append(finding)
+            self.turns.append(Turn(finding.name, self.found, finding.gain))
             return
         self.finished = True
+
+    def _take_pair(self, table: Table, pooled: Mapping[str, float]) -> bool:
+        """Add two effects at once where neither will do alone: by gain, and by how runs predict one another.
+
+        One that is found alone takes what it can of the other, and what that leaves looks too small.
+        """
+        name = max(table.leaders, key=lambda name: table.leaders[name].gain, default="")
+        leader = table.leaders.get(name)
+        other = table.leaders.get(leader.partner) if leader is not None else None
+        if self.findings or self._survey.runs < 2 or leader is None or other is None or other.partner != name:
+            return False
+        both = [leader, other]
+        one, two = (each.scored.candidate for each in both)
+        alone = max(table.scored, key=_gain)
+        lasting = {one.scope, two.scope} <= {"shared", "either"} and not one.choice and not two.choice
+        if not lasting or _near(alone.gain, leader.gain):
+            return False
+        if self._error_between_runs(one, two) * PREDICTED > self._error_between_runs(alone.candidate):
+            return False
+        left = self._left(one, two)
+        rivals = {key: found.gain for key, found in table.leaders.items()}
+        findings = []
+        for this, beside in ((leader, two), (other, one)):
+            size = float(np.sqrt(max(self._left(beside) ** 2 - left**2, 0.0)))
+            if size < max(LEAST_SIZE * self.channel.floor.sd, self.channel.blind):
+                return False
+            family, alike = this.scored.family, self._alike(this, table, pooled, left)
+            gains = this.gain, pooled.get(family, this.gain)
+            findings.append(Finding(this.scored.candidate, *gains, rivals, alike, size))
+        self.findings = findings
+        self._refine()
+        self.turns.append(Turn(f"{name} and {leader.partner}", self.found, leader.gain))
+        return True
 
     def _choose(
         self, order: Sequence[str], leaders: Mapping[str, Leader], pooled: Mapping[str, float]
@@ -243,7 +360,9 @@ class Search:
             return lasting if lasting and leaders[lasting].gain > max(PROVEN, best - slack) else order[0]
         for name in names:
             if name not in events and name in order and leaders[name].gain > max(PROVEN, best - slack):
-                return name
+                again = leaders[name].scored.candidate.parts[0].effect
+                near = [other for other in order if leaders[other].gain > max(PROVEN, best - CLOSE)]
+                return next((other for other in near if again.passes_for(other)), name)
         candidate = leaders[order[0]].scored.candidate
         for name in order[1:]:
             usual = candidate.choice and not leaders[name].scored.candidate.choice
@@ -263,12 +382,36 @@ class Search:
         before, after = self._left(), self._left(candidate)
         size = float(np.sqrt(max(before**2 - after**2, 0.0)))
         largest = max((finding.size for finding in self.findings), default=0.0)
-        if size < max(LEAST_SIZE * self.channel.floor.sd, SECOND_SHARE * largest, self.channel.blind):
+        if candidate.scope == "event" and not leader.partner and not self._stands_out(best):
+            return None
+        share = 0.0 if self._finer(candidate, before) else SECOND_SHARE
+        if size < max(LEAST_SIZE * self.channel.floor.sd, share * largest, self.channel.blind):
             return None
         rivals = {other: one.gain for other, one in table.leaders.items()}
         rivals[name] = max(leader.gain, refined)
         alike = self._alike(leader, table, pooled, after)
-        return Finding(candidate, rivals[name], pooled.get(name, leader.gain), rivals, alike, size)
+        others = {other: table.leaders[other].scored.candidate for other in alike[1:]}
+        pooled_gain = pooled.get(name, leader.gain)
+        return Finding(candidate, rivals[name], pooled_gain, rivals, alike, size, others=others)
+
+    def _stands_out(self, best: Scored) -> bool:
+        """Tell whether a jump is proven even with noise that jumps by itself."""
+        channel, price = self.channel, self._likelihood.price
+        terms = channel.pool.terms(best.candidate)[0]
+        ratio = self._likelihood.beyond_tails(
+            channel.values,
+            channel.design(self.found),
+            channel.pool.matrix(terms),
+            [self.null()[1], best.noise],
+        )
+        return ratio - (len(terms) + best.candidate.nonlinear) * price > PROVEN
+
+    def _finer(self, candidate: Candidate, left: float) -> bool:
+        """Tell whether a candidate says more exactly what is there already, where that does not fit yet."""
+        if self.channel.known is not None and candidate.parts[0].effect.is_curve:
+            return True  # a curve that was fitted with an effect in it has a share of that in its shape
+        again = candidate.family in (finding.name for finding in self.findings)
+        return again and candidate.scope == "shared" and left > MISFIT * self.channel.floor.sd
 
     def _alike(self, leader: Leader, table: Table, pooled: Mapping[str, float], left: float) -> list[str]:
         """Return the families that are not told apart from the one chosen, by gain or by what they leave."""
@@ -302,9 +445,9 @@ class Search:
         best = min(errors, key=errors.__getitem__)
         return best if errors[best] < errors[finding.name] / PREDICTED else None
 
-    def _error_between_runs(self, candidate: Candidate) -> float:
+    def _error_between_runs(self, *more: Candidate) -> float:
         """Return the rms error with which each run is predicted by the others, its own constant given."""
-        values, design = self.channel.values, self.channel.design([*self.found, candidate])
+        values, design = self.channel.values, self.channel.design([*self.found, *more])
         lengths = [len(run) for run in self.channel.train]
         which = np.repeat(np.arange(len(lengths)), lengths)
         total = 0.0
@@ -341,23 +484,45 @@ class Search:
         """Drop what later findings made needless, and refine what is left."""
         self._drop_needless()
         self._merge_start()
-        everything = list(self.findings)
-        if len(everything) > 1:
-            noise = self.null()[1]
-            for finding in everything:
-                self.findings = [other for other in everything if other is not finding]
-                finding.candidate = self._refined(Scored(finding.candidate, 0.0, 0.0, noise)).candidate
-            self.findings = everything
+        if len(self.findings) > 1:
+            self._refine()
+        if self.channel.known is not None:
+            self._keep_curve()
+
+    def _keep_curve(self) -> None:
+        """Leave the curve that was given as it is, but for a constant, unless fitting it anew pays."""
+        fitted, price = self.channel, self.channel.declared.degree * self._likelihood.price
+        before = self._evidence() - price
+        self._known.clear()
+        self.channel = replace(fitted, declared=replace(fitted.declared, degree=0))
+        if any(finding.candidate.parts[0].effect.is_curve for finding in self.findings):
+            self.channel = fitted
+        elif before - self._evidence() > PROVEN:
+            self._known.clear()
+            self.channel = fitted
+
+    def _refine(self) -> None:
+        """Refine each effect beside the others."""
+        everything, noise = list(self.findings), self.null()[1]
+        for finding in everything:
+            self.findings = [other for other in everything if other is not finding]
+            finding.candidate = self._refined(Scored(finding.candidate, 0.0, 0.0, noise)).candidate
+        self.findings = everything
 
     def _drop_needless(self) -> None:
         if len(self.findings) < 2:
             return
         for finding in list(self.findings):
-            everything = self.findings
-            before = self._evidence()
-            self.findings = [other for other in everything if other is not finding]
-            if before - self._evidence() > PROVEN:
-                self.findings = everything
+            if self._worth(finding) <= PROVEN:
+                self.findings = [other for other in self.findings if other is not finding]
+
+    def _worth(self, finding: Finding) -> float:
+        """Return by how much the evidence falls without a finding."""
+        everything, before = self.findings, self._evidence()
+        self.findings = [other for other in everything if other is not finding]
+        worth = before - self._evidence()
+        self.findings = everything
+        return worth
 
     def _merge_start(self) -> None:
         """Take for a start out of equilibrium what passed for an effect of its own, if that does."""

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import islice
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
 from imumon.diagnosis.channel import Channel
-from imumon.diagnosis.fitting import Fit, FittedPart, TestScore, fit, goes_on, mean_rms, score
-from imumon.diagnosis.selection import Finding, Search
+from imumon.diagnosis.fitting import Fit, FittedPart, TestScore, fit, fit_given, goes_on, mean_rms, score
+from imumon.diagnosis.foretold import foretold
+from imumon.diagnosis.likelihood import WALK_S
+from imumon.diagnosis.questions import Question, questions
+from imumon.diagnosis.selection import Finding, Search, Turn
 from imumon.effects.library import separated_by
 
 CLEAN = 1.8
@@ -21,6 +24,7 @@ EXPLAINED = 0.6
 """Share of the excess over the white floor that has to be explained before anything is named."""
 MATERIAL = 1.3
 """With a declared model that leaves less than so many floors, what is missing is too small to matter."""
+BY_TEST = "the test alone proves it: in training noise as slow as the one that is seen might go as far"
 
 
 @dataclass(slots=True)
@@ -31,6 +35,31 @@ class Claim:
     parts: list[FittedPart]
     explained: float
     test_alone: float
+
+
+@dataclass(frozen=True, slots=True)
+class SlowNoise:
+    """Flicker, rms over the correlation times of the likelihood, and random walk per root of a second."""
+
+    flicker: float = 0.0
+    walk: float = 0.0
+
+    @classmethod
+    def of(cls, found: Search) -> Self:
+        """Return that of the model that was found."""
+        flicker, walk = np.sqrt(found.null()[1])
+        sd = found.noise_sd()
+        return cls(float(flicker * sd), float(walk * sd / np.sqrt(WALK_S)))
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """A turn of the loop: what was done, its gain in BIC, and what the model that it led to leaves (rms)."""
+
+    done: str
+    gain: float
+    train_rms: float
+    test_rms: float
 
 
 @dataclass(slots=True)
@@ -45,9 +74,17 @@ class ChannelVerdict:
         None without a test.
     left_out : list of dict
         What was found but made the test worse.
+    slow : SlowNoise
+        In the unit of the channel.
+    questions : list of Question
+        What is open.
     predicts : bool
         Whether the extended model goes into the model file; else the declared one does: nothing of what is
         claimed carries over, or the levels of the test make the prediction worse with it.
+    refit : list of str
+        What was fitted anew of a model that was given, its curve first; empty when that stays as it is.
+    turns : list of Step
+        The turns of the loop.
     """
 
     channel: Channel
@@ -63,6 +100,10 @@ class ChannelVerdict:
     left_out: list[dict[str, Any]] = field(default_factory=list)
     remark: str = ""
     predicts: bool = True
+    slow: SlowNoise = SlowNoise()
+    questions: list[Question] = field(default_factory=list)
+    refit: list[str] = field(default_factory=list)
+    turns: list[Step] = field(default_factory=list)
 
     @property
     def name(self) -> str:
@@ -76,23 +117,88 @@ def explained_share(before: float, after: float, floor: float) -> float:
     return 1.0 - (after**2 - floor**2) / excess if excess > 0 else 0.0
 
 
-def judge(channel: Channel, found: Search) -> ChannelVerdict:
+def settle(channel: Channel, found: Search) -> ChannelVerdict:
+    """Return what is claimed of a channel, after the runners-up of what the test refutes have had their turn.
+
+    A runner-up has seen the test refute another, so it has to explain in the test, too, what it claims.
+    """
+    verdict = judge(channel, found, [])
+    while verdict.left_out and not found.many_events:
+        refuted = [item["name"] for item in verdict.left_out]
+        kept = [finding for finding in found.findings if finding.known or finding.name not in refuted]
+        if not found.resume(kept, refuted):
+            break
+        further = judge(channel, found, verdict.left_out)
+        verdict.turns = further.turns
+        if not _shown(further) or not _better(further, verdict):
+            break
+        settled = len(further.left_out) == len(verdict.left_out)
+        verdict = further
+        if settled:
+            break
+    return verdict
+
+
+def _left_in_test(scores: tuple[TestScore, TestScore] | None) -> float:
+    """Return what is left of the test, predicted or followed; 0 without one."""
+    return 0.0 if scores is None else float(np.fmin(scores[1].rms, scores[1].tracked_rms))
+
+
+def _better(one: ChannelVerdict, other: ChannelVerdict) -> bool:
+    """Tell whether a verdict leaves less of the test than another."""
+    left, before = one.test_after, other.test_after
+    if left is None or before is None:
+        return False
+    return left.rms < before.rms or left.tracked_rms < before.tracked_rms
+
+
+def _shown(verdict: ChannelVerdict) -> bool:
+    """Tell whether the test shows what training does."""
+    before, after = verdict.test_before, verdict.test_after
+    if before is None or after is None or not np.isfinite(after.rms):
+        return False
+    floor = verdict.channel.floor.sd
+    clean = _left_in_test((before, after)) < CLEAN * floor
+    return clean or explained_share(before.rms, after.rms, floor) >= EXPLAINED
+
+
+def judge(channel: Channel, found: Search, left_out: Sequence[dict[str, Any]]) -> ChannelVerdict:
     """Return what is claimed of a channel, and what is not and why."""
-    findings = [one for one in found.findings if not (found.many_events and one.candidate.scope == "event")]
-    before = fit(channel, [])
-    kept, left_out = _not_worse(channel, findings)
+    shape = replace(channel.declared, degree=found.channel.declared.degree)
+    channel = replace(channel, declared=shape, kept=found.channel.kept)
+    given = fit_given(channel)
+    # A jump that is too small to matter is not told from the steps of a walk.
+    small = found.many_events or given.train_rms < MATERIAL * channel.floor.sd
+    findings = [one for one in found.findings if not (small and one.candidate.scope == "event")]
+    refit = [one for one in findings if one.known]
+    before = _fit(channel, refit) if found.refit else given
+    kept, refuted = _not_worse(channel, given, findings)
     after = _fit(channel, kept)
     # What the digits alone make of a smooth bias is no structure.
     floor, remark = float(np.hypot(channel.floor.sd, channel.blind)), ""
-    share = explained_share(before.train_rms, after.train_rms, floor)
+    share = explained_share(given.train_rms, after.train_rms, floor)
     passes = after.train_rms < CLEAN * floor or share >= EXPLAINED
-    if found.many_events or (kept and not passes):
+    claimed = [one for one in kept if not one.known]
+    if found.many_events or (claimed and not passes):
         best = max(found.findings, key=lambda finding: finding.gain)
         few = f"it explains only {share:.0%}"
         why = "there is more than one jump in a run" if found.many_events else few
         remark = f"the best of the known effects is {best.name}, but {why}"
-        kept, after = [], before
-    scores = _scores(channel, before, after)
+        claimed = []
+    if not claimed:
+        kept, after = refit, before
+    if not claimed and not found.many_events and before.train_rms >= CLEAN * floor:
+        one = foretold(channel, found, before, refit)
+        if one is not None:
+            kept, claimed = [*refit, one], [one]
+            after = _fit(channel, kept)
+            share, remark = explained_share(given.train_rms, after.train_rms, floor), BY_TEST
+    scores = _scores(channel, given, after)
+    if scores is not None and claimed and not np.isfinite(scores[1].rms):
+        nothing = {"test_rms_with": float("nan"), "test_rms_without": float("nan")}
+        refuted += [{"name": one.name, **nothing} for one in claimed]
+        kept, claimed, after = refit, [], before
+        scores = _scores(channel, given, after)
     predicts = not after.parts or any(part.carries for part in after.parts)
     if scores is not None:
         # Jumps of the test itself may make the prediction worse, whatever else was found.
@@ -102,21 +208,46 @@ def judge(channel: Channel, found: Search) -> ChannelVerdict:
             scores[1].rms = scores[0].rms
     verdict = ChannelVerdict(
         channel=channel,
-        before=before,
+        before=given,
         after=after,
         test_before=None if scores is None else scores[0],
         test_after=None if scores is None else scores[1],
-        claims=_claims(channel, before, after, kept),
-        unexplained=found.many_events or after.train_rms >= CLEAN * floor,
+        claims=_claims(channel, given, after, kept),
+        unexplained=found.many_events
+        or after.train_rms >= CLEAN * floor
+        or (bool(claimed) and _left_in_test(scores) >= CLEAN * floor),
         summary="",
-        explained=share if kept else 0.0,
+        explained=share if claimed else 0.0,
         noise=found.null()[1],
-        left_out=left_out,
+        left_out=[*left_out, *refuted],
         remark=remark,
         predicts=predicts,
+        slow=SlowNoise.of(found),
+        refit=_refit(channel, found, kept) if after is not given and predicts else [],
+        turns=_turns(channel, found, given),
     )
+    verdict.questions = questions(channel, found, kept, verdict.unexplained)
     verdict.summary = "; ".join([*(fault.text for fault in channel.faults), summary(verdict)])
     return verdict
+
+
+def _refit(channel: Channel, found: Search, kept: Sequence[Finding]) -> list[str]:
+    """Return what is fitted anew of a model that was given."""
+    if channel.known is None:
+        return []
+    curve = ["curve"] if found.channel.declared.degree else []
+    return [*curve, *(one.name for one in kept if one.known)]
+
+
+def _turns(channel: Channel, found: Search, given: Fit) -> list[Step]:
+    """Return the turns of the loop with what is left after each, in training and test."""
+    steps = [(Turn("what was assumed", ()), given)]
+    steps += [(turn, fit(channel, turn.model)) for turn in found.turns]
+    tests = [score(channel, model).rms if channel.test else float("nan") for _, model in steps]
+    return [
+        Step(turn.done, turn.gain, model.train_rms, test)
+        for (turn, model), test in zip(steps, tests, strict=True)
+    ]
 
 
 def _fit(channel: Channel, findings: Sequence[Finding]) -> Fit:
@@ -130,7 +261,9 @@ def _scores(channel: Channel, before: Fit, after: Fit) -> tuple[TestScore, TestS
     return score(channel, before, like=after), score(channel, after)
 
 
-def _not_worse(channel: Channel, findings: Sequence[Finding]) -> tuple[list[Finding], list[dict[str, Any]]]:
+def _not_worse(
+    channel: Channel, given: Fit, findings: Sequence[Finding]
+) -> tuple[list[Finding], list[dict[str, Any]]]:
     """Return the findings without those that the test refutes, and what those did.
 
     A finding is refuted when the test is worse with it.  At last nothing stays that makes the prediction as a
@@ -146,17 +279,17 @@ def _not_worse(channel: Channel, findings: Sequence[Finding]) -> tuple[list[Find
             break
         left_out.append(trials[worst][1])
         kept.pop(worst)
-    while kept and (record := _worst_predicted(channel, kept)) is not None:
+    while kept and (record := _worst_predicted(channel, given, kept)) is not None:
         left_out.append(record)
         kept = [finding for finding in kept if finding.name != record["name"]]
     return kept, left_out
 
 
-def _worst_predicted(channel: Channel, kept: Sequence[Finding]) -> dict[str, Any] | None:
+def _worst_predicted(channel: Channel, given: Fit, kept: Sequence[Finding]) -> dict[str, Any] | None:
     """Return the numbers of the finding without which the prediction is best, if with all it is worse than
     the declared one; else None."""
     everything = _fit(channel, kept)
-    scores = _scores(channel, fit(channel, []), everything)
+    scores = _scores(channel, given, everything)
     if scores is None or not scores[1].rms > scores[0].rms:
         return None
     if not all(part.carries for part in everything.parts):
@@ -194,12 +327,14 @@ def _trial(
 
 
 def _claims(channel: Channel, before: Fit, after: Fit, kept: Sequence[Finding]) -> list[Claim]:
-    claims, parts = [], iter(after.parts)
+    claims, parts = [], iter(after.parts[len(channel.kept) :])
     for finding in kept:
+        own = list(islice(parts, len(finding.candidate.parts)))
+        if finding.known:
+            continue
         alone = _fit(channel, [finding])
         share = explained_share(before.train_rms, alone.train_rms, channel.floor.sd)
         test_alone = score(channel, alone).rms if channel.test else float("nan")
-        own = list(islice(parts, len(finding.candidate.parts)))
         claims.append(Claim(finding, own, share, test_alone))
     return claims
 
@@ -211,15 +346,17 @@ def summary(verdict: ChannelVerdict) -> str:
     limit = float(np.hypot(floor, verdict.channel.blind))
     if np.isinf(verdict.channel.blind):
         return "no effect is looked for beside that"
+    if not verdict.claims and verdict.refit:
+        return _refitted(verdict)
     if not verdict.claims:
-        worse = "".join(f"; {item['name']} was found but made the test worse" for item in verdict.left_out)
+        worse = "".join(f"; {item['name']} was found but {_why(item)}" for item in verdict.left_out)
+        what = f" ({verdict.remark})" if verdict.remark else ""
         if verdict.unexplained:
-            what = f" ({verdict.remark})" if verdict.remark else ""
             return (
                 f"unexplained: the declared model leaves {before:.1f} white floors, structure or slow noise"
                 f" that none of the known effects explains{what}{worse}"
             )
-        return f"{_nothing(verdict.test_before, before, floor, limit)}{worse}"
+        return f"{_nothing(verdict.test_before, before, floor, limit)}{what}{worse}"
     names = []
     for claim in verdict.claims:
         alike = claim.finding.alike
@@ -230,11 +367,27 @@ def summary(verdict: ChannelVerdict) -> str:
             names.append(claim.finding.name)
     text = f"{', and '.join(names)}: {before:.1f} white floors become {after:.2f} in training"
     text += _tested(verdict)
+    if verdict.remark:
+        text += f"; {verdict.remark}"
     if before < MATERIAL:
         text += "; present, too small to matter"
     if verdict.unexplained:
         text += "; the remainder is unexplained"
     return text
+
+
+def _why(item: dict[str, Any]) -> str:
+    """Say why something that was found is left out."""
+    unproven = np.isnan(item["test_rms_with"])
+    return "no block of the test can be scored with it" if unproven else "made the test worse"
+
+
+def _refitted(verdict: ChannelVerdict) -> str:
+    """Say what was fitted anew of the model that was given, where that is all."""
+    floor = verdict.channel.floor.sd
+    before, after = (one.train_rms / floor for one in (verdict.before, verdict.after))
+    text = f"{', '.join(verdict.refit)} fitted anew: {before:.1f} white floors become {after:.2f} in training"
+    return text + _tested(verdict) + ("; the remainder is unexplained" if verdict.unexplained else "")
 
 
 def _nothing(test: TestScore | None, before: float, floor: float, limit: float) -> str:

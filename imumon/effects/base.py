@@ -221,6 +221,10 @@ class Effect(StrictModel):
         """Tell whether the effect of a label is in the main a special case of this one."""
         return False
 
+    def passes_for(self, label: str) -> bool:  # noqa: ARG002 - for those that may
+        """Tell whether, with these parameters, it is hardly told from the simpler effect of a label."""
+        return False
+
     def scale_of(self, driver: str) -> Scale | None:  # noqa: ARG002 - for those that have one
         """Return where a driver went in training; None where its place does not matter."""
         return None
@@ -313,6 +317,11 @@ class Effect(StrictModel):
     def with_start(self, start: FloatArray) -> Self:  # noqa: ARG002 - for those with memory
         """Return it with what the coefficients of `start_columns` in each run say of its start."""
         return self
+
+    @property
+    def is_curve(self) -> bool:
+        """Whether it is part of the curve over temperature."""
+        return False
 
     def polynomial(self) -> Polynomial | None:
         """Return it as a polynomial of the temperature for a curve to take in; None when it is not one."""

@@ -15,6 +15,8 @@ from imumon.effects.follower import Follower, sums_of
 SHORTEST_S = 20.0
 LONGEST_S = 1500.0
 RATIO = 1.3
+FAST_S = 60.0
+"""A faster lag, in means of 30 s, is a rate: it has gone before the next mean."""
 START_SD_DEGC = 1.0
 """How far from equilibrium a unit is at power-on, where nothing better is known (standard deviation)."""
 
@@ -58,8 +60,12 @@ class ThermalLag(Follower):
 
     @classmethod
     def sums(cls, grid: Sequence[Self]) -> list[tuple[Self, ...]]:
-        """Return sums of two lags."""
-        return sums_of([lag for lag in grid if lag.order == 1], (2,))
+        """Return sums of two lags, none of which is a rate."""
+        return sums_of([lag for lag in grid if lag.order == 1 and lag.time_constant_s >= FAST_S], (2,))
+
+    def passes_for(self, label: str) -> bool:
+        """Tell whether it is fast enough to be a rate."""
+        return self.of_temperature and label == "temperature_rate" and self.time_constant_s < FAST_S
 
     def follow(self, memory: Memory, drive: Drive) -> FloatArray:
         """Return the lagged driver."""

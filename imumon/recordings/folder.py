@@ -142,6 +142,16 @@ def open_session(path: Path) -> Session:
     return session
 
 
+def sessions_in(folder: Path) -> list[Session]:
+    """Return the sessions whose folders are in this one, the oldest first; what cannot be read is no
+    session."""
+    found = []
+    for path in sorted(folder.iterdir()) if folder.is_dir() else ():
+        with suppress(ImumonError):
+            found.append(open_session(path))
+    return sorted(found, key=lambda session: session.metadata.created_ns)
+
+
 def fingerprint(path: Path) -> str:
     """Return the SHA-256 of a file's bytes, in hexadecimal."""
     with path.open("rb") as file:

@@ -31,6 +31,8 @@ GARBLED_BELOW = 0.5
 GARBLED_AFTER_BYTES = 400
 """When less than half of the bytes of the last 2 s, at least so many, frame: wrong baud rate or protocol."""
 
+TEST_S = 600.0
+"""A shorter session is no test: of ten means of 30 s, at rest and settled, it has hardly any."""
 CHART_NS = 2_000_000_000
 """Charts are drawn anew this often, while samples come."""
 _MOTION = {0: "moving", 1: "rest"}
@@ -71,8 +73,31 @@ class Progress:
 
 
 def advised(text: str, session: Path) -> str:
-    """Return a warning whose commands, for SESSION, name this one: to be copied into a shell."""
+    """Return a warning whose commands, for SESSION, name this one: to be copied into a shell.
+
+    What is trained on this one is tested on the latest other session of the same device beside it; without
+    one the diagnosis holds out a part.
+    """
+    if "--train SESSION" in text and (other := _beside(session)) is not None:
+        text = text.replace("--train SESSION", f"--train SESSION --test {shlex.quote(str(other))}")
     return text.replace("SESSION", shlex.quote(str(session)))
+
+
+def _beside(session: Path) -> Path | None:
+    """Return the latest other session of the same device that is long enough for a test."""
+    from imumon.recordings.folder import sessions_in
+
+    beside = sessions_in(session.parent)
+    own = next((one for one in beside if one.path == session), None)
+    others = [one for one in beside if own is not None and one.metadata.device == own.metadata.device]
+    others = [one for one in others if one is not own]
+    return next((one.path for one in reversed(others) if _lasted_s(one) >= TEST_S), None)
+
+
+def _lasted_s(session: Session) -> float:
+    """Return how long a session lasted, s; 0 of one that has not ended."""
+    metadata = session.metadata
+    return 0.0 if metadata.ended_ns is None else (metadata.ended_ns - metadata.created_ns) * 1e-9
 
 
 class Narrator:

@@ -30,6 +30,7 @@ def estimators(device: DeviceFile | None, setup: Setup | None = None) -> list[Es
         RestDetector(setup.rest),
         GyroBias(setup.zupt_with_noise, model, setup.mode, setup.latitude_deg, setup.heading_deg),
         ModelWatch(setup.watch, modelled=model is not None),
+        *_better_model(setup),
         AllanStage(setup.allan),
         LiveSpectrum(),
         AttitudeEstimate(setup.attitude, axes, setup.magnetometer, setup.latitude_deg, setup.heading_deg),
@@ -44,6 +45,15 @@ def estimators(device: DeviceFile | None, setup: Setup | None = None) -> list[Es
 
         stages += published_stages(setup, temperature)
     return [*stages, *(make() for make in plugins(STAGES).values())]
+
+
+def _better_model(setup: Setup) -> list[Estimator]:
+    """Return the stage that looks for a better model than the present one, where there is one."""
+    if setup.bias_model is None:
+        return []
+    from imumon.diagnosis.live import LiveDiagnosis  # what the diagnosis needs takes time to load
+
+    return [LiveDiagnosis(setup.bias_model, setup.watch.learn)]
 
 
 def temperature_rate(given: TemperatureRateParameters) -> TemperatureRate:

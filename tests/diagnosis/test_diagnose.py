@@ -16,6 +16,8 @@ from imumon.diagnosis.recording import Origin, Run, read_runs
 from imumon.diagnosis.report import report
 from imumon.errors import ImumonError
 from imumon.estimation.rest.stage import RestDetector
+from imumon.models.curves.points import Points
+from imumon.models.curves.polynomial import fit_polynomial
 from imumon.models.curves.spline import SplineCurve
 from imumon.models.model import BiasModel, ChannelModel, load_model
 from imumon.models.predictor import BiasPredictor
@@ -159,7 +161,7 @@ def test_a_recorded_driver_is_named_and_goes_into_the_model_file(tmp_path: Path)
     extended_model(diagnosis).write(tmp_path / "model.yaml")
     model = load_model(tmp_path / "model.yaml")
     # What knows the driver lacks nothing more; without it, the supply, nothing explains the rest.
-    assert names(diagnose(train, test, "polynomial 0", model=model)) == []
+    assert names(diagnose(train, test, model=model)) == []
     alone = diagnose(train, test, drivers=[])
     assert not any("supply" in name for name in names(alone))
     predictor = BiasPredictor(model, ["gyro_x"])
@@ -285,16 +287,46 @@ def test_a_known_model_is_taken_off_first_and_goes_into_the_file_with_what_it_la
         curve=curve,
     )
     known = BiasModel(made_by="a test", created="2026-01-01T00:00:00Z", channels={"gyro_x": channel})
-    diagnosis = diagnose(*three(lag), "polynomial 0", model=known)
+    diagnosis = diagnose(*three(lag), model=known)
     assert names(diagnosis) == ["thermal_lag"]
     found = extended_model(diagnosis).channels["gyro_x"]
     assert found.curve.kind == "spline"
     assert found.temperature_column == "temperature_estimate"
     assert [effect.name for effect in found.effects] == ["thermal_lag"]
     # What now knows the lag lacks nothing more.
-    again = diagnose(*three(lag), "polynomial 0", model=extended_model(diagnosis))
+    again = diagnose(*three(lag), model=extended_model(diagnosis))
     assert names(again) == []
     assert not again.verdicts[0].unexplained
+
+
+def test_a_curve_that_was_fitted_with_the_effect_in_it_is_fitted_anew_until_nothing_is_found() -> None:
+    def strong(time: FloatArray, temperature: FloatArray) -> FloatArray:
+        return 8.0 * lag(time, temperature)
+
+    train, test = three(strong)
+    t, y = (np.concatenate([one.mean[name] for one in train]) for name in ("temperature", "gyro_x"))
+    points = Points(t, y, np.ones(len(t)), np.zeros(len(t), np.int64))
+    channel = ChannelModel(
+        unit="rad/s",
+        temperature_column="temperature",
+        temperature_range_degc=[11.9, 40.1],
+        residual_sd=1e-6,
+        curve=fit_polynomial(points, 5),
+    )
+    model = BiasModel(made_by="a test", created="2026-01-01T00:00:00Z", channels={"gyro_x": channel})
+    left, found = [], []
+    for _ in range(2):
+        diagnosis = diagnose(train, test, model=model)
+        verdict = diagnosis.verdicts[0]
+        assert verdict.test_after is not None
+        left.append(verdict.test_after.rms / verdict.channel.floor.sd)
+        found.append(names(diagnosis))
+        model = extended_model(diagnosis)
+        steps = report(diagnosis)["channels"]["gyro_x"]["turns"]
+        if len(left) == 1:
+            assert steps[0]["test_rms"] > 10 * steps[-1]["test_rms"]
+    assert found == [["thermal_lag"], []]
+    assert max(left) < 1.3
 
 
 def test_a_test_that_goes_on_where_training_ended_takes_lag_and_time_with_it() -> None:

@@ -13,6 +13,8 @@ SHARE = 0.5
 ALIKE = 0.8
 """What has this share of the strongest evidence among its like is named with it."""
 DIAGNOSE = "imumon diagnose --train SESSION --out DIR"
+DIAGNOSE_MODEL = "imumon diagnose --train SESSION --model SESSION --out DIR"
+"""A session that ran with a model has it."""
 CALIBRATE = "imumon calibrate SESSION --out MODEL.yaml"
 ALLAN = "imumon allan SESSION"
 
@@ -85,8 +87,9 @@ def judge(peaks: FloatArray, modelled: bool) -> Verdict:
     if not modelled and TIME in named and len(named) > 1:
         text = f"there is no model of the bias over temperature: {CALIBRATE}; if that leaves something, of"
         return Verdict(f"innovations {does}", f"{start}; {text} {_either(effects)}: {DIAGNOSE}")
+    diagnose = DIAGNOSE_MODEL if modelled else DIAGNOSE
     lacks = "the model lacks an effect such as" if modelled else "there may be an effect such as"
-    return Verdict(f"innovations {does}", f"{start}; {lacks} {_either(effects)}: {DIAGNOSE}")
+    return Verdict(f"innovations {does}", f"{start}; {lacks} {_either(effects)}: {diagnose}")
 
 
 def _strength(peaks: FloatArray, trait: Trait) -> float:

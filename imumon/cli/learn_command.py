@@ -1,0 +1,90 @@
+"""``imumon learn``: a better bias model of a unit, from all its sessions."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from imumon.cli.common import PATH, json_option, print_json, print_rows, warn
+from imumon.cli.diagnose_command import model_of, read
+from imumon.cli.progress import reading_bar
+from imumon.errors import EXIT_NEGATIVE, EXIT_OK, ImumonError, Reason
+from imumon.files import check_output
+
+if TYPE_CHECKING:
+    from imumon.diagnosis.recording import Run
+    from imumon.recordings.folder import Session
+
+
+@click.command("learn")
+@click.argument("folder", metavar="DIR", type=PATH)
+@click.option(
+    "--model", "model_path", type=PATH, help="The present bias model: a file, or a session that ran with it."
+)
+@click.option("--device", help="Sessions of this device; needed where DIR has several.")
+@click.option("--out", required=True, type=PATH, help="Model file to write; none is replaced.")
+@json_option
+def command(folder: Path, model_path: Path | None, device: str | None, out: Path, as_json: bool) -> int:
+    """Diagnose all sessions at rest of a unit in DIR, the latest as the test, and write the better model.
+
+    What moves or is too short is left out.  Where nothing better is found, nothing is written, and the exit
+    code is 1.
+    """
+    from imumon.diagnosis.engine import diagnose
+    from imumon.diagnosis.extended import extended_model
+    from imumon.diagnosis.report import report
+    from imumon.recordings.folder import sessions_in
+
+    check_output(out)
+    model = model_of(model_path) if model_path is not None else None
+    sessions = _of_one(sessions_in(folder), device, folder)
+    with reading_bar([session.path for session in sessions], quiet=as_json) as tell:
+        usable = [runs for session in sessions if (runs := _read(session))]
+        if not usable:
+            raise ImumonError(
+                Reason.BAD_DATA, f"no session in {folder} can be used", "record the unit at rest for an hour"
+            )
+        train = [run for runs in (usable[:-1] or usable) for run in runs]
+        test = [run for runs in usable[1:][-1:] for run in runs]
+        diagnosis = diagnose(train, test, progress=tell, model=model)
+    warn(diagnosis.caveats)
+    better = any(verdict.predicts and (verdict.claims or verdict.refit) for verdict in diagnosis.verdicts)
+    if better:
+        extended_model(diagnosis).write(out)
+    if as_json:
+        print_json(report(diagnosis) | {"out": out if better else None})
+    print_rows({verdict.name: verdict.summary for verdict in diagnosis.verdicts})
+    print_rows({"model": str(out) if better else "nothing better was found: none is written"})
+    return EXIT_OK if better else EXIT_NEGATIVE
+
+
+def _of_one(sessions: list[Session], device: str | None, folder: Path) -> list[Session]:
+    """Return the sessions of one device, the oldest first."""
+    names = sorted({session.metadata.device for session in sessions})
+    if device is None and len(names) > 1:
+        raise ImumonError(
+            Reason.BAD_CONFIG,
+            f"{folder} has sessions of {', '.join(names)}",
+            "say which unit is meant: --device NAME",
+        )
+    found = [session for session in sessions if device in (None, session.metadata.device)]
+    if not found:
+        what = "no session" if device is None else f"no session of {device}"
+        raise ImumonError(Reason.BAD_DATA, f"there is {what} in {folder}", "give the folder of the sessions")
+    return found
+
+
+def _read(session: Session) -> list[Run]:
+    """Return the runs of a session that can be used, saying why others cannot."""
+    from imumon.diagnosis.engine import resting
+
+    try:
+        runs = read(session.path, None, at_rest=False)
+    except ImumonError as error:
+        warn([f"{session.path.name} is left out: {error.seen}"])
+        return []
+    still = [run for run in runs if resting(run)]
+    warn(f"{run.name} is left out: it moves" for run in runs if not resting(run))
+    return still

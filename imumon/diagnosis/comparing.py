@@ -1,0 +1,113 @@
+"""Two models on the same recording: what each leaves of it, on one page."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from matplotlib.axes import Axes
+
+from imumon.blocks import FloatArray
+from imumon.diagnosis.blocks import BLOCK_S, RunBlocks
+from imumon.diagnosis.figures import COLOURS, HOUR_S, SCALES, svg
+from imumon.diagnosis.glance import residual
+from imumon.diagnosis.known import temperature_of
+from imumon.diagnosis.page import environment
+from imumon.diagnosis.recording import Run, unit_of
+from imumon.errors import ImumonError, Reason
+from imumon.models.model import BiasModel
+
+TEMPLATE = "compared.html.j2"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Compared:
+    """What two models leave of a channel in a run, as means of 30 s at rest.
+
+    Parameters
+    ----------
+    temperature : str
+        That the first model's curve is over.
+    left : tuple of RunBlocks
+        With the first and with the second model.
+    """
+
+    run: str
+    channel: str
+    temperature: str
+    left: tuple[RunBlocks, RunBlocks]
+
+    @property
+    def rms(self) -> tuple[float, float]:
+        """Of what is left, less its mean: no model knows the turn-on offset, gravity or the earth rate."""
+        first, second = (float(blocks.mean[self.channel].std()) for blocks in self.left)
+        return first, second
+
+
+def compare(runs: Sequence[Run], models: tuple[BiasModel, BiasModel]) -> list[Compared]:
+    """Return what two models leave of every channel that both have.
+
+    Raises
+    ------
+    ImumonError
+        BAD_DATA when there is none, or the unit was never at rest for 30 s.
+    """
+    found = []
+    for run in runs:
+        names = [name for name in models[0].channels if name in models[1].channels and name in run.mean]
+        if names:
+            first, second = (residual(run, model, names) for model in models)
+            if len(first) > 1:
+                found += [
+                    Compared(run.name, name, temperature_of(name, models[0], [run]), (first, second))
+                    for name in names
+                ]
+    if not found:
+        raise ImumonError(
+            Reason.BAD_DATA,
+            "there is nothing to compare: no channel of both models, or no 30 s at rest",
+            "give a session at rest of the unit that the models are of",
+        )
+    return found
+
+
+def write_comparison(compared: Sequence[Compared], names: tuple[str, str], session: str, path: Path) -> None:
+    """Write the page; raises OSError when that fails."""
+    rows = []
+    for one in compared:
+        scale, unit = SCALES[unit_of(one.channel)]
+        numbers = [f"{value * scale:.3g}" for value in one.rms]
+        drawn = [
+            svg(lambda axes, one=one: _in_time(axes, one, names)),  # type: ignore[misc]  # the default binds it
+            svg(lambda axes, one=one: _over_temperature(axes, one, names)),  # type: ignore[misc]  # the same
+        ]
+        rows.append(
+            {"run": one.run, "channel": one.channel, "numbers": numbers, "unit": unit, "drawn": drawn}
+        )
+    content = {"rows": rows, "names": names, "session": session, "block_s": BLOCK_S}
+    path.write_text(environment().get_template(TEMPLATE).render(**content), encoding="utf-8")
+
+
+def _in_time(axes: Axes, one: Compared, names: tuple[str, str]) -> None:
+    _draw(axes, one, names, [blocks.time_s / HOUR_S for blocks in one.left])
+    axes.set_xlabel("time since power-on, h")
+
+
+def _over_temperature(axes: Axes, one: Compared, names: tuple[str, str]) -> None:
+    _draw(axes, one, names, [blocks.temperature[one.temperature] for blocks in one.left])
+    axes.set_xlabel("temperature, °C")
+
+
+def _draw(
+    axes: Axes,
+    one: Compared,
+    names: tuple[str, str],
+    at: Sequence[FloatArray],
+) -> None:
+    scale, unit = SCALES[unit_of(one.channel)]
+    for blocks, x, name, colour in zip(one.left, at, names, (COLOURS[1], COLOURS[0]), strict=True):
+        values = blocks.mean[one.channel]
+        axes.plot(x, (values - values.mean()) * scale, ".", ms=3, color=colour, label=name)
+    axes.set_ylabel(f"{one.channel}, {unit}")
+    axes.legend(fontsize=6)

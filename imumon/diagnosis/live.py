@@ -1,0 +1,260 @@
+"""The diagnosis of the session that is running, as a stage behind the bias filter."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from functools import partial
+from itertools import pairwise
+
+import numpy as np
+
+from imumon.blocks import ColumnArray, FloatArray, IntArray, SampleBlock
+from imumon.charts import BLUE, RED, Axis, Chart, Curve
+from imumon.columns import Column
+from imumon.diagnosis.blocks import BLOCK_S, REST_SHARE
+from imumon.diagnosis.recording import SECOND_NS, Run
+from imumon.diagnosis.shadow import Shadow
+from imumon.effects.base import ACCEL as FORCE
+from imumon.effects.base import BoolArray
+from imumon.effects.vibration import VIBRATION
+from imumon.filters.slots import SlotGatherer, Slots
+from imumon.geodesy import DEG_PER_H
+from imumon.models.model import BiasModel, TrainedOn
+from imumon.models.predictor import BiasPredictor
+from imumon.recordings.reduced import ACCEL, GYRO
+
+LANE, RESIDUAL = "model", "Residual"
+FIRST_LOOK_S, GROWTH = 1200.0, 2.0
+"""First look, and by how much longer a run is at each next one: so the looks cost as much per second, however
+long it gets."""
+JUDGED_S = 300.0
+"""How often a shadow is judged: ten means of 30 s."""
+HELD_NS = 10 * SECOND_NS
+"""Samples wait so long until they are reduced to seconds: short blocks then cost no more than long ones."""
+PIECE = 16_384
+"""Samples at a time, to bound the memory."""
+DIAGNOSE = "imumon diagnose --train SESSION --model SESSION --out DIR"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Seconds:
+    """What is kept of n seconds and k columns."""
+
+    begins: BoolArray
+    start_ns: IntArray
+    end_ns: IntArray
+    count: IntArray
+    mean: FloatArray
+
+    @classmethod
+    def of(cls, slots: Slots) -> _Seconds:
+        return cls(*(getattr(slots, field.name).copy() for field in fields(cls)))
+
+    def __len__(self) -> int:
+        return len(self.begins)
+
+    def __getitem__(self, which: slice) -> _Seconds:
+        return _Seconds(*(getattr(self, field.name)[which] for field in fields(self)))
+
+
+class LiveDiagnosis:
+    """Says when a better model than the present one exists: MODEL CAN BE BETTER, with effect, gain and error.
+
+    A run from power-on is looked at after 20 min, and whenever it has become twice as long.
+
+    Parameters
+    ----------
+    model : BiasModel
+        The present one; the gyros that it has are watched.
+    learn : bool
+        Whether a better model is then run beside it, and offered after it has won on what came later.
+    """
+
+    def __init__(self, model: BiasModel, learn: bool = False) -> None:
+        self._model, self._learn = model, learn
+        self._gyros = [name for name in GYRO if name in model.channels]
+        needed = BiasPredictor(model, self._gyros)
+        self._temperatures = [name.replace("_estimate", "") for name in needed.temperature_columns]
+        self._temperatures = list(dict.fromkeys([*self._temperatures, "temperature"]))
+        inputs = {name for gyro in self._gyros for one in model.channels[gyro].effects for name in one.inputs}
+        self._names = [*self._gyros, *self._temperatures, *(ACCEL if inputs & {FORCE, VIBRATION} else ())]
+        self._names += needed.drivers
+        self._gatherer = SlotGatherer(len(self._names) + 1, SECOND_NS)
+        self._waiting: list[SampleBlock] = []
+        self._pending: list[str] = []
+        self._said: set[str] = set()
+        self.offered: Shadow | None = None
+        """The better model that has won, to be kept when the session ends."""
+        self._begin()
+
+    def _begin(self) -> None:
+        """Begin with a run from power-on; a shadow that has not won yet is of another."""
+        self._parts: list[_Seconds] = []
+        self._next_look_s, self._next_judged_s, self._looks = FIRST_LOOK_S, 0.0, 0
+        self._shadow: Shadow | None = None
+        self.state = ""
+
+    @property
+    def columns(self) -> Sequence[Column]:
+        """None: what it finds is said."""
+        return []
+
+    def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
+        """Take samples; needs ``device_time_ns``, ``segment``, gyros and temperature, takes ``at_rest``."""
+        if len(block) and all(name in block for name in self._gyros):
+            self._waiting.append(block)
+            since = int(self._waiting[0]["device_time_ns"][0])
+            if not 0 <= int(block["device_time_ns"][-1]) - since < HELD_NS:
+                self._reduce()
+        return {}
+
+    def _reduce(self) -> None:
+        for block in self._waiting:
+            for start in range(0, len(block), PIECE):
+                part = block.rows(start, start + PIECE)
+                slots = self._gatherer.process(part["device_time_ns"], part["segment"], self._values(part))
+                self._take(_Seconds.of(slots))
+        self._waiting = []
+
+    def _values(self, block: SampleBlock) -> FloatArray:
+        missing = partial(np.full, len(block), np.nan)
+        values = np.column_stack([block.columns.get(name, missing()) for name in (*self._names, "at_rest")])
+        return values.astype(np.float64, copy=False)
+
+    def _take(self, slots: _Seconds) -> None:
+        """Take the seconds that have ended; a new segment is a new run."""
+        cuts = [0, *np.flatnonzero(slots.begins).tolist(), len(slots)]
+        for start, stop in pairwise(cuts):
+            if stop > start:
+                part = slots[start:stop]
+                if part.begins[0] and self._parts:
+                    self._begin()
+                self._follow(part)
+
+    def _follow(self, part: _Seconds) -> None:
+        """Take seconds of one run, and stop wherever it is time to look or to judge."""
+        begun_ns = int((self._parts or [part])[0].start_ns[0])
+        while len(part):
+            elapsed = (part.end_ns - begun_ns) / SECOND_NS
+            due = min(self._next_look_s, self._next_judged_s if self._shadow is not None else np.inf)
+            count = min(int(np.searchsorted(elapsed, due)) + 1, len(part))
+            self._parts.append(part[:count])
+            now_s, part = float(elapsed[count - 1]), part[count:]
+            if self._shadow is not None and now_s >= self._next_judged_s:
+                self._judge(self._shadow, now_s)
+            if now_s >= self._next_look_s:
+                self._look(now_s)
+
+    def _look(self, elapsed_s: float) -> None:
+        from imumon.diagnosis.glance import better_models
+
+        self._looks += 1
+        while self._next_look_s <= elapsed_s:
+            self._next_look_s *= GROWTH
+        if self.offered is not None:
+            return
+        found = better_models(self._run(), self._model, self._gyros, self._looks)
+        if not found:
+            self.state = ""
+            return
+        best = max(found, key=lambda one: one.gain)
+        axes = ", ".join(one.channel[-1] for one in found)
+        before, after = (max(getattr(one, key) for one in found) / DEG_PER_H for key in ("before", "after"))
+        what = f"{' or '.join(best.names[:3])} on {axes}"
+        self.state = f"MODEL CAN BE BETTER: {what}: {before:.3g} become {after:.3g} °/h"
+        self._say(f"{self.state} (rms of 30 s, gain {best.gain:.0f}): {DIAGNOSE}")
+        if self._learn:
+            self._shadow = Shadow(self._model, found, elapsed_s)
+            self._next_judged_s = elapsed_s + JUDGED_S
+
+    def _judge(self, shadow: Shadow, elapsed_s: float) -> None:
+        self._next_judged_s = elapsed_s + JUDGED_S
+        score = shadow.judge(self._run())
+        if score is None:
+            return
+        before, after = (value / DEG_PER_H for value in score.rms)
+        if score.lost:
+            self._shadow, self.state = None, ""
+            self._say(f"the better model did worse on what came later: {before:.3g} became {after:.3g} °/h")
+        elif score.won and self.offered is None:
+            self.offered = shadow
+            self._say(
+                f"a better model has won on what came later: {before:.3g} become {after:.3g} °/h"
+                f" (likelihood ratio e^{score.ratio:.0f}); it is kept with the session when that ends"
+            )
+
+    def _run(self) -> Run:
+        """Return the run so far, in seconds."""
+        slots = self._parts
+        start_ns = int(slots[0].start_ns[0])
+        second = np.concatenate([(part.start_ns - start_ns) // SECOND_NS for part in slots])
+        n = int(second[-1]) + 1
+
+        def laid(field: str, at: int, missing: float) -> FloatArray:
+            grid = np.full(n, missing)
+            grid[second] = np.concatenate([getattr(part, field)[:, at] for part in slots])
+            return grid
+
+        there = [at for at, _ in enumerate(self._names) if any(part.count[:, at].any() for part in slots)]
+        return Run(
+            "this session",
+            np.arange(n, dtype=np.float64) + 0.5,
+            {self._names[at]: laid("count", at, 0.0) for at in there},
+            {self._names[at]: laid("mean", at, np.nan) for at in there},
+            {},
+            laid("mean", len(self._names), 0.0),
+        )
+
+    def evidence(self, session: str, sha256: str) -> TrainedOn:
+        """Return what a learned model says of this session."""
+        run = self._run()
+        at_rest = run.rest >= REST_SHARE
+        known = [run.mean[name] for name in self._temperatures if name in run.mean]
+        temperature = np.concatenate([values[at_rest & np.isfinite(values)] for values in known])
+        return TrainedOn(
+            session=session,
+            sha256=sha256,
+            rest_s=float(at_rest.sum()),
+            blocks=int(at_rest.sum() // BLOCK_S),
+            temperature_range_degc=[float(temperature.min()), float(temperature.max())],
+        )
+
+    def _say(self, text: str) -> None:
+        if text not in self._said:
+            self._said.add(text)
+            self._pending.append(text)
+
+    def lanes(self) -> Mapping[str, str]:
+        """Return the lane ``model`` while there is a better one, in the place of what the watch says."""
+        return {LANE: self.state} if self.state else {}
+
+    def notices(self) -> list[str]:
+        """Return, once each, which model would be better, and what became of it; for the log."""
+        texts, self._pending = self._pending, []
+        return texts
+
+    def charts(self) -> Sequence[Chart]:
+        """Return the errors of the present and of the better model, while one runs beside."""
+        shadow = self.offered or self._shadow
+        if shadow is None or shadow.score is None:
+            return []
+        score = shadow.score
+        minutes = score.time_s / 60.0
+        curves = (
+            Curve("present model", minutes, score.present / DEG_PER_H, RED),
+            Curve("better model", minutes, score.shadow / DEG_PER_H, BLUE),
+        )
+        before, after = (value / DEG_PER_H for value in score.rms)
+        return [
+            Chart(
+                "model_better",
+                RESIDUAL,
+                f"Error of means of {BLOCK_S:.0f} s, present and better model",
+                Axis("time since power-on [min]"),
+                Axis("[°/h]"),
+                curves,
+                headline=f"{before:.3g} → {after:.3g} °/h since it was found",
+                notes=(f"likelihood ratio e^{score.ratio:.1f}; it wins at e^8",),
+            )
+        ]

@@ -1,0 +1,46 @@
+"""What a session has learned: a better model, kept beside it, with the session as evidence."""
+
+from __future__ import annotations
+
+import shlex
+from datetime import UTC, datetime
+from pathlib import Path
+
+from imumon import __version__
+from imumon.models.model import BiasModel
+from imumon.pipeline import Pipeline
+from imumon.recordings.folder import Session, fingerprint
+
+LEARNED_NAME = "learned-model.yaml"
+
+
+def keep_learned(pipeline: Pipeline, session: Session) -> Path | None:
+    """Write the better model that has won in a session into its folder; return its path, or None.
+
+    The model that the session ran with stays where it is: who wants the new one names it.
+    """
+    from imumon.diagnosis.live import LiveDiagnosis
+
+    stage = next((one for one in pipeline.estimators if isinstance(one, LiveDiagnosis)), None)
+    if stage is None or stage.offered is None:
+        return None
+    path = session.path / LEARNED_NAME
+    found: BiasModel = stage.offered.model.model_copy(
+        update={
+            "made_by": f"imumon {__version__}",
+            "created": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
+            "trained_on": [
+                *stage.offered.model.trained_on,
+                stage.evidence(session.path.name, fingerprint(session.truth_path)),
+            ],
+        }
+    )
+    found.write(path)
+    return path
+
+
+def compared(session: Session, learned: Path) -> str:
+    """Return the command that shows a session with the model that it ran with and with the learned one."""
+    both = f"{shlex.quote(str(session.path))} {shlex.quote(str(learned))}"
+    page = shlex.quote(str(session.path / "compared.html"))
+    return f"imumon replay {shlex.quote(str(session.path))} --compare-models {both} --out {page}"
