@@ -42,22 +42,55 @@ Missing values
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import TYPE_CHECKING
 
 from imumon.errors import ImumonError, Reason
 
 if TYPE_CHECKING:
     from imumon.blocks import SampleBlock
+    from imumon.columns import Column
+    from imumon.library import Live, Samples, open, read
+    from imumon.models.model import load_model
+    from imumon.pipeline import Estimator, Pipeline
+    from imumon.run.setup import Setup, load_setup
 
 __version__ = "0.1.0"
 
-__all__ = ["ImumonError", "Reason", "SampleBlock", "__version__"]
+__all__ = [
+    "Column",
+    "Estimator",
+    "ImumonError",
+    "Live",
+    "Pipeline",
+    "Reason",
+    "SampleBlock",
+    "Samples",
+    "Setup",
+    "__version__",
+    "load_model",
+    "load_setup",
+    "open",
+    "read",
+]
+
+_ROOMS = {
+    "Column": "columns",
+    "Estimator": "pipeline",
+    "Live": "library",
+    "Pipeline": "pipeline",
+    "SampleBlock": "blocks",
+    "Samples": "library",
+    "Setup": "run.setup",
+    "load_model": "models.model",
+    "load_setup": "run.setup",
+    "open": "library",
+    "read": "library",
+}
+"""Where a name is made: imported when it is asked for, so that the command line starts at once."""
 
 
 def __getattr__(name: str) -> object:
-    """Import what needs NumPy when it is asked for, so that the command line starts at once."""
-    if name == "SampleBlock":
-        from imumon.blocks import SampleBlock
-
-        return SampleBlock
+    if name in _ROOMS:
+        return getattr(import_module(f"{__name__}.{_ROOMS[name]}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

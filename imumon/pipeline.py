@@ -7,6 +7,7 @@ cut into pieces: a replay of a recording gives the same numbers, bit for bit.
 from __future__ import annotations
 
 import hashlib
+import pickle
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from types import MappingProxyType
@@ -191,6 +192,23 @@ class Pipeline:
                 restarts,
             )
         return counters
+
+    def snapshot(self) -> bytes:
+        """Return decoder, clocks and stages as they are now; `restore` goes on from there, bit for bit.
+
+        The bytes belong to this version of imumon and of its packages.
+        """
+        return pickle.dumps(self)
+
+    @staticmethod
+    def restore(snapshot: bytes) -> Pipeline:
+        """Return a pipeline that goes on where `snapshot` was taken.
+
+        Only for bytes of one's own: like everything that pickle reads, they can run code.
+        """
+        pipeline = pickle.loads(snapshot)
+        assert isinstance(pipeline, Pipeline)
+        return pipeline
 
     def feed(self, data: bytes, arrival_ns: int = UNDATED) -> None:
         """Decode bytes that arrived at `arrival_ns` (Unix time, ns)."""

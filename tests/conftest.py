@@ -14,10 +14,13 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+# As in the command line; read when NumPy is imported, which no test has done yet.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 # Where a failure blocks others, the same examples every time; at home, new ones.
-settings.register_profile("ci", derandomize=True)
-if os.environ.get("CI") == "true":
-    settings.load_profile("ci")
+settings.register_profile("ci", derandomize=True, deadline=None)
+settings.register_profile("home", deadline=None)  # a machine with other work to do is no failure
+settings.load_profile("ci" if os.environ.get("CI") == "true" else "home")
 
 _TESTS = Path(__file__).parent
 _COMPILE = _TESTS.parent / "scripts" / "support" / "compile_kernels.py"

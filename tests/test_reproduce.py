@@ -41,7 +41,7 @@ def tree(tmp_path: Path) -> Path:
 
 
 def run(command: list[str | Path], folder: Path) -> str:
-    environment = os.environ | {"PYTHONPATH": f"{ROOT}:{folder}", "OPENBLAS_NUM_THREADS": "1"}
+    environment = os.environ | {"PYTHONPATH": f"{ROOT}:{folder}"}
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return done.stdout

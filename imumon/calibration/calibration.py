@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -22,6 +22,8 @@ from imumon.models.curves.points import Points
 from imumon.models.model import UNITS, BiasModel, ChannelModel, TrainedOn
 from imumon.recordings.reduced import ACCEL, GYRO
 
+Tell = Callable[[str], None]
+"""Takes what is being done now."""
 MANY_LEVELS = 6
 MARGIN = 0.005
 """Share of the span that the range is widened by, so that a level at its end is not now in and now out."""
@@ -34,6 +36,8 @@ class Finding:
     Parameters
     ----------
     choice : Choice
+    points : Points
+        What the curve was fitted to, each run less its turn-on offset.
     offset : array (runs,)
         Turn-on offset of each run from the mean of all, in the channel's unit; NaN where it cannot be told.
     lag_rms : float
@@ -41,6 +45,7 @@ class Finding:
     """
 
     choice: Choice
+    points: Points
     offset: FloatArray
     lag_rms: float
 
@@ -68,8 +73,9 @@ def calibrate_sessions(
     latitude_deg: float | None = None,
     heading_deg: float | None = None,
     serial: str | None = None,
+    tell: Tell = lambda _: None,
 ) -> Calibration:
-    """Make a bias model of sessions of one unit; see `calibrate`.
+    """Make a bias model of sessions of one unit; see `calibrate`.  `tell` is told what is being done.
 
     Raises
     ------
@@ -83,7 +89,7 @@ def calibrate_sessions(
         record, said = read_session(path)
         records.append(record)
         warnings += said
-    calibration = calibrate(records, latitude_deg, heading_deg, serial)
+    calibration = calibrate(records, latitude_deg, heading_deg, serial, tell)
     calibration.warnings[:0] = warnings
     return calibration
 
@@ -93,6 +99,7 @@ def calibrate(
     latitude_deg: float | None = None,
     heading_deg: float | None = None,
     serial: str | None = None,
+    tell: Tell = lambda _: None,
 ) -> Calibration:
     """Make a bias model of recordings of one unit.
 
@@ -115,7 +122,7 @@ def calibrate(
             "the earth rate cannot be removed: the unit has no accelerometers",
             "leave --latitude and --heading away",
         )
-    findings, channels, warnings = _all_channels(records, cells)
+    findings, channels, warnings = _all_channels(records, cells, tell)
     warnings += _remarks(records, cells)
     known = cells.temperature
     return Calibration(
@@ -152,11 +159,12 @@ def _check_place(latitude_deg: float | None, heading_deg: float | None) -> None:
 
 
 def _all_channels(
-    records: Sequence[Record], cells: Cells
+    records: Sequence[Record], cells: Cells, tell: Tell
 ) -> tuple[dict[str, Finding], dict[str, ChannelModel], list[str]]:
     findings, channels, warnings = {}, {}, []
     centers = levels(cells)
     for name in (*GYRO, *ACCEL):
+        tell(f"trying curves for {name}")
         channel = channel_of(records, cells, name, centers)
         if channel is None:
             continue
@@ -170,7 +178,7 @@ def _all_channels(
         keep = ~apart if name in ACCEL else np.ones(len(points), np.bool_)
         shifted = points.shifted(np.nan_to_num(offset)[channel.run]).only(keep)
         choice = choose(channel.only(keep), shifted, knots)
-        findings[name] = Finding(choice, offset, _lag_rms(choice, cells))
+        findings[name] = Finding(choice, shifted, offset, _lag_rms(choice, cells))
         channels[name] = _channel_model(name, channel, choice, shifted)
     return findings, channels, warnings
 

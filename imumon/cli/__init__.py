@@ -11,15 +11,20 @@ from importlib import import_module
 
 import click
 from click.exceptions import Exit
+from click.shell_completion import shell_complete
 
 from imumon.cli.common import note, say
 from imumon.errors import EXIT_OK, EXIT_USAGE, ImumonError
 
 EXIT_INTERRUPTED = 130
+COMPLETION = "_IMUMON_COMPLETE"
+"""What a shell sets when it asks what may come next."""
 
 COMMANDS = {
     "monitor": "Record a device and watch it live.",
     "replay": "Run a recording again: same code, same numbers.",
+    "view": "Show several sessions on one time axis.",
+    "mark": "Put a word into a recording that goes on.",
     "recover": "Finish a session that was interrupted or damaged.",
     "decode": "Turn a raw capture or a session into a table.",
     "import": "Make a session from a CSV or Parquet table.",
@@ -27,6 +32,7 @@ COMMANDS = {
     "align": "Find the heading of a resting unit by the earth rate.",
     "calibrate": "Find the bias over temperature from recordings at rest.",
     "magnetometer": "Find hard and soft iron from a figure-eight.",
+    "doctor": "Look what this computer lacks, and say what to do.",
     "ports": "List serial ports.",
     "detect": "Find baud rate and protocol of a device by trying.",
     "allan": "Tell noise, bias instability and drift of a recording at rest.",
@@ -70,6 +76,11 @@ def cli() -> None:
 
 def main() -> None:
     """Run the command line; errors that a user can act on end with one clear message and their exit code."""
+    # Read when NumPy is imported.  The matrices are small: threads that wait in a spin cost up to eight times
+    # the work on a machine that has something else to do.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    if instruction := os.environ.get(COMPLETION):
+        sys.exit(shell_complete(cli, {}, "imumon", COMPLETION, instruction))
     _open_missing_streams()
     _tell_of_compiling()
     code = run(sys.argv[1:])

@@ -114,7 +114,7 @@ def _is_recording(source: str) -> bool:
     path = Path(source)
     if path.is_dir() or path.is_file():
         return True
-    if "://" in source or path.exists() or source.upper().startswith("COM") or source.startswith("/dev/"):
+    if "://" in source or path.exists() or source.startswith("/dev/"):
         return False
     raise ImumonError(
         Reason.NOT_FOUND,

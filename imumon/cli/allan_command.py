@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from imumon.cli.common import PATH, console, json_option, print_json, print_rows, warn
+from imumon.cli.progress import reading_bar
 
 if TYPE_CHECKING:
     from imumon.allan.analysis import Result
@@ -34,8 +35,10 @@ def command(
     from imumon.estimation.rest.stage import RestDetector
 
     output.check_outputs(plot, noise_out, kalibr)
-    opened = read_channels(recording, lambda _: [RestDetector()])
-    results = analyse(opened.series)
+    with reading_bar([recording], quiet=as_json) as tell:
+        opened = read_channels(recording, lambda _: [RestDetector()])
+        tell("deviations and terms of all channels")
+        results = analyse(opened.series)
     warn([*opened.warnings, *_of_the_fit(results)])
     written: dict[str, Path] = {}
     if plot is not None:

@@ -9,18 +9,17 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from imumon.cli.common import PATH, Number, json_option, print_json, print_rows, show, warn
+from imumon.cli.progress import reading_bar
 from imumon.files import check_output
 
 if TYPE_CHECKING:
     from imumon.calibration.calibration import Calibration, Finding
 
-SHOWN = {"rad/s": ("°/h", 206264.80624709636), "m/s^2": ("mg", 1e3 / 9.80665)}
-"""What a person reads, and how many of it one of the model's units is."""
-
 
 @click.command("calibrate")
 @click.argument("sessions", nargs=-1, required=True, metavar="SESSION...", type=PATH)
 @click.option("--out", required=True, type=PATH, help="Model file to write.")
+@click.option("--plot", type=PATH, help="Draw curves, points and residuals to this PNG.")
 @click.option(
     "--latitude", type=Number(min=-90, max=90), help="Degrees; with --heading the earth rate is removed."
 )
@@ -32,6 +31,7 @@ SHOWN = {"rad/s": ("°/h", 206264.80624709636), "m/s^2": ("mg", 1e3 / 9.80665)}
 def command(
     sessions: tuple[Path, ...],
     out: Path,
+    plot: Path | None,
     latitude: float | None,
     heading: float | None,
     serial: str | None,
@@ -42,17 +42,23 @@ def command(
     Several kinds of curve are tried on temperature levels left out; the one that errs least there is fitted
     to all data.  What cannot give a good model is refused, with the reason.
     """
-    check_output(out)
+    for path in filter(None, (out, plot)):
+        check_output(path)
     from imumon.calibration.calibration import calibrate_sessions
 
-    result = calibrate_sessions(sessions, latitude, heading, serial)
+    with reading_bar(sessions, quiet=as_json) as tell:
+        result = calibrate_sessions(sessions, latitude, heading, serial, tell)
     result.model.write(out)
+    if plot is not None:
+        from imumon.calibration.plot import write_calibration_plot
+
+        write_calibration_plot(plot, result, ", ".join(path.name for path in sessions))
     warn(result.warnings)
     if as_json:
         print_json(_report(result, out))
     else:
         _show(result)
-    print_rows(_summary(result, out))
+    print_rows(_summary(result, out) | ({} if plot is None else {"picture": str(plot)}))
 
 
 def _report(result: Calibration, out: Path) -> dict[str, Any]:
@@ -84,6 +90,8 @@ def _report(result: Calibration, out: Path) -> dict[str, Any]:
 
 def _show(result: Calibration) -> None:
     """Print the error of every candidate at levels left out, a line per channel."""
+    from imumon.calibration.plot import SHOWN
+
     names = list(dict.fromkeys(name for f in result.findings.values() for name in f.choice.held_out_rms))
     heads = [name.replace("polynomial", "poly").replace("network", "net") for name in names]
     show("rms error at temperature levels left out; * is chosen")
@@ -120,6 +128,8 @@ def _summary(result: Calibration, out: Path) -> dict[str, str]:
 
 def _per_channel(result: Calibration, of: Callable[[Finding], float | None]) -> str:
     """Return a number of each channel, those of one unit together."""
+    from imumon.calibration.plot import SHOWN
+
     parts: dict[str, list[str]] = {}
     for name, finding in result.findings.items():
         unit, factor = SHOWN[result.model.channels[name].unit]

@@ -47,7 +47,7 @@ SECONDS = Number(min=0, min_open=True, max=1e9)
 """A length of time; the system cannot wait for much more."""
 window_option = click.option(
     "--window",
-    default=15.0,
+    default=30.0,
     show_default=True,
     type=Number(min=1, max=86_400),
     help="Seconds the strips show.",

@@ -19,6 +19,7 @@ from imumon.cli.common import (
     split_columns,
     warn,
 )
+from imumon.cli.progress import reading_bar
 from imumon.errors import ImumonError, Reason
 
 if TYPE_CHECKING:
@@ -43,10 +44,11 @@ def command(file: Path, device: str | None, out: Path, columns: str | None, as_j
     source.refuse_output(out)
     pipeline = Pipeline(source.device)
     try:
-        blocks = run_over(source.items, pipeline)
-        rows, tables = export_run(
-            blocks, pipeline, out, split_columns(columns), lambda: source.columns(pipeline)
-        )
+        with reading_bar([file], quiet=as_json):
+            blocks = run_over(source.items, pipeline)
+            rows, tables = export_run(
+                blocks, pipeline, out, split_columns(columns), lambda: source.columns(pipeline)
+            )
     except ImumonError as error:
         if error.reason is not Reason.BAD_DATA or pipeline.counters.samples:
             raise

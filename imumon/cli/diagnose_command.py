@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from imumon.cli.common import PATH, console, json_option, print_json, print_rows, warn
+from imumon.cli.common import PATH, json_option, print_json, print_rows, warn
+from imumon.cli.progress import reading_bar
 from imumon.errors import ImumonError, Reason
-from imumon.harmless import for_log
 
 if TYPE_CHECKING:
     from imumon.diagnosis.recording import Run
     from imumon.models.model import BiasModel
 
 SEVERAL = ("--train", "--test")
-
-Tell = Callable[[str], None]
 
 
 class _SeveralValues(click.Command):
@@ -95,8 +91,8 @@ def command(
     assumed = declared if declared is not None else CUBIC
     parse_declared(assumed)
     _make(out)
-    with progress() as tell:
-        runs = [read(path, map_path, at_rest, tell) for path in (*train, *test)]
+    with reading_bar([*train, *test], quiet=as_json) as tell:
+        runs = [read(path, map_path, at_rest) for path in (*train, *test)]
         split = len(train)
         training = [run for group in runs[:split] for run in group]
         testing = [run for group in runs[split:] for run in group]
@@ -128,19 +124,12 @@ def model_of(path: Path) -> BiasModel:
     return model
 
 
-def read(path: Path, map_path: Path | None, at_rest: bool, tell: Tell) -> list[Run]:
+def read(path: Path, map_path: Path | None, at_rest: bool) -> list[Run]:
     """Read a recording as runs from power-on."""
     from imumon.diagnosis.recording import read_runs
     from imumon.estimation.rest.stage import RestDetector
 
-    rows = 0
-
-    def count(more: int) -> None:
-        nonlocal rows
-        rows += more
-        tell(f"reading {path.name}: {rows:,} samples")
-
-    return read_runs(path, map_path, lambda _: [RestDetector()], count, at_rest)
+    return read_runs(path, map_path, lambda _: [RestDetector()], at_rest=at_rest)
 
 
 def _make(out: Path) -> None:
@@ -150,19 +139,3 @@ def _make(out: Path) -> None:
         raise ImumonError(
             Reason.BAD_CONFIG, f"the folder {out} cannot be made: {error.strerror}", "give another folder"
         ) from error
-
-
-@contextmanager
-def progress() -> Iterator[Tell]:
-    """Show on standard error what is being done, and for how long."""
-    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-
-    columns = (
-        SpinnerColumn(),
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        TimeElapsedColumn(),
-    )
-    with Progress(*columns, console=console(error=True), transient=True) as bar:
-        task = bar.add_task("reading", total=None)
-        yield lambda text: bar.update(task, description=for_log(text))

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import click
 
 from imumon.cli.common import PATH, json_option, print_json, print_rows, warn
-from imumon.cli.diagnose_command import Tell, model_of, progress, read
+from imumon.cli.diagnose_command import model_of, read
+from imumon.cli.progress import reading_bar
 from imumon.errors import EXIT_NEGATIVE, EXIT_OK, ImumonError, Reason
 from imumon.files import check_output
 
@@ -39,8 +40,8 @@ def command(folder: Path, model_path: Path | None, device: str | None, out: Path
     check_output(out)
     model = model_of(model_path) if model_path is not None else None
     sessions = _of_one(sessions_in(folder), device, folder)
-    with progress() as tell:
-        usable = [runs for session in sessions if (runs := _read(session, tell))]
+    with reading_bar([session.path for session in sessions], quiet=as_json) as tell:
+        usable = [runs for session in sessions if (runs := _read(session))]
         if not usable:
             raise ImumonError(
                 Reason.BAD_DATA, f"no session in {folder} can be used", "record the unit at rest for an hour"
@@ -75,12 +76,12 @@ def _of_one(sessions: list[Session], device: str | None, folder: Path) -> list[S
     return found
 
 
-def _read(session: Session, tell: Tell) -> list[Run]:
+def _read(session: Session) -> list[Run]:
     """Return the runs of a session that can be used, saying why others cannot."""
     from imumon.diagnosis.engine import resting
 
     try:
-        runs = read(session.path, None, at_rest=False, tell=tell)
+        runs = read(session.path, None, at_rest=False)
     except ImumonError as error:
         warn([f"{session.path.name} is left out: {error.seen}"])
         return []

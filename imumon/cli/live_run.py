@@ -55,6 +55,14 @@ class Ending:
         return not self._signal.wait(min(REFRESH_S, left))
 
 
+def serve(url: str) -> None:
+    """Keep a page until Ctrl-C: its servers end with the command."""
+    note(f"all is shown; {url} stays until Ctrl-C")
+    ending = Ending(None)
+    while ending.wait():
+        pass
+
+
 class PortRun:
     """A port that is recorded, until its end is asked for.
 

@@ -7,6 +7,7 @@ import os
 import sys
 import time
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Unpack
 
@@ -25,12 +26,13 @@ from imumon.cli.common import (
     warn_of_no_display,
     window_option,
 )
+from imumon.cli.keys import single_keys
 from imumon.cli.live_run import PortRun
 from imumon.cli.setup_options import SetupOptions, make_setup, setup_options
 from imumon.errors import EXIT_NEGATIVE, EXIT_OK, ImumonError, Reason
 
 if TYPE_CHECKING:
-    from imumon.run.live import LiveSummary
+    from imumon.run.live import LiveRun, LiveSummary
     from imumon.run.narration import Progress
     from imumon.run.setup import Setup
     from imumon.view.items import ViewItem, ViewSetup
@@ -76,7 +78,7 @@ def command(
 ) -> int:
     """Record the device on PORT and watch it live, until Ctrl-C or --seconds.
 
-    PORT is anything that pyserial opens: /dev/ttyUSB0, COM3, socket://host:port, rfc2217://host:port.
+    PORT is anything that pyserial opens: /dev/ttyUSB0, socket://host:port, rfc2217://host:port.
     Every byte received is kept; a lost or silent device is waited for and reopened.
     """
     from imumon.run.learning import compared, keep_learned
@@ -154,7 +156,7 @@ class _Views:
 
     @property
     def files(self) -> list[str]:
-        return [path.name for path in self._recorder.files]
+        return [path.name for path in self._recorder.files if path.exists()]
 
     @property
     def dropped(self) -> int:
@@ -178,6 +180,7 @@ class _Views:
 
 SCREEN_S = 1.0
 """At 9600 baud a line takes 0.1 s; some ten change."""
+KEYS = "  m: mark  s: start, stop"
 CLEAR_LINE = "\r\x1b[2K"
 
 
@@ -207,15 +210,35 @@ def _watch_in_terminal(live: PortRun, view: TerminalView) -> None:
 
     screen = Screen(lambda text: note("", newline=False, control=text))
     drawn = -math.inf
-    try:
+    marking = _Marking(live.run)
+    with closing(screen), single_keys() as keys:
         while live.ending.wait():
+            for key in keys.pressed():
+                marking.press(key)
             if time.monotonic() - drawn < SCREEN_S:
                 continue
             drawn = time.monotonic()
             columns, rows = os.get_terminal_size(sys.stderr.fileno())
-            screen.show(view.lines(columns, rows, status_line(live.run.progress, "")), columns, rows)
-    finally:
-        screen.close()
+            screen.show(view.lines(columns, rows, status_line(live.run.progress, "") + KEYS), columns, rows)
+
+
+class _Marking:
+    """What the keys do: m marks the moment, s starts a part of the recording or stops it."""
+
+    def __init__(self, run: LiveRun) -> None:
+        self._run = run
+        self._parts, self._inside = 0, False
+
+    def press(self, key: str) -> None:
+        from imumon.transport.reader import EventKind
+
+        if key == "m":
+            self._run.mark(EventKind.MARK, "key m")
+        elif key == "s":
+            self._inside = not self._inside
+            self._parts += self._inside
+            kind = EventKind.START if self._inside else EventKind.STOP
+            self._run.mark(kind, f"part {self._parts}")
 
 
 def _is_terminal() -> bool:
@@ -235,11 +258,14 @@ def status_line(progress: Progress, view: str) -> str:
 
 
 def _report(summary: LiveSummary, progress: Progress, view_dropped: int) -> None:
+    from imumon.run.account import describe_disk, describe_span
     from imumon.run.narration import describe, describe_losses
 
-    rows = {"recorded": f"{summary.elapsed_s:.1f} s, {summary.wire.bytes_on_disk:,} bytes on disk"}
+    rows = {"recorded": describe_span(summary.began_ns, summary.ended_ns)}
     rows |= describe(progress)
     rows["losses"] = describe_losses(summary.counters)
+    rows["outages"] = summary.outages.describe()
+    rows["on disk"] = describe_disk(summary.session)
     if summary.wire.bytes_unrecorded:
         rows["NOT RECORDED"] = f"{summary.wire.bytes_unrecorded:,} bytes: {summary.recording_problem}"
     if view_dropped:

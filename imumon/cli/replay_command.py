@@ -23,6 +23,8 @@ from imumon.cli.common import (
     warn_of_no_display,
     window_option,
 )
+from imumon.cli.live_run import serve
+from imumon.cli.progress import reading_bar
 from imumon.cli.setup_options import SetupOptions, make_setup, setup_options
 from imumon.errors import EXIT_OK, ImumonError, Reason
 from imumon.files import check_output
@@ -114,13 +116,14 @@ def command(
         narrator = Narrator(pipeline, None, [publisher.publish], lambda *_: None, card, session)
     blocks = _digested(replay(source.items, pipeline, narrator, pace), pipeline, digest)
     try:
-        if out is None:
-            rows, tables = sum(map(len, blocks)), dict[str, Path]()
-        else:
-            chosen = split_columns(columns)
-            rows, tables = export_run(blocks, pipeline, out, chosen, lambda: source.columns(pipeline))
+        with reading_bar([session], quiet=as_json):
+            if out is None:
+                rows, tables = sum(map(len, blocks)), dict[str, Path]()
+            else:
+                chosen = split_columns(columns)
+                rows, tables = export_run(blocks, pipeline, out, chosen, lambda: source.columns(pipeline))
         if publisher is not None and view == "web":
-            _serve(publisher)
+            serve(publisher.url)
     finally:
         if publisher is not None:
             publisher.close(CLOSE_S)
@@ -150,7 +153,7 @@ def _compare(session: Path, given: tuple[Path, Path], out: Path | None, as_json:
         )
     check_output(out)
     first, second = (model_of(path) for path in given)
-    compared = compare(read(session, None, at_rest=False, tell=lambda _: None), (first, second))
+    compared = compare(read(session, None, at_rest=False), (first, second))
     write_comparison(compared, (str(given[0]), str(given[1])), str(session), out)
     rows = {f"{one.run} {one.channel}": one.rms for one in compared}
     if as_json:
@@ -166,16 +169,6 @@ def _announce(publisher: ViewPublisher) -> None:
     while not publisher.url and time.monotonic() < end:
         time.sleep(0.05)
     note(f"view: {publisher.url or publisher.state}")
-
-
-def _serve(publisher: ViewPublisher) -> None:
-    """Keep the page until Ctrl-C: the servers end with this command."""
-    from imumon.cli.live_run import Ending
-
-    note(f"all is shown; {publisher.url} stays until Ctrl-C")
-    ending = Ending(None)
-    while ending.wait():
-        pass
 
 
 def _warn(source: Source, pipeline: Pipeline, session: Path, identical: bool | None) -> None:

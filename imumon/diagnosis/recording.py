@@ -16,7 +16,7 @@ from imumon.diagnosis.values import Look, Watcher
 from imumon.effects.vibration import VIBRATION
 from imumon.errors import ImumonError, Reason
 from imumon.recordings.reader import Stages, no_stages, open_recording
-from imumon.recordings.reduced import ACCEL, GYRO, TEMPERATURES, Progress, Reduced, reduce
+from imumon.recordings.reduced import ACCEL, GYRO, TEMPERATURES, Reduced, reduce
 
 CHANNELS = (*GYRO, *ACCEL)
 DRIVERS = ("pressure", *(f"mag_{axis}" for axis in "xyz"))
@@ -107,7 +107,6 @@ def read_runs(
     path: Path,
     map_path: Path | None,
     stages: Stages = no_stages,
-    progress: Progress | None = None,
     at_rest: bool = False,
 ) -> list[Run]:
     """Read a session, or a table with its map (one that imumon wrote needs none), as runs from power-on.
@@ -131,7 +130,7 @@ def read_runs(
     slot_s = _slot_s(first)
     watcher = Watcher(CHANNELS)
     samples = watcher.through(chain(first, blocks))
-    everything = collect(samples, recording.name, progress, further, slot_s)
+    everything = collect(samples, recording.name, further, slot_s)
     looks = watcher.looks()
     if at_rest:
         for run in everything:
@@ -181,7 +180,6 @@ def _measured(block: SampleBlock) -> npt.NDArray[np.bool_]:
 def collect(
     blocks: Iterable[SampleBlock],
     name: str,
-    progress: Progress | None = None,
     further: Sequence[str] = (),
     slot_s: float = 1.0,
 ) -> list[Run]:
@@ -190,7 +188,7 @@ def collect(
     `further` are columns that may drive a bias beside the known ones.  A log slower than a sample a second is
     too slow for a rest detector: a slot is then at rest when it is like its neighbours.
     """
-    means = reduce(blocks, (*CHANNELS, *TEMPERATURES, *DRIVERS, *further), slot_s, progress)
+    means = reduce(blocks, (*CHANNELS, *TEMPERATURES, *DRIVERS, *further), slot_s)
     gap = np.diff(means.number, prepend=0) > LONGEST_GAP_S / slot_s
     another = np.diff(means.run, prepend=-1) != 0
     parts = np.split(np.arange(len(means)), np.flatnonzero(another | gap)[1:])

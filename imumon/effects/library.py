@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Union
 from pydantic import AfterValidator, Field
 
 from imumon.effects.base import DrivenEffect, Effect
+from imumon.plugins import EFFECTS as OFFERED
+from imumon.plugins import plugins
 
 FILES = (
     "temperature_curve",
@@ -36,7 +38,7 @@ def _effect(name: str) -> type[Effect]:
     )
 
 
-EFFECTS: dict[str, type[Effect]] = {name: _effect(name) for name in FILES}
+EFFECTS: dict[str, type[Effect]] = {name: _effect(name) for name in FILES} | plugins(OFFERED)
 _OPERATORS = {kind.operator: kind for kind in EFFECTS.values() if issubclass(kind, DrivenEffect)}
 
 

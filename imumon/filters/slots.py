@@ -9,13 +9,15 @@ first sample behind it, so what a slot says is known from that row on.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from imumon.blocks import NO_INT, FloatArray, IntArray
 from imumon.compiled import inner, njit
+
+Number = TypeVar("Number", np.float64, np.int64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -162,7 +164,9 @@ class SlotGatherer:
         self._open[:], self._open_columns[:] = saved["open"], saved["columns"]
 
 
-def held(row: IntArray, values: FloatArray, before: FloatArray, n: int) -> FloatArray:
+def held(
+    row: IntArray, values: npt.NDArray[Number], before: npt.NDArray[Number], n: int, axis: int = 0
+) -> npt.NDArray[Number]:
     """Return for each of n rows what the latest slot said, (n, ...).
 
     Parameters
@@ -172,9 +176,12 @@ def held(row: IntArray, values: FloatArray, before: FloatArray, n: int) -> Float
     values : array, (m, ...)
     before : array, (...)
         What held before the first of them.
+    axis : int
+        Where m stands in the shape of the values, and n in that of the result.
     """
-    which = np.searchsorted(row, np.arange(n), side="right")
-    return np.asarray(np.concatenate([np.asarray(before)[np.newaxis], values])[which])
+    rows = np.diff(np.concatenate([[0], row, [n]]))
+    every = np.concatenate([np.expand_dims(before, axis), values], axis=axis)
+    return np.repeat(every, rows, axis=axis)
 
 
 # Records are passed as whole arrays: arrays in a tuple would cost more than all the sums, at each call.

@@ -12,6 +12,7 @@ from pydantic import Field, PositiveFloat, PositiveInt, field_validator
 from imumon.config import StrictModel, parse_yaml
 from imumon.errors import ImumonError, Reason
 from imumon.files import read_text
+from imumon.plugins import DEVICES, plugins
 from imumon.protocols.base import Decoder, Encoder
 from imumon.protocols.thermometer import TemperatureRateParameters
 
@@ -115,7 +116,13 @@ def device_folder() -> Path:
 
 def device_names() -> list[str]:
     """Return the names that `load_device` knows without a path."""
-    return sorted(path.stem for path in device_folder().glob("*.yaml"))
+    return sorted(_files())
+
+
+def _files() -> dict[str, Path]:
+    """Return the device files by name: those of imumon, which come first, and of plug-ins."""
+    folders = [*map(Path, plugins(DEVICES).values()), device_folder()]
+    return {path.stem: path for folder in folders for path in folder.glob("*.yaml")}
 
 
 def device_text(name: str) -> tuple[str, str]:
@@ -127,8 +134,8 @@ def device_text(name: str) -> tuple[str, str]:
         BAD_CONFIG when there is no such device, naming those that there are.
     """
     looks_like_path = name.endswith((".yaml", ".yml")) or "/" in name
-    path = Path(name) if looks_like_path else device_folder() / f"{name}.yaml"
-    if "\0" not in name and not path.exists():
+    path = Path(name) if looks_like_path else _files().get(name)
+    if path is None or ("\0" not in name and not path.exists()):
         raise ImumonError(
             Reason.BAD_CONFIG,
             f"no device {name!r}" + (": no such file" if looks_like_path else ""),

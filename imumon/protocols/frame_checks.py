@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Literal
 
 import numpy as np
@@ -181,17 +181,23 @@ def rearranged(check: Check, order: Callable[[int], Sequence[int]]) -> Check:
 
     `order` takes the length of a packet, and returns the places of what counts, those of the checksum last.
     """
+    return partial(_right_rearranged, check, order)
 
-    def right(held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
-        verdict = np.zeros(len(at), np.bool_)
-        for size in np.flatnonzero(np.bincount(length)).tolist():
-            which, places = np.flatnonzero(length == size), order(size)
-            moved = windows(held, at[which], size).take(places, axis=1)
-            begins = np.arange(len(which)) * len(places)
-            verdict[which] = check(moved.reshape(-1), begins, np.full(len(which), len(places)))
-        return verdict
 
-    return right
+def _right_rearranged(
+    check: Check,
+    order: Callable[[int], Sequence[int]],
+    held: ByteArray,
+    at: IntArray,
+    length: IntArray,
+) -> BoolArray:
+    verdict = np.zeros(len(at), np.bool_)
+    for size in np.flatnonzero(np.bincount(length)).tolist():
+        which, places = np.flatnonzero(length == size), order(size)
+        moved = windows(held, at[which], size).take(places, axis=1)
+        begins = np.arange(len(which)) * len(places)
+        verdict[which] = check(moved.reshape(-1), begins, np.full(len(which), len(places)))
+    return verdict
 
 
 def check_of(name: str, first: int = 0, big: bool = False, zeros: int = 0) -> Check:

@@ -18,6 +18,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -346,11 +347,7 @@ class _Candidates:
 def fixed_length(size: int) -> Lengths:
     """Return the `Lengths` of packets that are all of one size."""
 
-    def lengths(held: ByteArray, at: IntArray) -> IntArray:
-        del held
-        return np.full(len(at), size, np.int64)
-
-    return lengths
+    return partial(_all_of, size)
 
 
 def counted_length(at: int, size: int, more: int, longest: int, big: bool = False) -> Lengths:
@@ -367,15 +364,22 @@ def counted_length(at: int, size: int, more: int, longest: int, big: bool = Fals
     big : bool
         Whether the most significant byte of the number comes first.
     """
+    return partial(_counted, at, size, more, longest, big)
 
-    def lengths(held: ByteArray, begin: IntArray) -> IntArray:
-        result = np.full(len(begin), INCOMPLETE, np.int64)
-        there = np.flatnonzero(begin + at + size <= len(held))
-        counted = np.zeros(len(there), np.int64)
-        for k in range(size):
-            shift = 8 * (size - 1 - k if big else k)
-            counted |= held[begin[there] + at + k].astype(np.int64) << shift
-        result[there] = np.where(counted + more <= longest, counted + more, IMPOSSIBLE)
-        return result
 
-    return lengths
+def _all_of(size: int, held: ByteArray, at: IntArray) -> IntArray:
+    del held
+    return np.full(len(at), size, np.int64)
+
+
+def _counted(
+    at: int, size: int, more: int, longest: int, big: bool, held: ByteArray, begin: IntArray
+) -> IntArray:
+    result = np.full(len(begin), INCOMPLETE, np.int64)
+    there = np.flatnonzero(begin + at + size <= len(held))
+    counted = np.zeros(len(there), np.int64)
+    for k in range(size):
+        shift = 8 * (size - 1 - k if big else k)
+        counted |= held[begin[there] + at + k].astype(np.int64) << shift
+    result[there] = np.where(counted + more <= longest, counted + more, IMPOSSIBLE)
+    return result

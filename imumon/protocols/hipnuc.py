@@ -112,8 +112,12 @@ def of_bits(bits: int) -> Message:
     return Message(f"imu83:{bits:#x}", at, tuple(parts))
 
 
+def _header_behind(size: int) -> list[int]:
+    return [*range(4), *range(HEADER, size), 4, 5]
+
+
 _XMODEM = CyclicCheck(CRCS["crc16-xmodem"])
-_RIGHT = rearranged(_XMODEM, lambda size: [*range(4), *range(HEADER, size), 4, 5])
+_RIGHT = rearranged(_XMODEM, _header_behind)
 """The CRC stands in the header: as if it stood behind the payload."""
 
 

@@ -51,8 +51,12 @@ def _increments(columns: Columns) -> list[ColumnArray]:
     return [columns[column.name] * columns["delta_time"] for column in (*RATE, *FORCE)]
 
 
+def _with_increments(columns: Columns) -> list[ColumnArray]:
+    return [columns["delta_time"], *_increments(columns)]
+
+
 MEANS = Derived(tuple(c.name for c in (*DELTA_TIME, *THETA, *DELTA_VELOCITY)), (*RATE, *FORCE), _mean_rates,
-                lambda columns: [columns["delta_time"], *_increments(columns)])  # fmt: skip
+                _with_increments)  # fmt: skip
 
 DATA_SETS = {
     58: Message("imu", 36, (TIME, part(8, "u32", STATUS), part(12, "f32", RATE), part(24, "f32", FORCE))),

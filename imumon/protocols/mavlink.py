@@ -10,6 +10,7 @@ SCALED_IMU and RAW_IMU have rates in steps of 1 mrad/s, 206 deg/h.
 from __future__ import annotations
 
 from fractions import Fraction
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -21,7 +22,7 @@ from imumon.protocols.base import MAIN, Timing
 from imumon.protocols.checksums import CRCS
 from imumon.protocols.device import FamilyDevice
 from imumon.protocols.frame_checks import CyclicCheck, sent
-from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, BoolArray, Check, Found, Frame, Lengths, windows
+from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, BoolArray, Found, Frame, windows
 from imumon.protocols.messages import Message, TableDecoder, TableFamily, part, whole
 from imumon.protocols.numbers import Columns, Derived
 from imumon.protocols.stream import ByteArray
@@ -100,34 +101,26 @@ def _number(held: ByteArray, at: IntArray, header: int) -> IntArray:
     return sent(held, at + header, 1 if header == HEADERS[FIRST] else 3, big=False)
 
 
-def _lengths(header: int) -> Lengths:
-    def lengths(held: ByteArray, at: IntArray) -> IntArray:
-        result = np.full(len(at), INCOMPLETE, np.int64)
-        there = np.flatnonzero(at + header <= len(held))
-        begin = at[there]
-        number, size = _number(held, begin, header), header + 2 + held[begin + 1].astype(np.int64)
-        good = (number < len(EXTRAS)) & (EXTRAS[number % len(EXTRAS)] >= 0)
-        if header == HEADERS[SECOND]:
-            flags = held[begin + 2]
-            size += SIGNATURE * (flags & SIGNED)
-            good &= flags <= SIGNED
-        result[there] = np.where(good, size, IMPOSSIBLE)
-        return result
-
-    return lengths
+def _length(header: int, held: ByteArray, at: IntArray) -> IntArray:
+    result = np.full(len(at), INCOMPLETE, np.int64)
+    there = np.flatnonzero(at + header <= len(held))
+    begin = at[there]
+    number, size = _number(held, begin, header), header + 2 + held[begin + 1].astype(np.int64)
+    good = (number < len(EXTRAS)) & (EXTRAS[number % len(EXTRAS)] >= 0)
+    if header == HEADERS[SECOND]:
+        flags = held[begin + 2]
+        size += SIGNATURE * (flags & SIGNED)
+        good &= flags <= SIGNED
+    result[there] = np.where(good, size, IMPOSSIBLE)
+    return result
 
 
-def _right(header: int) -> Check:
-    """Return the check of messages whose header has so many bytes."""
-
-    def right(held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
-        signature = SIGNATURE * (held[at + 2] & SIGNED) if header == HEADERS[SECOND] else 0
-        end, extra = at + length - signature, EXTRAS[_number(held, at, header)]
-        # The CRC is linear: that of a zero in the place of the extra byte, and what this adds.
-        crc = _BEFORE_EXTRA.values(held, at + 1, end - 2) ^ _BEFORE_EXTRA.of_last_byte[extra]
-        return np.asarray(crc == sent(held, end, 2, big=False))
-
-    return right
+def _right(header: int, held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
+    signature = SIGNATURE * (held[at + 2] & SIGNED) if header == HEADERS[SECOND] else 0
+    end, extra = at + length - signature, EXTRAS[_number(held, at, header)]
+    # The CRC is linear: that of a zero in the place of the extra byte, and what this adds.
+    crc = _BEFORE_EXTRA.values(held, at + 1, end - 2) ^ _BEFORE_EXTRA.of_last_byte[extra]
+    return np.asarray(crc == sent(held, end, 2, big=False))
 
 
 class MavlinkDecoder(TableDecoder):
@@ -176,7 +169,7 @@ class MavlinkDevice(FamilyDevice):
     family = TableFamily(
         MESSAGES,
         [
-            Frame(f"MAVLink {k + 1}", sync, _lengths(header), _right(header))
+            Frame(f"MAVLink {k + 1}", sync, partial(_length, header), partial(_right, header))
             for k, (sync, header) in enumerate(HEADERS.items())
         ],
         MavlinkDecoder,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from imumon.blocks import NO_INT, ColumnArray, FloatArray
@@ -42,7 +44,7 @@ MATRIX = tuple(
 )
 
 
-def _utc_to_parts(columns: Columns, name: str) -> list[ColumnArray]:
+def _utc_to_parts(name: str, columns: Columns) -> list[ColumnArray]:
     """Split a Unix time in ns into nanosecond, year, month, day, hour, minute, second."""
     time = columns[name]
     moment = np.where(time == NO_INT, 0, time).astype("datetime64[ns]")
@@ -61,7 +63,7 @@ def _utc_to_parts(columns: Columns, name: str) -> list[ColumnArray]:
     return [np.where(time == NO_INT, NO_INT, part) for part in parts]
 
 
-def _parts_to_utc(columns: Columns, prefix: str) -> list[ColumnArray]:
+def _parts_to_utc(prefix: str, columns: Columns) -> list[ColumnArray]:
     """Make a Unix time in ns of a date; an impossible date (all zero before the first fix) is missing."""
     nano, year, month, day, hour, minute, second = (columns[f"_{prefix}{part}"] for part in DATE_PARTS)
     good = (year > 1900) & (year < 2262) & (month >= 1) & (month <= 12) & (day >= 1) & (day <= 31)
@@ -78,8 +80,8 @@ def utc_time(prefix: str, result: Column) -> Derived:
     return Derived(
         tuple(f"_{prefix}{part}" for part in DATE_PARTS),
         (result,),
-        lambda columns: _parts_to_utc(columns, prefix),
-        lambda columns: _utc_to_parts(columns, result.name),
+        partial(_parts_to_utc, prefix),
+        partial(_utc_to_parts, result.name),
     )
 
 

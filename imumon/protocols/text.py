@@ -12,7 +12,7 @@ import json
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache, reduce
+from functools import lru_cache, partial, reduce
 from math import isfinite
 from operator import xor
 from typing import Any, Final, Literal, Self
@@ -281,35 +281,48 @@ def line_lengths(after_end: bool) -> Lengths:
     after_end : bool
         The line begins behind a line end, which is counted to it instead of the one at its own end.
     """
+    return partial(_to_line_end, after_end)
 
-    def lengths(held: ByteArray, at: IntArray) -> IntArray:
-        ends = np.flatnonzero(held == LINE_END)
-        k = np.searchsorted(ends, at, "right" if after_end else "left")
-        there = k < len(ends)
-        result = np.full(len(at), INCOMPLETE, np.int64)
-        result[there] = ends[k[there]] - at[there] + (0 if after_end else 1)
-        result[~there & (len(held) - at > LONGEST_LINE)] = IMPOSSIBLE
-        result[result > LONGEST_LINE] = IMPOSSIBLE
-        return result
 
-    return lengths
+def _to_line_end(after_end: bool, held: ByteArray, at: IntArray) -> IntArray:
+    ends = np.flatnonzero(held == LINE_END)
+    k = np.searchsorted(ends, at, "right" if after_end else "left")
+    there = k < len(ends)
+    result = np.full(len(at), INCOMPLETE, np.int64)
+    result[there] = ends[k[there]] - at[there] + (0 if after_end else 1)
+    result[~there & (len(held) - at > LONGEST_LINE)] = IMPOSSIBLE
+    result[result > LONGEST_LINE] = IMPOSSIBLE
+    return result
 
 
 def lines_right(read: Callable[[str], object]) -> Check:
     """Return the `Check` of lines that are right when they can be read."""
+    return partial(_readable, read)
 
-    def right(held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
-        return np.array([read(text) is not None for text in _texts(held, at, length)], np.bool_)
 
-    return right
+def _readable(read: Callable[[str], object], held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
+    return np.array([read(text) is not None for text in _texts(held, at, length)], np.bool_)
+
+
+class _ReadOnce:
+    """Reads a line, which is asked for when it is checked and again for its numbers, once."""
+
+    def __init__(self, line: Line) -> None:
+        self._line = line
+        self._read = lru_cache(MOST_LINES)(line.read)
+
+    def __call__(self, text: str) -> list[float] | None:
+        return self._read(text)
+
+    def __reduce__(self) -> tuple[type[_ReadOnce], tuple[Line]]:
+        return _ReadOnce, (self._line,)
 
 
 class TextDecoder(LayoutDecoder):
     """Decodes described lines, a row for each; of several kinds that fit a line the first counts."""
 
     def __init__(self, lines: Sequence[Line], rate_hz: float | None) -> None:
-        # A line is read when it is checked, and again for its numbers.
-        readers = [lru_cache(MOST_LINES)(line.read) for line in lines]
+        readers = [_ReadOnce(line) for line in lines]
         frames = [
             Frame(x.name, x.prefix.encode() or b"\n", line_lengths(not x.prefix), lines_right(read))
             for x, read in zip(lines, readers, strict=True)

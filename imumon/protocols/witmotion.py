@@ -93,14 +93,36 @@ def _message(name: str, *parts: Part, group: str = MAIN, derived: Derived | None
 PORTS = [count(f"port_d{k}", f"port D{k}") for k in range(4)]
 HEIGHT = [number("pressure_altitude", "m", "from the pressure")]
 PLACE = [count("_longitude", "longitude"), count("_latitude", "latitude")]
-OF_DATE = Derived(DATE, (CLOCK,), lambda c: [_unix_ms(c) * 1_000_000],
-                  lambda c: _date_of(c["device_clock"] // 1_000_000))  # fmt: skip
-OF_SAMPLE = Derived(DATE, known("device_ticks"), lambda c: [_unix_ms(c)],
-                    lambda c: _date_of(c["device_ticks"]))  # fmt: skip
+
+
+def _clock_of(c: Columns) -> list[ColumnArray]:
+    return [_unix_ms(c) * 1_000_000]
+
+
+def _date_of_clock(c: Columns) -> list[ColumnArray]:
+    return _date_of(c["device_clock"] // 1_000_000)
+
+
+def _ticks_of(c: Columns) -> list[ColumnArray]:
+    return [_unix_ms(c)]
+
+
+def _date_of_ticks(c: Columns) -> list[ColumnArray]:
+    return _date_of(c["device_ticks"])
+
+
+def _degrees_of(c: Columns) -> list[ColumnArray]:
+    return [_degrees(c["_longitude"]), _degrees(c["_latitude"])]
+
+
+def _digits_of(c: Columns) -> list[ColumnArray]:
+    return [_digits(c["longitude"]), _digits(c["latitude"])]
+
+
+OF_DATE = Derived(DATE, (CLOCK,), _clock_of, _date_of_clock)
+OF_SAMPLE = Derived(DATE, known("device_ticks"), _ticks_of, _date_of_ticks)
 """The 28 bytes of 0x61 have the time of the sample itself."""
-OF_PLACE = Derived(("_longitude", "_latitude"), known("longitude", "latitude"),
-                   lambda c: [_degrees(c["_longitude"]), _degrees(c["_latitude"])],
-                   lambda c: [_digits(c["longitude"]), _digits(c["latitude"])])  # fmt: skip
+OF_PLACE = Derived(("_longitude", "_latitude"), known("longitude", "latitude"), _degrees_of, _digits_of)
 
 TYPES = {
     0x50: _message("time", _date(0), group=NO_GROUP, derived=OF_DATE),

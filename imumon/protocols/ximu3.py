@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from fractions import Fraction
+from functools import partial
 from math import pi
 from typing import Final
 
@@ -20,7 +21,7 @@ from imumon.columns import KNOWN, Column
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.base import MAIN, Timing
 from imumon.protocols.device import FamilyDevice
-from imumon.protocols.framing import BoolArray, Check, Found, Frame
+from imumon.protocols.framing import BoolArray, Found, Frame
 from imumon.protocols.messages import Message, TableDecoder, TableFamily, part
 from imumon.protocols.stream import ByteArray
 from imumon.protocols.tagged_columns import known, number, vector
@@ -80,14 +81,10 @@ def _without_escapes(message: bytes) -> bytes:
     return message[:-1].replace(ESCAPED_END, END).replace(ESCAPED_ESCAPE, ESCAPE)
 
 
-def _right(size: int) -> Check:
-    """Return the check of a binary message: its bytes without escapes, and its time."""
-
-    def right(held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
-        spans = zip(at.tolist(), length.tolist(), strict=True)
-        return np.array([_is_whole(held[a : a + n].tobytes(), size) for a, n in spans], np.bool_)
-
-    return right
+def _right(size: int, held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
+    """Check binary messages: their bytes without escapes, and their time."""
+    spans = zip(at.tolist(), length.tolist(), strict=True)
+    return np.array([_is_whole(held[a : a + n].tobytes(), size) for a, n in spans], np.bool_)
 
 
 def _is_whole(message: bytes, size: int) -> bool:
@@ -137,7 +134,7 @@ def _wrapped(key: int, payload: bytes) -> bytes:
 
 
 FRAMES = [
-    *(Frame(m.name, bytes([key | BINARY]), LINE, _right(m.size)) for key, m in MESSAGES.items()),
+    *(Frame(m.name, bytes([key | BINARY]), LINE, partial(_right, m.size)) for key, m in MESSAGES.items()),
     *(Frame(f"{m.name} text", b"%c," % key, LINE, lines_right(_numbers)) for key, m in MESSAGES.items()),
 ]
 

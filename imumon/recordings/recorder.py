@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from queue import Empty, SimpleQueue
 
 from imumon.errors import ImumonError
@@ -26,7 +27,7 @@ class Recorder:
     What may take long, waiting for the medium and writing the metadata, is done by a second thread.
 
     While the disk is full or fails, items are kept up to a limit and then counted (`WireCounters`); the
-    recording goes on as soon as writing works again.
+    recording goes on as soon as writing works again.  Where its folder has vanished it goes on in a new one.
 
     Parameters
     ----------
@@ -53,6 +54,7 @@ class Recorder:
         self._problems: dict[str, str] = {}
         self._lock = threading.Lock()
         self._stopping = threading.Event()
+        self._next_save = 0.0
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._keeper = threading.Thread(target=self._keep, name="recorder, medium", daemon=True)
 
@@ -95,15 +97,26 @@ class Recorder:
         while not stopped:
             stopped = self._take_until(time.monotonic() + FLUSH_PERIOD_S)
             self._try(self._writer.flush, _WRITING)
+            self._look_for_file()
         self._try(self._writer.close, "the recording could not be finished")
+
+    def _look_for_file(self) -> None:
+        """Where the file has vanished, say so and begin another; that is tried again until it works."""
+        if self._writer.has_vanished:
+            self._say(_GONE, f"{_GONE}: what it held is lost; a new file is begun")
+            with suppress(OSError, ImumonError):
+                self._writer.begin_again()
+                self._next_save = 0.0
+        else:
+            self._say(_GONE, None)
 
     def _keep(self) -> None:
         """Let the medium have what was written, and renew the metadata; either may take seconds."""
-        next_save = time.monotonic() + SAVE_PERIOD_S
+        self._next_save = time.monotonic() + SAVE_PERIOD_S
         while not self._stopping.wait(SYNC_PERIOD_S):
             self._try(self._writer.sync, "the disk does not keep the recording")
-            if time.monotonic() >= next_save:
-                next_save = time.monotonic() + SAVE_PERIOD_S
+            if time.monotonic() >= self._next_save:
+                self._next_save = time.monotonic() + SAVE_PERIOD_S
                 self._try(self._save, "the session's metadata cannot be written")
 
     def _take_until(self, deadline: float) -> bool:
@@ -141,3 +154,4 @@ class Recorder:
 
 
 _WRITING = "the recording cannot be written"
+_GONE = "the file of the recording has vanished from its folder"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -31,7 +31,6 @@ JERK = 0.02
 """And when its mean specific force is within this of a neighbour's, m/s² (0.1°), beyond its own noise."""
 
 Mask = npt.NDArray[np.bool_]
-Progress = Callable[[int], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -132,9 +131,7 @@ def _steady(mean: FloatArray, sd: FloatArray) -> Mask:
     return steady
 
 
-def reduce(
-    blocks: Iterable[SampleBlock], names: Sequence[str], slot_s: float, progress: Progress | None = None
-) -> Reduced:
+def reduce(blocks: Iterable[SampleBlock], names: Sequence[str], slot_s: float) -> Reduced:
     """Reduce samples with device_time_ns and segment, and at_rest where that was judged, in bounded memory.
 
     Parameters
@@ -143,8 +140,6 @@ def reduce(
         Columns to reduce; one that a block lacks is missing there.
     slot_s : float
         Length of a slot; slots lie on a grid from the first sample of each run.
-    progress : callable, optional
-        Is told the number of samples of each block.
     """
     length_ns = round(slot_s * 1e9)
     gatherer = SlotGatherer(len(names) + 1, length_ns)
@@ -155,8 +150,6 @@ def reduce(
             parts.append(
                 _Part.of(gatherer.process(piece["device_time_ns"], piece["segment"], _values(piece, names)))
             )
-        if progress is not None:
-            progress(len(block))
     return _gathered([*parts, _Part.of(gatherer.finish())], tuple(names), slot_s, length_ns)
 
 

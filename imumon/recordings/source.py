@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from contextvars import ContextVar
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from imumon.recordings.wire_reader import WireReader
 from imumon.recordings.wire_scan import Damage, Place
 from imumon.transport.reader import Bytes, EventKind, Item, Reads
 
+TABLE_SUFFIXES = (".parquet", ".csv")
 READ_SIZE = 1 << 16
 SHOWN_PLACES = 5
 """Damaged places that are said one by one."""
@@ -203,7 +205,21 @@ def capture_items(path: Path) -> Iterator[Item]:
         ) from error
 
 
-def run_over(items: Iterable[Item | SampleBlock], pipeline: Pipeline) -> Iterator[SampleBlock]:
+reading: ContextVar[Callable[[int], object]] = ContextVar("reading", default=lambda _: None)
+"""Who wants to know how many bytes more of a recording were gone through: reading one may take minutes."""
+
+
+def recorded_bytes(path: Path) -> int | None:
+    """Return how many bytes `reading` will be told of; None where that is not known before, as of a table."""
+    if not is_session(path):
+        return path.stat().st_size if path.is_file() and path.suffix not in TABLE_SUFFIXES else None
+    session = open_session(path)
+    if session.metadata.source == "import":
+        return None
+    return session.metadata.counters.get("bytes_received") or session.wire_path.stat().st_size
+
+
+def run_over(items: Iterable[Item | Reads | SampleBlock], pipeline: Pipeline) -> Iterator[SampleBlock]:
     """Run what was recorded through a new pipeline; yield the samples in order, to the last byte.
 
     Parameters
@@ -211,12 +227,14 @@ def run_over(items: Iterable[Item | SampleBlock], pipeline: Pipeline) -> Iterato
     items : iterable of Bytes and Event, or of SampleBlock
         From `WireReader`, `capture_items` or `iterate_samples`.
     """
-    fed = 0
+    fed, told = 0, reading.get()
     for item in items.batches() if isinstance(items, WireReader) else items:
         fed += feed(item, pipeline)
         if fed >= BATCH_BYTES:
+            told(fed)
             fed = 0
             yield pipeline.take()
+    told(fed)
     pipeline.finish()
     yield pipeline.take()
 

@@ -366,6 +366,11 @@ def _schema(columns: Iterable[Column]) -> Any:
     return pa.schema(fields, metadata={"imumon": __version__, "format": FORMAT})
 
 
+def arrow_table(block: SampleBlock, columns: Iterable[Column]) -> Any:
+    """Return a pyarrow table with these columns; missing values are null, a field's metadata has the unit."""
+    return _to_arrow(block, _schema(columns))
+
+
 def _to_arrow(block: SampleBlock, schema: Any) -> Any:
     arrays = [
         _masked(block[field.name], field.type) if field.name in block else pa.nulls(len(block), field.type)

@@ -79,31 +79,67 @@ class WireWriter:
     """
 
     def __init__(self, path: Path, metadata: Mapping[str, str]) -> None:
-        try:
-            descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
-        except FileExistsError as error:
-            raise ImumonError(Reason.EXISTS, f"{path} exists already", "nothing was overwritten") from error
-        with suppress(OSError):  # a file system that knows no locks
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        self._spool = _Spool(descriptor)
+        self._path = path
+        self._metadata = Metadata(name="imumon", metadata=dict(metadata))
         self._unflushed: deque[tuple[int, int]] = deque()
         self._sequence = self._reads = self._bytes = self._events = 0
         self._on_disk = self._unrecorded = 0
         self._gap_reads = self._gap_bytes = self._gap_events = 0
         self._first_ns = self._last_ns = self._highest_ns = 0
         self._messages: Counter[int] = Counter()
-        self._block_start = 0
-        self._spool.write(MAGIC)
-        self._spool.write(_packed(Header(profile=FORMAT, library=f"imumon {__version__}")))
-        self._metadata = Metadata(name="imumon", metadata=dict(metadata))
-        self._metadata_at = self._spool.tell()
-        self._spool.write(_packed(self._metadata))
-        self._spool.write(b"".join(map(_packed, _CHANNELS)))
+        self._begin()
         try:
             self.flush()
         except OSError:
             self._spool.close()
             raise
+
+    def _begin(self) -> None:
+        """Make the file, and write what stands at its beginning."""
+        try:
+            descriptor = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
+        except FileExistsError as error:
+            raise ImumonError(
+                Reason.EXISTS, f"{self._path} exists already", "nothing was overwritten"
+            ) from error
+        with suppress(OSError):  # a file system that knows no locks
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        self._spool = _Spool(descriptor)
+        self._block_start = 0
+        self._spool.write(MAGIC)
+        self._spool.write(_packed(Header(profile=FORMAT, library=f"imumon {__version__}")))
+        self._metadata_at = self._spool.tell()
+        self._spool.write(_packed(self._metadata))
+        self._spool.write(b"".join(map(_packed, _CHANNELS)))
+
+    @property
+    def has_vanished(self) -> bool:
+        """Tell whether the file is no longer under its name: what is written is lost, without an error."""
+        try:
+            now = self._path.stat()
+        except OSError:
+            return True
+        return (now.st_dev, now.st_ino) != self._spool.place
+
+    def begin_again(self) -> None:
+        """Make the file anew, with its folder, after it has vanished; its first event says what is missing.
+
+        Raises
+        ------
+        OSError
+            When that cannot be done; what comes until it can is lost as well.
+        ImumonError
+            EXISTS when there is another file by now.
+        """
+        gone = self._spool
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        self._begin()
+        gone.close()
+        self._messages.clear()
+        self._sequence, self._on_disk, self._unrecorded = 0, 0, self._bytes
+        self._unflushed.clear()
+        self._gap_reads, self._gap_bytes, self._gap_events = self._reads, self._bytes, self._events
+        self._say_gap(self._last_ns)
 
     @property
     def counters(self) -> WireCounters:
@@ -261,6 +297,8 @@ class _Spool:
 
     def __init__(self, descriptor: int) -> None:
         self._descriptor = descriptor
+        made = os.fstat(descriptor)
+        self.place = made.st_dev, made.st_ino
         self._pending = bytearray()
         self._block_crc = 0
         self.crc = 0

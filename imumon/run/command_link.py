@@ -80,15 +80,18 @@ class CommandLink:
     def _answer(self, request: Request) -> bytes | Refusal | None:
         assert request.answer is not None
         held, end = bytearray(), time.monotonic() + request.timeout_s
-        while (left := end - time.monotonic()) > 0:
-            held += self.port.read(min(left, POLL_S))
+        while True:
+            left = end - time.monotonic()
+            data = self.port.read(max(min(left, POLL_S), 0.0))
+            held += data
             messages, done = self._family.messages(bytes(held))
             for message in messages:
                 answer = request.answer(message)
                 if answer is not None:
                     return answer
             del held[:done]
-        return None
+            if left <= 0.0 and (not data or left < -POLL_S):  # what came while the host stalled is read, too
+                return None
 
     def discard(self, seconds: float = 0.0) -> int:
         """Take what has come, and what comes within so many seconds; return how many bytes that was."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -20,17 +20,19 @@ from imumon.blocks import SampleBlock
 from imumon.columns import KNOWN
 from imumon.errors import ImumonError, Reason
 from imumon.geodesy import STANDARD_GRAVITY
-from imumon.pipeline import Digest, Pipeline, PipelineCounters
+from imumon.pipeline import Digest, Estimator, Pipeline, PipelineCounters
 from imumon.protocols.device import DeviceFile
 from imumon.recordings.folder import create_session, remove_empty
 from imumon.recordings.metadata import PortUsed, SessionMetadata, StreamSummary
 from imumon.recordings.recorder import Recorder
 from imumon.recordings.source import feed
 from imumon.recordings.wire import WireCounters, WireWriter
+from imumon.run.account import Outages
+from imumon.run.marks import Marks
 from imumon.run.narration import Narrator, Progress, Publish, Say
 from imumon.run.setup import Setup
 from imumon.run.stages import estimators
-from imumon.transport.reader import SILENT_AFTER_S, Bytes, EventKind, Item, Reader
+from imumon.transport.reader import SILENT_AFTER_S, Bytes, Clock, EventKind, Item, Reader
 from imumon.transport.settings import PortSettings
 
 BATCH_S = 0.05
@@ -78,7 +80,9 @@ class LiveSummary:
     """What a live run did."""
 
     session: Path
-    elapsed_s: float
+    began_ns: int
+    ended_ns: int
+    outages: Outages
     counters: PipelineCounters
     wire: WireCounters
     recording_problem: str | None
@@ -89,7 +93,8 @@ class LiveSummary:
         """Return the summary as ``monitor --json`` prints it."""
         return {
             "session": str(self.session),
-            "elapsed_s": round(self.elapsed_s, 3),
+            "elapsed_s": round((self.ended_ns - self.began_ns) * 1e-9, 3),
+            "outages": self.outages.as_data(),
             **self.counters.as_dict(),
             "bytes_recorded": self.wire.bytes_on_disk,
             "bytes_unrecorded": self.wire.bytes_unrecorded,
@@ -115,6 +120,8 @@ class LiveRun:
         Where the session goes; must not hold one.
     say : callable
         Where log lines go; called from several threads.
+    stages : sequence of Estimator
+        More stages, behind the others.
 
     Raises
     ------
@@ -130,14 +137,19 @@ class LiveRun:
         setup: Setup,
         folder: Path,
         say: Say,
+        stages: Sequence[Estimator] = (),
     ) -> None:
         self._device = device
-        self.pipeline = Pipeline(device, estimators(device, setup))
+        self.pipeline = Pipeline(device, [*estimators(device, setup), *stages])
+        self.taken: Callable[[SampleBlock, Mapping[str, SampleBlock]], None] | None = None
+        """Given, in the pipeline's thread, the samples and those of the side streams as they come."""
         self._settings = settings
         self._say = say
         self._items: SimpleQueue[Item] = SimpleQueue()
-        self._digest = Digest()
-        self._began_ns = time.time_ns()
+        self._marks, self._marking = Marks(folder), threading.Lock()
+        self._digest, self._outages = Digest(), Outages()
+        self._clock = Clock()
+        self._began_ns = self._clock.now_ns()
         self.session = create_session(folder, self._metadata(device, device_yaml, setup))
         self._writer = self._wire_writer()
         self._recorder = Recorder(self._writer, self._recording_problem, self._save)
@@ -187,11 +199,13 @@ class LiveRun:
 
         `views` are the files of the view's recording, for the session's metadata.
         """
+        self._take_marks()
         self._reader.stop()
+        self._marks.close()
         if self._thread.ident is not None:
             self._thread.join()
         wire = self._recorder.stop()
-        ended_ns = time.time_ns()
+        ended_ns = self._clock.now_ns()
         counters = self.pipeline.counters
         digest = self._digest.hexdigest() if self._finished else None
         if not self._finished and self._thread.ident is not None and self.failure is None:
@@ -208,8 +222,19 @@ class LiveRun:
             self.session.save(closed)
         except OSError as error:
             self._say("ERROR", f"session.yaml cannot be written: {error.strerror}")
-        elapsed = (ended_ns - self._began_ns) * 1e-9
-        return LiveSummary(self.session.path, elapsed, counters, wire, self._recorder.problem, digest)
+        return LiveSummary(
+            self.session.path, self._began_ns, ended_ns, self._outages, counters, wire,
+            self._recorder.problem, digest,
+        )  # fmt: skip
+
+    def mark(self, kind: EventKind, text: str) -> None:
+        """Put what a person says of this moment into the recording; may be called from any thread."""
+        self._reader.mark(kind, text)
+
+    def _take_marks(self) -> None:
+        with self._marking:
+            for kind, text in self._marks.take():
+                self.mark(kind, text)
 
     def _wire_writer(self) -> WireWriter:
         settings = self._settings
@@ -261,13 +286,15 @@ class LiveRun:
             next_tick = time.monotonic()
             while not closed:
                 closed = self._take_batch()
+                if not closed:
+                    self._take_marks()
                 self._hand_on(self.pipeline.take())
                 if time.monotonic() >= next_tick or closed:
                     next_tick = time.monotonic() + TICK_S
-                    self._progress = self._narrator.tick(time.time_ns())
+                    self._progress = self._narrator.tick(self._clock.now_ns())
             self.pipeline.finish()
             self._hand_on(self.pipeline.take())
-            self._progress = self._narrator.tick(time.time_ns())
+            self._progress = self._narrator.tick(self._clock.now_ns())
             self._finished = True
         except ImumonError as error:
             # Reading and recording go on; what could not be decoded can be decoded from the recording.
@@ -275,6 +302,8 @@ class LiveRun:
 
     def _hand_on(self, block: SampleBlock) -> None:
         self._digest.update(block, self.pipeline.side)
+        if self.taken is not None:
+            self.taken(block, self.pipeline.side)
         self._narrator.samples(block, self.pipeline.side)
 
     def _take_batch(self) -> bool:
@@ -288,8 +317,10 @@ class LiveRun:
             feed(item, self.pipeline)
             if isinstance(item, Bytes):
                 self._narrator.received(len(item.data), item.arrival_ns)
+                self._outages.received(item.arrival_ns)
             else:
                 self._narrator.event(item)
+                self._outages.event(item)
                 if item.kind is EventKind.CLOSED:
                     return True
         return False

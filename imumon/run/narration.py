@@ -45,6 +45,11 @@ _PORT_STATES = {
     EventKind.UNAVAILABLE: "lost",
     EventKind.CLOSED: "closed",
 }
+_SAID = {
+    EventKind.MARK: "mark",
+    EventKind.START: "start of part",
+    EventKind.STOP: "end of part",
+}
 _LEVELS = {
     EventKind.SILENT: "WARN",
     EventKind.LOST: "ERROR",
@@ -184,7 +189,14 @@ class Narrator:
                 self._lane("motion", state, int(block["arrival_time_ns"][row]))
 
     def event(self, event: Event) -> None:
-        """Show what happened to the port."""
+        """Show what happened to the port, or what a person says of this moment."""
+        if event.kind in _SAID:
+            self.log("INFO", f"{_SAID[event.kind]}: {event.detail}", event.time_ns)
+            lane = "mark" if event.kind is EventKind.MARK else "part"
+            text = "between parts" if event.kind is EventKind.STOP else for_log(event.detail)
+            self._lanes[lane] = text
+            self._emit(State(self._timebase.at(event.time_ns), lane, text))
+            return
         self.log(_LEVELS.get(event.kind, "INFO"), f"port {event.kind.value}: {event.detail}", event.time_ns)
         if event.kind in _PORT_STATES:
             self._lane("port", _PORT_STATES[event.kind], event.time_ns)

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 
 from imumon.blocks import SampleBlock
 from imumon.pipeline import Pipeline
-from imumon.recordings.source import feed, run_over
+from imumon.recordings.source import feed, reading, run_over
 from imumon.run.narration import Narrator
 from imumon.transport.reader import Bytes, Item
 
@@ -44,9 +44,10 @@ def _narrated(
 ) -> Iterator[SampleBlock]:
     """Run over the items, and tell the narrator of each as the live run does."""
     next_batch_ns = next_tick_ns = now_ns = 0
+    told = reading.get()
     for item in items:
         now_ns = _time_ns(item, now_ns)
-        feed(item, pipeline)
+        told(feed(item, pipeline))
         if isinstance(item, Bytes):
             narrator.received(len(item.data), item.arrival_ns)
         elif not isinstance(item, SampleBlock):

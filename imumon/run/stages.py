@@ -10,13 +10,14 @@ from imumon.estimation.spectrum.stage import LiveSpectrum
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.estimation.watch.stage import ModelWatch
 from imumon.pipeline import Estimator
+from imumon.plugins import STAGES, plugins
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.thermometer import TemperatureRateParameters
 from imumon.run.setup import Setup
 
 
 def estimators(device: DeviceFile | None, setup: Setup | None = None) -> list[Estimator]:
-    """Return new estimators for a device, or for a table when there is none.
+    """Return new estimators for a device, or for a table when there is none; those of plug-ins come last.
 
     The heading is sought only where the latitude is known.
     """
@@ -43,7 +44,7 @@ def estimators(device: DeviceFile | None, setup: Setup | None = None) -> list[Es
         from imumon.run.published import published_stages
 
         stages += published_stages(setup, temperature)
-    return stages
+    return [*stages, *(make() for make in plugins(STAGES).values())]
 
 
 def _better_model(setup: Setup) -> list[Estimator]:

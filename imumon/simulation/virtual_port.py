@@ -63,6 +63,8 @@ class VirtualPort:
         """Bytes written that did not: no host, mute, unplugged, or written faster than the line carries."""
         self.bytes_overrun = 0
         """Bytes that arrived at the host and found its buffers full, since it did not read."""
+        self.held_s = CHUNK_S
+        """Line time of what is handed over at once; 0.016 s is an adapter with its usual latency timer."""
         self._link = link
         self._master: int | None = None
         self._node = ""
@@ -204,7 +206,10 @@ class VirtualPort:
                 if self._closing:
                     return
                 rate = self.baudrate / BITS_PER_BYTE
-                size = min(len(self._backlog), math.ceil(rate * CHUNK_S))
+                if self.held_s > CHUNK_S:
+                    left_s = max(free_at + self.held_s - time.monotonic(), 0.0)
+                    self._changed.wait_for(self._chunk_is_full, left_s)
+                size = min(len(self._backlog), math.ceil(rate * self.held_s))
             free_at += size / rate
             time.sleep(max(free_at - time.monotonic(), 0.0))
             with self._changed:
@@ -212,6 +217,9 @@ class VirtualPort:
                 self._deliver(data)
                 del self._backlog[:size]
                 self._changed.notify_all()
+
+    def _chunk_is_full(self) -> bool:
+        return self._closing or len(self._backlog) >= self.baudrate / BITS_PER_BYTE * self.held_s
 
     def _deliver(self, data: bytes) -> None:
         """Hand bytes to the host, if there is one and it has room."""

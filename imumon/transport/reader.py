@@ -23,8 +23,9 @@ ByteArray = npt.NDArray[np.uint8]
 
 SILENT_AFTER_S = 1.0
 FIRST_DELAY_S = 0.1
-LONGEST_DELAY_S = 2.0
-"""Reopening is tried after 0.1 s, then after twice the time, up to 2 s, for ever."""
+LONGEST_DELAY_S = 0.5
+"""Reopening is tried after 0.1 s, then after twice the time, up to 0.5 s, for ever: a device that is back is
+read within 1 s.  A try takes a millisecond."""
 CHECK_SILENT_S = 1.0
 """How often a silent port is checked for having been replaced."""
 
@@ -46,6 +47,12 @@ class EventKind(Enum):
     """Another program reads from the port as well, so bytes are missing."""
     CLOSED = "closed"
     """The reader was stopped; nothing follows."""
+    MARK = "mark"
+    """A person marked this moment; the details are the words."""
+    START = "start"
+    """A person began a part of the recording; the details are its name."""
+    STOP = "stop"
+    """A person ended that part."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,6 +185,10 @@ class Reader:
         thread = threading.Thread(target=self._run, args=(port, wakeup), name=name, daemon=True)
         self._running = thread, wakeup
         thread.start()
+
+    def mark(self, kind: EventKind, text: str) -> None:
+        """Hand on what a person says of this moment; may be called from any thread."""
+        self._say(kind, text)
 
     def stop(self) -> None:
         """Stop reading and close the port; returns when both are done, within 0.5 s."""

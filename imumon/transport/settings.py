@@ -20,7 +20,7 @@ class PortSettings:
     Parameters
     ----------
     url : str
-        A device (``/dev/ttyUSB0``, ``COM3``) or any URL that pyserial knows (``socket://host:port``,
+        A device (``/dev/ttyUSB0``) or any URL that pyserial knows (``socket://host:port``,
         ``rfc2217://host:port``, ``spy:///dev/ttyUSB0``, ``loop://``, ``hwgrep://regexp``).
     baudrate : int
         Bits per second on the line; a ``socket://`` has no line, so it does not matter there.

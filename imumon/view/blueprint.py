@@ -35,8 +35,8 @@ class Contents:
         Views of the columns that no panel draws.
     cards : tuple of str
         Tabs that have a card of numbers.
-    full : bool
-        Whether as much has come as the slow tabs show.
+    filled, full : bool
+        Whether as much has come as the first tab shows, and as the slow tabs show.
     """
 
     panels: tuple[Panel, ...]
@@ -46,6 +46,7 @@ class Contents:
     status: bool
     others: tuple[tuple[str, tuple[str, ...]], ...]
     cards: tuple[str, ...]
+    filled: bool
     full: bool
 
     def __bool__(self) -> bool:
@@ -61,9 +62,9 @@ def blueprint(setup: ViewSetup, contents: Contents, timeline: str, *, live: bool
     timeline : str
         The one to follow.
     live : bool
-        True to follow the last seconds, False for a recording: everything, with the time panel open.
+        True to follow the last seconds, False for a recording: everything.
     """
-    window = Window(setup.window_s if live else None)
+    window = Window(setup.window_s, contents.filled) if live else Window()
     slow = Window(slow_window(setup.window_s), contents.full) if live else Window()
     views: dict[str, list[Any]] = {SCENE: [], STRIPS: [], LINK: []}
     for panel in contents.panels:
@@ -79,7 +80,7 @@ def blueprint(setup: ViewSetup, contents: Contents, timeline: str, *, live: bool
     return rrb.Blueprint(
         rrb.Tabs(first, *tabs, active_tab=0),
         rrb.TimePanel(
-            state="collapsed" if live else "expanded",
+            state="collapsed",
             timeline=timeline,
             play_state="following",  # a recording opens at its end, where the charts are complete
         ),
@@ -120,7 +121,7 @@ def _first_tab(name: str, views: dict[str, list[Any]], window: Window, contents:
             time_ranges=window.ranges,
             time_view=window.axis,
         )
-        right.append((0.35 * len(contents.lanes) + 0.4, states))
+        right.append((0.4 * len(contents.lanes) + 0.4, states))
     if contents.log:
         right.append((1.3, rrb.TextDocumentView(origin=LOG_TEXT, name="Log")))
     right += [(1.2, view) for view in views[LINK]]

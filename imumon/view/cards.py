@@ -79,10 +79,11 @@ class Cards:
 def card(readings: Sequence[Reading], now: Mapping[str, float]) -> str:
     """Return readings as Markdown, with the present value of each column; a row of axes has a unit once."""
     lines = [f"# {cell(one, now)} {one.unit}".replace(" °", "°") for one in readings if one.headline]
-    lines += ["", "| | x | y | z | |", "|:--|--:|--:|--:|:--|"]
     rows: dict[tuple[str, str], list[Reading]] = {}
     for reading in readings:
         rows.setdefault((reading.row, reading.unit), []).append(reading)
+    axes = any([one.name for one in found] == AXES for found in rows.values())
+    lines += ["", "| | x | y | z | |" if axes else "| | | | | |", "|:--|--:|--:|--:|:--|"]
     for (label, unit), found in rows.items():
         if [one.name for one in found] == AXES:
             cells = " | ".join(cell(one, now) for one in found)

@@ -16,24 +16,21 @@ import rerun as rr
 from imumon.blocks import FloatArray, IntArray
 
 STEP_NS = 1_000_000_000
-"""So often the invisible line gets a point at each end."""
-WINDOW = 15
-"""The ends are those over so many steps: marks that move with each would be as fine as the finest of them."""
-REMEMBERED = 600
-"""Steps that a band is compared with."""
+"""So often the ends are found anew."""
+REMEMBERED = 1200
+"""Steps; where a window has more, neighbours become one."""
 WIDE = 4.0
 """A band wider than so many times the usual one is cut off: it would leave nothing to see of the others."""
 LEAST_STEPS = 4.0
-"""The axis spans at least so many steps of a quantized column: three of its values can be read."""
-
-
+"""The axis spans at least so many steps of a quantized column, or of the last digit of a card."""
 STILL = 0.02
 """What never changes is shown on an axis of this share of its value."""
-FEW_MARKS, FEWEST_MARKS = 5, 3
-"""The viewer writes numbers at powers of ten that are 15 to 20 points apart or more: so many steps from end
-to end in a strip of a hundred points, and in one of seventy."""
 AHEAD = 0.1
 """The ends leave so much of the span free, for what comes until the next step."""
+TAB_HEIGHT, FRAME_HEIGHT, MARK_HEIGHT = 750, 36, 20
+"""Points, in a window of 1456 x 819: a tab; of each strip its title and times; the number of a mark."""
+LATEST_S = {True: 3.0, False: 30.0}
+"""The invisible line is looked at so far back, in a live view and in a recording, which comes in batches."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,69 +54,112 @@ class Reach:
     floor: float | None = None
 
 
+@dataclass(slots=True, eq=False)
+class _Step:
+    """The least and greatest value of each line within a step of time, and half of its widest band."""
+
+    number: int
+    low: FloatArray
+    high: FloatArray
+    half: FloatArray
+
+    def take(self, other: _Step) -> None:
+        self.low = np.fmin(self.low, other.low)
+        self.high = np.fmax(self.high, other.high)
+        self.half = np.fmax(self.half, other.half)
+
+
 @dataclass(slots=True)
 class Extent:
-    """The ends of what a panel has to show, step by step; in constant memory."""
+    """The ends of what a panel has to show in its window, found anew with each step; in constant memory.
 
-    _step: float = np.inf
-    _low: float = np.inf
-    _high: float = -np.inf
-    _past: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=WINDOW))
-    _last: int | None = None
-    _usual: deque[float] = field(default_factory=lambda: deque(maxlen=REMEMBERED))
+    Parameters
+    ----------
+    window_s : float, optional
+        What the panel shows of time; all without.
+    """
 
-    def ends(
-        self, clock: IntArray | None, drawn: Reach, marks: int | None = None
-    ) -> tuple[float, float] | None:
+    window_s: float | None = None
+    _resolution: float = np.inf
+    _steps: deque[_Step] = field(default_factory=deque)
+
+    def ends(self, clock: IntArray | None, drawn: Reach, marks: int) -> tuple[float, float] | None:
         """Return both ends of the axis, once in a step of time; None while it goes on.
 
-        With `marks` they are moved outwards until three marks, and no more than so many steps between them,
-        have room for their numbers.
+        They are moved outwards until three marks, and no more than `marks` steps between them, have room for
+        their numbers.
         """
-        self._gather(drawn)
-        now = 0 if clock is None or not len(clock) else int(clock[-1]) // STEP_NS
-        if self._low > self._high or (clock is not None and now == self._last):
+        began = self._gather(0 if clock is None or not len(clock) else int(clock[-1]) // STEP_NS, drawn)
+        if not began:
             return None
-        self._past.append((self._low, self._high))
-        self._last, self._low, self._high = now, np.inf, -np.inf
-        low, high = min(low for low, _ in self._past), max(high for _, high in self._past)
-        least = max(drawn.least, LEAST_STEPS * self._step if np.isfinite(self._step) else 0.0)
+        half = np.array([step.half for step in self._steps])
+        half = np.fmin(half, WIDE * float(np.median(half.max(axis=1))))
+        low = float(np.nanmin(np.array([step.low for step in self._steps]) - half))
+        high = float(np.nanmax(np.array([step.high for step in self._steps]) + half))
+        least = max(drawn.least, LEAST_STEPS * self._resolution if np.isfinite(self._resolution) else 0.0)
         if low == high:  # nothing is known of what it resolves
-            least = max(least, STILL * abs(low))
+            least = max(least, STILL * abs(low)) or 1.0
         short = max(0.0, least - (high - low))
+        ahead = AHEAD * max(high - low, least)
         if drawn.floor is not None and low >= drawn.floor:
-            low, high = drawn.floor, max(high, drawn.floor + least)
-        else:
-            low, high = low - 0.5 * short, high + 0.5 * short
-        if marks is None:
-            return low, high
-        ahead = AHEAD * (high - low)
-        return round_ends(low if low == drawn.floor else low - ahead, high + ahead, marks)
+            high = max(high + ahead, drawn.floor + least)
+            below, above = with_marks(drawn.floor, high, marks)
+            return drawn.floor, above + drawn.floor - below
+        return with_marks(low - 0.5 * short - ahead, high + 0.5 * short + ahead, marks)
 
-    def _gather(self, drawn: Reach) -> None:
-        """Take rows, without a band that is wider than is usual here."""
+    def _gather(self, number: int, drawn: Reach) -> bool:
+        """Take rows; tell whether they begin a step."""
         if not np.isfinite(drawn.values).any():
-            return
+            return False
         change = np.abs(np.diff(drawn.values, axis=0))
         moved = change[change > 0]
         if len(moved) and np.mean(change == 0) > 0.5:  # most samples repeat the last: it comes in steps
-            self._step = min(self._step, float(moved.min()))
-        self._usual.append(float(np.median(drawn.reach.max(axis=1))))
-        half = np.minimum(drawn.reach, WIDE * float(np.median(self._usual)))
-        self._low = min(self._low, float(np.nanmin(drawn.values - half)))
-        self._high = max(self._high, float(np.nanmax(drawn.values + half)))
+            self._resolution = min(self._resolution, float(moved.min()))
+        low, high = np.fmin.reduce(drawn.values), np.fmax.reduce(drawn.values)
+        step = _Step(number, low, high, np.nan_to_num(np.fmax.reduce(drawn.reach)))
+        if self._steps and number == self._steps[-1].number:
+            self._steps[-1].take(step)
+            return False
+        if self._steps and number < self._steps[-1].number:  # the clock went back
+            self._steps.clear()
+        self._steps.append(step)
+        while self.window_s is not None and (number - self._steps[0].number) * STEP_NS > 1e9 * self.window_s:
+            self._steps.popleft()
+        if len(self._steps) > REMEMBERED:
+            self._halve()
+        return True
+
+    def _halve(self) -> None:
+        """Make one step of each two neighbours, but for the last, which goes on."""
+        last, steps = self._steps.pop(), self._steps
+        self._steps = deque()
+        while steps:
+            step = steps.popleft()
+            if steps:
+                step.take(steps.popleft())
+            self._steps.append(step)
+        self._steps.append(last)
 
 
-def round_ends(low: float, high: float, most: int) -> tuple[float, float]:
-    """Return ends at marks, a power of ten apart, with two steps from end to end or more, up to `most`."""
+def marks_of(strips: int, height: float = TAB_HEIGHT) -> int:
+    """Return how many steps between marks have room in each of so many strips above each other, 3 or more."""
+    return max(3, int((height / max(strips, 1) - FRAME_HEIGHT) / MARK_HEIGHT))
+
+
+def with_marks(low: float, high: float, most: int) -> tuple[float, float]:
+    """Return the ends, moved outwards until three marks, a power of ten apart, lie between them.
+
+    The viewer writes numbers at powers of ten, of which it takes the finest that has room: here `most` steps.
+    """
     span = max(high - low, 1e-12 * max(abs(low), abs(high)), 1e-300)
-    power = math.floor(math.log10(span)) - 1
-    while True:
-        step = 10.0**power
-        first, last = math.floor(low / step + 1e-9), math.ceil(high / step - 1e-9)
-        if last - first <= most:
-            return first * step, max(last, first + 2) * step
-        power += 1
+    step = 10.0 ** math.ceil(math.log10(span / most) - 1e-9)
+    first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
+    while last - first < 2:
+        if high / step - last > first - low / step:
+            last += 1
+        else:
+            first -= 1
+    return min(low, first * step), max(high, last * step)
 
 
 def entity(drawn: str) -> str:

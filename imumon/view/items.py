@@ -178,7 +178,7 @@ class ViewSetup:
     recording_id: str
     units: Mapping[str, str] = field(default_factory=dict)
     z_down: bool = False
-    window_s: float = 15.0
+    window_s: float = 30.0
     first_tab: str = "Live"
     properties: Mapping[str, str] = field(default_factory=dict)
 

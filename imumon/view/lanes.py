@@ -16,6 +16,8 @@ NAMES = {
     "heading by": "Heading-by",
     "attitude": "Attitude",
     "status": "Device-status",
+    "mark": "Mark",
+    "part": "Part",
 }
 """What a person calls the lanes, from above: first what everything else depends on."""
 

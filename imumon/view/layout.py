@@ -20,8 +20,8 @@ import rerun as rr
 from imumon.blocks import ColumnArray, FloatArray, IntArray
 from imumon.charts import GREY, Color
 from imumon.columns import KNOWN
-from imumon.view.cards import Reading
-from imumon.view.extent import Reach, declare_extent
+from imumon.view.cards import DIGITS, Reading
+from imumon.view.extent import LEAST_STEPS, Reach, declare_extent, entity
 from imumon.view.items import ViewSetup
 from imumon.view.window import Window, series_view
 
@@ -244,7 +244,8 @@ class Strip:
     def reach(self, rows: Rows) -> Reach:
         """Return the lines, in the unit that is drawn."""
         values = self._factor * rows.matrix([line.column for line in self.lines])
-        return Reach(values, np.zeros_like(values), self.least, self.floor)
+        least = LEAST_STEPS * 10.0 ** -DIGITS[self.unit] if self.unit in DIGITS else 0.0
+        return Reach(values, np.zeros_like(values), max(self.least, least), self.floor)
 
     def readings(self, setup: ViewSetup) -> list[Reading]:
         """Return one for each line, when the card is to show them."""
@@ -289,7 +290,9 @@ class Strip:
         """Return the view, its unit in the title."""
         unit = self._unit(setup)
         title = f"{self.title} [{unit}]" if unit else self.title
-        return series_view(self.drawn, title, window, self.y_range, [self.beside] if self.beside else [])
+        beside = [self.beside] if self.beside else []
+        ends = [entity(drawn.removesuffix("/**")) for drawn in (self.drawn, *beside)]
+        return series_view(self.drawn, title, window, self.y_range, beside, ends)
 
 
 @dataclass(frozen=True, slots=True)

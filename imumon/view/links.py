@@ -125,12 +125,12 @@ class NativeLink:
 
 
 class WebLink:
-    """A server on this machine that viewers in a browser, or elsewhere, come to and leave.
+    """A server on this machine that viewers in a browser come to and leave.
 
     Parameters
     ----------
     start : Start
-        Ports and the address to bind; ports in use are passed over.
+        Ports, and the address that the page is on; ports in use are passed over.
     tell : callable
         Takes a `Report` when the servers are up.
     """
@@ -139,9 +139,10 @@ class WebLink:
 
     def __init__(self, start: Start, tell: Tell) -> None:
         self._tell = tell
-        self._bind = start.bind
-        self._port = free_port(start.port, start.bind)
-        self._web = WebServer(start.bind, free_port(start.web_port, start.bind), self._port)
+        self._port = free_port(start.port)
+        device = start.setup.properties.get("device", "")
+        title = " - ".join(filter(None, (device, start.setup.title, "imumon")))
+        self._web = WebServer(start.bind, free_port(start.web_port, start.bind), self._port, title)
         self._serving = False
 
     def poll(self, rec: rr.RecordingStream) -> Change | None:
@@ -151,7 +152,7 @@ class WebLink:
         self._serving = True
         import rerun as rr  # takes 0.4 s, in which a native viewer comes up: see Child
 
-        sink = rr.GrpcServerSink(self._bind, self._port, server_memory_limit=SERVER_MEMORY, newest_first=True)
+        sink = rr.GrpcServerSink(LOCALHOST, self._port, server_memory_limit=SERVER_MEMORY, newest_first=True)
         rec.set_sinks(sink)
         self._tell(Report("serving the web viewer", True, self._port, self._web.port, self._web.url))
         return Change.NEW

@@ -9,9 +9,10 @@ from itertools import groupby
 
 import numpy as np
 import rerun as rr
+import rerun.blueprint as rrb
 
 from imumon.blocks import NO_INT, ColumnArray, FloatArray
-from imumon.charts import Chart
+from imumon.charts import AXIS_COLORS, BLUE, GREEN, RED, Chart
 from imumon.harmless import for_markdown
 from imumon.view.attitude import DEVICE
 from imumon.view.blueprint import Contents, blueprint
@@ -39,10 +40,14 @@ APPLICATION_ID = "imumon"
 ELSEWHERE = {"device_time_ns", "host_time_ns", "arrival_time_ns", "device_ticks"}
 """Integer columns that are a timeline, or of the transport: the wire recording has them."""
 
+PART_COLORS = {**AXIS_COLORS, "roll": RED, "pitch": GREEN, "yaw": BLUE}
+"""Colour of a column that no panel draws, by how its name ends."""
 RECORDED_STEP_NS = 500_000_000
 """Of so much time a recording of the view keeps the extremes."""
-LIVE_PICTURE_S, RECORDED_PICTURE_S = 5.0, 600.0
-"""A chart is drawn so often, and as it is at the end."""
+PICTURE_SHARE = 0.05
+"""Live, drawing charts takes so much of the time at the most: one takes 0.1 s, or longer."""
+RECORDED_PICTURE_S = 600.0
+"""In a recording a chart is drawn so often (it takes 60 kB), and as it is at the end."""
 RECORDED_STATUS_S = 10.0
 EARLY_EVENTS = 1000
 """Events before the first sample that are shown again on the timelines that begin with it."""
@@ -73,14 +78,18 @@ class StreamLogger:
         self._lanes: dict[str, list[str]] = {}
         self._lasting: dict[str, Event] = {}
         self._charts: dict[str, Chart] = {}
+        self._waiting: dict[str, Drawing] = {}
+        self._next_picture_s = -math.inf
         self._drawn_s: dict[str, float] = {}
         self._early: list[Event] = []
         self._has_log = False
         self._timeline = "host_time"
         self._arranged: tuple[Contents, str] | None = None
+        self.arrangement: rrb.Blueprint | None = None
+        """The blueprint that was sent last."""
         self._newest: Rows | None = None
         self._began_ns: int | None = None
-        self._full = False
+        self._age_ns = 0
         self._log_text = LogText()
 
     def begin(self, *, arrange: bool = True) -> None:
@@ -122,6 +131,7 @@ class StreamLogger:
         self._log_series(numbers)
         if self._newest is not None:
             self._panels.log_cards(self._newest)
+        self._draw_charts()
         self._arrange()
 
     def _log_samples(self, item: Samples) -> None:
@@ -152,7 +162,7 @@ class StreamLogger:
         self._newest = rows.kept(np.array([last]))
         if clock is not None:
             self._began_ns = int(clock[0]) if self._began_ns is None else self._began_ns
-            self._full |= int(clock[-1]) - self._began_ns > 1e9 * slow_window(self._setup.window_s)
+            self._age_ns = max(self._age_ns, int(clock[-1]) - self._began_ns)
 
     def _log_integers(self, rows: Rows, stream: str) -> None:
         integers = {
@@ -174,11 +184,11 @@ class StreamLogger:
 
     def _log_other(self, name: str, values: ColumnArray, rows: Rows) -> None:
         if name not in self._others:
-            if not np.isfinite(values).any():
+            if not np.any(np.isfinite(values) & (values != 0.0)):  # it has not said anything yet
                 return
             self._others.add(name)
             self._declare_other(name)
-        kept = rows.extremes(np.asarray(values, np.float64)[:, np.newaxis])
+        kept = rows.extremes(np.asarray(values, np.float64)[:, np.newaxis]) & np.isfinite(values)
         scalars = rr.Scalars.columns(scalars=values[kept])
         self._rec.send_columns(f"{OTHER}/{name}", indexes=rows.kept(kept).indexes, columns=scalars)
 
@@ -215,7 +225,7 @@ class StreamLogger:
             text = rr.TextDocument.columns(text=[self._log_text.text], media_type=["text/markdown"])
             self._rec.send_columns(LOG_TEXT, indexes=indexes, columns=text)
         elif isinstance(event, Drawing):
-            self._draw(event, indexes)
+            self._waiting[event.chart.key] = event
         elif self._live or self._is_due("status", RECORDED_STATUS_S):
             text = rr.TextDocument.columns(text=[status_card(event)], media_type=["text/markdown"])
             self._rec.send_columns("/status", indexes=indexes, columns=text)
@@ -238,12 +248,24 @@ class StreamLogger:
         for name in columns.keys() - claimed:
             self._log_other(name, columns[name], rows)
 
-    def _draw(self, event: Drawing, indexes: list[rr.TimeColumn]) -> None:
-        """Draw a chart when it is time: a picture takes 0.1 s, and 60 kB of a recording."""
-        chart = event.chart
+    def _draw_charts(self) -> None:
+        """Draw what is waiting and due: live the one that was drawn longest ago."""
+        if not self._live:
+            for key in [key for key in self._waiting if self._is_due(key, RECORDED_PICTURE_S)]:
+                self._draw(self._waiting.pop(key))
+        elif self._waiting and (began := time.monotonic()) >= self._next_picture_s:
+            key = min(self._waiting, key=lambda key: self._drawn_s.get(key, -math.inf))
+            self._drawn_s[key] = began
+            self._draw(self._waiting.pop(key))
+            self._next_picture_s = began + (time.monotonic() - began) / PICTURE_SHARE
+
+    def _draw(self, event: Drawing) -> None:
+        chart, at = event.chart, event.at
         self._charts[chart.key] = chart
-        if self._is_due(chart.key, LIVE_PICTURE_S if self._live else RECORDED_PICTURE_S):
-            log_picture(self._rec, chart, indexes)
+        places = [other.chart.place for other in self._lasting.values() if isinstance(other, Drawing)]
+        beside = any(panel.place == chart.place for panel in self._panels.shown)
+        indexes = Rows({}, _one(at.sample), _one(at.device_ns), _one(at.host_ns)).indexes
+        log_picture(self._rec, chart, indexes, stacked=beside and places.count(chart.place) > 1)
 
     def _is_due(self, key: str, step_s: float) -> bool:
         """Tell, and remember, whether so much time has passed since this was last logged."""
@@ -256,9 +278,13 @@ class StreamLogger:
     def finish(self) -> None:
         """Log the charts and the status card as they are at the end."""
         self._drawn_s.clear()
+        self._waiting.clear()
         for event in self._lasting.values():
-            if isinstance(event, Drawing | Status):
+            if isinstance(event, Drawing):
+                self._draw(event)
+            elif isinstance(event, Status):
                 self._log_event(event)
+        self._arrange()
 
     def _know_state(self, event: State) -> None:
         known = self._lanes.setdefault(event.lane, [])
@@ -277,7 +303,9 @@ class StreamLogger:
         return tuple((title, tuple(paths)) for title, paths in found.items())
 
     def _declare_other(self, name: str) -> None:
-        self._rec.log(f"{OTHER}/{name}", rr.SeriesLines(names=[name]), static=True)
+        color = PART_COLORS.get(name.rpartition("_")[2])
+        look = rr.SeriesLines(names=[name], colors=None if color is None else [list(color)])
+        self._rec.log(f"{OTHER}/{name}", look, static=True)
 
     def _arrange(self) -> None:
         """Send the blueprint when what there is to see has changed."""
@@ -289,11 +317,13 @@ class StreamLogger:
             status="status" in self._lasting,
             others=self._other_views(),
             cards=tuple(self._panels.readings()),
-            full=self._full,
+            filled=self._age_ns > 1e9 * self._setup.window_s,
+            full=self._age_ns > 1e9 * slow_window(self._setup.window_s),
         )
         if contents and (contents, self._timeline) != self._arranged:
             self._arranged = contents, self._timeline
-            self._rec.send_blueprint(blueprint(self._setup, contents, self._timeline, live=self._live))
+            self.arrangement = blueprint(self._setup, contents, self._timeline, live=self._live)
+            self._rec.send_blueprint(self.arrangement)
 
 
 def status_card(event: Status) -> str:

@@ -6,13 +6,14 @@ import numpy as np
 import rerun as rr
 
 from imumon.view.cards import Cards, Reading, card
-from imumon.view.extent import FEW_MARKS, FEWEST_MARKS, Extent, entity
+from imumon.view.extent import TAB_HEIGHT, Extent, entity, marks_of
 from imumon.view.items import ViewSetup
 from imumon.view.layout import FIRST, LINK, Panel, Rows, tab_of
 from imumon.view.shown import ShownPanels
+from imumon.view.window import slow_window
 
-HIGH_STRIPS = 2
-"""With more in a tab each is too low for numbers at all marks of its axis."""
+LINK_HEIGHT = 0.46 * TAB_HEIGHT
+"""What the strips of the link have below states and log."""
 LIVE_CARD_NS, RECORDED_CARD_NS = 500_000_000, 10_000_000_000
 """How often the cards are written: a person cannot read faster; in a recording each costs 2 kB."""
 
@@ -29,7 +30,7 @@ class PanelLog:
     """
 
     def __init__(self, rec: rr.RecordingStream, setup: ViewSetup, *, live: bool) -> None:
-        self._rec = rec
+        self._rec, self._setup, self._live = rec, setup, live
         self._step_ns = LIVE_CARD_NS if live else RECORDED_CARD_NS
         self._panels = ShownPanels(setup)
         self._extents: dict[str, Extent] = {}
@@ -49,14 +50,17 @@ class PanelLog:
     def log(self, rows: Rows) -> set[str]:
         """Log rows; return the columns that panels draw."""
         claimed: set[str] = set()
+        logged: list[Panel] = []
         for panel in self._panels.drawing(rows):
             claimed.update(panel.columns)
             if self._panels.begins(panel, rows):
                 panel.declare(self._rec)
             if panel.key in self._panels.begun:
                 panel.log(self._rec, rows)
-                self._log_extent(panel, rows)
+                logged.append(panel)
                 self._cards.add(self._panels.readings[panel.key], rows.columns)
+        for panel in logged:  # how high a strip is follows from how many there are
+            self._log_extent(panel, rows)
         return claimed
 
     def log_cards(self, newest: Rows) -> None:
@@ -85,14 +89,19 @@ class PanelLog:
         reach = panel.reach(rows)
         if reach is None:
             return
-        neighbours = sum(other.place == panel.place for other in self._panels.begun.values())
-        known = self._extents.setdefault(panel.key, Extent())
-        crowded = FEW_MARKS if neighbours > HIGH_STRIPS else None
-        ends = known.ends(rows.clock, reach, FEWEST_MARKS if panel.place == LINK else crowded)
+        extent = self._extents.setdefault(panel.key, Extent(self._window_s(panel)))
+        strips = sum(other.place == panel.place for other in self._panels.begun.values())
+        height = LINK_HEIGHT if panel.place == LINK else TAB_HEIGHT
+        ends = extent.ends(rows.clock, reach, marks_of(strips, height))
         if ends is not None:
             indexes = rows.kept(np.array([len(reach.values) - 1])).indexes
             scalars = rr.Scalars.columns(scalars=np.array([ends]))
             self._rec.send_columns(entity(panel.drawn), indexes=indexes, columns=scalars)
+
+    def _window_s(self, panel: Panel) -> float | None:
+        first = tab_of(panel.place) == FIRST
+        shown = self._setup.window_s if first else slow_window(self._setup.window_s)
+        return shown if self._live else None
 
 
 def card_path(place: str) -> str:

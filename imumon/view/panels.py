@@ -123,7 +123,7 @@ PANELS: tuple[Panel, ...] = (
         "gyro_corrected",
         "Angular rate: raw and corrected",
         tuple(
-            Line(f"gyro_corrected_{axis}", f"corrected {axis}", color)
+            Line(f"gyro_corrected_{axis}", f"{axis} corr.", color)
             for axis, color in zip("xyz", (ORANGE, VIOLET, GREY), strict=True)
         ),
         "°/s",
@@ -159,7 +159,13 @@ PANELS: tuple[Panel, ...] = (
     ),
     # A panel for each axis: beside the turn-on bias of another its drift could not be seen.
     *(
-        Bands(line.column, f"Gyro bias {line.name} less the model's curve, 2σ", (line,), "°/h", RESIDUAL)
+        Bands(
+            line.column,
+            f"Gyro bias {line.name} less the model's curve (all of it without a model), 2σ",
+            (line,),
+            "°/h",
+            RESIDUAL,
+        )
         for line in _axes_with_sd("gyro_random_error")
     ),
     *(
@@ -252,6 +258,7 @@ PANELS: tuple[Panel, ...] = (
         LINK,
         "steps",
         least=4.0,  # a count over 2 s is known to half a packet a second
+        floor=0.0,
         card="packets",
     ),
     Strip(
@@ -261,7 +268,7 @@ PANELS: tuple[Panel, ...] = (
         "%",
         LINK,
         "steps",
-        y_range=(0.0, 100.0),
+        floor=0.0,
         card="link load",
     ),
     Strip(

@@ -14,15 +14,15 @@ from imumon.charts import Chart, Curve
 from imumon.harmless import for_plot
 
 CHARTS = "/charts"
-SIZE_INCH, DOTS_PER_INCH = (8.0, 5.4), 140
-"""1120 x 756: sharp in half of a full HD screen, and readable on twice as many dots."""
-ROOM = {"left": 0.1, "right": 0.985, "bottom": 0.085}
+TALL, WIDE, DOTS_PER_INCH = (8.0, 7.4), (8.0, 4.9), 130
+"""Inches: for half of a tab, or a quarter; sharp on a full HD screen, and readable on one of 4K."""
+ROOM, BOTTOM = {"left": 0.1, "right": 0.985}, 0.065
 """Fixed: to fit them to the labels takes as long as all else."""
 LETTERS = 40
 """So many of a headline fit at full size."""
-FEW_DECADES = 30.0
-"""An axis that spans less has numbers at the marks between its decades, too."""
-TOP, NOTE, HEADLINE = 0.975, 0.032, 0.07
+LEAST_MARKS, READABLE = 3, ((1,), (1, 2, 5), tuple(range(1, 10)))
+"""An axis has so many numbers or more: at the first of these multiples of powers of ten that give them."""
+TOP, NOTE, HEADLINE = 0.98, 0.024, 0.055
 """Where the axes end, and what a line of notes and a headline take of it."""
 PAPER, INK, FAINT = "#0d0d0d", "#d8d8d8", "#3a3a3a"
 """Those of the viewer's dark theme; on the light one it stands as a dark picture."""
@@ -40,9 +40,12 @@ STYLE: Any = {
 }
 
 
-def log_picture(rec: rr.RecordingStream, chart: Chart, indexes: list[rr.TimeColumn]) -> None:
-    """Log a chart at one moment; `indexes` has one row."""
-    image = rr.EncodedImage.columns(blob=[picture(chart)], media_type=["image/png"])
+def log_picture(
+    rec: rr.RecordingStream, chart: Chart, indexes: list[rr.TimeColumn], *, stacked: bool
+) -> None:
+    """Log a chart at one moment; `indexes` has one row.  One that is `stacked` on others is less high."""
+    blob = picture(chart, WIDE if stacked else TALL)
+    image = rr.EncodedImage.columns(blob=[blob], media_type=["image/png"])
     rec.send_columns(f"{CHARTS}/{chart.key}", indexes=indexes, columns=image)
 
 
@@ -51,19 +54,21 @@ def chart_view(key: str, title: str) -> Any:
     return rrb.Spatial2DView(origin=f"{CHARTS}/{key}", name=title)
 
 
-def picture(chart: Chart) -> bytes:
-    """Return the chart as a PNG."""
+def picture(chart: Chart, size_inch: tuple[float, float] = TALL) -> bytes:
+    """Return the chart as a PNG; only its texts while it has no point to draw."""
     import matplotlib as mpl  # takes 0.3 s, and only a run with charts needs it
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=SIZE_INCH, dpi=DOTS_PER_INCH)
+        figure = Figure(figsize=size_inch, dpi=DOTS_PER_INCH)
         FigureCanvasAgg(figure)
         axes = figure.add_subplot()
         for curve in chart.curves:
             _draw(axes, curve)
         _frame(axes, chart)
+        if not any(np.isfinite(curve.x * curve.y).any() for curve in chart.curves):
+            axes.axis("off")
         out = io.BytesIO()
         figure.savefig(out, format="png", pil_kwargs={"compress_level": 3})
     return out.getvalue()
@@ -91,8 +96,9 @@ def _frame(axes: Any, chart: Chart) -> None:
     axes.grid(which="minor", color=FAINT, lw=0.3)
     if any(curve.listed for curve in chart.curves):
         axes.legend(loc="best", fontsize=9)
-    top = TOP - NOTE * len(chart.notes) - (HEADLINE if chart.headline else 0.0)
-    axes.figure.subplots_adjust(top=top, **ROOM)
+    line = TALL[1] / axes.figure.get_figheight()
+    top = TOP - line * (NOTE * len(chart.notes) + (HEADLINE if chart.headline else 0.0))
+    axes.figure.subplots_adjust(top=top, bottom=line * BOTTOM, **ROOM)
     if chart.notes:
         axes.set_title("\n".join(map(for_plot, chart.notes)), fontsize=10, loc="left", family="monospace")
     if chart.headline:
@@ -103,14 +109,19 @@ def _frame(axes: Any, chart: Chart) -> None:
 
 def _logarithmic(axes: Any, name: str) -> None:
     """Make an axis logarithmic, its numbers written out; those between the decades where there are few."""
-    from matplotlib.ticker import FuncFormatter, NullFormatter
+    from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
     axes.set(**{f"{name}scale": "log"})
     axis = getattr(axes, f"{name}axis")
     low, high = axis.get_view_interval()
-    plain = FuncFormatter(lambda value, _: f"{value:g}")
-    axis.set_major_formatter(plain)
-    axis.set_minor_formatter(plain if high < FEW_DECADES * low else NullFormatter())
+    locators = [*(LogLocator(subs=multiples) for multiples in READABLE), MaxNLocator(4)]
+    for locator in locators:
+        ticks = np.asarray(locator.tick_values(low, high))
+        if ((ticks >= low) & (ticks <= high)).sum() >= LEAST_MARKS:
+            break
+    axis.set_major_locator(locator)
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
 
 
 def _has_logarithm(chart: Chart, name: str) -> bool:

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import http.client
 import re
+import socket
 import sys
 import threading
 import time
 import urllib.request
 import uuid
+from collections.abc import Iterable, Iterator
+from contextlib import closing
 from functools import partial
+from html import escape
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
@@ -28,7 +33,12 @@ ASSETS = {
 
 FETCH_S = 10.0
 ALIVE = "/alive"
-HOST = re.compile(r"([\w.-]+|\[[0-9a-fA-F:]+\])(?::\d+)?$")
+HOST = re.compile(r"(?:[\w.-]+|\[[0-9a-fA-F:]+\])(?::\d+)?$")
+STREAM_PATH = "/rerun."
+"""How the paths of the stream begin; they are passed on, so that one port is enough."""
+PART_BYTES = 1 << 16
+OURS = {"connection", "keep-alive", "transfer-encoding", "content-length", "host", "server", "date"}
+"""Headers that each of two connections has of its own."""
 
 SCRIPT = """
 <script>
@@ -81,29 +91,27 @@ def _fetch(url: str) -> bytes:
         return data
 
 
-def page(html: str, name: str) -> str:
-    """Return Rerun's page with our script in front and without what it would load from elsewhere."""
+def page(html: str, name: str, title: str) -> str:
+    """Return Rerun's page with our script and title, and without what it would load from elsewhere."""
     local = re.sub(r"<link\b[^>]*https://[^>]*>", "", html)
+    local = re.sub(r"<title>.*?</title>", lambda _: f"<title>{escape(title)}</title>", local, flags=re.DOTALL)
     script = SCRIPT.format(alive=ALIVE, name=name)
     return local.replace("<head>", "<head>" + script, 1)
 
 
-def policy(host: str, stream_port: int) -> str:
-    """Return the content security policy: this server and the stream, nothing else.
-
-    The web viewer sends usage data whatever its settings, asks for updates and for fonts; a browser that is
-    told so refuses all of it.
-    """
-    local = f"'self' http://{host}:{stream_port}"
-    return (
-        f"default-src 'self' data: blob:; connect-src {local} data: blob:; "
-        "script-src 'self' 'unsafe-inline' 'unsafe-eval' 'wasm-unsafe-eval' blob:; "
-        "style-src 'self' 'unsafe-inline'; worker-src 'self' blob:"
-    )
+POLICY = (
+    "default-src 'self' data: blob:; connect-src 'self' data: blob:; "
+    "script-src 'self' 'unsafe-inline' 'unsafe-eval' 'wasm-unsafe-eval' blob:; "
+    "style-src 'self' 'unsafe-inline'; worker-src 'self' blob:"
+)
+"""The content security policy: this server, nothing else.  The web viewer sends usage data whatever its
+settings, asks for updates and for fonts; a browser that is told so refuses all of it."""
 
 
 class WebServer:
-    """Serves the page from memory, in threads of its own.
+    """Serves the page from memory, in threads of its own, and passes the stream on.
+
+    All comes from one address and port, so that it works as well through a tunnel (``ssh -L``).
 
     Parameters
     ----------
@@ -112,17 +120,19 @@ class WebServer:
     port : int
         Port to listen on; must be free.
     stream_port : int
-        Port of the stream that the page opens.
+        Port of this machine that the stream is on.
+    title : str
+        Of the page.
     """
 
-    def __init__(self, bind: str, port: int, stream_port: int) -> None:
+    def __init__(self, bind: str, port: int, stream_port: int, title: str = "imumon") -> None:
         self.port = port
         self.stream_port = stream_port
-        self.host = LOCALHOST if bind in ("0.0.0.0", "::", "") else bind
+        self.host = socket.gethostname() if bind in ("0.0.0.0", "") else bind  # as others reach it
         self.url = f"http://{self.host}:{port}/"
         name = uuid.uuid4().hex
         self.files = bundled_assets()
-        self.files["/"] = page(self.files["/"].decode(), name).encode()
+        self.files["/"] = page(self.files["/"].decode(), name, title).encode()
         self.files[ALIVE] = name.encode()
         handler = partial(_Handler, self)
         self._server = _Server((bind, port), handler)
@@ -159,10 +169,11 @@ class _Handler(BaseHTTPRequestHandler):
         if body is None:
             self.send_error(HTTPStatus.NOT_FOUND)
             return
-        asked = HOST.match(self.headers.get("Host", ""))
-        host = asked.group(1) if asked else site.host
+        asked = self.headers.get("Host", "")
         if path == "/" and not query:
-            stream = quote(proxy_url(site.stream_port, host), safe="")
+            here = asked if HOST.match(asked) else f"{site.host}:{site.port}"
+            here = here if re.search(r":\d+$", here) else f"{here}:80"
+            stream = quote(f"rerun+http://{here}/proxy", safe="")
             self.send_response(HTTPStatus.FOUND)
             self.send_header("Location", f"/?url={stream}&hide_welcome_screen=1")
             self.send_header("Content-Length", "0")
@@ -171,10 +182,36 @@ class _Handler(BaseHTTPRequestHandler):
         self.send_response(HTTPStatus.OK)
         self.send_header("Content-Type", ASSETS.get(path, "text/plain"))
         self.send_header("Content-Length", str(len(body)))
-        self.send_header("Content-Security-Policy", policy(host, site.stream_port))
+        self.send_header("Content-Security-Policy", POLICY)
         self.send_header("rerun-final-length", str(len(body)))  # the page's progress bar asks for it
         self.end_headers()
         self.wfile.write(body)
 
+    def do_POST(self) -> None:
+        """Pass a request for the stream on, and what comes back as it comes."""
+        if not self.path.startswith(STREAM_PATH):
+            self.send_error(HTTPStatus.NOT_FOUND)
+            return
+        body = self.rfile.read(int(self.headers.get("Content-Length", 0)))
+        with closing(http.client.HTTPConnection(LOCALHOST, self._site.stream_port)) as stream:
+            try:
+                stream.request("POST", self.path, body, dict(_passed_on(self.headers.items())))
+                answer = stream.getresponse()
+            except (OSError, http.client.HTTPException):
+                self.send_error(HTTPStatus.BAD_GATEWAY)
+                return
+            self.send_response(answer.status)
+            for name, value in _passed_on(answer.getheaders()):
+                self.send_header(name, value)
+            self.send_header("Transfer-Encoding", "chunked")
+            self.end_headers()
+            while part := answer.read1(PART_BYTES):
+                self.wfile.write(b"%x\r\n%b\r\n" % (len(part), part))
+            self.wfile.write(b"0\r\n\r\n")
+
     def log_message(self, *_: object) -> None:
         """Stay silent; the terminal belongs to the status line."""
+
+
+def _passed_on(headers: Iterable[tuple[str, str]]) -> Iterator[tuple[str, str]]:
+    return ((name, value) for name, value in headers if name.lower() not in OURS)

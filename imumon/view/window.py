@@ -9,6 +9,8 @@ from typing import Any
 import rerun as rr
 import rerun.blueprint as rrb
 
+from imumon.view.extent import LATEST_S
+
 SLOW_WINDOW_S = 600.0
 """The tabs behind the first show what is slow: the time since the start, then so many seconds at least."""
 MARGIN = 0.11
@@ -33,6 +35,13 @@ class Window:
 
     seconds: float | None = None
     full: bool = True
+
+    @property
+    def latest(self) -> rrb.VisibleTimeRanges:
+        """What is queried of the ends of an axis, which are of the whole window each."""
+        start = rrb.TimeRangeBoundary.cursor_relative(seconds=-LATEST_S[self.seconds is not None])
+        end = rrb.TimeRangeBoundary.cursor_relative()
+        return rrb.VisibleTimeRanges([rrb.VisibleTimeRange(one, start=start, end=end) for one in TEMPORAL])
 
     @property
     def ranges(self) -> list[rrb.VisibleTimeRange] | None:
@@ -69,8 +78,12 @@ def series_view(
     window: Window,
     y_range: tuple[float, float] | None = None,
     others: Sequence[str] = (),
+    ends: Sequence[str] = (),
 ) -> Any:
-    """Return a view of series over time, with other entities beside the first, and a legend."""
+    """Return a view of series over time, with other entities beside the first, and a legend.
+
+    `ends` are entities that say how far the vertical axis reaches now.
+    """
     return rrb.TimeSeriesView(
         origin="/" if others else origin,
         contents=[f"{origin}/**", *others],
@@ -79,6 +92,7 @@ def series_view(
         axis_x=window.axis,
         axis_y=rrb.ScalarAxis(range=y_range) if y_range else None,
         plot_legend=window.legend,
+        overrides={one: [window.latest] for one in ends},
     )
 
 

@@ -25,6 +25,7 @@ SECTIONS = {
     "clocks": "benchmarks.clocks",
     "pipeline": "benchmarks.path",
     "replay": "benchmarks.replay",
+    "live": "benchmarks.live",
     "temperature": "benchmarks.temperature",
     "rest": "benchmarks.rest",
     "zupt": "benchmarks.zupt",

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from tests.faults import cost, damage, documents, killed, medium, recovery
+from tests.faults import cost, damage, disk, documents, killed, line, medium, recovery
 from tests.faults.rows import Row
 
 DOCS = Path(__file__).parents[2] / "docs" / "reliability.md"
@@ -19,11 +19,21 @@ Section = Callable[[Path, bool], Iterator[Row]]
 
 def _damage(folder: Path, short: bool) -> Iterator[Row]:
     yield from damage.attack_all(folder, 10 if short else 100, 1)
+    yield from damage.truncate_all(folder, 41 if short else 1)
 
 
 def _killed(folder: Path, short: bool) -> Iterator[Row]:
     for rate_hz in (100.0, 1000.0):
         yield killed.kill_many(folder, rate_hz, 2 if short else 10, 1)
+    yield from killed.interrupt_all(folder, 1 if short else 5)
+
+
+def _disk(folder: Path, short: bool) -> Iterator[Row]:
+    yield from disk.attack_all(folder, 1 if short else 5)
+
+
+def _line(folder: Path, short: bool) -> Iterator[Row]:
+    yield from line.attack_all(folder, 1 if short else 10, 1)
 
 
 def _medium(folder: Path, short: bool) -> Iterator[Row]:
@@ -50,7 +60,9 @@ def _devices(_: Path, short: bool) -> Iterator[Row]:
 
 SECTIONS: dict[str, Section] = {
     "damage": _damage,
+    "line": _line,
     "killed": _killed,
+    "disk": _disk,
     "medium": _medium,
     "documents": _documents,
     "cost": _cost,

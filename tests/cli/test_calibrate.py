@@ -40,8 +40,10 @@ def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_session_becomes_a_model(session: Path, tmp_path: Path) -> None:
     out = tmp_path / "model.yaml"
-    done = imumon("calibrate", session, "--out", out, "--serial", "SN 7", "--json")
+    picture = tmp_path / "model.png"
+    done = imumon("calibrate", session, "--out", out, "--plot", picture, "--serial", "SN 7", "--json")
     assert done.returncode == 0, done.stderr
+    assert picture.read_bytes().startswith(b"\x89PNG")
     report, model = json.loads(done.stdout), load_model(out)
     assert model.serial == "SN 7"
     assert report["channels"]["gyro_x"]["curve"] in report["channels"]["gyro_x"]["held_out_rms"]

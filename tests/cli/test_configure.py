@@ -123,8 +123,8 @@ def test_ctrl_c_puts_back(number: signal.Signals, tmp_path: Path) -> None:
             _, said = process.communicate(timeout=30.0)
         finally:
             process.kill()
-        assert firmware.settings.volatile == firmware.settings.delivered == firmware.settings.flash
-        assert firmware.streaming
+        assert firmware.settings.volatile == firmware.settings.delivered == firmware.settings.flash, said
+        assert firmware.streaming, said
     assert process.returncode == 130
     assert "put back: sensor format" in said
 

@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from imumon.config import dump_yaml
+from imumon.errors import ImumonError
+from imumon.files import write_text
+from imumon.protocols.device import device_text
+from imumon.recordings.folder import METADATA_NAME
+from imumon.recordings.metadata import SessionMetadata, read_metadata
 from imumon.recordings.wire import WireWriter
 from imumon.recordings.wire_reader import WireReader, WireSummary
 from imumon.transport.reader import Bytes, Event, EventKind, Item
@@ -147,3 +155,40 @@ def attack_all(folder: Path, times: int, seed: int, seconds: float = 10.0) -> li
                 )
             )
     return rows
+
+
+def truncate_all(folder: Path, step: int) -> Iterator[Row]:
+    """Cut a wire file at every so many bytes of its last second, and session.yaml anywhere."""
+    items = made_items(3.0, 100.0, 58, 1)
+    for closed in (True, False):
+        path = folder / "cut.mcap"
+        record(path, items, closed=closed)
+        whole = path.read_bytes()
+        path.unlink()
+        ends = [whole.index(item.data) + len(item.data) for item in items if isinstance(item, Bytes)]
+        offsets, wrong = range(ends[-100], len(whole), step), 0
+        for offset in offsets:
+            path.write_bytes(whole[:offset])
+            reader = WireReader(path)
+            read = list(reader)
+            kept = sum(isinstance(item, Bytes) for item in read)
+            told = reader.summary.tail_bytes or not reader.summary.complete
+            wrong += read != items[: len(read)] or kept < bisect_right(ends, offset) or not told
+        path.unlink()
+        kind = "closed" if closed else "killed"
+        said = f"every read before the cut is there, and the cut is told; otherwise: {wrong}"
+        yield Row(f"cut in its last second, {kind} recording", len(offsets), said, held=not wrong)
+    path = folder / METADATA_NAME
+    written = SessionMetadata.begun("live", 1, device="ax1", device_yaml=device_text("ax1")[0])
+    write_text(path, dump_yaml(written.model_dump()))
+    whole, refused = path.read_bytes(), 0
+    offsets = range(0, len(whole), 8 * step)
+    for offset in offsets:
+        path.write_bytes(whole[:offset])
+        with suppress(ImumonError):
+            read_metadata(path)
+            refused -= 1
+        refused += 1
+    yield Row(
+        "session.yaml cut anywhere", len(offsets), f"refused in words {refused} times, else whole enough"
+    )

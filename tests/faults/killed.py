@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -10,11 +11,13 @@ import threading
 import time
 import tty
 from bisect import bisect_right
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
 from imumon.protocols.device import load_device
+from imumon.recordings.source import open_source
 from imumon.recordings.wire_reader import WireReader
 from imumon.simulation.unit import SimulatedUnit, load_scenario
 from imumon.simulation.unit.unit import MICROSECOND
@@ -23,6 +26,7 @@ from tests.faults.rows import Row
 
 PROMISED_S = 0.2
 PREPARED_S = 12.0
+EXIT_S = 3.0
 
 
 class Line:
@@ -47,10 +51,14 @@ class Line:
         """Begin to send."""
         self._thread.start()
 
-    def close(self) -> None:
-        """Stop sending and close the line."""
+    def pause(self) -> None:
+        """Send nothing more."""
         self._end.set()
         self._thread.join()
+
+    def close(self) -> None:
+        """Stop sending and close the line."""
+        self.pause()
         os.close(self._master)
         os.close(self._slave)
 
@@ -90,6 +98,51 @@ def kill_one(folder: Path, rate_hz: float, after_s: float, signal_number: int = 
     kept = sum(len(item.data) for item in WireReader(wire) if isinstance(item, Bytes))
     lost = bisect_right(line.sent, kept)
     return killed - line.times[lost] if lost < len(line.times) and line.times[lost] < killed else 0.0
+
+
+def interrupt(folder: Path, number: int, stopped_s: float = 2.0) -> list[str]:
+    """Stop a monitor for a while, let it go on, end it by a signal; return what was not in order."""
+    line = Line(100.0)
+    arguments = ["monitor", line.path, "--device", "ax1", "--view", "none", "--out", str(folder), "--json"]
+    program = [sys.executable, "-c", "from imumon.cli import main; main()", *arguments]
+    with subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as child:
+        try:
+            while not (folder / "wire.mcap").exists() and child.poll() is None:
+                time.sleep(0.02)
+            line.start()
+            assert child.stderr is not None
+            child.stderr.readline()  # it is ready, and says that the port was opened
+            time.sleep(0.5)
+            for each in (signal.SIGSTOP, signal.SIGCONT):
+                child.send_signal(each)
+                time.sleep(stopped_s if each is signal.SIGSTOP else 1.0)
+            line.pause()
+            time.sleep(0.3)
+            child.send_signal(number)
+            sent_s = time.monotonic()
+            out, err = child.communicate(timeout=30)
+            took_s = time.monotonic() - sent_s
+        finally:
+            child.kill()
+            line.close()
+    summary, wrong = json.loads(out), []
+    if child.returncode or took_s > EXIT_S:
+        wrong.append(f"exit code {child.returncode} after {took_s:.1f} s: {err}")
+    if summary["bytes_received"] != line.sent[-1] or summary["packets"] != len(line.sent):
+        wrong.append(f"{summary['bytes_received']} of {line.sent[-1]} bytes received")
+    source = open_source(folder)
+    assert source.session is not None
+    if source.session.state != "closed" or source.session.metadata.results_digest is None:
+        wrong.append("the session was not closed")
+    return wrong
+
+
+def interrupt_all(folder: Path, times: int) -> Iterator[Row]:
+    """Stop a monitor and end it by each signal that ends it in order."""
+    for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGINT):
+        wrong = [text for n in range(times) for text in interrupt(folder / f"{number}-{n}", number)]
+        said = f"every byte kept, closed with its digest, exit code 0 within {EXIT_S:g} s"
+        yield Row(f"SIGSTOP for 2 s, then {number.name}", times, "; ".join(wrong) or said, held=not wrong)
 
 
 def kill_many(folder: Path, rate_hz: float, times: int, seed: int) -> Row:

@@ -11,12 +11,16 @@ from imumon.errors import ImumonError
 from imumon.recordings.wire_format import CHECK_SIZE, MARKER
 from imumon.recordings.wire_reader import WireReader
 from imumon.transport.reader import Bytes
-from tests.faults.damage import attack_all, made_items, record
+from tests.faults.damage import attack_all, made_items, record, truncate_all
 
 
 def test_damage_costs_what_it_touched_and_is_told(tmp_path: Path) -> None:
     missed = [row for row in attack_all(tmp_path, 8, 1, seconds=4.0) if not row.held]
     assert not missed
+
+
+def test_a_file_that_is_cut_anywhere_is_read_up_to_there(tmp_path: Path) -> None:
+    assert not [row for row in truncate_all(tmp_path, 41) if not row.held]
 
 
 def test_other_readers_of_mcap_pass_the_check_records_over(tmp_path: Path) -> None:

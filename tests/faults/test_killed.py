@@ -1,10 +1,11 @@
 from __future__ import annotations
 
+import signal
 from pathlib import Path
 
 import pytest
 
-from tests.faults.killed import PROMISED_S, kill_one
+from tests.faults.killed import PROMISED_S, interrupt, kill_one
 
 
 @pytest.mark.parametrize(("rate_hz", "after_s"), [(100.0, 1.3), (1000.0, 6.2)])
@@ -12,3 +13,7 @@ def test_a_killed_monitor_has_kept_what_is_older_than_promised(
     tmp_path: Path, rate_hz: float, after_s: float
 ) -> None:
     assert kill_one(tmp_path / "session", rate_hz, after_s) <= PROMISED_S
+
+
+def test_a_monitor_that_was_stopped_goes_on_and_ends_in_order(tmp_path: Path) -> None:
+    assert not interrupt(tmp_path / "session", signal.SIGTERM, 0.5)

@@ -92,9 +92,13 @@ def test_titles_carry_the_units_that_a_person_reads(tmp_path: Path) -> None:
 
 def test_live_view_follows_device_time_and_shows_the_last_seconds(tmp_path: Path) -> None:
     setup = ViewSetup("test", "test", window_s=20.0)
-    found = arranged(tmp_path / "a.rrd", everything(), setup, live=True)
-    assert found["TimePanelBlueprint:timeline"] == ["device_time"]
-    assert "-20000000000" in str(found["VisibleTimeRanges:ranges"])
+    timebase = Timebase()
+    items: list[ViewItem] = [timebase.samples(block(first, 50)) for first in (0, 2_500)]  # at 100 Hz
+    early = arranged(tmp_path / "early.rrd", items[:1], setup, live=True)
+    late = arranged(tmp_path / "late.rrd", items, setup, live=True)
+    assert late["TimePanelBlueprint:timeline"] == ["device_time"]
+    assert "-20000000000" not in str(early["VisibleTimeRanges:ranges"])
+    assert "-20000000000" in str(late["VisibleTimeRanges:ranges"])
 
 
 def test_slow_tabs_show_the_time_since_the_start_and_later_ten_minutes(tmp_path: Path) -> None:
@@ -120,7 +124,8 @@ def test_columns_of_different_units_stand_in_different_views(tmp_path: Path) -> 
 
 def test_recording_shows_everything(tmp_path: Path) -> None:
     found = arranged(tmp_path / "a.rrd", everything(), SETUP, live=False)
-    assert "VisibleTimeRanges:ranges" not in found
+    ranges = found["VisibleTimeRanges:ranges"]
+    assert all("-30000000000" in str(one) for one in ranges), "of the ends of the axes only"
     assert "TimeAxis:view_range" in found
 
 

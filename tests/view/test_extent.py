@@ -9,9 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from imumon.view.extent import FEW_MARKS, FEWEST_MARKS, Extent, Reach, round_ends
+from imumon.view.extent import REMEMBERED, Extent, Reach, with_marks
 
 SECOND = 1_000_000_000
+MANY = 30
+"""Marks that have room in a high strip."""
 
 
 def _clock(second: int) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
@@ -23,45 +25,73 @@ def _reach(values: list[float], half: float = 0.0, **more: float) -> Reach:
     return Reach(column, np.full_like(column, half), **more)
 
 
-@given(st.floats(-1e6, 1e6), st.floats(1e-3, 1e6))
-def test_round_ends_leave_room_for_three_numbers_and_hold_the_data(low: float, span: float) -> None:
-    first, last = round_ends(low, low + span, FEW_MARKS)
-    slack = 1e-6 * max(abs(low), abs(low + span), span)
+@given(st.floats(-1e6, 1e6), st.floats(1e-3, 1e6), st.integers(3, 40))
+def test_three_numbers_have_room_on_every_axis_and_it_holds_the_data(
+    low: float, span: float, most: int
+) -> None:
+    first, last = with_marks(low, low + span, most)
+    slack = 1e-6 * span + 1e-12 * abs(low)
     assert first <= low + slack
     assert last >= low + span - slack
-    marks = [
-        round((last - first) / 10.0**power)
-        for power in range(-20, 20)
-        if math.isclose((last - first) / 10.0**power, round((last - first) / 10.0**power), rel_tol=1e-6)
-    ]
-    assert any(2 <= count <= FEW_MARKS for count in marks)
+    steps = [10.0**power for power in range(-7, 8)]
+    marks = [math.floor((last + slack) / step) - math.ceil((first - slack) / step) + 1 for step in steps]
+    assert any(3 <= count <= most + 3 for count in marks)
 
 
 def test_a_band_is_inside_and_one_spike_of_it_is_not() -> None:
     extent = Extent()
     for second in range(10):
-        ends = extent.ends(_clock(second), _reach([1.0], 0.5))
-        assert ends == pytest.approx((0.5, 1.5))
-    ends = extent.ends(_clock(11), _reach([1.0], 500.0))
+        ends = extent.ends(_clock(second), _reach([1.0], 0.5), MANY)
+        assert ends == pytest.approx((0.4, 1.6))
+    ends = extent.ends(_clock(11), _reach([1.0], 500.0), MANY)
     assert ends is not None
-    assert ends[1] == pytest.approx(1.0 + 4 * 0.5)
+    assert ends[1] == pytest.approx(1.0 + 4 * 0.5 * 1.2)
+
+
+def test_a_band_that_was_wide_at_first_is_cut_off_once_it_is_known_to_be_narrow() -> None:
+    extent = Extent()
+    for second in range(40):
+        ends = extent.ends(_clock(second), _reach([1.0], 100.0 if second < 10 else 1.0), MANY)
+    assert ends is not None
+    assert ends[1] < 10.0
+
+
+def test_what_has_left_the_window_does_not_count() -> None:
+    extent = Extent(window_s=10.0)
+    extent.ends(_clock(0), _reach([1000.0]), MANY)
+    for second in range(1, 30):
+        ends = extent.ends(_clock(second), _reach([float(second % 2)]), MANY)
+    assert ends == pytest.approx((-0.1, 1.1))
+
+
+def test_a_long_recording_is_remembered_in_bounded_memory() -> None:
+    extent = Extent()
+    for second in range(2 * REMEMBERED + 10):
+        ends = extent.ends(_clock(second), _reach([5.0 if second == 7 else 1.0], 0.5), MANY)
+    assert ends is not None
+    assert ends[1] > 5.4
+
+
+def test_a_zero_that_never_changes_has_an_axis_with_numbers() -> None:
+    ends = Extent().ends(_clock(0), _reach([0.0, 0.0], least=0.04), MANY)
+    assert ends == pytest.approx((-0.024, 0.024))
 
 
 def test_a_quantized_column_at_rest_spans_its_steps() -> None:
     extent = Extent()
     values = [20.0] * 50 + [20.0625] * 50
-    ends = extent.ends(_clock(1), _reach(values))
+    ends = extent.ends(_clock(1), _reach(values), MANY)
     assert ends is not None
-    assert ends[1] - ends[0] == pytest.approx(4 * 0.0625)
+    assert ends[1] - ends[0] == pytest.approx(4 * 0.0625 * 1.2)
 
 
 def test_what_is_counted_begins_at_zero() -> None:
-    assert Extent().ends(_clock(1), _reach([0.0], least=4.0, floor=0.0), FEWEST_MARKS) == (0.0, 20.0)
+    assert Extent().ends(_clock(1), _reach([0.0], least=4.0, floor=0.0), 3) == (0.0, 20.0)
 
 
 def test_one_point_a_second_and_none_without_a_value() -> None:
     extent = Extent()
-    assert extent.ends(_clock(1), _reach([math.nan])) is None
-    assert extent.ends(_clock(1), _reach([1.0, 2.0])) is not None
-    assert extent.ends(_clock(1), _reach([5.0])) is None
-    assert extent.ends(_clock(2), _reach([1.0])) == (1.0, 5.0)
+    assert extent.ends(_clock(1), _reach([math.nan]), MANY) is None
+    assert extent.ends(_clock(1), _reach([1.0, 2.0]), MANY) is not None
+    assert extent.ends(_clock(1), _reach([5.0]), MANY) is None
+    assert extent.ends(_clock(2), _reach([1.0]), MANY) == pytest.approx((0.6, 5.4))

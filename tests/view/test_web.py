@@ -2,6 +2,8 @@ from __future__ import annotations
 
 import http.client
 import re
+import socket
+import threading
 import urllib.request
 from collections.abc import Iterator
 from urllib.parse import parse_qs, urlsplit
@@ -9,7 +11,7 @@ from urllib.parse import parse_qs, urlsplit
 import pytest
 
 from imumon.view.viewer import free_port
-from imumon.view.web import WebServer, page, policy
+from imumon.view.web import WebServer, page
 
 HTML = """<html><head><link rel="preconnect" href="https://fonts.example" />
 <link
@@ -19,20 +21,21 @@ HTML = """<html><head><link rel="preconnect" href="https://fonts.example" />
 
 @pytest.fixture(scope="module")
 def server() -> Iterator[WebServer]:
-    site = WebServer("127.0.0.1", free_port(29090), 29876)
+    site = WebServer("127.0.0.1", free_port(29090), 29876, "AX1 & co")
     yield site
     site.close()
 
 
 def test_bare_address_leads_to_the_stream_on_the_host_that_was_asked(server: WebServer) -> None:
-    for asked in ("127.0.0.1", "bench-pc.local"):
+    for asked in ("127.0.0.1:1", "bench-pc.local:18080", "bench-pc.local"):
         connection = http.client.HTTPConnection("127.0.0.1", server.port)
-        connection.request("GET", "/", headers={"Host": f"{asked}:{server.port}"})
+        connection.request("GET", "/", headers={"Host": asked})
         response = connection.getresponse()
         location = response.getheader("Location") or ""
         connection.close()
+        reached = asked if ":" in asked else f"{asked}:80"
         assert response.status == 302
-        assert parse_qs(urlsplit(location).query)["url"] == [f"rerun+http://{asked}:29876/proxy"]
+        assert parse_qs(urlsplit(location).query)["url"] == [f"rerun+http://{reached}/proxy"]
 
 
 def test_page_and_program_are_served_and_may_speak_to_this_machine_only(server: WebServer) -> None:
@@ -41,7 +44,8 @@ def test_page_and_program_are_served_and_may_speak_to_this_machine_only(server: 
         allowed = response.headers["Content-Security-Policy"]
     assert "re_viewer.js" in html
     assert '<link rel="preconnect" href="https://' not in html
-    assert set(re.findall(r"https?://[^\s;]+", allowed)) == {"http://127.0.0.1:29876"}
+    assert re.findall(r"https?://[^\s;]+", allowed) == []
+    assert "<title>AX1 &amp; co</title>" in html
     with urllib.request.urlopen(f"{server.url}re_viewer_bg.wasm") as response:
         assert response.read(4) == b"\0asm"
         assert response.headers["Content-Type"] == "application/wasm"
@@ -62,11 +66,44 @@ def test_name_tells_a_restarted_server(server: WebServer) -> None:
 
 
 def test_page_loads_nothing_from_elsewhere() -> None:
-    text = page(HTML, "name")
+    text = page(HTML, "name", "title")
     assert "https://" not in text
     assert "favicon.ico" in text
     assert text.index("<script>") < text.index("favicon.ico")
 
 
-def test_policy_names_this_host_and_the_stream() -> None:
-    assert "connect-src 'self' http://10.0.0.5:9876 " in policy("10.0.0.5", 9876)
+def test_a_page_for_all_addresses_names_this_computer() -> None:
+    site = WebServer("0.0.0.0", free_port(29190), 29876)
+    site.close()
+    assert site.url == f"http://{socket.gethostname()}:{site.port}/"
+
+
+def test_the_stream_comes_through_the_same_port(server: WebServer) -> None:
+    with socket.create_server(("127.0.0.1", server.stream_port)) as stream:
+        heard: list[bytes] = []
+
+        def answer() -> None:
+            connection, _ = stream.accept()
+            with connection:
+                heard.append(connection.recv(4096))
+                head = b"HTTP/1.1 200 OK\r\ngrpc-status: 0\r\nTransfer-Encoding: chunked\r\n\r\n"
+                connection.sendall(head + b"3\r\nabc\r\n2\r\nde\r\n0\r\n\r\n")
+
+        thread = threading.Thread(target=answer)
+        thread.start()
+        connection = http.client.HTTPConnection("127.0.0.1", server.port)
+        connection.request("POST", "/rerun.x/Read", b"body", {"Content-Type": "application/grpc-web+proto"})
+        response = connection.getresponse()
+        assert (response.status, response.getheader("grpc-status"), response.read()) == (200, "0", b"abcde")
+        connection.close()
+        thread.join()
+    assert heard[0].startswith(b"POST /rerun.x/Read ")
+    assert b"application/grpc-web+proto" in heard[0]
+
+
+def test_nothing_else_is_passed_on_and_a_stream_that_is_away_is_said(server: WebServer) -> None:
+    for path, status in (("/other", 404), ("/rerun.x/Read", 502)):
+        connection = http.client.HTTPConnection("127.0.0.1", server.port)
+        connection.request("POST", path, b"body")
+        assert connection.getresponse().status == status
+        connection.close()

@@ -19,8 +19,9 @@ from imumon.estimation.alignment.status import Estimate
 from imumon.geodesy import DEG_PER_H, EARTH_RATE, MICRO_G, STANDARD_GRAVITY, forward
 
 SLOT_S = 0.25
-RENEWED_SHARE, RENEWED_S = 0.25, (1.0, 60.0)
-"""A fit is renewed after this share of the time that counts, sigma falling by a tenth; between these, s."""
+RENEWED_SHARE, RENEWED_S = 1.0 / 3.0, (1.0, 60.0)
+"""A fit is renewed after so much more of the time that counts in a pose, sigma falling by an eighth; between
+these, s."""
 LONGEST_S = 120.0
 """After a longer disturbance, or a gap of a quarter of it, the alignment begins anew: an attitude that was
 followed for so long has lost what was found."""
@@ -66,8 +67,9 @@ class State:
     now_s: float = 0.0
     slot_end_s: float = 0.0
     interval_s: float = 0.0
-    evaluated_s: float = -math.inf
     counted_s: float = 0.0
+    due_s: float = 0.0
+    """Time counted at which the next fit is due."""
     shaken_s: float = 0.0
     found: Heading | None = None
     fits: list[fit.PoseFit] = field(default_factory=list)
@@ -125,8 +127,7 @@ class Aligner:
             state.record.add(
                 state.slot_end_s + 0.5 * gap, 0.0, slot.mean[:3], slot.mean[3:], len(state.poses) - 1
             )
-        state.slot_end_s = slot.time_s + 0.5 * slot.length_s
-        state.now_s = slot.time_s
+        self._now(slot)
         if not motion.disturbed:
             cause = motion.judge(slot)
             if cause:
@@ -136,12 +137,27 @@ class Aligner:
         else:
             motion.go_on(slot)
             self._add(slot, len(state.poses) - 1, counts=True)
-        if not motion.disturbed and math.isfinite(sum(magnetic)):
+        if not motion.disturbed:
+            self._at_rest(slot, magnetic)
+
+    def count(self, slot: Slot, magnetic: Sequence[float]) -> None:
+        """Count a slot by which `Motion.rest_on` has gone on."""
+        self._now(slot)
+        self._add(slot, len(self.state.poses) - 1, counts=True)
+        self._at_rest(slot, magnetic)
+
+    def _now(self, slot: Slot) -> None:
+        self.state.slot_end_s = slot.time_s + 0.5 * slot.length_s
+        self.state.now_s = slot.time_s
+
+    def _at_rest(self, slot: Slot, magnetic: Sequence[float]) -> None:
+        """Take the magnetometer of a slot at rest; fit anew when it is time."""
+        state = self.state
+        if math.isfinite(sum(magnetic)):
             for axis, value in enumerate(magnetic):
                 state.field_sum[axis] += slot.samples * value
             state.field_sum[3] += slot.samples
-        after = min(max(RENEWED_SHARE * state.counted_s, RENEWED_S[0]), RENEWED_S[1])
-        if not motion.disturbed and state.counted_s >= state.evaluated_s + after:
+        if state.counted_s >= state.due_s:
             self.evaluate()
 
     def _stands(self, attitude: FloatArray) -> None:
@@ -173,7 +189,7 @@ class Aligner:
             up /= np.sqrt(up @ up)
             ahead = forward(up)
             self._stands(np.vstack([ahead, np.cross(up, ahead), up]))
-            state.poses.append(Pose(state.attitude, 0.0, calm[0].time_s))
+            state.poses.append(Pose(state.attitude, 0.0, state.counted_s))
         else:
             before = len(state.poses) - 1
             same = self._new_pose(calm[-LEAST // 2 :])
@@ -229,36 +245,35 @@ class Aligner:
         scale = self.parameters.gyro_scale_sd_ppm * 1e-6 * motion.angle
         drift = DRIFT_WHILE_TURNED * EARTH_RATE * seconds * min(motion.angle, 1.0)
         variance = state.poses[-1].turn_variance + scale**2 + noise**2 + drift**2
-        state.poses.append(Pose(attitude, variance, calm[0].time_s))
+        state.poses.append(Pose(attitude, variance, state.counted_s))
+        state.due_s = state.counted_s
         state.field_sum = [0.0] * 4
         return False
 
     def evaluate(self) -> None:
-        """Fit all poses anew, and renew the heading."""
-        state, parameters = self.state, self.parameters
-        state.evaluated_s = state.counted_s
-        record, fits, attitudes, turns = state.record, [], [], []
+        """Fit anew what may have changed, and renew the heading."""
+        state = self.state
+        fits, attitudes, turns = [], [], []
         for number, pose in enumerate(state.poses):
-            rows = record.of_pose(number)
-            if len(rows) < fit.LEAST_CELLS:
+            told = pose.told or self._fitted(number, pose)
+            if told is None:
                 continue
-            weight = record.weight[rows]
-            up = weight @ record.force[rows]
-            gravity = math.sqrt(up @ up) / weight.sum()
-            attitude = levelled(pose.attitude, up)
-            time = record.time_s[rows] - record.time_s[rows[0]] + SLOT_S / 2
-            level = record.force[rows] @ attitude.T / gravity
-            angle = -1j * (level[:, 0] + 1j * level[:, 1]) - self._known(record.time_s[rows], attitude)
-            kept = fit.PoseRecord(time, weight, record.rate[rows] @ attitude.T, angle)
-            found = fit.fit_pose(kept, self._drift_sd())
-            if found is None:
-                continue
-            fits.append(found)
-            attitudes.append(attitude)
+            if number < len(state.poses) - 1:
+                pose.told = told
+            fits.append(told[0])
+            attitudes.append(told[1])
             turns.append(pose.turn_variance)
         state.fits = fits
-        if not fits:
-            return
+        if fits:
+            self._find(fits, attitudes, turns)
+        here_s = state.counted_s - state.poses[-1].counted_s
+        # A bias that hides the north goes on to do so until the unit is turned.
+        after_s = here_s if self.hidden else min(RENEWED_SHARE * here_s, RENEWED_S[1])
+        state.due_s = state.counted_s + max(after_s, RENEWED_S[0])
+
+    def _find(self, fits: list[fit.PoseFit], attitudes: list[FloatArray], turns: list[float]) -> None:
+        """Renew the heading from what the poses tell."""
+        state, parameters = self.state, self.parameters
         sizes, log_prior = self._bias_prior(math.sqrt(min(one.quietest for one in fits)))
         place = Place(
             self.latitude, sizes, log_prior, (parameters.gyro_flicker_deg_per_h or 0.0) * DEG_PER_H,
@@ -267,6 +282,23 @@ class Aligner:
         state.found = heading(fits, attitudes, np.array(turns), place)
         self._means()
         self._settle()
+
+    def _fitted(self, number: int, pose: Pose) -> tuple[fit.PoseFit, FloatArray] | None:
+        """Return what a pose tells, and its attitude with the level of all of it."""
+        record = self.state.record
+        rows = record.of_pose(number)
+        if len(rows) < fit.LEAST_CELLS:
+            return None
+        weight = record.weight[rows]
+        up = weight @ record.force[rows]
+        gravity = math.sqrt(up @ up) / weight.sum()
+        attitude = levelled(pose.attitude, up)
+        time = record.time_s[rows] - record.time_s[rows[0]] + SLOT_S / 2
+        level = record.force[rows] @ attitude.T / gravity
+        angle = -1j * (level[:, 0] + 1j * level[:, 1]) - self._known(record.time_s[rows], attitude)
+        kept = fit.PoseRecord(time, weight, record.rate[rows] @ attitude.T, angle)
+        found = fit.fit_pose(kept, self._drift_sd())
+        return None if found is None else (found, attitude)
 
     def _known(self, time_s: FloatArray, attitude: FloatArray) -> FloatArray:
         """Return the angle that a known warm-up makes, rad, (n,) complex as the level."""
@@ -333,6 +365,13 @@ class Aligner:
         """Whether the bias of the gyros leaves a heading."""
         found = self.state.found
         return found is not None and self.heading_sd < math.radians(self.parameters.observable_deg)
+
+    @property
+    def hidden(self) -> bool:
+        """Whether the gyros' bias leaves no heading, however long this pose lasts."""
+        found = self.state.found
+        limit = self.level_rate * math.radians(self.parameters.observable_deg)
+        return found is not None and found.bias_sd > limit
 
     @property
     def heading_sd(self) -> float:

@@ -10,6 +10,7 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
+import numpy.typing as npt
 
 from imumon.blocks import FloatArray
 
@@ -116,11 +117,7 @@ class Motion:
             return "the unit moved"
         if len(self.recent) < LEAST:
             return ""
-        usual = self.usual()
-        off = slot.values.copy()
-        off[0, :3] -= usual.middle[:3]
-        off[0, 3:] -= self.level  # an accelerometer may warm up
-        beyond = np.abs(off) > usual.limit
+        beyond = self._beyond(slot.values, self.level)
         if not beyond.any():
             return ""
         if beyond[0, :3].any():
@@ -128,6 +125,34 @@ class Motion:
         if beyond[0, 3:].any():
             return "the specific force jumped"
         return "a shock or vibration" if slot.samples >= LEAST else ""
+
+    def _beyond(self, values: FloatArray, level: FloatArray) -> npt.NDArray[np.bool_]:
+        """Return what of slots, (..., 2, 6), is not as usual, for their levels, (..., 3)."""
+        usual = self.usual()
+        off = values.copy()
+        off[..., 0, :3] -= usual.middle[:3]
+        off[..., 0, 3:] -= level  # an accelerometer may warm up
+        return np.asarray(np.abs(off) > usual.limit)
+
+    def rest_on(self, values: FloatArray) -> FloatArray:
+        """Go on by slots at rest, (m, 2, 6), until one is not as usual or what is usual must be taken anew.
+
+        Returns
+        -------
+        array, (n, 3)
+            The level after each slot taken, m/s².
+        """
+        if self.disturbed or len(self.recent) < LEAST:
+            return np.zeros((0, 3))
+        if self.known is None:
+            self.usual()
+        values = values[: int(RENEWED * len(self.recent)) + 1 - self.age]
+        levels = mean_level(np.concatenate((self.recent[-LEAST:], values)))
+        beyond = self._beyond(values, levels[:-1]).any((1, 2))
+        taken = int(beyond.argmax()) if beyond.any() else len(values)
+        if taken:
+            self._go_on(values[:taken])
+        return levels[1 : taken + 1]
 
     def usual(self) -> Usual:
         """Return what recent slots were like."""
@@ -145,14 +170,21 @@ class Motion:
 
     def go_on(self, slot: Slot) -> None:
         """Add an undisturbed slot."""
-        self.age += 1
-        if self.age > RENEWED * len(self.recent):
+        self._go_on(slot.values[None])
+
+    def _go_on(self, values: FloatArray) -> None:
+        """Add undisturbed slots, (m, 2, 6), of which all but the last leave the usual as it is."""
+        before = min(len(self.recent) + len(values) - 1, RECENT)
+        self.age += len(values)
+        if self.age > RENEWED * before:
             self.known = None
-        self._remember(np.concatenate((self.recent[-RECENT + 1 :], slot.values[None])))
+        self._remember(
+            np.concatenate((self.recent[max(len(self.recent) + len(values) - RECENT, 0) :], values))
+        )
 
     def _remember(self, recent: FloatArray) -> None:
         self.recent = recent
-        self.level = np.add.reduce(recent[-LEAST:, 0, 3:]) / len(recent[-LEAST:])
+        self.level = mean_level(recent[-LEAST:])[-1]
 
     def begin(self, slot: Slot, cause: str) -> None:
         """Begin a disturbance."""
@@ -216,6 +248,16 @@ class Motion:
         self._remember(recent[-RECENT:])
         self.known = None
         self.disturbed, self.passed, self.calm = False, [], 0
+
+
+def mean_level(values: FloatArray) -> FloatArray:
+    """Return the mean specific force of each LEAST slots in a row, (n, 3); of all where there are fewer."""
+    force = values[:, 0, 3:]
+    together = min(len(force), LEAST)
+    total = np.zeros((len(force) - together + 1, 3))
+    for k in range(together):  # in this order, however many at once
+        total += force[k : k + len(total)]
+    return total / together
 
 
 def rotation(vector: FloatArray) -> FloatArray:

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imumon.blocks import FloatArray, IntArray
+from imumon.estimation.alignment.fit import PoseFit
 
 CAPACITY = 4096
 """Cells that are kept: 17 minutes of quarters of a second, then of halves, and so on."""
@@ -28,13 +29,16 @@ class Pose:
         Body axes to the frame of the first pose: its `geodesy.forward`, left of that, and up.
     turn_variance : float
         Of the angle about the vertical by which the unit was turned into this pose, rad².
-    begun_s : float
-        When it began.
+    counted_s : float
+        Undisturbed time before it.
+    told : PoseFit and array (3, 3), or None
+        What it tells, and its attitude with the level of all of it, once it is over.
     """
 
     attitude: FloatArray
     turn_variance: float
-    begun_s: float
+    counted_s: float
+    told: tuple[PoseFit, FloatArray] | None = None
 
 
 @dataclass

@@ -14,7 +14,7 @@ from imumon.charts import Chart
 from imumon.columns import Column
 from imumon.estimation.alignment import charting
 from imumon.estimation.alignment.estimator import SLOT_S, Aligner, State
-from imumon.estimation.alignment.motion import LEAST, Slot
+from imumon.estimation.alignment.motion import LEAST, RECENT, Slot
 from imumon.estimation.alignment.parameters import AlignmentParameters
 from imumon.estimation.alignment.status import Estimate, Status, instead
 from imumon.filters.slots import SlotGatherer, Slots, held
@@ -107,7 +107,9 @@ class Alignment:
         for j, name in enumerate(_CHANNELS):
             if name in block:
                 values[:, j] = block[name]
-        values[~np.isfinite(values[:, :6]).all(1), :6] = np.nan
+        unknown = ~np.isfinite(sum(values[:, j] for j in range(6)))
+        if unknown.any():
+            values[unknown, :6] = np.nan
         # Unknown is no motion.
         values[:, -1] = np.asarray(block.columns.get("at_rest", np.ones(n, np.int64))) != 0
         yaw = block.columns.get("yaw", np.empty(0))
@@ -115,17 +117,22 @@ class Alignment:
         slots = self._slots.process(block["device_time_ns"], block["segment"], values)
         rows = np.empty((len(slots), len(self._added)))
         spread = np.stack([slots.mean[:, :6], slots.variance[:, :6]], axis=1)
-        for k in range(len(slots)):
-            self._step(slots, spread, k)
-            rows[k] = self._row()
-        out = held(slots.row, rows, self._last, n)
+        k = 0
+        while k < len(slots):
+            taken = self._rest_on(slots, spread, k, rows)
+            if not taken:
+                self._step(slots, spread, k)
+                rows[k], taken = self._row(), 1
+            k += taken
+        out = held(slots.row, rows.T, self._last, n, axis=-1)
         # What was said of another segment does not hold in a new one.
-        of = held(slots.row, slots.segment.astype(np.float64), np.array(float(self._segment)), n)
-        out[of != block["segment"]] = np.nan
+        other = held(slots.row, slots.segment, np.array(self._segment), n) != block["segment"]
+        if other.any():
+            out[:, other] = np.nan
         if len(slots):
             self._last, self._segment = rows[-1], int(slots.segment[-1])
             self._status = self._judge()
-        return {name: np.ascontiguousarray(out[:, j]) for j, name in enumerate(self._added)}
+        return dict(zip(self._added, out, strict=True))
 
     def _step(self, slots: Slots, values: FloatArray, k: int) -> None:
         """Give a slot to the estimator; `values` are means and variances of all, (m, 2, 6)."""
@@ -147,9 +154,8 @@ class Alignment:
         self._last_ns = end
         if valid == 0:
             return
-        mean = slots.mean[k]
         if self._down == 0.0:
-            self._down = 1.0 if mean[5] < 0.0 else -1.0
+            self._down = 1.0 if slots.mean[k, 5] < 0.0 else -1.0
         slot = Slot(
             time_s=0.5 * (start - self._origin_ns + end - self._origin_ns) * 1e-9,
             length_s=samples * state.interval_s if state.interval_s < 30.0 else SLOT_S,
@@ -157,11 +163,58 @@ class Alignment:
             values=values[k],
             at_rest=bool(slots.smallest[k, -1] > 0.0),
         )
-        self._aligner.step(slot, mean[6:9].tolist())
+        self._aligner.step(slot, slots.mean[k, 6:9].tolist())
         self._collect()
+
+    def _rest_on(self, slots: Slots, values: FloatArray, first: int, rows: FloatArray) -> int:
+        """Give slots from the first on to the estimator while the unit rests as before; return how many.
+
+        What `_step` does one by one, it does at once for those that nothing disturbs.
+        """
+        aligner, state = self._aligner, self._aligner.state
+        if state.motion.disturbed or not self._origin_ns:
+            return 0
+        ahead = slots[first : first + RECENT]
+        start, end = ahead.start_ns - self._origin_ns, ahead.end_ns - self._origin_ns
+        samples, valid = ahead.samples, ahead.count[:, :6].min(axis=1)
+        interval_s = (end - start) * 1e-9 / np.maximum(samples - 1, 1)
+        time_s, length_s = 0.5 * (start + end) * 1e-9, samples * interval_s
+        before = np.r_[state.slot_end_s, (time_s + 0.5 * length_s)[:-1]]
+        even = time_s - 0.5 * length_s - before <= np.maximum(SLOT_S, 2.5 * length_s)
+        even &= (
+            ~ahead.begins & (samples > 1) & (valid > 0) & (ahead.smallest[:, -1] > 0.0) & (interval_s < 30.0)
+        )
+        many = len(even) if even.all() else int(even.argmin())
+        levels = state.motion.rest_on(values[first : first + many])
+        times, lengths, counts = time_s.tolist(), length_s.tolist(), valid.tolist()
+        magnetic = ahead.mean[:, 6:9].tolist()
+        row, due_s = self._headings(), state.due_s
+        for k in range(len(levels)):
+            slot = Slot(times[k], lengths[k], counts[k], values[first + k], True)
+            aligner.count(slot, magnetic[k])
+            self._collect()
+            if state.due_s != due_s:
+                row, due_s = self._headings(), state.due_s
+            row[6] = self._magnetic()
+            rows[first + k] = row
+        if len(levels):
+            state.interval_s = float(interval_s[len(levels) - 1])
+            self._last_ns = int(ahead.end_ns[len(levels) - 1])
+            rows[first : first + len(levels), 2:6] = self._angles(levels)
+        return len(levels)
 
     def _row(self) -> list[float]:
         """Return the columns of now."""
+        row, state = self._headings(), self._aligner.state
+        if state.poses:
+            if state.first_angles is None and len(state.motion.recent) >= LEAST:
+                state.first_angles = self._level()
+            row[2:6] = self._angles(self._up()[None])[0].tolist()
+            row[6] = self._magnetic()
+        return row
+
+    def _headings(self) -> list[float]:
+        """Return the columns of now, without level and magnetic heading."""
         aligner, state = self._aligner, self._aligner.state
         row = [math.nan] * len(self._added)
         if not state.poses:
@@ -169,13 +222,6 @@ class Alignment:
         shown = aligner.observable
         row[0] = aligner.heading if shown else math.nan
         row[1] = aligner.heading_sd
-        row[2:4] = self._level()
-        if state.first_angles is None and len(state.motion.recent) >= LEAST:
-            state.first_angles = (row[2], row[3])
-        if state.first_angles is not None:
-            for axis, first in enumerate(state.first_angles):
-                row[4 + axis] = math.remainder(row[2 + axis] - first, 2.0 * math.pi)
-        row[6] = self._magnetic()
         for j, name in enumerate(MEANS):
             if name in state.means:
                 estimate = state.means[name]
@@ -183,14 +229,22 @@ class Alignment:
                 row[8 + 2 * j] = estimate.sd
         return row
 
-    def _level(self) -> tuple[float, float]:
-        """Return roll and pitch, rad, ZYX, by the accelerometers of the last two seconds."""
+    def _up(self) -> FloatArray:
+        """Return the vertical in body axes, (3,), by the accelerometers of the last two seconds."""
         state = self._aligner.state
-        up = state.attitude[2]
-        if not state.motion.disturbed:
-            up = state.motion.level
-        x, y, z = (-self._down * value for value in up.tolist())
-        return math.atan2(y, z), -math.atan2(x, math.hypot(y, z))
+        return state.attitude[2] if state.motion.disturbed else state.motion.level
+
+    def _angles(self, up: FloatArray) -> FloatArray:
+        """Return roll and pitch, rad, ZYX, and their change since the first rest, (n, 4), from (n, 3)."""
+        x, y, z = (-self._down * up).T
+        angles = np.column_stack([np.arctan2(y, z), -np.arctan2(x, np.hypot(y, z))])
+        first = self._aligner.state.first_angles or (math.nan, math.nan)
+        return np.hstack([angles, np.remainder(angles - first + math.pi, 2.0 * math.pi) - math.pi])
+
+    def _level(self) -> tuple[float, float]:
+        """Return roll and pitch, rad."""
+        roll, pitch = self._angles(self._up()[None])[0, :2].tolist()
+        return roll, pitch
 
     def _magnetic(self) -> float:
         state = self._aligner.state

@@ -6,8 +6,11 @@ multiplied by its own interval over the usual one: so the angle is right whateve
 
 from __future__ import annotations
 
+import copyreg
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +23,21 @@ LEARNED = 16
 """Intervals that the rate is taken from."""
 TAU_MAG_S = 9.0
 """VQF's default: so slowly the heading follows the magnetometer."""
+
+
+def _stored(filter_: VQF) -> tuple[Callable[..., VQF], tuple[Any, ...]]:
+    """Tell pickle what a filter is made of, so that a stage can be stored and go on."""
+    rates = [filter_.coeffs[name] for name in ("gyrTs", "accTs", "magTs")]
+    return _restored, (rates, filter_.params, filter_.state)
+
+
+def _restored(rates: list[float], parameters: dict[str, Any], state: dict[str, Any]) -> VQF:
+    filter_ = VQF(*rates, **parameters)
+    filter_.state = state
+    return filter_
+
+
+copyreg.pickle(VQF, _stored)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

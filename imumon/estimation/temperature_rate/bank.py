@@ -3,10 +3,11 @@
 The filters differ in how smooth the temperature is (`JERKS`: the density q of the white jerk that drives
 T''', with T'' forgetting itself in `FORGETTING_S`) and in what the sensor's errors are like:
 
-- level kinds: the reading is the level that the temperature, with a little white noise, is in; some have a
-  slow error before the quantizer as well, a Gauss-Markov process, which is the fourth state;
-- mean kinds: the reading is the temperature with white errors, quantization among them;
-- slow kinds: the same with a slow error.
+- level kinds: the reading is the level that the temperature, with a little white noise, is in;
+- mean kinds: the reading is the temperature with white errors, quantization among them.
+
+Some of either have a slow error as well, a Gauss-Markov process, which is the fourth state; and some of these
+a random walk beside it, together 1/f noise.  The walk is part of the temperature that they estimate.
 
 They are mixed as an interacting multiple model (Blom and Bar-Shalom 1988).
 """
@@ -17,6 +18,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,40 +30,86 @@ JERKS = 10.0 ** np.append(np.arange(-27.0, -3.5, 1.5), -2.0)
 """Jerk densities, °C²/s⁵: from a rate that keeps to 0.001 °C/h for a day to a jump of 10 °C/min in 2 s."""
 SMOOTHNESSES = len(JERKS)
 FORGETTING_S = 1800.0
-WHITE_SIGMAS = np.array([0.0003, 0.01, 0.02, 0.035, 0.06, 0.1, 0.13, 0.16, 0.2, 0.25])
+WHITE_SIGMAS = (0.0003, 0.01, 0.02, 0.035, 0.06, 0.1, 0.13, 0.16, 0.2, 0.25)
 """White noise of the level kinds in steps: beyond the last the steps are no sharper than the noise."""
-SLOW_LEVEL_SIGMAS, SLOW_LEVEL_TIMES_S = np.array([0.12, 0.25, 0.5, 1.0]), np.array([5.0, 40.0])
-"""Standard deviations in units, and correlation times, of slow errors before the quantizer: all pairs, ..."""
-SLOW_LEVEL_WHITE = 0.06
-"""... and white noise beside them in steps."""
-MEAN_FACTORS = np.array([0.7, 1.4, 2.8])
+SLOT_S = 1.0
+"""Readings are gathered over this time."""
+SLOW_LEVEL_SIGMAS, SLOW_LEVEL_WHITES = (0.12, 0.25, 0.5, 1.0), (0.06, 0.2)
+"""Before the quantizer: deviations of slow errors, in units, and of white noise beside them, in steps."""
+MEAN_FACTORS = (0.7, 1.4, 2.8)
 """Variance of a slot's mean in the mean kinds, over that seen from slot to slot."""
-SLOW_RATIOS, SLOW_TIMES_S = np.array([0.6, 2.0, 6.0, 20.0, 60.0, 200.0]), np.array([3.0, 10.0, 30.0, 100.0])
+SLOW_RATIOS, SLOW_TIMES_S = (0.6, 2.0, 6.0, 20.0, 60.0, 200.0), (3.0, 10.0, 30.0, 100.0)
 """Variance of slow errors where the noise hides the steps, over that seen from slot to slot, and correlation
 times, s: all pairs that change no faster than what is seen; a slot's mean hides up to half of that."""
+FLICKER_TIME_S = 3.0
+"""1/f noise in means of a second is as likely under a process with this time and a walk as under two; under
+one, -2 log likelihood of half an hour is 60 to 150 more."""
+SLOW_LEVEL_TIMES = ((5.0, 0.0), (40.0, 0.0), (FLICKER_TIME_S, 0.01))
+"""Of slow errors before the quantizer: correlation time, and variance of the walk per second over theirs."""
+FLICKER_RATIOS, FLICKER_WALKS = (0.6, 2.0), (0.01, 0.06)
+"""Where the noise hides the steps: the process, as above, and the walk of one reading over what is seen."""
+WALKED_S = 900.0
+"""A sensor's walk, which stands for 1/f noise, goes no farther than in this time."""
 
 
-def _pairs(first: FloatArray, second: FloatArray) -> tuple[FloatArray, FloatArray]:
-    return np.repeat(first, len(second)), np.tile(second, len(first))
+class Kind(NamedTuple):
+    """A kind of the sensor's noise: its white noise, slow error and walk.
+
+    Parameters
+    ----------
+    white : float
+        Standard deviation in steps, of a level kind; else variance over that seen from slot to slot.
+    slow : float
+        Variance of the process in units² of the sensor; else the part that it has in what is seen.
+    time_s : float
+        Its correlation time.
+    walk : float
+        Variance that the walk gains, in units² per second, or over that seen from slot to slot.
+    """
+
+    white: float
+    slow: float = 0.0
+    time_s: float = 1.0
+    walk: float = 0.0
 
 
-_LEVEL_SLOW, _LEVEL_TIMES = _pairs(SLOW_LEVEL_SIGMAS, SLOW_LEVEL_TIMES_S)
-_RATIOS, _TIMES = _pairs(SLOW_RATIOS, SLOW_TIMES_S)
-_RATIOS, _TIMES = _RATIOS[_RATIOS <= 2.0 * _TIMES], _TIMES[_RATIOS <= 2.0 * _TIMES]
-LEVEL_SIGMAS = np.concatenate([WHITE_SIGMAS, 0.0 * _LEVEL_SLOW + SLOW_LEVEL_WHITE])
-LEVEL_SLOW = np.concatenate([0.0 * WHITE_SIGMAS, _LEVEL_SLOW])
-"""Of the level kinds: white noise in steps and the slow error in units."""
-MEAN_WHITE = np.concatenate([MEAN_FACTORS, np.maximum(1.0 - _RATIOS / _TIMES, 0.05)])
-MEAN_SLOW = np.concatenate([0.0 * MEAN_FACTORS, _RATIOS / _TIMES])
-"""Of the others: white noise and the slow error over what is seen from slot to slot, as variances."""
-SLOW_TIME_S = np.concatenate([1.0 + 0.0 * WHITE_SIGMAS, _LEVEL_TIMES, 1.0 + 0.0 * MEAN_FACTORS, _TIMES])
-KINDS, LEVELS = len(SLOW_TIME_S), len(LEVEL_SIGMAS)
-PRIOR = np.where(np.append(LEVEL_SLOW, MEAN_SLOW) > 0.0, 0.03, 1.0)
+def _mean_kind(ratio: float, time_s: float, walk: float = 0.0) -> Kind:
+    return Kind(max(1.0 - ratio / time_s, 0.05), ratio / time_s, time_s, walk)
+
+
+def _level_kind(white: float, sd: float, time_s: float, walk: float) -> Kind:
+    """Return a kind whose readings of a slot scatter as the process moves in it, too."""
+    return Kind(math.hypot(white, sd * math.sqrt(SLOT_S / (3.0 * time_s))), sd**2, time_s, walk * sd**2)
+
+
+LEVEL_KINDS = [
+    *(Kind(white) for white in WHITE_SIGMAS),
+    *(
+        _level_kind(white, sd, time_s, walk)
+        for white, sd, (time_s, walk) in product(SLOW_LEVEL_WHITES, SLOW_LEVEL_SIGMAS, SLOW_LEVEL_TIMES)
+    ),
+]
+MEAN_KINDS = [
+    *(Kind(factor) for factor in MEAN_FACTORS),
+    *(_mean_kind(r, time_s) for r, time_s in product(SLOW_RATIOS, SLOW_TIMES_S) if r <= 2.0 * time_s),
+    *(_mean_kind(r, FLICKER_TIME_S, walk) for r, walk in product(FLICKER_RATIOS, FLICKER_WALKS)),
+]
+KINDS, LEVELS = len(LEVEL_KINDS) + len(MEAN_KINDS), len(LEVEL_KINDS)
+WHITE, SLOW, SLOW_TIME_S, WALK = np.array(LEVEL_KINDS + MEAN_KINDS).T.copy()
+"""Of all kinds, those of levels first."""
+PRIOR = np.where(SLOW > 0.0, 0.03, 1.0)
 """Most converters have white noise: of a slow error so many times less is believed before it shows."""
 
 
-def slow_errors(unit: float, roughness: float, interval_s: float) -> FloatArray:
-    """Return the variance of the slow error of every kind, (k,), °C².
+class Slow(NamedTuple):
+    """The slow errors of every kind: variance, and that which the walk gains, (k,), °C² and °C²/s."""
+
+    variance: FloatArray
+    walk: FloatArray
+
+
+def slow_errors(unit: float, roughness: float, interval_s: float) -> Slow:
+    """Return the slow errors of every kind.
 
     Parameters
     ----------
@@ -72,16 +121,16 @@ def slow_errors(unit: float, roughness: float, interval_s: float) -> FloatArray:
         Between these.  Of an error with the variance v that keeps φ until the next reading they show
         v (1 - φ)(3 - φ)/3.
     """
-    return unit**2 * _OF_UNIT + roughness * _of_roughness(interval_s)
-
-
-_OF_UNIT = np.append(LEVEL_SLOW**2, 0.0 * MEAN_SLOW)
+    variance, walk = SLOW * unit**2, WALK * unit**2
+    variance[LEVELS:] = SLOW[LEVELS:] * roughness / _shown(interval_s)
+    walk[LEVELS:] = WALK[LEVELS:] * roughness / interval_s
+    return Slow(variance, walk)
 
 
 @lru_cache(maxsize=8)
-def _of_roughness(interval_s: float) -> FloatArray:
+def _shown(interval_s: float) -> FloatArray:
     keep = np.exp(-interval_s / SLOW_TIME_S[LEVELS:])
-    return np.append(0.0 * LEVEL_SLOW, MEAN_SLOW * 3.0 / ((1.0 - keep) * (3.0 - keep)))
+    return np.asarray((1.0 - keep) * (3.0 - keep) / 3.0)
 
 
 CHANGE_PER_S = 1.0 / 3600.0
@@ -168,7 +217,7 @@ class Bank:
 def started(
     temperature: tuple[float, float],
     rate: tuple[float, float],
-    slow: FloatArray,
+    slow: Slow,
     kinds: FloatArray | None = None,
 ) -> Bank:
     """Return a bank that begins at a temperature and a rough rate.
@@ -177,8 +226,7 @@ def started(
     ----------
     temperature, rate : (float, float)
         And their standard deviations, to which what any rate has is added: °C, °C/s.
-    slow : array (k,)
-        Variances of the slow errors, °C².
+    slow : Slow
     kinds : array (k,), optional
         Weights of the kinds of noise, where they are known.
     """
@@ -192,7 +240,7 @@ def started(
         "tt": temperature[1] ** 2,
         "rr": (START_RATE + rate[1]) ** 2,
         "aa": np.tile(np.minimum(START_ACCELERATION**2, JERKS * FORGETTING_S / 2.0), KINDS),
-        "ee": np.repeat(slow, SMOOTHNESSES),
+        "ee": np.repeat(slow.variance, SMOOTHNESSES),
     }
     table = np.asarray(filters)
     for name, value in values.items():
@@ -200,20 +248,20 @@ def started(
     return Bank(filters)
 
 
-def advance(bank: Bank, dt: float, slow: FloatArray, least_jerk: float = 0.0) -> tuple[float, float]:
+def advance(bank: Bank, dt: float, slow: Slow, least_jerk: float = 0.0) -> tuple[float, float]:
     """Mix the filters and move them on by dt seconds; return mean and variance of the reading to come.
 
     Without steps, that is, and without white noise.
     """
     bank.unmixed_s += dt
     if bank.unmixed_s >= MIX_S:
-        mix(bank.filters, np.zeros((2, len(bank.filters), MOMENTS)), bank.unmixed_s, slow, bank.turn)
+        mix(bank.filters, np.zeros((2, len(bank.filters), MOMENTS)), bank.unmixed_s, slow.variance, bank.turn)
         bank.unmixed_s, bank.turn = 0.0, (bank.turn + 1) % KINDS
     return predict(bank.filters, dt, slow, least_jerk)
 
 
 @njit
-def predict(filters: Filters, dt: float, slow: FloatArray, least_jerk: float) -> tuple[float, float]:
+def predict(filters: Filters, dt: float, slow: Slow, least_jerk: float) -> tuple[float, float]:
     """Move the filters on by dt seconds: x = F x and P = F P Fᵀ + Q, written out; return as `advance`.
 
     F = [[1, dt, c, 0], [0, 1, g, 0], [0, 0, keep, 0], [0, 0, 0, fade]].
@@ -224,7 +272,7 @@ def predict(filters: Filters, dt: float, slow: FloatArray, least_jerk: float) ->
     reference, total, mean, square = filters[0].temperature, 0.0, 0.0, 0.0
     for k in range(KINDS):
         fade = math.exp(-dt / SLOW_TIME_S[k])
-        wander = slow[k] * (1.0 - fade * fade)
+        wander, walked = slow.variance[k] * (1.0 - fade * fade), slow.walk[k] * dt
         for q in range(SMOOTHNESSES):
             f = filters[k * SMOOTHNESSES + q]
             if not f.weight:
@@ -232,7 +280,7 @@ def predict(filters: Filters, dt: float, slow: FloatArray, least_jerk: float) ->
             before = f.tt + 2.0 * f.te + f.ee
             jerk = max(JERKS[q], least_jerk) * dt
             _move(f, dt, c, g, keep, fade)
-            f.tt += jerk * dt**4 / 20.0
+            f.tt += jerk * dt**4 / 20.0 + walked
             f.tr += jerk * dt**3 / 8.0
             f.ta += jerk * dt * dt / 6.0
             f.rr += jerk * dt * dt / 3.0

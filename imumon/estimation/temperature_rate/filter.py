@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 from imumon.blocks import FloatArray, IntArray
 from imumon.compiled import njit
-from imumon.estimation.temperature_rate.bank import START_RATE, Bank, advance, started
+from imumon.estimation.temperature_rate.bank import SLOT_S, START_RATE, Bank, advance, started
 from imumon.estimation.temperature_rate.measurement import Merged, measure, merged, said
 from imumon.estimation.temperature_rate.refresh import FASTEST, SLOW_S
-from imumon.estimation.temperature_rate.sensor import SLOT_S, Reading, Sensor
+from imumon.estimation.temperature_rate.sensor import Reading, Sensor
 from imumon.estimation.temperature_rate.step import StepFinder
 
 GLIDE_S = 3.0
@@ -20,14 +20,14 @@ GLIDE_S = 3.0
 SURPRISING = 6.0
 """A change by so many standard deviations and half a step corrects an error: then the temperature jumps."""
 ALLOWED = 2.5
-"""The temperature is within half a step and so many standard deviations of the noise of the readings."""
+"""The temperature is within half a step and so many standard deviations of the noise of the readings, ..."""
+SLOW_ALLOWED = 0.5
+"""... of their slow error so many: the nearer, the less is a ramp missed that begins in it."""
 STEP_CHANGE = 0.25
 """A step found to be so much larger is another."""
 GATE, GATE_STEPS, GATE_SLOTS = 8.0, 5.0, 3
 """A reading off by so many deviations and steps, and by more than a temperature moves, is a fault; after so
 many slots it is the truth."""
-FASTER = 1.5
-"""Until the next refresh a temperature moves no faster than so many times as since the last."""
 GAP_S = 600.0
 """After so long without a reading, or of a dead sensor, there is no estimate; a later reading begins anew."""
 LATE_S, LATE_FACTOR = 5.0, 3.0
@@ -91,7 +91,7 @@ class State:
     usual_s : float
         Time between the last two slots with readings.
     slowest, fastest : float
-        Rates that the last two readings allow until the next, °C/s; for slow refreshes.
+        Rates that the last two readings show and allow until the next, °C/s; for slow refreshes.
     step : float
         The step that the bank takes the readings to have, °C.
     faults : int
@@ -195,7 +195,7 @@ def _estimate(state: State, reading: Reading) -> Shown:
     if taken is not None and heard:
         state.bank = _heard(state, state.bank, predicted, taken)
         if sensor.refresh.slow:
-            moved, since = taken.last - state.last, FASTER / max(at - state.last_s, 1.0)
+            moved, since = taken.last - state.last, 1.0 / max(at - state.last_s, 1.0)
             state.slowest = min(moved - sensor.unit, 0.0) * since
             state.fastest = max(moved + sensor.unit, 0.0) * since
         state.last, state.last_s = taken.last, taken.time_s
@@ -229,6 +229,7 @@ def _keep_near(state: State, slow: float, reading: Reading, end_s: float) -> Non
     low, high = reading.low, reading.high
     if reading.changes >= 4:
         low = high = sensor.linear(reading) + (end_s - reading.time_s) * shown.rate
+    slow *= (SLOW_ALLOWED / ALLOWED) ** 2
     allowed = 0.5 * sensor.step + ALLOWED * math.sqrt(sensor.roughness + slow)
     if not sensor.refresh.slow:
         reach = 0.5 * sensor.step + ALLOWED * math.sqrt(sensor.inside + sensor.roughness + slow)
@@ -283,7 +284,12 @@ def _shown(state: State, means: Merged, end_s: float, fresh: bool) -> Shown:
         temperature,
         rate,
         means.acceleration,
-        math.sqrt(max(means.temperature_variance, 0.0) + hidden**2 + late**2 + UNAVERAGED**2 * means.slow),
+        math.sqrt(
+            max(means.temperature_variance, 0.0)
+            + hidden**2
+            + late**2
+            + UNAVERAGED**2 * (means.slow + means.walked)
+        ),
         math.sqrt(max(means.rate_variance, 0.0) + frozen**2 + moved**2),
     )
     if not fresh:

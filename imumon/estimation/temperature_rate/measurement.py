@@ -10,6 +10,8 @@ A slot's readings are one of three kinds.
   that noise does not matter, the time of the crossing is the measurement.
 - *more*: the mean is the measurement.
 
+A single reading, as of a thermometer that is refreshed slowly, is one of these with the reading before it.
+
 That is what the level kinds hear.  The mean and slow kinds take the mean of any slot with its errors.
 Probabilities are those of the lattice that the mean of a slot's independent readings can take, whatever the
 kind, so that all can be compared.
@@ -22,15 +24,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from imumon.blocks import FloatArray
 from imumon.compiled import inner, njit
 from imumon.estimation.temperature_rate.bank import (
-    LEVEL_SIGMAS,
     LEVELS,
-    MEAN_WHITE,
     SMOOTHNESSES,
+    WALKED_S,
+    WHITE,
     Filter,
     Filters,
+    Slow,
     condition,
 )
 from imumon.estimation.temperature_rate.moments import ROOT_2_PI, truncated, weigh
@@ -120,6 +122,8 @@ def said(reading: Reading, sensor: Sensor) -> Said:
     case = NO_STEP
     if step:
         case = MANY if high - low > 1.5 * step else STAY if high - low < 0.5 * step else FLICKER
+        # A leap says no more than the level where it ends.
+        case = STAY if case == MANY and reading.count == 1 else case
     plain = Said(
         case=case,
         step=step,
@@ -131,6 +135,7 @@ def said(reading: Reading, sensor: Sensor) -> Said:
         levels=(reading.high - reading.low) / step + 1.0 if step else 1.0,
         white=sensor.roughness * repeats**2,
         cell=step / count,
+        changes=reading.changes,
     )
     return _with_shares(plain, reading, low, high) if case == FLICKER else plain
 
@@ -154,12 +159,12 @@ def _with_shares(plain: Said, reading: Reading, low: float, high: float) -> Said
     left = (1.0 - share if upward else share) * count
     begin = reading.start_s - (reading.gap_s if crossed_between else 0.0)
     return plain._replace(
+        duration_s=reading.end_s - begin,
         edge=edge,
         above=above,
         below=below,
         lattice=lattice + math.log(counted / plain.independent),
-        readings=float(count),
-        changes=reading.changes,
+        readings=float(reading.count),
         since_s=reading.time_s - (begin + (left - 0.5) * reading.gap_s),
         upward=upward,
     )
@@ -180,7 +185,7 @@ def measure(filters: Filters, said: Said) -> None:
         elif said.case == NO_STEP:
             log = IMPOSSIBLE
         else:
-            mean, variance, log = _as_level(f, LEVEL_SIGMAS[k] * said.step, mean, variance, said)
+            mean, variance, log = _as_level(f, WHITE[k] * said.step, mean, variance, said)
         condition(f, mean, variance)
         log_evidence[i] = log
         best = max(best, log)
@@ -208,7 +213,7 @@ def _gaussian(mean: float, variance: float, measured: float, noise: float) -> Mo
 @inner
 def _as_mean(mean: float, variance: float, k: int, said: Said) -> Moments:
     """Take the slot's mean as a measurement: the mean and slow kinds."""
-    noise = MEAN_WHITE[k - LEVELS] * said.white + said.cell**2 / 12.0 + TINY**2
+    noise = WHITE[k] * said.white + said.cell**2 / 12.0 + TINY**2
     after, left, _ = _gaussian(mean, variance, said.linear, noise)
     # The cell as a Gaussian of the same height, so that no probability exceeds one.
     cell = max(said.cell, TINY)
@@ -226,7 +231,8 @@ def _as_level(f: Filter, noise: float, mean: float, variance: float, said: Said)
         after, left, log = _gaussian(mean, variance, said.mean, inside)
         return after, left, log + math.log(step / said.independent / ROOT_2_PI)
     sigma = math.hypot(noise, rate * said.duration_s / math.sqrt(12.0))
-    if said.case == STAY:
+    # Where every reading counts the one before has been heard: only the last is new.
+    if said.case == STAY or (said.readings == 1.0 and math.sqrt(variance) < SHARPER * sigma):
         return _stay(mean, variance, f.growth, sigma, said)
     moved = abs(rate) * said.duration_s
     if (
@@ -255,11 +261,12 @@ def _stay(mean: float, variance: float, growth: float, sigma: float, said: Said)
     shift, shrink, log_mass = truncated((low - mean) / sd, (high - mean) / sd)
     if sd < WIDER * step and log_mass > SURPRISE and growth <= (GROWN * step) ** 2:
         return mean, variance, 0.0
-    return mean + shift * sd, shrink * variance, log_mass
+    # No edge is sharper than the noise: far outside the variance would vanish, and rounding make it negative.
+    return mean + shift * sd, max(shrink * variance, sigma * sigma), log_mass
 
 
 class Merged(NamedTuple):
-    """The mean of all filters, and variances of temperature, of rate and of the slow error, °C²."""
+    """The mean of all filters, and variances of temperature, rate, the slow error and its walk, °C²."""
 
     temperature: float
     rate: float
@@ -267,15 +274,16 @@ class Merged(NamedTuple):
     temperature_variance: float
     rate_variance: float
     slow: float
+    walked: float
 
 
 @njit
-def merged(filters: Filters, slow_errors: FloatArray, step: float, level: float) -> Merged:
+def merged(filters: Filters, slow_errors: Slow, step: float, level: float) -> Merged:
     """Merge the filters into what is shown; `level` is the one that the readings stay on, NaN where none.
 
     Then the level kinds are confined to it.
     """
-    total, both, frequent, slow = 0.0, 0.0, 0.0, 0.0
+    total, both, frequent, slow, walked = 0.0, 0.0, 0.0, 0.0, 0.0
     x, r, a = 0.0, 0.0, 0.0
     sum_x, sum_r, square_x, square_r = 0.0, 0.0, 0.0, 0.0
     # About the heaviest filter, so that the differences of squares keep their digits.
@@ -285,10 +293,11 @@ def merged(filters: Filters, slow_errors: FloatArray, step: float, level: float)
         if not f.weight:
             continue
         frequent += f.weight
-        slow += slow_errors[k] * f.weight
+        slow += slow_errors.variance[k] * f.weight
+        walked += slow_errors.walk[k] * WALKED_S * f.weight
         mass, shift, shrink = 1.0, 0.0, 1.0
         if k < LEVELS and not math.isnan(level):
-            mass, shift, shrink = _confined(f, LEVEL_SIGMAS[k] * step, step, level)
+            mass, shift, shrink = _confined(f, WHITE[k] * step, step, level)
         gain_x, gain_r = f.tt + f.te, f.tr + f.re
         spread = gain_x + f.te + f.ee
         off_x = f.temperature + gain_x * shift - main.temperature
@@ -304,7 +313,7 @@ def merged(filters: Filters, slow_errors: FloatArray, step: float, level: float)
         sum_r += weight * off_r
         square_x += weight * (f.tt + gain_x * gain_x / spread * (shrink - 1.0) + off_x * off_x)
         square_r += weight * (f.rr + gain_r * gain_r / spread * (shrink - 1.0) + off_r * off_r)
-    if not total > 1e-200:
+    if not total > 1e-200 and not math.isnan(level):
         # The level is out of reach of all filters.
         return merged(filters, slow_errors, step, math.nan)
     x, r, a = x / both, r / both, a / both
@@ -315,6 +324,7 @@ def merged(filters: Filters, slow_errors: FloatArray, step: float, level: float)
         (square_x - 2.0 * x * sum_x) / total + x * x,
         (square_r - 2.0 * r * sum_r) / total + r * r,
         slow / frequent,
+        walked / frequent,
     )
 
 

@@ -11,8 +11,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-SLOW_S, SLOWEST_S = 1.5, 120.0
-"""Faster refreshes are seen within a slot and its neighbours; slower thermometers are not made."""
+SLOW_S, SLOWEST_S = 0.9, 120.0
+"""Faster refreshes are seen within a slot; slower thermometers are not made."""
 FASTEST = 20.0 / 60.0
 """°C/s; a leap that would need more is a fault ("several °C/min" is what the paper's sensors meet)."""
 LEAP_STEPS = 1.5

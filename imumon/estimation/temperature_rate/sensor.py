@@ -5,12 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 
-from imumon.blocks import FloatArray
-from imumon.estimation.temperature_rate.bank import slow_errors
+from imumon.estimation.temperature_rate.bank import SLOT_S, Slow, slow_errors
 from imumon.estimation.temperature_rate.refresh import RefreshFinder
 from imumon.estimation.temperature_rate.step import StepFinder
 
-SLOT_S = 1.0
 MEMORY = 1.0 / 32.0
 """Weight of a new slot in what is learned, after as many slots."""
 FLICKER_S, FLICKERS = 10.0, 3
@@ -66,11 +64,13 @@ class Reading:
     before: float
     gap_s: float
 
-    def newest(self, time_s: float) -> Reading:
-        """Return the last of the readings alone, taken at a time."""
+    def newest(self, time_s: float, gap_s: float) -> Reading:
+        """Return the last of the readings alone, taken at a time, so long after the one before."""
+        before = self.before if math.isfinite(self.before) else self.first
         return replace(
             self, start_s=time_s, end_s=time_s, count=1, mean=self.last, variance=0.0, low=self.last,
-            high=self.last, first=self.last, changes=0, step_squares=0.0, before=math.nan,
+            high=self.last, first=self.last, changes=int(before != self.last), step_squares=0.0,
+            before=before, gap_s=gap_s,
         )  # fmt: skip
 
     @property
@@ -158,8 +158,8 @@ class Sensor:
         return max(self.step, math.sqrt(self.roughness), 1e-4)
 
     @property
-    def slow_errors(self) -> FloatArray:
-        """Variances of the bank's slow errors, °C²."""
+    def slow_errors(self) -> Slow:
+        """The bank's slow errors."""
         roughness = max(self.roughness, self.step**2 / 12.0)
         return slow_errors(self.unit, roughness, self.refresh.interval_s if self.refresh.slow else SLOT_S)
 
@@ -192,7 +192,7 @@ class Sensor:
             if reading.changes
             else self.refresh.refreshed(reading.start_s - reading.gap_s, reading.end_s)
         )
-        return None if at is None else reading.newest(at)
+        return None if at is None else reading.newest(at, self.refresh.interval_s)
 
     def is_dead(self, now_s: float) -> bool:
         """Tell whether noise of more than a step has stopped."""
@@ -277,10 +277,11 @@ class Sensor:
         self.reversed += reading.changes > 1 or (change * self.change < 0.0 and gap_s < FLICKER_S)
         self.change = change
         since = reading.duration_s / reading.changes if reading.changes > 1 else gap_s
-        if self.learned > 1 or reading.changes > 1:
+        known = self.learned > 1 and math.isfinite(gap_s)  # not where a segment begins
+        if known or reading.changes > 1:
             longest = SLOWER * max(self.interval_s, reading.gap_s) if self.interval_s else since
             self.interval_s = min(since, longest)
-        if self.learned > 1:
+        if known:
             self.usual_s += weight * (gap_s - self.usual_s)
         self.changed_s = reading.changed_s
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -51,7 +52,7 @@ class TemperatureRate:
                     "only temperature, temperature_x and the like can be",
                 )
         self._parameters = parameters or TemperatureRateParameters()
-        self._new_method = new_method or (lambda: LevelBankRate(self._parameters.step_degc))
+        self._new_method = new_method or partial(LevelBankRate, self._parameters.step_degc)
         self._follow = channels is None
         self._methods: dict[str, RateMethod] = {}
         self._begun: set[str] = set()

@@ -7,13 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from imumon.blocks import NO_INT, ColumnArray, IntArray
 from imumon.protocols.fixed.description import Packet
 from imumon.protocols.frame_checks import rearranged, unchecked
-from imumon.protocols.framing import IMPOSSIBLE, Check, Found, Frame, Lengths
+from imumon.protocols.framing import IMPOSSIBLE, Check, Found, Frame
 from imumon.protocols.payload import LayoutDecoder, Record
 from imumon.protocols.stream import ByteArray
 
@@ -62,19 +63,16 @@ class FramedFixedDecoder(LayoutDecoder):
 
 def _frame(packet: Packet, name: str) -> Frame:
     return Frame(
-        packet.name or name, bytes(packet.sync), _lengths(packet), _check(packet), bytes(packet.tail)
+        packet.name or name, bytes(packet.sync), partial(_length, packet), _check(packet), bytes(packet.tail)
     )
 
 
-def _lengths(packet: Packet) -> Lengths:
-    def lengths(held: ByteArray, at: IntArray) -> IntArray:
-        result = np.full(len(at), packet.length, np.int64)
-        for place, byte in packet.length_bytes():
-            agrees = held[np.minimum(at + place, len(held) - 1)] == byte
-            result[(at + place < len(held)) & ~agrees] = IMPOSSIBLE
-        return result
-
-    return lengths
+def _length(packet: Packet, held: ByteArray, at: IntArray) -> IntArray:
+    result = np.full(len(at), packet.length, np.int64)
+    for place, byte in packet.length_bytes():
+        agrees = held[np.minimum(at + place, len(held) - 1)] == byte
+        result[(at + place < len(held)) & ~agrees] = IMPOSSIBLE
+    return result
 
 
 def _check(packet: Packet) -> Check:
@@ -82,4 +80,9 @@ def _check(packet: Packet) -> Check:
     if check is None:
         return unchecked
     places = [*range(field.first, field.last + 1), *range(field.at, field.at + check.size)]
-    return rearranged(check, lambda _: places)
+    return rearranged(check, partial(_always, places))
+
+
+def _always(places: list[int], size: int) -> list[int]:
+    del size
+    return places

@@ -304,3 +304,30 @@ def test_a_fine_reading_is_followed_within_the_second_in_which_it_moves() -> Non
     result = run_at(reading, rate_hz)
     after = t > 200.0
     assert np.abs(result.temperature - temperature)[after].max() < 6.0 * step
+
+
+@pytest.mark.parametrize(("noise", "step"), [(3.0, 0.0625), (0.3, 0.5), (20.0, 0.001)])
+def test_flicker_of_the_sensor_is_no_temperature(noise: float, step: float) -> None:
+    """1/f noise, of which minutes are as noisy as seconds; with one slow error alone 10 to 100 °C/h."""
+    n, rate_hz = 1200 * 20, 20.0
+    frequency = np.fft.rfftfreq(n, 1.0 / rate_hz)
+    frequency[0] = np.inf
+    flicker = np.fft.irfft(np.fft.rfft(np.random.default_rng(9).standard_normal(n)) / np.sqrt(frequency), n)
+    reading = quantized(25.02 + noise * step * flicker / flicker.std(), 0.0, step=step)
+    rms, z = steady_error(reading, rate_hz, 0.0)
+    assert rms < 3.0
+    assert z < 2.0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_silent_level_between_two_refreshes_is_no_certainty(seed: int) -> None:
+    """A reading that flickers once a minute or so: its edge is found, and a ramp is not taken for noise."""
+    t = np.arange(1500 * 20) / 20.0
+    temperature = 25.353 + np.maximum(t - 1200.0, 0.0) / 30.0
+    reading = np.repeat(quantized(temperature[::200], 0.025, seed, step=0.25), 200)
+    result = run_at(reading, 20.0)
+    error = result.temperature - temperature
+    assert np.abs(error[(t > 600.0) & (t < 1200.0)]).max() < 0.125
+    later = t > 1230.0
+    assert np.abs((result.rate - 1.0 / 30.0) / result.rate_sd)[later].max() < 6.0
+    assert np.abs(error / result.temperature_sd)[later].max() < 6.0

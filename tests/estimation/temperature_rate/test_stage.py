@@ -119,7 +119,19 @@ def popcorn(n: int, rate_hz: float, seed: int) -> FloatArray:
     return np.asarray(step * np.round((25.02 + step * telegraph) / step + 0.2 * rng.standard_normal(n)))
 
 
-@pytest.mark.parametrize("seed", [5, 6])
+@pytest.mark.parametrize("seed", [5, 10])
+def test_popcorn_that_a_slow_error_explains_is_within_the_band(seed: int) -> None:
+    time_ns, segment = clock(120_000, 100.0)
+    reading = popcorn(120_000, 100.0, seed)
+    samples = SampleBlock({"device_time_ns": time_ns, "segment": segment, "temperature": reading})
+    added = TemperatureRate().process(samples)
+    z = (added["temperature_estimate"] - 25.02) / added["temperature_estimate_sd"]
+    rate_z = added["temperature_rate"] / added["temperature_rate_sd"]
+    assert np.sqrt(np.mean(z**2)) < 2.0
+    assert np.sqrt(np.mean(rate_z**2)) < 2.0
+
+
+@pytest.mark.parametrize("seed", [6, 9])
 def test_readings_that_no_model_explains_are_given_themselves_and_said_once(seed: int) -> None:
     stage = TemperatureRate()
     time_ns, segment = clock(120_000, 100.0)
@@ -142,3 +154,12 @@ def test_a_ramp_after_a_hold_is_no_reason_to_refuse() -> None:
     added = stage.process(block(temperature=quantized(temperature, 0.01)))
     assert np.isfinite(added["temperature_rate"]).all()
     assert stage.notices() == []
+
+
+def test_a_reading_that_changes_in_the_first_second_of_a_segment_is_taken() -> None:
+    segments, n = 6, 500
+    temperature = np.tile(np.repeat([20.0, 20.05], (150, n - 150)), segments)
+    segment = np.repeat(np.arange(segments), n)
+    time_ns = np.tile(np.arange(n) * 4_000_000, segments)
+    sent = SampleBlock({"device_time_ns": time_ns, "segment": segment, "temperature": temperature})
+    assert np.isfinite(TemperatureRate().process(sent)["temperature_rate"][-1])

@@ -1,0 +1,178 @@
+"""``imumon view``: several sessions on one time axis."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from imumon.cli.common import (
+    PATH,
+    bind_option,
+    json_option,
+    note,
+    print_json,
+    print_rows,
+    warn,
+    warn_of_no_display,
+)
+from imumon.cli.live_run import serve
+from imumon.cli.progress import reading_bar
+from imumon.errors import ImumonError, Reason
+from imumon.files import check_output
+
+if TYPE_CHECKING:
+    import rerun as rr
+
+    from imumon.view.compare import Alignment, Session
+    from imumon.view.frames import Report
+    from imumon.view.items import ViewSetup
+    from imumon.view.viewer import Mode
+
+STARTING_S = 15.0
+"""How long a viewer may take to come up."""
+
+
+@click.command("view")
+@click.argument("sessions", nargs=-1, required=True, metavar="SESSION...", type=PATH)
+@click.option(
+    "--align",
+    type=click.Choice(["power-on", "host"]),
+    default="power-on",
+    show_default=True,
+    help="Begin each session at zero, or put it where its computer's clock says.",
+)
+@click.option(
+    "--view",
+    type=click.Choice(["native", "web"]),
+    help="Default: native with a display, else web.",
+)
+@click.option("--out", type=PATH, help="Write the comparison as NAME.rrd for Rerun, and show nothing.")
+@bind_option
+@json_option
+def command(
+    sessions: tuple[Path, ...],
+    align: Alignment,
+    view: Mode | None,
+    out: Path | None,
+    bind: str,
+    as_json: bool,
+) -> None:
+    """Show SESSIONs on one time axis, each quantity in a view, each session in its own colour.
+
+    Each runs through the estimators with the setup that it was recorded with, so that, for one, the bias
+    before and after a new model can be seen side by side.
+    """
+    import rerun as rr
+
+    from imumon.view.compare import Comparison
+    from imumon.view.items import ViewSetup
+    from imumon.view.logger import APPLICATION_ID
+    from imumon.view.viewer import default_mode
+
+    if out is not None:
+        check_output(out)
+    names = _names(sessions)
+    setup = ViewSetup(" and ".join(names), f"view-{time.time_ns()}")
+    mode = view or default_mode()
+    rec = rr.RecordingStream(APPLICATION_ID, recording_id=setup.recording_id)
+    url = ""
+    if out is not None:
+        rec.set_sinks(rr.FileSink(out))
+    else:
+        warn_of_no_display(mode)
+        url = _shown(rec, setup, mode, bind)
+    comparison = Comparison(rec, setup, align)
+    told = []
+    for path, name in zip(sessions, names, strict=True):
+        with reading_bar([path], quiet=as_json):
+            told.append(_log(path, name, comparison.session(name)))
+    if comparison.arrange() is None:
+        raise ImumonError(Reason.BAD_DATA, "the sessions have no samples with times")
+    rec.flush()
+    if as_json:
+        print_json({"sessions": [data for data, _ in told], "out": out, "url": url or None})
+    for name, (_, rows) in zip(names, told, strict=True):
+        note(name)
+        print_rows(rows)
+    if mode == "web" and out is None:
+        serve(url)
+    rec.disconnect()
+
+
+def _names(paths: Sequence[Path]) -> list[str]:
+    """Return what the sessions are called: their folders, with a number where two have the same name."""
+    folders = [path.resolve().name for path in paths]
+    seen: Counter[str] = Counter()
+    names = []
+    for folder in folders:
+        seen[folder] += 1
+        names.append(folder if folders.count(folder) == 1 else f"{folder} {seen[folder]}")
+    return names
+
+
+def _log(path: Path, name: str, session: Session) -> tuple[dict[str, object], dict[str, str]]:
+    """Run a session and log it; return what is told of it, to programs and to people."""
+    from imumon.pipeline import Pipeline
+    from imumon.recordings.folder import open_session
+    from imumon.recordings.source import open_source, run_over
+    from imumon.run.account import Outages, describe_disk, describe_span, file_sizes
+    from imumon.run.narration import describe_losses
+    from imumon.run.setup import Setup, parse_setup
+    from imumon.run.stages import estimators
+
+    opened, source, outages = open_session(path), open_source(path), Outages()
+    metadata, recorded = opened.metadata, opened.metadata.pipeline_yaml
+    setup = Setup() if recorded is None else parse_setup(recorded, f"{path} (pipeline_yaml)")
+    pipeline = Pipeline(source.device, estimators(source.device, setup))
+    samples = 0
+    for block in run_over(outages.watch(source.items), pipeline):
+        samples += len(block)
+        session.log(block)
+    warn([*source.warnings(), *pipeline.warnings()])
+    ended_ns = max(metadata.ended_ns or 0, outages.last_ns) or metadata.created_ns
+    data = {
+        "session": path,
+        "name": name,
+        "samples": samples,
+        "created_ns": metadata.created_ns,
+        "ended_ns": ended_ns,
+        "outages": outages.as_data(),
+        "files": file_sizes(path),
+        **pipeline.counters.as_dict(),
+    }
+    rows = {
+        "recorded": describe_span(metadata.created_ns, ended_ns),
+        "samples": f"{samples:,}",
+        "outages": outages.describe(),
+        "losses": describe_losses(pipeline.counters),
+        "on disk": describe_disk(path),
+    }
+    return data, rows
+
+
+def _shown(rec: rr.RecordingStream, setup: ViewSetup, mode: Mode, bind: str) -> str:
+    """Connect the stream to a viewer or to the page that shows it; return where that is.
+
+    Raises
+    ------
+    ImumonError
+        NOT_FOUND when no viewer comes up.
+    """
+    from imumon.view.frames import Start
+    from imumon.view.links import NativeLink, WebLink
+
+    reports: list[Report] = []
+    link = (NativeLink if mode == "native" else WebLink)(Start(setup, mode, bind=bind), reports.append)
+    deadline = time.monotonic() + STARTING_S
+    while link.poll(rec) is None:
+        if time.monotonic() > deadline:
+            text = reports[-1].text if reports else "no viewer"
+            raise ImumonError(Reason.NOT_FOUND, text, "use --view web, or --out NAME.rrd")
+        time.sleep(0.1)
+    note(f"view: {reports[-1].url}")
+    return reports[-1].url

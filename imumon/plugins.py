@@ -1,0 +1,42 @@
+"""What other packages add to imumon: entry points, by their group."""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib.metadata import entry_points
+from typing import Any
+
+from imumon.errors import ImumonError, Reason
+
+STAGES = "imumon.stages"
+"""Callables without arguments that return a stage (`imumon.pipeline.Estimator`)."""
+DEVICES = "imumon.devices"
+"""Folders of device files."""
+EFFECTS = "imumon.effects"
+"""Effects (`imumon.effects.base.Effect`), under the name that they have."""
+
+
+@cache
+def plugins(group: str) -> dict[str, Any]:
+    """Return what installed packages offer in a group, by name.
+
+    Raises
+    ------
+    ImumonError
+        BAD_CONFIG when one cannot be imported, or two have the same name.
+    """
+    found: dict[str, Any] = {}
+    for entry in sorted(entry_points(group=group), key=lambda entry: entry.name):
+        package = entry.dist.name if entry.dist is not None else "an unknown package"
+        try:
+            offered = entry.load()
+        except Exception as error:
+            raise ImumonError(
+                Reason.BAD_CONFIG,
+                f"{entry.name} of {package} ({group}) cannot be imported: {type(error).__name__}: {error}",
+                f"mend or remove it: pip uninstall {package}",
+            ) from error
+        if entry.name in found:
+            raise ImumonError(Reason.BAD_CONFIG, f"two packages offer {entry.name} as {group}", "remove one")
+        found[entry.name] = offered
+    return found

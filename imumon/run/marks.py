@@ -1,0 +1,93 @@
+"""Marks that a person puts into a recording while it goes on: asked for in a file of the session's folder.
+
+Whoever records looks into the file 20 times a second, puts what is new into the recording as an event, and
+removes the file at the end: the recording is what counts.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from contextlib import suppress
+from pathlib import Path
+
+from imumon.errors import ImumonError, Reason
+from imumon.harmless import for_log
+from imumon.recordings.folder import open_session
+from imumon.recordings.recovery import refuse_recording
+from imumon.transport.reader import EventKind
+
+REQUESTS = "marks.jsonl"
+KINDS = {kind.value: kind for kind in (EventKind.MARK, EventKind.START, EventKind.STOP)}
+MOST_BYTES = 1 << 16
+"""Of requests that are looked at together; a person does not write more in a twentieth of a second."""
+
+
+def ask_for_mark(session: Path, kind: EventKind, text: str) -> None:
+    """Ask whoever records this session for a mark, or for the start or stop of a part.
+
+    Raises
+    ------
+    ImumonError
+        BAD_CONFIG when the text is empty, or the session is not being recorded; BAD_DATA when there is none.
+    """
+    if not text.strip():
+        raise ImumonError(Reason.BAD_CONFIG, "the text of the mark is empty", "say what is marked")
+    opened = open_session(session)
+    if not _is_recorded(opened.wire_path):
+        raise ImumonError(
+            Reason.BAD_CONFIG,
+            f"{session} is not being recorded",
+            "marks are made while imumon monitor runs; its summary names the session",
+        )
+    line = json.dumps({"kind": kind.value, "text": for_log(text)}) + "\n"
+    descriptor = os.open(opened.path / REQUESTS, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
+    try:
+        os.write(descriptor, line.encode())
+    finally:
+        os.close(descriptor)
+
+
+class Marks:
+    """What was asked for, as it comes."""
+
+    def __init__(self, folder: Path) -> None:
+        self._path = folder / REQUESTS
+        self._read = 0
+
+    def take(self) -> list[tuple[EventKind, str]]:
+        """Return what is new, whole lines only; what is no request is passed over."""
+        try:
+            if self._path.stat().st_size <= self._read:
+                return []
+            with self._path.open("rb") as file:
+                file.seek(self._read)
+                lines = file.read(MOST_BYTES)
+        except OSError:
+            return []
+        end = lines.rfind(b"\n") + 1
+        self._read += end or (len(lines) if len(lines) == MOST_BYTES else 0)
+        return [asked for line in lines[:end].splitlines() if (asked := _request(line)) is not None]
+
+    def close(self) -> None:
+        """Remove the file."""
+        with suppress(OSError):
+            self._path.unlink()
+
+
+def _request(line: bytes) -> tuple[EventKind, str] | None:
+    try:
+        fields = json.loads(line)
+        return KINDS[fields["kind"]], for_log(str(fields["text"]))
+    except (ValueError, KeyError, TypeError, RecursionError):
+        return None
+
+
+def _is_recorded(wire: Path) -> bool:
+    if not wire.exists():
+        return False
+    try:
+        refuse_recording(wire)
+    except ImumonError:
+        return True
+    return False

@@ -1,0 +1,140 @@
+"""A live run at 1 kHz: processor time of the whole program, and how old what the viewer shows is."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import psutil
+from rerun.experimental import ViewerClient
+
+from benchmarks.measure import Bar, Table
+from imumon.protocols.device import load_device
+from imumon.simulation.virtual_device import VirtualDevice
+from imumon.view.viewer import VIEWER_PORT, Answer, probe, proxy_url, start_viewer
+
+DEVICE, BAUDRATE = "ax1", 921_600
+RATES_HZ = (100.0, 1000.0)
+STARTING_S, SETTLING_S, MEASURED_S = 30.0, 8.0, 20.0
+MOST_OF_A_CORE, OLDEST_S = 0.25, 0.150
+
+
+@dataclass(frozen=True, slots=True)
+class Cost:
+    """Shares of a core, by process, and the ages of the newest sample that the viewer has, s."""
+
+    monitor: float
+    view: float
+    ages_s: np.ndarray[tuple[int], np.dtype[np.float64]]
+    load: float
+
+
+def run() -> tuple[list[Table], list[Bar]]:
+    """Record a virtual AHRS with the native view, on a viewer without a screen."""
+    table = Table(
+        "Live run with the native view",
+        ["rate", "monitor", "view process", "both", "age p50", "age p99", "load of the machine"],
+    )
+    bars: list[Bar] = []
+    for rate in RATES_HZ:
+        cost = _measured(rate)
+        both, (middle, oldest) = cost.monitor + cost.view, np.quantile(cost.ages_s, (0.5, 0.99))
+        table.rows.append(
+            [
+                f"{rate:g} Hz", f"{cost.monitor:.1%}", f"{cost.view:.1%}", f"{both:.1%} of a core",
+                f"{1e3 * middle:.0f} ms", f"{1e3 * oldest:.0f} ms", f"{cost.load:.1f}",
+            ]
+        )  # fmt: skip
+        if rate == max(RATES_HZ):
+            bars.append(Bar(f"live at {rate:g} Hz, share of a core", MOST_OF_A_CORE, both, at_most=True))
+            bars.append(Bar(f"live at {rate:g} Hz, age p99, s", OLDEST_S, float(oldest), at_most=True))
+    table.notes += [
+        f"{MEASURED_S:g} s, after {SETTLING_S:g} s; the virtual device and the viewer, drawing by software, "
+        f"have the {os.cpu_count()} cores, too, and are not counted",
+        "age: of the newest sample that the viewer has since its arrival, asked about 50 times a second",
+    ]
+    return [table], bars
+
+
+def _measured(rate_hz: float) -> Cost:
+    description = load_device(DEVICE)
+    fast = description.model_copy(
+        update={"serial": description.serial.model_copy(update={"baudrates": [BAUDRATE]})}
+    )
+    with (
+        TemporaryDirectory(prefix="imumon-") as folder,
+        _viewer() as viewer,
+        VirtualDevice(fast, Path(folder) / "ahrs", rate_hz) as ahrs,
+        _monitor(ahrs.port.path, Path(folder) / "session") as monitor,
+    ):
+        _wait_for(viewer, monitor)
+        time.sleep(SETTLING_S)
+        processes = [psutil.Process(monitor.pid), *psutil.Process(monitor.pid).children(recursive=True)]
+        before, began = [_cpu_s(one) for one in processes], time.monotonic()
+        ages = []
+        while (spent := time.monotonic() - began) < MEASURED_S:
+            newest = _newest_ns(viewer)
+            ages.append((time.time_ns() - newest) * 1e-9)
+            time.sleep(0.02)
+        shares = [(_cpu_s(one) - at) / spent for one, at in zip(processes, before, strict=True)]
+    return Cost(shares[0], sum(shares[1:]), np.array(ages), os.getloadavg()[0])
+
+
+@contextmanager
+def _viewer() -> Iterator[ViewerClient]:
+    """Start a viewer where the monitor looks for one."""
+    if probe(VIEWER_PORT) is not Answer.CLOSED:
+        sys.exit(f"port {VIEWER_PORT} is in use: close the viewer that is open")
+    process = start_viewer(VIEWER_PORT, "--headless")
+    try:
+        deadline = time.monotonic() + STARTING_S
+        while probe(VIEWER_PORT) is not Answer.RERUN:
+            if process.poll() is not None or time.monotonic() > deadline:
+                sys.exit("no viewer starts here: apt install mesa-vulkan-drivers")
+            time.sleep(0.1)
+        with ViewerClient.connect(proxy_url(VIEWER_PORT)) as client:
+            yield client
+    finally:
+        process.kill()
+        process.wait()
+
+
+@contextmanager
+def _monitor(port: str, session: Path) -> Iterator[subprocess.Popen[bytes]]:
+    program = [sys.executable, "-c", "from imumon.cli import main; main()", "monitor", port]
+    options = ["--device", DEVICE, "--baud", str(BAUDRATE), "--view", "native", "--out", str(session)]
+    quiet = subprocess.DEVNULL
+    process = subprocess.Popen([*program, *options], stdout=quiet, stderr=quiet)
+    try:
+        yield process
+    finally:
+        process.send_signal(signal.SIGINT)
+        process.wait(STARTING_S)
+
+
+def _wait_for(viewer: ViewerClient, monitor: subprocess.Popen[bytes]) -> None:
+    deadline = time.monotonic() + STARTING_S
+    while _newest_ns(viewer) == 0:
+        if monitor.poll() is not None or time.monotonic() > deadline:
+            sys.exit("the monitor shows nothing")
+        time.sleep(0.2)
+
+
+def _newest_ns(viewer: ViewerClient) -> int:
+    lines = [line for recording in viewer.get_state().recordings for line in recording.timelines]
+    ends = (line.end for line in lines if line.name == "host_time")
+    return max((int(end) for end in ends if end is not None), default=0)
+
+
+def _cpu_s(process: psutil.Process) -> float:
+    times = process.cpu_times()
+    return float(times.user + times.system)

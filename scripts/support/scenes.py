@@ -1,0 +1,178 @@
+"""What the pictures of the docs show: runs of a kind each, as view items, the same every time."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from imumon.models.curves.polynomial import PolynomialCurve
+from imumon.models.model import BiasModel, ChannelModel
+from imumon.pipeline import Pipeline
+from imumon.protocols.device import DeviceFile, device_text, load_device, parse_device
+from imumon.recordings.folder import open_session
+from imumon.recordings.wire_reader import WireReader
+from imumon.run.narration import Narrator
+from imumon.run.replay import replay
+from imumon.run.setup import Setup
+from imumon.run.stages import estimators
+from imumon.simulation.recording import START_NS, record_session
+from imumon.simulation.unit import SimulatedUnit, load_scenario
+from imumon.simulation.unit.curves import curve_value
+from imumon.transport.reader import Bytes, Event, EventKind, Item
+from imumon.transport.settings import PortSettings
+from imumon.view.items import ViewItem, ViewSetup
+
+READ_S = 0.01
+"""A capture has no times of arrival; it is taken to have come evenly, in reads of this length."""
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """One run: what sends, what the estimators are told, and how it is looked at.
+
+    Parameters
+    ----------
+    shows : str
+        For the list in the docs.
+    record : callable
+        Returns what came over the port, given a folder to work in.
+    live : bool
+        As it was seen live; else as a recording is opened afterwards.
+    """
+
+    shows: str
+    device: str
+    record: Callable[[Path], Iterator[Item]]
+    setup: Callable[[], Setup] = field(default=Setup)
+    live: bool = True
+    baudrate: int | None = None
+
+
+def view_items(name: str, scene: Scene) -> tuple[ViewSetup, list[ViewItem]]:
+    """Return what the view is told of a scene: before the first sample, and then in order."""
+    device = at_baud(load_device(scene.device), scene.baudrate)
+    pipeline = Pipeline(device, estimators(device, scene.setup()))
+    items: list[ViewItem] = []
+    port = PortSettings("/dev/ttyUSB0", device.serial.baudrates[0])
+    card = {"device": device.title, "port": str(port), "recording": f"sessions/{name}"}
+    narrator = Narrator(pipeline, port, [items.append], lambda *_: None, card, Path(name))
+    with tempfile.TemporaryDirectory(prefix="imumon-") as folder:
+        for _ in replay(scene.record(Path(folder)), pipeline, narrator):
+            pass
+    setup = ViewSetup(name, name, pipeline.units, z_down=device.axes == "FRD")
+    return setup, items
+
+
+def simulated(
+    scenario: str,
+    device: str,
+    seconds: float,
+    rate_hz: float = 100.0,
+    baudrate: int | None = None,
+    **changes: object,
+) -> Callable[[Path], Iterator[Item]]:
+    """Return a maker of what a virtual device sends when it plays this scenario, changed so."""
+
+    def record(folder: Path) -> Iterator[Item]:
+        text, source = device_text(device)
+        description = at_baud(parse_device(text, source), baudrate)
+        plan = load_scenario(scenario).model_copy(update={"duration_s": seconds, **changes})
+        session = folder / "session"
+        record_session(plan.played(rate_hz, description.axes), description, text, 0, session, lambda _: None)
+        yield from WireReader(open_session(session).wire_path)
+
+    return record
+
+
+def at_baud(device: DeviceFile, baudrate: int | None) -> DeviceFile:
+    """Return the device at another baud rate than its first."""
+    if baudrate is None:
+        return device
+    return device.model_copy(update={"serial": device.serial.model_copy(update={"baudrates": [baudrate]})})
+
+
+def capture(path: Path, seconds: float) -> Callable[[Path], Iterator[Item]]:
+    """Return a maker of what is in a raw capture, as if it had come evenly within so many seconds."""
+
+    def record(_: Path) -> Iterator[Item]:
+        data = path.read_bytes()
+        size = max(1, round(len(data) * READ_S / seconds))
+        yield Event(EventKind.OPENED, START_NS, path.name)
+        for at in range(0, len(data), size):
+            yield Bytes(data[at : at + size], START_NS + round(at / len(data) * seconds * 1e9))
+
+    return record
+
+
+def crs05_model() -> BiasModel:
+    """Return the curves over temperature that the simulated unit of "crs05" has, but for a slope in z."""
+    unit = SimulatedUnit(load_scenario("warm-up"), seed=0).scenario.unit
+    low, high = 20.0, 50.0
+    at = np.linspace(low, high, 400)
+    channels = {}
+    for axis in "xyz":
+        values = np.radians(curve_value(getattr(unit.gyro_bias_deg_per_s, axis), at))
+        if axis == "z":
+            values += np.radians(20.0 / 3600.0) * (at - low) / (high - low)
+        series = np.polynomial.Chebyshev.fit(at, values, 8, domain=[low, high])
+        half = 0.5 * (high - low)
+        channels[f"gyro_{axis}"] = ChannelModel(
+            unit="rad/s",
+            temperature_column="temperature_estimate",
+            temperature_range_degc=[low, high],
+            residual_sd=2e-6,
+            curve=PolynomialCurve(
+                center_degc=low + half, half_width_degc=half, coefficients=series.coef.tolist()
+            ),
+        )
+    return BiasModel(made_by="the unit file", created="2026-01-01T00:00:00Z", channels=channels)
+
+
+def with_model() -> Setup:
+    """Return a setup with `crs05_model`."""
+    return Setup(model=crs05_model(), latitude_deg=40.93)
+
+
+def scenes(data: Path) -> dict[str, Scene]:
+    """Return all scenes by name; captures are in the folder `data`, and left out where it is absent."""
+    found = {
+        "demo": Scene("The demo: a virtual AHRS after 40 s", "ax1", simulated("bench", "ax1", 40.0)),
+        "recorded": Scene(
+            "A warm-up with a bias model that is wrong in z, opened afterwards: rerun view.rrd",
+            "ax1",
+            simulated("warm-up", "ax1", 600.0),
+            with_model,
+            live=False,
+        ),
+        "alignment": Scene(
+            "Alignment to north after 5 min",
+            "xsens",
+            simulated("alignment", "xsens", 300.0),
+            lambda: Setup(latitude_deg=36.0),
+        ),
+        "isothermal": Scene(
+            "A MEMS unit that rests at one temperature, for 4 min",
+            "ax1",
+            simulated("slow-rotation", "ax1", 240.0, motion=[]),
+        ),
+        "slow": Scene("The demo at 20 Hz, after 2 min", "ax1", simulated("bench", "ax1", 120.0, 20.0)),
+        "fast": Scene(
+            "A unit at 1 kHz, after 20 s",
+            "xsens",
+            simulated("bench", "xsens", 20.0, 1000.0, 2_000_000),
+            baudrate=2_000_000,
+        ),
+    }
+    foreign = data / "microstrain" / "stream.bin"
+    if foreign.exists():
+        found["foreign"] = Scene(
+            "A measured GNSS/INS stream, MIP at 125 Hz",
+            "microstrain",
+            capture(foreign, 10.0),
+            baudrate=921_600,
+        )
+    return found

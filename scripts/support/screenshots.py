@@ -1,0 +1,145 @@
+"""Make the pictures of the docs, and check them: every tab of every scene, on a viewer without a screen."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import rerun as rr
+from PIL import Image
+from rerun.experimental import ViewerClient
+
+from imumon.view.items import ViewItem, ViewSetup, merge
+from imumon.view.logger import APPLICATION_ID, StreamLogger
+from imumon.view.panels import PANELS
+from imumon.view.viewer import free_port, proxy_url, quiet_environment, viewer_binary
+from imumon.view.window import slow_window
+from support.picture_faults import axis_faults, is_empty, views_of
+from support.scenes import scenes, view_items
+
+ROOT = Path(__file__).resolve().parents[2]
+PICTURES = ROOT / "docs" / "images"
+SHOWN = {
+    "live-view": ("demo", "Live"),
+    "temperature": ("slow", "Temperature"),
+    "gyro-bias": ("recorded", "Gyro bias"),
+    "residual": ("recorded", "Residual"),
+    "attitude": ("slow", "Attitude"),
+    "spectrum": ("fast", "Spectrum"),
+    "allan": ("isothermal", "Allan"),
+    "alignment": ("alignment", "Alignment"),
+    "foreign": ("foreign", "Live"),
+    "recording": ("recorded", "Recording"),
+}
+"""The pictures that the docs have: of which scene, which tab."""
+COLORS = 128
+"""Of a picture in the docs, which is then a quarter as large."""
+DATA = Path(os.environ.get("IMUMON_DATA", ROOT / ".." / "shared" / "data"))
+SETTLE_S = 4.0
+"""What the viewer takes, without a GPU, to draw a tab that was not drawn before."""
+AT_ONCE = 100
+"""Items that are logged together."""
+
+
+@dataclass(slots=True)
+class Studio:
+    """A viewer without a screen."""
+
+    viewer: ViewerClient
+    url: str
+    settle_s: float = SETTLE_S
+
+    def photograph(
+        self, setup: ViewSetup, items: Sequence[ViewItem], folder: Path, *, live: bool
+    ) -> list[str]:
+        """Show items and save a picture of every tab (`picture_name`); return what is wrong with them."""
+        with tempfile.TemporaryDirectory(prefix="imumon-") as scratch:
+            stream = Path(scratch) / "stream.rrd"
+            rec = rr.RecordingStream(APPLICATION_ID, recording_id=setup.recording_id)
+            rec.set_sinks(rr.FileSink(stream), rr.GrpcSink(self.url))
+            logger = StreamLogger(rec, setup, live=live)
+            logger.begin()
+            for first in range(0, len(items), AT_ONCE):
+                logger.log(merge(items[first : first + AT_ONCE]))
+            logger.finish()
+            faults = self._tabs(rec, logger, setup.title, folder, Path(scratch))
+            rec.disconnect()
+            if live:
+                faults += axis_faults(stream, PANELS, slow_window(setup.window_s))
+        return [f"{setup.title}: {fault}" for fault in faults]
+
+    def _tabs(
+        self, rec: rr.RecordingStream, logger: StreamLogger, title: str, folder: Path, scratch: Path
+    ) -> list[str]:
+        arrangement, faults = logger.arrangement, list[str]()
+        assert arrangement is not None, "nothing was logged"
+        tabs = arrangement.root_container
+        for number, tab in enumerate(tabs.contents):
+            tabs.active_tab = number
+            rec.send_blueprint(arrangement)
+            rec.flush()
+            time.sleep(self.settle_s)
+            self.viewer.save_screenshot(str(folder / picture_name(title, str(tab.name))))
+            for view in views_of(tab):
+                self.viewer.save_screenshot(str(scratch / "view.png"), view_id=str(view.id))
+                if is_empty(view, scratch / "view.png"):
+                    faults.append(f"{tab.name}: {view.name}: empty")
+        reports = {f"{view.name}: {one}" for view in self.viewer.get_state().views for one in view.reports}
+        return [*faults, *sorted(reports)]
+
+
+@contextmanager
+def studio(settle_s: float = SETTLE_S) -> Iterator[Studio]:
+    """Start a viewer without a screen, and end it."""
+    port = free_port(9871)
+    os.environ.update(quiet_environment())
+    viewer = ViewerClient.spawn(
+        headless=True, port=port, executable_path=str(viewer_binary()), hide_welcome_screen=True
+    )
+    try:
+        yield Studio(viewer, proxy_url(port), settle_s)
+    finally:
+        viewer.quit()
+
+
+def picture_name(scene: str, tab: str) -> str:
+    """Return the name of the file of a picture."""
+    return f"{scene}-{tab.replace(' ', '-').lower()}.png"
+
+
+def main() -> int:
+    """Photograph scenes; return 1 when a picture is wrong."""
+    found, faults = scenes(DATA), list[str]()
+    parser = argparse.ArgumentParser(prog="scripts/screenshots", description=__doc__)
+    parser.add_argument("scenes", nargs="*", metavar="SCENE", help=f"of {', '.join(found)}; default all")
+    parser.add_argument("--keep", type=Path, metavar="FOLDER", help="keep the pictures of all tabs here")
+    options = parser.parse_args()
+    if unknown := set(options.scenes) - found.keys():
+        parser.error(f"no scene {', '.join(sorted(unknown))}; there are: {', '.join(found)}")
+    with tempfile.TemporaryDirectory(prefix="imumon-") as scratch:
+        folder = options.keep or Path(scratch)
+        folder.mkdir(parents=True, exist_ok=True)
+        for name in options.scenes or found:
+            setup, items = view_items(name, found[name])
+            with studio() as place:
+                faults += place.photograph(setup, items, folder, live=found[name].live)
+            print(f"{name}: {found[name].shows}")
+        for shown, (name, tab) in SHOWN.items():
+            if (taken := folder / picture_name(name, tab)).exists():
+                Image.open(taken).convert("RGB").quantize(COLORS).save(
+                    PICTURES / f"{shown}.png", optimize=True
+                )
+    for fault in faults:
+        print(f"FAULT {fault}")
+    return 1 if faults else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,55 @@
+"""What a person at a terminal sees of long work, and a program does not."""
+
+from __future__ import annotations
+
+import os
+import pty
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from tests.cli.command import IMUMON, imumon
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("progress") / "session"
+    assert imumon("simulate", "bench", "--out", folder, "--duration", 20).returncode == 0
+    return folder
+
+
+def on_a_terminal(*arguments: object) -> tuple[str, str]:
+    """Return standard output and what a terminal at standard error shows."""
+    ours, theirs = pty.openpty()
+    process = subprocess.Popen(
+        [IMUMON, *map(str, arguments)],
+        stdout=subprocess.PIPE,
+        stderr=theirs,
+        env={**os.environ, "TERM": "xterm", "COLUMNS": "100"},
+    )
+    os.close(theirs)
+    shown = b""
+    try:
+        while data := os.read(ours, 1 << 16):
+            shown += data
+    except OSError:  # Linux says so that the other side is closed
+        pass
+    os.close(ours)
+    out, _ = process.communicate(timeout=60)
+    assert process.returncode == 0, shown
+    return out.decode(), shown.decode()
+
+
+def test_a_terminal_shows_how_much_is_left(session: Path, tmp_path: Path) -> None:
+    _, shown = on_a_terminal("decode", session, "--out", tmp_path / "a.parquet")
+    assert "reading session" in shown
+    assert "left:" in shown
+
+
+def test_nothing_is_shown_beside_json_or_without_a_terminal(session: Path, tmp_path: Path) -> None:
+    out, shown = on_a_terminal("decode", session, "--out", tmp_path / "a.parquet", "--json")
+    assert out.startswith("{")
+    assert "reading session" not in shown
+    done = imumon("decode", session, "--out", tmp_path / "b.parquet")
+    assert "reading session" not in done.stderr

@@ -1,0 +1,62 @@
+"""Several sessions on one time axis."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from rerun.chunk import RrdReader
+
+from tests.cli.command import answer, imumon
+
+
+@pytest.fixture(scope="module")
+def sessions(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    made = []
+    for seed in (1, 2):
+        folder = tmp_path_factory.mktemp("parent") / "session"  # the same name twice
+        done = imumon("simulate", "bench", "--out", folder, "--duration", 3 + seed, "--seed", seed)
+        assert done.returncode == 0, done.stderr
+        made.append(folder)
+    return made
+
+
+def times_s(path: Path, timeline: str) -> dict[str, tuple[float, float]]:
+    """Return first and last time of what is drawn of the angular rate x, by session."""
+    found: dict[str, tuple[float, float]] = {}
+    for chunk in RrdReader(str(path)).stream():
+        name = str(chunk.entity_path)
+        batch = chunk.to_record_batch()
+        if name.endswith("gyro/0") and name.startswith("/view") and timeline in batch.schema.names:
+            values = 1e-9 * np.asarray(batch.column(timeline).cast(pa.int64()))
+            known = found.get(name, (np.inf, -np.inf))
+            found[name] = (min(known[0], values.min()), max(known[1], values.max()))
+    return found
+
+
+def test_sessions_begin_at_power_on_side_by_side(sessions: list[Path], tmp_path: Path) -> None:
+    result = answer("view", *sessions, "--out", tmp_path / "both.rrd")
+    assert [one["name"] for one in result["sessions"]] == ["session 1", "session 2"]
+    assert [one["samples"] for one in result["sessions"]] == [400, 500]
+    assert all(one["outages"] == [] and one["files"]["wire.mcap"] > 0 for one in result["sessions"])
+    spans = sorted(times_s(tmp_path / "both.rrd", "device_time").values())
+    assert [begin for begin, _ in spans] == [0.0, 0.0]
+    assert [end for _, end in spans] == pytest.approx([4.0, 5.0], abs=0.5)
+
+
+def test_sessions_stand_where_the_host_clock_says(sessions: list[Path], tmp_path: Path) -> None:
+    done = imumon("view", *sessions, "--align", "host", "--out", tmp_path / "both.rrd")
+    assert done.returncode == 0, done.stderr
+    assert "outages   none" in done.stderr
+    spans = times_s(tmp_path / "both.rrd", "host_time").values()
+    assert all(begin == pytest.approx(1_767_225_600, abs=1.0) for begin, _ in spans)
+
+
+def test_what_is_there_is_not_overwritten_and_no_session_is_said(
+    sessions: list[Path], tmp_path: Path
+) -> None:
+    (tmp_path / "both.rrd").touch()
+    assert "is there already" in imumon("view", sessions[0], "--out", tmp_path / "both.rrd").stderr
+    assert imumon("view", tmp_path, "--out", tmp_path / "new.rrd").returncode == 4

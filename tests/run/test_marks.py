@@ -1,0 +1,72 @@
+"""Marks of a person: asked for in a file, put into the recording while it goes on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from imumon.errors import ImumonError, Reason
+from imumon.recordings.folder import open_session
+from imumon.recordings.wire_reader import WireReader
+from imumon.run.marks import REQUESTS, Marks, ask_for_mark
+from imumon.simulation.virtual_device import VirtualDevice
+from imumon.transport.reader import Event, EventKind
+from imumon.view.items import Log
+from tests.run.test_live import AX1, Watcher, start
+from tests.transport.helpers import wait_until
+
+KINDS = (EventKind.MARK, EventKind.START, EventKind.STOP)
+
+
+def test_marks_are_events_of_the_recording_and_lanes_of_the_view(tmp_path: Path) -> None:
+    watcher, folder = Watcher(), tmp_path / "s"
+    with VirtualDevice(AX1, tmp_path / "ahrs") as ahrs:
+        run = start(ahrs.port.path, folder, watcher)
+        wait_until(lambda: run.progress.counters.packets > 20)
+        ask_for_mark(folder, EventKind.START, "cold soak")
+        ask_for_mark(folder, EventKind.MARK, "fan on")
+        wait_until(lambda: "INFO mark: fan on" in watcher.lines)
+        ask_for_mark(folder, EventKind.STOP, "cold soak")
+        run.stop()
+    events = [item for item in WireReader(folder / "wire.mcap") if isinstance(item, Event)]
+    said = [(event.kind, event.detail) for event in events if event.kind in KINDS]
+    assert said == [
+        (EventKind.START, "cold soak"),
+        (EventKind.MARK, "fan on"),
+        (EventKind.STOP, "cold soak"),
+    ]
+    assert watcher.states("part") == ["cold soak", "between parts"]
+    assert watcher.states("mark") == ["fan on"]
+    assert any(isinstance(item, Log) and item.text == "end of part: cold soak" for item in watcher.items)
+    assert not (folder / REQUESTS).exists()
+    assert open_session(folder).metadata.results_digest is not None
+
+
+def test_what_is_not_recorded_cannot_be_marked(tmp_path: Path) -> None:
+    with VirtualDevice(AX1, tmp_path / "ahrs") as ahrs:
+        run = start(ahrs.port.path, tmp_path / "s", Watcher())
+        with pytest.raises(ImumonError, match="is empty"):
+            ask_for_mark(tmp_path / "s", EventKind.MARK, " ")
+        run.stop()
+    with pytest.raises(ImumonError, match="not being recorded") as error:
+        ask_for_mark(tmp_path / "s", EventKind.MARK, "late")
+    assert error.value.reason is Reason.BAD_CONFIG
+
+
+@given(st.lists(st.binary(max_size=40), max_size=5), st.integers(1, 7))
+def test_no_line_stops_the_recording_and_none_is_taken_twice(
+    tmp_path_factory: pytest.TempPathFactory, lines: list[bytes], cut: int
+) -> None:
+    folder = tmp_path_factory.mktemp("marks", numbered=True)
+    asked = b'{"kind": "mark", "text": "a"}\n'
+    data = b"".join(line.replace(b"\n", b"") + b"\n" for line in lines) + asked
+    marks, found = Marks(folder), list[tuple[EventKind, str]]()
+    for end in (len(data) - cut, len(data)):
+        (folder / REQUESTS).write_bytes(data[:end])
+        found += marks.take()
+    assert found.count((EventKind.MARK, "a")) == 1
+    assert marks.take() == []
+    marks.close()

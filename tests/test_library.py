@@ -1,0 +1,155 @@
+"""The page of the library as it stands, on a simulated device."""
+
+from __future__ import annotations
+
+import re
+import runpy
+import sys
+import textwrap
+from collections.abc import Iterator
+from importlib.metadata import EntryPoint, EntryPoints
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import imumon
+from imumon import plugins
+from imumon.columns import Column
+from imumon.errors import ImumonError
+from imumon.pipeline import Pipeline
+from imumon.protocols.device import device_names, load_device
+from imumon.run.stages import estimators
+from imumon.simulation.virtual_device import VirtualDevice
+
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "library.md"
+BLOCK = re.compile(r"(?:^    .*\n|^\n(?=(?:\n)*    ))+", re.MULTILINE)
+
+
+def examples() -> list[str]:
+    """Return the programs of the page."""
+    blocks = [textwrap.dedent(found) for found in BLOCK.findall(PAGE.read_text(encoding="utf-8"))]
+    return [block.strip() + "\n" for block in blocks if re.search(r"^(import|from) ", block, re.MULTILINE)]
+
+
+@pytest.fixture(scope="module")
+def unit(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    folder = tmp_path_factory.mktemp("library")
+    with VirtualDevice(load_device("ax1"), folder / "imu"):
+        yield folder
+
+
+def test_the_page_runs_as_it_stands(
+    unit: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(unit)
+    said = []
+    for program in examples():
+        exec(program.replace("/dev/ttyUSB0", str(unit / "imu")), {})
+        said.append(capsys.readouterr().out)
+    assert len(said) == 5
+    assert all(said)
+    times = [float(line.split()[0]) for line in said[0].splitlines()]
+    assert times == sorted(times)
+    assert len(times) > 5
+    rows, unit_of_rate, deviation = said[1].split()
+    assert int(rows) >= 100
+    assert unit_of_rate == "rad/s"
+    assert 0.0 < float(deviation) < 1.0
+    assert 0.0 < float(said[3].split()[0]) < 1.0
+
+
+def test_the_table_of_names_is_that_of_the_package() -> None:
+    script = PAGE.parents[1] / "scripts" / "support" / "library_names.py"
+    assert runpy.run_path(str(script))["page"]() == PAGE.read_text(encoding="utf-8")
+    for name in imumon.__all__:
+        assert getattr(imumon, name) is not None
+
+
+def test_a_port_is_closed_and_what_came_is_still_there(unit: Path) -> None:
+    live = imumon.open(str(unit / "imu"), "ax1")
+    first = next(iter(live))
+    live.close()
+    rest = list(live)
+    assert len(first)
+    assert live.counters.samples == len(first) + sum(map(len, rest))
+    assert list(live) == []
+    assert live.units["gyro_x"] == "rad/s"
+
+
+def test_a_recording_reads_the_same_as_it_came(unit: Path) -> None:
+    live = imumon.open(str(unit / "imu"), "ax1", record=unit / "same", stages=[Doubled()])
+    came = []
+    for block in live:
+        came.append(block)
+        if sum(map(len, came)) > 30:
+            live.close()
+    again = imumon.read(unit / "same", stages=[Doubled()])
+    for name in ("gyro_x", "doubled", "at_rest"):
+        assert np.array_equal(np.concatenate([b[name] for b in came]), again[name], equal_nan=True)
+    with pytest.raises(ImumonError, match="holds a session already"):
+        imumon.open(str(unit / "imu"), "ax1", record=unit / "same")
+
+
+def test_tables_are_read_as_they_are(unit: Path) -> None:
+    import pandas as pd
+
+    pd.DataFrame({"device_time_ns": [0, 10], "gyro_x": [0.5, np.nan]}).to_csv(unit / "t.csv", index=False)
+    table = imumon.read(unit / "t.csv")
+    assert table.units == {"device_time_ns": "ns", "gyro_x": "rad/s"}
+    assert table.to_pandas()["gyro_x"].isna().tolist() == [False, True]
+    assert table.to_polars()["device_time_ns"].to_list() == [0, 10]
+    assert "gyro_x" in table
+    assert "gyro_y" not in table
+
+
+class Doubled:
+    columns = (Column("doubled", "rad/s"),)
+
+    def process(self, block: imumon.SampleBlock) -> dict[str, np.ndarray[tuple[int], np.dtype[np.float64]]]:
+        return {"doubled": 2.0 * block["gyro_x"]}
+
+    def notices(self) -> list[str]:
+        return []
+
+
+@pytest.fixture
+def offered(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, str]]:
+    """Entry points as if a package had them: name by group."""
+    values: dict[str, str] = {}
+
+    def entry_points(group: str) -> EntryPoints:
+        return EntryPoints([EntryPoint("mine", values[group], group)] if group in values else [])
+
+    monkeypatch.setattr(plugins, "entry_points", entry_points)
+    plugins.plugins.cache_clear()
+    yield values
+    plugins.plugins.cache_clear()
+
+
+def test_a_stage_of_another_package_runs_behind_the_others(offered: dict[str, str]) -> None:
+    offered[plugins.STAGES] = f"{__name__}:Doubled"
+    stages = estimators(None)
+    assert isinstance(stages[-1], Doubled)
+    pipeline = Pipeline(None, stages)
+    pipeline.push(imumon.SampleBlock({"device_time_ns": np.arange(3), "segment": np.zeros(3, np.int64),
+                                      "gyro_x": np.arange(3.0)}))  # fmt: skip
+    assert pipeline.take()["doubled"].tolist() == [0.0, 2.0, 4.0]
+
+
+def test_devices_of_another_package_have_names(
+    offered: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from imumon.protocols.device import device_text
+
+    monkeypatch.setattr(sys.modules[__name__], "FOLDER", tmp_path, raising=False)
+    offered[plugins.DEVICES] = f"{__name__}:FOLDER"
+    (tmp_path / "theirs.yaml").write_text(device_text("ax1")[0].replace("name: ax1", "name: theirs"))
+    assert {"ax1", "theirs"} <= set(device_names())
+    assert load_device("theirs").name == "theirs"
+
+
+def test_a_package_that_cannot_be_imported_is_named(offered: dict[str, str]) -> None:
+    offered[plugins.STAGES] = "no_such_module:Stage"
+    with pytest.raises(ImumonError, match=r"mine of .* \(imumon.stages\) cannot be imported"):
+        estimators(None)
