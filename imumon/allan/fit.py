@@ -7,6 +7,8 @@ noise itself, until both agree: the quasi-likelihood of variances.  No slope is 
 Of all sets of terms the smallest is fitted to which no further term would add by more than `FITTED` (or
 `SHORT_FITTED`) standard deviations, judged by the covariance without that term.  A term of it is in the
 result when it adds by more than `SHOWN`; the others keep what is there, but not certain, out of the rest.
+Flicker and random walk look alike in a short record.  Where one of them is fitted, so is the other, and each
+must be called for beside the other.
 
 Conventions (IEEE Std 952-1997, annex C), sigma the Allan deviation, tau the averaging time:
 
@@ -72,6 +74,8 @@ quantization: its column is that shape with a minus.
 """
 WHITE, QUANTIZATION, RAMP, FILTER = map(COLUMNS.index, ("white", "quantization", "ramp", "filter"))
 EVERY = tuple(range(len(COLUMNS)))
+ALIKE = frozenset(map(COLUMNS.index, ("flicker", "walk")))
+"""Each of these can stand in the place of the other at the longest averaging times."""
 
 Scale = Callable[[float], float]
 
@@ -154,8 +158,8 @@ class _Problem:
         self.covariances = covariances
         self.model_error = model_error
 
-    def fit(self, columns: tuple[int, ...]) -> _Solution:
-        """Fit these terms; some may end at zero."""
+    def fit(self, columns: tuple[int, ...], uncertain: frozenset[int] = frozenset()) -> _Solution:
+        """Fit these terms; some may end at zero, and are then not in the covariance, if not uncertain."""
         design = self.design[:, columns]
         found = _bounded(design / self.variances[:, np.newaxis], np.ones(len(self.variances)))
         for _ in range(ITERATIONS):
@@ -165,7 +169,7 @@ class _Problem:
             found = _bounded(whitened[:, :-1], whitened[:, -1])
             if np.all(np.abs(found - before) <= CONVERGED * np.maximum(found, before)):
                 break
-        return self._solution(columns, found)
+        return self._solution(columns, found, uncertain)
 
     def _matrix(self, columns: tuple[int, ...], found: FloatArray) -> FloatArray:
         coefficients = _spread(columns, found)
@@ -174,9 +178,10 @@ class _Problem:
         least = 1e-9 * (np.abs(expected) + 1e-3 * self.variances) ** 2
         return matrix + np.diag(1e-12 * np.diag(matrix) + least)
 
-    def _solution(self, columns: tuple[int, ...], found: FloatArray) -> _Solution:
+    def _solution(self, columns: tuple[int, ...], found: FloatArray, uncertain: frozenset[int]) -> _Solution:
         factor = cho_factor(self._matrix(columns, found), lower=True)
-        active = [column for column, value in zip(columns, found, strict=True) if value > 0.0]
+        pairs = zip(columns, found, strict=True)
+        active = [column for column, value in pairs if value > 0.0 or column in uncertain]
         design = self.design[:, active]
         covariance = np.zeros((len(COLUMNS), len(COLUMNS)))
         scale = np.linalg.norm(design, axis=0)
@@ -237,12 +242,13 @@ def fit_terms(variances: FloatArray, covariances: Covariances, interval_s: float
         return None
     start, stop, error = _range_and_error(variances[:n], covariances, interval_s)
     problem = _Problem(variances[start:stop], _part(covariances, start, stop), error)
-    solution = _smallest(problem)
+    smallest = _smallest(problem)
+    solution = problem.fit(_with_alike(smallest), ALIKE)
     told = TERMS if stop == n else TERMS[:1]
     terms: dict[str, Estimate | None] = dict.fromkeys(term.name for term in TERMS)
     for column, term in enumerate(told if error <= NO_SUM else ()):
         coefficient = float(solution.coefficients[column])
-        if coefficient > 0.0 and _is_shown(problem, solution, column):
+        if coefficient > 0.0 and _is_shown(problem, smallest, column):
             value = math.sqrt(coefficient * term.per_unit(interval_s))
             spread = math.sqrt(float(solution.covariance[column, column]))
             terms[term.name] = Estimate(value, 0.5 * value * spread / coefficient)
@@ -250,9 +256,16 @@ def fit_terms(variances: FloatArray, covariances: Covariances, interval_s: float
 
 
 def _is_shown(problem: _Problem, solution: _Solution, column: int) -> bool:
-    """Tell whether the fit without a term calls for it."""
-    others = tuple(int(other) for other in np.flatnonzero(solution.coefficients) if other != column)
+    """Tell whether the fit without a term calls for it, whatever may stand in its place."""
+    beside = _with_alike(solution) if column in ALIKE else np.flatnonzero(solution.coefficients).tolist()
+    others = tuple(other for other in beside if other != column)
     return not others or problem.called_for(problem.fit(others), column) > TERMS[column].shown
+
+
+def _with_alike(solution: _Solution) -> tuple[int, ...]:
+    """Return the columns of a solution, with what is not called for, but could stand in their place."""
+    found = frozenset(np.flatnonzero(solution.coefficients).tolist())
+    return tuple(sorted(found | ALIKE if found & ALIKE else found))
 
 
 def _range_and_error(

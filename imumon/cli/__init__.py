@@ -37,6 +37,7 @@ COMMANDS = {
     "detect": "Find baud rate and protocol of a device by trying.",
     "allan": "Tell noise, bias instability and drift of a recording at rest.",
     "diagnose": "Name the effect that a bias model lacks.",
+    "plan": "Find the experiment that tells what a diagnosis leaves open.",
     "learn": "Make a better bias model from all sessions of a unit.",
     "configure": "Set rate, outputs and baud rate of a device.",
     "devices": "List the devices that imumon knows.",

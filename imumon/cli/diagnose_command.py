@@ -90,7 +90,7 @@ def command(
     model = model_of(model_path) if model_path is not None else None
     assumed = declared if declared is not None else CUBIC
     parse_declared(assumed)
-    _make(out)
+    make_folder(out)
     with reading_bar([*train, *test], quiet=as_json) as tell:
         runs = [read(path, map_path, at_rest) for path in (*train, *test)]
         split = len(train)
@@ -132,7 +132,8 @@ def read(path: Path, map_path: Path | None, at_rest: bool) -> list[Run]:
     return read_runs(path, map_path, lambda _: [RestDetector()], at_rest=at_rest)
 
 
-def _make(out: Path) -> None:
+def make_folder(out: Path) -> None:
+    """Make a folder for results; raises BAD_CONFIG when that fails."""
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
-from imumon.blocks import FloatArray
+from imumon.blocks import FloatArray, IntArray
+from imumon.diagnosis.poses import in_one_pose, poses
 from imumon.diagnosis.recording import Origin, Run
 from imumon.effects.base import Drive, Survey
 
@@ -25,8 +25,6 @@ PLATEAU = 0.1
 STEPS_S = (1, 2, 4, 8)
 TURN_SHARE = 0.2
 """A turn of the temperature counts when it goes back by this share of the span."""
-
-BoolArray = np.ndarray[Any, np.dtype[np.bool_]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,6 +49,8 @@ class RunBlocks:
         What drives the effects, each slot, for each temperature; gaps are bridged.
     weight : array of shape (slots,)
         Of each slot in the means: samples, over those of a whole slot.
+    pose : array of shape (n,)
+        Number of the pose of each block, from 0; the same number is the same pose.
     """
 
     name: str
@@ -63,6 +63,7 @@ class RunBlocks:
     weight: FloatArray
     slots: int
     duration_s: float
+    pose: IntArray
     origin: Origin | None = None
     begun_in: str = ""
 
@@ -99,16 +100,18 @@ def make_blocks(
         for name in temperatures
         if (filled := _bridged(run.mean[name], run.time_s)) is not None
     }
+    slots = max(1, round(block_s / run.slot_s))
+    pose = np.zeros(len(valid), np.int64) if accel is None else poses(accel, valid)
+    valid = in_one_pose(valid, pose, slots)
     wanted = [run.time_s, *(np.where(valid, run.mean[name], 0.0) for name in channels)]
-    parts = np.column_stack([*wanted, *(drive.temperature_degc for drive in drives.values())])
+    parts = np.column_stack([*wanted, pose, *(drive.temperature_degc for drive in drives.values())])
     count = run.count[channels[0]]
     weight = np.zeros(len(count))
     weight[valid] = count[valid] / run.samples_per_slot(channels[0])
-    slots = max(1, round(block_s / run.slot_s))
     means, share = _block_means(parts, weight, slots)
     keep = share >= LEAST_SHARE
     means = means[keep]
-    first = 1 + len(channels)
+    first = 2 + len(channels)
     return RunBlocks(
         name=run.name,
         block_s=block_s,
@@ -120,6 +123,7 @@ def make_blocks(
         weight=weight,
         slots=slots,
         duration_s=run.duration_s,
+        pose=np.rint(means[:, first - 1]).astype(np.int64),
         origin=run.origin,
         begun_in=run.begun_in,
     )

@@ -5,35 +5,39 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Self
+from typing import Literal, Self
 
 import numpy as np
 
-from imumon.blocks import FloatArray
+from imumon.blocks import FloatArray, IntArray
 from imumon.diagnosis.blocks import RunBlocks, WhiteFloor
 from imumon.diagnosis.candidates import Candidate, Part, Pool
 from imumon.diagnosis.faults import Fault
 from imumon.effects.base import Effect
+
+INDEPENDENT = 10.0
+"""Blocks that count as one, for noise that is slow and for what the model lacks."""
+Own = Literal["", "run", "pose"]
 
 
 @dataclass(frozen=True, slots=True)
 class Declared:
     """The declared model: a polynomial of u = (T - middle) / half span.
 
-    `offsets` says whether each run has a constant of its own.
+    `own` says whether each run, or each pose of each run, has a constant of its own.
     """
 
     degree: int
     middle_degc: float
     half_span_degc: float
-    offsets: bool = False
+    own: Own = ""
 
     @classmethod
-    def over(cls, runs: Sequence[RunBlocks], temperature: str, degree: int, offsets: bool) -> Self:
+    def over(cls, runs: Sequence[RunBlocks], temperature: str, degree: int, own: Own) -> Self:
         """Return the model with the scale of the temperatures of these runs."""
         found = np.concatenate([run.temperature[temperature] for run in runs])
         low, high = float(found.min()), float(found.max())
-        return cls(degree, 0.5 * (low + high), max(0.5 * (high - low), 1e-3), offsets)
+        return cls(degree, 0.5 * (low + high), max(0.5 * (high - low), 1e-3), own)
 
     def columns(self, temperature: FloatArray) -> FloatArray:
         """Return 1, u, ... u^degree, (n, degree + 1)."""
@@ -41,13 +45,19 @@ class Declared:
         return np.asarray(u[:, np.newaxis] ** np.arange(self.degree + 1))
 
     def training(self, runs: Sequence[RunBlocks], temperature: str) -> FloatArray:
-        """Return the columns over all training runs, with a constant for each further run where declared."""
+        """Return the columns over all training runs, with a constant for each further run or pose where it
+        has one of its own."""
         columns = self.columns(np.concatenate([run.temperature[temperature] for run in runs]))
-        if not self.offsets:
-            return columns
-        which = np.repeat(np.arange(len(runs)), [len(run) for run in runs])
-        own = which[:, np.newaxis] == np.arange(1, len(runs))
-        return np.column_stack([columns, own.astype(np.float64)])
+        which: list[IntArray] = []
+        for run in runs:
+            first = int(which[-1].max()) + 1 if which else 0
+            which.append(first + self.levels(run))
+        own = np.concatenate(which)[:, np.newaxis] == np.unique(np.concatenate(which))[1:]
+        return np.column_stack([columns, own.astype(np.float64)]) if self.own else columns
+
+    def levels(self, run: RunBlocks) -> IntArray:
+        """Return which of the constants of a run each block has, (n,), from 0."""
+        return run.pose if self.own == "pose" else np.zeros(len(run), np.int64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,3 +147,19 @@ def residual_rms(columns: FloatArray, values: FloatArray) -> float:
     """Return the rms of the residual of ordinary least squares."""
     left = values - columns @ ordinary(columns, values)
     return float(np.sqrt(np.mean(left**2)))
+
+
+def estimated(columns: FloatArray, values: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
+    """Return the last coefficients of ordinary least squares and their standard deviations, (count,)."""
+    norm = np.linalg.norm(columns, axis=0)
+    norm = np.where(norm > 0, norm, 1.0)
+    left, singular, right = np.linalg.svd(columns / norm, full_matrices=False)
+    kept = singular > 1e-6 * singular[0]
+    coefficients = right[kept].T @ ((left[:, kept].T @ values) / singular[kept])
+    residual = values - columns / norm @ coefficients
+    variance = ((right[kept] / singular[kept, np.newaxis]) ** 2).sum(axis=0)
+    # What no column of its own tells is not known.
+    variance = np.where((right[~kept] ** 2).sum(axis=0) > 1e-3, np.inf, variance)
+    freedom = max(len(values) - int(kept.sum()), 1)
+    sd = np.sqrt(variance * float(residual @ residual) / freedom * INDEPENDENT) / norm
+    return (coefficients / norm)[-count:], sd[-count:]

@@ -1,21 +1,26 @@
-"""The vertical earth rate in a unit that is laid in several poses: the same on all three gyros.
+"""The earth rate in a unit that is laid in several poses: one vector, seen by three gyros.
 
 A gyro along whose axis the specific force is a sees the earth rate's vertical part, rate x sin(latitude) x
-a/g, up or down.  A sensitivity to g of its own has another value for each gyro, or acts across axes.
+a/g, up or down; with a magnetometer its horizontal part is seen as well.  A sensitivity to g of its own has
+another value for each gyro, or acts across axes.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
-from imumon.blocks import FloatArray
+from imumon.blocks import FloatArray, IntArray
 from imumon.diagnosis.blocks import RunBlocks
-from imumon.diagnosis.channel import Declared, ordinary, residual_rms
+from imumon.diagnosis.channel import INDEPENDENT, Declared, estimated
+from imumon.diagnosis.gains import PROVEN
+from imumon.diagnosis.gravity import specific_force
 from imumon.effects.base import Effect
 from imumon.effects.drift import Drift
+from imumon.effects.step import EDGE_BLOCKS
 from imumon.effects.thermal_lag import ThermalLag
 from imumon.effects.warm_up import WarmUp
 from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY
@@ -24,62 +29,181 @@ ALLOWANCE = 1.05
 SIGMAS = 3.0
 SPREAD = 0.15
 LAGS_S = (60.0, 250.0, 1000.0)
-INDEPENDENT = 10.0
-"""Blocks that count as one, for noise that is slow and for what the model lacks."""
+LEAST_FREE = 1e-3
+"""Share of a jump, or of one beside another, that is left beside the rest, below which it is not told."""
+LEAST_TURN = 0.5
+"""Change of a direction's component, about 30°, from which on its part of the earth rate is looked for."""
+LEAST_LEVEL = 0.1
+"""Share of the magnetic field that is horizontal, below which it does not say where north is."""
 
 
 @dataclass(frozen=True, slots=True)
-class VerticalRate:
-    """rad/s per m/s² along the own axis, and the latitude that it means."""
+class EarthRate:
+    """The earth rate in rad/s along the specific force at rest, magnetic north, and east; 0 where not seen.
 
-    per_force: float
+    `upright` and `level` say whether the poses show the part along the vertical, and the horizontal one.
+    """
+
+    up: float
+    north: float
+    east: float
+    upright: bool
+    level: bool
 
     @property
     def latitude_deg(self) -> float:
         """Latitude, north positive where the specific force at rest points up."""
-        sine = self.per_force * STANDARD_GRAVITY / EARTH_RATE
-        return float(np.degrees(np.arcsin(np.clip(sine, -1.0, 1.0))))
+        if self.upright and self.level:
+            return float(np.degrees(np.arctan2(self.up, self.across)))
+        if self.upright:
+            return float(np.degrees(np.arcsin(np.clip(self.up / EARTH_RATE, -1.0, 1.0))))
+        return float(np.degrees(np.arccos(np.clip(self.across / EARTH_RATE, -1.0, 1.0))))
+
+    @property
+    def across(self) -> float:
+        """Its horizontal part."""
+        return float(np.hypot(self.north, self.east))
+
+    @property
+    def vector(self) -> FloatArray:
+        """Up, north and east, (3,)."""
+        return np.array([self.up, self.north, self.east])
 
 
-def vertical_rate(
+def earth_rate(
     runs: Sequence[RunBlocks], channels: Sequence[str], temperatures: dict[str, str], declared: Declared
-) -> VerticalRate | None:
+) -> EarthRate | None:
     """Return what the three gyros have in common, or None when it is not the earth rate."""
-    if len(channels) != 3:
+    seen = _directions(runs) if len(channels) == 3 else None
+    if seen is None:
         return None
-    found, sigma = [], []
-    for axis, name in enumerate(channels):
-        temperature = temperatures[name]
-        forces = [_force(run) for run in runs]
-        if any(force is None for force in forces):
-            return None
-        force = np.concatenate([part for part in forces if part is not None])
-        values = np.concatenate([run.mean[name] for run in runs])
-        beside = np.concatenate([_beside(run, temperature, declared) for run in runs])
-        columns = np.column_stack([declared.training(runs, temperature), beside, force])
-        found.append(ordinary(columns, values)[-3 + axis])
-        spread = float(np.std(force[:, axis])) * np.sqrt(len(values) / INDEPENDENT)
-        sigma.append(residual_rms(columns, values) / spread if spread > 0 else np.inf)
-    mean = float(np.mean(found))
-    limit = np.maximum(SIGMAS * np.array(sigma), SPREAD * abs(mean))
-    same = bool(np.all(np.abs(np.array(found) - mean) <= limit))
-    seen = abs(mean) > SIGMAS * float(np.max(sigma)) / np.sqrt(3)
-    if same and seen and abs(mean) * STANDARD_GRAVITY <= ALLOWANCE * EARTH_RATE:
-        return VerticalRate(mean)
+    varies = np.ptp(seen, axis=0).max(axis=0) >= LEAST_TURN  # by axis, up, north, east
+    varies[1:] = varies[1:].any()
+    for chosen in (varies, varies & [True, False, False]):
+        if chosen.any():
+            found = _common(runs, channels, temperatures, declared, seen[:, :, chosen])
+            if found is not None:
+                vector = np.zeros(3)
+                vector[chosen] = found
+                up, north, east = vector.tolist()
+                return EarthRate(up, north, east, bool(chosen[0]), bool(chosen[1]))
     return None
 
 
-def without(runs: Sequence[RunBlocks], channels: Sequence[str], rate: VerticalRate) -> list[RunBlocks]:
-    """Return the runs with the vertical earth rate taken from the gyros."""
+def turned(runs: Sequence[RunBlocks]) -> bool:
+    """Tell whether these runs show any part of the earth rate by turns of the unit."""
+    seen = [part for run in runs if (part := _directions([run])) is not None]
+    return any(float(np.ptp(part, axis=0).max()) >= LEAST_TURN for part in seen)
+
+
+def without(runs: Sequence[RunBlocks], channels: Sequence[str], rate: EarthRate) -> list[RunBlocks]:
+    """Return the runs with the earth rate taken from the gyros."""
     found = []
     for run in runs:
-        force = _force(run)
-        if force is None:
+        seen = _directions([run])
+        if seen is None:
             found.append(run)
             continue
-        changed = {name: run.mean[name] - rate.per_force * force[:, at] for at, name in enumerate(channels)}
+        changed = {name: run.mean[name] - seen[:, at] @ rate.vector for at, name in enumerate(channels)}
         found.append(replace(run, mean={**run.mean, **changed}))
     return found
+
+
+def _common(
+    runs: Sequence[RunBlocks],
+    channels: Sequence[str],
+    temperatures: dict[str, str],
+    declared: Declared,
+    seen: FloatArray,
+) -> FloatArray | None:
+    """Return the earth rate along directions (n, 3 axes, k), (k,), if the gyros agree on it."""
+    force = np.concatenate([part for run in runs if (part := specific_force(run)) is not None])
+    each, sigma = [], []
+    for axis, name in enumerate(channels):
+        values = np.concatenate([run.mean[name] for run in runs])
+        beside = np.concatenate([_beside(run, temperatures[name], declared) for run in runs])
+        own, across = declared.training(runs, temperatures[name]), np.delete(force, axis, axis=1)
+        columns = np.column_stack([own, beside, across, seen[:, axis]])
+        columns = np.column_stack([_jumps(columns, values, runs), columns])
+        estimate, sd = estimated(columns, values, seen.shape[2])
+        each.append(estimate)
+        sigma.append(sd)
+    found, sd = np.array(each), np.array(sigma)
+    weight = 1.0 / sd**2
+    mean = (weight * found).sum(axis=0) / weight.sum(axis=0)
+    error = 1.0 / np.sqrt(weight.sum(axis=0))
+    size = float(np.linalg.norm(mean))
+    same = bool(np.all(np.abs(found - mean) <= np.maximum(SIGMAS * sd, SPREAD * size)))
+    is_seen = size > SIGMAS * float(np.linalg.norm(error))
+    return mean if same and is_seen and size <= ALLOWANCE * EARTH_RATE else None
+
+
+def _jumps(columns: FloatArray, values: FloatArray, runs: Sequence[RunBlocks]) -> FloatArray:
+    """Return a column for the jump, or for each of two in different runs, that leaves least, if that is
+    plain, (n, jumps).  One at a turn of the unit is that turn's."""
+    n = len(values)
+    parts = list(pairwise(np.cumsum([0, *map(len, runs)]).tolist()))
+    at = [first + _within(run.pose) for run, (first, _) in zip(runs, parts, strict=True)]
+    rows = np.arange(n)[:, np.newaxis]
+    steps = np.hstack([(rows >= k) & (rows < stop) for k, (_, stop) in zip(at, parts, strict=True)]) * 1.0
+    run = np.repeat(np.arange(len(at)), [len(k) for k in at])
+    norm = np.linalg.norm(columns, axis=0)
+    basis = np.linalg.qr(columns / np.where(norm > 0, norm, 1.0))[0]
+    left, free = values - basis @ (basis.T @ values), steps - basis @ (basis.T @ steps)
+    slope, gram = free.T @ left, free.T @ free
+    size = np.diag(gram)
+    told = size > LEAST_FREE * n
+    single = np.where(told, slope**2 / np.where(told, size, 1.0), 0.0)
+    determinant = np.outer(size, size) - gram**2
+    usable = (
+        (run[:, np.newaxis] < run) & (determinant > LEAST_FREE * np.outer(size, size)) & np.outer(told, told)
+    )
+    cross = np.outer(slope**2, size) - 2.0 * np.outer(slope, slope) * gram + np.outer(size, slope**2)
+    double = np.where(usable, cross / np.where(usable, determinant, 1.0), 0.0)
+    best = np.unravel_index(int(np.argmax(double)), double.shape)
+    total = float(left @ left)
+    one, two = (-n / INDEPENDENT * np.log1p(-min(gain.max() / total, 1 - 1e-9)) for gain in (single, double))
+    if two > max(2.0 * PROVEN, one + PROVEN):
+        return np.asarray(steps[:, best])
+    return np.asarray(steps[:, [int(np.argmax(single))]] if one > PROVEN else steps[:, :0])
+
+
+def _within(pose: IntArray) -> IntArray:
+    """Return the blocks of a run that are in the middle of a pose."""
+    turns = np.flatnonzero(np.diff(pose, prepend=-1, append=pose[-1] + 1))
+    at = np.arange(len(pose))
+    return np.asarray(at[np.abs(np.subtract.outer(at, turns)).min(axis=1) >= EDGE_BLOCKS])
+
+
+def _directions(runs: Sequence[RunBlocks]) -> FloatArray | None:
+    """Return up, and north and east where a magnetometer shows them, in body axes, (n, 3 axes, 3)."""
+    found = []
+    for run in runs:
+        force = specific_force(run)
+        if force is None:
+            return None
+        up = force / STANDARD_GRAVITY
+        north_east = _north(run, force / np.linalg.norm(force, axis=1, keepdims=True))
+        north, east = (np.zeros_like(up),) * 2 if north_east is None else north_east
+        found.append(np.stack([up, north, east], axis=2))
+    if any(not part[:, :, 1].any() for part in found):
+        for part in found:
+            part[:, :, 1:] = 0.0
+    return np.concatenate(found)
+
+
+def _north(run: RunBlocks, up: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+    """Return magnetic north and east in body axes, (n, 3) each; None where the field does not tell."""
+    others = next((drive.others for drive in run.drives.values()), {})
+    if any(f"mag_{axis}" not in others for axis in "xyz"):
+        return None
+    field = run.average(np.column_stack([others[f"mag_{axis}"] for axis in "xyz"]))
+    level = field - (field * up).sum(axis=1, keepdims=True) * up
+    size = np.linalg.norm(level, axis=1, keepdims=True)
+    if np.any(size < LEAST_LEVEL * np.linalg.norm(field, axis=1, keepdims=True)) or not size.all():
+        return None
+    north = level / size
+    return north, np.cross(north, up)
 
 
 def _beside(run: RunBlocks, temperature: str, declared: Declared) -> FloatArray:
@@ -91,8 +215,3 @@ def _beside(run: RunBlocks, temperature: str, declared: Declared) -> FloatArray:
         Drift(),
     ]
     return np.column_stack([run.average(effect.columns(run.drives[temperature])) for effect in effects])
-
-
-def _force(run: RunBlocks) -> np.ndarray[tuple[int, int], np.dtype[np.float64]] | None:
-    accel = next((drive.accel for drive in run.drives.values()), None)
-    return None if accel is None else run.average(accel)

@@ -17,11 +17,12 @@ from imumon.diagnosis.blocks import (
     white_floor,
 )
 from imumon.diagnosis.candidates import Pool
-from imumon.diagnosis.channel import Channel, Declared
+from imumon.diagnosis.channel import Channel, Declared, Own
 from imumon.diagnosis.continuing import continued, predecessor
 from imumon.diagnosis.drivers import recorded, shadows, with_drivers
-from imumon.diagnosis.earth import VerticalRate, vertical_rate, without
+from imumon.diagnosis.earth import EarthRate, earth_rate, turned, without
 from imumon.diagnosis.faults import faults, without_standstill
+from imumon.diagnosis.gravity import Length, at_poses, length
 from imumon.diagnosis.holding_out import STRETCHES, divided
 from imumon.diagnosis.known import (
     drivers_of,
@@ -35,10 +36,9 @@ from imumon.diagnosis.recording import CHANNELS, Run, common_temperature, unit_o
 from imumon.diagnosis.selection import search
 from imumon.diagnosis.verdict import ChannelVerdict, settle
 from imumon.effects.base import LEAST_SPAN_DEGC, Survey
-from imumon.effects.g_sensitivity import LEAST_RANGE
 from imumon.effects.library import EFFECTS
 from imumon.errors import ImumonError, Reason
-from imumon.geodesy import DEG_PER_H, STANDARD_GRAVITY
+from imumon.geodesy import DEG_PER_H
 from imumon.models.model import BiasModel
 
 LEAST_BLOCKS = 40
@@ -73,7 +73,7 @@ class Diagnosis:
     """Verdicts on all channels, and what has to be said of the data.
 
     `model` is the one that was given to begin with, or None.  `held_out` says that the test is part of the
-    one run that there is.
+    one run that there is.  `length` is what follows from |f| = g in several poses.
     """
 
     declared: str
@@ -85,6 +85,7 @@ class Diagnosis:
     caveats: list[str] = field(default_factory=list)
     model: BiasModel | None = None
     held_out: bool = False
+    length: Length | None = None
 
 
 def parse_declared(text: str) -> tuple[int, bool]:
@@ -197,10 +198,16 @@ def _sensor(
 ) -> list[ChannelVerdict]:
     """Return the verdicts on the axes of one sensor."""
     blocks, tested, block_s = diagnosis.train, diagnosis.test, diagnosis.block_s
-    models = {name: Declared.over(blocks, temperatures[name], degree, offsets) for name in group}
+    own: Own = "run" if offsets else ""
+    if group[0].startswith("accel"):
+        # In each pose another part of gravity is seen, which nobody knows to a micro-g.
+        own = "pose"
+        _add_length(group, temperatures[group[0]], degree, diagnosis)
+        blocks, tested = at_poses(blocks), at_poses(tested)
+    models = {name: Declared.over(blocks, temperatures[name], degree, own) for name in group}
     earth = None
-    if group[0].startswith("gyro") and diagnosis.survey.accel_range >= LEAST_RANGE:
-        earth = vertical_rate(blocks, group, temperatures, models[group[0]])
+    if group[0].startswith("gyro") and turned(blocks):
+        earth = earth_rate(blocks, group, temperatures, models[group[0]])
         diagnosis.caveats.append(_said_of_earth(earth))
     if earth is not None:
         blocks, tested = without(blocks, group, earth), without(tested, group, earth)
@@ -220,13 +227,14 @@ def _sensor(
         for name in group
         for floor in [white_floor(train, name, block_s).of_blocks(blocks)]
     ]
-    searched, search_s = blocks, _search_block(blocks)
+    searched, search_s = blocks, search_block(blocks)
     if search_s != block_s:
         usable = [run for run in train if run.name in {block.name for block in blocks}]
         every = list(dict.fromkeys(temperatures.values()))
         others = list(blocks[0].drives[used[0]].others)
         searched = [make_blocks(run, list(temperatures), every, others, search_s) for run in usable]
         searched = searched if earth is None else without(searched, group, earth)
+        searched = at_poses(searched) if own == "pose" else searched
         pools = {temperature: Pool(searched, temperature) for temperature in used}
     temperature = temperatures[group[0]]
     found = search(
@@ -238,17 +246,32 @@ def _sensor(
     return [settle(channel, one) for channel, one in zip(channels, found, strict=True)]
 
 
-def _said_of_earth(earth: VerticalRate | None) -> str:
+def _add_length(group: Sequence[str], temperature: str, degree: int, diagnosis: Diagnosis) -> None:
+    """Add to a diagnosis what follows from the length of gravity, where there are poses enough."""
+    declared = Declared.over(diagnosis.train, temperature, degree, "pose")
+    found = length(diagnosis.train, temperature, declared) if len(group) == 3 else None
+    if found is not None:
+        diagnosis.length = found[1]
+        diagnosis.caveats.append(found[1].said(found[0]))
+
+
+def _said_of_earth(earth: EarthRate | None) -> str:
     if earth is None:
         return (
             "several poses: what is named g_sensitivity holds the vertical earth rate as well, up to"
             " 15.04 °/h per g on the diagonal; the horizontal earth rate of each pose is not told from"
             " an offset"
         )
-    common = earth.per_force * STANDARD_GRAVITY / DEG_PER_H
+    parts = [f"{earth.up / DEG_PER_H:+.2f} °/h up"] if earth.upright else []
+    parts += [f"{earth.across / DEG_PER_H:.2f} °/h level"] if earth.level else []
+    rest = (
+        ""
+        if earth.level
+        else "; its horizontal part is another offset in each pose, which a magnetometer would tell"
+    )
     return (
-        f"several poses: the gyros have {common:+.2f} °/h per g of their own axis in common; it is taken for"
-        f" the vertical earth rate (latitude {earth.latitude_deg:+.0f}°) and subtracted"
+        f"several poses: the gyros have {' and '.join(parts)} in common; it is taken for the earth rate"
+        f" (latitude {earth.latitude_deg:+.0f}°) and subtracted{rest}"
     )
 
 
@@ -287,7 +310,8 @@ def _in_order(train: Sequence[Run], test: Sequence[Run], caveats: list[str]) -> 
     return found
 
 
-def _search_block(blocks: Sequence[RunBlocks]) -> float:
+def search_block(blocks: Sequence[RunBlocks]) -> float:
+    """Return the length in seconds of the blocks that these, of the usual length, are searched in."""
     longest = max(map(len, blocks))
     shorter = next((part for part in SHORTER if part * longest >= LEAST_SEARCH_BLOCKS), SHORTER[-1])
     return blocks[0].block_s * max(1, -(-longest // MOST_SEARCH_BLOCKS)) / shorter

@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imumon.blocks import FloatArray
-from imumon.diagnosis.blocks import BoolArray, RunBlocks
+from imumon.blocks import FloatArray, IntArray
+from imumon.diagnosis.blocks import RunBlocks
 from imumon.diagnosis.candidates import Candidate, Part
 from imumon.diagnosis.channel import Channel, ordinary
+from imumon.diagnosis.poses import BoolArray
 from imumon.diagnosis.tracking import Prior, track
 from imumon.effects.base import Drive, Effect
 from imumon.models.model import REACH
@@ -18,6 +19,8 @@ from imumon.models.model import REACH
 CARRY_SPREAD = 0.35
 """Own coefficients carry over when none is further from their mean than this share of it."""
 LEAST_TEST_BLOCKS = 10
+LEAST_LEVEL_BLOCKS = 4
+"""Of fewer the mean takes too much of their own noise away."""
 WIDER = 2.0
 """What differs from run to run is known from few: the prior allows for so many times what was seen."""
 
@@ -84,10 +87,11 @@ class Fit:
 def fit(channel: Channel, found: Sequence[Candidate]) -> Fit:
     """Fit the declared model and the candidates by ordinary least squares."""
     pool, runs, width = channel.pool, len(channel.train), channel.base.shape[1]
+    further = channel.declared.degree + 1
     design = channel.design(found)
     coefficients = ordinary(design, channel.values)
-    model = coefficients[: channel.declared.degree + 1].copy()
-    model[0] += float(coefficients[channel.declared.degree + 1 : width].sum()) / runs
+    model = coefficients[:further].copy()
+    model[0] += float(coefficients[further:width].sum()) / (width - further + 1)
     parts = [_as_it_is(effect) for effect in channel.kept]
     lifted, at = 0.0, width
     for candidate in found:
@@ -187,9 +191,9 @@ def score(channel: Channel, model: Fit, like: Fit | None = None) -> TestScore:
         covered.append(inside_range & _within_drivers(channel, run, like or model))
         use = covered[-1] & _settled(channel, run, like or model)
         residual = run.mean[channel.name] - _predicted(channel, run, model)
-        if channel.declared.offsets and use.any():
-            residual = residual - residual[use].mean()
-        lifted = 0.0 if _begun(channel, run) is not None else model.lifted
+        if channel.declared.own:
+            residual, use = _without_levels(residual, use, channel.declared.levels(run))
+        lifted = 0.0 if begun(channel, run) is not None else model.lifted
         expected, near = _followed(run, run.drives[channel.temperature], residual, model, lifted)
         left.append(residual)
         followed.append(residual - expected)
@@ -208,6 +212,17 @@ def score(channel: Channel, model: Fit, like: Fit | None = None) -> TestScore:
     )
 
 
+def _without_levels(residual: FloatArray, use: BoolArray, levels: IntArray) -> tuple[FloatArray, BoolArray]:
+    """Return a residual less the mean of each level, and which blocks count: of levels with enough."""
+    left, counted = residual.copy(), use.copy()
+    for level in np.unique(levels):
+        here = levels == level
+        number = int((here & use).sum())
+        left[here] -= residual[here & use].mean() if number else 0.0
+        counted[here] &= number >= LEAST_LEVEL_BLOCKS
+    return left, counted
+
+
 def mean_rms(parts: Sequence[FloatArray], counted: Sequence[BoolArray]) -> float:
     """Return the rms over the blocks that count; NaN when they are too few."""
     values = np.concatenate([part[use] for part, use in zip(parts, counted, strict=True)])
@@ -217,23 +232,25 @@ def mean_rms(parts: Sequence[FloatArray], counted: Sequence[BoolArray]) -> float
 def _predicted(channel: Channel, run: RunBlocks, model: Fit) -> FloatArray:
     """Return the bias that a fitted model predicts of a run, (n,)."""
     expected = channel.declared.columns(run.temperature[channel.temperature]) @ model.declared
-    drive, begun = run.drives[channel.temperature], _begun(channel, run)
+    drive, which = run.drives[channel.temperature], begun(channel, run)
     for part in model.parts:
         if part.carries:
             simulated = part.effect.simulate(drive)
             expected = expected + run.average(simulated[:, np.newaxis])[:, 0]
-        elif part.effect.scope == "event" and begun in part.runs:
-            expected = expected + run.average(part.effect.columns(drive)) @ part.own[part.runs.index(begun)]
-    return np.asarray(expected if begun is None else expected - model.lifted)
+        elif part.effect.scope == "event" and which in part.runs:
+            expected = expected + run.average(part.effect.columns(drive)) @ part.own[part.runs.index(which)]
+    return np.asarray(expected if which is None else expected - model.lifted)
 
 
 def goes_on(channel: Channel, model: Fit) -> bool:
     """Tell whether a jump of the training is still there in a run of the test."""
-    begun = [_begun(channel, run) for run in channel.test]
-    return any(part.effect.scope == "event" and run in part.runs for part in model.parts for run in begun)
+    goes_on_from = [begun(channel, run) for run in channel.test]
+    return any(
+        part.effect.scope == "event" and run in part.runs for part in model.parts for run in goes_on_from
+    )
 
 
-def _begun(channel: Channel, run: RunBlocks) -> int | None:
+def begun(channel: Channel, run: RunBlocks) -> int | None:
     """Return the training run that a run goes on from; None where it begins with a power-on of its own."""
     names = [other.name for other in channel.train]
     return names.index(run.begun_in) if run.begun_in in names else None

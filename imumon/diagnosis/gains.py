@@ -81,7 +81,7 @@ def pooled_gains(tables: Sequence[Table], logarithm: float) -> dict[str, float]:
 
     `logarithm` is the price of a parameter.
     """
-    shown = [table for table in tables if max(one.gain for one in table.scored) > PROVEN]
+    shown = [table for table in tables if max((one.gain for one in table.scored), default=0.0) > PROVEN]
     if len(shown) < 2:
         return {}
     pooled: dict[str, float] = {}

@@ -117,7 +117,7 @@ class _Glance:
         self._blocks = pool.runs[0]
         seen = survey(pool.runs, pool.temperature, CUBIC, BLOCK_S)
         degree = CUBIC if seen.thermal else 0
-        self._declared = Declared.over(pool.runs, pool.temperature, degree, offsets=False)
+        self._declared = Declared.over(pool.runs, pool.temperature, degree, "")
         self._few = _few(seen)
         self._terms = [pool.terms(candidate)[0] for candidate in self._few]
 

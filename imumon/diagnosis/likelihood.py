@@ -7,13 +7,15 @@ block, F the mean of exp(-|lag|/tau) over `TAUS_S`, which is close to flicker, R
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import lgamma
 
 import numpy as np
 import numpy.typing as npt
 
 from imumon.blocks import FloatArray, IntArray
-from imumon.diagnosis.blocks import BoolArray, RunBlocks
+from imumon.diagnosis.blocks import RunBlocks
 from imumon.diagnosis.candidates import Pool, Term
+from imumon.diagnosis.poses import BoolArray
 from imumon.filters.noise import BiasNoise, Whitener, whitener
 
 Noise = tuple[float, float]
@@ -29,6 +31,9 @@ COARSE_WALK = (0.0, 10.0, 1000.0)
 COLLINEAR = 1e-5
 """A column of which less is left beside the base is not used."""
 RIDGE = 1e-9
+TAILS = (4.0, 8.0, 16.0, 64.0, np.inf)
+"""Degrees of freedom of Student's t that innovations may have; infinite: normal."""
+REWEIGHTED = 20
 
 
 class Likelihood:
@@ -52,8 +57,7 @@ class Likelihood:
 
     def best(self, values: FloatArray, base: FloatArray) -> tuple[float, Noise]:
         """Return the best log-likelihood of values (n,), and its noise on the whole grid."""
-        left = [self._left(values, base, point)[0] for point in self._grid]
-        found = [float(self._of(one @ one, point)) for one, point in zip(left, self._grid, strict=True)]
+        found = [self.at(values, base, point) for point in self._grid]
         at = int(np.argmax(found))
         return found[at], self._grid[at]
 
@@ -69,6 +73,16 @@ class Likelihood:
         at = int(np.argmax(fit))
         later, sd = white[at][~early], sds[at][~early] * np.sqrt(variance[at])
         return float(-0.5 * np.sum(later**2) / variance[at] - np.log(sd).sum())
+
+    def at(self, values: FloatArray, base: FloatArray, noise: Noise) -> float:
+        """Return the log-likelihood of values (n,) with a noise."""
+        left = self._left(values, base, noise)[0]
+        return float(self._of(left @ left, noise))
+
+    def scale(self, values: FloatArray, base: FloatArray, noise: Noise) -> float:
+        """Return s, the standard deviation of the white noise of a full block that is most likely."""
+        left = self._left(values, base, noise)[0]
+        return float(np.sqrt(left @ left / self.n))
 
     def scan(
         self,
@@ -91,6 +105,40 @@ class Likelihood:
             better = found > best
             best[better], noise[better] = found[better], index
         return best, [grid[index] for index in noise.tolist()]
+
+    def beyond_tails(
+        self, values: FloatArray, base: FloatArray, columns: FloatArray, noises: Sequence[Noise]
+    ) -> float:
+        """Return twice the log-likelihood ratio of columns (n, k) beside a base, the innovations being
+        Student's t with the tails that suit each model best (Lange, Little and Taylor 1989,
+        doi:10.1080/01621459.1989.10478852).
+
+        An innovation is then no proof that is not far beyond what the other innovations do.
+        """
+        best = [
+            max(self._heavy(values, design, noise, tails) for noise in noises for tails in TAILS)
+            for design in (base, np.column_stack([base, columns]))
+        ]
+        return 2.0 * (best[1] - best[0])
+
+    def _heavy(self, values: FloatArray, base: FloatArray, noise: Noise, tails: float) -> float:
+        """Return the log-likelihood of a base with innovations of Student's t, by reweighting."""
+        both = self._white(np.column_stack([base, values]), noise)
+        weight = np.ones(self.n)
+        for _ in range(REWEIGHTED if np.isfinite(tails) else 1):
+            root = np.sqrt(weight)[:, np.newaxis]
+            basis = _orthonormal(both[:, :-1] * root)
+            target = both[:, -1] * root[:, 0]
+            left = (target - basis @ (basis.T @ target)) / root[:, 0]
+            variance = float(np.mean(weight * left**2))
+            if np.isfinite(tails):
+                weight = (tails + 1.0) / (tails + left**2 / variance)
+        spread = self._of(self.n * variance, noise) - 0.5 * self.n * np.log(2.0 * np.pi)
+        if not np.isfinite(tails):
+            return float(spread - 0.5 * self.n)
+        constant = lgamma(0.5 * (tails + 1.0)) - lgamma(0.5 * tails) - 0.5 * np.log(0.5 * tails)
+        peaked = 0.5 * (tails + 1.0) * np.log1p(left**2 / (tails * variance)).sum()
+        return float(spread + self.n * constant - peaked)
 
     def _of(self, squares: npt.ArrayLike, noise: Noise) -> FloatArray:
         """Return log-likelihoods from sums of squares of whitened residuals, s² profiled."""

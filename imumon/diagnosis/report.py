@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
+
+import numpy as np
 
 from imumon import __version__
 from imumon.diagnosis.engine import Diagnosis
 from imumon.diagnosis.fitting import FittedPart
+from imumon.diagnosis.gravity import Length
+from imumon.diagnosis.questions import Answer
 from imumon.diagnosis.verdict import ChannelVerdict, Claim
 from imumon.effects.library import separated_by
 from imumon.files import plain
@@ -32,7 +37,9 @@ def report(diagnosis: Diagnosis) -> dict[str, Any]:
             diagnosis.survey.middle_degc - diagnosis.survey.half_span_degc,
             diagnosis.survey.middle_degc + diagnosis.survey.half_span_degc,
         ],
+        "fastest_degc_per_min": _fastest(diagnosis),
         "caveats": diagnosis.caveats,
+        "length_of_gravity": _length(diagnosis.length),
         "channels": {verdict.name: _channel(verdict) for verdict in diagnosis.verdicts},
     }
     found: dict[str, Any] = plain(content)
@@ -50,6 +57,23 @@ def _declared(diagnosis: Diagnosis) -> str:
     return f"model of {diagnosis.model.created}"
 
 
+def _fastest(diagnosis: Diagnosis) -> float:
+    """Return the rate of the temperature that all but a twentieth of the training stays below."""
+    rates = [
+        np.abs(np.diff(t) / np.diff(run.time_s))
+        for run in diagnosis.train
+        for t in run.temperature.values()
+        if len(run) > 1
+    ]
+    return 60.0 * float(np.quantile(np.concatenate(rates), 0.95))
+
+
+def _length(found: Length | None) -> dict[str, Any] | None:
+    if found is None:
+        return None
+    return {name: np.asarray(value).tolist() for name, value in asdict(found).items()}
+
+
 def _run(name: str, blocks: int, duration_s: float) -> dict[str, Any]:
     return {"name": name, "blocks": blocks, "duration_s": duration_s}
 
@@ -61,7 +85,12 @@ def _channel(verdict: ChannelVerdict) -> dict[str, Any]:
         "unit": verdict.channel.unit,
         "noise_floor_rms": verdict.channel.floor.sd,
         "noise_floor_from": verdict.channel.floor.source,
-        "slow_noise": {"flicker": verdict.noise[0], "random_walk": verdict.noise[1]},
+        "slow_noise": {
+            "flicker": verdict.noise[0],
+            "random_walk": verdict.noise[1],
+            "flicker_rms": verdict.slow.flicker,
+            "random_walk_per_sqrt_s": verdict.slow.walk,
+        },
         "before": {
             "train_rms": verdict.before.train_rms,
             "test_rms": nothing if before is None else before.rms,
@@ -81,6 +110,7 @@ def _channel(verdict: ChannelVerdict) -> dict[str, Any]:
             for claim in verdict.claims
             for other in claim.finding.alike[1:]
         ],
+        "questions": [[_answer(one) for one in asked.answers] for asked in verdict.questions],
         "turns": [
             {
                 "done": step.done,
@@ -100,6 +130,17 @@ def _channel(verdict: ChannelVerdict) -> dict[str, Any]:
     }
 
 
+def _answer(answer: Answer) -> dict[str, Any]:
+    """Return a model that may be the unit's, with effects as in a model file."""
+    effects = [part.effect for part in answer.fit.parts if part.carries]
+    return {
+        "name": answer.name,
+        "carries": answer.carries,
+        "declared": answer.fit.declared.tolist(),
+        "effects": [effect.model_dump() for effect in effects],
+    }
+
+
 def _effect(claim: Claim) -> dict[str, Any]:
     finding = claim.finding
     return {
@@ -107,6 +148,7 @@ def _effect(claim: Claim) -> dict[str, Any]:
         "parameters": _parameters(claim.parts),
         "carried_over": any(part.carries for part in claim.parts),
         "evidence": {
+            "proven_by": "test" if finding.by_test else "training",
             "gain_bic": finding.gain,
             "pooled_gain_bic": finding.pooled_gain,
             "rms_explained": finding.size,

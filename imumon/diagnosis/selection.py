@@ -4,7 +4,7 @@ agree."""
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -71,6 +71,10 @@ class Finding:
         Families that cannot be told apart from it, it among them; empty when there is no other.
     size : float
         rms of what it takes away from the residual.
+    by_test : bool
+        Whether the test alone proves it.
+    others : dict of str to Candidate
+        The best of each other family that is not told apart from it.
     known : bool
         Whether it is of the model that was given, and fitted anew.
     """
@@ -81,6 +85,8 @@ class Finding:
     rivals: dict[str, float]
     alike: list[str]
     size: float
+    by_test: bool = False
+    others: dict[str, Candidate] = field(default_factory=dict)
     known: bool = False
 
     @property
@@ -139,7 +145,8 @@ class Search:
 
     `findings` are the effects in the order in which they were found, those of a model that was given first;
     `many_events` says that a run has more than one event, such as two jumps, which no effect explains.
-    `turns` are those of the loop; `refit` says whether the curve that was given pays for being fitted anew.
+    `turns` are those of the loop; `refit` says whether the curve that was given pays for being fitted anew;
+    `last` is what was tried last.
     """
 
     def __init__(
@@ -150,6 +157,7 @@ class Search:
         self.turns: list[Turn] = []
         self.many_events = False
         self.finished = False
+        self.last: Table | None = None
         self.refit = False
         self._survey, self._likelihood, self._tried = survey, likelihood, tried
         self._known: dict[tuple[int, ...], tuple[list[Candidate], float, Noise]] = {}
@@ -161,6 +169,12 @@ class Search:
         """The candidates of the findings."""
         return [finding.candidate for finding in self.findings]
 
+    def of_family(self, name: str) -> list[Candidate]:
+        """Return what was tried of a family, of one part each and with no free start."""
+        return [
+            one for one in self._tried if one.family == name and len(one.parts) == 1 and not one.free_start
+        ]
+
     def null(self) -> tuple[float, Noise]:
         """Return the log-likelihood of the model so far, and its noise."""
         found = self.found
@@ -169,6 +183,16 @@ class Search:
             best = self._likelihood.best(self.channel.values, self.channel.design(found))
             self._known[key] = found, *best
         return self._known[key][1:]
+
+    def noise_sd(self) -> float:
+        """Return the white noise of a block that the likelihood of the model so far is largest with."""
+        return self._likelihood.scale(self.channel.values, self.channel.design(self.found), self.null()[1])
+
+    def noise_gain(self) -> float:
+        """Return by how much slow noise is likelier than white noise alone, in BIC."""
+        values, base = self.channel.values, self.channel.design(self.found)
+        white = self._likelihood.at(values, base, (0.0, 0.0))
+        return 2.0 * (self.null()[0] - white) - 2.0 * self._likelihood.price
 
     def _begin_with(self, known: Sequence[Effect]) -> None:
         """Fit anew what the runs show of a model that was given; the rest of it stays as it is."""
@@ -267,7 +291,7 @@ class Search:
 
     def decide(self, table: Table, pooled: Mapping[str, float]) -> None:
         """Add the effect that explains most, unless none is proven and large enough."""
-        leaders = table.leaders
+        self.last, leaders = table, table.leaders
         order = sorted(leaders, key=lambda name: -leaders[name].gain)
         while order and leaders[order[0]].gain > PROVEN:
             name = self._choose(order, leaders, pooled)
@@ -323,13 +347,29 @@ class Search:
         before, after = self._left(), self._left(candidate)
         size = float(np.sqrt(max(before**2 - after**2, 0.0)))
         largest = max((finding.size for finding in self.findings), default=0.0)
+        if candidate.scope == "event" and not leader.partner and not self._stands_out(best):
+            return None
         share = 0.0 if self._finer(candidate, before) else SECOND_SHARE
         if size < max(LEAST_SIZE * self.channel.floor.sd, share * largest, self.channel.blind):
             return None
         rivals = {other: one.gain for other, one in table.leaders.items()}
         rivals[name] = max(leader.gain, refined)
         alike = self._alike(leader, table, pooled, after)
-        return Finding(candidate, rivals[name], pooled.get(name, leader.gain), rivals, alike, size)
+        others = {other: table.leaders[other].scored.candidate for other in alike[1:]}
+        pooled_gain = pooled.get(name, leader.gain)
+        return Finding(candidate, rivals[name], pooled_gain, rivals, alike, size, others=others)
+
+    def _stands_out(self, best: Scored) -> bool:
+        """Tell whether a jump is proven even with noise that jumps by itself."""
+        channel, price = self.channel, self._likelihood.price
+        terms = channel.pool.terms(best.candidate)[0]
+        ratio = self._likelihood.beyond_tails(
+            channel.values,
+            channel.design(self.found),
+            channel.pool.matrix(terms),
+            [self.null()[1], best.noise],
+        )
+        return ratio - (len(terms) + best.candidate.nonlinear) * price > PROVEN
 
     def _finer(self, candidate: Candidate, left: float) -> bool:
         """Tell whether a candidate says more exactly what is there already, where that does not fit yet."""

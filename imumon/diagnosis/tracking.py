@@ -12,7 +12,7 @@ from typing import Self
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.diagnosis.blocks import BoolArray
+from imumon.diagnosis.poses import BoolArray
 
 JUMP_SIGMAS = 5.0
 LONGEST_TEST = 16

@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import islice
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
 from imumon.diagnosis.channel import Channel
 from imumon.diagnosis.fitting import Fit, FittedPart, TestScore, fit, fit_given, goes_on, mean_rms, score
+from imumon.diagnosis.foretold import foretold
+from imumon.diagnosis.likelihood import WALK_S
+from imumon.diagnosis.questions import Question, questions
 from imumon.diagnosis.selection import Finding, Search, Turn
 from imumon.effects.library import separated_by
 
@@ -21,6 +24,7 @@ EXPLAINED = 0.6
 """Share of the excess over the white floor that has to be explained before anything is named."""
 MATERIAL = 1.3
 """With a declared model that leaves less than so many floors, what is missing is too small to matter."""
+BY_TEST = "the test alone proves it: in training noise as slow as the one that is seen might go as far"
 
 
 @dataclass(slots=True)
@@ -31,6 +35,21 @@ class Claim:
     parts: list[FittedPart]
     explained: float
     test_alone: float
+
+
+@dataclass(frozen=True, slots=True)
+class SlowNoise:
+    """Flicker, rms over the correlation times of the likelihood, and random walk per root of a second."""
+
+    flicker: float = 0.0
+    walk: float = 0.0
+
+    @classmethod
+    def of(cls, found: Search) -> Self:
+        """Return that of the model that was found."""
+        flicker, walk = np.sqrt(found.null()[1])
+        sd = found.noise_sd()
+        return cls(float(flicker * sd), float(walk * sd / np.sqrt(WALK_S)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +74,10 @@ class ChannelVerdict:
         None without a test.
     left_out : list of dict
         What was found but made the test worse.
+    slow : SlowNoise
+        In the unit of the channel.
+    questions : list of Question
+        What is open.
     predicts : bool
         Whether the extended model goes into the model file; else the declared one does: nothing of what is
         claimed carries over, or the levels of the test make the prediction worse with it.
@@ -77,6 +100,8 @@ class ChannelVerdict:
     left_out: list[dict[str, Any]] = field(default_factory=list)
     remark: str = ""
     predicts: bool = True
+    slow: SlowNoise = SlowNoise()
+    questions: list[Question] = field(default_factory=list)
     refit: list[str] = field(default_factory=list)
     turns: list[Step] = field(default_factory=list)
 
@@ -141,8 +166,10 @@ def judge(channel: Channel, found: Search, left_out: Sequence[dict[str, Any]]) -
     """Return what is claimed of a channel, and what is not and why."""
     shape = replace(channel.declared, degree=found.channel.declared.degree)
     channel = replace(channel, declared=shape, kept=found.channel.kept)
-    findings = [one for one in found.findings if not (found.many_events and one.candidate.scope == "event")]
     given = fit_given(channel)
+    # A jump that is too small to matter is not told from the steps of a walk.
+    small = found.many_events or given.train_rms < MATERIAL * channel.floor.sd
+    findings = [one for one in found.findings if not (small and one.candidate.scope == "event")]
     refit = [one for one in findings if one.known]
     before = _fit(channel, refit) if found.refit else given
     kept, refuted = _not_worse(channel, given, findings)
@@ -160,6 +187,12 @@ def judge(channel: Channel, found: Search, left_out: Sequence[dict[str, Any]]) -
         claimed = []
     if not claimed:
         kept, after = refit, before
+    if not claimed and not found.many_events and before.train_rms >= CLEAN * floor:
+        one = foretold(channel, found, before, refit)
+        if one is not None:
+            kept, claimed = [*refit, one], [one]
+            after = _fit(channel, kept)
+            share, remark = explained_share(given.train_rms, after.train_rms, floor), BY_TEST
     scores = _scores(channel, given, after)
     if scores is not None and claimed and not np.isfinite(scores[1].rms):
         nothing = {"test_rms_with": float("nan"), "test_rms_without": float("nan")}
@@ -189,9 +222,11 @@ def judge(channel: Channel, found: Search, left_out: Sequence[dict[str, Any]]) -
         left_out=[*left_out, *refuted],
         remark=remark,
         predicts=predicts,
+        slow=SlowNoise.of(found),
         refit=_refit(channel, found, kept) if after is not given and predicts else [],
         turns=_turns(channel, found, given),
     )
+    verdict.questions = questions(channel, found, kept, verdict.unexplained)
     verdict.summary = "; ".join([*(fault.text for fault in channel.faults), summary(verdict)])
     return verdict
 
@@ -332,6 +367,8 @@ def summary(verdict: ChannelVerdict) -> str:
             names.append(claim.finding.name)
     text = f"{', and '.join(names)}: {before:.1f} white floors become {after:.2f} in training"
     text += _tested(verdict)
+    if verdict.remark:
+        text += f"; {verdict.remark}"
     if before < MATERIAL:
         text += "; present, too small to matter"
     if verdict.unexplained:

@@ -10,10 +10,11 @@ from imumon.estimation.attitude.stage import AttitudeEstimate
 from imumon.estimation.gyro_bias.stage import GyroBias
 from imumon.estimation.rest.stage import RestDetector
 from imumon.estimation.smoothing.backward import backward
+from imumon.estimation.smoothing.combine import Smoothed
 from imumon.estimation.smoothing.record import Record, Recorder
 from imumon.estimation.smoothing.stage import SmoothedEstimates
 from imumon.estimation.temperature_rate.stage import TemperatureRate
-from imumon.pipeline import Pipeline
+from imumon.pipeline import Estimator, Pipeline
 from imumon.protocols.thermometer import TemperatureRateParameters
 from imumon.recordings.source import Source, run_over
 from imumon.run.setup import Setup, ZuptMode
@@ -24,7 +25,12 @@ NEEDED = (TemperatureRate, RestDetector, GyroBias, AttitudeEstimate)
 
 def smoothed(source: Source, setup: Setup) -> SmoothedEstimates:
     """Run over a recording, forward and backward; return the stage that puts the result beside its rows."""
-    stages = [stage for stage in estimators(source.device, setup) if isinstance(stage, NEEDED)]
+    needed: tuple[type, ...] = NEEDED
+    if setup.latitude_deg is not None:
+        from imumon.estimation.alignment.stage import Alignment
+
+        needed = (*NEEDED, Alignment)
+    stages = [stage for stage in estimators(source.device, setup) if isinstance(stage, needed)]
     recorder = Recorder()
     for block in run_over(source.items, Pipeline(source.device, stages)):
         if len(block):
@@ -32,7 +38,21 @@ def smoothed(source: Source, setup: Setup) -> SmoothedEstimates:
     record = recorder.finish()
     given = source.device.temperature if source.device is not None else TemperatureRateParameters()
     against_time = backward(record, temperature_rate(given), _bias(record, setup))
-    return SmoothedEstimates(record, against_time)
+    return SmoothedEstimates(record, against_time, _heading(record, stages[-1], setup))
+
+
+def _heading(record: Record, stage: Estimator, setup: Setup) -> Smoothed | None:
+    """Return the heading where the unit stood still, when the latitude is known."""
+    if setup.latitude_deg is None:
+        return None
+    from imumon.estimation.alignment.stage import Alignment
+    from imumon.estimation.smoothing.heading import still_heading
+
+    assert isinstance(stage, Alignment)
+    # A known warm-up counts from the first sample, which the second half of a position is without.
+    parameters = setup.alignment.model_copy(update={"known_warm_up": None})
+    latitude_deg = setup.latitude_deg
+    return still_heading(record, stage.finish(), lambda: Alignment(parameters, latitude_deg))
 
 
 def _bias(record: Record, setup: Setup) -> GyroBias:

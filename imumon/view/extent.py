@@ -29,7 +29,7 @@ AHEAD = 0.1
 """The ends leave so much of the span free, for what comes until the next step."""
 TAB_HEIGHT, FRAME_HEIGHT, MARK_HEIGHT = 750, 36, 20
 """Points, in a window of 1456 x 819: a tab; of each strip its title and times; the number of a mark."""
-LATEST_S = {True: 3.0, False: 30.0}
+LATEST_S = {True: 3.0, False: 90.0}
 """The invisible line is looked at so far back, in a live view and in a recording, which comes in batches."""
 
 

@@ -251,6 +251,8 @@ class StreamLogger:
     def _draw_charts(self) -> None:
         """Draw what is waiting and due: live the one that was drawn longest ago."""
         if not self._live:
+            for key in self._waiting:
+                self._drawn_s.setdefault(key, time.monotonic())  # it begins with nothing worth 60 kB
             for key in [key for key in self._waiting if self._is_due(key, RECORDED_PICTURE_S)]:
                 self._draw(self._waiting.pop(key))
         elif self._waiting and (began := time.monotonic()) >= self._next_picture_s:

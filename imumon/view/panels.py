@@ -187,6 +187,7 @@ PANELS: tuple[Panel, ...] = (
             _with_sd("heading_gyro_mean", "gyro-mean", RED),
             _with_sd("heading_hann_mean", "Hann-mean", ORANGE),
             _with_sd("heading", "shown", BLUE),
+            _with_sd("heading_smoothed", "with-what-came-later", VIOLET),
         ),
         "°",
         ALIGNMENT,

@@ -27,7 +27,9 @@ CASES = (
     {"angle_random_walk": 1e-3, "bias_instability": 7e-4},
     {"angle_random_walk": 1e-3, "bias_instability": 7e-4, "quantization": 3e-4},
     {"angle_random_walk": 1e-3, "rate_ramp": 5e-6},
+    {"angle_random_walk": 1e-3, "bias_instability": 7e-4, "rate_random_walk": 1e-4},
     {"angle_random_walk": 1e-3, "bias_instability": 3e-4, "rate_random_walk": 1e-4},
+    {"angle_random_walk": 1e-3, "bias_instability": 3e-4, "rate_random_walk": 3e-5},
 )
 LETTERS = dict(zip(ARGUMENTS, "NBKQR", strict=True))
 FIRST_SEED = 2000

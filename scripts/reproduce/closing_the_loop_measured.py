@@ -28,6 +28,7 @@ SHARES = (0.5, 0.6, 0.65, 0.7)
 DRAWN = 0.65
 LEFT_OUT = (0.65, 0.7)
 SHIFTS_S = range(3, 31, 3)
+WALK_S = (8, 15, 30, 60, 120, 240, 480)
 INSISTED = ("thermal_lag", "hysteresis", "warm_up", "drift", "periodic", "temperature_rate")
 
 
@@ -53,6 +54,13 @@ def measured(data: Path, figures: Path) -> int:
         assert verdict.test_before is not None
         print(f"| {verdict.name} | {_deg(verdict.test_before.rms)} | " + " | ".join(cells) + " |")
     _draw(drawn, figures)
+    print(
+        "\n## Random walk of what the cubic leaves, by the length of means, 1e-3 deg/s per root of a second\n"
+    )
+    print("| axis | " + " | ".join(f"{length} s" for length in WALK_S) + " |")
+    print("|---" * (len(WALK_S) + 1) + "|")
+    for axis in AXES:
+        print(f"| {axis} | " + " | ".join(f"{1e3 * value:.1f}" for value in _walks(run, axis)) + " |")
     print("\n## The same with one block left out, or with blocks that begin later\n")
     for share in LEFT_OUT:
         _one_block_less(run, share)
@@ -123,6 +131,23 @@ def _row(share: float, verdict: ChannelVerdict, found: dict[str, dict[str, float
 
 def _deg(value: float) -> str:
     return "-" if not np.isfinite(value) else f"{np.degrees(value):.4f}"
+
+
+def _walks(run: Run, axis: str) -> list[float]:
+    """Return K, deg/s per root of a second, from the Hadamard variance of the residual, K² tau / 6 of a walk
+    (its white noise, from differences of seconds, taken off)."""
+    known = np.isfinite(run.mean["temperature"]) & np.isfinite(run.mean[f"gyro_{axis}"])
+    u = np.interp(run.time_s, run.time_s[known], run.mean["temperature"][known]) / 50.0
+    rate = np.degrees(np.interp(run.time_s, run.time_s[known], run.mean[f"gyro_{axis}"][known]))
+    left = rate - np.polyval(np.polyfit(u, rate, 3), u)
+    white = float(np.median(np.diff(left, 2) ** 2)) / 0.4549 / 6.0
+    found = []
+    for length in WALK_S:
+        starts = range(0, length, max(1, length // 4))
+        parts = [left[at : at + (len(left) - at) // length * length].reshape(-1, length) for at in starts]
+        hadamard = np.mean([np.mean(np.diff(part.mean(axis=1), 2) ** 2) for part in parts]) / 6.0
+        found.append(float(np.sqrt(max(hadamard - white / length, 0.0) * 6.0 / length)))
+    return found
 
 
 def _insisted(diagnosis: Diagnosis, verdict: ChannelVerdict, family: str) -> str:

@@ -16,11 +16,12 @@ DOCS = ROOT / "docs"
 def main() -> int:
     """Run one part."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--part", choices=("simulated", "measured", "heading"), default="simulated")
+    parser.add_argument("--part", choices=("simulated", "plans", "measured", "heading"), default="simulated")
     parser.add_argument("--quick", action="store_true", help="a few seconds: the first of everything")
     parser.add_argument("data", nargs="?", type=Path, default=DATA, help="folder of the measured recordings")
-    parser.add_argument("--repeat", type=int, default=4, help="simulated: cases of each kind")
-    parser.add_argument("--jobs", type=int, default=2, help="simulated: processes")
+    parser.add_argument("--repeat", type=int, default=4, help="simulated, plans: cases of each kind")
+    parser.add_argument("--first", type=int, default=900, help="plans: the first seed")
+    parser.add_argument("--jobs", type=int, default=2, help="simulated, plans: processes")
     given = parser.parse_args()
     if given.part == "simulated":
         from closing_the_loop_statistics import main as statistics
@@ -29,6 +30,10 @@ def main() -> int:
             return max(statistics(["--repeat", "1", "--jobs", "1", "--only", label]) for label in QUICK)
         out = DOCS / "appendix" / "closing-the-loop-results.md"
         return statistics(["--repeat", str(given.repeat), "--jobs", str(given.jobs), "--out", str(out)])
+    if given.part == "plans":
+        from closing_the_loop_plans import plans
+
+        return plans(given.repeat, given.first, given.jobs, quick=given.quick)
     if given.part == "measured":
         from closing_the_loop_measured import measured
 

@@ -1,4 +1,4 @@
-"""The gyro bias of simulated sessions, forward and smoothed: errors, errors over sigma, disagreement."""
+"""Gyro bias and heading of simulated sessions, forward and smoothed: errors, over sigma, disagreement."""
 
 from __future__ import annotations
 
@@ -8,9 +8,11 @@ from collections.abc import Iterator
 import numpy as np
 
 from imumon.blocks import FloatArray, SampleBlock
+from imumon.estimation.alignment.stage import Alignment
 from imumon.estimation.gyro_bias.stage import GyroBias
 from imumon.estimation.rest.stage import RestDetector
 from imumon.estimation.smoothing.backward import backward
+from imumon.estimation.smoothing.heading import still_heading
 from imumon.estimation.smoothing.record import Record, Recorder
 from imumon.estimation.smoothing.stage import SmoothedEstimates
 from imumon.estimation.temperature_rate.stage import TemperatureRate
@@ -32,6 +34,8 @@ CASES = (
 RATE_HZ = 100
 FIRST_SEED = 100
 PIECE_S = 60
+HEADINGS = 4
+"""Sessions of the alignment for one of the others: they are short."""
 
 
 def main() -> None:
@@ -50,6 +54,12 @@ def main() -> None:
         print(
             f"| {label} | {forward} | {smoothed} | {z} | {found[:, :, 3].max():.1f} | {apart} |", flush=True
         )
+    seeds = range(FIRST_SEED, FIRST_SEED + (1 if given.quick else HEADINGS * given.seeds))
+    error, z, live, apart_by = np.array([heading(seed) for seed in seeds]).T
+    print("| heading | forward, median [°] | smoothed [°] | error over sigma, rms | largest | disagreement |")
+    print("|---|---|---|---|---|---|")
+    values = f"{_rms(live):.4f} | {_rms(error):.4f} | {_rms(z):.2f} | {np.abs(z).max():.1f}"
+    print(f"| alignment, 5 min | {values} | {apart_by.min():.2f} to {apart_by.max():.2f} |")
 
 
 def measured(name: str, seconds: int, seed: int) -> FloatArray:
@@ -69,6 +79,27 @@ def measured(name: str, seconds: int, seed: int) -> FloatArray:
         true = np.concatenate([truth[:, j] for truth in truths])[rows]
         result[j] = _judged(record, smoothed, axis, true, stage.disagreement[f"gyro_bias_{axis}"])
     return result
+
+
+def heading(seed: int) -> tuple[float, float, float, float]:
+    """Return error of the smoothed heading, °, also over sigma, that forward, °, and the disagreement."""
+    scenario, recorder = load_scenario("alignment").played(RATE_HZ, "FRD"), Recorder()
+    block, _ = SimulatedUnit(scenario, seed).run(scenario.samples)
+    latitude_deg, true = scenario.latitude_deg or 0.0, np.radians(scenario.attitude.heading_deg)
+    stage = Alignment(None, latitude_deg, "FRD")
+    block = block.with_columns({"at_rest": np.ones(len(block), np.int64)})
+    recorder.add(block.with_columns(stage.process(block)))
+    record = recorder.finish()
+    found = still_heading(record, stage.finish(), lambda: Alignment(None, latitude_deg, "FRD"))
+    middle = len(found.value) // 2
+    off = np.degrees(np.remainder(record.columns["heading"] - true + np.pi, 2.0 * np.pi) - np.pi)
+    error = float(np.degrees(np.remainder(found.value[middle] - true + np.pi, 2.0 * np.pi) - np.pi))
+    live = float(np.nanmedian(np.abs(off)))
+    return error, error / float(np.degrees(found.sd[middle])), live, found.disagreement
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def played(name: str, seconds: int, seed: int) -> Iterator[tuple[SampleBlock, FloatArray]]:

@@ -57,6 +57,18 @@ def test_terms_are_found_within_their_standard_deviations(truth: dict[str, float
             assert sum(fit.terms[term.name] is not None for fit in found) <= 2, term.name
 
 
+def test_flicker_and_random_walk_that_look_alike_do_not_take_each_others_place() -> None:
+    truth = 1e-4
+    found = fits(
+        [noise(seed, N, INTERVAL_S, white=1e-3, instability=3e-4, walk=truth) for seed in range(1000, 1030)]
+    )
+    walks = [estimate for fit in found if (estimate := fit.terms["rate_random_walk"]) is not None]
+    errors = np.array([(walk.value - truth) / walk.sd for walk in walks])
+    assert len(errors) > 15
+    assert np.sqrt(np.mean(errors**2)) < 1.3
+    assert np.mean([walk.value for walk in walks]) < 1.1 * truth
+
+
 def test_a_filter_in_the_device_is_left_out_and_the_angle_random_walk_is_still_found() -> None:
     rng = np.random.default_rng(5)
     white = 1e-3 / np.sqrt(INTERVAL_S) * rng.normal(size=N + 7)

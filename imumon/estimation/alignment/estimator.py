@@ -15,7 +15,7 @@ from imumon.estimation.alignment.motion import LEAST, Motion, Slot
 from imumon.estimation.alignment.parameters import AlignmentParameters
 from imumon.estimation.alignment.posterior import Heading, Place, heading
 from imumon.estimation.alignment.record import Pose, Record
-from imumon.estimation.alignment.status import Estimate
+from imumon.estimation.alignment.status import Estimate, Position
 from imumon.geodesy import DEG_PER_H, EARTH_RATE, MICRO_G, STANDARD_GRAVITY, forward
 
 SLOT_S = 0.25
@@ -39,11 +39,12 @@ LEAST_ARW, LARGEST_TYPICAL = math.radians(0.002) / 60.0, EARTH_RATE
 SIZES = np.linspace(-4.0, 12.0, 17)
 """Logarithms of the sizes thought of, over the typical one: up to 200 °/h of the best gyros."""
 LARGER = int(np.sum(SIZES > 0.0))
-WORSE = np.exp([2.0, 4.0, 6.0, 8.0])
+WORSE = np.exp([2.0, 4.0, 6.0, 8.0, 10.0])
 SOME = np.array([[True, False, False], [False, True, False], [False, False, True]])
 SOME = np.concatenate([SOME, ~SOME])
-SINGLY = 0.01
-"""Gyros that may be worse than the others, by which factors, and the probability of that."""
+SINGLY = 0.003
+"""Gyros that may be worse than the others, by which factors, and the probability of that: up to twice the
+earth rate for the best gyros, and as seldom as a normal value beyond three standard deviations."""
 UNLIKE = 0.02
 """Probability that a gyro is worse than its class, by any factor, as one that is not calibrated: so little
 that it costs nothing where the rates agree with the class, and where they do not, they decide."""
@@ -95,6 +96,10 @@ class Aligner:
         self.latitude = math.radians(latitude_deg)
         self.level_rate = EARTH_RATE * math.cos(self.latitude)
         self.state = State()
+        self.run = 0
+        """How often the device has begun."""
+        self.past: list[Position] = []
+        """Positions of alignments before this."""
 
     def snapshot(self) -> State:
         """Return a copy of the state."""
@@ -106,7 +111,7 @@ class Aligner:
 
     def begin_anew(self, why: str) -> None:
         """Forget all poses; say why, when there were any."""
-        old = self.state
+        self.past, old = self.finish(), self.state
         restarts, events = old.restarts, old.events
         if old.poses:
             restarts += 1
@@ -162,9 +167,7 @@ class Aligner:
 
     def _stands(self, attitude: FloatArray) -> None:
         """Take a new attitude."""
-        up = attitude[2]
-        ahead = attitude @ forward(up / np.sqrt(up @ up))
-        self.state.attitude, self.state.ahead = attitude, math.atan2(ahead[1], ahead[0])
+        self.state.attitude, self.state.ahead = attitude, ahead_of(attitude)
 
     def _disturbed(self, slot: Slot) -> None:
         """Follow the unit until it rests again."""
@@ -388,6 +391,21 @@ class Aligner:
         """Heading of now, rad, 0 to 2π; NaN while there is none."""
         return self.as_heading(math.nan if self.state.found is None else self.state.found.north)
 
+    def finish(self) -> list[Position]:
+        """Fit what has come since the last fit; return where the unit stood still until now."""
+        state, found = self.state, list(self.past)
+        if state.poses:
+            self.evaluate()
+        for number, pose in enumerate(state.poses):
+            times = state.record.time_s[state.record.of_pose(number)]
+            if state.found is None or not len(times):
+                continue
+            sd = min(math.hypot(state.found.sd, math.sqrt(pose.turn_variance)), math.pi / math.sqrt(3.0))
+            shown = sd < math.radians(self.parameters.observable_deg)
+            north = state.found.north - ahead_of(pose.attitude) if shown else math.nan
+            found.append(Position(self.run, float(times[0]), float(times[-1]), north % (2.0 * math.pi), sd))
+        return found
+
     @property
     def turned(self) -> float:
         """Angle of the last turn about the vertical, or of the one that goes on, rad, clockwise."""
@@ -411,6 +429,13 @@ def _normal(logarithms: FloatArray) -> FloatArray:
     """Return the probabilities of logarithms of sizes by the scatter of a class."""
     density = np.exp(-0.5 * (logarithms / SCATTER) ** 2)
     return np.asarray(density / density.sum())
+
+
+def ahead_of(attitude: FloatArray) -> float:
+    """Return the direction of a body in the frame of the first pose, rad, from its forward to its left."""
+    up = attitude[2]
+    ahead = attitude @ forward(up / np.sqrt(up @ up))
+    return math.atan2(ahead[1], ahead[0])
 
 
 def levelled(attitude: FloatArray, up: FloatArray) -> FloatArray:

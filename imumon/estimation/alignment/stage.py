@@ -16,7 +16,7 @@ from imumon.estimation.alignment import charting
 from imumon.estimation.alignment.estimator import SLOT_S, Aligner, State
 from imumon.estimation.alignment.motion import LEAST, RECENT, Slot
 from imumon.estimation.alignment.parameters import AlignmentParameters
-from imumon.estimation.alignment.status import Estimate, Status, instead
+from imumon.estimation.alignment.status import Estimate, Position, Status, instead
 from imumon.filters.slots import SlotGatherer, Slots, held
 from imumon.geodesy import DEG_PER_H
 
@@ -141,6 +141,7 @@ class Alignment:
         if slots.begins[k] or not self._origin_ns:
             if not slots.begins[k] or state.poses:
                 self._aligner.begin_anew("the device started anew")
+            self._aligner.run += int(slots.begins[k])
             self._aligner.state = state = State(
                 events=self._aligner.state.events, restarts=self._aligner.state.restarts
             )
@@ -283,6 +284,10 @@ class Alignment:
     def wanted_deg(self) -> float:
         """The sigma wanted, degrees."""
         return self._parameters.settled_deg
+
+    def finish(self) -> list[Position]:
+        """Fit what has come since the last fit; return where the unit stood still."""
+        return self._aligner.finish()
 
     @property
     def status(self) -> Status:

@@ -19,6 +19,27 @@ class Estimate:
 
 
 @dataclass(frozen=True, slots=True)
+class Position:
+    """Where the unit stood still, and what all poses together say of its heading there.
+
+    Parameters
+    ----------
+    run : int
+        How often the device had begun, from 1.
+    begun_s, ended_s : float
+        Since the first sample of that run.
+    heading, sd : float
+        rad; the heading is NaN where it is not observable.
+    """
+
+    run: int
+    begun_s: float
+    ended_s: float
+    heading: float
+    sd: float
+
+
+@dataclass(frozen=True, slots=True)
 class Status:
     """Where the alignment stands.
 

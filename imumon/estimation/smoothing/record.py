@@ -28,6 +28,8 @@ FORWARD = (
     *_axes("gyro_bias_sd"),
     *_axes("gyro_random_error"),
     "attitude_estimate_heading",
+    "heading",
+    "heading_sd",
 )
 NAMES = (*SENSORS, *READINGS, "at_rest", *FORWARD)
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from imumon.blocks import ColumnArray, FloatArray, SampleBlock
 from imumon.columns import Column
-from imumon.estimation.smoothing.combine import SUSPECT, combine
+from imumon.estimation.smoothing.combine import SUSPECT, Smoothed, combine
 from imumon.estimation.smoothing.record import SUFFIXES, Record
 
 QUANTITIES = (
@@ -29,9 +29,13 @@ class SmoothedEstimates:
         Of the first run.
     backward : dict of str to array (n,)
         As from `imumon.estimation.smoothing.backward.backward`.
+    heading : Smoothed, optional
+        As from `imumon.estimation.smoothing.heading.still_heading`.
     """
 
-    def __init__(self, record: Record, backward: Mapping[str, FloatArray]) -> None:
+    def __init__(
+        self, record: Record, backward: Mapping[str, FloatArray], heading: Smoothed | None = None
+    ) -> None:
         self._stop = record.stop
         self._rows = 0
         self._told = False
@@ -40,14 +44,18 @@ class SmoothedEstimates:
         self.disagreement: dict[str, float] = {}
         """Forward less backward in units of their standard deviations, rms, by quantity."""
         for value, sd, unit in QUANTITIES:
-            if value not in backward:
-                continue
-            found = combine(record.columns[value], record.columns[sd], backward[value], backward[sd])
-            if math.isfinite(found.disagreement):
-                self.disagreement[value] = found.disagreement
-            if np.isfinite(found.sd).any():
-                self._values |= {smoothed(value): found.value, smoothed(sd): found.sd}
-                self._units |= {smoothed(value): unit, smoothed(sd): unit}
+            if value in backward:
+                found = combine(record.columns[value], record.columns[sd], backward[value], backward[sd])
+                self._take(value, sd, unit, found)
+        if heading is not None:
+            self._take("heading", "heading_sd", "rad", heading)
+
+    def _take(self, value: str, sd: str, unit: str, found: Smoothed) -> None:
+        if math.isfinite(found.disagreement):
+            self.disagreement[value] = found.disagreement
+        if np.isfinite(found.sd).any():
+            self._values |= {smoothed(value): found.value, smoothed(sd): found.sd}
+            self._units |= {smoothed(value): unit, smoothed(sd): unit}
 
     @property
     def columns(self) -> Sequence[Column]:
@@ -82,6 +90,6 @@ class SmoothedEstimates:
 
 def smoothed(name: str) -> str:
     """Return the name of the smoothed column: ``gyro_bias_sd_x`` becomes ``gyro_bias_smoothed_sd_x``."""
-    for quantity in ("temperature_estimate", "temperature_rate", "gyro_bias"):
+    for quantity in ("temperature_estimate", "temperature_rate", "gyro_bias", "heading"):
         name = name.replace(quantity, f"{quantity}_smoothed")
     return name

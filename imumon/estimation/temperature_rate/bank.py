@@ -154,6 +154,10 @@ START_ACCELERATION = START_RATE / 300.0
 """Standard deviations of rate and acceleration at the start, °C/s and °C/s²."""
 
 
+LEAST_LEFT = 1e-10
+"""A slot leaves so much of a variance, or rounding would leave none: the next makes up for it."""
+
+
 class Filter:
     """One filter: its probability, means and covariances, these by the first letters of the two.
 
@@ -324,7 +328,7 @@ def condition(f: Filter, mean: float, variance: float) -> None:
     t, r, a, e = f.tt + f.te, f.tr + f.re, f.ta + f.ae, f.te + f.ee
     spread = t + e
     shift = (mean - f.temperature - f.error) / spread
-    change = (variance - spread) / (spread * spread)
+    change = (max(variance, LEAST_LEFT * spread) - spread) / (spread * spread)
     f.temperature += t * shift
     f.rate += r * shift
     f.acceleration += a * shift

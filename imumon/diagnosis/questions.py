@@ -1,0 +1,74 @@
+"""What a diagnosis leaves open: effects that are not told apart, and what may be behind the unexplained.
+
+Each answer that is possible is a whole model, fitted to the training, so that the next experiment can be
+tried on units that have it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from imumon.diagnosis.candidates import Candidate
+from imumon.diagnosis.channel import Channel
+from imumon.diagnosis.fitting import Fit, fit
+from imumon.diagnosis.selection import Finding, Search
+from imumon.effects.base import ACCEL
+
+NOTHING = "nothing"
+"""The answer that there is slow noise and no effect; alone: is it noise, or something that the course of
+the temperature makes?"""
+MOST_ANSWERS = 2
+"""Effects that are thought of behind what is unexplained."""
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """An effect that may be the one, or `NOTHING`, the model that has it, and whether that carries over."""
+
+    name: str
+    fit: Fit
+    carries: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """Which of these is it?"""
+
+    answers: tuple[Answer, ...]
+
+
+def questions(channel: Channel, found: Search, kept: Sequence[Finding], unexplained: bool) -> list[Question]:
+    """Return what is open in a channel in which these findings are claimed."""
+    claimed = [finding.candidate for finding in kept]
+    asked = []
+    for finding in kept:
+        if finding.alike:
+            beside = [other for other in claimed if other is not finding.candidate]
+            answers = [finding.candidate, *finding.others.values()]
+            asked.append(_question(channel, beside, answers))
+    if unexplained and found.last is not None:
+        leaders = sorted(found.last.leaders.values(), key=lambda one: -one.scored.gain)
+        tried = [one.scored.candidate for one in leaders if one.scored.fit > 0.0]
+        left = [one for one in tried if one not in claimed and _may_be_tried(one)]
+        asked.append(_question(channel, claimed, left[:MOST_ANSWERS], nothing=True))
+    return asked
+
+
+def _may_be_tried(candidate: Candidate) -> bool:
+    """Tell whether a chamber, or poses, can make an effect show itself in another run."""
+    inputs = {name for part in candidate.parts for name in part.effect.inputs}
+    return candidate.scope in ("shared", "either") and inputs <= {ACCEL}
+
+
+def _question(
+    channel: Channel, beside: Sequence[Candidate], tried: Sequence[Candidate], *, nothing: bool = False
+) -> Question:
+    answers = []
+    for one in tried:
+        model = fit(channel, [*beside, one])
+        own = model.parts[-len(one.parts) :]
+        answers.append(Answer(one.family, model, all(part.carries for part in own)))
+    if nothing:
+        answers.insert(0, Answer(NOTHING, fit(channel, beside)))
+    return Question(tuple(answers))

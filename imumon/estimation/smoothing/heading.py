@@ -1,0 +1,68 @@
+"""The heading of a unit that stood still, by all of the time in which it did.
+
+It is one number, so what comes later makes it better by being fitted with the rest, not by a filter against
+time: a warm-up and a tripod that settles run forward only.  The second half of a position, fitted alone, is
+the test.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from imumon.blocks import FloatArray, IntArray, SampleBlock
+from imumon.estimation.alignment.stage import Alignment
+from imumon.estimation.alignment.status import Position
+from imumon.estimation.smoothing.combine import SUSPECT, Smoothed
+from imumon.estimation.smoothing.record import SENSORS, Record
+
+
+def still_heading(record: Record, positions: Sequence[Position], later: Callable[[], Alignment]) -> Smoothed:
+    """Return the heading of each slot in which the unit stood still, rad, (n,); NaN elsewhere.
+
+    Parameters
+    ----------
+    record : Record
+    positions : sequence of Position
+        As the alignment of the whole recording left them.
+    later : callable
+        Makes a new stage, for the second half of a position.
+    """
+    value, sd = (np.full(len(record.run), np.nan) for _ in range(2))
+    ratios = []
+    for position in positions:
+        rows = _rows(record, position)
+        if not len(rows):
+            continue
+        apart = _apart(record, rows[len(rows) // 2 :], later())
+        ratios += [apart] if math.isfinite(apart) else []
+        value[rows] = position.heading
+        sd[rows] = position.sd * (apart if apart > SUSPECT else 1.0)
+    return Smoothed(value, sd, float(np.sqrt(np.mean(np.square(ratios)))) if ratios else math.nan)
+
+
+def _rows(record: Record, position: Position) -> IntArray:
+    run = np.flatnonzero(record.run == position.run)
+    if not len(run):
+        return run
+    since_s = 1e-9 * (record.middle_ns[run] - record.middle_ns[run[0]])
+    return np.asarray(run[(since_s >= position.begun_s) & (since_s <= position.ended_s)])
+
+
+def _apart(record: Record, rows: IntArray, stage: Alignment) -> float:
+    """Return how far the heading by what was before is from that by these rows, in standard deviations."""
+    columns: dict[str, FloatArray] = {name: record.columns[name][rows] for name in SENSORS}
+    at_rest = (record.columns["at_rest"][rows] == 1.0).astype(np.int64)
+    found = stage.process(
+        SampleBlock(
+            {"device_time_ns": record.middle_ns[rows], "segment": record.run[rows], "at_rest": at_rest}
+            | columns
+        )
+    )
+    before, before_sd = (float(record.columns[name][rows[0]]) for name in ("heading", "heading_sd"))
+    behind, behind_sd = (float(found[name][-1]) for name in ("heading", "heading_sd"))
+    if not math.isfinite(before + behind):
+        return math.nan
+    return abs(math.remainder(before - behind, 2.0 * math.pi)) / math.hypot(before_sd, behind_sd)

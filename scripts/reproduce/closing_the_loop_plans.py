@@ -1,0 +1,106 @@
+"""Whether `imumon plan` keeps its word: the evidence that it expects, and what a diagnosis of that finds."""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+
+from closing_the_loop_cases import Setting, make_case
+
+from imumon.diagnosis.engine import diagnose
+from imumon.diagnosis.planning import MARGIN, Plan, Report, open_questions, plan, recorded, scenario
+from imumon.diagnosis.questions import NOTHING
+from imumon.diagnosis.report import report
+
+KINDS = (
+    "thermal_lag",
+    "temperature_rate",
+    "dead_time",
+    "warm_up",
+    "stress_relaxation",
+    "drift",
+    "hysteresis",
+)
+OUTSIDE = ("slow wander", "supply")
+SIZES = (1.0, 3.0, 10.0)
+MOST_S = 8 * 3600.0
+FRESH = 100
+"""First seed of the units that a plan is proven on: no plan has seen them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Kept:
+    """A plan and what came of it."""
+
+    label: str
+    question: str
+    hours: float
+    expected: float
+    needed: float
+    reached: float
+    seconds: float
+
+
+def planned(job: tuple[str, float, int]) -> list[Kept]:
+    """Return the plans for the questions that a simulated case leaves open."""
+    kind, size, seed = job
+    case = make_case(Setting((kind,), size, label=kind), seed)
+    content = report(diagnose(case.runs[:2], case.runs[2:], sensors=("gyro",)))
+    known = Report.model_validate({key: content[key] for key in Report.model_fields})
+    found = []
+    for question in open_questions(known):
+        began = time.perf_counter()
+        made = plan(known, question, MOST_S)
+        took = time.perf_counter() - began
+        label = f"{kind} at {size:g}"
+        if made.profile is None or made.expected is None:
+            found.append(Kept(label, question.name, math.nan, math.nan, math.nan, math.nan, took))
+            continue
+        hours = made.profile.duration_s / 3600.0
+        expected, reached = made.expected, _reached(known, made, seed)
+        found.append(Kept(label, question.name, hours, expected.value, expected.needed, reached, took))
+    return found
+
+
+def _reached(known: Report, made: Plan, seed: int) -> float:
+    """Return the evidence of a whole diagnosis, with one recording for training and one for the test."""
+    assert made.profile is not None
+    assert made.expected is not None
+    truth, rival = made.expected.truth, made.expected.rival
+    answer = next(one for one in made.question.answers if one.name == truth)
+    content = scenario(known, made.question.channel, made.profile, answer)
+    train, test = (recorded(content, FRESH + 2 * seed + at) for at in (0, 1))
+    degree = len(answer.declared) - 1
+    diagnosis = diagnose([train], [test], f"polynomial {degree}", sensors=(made.question.channel[:-2],))
+    verdict = next(one for one in diagnosis.verdicts if one.name == made.question.channel)
+    for claim in verdict.claims:
+        gains = claim.finding.rivals
+        if claim.finding.name in (truth, rival):
+            return gains.get(truth, 0.0) - (0.0 if rival == NOTHING else max(gains.get(rival, 0.0), 0.0))
+    return 0.0
+
+
+def plans(repeat: int, first: int, workers: int, *, quick: bool = False) -> int:
+    """Print what was expected and reached, case by case and in all; quick: of one case."""
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    every = [
+        (kind, size, first + at) for kind in (*KINDS, *OUTSIDE) for size in SIZES for at in range(repeat)
+    ]
+    every = every[:1] if quick else every
+    with ProcessPoolExecutor(workers) as pool:
+        found = [one for group in pool.map(planned, every) for one in group]
+    print("| case | open | hours | expected | needed | reached | s |\n|---|---|---|---|---|---|---|")
+    for one in found:
+        numbers = (one.hours, one.expected, one.needed, one.reached, one.seconds)
+        cells = " | ".join("-" if math.isnan(value) else f"{value:.1f}" for value in numbers)
+        print(f"| {one.label} | {one.question} | {cells} |")
+    tell = [one for one in found if one.expected >= MARGIN * one.needed]
+    within = sum(0.5 <= one.reached / one.expected <= 2.0 for one in tell)
+    enough = sum(one.reached >= one.needed for one in tell)
+    made = sum(not math.isnan(one.hours) for one in found)
+    print(f"\n{len(found)} questions; {made} with a profile; {len(tell)} of them expected to tell.")
+    print(f"Of those reached within a factor of 2: {within} of {len(tell)}; enough: {enough} of {len(tell)}.")
+    return 0

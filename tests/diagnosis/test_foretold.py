@@ -1,0 +1,61 @@
+"""What training cannot tell from a wander: a loop is proven by a test that it foretells, a jump never is."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from imumon.diagnosis.blocks import make_blocks
+from imumon.diagnosis.engine import diagnose
+from imumon.diagnosis.likelihood import Likelihood
+from imumon.diagnosis.recording import Run
+from imumon.diagnosis.report import report
+from imumon.effects.base import Drive
+from imumon.effects.hysteresis import Hysteresis
+from imumon.effects.step import EDGE_BLOCKS
+from tests.diagnosis.units import ramps, run
+
+SECONDS = 5400
+LOOP = Hysteresis(half_width=5.0, middle=26.0, half_span=14.0)
+
+
+def wandering(seed: int, dph_per_sqrt_s: float, loop_dph: float, tails: bool = False) -> Run:
+    """Return a run with a loop and a walk; with `tails` a few of the walk's steps are large."""
+    random = np.random.default_rng(100 + seed)
+    time, temperature = ramps(SECONDS, True, 1.2)
+    steps = random.standard_normal(SECONDS) * dph_per_sqrt_s
+    if tails:
+        steps[random.choice(SECONDS, 12, replace=False)] += random.choice([-12.0, 12.0], 12)
+    walk = np.cumsum(steps)
+    return run(
+        seed, time, temperature, lambda t, u: np.asarray(walk + loop_dph * LOOP.columns(Drive(t, u))[:, 0])
+    )
+
+
+@pytest.mark.parametrize(("loop_dph", "names"), [(70.0, ["hysteresis"]), (0.0, [])])
+def test_a_loop_that_training_cannot_prove_is_proven_by_what_it_foretells(
+    loop_dph: float, names: list[str]
+) -> None:
+    diagnosis = diagnose([wandering(11, 0.5, loop_dph)], [wandering(12, 0.1, loop_dph)])
+    (verdict,) = diagnosis.verdicts
+    assert [claim.finding.name for claim in verdict.claims] == names
+    assert verdict.unexplained
+    assert verdict.questions[0].answers[0].name == "nothing"
+    if names:
+        assert verdict.claims[0].finding.by_test
+        assert "the test alone proves it" in verdict.summary
+        (effect,) = report(diagnosis)["channels"]["gyro_x"]["effects"]
+        assert effect["evidence"]["proven_by"] == "test"
+
+
+def test_a_step_of_noise_that_jumps_by_itself_proves_less() -> None:
+    made = wandering(3, 0.3, 0.0, tails=True)
+    blocks = make_blocks(made, ["gyro_x"], ["temperature"])
+    likelihood, values = Likelihood([blocks]), blocks.mean["gyro_x"]
+    base, noise = np.ones((len(values), 1)), (0.0, 1000.0)
+    at = EDGE_BLOCKS + int(np.argmax(np.abs(np.diff(values))[EDGE_BLOCKS:-EDGE_BLOCKS])) + 1
+    jump = (np.arange(len(values)) >= at).astype(np.float64)[:, np.newaxis]
+    normal = 2 * (likelihood.at(values, np.hstack([base, jump]), noise) - likelihood.at(values, base, noise))
+    heavy = likelihood.beyond_tails(values, base, jump, [noise])
+    assert heavy < 0.8 * normal
+    assert likelihood.beyond_tails(values, base, base, [noise]) == pytest.approx(0.0, abs=1e-6)
