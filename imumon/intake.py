@@ -78,7 +78,9 @@ class Intake:
         self._clock = _Clock()
         self._still = {sensor: _Still() for sensor in IMPOSSIBLE_AT_REST}
         self._begun: set[str] = set()
-        """Gyros and thermometers that have said something else than zero."""
+        """Gyros and thermometers that have said something: not only zero, nor gyros their first reading."""
+        self._first: FloatArray | None = None
+        """First reading of the gyros."""
         self._left_out: Counter[str] = Counter()
         self._said: set[str] = set()
 
@@ -101,8 +103,9 @@ class Intake:
         for name in block.columns:
             if name.startswith("temperature") and name not in self._begun:
                 self._begin(name, (name,), block, changed)
-        if "gyro" not in self._begun and all(f"gyro_{axis}" in block for axis in "xyz"):
-            self._begin("gyro", tuple(f"gyro_{axis}" for axis in "xyz"), block, changed)
+        gyros = tuple(f"gyro_{axis}" for axis in "xyz")
+        if "gyro" not in self._begun and all(name in block for name in gyros):
+            self._begin("gyro", gyros, block, changed)
         rows: BoolArray | None = None
         if "device_time_ns" in block and "segment" in block:
             kept, shift = self._clock.judge(block["device_time_ns"], block["segment"])
@@ -153,15 +156,29 @@ class Intake:
     def _begin(
         self, sensor: str, columns: tuple[str, ...], block: SampleBlock, changed: dict[str, ColumnArray]
     ) -> None:
-        """Leave out the zeros of a sensor that has not said anything yet."""
+        """Leave out the zeros of a sensor that has said nothing yet, and a gyro's repeated first reading.
+
+        Nobody can tell gyros that are stuck since the start from those whose noise is below their step; the
+        bias of neither is known.  A thermometer may rightly stay on one level for hours.
+        """
         readings = np.stack([block[name] for name in columns])
-        begun = np.maximum.accumulate(np.any((readings != 0.0) & ~np.isnan(readings), axis=0))
+        there = ~np.isnan(readings).any(axis=0)
+        said = np.any((readings != 0.0) & ~np.isnan(readings), axis=0)
+        silent, why = there.copy(), "nothing but zero"
+        if sensor == "gyro" and there.any():
+            if self._first is None:
+                self._first = readings[:, np.argmax(there)]
+                silent[np.argmax(there)] = not self._first.any()  # the first is no repetition
+            why = "nothing but its first reading" if self._first.any() else why
+            said &= there & np.any(readings != self._first[:, np.newaxis], axis=0)
+        begun = np.maximum.accumulate(said)
         if begun[-1:].any():
             self._begun.add(sensor)
-        if zeros := int((~begun & ~np.isnan(readings).any(axis=0)).sum()):
+        silent &= ~begun
+        if count := int(silent.sum()):
             for name in columns:
-                changed[name] = np.where(begun, changed.get(name, block[name]), np.nan)
-            self._left_out[f"{sensor} while it has said nothing but zero"] += zeros
+                changed[name] = np.where(silent, np.nan, changed.get(name, block[name]))
+            self._left_out[f"{sensor} while it has said {why}"] += count
 
 
 @cache

@@ -68,8 +68,27 @@ def test_a_gyro_that_stands_still_from_the_start_is_left_out_soon() -> None:
     for axis in "xyz":
         columns[f"gyro_{axis}"][:3000] = -35.0
     block, _ = seen(columns)
-    assert np.isnan(block["gyro_x"][40:3000]).all()
+    assert np.isnan(block["gyro_x"][1:3000]).all()
     assert not np.isnan(block["gyro_x"][3000:]).any()
+
+
+def test_a_gyro_that_has_had_one_reading_only_has_no_bias() -> None:
+    columns = record(5000)
+    for axis in "xyz":
+        columns[f"gyro_{axis}"][1:3000] = columns[f"gyro_{axis}"][0]
+    block, intake = seen(columns)
+    assert np.flatnonzero(np.isnan(block["gyro_x"])).tolist() == list(range(1, 3000))
+    assert intake.notices() == [
+        "left out of all estimates: gyro while it has said nothing but its first reading"
+    ]
+
+
+def test_one_axis_of_a_gyro_may_stay_as_it_is() -> None:
+    columns = record(500)
+    columns["gyro_x"][:] = 0.01
+    block, intake = seen(columns)
+    assert intake.left_out == 0
+    assert (block["gyro_x"] == 0.01).all()
 
 
 @pytest.mark.parametrize("each", [2, 10, 100])

@@ -125,6 +125,14 @@ def warn_of_no_display(view: str | None) -> None:
         )
 
 
+def warn_of_readers(view: str | None, bind: str) -> None:
+    """Say that other computers can read the web view, where they can."""
+    from imumon.view.viewer import LOCALHOST, default_mode
+
+    if bind not in (LOCALHOST, "localhost") and (view or default_mode()) == "web":
+        say("WARN", f"--bind {bind}: every computer that reaches this one can read the live view")
+
+
 def print_rows(rows: Mapping[str, str]) -> None:
     """Write labelled lines on standard error."""
     width = max(map(len, rows), default=0)

@@ -24,6 +24,7 @@ from imumon.cli.common import (
     print_json,
     print_rows,
     warn_of_no_display,
+    warn_of_readers,
     window_option,
 )
 from imumon.cli.keys import single_keys
@@ -91,6 +92,7 @@ def command(
             "run it in a terminal, or use --view web or none",
         )
     warn_of_no_display(view)
+    warn_of_readers(view, bind)
     live = PortRun(port, device, baud, _learning(make_setup(options), learn), out, seconds)
     run = live.run
     views: _Views | None = None
@@ -173,6 +175,7 @@ class _Views:
             tell("INFO", f"live view: {self._live.url}")
 
     def close(self) -> None:
+        self._recorder.end()
         if self._live is not None:
             self._live.close()
         self._recorder.close()

@@ -21,6 +21,7 @@ from imumon.cli.common import (
     split_columns,
     warn,
     warn_of_no_display,
+    warn_of_readers,
     window_option,
 )
 from imumon.cli.live_run import serve
@@ -110,6 +111,7 @@ def command(
         from imumon.view.publisher import ViewPublisher
 
         warn_of_no_display(view)
+        warn_of_readers(view, bind)
         publisher = ViewPublisher(view, _shown(source, opened, pipeline, window), bind=bind).start()
         _announce(publisher)
         card = {"session": str(session), "replay": "as fast as it goes" if pace is None else f"{pace:g} x"}

@@ -441,9 +441,10 @@ class Scan:
     def _check(self, buffer: bytes, at: int) -> None:
         """Compare the block that ends here with what was written."""
         check, block = Check.unpack(buffer, at), self._block
-        if check is None:  # its beginning is good, so this costs no read
-            block.damaged = True
+        if check is None:  # its beginning is good, so this costs no read, and the next block begins behind it
             self.found.damage.add(Place(self._position + at, CHECK_SIZE, self.last_ns, 0, 0, altered=False))
+            self._resolve(None)
+            self._block = _Block(begin=at + CHECK_SIZE, after_ns=self.last_ns)
             return
         block.take(memoryview(buffer)[block.begin : at])
         ahead = (check.sequence - self._sequence) & _MASK if self._sequence >= 0 and at == self._at else 0

@@ -23,6 +23,7 @@ from imumon.geodesy import STANDARD_GRAVITY
 from imumon.pipeline import Digest, Estimator, Pipeline, PipelineCounters
 from imumon.protocols.device import DeviceFile
 from imumon.recordings.folder import create_session, remove_empty
+from imumon.recordings.log import LOG_NAME, SessionLog
 from imumon.recordings.metadata import PortUsed, SessionMetadata, StreamSummary
 from imumon.recordings.recorder import Recorder
 from imumon.recordings.source import feed
@@ -144,19 +145,20 @@ class LiveRun:
         self.taken: Callable[[SampleBlock, Mapping[str, SampleBlock]], None] | None = None
         """Given, in the pipeline's thread, the samples and those of the side streams as they come."""
         self._settings = settings
-        self._say = say
         self._items: SimpleQueue[Item] = SimpleQueue()
         self._marks, self._marking = Marks(folder), threading.Lock()
         self._digest, self._outages = Digest(), Outages()
         self._clock = Clock()
         self._began_ns = self._clock.now_ns()
         self.session = create_session(folder, self._metadata(device, device_yaml, setup))
+        self._log = SessionLog(self.session.path / LOG_NAME, say)
+        self._say = self._log.put
         self._writer = self._wire_writer()
         self._recorder = Recorder(self._writer, self._recording_problem, self._save)
         silent_after_s = max(SILENT_AFTER_S, SILENT_AFTER_PACKETS / (device.rate_hz or np.inf))
         self._reader = Reader(settings, self._recorder.put, self._items.put, silent_after_s=silent_after_s)
         card = {"device": device.title, "port": str(settings), "recording": str(self.session.path)}
-        self._narrator = Narrator(self.pipeline, settings, (), say, card, self.session.path)
+        self._narrator = Narrator(self.pipeline, settings, (), self._say, card, self.session.path)
         self._thread = threading.Thread(target=self._run, name="pipeline", daemon=True)
         self._progress = self._narrator.progress(self._began_ns)
         self._finished = False
@@ -220,8 +222,9 @@ class LiveRun:
         )
         try:
             self.session.save(closed)
+            self._log.write()
         except OSError as error:
-            self._say("ERROR", f"session.yaml cannot be written: {error.strerror}")
+            self._say("ERROR", f"the session cannot be closed: {error.strerror}")
         return LiveSummary(
             self.session.path, self._began_ns, ended_ns, self._outages, counters, wire,
             self._recorder.problem, digest,
@@ -268,10 +271,11 @@ class LiveRun:
         )
 
     def _save(self) -> None:
-        """Renew session.yaml, so that a killed session tells how far it came."""
+        """Renew session.yaml and the log, so that a killed session tells how far it came."""
         counters = self.pipeline.counters
         changes = {"counters": flat_counters(counters), "streams": stream_summaries(counters)}
         self.session.save(self.session.metadata.model_copy(update=changes))
+        self._log.write()
 
     def _recording_problem(self, problem: str | None) -> None:
         if problem is None:

@@ -8,6 +8,7 @@ from enum import Enum, auto
 from typing import TYPE_CHECKING
 
 from imumon.view.frames import Report, Start
+from imumon.view.gate import Gate, hidden_address
 from imumon.view.viewer import (
     LOCALHOST,
     SERVER_MEMORY,
@@ -144,6 +145,7 @@ class WebLink:
         title = " - ".join(filter(None, (device, start.setup.title, "imumon")))
         self._web = WebServer(start.bind, free_port(start.web_port, start.bind), self._port, title)
         self._serving = False
+        self._gate: Gate | None = None
 
     def poll(self, rec: rr.RecordingStream) -> Change | None:
         """Start serving, the first time."""
@@ -152,8 +154,9 @@ class WebLink:
         self._serving = True
         import rerun as rr  # takes 0.4 s, in which a native viewer comes up: see Child
 
-        sink = rr.GrpcServerSink(LOCALHOST, self._port, server_memory_limit=SERVER_MEMORY, newest_first=True)
-        rec.set_sinks(sink)
+        address, port = behind = hidden_address()
+        rec.set_sinks(rr.GrpcServerSink(address, port, server_memory_limit=SERVER_MEMORY, newest_first=True))
+        self._gate = Gate(LOCALHOST, self._port, behind)
         self._tell(Report("serving the web viewer", True, self._port, self._web.port, self._web.url))
         return Change.NEW
 

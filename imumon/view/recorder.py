@@ -95,9 +95,13 @@ class ViewRecorder:
         """Queue an item; takes microseconds."""
         self._queue.put(item)
 
+    def end(self) -> None:
+        """Begin to write what is left; returns at once."""
+        self._queue.close()
+
     def close(self, timeout_s: float = 10.0) -> None:
         """Write what is left and finish the file."""
-        self._queue.close()
+        self.end()
         self._thread.join(timeout_s)
 
     def _run(self) -> None:

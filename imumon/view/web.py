@@ -21,6 +21,7 @@ from urllib.error import URLError
 from urllib.parse import quote
 
 from imumon.errors import ImumonError, Reason
+from imumon.view.gate import refusal
 from imumon.view.viewer import LOCALHOST, free_port, proxy_url, start_quietly, viewer_binary
 
 ASSETS = {
@@ -33,7 +34,6 @@ ASSETS = {
 
 FETCH_S = 10.0
 ALIVE = "/alive"
-HOST = re.compile(r"(?:[\w.-]+|\[[0-9a-fA-F:]+\])(?::\d+)?$")
 STREAM_PATH = "/rerun."
 """How the paths of the stream begin; they are passed on, so that one port is enough."""
 PART_BYTES = 1 << 16
@@ -164,6 +164,8 @@ class _Handler(BaseHTTPRequestHandler):
     def do_GET(self) -> None:
         """Answer with a file, or lead the bare address to the one that names the stream."""
         site = self._site
+        if self._refuses():
+            return
         path, _, query = self.path.partition("?")
         body = site.files.get(path)
         if body is None:
@@ -171,8 +173,7 @@ class _Handler(BaseHTTPRequestHandler):
             return
         asked = self.headers.get("Host", "")
         if path == "/" and not query:
-            here = asked if HOST.match(asked) else f"{site.host}:{site.port}"
-            here = here if re.search(r":\d+$", here) else f"{here}:80"
+            here = asked if re.search(r":\d+$", asked) else f"{asked}:80"
             stream = quote(f"rerun+http://{here}/proxy", safe="")
             self.send_response(HTTPStatus.FOUND)
             self.send_header("Location", f"/?url={stream}&hide_welcome_screen=1")
@@ -189,6 +190,8 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_POST(self) -> None:
         """Pass a request for the stream on, and what comes back as it comes."""
+        if self._refuses():
+            return
         if not self.path.startswith(STREAM_PATH):
             self.send_error(HTTPStatus.NOT_FOUND)
             return
@@ -208,6 +211,13 @@ class _Handler(BaseHTTPRequestHandler):
             while part := answer.read1(PART_BYTES):
                 self.wfile.write(b"%x\r\n%b\r\n" % (len(part), part))
             self.wfile.write(b"0\r\n\r\n")
+
+    def _refuses(self) -> bool:
+        """Tell a page of another site that it may not read; return whether this is one."""
+        said = refusal(self.headers.get("Host", ""), self.headers.get("Origin", ""))
+        if said:
+            self.send_error(HTTPStatus.FORBIDDEN, explain=said)
+        return bool(said)
 
     def log_message(self, *_: object) -> None:
         """Stay silent; the terminal belongs to the status line."""

@@ -10,7 +10,19 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from tests.faults import cost, damage, disk, documents, killed, line, medium, recovery
+from tests.faults import (
+    cost,
+    damage,
+    disk,
+    documents,
+    endurance,
+    fuzz,
+    killed,
+    line,
+    medium,
+    recovery,
+    viewer,
+)
 from tests.faults.rows import Row
 
 DOCS = Path(__file__).parents[2] / "docs" / "reliability.md"
@@ -36,6 +48,10 @@ def _line(folder: Path, short: bool) -> Iterator[Row]:
     yield from line.attack_all(folder, 1 if short else 10, 1)
 
 
+def _viewer(folder: Path, short: bool) -> Iterator[Row]:
+    yield from viewer.attack_all(folder, 2.0 if short else 20.0)
+
+
 def _medium(folder: Path, short: bool) -> Iterator[Row]:
     for rate_hz in (100.0, 1000.0, 10_000.0):
         yield medium.measure(folder, rate_hz, 3.0 if short else 20.0)
@@ -44,6 +60,20 @@ def _medium(folder: Path, short: bool) -> Iterator[Row]:
 def _documents(folder: Path, short: bool) -> Iterator[Row]:
     yield from documents.attack_all(folder)
     yield documents.mutate_devices(200 if short else 2000, 1)
+
+
+def _fuzz(_: Path, short: bool) -> Iterator[Row]:
+    yield from fuzz.fuzz_all(50 if short else 5000, 1)
+
+
+def _endurance(folder: Path, short: bool) -> Iterator[Row]:
+    yield endurance.accelerated(folder, 400.0, 0.1 if short else 2.0)
+    yield endurance.real_time(folder, 1000.0, 0.5 if short else 10.0)
+
+
+def _days(folder: Path, short: bool) -> Iterator[Row]:
+    yield endurance.accelerated(folder, 400.0, 0.1 if short else 24.0)
+    yield endurance.real_time(folder, 100.0, 0.5 if short else 60.0)
 
 
 def _cost(_: Path, short: bool) -> Iterator[Row]:
@@ -63,44 +93,50 @@ SECTIONS: dict[str, Section] = {
     "line": _line,
     "killed": _killed,
     "disk": _disk,
+    "viewer": _viewer,
     "medium": _medium,
     "documents": _documents,
+    "fuzz": _fuzz,
     "cost": _cost,
     "recovery": _recovery,
     "devices": _devices,
+    "endurance": _endurance,
 }
+LONG: dict[str, Section] = {"days": _days}
+"""Sections that are run by their name only: an hour and more."""
 
 
 def main() -> int:
     """Run the sections; return 1 when something did not hold."""
     warnings.simplefilter("ignore")
     parser = argparse.ArgumentParser(prog="scripts/soak", description=__doc__)
-    parser.add_argument("sections", nargs="*", metavar="SECTION", help=f"of {', '.join(SECTIONS)}")
+    parser.add_argument("sections", nargs="*", metavar="SECTION", help=f"of {', '.join(SECTIONS | LONG)}")
     parser.add_argument("--short", action="store_true", help="few times each: a minute or two in all")
     parser.add_argument("--write", action="store_true", help=f"write the tables into {DOCS.name}")
     options = parser.parse_args()
-    if unknown := set(options.sections) - SECTIONS.keys():
-        parser.error(f"no section {', '.join(sorted(unknown))}; there are: {', '.join(SECTIONS)}")
+    if unknown := set(options.sections) - (SECTIONS | LONG).keys():
+        parser.error(f"no section {', '.join(sorted(unknown))}; there are: {', '.join(SECTIONS | LONG)}")
     held = True
     for name in options.sections or SECTIONS:
         with TemporaryDirectory() as folder:
             rows = []
-            for row in SECTIONS[name](Path(folder), options.short):
+            for row in (SECTIONS | LONG)[name](Path(folder), options.short):
                 print(
                     f"{'held' if row.held else 'FAIL'}  {row.fault} ({row.times}): {row.outcome}", flush=True
                 )
                 rows.append(row)
         held = held and all(row.held for row in rows)
         if options.write:
-            write(name, rows)
+            write(name, rows, options.short)
     return int(not held)
 
 
-def write(name: str, rows: list[Row]) -> None:
+def write(name: str, rows: list[Row], short: bool) -> None:
     """Put a table between the marks of its section."""
     lines = ["| fault | times tried | outcome | held |", "|---|---:|---|---|"]
     lines += [f"| {r.fault} | {r.times:,} | {r.outcome} | {'yes' if r.held else '**no**'} |" for r in rows]
-    command = f"`scripts/soak {name}`, on {platform.machine()}, Python {platform.python_version()}:"
+    form = f"{name} --short" if short else name
+    command = f"`scripts/soak {form}`, on {platform.machine()}, Python {platform.python_version()}:"
     table = "\n".join([f"<!-- soak {name} -->", command, "", *lines, f"<!-- end {name} -->"])
     pattern = re.compile(rf"<!-- soak {name} -->.*?<!-- end {name} -->", re.DOTALL)
     text = DOCS.read_text(encoding="utf-8")

@@ -39,6 +39,8 @@ MOST_SLOPE = 1.0
 MOST_SLOPE_LIVE = 30.0
 """MB/h of a run of minutes, of which the slope is no better known than this."""
 SECONDS_A_READ = 0.05
+SHORTEST_H, SHORTEST_MINUTES = 1.0, 5.0
+"""Of less the slope is that of the warm-up: it is given, and not judged."""
 
 
 def _slope(times_h: list[float], memory: list[float]) -> float:
@@ -107,9 +109,9 @@ def accelerated(folder: Path, rate_hz: float, hours: float) -> Row:
         f"{hours:g} h of device time at {rate_hz:g} Hz, accelerated",
         1,
         f"{counters.samples:,} samples in {took:.0f} s; memory {memory[0]:.0f} to {max(memory):.0f} MB,"
-        f" {slope:+.2f} MB/h after warm-up; wire.mcap {wire / hours / MEGABYTE:.1f} MB/h,"
+        f" {slope:+.2f} MB/h after a third of it; wire.mcap {wire / hours / MEGABYTE:.1f} MB/h,"
         f" view.rrd {drawn / hours / MEGABYTE:.1f} MB/h; a replay took {grown:+.0f} MB more",
-        held=slope < MOST_SLOPE and again.counters == counters,
+        held=(hours < SHORTEST_H or slope < MOST_SLOPE) and again.counters == counters,
     )
 
 
@@ -155,8 +157,10 @@ def real_time(folder: Path, rate_hz: float, minutes: float) -> Row:
         f"{minutes:g} min in real time at {rate_hz:g} Hz with the web view",
         1,
         f"{told['samples']:,} samples, {told['packets_missing']} packets missing; monitor {parent[0]:.0f} to"
-        f" {max(parent):.0f} MB, {slope:+.1f} MB/h after warm-up; its view {max(children):.0f} MB at most,"
+        f" {max(parent):.0f} MB, {slope:+.1f} MB/h after a third of it; view {max(children):.0f} MB at most,"
         f" {_slope(times, children):+.1f} MB/h; wire.mcap {wire / hours / MEGABYTE:.0f} MB/h, view.rrd"
         f" {drawn / hours / MEGABYTE:.1f} MB/h; exit after {left:.1f} s",
-        held=bool(slope < MOST_SLOPE_LIVE) and not told["bytes_unrecorded"] and told["packets_missing"] == 0,
+        held=(minutes < SHORTEST_MINUTES or slope < MOST_SLOPE_LIVE)
+        and not told["bytes_unrecorded"]
+        and told["packets_missing"] == 0,
     )

@@ -452,7 +452,8 @@ def attack_all(folder: Path, times: int, seed: int, healthy_s: float = HEALTHY_S
             found.setdefault(name, []).append(outcome)
         stolen = steal(folder / str(n) / "thief", n, healthy_s)
         found.setdefault("another process takes bytes for 0.6 s", []).append(stolen)
-    for name, outcomes in found.items():
+    for name in (*FAULTS, *(found.keys() - FAULTS)):
+        outcomes = found[name]
         wrong = [text for outcome in outcomes for text in outcome.wrong]
         latest = max(outcome.recovered_s for outcome in outcomes)
         said = f"decoding again after {latest:.3f} s at most"

@@ -67,6 +67,21 @@ def test_a_changed_payload_of_a_killed_session_is_told_with_its_block(tmp_path: 
     assert damage.where[0].seconds <= 0.1
 
 
+def test_a_block_behind_a_damaged_check_record_is_checked(tmp_path: Path) -> None:
+    items = made_items(2.0, 100.0, 40, 0)
+    record(tmp_path / "w.mcap", items, closed=False)
+    content = bytearray((tmp_path / "w.mcap").read_bytes())
+    marker = content.index(MARKER, content.index(items[100].data))  # type: ignore[union-attr]  # it is Bytes
+    content[marker + 20] ^= 1
+    payload = content.index(items[115].data)  # type: ignore[union-attr]
+    content[payload + 5] ^= 1
+    (tmp_path / "w.mcap").write_bytes(content)
+    reader = WireReader(tmp_path / "w.mcap")
+    assert len(list(reader)) == len(items)
+    assert [place.altered for place in reader.summary.damage.where] == [False, True]
+    assert reader.summary.damage.messages == 0
+
+
 def test_the_beginning_may_be_gone_altogether(tmp_path: Path) -> None:
     items = made_items(20.0, 100.0, 40, 0)
     record(tmp_path / "w.mcap", items, closed=True)

@@ -9,6 +9,7 @@ SEVERE = [
     "one sample of 1e30",
     "10 s of NaN, all",
     "10 s saturated gyro",
+    "first 60 s stuck gyro",
     "first 60 s saturated gyro",
     "time leaps to 2^62 for 5 samples",
     "a new segment every 0.5 s for 10 s",

@@ -1,10 +1,13 @@
 from __future__ import annotations
 
+import http.client
 import os
 import signal
 import subprocess
 import time
 from collections.abc import Callable, Iterator
+from contextlib import closing
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -199,8 +202,35 @@ def test_servers_listen_on_this_machine_only(publish: Publish, port: int) -> Non
     publisher = publish("web", port)
     Stream(publisher.publish).run_until(lambda: publisher.state.connected, 20, "serving")
     listening = [one.laddr for one in child().net_connections() if one.status == psutil.CONN_LISTEN]
-    assert {address.ip for address in listening} == {"127.0.0.1"}
-    assert publisher.stream_port in {address.port for address in listening}
+    assert all(address.ip.startswith("127.") for address in listening)
+    assert {address.port for address in listening if address.ip == "127.0.0.1"} == {
+        publisher.stream_port,
+        publisher.stream_port + 1,
+    }
+
+
+ASKED = [
+    ({}, 200),
+    ({"Origin": "http://127.0.0.1:9090"}, 200),
+    ({"Origin": "http://evil.example"}, 403),
+    ({"Origin": "null"}, 403),
+    ({"Host": "evil.example"}, 403),
+    ({"Host": "evil.example", "Origin": "http://evil.example"}, 403),
+]
+
+
+def test_another_web_site_cannot_read_the_stream(publish: Publish, port: int) -> None:
+    publisher = publish("web", port)
+    Stream(publisher.publish).run_until(lambda: publisher.state.connected, 20, "serving")
+    path = "/rerun.sdk_comms.v1alpha1.MessageProxyService/ReadMessages"
+    ports = publisher.stream_port, publisher.stream_port + 1
+    for at, (headers, status) in product(ports, ASKED):
+        connection = http.client.HTTPConnection("127.0.0.1", at, timeout=10)
+        asked = {"Content-Type": "application/grpc-web+proto", "X-Grpc-Web": "1", **headers}
+        connection.request("POST", path, bytes(5), asked)
+        with closing(connection), connection.getresponse() as response:
+            assert response.status == status
+            assert (b"live-1" in response.read1(1 << 16)) == (status == 200)
 
 
 def test_without_any_viewer_publishing_goes_on_and_the_state_says_why(publish: Publish, port: int) -> None:

@@ -26,7 +26,10 @@ def server() -> Iterator[WebServer]:
     site.close()
 
 
-def test_bare_address_leads_to_the_stream_on_the_host_that_was_asked(server: WebServer) -> None:
+def test_bare_address_leads_to_the_stream_on_the_host_that_was_asked(
+    server: WebServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(socket, "gethostname", lambda: "bench-pc")
     for asked in ("127.0.0.1:1", "bench-pc.local:18080", "bench-pc.local"):
         connection = http.client.HTTPConnection("127.0.0.1", server.port)
         connection.request("GET", "/", headers={"Host": asked})
@@ -49,6 +52,15 @@ def test_page_and_program_are_served_and_may_speak_to_this_machine_only(server: 
     with urllib.request.urlopen(f"{server.url}re_viewer_bg.wasm") as response:
         assert response.read(4) == b"\0asm"
         assert response.headers["Content-Type"] == "application/wasm"
+
+
+def test_another_site_gets_no_page(server: WebServer) -> None:
+    for headers in ({"Host": f"evil.example:{server.port}"}, {"Origin": "https://evil.example"}):
+        connection = http.client.HTTPConnection("127.0.0.1", server.port)
+        connection.request("GET", "/alive", headers=headers)
+        with connection.getresponse() as response:
+            assert response.status == 403
+        connection.close()
 
 
 def test_other_paths_do_not_exist(server: WebServer) -> None:

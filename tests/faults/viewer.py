@@ -1,0 +1,187 @@
+"""A live view that is absent, stopped, killed or besieged: the recording must not notice."""
+
+from __future__ import annotations
+
+import json
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from bisect import bisect_right
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import psutil
+
+from imumon.recordings.wire_format import MAGIC, MESSAGE, MESSAGE_FIELDS, MESSAGE_OP, RECORD, WIRE_CHANNEL
+from tests.faults.killed import EXIT_S, PROMISED_S, Line
+from tests.faults.rows import Row
+
+RATE_HZ = 100.0
+POLL_S = 0.02
+STARTED_S = 20.0
+"""A monitor with its view has started by then on a machine that has much else to do."""
+BROWSERS = 50
+MOST_MB = 600.0
+"""Of the monitor; 32 MB of them may wait for the view, 64 MB are its last two minutes."""
+READ = b"POST /rerun.sdk_comms.v1alpha1.MessageProxyService/ReadMessages HTTP/1.1\r\nHost: 127.0.0.1\r\n"
+READ += b"Content-Type: application/grpc-web+proto\r\nX-Grpc-Web: 1\r\nContent-Length: 5\r\n\r\n\0\0\0\0\0"
+
+
+class Lag:
+    """Watches a recording that grows, and how old the oldest byte is that it does not have yet."""
+
+    def __init__(self, wire: Path, line: Line) -> None:
+        self._file, self._line = wire.open("rb"), line
+        self._at, self._kept = len(MAGIC), 0
+        self.most_s = 0.0
+        self._end = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Watch no more."""
+        self._end.set()
+        self._thread.join()
+        self._file.close()
+
+    def _run(self) -> None:
+        while not self._end.wait(POLL_S):
+            now, sent, times = time.monotonic(), list(self._line.sent), list(self._line.times)
+            self._look()
+            first_lost = bisect_right(sent, self._kept)
+            if first_lost < len(times) and first_lost < len(sent):
+                self.most_s = max(self.most_s, now - times[first_lost])
+
+    def _look(self) -> None:
+        """Count the bytes of the records that are there by now."""
+        self._file.seek(self._at)
+        data, at = self._file.read(), 0
+        while len(data) - at >= MESSAGE.size:
+            opcode, length = RECORD.unpack_from(data, at)
+            if at + RECORD.size + length > len(data):
+                break
+            if opcode == MESSAGE_OP and MESSAGE.unpack_from(data, at)[2] == WIRE_CHANNEL:
+                self._kept += length - MESSAGE_FIELDS
+            at += RECORD.size + length
+        self._at += at
+
+
+@dataclass(slots=True)
+class Scene:
+    """A monitor with a web view, and what is done to it."""
+
+    child: subprocess.Popen[str]
+    sockets: list[socket.socket] = field(default_factory=list)
+
+    def view(self) -> psutil.Process:
+        """Return the view process."""
+        every = psutil.Process(self.child.pid).children()
+        return next(process for process in every if "imumon.view.child" in process.cmdline())
+
+    def stream_port(self) -> int:
+        """Return a port on which the view listens, other than the page's."""
+        listening = [c.laddr for c in self.view().net_connections() if c.status == psutil.CONN_LISTEN]
+        return min(a.port for a in listening if a.ip == "127.0.0.1" and 9800 <= a.port < 10_000)
+
+
+def _stop(scene: Scene, seconds: float) -> None:
+    scene.view().suspend()
+    time.sleep(seconds)
+
+
+def _kill(scene: Scene, seconds: float) -> None:
+    scene.view().kill()
+    time.sleep(seconds)
+
+
+def _browsers(scene: Scene, seconds: float) -> None:
+    """Let browsers come, read a little, and go; every fifth stays and reads nothing."""
+    port = scene.stream_port()
+    for number in range(BROWSERS):
+        browser = socket.create_connection(("127.0.0.1", port), timeout=5)
+        browser.sendall(READ)
+        if number % 5:
+            browser.recv(1000)
+            browser.close()
+        else:
+            scene.sockets.append(browser)
+        time.sleep(seconds / BROWSERS)
+
+
+def _nothing(_: Scene, seconds: float) -> None:
+    time.sleep(seconds)
+
+
+HARMS: dict[str, tuple[str, Callable[[Scene, float], None]]] = {
+    "no view": ("none", _nothing),
+    "nobody looks": ("web", _nothing),
+    "view process stopped, also at the end": ("web", _stop),
+    "view process killed": ("web", _kill),
+    f"{BROWSERS} browsers come and go, every fifth hangs": ("web", _browsers),
+    "ports 9090 and 9876 taken": ("web", _nothing),
+}
+
+
+def harm(folder: Path, name: str, seconds: float, patience: float = 1.0) -> tuple[list[str], str]:
+    """Run a monitor while something happens to its view; return what was not as promised, and the numbers.
+
+    All may take so many times as long as promised, on a machine that has other tests to run.
+    """
+    mode, action = HARMS[name]
+    line = Line(RATE_HZ, seconds + STARTED_S)
+    arguments = ["monitor", line.path, "--device", "ax1", "--view", mode, "--out", str(folder), "--json"]
+    program = [sys.executable, "-c", "from imumon.cli import main; main()", *arguments]
+    taken = [socket.socket() for _ in range(2)] if name.startswith("ports") else []
+    for port, one in zip((9090, 9876), taken, strict=False):
+        one.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            one.bind(("127.0.0.1", port))
+            one.listen()
+        except OSError:
+            pass  # another program has it, which is what this is about
+    with subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as child:
+        scene = Scene(child)
+        try:
+            assert child.stderr is not None
+            while not (folder / "wire.mcap").exists() and child.poll() is None:
+                time.sleep(POLL_S)
+            lag = Lag(folder / "wire.mcap", line)
+            line.start()
+            said = child.stderr.readline()
+            while mode == "web" and "live view" not in said:
+                said = child.stderr.readline()
+            action(scene, seconds)
+            memory = psutil.Process(child.pid).memory_info().rss / 1e6
+            line.pause()
+            time.sleep(0.3)
+            lag.close()
+            child.send_signal(signal.SIGTERM)
+            began = time.monotonic()
+            out, _ = child.communicate(timeout=60)
+            took = time.monotonic() - began
+        finally:
+            child.kill()
+            line.close()
+            for one in (*taken, *scene.sockets):
+                one.close()
+    told, wrong = json.loads(out), []
+    if lag.most_s > patience * PROMISED_S:
+        wrong.append(f"the recording was {lag.most_s:.2f} s behind")
+    if told["bytes_recorded"] != line.sent[-1]:
+        wrong.append(f"{told['bytes_recorded']} of {line.sent[-1]} bytes recorded")
+    if took > patience * EXIT_S or child.returncode:
+        wrong.append(f"exit code {child.returncode} after {took:.1f} s")
+    if memory > MOST_MB:
+        wrong.append(f"{memory:.0f} MB")
+    return wrong, f"recording {lag.most_s:.2f} s behind at most, {memory:.0f} MB, exit after {took:.1f} s"
+
+
+def attack_all(folder: Path, seconds: float, names: list[str] | None = None) -> Iterator[Row]:
+    """Do each harm to a monitor's view."""
+    for number, name in enumerate(names or HARMS):
+        wrong, numbers = harm(folder / str(number), name, seconds)
+        yield Row(f"{name}, for {seconds:g} s", 1, "; ".join([*wrong, numbers]), held=not wrong)
