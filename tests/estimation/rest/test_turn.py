@@ -81,7 +81,7 @@ def test_a_jump_that_is_not_about_the_vertical_is_bias_for_gravity_would_have_tu
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_turn_that_may_be_wander_is_rest_and_the_hypothesis_until_it_is_over(seed: int) -> None:
-    """A gyro with 30 °/h of flicker, turned by 0.05 °/s: five of the deviations that it wanders by."""
+    """A gyro with 30 °/h of flicker, turned by 0.1 °/s: five of the deviations that it wanders by."""
     ramp_s = 10.0
     t, gyro, accel = noise(900.0, 25.0, 0.03 * DEG)
     rng = np.random.default_rng(seed)
