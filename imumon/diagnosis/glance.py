@@ -83,7 +83,8 @@ def residual(run: Run, model: BiasModel, channels: Sequence[str]) -> RunBlocks:
 def better_models(run: Run, model: BiasModel, channels: Sequence[str], looks: int = 1) -> list[Better]:
     """Return the better models of channels of which there are any.
 
-    `looks` is how often this run has been looked at, with this time: each look may be fooled.
+    `looks` is how often this run has been looked at, with this time: each look at each channel may be fooled,
+    so a gain pays twice the logarithm of their number, as in the extended BIC (Chen & Chen 2008).
     """
     blocks = residual(run, model, channels)
     if len(blocks) < LEAST_BLOCKS:
@@ -94,7 +95,7 @@ def better_models(run: Run, model: BiasModel, channels: Sequence[str], looks: in
         temperature = temperature_of(name, model, [run])
         if temperature not in glances:
             glances[temperature] = _Glance(Pool([blocks], temperature), likelihood)
-        found.append(glances[temperature].better(name, model.channels[name], looks))
+        found.append(glances[temperature].better(name, model.channels[name], looks * len(channels)))
     return [one for one in found if one is not None]
 
 

@@ -292,8 +292,6 @@ class Search:
     def decide(self, table: Table, pooled: Mapping[str, float]) -> None:
         """Add the effect that explains most, unless none is proven and large enough."""
         self.last, leaders = table, table.leaders
-        if self._take_pair(table, pooled):
-            return
         order = sorted(leaders, key=lambda name: -leaders[name].gain)
         while order and leaders[order[0]].gain > PROVEN:
             name = self._choose(order, leaders, pooled)
@@ -309,39 +307,6 @@ class Search:
             self.turns.append(Turn(finding.name, self.found, finding.gain))
             return
         self.finished = True
-
-    def _take_pair(self, table: Table, pooled: Mapping[str, float]) -> bool:
-        """Add two effects at once where neither will do alone: by gain, and by how runs predict one another.
-
-        One that is found alone takes what it can of the other, and what that leaves looks too small.
-        """
-        name = max(table.leaders, key=lambda name: table.leaders[name].gain, default="")
-        leader = table.leaders.get(name)
-        other = table.leaders.get(leader.partner) if leader is not None else None
-        if self.findings or self._survey.runs < 2 or leader is None or other is None or other.partner != name:
-            return False
-        both = [leader, other]
-        one, two = (each.scored.candidate for each in both)
-        alone = max(table.scored, key=_gain)
-        lasting = {one.scope, two.scope} <= {"shared", "either"} and not one.choice and not two.choice
-        if not lasting or _near(alone.gain, leader.gain):
-            return False
-        if self._error_between_runs(one, two) * PREDICTED > self._error_between_runs(alone.candidate):
-            return False
-        left = self._left(one, two)
-        rivals = {key: found.gain for key, found in table.leaders.items()}
-        findings = []
-        for this, beside in ((leader, two), (other, one)):
-            size = float(np.sqrt(max(self._left(beside) ** 2 - left**2, 0.0)))
-            if size < max(LEAST_SIZE * self.channel.floor.sd, self.channel.blind):
-                return False
-            family, alike = this.scored.family, self._alike(this, table, pooled, left)
-            gains = this.gain, pooled.get(family, this.gain)
-            findings.append(Finding(this.scored.candidate, *gains, rivals, alike, size))
-        self.findings = findings
-        self._refine()
-        self.turns.append(Turn(f"{name} and {leader.partner}", self.found, leader.gain))
-        return True
 
     def _choose(
         self, order: Sequence[str], leaders: Mapping[str, Leader], pooled: Mapping[str, float]
@@ -445,9 +410,9 @@ class Search:
         best = min(errors, key=errors.__getitem__)
         return best if errors[best] < errors[finding.name] / PREDICTED else None
 
-    def _error_between_runs(self, *more: Candidate) -> float:
+    def _error_between_runs(self, candidate: Candidate) -> float:
         """Return the rms error with which each run is predicted by the others, its own constant given."""
-        values, design = self.channel.values, self.channel.design([*self.found, *more])
+        values, design = self.channel.values, self.channel.design([*self.found, candidate])
         lengths = [len(run) for run in self.channel.train]
         which = np.repeat(np.arange(len(lengths)), lengths)
         total = 0.0

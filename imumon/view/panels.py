@@ -197,7 +197,7 @@ PANELS: tuple[Panel, ...] = (
     Bands(
         "heading_magnetic",
         "Heading from magnetic north",
-        (Line("heading_magnetic", "magnetic", GREY),),
+        (Line("heading_magnetic", "magnetic", VIOLET),),
         "°",
         ALIGNMENT,
         card="magnetic heading",

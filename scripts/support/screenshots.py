@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import rerun as rr
 from PIL import Image
@@ -44,6 +45,8 @@ COLORS = 128
 DATA = Path(os.environ.get("IMUMON_DATA", ROOT / ".." / "shared" / "data"))
 SETTLE_S = 4.0
 """What the viewer takes, without a GPU, to draw a tab that was not drawn before."""
+TRIES = 4
+"""So often an empty panel is looked at again before it is a fault."""
 AT_ONCE = 100
 """Items that are logged together."""
 
@@ -88,11 +91,19 @@ class Studio:
             time.sleep(self.settle_s)
             self.viewer.save_screenshot(str(folder / picture_name(title, str(tab.name))))
             for view in views_of(tab):
-                self.viewer.save_screenshot(str(scratch / "view.png"), view_id=str(view.id))
-                if is_empty(view, scratch / "view.png"):
+                if not self._shows(view, scratch / "view.png"):
                     faults.append(f"{tab.name}: {view.name}: empty")
         reports = {f"{view.name}: {one}" for view in self.viewer.get_state().views for one in view.reports}
         return [*faults, *sorted(reports)]
+
+    def _shows(self, view: Any, picture: Path) -> bool:
+        """Tell whether a view shows something, now or after a while: a busy machine draws late."""
+        for _ in range(TRIES):
+            self.viewer.save_screenshot(str(picture), view_id=str(view.id))
+            if not is_empty(view, picture):
+                return True
+            time.sleep(self.settle_s)
+        return False
 
 
 @contextmanager

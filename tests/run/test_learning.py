@@ -25,7 +25,7 @@ from imumon.simulation.unit.scenario import Scenario
 from imumon.simulation.unit.unit import MICROSECOND
 from tests.cli.command import IMUMON, answer, imumon
 
-RATE_HZ, SECONDS, LAG_S = 5.0, 2640, 90.0
+RATE_HZ, SECONDS, LAG_S = 5.0, 1950, 90.0
 PIECE = 1024
 AXES = "xyz"
 
@@ -91,7 +91,7 @@ def test_a_lacking_model_is_warned_of_learned_live_and_the_next_session_is_bette
         send(master, data)
         time.sleep(0.5)
         monitor.send_signal(signal.SIGINT)
-        said = monitor.communicate(timeout=60)[1]
+        said = monitor.communicate(timeout=120)[1]
     os.close(master)
     os.close(slave)
     assert monitor.returncode == 0, said

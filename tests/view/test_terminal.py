@@ -16,7 +16,9 @@ import numpy as np
 import pytest
 
 from imumon.protocols.device import load_device
+from imumon.recordings.wire_reader import WireReader
 from imumon.simulation.virtual_device import VirtualDevice
+from imumon.transport.reader import Event
 from imumon.view.items import Instant, Log, State, Timebase, ViewSetup
 from imumon.view.terminal import Screen, TerminalView, sparkline
 from tests.cli.command import IMUMON
@@ -102,8 +104,13 @@ def test_a_sparkline_goes_from_the_lowest_to_the_highest() -> None:
     assert sparkline([np.nan]) == " "
 
 
-def _in_terminal(arguments: list[str], columns: int, rows: int, cwd: Path) -> tuple[int, str]:
-    """Run a command in a terminal of this size; return its exit code and what it wrote there."""
+def _in_terminal(
+    arguments: list[str], columns: int, rows: int, cwd: Path, keys: bytes = b""
+) -> tuple[int, str]:
+    """Run a command in a terminal of this size; return its exit code and what it wrote there.
+
+    The keys are pressed once the port is shown.
+    """
     ours, theirs = pty.openpty()
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", rows, columns, 0, 0))
     environment = os.environ | {"TERM": "xterm"}
@@ -122,6 +129,9 @@ def _in_terminal(arguments: list[str], columns: int, rows: int, cwd: Path) -> tu
         except OSError:  # the other side is closed
             break
         parts.append(part)
+        if keys and b"Port open" in part:
+            os.write(ours, keys)
+            keys = b""
         if not part:
             if process.poll() is not None:
                 break
@@ -133,13 +143,16 @@ def _in_terminal(arguments: list[str], columns: int, rows: int, cwd: Path) -> tu
 @pytest.mark.parametrize(("columns", "rows"), [(80, 24), (200, 60)])
 def test_a_live_run_in_a_real_terminal(tmp_path: Path, columns: int, rows: int) -> None:
     with VirtualDevice(load_device("ax1"), tmp_path / "ahrs") as ahrs:
-        arguments = ["monitor", ahrs.port.path, "--device", "ax1", "--view", "terminal", "--seconds", "5"]
-        code, text = _in_terminal(arguments, columns, rows, tmp_path)
+        arguments = ["monitor", ahrs.port.path, "--device", "ax1", "--view", "terminal", "--seconds", "7"]
+        code, text = _in_terminal(arguments, columns, rows, tmp_path, keys=b"ms")
     assert code == 0, text
     own = text[text.index("\x1b[?1049h") : text.index("\x1b[?1049l")]
     glass = Glass(columns, rows)
     glass.feed(own)
     shown = "\n".join(glass.lines)
+    (wire,) = tmp_path.glob("sessions/*/wire.mcap")
+    said = [item.detail for item in WireReader(wire) if isinstance(item, Event)]
+    assert {"key m", "part 1"} <= set(said), "what the keys m and s do"
     for part in ("Port open", "angular rate", "specific force", "temperature", "°/s", "packets"):
         assert part in shown, shown
     assert "recorded" in text[text.index("\x1b[?1049l") :]

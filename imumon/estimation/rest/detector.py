@@ -13,19 +13,20 @@ import numpy as np
 from imumon.blocks import FloatArray
 from imumon.estimation.rest.compass import Verdict, verdict
 from imumon.estimation.rest.parameters import RestParameters
-from imumon.estimation.rest.state import AXES, GYRO, LEVELS, Anchor, Slot, State
+from imumon.estimation.rest.state import AXES, EVERY, GYRO, LEVELS, Anchor, Slot, State
 from imumon.estimation.rest.trial import RING, adopt, look
 from imumon.estimation.rest.turn import (
     Explained,
     hypothesis,
     is_back,
+    is_over,
     is_steady,
     recent_mean,
     steady_slots,
     still_off,
     upright,
 )
-from imumon.estimation.rest.wander import EVERY, wanders
+from imumon.estimation.rest.wander import TURN_EVERY_S, forget, look_for_turn
 from imumon.estimation.rest.windows import Motion, seen, set_band
 
 GAP_S = 2.5
@@ -35,17 +36,22 @@ UNDISTURBED = 8
 """Slots before motion is seen that are left out of the mean before it."""
 TRIAL_EVERY = 4
 """Slots between two trials, while there is need of one."""
-HOLD_WINDOWS = 4.0
-"""What showed only in windows of some length is watched for so many of them before it is rest again."""
+HOLD_WINDOWS, LONGEST_HOLD_S = 4.0, 16.0
+"""What showed only in windows of some length is watched for so many of them, 16 s at most, before it is rest
+again."""
 SHORT_REST_S, MOST_CAUTION = 20.0, 8.0
 """A rest shorter than this that ends slowly was none, perhaps: the next is watched for twice as long."""
 LEAST_REST_S = 4.0
 """A shorter one is no rest to come back to."""
 MOST_ANCHORS, SAME_SIGMAS = 3, 6.0
 """Means of earlier rests that are remembered, and by how much they differ."""
-LONGEST_HOLD_S = 8.0
+TURN_HOLD_S = 8.0
 """A turn that was steady is watched for no longer: its mean says when it ends."""
 DECIDES_EVERY = 32
+LOOKS_EVERY = 2
+"""Units of the history between two looks for a turn."""
+LIKELY, SHORT = 0.75, 4
+"""Probability from which on it is no rest, and level of the windows that say how fast it turns by then."""
 SLOWLY = Motion(LEVELS - 1, 0.0, sudden=False, before=(2, 3), turning=True)
 KNOCK = Motion(0, 0.0, sudden=True, before=(2, 3))
 
@@ -69,12 +75,7 @@ def step(state: State, parameters: RestParameters, slots: Sequence[Slot], k: int
     drift = parameters.drift
     motion = seen(state, slots, k, drift)
     if motion is None and state.at_rest and state.slots % EVERY == 0:
-        motion = wanders(state)
-    if motion is not None and not motion.certain:  # rest, with the turn as hypothesis
-        if not state.turn.any():
-            _note(state, motion, end_s)
-            state.undecided_since_s = end_s
-        motion = None
+        motion = _wanders(state)
     if motion is not None:
         if state.at_rest:
             _leave(state, motion, end_s)
@@ -98,6 +99,26 @@ def step(state: State, parameters: RestParameters, slots: Sequence[Slot], k: int
         _try(state, parameters, end_s)
 
 
+def _wanders(state: State) -> Motion | None:
+    """Tell whether a slow turn is more likely than the bias, and note how much it may be if not."""
+    if state.quiet_slots < EVERY:
+        return None
+    state.past.add(state.windows, state.length)
+    found = None if state.past.units % LOOKS_EVERY else look_for_turn(state)
+    if found is None:
+        return None
+    # Older bins are too long to show that it began suddenly: what was seen then fades as turns end.
+    faded = state.doubt * np.exp(-0.5 * LOOKS_EVERY * state.span_s(EVERY) / TURN_EVERY_S)
+    state.doubt = found.doubt if found.doubt @ found.doubt > faded @ faded else faded
+    if found.probability < LIKELY:
+        return None
+    if is_over(state.turn, state.turn + found.doubt):
+        state.turn = np.zeros(3)
+        forget(state)
+        return None
+    return Motion(SHORT, state.span_s(1 << SHORT), False, (0, 0), turning=True, mean=found.before)
+
+
 def _may_be_back(state: State) -> bool:
     """Tell whether to look for the old means: with each slot after a knock, each second after a while."""
     quiet = state.quiet_slots
@@ -113,8 +134,8 @@ def _may_return(state: State) -> bool:
 
 def _watch(state: State, now_s: float, seconds: float) -> None:
     """Forget all windows; the next rest is so many seconds away at least."""
-    hold_s = state.caution * max(seconds, SETTLE_S)
-    state.hold_s = now_s + (min(hold_s, LONGEST_HOLD_S) if state.turning else hold_s)
+    hold_s = state.caution * min(max(seconds, SETTLE_S), LONGEST_HOLD_S)
+    state.hold_s = now_s + (min(hold_s, TURN_HOLD_S) if state.turning else hold_s)
     if seconds > SETTLE_S:
         state.long_hold_s = state.hold_s
     state.quiet_from, state.quiet_since_s = state.length, now_s
@@ -129,13 +150,16 @@ def _leave(state: State, motion: Motion, now_s: float) -> None:
     state.slow = state.turning or state.caution > 1.0
     state.at_rest, state.undecided_since_s, state.steady = False, np.nan, np.full(AXES, np.nan)
     state.ring_from = state.length
+    forget(state)
 
 
 def _note(state: State, motion: Motion, now_s: float) -> None:
     """Keep the mean from before what moved, and by how much it differs: the bias may have followed."""
     windows, n, slots = state.windows, state.length, 2**motion.level
     older = np.full(AXES, np.nan)
-    if motion.level > 2:
+    if motion.mean is not None:
+        older = motion.mean
+    elif motion.level > 2:
         cuts = np.maximum(n - np.array(motion.before), state.quiet_from)
         older = state.means(cuts)[0]
     anchor = Anchor(
@@ -219,7 +243,7 @@ def _decide(state: State, parameters: RestParameters, now_s: float) -> None:
         _watch(state, now_s, 0.0)
         return
     late = now_s - state.undecided_since_s >= parameters.undecided_s
-    state.turn = still_off(state)
+    state.turn = still_off(state, now_s)
     if said is Verdict.RESTS or late or not state.turn.any():
         state.turn, state.undecided_since_s = np.zeros(3), np.nan
 

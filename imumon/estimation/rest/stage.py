@@ -75,7 +75,7 @@ class RestDetector:
             found, turn = self._follow(time_ns, segment, readings)
         else:
             before = self._last_ns, self._last_segment, self._at_rest
-            before_turn = self._state.turn
+            before_turn = self._state.undecided
             found, turn = self._follow(time_ns[rows], segment[rows], readings[rows])
             found = _held(rows, found, time_ns, segment, before)
             turn = held(rows, turn, before_turn, n)
@@ -100,7 +100,7 @@ class RestDetector:
         with np.errstate(invalid="ignore", divide="ignore"):
             slots, end_s = _slots_of(ended, time_ns), (1e-9 * time_ns[ended.row]).tolist()
             for k, end in enumerate(end_s):
-                rest[k], turn[k] = self._at_rest, state.turn
+                rest[k], turn[k] = self._at_rest, state.undecided
                 if other[k] or gap[k]:
                     begin(state, end, bool(other[k]))
                 else:
@@ -108,7 +108,7 @@ class RestDetector:
                 if self._at_rest and not state.at_rest:
                     outside.append(self._outside(readings, edges[k], edges[k + 1]))
                 self._at_rest = int(state.at_rest)
-            rest[-1], turn[-1] = self._at_rest, state.turn
+            rest[-1], turn[-1] = self._at_rest, state.undecided
             if self._at_rest:
                 outside.append(self._outside(readings, edges[-2], n))
                 self._at_rest = int(outside[-1][0] == n)

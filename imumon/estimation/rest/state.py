@@ -18,18 +18,20 @@ AXES = 6
 GYRO, ACCEL = slice(0, 3), slice(3, 6)
 LEVELS = 8
 """Windows of 1, 2, 4 ... 128 slots are compared with their predecessors."""
-WIDTHS = np.array([16, 32, 32, 64, 64, 128])
-LAGS = np.array([32, 64, 128, 256, 512, 1024])
-"""Slots of the means, and between their beginnings, of which `wander` takes differences."""
-KEPT: int = int((LAGS + WIDTHS).max())
-"""Slots that they and the longest windows take."""
+EVERY = 8
+"""Slots in a unit of the history of a rest."""
+KEPT = 9 << (LEVELS - 1)
+"""Slots that are remembered: 144 s, in which the compass sees a turn of 0.3 °/s."""
 CAPACITY = 2 * KEPT
+MOST_UNITS = 4096
 
 COARSEST_STEPS = (2.2e-3, 0.16)
 """No gyro (rad/s) and no accelerometer (m/s²) reads in coarser steps."""
 
-HIDES = 0.25
-"""Noise hides the steps of a sensor when its variance is more than this share of a step squared."""
+DITHER = 2.0 * np.pi**2
+"""Noise of variance v lets a mean err by exp(-DITHER v) steps of the sensor, v in steps squared (Widrow)."""
+ROUNDED = 1.0 / 12.0
+"""Variance of what rounding adds, in steps squared."""
 
 BoolArray = npt.NDArray[np.bool_]
 
@@ -144,6 +146,43 @@ def new_windows() -> Windows:
     )
 
 
+@dataclass
+class Past:
+    """History of a rest in units of `EVERY` slots, for `wander`; running sums as in `Windows`.
+
+    Parameters
+    ----------
+    units : int
+    total, samples : array, (MOST_UNITS + 1, 6)
+        Sum and number of the samples before each.
+    seconds : float
+        Length of all.
+    """
+
+    units: int = 0
+    total: FloatArray = field(default_factory=lambda: np.zeros((MOST_UNITS + 1, AXES)))
+    samples: FloatArray = field(default_factory=lambda: np.zeros((MOST_UNITS + 1, AXES)))
+    seconds: float = 0.0
+
+    def add(self, windows: Windows, length: int) -> None:
+        """Take the latest slots; of a full history the older half is forgotten."""
+        if self.units == MOST_UNITS:
+            kept = MOST_UNITS // 2
+            for sums in (self.total, self.samples):
+                sums[: kept + 1] = sums[kept:] - sums[kept]
+            self.units, self.seconds = kept, 0.5 * self.seconds
+        k, first = self.units, length - EVERY
+        self.total[k + 1] = self.total[k] + windows.total[length] - windows.total[first]
+        self.samples[k + 1] = self.samples[k] + windows.samples[length] - windows.samples[first]
+        self.seconds += float(windows.seconds[length] - windows.seconds[first])
+        self.units += 1
+
+    def means(self, ages: npt.NDArray[np.intp]) -> FloatArray:
+        """Return the means between neighbouring ages, units that rise, (k, 6) for (k + 1,)."""
+        total, samples = self.total[self.units - ages], self.samples[self.units - ages]
+        return np.asarray((total[:-1] - total[1:]) / (samples[:-1] - samples[1:]))
+
+
 class Anchor(NamedTuple):
     """Mean of an earlier rest and its variance, (6,) each, its end, s, and what turn it may be, (3,)."""
 
@@ -176,12 +215,12 @@ class State:
         Times before which there is no rest again; the latter for a trial.
     slots : int
         Slots since the beginning.
-    wander : array, (lags, 3)
-        Mean square of the differences of the gyros' means at rest (`wander`).
-    wander_lags : array, (lags,)
-        Over how many lags each was learnt.
-    squares : array, (lags, 3)
-        The same, weighed against what is expected where little was learnt.
+    past : Past
+        History of this rest.
+    strengths, strengths_seen : array, (10,)
+        Log-likelihoods of the strengths of the flicker (`wander`) before this history, and with it.
+    doubt : array, (3,)
+        Rms of a turn that nobody knows of, rad/s: it may have begun in this rest.
     anchors : list of Anchor
         Means of earlier rests that differ, the latest first.
     undecided_since_s : float
@@ -208,9 +247,10 @@ class State:
     hold_s: float = -np.inf
     long_hold_s: float = -np.inf
     slots: int = 0
-    wander: FloatArray = field(default_factory=lambda: np.zeros((len(LAGS), 3)))
-    wander_lags: FloatArray = field(default_factory=lambda: np.zeros(len(LAGS)))
-    squares: FloatArray = field(default_factory=lambda: np.zeros((len(LAGS), 3)))
+    past: Past = field(default_factory=Past)
+    strengths: FloatArray = field(default_factory=lambda: np.zeros(10))
+    strengths_seen: FloatArray = field(default_factory=lambda: np.zeros(10))
+    doubt: FloatArray = field(default_factory=lambda: np.zeros(3))
     anchors: list[Anchor] = field(default_factory=list)
     undecided_since_s: float = np.nan
     turn: FloatArray = field(default_factory=lambda: np.zeros(3))
@@ -227,10 +267,16 @@ class State:
         return self.length - self.quiet_from
 
     @property
+    def undecided(self) -> FloatArray:
+        """What may be a turn, and may be bias, rad/s, (3,): from before this rest, or since."""
+        return self.turn if self.turn @ self.turn > self.doubt @ self.doubt else self.doubt
+
+    @property
     def resolution(self) -> FloatArray:
-        """Step of each axis whose noise does not hide it, else 0, (6,)."""
+        """What is left of the step of each axis after its noise, (6,)."""
         windows = self.windows
-        return np.where(windows.sample_variance < HIDES * windows.step**2, windows.step, 0.0)
+        noise = np.maximum(windows.sample_variance / (windows.step**2 + 1e-24) - ROUNDED, 0.0)
+        return np.asarray(windows.step * np.exp(-DITHER * noise))
 
     def means(self, cuts: npt.NDArray[np.intp]) -> FloatArray:
         """Return the means between neighbouring cuts, (..., k, 6) for (..., k + 1).

@@ -11,7 +11,7 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.estimation.rest.state import ACCEL, GYRO, LEVELS, BoolArray, State
-from imumon.estimation.rest.wander import mean_squares
+from imumon.estimation.rest.wander import forget
 from imumon.estimation.rest.windows import CHI_SQUARE, COLOUR, MOST_WITHIN, QUIET, SLOTS, TINY
 
 RING = 32
@@ -156,6 +156,5 @@ def adopt(state: State, noise: Noise, which: BoolArray) -> None:
     windows.sample_variance[new] = noise.sample[new]
     windows.variance[:, new] = np.array(start)[:, new]
     if new[GYRO].any():
-        state.wander[:], state.wander_lags[:] = 0.0, 0.0
-        state.squares = mean_squares(state)
+        forget(state, 0.0)
     windows.gain[:, new] = 1.0 / (1.0 + np.maximum(RING / SLOTS, 3.0))[:, np.newaxis]

@@ -15,17 +15,20 @@ import numpy as np
 from imumon.blocks import FloatArray
 from imumon.estimation.rest.parameters import RestParameters
 from imumon.estimation.rest.state import ACCEL, GYRO, KEPT, LEVELS, SLOT_S, Anchor, State
-from imumon.estimation.rest.wander import CREEP, OBLIQUE, turned, wander_after
+from imumon.estimation.rest.wander import CREEP, OBLIQUE, wander_after
 from imumon.estimation.rest.windows import CHI_SQUARE, MEMORY_SLOTS, SLOTS, TINY
 
 EARTH_TWICE = 1.46e-4
 """rad/s: a gyro that is turned round sees the earth's rate the other way."""
 SIGMAS = 6.0
-STEADY_SIGMAS = 3.0
+STEADY_SIGMAS, TURN_STEADY_SIGMAS = 3.0, 2.0
 PLAIN_SIGMAS = 2.0
 """Sigmas of a change of which nobody would ask whether it is a turn."""
 BACK_SIGMAS = 3.0
-BACK_S, SLOW_BACK_S = 0.25, 4.0
+BACK_S, SLOW_BACK_S, TURN_BACK_S = 0.25, 4.0, 16.0
+ALL_CREEP = 10.0
+"""What makes a bias creep, temperature, has all axes creep: one by more than ten times what both others do,
+in one unit of a hundred where each of them may have any part of the slope of the first."""
 TILTED = 0.05
 """m/s² (0.3°): less change of the specific force from rest to rest is drift of the accelerometers."""
 
@@ -62,10 +65,10 @@ def hypothesis(
     since_s = min(state.quiet_since_s, now_s - state.span_s(slots))
     turn = state.anchors[0].turn_now(recent)
     limit = SIGMAS * np.sqrt(variance + state.anchors[0].variance) + state.resolution
-    wander = SIGMAS * np.sqrt(wander_after(state, now_s - state.anchors[0].at_s))
+    wander = PLAIN_SIGMAS * np.sqrt(wander_after(state, now_s - state.anchors[0].at_s))
     if _is_bias(state, parameters, turn, np.maximum(limit[GYRO], wander), recent[ACCEL]):
         return np.zeros(3), Explained.PLAINLY
-    if _turns_on(state, recent, limit):
+    if _turns_on(state, turn, recent, limit):
         return turn, Explained.NO
     best = Explained.NO
     for anchor in state.anchors:
@@ -96,7 +99,9 @@ def _explained(
     drift = min(slope * moved_s, parameters.gyro_walk)
     if not still:
         plain += drift
-    usual, most = PLAIN_SIGMAS * wander, SIGMAS * wander
+    # A turn that was seen to begin goes on until the old mean is back: wander does not end it.
+    usual = PLAIN_SIGMAS * (np.sqrt(noise[GYRO]) if state.turning and still else wander)
+    most = SIGMAS * wander
     if (change[GYRO] <= np.minimum(usual, parameters.gyro_walk) + plain).all():
         return Explained.PLAINLY
     if (change[GYRO] <= np.minimum(most, 2.0 * parameters.gyro_walk) + plain + drift).all():
@@ -110,28 +115,34 @@ def is_back(state: State, parameters: RestParameters, now_s: float) -> Anchor | 
     For a quarter of a second after a knock, and for 4 s after what showed slowly.
     """
     slots = state.quiet_slots
-    least_s = SLOW_BACK_S if state.slow else BACK_S
+    least_s = TURN_BACK_S if state.turning else SLOW_BACK_S if state.slow else BACK_S
     if state.span_s(min(slots, KEPT)) < least_s:
         return None
     recent, variance = recent_mean(state, slots)
+    means = [recent]
+    if state.turning:  # a turn that ends slowly is slow for longer than its mean is near
+        means.append(state.means(state.length - steady_slots(state) // 2 * np.array([1, 2]))[0])
     for anchor in state.anchors:
         limit = BACK_SIGMAS * np.sqrt(variance + anchor.variance) + state.resolution
         limit[ACCEL] += min(parameters.accel_drift * (now_s - anchor.at_s), TILTED)
-        change = np.abs(np.where(np.isfinite(recent), recent - anchor.mean, 0.0))
-        refuted = not state.slow or _over(state.turn, change[GYRO])
+        change = np.max([np.abs(mean - anchor.mean) for mean in means], axis=0)
+        change = np.where(np.isfinite(recent), change, 0.0)
+        refuted = not state.slow or is_over(state.turn, change[GYRO])
         if refuted and (change <= limit).all():
             return anchor
     return None
 
 
-def still_off(state: State) -> FloatArray:
+def still_off(state: State, now_s: float) -> FloatArray:
     """Return the turn that it may be by the latest mean at rest, (3,).
 
-    The most that it has been; zero when it is over.  It is about the vertical: another would have tilted the
-    unit.
+    The most that it has been; zero when it is over, unless that may be wander of the bias.  It is about the
+    vertical: another would have tilted the unit.
     """
     turn = upright(state, state.anchors[0].turn_now(recent_mean(state, state.quiet_slots)[0]))
-    if _over(state.turn, turn):
+    wander = wander_after(state, now_s - state.undecided_since_s)
+    gone = np.abs(state.turn) - np.abs(turn)
+    if is_over(state.turn, turn) and (gone**2 > STEADY_SIGMAS**2 * wander).any():
         return np.zeros(3)
     return turn if turn @ turn > state.turn @ state.turn else state.turn
 
@@ -144,7 +155,7 @@ def upright(state: State, turn: FloatArray) -> FloatArray:
     return np.asarray((turn @ force) * force / (force @ force))
 
 
-def _over(turn: FloatArray, change: FloatArray) -> bool:
+def is_over(turn: FloatArray, change: FloatArray) -> bool:
     """Tell whether what is left of a turn is so little that it has ended."""
     return bool(3.0 * np.abs(change).max() < np.abs(turn).max())
 
@@ -157,10 +168,13 @@ def recent_mean(state: State, slots: int) -> tuple[FloatArray, FloatArray]:
     return np.where(there, mean, np.nan), state.windows.variance[slots.bit_length() - 1]
 
 
-def _turns_on(state: State, recent: FloatArray, limit: FloatArray) -> bool:
+def _turns_on(state: State, turn: FloatArray, recent: FloatArray, limit: FloatArray) -> bool:
     """Tell whether something disturbed a turn, and the mean is what it was before: no turn ends like that."""
     if not np.isfinite(state.steady).any():
         return False
+    across = turn - upright(state, turn)
+    if state.quiet_slots > steady_slots(state) and across @ across > OBLIQUE**2 * (turn @ turn):
+        return False  # gravity would have shown it by now
     between_s = max(state.quiet_since_s - state.steady_s, 0.0)
     near, far = (np.abs(recent - mean)[GYRO] for mean in (state.steady, state.anchors[0].mean))
     same = (near <= limit[GYRO] + CREEP * between_s) | ~np.isfinite(near)
@@ -196,21 +210,53 @@ def steady_slots(state: State) -> int:
 
 
 def is_steady(state: State, parameters: RestParameters) -> bool:
-    """Tell whether the means of the last 8 s are those of the 8 s before, but for noise and a creeping bias.
+    """Tell whether the means of 4 s are what they were before, but for noise, wander and a creeping bias.
 
-    Of 4 s after motion that was no turn about the vertical: it would tilt the unit, and gravity shows that.
+    For 8 s after motion that was no turn about the vertical: it would tilt the unit, and gravity shows that;
+    else for 20 s.
     """
-    half = steady_slots(state) // (2 if state.turning else 4)
-    level = half.bit_length() - 1
-    if state.quiet_slots < 2 * half:
+    width = steady_slots(state) // 4
+    windows = 5 if state.turning else 2
+    if state.quiet_slots < windows * width:
         return False
-    recent, before = state.means(state.length - half * np.arange(3))
-    seconds = state.span_s(half)
-    change, variance = recent - before, 2.0 * STEADY_SIGMAS**2 * state.windows.variance[level]
-    limit = np.sqrt(variance) + state.resolution + parameters.accel_drift * seconds
-    if (state.windows.known & (np.abs(change) > limit))[ACCEL].any():
+    means = state.means(state.length - width * np.arange(windows + 1))
+    seconds = state.span_s(width) * np.arange(1, windows)
+    change = means[0] - means[1:]
+    variance = 2.0 * state.windows.variance[width.bit_length() - 1] + TINY
+    sigmas = TURN_STEADY_SIGMAS if state.turning else STEADY_SIGMAS
+    limit = STEADY_SIGMAS * np.sqrt(variance) + state.resolution
+    limit = limit + parameters.accel_drift * seconds[:, np.newaxis]
+    if (state.windows.known & (np.abs(change) > limit))[:, ACCEL].any():
         return False
-    times = turned(
-        state, change[np.newaxis, GYRO], variance[np.newaxis, GYRO] + TINY, np.array([CREEP * seconds])
-    )
-    return bool(times[0] <= 1.0)
+    wander = np.array([np.maximum(variance[GYRO], wander_after(state, lag)) for lag in seconds.tolist()])
+    creep = np.asarray(CREEP * seconds)
+    return bool((_turned(state, change[:, GYRO], np.asarray(sigmas**2 * wander), creep) <= 1.0).all())
+
+
+def _turned(state: State, off: FloatArray, limit2: FloatArray, creep: FloatArray) -> FloatArray:
+    """Return how many times the limit differences of gyros, (k, 3), are beyond a creeping bias, (k,).
+
+    Where gravity is known, about the vertical: what is oblique is drift, for gravity would have moved, and
+    counts as zero.
+
+    Parameters
+    ----------
+    limit2 : array, (k, 3)
+        Squares of the limits of each axis.
+    creep : array, (k,)
+        By how much a bias may have crept, rad/s.
+    """
+    known = state.windows.known
+    off = np.where(known[GYRO] & np.isfinite(off), off, 0.0)
+    if not known.all():
+        excess = np.maximum(np.abs(off) - creep[:, np.newaxis] - state.resolution[GYRO], 0.0)
+        return np.asarray(np.sqrt((excess**2 / limit2).sum(-1)) * (5.0 / np.sqrt(CHI_SQUARE)))
+    force = state.windows.rest_mean[ACCEL]
+    up = force / np.sqrt(force @ force)
+    along = np.abs(off @ up)
+    across2 = np.maximum((off * off).sum(1) - along * along, 0.0)
+    vertical = across2 < np.maximum((OBLIQUE * along) ** 2, limit2.max(1))
+    # Level axes that only wander do not say that anything creeps.
+    crept = np.minimum(creep, ALL_CREEP * np.maximum(np.sqrt(across2) - np.sqrt(limit2.max(1)), 0.0))
+    ratio = (along - crept - np.abs(up) @ state.resolution[GYRO]) / np.sqrt(limit2 @ up**2)
+    return np.where(vertical, ratio, 0.0)

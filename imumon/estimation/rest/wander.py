@@ -1,120 +1,260 @@
-"""How far a gyro's mean wanders at rest, and by how much more it moves when a slow turn begins.
+"""Does it turn slowly about the vertical, or does the bias wander?  A choice between histories, by Bayes.
 
-Differences of two means of the same length, a lag apart, have a mean square: the structure function of the
-bias, noise and all.  It is learnt at rest, for lags of 4 to 128 s.  A difference about the vertical that is
-too large for it, and for a bias that creeps, is a turn; one that is not about the vertical would have tilted
-the unit, so it is drift.  The same function tells how far a bias can have gone since the last rest.
+The history of a rest is the means of bins that grow with age, the latest 2 s, the first an hour long.  A gyro
+at rest has white noise and flicker, so the covariance of these means is known but for the strength of the
+flicker.  Tried are ten strengths, and for each of them::
+
+    nothing happened
+    a turn began at a time, in some time, and goes on            only about the vertical
+    a turn began and has ended                                   only about the vertical
+    the bias began to creep, as it does with temperature         all axes, each by its own slope
+
+Each has the probability of its means (likelihoods of a change in coloured noise, as Willsky and Jones 1976,
+but weighed instead of maximised), times that of such a change.  The level axes tell how strong the
+flicker is, and whether something creeps: they cannot turn unseen, for gravity would show it.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
+
 import numpy as np
+import numpy.typing as npt
 
 from imumon.blocks import FloatArray
-from imumon.estimation.rest.state import ACCEL, GYRO, LAGS, WIDTHS, State
-from imumon.estimation.rest.windows import CHI_SQUARE, LONGEST_S, MOST_SURPRISE, TINY, Motion
+from imumon.estimation.rest.state import ACCEL, EVERY, GYRO, State
 
-EVERY = 8
-"""Slots between two tests."""
-LONGEST_LAG_S = 160.0
-SIGMAS = 4.0
-"""One independent test in 10 s or so: a false alarm in some ten hours of Gaussian noise; it costs 16 s."""
+EDGES = np.array(
+    [0, 2, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 768, 1024, 1536, 2048, 3072]
+)
+"""Ages of the bins' edges, in units of `EVERY` slots: a second each; the last edge is the history's own."""
+LAST = 0.8
+"""An edge older than so much of the history gives way to the last."""
+LEAST = 16
+"""Units without which there is no history."""
+TAUS_S = np.array([10.0, 100.0, 1000.0, 10000.0])
+"""Correlation times of flicker, a sum of Gauss-Markov processes of one strength (`filters.noise`)."""
+STRENGTHS = np.geomspace(1.0 / 240.0, 16.0, 10)
+"""Variance of a process over the density of the white noise, 1/s: flicker overtakes it at 400 s to 0.1 s."""
+UNKNOWN = 1e6
+"""Variance of the bias at first, over that of the white noise in a unit."""
+TURN_EVERY_S = 600.0
+"""A turn, and a change of temperature, is expected every ten minutes, and to last as long."""
+RATES = 20.0
+"""2 ln of the ratio of the largest and the smallest rate: 0.01 °/s is as likely as 300 °/s."""
 OBLIQUE = 0.3
 """Share of a difference across the vertical that no misalignment or tilt of a turntable explains (17°)."""
-PERHAPS = 0.75
-"""Share of the limit, three standard deviations, from which on a difference may be a turn: it stays rest, and
-the whole difference is the hypothesis."""
 CREEP = 2e-5
 """rad/s²: 70 °/h/°C at 2 °C/min is 1.1e-5; more than this, about the vertical alone, is a turn."""
-ALL_CREEP = 10.0
-"""What makes a bias creep, temperature, has all axes creep: one by more than ten times what both others do,
-in one unit of a hundred where each of them may have any part of the slope of the first."""
-PRIOR_LAGS, MOST_LAGS = 4.0, 32.0
-"""Lags that an expectation is worth against what was learnt, and that are remembered."""
-WIDER, FARTHER = 0.75, 1.2
-"""What the mean square at a lag is expected to be, over that at half of it: for means twice as long, and for
-such as long.  White noise has 1/2 and 1, flicker 1 and 1.2, a random walk 2 and 2."""
-_ENDS = np.stack([0 * LAGS, WIDTHS, LAGS, LAGS + WIDTHS], axis=1)
-_LEVELS = np.log2(WIDTHS).astype(int)
-_GROWTH = np.where(np.diff(WIDTHS) > 0, WIDER, FARTHER)
+SURPRISE = 12.0
+"""Strengths so much less likely (log) than the best are left out."""
+FORGET = 0.5
+"""Of what a history told of the strength of the flicker so much holds for the next."""
+TINY = 1e-24
 
 
-def mean_squares(state: State) -> FloatArray:
-    """Return the mean square of the differences at each lag, (lags, 3).
+class Turning(NamedTuple):
+    """That it turns now: the probability; the turn's rms, rad/s, (3,), 0 for what is decided; and the mean of
+    all axes before it began, (6,)."""
 
-    What was learnt is weighed against what the next shorter lag, and at first white noise, lets expect.
-    """
-    known = state.wander_lags[:, np.newaxis]
-    expected = 2.0 * state.windows.variance[_LEVELS[0], GYRO]
-    squares = np.empty_like(state.wander)
-    for k, learnt in enumerate(state.wander):
-        squares[k] = (PRIOR_LAGS * expected + known[k] * learnt) / (PRIOR_LAGS + known[k])
-        expected = squares[k] * _GROWTH[min(k, len(_GROWTH) - 1)]
-    return squares
+    probability: float
+    doubt: FloatArray
+    before: FloatArray
 
 
-def wanders(state: State) -> Motion | None:
-    """Tell whether a recent mean is too far from one before it, or may be, and learn how far they go."""
-    n, windows = state.length, state.windows
-    which = np.flatnonzero(state.quiet_slots >= LAGS + WIDTHS)
-    ends = windows.seconds[n - _ENDS[which]]
-    lag_s, width_s = ends[:, 0] - ends[:, 2], ends[:, 0] - ends[:, 1]
-    short = (lag_s <= LONGEST_LAG_S) & (width_s <= LONGEST_S)
-    which, lag_s = which[short], lag_s[short]
-    if not len(which):
-        return None
-    means = state.means(n - _ENDS[which])[..., GYRO]
-    state.squares = mean_squares(state)
-    off, square = means[:, 0] - means[:, 2], state.squares[which]
-    lags = state.wander_lags[which]
-    limit2 = SIGMAS**2 * square * (1.0 + 2.0 / (PRIOR_LAGS + lags))[:, np.newaxis] + TINY
-    ratio = turned(state, off, limit2, CREEP * lag_s)
-    more = state.span_s(EVERY) / lag_s
-    sample = np.fmin(off * off, MOST_SURPRISE * square)
-    state.wander[which] += (more / (lags + more))[:, np.newaxis] * (sample - state.wander[which])
-    state.wander_lags[which] = np.minimum(lags + more, MOST_LAGS)
-    if not (ratio > PERHAPS).any():
-        return None
-    certain = bool((ratio > 1.0).any())
-    shortest, clearest = which[np.argmax(ratio > (1.0 if certain else PERHAPS))], which[np.argmax(ratio)]
-    before = (int(LAGS[clearest]), int(LAGS[clearest] + WIDTHS[clearest]))
-    width = int(WIDTHS[shortest])
-    return Motion(width.bit_length() - 1, state.span_s(width), False, before, turning=True, certain=certain)
-
-
-def turned(state: State, off: FloatArray, limit2: FloatArray, creep: FloatArray) -> FloatArray:
-    """Return how many times the limit differences of gyros, (k, 3), are beyond a creeping bias, (k,).
-
-    Where gravity is known, about the vertical: what is oblique is drift, for gravity would have moved, and
-    counts as zero.
+@dataclass(frozen=True, slots=True, eq=False)
+class Changes:
+    """What may have happened in a history, whitened for each of the s strengths.
 
     Parameters
     ----------
-    limit2 : array, (k, 3)
-        Squares of the limits of each axis.
-    creep : array, (k,)
-        By how much a bias may have crept, rad/s.
+    edges : array of int, (b + 1,)
+        Ages, units.
+    whiten : array, (s, b, b)
+        Inverse Cholesky factors of the covariance of the bins.
+    evidence : array, (s,)
+        Logarithm of their determinants.
+    shapes, size : array, (s, h, b), (s, h)
+        The changes, normalised, and what they were.
+    goes_on : array of bool, (h,)
+        Whether it is a turn that has not ended.
+    began : array of int, (h,)
+        Bin in whose oldest part it began.
+    grew_s, seconds : array, (h,)
+        How long it grew, and the time in which it may have begun.
     """
-    known = state.windows.known
-    off = np.where(known[GYRO] & np.isfinite(off), off, 0.0)
-    if not known.all():
-        excess = np.maximum(np.abs(off) - creep[:, np.newaxis] - state.resolution[GYRO], 0.0)
-        return np.asarray(np.sqrt((excess**2 / limit2).sum(-1)) * (5.0 / np.sqrt(CHI_SQUARE)))
-    force = state.windows.rest_mean[ACCEL]
-    up = force / np.sqrt(force @ force)
-    along = np.abs(off @ up)
-    across2 = np.maximum((off * off).sum(1) - along * along, 0.0)
-    vertical = across2 < np.maximum((OBLIQUE * along) ** 2, limit2.max(1))
-    crept = np.minimum(creep, ALL_CREEP * np.sqrt(across2))
-    ratio = (along - crept - np.abs(up) @ state.resolution[GYRO]) / np.sqrt(limit2 @ up**2)
-    return np.where(vertical, ratio, 0.0)
+
+    edges: npt.NDArray[np.intp]
+    whiten: FloatArray
+    evidence: FloatArray
+    shapes: FloatArray
+    size: FloatArray
+    goes_on: npt.NDArray[np.bool_]
+    began: npt.NDArray[np.intp]
+    grew_s: FloatArray
+    seconds: FloatArray
+
+
+def kept_edge(units: int) -> int:
+    """Return the last edge of a history: an eighth of an octave or less before its beginning."""
+    fine = 1 << max(units.bit_length() - 4, 0)
+    return units // fine * fine
+
+
+@lru_cache(128)
+def changes(last: int, unit_s: float) -> Changes:
+    """Return what may have happened in `last` units of `unit_s` seconds."""
+    edges = np.append(EDGES[LAST * last > EDGES], last)
+    width, bins = np.diff(edges).astype(np.float64), len(edges) - 1
+    variance = STRENGTHS[:, np.newaxis, np.newaxis] * unit_s * _correlation(edges, unit_s)
+    covariance = np.diag(1.0 / width) + variance + UNKNOWN
+    whiten = np.linalg.inv(np.linalg.cholesky(covariance))
+    made = [*_begun(edges), *_over(edges)]
+    start, end, stop, began = (np.array(column) for column in zip(*made, strict=True))
+    profile = _ramp(edges, start, end) - _ramp(edges, stop, stop)
+    shapes = (whiten @ profile).swapaxes(1, 2)
+    size = np.sqrt((shapes * shapes).sum(-1))
+    alike = np.bincount(began * 2 + (stop > 0), minlength=2 * bins)[began * 2 + (stop > 0)]
+    return Changes(
+        edges,
+        whiten,
+        np.log(np.diagonal(whiten, axis1=1, axis2=2)).sum(1),
+        shapes / size[..., np.newaxis],
+        size,
+        stop == 0.0,
+        began,
+        unit_s * (start - end),
+        unit_s * width[began] / alike,
+    )
+
+
+def _begun(edges: npt.NDArray[np.intp]) -> list[tuple[float, float, float, int]]:
+    """Return turns that go on: the ages at which they began and were at full rate, 0, and the bin."""
+    made: list[tuple[float, float, float, int]] = []
+    for i in range(1, len(edges) - 1):
+        young, old = float(edges[i - 1]), float(edges[i])
+        made += [(old, float(end), 0.0, i - 1) for end in edges[: i - 1]]
+        for age in (old, (young + 2.0 * old) / 3.0, (2.0 * young + old) / 3.0):
+            made.append((age, age, 0.0, i - 1))
+    return made
+
+
+def _over(edges: npt.NDArray[np.intp]) -> list[tuple[float, float, float, int]]:
+    """Return turns that have ended: the ages at which they began, twice, and ended, and the bin."""
+    pairs = [(i, j) for i in range(2, len(edges) - 1) for j in range(1, i)]
+    return [(float(edges[i]), float(edges[i]), float(edges[j]), i - 1) for i, j in pairs]
+
+
+def _ramp(edges: npt.NDArray[np.intp], start: FloatArray, end: FloatArray) -> FloatArray:
+    """Return the means in bins of what is 0 before an age `start`, (h,), and 1 from `end` on, (b, h)."""
+    age = edges[:, np.newaxis].astype(np.float64)
+    growing = np.maximum(start - end, TINY)
+    within = np.clip(age, end, start)
+    integral = np.minimum(age, end) + 0.5 * (growing - (start - within) ** 2 / growing)
+    return np.asarray(np.diff(integral, axis=0) / np.diff(age, axis=0))
+
+
+def _correlation(edges: npt.NDArray[np.intp], unit_s: float) -> FloatArray:
+    """Return the covariance of the bins' means of flicker whose processes have unit variance, (b, b)."""
+    age = edges * unit_s
+    lag = np.abs(age[:, np.newaxis] - age)[..., np.newaxis] / TAUS_S
+    twice = (TAUS_S**2 * (lag + np.expm1(-lag))).sum(-1)
+    double = twice[1:, :-1] + twice[:-1, 1:] - twice[:-1, :-1] - twice[1:, 1:]
+    width = np.diff(age)
+    return np.asarray(double / np.outer(width, width))
+
+
+def look_for_turn(state: State) -> Turning | None:
+    """Tell whether it turns about the vertical since the history began; None before there is one."""
+    past = state.past
+    if past.units < LEAST or not state.windows.known[GYRO].all():
+        return None
+    unit_s = float(f"{past.seconds / past.units:.2g}")
+    known = changes(kept_edge(past.units), unit_s)
+    means = past.means(known.edges)
+    white = np.maximum(state.windows.variance[3, GYRO], state.resolution[GYRO] ** 2 / 12.0) + TINY
+    frame = _frame(state, means[:, GYRO])
+    white = (frame * frame).T @ white
+    columns = means[:, GYRO] @ frame / np.sqrt(white)
+    seen = known.whiten @ columns
+    likely = state.strengths + 3.0 * known.evidence - 0.5 * (seen * seen).sum((1, 2))
+    x = known.shapes @ seen
+    best = likely + 0.5 * (x[..., 0] ** 2).max(1)
+    which = best > best.max() - SURPRISE
+    return _weigh(state, known, which, likely[which, np.newaxis], x[which], np.sqrt(white), frame[:, 0])
+
+
+def _frame(state: State, means: FloatArray) -> FloatArray:
+    """Return axes as columns, (3, 3), the vertical first: that of gravity, or of the largest change."""
+    force, gravity = state.windows.rest_mean[ACCEL], state.windows.known[ACCEL].all()
+    up = force if gravity else means[0] - means[-1]
+    up = up / max(float(np.sqrt(up @ up)), TINY)
+    # A Householder reflection takes the first axis to the vertical, and keeps the angles.
+    mirror = up + np.array([np.copysign(1.0, up[0]), 0.0, 0.0])
+    axes = np.eye(3) - np.outer(mirror, mirror) * (2.0 / (mirror @ mirror))
+    axes[:, 0] = up
+    return np.asarray(axes)
+
+
+def _weigh(
+    state: State,
+    known: Changes,
+    which: npt.NDArray[np.bool_],
+    likely: FloatArray,
+    x: FloatArray,
+    white_sd: FloatArray,
+    up: FloatArray,
+) -> Turning:
+    """Return what the changes x, (s, h, 3) standard deviations about the vertical and level, make likely."""
+    size = known.size[which]
+    change = x[..., 0] * white_sd[0] / size
+    step = float(np.abs(up) @ state.resolution[GYRO])
+    off = x[..., 0] / np.sqrt(1.0 + (step * size / white_sd[0]) ** 2)
+    prior = np.log(known.seconds / TURN_EVERY_S)
+    # Rates are as likely on a logarithmic scale: exp(x²/2) times their density at x.
+    turn = likely + prior + 0.5 * off * off - np.log(np.maximum(np.abs(off), 1.0) * RATES / 2.5066)
+    if state.windows.known[ACCEL].all():
+        for level in (1, 2):
+            tilted = 0.5 * OBLIQUE * change * size / white_sd[level]
+            turn += _explains(x[..., level], tilted * tilted)
+    else:
+        turn -= 2.0 * np.log(np.maximum(np.abs(off), 1.0))  # any direction would have done
+    creep = likely + prior + np.where(known.goes_on & (known.grew_s > 0.0), 0.0, -np.inf)
+    for axis in range(3):
+        slope = CREEP * known.grew_s * size / white_sd[axis]
+        creep = creep + _explains(x[..., axis], slope * slope)
+    most = max(float(likely.max()), float(turn.max()), float(creep.max()))
+    turned, crept = np.exp(turn - most), np.exp(creep - most)
+    each = np.exp(likely[:, 0] - most) + (turned + crept).sum(1)
+    state.strengths_seen = np.full(len(STRENGTHS), -SURPRISE)
+    state.strengths_seen[which] = np.log(each / each.sum() + np.exp(-SURPRISE))
+    now = turned * known.goes_on / each.sum()
+    rms = np.sqrt((now * change * change).sum())
+    began = int(known.began[np.argmax(now.max(0))]) + 1
+    ages = known.edges[began:]
+    oldest = int(np.searchsorted(ages, min(ages[0] + LEAST, ages[-1])))
+    before = state.past.means(ages[[0, oldest]])[0]
+    return Turning(float(now.sum()), np.copysign(rms, (now * change).sum()) * up, before)
+
+
+def _explains(x: FloatArray, prior: FloatArray) -> FloatArray:
+    """Return the log-likelihood of x standard deviations if they have a variance of so many more."""
+    return np.asarray(0.5 * x * x * prior / (1.0 + prior) - 0.5 * np.log1p(prior))
+
+
+def forget(state: State, share: float = FORGET) -> None:
+    """Begin a history; of what the last told of the strength of the flicker, a share holds."""
+    state.past.units, state.past.seconds = 0, 0.0
+    state.strengths = state.strengths_seen = share * (state.strengths_seen - state.strengths_seen.max())
+    state.doubt = np.zeros(3)
 
 
 def wander_after(state: State, seconds: float) -> FloatArray:
-    """Return the mean square by which each gyro's mean may differ after a time, (3,).
-
-    Beyond the longest lag it grows as between flicker and walk.
-    """
-    lags_s, squares = LAGS * state.slot_s, state.squares
-    k = int(np.searchsorted(lags_s, min(max(seconds, lags_s[0]), lags_s[-1])))
-    return np.asarray(squares[k] * max(seconds / lags_s[k], 1.0) ** 0.5)
+    """Return the mean square by which each gyro's mean of 8 s may differ after a time, (3,)."""
+    weight = np.exp(state.strengths_seen - state.strengths_seen.max())
+    strength = np.exp(weight @ np.log(STRENGTHS) / weight.sum())
+    white = state.windows.variance[3, GYRO] * EVERY * state.slot_s
+    moved = -2.0 * np.expm1(-seconds / TAUS_S).sum()
+    return np.asarray(white * (2.0 / 8.0 + strength * moved))

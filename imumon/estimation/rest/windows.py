@@ -16,8 +16,9 @@ from imumon.blocks import FloatArray
 from imumon.compiled import inner, njit
 from imumon.estimation.rest.state import (
     AXES,
-    HIDES,
+    DITHER,
     LEVELS,
+    ROUNDED,
     SLOT_S,
     Slot,
     State,
@@ -53,7 +54,7 @@ class Motion(NamedTuple):
 
     sudden tells whether a sample or the vibration showed it as well; before is how many slots ago the latest
     window ended, and began, that was rest still; turning, that only the gyros' mean about the vertical showed
-    it; certain, that it is no rest: else nobody knows whether the bias has changed.
+    it, and mean, what that was before, (6,).
     """
 
     level: int
@@ -61,7 +62,7 @@ class Motion(NamedTuple):
     sudden: bool
     before: tuple[int, int]
     turning: bool = False
-    certain: bool = True
+    mean: FloatArray | None = None
 
 
 def seen(state: State, slots: Sequence[Slot], k: int, drift: FloatArray) -> Motion | None:
@@ -177,7 +178,8 @@ def _differ(windows: Windows, level: int, seconds: float, drift: FloatArray) -> 
 @inner
 def _resolution(windows: Windows, j: int) -> float:
     step = windows.step[j]
-    return step if windows.sample_variance[j] < HIDES * step * step else 0.0
+    noise = max(windows.sample_variance[j] / (step * step + TINY) - ROUNDED, 0.0)
+    return step * np.exp(-DITHER * noise)  # type: ignore[no-any-return]
 
 
 @inner

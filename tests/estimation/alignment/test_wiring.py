@@ -5,6 +5,7 @@ import pytest
 from imumon.effects.warm_up import WarmUp
 from imumon.estimation.alignment.stage import Alignment
 from imumon.estimation.alignment.warm_up import known_warm_up
+from imumon.estimation.smoothing.stage import smoothed
 from imumon.geodesy import MICRO_G
 from imumon.models.curves.polynomial import PolynomialCurve
 from imumon.models.model import BiasModel, ChannelModel
@@ -79,5 +80,6 @@ def test_the_panels_draw_columns_that_the_stage_has() -> None:
     bands = [panel for panel in PANELS if panel.place == ALIGNMENT]
     stages = [_alignment(Setup(latitude_deg=36.0), device) for device in (None, "ax1")]
     there = {column.name for stage in stages if stage is not None for column in stage.columns}
+    there |= {smoothed(name) for name in ("heading", "heading_sd")}
     assert bands
     assert all(set(panel.columns) <= there for panel in bands)

