@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from imumon.cli.common import Number, device_help, json_option, note, print_json, print_rows, say, warn
+from imumon.cli.live_run import ending_signals
 from imumon.errors import ImumonError, Reason
 
 if TYPE_CHECKING:
@@ -71,7 +72,7 @@ def command(
 
     if baud is not None and not PortSettings(port).has_line:
         raise ImumonError(Reason.BAD_CONFIG, f"{port} has no line with a baud rate", "leave --baud out")
-    for number in (signal.SIGTERM, signal.SIGHUP) if hasattr(signal, "SIGHUP") else (signal.SIGTERM,):
+    for number in ending_signals():
         signal.signal(number, signal.default_int_handler)
     link = connect(port, described, family, at)
     say("INFO", f"{family.title} answers on {link.port.settings}")

@@ -37,7 +37,7 @@ class Ending:
     def __init__(self, seconds: float | None) -> None:
         self._seconds, self._deadline = seconds, math.inf
         self._signal = threading.Event()
-        for number in _ending_signals():
+        for number in ending_signals():
             signal.signal(number, lambda *_: self._signal.set())
         # Whoever starts this command may hold signals back until it can heed them.
         if hasattr(signal, "pthread_sigmask"):  # not on Windows
@@ -135,7 +135,7 @@ class PortRun:
             raise problem
 
 
-def _ending_signals() -> list[signal.Signals]:
+def ending_signals() -> list[signal.Signals]:
     """Return what ends a recording in order: Ctrl-C, kill, a terminal that was closed (not under nohup)."""
     numbers = [signal.SIGINT, signal.SIGTERM]
     if sys.platform != "win32" and signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:

@@ -165,13 +165,17 @@ class Past:
     seconds: float = 0.0
 
     def add(self, windows: Windows, length: int) -> None:
-        """Take the latest slots; of a full history the older half is forgotten."""
+        """Take the latest slots; a full history forgets its older half, and without gyros it begins anew."""
+        first = length - EVERY
+        if (windows.samples[length, GYRO] == windows.samples[first, GYRO]).any():
+            self.units, self.seconds = 0, 0.0
+            return
         if self.units == MOST_UNITS:
             kept = MOST_UNITS // 2
             for sums in (self.total, self.samples):
                 sums[: kept + 1] = sums[kept:] - sums[kept]
             self.units, self.seconds = kept, 0.5 * self.seconds
-        k, first = self.units, length - EVERY
+        k = self.units
         self.total[k + 1] = self.total[k] + windows.total[length] - windows.total[first]
         self.samples[k + 1] = self.samples[k] + windows.samples[length] - windows.samples[first]
         self.seconds += float(windows.seconds[length] - windows.seconds[first])
