@@ -20,7 +20,7 @@ from tests.estimation.gyro_bias.records import (
     with_rest,
 )
 
-RUNS = 50
+RUNS = 30
 AT_S = (30.0, 60.0, 120.0, 240.0, 420.0, 599.0)
 INSTABILITY = 0.776 / 0.664
 """Flicker coefficient of three Gauss-Markov processes, over the standard deviation of one."""
