@@ -50,7 +50,7 @@ def columns() -> dict[str, Any]:
     }
     for seed, name in enumerate(CHANNELS):
         size = WHITE * (1 + seed)
-        made[name] = noise(seed, N, INTERVAL_S, white=size, walk=0.03 * size) + (
+        made[name] = noise(seed, N, INTERVAL_S, white=size, walk=0.1 * size) + (
             9.81 if name == "accel_z" else 0
         )
     return made

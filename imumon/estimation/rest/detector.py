@@ -48,7 +48,7 @@ MOST_ANCHORS, SAME_SIGMAS = 3, 6.0
 TURN_HOLD_S = 8.0
 """A turn that was steady is watched for no longer: its mean says when it ends."""
 DECIDES_EVERY = 32
-LOOKS_EVERY = 2
+LOOKS_EVERY = 4
 """Units of the history between two looks for a turn."""
 LIKELY, SHORT = 0.75, 4
 """Probability from which on it is no rest, and level of the windows that say how fast it turns by then."""

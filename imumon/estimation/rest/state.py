@@ -221,8 +221,8 @@ class State:
         Slots since the beginning.
     past : Past
         History of this rest.
-    strengths, strengths_seen : array, (10,)
-        Log-likelihoods of the strengths of the flicker (`wander`) before this history, and with it.
+    strengths, strengths_seen : array, (14,)
+        Log-likelihoods of the noises that are tried (`wander`) before this history, and with it.
     doubt : array, (3,)
         Rms of a turn that nobody knows of, rad/s: it may have begun in this rest.
     anchors : list of Anchor
@@ -252,8 +252,8 @@ class State:
     long_hold_s: float = -np.inf
     slots: int = 0
     past: Past = field(default_factory=Past)
-    strengths: FloatArray = field(default_factory=lambda: np.zeros(10))
-    strengths_seen: FloatArray = field(default_factory=lambda: np.zeros(10))
+    strengths: FloatArray = field(default_factory=lambda: np.zeros(14))
+    strengths_seen: FloatArray = field(default_factory=lambda: np.zeros(14))
     doubt: FloatArray = field(default_factory=lambda: np.zeros(3))
     anchors: list[Anchor] = field(default_factory=list)
     undecided_since_s: float = np.nan

@@ -1,8 +1,8 @@
 """Does it turn slowly about the vertical, or does the bias wander?  A choice between histories, by Bayes.
 
 The history of a rest is the means of bins that grow with age, the latest 2 s, the first an hour long.  A gyro
-at rest has white noise and flicker, so the covariance of these means is known but for the strength of the
-flicker.  Tried are ten strengths, and for each of them::
+at rest has white noise and flicker or a random walk, so the covariance of these means is known but for their
+strength.  Tried are ten strengths of flicker and four of a walk, and for each of them::
 
     nothing happened
     a turn began at a time, in some time, and goes on            only about the vertical
@@ -38,6 +38,10 @@ TAUS_S = np.array([10.0, 100.0, 1000.0, 10000.0])
 """Correlation times of flicker, a sum of Gauss-Markov processes of one strength (`filters.noise`)."""
 STRENGTHS = np.geomspace(1.0 / 240.0, 16.0, 10)
 """Variance of a process over the density of the white noise, 1/s: flicker overtakes it at 400 s to 0.1 s."""
+WALKS = np.geomspace(0.5, 50.0, 4)
+"""The same of the slowest process alone, a random walk: by 0.01 to 0.1 of the white noise of a second."""
+SHARES = np.vstack([np.outer(STRENGTHS, np.ones(len(TAUS_S))), np.outer(WALKS, np.eye(len(TAUS_S))[-1])])
+"""Variance of each process, (s, taus), for each noise that is tried."""
 UNKNOWN = 1e6
 """Variance of the bias at first, over that of the white noise in a unit."""
 TURN_EVERY_S = 600.0
@@ -108,7 +112,7 @@ def changes(last: int, unit_s: float) -> Changes:
     """Return what may have happened in `last` units of `unit_s` seconds."""
     edges = np.append(EDGES[LAST * last > EDGES], last)
     width, bins = np.diff(edges).astype(np.float64), len(edges) - 1
-    variance = STRENGTHS[:, np.newaxis, np.newaxis] * unit_s * _correlation(edges, unit_s)
+    variance = unit_s * np.tensordot(SHARES, _correlation(edges, unit_s), 1)
     covariance = np.diag(1.0 / width) + variance + UNKNOWN
     whiten = np.linalg.inv(np.linalg.cholesky(covariance))
     made = [*_begun(edges), *_over(edges)]
@@ -157,11 +161,11 @@ def _ramp(edges: npt.NDArray[np.intp], start: FloatArray, end: FloatArray) -> Fl
 
 
 def _correlation(edges: npt.NDArray[np.intp], unit_s: float) -> FloatArray:
-    """Return the covariance of the bins' means of flicker whose processes have unit variance, (b, b)."""
+    """Return the covariance of the bins' means of each process if it has unit variance, (taus, b, b)."""
     age = edges * unit_s
     lag = np.abs(age[:, np.newaxis] - age)[..., np.newaxis] / TAUS_S
-    twice = (TAUS_S**2 * (lag + np.expm1(-lag))).sum(-1)
-    double = twice[1:, :-1] + twice[:-1, 1:] - twice[:-1, :-1] - twice[1:, 1:]
+    twice = np.moveaxis(TAUS_S**2 * (lag + np.expm1(-lag)), -1, 0)
+    double = twice[:, 1:, :-1] + twice[:, :-1, 1:] - twice[:, :-1, :-1] - twice[:, 1:, 1:]
     width = np.diff(age)
     return np.asarray(double / np.outer(width, width))
 
@@ -228,7 +232,7 @@ def _weigh(
     most = max(float(likely.max()), float(turn.max()), float(creep.max()))
     turned, crept = np.exp(turn - most), np.exp(creep - most)
     each = np.exp(likely[:, 0] - most) + (turned + crept).sum(1)
-    state.strengths_seen = np.full(len(STRENGTHS), -SURPRISE)
+    state.strengths_seen = np.full(len(SHARES), -SURPRISE)
     state.strengths_seen[which] = np.log(each / each.sum() + np.exp(-SURPRISE))
     now = turned * known.goes_on / each.sum()
     rms = np.sqrt((now * change * change).sum())
@@ -254,7 +258,6 @@ def forget(state: State, share: float = FORGET) -> None:
 def wander_after(state: State, seconds: float) -> FloatArray:
     """Return the mean square by which each gyro's mean of 8 s may differ after a time, (3,)."""
     weight = np.exp(state.strengths_seen - state.strengths_seen.max())
-    strength = np.exp(weight @ np.log(STRENGTHS) / weight.sum())
+    moved = np.exp(weight @ np.log(SHARES @ (-2.0 * np.expm1(-seconds / TAUS_S))) / weight.sum())
     white = state.windows.variance[3, GYRO] * EVERY * state.slot_s
-    moved = -2.0 * np.expm1(-seconds / TAUS_S).sum()
-    return np.asarray(white * (2.0 / 8.0 + strength * moved))
+    return np.asarray(white * (2.0 / 8.0 + moved))
