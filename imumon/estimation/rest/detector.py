@@ -116,7 +116,8 @@ def _wanders(state: State) -> Motion | None:
         state.turn = np.zeros(3)
         forget(state)
         return None
-    return Motion(SHORT, state.span_s(1 << SHORT), False, (0, 0), turning=True, mean=found.before)
+    seconds = state.span_s(1 << SHORT)
+    return Motion(SHORT, seconds, False, (0, 0), turning=True, mean=found.before, age_s=found.age_s)
 
 
 def _may_be_back(state: State) -> bool:
@@ -165,7 +166,7 @@ def _note(state: State, motion: Motion, now_s: float) -> None:
     anchor = Anchor(
         np.where(np.isfinite(older), older, windows.rest_mean),
         windows.variance[min(motion.level + 2, LEVELS - 1)].copy(),
-        now_s - HOLD_WINDOWS * motion.seconds,
+        now_s - max(HOLD_WINDOWS * motion.seconds, motion.age_s),
         np.zeros(3) if motion.turning else state.turn,
     )
     recent = np.where(windows.known, state.latest(slots)[0], np.nan)

@@ -60,12 +60,13 @@ TINY = 1e-24
 
 
 class Turning(NamedTuple):
-    """That it turns now: the probability; the turn's rms, rad/s, (3,), 0 for what is decided; and the mean of
-    all axes before it began, (6,)."""
+    """That it turns now: the probability; the turn's rms, rad/s, (3,), 0 for what is decided; the mean of all
+    axes before it began, (6,), and how long ago that was, s."""
 
     probability: float
     doubt: FloatArray
     before: FloatArray
+    age_s: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -240,7 +241,8 @@ def _weigh(
     ages = known.edges[began:]
     oldest = int(np.searchsorted(ages, min(ages[0] + LEAST, ages[-1])))
     before = state.past.means(ages[[0, oldest]])[0]
-    return Turning(float(now.sum()), np.copysign(rms, (now * change).sum()) * up, before)
+    age_s = float(ages[0]) * state.past.seconds / state.past.units
+    return Turning(float(now.sum()), np.copysign(rms, (now * change).sum()) * up, before, age_s)
 
 
 def _explains(x: FloatArray, prior: FloatArray) -> FloatArray:

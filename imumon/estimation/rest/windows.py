@@ -54,7 +54,7 @@ class Motion(NamedTuple):
 
     sudden tells whether a sample or the vibration showed it as well; before is how many slots ago the latest
     window ended, and began, that was rest still; turning, that only the gyros' mean about the vertical showed
-    it, and mean, what that was before, (6,).
+    it, and mean, what that was before, (6,), so many seconds ago.
     """
 
     level: int
@@ -63,6 +63,7 @@ class Motion(NamedTuple):
     before: tuple[int, int]
     turning: bool = False
     mean: FloatArray | None = None
+    age_s: float = 0.0
 
 
 def seen(state: State, slots: Sequence[Slot], k: int, drift: FloatArray) -> Motion | None:
