@@ -11,11 +11,8 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-import numpy.typing as npt
 
-from imumon.blocks import ColumnArray, FloatArray, IntArray, SampleBlock
-
-BoolArray = npt.NDArray[np.bool_]
+from imumon.blocks import BoolArray, ColumnArray, FloatArray, IntArray, SampleBlock
 
 RANGES: dict[str, tuple[float, float, str]] = {
     "gyro_": (-1e3, 1e3, "rad/s"),

@@ -13,11 +13,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from imumon.blocks import FloatArray, IntArray
-
-BoolArray = npt.NDArray[np.bool_]
+from imumon.blocks import BoolArray, FloatArray, IntArray
 
 JITTER = 0.35
 """Time between samples may be off by this part of the interval."""

@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imumon.blocks import FloatArray, IntArray
+from imumon.blocks import BoolArray, FloatArray, IntArray
 from imumon.calibration.record import Record
 from imumon.geodesy import earth_rate_in_body
 from imumon.models.curves.points import Points
-from imumon.recordings.reduced import ACCEL, GYRO, Mask
+from imumon.recordings.reduced import ACCEL, GYRO
 
 CELL_S = 300.0
 """Longest cell."""
@@ -49,7 +49,7 @@ class Channel:
     run: IntArray
     level: IntArray
 
-    def only(self, chosen: Mask) -> Channel:
+    def only(self, chosen: BoolArray) -> Channel:
         """Return the cells that are chosen."""
         names = ("temperature", "value", "white", "seconds", "run", "level")
         return replace(self, **{name: getattr(self, name)[chosen] for name in names})

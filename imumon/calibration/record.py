@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from imumon.blocks import FloatArray, SampleBlock
+from imumon.blocks import BoolArray, FloatArray, SampleBlock
 from imumon.errors import ImumonError, Reason
 from imumon.estimation.rest.stage import RestDetector
 from imumon.estimation.temperature_rate.stage import TemperatureRate
@@ -14,7 +14,7 @@ from imumon.pipeline import Estimator
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.thermometer import TemperatureRateParameters
 from imumon.recordings.reader import open_recording
-from imumon.recordings.reduced import ACCEL, AXES, GYRO, TEMPERATURES, Mask, Reduced, reduce
+from imumon.recordings.reduced import ACCEL, AXES, GYRO, TEMPERATURES, Reduced, reduce
 
 COLUMNS = (*GYRO, *ACCEL, *TEMPERATURES, "temperature_estimate", *(f"temperature_estimate_{a}" for a in AXES))
 BLOCK_S = 10.0
@@ -43,7 +43,7 @@ class Record:
     device: str | None
     axes: str | None
     means: Reduced
-    rest: Mask
+    rest: BoolArray
 
     def of(self, name: str) -> FloatArray:
         """Return the block means of a column, (n,)."""

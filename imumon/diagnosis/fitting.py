@@ -7,11 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imumon.blocks import FloatArray, IntArray
+from imumon.blocks import BoolArray, FloatArray, IntArray
 from imumon.diagnosis.blocks import RunBlocks
 from imumon.diagnosis.candidates import Candidate, Part
 from imumon.diagnosis.channel import Channel, ordinary
-from imumon.diagnosis.poses import BoolArray
 from imumon.diagnosis.tracking import Prior, track
 from imumon.effects.base import Drive, Effect
 from imumon.models.model import REACH

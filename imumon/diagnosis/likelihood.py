@@ -12,10 +12,9 @@ from math import lgamma
 import numpy as np
 import numpy.typing as npt
 
-from imumon.blocks import FloatArray, IntArray
+from imumon.blocks import BoolArray, FloatArray, IntArray
 from imumon.diagnosis.blocks import RunBlocks
 from imumon.diagnosis.candidates import Pool, Term
-from imumon.diagnosis.poses import BoolArray
 from imumon.filters.noise import BiasNoise, Whitener, whitener
 
 Noise = tuple[float, float]

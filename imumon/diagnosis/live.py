@@ -9,14 +9,13 @@ from itertools import pairwise
 
 import numpy as np
 
-from imumon.blocks import ColumnArray, FloatArray, IntArray, SampleBlock
+from imumon.blocks import BoolArray, ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.charts import BLUE, RED, Axis, Chart, Curve
 from imumon.columns import Column
 from imumon.diagnosis.blocks import BLOCK_S, REST_SHARE
 from imumon.diagnosis.recording import SECOND_NS, Run
 from imumon.diagnosis.shadow import Shadow
 from imumon.effects.base import ACCEL as FORCE
-from imumon.effects.base import BoolArray
 from imumon.effects.vibration import VIBRATION
 from imumon.filters.slots import SlotGatherer, Slots
 from imumon.geodesy import DEG_PER_H

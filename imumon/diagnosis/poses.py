@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
-from imumon.blocks import FloatArray, IntArray
+from imumon.blocks import BoolArray, FloatArray, IntArray
 
 BESIDE = 4
 """Slots on either side of a turn that are compared."""
 TURNED = 0.1
 """m/s², a tilt of 0.6°: accelerometers repeat better than that from one power-on to the next."""
 SIGMAS = 8.0
-
-BoolArray = np.ndarray[Any, np.dtype[np.bool_]]
 
 
 def poses(force: FloatArray, resting: BoolArray) -> IntArray:

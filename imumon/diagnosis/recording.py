@@ -8,9 +8,8 @@ from itertools import chain
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
-from imumon.blocks import FloatArray, IntArray, SampleBlock
+from imumon.blocks import BoolArray, FloatArray, IntArray, SampleBlock
 from imumon.columns import KNOWN
 from imumon.diagnosis.values import Look, Watcher
 from imumon.effects.vibration import VIBRATION
@@ -168,7 +167,7 @@ def _slot_s(blocks: Sequence[SampleBlock]) -> float:
     return float(max(1, np.ceil(period_s / 1.01)))
 
 
-def _measured(block: SampleBlock) -> npt.NDArray[np.bool_]:
+def _measured(block: SampleBlock) -> BoolArray:
     """Tell which rows have a gyro or an accelerometer."""
     found = np.zeros(len(block), np.bool_)
     for name in CHANNELS:

@@ -13,13 +13,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imumon.blocks import FloatArray
+from imumon.blocks import BoolArray, FloatArray
 from imumon.diagnosis.blocks import RunBlocks
 from imumon.diagnosis.gains import PROVEN
 from imumon.diagnosis.glance import GRID, Better, residual
 from imumon.diagnosis.known import temperature_of
 from imumon.diagnosis.likelihood import Likelihood
-from imumon.diagnosis.poses import BoolArray
 from imumon.diagnosis.recording import Run
 from imumon.models.model import BiasModel
 

@@ -11,8 +11,7 @@ from typing import Self
 
 import numpy as np
 
-from imumon.blocks import FloatArray
-from imumon.diagnosis.poses import BoolArray
+from imumon.blocks import BoolArray, FloatArray
 
 JUMP_SIGMAS = 5.0
 LONGEST_TEST = 16

@@ -21,12 +21,11 @@ import numpy as np
 from numpy.polynomial import Polynomial
 from pydantic import Field, FiniteFloat, model_validator
 
-from imumon.blocks import FloatArray
+from imumon.blocks import BoolArray, FloatArray
 from imumon.config import StrictModel
 
 Positive = Annotated[FiniteFloat, Field(gt=0.0)]
 NotNegative = Annotated[FiniteFloat, Field(ge=0.0)]
-BoolArray = np.ndarray[Any, np.dtype[np.bool_]]
 NAN = float("nan")
 
 Scope = Literal["shared", "either", "run", "event"]

@@ -8,8 +8,8 @@ from typing import Annotated, ClassVar, Literal, Self
 import numpy as np
 from pydantic import Field, FiniteFloat
 
-from imumon.blocks import FloatArray
-from imumon.effects.base import BoolArray, Drive, Memory, Survey, logarithmic
+from imumon.blocks import BoolArray, FloatArray
+from imumon.effects.base import Drive, Memory, Survey, logarithmic
 from imumon.effects.follower import Follower
 
 SHORTEST_S = 20.0

@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from imumon.blocks import NO_INT, FloatArray, IntArray
+from imumon.blocks import NO_INT, BoolArray, FloatArray, IntArray
 from imumon.compiled import inner, njit
 
 Number = TypeVar("Number", np.float64, np.int64)
@@ -52,7 +52,7 @@ class Slots:
 
     row: IntArray
     segment: IntArray
-    begins: npt.NDArray[np.bool_]
+    begins: BoolArray
     start_ns: IntArray
     end_ns: IntArray
     samples: IntArray
@@ -71,7 +71,7 @@ class Slots:
         """Return the number of slots."""
         return len(self.row)
 
-    def __getitem__(self, which: slice | npt.NDArray[np.bool_]) -> Slots:
+    def __getitem__(self, which: slice | BoolArray) -> Slots:
         """Return some of the slots."""
         return Slots(*(getattr(self, field.name)[which] for field in fields(self)))
 

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BeforeValidator, Field, FiniteFloat, NonNegativeInt, model_validator
 
-from imumon.blocks import FloatArray
+from imumon.blocks import BoolArray, FloatArray
 from imumon.config import StrictModel, dump_yaml, load_yaml
 from imumon.effects.library import AnyEffect
 from imumon.errors import ImumonError, Reason
@@ -99,7 +99,7 @@ class ChannelModel(StrictModel):
         low, high = self.temperature_range_degc
         return np.clip(temperature, low, high)
 
-    def inside(self, temperature: npt.ArrayLike) -> npt.NDArray[np.bool_]:
+    def inside(self, temperature: npt.ArrayLike) -> BoolArray:
         """Tell which temperatures in °C the curve is supported at."""
         t = np.asarray(temperature, np.float64)
         low, high = self.temperature_range_degc

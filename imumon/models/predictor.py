@@ -6,9 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from imumon.blocks import FloatArray, IntArray
+from imumon.blocks import BoolArray, FloatArray, IntArray
 from imumon.effects.base import ACCEL, Effect
 from imumon.effects.live import NOTHING, Carrier
 from imumon.effects.vibration import VIBRATION, Vibration
@@ -38,7 +37,7 @@ class Prediction:
 
     bias: FloatArray
     slope: FloatArray
-    inside: npt.NDArray[np.bool_]
+    inside: BoolArray
     start_sd: FloatArray
 
 

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 import numpy.typing as npt
 
-from imumon.blocks import NO_INT, ColumnArray, IntArray, SampleBlock, join, missing
+from imumon.blocks import NO_INT, BoolArray, ColumnArray, IntArray, SampleBlock, join, missing
 from imumon.compiled import alone, inner, njit, record, records
 from imumon.protocols.base import COMMON, Groups, Packets
 
@@ -278,7 +278,7 @@ def _array(made: Sequence[Any]) -> RecordArray:
     return cast(RecordArray, made)
 
 
-def _present(values: ColumnArray) -> npt.NDArray[np.bool_]:
+def _present(values: ColumnArray) -> BoolArray:
     return np.asarray(values != NO_INT if values.dtype == np.int64 else ~np.isnan(values))
 
 

@@ -10,9 +10,9 @@ from typing import Literal
 
 import numpy as np
 
-from imumon.blocks import IntArray
+from imumon.blocks import BoolArray, IntArray
 from imumon.protocols.checksums import CRCS, Crc, crc_of_bytes, reversed_bits
-from imumon.protocols.framing import BoolArray, Check, windows
+from imumon.protocols.framing import Check, windows
 from imumon.protocols.stream import ByteArray
 
 

@@ -21,13 +21,10 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-import numpy.typing as npt
 
-from imumon.blocks import IntArray
+from imumon.blocks import BoolArray, IntArray
 from imumon.protocols.base import Counters, Decoder, Packets
 from imumon.protocols.stream import CHUNK, ByteArray
-
-BoolArray = npt.NDArray[np.bool_]
 
 INCOMPLETE, NO_PACKET, IMPOSSIBLE, BAD_SUM = -1, -2, -3, -4
 """Instead of a length: more bytes must come, nothing of this kind, no such length, the checksum differs."""

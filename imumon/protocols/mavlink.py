@@ -15,14 +15,14 @@ from typing import Final
 
 import numpy as np
 
-from imumon.blocks import ColumnArray, IntArray
+from imumon.blocks import BoolArray, ColumnArray, IntArray
 from imumon.columns import KNOWN
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.base import MAIN, Timing
 from imumon.protocols.checksums import CRCS
 from imumon.protocols.device import FamilyDevice
 from imumon.protocols.frame_checks import CyclicCheck, sent
-from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, BoolArray, Found, Frame, windows
+from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, Found, Frame, windows
 from imumon.protocols.messages import Message, TableDecoder, TableFamily, part, whole
 from imumon.protocols.numbers import Columns, Derived
 from imumon.protocols.stream import ByteArray

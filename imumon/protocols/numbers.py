@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from imumon.blocks import NO_INT, ColumnArray, FloatArray, IntArray
+from imumon.blocks import NO_INT, BoolArray, ColumnArray, FloatArray, IntArray
 from imumon.columns import Column
 from imumon.errors import ImumonError, Reason
 from imumon.protocols.stream import ByteArray
@@ -141,7 +141,7 @@ def _of_three_bytes(three: ColumnArray, big: bool, signed: bool) -> IntArray:
     return whole - ((whole >> 23) << 24) if signed else whole
 
 
-def is_missing(values: ColumnArray) -> npt.NDArray[np.bool_]:
+def is_missing(values: ColumnArray) -> BoolArray:
     """Tell which values are missing."""
     return np.isnan(values) if values.dtype.kind == "f" else values == NO_INT
 
@@ -191,7 +191,7 @@ def _refuse_outside(numbers: ColumnArray, kind: NumberType, where: str) -> None:
     _refuse((numbers < low) | (numbers > high), numbers, where)
 
 
-def _refuse(bad: npt.NDArray[np.bool_], numbers: ColumnArray, where: str) -> None:
+def _refuse(bad: BoolArray, numbers: ColumnArray, where: str) -> None:
     if np.any(bad):
         first = int(np.argmax(bad))
         raise ImumonError(

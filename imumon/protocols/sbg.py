@@ -11,13 +11,13 @@ from fractions import Fraction
 
 import numpy as np
 
-from imumon.blocks import ColumnArray, IntArray
+from imumon.blocks import BoolArray, ColumnArray, IntArray
 from imumon.columns import KNOWN
 from imumon.protocols.base import Timing
 from imumon.protocols.checksums import CRCS
 from imumon.protocols.device import FamilyDevice
 from imumon.protocols.frame_checks import CyclicCheck
-from imumon.protocols.framing import BoolArray, Found, Frame, counted_length
+from imumon.protocols.framing import Found, Frame, counted_length
 from imumon.protocols.messages import Message, TableDecoder, TableFamily, part, whole
 from imumon.protocols.numbers import Columns, Derived
 from imumon.protocols.stream import LONGEST_PACKET, ByteArray

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from imumon.blocks import ColumnArray, SampleBlock
+from imumon.blocks import BoolArray, ColumnArray, SampleBlock
 from imumon.errors import ImumonError, Reason
 from imumon.protocols.base import Encoder
 from imumon.protocols.numbers import Derived, is_missing, packed
@@ -88,7 +88,7 @@ class TaggedEncoder(Encoder):
                 columns.update(zip(derived.sources, derived.encode(columns), strict=True))
         return columns
 
-    def _present(self, field: Field, columns: Mapping[str, ColumnArray], n: int) -> npt.NDArray[np.bool_]:
+    def _present(self, field: Field, columns: Mapping[str, ColumnArray], n: int) -> BoolArray:
         """Tell in which rows there is something to send; a field without any column is sent as zero."""
         found = [columns[column.name] for column in field.columns if column.name in columns]
         if self._role == FIXED or not found:

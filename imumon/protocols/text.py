@@ -20,14 +20,14 @@ from typing import Any, Final, Literal, Self
 import numpy as np
 from pydantic import Field, NonNegativeInt, PositiveInt, model_validator
 
-from imumon.blocks import NO_INT, ColumnArray, FloatArray, IntArray, SampleBlock
+from imumon.blocks import NO_INT, BoolArray, ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.columns import Column
 from imumon.config import StrictModel
 from imumon.protocols.base import COMMON, MAIN, Encoder
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.fixed.description import NumberField, NumberName, timing_of
 from imumon.protocols.frame_checks import Trailing
-from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, BoolArray, Check, Found, Frame, Lengths
+from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, Check, Found, Frame, Lengths
 from imumon.protocols.payload import LayoutDecoder
 from imumon.protocols.stream import ByteArray
 

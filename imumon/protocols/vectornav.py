@@ -18,13 +18,13 @@ from typing import Literal
 
 import numpy as np
 
-from imumon.blocks import IntArray, SampleBlock
+from imumon.blocks import BoolArray, IntArray, SampleBlock
 from imumon.columns import KNOWN
 from imumon.protocols.base import MAIN, Encoder, Timing, chosen
 from imumon.protocols.checksums import CRCS
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.frame_checks import CyclicCheck
-from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, BoolArray, Found, Frame, counted_length, windows
+from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, Found, Frame, counted_length, windows
 from imumon.protocols.numbers import NUMBER_TYPES, Placed, Value, packed
 from imumon.protocols.payload import Layout, LayoutDecoder, Record
 from imumon.protocols.stream import LONGEST_PACKET, ByteArray

@@ -16,12 +16,12 @@ from typing import Final
 
 import numpy as np
 
-from imumon.blocks import IntArray
+from imumon.blocks import BoolArray, IntArray
 from imumon.columns import KNOWN, Column
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.base import MAIN, Timing
 from imumon.protocols.device import FamilyDevice
-from imumon.protocols.framing import BoolArray, Found, Frame
+from imumon.protocols.framing import Found, Frame
 from imumon.protocols.messages import Message, TableDecoder, TableFamily, part
 from imumon.protocols.stream import ByteArray
 from imumon.protocols.tagged_columns import known, number, vector

@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from imumon.blocks import FloatArray
+from imumon.blocks import BoolArray, FloatArray
 from imumon.compiled import njit
-from imumon.published.scalar import BoolArray, ScalarFilter
+from imumon.published.scalar import ScalarFilter
 
 FORGETTING = 0.95
 

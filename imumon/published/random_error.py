@@ -15,9 +15,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
-from imumon.blocks import NO_INT, ColumnArray, FloatArray, IntArray, SampleBlock
+from imumon.blocks import NO_INT, BoolArray, ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.columns import Column
 from imumon.filters.slots import SlotGatherer
 from imumon.models.model import BiasModel
@@ -279,7 +278,7 @@ class RandomErrorMethods:
             readings[:, [AXES.index(name[-1]) for name in self._modelled]] -= bias
         return readings
 
-    def _rest(self, block: SampleBlock) -> npt.NDArray[np.bool_]:
+    def _rest(self, block: SampleBlock) -> BoolArray:
         if "at_rest" in block:
             known = block["at_rest"]
             return np.asarray((known != 0) & (known != NO_INT))

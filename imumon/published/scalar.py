@@ -6,11 +6,9 @@ from abc import ABC, abstractmethod
 from typing import Generic, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
-from imumon.blocks import FloatArray
+from imumon.blocks import BoolArray, FloatArray
 
-BoolArray = npt.NDArray[np.bool_]
 Series = TypeVar("Series")
 
 

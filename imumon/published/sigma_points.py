@@ -21,10 +21,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from imumon.blocks import FloatArray, IntArray
+from imumon.blocks import BoolArray, FloatArray, IntArray
 from imumon.compiled import njit
 from imumon.errors import ImumonError, Reason
-from imumon.published.scalar import BoolArray, ScalarFilter
+from imumon.published.scalar import ScalarFilter
 
 STATES = ("x", "x_before", "phi", "delta1", "delta2")
 N = len(STATES)

@@ -11,11 +11,8 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
-from imumon.blocks import FloatArray, IntArray
-
-Mask = npt.NDArray[np.bool_]
+from imumon.blocks import BoolArray, FloatArray, IntArray
 
 LONGEST = 64
 """Slots that such a pause may have: four times the longest window of the detector, in slots of a second."""
@@ -26,8 +23,8 @@ SIGMAS = 5.0
 
 
 def rest_in_hindsight(
-    rest: Mask, run: IntArray, mean: FloatArray, variance: FloatArray, drift: FloatArray
-) -> Mask:
+    rest: BoolArray, run: IntArray, mean: FloatArray, variance: FloatArray, drift: FloatArray
+) -> BoolArray:
     """Return which slots were at rest.
 
     Parameters
@@ -55,7 +52,7 @@ def rest_in_hindsight(
     return told
 
 
-def _pauses(rest: Mask, run: IntArray) -> Sequence[tuple[int, int]]:
+def _pauses(rest: BoolArray, run: IntArray) -> Sequence[tuple[int, int]]:
     """Return where each stretch without rest begins and ends, within a run."""
     edges = np.flatnonzero((np.diff(rest) != 0) | (np.diff(run) != 0)) + 1
     bounds = [0, *edges.tolist(), len(rest)]

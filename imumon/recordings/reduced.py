@@ -6,9 +6,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
-import numpy.typing as npt
 
-from imumon.blocks import ColumnArray, FloatArray, IntArray, SampleBlock
+from imumon.blocks import BoolArray, ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.filters.slots import SlotGatherer, Slots
 from imumon.recordings.hindsight import rest_in_hindsight, scatter_of_steps
 
@@ -29,8 +28,6 @@ DRIFT = {**dict.fromkeys(GYRO, 1e-4), **dict.fromkeys(ACCEL, 1.5e-3)}
 """What a bias at rest may drift, rad/s² and m/s³: as much as the rest detector permits by default."""
 JERK = 0.02
 """And when its mean specific force is within this of a neighbour's, m/s² (0.1°), beyond its own noise."""
-
-Mask = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,7 +83,7 @@ class Reduced:
         """Tell whether a column has any value."""
         return bool(np.isfinite(self.of(name)).any())
 
-    def at_rest(self) -> Mask:
+    def at_rest(self) -> BoolArray:
         """Return which slots are at rest: as the detector judged, in hindsight, else by `quiet`.
 
         Never by the size of the rate, which is what is to be found.
@@ -102,7 +99,7 @@ class Reduced:
         rest = rest_in_hindsight(self.rest_share == 1.0, self.run, mean, variance, drift)
         return np.where(rest & np.isfinite(self.rest_share), 1.0, self.rest_share)
 
-    def quiet(self) -> Mask:
+    def quiet(self) -> BoolArray:
         """Return which slots scatter little and have the specific force of their neighbours, (n,)."""
         quiet = np.ones(len(self), np.bool_)
         sensors = [name for name in (*GYRO, *ACCEL) if name in self.names and self.has(name)]
@@ -121,7 +118,7 @@ class Reduced:
         return quiet
 
 
-def _steady(mean: FloatArray, sd: FloatArray) -> Mask:
+def _steady(mean: FloatArray, sd: FloatArray) -> BoolArray:
     """Tell which means do not differ from both neighbours; a slot without a value is no evidence."""
     near = np.abs(np.diff(mean)) <= JERK + 5.0 * np.hypot(sd[1:], sd[:-1])
     near |= ~np.isfinite(np.diff(mean))
@@ -171,7 +168,7 @@ class _Part:
     """What is kept of some slots."""
 
     segment: IntArray
-    begins: Mask
+    begins: BoolArray
     start_ns: IntArray
     end_ns: IntArray
     count: IntArray

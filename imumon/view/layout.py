@@ -14,10 +14,9 @@ from itertools import pairwise
 from typing import Any, Literal, Protocol
 
 import numpy as np
-import numpy.typing as npt
 import rerun as rr
 
-from imumon.blocks import ColumnArray, FloatArray, IntArray
+from imumon.blocks import BoolArray, ColumnArray, FloatArray, IntArray
 from imumon.charts import GREY, Color
 from imumon.columns import KNOWN
 from imumon.view.cards import DIGITS, Reading
@@ -76,13 +75,13 @@ class Rows:
         """Device time, or host time where there is none, ns."""
         return self.host_ns if self.device_ns is None else self.device_ns
 
-    def kept(self, keep: npt.NDArray[np.bool_] | IntArray) -> Rows:
+    def kept(self, keep: BoolArray | IntArray) -> Rows:
         """Return the times of the rows to keep, without their columns."""
         times = (self.sample, self.device_ns, self.host_ns)
         sample, device_ns, host_ns = (None if values is None else values[keep] for values in times)
         return Rows({}, sample, device_ns, host_ns)
 
-    def extremes(self, values: FloatArray) -> npt.NDArray[np.bool_]:
+    def extremes(self, values: FloatArray) -> BoolArray:
         """Return which rows have the least or greatest value of a line in its step, or begin one, (n,)."""
         clock = self.clock
         if not self.step_ns or clock is None:
@@ -95,7 +94,7 @@ class Rows:
             keep[start + np.argmax(np.nan_to_num(part, nan=-np.inf), axis=0)] = True
         return keep
 
-    def thinned(self, step_ns: int) -> npt.NDArray[np.bool_]:
+    def thinned(self, step_ns: int) -> BoolArray:
         """Return which rows are the first in a step of time, shape (n,): all when there is no clock."""
         clock = self.clock
         if clock is None:

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from itertools import product
 
 import numpy as np
-import numpy.typing as npt
 from rest_detector_scenes import (
     BIAS,
     GRADES,
@@ -23,7 +22,7 @@ from rest_detector_scenes import (
 )
 from vqf import VQF
 
-from imumon.blocks import FloatArray, SampleBlock
+from imumon.blocks import BoolArray, FloatArray, SampleBlock
 from imumon.estimation.gyro_bias.stage import GyroBias
 from imumon.estimation.rest.stage import RestDetector
 
@@ -33,7 +32,6 @@ SECONDS, LONG_S = 200.0, 1800.0
 HEADER = """\
 | scene | sensors | rest found % | motion missed % | motion after s | rest after s | left per h |
 |---|---|---|---|---|---|---|"""
-Mask = npt.NDArray[np.bool_]
 
 
 @dataclass
@@ -48,7 +46,7 @@ class Tally:
     to_rest: list[float] = field(default_factory=list)
     left: int = 0
 
-    def add(self, t: FloatArray, rest: Mask, found: Mask) -> None:
+    def add(self, t: FloatArray, rest: BoolArray, found: BoolArray) -> None:
         """Add a run: times, truth, and what was found."""
         dt = t[1] - t[0]
         self.rest += rest.sum() * dt
@@ -115,7 +113,7 @@ FIELD_HEADER = """\
 TURN_RATE_HZ = 25.0
 
 
-def vqf_rest(samples: SampleBlock) -> Mask:
+def vqf_rest(samples: SampleBlock) -> BoolArray:
     """Return what the rest detection of the PyPI package vqf says, with its default settings.
 
     It is given gyros without their bias at the start, for it takes more than 2 deg/s for motion.

@@ -13,9 +13,9 @@ from tczupt_records import DPH, Calibration, Filter, curves, slopes
 from thermal_calibration_data import AXES, Soak, simulated_soak
 from thermal_calibration_study import Trained, differences, means_of_levels, published, rms
 
-from imumon.blocks import FloatArray
+from imumon.blocks import BoolArray, FloatArray
 from imumon.models.curves.points import Points
-from imumon.recordings.reduced import GYRO, Mask
+from imumon.recordings.reduced import GYRO
 from imumon.simulation.unit.scenario import load_scenario
 from imumon.simulation.unit.thermal import chamber_log
 
@@ -100,7 +100,7 @@ def settled_means(soak: Soak, axis: int, seed: int) -> Points:
     return points.only(settled(seed, len(t)) & (np.arange(len(t)) % EVERY == 0))
 
 
-def settled(seed: int, count: int) -> Mask:
+def settled(seed: int, count: int) -> BoolArray:
     """Return during which means wall and case agreed, as the log has it."""
     time_s, read = chamber_log(load_scenario(SOAK), seed)
     apart = np.lib.stride_tricks.sliding_window_view(read[:, 1] - read[:, 0], WINDOW)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.interpolate import CubicSpline
 from thermal_calibration_data import DEG_H, DWELLING_DEGC, INSIDE, Function, Soak
 
@@ -23,8 +22,6 @@ RESTARTS = 20
 LEAST_STEP_DEGC = 0.2
 BAD = 1.5
 """A start ended badly when its error is more than this much above that of the best."""
-
-Mask = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imumon.blocks import FloatArray
-from imumon.recordings.hindsight import LONGEST, Mask, rest_in_hindsight
+from imumon.blocks import BoolArray, FloatArray
+from imumon.recordings.hindsight import LONGEST, rest_in_hindsight
 
 N, SD = 400, 1e-3
 DRIFT = np.array([1e-5, 1e-5])
 
 
-def told(pause: slice, mean: FloatArray, loud: slice | None = None, cut: int | None = None) -> Mask:
+def told(pause: slice, mean: FloatArray, loud: slice | None = None, cut: int | None = None) -> BoolArray:
     rest = np.ones(N, np.bool_)
     rest[pause] = False
     variance = np.full((N, 2), 1e-6)

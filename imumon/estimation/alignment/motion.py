@@ -10,9 +10,8 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
-from imumon.blocks import FloatArray
+from imumon.blocks import BoolArray, FloatArray
 
 RECENT = 120
 """Slots of which the usual level and scatter are taken: half a minute holds two periods of slow sway."""
@@ -126,7 +125,7 @@ class Motion:
             return "the specific force jumped"
         return "a shock or vibration" if slot.samples >= LEAST else ""
 
-    def _beyond(self, values: FloatArray, level: FloatArray) -> npt.NDArray[np.bool_]:
+    def _beyond(self, values: FloatArray, level: FloatArray) -> BoolArray:
         """Return what of slots, (..., 2, 6), is not as usual, for their levels, (..., 3)."""
         usual = self.usual()
         off = values.copy()

@@ -13,10 +13,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from vqf import VQF
 
-from imumon.blocks import FloatArray, IntArray
+from imumon.blocks import BoolArray, FloatArray, IntArray
 from imumon.estimation.attitude.angles import heading
 
 LEARNED = 16
@@ -56,7 +55,7 @@ class Readings:
     angle: FloatArray
     accel: FloatArray
     mag: FloatArray
-    has_mag: npt.NDArray[np.bool_]
+    has_mag: BoolArray
 
 
 class Fusion:

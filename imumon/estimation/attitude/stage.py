@@ -9,9 +9,8 @@ from itertools import pairwise
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
-from imumon.blocks import NO_INT, ColumnArray, FloatArray, IntArray, SampleBlock
+from imumon.blocks import NO_INT, BoolArray, ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.columns import Column
 from imumon.estimation.attitude.angles import heading, level_angles, matrix, turned_clockwise
 from imumon.estimation.attitude.fusion import Fusion, Readings
@@ -37,7 +36,7 @@ class _Rows:
     """Rows that have a time and a rate: what goes in, where it begins anew, and what is found for each."""
 
     readings: Readings
-    bias_known: npt.NDArray[np.bool_]
+    bias_known: BoolArray
     bias_sd: FloatArray
     begins: set[int]
     slots: Slots
@@ -278,7 +277,7 @@ class AttitudeEstimate:
         return texts
 
 
-def _whole(vectors: FloatArray) -> npt.NDArray[np.bool_]:
+def _whole(vectors: FloatArray) -> BoolArray:
     """Return which vectors have all components, (n,)."""
     return np.asarray(np.isfinite(vectors[:, 0] + vectors[:, 1] + vectors[:, 2]))
 

@@ -11,9 +11,8 @@ import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 
-from imumon.blocks import FloatArray
+from imumon.blocks import BoolArray, FloatArray
 from imumon.estimation.gyro_bias import bank as filters
 from imumon.estimation.gyro_bias.attitude import Attitude, Place, Turn, turned_earth
 from imumon.estimation.gyro_bias.bank import AtRest, Bank, Family
@@ -246,7 +245,7 @@ class State:
     growth: FloatArray = field(default_factory=_zero)
     arrival: FloatArray = field(default_factory=_zero)
     evidence: FloatArray = field(default_factory=_zero)
-    chosen: npt.NDArray[np.bool_] = field(default_factory=lambda: np.zeros(3, bool))
+    chosen: BoolArray = field(default_factory=lambda: np.zeros(3, bool))
     law: Laws = field(default_factory=no_law)
     reference: FloatArray | None = None
 
@@ -494,7 +493,7 @@ def _show(state: State, params: Params, noise: Noise, slot: Slot) -> None:
 
 
 def _of_both(
-    mean: FloatArray, covariance: FloatArray, chosen: npt.NDArray[np.bool_], evidence: FloatArray
+    mean: FloatArray, covariance: FloatArray, chosen: BoolArray, evidence: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return the terms of the variant that is chosen on each axis, and the covariance of both together."""
     own = chosen.astype(np.int64)

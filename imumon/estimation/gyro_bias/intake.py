@@ -6,9 +6,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
-from imumon.blocks import NO_INT, FloatArray, IntArray
+from imumon.blocks import NO_INT, BoolArray, FloatArray, IntArray
 from imumon.estimation.gyro_bias.attitude import FINE_S
 from imumon.estimation.gyro_bias.filter import Slot
 from imumon.estimation.gyro_bias.thermal_input import ThermalVariance
@@ -49,7 +48,7 @@ class Samples:
     degc: FloatArray
     initial_sd: FloatArray
     turn: FloatArray
-    rest: npt.NDArray[np.bool_]
+    rest: BoolArray
 
 
 @dataclass(slots=True, eq=False)
@@ -95,7 +94,7 @@ class _Turns:
         return found
 
 
-def complete(vectors: FloatArray) -> npt.NDArray[np.bool_]:
+def complete(vectors: FloatArray) -> BoolArray:
     """Return whether all three components are there, (n,)."""
     x, y, z = vectors.T
     return np.asarray(np.isfinite(x) & np.isfinite(y) & np.isfinite(z))

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from imumon.blocks import FloatArray, IntArray
+from imumon.blocks import BoolArray, FloatArray, IntArray
 from imumon.compiled import inner, njit
 
 TERMS = 5
@@ -71,7 +71,7 @@ def at_samples(
     laws: Any,
     since: Any,
     time_ns: IntArray,
-    moving: npt.NDArray[np.bool_],
+    moving: BoolArray,
     gyro: FloatArray,
     force: FloatArray,
     degc: FloatArray,

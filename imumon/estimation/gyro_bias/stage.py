@@ -9,9 +9,8 @@ from itertools import pairwise
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
-from imumon.blocks import NO_INT, ColumnArray, FloatArray, IntArray, SampleBlock
+from imumon.blocks import NO_INT, BoolArray, ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.charts import Chart
 from imumon.columns import Column
 from imumon.errors import ImumonError, Reason
@@ -210,7 +209,7 @@ class GyroBias:
         """Return the bias over temperature, beside the model's curve where there is a model."""
         return self._trail.charts()
 
-    def _rest(self, block: SampleBlock) -> npt.NDArray[np.bool_]:
+    def _rest(self, block: SampleBlock) -> BoolArray:
         if "at_rest" in block:
             return np.asarray(block["at_rest"] == 1)
         self._lacks_rest |= not self._parameters.assume_at_rest

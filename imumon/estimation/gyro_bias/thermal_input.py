@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
-from imumon.blocks import FloatArray, SampleBlock
+from imumon.blocks import BoolArray, FloatArray, SampleBlock
 from imumon.models.model import BiasModel
 from imumon.models.predictor import BiasPredictor
 
@@ -171,7 +170,7 @@ class ThermalInput:
 
     def _summed(
         self, seconds: FloatArray, block: SampleBlock, slope: FloatArray
-    ) -> tuple[npt.NDArray[np.bool_], FloatArray]:
+    ) -> tuple[BoolArray, FloatArray]:
         """Return where slope times rate is known, and its sum over time, (n, 3) each."""
         known, total = np.zeros(slope.shape, bool), np.zeros(slope.shape)
         for j, axis in enumerate("xyz"):

@@ -7,9 +7,8 @@ from copy import deepcopy
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from imumon.blocks import NO_INT, ColumnArray, FloatArray, IntArray, SampleBlock
+from imumon.blocks import NO_INT, BoolArray, ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.columns import Column
 from imumon.estimation.rest.compass import reference
 from imumon.estimation.rest.detector import GAP_S, begin, step
@@ -166,6 +165,6 @@ def _held(
         np.concatenate([[old], new])[latest]
         for old, new in zip(before, (time_ns[rows], segment[rows], found), strict=True)
     )
-    holds: npt.NDArray[np.bool_] = (time_ns != NO_INT) & (last_ns != NO_INT) & (segment == last_segment)
+    holds: BoolArray = (time_ns != NO_INT) & (last_ns != NO_INT) & (segment == last_segment)
     recent = time_ns - last_ns <= int(GAP_S * 1e9)
     return np.where(holds & recent, last, 0)

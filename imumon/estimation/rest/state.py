@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 import numpy.typing as npt
 
-from imumon.blocks import FloatArray
+from imumon.blocks import BoolArray, FloatArray
 from imumon.compiled import records
 
 SLOT_S = 0.125
@@ -32,8 +32,6 @@ DITHER = 2.0 * np.pi**2
 """Noise of variance v lets a mean err by exp(-DITHER v) steps of the sensor, v in steps squared (Widrow)."""
 ROUNDED = 1.0 / 12.0
 """Variance of what rounding adds, in steps squared."""
-
-BoolArray = npt.NDArray[np.bool_]
 
 
 class Slot:

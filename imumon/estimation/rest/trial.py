@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from imumon.blocks import FloatArray
-from imumon.estimation.rest.state import ACCEL, GYRO, LEVELS, BoolArray, State
+from imumon.blocks import BoolArray, FloatArray
+from imumon.estimation.rest.state import ACCEL, GYRO, LEVELS, State
 from imumon.estimation.rest.wander import forget
 from imumon.estimation.rest.windows import CHI_SQUARE, COLOUR, MOST_WITHIN, QUIET, SLOTS, TINY
 

@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from imumon.blocks import FloatArray
+from imumon.blocks import BoolArray, FloatArray
 from imumon.estimation.rest.state import ACCEL, EVERY, GYRO, State
 
 EDGES = np.array(
@@ -96,7 +96,7 @@ class Changes:
     evidence: FloatArray
     shapes: FloatArray
     size: FloatArray
-    goes_on: npt.NDArray[np.bool_]
+    goes_on: BoolArray
     began: npt.NDArray[np.intp]
     grew_s: FloatArray
     seconds: FloatArray
@@ -206,7 +206,7 @@ def _frame(state: State, means: FloatArray) -> FloatArray:
 def _weigh(
     state: State,
     known: Changes,
-    which: npt.NDArray[np.bool_],
+    which: BoolArray,
     likely: FloatArray,
     x: FloatArray,
     white_sd: FloatArray,

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from imumon.blocks import FloatArray, IntArray
+from imumon.blocks import BoolArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,7 +34,7 @@ class Points:
         """Return the number of means."""
         return len(self.temperature)
 
-    def only(self, chosen: npt.NDArray[np.bool_]) -> Points:
+    def only(self, chosen: BoolArray) -> Points:
         """Return the means that are chosen."""
         return Points(self.temperature[chosen], self.value[chosen], self.weight[chosen], self.level[chosen])
 
@@ -56,7 +55,7 @@ class Points:
         return Points(temperature, value, weight, keys[:, 0])
 
 
-def folds(level: IntArray, most: int) -> list[npt.NDArray[np.bool_]]:
+def folds(level: IntArray, most: int) -> list[BoolArray]:
     """Return which means to leave out at a time, (n,) of bool each: whole levels, no neighbours, no edges.
 
     The lowest and the highest level stay in: without them the curve would have to extrapolate, which it does
