@@ -6,7 +6,6 @@ Everything here is what the command line is made of; the names that `import imum
 from __future__ import annotations
 
 import logging
-import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,14 +18,14 @@ import numpy as np
 from imumon.blocks import ColumnArray, SampleBlock, join, missing
 from imumon.columns import Column
 from imumon.pipeline import Estimator, Pipeline, PipelineCounters
-from imumon.protocols.device import device_text, parse_device
+from imumon.protocols.device import DeviceFile, device_text, parse_device
 from imumon.recordings.folder import is_session
 from imumon.recordings.source import feed, open_source, run_over
 from imumon.recordings.table import arrow_table, read_table
-from imumon.run.live import BATCH_S, LiveRun, warm_up
-from imumon.run.setup import Setup, parse_setup
+from imumon.run.live import BATCH_S, LiveRun, arrived, reader_of, warm_up
+from imumon.run.setup import Setup, recorded_setup
 from imumon.run.stages import estimators
-from imumon.transport.reader import Event, EventKind, Item, Reader
+from imumon.transport.reader import Event, EventKind, Item
 from imumon.transport.settings import PortSettings
 
 _log = logging.getLogger("imumon")
@@ -139,10 +138,10 @@ class Live:
 class _Unrecorded(Live):
     """Reads in a thread, and decodes and estimates in the caller's."""
 
-    def __init__(self, settings: PortSettings, pipeline: Pipeline) -> None:
+    def __init__(self, device: DeviceFile, settings: PortSettings, pipeline: Pipeline) -> None:
         super().__init__(pipeline)
         self._items: SimpleQueue[Item] = SimpleQueue()
-        self._reader = Reader(settings, lambda _: None, self._items.put)
+        self._reader = reader_of(device, settings, lambda _: None, self._items.put)
         self._reader.start()
 
     def close(self) -> None:
@@ -165,12 +164,7 @@ class _Unrecorded(Live):
 
     def _feed_batch(self) -> bool:
         """Feed what comes within the time of a batch; return True after the last item."""
-        end = time.monotonic() + BATCH_S
-        while (left := end - time.monotonic()) > 0:
-            try:
-                item = self._items.get(timeout=left)
-            except Empty:
-                break
+        for item in arrived(self._items):
             feed(item, self.pipeline)
             if isinstance(item, Event):
                 _log.info("%s: %s", item.kind.value, item.detail)
@@ -248,13 +242,10 @@ def open(
     """
     text, source = device_text(device)
     known, setup = parse_device(text, source), setup or Setup()
-    serial = known.serial
-    settings = PortSettings(
-        port, baudrate or serial.baudrates[0], serial.bytesize, serial.parity, serial.stopbits
-    )
+    settings = known.port_settings(port, baudrate)
     warm_up(known, setup)
     if record is None:
-        return _Unrecorded(settings, Pipeline(known, [*estimators(known, setup), *stages]))
+        return _Unrecorded(known, settings, Pipeline(known, [*estimators(known, setup), *stages]))
     run = LiveRun(known, text, settings, setup, Path(record), _logged, stages)
     return _Recorded(run)
 
@@ -292,9 +283,8 @@ def read(
         block, columns = read_table(path)
         return Samples(block, columns)
     source = open_source(path, device)
-    recorded = source.session.metadata.pipeline_yaml if source.session is not None else None
-    if setup is None and recorded is not None:
-        setup = parse_setup(recorded, str(path))
+    if setup is None and source.session is not None:
+        setup = recorded_setup(source.session)
     own = estimators(source.device, setup) if estimates else []
     pipeline = Pipeline(source.device, [*own, *stages])
     blocks, aside = [], dict[str, list[SampleBlock]]()

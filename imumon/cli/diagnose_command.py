@@ -113,12 +113,11 @@ def model_of(path: Path) -> BiasModel:
     """Read a model file, or the model of a session that ran with one."""
     from imumon.models.model import load_model
     from imumon.recordings.folder import is_session, open_session
-    from imumon.run.setup import parse_setup
+    from imumon.run.setup import recorded_setup
 
     if not is_session(path):
         return load_model(path)
-    text = open_session(path).metadata.pipeline_yaml
-    model = None if text is None else parse_setup(text, f"{path} (pipeline_yaml)").bias_model
+    model = recorded_setup(open_session(path)).bias_model
     if model is None:
         raise ImumonError(Reason.BAD_CONFIG, f"{path} ran without a bias model", "give a model file")
     return model

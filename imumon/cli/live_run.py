@@ -92,15 +92,11 @@ class PortRun:
         seconds: float | None,
     ) -> None:
         from imumon.protocols.device import device_text, parse_device
-        from imumon.transport.settings import PortSettings
 
         text, source = device_text(device)
         self.port = port
         self._device, self._setup = parse_device(text, source), setup
-        serial = self._device.serial
-        self._settings = PortSettings(
-            port, baud or serial.baudrates[0], serial.bytesize, serial.parity, serial.stopbits
-        )
+        self._settings = self._device.port_settings(port, baud)
         self.lines, self.ending = Lines(), Ending(seconds)
         self.run = self._new_run(text, out)
         self.run.open()

@@ -122,13 +122,12 @@ def _log(path: Path, name: str, session: Session) -> tuple[dict[str, object], di
     from imumon.recordings.source import open_source, run_over
     from imumon.run.account import Outages, describe_disk, describe_span, file_sizes
     from imumon.run.narration import describe_losses
-    from imumon.run.setup import Setup, parse_setup
+    from imumon.run.setup import recorded_setup
     from imumon.run.stages import estimators
 
     opened, source, outages = open_session(path), open_source(path), Outages()
-    metadata, recorded = opened.metadata, opened.metadata.pipeline_yaml
-    setup = Setup() if recorded is None else parse_setup(recorded, f"{path} (pipeline_yaml)")
-    pipeline = Pipeline(source.device, estimators(source.device, setup))
+    metadata = opened.metadata
+    pipeline = Pipeline(source.device, estimators(source.device, recorded_setup(opened)))
     samples = 0
     for block in run_over(outages.watch(source.items), pipeline):
         samples += len(block)

@@ -15,6 +15,7 @@ from imumon.files import read_text
 from imumon.plugins import DEVICES, plugins
 from imumon.protocols.base import Decoder, Encoder
 from imumon.protocols.thermometer import TemperatureRateParameters
+from imumon.transport.settings import PortSettings
 
 FORMAT = "imumon-device/1"
 
@@ -59,6 +60,12 @@ class DeviceFile(StrictModel):
     rate_hz: PositiveFloat | None = None
     axes: Literal["FLU", "FRD"]
     temperature: TemperatureRateParameters = TemperatureRateParameters()
+
+    def port_settings(self, url: str, baudrate: int | None = None) -> PortSettings:
+        """Return how a port with this device is opened; at the first of its rates if none is given."""
+        serial = self.serial
+        rate = baudrate or serial.baudrates[0]
+        return PortSettings(url, rate, serial.bytesize, serial.parity, serial.stopbits)
 
     @abstractmethod
     def decoder(self) -> Decoder:

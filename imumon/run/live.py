@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -33,7 +33,7 @@ from imumon.run.marks import Marks
 from imumon.run.narration import Narrator, Progress, Publish, Say
 from imumon.run.setup import Setup
 from imumon.run.stages import estimators
-from imumon.transport.reader import SILENT_AFTER_S, Bytes, Clock, EventKind, Item, Reader
+from imumon.transport.reader import SILENT_AFTER_S, Bytes, Clock, Event, EventKind, Item, Reader, Sink
 from imumon.transport.settings import PortSettings
 
 BATCH_S = 0.05
@@ -155,8 +155,7 @@ class LiveRun:
         self._say = self._log.put
         self._writer = self._wire_writer()
         self._recorder = Recorder(self._writer, self._recording_problem, self._save)
-        silent_after_s = max(SILENT_AFTER_S, SILENT_AFTER_PACKETS / (device.rate_hz or np.inf))
-        self._reader = Reader(settings, self._recorder.put, self._items.put, silent_after_s=silent_after_s)
+        self._reader = reader_of(device, settings, self._recorder.put, self._items.put)
         card = {"device": device.title, "port": str(settings), "recording": str(self.session.path)}
         self._narrator = Narrator(self.pipeline, settings, (), self._say, card, self.session.path)
         self._thread = threading.Thread(target=self._run, name="pipeline", daemon=True)
@@ -312,12 +311,8 @@ class LiveRun:
 
     def _take_batch(self) -> bool:
         """Feed what comes within a batch's time; return True after the last item."""
-        deadline = time.monotonic() + BATCH_S
-        while (left := deadline - time.monotonic()) > 0:
-            try:
-                item = self._items.get(timeout=left)
-            except Empty:
-                break
+        closed = False
+        for item in arrived(self._items):
             feed(item, self.pipeline)
             if isinstance(item, Bytes):
                 self._narrator.received(len(item.data), item.arrival_ns)
@@ -325,9 +320,27 @@ class LiveRun:
             else:
                 self._narrator.event(item)
                 self._outages.event(item)
-                if item.kind is EventKind.CLOSED:
-                    return True
-        return False
+                closed = item.kind is EventKind.CLOSED
+        return closed
+
+
+def reader_of(device: DeviceFile, settings: PortSettings, record: Sink, take: Sink) -> Reader:
+    """Return the reader of a port, which waits longer for a device that sends seldom."""
+    silent_after_s = max(SILENT_AFTER_S, SILENT_AFTER_PACKETS / (device.rate_hz or np.inf))
+    return Reader(settings, record, take, silent_after_s=silent_after_s)
+
+
+def arrived(items: SimpleQueue[Item]) -> Iterator[Item]:
+    """Yield what comes within the time of a batch, to the event CLOSED, which nothing follows."""
+    deadline = time.monotonic() + BATCH_S
+    while (left := deadline - time.monotonic()) > 0:
+        try:
+            item = items.get(timeout=left)
+        except Empty:
+            return
+        yield item
+        if isinstance(item, Event) and item.kind is EventKind.CLOSED:
+            return
 
 
 def flat_counters(counters: PipelineCounters) -> dict[str, int]:

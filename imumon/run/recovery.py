@@ -16,7 +16,7 @@ from imumon.recordings.wire_reader import WireReader, WireSummary
 from imumon.run.live import flat_counters, stream_summaries
 from imumon.run.narration import Narrator, view_setup
 from imumon.run.replay import replay
-from imumon.run.setup import Setup, parse_setup
+from imumon.run.setup import recorded_setup
 from imumon.run.stages import estimators
 from imumon.view.recorder import ViewRecorder
 
@@ -80,9 +80,7 @@ def recover(path: Path) -> Recovered:
 
 def _run_again(session: Session, source: Source, result: Recovered) -> tuple[SessionMetadata, list[str]]:
     """Run over the bytes as the live run did; write the view, and return the metadata of a closed session."""
-    recorded = session.metadata.pipeline_yaml
-    setup = Setup() if recorded is None else parse_setup(recorded, f"{session.path} (pipeline_yaml)")
-    pipeline = Pipeline(source.device, estimators(source.device, setup))
+    pipeline = Pipeline(source.device, estimators(source.device, recorded_setup(session)))
     partial = session.path / "recovering.rrd"
     for left in session.path.glob("recovering*.rrd"):
         left.unlink()

@@ -21,6 +21,7 @@ from imumon.models.magnetometer import MagnetometerModel
 from imumon.models.model import BiasModel, load_model
 from imumon.published.names import PublishedMethod
 from imumon.published.parameters import Channel, GyroNoise, RandomErrorParameters
+from imumon.recordings.folder import Session
 
 FORMAT: Final = "imumon-pipeline/1"
 
@@ -160,6 +161,18 @@ def parse_setup(text: str, source: str) -> Setup:
     if isinstance(setup.model, str):
         setup = setup.model_copy(update={"model": load_model(Path(source).parent / setup.model)})
     return setup.checked()
+
+
+def recorded_setup(session: Session) -> Setup:
+    """Return the setup that a session ran with.
+
+    Raises
+    ------
+    ImumonError
+        BAD_CONFIG when what it keeps of it cannot be read.
+    """
+    text = session.metadata.pipeline_yaml
+    return Setup() if text is None else parse_setup(text, f"{session.path} (pipeline_yaml)")
 
 
 def load_setup(path: Path) -> Setup:
