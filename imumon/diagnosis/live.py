@@ -3,26 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
-from functools import partial
 from itertools import pairwise
 
 import numpy as np
 
-from imumon.blocks import BoolArray, ColumnArray, FloatArray, IntArray, SampleBlock
+from imumon.blocks import ColumnArray, FloatArray, SampleBlock
 from imumon.charts import BLUE, RED, Axis, Chart, Curve
 from imumon.columns import Column
 from imumon.diagnosis.blocks import BLOCK_S, REST_SHARE
 from imumon.diagnosis.recording import SECOND_NS, Run
-from imumon.diagnosis.shadow import Shadow
+from imumon.diagnosis.shadow import MARGIN, Shadow
 from imumon.diagnosis.through import RESIDUAL, effect_charts
 from imumon.effects.base import ACCEL as FORCE
 from imumon.effects.vibration import VIBRATION
-from imumon.filters.slots import SlotGatherer, Slots
 from imumon.geodesy import DEG_PER_H
 from imumon.models.model import BiasModel, TrainedOn
 from imumon.models.predictor import BiasPredictor
-from imumon.recordings.reduced import ACCEL, GYRO
+from imumon.recordings.reduced import ACCEL, GYRO, KeptSlots, gatherer_of, kept_slots
 
 LANE = "model"
 FIRST_LOOK_S, GROWTH = 1200.0, 2.0
@@ -32,30 +29,7 @@ JUDGED_S = 300.0
 """How often a shadow is judged: ten means of 30 s."""
 HELD_NS = 10 * SECOND_NS
 """Samples wait so long until they are reduced to seconds: short blocks then cost no more than long ones."""
-PIECE = 16_384
-"""Samples at a time, to bound the memory."""
 DIAGNOSE = "imumon diagnose --train SESSION --model SESSION --out DIR"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Seconds:
-    """What is kept of n seconds and k columns."""
-
-    begins: BoolArray
-    start_ns: IntArray
-    end_ns: IntArray
-    count: IntArray
-    mean: FloatArray
-
-    @classmethod
-    def of(cls, slots: Slots) -> _Seconds:
-        return cls(*(getattr(slots, field.name).copy() for field in fields(cls)))
-
-    def __len__(self) -> int:
-        return len(self.begins)
-
-    def __getitem__(self, which: slice) -> _Seconds:
-        return _Seconds(*(getattr(self, field.name)[which] for field in fields(self)))
 
 
 class LiveDiagnosis:
@@ -80,7 +54,7 @@ class LiveDiagnosis:
         inputs = {name for gyro in self._gyros for one in model.channels[gyro].effects for name in one.inputs}
         self._names = [*self._gyros, *self._temperatures, *(ACCEL if inputs & {FORCE, VIBRATION} else ())]
         self._names += needed.drivers
-        self._gatherer = SlotGatherer(len(self._names) + 1, SECOND_NS)
+        self._gatherer = gatherer_of(self._names, 1.0)
         self._waiting: list[SampleBlock] = []
         self._pending: list[str] = []
         self._said: set[str] = set()
@@ -90,7 +64,7 @@ class LiveDiagnosis:
 
     def _begin(self) -> None:
         """Begin with a run from power-on; a shadow that has not won yet is of another."""
-        self._parts: list[_Seconds] = []
+        self._parts: list[KeptSlots] = []
         self._next_look_s, self._next_judged_s, self._looks = FIRST_LOOK_S, 0.0, 0
         self._shadow: Shadow | None = None
         self._lacking: list[Chart] = []
@@ -112,18 +86,11 @@ class LiveDiagnosis:
 
     def _reduce(self) -> None:
         for block in self._waiting:
-            for start in range(0, len(block), PIECE):
-                part = block.rows(start, start + PIECE)
-                slots = self._gatherer.process(part["device_time_ns"], part["segment"], self._values(part))
-                self._take(_Seconds.of(slots))
+            for slots in kept_slots(self._gatherer, block, self._names):
+                self._take(slots)
         self._waiting = []
 
-    def _values(self, block: SampleBlock) -> FloatArray:
-        missing = partial(np.full, len(block), np.nan)
-        values = np.column_stack([block.columns.get(name, missing()) for name in (*self._names, "at_rest")])
-        return values.astype(np.float64, copy=False)
-
-    def _take(self, slots: _Seconds) -> None:
+    def _take(self, slots: KeptSlots) -> None:
         """Take the seconds that have ended; a new segment is a new run."""
         cuts = [0, *np.flatnonzero(slots.begins).tolist(), len(slots)]
         for start, stop in pairwise(cuts):
@@ -133,7 +100,7 @@ class LiveDiagnosis:
                     self._begin()
                 self._follow(part)
 
-    def _follow(self, part: _Seconds) -> None:
+    def _follow(self, part: KeptSlots) -> None:
         """Take seconds of one run, and stop wherever it is time to look or to judge."""
         begun_ns = int((self._parts or [part])[0].start_ns[0])
         while len(part):
@@ -259,6 +226,6 @@ class LiveDiagnosis:
                 Axis("[°/h]"),
                 curves,
                 headline=f"{before:.3g} → {after:.3g} °/h since it was found",
-                notes=(f"likelihood ratio e^{score.ratio:.1f}; it wins at e^8",),
+                notes=(f"likelihood ratio e^{score.ratio:.1f}; it wins at e^{MARGIN:.0f}",),
             ),
         ]
