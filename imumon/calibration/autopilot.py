@@ -45,11 +45,12 @@ class Exported:
 
 @dataclass(frozen=True, slots=True)
 class _Cubic:
-    """The cubics of x, y, z, (3, 4) from the constant up, about a temperature; the range they are of."""
+    """The cubics of x, y, z, (3, 4) from the constant up, about a temperature; their range, and rms errors."""
 
     coefficients: FloatArray
     low: float
     high: float
+    errors: dict[str, float]
 
 
 def parameters(
@@ -69,8 +70,8 @@ def parameters(
     Raises
     ------
     ImumonError
-        BAD_DATA when a cubic does not say what the model says, or the span is too small; BAD_CONFIG when the
-        identifiers are missing, or gyros are.
+        BAD_DATA when the span is too small, or a channel has more than a curve; BAD_CONFIG when identifiers are
+        missing, or gyros.
     """
     if autopilot == "px4" and ids is None:
         raise ImumonError(
@@ -107,7 +108,7 @@ def _cubic(model: BiasModel, kind: str, reference: float) -> _Cubic:
             f"an autopilot's calibration needs {LEAST_SPAN_DEGC:g} °C at least: calibrate over more",
         )
     degc = np.linspace(low, high, POINTS)
-    found = []
+    found, errors = [], dict[str, float]()
     for axis, channel in zip("xyz", channels, strict=True):
         if channel.effects:
             names = ", ".join(dict.fromkeys(effect.name for effect in channel.effects))
@@ -118,16 +119,9 @@ def _cubic(model: BiasModel, kind: str, reference: float) -> _Cubic:
             )
         value = channel.value(degc)
         cubic = Polynomial.fit(degc - reference, value, 3)
-        error = float(np.sqrt(np.mean((cubic(degc - reference) - value) ** 2)))
-        if error > channel.residual_sd:
-            raise ImumonError(
-                Reason.BAD_DATA,
-                f"{kind}_{axis}: a cubic misses the curve by {error:.3g} {channel.unit} rms,"
-                f" more than the curve itself errs ({channel.residual_sd:.3g})",
-                "an autopilot has cubics only: calibrate over the temperatures at which the unit works",
-            )
+        errors[f"{kind}_{axis}"] = float(np.sqrt(np.mean((cubic(degc - reference) - value) ** 2)))
         found.append(cubic.convert().coef)
-    return _Cubic(np.array([np.pad(one, (0, 4 - len(one))) for one in found]), low, high)
+    return _Cubic(np.array([np.pad(one, (0, 4 - len(one))) for one in found]), low, high, errors)
 
 
 def _ardupilot(cubics: dict[str, _Cubic], number: int) -> Iterator[tuple[str, float]]:
@@ -165,6 +159,14 @@ def _notes(model: BiasModel, cubics: dict[str, _Cubic], autopilot: Autopilot) ->
         f"outside {low:.1f} to {high:.1f} °C the correction stands still: do not trust offsets that the"
         " autopilot finds at power-on there"
     ]
+    for cubic in cubics.values():
+        for name, error in cubic.errors.items():
+            channel = model.channels[name]
+            if error > channel.residual_sd:
+                said.append(
+                    f"{name}: the cubic misses the curve by {error:.3g} {channel.unit} rms, more than the curve"
+                    f" itself errs ({channel.residual_sd:.3g}): calibrate over the temperatures of its work only"
+                )
     if autopilot == "px4" and model.earth_rate == "included":
         said.append("the gyros' constant holds the earth rate of the test, up to 15 °/h")
     if len(model.trained_on) < 2:

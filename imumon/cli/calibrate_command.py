@@ -69,8 +69,8 @@ def command(
             runs = [read(path, None, at_rest=False) for path in sessions]
             driven = with_drivers(result.model, runs, chosen, tell)
     model = result.model if driven is None else driven.model
-    model.write(out)
     written = write_parameters(model, out, autopilot)
+    model.write(out)
     if plot is not None:
         from imumon.calibration.plot import write_calibration_plot
 
