@@ -45,7 +45,7 @@ class Exported:
 
 @dataclass(frozen=True, slots=True)
 class _Cubic:
-    """The cubics of x, y, z, (3, 4) from the constant up, about a temperature; their range, and rms errors."""
+    """The cubics of x, y, z, (3, 4) from the constant up; their range, and rms errors."""
 
     coefficients: FloatArray
     low: float
@@ -70,8 +70,8 @@ def parameters(
     Raises
     ------
     ImumonError
-        BAD_DATA when the span is too small, or a channel has more than a curve; BAD_CONFIG when identifiers are
-        missing, or gyros.
+        BAD_DATA when the span is too small, or a channel has more than a curve; BAD_CONFIG when identifiers
+        or gyros are missing.
     """
     if autopilot == "px4" and ids is None:
         raise ImumonError(
@@ -164,8 +164,9 @@ def _notes(model: BiasModel, cubics: dict[str, _Cubic], autopilot: Autopilot) ->
             channel = model.channels[name]
             if error > channel.residual_sd:
                 said.append(
-                    f"{name}: the cubic misses the curve by {error:.3g} {channel.unit} rms, more than the curve"
-                    f" itself errs ({channel.residual_sd:.3g}): calibrate over the temperatures of its work only"
+                    f"{name}: the cubic misses the curve by {error:.3g} {channel.unit} rms, more than the"
+                    f" curve itself errs ({channel.residual_sd:.3g}): calibrate over the temperatures of its"
+                    " work only"
                 )
     if autopilot == "px4" and model.earth_rate == "included":
         said.append("the gyros' constant holds the earth rate of the test, up to 15 °/h")
