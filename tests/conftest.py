@@ -17,6 +17,10 @@ from hypothesis import settings
 # As in the command line; read when NumPy is imported, which no test has done yet.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+# Every one of the parallel processes and of the programs that tests start would compile all sources anew.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
+
 # Where a failure blocks others, the same examples every time; at home, new ones.
 settings.register_profile("ci", derandomize=True, deadline=None)
 settings.register_profile("home", deadline=None)  # a machine with other work to do is no failure
