@@ -55,6 +55,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=lambda item: _LONG.index(groups[item]) if groups[item] in _LONG else len(_LONG))
 
 
+def pytest_collection_finish() -> None:
+    """Spare the garbage collector what stays until the end: for `no_leaks` it looked at that twice a test."""
+    gc.collect()
+    gc.freeze()
+
+
 _FD = Path("/proc/self/fd")
 
 

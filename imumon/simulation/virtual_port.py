@@ -266,9 +266,7 @@ class Sampler:
     def __init__(self, ratio: float) -> None:
         self.ratio = ratio
         self._stop = 9.5 * ratio
-        self._bits = [
-            int((bit + 1.5) * ratio) for bit in range(8)
-        ]  # from the start bit, which is at a whole number
+        self._bits = [int((bit + 1.5) * ratio) for bit in range(8)]  # places behind that of the start bit
         self._line = bytearray([1])  # levels, one per bit of the sender
         self._position = 0.0  # where the receiver looks for the next start bit, in bits of the sender
 
