@@ -350,7 +350,9 @@ def _parquet_column(path: Path, field: Any) -> Column:
 def _check_suffix(path: Path, reason: Reason) -> None:
     if path.suffix not in SUFFIXES:
         raise ImumonError(
-            reason, f"{path}: a table cannot have the suffix {path.suffix!r}", f"use {' or '.join(SUFFIXES)}"
+            reason,
+            f"{path}: a table cannot have the suffix {path.suffix!r}",
+            f"use {' or '.join(SUFFIXES)}; to write also .npz, .mat or .mcap",
         )
 
 
