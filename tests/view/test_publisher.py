@@ -3,6 +3,7 @@ from __future__ import annotations
 import http.client
 import os
 import signal
+import socket
 import subprocess
 import time
 from collections.abc import Callable, Iterator
@@ -209,9 +210,11 @@ def test_servers_listen_on_this_machine_only(publish: Publish, port: int) -> Non
     }
 
 
+HERE = socket.gethostname()
 ASKED = [
     ({}, 200),
     ({"Origin": "http://127.0.0.1:9090"}, 200),
+    ({"Host": f"{HERE}:9090", "Origin": f"http://{HERE}:9090"}, 200),
     ({"Origin": "http://evil.example"}, 403),
     ({"Origin": "null"}, 403),
     ({"Host": "evil.example"}, 403),
