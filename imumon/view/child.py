@@ -22,6 +22,8 @@ from imumon.view.frames import Batch, ReplayRequest, Report, Start
 POLL_S = 0.5
 PARENT_S = 1.0
 GOODBYE_S = 0.6
+SWITCH_S = 0.0005
+"""While a picture is drawn, samples wait so long for the interpreter at each of ten steps (usual: 5 ms)."""
 MAX_BYTES = 768 << 20
 """More memory (a viewer that takes nothing for half an hour) ends the process; it is started anew."""
 
@@ -115,6 +117,7 @@ def watch(parent: int) -> None:
 
 def main() -> None:
     """Run, then leave without Rerun's own clean-up, which waits for a stuck viewer without end."""
+    sys.setswitchinterval(SWITCH_S)
     threading.Thread(target=watch, args=(os.getppid(),), daemon=True).start()
     stream = Connection(os.dup(sys.stdin.fileno()), writable=False)
     out = Connection(os.dup(sys.stdout.fileno()), readable=False)

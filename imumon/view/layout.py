@@ -49,7 +49,8 @@ class Rows:
     """Rows of columns with their times; a timeline that the rows do not have is None.
 
     With `step_ns` they are for a recording, which is a picture (the wire has every byte): of each step
-    of time only the extremes are drawn, so that spikes stay, and in one unit.
+    of time only the extremes are drawn, so that spikes stay, and in one unit.  What began before them, at
+    `before_ns`, the clock of the row before, has been drawn.
     """
 
     columns: Mapping[str, ColumnArray]
@@ -57,6 +58,7 @@ class Rows:
     device_ns: IntArray | None
     host_ns: IntArray | None
     step_ns: int = 0
+    before_ns: int | None = None
 
     @cached_property
     def indexes(self) -> list[rr.TimeColumn]:
@@ -76,10 +78,18 @@ class Rows:
         return self.host_ns if self.device_ns is None else self.device_ns
 
     def kept(self, keep: BoolArray | IntArray) -> Rows:
-        """Return the times of the rows to keep, without their columns."""
-        times = (self.sample, self.device_ns, self.host_ns)
-        sample, device_ns, host_ns = (None if values is None else values[keep] for values in times)
-        return Rows({}, sample, device_ns, host_ns)
+        """Return the times of the rows to keep, without their columns; the same for the same rows."""
+        key = keep.dtype.char, keep.tobytes()
+        if key not in self._kept:
+            times = (self.sample, self.device_ns, self.host_ns)
+            sample, device_ns, host_ns = (None if values is None else values[keep] for values in times)
+            self._kept[key] = Rows({}, sample, device_ns, host_ns)
+        return self._kept[key]
+
+    @cached_property
+    def _kept(self) -> dict[tuple[str, bytes], Rows]:
+        """What was kept so far: most panels keep the same rows, and times cost as much as values."""
+        return {}
 
     def extremes(self, values: FloatArray) -> BoolArray:
         """Return which rows have the least or greatest value of a line in its step, or begin one, (n,)."""
@@ -87,8 +97,8 @@ class Rows:
         if not self.step_ns or clock is None:
             return np.ones(len(values), np.bool_)
         keep = self.thinned(self.step_ns)
-        starts = np.flatnonzero(keep).tolist()
-        for start, stop in pairwise([*starts, len(values)]):
+        starts = np.flatnonzero(keep[1:]) + 1
+        for start, stop in pairwise([0, *starts.tolist(), len(values)]):
             part = values[start:stop]
             keep[start + np.argmin(np.nan_to_num(part, nan=np.inf), axis=0)] = True
             keep[start + np.argmax(np.nan_to_num(part, nan=-np.inf), axis=0)] = True
@@ -99,8 +109,10 @@ class Rows:
         clock = self.clock
         if clock is None:
             return np.ones(len(next(iter(self.columns.values()))), np.bool_)
-        step = clock // max(step_ns, self.step_ns)
-        return np.asarray(np.diff(step, prepend=step[:1] - 1) != 0)
+        step_ns = max(step_ns, self.step_ns)
+        step = clock // step_ns
+        before = step[:1] - 1 if self.before_ns is None else self.before_ns // step_ns
+        return np.asarray(np.diff(step, prepend=before) != 0)
 
     def matrix(self, names: Sequence[str]) -> FloatArray:
         """Return the named columns side by side, shape (n, len(names))."""
@@ -316,6 +328,8 @@ class Bands(Strip):
     def log(self, rec: rr.RecordingStream, rows: Rows) -> None:
         """Log some of the exact values, and the bands, five times a second."""
         due = rows.thinned(BAND_STEP_NS)
+        if not due.any():
+            return
         if not rows.step_ns:
             scalars = rr.Scalars.columns(scalars=rows.matrix(self.columns)[due])
             rec.send_columns(self.exact, indexes=rows.kept(due).indexes, columns=scalars)

@@ -95,8 +95,12 @@ def _floor(density: FloatArray) -> FloatArray:
     padded = np.pad(density, FLOOR_BINS, constant_values=np.nan)
     padded[: FLOOR_BINS + 1] = np.nan  # the mean is taken out of bin 0
     windows = np.lib.stride_tricks.sliding_window_view(padded, FLOOR_BINS)
-    below, above = windows[: len(density)], windows[FLOOR_BINS + 1 :]
+    whole = slice(FLOOR_BINS + 1, len(density) + 1)
+    medians = np.empty(len(windows))
+    medians[whole] = np.median(windows[whole], axis=1)  # a tenth of the time of the other
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # nothing is below the first bin
-        sides = np.fmax(np.nanmedian(below, axis=1), np.nanmedian(above, axis=1))
+        for part in (slice(whole.start), slice(whole.stop, None)):
+            medians[part] = np.nanmedian(windows[part], axis=1)
+    sides = np.fmax(medians[: len(density)], medians[FLOOR_BINS + 1 :])
     return np.nan_to_num(sides, nan=np.inf)
