@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from queue import Empty, SimpleQueue
+from queue import SimpleQueue
 
 import numpy as np
 
@@ -349,18 +349,17 @@ def arrived(items: SimpleQueue[Item]) -> Iterator[Reads | Event]:
     """
     time.sleep(BATCH_S)
     reads: list[Bytes] = []
-    with suppress(Empty):
-        while True:
-            item = items.get_nowait()
-            if isinstance(item, Bytes):
-                reads.append(item)
-                continue
-            if reads:
-                yield Reads.of(reads)
-                reads = []
-            yield item
-            if item.kind is EventKind.CLOSED:
-                return
+    for _ in range(items.qsize()):
+        item = items.get_nowait()
+        if isinstance(item, Bytes):
+            reads.append(item)
+            continue
+        if reads:
+            yield Reads.of(reads)
+            reads = []
+        yield item
+        if item.kind is EventKind.CLOSED:
+            return
     if reads:
         yield Reads.of(reads)
 

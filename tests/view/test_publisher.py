@@ -323,23 +323,17 @@ def test_history_is_bounded_in_bytes_and_time() -> None:
 
 
 def test_history_keeps_the_latest_of_each_chart_and_costs_no_more() -> None:
-    axis = Axis("x")
-    charts = [
-        Drawing(
-            Timebase().at(k),
-            Chart(key, "Tab", key, axis, axis, (Curve("y", np.ones(999), np.ones(999), RED),)),
-        )
-        for k in range(5)
-        for key in ("a", "b")
-    ]
+    axis, line = Axis("x"), Curve("y", np.ones(999), np.ones(999), RED)
     history = History(10_000, 1e9)
-    for number, chart in enumerate(charts):
-        frames = history.add(Batch(number, [Log(chart.at, f"{number}"), chart]), 0.0)
+    for number in range(10):
+        at, key = Timebase().at(number), "ab"[number % 2]
+        drawn = Drawing(at, Chart(key, "Tab", key, axis, axis, (line,)))
+        frames = history.add(Batch(number, [Log(at, f"{number}"), drawn]), 0.0)
         assert [type(item) for frame in frames for item in pickle.loads(frame).items] == [Log, Drawing]
-    *logs, last, least = history.after(3)
+    *logs, last, newest = history.after(3)
     assert [item.text for item in logs if isinstance(item, Log)] == ["4", "5", "6", "7", "8", "9"]
-    assert [item.chart.key for item in (last, least) if isinstance(item, Drawing)] == ["a", "b"]
-    assert [last.at.host_ns, least.at.host_ns] == [4, 4]
+    found = [(item.chart.key, item.at.host_ns) for item in (last, newest) if isinstance(item, Drawing)]
+    assert found == [("a", 8), ("b", 9)]
 
 
 def test_history_gives_only_what_came_after() -> None:
