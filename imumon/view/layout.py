@@ -14,6 +14,7 @@ from itertools import pairwise
 from typing import Any, Literal, Protocol
 
 import numpy as np
+import pyarrow as pa
 import rerun as rr
 
 from imumon.blocks import BoolArray, ColumnArray, FloatArray, IntArray
@@ -33,6 +34,7 @@ OTHER = "/samples/other"
 INTEGERS = "/samples/integers"
 """Integer columns (device time as sent, counters, status), exact, for those who read the recording."""
 
+SCALARS = rr.Scalars.descriptor_scalars()
 BAND_STEP_NS = 200_000_000
 """Estimates with a band are logged at the most five times a second; a replay gives every value."""
 TWO_SIGMA = 4.0
@@ -85,6 +87,16 @@ class Rows:
             sample, device_ns, host_ns = (None if values is None else values[keep] for values in times)
             self._kept[key] = Rows({}, sample, device_ns, host_ns)
         return self._kept[key]
+
+    def send(self, rec: rr.RecordingStream, entity: str, values: FloatArray) -> None:
+        """Log values at the times of these rows, (n,) or (n, lines).
+
+        The column is that of ``rr.Scalars.columns``, which takes seven times as long to find out its shape.
+        """
+        flat = np.ascontiguousarray(values, np.float64).ravel()
+        offsets = np.arange(len(values) + 1, dtype=np.int32) * np.int32(flat.size // max(len(values), 1))
+        column = rr.ComponentColumn(SCALARS, rr.components.ScalarBatch(pa.array(flat)), offsets=offsets)
+        rec.send_columns(entity, indexes=self.indexes, columns=[column])
 
     @cached_property
     def _kept(self) -> dict[tuple[str, bytes], Rows]:
@@ -287,15 +299,14 @@ class Strip:
             return
         values, rows = values[kept], rows.kept(kept)
         if exact:
-            rec.send_columns(self.exact, indexes=rows.indexes, columns=rr.Scalars.columns(scalars=values))
+            rows.send(rec, self.exact, values)
         if self.unit is not None:
-            scaled = rr.Scalars.columns(scalars=values * self._factor)
-            rec.send_columns(self.drawn, indexes=rows.indexes, columns=scaled)
+            rows.send(rec, self.drawn, values * self._factor)
         if self.limits:
             ends = np.zeros(len(values), np.bool_)
             ends[[0, -1]] = True
-            levels = rr.Scalars.columns(scalars=np.tile(self.limits, (int(ends.sum()), 1)))
-            rec.send_columns(f"{self.drawn}/limits", indexes=rows.kept(ends).indexes, columns=levels)
+            levels = np.tile(self.limits, (int(ends.sum()), 1))
+            rows.kept(ends).send(rec, f"{self.drawn}/limits", levels)
 
     def view(self, setup: ViewSetup, window: Window) -> Any:
         """Return the view, its unit in the title."""
@@ -331,8 +342,7 @@ class Bands(Strip):
         if not due.any():
             return
         if not rows.step_ns:
-            scalars = rr.Scalars.columns(scalars=rows.matrix(self.columns)[due])
-            rec.send_columns(self.exact, indexes=rows.kept(due).indexes, columns=scalars)
+            rows.kept(due).send(rec, self.exact, rows.matrix(self.columns)[due])
         for line in self.lines:
             value = self._factor * rows.columns[line.column]
             sd = np.zeros_like(value) if line.sd is None else self._factor * rows.columns[line.sd]

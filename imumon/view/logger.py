@@ -45,7 +45,7 @@ PART_COLORS = {**AXIS_COLORS, "roll": RED, "pitch": GREEN, "yaw": BLUE}
 """Colour of a column that no panel draws, by how its name ends."""
 RECORDED_STEP_NS = 500_000_000
 """Of so much time a recording of the view keeps the extremes."""
-PICTURE_SHARE = 0.05
+PICTURE_SHARE = 0.03
 """Live, drawing charts takes so much of the time at the most."""
 RECORDED_PICTURE_S = 600.0
 """In a recording a chart is drawn so often (it takes 60 kB), and as it is at the end."""
@@ -198,8 +198,7 @@ class StreamLogger:
         kept = rows.extremes(np.asarray(values, np.float64)[:, np.newaxis]) & np.isfinite(values)
         if not kept.any():
             return
-        scalars = rr.Scalars.columns(scalars=values[kept])
-        self._rec.send_columns(f"{OTHER}/{name}", indexes=rows.kept(kept).indexes, columns=scalars)
+        rows.kept(kept).send(self._rec, f"{OTHER}/{name}", np.asarray(values[kept], np.float64))
 
     def _log_early_events(self, first: Samples) -> None:
         """Show the events before the first sample on the timelines that begin with it."""
