@@ -17,6 +17,7 @@ from multiprocessing.connection import Connection
 import psutil
 
 from imumon.errors import ImumonError
+from imumon.heap import share_heap
 from imumon.view.frames import Batch, ReplayRequest, Report, Start
 
 POLL_S = 0.5
@@ -117,6 +118,7 @@ def watch(parent: int) -> None:
 
 def main() -> None:
     """Run, then leave without Rerun's own clean-up, which waits for a stuck viewer without end."""
+    share_heap()
     sys.setswitchinterval(SWITCH_S)
     threading.Thread(target=watch, args=(os.getppid(),), daemon=True).start()
     stream = Connection(os.dup(sys.stdin.fileno()), writable=False)

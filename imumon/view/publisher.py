@@ -30,8 +30,6 @@ QUEUE_BYTES = 32 << 20
 HISTORY_BYTES = 64 << 20
 HISTORY_S = 120.0
 BACKOFF_S = (0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
-ONE_ARENA = {"MALLOC_ARENA_MAX": "1"}
-"""Of glibc: what one thread of the view process gives back another can use."""
 STEADY_S = 30.0
 """A view process that lived this long is started again without delay."""
 STUCK_S = 30.0
@@ -208,7 +206,7 @@ class ViewPublisher:
                 stdin=stdin.fileno(),
                 stdout=stdout.fileno(),
                 stderr=subprocess.DEVNULL,
-                env=quiet_environment() | ONE_ARENA,
+                env=quiet_environment(),
                 start_new_session=True,  # Ctrl-C is for the measuring process, which then closes this one
             )
         self._process = process
