@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 
 from imumon.cli.common import note, say
 from imumon.errors import ImumonError, Reason
-from imumon.heap import share_heap
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -94,7 +93,6 @@ class PortRun:
     ) -> None:
         from imumon.protocols.device import device_text, parse_device
 
-        share_heap()
         text, source = device_text(device)
         self.port = port
         self._device, self._setup = parse_device(text, source), setup
