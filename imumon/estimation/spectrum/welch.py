@@ -53,6 +53,21 @@ class Peak:
     rms: float
 
 
+def fast_length(most: int) -> int:
+    """Return the greatest number up to `most` without other factors than 2, 3 and 5.
+
+    A transform of 8570 = 2 x 5 x 857 takes eight times as long as one of 8640.
+    """
+    for length in range(most, 0, -1):
+        rest = length
+        for factor in (2, 3, 5):
+            while rest % factor == 0:
+                rest //= factor
+        if rest == 1:
+            return length
+    return 1
+
+
 def welch(values: FloatArray, interval_s: float, length: int) -> Spectrum:
     """Return the spectrum of evenly spaced values, (n,), in half-overlapping segments of `length`."""
     step = length // 2
