@@ -181,8 +181,8 @@ def real_time(folder: Path, rate_hz: float, minutes: float) -> Row:
         1,
         f"{told['samples']:,} samples, {told['packets_missing']} packets missing; monitor {parent[0]:.0f} to"
         f" {max(parent):.0f} MB, {slopes[0]} after {WARM_UP_MINUTES:g} min; view"
-        f" {max(children):.0f} MB at most, {slopes[1]}; wire.mcap {wire / hours / MEGABYTE:.0f} MB/h, view.rrd"
-        f" {drawn / hours / MEGABYTE:.1f} MB/h; exit after {left:.1f} s",
+        f" {max(children):.0f} MB at most, {slopes[1]}; wire.mcap {wire / hours / MEGABYTE:.0f} MB/h,"
+        f" view.rrd {drawn / hours / MEGABYTE:.1f} MB/h; exit after {left:.1f} s",
         held=(minutes < SHORTEST_MINUTES or all(slope.value < MOST_SLOPE_LIVE for slope in slopes))
         and not told["bytes_unrecorded"]
         and told["packets_missing"] == 0,
