@@ -385,7 +385,8 @@ def _masked(values: ColumnArray, arrow_type: Any) -> Any:
     # pyarrow.array does the same once it has imported pandas, 0.3 s, to see whether this is a series.
     there = values != NO_INT if values.dtype == np.int64 else ~np.isnan(values)
     bits = None if there.all() else pa.py_buffer(np.packbits(there, bitorder="little"))
-    return pa.Array.from_buffers(arrow_type, len(values), [bits, pa.py_buffer(np.ascontiguousarray(values))])
+    content = pa.py_buffer(np.ascontiguousarray(values, arrow_type.to_pandas_dtype()))
+    return pa.Array.from_buffers(arrow_type, len(values), [bits, content])
 
 
 def _from_arrow(batch: Any, schema: Any) -> SampleBlock:
