@@ -29,13 +29,7 @@ settings.load_profile("ci" if os.environ.get("CI") == "true" else "home")
 _TESTS = Path(__file__).parent
 _COMPILE = _TESTS.parent / "scripts" / "support" / "compile_kernels.py"
 _VIEWERS = "viewers"
-_LONG = (
-    _VIEWERS,
-    "test_reproduce.py",
-    "cli/test_commands.py",
-    "diagnosis/test_diagnose.py",
-    "view/test_terminal.py",
-)
+_LONG = (_VIEWERS, "test_reproduce.py", "cli/test_commands.py", "diagnosis/test_diagnose.py")
 """These take longest: begun last, they would leave one of the parallel processes alone with one of them."""
 
 
