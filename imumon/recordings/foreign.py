@@ -171,7 +171,7 @@ def _check_columns(path: Path, names: Sequence[str], wanted: Sequence[str]) -> N
 
 
 _NUMBER = r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$"
-_NO_VALUE = pa.array(["", "nan", "na", "n/a", "null", "none"])
+_NO_VALUE = r"^(nan|na|n/a|null|none)?$"
 
 
 @dataclass(frozen=True, slots=True)
@@ -306,7 +306,7 @@ def _numbers_of_text(column: Any) -> tuple[FloatArray, dict[int, str]]:
     number = pc.match_substring_regex(text, _NUMBER)
     bare = pc.utf8_ltrim(pc.if_else(number, text, "nan"), "+")
     values = np.asarray(pc.cast(bare, pa.float64()).to_numpy(), np.float64)
-    fine = pc.or_(number, pc.is_in(pc.utf8_lower(text), _NO_VALUE))
+    fine = pc.or_(number, pc.match_substring_regex(pc.utf8_lower(text), _NO_VALUE))
     odd, large = np.flatnonzero(~fine.to_numpy()), np.flatnonzero(np.isinf(values))
     wrong = {row: _no_number(text[row].as_py()) for row in odd.tolist()}
     wrong |= {row: f"{text[row].as_py()!r} is too large" for row in large.tolist()}
