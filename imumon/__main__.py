@@ -1,0 +1,5 @@
+"""``python -m imumon``: the command."""
+
+from imumon.cli import main
+
+main()
