@@ -272,10 +272,11 @@ def test_view_process_that_takes_nothing_is_started_again(
     publisher = publish("web", port)
     stream = Stream(publisher.publish)
     stream.run_until(lambda: publisher.state.connected, 20, "serving")
-    monkeypatch.setattr("imumon.view.publisher.STUCK_S", 1.0)  # on a busy machine it takes longer to start
-    os.kill(child().pid, signal.SIGSTOP)
-    stream.send(20_000)  # more than a pipe holds
-    stream.run_until(lambda: publisher.state.restarts == 1, 20, "noticed")
+    with monkeypatch.context() as impatient:  # on a busy machine it takes longer to start
+        impatient.setattr("imumon.view.publisher.STUCK_S", 1.0)
+        os.kill(child().pid, signal.SIGSTOP)
+        stream.send(20_000)  # more than a pipe holds
+        stream.run_until(lambda: publisher.state.restarts == 1, 20, "noticed")
     stream.run_until(lambda: publisher.state.connected, 20, "serving again")
 
 
