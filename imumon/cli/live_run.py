@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import math
 import signal
 import sys
@@ -120,6 +121,7 @@ class PortRun:
         from imumon.run.live import warm_up
 
         warm_up(self._device, self._setup)
+        gc.freeze()  # a search through all that was loaded takes 0.1 s, in which nothing else runs
         self.run.begin(publish)
 
     def raise_problem(self, summary: LiveSummary) -> None:

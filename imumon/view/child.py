@@ -6,6 +6,7 @@ Run as ``python -m imumon.view.child`` by `imumon.view.publisher`.
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import sys
@@ -93,6 +94,7 @@ class Child:
 def run(stream: Connection, out: Connection) -> None:
     """Take batches until the stream ends."""
     child = Child(stream.recv(), out)
+    gc.freeze()  # or the circles of pictures wait until they are a quarter of all that was loaded
     next_poll = 0.0
     while True:
         if time.monotonic() >= next_poll:

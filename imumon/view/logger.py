@@ -9,6 +9,7 @@ from functools import partial
 from itertools import groupby
 
 import numpy as np
+import pyarrow as pa
 import rerun as rr
 import rerun.blueprint as rrb
 
@@ -185,9 +186,10 @@ class StreamLogger:
                     return
                 integers, rows = {name: values[due] for name, values in integers.items()}, rows.kept(due)
             entity = f"{INTEGERS}/{stream}" if stream else INTEGERS
-            self._rec.send_columns(
-                entity, indexes=rows.indexes, columns=rr.AnyValues.columns(True, **integers)
-            )
+            # As arrays of Arrow, or Rerun tries what they are in six times the time.
+            arrays = {name: pa.array(values) for name, values in integers.items()}
+            columns = rr.AnyValues.columns(True, **arrays)
+            self._rec.send_columns(entity, indexes=rows.indexes, columns=columns)
 
     def _log_other(self, name: str, values: ColumnArray, rows: Rows) -> None:
         if name not in self._others:

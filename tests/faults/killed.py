@@ -27,6 +27,7 @@ from tests.faults.rows import Row
 PROMISED_S = 0.2
 PREPARED_S = 12.0
 EXIT_S = 3.0
+ARRIVAL_S = 0.3
 
 
 class Line:
@@ -52,9 +53,10 @@ class Line:
         self._thread.start()
 
     def pause(self) -> None:
-        """Send nothing more."""
+        """Send nothing more, and let what was sent arrive."""
         self._end.set()
         self._thread.join()
+        time.sleep(ARRIVAL_S)
 
     def close(self) -> None:
         """Stop sending and close the line."""
@@ -81,10 +83,8 @@ def end_in_order(
 ) -> tuple[list[str], float]:
     """End a monitor with ``--json`` by a signal; return what was not in order, and how long it took.
 
-    It may take so many times as long as promised.
+    The line has paused.  It may take so many times as long as promised.
     """
-    line.pause()
-    time.sleep(0.3)
     child.send_signal(number)
     began = time.monotonic()
     out, err = child.communicate(timeout=60)
@@ -140,6 +140,7 @@ def interrupt(folder: Path, number: int, stopped_s: float = 2.0, patience: float
             for each in (signal.SIGSTOP, signal.SIGCONT):
                 child.send_signal(each)
                 time.sleep(stopped_s if each is signal.SIGSTOP else 1.0)
+            line.pause()
             wrong, _ = end_in_order(child, line, number, patience)
         finally:
             child.kill()

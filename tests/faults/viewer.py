@@ -155,8 +155,9 @@ def harm(folder: Path, name: str, seconds: float, patience: float = 1.0) -> tupl
                 said = child.stderr.readline()
             action(scene, seconds)
             memory = psutil.Process(child.pid).memory_info().rss / 1e6
-            wrong, took_s = end_in_order(child, line, signal.SIGTERM, patience)
+            line.pause()
             lag.close()
+            wrong, took_s = end_in_order(child, line, signal.SIGTERM, patience)
         finally:
             child.kill()
             line.close()
