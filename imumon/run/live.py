@@ -381,9 +381,16 @@ def stream_summaries(counters: PipelineCounters) -> dict[str, StreamSummary]:
 def nothing_decoded(
     settings: PortSettings, device: DeviceFile, counters: PipelineCounters
 ) -> ImumonError | None:
-    """Return why a run has no packets, or None when it has some."""
-    if counters.packets:
+    """Return why a run has no rows, or None when it has some."""
+    if counters.samples or any(stream.rows for stream in counters.streams.values()):
         return None
+    if counters.packets:
+        kinds = ", ".join(f"{count:,} {name}" for name, count in counters.packets_by_type.items())
+        return ImumonError(
+            Reason.WRONG_BAUD,
+            f"{counters.packets:,} packets came ({kinds}), and no row of {device.name} could be made of them",
+            "is it another device, or does it send none of its sensors?  Try: imumon configure --help",
+        )
     if counters.bytes_received == 0:
         return ImumonError(
             Reason.SILENT,
