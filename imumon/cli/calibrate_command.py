@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 import click
 
+from imumon.cli.autopilot_options import AutopilotOptions, autopilot_options, write_parameters
 from imumon.cli.common import PATH, Number, json_option, print_json, print_rows, show, warn
 from imumon.cli.diagnose_command import chosen_drivers, read
 from imumon.cli.progress import reading_bar
@@ -36,6 +37,7 @@ NO_DRIVER = {"drivers": "none of those recorded is proven"}
     help="What else that was recorded may drive the bias: none (the default), all that varies, or NAME,...",
 )
 @click.option("--serial", help="Serial number of the unit, for the model file.")
+@autopilot_options
 @json_option
 def command(
     sessions: tuple[Path, ...],
@@ -46,6 +48,7 @@ def command(
     drivers: str,
     serial: str | None,
     as_json: bool,
+    **autopilot: Unpack[AutopilotOptions],
 ) -> None:
     """Find the bias of a unit over temperature from SESSIONs in which it stands still while that changes.
 
@@ -66,6 +69,7 @@ def command(
             runs = [read(path, None, at_rest=False) for path in sessions]
             driven = with_drivers(result.model, runs, chosen, tell)
     model = result.model if driven is None else driven.model
+    written = write_parameters(model, out, autopilot)
     model.write(out)
     if plot is not None:
         from imumon.calibration.plot import write_calibration_plot
@@ -73,12 +77,13 @@ def command(
         write_calibration_plot(plot, result, ", ".join(path.name for path in sessions))
     warn([*result.warnings, *(driven.caveats if driven is not None else [])])
     if as_json:
-        print_json(_report(result, out) | _driven_report(driven))
+        print_json(_report(result, out) | _driven_report(driven) | written)
     else:
         _show(result)
     if driven is not None:
         print_rows({verdict.name: verdict.summary for verdict in driven.verdicts} or NO_DRIVER)
-    print_rows(_summary(result, out) | ({} if plot is None else {"picture": str(plot)}))
+    written |= {} if plot is None else {"picture": plot}
+    print_rows(_summary(result, out) | {name: str(path) for name, path in written.items()})
 
 
 def _report(result: Calibration, out: Path) -> dict[str, Any]:

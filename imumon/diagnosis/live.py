@@ -13,6 +13,7 @@ from imumon.columns import Column
 from imumon.diagnosis.blocks import BLOCK_S, REST_SHARE
 from imumon.diagnosis.recording import SECOND_NS, Run
 from imumon.diagnosis.shadow import MARGIN, Shadow
+from imumon.diagnosis.through import RESIDUAL, effect_charts
 from imumon.effects.base import ACCEL as FORCE
 from imumon.effects.vibration import VIBRATION
 from imumon.geodesy import DEG_PER_H
@@ -20,7 +21,7 @@ from imumon.models.model import BiasModel, TrainedOn
 from imumon.models.predictor import BiasPredictor
 from imumon.recordings.reduced import ACCEL, GYRO, KeptSlots, gatherer_of, kept_slots
 
-LANE, RESIDUAL = "model", "Residual"
+LANE = "model"
 FIRST_LOOK_S, GROWTH = 1200.0, 2.0
 """First look, and by how much longer a run is at each next one: so the looks cost as much per second, however
 long it gets."""
@@ -66,6 +67,7 @@ class LiveDiagnosis:
         self._parts: list[KeptSlots] = []
         self._next_look_s, self._next_judged_s, self._looks = FIRST_LOOK_S, 0.0, 0
         self._shadow: Shadow | None = None
+        self._lacking: list[Chart] = []
         self.state = ""
 
     @property
@@ -120,9 +122,10 @@ class LiveDiagnosis:
             self._next_look_s *= GROWTH
         if self.offered is not None:
             return
-        found = better_models(self._run(), self._model, self._gyros, self._looks)
+        run = self._run()
+        found = better_models(run, self._model, self._gyros, self._looks)
         if not found:
-            self.state = ""
+            self.state, self._lacking = "", []
             return
         best = max(found, key=lambda one: one.gain)
         axes = ", ".join(one.channel[-1] for one in found)
@@ -130,9 +133,10 @@ class LiveDiagnosis:
         what = f"{' or '.join(best.names[:3])} on {axes}"
         self.state = f"MODEL CAN BE BETTER: {what}: {before:.3g} become {after:.3g} °/h"
         self._say(f"{self.state} (rms of 30 s, gain {best.gain:.0f}): {DIAGNOSE}")
+        shadow = Shadow(self._model, found, elapsed_s)
+        self._lacking = effect_charts(run, self._model, shadow.model, best)
         if self._learn:
-            self._shadow = Shadow(self._model, found, elapsed_s)
-            self._next_judged_s = elapsed_s + JUDGED_S
+            self._shadow, self._next_judged_s = shadow, elapsed_s + JUDGED_S
 
     def _judge(self, shadow: Shadow, elapsed_s: float) -> None:
         self._next_judged_s = elapsed_s + JUDGED_S
@@ -201,10 +205,10 @@ class LiveDiagnosis:
         return texts
 
     def charts(self) -> Sequence[Chart]:
-        """Return the errors of the present and of the better model, while one runs beside."""
+        """Return what the model lacks, and the errors of both models while a better one runs beside."""
         shadow = self.offered or self._shadow
         if shadow is None or shadow.score is None:
-            return []
+            return self._lacking
         score = shadow.score
         minutes = score.time_s / 60.0
         curves = (
@@ -213,6 +217,7 @@ class LiveDiagnosis:
         )
         before, after = (value / DEG_PER_H for value in score.rms)
         return [
+            *self._lacking,
             Chart(
                 "model_better",
                 RESIDUAL,
@@ -222,5 +227,5 @@ class LiveDiagnosis:
                 curves,
                 headline=f"{before:.3g} → {after:.3g} °/h since it was found",
                 notes=(f"likelihood ratio e^{score.ratio:.1f}; it wins at e^{MARGIN:.0f}",),
-            )
+            ),
         ]

@@ -54,6 +54,13 @@ def test_a_session_becomes_a_model(session: Path, tmp_path: Path) -> None:
     for j, axis in enumerate("xyz"):
         error = model.channels[f"gyro_{axis}"].value(t) - true_bias(t)[:, j]
         assert np.sqrt(np.mean(error**2)) < 8 * DEG_H
+    params = tmp_path / "autopilot.yaml"
+    done = imumon("calibrate", session, "--out", params, "--export", "ardupilot", "--imu", "1", "--json")
+    assert done.returncode == 0, done.stderr
+    assert "the correction stands still" in done.stderr
+    written = Path(json.loads(done.stdout)["parameters"])
+    assert written == params.with_suffix(".param")
+    assert "INS_TCAL2_GYR1_X," in written.read_text()
     again = imumon("calibrate", session, "--out", out)
     assert again.returncode == 2
     assert "is there already" in again.stderr
