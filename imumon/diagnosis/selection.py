@@ -146,7 +146,7 @@ class Search:
     `findings` are the effects in the order in which they were found, those of a model that was given first;
     `many_events` says that a run has more than one event, such as two jumps, which no effect explains.
     `turns` are those of the loop; `refit` says whether the curve that was given pays for being fitted anew;
-    `last` is what was tried last.
+    `survey` is what the runs can show, `tried` what may be added; `last` is what was tried last.
     """
 
     def __init__(
