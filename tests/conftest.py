@@ -29,13 +29,7 @@ settings.load_profile("ci" if os.environ.get("CI") == "true" else "home")
 _TESTS = Path(__file__).parent
 _COMPILE = _TESTS.parent / "scripts" / "support" / "compile_kernels.py"
 _VIEWERS = "viewers"
-_LONG = (
-    _VIEWERS,
-    "test_reproduce.py",
-    "cli/test_commands.py",
-    "diagnosis/test_diagnose.py",
-    "view/test_terminal.py",
-)
+_LONG = (_VIEWERS, "test_reproduce.py", "cli/test_commands.py", "diagnosis/test_diagnose.py")
 """These take longest: begun last, they would leave one of the parallel processes alone with one of them."""
 
 
@@ -62,7 +56,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_collection_finish() -> None:
-    """Spare the garbage collector what stays until the end: for `no_leaks` it looked at that twice a test."""
+    """Spare the garbage collector what the collection made, which stays until the end."""
+    _collect_and_freeze()
+
+
+def _collect_and_freeze() -> None:
+    """Let the garbage collector look at what is there for the last time: that takes up to 0.3 s."""
     gc.collect()
     gc.freeze()
 
@@ -83,7 +82,7 @@ def _descriptors() -> set[tuple[str, str]]:
 @pytest.fixture
 def no_leaks() -> Iterator[None]:
     """Fail a test that leaves a file descriptor or a thread behind."""
-    gc.collect()
+    _collect_and_freeze()
     descriptors, threads = _descriptors(), set(threading.enumerate())
     yield
     end = time.monotonic() + 2.0

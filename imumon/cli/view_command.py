@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -90,12 +91,13 @@ def command(
         url = _shown(rec, setup, mode, bind)
     comparison = Comparison(rec, setup, align)
     told = []
-    for path, name in zip(sessions, names, strict=True):
-        with reading_bar([path], quiet=as_json):
-            told.append(_log(path, name, comparison.session(name)))
-    if comparison.arrange() is None:
-        raise ImumonError(Reason.BAD_DATA, "the sessions have no samples with times")
-    rec.flush()
+    with _kept_when_whole(rec, out):
+        for path, name in zip(sessions, names, strict=True):
+            with reading_bar([path], quiet=as_json):
+                told.append(_log(path, name, comparison.session(name)))
+        if comparison.arrange() is None:
+            raise ImumonError(Reason.BAD_DATA, "the sessions have no samples with times")
+        rec.flush()
     if as_json:
         print_json({"sessions": [data for data, _ in told], "out": out, "url": url or None})
     for name, (_, rows) in zip(names, told, strict=True):
@@ -104,6 +106,18 @@ def command(
     if mode == "web" and out is None:
         serve(url)
     rec.disconnect()
+
+
+@contextmanager
+def _kept_when_whole(rec: rr.RecordingStream, out: Path | None) -> Iterator[None]:
+    """Remove the file again when it could not be finished."""
+    try:
+        yield
+    except BaseException:
+        if out is not None:
+            rec.disconnect()
+            out.unlink(missing_ok=True)
+        raise
 
 
 def _names(paths: Sequence[Path]) -> list[str]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from fractions import Fraction
+from functools import cache
 from typing import Literal
 
 import numpy as np
@@ -252,6 +253,12 @@ def _derived(clock: Clock) -> tuple[Derived, ...]:
     return (QUATERNION_OF_MATRIX, _GPS_CLOCK) if clock == "gps" else (QUATERNION_OF_MATRIX,)
 
 
+@cache
+def _table(attitude: Attitude, clock: Clock) -> FieldTable:
+    """Return the fields, put together once for all decoders."""
+    return FieldTable(mip_fields(attitude, clock), _derived(clock), apart=GNSS.values())
+
+
 class MipDecoder(TaggedDecoder):
     """Decodes MIP data packets; commands and replies are counted by descriptor set.
 
@@ -269,8 +276,8 @@ class MipDecoder(TaggedDecoder):
     def __init__(
         self, attitude: Attitude = "filter", clock: Clock = "reference", rate_hz: float | None = None
     ) -> None:
-        table = FieldTable(mip_fields(attitude, clock), _derived(clock), apart=GNSS.values())
-        super().__init__(table, MIP, ROLES, SET_NAMES, Timing(tick_ns=Fraction(1), rate_hz=rate_hz))
+        timing = Timing(tick_ns=Fraction(1), rate_hz=rate_hz)
+        super().__init__(_table(attitude, clock), MIP, ROLES, SET_NAMES, timing)
 
     def _type_name(self, kind: int) -> str:
         return SET_NAMES.get(kind, f"set 0x{kind:02X}")

@@ -88,6 +88,7 @@ class FieldTable:
                 self.int_count += 1
         self.places = places
         self.groups = self._group(apart)
+        self._compiled: dict[int, Table] = {}
 
     def _group(self, apart: Collection[str]) -> Groups:
         """Return the groups of the columns; a column of fields of several groups has that of the first."""
@@ -105,7 +106,12 @@ class FieldTable:
         return Groups(names, of_column, tuple(name in apart for name in names))
 
     def compiled(self, framing: int) -> Table:
-        """Return fields and values for the kernel."""
+        """Return fields and values for the kernel, which only reads them."""
+        if framing not in self._compiled:
+            self._compiled[framing] = self._compile(framing)
+        return self._compiled[framing]
+
+    def _compile(self, framing: int) -> Table:
         field_of: ShortArray = np.full(1 << 16, -1, np.int16)
         bits = {name: 1 << number for number, name in enumerate(self.groups.names)}
         fields: list[CompiledField] = []

@@ -95,7 +95,8 @@ def read_foreign(
     encoding = _encoding(path, head)
     names, skip = _text_names(path, encoding, text_format)
     _check_columns(path, names, wanted)
-    layout = _Layout(text_format.delimiter, len(names), [names.index(name) for name in wanted])
+    columns_at = [names.index(name) for name in wanted]
+    layout = _Layout(text_format.delimiter, len(names), columns_at, text_format.decimal)
     parse_time = None if time is None else time_parser(time.unit)
     return names, _read_text(path, encoding, skip, layout, parse_time)
 
@@ -116,7 +117,7 @@ def time_parser(unit: str) -> ParseTime:
         try:
             value = Decimal(text) * scale
         except InvalidOperation as error:
-            raise ValueError(f"time {text.strip()!r} is not a number") from error
+            raise ValueError(f"time {_no_number(text.strip())}") from error
         except ArithmeticError as error:
             raise ValueError(f"time {text.strip()!r} is out of range") from error
         if not value.is_finite() or abs(value) >= 2**63:
@@ -126,6 +127,13 @@ def time_parser(unit: str) -> ParseTime:
     return parse
 
 
+def _no_number(text: str) -> str:
+    """Say that a text is no number, and what it would be one with."""
+    said = f"{text!r} is not a number"
+    return f'{said} (unless the map has csv: {{decimal: ","}})' if _DECIMAL_COMMA.fullmatch(text) else said
+
+
+_DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
 _TIMESTAMP = re.compile(
     r"\s*(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d:\d\d)(?:[.,](\d{1,9}))?\s*(Z|UTC|[+-]\d\d:?\d\d)?\s*", re.ASCII
 )
@@ -163,7 +171,7 @@ def _check_columns(path: Path, names: Sequence[str], wanted: Sequence[str]) -> N
 
 
 _NUMBER = r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$"
-_NO_VALUE = pa.array(["", "nan", "na", "n/a", "null", "none"])
+_NO_VALUE = r"^(nan|na|n/a|null|none)?$"
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,6 +181,7 @@ class _Layout:
     delimiter: str
     width: int
     wanted: list[int]
+    decimal: str = "."
 
     def split(self, line: str) -> list[str]:
         """Return the cells of a line."""
@@ -284,7 +293,11 @@ def _cells(lines: list[str], layout: _Layout) -> tuple[Any, dict[int, str]]:
             strings_can_be_null=False,
         ),
     )
-    return cells.select(wanted).combine_chunks(), wrong
+    chosen = cells.select(wanted).combine_chunks()
+    if layout.decimal != ".":
+        points = [pc.replace_substring(column, layout.decimal, ".") for column in chosen.columns]
+        chosen = pa.table(points, names=wanted)
+    return chosen, wrong
 
 
 def _numbers_of_text(column: Any) -> tuple[FloatArray, dict[int, str]]:
@@ -293,9 +306,9 @@ def _numbers_of_text(column: Any) -> tuple[FloatArray, dict[int, str]]:
     number = pc.match_substring_regex(text, _NUMBER)
     bare = pc.utf8_ltrim(pc.if_else(number, text, "nan"), "+")
     values = np.asarray(pc.cast(bare, pa.float64()).to_numpy(), np.float64)
-    fine = pc.or_(number, pc.is_in(pc.utf8_lower(text), _NO_VALUE))
+    fine = pc.or_(number, pc.match_substring_regex(pc.utf8_lower(text), _NO_VALUE))
     odd, large = np.flatnonzero(~fine.to_numpy()), np.flatnonzero(np.isinf(values))
-    wrong = {row: f"{text[row].as_py()!r} is not a number" for row in odd.tolist()}
+    wrong = {row: _no_number(text[row].as_py()) for row in odd.tolist()}
     wrong |= {row: f"{text[row].as_py()!r} is too large" for row in large.tolist()}
     return values, wrong
 

@@ -270,7 +270,14 @@ def _even_times(index: IntArray, rate_hz: float | None) -> IntArray:
     if rate_hz is None:
         raise ValueError("a map without time has a rate")
     period_ns = 10**9 / Fraction(str(rate_hz))
-    return np.array([round(row * period_ns) for row in index.tolist()], np.int64)
+    try:
+        return np.array([round(row * period_ns) for row in index.tolist()], np.int64)
+    except OverflowError:
+        raise ImumonError(
+            Reason.BAD_CONFIG,
+            f"at rate_hz: {rate_hz:g} the table takes longer than the 292 years that a time in ns can tell",
+            "give the rate of the rows in the map",
+        ) from None
 
 
 def _with_line_of_map(error: ImumonError, map_path: Path, map_text: str) -> ImumonError:

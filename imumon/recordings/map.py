@@ -166,6 +166,7 @@ class TextFormat(StrictModel):
     """How the text is laid out, where it is not commas below one line of names."""
 
     delimiter: Annotated[str, Field(min_length=1, max_length=1)] | Literal["whitespace"] = ","
+    decimal: Literal[".", ","] = "."
     header: bool = True
     skip_rows: Annotated[int, Field(ge=0, le=MOST_SKIPPED)] = 0
     columns: list[str] | None = None
@@ -176,6 +177,8 @@ class TextFormat(StrictModel):
             raise ValueError("csv.columns names the columns of a table without header; add header: false")
         if not self.header and self.columns is None:
             raise ValueError("a table without header needs csv.columns: the names of all its columns")
+        if self.decimal == self.delimiter:
+            raise ValueError('a decimal comma needs another delimiter, such as csv: {delimiter: ";"}')
         if twice := [name for name, count in Counter(self.columns or []).items() if count > 1]:
             raise ValueError(f"csv.columns names {', '.join(twice)} more than once")
         return self

@@ -146,11 +146,16 @@ def marks_of(strips: int, height: float = TAB_HEIGHT) -> int:
     return max(3, int((height / max(strips, 1) - FRAME_HEIGHT) / MARK_HEIGHT))
 
 
+LARGEST = 1e300
+"""No axis is longer, so that its ends and marks are numbers; a value beyond is no measurement."""
+
+
 def with_marks(low: float, high: float, most: int) -> tuple[float, float]:
     """Return the ends, moved outwards until three marks, a power of ten apart, lie between them.
 
     The viewer writes numbers at powers of ten, of which it takes the finest that has room: here `most` steps.
     """
+    low, high = (min(max(end, -LARGEST), LARGEST) for end in (low, high))
     span = max(high - low, 1e-12 * max(abs(low), abs(high)), 1e-300)
     step = 10.0 ** math.ceil(math.log10(span / most) - 1e-9)
     first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from functools import cache
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from tests.protocols.test_checksums import CHECK
 
 DEVICES = device_names()
 """Every device, so every family: a new one is tested here by its device file alone."""
+device_of = cache(load_device)
 
 
 def samples(n: int, seed: int = 0) -> SampleBlock:
@@ -27,7 +29,7 @@ def samples(n: int, seed: int = 0) -> SampleBlock:
 
 
 def packets_of(family: str, n: int = 60, seed: int = 0) -> list[bytes]:
-    return load_device(family).encoder().encode(samples(n, seed))
+    return device_of(family).encoder().encode(samples(n, seed))
 
 
 @pytest.mark.parametrize("name", CHECK)
@@ -58,7 +60,7 @@ def test_zeros_that_are_not_sent_count() -> None:
 def test_any_chunking_gives_the_same_packets(family: str, lengths: list[int], seed: int) -> None:
     stream, _ = damage(packets_of(family, seed=seed), np.random.default_rng(seed), 0.1, 0.1, 0.2)
     arrival = [n // 100 * 1_000_000 for n in range(len(stream))]
-    device = load_device(family)
+    device = device_of(family)
     whole, cut = device.decoder(), device.decoder()
     expected = feed_in_chunks(whole, stream, [len(stream)], arrival)
     got = feed_in_chunks(cut, stream, lengths, arrival)
@@ -73,7 +75,7 @@ def test_any_chunking_gives_the_same_packets(family: str, lengths: list[int], se
 def test_no_intact_packet_is_lost_on_a_damaged_stream(family: str, lengths: list[int]) -> None:
     packets = packets_of(family, 40 if lengths == [1] else 400)
     stream, whole = damage(packets, np.random.default_rng(5), 0.1, 0.1, 0.2)
-    device = load_device(family)
+    device = device_of(family)
     block = feed_in_chunks(device.decoder(), stream, lengths)
     every = feed_in_chunks(device.decoder(), BEFORE + b"".join(packets), [1 << 20])
     name = next(name for name in (*TOLD_BY, *every.columns) if name in every)
@@ -94,7 +96,7 @@ def there(values: ColumnArray) -> ColumnArray:
 
 @pytest.mark.parametrize("name", DEVICES)
 def test_every_sample_is_a_row_of_the_pipeline(name: str) -> None:
-    device = load_device(name)
+    device = device_of(name)
     pipeline = Pipeline(device, [])
     for k, packet in enumerate(device.encoder().encode(samples(60))):
         pipeline.feed(packet, (k + 1) * 10_000_000)
@@ -112,7 +114,7 @@ def test_rubbish_between_packets_is_no_harm(family: str, data: bytes, seed: int)
     mutated = bytearray(b"".join(packets))
     for place in rng.integers(len(mutated), size=8):
         mutated[place] = int(rng.integers(256))
-    decoder = load_device(family).decoder()
+    decoder = device_of(family).decoder()
     block = feed_in_chunks(decoder, bytes(mutated) + data + b"".join(packets) + data, [31])
     assert len(block) >= len(packets) - 1
 

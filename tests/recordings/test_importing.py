@@ -345,3 +345,21 @@ def test_a_further_column_keeps_its_name_and_unit(tmp_path: Path) -> None:
     assert columns["supply_voltage"].unit == "V"
     (block,) = iterate_table(tmp_path / "session" / "samples.parquet")
     assert block["supply_voltage"][-1] == 5.19
+
+
+def test_decimal_commas(tmp_path: Path) -> None:
+    table = (HEADER + "0.1,180,0,-90,a\n0.2,1,2.5,3,b\n").replace(",", ";").replace(".", ",")
+    error = refused(tmp_path, table, 'csv: {delimiter: ";"}\n' + MAP)
+    assert 'csv: {decimal: ","}' in error.seen
+    german, plain = tmp_path / "german", tmp_path / "plain"
+    german.mkdir()
+    plain.mkdir()
+    _, samples = run(german, table, 'csv: {delimiter: ";", decimal: ","}\n' + MAP)
+    _, expected = run(plain, HEADER + "0.1,180,0,-90,a\n0.2,1,2.5,3,b\n")
+    for name, values in expected.columns.items():
+        np.testing.assert_array_equal(samples[name], values)
+
+
+def test_a_rate_too_slow_for_64_bits_is_refused(tmp_path: Path) -> None:
+    error = refused(tmp_path, HEADER + "0,1,2,3,a\n" * 2, "rate_hz: 1e-12\n" + MAP.partition("\n")[2])
+    assert "292 years" in error.seen

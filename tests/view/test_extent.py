@@ -95,3 +95,10 @@ def test_one_point_a_second_and_none_without_a_value() -> None:
     assert extent.ends(_clock(1), _reach([1.0, 2.0]), MANY) is not None
     assert extent.ends(_clock(1), _reach([5.0]), MANY) is None
     assert extent.ends(_clock(2), _reach([1.0]), MANY) == pytest.approx((0.6, 5.4))
+
+
+@pytest.mark.parametrize("ends", [(-1e306, 1e306), (0.0, 1e308), (1e306, 1e306)])
+def test_ends_beyond_all_measurements_are_numbers(ends: tuple[float, float]) -> None:
+    low, high = with_marks(*ends, 3)
+    assert np.isfinite([low, high]).all()
+    assert low < high

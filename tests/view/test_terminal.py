@@ -6,10 +6,12 @@ import fcntl
 import os
 import pty
 import re
+import signal
 import struct
 import subprocess
 import termios
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -105,12 +107,13 @@ def test_a_sparkline_goes_from_the_lowest_to_the_highest() -> None:
 
 
 def _in_terminal(
-    arguments: list[str], columns: int, rows: int, cwd: Path, keys: bytes = b""
+    arguments: list[str], size: tuple[int, int], cwd: Path, keys: bytes, seen: Callable[[str], bool] | None
 ) -> tuple[int, str]:
-    """Run a command in a terminal of this size; return its exit code and what it wrote there.
+    """Run a command in a terminal of so many columns and rows; return its exit code and what it wrote there.
 
-    The keys are pressed once the port is shown.
+    The keys are pressed once the port is shown; when all is seen it is interrupted.
     """
+    columns, rows = size
     ours, theirs = pty.openpty()
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", rows, columns, 0, 0))
     environment = os.environ | {"TERM": "xterm"}
@@ -132,6 +135,9 @@ def _in_terminal(
         if keys and b"Port open" in part:
             os.write(ours, keys)
             keys = b""
+        if not keys and seen is not None and seen(b"".join(parts).decode(errors="ignore")):
+            process.send_signal(signal.SIGINT)
+            seen = None
         if not part:
             if process.poll() is not None:
                 break
@@ -140,11 +146,18 @@ def _in_terminal(
     return process.wait(10), b"".join(parts).decode()
 
 
+SHOWN = ("Port open", "angular rate", "specific force", "temperature", "°/s", "packets")
+
+
 @pytest.mark.parametrize(("columns", "rows"), [(80, 24), (200, 60)])
 def test_a_live_run_in_a_real_terminal(tmp_path: Path, columns: int, rows: int) -> None:
+    def all_is_seen(text: str) -> bool:
+        recorded = b"".join(wire.read_bytes() for wire in tmp_path.glob("sessions/*/wire.mcap"))
+        return b"part 1" in recorded and all(part in text for part in SHOWN)
+
     with VirtualDevice(load_device("ax1"), tmp_path / "ahrs") as ahrs:
-        arguments = ["monitor", ahrs.port.path, "--device", "ax1", "--view", "terminal", "--seconds", "7"]
-        code, text = _in_terminal(arguments, columns, rows, tmp_path, keys=b"ms")
+        arguments = ["monitor", ahrs.port.path, "--device", "ax1", "--view", "terminal"]
+        code, text = _in_terminal(arguments, (columns, rows), tmp_path, b"ms", all_is_seen)
     assert code == 0, text
     own = text[text.index("\x1b[?1049h") : text.index("\x1b[?1049l")]
     glass = Glass(columns, rows)
@@ -153,7 +166,7 @@ def test_a_live_run_in_a_real_terminal(tmp_path: Path, columns: int, rows: int) 
     (wire,) = tmp_path.glob("sessions/*/wire.mcap")
     said = [item.detail for item in WireReader(wire) if isinstance(item, Event)]
     assert {"key m", "part 1"} <= set(said), "what the keys m and s do"
-    for part in ("Port open", "angular rate", "specific force", "temperature", "°/s", "packets"):
+    for part in SHOWN:
         assert part in shown, shown
     assert "recorded" in text[text.index("\x1b[?1049l") :]
 

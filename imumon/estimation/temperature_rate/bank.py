@@ -149,9 +149,10 @@ LEAST_WEIGHT = 3e-11
 """A kind with less probability rests until its turn comes to get what `NATURE_PER_S` grants it."""
 NEGLIGIBLE = 1e-4
 """A filter takes up no rougher one that would be less of it than this: it would lose what it knows."""
-START_RATE = 20.0 / 3600.0
+START_RATE = 200.0 / 3600.0
 START_ACCELERATION = START_RATE / 300.0
-"""Standard deviations of rate and acceleration at the start, °C/s and °C/s²."""
+"""Standard deviations of rate and acceleration at the start, °C/s and °C/s²: a board that warms by 20 °C with
+a time constant of 6 min begins with 200 °C/h."""
 
 
 LEAST_LEFT = 1e-10

@@ -9,7 +9,14 @@ from typing import NamedTuple
 
 from imumon.blocks import FloatArray, IntArray
 from imumon.compiled import njit
-from imumon.estimation.temperature_rate.bank import SLOT_S, START_RATE, Bank, advance, started
+from imumon.estimation.temperature_rate.bank import (
+    SLOT_S,
+    START_ACCELERATION,
+    START_RATE,
+    Bank,
+    advance,
+    started,
+)
 from imumon.estimation.temperature_rate.measurement import Merged, measure, merged, said
 from imumon.estimation.temperature_rate.refresh import FASTEST, SLOW_S
 from imumon.estimation.temperature_rate.sensor import Reading, Sensor
@@ -125,6 +132,11 @@ class State:
         """Return the state before the first reading."""
         return cls(Sensor(StepFinder(step_degc)))
 
+    @property
+    def late_s(self) -> float:
+        """How long after a slot that nothing follows nobody knows what the temperature has done."""
+        return max(LATE_S, LATE_FACTOR * self.usual_s)
+
     def snapshot(self) -> State:
         """Return a copy."""
         return deepcopy(self)
@@ -189,7 +201,7 @@ def _estimate(state: State, reading: Reading) -> Shown:
         state.time_s, state.faults, state.usual_s = taken.time_s, 0, 0.0
     at = taken.time_s if taken is not None and heard else reading.end_s
     dt = max(at - state.time_s, 0.0)
-    unseen = (not heard and not repeats) or dt > max(LATE_S, LATE_FACTOR * state.usual_s)
+    unseen = (not heard and not repeats) or dt > state.late_s
     predicted = advance(state.bank, dt, slow, UNSEEN_JERK if unseen else 0.0)
     state.time_s = max(at, state.time_s)
     if taken is not None and heard:
@@ -307,19 +319,22 @@ def _shown(state: State, means: Merged, end_s: float, fresh: bool) -> Shown:
 @njit
 def extrapolate(
     time_ns: IntArray, segment: IntArray, reading: FloatArray, shown: Shown, origin: tuple[int, int],
-    scatter: float, before: float, temperature: FloatArray, rate: FloatArray, temperature_sd: FloatArray,
-    rate_sd: FloatArray,
+    scatter: float, late_s: float, before: float, temperature: FloatArray, rate: FloatArray,
+    temperature_sd: FloatArray, rate_sd: FloatArray,
 ) -> None:  # fmt: skip
     """Write temperature, rate and their standard deviations at samples, (n,) each, from what is shown.
 
-    `origin` is the time and the segment that its time refers to.  Before the first slot of a segment ends
-    there is the reading, with its scatter.  Until a slot ends a temperature may begin to move, and two
-    readings in a row (`before` is that before the first), which no single spike makes, show it; a fault
-    has moved faster since the slot before.
+    `origin` is the time and the segment that its time refers to.  Before the first slot of a segment ends,
+    and after a gap of `late_s` before the next does, there is the reading, with its scatter; what the rate
+    has done in the gap nobody saw.  Until a slot ends a temperature may begin to move, and two readings in a
+    row (`before` is that before the first), which no single spike makes, show it; a fault has moved faster
+    since the slot before.
     """
     for i in range(len(time_ns)):
         age = (time_ns[i] - origin[0]) * 1e-9 - shown.time_s
-        if segment[i] == origin[1] and age >= 0.0:
+        known = segment[i] == origin[1] and age >= 0.0
+        late = known and age > late_s and math.isfinite(shown.rate)
+        if known and not late:
             fade = math.exp(-age / GLIDE_S)
             left, rate_left = fade * shown.temperature_left, fade * shown.rate_left
             at = shown.temperature + age * shown.rate + left
@@ -332,6 +347,9 @@ def extrapolate(
             rate_sd[i] = math.hypot(shown.rate_sd, rate_left)
         elif math.isfinite(reading[i]):
             temperature[i], rate[i], temperature_sd[i], rate_sd[i] = reading[i], 0.0, scatter, START_RATE
+            if late:
+                rate[i] = shown.rate
+                rate_sd[i] = math.hypot(shown.rate_sd, min(START_ACCELERATION * age, START_RATE))
         else:
             temperature[i] = rate[i] = temperature_sd[i] = rate_sd[i] = math.nan
         before = reading[i]

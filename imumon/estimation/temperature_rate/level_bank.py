@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 
 from imumon.blocks import NO_INT, FloatArray, IntArray
-from imumon.estimation.temperature_rate.bank import WHITE_SIGMAS
+from imumon.estimation.temperature_rate.bank import SLOT_S, WHITE_SIGMAS
 from imumon.estimation.temperature_rate.filter import State, extrapolate, step
 from imumon.estimation.temperature_rate.readings import SLOT_NS, Readings
 from imumon.estimation.temperature_rate.series import RateEstimate
@@ -53,6 +53,11 @@ class LevelBankRate:
         weight = bank.kinds[: len(WHITE_SIGMAS)]
         return float(weight @ WHITE_SIGMAS / weight.sum() * self.state.sensor.step)
 
+    @property
+    def _late_s(self) -> float:
+        """Age of what is shown from which on readings are missing; a slot may be on its way."""
+        return SLOT_S + self.state.late_s
+
     def process(self, time_ns: IntArray, segment: IntArray, reading: FloatArray) -> RateEstimate:
         """Return the estimates of samples that follow those of the last call.
 
@@ -66,7 +71,7 @@ class LevelBankRate:
         """
         sensor, result = self.state.sensor, RateEstimate.empty(len(reading))
         parts = (result.temperature, result.rate, result.temperature_sd, result.rate_sd)
-        first, holds = 0, (self.state.given, self._origin, sensor.scatter)
+        first, holds = 0, (self.state.given, self._origin, sensor.scatter, self._late_s)
 
         def hold(until: int | None = None) -> None:
             """Write what has been given so far to the rows until the next slot's."""
@@ -80,7 +85,7 @@ class LevelBankRate:
             if begins:
                 self.state.begin()
             self._origin = (self._readings.origin_ns, self._readings.segment)
-            first, holds = row, (step(self.state, slot), self._origin, sensor.scatter)
+            first, holds = row, (step(self.state, slot), self._origin, sensor.scatter, self._late_s)
         hold()
         self._before = float(reading[-1]) if len(reading) else self._before
         return result
@@ -93,4 +98,4 @@ def _compile() -> None:
     time_ns = np.arange(8) * SLOT_NS
     for _, _, slot in slots.process(time_ns, np.zeros(8, np.int64), np.zeros(8)):
         shown = step(state, slot)
-    extrapolate(time_ns[:0], time_ns[:0], np.zeros(0), shown, (0, 0), 0.0, np.nan, *np.zeros((4, 0)))
+    extrapolate(time_ns[:0], time_ns[:0], np.zeros(0), shown, (0, 0), 0.0, 0.0, np.nan, *np.zeros((4, 0)))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from fractions import Fraction
+from functools import cache
 from typing import Literal
 
 from imumon.protocols.base import Timing, chosen
@@ -21,6 +22,12 @@ TICK_NS = Fraction(100_000)
 """SampleTimeFine counts in 10 kHz."""
 
 
+@cache
+def _table() -> FieldTable:
+    """Return the fields, put together once for all decoders: it takes 9 ms."""
+    return FieldTable(MTDATA2_FIELDS, DERIVED, apart=("gnss",))
+
+
 class MTData2Decoder(TaggedDecoder):
     """Decodes MTData2; one row per message, with the columns that the device has sent so far.
 
@@ -32,9 +39,7 @@ class MTData2Decoder(TaggedDecoder):
 
     def __init__(self, rate_hz: float | None = None) -> None:
         timing = Timing(counter_bits=16, tick_ns=TICK_NS, tick_bits=32, rate_hz=rate_hz)
-        super().__init__(
-            FieldTable(MTDATA2_FIELDS, DERIVED, apart=("gnss",)), XBUS, {MTDATA2: LIST}, NAMES, timing
-        )
+        super().__init__(_table(), XBUS, {MTDATA2: LIST}, NAMES, timing)
 
     @property
     def reference_frame(self) -> Frame | None:

@@ -331,3 +331,31 @@ def test_a_silent_level_between_two_refreshes_is_no_certainty(seed: int) -> None
     later = t > 1230.0
     assert np.abs((result.rate - 1.0 / 30.0) / result.rate_sd)[later].max() < 6.0
     assert np.abs(error / result.temperature_sd)[later].max() < 6.0
+
+
+def test_after_a_gap_nobody_knows_what_the_temperature_has_done() -> None:
+    time_s = np.r_[
+        np.arange(0.0, 1450.0, 0.1), np.arange(1650.0, 1700.0, 0.1), np.arange(2800.0, 2850.0, 0.1)
+    ]
+    temperature = np.interp(time_s, [0.0, 300.0, 1500.0, 1600.0, 2800.0, 2850.0], [25, 25, 58, 57, 30, 29])
+    random = np.random.default_rng(5)
+    reading = np.round((temperature + 0.02 * random.standard_normal(len(time_s))) / 0.1) * 0.1
+    result = LevelBankRate().process(
+        (time_s * 1e9).astype(np.int64), np.zeros(len(time_s), np.int64), reading
+    )
+    for begin, rate in ((1650.0, -27 / 1200), (2800.0, -1 / 50)):
+        after = (time_s >= begin) & (time_s < begin + 20.0)
+        z = np.abs(result.temperature - temperature)[after] / result.temperature_sd[after]
+        assert z.max() < 5.0
+        assert np.max(np.abs(result.rate[after] - rate) / result.rate_sd[after]) < 5.0
+
+
+@pytest.mark.parametrize("time_constant_s", [300.0, 900.0])
+def test_a_warm_up_from_power_on_is_within_what_the_beginning_claims(time_constant_s: float) -> None:
+    time_s = np.arange(0.0, 10.0, 0.01)
+    temperature = 22.0 + 20.0 * -np.expm1(-time_s / time_constant_s)
+    rate = 20.0 / time_constant_s * np.exp(-time_s / time_constant_s)
+    reading = np.round(temperature / 0.0625) * 0.0625
+    result = LevelBankRate().process((time_s * 1e9).astype(np.int64), np.zeros(1000, np.int64), reading)
+    assert np.max(np.abs(result.rate - rate) / result.rate_sd) < 5.0
+    assert np.max(np.abs(result.temperature - temperature) / result.temperature_sd) < 5.0
