@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -51,6 +52,11 @@ class _SeveralValues(click.Command):
     type=PATH,
     help="Instead: the bias model that is assumed, by imumon calibrate, or a session that ran with it.",
 )
+@click.option(
+    "--channels",
+    default="gyro,accel",
+    help="What is diagnosed: gyro,accel (the default), mag, pressure, temperature, or any recorded columns.",
+)
 @click.option("--map", "map_path", type=PATH, help="YAML file: what is in which column of the tables.")
 @click.option(
     "--drivers",
@@ -67,6 +73,7 @@ def command(
     test: tuple[Path, ...],
     declared: str | None,
     model_path: Path | None,
+    channels: str,
     map_path: Path | None,
     drivers: str,
     at_rest: bool,
@@ -79,7 +86,7 @@ def command(
     tell most.
     """
     from imumon.diagnosis.engine import CUBIC, diagnose, parse_declared
-    from imumon.diagnosis.extended import extended_model
+    from imumon.diagnosis.extended import extended_model, with_model
     from imumon.diagnosis.page import write_page
     from imumon.diagnosis.report import report, write_report
 
@@ -92,19 +99,23 @@ def command(
     parse_declared(assumed)
     make_folder(out)
     with reading_bar([*train, *test], quiet=as_json) as tell:
-        runs = [read(path, map_path, at_rest) for path in (*train, *test)]
+        sensors = channels.split(",")
+        runs = [read(path, map_path, at_rest, sensors) for path in (*train, *test)]
         split = len(train)
         training = [run for group in runs[:split] for run in group]
         testing = [run for group in runs[split:] for run in group]
-        diagnosis = diagnose(training, testing, assumed, tell, model=model, drivers=chosen_drivers(drivers))
-        extended_model(diagnosis).write(out / "model.yaml")
+        beside = chosen_drivers(drivers)
+        diagnosis = diagnose(training, testing, assumed, tell, sensors, model, beside)
+        written = {"report": "report.html", "numbers": "report.json"}
+        if with_model(diagnosis):
+            extended_model(diagnosis).write(out / "model.yaml")
+            written["model"] = "model.yaml"
         write_report(diagnosis, out / "report.json")
         write_page(diagnosis, out / "report.html", tell)
     warn(diagnosis.caveats)
     if as_json:
         print_json(report(diagnosis))
     print_rows({verdict.name: verdict.summary for verdict in diagnosis.verdicts})
-    written = {"report": "report.html", "numbers": "report.json", "model": "model.yaml"}
     print_rows({what: str(out / name) for what, name in written.items()})
 
 
@@ -127,12 +138,12 @@ def chosen_drivers(text: str) -> list[str] | None:
     return {"all": None, "none": []}.get(text, text.split(","))
 
 
-def read(path: Path, map_path: Path | None, at_rest: bool) -> list[Run]:
-    """Read a recording as runs from power-on."""
-    from imumon.diagnosis.recording import read_runs
+def read(path: Path, map_path: Path | None, at_rest: bool, sensors: Sequence[str] | None = None) -> list[Run]:
+    """Read a recording as runs from power-on, for a diagnosis of these sensors."""
+    from imumon.diagnosis.recording import SENSORS, read_runs
     from imumon.estimation.rest.stage import RestDetector
 
-    return read_runs(path, map_path, lambda _: [RestDetector()], at_rest=at_rest)
+    return read_runs(path, map_path, lambda _: [RestDetector()], at_rest, sensors or SENSORS)
 
 
 def make_folder(out: Path) -> None:

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 
 from imumon.blocks import FloatArray
 from imumon.diagnosis.blocks import BLOCK_S, RunBlocks
-from imumon.diagnosis.figures import COLOURS, HOUR_S, SCALES, svg
+from imumon.diagnosis.figures import COLOURS, HOUR_S, shown, svg
 from imumon.diagnosis.glance import residual
 from imumon.diagnosis.known import temperature_of
 from imumon.diagnosis.page import environment
@@ -76,7 +76,7 @@ def write_comparison(compared: Sequence[Compared], names: tuple[str, str], sessi
     """Write the page; raises OSError when that fails."""
     rows = []
     for one in compared:
-        scale, unit = SCALES[unit_of(one.channel)]
+        scale, unit = shown(unit_of(one.channel))
         numbers = [f"{value * scale:.3g}" for value in one.rms]
         drawn = [
             svg(lambda axes, one=one: _in_time(axes, one, names)),  # type: ignore[misc]  # the default binds it
@@ -105,7 +105,7 @@ def _draw(
     names: tuple[str, str],
     at: Sequence[FloatArray],
 ) -> None:
-    scale, unit = SCALES[unit_of(one.channel)]
+    scale, unit = shown(unit_of(one.channel))
     for blocks, x, name, colour in zip(one.left, at, names, (COLOURS[1], COLOURS[0]), strict=True):
         values = blocks.mean[one.channel]
         axes.plot(x, (values - values.mean()) * scale, ".", ms=3, color=colour, label=name)

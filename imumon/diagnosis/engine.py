@@ -32,11 +32,18 @@ from imumon.diagnosis.known import (
     temperature_of,
     without_curve,
 )
-from imumon.diagnosis.recording import CHANNELS, Run, common_temperature, unit_of
+from imumon.diagnosis.recording import (
+    CHANNELS,
+    SENSORS,
+    Run,
+    channels_of,
+    common_temperature,
+    unit_of,
+)
 from imumon.diagnosis.selection import search
 from imumon.diagnosis.verdict import ChannelVerdict, settle
 from imumon.effects.base import LEAST_SPAN_DEGC, Survey
-from imumon.effects.library import EFFECTS
+from imumon.effects.library import effects_for
 from imumon.errors import ImumonError, Reason
 from imumon.geodesy import DEG_PER_H
 from imumon.models.model import BiasModel
@@ -112,14 +119,15 @@ def diagnose(
     test: Sequence[Run],
     declared: str = CUBIC,
     progress: Progress | None = None,
-    sensors: Sequence[str] = ("gyro", "accel"),
+    sensors: Sequence[str] = SENSORS,
     model: BiasModel | None = None,
     drivers: Sequence[str] | None = None,
 ) -> Diagnosis:
     """Find what the declared model leaves over in the training runs, name it, and prove it on the test runs.
 
-    With a `model` that is known, its curve is taken from every run; curve and effects of it are fitted anew
-    beside what is found, where the runs show them, and `declared` does not count.
+    `sensors` are those to be diagnosed: gyro, accel, mag, or any recorded column; what is diagnosed drives
+    nothing.  With a `model` that is known, its curve is taken from every run; curve and effects of it are
+    fitted anew beside what is found, where the runs show them, and `declared` does not count.
     `drivers` are what may drive an effect beside temperature, time and specific force; None: all that was
     recorded and varies.
 
@@ -130,13 +138,13 @@ def diagnose(
     """
     degree, offsets = parse_declared(declared)
     caveats = [*dict.fromkeys(text for run in (*train, *test) for text in run.warnings)]
-    channels = _channels(train, caveats)
+    channels = _channels(train, sensors, caveats)
     train, test = (_sound(runs, channels, caveats) for runs in (train, test))
     test = _in_order(train, _unseen(train, test, caveats), caveats)
     long = len(train) == 1 and train[0].duration_s >= 2 * LEAST_BLOCKS * common_block_s(train)
     held = long and not test
     if held:
-        train, test = ([part] for part in divided(train[0]))
+        train, test = ([part] for part in divided(train[0], channels))
         caveats.append(
             f"no test data: every other {train[0].duration_s / STRETCHES / 60:.0f} min of the one run are"
             " held out as a test.  That is weaker than another power-on: what is particular to this run, and"
@@ -152,7 +160,7 @@ def diagnose(
     else:
         temperatures = {name: _temperature_of(name, train) for name in channels}
     used = list(dict.fromkeys(temperatures.values()))
-    others = recorded(train, test, used, drivers, caveats)
+    others = recorded(train, test, [*used, *channels], drivers, caveats)
     block_s = common_block_s([*train, *test])
     names = Names(channels, used, others)
     blocks = _usable(train, names, block_s, caveats, "training")
@@ -181,7 +189,7 @@ def diagnose(
         )
     diagnosis = Diagnosis(declared, block_s, [], blocks, tested, seen, caveats, model, held)
     for sensor in sensors:
-        group = [name for name in channels if name.startswith(sensor)]
+        group = channels_of([sensor], channels)
         if group:
             diagnosis.verdicts += _sensor(train, group, temperatures, diagnosis, degree, offsets, progress)
     return diagnosis
@@ -199,10 +207,11 @@ def _sensor(
     """Return the verdicts on the axes of one sensor."""
     blocks, tested, block_s = diagnosis.train, diagnosis.test, diagnosis.block_s
     own: Own = "run" if offsets else ""
-    if group[0].startswith("accel"):
-        # In each pose another part of gravity is seen, which nobody knows to a micro-g.
+    if not group[0].startswith("gyro"):
+        # In each pose, and each day, another part of gravity, field or weather is seen, which nobody knows.
         own = "pose"
-        _add_length(group, temperatures[group[0]], degree, diagnosis)
+        if group[0].startswith("accel"):
+            _add_length(group, temperatures[group[0]], degree, diagnosis)
         blocks, tested = at_poses(blocks), at_poses(tested)
     models = {name: Declared.over(blocks, temperatures[name], degree, own) for name in group}
     earth = None
@@ -240,7 +249,7 @@ def _sensor(
     found = search(
         [channel.in_blocks(pools[channel.temperature], block_s / search_s) for channel in channels],
         with_drivers(survey(searched, temperature, degree, search_s), searched, temperature),
-        [name for name, effect in EFFECTS.items() if group[0].startswith(effect.sensors)],
+        effects_for(group[0]),
         progress,
     )
     return [settle(channel, one) for channel, one in zip(channels, found, strict=True)]
@@ -317,7 +326,7 @@ def search_block(blocks: Sequence[RunBlocks]) -> float:
     return blocks[0].block_s * max(1, -(-longest // MOST_SEARCH_BLOCKS)) / shorter
 
 
-def _channels(runs: Sequence[Run], caveats: list[str]) -> list[str]:
+def _channels(runs: Sequence[Run], sensors: Sequence[str], caveats: list[str]) -> list[str]:
     """Return the channels that every training run has at a tenth of its time or more, and that vary at all.
 
     Raises
@@ -326,7 +335,7 @@ def _channels(runs: Sequence[Run], caveats: list[str]) -> list[str]:
         BAD_DATA when there is none.
     """
     found = []
-    for name in CHANNELS:
+    for name in channels_of(sensors, {name for run in runs for name in run.variance}):
         there = [run for run in runs if name in run.mean and np.isfinite(run.mean[name]).mean() > LEAST_THERE]
         if not there:
             continue
@@ -341,8 +350,8 @@ def _channels(runs: Sequence[Run], caveats: list[str]) -> list[str]:
     if not found:
         raise ImumonError(
             Reason.BAD_DATA,
-            "no gyro or accelerometer channel has data in every training run",
-            "give sessions with gyro_x ... accel_z, or a map that says which columns they are",
+            f"no channel of {', '.join(sensors)} has data in every training run",
+            "give sessions that have them, or a map that says which columns they are",
         )
     return found
 
@@ -356,7 +365,7 @@ def _temperature_of(channel: str, runs: Sequence[Run]) -> str:
         BAD_DATA when there is no temperature.
     """
     lacking = "there is no temperature in the training data, so there is no bias over temperature to diagnose"
-    return common_temperature(f"temperature_{channel[-1]}", runs, lacking)
+    return common_temperature(f"temperature_{channel[-1]}", runs, lacking, but=channel)
 
 
 def resting(run: Run) -> bool:

@@ -14,7 +14,7 @@ from imumon.diagnosis.blocks import RunBlocks
 from imumon.effects.base import Effect
 from imumon.effects.temperature_curve import TemperatureCurve
 from imumon.models.curves.polynomial import HIGHEST_ORDER, PolynomialCurve
-from imumon.models.model import BiasModel, ChannelModel, TrainedOn
+from imumon.models.model import UNITS, BiasModel, ChannelModel, TrainedOn
 
 if TYPE_CHECKING:
     from imumon.diagnosis.engine import Diagnosis
@@ -41,10 +41,15 @@ def extended_model(diagnosis: Diagnosis) -> BiasModel:
         trained_on=[_trained_on(run) for run in diagnosis.train if run.origin is not None],
         channels={
             verdict.name: _channel(verdict, known.channels[verdict.name] if known is not None else None)
-            for verdict in diagnosis.verdicts
+            for verdict in with_model(diagnosis)
         },
         **kept,
     )
+
+
+def with_model(diagnosis: Diagnosis) -> list[ChannelVerdict]:
+    """Return the verdicts on channels that a model file may have: gyros and accelerometers."""
+    return [verdict for verdict in diagnosis.verdicts if verdict.name in UNITS]
 
 
 def _channel(verdict: ChannelVerdict, known: ChannelModel | None) -> ChannelModel:

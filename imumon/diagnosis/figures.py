@@ -20,9 +20,14 @@ from imumon.harmless import for_plot
 
 HOUR_S = 3600.0
 SCALES = {"rad/s": (1.0 / DEG_PER_H, "°/h"), "m/s^2": (1.0 / MICRO_G, "µg")}
-"""Unit that a person reads, and the factor to it."""
+"""Factor to the unit that a person reads, and that unit; others are read as they are."""
 COLOURS = ("#1f4e79", "#c0504d", "#4f7f3f", "#8064a2", "#d08a2e", "#4bacc6")
 SIZE = (5.2, 3.0)
+
+
+def shown(unit: str) -> tuple[float, str]:
+    """Return the factor to the unit that a person reads, and that unit."""
+    return SCALES.get(unit, (1.0, unit))
 
 
 def figures(diagnosis: Diagnosis, verdict: ChannelVerdict) -> dict[str, str]:
@@ -66,7 +71,7 @@ def _split(runs: Sequence[RunBlocks], values: FloatArray) -> list[FloatArray]:
 
 
 def _scaled(verdict: ChannelVerdict) -> tuple[float, str]:
-    return SCALES[verdict.channel.unit]
+    return shown(verdict.channel.unit)
 
 
 def _in_time(axes: Axes, runs: Sequence[RunBlocks], verdict: ChannelVerdict) -> None:

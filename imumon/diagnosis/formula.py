@@ -32,7 +32,7 @@ from imumon.effects.operators import first_order, play
 
 MOST_TERMS = 3
 MOST_DRIVERS = 3
-"""Beside temperature, time and specific force: of more, those that say most by themselves."""
+"""Beside temperature, time and specific force: of more, those that say most alone or times one other."""
 RATES_S = (15.0, 45.0, 135.0, 400.0, 1200.0)
 """Filters of a rate.  A slow one is how far the value is ahead of what follows it late."""
 LAGS_S = (60.0, 180.0, 540.0, 1620.0)
@@ -247,7 +247,10 @@ def _few(search: Search, found: Sequence[Node]) -> list[Node]:
     usual = [node for node in found if node.name in (TIME, TEMPERATURE, *FORCE)]
     others = [node for node in found if node not in usual]
     if len(others) > MOST_DRIVERS:
-        gains = {node.name: max(search.gains(_candidates([node, *_alone(node)]))) for node in others}
+        gains = {
+            node.name: max(search.gains(_candidates([node, *_alone(node), *_by_others(node, found)])))
+            for node in others
+        }
         others = sorted(others, key=lambda node: -gains[node.name])[:MOST_DRIVERS]
     return [*usual, *others]
 
@@ -261,6 +264,13 @@ def _alone(signal: Node) -> list[Node]:
     loops = [Node("loop", (signal,), width) for width in LOOPS]
     powers = [Node("power", (signal,), exponent) for exponent in (2.0, 3.0)]
     return [*rates, *lags, *loops, *powers, *(Node("size", (one,)) for one in (signal, *rates[:-1]))]
+
+
+def _by_others(signal: Node, found: Sequence[Node]) -> list[Node]:
+    """Return the products of a signal with each of the others, and with the rate of the temperature."""
+    rates = [Node("rate", (node,), RATES_S[1]) for node in found if node.name == TEMPERATURE]
+    pairs = [sorted((signal, node), key=str) for node in (*found, *rates) if node != signal]
+    return [Node("product", tuple(pair)) for pair in pairs]
 
 
 def _terms(found: Sequence[Node]) -> list[Node]:

@@ -9,7 +9,7 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 
 from imumon.diagnosis.engine import Diagnosis, Progress
-from imumon.diagnosis.figures import SCALES, figures
+from imumon.diagnosis.figures import figures, shown
 from imumon.diagnosis.formula import Formula
 from imumon.diagnosis.report import report
 from imumon.diagnosis.verdict import ChannelVerdict
@@ -42,7 +42,7 @@ def environment() -> Environment:
 
 
 def _row(verdict: ChannelVerdict) -> dict[str, Any]:
-    scale, unit = SCALES[verdict.channel.unit]
+    scale, unit = shown(verdict.channel.unit)
     test = verdict.test_before, verdict.test_after
     numbers = [
         verdict.channel.floor.sd,
@@ -71,7 +71,7 @@ def _number(value: float) -> str:
 
 
 def _channel(diagnosis: Diagnosis, verdict: ChannelVerdict, content: dict[str, Any]) -> dict[str, Any]:
-    scale, unit = SCALES[verdict.channel.unit]
+    scale, unit = shown(verdict.channel.unit)
     return {
         "name": verdict.name,
         "summary": verdict.summary,

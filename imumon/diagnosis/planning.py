@@ -30,9 +30,10 @@ from imumon.diagnosis.questions import NOTHING
 from imumon.diagnosis.recording import Run, collect, unit_of
 from imumon.diagnosis.selection import CLOSE, CLOSE_SHARE, Search, search
 from imumon.effects.base import ACCEL
-from imumon.effects.library import EFFECTS, AnyEffect
+from imumon.effects.library import EFFECTS, AnyEffect, effects_for
 from imumon.files import write_text
 from imumon.geodesy import DEG_PER_H, MICRO_G
+from imumon.models.model import UNITS
 from imumon.simulation.unit import Scenario, SimulatedUnit
 from imumon.simulation.unit.scenario import Unit
 from imumon.simulation.unit.thermal import chamber_knots
@@ -155,7 +156,8 @@ def open_questions(report: Report) -> list[Open]:
     """Return the questions of a report, each once for the channels of a sensor that share it."""
     found: dict[tuple[str, ...], list[tuple[float, str, list[Model]]]] = {}
     for name, channel in report.channels.items():
-        for answers in channel.questions:
+        # A unit is simulated, which has gyros and accelerometers.
+        for answers in channel.questions if name in UNITS else ():
             key = (name[:-2], *sorted(answer.name for answer in answers))
             size = channel.before.train_rms / channel.noise_floor_rms
             found.setdefault(key, []).append((size, name, answers))
@@ -228,9 +230,7 @@ class _Bench:
     def reached(self, profile: Profile, expected: Evidence, seed: int) -> float:
         """Return the evidence on another unit for the same pair, with all effects in question."""
         truth = next(answer for answer in self._question.answers if answer.name == expected.truth)
-        kinds = [
-            name for name, effect in EFFECTS.items() if self._question.channel.startswith(effect.sensors)
-        ]
+        kinds = effects_for(self._question.channel)
         return told(self._search(profile, truth, seed, kinds), expected.truth, expected.rival)[0]
 
     def scenario(self, profile: Profile, answer: Model) -> Scenario:

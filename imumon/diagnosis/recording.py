@@ -18,8 +18,11 @@ from imumon.recordings.reader import Stages, no_stages, open_recording
 from imumon.recordings.reduced import ACCEL, GYRO, TEMPERATURES, Reduced, reduce
 
 CHANNELS = (*GYRO, *ACCEL)
+SENSORS = ("gyro", "accel")
+"""What is diagnosed where nothing is said."""
 DRIVERS = ("pressure", *(f"mag_{axis}" for axis in "xyz"))
 """Of the columns that are known, what may drive a bias besides temperature and specific force."""
+READ = (*CHANNELS, *TEMPERATURES, *DRIVERS)
 SECOND_NS = 1_000_000_000
 LOOKED_AT = 1000
 """Rows from which the rate of a log is told."""
@@ -107,10 +110,12 @@ def read_runs(
     map_path: Path | None,
     stages: Stages = no_stages,
     at_rest: bool = False,
+    sensors: Sequence[str] = SENSORS,
 ) -> list[Run]:
     """Read a session, or a table with its map (one that imumon wrote needs none), as runs from power-on.
 
-    `at_rest` says that the unit was at rest all the time, whatever the samples look like.
+    `sensors` are those that are to be diagnosed, see `channels_of`; `at_rest` says that the unit was
+    at rest all the time, whatever the samples look like.
 
     Raises
     ------
@@ -126,8 +131,10 @@ def read_runs(
     own = recording.source.session is None and map_path is None
     made = {column.name for stage in stages(None) for column in stage.columns}
     further = [] if own or not first else _further(first[0], made)
-    slot_s = _slot_s(first)
-    watcher = Watcher(CHANNELS)
+    wanted = channels_of(sensors, first[0].columns) if first else []
+    slot_s = _slot_s(first, wanted)
+    watcher = Watcher(wanted)
+    further += [name for name in wanted if name not in (*READ, *further)]
     samples = watcher.through(chain(first, blocks))
     everything = collect(samples, recording.name, further, slot_s)
     looks = watcher.looks()
@@ -158,19 +165,19 @@ def _further(block: SampleBlock, made: Container[str]) -> list[str]:
     ]
 
 
-def _slot_s(blocks: Sequence[SampleBlock]) -> float:
+def _slot_s(blocks: Sequence[SampleBlock], channels: Sequence[str]) -> float:
     """Return how long a slot is in which a log has a sample: a second, or more for a slower one."""
-    steps = [np.diff(block["device_time_ns"][_measured(block)]) for block in blocks]
+    steps = [np.diff(block["device_time_ns"][_measured(block, channels)]) for block in blocks]
     forward = np.concatenate([step[step > 0] for step in steps]) if steps else np.empty(0)
     period_s = float(np.median(forward)) / SECOND_NS if len(forward) else 0.0
     # A clock that is off by a percent still puts a sample into each slot.
     return float(max(1, np.ceil(period_s / 1.01)))
 
 
-def _measured(block: SampleBlock) -> BoolArray:
-    """Tell which rows have a gyro or an accelerometer."""
+def _measured(block: SampleBlock, channels: Sequence[str]) -> BoolArray:
+    """Tell which rows have any of the channels."""
     found = np.zeros(len(block), np.bool_)
-    for name in CHANNELS:
+    for name in channels:
         if name in block:
             found |= np.isfinite(block[name])
     return found
@@ -187,7 +194,7 @@ def collect(
     `further` are columns that may drive a bias beside the known ones.  A log slower than a sample a second is
     too slow for a rest detector: a slot is then at rest when it is like its neighbours.
     """
-    means = reduce(blocks, (*CHANNELS, *TEMPERATURES, *DRIVERS, *further), slot_s)
+    means = reduce(blocks, (*READ, *further), slot_s)
     gap = np.diff(means.number, prepend=0) > LONGEST_GAP_S / slot_s
     another = np.diff(means.run, prepend=-1) != 0
     parts = np.split(np.arange(len(means)), np.flatnonzero(another | gap)[1:])
@@ -225,15 +232,23 @@ def _run(means: Reduced, rest: FloatArray, rows: IntArray, name: str) -> Run:
     )
 
 
-def common_temperature(wanted: str, runs: Sequence[Run], lacking: str) -> str:
-    """Return the temperature wanted, or another that every run has; raises BAD_DATA when there is none."""
+def channels_of(sensors: Iterable[str], there: Container[str]) -> list[str]:
+    """Return the columns of sensors, of those that there are: of gyro gyro_x, gyro_y and gyro_z, of pressure
+    itself."""
+    every = [name for sensor in sensors for name in (sensor, *(f"{sensor}_{axis}" for axis in "xyz"))]
+    return [name for name in dict.fromkeys(every) if name in there]
+
+
+def common_temperature(wanted: str, runs: Sequence[Run], lacking: str, but: str = "") -> str:
+    """Return the temperature wanted, or another (not `but`) that every run has; raises BAD_DATA without
+    one."""
     for name in (wanted, *TEMPERATURES):
-        if all(name in run.mean and np.isfinite(run.mean[name]).sum() > 1 for run in runs):
+        if name != but and all(name in run.mean and np.isfinite(run.mean[name]).sum() > 1 for run in runs):
             return name
     hint = "record with the temperature switched on, or name its column in the map"
     raise ImumonError(Reason.BAD_DATA, lacking, hint)
 
 
 def unit_of(channel: str) -> str:
-    """Return the unit of a channel."""
-    return KNOWN[channel].unit
+    """Return the unit of a channel; empty for a column of the log's own."""
+    return KNOWN[channel].unit if channel in KNOWN else ""

@@ -146,7 +146,7 @@ class Search:
     `findings` are the effects in the order in which they were found, those of a model that was given first;
     `many_events` says that a run has more than one event, such as two jumps, which no effect explains.
     `turns` are those of the loop; `refit` says whether the curve that was given pays for being fitted anew;
-    `last` is what was tried last.
+    `survey` is what the runs can show, `tried` what may be added; `last` is what was tried last.
     """
 
     def __init__(
@@ -367,13 +367,16 @@ class Search:
     def _largest_beside(self, candidate: Candidate, left: float) -> float:
         """Return the largest rms that one of the findings takes away beside a candidate, which leaves this.
 
-        Without the finding the candidate has the parameters of its family that suit it best then.
+        Without the finding the candidate has the parameters of its family that suit it best then.  One of
+        the same family would then be the finding itself, whose size counts as it was found.
         """
         others = self.of_family(candidate.family) if candidate.nonlinear else []
-        family, found, sizes = [candidate, *others], self.findings, [0.0]
+        found, sizes = self.findings, [0.0]
         for finding in found:
             self.findings = [other for other in found if other is not finding]
-            sizes.append(float(np.sqrt(max(min(map(self._left, family)) ** 2 - left**2, 0.0))))
+            without = min(map(self._left, [candidate, *others]))
+            beside = float(np.sqrt(max(without**2 - left**2, 0.0)))
+            sizes.append(finding.size if finding.name == candidate.family else beside)
         self.findings = found
         return max(sizes)
 

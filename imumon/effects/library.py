@@ -42,6 +42,12 @@ EFFECTS: dict[str, type[Effect]] = {name: _effect(name) for name in FILES} | plu
 _OPERATORS = {kind.operator: kind for kind in EFFECTS.values() if issubclass(kind, DrivenEffect)}
 
 
+def effects_for(channel: str) -> list[str]:
+    """Return the effects that a channel may have; what is no gyro may have what an accelerometer may."""
+    sensor = "gyro" if channel.startswith("gyro") else "accel"
+    return [name for name, effect in EFFECTS.items() if sensor in effect.sensors]
+
+
 def kind_of(label: str) -> type[Effect]:
     """Return the effect that a label such as ``thermal_lag`` or ``lag(supply_voltage)`` is of."""
     first = label.partition("(")[0]

@@ -104,6 +104,7 @@ def settings() -> list[Setting]:
     found += [
         Setting((), size, driver=name, label=f"{DRIVEN}{name}") for name in drivers.DRIVING for size in SIZES
     ]
+    found += [Setting(("thermal_lag", "hysteresis"), 5.0, label="lag and loop")]
     return found
 
 

@@ -36,7 +36,7 @@ def main() -> int:
     if given.part == "formulas":
         from closing_the_loop_formulas import formulas
 
-        return formulas(1 if given.quick else given.repeat, given.first)
+        return formulas(given.repeat, given.first, quick=given.quick)
     if given.part == "plans":
         from closing_the_loop_plans import plans
 

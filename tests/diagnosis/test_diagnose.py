@@ -437,7 +437,7 @@ def test_at_constant_temperature_no_effect_of_temperature_is_claimed() -> None:
             lambda r: replace(r, mean={k: v for k, v in r.mean.items() if k != "temperature"}),
             "no temperature",
         ),
-        (lambda r: replace(r, mean={"temperature": r.mean["temperature"]}), "no gyro or accelerometer"),
+        (lambda r: replace(r, mean={"temperature": r.mean["temperature"]}), "no channel of gyro, accel"),
     ],
 )
 def test_data_that_cannot_show_anything_are_refused_in_words(change, said: str) -> None:  # type: ignore[no-untyped-def]  # a lambda
