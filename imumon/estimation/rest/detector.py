@@ -23,10 +23,10 @@ from imumon.estimation.rest.turn import (
     is_steady,
     recent_mean,
     steady_slots,
-    still_off,
+    still_on,
     upright,
 )
-from imumon.estimation.rest.wander import TURN_EVERY_S, forget, look_for_turn
+from imumon.estimation.rest.wander import SURPRISE, TURN_EVERY_S, forget, look_for_turn
 from imumon.estimation.rest.windows import Motion, seen, set_band
 
 GAP_S = 2.5
@@ -113,11 +113,10 @@ def _wanders(state: State) -> Motion | None:
     if found.probability < LIKELY:
         return None
     if is_over(state.turn, state.turn + found.doubt):
-        state.turn = np.zeros(3)
         forget(state)
         return None
     seconds = state.span_s(1 << SHORT)
-    return Motion(SHORT, seconds, False, (0, 0), turning=True, mean=found.before, age_s=found.age_s)
+    return Motion(SHORT, seconds, False, (0, 0), True, found.before, found.age_s, found.degc)
 
 
 def _may_be_back(state: State) -> bool:
@@ -168,6 +167,7 @@ def _note(state: State, motion: Motion, now_s: float) -> None:
         windows.variance[min(motion.level + 2, LEVELS - 1)].copy(),
         now_s - max(HOLD_WINDOWS * motion.seconds, motion.age_s),
         np.zeros(3) if motion.turning else state.turn,
+        state.degc if np.isnan(motion.degc) else motion.degc,
     )
     recent = np.where(windows.known, state.latest(slots)[0], np.nan)
     turn = anchor.turn_now(recent)
@@ -192,7 +192,7 @@ def _remember(state: State, anchor: Anchor) -> None:
 
 def _enter(state: State, mean: FloatArray, drift: FloatArray, turn: FloatArray, now_s: float) -> None:
     state.windows.rest_mean[:], state.rest_since_s = mean, now_s
-    state.at_rest, state.turn = True, turn
+    state.at_rest, state.turn, state.turns_on = True, turn, 1.0
     since_s = now_s if np.isnan(state.undecided_since_s) else state.undecided_since_s
     state.undecided_since_s = since_s if turn.any() else np.nan
     set_band(state.windows, drift)
@@ -244,8 +244,8 @@ def _decide(state: State, parameters: RestParameters, now_s: float) -> None:
         _watch(state, now_s, 0.0)
         return
     late = now_s - state.undecided_since_s >= parameters.undecided_s
-    state.turn = still_off(state, now_s)
-    if said is Verdict.RESTS or late or not state.turn.any():
+    state.turn, state.turns_on = still_on(state, now_s)
+    if said is Verdict.RESTS or late or np.log(state.turns_on) < -SURPRISE:
         state.turn, state.undecided_since_s = np.zeros(3), np.nan
 
 
