@@ -171,9 +171,8 @@ def _note(state: State, motion: Motion, now_s: float) -> None:
     )
     recent = np.where(windows.known, state.latest(slots)[0], np.nan)
     turn = anchor.turn_now(recent)
-    noted = state.anchors[0].turn_now(recent) if motion.turning and state.turn.any() else np.zeros(3)
-    if noted @ noted > turn @ turn:  # it has been seen before, and is still growing
-        turn = noted
+    if motion.turning and state.turn.any():  # it has been seen before, and grows, or ends
+        turn = state.anchors[0].turn_now(recent)
     elif not state.anchors or now_s - state.rest_since_s > LEAST_REST_S:
         _remember(state, anchor)
     if not motion.sudden:
