@@ -21,6 +21,7 @@ from imumon.estimation.rest.turn import (
     is_back,
     is_over,
     is_steady,
+    is_upright,
     recent_mean,
     steady_slots,
     still_on,
@@ -229,7 +230,8 @@ def _judge(
         ):
             return np.zeros(3), True
     if explained is Explained.NO:
-        state.turn, state.turning = turn, True
+        # About another axis it would tilt the unit: gravity says soon whether it does.
+        state.turn, state.turning = turn, state.turning or is_upright(state, turn)
         return turn, False
     slow = state.slow or state.quiet_slots >= steady_slots(state) // 2
     return turn, not (state.anchors and slow and fits and not is_steady(state, parameters))

@@ -103,7 +103,8 @@ def _explained(
     slope = CREEP if still else parameters.gyro_drift
     wander = np.sqrt(np.maximum(wander_after(state, moved_s), noise[GYRO]))
     plain = parameters.gyro_g_sensitivity * force + (0.0 if still else EARTH_TWICE) + state.resolution[GYRO]
-    drift = min(slope * moved_s, parameters.gyro_walk)
+    # What creeps does so by its temperature: without a thermometer, for as long as it has had.
+    drift = min(slope * moved_s, parameters.gyro_walk) if np.isnan(state.degc) or not still else 0.0
     warm = warmed(state.degc, anchor.degc)
     if not still:
         plain += drift
@@ -111,8 +112,8 @@ def _explained(
     usual = PLAIN_SIGMAS * (np.sqrt(noise[GYRO]) if state.turning and still else wander)
     usual = np.minimum(usual, parameters.gyro_walk)
     if not (state.turning and still):
-        usual += PLAIN_SIGMAS * warm
-    most = np.minimum(SIGMAS * wander, 2.0 * parameters.gyro_walk) + SIGMAS * warm + drift
+        usual = np.hypot(usual, PLAIN_SIGMAS * warm)
+    most = np.hypot(np.minimum(SIGMAS * wander, 2.0 * parameters.gyro_walk), SIGMAS * warm) + drift
     if (change[GYRO] <= usual + plain).all():
         return Explained.PLAINLY
     if (change[GYRO] <= most + plain).all():
@@ -176,6 +177,13 @@ def upright(state: State, turn: FloatArray) -> FloatArray:
     if not state.windows.known[ACCEL].all():
         return turn
     return np.asarray((turn @ force) * force / (force @ force))
+
+
+def is_upright(state: State, turn: FloatArray) -> bool:
+    """Tell whether a turn, (3,), is about the vertical as it is now, or gravity is not known."""
+    force = recent_mean(state, state.quiet_slots)[0][ACCEL]
+    across = turn - (turn @ force) * force / (force @ force)
+    return not across @ across > OBLIQUE**2 * (turn @ turn)
 
 
 def is_over(turn: FloatArray, change: FloatArray) -> bool:
@@ -255,7 +263,7 @@ def is_steady(state: State, parameters: RestParameters) -> bool:
     wander = np.array([np.maximum(variance[GYRO], wander_after(state, lag)) for lag in seconds.tolist()])
     before = state.windows.degc[state.length - 1 - width * np.arange(1, windows)]
     wander += warmed(state.degc, before)[:, np.newaxis] ** 2
-    creep = np.asarray(CREEP * seconds)
+    creep = np.asarray(CREEP * seconds if np.isnan(state.degc) else np.zeros(len(seconds)))
     return bool((_turned(state, change[:, GYRO], np.asarray(sigmas**2 * wander), creep) <= 1.0).all())
 
 
