@@ -16,7 +16,6 @@ WANTED_RAD = 0.7
 CLEAR = 8.0
 """Standard deviations of a reading between a turn and none before either is believed."""
 UP = np.array([0.0, 0.0, 1.0])
-UP = np.array([0.0, 0.0, 1.0])
 NEAR = 0.25
 """Share of the way from none to a turn, or back, by which a reading may be off: hard and soft iron."""
 

@@ -140,10 +140,9 @@ def is_back(state: State, parameters: RestParameters, now_s: float) -> Anchor | 
         change = np.max([np.abs(mean - anchor.mean) for mean in means], axis=0)
         change = np.where(np.isfinite(recent), change, 0.0)
         refuted = not state.slow or is_over(state.turn, change[GYRO])
-        # A mean so uncertain that it fits the motion as well says nothing yet.
-        shown = state.turn - anchor.turn
+        # A mean so uncertain that it fits the motion as well says nothing yet; a knock showed none.
         off = np.abs(anchor.turn_now(recent) - state.turn)
-        refuted &= bool((np.abs(shown) <= limit[GYRO]).all() or (off > limit[GYRO]).any())
+        refuted &= bool((state.turn == anchor.turn).all() or (off > limit[GYRO]).any())
         if refuted and (change <= limit).all():
             return anchor
     return None
