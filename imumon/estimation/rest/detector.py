@@ -78,6 +78,7 @@ def step(state: State, parameters: RestParameters, slots: Sequence[Slot], k: int
     if motion is None and state.at_rest and state.slots % EVERY == 0:
         motion = _wanders(state)
     if motion is not None:
+        state.shaken = motion.sudden or (state.shaken and not state.at_rest)
         if state.at_rest:
             _leave(state, motion, end_s)
         elif state.turn.any() and state.quiet_slots >= 2 * RING:

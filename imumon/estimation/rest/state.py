@@ -267,9 +267,9 @@ class State:
         When the last rest was found.
     caution : float
         Factor of the time for which motion that is no longer seen is watched for.
-    slow, turning : bool
-        Whether the last rest ended so slowly that its end was hard to see, and whether a steady turn has been
-        the hypothesis since.
+    slow, turning, shaken : bool
+        Whether the last rest ended so slowly that its end was hard to see, whether a steady turn has been
+        the hypothesis since, and whether what moved since was more than a steady turn.
     """
 
     windows: Windows = field(default_factory=new_windows)
@@ -295,6 +295,7 @@ class State:
     caution: float = 1.0
     slow: bool = False
     turning: bool = False
+    shaken: bool = False
 
     @property
     def quiet_slots(self) -> int:

@@ -140,9 +140,9 @@ def is_back(state: State, parameters: RestParameters, now_s: float) -> Anchor | 
         change = np.max([np.abs(mean - anchor.mean) for mean in means], axis=0)
         change = np.where(np.isfinite(recent), change, 0.0)
         refuted = not state.slow or is_over(state.turn, change[GYRO])
-        # A mean so uncertain that it fits the motion as well says nothing yet; a knock showed none.
+        # A mean so uncertain that it fits a steady turn as well says nothing yet.
         off = np.abs(anchor.turn_now(recent) - state.turn)
-        refuted &= bool((state.turn == anchor.turn).all() or (off > limit[GYRO]).any())
+        refuted &= bool(state.shaken or (off > limit[GYRO]).any())
         if refuted and (change <= limit).all():
             return anchor
     return None
