@@ -294,11 +294,28 @@ def look(bank: Bank, slot: AtRest) -> tuple[FloatArray, FloatArray]:
     return whole, least
 
 
-def disagreement(bank: Bank, slot: AtRest) -> FloatArray:
-    """Return the least squared difference of rate and bias over its variance, (variants, 3)."""
+def _differences(bank: Bank, slot: AtRest) -> tuple[FloatArray, FloatArray]:
+    """Return the squared difference of rate and bias, and its variance, (variants, 3, filters) each."""
     row = bias_row(bank, slot.force)
     variance = bank.covariance @ row @ row + (slot.white2 / slot.dt)[:, np.newaxis]
-    return np.asarray(((slot.rate[:, np.newaxis] - bank.mean @ row) ** 2 / variance).min(-1))
+    return (slot.rate[:, np.newaxis] - bank.mean @ row) ** 2, variance
+
+
+def disagreement(bank: Bank, slot: AtRest) -> FloatArray:
+    """Return the least squared difference of rate and bias over its variance, (variants, 3)."""
+    squared, variance = _differences(bank, slot)
+    return np.asarray((squared / variance).min(-1))
+
+
+def may_have_changed(bank: Bank, slot: AtRest, most2: FloatArray) -> None:
+    """Let the bias have changed, by a variance of `most2` at most, (3,), as far as no filter explains a slot.
+
+    The variance is the one by which the slot is most likely: the square of the difference less what the
+    most tolerant filter expects of it.
+    """
+    squared, variance = _differences(bank, slot)
+    unexplained2 = (squared - variance).min((0, 2))
+    bank.covariance[..., WALK, WALK] += np.clip(unexplained2, 0.0, most2)[:, np.newaxis]
 
 
 def take(bank: Bank, slot: AtRest) -> FloatArray:
