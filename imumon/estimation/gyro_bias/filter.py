@@ -435,7 +435,8 @@ def _take(state: State, params: Params, bank: Bank, noise: Noise, reading: Readi
         flat * STILLNESS**2,
     )
     if reading.fresh:
-        filters.may_have_changed(bank, at_rest, state.undecided**2)
+        contradicts = filters.disagreement(bank, at_rest).min(0) > GATE
+        filters.may_have_changed(bank, at_rest, np.where(contradicts, state.undecided**2, 0.0))
         state.undecided = np.zeros(3)
     filters.integrate(bank, at_rest)
     innovation, surprise = filters.look(bank, at_rest)
