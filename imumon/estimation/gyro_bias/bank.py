@@ -307,15 +307,17 @@ def disagreement(bank: Bank, slot: AtRest) -> FloatArray:
     return np.asarray((squared / variance).min(-1))
 
 
-def may_have_changed(bank: Bank, slot: AtRest, most2: FloatArray) -> None:
-    """Let the bias have changed, by a variance of `most2` at most, (3,), as far as no filter explains a slot.
+def may_have_changed(bank: Bank, slot: AtRest, most2: FloatArray, gate: float) -> None:
+    """Let a bias have jumped, by a variance of `most2` (3,) at most, where a slot contradicts every filter.
 
-    The variance is the one by which the slot is most likely: the square of the difference less what the
-    most tolerant filter expects of it.
+    That is where the squared difference of rate and bias is beyond `gate` times its variance.  A variant's
+    variance grows to that by which the slot is most likely: by the square less what is expected of it by
+    the filter that comes nearest.
     """
     squared, variance = _differences(bank, slot)
-    unexplained2 = (squared - variance).min((0, 2))
-    bank.covariance[..., WALK, WALK] += np.clip(unexplained2, 0.0, most2)[:, np.newaxis]
+    contradicts = (squared / variance).min(-1) > gate
+    jumped2 = np.where(contradicts, np.minimum((squared - variance).min(-1), most2), 0.0)
+    bank.covariance[..., WALK, WALK] += jumped2[..., np.newaxis]
 
 
 def take(bank: Bank, slot: AtRest) -> FloatArray:

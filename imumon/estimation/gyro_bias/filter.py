@@ -435,8 +435,7 @@ def _take(state: State, params: Params, bank: Bank, noise: Noise, reading: Readi
         flat * STILLNESS**2,
     )
     if reading.fresh:
-        contradicts = filters.disagreement(bank, at_rest).min(0) > GATE
-        filters.may_have_changed(bank, at_rest, np.where(contradicts, state.undecided**2, 0.0))
+        filters.may_have_changed(bank, at_rest, state.undecided**2, GATE)
         state.undecided = np.zeros(3)
     filters.integrate(bank, at_rest)
     innovation, surprise = filters.look(bank, at_rest)
