@@ -294,30 +294,11 @@ def look(bank: Bank, slot: AtRest) -> tuple[FloatArray, FloatArray]:
     return whole, least
 
 
-def _differences(bank: Bank, slot: AtRest) -> tuple[FloatArray, FloatArray]:
-    """Return the squared difference of rate and bias, and its variance, (variants, 3, filters) each."""
-    row = bias_row(bank, slot.force)
-    variance = bank.covariance @ row @ row + (slot.white2 / slot.dt)[:, np.newaxis]
-    return (slot.rate[:, np.newaxis] - bank.mean @ row) ** 2, variance
-
-
 def disagreement(bank: Bank, slot: AtRest) -> FloatArray:
     """Return the least squared difference of rate and bias over its variance, (variants, 3)."""
-    squared, variance = _differences(bank, slot)
-    return np.asarray((squared / variance).min(-1))
-
-
-def may_have_changed(bank: Bank, slot: AtRest, most2: FloatArray, gate: float) -> None:
-    """Let a bias have jumped, by a variance of `most2` (3,) at most, where a slot contradicts every filter.
-
-    That is where the squared difference of rate and bias is beyond `gate` times its variance.  A variant's
-    variance grows to that by which the slot is most likely: by the square less what is expected of it by
-    the filter that comes nearest.
-    """
-    squared, variance = _differences(bank, slot)
-    contradicts = (squared / variance).min(-1) > gate
-    jumped2 = np.where(contradicts, np.minimum((squared - variance).min(-1), most2), 0.0)
-    bank.covariance[..., WALK, WALK] += jumped2[..., np.newaxis]
+    row = bias_row(bank, slot.force)
+    variance = bank.covariance @ row @ row + (slot.white2 / slot.dt)[:, np.newaxis]
+    return np.asarray(((slot.rate[:, np.newaxis] - bank.mean @ row) ** 2 / variance).min(-1))
 
 
 def take(bank: Bank, slot: AtRest) -> FloatArray:

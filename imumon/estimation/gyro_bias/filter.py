@@ -216,8 +216,6 @@ class State:
         Temperature of the bank, and where a move was last noted.
     growth, arrival : array (3,)
         Variance used so far, and that of coming to rest in another attitude.
-    undecided : array (3,)
-        A turn on coming to rest, rad/s, that may have been a change of the bias.
     evidence, chosen : array (3,)
         For a slope, and whether it is used.
     law : Laws
@@ -246,7 +244,6 @@ class State:
     noted_degc: FloatArray = field(default_factory=_zero)
     growth: FloatArray = field(default_factory=_zero)
     arrival: FloatArray = field(default_factory=_zero)
-    undecided: FloatArray = field(default_factory=_zero)
     evidence: FloatArray = field(default_factory=_zero)
     chosen: BoolArray = field(default_factory=lambda: np.zeros(3, bool))
     law: Laws = field(default_factory=no_law)
@@ -304,7 +301,7 @@ def _close(state: State, params: Params, slot: Slot) -> FloatArray:
         state.arrival = state.arrival + attitude.come_to_rest(
             slot.force, params.place, state.turn, drift, state.turn.lost
         )
-        state.undecided = np.maximum(state.undecided, np.abs(slot.undecided))
+        state.arrival = state.arrival + slot.undecided**2
     usable = (slot.force is not None) == (attitude.gravity > 0.0)
     tilt = np.zeros(3)
     if usable and slot.force is not None:
@@ -434,9 +431,6 @@ def _take(state: State, params: Params, bank: Bank, noise: Noise, reading: Readi
         YAW_NOISE**2 + flat * (noise.tilt**2 - YAW_NOISE**2),
         flat * STILLNESS**2,
     )
-    if reading.fresh:
-        filters.may_have_changed(bank, at_rest, state.undecided**2, GATE)
-        state.undecided = np.zeros(3)
     filters.integrate(bank, at_rest)
     innovation, surprise = filters.look(bank, at_rest)
     shown: FloatArray = np.where(state.chosen, innovation[-1], innovation[0])
