@@ -21,12 +21,13 @@ from imumon.estimation.rest.turn import (
     is_back,
     is_over,
     is_steady,
+    is_upright,
     recent_mean,
     steady_slots,
-    still_off,
+    still_on,
     upright,
 )
-from imumon.estimation.rest.wander import TURN_EVERY_S, forget, look_for_turn
+from imumon.estimation.rest.wander import SURPRISE, TURN_EVERY_S, forget, look_for_turn
 from imumon.estimation.rest.windows import Motion, seen, set_band
 
 GAP_S = 2.5
@@ -113,11 +114,10 @@ def _wanders(state: State) -> Motion | None:
     if found.probability < LIKELY:
         return None
     if is_over(state.turn, state.turn + found.doubt):
-        state.turn = np.zeros(3)
         forget(state)
         return None
     seconds = state.span_s(1 << SHORT)
-    return Motion(SHORT, seconds, False, (0, 0), turning=True, mean=found.before, age_s=found.age_s)
+    return Motion(SHORT, seconds, False, (0, 0), True, found.before, found.age_s, found.degc)
 
 
 def _may_be_back(state: State) -> bool:
@@ -168,12 +168,12 @@ def _note(state: State, motion: Motion, now_s: float) -> None:
         windows.variance[min(motion.level + 2, LEVELS - 1)].copy(),
         now_s - max(HOLD_WINDOWS * motion.seconds, motion.age_s),
         np.zeros(3) if motion.turning else state.turn,
+        state.degc if np.isnan(motion.degc) else motion.degc,
     )
     recent = np.where(windows.known, state.latest(slots)[0], np.nan)
     turn = anchor.turn_now(recent)
-    noted = state.anchors[0].turn_now(recent) if motion.turning and state.turn.any() else np.zeros(3)
-    if noted @ noted > turn @ turn:  # it has been seen before, and is still growing
-        turn = noted
+    if motion.turning and state.turn.any():  # it has been seen before, and grows, or ends
+        turn = state.anchors[0].turn_now(recent)
     elif not state.anchors or now_s - state.rest_since_s > LEAST_REST_S:
         _remember(state, anchor)
     if not motion.sudden:
@@ -192,7 +192,7 @@ def _remember(state: State, anchor: Anchor) -> None:
 
 def _enter(state: State, mean: FloatArray, drift: FloatArray, turn: FloatArray, now_s: float) -> None:
     state.windows.rest_mean[:], state.rest_since_s = mean, now_s
-    state.at_rest, state.turn = True, turn
+    state.at_rest, state.turn, state.turns_on = True, turn, 1.0
     since_s = now_s if np.isnan(state.undecided_since_s) else state.undecided_since_s
     state.undecided_since_s = since_s if turn.any() else np.nan
     set_band(state.windows, drift)
@@ -230,7 +230,8 @@ def _judge(
         ):
             return np.zeros(3), True
     if explained is Explained.NO:
-        state.turn, state.turning = turn, True
+        # About another axis it would tilt the unit: gravity says soon whether it does.
+        state.turn, state.turning = turn, state.turning or is_upright(state, turn)
         return turn, False
     slow = state.slow or state.quiet_slots >= steady_slots(state) // 2
     return turn, not (state.anchors and slow and fits and not is_steady(state, parameters))
@@ -244,8 +245,8 @@ def _decide(state: State, parameters: RestParameters, now_s: float) -> None:
         _watch(state, now_s, 0.0)
         return
     late = now_s - state.undecided_since_s >= parameters.undecided_s
-    state.turn = still_off(state, now_s)
-    if said is Verdict.RESTS or late or not state.turn.any():
+    state.turn, state.turns_on = still_on(state, now_s)
+    if said is Verdict.RESTS or late or np.log(state.turns_on) < -SURPRISE:
         state.turn, state.undecided_since_s = np.zeros(3), np.nan
 
 

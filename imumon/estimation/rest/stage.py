@@ -14,6 +14,7 @@ from imumon.estimation.rest.compass import reference
 from imumon.estimation.rest.detector import GAP_S, begin, step
 from imumon.estimation.rest.parameters import RestParameters
 from imumon.estimation.rest.state import AXES, SLOT_S, Slot, State, empty_slots
+from imumon.estimation.rest.thermometer import temperature
 from imumon.estimation.rest.windows import compile_kernels
 from imumon.filters.slots import SlotGatherer, Slots, held
 
@@ -45,7 +46,7 @@ class RestDetector:
 
     def __init__(self, parameters: RestParameters | None = None) -> None:
         self._parameters = parameters or RestParameters()
-        self._slots = SlotGatherer(AXES + 3, int(SLOT_S * 1e9))
+        self._slots = SlotGatherer(AXES + 4, int(SLOT_S * 1e9))
         self._state = State()
         self._last_ns, self._last_segment = NO_INT, 0
         self._at_rest = 0
@@ -59,15 +60,17 @@ class RestDetector:
         """Return ``at_rest``, int64, and ``turn_hypothesis_{x,y,z}`` of a block.
 
         Needs ``device_time_ns`` and ``segment``; takes what there is of gyro_{x,y,z} in rad/s and
-        accel_{x,y,z} in m/s², and of mag_{x,y,z}, yaw or q_{w,x,y,z}.
+        accel_{x,y,z} in m/s², of mag_{x,y,z}, yaw or q_{w,x,y,z}, and of temperature_estimate or temperature
+        in °C.
         """
         n = len(block)
-        readings = np.full((n, AXES + 3), np.nan)
+        readings = np.full((n, AXES + 4), np.nan)
         for place, name in enumerate(INPUTS):
             readings[:, place] = block.columns.get(name, np.nan)
         heading = reference(block)
         if heading is not None:
-            readings[:, AXES:] = heading
+            readings[:, AXES:-1] = heading
+        readings[:, -1] = temperature(block)
         time_ns, segment = block["device_time_ns"], block["segment"]
         rows = np.flatnonzero((time_ns != NO_INT) & np.isfinite(readings[:, :AXES]).any(1))
         if len(rows) == n:
@@ -149,7 +152,7 @@ def _slots_of(ended: Slots, time_ns: IntArray) -> Sequence[Slot]:
     )
     slots["smallest"], slots["largest"] = ended.smallest[:, :AXES], ended.largest[:, :AXES]
     slots["first"], slots["last"] = ended.first[:, :AXES], ended.last[:, :AXES]
-    slots["reference"] = ended.mean[:, AXES:]
+    slots["reference"], slots["degc"] = ended.mean[:, AXES:-1], ended.mean[:, -1]
     return made
 
 

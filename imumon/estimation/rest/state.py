@@ -47,6 +47,8 @@ class Slot:
         Of the finite samples; NaN without any.
     reference : array, (3,)
         Mean of what turns with the heading (`compass`); NaN without any.
+    degc : float
+        Temperature, °C; NaN without any.
     """
 
     start_s: float
@@ -59,6 +61,7 @@ class Slot:
     first: FloatArray
     last: FloatArray
     reference: FloatArray
+    degc: float
 
 
 _ARRAYS = ("samples", "average", "within", "smallest", "largest", "first", "last")
@@ -86,6 +89,8 @@ class Windows(NamedTuple):
         Of each slot.
     reference : array, (CAPACITY, 3)
         The same of what turns with the heading.
+    degc : array, (CAPACITY,)
+        Temperature, °C, the last that was known; NaN before there was one.
     known : array of bool, (6,)
         Axes whose noise at rest is known.
     sample_variance : array, (6,)
@@ -110,6 +115,7 @@ class Windows(NamedTuple):
     average: FloatArray
     within: FloatArray
     reference: FloatArray
+    degc: FloatArray
     known: BoolArray
     sample_variance: FloatArray
     variance: FloatArray
@@ -131,6 +137,7 @@ def new_windows() -> Windows:
         average=np.zeros((CAPACITY, AXES)),
         within=np.zeros((CAPACITY, AXES)),
         reference=np.zeros((CAPACITY, 3)),
+        degc=np.full(CAPACITY, np.nan),
         known=np.zeros(AXES, np.bool_),
         sample_variance=np.zeros(AXES),
         variance=np.zeros((LEVELS, AXES)),
@@ -153,6 +160,9 @@ class Past:
     units : int
     total, samples : array, (MOST_UNITS + 1, 6)
         Sum and number of the samples before each.
+    warmth : array, (MOST_UNITS + 1,)
+        Sum of the temperatures before each, °C from that at first; zero where there is no thermometer.
+    first_degc : float
     seconds : float
         Length of all.
     """
@@ -160,38 +170,58 @@ class Past:
     units: int = 0
     total: FloatArray = field(default_factory=lambda: np.zeros((MOST_UNITS + 1, AXES)))
     samples: FloatArray = field(default_factory=lambda: np.zeros((MOST_UNITS + 1, AXES)))
+    warmth: FloatArray = field(default_factory=lambda: np.zeros(MOST_UNITS + 1))
+    first_degc: float = np.nan
     seconds: float = 0.0
 
     def add(self, windows: Windows, length: int) -> None:
         """Take the latest slots; a full history forgets its older half, and without gyros it begins anew."""
         first = length - EVERY
         if (windows.samples[length, GYRO] == windows.samples[first, GYRO]).any():
-            self.units, self.seconds = 0, 0.0
+            self.forget()
             return
         if self.units == MOST_UNITS:
             kept = MOST_UNITS // 2
-            for sums in (self.total, self.samples):
+            for sums in (self.total, self.samples, self.warmth):
                 sums[: kept + 1] = sums[kept:] - sums[kept]
             self.units, self.seconds = kept, 0.5 * self.seconds
         k = self.units
         self.total[k + 1] = self.total[k] + windows.total[length] - windows.total[first]
         self.samples[k + 1] = self.samples[k] + windows.samples[length] - windows.samples[first]
+        degc = float(windows.degc[length - 1])
+        self.first_degc = degc if np.isnan(self.first_degc) else self.first_degc
+        self.warmth[k + 1] = self.warmth[k] + (0.0 if np.isnan(degc) else degc - self.first_degc)
         self.seconds += float(windows.seconds[length] - windows.seconds[first])
         self.units += 1
+
+    @property
+    def unit_s(self) -> float:
+        """Length of a unit, s."""
+        return self.seconds / self.units
+
+    def forget(self) -> None:
+        """Begin anew."""
+        self.units, self.seconds, self.first_degc = 0, 0.0, np.nan
 
     def means(self, ages: npt.NDArray[np.intp]) -> FloatArray:
         """Return the means between neighbouring ages, units that rise, (k, 6) for (k + 1,)."""
         total, samples = self.total[self.units - ages], self.samples[self.units - ages]
         return np.asarray((total[:-1] - total[1:]) / (samples[:-1] - samples[1:]))
 
+    def degc(self, ages: npt.NDArray[np.intp]) -> FloatArray:
+        """Return the mean temperatures between the same ages, °C from that at first, (k,)."""
+        warmth = self.warmth[self.units - ages]
+        return np.asarray((warmth[:-1] - warmth[1:]) / np.diff(ages))
+
 
 class Anchor(NamedTuple):
-    """Mean of an earlier rest and its variance, (6,) each, its end, s, and what turn it may be, (3,)."""
+    """Mean of an earlier rest and its variance, (6,) each, its end, s, what turn it may be, (3,), and °C."""
 
     mean: FloatArray
     variance: FloatArray
     at_s: float
     turn: FloatArray
+    degc: float
 
     def turn_now(self, mean: FloatArray) -> FloatArray:
         """Return the turn that a mean, (6,), is if the bias has not changed since, (3,)."""
@@ -229,6 +259,8 @@ class State:
         Since when a mean has been steady that differs from the anchors; NaN when none has.
     turn : array, (3,)
         Rate, rad/s, by which the gyros differ from the latest anchor while nothing tells a turn from a bias.
+    turns_on : float
+        Probability at rest that it is a turn.
     steady : array
         Mean of a turn, when it was last undisturbed, at `steady_s`; NaN without any.
     rest_since_s : float
@@ -256,6 +288,7 @@ class State:
     anchors: list[Anchor] = field(default_factory=list)
     undecided_since_s: float = np.nan
     turn: FloatArray = field(default_factory=lambda: np.zeros(3))
+    turns_on: float = 1.0
     steady: FloatArray = field(default_factory=lambda: np.full(AXES, np.nan))
     steady_s: float = 0.0
     rest_since_s: float = -np.inf
@@ -271,7 +304,8 @@ class State:
     @property
     def undecided(self) -> FloatArray:
         """What may be a turn, and may be bias, rad/s, (3,): from before this rest, or since."""
-        return self.turn if self.turn @ self.turn > self.doubt @ self.doubt else self.doubt
+        turn = np.sqrt(self.turns_on) * self.turn if self.at_rest else self.turn
+        return turn if turn @ turn > self.doubt @ self.doubt else self.doubt
 
     @property
     def resolution(self) -> FloatArray:
@@ -301,6 +335,11 @@ class State:
         return float(seconds[self.length] - seconds[self.length - slots])
 
     @property
+    def degc(self) -> float:
+        """Temperature now, °C; NaN where it has never been known."""
+        return float(self.windows.degc[self.length - 1])
+
+    @property
     def slot_s(self) -> float:
         """Length of a slot, of late: at low rates that of a sample."""
         slots = min(self.length, 32)
@@ -313,7 +352,7 @@ class State:
         moved, windows = CAPACITY - KEPT, self.windows
         for sums in (windows.total, windows.samples, windows.seconds):
             sums[: KEPT + 1] = sums[moved:] - sums[moved]
-        for values in (windows.average, windows.within, windows.reference):
+        for values in (windows.average, windows.within, windows.reference, windows.degc):
             values[:KEPT] = values[moved:]
         self.length = KEPT
         self.quiet_from, self.ring_from = max(self.quiet_from - moved, 0), max(self.ring_from - moved, 0)

@@ -15,7 +15,8 @@ import numpy as np
 from imumon.blocks import FloatArray
 from imumon.estimation.rest.parameters import RestParameters
 from imumon.estimation.rest.state import ACCEL, GYRO, KEPT, LEVELS, SLOT_S, Anchor, State
-from imumon.estimation.rest.wander import CREEP, OBLIQUE, wander_after
+from imumon.estimation.rest.thermometer import warmed
+from imumon.estimation.rest.wander import CREEP, OBLIQUE, TURN_EVERY_S, wander_after
 from imumon.estimation.rest.windows import CHI_SQUARE, MEMORY_SLOTS, SLOTS, TINY
 
 EARTH_TWICE = 1.46e-4
@@ -65,30 +66,36 @@ def hypothesis(
     since_s = min(state.quiet_since_s, now_s - state.span_s(slots))
     turn = state.anchors[0].turn_now(recent)
     limit = SIGMAS * np.sqrt(variance + state.anchors[0].variance) + state.resolution
-    wander = PLAIN_SIGMAS * np.sqrt(wander_after(state, now_s - state.anchors[0].at_s))
-    if _is_bias(state, parameters, turn, np.maximum(limit[GYRO], wander), recent[ACCEL]):
+    possible, across = _possible(state, parameters, turn, recent[ACCEL])
+    wander = SIGMAS * np.sqrt(wander_after(state, now_s - state.anchors[0].at_s))
+    wander += SIGMAS * warmed(state.degc, state.anchors[0].degc)
+    size, tilt = float(np.linalg.norm(turn)), float(np.linalg.norm(across))
+    limited = np.linalg.norm(across * np.maximum(limit[GYRO], wander)) < tilt * tilt
+    if limited and tilt > OBLIQUE * size and size <= parameters.largest_jump:
         return np.zeros(3), Explained.PLAINLY
     if _turns_on(state, turn, recent, limit):
         return turn, Explained.NO
     best = Explained.NO
     for anchor in state.anchors:
-        found = _explained(state, parameters, anchor, recent, variance, since_s)
+        change = recent - anchor.mean
+        change[GYRO] = _possible(state, parameters, np.nan_to_num(change[GYRO]), recent[ACCEL])[0]
+        found = _explained(state, parameters, anchor, change, variance, since_s)
         if found is Explained.PLAINLY:
             return anchor.turn, found
         best = max(best, found, key=lambda one: one.value)
-    return turn, best
+    return possible, best
 
 
 def _explained(
     state: State,
     parameters: RestParameters,
     anchor: Anchor,
-    recent: FloatArray,
+    change: FloatArray,
     variance: FloatArray,
     since_s: float,
 ) -> Explained:
-    """Tell whether the bias may have changed from an earlier rest to a mean that has been since a time."""
-    change = np.abs(np.where(np.isfinite(recent), recent - anchor.mean, 0.0))
+    """Tell whether the bias may have changed so from an earlier rest to a mean that has been since a time."""
+    change = np.abs(np.nan_to_num(change))
     noise = variance + anchor.variance
     moved_s = max(since_s - anchor.at_s, 0.0)
     force = float(np.linalg.norm(change[ACCEL]))
@@ -96,15 +103,20 @@ def _explained(
     slope = CREEP if still else parameters.gyro_drift
     wander = np.sqrt(np.maximum(wander_after(state, moved_s), noise[GYRO]))
     plain = parameters.gyro_g_sensitivity * force + (0.0 if still else EARTH_TWICE) + state.resolution[GYRO]
-    drift = min(slope * moved_s, parameters.gyro_walk)
+    # What creeps does so by its temperature: without a thermometer, for as long as it has had.
+    drift = min(slope * moved_s, parameters.gyro_walk) if np.isnan(state.degc) or not still else 0.0
+    warm = warmed(state.degc, anchor.degc)
     if not still:
         plain += drift
     # A turn that was seen to begin goes on until the old mean is back: wander does not end it.
     usual = PLAIN_SIGMAS * (np.sqrt(noise[GYRO]) if state.turning and still else wander)
-    most = SIGMAS * wander
-    if (change[GYRO] <= np.minimum(usual, parameters.gyro_walk) + plain).all():
+    usual = np.minimum(usual, parameters.gyro_walk)
+    if not (state.turning and still):
+        usual = np.hypot(usual, PLAIN_SIGMAS * warm)
+    most = np.hypot(np.minimum(SIGMAS * wander, 2.0 * parameters.gyro_walk), SIGMAS * warm) + drift
+    if (change[GYRO] <= usual + plain).all():
         return Explained.PLAINLY
-    if (change[GYRO] <= np.minimum(most, 2.0 * parameters.gyro_walk) + plain + drift).all():
+    if (change[GYRO] <= most + plain).all():
         return Explained.PERHAPS if still else Explained.PLAINLY
     return Explained.NO
 
@@ -128,23 +140,34 @@ def is_back(state: State, parameters: RestParameters, now_s: float) -> Anchor | 
         change = np.max([np.abs(mean - anchor.mean) for mean in means], axis=0)
         change = np.where(np.isfinite(recent), change, 0.0)
         refuted = not state.slow or is_over(state.turn, change[GYRO])
+        # A mean so uncertain that it fits the motion as well says nothing yet; a knock showed none.
+        off = np.abs(anchor.turn_now(recent) - state.turn)
+        refuted &= bool((state.turn == anchor.turn).all() or (off > limit[GYRO]).any())
         if refuted and (change <= limit).all():
             return anchor
     return None
 
 
-def still_off(state: State, now_s: float) -> FloatArray:
-    """Return the turn that it may be by the latest mean at rest, (3,).
+def still_on(state: State, now_s: float) -> tuple[FloatArray, float]:
+    """Return the turn that it may be by the latest mean at rest, (3,), and how probably it goes on.
 
-    The most that it has been; zero when it is over, unless that may be wander of the bias.  It is about the
-    vertical: another would have tilted the unit.
+    The turn is the most that it has been.  If it goes on, the mean has wandered from there since; if it is
+    over, from the mean before it.  That it has ended is as likely as it has had time to: durations are
+    as likely on a logarithmic scale.
     """
-    turn = upright(state, state.anchors[0].turn_now(recent_mean(state, state.quiet_slots)[0]))
-    wander = wander_after(state, now_s - state.undecided_since_s)
-    gone = np.abs(state.turn) - np.abs(turn)
-    if is_over(state.turn, turn) and (gone**2 > STEADY_SIGMAS**2 * wander).any():
-        return np.zeros(3)
-    return turn if turn @ turn > state.turn @ state.turn else state.turn
+    anchor, since_s = state.anchors[0], now_s - state.undecided_since_s
+    now = upright(state, anchor.turn_now(recent_mean(state, state.quiet_slots)[0]))
+    size = float(np.linalg.norm(state.turn))
+    along = float(now @ state.turn) / size
+    if along >= size:
+        return now, 1.0
+    warm2 = float(warmed(state.degc, anchor.degc)) ** 2
+    to_old, to_turn = (
+        float(wander_after(state, seconds) @ (state.turn / size) ** 2) + warm2
+        for seconds in (now_s - anchor.at_s, since_s)
+    )
+    over = (size - along) ** 2 / to_turn - along**2 / to_old + np.log(to_turn / to_old)
+    return state.turn, float(1.0 / (1.0 + np.exp(min(0.5 * over, 100.0)) * since_s / TURN_EVERY_S))
 
 
 def upright(state: State, turn: FloatArray) -> FloatArray:
@@ -153,6 +176,13 @@ def upright(state: State, turn: FloatArray) -> FloatArray:
     if not state.windows.known[ACCEL].all():
         return turn
     return np.asarray((turn @ force) * force / (force @ force))
+
+
+def is_upright(state: State, turn: FloatArray) -> bool:
+    """Tell whether a turn, (3,), is about the vertical as it is now, or gravity is not known."""
+    force = recent_mean(state, state.quiet_slots)[0][ACCEL]
+    across = turn - (turn @ force) * force / (force @ force)
+    return not across @ across > OBLIQUE**2 * (turn @ turn)
 
 
 def is_over(turn: FloatArray, change: FloatArray) -> bool:
@@ -181,25 +211,26 @@ def _turns_on(state: State, turn: FloatArray, recent: FloatArray, limit: FloatAr
     return bool(same.all() and np.nansum(near) < np.nansum(far))
 
 
-def _is_bias(
-    state: State, parameters: RestParameters, turn: FloatArray, noise: FloatArray, force: FloatArray
-) -> bool:
-    """Tell whether a turn like this would have tilted the unit, and gravity says that it has not."""
-    size, gravity = float(np.linalg.norm(turn)), float(np.linalg.norm(force))
+def _possible(
+    state: State, parameters: RestParameters, turn: FloatArray, force: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the part of a change, (3,), that may be a turn, and that which would have tilted the unit.
+
+    The latter is zero where gravity would not have shown it yet.
+    """
+    gravity = float(np.linalg.norm(force))
     window = steady_slots(state) // 4
-    seen = state.windows.known[ACCEL].all() and gravity > 5.0 and state.quiet_slots >= 2 * window
-    if not seen or size > parameters.largest_jump:
-        return False
-    across = turn - (turn @ force) * force / gravity**2
-    tilt = float(np.linalg.norm(across))
+    if not (state.windows.known[ACCEL].all() and gravity > 5.0 and state.quiet_slots >= 2 * window):
+        return turn, np.zeros(3)
     # What accelerometers show in two windows of 4 s, by the limits of `windows`, or their drift would hide.
     level, seconds = window.bit_length() - 1, state.span_s(window)
     shown = (
         np.sqrt(2.0 * CHI_SQUARE * state.windows.variance[level, ACCEL].max()) + state.resolution[ACCEL].max()
     )
     least = (shown + parameters.accel_drift * seconds) / (gravity * seconds)
-    wander = float(np.linalg.norm(across * noise))
-    return tilt > max(OBLIQUE * size, float(least)) and tilt * tilt > wander
+    along = (turn @ force) * force / gravity**2
+    across = turn - along
+    return (along, across) if across @ across > float(least) ** 2 else (turn, np.zeros(3))
 
 
 def steady_slots(state: State) -> int:
@@ -229,7 +260,9 @@ def is_steady(state: State, parameters: RestParameters) -> bool:
     if (state.windows.known & (np.abs(change) > limit))[:, ACCEL].any():
         return False
     wander = np.array([np.maximum(variance[GYRO], wander_after(state, lag)) for lag in seconds.tolist()])
-    creep = np.asarray(CREEP * seconds)
+    before = state.windows.degc[state.length - 1 - width * np.arange(1, windows)]
+    wander += warmed(state.degc, before)[:, np.newaxis] ** 2
+    creep = np.asarray(CREEP * seconds if np.isnan(state.degc) else np.zeros(len(seconds)))
     return bool((_turned(state, change[:, GYRO], np.asarray(sigmas**2 * wander), creep) <= 1.0).all())
 
 

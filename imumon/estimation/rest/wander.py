@@ -2,13 +2,16 @@
 
 The history of a rest is the means of bins that grow with age, the latest 2 s, the first an hour long.  A gyro
 at rest has white noise and flicker or a random walk, so the covariance of these means is known but for their
-strength.  Tried are ten strengths of flicker and four of a walk, and for each of them::
+strength.  Where there is a thermometer, it has a slope over temperature as well, of which only the size is
+known: what the temperature explains is in the covariance, too.  Tried are ten strengths of flicker and four
+of a walk, and for each of them::
 
     nothing happened
     a turn began at a time, in some time, and goes on            only about the vertical
     a turn began and has ended                                   only about the vertical
     the bias began to creep, as it does with temperature         all axes, each by its own slope
 
+The last by no more than the temperature moved, where that is known.
 Each has the probability of its means (likelihoods of a change in coloured noise, as Willsky and Jones 1976,
 but weighed instead of maximised), times that of such a change.  The level axes tell how strong the
 flicker is, and whether something creeps: they cannot turn unseen, for gravity would show it.
@@ -25,6 +28,7 @@ import numpy.typing as npt
 
 from imumon.blocks import BoolArray, FloatArray
 from imumon.estimation.rest.state import ACCEL, EVERY, GYRO, State
+from imumon.estimation.rest.thermometer import SLOPE
 
 EDGES = np.array(
     [0, 2, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 768, 1024, 1536, 2048, 3072]
@@ -61,12 +65,13 @@ TINY = 1e-24
 
 class Turning(NamedTuple):
     """That it turns now: the probability; the turn's rms, rad/s, (3,), 0 for what is decided; the mean of all
-    axes before it began, (6,), and how long ago that was, s."""
+    axes before it began, (6,), how long ago that was, s, and the temperature then, °C."""
 
     probability: float
     doubt: FloatArray
     before: FloatArray
     age_s: float
+    degc: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,8 +92,10 @@ class Changes:
         Whether it is a turn that has not ended.
     began : array of int, (h,)
         Bin in whose oldest part it began.
-    grew_s, seconds : array, (h,)
-        How long it grew, and the time in which it may have begun.
+    start, end : array, (h,)
+        Ages between which it grew, units.
+    seconds : array, (h,)
+        The time in which it may have begun.
     """
 
     edges: npt.NDArray[np.intp]
@@ -98,8 +105,31 @@ class Changes:
     size: FloatArray
     goes_on: BoolArray
     began: npt.NDArray[np.intp]
-    grew_s: FloatArray
+    start: FloatArray
+    end: FloatArray
     seconds: FloatArray
+
+
+class Seen(NamedTuple):
+    """What a history says of each change.
+
+    Parameters
+    ----------
+    which : array of bool, (all noises,)
+        The s that are not too unlikely.
+    likely : array, (s, 1)
+        Log-likelihood without any change.
+    x, size : array, (s, h, 3)
+        The changes in standard deviations, of the vertical and the level axes, and of what size one is.
+    white_sd : array, (3,)
+        White noise of a unit, rad/s.
+    """
+
+    which: BoolArray
+    likely: FloatArray
+    x: FloatArray
+    size: FloatArray
+    white_sd: FloatArray
 
 
 def kept_edge(units: int) -> int:
@@ -130,7 +160,8 @@ def changes(last: int, unit_s: float) -> Changes:
         size,
         stop == 0.0,
         began,
-        unit_s * (start - end),
+        start,
+        end,
         unit_s * width[began] / alike,
     )
 
@@ -176,19 +207,36 @@ def look_for_turn(state: State) -> Turning | None:
     past = state.past
     if past.units < LEAST or not state.windows.known[GYRO].all():
         return None
-    unit_s = float(f"{past.seconds / past.units:.2g}")
+    unit_s = float(f"{past.unit_s:.2g}")
     known = changes(kept_edge(past.units), unit_s)
     means = past.means(known.edges)
     white = np.maximum(state.windows.variance[3, GYRO], state.resolution[GYRO] ** 2 / 12.0) + TINY
     frame = _frame(state, means[:, GYRO])
     white = (frame * frame).T @ white
     columns = means[:, GYRO] @ frame / np.sqrt(white)
+    return _weigh(state, known, _seen(state, known, columns, np.sqrt(white)), frame[:, 0])
+
+
+def _seen(state: State, known: Changes, columns: FloatArray, white_sd: FloatArray) -> Seen:
+    """Return what means, (b, 3) in units of the white noise, say of each change.
+
+    What the temperature explains adds a product to the covariance, which is inverted by Sherman and Morrison.
+    """
+    degc = known.whiten @ state.past.degc(known.edges)
+    part = (SLOPE / white_sd) ** 2
+    explained = part * (degc * degc).sum(1)[:, np.newaxis]
+    weight = part / (1.0 + explained)
     seen = known.whiten @ columns
+    along = (degc[..., np.newaxis] * seen).sum(1)
     likely = state.strengths + 3.0 * known.evidence - 0.5 * (seen * seen).sum((1, 2))
-    x = known.shapes @ seen
+    likely += 0.5 * (weight * along**2 - np.log1p(explained)).sum(1)
+    shared = known.shapes @ degc[..., np.newaxis]
+    left = np.sqrt(1.0 - weight[:, np.newaxis] * shared**2)
+    x = (known.shapes @ seen - shared * (weight * along)[:, np.newaxis]) / left
     best = likely + 0.5 * (x[..., 0] ** 2).max(1)
     which = best > best.max() - SURPRISE
-    return _weigh(state, known, which, likely[which, np.newaxis], x[which], np.sqrt(white), frame[:, 0])
+    size = known.size[which, :, np.newaxis] * left[which]
+    return Seen(which, likely[which, np.newaxis], x[which], size, white_sd)
 
 
 def _frame(state: State, means: FloatArray) -> FloatArray:
@@ -203,46 +251,49 @@ def _frame(state: State, means: FloatArray) -> FloatArray:
     return np.asarray(axes)
 
 
-def _weigh(
-    state: State,
-    known: Changes,
-    which: BoolArray,
-    likely: FloatArray,
-    x: FloatArray,
-    white_sd: FloatArray,
-    up: FloatArray,
-) -> Turning:
-    """Return what the changes x, (s, h, 3) standard deviations about the vertical and level, make likely."""
-    size = known.size[which]
-    change = x[..., 0] * white_sd[0] / size
+def _weigh(state: State, known: Changes, seen: Seen, up: FloatArray) -> Turning:
+    """Return what changes make likely; up is the vertical."""
+    likely, x, ratio = seen.likely, seen.x, seen.size / seen.white_sd
+    change = x[..., 0] / ratio[..., 0]
     step = float(np.abs(up) @ state.resolution[GYRO])
-    off = x[..., 0] / np.sqrt(1.0 + (step * size / white_sd[0]) ** 2)
+    off = x[..., 0] / np.sqrt(1.0 + (step * ratio[..., 0]) ** 2)
     prior = np.log(known.seconds / TURN_EVERY_S)
     # Rates are as likely on a logarithmic scale: exp(x²/2) times their density at x.
     turn = likely + prior + 0.5 * off * off - np.log(np.maximum(np.abs(off), 1.0) * RATES / 2.5066)
     if state.windows.known[ACCEL].all():
         for level in (1, 2):
-            tilted = 0.5 * OBLIQUE * change * size / white_sd[level]
+            tilted = 0.5 * OBLIQUE * change * ratio[..., level]
             turn += _explains(x[..., level], tilted * tilted)
     else:
         turn -= 2.0 * np.log(np.maximum(np.abs(off), 1.0))  # any direction would have done
-    creep = likely + prior + np.where(known.goes_on & (known.grew_s > 0.0), 0.0, -np.inf)
+    creep = likely + prior + np.where(known.goes_on & (known.start > known.end), 0.0, -np.inf)
     for axis in range(3):
-        slope = CREEP * known.grew_s * size / white_sd[axis]
-        creep = creep + _explains(x[..., axis], slope * slope)
+        creep = creep + _explains(x[..., axis], (_crept(state, known) * ratio[..., axis]) ** 2)
     most = max(float(likely.max()), float(turn.max()), float(creep.max()))
     turned, crept = np.exp(turn - most), np.exp(creep - most)
     each = np.exp(likely[:, 0] - most) + (turned + crept).sum(1)
     state.strengths_seen = np.full(len(SHARES), -SURPRISE)
-    state.strengths_seen[which] = np.log(each / each.sum() + np.exp(-SURPRISE))
+    state.strengths_seen[seen.which] = np.log(each / each.sum() + np.exp(-SURPRISE))
     now = turned * known.goes_on / each.sum()
     rms = np.sqrt((now * change * change).sum())
     began = int(known.began[np.argmax(now.max(0))]) + 1
     ages = known.edges[began:]
     oldest = int(np.searchsorted(ages, min(ages[0] + LEAST, ages[-1])))
-    before = state.past.means(ages[[0, oldest]])[0]
-    age_s = float(ages[0]) * state.past.seconds / state.past.units
-    return Turning(float(now.sum()), np.copysign(rms, (now * change).sum()) * up, before, age_s)
+    past = state.past
+    before, degc = past.means(ages[[0, oldest]])[0], past.first_degc + past.degc(ages[[0, oldest]])[0]
+    doubt = np.copysign(rms, (now * change).sum()) * up
+    return Turning(float(now.sum()), doubt, before, float(ages[0]) * past.unit_s, degc)
+
+
+def _crept(state: State, known: Changes) -> FloatArray:
+    """Return by how much a bias may have crept, rad/s, (h,): as temperature moved, where it is known."""
+    past = state.past
+    if np.isnan(past.first_degc):
+        return np.asarray(CREEP * past.unit_s * (known.start - known.end))
+    # There and back counts twice: a bias with hysteresis comes back by another way.
+    middle, degc = 0.5 * (known.edges[1:] + known.edges[:-1]), past.degc(known.edges)
+    way = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(degc)))])
+    return np.asarray(SLOPE * (np.interp(known.start, middle, way) - np.interp(known.end, middle, way)))
 
 
 def _explains(x: FloatArray, prior: FloatArray) -> FloatArray:
@@ -252,7 +303,7 @@ def _explains(x: FloatArray, prior: FloatArray) -> FloatArray:
 
 def forget(state: State, share: float = FORGET) -> None:
     """Begin a history; of what the last told of the strength of the flicker, a share holds."""
-    state.past.units, state.past.seconds = 0, 0.0
+    state.past.forget()
     state.strengths = state.strengths_seen = share * (state.strengths_seen - state.strengths_seen.max())
     state.doubt = np.zeros(3)
 

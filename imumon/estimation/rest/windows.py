@@ -54,7 +54,7 @@ class Motion(NamedTuple):
 
     sudden tells whether a sample or the vibration showed it as well; before is how many slots ago the latest
     window ended, and began, that was rest still; turning, that only the gyros' mean about the vertical showed
-    it, and mean, what that was before, (6,), so many seconds ago.
+    it, and mean, what that was before, (6,), so many seconds ago, at degc °C.
     """
 
     level: int
@@ -64,6 +64,7 @@ class Motion(NamedTuple):
     turning: bool = False
     mean: FloatArray | None = None
     age_s: float = 0.0
+    degc: float = np.nan
 
 
 def seen(state: State, slots: Sequence[Slot], k: int, drift: FloatArray) -> Motion | None:
@@ -114,6 +115,7 @@ def _add(windows: Windows, n: int, slot: Slot) -> None:
     windows.seconds[n + 1] = windows.seconds[n] + (slot.end_s - slot.start_s)
     for j in range(3):
         windows.reference[n, j] = slot.reference[j]
+    windows.degc[n] = slot.degc if n == 0 or np.isfinite(slot.degc) else windows.degc[n - 1]
     for j in range(AXES):
         present = slot.samples[j] > 0.0
         windows.average[n, j], windows.within[n, j] = slot.average[j], slot.within[j]

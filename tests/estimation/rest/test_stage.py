@@ -220,7 +220,10 @@ def test_measured_streams_in_motion_are_never_rest(capture: str, device: str) ->
     assert not np.any(samples["at_rest"] == 1)
 
 
-def test_a_measured_chamber_run_of_a_standing_unit_is_rest() -> None:
+@pytest.mark.parametrize("thermometer", [True, False])
+def test_a_measured_chamber_run_of_a_standing_unit_is_rest(thermometer: bool) -> None:
     table = np.genfromtxt(measured("chamber-cycle/cooling-heating.csv"), delimiter=",", skip_header=1)
-    rest = detect(block(table[:, 0], table[:, 1:4], table[:, 4:7]))
-    assert rest.mean() > 0.98
+    samples = block(table[:, 0], table[:, 1:4], table[:, 4:7])
+    if thermometer:
+        samples = samples.with_columns({"temperature": table[:, 7].copy()})
+    assert detect(samples).mean() > 0.98

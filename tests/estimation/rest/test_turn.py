@@ -97,6 +97,63 @@ def test_a_turn_that_may_be_wander_is_rest_and_the_hypothesis_until_it_is_over(s
     assert rest[t > 790.0].all()
 
 
+def flickering(gyro: FloatArray, seed: int) -> FloatArray:
+    """Return flicker of 40 °/h, as an MPU-6050 has it, at 25 Hz."""
+    rng, bias = np.random.default_rng(seed), np.zeros_like(gyro)
+    for tau_s in (10.0, 100.0, 1000.0):
+        keeps = np.exp(-1.0 / (25.0 * tau_s))
+        drive = np.sqrt(1.0 - keeps**2) * rng.standard_normal(gyro.shape)
+        drive[0] /= np.sqrt(1.0 - keeps**2)
+        bias += 52.0 / 3600.0 * DEG * lfilter([1.0], [1.0, -keeps], drive, axis=0)
+    return bias
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_level_axes_that_wander_do_not_make_a_turn_a_bias(seed: int) -> None:
+    """0.2 °/s for 10 min, seven sigmas of the wander: whatever is said of rest, the hypothesis covers it."""
+    t, gyro, accel = noise(900.0, 25.0, 0.025 * DEG)
+    gyro += flickering(gyro, seed)
+    gyro[:, 2] += 0.2 * DEG * np.clip(np.minimum(t - BEGIN_S, 750.0 - t) / 0.5, 0.0, 1.0)
+    _, rest, hypothesis = found(block(t, gyro, accel))
+    turning = (t > BEGIN_S + 30.0) & (t < 745.0)
+    assert ((rest == 0) | (hypothesis > 0.1 * DEG))[turning].mean() > 0.99
+
+
+def test_a_noisy_gyro_does_not_take_a_turn_for_the_old_mean_because_it_cannot_tell_yet() -> None:
+    """Means of a quarter of a second have 0.06 °/s: both the old mean and that of the turn fit."""
+    t, still, accel = noise(220.0, 25.0, 0.15 * DEG)
+    for seed in (2, 5, 8, 11):
+        gyro = 0.15 * DEG * np.random.default_rng(seed).standard_normal(still.shape)
+        gyro[t > BEGIN_S, 2] += 0.2 * DEG
+        _, rest, hypothesis = found(block(t, gyro, accel))
+        assert ((rest == 0) | (hypothesis > 0.1 * DEG))[t > BEGIN_S + 10.0].all()
+
+
+@pytest.mark.parametrize("warms", [True, False])
+def test_the_vertical_alone_creeps_with_temperature_and_turns_without(warms: bool) -> None:
+    t, gyro, accel = noise(400.0, 25.0, 2e-4)
+    since = np.clip(t - BEGIN_S, 0.0, 100.0)
+    gyro[:, 2] += 2e-5 * since  # 0.11 °/s in 100 s
+    temperature = 25.0 + (5.0 * since / 100.0 if warms else 0.0 * t)
+    _, rest, _ = found(block(t, gyro, accel).with_columns({"temperature": temperature}))
+    assert rest[200:].all() == warms
+    assert rest[(t > 200.0) & (t < 250.0)].any() == warms
+
+
+def test_a_bias_that_moved_with_temperature_while_the_unit_was_handled_is_no_hypothesis() -> None:
+    t, gyro, accel = noise(200.0, 25.0, 2e-4)
+    handled = (t > 60.0) & (t < 120.0)
+    gyro[handled] += 0.5 * np.sin(2.0 * t[handled])[:, np.newaxis]
+    gyro[t > 60.0, 2] += 0.06 * DEG
+    constant = block(t, gyro, accel).with_columns({"temperature": np.full(len(t), 25.0)})
+    warmer = constant.with_columns({"temperature": 25.0 + 2.0 * np.clip((t - 60.0) / 60.0, 0.0, 1.0)})
+    settled = t > 145.0
+    assert np.abs(found(constant)[2][settled]).min() > 0.03 * DEG
+    _, rest, hypothesis = found(warmer)
+    assert rest[settled].all()
+    assert np.abs(hypothesis[settled]).max() < 0.01 * DEG
+
+
 def test_a_jump_about_the_vertical_stays_undecided_and_says_so() -> None:
     t, gyro, accel = noise(400.0, 25.0)
     gyro[t > 40.0, 2] += 0.8 * DEG
