@@ -121,7 +121,7 @@ class Live:
         raise NotImplementedError
 
     def __iter__(self) -> Iterator[SampleBlock]:
-        """Yield the samples, a block about every 0.05 s while some come."""
+        """Yield the samples, a block about every 0.08 s while some come."""
         raise NotImplementedError
 
     def __enter__(self) -> Self:
@@ -149,7 +149,7 @@ class _Unrecorded(Live):
         self._reader.stop()
 
     def __iter__(self) -> Iterator[SampleBlock]:
-        """Yield the samples, a block about every 0.05 s while some come."""
+        """Yield the samples, a block about every 0.08 s while some come."""
         closed = False
         while not closed:
             closed = self._feed_batch()
@@ -197,7 +197,7 @@ class _Recorded(Live):
             self._run.stop()
 
     def __iter__(self) -> Iterator[SampleBlock]:
-        """Yield the samples, a block about every 0.05 s while some come."""
+        """Yield the samples, a block about every 0.08 s while some come."""
         while not self._ready.empty() or self._run.processing:
             try:
                 block, self.side = self._ready.get(timeout=BATCH_S)

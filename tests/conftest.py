@@ -17,6 +17,10 @@ from hypothesis import settings
 # As in the command line; read when NumPy is imported, which no test has done yet.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+# Every one of the parallel processes and of the programs that tests start would compile all sources anew.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
+
 # Where a failure blocks others, the same examples every time; at home, new ones.
 settings.register_profile("ci", derandomize=True, deadline=None)
 settings.register_profile("home", deadline=None)  # a machine with other work to do is no failure
@@ -24,6 +28,15 @@ settings.load_profile("ci" if os.environ.get("CI") == "true" else "home")
 
 _TESTS = Path(__file__).parent
 _COMPILE = _TESTS.parent / "scripts" / "support" / "compile_kernels.py"
+_VIEWERS = "viewers"
+_LONG = (
+    _VIEWERS,
+    "test_reproduce.py",
+    "cli/test_commands.py",
+    "diagnosis/test_diagnose.py",
+    "view/test_terminal.py",
+)
+"""These take longest: begun last, they would leave one of the parallel processes alone with one of them."""
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -31,15 +44,27 @@ def pytest_configure(config: pytest.Config) -> None:
 
     A few tests in one process compile what they need, and nothing else.
     """
-    if config.getoption("numprocesses", None) and not hasattr(config, "workerinput") and _COMPILE.exists():
-        subprocess.run([sys.executable, _COMPILE], check=True)
+    if config.getoption("numprocesses", None) and not hasattr(config, "workerinput"):
+        config.option.loadscopereorder = False  # the groups begin in the order of the tests
+        if _COMPILE.exists():
+            subprocess.run([sys.executable, _COMPILE], check=True)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Give each file to one of the parallel processes, as its tests share fixtures; viewers only to one."""
-    for item in items:
-        folder, *rest = item.path.relative_to(_TESTS).parts
-        item.add_marker(pytest.mark.xdist_group(folder if folder == "view" else "/".join((folder, *rest))))
+    viewers = {item.path for item in items if item.get_closest_marker("viewer")}
+    groups = {
+        item: _VIEWERS if item.path in viewers else item.path.relative_to(_TESTS).as_posix() for item in items
+    }
+    for item, group in groups.items():
+        item.add_marker(pytest.mark.xdist_group(group))
+    items.sort(key=lambda item: _LONG.index(groups[item]) if groups[item] in _LONG else len(_LONG))
+
+
+def pytest_collection_finish() -> None:
+    """Spare the garbage collector what stays until the end: for `no_leaks` it looked at that twice a test."""
+    gc.collect()
+    gc.freeze()
 
 
 _FD = Path("/proc/self/fd")

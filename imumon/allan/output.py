@@ -1,4 +1,4 @@
-"""Results as JSON, as the noise section of a pipeline, and as Kalibr reads them."""
+"""Results as JSON, and as the noise section of a pipeline."""
 
 from __future__ import annotations
 
@@ -81,7 +81,6 @@ TERMS_OF = {
     },
 }
 """Every term of each sensor, by the names in `imumon.allan.fit.TERMS`."""
-KALIBR_NAMES = {"gyro": "gyroscope", "accel": "accelerometer"}
 
 
 def check_outputs(plot: Path | None, *files: Path | None) -> None:
@@ -153,12 +152,14 @@ def noise_section(results: Mapping[str, Result]) -> dict[str, dict[str, list[flo
         axes = [results.get(f"{group}_{axis}") for axis in "xyz"]
         if any(axes):
             section[group] = {
-                told.key: [_value(result, term) for result in axes] for term, told in TERMS_OF[group].items()
+                told.key: [value_of(result, term) for result in axes]
+                for term, told in TERMS_OF[group].items()
             }
     return section
 
 
-def _value(result: Result | None, term: str) -> float | None:
+def value_of(result: Result | None, term: str) -> float | None:
+    """Return a term in SI units, None where the data do not show it."""
     if result is None or result.fit is None:
         return None
     estimate = result.fit.terms[term]
@@ -177,45 +178,11 @@ def write_noise(path: Path, results: Mapping[str, Result], source: Path) -> None
         f"# Noise of {source.name}, by Allan deviation; x, y, z; null: the data do not show it.",
         "# SI units.  Bias instability B: the flat part of the Allan deviation is 0.664 B.",
     ]
-    _write(path, "\n".join(head) + "\n" + dump_yaml({"noise": noise_section(results)}, flow=None))
+    write_new(path, "\n".join(head) + "\n" + dump_yaml({"noise": noise_section(results)}, flow=None))
 
 
-def write_kalibr(path: Path, results: Mapping[str, Result], source: Path) -> None:
-    """Write the noise as Kalibr's imu.yaml has it: the largest of the axes, continuous-time densities.
-
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when a sensor is missing or shows no white noise; BAD_CONFIG when the file cannot be written.
-    """
-    head = [
-        f"# Noise of {source.name}, by Allan deviation; the largest of the three axes.",
-        "# rostopic is a guess: name your own.",
-    ]
-    body: dict[str, Any] = {}
-    for group in ("accel", "gyro"):
-        name = KALIBR_NAMES[group]
-        white = _largest(results, group, "angle_random_walk")
-        walk = _largest(results, group, "rate_random_walk")
-        if white is None:
-            raise ImumonError(
-                Reason.BAD_DATA, f"Kalibr needs a noise density of the {name}, and the data show none"
-            )
-        if walk is None:
-            head.append(f"# {name}_random_walk: the data show none; 0 is not a fact of the sensor.")
-        body[f"{name}_noise_density"] = white
-        body[f"{name}_random_walk"] = 0.0 if walk is None else walk
-    body["rostopic"] = "/imu0"
-    body["update_rate"] = float(f"{rate_hz(results['gyro_x'].series):.6g}") if "gyro_x" in results else None
-    _write(path, "\n".join(head) + "\n" + dump_yaml(body, flow=False))
-
-
-def _largest(results: Mapping[str, Result], group: str, term: str) -> float | None:
-    values = [_value(results.get(f"{group}_{axis}"), term) for axis in "xyz"]
-    return max((value for value in values if value is not None), default=None)
-
-
-def _write(path: Path, text: str) -> None:
+def write_new(path: Path, text: str) -> None:
+    """Write a file, or raise BAD_CONFIG with the reason."""
     try:
         path.write_text(text, encoding="utf-8")
     except OSError as error:

@@ -20,9 +20,11 @@ if TYPE_CHECKING:
 @click.option("--plot", type=PATH, help="Draw the curves, log-log, to this PNG.")
 @click.option("--noise-out", type=PATH, help="Write the terms as the noise section of a pipeline YAML.")
 @click.option("--kalibr", type=PATH, help="Write the terms as Kalibr's imu.yaml.")
+@click.option("--openvins", type=PATH, help="Write the terms as OpenVINS' kalibr_imu_chain.yaml.")
+@click.option("--vins", type=PATH, help="Write the terms as VINS-Mono and VINS-Fusion have them.")
 @json_option
 def command(
-    recording: Path, plot: Path | None, noise_out: Path | None, kalibr: Path | None, as_json: bool
+    recording: Path, plot: Path | None, noise_out: Path | None, as_json: bool, **odometry: Path | None
 ) -> None:
     """Tell noise, bias instability and drift of a recording at rest.
 
@@ -34,7 +36,7 @@ def command(
     from imumon.allan.recording import read_channels
     from imumon.estimation.rest.stage import RestDetector
 
-    output.check_outputs(plot, noise_out, kalibr)
+    output.check_outputs(plot, noise_out, *odometry.values())
     with reading_bar([recording], quiet=as_json) as tell:
         opened = read_channels(recording, lambda _: [RestDetector()])
         tell("deviations and terms of all channels")
@@ -49,14 +51,25 @@ def command(
     if noise_out is not None:
         output.write_noise(noise_out, results, recording)
         written["noise"] = noise_out
-    if kalibr is not None:
-        output.write_kalibr(kalibr, results, recording)
-        written["kalibr"] = kalibr
+    written |= _for_odometry(odometry, results, recording)
     if as_json:
         print_json(output.as_json(results))
     else:
         _show(results)
     print_rows({name: str(path) for name, path in written.items()})
+
+
+def _for_odometry(
+    wanted: dict[str, Path | None], results: dict[str, Result], recording: Path
+) -> dict[str, Path]:
+    """Write the files that were asked for; return them by name."""
+    from imumon.allan.odometry import write_kalibr, write_openvins, write_vins
+
+    writers = {"kalibr": write_kalibr, "openvins": write_openvins, "vins": write_vins}
+    written = {name: path for name, path in wanted.items() if path is not None}
+    for name, path in written.items():
+        writers[name](path, results, recording)
+    return written
 
 
 def _of_the_fit(results: dict[str, Result]) -> list[str]:

@@ -4,16 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 import click
 
+from imumon.cli.autopilot_options import AutopilotOptions, autopilot_options, write_parameters
 from imumon.cli.common import PATH, Number, json_option, print_json, print_rows, show, warn
+from imumon.cli.diagnose_command import chosen_drivers, read
 from imumon.cli.progress import reading_bar
 from imumon.files import check_output
 
 if TYPE_CHECKING:
     from imumon.calibration.calibration import Calibration, Finding
+    from imumon.calibration.driven import Driven
+
+NO_DRIVER = {"drivers": "none of those recorded is proven"}
 
 
 @click.command("calibrate")
@@ -26,7 +31,13 @@ if TYPE_CHECKING:
 @click.option(
     "--heading", type=Number(min=-360, max=360), help="Degrees of the x axis, clockwise from north."
 )
+@click.option(
+    "--drivers",
+    default="none",
+    help="What else that was recorded may drive the bias: none (the default), all that varies, or NAME,...",
+)
 @click.option("--serial", help="Serial number of the unit, for the model file.")
+@autopilot_options
 @json_option
 def command(
     sessions: tuple[Path, ...],
@@ -34,31 +45,45 @@ def command(
     plot: Path | None,
     latitude: float | None,
     heading: float | None,
+    drivers: str,
     serial: str | None,
     as_json: bool,
+    **autopilot: Unpack[AutopilotOptions],
 ) -> None:
     """Find the bias of a unit over temperature from SESSIONs in which it stands still while that changes.
 
     Several kinds of curve are tried on temperature levels left out; the one that errs least there is fitted
-    to all data.  What cannot give a good model is refused, with the reason.
+    to all data.  What cannot give a good model is refused, with the reason.  A driver is kept that the last
+    SESSION proves.
     """
     for path in filter(None, (out, plot)):
         check_output(path)
     from imumon.calibration.calibration import calibrate_sessions
 
+    chosen, driven = chosen_drivers(drivers), None
     with reading_bar(sessions, quiet=as_json) as tell:
         result = calibrate_sessions(sessions, latitude, heading, serial, tell)
-    result.model.write(out)
+        if chosen != []:
+            from imumon.calibration.driven import with_drivers
+
+            runs = [read(path, None, at_rest=False) for path in sessions]
+            driven = with_drivers(result.model, runs, chosen, tell)
+    model = result.model if driven is None else driven.model
+    written = write_parameters(model, out, autopilot)
+    model.write(out)
     if plot is not None:
         from imumon.calibration.plot import write_calibration_plot
 
         write_calibration_plot(plot, result, ", ".join(path.name for path in sessions))
-    warn(result.warnings)
+    warn([*result.warnings, *(driven.caveats if driven is not None else [])])
     if as_json:
-        print_json(_report(result, out))
+        print_json(_report(result, out) | _driven_report(driven) | written)
     else:
         _show(result)
-    print_rows(_summary(result, out) | ({} if plot is None else {"picture": str(plot)}))
+    if driven is not None:
+        print_rows({verdict.name: verdict.summary for verdict in driven.verdicts} or NO_DRIVER)
+    written |= {} if plot is None else {"picture": plot}
+    print_rows(_summary(result, out) | {name: str(path) for name, path in written.items()})
 
 
 def _report(result: Calibration, out: Path) -> dict[str, Any]:
@@ -86,6 +111,14 @@ def _report(result: Calibration, out: Path) -> dict[str, Any]:
             for name, finding in result.findings.items()
         },
     }
+
+
+def _driven_report(driven: Driven | None) -> dict[str, Any]:
+    """Return what each channel has beside its curve, where drivers were asked for."""
+    if driven is None:
+        return {}
+    named = {verdict.name: [claim.finding.name for claim in verdict.claims] for verdict in driven.verdicts}
+    return {"effects": {name: named.get(name, []) for name in driven.model.channels}}
 
 
 def _show(result: Calibration) -> None:

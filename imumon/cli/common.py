@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 PATH = click.Path(path_type=Path)
-TABLE = "Table to write: NAME.parquet or NAME.csv."
+TABLE = "Table to write: NAME.parquet, .csv, .npz, .mat, or .mcap (ROS 2)."
 json_option = click.option(
     "--json", "as_json", is_flag=True, help="Print one JSON object on standard output."
 )

@@ -24,6 +24,7 @@ from imumon.errors import ImumonError, Reason
 
 if TYPE_CHECKING:
     from imumon.pipeline import Pipeline
+    from imumon.recordings.side_tables import Exported
     from imumon.recordings.source import Source
 
 
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
 def command(file: Path, device: str | None, out: Path, columns: str | None, as_json: bool) -> int:
     """Decode FILE, a raw capture of any tool or a session, into a table."""
     from imumon.pipeline import Pipeline
-    from imumon.recordings.side_tables import export_run
+    from imumon.recordings.side_tables import Exported, export_run
     from imumon.recordings.source import open_source, run_over
     from imumon.run.narration import describe_losses, describe_streams
 
@@ -46,20 +47,18 @@ def command(file: Path, device: str | None, out: Path, columns: str | None, as_j
     try:
         with reading_bar([file], quiet=as_json):
             blocks = run_over(source.items, pipeline)
-            rows, tables = export_run(
-                blocks, pipeline, out, split_columns(columns), lambda: source.columns(pipeline)
-            )
+            exported = export_run(blocks, pipeline, source, out, split_columns(columns))
     except ImumonError as error:
         if error.reason is not Reason.BAD_DATA or pipeline.counters.samples:
             raise
         if as_json:
-            print_json(_result(source, pipeline, {}, 0))
+            print_json(_result(source, pipeline, Exported(0, {})))
         raise _nothing(source, pipeline) from error
-    warn([*source.warnings(), *pipeline.warnings()])
+    warn([*source.warnings(), *pipeline.warnings(), *exported.warnings])
     for notice in pipeline.notices():
         say("INFO", f"device: {notice}")
     if as_json:
-        print_json(_result(source, pipeline, tables, rows))
+        print_json(_result(source, pipeline, exported))
     counters = pipeline.counters
     print_rows(
         {
@@ -67,22 +66,18 @@ def command(file: Path, device: str | None, out: Path, columns: str | None, as_j
             "bytes": f"{counters.bytes_received:,} received, {counters.bytes_in_packets:,} in packets, "
             f"{counters.bytes_skipped:,} skipped, {counters.bytes_pending:,} pending",
             "losses": describe_losses(counters),
-            **describe_streams(counters, tables),
+            **describe_streams(counters, exported.tables),
         }
     )
     return 0
 
 
-def _result(source: Source, pipeline: Pipeline, tables: dict[str, Path], rows: int) -> dict[str, object]:
-    from imumon.protocols.base import MAIN
-
+def _result(source: Source, pipeline: Pipeline, exported: Exported) -> dict[str, object]:
     device = source.device.name if source.device is not None else None
     return {
         "file": source.path,
         "device": device,
-        "out": tables.get(MAIN),
-        "rows": rows,
-        "tables": tables,
+        **exported.as_dict(),
         **pipeline.counters.as_dict(),
         **source.losses(),
     }

@@ -96,8 +96,7 @@ def command(
         split = len(train)
         training = [run for group in runs[:split] for run in group]
         testing = [run for group in runs[split:] for run in group]
-        chosen = {"all": None, "none": []}.get(drivers, drivers.split(","))
-        diagnosis = diagnose(training, testing, assumed, tell, model=model, drivers=chosen)
+        diagnosis = diagnose(training, testing, assumed, tell, model=model, drivers=chosen_drivers(drivers))
         extended_model(diagnosis).write(out / "model.yaml")
         write_report(diagnosis, out / "report.json")
         write_page(diagnosis, out / "report.html", tell)
@@ -121,6 +120,11 @@ def model_of(path: Path) -> BiasModel:
     if model is None:
         raise ImumonError(Reason.BAD_CONFIG, f"{path} ran without a bias model", "give a model file")
     return model
+
+
+def chosen_drivers(text: str) -> list[str] | None:
+    """Return the drivers that ``--drivers`` names; None for all."""
+    return {"all": None, "none": []}.get(text, text.split(","))
 
 
 def read(path: Path, map_path: Path | None, at_rest: bool) -> list[Run]:

@@ -11,14 +11,19 @@ from imumon.cli.common import PATH, columns_option, json_option, print_json, pri
 
 @click.command("export")
 @click.argument("session", type=PATH)
-@click.option("--to", "kind", required=True, type=click.Choice(["parquet", "csv"]), help="Format.")
+@click.option(
+    "--to",
+    "kind",
+    required=True,
+    type=click.Choice(["parquet", "csv", "npz", "mat", "mcap"]),
+    help="Format; mcap: ROS 2 messages.",
+)
 @click.option("--out", type=PATH, help="Table to write; default: export.FORMAT in the session.")
 @columns_option
 @json_option
 def command(session: Path, kind: str, out: Path | None, columns: str | None, as_json: bool) -> None:
     """Write the samples of SESSION, recorded or imported, as a table."""
     from imumon.pipeline import Pipeline
-    from imumon.protocols.base import MAIN
     from imumon.recordings.folder import open_session
     from imumon.recordings.side_tables import export_run
     from imumon.recordings.source import open_source, run_over
@@ -31,17 +36,9 @@ def command(session: Path, kind: str, out: Path | None, columns: str | None, as_
         table = table.with_name(f"{table.name}.{kind}")
     source.refuse_output(table)
     pipeline = Pipeline(source.device)
-    rows, tables = export_run(
-        run_over(source.items, pipeline),
-        pipeline,
-        table,
-        split_columns(columns),
-        lambda: source.columns(pipeline),
-    )
-    warn(source.warnings())
+    exported = export_run(run_over(source.items, pipeline), pipeline, source, table, split_columns(columns))
+    warn([*source.warnings(), *exported.warnings])
     if as_json:
         streams = pipeline.counters.as_dict()["streams"]
-        out = tables.get(MAIN)
-        made = {"session": session, "out": out, "rows": rows, "tables": tables, "streams": streams}
-        print_json(made | source.losses())
-    print_rows(describe_streams(pipeline.counters, tables))
+        print_json({"session": session, **exported.as_dict(), "streams": streams} | source.losses())
+    print_rows(describe_streams(pipeline.counters, exported.tables))

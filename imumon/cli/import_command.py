@@ -1,35 +1,56 @@
-"""``imumon import``: a table from elsewhere becomes a session."""
+"""``imumon import``: a table or a log from elsewhere becomes a session."""
 
 from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import click
 
 from imumon.cli.common import PATH, json_option, print_json, print_rows, say
+from imumon.errors import ImumonError, Reason
 
 
 @click.command("import")
 @click.argument("table", type=PATH)
-@click.option("--map", "map_path", required=True, type=PATH, help="YAML file: what is in which column.")
+@click.option("--map", "map_path", type=PATH, help="YAML file: what is in which column of a table.")
+@click.option("--sensor", help="Of a log: which inertial sensor or topic.  Default: the first.")
 @click.option("--out", required=True, type=PATH, help="Session folder to make.")
 @json_option
-def command(table: Path, map_path: Path, out: Path, as_json: bool) -> None:
-    """Make a session of TABLE, a CSV or Parquet file of any origin.  docs/import-map.md explains the map."""
+def command(table: Path, map_path: Path | None, sensor: str | None, out: Path, as_json: bool) -> None:
+    """Make a session of TABLE: CSV or Parquet of any origin with a map, or a log of ArduPilot, PX4 or ROS.
+
+    docs/import-map.md explains both.
+    """
     from imumon.recordings.importing import import_table
 
-    report = import_table(table, map_path, out)
+    chosen: dict[str, Any] = {}
+    if map_path is not None:
+        if sensor is not None:
+            raise ImumonError(Reason.BAD_CONFIG, "--sensor is for logs, --map for tables", "give one of them")
+        report = import_table(table, map_path, out)
+    else:
+        from imumon.recordings.logs.importing import import_log
+
+        found = import_log(table, sensor, out)
+        report, chosen = found.rows, {"sensor": found.sensor, "other_sensors": found.others}
     if report.rows_dropped:
-        say("WARN", f"{report.rows_dropped} of {report.rows_in} rows were dropped, as the map asks")
+        say("WARN", f"{report.rows_dropped} of {report.rows_in} rows were dropped, {_why(map_path)}")
     if as_json:
-        print_json({"session": out, **asdict(report)})
-    print_rows(
-        {
-            "rows": f"{report.rows_in:,} in, {report.rows_out:,} out, {report.rows_dropped:,} dropped",
-            "columns": ", ".join(report.columns),
-            "not used": ", ".join(report.columns_unused) or "none",
-            "span": f"{report.span_s:.1f} s at {report.rate_hz:.4g} Hz, {report.segments} segment(s)",
-            "session": str(out),
-        }
-    )
+        print_json({"session": out, **asdict(report), **chosen})
+    rows = {
+        "rows": f"{report.rows_in:,} in, {report.rows_out:,} out, {report.rows_dropped:,} dropped",
+        "columns": ", ".join(report.columns),
+        "not used": ", ".join(report.columns_unused) or "none",
+        "span": f"{report.span_s:.1f} s at {report.rate_hz:.4g} Hz, {report.segments} segment(s)",
+        "session": str(out),
+    }
+    if chosen:
+        others = ", ".join(chosen["other_sensors"])
+        rows["sensor"] = chosen["sensor"] + (f" (--sensor: {others})" if others else "")
+    print_rows(rows)
+
+
+def _why(map_path: Path | None) -> str:
+    return "as the map asks" if map_path is not None else "as their time does not increase"

@@ -34,6 +34,7 @@ def command(folder: Path, model_path: Path | None, device: str | None, out: Path
     """
     from imumon.diagnosis.engine import diagnose
     from imumon.diagnosis.extended import extended_model
+    from imumon.diagnosis.holding_out import latest
     from imumon.diagnosis.report import report
     from imumon.recordings.folder import sessions_in
 
@@ -46,9 +47,7 @@ def command(folder: Path, model_path: Path | None, device: str | None, out: Path
             raise ImumonError(
                 Reason.BAD_DATA, f"no session in {folder} can be used", "record the unit at rest for an hour"
             )
-        train = [run for runs in (usable[:-1] or usable) for run in runs]
-        test = [run for runs in usable[1:][-1:] for run in runs]
-        diagnosis = diagnose(train, test, progress=tell, model=model)
+        diagnosis = diagnose(*latest(usable), progress=tell, model=model)
     warn(diagnosis.caveats)
     better = any(verdict.predicts and (verdict.claims or verdict.refit) for verdict in diagnosis.verdicts)
     if better:

@@ -93,7 +93,8 @@ def command(
         )
     warn_of_no_display(view)
     warn_of_readers(view, bind)
-    live = PortRun(port, device, baud, _learning(make_setup(options), learn), out, seconds)
+    setup = _learning(make_setup(options), learn)
+    live = PortRun(port, device, baud, setup, out, seconds)
     run = live.run
     views: _Views | None = None
     try:
@@ -107,7 +108,7 @@ def command(
         if views is not None:
             views.close()
         live.lines.write()
-    learned = keep_learned(run.pipeline, run.session)
+    learned = keep_learned(run.pipeline, run.session) if setup.bias_model is not None else None
     if as_json:
         print_json({**summary.as_dict(), "view_dropped": views.dropped, "learned_model": learned})
     _report(summary, run.progress, views.dropped)

@@ -84,9 +84,8 @@ def command(
     if compare_models is not None:
         return _compare(session, compare_models, out, as_json)
     from imumon.pipeline import Digest, Pipeline
-    from imumon.protocols.base import MAIN
     from imumon.recordings.folder import open_session
-    from imumon.recordings.side_tables import export_run
+    from imumon.recordings.side_tables import Exported, export_run
     from imumon.recordings.source import open_source
     from imumon.run.narration import Narrator, describe_losses, describe_streams
     from imumon.run.replay import replay
@@ -120,10 +119,9 @@ def command(
     try:
         with reading_bar([session], quiet=as_json):
             if out is None:
-                rows, tables = sum(map(len, blocks)), dict[str, Path]()
+                exported = Exported(sum(map(len, blocks)), {})
             else:
-                chosen = split_columns(columns)
-                rows, tables = export_run(blocks, pipeline, out, chosen, lambda: source.columns(pipeline))
+                exported = export_run(blocks, pipeline, source, out, split_columns(columns))
         if publisher is not None and view == "web":
             serve(publisher.url)
     finally:
@@ -132,13 +130,17 @@ def command(
     live = opened.metadata.results_digest if setup.text() == recorded and not smooth else None
     identical = None if live is None else live == digest.hexdigest()
     _warn(source, pipeline, opened.path, identical)
+    warn(exported.warnings)
     if as_json:
-        made = {"session": source.path, "out": tables.get(MAIN), "rows": rows, "tables": tables}
+        made = {"session": source.path, **exported.as_dict()}
         compared = {"results_digest": digest.hexdigest(), "identical_to_live": identical}
         smoothing = {} if disagreement is None else {"disagreement": disagreement}
         print_json({**made, **pipeline.counters.as_dict(), **source.losses(), **compared, **smoothing})
-    said = {"samples": f"{rows:,}, {VERDICT[identical]}", "losses": describe_losses(pipeline.counters)}
-    print_rows(said | describe_streams(pipeline.counters, tables) | _smoothing(disagreement))
+    said = {
+        "samples": f"{exported.rows:,}, {VERDICT[identical]}",
+        "losses": describe_losses(pipeline.counters),
+    }
+    print_rows(said | describe_streams(pipeline.counters, exported.tables) | _smoothing(disagreement))
     return EXIT_OK
 
 

@@ -19,6 +19,7 @@ from imumon.cli.common import (
     print_rows,
     warn,
     warn_of_no_display,
+    warn_of_readers,
 )
 from imumon.cli.live_run import serve
 from imumon.cli.progress import reading_bar
@@ -85,6 +86,7 @@ def command(
         rec.set_sinks(rr.FileSink(out))
     else:
         warn_of_no_display(mode)
+        warn_of_readers(mode, bind)
         url = _shown(rec, setup, mode, bind)
     comparison = Comparison(rec, setup, align)
     told = []

@@ -11,7 +11,7 @@ from imumon.blocks import FloatArray
 from imumon.diagnosis.blocks import RunBlocks
 from imumon.effects.base import Effect, Survey
 from imumon.effects.follower import may_sum
-from imumon.effects.library import EFFECTS, kind_of
+from imumon.effects.library import EFFECTS
 
 SHARED = -1
 """Scope: one coefficient for all runs; a number from 0 on is the one run that has it."""
@@ -50,7 +50,7 @@ class Candidate:
     @property
     def scope(self) -> str:
         """Whose its coefficients are by nature, see `imumon.effects.base.Scope`."""
-        return kind_of(self.family).scope
+        return self.parts[0].effect.scope
 
     def contains(self, family: str) -> bool:
         """Tell whether what another family adds is in the main a special case of this one."""

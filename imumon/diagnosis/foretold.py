@@ -27,7 +27,7 @@ def foretold(channel: Channel, found: Search, before: Fit, beside: Sequence[Find
     `beside` is what is fitted anew of a model that was given.  Only effects count that make the training
     likelier, by more than their coefficients cost, and only a test that is not woven into the training.
     """
-    if found.last is None or not channel.test or any(_woven(channel, run) for run in channel.test):
+    if found.last is None or not channel.test or any(woven(channel, run) for run in channel.test):
         return None
     also = [finding.candidate for finding in beside]
     tried: list[tuple[float, Finding]] = []
@@ -41,7 +41,9 @@ def foretold(channel: Channel, found: Search, before: Fit, beside: Sequence[Find
         for candidate in both:
             after = fit(channel, [*also, candidate])
             scores = score(channel, before, like=after), score(channel, after)
-            if _share(*scores, channel.floor.sd) >= FORETOLD and all(part.carries for part in after.parts):
+            if share_of_test(*scores, channel.floor.sd) >= FORETOLD and all(
+                part.carries for part in after.parts
+            ):
                 size = float(np.sqrt(max(before.train_rms**2 - after.train_rms**2, 0.0)))
                 gain = leader.scored.gain
                 finding = Finding(candidate, gain, gain, {name: gain}, [], size, by_test=True)
@@ -58,13 +60,13 @@ def foretold(channel: Channel, found: Search, before: Fit, beside: Sequence[Find
     return best
 
 
-def _share(before: TestScore, after: TestScore, floor: float) -> float:
+def share_of_test(before: TestScore, after: TestScore, floor: float) -> float:
     """Return which share of the excess in the test is taken away; 0 where too little of it counts."""
     excess = before.rms**2 - floor**2
     return 1.0 - (after.rms**2 - floor**2) / excess if np.isfinite(after.rms) and excess > 0.0 else 0.0
 
 
-def _woven(channel: Channel, run: RunBlocks) -> bool:
+def woven(channel: Channel, run: RunBlocks) -> bool:
     """Tell whether a test lies between parts of the training: any smooth course joins their ends."""
     at = begun(channel, run)
     return at is not None and bool(run.time_s[0] < channel.train[at].time_s[-1])

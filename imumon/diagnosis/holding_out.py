@@ -1,7 +1,8 @@
-"""A single run divided into what is trained on and what is held out for a test."""
+"""Runs divided into what is trained on and what is held out for a test."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -30,3 +31,10 @@ def _only(run: Run, kept: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> Run:
         for name, values in run.mean.items()
     }
     return replace(run, mean=mean, share=0.5)
+
+
+def latest(recordings: Sequence[Sequence[Run]]) -> tuple[list[Run], list[Run]]:
+    """Return the runs of all recordings but the last, and those of the last: the test, unless it is the only
+    one."""
+    *earlier, last = recordings
+    return [run for runs in earlier or [last] for run in runs], list(last) if earlier else []

@@ -60,6 +60,11 @@ class Likelihood:
         at = int(np.argmax(found))
         return found[at], self._grid[at]
 
+    def neighbours(self, noise: Noise) -> list[Noise]:
+        """Return the points of the grid beside this one, and it."""
+        near = [(r, q) for r in _beside(FLICKER, noise[0]) for q in _beside(WALK, noise[1])]
+        return [point for point in near if point in self._grid]
+
     def of_later(self, values: FloatArray, early: BoolArray) -> float:
         """Return the log-likelihood of later values given the early ones, with the noise that those show."""
         white = [self._white(values[:, np.newaxis], point)[:, 0] for point in self._grid]
@@ -175,11 +180,6 @@ def coarse_grid(*starts: Noise) -> list[Noise]:
     r_top, q_top = max(r for r, _ in starts), max(q for _, q in starts)
     points = [(r, q) for r in COARSE_FLICKER if r <= r_top for q in COARSE_WALK if q <= q_top]
     return list(dict.fromkeys([*points, *starts]))
-
-
-def neighbours(noise: Noise) -> list[Noise]:
-    """Return the points of the whole grid beside this one, and it."""
-    return [(r, q) for r in _beside(FLICKER, noise[0]) for q in _beside(WALK, noise[1])]
 
 
 def _beside(values: tuple[float, ...], value: float) -> tuple[float, ...]:

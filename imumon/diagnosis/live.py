@@ -3,27 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
-from functools import partial
 from itertools import pairwise
 
 import numpy as np
 
-from imumon.blocks import BoolArray, ColumnArray, FloatArray, IntArray, SampleBlock
+from imumon.blocks import ColumnArray, FloatArray, SampleBlock
 from imumon.charts import BLUE, RED, Axis, Chart, Curve
 from imumon.columns import Column
 from imumon.diagnosis.blocks import BLOCK_S, REST_SHARE
 from imumon.diagnosis.recording import SECOND_NS, Run
-from imumon.diagnosis.shadow import Shadow
+from imumon.diagnosis.shadow import MARGIN, Shadow
+from imumon.diagnosis.through import RESIDUAL, effect_charts
 from imumon.effects.base import ACCEL as FORCE
 from imumon.effects.vibration import VIBRATION
-from imumon.filters.slots import SlotGatherer, Slots
 from imumon.geodesy import DEG_PER_H
 from imumon.models.model import BiasModel, TrainedOn
 from imumon.models.predictor import BiasPredictor
-from imumon.recordings.reduced import ACCEL, GYRO
+from imumon.recordings.reduced import ACCEL, GYRO, KeptSlots, gatherer_of, kept_slots
 
-LANE, RESIDUAL = "model", "Residual"
+LANE = "model"
 FIRST_LOOK_S, GROWTH = 1200.0, 2.0
 """First look, and by how much longer a run is at each next one: so the looks cost as much per second, however
 long it gets."""
@@ -31,30 +29,7 @@ JUDGED_S = 300.0
 """How often a shadow is judged: ten means of 30 s."""
 HELD_NS = 10 * SECOND_NS
 """Samples wait so long until they are reduced to seconds: short blocks then cost no more than long ones."""
-PIECE = 16_384
-"""Samples at a time, to bound the memory."""
 DIAGNOSE = "imumon diagnose --train SESSION --model SESSION --out DIR"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Seconds:
-    """What is kept of n seconds and k columns."""
-
-    begins: BoolArray
-    start_ns: IntArray
-    end_ns: IntArray
-    count: IntArray
-    mean: FloatArray
-
-    @classmethod
-    def of(cls, slots: Slots) -> _Seconds:
-        return cls(*(getattr(slots, field.name).copy() for field in fields(cls)))
-
-    def __len__(self) -> int:
-        return len(self.begins)
-
-    def __getitem__(self, which: slice) -> _Seconds:
-        return _Seconds(*(getattr(self, field.name)[which] for field in fields(self)))
 
 
 class LiveDiagnosis:
@@ -79,7 +54,7 @@ class LiveDiagnosis:
         inputs = {name for gyro in self._gyros for one in model.channels[gyro].effects for name in one.inputs}
         self._names = [*self._gyros, *self._temperatures, *(ACCEL if inputs & {FORCE, VIBRATION} else ())]
         self._names += needed.drivers
-        self._gatherer = SlotGatherer(len(self._names) + 1, SECOND_NS)
+        self._gatherer = gatherer_of(self._names, 1.0)
         self._waiting: list[SampleBlock] = []
         self._pending: list[str] = []
         self._said: set[str] = set()
@@ -89,9 +64,10 @@ class LiveDiagnosis:
 
     def _begin(self) -> None:
         """Begin with a run from power-on; a shadow that has not won yet is of another."""
-        self._parts: list[_Seconds] = []
+        self._parts: list[KeptSlots] = []
         self._next_look_s, self._next_judged_s, self._looks = FIRST_LOOK_S, 0.0, 0
         self._shadow: Shadow | None = None
+        self._lacking: list[Chart] = []
         self.state = ""
 
     @property
@@ -110,18 +86,11 @@ class LiveDiagnosis:
 
     def _reduce(self) -> None:
         for block in self._waiting:
-            for start in range(0, len(block), PIECE):
-                part = block.rows(start, start + PIECE)
-                slots = self._gatherer.process(part["device_time_ns"], part["segment"], self._values(part))
-                self._take(_Seconds.of(slots))
+            for slots in kept_slots(self._gatherer, block, self._names):
+                self._take(slots)
         self._waiting = []
 
-    def _values(self, block: SampleBlock) -> FloatArray:
-        missing = partial(np.full, len(block), np.nan)
-        values = np.column_stack([block.columns.get(name, missing()) for name in (*self._names, "at_rest")])
-        return values.astype(np.float64, copy=False)
-
-    def _take(self, slots: _Seconds) -> None:
+    def _take(self, slots: KeptSlots) -> None:
         """Take the seconds that have ended; a new segment is a new run."""
         cuts = [0, *np.flatnonzero(slots.begins).tolist(), len(slots)]
         for start, stop in pairwise(cuts):
@@ -131,7 +100,7 @@ class LiveDiagnosis:
                     self._begin()
                 self._follow(part)
 
-    def _follow(self, part: _Seconds) -> None:
+    def _follow(self, part: KeptSlots) -> None:
         """Take seconds of one run, and stop wherever it is time to look or to judge."""
         begun_ns = int((self._parts or [part])[0].start_ns[0])
         while len(part):
@@ -153,9 +122,10 @@ class LiveDiagnosis:
             self._next_look_s *= GROWTH
         if self.offered is not None:
             return
-        found = better_models(self._run(), self._model, self._gyros, self._looks)
+        run = self._run()
+        found = better_models(run, self._model, self._gyros, self._looks)
         if not found:
-            self.state = ""
+            self.state, self._lacking = "", []
             return
         best = max(found, key=lambda one: one.gain)
         axes = ", ".join(one.channel[-1] for one in found)
@@ -163,9 +133,10 @@ class LiveDiagnosis:
         what = f"{' or '.join(best.names[:3])} on {axes}"
         self.state = f"MODEL CAN BE BETTER: {what}: {before:.3g} become {after:.3g} °/h"
         self._say(f"{self.state} (rms of 30 s, gain {best.gain:.0f}): {DIAGNOSE}")
+        shadow = Shadow(self._model, found, elapsed_s)
+        self._lacking = effect_charts(run, self._model, shadow.model, best)
         if self._learn:
-            self._shadow = Shadow(self._model, found, elapsed_s)
-            self._next_judged_s = elapsed_s + JUDGED_S
+            self._shadow, self._next_judged_s = shadow, elapsed_s + JUDGED_S
 
     def _judge(self, shadow: Shadow, elapsed_s: float) -> None:
         self._next_judged_s = elapsed_s + JUDGED_S
@@ -234,10 +205,10 @@ class LiveDiagnosis:
         return texts
 
     def charts(self) -> Sequence[Chart]:
-        """Return the errors of the present and of the better model, while one runs beside."""
+        """Return what the model lacks, and the errors of both models while a better one runs beside."""
         shadow = self.offered or self._shadow
         if shadow is None or shadow.score is None:
-            return []
+            return self._lacking
         score = shadow.score
         minutes = score.time_s / 60.0
         curves = (
@@ -246,6 +217,7 @@ class LiveDiagnosis:
         )
         before, after = (value / DEG_PER_H for value in score.rms)
         return [
+            *self._lacking,
             Chart(
                 "model_better",
                 RESIDUAL,
@@ -254,6 +226,6 @@ class LiveDiagnosis:
                 Axis("[°/h]"),
                 curves,
                 headline=f"{before:.3g} → {after:.3g} °/h since it was found",
-                notes=(f"likelihood ratio e^{score.ratio:.1f}; it wins at e^8",),
-            )
+                notes=(f"likelihood ratio e^{score.ratio:.1f}; it wins at e^{MARGIN:.0f}",),
+            ),
         ]

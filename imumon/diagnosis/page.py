@@ -10,6 +10,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescap
 
 from imumon.diagnosis.engine import Diagnosis, Progress
 from imumon.diagnosis.figures import SCALES, figures
+from imumon.diagnosis.formula import Formula
 from imumon.diagnosis.report import report
 from imumon.diagnosis.verdict import ChannelVerdict
 from imumon.harmless import for_html
@@ -97,7 +98,23 @@ def _channel(diagnosis: Diagnosis, verdict: ChannelVerdict, content: dict[str, A
             else f"{item['name']} was found in training and left out: the test has nothing that can be scored"
             for item in verdict.left_out
         ],
+        "formula": _formula(verdict.formula, scale),
         "figures": list(figures(diagnosis, verdict).items()),
+    }
+
+
+def _formula(found: Formula | None, scale: float) -> dict[str, Any] | None:
+    """Return what describes the unexplained, as the page has it."""
+    if found is None:
+        return None
+    return {
+        "text": found.text(scale),
+        "signals": [
+            f"{name} less {each.middle:.4g}, over {each.half_span:.4g}" for name, each in found.scales.items()
+        ],
+        "tried": found.tried,
+        "before": _number(found.test_before * scale),
+        "after": _number(found.test_rms * scale),
     }
 
 

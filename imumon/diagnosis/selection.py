@@ -23,9 +23,8 @@ from imumon.diagnosis.gains import (
     pairs_of,
     pooled_gains,
 )
-from imumon.diagnosis.likelihood import Likelihood, Noise, coarse_grid, fine_grid, neighbours
+from imumon.diagnosis.likelihood import Likelihood, Noise, coarse_grid, fine_grid
 from imumon.effects.base import Effect, Survey
-from imumon.effects.library import kind_of
 
 CLOSE = 10.0
 """Families whose gains differ by less are not told apart."""
@@ -37,7 +36,8 @@ LEAST_EVIDENCE = 4.0
 MOST_STAGES = 6
 MOST_NAMES = 3
 SECOND_SHARE = 0.2
-"""A further effect counts when what it takes away is at least this share of what the largest one does."""
+"""A further effect counts when what it takes away is at least this share of what the largest one does beside
+it.  What they have in common counts for neither: the one that was found first has taken it all."""
 LEAST_SIZE = 0.3
 """And at least this many white floors (rms)."""
 MISFIT = 1.5
@@ -159,7 +159,7 @@ class Search:
         self.finished = False
         self.last: Table | None = None
         self.refit = False
-        self._survey, self._likelihood, self._tried = survey, likelihood, tried
+        self.survey, self._likelihood, self.tried = survey, likelihood, tried
         self._known: dict[tuple[int, ...], tuple[list[Candidate], float, Noise]] = {}
         if channel.known is not None:
             self._begin_with(channel.known)
@@ -172,7 +172,7 @@ class Search:
     def of_family(self, name: str) -> list[Candidate]:
         """Return what was tried of a family, of one part each and with no free start."""
         return [
-            one for one in self._tried if one.family == name and len(one.parts) == 1 and not one.free_start
+            one for one in self.tried if one.family == name and len(one.parts) == 1 and not one.free_start
         ]
 
     def null(self) -> tuple[float, Noise]:
@@ -220,7 +220,7 @@ class Search:
         """
         self.findings = list(kept)
         self.turns.append(Turn(f"the test refutes {', '.join(refuted)}", self.found))
-        self._tried = [one for one in self._tried if one.family not in refuted]
+        self.tried = [one for one in self.tried if one.family not in refuted]
         self.finished = self.many_events
         while not self.finished and len(self.findings) < len(kept) + MOST_STAGES:
             self.decide(self.table(), {})
@@ -232,7 +232,7 @@ class Search:
     def table(self) -> Table:
         """Return the gains of everything that may be added to the model so far."""
         noise = self.null()[1]
-        scored = self._gains(self._tried, coarse_grid(noise))
+        scored = self._gains(self.tried, coarse_grid(noise))
         short = {id(one) for group in families(scored, SHORT_LIST).values() for one in group}
         places = [at for at, one in enumerate(scored) if id(one) in short]
         fine = self._gains([scored[at].candidate for at in places], fine_grid(noise))
@@ -243,7 +243,11 @@ class Search:
         leaders = {name: Leader(group[0], group[0].gain) for name, group in families(scored, 1).items()}
         if not self.findings:
             leaders |= self._pairs(scored)
-        return Table(scored, len(self._tried), leaders)
+        return Table(scored, len(self.tried), leaders)
+
+    def gains(self, tried: Sequence[Candidate]) -> list[float]:
+        """Return the gains of candidates over the model so far, by a coarse grid of noise."""
+        return [one.gain for one in self._gains(tried, coarse_grid(self.null()[1]))]
 
     def _gains(self, tried: Sequence[Candidate], grid: Sequence[Noise]) -> list[Scored]:
         """Return the candidates with their gain: over the model so far, and over their free start alone."""
@@ -319,7 +323,7 @@ class Search:
         best = leaders[order[0]].gain
         slack = max(CLOSE, 0.3 * best)
         names = dict.fromkeys(finding.name for finding in self.findings)
-        events = [name for name in names if kind_of(name).scope == "event"]
+        events = [finding.name for finding in self.findings if finding.candidate.scope == "event"]
         if order[0] in events:
             lasting = next((name for name in order if name not in events), None)
             return lasting if lasting and leaders[lasting].gain > max(PROVEN, best - slack) else order[0]
@@ -346,11 +350,12 @@ class Search:
         candidate, refined = best.candidate, best.gain
         before, after = self._left(), self._left(candidate)
         size = float(np.sqrt(max(before**2 - after**2, 0.0)))
-        largest = max((finding.size for finding in self.findings), default=0.0)
         if candidate.scope == "event" and not leader.partner and not self._stands_out(best):
             return None
-        share = 0.0 if self._finer(candidate, before) else SECOND_SHARE
-        if size < max(LEAST_SIZE * self.channel.floor.sd, share * largest, self.channel.blind):
+        least = (
+            0.0 if self._finer(candidate, before) else SECOND_SHARE * self._largest_beside(candidate, after)
+        )
+        if size < max(LEAST_SIZE * self.channel.floor.sd, least, self.channel.blind):
             return None
         rivals = {other: one.gain for other, one in table.leaders.items()}
         rivals[name] = max(leader.gain, refined)
@@ -358,6 +363,19 @@ class Search:
         others = {other: table.leaders[other].scored.candidate for other in alike[1:]}
         pooled_gain = pooled.get(name, leader.gain)
         return Finding(candidate, rivals[name], pooled_gain, rivals, alike, size, others=others)
+
+    def _largest_beside(self, candidate: Candidate, left: float) -> float:
+        """Return the largest rms that one of the findings takes away beside a candidate, which leaves this.
+
+        Without the finding the candidate has the parameters of its family that suit it best then.
+        """
+        others = self.of_family(candidate.family) if candidate.nonlinear else []
+        family, found, sizes = [candidate, *others], self.findings, [0.0]
+        for finding in found:
+            self.findings = [other for other in found if other is not finding]
+            sizes.append(float(np.sqrt(max(min(map(self._left, family)) ** 2 - left**2, 0.0))))
+        self.findings = found
+        return max(sizes)
 
     def _stands_out(self, best: Scored) -> bool:
         """Tell whether a jump is proven even with noise that jumps by itself."""
@@ -398,7 +416,7 @@ class Search:
 
     def _better_predicted(self, finding: Finding, leaders: Mapping[str, Leader]) -> str | None:
         """Return the family, of those not told apart, by which the runs predict one another better."""
-        if self._survey.runs < 2 or not finding.alike:
+        if self.survey.runs < 2 or not finding.alike:
             return None
         errors = {
             name: self._error_between_runs(
@@ -433,8 +451,8 @@ class Search:
     def _refined(self, best: Scored) -> Scored:
         """Return the candidate with its nonlinear parameters refined."""
         for level in range(REFINEMENTS):
-            tried = [best.candidate, *best.candidate.neighbours(self._survey, level)]
-            best = max(self._gains(tried, neighbours(best.noise)), key=_gain)
+            tried = [best.candidate, *best.candidate.neighbours(self.survey, level)]
+            best = max(self._gains(tried, self._likelihood.neighbours(best.noise)), key=_gain)
             if len(tried) == 1:
                 break
         return best
@@ -492,7 +510,7 @@ class Search:
     def _merge_start(self) -> None:
         """Take for a start out of equilibrium what passed for an effect of its own, if that does."""
         for lag in self.findings:
-            looks_like = kind_of(lag.name).start_looks_like
+            looks_like = lag.candidate.parts[0].effect.start_looks_like
             other = next((one for one in self.findings if one.name in looks_like), None)
             if other is None or lag.candidate.free_start:
                 continue

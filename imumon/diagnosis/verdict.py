@@ -12,6 +12,7 @@ import numpy as np
 from imumon.diagnosis.channel import Channel
 from imumon.diagnosis.fitting import Fit, FittedPart, TestScore, fit, fit_given, goes_on, mean_rms, score
 from imumon.diagnosis.foretold import foretold
+from imumon.diagnosis.formula import Formula, formula
 from imumon.diagnosis.likelihood import WALK_S
 from imumon.diagnosis.questions import Question, questions
 from imumon.diagnosis.selection import Finding, Search, Turn
@@ -85,6 +86,8 @@ class ChannelVerdict:
         What was fitted anew of a model that was given, its curve first; empty when that stays as it is.
     turns : list of Step
         The turns of the loop.
+    formula : Formula or None
+        What describes the unexplained, if anything does.
     """
 
     channel: Channel
@@ -104,6 +107,7 @@ class ChannelVerdict:
     questions: list[Question] = field(default_factory=list)
     refit: list[str] = field(default_factory=list)
     turns: list[Step] = field(default_factory=list)
+    formula: Formula | None = None
 
     @property
     def name(self) -> str:
@@ -118,7 +122,19 @@ def explained_share(before: float, after: float, floor: float) -> float:
 
 
 def settle(channel: Channel, found: Search) -> ChannelVerdict:
-    """Return what is claimed of a channel, after the runners-up of what the test refutes have had their turn.
+    """Return what is claimed of a channel, and the formula that describes what is left unexplained."""
+    verdict = _settled(channel, found)
+    if verdict.unexplained and np.isfinite(channel.blind):
+        beside = [one for one in found.findings if one.known]
+        beside += [claim.finding for claim in verdict.claims]
+        verdict.formula = formula(verdict.channel, found, verdict.after, beside)
+        if verdict.formula is not None:
+            verdict.summary += _described(verdict.formula, channel.floor.sd)
+    return verdict
+
+
+def _settled(channel: Channel, found: Search) -> ChannelVerdict:
+    """Return what is claimed after the runners-up of what the test refutes have had their turn.
 
     A runner-up has seen the test refute another, so it has to explain in the test, too, what it claims.
     """
@@ -402,6 +418,12 @@ def _nothing(test: TestScore | None, before: float, floor: float, limit: float) 
         what = "nothing is missing" if limit == floor else "nothing but the digits is seen"
         return f"{what}: {left}, {where}"
     return f"no effect is proven, but something is missing: {left}, {where}"
+
+
+def _described(found: Formula, floor: float) -> str:
+    before, after = found.test_before / floor, found.test_rms / floor
+    terms = " and ".join(str(node) for node, _ in found.terms)
+    return f"; {terms} describes it: {before:.1f} become {after:.2f} in the test; a description, no cause"
 
 
 def _tested(verdict: ChannelVerdict) -> str:

@@ -4,7 +4,7 @@ A frame begins with a sync pattern; its length is fixed, in a field, or follows 
 checksum tells whether it came whole.  A family of devices says so in a `Frame` for each kind of packet, and
 `FramedDecoder` does the rest: every byte becomes part of a packet, is skipped, or is pending.
 
-The bytes are searched when somebody takes what they hold (live 20 times a second), not as they come: so a
+The bytes are searched when somebody takes what they hold (live 12 times a second), not as they come: so a
 read of a few bytes costs next to nothing, and what is found does not depend on how the stream was cut.
 
 How damage is survived: after a bad checksum or an impossible length the search goes on at the next byte.  A

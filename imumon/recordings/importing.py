@@ -7,7 +7,7 @@ import os
 import shutil
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 
@@ -49,8 +49,22 @@ class ImportReport:
     """The first rows that were dropped."""
 
 
-def import_table(table: Path, map_path: Path, out: Path) -> ImportReport:
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """What a table was made of, and how many rows of that are not in it."""
+
+    path: Path
+    rows_dropped: int
+
+
+def import_table(table: Path, map_path: Path, out: Path, origin: Origin | None = None) -> ImportReport:
     """Make a session of a CSV or Parquet table; on any error nothing is left behind.
+
+    Parameters
+    ----------
+    table, map_path, out : Path
+    origin : Origin, optional
+        Where the table is only a step on the way.
 
     Raises
     ------
@@ -70,7 +84,12 @@ def import_table(table: Path, map_path: Path, out: Path) -> ImportReport:
             for block in source.blocks():
                 writer.write(block)
         report = source.report()
-        metadata = _metadata(source, report)
+        if origin is not None:
+            dropped = origin.rows_dropped
+            report = replace(
+                report, rows_in=report.rows_in + dropped, rows_dropped=report.rows_dropped + dropped
+            )
+        metadata = _metadata(source, report, table if origin is None else origin.path)
         Session(partial, metadata).save(metadata)
         partial.rename(out)
     except OSError as error:
@@ -271,7 +290,7 @@ def _scalars(node: yaml.Node | None) -> list[yaml.ScalarNode]:
     return [scalar for value in node.value for scalar in _scalars(value)] if node else []
 
 
-def _metadata(source: TableImport, report: ImportReport) -> SessionMetadata:
+def _metadata(source: TableImport, report: ImportReport, file: Path) -> SessionMetadata:
     now_ns = time.time_ns()
     begun = SessionMetadata.begun(
         "import",
@@ -279,9 +298,9 @@ def _metadata(source: TableImport, report: ImportReport) -> SessionMetadata:
         device="import",
         axes=source.map.axes,
         table=TableUsed(
-            file=source.table.name,
-            size_bytes=source.table.stat().st_size,
-            sha256=fingerprint(source.table),
+            file=file.name,
+            size_bytes=file.stat().st_size,
+            sha256=fingerprint(file),
             map_yaml=source.map_text,
             rows_in=report.rows_in,
             rows_out=report.rows_out,

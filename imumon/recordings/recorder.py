@@ -6,7 +6,7 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from queue import Empty, SimpleQueue
+from queue import SimpleQueue
 
 from imumon.errors import ImumonError
 from imumon.recordings.wire import WireCounters, WireWriter
@@ -95,7 +95,8 @@ class Recorder:
     def _run(self) -> None:
         stopped = False
         while not stopped:
-            stopped = self._take_until(time.monotonic() + FLUSH_PERIOD_S)
+            self._stopping.wait(FLUSH_PERIOD_S)  # slept through: to be woken by each read costs more than it
+            stopped = self._take()
             self._try(self._writer.flush, _WRITING)
             self._look_for_file()
         self._try(self._writer.close, "the recording could not be finished")
@@ -119,13 +120,10 @@ class Recorder:
                 self._next_save = time.monotonic() + SAVE_PERIOD_S
                 self._try(self._save, "the session's metadata cannot be written")
 
-    def _take_until(self, deadline: float) -> bool:
-        """Write what comes until the deadline; return True at the end of the queue."""
-        while (left := deadline - time.monotonic()) > 0:
-            try:
-                item = self._items.get(timeout=left)
-            except Empty:
-                return False
+    def _take(self) -> bool:
+        """Write what has come; return True at the end of the queue."""
+        for _ in range(self._items.qsize()):
+            item = self._items.get_nowait()
             if item is None:
                 return True
             self._writer.write(item)

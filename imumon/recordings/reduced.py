@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields
+from typing import Self
 
 import numpy as np
 
@@ -138,20 +139,29 @@ def reduce(blocks: Iterable[SampleBlock], names: Sequence[str], slot_s: float) -
     slot_s : float
         Length of a slot; slots lie on a grid from the first sample of each run.
     """
-    length_ns = round(slot_s * 1e9)
-    gatherer = SlotGatherer(len(names) + 1, length_ns)
-    parts: list[_Part] = []
-    for block in blocks:
-        for start in range(0, len(block), PIECE):
-            piece = block.rows(start, start + PIECE)
-            parts.append(
-                _Part.of(gatherer.process(piece["device_time_ns"], piece["segment"], _values(piece, names)))
-            )
-    return _gathered([*parts, _Part.of(gatherer.finish())], tuple(names), slot_s, length_ns)
+    gatherer = gatherer_of(names, slot_s)
+    parts = [part for block in blocks for part in kept_slots(gatherer, block, names)]
+    return _gathered([*parts, KeptSlots.of(gatherer.finish())], tuple(names), slot_s, gatherer.length_ns)
+
+
+def gatherer_of(names: Sequence[str], slot_s: float) -> SlotGatherer:
+    """Return what gathers these columns, and whether the unit was at rest, into slots of so many seconds."""
+    return SlotGatherer(len(names) + 1, round(slot_s * 1e9))
+
+
+def kept_slots(gatherer: SlotGatherer, block: SampleBlock, names: Sequence[str]) -> Iterator[KeptSlots]:
+    """Yield the slots that end in a block of samples, a piece at a time.
+
+    The last column is 1 at rest, 0 when not, and NaN when nobody judged; a column that the block lacks is
+    missing.
+    """
+    for start in range(0, len(block), PIECE):
+        piece = block.rows(start, start + PIECE)
+        slots = gatherer.process(piece["device_time_ns"], piece["segment"], _values(piece, names))
+        yield KeptSlots.of(slots)
 
 
 def _values(block: SampleBlock, names: Sequence[str]) -> FloatArray:
-    """Return the columns, (n, m), and in the last one 1 at rest, 0 when not, and NaN when nobody judged."""
     values = np.full((len(block), len(names) + 1), np.nan)
     for j, name in enumerate(names):
         if name in block:
@@ -164,8 +174,8 @@ def _values(block: SampleBlock, names: Sequence[str]) -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Part:
-    """What is kept of some slots."""
+class KeptSlots:
+    """What is kept of m slots of k columns that ended; the fields are those of `Slots`."""
 
     segment: IntArray
     begins: BoolArray
@@ -176,11 +186,20 @@ class _Part:
     variance: FloatArray
 
     @classmethod
-    def of(cls, slots: Slots) -> _Part:
+    def of(cls, slots: Slots) -> Self:
+        """Return what is kept, without the memory of the rest."""
         return cls(*(getattr(slots, field.name).copy() for field in fields(cls)))
 
+    def __len__(self) -> int:
+        """Return the number of slots."""
+        return len(self.begins)
 
-def _gathered(parts: list[_Part], names: tuple[str, ...], slot_s: float, length_ns: int) -> Reduced:
+    def __getitem__(self, which: slice) -> Self:
+        """Return some of the slots."""
+        return type(self)(*(getattr(self, field.name)[which] for field in fields(self)))
+
+
+def _gathered(parts: list[KeptSlots], names: tuple[str, ...], slot_s: float, length_ns: int) -> Reduced:
     def joined(name: str) -> ColumnArray:
         return np.concatenate([getattr(part, name) for part in parts])
 

@@ -2,21 +2,52 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
 
 from imumon.blocks import SampleBlock
 from imumon.columns import Column
 from imumon.errors import ImumonError, Reason
+from imumon.files import check_output
 from imumon.protocols.base import MAIN
+from imumon.recordings.conversions import CONVERTED, convert
 from imumon.recordings.table import TableWriter, export_blocks
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from imumon.pipeline import Pipeline
+    from imumon.recordings.source import Source
+
+
+@dataclass(frozen=True, slots=True)
+class Exported:
+    """What was written.
+
+    Parameters
+    ----------
+    rows : int
+        Of the main stream.
+    tables : dict of str to Path
+        Of each stream that has rows.
+    left_out : list of str
+        What the format has no place for.
+    """
+
+    rows: int
+    tables: dict[str, Path]
+    left_out: list[str] = field(default_factory=list)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it as ``--json`` has it."""
+        return {"out": self.tables.get(MAIN), "rows": self.rows, "tables": self.tables}
+
+    @property
+    def warnings(self) -> list[str]:
+        """What is to be said of it."""
+        return [f"not written: {text}" for text in self.left_out]
 
 
 def side_path(out: Path, stream: str) -> Path:
@@ -27,26 +58,48 @@ def side_path(out: Path, stream: str) -> Path:
 def export_run(
     blocks: Iterable[SampleBlock],
     pipeline: Pipeline,
+    source: Source,
     out: Path,
     columns: Sequence[str] | None,
-    known: Callable[[], Iterable[Column]],
-) -> tuple[int, dict[str, Path]]:
-    """Write what a run yields; return the rows of the main table, and the table of each stream.
+) -> Exported:
+    """Write what a run yields, in the format that the suffix of `out` says.
 
     Parameters
     ----------
     blocks : iterable of SampleBlock
-        The run, which goes through `pipeline`.
+        The run over `source`, which goes through `pipeline`.
     columns : sequence of str, or None
         Columns of the main table, and no others are written; None for all, and all side streams.
-    known : callable
-        As for `imumon.recordings.table.export_blocks`.
 
     Raises
     ------
     ImumonError
         As `imumon.recordings.table.export_blocks`; a run with rows in side streams only has their tables.
     """
+
+    def known() -> Iterable[Column]:
+        return source.columns(pipeline)
+
+    if out.suffix not in CONVERTED:
+        return _tables(blocks, pipeline, out, columns, known)
+    check_output(out, replace=True)
+    with TemporaryDirectory(prefix=".imumon-", dir=out.parent) as folder:
+        made = _tables(blocks, pipeline, Path(folder) / f"{out.stem}.parquet", columns, known)
+        names = {stream: out if stream == MAIN else side_path(out, stream) for stream in made.tables}
+        written = {stream: Path(folder) / path.name for stream, path in names.items()}
+        files, left_out = convert(made.tables, written, source.axes)
+        for path in dict.fromkeys(files.values()):
+            path.replace(out.with_name(path.name))
+    return Exported(made.rows, {stream: out.with_name(path.name) for stream, path in files.items()}, left_out)
+
+
+def _tables(
+    blocks: Iterable[SampleBlock],
+    pipeline: Pipeline,
+    out: Path,
+    columns: Sequence[str] | None,
+    known: Callable[[], Iterable[Column]],
+) -> Exported:
     writers: dict[str, TableWriter] = {}
     with ExitStack() as stack:
 
@@ -66,4 +119,4 @@ def export_run(
                 raise
             rows = 0
     tables = {stream: writer.path for stream, writer in writers.items()}
-    return rows, {MAIN: out, **tables} if rows else tables
+    return Exported(rows, {MAIN: out, **tables} if rows else tables)

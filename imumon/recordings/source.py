@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextvars import ContextVar
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from imumon.blocks import SampleBlock
 from imumon.columns import Column
@@ -54,6 +54,13 @@ class Source:
         """Return the columns that the run's blocks have so far; `pipeline` is the one it runs through."""
         own = {column.name for column in self.imported}
         return [*self.imported, *(column for column in pipeline.columns if column.name not in own)]
+
+    @property
+    def axes(self) -> Literal["FLU", "FRD"] | None:
+        """Body axes of the samples; None where nobody said them."""
+        if self.device is not None:
+            return self.device.axes
+        return None if self.session is None else self.session.metadata.axes
 
     def refuse_output(self, out: Path | None) -> None:
         """Raise EXISTS when the output would replace what is read."""

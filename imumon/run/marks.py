@@ -1,6 +1,6 @@
 """Marks that a person puts into a recording while it goes on: asked for in a file of the session's folder.
 
-Whoever records looks into the file 20 times a second, puts what is new into the recording as an event, and
+Whoever records looks into the file 12 times a second, puts what is new into the recording as an event, and
 removes the file at the end: the recording is what counts.
 """
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections import deque
 from pathlib import Path
 
 from imumon.errors import ImumonError, Reason
@@ -20,6 +21,8 @@ from imumon.simulation.virtual_port import BITS_PER_BYTE, VirtualPort
 DEFAULT_RATE_HZ = 100.0
 TICK_S = 0.005
 """How often commands are looked for, and packets handed over by a device that sends faster than this."""
+AHEAD_S = 0.25
+"""Packets of so long are made at once, which takes hardly longer than to make one."""
 
 
 def refuse_overload(packet_bytes: int, rate_hz: float, baudrate: int) -> None:
@@ -74,7 +77,7 @@ class VirtualDevice:
         self._tick_ns = device.decoder().timing.tick_ns or MICROSECOND
         packet = self._encoder.encode(self._switched_on(0).samples(1))[0]
         refuse_overload(len(packet), self._rate_hz, device.serial.baudrates[0])
-        self._unit = self._switched_on(seed)
+        self._switch_on(seed)
         self._rebooted = False
         self.firmware = firmware_of(device, self._rate_hz)
         """What answers commands; None for a kind of device that is not configured by imumon."""
@@ -108,6 +111,9 @@ class VirtualDevice:
     def _switched_on(self, seed: int) -> SimulatedUnit:
         return SimulatedUnit(self._plan.played(self._rate_hz, self._axes), seed, self._tick_ns)
 
+    def _switch_on(self, seed: int) -> None:
+        self._unit, self._packets = self._switched_on(seed), deque[bytes]()
+
     def _run(self) -> None:
         try:
             self._send()
@@ -130,12 +136,14 @@ class VirtualDevice:
             self._closing.wait(wait if self.firmware is None else min(wait, TICK_S))
 
     def _send_samples(self, n: int) -> None:
-        samples = self._unit.samples(n)
         if self._sending is not None:
-            self.port.write(self._sending.encode(samples))
+            self.port.write(self._sending.encode(self._unit.samples(n)))
         else:
-            for packet in self._encoder.encode(samples):
-                self.port.write(packet)
+            while len(self._packets) < n:
+                ahead = max(round(AHEAD_S * self._rate_hz), 1)
+                self._packets.extend(self._encoder.encode(self._unit.samples(ahead)))
+            for _ in range(n):
+                self.port.write(self._packets.popleft())
         self.packets_sent += n
 
     def _reboot(self) -> None:
@@ -143,7 +151,7 @@ class VirtualDevice:
         if self.firmware is not None:
             self.firmware.power_on()
             self._configure()
-        self._unit = self._switched_on(self._seed + 1)
+        self._switch_on(self._seed + 1)
 
     def _obeyed(self) -> bool:
         """Answer the commands that have come; tell whether the samples begin anew, or none are sent."""
@@ -169,5 +177,5 @@ class VirtualDevice:
         assert self.firmware is not None
         self._sending = self.firmware.sending()
         self._rate_hz = self._default_hz if self._sending is None else self._sending.rate_hz
-        self._unit = self._switched_on(self._seed)
+        self._switch_on(self._seed)
         self.port.baudrate = self.firmware.baudrate

@@ -248,6 +248,10 @@ class VirtualPort:
         self._changed.notify_all()
 
 
+_LEVELS = [bytes([0, *((byte >> bit) & 1 for bit in range(8)), 1]) for byte in range(256)]
+"""Of the line for each byte: start bit, eight data bits, stop bit."""
+
+
 class Sampler:
     """What a UART makes of a line whose bits last `ratio` of its own bit times.
 
@@ -261,22 +265,24 @@ class Sampler:
 
     def __init__(self, ratio: float) -> None:
         self.ratio = ratio
+        self._stop = 9.5 * ratio
+        self._bits = [int((bit + 1.5) * ratio) for bit in range(8)]  # places behind that of the start bit
         self._line = bytearray([1])  # levels, one per bit of the sender
         self._position = 0.0  # where the receiver looks for the next start bit, in bits of the sender
 
     def feed(self, data: bytes) -> bytes:
         """Return the bytes that the receiver completes while these are on the line."""
-        for byte in data:
-            self._line.append(0)
-            self._line.extend((byte >> bit) & 1 for bit in range(8))
-            self._line.append(1)
+        line = self._line
+        line += b"".join(map(_LEVELS.__getitem__, data))
         received = bytearray()
         while (start := self._start_bit()) is not None:
-            stop = start + 9.5 * self.ratio
-            if stop >= len(self._line):
+            stop = start + self._stop
+            if stop >= len(line):
                 break
-            bits = [self._line[int(start + (bit + 1.5) * self.ratio)] for bit in range(8)]
-            received.append(sum(level << bit for bit, level in enumerate(bits)))
+            byte = 0
+            for bit, place in enumerate(self._bits):
+                byte |= line[start + place] << bit
+            received.append(byte)
             self._position = stop
         used = max(int(self._position) - 1, 0)
         del self._line[:used]

@@ -6,7 +6,7 @@ import select
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum
 
@@ -80,6 +80,18 @@ class Reads:
     data: ByteArray
     ends: IntArray
     arrivals_ns: IntArray
+
+    @classmethod
+    def of(cls, reads: Sequence[Bytes]) -> Reads:
+        """Return reads as one."""
+        data = np.frombuffer(b"".join([read.data for read in reads]), np.uint8)
+        ends = np.cumsum([len(read.data) for read in reads], dtype=np.int64)
+        return cls(data, ends, np.array([read.arrival_ns for read in reads], np.int64))
+
+    @property
+    def lengths(self) -> IntArray:
+        """Bytes of each read, (n,)."""
+        return np.diff(self.ends, prepend=0)
 
     def __iter__(self) -> Iterator[Bytes]:
         """Yield the reads one by one."""

@@ -79,8 +79,7 @@ class Attitude:
         """Log the exact values, and turn the body."""
         values = rows.matrix(self.columns)
         if not rows.step_ns:
-            exact = rr.Scalars.columns(scalars=values)
-            rec.send_columns(f"/samples/{self.key}", indexes=rows.indexes, columns=exact)
+            rows.send(rec, f"/samples/{self.key}", values)
         keep: Any = np.isfinite(values).all(axis=1) & rows.thinned(STEP_NS)
         if keep.any():
             turned = rr.Transform3D.columns(quaternion=xyzw(values[keep]))

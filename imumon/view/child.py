@@ -17,11 +17,15 @@ from multiprocessing.connection import Connection
 import psutil
 
 from imumon.errors import ImumonError
+from imumon.heap import trim_heap
 from imumon.view.frames import Batch, ReplayRequest, Report, Start
 
 POLL_S = 0.5
 PARENT_S = 1.0
+TRIM_S = 30.0
 GOODBYE_S = 0.6
+SWITCH_S = 0.0005
+"""While a picture is drawn, samples wait so long for the interpreter at each of ten steps (usual: 5 ms)."""
 MAX_BYTES = 768 << 20
 """More memory (a viewer that takes nothing for half an hour) ends the process; it is started anew."""
 
@@ -105,9 +109,12 @@ def run(stream: Connection, out: Connection) -> None:
 
 def watch(parent: int) -> None:
     """End the process when the measuring process is gone or the memory grows too far, whatever blocks."""
-    process = psutil.Process()
+    process, trimmed_s = psutil.Process(), time.monotonic()
     while os.getppid() == parent and process.memory_info().rss < MAX_BYTES:
         time.sleep(PARENT_S)
+        if time.monotonic() - trimmed_s > TRIM_S:
+            trim_heap()
+            trimmed_s = time.monotonic()
     if os.getpgrp() == os.getpid():  # with what was started for this process alone
         os.killpg(os.getpid(), signal.SIGKILL)
     os._exit(1)
@@ -115,6 +122,7 @@ def watch(parent: int) -> None:
 
 def main() -> None:
     """Run, then leave without Rerun's own clean-up, which waits for a stuck viewer without end."""
+    sys.setswitchinterval(SWITCH_S)
     threading.Thread(target=watch, args=(os.getppid(),), daemon=True).start()
     stream = Connection(os.dup(sys.stdin.fileno()), writable=False)
     out = Connection(os.dup(sys.stdout.fileno()), readable=False)

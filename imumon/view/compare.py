@@ -132,8 +132,7 @@ class Comparison:
         if line.ends is not None:  # at both ends of time: all of a recording is shown
             times = np.array(self._span, np.int64)
             rows = Rows({}, None, *((times, None) if self.aligned_at_power_on else (None, times)))
-            both = rr.Scalars.columns(scalars=np.array([line.ends, line.ends]))
-            self._rec.send_columns(entity(line.drawn[0].drawn), indexes=rows.indexes, columns=both)
+            rows.send(self._rec, entity(line.drawn[0].drawn), np.array([line.ends, line.ends]))
         view = line.drawn[0].view(self._setup, Window())
         others = [f"{panel.drawn}/**" for panel in line.drawn[1:]]
         title = str(view.name).replace(line.panel.title, line.title)

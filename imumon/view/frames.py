@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from imumon.view.items import ViewItem, ViewSetup
@@ -32,12 +33,8 @@ class Batch:
     """Items, numbered by the batch that they came in; the answer to a `ReplayRequest` bears its number."""
 
     number: int
-    items: list[ViewItem]
+    items: Sequence[ViewItem]
     answers: int | None = None
-
-
-Frame = Start | Batch
-"""What the measuring process sends; the end of the pipe says to flush and end."""
 
 
 @dataclass(frozen=True, slots=True)

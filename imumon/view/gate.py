@@ -2,7 +2,8 @@
 
 A page of another site that is open in the same browser can send requests to this computer.  Its own name is
 then in ``Origin``, or in ``Host`` when that name was made to lead here (DNS rebinding), and is refused.
-Rerun's server listens on an address of the loopback that is drawn at random, which only this door knows.
+Rerun's server listens on an address of the loopback that is drawn at random, which only this door
+and the page's server know, and both judge by `refusal`.
 """
 
 from __future__ import annotations

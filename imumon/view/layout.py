@@ -14,6 +14,7 @@ from itertools import pairwise
 from typing import Any, Literal, Protocol
 
 import numpy as np
+import pyarrow as pa
 import rerun as rr
 
 from imumon.blocks import BoolArray, ColumnArray, FloatArray, IntArray
@@ -33,6 +34,7 @@ OTHER = "/samples/other"
 INTEGERS = "/samples/integers"
 """Integer columns (device time as sent, counters, status), exact, for those who read the recording."""
 
+SCALARS = rr.Scalars.descriptor_scalars()
 BAND_STEP_NS = 200_000_000
 """Estimates with a band are logged at the most five times a second; a replay gives every value."""
 TWO_SIGMA = 4.0
@@ -49,7 +51,8 @@ class Rows:
     """Rows of columns with their times; a timeline that the rows do not have is None.
 
     With `step_ns` they are for a recording, which is a picture (the wire has every byte): of each step
-    of time only the extremes are drawn, so that spikes stay, and in one unit.
+    of time only the extremes are drawn, so that spikes stay, and in one unit.  What began before them, at
+    `before_ns`, the clock of the row before, has been drawn.
     """
 
     columns: Mapping[str, ColumnArray]
@@ -57,6 +60,7 @@ class Rows:
     device_ns: IntArray | None
     host_ns: IntArray | None
     step_ns: int = 0
+    before_ns: int | None = None
 
     @cached_property
     def indexes(self) -> list[rr.TimeColumn]:
@@ -76,10 +80,28 @@ class Rows:
         return self.host_ns if self.device_ns is None else self.device_ns
 
     def kept(self, keep: BoolArray | IntArray) -> Rows:
-        """Return the times of the rows to keep, without their columns."""
-        times = (self.sample, self.device_ns, self.host_ns)
-        sample, device_ns, host_ns = (None if values is None else values[keep] for values in times)
-        return Rows({}, sample, device_ns, host_ns)
+        """Return the times of the rows to keep, without their columns; the same for the same rows."""
+        key = keep.dtype.char, keep.tobytes()
+        if key not in self._kept:
+            times = (self.sample, self.device_ns, self.host_ns)
+            sample, device_ns, host_ns = (None if values is None else values[keep] for values in times)
+            self._kept[key] = Rows({}, sample, device_ns, host_ns)
+        return self._kept[key]
+
+    def send(self, rec: rr.RecordingStream, entity: str, values: FloatArray) -> None:
+        """Log values at the times of these rows, (n,) or (n, lines).
+
+        The column is that of ``rr.Scalars.columns``, which takes seven times as long to find out its shape.
+        """
+        flat = np.ascontiguousarray(values, np.float64).ravel()
+        offsets = np.arange(len(values) + 1, dtype=np.int32) * np.int32(flat.size // max(len(values), 1))
+        column = rr.ComponentColumn(SCALARS, rr.components.ScalarBatch(pa.array(flat)), offsets=offsets)
+        rec.send_columns(entity, indexes=self.indexes, columns=[column])
+
+    @cached_property
+    def _kept(self) -> dict[tuple[str, bytes], Rows]:
+        """What was kept so far: most panels keep the same rows, and times cost as much as values."""
+        return {}
 
     def extremes(self, values: FloatArray) -> BoolArray:
         """Return which rows have the least or greatest value of a line in its step, or begin one, (n,)."""
@@ -87,8 +109,8 @@ class Rows:
         if not self.step_ns or clock is None:
             return np.ones(len(values), np.bool_)
         keep = self.thinned(self.step_ns)
-        starts = np.flatnonzero(keep).tolist()
-        for start, stop in pairwise([*starts, len(values)]):
+        starts = np.flatnonzero(keep[1:]) + 1
+        for start, stop in pairwise([0, *starts.tolist(), len(values)]):
             part = values[start:stop]
             keep[start + np.argmin(np.nan_to_num(part, nan=np.inf), axis=0)] = True
             keep[start + np.argmax(np.nan_to_num(part, nan=-np.inf), axis=0)] = True
@@ -99,8 +121,10 @@ class Rows:
         clock = self.clock
         if clock is None:
             return np.ones(len(next(iter(self.columns.values()))), np.bool_)
-        step = clock // max(step_ns, self.step_ns)
-        return np.asarray(np.diff(step, prepend=step[:1] - 1) != 0)
+        step_ns = max(step_ns, self.step_ns)
+        step = clock // step_ns
+        before = step[:1] - 1 if self.before_ns is None else self.before_ns // step_ns
+        return np.asarray(np.diff(step, prepend=before) != 0)
 
     def matrix(self, names: Sequence[str]) -> FloatArray:
         """Return the named columns side by side, shape (n, len(names))."""
@@ -275,15 +299,14 @@ class Strip:
             return
         values, rows = values[kept], rows.kept(kept)
         if exact:
-            rec.send_columns(self.exact, indexes=rows.indexes, columns=rr.Scalars.columns(scalars=values))
+            rows.send(rec, self.exact, values)
         if self.unit is not None:
-            scaled = rr.Scalars.columns(scalars=values * self._factor)
-            rec.send_columns(self.drawn, indexes=rows.indexes, columns=scaled)
+            rows.send(rec, self.drawn, values * self._factor)
         if self.limits:
             ends = np.zeros(len(values), np.bool_)
             ends[[0, -1]] = True
-            levels = rr.Scalars.columns(scalars=np.tile(self.limits, (int(ends.sum()), 1)))
-            rec.send_columns(f"{self.drawn}/limits", indexes=rows.kept(ends).indexes, columns=levels)
+            levels = np.tile(self.limits, (int(ends.sum()), 1))
+            rows.kept(ends).send(rec, f"{self.drawn}/limits", levels)
 
     def view(self, setup: ViewSetup, window: Window) -> Any:
         """Return the view, its unit in the title."""
@@ -316,9 +339,10 @@ class Bands(Strip):
     def log(self, rec: rr.RecordingStream, rows: Rows) -> None:
         """Log some of the exact values, and the bands, five times a second."""
         due = rows.thinned(BAND_STEP_NS)
+        if not due.any():
+            return
         if not rows.step_ns:
-            scalars = rr.Scalars.columns(scalars=rows.matrix(self.columns)[due])
-            rec.send_columns(self.exact, indexes=rows.kept(due).indexes, columns=scalars)
+            rows.kept(due).send(rec, self.exact, rows.matrix(self.columns)[due])
         for line in self.lines:
             value = self._factor * rows.columns[line.column]
             sd = np.zeros_like(value) if line.sd is None else self._factor * rows.columns[line.sd]

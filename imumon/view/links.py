@@ -143,7 +143,8 @@ class WebLink:
         self._port = free_port(start.port)
         device = start.setup.properties.get("device", "")
         title = " - ".join(filter(None, (device, start.setup.title, "imumon")))
-        self._web = WebServer(start.bind, free_port(start.web_port, start.bind), self._port, title)
+        self._behind = hidden_address()
+        self._web = WebServer(start.bind, free_port(start.web_port, start.bind), self._behind, title)
         self._serving = False
         self._gate: Gate | None = None
 
@@ -154,9 +155,8 @@ class WebLink:
         self._serving = True
         import rerun as rr  # takes 0.4 s, in which a native viewer comes up: see Child
 
-        address, port = behind = hidden_address()
-        rec.set_sinks(rr.GrpcServerSink(address, port, server_memory_limit=SERVER_MEMORY, newest_first=True))
-        self._gate = Gate(LOCALHOST, self._port, behind)
+        rec.set_sinks(rr.GrpcServerSink(*self._behind, server_memory_limit=SERVER_MEMORY, newest_first=True))
+        self._gate = Gate(LOCALHOST, self._port, self._behind)
         self._tell(Report("serving the web viewer", True, self._port, self._web.port, self._web.url))
         return Change.NEW
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from itertools import groupby
 
 import numpy as np
@@ -32,7 +33,7 @@ from imumon.view.lanes import COLORED_STATES, declare_lane, lane_path
 from imumon.view.layout import INTEGERS, OTHER, Rows, unit_text
 from imumon.view.log_text import LOG_TEXT, LogText
 from imumon.view.panel_log import PanelLog
-from imumon.view.pictures import log_picture
+from imumon.view.pictures import Painter, log_picture
 from imumon.view.window import slow_window
 
 APPLICATION_ID = "imumon"
@@ -44,8 +45,8 @@ PART_COLORS = {**AXIS_COLORS, "roll": RED, "pitch": GREEN, "yaw": BLUE}
 """Colour of a column that no panel draws, by how its name ends."""
 RECORDED_STEP_NS = 500_000_000
 """Of so much time a recording of the view keeps the extremes."""
-PICTURE_SHARE = 0.05
-"""Live, drawing charts takes so much of the time at the most: one takes 0.1 s, or longer."""
+PICTURE_SHARE = 0.03
+"""Live, drawing charts takes so much of the time at the most."""
 RECORDED_PICTURE_S = 600.0
 """In a recording a chart is drawn so often (it takes 60 kB), and as it is at the end."""
 RECORDED_STATUS_S = 10.0
@@ -79,7 +80,7 @@ class StreamLogger:
         self._lasting: dict[str, Event] = {}
         self._charts: dict[str, Chart] = {}
         self._waiting: dict[str, Drawing] = {}
-        self._next_picture_s = -math.inf
+        self._painter = Painter(PICTURE_SHARE)
         self._drawn_s: dict[str, float] = {}
         self._early: list[Event] = []
         self._has_log = False
@@ -87,6 +88,7 @@ class StreamLogger:
         self._arranged: tuple[Contents, str] | None = None
         self.arrangement: rrb.Blueprint | None = None
         """The blueprint that was sent last."""
+        self._last_ns: dict[str, int] = {}
         self._newest: Rows | None = None
         self._began_ns: int | None = None
         self._age_ns = 0
@@ -137,7 +139,10 @@ class StreamLogger:
     def _log_samples(self, item: Samples) -> None:
         count = None if item.first is None else np.arange(item.first, item.first + item.rows, dtype=np.int64)
         step_ns = 0 if self._live else RECORDED_STEP_NS
-        rows = Rows(item.block.columns, count, item.device_ns, item.host_ns, step_ns)
+        before_ns = self._last_ns.get(item.stream)
+        rows = Rows(item.block.columns, count, item.device_ns, item.host_ns, step_ns, before_ns)
+        if rows.clock is not None and len(rows.clock):
+            self._last_ns[item.stream] = int(rows.clock[-1])
         if item.device_ns is not None:
             self._timeline = "device_time"
         elif item.host_ns is None and self._timeline == "host_time":
@@ -176,6 +181,8 @@ class StreamLogger:
         if integers:
             if rows.step_ns:
                 due = rows.thinned(rows.step_ns)
+                if not due.any():
+                    return
                 integers, rows = {name: values[due] for name, values in integers.items()}, rows.kept(due)
             entity = f"{INTEGERS}/{stream}" if stream else INTEGERS
             self._rec.send_columns(
@@ -189,8 +196,9 @@ class StreamLogger:
             self._others.add(name)
             self._declare_other(name)
         kept = rows.extremes(np.asarray(values, np.float64)[:, np.newaxis]) & np.isfinite(values)
-        scalars = rr.Scalars.columns(scalars=values[kept])
-        self._rec.send_columns(f"{OTHER}/{name}", indexes=rows.kept(kept).indexes, columns=scalars)
+        if not kept.any():
+            return
+        rows.kept(kept).send(self._rec, f"{OTHER}/{name}", np.asarray(values[kept], np.float64))
 
     def _log_early_events(self, first: Samples) -> None:
         """Show the events before the first sample on the timelines that begin with it."""
@@ -254,20 +262,21 @@ class StreamLogger:
             for key in self._waiting:
                 self._drawn_s.setdefault(key, time.monotonic())  # it begins with nothing worth 60 kB
             for key in [key for key in self._waiting if self._is_due(key, RECORDED_PICTURE_S)]:
-                self._draw(self._waiting.pop(key))
-        elif self._waiting and (began := time.monotonic()) >= self._next_picture_s:
+                self._picture(self._waiting.pop(key))()
+        elif self._waiting and self._painter.is_free:
             key = min(self._waiting, key=lambda key: self._drawn_s.get(key, -math.inf))
-            self._drawn_s[key] = began
-            self._draw(self._waiting.pop(key))
-            self._next_picture_s = began + (time.monotonic() - began) / PICTURE_SHARE
+            self._drawn_s[key] = time.monotonic()
+            self._painter.begin(self._picture(self._waiting.pop(key)))
 
-    def _draw(self, event: Drawing) -> None:
+    def _picture(self, event: Drawing) -> Callable[[], None]:
+        """Return what draws a chart and logs the picture."""
         chart, at = event.chart, event.at
         self._charts[chart.key] = chart
         places = [other.chart.place for other in self._lasting.values() if isinstance(other, Drawing)]
         beside = any(panel.place == chart.place for panel in self._panels.shown)
         indexes = Rows({}, _one(at.sample), _one(at.device_ns), _one(at.host_ns)).indexes
-        log_picture(self._rec, chart, indexes, stacked=beside and places.count(chart.place) > 1)
+        stacked = beside and places.count(chart.place) > 1
+        return partial(log_picture, self._rec, chart, indexes, stacked=stacked)
 
     def _is_due(self, key: str, step_s: float) -> bool:
         """Tell, and remember, whether so much time has passed since this was last logged."""
@@ -279,11 +288,12 @@ class StreamLogger:
 
     def finish(self) -> None:
         """Log the charts and the status card as they are at the end."""
+        self._painter.wait()
         self._drawn_s.clear()
         self._waiting.clear()
         for event in self._lasting.values():
             if isinstance(event, Drawing):
-                self._draw(event)
+                self._picture(event)()
             elif isinstance(event, Status):
                 self._log_event(event)
         self._arrange()

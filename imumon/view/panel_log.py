@@ -94,9 +94,8 @@ class PanelLog:
         height = LINK_HEIGHT if panel.place == LINK else TAB_HEIGHT
         ends = extent.ends(rows.clock, reach, marks_of(strips, height))
         if ends is not None:
-            indexes = rows.kept(np.array([len(reach.values) - 1])).indexes
-            scalars = rr.Scalars.columns(scalars=np.array([ends]))
-            self._rec.send_columns(entity(panel.drawn), indexes=indexes, columns=scalars)
+            last = rows.kept(np.array([len(reach.values) - 1]))
+            last.send(self._rec, entity(panel.drawn), np.array([ends]))
 
     def _window_s(self, panel: Panel) -> float | None:
         first = tab_of(panel.place) == FIRST

@@ -3,6 +3,11 @@
 from __future__ import annotations
 
 import io
+import math
+import threading
+import time
+from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -39,6 +44,9 @@ STYLE: Any = {
     "ytick.color": INK,
 }
 
+_ONE_AT_A_TIME = threading.Lock()
+"""The figures, and matplotlib's style, are those of the whole program."""
+
 
 def log_picture(
     rec: rr.RecordingStream, chart: Chart, indexes: list[rr.TimeColumn], *, stacked: bool
@@ -49,6 +57,44 @@ def log_picture(
     rec.send_columns(f"{CHARTS}/{chart.key}", indexes=indexes, columns=image)
 
 
+class Painter:
+    """Draws live charts in a thread of its own: one takes 0.1 s or longer, in which samples go on.
+
+    Parameters
+    ----------
+    share : float
+        Of the time that drawing takes at the most.
+    """
+
+    def __init__(self, share: float) -> None:
+        self._share = share
+        self._thread: threading.Thread | None = None
+        self._next_s = -math.inf
+
+    @property
+    def is_free(self) -> bool:
+        """Tell whether the next one can be drawn now."""
+        return time.monotonic() >= self._next_s
+
+    def begin(self, draw: Callable[[], None]) -> None:
+        """Draw, when it is free."""
+        self._next_s = math.inf
+        self._thread = threading.Thread(target=self._run, args=[draw], name="painter", daemon=True)
+        self._thread.start()
+
+    def wait(self) -> None:
+        """Let what has begun be done."""
+        if self._thread is not None:
+            self._thread.join()
+
+    def _run(self, draw: Callable[[], None]) -> None:
+        began = time.thread_time()
+        try:
+            draw()
+        finally:
+            self._next_s = time.monotonic() + (time.thread_time() - began) / self._share
+
+
 def chart_view(key: str, title: str) -> Any:
     """Return the view of one chart."""
     return rrb.Spatial2DView(origin=f"{CHARTS}/{key}", name=title)
@@ -57,12 +103,10 @@ def chart_view(key: str, title: str) -> Any:
 def picture(chart: Chart, size_inch: tuple[float, float] = TALL) -> bytes:
     """Return the chart as a PNG; only its texts while it has no point to draw."""
     import matplotlib as mpl  # takes 0.3 s, and only a run with charts needs it
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
 
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=size_inch, dpi=DOTS_PER_INCH)
-        FigureCanvasAgg(figure)
+    with _ONE_AT_A_TIME, mpl.rc_context(STYLE):
+        figure = _figure(size_inch)
+        figure.clear()
         axes = figure.add_subplot()
         for curve in chart.curves:
             _draw(axes, curve)
@@ -72,6 +116,17 @@ def picture(chart: Chart, size_inch: tuple[float, float] = TALL) -> bytes:
         out = io.BytesIO()
         figure.savefig(out, format="png", pil_kwargs={"compress_level": 3})
     return out.getvalue()
+
+
+@cache
+def _figure(size_inch: tuple[float, float]) -> Any:
+    """Return the figure of this size: each has pixels of 4 MB, which would wait for the garbage collector."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=size_inch, dpi=DOTS_PER_INCH)
+    FigureCanvasAgg(figure)
+    return figure
 
 
 def _draw(axes: Any, curve: Curve) -> None:

@@ -3,24 +3,29 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import os
+import pickle
 import signal
 import subprocess
 import sys
 import threading
 import time
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 
-from imumon.view.frames import Batch, Frame, ReplayRequest, Report, Start
-from imumon.view.items import ViewItem, ViewSetup, item_bytes, lasting_key, merge
+from imumon.view.frames import Batch, ReplayRequest, Report, Start
+from imumon.view.items import Drawing, ViewItem, ViewSetup, lasting_key, merge
 from imumon.view.queue import DropOldestQueue
 from imumon.view.viewer import LOCALHOST, VIEWER_PORT, WEB_PORT, Mode, quiet_environment
 
-BATCH_S = 0.08
-"""Items of this long go together: 50 to 100 ms look fluent and keep the number of chunks low."""
+BATCH_S = 0.05
+"""Batches are sent as they come, and so far apart: what comes faster, as in a replay, is joined."""
+PROTOCOL = 5
+"""Of pickle, which writes arrays as they are from here on."""
 QUEUE_BYTES = 32 << 20
 HISTORY_BYTES = 64 << 20
 HISTORY_S = 120.0
@@ -30,6 +35,8 @@ STEADY_S = 30.0
 STUCK_S = 30.0
 """A view process that does not take a frame in this time is killed and started again.  (A server whose
 browser hangs stalls for 16 s and then goes on.)"""
+LOOK_S = 0.5
+"""How often it is looked whether it does."""
 GOODBYE_S = 1.0
 
 
@@ -47,34 +54,53 @@ class ViewState:
         return f"{self.text}, {self.dropped} dropped" if self.dropped else self.text
 
 
+@dataclass(frozen=True, slots=True)
+class Sent:
+    """A batch as it was sent, when, and what of it does not age."""
+
+    at_s: float
+    number: int
+    frame: bytes
+    lasting: Mapping[str, ViewItem]
+
+
 class History:
     """The latest batches, for a viewer that has not seen them, bounded in time and bytes.
 
-    States and the status card do not age: of those in batches that had to go, the latest of each stay.
+    They are kept as they were sent: as arrays they are ten thousand small pieces a minute, which leave holes
+    in the memory when they go.  States and the status card do not age: of those in batches that had to go,
+    the latest of each stay.  Of a chart the latest is kept and no other.
     """
 
     def __init__(self, max_bytes: int, max_s: float) -> None:
         self._max_bytes, self._max_s = max_bytes, max_s
-        self._batches: deque[tuple[float, int, Batch]] = deque()
+        self._sent: deque[Sent] = deque()
         self._bytes = 0
         self._lasting: dict[str, ViewItem] = {}
+        self._charts: dict[str, Drawing] = {}
 
-    def add(self, batch: Batch, now: float) -> None:
-        """Append a batch; forget the oldest ones when that is too much."""
-        size = sum(map(item_bytes, batch.items))
-        self._batches.append((now, size, batch))
-        self._bytes += size
-        while self._bytes > self._max_bytes or self._batches[0][0] < now - self._max_s:
-            _, gone, old = self._batches.popleft()
-            self._bytes -= gone
-            for item in old.items:
-                if (key := lasting_key(item)) is not None:
-                    self._lasting[key] = item
+    def add(self, batch: Batch, now: float) -> list[bytes]:
+        """Append a batch; forget the oldest ones when that is too much.  Return the frames to send."""
+        charts = {item.chart.key: item for item in batch.items if isinstance(item, Drawing)}
+        rest = [item for item in batch.items if not isinstance(item, Drawing)]
+        self._charts |= charts
+        frame = pickle.dumps(replace(batch, items=rest), PROTOCOL)
+        lasting = {key: item for item in rest if (key := lasting_key(item)) is not None}
+        self._sent.append(Sent(now, batch.number, frame, lasting))
+        self._bytes += len(frame)
+        while self._bytes > self._max_bytes or self._sent[0].at_s < now - self._max_s:
+            old = self._sent.popleft()
+            self._bytes -= len(old.frame)
+            self._lasting |= old.lasting
+        if not charts:
+            return [frame]
+        return [frame, pickle.dumps(replace(batch, items=list(charts.values())), PROTOCOL)]
 
     def after(self, number: int) -> list[ViewItem]:
         """Return all items of batches after this one, joined, the lasting ones of before first."""
-        items = [item for _, _, batch in self._batches if batch.number > number for item in batch.items]
-        return [*self._lasting.values(), *merge(items)]
+        batches = (pickle.loads(sent.frame) for sent in self._sent if sent.number > number)
+        items = [item for batch in batches for item in batch.items]
+        return [*self._lasting.values(), *merge(items), *self._charts.values()]
 
 
 class ViewPublisher:
@@ -105,6 +131,7 @@ class ViewPublisher:
         self._queue = DropOldestQueue(QUEUE_BYTES)
         self._history = History(HISTORY_BYTES, HISTORY_S)
         self._number = 0
+        self._sending_s = math.inf  # since when
         self._restarts = 0
         self._report = Report("view starts", False, port, web_port, "")
         self._request: ReplayRequest | None = None
@@ -185,7 +212,7 @@ class ViewPublisher:
         self._process = process
         self._request = None
         listener = threading.Thread(
-            target=self._listen, args=[from_process], name="view reports", daemon=True
+            target=self._listen, args=[from_process, process], name="view reports", daemon=True
         )
         listener.start()
         try:
@@ -204,30 +231,45 @@ class ViewPublisher:
 
     def _feed(self, process: subprocess.Popen[bytes], pipe: Connection) -> None:
         """Send frames until the process is gone or everything is sent and the queue closed."""
-        sent = _send(pipe, self._start, process)
+        sent = self._send(pipe, [pickle.dumps(self._start, PROTOCOL)])
         closing = False
         while sent and not closing and process.poll() is None:
             closing = self._queue.is_closed()
-            batch = self._next_batch(wait_s=0.25)
+            frames = self._next_batch(wait_s=0.25)
             request, self._request = self._request, None
             if request is not None:
-                batch = Batch(self._number, self._history.after(request.after), request.request)
-            if batch is not None:
-                sent = _send(pipe, batch, process)
+                again = Batch(self._number, self._history.after(request.after), request.request)
+                frames = [pickle.dumps(again, PROTOCOL)]
+            sent = self._send(pipe, frames)
 
-    def _next_batch(self, wait_s: float) -> Batch | None:
+    def _next_batch(self, wait_s: float) -> list[bytes]:
+        """Return the frames of the next batch; none when nothing came."""
         items = merge(self._queue.take(BATCH_S, wait_s))
         if not items:
-            return None
+            return []
         self._number += 1
-        batch = Batch(self._number, items)
-        self._history.add(batch, time.monotonic())
-        return batch
+        return self._history.add(Batch(self._number, items), time.monotonic())
 
-    def _listen(self, reports: Connection) -> None:
-        """Take what the view process says until it ends."""
+    def _send(self, pipe: Connection, frames: list[bytes]) -> bool:
+        """Send frames; False when the process is gone, maybe since it was killed for taking nothing."""
+        try:
+            for frame in frames:
+                self._sending_s = time.monotonic()
+                pipe.send_bytes(frame)
+        except OSError:
+            return False
+        finally:
+            self._sending_s = math.inf
+        return True
+
+    def _listen(self, reports: Connection, process: subprocess.Popen[bytes]) -> None:
+        """Take what the view process says until it ends; kill it when it does not take a frame."""
         with contextlib.suppress(EOFError, OSError):
             while True:
+                if not reports.poll(LOOK_S):
+                    if time.monotonic() - self._sending_s > STUCK_S:
+                        _kill(process)
+                    continue
                 message = reports.recv()
                 if isinstance(message, ReplayRequest):
                     self._request = message
@@ -251,17 +293,3 @@ def _kill(process: subprocess.Popen[bytes]) -> None:
     """End the view process and what it started for itself; a native viewer has a session of its own."""
     with contextlib.suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)
-
-
-def _send(pipe: Connection, frame: Frame, process: subprocess.Popen[bytes]) -> bool:
-    """Send a frame; False when the process is gone, maybe since it was killed for taking nothing."""
-    stuck = threading.Timer(STUCK_S, _kill, [process])
-    stuck.daemon = True
-    stuck.start()
-    try:
-        pipe.send(frame)
-    except OSError:
-        return False
-    finally:
-        stuck.cancel()
-    return True

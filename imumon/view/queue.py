@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections import deque
 
 from imumon.view.items import ViewItem, item_bytes, item_rows, lasting_key
@@ -26,6 +27,7 @@ class DropOldestQueue:
         self._lasting: dict[str, ViewItem] = {}
         self._bytes = 0
         self._closed = threading.Event()
+        self._taken_s = time.monotonic()
         self._filled = threading.Condition()
         self.dropped = 0
         """Samples and events dropped so far."""
@@ -46,8 +48,8 @@ class DropOldestQueue:
             if was_empty:
                 self._filled.notify()
 
-    def take(self, gather_s: float, wait_s: float) -> list[ViewItem]:
-        """Return all items once the first has waited `gather_s`; an empty list after `wait_s` without any.
+    def take(self, apart_s: float, wait_s: float) -> list[ViewItem]:
+        """Return all items, `apart_s` after the last ones or later; an empty list after `wait_s` without any.
 
         When the queue is closed, what is left is returned at once.
         """
@@ -55,8 +57,9 @@ class DropOldestQueue:
             self._filled.wait_for(lambda: self._items or self.is_closed(), wait_s)
             if not self._items:
                 return []
-        self._closed.wait(gather_s)
+        self._closed.wait(self._taken_s + apart_s - time.monotonic())
         with self._filled:
+            self._taken_s = time.monotonic()
             items = [*self._lasting.values(), *self._items]
             self._lasting.clear()
             self._items.clear()

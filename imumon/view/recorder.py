@@ -13,6 +13,7 @@ import rerun as rr
 
 from imumon.blocks import IntArray
 from imumon.errors import ImumonError, Reason
+from imumon.heap import trim_heap
 from imumon.view.items import Samples, ViewItem, ViewSetup, item_rows, merge
 from imumon.view.logger import APPLICATION_ID, StreamLogger
 from imumon.view.queue import DropOldestQueue
@@ -108,18 +109,23 @@ class ViewRecorder:
         closing = False
         while not closing:
             closing = self._queue.is_closed()
-            items = merge(self._queue.take(BATCH_S, BATCH_S))
-            if items and not self._error:
-                self._write(items)
-                self._check()
-            elif items:
-                self._refused += sum(map(item_rows, items))
+            self._write_next()
+            trim_heap()
             if self._compaction is not None and self._compaction.is_done():
                 self._compaction = None
         self._logger.finish()
         self._rec.disconnect()
         if self._compaction is not None:
             self._compaction.stop()
+
+    def _write_next(self) -> None:
+        """Write what has come; where that cannot be, count it."""
+        items = merge(self._queue.take(BATCH_S, BATCH_S))
+        if items and not self._error:
+            self._write(items)
+            self._check()
+        elif items:
+            self._refused += sum(map(item_rows, items))
 
     def _check(self) -> None:
         """Find out whether Rerun could write; it says so in its log only, or when asked to flush."""

@@ -25,6 +25,7 @@ class ShownPanels:
         """What the card shows of each panel, by its key."""
         self.begun: dict[str, Panel] = {}
         """Those that have had data, in the order in which they began."""
+        self._drawing: dict[tuple[str, ...], tuple[Panel, ...]] = {}
 
     @property
     def in_order(self) -> tuple[Panel, ...]:
@@ -33,7 +34,11 @@ class ShownPanels:
 
     def drawing(self, rows: Rows) -> Iterator[Panel]:
         """Yield the panels of which all columns are there, whether they have a value or not."""
-        return (panel for panel in PANELS if rows.columns.keys() >= set(panel.columns))
+        names = tuple(rows.columns)
+        if names not in self._drawing:  # the columns of a stream hardly ever change
+            there = set(names)
+            self._drawing[names] = tuple(panel for panel in PANELS if there.issuperset(panel.columns))
+        return iter(self._drawing[names])
 
     def begins(self, panel: Panel, rows: Rows) -> bool:
         """Take a new panel up when each of its columns has a value; only one body can turn."""

@@ -37,8 +37,8 @@ ALIVE = "/alive"
 STREAM_PATH = "/rerun."
 """How the paths of the stream begin; they are passed on, so that one port is enough."""
 PART_BYTES = 1 << 16
-OURS = {"connection", "keep-alive", "transfer-encoding", "content-length", "host", "server", "date"}
-"""Headers that each of two connections has of its own."""
+OURS = {"connection", "keep-alive", "transfer-encoding", "content-length", "host", "origin", "server", "date"}
+"""Headers that each of two connections has of its own; ``Host`` and ``Origin`` were judged here."""
 
 SCRIPT = """
 <script>
@@ -119,15 +119,15 @@ class WebServer:
         Address to listen on.
     port : int
         Port to listen on; must be free.
-    stream_port : int
-        Port of this machine that the stream is on.
+    stream : (str, int)
+        Address and port of the server that the stream comes from; whoever reaches that one is answered.
     title : str
         Of the page.
     """
 
-    def __init__(self, bind: str, port: int, stream_port: int, title: str = "imumon") -> None:
+    def __init__(self, bind: str, port: int, stream: tuple[str, int], title: str = "imumon") -> None:
         self.port = port
-        self.stream_port = stream_port
+        self.stream = stream
         self.host = socket.gethostname() if bind in ("0.0.0.0", "") else bind  # as others reach it
         self.url = f"http://{self.host}:{port}/"
         name = uuid.uuid4().hex
@@ -196,7 +196,7 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_error(HTTPStatus.NOT_FOUND)
             return
         body = self.rfile.read(int(self.headers.get("Content-Length", 0)))
-        with closing(http.client.HTTPConnection(LOCALHOST, self._site.stream_port)) as stream:
+        with closing(http.client.HTTPConnection(*self._site.stream)) as stream:
             try:
                 stream.request("POST", self.path, body, dict(_passed_on(self.headers.items())))
                 answer = stream.getresponse()

@@ -10,8 +10,8 @@ from imumon.pipeline import Digest, Pipeline
 from imumon.protocols.device import DeviceFile, load_device
 
 PACKETS = 6000
-LIVE_BYTES, LIVE_TAKE = 100, 3
-"""Live at 100 Hz: reads of about 100 bytes; three of them are 50 ms."""
+LIVE_BYTES, LIVE_TAKE = 100, 5
+"""Live at 100 Hz: reads of about 100 bytes; five of them are 80 ms."""
 BULK_BYTES = 65_536
 NS_PER_BYTE = 10_000_000 / 58
 
@@ -37,7 +37,7 @@ def run() -> tuple[list[Table], list[Bar]]:
     device = load_device("ax1")
     data = b"".join(device.encoder().encode(samples(PACKETS)))
     functions: dict[str, Callable[[], object]] = {
-        "live: 100-byte reads, taken every 50 ms": lambda: through(
+        "live: 100-byte reads, taken every 80 ms": lambda: through(
             device, data, LIVE_BYTES, LIVE_TAKE, False
         ),
         "bulk: 64 KiB reads, taken after each": lambda: through(device, data, BULK_BYTES, 1, False),

@@ -73,10 +73,10 @@ def main() -> None:
         for name, value in truth.items():
             table.add_row(_text(truth), LETTERS[name], *_row(fits, name, value), f"{false / len(fits):.1%}")
     Console(width=140).print(table)
-    Console(width=140).print(_sines())
+    Console(width=140).print(_sines(min(seeds, SINE_SEEDS)))
 
 
-def _sines() -> Table:
+def _sines(seeds: int) -> Table:
     """Return what is told of white noise beside a sine."""
     table = Table("Hz", "rad/s", "N told", "value / truth", "median sd / truth", "other terms told")
     t = np.arange(SAMPLES) / RATE_HZ
@@ -84,7 +84,7 @@ def _sines() -> Table:
         channels = {
             str(seed): noise(seed, SAMPLES, 1 / RATE_HZ, white=WHITE)
             + size * np.sin(2 * np.pi * hertz * t + seed)
-            for seed in range(SINE_SEEDS)
+            for seed in range(seeds)
         }
         series = even_channels(
             np.arange(SAMPLES) * (1_000_000_000 // RATE_HZ), np.zeros(SAMPLES, np.int64), channels

@@ -153,12 +153,12 @@ def make(setting: Setting, seed: int) -> Case:
             )
         runs.append(replace(run, mean=mean))
     if driving is not None:
-        _add(case, runs, added, setting)
+        add(case, runs, added, setting)
         case = replace(case, truth=[{*truth, driving.truth} for truth in case.truth])
     return replace(case, runs=runs)
 
 
-def _add(case: Case, runs: list[Run], added: list[list[FloatArray]], setting: Setting) -> None:
+def add(case: Case, runs: list[Run], added: list[list[FloatArray]], setting: Setting) -> None:
     """Add the bias, scaled so that the declared model leaves `size` times the noise in training."""
     temperature = np.concatenate([_means(run.mean["temperature"]) for run in runs[:2]])
     columns = ((temperature - 25) / 20)[:, np.newaxis] ** np.arange(4)

@@ -16,11 +16,14 @@ DOCS = ROOT / "docs"
 def main() -> int:
     """Run one part."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--part", choices=("simulated", "plans", "measured", "heading"), default="simulated")
+    parts = ("simulated", "formulas", "plans", "measured", "heading")
+    parser.add_argument("--part", choices=parts, default="simulated")
     parser.add_argument("--quick", action="store_true", help="a few seconds: the first of everything")
     parser.add_argument("data", nargs="?", type=Path, default=DATA, help="folder of the measured recordings")
-    parser.add_argument("--repeat", type=int, default=4, help="simulated, plans: cases of each kind")
-    parser.add_argument("--first", type=int, default=900, help="plans: the first seed")
+    parser.add_argument(
+        "--repeat", type=int, default=4, help="simulated, formulas, plans: cases of each kind"
+    )
+    parser.add_argument("--first", type=int, default=900, help="formulas, plans: the first seed")
     parser.add_argument("--jobs", type=int, default=2, help="simulated, plans: processes")
     given = parser.parse_args()
     if given.part == "simulated":
@@ -30,6 +33,10 @@ def main() -> int:
             return max(statistics(["--repeat", "1", "--jobs", "1", "--only", label]) for label in QUICK)
         out = DOCS / "appendix" / "closing-the-loop-results.md"
         return statistics(["--repeat", str(given.repeat), "--jobs", str(given.jobs), "--out", str(out)])
+    if given.part == "formulas":
+        from closing_the_loop_formulas import formulas
+
+        return formulas(1 if given.quick else given.repeat, given.first)
     if given.part == "plans":
         from closing_the_loop_plans import plans
 

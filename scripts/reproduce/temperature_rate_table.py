@@ -125,7 +125,7 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="a few seconds: the first of everything")
     given = parser.parse_args()
     if given.quick:
-        table([simulate("heating", 0.0)], SETTLED_MIN)
+        table([simulate("heating", 0.0, hours=1.0)], SETTLED_MIN)
         return
     folder = Path(given.data)
     print(f"Simulated at 10 Hz for 3 h, step {STEP} °C, after {SETTLED_MIN:.0f} min; FIR buffer {BUFFER}.\n")

@@ -68,7 +68,7 @@ def _fuzz(_: Path, short: bool) -> Iterator[Row]:
 
 def _endurance(folder: Path, short: bool) -> Iterator[Row]:
     yield endurance.accelerated(folder, 400.0, 0.1 if short else 2.0)
-    yield endurance.real_time(folder, 1000.0, 0.5 if short else 10.0)
+    yield endurance.real_time(folder, 1000.0, 0.5 if short else 30.0)
 
 
 def _days(folder: Path, short: bool) -> Iterator[Row]:

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,7 @@ import pytest
 from imumon.protocols.device import load_device
 from imumon.simulation.unit.scenario import load_scenario
 from imumon.simulation.virtual_device import VirtualDevice
-from tests.cli.command import IMUMON, answer, imumon
+from tests.cli.command import answer, imumon
 
 KEYS = ["heading_deg", "heading_sd_deg", "estimator", "settled_s", "observable", "positions", "estimators"]
 
@@ -158,13 +157,8 @@ def test_a_live_unit_is_aligned_through_its_port_and_recorded(tmp_path: Path) ->
     file = tmp_path / "quick.yaml"
     file.write_text("format: imumon-pipeline/1\nlatitude_deg: 36\n")
     with VirtualDevice(load_device("ax1"), tmp_path / "ahrs", scenario=load_scenario("alignment")) as ahrs:
-        done = subprocess.run(
-            [
-                IMUMON, "align", ahrs.port.path, "--device", "ax1", "--pipeline", file, "--until", "2",
-                "--out", tmp_path / "s", "--seconds", "60", "--json",
-            ],
-            capture_output=True, text=True, timeout=90, check=False,
-        )  # fmt: skip
+        given = ("--device", "ax1", "--pipeline", file, "--out", tmp_path / "s", "--seconds", 60)
+        done = imumon("align", ahrs.port.path, *given, "--until", 2, "--json")
     assert done.returncode == 0, done.stderr
     result = json.loads(done.stdout)
     assert list(result) == KEYS

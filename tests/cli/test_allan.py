@@ -70,7 +70,7 @@ def done(table: Path) -> subprocess.CompletedProcess[str]:
     folder = table.parent
     return allan(
         table, "--json", "--plot", folder / "a.png", "--noise-out", folder / "noise.yaml",
-        "--kalibr", folder / "imu.yaml",
+        "--kalibr", folder / "imu.yaml", "--openvins", folder / "chain.yaml", "--vins", folder / "vins.yaml",
     )  # fmt: skip
 
 
@@ -115,6 +115,16 @@ def test_the_written_files_say_the_same(done: subprocess.CompletedProcess[str], 
         "accelerometer_noise_density", "accelerometer_random_walk", "gyroscope_noise_density",
         "gyroscope_random_walk", "rostopic", "update_rate",
     }  # fmt: skip
+    head, _, rest = (table.parent / "chain.yaml").read_text().partition("\n")
+    assert head == "%YAML:1.0"
+    assert "&" not in rest
+    chain = yaml.safe_load(rest)["imu0"]
+    assert {name: chain[name] for name in kalibr} == kalibr
+    assert np.array(chain["T_i_b"]).shape == (4, 4)
+    vins = yaml.safe_load((table.parent / "vins.yaml").read_text().partition("\n")[2])
+    # Of one sample: what the simulated samples have.
+    assert vins["gyr_n"] == pytest.approx(max(gyro) * np.sqrt(50.0), rel=1e-4)
+    assert vins["acc_w"] == pytest.approx(max(walks) * np.sqrt(50.0), rel=1e-4)
     with Image.open(table.parent / "a.png") as picture:
         assert picture.size[0] > picture.size[1] > 400
 

@@ -21,9 +21,14 @@ def session(tmp_path: Path) -> Path:
     return folder
 
 
-def test_a_replay_in_the_browser_serves_until_it_is_interrupted(session: Path) -> None:
+@pytest.mark.parametrize(
+    ("command", "told"), [(["replay", "--speed", "max"], '"rows": 300'), (["view"], '"samples": 300')]
+)
+def test_a_session_in_the_browser_is_served_until_it_is_interrupted_and_its_readers_are_said(
+    session: Path, command: list[str], told: str
+) -> None:
     process = subprocess.Popen(
-        [IMUMON, "replay", str(session), "--view", "web", "--speed", "max", "--json"],
+        [IMUMON, *command, str(session), "--view", "web", "--bind", "0.0.0.0", "--json"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     assert process.stderr is not None
@@ -32,21 +37,20 @@ def test_a_replay_in_the_browser_serves_until_it_is_interrupted(session: Path) -
         said += line
         if "until Ctrl-C" in line:
             break
-    address = re.search(r"http://127\.0\.0\.1:\d+\S*", said)
-    assert address, said
-    with urllib.request.urlopen(address[0], timeout=10) as page:
+    port = re.search(r"http://\S+:(\d+)/", said)
+    assert port, said
+    assert "every computer that reaches this one can read" in said
+    with urllib.request.urlopen(f"http://127.0.0.1:{port[1]}/", timeout=10) as page:
         assert page.status == 200
     process.send_signal(signal.SIGINT)
     out, rest = process.communicate(timeout=30)
     assert process.returncode == 0, rest
-    assert '"rows": 300' in out
+    assert told in out
 
 
-def test_without_a_display_a_native_view_says_so(session: Path) -> None:
-    environment = {name: value for name, value in os.environ.items() if "DISPLAY" not in name}
-    done = subprocess.run(
-        [IMUMON, "replay", str(session), "--view", "native", "--speed", "max"],
-        env=environment, capture_output=True, text=True, check=False, timeout=60,
-    )  # fmt: skip
+def test_without_a_display_a_native_view_says_so(session: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in [name for name in os.environ if "DISPLAY" in name]:
+        monkeypatch.delenv(name)
+    done = imumon("replay", session, "--view", "native", "--speed", "max")
     assert "there is no display here" in done.stderr
     assert "300" in done.stderr

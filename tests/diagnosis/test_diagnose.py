@@ -84,6 +84,23 @@ def test_a_creep_and_a_dead_time_are_named_as_such_and_carry_over(bias: Bias, na
     assert [effect.name for effect in extended_model(diagnosis).channels["gyro_x"].effects] == [name]
 
 
+def late_and_loose(time: FloatArray, temperature: FloatArray) -> FloatArray:
+    """A lag and a loop of one sign, which have most of their course in common."""
+    loop = np.empty_like(temperature)
+    at = temperature[0]
+    for i, value in enumerate(temperature.tolist()):
+        at = loop[i] = min(max(at, value - 3.0), value + 3.0)
+    return lag(time, temperature) + 6.0 * (temperature - loop)
+
+
+def test_a_lag_and_a_loop_are_both_named() -> None:
+    diagnosis = diagnose(*three(late_and_loose))
+    found = report(diagnosis)["channels"]["gyro_x"]
+    assert sorted(names(diagnosis)) == ["hysteresis", "thermal_lag"]
+    assert found["before"]["test_rms"] > 5 * found["noise_floor_rms"]
+    assert found["after"]["test_rms"] < 1.3 * found["noise_floor_rms"]
+
+
 def test_the_model_file_foretells_the_test_as_well_as_the_report_says(
     lagging: Diagnosis, tmp_path: Path
 ) -> None:

@@ -76,6 +76,30 @@ class Line:
                 return
 
 
+def end_in_order(
+    child: subprocess.Popen[str], line: Line, number: int, patience: float
+) -> tuple[list[str], float]:
+    """End a monitor with ``--json`` by a signal; return what was not in order, and how long it took.
+
+    It may take so many times as long as promised.
+    """
+    line.pause()
+    time.sleep(0.3)
+    child.send_signal(number)
+    began = time.monotonic()
+    out, err = child.communicate(timeout=60)
+    took_s = time.monotonic() - began
+    told, wrong = json.loads(out), []
+    if child.returncode or took_s > patience * EXIT_S:
+        wrong.append(f"exit code {child.returncode} after {took_s:.1f} s: {err}")
+    for name in ("bytes_received", "bytes_recorded"):
+        if told[name] != line.sent[-1]:
+            wrong.append(f"{told[name]} of {line.sent[-1]} {name.replace('_', ' ')}")
+    if told["packets"] != len(line.sent):
+        wrong.append(f"{told['packets']} of {len(line.sent)} packets")
+    return wrong, took_s
+
+
 def kill_one(folder: Path, rate_hz: float, after_s: float, signal_number: int = signal.SIGKILL) -> float:
     """Kill a monitor so long after its first bytes; return the age (s) of the oldest byte that is lost."""
     line = Line(rate_hz)
@@ -116,20 +140,10 @@ def interrupt(folder: Path, number: int, stopped_s: float = 2.0, patience: float
             for each in (signal.SIGSTOP, signal.SIGCONT):
                 child.send_signal(each)
                 time.sleep(stopped_s if each is signal.SIGSTOP else 1.0)
-            line.pause()
-            time.sleep(0.3)
-            child.send_signal(number)
-            sent_s = time.monotonic()
-            out, err = child.communicate(timeout=30)
-            took_s = time.monotonic() - sent_s
+            wrong, _ = end_in_order(child, line, number, patience)
         finally:
             child.kill()
             line.close()
-    summary, wrong = json.loads(out), []
-    if child.returncode or took_s > patience * EXIT_S:
-        wrong.append(f"exit code {child.returncode} after {took_s:.1f} s: {err}")
-    if summary["bytes_received"] != line.sent[-1] or summary["packets"] != len(line.sent):
-        wrong.append(f"{summary['bytes_received']} of {line.sent[-1]} bytes received")
     source = open_source(folder)
     assert source.session is not None
     if source.session.state != "closed" or source.session.metadata.results_digest is None:

@@ -258,11 +258,13 @@ def _off(clean: SampleBlock, struck: SampleBlock) -> list[str]:
     return off
 
 
-def attack_all(latitude_deg: float | None, names: list[str] | None = None) -> Iterator[tuple[str, Outcome]]:
+def attack_all(
+    latitude_deg: float | None, names: list[str] | None = None, length_s: float = LENGTH_S
+) -> Iterator[tuple[str, Outcome]]:
     """Run each fault, and compare."""
-    clean, _ = run(healthy(), latitude_deg)
+    clean, _ = run(healthy(length_s=length_s), latitude_deg)
     for name in names or FAULTS:
-        columns = healthy()
+        columns = healthy(length_s=length_s)
         FAULTS[name](columns, slice(round(FAULT_S[0] * RATE_HZ), round(FAULT_S[1] * RATE_HZ)))
         struck, _ = run(columns, latitude_deg)
         yield name, compare(clean, struck, FAULT_S[1], RATE_HZ)

@@ -2,7 +2,9 @@ from __future__ import annotations
 
 import fcntl
 import os
+import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,28 +14,44 @@ from imumon.recordings.wire_reader import WireReader
 from tests.cli.command import answer, imumon
 from tests.faults.damage import zero_sector
 
+NAMES = ("wire.mcap", "session.yaml", "view.rrd")
 
-@pytest.fixture
-def killed(tmp_path: Path) -> Path:
+
+@pytest.fixture(scope="module")
+def broken(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A session as a kill leaves it: no footer, state open, no counters, a view that was cut."""
-    done = imumon("simulate", "bench", "--out", tmp_path / "s", "--duration", 20)
+    folder = tmp_path_factory.mktemp("broken") / "s"
+    done = imumon("simulate", "bench", "--out", folder, "--duration", 20)
     assert done.returncode == 0, done.stderr
-    wire = tmp_path / "s" / "wire.mcap"
+    wire = folder / "wire.mcap"
     content = wire.read_bytes()
     wire.write_bytes(content[: len(content) * 3 // 4])
-    text = (tmp_path / "s" / "session.yaml").read_text()
-    (tmp_path / "s" / "session.yaml").write_text(text.replace("state: closed", "state: open"))
-    (tmp_path / "s" / "view.rrd").write_bytes(b"RRF2 cut")
-    return tmp_path / "s"
+    text = (folder / "session.yaml").read_text()
+    (folder / "session.yaml").write_text(text.replace("state: closed", "state: open"))
+    (folder / "view.rrd").write_bytes(b"RRF2 cut")
+    return folder
 
 
-def test_a_killed_session_is_finished_and_the_originals_stay(killed: Path) -> None:
-    names = ("wire.mcap", "session.yaml", "view.rrd")
-    before = {name: (killed / name).read_bytes() for name in names}
-    items = list(WireReader(killed / "wire.mcap"))
-    result = answer("recover", killed)
+@pytest.fixture
+def killed(broken: Path, tmp_path: Path) -> Path:
+    """A killed session that a test may change."""
+    return Path(shutil.copytree(broken, tmp_path / "s"))
+
+
+@pytest.fixture(scope="module")
+def recovered(broken: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    """A killed session that was recovered, and what was said."""
+    folder = Path(shutil.copytree(broken, tmp_path_factory.mktemp("recovered") / "s"))
+    return folder, answer("recover", folder)
+
+
+def test_a_killed_session_is_finished_and_the_originals_stay(
+    broken: Path, recovered: tuple[Path, dict[str, Any]]
+) -> None:
+    killed, result = recovered
+    before = {name: (broken / name).read_bytes() for name in NAMES}
     reader = WireReader(killed / "wire.mcap")
-    assert list(reader) == items
+    assert list(reader) == list(WireReader(broken / "wire.mcap"))
     assert reader.summary.complete
     assert reader.summary.checksum_ok
     session = open_session(killed)
@@ -41,13 +59,13 @@ def test_a_killed_session_is_finished_and_the_originals_stay(killed: Path) -> No
     assert session.metadata.counters["bytes_received"] == reader.summary.bytes
     assert session.metadata.counters["samples"] > 1000
     assert (killed / "view.rrd").stat().st_size > 10_000
-    assert {(killed / f"{name}.original").read_bytes() for name in names} == set(before.values())
-    assert sorted(result["originals"]) == sorted(str(killed / f"{name}.original") for name in names)
+    assert {name: (killed / f"{name}.original").read_bytes() for name in NAMES} == before
+    assert sorted(result["originals"]) == sorted(str(killed / f"{name}.original") for name in NAMES)
     assert not list(killed.glob("*partial*")) + list(killed.glob("recovering*"))
 
 
-def test_a_second_recovery_does_nothing(killed: Path) -> None:
-    answer("recover", killed)
+def test_a_second_recovery_does_nothing(recovered: tuple[Path, dict[str, Any]]) -> None:
+    killed, _ = recovered
     before = {path.name: (path.stat().st_mtime_ns, path.stat().st_size) for path in killed.iterdir()}
     done = imumon("recover", killed)
     assert "nothing was written" in done.stderr

@@ -14,11 +14,13 @@ SEVERE = [
     "time leaps to 2^62 for 5 samples",
     "a new segment every 0.5 s for 10 s",
 ]
+LENGTH_S = 480.0
+"""Four times what is promised after a fault: it ends with the columns that longer ones end with."""
 
 
 @pytest.mark.parametrize("latitude_deg", [None, 48.0])
 def test_every_stage_recovers_when_the_data_is_good_again(latitude_deg: float | None) -> None:
-    for name, outcome in attack_all(latitude_deg, SEVERE):
+    for name, outcome in attack_all(latitude_deg, SEVERE, LENGTH_S):
         assert not outcome.dead, name
         assert not outcome.wild, name
         assert outcome.alive_after_s < SOON_S, name

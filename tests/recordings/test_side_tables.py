@@ -9,9 +9,8 @@ import pytest
 
 from imumon.errors import ImumonError, Reason
 from imumon.pipeline import Pipeline
-from imumon.protocols.device import load_device
 from imumon.recordings.side_tables import export_run, side_path
-from imumon.recordings.source import capture_items, run_over
+from imumon.recordings.source import open_source, run_over
 from imumon.recordings.table import read_table
 from tests.protocols.wire import mtdata2_gnss, mtdata2_inertial
 
@@ -20,9 +19,10 @@ def _export(
     path: Path, data: bytes, out: Path, columns: list[str] | None = None
 ) -> tuple[int, dict[str, Path]]:
     path.write_bytes(data)
-    pipeline = Pipeline(load_device("xsens"))
-    blocks = run_over(capture_items(path), pipeline)
-    return export_run(blocks, pipeline, out, columns, lambda: pipeline.columns)
+    source = open_source(path, "xsens")
+    pipeline = Pipeline(source.device)
+    made = export_run(run_over(source.items, pipeline), pipeline, source, out, columns)
+    return made.rows, made.tables
 
 
 def _stream(inertial: int, gnss: int) -> bytes:

@@ -2,32 +2,62 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 from types import SimpleNamespace
 from typing import cast
 
 import pytest
 
+from imumon.blocks import SampleBlock, join
 from imumon.errors import ImumonError
 from imumon.protocols.commands.families import family_of
-from imumon.protocols.device import load_device
+from imumon.protocols.device import DeviceFile, load_device
 from imumon.run import command_link, measured_stream
 from imumon.run.command_link import CommandLink
 from imumon.run.configure import Configuration, Report
 from imumon.simulation.firmware.core import Firmware, Sending
 from imumon.simulation.firmware.families import firmware_of
 from imumon.simulation.unit import SimulatedUnit, load_scenario
+from imumon.simulation.unit.unit import CHUNK
 from imumon.transport.errors import lost_error
 from imumon.transport.port import Port
 from imumon.transport.settings import PortSettings
+
+
+@cache
+def device_of(name: str) -> DeviceFile:
+    """Return a device, read once for all tests."""
+    return load_device(name)
+
+
+class Played:
+    """What a unit sends, simulated once for all ports."""
+
+    def __init__(self, unit: SimulatedUnit) -> None:
+        self._unit = unit
+        self._made = unit.samples(CHUNK)
+
+    def rows(self, start: int, stop: int) -> SampleBlock:
+        """Return samples by their number since power-on."""
+        while stop > len(self._made):
+            self._made = join([self._made, self._unit.samples(CHUNK)])
+        return self._made.rows(start, stop)
+
+
+@cache
+def played(name: str, rate_hz: float) -> Played:
+    """Return what a unit sends at a rate in the axes of a device."""
+    return Played(SimulatedUnit(load_scenario("bench").played(rate_hz, device_of(name).axes)))
 
 
 class LoopedPort:
     """What `CommandLink` asks of a port, with the firmware of a virtual device behind it."""
 
     def __init__(self, name: str, rate_hz: float) -> None:
-        self.device = load_device(name)
+        self.device = device_of(name)
         made = firmware_of(self.device, rate_hz)
         assert made is not None
         self.firmware: Firmware = made
@@ -36,12 +66,12 @@ class LoopedPort:
         self.now_s = 1000.0
         self.on_write: Callable[[int], None] = lambda _: None
         self.writes = 0
-        self._rate_hz, self._axes = rate_hz, self.device.axes
+        self._name, self._rate_hz = name, rate_hz
         self._answers = b""
         self._samples = 0.0
         self._sending: Sending | None = None
         self._sent_by = dict(self.firmware.settings.volatile)
-        self._units: dict[float, SimulatedUnit] = {}
+        self._sent: Counter[float] = Counter()
 
     def monotonic(self) -> float:
         return self.now_s
@@ -86,9 +116,9 @@ class LoopedPort:
         rate = self._rate_hz if sending is None else sending.rate_hz
         self._samples += seconds * rate
         n, self._samples = int(self._samples), self._samples % 1.0
-        if rate not in self._units:
-            self._units[rate] = SimulatedUnit(load_scenario("bench").played(rate, self._axes))
-        block = self._units[rate].samples(n)
+        first = self._sent[rate]
+        self._sent[rate] += n
+        block = played(self._name, rate).rows(first, first + n)
         return b"".join(self.device.encoder().encode(block)) if sending is None else sending.encode(block)
 
 
@@ -110,7 +140,7 @@ class Looped:
 
 def looped(monkeypatch: pytest.MonkeyPatch, name: str, rate_hz: float | None = None) -> Looped:
     """Return a device that streams, and what configures it; clocks go as the port is read."""
-    port = LoopedPort(name, rate_hz or load_device(name).rate_hz or 100.0)
+    port = LoopedPort(name, rate_hz or device_of(name).rate_hz or 100.0)
     clock = SimpleNamespace(monotonic=port.monotonic, time_ns=port.time_ns)
     monkeypatch.setattr(command_link, "time", clock)
     monkeypatch.setattr(measured_stream, "time", clock)

@@ -5,6 +5,7 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from queue import SimpleQueue
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from imumon.run.live import LiveRun, nothing_decoded, warm_up
 from imumon.run.setup import Setup
 from imumon.run.stages import estimators
 from imumon.simulation.virtual_device import VirtualDevice
+from imumon.transport.reader import Bytes, Event, EventKind, Item, Reads
 from imumon.transport.settings import PortSettings
 from imumon.view.items import Log, State, Status, ViewItem
 from tests.transport.helpers import wait_until
@@ -60,6 +62,18 @@ def replayed(session: Session) -> tuple[SampleBlock, Pipeline]:
 def ahrs(tmp_path: Path) -> Iterator[VirtualDevice]:
     with VirtualDevice(AX1, tmp_path / "ahrs") as device:
         yield device
+
+
+def test_reads_in_a_row_come_at_once_and_nothing_after_the_end() -> None:
+    opened, closed = (Event(kind, 5, "") for kind in (EventKind.OPENED, EventKind.CLOSED))
+    items: SimpleQueue[Item] = SimpleQueue()
+    for item in (opened, Bytes(b"ab", 6), Bytes(b"c", 7), closed, Bytes(b"d", 8)):
+        items.put(item)
+    first, reads, last = live.arrived(items)
+    assert (first, last) == (opened, closed)
+    assert isinstance(reads, Reads)
+    assert list(reads) == [Bytes(b"ab", 6), Bytes(b"c", 7)]
+    assert reads.lengths.tolist() == [2, 1]
 
 
 @pytest.mark.usefixtures("no_leaks")

@@ -33,7 +33,7 @@ def test_two_tabs_in_a_browser_show_something_and_nothing_goes_out(tmp_path: Pat
     if binary is None:
         pytest.skip("no Chromium here: apt install chromium")
     port = free_port(29800)
-    site = WebServer("127.0.0.1", free_port(29890), port, "AX1")
+    site = WebServer("127.0.0.1", free_port(29890), ("127.0.0.1", port), "AX1")
     rec = rr.RecordingStream("imumon", recording_id="browser")
     rec.set_sinks(rr.GrpcServerSink("127.0.0.1", port, server_memory_limit=SERVER_MEMORY, newest_first=True))
     logger = StreamLogger(rec, SETUP, live=True)

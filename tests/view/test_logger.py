@@ -56,6 +56,39 @@ def test_samples_read_back_bit_for_bit_in_si(write: Callable[[Write], Path]) -> 
     np.testing.assert_allclose(scalars([path], "/view/gyro")[3], np.rad2deg(gyro))
 
 
+@pytest.mark.parametrize("shape", [(4,), (2, 3), (3, 1), (1, 2)])
+def test_values_are_sent_as_rerun_itself_makes_them(shape: tuple[int, ...]) -> None:
+    values, sent = np.arange(float(np.prod(shape))).reshape(shape), list[rr.ComponentColumn]()
+
+    class Stream(rr.RecordingStream):
+        def send_columns(self, *_: object, columns: list[rr.ComponentColumn], **__: object) -> None:  # type: ignore[override]
+            sent.extend(columns)
+
+    Rows({}, np.arange(shape[0]), None, None).send(Stream("imumon"), "/samples/x", values)
+    (mine,), (theirs,) = sent, rr.Scalars.columns(scalars=values)
+    assert mine.component_descriptor() == theirs.component_descriptor()
+    assert mine.as_arrow_array().equals(theirs.as_arrow_array())
+
+
+@pytest.mark.parametrize("rows", [3, 8, 50])
+def test_estimates_come_five_times_a_second_however_the_samples_come(
+    write: Callable[[Write], Path], rows: int
+) -> None:
+    """Rows at 100 Hz: of those at 0.00, 0.01 ... s the ones at 0.0, 0.2 ... s."""
+    sd = {f"gyro_bias_sd_{axis}": np.full(300, 1e-5) for axis in "xyz"}
+    bias = {f"gyro_bias_{axis}": np.arange(300.0) for axis in "xyz"}
+
+    def fill(logger: StreamLogger) -> None:
+        timebase, whole = Timebase(), block(0, 300).with_columns({**bias, **sd})
+        for start in range(0, 300, rows):
+            logger.log([timebase.samples(whole.rows(start, min(start + rows, 300)))])
+
+    sample, device, _, _ = scalars([write(fill)], "/samples/gyro_bias")
+    step = 200_000_000
+    assert (np.diff(device // step) == 1).all()
+    assert len(sample) == pytest.approx(300 / 20, abs=1)
+
+
 def test_counters_stay_integers(write: Callable[[Write], Path]) -> None:
     path = write(lambda logger: Stream(lambda item: logger.log([item])).send(50))
     (batch,) = record_batches(path, "/samples/integers")

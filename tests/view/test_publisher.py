@@ -2,7 +2,9 @@ from __future__ import annotations
 
 import http.client
 import os
+import pickle
 import signal
+import socket
 import subprocess
 import time
 from collections.abc import Callable, Iterator
@@ -16,9 +18,9 @@ import pytest
 from PIL import Image
 from rerun.experimental import ViewerClient
 
-from imumon.charts import AXIS_COLORS
+from imumon.charts import AXIS_COLORS, RED, Axis, Chart, Curve
 from imumon.view.frames import Batch
-from imumon.view.items import Log, Samples, State, Timebase, ViewSetup, item_bytes
+from imumon.view.items import Drawing, Log, Samples, State, Timebase, ViewSetup, item_bytes
 from imumon.view.publisher import QUEUE_BYTES, History, ViewPublisher
 from imumon.view.viewer import Mode, proxy_url, quiet_environment, viewer_binary
 from tests.view.conftest import StartViewer
@@ -209,9 +211,11 @@ def test_servers_listen_on_this_machine_only(publish: Publish, port: int) -> Non
     }
 
 
+HERE = socket.gethostname()
 ASKED = [
     ({}, 200),
     ({"Origin": "http://127.0.0.1:9090"}, 200),
+    ({"Host": f"{HERE}:9090", "Origin": f"http://{HERE}:9090"}, 200),
     ({"Origin": "http://evil.example"}, 403),
     ({"Origin": "null"}, 403),
     ({"Host": "evil.example"}, 403),
@@ -307,7 +311,7 @@ def batches(count: int) -> list[Batch]:
 
 def test_history_is_bounded_in_bytes_and_time() -> None:
     parts = batches(20)
-    size = sum(map(item_bytes, parts[0].items))
+    size = len(History(1 << 30, 1e9).add(parts[-1], 0.0)[0])
     by_bytes, by_time = History(5 * size, 1e9), History(1 << 30, 2.5)
     for second, part in enumerate(parts):
         by_bytes.add(part, second)
@@ -316,6 +320,20 @@ def test_history_is_bounded_in_bytes_and_time() -> None:
         (item,) = history.after(-1)
         assert isinstance(item, Samples)
         assert (item.first, item.rows) == (200 - 10 * kept, 10 * kept)
+
+
+def test_history_keeps_the_latest_of_each_chart_and_costs_no_more() -> None:
+    axis, line = Axis("x"), Curve("y", np.ones(999), np.ones(999), RED)
+    history = History(10_000, 1e9)
+    for number in range(10):
+        at, key = Timebase().at(number), "ab"[number % 2]
+        drawn = Drawing(at, Chart(key, "Tab", key, axis, axis, (line,)))
+        frames = history.add(Batch(number, [Log(at, f"{number}"), drawn]), 0.0)
+        assert [type(item) for frame in frames for item in pickle.loads(frame).items] == [Log, Drawing]
+    *logs, last, newest = history.after(3)
+    assert [item.text for item in logs if isinstance(item, Log)] == ["4", "5", "6", "7", "8", "9"]
+    found = [(item.chart.key, item.at.host_ns) for item in (last, newest) if isinstance(item, Drawing)]
+    assert found == [("a", 8), ("b", 9)]
 
 
 def test_history_gives_only_what_came_after() -> None:

@@ -60,6 +60,23 @@ def test_take_waits_for_the_first_item() -> None:
     timer.join()
 
 
+def test_batches_come_at_once_but_not_sooner_after_each_other() -> None:
+    queue = DropOldestQueue(1 << 20)
+    first, *rest = samples(3)
+    time.sleep(0.2)
+    asked = time.monotonic()
+    queue.put(first)
+    assert queue.take(0.2, 0.0) == [first]
+    assert time.monotonic() - asked < 0.15
+    taken = time.monotonic()
+    queue.put(rest[0])
+    timer = threading.Timer(0.05, queue.put, [rest[1]])
+    timer.start()
+    assert queue.take(0.2, 0.0) == rest
+    assert time.monotonic() - taken > 0.15
+    timer.join()
+
+
 def test_close_ends_waiting_and_gathering() -> None:
     queue = DropOldestQueue(1 << 20)
     queue.put(samples(1)[0])

@@ -130,7 +130,7 @@ def test_killed_process_leaves_a_readable_file(tmp_path: Path) -> None:
         from imumon.view import recorder as rooms
         from imumon.view.recorder import ViewRecorder
         from tests.view.streams import Stream
-        rooms.BATCH_S = 0.5
+        rooms.BATCH_S = 2.0
         path = Path(sys.argv[1])
         recorder = ViewRecorder(path, ViewSetup("test", "killed"))
         stream = Stream(recorder.publish)

@@ -21,7 +21,7 @@ HTML = """<html><head><link rel="preconnect" href="https://fonts.example" />
 
 @pytest.fixture(scope="module")
 def server() -> Iterator[WebServer]:
-    site = WebServer("127.0.0.1", free_port(29090), 29876, "AX1 & co")
+    site = WebServer("127.0.0.1", free_port(29090), ("127.0.0.1", 29876), "AX1 & co")
     yield site
     site.close()
 
@@ -85,13 +85,13 @@ def test_page_loads_nothing_from_elsewhere() -> None:
 
 
 def test_a_page_for_all_addresses_names_this_computer() -> None:
-    site = WebServer("0.0.0.0", free_port(29190), 29876)
+    site = WebServer("0.0.0.0", free_port(29190), ("127.0.0.1", 29876))
     site.close()
     assert site.url == f"http://{socket.gethostname()}:{site.port}/"
 
 
 def test_the_stream_comes_through_the_same_port(server: WebServer) -> None:
-    with socket.create_server(("127.0.0.1", server.stream_port)) as stream:
+    with socket.create_server(server.stream) as stream:
         heard: list[bytes] = []
 
         def answer() -> None:

@@ -10,14 +10,14 @@ import numpy as np
 from imumon.blocks import ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.charts import AXIS_COLORS, Axis, Chart, Curve
 from imumon.columns import Column
-from imumon.estimation.spectrum.welch import Peak, Spectrum, peaks, welch
+from imumon.estimation.spectrum.welch import Peak, Spectrum, fast_length, peaks, welch
 
 TAB = "Spectrum"
 SPAN_S = 30.0
 """What is looked at: the last so many seconds."""
 MOST_SAMPLES = 32768
 PARTS = 7
-"""A segment is two of so many parts of the span: six of them overlap by half."""
+"""A segment is two of so many parts of the span, or a little less (`fast_length`): six overlap by half."""
 FEWEST = 256
 """Samples that are needed: with fewer a segment has too few bins for a floor beside a line."""
 GAP = 20.0
@@ -95,7 +95,7 @@ def _spectrum(even: FloatArray, times: IntArray, values: FloatArray, interval_s:
     if known.mean() < 0.5:
         return None
     laid = np.interp(even, times[known], values[known])
-    return welch(laid, interval_s, max(2 * (len(laid) // PARTS), 2))
+    return welch(laid, interval_s, 2 * fast_length(max(len(laid) // PARTS, 1)))
 
 
 def _chart(group: str, found: Mapping[str, Spectrum | None]) -> Chart | None:

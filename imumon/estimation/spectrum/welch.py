@@ -53,6 +53,21 @@ class Peak:
     rms: float
 
 
+def fast_length(most: int) -> int:
+    """Return the greatest number up to `most` without other factors than 2, 3 and 5.
+
+    A transform of 8570 = 2 x 5 x 857 takes eight times as long as one of 8640.
+    """
+    for length in range(most, 0, -1):
+        rest = length
+        for factor in (2, 3, 5):
+            while rest % factor == 0:
+                rest //= factor
+        if rest == 1:
+            return length
+    return 1
+
+
 def welch(values: FloatArray, interval_s: float, length: int) -> Spectrum:
     """Return the spectrum of evenly spaced values, (n,), in half-overlapping segments of `length`."""
     step = length // 2
@@ -95,8 +110,12 @@ def _floor(density: FloatArray) -> FloatArray:
     padded = np.pad(density, FLOOR_BINS, constant_values=np.nan)
     padded[: FLOOR_BINS + 1] = np.nan  # the mean is taken out of bin 0
     windows = np.lib.stride_tricks.sliding_window_view(padded, FLOOR_BINS)
-    below, above = windows[: len(density)], windows[FLOOR_BINS + 1 :]
+    whole = slice(FLOOR_BINS + 1, len(density) + 1)
+    medians = np.empty(len(windows))
+    medians[whole] = np.median(windows[whole], axis=1)  # a tenth of the time of the other
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # nothing is below the first bin
-        sides = np.fmax(np.nanmedian(below, axis=1), np.nanmedian(above, axis=1))
+        for part in (slice(whole.start), slice(whole.stop, None)):
+            medians[part] = np.nanmedian(windows[part], axis=1)
+    sides = np.fmax(medians[: len(density)], medians[FLOOR_BINS + 1 :])
     return np.nan_to_num(sides, nan=np.inf)

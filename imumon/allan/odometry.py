@@ -1,0 +1,111 @@
+"""The noise as visual-inertial odometry reads it: Kalibr, OpenVINS, VINS-Mono and VINS-Fusion.
+
+Each has one number for three axes: the largest.  White noise N and bias random walk K are continuous-time
+densities, N in rad/s/√Hz or m/s²/√Hz, K in rad/s²/√Hz or m/s³/√Hz.
+
+- Kalibr's imu.yaml and OpenVINS' kalibr_imu_chain.yaml have N and K as they are (Kalibr's wiki, IMU Noise
+  Model).
+- VINS has standard deviations of a sample, N √f and K √f at the rate f: its propagation adds acc_w² Δt² a
+  step for K² Δt (read in integration_base.h).  Its midpoint rule takes the mean of two samples as independent
+  in each step, so that of the white noise it counts 1/√2.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from imumon.allan.analysis import Result
+from imumon.allan.output import value_of, write_new
+from imumon.allan.recording import rate_hz
+from imumon.config import dump_yaml
+from imumon.errors import ImumonError, Reason
+from imumon.geodesy import STANDARD_GRAVITY
+
+SENSORS = {"accel": ("accelerometer", "acc"), "gyro": ("gyroscope", "gyr")}
+OPENCV = "%YAML:1.0\n"
+"""What OpenCV wants in the first line of a file."""
+
+
+def write_kalibr(path: Path, results: Mapping[str, Result], source: Path) -> None:
+    """Write Kalibr's imu.yaml.
+
+    Raises
+    ------
+    ImumonError
+        BAD_DATA when a sensor is missing or shows no white noise; BAD_CONFIG when the file cannot be written.
+    """
+    body, head = _densities(results, source)
+    body |= {"rostopic": "/imu0", "update_rate": _rate(results)}
+    write_new(path, "\n".join(head) + "\n" + dump_yaml(body, flow=False))
+
+
+def write_openvins(path: Path, results: Mapping[str, Result], source: Path) -> None:
+    """Write OpenVINS' kalibr_imu_chain.yaml, without intrinsics or lever arm; raises as `write_kalibr`."""
+    body, head = _densities(results, source)
+    # Made anew each time: YAML writes a list that comes twice as a reference, which OpenCV does not read.
+    chain: dict[str, Any] = {
+        "T_i_b": np.eye(4).tolist(),
+        **body,
+        "rostopic": "/imu0",
+        "time_offset": 0.0,
+        "update_rate": _rate(results),
+        "model": "kalibr",
+        **{name: np.eye(3).tolist() for name in ("Tw", "R_IMUtoGYRO", "Ta", "R_IMUtoACC")},
+        "Tg": np.zeros((3, 3)).tolist(),
+    }
+    text = dump_yaml({"imu0": chain}, flow=None)
+    write_new(path, OPENCV + "\n".join(head) + "\n" + text)
+
+
+def write_vins(path: Path, results: Mapping[str, Result], source: Path) -> None:
+    """Write the IMU's lines of a configuration of VINS-Mono or VINS-Fusion; raises as `write_kalibr`.
+
+    Also BAD_DATA when the rate of the recording is not known.
+    """
+    body, head = _densities(results, source)
+    rate = _rate(results)
+    if not rate:
+        raise ImumonError(Reason.BAD_DATA, "VINS needs noise of a sample, and the rate is not known")
+    scale = math.sqrt(rate)
+    values = {}
+    for long, short in SENSORS.values():
+        values[f"{short}_n"] = float(f"{scale * body[f'{long}_noise_density']:.6g}")
+        values[f"{short}_w"] = float(f"{scale * body[f'{long}_random_walk']:.6g}")
+    head.append(f"# Of one sample at {rate:g} Hz: the densities times the root of the rate.")
+    values["g_norm"] = STANDARD_GRAVITY
+    write_new(path, OPENCV + "\n".join(head) + "\n" + dump_yaml(values, flow=False))
+
+
+def _rate(results: Mapping[str, Result]) -> float | None:
+    return float(f"{rate_hz(results['gyro_x'].series):.6g}") if "gyro_x" in results else None
+
+
+def _densities(results: Mapping[str, Result], source: Path) -> tuple[dict[str, Any], list[str]]:
+    """Return the densities by Kalibr's names, and comments."""
+    head = [
+        f"# Noise of {source.name}, by Allan deviation; the largest of the three axes.",
+        "# rostopic is a guess: name your own.",
+    ]
+    body: dict[str, Any] = {}
+    for group, (name, _) in SENSORS.items():
+        white = _largest(results, group, "angle_random_walk")
+        walk = _largest(results, group, "rate_random_walk")
+        if white is None:
+            raise ImumonError(
+                Reason.BAD_DATA, f"odometry needs a noise density of the {name}, and the data show none"
+            )
+        if walk is None:
+            head.append(f"# {name}_random_walk: the data show none; 0 is not a fact of the sensor.")
+        body[f"{name}_noise_density"] = white
+        body[f"{name}_random_walk"] = 0.0 if walk is None else walk
+    return body, head
+
+
+def _largest(results: Mapping[str, Result], group: str, term: str) -> float | None:
+    values = [value_of(results.get(f"{group}_{axis}"), term) for axis in "xyz"]
+    return max((value for value in values if value is not None), default=None)

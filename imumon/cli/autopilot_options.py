@@ -1,0 +1,65 @@
+"""Options of `calibrate` that write the model in the parameters of an autopilot."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, TypedDict, TypeVar
+
+import click
+
+from imumon.cli.common import warn
+
+if TYPE_CHECKING:
+    from imumon.models.model import BiasModel
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+
+class AutopilotOptions(TypedDict):
+    """The values of the options; None where one was not given."""
+
+    autopilot: Literal["ardupilot", "px4"] | None
+    imu: int
+    device_ids: tuple[int, int] | None
+
+
+def autopilot_options(command: Command) -> Command:
+    """Add the options; the command gets them as keywords named as in `AutopilotOptions`."""
+    for option in (
+        click.option(
+            "--device-ids", nargs=2, type=int, metavar="GYRO ACCEL", help="PX4's identifiers of the sensors."
+        ),
+        click.option(
+            "--imu", type=click.IntRange(0, 3), default=0, help="Which of the autopilot's sensors, from 0."
+        ),
+        click.option(
+            "--export",
+            "autopilot",
+            type=click.Choice(["ardupilot", "px4"]),
+            help="Also write the model in the parameters of an autopilot, beside --out.",
+        ),
+    ):
+        command = option(command)
+    return command
+
+
+def write_parameters(model: BiasModel, out: Path, options: AutopilotOptions) -> dict[str, Path]:
+    """Write the parameters beside the model, and say what to know of them; return what was written.
+
+    Raises
+    ------
+    ImumonError
+        As `imumon.calibration.autopilot.parameters`.
+    """
+    if options["autopilot"] is None:
+        return {}
+    from imumon.calibration.autopilot import SUFFIX, parameters
+    from imumon.files import check_output, write_text
+
+    path = out.with_suffix(SUFFIX[options["autopilot"]])
+    made = parameters(model, options["autopilot"], options["imu"], options["device_ids"])
+    check_output(path)
+    write_text(path, made.text)
+    warn(made.notes)
+    return {"parameters": path}

@@ -1,0 +1,59 @@
+"""A run as a file of other programs: NumPy, MATLAB, ROS 2."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+from imumon.columns import Column
+from imumon.recordings.table import read_table
+
+CONVERTED = (".npz", ".mat", ".mcap")
+LONGEST_NAME = 63
+"""Of a variable in MATLAB; a longer one is cut."""
+
+
+def convert(
+    tables: Mapping[str, Path], out: Mapping[str, Path], axes: Literal["FLU", "FRD"] | None
+) -> tuple[dict[str, Path], list[str]]:
+    """Write Parquet tables as files of the suffix of `out`; return what was made, and what was left out.
+
+    Parameters
+    ----------
+    tables, out : mapping of str to Path
+        Of each stream.  All streams of a ROS 2 bag go to the first.
+
+    Raises
+    ------
+    ImumonError
+        BAD_CONFIG when a package that is needed is not installed.
+    """
+    first = next(iter(out.values()))
+    if first.suffix == ".mcap":
+        from imumon.recordings.ros2 import write_ros2
+
+        written = write_ros2(tables, first, axes)
+        return dict.fromkeys(tables, first), written.left_out
+    for stream, path in tables.items():
+        block, columns = read_table(path)
+        {".npz": _npz, ".mat": _mat}[first.suffix](out[stream], dict(block.columns), columns)
+    return dict(out), []
+
+
+def _npz(path: Path, values: dict[str, Any], columns: Mapping[str, Column]) -> None:
+    """Write the columns, and `units`, a text in JSON."""
+    import numpy as np
+
+    units = json.dumps({name: column.unit for name, column in columns.items()})
+    np.savez_compressed(path, units=np.array(units), **values)
+
+
+def _mat(path: Path, values: dict[str, Any], columns: Mapping[str, Column]) -> None:
+    """Write the columns as vectors, and the struct `units`."""
+    from scipy.io import savemat
+
+    short = {name[:LONGEST_NAME]: part for name, part in values.items()}
+    units = {name[:LONGEST_NAME]: column.unit for name, column in columns.items()}
+    savemat(path, {**short, "units": units}, do_compression=True, long_field_names=True, oned_as="column")

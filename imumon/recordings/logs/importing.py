@@ -1,0 +1,79 @@
+"""A log becomes a session, through the table and the map that are made of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from imumon.errors import ImumonError, Reason
+from imumon.files import write_text
+from imumon.recordings.importing import ImportReport, Origin, import_table
+from imumon.recordings.logs import ardupilot, px4, ros
+from imumon.recordings.logs.log import Log
+
+Reader = Callable[[Path, str | None], Log]
+FORMATS: tuple[tuple[Callable[[Path, bytes], bool], Reader], ...] = (
+    (ardupilot.is_one, ardupilot.read),
+    (px4.is_one, px4.read),
+    (ros.is_one, ros.read),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class LogReport:
+    """What became of a log: its rows, the sensor that they are of, and those that were not taken."""
+
+    rows: ImportReport
+    sensor: str
+    others: list[str]
+
+
+def import_log(path: Path, sensor: str | None, out: Path) -> LogReport:
+    """Make a session of one inertial sensor of a log; rows whose time does not increase are counted only.
+
+    Raises
+    ------
+    ImumonError
+        As `reader_of`, the reader of the log, and `imumon.recordings.importing.import_table`.
+    """
+    log = reader_of(path)(path, sensor)
+    with TemporaryDirectory(prefix="imumon-log-") as folder:
+        table = Path(folder) / "log.parquet"
+        text, dropped = log.write(table)
+        write_text(table.with_suffix(".yaml"), text)
+        rows = import_table(table, table.with_suffix(".yaml"), out, Origin(_file_of(path), dropped))
+    return LogReport(rows, log.sensor, log.others)
+
+
+def reader_of(path: Path) -> Reader:
+    """Return what reads a log, as its content says, not its name.
+
+    Raises
+    ------
+    ImumonError
+        BAD_DATA when it cannot be read; BAD_CONFIG when it is none of these logs, and needs a map.
+    """
+    head = b""
+    if not path.is_dir():
+        try:
+            with path.open("rb") as file:
+                head = file.read(64)
+        except OSError as error:
+            raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read: {error.strerror}") from error
+    for is_one, read in FORMATS:
+        if is_one(path, head):
+            return read
+    raise ImumonError(
+        Reason.BAD_CONFIG,
+        f"{path}: is no log of ArduPilot (.BIN) or PX4 (.ulg), and no ROS bag",
+        "a table needs --map MAP.yaml, which says what is in which column",
+    )
+
+
+def _file_of(path: Path) -> Path:
+    """Return the file that a fingerprint is taken of: of a bag that is a folder the largest."""
+    if not path.is_dir():
+        return path
+    return max((one for one in path.iterdir() if one.is_file()), key=lambda one: one.stat().st_size)

@@ -1,0 +1,163 @@
+"""Logs of autopilots and ROS bags as tables that `import` takes: one inertial sensor, and what goes with it.
+
+A log holds several sensors at rates of their own.  The rows are those of the gyro; a sample of another sensor
+stands in the row nearest to it in time, once, so that its noise is what it was.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from imumon.blocks import BoolArray, FloatArray, IntArray
+from imumon.config import dump_yaml
+from imumon.errors import ImumonError, Reason
+
+TIME = "time_ns"
+AXES = "xyz"
+GAUSS_TO_TESLA = 1e-4
+
+
+@dataclass(frozen=True, slots=True)
+class Series:
+    """Samples of one sensor.
+
+    Parameters
+    ----------
+    time_ns : array, (n,)
+    values : mapping of str to array, (n,)
+        By their names in the table.
+    """
+
+    time_ns: IntArray
+    values: Mapping[str, FloatArray]
+
+
+@dataclass(frozen=True, slots=True)
+class Log:
+    """What is taken from a log.
+
+    Parameters
+    ----------
+    sensor : str
+        Which inertial sensor it is.
+    others : list of str
+        The inertial sensors that are not taken.
+    gyro : Series
+        Its rows are those of the table.
+    beside : list of Series
+        What is put beside them.
+    units : dict of str to tuple
+        Of each group of the map: its columns, and their unit.
+    axes : "FLU" or "FRD"
+    """
+
+    sensor: str
+    others: list[str]
+    gyro: Series
+    beside: list[Series]
+    units: dict[str, tuple[list[str], str]]
+    axes: str
+
+    def write(self, path: Path) -> tuple[str, int]:
+        """Write the table; return its map, and how many rows have no later time and were left out."""
+        time = self.gyro.time_ns
+        kept = _increasing(time)
+        columns: dict[str, Any] = {TIME: time[kept]}
+        columns |= {name: values[kept] for name, values in self.gyro.values.items()}
+        for series in self.beside:
+            columns |= _beside(series, time[kept])
+        pq.write_table(pa.table(columns), path)
+        groups = {
+            name: {"columns": names, "unit": unit}
+            for name, (names, unit) in self.units.items()
+            if all(one in columns and np.isfinite(columns[one]).any() for one in names)
+        }
+        text = dump_yaml({"time": {"column": TIME, "unit": "ns"}, **groups, "axes": self.axes})
+        return text, int((~kept).sum())
+
+
+def _increasing(time_ns: IntArray) -> BoolArray:
+    """Return which rows stay so that times increase: a wrong time does not take those after it along."""
+    late = _later_than_before(time_ns)
+    early = _later_than_before(-time_ns[::-1])[::-1]
+    if early.sum() <= late.sum():
+        return late
+    found = early.copy()
+    found[early] = _later_than_before(time_ns[early])
+    return found
+
+
+def _later_than_before(time_ns: IntArray) -> BoolArray:
+    """Return which rows are later than all before them."""
+    lowest = np.iinfo(np.int64).min
+    return np.asarray(time_ns > np.r_[lowest, np.maximum.accumulate(time_ns)[:-1]])
+
+
+def _beside(series: Series, time_ns: IntArray) -> dict[str, FloatArray]:
+    """Return the samples in the rows nearest to them in time, NaN elsewhere; of two for a row the nearer."""
+    found = {name: np.full(len(time_ns), np.nan) for name in series.values}
+    if not len(series.time_ns) or not len(time_ns):
+        return found
+    after = np.clip(np.searchsorted(time_ns, series.time_ns), 1, max(len(time_ns) - 1, 1))
+    before = after - 1
+    after = np.minimum(after, len(time_ns) - 1)
+    row = np.where(series.time_ns - time_ns[before] <= time_ns[after] - series.time_ns, before, after)
+    # The nearest comes last, and stays.
+    order = np.argsort(-np.abs(time_ns[row] - series.time_ns), kind="stable")
+    for name, values in series.values.items():
+        found[name][row[order]] = values[order]
+    return found
+
+
+def named(values: Mapping[str, Any], names: Sequence[str], targets: Sequence[str], scale: float = 1.0) -> Any:
+    """Return columns by other names, as floats, times a scale."""
+    return {
+        target: scale * np.asarray(values[name], np.float64)
+        for name, target in zip(names, targets, strict=True)
+        if name in values
+    }
+
+
+def triple(name: str) -> list[str]:
+    """Return the columns of a vector."""
+    return [f"{name}_{axis}" for axis in AXES]
+
+
+UNITS: dict[str, tuple[list[str], str]] = {
+    "gyro": (triple("gyro"), "rad/s"),
+    "accel": (triple("accel"), "m/s^2"),
+    "mag": (triple("mag"), "T"),
+    "temperature": (["temperature"], "degC"),
+    "pressure": (["pressure"], "Pa"),
+    "attitude": ([f"q_{part}" for part in "wxyz"], "1"),
+}
+
+
+def pick(path: Path, found: Sequence[str], wanted: str | None) -> str:
+    """Return the sensor that is wanted, else the first.
+
+    Raises
+    ------
+    ImumonError
+        BAD_DATA when the log has no inertial sensor, BAD_CONFIG when not that one.
+    """
+    if not found:
+        raise ImumonError(Reason.BAD_DATA, f"{path}: there is no gyro in this log")
+    if wanted is not None and wanted not in found:
+        seen = f"{path}: there is no sensor {wanted!r}"
+        raise ImumonError(Reason.BAD_CONFIG, seen, f"there are: {', '.join(found)}")
+    return found[0] if wanted is None else wanted
+
+
+def needs(package: str, extra: str, error: ModuleNotFoundError) -> ImumonError:
+    """Return the error that says which package is missing."""
+    return ImumonError(
+        Reason.BAD_CONFIG, f"this log needs the package {package}", f'pip install "imumon[{extra}]": {error}'
+    )
