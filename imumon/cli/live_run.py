@@ -58,8 +58,8 @@ class Ending:
 
 def serve(url: str) -> None:
     """Keep a page until Ctrl-C: its servers end with the command."""
+    ending = Ending(None)  # before it is said: who reads it may press Ctrl-C at once
     note(f"all is shown; {url} stays until Ctrl-C")
-    ending = Ending(None)
     while ending.wait():
         pass
 

@@ -41,8 +41,9 @@ class Intervals:
         self.backwards += int((step < 0).sum())
         step = step[step > 0]
         which = np.searchsorted(_EDGES, step)
-        self._count += np.bincount(which, minlength=len(self._count))
+        # The sum first: who reads from another thread finds no number without it.
         self._sum += np.bincount(which, step, len(self._sum))
+        self._count += np.bincount(which, minlength=len(self._count))
 
     @property
     def usual_ns(self) -> float | None:
