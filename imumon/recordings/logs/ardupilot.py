@@ -90,12 +90,12 @@ def _messages(path: Path) -> dict[str, dict[str, Any]]:
                 kind = message.get_type()
                 values = [getattr(message, field, np.nan) for field in KEPT[kind]]
                 rows.setdefault(f"{kind}.{getattr(message, 'I', 0)}", []).append(values)
+        return {
+            name: dict(zip(KEPT[name.partition(".")[0]], np.array(values, np.float64).T, strict=True))
+            for name, values in rows.items()
+        }
     except Exception as error:  # pymavlink raises whatever damaged bytes lead to
         raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read as a DataFlash log: {error}") from error
-    return {
-        name: dict(zip(KEPT[name.partition(".")[0]], np.array(values, np.float64).T, strict=True))
-        for name, values in rows.items()
-    }
 
 
 def _time(fields: dict[str, Any]) -> Any:

@@ -40,7 +40,8 @@ def read(path: Path, sensor: str | None = None) -> Log:
     except ModuleNotFoundError as error:
         raise needs("pyulog", "autopilot", error) from error
     try:
-        log = ULog(str(path), TOPICS)
+        with path.open("rb") as file:  # given a name, pyulog leaves it open when the log is damaged
+            log = ULog(file, TOPICS)
     except Exception as error:  # pyulog raises whatever damaged bytes lead to
         raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read as a ULog: {error}") from error
     found = {f"{one.name}.{one.multi_id}": one.data for one in log.data_list}

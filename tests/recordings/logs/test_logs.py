@@ -162,7 +162,7 @@ def test_what_is_no_log_is_refused_with_one_clear_error(tmp_path: Path, content:
     assert not (tmp_path / "session").exists()
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(cut=st.integers(0, 5000), flip=st.integers(0, 5000), value=st.integers(0, 255))
 def test_a_damaged_log_is_read_or_refused(
     tmp_path_factory: pytest.TempPathFactory, cut: int, flip: int, value: int
