@@ -108,9 +108,13 @@ class _Stream:
     @classmethod
     def of(cls, name: str, path: Path, axes: Literal["FLU", "FRD"] | None) -> _Stream:
         columns = read_columns(path)
-        clock = next((one for one in CLOCKS if one in columns and _has_values(path, one)), "")
-        white = {kind: _white(path, kind, columns) for kind in ("gyro", "accel")}
-        return cls(name, columns, clock, axes == "FRD", white)
+        clocks, noise = set[str](), {kind: _Noise() for kind in ("gyro", "accel")}
+        for block in iterate_table(path):
+            clocks |= {one for one in CLOCKS if one in block and (block[one] != NO_INT).any()}
+            for kind, of in noise.items():
+                of.add(block, kind)
+        clock = next((one for one in CLOCKS if one in clocks), "")
+        return cls(name, columns, clock, axes == "FRD", {kind: of.variance for kind, of in noise.items()})
 
     @property
     def left_out(self) -> list[str]:
@@ -219,23 +223,27 @@ class _Stream:
         return {"status": [status]}
 
 
-def _has_values(path: Path, name: str) -> bool:
-    return any((block[name] != NO_INT).any() for block in iterate_table(path))
+class _Noise:
+    """Variance of the white noise of a sample: half that of successive differences at rest."""
 
+    def __init__(self) -> None:
+        self._squares, self._count = np.zeros(3), 0
 
-def _white(path: Path, kind: str, columns: Mapping[str, Column]) -> FloatArray:
-    """Return the variance of white noise of a sample, (3,): half that of successive differences at rest."""
-    names = [f"{kind}_{axis}" for axis in "xyz"]
-    if any(name not in columns for name in [*names, "at_rest"]):
-        return np.zeros(3)
-    squares, count = np.zeros(3), 0
-    for block in iterate_table(path):
-        values = np.column_stack([block[name] for name in names])
-        steps = np.diff(values, axis=0)[(block["at_rest"][1:] == 1) & (block["at_rest"][:-1] == 1)]
+    def add(self, block: SampleBlock, kind: str) -> None:
+        """Take the samples of a sensor, where rest is known."""
+        values = _together(block, kind)
+        if values is None or "at_rest" not in block:
+            return
+        at_rest = block["at_rest"] == 1
+        steps = np.diff(values, axis=0)[at_rest[1:] & at_rest[:-1]]
         steps = steps[np.isfinite(steps).all(axis=1)]
-        squares += np.sum(steps**2, axis=0)
-        count += len(steps)
-    return np.asarray(squares / (2.0 * count)) if count else np.zeros(3)
+        self._squares += np.sum(steps**2, axis=0)
+        self._count += len(steps)
+
+    @property
+    def variance(self) -> FloatArray:
+        """Of x, y, z, (3,); zero where it is not known."""
+        return np.asarray(self._squares / (2.0 * self._count)) if self._count else np.zeros(3)
 
 
 def _together(block: SampleBlock, name: str) -> FloatArray | None:

@@ -12,21 +12,32 @@ from typing import Any
 
 import numpy as np
 
-from imumon.blocks import NO_INT
+from imumon.blocks import IntArray
 from imumon.errors import ImumonError, Reason
-from imumon.recordings.logs.log import UNITS, Log, Series, named, needs, pick, triple
+from imumon.recordings.logs.log import (
+    GAUSS_TO_TESLA,
+    Log,
+    Series,
+    Wanted,
+    beside,
+    named,
+    nanoseconds,
+    needs,
+    pick,
+    triple,
+)
 
 HEAD = b"\xa3\x95\x80"
 """Every message begins with A3 95; the first describes the format of a message, which is number 128."""
-MICROSECOND_NS = 1000
-EXACT = 2.0**53
-"""A float64 holds whole numbers up to this, µs: 285 years."""
-MILLIGAUSS_TO_TESLA = 1e-7
 KEPT = {
     "IMU": ("TimeUS", "GyrX", "GyrY", "GyrZ", "AccX", "AccY", "AccZ", "T"),
     "MAG": ("TimeUS", "MagX", "MagY", "MagZ"),
     "BARO": ("TimeUS", "Press"),
 }
+BESIDE = (
+    Wanted("MAG.0", ["MagX", "MagY", "MagZ"], triple("mag"), 1e-3 * GAUSS_TO_TESLA),
+    Wanted("BARO.0", ["Press"], ["pressure"]),
+)
 
 
 def is_one(_: Path, head: bytes) -> bool:
@@ -44,21 +55,13 @@ def read(path: Path, sensor: str | None = None) -> Log:
     """
     found = _messages(path)
     imus = sorted(name for name in found if name.startswith("IMU."))
-    name = pick(path, imus, sensor)
+    name, others = pick(path, imus, sensor)
     imu = found[name]
     gyro = named(imu, ["GyrX", "GyrY", "GyrZ", "AccX", "AccY", "AccZ"], [*triple("gyro"), *triple("accel")])
     # A sensor without a thermometer says 0 all the time.
-    if np.any(imu.get("T", np.zeros(1)) != 0.0):
+    if np.any(imu["T"] != 0.0):
         gyro |= named(imu, ["T"], ["temperature"])
-    beside = []
-    for kind, names, targets, scale in (
-        ("MAG.0", ["MagX", "MagY", "MagZ"], triple("mag"), MILLIGAUSS_TO_TESLA),
-        ("BARO.0", ["Press"], ["pressure"], 1.0),
-    ):
-        if kind in found:
-            beside.append(Series(_time(found[kind]), named(found[kind], names, targets, scale)))
-    others = [one for one in imus if one != name]
-    return Log(name, others, Series(_time(imu), gyro), beside, UNITS, "FRD")
+    return Log(name, others, Series(_time(imu), gyro), beside(found, BESIDE, _time), "FRD")
 
 
 def _messages(path: Path) -> dict[str, dict[str, Any]]:
@@ -98,8 +101,5 @@ def _messages(path: Path) -> dict[str, dict[str, Any]]:
         raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read as a DataFlash log: {error}") from error
 
 
-def _time(fields: dict[str, Any]) -> Any:
-    """Return the time in ns; of a damaged row the earliest there is, so that it is left out."""
-    time_us = fields["TimeUS"]
-    there = (time_us >= 0.0) & (time_us < EXACT)
-    return np.where(there, np.where(there, time_us, 0.0).astype(np.int64) * MICROSECOND_NS, NO_INT)
+def _time(fields: dict[str, Any]) -> IntArray:
+    return nanoseconds(fields["TimeUS"])

@@ -6,7 +6,7 @@ stands in the row nearest to it in time, once, so that its noise is what it was.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,13 +15,15 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from imumon.blocks import BoolArray, FloatArray, IntArray
+from imumon.blocks import NO_INT, BoolArray, FloatArray, IntArray
 from imumon.config import dump_yaml
 from imumon.errors import ImumonError, Reason
 
 TIME = "time_ns"
 AXES = "xyz"
 GAUSS_TO_TESLA = 1e-4
+EXACT_US = 2**53
+"""A float64 holds whole numbers up to this, 285 years; a later time is damage."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +42,16 @@ class Series:
 
 
 @dataclass(frozen=True, slots=True)
+class Wanted:
+    """A message of another sensor: its fields, the columns that they become, and what they are times."""
+
+    message: str
+    fields: list[str]
+    columns: list[str]
+    scale: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
 class Log:
     """What is taken from a log.
 
@@ -53,8 +65,6 @@ class Log:
         Its rows are those of the table.
     beside : list of Series
         What is put beside them.
-    units : dict of str to tuple
-        Of each group of the map: its columns, and their unit.
     axes : "FLU" or "FRD"
     """
 
@@ -62,7 +72,6 @@ class Log:
     others: list[str]
     gyro: Series
     beside: list[Series]
-    units: dict[str, tuple[list[str], str]]
     axes: str
 
     def write(self, path: Path) -> tuple[str, int]:
@@ -76,7 +85,7 @@ class Log:
         pq.write_table(pa.table(columns), path)
         groups = {
             name: {"columns": names, "unit": unit}
-            for name, (names, unit) in self.units.items()
+            for name, (names, unit) in UNITS.items()
             if all(one in columns and np.isfinite(columns[one]).any() for one in names)
         }
         text = dump_yaml({"time": {"column": TIME, "unit": "ns"}, **groups, "axes": self.axes})
@@ -138,10 +147,28 @@ UNITS: dict[str, tuple[list[str], str]] = {
     "pressure": (["pressure"], "Pa"),
     "attitude": ([f"q_{part}" for part in "wxyz"], "1"),
 }
+"""Of each group of the map: its columns, and their unit."""
 
 
-def pick(path: Path, found: Sequence[str], wanted: str | None) -> str:
-    """Return the sensor that is wanted, else the first.
+def nanoseconds(time_us: Any) -> IntArray:
+    """Return times in ns of times in µs, (n,); a damaged one is the earliest there is, and left out."""
+    there = (time_us >= 0) & (time_us < EXACT_US)
+    return np.where(there, np.where(there, time_us, 0).astype(np.int64) * 1000, NO_INT)
+
+
+def beside(
+    found: Mapping[str, Any], wanted: Sequence[Wanted], time: Callable[[Any], IntArray]
+) -> list[Series]:
+    """Return what is wanted of other sensors and is there; `time` reads the times of a message."""
+    return [
+        Series(time(found[one.message]), named(found[one.message], one.fields, one.columns, one.scale))
+        for one in wanted
+        if one.message in found
+    ]
+
+
+def pick(path: Path, found: Sequence[str], wanted: str | None) -> tuple[str, list[str]]:
+    """Return the sensor that is wanted, else the first, and the others.
 
     Raises
     ------
@@ -153,7 +180,8 @@ def pick(path: Path, found: Sequence[str], wanted: str | None) -> str:
     if wanted is not None and wanted not in found:
         seen = f"{path}: there is no sensor {wanted!r}"
         raise ImumonError(Reason.BAD_CONFIG, seen, f"there are: {', '.join(found)}")
-    return found[0] if wanted is None else wanted
+    name = found[0] if wanted is None else wanted
+    return name, [one for one in found if one != name]
 
 
 def needs(package: str, extra: str, error: ModuleNotFoundError) -> ImumonError:

@@ -9,17 +9,27 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from imumon.blocks import NO_INT
+from imumon.blocks import IntArray
 from imumon.errors import ImumonError, Reason
-from imumon.recordings.logs.log import GAUSS_TO_TESLA, UNITS, Log, Series, named, needs, pick, triple
+from imumon.recordings.logs.log import (
+    GAUSS_TO_TESLA,
+    Log,
+    Series,
+    Wanted,
+    beside,
+    named,
+    nanoseconds,
+    needs,
+    pick,
+    triple,
+)
 
 HEAD = b"ULog\x01\x12\x35"
-MICROSECOND_NS = 1000
-EXACT = 2**53
-"""µs; a later time is damage."""
 TOPICS = ["sensor_gyro", "sensor_accel", "sensor_mag", "sensor_baro"]
+BESIDE = (
+    Wanted("sensor_mag.0", [*"xyz"], triple("mag"), GAUSS_TO_TESLA),
+    Wanted("sensor_baro.0", ["pressure"], ["pressure"]),
+)
 
 
 def is_one(_: Path, head: bytes) -> bool:
@@ -46,24 +56,13 @@ def read(path: Path, sensor: str | None = None) -> Log:
         raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read as a ULog: {error}") from error
     found = {f"{one.name}.{one.multi_id}": one.data for one in log.data_list}
     gyros = sorted(name for name in found if name.startswith("sensor_gyro."))
-    name = pick(path, gyros, sensor)
-    number = name.rpartition(".")[2]
+    name, others = pick(path, gyros, sensor)
     gyro = named(found[name], [*"xyz", "temperature"], [*triple("gyro"), "temperature"])
-    beside = []
-    for topic, names, targets, scale in (
-        (f"sensor_accel.{number}", [*"xyz"], triple("accel"), 1.0),
-        ("sensor_mag.0", [*"xyz"], triple("mag"), GAUSS_TO_TESLA),
-        ("sensor_baro.0", ["pressure"], ["pressure"], 1.0),
-    ):
-        if topic in found:
-            beside.append(Series(_time(found[topic]), named(found[topic], names, targets, scale)))
-    others = [one for one in gyros if one != name]
-    return Log(name, others, Series(_time(found[name]), gyro), beside, UNITS, "FRD")
+    accel = Wanted(f"sensor_accel.{name.rpartition('.')[2]}", [*"xyz"], triple("accel"))
+    return Log(name, others, Series(_time(found[name]), gyro), beside(found, (accel, *BESIDE), _time), "FRD")
 
 
-def _time(fields: Any) -> Any:
-    """Return the time of validity in ns, else of logging; of a damaged row the earliest there is."""
+def _time(fields: Any) -> IntArray:
+    """Return the times of validity in ns, else of logging."""
     sampled = fields.get("timestamp_sample")
-    time_us = sampled if sampled is not None and sampled.any() else fields["timestamp"]
-    there = time_us < EXACT
-    return np.where(there, np.where(there, time_us, 0).astype(np.int64) * MICROSECOND_NS, NO_INT)
+    return nanoseconds(sampled if sampled is not None and sampled.any() else fields["timestamp"])

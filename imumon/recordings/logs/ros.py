@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from imumon.errors import ImumonError, Reason
-from imumon.recordings.logs.log import UNITS, Log, Series, needs, pick, triple
+from imumon.recordings.logs.log import Log, Series, needs, pick, triple
 
 SECOND_NS = 1_000_000_000
 MCAP, BAG, SQLITE = b"\x89MCAP0\r\n", b"#ROSBAG V", b"SQLite format 3\x00"
@@ -41,13 +41,13 @@ def read(path: Path, sensor: str | None = None) -> Log:
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as bag:
             topics = sorted({one.topic for one in bag.connections if one.msgtype == IMU})
-            name = pick(path, topics, sensor)
+            name, others = pick(path, topics, sensor)
             gyro, *beside = _collect(bag, [name, *(_first(bag, kind) for kind in BESIDE)])
     except ImumonError:
         raise
     except Exception as error:  # each format of a bag has errors of its own
         raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read as a ROS bag: {error}") from error
-    return Log(name, [one for one in topics if one != name], gyro, beside, UNITS, "FLU")
+    return Log(name, others, gyro, beside, "FLU")
 
 
 def _vector(value: Any) -> list[float]:
