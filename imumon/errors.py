@@ -68,3 +68,10 @@ class ImumonError(Exception):
         self.reason = reason
         self.seen = seen
         self.hint = hint
+
+
+def missing_package(what: str, package: str, extra: str) -> ImumonError:
+    """Return the error of what needs a package that few need, with the extra of imumon that brings it."""
+    return ImumonError(
+        Reason.BAD_CONFIG, f"{what} needs the package {package}", f'pip install "imumon[{extra}]"'
+    )

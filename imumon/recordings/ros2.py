@@ -16,7 +16,7 @@ import numpy as np
 
 from imumon.blocks import NO_INT, BoolArray, ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.columns import Column
-from imumon.errors import ImumonError, Reason
+from imumon.errors import missing_package
 from imumon.protocols.base import MAIN
 from imumon.recordings.ros2_messages import DEFINITIONS
 from imumon.recordings.table import iterate_table, read_columns
@@ -67,9 +67,7 @@ def write_ros2(tables: Mapping[str, Path], out: Path, axes: Literal["FLU", "FRD"
     try:
         from mcap_ros2.writer import Writer
     except ModuleNotFoundError as error:
-        raise ImumonError(
-            Reason.BAD_CONFIG, "ROS 2 messages need the package mcap-ros2-support", "pip install imumon[ros2]"
-        ) from error
+        raise missing_package("a ROS 2 bag", "mcap-ros2-support", "ros2") from error
     counts: dict[str, int] = {}
     left_out: list[str] = []
     with out.open("wb") as file:

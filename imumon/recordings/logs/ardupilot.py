@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from imumon.blocks import IntArray
-from imumon.errors import ImumonError, Reason
+from imumon.errors import ImumonError, Reason, missing_package
 from imumon.recordings.logs.log import (
     GAUSS_TO_TESLA,
     Log,
@@ -22,7 +22,6 @@ from imumon.recordings.logs.log import (
     beside,
     named,
     nanoseconds,
-    needs,
     pick,
     triple,
 )
@@ -69,7 +68,7 @@ def _messages(path: Path) -> dict[str, dict[str, Any]]:
     try:
         from pymavlink.DFReader import DFReader_binary
     except ModuleNotFoundError as error:
-        raise needs("pymavlink", "autopilot", error) from error
+        raise missing_package("this log", "pymavlink", "autopilot") from error
 
     class Log(DFReader_binary):  # type: ignore[misc]  # the package has no types
         """A log whose file is closed, also when it cannot be read."""

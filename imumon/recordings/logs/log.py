@@ -182,10 +182,3 @@ def pick(path: Path, found: Sequence[str], wanted: str | None) -> tuple[str, lis
         raise ImumonError(Reason.BAD_CONFIG, seen, f"there are: {', '.join(found)}")
     name = found[0] if wanted is None else wanted
     return name, [one for one in found if one != name]
-
-
-def needs(package: str, extra: str, error: ModuleNotFoundError) -> ImumonError:
-    """Return the error that says which package is missing."""
-    return ImumonError(
-        Reason.BAD_CONFIG, f"this log needs the package {package}", f'pip install "imumon[{extra}]": {error}'
-    )

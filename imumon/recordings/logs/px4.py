@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from imumon.blocks import IntArray
-from imumon.errors import ImumonError, Reason
+from imumon.errors import ImumonError, Reason, missing_package
 from imumon.recordings.logs.log import (
     GAUSS_TO_TESLA,
     Log,
@@ -19,7 +19,6 @@ from imumon.recordings.logs.log import (
     beside,
     named,
     nanoseconds,
-    needs,
     pick,
     triple,
 )
@@ -48,7 +47,7 @@ def read(path: Path, sensor: str | None = None) -> Log:
     try:
         from pyulog import ULog
     except ModuleNotFoundError as error:
-        raise needs("pyulog", "autopilot", error) from error
+        raise missing_package("this log", "pyulog", "autopilot") from error
     try:
         with path.open("rb") as file:  # given a name, pyulog leaves it open when the log is damaged
             log = ULog(file, TOPICS)

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from imumon.errors import ImumonError, Reason
-from imumon.recordings.logs.log import Log, Series, needs, pick, triple
+from imumon.errors import ImumonError, Reason, missing_package
+from imumon.recordings.logs.log import Log, Series, pick, triple
 
 SECOND_NS = 1_000_000_000
 MCAP, BAG, SQLITE = b"\x89MCAP0\r\n", b"#ROSBAG V", b"SQLite format 3\x00"
@@ -37,10 +37,10 @@ def read(path: Path, sensor: str | None = None) -> Log:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
     except ModuleNotFoundError as error:
-        raise needs("rosbags", "ros2", error) from error
+        raise missing_package("this log", "rosbags", "ros2") from error
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as bag:
-            topics = sorted({one.topic for one in bag.connections if one.msgtype == IMU})
+            topics = sorted({one.topic for one in bag.connections if one.msgtype == IMU and one.msgcount})
             name, others = pick(path, topics, sensor)
             gyro, *beside = _collect(bag, [name, *(_first(bag, kind) for kind in BESIDE)])
     except ImumonError:
