@@ -188,6 +188,8 @@ class Aligner:
         passed, calm = motion.passed, motion.passed[-motion.calm :]
         same = False
         if not state.poses:
+            calm = passed = passed[motion.begins() :]
+            motion.calm = len(calm)
             up = np.mean([slot.mean[3:] for slot in calm], axis=0)
             up /= np.sqrt(up @ up)
             ahead = forward(up)

@@ -12,6 +12,7 @@ how the unit may tilt, and what c' is then.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,7 +20,19 @@ import numpy as np
 from imumon.blocks import ColumnArray, FloatArray
 from imumon.estimation.alignment.hypotheses import Seen, courses, told
 from imumon.estimation.alignment.lines import without_lines
-from imumon.estimation.alignment.windows import ROWS, Windows, bank, in_cells, layout, slowly
+from imumon.estimation.alignment.loudness import quietness
+from imumon.estimation.alignment.windows import (
+    FLOOR,
+    NOTHING,
+    ROWS,
+    Windows,
+    bank,
+    in_cells,
+    layout,
+    slow_columns,
+    slowly,
+    weighted_bank,
+)
 
 WARM_UPS_S = np.array([30.0, 100.0, 300.0, 1000.0])
 WARM_UP = 1e-4
@@ -34,6 +47,8 @@ LUCKY = 1.0 / 64.0
 """The noise may be less than its scatter by this factor, when a slow sway is in that."""
 ALIKE = 0.5
 """The noise of horizontal gyros is not less than that of the vertical one by more than this factor."""
+SAME = 1e-9
+"""Weights that differ by less differ by rounding."""
 LEAST_CELLS = 12
 """Nothing is told from less."""
 
@@ -106,103 +121,125 @@ def fit_pose(record: PoseRecord, drift_sd: float = WARM_UP) -> PoseFit | None:
     valid = record.weight > 0.0
     if valid.sum() < LEAST_CELLS:
         return None
-    cells = _in_cells(record, valid)
+    quiet = quietness(record.rate, valid)
+    seen = [_in_cells(record, valid.astype(np.float64))]
+    if (quiet < valid).any():
+        seen.append(_in_cells(record, quiet))
+    cells, windows, scatter = _sharpest(seen, slice(0, 2))
+    upright, upright_windows, upright_noise = _sharpest(seen, slice(2, 3))
     length_s = float(cells.edges_s[1] - cells.edges_s[0])
     angles = courses(cells.edges_s)
     slopes = np.diff(angles, axis=0) / length_s
-    middle, above = cells.rate[:, :2].mean(0), float(cells.rate[:, 2].mean())
-    data = cells.rate - [*middle, above]
-    sets = bank(len(data), cells.hop)
-    windows, scatter = _sharpest(data[:, :2], sets)
     # Of several sets, that with the least scatter may have it by luck; the vertical gyro sees no tilt.
-    least = max(scatter * LUCKY, ALIKE * sets[0].scatter(data[:, 2:])[0])
-    products = windows.products(np.column_stack([np.ones(len(data)), slopes, data]))
-    gram = products[:-1, :-1] * cells.share
-    level = _accelerometers(cells.level, length_s, 0.5 * (angles[1:] + angles[:-1]), drift_sd)
-    found = told(Seen(gram, len(windows.weights) * cells.share, least, *level))
+    least = max(scatter * LUCKY, ALIKE * upright_noise)
+    gram = windows.products(np.column_stack([np.ones(len(slopes)), slopes, cells.rate[:, :2]]))
+    level = _accelerometers(cells, 0.5 * (angles[1:] + angles[:-1]), drift_sd)
+    found = told(Seen(gram, windows.count, least, *level))
     best = int(np.argmax(found.log_weight))
-    white = found.noise[best] / float(gram[0, 0])
-    upright = windows.scatter(data[:, 2:])[0]
-    vertical_variance = upright / float(gram[0, 0]) + FINEST**2
-    counted = length_s * len(data) * cells.share
+    counted = length_s * float(cells.quiet.sum())
+    white = found.noise[best] / float(gram[0, 0]) * counted
+    above = upright_windows.products(np.column_stack([np.ones(len(slopes)), upright.rate[:, 2]]))
+    vertical_variance = upright_noise / float(above[0, 0])
     return PoseFit(
         found.log_weight,
-        complex(*middle) + found.mean,
+        complex(*cells.middle[:2]) + found.mean,
         found.variance,
         found.settles,
-        above + float(products[0, -1] / products[0, 0]),
-        vertical_variance,
-        white * counted,
-        min(white, vertical_variance) * counted,
+        float(upright.middle[2] + above[0, 1] / above[0, 0]),
+        vertical_variance + FINEST**2,
+        white,
+        min(white, vertical_variance * length_s * float(upright.quiet.sum())),
         counted,
     )
 
 
 @dataclass(frozen=True, slots=True)
 class _Cells:
-    """A record in cells: rate (n, 3), level (n,) complex, and the share of it that counts.
+    """A record in cells, each a mean over rows by how much these count.
 
-    The edges, s, (n + 1,), are those of the cells if these did not overlap; a cell is `hop` rows long.
+    Parameters
+    ----------
+    edges_s : array, (n + 1,)
+        Those of the cells if these did not overlap.
+    rate, level : array (n, 3), and complex (n,)
+        The rate less its mean.
+    middle : array, (3,)
+        That mean.
+    quiet : array, (n,)
+        By how much a cell counts.
+    sets : tuple of Windows
     """
 
     edges_s: FloatArray
-    hop: int
     rate: FloatArray
     level: ColumnArray
-    share: float
+    middle: FloatArray
+    quiet: FloatArray
+    sets: tuple[Windows, ...]
 
 
-def _in_cells(record: PoseRecord, valid: ColumnArray) -> _Cells:
-    """Return the cells of a record, without its lines; where nothing counts, between their neighbours."""
+def _in_cells(record: PoseRecord, quiet: FloatArray) -> _Cells:
+    """Return the cells of a record, without its lines, when each row counts by so much, (n,)."""
     columns = np.column_stack([record.rate, record.level.real, record.level.imag])
-    rows = np.arange(len(columns))
-    if not valid.all():
-        kept = np.flatnonzero(valid)
-        columns = np.column_stack([np.interp(rows, kept, column[kept]) for column in columns.T])
-    horizontal = without_lines(columns[:, 0] + 1j * columns[:, 1], slowly(len(rows)))
+    rows = len(columns)
+    horizontal = without_lines(columns[:, 0] + 1j * columns[:, 1], slowly(rows), quiet)
     columns[:, 0], columns[:, 1] = horizontal.real, horizontal.imag
-    count, weights = layout(len(rows))
-    means = in_cells(columns, count, weights)
+    count, weights = layout(rows)
     hop = max(len(weights) // 2, 1)
-    step = float(record.time_s[-1] - record.time_s[0]) / (len(rows) - 1)
+    middle = quiet @ columns / quiet.sum()
+    means = in_cells(np.column_stack([(columns - middle) * quiet[:, None], quiet]), count, weights)
+    whole = bool((means[:, -1] > 1.0 - SAME).all())
+    means[:, :-1] /= np.maximum(means[:, -1:], FLOOR)
+    step = float(record.time_s[-1] - record.time_s[0]) / (rows - 1)
     edges = hop * step * (np.arange(count + 1.0) + (0.5 if hop > 1 else 0.0))
-    return _Cells(edges, hop, means[:, :3], means[:, 3] + 1j * means[:, 4], float(valid.mean()))
+    sets = bank(count, hop) if whole else weighted_bank(means[:, -1], hop)
+    return _Cells(edges, means[:, :3], means[:, 3] + 1j * means[:, 4], middle[:3], means[:, -1], sets)
 
 
-def _sharpest(data: FloatArray, sets: tuple[Windows, ...]) -> tuple[Windows, float]:
-    """Return the set of windows with the least variance of the mean of data, (n, axes), and that of a cell.
+def _sharpest(seen: list[_Cells], axes: slice) -> tuple[_Cells, Windows, float]:
+    """Return the cells and windows with the least variance of the mean of some axes, and that of a cell.
 
-    Wider edges are taken when they are better by more than their scatter may be wrong.
+    Wider edges, and less weight for what is loud, are taken when they are better by more than their scatter
+    may be wrong.
     """
-    found: list[tuple[float, Windows, float]] = []
-    for windows in sets:
-        variance, uncertainty = windows.scatter(data)
-        of_mean = variance * windows.variance
-        if not found or (1.0 + uncertainty) * of_mean < found[-1][0]:
-            found.append((of_mean, windows, variance))
-    return found[-1][1:]
+    least, found = math.inf, None
+    for cells in seen:
+        for windows in cells.sets:
+            variance, uncertainty = windows.scatter(cells.rate[:, axes])
+            of_mean = variance * windows.variance
+            if found is None or (1.0 + uncertainty) * of_mean < least:
+                least, found = of_mean, (cells, windows, variance)
+    assert found is not None
+    return found
 
 
-def _accelerometers(
-    level: ColumnArray, length_s: float, courses: FloatArray, drift_sd: float
-) -> tuple[FloatArray, ColumnArray]:
+def _accelerometers(cells: _Cells, courses: FloatArray, drift_sd: float) -> tuple[FloatArray, ColumnArray]:
     """Return the accelerometers' information of the angles, (kinds, kinds), and that times their means.
 
     Their drift is a sum of exponentials with unknown parts and a random walk; the level itself is unknown.
     """
-    together = -(-len(level) // ROWS)
-    count = len(level) // together
-    values = level[: count * together].reshape(count, together).mean(1)
-    shape = courses[: count * together].reshape(count, together, -1).mean(1)
-    time = length_s * together * (np.arange(count) + 0.5)
-    slow = bank(count, 1)[0].slow
-    left = values - slow @ (slow.T @ values)
-    noise = float(np.vdot(left, left).real) / (2.0 * (count - slow.shape[1]))
+    together = -(-len(cells.level) // ROWS)
+    count = len(cells.level) // together
+    blocks = np.column_stack([courses, cells.level.real, cells.level.imag, cells.edges_s[1:]])
+    weight = cells.quiet[: count * together].reshape(count, together)
+    blocks = blocks[: count * together].reshape(count, together, -1)
+    total = weight.sum(1)
+    some = total > NOTHING * total.max()
+    means = np.einsum("bt,bti->bi", weight[some], blocks[some]) / total[some, None]
+    weight = total[some] / total.max()
+    values, time = means[:, -3] + 1j * means[:, -2], means[:, -1]
+    known = float(weight.sum() ** 2 / (weight @ weight))
+    root = np.sqrt(weight)
+    slow = np.linalg.qr(slow_columns(slowly(count), known)[some] * root[:, None])[0]
+    left = root * values
+    left = left - slow @ (slow.T @ left)
+    noise = float(np.vdot(left, left).real) / (2.0 * (known - slow.shape[1]))
     drifts = drift_sd * -np.expm1(-time[:, None] / WARM_UPS_S)
     covariance = LEVEL**2 + drifts @ drifts.T + WALK**2 * np.minimum.outer(time, time)
-    covariance[np.diag_indices(count)] += noise + 1e-14
+    covariance[np.diag_indices(len(time))] += noise / weight + 1e-14
     # Whitened one by one: the products of such columns have no negative eigenvalue, whatever the rounding.
-    columns = np.column_stack([shape, values.real - values.real.mean(), values.imag - values.imag.mean()])
+    values = values - weight @ values / weight.sum()
+    columns = np.column_stack([means[:, :-3], values.real, values.imag])
     white = np.linalg.solve(np.linalg.cholesky(covariance), columns)
     products = white[:, :-2].T @ white
     return products[:, :-2], products[:, -2] + 1j * products[:, -1]

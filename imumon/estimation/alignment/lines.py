@@ -24,24 +24,24 @@ ROUNDS = 4
 """Gauss-Newton steps to the frequency."""
 
 
-def without_lines(values: ColumnArray, trend: FloatArray) -> ColumnArray:
+def without_lines(values: ColumnArray, trend: FloatArray, quiet: FloatArray) -> ColumnArray:
     """Return a complex series, (n,), without its narrow lines, which are fitted beside a trend, (n, t).
 
-    A line stands out of the median of the spectrum (Hann taper) by more than noise does once in a thousand
+    Each row counts by so much, (n,).  A line stands out of the median of the spectrum (Hann taper) by more than noise does once in a thousand
     records.  Its frequency is refined by Gauss and Newton: the derivative of a sine by its frequency is one
     that grows with time.
     """
     found: list[FloatArray] = []
     time = np.arange(float(len(values))) - 0.5 * (len(values) - 1)
-    left = values - _fit(trend, values)
-    power = _spectrum(left)
+    left = values - _fit(trend, values, quiet)
+    power = _spectrum(quiet * left)
     while len(found) < LARGEST and len(values) >= LEAST_ROWS:
         k = int(np.argmax(power))
         if power[k] < OUTSTANDING * np.median(power):
             break
-        line = _refined(left, time, math.pi * (k + 1) / (len(power) + 1))
-        after = values - _fit(np.hstack([trend, *found, line]), values)
-        reduced = _spectrum(after)
+        line = _refined(left, quiet, time, math.pi * (k + 1) / (len(power) + 1))
+        after = values - _fit(np.hstack([trend, *found, line]), values, quiet)
+        reduced = _spectrum(quiet * after)
         around = slice(max(k - BESIDE, 0), k + BESIDE + 1)
         if reduced[around].sum() > NARROW * power[around].sum():
             break
@@ -50,7 +50,7 @@ def without_lines(values: ColumnArray, trend: FloatArray) -> ColumnArray:
     if not found:
         return values
     columns = np.hstack([trend, *found])
-    lines = _solved(columns, values)[trend.shape[1] :]
+    lines = _solved(columns, values, quiet)[trend.shape[1] :]
     return np.asarray(values - np.einsum("nk,k->n", columns[:, trend.shape[1] :], lines))
 
 
@@ -65,12 +65,12 @@ def _spectrum(values: ColumnArray) -> FloatArray:
     return np.asarray(power)
 
 
-def _refined(values: ColumnArray, time: FloatArray, frequency: float) -> FloatArray:
+def _refined(values: ColumnArray, quiet: FloatArray, time: FloatArray, frequency: float) -> FloatArray:
     """Return the columns of a line, (n, 4): its sines, and those growing with time, as sway may swell."""
     columns = _line(time, frequency)
     grown = 1.0 / time[-1]
     for _ in range(ROUNDS):
-        a, b, by_a, by_b = _solved(columns, values).tolist()
+        a, b, by_a, by_b = _solved(columns, values, quiet).tolist()
         shift = (by_a * b.conjugate() - by_b * a.conjugate()).real / (abs(a) ** 2 + abs(b) ** 2) * grown
         frequency += min(max(shift, -grown), grown)
         columns = _line(time, frequency)
@@ -86,11 +86,12 @@ def _line(time: FloatArray, frequency: float) -> FloatArray:
     return np.column_stack([cos, sin, grow * cos, grow * sin])
 
 
-def _solved(columns: FloatArray, values: ColumnArray) -> ColumnArray:
+def _solved(columns: FloatArray, values: ColumnArray, quiet: FloatArray) -> ColumnArray:
     """Return the coefficients of columns, (k,), by least squares; einsum wakes no threads, as BLAS does."""
-    right = np.einsum("nk,n->k", columns, values)
-    return np.asarray(np.linalg.solve(np.einsum("nk,nj->kj", columns, columns), right))
+    weighted = columns * quiet[:, None]
+    right = np.einsum("nk,n->k", weighted, values)
+    return np.asarray(np.linalg.solve(np.einsum("nk,nj->kj", weighted, columns), right))
 
 
-def _fit(columns: FloatArray, values: ColumnArray) -> ColumnArray:
-    return np.asarray(np.einsum("nk,k->n", columns, _solved(columns, values)))
+def _fit(columns: FloatArray, values: ColumnArray, quiet: FloatArray) -> ColumnArray:
+    return np.asarray(np.einsum("nk,k->n", columns, _solved(columns, values, quiet)))

@@ -68,6 +68,25 @@ class Usual:
     spread: FloatArray
     limit: FloatArray
 
+    def beyond(self, values: FloatArray, level: FloatArray) -> BoolArray:
+        """Return what of slots, (..., 2, 6), is not as usual, for their levels, (..., 3)."""
+        off = values.copy()
+        off[..., 0, :3] -= self.middle[:3]
+        off[..., 0, 3:] -= level  # an accelerometer may warm up
+        return np.asarray(np.abs(off) > self.limit)
+
+
+def usual_of(recent: FloatArray) -> Usual:
+    """Return what slots, (m, 2, 6), were like."""
+    values = recent.copy()
+    values[:, 1] = np.sqrt(values[:, 1])
+    middle = np.median(values, axis=0)
+    spread = NORMAL * np.median(np.abs(values - middle), axis=0) + FINEST
+    reach = LIMIT + 3.0 * LIMIT / math.sqrt(len(values))
+    limit = reach * spread
+    limit[1] = (middle[1] + limit[1]) ** 2
+    return Usual(middle[0], spread[0], limit)
+
 
 @dataclass
 class Motion:
@@ -112,11 +131,9 @@ class Motion:
 
     def judge(self, slot: Slot) -> str:
         """Return what disturbs the slot, or nothing."""
-        if not slot.at_rest:
-            return "the unit moved"
         if len(self.recent) < LEAST:
             return ""
-        beyond = self._beyond(slot.values, self.level)
+        beyond = self.usual().beyond(slot.values, self.level)
         if not beyond.any():
             return ""
         if beyond[0, :3].any():
@@ -124,14 +141,6 @@ class Motion:
         if beyond[0, 3:].any():
             return "the specific force jumped"
         return "a shock or vibration" if slot.samples >= LEAST else ""
-
-    def _beyond(self, values: FloatArray, level: FloatArray) -> BoolArray:
-        """Return what of slots, (..., 2, 6), is not as usual, for their levels, (..., 3)."""
-        usual = self.usual()
-        off = values.copy()
-        off[..., 0, :3] -= usual.middle[:3]
-        off[..., 0, 3:] -= level  # an accelerometer may warm up
-        return np.asarray(np.abs(off) > usual.limit)
 
     def rest_on(self, values: FloatArray) -> FloatArray:
         """Go on by slots at rest, (m, 2, 6), until one is not as usual or what is usual must be taken anew.
@@ -147,7 +156,7 @@ class Motion:
             self.usual()
         values = values[: int(RENEWED * len(self.recent)) + 1 - self.age]
         levels = mean_level(np.concatenate((self.recent[-LEAST:], values)))
-        beyond = self._beyond(values, levels[:-1]).any((1, 2))
+        beyond = self.usual().beyond(values, levels[:-1]).any((1, 2))
         taken = int(beyond.argmax()) if beyond.any() else len(values)
         if taken:
             self._go_on(values[:taken])
@@ -156,14 +165,7 @@ class Motion:
     def usual(self) -> Usual:
         """Return what recent slots were like."""
         if self.known is None:
-            values = self.recent.copy()
-            values[:, 1] = np.sqrt(values[:, 1])
-            middle = np.median(values, axis=0)
-            spread = NORMAL * np.median(np.abs(values - middle), axis=0) + FINEST
-            reach = LIMIT + 3.0 * LIMIT / math.sqrt(len(values))
-            limit = reach * spread
-            limit[1] = (middle[1] + limit[1]) ** 2
-            self.known = Usual(middle[0], spread[0], limit)
+            self.known = usual_of(self.recent)
             self.age = 0
         return self.known
 
@@ -211,11 +213,19 @@ class Motion:
     @property
     def rested(self) -> bool:
         """Whether the calm has lasted."""
-        if self.calm < LEAST or not self.passed[-1].at_rest:
+        if self.calm < LEAST:
+            return False
+        if self.base is None and not self.passed[-1].at_rest:
             return False
         if self.base is not None and self.still < LEAST and self.calm < PATIENT:
             return False
         return float(np.std([slot.mean[:3] for slot in self.passed[-LEAST:]], axis=0).max()) < TURNING
+
+    def begins(self) -> int:
+        """Return the first slot passed from which on all are as the last ones: what was before is no rest."""
+        values = np.array([slot.values for slot in self.passed])
+        beyond = usual_of(values[-LEAST:]).beyond(values, values[-LEAST:, 0, 3:].mean(axis=0)).any((1, 2))
+        return int(np.flatnonzero(np.r_[True, beyond])[-1])
 
     @property
     def seconds(self) -> float:

@@ -28,6 +28,8 @@ TREND = (2.0, 8.0, 32.0, 128.0)
 """Time constants in a record of the exponentials that are no scatter: as a tripod settles."""
 CYCLES = 4
 """Periods in a record of the fastest of the slow sways, which are fitted, and are no scatter either."""
+NOTHING = 1e-2
+"""A window that weighs less than this share of another tells nothing."""
 FLOOR = 1e-30
 
 
@@ -38,15 +40,17 @@ class Windows:
     Parameters
     ----------
     weights : array, (k, n)
-        Rows add up to one.
+        A window that looks at loud cells weighs less than the others.
     covariance : array, (k, k)
-        Of the means, over the variance of a cell, when the noise of rows is white.
+        Of the sums, over the variance of a cell that is not loud, when the noise of rows is white.
     slow : array, (k, t)
-        Orthonormal: what a trend is in the means; the first is the constant.
+        Orthonormal: what a trend is in the sums.
     expected : float
-        Sum of the squares that the trend leaves of the means, over the variance of a cell.
+        Sum of the squares that the trend leaves of the sums, over the variance of a cell.
     variance : float
         Of the mean of all cells under these windows, over that of a cell.
+    count : float
+        How many windows of full weight they are worth.
     """
 
     weights: FloatArray
@@ -54,6 +58,7 @@ class Windows:
     slow: FloatArray
     expected: float
     variance: float
+    count: float
 
     def scatter(self, data: FloatArray) -> tuple[float, float]:
         """Return the variance of a cell by the scatter of the means of data, (n, a), and its uncertainty.
@@ -64,7 +69,7 @@ class Windows:
         means = self.weights @ data
         left = means - self.slow @ (self.slow.T @ means)
         axes = int(data.shape[1])
-        free = axes * (len(means) - int(self.slow.shape[1]))
+        free = axes * (self.count - int(self.slow.shape[1]))
         wider = free / max(free - 2.0, 1.0)
         return wider * float(np.vdot(left, left)) / (axes * self.expected) + FLOOR, math.sqrt(2.0 / free)
 
@@ -112,31 +117,47 @@ def slowly(rows: int) -> FloatArray:
 @lru_cache(maxsize=64)
 def bank(cells: int, hop: int) -> tuple[Windows, ...]:
     """Return sets of windows over cells, `hop` rows from one to the next, with ever wider edges."""
-    beside = 0.0
+    return weighted_bank(np.ones(cells), hop)
+
+
+def weighted_bank(quiet: FloatArray, hop: int) -> tuple[Windows, ...]:
+    """Return such sets over cells of which each counts by so much, (n,)."""
+    cells, beside = len(quiet), 0.0
     if hop > 1:
         _, taps = layout(hop * CELLS)
         beside = float(taps[:hop] @ taps[hop:] / (taps @ taps))
-    found, wide = [_made(np.eye(cells), beside)], 2
+    found, wide = [_made(np.eye(cells), quiet, beside)], 2
     while cells // wide - 1 >= LEAST_ROWS:
         middle = np.arange(wide - 1, cells - wide + 1, wide)[:, None]
         apart = np.abs(np.arange(cells) - middle) / wide
-        found.append(_made(np.where(apart < 1.0, 0.5 + 0.5 * np.cos(math.pi * apart), 0.0), beside))
+        made = _made(np.where(apart < 1.0, 0.5 + 0.5 * np.cos(math.pi * apart), 0.0), quiet, beside)
+        if made.count < LEAST_ROWS:
+            break
+        found.append(made)
         wide *= 2
     return tuple(found)
 
 
-def _made(weights: FloatArray, beside: float) -> Windows:
+def slow_columns(basis: FloatArray, count: float) -> FloatArray:
+    """Return as many columns of `slowly` as so many values can bear beside their scatter."""
+    return basis[:, : 1 + min(2 * (int(count - LEAST_ROWS) // LEAST_ROWS), basis.shape[1] - 1)]
+
+
+def _made(weights: FloatArray, quiet: FloatArray, beside: float) -> Windows:
     """Return windows of these weights, (k, n), over cells that correlate so much with their neighbours."""
     together = -(-len(weights) // ROWS)
     weights = np.add.reduceat(weights, np.arange(0, len(weights), together), axis=0)
-    whole = weights.sum(0) / weights.sum()
-    weights = weights / weights.sum(1, keepdims=True)
-    basis = slowly(weights.shape[1])
-    columns = 1 + min(2 * ((len(weights) - LEAST_ROWS) // LEAST_ROWS), basis.shape[1] - 1)
-    slow = np.linalg.qr(weights @ basis[:, :columns])[0]
-    covariance = _noisy(weights, beside) @ weights.T
+    weights = weights / weights.sum(1, keepdims=True) * quiet
+    mass = weights.sum(1)
+    weights, mass = weights[mass > NOTHING * mass.max()], mass[mass > NOTHING * mass.max()]
+    noise = weights / np.sqrt(np.maximum(quiet, FLOOR))
+    covariance = _noisy(noise, beside) @ noise.T
+    own = np.diagonal(covariance)
+    count = float(own.sum() ** 2 / (own @ own))
+    slow = np.linalg.qr(weights @ slow_columns(slowly(weights.shape[1]), count))[0]
     expected = float(np.trace(covariance) - np.vdot(slow, covariance @ slow))
-    return Windows(weights, covariance, slow, expected, float(_noisy(whole, beside) @ whole))
+    whole = noise.sum(0) / mass.sum()
+    return Windows(weights, covariance, slow, expected, float(_noisy(whole, beside) @ whole), count)
 
 
 def _noisy(weights: FloatArray, beside: float) -> FloatArray:

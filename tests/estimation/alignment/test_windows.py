@@ -43,13 +43,13 @@ def test_lines_are_taken_off_and_a_resonance_is_not() -> None:
     t = np.arange(n)
     noise = rng.normal(size=n) + 1j * rng.normal(size=n)
     sway = 200.0 * np.sin(0.0713 * t) * (0.6 + 0.8j) + 30.0 * np.cos(1.91 * t + 1.0)
-    left = without_lines(noise + sway, trend(n))
+    left = without_lines(noise + sway, trend(n), np.ones(n))
     assert np.abs(left).std() < 1.1 * np.abs(noise).std()
     assert abs((left - noise).mean()) < 0.05
     shaken = noise.copy()
     for k in range(2, n):
         shaken[k] += 1.9 * shaken[k - 1] - 0.97 * shaken[k - 2]
-    assert without_lines(shaken, trend(n)) is shaken
+    assert without_lines(shaken, trend(n), np.ones(n)) is shaken
 
 
 def _pose(seconds: float, angle: FloatArray, seed: int = 0) -> PoseRecord:
