@@ -44,9 +44,7 @@ class Windows:
     covariance : array, (k, k)
         Of the sums, over the variance of a cell that is not loud, when the noise of rows is white.
     slow : array, (k, t)
-        Orthonormal: what a trend is in the sums.
-    expected : float
-        Sum of the squares that the trend leaves of the sums, over the variance of a cell.
+        Orthonormal: what a trend is in the sums; the first is the constant.
     variance : float
         Of the mean of all cells under these windows, over that of a cell.
     count : float
@@ -56,22 +54,23 @@ class Windows:
     weights: FloatArray
     covariance: FloatArray
     slow: FloatArray
-    expected: float
     variance: float
     count: float
 
-    def scatter(self, data: FloatArray) -> tuple[float, float]:
-        """Return the variance of a cell by the scatter of the means of data, (n, a), and its uncertainty.
+    def scatter(self, data: FloatArray, trends: bool = True) -> tuple[float, float]:
+        """Return the variance of a cell by the scatter of the sums of data, (n, a), and its uncertainty.
 
-        The latter is the relative standard deviation.  With few degrees of freedom a mean's distribution is
-        that of Student, which is wider.
+        Trends are no scatter, or they are.  The uncertainty is the relative standard deviation.  With few
+        degrees of freedom a mean's distribution is that of Student, which is wider.
         """
-        means = self.weights @ data
-        left = means - self.slow @ (self.slow.T @ means)
+        slow = self.slow if trends else self.slow[:, :1]
+        sums = self.weights @ data
+        left = sums - slow @ (slow.T @ sums)
         axes = int(data.shape[1])
-        free = axes * (self.count - int(self.slow.shape[1]))
+        expected = axes * float(np.trace(self.covariance) - np.vdot(slow, self.covariance @ slow))
+        free = axes * (self.count - int(slow.shape[1]))
         wider = free / max(free - 2.0, 1.0)
-        return wider * float(np.vdot(left, left)) / (axes * self.expected) + FLOOR, math.sqrt(2.0 / free)
+        return wider * float(np.vdot(left, left)) / expected + FLOOR, math.sqrt(2.0 / free)
 
     def products(self, columns: FloatArray) -> FloatArray:
         """Return the products of columns, (n, c), seen through windows and weighed by the covariance."""
@@ -155,9 +154,8 @@ def _made(weights: FloatArray, quiet: FloatArray, beside: float) -> Windows:
     own = np.diagonal(covariance)
     count = float(own.sum() ** 2 / (own @ own))
     slow = np.linalg.qr(weights @ slow_columns(slowly(weights.shape[1]), count))[0]
-    expected = float(np.trace(covariance) - np.vdot(slow, covariance @ slow))
     whole = noise.sum(0) / mass.sum()
-    return Windows(weights, covariance, slow, expected, float(_noisy(whole, beside) @ whole), count)
+    return Windows(weights, covariance, slow, float(_noisy(whole, beside) @ whole), count)
 
 
 def _noisy(weights: FloatArray, beside: float) -> FloatArray:
