@@ -27,6 +27,8 @@ LONGEST_S = 120.0
 followed for so long has lost what was found."""
 SAME_TURN, SAME_LEVEL = 3e-5, 1e-5
 """Angles, rad, below which a unit stands as before; so many cost less than 0.002° of heading."""
+TURNED = 0.01
+"""rad: less turns a bias by less than a hundredth of itself and tells nothing of it, so it is no new position."""
 SIGMAS = 6.0
 TYPICAL_BIAS, TYPICAL_ARW, BIAS_POWER = 2.0 * DEG_PER_H, math.radians(0.1) / 60.0, 1.86
 SCATTER = 1.5
@@ -197,7 +199,7 @@ class Aligner:
             state.poses.append(Pose(state.attitude, 0.0, state.counted_s))
         else:
             before = len(state.poses) - 1
-            same = self._new_pose(calm[-LEAST // 2 :])
+            same = self._new_pose(calm[-LEAST:])
             if not (same and motion.returned):
                 state.disturbed += 1
                 state.record.leave_out(motion.begun_s - calm[0].length_s)
@@ -225,7 +227,7 @@ class Aligner:
         motion, poses = self.state.motion, self.state.poses
         seconds = motion.seconds - sum(slot.length_s for slot in motion.passed[-motion.calm :])
         said = f"alignment: {motion.cause} at {motion.begun_s:.1f} s for {seconds:.1f} s: left out"
-        if same:
+        if same or rotated(poses[-2].attitude, poses[-1].attitude) < TURNED:
             return said
         turned = -math.degrees(azimuth_between(poses[-2].attitude, poses[-1].attitude))
         return f"{said}; a new position, turned by {turned:.2f}° about the vertical"
@@ -242,7 +244,7 @@ class Aligner:
         before = levelled(state.poses[-1].attitude, middle[3:])
         turn = azimuth_between(before, attitude)
         noise = float(spread[:3].max()) * math.sqrt(calm[0].length_s * seconds)
-        bumped = SIGMAS * float(spread[3:].max()) / math.sqrt(LEAST) / STANDARD_GRAVITY
+        bumped = SIGMAS * float(motion.wander().max()) / STANDARD_GRAVITY
         if abs(turn) < max(SAME_TURN, SIGMAS * noise) and step < max(SAME_LEVEL, bumped):
             self._stands(before)
             return True
@@ -409,12 +411,21 @@ class Aligner:
         return found
 
     @property
+    def positions(self) -> list[int]:
+        """The poses that are turned against the position before."""
+        poses, found = self.state.poses, [0][: len(self.state.poses)]
+        for number, pose in enumerate(poses):
+            if rotated(poses[found[-1]].attitude, pose.attitude) > TURNED:
+                found.append(number)
+        return found
+
+    @property
     def turned(self) -> float:
         """Angle of the last turn about the vertical, or of the one that goes on, rad, clockwise."""
-        poses, state = self.state.poses, self.state
-        if state.motion.disturbed:
+        state, poses, last = self.state, self.state.poses, self.positions[-1:]
+        if state.motion.disturbed and poses:
             return -azimuth_between(poses[-1].attitude, state.attitude)
-        return -azimuth_between(poses[-2].attitude, poses[-1].attitude) if len(poses) > 1 else 0.0
+        return -azimuth_between(poses[last[0] - 1].attitude, poses[-1].attitude) if any(last) else 0.0
 
     def as_heading(self, north: float) -> float:
         """Return the heading of the body from the direction of north in the frame of the first pose."""
@@ -446,6 +457,11 @@ def levelled(attitude: FloatArray, up: FloatArray) -> FloatArray:
     ahead = attitude[0] - (attitude[0] @ up) * up
     ahead /= np.sqrt(ahead @ ahead)
     return np.vstack([ahead, np.cross(up, ahead), up])
+
+
+def rotated(before: FloatArray, after: FloatArray) -> float:
+    """Return about the angle, rad, between two attitudes (3, 3)."""
+    return math.sqrt(0.5 * float(np.sum((after - before) ** 2)))
 
 
 def azimuth_between(before: FloatArray, after: FloatArray) -> float:

@@ -169,6 +169,12 @@ class Motion:
             self.age = 0
         return self.known
 
+    def wander(self) -> FloatArray:
+        """Return by how much the mean level of LEAST slots scatters at rest, m/s², (3,)."""
+        levels = mean_level(self.recent)
+        spread: FloatArray = NORMAL * np.median(np.abs(levels - np.median(levels, axis=0)), axis=0)
+        return np.maximum(spread, self.usual().spread[3:] / math.sqrt(LEAST))
+
     def go_on(self, slot: Slot) -> None:
         """Add an undisturbed slot."""
         self._go_on(slot.values[None])
@@ -225,7 +231,7 @@ class Motion:
         """Return the first slot passed from which on all are as the last ones: what was before is no rest."""
         values = np.array([slot.values for slot in self.passed])
         beyond = usual_of(values[-LEAST:]).beyond(values, values[-LEAST:, 0, 3:].mean(axis=0)).any((1, 2))
-        return int(np.flatnonzero(np.r_[True, beyond])[-1])
+        return min(int(np.flatnonzero(np.r_[True, beyond])[-1]), len(values) - LEAST)
 
     @property
     def seconds(self) -> float:

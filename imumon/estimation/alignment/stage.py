@@ -308,9 +308,6 @@ class Alignment:
         rests = bool(state.poses) and len(state.motion.recent) >= LEAST
         roll, pitch = self._level() if rests else (math.nan, math.nan)
         last = state.fits[-1] if state.fits and len(state.fits) == len(state.poses) else None
-        turned = 0.0
-        if state.poses:
-            turned = self._aligner.turned
         return Status(
             phase=self._phase(),
             observable=observable,
@@ -332,10 +329,10 @@ class Alignment:
             shaken_s=state.shaken_s,
             wanted=math.radians(self._parameters.settled_deg),
             earth_rate=aligner.level_rate,
-            positions=len(state.poses),
+            positions=len(self._aligner.positions),
             position_s=0.0 if last is None else last.seconds,
             position_sd=math.inf if last is None else math.sqrt(last.variance[0]) / aligner.level_rate,
-            turned=turned,
+            turned=self._aligner.turned,
             bias_declared=self._parameters.gyro_bias_sd_deg_per_h is not None,
         )
 
