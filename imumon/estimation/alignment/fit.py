@@ -205,7 +205,8 @@ def _sharpest(seen: list[_Cells], axes: slice, trends: bool) -> tuple[_Cells, Wi
     """
     least, found = math.inf, None
     for cells in seen:
-        for windows in cells.sets:
+        for white in cells.sets:
+            windows = white.coloured(cells.rate[:, axes], trends)
             variance, uncertainty = windows.scatter(cells.rate[:, axes], trends)
             of_mean = variance * windows.variance
             if found is None or (1.0 + uncertainty) * of_mean < least:

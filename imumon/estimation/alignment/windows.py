@@ -10,7 +10,7 @@ it is that sways.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -28,6 +28,11 @@ TREND = (2.0, 8.0, 32.0, 128.0)
 """Time constants in a record of the exponentials that are no scatter: as a tripod settles."""
 CYCLES = 4
 """Periods in a record of the fastest of the slow sways, which are fitted, and are no scatter either."""
+BLUE = 4.0 ** np.arange(6.0)
+"""Noise of angles that jitter, as in gusts, over that of gyros, where both are seen through windows: the
+slowest that 40 windows show has a four-hundredth of the power of the fastest."""
+SURE = 4.0
+"""By this log likelihood ratio it must be likelier than none: by luck it is once in 200 records."""
 NOTHING = 1e-2
 """A window that weighs less than this share of another tells nothing."""
 FLOOR = 1e-30
@@ -49,6 +54,8 @@ class Windows:
         Of the mean of all cells under these windows, over that of a cell.
     count : float
         How many windows of full weight they are worth.
+    bluer : tuple of Windows
+        The same, when angles that jitter add ever more noise.
     """
 
     weights: FloatArray
@@ -56,6 +63,30 @@ class Windows:
     slow: FloatArray
     variance: float
     count: float
+    bluer: tuple[Windows, ...] = ()
+
+    def likelihood(self, data: FloatArray, trends: bool = True) -> float:
+        """Return the logarithm of that of the sums of data, (n, a), whatever variance and trend (REML)."""
+        slow = self.slow if trends else self.slow[:, :1]
+        sums = self.weights @ data
+        lower = np.linalg.cholesky(self.covariance)
+        white = np.linalg.solve(lower, np.column_stack([slow, sums]))
+        basis, triangle = np.linalg.qr(white[:, : slow.shape[1]])
+        left = white[:, slow.shape[1] :]
+        left = left - basis @ (basis.T @ left)
+        free, axes = len(sums) - int(slow.shape[1]), int(data.shape[1])
+        logs = free * math.log(float(np.vdot(left, left)) / (axes * free) + FLOOR)
+        logs += 2.0 * float(np.log(np.diagonal(lower)).sum() + np.log(np.abs(np.diagonal(triangle))).sum())
+        return -0.5 * axes * logs
+
+    def coloured(self, data: FloatArray, trends: bool = True) -> Windows:
+        """Return these windows with the colour of noise that data, (n, a), show for sure; else white."""
+        best, most = self, self.likelihood(data, trends) + SURE
+        for windows in self.bluer:
+            found = windows.likelihood(data, trends)
+            if found > most:
+                best, most = windows, found
+        return best
 
     def scatter(self, data: FloatArray, trends: bool = True) -> tuple[float, float]:
         """Return the variance of a cell by the scatter of the sums of data, (n, a), and its uncertainty.
@@ -148,14 +179,21 @@ def _made(weights: FloatArray, quiet: FloatArray, beside: float) -> Windows:
     weights = np.add.reduceat(weights, np.arange(0, len(weights), together), axis=0)
     weights = weights / weights.sum(1, keepdims=True) * quiet
     mass = weights.sum(1)
-    weights, mass = weights[mass > NOTHING * mass.max()], mass[mass > NOTHING * mass.max()]
+    weights = weights[mass > NOTHING * mass.max()]
     noise = weights / np.sqrt(np.maximum(quiet, FLOOR))
     covariance = _noisy(noise, beside) @ noise.T
     own = np.diagonal(covariance)
     count = float(own.sum() ** 2 / (own @ own))
     slow = np.linalg.qr(weights @ slow_columns(slowly(weights.shape[1]), count))[0]
-    whole = noise.sum(0) / mass.sum()
-    return Windows(weights, covariance, slow, float(_noisy(whole, beside) @ whole), count)
+    jitter = np.diff(weights, axis=1, prepend=0.0, append=0.0)
+    angles = jitter @ jitter.T
+    angles *= own.sum() / np.trace(angles)
+    total = weights.sum(1)
+    found = [
+        Windows(weights, shape, slow, 1.0 / float(total @ np.linalg.solve(shape, total)), count)
+        for shape in (covariance, *(covariance + blue * angles for blue in BLUE))
+    ]
+    return replace(found[0], bluer=tuple(found[1:]))
 
 
 def _noisy(weights: FloatArray, beside: float) -> FloatArray:
