@@ -57,6 +57,57 @@ def lorry(amplitude: float, every_s: float) -> Tilt:
     return tilt
 
 
+def lorry_once(amplitude: float, hertz: float, at_s: float) -> Tilt:
+    """Return one that stops by: for some 16 s the ground leans, and sways in another direction."""
+
+    def tilt(t: FloatArray, rng: np.random.Generator) -> FloatArray:
+        near = amplitude * np.exp(-(((t - at_s) / 8.0) ** 2))
+        leans, sways = np.outer(near, _direction(rng)), np.outer(near, _direction(rng))
+        return leans + sways * np.sin(2.0 * math.pi * hertz * t + rng.uniform(0.0, 2.0 * math.pi))[:, None]
+
+    return tilt
+
+
+def door(amplitude: float, at_s: float) -> Tilt:
+    """Return a door that slams: the floor swings at 5 and 6 Hz, and dies away in 2 s."""
+
+    def tilt(t: FloatArray, rng: np.random.Generator) -> FloatArray:
+        since = np.maximum(t - at_s, 0.0)
+        swing = np.sin(2.0 * math.pi * np.outer(since, rng.uniform(4.5, 6.5, 2)))
+        return np.asarray(amplitude * np.exp(-since / 2.0)[:, None] * swing)
+
+    return tilt
+
+
+def gusts(amplitude: float, lasting_s: float) -> Tilt:
+    """Return angles that jitter about each level axis, with this standard deviation and correlation time."""
+
+    def tilt(t: FloatArray, rng: np.random.Generator) -> FloatArray:
+        from scipy.signal import lfilter
+
+        keep = math.exp(-float(t[1] - t[0]) / lasting_s)
+        driven = rng.normal(size=(len(t), 2))
+        for _ in range(2):
+            driven = np.asarray(lfilter([1.0], [1.0, -keep], driven, axis=0))
+        return np.asarray(amplitude * driven / driven.std())
+
+    return tilt
+
+
+def in_hand(until_s: float) -> Tilt:
+    """Return a unit that is carried at first, by tenths of a radian at up to 2 Hz, and put down."""
+
+    def tilt(t: FloatArray, rng: np.random.Generator) -> FloatArray:
+        left = np.clip((until_s - t) / 1.5, 0.0, 1.0)
+        total = np.zeros((len(t), 2))
+        for hertz in rng.uniform(0.2, 2.0, 6):
+            swing = np.sin(2.0 * math.pi * hertz * t + rng.uniform(0.0, 2.0 * math.pi))
+            total += 0.1 / hertz * np.outer(swing, _direction(rng))
+        return np.asarray(total * (left**2 * (3.0 - 2.0 * left))[:, None])
+
+    return tilt
+
+
 def wind(amplitude: float, hertz: float, damping: float) -> Tilt:
     """Return a resonance driven by noise, of this standard deviation, rad, about each level axis."""
 

@@ -125,14 +125,15 @@ def fit_pose(record: PoseRecord, drift_sd: float = WARM_UP) -> PoseFit | None:
     seen = [_in_cells(record, valid.astype(np.float64))]
     if (quiet < valid).any():
         seen.append(_in_cells(record, quiet))
-    cells, windows, scatter = _sharpest(seen, slice(0, 2), trends=True)
     # The vertical gyro has no hypotheses: what it shows of a trend is an error of its mean.
     upright, upright_windows, upright_noise = _sharpest(seen, slice(2, 3), trends=False)
+    own_noise = upright_windows.scatter(upright.rate[:, 2:])[0]
+    cells, windows, scatter = _sharpest(seen, slice(0, 2), trends=True, noise=own_noise)
     length_s = float(cells.edges_s[1] - cells.edges_s[0])
     angles = courses(cells.edges_s)
     slopes = np.diff(angles, axis=0) / length_s
     # Of several sets, that with the least scatter may have it by luck; the vertical gyro sees no tilt.
-    least = max(scatter * LUCKY, ALIKE * upright_windows.scatter(upright.rate[:, 2:])[0])
+    least = max(scatter * LUCKY, ALIKE * own_noise)
     gram = windows.products(np.column_stack([np.ones(len(slopes)), slopes, cells.rate[:, :2]]))
     level = _accelerometers(cells, 0.5 * (angles[1:] + angles[:-1]), drift_sd)
     found = told(Seen(gram, windows.count, least, *level))
@@ -197,18 +198,20 @@ def _in_cells(record: PoseRecord, quiet: FloatArray) -> _Cells:
     return _Cells(edges, means[:, :3], means[:, 3] + 1j * means[:, 4], middle[:3], means[:, -1], sets)
 
 
-def _sharpest(seen: list[_Cells], axes: slice, trends: bool) -> tuple[_Cells, Windows, float]:
+def _sharpest(
+    seen: list[_Cells], axes: slice, trends: bool, noise: float = 0.0
+) -> tuple[_Cells, Windows, float]:
     """Return the cells and windows with the least variance of the mean of some axes, and that of a cell.
 
     Wider edges, and less weight for what is loud, are taken when they are better by more than their scatter
-    may be wrong.
+    may be wrong.  No mean is better than the gyros' own noise lets it be.
     """
     least, found = math.inf, None
     for cells in seen:
         for white in cells.sets:
             windows = white.coloured(cells.rate[:, axes], trends)
             variance, uncertainty = windows.scatter(cells.rate[:, axes], trends)
-            of_mean = variance * windows.variance
+            of_mean = max(variance, noise) * windows.variance
             if found is None or (1.0 + uncertainty) * of_mean < least:
                 least, found = of_mean, (cells, windows, variance)
     assert found is not None

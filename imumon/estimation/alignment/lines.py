@@ -27,9 +27,9 @@ ROUNDS = 4
 def without_lines(values: ColumnArray, trend: FloatArray, quiet: FloatArray) -> ColumnArray:
     """Return a complex series, (n,), without its narrow lines, which are fitted beside a trend, (n, t).
 
-    Each row counts by so much, (n,).  A line stands out of the median of the spectrum (Hann taper) by more than noise does once in a thousand
-    records.  Its frequency is refined by Gauss and Newton: the derivative of a sine by its frequency is one
-    that grows with time.
+    Each row counts by so much, (n,).  A line stands out of the median of the spectrum (Hann taper) by more
+    than noise does once in a thousand records.  Its frequency is refined by Gauss and Newton: the derivative
+    of a sine by its frequency is one that grows with time.
     """
     found: list[FloatArray] = []
     time = np.arange(float(len(values))) - 0.5 * (len(values) - 1)

@@ -1,8 +1,8 @@
 """How loud each part of a record is: noise belongs to a time, and what shook for seconds says little there.
 
-A lorry, a slammed door, or a hand that sets the unit down has a scatter of its own.  Beside the quiet of the
-rest it counts by the inverse of its variance.  Sway that has been there all the time is not loud: it keeps all
-of its weight, since weights that vary would let the rate of a bounded angle into a mean.
+A lorry, a slammed door, or a hand that sets the unit down has a scatter of its own.  Beside the quiet of
+the rest it counts by the inverse of its variance.  Sway that has been there all the time is not loud: it
+keeps all of its weight, since weights that vary would let the rate of a bounded angle into a mean.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ LEAST_ROWS = 4 * TOGETHER
 """In fewer rows nothing tells what is usual."""
 QUIET = 0.25
 """The usual is the scatter below which this share of the rows is: the rest may all be loud."""
-LOUD = 4.0
-"""Times the usual variance: once in some hundred records white noise has more in four seconds."""
+LOUD = 8.0
+"""Times the usual variance: white noise has less in any four seconds of a record of 4000 rows."""
 
 
 def quietness(rate: FloatArray, valid: BoolArray) -> FloatArray:
-    """Return by how much each row counts, (n,), one where it is not loud, from rates, (n, 3), and which count.
+    """Return by how much each row counts, (n,), from rates, (n, 3); zero where it is not valid, (n,).
 
-    Horizontal gyros see a tilt that is slow and belongs to the record: their neighbours are compared.  The
+    One where it is not loud.  Horizontal gyros see a tilt that is slow and belongs to the record: their neighbours are compared.  The
     vertical one sees none: what it leaves its usual rate by, the unit turns.
     """
     weight = valid.astype(np.float64)
@@ -34,10 +34,8 @@ def quietness(rate: FloatArray, valid: BoolArray) -> FloatArray:
     steps = np.diff(kept[:, :2], axis=0, prepend=kept[:1, :2])
     squares = np.column_stack([0.5 * steps**2, (kept[:, 2] - np.median(kept[:, 2])) ** 2])
     total = np.cumsum(np.concatenate([np.zeros((1, 3)), squares]), axis=0)
-    middle = np.arange(len(kept))
-    first = np.maximum(middle - TOGETHER // 2, 0)
-    last = np.minimum(middle + TOGETHER // 2, len(kept))
-    scatter = (total[last] - total[first]) / (last - first)[:, None]
+    first = np.clip(np.arange(len(kept)) - TOGETHER // 2, 0, len(kept) - TOGETHER)
+    scatter = total[first + TOGETHER] - total[first]
     usual = np.quantile(scatter, QUIET, axis=0) + np.finfo(np.float64).tiny
     weight[valid] = np.minimum(1.0, LOUD / np.maximum(scatter / usual, LOUD).max(axis=1))
     return weight

@@ -39,6 +39,14 @@ FLOOR = 1e-30
 
 
 @dataclass(frozen=True, slots=True)
+class Whitened:
+    """What makes sums white and takes a trend off, (f, k), and the log determinant of that trend and them."""
+
+    rows: FloatArray
+    log_determinant: float
+
+
+@dataclass(frozen=True, slots=True)
 class Windows:
     """Windows over n cells.
 
@@ -54,6 +62,8 @@ class Windows:
         Of the mean of all cells under these windows, over that of a cell.
     count : float
         How many windows of full weight they are worth.
+    whitened : (Whitened, Whitened)
+        Without the constant; without a trend.
     bluer : tuple of Windows
         The same, when angles that jitter add ever more noise.
     """
@@ -63,21 +73,15 @@ class Windows:
     slow: FloatArray
     variance: float
     count: float
+    whitened: tuple[Whitened, Whitened]
     bluer: tuple[Windows, ...] = ()
 
     def likelihood(self, data: FloatArray, trends: bool = True) -> float:
         """Return the logarithm of that of the sums of data, (n, a), whatever variance and trend (REML)."""
-        slow = self.slow if trends else self.slow[:, :1]
-        sums = self.weights @ data
-        lower = np.linalg.cholesky(self.covariance)
-        white = np.linalg.solve(lower, np.column_stack([slow, sums]))
-        basis, triangle = np.linalg.qr(white[:, : slow.shape[1]])
-        left = white[:, slow.shape[1] :]
-        left = left - basis @ (basis.T @ left)
-        free, axes = len(sums) - int(slow.shape[1]), int(data.shape[1])
-        logs = free * math.log(float(np.vdot(left, left)) / (axes * free) + FLOOR)
-        logs += 2.0 * float(np.log(np.diagonal(lower)).sum() + np.log(np.abs(np.diagonal(triangle))).sum())
-        return -0.5 * axes * logs
+        whitened = self.whitened[trends]
+        left = whitened.rows @ (self.weights @ data)
+        variance = float(np.vdot(left, left)) / left.size + FLOOR
+        return -0.5 * (left.size * math.log(variance) + int(data.shape[1]) * whitened.log_determinant)
 
     def coloured(self, data: FloatArray, trends: bool = True) -> Windows:
         """Return these windows with the colour of noise that data, (n, a), show for sure; else white."""
@@ -188,12 +192,23 @@ def _made(weights: FloatArray, quiet: FloatArray, beside: float) -> Windows:
     jitter = np.diff(weights, axis=1, prepend=0.0, append=0.0)
     angles = jitter @ jitter.T
     angles *= own.sum() / np.trace(angles)
-    total = weights.sum(1)
-    found = [
-        Windows(weights, shape, slow, 1.0 / float(total @ np.linalg.solve(shape, total)), count)
-        for shape in (covariance, *(covariance + blue * angles for blue in BLUE))
-    ]
+    shapes = (covariance, *(covariance + blue * angles for blue in BLUE))
+    found = [_coloured(weights, shape, slow, count) for shape in shapes]
     return replace(found[0], bluer=tuple(found[1:]))
+
+
+def _coloured(weights: FloatArray, covariance: FloatArray, slow: FloatArray, count: float) -> Windows:
+    """Return windows whose sums have this covariance."""
+    lower = np.linalg.cholesky(covariance)
+    white = np.linalg.solve(lower, np.column_stack([slow, weights.sum(1), np.eye(len(weights))]))
+    total, inverse = white[:, slow.shape[1]], white[:, slow.shape[1] + 1 :]
+    whitened = []
+    for columns in (1, slow.shape[1]):
+        basis, triangle = np.linalg.qr(white[:, :columns], mode="complete")
+        own = np.log(np.diagonal(lower)).sum() + np.log(np.abs(np.diagonal(triangle))).sum()
+        whitened.append(Whitened(basis[:, columns:].T @ inverse, 2.0 * float(own)))
+    variance = 1.0 / float(total @ total)
+    return Windows(weights, covariance, slow, variance, count, (whitened[0], whitened[1]))
 
 
 def _noisy(weights: FloatArray, beside: float) -> FloatArray:
