@@ -28,7 +28,7 @@ followed for so long has lost what was found."""
 SAME_TURN, SAME_LEVEL = 3e-5, 1e-5
 """Angles, rad, below which a unit stands as before; so many cost less than 0.002° of heading."""
 TURNED = 0.01
-"""rad: less changes a bias by less than a hundredth of itself, tells nothing of it, and is no new position."""
+"""rad: less changes a bias by less than a hundredth of itself and tells nothing of it: no new position."""
 SIGMAS = 6.0
 TYPICAL_BIAS, TYPICAL_ARW, BIAS_POWER = 2.0 * DEG_PER_H, math.radians(0.1) / 60.0, 1.86
 SCATTER = 1.5

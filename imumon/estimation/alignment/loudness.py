@@ -24,8 +24,8 @@ LOUD = 8.0
 def quietness(rate: FloatArray, valid: BoolArray) -> FloatArray:
     """Return by how much each row counts, (n,), from rates, (n, 3); zero where it is not valid, (n,).
 
-    One where it is not loud.  Horizontal gyros see a tilt that is slow and belongs to the record: their neighbours are compared.  The
-    vertical one sees none: what it leaves its usual rate by, the unit turns.
+    One where it is not loud.  Horizontal gyros see tilts that are slow and belong to the record: their
+    neighbours are compared.  The vertical one sees none: what it leaves its usual rate by, the unit turns.
     """
     weight = valid.astype(np.float64)
     if valid.sum() < LEAST_ROWS:
