@@ -29,6 +29,7 @@ baud_option = click.option(
 seed_option = click.option(
     "-s", "--seed", default=0, show_default=True, type=click.IntRange(min=0), help="Seed of all noise."
 )
+serial_option = click.option("--serial", help="Serial number of the unit, for the catalog.")
 columns_option = click.option("--columns", help="Columns of the table, separated by commas; default: all.")
 
 

@@ -81,6 +81,8 @@ class PortRun:
         Session folder; a new one in ./sessions when None.
     seconds : float or None
         How long to record.
+    serial : str or None
+        Serial number of the unit.
     """
 
     def __init__(
@@ -91,11 +93,12 @@ class PortRun:
         setup: Setup,
         out: Path | None,
         seconds: float | None,
+        serial: str | None = None,
     ) -> None:
         from imumon.protocols.device import device_text, parse_device
 
         text, source = device_text(device)
-        self.port = port
+        self.port, self._serial = port, serial
         self._device, self._setup = parse_device(text, source), setup
         self._settings = self._device.port_settings(port, baud)
         self.lines, self.ending = Lines(), Ending(seconds)
@@ -111,7 +114,10 @@ class PortRun:
         while True:
             folder = out or default_path(self._device.name, time.time_ns())
             try:
-                return LiveRun(self._device, device_yaml, self._settings, self._setup, folder, self.lines.put)
+                return LiveRun(
+                    self._device, device_yaml, self._settings, self._setup, folder, self.lines.put,
+                    serial=self._serial,
+                )  # fmt: skip
             except ImumonError as error:
                 if out is not None or error.reason is not Reason.EXISTS:
                     raise

@@ -31,10 +31,10 @@ def write_page(diagnosis: Diagnosis, path: Path, progress: Progress | None = Non
     path.write_text(text, encoding="utf-8")
 
 
-def environment() -> Environment:
-    """Return what fills in the pages: whatever comes from outside is text, not markup."""
+def environment(package: str = "imumon.diagnosis") -> Environment:
+    """Return what fills in the pages of a package: whatever comes from outside is text, not markup."""
     return Environment(
-        loader=PackageLoader("imumon.diagnosis", "."),
+        loader=PackageLoader(package, "."),
         autoescape=select_autoescape(default=True, default_for_string=True),
         undefined=StrictUndefined,
         finalize=for_html,

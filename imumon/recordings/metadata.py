@@ -64,6 +64,7 @@ class SessionMetadata(StrictModel):
     ended: str | None = None
     ended_ns: int | None = None
     device: str
+    serial: str | None = None
     axes: Literal["FLU", "FRD"] | None = None
     device_yaml: str | None = None
     pipeline_yaml: str | None = None

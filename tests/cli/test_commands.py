@@ -90,7 +90,7 @@ def test_the_help_of_a_command_imports_nothing_heavy() -> None:
 def test_a_shell_is_told_what_may_come_next() -> None:
     asked = {**os.environ, "_IMUMON_COMPLETE": "bash_complete", "COMP_WORDS": "imumon re", "COMP_CWORD": "1"}
     done = subprocess.run([IMUMON], env=asked, capture_output=True, text=True, check=True)
-    assert done.stdout.split() == ["plain,replay", "plain,recover"]
+    assert done.stdout.split() == ["plain,replay", "plain,recover", "plain,report"]
 
 
 def test_decode_accounts_for_every_byte_of_a_capture(capture: Path, tmp_path: Path) -> None:
