@@ -204,7 +204,8 @@ class Motion:
         """Follow the unit through a disturbed slot."""
         self.passed.append(slot)
         if self.base is None:
-            self.calm += 1
+            moves = len(self.passed) > 1 and np.abs(slot.mean - self.passed[-2].mean)[:3].max() > TURNING
+            self.calm = 0 if moves else self.calm + 1
             return
         rate = slot.mean[:3] - self.base
         angle = slot.length_s * rate
@@ -222,6 +223,8 @@ class Motion:
         if self.calm < LEAST:
             return False
         if self.base is None and not self.passed[-1].at_rest:
+            return False
+        if self.base is None and self.calm < PATIENT and len(self.passed) - self.begins() < LEAST:
             return False
         if self.base is not None and self.still < LEAST and self.calm < PATIENT:
             return False
