@@ -199,7 +199,7 @@ class Aligner:
             state.poses.append(Pose(state.attitude, 0.0, state.counted_s))
         else:
             before = len(state.poses) - 1
-            same = self._new_pose(calm[-LEAST:])
+            same = self._new_pose(calm[-LEAST // 2 :])  # the gyros may be calm before the accelerometers
             if not (same and motion.returned):
                 state.disturbed += 1
                 state.record.leave_out(motion.begun_s - calm[0].length_s)
@@ -227,10 +227,12 @@ class Aligner:
         motion, poses = self.state.motion, self.state.poses
         seconds = motion.seconds - sum(slot.length_s for slot in motion.passed[-motion.calm :])
         said = f"alignment: {motion.cause} at {motion.begun_s:.1f} s for {seconds:.1f} s: left out"
-        if same or rotated(poses[-2].attitude, poses[-1].attitude) < TURNED:
+        if same:
             return said
-        turned = -math.degrees(azimuth_between(poses[-2].attitude, poses[-1].attitude))
-        return f"{said}; a new position, turned by {turned:.2f}° about the vertical"
+        before, after = poses[-2].attitude, poses[-1].attitude
+        new = "a new position, " if rotated(before, after) > TURNED else ""
+        angle = -math.degrees(azimuth_between(before, after))
+        return f"{said}; {new}turned by {angle:.2f}° about the vertical"
 
     def _new_pose(self, calm: list[Slot]) -> bool:
         """Return whether the unit stands as before a disturbance; else begin a pose."""
