@@ -1,9 +1,9 @@
 """Samples gathered into slots of equal length: the one place where estimators touch samples.
 
 Estimators think a few times a second; a sensor sends a hundred to some thousand samples.  A slot keeps of its
-samples what any estimator needs: how many, their mean and spread, extremes, the first and the last, how neighbours
-differ, and how the unit has turned.  Slots lie on a grid that begins with the first sample of a segment.  A slot ends with the
-first sample behind it, so what a slot says is known from that row on.
+samples what any estimator needs: how many, their mean and spread, extremes, the first and the last, how
+neighbours differ, and how the unit has turned.  Slots lie on a grid that begins with the first sample of a
+segment.  A slot ends with the first sample behind it, so what a slot says is known from that row on.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imumon.blocks import NO_INT, BoolArray, FloatArray, IntArray
-from imumon.compiled import alone, inner, njit
+from imumon.compiled import inner, njit
 from imumon.filters.turns import (
     Turns,
     add_rate,
@@ -145,7 +145,7 @@ class SlotGatherer:
         self._open: RecordArray = np.zeros(1, OPEN)
         self._open_columns: RecordArray = np.zeros(columns, OPEN_COLUMN)
         self._rates = NO_RATES if rates is None else rates
-        self._turn = opened()
+        self._turn: RecordArray = opened()
 
     def process(self, time_ns: IntArray, segment: IntArray, values: FloatArray) -> Slots:
         """Return the slots that end within these rows.
@@ -166,7 +166,7 @@ class SlotGatherer:
         values = np.ascontiguousarray(values, np.float64)
         m = _gather(
             time_ns, segment, values, self.length_ns, self._rates, self._open, self._open_columns,
-            alone(self._turn), slots, columns, turns,
+            self._turn, slots, columns, turns,
         )  # fmt: skip
         said = {name: slots[name][:m] for name in slots.dtype.names or ()}
         said |= {name: columns[name][:m] for name in columns.dtype.names or ()}
@@ -182,13 +182,13 @@ class SlotGatherer:
 
     def snapshot(self) -> dict[str, RecordArray]:
         """Return a copy of the state."""
-        turn = np.array(alone(self._turn))
-        return {"open": self._open.copy(), "columns": self._open_columns.copy(), "turn": turn}
+        parts = {"open": self._open, "columns": self._open_columns, "turn": self._turn}
+        return {name: part.copy() for name, part in parts.items()}
 
     def restore(self, saved: dict[str, RecordArray]) -> None:
         """Go on from a state that `snapshot` returned."""
         self._open[:], self._open_columns[:] = saved["open"], saved["columns"]
-        alone(self._turn)[:] = saved["turn"]
+        self._turn[:] = saved["turn"]
 
 
 def held(

@@ -1,15 +1,16 @@
 """How a unit has turned over a slot, integrated sample by sample: the one place where rates become attitude.
 
 Rotations do not add up where the axis of rotation moves (coning), so a mean rate over a slot has lost a part
-of the turn.  Here each sample turns the unit (Bortz 1971; Savage 1998).  What is left between two samples
-is two thirds known at best.  From one to the next the unit turns by the rotation vector::
+of the turn.  Here each sample turns the unit (Bortz 1971; Savage 1998).  From one to the next it turns by the
+rotation vector::
 
     phi_k = alpha_k + c alpha_(k-1) x alpha_k,    alpha_k = rate_k dt
 
-with c = 1/12 where a sample is the mean rate since the one before (Savage 1998, eq. 47), c = 0 where the device
-has taken coning into account itself, and 1/24 where it samples the rate at a moment (the same expansion, of a
-tangent instead of a chord).  Nobody knows which, so 1/24 is taken, and as much again is its error.  Of motion
-that is nearly as fast as samples come, the sum of squares of the second difference of alpha bounds the rest.
+with c = 1/12 where a sample is the mean rate since the one before (Savage 1998, eq. 47), c = 0 where the
+device has taken coning into account itself, and 1/24 where it samples the rate at a moment (the same
+expansion, of a tangent instead of a chord).  Nobody knows which, so 1/24 is taken, and as much again is its
+error.  Of motion nearly as fast as the samples, the squared second differences of alpha bound the rest.
+What is faster than half the sample rate is lost, unless the device has integrated it.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.compiled import inner, record, records
+from imumon.compiled import inner, records
 
 MIDDLE = 1.0 / 24.0
 """Of the products of successive angles: what is added, and the error of that."""
@@ -34,6 +35,8 @@ LATE = 1.5
 """Intervals after which a sample is missing."""
 SMALL = 1e-2
 """rad: of rotation vectors up to this the term of third order is below 1e-5 of the next angle."""
+HALF_CIRCLE = 3.0
+"""rad: near half a circle a matrix does not tell which way round."""
 SERIES = 1e-2
 """Square of an angle, rad², below which four terms of sine and cosine are exact to 1e-10."""
 
@@ -111,7 +114,7 @@ STILL = Turn()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Turns:
-    """The turns of m slots; each from the last sample before the slot to its last: fields of `Turn`, (m, ...)."""
+    """The turns of m slots, each since the last sample before: fields of `Turn`, (m, ...)."""
 
     rotation: FloatArray
     by_bias: FloatArray
@@ -150,6 +153,19 @@ def angle_of(rotation: FloatArray) -> float:
     (_, b, c), (d, _, f), (g, h, _) = rotation.tolist()
     sine = math.sqrt((h - f) ** 2 + (c - g) ** 2 + (d - b) ** 2)
     return math.atan2(sine, rotation[0, 0] + rotation[1, 1] + rotation[2, 2] - 1.0)
+
+
+def mean_rates(turns: Turns) -> FloatArray:
+    """Return the constant rates by which the same turns come about, rad/s, (m, 3); NaN without any time."""
+    c = turns.rotation
+    twice = np.stack([c[:, 2, 1] - c[:, 1, 2], c[:, 0, 2] - c[:, 2, 0], c[:, 1, 0] - c[:, 0, 1]], 1)
+    sine = 0.5 * np.sqrt((twice**2).sum(1))
+    angle = np.arctan2(sine, 0.5 * (np.trace(c, axis1=1, axis2=2) - 1.0))
+    longer = np.divide(angle, sine, out=np.ones_like(sine), where=sine > 0.0)
+    known = (turns.seconds > 0.0) & (angle < HALF_CIRCLE)
+    rate = np.full(len(sine), np.nan)
+    np.divide(0.5 * longer, turns.seconds, out=rate, where=known)
+    return np.asarray(rate[:, np.newaxis] * twice)
 
 
 class Open:
@@ -193,10 +209,10 @@ class Ended:
 _SHAPES = {"rotation": (3, 3), "by_bias": (3, 3), "by_scale": (3, 3, 3), "coning": (3,)}
 
 
-def opened() -> Open:
-    """Return a turn that has not begun."""
+def opened() -> Any:
+    """Return a turn that has not begun, the one record of an array."""
     three = dict.fromkeys(("rate", "angle", "before", "phi", "angles", "between"), 3)
-    return record(Open, **three, **_SHAPES)
+    return records(Open, 1, **three, **_SHAPES)
 
 
 def ended(count: int) -> Any:

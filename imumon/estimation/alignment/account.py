@@ -15,8 +15,8 @@ DRIFT_WHILE_TURNED = 1.0
 """While the unit turns by a radian or more, the rate that is taken off may be wrong by the earth's."""
 TYPICAL_ARW, TYPICAL_SCALE, SCALE_POWER, LARGEST_SCALE = math.radians(0.1) / 60.0, 3e-4, 1.4, 0.03
 """A gyro of the noise N has a scale error of about 300 ppm (N / 0.1 °/√h)^1.4, and no less than that.  Data
-sheets, noise in °/√h and scale in ppm: iMAR FSAS 0.1 and 300, Honeywell HG1700 0.125 and 150, Sensonor STIM300
-0.15 and 500, Bosch BMI088 0.84 and, uncalibrated, 1 %; the largest is that of an MPU-6050."""
+sheets, noise in °/√h and scale in ppm: iMAR FSAS 0.1 and 300, Honeywell HG1700 0.125 and 150, Sensonor
+STIM300 0.15 and 500, Bosch BMI088 0.84 and, not calibrated, 1 % at the most; an MPU-6050 has 3 %."""
 
 
 def typical_scale(arw: float) -> float:

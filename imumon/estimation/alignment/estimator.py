@@ -226,7 +226,7 @@ class Aligner:
         if same:
             return said
         turned = -math.degrees(azimuth_between(poses[-2].attitude, poses[-1].attitude))
-        sd = math.degrees(math.sqrt(max(poses[-1].turn_variance - poses[-2].turn_variance, 0.0)))
+        sd = math.degrees(math.sqrt(poses[-1].passage_variance))
         return f"{said}; a new position, turned by {turned:.2f}° ± {sd:.2f}° about the vertical"
 
     def _new_pose(self, calm: list[Slot]) -> bool:
@@ -248,7 +248,8 @@ class Aligner:
         scale_sd = self._scale_sd()
         unexplained = passage.unexplained(up / np.sqrt(up @ up), scale_sd, level_sd)
         state.turns = state.turns.after(passage, unexplained)
-        state.poses.append(Pose(attitude, state.turns.azimuth_variance(scale_sd), state.counted_s))
+        alone = Account().after(passage, unexplained).azimuth_variance(scale_sd)
+        state.poses.append(Pose(attitude, state.turns.azimuth_variance(scale_sd), state.counted_s, alone))
         state.due_s = state.counted_s
         state.field_sum = [0.0] * 4
         return False

@@ -14,10 +14,11 @@ import numpy as np
 
 from imumon.blocks import BoolArray, FloatArray
 from imumon.estimation.gyro_bias import bank as filters
-from imumon.estimation.gyro_bias.attitude import Attitude, Place, Turn, turned_earth
+from imumon.estimation.gyro_bias.attitude import Attitude, Place, turned_earth
 from imumon.estimation.gyro_bias.bank import AtRest, Bank, Family
 from imumon.estimation.gyro_bias.law import LAW, Laws, at_slot, no_law, sd_at_slot
 from imumon.estimation.gyro_bias.white import WhiteNoise
+from imumon.filters.turns import STILL, Turn
 
 SAME_POSE = 0.02
 """m/s², a tenth of a degree: with 0.1 °/s/g less than 1 °/h."""
@@ -113,10 +114,8 @@ class Slot:
     undecided : array (3,)
         A turn, rad/s, of which nobody knows whether it is a change of the bias, or, at rest, nobody knew
         until then; else 0.
-    turning : array (k, 3)
-        Mean rates of shorter slots since the slot before, rad/s, less the thermal model's part.
-    turning_s : array (k,)
-        Over how long each; 0 behind a gap.
+    turn : Turn
+        Since the slot before, by rates less the thermal model's part.
     gap : bool
         Whether readings were missing for a while.
     """
@@ -130,8 +129,7 @@ class Slot:
     degc: FloatArray
     growth: FloatArray
     undecided: FloatArray
-    turning: FloatArray
-    turning_s: FloatArray
+    turn: Turn
     gap: bool
 
     @property
@@ -200,8 +198,8 @@ class State:
     white : WhiteNoise
     bank : Bank or None
         None until the noise is known.
-    attitude, turn : Attitude, Turn
-        At the last rest, and since then.
+    attitude, turn, lost : Attitude, Turn, bool
+        At the last rest, since then, and whether readings were missing meanwhile.
     at_rest, fresh : bool
         Whether it is at rest, and has just come to it.
     waiting : Reading or None
@@ -229,7 +227,8 @@ class State:
     white: WhiteNoise = field(default_factory=WhiteNoise)
     bank: Bank | None = None
     attitude: Attitude = field(default_factory=Attitude)
-    turn: Turn = field(default_factory=Turn)
+    turn: Turn = STILL
+    lost: bool = False
     at_rest: bool = False
     fresh: bool = False
     waiting: Reading | None = None
@@ -277,8 +276,8 @@ def step(state: State, params: Params, slot: Slot) -> FloatArray:
 def _follow_turn(state: State, slot: Slot) -> None:
     bias = at_slot(state.law)
     known = np.where(np.isfinite(bias), bias, 0.0)
-    state.turn.add(slot.turning_s[:, np.newaxis] * (slot.turning - known))
-    state.turn.lost |= slot.gap
+    state.turn = state.turn.then(slot.turn.less(known))
+    state.lost |= slot.gap
     state.contrary.behind_gap |= slot.gap
 
 
@@ -290,7 +289,7 @@ def _leave(state: State, params: Params, at_s: float) -> None:
         state.first = []
     state.at_rest, state.waiting = False, None
     state.white.begin()
-    state.turn, state.left_s = Turn(), at_s
+    state.turn, state.lost, state.left_s = STILL, False, at_s
 
 
 def _close(state: State, params: Params, slot: Slot) -> FloatArray:
@@ -299,7 +298,7 @@ def _close(state: State, params: Params, slot: Slot) -> FloatArray:
     if state.fresh:
         drift = (slot.end_s - state.left_s) * float(sd_at_slot(state.law).max())
         state.arrival = state.arrival + attitude.come_to_rest(
-            slot.force, params.place, state.turn, drift, state.turn.lost
+            slot.force, params.place, state.turn, drift, state.lost
         )
         state.arrival = state.arrival + slot.undecided**2
     usable = (slot.force is not None) == (attitude.gravity > 0.0)

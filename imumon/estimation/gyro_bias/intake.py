@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from imumon.blocks import NO_INT, BoolArray, FloatArray, IntArray
-from imumon.estimation.gyro_bias.attitude import FINE_S
 from imumon.estimation.gyro_bias.filter import Slot
 from imumon.estimation.gyro_bias.thermal_input import ThermalVariance
 from imumon.filters.slots import SlotGatherer, Slots
@@ -63,37 +62,6 @@ class _Before:
     turn: FloatArray = field(default_factory=lambda: np.zeros(3))
 
 
-@dataclass(slots=True, eq=False)
-class _Turns:
-    """Fine slots that wait for the end of theirs: mean rates (k, 3), spans (k,) and rows; and the last."""
-
-    rates: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
-    spans: FloatArray = field(default_factory=lambda: np.zeros(0))
-    rows: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
-    end_ns: int = 0
-    span_s: float = 0.0
-
-    def add(self, slots: Slots) -> None:
-        """Take the fine slots of a block; those behind a gap say nothing of what happened in it."""
-        self.rows = np.concatenate([np.zeros(len(self.rows), np.int64), slots.row])
-        if not len(slots):
-            return
-        start = np.concatenate([[self.end_ns], slots.end_ns[:-1]])
-        spans = (slots.end_ns - np.where(slots.begins, slots.start_ns, start)) * 1e-9
-        before = np.concatenate([[self.span_s], spans[:-1]])
-        self.end_ns, self.span_s = int(slots.end_ns[-1]), float(spans[-1])
-        known = spans <= np.maximum(GAP_S, 3.0 * before)
-        self.rates = np.concatenate([self.rates, slots.mean])
-        self.spans = np.concatenate([self.spans, np.where(known, spans, 0.0)])
-
-    def take(self, row: int) -> tuple[FloatArray, FloatArray]:
-        """Return rates (k, 3) and spans (k,) of the slots that ended up to a row, and forget them."""
-        k = int(np.searchsorted(self.rows, row, side="right"))
-        found = self.rates[:k], self.spans[:k]
-        self.rates, self.spans, self.rows = self.rates[k:], self.spans[k:], self.rows[k:]
-        return found
-
-
 def complete(vectors: FloatArray) -> BoolArray:
     """Return whether all three components are there, (n,)."""
     x, y, z = vectors.T
@@ -104,12 +72,10 @@ class Intake:
     """Gathers samples; the same slots whatever the division into blocks."""
 
     def __init__(self, thermal: ThermalVariance) -> None:
-        self._gatherer = SlotGatherer(COLUMNS, round(SLOT_S * 1e9))
-        self._fine = SlotGatherer(3, round(FINE_S * 1e9))
+        self._gatherer = SlotGatherer(COLUMNS, round(SLOT_S * 1e9), rates=RATE.start)
         self._thermal = thermal
         self._values = np.empty((0, COLUMNS))
         self._before = _Before()
-        self._turns = _Turns()
 
     def process(self, samples: Samples) -> Iterator[tuple[int, bool, Slot | None]]:
         """Yield the row behind each slot, whether a segment begins with it, and what it says, if anything."""
@@ -125,7 +91,6 @@ class Intake:
         values[:, DEGC], values[:, INITIAL_SD] = samples.degc, samples.initial_sd
         values[:, TURN], values[:, REST] = samples.turn, samples.rest
         slots = self._gatherer.process(time_ns, samples.segment, values)
-        self._turns.add(self._fine.process(time_ns, samples.segment, samples.gyro))
         for k in range(len(slots)):
             yield int(slots.row[k]), bool(slots.begins[k]), self._slot(slots, k)
 
@@ -162,7 +127,6 @@ class Intake:
         first, last = slots.first[k, TURN], slots.last[k, TURN]
         undecided = (first if first.any() else before.turn) if rest else last
         before.turn = last
-        rates, spans = self._turns.take(int(slots.row[k]))
         degc = np.where(rest, slots.mean[k, DEGC], slots.last[k, DEGC])
         growth = self._thermal.step(slots.last[k, DEGC], slots.last[k, INITIAL_SD])
         rate, force, which = slots.mean[k, RATE], slots.mean[k, FORCE], FORCE
@@ -183,7 +147,6 @@ class Intake:
             degc,
             growth,
             undecided,
-            rates,
-            spans,
+            slots.turns.at(k),
             gap,
         )
