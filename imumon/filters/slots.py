@@ -16,16 +16,8 @@ import numpy.typing as npt
 
 from imumon.blocks import NO_INT, BoolArray, FloatArray, IntArray
 from imumon.compiled import inner, njit
-from imumon.filters.turns import (
-    Turns,
-    add_rate,
-    begin_segment,
-    begin_turn,
-    end_turn,
-    ended,
-    opened,
-    told,
-)
+from imumon.filters import turns as turning
+from imumon.filters.turns import Turns, add_rate, begin_segment, begin_turn, end_turn, told
 
 Number = TypeVar("Number", np.float64, np.int64)
 
@@ -145,7 +137,7 @@ class SlotGatherer:
         self._open: RecordArray = np.zeros(1, OPEN)
         self._open_columns: RecordArray = np.zeros(columns, OPEN_COLUMN)
         self._rates = NO_RATES if rates is None else rates
-        self._turn: RecordArray = opened()
+        self._turn: RecordArray = np.zeros(1, turning.OPEN)
 
     def process(self, time_ns: IntArray, segment: IntArray, values: FloatArray) -> Slots:
         """Return the slots that end within these rows.
@@ -162,13 +154,13 @@ class SlotGatherer:
         if values.shape != (n, self._columns):
             raise ValueError(f"values of shape {values.shape} for {n} rows of {self._columns} columns")
         slots, columns = np.empty(n, ENDED), np.empty((n, self._columns), ENDED_COLUMN)
-        turns = ended(n if self._rates >= 0 else 0)
+        turns = np.empty(n if self._rates >= 0 else 0, turning.ENDED)
         values = np.ascontiguousarray(values, np.float64)
         m = _gather(
             time_ns, segment, values, self.length_ns, self._rates, self._open, self._open_columns,
             self._turn, slots, columns, turns,
         )  # fmt: skip
-        said = {name: slots[name][:m] for name in slots.dtype.names or ()}
+        said: dict[str, Any] = {name: slots[name][:m] for name in slots.dtype.names or ()}
         said |= {name: columns[name][:m] for name in columns.dtype.names or ()}
         return Slots(**(said | {"begins": said["begins"] == 1, "turns": told(turns[:m])}))
 
@@ -177,7 +169,7 @@ class SlotGatherer:
         behind = self._open["segment"] + 1
         last = self.process(np.zeros(1, np.int64), behind, np.full((1, self._columns), np.nan))
         self._open[:], self._open_columns[:] = np.zeros(1, OPEN), np.zeros(self._columns, OPEN_COLUMN)
-        self._turn = opened()
+        self._turn = np.zeros(1, turning.OPEN)
         return last
 
     def snapshot(self) -> dict[str, RecordArray]:

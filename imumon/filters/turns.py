@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.compiled import inner, records
+from imumon.compiled import inner
 
 MIDDLE = 1.0 / 24.0
 """Of the products of successive angles: what is added, and the error of that."""
@@ -168,56 +168,29 @@ def mean_rates(turns: Turns) -> FloatArray:
     return np.asarray(rate[:, np.newaxis] * twice)
 
 
-class Open:
-    """The turn of the slot that is being filled, and the samples before.
+_VECTOR, _MATRIX = (np.float64, (3,)), (np.float64, (3, 3))
+_SAID = [
+    ("rotation", *_MATRIX),
+    ("by_bias", *_MATRIX),
+    ("by_scale", np.float64, (3, 3, 3)),
+    ("coning", *_VECTOR),
+    *((name, np.float64, ()) for name in ("fast", "missed", "seconds")),
+]
+ENDED = np.dtype(_SAID)
+"""What is said of a slot: the fields of `Turns`."""
+OPEN = np.dtype(
+    [
+        *_SAID,
+        *((name, *_VECTOR) for name in ("rate", "angle", "before", "phi", "angles", "between")),
+        *((name, np.float64, ()) for name in ("interval", "span")),
+        *((name, np.int64, ()) for name in ("present", "time_ns")),
+    ]
+)
+"""The turn of the slot that is being filled, and the samples before.
 
-    Samples make up a small rotation vector `phi` first, of `span` seconds, the sum of its angles, and what is
-    said of turns `between` samples; the turn of the slot goes on by these.
-    """
-
-    present: int
-    time_ns: int
-    interval: float
-    rate: FloatArray
-    angle: FloatArray
-    before: FloatArray
-    phi: FloatArray
-    angles: FloatArray
-    between: FloatArray
-    span: float
-    rotation: FloatArray
-    by_bias: FloatArray
-    by_scale: FloatArray
-    coning: FloatArray
-    fast: float
-    missed: float
-    seconds: float
-
-
-class Ended:
-    """What is said of a slot: the fields of `Turns`."""
-
-    rotation: FloatArray
-    by_bias: FloatArray
-    by_scale: FloatArray
-    coning: FloatArray
-    fast: float
-    missed: float
-    seconds: float
-
-
-_SHAPES = {"rotation": (3, 3), "by_bias": (3, 3), "by_scale": (3, 3, 3), "coning": (3,)}
-
-
-def opened() -> Any:
-    """Return a turn that has not begun, the one record of an array."""
-    three = dict.fromkeys(("rate", "angle", "before", "phi", "angles", "between"), 3)
-    return records(Open, 1, **three, **_SHAPES)
-
-
-def ended(count: int) -> Any:
-    """Return room for so many turns."""
-    return records(Ended, count, **_SHAPES)
+Samples make up a small rotation vector `phi` first, of `span` seconds, the sum of its angles, and what is
+said of turns `between` samples; the turn of the slot goes on by these.
+"""
 
 
 def told(said: Any) -> Turns:

@@ -40,7 +40,8 @@ def wobbling(t: FloatArray, seconds: float, degrees: float, frequency: float, an
     s = np.clip((t - BEGIN_S) / seconds, 0.0, 1.0)
     phase = 2.0 * np.pi * frequency * t
     round_ = np.column_stack([np.sin(phase), np.cos(phase), 0.0 * t]) * edges(t, seconds)[:, np.newaxis]
-    turn = Rotation.from_rotvec(math.radians(angle) * (s**3 * (10.0 - 15.0 * s + 6.0 * s * s))[:, None] * UP)
+    way = s**3 * (10.0 - 15.0 * s + 6.0 * s * s)
+    turn = Rotation.from_rotvec(math.radians(angle) * np.outer(way, UP))
     return Rotation.from_rotvec(math.radians(degrees) * round_) * turn
 
 
@@ -49,7 +50,7 @@ def times(seconds: float, hz: float) -> FloatArray:
 
 
 def sent(turned: Rotation, hz: float, scale: float = 0.0, seed: int = 0) -> tuple[SampleBlock, float]:
-    """Return what a fibre-optic unit sends whose attitudes, east-north-up, these are; and its last heading."""
+    """Return what a fibre-optic unit sends that has these attitudes, east-north-up, and its last heading."""
     rng = np.random.default_rng(seed)
     attitude = turned * Rotation.from_euler("ZYX", [0.7, -0.01, 0.02])
     rate = (attitude[:-1].inv() * attitude[1:]).as_rotvec() * hz + attitude[1:].inv().apply(EARTH)
