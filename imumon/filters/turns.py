@@ -41,7 +41,7 @@ SERIES = 1e-2
 """Square of an angle, rad², below which four terms of sine and cosine are exact to 1e-10."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(slots=True, eq=False)
 class Turn:
     """A turn, from body axes at its beginning to those at its end, and what may be wrong with it.
 
@@ -140,12 +140,19 @@ class Turns:
 def rotation_by(vector: FloatArray) -> FloatArray:
     """Return the matrix (3, 3) of a rotation vector, rad (Rodrigues)."""
     x, y, z = vector.tolist()
-    across = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     angle = math.sqrt(x * x + y * y + z * z)
-    if angle < 1e-6:
-        return np.asarray(np.eye(3) + across)
-    half = math.sin(0.5 * angle) / (0.5 * angle)
-    return np.asarray(np.eye(3) + math.sin(angle) / angle * across + 0.5 * half**2 * (across @ across))
+    first = math.sin(angle) / angle if angle > 0.0 else 1.0
+    second = 2.0 * (math.sin(0.5 * angle) / angle) ** 2 if angle > 0.0 else 0.5
+    xy, yz, zx = second * x * y, second * y * z, second * z * x
+    xx, yy, zz = second * x * x, second * y * y, second * z * z
+    x, y, z = first * x, first * y, first * z
+    return np.array(
+        [
+            [1.0 - yy - zz, xy - z, zx + y],
+            [xy + z, 1.0 - xx - zz, yz - x],
+            [zx - y, yz + x, 1.0 - xx - yy],
+        ]
+    )
 
 
 def angle_of(rotation: FloatArray) -> float:
@@ -195,7 +202,12 @@ said of turns `between` samples; the turn of the slot goes on by these.
 
 def told(said: Any) -> Turns:
     """Return turns that were written, without what they were written into."""
+    if not len(said):
+        return NONE
     return Turns(*(np.array(said[one.name]) for one in fields(Turns)))
+
+
+NONE = Turns(*(np.empty((0, *shape)) for _, _, shape in _SAID))
 
 
 @inner
