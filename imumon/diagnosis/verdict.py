@@ -10,6 +10,7 @@ from typing import Any, Self
 import numpy as np
 
 from imumon.diagnosis.channel import Channel
+from imumon.diagnosis.explaining import CLEAN, explained_share, explains, left_in_test, shown
 from imumon.diagnosis.fitting import Fit, FittedPart, TestScore, fit, fit_given, goes_on, mean_rms, score
 from imumon.diagnosis.foretold import foretold
 from imumon.diagnosis.formula import Formula, formula
@@ -18,11 +19,6 @@ from imumon.diagnosis.questions import Question, questions
 from imumon.diagnosis.selection import Finding, Search, Turn
 from imumon.effects.library import separated_by
 
-CLEAN = 1.8
-"""Residual in white floors below which nothing is missing; slow noise of the same size as the white is
-allowed."""
-EXPLAINED = 0.6
-"""Share of the excess over the white floor that has to be explained before anything is named."""
 MATERIAL = 1.3
 """With a declared model that leaves less than so many floors, what is missing is too small to matter."""
 BY_TEST = "the test alone proves it: in training noise as slow as the one that is seen might go as far"
@@ -115,12 +111,6 @@ class ChannelVerdict:
         return self.channel.name
 
 
-def explained_share(before: float, after: float, floor: float) -> float:
-    """Return which share of the excess of the mean square over the white floor is explained."""
-    excess = before**2 - floor**2
-    return 1.0 - (after**2 - floor**2) / excess if excess > 0 else 0.0
-
-
 def settle(channel: Channel, found: Search) -> ChannelVerdict:
     """Return what is claimed of a channel, and the formula that describes what is left unexplained."""
     verdict = _settled(channel, found)
@@ -155,11 +145,6 @@ def _settled(channel: Channel, found: Search) -> ChannelVerdict:
     return verdict
 
 
-def _left_in_test(scores: tuple[TestScore, TestScore] | None) -> float:
-    """Return what is left of the test, predicted or followed; 0 without one."""
-    return 0.0 if scores is None else float(np.fmin(scores[1].rms, scores[1].tracked_rms))
-
-
 def _better(one: ChannelVerdict, other: ChannelVerdict) -> bool:
     """Tell whether a verdict leaves less of the test than another."""
     left, before = one.test_after, other.test_after
@@ -169,13 +154,9 @@ def _better(one: ChannelVerdict, other: ChannelVerdict) -> bool:
 
 
 def _shown(verdict: ChannelVerdict) -> bool:
-    """Tell whether the test shows what training does."""
+    """Tell whether there is a test and it shows what training does."""
     before, after = verdict.test_before, verdict.test_after
-    if before is None or after is None or not np.isfinite(after.rms):
-        return False
-    floor = verdict.channel.floor.sd
-    clean = _left_in_test((before, after)) < CLEAN * floor
-    return clean or explained_share(before.rms, after.rms, floor) >= EXPLAINED
+    return before is not None and after is not None and shown(before, after, verdict.channel.floor.sd)
 
 
 def judge(channel: Channel, found: Search, left_out: Sequence[dict[str, Any]]) -> ChannelVerdict:
@@ -193,12 +174,11 @@ def judge(channel: Channel, found: Search, left_out: Sequence[dict[str, Any]]) -
     # What the digits alone make of a smooth bias is no structure.
     floor, remark = float(np.hypot(channel.floor.sd, channel.blind)), ""
     share = explained_share(given.train_rms, after.train_rms, floor)
-    passes = after.train_rms < CLEAN * floor or share >= EXPLAINED
     claimed = [one for one in kept if not one.known]
-    if found.many_events or (claimed and not passes):
+    little = _too_little(given, after, _scores(channel, given, after), floor)
+    if found.many_events or (claimed and little):
         best = max(found.findings, key=lambda finding: finding.gain)
-        few = f"it explains only {share:.0%}"
-        why = "there is more than one jump in a run" if found.many_events else few
+        why = "there is more than one jump in a run" if found.many_events else little
         remark = f"the best of the known effects is {best.name}, but {why}"
         claimed = []
     if not claimed:
@@ -231,7 +211,7 @@ def judge(channel: Channel, found: Search, left_out: Sequence[dict[str, Any]]) -
         claims=_claims(channel, given, after, kept),
         unexplained=found.many_events
         or after.train_rms >= CLEAN * floor
-        or (bool(claimed) and _left_in_test(scores) >= CLEAN * floor),
+        or (bool(claimed) and scores is not None and left_in_test(scores[1]) >= CLEAN * floor),
         summary="",
         explained=share if claimed else 0.0,
         noise=found.null()[1],
@@ -245,6 +225,21 @@ def judge(channel: Channel, found: Search, left_out: Sequence[dict[str, Any]]) -
     verdict.questions = questions(channel, found, kept, verdict.unexplained)
     verdict.summary = "; ".join([*(fault.text for fault in channel.faults), summary(verdict)])
     return verdict
+
+
+def _too_little(given: Fit, after: Fit, scores: tuple[TestScore, TestScore] | None, floor: float) -> str:
+    """Say what is too little of training, or of the test, to name anything; empty where it is enough."""
+    if not explains(given.train_rms, after.train_rms, floor):
+        return _little_of("the training", given.train_rms, after.train_rms, floor)
+    if scores is None or not np.isfinite(scores[1].rms) or shown(*scores, floor):
+        return ""
+    return _little_of("the test", scores[0].rms, scores[1].rms, floor)
+
+
+def _little_of(what: str, before: float, after: float, floor: float) -> str:
+    share = max(0.0, explained_share(before, after, floor))
+    left = f"{before / floor:.1f} white floors become {after / floor:.1f}"
+    return f"it explains only {share:.0%} of {what}: {left}"
 
 
 def _refit(channel: Channel, found: Search, kept: Sequence[Finding]) -> list[str]:
