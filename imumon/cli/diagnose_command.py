@@ -54,8 +54,9 @@ class _SeveralValues(click.Command):
 )
 @click.option(
     "--channels",
-    default="gyro,accel",
-    help="What is diagnosed: gyro,accel (the default), mag, pressure, temperature, or any recorded columns.",
+    default="gyro,accel,clock",
+    help="What is diagnosed: gyro,accel,clock (the default; the device's clock where arrival times are"
+    " recorded), mag, pressure, temperature, or any recorded columns.",
 )
 @click.option("--map", "map_path", type=PATH, help="YAML file: what is in which column of the tables.")
 @click.option(

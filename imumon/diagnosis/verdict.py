@@ -9,14 +9,24 @@ from typing import Any, Self
 
 import numpy as np
 
+from imumon.blocks import FloatArray
 from imumon.diagnosis.channel import Channel
-from imumon.diagnosis.explaining import CLEAN, explained_share, explains, left_in_test, shown
+from imumon.diagnosis.explaining import (
+    CLEAN,
+    evidence_of_test,
+    explained_share,
+    explains,
+    left_in_test,
+    shown,
+)
 from imumon.diagnosis.fitting import Fit, FittedPart, TestScore, fit, fit_given, goes_on, mean_rms, score
 from imumon.diagnosis.foretold import foretold
 from imumon.diagnosis.formula import Formula, formula
 from imumon.diagnosis.likelihood import WALK_S
+from imumon.diagnosis.looking import Ranked, RunLeft, ranking, runs_left
 from imumon.diagnosis.questions import Question, questions
 from imumon.diagnosis.selection import Finding, Search, Turn
+from imumon.diagnosis.uncertainty import PartSigma, sigmas
 from imumon.effects.library import separated_by
 
 MATERIAL = 1.3
@@ -26,12 +36,17 @@ BY_TEST = "the test alone proves it: in training noise as slow as the one that i
 
 @dataclass(slots=True)
 class Claim:
-    """An effect that is claimed, with its evidence; `parts` are those of the whole model."""
+    """An effect that is claimed, with its evidence; `parts` and `sigmas` are those of the whole model.
+
+    `test_gain` is the evidence of the test for it, beside the rest; NaN where it foretells nothing.
+    """
 
     finding: Finding
     parts: list[FittedPart]
     explained: float
     test_alone: float
+    sigmas: list[PartSigma] = field(default_factory=list)
+    test_gain: float = float("nan")
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +99,12 @@ class ChannelVerdict:
         The turns of the loop.
     formula : Formula or None
         What describes the unexplained, if anything does.
+    ranking : list of Ranked
+        The effects that gain most at first, each alone.
+    runs : list of RunLeft
+        What each run is left with.
+    declared_sd : array of shape (degree + 1,)
+        Of the coefficients of the declared model.
     """
 
     channel: Channel
@@ -104,6 +125,9 @@ class ChannelVerdict:
     refit: list[str] = field(default_factory=list)
     turns: list[Step] = field(default_factory=list)
     formula: Formula | None = None
+    ranking: list[Ranked] = field(default_factory=list)
+    runs: list[RunLeft] = field(default_factory=list)
+    declared_sd: FloatArray = field(default_factory=lambda: np.empty(0))
 
     @property
     def name(self) -> str:
@@ -120,7 +144,26 @@ def settle(channel: Channel, found: Search) -> ChannelVerdict:
         verdict.formula = formula(verdict.channel, found, verdict.after, beside)
         if verdict.formula is not None:
             verdict.summary += _described(verdict.formula, channel.floor.sd)
+    _add_looks(verdict, found)
     return verdict
+
+
+def _add_looks(verdict: ChannelVerdict, found: Search) -> None:
+    """Add what a person looks at beside the verdict: ranking, runs, and how well the parameters are known."""
+    channel, claims = verdict.channel, verdict.claims
+    tests = verdict.test_before, verdict.test_after
+    both = None if tests[0] is None or tests[1] is None else (tests[0], tests[1])
+    verdict.ranking = ranking(channel, found)
+    verdict.runs = runs_left(channel, verdict.before, verdict.after, both)
+    known = [one for one in found.findings if one.known]
+    model = [*known, *(claim.finding for claim in claims)]
+    spread = sigmas(found, [one.candidate for one in model])
+    verdict.declared_sd = spread.declared
+    for claim, parts in zip(claims, spread.parts[len(known) :], strict=True):
+        claim.sigmas = parts
+        if channel.test and any(part.carries for part in claim.parts):
+            lesser = _fit(channel, _others(model, claim.finding))
+            claim.test_gain = evidence_of_test(channel, verdict.after, lesser)
 
 
 def _settled(channel: Channel, found: Search) -> ChannelVerdict:
