@@ -39,7 +39,7 @@ class PartSigma:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sigmas:
-    """Of the declared model, (degree + 1,), and of the parts of each candidate."""
+    """Of each candidate's parts; of the declared model the covariance, (degree + 1, degree + 1)."""
 
     declared: FloatArray
     parts: list[list[PartSigma]]
@@ -76,7 +76,8 @@ def sigmas(found: Search, model: Sequence[Candidate]) -> Sigmas:
     searched = {one[:2]: dict[str, float]() for one in names}
     for (number, at, name), sd in zip(names, share.tolist(), strict=True):
         searched[number, at][name] = sd * getattr(model[number].parts[at].effect, name)
-    return Sigmas(spread[: channel.declared.degree + 1], _of_parts(found, model, spread[width:], searched))
+    declared = linear[: channel.declared.degree + 1]
+    return Sigmas(variance * declared @ declared.T, _of_parts(found, model, spread[width:], searched))
 
 
 def _of_parts(

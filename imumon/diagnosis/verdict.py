@@ -103,7 +103,7 @@ class ChannelVerdict:
         The effects that gain most at first, each alone.
     runs : list of RunLeft
         What each run is left with.
-    declared_sd : array of shape (degree + 1,)
+    declared_covariance : array of shape (degree + 1, degree + 1)
         Of the coefficients of the declared model.
     """
 
@@ -127,12 +127,21 @@ class ChannelVerdict:
     formula: Formula | None = None
     ranking: list[Ranked] = field(default_factory=list)
     runs: list[RunLeft] = field(default_factory=list)
-    declared_sd: FloatArray = field(default_factory=lambda: np.empty(0))
+    declared_covariance: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
 
     @property
     def name(self) -> str:
         """That of the channel."""
         return self.channel.name
+
+    def curve(self) -> list[tuple[float, float, float]]:
+        """Return temperature, bias and its sigma at both ends and the middle of what training covered."""
+        declared = self.channel.declared
+        at = declared.middle_degc + declared.half_span_degc * np.array([-1.0, 0.0, 1.0])
+        columns = declared.columns(at)
+        values = columns @ self.after.declared
+        spread = np.sqrt(np.einsum("ij,jk,ik->i", columns, self.declared_covariance, columns))
+        return list(zip(at.tolist(), values.tolist(), spread.tolist(), strict=True))
 
 
 def settle(channel: Channel, found: Search) -> ChannelVerdict:
@@ -158,7 +167,7 @@ def _add_looks(verdict: ChannelVerdict, found: Search) -> None:
     known = [one for one in found.findings if one.known]
     model = [*known, *(claim.finding for claim in claims)]
     spread = sigmas(found, [one.candidate for one in model])
-    verdict.declared_sd = spread.declared
+    verdict.declared_covariance = spread.declared
     for claim, parts in zip(claims, spread.parts[len(known) :], strict=True):
         claim.sigmas = parts
         if channel.test and any(part.carries for part in claim.parts):
