@@ -11,9 +11,11 @@ import numpy as np
 
 from imumon.diagnosis.engine import Diagnosis
 from imumon.diagnosis.extended import with_model
-from imumon.diagnosis.verdict import MATERIAL, ChannelVerdict
+from imumon.diagnosis.verdict import BY_TEST, MATERIAL, ChannelVerdict
 from imumon.effects.library import separated_by
 
+WELL_COVERED = 0.9
+"""Share of a test inside what training covered below which that is said on the first screen."""
 State = Literal["named", "unexplained", "nothing missing", "not proven", "faulty"]
 
 
@@ -62,6 +64,30 @@ def conclusion(diagnosis: Diagnosis) -> str:
     for verdict in diagnosis.verdicts:
         groups.setdefault(in_short(verdict), []).append(verdict.name)
     return ". ".join(f"{_together(names)}: {said}" for said, names in groups.items())
+
+
+def keep_in_mind(diagnosis: Diagnosis) -> list[str]:
+    """Return what limits the verdicts, then what is to be said of the data."""
+    said = []
+    verdicts = diagnosis.verdicts
+    if by_test := [one.name for one in verdicts if any(claim.finding.by_test for claim in one.claims)]:
+        said.append(f"{_together(by_test)}: {BY_TEST}")
+    little = [
+        one for one in verdicts if one.test_after is not None and one.test_after.coverage < WELL_COVERED
+    ]
+    if little:
+        least = min(one.test_after.coverage for one in little if one.test_after is not None)
+        said.append(f"only {least:.0%} of the test is inside what training covered; the rest proves nothing")
+    if any(state(one) == "named" for one in verdicts):
+        said.append(
+            "a name is the shape that fits, not a cause that was seen: what else has that shape is called so"
+        )
+    if any(state(one) == "unexplained" for one in verdicts):
+        said.append(
+            "unexplained is structure or slow noise: a recording at constant temperature, and imumon allan of"
+            " that, tell which"
+        )
+    return [*said, *diagnosis.caveats]
 
 
 def _together(names: Sequence[str]) -> str:

@@ -10,7 +10,6 @@ import numpy as np
 from imumon.blocks import FloatArray
 from imumon.diagnosis.blocks import RunBlocks
 from imumon.diagnosis.channel import Channel
-from imumon.diagnosis.explaining import left_in_test
 from imumon.diagnosis.fitting import Fit, TestScore, fit, score
 from imumon.diagnosis.selection import Search
 
@@ -19,7 +18,8 @@ MOST_RANKED = 6
 
 @dataclass(frozen=True, slots=True)
 class Ranked:
-    """An effect alone beside what was assumed: gain in BIC, and what it leaves (rms); NaN without a test."""
+    """An effect alone beside what was assumed: gain in BIC, and the rms that it leaves of training and of the
+    test, by what it foretells of that; NaN without one."""
 
     name: str
     gain: float
@@ -47,7 +47,7 @@ def ranking(channel: Channel, found: Search) -> list[Ranked]:
     ranked = []
     for name in order:
         alone = fit(channel, [leaders[name].scored.candidate])
-        left = left_in_test(score(channel, alone)) if channel.test else float("nan")
+        left = score(channel, alone).rms if channel.test else float("nan")
         ranked.append(Ranked(name, leaders[name].gain, alone.train_rms, left))
     return ranked
 

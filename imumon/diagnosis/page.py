@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 
-from imumon.diagnosis.conclusion import in_short, state
+from imumon.diagnosis.conclusion import in_short, keep_in_mind, state
 from imumon.diagnosis.engine import Diagnosis, Progress
 from imumon.diagnosis.explaining import left_in_test
 from imumon.diagnosis.figures import figures, shown
@@ -30,7 +30,11 @@ def write_page(diagnosis: Diagnosis, path: Path, progress: Progress | None = Non
             progress(f"drawing {verdict.name}")
         channels.append(_channel(diagnosis, verdict, content["channels"][verdict.name]))
     rows = [_row(verdict) for verdict in diagnosis.verdicts]
-    text = environment().get_template(TEMPLATE).render(report=content, rows=rows, channels=channels)
+    text = (
+        environment()
+        .get_template(TEMPLATE)
+        .render(report=content, rows=rows, channels=channels, caveats=keep_in_mind(diagnosis))
+    )
     path.write_text(text, encoding="utf-8")
 
 
