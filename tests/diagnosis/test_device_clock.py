@@ -9,6 +9,7 @@ import pytest
 from scipy.signal import lfilter
 
 from imumon.blocks import FloatArray, SampleBlock
+from imumon.diagnosis.blocks import make_blocks, white_floor
 from imumon.diagnosis.device_clock import CLOCK, with_delay
 from imumon.diagnosis.engine import diagnose
 from imumon.diagnosis.recording import Run, collect
@@ -77,3 +78,35 @@ def test_a_crystals_parabola_is_the_curve_of_the_clock_and_nothing_else_is_missi
     assert verdict.channel.unit == "ppm"
     assert verdict.before.declared[2] / declared.half_span_degc**2 == pytest.approx(PARABOLA_PPM, rel=0.15)
     assert verdict.before.declared[0] == pytest.approx(parabola(np.array([declared.middle_degc]))[0], abs=0.5)
+
+
+def test_the_floor_is_what_the_delays_make_of_a_block() -> None:
+    three = runs(late_parabola, seed=10)
+    floor = white_floor(three, CLOCK).sd
+    errors = []
+    for at, run in enumerate(three):
+        truth = late_parabola(ramps(SECONDS, at != 1)[1])
+        found = make_blocks(run, [CLOCK], ["temperature"])
+        inside = found.time_s[:-1].astype(int) // 30
+        errors.append(
+            found.mean[CLOCK][:-1] - truth[: SECONDS // 30 * 30].reshape(-1, 30).mean(axis=1)[inside]
+        )
+    rms = float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
+    assert 0.8 * rms < floor < 1.3 * rms
+    assert rms < 0.5
+
+
+def test_a_crystal_that_is_late_is_named_with_its_time_constant() -> None:
+    three = runs(late_parabola)
+    (verdict,) = diagnose(three[:2], three[2:], sensors=(CLOCK,)).verdicts
+    (claim,) = verdict.claims
+    assert claim.finding.name == "thermal_lag"
+    assert claim.parts[0].effect.model_dump()["time_constant_s"] == pytest.approx(300.0, rel=0.1)
+
+
+def test_without_arrivals_of_its_own_there_is_no_clock() -> None:
+    held = collect(with_delay(heard(1, True, parabola, held=True)), "held", (CLOCK,))[0]
+    assert CLOCK not in held.mean
+    known = runs(parabola)
+    diagnosis = diagnose(known[:2], [held], sensors=("gyro", CLOCK))
+    assert [verdict.name for verdict in diagnosis.verdicts] == ["gyro_x"]
