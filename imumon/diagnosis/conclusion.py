@@ -108,7 +108,7 @@ def next_steps(diagnosis: Diagnosis, folder: Path | None) -> list[NextStep]:
     """Return what to do next; `folder` is that of the report, None where there is none."""
     verdicts, steps = diagnosis.verdicts, list[NextStep]()
     plan = "" if folder is None else f"imumon plan {folder} --out {folder / 'next'}"
-    asked = [question for verdict in verdicts for question in verdict.questions]
+    asked = [question for verdict in with_model(diagnosis) for question in verdict.questions]
     for pair in _not_told(verdicts):
         steps.append(NextStep(f"To tell {pair[0]} from {pair[1]}, record {separated_by(*pair)}."))
     if any(state(verdict) in ("unexplained", "not proven") for verdict in verdicts):
