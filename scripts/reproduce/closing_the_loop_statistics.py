@@ -1,6 +1,6 @@
 """Statistics of `imumon diagnose` on simulated cases: who is named, how often, how large, and what it costs.
 
-Usage: closing_the_loop --part simulated [--repeat N] [--only LABEL] [--jobs N] [--out FILE]
+Usage: closing_the_loop --part simulated [--repeat N] [--first SEED] [--minutes N] [--jobs N]
 """
 
 from __future__ import annotations
@@ -405,6 +405,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "--first", type=int, default=0, help="first seed of each kind: others are fresh cases"
     )
     parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--minutes", type=float, default=np.inf, help="begin no case after so long")
     parser.add_argument("--out", type=Path)
     parser.add_argument("--list", action="store_true")
     given = parser.parse_args(arguments)
@@ -425,12 +426,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
                     )
             elif sys.stderr.isatty() or done % 20 == 0:
                 print(f"{done}/{len(work)} cases, {time.perf_counter() - began:.0f} s", file=sys.stderr)
+            if time.perf_counter() - began > 60.0 * given.minutes:
+                pool.shutdown(wait=False, cancel_futures=True)
+                break
+    cases = len({(r.label, r.seed) for r in results})
     seconds = sorted({(r.label, r.seed): r.seconds for r in results}.values())
     text = (
         "# Closing the loop: simulated cases\n\nMade by `scripts/reproduce/closing_the_loop --part simulated"
-        f" --repeat {given.repeat}`. Shares are of channels unless said, with Wilson's 95 % interval.\n\n"
-        f"{len(work)} cases, {len(results)} channels; a diagnosis takes {seconds[len(seconds) // 2]:.1f} s"
-        f" (median; the longest {seconds[-1]:.1f} s) on one core.\n\n{tables(results)}"
+        f" --repeat {given.repeat} --first {given.first}`. Shares are of channels unless said, with Wilson's"
+        f" 95 % interval.\n\n{cases} of its {len(work)} cases, {len(results)} channels; a diagnosis takes"
+        f" {seconds[len(seconds) // 2]:.1f} s (median; the longest {seconds[-1]:.1f} s) on one core.\n\n{tables(results)}"
     )
     if given.out is not None:
         given.out.write_text(text, encoding="utf-8")
