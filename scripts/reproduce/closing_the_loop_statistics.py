@@ -435,7 +435,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "# Closing the loop: simulated cases\n\nMade by `scripts/reproduce/closing_the_loop --part simulated"
         f" --repeat {given.repeat} --first {given.first}`. Shares are of channels unless said, with Wilson's"
         f" 95 % interval.\n\n{cases} of its {len(work)} cases, {len(results)} channels; a diagnosis takes"
-        f" {seconds[len(seconds) // 2]:.1f} s (median; the longest {seconds[-1]:.1f} s) on one core.\n\n{tables(results)}"
+        f" {seconds[len(seconds) // 2]:.1f} s (median; the longest {seconds[-1]:.1f} s) on one core."
+        f"\n\n{tables(results)}"
     )
     if given.out is not None:
         given.out.write_text(text, encoding="utf-8")
