@@ -118,6 +118,9 @@ def next_steps(diagnosis: Diagnosis, folder: Path | None) -> list[NextStep]:
                 " thermometer) and train on that as well; whatever is recorded is tried."
             )
         )
+    if faulty := [verdict.name for verdict in verdicts if state(verdict) == "faulty"]:
+        what = f"Record {_together(faulty)} again with a range and digits that its noise and bias fit in."
+        steps.append(NextStep(what))
     if asked and plan:
         steps.append(NextStep("The shortest experiment that answers what is open:", plan))
     if not diagnosis.test or diagnosis.held_out:
@@ -130,7 +133,7 @@ def next_steps(diagnosis: Diagnosis, folder: Path | None) -> list[NextStep]:
     if useful and folder is not None:
         what = f"Use the model with what is named of {_together([verdict.name for verdict in useful])}:"
         steps.append(NextStep(what, f"imumon monitor PORT --device NAME --model {folder / 'model.yaml'}"))
-    if not steps:
+    if all(state(verdict) == "nothing missing" for verdict in verdicts) and not steps:
         steps.append(NextStep("Nothing has to be added: the declared model is enough on these recordings."))
     return steps
 
