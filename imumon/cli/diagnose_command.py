@@ -54,8 +54,9 @@ class _SeveralValues(click.Command):
 )
 @click.option(
     "--channels",
-    default="gyro,accel",
-    help="What is diagnosed: gyro,accel (the default), mag, pressure, temperature, or any recorded columns.",
+    default="gyro,accel,clock",
+    help="What is diagnosed: gyro,accel,clock (the default; the device's clock where arrival times are"
+    " recorded), mag, pressure, temperature, or any recorded columns.",
 )
 @click.option("--map", "map_path", type=PATH, help="YAML file: what is in which column of the tables.")
 @click.option(
@@ -85,6 +86,7 @@ def command(
     The recordings are of a unit at rest, each from power-on.  Two or more for training, warmed and cooled,
     tell most.
     """
+    from imumon.diagnosis.conclusion import conclusion, next_steps
     from imumon.diagnosis.engine import CUBIC, diagnose, parse_declared
     from imumon.diagnosis.extended import extended_model, with_model
     from imumon.diagnosis.page import write_page
@@ -114,9 +116,12 @@ def command(
         write_page(diagnosis, out / "report.html", tell)
     warn(diagnosis.caveats)
     if as_json:
-        print_json(report(diagnosis))
+        print_json(report(diagnosis, out))
     print_rows({verdict.name: verdict.summary for verdict in diagnosis.verdicts})
     print_rows({what: str(out / name) for what, name in written.items()})
+    print_rows({"conclusion": conclusion(diagnosis)})
+    for step in next_steps(diagnosis, out):
+        print_rows({"next": f"{step.what} {step.command}".strip()})
 
 
 def model_of(path: Path) -> BiasModel:
