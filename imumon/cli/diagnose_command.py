@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -97,8 +98,7 @@ def command(
     model = model_of(model_path) if model_path is not None else None
     assumed = declared if declared is not None else CUBIC
     parse_declared(assumed)
-    make_folder(out)
-    with reading_bar([*train, *test], quiet=as_json) as tell:
+    with results_folder(out), reading_bar([*train, *test], quiet=as_json) as tell:
         sensors = channels.split(",")
         runs = [read(path, map_path, at_rest, sensors) for path in (*train, *test)]
         split = len(train)
@@ -146,11 +146,19 @@ def read(path: Path, map_path: Path | None, at_rest: bool, sensors: Sequence[str
     return read_runs(path, map_path, lambda _: [RestDetector()], at_rest, sensors or SENSORS)
 
 
-def make_folder(out: Path) -> None:
-    """Make a folder for results; raises BAD_CONFIG when that fails."""
+@contextmanager
+def results_folder(out: Path) -> Iterator[None]:
+    """Make a folder for results, and take it back where none came; raises BAD_CONFIG when it cannot be made."""
+    made = [folder for folder in (out, *out.parents) if not folder.exists()]
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ImumonError(
             Reason.BAD_CONFIG, f"the folder {out} cannot be made: {error.strerror}", "give another folder"
         ) from error
+    try:
+        yield
+    finally:
+        with suppress(OSError):  # it holds something
+            for folder in made:
+                folder.rmdir()
