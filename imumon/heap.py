@@ -18,8 +18,8 @@ LARGE_BYTES = 32 << 10
 def prepare_heap() -> None:
     """Give large pieces pages of their own, and all threads one heap; before there is a second thread.
 
-    A heap keeps a page as long as a byte of it is in use.  Frames that wait for two minutes, columns of half a
-    minute and pictures, in a heap for each thread, leave holes that no other thread fills.
+    A heap keeps a page as long as a byte of it is in use.  Frames that wait for two minutes, columns of half
+    a minute and pictures, in a heap for each thread, leave holes that no other thread fills.
     """
     if _OPTION is not None:
         _OPTION(_MMAP_THRESHOLD, LARGE_BYTES)

@@ -148,7 +148,7 @@ def read(path: Path, map_path: Path | None, at_rest: bool, sensors: Sequence[str
 
 @contextmanager
 def results_folder(out: Path) -> Iterator[None]:
-    """Make a folder for results, and take it back where none came; raises BAD_CONFIG when it cannot be made."""
+    """Make a folder for results, and take it back where none came; raises BAD_CONFIG where it cannot."""
     made = [folder for folder in (out, *out.parents) if not folder.exists()]
     try:
         out.mkdir(parents=True, exist_ok=True)

@@ -112,7 +112,8 @@ class StreamLogger:
             self._declare_other(name)
         for lane, states in self._lanes.items():
             declare_lane(rec, lane, states)
-        self._drawn_s.clear()
+        if arrange:  # else the reader has the pictures that were drawn
+            self._drawn_s.clear()
         for event in self._lasting.values():
             self._log_event(event)
         if arrange:

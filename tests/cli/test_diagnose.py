@@ -56,7 +56,9 @@ def test_tables_are_diagnosed_into_report_page_and_model(tables: Path) -> None:
     assert [run.session for run in model.trained_on] == ["a.csv", "b.csv"]
 
 
-def test_a_diagnosis_that_fails_leaves_no_folder_behind_and_takes_none_away(tables: Path, tmp_path: Path) -> None:
+def test_a_diagnosis_that_fails_leaves_no_folder_behind_and_takes_none_away(
+    tables: Path, tmp_path: Path
+) -> None:
     there = tmp_path / "there"
     there.mkdir()
     for out in (tmp_path / "new" / "found", there):
