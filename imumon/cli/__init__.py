@@ -124,7 +124,18 @@ def run(arguments: list[str]) -> int:
         where = f"{error.filename}: " if error.filename is not None else ""
         note(f"imumon: {where}{error.strerror or error}")
         return EXIT_USAGE
+    except Exception as error:
+        if _is_interrupt(error):
+            return EXIT_INTERRUPTED
+        raise
     return code if isinstance(code, int) else EXIT_OK
+
+
+def _is_interrupt(error: BaseException | None) -> bool:
+    """Tell whether an error is what became of Ctrl-C: Python 3.11 makes another where it builds a class."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
 
 
 def _heed_interrupts() -> None:

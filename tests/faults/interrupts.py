@@ -24,7 +24,7 @@ from imumon.simulation.virtual_device import VirtualDevice
 from tests.faults.rows import Row
 
 PROGRAM = [sys.executable, "-m", "imumon"]
-STEP_S, LAST_S = 0.05, 5.0
+STEP_S, LAST_S = 0.05, 3.0
 """Of processor time, so that a machine with much else to do is at the same place of the program."""
 IDLE_S = 1.0
 """A command that takes no processor time for so long waits for something."""
