@@ -264,6 +264,7 @@ def stream_all(times: int, seed: int, names: Sequence[str] | None = None) -> Ite
     """Give each decoder so many changed inputs, one after the other in streams of `JOINED`."""
     for name in names or device_names():
         target, rng = Target(sample_packet(load_device(name)) * 8, _decode(name)), np.random.default_rng(seed)
+        attempt(target, target.seed)  # compiles what must be
         wrong, began = dict[str, bytes](), time.process_time()
         for _ in range(-(-times // JOINED)):
             data = b"".join(mutate(target.seed, rng) for _ in range(JOINED))

@@ -29,7 +29,7 @@ STEP_S, LAST_S = 0.05, 3.0
 IDLE_S = 1.0
 """A command that takes no processor time for so long waits for something."""
 RECORDED_S = 20
-ENDS_S = 20.0
+ENDS_S = 60.0
 """A command that goes on for so long after Ctrl-C has not heard it."""
 TRACE = re.compile(r"Traceback|Exception ignored|KeyboardInterrupt|Fatal Python error")
 BEFORE_US = re.compile(r"init_import_site|<frozen site>|site\.py|<frozen runpy>")
@@ -52,7 +52,7 @@ class Command:
     records: bool = False
 
 
-MONITOR = ("monitor", "{port}", "--device", "ax1", "--seconds", "30", "--out", "{out}", "--view")
+MONITOR = ("monitor", "{port}", "--device", "ax1", "--seconds", "300", "--out", "{out}", "--view")
 COMMANDS = {
     "monitor": Command((*MONITOR, "none"), records=True),
     "monitor with the web view": Command((*MONITOR, "web"), records=True),

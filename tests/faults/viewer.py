@@ -16,7 +16,7 @@ from pathlib import Path
 import psutil
 
 from imumon.recordings.wire_format import MAGIC, MESSAGE, MESSAGE_FIELDS, MESSAGE_OP, RECORD, WIRE_CHANNEL
-from tests.faults.killed import Line, Machine, allowed_s, end_in_order
+from tests.faults.killed import HELD_S, Line, Machine, allowed_s, end_in_order
 from tests.faults.rows import Row
 
 RATE_HZ = 100.0
@@ -168,7 +168,7 @@ def harm(folder: Path, name: str, seconds: float, patience: float = 1.0) -> tupl
         wrong.append(f"the recording was {lag.most_s:.2f} s behind")
     if memory > MOST_MB:
         wrong.append(f"{memory:.0f} MB")
-    said = f"recording {lag.most_s:.2f} s behind at most, any program {machine.late_s:.2f} s"
+    said = f"recording {lag.most_s:.2f} s behind at most, {HELD_S:g} s of work {machine.late_s:.2f} s late"
     return wrong, f"{said}, {memory:.0f} MB, exit after {took_s:.1f} s"
 
 
