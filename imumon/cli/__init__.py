@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import logging
 import os
 import signal
@@ -147,6 +148,8 @@ def _heed_interrupts() -> None:
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         return
     signal.signal(signal.SIGINT, signal.default_int_handler)
+    # The first to be registered is the last to be called: from there on Python heeds no signal in order.
+    atexit.register(signal.signal, signal.SIGINT, signal.SIG_IGN)
     usual = sys.unraisablehook
 
     def again(lost: UnraisableHookArgs) -> None:
