@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import termios
 import threading
 import time
 import tty
@@ -100,8 +101,11 @@ class Line:
         time.sleep(ARRIVAL_S)
 
     def close(self) -> None:
-        """Stop sending and close the line."""
-        self.pause()
+        """Stop sending and close the line; what nobody has read is lost, or the last packet waits for it."""
+        self._end.set()
+        while self._thread.is_alive():
+            termios.tcflush(self._slave, termios.TCIFLUSH)
+            self._thread.join(0.05)
         os.close(self._master)
         os.close(self._slave)
 
