@@ -136,9 +136,8 @@ def end_in_order(
     took_s = time.monotonic() - began
     told, wrong = json.loads(out), []
     if child.returncode or took_s > patience * EXIT_S:
-        wrong.append(
-            f"exit code {child.returncode} after {took_s:.1f} s{f': {err}' if child.returncode else ''}"
-        )
+        said = f": {err}" if child.returncode else ""
+        wrong.append(f"exit code {child.returncode} after {took_s:.1f} s{said}")
     for name in ("bytes_received", "bytes_recorded"):
         if told[name] != line.sent[-1]:
             wrong.append(f"{told[name]} of {line.sent[-1]} {name.replace('_', ' ')}")
