@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Mapping
-from contextlib import suppress
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -139,3 +139,21 @@ def print_rows(rows: Mapping[str, str]) -> None:
     width = max(map(len, rows), default=0)
     for label, text in rows.items():
         note(f"  {label:<{width}}  {for_log(text)}")
+
+
+@contextmanager
+def results_folder(out: Path) -> Iterator[None]:
+    """Make a folder for results, and take it back where none came; raises BAD_CONFIG where it cannot."""
+    made = [folder for folder in (out, *out.parents) if not folder.exists()]
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ImumonError(
+            Reason.BAD_CONFIG, f"the folder {out} cannot be made: {error.strerror}", "give another folder"
+        ) from error
+    try:
+        yield
+    finally:
+        with suppress(OSError):  # it holds something
+            for folder in made:
+                folder.rmdir()

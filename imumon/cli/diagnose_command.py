@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from imumon.cli.common import PATH, json_option, print_json, print_rows, warn
+from imumon.cli.common import PATH, json_option, print_json, print_rows, results_folder, warn
 from imumon.cli.progress import reading_bar
 from imumon.errors import ImumonError, Reason
 
@@ -99,8 +99,7 @@ def command(
     model = model_of(model_path) if model_path is not None else None
     assumed = declared if declared is not None else CUBIC
     parse_declared(assumed)
-    make_folder(out)
-    with reading_bar([*train, *test], quiet=as_json) as tell:
+    with results_folder(out), reading_bar([*train, *test], quiet=as_json) as tell:
         sensors = channels.split(",")
         runs = [read(path, map_path, at_rest, sensors) for path in (*train, *test)]
         split = len(train)
@@ -149,13 +148,3 @@ def read(path: Path, map_path: Path | None, at_rest: bool, sensors: Sequence[str
     from imumon.estimation.rest.stage import RestDetector
 
     return read_runs(path, map_path, lambda _: [RestDetector()], at_rest, sensors or SENSORS)
-
-
-def make_folder(out: Path) -> None:
-    """Make a folder for results; raises BAD_CONFIG when that fails."""
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ImumonError(
-            Reason.BAD_CONFIG, f"the folder {out} cannot be made: {error.strerror}", "give another folder"
-        ) from error
