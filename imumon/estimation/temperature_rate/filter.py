@@ -326,9 +326,9 @@ def extrapolate(
 
     `origin` is the time and the segment that its time refers to.  Before the first slot of a segment ends,
     and after a gap of `late_s` before the next does, there is the reading, with its scatter; what the rate
-    has done in the gap nobody saw.  Until a slot ends a temperature may begin to move, and two readings in a
-    row (`before` is that before the first), which no single spike makes, show it; a fault has moved faster
-    since the slot before.
+    has done in the gap nobody saw, but where it led to.  Until a slot ends a temperature may begin to move,
+    and two readings in a row (`before` is that before the first), which no single spike makes, show it; a
+    fault has moved faster since the slot before.
     """
     for i in range(len(time_ns)):
         age = (time_ns[i] - origin[0]) * 1e-9 - shown.time_s
@@ -348,8 +348,11 @@ def extrapolate(
         elif math.isfinite(reading[i]):
             temperature[i], rate[i], temperature_sd[i], rate_sd[i] = reading[i], 0.0, scatter, START_RATE
             if late:
-                rate[i] = shown.rate
-                rate_sd[i] = math.hypot(shown.rate_sd, min(START_ACCELERATION * age, START_RATE))
+                # Where the reading is not where the rate led, the rate is another: in the mean by so much.
+                astray = abs(reading[i] - shown.temperature - age * shown.rate)
+                changed = 2.0 * max(astray - scatter, 0.0) / age
+                unseen = math.hypot(min(START_ACCELERATION * age, START_RATE), changed)
+                rate[i], rate_sd[i] = shown.rate, math.hypot(shown.rate_sd, unseen)
         else:
             temperature[i] = rate[i] = temperature_sd[i] = rate_sd[i] = math.nan
         before = reading[i]
