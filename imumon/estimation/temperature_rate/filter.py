@@ -167,7 +167,12 @@ class State:
         if self.faults == 1:
             self.stuck, self.stuck_s = reading.last, reading.time_s
         elif not self.repeats(reading):
-            self.stuck = math.nan
+            # By what a temperature does and noise it moves; by a leap it sticks elsewhere.
+            moved = max(abs(reading.low - self.stuck), abs(reading.high - self.stuck))
+            if moved > self.sensor.moves(reading):
+                self.faults, self.stuck, self.stuck_s = 1, reading.last, reading.time_s
+            else:
+                self.stuck = math.nan
         if math.isfinite(self.stuck):
             if self.faults == GATE_SLOTS:
                 self.stuck_at = self.stuck
@@ -313,15 +318,15 @@ def _heard(state: State, bank: Bank, predicted: tuple[float, float], reading: Re
     """Return the bank given readings, or as it was where they are a fault."""
     sensor = state.sensor
     mean, variance = predicted
-    off = max(abs(reading.low - mean), abs(reading.high - mean))
     widest = variance + sensor.step**2 + sensor.inside + sensor.roughness
     possible = FASTEST * (reading.time_s - state.last_s + reading.duration_s)
-    near = off < max(GATE_STEPS * sensor.step, possible) or off * off < GATE * GATE * widest
+    reach = max(GATE_STEPS * sensor.step, possible, GATE * math.sqrt(widest))
     # What is unseen for long could be anywhere, but no more where the thermometer sticks.
-    if near and not state.repeats(reading):
+    if not state.repeats(reading) and abs(reading.last - mean) < reach:
         state.trusts()
-        state.lively |= reading.changes > 0
-        measure(bank.filters, said(reading, sensor))
+        if max(abs(reading.low - mean), abs(reading.high - mean)) < reach and not sensor.leaps(reading):
+            state.lively |= reading.changes > 0
+            measure(bank.filters, said(reading, sensor))
         return bank
     if not state.believes(reading):
         return bank
@@ -391,7 +396,8 @@ def extrapolate(
             at = shown.temperature + age * shown.rate + left
             low, high = min(before, reading[i]) - shown.reach, max(before, reading[i]) + shown.reach
             off = min(at - low, 0.0) + max(at - high, 0.0)
-            doubt = 0.0 if shown.lively else max(abs(reading[i] - at) - shown.reach, 0.0)
+            doubted = not shown.lively and math.isfinite(reading[i])
+            doubt = max(abs(reading[i] - at) - shown.reach, 0.0) if doubted else 0.0
             off = off if abs(off) < FASTEST * (SLOT_S + age) else 0.0
             temperature[i] = at - off
             rate[i] = shown.rate + age * shown.acceleration + rate_left

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, field, replace
 
 from imumon.estimation.temperature_rate.bank import SLOT_S, Slow, slow_errors
-from imumon.estimation.temperature_rate.refresh import RefreshFinder
+from imumon.estimation.temperature_rate.refresh import FASTEST, RefreshFinder
 from imumon.estimation.temperature_rate.step import COARSEST, StepFinder
 
 MEMORY = 1.0 / 32.0
@@ -199,6 +199,11 @@ class Sensor:
     def leaps(self, reading: Reading) -> bool:
         """Tell whether a slot spans more than any thermometer's noise and steps: there is a fault in it."""
         return reading.high - reading.low > LEAP * max(self.step, COARSEST, math.sqrt(self.inside))
+
+    def moves(self, reading: Reading) -> float:
+        """Return how far readings of neighbouring slots may lie apart, °C."""
+        noise = LEAP * max(self.step, math.sqrt(self.inside + self.roughness))
+        return max(noise, FASTEST * (SLOT_S + max(reading.duration_s, reading.gap_s)))
 
     def is_dead(self, now_s: float) -> bool:
         """Tell whether noise of more than a step has stopped."""

@@ -41,6 +41,16 @@ def test_a_value_that_sticks_after_a_leap_is_passed_over(rate_hz: float, stuck_s
     assert stage.notices() == []
 
 
+def test_a_spike_before_it_sticks_makes_no_difference() -> None:
+    t = np.arange(0.0, 900.0, 0.1)
+    truth = 25.0 + t / 36.0
+    reading = read(truth, 0.0625)
+    reading[(t >= 700.0) & (t < 708.0)] = POWER_ON_DEGC
+    reading[[6995, 7033, 7034]] = -127.0
+    found = TemperatureRate().process(block(t, reading))["temperature_estimate"]
+    assert np.abs(found - truth)[t > 600.0].max() < 1.0
+
+
 def test_where_it_never_comes_back_nothing_is_said_after_ten_minutes_until_it_moves() -> None:
     t = np.arange(0.0, 2400.0, 0.1)
     reading = read(np.full(len(t), 25.0) + t / 360.0, 0.0625)
