@@ -265,9 +265,9 @@ def _estimate(state: State, reading: Reading) -> Shown:
     )
     state.shown = _shown(state, means, reading.end_s, fresh)
     state.shown = state.shown._replace(lively=state.lively)
-    if state.faults and not state.lively:
+    if math.isfinite(state.stuck) and not state.lively:
         # Nobody knows which of two levels is the fault.
-        doubt = abs(reading.mean - state.shown.temperature)
+        doubt = abs(state.stuck - state.shown.temperature)
         sd = math.hypot(state.shown.temperature_sd, doubt)
         state.shown = state.shown._replace(temperature_sd=sd)
     if (heard or repeats) and not state.faults:
