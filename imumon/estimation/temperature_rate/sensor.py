@@ -24,6 +24,8 @@ DEAD_S, DEAD_INTERVALS = 60.0, 10.0
 """Noise of more than a step that stops for so long, and so many usual intervals, is a dead sensor."""
 SLOWER = 1.01
 """Factor by which the interval between changes grows with each change that comes later."""
+TINY_S = 1e-9
+"""Times of samples are in ns, and may be equal."""
 MOST_INDEPENDENT = 32.0
 """More readings would place an edge, σ/√n, finer than its sigma is known between two of the bank's."""
 DITHERED = 0.2
@@ -182,7 +184,7 @@ class Sensor:
         """Return how many independent readings a slot has; less than one where a reading outlasts it."""
         share = self.squares / self.spread if self.spread > 0.0 else 1.0
         count = min(max(share * reading.count, 1.0), MOST_INDEPENDENT)
-        slow = 1.0 if self.refresh.slow else self.interval_s / max(reading.duration_s, reading.gap_s)
+        slow = 1.0 if self.refresh.slow else self.interval_s / max(reading.duration_s, reading.gap_s, TINY_S)
         return min(count, reading.count) / max(slow, 1.0)
 
     def fresh(self, reading: Reading) -> Reading | None:
