@@ -56,6 +56,12 @@ window_option = click.option(
 bind_option = click.option(
     "--bind", default="127.0.0.1", show_default=True, help="Address that the web view is served on."
 )
+rate_option = click.option(
+    "--rate",
+    type=Number(min=1e-3, max=1e6),
+    metavar="HZ",
+    help="Packets per second of a device that sends no time; default: the device file's rate_hz.",
+)
 device_help = "Name of a known device (imumon devices) or path of a device file."
 
 
