@@ -99,6 +99,11 @@ class Windows(NamedTuple):
         Variance of the mean of a window at rest, and the share of the next window in it.
     step : array, (6,)
         Least difference of two readings that was seen.
+    least : array, (6,)
+        Least variance of a sample that a rest has had: near the edge of a step there is more of it, though the
+        noise is no larger.
+    resolution : array, (6,)
+        What is left of the step after this noise.
     last : array, (6,)
         Last reading.
     rest_mean : array, (6,)
@@ -121,6 +126,8 @@ class Windows(NamedTuple):
     variance: FloatArray
     gain: FloatArray
     step: FloatArray
+    least: FloatArray
+    resolution: FloatArray
     last: FloatArray
     rest_mean: FloatArray
     low: FloatArray
@@ -143,6 +150,8 @@ def new_windows() -> Windows:
         variance=np.zeros((LEVELS, AXES)),
         gain=np.zeros((LEVELS, AXES)),
         step=np.repeat(COARSEST_STEPS, 3),
+        least=np.full(AXES, np.inf),
+        resolution=np.repeat(COARSEST_STEPS, 3),
         last=np.full(AXES, np.nan),
         rest_mean=np.zeros(AXES),
         low=np.zeros(AXES),
@@ -304,16 +313,14 @@ class State:
 
     @property
     def undecided(self) -> FloatArray:
-        """What may be a turn, and may be bias, rad/s, (3,): from before this rest, or since."""
-        turn = np.sqrt(self.turns_on) * self.turn if self.at_rest else self.turn
-        return turn if turn @ turn > self.doubt @ self.doubt else self.doubt
+        """What may be a turn, and may be bias, rad/s, (3,): from before this rest, or since.
 
-    @property
-    def resolution(self) -> FloatArray:
-        """What is left of the step of each axis after its noise, (6,)."""
-        windows = self.windows
-        noise = np.maximum(windows.sample_variance / (windows.step**2 + 1e-24) - ROUNDED, 0.0)
-        return np.asarray(windows.step * np.exp(-DITHER * noise))
+        So may half of what the noise leaves of a gyro's step, for its readings are the same with and without.
+        """
+        turn = np.sqrt(self.turns_on) * self.turn if self.at_rest else self.turn
+        turn = turn if turn @ turn > self.doubt @ self.doubt else self.doubt
+        hidden = np.where(self.windows.known, 0.5 * self.windows.resolution, 0.0)[GYRO]
+        return np.asarray(np.copysign(np.hypot(turn, hidden), turn))
 
     def means(self, cuts: npt.NDArray[np.intp]) -> FloatArray:
         """Return the means between neighbouring cuts, (..., k, 6) for (..., k + 1).

@@ -65,7 +65,7 @@ def hypothesis(
     # It is while the unit moved that a turn began, or the bias changed: a steady mean does neither.
     since_s = min(state.quiet_since_s, now_s - state.span_s(slots))
     turn = state.anchors[0].turn_now(recent)
-    limit = SIGMAS * np.sqrt(variance + state.anchors[0].variance) + state.resolution
+    limit = SIGMAS * np.sqrt(variance + state.anchors[0].variance) + state.windows.resolution
     possible, across = _possible(state, parameters, turn, recent[ACCEL])
     wander = SIGMAS * np.sqrt(wander_after(state, now_s - state.anchors[0].at_s))
     wander += SIGMAS * warmed(state.degc, state.anchors[0].degc)
@@ -102,7 +102,7 @@ def _explained(
     still = state.windows.known[ACCEL].all() and force < SIGMAS * np.sqrt(noise[ACCEL].max()) + TILTED
     slope = CREEP if still else parameters.gyro_drift
     wander = np.sqrt(np.maximum(wander_after(state, moved_s), noise[GYRO]))
-    plain = parameters.gyro_g_sensitivity * force + (0.0 if still else EARTH_TWICE) + state.resolution[GYRO]
+    plain = parameters.gyro_g_sensitivity * force + (0.0 if still else EARTH_TWICE) + state.windows.resolution[GYRO]
     # What creeps does so by its temperature: without a thermometer, for as long as it has had.
     drift = min(slope * moved_s, parameters.gyro_walk) if np.isnan(state.degc) or not still else 0.0
     warm = warmed(state.degc, anchor.degc)
@@ -135,7 +135,7 @@ def is_back(state: State, parameters: RestParameters, now_s: float) -> Anchor | 
     if state.turning:  # a turn that ends slowly is slow for longer than its mean is near
         means.append(state.means(state.length - steady_slots(state) // 2 * np.array([1, 2]))[0])
     for anchor in state.anchors:
-        limit = BACK_SIGMAS * np.sqrt(variance + anchor.variance) + state.resolution
+        limit = BACK_SIGMAS * np.sqrt(variance + anchor.variance) + state.windows.resolution
         limit[ACCEL] += min(parameters.accel_drift * (now_s - anchor.at_s), TILTED)
         change = np.max([np.abs(mean - anchor.mean) for mean in means], axis=0)
         change = np.where(np.isfinite(recent), change, 0.0)
@@ -225,7 +225,7 @@ def _possible(
     # What accelerometers show in two windows of 4 s, by the limits of `windows`, or their drift would hide.
     level, seconds = window.bit_length() - 1, state.span_s(window)
     shown = (
-        np.sqrt(2.0 * CHI_SQUARE * state.windows.variance[level, ACCEL].max()) + state.resolution[ACCEL].max()
+        np.sqrt(2.0 * CHI_SQUARE * state.windows.variance[level, ACCEL].max()) + state.windows.resolution[ACCEL].max()
     )
     least = (shown + parameters.accel_drift * seconds) / (gravity * seconds)
     along = (turn @ force) * force / gravity**2
@@ -255,7 +255,7 @@ def is_steady(state: State, parameters: RestParameters) -> bool:
     change = means[0] - means[1:]
     variance = 2.0 * state.windows.variance[width.bit_length() - 1] + TINY
     sigmas = TURN_STEADY_SIGMAS if state.turning else STEADY_SIGMAS
-    limit = STEADY_SIGMAS * np.sqrt(variance) + state.resolution
+    limit = STEADY_SIGMAS * np.sqrt(variance) + state.windows.resolution
     limit = limit + parameters.accel_drift * seconds[:, np.newaxis]
     if (state.windows.known & (np.abs(change) > limit))[:, ACCEL].any():
         return False
@@ -282,7 +282,7 @@ def _turned(state: State, off: FloatArray, limit2: FloatArray, creep: FloatArray
     known = state.windows.known
     off = np.where(known[GYRO] & np.isfinite(off), off, 0.0)
     if not known.all():
-        excess = np.maximum(np.abs(off) - creep[:, np.newaxis] - state.resolution[GYRO], 0.0)
+        excess = np.maximum(np.abs(off) - creep[:, np.newaxis] - state.windows.resolution[GYRO], 0.0)
         return np.asarray(np.sqrt((excess**2 / limit2).sum(-1)) * (5.0 / np.sqrt(CHI_SQUARE)))
     force = state.windows.rest_mean[ACCEL]
     up = force / np.sqrt(force @ force)
@@ -291,5 +291,5 @@ def _turned(state: State, off: FloatArray, limit2: FloatArray, creep: FloatArray
     vertical = across2 < np.maximum((OBLIQUE * along) ** 2, limit2.max(1))
     # Level axes that only wander do not say that anything creeps.
     crept = np.minimum(creep, ALL_CREEP * np.maximum(np.sqrt(across2) - np.sqrt(limit2.max(1)), 0.0))
-    ratio = (along - crept - np.abs(up) @ state.resolution[GYRO]) / np.sqrt(limit2 @ up**2)
+    ratio = (along - crept - np.abs(up) @ state.windows.resolution[GYRO]) / np.sqrt(limit2 @ up**2)
     return np.where(vertical, ratio, 0.0)
