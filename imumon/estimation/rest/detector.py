@@ -13,7 +13,7 @@ import numpy as np
 from imumon.blocks import FloatArray
 from imumon.estimation.rest.compass import Verdict, verdict
 from imumon.estimation.rest.parameters import RestParameters
-from imumon.estimation.rest.state import AXES, EVERY, GYRO, LEVELS, Anchor, Slot, State
+from imumon.estimation.rest.state import ACCEL, AXES, EVERY, GYRO, LEVELS, Anchor, Slot, State
 from imumon.estimation.rest.trial import RING, adopt, look
 from imumon.estimation.rest.turn import (
     Explained,
@@ -22,6 +22,7 @@ from imumon.estimation.rest.turn import (
     is_over,
     is_steady,
     is_upright,
+    may_jump,
     recent_mean,
     steady_slots,
     still_on,
@@ -178,7 +179,7 @@ def _note(state: State, motion: Motion, now_s: float) -> None:
     elif not state.anchors or now_s - state.rest_since_s > LEAST_REST_S:
         _remember(state, anchor)
     if not motion.sudden:
-        state.turn = upright(state, turn) if motion.turning else turn
+        state.turn = upright(state, turn, windows.rest_mean[ACCEL]) if motion.turning else turn
 
 
 def _remember(state: State, anchor: Anchor) -> None:
@@ -225,10 +226,8 @@ def _judge(
             state.turning &= said is not Verdict.RESTS
         if np.isnan(state.undecided_since_s):
             state.undecided_since_s = now_s
-        if (
-            now_s - state.undecided_since_s >= parameters.undecided_s
-            and np.abs(turn).max() <= parameters.largest_jump
-        ):
+        late = now_s - state.undecided_since_s >= parameters.undecided_s
+        if late and may_jump(state, parameters, turn):
             return np.zeros(3), True
     if explained is Explained.NO:
         # About another axis it would tilt the unit: gravity says soon whether it does.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, cast
@@ -100,10 +101,10 @@ class Windows(NamedTuple):
     step : array, (6,)
         Least difference of two readings that was seen.
     least : array, (6,)
-        Least variance of a sample that a rest has had: near the edge of a step there is more of it, though the
-        noise is no larger.
+        Least variance of a sample that a rest has had: near the edge of a step it is larger, though the noise
+        is not.
     resolution : array, (6,)
-        What is left of the step after this noise.
+        What is left of the step after this noise; 0 until the noise is known.
     last : array, (6,)
         Last reading.
     rest_mean : array, (6,)
@@ -151,7 +152,7 @@ def new_windows() -> Windows:
         gain=np.zeros((LEVELS, AXES)),
         step=np.repeat(COARSEST_STEPS, 3),
         least=np.full(AXES, np.inf),
-        resolution=np.repeat(COARSEST_STEPS, 3),
+        resolution=np.zeros(AXES),
         last=np.full(AXES, np.nan),
         rest_mean=np.zeros(AXES),
         low=np.zeros(AXES),
@@ -317,10 +318,9 @@ class State:
 
         So may half of what the noise leaves of a gyro's step, for its readings are the same with and without.
         """
-        turn = np.sqrt(self.turns_on) * self.turn if self.at_rest else self.turn
+        turn = math.sqrt(self.turns_on) * self.turn if self.at_rest else self.turn
         turn = turn if turn @ turn > self.doubt @ self.doubt else self.doubt
-        hidden = np.where(self.windows.known, 0.5 * self.windows.resolution, 0.0)[GYRO]
-        return np.asarray(np.copysign(np.hypot(turn, hidden), turn))
+        return np.asarray(np.copysign(np.hypot(turn, 0.5 * self.windows.resolution[GYRO]), turn))
 
     def means(self, cuts: npt.NDArray[np.intp]) -> FloatArray:
         """Return the means between neighbouring cuts, (..., k, 6) for (..., k + 1).
