@@ -137,7 +137,7 @@ def _may_return(state: State) -> bool:
 
 def _watch(state: State, now_s: float, seconds: float) -> None:
     """Forget all windows; the next rest is so many seconds away at least."""
-    hold_s = state.caution * min(max(seconds, SETTLE_S), LONGEST_HOLD_S)
+    hold_s = min(state.caution * max(seconds, SETTLE_S), LONGEST_HOLD_S)
     state.hold_s = now_s + (min(hold_s, TURN_HOLD_S) if state.turning else hold_s)
     if seconds > SETTLE_S:
         state.long_hold_s = state.hold_s

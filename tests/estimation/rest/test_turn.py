@@ -94,7 +94,7 @@ def test_a_turn_about_a_level_axis_is_no_rest_for_gravity_turns_as_the_gyros_say
 
 
 def test_a_warmer_unit_may_have_a_bias_that_no_jump_explains() -> None:
-    """It is off by 1.6 °/s and gravity stays, but that is more than `largest_jump`: by 10 °C it is the bias."""
+    """Off by 1.6 °/s, and gravity stays: that is more than `largest_jump`, but by 10 °C it is the bias."""
     t, gyro, accel = noise(200.0, 25.0, 2e-4)
     handled = (t > 60.0) & (t < 120.0)
     gyro[handled] += 0.5 * np.sin(2.0 * t[handled])[:, np.newaxis]
