@@ -231,7 +231,7 @@ def _judge(
             return np.zeros(3), True
     if explained is Explained.NO:
         # About another axis it would tilt the unit: gravity says soon whether it does.
-        state.turn, state.turning = turn, state.turning or is_upright(state, turn)
+        state.turn, state.turning = turn, state.turning or bool(turn.any() and is_upright(state, turn))
         return turn, False
     slow = state.slow or state.quiet_slots >= steady_slots(state) // 2
     return turn, not (state.anchors and slow and fits and not is_steady(state, parameters))

@@ -76,8 +76,8 @@ def hypothesis(
     )
     said = gravity_says(state, turn, parameters.accel_drift, slots)
     if not noisy and tilt > OBLIQUE * float(np.linalg.norm(turn)) and said is not None:
-        if said is not Verdict.RESTS:
-            return turn, Explained.NO
+        if said is not Verdict.RESTS:  # it turns, or will have been seen to be still in seconds
+            return state.turn, Explained.NO
         if not wanders and may_jump(state, parameters, turn):
             return np.zeros(3), Explained.PLAINLY
     if _turns_on(state, turn, recent, limit):
