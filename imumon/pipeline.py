@@ -372,7 +372,8 @@ class Digest:
         return whole.hexdigest()
 
 
-def _canonical(values: ColumnArray) -> bytes:
-    if values.dtype == np.float64:
-        return np.where(np.isnan(values), np.nan, values).tobytes()
-    return values.tobytes()
+def _canonical(values: ColumnArray) -> memoryview:
+    """Return values one after the other in memory, all NaNs with the same bits."""
+    if values.dtype == np.float64 and (absent := np.isnan(values)).any():
+        return np.where(absent, np.nan, values).data
+    return np.ascontiguousarray(values).data

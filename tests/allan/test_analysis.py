@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import allantools
 import numpy as np
 import pytest
 
@@ -36,15 +35,16 @@ def test_the_nist_set_gives_the_published_deviations(kind: Kind) -> None:
 
 @pytest.mark.parametrize(
     ("kind", "theirs"),
-    [("allan", allantools.oadev), ("modified", allantools.mdev), ("hadamard", allantools.ohdev)],
+    [("allan", "oadev"), ("modified", "mdev"), ("hadamard", "ohdev")],
 )
-def test_deviations_are_those_of_allantools(kind: Kind, theirs: object) -> None:
-    assert callable(theirs)
+def test_deviations_are_those_of_allantools(kind: Kind, theirs: str) -> None:
+    import allantools  # takes a second, which not every process of the tests needs
+
     interval_s = 0.0025
     values = 0.3 + noise(1, 50_000, interval_s, white=1e-3, walk=1e-4, quantization=1e-6)
     series = even(values, 2_500_000)
     factors = octaves(series)[:-2]
-    tau, deviations, _, _ = theirs(values, 1 / interval_s, "freq", factors * interval_s)
+    tau, deviations, _, _ = getattr(allantools, theirs)(values, 1 / interval_s, "freq", factors * interval_s)
     np.testing.assert_allclose(tau, factors * interval_s)
     np.testing.assert_allclose(np.sqrt(variances(series, factors)[kind]), deviations, rtol=1e-9)
 

@@ -165,7 +165,10 @@ class GyroBias:
         # What was known before a restart is void from there until a slot has said something.
         said = sorted([*said, *((row, no_law()) for row in breaks)], key=lambda one: one[0])
         rows = np.array([row for row, _ in said], np.int64)
-        laws = np.concatenate([self._law, *(law for _, law in said)])
+        laws = np.empty(len(said) + 1, self._law.dtype)
+        laws[:1] = self._law
+        for k, (_, law) in enumerate(said, 1):
+            laws[k : k + 1] = law  # concatenate finds a common type of every two anew, in ten times the time
         self._law = laws[-1:].copy()
         sent = samples.gyro, samples.accel, temperature, samples.turn
         at_samples(rows, laws, self._path, samples.time_ns, ~samples.rest, *sent, bias, sd)

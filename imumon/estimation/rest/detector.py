@@ -72,10 +72,28 @@ def begin(state: State, now_s: float, other: bool) -> None:
     _watch(state, now_s, 0.0)
 
 
-def step(state: State, parameters: RestParameters, slots: Sequence[Slot], k: int, end_s: float) -> None:
-    """Take slot k, which ends at end_s, and decide."""
-    drift = parameters.drift
-    motion = seen(state, slots, k, drift)
+def step(
+    state: State,
+    parameters: RestParameters,
+    slots: Sequence[Slot],
+    end_s: Sequence[float],
+    first: int,
+    stop: int,
+) -> int:
+    """Take slots from the first on, until there is something to decide; return how many.
+
+    At rest those are `EVERY` at most, and else one.  end_s are the ends of the slots.
+    """
+    settled = state.at_rest and _fits(state)
+    run = 1 + (-state.slots % EVERY if settled else 0)
+    taken, motion = seen(state, slots, first, min(first + run, stop), parameters.drift)
+    state.slots += taken - 1
+    _decide_on(state, parameters, motion, end_s[first + taken - 1])
+    return taken
+
+
+def _decide_on(state: State, parameters: RestParameters, motion: Motion | None, end_s: float) -> None:
+    """Decide after a slot that ended at end_s."""
     if motion is None and state.at_rest and state.slots % EVERY == 0:
         motion = _wanders(state)
     if motion is not None:
@@ -97,9 +115,13 @@ def step(state: State, parameters: RestParameters, slots: Sequence[Slot], k: int
             _rest_again(state, parameters, turn, end_s)
     state.slots += 1
     ready = state.length - state.ring_from >= RING and end_s >= state.long_hold_s
-    fits = state.quiet_slots >= RING and state.windows.known.all()
-    if ready and not fits and state.slots % TRIAL_EVERY == 0:
+    if ready and state.slots % TRIAL_EVERY == 0 and not _fits(state):
         _try(state, parameters, end_s)
+
+
+def _fits(state: State) -> bool:
+    """Tell whether it has been quiet by the noise that is known of all axes."""
+    return state.quiet_slots >= RING and bool(state.windows.known.all())
 
 
 def _wanders(state: State) -> Motion | None:

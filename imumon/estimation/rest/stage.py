@@ -99,17 +99,22 @@ class RestDetector:
         outside: list[tuple[int, int]] = []
         other = (ended.segment != segment[ended.row]) | (time_ns[ended.row] < ended.start_ns)
         gap = time_ns[ended.row] - ended.end_ns > int(GAP_S * 1e9)
+        broken = np.flatnonzero(other | gap).tolist()
         with np.errstate(invalid="ignore", divide="ignore"):
             slots, end_s = _slots_of(ended, time_ns), (1e-9 * time_ns[ended.row]).tolist()
-            for k, end in enumerate(end_s):
-                rest[k], turn[k] = self._at_rest, state.undecided
-                if other[k] or gap[k]:
-                    begin(state, end, bool(other[k]))
+            first = 0
+            while first < len(end_s):
+                was, undecided = self._at_rest, state.undecided
+                if broken and broken[0] == first:
+                    begin(state, end_s[first], bool(other[broken.pop(0)]))
+                    last = first
                 else:
-                    step(state, self._parameters, slots, k, end)
-                if self._at_rest and not state.at_rest:
-                    outside.append(self._outside(readings, edges[k], edges[k + 1]))
-                self._at_rest = int(state.at_rest)
+                    stop = broken[0] if broken else len(end_s)
+                    last = first + step(state, self._parameters, slots, end_s, first, stop) - 1
+                rest[first : last + 1], turn[first : last + 1] = was, undecided
+                if was and not state.at_rest:
+                    outside.append(self._outside(readings, edges[last], edges[last + 1]))
+                self._at_rest, first = int(state.at_rest), last + 1
             rest[-1], turn[-1] = self._at_rest, state.undecided
             if self._at_rest:
                 outside.append(self._outside(readings, edges[-2], n))

@@ -230,13 +230,17 @@ def _seen(state: State, known: Changes, columns: FloatArray, white_sd: FloatArra
     along = (degc[..., np.newaxis] * seen).sum(1)
     likely = state.strengths + 3.0 * known.evidence - 0.5 * (seen * seen).sum((1, 2))
     likely += 0.5 * (weight * along**2 - np.log1p(explained)).sum(1)
-    shared = known.shapes @ degc[..., np.newaxis]
-    left = np.sqrt(1.0 - weight[:, np.newaxis] * shared**2)
-    x = (known.shapes @ seen - shared * (weight * along)[:, np.newaxis]) / left
-    best = likely + 0.5 * (x[..., 0] ** 2).max(1)
+    upright = known.shapes @ np.stack([degc, seen[..., 0]], 2)
+    shared = upright[..., 0]
+    x = upright[..., 1] - shared * (weight * along)[:, :1]
+    x /= np.sqrt(1.0 - weight[:, :1] * shared * shared)
+    best = likely + 0.5 * (x * x).max(1)
     which = best > best.max() - SURPRISE
-    size = known.size[which, :, np.newaxis] * left[which]
-    return Seen(which, likely[which, np.newaxis], x[which], size, white_sd)
+    both = known.shapes[which] @ seen[which]  # the level axes matter to the few that are left
+    shared, weight, along = shared[which, :, np.newaxis], weight[which, np.newaxis], along[which, np.newaxis]
+    left = np.sqrt(1.0 - weight * shared * shared)
+    size = known.size[which, :, np.newaxis] * left
+    return Seen(which, likely[which, np.newaxis], (both - shared * (weight * along)) / left, size, white_sd)
 
 
 def _frame(state: State, means: FloatArray) -> FloatArray:
@@ -267,11 +271,12 @@ def _weigh(state: State, known: Changes, seen: Seen, up: FloatArray) -> Turning:
     else:
         turn -= 2.0 * np.log(np.maximum(np.abs(off), 1.0))  # any direction would have done
     creep = likely + prior + np.where(known.goes_on & (known.start > known.end), 0.0, -np.inf)
+    crept = _crept(state, known)
     for axis in range(3):
-        creep = creep + _explains(x[..., axis], (_crept(state, known) * ratio[..., axis]) ** 2)
+        creep = creep + _explains(x[..., axis], (crept * ratio[..., axis]) ** 2)
     most = max(float(likely.max()), float(turn.max()), float(creep.max()))
-    turned, crept = np.exp(turn - most), np.exp(creep - most)
-    each = np.exp(likely[:, 0] - most) + (turned + crept).sum(1)
+    turned = np.exp(turn - most)
+    each = np.exp(likely[:, 0] - most) + (turned + np.exp(creep - most)).sum(1)
     state.strengths_seen = np.full(len(SHARES), -SURPRISE)
     state.strengths_seen[seen.which] = np.log(each / each.sum() + np.exp(-SURPRISE))
     now = turned * known.goes_on / each.sum()

@@ -16,6 +16,7 @@ from imumon.blocks import FloatArray
 from imumon.compiled import inner, njit
 from imumon.estimation.rest.state import (
     AXES,
+    CAPACITY,
     DITHER,
     LEVELS,
     ROUNDED,
@@ -67,23 +68,35 @@ class Motion(NamedTuple):
     degc: float = np.nan
 
 
-def seen(state: State, slots: Sequence[Slot], k: int, drift: FloatArray) -> Motion | None:
-    """Take a slot, learn the noise from it if there is no motion in it, and return the motion that it shows.
+def seen(
+    state: State, slots: Sequence[Slot], first: int, stop: int, drift: FloatArray
+) -> tuple[int, Motion | None]:
+    """Take slots until one shows motion, and learn the noise from those before it.
 
     Parameters
     ----------
-    k : int
-        Which of the slots.
+    first, stop : int
+        Which of the slots: the first, and the one that is taken no more.
     drift : array, (6,)
         Permitted, rad/s² and m/s³.
+
+    Returns
+    -------
+    int
+        How many were taken.
+    Motion or None
+        What the last of them shows.
     """
     state.make_room()
-    level, sudden = _take(state.windows, state.length, state.quiet_from, slots, k, drift, state.at_rest)
-    state.length += 1
+    stop = min(stop, first + CAPACITY - state.length)
+    taken, level, sudden = _take(
+        state.windows, state.length, state.quiet_from, slots, first, stop, drift, state.at_rest
+    )
+    state.length += taken
     if level < 0 and not sudden:
-        return None
+        return taken, None
     level = max(level, 0)
-    return Motion(level, state.span_s(2**level), sudden, (2 << level, 3 << level))
+    return taken, Motion(level, state.span_s(2**level), sudden, (2 << level, 3 << level))
 
 
 # What follows is compiled, for it runs with each slot.
@@ -91,10 +104,28 @@ def seen(state: State, slots: Sequence[Slot], k: int, drift: FloatArray) -> Moti
 
 @njit
 def _take(
-    windows: Windows, n: int, quiet_from: int, slots: Sequence[Slot], k: int, drift: FloatArray, at_rest: bool
+    windows: Windows,
+    n: int,
+    quiet_from: int,
+    slots: Sequence[Slot],
+    first: int,
+    stop: int,
+    drift: FloatArray,
+    at_rest: bool,
+) -> tuple[int, int, bool]:
+    """Return how many slots were taken, and what the last shows, as `_shown` does."""
+    for k in range(first, stop):
+        level, sudden = _shown(windows, n + k - first, quiet_from, slots[k], drift, at_rest)
+        if level >= 0 or sudden:
+            return k - first + 1, level, sudden
+    return stop - first, -1, False
+
+
+@inner
+def _shown(
+    windows: Windows, n: int, quiet_from: int, slot: Slot, drift: FloatArray, at_rest: bool
 ) -> tuple[int, bool]:
     """Return the level of the shortest windows that show motion, -1 for none, and whether it is sudden."""
-    slot = slots[k]
     _add(windows, n, slot)
     spike, present = False, False
     for j in range(AXES):
@@ -253,5 +284,5 @@ def set_band(windows: Windows, drift: FloatArray) -> None:
 def compile_kernels() -> None:
     """Compile what runs with each slot, or load it."""
     state = State()
-    seen(state, empty_slots(1), 0, np.zeros(AXES))
+    seen(state, empty_slots(1), 0, 1, np.zeros(AXES))
     set_band(state.windows, np.zeros(AXES))

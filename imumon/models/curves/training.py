@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import leastsq
@@ -62,19 +63,18 @@ class Scaling:
 
     def curve(self, weights: FloatArray) -> NetworkCurve:
         """Return the curve of a network's weights, (p,)."""
-        n = neurons_of(len(weights))
-        parts = np.split(weights, np.cumsum([n, n, n * n, n, n]))
+        layers = Layers.of(weights)
         return NetworkCurve(
             center_degc=self.center,
             half_width_degc=self.half_width,
             offset=self.offset,
             scale=self.scale,
-            first_weights=parts[0].tolist(),
-            first_biases=parts[1].tolist(),
-            second_weights=parts[2].reshape(n, n).tolist(),
-            second_biases=parts[3].tolist(),
-            output_weights=parts[4].tolist(),
-            output_bias=float(parts[5][0]),
+            first_weights=layers.w1.tolist(),
+            first_biases=layers.b1.tolist(),
+            second_weights=layers.w2.tolist(),
+            second_biases=layers.b2.tolist(),
+            output_weights=layers.w3.tolist(),
+            output_bias=float(layers.b3),
         )
 
 
@@ -97,24 +97,62 @@ def starts(neurons: int, count: int, random: np.random.Generator) -> FloatArray:
     return np.concatenate([slope, bend, others], axis=1)
 
 
-def response(weights: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the output of a network at u, (m,), and its derivative by the weights, (m, p)."""
-    n = neurons_of(len(weights))
-    w1, b1, w2, b2, w3, b3 = np.split(weights, np.cumsum([n, n, n * n, n, n]))
-    w2 = w2.reshape(n, n)
-    first = np.tanh(u[:, np.newaxis] * w1 + b1)
-    second = np.tanh(first @ w2.T + b2)
-    by_b2 = (1.0 - second**2) * w3
-    by_w2 = by_b2[:, :, np.newaxis] * first[:, np.newaxis]
-    by_b1 = (by_b2 @ w2) * (1.0 - first**2)
-    by_w1 = by_b1 * u[:, np.newaxis]
-    parts = [by_w1, by_b1, by_w2.reshape(len(u), -1), by_b2, second, np.ones((len(u), 1))]
-    return second @ w3 + b3, np.hstack(parts)
+class Layers(NamedTuple):
+    """Weights of a 1-n-n-1 network, layer by layer: views of one row, (p,)."""
+
+    w1: FloatArray
+    b1: FloatArray
+    w2: FloatArray
+    b2: FloatArray
+    w3: FloatArray
+    b3: np.float64
+
+    @classmethod
+    def of(cls, weights: FloatArray) -> Layers:
+        """Divide a row of weights."""
+        n = neurons_of(len(weights))
+        second, third = 2 * n, 2 * n + n * n
+        return cls(
+            weights[:n],
+            weights[n:second],
+            weights[second:third].reshape(n, n),
+            weights[third : third + n],
+            weights[third + n : -1],
+            weights[-1],
+        )
+
+    def hidden(self, u: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return what both hidden layers give at u, (m,), each (m, n)."""
+        first = np.tanh(u[:, np.newaxis] * self.w1 + self.b1)
+        return first, np.tanh(first @ self.w2.T + self.b2)
+
+
+def response(weights: FloatArray, u: FloatArray) -> FloatArray:
+    """Return the output of a network at u, (m,)."""
+    layers = Layers.of(weights)
+    return np.asarray(layers.hidden(u)[1] @ layers.w3 + layers.b3)
+
+
+def sensitivity(weights: FloatArray, u: FloatArray) -> FloatArray:
+    """Return the derivative of a network's output at u, (m,), by its weights, (m, p)."""
+    layers = Layers.of(weights)
+    first, second = layers.hidden(u)
+    by = np.empty((len(u), len(weights)))
+    n = len(layers.w1)
+    by_w1, by_b1 = by[:, :n], by[:, n : 2 * n]
+    by_w2, by_b2 = by[:, 2 * n : -2 * n - 1], by[:, -2 * n - 1 : -n - 1]
+    by_b2[:] = (1.0 - second**2) * layers.w3
+    by_w2[:] = (by_b2[:, :, np.newaxis] * first[:, np.newaxis]).reshape(len(u), -1)
+    by_b1[:] = (by_b2 @ layers.w2) * (1.0 - first**2)
+    by_w1[:] = by_b1 * u[:, np.newaxis]
+    by[:, -n - 1 : -1] = second
+    by[:, -1] = 1.0
+    return by
 
 
 def mean_square(weights: FloatArray, data: Scaled) -> float:
     """Return the weighted mean squared error of a network."""
-    return float(np.mean(data.w * (data.y - response(weights, data.u)[0]) ** 2))
+    return float(np.mean(data.w * (data.y - response(weights, data.u)) ** 2))
 
 
 def train(
@@ -131,17 +169,17 @@ def train(
     """
     root = np.sqrt(data.w / len(data.u))
     shrink = np.sqrt(decay)
+    shrinking = shrink * np.eye(len(start))
     best, least = start, np.inf
 
     def residual(weights: FloatArray) -> FloatArray:
-        return np.concatenate([root * (response(weights, data.u)[0] - data.y), shrink * weights])
+        return np.concatenate([root * (response(weights, data.u) - data.y), shrink * weights])
 
     def derivative(weights: FloatArray) -> FloatArray:  # is asked for after each step that was accepted
         nonlocal best, least
         if validation is not None and (error := mean_square(weights, validation)) < least:
             best, least = weights.copy(), error
-        own = root[:, np.newaxis] * response(weights, data.u)[1]
-        return np.vstack([own, shrink * np.eye(len(weights))])
+        return np.concatenate([root[:, np.newaxis] * sensitivity(weights, data.u), shrinking])
 
     same = np.ones(len(start))
     found = leastsq(

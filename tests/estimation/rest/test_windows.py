@@ -53,7 +53,7 @@ def test_the_means_of_any_window_are_those_of_its_samples_though_the_history_is_
     taken = slots(means)
     taken["samples"] = counts
     for k in range(len(taken)):
-        seen(state, taken, k, DRIFT)
+        seen(state, taken, k, k + 1, DRIFT)
     n = state.length
     for length in (1, 7, 128):
         got = state.means(np.array([n - length, n - 2 * length]))[0]
@@ -69,7 +69,7 @@ def test_variances_of_windows_of_all_lengths_are_learnt_from_white_noise() -> No
     state.windows.gain[:] = 0.2
     taken = slots(SD * rng.standard_normal((20_000, 6)))
     for k in range(len(taken)):
-        seen(state, taken, k, DRIFT)
+        seen(state, taken, k, k + 1, DRIFT)
     ratio = (state.windows.variance / SD**2).mean(1) * 2.0 ** np.arange(LEVELS)
     assert ratio[:5] == pytest.approx(1.0, abs=0.35)
 
@@ -83,7 +83,7 @@ def test_a_step_shows_in_the_windows_that_are_long_enough_and_in_no_others() -> 
     found = []
     taken = slots(means)
     for k in range(len(taken)):
-        found.append(seen(state, taken, k, np.zeros(6)))
+        found.append(seen(state, taken, k, k + 1, np.zeros(6))[1])
         state.windows.low[:], state.windows.high[:] = -np.inf, np.inf
         state.windows.variance[:] = SD**2 / 2.0 ** np.arange(LEVELS)[:, np.newaxis]
     first = next(k for k, motion in enumerate(found) if motion)
@@ -115,7 +115,7 @@ def test_a_trial_finds_the_noise_and_lets_a_permitted_drift_pass(slope: float) -
         state.windows.step[:] = 0.0
         taken = slots(SD * rng.standard_normal((32, 6)) + slope * np.outer(np.arange(32) / 8, DRIFT))
         for k in range(len(taken)):
-            seen(state, taken, k, DRIFT)
+            seen(state, taken, k, k + 1, DRIFT)
         noise = look(state, DRIFT)
         if noise is not None:
             of_1.append(noise.of_1 / SD**2)

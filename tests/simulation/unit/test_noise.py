@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import allantools
 import numpy as np
 import pytest
 
@@ -9,6 +8,8 @@ from imumon.simulation.unit.noise import GaussMarkov, RandomWalk, White, generat
 
 
 def allan(values: FloatArray, rate_hz: float, tau_s: float) -> float:
+    import allantools  # takes a second, which not every process of the tests needs
+
     deviation = allantools.oadev(values, rate=rate_hz, data_type="freq", taus=[tau_s])[1]
     return float(deviation[0])
 

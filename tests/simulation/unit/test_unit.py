@@ -4,7 +4,6 @@ from fractions import Fraction
 from itertools import pairwise
 from typing import Any, Literal
 
-import allantools
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -138,6 +137,8 @@ def test_a_slow_rotation_shows_in_the_accelerometers() -> None:
 
 def oadev(rate: FloatArray, hz: float, tau_s: float) -> float:
     """Allan deviation in deg/h."""
+    import allantools  # takes a second, which not every process of the tests needs
+
     return float(allantools.oadev(np.degrees(rate) * 3600, rate=hz, data_type="freq", taus=[tau_s])[1][0])
 
 
