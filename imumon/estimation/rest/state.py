@@ -100,9 +100,6 @@ class Windows(NamedTuple):
         Variance of the mean of a window at rest, and the share of the next window in it.
     step : array, (6,)
         Least difference of two readings that was seen.
-    least : array, (6,)
-        Least variance of a sample that a rest has had: near the edge of a step it is larger, though the noise
-        is not.
     resolution : array, (6,)
         What is left of the step after this noise; 0 until the noise is known.
     last : array, (6,)
@@ -127,7 +124,6 @@ class Windows(NamedTuple):
     variance: FloatArray
     gain: FloatArray
     step: FloatArray
-    least: FloatArray
     resolution: FloatArray
     last: FloatArray
     rest_mean: FloatArray
@@ -151,7 +147,6 @@ def new_windows() -> Windows:
         variance=np.zeros((LEVELS, AXES)),
         gain=np.zeros((LEVELS, AXES)),
         step=np.repeat(COARSEST_STEPS, 3),
-        least=np.full(AXES, np.inf),
         resolution=np.zeros(AXES),
         last=np.full(AXES, np.nan),
         rest_mean=np.zeros(AXES),

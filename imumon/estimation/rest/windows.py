@@ -37,7 +37,7 @@ COLOUR = 5.0
 """Variance of the means of longer windows may be so many times that of white noise: a hand is slower."""
 LEAST_GAIN, MOST_SURPRISE = 1.0 / 64.0, 4.0
 TINY = 1e-24
-SAMPLE_MEMORY = 1.0 / 256.0
+SAMPLE_MEMORY = 1.0 / 64.0
 SPIKE_SIGMAS = 7.0
 MEMORY_SLOTS = 32
 """Slots of the mean at rest."""
@@ -257,15 +257,13 @@ def _keep(windows: Windows, quiet: int, slot: Slot, drift: FloatArray) -> None:
             windows.rest_mean[j] += share * (slot.average[j] - windows.rest_mean[j])
             within = slot.within[j] if np.isfinite(slot.within[j]) else windows.variance[0, j]
             windows.sample_variance[j] += SAMPLE_MEMORY * (min(within, MOST_SURPRISE * known + TINY) - known)
-            if SAMPLE_MEMORY * quiet > 1.0:
-                windows.least[j] = min(windows.least[j], windows.sample_variance[j])
         _set_band(windows, j, drift[j])
 
 
 @inner
 def _set_band(windows: Windows, j: int, drift: float) -> None:
     step = windows.step[j]
-    noise = min(windows.sample_variance[j], windows.least[j]) / (step * step + TINY)
+    noise = windows.sample_variance[j] / (step * step + TINY)
     windows.resolution[j] = step * np.exp(-DITHER * max(noise - ROUNDED, 0.0))
     sd = np.sqrt(windows.sample_variance[j] + windows.variance[0, j])
     width = SPIKE_SIGMAS * sd + 1.5 * windows.resolution[j] + drift * MEMORY_SLOTS * SLOT_S

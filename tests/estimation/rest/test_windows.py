@@ -150,14 +150,3 @@ def test_what_the_steps_of_a_gyro_hide_is_the_hypothesis(sd_steps: float, hidden
     assert np.abs(said[6000:]).max() <= (hidden_steps + 0.02) * step
     if hidden_steps == 0.5:
         assert np.abs(said[6000:]).min() > 0.25 * step
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_a_bias_that_wanders_from_one_step_of_a_coarse_gyro_to_the_next_is_rest(seed: int) -> None:
-    """At the edge readings vary as if there were noise: they have none, and the mean jumps by the step."""
-    step, rng = 1e-3, np.random.default_rng(seed)
-    t, gyro, accel = noise(600.0, 50.0, 0.02 * step, seed=seed)
-    wander = np.cumsum(rng.standard_normal(gyro.shape), 0)
-    gyro += 0.3 * step * wander / wander.std(0)
-    gyro = np.round(gyro / step) * step
-    assert detect(block(t, gyro, accel))[500:].all()
