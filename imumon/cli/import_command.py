@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from imumon.cli.common import PATH, json_option, print_json, print_rows, say
+from imumon.cli.common import PATH, json_option, print_json, print_rows, say, serial_option
 from imumon.errors import ImumonError, Reason
 
 
@@ -17,12 +17,16 @@ from imumon.errors import ImumonError, Reason
 @click.option("--map", "map_path", type=PATH, help="YAML file: what is in which column of a table.")
 @click.option("--sensor", help="Of a log: which inertial sensor or topic.  Default: the first.")
 @click.option("--out", required=True, type=PATH, help="Session folder to make.")
+@serial_option
 @json_option
-def command(table: Path, map_path: Path | None, sensor: str | None, out: Path, as_json: bool) -> None:
+def command(
+    table: Path, map_path: Path | None, sensor: str | None, out: Path, serial: str | None, as_json: bool
+) -> None:
     """Make a session of TABLE: CSV or Parquet of any origin with a map, or a log of ArduPilot, PX4 or ROS.
 
     docs/import-map.md explains both.
     """
+    from imumon.recordings.folder import name_unit
     from imumon.recordings.importing import import_table
 
     chosen: dict[str, Any] = {}
@@ -35,6 +39,7 @@ def command(table: Path, map_path: Path | None, sensor: str | None, out: Path, a
 
         found = import_log(table, sensor, out)
         report, chosen = found.rows, {"sensor": found.sensor, "other_sensors": found.others}
+    name_unit(out, serial)
     if report.rows_dropped:
         say("WARN", f"{report.rows_dropped} of {report.rows_in} rows were dropped, {_why(map_path)}")
     if as_json:

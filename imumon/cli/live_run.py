@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 from imumon.cli.common import note, say
 from imumon.errors import ImumonError, Reason
+from imumon.heap import prepare_heap
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -48,6 +49,11 @@ class Ending:
         """Let the time begin."""
         self._deadline = math.inf if self._seconds is None else time.monotonic() + self._seconds
 
+    @property
+    def is_asked(self) -> bool:
+        """Whether a signal has asked for the end."""
+        return self._signal.is_set()
+
     def wait(self) -> bool:
         """Let a moment pass; return whether the command goes on."""
         left = self._deadline - time.monotonic()
@@ -81,6 +87,8 @@ class PortRun:
         Session folder; a new one in ./sessions when None.
     seconds : float or None
         How long to record.
+    serial : str or None
+        Serial number of the unit.
     """
 
     def __init__(
@@ -91,27 +99,32 @@ class PortRun:
         setup: Setup,
         out: Path | None,
         seconds: float | None,
+        serial: str | None = None,
     ) -> None:
         from imumon.protocols.device import device_text, parse_device
+        from imumon.run.live import LiveRun  # here, as Ctrl-C while it loads shall leave no session behind
 
+        prepare_heap()
         text, source = device_text(device)
-        self.port = port
+        self.port, self._serial = port, serial
         self._device, self._setup = parse_device(text, source), setup
         self._settings = self._device.port_settings(port, baud)
         self.lines, self.ending = Lines(), Ending(seconds)
-        self.run = self._new_run(text, out)
+        self.run = self._new_run(LiveRun, text, out)
         self.run.open()
         self.ending.begin()
 
-    def _new_run(self, device_yaml: str, out: Path | None) -> LiveRun:
+    def _new_run(self, make: type[LiveRun], device_yaml: str, out: Path | None) -> LiveRun:
         """Make the session; a default name that another monitor takes at the same moment is no obstacle."""
         from imumon.recordings.folder import default_path
-        from imumon.run.live import LiveRun
 
         while True:
             folder = out or default_path(self._device.name, time.time_ns())
             try:
-                return LiveRun(self._device, device_yaml, self._settings, self._setup, folder, self.lines.put)
+                return make(
+                    self._device, device_yaml, self._settings, self._setup, folder, self.lines.put,
+                    serial=self._serial,
+                )  # fmt: skip
             except ImumonError as error:
                 if out is not None or error.reason is not Reason.EXISTS:
                     raise
@@ -120,7 +133,8 @@ class PortRun:
         """Begin to decode, once all is compiled."""
         from imumon.run.live import warm_up
 
-        warm_up(self._device, self._setup)
+        if not self.ending.is_asked:
+            warm_up(self._device, self._setup)
         gc.freeze()  # a search through all that was loaded takes 0.1 s, in which nothing else runs
         self.run.begin(publish)
 

@@ -23,6 +23,7 @@ from imumon.cli.common import (
     note,
     print_json,
     print_rows,
+    serial_option,
     warn_of_no_display,
     warn_of_readers,
     window_option,
@@ -53,6 +54,7 @@ View = Literal["native", "web", "terminal", "none"]
     help="Default: native with a display, else web; terminal shows numbers where the command runs.",
 )
 @click.option("--out", type=PATH, help="Session folder; default: a new one in ./sessions.")
+@serial_option
 @click.option("--seconds", type=SECONDS, help="Stop after this time.")
 @click.option(
     "--learn",
@@ -70,6 +72,7 @@ def command(
     baud: int | None,
     view: View | None,
     out: Path | None,
+    serial: str | None,
     seconds: float | None,
     window: float,
     bind: str,
@@ -94,7 +97,7 @@ def command(
     warn_of_no_display(view)
     warn_of_readers(view, bind)
     setup = _learning(make_setup(options), learn)
-    live = PortRun(port, device, baud, setup, out, seconds)
+    live = PortRun(port, device, baud, setup, out, seconds, serial)
     run = live.run
     views: _Views | None = None
     try:

@@ -19,6 +19,7 @@ from imumon.cli.common import (
     print_json,
     print_rows,
     seed_option,
+    serial_option,
 )
 
 if TYPE_CHECKING:
@@ -34,6 +35,7 @@ TABLES = (".parquet", ".csv")
 @click.option(
     "--out", required=True, type=PATH, help="Session folder to make; or a table: NAME.parquet or NAME.csv."
 )
+@serial_option
 @seed_option
 @click.option("--duration", type=SECONDS, help="Seconds to simulate; default: those of the scenario.")
 @click.option(
@@ -44,6 +46,7 @@ def command(
     scenario: str,
     device: str | None,
     out: Path,
+    serial: str | None,
     seed: int,
     duration: float | None,
     rate: float | None,
@@ -54,6 +57,7 @@ def command(
     A session holds the packets of the device and truth.parquet, which has one row a packet; a table has the
     truth in columns that begin with true_.
     """
+    from imumon.recordings.folder import name_unit
     from imumon.simulation.unit import load_scenario
 
     given = {"duration_s": duration, "rate_hz": rate}
@@ -62,6 +66,7 @@ def command(
         result = _table(plan, device, seed, out)
     else:
         result = _session(plan, device or DEFAULT_DEVICE, seed, out)
+        name_unit(out, serial)
     if as_json:
         print_json({"scenario": scenario, "seed": seed, "samples": plan.samples, **result})
     print_rows(

@@ -142,6 +142,13 @@ def open_session(path: Path) -> Session:
     return session
 
 
+def name_unit(path: Path, serial: str | None) -> None:
+    """Say which unit a session is of; None leaves it as it is.  Raises OSError when it cannot be written."""
+    if serial is not None:
+        session = open_session(path)
+        session.save(session.metadata.model_copy(update={"serial": serial}))
+
+
 def sessions_in(folder: Path) -> list[Session]:
     """Return the sessions whose folders are in this one, the oldest first; what cannot be read is no
     session."""

@@ -134,6 +134,8 @@ class LiveRun:
         Where log lines go; called from several threads.
     stages : sequence of Estimator
         More stages, behind the others.
+    serial : str or None
+        Serial number of the unit, kept with the session.
 
     Raises
     ------
@@ -150,6 +152,7 @@ class LiveRun:
         folder: Path,
         say: Say,
         stages: Sequence[Estimator] = (),
+        serial: str | None = None,
     ) -> None:
         self._device = device
         self.pipeline = Pipeline(device, [*estimators(device, setup), *stages])
@@ -161,7 +164,7 @@ class LiveRun:
         self._digest, self._outages = Digest(), Outages()
         self._clock = Clock()
         self._began_ns = self._clock.now_ns()
-        self.session = create_session(folder, self._metadata(device, device_yaml, setup))
+        self.session = create_session(folder, self._metadata(device, device_yaml, setup, serial))
         self._log = SessionLog(self.session.path / LOG_NAME, say)
         self._say = self._log.put
         self._writer = self._wire_writer()
@@ -268,12 +271,15 @@ class LiveRun:
             f"the recording is whole; please report the defect with it: {self.session.path}",
         )
 
-    def _metadata(self, device: DeviceFile, device_yaml: str, setup: Setup) -> SessionMetadata:
+    def _metadata(
+        self, device: DeviceFile, device_yaml: str, setup: Setup, serial: str | None
+    ) -> SessionMetadata:
         line = asdict(self._settings)
         return SessionMetadata.begun(
             "live",
             self._began_ns,
             device=device.name,
+            serial=serial,
             axes=device.axes,
             device_yaml=device_yaml,
             pipeline_yaml=setup.text(),

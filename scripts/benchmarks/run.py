@@ -31,6 +31,7 @@ SECTIONS = {
     "zupt": "benchmarks.zupt",
     "random_error": "benchmarks.random_error",
     "allan": "benchmarks.allan",
+    "batch": "benchmarks.batch",
     "alignment": "benchmarks.alignment",
 }
 

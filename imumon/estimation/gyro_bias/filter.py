@@ -98,7 +98,10 @@ class Slot:
     Parameters
     ----------
     start_s, end_s : float
-        From the end of the slot before, or the first sample at rest, to the last sample.
+        From the end of the slot before, or the first sample at rest, to the last sample; of a gap, to the
+        first sample behind it.
+    holds_s : float
+        How long it takes until the next one ends.
     follows : bool
         Whether the unit was at rest, without a gap, at the end of the slot before and since then.
     rest : bool
@@ -111,23 +114,27 @@ class Slot:
         Temperature of each gyro; NaN without any.
     growth : array (3,)
         What an uncertain temperature has added to the variance of the bias since the start, (rad/s)².
+    lag_degc : array (3,)
+        By how much the gyros' temperatures may have fallen behind meanwhile, unseen (sd), °C.
     undecided : array (3,)
         A turn, rad/s, of which nobody knows whether it is a change of the bias, or, at rest, nobody knew
         until then; else 0.
     turn : Turn
         Since the slot before, by rates less the thermal model's part.
     gap : bool
-        Whether readings were missing for a while.
+        Whether readings were missing for a while.  A slot that is nothing but a gap has no rate (NaN).
     """
 
     start_s: float
     end_s: float
+    holds_s: float
     follows: bool
     rest: bool
     rate: FloatArray
     force: FloatArray | None
     degc: FloatArray
     growth: FloatArray
+    lag_degc: FloatArray
     undecided: FloatArray
     turn: Turn
     gap: bool
@@ -391,6 +398,9 @@ def _coast(state: State, params: Params, noise: Noise, slot: Slot) -> None:
     warming = _changes(state.at_degc, slot.degc, 0.0) if params.learns else _zero()
     difference = np.abs(_changes(state.noted_degc, slot.degc, MOVED_DEGC)) if params.learns else _zero()
     dt, growth = slot.end_s - state.used_s, slot.growth - state.growth
+    if slot.lag_degc.any():
+        slope2 = state.law["terms"][0, :, 1] ** 2 + state.law["covariance"][0, :, 1, 1]
+        growth = growth + np.nan_to_num(slope2) * slot.lag_degc**2
     filters.wander(state.bank, noise.rate, dt, warming, difference, growth)
     state.growth, state.used_s = slot.growth, slot.end_s
 
@@ -434,8 +444,8 @@ def _take(state: State, params: Params, bank: Bank, noise: Noise, reading: Readi
     innovation, surprise = filters.look(bank, at_rest)
     shown: FloatArray = np.where(state.chosen, innovation[-1], innovation[0])
     # Just after a contradiction the rotation is not known, and a rotation explains any rate for a while.
-    contrary = state.contrary.readings and filters.disagreement(bank, at_rest)[0].max() > GATE
-    if contrary or surprise[0].max() > GATE:
+    contrary = state.contrary.readings and filters.disagreement(bank, at_rest).min(0).max() > GATE
+    if contrary or surprise.min(0).max() > GATE:
         _refuse(state, params, bank, reading)
         return shown
     state.contrary = Contrary()
@@ -469,7 +479,7 @@ def _show(state: State, params: Params, noise: Noise, slot: Slot) -> None:
     """
     assert state.bank is not None
     # It holds until the next slot ends; at rest the one that waits comes on top.
-    ahead_s = slot.dt * (2.0 if state.at_rest else 1.0)
+    ahead_s = slot.holds_s * (2.0 if state.at_rest else 1.0)
     mean, covariance = filters.law(state.bank, params.family, noise.rate, ahead_s)
     terms, known = mean[0], covariance[0]
     if params.learns:

@@ -9,8 +9,9 @@ import numpy as np
 
 from imumon.blocks import NO_INT, BoolArray, FloatArray, IntArray
 from imumon.estimation.gyro_bias.filter import Slot
-from imumon.estimation.gyro_bias.thermal_input import ThermalVariance
+from imumon.estimation.gyro_bias.thermal_input import ThermalVariance, unseen_lag
 from imumon.filters.slots import SlotGatherer, Slots
+from imumon.filters.turns import STILL
 
 SLOT_S = 0.5
 GAP_S = 0.25
@@ -35,6 +36,8 @@ class Samples:
         m/s²; NaN where there is none.
     degc, initial_sd : array (n, 3)
         Temperature, and standard deviation of the thermal model for want of knowledge of its state, rad/s.
+    rate_sd : array (n, 3)
+        Standard deviation of the rate of temperature, °C/s; NaN where there is none.
     turn : array (n, 3)
         A turn that may be a change of the bias, rad/s; 0 where there is none.
     rest : array of bool (n,)
@@ -46,6 +49,7 @@ class Samples:
     accel: FloatArray
     degc: FloatArray
     initial_sd: FloatArray
+    rate_sd: FloatArray
     turn: FloatArray
     rest: BoolArray
 
@@ -60,6 +64,11 @@ class _Before:
     interval_s: float = 0.0
     rest: bool = False
     turn: FloatArray = field(default_factory=lambda: np.zeros(3))
+
+    @property
+    def longest_s(self) -> float:
+        """A longer pause between samples is a gap."""
+        return max(GAP_S, 3.0 * self.interval_s)
 
 
 def complete(vectors: FloatArray) -> BoolArray:
@@ -92,7 +101,38 @@ class Intake:
         values[:, TURN], values[:, REST] = samples.turn, samples.rest
         slots = self._gatherer.process(time_ns, samples.segment, values)
         for k in range(len(slots)):
-            yield int(slots.row[k]), bool(slots.begins[k]), self._slot(slots, k)
+            row = int(slots.row[k])
+            yield row, bool(slots.begins[k]), self._slot(slots, k)
+            if int(samples.segment[row]) == int(slots.segment[k]):
+                gap = self._gap(samples, row)
+                if gap is not None:
+                    yield row, False, gap
+
+    def _gap(self, samples: Samples, row: int) -> Slot | None:
+        """Return the slot that nobody saw, if the sample behind a slot comes after a gap."""
+        before, degc = self._before, samples.degc[row]
+        behind = (int(samples.time_ns[row]) - before.origin_ns) * 1e-9
+        if before.interval_s == 0.0 or behind - before.end_s <= before.longest_s:
+            return None
+        end = behind - before.interval_s
+        start, before.end_s, before.rest = before.end_s, end, False
+        lag_degc = unseen_lag(end - start, samples.rate_sd[row])
+        self._thermal.miss(lag_degc)
+        return Slot(
+            start,
+            end,
+            max(SLOT_S, before.interval_s),
+            follows=False,
+            rest=False,
+            rate=np.full(3, np.nan),
+            force=None,
+            degc=degc,
+            growth=self._thermal.step(degc, samples.initial_sd[row]),
+            lag_degc=lag_degc,
+            undecided=before.turn,
+            turn=STILL,
+            gap=True,
+        )
 
     def _slot(self, slots: Slots, k: int) -> Slot | None:
         """Return what a slot says; None of a single sample before which nothing is known."""
@@ -104,8 +144,7 @@ class Intake:
         end = (int(slots.end_ns[k]) - before.origin_ns) * 1e-9
         inside = (end - start) / (samples - 1) if samples > 1 else 0.0
         pause = start - before.end_s
-        late = pause > max(GAP_S, 3.0 * before.interval_s)
-        gap = late or samples * before.interval_s < LEAST_COVERED * (end - before.end_s)
+        gap = pause > before.longest_s or samples * before.interval_s < LEAST_COVERED * (end - before.end_s)
         if slots.begins[k] or gap:
             interval = inside if samples > 1 or slots.begins[k] else before.interval_s
             start -= interval
@@ -140,12 +179,14 @@ class Intake:
         return Slot(
             start,
             end,
+            end - start,
             follows,
             rest,
             rate,
             force if forced else None,
             degc,
             growth,
+            np.zeros(3),
             undecided,
             slots.turns.at(k),
             gap,

@@ -34,9 +34,9 @@ class RestDetector:
 
     The columns ``turn_hypothesis_{x,y,z}`` are for who estimates the bias: by so much, rad/s, the gyros
     differ from the last rest while nothing tells a steady turn from a bias that has changed, or so much of
-    the beginning of a slow turn may have been taken for rest.  Its square belongs in the variance of the
-    bias as long as it is not zero (``at_rest`` is 0 meanwhile); the measurements of the next rest begin from
-    that variance.
+    the beginning of a slow turn may have been taken for rest, or the steps of the sensor hide.  Its square
+    belongs in the variance of the bias as long as it is not zero (``at_rest`` is 0 meanwhile); the
+    measurements of the next rest begin from that variance.
 
     Parameters
     ----------

@@ -1,0 +1,106 @@
+"""Where sessions of a batch are: in folders here, or at URLs that fsspec knows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from imumon.errors import ImumonError, Reason, missing_package
+from imumon.recordings.folder import METADATA_NAME, Session, is_session
+from imumon.recordings.metadata import read_metadata
+from imumon.recordings.source import TABLE_SUFFIXES
+
+
+def find(place: str) -> list[str]:
+    """Return the sessions at a place in order: itself, or all in the folders below; a table is one, too.
+
+    Raises
+    ------
+    ImumonError
+        BAD_DATA when there is none, or the place cannot be read; BAD_CONFIG when a package is missing.
+    """
+    found = _elsewhere(place) if is_url(place) else _here(Path(place))
+    if not found:
+        raise ImumonError(Reason.BAD_DATA, f"{place}: there is no session", "give sessions, or their folder")
+    return found
+
+
+def is_url(place: str) -> bool:
+    """Tell a URL from a path."""
+    return "://" in place
+
+
+@contextmanager
+def fetched(place: str, folder: Path | None = None) -> Iterator[Path]:
+    """Give the path of a session: where it is, or of a copy in a `folder` that is gone afterwards.
+
+    Copied are its metadata and what everything else follows from; a recording of the view stays where it is.
+
+    Raises
+    ------
+    ImumonError
+        BAD_DATA when it cannot be read.
+    """
+    if not is_url(place):
+        yield Path(place)
+        return
+    files, path = _opened(place)
+    with TemporaryDirectory(prefix="imumon-", dir=folder) as made:
+        copy = Path(made) / path.rstrip("/").rpartition("/")[2]
+        try:
+            if copy.suffix in TABLE_SUFFIXES:
+                files.get_file(path, str(copy))
+            else:
+                copy.mkdir()
+                files.get_file(f"{path}/{METADATA_NAME}", str(copy / METADATA_NAME))
+                truth = Session(copy, read_metadata(copy / METADATA_NAME)).truth_path
+                files.get_file(f"{path}/{truth.name}", str(truth))
+        except OSError as error:
+            raise ImumonError(Reason.BAD_DATA, f"{place}: cannot be read: {error}") from error
+        yield copy
+
+
+def _here(path: Path) -> list[str]:
+    if is_session(path) or path.suffix in TABLE_SUFFIXES:
+        return [str(path.absolute())]
+    return [str(each.parent.absolute()) for each in sorted(path.rglob(METADATA_NAME))]
+
+
+def _elsewhere(place: str) -> list[str]:
+    files, root = _opened(place)
+    address, mark, options = place.partition("?")
+    if address.endswith(TABLE_SUFFIXES):
+        return [place]
+    try:
+        names = [str(name) for name in files.find(root) if str(name).endswith(f"/{METADATA_NAME}")]
+    except OSError as error:
+        raise ImumonError(Reason.BAD_DATA, f"{place}: cannot be read: {error}") from error
+    below = [name.removesuffix(f"/{METADATA_NAME}")[len(root) :] for name in sorted(names)]
+    return [f"{address.rstrip('/')}{rest}{mark}{options}" for rest in below]
+
+
+def _opened(place: str) -> tuple[Any, str]:
+    """Return the file system of a URL, and the path in it.
+
+    S3 is read by Arrow, which is there anyway and takes the settings in the URL (``?region=...``) and those
+    in the environment; everything else by what fsspec has for it.
+    """
+    try:
+        from fsspec.core import url_to_fs
+        from fsspec.implementations.arrow import ArrowFSWrapper
+    except ImportError as error:
+        raise missing_package("a session at a URL", "fsspec", "batch") from error
+    from pyarrow import ArrowException
+    from pyarrow.fs import FileSystem
+
+    try:
+        if place.startswith("s3://"):
+            system, path = FileSystem.from_uri(place)
+            return ArrowFSWrapper(system), str(path)
+        files, path = url_to_fs(place)
+    except (ImportError, ValueError, OSError, ArrowException) as error:
+        raise ImumonError(Reason.BAD_CONFIG, f"{place}: cannot be opened: {error}") from error
+    return files, str(path)

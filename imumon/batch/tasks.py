@@ -1,0 +1,249 @@
+"""One session through one command: what a worker does, and what it sends back."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from imumon import __version__
+from imumon.batch.dataset import Row
+from imumon.batch.options import BatchOptions
+from imumon.batch.places import fetched
+from imumon.blocks import ColumnArray, SampleBlock
+from imumon.columns import KNOWN
+from imumon.errors import ImumonError, Reason
+from imumon.pipeline import Digest, Pipeline
+from imumon.recordings.folder import is_session, open_session
+from imumon.recordings.side_tables import export_run
+from imumon.recordings.source import open_source, run_over
+from imumon.run.setup import parse_setup, recorded_setup
+from imumon.run.stages import estimators
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """A session, what is to be done with it, and where files of it go.
+
+    Parameters
+    ----------
+    place : str
+        Path or URL of the session.
+    out : str
+        Folder of the batch, which every worker sees under the same path.
+    version : str
+        Of the imumon that asks.
+    """
+
+    place: str
+    options: BatchOptions
+    out: str
+    version: str = __version__
+
+    def file(self, folder: str, suffix: str) -> Path:
+        """Return where a file of this session goes; two sessions of one name have two."""
+        name = self.place.partition("?")[0].rstrip("/").rpartition("/")[2]
+        path = (
+            Path(self.out) / folder / f"{name}-{hashlib.sha256(self.place.encode()).hexdigest()[:8]}{suffix}"
+        )
+        path.parent.mkdir(exist_ok=True)
+        return path
+
+
+def work(job: Job) -> list[Row]:
+    """Do a job; return the rows of its session, or one that says why there are none.
+
+    Any other error is a defect, and goes to whoever asked.
+    """
+    what: dict[str, Any] = {"session": job.place}
+    try:
+        if job.version != __version__:
+            raise ImumonError(
+                Reason.BAD_CONFIG, f"the worker has imumon {__version__}, the batch is of {job.version}"
+            )
+        with fetched(job.place, _folder()) as path:
+            what |= _described(path)
+            rows: list[Row] = [{**what, **row} for row in _COMMANDS[job.options.command](path, job)]
+        if not rows:
+            raise ImumonError(
+                Reason.BAD_DATA, f"{job.place}: has no channel that {job.options.command} knows"
+            )
+    except ImumonError as error:
+        return [failure(job.place, error.reason.value, error.seen, what)]
+    return rows
+
+
+def failure(place: str, reason: str, error: str, what: Row | None = None) -> Row:
+    """Return the row of a session that failed."""
+    return {"session": place, **(what or {}), "reason": reason, "error": error}
+
+
+def _folder() -> Path | None:
+    """Return the folder that goes with the worker, also when it is killed; None without a worker."""
+    if "distributed" not in sys.modules:
+        return None
+    from distributed import get_worker
+
+    try:
+        return Path(get_worker().local_directory)
+    except ValueError:
+        return None
+
+
+def _described(path: Path) -> dict[str, Any]:
+    if not is_session(path):
+        return {}
+    metadata = open_session(path).metadata
+    return {"device": metadata.device, "serial": metadata.serial, "begun": metadata.created_ns}
+
+
+@dataclass(slots=True)
+class Moments:
+    """Number, mean and scatter of values that come in parts, by Chan, Golub and LeVeque (1983), eq. 1.5."""
+
+    count: int = 0
+    mean: float = 0.0
+    squares: float = 0.0
+    least: float = field(default=np.inf)
+    greatest: float = field(default=-np.inf)
+
+    def add(self, values: ColumnArray) -> None:
+        """Add values; those that are not finite are none."""
+        known = values[np.isfinite(values)]
+        if not (n := len(known)):
+            return
+        mean, total = float(known.mean()), self.count + n
+        apart = mean - self.mean
+        self.squares += float(((known - mean) ** 2).sum()) + apart**2 * self.count * n / total
+        self.mean += apart * n / total
+        self.count = total
+        self.least, self.greatest = min(self.least, known.min()), max(self.greatest, known.max())
+
+    @property
+    def sd(self) -> float | None:
+        """Standard deviation; None of fewer than two."""
+        return float(np.sqrt(self.squares / (self.count - 1))) if self.count > 1 else None
+
+
+def _decode(path: Path, job: Job) -> Iterator[Row]:
+    yield from _samples(path, job, Pipeline(open_source(path).device))
+
+
+def _replay(path: Path, job: Job) -> Iterator[Row]:
+    session = open_session(path)
+    text = job.options.pipeline_yaml
+    setup = recorded_setup(session) if text is None else parse_setup(text, "--pipeline")
+    digest = Digest()
+    pipeline = Pipeline(open_source(path).device, estimators(open_source(path).device, setup))
+    rows = [*_samples(path, job, pipeline, digest)]
+    live = session.metadata.results_digest if setup.text() == session.metadata.pipeline_yaml else None
+    identical = None if live is None else live == digest.hexdigest()
+    yield from ({**row, "identical_to_live": identical} for row in rows)
+
+
+def _samples(path: Path, job: Job, pipeline: Pipeline, digest: Digest | None = None) -> Iterator[Row]:
+    """Run a recording through a pipeline; yield what its channels were."""
+    source, seen = open_source(path), dict[str, Moments]()
+
+    def passing() -> Iterator[SampleBlock]:
+        for block in run_over(source.items, pipeline):
+            for name, values in block.columns.items():
+                if values.dtype == np.float64:
+                    seen.setdefault(name, Moments()).add(values)
+            if digest is not None:
+                digest.update(block, pipeline.side)
+            yield block
+
+    file: Path | None = None
+    if job.options.tables:
+        file = job.file("tables", ".parquet")
+        export_run(passing(), pipeline, source, file, None)
+    else:
+        for _ in passing():
+            pass
+    counters = pipeline.counters
+    lost = counters.packets_missing + counters.checksum_errors + counters.length_errors
+    units = {column.name: column.unit for column in source.columns(pipeline)}
+    for name, found in seen.items():
+        if found.count:
+            yield {
+                "channel": name, "unit": units.get(name), "samples": found.count, "mean": found.mean,
+                "sd": found.sd, "least": found.least, "greatest": found.greatest, "lost": lost,
+                "file": None if file is None else str(file),
+            }  # fmt: skip
+
+
+def _allan(path: Path, _: Job) -> Iterator[Row]:
+    from imumon.allan.analysis import analyse
+    from imumon.allan.output import TERMS_OF
+    from imumon.allan.recording import UNITS, group_of, rate_hz, read_channels
+    from imumon.estimation.rest.stage import RestDetector
+
+    for name, result in analyse(read_channels(path, lambda _: [RestDetector()]).series).items():
+        terms = {} if result.fit is None else result.fit.terms
+        known = {term: found for term in TERMS_OF[group_of(name)] if (found := terms.get(term)) is not None}
+        yield {
+            "channel": name, "unit": UNITS[group_of(name)],
+            **{term: estimate.value for term, estimate in known.items()},
+            **{f"{term}_sd": estimate.sd for term, estimate in known.items()},
+            "lowest": float(result.allan.values[result.lowest]),
+            "lowest_tau_s": float(result.tau_s[result.lowest]),
+            "longest_tau_s": result.longest_tau_s,
+            "rate_hz": rate_hz(result.series), "duration_s": result.series.duration_s,
+        }  # fmt: skip
+
+
+def _calibrate(path: Path, job: Job) -> Iterator[Row]:
+    from imumon.calibration.calibration import calibrate_sessions
+
+    options = job.options
+    serial = open_session(path).metadata.serial
+    found = calibrate_sessions([path], options.latitude_deg, options.heading_deg, serial)
+    file = job.file("models", ".yaml")
+    found.model.write(file)
+    for name, finding in found.findings.items():
+        low, high = found.model.channels[name].temperature_range_degc
+        choice = finding.choice
+        yield {
+            "channel": name, "unit": found.model.channels[name].unit, "curve": choice.name,
+            "residual_sd": choice.residual_sd, "held_out_rms": choice.held_out_rms[choice.name],
+            "fit_rms": choice.fit_rms, "lag_rms": finding.lag_rms, "rest_s": found.rest_s,
+            "lowest_degc": low, "highest_degc": high, "file": str(file),
+        }  # fmt: skip
+
+
+def _diagnose(path: Path, job: Job) -> Iterator[Row]:
+    from imumon.diagnosis.engine import diagnose
+    from imumon.diagnosis.recording import read_runs
+    from imumon.diagnosis.report import report
+    from imumon.estimation.rest.stage import RestDetector
+    from imumon.files import write_text
+
+    runs = read_runs(path, None, lambda _: [RestDetector()])
+    content = report(diagnose(runs, [], job.options.declared))
+    file = job.file("reports", ".json")
+    write_text(file, json.dumps(content, indent=2, ensure_ascii=False) + "\n")
+    for name, channel in content["channels"].items():
+        yield {
+            "channel": name, "unit": KNOWN[name].unit,
+            "effects": [effect["name"] for effect in channel["effects"]],
+            **{key: channel[key] for key in ("unexplained", "explained_share", "noise_floor_rms", "summary")},
+            **{f"{of}_rms_{when}": channel[when][f"{of}_rms"]
+               for of in ("train", "test") for when in ("before", "after")},
+            "file": str(file),
+        }  # fmt: skip
+
+
+_COMMANDS: dict[str, Callable[[Path, Job], Iterator[Row]]] = {
+    "decode": _decode,
+    "replay": _replay,
+    "allan": _allan,
+    "calibrate": _calibrate,
+    "diagnose": _diagnose,
+}

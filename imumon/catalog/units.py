@@ -1,0 +1,213 @@
+"""Sessions with what they show, and the units that they are of."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from imumon.batch.dataset import Dataset
+from imumon.batch.options import BatchOptions
+from imumon.batch.places import find
+from imumon.batch.tasks import Job, work
+from imumon.errors import ImumonError
+from imumon.models.model import BiasModel, load_model
+from imumon.recordings.folder import METADATA_NAME, Session, open_session
+from imumon.recordings.reduced import GYRO, TEMPERATURES
+from imumon.run.setup import recorded_setup
+
+SIGMAS = tuple(name.replace("gyro_", "gyro_bias_sd_") for name in GYRO)
+LARGEST_MODEL = 1 << 20
+"""Bytes: a larger YAML file is no model."""
+
+Tell = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Entry:
+    """A session of the catalog.
+
+    Parameters
+    ----------
+    session : Session
+    model : BiasModel or None
+        That it ran with.
+    channels : mapping of str to row
+        What a replay says of each channel: mean, sd, least, greatest.
+    failure : str
+        Why there are none; empty when there are.
+    """
+
+    session: Session
+    model: BiasModel | None
+    channels: Mapping[str, Mapping[str, Any]]
+    failure: str = ""
+
+    @property
+    def hours(self) -> float:
+        """Its length; NaN when it was not closed."""
+        metadata = self.session.metadata
+        return np.nan if metadata.ended_ns is None else (metadata.ended_ns - metadata.created_ns) / 3.6e12
+
+    @property
+    def temperatures(self) -> tuple[float, float]:
+        """The lowest and the highest reading of all thermometers, °C; NaN without one."""
+        there = [self.channels[name] for name in TEMPERATURES if name in self.channels]
+        low, high = (row["least"] for row in there), (row["greatest"] for row in there)
+        return min(low, default=np.nan), max(high, default=np.nan)
+
+    @property
+    def sigmas(self) -> tuple[float, float]:
+        """The smallest sigma of the gyro bias that was reached, of the best axis and of the worst, rad/s."""
+        reached = [self.channels[name]["least"] for name in SIGMAS if name in self.channels]
+        return min(reached, default=np.nan), max(reached, default=np.nan)
+
+    @property
+    def lost(self) -> int:
+        """Packets that are missing or damaged."""
+        return max((row["lost"] for row in self.channels.values()), default=0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Dated:
+    """A bias model, when its latest data is from (Unix time, ns), and where it was found."""
+
+    model: BiasModel
+    time_ns: int
+    found: str
+
+
+@dataclass(slots=True, eq=False)
+class Unit:
+    """A unit: its sessions, the oldest first, and its models, in the order of their data.
+
+    Parameters
+    ----------
+    name : str
+        Serial number; of sessions without one the device, in brackets.
+    """
+
+    name: str
+    device: str
+    entries: list[Entry] = field(default_factory=list)
+    models: list[Dated] = field(default_factory=list)
+
+    @property
+    def temperatures(self) -> tuple[float, float]:
+        """The lowest and the highest reading of all sessions, °C."""
+        return _range(entry.temperatures for entry in self.entries)
+
+    @property
+    def sigmas(self) -> tuple[float, float]:
+        """The best and the worst of `Entry.sigmas`, rad/s."""
+        return _range(entry.sigmas for entry in self.entries)
+
+    @property
+    def hours(self) -> float:
+        """Of all sessions that were closed."""
+        return float(np.nansum([entry.hours for entry in self.entries]))
+
+
+def read_sessions(folder: Path, results: Path, tell: Tell = lambda _: None) -> list[Entry]:
+    """Return the sessions below a folder, the oldest first; what `results` does not have of them is replayed.
+
+    Parameters
+    ----------
+    results : Path
+        Folder of ``imumon batch replay``, to which the new ones are added.
+
+    Raises
+    ------
+    ImumonError
+        BAD_DATA when there is no session; as `Dataset` for the results.
+    """
+    options = BatchOptions(command="replay")
+    places = find(str(folder))
+    known = Dataset(results.absolute(), options)
+    try:
+        done = known.done()
+        for place in places:
+            if place not in done:
+                tell(f"replaying {Path(place).name}")
+                known.add(work(Job(place, options, str(known.folder))))
+        known.write()
+        rows = known.rows(places)
+    finally:
+        known.close()
+    entries = [entry for place in places if (entry := _entry(Path(place), rows.get(place, []))) is not None]
+    return sorted(entries, key=lambda entry: entry.session.metadata.created_ns)
+
+
+def _entry(path: Path, rows: Sequence[Mapping[str, Any]]) -> Entry | None:
+    """Return a session; None for what is none, as its metadata cannot be read."""
+    try:
+        session = open_session(path)
+    except ImumonError:
+        return None
+    channels = {row["channel"]: row for row in rows if row["channel"]}
+    failure = next((row["error"] for row in rows if row["reason"]), "")
+    try:
+        model = recorded_setup(session).bias_model
+    except ImumonError as error:
+        return Entry(session, None, channels, failure or error.seen)
+    return Entry(session, model, channels, failure)
+
+
+def read_models(folder: Path) -> dict[str, BiasModel]:
+    """Return the model files below a folder, by their path."""
+    found = {}
+    for path in sorted(folder.rglob("*.yaml")):
+        if path.name == METADATA_NAME or path.stat().st_size > LARGEST_MODEL:
+            continue
+        if "imumon-bias-model/" in path.read_text(encoding="utf-8", errors="replace"):
+            try:
+                found[str(path)] = load_model(path)
+            except ImumonError:
+                continue  # another file that speaks of the format
+    return found
+
+
+def units_of(entries: Sequence[Entry], models: Mapping[str, BiasModel]) -> list[Unit]:
+    """Return the units, by name: a serial number is the session's own, or that of a model made of it."""
+    trained: dict[str, str] = {}
+    for model in [*models.values(), *(entry.model for entry in entries if entry.model is not None)]:
+        if model.serial is not None:
+            trained |= {run.session: model.serial for run in model.trained_on}
+    units: dict[tuple[str, str], Unit] = {}
+    begun: dict[str, int] = {}
+    for entry in entries:
+        metadata, name = entry.session.metadata, entry.session.path.name
+        of_model = None if entry.model is None else entry.model.serial
+        serial = metadata.serial or trained.get(name) or of_model
+        unit = _unit(units, serial, metadata.device)
+        unit.entries.append(entry)
+        begun[name] = metadata.created_ns
+        if entry.model is not None and entry.model.serial in (None, serial):
+            _add(unit, entry.model, str(entry.session.path), begun)
+    for path, model in models.items():
+        _add(_unit(units, model.serial, model.device or "unknown"), model, path, begun)
+    for unit in units.values():
+        unit.models.sort(key=lambda dated: dated.time_ns)
+    return sorted(units.values(), key=lambda unit: unit.name)
+
+
+def _unit(units: dict[tuple[str, str], Unit], serial: str | None, device: str) -> Unit:
+    name = serial or f"({device})"
+    return units.setdefault((name, device), Unit(name, device))
+
+
+def _add(unit: Unit, model: BiasModel, found: str, begun: Mapping[str, int]) -> None:
+    """Add a model, unless the unit has it already."""
+    if model.channels and all(dated.model != model for dated in unit.models):
+        created = int(np.datetime64(model.created.removesuffix("Z"), "ns").astype(np.int64))
+        data = [begun[run.session] for run in model.trained_on if run.session in begun]
+        unit.models.append(Dated(model, max(data, default=created), found))
+
+
+def _range(pairs: Iterable[tuple[float, float]]) -> tuple[float, float]:
+    """Return the least of the first and the greatest of the second; NaN where nobody knows."""
+    known = [pair for pair in pairs if np.isfinite(pair).all()]
+    return min((low for low, _ in known), default=np.nan), max((high for _, high in known), default=np.nan)

@@ -1,0 +1,133 @@
+"""A batch with workers of Dask, as a whole."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pyarrow.parquet as pq
+import pytest
+
+from imumon.batch.dataset import ROWS, Row
+from imumon.batch.options import BatchOptions
+from imumon.batch.running import run_jobs, workers
+from imumon.batch.tasks import Job, work
+from imumon.errors import ImumonError, Reason
+from tests.batch.sessions import tiny
+from tests.cli.command import answer, imumon
+
+DECODE = BatchOptions(command="decode")
+
+
+@pytest.fixture(scope="module")
+def sessions(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Twelve sessions of the same bytes, one that has no data, and one that is no session."""
+    folder = tmp_path_factory.mktemp("batch") / "sessions"
+    first = tiny(folder / "s00")
+    for number in range(1, 12):
+        shutil.copytree(first, folder / f"s{number:02}")
+    (folder / "s05" / "wire.mcap").unlink()
+    (folder / "s07" / "session.yaml").write_text("format: nothing of ours\n")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def client() -> Iterator[Any]:
+    with workers(None, 2) as made:
+        yield made
+
+
+def table(out: Path) -> list[Row]:
+    rows = pq.read_table(out / ROWS).to_pylist()
+    return sorted(rows, key=lambda row: (row["session"], row["channel"] or ""))
+
+
+def test_command_resumes_and_lists_failures(sessions: Path, tmp_path: Path, client: Any) -> None:
+    out, scheduler = tmp_path / "out", client.scheduler.address
+    options = ("--out", out, "--scheduler", scheduler)
+    first = answer("batch", "decode", sessions / "s00", sessions / "s05", *options)
+    assert (first["sessions"], first["done_before"]) == (2, 0)
+    assert list(first["failed"]) == [str(sessions / "s05")]
+    before = table(out)
+    done = imumon("batch", "decode", sessions, *options)
+    assert done.returncode == 0
+    assert "12, 2 of them done before" in done.stderr
+    assert "2 bad data" in done.stderr
+    found = table(out)
+    assert [row for row in found if row in before] == before
+    assert len({(row["session"], row["channel"]) for row in found}) == len(found)
+    assert {row["session"] for row in found} == {str(sessions / f"s{n:02}") for n in range(12)}
+    shutil.copy(sessions / "s00" / "wire.mcap", sessions / "s05")
+    again = answer("batch", "decode", sessions, *options, "--retry")
+    assert list(again["failed"]) == [str(sessions / "s07")]
+    assert len(table(out)) == len(found) - 1 + len(first_channels(found))
+
+
+def first_channels(rows: list[Row]) -> list[Row]:
+    return [row for row in rows if row["session"].endswith("s00")]
+
+
+def test_nothing_is_lost_or_doubled_when_a_worker_is_killed(sessions: Path, tmp_path: Path) -> None:
+    jobs = [Job(str(sessions / "s00"), DECODE, str(tmp_path), version=f"{n}") for n in range(40)]
+    taken: list[Row] = []
+    with workers(None, 2) as client:
+        processes = [*client.run(os.getpid).values()]
+
+        def take(rows: Any) -> None:
+            taken.extend(rows)
+            if len(taken) == 10:
+                os.kill(processes[0], signal.SIGKILL)
+
+        run_jobs(client, jobs, take)
+        assert set(client.run(os.getpid).values()) != set(processes)
+    assert sorted(row["error"].rpartition(" ")[2] for row in taken) == sorted(str(n) for n in range(40))
+
+
+def test_a_session_that_kills_its_workers_is_a_failure(tmp_path: Path, client: Any) -> None:
+    deadly = Job(str(tmp_path), DECODE, str(tmp_path))
+    good = Job(str(tiny(tmp_path / "good")), DECODE, str(tmp_path))
+    taken: list[Row] = []
+    run_jobs(client, [good], taken.extend, _deadly)
+    assert {row["session"] for row in taken} == {good.place}
+    taken.clear()
+    run_jobs(client, [deadly], taken.extend, _deadly)
+    assert [row["reason"] for row in taken] == ["worker died"]
+
+
+def _deadly(job: Job) -> list[Row]:
+    if job.place.endswith("good"):
+        return work(job)
+    os.kill(os.getpid(), signal.SIGKILL)
+    return []
+
+
+def test_a_defect_ends_no_batch(tmp_path: Path, client: Any) -> None:
+    taken: list[Row] = []
+    run_jobs(client, [Job("a", DECODE, str(tmp_path))] * 2, taken.extend, _defect)
+    assert [row["reason"] for row in taken] == ["defect"] * 2
+    assert taken[0]["error"] == "ZeroDivisionError: of a test"
+
+
+def _defect(_: Job) -> list[Row]:
+    raise ZeroDivisionError("of a test")
+
+
+def test_nobody_at_the_address() -> None:
+    with pytest.raises(ImumonError) as caught, workers("tcp://127.0.0.1:1", 1):
+        pass
+    assert caught.value.reason is Reason.NOT_FOUND
+
+
+@pytest.mark.parametrize("command", ["replay", "allan", "calibrate", "diagnose"])
+def test_every_command_has_rows_or_a_reason(command: Any, tmp_path: Path) -> None:
+    session = tiny(tmp_path / "s", seconds=30.0)
+    rows = work(Job(str(session), BatchOptions(command=command), str(tmp_path)))
+    if command in ("replay", "allan"):
+        assert {row["channel"] for row in rows} > {"gyro_x", "accel_z"}
+        assert all(row["device"] == "ax1" for row in rows)
+    else:
+        assert [row["reason"] for row in rows] == ["bad data"]
