@@ -70,6 +70,7 @@ def begin(state: State, now_s: float, other: bool) -> None:
     state.long_hold_s = now_s
     state.windows.last[:] = np.nan
     _watch(state, now_s, 0.0)
+    state.show()
 
 
 def step(
@@ -89,6 +90,8 @@ def step(
     taken, motion = seen(state, slots, first, min(first + run, stop), parameters.drift)
     state.slots += taken - 1
     _decide_on(state, parameters, motion, end_s[first + taken - 1])
+    if not settled or motion is not None or state.slots % EVERY == 1:  # not where a block happens to end
+        state.show()
     return taken
 
 

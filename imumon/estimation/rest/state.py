@@ -266,6 +266,8 @@ class State:
         Rate, rad/s, by which the gyros differ from the latest anchor while nothing tells a turn from a bias.
     turns_on : float
         Probability at rest that it is a turn.
+    shown : array, (3,)
+        `undecided` when something was last decided.
     steady : array
         Mean of a turn, when it was last undisturbed, at `steady_s`; NaN without any.
     rest_since_s : float
@@ -294,6 +296,7 @@ class State:
     undecided_since_s: float = np.nan
     turn: FloatArray = field(default_factory=lambda: np.zeros(3))
     turns_on: float = 1.0
+    shown: FloatArray = field(default_factory=lambda: np.zeros(3))
     steady: FloatArray = field(default_factory=lambda: np.full(AXES, np.nan))
     steady_s: float = 0.0
     rest_since_s: float = -np.inf
@@ -316,6 +319,10 @@ class State:
         turn = math.sqrt(self.turns_on) * self.turn if self.at_rest else self.turn
         turn = turn if turn @ turn > self.doubt @ self.doubt else self.doubt
         return np.asarray(np.copysign(np.hypot(turn, 0.5 * self.windows.resolution[GYRO]), turn))
+
+    def show(self) -> None:
+        """Let what is undecided now be shown until something is decided again."""
+        self.shown = self.undecided
 
     def means(self, cuts: npt.NDArray[np.intp]) -> FloatArray:
         """Return the means between neighbouring cuts, (..., k, 6) for (..., k + 1).
