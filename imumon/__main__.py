@@ -1,5 +1,23 @@
-"""``python -m imumon``: the command."""
+"""``python -m imumon`` and the installed program: the command, which Ctrl-C may end from its first moment."""
 
-from imumon.cli import main
+from __future__ import annotations
 
-main()
+import os
+import signal
+
+from imumon.errors import EXIT_INTERRUPTED
+
+
+def main() -> None:
+    """Load the command line and run it; until it takes over, Ctrl-C ends the program without a word."""
+    if (
+        signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    ):  # not where it is ignored, as under nohup
+        signal.signal(signal.SIGINT, lambda *_: os._exit(EXIT_INTERRUPTED))
+    from imumon.cli import main as command_line
+
+    command_line()
+
+
+if __name__ == "__main__":
+    main()

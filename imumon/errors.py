@@ -15,6 +15,9 @@ EXIT_PORT = 3
 EXIT_DATA = 4
 """A recording, capture or table cannot be read, or holds nothing that can be decoded."""
 
+EXIT_INTERRUPTED = 130
+"""Ctrl-C before a recording began, or in a command that records nothing; as shells have it."""
+
 
 class Reason(Enum):
     """Why an operation failed."""

@@ -19,6 +19,7 @@ from imumon.blocks import NO_INT, ColumnArray, IntArray, SampleBlock, join, miss
 from imumon.charts import Chart
 from imumon.clock import DeviceClock, HostClock
 from imumon.clock.held import HeldReadings
+from imumon.clock.nominal import NominalRate
 from imumon.clock.rate import Intervals
 from imumon.clock.side import SharedCounter, SideClock
 from imumon.columns import KNOWN, TIME_COLUMNS, Column
@@ -66,7 +67,7 @@ class Judging(Protocol):
 class StreamCounters:
     """What came of a stream: packets, rows, its rate where none is missing, gaps, clocks that went back.
 
-    `incomplete` rows lack fields that all rows before them had.
+    `incomplete` rows lack fields that all rows before them had; `dated_by` is that of `DeviceClock`.
     """
 
     packets: int
@@ -75,6 +76,7 @@ class StreamCounters:
     gaps: int
     incomplete: int
     restarts: int
+    dated_by: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,6 +120,9 @@ class Pipeline:
         self.host_clock = HostClock(self._device_clock.drift_limit_ppm)
         self._estimators = tuple(estimators)
         self._intake = Intake()
+        given = device is not None and device.rate_given
+        self._nominal = NominalRate(self._device_clock.timing.rate_hz, given)
+        self._ended = False
         self._samples = 0
         self._ready: list[SampleBlock] = []
         groups = self._decoder.groups if self._decoder is not None else None
@@ -190,6 +195,7 @@ class Pipeline:
                 intervals.gaps,
                 own.incomplete,
                 restarts,
+                self._device_clock.dated_by if stream == MAIN else "",
             )
         return counters
 
@@ -232,6 +238,7 @@ class Pipeline:
         if self._decoder is not None:
             self._decoder.finish()
             self.pause()
+            self._ended = True
 
     def pause(self) -> None:
         """Say that the port fell silent or closed: a row that waits for more of its fields comes out."""
@@ -263,6 +270,8 @@ class Pipeline:
     def warnings(self) -> list[str]:
         """Return, once each, what decoder and estimators have to say of the data or of their parameters."""
         decoded = self._decoder.warnings() if self._decoder is not None else []
+        if self._dated_by_rate:
+            decoded = [*decoded, *self._nominal.notices(self._ended)]
         decoded = [*decoded, *self._intake.notices()]
         return [*decoded, *(text for stage in self._estimators for text in stage.notices())]
 
@@ -306,6 +315,8 @@ class Pipeline:
         arrival = columns.get("arrival_time_ns", missing(n, np.int64))
         counted = None if counter is None else self._shared_counter.process(counter, more, side)
         device_ns, segment = self._device_clock.process(counted, ticks, arrival, n)
+        if self._dated_by_rate:
+            self._nominal.add(device_ns, segment, arrival)
         times: dict[str, ColumnArray] = {
             "device_time_ns": device_ns,
             "arrival_time_ns": arrival,
@@ -318,6 +329,10 @@ class Pipeline:
         self._side_clock.follow(dated, ticks)
         self._count(MAIN, dated)
         return self._estimate(dated)
+
+    @property
+    def _dated_by_rate(self) -> bool:
+        return self._device_clock.dated_by in ("rows", "counter")
 
     def _count(self, stream: str, block: SampleBlock) -> None:
         if len(block) and "device_time_ns" in block:

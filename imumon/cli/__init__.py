@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+import atexit
 import logging
 import os
+import signal
 import sys
 import threading
 from contextlib import suppress
 from importlib import import_module
+from typing import TYPE_CHECKING
 
 import click
 from click.exceptions import Exit
 from click.shell_completion import shell_complete
 
 from imumon.cli.common import note, say
-from imumon.errors import EXIT_OK, EXIT_USAGE, ImumonError
+from imumon.errors import EXIT_INTERRUPTED, EXIT_OK, EXIT_USAGE, ImumonError
 
-EXIT_INTERRUPTED = 130
+if TYPE_CHECKING:
+    from sys import UnraisableHookArgs
+
 COMPLETION = "_IMUMON_COMPLETE"
 """What a shell sets when it asks what may come next."""
 
@@ -85,10 +90,15 @@ def main() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if instruction := os.environ.get(COMPLETION):
         sys.exit(shell_complete(cli, {}, "imumon", COMPLETION, instruction))
+    _heed_interrupts()
     _open_missing_streams()
     _tell_of_compiling()
     code = run(sys.argv[1:])
+    # All is done: Ctrl-C now only spares what Python does before it ends.
+    signal.signal(signal.SIGINT, lambda *_: os._exit(code))
     _settle_streams()
+    if code == EXIT_INTERRUPTED:
+        os._exit(code)  # where it came in a call of exec, as dataclasses do, Python would end by the signal
     sys.exit(code)
 
 
@@ -118,7 +128,40 @@ def run(arguments: list[str]) -> int:
         where = f"{error.filename}: " if error.filename is not None else ""
         note(f"imumon: {where}{error.strerror or error}")
         return EXIT_USAGE
+    except Exception as error:
+        if _is_interrupt(error):
+            return EXIT_INTERRUPTED
+        raise
     return code if isinstance(code, int) else EXIT_OK
+
+
+def _is_interrupt(error: BaseException | None) -> bool:
+    """Tell whether an error is what became of Ctrl-C: Python 3.11 makes another where it builds a class."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
+
+
+def _heed_interrupts() -> None:
+    """Let Ctrl-C raise KeyboardInterrupt, also where Python would print it and go on.
+
+    That is so in callbacks: of weak references (an import has many), of the garbage collector, of C code.  It
+    is sent again when the callback is over.
+    """
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        return
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    # The first to be registered is the last to be called: from there on Python heeds no signal in order.
+    atexit.register(signal.signal, signal.SIGINT, signal.SIG_IGN)
+    usual = sys.unraisablehook
+
+    def again(lost: UnraisableHookArgs) -> None:
+        if lost.exc_type is KeyboardInterrupt:
+            threading.Timer(0.01, signal.raise_signal, [signal.SIGINT]).start()
+        else:
+            usual(lost)
+
+    sys.unraisablehook = again
 
 
 def _open_missing_streams() -> None:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from imumon.cli.common import PATH, console, json_option, print_json, print_rows, warn
-from imumon.cli.diagnose_command import make_folder
+from imumon.cli.common import PATH, console, json_option, print_json, print_rows, results_folder, warn
 from imumon.errors import ImumonError, Reason
 from imumon.files import check_output
 
@@ -50,19 +50,16 @@ def command(folder: Path, results: Path | None, out: Path | None, rrd: Path | No
     """
     from imumon.catalog.tables import tables, write_tables
 
-    if out is not None:
-        make_folder(out)
     if rrd is not None:
         if rrd.suffix != ".rrd":
             raise ImumonError(Reason.BAD_CONFIG, f"{rrd}: a recording of the viewer is a .rrd", "name it so")
         check_output(rrd, replace=True)
-    units, unusual = read(folder, results)
-    rows = tables(units, unusual)
+    with nullcontext() if out is None else results_folder(out):
+        units, unusual = read(folder, results)
+        rows = tables(units, unusual)
+        written = [] if out is None else write_tables(rows, out)
     warn(f"{row['session']}: {row['error']}" for row in rows["sessions"] if row["error"])
     shown = [_row(unit, unusual) for unit in units]
-    written: list[Path] = []
-    if out is not None:
-        written += write_tables(rows, out)
     if rrd is not None:
         from imumon.catalog.viewing import write_recording
 

@@ -15,6 +15,7 @@ from imumon.cli.common import (
     json_option,
     print_json,
     print_rows,
+    rate_option,
     say,
     split_columns,
     warn,
@@ -33,15 +34,18 @@ if TYPE_CHECKING:
 @click.option("--device", help=device_help + "  A session knows its own.")
 @click.option("--out", type=PATH, required=True, help=TABLE)
 @columns_option
+@rate_option
 @json_option
-def command(file: Path, device: str | None, out: Path, columns: str | None, as_json: bool) -> int:
+def command(
+    file: Path, device: str | None, out: Path, columns: str | None, rate: float | None, as_json: bool
+) -> int:
     """Decode FILE, a raw capture of any tool or a session, into a table."""
     from imumon.pipeline import Pipeline
     from imumon.recordings.side_tables import Exported, export_run
     from imumon.recordings.source import open_source, run_over
     from imumon.run.narration import describe_losses, describe_streams
 
-    source = open_source(file, device)
+    source = open_source(file, device, rate)
     source.refuse_output(out)
     pipeline = Pipeline(source.device)
     try:

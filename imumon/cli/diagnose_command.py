@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from imumon.cli.common import PATH, json_option, print_json, print_rows, warn
+from imumon.cli.common import PATH, json_option, print_json, print_rows, results_folder, warn
 from imumon.cli.progress import reading_bar
 from imumon.errors import ImumonError, Reason
 
@@ -54,8 +54,9 @@ class _SeveralValues(click.Command):
 )
 @click.option(
     "--channels",
-    default="gyro,accel",
-    help="What is diagnosed: gyro,accel (the default), mag, pressure, temperature, or any recorded columns.",
+    default="gyro,accel,clock",
+    help="What is diagnosed: gyro,accel,clock (the default; the device's clock where arrival times are"
+    " recorded), mag, pressure, temperature, or any recorded columns.",
 )
 @click.option("--map", "map_path", type=PATH, help="YAML file: what is in which column of the tables.")
 @click.option(
@@ -85,6 +86,7 @@ def command(
     The recordings are of a unit at rest, each from power-on.  Two or more for training, warmed and cooled,
     tell most.
     """
+    from imumon.diagnosis.conclusion import conclusion, next_steps
     from imumon.diagnosis.engine import CUBIC, diagnose, parse_declared
     from imumon.diagnosis.extended import extended_model, with_model
     from imumon.diagnosis.page import write_page
@@ -97,8 +99,7 @@ def command(
     model = model_of(model_path) if model_path is not None else None
     assumed = declared if declared is not None else CUBIC
     parse_declared(assumed)
-    make_folder(out)
-    with reading_bar([*train, *test], quiet=as_json) as tell:
+    with results_folder(out), reading_bar([*train, *test], quiet=as_json) as tell:
         sensors = channels.split(",")
         runs = [read(path, map_path, at_rest, sensors) for path in (*train, *test)]
         split = len(train)
@@ -114,9 +115,12 @@ def command(
         write_page(diagnosis, out / "report.html", tell)
     warn(diagnosis.caveats)
     if as_json:
-        print_json(report(diagnosis))
+        print_json(report(diagnosis, out))
     print_rows({verdict.name: verdict.summary for verdict in diagnosis.verdicts})
     print_rows({what: str(out / name) for what, name in written.items()})
+    print_rows({"conclusion": conclusion(diagnosis)})
+    for step in next_steps(diagnosis, out):
+        print_rows({"next": f"{step.what} {step.command}".strip()})
 
 
 def model_of(path: Path) -> BiasModel:
@@ -144,13 +148,3 @@ def read(path: Path, map_path: Path | None, at_rest: bool, sensors: Sequence[str
     from imumon.estimation.rest.stage import RestDetector
 
     return read_runs(path, map_path, lambda _: [RestDetector()], at_rest, sensors or SENSORS)
-
-
-def make_folder(out: Path) -> None:
-    """Make a folder for results; raises BAD_CONFIG when that fails."""
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ImumonError(
-            Reason.BAD_CONFIG, f"the folder {out} cannot be made: {error.strerror}", "give another folder"
-        ) from error

@@ -33,7 +33,7 @@ def command(folder: Path, model_path: Path | None, device: str | None, out: Path
     code is 1.
     """
     from imumon.diagnosis.engine import diagnose
-    from imumon.diagnosis.extended import extended_model
+    from imumon.diagnosis.extended import extended_model, with_model
     from imumon.diagnosis.holding_out import latest
     from imumon.diagnosis.report import report
     from imumon.recordings.folder import sessions_in
@@ -49,7 +49,7 @@ def command(folder: Path, model_path: Path | None, device: str | None, out: Path
             )
         diagnosis = diagnose(*latest(usable), progress=tell, model=model)
     warn(diagnosis.caveats)
-    better = any(verdict.predicts and (verdict.claims or verdict.refit) for verdict in diagnosis.verdicts)
+    better = any(verdict.predicts and (verdict.claims or verdict.refit) for verdict in with_model(diagnosis))
     if better:
         extended_model(diagnosis).write(out)
     if as_json:

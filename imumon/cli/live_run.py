@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 from imumon.cli.common import note, say
 from imumon.errors import ImumonError, Reason
+from imumon.heap import prepare_heap
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -47,6 +48,11 @@ class Ending:
     def begin(self) -> None:
         """Let the time begin."""
         self._deadline = math.inf if self._seconds is None else time.monotonic() + self._seconds
+
+    @property
+    def is_asked(self) -> bool:
+        """Whether a signal has asked for the end."""
+        return self._signal.is_set()
 
     def wait(self) -> bool:
         """Let a moment pass; return whether the command goes on."""
@@ -96,25 +102,26 @@ class PortRun:
         serial: str | None = None,
     ) -> None:
         from imumon.protocols.device import device_text, parse_device
+        from imumon.run.live import LiveRun  # here, as Ctrl-C while it loads shall leave no session behind
 
+        prepare_heap()
         text, source = device_text(device)
         self.port, self._serial = port, serial
         self._device, self._setup = parse_device(text, source), setup
         self._settings = self._device.port_settings(port, baud)
         self.lines, self.ending = Lines(), Ending(seconds)
-        self.run = self._new_run(text, out)
+        self.run = self._new_run(LiveRun, text, out)
         self.run.open()
         self.ending.begin()
 
-    def _new_run(self, device_yaml: str, out: Path | None) -> LiveRun:
+    def _new_run(self, make: type[LiveRun], device_yaml: str, out: Path | None) -> LiveRun:
         """Make the session; a default name that another monitor takes at the same moment is no obstacle."""
         from imumon.recordings.folder import default_path
-        from imumon.run.live import LiveRun
 
         while True:
             folder = out or default_path(self._device.name, time.time_ns())
             try:
-                return LiveRun(
+                return make(
                     self._device, device_yaml, self._settings, self._setup, folder, self.lines.put,
                     serial=self._serial,
                 )  # fmt: skip
@@ -126,7 +133,8 @@ class PortRun:
         """Begin to decode, once all is compiled."""
         from imumon.run.live import warm_up
 
-        warm_up(self._device, self._setup)
+        if not self.ending.is_asked:
+            warm_up(self._device, self._setup)
         gc.freeze()  # a search through all that was loaded takes 0.1 s, in which nothing else runs
         self.run.begin(publish)
 

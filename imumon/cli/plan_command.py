@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from imumon.cli.common import PATH, Number, json_option, print_json, print_rows
-from imumon.cli.diagnose_command import make_folder
+from imumon.cli.common import PATH, Number, json_option, print_json, print_rows, results_folder
 from imumon.cli.progress import reading_bar
 
 if TYPE_CHECKING:
@@ -35,8 +34,7 @@ def command(report: Path, out: Path, hours: float, as_json: bool) -> None:
     from imumon.diagnosis.planning import load_report, open_questions, plan, write_plan
 
     content = load_report(report)
-    make_folder(out)
-    with reading_bar([report], quiet=as_json) as tell:
+    with results_folder(out), reading_bar([report], quiet=as_json) as tell:
         plans = [plan(content, question, hours * 3600.0, tell) for question in open_questions(content)]
         files = [write_plan(content, at + 1, made, out) for at, made in enumerate(plans)]
     described = [_described(made, paths) for made, paths in zip(plans, files, strict=True)]

@@ -18,6 +18,7 @@ from imumon.cli.common import (
     note,
     print_json,
     print_rows,
+    rate_option,
     split_columns,
     warn,
     warn_of_no_display,
@@ -54,6 +55,7 @@ VERDICT = {
 @click.option("--speed", help="1 as recorded, N times as fast, or max.  Default: 1 with a view, else max.")
 @click.option("--out", type=PATH, help=TABLE)
 @columns_option
+@rate_option
 @click.option("--view", type=click.Choice(["native", "web", "none"]), default="none", show_default=True)
 @click.option(
     "--compare-models",
@@ -72,6 +74,7 @@ def command(
     speed: str | None,
     out: Path | None,
     columns: str | None,
+    rate: float | None,
     view: Literal["native", "web", "none"],
     window: float,
     bind: str,
@@ -94,7 +97,7 @@ def command(
     opened = open_session(session)  # a raw capture has no times: that is for decode
     recorded = opened.metadata.pipeline_yaml
     setup = make_setup(options, recorded, f"{session} (pipeline_yaml)")
-    source = open_source(session)
+    source = open_source(session, rate_hz=rate)
     source.refuse_output(out)
     pace = _speed(speed, view)
     stages = estimators(source.device, setup)
@@ -102,7 +105,7 @@ def command(
     if smooth:
         from imumon.run.smoothing import smoothed
 
-        stage = smoothed(open_source(session), setup)
+        stage = smoothed(open_source(session, rate_hz=rate), setup)
         stages, disagreement = [*stages, stage], stage.disagreement
     pipeline, digest = Pipeline(source.device, stages), Digest()
     publisher = narrator = None
@@ -127,7 +130,8 @@ def command(
     finally:
         if publisher is not None:
             publisher.close(CLOSE_S)
-    live = opened.metadata.results_digest if setup.text() == recorded and not smooth else None
+    as_live = setup.text() == recorded and not smooth and rate is None
+    live = opened.metadata.results_digest if as_live else None
     identical = None if live is None else live == digest.hexdigest()
     _warn(source, pipeline, opened.path, identical)
     warn(exported.warnings)

@@ -22,8 +22,9 @@ slack (8 bits at 100 Hz).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from fractions import Fraction
+from typing import Final, Literal
 
 import numpy as np
 
@@ -59,6 +60,14 @@ MAX_TIME_NS = 1 << 61
 # What the device time comes from; a better source has a higher number.
 ARRIVALS, ROWS, COUNTER, TICKS = range(4)
 NO_SOURCE = -1
+DatedBy = Literal["", "arrival", "rows", "counter", "clock"]
+DATED_BY: Final[Mapping[int, DatedBy]] = {
+    NO_SOURCE: "",
+    ARRIVALS: "arrival",
+    ROWS: "rows",
+    COUNTER: "counter",
+    TICKS: "clock",
+}
 RESTART = -1
 
 
@@ -134,6 +143,14 @@ class DeviceClock:
     def drift_limit_ppm(self) -> float:
         """How far the device's time may run from the host's: a crystal's limit, or that of a nominal rate."""
         return CRYSTAL_PPM if self.timing.tick_ns is not None else 1e6 / RATE_STEADINESS
+
+    @property
+    def dated_by(self) -> DatedBy:
+        """What dates the rows now: the device's clock, its counter or the rows at the nominal rate, arrivals.
+
+        Empty before the first row.
+        """
+        return DATED_BY[int(self._state.source)]
 
     @property
     def counter_gaps(self) -> int:

@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from imumon.blocks import FloatArray, IntArray
+from imumon.diagnosis.device_clock import CLOCK, block_noise
 from imumon.diagnosis.poses import in_one_pose, poses
 from imumon.diagnosis.recording import Origin, Run
 from imumon.effects.base import Drive, Survey
@@ -179,8 +180,10 @@ def white_floor(runs: Sequence[Run], channel: str, block_s: float = BLOCK_S) -> 
     The variance of the samples within a slot over their number is right for independent samples.  It is
     compared with half the mean square difference of neighbouring means of 1, 2, 4 and 8 slots (an Allan
     variance): an output filter makes the short ones too small, rounding makes them too large.  The first
-    that agrees with the next is taken.
+    that agrees with the next is taken.  The clock's is that of the delays at both ends of a block.
     """
+    if channel == CLOCK:
+        return WhiteFloor(_of_delays(runs, block_s), "delays at the ends of blocks")
     candidates: list[tuple[str, float]] = []
     weighted, seconds, samples = 0.0, 0.0, 0.0
     slot_s = runs[0].slot_s
@@ -203,6 +206,16 @@ def white_floor(runs: Sequence[Run], channel: str, block_s: float = BLOCK_S) -> 
         return WhiteFloor(0.0, "nothing")
     source, value = min(candidates, key=lambda item: item[1])
     return WhiteFloor(float(np.sqrt(value)), f"{source} (no white region was found)")
+
+
+def _of_delays(runs: Sequence[Run], block_s: float) -> float:
+    rates = []
+    for run in runs:
+        width = max(1, round(block_s / run.slot_s))
+        values = np.where(run.rest >= REST_SHARE, run.mean[CLOCK], np.nan)
+        blocks = values[: len(values) // width * width].reshape(-1, width)
+        rates += [blocks.mean(axis=1), np.array([np.nan])]  # no step leads from one run to the next
+    return block_noise(np.concatenate(rates))
 
 
 def _difference_variance(runs: Sequence[Run], channel: str, step: int, block_s: float) -> float:

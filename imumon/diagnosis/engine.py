@@ -19,6 +19,7 @@ from imumon.diagnosis.blocks import (
 from imumon.diagnosis.candidates import Pool
 from imumon.diagnosis.channel import Channel, Declared, Own
 from imumon.diagnosis.continuing import continued, predecessor
+from imumon.diagnosis.device_clock import CLOCK
 from imumon.diagnosis.drivers import recorded, shadows, with_drivers
 from imumon.diagnosis.earth import EarthRate, earth_rate, turned, without
 from imumon.diagnosis.faults import faults, without_standstill
@@ -139,6 +140,8 @@ def diagnose(
     degree, offsets = parse_declared(declared)
     caveats = [*dict.fromkeys(text for run in (*train, *test) for text in run.warnings)]
     channels = _channels(train, sensors, caveats)
+    if len(channels) > 1 and not all(CLOCK in run.mean for run in (*train, *test)):
+        channels = [name for name in channels if name != CLOCK]
     train, test = (_sound(runs, channels, caveats) for runs in (train, test))
     test = _in_order(train, _unseen(train, test, caveats), caveats)
     long = len(train) == 1 and train[0].duration_s >= 2 * LEAST_BLOCKS * common_block_s(train)
@@ -207,7 +210,7 @@ def _sensor(
     """Return the verdicts on the axes of one sensor."""
     blocks, tested, block_s = diagnosis.train, diagnosis.test, diagnosis.block_s
     own: Own = "run" if offsets else ""
-    if not group[0].startswith("gyro"):
+    if not group[0].startswith(("gyro", CLOCK)):
         # In each pose, and each day, another part of gravity, field or weather is seen, which nobody knows.
         own = "pose"
         if group[0].startswith("accel"):

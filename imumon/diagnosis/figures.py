@@ -32,7 +32,10 @@ def shown(unit: str) -> tuple[float, str]:
 
 def figures(diagnosis: Diagnosis, verdict: ChannelVerdict) -> dict[str, str]:
     """Return the plots of a channel, caption to SVG."""
-    drawn: dict[str, Callable[[Axes], None]] = {
+    drawn: dict[str, Callable[[Axes], None]] = {}
+    if verdict.test_before is not None and diagnosis.test:
+        drawn["Test: residual before and after"] = lambda axes: _test(axes, diagnosis.test, verdict)
+    drawn |= {
         "Training residual of the declared model (dots) and what the effects take away (line)": lambda axes: (
             _in_time(axes, diagnosis.train, verdict)
         ),
@@ -45,11 +48,6 @@ def figures(diagnosis: Diagnosis, verdict: ChannelVerdict) -> dict[str, str]:
         drawn[f"Residual against {claim.finding.name}, the rest of the model taken away"] = (
             lambda axes, name=claim.finding.name: _against(axes, diagnosis.train, verdict, name)  # type: ignore[misc]  # the default binds the name
         )
-    if verdict.test_before is not None and diagnosis.test:
-        drawn["Test: residual before and after"] = lambda axes: _test(axes, diagnosis.test, verdict)
-    rivals = _rivals(verdict)
-    if rivals:
-        drawn["Candidates by gain (BIC), first effect"] = lambda axes: _ranking(axes, rivals)
     return {caption: svg(draw) for caption, draw in drawn.items()}
 
 
@@ -165,16 +163,3 @@ def _test(axes: Axes, runs: Sequence[RunBlocks], verdict: ChannelVerdict) -> Non
         offset = float(hours[-1])
     axes.set(xlabel="time, h", ylabel=f"{verdict.name}, {unit}")
     axes.legend(fontsize=6)
-
-
-def _rivals(verdict: ChannelVerdict) -> dict[str, float]:
-    if not verdict.claims:
-        return {}
-    return {name: gain for name, gain in verdict.claims[0].finding.rivals.items() if np.isfinite(gain)}
-
-
-def _ranking(axes: Axes, rivals: dict[str, float]) -> None:
-    order = sorted(rivals, key=lambda name: rivals[name])
-    axes.barh(order, [max(rivals[name], 0.0) for name in order], color=COLOURS[0])
-    axes.axvline(8.0, ls=":", color="k")
-    axes.set(xlabel="gain in BIC; above the dotted line it is proven")

@@ -12,13 +12,9 @@ import numpy as np
 
 from imumon.diagnosis.blocks import RunBlocks
 from imumon.diagnosis.channel import Channel
-from imumon.diagnosis.fitting import Fit, TestScore, begun, fit, score
+from imumon.diagnosis.explaining import EXPLAINED, explained_share
+from imumon.diagnosis.fitting import Fit, begun, fit, score
 from imumon.diagnosis.selection import ALIKE, MOST_NAMES, Finding, Search
-
-FORETOLD = 0.6
-"""Share of the excess in the test that the effect takes away with what training says of it.  Of wanders,
-walks, telegraph noise, bursts and a hidden supply, 384 channels, none had an effect that took away more than
-0.54, with one run to train on, or than 0.35, with two."""
 
 
 def foretold(channel: Channel, found: Search, before: Fit, beside: Sequence[Finding]) -> Finding | None:
@@ -41,9 +37,8 @@ def foretold(channel: Channel, found: Search, before: Fit, beside: Sequence[Find
         for candidate in both:
             after = fit(channel, [*also, candidate])
             scores = score(channel, before, like=after), score(channel, after)
-            if share_of_test(*scores, channel.floor.sd) >= FORETOLD and all(
-                part.carries for part in after.parts
-            ):
+            share = explained_share(scores[0].rms, scores[1].rms, channel.floor.sd)
+            if share >= EXPLAINED and all(part.carries for part in after.parts):
                 size = float(np.sqrt(max(before.train_rms**2 - after.train_rms**2, 0.0)))
                 gain = leader.scored.gain
                 finding = Finding(candidate, gain, gain, {name: gain}, [], size, by_test=True)
@@ -58,12 +53,6 @@ def foretold(channel: Channel, found: Search, before: Fit, beside: Sequence[Find
     best.alike = alike if len(alike) > 1 else []
     best.others = {finding.name: finding.candidate for _, finding in tried if finding.name in alike[1:]}
     return best
-
-
-def share_of_test(before: TestScore, after: TestScore, floor: float) -> float:
-    """Return which share of the excess in the test is taken away; 0 where too little of it counts."""
-    excess = before.rms**2 - floor**2
-    return 1.0 - (after.rms**2 - floor**2) / excess if np.isfinite(after.rms) and excess > 0.0 else 0.0
 
 
 def woven(channel: Channel, run: RunBlocks) -> bool:

@@ -21,8 +21,10 @@ import numpy as np
 from imumon.blocks import FloatArray
 from imumon.diagnosis.candidates import Candidate, Part, Pool
 from imumon.diagnosis.channel import Channel
+from imumon.diagnosis.explaining import EXPLAINED, evidence_of_test, explained_share
 from imumon.diagnosis.fitting import Fit, fit, score
-from imumon.diagnosis.foretold import FORETOLD, share_of_test, woven
+from imumon.diagnosis.foretold import woven
+from imumon.diagnosis.gains import PROVEN
 from imumon.diagnosis.likelihood import GRID, Likelihood
 from imumon.diagnosis.selection import Finding, Search
 from imumon.effects.base import TEMPERATURE, Drive, Effect, Memory, Scale, Survey
@@ -216,18 +218,33 @@ def formula(channel: Channel, found: Search, before: Fit, beside: Sequence[Findi
 
 
 def _tested(channel: Channel, before: Fit, beside: Sequence[Finding], search: Search) -> Formula | None:
-    """Return the terms that a search found as a formula, unless the test shows otherwise."""
-    new = search.findings[len(beside) :]
+    """Return the terms that a search found as a formula, less those that the test does as well without,
+    unless the test shows otherwise."""
+    new = _needed(channel, search.found, len(beside))
     if not new:
         return None
-    after = fit(channel, [*search.found[: len(beside)], *(finding.candidate for finding in new)])
+    after = fit(channel, [*search.found[: len(beside)], *new])
     left = score(channel, before, like=after), score(channel, after)
-    if share_of_test(*left, channel.floor.sd) < FORETOLD:
+    if explained_share(left[0].rms, left[1].rms, channel.floor.sd) < EXPLAINED:
         return None
     parts = after.parts[-len(new) :]
     terms = [(part.effect.node, float(part.own[0, 0])) for part in parts if isinstance(part.effect, Term)]
-    gain = sum(finding.gain for finding in new)
+    gain = sum(finding.gain for finding in search.findings if finding.candidate in new)
     return Formula(terms, len(search.tried), gain, after, left[0].rms, left[1].rms)
+
+
+def _needed(channel: Channel, found: Sequence[Candidate], known: int) -> list[Candidate]:
+    """Return the terms, which come after so many others, without those that the test does as well without."""
+    beside, new = list(found[:known]), list(found[known:])
+    while len(new) > 1:
+        everything = fit(channel, [*beside, *new])
+        fewer = [[other for other in new if other is not one] for one in new]
+        gains = [evidence_of_test(channel, everything, fit(channel, [*beside, *less])) for less in fewer]
+        least = min(range(len(new)), key=gains.__getitem__)
+        if not gains[least] <= PROVEN:
+            break
+        new = fewer[least]
+    return new
 
 
 def signals(pool: Pool, survey: Survey) -> list[Node]:

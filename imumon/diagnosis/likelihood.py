@@ -67,7 +67,7 @@ class Likelihood:
 
     def of_later(self, values: FloatArray, early: BoolArray) -> float:
         """Return the log-likelihood of later values given the early ones, with the noise that those show."""
-        white = [self._white(values[:, np.newaxis], point)[:, 0] for point in self._grid]
+        white = [self.white(values[:, np.newaxis], point)[:, 0] for point in self._grid]
         sds = [np.concatenate([item.sd[:, at] for item in self._filters]) for at in range(len(self._grid))]
         variance = [float(np.mean(one[early] ** 2)) for one in white]
         fit = [
@@ -104,7 +104,7 @@ class Likelihood:
         best, noise = np.full(len(terms), -np.inf), np.zeros(len(terms), np.int64)
         for index, point in enumerate(grid):
             residual, basis = self._left(values, base, point)
-            explained = _explained(residual, basis, self._white(columns, point).T, groups, len(terms))
+            explained = _explained(residual, basis, self.white(columns, point).T, groups, len(terms))
             found = self._of(residual @ residual - explained, point)
             better = found > best
             best[better], noise[better] = found[better], index
@@ -127,7 +127,7 @@ class Likelihood:
 
     def _heavy(self, values: FloatArray, base: FloatArray, noise: Noise, tails: float) -> float:
         """Return the log-likelihood of a base with innovations of Student's t, by reweighting."""
-        both = self._white(np.column_stack([base, values]), noise)
+        both = self.white(np.column_stack([base, values]), noise)
         weight = np.ones(self.n)
         for _ in range(REWEIGHTED if np.isfinite(tails) else 1):
             root = np.sqrt(weight)[:, np.newaxis]
@@ -151,11 +151,12 @@ class Likelihood:
 
     def _left(self, values: FloatArray, base: FloatArray, noise: Noise) -> tuple[FloatArray, FloatArray]:
         """Return what the base leaves of the values, whitened, and an orthonormal basis of the base."""
-        both = self._white(np.column_stack([base, values]), noise)
+        both = self.white(np.column_stack([base, values]), noise)
         basis = _orthonormal(both[:, :-1])
         return both[:, -1] - basis @ (basis.T @ both[:, -1]), basis
 
-    def _white(self, columns: FloatArray, noise: Noise) -> FloatArray:
+    def white(self, columns: FloatArray, noise: Noise) -> FloatArray:
+        """Return columns (n, k) whitened: behind the inverse Cholesky factor of the covariance over s²."""
         parts = [columns[a:b] for a, b in zip(self._bounds, self._bounds[1:], strict=False)]
         at = self._grid.index(noise)
         return np.concatenate([item(part, at) for item, part in zip(self._filters, parts, strict=True)])

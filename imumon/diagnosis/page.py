@@ -8,11 +8,14 @@ from typing import Any
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 
+from imumon.diagnosis.conclusion import in_short, keep_in_mind, state
 from imumon.diagnosis.engine import Diagnosis, Progress
+from imumon.diagnosis.explaining import left_in_test
 from imumon.diagnosis.figures import figures, shown
 from imumon.diagnosis.formula import Formula
+from imumon.diagnosis.looking import RunLeft, most_different
 from imumon.diagnosis.report import report
-from imumon.diagnosis.verdict import ChannelVerdict
+from imumon.diagnosis.verdict import ChannelVerdict, Claim
 from imumon.harmless import for_html
 
 TEMPLATE = "report.html.j2"
@@ -20,14 +23,18 @@ TEMPLATE = "report.html.j2"
 
 def write_page(diagnosis: Diagnosis, path: Path, progress: Progress | None = None) -> None:
     """Write report.html; raises OSError when that fails."""
-    content = report(diagnosis)
+    content = report(diagnosis, path.parent)
     channels = []
     for verdict in diagnosis.verdicts:
         if progress is not None:
             progress(f"drawing {verdict.name}")
         channels.append(_channel(diagnosis, verdict, content["channels"][verdict.name]))
     rows = [_row(verdict) for verdict in diagnosis.verdicts]
-    text = environment().get_template(TEMPLATE).render(report=content, rows=rows, channels=channels)
+    text = (
+        environment()
+        .get_template(TEMPLATE)
+        .render(report=content, rows=rows, channels=channels, caveats=keep_in_mind(diagnosis))
+    )
     path.write_text(text, encoding="utf-8")
 
 
@@ -43,27 +50,41 @@ def environment(package: str = "imumon.diagnosis") -> Environment:
 
 def _row(verdict: ChannelVerdict) -> dict[str, Any]:
     scale, unit = shown(verdict.channel.unit)
-    test = verdict.test_before, verdict.test_after
-    numbers = [
-        verdict.channel.floor.sd,
-        verdict.before.train_rms,
-        verdict.after.train_rms,
-        np.nan if test[0] is None else test[0].rms,
-        np.nan if test[1] is None else test[1].rms,
-        np.nan if test[1] is None else test[1].tracked_rms,
-    ]
-    names = [" or ".join(claim.finding.alike) or claim.finding.name for claim in verdict.claims]
-    state = "found" if names else "open" if verdict.unexplained else "ok"
-    said = ", ".join(names) or ("unexplained" if verdict.unexplained else "nothing missing")
-    if names and verdict.unexplained:
-        said += "; remainder unexplained"
+    before, after = verdict.test_before, verdict.test_after
+    left, tracked = np.nan, False
+    if after is not None:
+        left = left_in_test(after) if verdict.claims else after.rms
+        tracked = bool(left < after.rms)
+    colours = {"named": "found", "nothing missing": "ok"}
     return {
         "name": verdict.name,
-        "state": state,
-        "verdict": said,
-        "numbers": [_number(value * scale) for value in numbers],
+        "state": colours.get(state(verdict), "open"),
+        "verdict": in_short(verdict),
+        "beside": _beside(verdict, scale, unit),
+        "before": _number(np.nan if before is None else before.rms * scale),
+        "after": _number(left * scale),
+        "tracked": tracked,
+        "floor": _number(verdict.channel.floor.sd * scale),
+        "covered": "" if after is None else f"{after.coverage:.0%}",
+        "train_before": _number(verdict.before.train_rms * scale),
+        "train_after": _number(verdict.after.train_rms * scale),
         "unit": unit,
     }
+
+
+def _beside(verdict: ChannelVerdict, scale: float, unit: str) -> list[str]:
+    """Return what stands small below a verdict: the formula, or what comes nearest to an explanation."""
+    if verdict.formula is not None:
+        found = _formula(verdict.formula, scale)
+        return [f"{found['text']}: {found['before']} → {found['after']} {unit} in the test; no cause"]
+    if state(verdict) not in ("unexplained", "not proven"):
+        return []
+    nearest = [
+        f"{one.name} ({_number(one.test_rms * scale)} {unit} in the test)" for one in verdict.ranking[:2]
+    ]
+    if verdict.test_before is None:
+        nearest = [one.name for one in verdict.ranking[:2]]
+    return [f"nearest, each alone: {', '.join(nearest)}"] if nearest else []
 
 
 def _number(value: float) -> str:
@@ -76,14 +97,16 @@ def _channel(diagnosis: Diagnosis, verdict: ChannelVerdict, content: dict[str, A
         "name": verdict.name,
         "summary": verdict.summary,
         "effects": [
-            {
-                "name": effect["name"],
-                "parameters": _parameters(effect["parameters"]),
-                "gain": f"{effect['evidence']['gain_bic']:.0f}",
-                "pooled": f"{effect['evidence']['pooled_gain_bic']:.0f}",
-                "share": f"{effect['evidence']['explained_share_alone']:.0%}",
-            }
-            for effect in content["effects"]
+            _effect(effect, claim, scale, unit)
+            for effect, claim in zip(content["effects"], verdict.claims, strict=True)
+        ],
+        "ranking": [
+            [one.name, _number(one.gain), _number(one.train_rms * scale), _number(one.test_rms * scale)]
+            for one in verdict.ranking
+        ],
+        "runs": [_run(one, scale, most=one is most_different(verdict.runs)) for one in verdict.runs],
+        "curve": [
+            [f"{at:.1f} °C", _number(value * scale), _number(sd * scale)] for at, value, sd in verdict.curve()
         ],
         "turns": [
             [step.done, _number(step.train_rms * scale), _number(step.test_rms * scale), _number(step.gain)]
@@ -98,15 +121,30 @@ def _channel(diagnosis: Diagnosis, verdict: ChannelVerdict, content: dict[str, A
             else f"{item['name']} was found in training and left out: the test has nothing that can be scored"
             for item in verdict.left_out
         ],
-        "formula": _formula(verdict.formula, scale),
+        "formula": None if verdict.formula is None else _formula(verdict.formula, scale),
         "figures": list(figures(diagnosis, verdict).items()),
     }
 
 
-def _formula(found: Formula | None, scale: float) -> dict[str, Any] | None:
+def _effect(effect: dict[str, Any], claim: Claim, scale: float, unit: str) -> dict[str, Any]:
+    evidence = effect["evidence"]
+    return {
+        "name": effect["name"],
+        "parameters": _parameters(effect["parameters"], claim, scale, unit),
+        "gain": f"{evidence['gain_bic']:.0f}",
+        "pooled": f"{evidence['pooled_gain_bic']:.0f}",
+        "test_gain": "" if evidence["test_gain"] is None else f"{evidence['test_gain']:.0f}",
+        "share": f"{evidence['explained_share_alone']:.0%}",
+    }
+
+
+def _run(one: RunLeft, scale: float, *, most: bool) -> dict[str, Any]:
+    left = [_number(value * scale) for value in (one.before, one.after, one.mean)]
+    return {"name": f"{one.name}{', test' if one.test else ''}", "most": most, "numbers": [one.blocks, *left]}
+
+
+def _formula(found: Formula, scale: float) -> dict[str, Any]:
     """Return what describes the unexplained, as the page has it."""
-    if found is None:
-        return None
     return {
         "text": found.text(scale),
         "signals": [
@@ -118,13 +156,28 @@ def _formula(found: Formula | None, scale: float) -> dict[str, Any] | None:
     }
 
 
-def _parameters(found: dict[str, Any]) -> str:
+def _parameters(found: dict[str, Any], claim: Claim, scale: float, unit: str) -> str:
+    """Return the parameters of an effect, searched or chosen, and its coefficients, with their sigma."""
     fitted = ("coefficients", "start", "runs", "amplitude")
     hidden = (*fitted, "middle", "half_span", "smoothing_s", "slack", "start_sd", "driver", "drivers")
-    return ", ".join(f"{key} {_text(value)}" for key, value in found.items() if key not in hidden)
+    spread: dict[str, list[float]] = {}
+    for part in claim.sigmas:
+        for name, sd in part.searched.items():
+            spread.setdefault(name, []).append(sd)
+    texts = [
+        f"{key} {_text(value)}" + (f" ± {_text(spread[key])}" if key in spread else "")
+        for key, value in found.items()
+        if key not in hidden
+    ]
+    sizes = [
+        f"{value * scale:.3g} ± {sd * scale:.2g}"
+        for part, sigma in zip(claim.parts, claim.sigmas, strict=True)
+        for value, sd in zip(part.own.ravel().tolist(), sigma.coefficients.ravel().tolist(), strict=True)
+    ]
+    return ", ".join([*texts, f"coefficients {' / '.join(sizes)} {unit}".strip()])
 
 
 def _text(value: Any) -> str:
     if isinstance(value, list):
-        return "/".join(map(_text, value))
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
+        return " / ".join(map(_text, value))
+    return f"{value:.3g}" if isinstance(value, float) else str(value)

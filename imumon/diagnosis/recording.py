@@ -11,6 +11,7 @@ import numpy as np
 
 from imumon.blocks import BoolArray, FloatArray, IntArray, SampleBlock
 from imumon.columns import KNOWN
+from imumon.diagnosis.device_clock import CLOCK, UNIT, rate_ppm, with_delay
 from imumon.diagnosis.values import Look, Watcher
 from imumon.effects.vibration import VIBRATION
 from imumon.errors import ImumonError, Reason
@@ -18,8 +19,8 @@ from imumon.recordings.reader import Stages, no_stages, open_recording
 from imumon.recordings.reduced import ACCEL, GYRO, TEMPERATURES, Reduced, reduce
 
 CHANNELS = (*GYRO, *ACCEL)
-SENSORS = ("gyro", "accel")
-"""What is diagnosed where nothing is said."""
+SENSORS = ("gyro", "accel", CLOCK)
+"""What is diagnosed where nothing is said; the clock of the device only where all recordings have it."""
 DRIVERS = ("pressure", *(f"mag_{axis}" for axis in "xyz"))
 """Of the columns that are known, what may drive a bias besides temperature and specific force."""
 READ = (*CHANNELS, *TEMPERATURES, *DRIVERS)
@@ -135,7 +136,9 @@ def read_runs(
     slot_s = _slot_s(first, wanted)
     watcher = Watcher(wanted)
     further += [name for name in wanted if name not in (*READ, *further)]
-    samples = watcher.through(chain(first, blocks))
+    samples: Iterable[SampleBlock] = watcher.through(chain(first, blocks))
+    if CLOCK in sensors and CLOCK not in wanted:
+        samples, further = with_delay(samples), [*further, CLOCK]
     everything = collect(samples, recording.name, further, slot_s)
     looks = watcher.looks()
     if at_rest:
@@ -217,6 +220,9 @@ def _run(means: Reduced, rest: FloatArray, rows: IntArray, name: str) -> Run:
     columns = {key: at for at, key in enumerate(means.names) if means.count[rows, at].any()}
     mean = {key: laid(means.mean[:, at], np.nan) for key, at in columns.items()}
     variance = {key: laid(means.variance[:, at], np.nan) for key, at in columns.items()}
+    if CLOCK in columns:
+        mean[CLOCK] = rate_ppm(laid(means.smallest[:, columns[CLOCK]], np.nan), means.slot_s)
+        variance[CLOCK] = np.full(n, np.nan)  # the samples of a slot are delays, no rates
     scatter = sum((variance[key] for key in ACCEL if key in variance), np.zeros(n))
     if columns.keys() >= set(ACCEL) and np.isfinite(scatter).mean() > 0.5:
         mean[VIBRATION] = scatter
@@ -251,4 +257,6 @@ def common_temperature(wanted: str, runs: Sequence[Run], lacking: str, but: str 
 
 def unit_of(channel: str) -> str:
     """Return the unit of a channel; empty for a column of the log's own."""
+    if channel == CLOCK:
+        return UNIT
     return KNOWN[channel].unit if channel in KNOWN else ""

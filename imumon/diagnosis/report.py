@@ -11,6 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from imumon import __version__
+from imumon.diagnosis.conclusion import conclusion, next_steps, state
 from imumon.diagnosis.engine import Diagnosis
 from imumon.diagnosis.fitting import FittedPart
 from imumon.diagnosis.formula import Formula
@@ -23,11 +24,13 @@ from imumon.files import plain
 FORMAT: Final = "imumon-diagnosis/1"
 
 
-def report(diagnosis: Diagnosis) -> dict[str, Any]:
-    """Return the report as it is written; absent numbers are None."""
+def report(diagnosis: Diagnosis, folder: Path | None = None) -> dict[str, Any]:
+    """Return the report as it is written into a folder; absent numbers are None."""
     content = {
         "format": FORMAT,
         "imumon": __version__,
+        "conclusion": conclusion(diagnosis),
+        "next": [asdict(step) for step in next_steps(diagnosis, folder)],
         "declared_model": _declared(diagnosis),
         "block_s": diagnosis.block_s,
         "train": [_run(run.name, len(run), run.duration_s) for run in diagnosis.train],
@@ -49,7 +52,9 @@ def report(diagnosis: Diagnosis) -> dict[str, Any]:
 
 def write_report(diagnosis: Diagnosis, path: Path) -> None:
     """Write report.json; raises OSError when that fails."""
-    path.write_text(json.dumps(report(diagnosis), indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+    path.write_text(
+        json.dumps(report(diagnosis, path.parent), indent=2, ensure_ascii=False) + "\n", encoding="utf-8"
+    )
 
 
 def _declared(diagnosis: Diagnosis) -> str:
@@ -82,7 +87,9 @@ def _run(name: str, blocks: int, duration_s: float) -> dict[str, Any]:
 def _channel(verdict: ChannelVerdict) -> dict[str, Any]:
     before, after = verdict.test_before, verdict.test_after
     nothing = float("nan")
+    declared = verdict.channel.declared
     return {
+        "verdict": state(verdict),
         "unit": verdict.channel.unit,
         "noise_floor_rms": verdict.channel.floor.sd,
         "noise_floor_from": verdict.channel.floor.source,
@@ -104,7 +111,15 @@ def _channel(verdict: ChannelVerdict) -> dict[str, Any]:
         "coverage": nothing if after is None else after.coverage,
         "scored": nothing if after is None else after.scored,
         "explained_share": verdict.explained,
+        "curve": {
+            "coefficients": verdict.after.declared.tolist(),
+            "sigma": np.sqrt(np.diag(verdict.declared_covariance)).tolist(),
+            "middle_degc": declared.middle_degc,
+            "half_span_degc": declared.half_span_degc,
+        },
         "effects": [_effect(claim) for claim in verdict.claims],
+        "ranking": [asdict(one) for one in verdict.ranking],
+        "runs": [asdict(one) for one in verdict.runs],
         "indistinguishable": [claim.finding.alike for claim in verdict.claims if claim.finding.alike],
         "to_separate": [
             {"effects": [claim.finding.alike[0], other], "by": separated_by(claim.finding.alike[0], other)}
@@ -164,10 +179,17 @@ def _effect(claim: Claim) -> dict[str, Any]:
     return {
         "name": finding.name,
         "parameters": _parameters(claim.parts),
+        "sigma": [
+            {**part.searched, "coefficients": part.coefficients.squeeze(0).tolist()}
+            if len(part.coefficients) == 1
+            else {**part.searched, "coefficients": part.coefficients.tolist()}
+            for part in claim.sigmas
+        ],
         "carried_over": any(part.carries for part in claim.parts),
         "evidence": {
             "proven_by": "test" if finding.by_test else "training",
             "gain_bic": finding.gain,
+            "test_gain": claim.test_gain,
             "pooled_gain_bic": finding.pooled_gain,
             "rms_explained": finding.size,
             "explained_share_alone": claim.explained,

@@ -146,7 +146,8 @@ class Search:
     `findings` are the effects in the order in which they were found, those of a model that was given first;
     `many_events` says that a run has more than one event, such as two jumps, which no effect explains.
     `turns` are those of the loop; `refit` says whether the curve that was given pays for being fitted anew;
-    `survey` is what the runs can show, `tried` what may be added; `last` is what was tried last.
+    `survey` is what the runs can show, `tried` what may be added; `first` and `last` are what that did first
+    and last.
     """
 
     def __init__(
@@ -157,9 +158,10 @@ class Search:
         self.turns: list[Turn] = []
         self.many_events = False
         self.finished = False
+        self.first: Table | None = None
         self.last: Table | None = None
         self.refit = False
-        self.survey, self._likelihood, self.tried = survey, likelihood, tried
+        self.survey, self.likelihood, self.tried = survey, likelihood, tried
         self._known: dict[tuple[int, ...], tuple[list[Candidate], float, Noise]] = {}
         if channel.known is not None:
             self._begin_with(channel.known)
@@ -180,24 +182,24 @@ class Search:
         found = self.found
         key = tuple(map(id, found))  # the candidates are kept, so that no other has their id
         if key not in self._known:
-            best = self._likelihood.best(self.channel.values, self.channel.design(found))
+            best = self.likelihood.best(self.channel.values, self.channel.design(found))
             self._known[key] = found, *best
         return self._known[key][1:]
 
     def noise_sd(self) -> float:
         """Return the white noise of a block that the likelihood of the model so far is largest with."""
-        return self._likelihood.scale(self.channel.values, self.channel.design(self.found), self.null()[1])
+        return self.likelihood.scale(self.channel.values, self.channel.design(self.found), self.null()[1])
 
     def noise_gain(self) -> float:
         """Return by how much slow noise is likelier than white noise alone, in BIC."""
         values, base = self.channel.values, self.channel.design(self.found)
-        white = self._likelihood.at(values, base, (0.0, 0.0))
-        return 2.0 * (self.null()[0] - white) - 2.0 * self._likelihood.price
+        white = self.likelihood.at(values, base, (0.0, 0.0))
+        return 2.0 * (self.null()[0] - white) - 2.0 * self.likelihood.price
 
     def _begin_with(self, known: Sequence[Effect]) -> None:
         """Fit anew what the runs show of a model that was given; the rest of it stays as it is."""
         given = self.channel.as_given()
-        before = 2 * self._likelihood.best(given.values, given.base)[0]
+        before = 2 * self.likelihood.best(given.values, given.base)[0]
         for effect in known:
             candidate = Candidate(effect.label, (Part(effect),))
             self.findings.append(Finding(candidate, 0.0, 0.0, {}, [], 0.0, known=True))
@@ -208,7 +210,7 @@ class Search:
                 self.channel = replace(self.channel, kept=(*self.channel.kept, effect))
                 self._known.clear()
         self._refine()
-        gain = self._evidence() - before - (self.channel.declared.degree) * self._likelihood.price
+        gain = self._evidence() - before - (self.channel.declared.degree) * self.likelihood.price
         self.refit = gain > PROVEN
         if self.refit:
             self.turns.append(Turn("what was given is fitted anew", self.found, gain))
@@ -253,7 +255,7 @@ class Search:
         """Return the candidates with their gain: over the model so far, and over their free start alone."""
         if not tried:
             return []
-        pool, price, null = self.channel.pool, self._likelihood.price, self.null()[0]
+        pool, price, null = self.channel.pool, self.likelihood.price, self.null()[0]
         both = [pool.terms(candidate) for candidate in tried]
         starts = list(dict.fromkeys(tuple(start) for _, start in both if start))
         terms = [*([*defining, *start] for defining, start in both), *map(list, starts)]
@@ -273,7 +275,7 @@ class Search:
         self, terms: Sequence[Sequence[tuple[int, int]]], grid: Sequence[Noise]
     ) -> tuple[FloatArray, list[Noise]]:
         channel = self.channel
-        return self._likelihood.scan(channel.values, channel.design(self.found), channel.pool, terms, grid)
+        return self.likelihood.scan(channel.values, channel.design(self.found), channel.pool, terms, grid)
 
     def _pairs(self, scored: Sequence[Scored]) -> dict[str, Leader]:
         """Look for two effects at once; a jump that is one of them may be anywhere in a block."""
@@ -290,12 +292,12 @@ class Search:
             for pair, group in zip(pairs, terms, strict=True)
         ]
         choice = np.array([sum(one.candidate.choice for one in pair) for pair in pairs])
-        gains = 2 * (likelihood - null) - np.array(number) * self._likelihood.price - choice
+        gains = 2 * (likelihood - null) - np.array(number) * self.likelihood.price - choice
         return needed_in_pairs(pairs, gains.tolist(), max(one.gain for one in scored))
 
     def decide(self, table: Table, pooled: Mapping[str, float]) -> None:
         """Add the effect that explains most, unless none is proven and large enough."""
-        self.last, leaders = table, table.leaders
+        self.first, self.last, leaders = self.first or table, table, table.leaders
         order = sorted(leaders, key=lambda name: -leaders[name].gain)
         while order and leaders[order[0]].gain > PROVEN:
             name = self._choose(order, leaders, pooled)
@@ -382,9 +384,9 @@ class Search:
 
     def _stands_out(self, best: Scored) -> bool:
         """Tell whether a jump is proven even with noise that jumps by itself."""
-        channel, price = self.channel, self._likelihood.price
+        channel, price = self.channel, self.likelihood.price
         terms = channel.pool.terms(best.candidate)[0]
-        ratio = self._likelihood.beyond_tails(
+        ratio = self.likelihood.beyond_tails(
             channel.values,
             channel.design(self.found),
             channel.pool.matrix(terms),
@@ -455,7 +457,7 @@ class Search:
         """Return the candidate with its nonlinear parameters refined."""
         for level in range(REFINEMENTS):
             tried = [best.candidate, *best.candidate.neighbours(self.survey, level)]
-            best = max(self._gains(tried, self._likelihood.neighbours(best.noise)), key=_gain)
+            best = max(self._gains(tried, self.likelihood.neighbours(best.noise)), key=_gain)
             if len(tried) == 1:
                 break
         return best
@@ -477,7 +479,7 @@ class Search:
 
     def _keep_curve(self) -> None:
         """Leave the curve that was given as it is, but for a constant, unless fitting it anew pays."""
-        fitted, price = self.channel, self.channel.declared.degree * self._likelihood.price
+        fitted, price = self.channel, self.channel.declared.degree * self.likelihood.price
         before = self._evidence() - price
         self._known.clear()
         self.channel = replace(fitted, declared=replace(fitted.declared, degree=0))
@@ -530,7 +532,7 @@ class Search:
         terms = (len(group) for one in self.found for group in self.channel.pool.terms(one))
         number = sum(terms) + sum(one.nonlinear for one in self.found)
         choice = sum(one.choice for one in self.found)
-        return 2 * self.null()[0] - number * self._likelihood.price - choice
+        return 2 * self.null()[0] - number * self.likelihood.price - choice
 
 
 def _gain(one: Scored) -> float:

@@ -9,20 +9,26 @@ from typing import Any, Self
 
 import numpy as np
 
+from imumon.blocks import FloatArray
 from imumon.diagnosis.channel import Channel
+from imumon.diagnosis.explaining import (
+    CLEAN,
+    evidence_of_test,
+    explained_share,
+    explains,
+    left_in_test,
+    shown,
+)
 from imumon.diagnosis.fitting import Fit, FittedPart, TestScore, fit, fit_given, goes_on, mean_rms, score
 from imumon.diagnosis.foretold import foretold
 from imumon.diagnosis.formula import Formula, formula
 from imumon.diagnosis.likelihood import WALK_S
+from imumon.diagnosis.looking import Ranked, RunLeft, ranking, runs_left
 from imumon.diagnosis.questions import Question, questions
 from imumon.diagnosis.selection import Finding, Search, Turn
+from imumon.diagnosis.uncertainty import PartSigma, sigmas
 from imumon.effects.library import separated_by
 
-CLEAN = 1.8
-"""Residual in white floors below which nothing is missing; slow noise of the same size as the white is
-allowed."""
-EXPLAINED = 0.6
-"""Share of the excess over the white floor that has to be explained before anything is named."""
 MATERIAL = 1.3
 """With a declared model that leaves less than so many floors, what is missing is too small to matter."""
 BY_TEST = "the test alone proves it: in training noise as slow as the one that is seen might go as far"
@@ -30,12 +36,17 @@ BY_TEST = "the test alone proves it: in training noise as slow as the one that i
 
 @dataclass(slots=True)
 class Claim:
-    """An effect that is claimed, with its evidence; `parts` are those of the whole model."""
+    """An effect that is claimed, with its evidence; `parts` and `sigmas` are those of the whole model.
+
+    `test_gain` is the evidence of the test for it, beside the rest; NaN where it foretells nothing.
+    """
 
     finding: Finding
     parts: list[FittedPart]
     explained: float
     test_alone: float
+    sigmas: list[PartSigma] = field(default_factory=list)
+    test_gain: float = float("nan")
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +99,12 @@ class ChannelVerdict:
         The turns of the loop.
     formula : Formula or None
         What describes the unexplained, if anything does.
+    ranking : list of Ranked
+        The effects that gain most at first, each alone.
+    runs : list of RunLeft
+        What each run is left with.
+    declared_covariance : array of shape (degree + 1, degree + 1)
+        Of the coefficients of the declared model.
     """
 
     channel: Channel
@@ -108,17 +125,23 @@ class ChannelVerdict:
     refit: list[str] = field(default_factory=list)
     turns: list[Step] = field(default_factory=list)
     formula: Formula | None = None
+    ranking: list[Ranked] = field(default_factory=list)
+    runs: list[RunLeft] = field(default_factory=list)
+    declared_covariance: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
 
     @property
     def name(self) -> str:
         """That of the channel."""
         return self.channel.name
 
-
-def explained_share(before: float, after: float, floor: float) -> float:
-    """Return which share of the excess of the mean square over the white floor is explained."""
-    excess = before**2 - floor**2
-    return 1.0 - (after**2 - floor**2) / excess if excess > 0 else 0.0
+    def curve(self) -> list[tuple[float, float, float]]:
+        """Return temperature, bias and its sigma at both ends and the middle of what training covered."""
+        declared = self.channel.declared
+        at = declared.middle_degc + declared.half_span_degc * np.array([-1.0, 0.0, 1.0])
+        columns = declared.columns(at)
+        values = columns @ self.after.declared
+        spread = np.sqrt(np.einsum("ij,jk,ik->i", columns, self.declared_covariance, columns))
+        return list(zip(at.tolist(), values.tolist(), spread.tolist(), strict=True))
 
 
 def settle(channel: Channel, found: Search) -> ChannelVerdict:
@@ -130,7 +153,26 @@ def settle(channel: Channel, found: Search) -> ChannelVerdict:
         verdict.formula = formula(verdict.channel, found, verdict.after, beside)
         if verdict.formula is not None:
             verdict.summary += _described(verdict.formula, channel.floor.sd)
+    _add_looks(verdict, found)
     return verdict
+
+
+def _add_looks(verdict: ChannelVerdict, found: Search) -> None:
+    """Add what a person looks at beside the verdict: ranking, runs, and how well the parameters are known."""
+    channel, claims = verdict.channel, verdict.claims
+    tests = verdict.test_before, verdict.test_after
+    both = None if tests[0] is None or tests[1] is None else (tests[0], tests[1])
+    verdict.ranking = ranking(channel, found)
+    verdict.runs = runs_left(channel, verdict.before, verdict.after, both)
+    known = [one for one in found.findings if one.known]
+    model = [*known, *(claim.finding for claim in claims)]
+    spread = sigmas(found, [one.candidate for one in model])
+    verdict.declared_covariance = spread.declared
+    for claim, parts in zip(claims, spread.parts[len(known) :], strict=True):
+        claim.sigmas = parts
+        if channel.test and any(part.carries for part in claim.parts):
+            lesser = _fit(channel, _others(model, claim.finding))
+            claim.test_gain = evidence_of_test(channel, verdict.after, lesser)
 
 
 def _settled(channel: Channel, found: Search) -> ChannelVerdict:
@@ -155,11 +197,6 @@ def _settled(channel: Channel, found: Search) -> ChannelVerdict:
     return verdict
 
 
-def _left_in_test(scores: tuple[TestScore, TestScore] | None) -> float:
-    """Return what is left of the test, predicted or followed; 0 without one."""
-    return 0.0 if scores is None else float(np.fmin(scores[1].rms, scores[1].tracked_rms))
-
-
 def _better(one: ChannelVerdict, other: ChannelVerdict) -> bool:
     """Tell whether a verdict leaves less of the test than another."""
     left, before = one.test_after, other.test_after
@@ -169,13 +206,9 @@ def _better(one: ChannelVerdict, other: ChannelVerdict) -> bool:
 
 
 def _shown(verdict: ChannelVerdict) -> bool:
-    """Tell whether the test shows what training does."""
+    """Tell whether there is a test and it shows what training does."""
     before, after = verdict.test_before, verdict.test_after
-    if before is None or after is None or not np.isfinite(after.rms):
-        return False
-    floor = verdict.channel.floor.sd
-    clean = _left_in_test((before, after)) < CLEAN * floor
-    return clean or explained_share(before.rms, after.rms, floor) >= EXPLAINED
+    return before is not None and after is not None and shown(before, after, verdict.channel.floor.sd)
 
 
 def judge(channel: Channel, found: Search, left_out: Sequence[dict[str, Any]]) -> ChannelVerdict:
@@ -193,12 +226,11 @@ def judge(channel: Channel, found: Search, left_out: Sequence[dict[str, Any]]) -
     # What the digits alone make of a smooth bias is no structure.
     floor, remark = float(np.hypot(channel.floor.sd, channel.blind)), ""
     share = explained_share(given.train_rms, after.train_rms, floor)
-    passes = after.train_rms < CLEAN * floor or share >= EXPLAINED
     claimed = [one for one in kept if not one.known]
-    if found.many_events or (claimed and not passes):
+    little = _too_little(given, after, _scores(channel, given, after), floor)
+    if found.many_events or (claimed and little):
         best = max(found.findings, key=lambda finding: finding.gain)
-        few = f"it explains only {share:.0%}"
-        why = "there is more than one jump in a run" if found.many_events else few
+        why = "there is more than one jump in a run" if found.many_events else little
         remark = f"the best of the known effects is {best.name}, but {why}"
         claimed = []
     if not claimed:
@@ -231,7 +263,7 @@ def judge(channel: Channel, found: Search, left_out: Sequence[dict[str, Any]]) -
         claims=_claims(channel, given, after, kept),
         unexplained=found.many_events
         or after.train_rms >= CLEAN * floor
-        or (bool(claimed) and _left_in_test(scores) >= CLEAN * floor),
+        or (bool(claimed) and scores is not None and left_in_test(scores[1]) >= CLEAN * floor),
         summary="",
         explained=share if claimed else 0.0,
         noise=found.null()[1],
@@ -245,6 +277,21 @@ def judge(channel: Channel, found: Search, left_out: Sequence[dict[str, Any]]) -
     verdict.questions = questions(channel, found, kept, verdict.unexplained)
     verdict.summary = "; ".join([*(fault.text for fault in channel.faults), summary(verdict)])
     return verdict
+
+
+def _too_little(given: Fit, after: Fit, scores: tuple[TestScore, TestScore] | None, floor: float) -> str:
+    """Say what is too little of training, or of the test, to name anything; empty where it is enough."""
+    if not explains(given.train_rms, after.train_rms, floor):
+        return _little_of("the training", given.train_rms, after.train_rms, floor)
+    if scores is None or not np.isfinite(scores[1].rms) or shown(*scores, floor):
+        return ""
+    return _little_of("the test", scores[0].rms, scores[1].rms, floor)
+
+
+def _little_of(what: str, before: float, after: float, floor: float) -> str:
+    share = max(0.0, explained_share(before, after, floor))
+    left = f"{before / floor:.1f} white floors become {after / floor:.1f}"
+    return f"it explains only {share:.0%} of {what}: {left}"
 
 
 def _refit(channel: Channel, found: Search, kept: Sequence[Finding]) -> list[str]:

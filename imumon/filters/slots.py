@@ -1,9 +1,9 @@
 """Samples gathered into slots of equal length: the one place where estimators touch samples.
 
 Estimators think a few times a second; a sensor sends a hundred to some thousand samples.  A slot keeps of its
-samples what any estimator needs: how many, their mean and spread, extremes, the first and the last, and how
-neighbours differ.  Slots lie on a grid that begins with the first sample of a segment.  A slot ends with the
-first sample behind it, so what a slot says is known from that row on.
+samples what any estimator needs: how many, their mean and spread, extremes, the first and the last, how
+neighbours differ, and how the unit has turned.  Slots lie on a grid that begins with the first sample of a
+segment.  A slot ends with the first sample behind it, so what a slot says is known from that row on.
 """
 
 from __future__ import annotations
@@ -16,6 +16,8 @@ import numpy.typing as npt
 
 from imumon.blocks import NO_INT, BoolArray, FloatArray, IntArray
 from imumon.compiled import inner, njit
+from imumon.filters import turns as turning
+from imumon.filters.turns import Turns, add_rate, begin_segment, begin_turn, end_turn, told
 
 Number = TypeVar("Number", np.float64, np.int64)
 
@@ -48,6 +50,8 @@ class Slots:
         Sum of their squared differences.
     changes : array of int64, (m, k)
         How many of them differ at all.
+    turns : Turns
+        How the unit turned; without any where the gatherer was told of no rates.
     """
 
     row: IntArray
@@ -66,6 +70,7 @@ class Slots:
     step_count: IntArray
     step_squares: FloatArray
     changes: IntArray
+    turns: Turns
 
     def __len__(self) -> int:
         """Return the number of slots."""
@@ -103,6 +108,9 @@ ENDED_COLUMN = np.dtype(
 """What is said of a slot, and of a column of it: the fields of `Slots`."""
 
 
+NO_RATES = -1
+
+
 class SlotGatherer:
     """Gathers rows into slots; the same slots whatever the division into blocks.
 
@@ -112,6 +120,8 @@ class SlotGatherer:
         Columns of the values.
     length_ns : int
         Length of a slot.
+    rates : int, optional
+        First of three columns that are the rates of turn about the body axes, rad/s, which are integrated.
 
     Raises
     ------
@@ -119,13 +129,15 @@ class SlotGatherer:
         When the length is not positive.
     """
 
-    def __init__(self, columns: int, length_ns: int) -> None:
+    def __init__(self, columns: int, length_ns: int, rates: int | None = None) -> None:
         if length_ns <= 0:
             raise ValueError(f"slots of {length_ns} ns")
         self.length_ns = length_ns
         self._columns = columns
         self._open: RecordArray = np.zeros(1, OPEN)
         self._open_columns: RecordArray = np.zeros(columns, OPEN_COLUMN)
+        self._rates = NO_RATES if rates is None else rates
+        self._turn: RecordArray = np.zeros(1, turning.OPEN)
 
     def process(self, time_ns: IntArray, segment: IntArray, values: FloatArray) -> Slots:
         """Return the slots that end within these rows.
@@ -141,27 +153,34 @@ class SlotGatherer:
         n = len(time_ns)
         if values.shape != (n, self._columns):
             raise ValueError(f"values of shape {values.shape} for {n} rows of {self._columns} columns")
-        ended, columns = np.empty(n, ENDED), np.empty((n, self._columns), ENDED_COLUMN)
+        slots, columns = np.empty(n, ENDED), np.empty((n, self._columns), ENDED_COLUMN)
+        turns = np.empty(n if self._rates >= 0 else 0, turning.ENDED)
         values = np.ascontiguousarray(values, np.float64)
-        m = _gather(time_ns, segment, values, self.length_ns, self._open, self._open_columns, ended, columns)
-        said = {name: ended[name][:m] for name in ended.dtype.names or ()}
+        m = _gather(
+            time_ns, segment, values, self.length_ns, self._rates, self._open, self._open_columns,
+            self._turn, slots, columns, turns,
+        )  # fmt: skip
+        said: dict[str, Any] = {name: slots[name][:m] for name in slots.dtype.names or ()}
         said |= {name: columns[name][:m] for name in columns.dtype.names or ()}
-        return Slots(**(said | {"begins": said["begins"] == 1}))
+        return Slots(**(said | {"begins": said["begins"] == 1, "turns": told(turns[:m])}))
 
     def finish(self) -> Slots:
         """Return the slot that is open at the end of the rows, if there is one; then begin as new."""
         behind = self._open["segment"] + 1
         last = self.process(np.zeros(1, np.int64), behind, np.full((1, self._columns), np.nan))
         self._open[:], self._open_columns[:] = np.zeros(1, OPEN), np.zeros(self._columns, OPEN_COLUMN)
+        self._turn = np.zeros(1, turning.OPEN)
         return last
 
     def snapshot(self) -> dict[str, RecordArray]:
         """Return a copy of the state."""
-        return {"open": self._open.copy(), "columns": self._open_columns.copy()}
+        parts = {"open": self._open, "columns": self._open_columns, "turn": self._turn}
+        return {name: part.copy() for name, part in parts.items()}
 
     def restore(self, saved: dict[str, RecordArray]) -> None:
         """Go on from a state that `snapshot` returned."""
         self._open[:], self._open_columns[:] = saved["open"], saved["columns"]
+        self._turn[:] = saved["turn"]
 
 
 def held(
@@ -248,8 +267,8 @@ def _add(columns: Any, values: FloatArray, i: int) -> None:
 
 @njit
 def _gather(
-    time_ns: IntArray, segment: IntArray, values: FloatArray, length_ns: int, opened: Any, columns: Any,
-    ended: Any, said: Any,
+    time_ns: IntArray, segment: IntArray, values: FloatArray, length_ns: int, rates: int, opened: Any,
+    columns: Any, turn: Any, ended: Any, said: Any, turns: Any,
 ) -> int:  # fmt: skip
     """Add the rows and write the slots that end; return how many."""
     m = 0
@@ -261,6 +280,9 @@ def _gather(
         anew = segment[i] != slot.segment or now < slot.last_ns
         if slot.begun and (anew or now >= slot.stop_ns):
             _close(opened, columns, i, ended[m], said[m])
+            if rates >= 0:
+                end_turn(turn[0], turns[m])
+                begin_turn(turn[0])
             m += 1
             _begin(opened, columns, now, length_ns)
         if anew or not slot.begun:
@@ -270,7 +292,11 @@ def _gather(
             for j in range(len(columns)):
                 columns[j].previous = np.nan
             _begin(opened, columns, now, length_ns)
+            begin_segment(turn[0])
+            begin_turn(turn[0])
         slot.last_ns = now
         slot.samples += 1
         _add(columns, values, i)
+        if rates >= 0:
+            add_rate(turn[0], now, values[i, rates], values[i, rates + 1], values[i, rates + 2])
     return m

@@ -5,9 +5,9 @@ from __future__ import annotations
 from abc import abstractmethod
 from importlib import import_module
 from pathlib import Path
-from typing import ClassVar, Literal, Protocol
+from typing import ClassVar, Literal, Protocol, Self
 
-from pydantic import Field, PositiveFloat, PositiveInt, field_validator
+from pydantic import Field, PositiveFloat, PositiveInt, PrivateAttr, field_validator
 
 from imumon.config import StrictModel, parse_yaml
 from imumon.errors import ImumonError, Reason
@@ -60,6 +60,20 @@ class DeviceFile(StrictModel):
     rate_hz: PositiveFloat | None = None
     axes: Literal["FLU", "FRD"]
     temperature: TemperatureRateParameters = TemperatureRateParameters()
+    _rate_given: bool = PrivateAttr(default=False)
+
+    def at_rate(self, rate_hz: float | None) -> Self:
+        """Return the same for a stream whose packet rate a person gives, in Hz; None leaves it."""
+        if rate_hz is None:
+            return self
+        given = self.model_copy(update={"rate_hz": rate_hz})
+        given._rate_given = True
+        return given
+
+    @property
+    def rate_given(self) -> bool:
+        """Whether a person gave the rate of this stream."""
+        return self._rate_given
 
     def port_settings(self, url: str, baudrate: int | None = None) -> PortSettings:
         """Return how a port with this device is opened; at the first of its rates if none is given."""

@@ -40,7 +40,11 @@ class TableUsed(StrictModel):
 
 
 class StreamSummary(StrictModel):
-    """What came of a stream of the device; `rate_hz` is the rate where nothing is missing."""
+    """What came of a stream of the device; `rate_hz` is the rate where nothing is missing.
+
+    `dated_by` says where the times are from: "clock" of the device, its "counter" or the "rows" at a nominal
+    rate, "arrival"; empty of a side stream, and where it was not noted.
+    """
 
     packets: NonNegativeInt
     rows: NonNegativeInt
@@ -48,6 +52,7 @@ class StreamSummary(StrictModel):
     gaps: NonNegativeInt
     incomplete: NonNegativeInt
     restarts: NonNegativeInt
+    dated_by: str = ""
 
 
 class SessionMetadata(StrictModel):

@@ -53,6 +53,8 @@ class Reduced:
         Finite values.
     mean, variance : array, (n, m)
         Mean (NaN without any value) and unbiased variance (NaN with fewer than two) of the values.
+    smallest : array, (n, m)
+        Of the values; NaN without any.
     """
 
     names: tuple[str, ...]
@@ -66,6 +68,7 @@ class Reduced:
     count: IntArray
     mean: FloatArray
     variance: FloatArray
+    smallest: FloatArray
 
     def __len__(self) -> int:
         """Return the number of slots."""
@@ -184,6 +187,7 @@ class KeptSlots:
     count: IntArray
     mean: FloatArray
     variance: FloatArray
+    smallest: FloatArray
 
     @classmethod
     def of(cls, slots: Slots) -> Self:
@@ -222,4 +226,5 @@ def _gathered(parts: list[KeptSlots], names: tuple[str, ...], slot_s: float, len
         count=count[:, :-1],
         mean=mean[:, :-1],
         variance=unbiased[:, :-1],
+        smallest=joined("smallest")[:, :-1],
     )

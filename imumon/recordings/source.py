@@ -150,13 +150,19 @@ def _place(place: Place, began_ns: int) -> str:
     return f"{where}, {when} ({what})"
 
 
-def open_source(path: Path, device_name: str | None = None) -> Source:
+def open_source(path: Path, device_name: str | None = None, rate_hz: float | None = None) -> Source:
     """Open a session folder, or a raw capture of the device named.
+
+    Parameters
+    ----------
+    rate_hz : float, optional
+        Packets per second, which dates those of a device that sends no time; default: the device file's.
 
     Raises
     ------
     ImumonError
-        BAD_DATA when there is nothing to read; BAD_CONFIG for a capture without a device.
+        BAD_DATA when there is nothing to read; BAD_CONFIG for a capture without a device, or a rate for an
+        imported session, whose samples have their times.
     """
     if not is_session(path):
         if path.is_dir():
@@ -170,13 +176,19 @@ def open_source(path: Path, device_name: str | None = None) -> Source:
                 f"{path} is not a session, so its device must be named",
                 "add --device NAME; imumon devices lists them",
             )
-        return Source(path, capture_items(path), load_device(device_name), None)
+        return Source(path, capture_items(path), load_device(device_name).at_rate(rate_hz), None)
     session = open_session(path)
     if session.metadata.source == "import":
+        if rate_hz is not None:
+            raise ImumonError(
+                Reason.BAD_CONFIG,
+                f"--rate, and the samples of {path} have their times already",
+                "rate_hz in the map of an import spaces rows without a time",
+            )
         columns = tuple(read_columns(session.samples_path).values())
         return Source(path, iterate_samples(session), None, session, columns)
     device = session_device(session) if device_name is None else load_device(device_name)
-    return Source(path, WireReader(session.wire_path), device, session)
+    return Source(path, WireReader(session.wire_path), device.at_rate(rate_hz), session)
 
 
 def session_device(session: Session) -> DeviceFile:

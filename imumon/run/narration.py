@@ -356,11 +356,20 @@ def describe(progress: Progress) -> dict[str, str]:
     return rows
 
 
+_AT = {
+    "": " at",
+    "clock": " at",
+    "arrival": ", by their arrival at",
+    "rows": ", spaced at",
+    "counter": ", by their counter, which is taken to count at",
+}
+
+
 def describe_streams(counters: PipelineCounters, tables: Mapping[str, Path]) -> dict[str, str]:
     """Return what came of each stream and which table has it, label and text."""
     rows = {}
     for name, stream in counters.streams.items():
-        rate = "" if stream.rate_hz is None else f" at {stream.rate_hz:.4g} Hz"
+        rate = "" if stream.rate_hz is None else f"{_AT[stream.dated_by]} {stream.rate_hz:.4g} Hz"
         holes = f", {stream.gaps:,} gaps" if stream.gaps else ""
         parts = f", {stream.incomplete:,} of them incomplete" if stream.incomplete else ""
         where = f" in {tables[name]}" if name in tables else ""

@@ -18,7 +18,7 @@ from multiprocessing.connection import Connection
 import psutil
 
 from imumon.errors import ImumonError
-from imumon.heap import trim_heap
+from imumon.heap import prepare_heap, trim_heap
 from imumon.view.frames import Batch, ReplayRequest, Report, Start
 
 POLL_S = 0.5
@@ -124,6 +124,7 @@ def watch(parent: int) -> None:
 
 def main() -> None:
     """Run, then leave without Rerun's own clean-up, which waits for a stuck viewer without end."""
+    prepare_heap()
     sys.setswitchinterval(SWITCH_S)
     threading.Thread(target=watch, args=(os.getppid(),), daemon=True).start()
     stream = Connection(os.dup(sys.stdin.fileno()), writable=False)

@@ -112,7 +112,8 @@ class StreamLogger:
             self._declare_other(name)
         for lane, states in self._lanes.items():
             declare_lane(rec, lane, states)
-        self._drawn_s.clear()
+        # A later file of a recording needs the status card anew; pictures stand in the files before.
+        self._drawn_s = {} if arrange else {key: s for key, s in self._drawn_s.items() if key != "status"}
         for event in self._lasting.values():
             self._log_event(event)
         if arrange:

@@ -22,10 +22,11 @@ from imumon.view.viewer import start_quietly, viewer_binary
 BATCH_S = 30.0
 """Items of this long become one chunk per panel.  A chunk costs about 1.4 kB beside its rows: with 80 panels
 30 B a sample at 100 Hz."""
-SEGMENT_S = 1800.0
+SEGMENT_S = 600.0
+"""Rerun keeps 2 kB of each chunk until the file ends: at 1 kHz 25 MB/h."""
 QUEUE_BYTES = 64 << 20
 FLUSH_S = 5.0
-WORTH_BYTES = 4 << 20
+WORTH_BYTES = 1 << 20
 """Smaller segments are not compacted."""
 PRIORITY = 15
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import sys
 from pathlib import Path
@@ -23,7 +24,8 @@ def main() -> int:
     parser.add_argument(
         "--repeat", type=int, default=4, help="simulated, formulas, plans: cases of each kind"
     )
-    parser.add_argument("--first", type=int, default=900, help="formulas, plans: the first seed")
+    parser.add_argument("--first", type=int, help="simulated, formulas, plans: the first seed (0, 900, 900)")
+    parser.add_argument("--minutes", type=float, default=math.inf, help="simulated: begin no case after")
     parser.add_argument("--jobs", type=int, default=2, help="simulated, plans: processes")
     given = parser.parse_args()
     if given.part == "simulated":
@@ -32,15 +34,19 @@ def main() -> int:
         if given.quick:
             return max(statistics(["--repeat", "1", "--jobs", "1", "--only", label]) for label in QUICK)
         out = DOCS / "appendix" / "closing-the-loop-results.md"
-        return statistics(["--repeat", str(given.repeat), "--jobs", str(given.jobs), "--out", str(out)])
+        numbers = {"repeat": given.repeat, "first": given.first or 0}
+        numbers |= {"minutes": given.minutes, "jobs": given.jobs}
+        options = [text for name, value in numbers.items() for text in (f"--{name}", str(value))]
+        return statistics([*options, "--out", str(out)])
+    first = 900 if given.first is None else given.first
     if given.part == "formulas":
         from closing_the_loop_formulas import formulas
 
-        return formulas(given.repeat, given.first, quick=given.quick)
+        return formulas(given.repeat, first, quick=given.quick)
     if given.part == "plans":
         from closing_the_loop_plans import plans
 
-        return plans(given.repeat, given.first, given.jobs, quick=given.quick)
+        return plans(given.repeat, first, given.jobs, quick=given.quick)
     if given.part == "measured":
         from closing_the_loop_measured import measured
 

@@ -16,6 +16,7 @@ from alignment_site_scenes import SCENES as SITES
 from bias_race_runners import DEFAULTS, Run
 from bias_sigma_records import RATE_HZ, simulate
 from bias_sigma_table import CASES, estimated, places
+from field_surprises import SURPRISES, met
 from rest_detector_scenes import SCENES, SENSORS, Scene, measure_with_bias, steady_turn
 from rest_detector_table import (
     FIELD,
@@ -40,7 +41,7 @@ from imumon.geodesy import DEG_PER_H
 from imumon.recordings.table import read_table
 from imumon.simulation.unit.scenario import load_scenario
 
-PARTS = ("rest", "thermometer", "north", "bias")
+PARTS = ("rest", "thermometer", "north", "bias", "surprises")
 HOLD_S, RAMP_S = 300.0, 300.0
 SMOOTH_S = 600.0
 """Window of the Savitzky-Golay filter, which sees what comes later."""
@@ -199,6 +200,18 @@ def bias_rows(seeds: range) -> Iterator[Row]:
         yield Row("bias", name, "°/h", rms(np.concatenate(mistakes)) / DEG_PER_H, found, others)
 
 
+def surprise_rows(seeds: range) -> Iterator[Row]:
+    """Gaps, ramps that end, broken thermometers, bias that jumps: the bias, the temperature and its rate."""
+    for name, make in SURPRISES.items():
+        found = [met(make, seed) for seed in seeds]
+        for what, unit in (("bias", "°/h"), ("temperature", "°C"), ("rate", "°C/h")):
+            error, ratios = (
+                np.concatenate([getattr(one, of)[what].ravel() for one in found]) for of in ("error", "ratio")
+            )
+            beyond = {"beyond 5 σ, %": 100.0 * float(np.mean(np.abs(ratios[np.isfinite(ratios)]) > 5.0))}
+            yield Row("surprises", f"{name}: {what}", unit, rms(error), ratios, beyond)
+
+
 def measured_rows(folder: Path) -> Iterator[Row]:
     """Tables in the units of imumon with the true bias in columns true_gyro_bias_{x,y,z}."""
     for path in sorted([*folder.glob("*.parquet"), *folder.glob("*.csv")]):
@@ -218,6 +231,7 @@ MAKERS: dict[str, Callable[[range], Iterator[Row]]] = {
     "thermometer": thermometer_rows,
     "north": north_rows,
     "bias": bias_rows,
+    "surprises": surprise_rows,
 }
 
 

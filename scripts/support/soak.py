@@ -17,6 +17,7 @@ from tests.faults import (
     documents,
     endurance,
     fuzz,
+    interrupts,
     killed,
     line,
     medium,
@@ -36,7 +37,7 @@ def _damage(folder: Path, short: bool) -> Iterator[Row]:
 
 def _killed(folder: Path, short: bool) -> Iterator[Row]:
     for rate_hz in (100.0, 1000.0):
-        yield killed.kill_many(folder, rate_hz, 2 if short else 10, 1)
+        yield killed.kill_many(folder, rate_hz, 2 if short else 50, 1)
     yield from killed.interrupt_all(folder, 1 if short else 5)
 
 
@@ -64,6 +65,15 @@ def _documents(folder: Path, short: bool) -> Iterator[Row]:
 
 def _fuzz(_: Path, short: bool) -> Iterator[Row]:
     yield from fuzz.fuzz_all(50 if short else 5000, 1)
+
+
+def _streams(_: Path, short: bool) -> Iterator[Row]:
+    yield from fuzz.stream_all(2_000 if short else 500_000, 1)
+
+
+def _interrupts(folder: Path, short: bool) -> Iterator[Row]:
+    moments = interrupts.moments()
+    yield from interrupts.interrupt_all(folder, moments[::10] if short else moments)
 
 
 def _endurance(folder: Path, short: bool) -> Iterator[Row]:
@@ -97,6 +107,8 @@ SECTIONS: dict[str, Section] = {
     "medium": _medium,
     "documents": _documents,
     "fuzz": _fuzz,
+    "streams": _streams,
+    "interrupts": _interrupts,
     "cost": _cost,
     "recovery": _recovery,
     "devices": _devices,

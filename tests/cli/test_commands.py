@@ -112,6 +112,19 @@ def test_decode_accounts_for_every_byte_of_a_capture(capture: Path, tmp_path: Pa
     np.testing.assert_allclose(table["gyro_z"].to_numpy(), truth["gyro_z"][kept], atol=1e-8)
 
 
+def test_a_rate_that_nothing_shows_is_said_and_can_be_given(tmp_path: Path) -> None:
+    device, path = load_device("razor"), tmp_path / "razor.txt"
+    path.write_bytes(b"".join(device.encoder().encode(SimulatedUnit(load_scenario("bench")).samples(200))))
+    asked = ["decode", path, "--device", "razor", "--json"]
+    assumed = imumon(*asked, "--out", tmp_path / "a.parquet")
+    given = imumon(*asked, "--out", tmp_path / "g.parquet", "--rate", 20)
+    assert "nothing shows whether they came at it" in assumed.stderr
+    assert "--rate" not in given.stderr
+    streams = [json.loads(done.stdout)["streams"]["imu"] for done in (assumed, given)]
+    assert [stream["dated_by"] for stream in streams] == ["rows", "rows"]
+    assert [stream["rate_hz"] for stream in streams] == pytest.approx([device.rate_hz, 20.0])
+
+
 def test_decode_writes_the_same_numbers_as_csv(capture: Path, tmp_path: Path) -> None:
     answer("decode", capture, "--device", "ax1", "--out", tmp_path / "t.parquet")
     answer("decode", capture, "--device", "ax1", "--out", tmp_path / "t.csv", "--columns", "accel_x,status")

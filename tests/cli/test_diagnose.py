@@ -56,6 +56,17 @@ def test_tables_are_diagnosed_into_report_page_and_model(tables: Path) -> None:
     assert [run.session for run in model.trained_on] == ["a.csv", "b.csv"]
 
 
+def test_a_diagnosis_that_fails_leaves_no_folder_behind_and_takes_none_away(
+    tables: Path, tmp_path: Path
+) -> None:
+    there = tmp_path / "there"
+    there.mkdir()
+    for out in (tmp_path / "new" / "found", there):
+        done = imumon("diagnose", "--train", tables / "no-such.csv", "--out", out)
+        assert done.returncode == 4, done.stderr
+    assert list(tmp_path.iterdir()) == [there]
+
+
 def test_two_things_declared_are_refused(tables: Path) -> None:
     done = imumon(
         "diagnose",

@@ -65,6 +65,8 @@ TOKENS += [
 ]
 TOKENS += [b"\x00\x00\x00\x00", b"\xff\xff\xff\xff", b"\xff\xff\xff\x7f", b"../../x", b": ", b"- ", b"\xc3"]
 SLOWEST_S = 5.0
+JOINED = 64
+"""Changed packets in a stream that one decoder is given: it goes on from one to the next, as on a line."""
 Edit = tuple[float, int, bytes]
 """Where, as a part of the length, how many bytes go, and which come."""
 
@@ -256,3 +258,19 @@ def fuzz_all(times: int, seed: int, names: Sequence[str] | None = None) -> Itera
             or "each refused in words, or taken"
         )
         yield Row(f"changed {name}", times, outcome, held=not wrong and not sound)
+
+
+def stream_all(times: int, seed: int, names: Sequence[str] | None = None) -> Iterator[Row]:
+    """Give each decoder so many changed inputs, one after the other in streams of `JOINED`."""
+    for name in names or device_names():
+        target, rng = Target(sample_packet(load_device(name)) * 8, _decode(name)), np.random.default_rng(seed)
+        attempt(target, target.seed)  # compiles what must be
+        wrong, began = dict[str, bytes](), time.process_time()
+        for _ in range(-(-times // JOINED)):
+            data = b"".join(mutate(target.seed, rng) for _ in range(JOINED))
+            if said := attempt(target, data):
+                wrong.setdefault(said[:120], data)
+        rate = times / (time.process_time() - began)
+        found = [f"{said} ({data[:200]!r} ...)" for said, data in wrong.items()]
+        outcome = "; ".join(found) or f"every byte accounted for; {rate:,.0f} a second of processor time"
+        yield Row(f"changed streams for {name}", times, outcome, held=not wrong)

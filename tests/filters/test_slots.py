@@ -10,16 +10,21 @@ from hypothesis import strategies as st
 
 from imumon.blocks import NO_INT, FloatArray, IntArray
 from imumon.filters.slots import SlotGatherer, Slots, held
+from imumon.filters.turns import Turns
 
 LENGTH_NS = 1_000_000_000
+TURNS = [field.name for field in fields(Turns)]
 
 
 def _joined(parts: list[tuple[int, Slots]]) -> dict[str, FloatArray]:
     """Join slots of blocks that began at these rows."""
-    columns: dict[str, list[FloatArray]] = {field.name: [] for field in fields(Slots)}
+    own = [field.name for field in fields(Slots) if field.name != "turns"]
+    columns: dict[str, list[FloatArray]] = {name: [] for name in [*own, *TURNS]}
     for start, slots in parts:
-        for name, values in columns.items():
-            values.append(getattr(slots, name) + (start if name == "row" else 0))
+        for name in own:
+            columns[name].append(getattr(slots, name) + (start if name == "row" else 0))
+        for name in TURNS:
+            columns[name].append(getattr(slots.turns, name))
     return {name: np.concatenate(values) for name, values in columns.items()}
 
 
@@ -85,12 +90,13 @@ def test_a_new_segment_and_a_time_that_runs_back_begin_anew() -> None:
 @settings(max_examples=50, deadline=None)
 def test_any_division_into_blocks_gives_the_same_slots(seed: int, cuts: list[int]) -> None:
     time, segment, values = _records(seed, 200)
-    whole = _joined([(0, SlotGatherer(3, LENGTH_NS).process(time, segment, values))])
-    gatherer, parts, at = SlotGatherer(3, LENGTH_NS), [], 0
+    values = 1e-3 * (values - 1e6)
+    whole = _joined([(0, SlotGatherer(3, LENGTH_NS, rates=0).process(time, segment, values))])
+    gatherer, parts, at = SlotGatherer(3, LENGTH_NS, rates=0), [], 0
     for size in [*cuts, 200]:
         part = slice(at, min(at + size, 200))
         parts.append((at, gatherer.process(time[part], segment[part], values[part])))
-        other = SlotGatherer(3, LENGTH_NS)
+        other = SlotGatherer(3, LENGTH_NS, rates=0)
         other.restore(gatherer.snapshot())
         gatherer, at = other, part.stop
     divided = _joined(parts)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -90,6 +91,21 @@ def test_a_short_recording_has_the_last_picture_only(tmp_path: Path) -> None:
     ]
     assert len(blobs) == 1
     assert bytes(blobs[-1][0]) == picture(charts[-1])
+
+
+def test_a_recording_has_a_picture_every_ten_minutes_however_often_a_file_begins(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    minute, drawn = 0, list[int]()
+    monkeypatch.setattr("imumon.view.logger.time", SimpleNamespace(monotonic=lambda: 60.0 * minute))
+    monkeypatch.setattr("imumon.view.logger.log_picture", lambda *_, **__: drawn.append(minute))
+    logger = StreamLogger(rr.RecordingStream("imumon"), ViewSetup("test", "test"), live=False)
+    logger.begin()
+    for minute in range(32):
+        if minute % 7 == 6:
+            logger.begin(arrange=False)
+        logger.log([Drawing(Instant(minute, None, None), _chart([1.0, 2.0]))])
+    assert drawn == [10, 20, 30]
 
 
 def test_a_later_chart_replaces_an_earlier_one_in_a_queue_that_knows_its_size() -> None:

@@ -11,6 +11,7 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.estimation.alignment import fit
+from imumon.estimation.alignment.account import Account, Passage, typical_scale
 from imumon.estimation.alignment.motion import LEAST, Motion, Slot
 from imumon.estimation.alignment.parameters import AlignmentParameters
 from imumon.estimation.alignment.posterior import Heading, Place, heading
@@ -74,6 +75,7 @@ class State:
     due_s: float = 0.0
     """Time counted at which the next fit is due."""
     shaken_s: float = 0.0
+    turns: Account = field(default_factory=Account)
     found: Heading | None = None
     fits: list[fit.PoseFit] = field(default_factory=list)
     means: dict[str, Estimate] = field(default_factory=dict)
@@ -174,9 +176,7 @@ class Aligner:
     def _disturbed(self, slot: Slot) -> None:
         """Follow the unit until it rests again."""
         state, motion = self.state, self.state.motion
-        before = motion.turned
-        motion.follow(slot)
-        self._stands(state.attitude @ before.T @ motion.turned)
+        self._stands(state.attitude @ motion.follow(slot))
         if not state.poses and not motion.calm:
             motion.passed.clear()
         if state.poses and motion.seconds > LONGEST_S:
@@ -232,32 +232,50 @@ class Aligner:
         before, after = poses[-2].attitude, poses[-1].attitude
         new = "a new position, " if rotated(before, after) > TURNED else ""
         angle = -math.degrees(azimuth_between(before, after))
-        return f"{said}; {new}turned by {angle:.2f}° about the vertical"
+        sd = math.degrees(math.sqrt(poses[-1].passage_variance))
+        return f"{said}; {new}turned by {angle:.2f}° ± {sd:.2f}° about the vertical"
 
     def _new_pose(self, calm: list[Slot]) -> bool:
         """Return whether the unit stands as before a disturbance; else begin a pose."""
         state, motion = self.state, self.state.motion
+        passage = self._passage(calm[0].time_s)
         usual = motion.usual()
-        middle, spread = usual.middle, usual.spread
-        seconds = max(calm[0].time_s - motion.begun_s, calm[0].length_s)
+        middle = usual.middle[3:]
         up = np.mean([slot.mean[3:] for slot in calm], axis=0)
-        step = np.sqrt(np.sum((up / np.sqrt(up @ up) - middle[3:] / np.sqrt(middle[3:] @ middle[3:])) ** 2))
+        step = np.sqrt(np.sum((up / np.sqrt(up @ up) - middle / np.sqrt(middle @ middle)) ** 2))
         attitude = levelled(state.attitude, up)
-        before = levelled(state.poses[-1].attitude, middle[3:])
-        turn = azimuth_between(before, attitude)
-        noise = float(spread[:3].max()) * math.sqrt(calm[0].length_s * seconds)
+        turn = azimuth_between(passage.before, attitude)
         bumped = SIGMAS * float(motion.wander().max()) / STANDARD_GRAVITY
-        if abs(turn) < max(SAME_TURN, SIGMAS * noise) and step < max(SAME_LEVEL, bumped):
-            self._stands(before)
+        level = float(usual.spread[3:].max()) / math.sqrt(LEAST) / STANDARD_GRAVITY
+        if abs(turn) < max(SAME_TURN, SIGMAS * passage.noise) and step < max(SAME_LEVEL, bumped):
+            self._stands(passage.before)
             return True
         self._stands(attitude)
-        scale = self.parameters.gyro_scale_sd_ppm * 1e-6 * motion.angle
-        drift = DRIFT_WHILE_TURNED * EARTH_RATE * seconds * min(motion.angle, 1.0)
-        variance = state.poses[-1].turn_variance + scale**2 + noise**2 + drift**2
-        state.poses.append(Pose(attitude, variance, state.counted_s))
+        level_sd = math.hypot(level, math.sqrt(2.0) * self.parameters.accel_bias_sd_ug * 1e-6)
+        scale_sd = self._scale_sd()
+        unexplained = passage.unexplained(up / np.sqrt(up @ up), scale_sd, level_sd)
+        state.turns = state.turns.after(passage, unexplained)
+        alone = Account().after(passage, unexplained).azimuth_variance(scale_sd)
+        state.poses.append(Pose(attitude, state.turns.azimuth_variance(scale_sd), state.counted_s, alone))
         state.due_s = state.counted_s
         state.field_sum = [0.0] * 4
         return False
+
+    def _passage(self, until_s: float) -> Passage:
+        """Return the turn since the last pose, until a time."""
+        motion = self.state.motion
+        usual, length_s = motion.usual(), motion.passed[-1].length_s
+        seconds = max(until_s - motion.begun_s, length_s)
+        noise = float(usual.spread[:3].max()) * math.sqrt(length_s * seconds)
+        before = levelled(self.state.poses[-1].attitude, usual.middle[3:])
+        return Passage(motion.turned, before, seconds, noise)
+
+    def _scale_sd(self) -> float:
+        """Return the standard deviation of the gyros' scale factor, as declared or by their noise."""
+        declared, state = self.parameters.gyro_scale_sd_ppm, self.state
+        if declared is not None:
+            return declared * 1e-6
+        return typical_scale(math.sqrt(min((one.quietest for one in state.fits), default=0.0)))
 
     def evaluate(self) -> None:
         """Fit anew what may have changed, and renew the heading."""
@@ -385,12 +403,14 @@ class Aligner:
     @property
     def heading_sd(self) -> float:
         """Sigma of the heading of now, rad, with that of the turns."""
-        state = self.state
+        state, motion = self.state, self.state.motion
         if state.found is None:
             return math.nan
-        return min(
-            math.hypot(state.found.sd, math.sqrt(state.poses[-1].turn_variance)), math.pi / math.sqrt(3.0)
-        )
+        variance = state.poses[-1].turn_variance
+        if motion.disturbed and motion.passed:
+            going_on = state.turns.after(self._passage(state.slot_end_s))
+            variance = going_on.azimuth_variance(self._scale_sd())
+        return min(math.hypot(state.found.sd, math.sqrt(variance)), math.pi / math.sqrt(3.0))
 
     @property
     def heading(self) -> float:
@@ -434,8 +454,6 @@ class Aligner:
         return (north - self.state.ahead) % (2.0 * math.pi)
 
 
-DRIFT_WHILE_TURNED = 1.0
-"""While the unit turns by a radian or more, the rate that is taken off may be wrong by the earth's."""
 STILL_SETTLED = 1.25
 """A settled heading remains settled until its sigma is larger by this factor."""
 

@@ -1,7 +1,8 @@
 """Disturbances of a unit that should stand still, slot by slot: knocks, steps on the floor, and turns.
 
 A slot is disturbed when its mean leaves those of the last half minute by more than they scatter, or its
-samples scatter far more.  So sway that has been there is no disturbance.  A turn is followed by the gyros.
+samples scatter far more.  So sway that has been there is no disturbance.  A turn is followed by the gyros,
+sample by sample (`imumon.filters.turns`).
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from imumon.blocks import BoolArray, FloatArray
+from imumon.filters.turns import STILL, Turn
 
 RECENT = 120
 """Slots of which the usual level and scatter are taken: half a minute holds two periods of slow sway."""
@@ -37,13 +39,15 @@ NORMAL = 1.4826
 
 @dataclass(frozen=True, slots=True)
 class Slot:
-    """A slot: middle and length in s, samples, mean and variance (2, 6) of the channels, whether at rest."""
+    """A slot: middle and length in s, samples, mean and variance (2, 6) of the channels, whether at rest, and
+    how it turned."""
 
     time_s: float
     length_s: float
     samples: int
     values: FloatArray
     at_rest: bool
+    turn: Turn = STILL
 
     @property
     def mean(self) -> FloatArray:
@@ -106,10 +110,8 @@ class Motion:
         Rate at the last rest, rad/s.
     level : array (3,)
         Mean specific force of the last slots at rest, m/s².
-    turned : array (3, 3)
-        Body axes of now to those when the disturbance began.
-    last : array (3,)
-        Angle of the last slot, rad, for the coning correction.
+    turned : Turn
+        Since the disturbance began, less the rate at the last rest.
     """
 
     recent: FloatArray = field(default_factory=lambda: np.zeros((0, 2, 6)))
@@ -118,16 +120,13 @@ class Motion:
     still: int = 0
     base: FloatArray | None = None
     level: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
-    turned: FloatArray = field(default_factory=lambda: np.eye(3))
-    last: FloatArray = field(default_factory=lambda: np.zeros(3))
+    turned: Turn = STILL
     known: Usual | None = None
     age: int = 0
     """Slots since the usual was taken."""
     disturbed: bool = True
     cause: str = ""
     begun_s: float = math.nan
-    angle: float = 0.0
-    """Sum of the angles of the disturbance, rad."""
 
     def judge(self, slot: Slot) -> str:
         """Return what disturbs the slot, or nothing."""
@@ -197,25 +196,23 @@ class Motion:
         """Begin a disturbance."""
         self.base = np.median(self.recent[:, 0, :3], axis=0) if len(self.recent) else None
         self.disturbed, self.cause, self.begun_s = True, cause, slot.time_s - 0.5 * slot.length_s
-        self.turned, self.last, self.angle = np.eye(3), np.zeros(3), 0.0
+        self.turned = STILL
         self.passed, self.calm, self.still = [], 0, 0
 
-    def follow(self, slot: Slot) -> None:
-        """Follow the unit through a disturbed slot."""
+    def follow(self, slot: Slot) -> FloatArray:
+        """Follow the unit through a disturbed slot; return its rotation, (3, 3)."""
         self.passed.append(slot)
         if self.base is None:
             moves = len(self.passed) > 1 and np.abs(slot.mean - self.passed[-2].mean)[:3].max() > TURNING
             self.calm = 0 if moves else self.calm + 1
-            return
+            return STILL.rotation
+        turn = slot.turn.less(self.base)
+        self.turned = self.turned.then(turn)
         rate = slot.mean[:3] - self.base
-        angle = slot.length_s * rate
-        # Successive slots: rotation vectors do not add up where the axis turns (coning).
-        self.turned = self.turned @ rotation(angle + np.cross(self.last, angle) / 12.0)
-        self.last = angle
-        self.angle += math.sqrt(angle @ angle)
         self.calm = 0 if np.abs(rate).max() > TURNING else self.calm + 1
         trembles = bool((np.abs(rate) > self.usual().limit[0, :3]).any())
         self.still = 0 if trembles else self.still + 1
+        return turn.rotation
 
     @property
     def rested(self) -> bool:
@@ -254,7 +251,7 @@ class Motion:
         farthest *= len(self.passed) / max(slots, 1)
         # Their noise over that time, and that of the rate at rest, a median.
         noise = math.sqrt(length_s * seconds + math.pi / 2.0 * seconds**2 / known) * self.usual().spread[:3]
-        turn = self.turned - self.turned.T
+        turn = self.turned.rotation - self.turned.rotation.T
         remains = 0.5 * np.abs([turn[2, 1], turn[0, 2], turn[1, 0]])
         return bool((remains < np.maximum(REMAINS * noise, WANDERS * farthest)).all())
 
@@ -276,14 +273,3 @@ def mean_level(values: FloatArray) -> FloatArray:
     for k in range(together):  # in this order, however many at once
         total += force[k : k + len(total)]
     return total / together
-
-
-def rotation(vector: FloatArray) -> FloatArray:
-    """Return the matrix (3, 3) of a rotation vector, rad (Rodrigues)."""
-    x, y, z = vector.tolist()
-    across = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    angle = math.sqrt(x * x + y * y + z * z)
-    if angle < 1e-6:
-        return np.asarray(np.eye(3) + across)
-    half = math.sin(0.5 * angle) / (0.5 * angle)
-    return np.asarray(np.eye(3) + math.sin(angle) / angle * across + 0.5 * half**2 * (across @ across))

@@ -53,8 +53,9 @@ class AlignmentParameters(StrictModel):
         (a noisy gyro has a large bias) and by how well the rate fits the earth's.
     gyro_flicker_deg_per_h : float, optional
         Standard deviation by which the bias changes from position to position: the bias instability.
-    gyro_scale_sd_ppm : float
-        Standard deviation of a gyro's scale factor: by so much a turn between two positions is mismeasured.
+    gyro_scale_sd_ppm : float, optional
+        Standard deviation of a gyro's scale factor and misalignment: by so much a turn between two positions
+        is mismeasured.  When it is not given, it is judged by the noise, and 300 at least.
     accel_bias_sd_ug : float
         Standard deviation of the constant bias of an accelerometer; it tilts the level.
     known_warm_up : KnownWarmUp, optional
@@ -68,6 +69,6 @@ class AlignmentParameters(StrictModel):
     observable_deg: float = Field(default=10.0, gt=0.0, le=60.0)
     gyro_bias_sd_deg_per_h: float | None = Field(default=None, ge=0.0, le=1e5)
     gyro_flicker_deg_per_h: float | None = Field(default=None, ge=0.0, le=1e5)
-    gyro_scale_sd_ppm: float = Field(default=300.0, ge=0.0, le=1e5)
+    gyro_scale_sd_ppm: float | None = Field(default=None, ge=0.0, le=1e5)
     accel_bias_sd_ug: float = Field(default=30.0, ge=0.0, le=1e5)
     known_warm_up: KnownWarmUp | None = None

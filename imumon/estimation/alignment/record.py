@@ -28,9 +28,11 @@ class Pose:
     attitude : array (3, 3)
         Body axes to the frame of the first pose: its `geodesy.forward`, left of that, and up.
     turn_variance : float
-        Of the angle about the vertical by which the unit was turned into this pose, rad².
+        Of the angle about the vertical by which the unit was turned since the first pose, rad².
     counted_s : float
         Undisturbed time before it.
+    passage_variance : float
+        Of the angle since the pose before.
     told : PoseFit and array (3, 3), or None
         What it tells, and its attitude with the level of all of it, once it is over.
     """
@@ -38,6 +40,7 @@ class Pose:
     attitude: FloatArray
     turn_variance: float
     counted_s: float
+    passage_variance: float = 0.0
     told: tuple[PoseFit, FloatArray] | None = None
 
 

@@ -63,7 +63,7 @@ class Alignment:
     ) -> None:
         self._parameters = parameters or AlignmentParameters()
         self._aligner = Aligner(self._parameters, latitude_deg)
-        self._slots = SlotGatherer(len(_CHANNELS) + 1, round(SLOT_S * 1e9))
+        self._slots = SlotGatherer(len(_CHANNELS) + 1, round(SLOT_S * 1e9), rates=0)
         self._down = 0.0 if axes is None else (1.0 if axes == "FRD" else -1.0)
         self._prefix = "aligned_" if set(_ANGLES) & set(sent) else ""
         self._begun = False
@@ -163,6 +163,7 @@ class Alignment:
             samples=valid,
             values=values[k],
             at_rest=bool(slots.smallest[k, -1] > 0.0),
+            turn=slots.turns.at(k),
         )
         self._aligner.step(slot, slots.mean[k, 6:9].tolist())
         self._collect()

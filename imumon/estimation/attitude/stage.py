@@ -82,7 +82,7 @@ class AttitudeEstimate:
             math.nan if magnetometer is None else magnetometer.error_sd,
         )
         self._heading = math.radians(heading_deg or 0.0)
-        self._slots = SlotGatherer(_COLUMNS, SLOT_NS)
+        self._slots = SlotGatherer(_COLUMNS, SLOT_NS, rates=0)
         self._last: tuple[int, int] | None = None
         self._ended_ns = 0
         self._fusion = Fusion()
@@ -229,13 +229,12 @@ class AttitudeEstimate:
         if not fusion.begun:
             return
         self._keep_field(rows.readings, row)
-        mean = slots.mean[k]
         self._uncertainty.step(
             Slot(
                 seconds=(self._ended_ns - start_ns) * 1e-9,
                 rest=bool(slots.smallest[k, _REST] == 1.0),
-                rate=mean[:3],
-                force=mean[3:6],
+                turn=slots.turns.at(k),
+                force=slots.mean[k, 3:6],
                 mag=self._field,
                 bias_sd=rows.bias_sd[row],
                 attitude=matrix(fusion.last),

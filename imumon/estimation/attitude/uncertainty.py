@@ -6,7 +6,8 @@ the gyros have carried the vertical of the last rest along, with errors that are
 
     rest      tilt² = (accelerometer / g)² + (filter's up less the measured up)²
     motion    tilt² = (accelerometer / g)² + turned² + (filter's up less the gyros' up)²
-    turned    = ∫ C (bias + M ω) dt, the bias and the matrix M of scale and misalignment staying as they are
+    turned    = ∫ C (bias + M ω) dt, the bias and the matrix M of scale and misalignment staying as they are,
+                and what is lost between samples (`imumon.filters.turns`)
     heading   its part about the vertical; it stays at rest
 
 A magnetometer that is calibrated ties the heading down: its error over the horizontal field, the tilt times
@@ -23,6 +24,7 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.estimation.attitude.fusion import TAU_MAG_S
+from imumon.filters.turns import Turn
 from imumon.geodesy import STANDARD_GRAVITY
 
 GRAVITY_SPREAD = 0.03
@@ -59,8 +61,10 @@ class Slot:
 
     Parameters
     ----------
-    rate, force : array (3,)
-        Means in body axes, rad/s and m/s²; NaN where there is none.
+    turn : Turn
+        How it turned.
+    force : array (3,)
+        Mean in body axes, m/s²; NaN where there is none.
     mag : array (3,)
         At its end, in the unit of the field.
     bias_sd : array (3,)
@@ -73,7 +77,7 @@ class Slot:
 
     seconds: float
     rest: bool
-    rate: FloatArray
+    turn: Turn
     force: FloatArray
     mag: FloatArray
     bias_sd: FloatArray
@@ -95,16 +99,27 @@ class Turned:
         ∫ C ω dt: by each element of the matrix of scale and misalignment; what turns back takes it back.
     earth : float
         By the earth rate that the bias does not hold, rad.
+    coning : array (3,)
+    fast, missed : float
+        For want of samples: as of `Turn`.
     """
 
     bias: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
     scale: FloatArray = field(default_factory=lambda: np.zeros((3, 3, 3)))
     earth: float = 0.0
+    coning: FloatArray = field(default_factory=lambda: np.zeros(3))
+    fast: float = 0.0
+    missed: float = 0.0
 
     def add(self, slot: Slot, errors: Errors) -> None:
         """Add a slot."""
-        self.bias += slot.attitude * slot.bias_sd * slot.seconds
-        self.scale += slot.attitude[:, :, np.newaxis] * slot.rate * slot.seconds
+        turn = slot.turn
+        begun = slot.attitude @ turn.rotation.T
+        self.bias += begun @ turn.by_bias * slot.bias_sd
+        self.scale += (begun @ turn.by_scale.reshape(3, 9)).reshape(3, 3, 3)
+        self.coning += begun @ turn.coning
+        self.fast += turn.fast
+        self.missed += turn.missed
         self.earth += errors.earth_rate * slot.seconds
 
     def forget(self, keep: float) -> None:
@@ -112,11 +127,15 @@ class Turned:
         self.bias *= keep
         self.scale *= keep
         self.earth *= keep
+        self.coning *= keep
+        self.fast *= keep
+        self.missed *= keep * keep
 
     def variance(self, errors: Errors) -> FloatArray:
         """Return the variance of the angles about east, north and up, rad², (3,)."""
         scale = errors.scale**2 * (self.scale**2).sum((1, 2))
-        return np.asarray((self.bias**2).sum(1) + scale + self.earth**2)
+        sampled = self.coning**2 + self.fast**2 + self.missed
+        return np.asarray((self.bias**2).sum(1) + scale + self.earth**2 + sampled)
 
 
 @dataclass(slots=True, eq=False)

@@ -1,8 +1,8 @@
 """Attitude of a unit against the earth, as far as the bias needs it: up at rest, and turns in between.
 
-At rest the specific force shows where up is.  While the unit moves, mean rates of short slots are integrated
-with the coning term of two successive ones (Savage 1998, eq. 47): that keeps north, or bounds how much of
-the earth rate that is taken for bias has turned.
+At rest the specific force shows where up is.  While the unit moves, the gyros follow it sample by sample
+(`imumon.filters.turns`): that keeps north, or bounds how much of the earth rate that is taken for bias has
+turned.
 """
 
 from __future__ import annotations
@@ -13,11 +13,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.compiled import njit
+from imumon.filters.turns import Turn
 from imumon.geodesy import EARTH_RATE, LEAST_HORIZONTAL, earth_rate_along, north_in_body
 
-FINE_S = 1.0 / 16.0
-"""Slots that are integrated while it moves."""
 TURN_SD = 0.01
 """Error of the heading after a turn, over the angle turned."""
 LOST_SD = 1.0
@@ -45,54 +43,6 @@ class Place:
     def horizontal(self) -> float:
         """Horizontal earth rate, rad/s; the most it can be where the latitude is not known."""
         return EARTH_RATE * (math.cos(self.latitude) if math.isfinite(self.latitude) else 1.0)
-
-
-@dataclass(slots=True, eq=False)
-class Turn:
-    """Rotation since some moment.
-
-    Parameters
-    ----------
-    matrix : array (3, 3)
-        From body axes then to body axes now.
-    path : float
-        Angle turned in all, rad.
-    lost : bool
-        Whether readings were missing meanwhile.
-    """
-
-    matrix: FloatArray = field(default_factory=lambda: np.eye(3))
-    path: float = 0.0
-    lost: bool = False
-    last: FloatArray = field(default_factory=lambda: np.zeros(3))
-
-    def add(self, angles: FloatArray) -> None:
-        """Turn by the integrated rates of successive slots, rad, (n, 3)."""
-        self.path += _turn(self.matrix, self.last, angles)
-
-
-@njit
-def _turn(matrix: FloatArray, last: FloatArray, angles: FloatArray) -> float:
-    """Turn a matrix by each angle in turn (Rodrigues), with coning; return the path."""
-    path = 0.0
-    for k in range(len(angles)):
-        a, b, c = angles[k]
-        x = a + (last[1] * c - last[2] * b) / 12.0
-        y = b + (last[2] * a - last[0] * c) / 12.0
-        z = c + (last[0] * b - last[1] * a) / 12.0
-        angle = math.sqrt(x * x + y * y + z * z)
-        first = math.sin(angle) / angle if angle > 0.0 else 1.0
-        second = 2.0 * (math.sin(0.5 * angle) / angle) ** 2 if angle > 0.0 else 0.5
-        for j in range(3):
-            # A column of the matrix, v - first w x v + second w x (w x v).
-            u, v, w = matrix[0, j], matrix[1, j], matrix[2, j]
-            p, q, r = y * w - z * v, z * u - x * w, x * v - y * u
-            matrix[0, j] = u - first * p + second * (y * r - z * q)
-            matrix[1, j] = v - first * q + second * (z * p - x * r)
-            matrix[2, j] = w - first * r + second * (x * q - y * p)
-        path += math.sqrt(a * a + b * b + c * c)
-        last[0], last[1], last[2] = a, b, c
-    return path
 
 
 def cross(a: FloatArray, b: FloatArray) -> FloatArray:
@@ -153,9 +103,10 @@ class Attitude:
         self.flat = 1.0 - self.up**2
         added = np.zeros(3)
         if place.oriented:
-            heading_sd = min(LOST_SD, TURN_SD * turn.path + drift) if math.isfinite(drift) else 0.0
+            sampled = math.sqrt(turn.sampling_variance(before))
+            heading_sd = min(LOST_SD, TURN_SD * turn.path + sampled + drift) if math.isfinite(drift) else 0.0
             if placed:
-                northward = turn.matrix @ self.north
+                northward = self.north @ turn.rotation
                 northward -= (northward @ self.up) * self.up
                 length = float(np.linalg.norm(northward))
                 if length > LEAST_HORIZONTAL and not lost:
@@ -179,7 +130,7 @@ def turned_earth(up: FloatArray, place: Place, turn: Turn) -> FloatArray:
     """
     if place.oriented:
         return np.zeros(3)
-    change = turn.matrix - np.eye(3)
+    change = turn.rotation.T - np.eye(3)
     square = (change * change) @ np.ones(3)
     if math.isfinite(place.latitude):
         return np.asarray(0.5 * place.horizontal**2 * (square - (change @ up) ** 2))

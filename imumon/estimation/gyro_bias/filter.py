@@ -14,10 +14,11 @@ import numpy as np
 
 from imumon.blocks import BoolArray, FloatArray
 from imumon.estimation.gyro_bias import bank as filters
-from imumon.estimation.gyro_bias.attitude import Attitude, Place, Turn, turned_earth
+from imumon.estimation.gyro_bias.attitude import Attitude, Place, turned_earth
 from imumon.estimation.gyro_bias.bank import AtRest, Bank, Family
 from imumon.estimation.gyro_bias.law import LAW, Laws, at_slot, no_law, sd_at_slot
 from imumon.estimation.gyro_bias.white import WhiteNoise
+from imumon.filters.turns import STILL, Turn
 
 SAME_POSE = 0.02
 """m/s², a tenth of a degree: with 0.1 °/s/g less than 1 °/h."""
@@ -97,7 +98,10 @@ class Slot:
     Parameters
     ----------
     start_s, end_s : float
-        From the end of the slot before, or the first sample at rest, to the last sample.
+        From the end of the slot before, or the first sample at rest, to the last sample; of a gap, to the
+        first sample behind it.
+    holds_s : float
+        How long it takes until the next one ends.
     follows : bool
         Whether the unit was at rest, without a gap, at the end of the slot before and since then.
     rest : bool
@@ -110,28 +114,29 @@ class Slot:
         Temperature of each gyro; NaN without any.
     growth : array (3,)
         What an uncertain temperature has added to the variance of the bias since the start, (rad/s)².
+    lag_degc : array (3,)
+        By how much the gyros' temperatures may have fallen behind meanwhile, unseen (sd), °C.
     undecided : array (3,)
         A turn, rad/s, of which nobody knows whether it is a change of the bias, or, at rest, nobody knew
         until then; else 0.
-    turning : array (k, 3)
-        Mean rates of shorter slots since the slot before, rad/s, less the thermal model's part.
-    turning_s : array (k,)
-        Over how long each; 0 behind a gap.
+    turn : Turn
+        Since the slot before, by rates less the thermal model's part.
     gap : bool
-        Whether readings were missing for a while.
+        Whether readings were missing for a while.  A slot that is nothing but a gap has no rate (NaN).
     """
 
     start_s: float
     end_s: float
+    holds_s: float
     follows: bool
     rest: bool
     rate: FloatArray
     force: FloatArray | None
     degc: FloatArray
     growth: FloatArray
+    lag_degc: FloatArray
     undecided: FloatArray
-    turning: FloatArray
-    turning_s: FloatArray
+    turn: Turn
     gap: bool
 
     @property
@@ -200,8 +205,8 @@ class State:
     white : WhiteNoise
     bank : Bank or None
         None until the noise is known.
-    attitude, turn : Attitude, Turn
-        At the last rest, and since then.
+    attitude, turn, lost : Attitude, Turn, bool
+        At the last rest, since then, and whether readings were missing meanwhile.
     at_rest, fresh : bool
         Whether it is at rest, and has just come to it.
     waiting : Reading or None
@@ -229,7 +234,8 @@ class State:
     white: WhiteNoise = field(default_factory=WhiteNoise)
     bank: Bank | None = None
     attitude: Attitude = field(default_factory=Attitude)
-    turn: Turn = field(default_factory=Turn)
+    turn: Turn = STILL
+    lost: bool = False
     at_rest: bool = False
     fresh: bool = False
     waiting: Reading | None = None
@@ -277,8 +283,8 @@ def step(state: State, params: Params, slot: Slot) -> FloatArray:
 def _follow_turn(state: State, slot: Slot) -> None:
     bias = at_slot(state.law)
     known = np.where(np.isfinite(bias), bias, 0.0)
-    state.turn.add(slot.turning_s[:, np.newaxis] * (slot.turning - known))
-    state.turn.lost |= slot.gap
+    state.turn = state.turn.then(slot.turn.less(known))
+    state.lost |= slot.gap
     state.contrary.behind_gap |= slot.gap
 
 
@@ -290,7 +296,7 @@ def _leave(state: State, params: Params, at_s: float) -> None:
         state.first = []
     state.at_rest, state.waiting = False, None
     state.white.begin()
-    state.turn, state.left_s = Turn(), at_s
+    state.turn, state.lost, state.left_s = STILL, False, at_s
 
 
 def _close(state: State, params: Params, slot: Slot) -> FloatArray:
@@ -299,7 +305,7 @@ def _close(state: State, params: Params, slot: Slot) -> FloatArray:
     if state.fresh:
         drift = (slot.end_s - state.left_s) * float(sd_at_slot(state.law).max())
         state.arrival = state.arrival + attitude.come_to_rest(
-            slot.force, params.place, state.turn, drift, state.turn.lost
+            slot.force, params.place, state.turn, drift, state.lost
         )
         state.arrival = state.arrival + slot.undecided**2
     usable = (slot.force is not None) == (attitude.gravity > 0.0)
@@ -392,6 +398,9 @@ def _coast(state: State, params: Params, noise: Noise, slot: Slot) -> None:
     warming = _changes(state.at_degc, slot.degc, 0.0) if params.learns else _zero()
     difference = np.abs(_changes(state.noted_degc, slot.degc, MOVED_DEGC)) if params.learns else _zero()
     dt, growth = slot.end_s - state.used_s, slot.growth - state.growth
+    if slot.lag_degc.any():
+        slope2 = state.law["terms"][0, :, 1] ** 2 + state.law["covariance"][0, :, 1, 1]
+        growth = growth + np.nan_to_num(slope2) * slot.lag_degc**2
     filters.wander(state.bank, noise.rate, dt, warming, difference, growth)
     state.growth, state.used_s = slot.growth, slot.end_s
 
@@ -435,8 +444,8 @@ def _take(state: State, params: Params, bank: Bank, noise: Noise, reading: Readi
     innovation, surprise = filters.look(bank, at_rest)
     shown: FloatArray = np.where(state.chosen, innovation[-1], innovation[0])
     # Just after a contradiction the rotation is not known, and a rotation explains any rate for a while.
-    contrary = state.contrary.readings and filters.disagreement(bank, at_rest)[0].max() > GATE
-    if contrary or surprise[0].max() > GATE:
+    contrary = state.contrary.readings and filters.disagreement(bank, at_rest).min(0).max() > GATE
+    if contrary or surprise.min(0).max() > GATE:
         _refuse(state, params, bank, reading)
         return shown
     state.contrary = Contrary()
@@ -470,7 +479,7 @@ def _show(state: State, params: Params, noise: Noise, slot: Slot) -> None:
     """
     assert state.bank is not None
     # It holds until the next slot ends; at rest the one that waits comes on top.
-    ahead_s = slot.dt * (2.0 if state.at_rest else 1.0)
+    ahead_s = slot.holds_s * (2.0 if state.at_rest else 1.0)
     mean, covariance = filters.law(state.bank, params.family, noise.rate, ahead_s)
     terms, known = mean[0], covariance[0]
     if params.learns:

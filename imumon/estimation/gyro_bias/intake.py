@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from imumon.blocks import NO_INT, BoolArray, FloatArray, IntArray
-from imumon.estimation.gyro_bias.attitude import FINE_S
 from imumon.estimation.gyro_bias.filter import Slot
-from imumon.estimation.gyro_bias.thermal_input import ThermalVariance
+from imumon.estimation.gyro_bias.thermal_input import ThermalVariance, unseen_lag
 from imumon.filters.slots import SlotGatherer, Slots
+from imumon.filters.turns import STILL
 
 SLOT_S = 0.5
 GAP_S = 0.25
@@ -36,6 +36,8 @@ class Samples:
         m/s²; NaN where there is none.
     degc, initial_sd : array (n, 3)
         Temperature, and standard deviation of the thermal model for want of knowledge of its state, rad/s.
+    rate_sd : array (n, 3)
+        Standard deviation of the rate of temperature, °C/s; NaN where there is none.
     turn : array (n, 3)
         A turn that may be a change of the bias, rad/s; 0 where there is none.
     rest : array of bool (n,)
@@ -47,6 +49,7 @@ class Samples:
     accel: FloatArray
     degc: FloatArray
     initial_sd: FloatArray
+    rate_sd: FloatArray
     turn: FloatArray
     rest: BoolArray
 
@@ -62,36 +65,10 @@ class _Before:
     rest: bool = False
     turn: FloatArray = field(default_factory=lambda: np.zeros(3))
 
-
-@dataclass(slots=True, eq=False)
-class _Turns:
-    """Fine slots that wait for the end of theirs: mean rates (k, 3), spans (k,) and rows; and the last."""
-
-    rates: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
-    spans: FloatArray = field(default_factory=lambda: np.zeros(0))
-    rows: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
-    end_ns: int = 0
-    span_s: float = 0.0
-
-    def add(self, slots: Slots) -> None:
-        """Take the fine slots of a block; those behind a gap say nothing of what happened in it."""
-        self.rows = np.concatenate([np.zeros(len(self.rows), np.int64), slots.row])
-        if not len(slots):
-            return
-        start = np.concatenate([[self.end_ns], slots.end_ns[:-1]])
-        spans = (slots.end_ns - np.where(slots.begins, slots.start_ns, start)) * 1e-9
-        before = np.concatenate([[self.span_s], spans[:-1]])
-        self.end_ns, self.span_s = int(slots.end_ns[-1]), float(spans[-1])
-        known = spans <= np.maximum(GAP_S, 3.0 * before)
-        self.rates = np.concatenate([self.rates, slots.mean])
-        self.spans = np.concatenate([self.spans, np.where(known, spans, 0.0)])
-
-    def take(self, row: int) -> tuple[FloatArray, FloatArray]:
-        """Return rates (k, 3) and spans (k,) of the slots that ended up to a row, and forget them."""
-        k = int(np.searchsorted(self.rows, row, side="right"))
-        found = self.rates[:k], self.spans[:k]
-        self.rates, self.spans, self.rows = self.rates[k:], self.spans[k:], self.rows[k:]
-        return found
+    @property
+    def longest_s(self) -> float:
+        """A longer pause between samples is a gap."""
+        return max(GAP_S, 3.0 * self.interval_s)
 
 
 def complete(vectors: FloatArray) -> BoolArray:
@@ -104,12 +81,10 @@ class Intake:
     """Gathers samples; the same slots whatever the division into blocks."""
 
     def __init__(self, thermal: ThermalVariance) -> None:
-        self._gatherer = SlotGatherer(COLUMNS, round(SLOT_S * 1e9))
-        self._fine = SlotGatherer(3, round(FINE_S * 1e9))
+        self._gatherer = SlotGatherer(COLUMNS, round(SLOT_S * 1e9), rates=RATE.start)
         self._thermal = thermal
         self._values = np.empty((0, COLUMNS))
         self._before = _Before()
-        self._turns = _Turns()
 
     def process(self, samples: Samples) -> Iterator[tuple[int, bool, Slot | None]]:
         """Yield the row behind each slot, whether a segment begins with it, and what it says, if anything."""
@@ -125,9 +100,39 @@ class Intake:
         values[:, DEGC], values[:, INITIAL_SD] = samples.degc, samples.initial_sd
         values[:, TURN], values[:, REST] = samples.turn, samples.rest
         slots = self._gatherer.process(time_ns, samples.segment, values)
-        self._turns.add(self._fine.process(time_ns, samples.segment, samples.gyro))
         for k in range(len(slots)):
-            yield int(slots.row[k]), bool(slots.begins[k]), self._slot(slots, k)
+            row = int(slots.row[k])
+            yield row, bool(slots.begins[k]), self._slot(slots, k)
+            if int(samples.segment[row]) == int(slots.segment[k]):
+                gap = self._gap(samples, row)
+                if gap is not None:
+                    yield row, False, gap
+
+    def _gap(self, samples: Samples, row: int) -> Slot | None:
+        """Return the slot that nobody saw, if the sample behind a slot comes after a gap."""
+        before, degc = self._before, samples.degc[row]
+        behind = (int(samples.time_ns[row]) - before.origin_ns) * 1e-9
+        if before.interval_s == 0.0 or behind - before.end_s <= before.longest_s:
+            return None
+        end = behind - before.interval_s
+        start, before.end_s, before.rest = before.end_s, end, False
+        lag_degc = unseen_lag(end - start, samples.rate_sd[row])
+        self._thermal.miss(lag_degc)
+        return Slot(
+            start,
+            end,
+            max(SLOT_S, before.interval_s),
+            follows=False,
+            rest=False,
+            rate=np.full(3, np.nan),
+            force=None,
+            degc=degc,
+            growth=self._thermal.step(degc, samples.initial_sd[row]),
+            lag_degc=lag_degc,
+            undecided=before.turn,
+            turn=STILL,
+            gap=True,
+        )
 
     def _slot(self, slots: Slots, k: int) -> Slot | None:
         """Return what a slot says; None of a single sample before which nothing is known."""
@@ -139,8 +144,7 @@ class Intake:
         end = (int(slots.end_ns[k]) - before.origin_ns) * 1e-9
         inside = (end - start) / (samples - 1) if samples > 1 else 0.0
         pause = start - before.end_s
-        late = pause > max(GAP_S, 3.0 * before.interval_s)
-        gap = late or samples * before.interval_s < LEAST_COVERED * (end - before.end_s)
+        gap = pause > before.longest_s or samples * before.interval_s < LEAST_COVERED * (end - before.end_s)
         if slots.begins[k] or gap:
             interval = inside if samples > 1 or slots.begins[k] else before.interval_s
             start -= interval
@@ -162,7 +166,6 @@ class Intake:
         first, last = slots.first[k, TURN], slots.last[k, TURN]
         undecided = (first if first.any() else before.turn) if rest else last
         before.turn = last
-        rates, spans = self._turns.take(int(slots.row[k]))
         degc = np.where(rest, slots.mean[k, DEGC], slots.last[k, DEGC])
         growth = self._thermal.step(slots.last[k, DEGC], slots.last[k, INITIAL_SD])
         rate, force, which = slots.mean[k, RATE], slots.mean[k, FORCE], FORCE
@@ -176,14 +179,15 @@ class Intake:
         return Slot(
             start,
             end,
+            end - start,
             follows,
             rest,
             rate,
             force if forced else None,
             degc,
             growth,
+            np.zeros(3),
             undecided,
-            rates,
-            spans,
+            slots.turns.at(k),
             gap,
         )

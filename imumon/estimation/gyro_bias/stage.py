@@ -151,6 +151,7 @@ class GyroBias:
             np.full((n, 3), np.nan) if accel is None else accel,
             temperature,
             initial_sd,
+            self._thermal.rate_sd(block),
             _undecided(block),
             self._rest(block),
         )

@@ -75,7 +75,13 @@ def _warm(x: FloatArray, p: FloatArray, dt: float, warming: float, difference: f
         p[WALK, j] += warming * p[SLOPE, j]
     for j in range(len(x)):
         p[j, WALK] += warming * p[j, SLOPE]
-    p[SLOPE, SLOPE] += walk + square * difference / CURVATURE_DEGC
+    # The slope walks along the temperature: over what is passed at once (behind a gap) so does its integral.
+    along = square / CURVATURE_DEGC
+    passed = min(difference, abs(warming))
+    p[SLOPE, SLOPE] += walk + along * difference
+    p[WALK, WALK] += along * passed**3 / 3.0
+    p[WALK, SLOPE] += along * math.copysign(passed**2 / 2.0, warming)
+    p[SLOPE, WALK] = p[WALK, SLOPE]
 
 
 @njit

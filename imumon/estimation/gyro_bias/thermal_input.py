@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from imumon.blocks import BoolArray, FloatArray, SampleBlock
+from imumon.estimation.temperature_rate.bank import START_ACCELERATION, START_RATE
 from imumon.models.model import BiasModel
 from imumon.models.predictor import BiasPredictor
 
@@ -15,6 +17,18 @@ CORRELATION_DEGC = 5.0
 """Errors of a curve at temperatures farther apart than about this have little to do with each other."""
 MARK_DEGC = 0.5
 """The temperature has moved when it is this far from where it was last noted: noise does not count."""
+LAG_S = 30.0
+"""How far a gyro's temperature may be behind the thermometer's (sd): half of what `effects.thermal_lag` needs
+to tell it from an effect of the rate."""
+
+
+def unseen_lag(gap_s: float, rate_sd: FloatArray) -> FloatArray:
+    """Return by how much the lag of each gyro's temperature may have changed in a gap (sd), °C, (3,).
+
+    `rate_sd` (3,) is what is known of the thermometer's rate behind it, °C/s; NaN where nobody estimates it.
+    """
+    unseen = np.where(np.isfinite(rate_sd), rate_sd, min(START_ACCELERATION * gap_s, START_RATE))
+    return np.asarray(-LAG_S * math.expm1(-gap_s / LAG_S) * unseen)
 
 
 @dataclass(slots=True, eq=False)
@@ -71,6 +85,10 @@ class ThermalVariance:
         self.faded = np.fmax(self.faded, (sd - self.first_sd) ** 2)
         return np.asarray(self.variance + self.faded)
 
+    def miss(self, lag_degc: FloatArray) -> None:
+        """Add what the lag behind the thermometer may have done in a gap (sd), (3,)."""
+        self.variance = self.variance + (self.steepness * lag_degc) ** 2
+
 
 class ThermalInput:
     """Sum of the model's increments since the start, and of the variance that they bring.
@@ -126,6 +144,15 @@ class ThermalInput:
             # The reading is a stopgap where the estimate has not begun; mixed with it, it would jump.
             name = next((name for name in sources if name in block), None)
             result[:, j] = np.nan if name is None else block[name]
+        return result
+
+    def rate_sd(self, block: SampleBlock) -> FloatArray:
+        """Return what is known of the rate of each gyro's temperature (sd), °C/s, (n, 3); NaN without one."""
+        result = np.full((len(block), 3), np.nan)
+        for j, sources in enumerate(self._sources):
+            name = sources[0].replace("estimate", "rate_sd")
+            if name in block:
+                result[:, j] = block[name]
         return result
 
     def process(

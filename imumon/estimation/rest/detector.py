@@ -13,7 +13,7 @@ import numpy as np
 from imumon.blocks import FloatArray
 from imumon.estimation.rest.compass import Verdict, verdict
 from imumon.estimation.rest.parameters import RestParameters
-from imumon.estimation.rest.state import AXES, EVERY, GYRO, LEVELS, Anchor, Slot, State
+from imumon.estimation.rest.state import ACCEL, AXES, EVERY, GYRO, LEVELS, Anchor, Slot, State
 from imumon.estimation.rest.trial import RING, adopt, look
 from imumon.estimation.rest.turn import (
     Explained,
@@ -22,6 +22,7 @@ from imumon.estimation.rest.turn import (
     is_over,
     is_steady,
     is_upright,
+    may_jump,
     recent_mean,
     steady_slots,
     still_on,
@@ -69,6 +70,7 @@ def begin(state: State, now_s: float, other: bool) -> None:
     state.long_hold_s = now_s
     state.windows.last[:] = np.nan
     _watch(state, now_s, 0.0)
+    state.show()
 
 
 def step(
@@ -88,6 +90,8 @@ def step(
     taken, motion = seen(state, slots, first, min(first + run, stop), parameters.drift)
     state.slots += taken - 1
     _decide_on(state, parameters, motion, end_s[first + taken - 1])
+    if not settled or motion is not None or state.slots % EVERY == 1:  # not where a block happens to end
+        state.show()
     return taken
 
 
@@ -158,7 +162,7 @@ def _may_return(state: State) -> bool:
 
 def _watch(state: State, now_s: float, seconds: float) -> None:
     """Forget all windows; the next rest is so many seconds away at least."""
-    hold_s = state.caution * min(max(seconds, SETTLE_S), LONGEST_HOLD_S)
+    hold_s = min(state.caution * max(seconds, SETTLE_S), LONGEST_HOLD_S)
     state.hold_s = now_s + (min(hold_s, TURN_HOLD_S) if state.turning else hold_s)
     if seconds > SETTLE_S:
         state.long_hold_s = state.hold_s
@@ -200,7 +204,7 @@ def _note(state: State, motion: Motion, now_s: float) -> None:
     elif not state.anchors or now_s - state.rest_since_s > LEAST_REST_S:
         _remember(state, anchor)
     if not motion.sudden:
-        state.turn = upright(state, turn) if motion.turning else turn
+        state.turn = upright(state, turn, windows.rest_mean[ACCEL]) if motion.turning else turn
 
 
 def _remember(state: State, anchor: Anchor) -> None:
@@ -247,14 +251,12 @@ def _judge(
             state.turning &= said is not Verdict.RESTS
         if np.isnan(state.undecided_since_s):
             state.undecided_since_s = now_s
-        if (
-            now_s - state.undecided_since_s >= parameters.undecided_s
-            and np.abs(turn).max() <= parameters.largest_jump
-        ):
+        late = now_s - state.undecided_since_s >= parameters.undecided_s
+        if late and may_jump(state, parameters, turn):
             return np.zeros(3), True
     if explained is Explained.NO:
         # About another axis it would tilt the unit: gravity says soon whether it does.
-        state.turn, state.turning = turn, state.turning or is_upright(state, turn)
+        state.turn, state.turning = turn, state.turning or bool(turn.any() and is_upright(state, turn))
         return turn, False
     slow = state.slow or state.quiet_slots >= steady_slots(state) // 2
     return turn, not (state.anchors and slow and fits and not is_steady(state, parameters))

@@ -34,9 +34,9 @@ class RestDetector:
 
     The columns ``turn_hypothesis_{x,y,z}`` are for who estimates the bias: by so much, rad/s, the gyros
     differ from the last rest while nothing tells a steady turn from a bias that has changed, or so much of
-    the beginning of a slow turn may have been taken for rest.  Its square belongs in the variance of the
-    bias as long as it is not zero (``at_rest`` is 0 meanwhile); the measurements of the next rest begin from
-    that variance.
+    the beginning of a slow turn may have been taken for rest, or the steps of the sensor hide.  Its square
+    belongs in the variance of the bias as long as it is not zero (``at_rest`` is 0 meanwhile); the
+    measurements of the next rest begin from that variance.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ class RestDetector:
             found, turn = self._follow(time_ns, segment, readings)
         else:
             before = self._last_ns, self._last_segment, self._at_rest
-            before_turn = self._state.undecided
+            before_turn = self._state.shown
             found, turn = self._follow(time_ns[rows], segment[rows], readings[rows])
             found = _held(rows, found, time_ns, segment, before)
             turn = held(rows, turn, before_turn, n)
@@ -104,7 +104,7 @@ class RestDetector:
             slots, end_s = _slots_of(ended, time_ns), (1e-9 * time_ns[ended.row]).tolist()
             first = 0
             while first < len(end_s):
-                was, undecided = self._at_rest, state.undecided
+                was, undecided = self._at_rest, state.shown
                 if broken and broken[0] == first:
                     begin(state, end_s[first], bool(other[broken.pop(0)]))
                     last = first
@@ -115,7 +115,7 @@ class RestDetector:
                 if was and not state.at_rest:
                     outside.append(self._outside(readings, edges[last], edges[last + 1]))
                 self._at_rest, first = int(state.at_rest), last + 1
-            rest[-1], turn[-1] = self._at_rest, state.undecided
+            rest[-1], turn[-1] = self._at_rest, state.shown
             if self._at_rest:
                 outside.append(self._outside(readings, edges[-2], n))
                 self._at_rest = int(outside[-1][0] == n)

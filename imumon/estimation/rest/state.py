@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, cast
@@ -99,6 +100,8 @@ class Windows(NamedTuple):
         Variance of the mean of a window at rest, and the share of the next window in it.
     step : array, (6,)
         Least difference of two readings that was seen.
+    resolution : array, (6,)
+        What is left of the step after this noise; 0 until the noise is known.
     last : array, (6,)
         Last reading.
     rest_mean : array, (6,)
@@ -121,6 +124,7 @@ class Windows(NamedTuple):
     variance: FloatArray
     gain: FloatArray
     step: FloatArray
+    resolution: FloatArray
     last: FloatArray
     rest_mean: FloatArray
     low: FloatArray
@@ -143,6 +147,7 @@ def new_windows() -> Windows:
         variance=np.zeros((LEVELS, AXES)),
         gain=np.zeros((LEVELS, AXES)),
         step=np.repeat(COARSEST_STEPS, 3),
+        resolution=np.zeros(AXES),
         last=np.full(AXES, np.nan),
         rest_mean=np.zeros(AXES),
         low=np.zeros(AXES),
@@ -261,6 +266,8 @@ class State:
         Rate, rad/s, by which the gyros differ from the latest anchor while nothing tells a turn from a bias.
     turns_on : float
         Probability at rest that it is a turn.
+    shown : array, (3,)
+        `undecided` when something was last decided.
     steady : array
         Mean of a turn, when it was last undisturbed, at `steady_s`; NaN without any.
     rest_since_s : float
@@ -289,6 +296,7 @@ class State:
     undecided_since_s: float = np.nan
     turn: FloatArray = field(default_factory=lambda: np.zeros(3))
     turns_on: float = 1.0
+    shown: FloatArray = field(default_factory=lambda: np.zeros(3))
     steady: FloatArray = field(default_factory=lambda: np.full(AXES, np.nan))
     steady_s: float = 0.0
     rest_since_s: float = -np.inf
@@ -304,16 +312,17 @@ class State:
 
     @property
     def undecided(self) -> FloatArray:
-        """What may be a turn, and may be bias, rad/s, (3,): from before this rest, or since."""
-        turn = np.sqrt(self.turns_on) * self.turn if self.at_rest else self.turn
-        return turn if turn @ turn > self.doubt @ self.doubt else self.doubt
+        """What may be a turn, and may be bias, rad/s, (3,): from before this rest, or since.
 
-    @property
-    def resolution(self) -> FloatArray:
-        """What is left of the step of each axis after its noise, (6,)."""
-        windows = self.windows
-        noise = np.maximum(windows.sample_variance / (windows.step**2 + 1e-24) - ROUNDED, 0.0)
-        return np.asarray(windows.step * np.exp(-DITHER * noise))
+        So may half of what the noise leaves of a gyro's step, for its readings are the same with and without.
+        """
+        turn = math.sqrt(self.turns_on) * self.turn if self.at_rest else self.turn
+        turn = turn if turn @ turn > self.doubt @ self.doubt else self.doubt
+        return np.asarray(np.copysign(np.hypot(turn, 0.5 * self.windows.resolution[GYRO]), turn))
+
+    def show(self) -> None:
+        """Let what is undecided now be shown until something is decided again."""
+        self.shown = self.undecided
 
     def means(self, cuts: npt.NDArray[np.intp]) -> FloatArray:
         """Return the means between neighbouring cuts, (..., k, 6) for (..., k + 1).

@@ -13,6 +13,7 @@ from enum import Enum
 import numpy as np
 
 from imumon.blocks import FloatArray
+from imumon.estimation.rest.compass import Verdict
 from imumon.estimation.rest.parameters import RestParameters
 from imumon.estimation.rest.state import ACCEL, GYRO, KEPT, LEVELS, SLOT_S, Anchor, State
 from imumon.estimation.rest.thermometer import warmed
@@ -65,25 +66,37 @@ def hypothesis(
     # It is while the unit moved that a turn began, or the bias changed: a steady mean does neither.
     since_s = min(state.quiet_since_s, now_s - state.span_s(slots))
     turn = state.anchors[0].turn_now(recent)
-    limit = SIGMAS * np.sqrt(variance + state.anchors[0].variance) + state.resolution
-    possible, across = _possible(state, parameters, turn, recent[ACCEL])
+    limit = SIGMAS * np.sqrt(variance + state.anchors[0].variance) + state.windows.resolution
+    across = turn - upright(state, turn, recent[ACCEL])
     wander = SIGMAS * np.sqrt(wander_after(state, now_s - state.anchors[0].at_s))
     wander += SIGMAS * warmed(state.degc, state.anchors[0].degc)
-    size, tilt = float(np.linalg.norm(turn)), float(np.linalg.norm(across))
-    limited = np.linalg.norm(across * np.maximum(limit[GYRO], wander)) < tilt * tilt
-    if limited and tilt > OBLIQUE * size and size <= parameters.largest_jump:
-        return np.zeros(3), Explained.PLAINLY
+    tilt = float(np.linalg.norm(across))
+    noisy, wanders = (
+        np.linalg.norm(across * sd) >= tilt * tilt for sd in (limit[GYRO], np.maximum(limit[GYRO], wander))
+    )
+    said = gravity_says(state, turn, parameters.accel_drift, slots)
+    if not noisy and tilt > OBLIQUE * float(np.linalg.norm(turn)) and said is not None:
+        if said is not Verdict.RESTS:  # it turns, or will have been seen to be still in seconds
+            return state.turn, Explained.NO
+        if not wanders and may_jump(state, parameters, turn):
+            return np.zeros(3), Explained.PLAINLY
     if _turns_on(state, turn, recent, limit):
         return turn, Explained.NO
     best = Explained.NO
     for anchor in state.anchors:
         change = recent - anchor.mean
-        change[GYRO] = _possible(state, parameters, np.nan_to_num(change[GYRO]), recent[ACCEL])[0]
+        change[GYRO] = _possible(state, parameters, np.nan_to_num(change[GYRO]), recent[ACCEL], slots)
         found = _explained(state, parameters, anchor, change, variance, since_s)
         if found is Explained.PLAINLY:
             return anchor.turn, found
         best = max(best, found, key=lambda one: one.value)
-    return possible, best
+    return turn - across if said is Verdict.RESTS else turn, best
+
+
+def may_jump(state: State, parameters: RestParameters, turn: FloatArray) -> bool:
+    """Tell whether a bias may have changed so, (3,), since the latest rest, by itself or by warming."""
+    warm = SIGMAS * float(warmed(state.degc, state.anchors[0].degc))
+    return float(np.linalg.norm(turn)) <= parameters.largest_jump + warm
 
 
 def _explained(
@@ -102,7 +115,8 @@ def _explained(
     still = state.windows.known[ACCEL].all() and force < SIGMAS * np.sqrt(noise[ACCEL].max()) + TILTED
     slope = CREEP if still else parameters.gyro_drift
     wander = np.sqrt(np.maximum(wander_after(state, moved_s), noise[GYRO]))
-    plain = parameters.gyro_g_sensitivity * force + (0.0 if still else EARTH_TWICE) + state.resolution[GYRO]
+    turned = parameters.gyro_g_sensitivity * force + (0.0 if still else EARTH_TWICE)
+    plain = turned + state.windows.resolution[GYRO]
     # What creeps does so by its temperature: without a thermometer, for as long as it has had.
     drift = min(slope * moved_s, parameters.gyro_walk) if np.isnan(state.degc) or not still else 0.0
     warm = warmed(state.degc, anchor.degc)
@@ -135,7 +149,7 @@ def is_back(state: State, parameters: RestParameters, now_s: float) -> Anchor | 
     if state.turning:  # a turn that ends slowly is slow for longer than its mean is near
         means.append(state.means(state.length - steady_slots(state) // 2 * np.array([1, 2]))[0])
     for anchor in state.anchors:
-        limit = BACK_SIGMAS * np.sqrt(variance + anchor.variance) + state.resolution
+        limit = BACK_SIGMAS * np.sqrt(variance + anchor.variance) + state.windows.resolution
         limit[ACCEL] += min(parameters.accel_drift * (now_s - anchor.at_s), TILTED)
         change = np.max([np.abs(mean - anchor.mean) for mean in means], axis=0)
         change = np.where(np.isfinite(recent), change, 0.0)
@@ -156,7 +170,8 @@ def still_on(state: State, now_s: float) -> tuple[FloatArray, float]:
     as likely on a logarithmic scale.
     """
     anchor, since_s = state.anchors[0], now_s - state.undecided_since_s
-    now = upright(state, anchor.turn_now(recent_mean(state, state.quiet_slots)[0]))
+    recent = recent_mean(state, state.quiet_slots)[0]
+    now = upright(state, anchor.turn_now(recent), recent[ACCEL])
     size = float(np.linalg.norm(state.turn))
     along = float(now @ state.turn) / size
     if along >= size:
@@ -170,18 +185,17 @@ def still_on(state: State, now_s: float) -> tuple[FloatArray, float]:
     return state.turn, float(1.0 / (1.0 + np.exp(min(0.5 * over, 100.0)) * since_s / TURN_EVERY_S))
 
 
-def upright(state: State, turn: FloatArray) -> FloatArray:
+def upright(state: State, turn: FloatArray, force: FloatArray) -> FloatArray:
     """Return the part of a turn, (3,), that is about the vertical; all of it where gravity is not known."""
-    force = state.windows.rest_mean[ACCEL]
-    if not state.windows.known[ACCEL].all():
+    gravity2 = float(force @ force)
+    if not (state.windows.known[ACCEL].all() and gravity2 > 25.0):
         return turn
-    return np.asarray((turn @ force) * force / (force @ force))
+    return np.asarray((turn @ force) * force / gravity2)
 
 
 def is_upright(state: State, turn: FloatArray) -> bool:
     """Tell whether a turn, (3,), is about the vertical as it is now, or gravity is not known."""
-    force = recent_mean(state, state.quiet_slots)[0][ACCEL]
-    across = turn - (turn @ force) * force / (force @ force)
+    across = turn - upright(state, turn, recent_mean(state, state.quiet_slots)[0][ACCEL])
     return not across @ across > OBLIQUE**2 * (turn @ turn)
 
 
@@ -202,7 +216,7 @@ def _turns_on(state: State, turn: FloatArray, recent: FloatArray, limit: FloatAr
     """Tell whether something disturbed a turn, and the mean is what it was before: no turn ends like that."""
     if not np.isfinite(state.steady).any():
         return False
-    across = turn - upright(state, turn)
+    across = turn - upright(state, turn, recent[ACCEL])
     if state.quiet_slots > steady_slots(state) and across @ across > OBLIQUE**2 * (turn @ turn):
         return False  # gravity would have shown it by now
     between_s = max(state.quiet_since_s - state.steady_s, 0.0)
@@ -211,26 +225,41 @@ def _turns_on(state: State, turn: FloatArray, recent: FloatArray, limit: FloatAr
     return bool(same.all() and np.nansum(near) < np.nansum(far))
 
 
-def _possible(
-    state: State, parameters: RestParameters, turn: FloatArray, force: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return the part of a change, (3,), that may be a turn, and that which would have tilted the unit.
+def gravity_says(state: State, turn: FloatArray, drift: float, slots: int) -> Verdict | None:
+    """Tell whether the specific force turned in the latest slots as a turn, (3,), would have it turn.
 
-    The latter is zero where gravity would not have shown it yet.
+    None where it would not in any time: the turn is about the vertical, or so slow that the accelerometers'
+    drift, m/s³, or noise hides it in 8 s.
     """
-    gravity = float(np.linalg.norm(force))
-    window = steady_slots(state) // 4
-    if not (state.windows.known[ACCEL].all() and gravity > 5.0 and state.quiet_slots >= 2 * window):
-        return turn, np.zeros(3)
-    # What accelerometers show in two windows of 4 s, by the limits of `windows`, or their drift would hide.
-    level, seconds = window.bit_length() - 1, state.span_s(window)
-    shown = (
-        np.sqrt(2.0 * CHI_SQUARE * state.windows.variance[level, ACCEL].max()) + state.resolution[ACCEL].max()
-    )
-    least = (shown + parameters.accel_drift * seconds) / (gravity * seconds)
-    along = (turn @ force) * force / gravity**2
-    across = turn - along
-    return (along, across) if across @ across > float(least) ** 2 else (turn, np.zeros(3))
+    longest = steady_slots(state) // 4
+    window = min(slots // 2, longest)
+    if not state.windows.known[ACCEL].all() or window == 0:
+        return None
+    now, before = state.means(state.length - window * np.arange(3))[:, ACCEL]
+    expected = np.cross(now, turn)
+    rate = float(np.sqrt(expected @ expected))
+    if not rate > _shown(state, drift, longest):
+        return None
+    if not rate > _shown(state, drift, window):
+        return Verdict.UNDECIDED
+    along = float((now - before) @ expected) / (rate * state.span_s(window))
+    return Verdict.TURNS if along > 0.5 * rate else Verdict.RESTS
+
+
+def _possible(
+    state: State, parameters: RestParameters, change: FloatArray, force: FloatArray, slots: int
+) -> FloatArray:
+    """Return the part of a change, (3,), that may be a turn by what gravity says."""
+    if gravity_says(state, change, parameters.accel_drift, slots) is Verdict.RESTS:
+        return upright(state, change, force)
+    return change
+
+
+def _shown(state: State, drift: float, window: int) -> float:
+    """Return how fast the specific force must turn to be seen in two windows of so many slots, m/s³."""
+    windows = state.windows
+    noise = 2.0 * CHI_SQUARE * windows.variance[window.bit_length() - 1, ACCEL].max()
+    return float(np.sqrt(noise) + windows.resolution[ACCEL].max()) / state.span_s(window) + drift
 
 
 def steady_slots(state: State) -> int:
@@ -255,7 +284,7 @@ def is_steady(state: State, parameters: RestParameters) -> bool:
     change = means[0] - means[1:]
     variance = 2.0 * state.windows.variance[width.bit_length() - 1] + TINY
     sigmas = TURN_STEADY_SIGMAS if state.turning else STEADY_SIGMAS
-    limit = STEADY_SIGMAS * np.sqrt(variance) + state.resolution
+    limit = STEADY_SIGMAS * np.sqrt(variance) + state.windows.resolution
     limit = limit + parameters.accel_drift * seconds[:, np.newaxis]
     if (state.windows.known & (np.abs(change) > limit))[:, ACCEL].any():
         return False
@@ -282,7 +311,7 @@ def _turned(state: State, off: FloatArray, limit2: FloatArray, creep: FloatArray
     known = state.windows.known
     off = np.where(known[GYRO] & np.isfinite(off), off, 0.0)
     if not known.all():
-        excess = np.maximum(np.abs(off) - creep[:, np.newaxis] - state.resolution[GYRO], 0.0)
+        excess = np.maximum(np.abs(off) - creep[:, np.newaxis] - state.windows.resolution[GYRO], 0.0)
         return np.asarray(np.sqrt((excess**2 / limit2).sum(-1)) * (5.0 / np.sqrt(CHI_SQUARE)))
     force = state.windows.rest_mean[ACCEL]
     up = force / np.sqrt(force @ force)
@@ -291,5 +320,5 @@ def _turned(state: State, off: FloatArray, limit2: FloatArray, creep: FloatArray
     vertical = across2 < np.maximum((OBLIQUE * along) ** 2, limit2.max(1))
     # Level axes that only wander do not say that anything creeps.
     crept = np.minimum(creep, ALL_CREEP * np.maximum(np.sqrt(across2) - np.sqrt(limit2.max(1)), 0.0))
-    ratio = (along - crept - np.abs(up) @ state.resolution[GYRO]) / np.sqrt(limit2 @ up**2)
+    ratio = (along - crept - np.abs(up) @ state.windows.resolution[GYRO]) / np.sqrt(limit2 @ up**2)
     return np.where(vertical, ratio, 0.0)

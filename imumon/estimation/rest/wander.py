@@ -210,7 +210,7 @@ def look_for_turn(state: State) -> Turning | None:
     unit_s = float(f"{past.unit_s:.2g}")
     known = changes(kept_edge(past.units), unit_s)
     means = past.means(known.edges)
-    white = np.maximum(state.windows.variance[3, GYRO], state.resolution[GYRO] ** 2 / 12.0) + TINY
+    white = np.maximum(state.windows.variance[3, GYRO], state.windows.resolution[GYRO] ** 2 / 12.0) + TINY
     frame = _frame(state, means[:, GYRO])
     white = (frame * frame).T @ white
     columns = means[:, GYRO] @ frame / np.sqrt(white)
@@ -259,7 +259,7 @@ def _weigh(state: State, known: Changes, seen: Seen, up: FloatArray) -> Turning:
     """Return what changes make likely; up is the vertical."""
     likely, x, ratio = seen.likely, seen.x, seen.size / seen.white_sd
     change = x[..., 0] / ratio[..., 0]
-    step = float(np.abs(up) @ state.resolution[GYRO])
+    step = float(np.abs(up) @ state.windows.resolution[GYRO])
     off = x[..., 0] / np.sqrt(1.0 + (step * ratio[..., 0]) ** 2)
     prior = np.log(known.seconds / TURN_EVERY_S)
     # Rates are as likely on a logarithmic scale: exp(x²/2) times their density at x.

@@ -201,19 +201,12 @@ def _differ(windows: Windows, level: int, seconds: float, drift: FloatArray) -> 
             chi = 0.0
             for j in range(sensor, sensor + 3):
                 change = abs(windows.recent[0, j] - windows.recent[lag, j])
-                excess = change - lag * drift[j] * seconds - _resolution(windows, j)
+                excess = change - lag * drift[j] * seconds - windows.resolution[j]
                 if windows.known[j] and excess > 0.0:
                     chi += excess * excess / ((1.0 + lag) * (windows.variance[level, j] + TINY))
             if chi > CHI_SQUARE:
                 return True
     return False
-
-
-@inner
-def _resolution(windows: Windows, j: int) -> float:
-    step = windows.step[j]
-    noise = max(windows.sample_variance[j] / (step * step + TINY) - ROUNDED, 0.0)
-    return step * np.exp(-DITHER * noise)  # type: ignore[no-any-return]
 
 
 @inner
@@ -247,7 +240,7 @@ def _shaken(windows: Windows, slot: Slot) -> bool:
             return True
         if windows.known[j] and slot.samples[j] >= 3 and within > 2.0 * windows.sample_variance[j]:
             limit = windows.sample_variance[j] * vibration_factor(slot.samples[j])
-            if within > limit + _resolution(windows, j) ** 2:
+            if within > limit + windows.resolution[j] ** 2:
                 return True
     return False
 
@@ -269,14 +262,17 @@ def _keep(windows: Windows, quiet: int, slot: Slot, drift: FloatArray) -> None:
 
 @inner
 def _set_band(windows: Windows, j: int, drift: float) -> None:
+    step = windows.step[j]
+    noise = windows.sample_variance[j] / (step * step + TINY)
+    windows.resolution[j] = step * np.exp(-DITHER * max(noise - ROUNDED, 0.0))
     sd = np.sqrt(windows.sample_variance[j] + windows.variance[0, j])
-    width = SPIKE_SIGMAS * sd + 1.5 * _resolution(windows, j) + drift * MEMORY_SLOTS * SLOT_S
+    width = SPIKE_SIGMAS * sd + 1.5 * windows.resolution[j] + drift * MEMORY_SLOTS * SLOT_S
     windows.low[j], windows.high[j] = windows.rest_mean[j] - width, windows.rest_mean[j] + width
 
 
 @njit
 def set_band(windows: Windows, drift: FloatArray) -> None:
-    """Set the band outside which a single sample is motion."""
+    """Set the band outside which a single sample is motion, and what is left of the sensor's steps."""
     for j in range(AXES):
         windows.low[j], windows.high[j] = -np.inf, np.inf
         if windows.known[j]:

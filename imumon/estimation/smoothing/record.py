@@ -8,6 +8,7 @@ import numpy as np
 
 from imumon.blocks import NO_INT, FloatArray, IntArray, SampleBlock
 from imumon.filters.slots import SlotGatherer, Slots
+from imumon.filters.turns import mean_rates
 
 SLOT_NS = 31_250_000
 """Half of the shortest slot that a stage thinks in, where turns are integrated."""
@@ -47,7 +48,8 @@ class Record:
     middle_ns : array of int64 (n,)
         Device time.
     columns : dict of str to array (n,)
-        Means of the sensors; of readings, rest and estimates the last value.
+        Means of the sensors; of readings, rest and estimates the last value.  While the unit moves, of the
+        gyros the rate that turns it by as much as all samples.
     """
 
     stop: IntArray
@@ -64,7 +66,7 @@ class Recorder:
     """Gathers the blocks of a run, whatever they are cut into."""
 
     def __init__(self) -> None:
-        self._slots = SlotGatherer(len(NAMES), SLOT_NS)
+        self._slots = SlotGatherer(len(NAMES), SLOT_NS, rates=0)
         self._rows = 0
         self._parts: list[tuple[IntArray, Slots]] = []
 
@@ -87,9 +89,19 @@ class Recorder:
         stop = np.concatenate([rows for rows, _ in parts])
         begins = np.concatenate([slots.begins for _, slots in parts])
         middle = np.concatenate([slots.middle_ns for _, slots in parts])
-        mean, final = (np.concatenate([getattr(s, name) for _, s in parts]) for name in ("mean", "last"))
+        mean = np.concatenate([_means(slots) for _, slots in parts])
+        final = np.concatenate([slots.last for _, slots in parts])
         columns = {
             name: np.ascontiguousarray((mean if name in SENSORS else final)[:, j])
             for j, name in enumerate(NAMES)
         }
         return Record(stop, np.cumsum(begins), middle, columns)
+
+
+def _means(slots: Slots) -> FloatArray:
+    """Return the means of slots, (m, columns), with the gyros' that turn the unit as it has turned."""
+    rate = mean_rates(slots.turns)
+    use = np.isfinite(rate[:, 0]) & (slots.last[:, NAMES.index("at_rest")] != 1.0)
+    mean = slots.mean.copy()
+    mean[use, :3] = rate[use]
+    return mean

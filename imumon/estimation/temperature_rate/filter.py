@@ -20,7 +20,7 @@ from imumon.estimation.temperature_rate.bank import (
 from imumon.estimation.temperature_rate.measurement import Merged, measure, merged, said
 from imumon.estimation.temperature_rate.refresh import FASTEST, SLOW_S
 from imumon.estimation.temperature_rate.sensor import Reading, Sensor
-from imumon.estimation.temperature_rate.step import StepFinder
+from imumon.estimation.temperature_rate.step import COARSEST, StepFinder
 
 GLIDE_S = 3.0
 """Time constant with which what is shown follows the state, so that it does not jump."""
@@ -34,17 +34,16 @@ STEP_CHANGE = 0.25
 """A step found to be so much larger is another."""
 GATE, GATE_STEPS, GATE_SLOTS = 8.0, 5.0, 3
 """A reading off by so many deviations and steps, and by more than a temperature moves, is a fault; after so
-many slots it is the truth."""
+many slots it is the truth, unless it has not changed since: that is a thermometer that sticks."""
 GAP_S = 600.0
-"""After so long without a reading, or of a dead sensor, there is no estimate; a later reading begins anew."""
+"""After so long without a reading, or of a sensor that is dead or sticks, there is no estimate; a later
+reading begins anew."""
 LATE_S, LATE_FACTOR = 5.0, 3.0
 """Readings missed for so long, and so many times the usual interval, ..."""
 UNSEEN_JERK = 1e-13
 """... let the temperature do this, °C²/s⁵, that nobody saw."""
 UNAVERAGED = 0.5
 """The mean of a slow error is known to so many of its deviations: below its correlation time it is 1/f."""
-COARSEST = 1.0
-"""°C; as long as a reading has never changed, its steps may be those of the coarsest thermometers."""
 FROZEN_S, DRIFT_PER_S = 3600.0, 1.0 / 3600.0**2
 """A level unchanged for an hour is trusted less: the band grows by 1 °C/h every hour, up to the start's."""
 
@@ -68,6 +67,8 @@ class Shown(NamedTuple):
         The remainders at `time_s`.
     reach : float
         No sample is shown farther from the readings beside it than this, °C.
+    lively : bool
+        Whether readings have changed, so that a fault shows as one.
     """
 
     time_s: float = 0.0
@@ -79,6 +80,7 @@ class Shown(NamedTuple):
     temperature_left: float = 0.0
     rate_left: float = 0.0
     reach: float = math.inf
+    lively: bool = True
 
 
 @dataclass(slots=True, eq=False)
@@ -103,6 +105,12 @@ class State:
         The step that the bank takes the readings to have, °C.
     faults : int
         Slots that were passed over in a row.
+    stuck, stuck_s : float
+        What the first of them ended with, °C, NaN once that has changed; and when that was.
+    stuck_at : float
+        Where it stuck last, °C; NaN if it never did.
+    lively : bool
+        Whether readings have changed in this segment.
     broken : float
         Contradictions of late: sudden changes of the rate that its standard deviation did not allow.
     refuses : bool
@@ -123,6 +131,10 @@ class State:
     fastest: float = 0.0
     step: float = 0.0
     faults: int = 0
+    stuck: float = math.nan
+    stuck_s: float = math.nan
+    stuck_at: float = math.nan
+    lively: bool = False
     broken: float = 0.0
     refuses: bool = False
     given: Shown = field(default_factory=Shown)
@@ -141,9 +153,40 @@ class State:
         """Return a copy."""
         return deepcopy(self)
 
+    def repeats(self, reading: Reading) -> bool:
+        """Tell whether the readings leapt as no temperature does, and are exactly the same since."""
+        return self.faults > 0 and reading.low == reading.high == self.stuck
+
+    def believes(self, reading: Reading) -> bool:
+        """Tell whether a slot that no temperature explains is the truth all the same, and note it.
+
+        Readings that go on changing are alive.  Of two levels that never changed the one that was there for
+        longer is believed: what is first may be the value at power-on.
+        """
+        self.faults += 1
+        if self.faults == 1:
+            self.stuck, self.stuck_s = reading.last, reading.time_s
+        elif not self.repeats(reading):
+            # By what a temperature does and noise it moves; by a leap it sticks elsewhere.
+            moved = max(abs(reading.low - self.stuck), abs(reading.high - self.stuck))
+            if moved > self.sensor.moves(reading):
+                self.faults, self.stuck, self.stuck_s = 1, reading.last, reading.time_s
+            else:
+                self.stuck = math.nan
+        if math.isfinite(self.stuck):
+            if self.faults == GATE_SLOTS:
+                self.stuck_at = self.stuck
+            return not self.lively and reading.time_s - self.stuck_s > self.stuck_s
+        return self.faults >= GATE_SLOTS or self.sensor.refresh.slow
+
+    def trusts(self) -> None:
+        """Note a slot that a temperature explains."""
+        self.faults, self.stuck = 0, math.nan
+
     def begin(self) -> None:
         """Begin anew, in a new segment; what is known of the sensor stays."""
         self.bank, self.shown, self.given = None, Shown(), Shown()
+        self.faults, self.stuck, self.lively = 0, math.nan, False
         self.last, self.last_s = math.nan, -math.inf
         self.sensor.changed_s, self.sensor.means = math.nan, ()
 
@@ -160,13 +203,13 @@ def step(state: State, reading: Reading) -> Shown:
     if not state.refuses or state.bank is None:
         state.given = shown
     elif reading.count:
-        state.given = _raw(state.sensor, reading)
+        state.given = _raw(state.sensor, reading, reading.mean - shown.temperature if state.faults else 0.0)
     return state.given
 
 
-def _raw(sensor: Sensor, reading: Reading) -> Shown:
+def _raw(sensor: Sensor, reading: Reading, doubt: float) -> Shown:
     """Return the mean of a slot's readings and how far they may be off; the rate is not known (NaN)."""
-    sd = math.sqrt(sensor.step**2 + sensor.inside + sensor.roughness)
+    sd = math.sqrt(sensor.step**2 + sensor.inside + sensor.roughness + reading.variance + doubt**2)
     return Shown(reading.end_s, reading.mean, 0.0, math.nan, sd, math.nan)
 
 
@@ -188,24 +231,28 @@ def _estimate(state: State, reading: Reading) -> Shown:
         # So far the readings were taken for finer than they are.
         state.bank = None
         coarser = True
-    seen_s = sensor.changed_s if dead else state.last_s
-    if state.bank is not None and not heard and not repeats and reading.end_s - seen_s > GAP_S:
+    stuck = state.repeats(reading)
+    seen_s = state.stuck_s if stuck else sensor.changed_s if dead else state.last_s
+    if state.bank is not None and (stuck or not (heard or repeats)) and reading.end_s - seen_s > GAP_S:
         state.bank, state.shown = None, Shown()
     fresh, slow = state.bank is None, sensor.slow_errors
     if state.bank is None:
-        if taken is None or dead:
+        if taken is None or dead or stuck or sensor.leaps(taken):
             return state.shown
+        state.trusts()
         moved = (taken.last - state.last) / max(taken.time_s - state.last_s, 1.0) if coarser else 0.0
         state.bank = started((taken.mean, _start_sd(taken, sensor)), (0.0, abs(moved)), slow)
         state.step = sensor.step
-        state.time_s, state.faults, state.usual_s = taken.time_s, 0, 0.0
+        state.time_s, state.usual_s = taken.time_s, 0.0
     at = taken.time_s if taken is not None and heard else reading.end_s
     dt = max(at - state.time_s, 0.0)
-    unseen = (not heard and not repeats) or dt > state.late_s
+    unseen = (not heard and not repeats) or dt > state.late_s or state.faults >= GATE_SLOTS
     predicted = advance(state.bank, dt, slow, UNSEEN_JERK if unseen else 0.0)
     state.time_s = max(at, state.time_s)
     if taken is not None and heard:
-        state.bank = _heard(state, state.bank, predicted, taken)
+        known = state.bank
+        state.bank = _heard(state, known, predicted, taken)
+        fresh |= state.bank is not known
         if sensor.refresh.slow:
             moved, since = taken.last - state.last, 1.0 / max(at - state.last_s, 1.0)
             state.slowest = min(moved - sensor.unit, 0.0) * since
@@ -217,6 +264,12 @@ def _estimate(state: State, reading: Reading) -> Shown:
         state.bank.filters, slow, sensor.step, taken.last if taken is not None and still else math.nan
     )
     state.shown = _shown(state, means, reading.end_s, fresh)
+    state.shown = state.shown._replace(lively=state.lively)
+    if math.isfinite(state.stuck) and not state.lively:
+        # Nobody knows which of two levels is the fault.
+        doubt = abs(state.stuck - state.shown.temperature)
+        sd = math.hypot(state.shown.temperature_sd, doubt)
+        state.shown = state.shown._replace(temperature_sd=sd)
     if (heard or repeats) and not state.faults:
         _keep_near(state, means.slow, reading if taken is None else taken, reading.end_s)
     return state.shown
@@ -229,7 +282,8 @@ def _begin_slow(state: State, before: float, taken: Reading) -> None:
     moved = (taken.last - before) / sensor.refresh.interval_s
     temperature = (taken.mean, _start_sd(taken, sensor))
     state.bank = started(temperature, (0.0, abs(moved)), sensor.slow_errors)
-    state.time_s, state.faults, state.step = taken.time_s, 0, sensor.step
+    state.time_s, state.step = taken.time_s, sensor.step
+    state.trusts()
 
 
 def _keep_near(state: State, slow: float, reading: Reading, end_s: float) -> None:
@@ -264,17 +318,19 @@ def _heard(state: State, bank: Bank, predicted: tuple[float, float], reading: Re
     """Return the bank given readings, or as it was where they are a fault."""
     sensor = state.sensor
     mean, variance = predicted
-    off = max(abs(reading.low - mean), abs(reading.high - mean))
     widest = variance + sensor.step**2 + sensor.inside + sensor.roughness
     possible = FASTEST * (reading.time_s - state.last_s + reading.duration_s)
-    if off < max(GATE_STEPS * sensor.step, possible) or off * off < GATE * GATE * widest:
-        state.faults = 0
-        measure(bank.filters, said(reading, sensor))
+    reach = max(GATE_STEPS * sensor.step, possible, GATE * math.sqrt(widest))
+    # What is unseen for long could be anywhere, but no more where the thermometer sticks.
+    if not state.repeats(reading) and abs(reading.last - mean) < reach:
+        state.trusts()
+        if max(abs(reading.low - mean), abs(reading.high - mean)) < reach and not sensor.leaps(reading):
+            state.lively |= reading.changes > 0
+            measure(bank.filters, said(reading, sensor))
         return bank
-    state.faults += 1
-    if state.faults < GATE_SLOTS and not sensor.refresh.slow:
+    if not state.believes(reading):
         return bank
-    state.faults = 0
+    state.trusts()
     before = sensor.means[-2] if len(sensor.means) > 1 else reading.mean
     slope = (reading.mean - before) / max(reading.time_s - state.last_s, 1e-6)
     temperature = (reading.mean, _start_sd(reading, sensor))
@@ -326,9 +382,9 @@ def extrapolate(
 
     `origin` is the time and the segment that its time refers to.  Before the first slot of a segment ends,
     and after a gap of `late_s` before the next does, there is the reading, with its scatter; what the rate
-    has done in the gap nobody saw.  Until a slot ends a temperature may begin to move, and two readings in a
-    row (`before` is that before the first), which no single spike makes, show it; a fault has moved faster
-    since the slot before.
+    has done in the gap nobody saw, but where it led to.  Until a slot ends a temperature may begin to move,
+    and two readings in a row (`before` is that before the first), which no single spike makes, show it; a
+    fault has moved faster since the slot before.
     """
     for i in range(len(time_ns)):
         age = (time_ns[i] - origin[0]) * 1e-9 - shown.time_s
@@ -340,16 +396,21 @@ def extrapolate(
             at = shown.temperature + age * shown.rate + left
             low, high = min(before, reading[i]) - shown.reach, max(before, reading[i]) + shown.reach
             off = min(at - low, 0.0) + max(at - high, 0.0)
+            doubted = not shown.lively and math.isfinite(reading[i])
+            doubt = max(abs(reading[i] - at) - shown.reach, 0.0) if doubted else 0.0
             off = off if abs(off) < FASTEST * (SLOT_S + age) else 0.0
             temperature[i] = at - off
             rate[i] = shown.rate + age * shown.acceleration + rate_left
-            temperature_sd[i] = math.hypot(shown.temperature_sd, left) + abs(off)
+            temperature_sd[i] = math.hypot(shown.temperature_sd, left) + max(abs(off), doubt)
             rate_sd[i] = math.hypot(shown.rate_sd, rate_left)
         elif math.isfinite(reading[i]):
             temperature[i], rate[i], temperature_sd[i], rate_sd[i] = reading[i], 0.0, scatter, START_RATE
             if late:
-                rate[i] = shown.rate
-                rate_sd[i] = math.hypot(shown.rate_sd, min(START_ACCELERATION * age, START_RATE))
+                # Where the reading is not where the rate led, the rate is another: in the mean by so much.
+                astray = abs(reading[i] - shown.temperature - age * shown.rate)
+                changed = 2.0 * max(astray - scatter, 0.0) / age
+                unseen = math.hypot(min(START_ACCELERATION * age, START_RATE), changed)
+                rate[i], rate_sd[i] = shown.rate, math.hypot(shown.rate_sd, unseen)
         else:
             temperature[i] = rate[i] = temperature_sd[i] = rate_sd[i] = math.nan
         before = reading[i]

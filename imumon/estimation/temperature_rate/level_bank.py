@@ -45,6 +45,12 @@ class LevelBankRate:
         return self.state.refuses
 
     @property
+    def stuck(self) -> float | None:
+        """Where readings stuck last after a leap that no temperature makes, °C; None if they never did."""
+        at = self.state.stuck_at
+        return at if np.isfinite(at) else None
+
+    @property
     def noise(self) -> float:
         """Standard deviation in °C of white noise before quantization, as the bank weighs the level kinds."""
         bank = self.state.bank

@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass, field, replace
 
 from imumon.estimation.temperature_rate.bank import SLOT_S, Slow, slow_errors
-from imumon.estimation.temperature_rate.refresh import RefreshFinder
-from imumon.estimation.temperature_rate.step import StepFinder
+from imumon.estimation.temperature_rate.refresh import FASTEST, RefreshFinder
+from imumon.estimation.temperature_rate.step import COARSEST, StepFinder
 
 MEMORY = 1.0 / 32.0
 """Weight of a new slot in what is learned, after as many slots."""
@@ -18,10 +18,14 @@ EDGES, STICKY_EDGES = 0.05, 0.5
 of a step is half a step either way."""
 MOST = 9.0
 """A slot counts in a variance with no more than so many times what is known: a spike spoils little."""
+LEAP = 8.0
+"""Readings of a slot that lie farther apart than so many steps or deviations are no noise."""
 DEAD_S, DEAD_INTERVALS = 60.0, 10.0
 """Noise of more than a step that stops for so long, and so many usual intervals, is a dead sensor."""
 SLOWER = 1.01
 """Factor by which the interval between changes grows with each change that comes later."""
+TINY_S = 1e-9
+"""Times of samples are in ns, and may be equal."""
 MOST_INDEPENDENT = 32.0
 """More readings would place an edge, σ/√n, finer than its sigma is known between two of the bank's."""
 DITHERED = 0.2
@@ -180,7 +184,7 @@ class Sensor:
         """Return how many independent readings a slot has; less than one where a reading outlasts it."""
         share = self.squares / self.spread if self.spread > 0.0 else 1.0
         count = min(max(share * reading.count, 1.0), MOST_INDEPENDENT)
-        slow = 1.0 if self.refresh.slow else self.interval_s / max(reading.duration_s, reading.gap_s)
+        slow = 1.0 if self.refresh.slow else self.interval_s / max(reading.duration_s, reading.gap_s, TINY_S)
         return min(count, reading.count) / max(slow, 1.0)
 
     def fresh(self, reading: Reading) -> Reading | None:
@@ -193,6 +197,15 @@ class Sensor:
             else self.refresh.refreshed(reading.start_s - reading.gap_s, reading.end_s)
         )
         return None if at is None else reading.newest(at, self.refresh.interval_s)
+
+    def leaps(self, reading: Reading) -> bool:
+        """Tell whether a slot spans more than any thermometer's noise and steps: there is a fault in it."""
+        return reading.high - reading.low > LEAP * max(self.step, COARSEST, math.sqrt(self.inside))
+
+    def moves(self, reading: Reading) -> float:
+        """Return how far readings of neighbouring slots may lie apart, °C."""
+        noise = LEAP * max(self.step, math.sqrt(self.inside + self.roughness))
+        return max(noise, FASTEST * (SLOT_S + max(reading.duration_s, reading.gap_s)))
 
     def is_dead(self, now_s: float) -> bool:
         """Tell whether noise of more than a step has stopped."""
@@ -256,17 +269,19 @@ class Sensor:
         if len(self.means) < 3:
             return
         bend = (self.means[0] - 2.0 * self.means[1] + self.means[2]) ** 2 / 6.0
-        if self.slots > 8:
-            bend = min(bend, MOST * max(self.roughness, self.step**2 / 12.0, 1e-10))
+        known = max(self.roughness, self.step**2 / 12.0, 1e-10) if self.slots > 8 else COARSEST**2
+        bend = min(bend, MOST * known)
         self.roughness += max(MEMORY, 1.0 / max(self.slots - 2, 1)) * (bend - self.roughness)
 
     def _learn_changes(self, reading: Reading) -> None:
-        self.learned += 1
-        weight = max(MEMORY, 1.0 / self.learned)
         apart = self.means[-1] - self.means[-2] if len(self.means) > 1 else 0.0
         variance = reading.variance + 0.5 * apart**2
-        known = MOST * max(self.inside, self.step**2 / 4.0)
-        if self.learned == 1 or variance < known:
+        known = MOST * (max(self.inside, self.step**2 / 4.0) if self.learned else COARSEST**2)
+        if variance > known and not self.learned:
+            return  # a fault: the noise of no thermometer begins so
+        self.learned += 1
+        weight = max(MEMORY, 1.0 / self.learned)
+        if variance < known:
             self.inside += weight * (variance - self.inside)
             self.squares += weight * (reading.step_squares - self.squares)
             self.spread += weight * (2.0 * reading.count * variance - self.spread)

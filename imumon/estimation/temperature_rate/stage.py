@@ -58,6 +58,7 @@ class TemperatureRate:
         self._begun: set[str] = set()
         self._watches: dict[str, StepWatch] = {}
         self._refused: set[str] = set()
+        self._stuck: set[str] = set()
         for channel in channels or ():
             self._add(channel)
 
@@ -122,6 +123,12 @@ class TemperatureRate:
         """Return, once each, what is wrong with the declared step and with the readings; for the log."""
         texts = []
         for channel, method in self._methods.items():
+            if isinstance(method, LevelBankRate) and method.stuck is not None and channel not in self._stuck:
+                self._stuck.add(channel)
+                texts.append(
+                    f"{channel}: it leapt to {method.stuck:g} °C, as no temperature does, and stuck there: "
+                    "taken for a fault of the thermometer until it changes"
+                )
             if isinstance(method, LevelBankRate) and method.refuses and channel not in self._refused:
                 self._refused.add(channel)
                 texts.append(

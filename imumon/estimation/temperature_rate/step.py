@@ -17,6 +17,9 @@ FAR_STEPS = 8.5
 MEMORY = 1.0 / 32.0
 FIRST_STEP = 0.1
 """Step assumed before one is seen, when none is declared, °C."""
+COARSEST = 1.0
+"""°C; as long as a reading has never changed, its steps may be those of the coarsest thermometers.  A first
+change by more than two of these is none: a fault of the sensor."""
 FINEST_STEP = 1e-4
 """°C; finer steps are none."""
 
@@ -70,7 +73,7 @@ class StepFinder:
         """Learn from differences of readings: the step is the least, of which the others are multiples."""
         for difference in changes:
             change = abs(difference)
-            if not change > TINY:
+            if not change > TINY or (self.support == 0 and change > 2.0 * COARSEST):
                 continue
             self.seen += 1
             ratio = change / self.size

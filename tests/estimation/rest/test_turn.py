@@ -8,7 +8,7 @@ from scipy.signal import lfilter
 
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.estimation.rest.stage import RestDetector
-from tests.estimation.rest.scenes import DEG, GRAVITY, block, noise
+from tests.estimation.rest.scenes import DEG, GRAVITY, block, noise, rolled
 
 BEGIN_S = 150.0
 FIELD = np.array([20.0, 5.0, 40.0])
@@ -75,8 +75,35 @@ def test_a_jump_that_is_not_about_the_vertical_is_bias_for_gravity_would_have_tu
     t, gyro, accel = noise(100.0, 25.0)
     gyro[t > 40.0, 1] += 0.8 * DEG
     rest = found(block(t, gyro, accel))[1]
-    assert not rest[(t > 40.1) & (t < 44.0)].any()
-    assert rest[t > 61.0].all()
+    assert not rest[(t > 40.1) & (t < 41.0)].any()
+    assert rest[t > 42.0].all()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_turn_about_a_level_axis_is_no_rest_for_gravity_turns_as_the_gyros_say(seed: int) -> None:
+    """0.5 °/s for 10 min: the means of two seconds are alike to their noise, as those of a rest are."""
+    t, gyro, accel = noise(BEGIN_S + 690.0, 25.0, 0.025 * DEG, 0.02, seed=seed)
+    since = t - BEGIN_S
+    rate = 0.5 * DEG * np.clip(np.minimum(since, 600.0 - since) / 60.0, 0.0, 1.0)
+    gyro += flickering(gyro, seed)
+    gyro[:, 0] += rate
+    rest = found(block(t, gyro, rolled(accel, np.cumsum(rate) / 25.0)))[1]
+    assert rest[rate != 0.0].mean() < 0.02
+    assert not rest[(t > BEGIN_S + 30.0) & (t < BEGIN_S + 590.0)].any()
+    assert rest[t > BEGIN_S + 620.0].all()
+
+
+def test_a_warmer_unit_may_have_a_bias_that_no_jump_explains() -> None:
+    """Off by 1.6 °/s, and gravity stays: that is more than `largest_jump`, but by 10 °C it is the bias."""
+    t, gyro, accel = noise(200.0, 25.0, 2e-4)
+    handled = (t > 60.0) & (t < 120.0)
+    gyro[handled] += 0.5 * np.sin(2.0 * t[handled])[:, np.newaxis]
+    gyro[t > 60.0, 1:] += np.array([1.3, 1.0]) * DEG
+    constant = block(t, gyro, accel).with_columns({"temperature": np.full(len(t), 25.0)})
+    warmer = constant.with_columns({"temperature": 25.0 + 10.0 * np.clip((t - 60.0) / 60.0, 0.0, 1.0)})
+    settled = t > 145.0
+    assert not found(constant)[1][settled].any()
+    assert found(warmer)[1][settled].all()
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from imumon.blocks import FloatArray
+from imumon.estimation.rest.stage import RestDetector
 from imumon.estimation.rest.state import CAPACITY, LEVELS, State, empty_slots
 from imumon.estimation.rest.trial import look, second_differences
 from imumon.estimation.rest.windows import seen, vibration_factor
@@ -136,3 +137,16 @@ def test_false_alarms_are_rare_whatever_the_rate() -> None:
         t, gyro, accel = noise(1200.0, rate_hz, seed=seed)
         rest = detect(block(t, gyro, accel))
         assert np.all(rest[np.argmax(rest) :] == 1)
+
+
+@pytest.mark.parametrize(("sd_steps", "hidden_steps"), [(0.0, 0.5), (0.15, 0.5), (0.5, 0.01)])
+def test_what_the_steps_of_a_gyro_hide_is_the_hypothesis(sd_steps: float, hidden_steps: float) -> None:
+    """A mean errs by half a step at most, and less as the noise lets the readings reach the next (Widrow)."""
+    step = 1e-3
+    t, gyro, accel = noise(120.0, 100.0, sd_steps * step)
+    gyro = np.round(gyro / step) * step
+    gyro[0] += step  # else nobody knows the step
+    said = RestDetector().process(block(t, gyro, accel))["turn_hypothesis_x"]
+    assert np.abs(said[6000:]).max() <= (hidden_steps + 0.02) * step
+    if hidden_steps == 0.5:
+        assert np.abs(said[6000:]).min() > 0.25 * step

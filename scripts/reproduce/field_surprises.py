@@ -1,0 +1,199 @@
+"""What nobody foretells: gaps, ramps that end, broken thermometers, bias that jumps; with physics of its own.
+
+A unit at rest: its gyros' temperature lags that of the thermometer, their bias follows it by a parabola, and
+1/f noise is three Gauss-Markov processes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+from scipy.signal import lfilter
+
+from imumon.blocks import FloatArray, SampleBlock
+from imumon.estimation.gyro_bias.stage import GyroBias
+from imumon.estimation.rest.stage import RestDetector
+from imumon.estimation.temperature_rate.stage import TemperatureRate
+from imumon.geodesy import DEG_PER_H, STANDARD_GRAVITY
+
+SLOPE_DPH = np.array([60.0, -90.0, 20.0])
+CURVATURE_DPH = np.array([0.5, -1.0, 0.3])
+TURN_ON_DPH = np.array([500.0, -900.0, 200.0])
+"""Bias over temperature less 25 °C: deg/h/°C, deg/h/°C², deg/h."""
+FLICKER_DPH, ANGLE_WALK = 5.0, 0.2
+"""Of the processes together, and in deg/√h."""
+FLICKER_TAUS_S = (3.0, 30.0, 300.0)
+POWER_ON_DEGC = 85.0
+"""What a DS18B20 reads before its first conversion."""
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """What a scene is: time, s; temperature and rate; the bias beside that of the temperature, deg/h; what is
+    lost on the way; what the thermometer reads instead, NaN where nothing; vibration, m/s².
+
+    Parameters
+    ----------
+    t, degc, unread, vibration : array (n,)
+    dph : array (n, 3)
+    kept : array of bool (n,)
+    step_degc, noise_degc, lag_s : float
+        Of the thermometer, and of the gyros behind it.
+    """
+
+    t: FloatArray
+    degc: FloatArray
+    dph: FloatArray
+    kept: npt.NDArray[np.bool_]
+    misread: FloatArray
+    vibration: FloatArray
+    step_degc: float = 0.1
+    noise_degc: float = 0.02
+    lag_s: float = 30.0
+
+
+def lagged(values: FloatArray, tau_s: float, dt: float) -> FloatArray:
+    """Return what follows values with a time constant, in equilibrium at first."""
+    keep = math.exp(-dt / tau_s)
+    follows, _ = lfilter([1.0 - keep], [1.0, -keep], values, zi=[keep * values[0]])
+    return np.asarray(follows)
+
+
+def plain(seconds: float, rate_hz: float, degc: Callable[[FloatArray], FloatArray]) -> Truth:
+    """Return a scene in which nothing happens but a course of temperature."""
+    t = np.arange(round(seconds * rate_hz)) / rate_hz
+    n = len(t)
+    return Truth(t, degc(t), np.zeros((n, 3)), np.ones(n, np.bool_), np.full(n, np.nan), np.zeros(n))
+
+
+def course(times_s: list[float], degc: list[float], lag_s: float = 0.0) -> Callable[[FloatArray], FloatArray]:
+    """Return a course of temperature between points, with rounded corners where there is a lag."""
+
+    def at(t: FloatArray) -> FloatArray:
+        sharp = np.interp(t, times_s, degc)
+        return lagged(sharp, lag_s, float(t[1] - t[0])) if lag_s else sharp
+
+    return at
+
+
+def gap(rng: np.random.Generator, gap_s: float = 1100.0, rate_hz: float = 10.0) -> Truth:
+    """Return a ramp of 100 °C/h that turns round in a gap."""
+    turn_s, sign = 900.0 + rng.uniform(0.0, 1.0) * gap_s, rng.choice([-1.0, 1.0])
+    end_s = 900.0 + gap_s + 60.0
+    times = [0.0, 300.0, turn_s, end_s]
+    moved = np.cumsum([0.0, 0.0, (turn_s - 300.0) / 36.0, -(end_s - turn_s) / 36.0 * rng.uniform(0.0, 1.0)])
+    # No chamber goes farther than 60 °C from where it began.
+    scene = plain(end_s, rate_hz, course(times, [*(25.0 + sign * np.clip(moved, -60.0, 60.0))], 30.0))
+    return replace(scene, kept=(scene.t < 900.0) | (scene.t >= 900.0 + gap_s))
+
+
+def ramp_end(rng: np.random.Generator) -> Truth:
+    """Return a ramp that begins and ends from one moment to the next."""
+    begin_s, end_s = rng.uniform(580.0, 620.0), rng.uniform(1180.0, 1220.0)
+    top = 25.0 + (end_s - begin_s) / 3600.0 * 100.0 * rng.choice([-1.0, 1.0])
+    return plain(1800.0, 10.0, course([0.0, begin_s, end_s, 1800.0], [25.0, 25.0, top, top]))
+
+
+def warm_up(rng: np.random.Generator) -> Truth:
+    """Return a board that warms by 20 °C from power-on."""
+    tau_s = math.exp(rng.uniform(math.log(10.0), math.log(400.0)))
+    scene = plain(900.0, 50.0, lambda t: 22.0 + 20.0 * (1.0 - np.exp(-t / tau_s)))
+    return replace(scene, step_degc=0.0625, lag_s=5.0)
+
+
+def telegraph(rng: np.random.Generator) -> Truth:
+    """Return a bias that jumps by 30 to 120 deg/h every two minutes or so."""
+    scene = plain(3600.0, 25.0, lambda t: np.full(len(t), 30.0))
+    flips = rng.random((len(scene.t), 3)) < 1.0 / (120.0 * 25.0)
+    return replace(scene, dph=np.where(np.cumsum(flips, 0) % 2, 1.0, -1.0) * [30.0, 60.0, 15.0])
+
+
+def stuck_thermometer(rng: np.random.Generator) -> Truth:
+    """Return a thermometer that reads 85 °C for 8 s now and then, and nonsense for one reading."""
+    scene = plain(2400.0, 20.0, course([0.0, 300.0, 1200.0, 2400.0], [25.0, 25.0, 45.0, 30.0], 60.0))
+    misread = np.where(
+        rng.random(len(scene.t)) < 0.002, rng.choice([85.0, -127.0, 0.0], len(scene.t)), np.nan
+    )
+    for start_s in (300.0, 1000.0, 1700.0):
+        misread[(scene.t >= start_s) & (scene.t < start_s + 8.0)] = POWER_ON_DEGC
+    return replace(scene, misread=misread, step_degc=0.0625, noise_degc=0.0)
+
+
+def fan(rng: np.random.Generator) -> Truth:
+    """Return a bench with a fan that goes on and off every minute; the gyros rectify its vibration."""
+    phase_s = rng.uniform(0.0, 60.0)
+    scene = plain(1800.0, 100.0, lambda t: 30.0 + 3.0 * np.sin(t / 300.0))
+    turning = lagged(((scene.t + phase_s) % 120.0 > 60.0).astype(np.float64), 2.0, 0.01)
+    return replace(scene, dph=turning[:, np.newaxis] * [60.0, -100.0, 40.0], vibration=turning)
+
+
+SURPRISES: dict[str, Callable[[np.random.Generator], Truth]] = {
+    "gap of 20 min in which a ramp turns": gap,
+    "ramp that begins and ends at once": ramp_end,
+    "warm-up from power-on": warm_up,
+    "telegraph of the bias": telegraph,
+    "thermometer that sticks at 85 °C": stuck_thermometer,
+    "fan that the gyros rectify": fan,
+}
+
+
+def samples_of(scene: Truth, rng: np.random.Generator) -> tuple[SampleBlock, FloatArray]:
+    """Return what is recorded, and the true bias, (n, 3), rad/s."""
+    n, dt = len(scene.t), float(scene.t[1] - scene.t[0])
+    offset = lagged(scene.degc, scene.lag_s, dt)[:, np.newaxis] - 25.0
+    bias = (scene.dph + TURN_ON_DPH + SLOPE_DPH * offset + CURVATURE_DPH * offset**2) * DEG_PER_H
+    share = FLICKER_DPH / math.sqrt(len(FLICKER_TAUS_S)) * DEG_PER_H
+    for tau_s in FLICKER_TAUS_S:
+        keep = math.exp(-dt / tau_s)
+        first = rng.normal(size=(1, 3)) * share
+        drive = rng.normal(size=(n, 3)) * share * math.sqrt(1.0 - keep**2)
+        bias = bias + lfilter([1.0], [1.0, -keep], drive, axis=0, zi=keep * first)[0]
+    shaken = np.sin(2.0 * math.pi * 47.3 * scene.t) * scene.vibration
+    walk = math.radians(ANGLE_WALK) / 60.0 / math.sqrt(dt)
+    gyro = bias + walk * rng.normal(size=(n, 3)) + np.outer(shaken, [0.02, 0.03, 0.01])
+    accel = np.array([0.1, 0.3, -STANDARD_GRAVITY]) + np.outer(shaken, [0.2, 0.3, 0.25])
+    accel = accel + 1e-3 / math.sqrt(dt) * rng.normal(size=(n, 3))
+    reading = np.round((scene.degc + scene.noise_degc * rng.normal(size=n)) / scene.step_degc)
+    reading = np.where(np.isnan(scene.misread), reading * scene.step_degc, scene.misread)
+    columns = {
+        "device_time_ns": np.round(scene.t * 1e9).astype(np.int64),
+        "segment": np.zeros(n, np.int64),
+        "temperature": reading,
+    }
+    columns |= {f"gyro_{axis}": gyro[:, j] for j, axis in enumerate("xyz")}
+    columns |= {f"accel_{axis}": accel[:, j] for j, axis in enumerate("xyz")}
+    return SampleBlock({name: values[scene.kept] for name, values in columns.items()}), bias[scene.kept]
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """Errors of bias (deg/h), temperature and its rate (°C, °C/h), by these names; the same over sigma."""
+
+    error: dict[str, FloatArray]
+    ratio: dict[str, FloatArray]
+
+
+def met(make: Callable[[np.random.Generator], Truth], seed: int) -> Outcome:
+    """Run the stages over a scene."""
+    rng = np.random.default_rng(seed)
+    scene = make(rng)
+    samples, bias = samples_of(scene, rng)
+    for stage in (TemperatureRate(), RestDetector(), GyroBias(mode="learned")):
+        samples = samples.with_columns(stage.process(samples))
+    slope = np.gradient(scene.degc, scene.t)[scene.kept]
+    off = np.stack([samples[f"gyro_bias_{axis}"] for axis in "xyz"], 1) - bias
+    sd = np.stack([samples[f"gyro_bias_sd_{axis}"] for axis in "xyz"], 1)
+    degc = samples["temperature_estimate"] - scene.degc[scene.kept]
+    rate = samples["temperature_rate"] - slope
+    return Outcome(
+        {"bias": off / DEG_PER_H, "temperature": degc, "rate": rate * 3600.0},
+        {
+            "bias": off / sd,
+            "temperature": degc / samples["temperature_estimate_sd"],
+            "rate": rate / samples["temperature_rate_sd"],
+        },
+    )

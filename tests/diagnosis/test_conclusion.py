@@ -1,0 +1,103 @@
+"""What a person reads first: the conclusion, the proof, the next step; and that nothing is named that the
+test does not show."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imumon.diagnosis.conclusion import conclusion, in_short, next_steps, state
+from imumon.diagnosis.engine import Diagnosis, diagnose
+from imumon.diagnosis.page import write_page
+from imumon.diagnosis.report import report
+from tests.diagnosis.test_diagnose import telegraph
+from tests.diagnosis.units import DPH, Bias, lagged, ramps, run, three
+
+TAU_S = 220.0
+
+
+def lag(_: object, temperature: np.ndarray) -> np.ndarray:
+    return np.asarray(-2.0 * (temperature - lagged(temperature, TAU_S)))
+
+
+@pytest.fixture(scope="module")
+def lagging() -> Diagnosis:
+    return diagnose(*three(lag))
+
+
+@pytest.fixture(scope="module")
+def unexplained() -> Diagnosis:
+    return diagnose(*three(telegraph))
+
+
+def hidden(seed: int, size_dph: float, also: Bias) -> Bias:
+    """Return an effect beside a load that nobody recorded: another course in each run."""
+
+    def bias(time: np.ndarray, temperature: np.ndarray) -> np.ndarray:
+        random = np.random.default_rng(seed)
+        knots = np.arange(0.0, time[-1] + 900.0, 900.0)
+        load = np.interp(time, knots, random.standard_normal(len(knots)))
+        return np.asarray(also(time, temperature) + size_dph * load)
+
+    return bias
+
+
+def test_a_lag_of_the_training_is_not_named_where_the_test_is_driven_by_something_else() -> None:
+    runs = [
+        run(seed, *ramps(5000, up, 1.5), hidden(seed, size, lag))
+        for seed, up, size in ((1, True, 0.0), (2, False, 0.0), (4, True, 40.0))
+    ]
+    (verdict,) = diagnose(runs[:2], runs[2:]).verdicts
+    assert verdict.test_before is not None
+    assert verdict.test_before.rms > 8.0 * verdict.channel.floor.sd
+    assert not verdict.claims
+    assert verdict.unexplained
+    assert "of the test" in verdict.remark
+    assert verdict.ranking[0].name in ("thermal_lag", "dead_time")
+
+
+def test_the_same_lag_is_named_where_the_test_shows_it(lagging: Diagnosis) -> None:
+    (verdict,) = lagging.verdicts
+    assert state(verdict) == "named"
+    assert verdict.claims[0].test_gain > 20.0
+
+
+def test_time_constant_and_coefficient_are_within_three_sigma(lagging: Diagnosis) -> None:
+    (claim,) = lagging.verdicts[0].claims
+    (sigma,), effect = claim.sigmas, claim.parts[0].effect
+    off_s = effect.model_dump()["time_constant_s"] - TAU_S
+    assert abs(off_s) < 3.0 * sigma.searched["time_constant_s"]
+    assert sigma.searched["time_constant_s"] < 0.2 * TAU_S
+    off = claim.parts[0].own[0, 0] - -2.0 * DPH * effect.model_dump()["half_span"]
+    assert abs(off) < 3.0 * sigma.coefficients[0, 0]
+
+
+def test_the_page_leads_with_conclusion_proof_and_next_step(lagging: Diagnosis, tmp_path: Path) -> None:
+    write_page(lagging, tmp_path / "report.html")
+    text = (tmp_path / "report.html").read_text(encoding="utf-8")
+    first = text[: text.index("<h2")]
+    assert f"<h1>{conclusion(lagging)}</h1>" in first
+    assert "→" in first
+    assert str(tmp_path / "model.yaml") in first
+    assert "±" in text
+
+
+def test_where_nothing_is_named_ranking_runs_and_the_next_experiment_are_there(
+    unexplained: Diagnosis, tmp_path: Path
+) -> None:
+    found = json.loads(json.dumps(report(unexplained, tmp_path)))
+    channel = found["channels"]["gyro_x"]
+    assert channel["verdict"] == "unexplained"
+    assert len(channel["ranking"]) > 3
+    assert [one["test"] for one in channel["runs"]] == [False, False, True]
+    assert any("imumon plan" in step["command"] for step in found["next"])
+    assert in_short(unexplained.verdicts[0]).startswith("unexplained")
+
+
+def test_without_a_test_the_next_step_is_one(lagging: Diagnosis, tmp_path: Path) -> None:
+    steps = next_steps(replace(lagging, test=[]), tmp_path)
+    assert any("--test NEW" in step.command for step in steps)

@@ -1,0 +1,141 @@
+"""A unit in an unsteady hand: where it points afterwards, and what the sigma says of that."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from imumon.blocks import FloatArray, SampleBlock
+from imumon.estimation.alignment.account import Account, Passage, typical_scale
+from imumon.estimation.alignment.stage import Alignment
+from imumon.filters.turns import Turn
+from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY
+from tests.estimation.alignment.units import aligned, error_deg
+
+LATITUDE = math.radians(36.0)
+EARTH = EARTH_RATE * np.array([0.0, math.cos(LATITUDE), math.sin(LATITUDE)])
+BEGIN_S, REST_S = 60.0, 60.0
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def edges(t: FloatArray, seconds: float) -> FloatArray:
+    """Return a window that opens and closes within a second, (n,)."""
+    window = np.clip(t - BEGIN_S, 0.0, 1.0) * np.clip(BEGIN_S + seconds - t, 0.0, 1.0)
+    return np.asarray(window**2 * (3.0 - 2.0 * window))
+
+
+def waved(t: FloatArray, seconds: float, degrees: float, seed: int) -> Rotation:
+    """Return the attitudes of a unit that is waved and put back."""
+    rng = np.random.default_rng(seed)
+    frequency, phase = rng.uniform(0.2, 2.0, (3, 6, 1)), rng.uniform(0.0, 2.0 * np.pi, (3, 6, 1))
+    swing = np.sin(2.0 * np.pi * frequency * t + phase).sum(1).T * edges(t, seconds)[:, np.newaxis]
+    return Rotation.from_rotvec(math.radians(degrees) * swing / np.abs(swing).max())
+
+
+def wobbling(t: FloatArray, seconds: float, degrees: float, frequency: float, angle: float) -> Rotation:
+    """Return the attitudes of a unit that is turned by an angle, deg, in a hand that goes round."""
+    s = np.clip((t - BEGIN_S) / seconds, 0.0, 1.0)
+    phase = 2.0 * np.pi * frequency * t
+    round_ = np.column_stack([np.sin(phase), np.cos(phase), 0.0 * t]) * edges(t, seconds)[:, np.newaxis]
+    way = s**3 * (10.0 - 15.0 * s + 6.0 * s * s)
+    turn = Rotation.from_rotvec(math.radians(angle) * np.outer(way, UP))
+    return Rotation.from_rotvec(math.radians(degrees) * round_) * turn
+
+
+def times(seconds: float, hz: float) -> FloatArray:
+    return np.arange(round((BEGIN_S + seconds + REST_S) * hz) + 1) / hz
+
+
+def sent(turned: Rotation, hz: float, scale: float = 0.0, seed: int = 0) -> tuple[SampleBlock, float]:
+    """Return what a fibre-optic unit sends that has these attitudes, east-north-up, and its last heading."""
+    rng = np.random.default_rng(seed)
+    attitude = turned * Rotation.from_euler("ZYX", [0.7, -0.01, 0.02])
+    rate = (attitude[:-1].inv() * attitude[1:]).as_rotvec() * hz + attitude[1:].inv().apply(EARTH)
+    rate = rate @ (np.eye(3) + scale * rng.normal(size=(3, 3))).T
+    rate += math.radians(1e-3) / 60.0 * math.sqrt(hz) * rng.normal(size=rate.shape)
+    force = attitude[1:].inv().apply(STANDARD_GRAVITY * UP) + 3e-4 * rng.normal(size=3)
+    force += 5e-5 * math.sqrt(hz) * rng.normal(size=rate.shape)
+    n = len(rate)
+    columns = {
+        "device_time_ns": np.round(np.arange(n) * 1e9 / hz).astype(np.int64),
+        "segment": np.zeros(n, np.int64),
+        **{f"gyro_{axis}": rate[:, j] for j, axis in enumerate("xyz")},
+        **{f"accel_{axis}": force[:, j] for j, axis in enumerate("xyz")},
+    }
+    ahead = attitude[-1].apply([1.0, 0.0, 0.0])
+    return SampleBlock(columns), math.degrees(math.atan2(ahead[0], ahead[1]))
+
+
+def error_and_sd(stage: Alignment, heading: float) -> tuple[float, float]:
+    stage.finish()
+    shown = stage.status.shown
+    aligner = stage._aligner
+    assert shown is not None
+    return error_deg(aligner.heading, heading), math.degrees(aligner.heading_sd)
+
+
+@pytest.mark.parametrize(("hz", "seed"), [(20.0, 1), (50.0, 2), (50.0, 3), (200.0, 4)])
+def test_a_unit_that_is_waved_and_put_back_points_where_it_did(hz: float, seed: int) -> None:
+    block, heading = sent(waved(times(10.0, hz), 10.0, 38.0, seed), hz, seed=seed)
+    error, sd = error_and_sd(aligned(block)[0], heading)
+    assert abs(error) < 3.0 * sd
+    assert sd < (0.15 if hz > 20.0 else 1.0)
+
+
+@pytest.mark.parametrize(
+    ("hz", "degrees", "frequency"), [(100.0, 5.0, 1.5), (50.0, 5.0, 0.7), (25.0, 3.0, 1.5)]
+)
+def test_a_wobbling_hand_does_not_turn_the_second_position(
+    hz: float, degrees: float, frequency: float
+) -> None:
+    block, heading = sent(wobbling(times(6.0, hz), 6.0, degrees, frequency, 172.0), hz)
+    stage, _ = aligned(block)
+    error, sd = error_and_sd(stage, heading)
+    assert stage.status.positions == 2
+    assert abs(error) < 3.0 * sd
+    assert sd < 0.3
+
+
+def test_a_declared_scale_error_is_in_the_sigma_of_the_turn_and_of_coning() -> None:
+    ratios = []
+    for seed in range(6):
+        block, heading = sent(wobbling(times(20.0, 50.0), 20.0, 30.0, 0.7, 90.0), 50.0, 0.01, seed)
+        error, sd = error_and_sd(aligned(block, {"gyro_scale_sd_ppm": 1e4})[0], heading)
+        ratios.append(error / sd)
+    assert 0.2 < np.sqrt(np.mean(np.square(ratios))) < 1.8
+    assert np.abs(ratios).max() < 4.0
+
+
+def test_the_heading_says_while_it_is_waved_how_far_it_may_be_off() -> None:
+    block, _ = sent(waved(times(30.0, 20.0), 30.0, 60.0, 5), 20.0)
+    _, out = aligned(block)
+    sd = np.degrees(out["heading_sd"])
+    before, during = sd[round((BEGIN_S - 2.0) * 20.0)], sd[round((BEGIN_S + 28.0) * 20.0)]
+    assert during > 2.0 * before
+
+
+def test_turns_the_same_way_add_up_and_a_turn_back_takes_its_error_back() -> None:
+    by_scale = np.zeros((3, 3, 3))
+    by_scale[2, 2, 2] = math.pi / 2.0
+    there = Passage(Turn(by_scale=by_scale), np.eye(3), 0.0, 0.0)
+    back = Passage(Turn(by_scale=-by_scale), np.eye(3), 0.0, 0.0)
+    two = Account().after(there).after(there)
+    assert math.sqrt(two.azimuth_variance(1e-3)) == pytest.approx(1e-3 * math.pi)
+    assert two.after(back).after(back).azimuth_variance(1e-3) == 0.0
+
+
+def test_what_gravity_contradicts_is_wrong_about_the_vertical_too() -> None:
+    off = Rotation.from_rotvec([0.03, 0.0, 0.0]).as_matrix()
+    passage = Passage(Turn(rotation=off), np.eye(3), 10.0, 0.0)
+    assert math.sqrt(passage.unexplained(UP, 3e-4, 1e-4)) == pytest.approx(0.03 / math.sqrt(2.0), rel=1e-3)
+    assert passage.unexplained(UP, 3e-4, 0.03) == 0.0
+
+
+def test_a_noisy_gyro_has_a_large_scale_error() -> None:
+    ppm = [1e6 * typical_scale(math.radians(arw) / 60.0) for arw in (1e-3, 0.1, 0.84, 100.0)]
+    assert ppm[:2] == pytest.approx([300.0, 300.0])
+    assert 4e3 < ppm[2] < 1e4
+    assert ppm[3] == pytest.approx(3e4)

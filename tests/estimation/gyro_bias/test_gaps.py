@@ -1,0 +1,81 @@
+"""Gaps: what nobody saw is in the sigma from the first row behind one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from imumon.blocks import FloatArray, SampleBlock
+from imumon.estimation.gyro_bias.stage import GyroBias
+from imumon.estimation.temperature_rate.stage import TemperatureRate
+from tests.estimation.gyro_bias.records import DPH, Truth, record, slope_model, vector, with_rest
+from tests.estimation.gyro_bias.test_stage import in_parts
+
+RATE_HZ, LAG_S, SLOPE = 20.0, 30.0, np.array([60.0, -90.0, 20.0]) * DPH
+BEFORE_S, AFTER_S = 600.0, 20.0
+
+
+def warmed(gap_s: float, seed: int, slope: FloatArray = SLOPE) -> tuple[SampleBlock, FloatArray]:
+    """Return samples with a gap in which a ramp of 100 °C/h turns, and the true bias, (n, 3)."""
+    truth = Truth(RATE_HZ, flicker=1.0 * DPH)
+    t = np.arange(round((BEFORE_S + gap_s + AFTER_S) * RATE_HZ)) / RATE_HZ
+    turn_s = BEFORE_S + 0.3 * gap_s
+    degc = 25.0 + np.minimum(t, 2.0 * turn_s - t) / 36.0
+    behind, keep = np.empty(len(t)), np.exp(-1.0 / (RATE_HZ * LAG_S))
+    behind[0] = degc[0]
+    for k in range(1, len(t)):
+        behind[k] = degc[k] + keep * (behind[k - 1] - degc[k])
+    thermal = slope * (behind - 25.0)[:, np.newaxis]
+    block, bias = record(truth, t[-1] + 1.0 / RATE_HZ, seed, thermal, temperature=degc)
+    seen = np.flatnonzero((t < BEFORE_S) | (t >= BEFORE_S + gap_s))
+    columns = {
+        name: values[seen] for name, values in with_rest(block, np.ones(len(t), np.bool_)).columns.items()
+    }
+    return SampleBlock(columns), bias[seen]
+
+
+@pytest.mark.parametrize("gap_s", [30.0, 60.0, 1100.0])
+def test_the_sigma_knows_of_a_gap_from_the_first_row_behind_it(gap_s: float) -> None:
+    ratios = []
+    for seed in range(3):
+        block, bias = warmed(gap_s, seed)
+        block = block.with_columns(TemperatureRate().process(block))
+        added = GyroBias(mode="learned").process(block)
+        first = round(BEFORE_S * RATE_HZ)
+        rows = slice(first, first + round(3.0 * RATE_HZ))
+        ratios.append((vector(added) - bias)[rows] / vector(added, "gyro_bias_sd")[rows])
+    ratio = np.concatenate(ratios)
+    assert np.sqrt(np.mean(ratio**2)) < 1.5
+    assert np.abs(ratio).max() < 5.0
+
+
+def test_a_short_gap_costs_little() -> None:
+    block, _ = warmed(2.0, 4)
+    sd = vector(GyroBias(mode="learned").process(block), "gyro_bias_sd")
+    first = round(BEFORE_S * RATE_HZ)
+    assert (sd[first] < 2.0 * sd[first - 1] + 5.0 * DPH).all()
+
+
+def test_behind_a_gap_it_has_the_bias_again_within_seconds() -> None:
+    block, bias = warmed(1100.0, 1)
+    added = GyroBias(mode="learned").process(block)
+    assert np.abs(vector(added)[-1] - bias[-1]).max() < 30.0 * DPH
+
+
+def test_a_gap_is_the_same_whatever_the_division_into_blocks() -> None:
+    block, _ = warmed(60.0, 2)
+    first = round(BEFORE_S * RATE_HZ)
+    whole = GyroBias(mode="learned").process(block)
+    for sizes in ([first], [first - 1, 2, 500], [first + 1, 7]):
+        parts = in_parts(block, GyroBias(mode="learned"), sizes)
+        for name, values in whole.items():
+            np.testing.assert_array_equal(parts[name], values, err_msg=name)
+
+
+def test_with_a_model_the_lag_that_nobody_saw_is_in_the_sigma() -> None:
+    block, bias = warmed(600.0, 3, np.full(3, 60.0 * DPH))
+    first = round(BEFORE_S * RATE_HZ)
+    added = GyroBias(mode="thermal", model=slope_model(60.0)).process(block)
+    before, behind = (vector(added, "gyro_bias_sd")[row] for row in (first - 1, first))
+    assert (behind > before).all()
+    assert (np.abs(vector(added)[first] - bias[first]) < 4.0 * behind).all()

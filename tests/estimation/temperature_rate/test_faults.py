@@ -1,0 +1,81 @@
+"""Broken thermometers: what leaps as no temperature does, and sticks, is not heat."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from imumon.blocks import FloatArray, SampleBlock
+from imumon.estimation.temperature_rate.stage import TemperatureRate
+
+POWER_ON_DEGC = 85.0
+
+
+def block(t: FloatArray, reading: FloatArray) -> SampleBlock:
+    columns = {"device_time_ns": np.round(t * 1e9).astype(np.int64), "temperature": reading}
+    return SampleBlock({**columns, "segment": np.zeros(len(t), np.int64)})
+
+
+def read(truth: FloatArray, step: float, seed: int = 0) -> FloatArray:
+    noise = 0.3 * step * np.random.default_rng(seed).normal(size=len(truth))
+    return np.asarray(np.round((truth + noise) / step) * step)
+
+
+@pytest.mark.parametrize("rate_hz", [1.0, 10.0, 100.0])
+@pytest.mark.parametrize("stuck_s", [4.0, 8.0, 80.0])
+def test_a_value_that_sticks_after_a_leap_is_passed_over(rate_hz: float, stuck_s: float) -> None:
+    t = np.arange(0.0, 900.0, 1.0 / rate_hz)
+    truth = 25.0 + t / 36.0
+    reading = read(truth, 0.0625)
+    sticks = (t >= 700.0) & (t < 700.0 + stuck_s)
+    reading[sticks] = POWER_ON_DEGC
+    stage = TemperatureRate()
+    found = stage.process(block(t, reading))
+    off = np.abs(found["temperature_estimate"] - truth)[t > 600.0]
+    assert off.max() < 1.0
+    assert (off / found["temperature_estimate_sd"][t > 600.0]).max() < 5.0
+    first, last = np.flatnonzero(sticks)[[0, -1]]
+    assert found["temperature_rate_sd"][last] > found["temperature_rate_sd"][first]
+    (text,) = stage.notices()
+    assert "85 °C" in text
+    assert stage.notices() == []
+
+
+def test_a_spike_before_it_sticks_makes_no_difference() -> None:
+    t = np.arange(0.0, 900.0, 0.1)
+    truth = 25.0 + t / 36.0
+    reading = read(truth, 0.0625)
+    reading[(t >= 700.0) & (t < 708.0)] = POWER_ON_DEGC
+    reading[[6995, 7033, 7034]] = -127.0
+    found = TemperatureRate().process(block(t, reading))["temperature_estimate"]
+    assert np.abs(found - truth)[t > 600.0].max() < 1.0
+
+
+def test_where_it_never_comes_back_nothing_is_said_after_ten_minutes_until_it_moves() -> None:
+    t = np.arange(0.0, 2400.0, 0.1)
+    reading = read(np.full(len(t), 25.0) + t / 360.0, 0.0625)
+    reading[(t >= 600.0) & (t < 1800.0)] = POWER_ON_DEGC
+    found = TemperatureRate().process(block(t, reading))["temperature_estimate"]
+    assert np.isnan(found[(t > 1210.0) & (t < 1799.0)]).all()
+    assert np.abs(found[t > 1810.0] - (25.0 + t[t > 1810.0] / 360.0)).max() < 0.2
+
+
+def test_a_leap_to_readings_that_move_is_believed() -> None:
+    t = np.arange(0.0, 900.0, 0.1)
+    truth = np.where(t < 600.0, 25.0, 45.0)
+    stage = TemperatureRate()
+    found = stage.process(block(t, read(truth, 0.0625)))["temperature_estimate"]
+    assert np.abs(found - truth)[t > 620.0].max() < 0.2
+    assert stage.notices() == []
+
+
+@pytest.mark.parametrize("stuck_s", [0.75, 2.0, 8.0])
+@pytest.mark.parametrize("step", [0.0625, 1.0])
+def test_the_value_at_power_on_is_doubted_and_left(stuck_s: float, step: float) -> None:
+    t = np.arange(0.0, 120.0, 0.1)
+    reading = np.where(t < stuck_s, POWER_ON_DEGC, step * np.round(25.03 / step))
+    found = TemperatureRate().process(block(t, reading))
+    behind = t >= stuck_s + 1.0
+    off = np.abs(found["temperature_estimate"] - 25.03)
+    assert np.nanmax((off / found["temperature_estimate_sd"])[behind]) < 3.0
+    assert off[t > 3.0 * stuck_s + 15.0].max() < 0.5
