@@ -82,14 +82,19 @@ class Stage:
     def started(self, command: Command, out: Path, mark: str) -> subprocess.Popen[str]:
         """Start a command as a terminal does: Ctrl-C reaches it and all that it starts."""
         words = {"port": self.port, "session": self.session, "out": out}
-        return subprocess.Popen(
-            [*PROGRAM, *(argument.format(**words) for argument in command.arguments)],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            start_new_session=True,
-            env=os.environ | {"IMUMON_ATTACK": mark},
-        )
+        # A signal that is ignored here, as in a job in the background, would be ignored there as well.
+        before = signal.signal(signal.SIGINT, signal.default_int_handler)
+        try:
+            return subprocess.Popen(
+                [*PROGRAM, *(argument.format(**words) for argument in command.arguments)],
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                text=True,
+                start_new_session=True,
+                env=os.environ | {"IMUMON_ATTACK": mark},
+            )
+        finally:
+            signal.signal(signal.SIGINT, before)
 
 
 def staged(folder: Path, port: str) -> Stage:
