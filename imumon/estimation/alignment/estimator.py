@@ -37,6 +37,8 @@ SCATTER = 1.5
 logarithm.  Regression over data sheets, bias and noise in °/h and °/√h: Honeywell HG9900 0.0035 and 0.002,
 HG1700 1 and 0.125 (`hg9900_model`, `hg1700_model` of NavToolkit), iMAR FSAS 0.75 and 0.1, Xsens MTi-G 3600
 and 3 (Mathematical Problems in Engineering 2013, 435286, table 6)."""
+ANY_ANGLE = math.pi**2 / 3.0
+"""Variance, rad², of an angle that may be any."""
 LEAST_ARW, LARGEST_TYPICAL = math.radians(0.002) / 60.0, EARTH_RATE
 """The quietest of them; and a typical bias is not made larger than what leaves no heading anyway."""
 SIZES = np.linspace(-4.0, 12.0, 17)
@@ -200,6 +202,8 @@ class Aligner:
         else:
             before = len(state.poses) - 1
             same = self._new_pose(calm[-LEAST // 2 :])  # the gyros may be calm before the accelerometers
+            if not self.state.poses:
+                return
             if not (same and motion.returned):
                 state.disturbed += 1
                 state.record.leave_out(motion.begun_s - calm[0].length_s)
@@ -236,7 +240,10 @@ class Aligner:
         return f"{said}; {new}turned by {angle:.2f}° ± {sd:.2f}° about the vertical"
 
     def _new_pose(self, calm: list[Slot]) -> bool:
-        """Return whether the unit stands as before a disturbance; else begin a pose."""
+        """Return whether the unit stands as before a disturbance; else begin a pose.
+
+        Begin anew after a turn that nobody can say the angle of, as where a gyro was saturated.
+        """
         state, motion = self.state, self.state.motion
         passage = self._passage(calm[0].time_s)
         usual = motion.usual()
@@ -254,8 +261,11 @@ class Aligner:
         level_sd = math.hypot(level, math.sqrt(2.0) * self.parameters.accel_bias_sd_ug * 1e-6)
         scale_sd = self._scale_sd()
         unexplained = passage.unexplained(up / np.sqrt(up @ up), scale_sd, level_sd)
-        state.turns = state.turns.after(passage, unexplained)
         alone = Account().after(passage, unexplained).azimuth_variance(scale_sd)
+        if alone > ANY_ANGLE:
+            self.begin_anew(f"{motion.cause} at {motion.begun_s:.1f} s, by an angle that is not known")
+            return False
+        state.turns = state.turns.after(passage, unexplained)
         state.poses.append(Pose(attitude, state.turns.azimuth_variance(scale_sd), state.counted_s, alone))
         state.due_s = state.counted_s
         state.field_sum = [0.0] * 4

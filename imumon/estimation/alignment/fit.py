@@ -123,8 +123,12 @@ def fit_pose(record: PoseRecord, drift_sd: float = WARM_UP) -> PoseFit | None:
         return None
     quiet = quietness(record.rate, valid)
     seen = [_in_cells(record, valid.astype(np.float64))]
+    if not seen[0].sets:
+        return None
     if (quiet < valid).any():
-        seen.append(_in_cells(record, quiet))
+        weighed = _in_cells(record, quiet)
+        if weighed.sets:  # else hardly anything was quiet
+            seen.append(weighed)
     # The vertical gyro has no hypotheses: what it shows of a trend is an error of its mean.
     upright, upright_windows, upright_noise = _sharpest(seen, slice(2, 3), trends=False)
     own_noise = upright_windows.scatter(upright.rate[:, 2:])[0]

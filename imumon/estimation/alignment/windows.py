@@ -155,17 +155,20 @@ def bank(cells: int, hop: int) -> tuple[Windows, ...]:
 
 
 def weighted_bank(quiet: FloatArray, hop: int) -> tuple[Windows, ...]:
-    """Return such sets over cells of which each counts by so much, (n,)."""
+    """Return such sets over cells of which each counts by so much, (n,); none when that is too little."""
     cells, beside = len(quiet), 0.0
     if hop > 1:
         _, taps = layout(hop * CELLS)
         beside = float(taps[:hop] @ taps[hop:] / (taps @ taps))
-    found, wide = [_made(np.eye(cells), quiet, beside)], 2
+    narrow = _made(np.eye(cells), quiet, beside)
+    if narrow is None:
+        return ()
+    found, wide = [narrow], 2
     while cells // wide - 1 >= LEAST_ROWS:
         middle = np.arange(wide - 1, cells - wide + 1, wide)[:, None]
         apart = np.abs(np.arange(cells) - middle) / wide
         made = _made(np.where(apart < 1.0, 0.5 + 0.5 * np.cos(math.pi * apart), 0.0), quiet, beside)
-        if made.count < LEAST_ROWS:
+        if made is None:
             break
         found.append(made)
         wide *= 2
@@ -174,11 +177,15 @@ def weighted_bank(quiet: FloatArray, hop: int) -> tuple[Windows, ...]:
 
 def slow_columns(basis: FloatArray, count: float) -> FloatArray:
     """Return as many columns of `slowly` as so many values can bear beside their scatter."""
-    return basis[:, : 1 + min(2 * (int(count - LEAST_ROWS) // LEAST_ROWS), basis.shape[1] - 1)]
+    pairs = max(int(count - LEAST_ROWS) // LEAST_ROWS, 0)
+    return basis[:, : 1 + min(2 * pairs, basis.shape[1] - 1)]
 
 
-def _made(weights: FloatArray, quiet: FloatArray, beside: float) -> Windows:
-    """Return windows of these weights, (k, n), over cells that correlate so much with their neighbours."""
+def _made(weights: FloatArray, quiet: FloatArray, beside: float) -> Windows | None:
+    """Return windows of these weights, (k, n), over cells that correlate so much with their neighbours.
+
+    None when they are worth too few: nothing is left to scatter.
+    """
     together = -(-len(weights) // ROWS)
     weights = np.add.reduceat(weights, np.arange(0, len(weights), together), axis=0)
     weights = weights / weights.sum(1, keepdims=True) * quiet
@@ -188,6 +195,8 @@ def _made(weights: FloatArray, quiet: FloatArray, beside: float) -> Windows:
     covariance = _noisy(noise, beside) @ noise.T
     own = np.diagonal(covariance)
     count = float(own.sum() ** 2 / (own @ own))
+    if count < LEAST_ROWS:
+        return None
     slow = np.linalg.qr(weights @ slow_columns(slowly(weights.shape[1]), count))[0]
     jitter = np.diff(weights, axis=1, prepend=0.0, append=0.0)
     angles = jitter @ jitter.T
