@@ -56,8 +56,11 @@ REFILTERED = (8, 30)
 """Slots of the first rest after which, besides its end, all of it is filtered anew with the noise known."""
 
 
+_NAN = np.full(3, np.nan)
+
+
 def _nothing() -> FloatArray:
-    return np.full(3, np.nan)
+    return _NAN.copy()
 
 
 def _zero() -> FloatArray:
