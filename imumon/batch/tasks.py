@@ -17,7 +17,6 @@ from imumon.batch.dataset import Row
 from imumon.batch.options import BatchOptions
 from imumon.batch.places import fetched
 from imumon.blocks import ColumnArray, SampleBlock
-from imumon.columns import KNOWN
 from imumon.errors import ImumonError, Reason
 from imumon.pipeline import Digest, Pipeline
 from imumon.recordings.folder import is_session, open_session
@@ -231,7 +230,7 @@ def _diagnose(path: Path, job: Job) -> Iterator[Row]:
     write_text(file, json.dumps(content, indent=2, ensure_ascii=False) + "\n")
     for name, channel in content["channels"].items():
         yield {
-            "channel": name, "unit": KNOWN[name].unit,
+            "channel": name, "unit": channel["unit"],
             "effects": [effect["name"] for effect in channel["effects"]],
             **{key: channel[key] for key in ("unexplained", "explained_share", "noise_floor_rms", "summary")},
             **{f"{of}_rms_{when}": channel[when][f"{of}_rms"]

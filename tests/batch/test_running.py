@@ -9,10 +9,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from imumon.batch.dataset import ROWS, Row
+from imumon.batch.dataset import RESULTS, ROWS, Row, schema_of
 from imumon.batch.options import BatchOptions
 from imumon.batch.running import run_jobs, workers
 from imumon.batch.tasks import Job, work
@@ -131,3 +132,18 @@ def test_every_command_has_rows_or_a_reason(command: Any, tmp_path: Path) -> Non
         assert all(row["device"] == "ax1" for row in rows)
     else:
         assert [row["reason"] for row in rows] == ["bad data"]
+
+
+@pytest.mark.parametrize("command", ["calibrate", "diagnose"])
+def test_a_long_session_has_rows_of_every_channel_that_the_table_takes(command: Any, tmp_path: Path) -> None:
+    session = tiny(tmp_path / "s", seconds=4000.0, scenario="self-heating", rate_hz=5.0)
+    rows = work(Job(str(session), BatchOptions(command=command), str(tmp_path)))
+    units = {row["channel"]: row["unit"] for row in rows}
+    assert units.keys() > {"gyro_x", "accel_z"}
+    assert units["gyro_x"] == "rad/s"
+    assert units.get("clock") == ("ppm" if command == "diagnose" else None)
+    assert all(Path(row["file"]).is_file() for row in rows)
+    table = pa.Table.from_pylist(rows, schema_of(command))
+    assert set(rows[0]) <= set(table.column_names)
+    results = table.select([name for name, _ in RESULTS[command]]).to_pylist()
+    assert all(value is not None for row in results for value in row.values())
