@@ -98,6 +98,11 @@ class PipelineCounters:
     left_out: int
     streams: dict[str, StreamCounters]
 
+    @property
+    def lost(self) -> int:
+        """Packets that are missing or damaged."""
+        return self.packets_missing + self.checksum_errors + self.length_errors
+
     def as_dict(self) -> dict[str, object]:
         """Return the counters as they are printed and stored."""
         return asdict(self)

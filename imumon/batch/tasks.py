@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,8 @@ from imumon.errors import ImumonError, Reason
 from imumon.pipeline import Digest, Pipeline
 from imumon.recordings.folder import is_session, open_session
 from imumon.recordings.side_tables import export_run
-from imumon.recordings.source import open_source, run_over
+from imumon.recordings.source import Source, open_source, run_over
+from imumon.run.replay import digested, identical_to_live
 from imumon.run.setup import parse_setup, recorded_setup
 from imumon.run.stages import estimators
 
@@ -131,32 +132,32 @@ class Moments:
 
 
 def _decode(path: Path, job: Job) -> Iterator[Row]:
-    yield from _samples(path, job, Pipeline(open_source(path).device))
+    source = open_source(path)
+    pipeline = Pipeline(source.device)
+    yield from _samples(source, job, pipeline, run_over(source.items, pipeline))
 
 
 def _replay(path: Path, job: Job) -> Iterator[Row]:
     session = open_session(path)
     text = job.options.pipeline_yaml
     setup = recorded_setup(session) if text is None else parse_setup(text, "--pipeline")
-    digest = Digest()
-    pipeline = Pipeline(open_source(path).device, estimators(open_source(path).device, setup))
-    rows = [*_samples(path, job, pipeline, digest)]
-    live = session.metadata.results_digest if setup.text() == session.metadata.pipeline_yaml else None
-    identical = None if live is None else live == digest.hexdigest()
+    source, digest = open_source(path), Digest()
+    pipeline = Pipeline(source.device, estimators(source.device, setup))
+    blocks = digested(run_over(source.items, pipeline), pipeline, digest)
+    rows = [*_samples(source, job, pipeline, blocks)]
+    identical = identical_to_live(session, setup, digest)
     yield from ({**row, "identical_to_live": identical} for row in rows)
 
 
-def _samples(path: Path, job: Job, pipeline: Pipeline, digest: Digest | None = None) -> Iterator[Row]:
-    """Run a recording through a pipeline; yield what its channels were."""
-    source, seen = open_source(path), dict[str, Moments]()
+def _samples(source: Source, job: Job, pipeline: Pipeline, blocks: Iterable[SampleBlock]) -> Iterator[Row]:
+    """Take the blocks of a recording as they come through a pipeline; yield what its channels were."""
+    seen = dict[str, Moments]()
 
     def passing() -> Iterator[SampleBlock]:
-        for block in run_over(source.items, pipeline):
+        for block in blocks:
             for name, values in block.columns.items():
                 if values.dtype == np.float64:
                     seen.setdefault(name, Moments()).add(values)
-            if digest is not None:
-                digest.update(block, pipeline.side)
             yield block
 
     file: Path | None = None
@@ -166,8 +167,7 @@ def _samples(path: Path, job: Job, pipeline: Pipeline, digest: Digest | None = N
     else:
         for _ in passing():
             pass
-    counters = pipeline.counters
-    lost = counters.packets_missing + counters.checksum_errors + counters.length_errors
+    lost = pipeline.counters.lost
     units = {column.name: column.unit for column in source.columns(pipeline)}
     for name, found in seen.items():
         if found.count:

@@ -256,10 +256,9 @@ def status_line(progress: Progress, view: str) -> str:
     """Return the one line that a terminal shows while recording."""
     counters = progress.counters
     load = "" if progress.link_load is None else f"  link {progress.link_load:.0%}"
-    lost = counters.packets_missing + counters.checksum_errors + counters.length_errors
     return (
         f"{progress.port or 'opening':7} {progress.elapsed_s:7.1f} s  {counters.packets:,} packets "
-        f"{progress.packets_per_s:.1f}/s{load}  lost {lost:,}  skipped {counters.bytes_skipped:,} B"
+        f"{progress.packets_per_s:.1f}/s{load}  lost {counters.lost:,}  skipped {counters.bytes_skipped:,} B"
         + (f"  view: {view}" if view else "")
     )
 

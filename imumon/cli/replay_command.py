@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Unpack
 
@@ -32,8 +31,7 @@ from imumon.errors import EXIT_OK, ImumonError, Reason
 from imumon.files import check_output
 
 if TYPE_CHECKING:
-    from imumon.blocks import SampleBlock
-    from imumon.pipeline import Digest, Pipeline
+    from imumon.pipeline import Pipeline
     from imumon.recordings.folder import Session
     from imumon.recordings.source import Source
     from imumon.view.items import ViewSetup
@@ -91,7 +89,7 @@ def command(
     from imumon.recordings.side_tables import Exported, export_run
     from imumon.recordings.source import open_source
     from imumon.run.narration import Narrator, describe_losses, describe_streams
-    from imumon.run.replay import replay
+    from imumon.run.replay import digested, identical_to_live, replay
     from imumon.run.stages import estimators
 
     opened = open_session(session)  # a raw capture has no times: that is for decode
@@ -118,7 +116,7 @@ def command(
         _announce(publisher)
         card = {"session": str(session), "replay": "as fast as it goes" if pace is None else f"{pace:g} x"}
         narrator = Narrator(pipeline, None, [publisher.publish], lambda *_: None, card, session)
-    blocks = _digested(replay(source.items, pipeline, narrator, pace), pipeline, digest)
+    blocks = digested(replay(source.items, pipeline, narrator, pace), pipeline, digest)
     try:
         with reading_bar([session], quiet=as_json):
             if out is None:
@@ -130,9 +128,8 @@ def command(
     finally:
         if publisher is not None:
             publisher.close(CLOSE_S)
-    as_live = setup.text() == recorded and not smooth and rate is None
-    live = opened.metadata.results_digest if as_live else None
-    identical = None if live is None else live == digest.hexdigest()
+    as_live = not smooth and rate is None
+    identical = identical_to_live(opened, setup, digest) if as_live else None
     _warn(source, pipeline, opened.path, identical)
     warn(exported.warnings)
     if as_json:
@@ -213,9 +210,3 @@ def _shown(source: Source, opened: Session, pipeline: Pipeline, window_s: float)
 
     units = {column.name: column.unit for column in source.imported} | pipeline.units
     return view_setup(opened, units, window_s, replay=True)
-
-
-def _digested(blocks: Iterator[SampleBlock], pipeline: Pipeline, digest: Digest) -> Iterator[SampleBlock]:
-    for block in blocks:
-        digest.update(block, pipeline.side)
-        yield block

@@ -294,10 +294,7 @@ class Narrator:
         received = now.bytes_received - then.bytes_received
         if received < GARBLED_AFTER_BYTES:
             return
-        damaged = (
-            now.checksum_errors + now.length_errors + now.packets_missing + now.bytes_skipped
-            > then.checksum_errors + then.length_errors + then.packets_missing + then.bytes_skipped
-        )
+        damaged = now.lost + now.bytes_skipped > then.lost + then.bytes_skipped
         state = (
             "bad: does not frame"
             if framed < GARBLED_BELOW * received

@@ -6,9 +6,11 @@ import time
 from collections.abc import Iterable, Iterator
 
 from imumon.blocks import SampleBlock
-from imumon.pipeline import Pipeline
+from imumon.pipeline import Digest, Pipeline
+from imumon.recordings.folder import Session
 from imumon.recordings.source import feed, reading, run_over
 from imumon.run.narration import Narrator
+from imumon.run.setup import Setup
 from imumon.transport.reader import Bytes, Item
 
 BATCH_NS = 50_000_000
@@ -37,6 +39,20 @@ def replay(
     if speed is not None:
         items = _paced(items, speed)
     return run_over(items, pipeline) if narrator is None else _narrated(items, pipeline, narrator)
+
+
+def digested(blocks: Iterable[SampleBlock], pipeline: Pipeline, digest: Digest) -> Iterator[SampleBlock]:
+    """Pass samples on, and add them and those of the side streams to a digest."""
+    for block in blocks:
+        digest.update(block, pipeline.side)
+        yield block
+
+
+def identical_to_live(session: Session, setup: Setup, digest: Digest) -> bool | None:
+    """Tell whether the results of a replay are those of the live run; None where there was no such run."""
+    metadata = session.metadata
+    live = metadata.results_digest if setup.text() == metadata.pipeline_yaml else None
+    return None if live is None else live == digest.hexdigest()
 
 
 def _narrated(
