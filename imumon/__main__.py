@@ -10,9 +10,8 @@ from imumon.errors import EXIT_INTERRUPTED
 
 def main() -> None:
     """Load the command line and run it; until it takes over, Ctrl-C ends the program without a word."""
-    if (
-        signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    ):  # not where it is ignored, as under nohup
+    # Not where it is ignored, as under nohup.
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, lambda *_: os._exit(EXIT_INTERRUPTED))
     from imumon.cli import main as command_line
 

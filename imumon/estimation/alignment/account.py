@@ -11,6 +11,8 @@ from imumon.blocks import FloatArray
 from imumon.filters.turns import Turn
 from imumon.geodesy import EARTH_RATE
 
+ANY_ANGLE_SD = math.pi / math.sqrt(3.0)
+"""Standard deviation, rad, of an angle of which nothing is known."""
 DRIFT_WHILE_TURNED = 1.0
 """While the unit turns by a radian or more, the rate that is taken off may be wrong by the earth's."""
 TYPICAL_ARW, TYPICAL_SCALE, SCALE_POWER, LARGEST_SCALE = math.radians(0.1) / 60.0, 3e-4, 1.4, 0.03

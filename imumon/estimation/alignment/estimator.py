@@ -11,7 +11,7 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.estimation.alignment import fit
-from imumon.estimation.alignment.account import Account, Passage, typical_scale
+from imumon.estimation.alignment.account import ANY_ANGLE_SD, Account, Passage, typical_scale
 from imumon.estimation.alignment.motion import LEAST, Motion, Slot
 from imumon.estimation.alignment.parameters import AlignmentParameters
 from imumon.estimation.alignment.posterior import Heading, Place, heading
@@ -37,8 +37,6 @@ SCATTER = 1.5
 logarithm.  Regression over data sheets, bias and noise in °/h and °/√h: Honeywell HG9900 0.0035 and 0.002,
 HG1700 1 and 0.125 (`hg9900_model`, `hg1700_model` of NavToolkit), iMAR FSAS 0.75 and 0.1, Xsens MTi-G 3600
 and 3 (Mathematical Problems in Engineering 2013, 435286, table 6)."""
-ANY_ANGLE = math.pi**2 / 3.0
-"""Variance, rad², of an angle that may be any."""
 LEAST_ARW, LARGEST_TYPICAL = math.radians(0.002) / 60.0, EARTH_RATE
 """The quietest of them; and a typical bias is not made larger than what leaves no heading anyway."""
 SIZES = np.linspace(-4.0, 12.0, 17)
@@ -262,7 +260,7 @@ class Aligner:
         scale_sd = self._scale_sd()
         unexplained = passage.unexplained(up / np.sqrt(up @ up), scale_sd, level_sd)
         alone = Account().after(passage, unexplained).azimuth_variance(scale_sd)
-        if alone > ANY_ANGLE:
+        if alone > ANY_ANGLE_SD**2:
             self.begin_anew(f"{motion.cause} at {motion.begun_s:.1f} s, by an angle that is not known")
             return False
         state.turns = state.turns.after(passage, unexplained)
@@ -420,7 +418,7 @@ class Aligner:
         if motion.disturbed and motion.passed:
             going_on = state.turns.after(self._passage(state.slot_end_s))
             variance = going_on.azimuth_variance(self._scale_sd())
-        return min(math.hypot(state.found.sd, math.sqrt(variance)), math.pi / math.sqrt(3.0))
+        return min(math.hypot(state.found.sd, math.sqrt(variance)), ANY_ANGLE_SD)
 
     @property
     def heading(self) -> float:
@@ -436,7 +434,7 @@ class Aligner:
             times = state.record.time_s[state.record.of_pose(number)]
             if state.found is None or not len(times):
                 continue
-            sd = min(math.hypot(state.found.sd, math.sqrt(pose.turn_variance)), math.pi / math.sqrt(3.0))
+            sd = min(math.hypot(state.found.sd, math.sqrt(pose.turn_variance)), ANY_ANGLE_SD)
             shown = sd < math.radians(self.parameters.observable_deg)
             north = state.found.north - ahead_of(pose.attitude) if shown else math.nan
             found.append(Position(self.run, float(times[0]), float(times[-1]), north % (2.0 * math.pi), sd))

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imumon.blocks import FloatArray, IntArray
+from imumon.estimation.alignment.account import ANY_ANGLE_SD
 from imumon.estimation.alignment.fit import FINEST, PoseFit
 from imumon.geodesy import EARTH_RATE
 
@@ -124,7 +125,7 @@ def heading(
     left_over = max(float(by_size @ (1.0 / curvature[0])) - white, 0.0)
     return Heading(
         centre,
-        min(math.sqrt(variance + turned), math.pi / math.sqrt(3.0)),
+        min(math.sqrt(variance + turned), ANY_ANGLE_SD),
         math.sqrt(left_over) * level,
         supposed,
         float(probability.sum(1) @ settles),
