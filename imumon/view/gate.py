@@ -67,17 +67,15 @@ class Gate:
 
     Parameters
     ----------
-    bind : str
-        Address to listen on.
-    port : int
-        Port to listen on; must be free.
+    door : socket
+        Listens where clients come to; see `imumon.view.viewer.listen`.
     behind : (str, int)
         Address and port of the server.
     """
 
-    def __init__(self, bind: str, port: int, behind: tuple[str, int]) -> None:
+    def __init__(self, door: socket.socket, behind: tuple[str, int]) -> None:
         self._behind = behind
-        self._server = socket.create_server((bind, port))
+        self._server = door
         threading.Thread(target=self._accept, name="view gate", daemon=True).start()
 
     def close(self) -> None:

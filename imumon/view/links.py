@@ -14,6 +14,7 @@ from imumon.view.viewer import (
     SERVER_MEMORY,
     Answer,
     free_port,
+    listen,
     probe,
     proxy_url,
     start_viewer,
@@ -140,11 +141,11 @@ class WebLink:
 
     def __init__(self, start: Start, tell: Tell) -> None:
         self._tell = tell
-        self._port = free_port(start.port)
+        self._door = listen(start.port)
         device = start.setup.properties.get("device", "")
         title = " - ".join(filter(None, (device, start.setup.title, "imumon")))
         self._behind = hidden_address()
-        self._web = WebServer(start.bind, free_port(start.web_port, start.bind), self._behind, title)
+        self._web = WebServer(listen(start.web_port, start.bind), self._behind, title)
         self._serving = False
         self._gate: Gate | None = None
 
@@ -156,8 +157,9 @@ class WebLink:
         import rerun as rr  # takes 0.4 s, in which a native viewer comes up: see Child
 
         rec.set_sinks(rr.GrpcServerSink(*self._behind, server_memory_limit=SERVER_MEMORY, newest_first=True))
-        self._gate = Gate(LOCALHOST, self._port, self._behind)
-        self._tell(Report("serving the web viewer", True, self._port, self._web.port, self._web.url))
+        port = self._door.getsockname()[1]
+        self._gate = Gate(self._door, self._behind)
+        self._tell(Report("serving the web viewer", True, port, self._web.port, self._web.url))
         return Change.NEW
 
 

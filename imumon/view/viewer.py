@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import http.client
 import os
 import socket
@@ -98,9 +99,22 @@ def probe(port: int, timeout_s: float = 0.5) -> Answer:
 
 
 def free_port(preferred: int, bind: str = LOCALHOST) -> int:
-    """Return the preferred port or the next one that can be bound.
+    """Return the preferred port or the next one that nobody listens on.
 
-    Rerun reports a port in use in its log only, so it has to be found out before.
+    For Rerun's own programs, which report a port in use in their log only; another program may take it
+    before they do.
+
+    Raises
+    ------
+    ImumonError
+        BUSY when the next hundred are all in use.
+    """
+    with listen(preferred, bind) as trial:
+        return int(trial.getsockname()[1])
+
+
+def listen(preferred: int, bind: str = LOCALHOST) -> socket.socket:
+    """Return a socket that listens on the preferred port or the next one free, so that nobody else takes it.
 
     Raises
     ------
@@ -108,13 +122,8 @@ def free_port(preferred: int, bind: str = LOCALHOST) -> int:
         BUSY when the next hundred are all in use.
     """
     for port in range(preferred, min(preferred + 100, 65536)):
-        with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as trial:
-            trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            try:
-                trial.bind((bind, port))
-            except OSError:
-                continue
-            return port
+        with contextlib.suppress(OSError):
+            return socket.create_server((bind, port))
     raise ImumonError(Reason.BUSY, f"no free port from {preferred} on {bind}", "name another port")
 
 

@@ -10,7 +10,7 @@ import threading
 import time
 import urllib.request
 import uuid
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing
 from functools import partial
 from html import escape
@@ -21,8 +21,8 @@ from urllib.error import URLError
 from urllib.parse import quote
 
 from imumon.errors import ImumonError, Reason
-from imumon.view.gate import refusal
-from imumon.view.viewer import LOCALHOST, free_port, proxy_url, start_quietly, viewer_binary
+from imumon.view.gate import hidden_address, refusal
+from imumon.view.viewer import proxy_url, start_quietly, viewer_binary
 
 ASSETS = {
     "/": "text/html; charset=utf-8",
@@ -63,14 +63,14 @@ def bundled_assets() -> dict[str, bytes]:
     ImumonError
         NOT_FOUND when the executable is missing or does not hand them out within 10 s.
     """
-    port = free_port(WEB_FETCH_PORT)
-    command = [str(viewer_binary()), proxy_url(1), "--serve-web", f"--bind={LOCALHOST}"]
+    address, port = hidden_address()
+    command = [str(viewer_binary()), proxy_url(1), "--serve-web", f"--bind={address}"]
     program = start_quietly([*command, f"--web-viewer-port={port}", "--port=auto"], own_session=False)
     try:
         deadline = time.monotonic() + FETCH_S
         while True:
             try:
-                return {path: _fetch(f"http://{LOCALHOST}:{port}{path}") for path in ASSETS}
+                return {path: _fetch(f"http://{address}:{port}{path}") for path in ASSETS}
             except (URLError, ConnectionError, TimeoutError) as error:
                 if time.monotonic() > deadline or program.poll() is not None:
                     raise ImumonError(
@@ -80,9 +80,6 @@ def bundled_assets() -> dict[str, bytes]:
     finally:
         program.kill()
         program.wait()
-
-
-WEB_FETCH_PORT = 19090
 
 
 def _fetch(url: str) -> bytes:
@@ -115,27 +112,25 @@ class WebServer:
 
     Parameters
     ----------
-    bind : str
-        Address to listen on.
-    port : int
-        Port to listen on; must be free.
+    door : socket
+        Listens where browsers come to; see `imumon.view.viewer.listen`.
     stream : (str, int)
         Address and port of the server that the stream comes from; whoever reaches that one is answered.
     title : str
         Of the page.
     """
 
-    def __init__(self, bind: str, port: int, stream: tuple[str, int], title: str = "imumon") -> None:
-        self.port = port
+    def __init__(self, door: socket.socket, stream: tuple[str, int], title: str = "imumon") -> None:
+        bind, self.port = door.getsockname()
         self.stream = stream
-        self.host = socket.gethostname() if bind in ("0.0.0.0", "") else bind  # as others reach it
-        self.url = f"http://{self.host}:{port}/"
+        self.host = socket.gethostname() if bind == "0.0.0.0" else bind  # as others reach it
+        self.url = f"http://{self.host}:{self.port}/"
         name = uuid.uuid4().hex
         self.files = bundled_assets()
         self.files["/"] = page(self.files["/"].decode(), name, title).encode()
         self.files[ALIVE] = name.encode()
         handler = partial(_Handler, self)
-        self._server = _Server((bind, port), handler)
+        self._server = _Server(door, handler)
         threading.Thread(target=self._server.serve_forever, name="web viewer", daemon=True).start()
 
     def close(self) -> None:
@@ -146,6 +141,11 @@ class WebServer:
 
 class _Server(ThreadingHTTPServer):
     daemon_threads = True
+
+    def __init__(self, door: socket.socket, handler: Callable[..., BaseHTTPRequestHandler]) -> None:
+        super().__init__(door.getsockname(), handler, bind_and_activate=False)
+        self.socket.close()
+        self.socket = door
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Pass over a browser that went away in the middle of an answer."""

@@ -14,7 +14,7 @@ from support.browser import Browser, browser, browser_binary
 from imumon.charts import AXIS_COLORS, ORANGE
 from imumon.view.items import merge
 from imumon.view.logger import StreamLogger
-from imumon.view.viewer import SERVER_MEMORY, free_port
+from imumon.view.viewer import SERVER_MEMORY, free_port, listen
 from imumon.view.web import WebServer
 from tests.view.test_screenshots import SETUP, run_of_20_s
 
@@ -33,7 +33,7 @@ def test_two_tabs_in_a_browser_show_something_and_nothing_goes_out(tmp_path: Pat
     if binary is None:
         pytest.skip("no Chromium here: apt install chromium")
     port = free_port(29800)
-    site = WebServer("127.0.0.1", free_port(29890), ("127.0.0.1", port), "AX1")
+    site = WebServer(listen(29890), ("127.0.0.1", port), "AX1")
     rec = rr.RecordingStream("imumon", recording_id="browser")
     rec.set_sinks(rr.GrpcServerSink("127.0.0.1", port, server_memory_limit=SERVER_MEMORY, newest_first=True))
     logger = StreamLogger(rec, SETUP, live=True)

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from imumon.view.gate import Gate, refusal
-from imumon.view.viewer import free_port
+from imumon.view.viewer import listen
 from tests.transport.helpers import tcp_server
 
 
@@ -53,9 +53,10 @@ def test_what_is_allowed_reaches_the_server_and_nothing_else_does() -> None:
         reached.append(client.recv(1000))
         client.sendall(b"data")
 
-    port = free_port(28000)
+    door = listen(28000)
+    port = door.getsockname()[1]
     with tcp_server(serve) as behind:
-        gate = Gate("127.0.0.1", port, ("127.0.0.1", behind))
+        gate = Gate(door, ("127.0.0.1", behind))
         good = b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\nmore"
         assert asked(port, good) == b"data"
         assert asked(port, b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n") == b"data"

@@ -12,6 +12,7 @@ from imumon.view.viewer import (
     Answer,
     default_mode,
     free_port,
+    listen,
     probe,
     quiet_environment,
     viewer_binary,
@@ -48,9 +49,9 @@ def test_another_program_is_told_apart(port: int, reply: bytes) -> None:
         thread.join()
 
 
-def test_free_port_passes_over_one_in_use(port: int) -> None:
-    with socket.create_server(("127.0.0.1", port)):
-        assert free_port(port) > port
+def test_a_port_in_use_is_passed_over(port: int) -> None:
+    with listen(port) as first, listen(port) as second:
+        assert first.getsockname()[1] < second.getsockname()[1] < free_port(port)
 
 
 def test_display_decides_the_mode(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,7 +10,7 @@ from urllib.parse import parse_qs, urlsplit
 
 import pytest
 
-from imumon.view.viewer import free_port
+from imumon.view.viewer import listen
 from imumon.view.web import WebServer, page
 
 HTML = """<html><head><link rel="preconnect" href="https://fonts.example" />
@@ -21,7 +21,7 @@ HTML = """<html><head><link rel="preconnect" href="https://fonts.example" />
 
 @pytest.fixture(scope="module")
 def server() -> Iterator[WebServer]:
-    site = WebServer("127.0.0.1", free_port(29090), ("127.0.0.1", 29876), "AX1 & co")
+    site = WebServer(listen(29090), ("127.0.0.1", 29876), "AX1 & co")
     yield site
     site.close()
 
@@ -85,7 +85,7 @@ def test_page_loads_nothing_from_elsewhere() -> None:
 
 
 def test_a_page_for_all_addresses_names_this_computer() -> None:
-    site = WebServer("0.0.0.0", free_port(29190), ("127.0.0.1", 29876))
+    site = WebServer(listen(29190, "0.0.0.0"), ("127.0.0.1", 29876))
     site.close()
     assert site.url == f"http://{socket.gethostname()}:{site.port}/"
 
