@@ -10,6 +10,11 @@ the gyros have carried the vertical of the last rest along, with errors that are
                 and what is lost between samples (`imumon.filters.turns`)
     heading   its part about the vertical; it stays at rest
 
+Both are judged once a second; until then each sample adds what it may have turned wrong since: bias, scale,
+and half an interval of its rate, as a rate may be the mean of the interval before or that of the moment.
+Heading is an angle about the vertical as it is taken: a tilt that is off turns the heading of an axis that
+rises or falls by its tangent.
+
 A magnetometer that is calibrated ties the heading down: its error over the horizontal field, the tilt times
 the tangent of the dip, and what the gyros have added, which the filter forgets with its time constant.  In a
 long motion this is a bound: nobody knows how far the accelerometers have kept the tilt better than the gyros.
@@ -71,6 +76,8 @@ class Slot:
         At its end, rad/s; NaN where the bias is not known.
     attitude, gyro_only : array (3, 3)
         At its end, from body axes to east-north-up, and to axes of the gyros' own.
+    ignored : array (3,)
+        Turned, by the gyros, while it was taken for at rest, rad.
     north, disturbed : bool
         Whether the heading is by the magnetometer, and whether the field is disturbed.
     """
@@ -83,8 +90,36 @@ class Slot:
     bias_sd: FloatArray
     attitude: FloatArray
     gyro_only: FloatArray
+    ignored: FloatArray
     north: bool
     disturbed: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """What samples turned, each since the one before, or running sums of that; (n, 3) and (n,).
+
+    Parameters
+    ----------
+    angle : array (n, 3)
+        In motion, about the body axes, rad.
+    ignored : array (n, 3)
+        By the gyros, while it was taken for at rest, rad: the beginning of a motion may be in it.
+    seconds : array (n,)
+        In motion.
+    """
+
+    angle: FloatArray = field(default_factory=lambda: np.zeros((1, 3)))
+    ignored: FloatArray = field(default_factory=lambda: np.zeros((1, 3)))
+    seconds: FloatArray = field(default_factory=lambda: np.zeros(1))
+
+    def then(self, later: Motion, part: slice) -> Motion:
+        """Return running sums that go on from the last of these, over a part of later samples."""
+        return Motion(
+            _summed(self.angle, later.angle[part]),
+            _summed(self.ignored, later.ignored[part]),
+            _summed(self.seconds, later.seconds[part]),
+        )
 
 
 @dataclass(slots=True, eq=False)
@@ -115,6 +150,7 @@ class Turned:
         """Add a slot."""
         turn = slot.turn
         begun = slot.attitude @ turn.rotation.T
+        self.missed += float(slot.ignored @ slot.ignored)
         self.bias += begun @ turn.by_bias * slot.bias_sd
         self.scale += (begun @ turn.by_scale.reshape(3, 9)).reshape(3, 3, 3)
         self.coning += begun @ turn.coning
@@ -182,6 +218,24 @@ class Uncertainty:
         else:
             self.heading_sd = _small(self._drifted(errors)) if math.isfinite(self.accel_sd) else math.nan
 
+    def at(self, since: Motion, bias_sd: FloatArray, errors: Errors) -> FloatArray:
+        """Return the variances of tilt and of the turn about the vertical, rad², (2, n).
+
+        Parameters
+        ----------
+        since : Motion
+            Sums since the last slot, n + 1: the first is before the samples.
+        bias_sd : array (n, 3)
+            rad/s.
+        errors : Errors
+        """
+        angle, seconds = since.angle, since.seconds[1:]
+        added = errors.scale**2 * _squares(angle[1:]) + _squares(since.ignored[1:])
+        added += _squares(angle[1:] - angle[:-1]) / 12.0  # even chances from none of the interval to all
+        if seconds[-1] > 0.0:
+            added += np.where(seconds > 0.0, _squares(bias_sd) * seconds**2, 0.0)
+        return np.array([[self.tilt_sd**2], [self.heading_sd**2]]) + added
+
     def _come_to_rest(self, slot: Slot, errors: Errors) -> FloatArray:
         """Take the vertical that the accelerometers show, and close the account of a motion."""
         magnitude = float(np.linalg.norm(slot.force))
@@ -211,6 +265,16 @@ class Uncertainty:
             return math.nan
         tied = math.hypot(errors.magnetometer, vertical * self.tilt_sd) / horizontal
         return _small(math.hypot(tied, self._drifted(errors)))
+
+
+def _summed(before: FloatArray, added: FloatArray) -> FloatArray:
+    """Return running sums that go on from the last row of others, in the same order whatever the blocks."""
+    return np.cumsum(np.concatenate([before[-1:], added]), axis=0)
+
+
+def _squares(vectors: FloatArray) -> FloatArray:
+    """Return the squared lengths of vectors, (n,)."""
+    return np.asarray(np.einsum("ni,ni->n", vectors, vectors))
 
 
 def _angle(a: FloatArray, b: FloatArray) -> float:

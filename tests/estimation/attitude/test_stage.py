@@ -91,6 +91,9 @@ def test_without_a_magnetometer_the_heading_is_free_and_its_change_has_a_sigma()
         sd = found["attitude_estimate_heading_sd"][20:]
         assert np.degrees(sd[-1]) < 2.0
         assert abs(error[-1]) < 4.0 * sd[-1]
+        known = np.flatnonzero(np.isfinite(sd))
+        moved = wrapped(error - error[known[0]])[known[1:]]
+        assert np.abs(moved / sd[known[1:]]).max() < 4.0  # at every sample, that of the first motion too
         assert np.isnan(sd[0])  # nothing is known of the bias yet
         assert (found["attitude_estimate_north"][20:] == 0).all()
         assert stage.lanes() == {"attitude": "heading free"}
