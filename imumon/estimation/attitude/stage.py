@@ -81,6 +81,7 @@ class AttitudeEstimate:
             self._parameters.gyro_scale,
             0.0 if latitude_deg is None else EARTH_RATE,
             math.nan if magnetometer is None else magnetometer.error_sd,
+            math.nan if magnetometer is None else magnetometer.field,
         )
         self._heading = math.radians(heading_deg or 0.0)
         self._slots = SlotGatherer(_COLUMNS, SLOT_NS, rates=0)
@@ -247,7 +248,7 @@ class AttitudeEstimate:
                 gyro_only=matrix(fusion.gyro_only()),
                 ignored=since.ignored[-1],
                 north=fusion.north,
-                disturbed=fusion.disturbed,
+                follows=fusion.follows(),
             ),
             self._errors,
         )

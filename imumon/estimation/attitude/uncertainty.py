@@ -16,7 +16,8 @@ Heading is an angle about the vertical as it is taken: a tilt that is off turns 
 rises or falls by its tangent.
 
 A magnetometer that is calibrated ties the heading down: its error over the horizontal field, the tilt times
-the tangent of the dip, and what the gyros have added, which the filter forgets with its time constant.  In a
+the tangent of the dip, and what the gyros have added, which the filter forgets with its time constant.  A
+field that is not as strong as where it was calibrated is bent by so much at least, in whatever direction.  In a
 long motion this is a bound: nobody knows how far the accelerometers have kept the tilt better than the gyros.
 """
 
@@ -52,12 +53,15 @@ class Errors:
         What of the earth rate the bias does not hold, rad/s.
     magnetometer : float
         Unit of the field; NaN when it is not calibrated.
+    field : float
+        Its strength where the magnetometer was calibrated.
     """
 
     accel: float
     scale: float
     earth_rate: float
     magnetometer: float
+    field: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,8 +82,10 @@ class Slot:
         At its end, from body axes to east-north-up, and to axes of the gyros' own.
     ignored : array (3,)
         Turned, by the gyros, while it was taken for at rest, rad.
-    north, disturbed : bool
-        Whether the heading is by the magnetometer, and whether the field is disturbed.
+    north : bool
+        Whether the heading is by the magnetometer.
+    follows : float
+        How fast it follows the field: 1 as usual, 0 not at all.
     """
 
     seconds: float
@@ -92,7 +98,7 @@ class Slot:
     gyro_only: FloatArray
     ignored: FloatArray
     north: bool
-    disturbed: bool
+    follows: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -188,6 +194,8 @@ class Uncertainty:
         What the vertical of the last rest has gone through, and the heading since it was last tied down.
     heading_variance : float
         By the bias in the motions before, rad²: each rest measures the bias anew.
+    bent : float
+        Square of what the field that is followed differs from the calibration's strength, forgotten like it.
     tilt_sd, heading_sd : float
         rad; NaN where nothing can be said.
     """
@@ -197,6 +205,7 @@ class Uncertainty:
     since_rest: Turned = field(default_factory=Turned)
     since_north: Turned = field(default_factory=Turned)
     heading_variance: float = 0.0
+    bent: float = 0.0
     tilt_sd: float = math.nan
     heading_sd: float = math.nan
 
@@ -254,16 +263,19 @@ class Uncertainty:
 
     def _magnetic(self, slot: Slot, errors: Errors) -> float:
         """Return the standard deviation of a heading that follows the magnetometer, rad."""
-        if not slot.disturbed:
-            # What the gyros have added is forgotten as the filter follows the field.
-            keep = math.exp(-slot.seconds / TAU_MAG_S)
-            self.since_north.forget(keep)
-            self.heading_variance *= keep * keep
+        strength = math.sqrt(float(slot.mag @ slot.mag))
+        # What the gyros have added is forgotten as the filter follows the field.
+        keep = math.exp(-slot.follows * slot.seconds / TAU_MAG_S)
+        self.since_north.forget(keep)
+        self.heading_variance *= keep * keep
+        if slot.follows:
+            self.bent += (1.0 - keep) * ((strength - errors.field) ** 2 - self.bent)
         vertical = float(slot.mag @ slot.attitude[2])
-        horizontal = math.sqrt(max(float(slot.mag @ slot.mag) - vertical * vertical, 0.0))
+        horizontal = math.sqrt(max(strength**2 - vertical**2, 0.0))
         if not horizontal > 0.0:
             return math.nan
-        tied = math.hypot(errors.magnetometer, vertical * self.tilt_sd) / horizontal
+        calibration = math.sqrt(max(errors.magnetometer**2, self.bent))
+        tied = math.hypot(calibration, vertical * self.tilt_sd) / horizontal
         return _small(math.hypot(tied, self._drifted(errors)))
 
 

@@ -119,6 +119,21 @@ def test_a_magnetometer_without_calibration_gives_north_but_no_sigma() -> None:
     assert any("imumon magnetometer" in text for text in stage.notices())
 
 
+def test_a_field_that_is_too_strong_is_bent_by_as_much_as_its_sigma_says() -> None:
+    made = scene(seconds=220.0)
+    mag = made.block.mag
+    assert mag is not None
+    late = np.arange(len(mag)) >= 5000
+    bent = mag + late[:, np.newaxis] * (np.array([25.0, 5.0, -10.0]) @ made.attitude)  # of east, north, up
+    block = made.block.with_columns({f"mag_{axis}": bent[:, j] for j, axis in enumerate("xyz")})
+    found = estimated(block, AttitudeEstimate(axes="FRD", magnetometer=CALIBRATED))
+    true = np.arctan2(made.attitude[:, 0, 0], made.attitude[:, 1, 0])
+    error = wrapped(found["attitude_estimate_heading"] - true + np.radians(NORTH_DEG))
+    sd = found["attitude_estimate_heading_sd"]
+    assert np.abs(error[5000:]).max() > np.radians(10.0)  # in the end it is followed
+    assert np.nanmax(np.abs(error / sd)) < 4.0
+
+
 def test_hard_and_soft_iron_are_taken_out() -> None:
     made = scene()
     soft = np.array([[1.1, 0.05, 0.0], [0.05, 0.9, 0.02], [0.0, 0.02, 1.0]])
