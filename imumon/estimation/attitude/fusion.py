@@ -82,7 +82,7 @@ class Fusion:
         return not math.isnan(self.last[0])
 
     def follows(self) -> float:
-        """Return how fast the heading follows the field: as usual, 1, or not, or, against long odds, slower."""
+        """Return how fast the heading follows the field: 1 as usual, 0 not at all, between: slower."""
         if self._vqf is None or not self.disturbed:
             return 1.0
         given = self._vqf.params

@@ -17,8 +17,9 @@ rises or falls by its tangent.
 
 A magnetometer that is calibrated ties the heading down: its error over the horizontal field, the tilt times
 the tangent of the dip, and what the gyros have added, which the filter forgets with its time constant.  A
-field that is not as strong as where it was calibrated is bent by so much at least, in whatever direction.  In a
-long motion this is a bound: nobody knows how far the accelerometers have kept the tilt better than the gyros.
+field that is not as strong as where it was calibrated is bent by so much at least, in whatever direction.
+In a long motion this is a bound: nobody knows how far the accelerometers have kept the tilt better than the
+gyros.
 """
 
 from __future__ import annotations
