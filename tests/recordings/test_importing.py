@@ -265,6 +265,9 @@ def test_a_column_that_the_table_lacks_is_named_with_the_line_of_the_map(tmp_pat
     assert "map.yaml:2: " in error.seen
     assert "has no column 'z'" in error.seen
     assert "it has: 't', 'x', 'y'" in error.hint
+    assert "delimiter" not in error.hint
+    error = refused(tmp_path, "t;x;y;z\n0.5;1;2;3\n")
+    assert 'csv: {delimiter: ";"}' in error.hint
 
 
 @pytest.mark.parametrize(
