@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -242,3 +243,6 @@ def test_what_goes_one_way_or_is_there_twice_is_said() -> None:
     assert any("one way only" in text for text in calibrate([one]).warnings)
     assert not any("one way only" in text for text in calibrate([both]).warnings)
     assert any("there twice" in text for text in calibrate([one, one]).warnings)
+    of_two = [replace(one, serial="SN 1"), replace(both, serial="SN 2")]
+    assert [calibrate(some).model.serial for some in (of_two[:1], of_two)] == ["SN 1", None]
+    assert calibrate(of_two, serial="SN 3").model.serial == "SN 3"

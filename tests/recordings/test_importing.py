@@ -201,6 +201,7 @@ def test_a_time_that_goes_back_begins_a_segment_when_the_map_says_so(
     assert samples["segment"].tolist() == [0, 0, 0, 1, 1, 2, 2]
     assert report.segments == 3
     assert report.span_s == pytest.approx(2 + 1 + 4)
+    assert open_session(tmp_path / "session").metadata.duration_s == pytest.approx(2 + 1 + 4)
 
 
 @pytest.mark.parametrize(
