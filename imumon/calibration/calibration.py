@@ -130,7 +130,7 @@ def calibrate(
             made_by=f"imumon {__version__}",
             created=f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
             device=_common([record.device for record in records]),
-            serial=serial,
+            serial=serial or _common([record.serial for record in records]),
             axes=_axes([record.axes for record in records]),
             earth_rate="included" if latitude_deg is None else "removed",
             latitude_deg=latitude_deg,

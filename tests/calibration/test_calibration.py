@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -203,6 +204,8 @@ def without(*names: str) -> dict[str, Any]:
     [
         (np.linspace(20.0, 24.0, 3000), {}, "spans 4.0"),
         (np.linspace(20.0, 30.0, 500), {}, "s at rest, of"),
+        (np.linspace(20.0, 20.001, 2), {}, "0 s at rest, of 1 s with several samples in 10 s"),
+        (np.linspace(298.0, 338.0, 3000), {}, "there is no temperature"),
         (np.repeat([20.0, 50.0], 2000), {}, "2 distinct temperatures"),
         (np.repeat([0.0, 4.5, 9.0, 13.5, 40.0], 600), {}, "nothing at rest from 13"),
         (np.tile(np.concatenate([np.linspace(25, 34, 60), np.linspace(34, 25, 60)]), 10), {}, "°C/min"),
@@ -240,3 +243,6 @@ def test_what_goes_one_way_or_is_there_twice_is_said() -> None:
     assert any("one way only" in text for text in calibrate([one]).warnings)
     assert not any("one way only" in text for text in calibrate([both]).warnings)
     assert any("there twice" in text for text in calibrate([one, one]).warnings)
+    of_two = [replace(one, serial="SN 1"), replace(both, serial="SN 2")]
+    assert [calibrate(some).model.serial for some in (of_two[:1], of_two)] == ["SN 1", None]
+    assert calibrate(of_two, serial="SN 3").model.serial == "SN 3"
