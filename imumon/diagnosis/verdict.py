@@ -464,7 +464,7 @@ def _nothing(test: TestScore | None, before: float, floor: float, limit: float) 
     if test.rms < MATERIAL * limit:
         what = "nothing is missing" if limit == floor else "nothing but the digits is seen"
         return f"{what}: {left}, {where}"
-    return f"no effect is proven, but something is missing: {left}, {where}"
+    return f"no effect is proven: {left}, {where}; slow noise may do that, or something is missing"
 
 
 def _described(found: Formula, floor: float) -> str:
