@@ -17,7 +17,7 @@ from imumon.allan.series import even_channels
 from imumon.blocks import FloatArray
 
 RATE_HZ, SAMPLES = 400, 400 * 3600
-ROUNDS = 5
+ROUNDS = 20
 PACKAGE = "allantools"
 OTHERS: dict[Kind, str] = {"allan": "oadev", "modified": "mdev", "hadamard": "ohdev"}
 

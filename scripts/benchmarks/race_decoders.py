@@ -29,7 +29,8 @@ from imumon.protocols.fixed.device import FixedDevice
 PACKETS = 4000
 CHUNK, THEIR_CHUNK = 65_536, 4096
 """Each is given what it is fastest with."""
-ROUNDS = 5
+ROUNDS = 40
+"""Calls of others are long: on a busy machine few of them are not interrupted."""
 LONGEST_WAIT_S = 5.0
 """For a package that reads in a thread of its own."""
 CONSTRUCTS = {"u8": "Int8u", "u16": "Int16u", "i16": "Int16s", "u32": "Int32u", "i32": "Int32s"}
