@@ -42,6 +42,8 @@ class Source:
         None for a raw capture.
     imported : sequence of Column
         Columns of an imported session's table.
+    doubts : callable
+        Returns what is not known of a table from elsewhere, after the run.
     """
 
     path: Path
@@ -49,6 +51,7 @@ class Source:
     device: DeviceFile | None
     session: Session | None
     imported: tuple[Column, ...] = ()
+    doubts: Callable[[], list[str]] = list
 
     def columns(self, pipeline: Pipeline) -> list[Column]:
         """Return the columns that the run's blocks have so far; `pipeline` is the one it runs through."""
@@ -71,7 +74,7 @@ class Source:
     def warnings(self) -> list[str]:
         """Return what is missing from the recording, as it is known after the run."""
         if not isinstance(self.items, WireReader):
-            return []
+            return self.doubts()
         said, summary = [], self.items.summary
         if self.session is not None and self.session.state == "interrupted":
             said.append("the session was not closed: it is still being recorded, or was interrupted")
