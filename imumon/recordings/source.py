@@ -13,7 +13,7 @@ from imumon.columns import Column
 from imumon.errors import ImumonError, Reason
 from imumon.pipeline import UNDATED, Pipeline
 from imumon.protocols.device import DeviceFile, load_device, parse_device
-from imumon.recordings.folder import Session, is_session, open_session
+from imumon.recordings.folder import WIRE_NAME, Session, is_session, open_session
 from imumon.recordings.metadata import iso_utc
 from imumon.recordings.table import iterate_samples, read_columns
 from imumon.recordings.wire_reader import WireReader
@@ -178,6 +178,12 @@ def open_source(path: Path, device_name: str | None = None, rate_hz: float | Non
                 Reason.BAD_CONFIG,
                 f"{path} is not a session, so its device must be named",
                 "add --device NAME; imumon devices lists them",
+            )
+        if path.is_file() and path.name == WIRE_NAME and is_session(path.parent):
+            raise ImumonError(
+                Reason.BAD_CONFIG,
+                f"{path} is the recording of a session, not a raw capture",
+                f"give the session: {path.parent}",
             )
         return Source(path, capture_items(path), load_device(device_name).at_rate(rate_hz), None)
     session = open_session(path)
