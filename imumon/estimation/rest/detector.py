@@ -16,6 +16,7 @@ from imumon.estimation.rest.parameters import RestParameters
 from imumon.estimation.rest.state import ACCEL, AXES, EVERY, GYRO, LEVELS, Anchor, Slot, State
 from imumon.estimation.rest.trial import RING, adopt, look
 from imumon.estimation.rest.turn import (
+    BEGINS_TURNING,
     Explained,
     hypothesis,
     is_back,
@@ -26,6 +27,7 @@ from imumon.estimation.rest.turn import (
     recent_mean,
     steady_slots,
     still_on,
+    turned_at_first,
     upright,
 )
 from imumon.estimation.rest.wander import SURPRISE, TURN_EVERY_S, forget, look_for_turn
@@ -199,7 +201,7 @@ def _note(state: State, motion: Motion, now_s: float) -> None:
     )
     recent = np.where(windows.known, state.latest(slots)[0], np.nan)
     turn = anchor.turn_now(recent)
-    if motion.turning and state.turn.any():  # it has been seen before, and grows, or ends
+    if motion.turning and state.turn.any() and state.anchors:  # it has been seen before, and grows, or ends
         turn = state.anchors[0].turn_now(recent)
     elif not state.anchors or now_s - state.rest_since_s > LEAST_REST_S:
         _remember(state, anchor)
@@ -254,6 +256,12 @@ def _judge(
         late = now_s - state.undecided_since_s >= parameters.undecided_s
         if late and may_jump(state, parameters, turn):
             return np.zeros(3), True
+        unknown = explained is Explained.NO and bool(turn.any()) and is_upright(state, turn)
+        first = turned_at_first(state) if unknown else 0.0
+        if first > (BEGINS_TURNING if late else 0.5) and is_steady(state, parameters):
+            state.anchors.clear()  # what was taken for a rest is none to come back to
+            surely = late or np.log(1.0 - first) < -SURPRISE
+            return np.zeros(3) if surely else np.sqrt(1.0 - first) * turn, True
     if explained is Explained.NO:
         # About another axis it would tilt the unit: gravity says soon whether it does.
         state.turn, state.turning = turn, state.turning or bool(turn.any() and is_upright(state, turn))
@@ -270,7 +278,8 @@ def _decide(state: State, parameters: RestParameters, now_s: float) -> None:
         _watch(state, now_s, 0.0)
         return
     late = now_s - state.undecided_since_s >= parameters.undecided_s
-    state.turn, state.turns_on = still_on(state, now_s)
+    if state.anchors:
+        state.turn, state.turns_on = still_on(state, now_s)
     if said is Verdict.RESTS or late or np.log(state.turns_on) < -SURPRISE:
         state.turn, state.undecided_since_s = np.zeros(3), np.nan
 

@@ -31,6 +31,11 @@ BACK_S, SLOW_BACK_S, TURN_BACK_S = 0.25, 4.0, 16.0
 ALL_CREEP = 10.0
 """What makes a bias creep, temperature, has all axes creep: one by more than ten times what both others do,
 in one unit of a hundred where each of them may have any part of the slope of the first."""
+BEGINS_TURNING = 0.05
+"""Share of recordings that begin in a turn: who starts one on a turntable that runs.  Assumed, as
+`TURN_EVERY_S` is."""
+EARTH = 7.3e-5
+"""rad/s: a gyro without any bias reads up to the earth's rate."""
 TILTED = 0.05
 """m/s² (0.3°): less change of the specific force from rest to rest is drift of the accelerometers."""
 
@@ -183,6 +188,21 @@ def still_on(state: State, now_s: float) -> tuple[FloatArray, float]:
     )
     over = (size - along) ** 2 / to_turn - along**2 / to_old + np.log(to_turn / to_old)
     return state.turn, float(1.0 / (1.0 + np.exp(min(0.5 * over, 100.0)) * since_s / TURN_EVERY_S))
+
+
+def turned_at_first(state: State) -> float:
+    """Return the probability that the first rest was a turn, which is over, if one of the two means is a turn.
+
+    Two steady means look alike.  Of the biases of a gyro nobody knows the scale s: with a density of 1/s, a
+    mean of size m is the bias with a density of 1/m³, the more so the smaller it is by the measure of the
+    axes that do not turn.
+    """
+    if len(state.anchors) != 1:
+        return 0.0
+    now = recent_mean(state, state.quiet_slots)[0]
+    first2, now2 = (float(np.nansum(mean[GYRO] ** 2)) + EARTH**2 for mean in (state.anchors[0].mean, now))
+    odds = BEGINS_TURNING / (1.0 - BEGINS_TURNING) * (first2 / now2) ** 1.5
+    return odds / (1.0 + odds)
 
 
 def upright(state: State, turn: FloatArray, force: FloatArray) -> FloatArray:
