@@ -191,7 +191,7 @@ def still_on(state: State, now_s: float) -> tuple[FloatArray, float]:
 
 
 def turned_at_first(state: State) -> float:
-    """Return the probability that the first rest was a turn, which is over, if one of the two means is a turn.
+    """Return the probability that the first rest was a turn and is over, if one of the two means is a turn.
 
     Two steady means look alike.  Of the biases of a gyro nobody knows the scale s: with a density of 1/s, a
     mean of size m is the bias with a density of 1/m³, the more so the smaller it is by the measure of the
@@ -202,7 +202,7 @@ def turned_at_first(state: State) -> float:
     now = recent_mean(state, state.quiet_slots)[0]
     first2, now2 = (float(np.nansum(mean[GYRO] ** 2)) + EARTH**2 for mean in (state.anchors[0].mean, now))
     odds = BEGINS_TURNING / (1.0 - BEGINS_TURNING) * (first2 / now2) ** 1.5
-    return odds / (1.0 + odds)
+    return float(odds / (1.0 + odds))
 
 
 def upright(state: State, turn: FloatArray, force: FloatArray) -> FloatArray:
