@@ -158,7 +158,8 @@ def test_readings_that_change_now_and_then_between_coarse_steps_are_rest(sd_step
     t, _, _ = noise(900.0, 25.0)
     steps = sd_steps * np.random.default_rng(5).standard_normal((len(t), 6))
     steps += 0.7 * np.sin(2.0 * np.pi * t / 600.0)[:, np.newaxis] * [1.0, -1.0, 0.8, 0.0, 0.0, 0.0]
-    readings = np.round(steps + [0.2, 0.0, 0.3, 0.0, 0.02, 0.05]) * np.repeat([1e-3, 0.038], 3)
+    steps += np.array([0.2, 0.0, 0.3, 0.0, 0.02, 0.05])
+    readings = np.round(steps) * np.repeat([1e-3, 0.038], 3)
     readings[:, 5] -= 258 * 0.038
     rest = detect(block(t, readings[:, :3], readings[:, 3:]))
     assert rest[t > 10.0].all()
