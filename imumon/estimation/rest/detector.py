@@ -14,10 +14,11 @@ from imumon.blocks import FloatArray
 from imumon.estimation.rest.compass import Verdict, verdict
 from imumon.estimation.rest.parameters import RestParameters
 from imumon.estimation.rest.state import ACCEL, AXES, EVERY, GYRO, LEVELS, Anchor, Slot, State
-from imumon.estimation.rest.trial import RING, adopt, look
+from imumon.estimation.rest.trial import RING, Noise, adopt, look
 from imumon.estimation.rest.turn import (
     BEGINS_TURNING,
     Explained,
+    has_settled,
     hypothesis,
     is_back,
     is_over,
@@ -266,8 +267,12 @@ def _judge(
         # About another axis it would tilt the unit: gravity says soon whether it does.
         state.turn, state.turning = turn, state.turning or bool(turn.any() and is_upright(state, turn))
         return turn, False
-    slow = state.slow or state.quiet_slots >= steady_slots(state) // 2
-    return turn, not (state.anchors and slow and fits and not is_steady(state, parameters))
+    if not (state.anchors and fits):
+        return turn, True
+    if state.slow or state.quiet_slots >= steady_slots(state) // 2:
+        return turn, is_steady(state, parameters)
+    half = state.quiet_slots // 2
+    return turn, has_settled(state, 2 * half, state.windows.variance[half.bit_length() - 1])
 
 
 def _decide(state: State, parameters: RestParameters, now_s: float) -> None:
@@ -282,6 +287,11 @@ def _decide(state: State, parameters: RestParameters, now_s: float) -> None:
         state.turn, state.turns_on = still_on(state, now_s)
     if said is Verdict.RESTS or late or np.log(state.turns_on) < -SURPRISE:
         state.turn, state.undecided_since_s = np.zeros(3), np.nan
+
+
+def _coasts(state: State, noise: Noise) -> bool:
+    """Tell whether it still slows down, by a trial's noise of half seconds: longer means have the motion."""
+    return not has_settled(state, RING, np.maximum(noise.of_1 / 4.0, noise.of_4) / (RING / 8))
 
 
 def _try(state: State, parameters: RestParameters, now_s: float) -> None:
@@ -303,7 +313,7 @@ def _try(state: State, parameters: RestParameters, now_s: float) -> None:
         adopt(state, noise, unknown)
         return
     turn, rests = _judge(state, parameters, RING, now_s, state.quiet_slots >= RING)
-    if rests:
+    if rests and not (state.anchors and _coasts(state, noise)):
         adopt(state, noise, noise.present)
         _enter(state, mean, parameters.drift, turn, now_s)
         _watch(state, now_s, 0.0)

@@ -15,7 +15,7 @@ import numpy as np
 from imumon.blocks import FloatArray
 from imumon.estimation.rest.compass import Verdict
 from imumon.estimation.rest.parameters import RestParameters
-from imumon.estimation.rest.state import ACCEL, GYRO, KEPT, LEVELS, SLOT_S, Anchor, State
+from imumon.estimation.rest.state import ACCEL, EVERY, GYRO, KEPT, LEVELS, SLOT_S, Anchor, State
 from imumon.estimation.rest.thermometer import warmed
 from imumon.estimation.rest.wander import CREEP, OBLIQUE, TURN_EVERY_S, wander_after
 from imumon.estimation.rest.windows import CHI_SQUARE, MEMORY_SLOTS, SLOTS, TINY
@@ -315,6 +315,19 @@ def is_steady(state: State, parameters: RestParameters) -> bool:
     return bool((_turned(state, change[:, GYRO], np.asarray(sigmas**2 * wander), creep) <= 1.0).all())
 
 
+def has_settled(state: State, slots: int, variance: FloatArray) -> bool:
+    """Tell whether both halves of the latest slots have one rate about the vertical, but for noise and creep.
+
+    The windows permit a drift that temperature makes on all axes; a turntable that coasts down drifts as much
+    about the vertical alone, when it is slow already.  variance, (6,), is that of the mean of a half.
+    """
+    halves = state.length - slots // 2 * np.arange(3)
+    means = state.means(halves)[:, GYRO]
+    seconds = np.array([state.span_s(slots // 2)])
+    limit2 = STEADY_SIGMAS**2 * (2.0 * variance[GYRO] + wander_after(state, float(seconds[0])))
+    return bool((_turned(state, means[:1] - means[1:], limit2[np.newaxis], CREEP * seconds) <= 1.0).all())
+
+
 def _turned(state: State, off: FloatArray, limit2: FloatArray, creep: FloatArray) -> FloatArray:
     """Return how many times the limit differences of gyros, (k, 3), are beyond a creeping bias, (k,).
 
@@ -333,7 +346,7 @@ def _turned(state: State, off: FloatArray, limit2: FloatArray, creep: FloatArray
     if not known.all():
         excess = np.maximum(np.abs(off) - creep[:, np.newaxis] - state.windows.resolution[GYRO], 0.0)
         return np.asarray(np.sqrt((excess**2 / limit2).sum(-1)) * (5.0 / np.sqrt(CHI_SQUARE)))
-    force = state.windows.rest_mean[ACCEL]
+    force = state.latest(EVERY)[0][ACCEL]
     up = force / np.sqrt(force @ force)
     along = np.abs(off @ up)
     across2 = np.maximum((off * off).sum(1) - along * along, 0.0)
