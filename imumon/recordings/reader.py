@@ -61,6 +61,12 @@ class Recording:
         """Yield the samples in order, with device_time_ns and segment, behind the stages."""
         return (block for block in run_over(self.source.items, self.pipeline) if len(block))
 
+    @property
+    def serial(self) -> str | None:
+        """Serial number of the unit, as its session has it."""
+        session = self.source.session
+        return None if session is None else session.metadata.serial
+
     def warnings(self) -> list[str]:
         """Return, once the samples were read, what the recording lacks and what the stages say."""
         return [*self.source.warnings(), *self.pipeline.warnings()]
@@ -98,7 +104,8 @@ def open_recording(path: Path, stages: Stages = no_stages, map_path: Path | None
     if map_path is not None:
         table = TableImport(path, map_path)
         imported = tuple(table.columns.values())
-        return _table(Source(path, table.blocks(), None, None, imported), stages, table.map.axes)
+        source = Source(path, table.blocks(), None, None, imported, table.warnings)
+        return _table(source, stages, table.map.axes)
     if path.suffix not in SUFFIXES:
         raise ImumonError(
             Reason.BAD_DATA,

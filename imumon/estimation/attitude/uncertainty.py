@@ -10,15 +10,25 @@ the gyros have carried the vertical of the last rest along, with errors that are
                 and what is lost between samples (`imumon.filters.turns`)
     heading   its part about the vertical; it stays at rest
 
+Where the vertical that the gyros carried through a motion is not the one that the accelerometers show after
+it, beyond what else may be off, M is as large as that says (least squares over all motions so far).
+
+Both are judged once a second; until then each sample adds what it may have turned wrong since: bias, scale,
+and half an interval of its rate, as a rate may be the mean of the interval before or that of the moment.
+Heading is an angle about the vertical as it is taken: a tilt that is off turns the heading of an axis that
+rises or falls by its tangent.
+
 A magnetometer that is calibrated ties the heading down: its error over the horizontal field, the tilt times
-the tangent of the dip, and what the gyros have added, which the filter forgets with its time constant.  In a
-long motion this is a bound: nobody knows how far the accelerometers have kept the tilt better than the gyros.
+the tangent of the dip, and what the gyros have added, which the filter forgets with its time constant.  A
+field that is not as strong as where it was calibrated is bent by so much at least, in whatever direction.
+In a long motion this is a bound: nobody knows how far the accelerometers have kept the tilt better than the
+gyros.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -47,12 +57,15 @@ class Errors:
         What of the earth rate the bias does not hold, rad/s.
     magnetometer : float
         Unit of the field; NaN when it is not calibrated.
+    field : float
+        Its strength where the magnetometer was calibrated.
     """
 
     accel: float
     scale: float
     earth_rate: float
     magnetometer: float
+    field: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,8 +84,12 @@ class Slot:
         At its end, rad/s; NaN where the bias is not known.
     attitude, gyro_only : array (3, 3)
         At its end, from body axes to east-north-up, and to axes of the gyros' own.
-    north, disturbed : bool
-        Whether the heading is by the magnetometer, and whether the field is disturbed.
+    ignored : array (3,)
+        Turned, by the gyros, while it was taken for at rest, rad.
+    north : bool
+        Whether the heading is by the magnetometer.
+    follows : float
+        How fast it follows the field: 1 as usual, 0 not at all.
     """
 
     seconds: float
@@ -83,8 +100,36 @@ class Slot:
     bias_sd: FloatArray
     attitude: FloatArray
     gyro_only: FloatArray
+    ignored: FloatArray
     north: bool
-    disturbed: bool
+    follows: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """What samples turned, each since the one before, or running sums of that; (n, 3) and (n,).
+
+    Parameters
+    ----------
+    angle : array (n, 3)
+        In motion, about the body axes, rad.
+    ignored : array (n, 3)
+        By the gyros, while it was taken for at rest, rad: the beginning of a motion may be in it.
+    seconds : array (n,)
+        In motion.
+    """
+
+    angle: FloatArray = field(default_factory=lambda: np.zeros((1, 3)))
+    ignored: FloatArray = field(default_factory=lambda: np.zeros((1, 3)))
+    seconds: FloatArray = field(default_factory=lambda: np.zeros(1))
+
+    def then(self, later: Motion, part: slice) -> Motion:
+        """Return running sums that go on from the last of these, over a part of later samples."""
+        return Motion(
+            _summed(self.angle, later.angle[part]),
+            _summed(self.ignored, later.ignored[part]),
+            _summed(self.seconds, later.seconds[part]),
+        )
 
 
 @dataclass(slots=True, eq=False)
@@ -115,6 +160,7 @@ class Turned:
         """Add a slot."""
         turn = slot.turn
         begun = slot.attitude @ turn.rotation.T
+        self.missed += float(slot.ignored @ slot.ignored)
         self.bias += begun @ turn.by_bias * slot.bias_sd
         self.scale += (begun @ turn.by_scale.reshape(3, 9)).reshape(3, 3, 3)
         self.coning += begun @ turn.coning
@@ -152,6 +198,13 @@ class Uncertainty:
         What the vertical of the last rest has gone through, and the heading since it was last tied down.
     heading_variance : float
         By the bias in the motions before, rad²: each rest measures the bias anew.
+    bent : float
+        Square of what the field that is followed differs from the calibration's strength, forgotten like it.
+    wrong, turned : float
+        Sums over motions: square of how far the vertical was carried wrong, less what else may be off, and
+        what M of one would have done, rad².
+    magnitude : float
+        Of the specific force at the last rest, m/s².
     tilt_sd, heading_sd : float
         rad; NaN where nothing can be said.
     """
@@ -161,11 +214,16 @@ class Uncertainty:
     since_rest: Turned = field(default_factory=Turned)
     since_north: Turned = field(default_factory=Turned)
     heading_variance: float = 0.0
+    bent: float = 0.0
+    wrong: float = 0.0
+    turned: float = 0.0
+    magnitude: float = math.nan
     tilt_sd: float = math.nan
     heading_sd: float = math.nan
 
     def step(self, slot: Slot, errors: Errors) -> None:
         """Follow one slot."""
+        errors = replace(errors, scale=self.scale(errors))
         up = slot.attitude[2]
         if slot.rest and np.isfinite(slot.force).all():
             measured = self._come_to_rest(slot, errors)
@@ -182,17 +240,50 @@ class Uncertainty:
         else:
             self.heading_sd = _small(self._drifted(errors)) if math.isfinite(self.accel_sd) else math.nan
 
+    def scale(self, errors: Errors) -> float:
+        """Return the standard deviation of the elements of M: as declared, or what motions have shown."""
+        return math.sqrt(max(errors.scale**2, self.wrong / self.turned if self.turned > 0.0 else 0.0))
+
+    def at(self, since: Motion, bias_sd: FloatArray, errors: Errors) -> FloatArray:
+        """Return the variances of tilt and of the turn about the vertical, rad², (2, n).
+
+        Parameters
+        ----------
+        since : Motion
+            Sums since the last slot, n + 1: the first is before the samples.
+        bias_sd : array (n, 3)
+            rad/s.
+        errors : Errors
+        """
+        angle, seconds = since.angle, since.seconds[1:]
+        added = self.scale(errors) ** 2 * _squares(angle[1:]) + _squares(since.ignored[1:])
+        added += _squares(angle[1:] - angle[:-1]) / 12.0  # even chances from none of the interval to all
+        if seconds[-1] > 0.0:
+            added += np.where(seconds > 0.0, _squares(bias_sd) * seconds**2, 0.0)
+        return np.array([[self.tilt_sd**2], [self.heading_sd**2]]) + added
+
     def _come_to_rest(self, slot: Slot, errors: Errors) -> FloatArray:
         """Take the vertical that the accelerometers show, and close the account of a motion."""
         magnitude = float(np.linalg.norm(slot.force))
         contradiction = max(abs(magnitude - STANDARD_GRAVITY) - GRAVITY_SPREAD, 0.0)
         self.accel_sd = max(errors.accel, contradiction) / STANDARD_GRAVITY
         measured = slot.force / magnitude
+        self.magnitude = magnitude
+        self._compare(measured, slot.gyro_only, errors)
         self.up = slot.gyro_only @ measured
         self.heading_variance += float((self.since_north.bias[2] ** 2).sum())
         self.since_north.bias[:] = 0.0
         self.since_rest = Turned()
         return np.asarray(measured)
+
+    def _compare(self, measured: FloatArray, gyro_only: FloatArray, errors: Errors) -> None:
+        """See how far the gyros have carried the vertical wrong through the motion that ends here."""
+        turned = float((self.since_rest.scale[:2] ** 2).sum())
+        if turned > 0.0 and np.isfinite(self.up).all():
+            without = replace(errors, scale=0.0)
+            other = float(self.since_rest.variance(without)[:2].sum()) + 4.0 * self.accel_sd**2
+            self.wrong += max(_angle(measured, gyro_only.T @ self.up) ** 2 - other, 0.0)
+            self.turned += turned
 
     def _drifted(self, errors: Errors) -> float:
         """Return the standard deviation of the heading by the gyros, rad."""
@@ -200,17 +291,30 @@ class Uncertainty:
 
     def _magnetic(self, slot: Slot, errors: Errors) -> float:
         """Return the standard deviation of a heading that follows the magnetometer, rad."""
-        if not slot.disturbed:
-            # What the gyros have added is forgotten as the filter follows the field.
-            keep = math.exp(-slot.seconds / TAU_MAG_S)
-            self.since_north.forget(keep)
-            self.heading_variance *= keep * keep
+        strength = math.sqrt(float(slot.mag @ slot.mag))
+        # What the gyros have added is forgotten as the filter follows the field.
+        keep = math.exp(-slot.follows * slot.seconds / TAU_MAG_S)
+        self.since_north.forget(keep)
+        self.heading_variance *= keep * keep
+        if slot.follows:
+            self.bent += (1.0 - keep) * ((strength - errors.field) ** 2 - self.bent)
         vertical = float(slot.mag @ slot.attitude[2])
-        horizontal = math.sqrt(max(float(slot.mag @ slot.mag) - vertical * vertical, 0.0))
+        horizontal = math.sqrt(max(strength**2 - vertical**2, 0.0))
         if not horizontal > 0.0:
             return math.nan
-        tied = math.hypot(errors.magnetometer, vertical * self.tilt_sd) / horizontal
+        calibration = math.sqrt(max(errors.magnetometer**2, self.bent))
+        tied = math.hypot(calibration, vertical * self.tilt_sd) / horizontal
         return _small(math.hypot(tied, self._drifted(errors)))
+
+
+def _summed(before: FloatArray, added: FloatArray) -> FloatArray:
+    """Return running sums that go on from the last row of others, in the same order whatever the blocks."""
+    return np.cumsum(np.concatenate([before[-1:], added]), axis=0)
+
+
+def _squares(vectors: FloatArray) -> FloatArray:
+    """Return the squared lengths of vectors, (n,)."""
+    return np.asarray(np.einsum("ni,ni->n", vectors, vectors))
 
 
 def _angle(a: FloatArray, b: FloatArray) -> float:

@@ -91,6 +91,9 @@ def test_without_a_magnetometer_the_heading_is_free_and_its_change_has_a_sigma()
         sd = found["attitude_estimate_heading_sd"][20:]
         assert np.degrees(sd[-1]) < 2.0
         assert abs(error[-1]) < 4.0 * sd[-1]
+        known = np.flatnonzero(np.isfinite(sd))
+        moved = wrapped(error - error[known[0]])[known[1:]]
+        assert np.abs(moved / sd[known[1:]]).max() < 4.0  # at every sample, that of the first motion too
         assert np.isnan(sd[0])  # nothing is known of the bias yet
         assert (found["attitude_estimate_north"][20:] == 0).all()
         assert stage.lanes() == {"attitude": "heading free"}
@@ -105,6 +108,26 @@ def test_a_heading_at_rest_does_not_drift() -> None:
     assert np.ptp(heading) < np.radians(0.02)  # the bias alone would turn it by seven degrees
 
 
+def test_axes_that_are_mixed_up_are_said_and_widen_the_sigma() -> None:
+    made = scene()
+    mixed = without_mag(made.block).with_columns({"gyro_z": -made.block["gyro_z"]})
+    right, stage = AttitudeEstimate(axes="FRD"), AttitudeEstimate(axes="FRD")
+    usual = estimated(without_mag(made.block), right)["attitude_estimate_tilt_sd"]
+    wrong = estimated(mixed, stage)["attitude_estimate_tilt_sd"]
+    assert [text for text in stage.notices() if "are axes, signs and units right?" in text]
+    assert not [text for text in right.notices() if "right?" in text]
+    again = slice(8000, 8300)  # the third turn: the first two have shown it
+    assert not np.nanmax(wrong[again]) < 3.0 * np.nanmax(usual[again])
+
+
+def test_a_specific_force_that_is_not_gravity_is_said() -> None:
+    made = scene(seconds=20.0, turns=False)
+    in_g = {f"accel_{axis}": made.block[f"accel_{axis}"] / 9.81 for axis in "xyz"}
+    stage = AttitudeEstimate(axes="FRD")
+    estimated(without_mag(made.block).with_columns(in_g), stage)
+    assert [text for text in stage.notices() if "is not gravity" in text]
+
+
 def test_a_magnetometer_without_calibration_gives_north_but_no_sigma() -> None:
     made = scene()
     stage = AttitudeEstimate(axes="FRD")
@@ -114,6 +137,21 @@ def test_a_magnetometer_without_calibration_gives_north_but_no_sigma() -> None:
     assert np.isfinite(found["attitude_estimate_tilt_sd"][-1])
     assert stage.lanes() == {"attitude": "magnetic north, magnetometer not calibrated"}
     assert any("imumon magnetometer" in text for text in stage.notices())
+
+
+def test_a_field_that_is_too_strong_is_bent_by_as_much_as_its_sigma_says() -> None:
+    made = scene(seconds=220.0)
+    mag = made.block.mag
+    assert mag is not None
+    late = np.arange(len(mag)) >= 5000
+    bent = mag + late[:, np.newaxis] * (np.array([25.0, 5.0, -10.0]) @ made.attitude)  # of east, north, up
+    block = made.block.with_columns({f"mag_{axis}": bent[:, j] for j, axis in enumerate("xyz")})
+    found = estimated(block, AttitudeEstimate(axes="FRD", magnetometer=CALIBRATED))
+    true = np.arctan2(made.attitude[:, 0, 0], made.attitude[:, 1, 0])
+    error = wrapped(found["attitude_estimate_heading"] - true + np.radians(NORTH_DEG))
+    sd = found["attitude_estimate_heading_sd"]
+    assert np.abs(error[5000:]).max() > np.radians(10.0)  # in the end it is followed
+    assert np.nanmax(np.abs(error / sd)) < 4.0
 
 
 def test_hard_and_soft_iron_are_taken_out() -> None:
