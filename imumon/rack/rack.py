@@ -120,8 +120,10 @@ class Unit:
     process: Process | None = None
     vitals: Vitals = field(default_factory=Vitals)
     setup: ViewSetup | None = None
+    first: Vitals = field(default_factory=Vitals)
+    """What its process said first: from there on its cost counts, not that of its start."""
     cpu: float = 0.0
-    """Share of a core, of the last seconds."""
+    """Share of a core, since it was last heard."""
     silent: bool = False
     """Whether its process does not say how it is."""
     ending: bool = False
@@ -152,9 +154,22 @@ class Unit:
         return "losses" if data.startswith("warning") else lanes.get("motion", "open")
 
     @property
+    def cpu_of_life(self) -> float:
+        """Share of a core that its process has taken."""
+        return share(self.first, self.vitals) or 0.0
+
+    @property
     def row(self) -> Row:
-        """What the table shows."""
-        return Row(self.plan.name, self.state, self.vitals, self.cpu, len(self.deaths))
+        """What the table shows: of a unit that has ended, the cost of its life."""
+        cpu = self.cpu if self.process is not None else self.cpu_of_life
+        return Row(self.plan.name, self.state, self.vitals, cpu, len(self.deaths))
+
+    def heard(self, vitals: Vitals) -> None:
+        """Take how it is."""
+        if not self.first.at_s:
+            self.first = vitals
+        self.cpu = share(self.vitals, vitals) or self.cpu
+        self.vitals = vitals
 
     def as_dict(self) -> dict[str, Any]:
         """Return what ``--json`` says of it."""
@@ -163,7 +178,7 @@ class Unit:
             "sessions": self.summaries,
             "problem": self.problem,
             "deaths": self.deaths,
-            "cpu_s": round(self.vitals.cpu_s, 3),
+            "cpu": self.cpu_of_life,
             "memory_mb": self.vitals.memory_mb,
         }
 
@@ -278,7 +293,8 @@ class Rack:
 
     def _begin(self, unit: Unit) -> None:
         task = Task(unit.plan, self._folder, self._window_s, self._publish is not None)
-        unit.process, unit.vitals, unit.silent = Process(task), Vitals(), False
+        unit.process, unit.silent = Process(task), False
+        unit.vitals = unit.first = Vitals()
 
     def _end(self, unit: Unit) -> None:
         unit.ending = True
@@ -295,10 +311,7 @@ class Rack:
                 if message.summary is not None:
                     unit.summaries.append(message.summary)
                 continue
-            spent_s = message.vitals.cpu_s - unit.vitals.cpu_s
-            passed_s = message.vitals.at_s - unit.vitals.at_s
-            unit.cpu = spent_s / passed_s if 0.0 < unit.vitals.at_s < message.vitals.at_s else unit.cpu
-            unit.vitals = message.vitals
+            unit.heard(message.vitals)
             unit.setup = message.setup or unit.setup
             if message.setup is not None:
                 for item in message.items:
@@ -353,6 +366,13 @@ class Rack:
     def _show(self, item: Shown) -> None:
         if self._publish is not None:
             self._publish(item)
+
+
+def share(before: Vitals, now: Vitals) -> float | None:
+    """Return the share of a core that was taken between two times; None where the first was none."""
+    if not 0.0 < before.at_s < now.at_s:
+        return None
+    return (now.cpu_s - before.cpu_s) / (now.at_s - before.at_s)
 
 
 def _now() -> Instant:

@@ -8,6 +8,7 @@ the unit closes its session and ends.
 from __future__ import annotations
 
 import gc
+import os
 import signal
 import time
 from collections.abc import Sequence
@@ -30,6 +31,8 @@ from imumon.view.items import ViewItem, ViewSetup
 
 PERIOD_S = 1.0
 """How often a unit says how it is; most of what the shared view costs does not depend on how much that is."""
+BEFORE = -5
+"""Where the system lets it (root, or a limit for niceness), a unit that records comes before what else runs."""
 RETRY_S = 2.0
 """How often a port that cannot be opened is tried again."""
 
@@ -102,6 +105,8 @@ def run_unit(task: Task, rack: Connection) -> None:
         signal.signal(number, signal.SIG_IGN)
     prepare_heap()
     gc.freeze()
+    with suppress(PermissionError):
+        os.nice(BEFORE)
     with suppress(BrokenPipeError):  # the rack was killed; the session is closed by then
         _run(task, rack)
 
