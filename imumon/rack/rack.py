@@ -37,9 +37,10 @@ Message = Update | Ended
 class Patience:
     """How long a unit may say nothing before it is said to hang, s, and how much longer before it is ended.
 
-    The first word of all comes late where code is compiled: it may take as long as the latter.
+    Its first word may come later: after an installation it compiles what its device needs, as all others do.
     """
 
+    first: float = 120.0
     said: float = 5.0
     ended: float = 30.0
 
@@ -331,7 +332,7 @@ class Rack:
                 self._mourn(unit, code, time.monotonic() - process.began_s)
             return
         quiet_s = time.monotonic() - process.heard_s
-        patience_s = self._patience.said if process.has_spoken else self._patience.ended
+        patience_s = self._patience.said if process.has_spoken else self._patience.first
         if quiet_s > patience_s and not unit.silent and not unit.ending:
             unit.silent = True
             self._say(unit, "ERROR", f"its process (pid {process.pid}) hangs: no word for {quiet_s:.1f} s")
@@ -340,7 +341,7 @@ class Rack:
             unit.silent = False
             self._say(unit, "INFO", "its process goes on")
             self._lane(unit, "recording")
-        elif quiet_s > self._patience.ended + self._patience.said and not unit.ending:
+        elif quiet_s > patience_s + self._patience.ended and not unit.ending:
             self._say(unit, "ERROR", f"its process was ended after {quiet_s:.0f} s without a word")
             process.kill()
 

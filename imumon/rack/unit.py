@@ -32,7 +32,7 @@ from imumon.view.items import ViewItem, ViewSetup
 PERIOD_S = 1.0
 """How often a unit says how it is; most of what the shared view costs does not depend on how much that is."""
 BEFORE = -5
-"""Where the system lets it (root, or a limit for niceness), a unit that records comes before what else runs."""
+"""Where the system lets it (root, or a limit for niceness), a unit that records comes before all else."""
 RETRY_S = 2.0
 """How often a port that cannot be opened is tried again."""
 

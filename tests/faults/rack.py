@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import select
 import signal
@@ -25,6 +26,7 @@ from imumon.simulation.unit import SimulatedUnit, load_scenario
 from imumon.simulation.unit.unit import MICROSECOND
 from imumon.transport.reader import Bytes
 from tests.faults.rows import Row
+from tests.transport.helpers import wait_until
 
 ROUND_S = 0.0125
 """As often as an adapter with a latency timer of 16 ms hands its bytes over."""
@@ -75,6 +77,7 @@ class Feeder:
         self.flooding: set[str] = set()
         """Ports that get junk, as much as they take, in place of packets."""
         self._ending = threading.Event()
+        self._thread: threading.Thread | None = None
         for name, link in self.ports.items():
             master, slave = os.openpty()
             tty.setraw(slave)
@@ -88,17 +91,12 @@ class Feeder:
         assert not self.lost[name]
         return self.stream[: self._at[name]]
 
-    def wait_for_hosts(self, timeout_s: float) -> bool:
-        """Wait until every port is open; return whether they are."""
-        deadline = time.monotonic() + timeout_s
-        while any(map(_hung_up, self._masters.values())):
-            if time.monotonic() > deadline:
-                return False
-            time.sleep(0.05)
-        return True
+    def is_open(self, *names: str) -> bool:
+        """Tell whether somebody has these ports open, or all."""
+        return not any(_hung_up(self._masters[name]) for name in names or self._masters)
 
     def run(self, seconds: float) -> None:
-        """Send for so long, or until `end`."""
+        """Send for so long, and until all that was due is sent, or until `end`."""
         began_s, size = time.monotonic(), self._bytes_per_s * ROUND_S
         junk = np.random.default_rng(0).bytes(4096)
         while not self._ending.wait(ROUND_S):
@@ -116,12 +114,20 @@ class Feeder:
             if time.monotonic() - began_s > seconds and min(self._at.values()) >= due:
                 return
 
+    def start(self) -> None:
+        """Send in a thread, until `end`."""
+        self._thread = threading.Thread(target=self.run, args=[math.inf], daemon=True)
+        self._thread.start()
+
     def end(self) -> None:
-        """End `run` in another thread."""
+        """End what was started."""
         self._ending.set()
+        if self._thread is not None:
+            self._thread.join()
 
     def close(self) -> None:
-        """Pull all cables."""
+        """End, and pull all cables."""
+        self.end()
         for master in self._masters.values():
             os.close(master)
 
@@ -158,7 +164,7 @@ def measure(folder: Path, units: int, rate_hz: float, minutes: float, view: str)
             text=True,
         ) as child:
             try:
-                assert feeder.wait_for_hosts(STARTING_S)
+                assert wait_until(feeder.is_open, STARTING_S)
                 time.sleep(SETTLING_S)
                 load = os.getloadavg()[0]
                 costs = Costs(child.pid)
