@@ -13,8 +13,10 @@ import rerun.blueprint as rrb
 
 from imumon.view.blueprint import arranged
 from imumon.view.items import OfUnit, Overview, Shown, ViewItem, ViewSetup, merge
+from imumon.view.lanes import lane_path
 from imumon.view.layout import Rows, single
 from imumon.view.logger import StreamLogger
+from imumon.view.window import Window
 
 OVERVIEW = "/overview"
 ARRANGE_S = 10.0
@@ -39,6 +41,8 @@ class UnitsLogger:
         self._rec, self._setup = rec, setup
         self._units: dict[str, tuple[ViewSetup, StreamLogger]] = {}
         self._overview: Overview | None = None
+        self.arrangement: rrb.Blueprint | None = None
+        """The blueprint that was sent last."""
         self._sent: list[Any] = []
         self._sent_s = -math.inf
 
@@ -99,9 +103,24 @@ class UnitsLogger:
         if arrangements == self._sent:
             return
         self._sent, self._sent_s = arrangements, time.monotonic()
-        first = rrb.TextDocumentView(origin=OVERVIEW, name="Rack")
         tabs = [arrangement.root_container for arrangement in arrangements]
-        self._rec.send_blueprint(arranged(rrb.Tabs(first, *tabs, active_tab=0), TIMELINE))
+        self.arrangement = arranged(rrb.Tabs(self._first_tab(), *tabs, active_tab=0), TIMELINE)
+        self._rec.send_blueprint(self.arrangement)
+
+    def _first_tab(self) -> Any:
+        """Return the page, and below it how the ports of all units have been."""
+        window = Window(self._setup.window_s)
+        states = rrb.StateTimelineView(
+            origin="/",
+            contents=[
+                f"/{unit}{lane_path(lane)}" for unit in self._units for lane in ("port", "data", "unit")
+            ],
+            name="Ports, data and processes",
+            time_ranges=window.ranges,
+            time_view=window.axis,
+        )
+        table = rrb.TextDocumentView(origin=OVERVIEW, name="Units")
+        return rrb.Vertical(table, states, row_shares=[2.0, 3.0], name="Rack")
 
 
 class Below:
