@@ -23,6 +23,7 @@ from imumon.clock.nominal import NominalRate
 from imumon.clock.rate import Intervals
 from imumon.clock.side import SharedCounter, SideClock
 from imumon.columns import KNOWN, TIME_COLUMNS, Column
+from imumon.errors import ImumonError, Reason
 from imumon.intake import Intake
 from imumon.protocols.base import COMMON, MAIN, Counters, Timing
 from imumon.protocols.device import DeviceFile
@@ -124,6 +125,8 @@ class Pipeline:
         self._device_clock = DeviceClock(self._decoder.timing if self._decoder is not None else Timing())
         self.host_clock = HostClock(self._device_clock.drift_limit_ppm)
         self._estimators = tuple(estimators)
+        self._checked: list[set[str]] = [set() for _ in self._estimators]
+        """Columns of each stage that were found to be as declared."""
         self._intake = Intake()
         given = device is not None and device.rate_given
         self._nominal = NominalRate(self._device_clock.timing.rate_hz, given)
@@ -350,11 +353,32 @@ class Pipeline:
             return block
         taken = self._intake.process(block)
         seen, added = taken.block, dict[str, ColumnArray]()
-        for stage in self._estimators:
+        for at, stage in enumerate(self._estimators):
             new = stage.process(seen)
+            if len(block):
+                self._check(at, new, seen)
             seen = seen.with_columns(new)
             added |= {name: taken.spread(values) for name, values in new.items()}
         return block.with_columns(added)
+
+    def _check(self, at: int, new: Mapping[str, ColumnArray], seen: SampleBlock) -> None:
+        """Raise BAD_CONFIG when a stage adds what it did not declare, or what is there already."""
+        stage = self._estimators[at]
+        name = f"stage {type(stage).__name__}"
+        if wrong := [column for column, values in new.items() if len(values) != len(seen)]:
+            lengths = f"{len(new[wrong[0]])} values for {len(seen)} samples"
+            raise ImumonError(Reason.BAD_CONFIG, f"{name}: {wrong[0]} has {lengths}", "return one for each")
+        if self._checked[at].issuperset(new):
+            return
+        declared = {column.name for column in stage.columns}
+        for column in new:
+            if column in seen:
+                what = f"{name} adds {column}, which is there already"
+                raise ImumonError(Reason.BAD_CONFIG, what, "give it another name")
+            if column not in declared:
+                what = f"{name} adds {column}, which its columns do not declare"
+                raise ImumonError(Reason.BAD_CONFIG, what, "tables and view need its unit")
+        self._checked[at].update(new)
 
 
 class Digest:

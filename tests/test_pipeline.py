@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from imumon.blocks import NO_INT, ColumnArray, SampleBlock, join
 from imumon.columns import Column
+from imumon.errors import ImumonError
 from imumon.pipeline import UNDATED, Digest, Pipeline
 from imumon.protocols.device import load_device
 from imumon.simulation.unit import SimulatedUnit, load_scenario
@@ -165,3 +166,33 @@ def test_the_digest_sees_a_single_bit_and_a_late_column() -> None:
     assert digest(SampleBlock({"a": x[:2]}), SampleBlock({"a": x[2:], "b": late[2:]})) == digest(
         SampleBlock({"a": x, "b": late})
     )
+
+
+@pytest.mark.parametrize(
+    ("columns", "returned", "said"),
+    [
+        (["twice"], {"twice": 2}, "stage _Given: twice has 2 values for 3 samples"),
+        (["gyro_x"], {"gyro_x": 3}, "stage _Given adds gyro_x, which is there already"),
+        (["mine"], {"other": 3}, "stage _Given adds other, which its columns do not declare"),
+    ],
+)
+def test_a_stage_that_breaks_its_word_is_named(
+    columns: list[str], returned: dict[str, int], said: str
+) -> None:
+    pipeline = Pipeline(None, [_Given(columns, returned)])
+    block = {"device_time_ns": np.arange(3), "segment": np.zeros(3, np.int64), "gyro_x": np.zeros(3)}
+    with pytest.raises(ImumonError) as caught:
+        pipeline.push(SampleBlock(block))
+    assert caught.value.seen == said
+
+
+class _Given:
+    def __init__(self, columns: list[str], returned: dict[str, int]) -> None:
+        self.columns = [Column(name, "1") for name in columns]
+        self._returned = returned
+
+    def process(self, _: SampleBlock) -> dict[str, ColumnArray]:
+        return {name: np.zeros(length) for name, length in self._returned.items()}
+
+    def notices(self) -> list[str]:
+        return []

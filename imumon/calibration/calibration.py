@@ -48,12 +48,14 @@ class Finding:
     points: Points
     offset: FloatArray
     lag_rms: float
+    comparable: bool = True
+    """Whether the offsets are the sensor's own; those of an accelerometer in several poses are gravity's."""
 
     @property
     def repeatability(self) -> float | None:
-        """Standard deviation of the turn-on offsets; None with fewer than two."""
+        """Standard deviation of the turn-on offsets; None with fewer than two, or with those of gravity."""
         known = self.offset[np.isfinite(self.offset)]
-        return float(known.std(ddof=1)) if len(known) > 1 else None
+        return float(known.std(ddof=1)) if self.comparable and len(known) > 1 else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +68,8 @@ class Calibration:
     temperature_range: tuple[float, float]
     rate_rms: float
     warnings: list[str] = field(default_factory=list)
+    turned: bool = False
+    """Whether its runs are in several poses: their offsets then hold what gravity and the earth rate do."""
 
 
 def calibrate_sessions(
@@ -124,13 +128,14 @@ def calibrate(
         )
     findings, channels, warnings = _all_channels(records, cells, tell)
     warnings += _remarks(records, cells)
+    warnings += _by_pose(cells, findings)
     known = cells.temperature
     return Calibration(
         model=BiasModel(
             made_by=f"imumon {__version__}",
             created=f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
             device=_common([record.device for record in records]),
-            serial=serial,
+            serial=serial or _common([record.serial for record in records]),
             axes=_axes([record.axes for record in records]),
             earth_rate="included" if latitude_deg is None else "removed",
             latitude_deg=latitude_deg,
@@ -145,6 +150,7 @@ def calibrate(
         temperature_range=(float(known.min()), float(known.max())),
         rate_rms=float(np.sqrt(np.average(cells.rate**2, weights=cells.seconds))),
         warnings=warnings,
+        turned=cells.turned,
     )
 
 
@@ -178,7 +184,8 @@ def _all_channels(
         keep = ~apart if name in ACCEL else np.ones(len(points), np.bool_)
         shifted = points.shifted(np.nan_to_num(offset)[channel.run]).only(keep)
         choice = choose(channel.only(keep), shifted, knots)
-        findings[name] = Finding(choice, shifted, offset, _lag_rms(choice, cells))
+        own = not (cells.turned and name in ACCEL)
+        findings[name] = Finding(choice, shifted, offset, _lag_rms(choice, cells), own)
         channels[name] = _channel_model(name, channel, choice, shifted)
     return findings, channels, warnings
 
@@ -252,6 +259,26 @@ def _remarks(records: Sequence[Record], cells: Cells) -> list[str]:
             "the temperature goes one way only: what lag, hysteresis or warm-up do is then part of the curve"
         )
     return said
+
+
+def _by_pose(cells: Cells, findings: dict[str, Finding]) -> list[str]:
+    """Say which gyros' bias is another in each pose, by more than the curve errs in one."""
+    if not cells.turned:
+        return []
+    far = {
+        name: f"{np.rad2deg(spread) * 3600.0:.3g}"
+        for name in GYRO
+        if name in findings
+        and (spread := findings[name].repeatability) is not None
+        and spread > findings[name].choice.residual_sd
+    }
+    if not far:
+        return []
+    return [
+        f"{', '.join(far)}: the bias differs by {', '.join(far.values())} °/h between the poses, by g or by "
+        "the earth rate, which no curve over temperature has: the residual is that of one pose; imumon "
+        "diagnose tells by what"
+    ]
 
 
 def _one_way(cells: Cells) -> bool:

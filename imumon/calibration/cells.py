@@ -64,13 +64,17 @@ class Channel:
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """A stretch in one pose without a restart: (record, index within it), time at rest, temperature range."""
+    """A stretch in one pose without a restart: (record, index within it), time at rest, temperature range.
+
+    `up` is the direction of its specific force in body axes, NaN without accelerometers.
+    """
 
     record: int
     index: int
     rest_s: float
     blocks: int
     temperature_range: tuple[float, float]
+    up: tuple[float, float, float]
     earth_rate: tuple[float, float, float] | None
 
 
@@ -88,6 +92,11 @@ class Cells:
     seconds: FloatArray
     temperature: FloatArray
     rate: FloatArray
+
+    @property
+    def turned(self) -> bool:
+        """Whether not all runs are in one pose."""
+        return any(float(np.dot(run.up, self.runs[0].up)) < TURNED for run in self.runs)
 
 
 def main_temperature(record: Record) -> FloatArray:
@@ -121,8 +130,9 @@ def group(records: Sequence[Record], latitude_deg: float | None, heading_deg: fl
             parts.append((np.full(len(rows), len(runs)), cell, seconds, t, rate))
             blocks.append((number, rows))
             ends = (float(t.min()), float(t.max()))
-            earth = _earth_rate(record, rows, latitude_deg, heading_deg)
-            runs.append(Run(number, index, float(seconds.sum()), len(rows), ends, earth))
+            up = _up(record, rows)
+            earth = _earth_rate(up, latitude_deg, heading_deg)
+            runs.append(Run(number, index, float(seconds.sum()), len(rows), ends, up, earth))
     return Cells(tuple(runs), tuple(blocks), *(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
@@ -236,15 +246,19 @@ def _cells(time_s: FloatArray, seconds: FloatArray, temperature: FloatArray, wid
     return cell
 
 
+def _up(record: Record, rows: IntArray) -> tuple[float, float, float]:
+    """Return the direction of the mean specific force in body axes; NaN without accelerometers."""
+    parts = [part[np.isfinite(part)] for part in (record.of(name)[rows] for name in ACCEL)]
+    accel = np.array([part.mean() if len(part) else np.nan for part in parts])
+    x, y, z = (accel / np.linalg.norm(accel)).tolist()
+    return x, y, z
+
+
 def _earth_rate(
-    record: Record, rows: IntArray, latitude_deg: float | None, heading_deg: float | None
+    up: tuple[float, float, float], latitude_deg: float | None, heading_deg: float | None
 ) -> tuple[float, float, float] | None:
     """Return the earth rate in body axes, rad/s; None without place, heading or accelerometers."""
-    if latitude_deg is None or heading_deg is None or not all(map(record.has, ACCEL)):
+    if latitude_deg is None or heading_deg is None or not np.isfinite(up).all():
         return None
-    accel = np.array([np.nanmean(record.of(name)[rows]) for name in ACCEL])
-    if not np.isfinite(accel).all():
-        return None
-    up = accel / np.linalg.norm(accel)
-    x, y, z = earth_rate_in_body(up, np.deg2rad(heading_deg), np.deg2rad(latitude_deg)).tolist()
+    x, y, z = earth_rate_in_body(np.array(up), np.deg2rad(heading_deg), np.deg2rad(latitude_deg)).tolist()
     return x, y, z

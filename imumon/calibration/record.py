@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from imumon.blocks import BoolArray, FloatArray, SampleBlock
@@ -31,7 +31,7 @@ class Record:
     ----------
     name, sha256 : str
         Where it comes from, and the fingerprint of its bytes.
-    device, axes : str or None
+    device, axes, serial : str or None
     means : Reduced
         Over `COLUMNS`.
     rest : array (n,) of bool
@@ -44,6 +44,7 @@ class Record:
     axes: str | None
     means: Reduced
     rest: BoolArray
+    serial: str | None = None
 
     def of(self, name: str) -> FloatArray:
         """Return the block means of a column, (n,)."""
@@ -88,6 +89,7 @@ def read_session(path: Path) -> tuple[Record, list[str]]:
     )
     if not len(record.means):
         raise ImumonError(Reason.BAD_DATA, f"{path}: there is no sample in this session")
+    record = replace(record, serial=recording.serial)
     return record, [f"{path}: {text}" for text in recording.warnings()]
 
 

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from imumon.calibration.cells import Cells
-from imumon.calibration.record import Record
+from imumon.calibration.record import BLOCK_S, LEAST_COVERED, Record
 from imumon.errors import ImumonError, Reason
-from imumon.recordings.reduced import GYRO
+from imumon.recordings.reduced import COLDEST_DEGC, GYRO, HOTTEST_DEGC
 
 LEAST_SPAN_DEGC = 5.0
 LEAST_REST_S = 600.0
@@ -38,10 +38,13 @@ def check_columns(records: Sequence[Record]) -> None:
             raise ImumonError(
                 Reason.BAD_DATA,
                 f"{record.name}: there is no temperature",
-                "let the device send its temperature, or name the column in the map",
+                "let the device send its temperature, or name the column in the map with its unit; "
+                f"readings beyond {COLDEST_DEGC:g} to {HOTTEST_DEGC:g} °C are left out",
             )
         values = [record.of(name) for name in GYRO]
-        stuck = [name for name, v in zip(GYRO, values, strict=True) if np.nanmax(v) == np.nanmin(v)]
+        stuck = [
+            name for name, v in zip(GYRO, values, strict=True) if len(v) > 1 and np.nanmax(v) == np.nanmin(v)
+        ]
         if stuck:
             raise ImumonError(
                 Reason.BAD_DATA,
@@ -69,11 +72,14 @@ def _check_rest(records: Sequence[Record], cells: Cells) -> None:
     rest_s = float(cells.seconds.sum())
     if rest_s >= LEAST_REST_S:
         return
-    whole_s = sum(float(record.means.span_s.sum()) for record in records)
+    judged_s = sum(float(record.means.span_s.sum()) for record in records)
     raise ImumonError(
         Reason.BAD_DATA,
-        f"{rest_s:.0f} s at rest, of {whole_s:.0f} s recorded; a model needs {LEAST_REST_S:.0f}",
-        "let the unit stand still on a firm base for longer",
+        f"{rest_s:.0f} s at rest, of {judged_s:.0f} s with several samples in {BLOCK_S:g} s; "
+        f"a model needs {LEAST_REST_S:.0f}",
+        "let the unit stand still on a firm base for longer"
+        if judged_s > 0.0
+        else f"record faster than a sample in {LEAST_COVERED * BLOCK_S:g} s, or mend the unit of its time",
     )
 
 

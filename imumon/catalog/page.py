@@ -73,8 +73,7 @@ def write_session(session: Session, path: Path) -> None:
     setup, metadata = recorded_setup(session), session.metadata
     recording = open_recording(session.path, lambda device: estimators(device, setup))
     names = [*GYRO, *TEMPERATURES, *itertools.chain(*BIASES)]
-    ended = metadata.ended_ns or metadata.created_ns
-    slot_s = max(1.0, (ended - metadata.created_ns) * 1e-9 / POINTS)
+    slot_s = max(1.0, np.nan_to_num(metadata.duration_s) / POINTS)
     means = reduce(recording.blocks(), names, slot_s)
     counters = recording.pipeline.counters
     port = metadata.port

@@ -48,9 +48,8 @@ class Entry:
 
     @property
     def hours(self) -> float:
-        """Its length; NaN when it was not closed."""
-        metadata = self.session.metadata
-        return np.nan if metadata.ended_ns is None else (metadata.ended_ns - metadata.created_ns) / 3.6e12
+        """Its length; NaN when that is not known."""
+        return self.session.metadata.duration_s / 3600.0
 
     @property
     def temperatures(self) -> tuple[float, float]:
@@ -107,7 +106,7 @@ class Unit:
 
     @property
     def hours(self) -> float:
-        """Of all sessions that were closed."""
+        """Of all sessions whose length is known."""
         return float(np.nansum([entry.hours for entry in self.entries]))
 
 

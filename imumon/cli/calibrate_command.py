@@ -149,7 +149,8 @@ def _summary(result: Calibration, out: Path) -> dict[str, str]:
         "30 s of lag": _per_channel(result, lambda finding: finding.lag_rms) + ", if the gyro has it",
     }
     if any(finding.repeatability is not None for finding in result.findings.values()):
-        rows["turn-on"] = _per_channel(result, lambda finding: finding.repeatability)
+        what = "by pose" if result.turned else "turn-on"
+        rows[what] = _per_channel(result, lambda finding: finding.repeatability)
     rows["earth rate"] = (
         "removed"
         if model.earth_rate == "removed"

@@ -111,11 +111,18 @@ def next_steps(diagnosis: Diagnosis, folder: Path | None) -> list[NextStep]:
     asked = [question for verdict in with_model(diagnosis) for question in verdict.questions]
     for pair in _not_told(verdicts):
         steps.append(NextStep(f"To tell {pair[0]} from {pair[1]}, record {separated_by(*pair)}."))
-    if any(state(verdict) in ("unexplained", "not proven") for verdict in verdicts):
+    if any(state(verdict) == "unexplained" for verdict in verdicts):
         steps.append(
             NextStep(
                 "For what is unexplained, record what else may drive it (supply, load, pressure, another"
                 " thermometer) and train on that as well; whatever is recorded is tried."
+            )
+        )
+    if small := [one.name for one in verdicts if state(one) == "not proven" and one.test_after is not None]:
+        steps.append(
+            NextStep(
+                f"What is left of {_together(small)} is little: a recording at constant temperature, and"
+                " imumon allan of that, tell whether it is slow noise."
             )
         )
     if faulty := [verdict.name for verdict in verdicts if state(verdict) == "faulty"]:

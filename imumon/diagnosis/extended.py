@@ -30,7 +30,12 @@ def extended_model(diagnosis: Diagnosis) -> BiasModel:
     A jump, a turn-on offset and an amplitude that is another in each run are in the report alone.
     """
     known = diagnosis.model
-    kept: dict[str, Any] = {}
+    origins = [run.origin for run in diagnosis.train if run.origin is not None]
+    kept: dict[str, Any] = {
+        name: said.pop()
+        for name in ("device", "serial")
+        if len(said := {getattr(origin, name) for origin in origins}) == 1
+    }
     if known is not None:
         names = ("device", "serial", "axes", "earth_rate", "latitude_deg", "heading_deg", "levels_degc")
         kept = {name: getattr(known, name) for name in names}

@@ -46,7 +46,7 @@ def without_standstill(run: Run, channels: Sequence[str]) -> tuple[Run, list[str
     Noise never gives the same value for as long as a block (30 s), but a stuck sensor does, one at its limit,
     and one whose digits are coarser than its noise.  The last is said and kept.
     """
-    mean, variance, said = dict(run.mean), dict(run.variance), []
+    mean, variance, looks, said = dict(run.mean), dict(run.variance), dict(run.looks), []
     for name in channels:
         if name not in mean:
             continue
@@ -60,12 +60,16 @@ def without_standstill(run: Run, channels: Sequence[str]) -> tuple[Run, list[str
             said.append(f"{run.name}: {name} does not change in {share:.0%} of its time: too few digits")
             continue
         values = mean[name][still]
-        limits = np.nanmin(mean[name]), np.nanmax(mean[name])
-        what = "saturated" if np.isin(values, limits).all() else "stuck"
+        if look is not None and np.isclose(values, look.atom, rtol=1e-9, atol=0.0).any():
+            what = "stuck" if look.place == "inside" else "saturated"
+            looks[name] = look.without(float(share))
+        else:
+            limits = np.nanmin(mean[name]), np.nanmax(mean[name])
+            what = "saturated" if np.isin(values, limits).all() else "stuck"
         said.append(f"{run.name}: {name} is {what} for {seconds:.0f} s; they are left out")
         mean[name] = np.where(still, np.nan, mean[name])
         variance[name] = np.where(still, np.nan, variance[name])
-    return replace(run, mean=mean, variance=variance), said
+    return replace(run, mean=mean, variance=variance, looks=looks), said
 
 
 def _standing(

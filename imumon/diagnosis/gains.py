@@ -13,6 +13,11 @@ from imumon.diagnosis.likelihood import Noise
 
 PROVEN = 8.0
 """Gain, a difference of BIC, above which an effect is proven."""
+CLOSE = 10.0
+"""Families whose gains differ by less are not told apart."""
+CLOSE_SHARE = 0.15
+"""Nor those that differ by less than this share of the best gain: no regressor has exactly the shape of the
+physics, and with a large effect the shape decides."""
 SHORT_LIST = 6
 """Best candidates of each family, by the coarse grid of noise, that are looked at closely."""
 PAIR_LIST = 4
@@ -129,14 +134,16 @@ def needed_in_pairs(
     """Return the leaders of families that are needed in pairs, by the gains of the pairs and the best alone.
 
     Two effects at once hide one another: the one that replaces both best may be neither.  So a pair
-    counts that does better than any single candidate and needs both its members.  Of these, what carries
+    counts that does better than any single candidate and needs both its members, by more than the shape of
+    a single effect may be off: what fits beside the largest is found beside it later.  Of these, what carries
     over to another run goes first, then what says more alone.
     """
-    if max(gains, default=0.0) <= max(alone, PROVEN) + PROVEN:
+    least = max(PROVEN, CLOSE_SHARE * alone)
+    if max(gains, default=0.0) <= max(alone, PROVEN) + least:
         return {}
     found: dict[str, tuple[float, Leader]] = {}
     for (one, other), gain in zip(pairs, gains, strict=True):
-        if gain - max(one.gain, other.gain, 0.0) <= PROVEN:
+        if gain - max(one.gain, other.gain, 0.0) <= least:
             continue
         for this, beside in ((one, other), (other, one)):
             if gain > (found[this.family][0] if this.family in found else alone):

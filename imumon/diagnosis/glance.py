@@ -16,7 +16,7 @@ from imumon.blocks import FloatArray
 from imumon.diagnosis.blocks import BLOCK_S, RunBlocks, make_blocks, survey
 from imumon.diagnosis.candidates import Candidate, Part, Pool
 from imumon.diagnosis.channel import Declared, ordinary
-from imumon.diagnosis.gains import PROVEN
+from imumon.diagnosis.gains import CLOSE, PROVEN
 from imumon.diagnosis.known import CUBIC, temperature_of
 from imumon.diagnosis.likelihood import Likelihood, coarse_grid
 from imumon.diagnosis.recording import SECOND_NS, Run
@@ -30,8 +30,6 @@ LEAST_BLOCKS = 40
 """As the whole diagnosis needs."""
 MOST = 6
 """Of the grid of an effect so many are tried, spread over it: their neighbours have a gain nearly as good."""
-CLOSE = 10.0
-"""Families whose gains differ by less are not told apart, as in the whole diagnosis."""
 GRID = coarse_grid((0.0, 0.0), (1000.0, 1000.0))
 
 

@@ -22,13 +22,13 @@ from imumon.diagnosis.candidates import Pool
 from imumon.diagnosis.channel import Channel, Declared
 from imumon.diagnosis.earth import earth_rate, turned, without
 from imumon.diagnosis.engine import search_block
-from imumon.diagnosis.gains import PROVEN
+from imumon.diagnosis.gains import CLOSE, CLOSE_SHARE, PROVEN
 from imumon.diagnosis.gravity import at_poses
 from imumon.diagnosis.likelihood import TAUS_S
 from imumon.diagnosis.profiles import Profile, profiles
 from imumon.diagnosis.questions import NOTHING
 from imumon.diagnosis.recording import Run, collect, unit_of
-from imumon.diagnosis.selection import CLOSE, CLOSE_SHARE, Search, search
+from imumon.diagnosis.selection import Search, search
 from imumon.effects.base import ACCEL
 from imumon.effects.library import EFFECTS, AnyEffect, effects_for
 from imumon.files import write_text

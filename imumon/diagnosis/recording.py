@@ -35,11 +35,13 @@ SHORTEST_RUN_S = 300.0
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """Where a run comes from: session or table, number of the run in it, and the fingerprint of its bytes."""
+    """Where a run comes from: session or table, its number in it, fingerprint of its bytes, and unit."""
 
     session: str
     index: int
     sha256: str
+    device: str | None = None
+    serial: str | None = None
 
 
 @dataclass(slots=True)
@@ -152,9 +154,10 @@ def read_runs(
             f"{path}: too short: its longest run is {longest:.0f} s; {SHORTEST_RUN_S:.0f} s are needed",
             "record the unit at rest for an hour or more while its temperature changes",
         )
-    sha256, said = recording.sha256(), tuple(f"{path}: {text}" for text in recording.warnings())
+    said = tuple(f"{path}: {text}" for text in recording.warnings())
+    origin = Origin(recording.name, 0, recording.sha256(), recording.device, recording.serial)
     return [
-        replace(run, origin=Origin(recording.name, at, sha256), warnings=said, looks=looks)
+        replace(run, origin=replace(origin, index=at), warnings=said, looks=looks)
         for at, run in enumerate(runs)
     ]
 

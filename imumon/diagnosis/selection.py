@@ -12,6 +12,8 @@ from imumon.blocks import FloatArray
 from imumon.diagnosis.candidates import Candidate, Part, candidates
 from imumon.diagnosis.channel import Channel, ordinary, residual_rms
 from imumon.diagnosis.gains import (
+    CLOSE,
+    CLOSE_SHARE,
     PROVEN,
     SHORT_LIST,
     Leader,
@@ -26,11 +28,6 @@ from imumon.diagnosis.gains import (
 from imumon.diagnosis.likelihood import Likelihood, Noise, coarse_grid, fine_grid
 from imumon.effects.base import Effect, Survey
 
-CLOSE = 10.0
-"""Families whose gains differ by less are not told apart."""
-CLOSE_SHARE = 0.15
-"""Nor those that differ by less than this share of the best gain: no regressor has exactly the shape of the
-physics, and with a large effect the shape decides."""
 LEAST_EVIDENCE = 4.0
 """A channel with less is never made to agree with the others."""
 MOST_STAGES = 6
@@ -471,6 +468,7 @@ class Search:
     def tidy(self) -> None:
         """Drop what later findings made needless, and refine what is left."""
         self._drop_needless()
+        self._exchange()
         self._merge_start()
         if len(self.findings) > 1:
             self._refine()
@@ -503,6 +501,32 @@ class Search:
         for finding in list(self.findings):
             if self._worth(finding) <= PROVEN:
                 self.findings = [other for other in self.findings if other is not finding]
+
+    def _exchange(self) -> None:
+        """Take another of those that are not told apart where beside it a later finding is needless.
+
+        What was found first may have the wrong shape, and the later finding only fill what that leaves.
+        """
+        for finding in list(self.findings):
+            for name in finding.alike or [finding.name]:
+                if len(self.findings) > 1 and finding in self.findings:
+                    self._exchanged(finding, name)
+
+    def _exchanged(self, finding: Finding, name: str) -> None:
+        """Take the best of a family in place of a finding where fewer then explain as much."""
+        everything, candidate, before = self.findings, finding.candidate, self._evidence()
+        self.findings = [other for other in everything if other is not finding]
+        tried = [*self.of_family(name), *([finding.others[name]] if name in finding.others else [])]
+        scored = self._gains(tried, fine_grid(self.null()[1]))
+        finding.candidate = self._refined(max(scored, key=_gain)).candidate if scored else candidate
+        self.findings = everything
+        self._drop_needless()
+        if len(self.findings) == len(everything) or before - self._evidence() > PROVEN:
+            self.findings, finding.candidate = everything, candidate
+        elif name != candidate.family:
+            finding.others = {candidate.family: candidate, **finding.others}
+            finding.others.pop(name, None)
+            finding.alike = [name, *(one for one in finding.alike if one != name)]
 
     def _worth(self, finding: Finding) -> float:
         """Return by how much the evidence falls without a finding."""

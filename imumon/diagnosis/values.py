@@ -6,7 +6,7 @@ Means hide what is wrong with single samples, so these are looked at before.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -46,6 +46,14 @@ class Look:
     atom_share: float
     place: str
     repeated: float
+
+    def without(self, share: float) -> Look:
+        """Return what is seen beside this share of the samples, in which its frequent value stood still."""
+        left = max(self.atom_share - share, 0.0) / (1.0 - share)
+        repeated = max(self.repeated - share, 0.0) / (1.0 - share)
+        if left < OFTEN:
+            return replace(self, atom=np.nan, atom_share=0.0, place="inside", repeated=repeated)
+        return replace(self, atom_share=left, repeated=repeated)
 
 
 class Watcher:

@@ -420,14 +420,13 @@ def summary(verdict: ChannelVerdict) -> str:
                 f" that none of the known effects explains{what}{worse}"
             )
         return f"{_nothing(verdict.test_before, before, floor, limit)}{what}{worse}"
-    names = []
+    names, named = [], set[str]()
     for claim in verdict.claims:
-        alike = claim.finding.alike
-        if alike:
-            asked = "; ".join(dict.fromkeys(separated_by(alike[0], other) for other in alike[1:]))
-            names.append(f"{' or '.join(alike)} (not told apart on this data; to separate: {asked})")
-        else:
-            names.append(claim.finding.name)
+        alike = claim.finding.alike or [claim.finding.name]
+        said = " or ".join(f"another {name}" if name in named else name for name in alike)
+        asked = "; ".join(dict.fromkeys(separated_by(alike[0], other) for other in alike[1:]))
+        names.append(f"{said} (not told apart on this data; to separate: {asked})" if asked else said)
+        named.update(alike)
     text = f"{', and '.join(names)}: {before:.1f} white floors become {after:.2f} in training"
     text += _tested(verdict)
     if verdict.remark:
@@ -464,7 +463,7 @@ def _nothing(test: TestScore | None, before: float, floor: float, limit: float) 
     if test.rms < MATERIAL * limit:
         what = "nothing is missing" if limit == floor else "nothing but the digits is seen"
         return f"{what}: {left}, {where}"
-    return f"no effect is proven, but something is missing: {left}, {where}"
+    return f"no effect is proven: {left}, {where}; slow noise may do that, or something is missing"
 
 
 def _described(found: Formula, floor: float) -> str:

@@ -154,12 +154,18 @@ def _parse_timestamp(text: str) -> int:
     return time_ns
 
 
+DELIMITERS = (";", "\t", ",", "|")
+"""What a table with a single column may really be divided by."""
+
+
 def _check_columns(path: Path, names: Sequence[str], wanted: Sequence[str]) -> None:
     if absent := [name for name in wanted if name not in names]:
+        other = [mark for mark in DELIMITERS if len(names) == 1 and mark in names[0]]
         raise ImumonError(
             Reason.BAD_CONFIG,
             f"{path}: has no column {', '.join(map(repr, absent))}",
-            f"it has: {', '.join(map(repr, names))}",
+            f"it has: {', '.join(map(repr, names))}"
+            + (f'; in the map: csv: {{delimiter: "{other[0]}"}}' if other else ""),
         )
     if twice := [name for name in wanted if names.count(name) > 1]:
         raise ImumonError(

@@ -22,7 +22,7 @@ from imumon.files import read_text
 from imumon.recordings.folder import SAMPLES_NAME, Session, fingerprint, refuse_existing
 from imumon.recordings.foreign import BadRow, Part, read_foreign
 from imumon.recordings.map import TableMap
-from imumon.recordings.metadata import SessionMetadata, TableUsed
+from imumon.recordings.metadata import SPAN, SessionMetadata, TableUsed
 from imumon.recordings.table import TableWriter
 
 LISTED = 10
@@ -313,6 +313,10 @@ def _metadata(source: TableImport, report: ImportReport, file: Path) -> SessionM
             rows_out=report.rows_out,
             rows_dropped=report.rows_dropped,
         ),
-        counters={"samples": report.rows_out, "segments": report.segments},
+        counters={
+            "samples": report.rows_out,
+            "segments": report.segments,
+            SPAN: round(report.span_s * 1e9),
+        },
     )
     return begun.closed(now_ns)

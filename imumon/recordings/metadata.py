@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import platform
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -17,6 +18,8 @@ from imumon.files import read_text
 
 FORMAT: Final = "imumon-session/1"
 SourceKind = Literal["live", "simulation", "import"]
+SPAN: Final = "span_ns"
+"""Counter of an imported session: what its rows span, without the gaps between segments."""
 _PACKAGES = ("numpy", "numba", "scipy", "pyarrow", "mcap", "rerun-sdk")
 
 
@@ -90,6 +93,13 @@ class SessionMetadata(StrictModel):
         return cls(
             source=source, created=iso_utc(at_ns), created_ns=at_ns, versions=versions_in_use(), **more
         )
+
+    @property
+    def duration_s(self) -> float:
+        """How long it was recorded; NaN when it was not closed, or is a table that does not say how long."""
+        if self.table is not None:
+            return self.counters.get(SPAN, math.nan) * 1e-9
+        return math.nan if self.ended_ns is None else (self.ended_ns - self.created_ns) * 1e-9
 
     def closed(self, ended_ns: int, **changes: Any) -> SessionMetadata:
         """Return the metadata of the session after its end in order at this Unix time (ns)."""

@@ -61,6 +61,12 @@ class Recording:
         """Yield the samples in order, with device_time_ns and segment, behind the stages."""
         return (block for block in run_over(self.source.items, self.pipeline) if len(block))
 
+    @property
+    def serial(self) -> str | None:
+        """Serial number of the unit, as its session has it."""
+        session = self.source.session
+        return None if session is None else session.metadata.serial
+
     def warnings(self) -> list[str]:
         """Return, once the samples were read, what the recording lacks and what the stages say."""
         return [*self.source.warnings(), *self.pipeline.warnings()]

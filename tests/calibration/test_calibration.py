@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -158,6 +159,18 @@ def test_the_earth_rate_is_removed_with_latitude_and_heading(
 
 
 @pytest.mark.usefixtures("fast")
+def test_a_bias_that_is_another_in_each_pose_is_said_and_gravity_is_no_turn_on_offset() -> None:
+    t = soak(600.0)
+    down, up = (samples(t, accel=(0.0, 0.0, sign * GRAVITY)) for sign in (-1.0, 1.0))
+    up = up.with_columns({"gyro_x": up["gyro_x"] + np.radians(20.0) / 3600.0})
+    found = calibrate([record_of([one], name, name * 64) for name, one in (("0", down), ("1", up))])
+    assert found.turned
+    assert [text for text in found.warnings if text.startswith("gyro_x: the bias differs by 14.1 °/h")]
+    assert found.findings["accel_z"].repeatability is None
+    assert "accel_z" not in found.model.trained_on[0].offset
+
+
+@pytest.mark.usefixtures("fast")
 def test_accelerometer_curves_are_the_change_from_the_middle_of_the_range() -> None:
     t = soak(300.0)
     block = samples(t, accel=(0.0, 0.0, -GRAVITY))
@@ -203,6 +216,8 @@ def without(*names: str) -> dict[str, Any]:
     [
         (np.linspace(20.0, 24.0, 3000), {}, "spans 4.0"),
         (np.linspace(20.0, 30.0, 500), {}, "s at rest, of"),
+        (np.linspace(20.0, 20.001, 2), {}, "0 s at rest, of 1 s with several samples in 10 s"),
+        (np.linspace(298.0, 338.0, 3000), {}, "there is no temperature"),
         (np.repeat([20.0, 50.0], 2000), {}, "2 distinct temperatures"),
         (np.repeat([0.0, 4.5, 9.0, 13.5, 40.0], 600), {}, "nothing at rest from 13"),
         (np.tile(np.concatenate([np.linspace(25, 34, 60), np.linspace(34, 25, 60)]), 10), {}, "°C/min"),
@@ -240,3 +255,6 @@ def test_what_goes_one_way_or_is_there_twice_is_said() -> None:
     assert any("one way only" in text for text in calibrate([one]).warnings)
     assert not any("one way only" in text for text in calibrate([both]).warnings)
     assert any("there twice" in text for text in calibrate([one, one]).warnings)
+    of_two = [replace(one, serial="SN 1"), replace(both, serial="SN 2")]
+    assert [calibrate(some).model.serial for some in (of_two[:1], of_two)] == ["SN 1", None]
+    assert calibrate(of_two, serial="SN 3").model.serial == "SN 3"

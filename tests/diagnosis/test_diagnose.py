@@ -397,7 +397,7 @@ def test_what_is_found_in_a_measured_run_hangs_on_no_block_and_on_no_boundary_of
         said = [claim.finding.name for claim in verdict.claims]
         return said, verdict.test_before.rms, verdict.test_after.rms
 
-    for first, lost in [(0, 30 * block) for block in range(0, at // 30, 10)] + [(7, 0), (23, 0)]:
+    for first, lost in [(0, 30 * block) for block in range(0, at // 30, 25)] + [(7, 0), (23, 0)]:
         said, before, after = found(first, lost)
         assert "step" in said, (first, lost)
         assert after < 0.55 * before, (first, lost)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from imumon.blocks import FloatArray, SampleBlock
-from imumon.diagnosis.faults import faults
+from imumon.diagnosis.faults import faults, without_standstill
 from imumon.diagnosis.recording import Run
 from imumon.diagnosis.values import KEPT, Watcher
 
@@ -57,6 +57,18 @@ def test_a_fault_is_named_as_what_it_is(
     found = [fault.text for fault in faults([watched(change)], "gyro_x", "temperature", 0.02)]
     assert len(found) == 1
     assert found[0].startswith(said)
+
+
+@pytest.mark.parametrize(("value", "what"), [(5.0, "stuck"), (1e3, "saturated")])
+def test_what_stood_still_is_not_counted_again_as_a_value_that_comes_too_often(
+    value: float, what: str
+) -> None:
+    def frozen(values: FloatArray, _: FloatArray) -> FloatArray:
+        return np.where(np.abs(np.arange(N) - 21_000) <= 1000, value, values)
+
+    left, (said,) = without_standstill(watched(frozen), ["gyro_x"])
+    assert said == f"a run: gyro_x is {what} for 40 s; they are left out"
+    assert faults([left], "gyro_x", "temperature", 0.02) == []
 
 
 @pytest.mark.parametrize("step", [0.0, 0.01, 0.5, 1.0])

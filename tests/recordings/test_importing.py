@@ -201,6 +201,7 @@ def test_a_time_that_goes_back_begins_a_segment_when_the_map_says_so(
     assert samples["segment"].tolist() == [0, 0, 0, 1, 1, 2, 2]
     assert report.segments == 3
     assert report.span_s == pytest.approx(2 + 1 + 4)
+    assert open_session(tmp_path / "session").metadata.duration_s == pytest.approx(2 + 1 + 4)
 
 
 @pytest.mark.parametrize(
@@ -265,6 +266,9 @@ def test_a_column_that_the_table_lacks_is_named_with_the_line_of_the_map(tmp_pat
     assert "map.yaml:2: " in error.seen
     assert "has no column 'z'" in error.seen
     assert "it has: 't', 'x', 'y'" in error.hint
+    assert "delimiter" not in error.hint
+    error = refused(tmp_path, "t;x;y;z\n0.5;1;2;3\n")
+    assert 'csv: {delimiter: ";"}' in error.hint
 
 
 @pytest.mark.parametrize(

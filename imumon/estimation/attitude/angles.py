@@ -55,6 +55,15 @@ def heading(q: FloatArray) -> FloatArray:
     return np.asarray(np.mod(np.arctan2(east, north), 2.0 * np.pi))
 
 
+def slope(q: FloatArray) -> FloatArray:
+    """Return the tangent of how far the axis that `heading` is of rises or falls, without sign, (n,)."""
+    w, x, y, z = q.T
+    forward, side, upward = 2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)
+    steep = side * side + upward * upward < LEAST_HORIZONTAL**2
+    rise = np.abs(np.where(steep, upward, forward))
+    return np.asarray(rise / np.sqrt(np.maximum(1.0 - rise * rise, LEAST_HORIZONTAL**2)))
+
+
 def turned_clockwise(q: FloatArray, angle: float) -> FloatArray:
     """Return attitudes whose heading is larger by an angle in rad, (n, 4)."""
     c, s = np.cos(0.5 * angle), -np.sin(0.5 * angle)

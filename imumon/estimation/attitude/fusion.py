@@ -81,6 +81,14 @@ class Fusion:
         """Whether there is an attitude."""
         return not math.isnan(self.last[0])
 
+    def follows(self) -> float:
+        """Return how fast the heading follows the field: 1 as usual, 0 not at all, between: slower."""
+        if self._vqf is None or not self.disturbed:
+            return 1.0
+        given = self._vqf.params
+        rejected = self._vqf.state["magRejectT"] <= given["magMaxRejectionTime"]
+        return 0.0 if rejected else float(1.0 / given["magRejectionFactor"])
+
     def process(
         self, readings: Readings, start: int, stop: int, bias_known: bool, q: FloatArray, north: IntArray
     ) -> None:

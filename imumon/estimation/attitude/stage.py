@@ -12,10 +12,10 @@ import numpy as np
 
 from imumon.blocks import NO_INT, BoolArray, ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.columns import Column
-from imumon.estimation.attitude.angles import heading, level_angles, matrix, turned_clockwise
+from imumon.estimation.attitude.angles import heading, level_angles, matrix, slope, turned_clockwise
 from imumon.estimation.attitude.fusion import Fusion, Readings
 from imumon.estimation.attitude.parameters import AttitudeParameters
-from imumon.estimation.attitude.uncertainty import Errors, Slot, Uncertainty
+from imumon.estimation.attitude.uncertainty import UNKNOWN, Errors, Motion, Slot, Uncertainty
 from imumon.filters.slots import SlotGatherer, Slots
 from imumon.geodesy import EARTH_RATE
 from imumon.models.magnetometer import MagnetometerModel
@@ -40,9 +40,10 @@ class _Rows:
     bias_sd: FloatArray
     begins: set[int]
     slots: Slots
+    motion: Motion
     q: FloatArray
     north: IntArray
-    sd: FloatArray
+    variance: FloatArray
 
 
 class AttitudeEstimate:
@@ -80,6 +81,7 @@ class AttitudeEstimate:
             self._parameters.gyro_scale,
             0.0 if latitude_deg is None else EARTH_RATE,
             math.nan if magnetometer is None else magnetometer.error_sd,
+            math.nan if magnetometer is None else magnetometer.field,
         )
         self._heading = math.radians(heading_deg or 0.0)
         self._slots = SlotGatherer(_COLUMNS, SLOT_NS, rates=0)
@@ -87,6 +89,7 @@ class AttitudeEstimate:
         self._ended_ns = 0
         self._fusion = Fusion()
         self._uncertainty = Uncertainty()
+        self._since = Motion()
         self._field = np.full(3, np.nan)
         self._gaps = 0
         self._reported = False
@@ -132,7 +135,9 @@ class AttitudeEstimate:
         self._follow(found)
         q = found.q
         roll, pitch = level_angles(q, self._down)
-        values = [*(part.copy() for part in q.T), roll, pitch, found.sd[0], heading(q), found.sd[1]]
+        found.variance[1] += slope(q) ** 2 * found.variance[0]
+        tilt_sd, heading_sd = np.sqrt(np.where(found.variance < UNKNOWN**2, found.variance, np.nan))
+        values = [*(part.copy() for part in q.T), roll, pitch, tilt_sd, heading(q), heading_sd]
         north = np.where(np.isnan(q[:, 0]), NO_INT, found.north)
         if len(which) < n:
             values = [_spread(part, np.nan, which, n) for part in values]
@@ -162,12 +167,14 @@ class AttitudeEstimate:
         values[:, :3], values[:, 3:6], values[:, _REST] = rate, accel, rest
         time_ns, segment = block["device_time_ns"], block["segment"]
         begins, interval_s = self._intervals(time_ns, segment)
-        angle = rate * (interval_s * ~rest)[:, np.newaxis]
+        turned, moving = rate * interval_s[:, np.newaxis], ~rest
+        angle = turned * moving[:, np.newaxis]
+        motion = Motion(angle, turned - angle, interval_s * moving)
         has_mag = _whole(mag)
         readings = Readings(time_ns, angle, _or_zero(accel), _or_zero(mag), has_mag)
         slots = self._slots.process(time_ns, segment, values)
-        q, north, sd = np.full((n, 4), np.nan), np.zeros(n, np.int64), np.empty((2, n))
-        return _Rows(readings, known, bias_sd, begins, slots, q, north, sd)
+        q, north, variance = np.full((n, 4), np.nan), np.zeros(n, np.int64), np.empty((2, n))
+        return _Rows(readings, known, bias_sd, begins, slots, motion, q, north, variance)
 
     def _follow(self, rows: _Rows) -> None:
         """Run the filter from edge to edge: a slot has ended, it begins anew, the bias is known from here."""
@@ -180,15 +187,14 @@ class AttitudeEstimate:
             if start in ended:
                 self._judge(rows, ended[start], start)
             if start in rows.begins:
-                self._fusion, self._uncertainty = Fusion(), Uncertainty()
+                self._fusion, self._uncertainty, self._since = Fusion(), Uncertainty(), Motion()
             fusion = self._fusion
             fusion.process(rows.readings, start, stop, bool(known[start]), rows.q, rows.north)
             if self._down == 0.0 and fusion.begun:
                 self._down = 1.0 if matrix(fusion.last)[2, 2] < 0.0 else -1.0
-            rows.sd[0, start:stop], rows.sd[1, start:stop] = (
-                self._uncertainty.tilt_sd,
-                self._uncertainty.heading_sd,
-            )
+            part = slice(start, stop)
+            self._since = self._since.then(rows.motion, part)
+            rows.variance[:, part] = self._uncertainty.at(self._since, rows.bias_sd[part], self._errors)
             if stop == n or stop in rows.begins:
                 self._turn_free(rows, begun, stop)
                 begun = stop
@@ -226,6 +232,7 @@ class AttitudeEstimate:
         fusion, slots = self._fusion, rows.slots
         start_ns = int(slots.start_ns[k]) if slots.begins[k] else self._ended_ns
         self._ended_ns = int(slots.end_ns[k])
+        since, self._since = self._since, Motion()
         if not fusion.begun:
             return
         self._keep_field(rows.readings, row)
@@ -239,8 +246,9 @@ class AttitudeEstimate:
                 bias_sd=rows.bias_sd[row],
                 attitude=matrix(fusion.last),
                 gyro_only=matrix(fusion.gyro_only()),
+                ignored=since.ignored[-1],
                 north=fusion.north,
-                disturbed=fusion.disturbed,
+                follows=fusion.follows(),
             ),
             self._errors,
         )

@@ -10,9 +10,16 @@ the gyros have carried the vertical of the last rest along, with errors that are
                 and what is lost between samples (`imumon.filters.turns`)
     heading   its part about the vertical; it stays at rest
 
+Both are judged once a second; until then each sample adds what it may have turned wrong since: bias, scale,
+and half an interval of its rate, as a rate may be the mean of the interval before or that of the moment.
+Heading is an angle about the vertical as it is taken: a tilt that is off turns the heading of an axis that
+rises or falls by its tangent.
+
 A magnetometer that is calibrated ties the heading down: its error over the horizontal field, the tilt times
-the tangent of the dip, and what the gyros have added, which the filter forgets with its time constant.  In a
-long motion this is a bound: nobody knows how far the accelerometers have kept the tilt better than the gyros.
+the tangent of the dip, and what the gyros have added, which the filter forgets with its time constant.  A
+field that is not as strong as where it was calibrated is bent by so much at least, in whatever direction.
+In a long motion this is a bound: nobody knows how far the accelerometers have kept the tilt better than the
+gyros.
 """
 
 from __future__ import annotations
@@ -47,12 +54,15 @@ class Errors:
         What of the earth rate the bias does not hold, rad/s.
     magnetometer : float
         Unit of the field; NaN when it is not calibrated.
+    field : float
+        Its strength where the magnetometer was calibrated.
     """
 
     accel: float
     scale: float
     earth_rate: float
     magnetometer: float
+    field: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,8 +81,12 @@ class Slot:
         At its end, rad/s; NaN where the bias is not known.
     attitude, gyro_only : array (3, 3)
         At its end, from body axes to east-north-up, and to axes of the gyros' own.
-    north, disturbed : bool
-        Whether the heading is by the magnetometer, and whether the field is disturbed.
+    ignored : array (3,)
+        Turned, by the gyros, while it was taken for at rest, rad.
+    north : bool
+        Whether the heading is by the magnetometer.
+    follows : float
+        How fast it follows the field: 1 as usual, 0 not at all.
     """
 
     seconds: float
@@ -83,8 +97,36 @@ class Slot:
     bias_sd: FloatArray
     attitude: FloatArray
     gyro_only: FloatArray
+    ignored: FloatArray
     north: bool
-    disturbed: bool
+    follows: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """What samples turned, each since the one before, or running sums of that; (n, 3) and (n,).
+
+    Parameters
+    ----------
+    angle : array (n, 3)
+        In motion, about the body axes, rad.
+    ignored : array (n, 3)
+        By the gyros, while it was taken for at rest, rad: the beginning of a motion may be in it.
+    seconds : array (n,)
+        In motion.
+    """
+
+    angle: FloatArray = field(default_factory=lambda: np.zeros((1, 3)))
+    ignored: FloatArray = field(default_factory=lambda: np.zeros((1, 3)))
+    seconds: FloatArray = field(default_factory=lambda: np.zeros(1))
+
+    def then(self, later: Motion, part: slice) -> Motion:
+        """Return running sums that go on from the last of these, over a part of later samples."""
+        return Motion(
+            _summed(self.angle, later.angle[part]),
+            _summed(self.ignored, later.ignored[part]),
+            _summed(self.seconds, later.seconds[part]),
+        )
 
 
 @dataclass(slots=True, eq=False)
@@ -115,6 +157,7 @@ class Turned:
         """Add a slot."""
         turn = slot.turn
         begun = slot.attitude @ turn.rotation.T
+        self.missed += float(slot.ignored @ slot.ignored)
         self.bias += begun @ turn.by_bias * slot.bias_sd
         self.scale += (begun @ turn.by_scale.reshape(3, 9)).reshape(3, 3, 3)
         self.coning += begun @ turn.coning
@@ -152,6 +195,8 @@ class Uncertainty:
         What the vertical of the last rest has gone through, and the heading since it was last tied down.
     heading_variance : float
         By the bias in the motions before, rad²: each rest measures the bias anew.
+    bent : float
+        Square of what the field that is followed differs from the calibration's strength, forgotten like it.
     tilt_sd, heading_sd : float
         rad; NaN where nothing can be said.
     """
@@ -161,6 +206,7 @@ class Uncertainty:
     since_rest: Turned = field(default_factory=Turned)
     since_north: Turned = field(default_factory=Turned)
     heading_variance: float = 0.0
+    bent: float = 0.0
     tilt_sd: float = math.nan
     heading_sd: float = math.nan
 
@@ -182,6 +228,24 @@ class Uncertainty:
         else:
             self.heading_sd = _small(self._drifted(errors)) if math.isfinite(self.accel_sd) else math.nan
 
+    def at(self, since: Motion, bias_sd: FloatArray, errors: Errors) -> FloatArray:
+        """Return the variances of tilt and of the turn about the vertical, rad², (2, n).
+
+        Parameters
+        ----------
+        since : Motion
+            Sums since the last slot, n + 1: the first is before the samples.
+        bias_sd : array (n, 3)
+            rad/s.
+        errors : Errors
+        """
+        angle, seconds = since.angle, since.seconds[1:]
+        added = errors.scale**2 * _squares(angle[1:]) + _squares(since.ignored[1:])
+        added += _squares(angle[1:] - angle[:-1]) / 12.0  # even chances from none of the interval to all
+        if seconds[-1] > 0.0:
+            added += np.where(seconds > 0.0, _squares(bias_sd) * seconds**2, 0.0)
+        return np.array([[self.tilt_sd**2], [self.heading_sd**2]]) + added
+
     def _come_to_rest(self, slot: Slot, errors: Errors) -> FloatArray:
         """Take the vertical that the accelerometers show, and close the account of a motion."""
         magnitude = float(np.linalg.norm(slot.force))
@@ -200,17 +264,30 @@ class Uncertainty:
 
     def _magnetic(self, slot: Slot, errors: Errors) -> float:
         """Return the standard deviation of a heading that follows the magnetometer, rad."""
-        if not slot.disturbed:
-            # What the gyros have added is forgotten as the filter follows the field.
-            keep = math.exp(-slot.seconds / TAU_MAG_S)
-            self.since_north.forget(keep)
-            self.heading_variance *= keep * keep
+        strength = math.sqrt(float(slot.mag @ slot.mag))
+        # What the gyros have added is forgotten as the filter follows the field.
+        keep = math.exp(-slot.follows * slot.seconds / TAU_MAG_S)
+        self.since_north.forget(keep)
+        self.heading_variance *= keep * keep
+        if slot.follows:
+            self.bent += (1.0 - keep) * ((strength - errors.field) ** 2 - self.bent)
         vertical = float(slot.mag @ slot.attitude[2])
-        horizontal = math.sqrt(max(float(slot.mag @ slot.mag) - vertical * vertical, 0.0))
+        horizontal = math.sqrt(max(strength**2 - vertical**2, 0.0))
         if not horizontal > 0.0:
             return math.nan
-        tied = math.hypot(errors.magnetometer, vertical * self.tilt_sd) / horizontal
+        calibration = math.sqrt(max(errors.magnetometer**2, self.bent))
+        tied = math.hypot(calibration, vertical * self.tilt_sd) / horizontal
         return _small(math.hypot(tied, self._drifted(errors)))
+
+
+def _summed(before: FloatArray, added: FloatArray) -> FloatArray:
+    """Return running sums that go on from the last row of others, in the same order whatever the blocks."""
+    return np.cumsum(np.concatenate([before[-1:], added]), axis=0)
+
+
+def _squares(vectors: FloatArray) -> FloatArray:
+    """Return the squared lengths of vectors, (n,)."""
+    return np.asarray(np.einsum("ni,ni->n", vectors, vectors))
 
 
 def _angle(a: FloatArray, b: FloatArray) -> float:

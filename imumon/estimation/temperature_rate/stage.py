@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
@@ -59,6 +60,8 @@ class TemperatureRate:
         self._watches: dict[str, StepWatch] = {}
         self._refused: set[str] = set()
         self._stuck: set[str] = set()
+        self._outside: dict[str, float] = {}
+        """What of each channel was first out of range, until it is said; then NaN."""
         for channel in channels or ():
             self._add(channel)
 
@@ -111,6 +114,8 @@ class TemperatureRate:
             with np.errstate(invalid="ignore"):
                 inside = (given >= self._parameters.lowest_degc) & (given <= self._parameters.highest_degc)
             reading[inside] = given[inside]
+            if channel not in self._outside and (outside := given[np.isfinite(given) & ~inside]).size:
+                self._outside[channel] = float(outside[0])
         return reading
 
     def _add(self, channel: str) -> None:
@@ -122,6 +127,14 @@ class TemperatureRate:
     def notices(self) -> list[str]:
         """Return, once each, what is wrong with the declared step and with the readings; for the log."""
         texts = []
+        for channel, value in self._outside.items():
+            if not math.isnan(value):
+                low, high = self._parameters.lowest_degc, self._parameters.highest_degc
+                texts.append(
+                    f"{channel}: {value:g} °C is left out, as all beyond {low:g} to {high:g} (lowest_degc, "
+                    "highest_degc): is its unit right?"
+                )
+                self._outside[channel] = math.nan
         for channel, method in self._methods.items():
             if isinstance(method, LevelBankRate) and method.stuck is not None and channel not in self._stuck:
                 self._stuck.add(channel)

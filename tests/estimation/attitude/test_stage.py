@@ -91,6 +91,9 @@ def test_without_a_magnetometer_the_heading_is_free_and_its_change_has_a_sigma()
         sd = found["attitude_estimate_heading_sd"][20:]
         assert np.degrees(sd[-1]) < 2.0
         assert abs(error[-1]) < 4.0 * sd[-1]
+        known = np.flatnonzero(np.isfinite(sd))
+        moved = wrapped(error - error[known[0]])[known[1:]]
+        assert np.abs(moved / sd[known[1:]]).max() < 4.0  # at every sample, that of the first motion too
         assert np.isnan(sd[0])  # nothing is known of the bias yet
         assert (found["attitude_estimate_north"][20:] == 0).all()
         assert stage.lanes() == {"attitude": "heading free"}
@@ -114,6 +117,21 @@ def test_a_magnetometer_without_calibration_gives_north_but_no_sigma() -> None:
     assert np.isfinite(found["attitude_estimate_tilt_sd"][-1])
     assert stage.lanes() == {"attitude": "magnetic north, magnetometer not calibrated"}
     assert any("imumon magnetometer" in text for text in stage.notices())
+
+
+def test_a_field_that_is_too_strong_is_bent_by_as_much_as_its_sigma_says() -> None:
+    made = scene(seconds=220.0)
+    mag = made.block.mag
+    assert mag is not None
+    late = np.arange(len(mag)) >= 5000
+    bent = mag + late[:, np.newaxis] * (np.array([25.0, 5.0, -10.0]) @ made.attitude)  # of east, north, up
+    block = made.block.with_columns({f"mag_{axis}": bent[:, j] for j, axis in enumerate("xyz")})
+    found = estimated(block, AttitudeEstimate(axes="FRD", magnetometer=CALIBRATED))
+    true = np.arctan2(made.attitude[:, 0, 0], made.attitude[:, 1, 0])
+    error = wrapped(found["attitude_estimate_heading"] - true + np.radians(NORTH_DEG))
+    sd = found["attitude_estimate_heading_sd"]
+    assert np.abs(error[5000:]).max() > np.radians(10.0)  # in the end it is followed
+    assert np.nanmax(np.abs(error / sd)) < 4.0
 
 
 def test_hard_and_soft_iron_are_taken_out() -> None:

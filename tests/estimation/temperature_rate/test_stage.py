@@ -50,6 +50,8 @@ def test_a_channel_that_is_absent_or_out_of_range_is_missing() -> None:
     added = stage.process(block(temperature_x=np.full(50, 300.0)))
     assert np.isnan(added["temperature_rate_x"]).all()
     assert np.isnan(added["temperature_rate_z"]).all()
+    assert [text for text in stage.notices() if "temperature_x: 300 °C is left out" in text]
+    assert stage.notices() == []
 
 
 def test_readings_out_of_range_are_passed_over() -> None:
