@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -28,6 +29,8 @@ STEADY_S = 30.0
 OVERVIEW_S = 1.0
 END_S = 30.0
 """A unit that is asked to end has written everything after this time, or its disk does not answer."""
+STOPPING_S = 0.05
+"""How often it is looked whether it has."""
 
 Say = Callable[[str, str], None]
 Message = Update | Ended
@@ -129,8 +132,12 @@ class Unit:
     """Whether its process does not say how it is."""
     ending: bool = False
     """Whether it was asked to end, and is not begun anew."""
+    end_by_s: float = math.inf
+    """When it is killed if it has not ended."""
     deaths: list[int] = field(default_factory=list)
     """Exit codes of the processes that ended without being asked."""
+    interrupted: list[str] = field(default_factory=list)
+    """Their sessions."""
     failures: int = 0
     """Of these, those of short lives in a row."""
     begin_s: float = 0.0
@@ -179,6 +186,7 @@ class Unit:
             "sessions": self.summaries,
             "problem": self.problem,
             "deaths": self.deaths,
+            "interrupted": self.interrupted,
             "cpu": self.cpu_of_life,
             "memory_mb": self.vitals.memory_mb,
         }
@@ -234,9 +242,8 @@ class Rack:
         """Begin the units that are new, end those that are gone, and both where the plan is another one."""
         for name, unit in list(self._present.items()):
             if plans.get(name) != unit.plan:
-                self._say(
-                    unit, "INFO", "leaves the rack" if name not in plans else "begins anew: other settings"
-                )
+                why = "begins anew: other settings" if name in plans else "leaves the rack"
+                self._say(unit, "INFO", why)
                 self._end(unit)
                 del self._present[name]
                 self._leaving.append(unit)
@@ -264,20 +271,12 @@ class Rack:
                 self._log.write()
 
     def stop(self) -> None:
-        """End all units in order, at most in `END_S`, and kill what is left."""
+        """End all units in order, and kill those that take longer than `END_S`."""
         for unit in self.units:
             self._end(unit)
-        deadline = time.monotonic() + END_S
-        while any(unit.process is not None for unit in self.units) and time.monotonic() < deadline:
-            self.look()
-            time.sleep(0.05)
-        for unit in self.units:
-            if unit.process is not None:
-                self._say(unit, "ERROR", "did not end, and was killed: what had arrived is on disk")
-                unit.process.kill()
         while any(unit.process is not None for unit in self.units):
             self.look()
-            time.sleep(0.05)
+            time.sleep(STOPPING_S)
         self._overview_s = 0.0
         self.look()
 
@@ -287,18 +286,23 @@ class Rack:
         for unit in [*self._left, *self.units]:
             said, before = unit.as_dict(), found.get(unit.plan.name)
             if before is not None:
-                said["sessions"] = [*before["sessions"], *unit.summaries]
-                said["deaths"] = [*before["deaths"], *unit.deaths]
+                said |= {name: [*before[name], *said[name]] for name in ("sessions", "deaths", "interrupted")}
             found[unit.plan.name] = said
         return found
 
     def _begin(self, unit: Unit) -> None:
         task = Task(unit.plan, self._folder, self._window_s, self._publish is not None)
-        unit.process, unit.silent = Process(task), False
+        try:
+            unit.process = Process(task)
+        except (OSError, EOFError) as error:  # no memory, or no processes, for one more
+            pause_s = self._pause(unit)
+            self._say(unit, "ERROR", f"its process cannot be begun ({error}); again in {pause_s:g} s")
+            return
+        unit.silent = False
         unit.vitals = unit.first = Vitals()
 
     def _end(self, unit: Unit) -> None:
-        unit.ending = True
+        unit.ending, unit.end_by_s = True, time.monotonic() + END_S
         if unit.process is not None:
             unit.process.ask_to_end()
 
@@ -312,8 +316,11 @@ class Rack:
                 if message.summary is not None:
                     unit.summaries.append(message.summary)
                 continue
+            back = unit.deaths and not unit.first.at_s
             unit.heard(message.vitals)
             unit.setup = message.setup or unit.setup
+            if back:
+                self._lane(unit, "recording")
             if message.setup is not None:
                 for item in message.items:
                     self._show(OfUnit(message.setup, item))
@@ -331,9 +338,15 @@ class Rack:
             if not unit.ending:
                 self._mourn(unit, code, time.monotonic() - process.began_s)
             return
+        if unit.ending:
+            if time.monotonic() > unit.end_by_s:
+                unit.end_by_s = math.inf
+                self._say(unit, "ERROR", "did not end, and was killed: what had arrived is on disk")
+                process.kill()
+            return
         quiet_s = time.monotonic() - process.heard_s
         patience_s = self._patience.said if process.has_spoken else self._patience.first
-        if quiet_s > patience_s and not unit.silent and not unit.ending:
+        if quiet_s > patience_s and not unit.silent:
             unit.silent = True
             self._say(unit, "ERROR", f"its process (pid {process.pid}) hangs: no word for {quiet_s:.1f} s")
             self._lane(unit, "HANGS")
@@ -341,19 +354,28 @@ class Rack:
             unit.silent = False
             self._say(unit, "INFO", "its process goes on")
             self._lane(unit, "recording")
-        elif quiet_s > patience_s + self._patience.ended and not unit.ending:
+        elif quiet_s > patience_s + self._patience.ended:
             self._say(unit, "ERROR", f"its process was ended after {quiet_s:.0f} s without a word")
             process.kill()
+            process.heard_s = time.monotonic()
 
     def _mourn(self, unit: Unit, code: int, lived_s: float) -> None:
-        unit.failures = 0 if lived_s > STEADY_S else unit.failures + 1
-        pause_s = BACKOFF_S[min(unit.failures, len(BACKOFF_S) - 1)]
-        unit.begin_s = time.monotonic() + pause_s
         unit.deaths.append(code)
+        if unit.vitals.session:
+            unit.interrupted.append(unit.vitals.session)
+        unit.failures = 0 if lived_s > STEADY_S else unit.failures
+        pause_s = self._pause(unit)
         how = f"signal {-code}" if code < 0 else f"exit code {code}"
         kept = f"; {unit.vitals.session} has what had arrived" if unit.vitals.session else ""
         self._say(unit, "ERROR", f"its process died ({how}){kept}; a new one in {pause_s:g} s")
         self._lane(unit, f"DEAD: {how}")
+
+    def _pause(self, unit: Unit) -> float:
+        """Let a unit wait for its next process, longer each time; return how long, s."""
+        pause_s = BACKOFF_S[min(unit.failures, len(BACKOFF_S) - 1)]
+        unit.failures += 1
+        unit.begin_s = time.monotonic() + pause_s
+        return pause_s
 
     def _say(self, unit: Unit, level: str, text: str) -> None:
         self._log.put(level, f"{unit.plan.name}: {text}")

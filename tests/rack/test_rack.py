@@ -112,6 +112,7 @@ def test_a_unit_that_hangs_dies_or_floods_harms_no_other(tmp_path: Path) -> None
             assert open_session(first).state == "interrupted"
             assert open_session(second).state == "closed"
             assert told[name]["deaths"] == [-9]
+            assert told[name]["interrupted"] == [str(first)]
         (flooded,) = told["flooding"]["sessions"]
         assert flooded["bytes_recorded"] == flooded["bytes_received"] > 100_000
         assert flooded["packets"] == 0
@@ -130,7 +131,12 @@ def _sees_it_all(shown: list[Shown]) -> None:
     assert all(one.host_ns is not None and one.device_ns is None for one in samples)
     assert all("gyro_x" in one.block and "packet_counter" not in one.block for one in samples)
     lanes = {(one.setup.title, one.item.state) for one in items if isinstance(one.item, State)}
-    assert {("good", "open"), ("stopped", "HANGS"), ("killed", "DEAD: signal 9")} <= lanes
+    assert {
+        ("good", "open"),
+        ("stopped", "HANGS"),
+        ("killed", "DEAD: signal 9"),
+        ("killed", "recording"),
+    } <= lanes
     assert any("hangs: no word" in one.item.text for one in items if isinstance(one.item, Log))
     pages = [item for item in shown if isinstance(item, Overview)]
     assert ("good", "stopped", "killed", "flooding") in [page.units for page in pages]

@@ -42,7 +42,13 @@ def of_unit(name: str) -> list[Shown]:
     first = timebase.samples(block(0, 200))
     at = timebase.at(first.host_ns[-1].item() if first.host_ns is not None else None)
     numbers = Numbers(at, {"packet_rate": 100.0, "packets_lost": 0.0, "packets_damaged": 0.0})
-    items: list[ViewItem] = [first, State(at, "port", "open"), Log(at, "a word"), Status(at, {"a": "b"}), numbers]
+    items: list[ViewItem] = [
+        first,
+        State(at, "port", "open"),
+        Log(at, "a word"),
+        Status(at, {"a": "b"}),
+        numbers,
+    ]
     setup = ViewSetup(name, name)
     return [OfUnit(setup, shown) for item in items if (shown := picture(item)) is not None]
 
