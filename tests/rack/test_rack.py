@@ -8,13 +8,16 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
+from multiprocessing import get_context
 from pathlib import Path
 
 from imumon.protocols.device import load_device
 from imumon.rack.description import load_rack
 from imumon.rack.rack import Patience, Rack, Unit
+from imumon.rack.unit import Task, Update, run_unit
 from imumon.recordings.folder import open_session
 from imumon.view.items import Log, OfUnit, Overview, Samples, Shown, State
+from tests.cli.command import imumon
 from tests.faults.rack import Feeder, packets, recorded, write_rack
 from tests.transport.helpers import wait_until
 
@@ -184,3 +187,39 @@ def test_the_command_follows_its_file_and_ends_in_order(tmp_path: Path) -> None:
         assert told["absent"] == {**told["absent"], "sessions": [], "problem": "its port was never opened"}
         assert "absent: waits for its port" in "".join(said) + err
         assert child.returncode == 1
+
+
+def test_a_unit_whose_rack_is_gone_closes_its_session(tmp_path: Path) -> None:
+    with feeding(tmp_path, "left") as feeder:
+        (plan,) = load_rack(write_rack(tmp_path, feeder, "ax1")).values()
+        context = get_context("forkserver")
+        ours, theirs = context.Pipe()
+        task = Task(plan, tmp_path / "sessions", 30.0, pictures=False)
+        process = context.Process(target=run_unit, args=(task, theirs))
+        process.start()
+        theirs.close()
+        try:
+            assert wait_until(lambda: feeder.is_open("left"), STARTING_S)
+            feeder.start()
+            for _ in range(2):
+                assert ours.poll(STARTING_S)
+                assert isinstance(ours.recv(), Update)
+            ours.close()
+            process.join(STARTING_S)
+            assert process.exitcode == 0
+        finally:
+            process.kill()
+    (session,) = (tmp_path / "sessions").iterdir()
+    assert open_session(session).state == "closed"
+    assert recorded([session]) in feeder.stream
+
+
+def test_a_wrong_file_or_view_is_said_before_anything_begins(tmp_path: Path) -> None:
+    path = tmp_path / "rack.yaml"
+    path.write_text("format: imumon-rack/1\nunits:\n  a: {prot: /dev/ttyUSB0}\n")
+    done = imumon("rack", path, "--view", "none", cwd=tmp_path)
+    assert done.returncode == 2
+    assert f"{path}:3: units.a.prot: unknown key" in done.stderr
+    done = imumon("rack", path, "--view", "terminal", cwd=tmp_path)
+    assert (done.returncode, "is no terminal" in done.stderr) == (2, True)
+    assert list(tmp_path.iterdir()) == [path]
