@@ -104,7 +104,6 @@ def run_unit(task: Task, rack: Connection) -> None:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     prepare_heap()
-    gc.freeze()
     with suppress(PermissionError):
         os.nice(BEFORE)
     with suppress(BrokenPipeError):  # the rack was killed; the session is closed by then
@@ -115,13 +114,15 @@ def _run(task: Task, rack: Connection) -> None:
     plan, lines = task.plan, Lines()
     setup = Setup() if plan.pipeline_yaml is None else parse_setup(plan.pipeline_yaml, plan.name)
     device = parse_device(plan.device_yaml, plan.source)
+    # All is loaded before the port is open: a reader that waits for that comes too late for what is sent.
+    warm_up(device, setup)
+    from imumon.view.recorder import ViewRecorder  # here, as Rerun starts threads: see imumon.rack.preload
+
+    gc.freeze()
     run = _opened(task, device, setup, lines, rack)
     if run is None:
         rack.send(Ended(None, "its port was never opened", lines.take()))
         return
-    warm_up(device, setup)
-    from imumon.view.recorder import ViewRecorder  # while bytes are read already: Rerun takes 0.3 s
-
     whole = view_setup(run.session, run.pipeline.units, task.window_s)
     own = ViewSetup(plan.name, whole.recording_id, whole.units, whole.z_down, whole.window_s)
     recorder = ViewRecorder(run.session.view_path, whole)

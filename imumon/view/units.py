@@ -115,7 +115,7 @@ class UnitsLogger:
             contents=[
                 f"/{unit}{lane_path(lane)}" for unit in self._units for lane in ("port", "data", "unit")
             ],
-            name="Ports, data and processes",
+            name="Ports and processes",
             time_ranges=window.ranges,
             time_view=window.axis,
         )

@@ -1,4 +1,4 @@
-"""Make the pictures of docs/rack.md: a rack that records, its page and the tab of a unit."""
+"""Make the pictures of docs/rack.md, of a rack that records: python -m support.rack_pictures"""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from support.screenshots import COLORS, PICTURES, studio
 from tests.faults.rack import Feeder, packets, write_rack
 
 RATE_HZ = 400.0
-DEAD_FOR_S = 5.0
+DEAD_FOR_S = 1.5
 """Before the picture of the page a process is killed."""
 
 
