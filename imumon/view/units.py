@@ -112,15 +112,13 @@ class UnitsLogger:
         window = Window(self._setup.window_s)
         states = rrb.StateTimelineView(
             origin="/",
-            contents=[
-                f"/{unit}{lane_path(lane)}" for unit in self._units for lane in ("port", "data", "unit")
-            ],
+            contents=[f"/{unit}{lane_path(lane)}" for unit in self._units for lane in ("port", "unit")],
             name="Ports and processes",
             time_ranges=window.ranges,
             time_view=window.axis,
         )
         table = rrb.TextDocumentView(origin=OVERVIEW, name="Units")
-        return rrb.Vertical(table, states, row_shares=[2.0, 3.0], name="Rack")
+        return rrb.Vertical(table, states, row_shares=[1.0, 1.0], name="Rack")
 
 
 class Below:
