@@ -27,6 +27,7 @@ COMPLETION = "_IMUMON_COMPLETE"
 
 COMMANDS = {
     "monitor": "Record a device and watch it live.",
+    "rack": "Record and watch many devices at once.",
     "replay": "Run a recording again: same code, same numbers.",
     "view": "Show several sessions on one time axis.",
     "mark": "Put a word into a recording that goes on.",
