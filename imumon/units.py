@@ -70,7 +70,9 @@ _BIG_POWER = re.compile(r"[\d)]\s*(\*\*|\^)|(\*\*|\^)(?!\s*[+-]?\d(?!\d))|\d[eE]
 would compute 9**9**9**9."""
 
 
-_MALFORMED = (TokenError, SyntaxError, ArithmeticError, ValueError, TypeError, AttributeError, AssertionError)
+_MALFORMED = (
+    TokenError, SyntaxError, ArithmeticError, ValueError, TypeError, KeyError, AttributeError, AssertionError,
+)  # fmt: skip
 """What pint raises on malformed text besides its own errors."""
 
 

@@ -48,6 +48,7 @@ def test_factors_and_offsets(unit: str, target: str, factor: float, offset: floa
         ("deg/", "not known"),
         ("rad/s)", "not known"),
         ("1/0", "not known"),
+        ("a^0", "not known"),
         ("9**9**9**9", "not known"),
         ("degC", "does not measure"),
     ],
