@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from imumon.allan.series import BRIDGED, EvenSeries, even_channels
+from imumon.allan.series import PARTS, EvenSeries, even_channels
 from imumon.blocks import SampleBlock, join
 from imumon.columns import Column
 from imumon.errors import ImumonError, Reason
@@ -154,7 +154,7 @@ def _of_the_grid(series: dict[str, EvenSeries]) -> list[str]:
         if lost:
             texts.append(
                 f"{len(channel.gap_lengths):,} gaps, {lost:,} of {len(channel.values):,} samples missing: "
-                f"bridged for averaging times {BRIDGED} times as long, crossed by no shorter one"
+                f"left out of the means of averaging times {PARTS} times as long, crossed by no shorter one"
             )
         if islands > 1:
             texts.append(
