@@ -26,6 +26,7 @@ from imumon.allan.fit import LONGEST_START_S, TERMS, Fit, fit_terms
 from imumon.allan.kernels import all_sums, integrate, losses, lossy_sums
 from imumon.allan.series import EvenSeries
 from imumon.blocks import BoolArray, FloatArray, IntArray
+from imumon.filters.rounding import Digits, digits
 
 _WALK = np.array([0.0, 0.0, 1.0, 0.0])
 _SINGLE = [NOISES.index("white"), NOISES.index("quantization")]
@@ -62,6 +63,8 @@ class Result:
     trusted : int
         How many of the averaging times can be trusted, from the shortest on: those that had `TRUSTED_FREEDOM`
         degrees of freedom if they were a random walk of the rate, and more for every other noise.
+    digits : Digits or None
+        Steps of the readings, where they are not far finer than the noise.
     """
 
     series: EvenSeries
@@ -72,6 +75,7 @@ class Result:
     noise: tuple[str, ...]
     fit: Fit | None
     trusted: int
+    digits: Digits | None
 
     @property
     def longest_tau_s(self) -> float:
@@ -177,6 +181,9 @@ def _key(series: EvenSeries) -> tuple[bytes, ...]:
 def _analyse(series: EvenSeries, factors: IntArray, known: Uncertainty) -> Result:
     found = variances(series, factors)
     fit = fit_terms(found["allan"], known.family, series.interval_s, known.trusted - 1)
+    found_digits = digits(series.values[series.there])
+    if fit is not None and found_digits is not None:
+        fit = fit.rounded(found_digits.error)
     noise = _WHITE if fit is None or not fit.coefficients[:4].any() else fit.coefficients[:4]
     found_intervals = {
         kind: _intervals(values, [part.of(noise) if part else 0.0 for part in known.freedoms[kind]])
@@ -187,7 +194,9 @@ def _analyse(series: EvenSeries, factors: IntArray, known: Uncertainty) -> Resul
         m = factors.astype(np.float64)
         names = tuple(TERMS[int(row)].name for row in fit.shares(m).argmax(axis=1))
     tau_s = factors.astype(np.float64) * series.interval_s
-    return Result(series, tau_s, **found_intervals, noise=names, fit=fit, trusted=known.trusted)
+    return Result(
+        series, tau_s, **found_intervals, noise=names, fit=fit, trusted=known.trusted, digits=found_digits
+    )
 
 
 def _intervals(values: FloatArray, freedoms: list[float]) -> Deviations:

@@ -32,7 +32,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -108,7 +108,7 @@ TERMS = (
 """In the order of the columns of what is fitted."""
 CORRELATION_TIME = "correlation_time"
 NAMES = (*(term.name for term in TERMS), CORRELATION_TIME)
-AMBIGUOUS, CONTRADICTED = "ambiguous", "contradicted"
+AMBIGUOUS, CONTRADICTED, DIGITS = "ambiguous", "contradicted", "digits"
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,7 +142,8 @@ class Fit:
     withheld : str
         `AMBIGUOUS`: bias instability and random walk are not told, because noise that is correlated for a
         while would be as likely.  `CONTRADICTED`: only the angle random walk is, because the curve lies below
-        what another term alone would make.
+        what another term alone would make.  `DIGITS`: nothing is, because the steps of the readings hide the
+        noise.
     """
 
     terms: dict[str, Estimate | None]
@@ -152,6 +153,18 @@ class Fit:
     last: int
     model_error: float
     withheld: str
+
+    def rounded(self, error: float) -> Fit:
+        """Return the terms where rounding may change the variance by this part: less certain, or none."""
+        if error > NO_SUM:
+            return replace(self, terms=dict.fromkeys(NAMES), withheld=DIGITS)
+        terms = {
+            name: term
+            if term is None or name == CORRELATION_TIME
+            else Estimate(term.value, math.hypot(term.sd, 0.5 * error * term.value))
+            for name, term in self.terms.items()
+        }
+        return replace(self, terms=terms)
 
     def shares(self, m: FloatArray) -> FloatArray:
         """Return the Allan variance that each of `TERMS` makes at averaging factors, (n, 6)."""
