@@ -27,6 +27,7 @@ COMPLETION = "_IMUMON_COMPLETE"
 
 COMMANDS = {
     "monitor": "Record a device and watch it live.",
+    "rack": "Record and watch many devices at once.",
     "replay": "Run a recording again: same code, same numbers.",
     "view": "Show several sessions on one time axis.",
     "mark": "Put a word into a recording that goes on.",
@@ -127,6 +128,8 @@ def run(arguments: list[str]) -> int:
     except OSError as error:
         where = f"{error.filename}: " if error.filename is not None else ""
         note(f"imumon: {where}{error.strerror or error}")
+        if error.filename is not None:
+            note("is it there, and may you read it and write to its folder?")
         return EXIT_USAGE
     except Exception as error:
         if _is_interrupt(error):

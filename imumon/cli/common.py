@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import sys
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -117,6 +119,25 @@ def warn(texts: Iterable[str]) -> None:
     """Write warnings as log lines on standard error."""
     for text in texts:
         say("WARN", text)
+
+
+CLEAR_LINE = "\r\x1b[2K"
+"""Empties the line of a terminal in which the cursor is."""
+
+
+def is_terminal() -> bool:
+    """Tell whether standard error is a terminal that can draw."""
+    return sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
+
+
+def refuse_without_terminal(view: str | None) -> None:
+    """Raise BAD_CONFIG where a view is to be drawn in a terminal and there is none."""
+    if view == "terminal" and not is_terminal():
+        raise ImumonError(
+            Reason.BAD_CONFIG,
+            "--view terminal: standard error is no terminal",
+            "run it in a terminal, or use --view web or none",
+        )
 
 
 def warn_of_no_display(view: str | None) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from imumon.cli.common import PATH, json_option, print_json, print_rows, say, serial_option
+from imumon.cli.common import PATH, json_option, print_json, print_rows, say, serial_option, warn
 from imumon.errors import ImumonError, Reason
 
 
@@ -42,6 +42,7 @@ def command(
     name_unit(out, serial)
     if report.rows_dropped:
         say("WARN", f"{report.rows_dropped} of {report.rows_in} rows were dropped, {_why(map_path)}")
+    warn(report.warnings)
     if as_json:
         print_json({"session": out, **asdict(report), **chosen})
     rows = {

@@ -17,7 +17,7 @@ from imumon.errors import ImumonError, Reason
 from imumon.heap import prepare_heap
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from imumon.run.live import LiveRun, LiveSummary
     from imumon.run.setup import Setup
@@ -169,12 +169,16 @@ class Lines:
         """Take a line; returns at once."""
         self._waiting.put((level, text))
 
-    def write(self, before: str = "") -> None:
-        """Write the lines that wait; `before` clears what stands in the terminal's line."""
+    def take(self) -> Iterator[tuple[str, str]]:
+        """Yield the lines that wait, level and text."""
         while True:
             try:
-                level, text = self._waiting.get_nowait()
+                yield self._waiting.get_nowait()
             except Empty:
                 return
+
+    def write(self, before: str = "") -> None:
+        """Write the lines that wait; `before` clears what stands in the terminal's line."""
+        for level, text in self.take():
             note("", newline=False, control=before)
             say(level, text)

@@ -14,15 +14,18 @@ from typing import TYPE_CHECKING, Literal, Unpack
 import click
 
 from imumon.cli.common import (
+    CLEAR_LINE,
     PATH,
     SECONDS,
     baud_option,
     bind_option,
     device_help,
+    is_terminal,
     json_option,
     note,
     print_json,
     print_rows,
+    refuse_without_terminal,
     serial_option,
     warn_of_no_display,
     warn_of_readers,
@@ -88,12 +91,7 @@ def command(
     from imumon.run.learning import compared, keep_learned
     from imumon.run.narration import view_setup
 
-    if view == "terminal" and not _is_terminal():
-        raise ImumonError(
-            Reason.BAD_CONFIG,
-            "--view terminal: standard error is no terminal",
-            "run it in a terminal, or use --view web or none",
-        )
+    refuse_without_terminal(view)
     warn_of_no_display(view)
     warn_of_readers(view, bind)
     setup = _learning(make_setup(options), learn)
@@ -188,12 +186,11 @@ class _Views:
 SCREEN_S = 1.0
 """At 9600 baud a line takes 0.1 s; some ten change."""
 KEYS = "  m: mark  s: start, stop"
-CLEAR_LINE = "\r\x1b[2K"
 
 
 def _watch(live: PortRun, views: _Views) -> None:
     """Wait for the end, with a status line on a terminal that can show one."""
-    interactive = _is_terminal()
+    interactive = is_terminal()
     clear = CLEAR_LINE if interactive else ""
     run, lines, stopped = live.run, live.lines, False
     views.announce(lines.put)
@@ -246,10 +243,6 @@ class _Marking:
             self._parts += self._inside
             kind = EventKind.START if self._inside else EventKind.STOP
             self._run.mark(kind, f"part {self._parts}")
-
-
-def _is_terminal() -> bool:
-    return sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
 
 
 def status_line(progress: Progress, view: str) -> str:

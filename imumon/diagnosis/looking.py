@@ -43,12 +43,12 @@ class RunLeft:
 def ranking(channel: Channel, found: Search) -> list[Ranked]:
     """Return the effects that gain most, by what each does alone, whether or not any is named."""
     leaders = {} if found.first is None else found.first.leaders
-    order = sorted(leaders, key=lambda name: -leaders[name].gain)[:MOST_RANKED]
+    alone = {name: leader.scored for name, leader in leaders.items()}
     ranked = []
-    for name in order:
-        alone = fit(channel, [leaders[name].scored.candidate])
-        left = score(channel, alone).rms if channel.test else float("nan")
-        ranked.append(Ranked(name, leaders[name].gain, alone.train_rms, left))
+    for name in sorted(alone, key=lambda name: -alone[name].gain)[:MOST_RANKED]:
+        fitted = fit(channel, [alone[name].candidate])
+        left = score(channel, fitted).rms if channel.test else float("nan")
+        ranked.append(Ranked(name, alone[name].gain, fitted.train_rms, left))
     return ranked
 
 

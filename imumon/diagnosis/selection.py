@@ -407,7 +407,8 @@ class Search:
             if other.scored.candidate.contains(chosen):
                 continue
             near = _near(other.gain, best)
-            if name in pooled and chosen in pooled:
+            if name in pooled and chosen in pooled and other.gain < leader.gain:
+                # What the axes agree on goes first, but not against what fits this one better.
                 near &= _near(pooled[name], pooled[chosen])
             if not near and left > MISFIT * self.channel.floor.sd and other.gain > 0.5 * best:
                 near = self._left(other.scored.candidate) < ALIKE * left

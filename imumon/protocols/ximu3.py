@@ -83,14 +83,18 @@ def _without_escapes(message: bytes) -> bytes:
 
 def _right(size: int, held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
     """Check binary messages: their bytes without escapes, and their time."""
-    spans = zip(at.tolist(), length.tolist(), strict=True)
-    return np.array([_is_whole(held[a : a + n].tobytes(), size) for a, n in spans], np.bool_)
+    right: BoolArray = (length >= size + 2) & (length <= 2 * size + 3)
+    stream, ends = held.tobytes(), at + length
+    for row in np.flatnonzero(right).tolist():
+        right[row] = _is_whole(stream[at[row] : ends[row]], size)
+    return right
 
 
 def _is_whole(message: bytes, size: int) -> bool:
-    if not STUFFED.fullmatch(message):
-        return False
-    plain = _without_escapes(message)
+    """Tell whether a message has this size without its escapes, letter and end, and a time that can be."""
+    plain = message[:-1]
+    if ESCAPE in message:
+        plain = _without_escapes(message) if STUFFED.fullmatch(message) else b""
     return len(plain) == size + 1 and int.from_bytes(plain[1 : 1 + TIME_SIZE], "little") < YEARS_US
 
 

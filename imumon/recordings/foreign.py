@@ -6,7 +6,7 @@ import csv
 import math
 import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime, timedelta, timezone
 from decimal import Decimal, InvalidOperation
 from itertools import islice
@@ -55,6 +55,9 @@ class Part:
     line : array of shape (n,)
         Line (text) or row (Parquet) of each good row, from 1.
     time_ns : array of shape (n,), or None when the table has no time
+        As the column says it, also where it wraps.
+    local : bool
+        Whether it is dates without a zone, as local clocks write them; they are taken for UTC.
     values : array of shape (k, n)
         The columns of data that were asked for, in the units of the table; NaN where a cell is empty.
     bad : list of BadRow
@@ -64,6 +67,7 @@ class Part:
     index: IntArray
     line: IntArray
     time_ns: IntArray | None
+    local: bool
     values: FloatArray
     bad: list[BadRow]
 
@@ -97,8 +101,7 @@ def read_foreign(
     _check_columns(path, names, wanted)
     columns_at = [names.index(name) for name in wanted]
     layout = _Layout(text_format.delimiter, len(names), columns_at, text_format.decimal)
-    parse_time = None if time is None else time_parser(time.unit)
-    return names, _read_text(path, encoding, skip, layout, parse_time)
+    return names, _read_text(path, encoding, skip, layout, time)
 
 
 def time_parser(unit: str) -> ParseTime:
@@ -137,6 +140,7 @@ _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
 _TIMESTAMP = re.compile(
     r"\s*(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d:\d\d)(?:[.,](\d{1,9}))?\s*(Z|UTC|[+-]\d\d:?\d\d)?\s*", re.ASCII
 )
+_ZONE = re.compile(r"(Z|UTC|[+-]\d\d:?\d\d)\s*$")
 _EPOCH = datetime(1970, 1, 1, tzinfo=timezone(timedelta(0)))
 
 
@@ -239,7 +243,7 @@ def _text_names(path: Path, encoding: str, text_format: TextFormat) -> tuple[lis
 
 
 def _read_text(
-    path: Path, encoding: str, skip: int, layout: _Layout, parse_time: ParseTime | None
+    path: Path, encoding: str, skip: int, layout: _Layout, time: TimeColumn | None
 ) -> Iterator[Part]:
     """Yield the rows of a text table; bytes that are not text become part of a bad row."""
     first_row = 0
@@ -249,26 +253,24 @@ def _read_text(
             while chunk := list(islice(numbered, ROWS_PER_PART)):
                 rows = [(number, stripped) for number, line in chunk if (stripped := line.strip(" \r\n"))]
                 if rows:
-                    yield _text_part(rows, first_row, layout, parse_time)
+                    yield _text_part(rows, first_row, layout, time)
                 first_row += len(rows)
     except OSError as error:
         raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read: {error.strerror}") from error
 
 
-def _text_part(
-    rows: list[tuple[int, str]], first_row: int, layout: _Layout, parse_time: ParseTime | None
-) -> Part:
+def _text_part(rows: list[tuple[int, str]], first_row: int, layout: _Layout, time: TimeColumn | None) -> Part:
     cells, why = _cells([line for _, line in rows], layout)
     whole = np.array([row for row in range(len(rows)) if row not in why], np.int64)
-    values = np.full((len(layout.wanted) - (parse_time is not None), len(rows)), np.nan)
+    values = np.full((len(layout.wanted) - (time is not None), len(rows)), np.nan)
     for at in range(len(values)):
         values[at, whole], wrong = _numbers_of_text(cells.column(at))
         for row, text in wrong.items():
             why.setdefault(int(whole[row]), text)
     times = None
-    if parse_time is not None:
-        parsed = _parsed(cells.column(len(values)).to_pylist(), parse_time)
-        times = dict(zip(whole.tolist(), parsed, strict=True))
+    if time is not None:
+        times = _texts_as_times(cells.column(len(values)).to_pylist(), time)
+        times = replace(times, of=dict(zip(whole.tolist(), times.of.values(), strict=True)))
     lines = np.array([number for number, _ in rows], np.int64)
     return _part(first_row, lines, times, values, why, lambda row: rows[row][1])
 
@@ -348,7 +350,7 @@ def _parse_batch(
 ) -> Part:
     values = np.vstack([_numbers(path, name, batch.column(name)) for name in columns])
     why = dict.fromkeys(np.flatnonzero(np.isinf(values).any(axis=0)).tolist(), "a value is infinite")
-    times = None if time is None else dict(enumerate(_times(batch.column(time.column), time)))
+    times = None if time is None else _times(batch.column(time.column), time)
     line = np.arange(len(batch), dtype=np.int64) + first_row + 1
     return _part(first_row, line, times, values, why, lambda row: str(batch.slice(row, 1).to_pylist()[0]))
 
@@ -361,41 +363,56 @@ def _numbers(path: Path, name: str, column: Any) -> FloatArray:
     return np.asarray(values.to_numpy(zero_copy_only=False), np.float64)
 
 
-def _times(column: Any, time: TimeColumn) -> list[int | str]:
-    """Return the time of each row in ns, or what is wrong with it."""
+def _times(column: Any, time: TimeColumn) -> _Times:
     if pa.types.is_timestamp(column.type):
         if time.unit != TIMESTAMPS:
-            return [f"time is a timestamp, so its unit is {TIMESTAMPS}, not {time.unit}"] * len(column)
-        nanoseconds = column.cast(pa.timestamp("ns", column.type.tz)).cast(pa.int64())
-        return ["time is absent" if value is None else value for value in nanoseconds.to_pylist()]
-    texts = [None if value is None else str(value) for value in column.to_pylist()]
-    return _parsed(texts, time_parser(time.unit))
+            wrong = f"time is a timestamp, so its unit is {TIMESTAMPS}, not {time.unit}"
+            return _Times(dict.fromkeys(range(len(column)), wrong), local=False)
+        nanoseconds = column.cast(pa.timestamp("ns", column.type.tz)).cast(pa.int64()).to_pylist()
+        found = ("time is absent" if value is None else value for value in nanoseconds)
+        return _Times(dict(enumerate(found)), local=column.type.tz is None)
+    return _texts_as_times([None if value is None else str(value) for value in column.to_pylist()], time)
 
 
 # Both
 
 
-def _parsed(texts: Sequence[str | None], parse: ParseTime) -> list[int | str]:
-    """Return the time of each row in ns, or what is wrong with it."""
-    found: list[int | str] = []
-    for text in texts:
+@dataclass(frozen=True, slots=True)
+class _Times:
+    """The time of rows in ns, or what is wrong with it, by the number of the row; and `Part.local`."""
+
+    of: dict[int, int | str]
+    local: bool
+
+
+def _texts_as_times(texts: Sequence[str | None], time: TimeColumn) -> _Times:
+    parse, wrap_ns = time_parser(time.unit), time.wrap_ns
+
+    def time_of(text: str | None) -> int | str:
+        if text is None:
+            return "time is absent"
         try:
-            found.append("time is absent" if text is None else parse(text))
+            time_ns = parse(text)
         except ValueError as error:
-            found.append(str(error))
-    return found
+            return str(error)
+        if wrap_ns is not None and not 0 <= time_ns < wrap_ns:
+            return f"time {text!r} is not from 0 to below {time.wraps_at:g}, where it wraps"
+        return time_ns
+
+    zoned = time.unit != TIMESTAMPS or any(text and _ZONE.search(text) for text in texts)
+    return _Times(dict(enumerate(map(time_of, texts))), local=not zoned)
 
 
 def _part(
     first_row: int,
     line: IntArray,
-    times: dict[int, int | str] | None,
+    times: _Times | None,
     values: FloatArray,
     why: dict[int, str],
     text_of: Callable[[int], str],
 ) -> Part:
     """Return the rows that can be taken, and those that cannot: what is wrong with the time comes first."""
-    time_of = times or {}
+    time_of = times.of if times else {}
     wrong = why | {row: said for row, said in time_of.items() if isinstance(said, str)}
     good = np.setdiff1d(np.arange(len(line)), list(wrong))
     return Part(
@@ -403,6 +420,7 @@ def _part(
         index=good + first_row,
         line=line[good],
         time_ns=None if times is None else np.array([time_of[row] for row in good.tolist()], np.int64),
+        local=times is not None and times.local,
         values=values[:, good],
         bad=[BadRow(int(line[row]), wrong[row], text_of(row)[:SHOWN]) for row in sorted(wrong)],
     )

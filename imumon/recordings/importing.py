@@ -8,13 +8,11 @@ import shutil
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from fractions import Fraction
 from pathlib import Path
 
-import numpy as np
 import yaml
 
-from imumon.blocks import ColumnArray, IntArray, SampleBlock
+from imumon.blocks import ColumnArray, SampleBlock
 from imumon.columns import KNOWN, Column
 from imumon.config import parse_yaml
 from imumon.errors import ImumonError, Reason
@@ -23,6 +21,7 @@ from imumon.recordings.folder import SAMPLES_NAME, Session, fingerprint, refuse_
 from imumon.recordings.foreign import BadRow, Part, read_foreign
 from imumon.recordings.map import TableMap
 from imumon.recordings.metadata import SPAN, SessionMetadata, TableUsed
+from imumon.recordings.row_times import RowTimes
 from imumon.recordings.table import TableWriter
 
 LISTED = 10
@@ -47,6 +46,8 @@ class ImportReport:
     """Rate that the map gives, else the mean; NaN when there is no span."""
     bad_rows: tuple[BadRow, ...]
     """The first rows that were dropped."""
+    warnings: tuple[str, ...]
+    """What cannot be known of the times of the rows."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,56 +104,6 @@ def import_table(table: Path, map_path: Path, out: Path, origin: Origin | None =
     return report
 
 
-@dataclass(slots=True)
-class _Clock:
-    """Times of the rows so far: checks that they increase, counts segments, sums the span."""
-
-    table: Path
-    segments_allowed: bool
-    segment: int = 0
-    span_ns: int = 0
-    last: tuple[int, int] | None = None
-
-    def segments_of(self, time_ns: IntArray, line: IntArray) -> IntArray:
-        """Return the segment of each row.
-
-        Raises
-        ------
-        ImumonError
-            BAD_DATA at the first time that does not increase, unless it goes back and that begins a segment.
-        """
-        if not len(time_ns):
-            return time_ns
-        first = [] if self.last is None else [self.last]
-        times = np.concatenate([np.array([last for last, _ in first], np.int64), time_ns])
-        lines = np.concatenate([np.array([number for _, number in first], np.int64), line])
-        back = times[1:] < times[:-1]
-        wrong = np.flatnonzero((times[1:] == times[:-1]) | (back & (not self.segments_allowed)))
-        if len(wrong):
-            at = int(wrong[0])
-            self._refuse(times, lines, at)
-        segments = self.segment + np.concatenate([np.zeros(1 - len(first), np.int64), np.cumsum(back)])
-        self.span_ns += sum((times[1:] - times[:-1])[~back].tolist())
-        self.last = int(times[-1]), int(lines[-1])
-        self.segment = int(segments[-1])
-        return segments
-
-    def _refuse(self, times: IntArray, lines: IntArray, at: int) -> None:
-        before, after = times[at] * 1e-9, times[at + 1] * 1e-9
-        same = times[at] == times[at + 1]
-        hint = (
-            "if the rows are evenly spaced, give rate_hz: ... in place of time"
-            if same
-            else "if the device or the log started anew there, add backwards: segment to time in the map"
-        )
-        verb = "is the same as" if same else "is before"
-        raise ImumonError(
-            Reason.BAD_DATA,
-            f"{self.table}:{lines[at + 1]}: time {after:.9f} s {verb} {before:.9f} s of line {lines[at]}",
-            hint,
-        )
-
-
 class TableImport:
     """The rows of a table from elsewhere as samples, read once, and what became of them.
 
@@ -178,7 +129,7 @@ class TableImport:
             raise _with_line_of_map(error, map_path, self.map_text) from error
         self.columns = _columns(self.map)
         """Columns of the samples with their units, in canonical order."""
-        self._clock = _Clock(table, self.map.time is not None and self.map.time.backwards == "segment")
+        self._times = RowTimes(table, self.map)
         self._rows_in = self._rows_out = self._rows_bad = 0
         self._listed: list[BadRow] = []
 
@@ -198,7 +149,7 @@ class TableImport:
             self._listed += part.bad[: LISTED - len(self._listed)]
             if not (self._rows_bad and strict):
                 self._rows_out += len(part.index)
-                yield _block(part, self.map, self._clock)
+                yield _block(part, self.map, self._times)
         if self._rows_bad and strict:
             raise self._bad_rows_error()
         if not self._rows_out:
@@ -206,7 +157,7 @@ class TableImport:
 
     def report(self) -> ImportReport:
         """Return what became of the table, once its blocks were read."""
-        span_s = self._clock.span_ns * 1e-9
+        span_s = self._times.span_ns * 1e-9
         used = {source.column for source in self.map.sources()}
         used |= {self.map.time.column} if self.map.time else set()
         return ImportReport(
@@ -215,11 +166,16 @@ class TableImport:
             rows_dropped=self._rows_bad,
             columns=tuple(self.columns),
             columns_unused=tuple(name for name in self._names if name not in used),
-            segments=self._clock.segment + 1,
+            segments=self._times.segment + 1,
             span_s=span_s,
-            rate_hz=self.map.rate_hz or _mean_rate(self._rows_out - self._clock.segment - 1, span_s),
+            rate_hz=self.map.rate_hz or _mean_rate(self._rows_out - self._times.segment - 1, span_s),
             bad_rows=tuple(self._listed),
+            warnings=tuple(self.warnings()),
         )
+
+    def warnings(self) -> list[str]:
+        """Return what cannot be known of the times of the rows, once the blocks were read."""
+        return self._times.warnings()
 
     def _bad_rows_error(self) -> ImumonError:
         shown = [f"{self.table}:{row.line}: {row.why}: {row.text!r}" for row in self._listed]
@@ -251,33 +207,12 @@ def _columns(table_map: TableMap) -> dict[str, Column]:
     return known | {s.target: Column(s.target, s.unit.target) for s in sources if s.target not in KNOWN}
 
 
-def _block(part: Part, table_map: TableMap, clock: _Clock) -> SampleBlock:
-    time_ns = _even_times(part.index, table_map.rate_hz) if part.time_ns is None else part.time_ns
-    columns: dict[str, ColumnArray] = {
-        "device_time_ns": time_ns,
-        "segment": clock.segments_of(time_ns, part.line),
-    }
+def _block(part: Part, table_map: TableMap, times: RowTimes) -> SampleBlock:
+    time_ns, segments = times.take(part)
+    columns: dict[str, ColumnArray] = {"device_time_ns": time_ns, "segment": segments}
     for source, values in zip(table_map.sources(), part.values, strict=True):
         columns[source.target] = source.unit.convert(values)
     return SampleBlock(columns)
-
-
-def _even_times(index: IntArray, rate_hz: float | None) -> IntArray:
-    """Return the times of rows at an even rate, each rounded by itself so that no error adds up.
-
-    A row that was dropped keeps its time: the rows after it are where they would be with it.
-    """
-    if rate_hz is None:
-        raise ValueError("a map without time has a rate")
-    period_ns = 10**9 / Fraction(str(rate_hz))
-    try:
-        return np.array([round(row * period_ns) for row in index.tolist()], np.int64)
-    except OverflowError:
-        raise ImumonError(
-            Reason.BAD_CONFIG,
-            f"at rate_hz: {rate_hz:g} the table takes longer than the 292 years that a time in ns can tell",
-            "give the rate of the rows in the map",
-        ) from None
 
 
 def _with_line_of_map(error: ImumonError, map_path: Path, map_text: str) -> ImumonError:

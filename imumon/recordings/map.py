@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import Annotated, ClassVar, Literal
 
 from pydantic import (
@@ -33,11 +34,35 @@ def _check_time_unit(text: str) -> str:
 
 
 class TimeColumn(StrictModel):
-    """The column of time; `backwards` says what a time before the one above means."""
+    """The column of time; `backwards` says what a time before the one above means.
+
+    `wraps_at`, in its unit, is where a count begins at 0 again.
+    """
 
     column: str
     unit: Annotated[str, AfterValidator(_check_time_unit)]
     backwards: Literal["error", "segment"] = "error"
+    wraps_at: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
+
+    @property
+    def wrap_ns(self) -> Fraction | None:
+        """After how many ns the count begins at 0 again; None for a time that does not."""
+        if self.wraps_at is None:
+            return None
+        return Fraction(str(self.wraps_at)) * parse_unit(self.unit, "ns").factor
+
+    @model_validator(mode="after")
+    def _wraps_as_a_count_can(self) -> TimeColumn:
+        if self.wraps_at is not None and self.unit == TIMESTAMPS:
+            raise ValueError("dates do not wrap: leave wraps_at out")
+        if self.wraps_at is not None and self.backwards == "segment":
+            raise ValueError(
+                "of a time that wraps nobody can tell a restart: leave backwards or wraps_at out,"
+                " and import what came after a restart by itself"
+            )
+        if self.wrap_ns is not None and not 1 <= self.wrap_ns < 2**63:
+            raise ValueError(f"wraps_at: {self.wraps_at:g} {self.unit} is no time that 64 bits hold in ns")
+        return self
 
 
 def _axes(name: str) -> tuple[str, ...]:

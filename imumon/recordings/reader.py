@@ -104,7 +104,8 @@ def open_recording(path: Path, stages: Stages = no_stages, map_path: Path | None
     if map_path is not None:
         table = TableImport(path, map_path)
         imported = tuple(table.columns.values())
-        return _table(Source(path, table.blocks(), None, None, imported), stages, table.map.axes)
+        source = Source(path, table.blocks(), None, None, imported, table.warnings)
+        return _table(source, stages, table.map.axes)
     if path.suffix not in SUFFIXES:
         raise ImumonError(
             Reason.BAD_DATA,

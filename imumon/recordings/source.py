@@ -13,7 +13,7 @@ from imumon.columns import Column
 from imumon.errors import ImumonError, Reason
 from imumon.pipeline import UNDATED, Pipeline
 from imumon.protocols.device import DeviceFile, load_device, parse_device
-from imumon.recordings.folder import Session, is_session, open_session
+from imumon.recordings.folder import WIRE_NAME, Session, is_session, open_session
 from imumon.recordings.metadata import iso_utc
 from imumon.recordings.table import iterate_samples, read_columns
 from imumon.recordings.wire_reader import WireReader
@@ -42,6 +42,8 @@ class Source:
         None for a raw capture.
     imported : sequence of Column
         Columns of an imported session's table.
+    doubts : callable
+        Returns what is not known of a table from elsewhere, after the run.
     """
 
     path: Path
@@ -49,6 +51,7 @@ class Source:
     device: DeviceFile | None
     session: Session | None
     imported: tuple[Column, ...] = ()
+    doubts: Callable[[], list[str]] = list
 
     def columns(self, pipeline: Pipeline) -> list[Column]:
         """Return the columns that the run's blocks have so far; `pipeline` is the one it runs through."""
@@ -71,7 +74,7 @@ class Source:
     def warnings(self) -> list[str]:
         """Return what is missing from the recording, as it is known after the run."""
         if not isinstance(self.items, WireReader):
-            return []
+            return self.doubts()
         said, summary = [], self.items.summary
         if self.session is not None and self.session.state == "interrupted":
             said.append("the session was not closed: it is still being recorded, or was interrupted")
@@ -175,6 +178,12 @@ def open_source(path: Path, device_name: str | None = None, rate_hz: float | Non
                 Reason.BAD_CONFIG,
                 f"{path} is not a session, so its device must be named",
                 "add --device NAME; imumon devices lists them",
+            )
+        if path.is_file() and path.name == WIRE_NAME and is_session(path.parent):
+            raise ImumonError(
+                Reason.BAD_CONFIG,
+                f"{path} is the recording of a session, not a raw capture",
+                f"give the session: {path.parent}",
             )
         return Source(path, capture_items(path), load_device(device_name).at_rate(rate_hz), None)
     session = open_session(path)

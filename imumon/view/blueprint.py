@@ -77,8 +77,13 @@ def blueprint(setup: ViewSetup, contents: Contents, timeline: str, *, live: bool
     ]
     first = _first_tab(setup.first_tab if live else "Recording", views, window, contents)
     tabs = [_tab(place, views[place], contents) for place in views if tab_of(place) != FIRST and views[place]]
+    return arranged(rrb.Tabs(first, *tabs, active_tab=0), timeline)
+
+
+def arranged(tabs: rrb.Tabs, timeline: str) -> rrb.Blueprint:
+    """Return the blueprint that shows these tabs and nothing else, and follows this timeline."""
     return rrb.Blueprint(
-        rrb.Tabs(first, *tabs, active_tab=0),
+        tabs,
         rrb.TimePanel(
             state="collapsed",
             timeline=timeline,

@@ -14,6 +14,7 @@ import threading
 import time
 import traceback
 from multiprocessing.connection import Connection
+from typing import Any
 
 import psutil
 
@@ -27,6 +28,8 @@ TRIM_S = 30.0
 GOODBYE_S = 0.6
 SWITCH_S = 0.0005
 """While a picture is drawn, samples wait so long for the interpreter at each of ten steps (usual: 5 ms)."""
+BEHIND = 10
+"""Where there are many units, their processes come before the view (and a viewer that draws by software)."""
 MAX_BYTES = 768 << 20
 """More memory (a viewer that takes nothing for half an hour) ends the process; it is started anew."""
 
@@ -53,9 +56,14 @@ class Child:
         import rerun as rr
 
         from imumon.view.logger import APPLICATION_ID, StreamLogger
+        from imumon.view.units import UnitsLogger
 
         self._rec = rr.RecordingStream(APPLICATION_ID, recording_id=start.setup.recording_id)
-        self._logger = StreamLogger(self._rec, start.setup, live=True)
+        self._logger: Any = (
+            UnitsLogger(self._rec, start.setup)
+            if start.setup.several
+            else StreamLogger(self._rec, start.setup, live=True)
+        )
         self._delivered = -1
         self._request = 0
         self._answered = True
@@ -93,7 +101,10 @@ class Child:
 
 def run(stream: Connection, out: Connection) -> None:
     """Take batches until the stream ends."""
-    child = Child(stream.recv(), out)
+    start = stream.recv()
+    if start.setup.several:
+        os.nice(BEHIND)
+    child = Child(start, out)
     gc.freeze()  # or the circles of pictures wait until they are a quarter of all that was loaded
     next_poll = 0.0
     while True:

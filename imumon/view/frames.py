@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from imumon.view.items import ViewItem, ViewSetup
+from imumon.view.items import Shown, ViewSetup
 from imumon.view.viewer import LOCALHOST, VIEWER_PORT, WEB_PORT, Mode
 
 
@@ -33,7 +33,7 @@ class Batch:
     """Items, numbered by the batch that they came in; the answer to a `ReplayRequest` bears its number."""
 
     number: int
-    items: Sequence[ViewItem]
+    items: Sequence[Shown]
     answers: int | None = None
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from typing import overload
 
 import numpy as np
 
@@ -129,22 +130,53 @@ class Drawing:
 
 Event = Numbers | State | Log | Status | Drawing
 ViewItem = Samples | Event
+"""What is told of one session."""
 
 
-def item_bytes(item: ViewItem) -> int:
+@dataclass(frozen=True, slots=True)
+class OfUnit:
+    """What is told of one of several units that are shown together; the title of the setup is its name."""
+
+    setup: ViewSetup
+    item: ViewItem
+
+
+@dataclass(frozen=True, slots=True)
+class Overview:
+    """All units that are shown together at a glance, as Markdown, and their names in order."""
+
+    at: Instant
+    markdown: str
+    units: tuple[str, ...]
+
+
+Shown = ViewItem | OfUnit | Overview
+"""What goes to a viewer."""
+
+
+def item_bytes(item: Shown) -> int:
     """Return the memory that an item holds, roughly."""
+    if isinstance(item, OfUnit):
+        return item_bytes(item.item)
     if isinstance(item, Drawing):
         return ITEM_BYTES + item.chart.nbytes
     return item.nbytes if isinstance(item, Samples) else ITEM_BYTES
 
 
-def item_rows(item: ViewItem) -> int:
+def item_rows(item: Shown) -> int:
     """Return how many samples (or events) are lost with this item."""
+    if isinstance(item, OfUnit):
+        return item_rows(item.item)
     return item.rows if isinstance(item, Samples) else 1
 
 
-def lasting_key(item: ViewItem) -> str | None:
+def lasting_key(item: Shown) -> str | None:
     """Return what a later item of the same key replaces, or None for what is not lasting."""
+    if isinstance(item, OfUnit):
+        key = lasting_key(item.item)
+        return None if key is None else f"{item.setup.title}: {key}"
+    if isinstance(item, Overview):
+        return "overview"
     if isinstance(item, State):
         return f"state {item.lane}"
     if isinstance(item, Drawing):
@@ -172,6 +204,8 @@ class ViewSetup:
         What the first tab is called while the data comes.
     properties : mapping of str to str
         What else describes the session: device, port, rate.
+    several : bool
+        Whether the items are those of several units, `OfUnit` and `Overview`.
     """
 
     title: str
@@ -181,6 +215,7 @@ class ViewSetup:
     window_s: float = 30.0
     first_tab: str = "Live"
     properties: Mapping[str, str] = field(default_factory=dict)
+    several: bool = False
 
 
 class Timebase:
@@ -260,11 +295,15 @@ def _complete(block: SampleBlock, name: str) -> IntArray | None:
     return None if values is None or (values == NO_INT).any() else np.asarray(values, np.int64)
 
 
-def merge(items: Iterable[ViewItem]) -> list[ViewItem]:
+@overload
+def merge(items: Iterable[ViewItem]) -> list[ViewItem]: ...
+@overload
+def merge(items: Iterable[Shown]) -> list[Shown]: ...
+def merge(items: Iterable[Shown]) -> list[ViewItem] | list[Shown]:
     """Join consecutive samples into few large items; events follow them in their order."""
     runs: list[list[Samples]] = []
     latest: dict[str, list[Samples]] = {}
-    events: list[ViewItem] = []
+    events: list[Shown] = []
     for item in items:
         if not isinstance(item, Samples):
             events.append(item)

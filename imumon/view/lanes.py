@@ -26,9 +26,9 @@ LAST = 9
 
 GOOD, WAIT, BAD, PLAIN = 0x2E9E5BFF, 0xE0A020FF, 0xD64545FF, 0x6C7A92FF
 _WORDS = {
-    GOOD: "open ok good synchronised connected running rest valid settled",
+    GOOD: "open ok good synchronised connected running recording rest valid settled",
     WAIT: "opening waiting silent starting reconnecting warning acquiring aligning",
-    BAD: "lost closed error failed bad jumped invalid clipping suspect disturbed",
+    BAD: "lost closed error failed bad jumped invalid clipping suspect disturbed hangs dead",
     PLAIN: "not",
 }
 STATE_COLORS = {word: color for color, words in _WORDS.items() for word in words.split()}

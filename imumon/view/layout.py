@@ -131,6 +131,11 @@ class Rows:
         return np.column_stack([self.columns[name] for name in names]).astype(np.float64, copy=False)
 
 
+def single(value: int | None) -> IntArray | None:
+    """Return a time as those of one row, (1,)."""
+    return None if value is None else np.array([value], np.int64)
+
+
 class Panel(Protocol):
     """One view, and how its data gets there."""
 

@@ -31,7 +31,7 @@ from imumon.view.items import (
     lasting_key,
 )
 from imumon.view.lanes import COLORED_STATES, declare_lane, lane_path
-from imumon.view.layout import INTEGERS, OTHER, Rows, unit_text
+from imumon.view.layout import INTEGERS, OTHER, Rows, single, unit_text
 from imumon.view.log_text import LOG_TEXT, LogText
 from imumon.view.panel_log import PanelLog
 from imumon.view.pictures import Painter, log_picture
@@ -209,12 +209,12 @@ class StreamLogger:
             device = None if first.device_ns is None else int(first.device_ns[0])
             if device is not None and first.host_ns is not None and event.at.host_ns is not None:
                 device -= max(0, int(first.host_ns[0]) - event.at.host_ns)
-            self._log_event(event, Rows({}, _one(first.first), _one(device), None))
+            self._log_event(event, Rows({}, single(first.first), single(device), None))
         self._early.clear()
 
     def _log_event(self, event: Event, rows: Rows | None = None) -> None:
         at = event.at
-        times = rows or Rows({}, _one(at.sample), _one(at.device_ns), _one(at.host_ns))
+        times = rows or Rows({}, single(at.sample), single(at.device_ns), single(at.host_ns))
         indexes = times.indexes
         key = lasting_key(event)
         if key is not None:
@@ -277,7 +277,7 @@ class StreamLogger:
         self._charts[chart.key] = chart
         places = [other.chart.place for other in self._lasting.values() if isinstance(other, Drawing)]
         beside = any(panel.place == chart.place for panel in self._panels.shown)
-        indexes = Rows({}, _one(at.sample), _one(at.device_ns), _one(at.host_ns)).indexes
+        indexes = Rows({}, single(at.sample), single(at.device_ns), single(at.host_ns)).indexes
         stacked = beside and places.count(chart.place) > 1
         return partial(log_picture, self._rec, chart, indexes, stacked=stacked)
 
@@ -351,7 +351,3 @@ def _kind_of(numbers: Numbers) -> tuple[object, ...]:
     """Return what numbers must have in common to be logged together."""
     at = numbers.at
     return tuple(numbers.values), at.device_ns is None, at.host_ns is None
-
-
-def _one(value: int | None) -> np.ndarray[tuple[int], np.dtype[np.int64]] | None:
-    return None if value is None else np.array([value], np.int64)

@@ -18,7 +18,7 @@ from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 
 from imumon.view.frames import Batch, ReplayRequest, Report, Start
-from imumon.view.items import Drawing, ViewItem, ViewSetup, lasting_key, merge
+from imumon.view.items import Drawing, Shown, ViewSetup, lasting_key, merge
 from imumon.view.queue import DropOldestQueue
 from imumon.view.viewer import LOCALHOST, VIEWER_PORT, WEB_PORT, Mode, quiet_environment
 
@@ -61,7 +61,7 @@ class Sent:
     at_s: float
     number: int
     frame: bytes
-    lasting: Mapping[str, ViewItem]
+    lasting: Mapping[str, Shown]
 
 
 class History:
@@ -76,7 +76,7 @@ class History:
         self._max_bytes, self._max_s = max_bytes, max_s
         self._sent: deque[Sent] = deque()
         self._bytes = 0
-        self._lasting: dict[str, ViewItem] = {}
+        self._lasting: dict[str, Shown] = {}
         self._charts: dict[str, Drawing] = {}
 
     def add(self, batch: Batch, now: float) -> list[bytes]:
@@ -96,7 +96,7 @@ class History:
             return [frame]
         return [frame, pickle.dumps(replace(batch, items=list(charts.values())), PROTOCOL)]
 
-    def after(self, number: int) -> list[ViewItem]:
+    def after(self, number: int) -> list[Shown]:
         """Return all items of batches after this one, joined, the lasting ones of before first."""
         batches = (pickle.loads(sent.frame) for sent in self._sent if sent.number > number)
         items = [item for batch in batches for item in batch.items]
@@ -128,7 +128,7 @@ class ViewPublisher:
         bind: str = LOCALHOST,
     ) -> None:
         self._start = Start(setup, mode, port, web_port, bind)
-        self._queue = DropOldestQueue(QUEUE_BYTES)
+        self._queue: DropOldestQueue[Shown] = DropOldestQueue(QUEUE_BYTES)
         self._history = History(HISTORY_BYTES, HISTORY_S)
         self._number = 0
         self._sending_s = math.inf  # since when
@@ -143,7 +143,7 @@ class ViewPublisher:
         self._supervisor.start()
         return self
 
-    def publish(self, item: ViewItem) -> None:
+    def publish(self, item: Shown) -> None:
         """Queue an item; takes microseconds, whatever state the view is in."""
         self._queue.put(item)
 

@@ -5,11 +5,14 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
+from typing import Generic, TypeVar
 
-from imumon.view.items import ViewItem, item_bytes, item_rows, lasting_key
+from imumon.view.items import Shown, item_bytes, item_rows, lasting_key
+
+Kind = TypeVar("Kind", bound=Shown)
 
 
-class DropOldestQueue:
+class DropOldestQueue(Generic[Kind]):
     """View items in order, at the most `max_bytes` of them.
 
     States and the status card outlive their place in the queue: the latest of each that had to be dropped is
@@ -23,8 +26,8 @@ class DropOldestQueue:
 
     def __init__(self, max_bytes: int) -> None:
         self._max_bytes = max_bytes
-        self._items: deque[ViewItem] = deque()
-        self._lasting: dict[str, ViewItem] = {}
+        self._items: deque[Kind] = deque()
+        self._lasting: dict[str, Kind] = {}
         self._bytes = 0
         self._closed = threading.Event()
         self._taken_s = time.monotonic()
@@ -37,7 +40,7 @@ class DropOldestQueue:
         """Bytes of memory that the items hold."""
         return self._bytes
 
-    def put(self, item: ViewItem) -> None:
+    def put(self, item: Kind) -> None:
         """Append an item; drop the oldest ones when that is too much."""
         with self._filled:
             was_empty = not self._items
@@ -48,7 +51,7 @@ class DropOldestQueue:
             if was_empty:
                 self._filled.notify()
 
-    def take(self, apart_s: float, wait_s: float) -> list[ViewItem]:
+    def take(self, apart_s: float, wait_s: float) -> list[Kind]:
         """Return all items, `apart_s` after the last ones or later; an empty list after `wait_s` without any.
 
         When the queue is closed, what is left is returned at once.

@@ -64,7 +64,7 @@ class ViewRecorder:
         self._began_ns: int | None = None
         self._rec = rr.RecordingStream(APPLICATION_ID, recording_id=setup.recording_id)
         self._logger = StreamLogger(self._rec, setup, live=False)
-        self._queue = DropOldestQueue(QUEUE_BYTES)
+        self._queue: DropOldestQueue[ViewItem] = DropOldestQueue(QUEUE_BYTES)
         self._refused = 0
         self._error = ""
         self._compaction: Compaction | None = None

@@ -42,7 +42,7 @@ class TerminalView:
 
     def __init__(self, setup: ViewSetup) -> None:
         self._setup = setup
-        self._queue = DropOldestQueue(QUEUE_BYTES)
+        self._queue: DropOldestQueue[ViewItem] = DropOldestQueue(QUEUE_BYTES)
         self._cards = Cards()
         self._panels = ShownPanels(setup)
         self._past: dict[str, deque[float]] = {}

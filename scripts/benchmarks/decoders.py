@@ -12,7 +12,7 @@ from benchmarks.measure import Bar, Table, Time, measure, millions
 from benchmarks.streams import Damaged, damage, samples
 from imumon.blocks import SampleBlock, join
 from imumon.protocols.base import Decoder
-from imumon.protocols.device import load_device
+from imumon.protocols.device import DeviceFile, load_device
 from imumon.protocols.fixed.device import FixedDevice
 from imumon.protocols.stream import ByteArray
 
@@ -80,7 +80,7 @@ def by_struct(device: FixedDevice, data: bytes) -> Callable[[], object]:
     return decode
 
 
-def decoded(device: FixedDevice, data: bytes, size: int) -> SampleBlock:
+def decoded(device: DeviceFile, data: bytes, size: int) -> SampleBlock:
     """Return all rows of a stream fed in chunks of a size."""
     decoder, blocks = device.decoder(), []
     for chunk in cut(data, size):

@@ -52,14 +52,14 @@ class Bar:
         return self.measured <= self.demanded if self.at_most else self.measured >= self.demanded
 
 
-def measure(functions: Mapping[str, Callable[[], object]]) -> dict[str, Time]:
-    """Return the time of each function; all of them take turns."""
+def measure(functions: Mapping[str, Callable[[], object]], rounds: int = ROUNDS) -> dict[str, Time]:
+    """Return the time of each function; all of them take turns, so many rounds long."""
     repeats = {}
     for name, function in functions.items():
         function()  # compiles, and warms the caches
         repeats[name] = max(1, min(2000, ROUND_NS // max(_once(function), 1)))
     times: dict[str, list[int]] = {name: [] for name in functions}
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         for name, function in functions.items():
             times[name] += [_once(function) for _ in range(repeats[name])]
     return {name: Time(min(values), median(values)) for name, values in times.items()}

@@ -34,25 +34,31 @@ SECTIONS = {
     "batch": "benchmarks.batch",
     "alignment": "benchmarks.alignment",
 }
+RACE = {"race": "benchmarks.race"}
+"""Run by its name only: it wants packages of others, which `scripts/environment race` installs."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the sections; return 1 when a bar that does not depend on the machine is missed."""
     parser = argparse.ArgumentParser(prog="scripts/benchmark", description="Speed, as ratios in one run.")
     parser.add_argument(
-        "sections", nargs="*", metavar="SECTION", help=f"of {', '.join(SECTIONS)}; default all"
+        "sections",
+        nargs="*",
+        metavar="SECTION",
+        help=f"of {', '.join(SECTIONS | RACE)}; default all but race",
     )
+    parser.add_argument("--race", action="store_true", help="the section race: against other programs")
     parser.add_argument("--json", action="store_true", help="print figures as JSON")
     parser.add_argument(
         "--markdown", type=Path, metavar="FILE", help="write the tables to a Markdown file as well"
     )
     options = parser.parse_args(arguments)
-    unknown = set(options.sections) - SECTIONS.keys()
-    if unknown:
-        parser.error(f"no section {', '.join(sorted(unknown))}; there are: {', '.join(SECTIONS)}")
+    every, wanted = SECTIONS | RACE, [*options.sections, *RACE] if options.race else options.sections
+    if unknown := set(wanted) - every.keys():
+        parser.error(f"no section {', '.join(sorted(unknown))}; there are: {', '.join(every)}")
     host, tables, bars = machine(), [], []
-    for name in options.sections or SECTIONS:
-        new_tables, new_bars = import_module(SECTIONS[name]).run()
+    for name in wanted or SECTIONS:
+        new_tables, new_bars = import_module(every[name]).run()
         tables += new_tables
         bars += new_bars
         if not options.json:
@@ -67,7 +73,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             show(tables[-1])
         print(facts(host))
     if options.markdown:
-        options.markdown.write_text(as_markdown(host, tables), encoding="utf-8")
+        options.markdown.write_text(as_markdown(host, wanted, tables), encoding="utf-8")
     return int(any(bar.required and not bar.passed for bar in bars))
 
 
@@ -106,12 +112,12 @@ def facts(host: Machine) -> str:
     return text + "."
 
 
-def as_markdown(host: Machine, tables: Sequence[Table]) -> str:
-    """Return the tables as a Markdown file."""
+def as_markdown(host: Machine, sections: Sequence[str], tables: Sequence[Table]) -> str:
+    """Return the tables of these sections as a Markdown file."""
     lines = [
         "# Measured figures",
         "",
-        "Written by `scripts/benchmark --markdown FILE`; not edited by hand.",
+        f"Written by `{' '.join(['scripts/benchmark', *sections])} --markdown FILE`; not edited by hand.",
         "",
     ]
     lines += [facts(host), ""]

@@ -44,11 +44,17 @@ class Run:
 Method = Callable[[Run], FloatArray]
 
 
+def with_rests(samples: SampleBlock) -> SampleBlock:
+    """Return what was sent with temperature and rest estimated, as imumon's bias takes it."""
+    for stage in (TemperatureRate(), RestDetector()):
+        samples = samples.with_columns(stage.process(samples))
+    return samples
+
+
 def simulate(scenario: Scenario, seed: int) -> Run:
     """Return a run of a scenario, with temperature and rest estimated."""
     samples, truth = SimulatedUnit(scenario, seed).run(scenario.samples)
-    for stage in (TemperatureRate(), RestDetector()):
-        samples = samples.with_columns(stage.process(samples))
+    samples = with_rests(samples)
     rest = truth["at_rest"] == 1
     rate = np.column_stack([truth[f"rate_{axis}"] for axis in "xyz"])
     last = np.maximum.accumulate(np.where(rest, np.arange(len(rest)), 0))

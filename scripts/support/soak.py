@@ -21,6 +21,7 @@ from tests.faults import (
     killed,
     line,
     medium,
+    rack,
     recovery,
     viewer,
 )
@@ -86,6 +87,12 @@ def _days(folder: Path, short: bool) -> Iterator[Row]:
     yield endurance.real_time(folder, 100.0, 0.5 if short else 60.0)
 
 
+def _rack(folder: Path, short: bool) -> Iterator[Row]:
+    for view in ("none", "web"):
+        (folder / view).mkdir()
+        yield rack.measure(folder / view, 4 if short else 16, 400.0, 0.25 if short else 10.0, view)
+
+
 def _cost(_: Path, short: bool) -> Iterator[Row]:
     yield from cost.measure_all(("ax1", "sbg") if short else None)
 
@@ -114,8 +121,8 @@ SECTIONS: dict[str, Section] = {
     "devices": _devices,
     "endurance": _endurance,
 }
-LONG: dict[str, Section] = {"days": _days}
-"""Sections that are run by their name only: an hour and more."""
+LONG: dict[str, Section] = {"days": _days, "rack": _rack}
+"""Sections that are run by their name only: they take long, or a computer with nothing else to do."""
 
 
 def main() -> int:

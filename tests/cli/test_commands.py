@@ -331,6 +331,14 @@ def test_output_that_nobody_takes_is_an_error_without_a_traceback(session: Path,
         assert "rror" not in piped.stderr.replace("errors", "")
 
 
+def test_the_recording_of_a_session_is_no_raw_capture(tmp_path: Path) -> None:
+    answer("simulate", "bench", "--out", tmp_path / "s", "--duration", 1)
+    done = imumon("decode", tmp_path / "s" / "wire.mcap", "--device", "ax1", "--out", tmp_path / "t.csv")
+    assert done.returncode == 2
+    assert f"give the session: {tmp_path / 's'}" in done.stderr
+    assert not (tmp_path / "t.csv").exists()
+
+
 def test_a_table_never_replaces_what_it_is_made_from(capture: Path, tmp_path: Path) -> None:
     (tmp_path / "log.csv").write_text("x,y,z\n1,2,3\n4,5,6\n")
     (tmp_path / "map.yaml").write_text("rate_hz: 100\ngyro: {columns: [x, y, z], unit: deg/s}\n")

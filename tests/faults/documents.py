@@ -13,6 +13,7 @@ from imumon.config import load_yaml
 from imumon.errors import ImumonError, Reason
 from imumon.models.model import load_model
 from imumon.protocols.device import device_text, load_device, parse_device
+from imumon.rack.description import load_rack
 from imumon.recordings.importing import TableImport
 from imumon.recordings.metadata import read_metadata
 from imumon.run.setup import load_setup
@@ -62,6 +63,7 @@ LOADERS: dict[str, Callable[[Path], object]] = {
     "map": _map,
     "noise": lambda path: load_yaml(path, Noise),
     "scenario": load_scenario,
+    "rack": load_rack,
 }
 
 

@@ -20,7 +20,7 @@ def samples(count: int) -> list[Samples]:
 @given(count=st.integers(1, 40), room=st.integers(1, 20))
 def test_newest_survive_and_the_rest_are_counted(count: int, room: int) -> None:
     items = samples(count)
-    queue = DropOldestQueue(room * item_bytes(items[0]))
+    queue: DropOldestQueue[ViewItem] = DropOldestQueue(room * item_bytes(items[0]))
     for item in items:
         queue.put(item)
     kept = queue.take(0.0, 0.0)
@@ -31,7 +31,7 @@ def test_newest_survive_and_the_rest_are_counted(count: int, room: int) -> None:
 def test_latest_state_and_status_outlive_their_place() -> None:
     items = samples(5)
     at = Timebase().at(0)
-    queue = DropOldestQueue(2 * item_bytes(items[0]))
+    queue: DropOldestQueue[ViewItem] = DropOldestQueue(2 * item_bytes(items[0]))
     lasting: list[ViewItem] = [
         State(at, "port", "opening"),
         State(at, "port", "lost"),
@@ -45,14 +45,14 @@ def test_latest_state_and_status_outlive_their_place() -> None:
 
 def test_an_item_larger_than_the_queue_is_dropped_and_counted() -> None:
     item = samples(1)[0]
-    queue = DropOldestQueue(item_bytes(item) - 1)
+    queue: DropOldestQueue[ViewItem] = DropOldestQueue(item_bytes(item) - 1)
     queue.put(item)
     assert queue.take(0.0, 0.0) == []
     assert queue.dropped == 10
 
 
 def test_take_waits_for_the_first_item() -> None:
-    queue = DropOldestQueue(1 << 20)
+    queue: DropOldestQueue[ViewItem] = DropOldestQueue(1 << 20)
     item = samples(1)[0]
     timer = threading.Timer(0.05, queue.put, [item])
     timer.start()
@@ -61,7 +61,7 @@ def test_take_waits_for_the_first_item() -> None:
 
 
 def test_batches_come_at_once_but_not_sooner_after_each_other() -> None:
-    queue = DropOldestQueue(1 << 20)
+    queue: DropOldestQueue[ViewItem] = DropOldestQueue(1 << 20)
     first, *rest = samples(3)
     time.sleep(0.2)
     asked = time.monotonic()
@@ -78,7 +78,7 @@ def test_batches_come_at_once_but_not_sooner_after_each_other() -> None:
 
 
 def test_close_ends_waiting_and_gathering() -> None:
-    queue = DropOldestQueue(1 << 20)
+    queue: DropOldestQueue[ViewItem] = DropOldestQueue(1 << 20)
     queue.put(samples(1)[0])
     timer = threading.Timer(0.05, queue.close)
     timer.start()

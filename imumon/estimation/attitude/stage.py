@@ -15,15 +15,17 @@ from imumon.columns import Column
 from imumon.estimation.attitude.angles import heading, level_angles, matrix, slope, turned_clockwise
 from imumon.estimation.attitude.fusion import Fusion, Readings
 from imumon.estimation.attitude.parameters import AttitudeParameters
-from imumon.estimation.attitude.uncertainty import UNKNOWN, Errors, Motion, Slot, Uncertainty
+from imumon.estimation.attitude.uncertainty import GRAVITY_SPREAD, UNKNOWN, Errors, Motion, Slot, Uncertainty
 from imumon.filters.slots import SlotGatherer, Slots
-from imumon.geodesy import EARTH_RATE
+from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY
 from imumon.models.magnetometer import MagnetometerModel
 
 SLOT_NS = 1_000_000_000
 """So often it is judged how far the attitude may be off: bias and path grow little in a second."""
 GAP_NS = 250_000_000
 """A longer pause hides turns."""
+BEYOND = 3.0
+"""Standard deviations that are no chance."""
 Q = tuple(f"attitude_estimate_{part}" for part in "wxyz")
 NORTH = "attitude_estimate_north"
 _REST = 6
@@ -268,8 +270,17 @@ class AttitudeEstimate:
         """Return, once each, what is missing for a whole attitude, where the device sends none."""
         if self._reported:
             return []
-        begun = self._fusion.begun
+        begun, declared = self._fusion.begun, self._parameters.gyro_scale
+        scale, magnitude = self._uncertainty.scale(self._errors), self._uncertainty.magnitude
         conditions = {
+            "attitude: after turns the accelerometers show another vertical than the gyros have carried, "
+            f"by more than gyro_scale ({declared:.1%}) allows: are axes, signs and units right?": (
+                scale > BEYOND * declared
+            ),
+            "attitude: the specific force at rest is not gravity within accel_bias_m_per_s2 "
+            f"({self._errors.accel:.2g}): are its scale and unit right?": (
+                abs(magnitude - STANDARD_GRAVITY) > GRAVITY_SPREAD + BEYOND * self._errors.accel
+            ),
             "attitude: without a magnetometer the heading is free; it counts from "
             f"{math.degrees(self._heading):.0f}° at the beginning": begun and not self._fusion.north,
             "attitude: the magnetometer is not calibrated, so nobody knows how far the heading is off; "

@@ -10,6 +10,9 @@ the gyros have carried the vertical of the last rest along, with errors that are
                 and what is lost between samples (`imumon.filters.turns`)
     heading   its part about the vertical; it stays at rest
 
+Where the vertical that the gyros carried through a motion is not the one that the accelerometers show after
+it, beyond what else may be off, M is as large as that says (least squares over all motions so far).
+
 Both are judged once a second; until then each sample adds what it may have turned wrong since: bias, scale,
 and half an interval of its rate, as a rate may be the mean of the interval before or that of the moment.
 Heading is an angle about the vertical as it is taken: a tilt that is off turns the heading of an axis that
@@ -25,7 +28,7 @@ gyros.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -197,6 +200,11 @@ class Uncertainty:
         By the bias in the motions before, rad²: each rest measures the bias anew.
     bent : float
         Square of what the field that is followed differs from the calibration's strength, forgotten like it.
+    wrong, turned : float
+        Sums over motions: square of how far the vertical was carried wrong, less what else may be off, and
+        what M of one would have done, rad².
+    magnitude : float
+        Of the specific force at the last rest, m/s².
     tilt_sd, heading_sd : float
         rad; NaN where nothing can be said.
     """
@@ -207,11 +215,15 @@ class Uncertainty:
     since_north: Turned = field(default_factory=Turned)
     heading_variance: float = 0.0
     bent: float = 0.0
+    wrong: float = 0.0
+    turned: float = 0.0
+    magnitude: float = math.nan
     tilt_sd: float = math.nan
     heading_sd: float = math.nan
 
     def step(self, slot: Slot, errors: Errors) -> None:
         """Follow one slot."""
+        errors = replace(errors, scale=self.scale(errors))
         up = slot.attitude[2]
         if slot.rest and np.isfinite(slot.force).all():
             measured = self._come_to_rest(slot, errors)
@@ -228,6 +240,10 @@ class Uncertainty:
         else:
             self.heading_sd = _small(self._drifted(errors)) if math.isfinite(self.accel_sd) else math.nan
 
+    def scale(self, errors: Errors) -> float:
+        """Return the standard deviation of the elements of M: as declared, or what motions have shown."""
+        return math.sqrt(max(errors.scale**2, self.wrong / self.turned if self.turned > 0.0 else 0.0))
+
     def at(self, since: Motion, bias_sd: FloatArray, errors: Errors) -> FloatArray:
         """Return the variances of tilt and of the turn about the vertical, rad², (2, n).
 
@@ -240,7 +256,7 @@ class Uncertainty:
         errors : Errors
         """
         angle, seconds = since.angle, since.seconds[1:]
-        added = errors.scale**2 * _squares(angle[1:]) + _squares(since.ignored[1:])
+        added = self.scale(errors) ** 2 * _squares(angle[1:]) + _squares(since.ignored[1:])
         added += _squares(angle[1:] - angle[:-1]) / 12.0  # even chances from none of the interval to all
         if seconds[-1] > 0.0:
             added += np.where(seconds > 0.0, _squares(bias_sd) * seconds**2, 0.0)
@@ -252,11 +268,22 @@ class Uncertainty:
         contradiction = max(abs(magnitude - STANDARD_GRAVITY) - GRAVITY_SPREAD, 0.0)
         self.accel_sd = max(errors.accel, contradiction) / STANDARD_GRAVITY
         measured = slot.force / magnitude
+        self.magnitude = magnitude
+        self._compare(measured, slot.gyro_only, errors)
         self.up = slot.gyro_only @ measured
         self.heading_variance += float((self.since_north.bias[2] ** 2).sum())
         self.since_north.bias[:] = 0.0
         self.since_rest = Turned()
         return np.asarray(measured)
+
+    def _compare(self, measured: FloatArray, gyro_only: FloatArray, errors: Errors) -> None:
+        """See how far the gyros have carried the vertical wrong through the motion that ends here."""
+        turned = float((self.since_rest.scale[:2] ** 2).sum())
+        if turned > 0.0 and np.isfinite(self.up).all():
+            without = replace(errors, scale=0.0)
+            other = float(self.since_rest.variance(without)[:2].sum()) + 4.0 * self.accel_sd**2
+            self.wrong += max(_angle(measured, gyro_only.T @ self.up) ** 2 - other, 0.0)
+            self.turned += turned
 
     def _drifted(self, errors: Errors) -> float:
         """Return the standard deviation of the heading by the gyros, rad."""

@@ -200,6 +200,51 @@ class Contrary:
 
 
 @dataclass(slots=True, eq=False)
+class Moved:
+    """By how much the bias has moved in the present rest, or the last, and whether it has ended in motion.
+
+    A turn of which nobody knows whether it is a change of the bias is one of two things.  While the rate is
+    no more than that, the bias may have changed by the whole of it.  Once it plainly moves, the question is
+    only how much of the beginning the bias has taken in.
+
+    Parameters
+    ----------
+    least, greatest : array (3,)
+        The bias, rad/s.
+    doubt : array (3,)
+        How fast it may have turned all the time, rad/s: what nobody had decided then.
+    undecided : array (3,)
+        The turn in question, rad/s.
+    plainly : bool
+        Whether it has moved faster since.
+    """
+
+    least: FloatArray = field(default_factory=lambda: np.full(3, np.inf))
+    greatest: FloatArray = field(default_factory=lambda: np.full(3, -np.inf))
+    doubt: FloatArray = field(default_factory=_zero)
+    undecided: FloatArray = field(default_factory=_zero)
+    plainly: bool = False
+
+    def see(self, bias: FloatArray, undecided: FloatArray) -> None:
+        """Take the bias of a slot at rest."""
+        self.least, self.greatest = np.fmin(self.least, bias), np.fmax(self.greatest, bias)
+        self.doubt = np.maximum(self.doubt, np.abs(undecided))
+
+    def move(self, undecided: FloatArray, rate: FloatArray, noise: FloatArray) -> None:
+        """Take a slot in motion: the turn in question, the rate less the bias, and its noise, (3,) each."""
+        if (undecided != self.undecided).any():
+            self.undecided, self.plainly = undecided, False
+        self.plainly |= bool((np.abs(rate) > 2.0 * np.abs(undecided) + math.sqrt(GATE) * noise).any())
+
+    def by(self, bias: FloatArray) -> FloatArray:
+        """Return how much of a turn a bias can have taken in; infinite where that is not known."""
+        if not self.plainly:
+            return np.full(3, np.inf)
+        off = np.fmax(self.greatest - bias, bias - self.least) + self.doubt
+        return np.where(np.isfinite(off), np.abs(off), np.inf)
+
+
+@dataclass(slots=True, eq=False)
 class State:
     """All that is carried from slot to slot.
 
@@ -226,6 +271,7 @@ class State:
         Variance used so far, and that of coming to rest in another attitude.
     evidence, chosen : array (3,)
         For a slope, and whether it is used.
+    moved : Moved
     law : Laws
         The estimate, less the thermal model's part.
     contrary : Contrary
@@ -255,6 +301,7 @@ class State:
     arrival: FloatArray = field(default_factory=_zero)
     evidence: FloatArray = field(default_factory=_zero)
     chosen: BoolArray = field(default_factory=lambda: np.zeros(3, bool))
+    moved: Moved = field(default_factory=Moved)
     law: Laws = field(default_factory=no_law)
     reference: FloatArray | None = None
 
@@ -311,6 +358,7 @@ def _close(state: State, params: Params, slot: Slot) -> FloatArray:
             slot.force, params.place, state.turn, drift, state.lost
         )
         state.arrival = state.arrival + slot.undecided**2
+        state.moved = Moved()
     usable = (slot.force is not None) == (attitude.gravity > 0.0)
     tilt = np.zeros(3)
     if usable and slot.force is not None:
@@ -491,6 +539,7 @@ def _show(state: State, params: Params, noise: Noise, slot: Slot) -> None:
             state.chosen = (slope**2 > SIGNIFICANCE * variance) & (state.evidence > EVIDENCE)
         terms, known = _of_both(mean, covariance, state.chosen, state.evidence)
     law = np.zeros(1, LAW)
+    law["moved"] = np.inf
     law["terms"], law["covariance"], law["degc"] = terms, known, state.at_degc
     if state.reference is not None and slot.force is not None:
         law["reference"] = state.reference
@@ -498,8 +547,13 @@ def _show(state: State, params: Params, noise: Noise, slot: Slot) -> None:
     if state.contrary.readings:
         law["covariance"][0, :, 0, 0] += state.contrary.jump * (state.contrary.rate - at_slot(law)) ** 2
     law["earth"] = params.place.turning
-    if not state.at_rest:
-        law["undecided"] = slot.undecided
+    if state.at_rest:
+        # The first slot has what was undecided before.
+        state.moved.see(at_slot(law), slot.undecided if slot.follows else np.zeros(3))
+    else:
+        bias = at_slot(law)
+        state.moved.move(slot.undecided, slot.rate - bias, noise.rate / np.sqrt(slot.dt))
+        law["undecided"], law["moved"] = slot.undecided, state.moved.by(bias)
         law["turned"] = np.sqrt(turned_earth(state.attitude.up, params.place, state.turn))
     state.law = law
 

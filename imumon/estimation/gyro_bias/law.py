@@ -7,7 +7,8 @@ A unit in the hand is in another pose half a second later, so at each sample in 
     variance = r · covariance · r + (turned + earth / √3 times the angle turned since the slot)² + undecided²
 
 The earth rate, as far as it is part of the bias, keeps its direction while the unit turns.  Undecided is a
-turn that may be a change of the bias: nobody knows yet, and the whole of it may be missing.
+turn that may be a change of the bias: nobody knows yet, and the whole of it may be missing.  Of one that
+began in a rest, the bias can have taken in no more than it has moved by since that rest began.
 """
 
 from __future__ import annotations
@@ -34,13 +35,15 @@ LAW = np.dtype(
         ("offset", np.float64, 3),
         ("turned", np.float64, 3),
         ("undecided", np.float64, 3),
+        ("moved", np.float64, 3),
         ("earth", np.float64),
     ]
 )
 """What a slot says of the bias, of each axis: mean and covariance of the terms, in rad/s, °C and m/s²; the
 temperature of the slot; the specific force of the first rest, and by how much that of the slot differs from
 it; the standard deviation of what the turn since the last rest has made of the earth rate that is part of the
-bias; a turn at the end of the slot that may be a change of the bias; and the earth rate, rad/s."""
+bias; a turn at the end of the slot that may be a change of the bias, and how much of it the bias can have
+taken in; and the earth rate, rad/s."""
 PATH = np.dtype([("angle", np.float64), ("time_ns", np.int64)])
 """Angle turned since the last slot, rad, and when it was added to."""
 Laws = npt.NDArray[np.void]
@@ -50,6 +53,7 @@ def no_law() -> Laws:
     """Return a law that says nothing, (1,)."""
     law: Laws = np.zeros(1, LAW)
     law["terms"] = law["covariance"] = np.nan
+    law["moved"] = np.inf
     return law
 
 
@@ -104,7 +108,7 @@ def at_samples(
                 for n in range(TERMS):
                     variance += row[m] * law.covariance[a, m, n] * row[n]
             earth = law.turned[a] + law.earth / math.sqrt(3.0) * min(path.angle, 2.0)
-            undecided = max(abs(turn[i, a]), abs(law.undecided[a]))
+            undecided = min(max(abs(turn[i, a]), abs(law.undecided[a])), law.moved[a])
             bias[i, a], sd[i, a] = value, math.sqrt(variance + earth * earth + undecided * undecided)
 
 

@@ -14,9 +14,11 @@ from imumon.blocks import FloatArray
 from imumon.estimation.rest.compass import Verdict, verdict
 from imumon.estimation.rest.parameters import RestParameters
 from imumon.estimation.rest.state import ACCEL, AXES, EVERY, GYRO, LEVELS, Anchor, Slot, State
-from imumon.estimation.rest.trial import RING, adopt, look
+from imumon.estimation.rest.trial import RING, Noise, adopt, look
 from imumon.estimation.rest.turn import (
+    BEGINS_TURNING,
     Explained,
+    has_settled,
     hypothesis,
     is_back,
     is_over,
@@ -26,6 +28,7 @@ from imumon.estimation.rest.turn import (
     recent_mean,
     steady_slots,
     still_on,
+    turned_at_first,
     upright,
 )
 from imumon.estimation.rest.wander import SURPRISE, TURN_EVERY_S, forget, look_for_turn
@@ -199,7 +202,7 @@ def _note(state: State, motion: Motion, now_s: float) -> None:
     )
     recent = np.where(windows.known, state.latest(slots)[0], np.nan)
     turn = anchor.turn_now(recent)
-    if motion.turning and state.turn.any():  # it has been seen before, and grows, or ends
+    if motion.turning and state.turn.any() and state.anchors:  # it has been seen before, and grows, or ends
         turn = state.anchors[0].turn_now(recent)
     elif not state.anchors or now_s - state.rest_since_s > LEAST_REST_S:
         _remember(state, anchor)
@@ -254,12 +257,22 @@ def _judge(
         late = now_s - state.undecided_since_s >= parameters.undecided_s
         if late and may_jump(state, parameters, turn):
             return np.zeros(3), True
+        unknown = explained is Explained.NO and bool(turn.any()) and is_upright(state, turn)
+        first = turned_at_first(state) if unknown else 0.0
+        if first > (BEGINS_TURNING if late else 0.5) and is_steady(state, parameters):
+            state.anchors.clear()  # what was taken for a rest is none to come back to
+            surely = late or np.log(1.0 - first) < -SURPRISE
+            return np.zeros(3) if surely else np.sqrt(1.0 - first) * turn, True
     if explained is Explained.NO:
         # About another axis it would tilt the unit: gravity says soon whether it does.
         state.turn, state.turning = turn, state.turning or bool(turn.any() and is_upright(state, turn))
         return turn, False
-    slow = state.slow or state.quiet_slots >= steady_slots(state) // 2
-    return turn, not (state.anchors and slow and fits and not is_steady(state, parameters))
+    if not (state.anchors and fits):
+        return turn, True
+    if state.slow or state.quiet_slots >= steady_slots(state) // 2:
+        return turn, is_steady(state, parameters)
+    half = state.quiet_slots // 2
+    return turn, has_settled(state, 2 * half, state.windows.variance[half.bit_length() - 1])
 
 
 def _decide(state: State, parameters: RestParameters, now_s: float) -> None:
@@ -270,9 +283,15 @@ def _decide(state: State, parameters: RestParameters, now_s: float) -> None:
         _watch(state, now_s, 0.0)
         return
     late = now_s - state.undecided_since_s >= parameters.undecided_s
-    state.turn, state.turns_on = still_on(state, now_s)
+    if state.anchors:
+        state.turn, state.turns_on = still_on(state, now_s)
     if said is Verdict.RESTS or late or np.log(state.turns_on) < -SURPRISE:
         state.turn, state.undecided_since_s = np.zeros(3), np.nan
+
+
+def _coasts(state: State, noise: Noise) -> bool:
+    """Tell whether it still slows down, by a trial's noise of half seconds: longer means have the motion."""
+    return not has_settled(state, RING, np.maximum(noise.of_1 / 4.0, noise.of_4) / (RING / 8))
 
 
 def _try(state: State, parameters: RestParameters, now_s: float) -> None:
@@ -294,7 +313,7 @@ def _try(state: State, parameters: RestParameters, now_s: float) -> None:
         adopt(state, noise, unknown)
         return
     turn, rests = _judge(state, parameters, RING, now_s, state.quiet_slots >= RING)
-    if rests:
+    if rests and not (state.anchors and _coasts(state, noise)):
         adopt(state, noise, noise.present)
         _enter(state, mean, parameters.drift, turn, now_s)
         _watch(state, now_s, 0.0)

@@ -100,6 +100,8 @@ class Windows(NamedTuple):
         Axes whose noise at rest is known.
     sample_variance : array, (6,)
         Variance of a sample at rest.
+    quietest : array, (6,)
+        The least that it was, for what it leaves of the steps (`windows.QUIETER`).
     variance, gain : array, (LEVELS, 6)
         Variance of the mean of a window at rest, and the share of the next window in it.
     step : array, (6,)
@@ -126,6 +128,7 @@ class Windows(NamedTuple):
     degc: FloatArray
     known: BoolArray
     sample_variance: FloatArray
+    quietest: FloatArray
     variance: FloatArray
     gain: FloatArray
     step: FloatArray
@@ -150,6 +153,7 @@ def new_windows() -> Windows:
         degc=np.full(CAPACITY, np.nan),
         known=np.zeros(AXES, np.bool_),
         sample_variance=np.zeros(AXES),
+        quietest=np.zeros(AXES),
         variance=np.zeros((LEVELS, AXES)),
         gain=np.zeros((LEVELS, AXES)),
         step=np.repeat(COARSEST_STEPS, 3),

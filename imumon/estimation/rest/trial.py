@@ -165,7 +165,7 @@ def adopt(state: State, noise: Noise, which: BoolArray) -> None:
     start += [of_8 * NEIGHBOUR**k for k in range(1, LEVELS - 3)]
     windows = state.windows
     windows.known[new] = True
-    windows.sample_variance[new] = noise.sample[new]
+    windows.sample_variance[new] = windows.quietest[new] = noise.sample[new]
     windows.variance[:, new] = np.array(start)[:, new]
     if new[GYRO].any():
         forget(state, 0.0)

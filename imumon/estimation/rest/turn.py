@@ -15,7 +15,7 @@ import numpy as np
 from imumon.blocks import FloatArray
 from imumon.estimation.rest.compass import Verdict
 from imumon.estimation.rest.parameters import RestParameters
-from imumon.estimation.rest.state import ACCEL, GYRO, KEPT, LEVELS, SLOT_S, Anchor, State
+from imumon.estimation.rest.state import ACCEL, EVERY, GYRO, KEPT, LEVELS, SLOT_S, Anchor, State
 from imumon.estimation.rest.thermometer import warmed
 from imumon.estimation.rest.wander import CREEP, OBLIQUE, TURN_EVERY_S, wander_after
 from imumon.estimation.rest.windows import CHI_SQUARE, MEMORY_SLOTS, SLOTS, TINY
@@ -31,6 +31,11 @@ BACK_S, SLOW_BACK_S, TURN_BACK_S = 0.25, 4.0, 16.0
 ALL_CREEP = 10.0
 """What makes a bias creep, temperature, has all axes creep: one by more than ten times what both others do,
 in one unit of a hundred where each of them may have any part of the slope of the first."""
+BEGINS_TURNING = 0.05
+"""Share of recordings that begin in a turn: who starts one on a turntable that runs.  Assumed, as
+`TURN_EVERY_S` is."""
+EARTH = 7.3e-5
+"""rad/s: a gyro without any bias reads up to the earth's rate."""
 TILTED = 0.05
 """m/s² (0.3°): less change of the specific force from rest to rest is drift of the accelerometers."""
 
@@ -185,6 +190,21 @@ def still_on(state: State, now_s: float) -> tuple[FloatArray, float]:
     return state.turn, float(1.0 / (1.0 + np.exp(min(0.5 * over, 100.0)) * since_s / TURN_EVERY_S))
 
 
+def turned_at_first(state: State) -> float:
+    """Return the probability that the first rest was a turn and is over, if one of the two means is a turn.
+
+    Two steady means look alike.  Of the biases of a gyro nobody knows the scale s: with a density of 1/s, a
+    mean of size m is the bias with a density of 1/m³, the more so the smaller it is by the measure of the
+    axes that do not turn.
+    """
+    if len(state.anchors) != 1:
+        return 0.0
+    now = recent_mean(state, state.quiet_slots)[0]
+    first2, now2 = (float(np.nansum(mean[GYRO] ** 2)) + EARTH**2 for mean in (state.anchors[0].mean, now))
+    odds = BEGINS_TURNING / (1.0 - BEGINS_TURNING) * (first2 / now2) ** 1.5
+    return float(odds / (1.0 + odds))
+
+
 def upright(state: State, turn: FloatArray, force: FloatArray) -> FloatArray:
     """Return the part of a turn, (3,), that is about the vertical; all of it where gravity is not known."""
     gravity2 = float(force @ force)
@@ -295,6 +315,19 @@ def is_steady(state: State, parameters: RestParameters) -> bool:
     return bool((_turned(state, change[:, GYRO], np.asarray(sigmas**2 * wander), creep) <= 1.0).all())
 
 
+def has_settled(state: State, slots: int, variance: FloatArray) -> bool:
+    """Tell whether both halves of the latest slots have one rate about the vertical, but for noise and creep.
+
+    The windows permit a drift that temperature makes on all axes; a turntable that coasts down drifts as much
+    about the vertical alone, when it is slow already.  variance, (6,), is that of the mean of a half.
+    """
+    halves = state.length - slots // 2 * np.arange(3)
+    means = state.means(halves)[:, GYRO]
+    seconds = np.array([state.span_s(slots // 2)])
+    limit2 = STEADY_SIGMAS**2 * (2.0 * variance[GYRO] + wander_after(state, float(seconds[0])))
+    return bool((_turned(state, means[:1] - means[1:], limit2[np.newaxis], CREEP * seconds) <= 1.0).all())
+
+
 def _turned(state: State, off: FloatArray, limit2: FloatArray, creep: FloatArray) -> FloatArray:
     """Return how many times the limit differences of gyros, (k, 3), are beyond a creeping bias, (k,).
 
@@ -313,7 +346,7 @@ def _turned(state: State, off: FloatArray, limit2: FloatArray, creep: FloatArray
     if not known.all():
         excess = np.maximum(np.abs(off) - creep[:, np.newaxis] - state.windows.resolution[GYRO], 0.0)
         return np.asarray(np.sqrt((excess**2 / limit2).sum(-1)) * (5.0 / np.sqrt(CHI_SQUARE)))
-    force = state.windows.rest_mean[ACCEL]
+    force = state.latest(EVERY)[0][ACCEL]
     up = force / np.sqrt(force @ force)
     along = np.abs(off @ up)
     across2 = np.maximum((off * off).sum(1) - along * along, 0.0)

@@ -38,6 +38,10 @@ COLOUR = 5.0
 LEAST_GAIN, MOST_SURPRISE = 1.0 / 64.0, 4.0
 TINY = 1e-24
 SAMPLE_MEMORY = 1.0 / 64.0
+QUIETER = 2.0
+"""A variance over `SAMPLE_MEMORY` so many times smaller than that of before is no chance: three sigmas for
+three samples in a slot.  Readings between two steps of the sensor toggle with the variance of a noise that
+would hide the steps; where they stand still, they show how little of it there is."""
 SPIKE_SIGMAS = 7.0
 MEMORY_SLOTS = 32
 """Slots of the mean at rest."""
@@ -258,14 +262,18 @@ def _keep(windows: Windows, quiet: int, slot: Slot, drift: FloatArray) -> None:
         if slot.samples[j] > 0.0:
             windows.rest_mean[j] += share * (slot.average[j] - windows.rest_mean[j])
             within = slot.within[j] if np.isfinite(slot.within[j]) else windows.variance[0, j]
-            windows.sample_variance[j] += SAMPLE_MEMORY * (min(within, MOST_SURPRISE * known + TINY) - known)
+            # Readings that hardly ever change hide noise that rounding leaves of: a change is no surprise.
+            usual = max(known, ROUNDED * windows.step[j] * windows.step[j]) + TINY
+            known += SAMPLE_MEMORY * (min(within, MOST_SURPRISE * usual) - known)
+            windows.sample_variance[j] = known
+            windows.quietest[j] = min(windows.quietest[j], QUIETER * known)
         _set_band(windows, j, drift[j])
 
 
 @inner
 def _set_band(windows: Windows, j: int, drift: float) -> None:
     step = windows.step[j]
-    noise = windows.sample_variance[j] / (step * step + TINY)
+    noise = min(windows.sample_variance[j], windows.quietest[j]) / (step * step + TINY)
     windows.resolution[j] = step * np.exp(-DITHER * max(noise - ROUNDED, 0.0))
     sd = np.sqrt(windows.sample_variance[j] + windows.variance[0, j])
     width = SPIKE_SIGMAS * sd + 1.5 * windows.resolution[j] + drift * MEMORY_SLOTS * SLOT_S

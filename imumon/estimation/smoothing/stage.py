@@ -83,8 +83,9 @@ class SmoothedEstimates:
         if told or not suspect:
             return []
         return [
-            f"forward and backward contradict each other in {', '.join(suspect)}: there is an effect that "
-            "the model lacks (imumon diagnose may name it); the smoothed sigma is widened by that"
+            f"forward and backward contradict each other in {', '.join(suspect)}: something turned at once "
+            "that the filter takes for smooth, or its model lacks an effect (of a bias, imumon diagnose may "
+            "name it); the smoothed sigma is widened by that"
         ]
 
 

@@ -108,6 +108,26 @@ def test_a_heading_at_rest_does_not_drift() -> None:
     assert np.ptp(heading) < np.radians(0.02)  # the bias alone would turn it by seven degrees
 
 
+def test_axes_that_are_mixed_up_are_said_and_widen_the_sigma() -> None:
+    made = scene()
+    mixed = without_mag(made.block).with_columns({"gyro_z": -made.block["gyro_z"]})
+    right, stage = AttitudeEstimate(axes="FRD"), AttitudeEstimate(axes="FRD")
+    usual = estimated(without_mag(made.block), right)["attitude_estimate_tilt_sd"]
+    wrong = estimated(mixed, stage)["attitude_estimate_tilt_sd"]
+    assert [text for text in stage.notices() if "are axes, signs and units right?" in text]
+    assert not [text for text in right.notices() if "right?" in text]
+    again = slice(8000, 8300)  # the third turn: the first two have shown it
+    assert not np.nanmax(wrong[again]) < 3.0 * np.nanmax(usual[again])
+
+
+def test_a_specific_force_that_is_not_gravity_is_said() -> None:
+    made = scene(seconds=20.0, turns=False)
+    in_g = {f"accel_{axis}": made.block[f"accel_{axis}"] / 9.81 for axis in "xyz"}
+    stage = AttitudeEstimate(axes="FRD")
+    estimated(without_mag(made.block).with_columns(in_g), stage)
+    assert [text for text in stage.notices() if "is not gravity" in text]
+
+
 def test_a_magnetometer_without_calibration_gives_north_but_no_sigma() -> None:
     made = scene()
     stage = AttitudeEstimate(axes="FRD")

@@ -117,6 +117,23 @@ def test_what_was_a_turn_or_a_change_of_the_bias_is_learned_once_it_is_rest() ->
     assert np.abs(error[t > 145.0]).max() < 15.0 * DPH
 
 
+def test_a_motion_that_began_softly_leaves_no_more_doubt_than_the_bias_has_moved() -> None:
+    block, bias = record(TRUTH, 240.0, 3)
+    t = np.arange(len(block)) / RATE_HZ
+    moving = t > 120.0
+    begin, swing = math.radians(0.14), math.radians(30.0) * np.sin(0.5 * (t - 120.0))
+    columns = {
+        "gyro_x": block["gyro_x"] + np.where(moving, swing, 0.0),
+        "at_rest": (~moving).astype(np.int64),
+        **{f"turn_hypothesis_{axis}": np.where(moving & (axis == "x"), begin, 0.0) for axis in "xyz"},
+    }
+    added = GyroBias().process(block.with_columns(columns))
+    swinging = t > 125.0
+    z = (added["gyro_bias_x"] - bias[:, 0])[swinging] / added["gyro_bias_sd_x"][swinging]
+    assert np.abs(z).max() < 5.0
+    assert added["gyro_bias_sd_x"][swinging].max() < 0.2 * begin
+
+
 def test_a_turn_of_half_a_minute_that_nobody_noticed_is_not_learned() -> None:
     block, bias = record(TRUTH, 300.0, 4)
     t = np.arange(len(block)) / RATE_HZ

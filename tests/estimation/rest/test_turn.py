@@ -233,6 +233,38 @@ def test_road_vibration_is_no_rest_and_an_idling_engine_is() -> None:
     ].all()
 
 
+@pytest.mark.parametrize("tau_s", [0.1, 10.0])
+def test_a_turntable_that_ran_at_first_is_at_rest_when_it_has_stopped(tau_s: float) -> None:
+    """No gyro with 2 °/s on one axis has 12 °/s on another: it is the first mean that was no bias."""
+    t, gyro, accel = noise(300.0, 25.0)
+    coasting = 12.0 * DEG * np.exp(-np.maximum(t - 60.0, 0.0) / tau_s)
+    gyro[:, 2] += coasting
+    _, rest, hypothesis = found(block(t, gyro, accel))
+    stop_s = 60.0 + tau_s * np.log(12.0 / 0.01)
+    assert not rest[(t > 62.0) & (coasting > 0.05 * DEG)].any()
+    assert rest[t > stop_s + 25.0].all()
+    assert np.abs(hypothesis[t > 290.0]).max() > 0.05 * DEG  # that it may be the other way round stays said
+
+
+@pytest.mark.parametrize("tau_s", [2.2, 9.0])
+def test_a_turntable_that_coasts_down_is_no_rest_while_a_good_gyro_sees_it(tau_s: float) -> None:
+    """180 °/h are no more than a bias may change from rest to rest, but a rate that falls is none."""
+    t, gyro, accel = noise(330.0, 25.0, 1.5e-5, 1e-3)
+    rate = 1.2 * DEG * np.clip((t - 60.0) / 50.0, 0.0, 1.0)
+    rate *= np.exp(-np.maximum(t - 170.0, 0.0) / tau_s)
+    gyro[:, 2] += rate
+    _, rest, _ = found(block(t, gyro, accel))
+    assert not rest[(t > 80.0) & (rate > 10.0 / 3600.0 * DEG)].any()
+    assert rest[t > 170.0 + tau_s * np.log(1.2 * 3600.0) + 25.0].all()
+
+
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_a_turn_that_makes_the_bias_look_smaller_is_a_turn_still(sense: float) -> None:
+    t, gyro, accel = noise(400.0, 25.0, bias=(0.3 * DEG, -0.8 * DEG, 0.9 * DEG))
+    gyro[t > BEGIN_S, 2] += 0.7 * sense * DEG
+    assert not found(block(t, gyro, accel))[1][t > BEGIN_S + 0.5].any()
+
+
 def test_a_stage_goes_on_from_a_snapshot() -> None:
     samples, _ = turn(0.5, 1.0, 5.0)
     whole, first, second = RestDetector(), RestDetector(), RestDetector()

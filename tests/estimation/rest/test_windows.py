@@ -150,3 +150,16 @@ def test_what_the_steps_of_a_gyro_hide_is_the_hypothesis(sd_steps: float, hidden
     assert np.abs(said[6000:]).max() <= (hidden_steps + 0.02) * step
     if hidden_steps == 0.5:
         assert np.abs(said[6000:]).min() > 0.25 * step
+
+
+@pytest.mark.parametrize("sd_steps", [0.1, 0.26])
+def test_readings_that_change_now_and_then_between_coarse_steps_are_rest(sd_steps: float) -> None:
+    """Between two codes readings toggle, in the middle of one a change is rare: both are the same noise."""
+    t, _, _ = noise(900.0, 25.0)
+    steps = sd_steps * np.random.default_rng(5).standard_normal((len(t), 6))
+    steps += 0.7 * np.sin(2.0 * np.pi * t / 600.0)[:, np.newaxis] * [1.0, -1.0, 0.8, 0.0, 0.0, 0.0]
+    steps += np.array([0.2, 0.0, 0.3, 0.0, 0.02, 0.05])
+    readings = np.round(steps) * np.repeat([1e-3, 0.038], 3)
+    readings[:, 5] -= 258 * 0.038
+    rest = detect(block(t, readings[:, :3], readings[:, 3:]))
+    assert rest[t > 10.0].all()

@@ -1,0 +1,170 @@
+"""``rack.yaml``: which units stand in a rack, on which ports, and how each is recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Final, Literal
+
+from pydantic import Field, StringConstraints, ValidationError, model_validator
+from pydantic_core import InitErrorDetails, PydanticCustomError
+
+from imumon.config import StrictModel, parse_yaml
+from imumon.errors import ImumonError
+from imumon.files import read_text
+from imumon.models.model import load_model
+from imumon.protocols.device import device_text, parse_device
+from imumon.run.setup import Setup, load_setup
+from imumon.transport.settings import PortSettings
+
+FORMAT: Final = "imumon-rack/1"
+MOST_UNITS = 100
+"""Each takes a process, 60 MB and 6 % of a core at 400 Hz: no computer on a bench has room for more."""
+HIGHEST_BAUD = 100_000_000
+"""Of a serial line; the fastest adapters reach 12 MBd."""
+
+Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,31}$")]
+"""Of a unit: part of the name of a folder, and of a path in the viewer."""
+Text = Annotated[str, StringConstraints(min_length=1, max_length=4096)]
+Baud = Annotated[int, Field(ge=1, le=HIGHEST_BAUD)]
+
+
+class Shared(StrictModel):
+    """What units may have in common: device, baud rate, bias model and pipeline file.
+
+    Files are looked for from the folder of ``rack.yaml``; `device` is a name that imumon knows, or a file.
+    """
+
+    device: Text | None = None
+    baud: Baud | None = None
+    model: Text | None = None
+    pipeline: Text | None = None
+
+
+class Place(Shared):
+    """One unit; what it does not say, the default says."""
+
+    port: Text
+    serial: Annotated[str, StringConstraints(min_length=1, max_length=200)] | None = None
+
+
+class RackFile(StrictModel):
+    """The units by their names, in the order in which they are shown."""
+
+    format: Literal["imumon-rack/1"]
+    default: Shared = Shared()
+    units: dict[Name, Place] = Field(min_length=1, max_length=MOST_UNITS)
+
+    @model_validator(mode="after")
+    def _agree(self) -> RackFile:
+        """Every unit has a device, and a port of its own."""
+        wrong = [
+            InitErrorDetails(
+                type=PydanticCustomError("value_error", "{said}", {"said": said}),
+                loc=("units", name, key),
+                input=None,
+            )
+            for name, key, said in self._contradictions()
+        ]
+        if wrong:
+            raise ValidationError.from_exception_data("RackFile", wrong)
+        return self
+
+    def _contradictions(self) -> Iterator[tuple[str, str, str]]:
+        """Yield the unit, the key and what is wrong with it."""
+        ports: dict[str, str] = {}
+        for name, place in self.units.items():
+            if place.device is None and self.default.device is None:
+                yield name, "device", "neither the unit nor the default says which device it is"
+            if place.port in ports:
+                yield name, "port", f"{place.port} is the port of {ports[place.port]} already"
+            ports.setdefault(place.port, name)
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """One unit as its process is told: nothing in it refers to a file.
+
+    Parameters
+    ----------
+    device_yaml, source : str
+        Text of the device file, and what errors call it.
+    settings : PortSettings
+        The port.
+    serial : str or None
+        Serial number of the unit.
+    pipeline_yaml : str or None
+        What the estimators are told, the bias model in it; None for the defaults.
+    """
+
+    name: str
+    device_yaml: str
+    source: str
+    settings: PortSettings
+    serial: str | None
+    pipeline_yaml: str | None
+
+
+def load_rack(path: Path) -> dict[str, Plan]:
+    """Read a rack and every file that it names; return the plan of each unit by its name.
+
+    Raises
+    ------
+    ImumonError
+        BAD_CONFIG, with file and line, what was found and what was expected.
+    """
+    text = read_text(path, hint=f"give a rack file (format: {FORMAT})")
+    rack = parse_yaml(text, RackFile, str(path))
+    return {name: _plan(name, place, rack.default, path) for name, place in rack.units.items()}
+
+
+def _plan(name: str, place: Place, default: Shared, path: Path) -> Plan:
+    said = {**default.model_dump(exclude_none=True), **place.model_dump(exclude_none=True)}
+    try:
+        device = _beside(path, said["device"])
+        device_yaml, source = device_text(device)
+        settings = parse_device(device_yaml, source).port_settings(place.port, said.get("baud"))
+        setup = load_setup(path.parent / said["pipeline"]) if "pipeline" in said else Setup()
+        if "model" in said:
+            setup = setup.with_options(model=load_model(path.parent / said["model"]))
+    except ImumonError as error:
+        raise ImumonError(error.reason, f"{path}: {name}: {error.seen}", error.hint) from error
+    return Plan(name, device_yaml, source, settings, place.serial, setup.text())
+
+
+def _beside(path: Path, device: str) -> str:
+    """Return the path of a device file that stands beside the rack's, or what was said."""
+    own = path.parent / device
+    return str(own) if own.is_file() else device
+
+
+class Watched:
+    """A rack file that may be changed while the rack runs.
+
+    Parameters
+    ----------
+    path : Path
+        The file, which has been read.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._read = self._seen = self._stamp()
+
+    def has_changed(self) -> bool:
+        """Tell, once for each change, that the file is another one and stays so: it may be half written."""
+        stamp, before = self._stamp(), self._seen
+        self._seen = stamp
+        if stamp is None or stamp != before or stamp == self._read:
+            return False
+        self._read = stamp
+        return True
+
+    def _stamp(self) -> tuple[int, int, int] | None:
+        """Return what tells one state of the file from another; None while there is none."""
+        try:
+            now = self.path.stat()
+        except OSError:
+            return None
+        return now.st_mtime_ns, now.st_size, now.st_ino

@@ -1,0 +1,154 @@
+"""What the process of a unit tells the rack: how the unit is, and a picture for the view that all share."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import psutil
+
+from imumon.blocks import BoolArray, FloatArray, IntArray, SampleBlock
+from imumon.run.narration import Progress
+from imumon.view.items import Drawing, Event, Instant, Samples, State, ViewItem, merge
+from imumon.view.queue import DropOldestQueue
+
+QUEUE_BYTES = 4 << 20
+"""A second of samples takes 200 kB at 400 Hz."""
+PICTURE_STEP_NS = 20_000_000
+"""The shared view gets a sample every 20 ms: what a screen can show of half a minute; the session has all."""
+MEMORY_S = 10.0
+"""How often the memory is looked up, which takes some milliseconds."""
+MEGABYTE = 1e6
+
+
+@dataclass(frozen=True, slots=True)
+class Vitals:
+    """How a unit is, once a second.
+
+    Parameters
+    ----------
+    session : str
+        Folder of its recording; empty while its port cannot be opened.
+    lanes : mapping
+        Present state of each lane: port, data, motion, model.
+    temperature_deg : float
+        °C, mean over its sensors; NaN until there is one.
+    bias, bias_sd : tuple of float
+        Gyro bias of each axis and its standard deviation, rad/s; empty until there is one.
+    packets_lost : int
+        Missing by their counter, or damaged.
+    at_s, cpu_s : float
+        When this was, by a clock that only goes forwards, and the processor time since its process began.
+    memory_mb : float
+        MB: pages of its own, and its share of those that it has in common with other processes.
+    """
+
+    session: str = ""
+    elapsed_s: float = 0.0
+    lanes: Mapping[str, str] = field(default_factory=dict)
+    temperature_deg: float = math.nan
+    bias: tuple[float, ...] = ()
+    bias_sd: tuple[float, ...] = ()
+    packets_per_s: float = 0.0
+    packets_lost: int = 0
+    bytes_received: int = 0
+    bytes_skipped: int = 0
+    at_s: float = 0.0
+    cpu_s: float = 0.0
+    memory_mb: float = math.nan
+
+
+class Feed:
+    """Gathers the view items of a unit; `publish` may be called from any thread, `take` from one.
+
+    Parameters
+    ----------
+    session : str
+        Folder of the recording.
+    pictures : bool
+        Whether anybody looks at more than the numbers.
+    """
+
+    def __init__(self, session: str, *, pictures: bool) -> None:
+        self._queue: DropOldestQueue[ViewItem] = DropOldestQueue(QUEUE_BYTES)
+        self._pictures = pictures
+        self._vitals = Vitals(session)
+        self._lanes: dict[str, str] = {}
+        self._process = psutil.Process()
+        self._memory_s = -math.inf
+
+    @property
+    def publish(self) -> Callable[[ViewItem], None]:
+        """Where view items go."""
+        return self._queue.put
+
+    def take(self, progress: Progress) -> tuple[Vitals, list[ViewItem]]:
+        """Return how the unit is, and what has come for the view since the last time."""
+        items = merge(self._queue.take(0.0, 0.0))
+        for item in items:
+            if isinstance(item, State):
+                self._lanes[item.lane] = item.state
+            elif isinstance(item, Samples) and not item.stream:
+                self._measure(item.block)
+        self._look(progress)
+        pictured = [pictured for item in items if (pictured := picture(item)) is not None]
+        return self._vitals, pictured if self._pictures else []
+
+    def _measure(self, block: SampleBlock) -> None:
+        """Note temperature and bias of the newest samples that have them."""
+        temperature, bias, sd = block.temperature, block.vector("gyro_bias"), block.vector("gyro_bias_sd")
+        if temperature is not None and np.isfinite(temperature).any():
+            self._vitals = replace(self._vitals, temperature_deg=float(np.nanmean(temperature)))
+        if bias is not None and sd is not None:
+            known = np.flatnonzero(np.isfinite(bias).all(axis=1) & np.isfinite(sd).all(axis=1))
+            if len(known):
+                row = known[-1]
+                self._vitals = replace(self._vitals, bias=tuple(bias[row]), bias_sd=tuple(sd[row]))
+
+    def _look(self, progress: Progress) -> None:
+        counters, now = progress.counters, time.monotonic()
+        if now - self._memory_s > MEMORY_S:
+            self._memory_s = now
+            memory = self._process.memory_full_info().pss / MEGABYTE
+            self._vitals = replace(self._vitals, memory_mb=memory)
+        self._vitals = replace(
+            self._vitals,
+            elapsed_s=progress.elapsed_s,
+            lanes=dict(self._lanes),
+            packets_per_s=progress.packets_per_s,
+            packets_lost=counters.lost,
+            bytes_received=counters.bytes_received,
+            bytes_skipped=counters.bytes_skipped,
+            at_s=now,
+            cpu_s=time.process_time(),
+        )
+
+
+def picture(item: ViewItem) -> Samples | Event | None:
+    """Return an item as the shared view shows it: by the host's clock, fifty samples a second, no charts.
+
+    Other units have other device clocks; and a chart that is drawn for each unit takes as long as all else.
+    """
+    if isinstance(item, Drawing):
+        return None
+    if not isinstance(item, Samples):
+        return None if item.at.host_ns is None else replace(item, at=Instant(None, None, item.at.host_ns))
+    arrival = item.block.columns.get("arrival_time_ns")
+    times = arrival if item.host_ns is None else item.host_ns
+    if times is None or not item.rows:
+        return None
+    keep = _first_of_steps(times)
+    columns = {
+        name: values[keep]
+        for name, values in item.block.columns.items()
+        if values.dtype == np.float64 and np.isfinite(values).any()
+    }
+    return Samples(None, None, times[keep], SampleBlock(columns), item.stream) if columns else None
+
+
+def _first_of_steps(times_ns: IntArray | FloatArray) -> BoolArray:
+    step = times_ns // PICTURE_STEP_NS
+    return np.asarray(np.diff(step, prepend=step[:1] - 1) != 0)

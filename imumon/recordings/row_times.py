@@ -1,0 +1,186 @@
+"""Times of the rows of a table from elsewhere: even ones, counts that wrap, segments, leaps of an hour."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+
+from imumon.blocks import BoolArray, IntArray
+from imumon.errors import ImumonError, Reason
+from imumon.recordings.foreign import Part
+from imumon.recordings.map import TableMap
+
+HOUR_NS = 3600 * 10**9
+"""By which clocks are put forward and back for daylight saving, at a full hour."""
+WITH_ZONE = "write the times in UTC or with their zone (+01:00)"
+
+
+@dataclass(slots=True)
+class RowTimes:
+    """Times of the rows so far: checks that they increase, counts segments, sums the span.
+
+    Parameters
+    ----------
+    table : Path
+    table_map : TableMap
+    """
+
+    table: Path
+    table_map: TableMap
+    segment: int = 0
+    span_ns: int = 0
+    last: tuple[int, int] | None = None
+    """Time and line of the last row."""
+    counted: int = 0
+    """What its column of time says, and how often that has wrapped."""
+    wraps: int = 0
+    longest: tuple[int, int] = (0, 0)
+    """The longest step forwards, and the line that it leads to."""
+    leaps: int = 0
+    """How many leaps of an hour there were, and what is said of the first."""
+    first_leap: str = ""
+
+    def take(self, part: Part) -> tuple[IntArray, IntArray]:
+        """Return the times of rows in ns, and their segments.
+
+        Raises
+        ------
+        ImumonError
+            BAD_DATA at the first time that does not increase, unless it goes back and that begins a segment,
+            and for times beyond 64 bits.
+        """
+        times = self._times(part)
+        if not len(times):
+            return times, times
+        before = [] if self.last is None else [self.last]
+        line = np.concatenate([np.array([number for _, number in before], np.int64), part.line])
+        steps = np.diff(times, prepend=np.array([time for time, _ in before], np.int64))
+        lines = line[1:]
+        back = steps < 0
+        hours = _leaps_of_an_hour(times[len(times) - len(steps) :], steps) if part.local else back & False
+        wrong = np.flatnonzero((steps == 0) | (back & (not self._segments_allowed)))
+        if len(wrong):
+            at = int(wrong[0])
+            self._refuse(
+                int(times[len(times) - len(steps) + at]), int(steps[at]), line[at : at + 2], hours[at]
+            )
+        segments = self.segment + np.concatenate([np.zeros(1 - len(before), np.int64), np.cumsum(back)])
+        self._note(steps, lines, back, hours)
+        self.last = int(times[-1]), int(line[-1])
+        self.segment = int(segments[-1])
+        return times, segments
+
+    def warnings(self) -> list[str]:
+        """Return what cannot be known of these times, once all were taken."""
+        said = []
+        if self.leaps:
+            said.append(self.first_leap + (f" ({self.leaps} such leaps)" if self.leaps > 1 else ""))
+        time = self.table_map.time
+        if time is not None and time.wrap_ns is not None:
+            wrap, (longest_ns, line) = f"{float(time.wrap_ns) * 1e-9:g} s", self.longest
+            said.append(
+                f"{self.table}: time wraps every {wrap}, and how often it did in a gap cannot be known: one"
+                f" of {wrap} or longer comes out short by whole wraps"
+                + (f". The longest step is {longest_ns * 1e-9:g} s, to line {line}" if line else "")
+            )
+        return said
+
+    @property
+    def _segments_allowed(self) -> bool:
+        time = self.table_map.time
+        return time is not None and time.backwards == "segment"
+
+    def _times(self, part: Part) -> IntArray:
+        time, counted = self.table_map.time, part.time_ns
+        if time is None or counted is None:
+            return _even_times(part.index, self.table_map.rate_hz)
+        return counted if time.wrap_ns is None else self._unwrapped(counted, time.wrap_ns)
+
+    def _unwrapped(self, counted: IntArray, wrap_ns: Fraction) -> IntArray:
+        """Return the times of counts, each of which is behind the one before it by less than a wrap.
+
+        The wraps are rounded to ns all together, so that nothing adds up.
+        """
+        if not len(counted):
+            return counted
+        before = counted[0] if self.last is None else self.counted
+        wraps = self.wraps + np.cumsum(np.diff(counted, prepend=before) < 0)
+        first, last = int(wraps[0]), int(wraps[-1])
+        self.counted, self.wraps = int(counted[-1]), last
+        if (last + 1) * wrap_ns >= 2**63:
+            raise ImumonError(
+                Reason.BAD_DATA,
+                f"{self.table}: its times wrap so often that they are beyond the 292 years of a time in ns",
+                "check wraps_at and the unit of time in the map",
+            )
+        whole = np.array([round(number * wrap_ns) for number in range(first, last + 1)], np.int64)
+        times: IntArray = counted + whole[wraps - first]
+        return times
+
+    def _note(self, steps: IntArray, lines: IntArray, back: BoolArray, hours: BoolArray) -> None:
+        """Keep what the report says of these steps."""
+        if not len(steps):
+            return
+        self.span_ns += sum(steps[~back].tolist())
+        at = int(steps.argmax())
+        self.longest = max(self.longest, (int(steps[at]), int(lines[at])), key=lambda step: step[0])
+        if hours.any():
+            at = int(np.flatnonzero(hours)[0])
+            does, where = ("goes back", "ends") if back[at] else ("leaps", "begins")
+            self.first_leap = self.first_leap or (
+                f"{self.table}:{lines[at]}: time {does} by {abs(steps[at]) * 1e-9:g} s at a full hour, as"
+                f" local time does where daylight saving {where}: if it is that, {WITH_ZONE}"
+            )
+            self.leaps += int(hours.sum())
+
+    def _refuse(self, time_ns: int, step_ns: int, lines: IntArray, hour: bool) -> None:
+        after, before = time_ns * 1e-9, (time_ns - step_ns) * 1e-9
+        verb, hint = (
+            "is before",
+            "if the device or the log started anew there, add backwards: segment to time in the map",
+        )
+        if not step_ns:
+            verb, hint = "is the same as", "if the rows are evenly spaced, give rate_hz: ... in place of time"
+        elif hour:
+            hint = f"if it is local time where daylight saving ends, {WITH_ZONE}; {hint}"
+        raise ImumonError(
+            Reason.BAD_DATA,
+            f"{self.table}:{lines[1]}: time {after:.9f} s {verb} {before:.9f} s of line {lines[0]}",
+            hint,
+        )
+
+
+def _leaps_of_an_hour(times: IntArray, steps: IntArray) -> BoolArray:
+    """Tell at which times a local clock was put forward or back; the steps are those that lead to them.
+
+    Such a clock passes over the hour that begins where the rows stop, or comes to a full hour and begins it
+    anew; but for the hour the rows follow each other as usual, one may be missing.
+    """
+    usual = np.median(np.abs(steps)) if len(steps) else HOUR_NS
+    if 2 * usual >= HOUR_NS:
+        return np.zeros(len(steps), np.bool_)
+    hours_passed = times // HOUR_NS - (times - steps) // HOUR_NS
+    forwards = (hours_passed == 2) & (steps >= HOUR_NS) & (steps - HOUR_NS <= 2 * usual)
+    backwards = (hours_passed == 0) & (steps >= -HOUR_NS) & (steps + HOUR_NS <= 2 * usual)
+    return np.asarray(forwards | backwards, np.bool_)
+
+
+def _even_times(index: IntArray, rate_hz: float | None) -> IntArray:
+    """Return the times of rows at an even rate, each rounded by itself so that no error adds up.
+
+    A row that was dropped keeps its time: the rows after it are where they would be with it.
+    """
+    if rate_hz is None:
+        raise ValueError("a map without time has a rate")
+    period_ns = 10**9 / Fraction(str(rate_hz))
+    try:
+        return np.array([round(row * period_ns) for row in index.tolist()], np.int64)
+    except OverflowError:
+        raise ImumonError(
+            Reason.BAD_CONFIG,
+            f"at rate_hz: {rate_hz:g} the table takes longer than the 292 years that a time in ns can tell",
+            "give the rate of the rows in the map",
+        ) from None

@@ -1,0 +1,167 @@
+"""Several units in one recording: each a tab with its whole live view, before them a page with all."""
+
+from __future__ import annotations
+
+import math
+import re
+import time
+from collections.abc import Iterable
+from typing import Any
+
+import rerun as rr
+import rerun.blueprint as rrb
+
+from imumon.view.blueprint import arranged
+from imumon.view.items import OfUnit, Overview, Shown, ViewItem, ViewSetup, merge
+from imumon.view.lanes import lane_path
+from imumon.view.layout import Rows, single
+from imumon.view.logger import StreamLogger
+from imumon.view.window import Window
+
+OVERVIEW = "/overview"
+ARRANGE_S = 10.0
+"""The arrangement is renewed so often at the most: each costs threads and memory that Rerun 0.41 never gives
+back, and leads whoever looks on back to the first tab."""
+TIMELINE = "host_time"
+"""The clocks of devices have nothing in common but that of the computer."""
+
+
+class UnitsLogger:
+    """Logs the items of several units to one recording stream; used as a `StreamLogger`.
+
+    Parameters
+    ----------
+    rec : RecordingStream
+        Where everything goes.
+    setup : ViewSetup
+        Title and properties of the whole.
+    """
+
+    def __init__(self, rec: rr.RecordingStream, setup: ViewSetup) -> None:
+        self._rec, self._setup = rec, setup
+        self._units: dict[str, tuple[ViewSetup, StreamLogger]] = {}
+        self._overview: Overview | None = None
+        self.arrangement: rrb.Blueprint | None = None
+        """The blueprint that was sent last."""
+        self._sent: list[Any] = []
+        self._sent_s = -math.inf
+
+    def begin(self) -> None:
+        """Log what does not change, for a new reader, and the latest states."""
+        self._rec.send_recording_name(self._setup.title)
+        if self._setup.properties:
+            self._rec.send_property("rack", rr.AnyValues(True, **self._setup.properties))
+        for _, logger in self._units.values():
+            logger.begin()
+        self._sent, self._sent_s = [], -math.inf
+        if self._overview is not None:
+            self._show_overview(self._overview)
+        self._arrange()
+
+    def log(self, items: Iterable[Shown]) -> None:
+        """Log items, those of each unit in their order."""
+        found: dict[str, list[ViewItem]] = {}
+        for item in items:
+            if isinstance(item, OfUnit):
+                self._meet(item.setup)
+                found.setdefault(item.setup.title, []).append(item.item)
+            elif isinstance(item, Overview):
+                self._show_overview(item)
+        for unit, own in found.items():
+            self._units[unit][1].log(merge(own))
+        self._arrange()
+
+    def finish(self) -> None:
+        """Log how it was at the end."""
+        for _, logger in self._units.values():
+            logger.finish()
+
+    def _meet(self, setup: ViewSetup) -> None:
+        """Begin with a unit that is new, or that has begun anew with another device."""
+        known = self._units.get(setup.title)
+        if known is None or known[0] != setup:
+            below: Any = Below(self._rec, f"/{setup.title}")
+            logger = StreamLogger(below, setup, live=True)
+            logger.begin()
+            self._units[setup.title] = setup, logger
+
+    def _show_overview(self, page: Overview) -> None:
+        """Log the page, and forget the units that are gone from it."""
+        self._overview = page
+        text = rr.TextDocument.columns(text=[page.markdown], media_type=["text/markdown"])
+        indexes = Rows({}, None, None, single(page.at.host_ns)).indexes
+        self._rec.send_columns(OVERVIEW, indexes=indexes, columns=text)
+        for unit in self._units.keys() - set(page.units):
+            del self._units[unit]
+
+    def _arrange(self) -> None:
+        """Send the arrangement when that of a unit has changed, or which units there are."""
+        if self._overview is None or time.monotonic() - self._sent_s < ARRANGE_S:
+            return
+        loggers = [self._units[unit][1] for unit in self._overview.units if unit in self._units]
+        arrangements = [logger.arrangement for logger in loggers if logger.arrangement is not None]
+        if arrangements == self._sent:
+            return
+        self._sent, self._sent_s = arrangements, time.monotonic()
+        tabs = [arrangement.root_container for arrangement in arrangements]
+        self.arrangement = arranged(rrb.Tabs(self._first_tab(), *tabs, active_tab=0), TIMELINE)
+        self._rec.send_blueprint(self.arrangement)
+
+    def _first_tab(self) -> Any:
+        """Return the page, and below it how the ports of all units have been."""
+        window = Window(self._setup.window_s)
+        states = rrb.StateTimelineView(
+            origin="/",
+            contents=[f"/{unit}{lane_path(lane)}" for unit in self._units for lane in ("port", "unit")],
+            name="Ports and processes",
+            time_ranges=window.ranges,
+            time_view=window.axis,
+        )
+        table = rrb.TextDocumentView(origin=OVERVIEW, name="Units")
+        return rrb.Vertical(table, states, row_shares=[1.0, 1.0], name="Rack")
+
+
+class Below:
+    """A recording stream as `StreamLogger` uses it, with all entities below one; keeps no arrangement.
+
+    Parameters
+    ----------
+    rec : RecordingStream
+        The stream.
+    root : str
+        The entity, such as ``/unit``.
+    """
+
+    def __init__(self, rec: rr.RecordingStream, root: str) -> None:
+        self._rec, self._root = rec, root
+
+    def log(self, path: str, *what: Any, static: bool = False) -> None:
+        """Log below the root."""
+        self._rec.log(self._root + path, *what, static=static)
+
+    def send_columns(self, path: str, *, indexes: Any, columns: Any) -> None:
+        """Log columns below the root."""
+        self._rec.send_columns(self._root + path, indexes=indexes, columns=columns)
+
+    def send_recording_name(self, _: str) -> None:
+        """Leave the name of the recording as it is."""
+
+    def send_property(self, name: str, values: Any) -> None:
+        """Leave the unit's properties out: they are in its session."""
+
+    def send_blueprint(self, whole: rrb.Blueprint) -> None:
+        """Let the arrangement show what is below the root; it is not sent."""
+        whole.root_container.name = self._root.removeprefix("/")
+        _move(whole.root_container, self._root)
+
+
+def _move(part: Any, root: str) -> None:
+    """Let the views of an arrangement show the entities below another root."""
+    if isinstance(part, rrb.Container):
+        for inner in part.contents:
+            _move(inner, root)
+        return
+    part.origin = root if part.origin == "/" else f"{root}{part.origin}"
+    if not isinstance(part.contents, str):
+        part.contents = [re.sub("^/", f"{root}/", path) for path in part.contents]
+    part.visualizer_overrides = {f"{root}{path}": look for path, look in part.visualizer_overrides.items()}

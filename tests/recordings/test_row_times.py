@@ -1,0 +1,194 @@
+"""Times of tables from elsewhere that wrap, and local times over a change of daylight saving."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from datetime import datetime, timedelta
+from fractions import Fraction
+from pathlib import Path
+from zoneinfo import ZoneInfo
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from imumon.errors import ImumonError
+from imumon.recordings import foreign
+from imumon.recordings.importing import ImportReport, import_table
+from imumon.recordings.reader import open_recording
+from imumon.recordings.table import read_table
+
+WRAPPING = "time: {column: t, unit: UNIT, wraps_at: AT}\npressure: {columns: [p], unit: Pa}\n"
+DATES = "time: {column: t, unit: iso8601}\npressure: {columns: [p], unit: Pa}\n"
+BERLIN = ZoneInfo("Europe/Berlin")
+SPRING, AUTUMN = datetime(2026, 3, 29, 0, 50), datetime(2026, 10, 25, 0, 50)
+"""Ten minutes before the clocks of Berlin are put forward and back, in UTC."""
+
+
+def run(folder: Path, times: Sequence[object], map_text: str) -> tuple[ImportReport, list[int], list[int]]:
+    """Return the report, the times in ns and the segments of a table with these times."""
+    (folder / "map.yaml").write_text(map_text)
+    (folder / "t.csv").write_text("t,p\n" + "".join(f"{time},1\n" for time in times))
+    report = import_table(folder / "t.csv", folder / "map.yaml", folder / "session")
+    samples, _ = read_table(folder / "session" / "samples.parquet")
+    return report, samples["device_time_ns"].tolist(), samples["segment"].tolist()
+
+
+@given(
+    start=st.integers(0, 65535),
+    steps=st.lists(st.integers(1, 65535), max_size=40),
+    rows_per_part=st.integers(1, 15),
+    broken=st.sets(st.integers(0, 40)),
+)
+@settings(max_examples=60, deadline=None)
+def test_a_count_that_wraps_goes_on(
+    tmp_path_factory: pytest.TempPathFactory,
+    start: int,
+    steps: list[int],
+    rows_per_part: int,
+    broken: set[int],
+) -> None:
+    true_ms = np.cumsum([start, *steps])
+    kept = true_ms[:1].tolist()  # a bad row may not make a gap as long as a wrap
+    said = [str(start)]
+    for row, time in enumerate(true_ms[1:].tolist(), 1):
+        bad = row in broken and row + 1 < len(true_ms) and true_ms[row + 1] - kept[-1] < 65536
+        said.append("oops" if bad else str(time % 65536))
+        kept += [] if bad else [time]
+    text = WRAPPING.replace("UNIT", "ms").replace("AT", "65536") + "bad_rows: drop\n"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(foreign, "ROWS_PER_PART", rows_per_part)
+        report, times, segments = run(tmp_path_factory.mktemp("s"), said, text)
+    assert times == [time * 10**6 for time in kept]
+    assert set(segments) == {0}
+    assert report.span_s == pytest.approx((kept[-1] - kept[0]) * 1e-3)
+
+
+@given(st.integers(1, 400), st.sampled_from([("s/32768", 1000), ("s/30", 7), ("us/3", 0.1)]))
+@settings(max_examples=30, deadline=None)
+def test_wraps_of_a_fraction_of_a_nanosecond_do_not_add_up(
+    tmp_path_factory: pytest.TempPathFactory, rows: int, clock: tuple[str, float]
+) -> None:
+    unit, wraps_at = clock
+    text = WRAPPING.replace("UNIT", unit).replace("AT", str(wraps_at))
+    wrap = Fraction(str(wraps_at))
+    counts = [wrap * row * Fraction(7, 10) for row in range(rows)]
+    report, times, _ = run(
+        tmp_path_factory.mktemp("s"), [f"{float(count % wrap):.12f}" for count in counts], text
+    )
+    unit_ns = {"s/32768": Fraction(10**9, 32768), "s/30": Fraction(10**9, 30), "us/3": Fraction(1000, 3)}[
+        unit
+    ]
+    assert report.rows_out == rows
+    assert max(abs(time - count * unit_ns) for time, count in zip(times, counts, strict=True)) <= 1
+
+
+def test_what_a_gap_may_hide_is_said_once(tmp_path: Path) -> None:
+    text = WRAPPING.replace("UNIT", "ms").replace("AT", "65536")
+    report, times, _ = run(tmp_path, [65000, 65500, 464, 30464, 30964], text)
+    assert times[-1] == 96_500 * 10**6
+    (said,) = report.warnings
+    assert "wraps every 65.536 s" in said
+    assert "one of 65.536 s or longer comes out short by whole wraps" in said
+    assert said.endswith("The longest step is 30 s, to line 5")
+    recording = open_recording(tmp_path / "t.csv", map_path=tmp_path / "map.yaml")
+    assert sum(map(len, recording.blocks())) == 5
+    assert recording.warnings() == [said]
+
+
+def test_a_count_that_is_not_below_its_wrap_is_a_bad_row(tmp_path: Path) -> None:
+    text = WRAPPING.replace("UNIT", "ms").replace("AT", "65536")
+    with pytest.raises(ImumonError) as caught:
+        run(tmp_path, [1, 65536, -1], text)
+    assert "t.csv:3: time '65536' is not from 0 to below 65536, where it wraps" in caught.value.seen
+    assert "t.csv:4: time '-1' is not from 0" in caught.value.seen
+
+
+def test_a_count_that_stands_still_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ImumonError, match="is the same as"):
+        run(tmp_path, [1, 5, 5], WRAPPING.replace("UNIT", "ms").replace("AT", "10"))
+
+
+def test_wraps_beyond_64_bits_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ImumonError, match="292 years"):
+        run(tmp_path, [5e8, 1, 5e8, 1, 5e8, 1] * 12, WRAPPING.replace("UNIT", "s").replace("AT", "1e9"))
+
+
+@pytest.mark.parametrize(
+    ("time", "why"),
+    [
+        ("unit: iso8601, wraps_at: 60", "dates do not wrap"),
+        ("unit: ms, wraps_at: 60, backwards: segment", "nobody can tell a restart"),
+        ("unit: ms, wraps_at: 0", "greater than 0"),
+        ("unit: s, wraps_at: 1e10", "no time that 64 bits hold"),
+        ("unit: ns, wraps_at: 0.5", "no time that 64 bits hold"),
+    ],
+)
+def test_a_map_with_a_wrap_that_cannot_be_is_refused(tmp_path: Path, time: str, why: str) -> None:
+    with pytest.raises(ImumonError, match=why):
+        run(tmp_path, [0], f"time: {{column: t, {time}}}\npressure: {{columns: [p], unit: Pa}}\n")
+
+
+def local(begin_utc: datetime, seconds: Iterable[float], form: str = "") -> list[str]:
+    """Return what a clock in Berlin says so many seconds after a moment."""
+    moments = (begin_utc.replace(tzinfo=ZoneInfo("UTC")) + timedelta(seconds=one) for one in seconds)
+    said = [moment.astimezone(BERLIN) for moment in moments]
+    return [one.isoformat() if form == "zone" else one.replace(tzinfo=None).isoformat() for one in said]
+
+
+@given(rate_hz=st.floats(0.1, 20.0), phase=st.floats(0.0, 1.0), rows_per_part=st.integers(30, 500))
+@settings(max_examples=25, deadline=None)
+def test_local_time_that_is_put_forward_is_said(
+    tmp_path_factory: pytest.TempPathFactory, rate_hz: float, phase: float, rows_per_part: int
+) -> None:
+    seconds = [570 + (row + phase) / rate_hz for row in range(int(60 * rate_hz) + 3)]
+    step_s = 3600 + 1 / rate_hz
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(foreign, "ROWS_PER_PART", rows_per_part)
+        report, times, _ = run(tmp_path_factory.mktemp("s"), local(SPRING, seconds), DATES)
+    (said,) = report.warnings
+    row = int(np.argmax(np.diff(times))) + 1
+    assert seconds[row - 1] < 600 <= seconds[row] + 1e-5
+    assert f"t.csv:{row + 2}: time leaps by {step_s:g} s at a full hour" in said
+    assert "daylight saving begins: if it is that, write the times in UTC or with their zone" in said
+
+
+def test_local_time_that_is_put_back_is_told_from_a_restart(tmp_path: Path) -> None:
+    times = local(AUTUMN, np.arange(590.0, 610.0, 0.25))
+    with pytest.raises(ImumonError) as caught:
+        run(tmp_path, times, DATES)
+    assert "t.csv:42: time" in caught.value.seen
+    assert "where daylight saving ends, write the times in UTC or with their zone" in caught.value.hint
+    report, _, segments = run(tmp_path, times, DATES.replace("8601}", "8601, backwards: segment}"))
+    (said,) = report.warnings
+    assert "t.csv:42: time goes back by 3599.75 s at a full hour" in said
+    assert segments == [0] * 40 + [1] * 40
+
+
+@pytest.mark.parametrize(
+    "times",
+    [
+        local(SPRING, np.arange(590.0, 610.0, 0.25), "zone"),
+        local(SPRING, np.arange(0.0, 590.0, 10.0)),
+        # Rows an hour apart; a gap of an hour from another minute on; one of an hour and some rows.
+        local(SPRING + timedelta(days=9), np.arange(0.0, 86400.0, 3600.0)),
+        local(SPRING + timedelta(days=9), [*np.arange(0.0, 9.0), *np.arange(3609.0, 3620.0)]),
+        local(SPRING + timedelta(days=9), [*np.arange(590.0, 600.0), *np.arange(4205.0, 4210.0)]),
+    ],
+)
+def test_nothing_is_said_of_other_times(tmp_path: Path, times: list[str]) -> None:
+    report, *_ = run(tmp_path, times, DATES)
+    assert report.warnings == ()
+
+
+@pytest.mark.parametrize(("zone", "leaps"), [(None, 1), ("UTC", 0)])
+def test_parquet_timestamps_without_a_zone_are_local(tmp_path: Path, zone: str | None, leaps: int) -> None:
+    text = local(SPRING, np.arange(590.0, 610.0, 0.25))
+    times = pa.array([datetime.fromisoformat(one) for one in text], pa.timestamp("us", zone))
+    pq.write_table(pa.table({"t": times, "p": np.ones(len(text))}), tmp_path / "t.parquet")
+    (tmp_path / "map.yaml").write_text(DATES)
+    report = import_table(tmp_path / "t.parquet", tmp_path / "map.yaml", tmp_path / "session")
+    assert len(report.warnings) == leaps
