@@ -104,7 +104,7 @@ class Search:
         return Correlated(2.0**exponent, covariances)
 
     def stands_for(self, others: tuple[int, ...]) -> bool:
-        """Tell whether with a process that is short enough to be seen, and these terms, all is as likely."""
+        """Tell whether with a process short enough to be seen, and these terms, all is as likely."""
         columns = (*others, MARKOV)
         return any(
             self._gain(self._problem(self._family.of(row)).fit(columns).log_likelihood) > 0.0
