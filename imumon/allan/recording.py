@@ -13,6 +13,7 @@ from imumon.allan.series import PARTS, EvenSeries, even_channels
 from imumon.blocks import SampleBlock, join
 from imumon.columns import Column
 from imumon.errors import ImumonError, Reason
+from imumon.estimation.rest.state import COARSEST_STEPS
 from imumon.filters.rounding import digits
 from imumon.recordings.reader import Stages, no_stages, open_recording
 from imumon.recordings.reduced import ACCEL, GYRO, TEMPERATURES
@@ -180,9 +181,14 @@ def _among(names: list[str], series: dict[str, EvenSeries]) -> str:
 
 
 def _hidden(series: dict[str, EvenSeries]) -> list[str]:
-    """Return the channels whose steps hide their noise."""
+    """Return the channels whose steps hide their noise, or are coarser than the rest detector knows."""
+    coarsest = dict(zip(GROUPS, COARSEST_STEPS, strict=True))
     found = {name: digits(channel.values[channel.there]) for name, channel in series.items()}
-    return [name for name, look in found.items() if look is not None and look.error > NO_SUM]
+    return [
+        name
+        for name, look in found.items()
+        if look is not None and (look.error > NO_SUM or look.step > coarsest[group_of(name)])
+    ]
 
 
 def _of_motion(samples: SampleBlock, hidden: list[str], *, judged: bool) -> list[str]:
@@ -197,7 +203,7 @@ def _of_motion(samples: SampleBlock, hidden: list[str], *, judged: bool) -> list
     if share <= MOVING_SHARE:
         return []
     if hidden and not judged:
-        return [f"whether the unit moved cannot be told: the steps of {', '.join(hidden)} hide the noise"]
+        return [f"whether the unit moved cannot be told: the steps of {', '.join(hidden)} are too coarse"]
     if not (at_rest == 1).any() and not judged:
         return [
             "the rest detector found no rest: the unit moved, or is noisier than a sensor at rest can be; an "

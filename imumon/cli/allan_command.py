@@ -108,10 +108,10 @@ def _of_the_fit(results: dict[str, Result]) -> list[str]:
         "the curve lies below what a term that was fitted would make alone: only the angle random walk is "
         "told": withheld[CONTRADICTED],
         "the steps of the readings hide the noise: no term is told": [
-            f"{name} {_steps(results[name])}" for name in withheld[DIGITS]
+            _steps(name, results[name]) for name in withheld[DIGITS]
         ],
         "the steps of the readings add to the noise": [
-            f"{name} {_steps(result)}, {result.digits.share:.0%} of the variance"
+            f"{_steps(name, result)}, {result.digits.share:.0%} of the variance"
             for name, result in results.items()
             if result.digits is not None and _is_rough(result)
         ],
@@ -119,12 +119,14 @@ def _of_the_fit(results: dict[str, Result]) -> list[str]:
     return [f"{', '.join(names)}: {text}" for text, names in said.items() if names]
 
 
-def _steps(result: Result) -> str:
+def _steps(name: str, result: Result) -> str:
     """Return the steps of the readings, and how many times the noise they are."""
+    from imumon.allan.recording import UNITS, group_of
+
     if result.digits is None:
         return ""
     times = 1.0 / result.digits.ratio
-    return f"{result.digits.step:.3g} (SI), {times:.2g} times the noise before rounding"
+    return f"{name} {result.digits.step:.3g} {UNITS[group_of(name)]}, {times:.2g} times the noise"
 
 
 def _is_rough(result: Result) -> bool:
