@@ -177,6 +177,7 @@ DOCUMENTS = {
     "pipeline": "format: imumon-pipeline/1\nlatitude_deg: 48.0\n",
     "model": three_curves().to_yaml(),
     "map": MAP,
+    "rack": "format: imumon-rack/1\ndefault: {device: ax1}\nunits: {one: {port: /tmp/one, baud: 115200}}\n",
     "noise": "gyro: {angle_random_walk_rad_per_sqrt_s: [1.0e-4, 1.0e-4, 2.0e-4]}\n",
     "scenario": (Path(__file__).parents[2] / "configs" / "scenarios" / "bench.yaml").read_text(
         encoding="utf-8"
