@@ -10,23 +10,27 @@ from dataclasses import dataclass
 import numpy as np
 
 from imumon.allan.confidence import TRUSTED_FREEDOM, intervals
+from imumon.allan.correlated import times_to_try
 from imumon.allan.covariance import (
     COEFFICIENTS,
+    NOISES,
     NORMS,
-    SHAPES,
-    Covariances,
+    Family,
     Freedom,
     Kind,
     Runs,
-    allan_covariances,
+    family,
     freedom,
 )
-from imumon.allan.fit import TERMS, Fit, fit_terms
-from imumon.allan.kernels import all_sums, integrate
+from imumon.allan.fit import LONGEST_START_S, TERMS, Fit, fit_terms
+from imumon.allan.kernels import all_sums, integrate, losses, lossy_sums
 from imumon.allan.series import EvenSeries
-from imumon.blocks import FloatArray, IntArray
+from imumon.blocks import BoolArray, FloatArray, IntArray
+from imumon.filters.rounding import Digits, digits
 
 _WALK = np.array([0.0, 0.0, 1.0, 0.0])
+_SINGLE = [NOISES.index("white"), NOISES.index("quantization")]
+"""What a single sample has of its own; slower noise is in all means alike."""
 _WHITE = np.array([1.0, 0.0, 0.0, 0.0])
 
 
@@ -59,6 +63,8 @@ class Result:
     trusted : int
         How many of the averaging times can be trusted, from the shortest on: those that had `TRUSTED_FREEDOM`
         degrees of freedom if they were a random walk of the rate, and more for every other noise.
+    digits : Digits or None
+        Steps of the readings, where they are not far finer than the noise.
     """
 
     series: EvenSeries
@@ -69,6 +75,7 @@ class Result:
     noise: tuple[str, ...]
     fit: Fit | None
     trusted: int
+    digits: Digits | None
 
     @property
     def longest_tau_s(self) -> float:
@@ -95,10 +102,16 @@ def octaves(series: EvenSeries) -> IntArray:
 
 def variances(series: EvenSeries, factors: IntArray) -> dict[Kind, FloatArray]:
     """Return overlapping variances at averaging factors, (n,) each; NaN where no run is long enough."""
-    x = integrate(series.values, float(series.values.mean()))
+    level = float(series.values.mean())  # what is missing has it
+    x, count = integrate(series.values, level), _running(series.there)
     found = np.full((len(factors), len(COEFFICIENTS)), np.nan)
     for row, m in enumerate(factors.tolist()):
-        sums, numbers = all_sums(x, *series.runs(m), m)
+        starts, stops = series.runs(m)
+        whole = count[stops] - count[starts] == stops - starts
+        if whole.all():
+            sums, numbers = all_sums(x, starts, stops, m)
+        else:
+            sums, numbers = lossy_sums(x, count, starts, stops, m)
         scale = np.array(
             [NORMS[kind] * m**2 * (m**2 if kind == "modified" else 1.0) for kind in COEFFICIENTS]
         )
@@ -107,18 +120,33 @@ def variances(series: EvenSeries, factors: IntArray) -> dict[Kind, FloatArray]:
     return dict(zip(COEFFICIENTS, found.T, strict=True))
 
 
+def _running(there: BoolArray) -> IntArray:
+    """Return the running number of the samples that are there, (n + 1,)."""
+    return np.concatenate([[0], np.cumsum(there)])
+
+
+def _per_loss(series: EvenSeries, factors: IntArray) -> FloatArray:
+    """Return by what missing samples multiply the variance of each of `NOISES`, (n, 4)."""
+    there = series.there
+    count, found = _running(there), np.ones((len(factors), len(NOISES)))
+    if not there.all():
+        for row, m in enumerate(factors.tolist()):
+            found[row, _SINGLE] = losses(there, count, *series.runs(m), m)
+    return found
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Uncertainty:
     """What the division of a record into runs says of the uncertainty; the same for all its channels."""
 
-    covariances: Covariances
+    family: Family
     trusted: int
     freedoms: Mapping[Kind, tuple[Freedom | None, ...]]
 
 
 def uncertainty(series: EvenSeries, factors: IntArray) -> Uncertainty:
     """Work out the covariances of the averaging times, and what the degrees of freedom follow from."""
-    runs = [Runs.of(*series.runs(m)) for m in factors.tolist()]
+    runs = [Runs.of(*series.runs(m), 2 * m) for m in factors.tolist()]
     freedoms: dict[Kind, tuple[Freedom | None, ...]] = {}
     for kind, coefficients in COEFFICIENTS.items():
         span = len(coefficients) - (kind != "modified")
@@ -128,7 +156,8 @@ def uncertainty(series: EvenSeries, factors: IntArray) -> Uncertainty:
         )
     walk = [0.0 if part is None else part.of(_WALK) for part in freedoms["allan"]]
     trusted = next((row for row, value in enumerate(walk) if value < TRUSTED_FREEDOM), len(walk))
-    return Uncertainty(allan_covariances(factors, runs), trusted, freedoms)
+    times = times_to_try(series.interval_s, LONGEST_START_S, int(factors[:trusted].max(initial=1)))
+    return Uncertainty(family(factors, runs, _per_loss(series, factors), times), trusted, freedoms)
 
 
 def analyse(series: Mapping[str, EvenSeries]) -> dict[str, Result]:
@@ -151,7 +180,10 @@ def _key(series: EvenSeries) -> tuple[bytes, ...]:
 
 def _analyse(series: EvenSeries, factors: IntArray, known: Uncertainty) -> Result:
     found = variances(series, factors)
-    fit = fit_terms(found["allan"], known.covariances, series.interval_s, known.trusted - 1)
+    fit = fit_terms(found["allan"], known.family, series.interval_s, known.trusted - 1)
+    found_digits = digits(series.values[series.there])
+    if fit is not None and found_digits is not None:
+        fit = fit.rounded(found_digits.error)
     noise = _WHITE if fit is None or not fit.coefficients[:4].any() else fit.coefficients[:4]
     found_intervals = {
         kind: _intervals(values, [part.of(noise) if part else 0.0 for part in known.freedoms[kind]])
@@ -160,10 +192,11 @@ def _analyse(series: EvenSeries, factors: IntArray, known: Uncertainty) -> Resul
     names: tuple[str, ...] = ()
     if fit is not None:
         m = factors.astype(np.float64)
-        shares = np.column_stack([shape(m) for shape in SHAPES.values()]) * fit.coefficients
-        names = tuple(TERMS[int(row)].name for row in shares.argmax(axis=1))
+        names = tuple(TERMS[int(row)].name for row in fit.shares(m).argmax(axis=1))
     tau_s = factors.astype(np.float64) * series.interval_s
-    return Result(series, tau_s, **found_intervals, noise=names, fit=fit, trusted=known.trusted)
+    return Result(
+        series, tau_s, **found_intervals, noise=names, fit=fit, trusted=known.trusted, digits=found_digits
+    )
 
 
 def _intervals(values: FloatArray, freedoms: list[float]) -> Deviations:

@@ -14,7 +14,8 @@ that each noise has the variance given in `SHAPES` per unit of its coefficient.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise, product
 from typing import Literal
@@ -45,6 +46,8 @@ SHAPES: dict[str, Callable[[FloatArray], FloatArray]] = {
 """Allan variance at averaging factor m per unit of the coefficient; the ramp is not a noise but a trend."""
 
 EXACT_LAGS = 16
+SMALL = 0.05
+"""Below it a series of five terms is exact to rounding."""
 NODES, WEIGHTS = leggauss(10)
 TAILS = (0.0, 1.0, 3.0, 8.0)
 """Lags beyond the span of a difference, in units of the longer m, up to which flicker noise is followed."""
@@ -69,8 +72,37 @@ def _quantization(k: FloatArray) -> FloatArray:
     return np.where(np.abs(k) < 1e-9, 1.0 / 3.0, 0.0)
 
 
-AUTOCOVARIANCES = (_white, _flicker, _walk, _quantization)
+Autocovariance = Callable[[FloatArray], FloatArray]
+AUTOCOVARIANCES: tuple[Autocovariance, ...] = (_white, _flicker, _walk, _quantization)
 """G of the integral of each of `NOISES`."""
+
+
+def markov(time: float) -> Autocovariance:
+    """Return G of the integral of a first-order Gauss-Markov process of unit variance.
+
+    The second difference of G is minus the autocovariance exp(-|k| / time), time the correlation time in
+    samples.  The k² in it, which no second difference of the integral sees, is left out: with it a long time
+    would leave no digits.
+    """
+    scale = 0.25 / math.sinh(0.5 / time) ** 2
+    linear = (1.0 + 0.05 / time**2 * (1.0 + 1.0 / (42.0 * time**2))) / (
+        6.0 * time**3
+    )  # sinh(x) - x, x = 1 / time
+
+    def g(k: FloatArray) -> FloatArray:
+        x = np.abs(k) / time
+        series = x**3 / -6.0 * (1.0 - x / 4.0 * (1.0 - x / 5.0 * (1.0 - x / 6.0 * (1.0 - x / 7.0))))
+        rest = np.where(x < SMALL, series, np.expm1(-x) + x - 0.5 * x**2)
+        return np.asarray(-scale * (rest + linear * np.abs(k)))
+
+    return g
+
+
+def markov_shape(m: FloatArray, time: float) -> FloatArray:
+    """Return the Allan variance at averaging factors of a Gauss-Markov process of unit variance, (n,)."""
+    g = markov(time)
+    # The terms of the second difference with itself; IEEE Std 952, C.1.5, is the limit of a long time.
+    return np.asarray((g(2.0 * m) - 4.0 * g(m) + 3.0 * g(np.zeros(1))) / m**2)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,9 +113,10 @@ class Runs:
     weights: FloatArray
 
     @staticmethod
-    def of(starts: IntArray, stops: IntArray) -> Runs:
-        """Return the runs, joined to `GROUPS` kinds of similar length when there are more."""
+    def of(starts: IntArray, stops: IntArray, least: int) -> Runs:
+        """Return the runs of this length or more, joined to `GROUPS` kinds of similar length."""
         lengths = np.sort((stops - starts).astype(np.float64))
+        lengths = lengths[lengths >= least]
         parts = [part for part in np.array_split(lengths, min(GROUPS, len(lengths))) if len(part)]
         return Runs(np.array([part.mean() for part in parts]), np.array([float(len(p)) for p in parts]))
 
@@ -117,12 +150,14 @@ def lag_nodes(m_i: int, m_j: int, order: int, smoothing: int) -> tuple[FloatArra
     return np.concatenate(lags), np.concatenate(weights)
 
 
-def _correlations(kind: Kind, m_i: int, m_j: int, lags: FloatArray) -> FloatArray:
+def _correlations(
+    kind: Kind, m_i: int, m_j: int, lags: FloatArray, covariances: Sequence[Autocovariance]
+) -> FloatArray:
     """Return the covariance of scaled differences at these lags, one row per noise."""
     coefficients = COEFFICIENTS[kind]
     smooth = _smoothed(m_i) if kind == "modified" else None
     rows = []
-    for covariance in AUTOCOVARIANCES:
+    for covariance in covariances:
         total = np.zeros_like(lags)
         for (a, first), (b, second) in product(enumerate(coefficients), repeat=2):
             shifted = lags + (b * m_j - a * m_i)
@@ -152,11 +187,17 @@ def _pairs(first: FloatArray, second: FloatArray, weights: FloatArray, lags: Flo
     return np.asarray(weights @ np.maximum(upper - np.maximum(0.0, -lags), 0.0))
 
 
-def cross_terms(kind: Kind, m_i: int, m_j: int, runs: Runs) -> tuple[FloatArray, FloatArray]:
-    """Return the covariance of two mean squares: quadratic part (4, 4), and part per trend (4,).
+def cross_terms(
+    kind: Kind,
+    m_i: int,
+    m_j: int,
+    runs: Runs,
+    covariances: Sequence[Autocovariance] = AUTOCOVARIANCES,
+) -> tuple[FloatArray, FloatArray]:
+    """Return the covariance of two mean squares: quadratic part (p, p), and part per trend (p,).
 
-    With noise coefficients q the covariance is q' A q, plus 2 mu_i mu_j b'q, where mu is the part of each
-    scaled difference that a trend makes.
+    With coefficients q of the p noises the covariance is q' A q, plus 2 mu_i mu_j b'q, where mu is the part
+    of each scaled difference that a trend makes.
     """
     order = len(COEFFICIENTS[kind]) - 1
     span = order + (1 if kind == "modified" else 0)
@@ -164,44 +205,103 @@ def cross_terms(kind: Kind, m_i: int, m_j: int, runs: Runs) -> tuple[FloatArray,
     lags, weights = lag_nodes(m_i, m_j, order, smoothing=int(kind == "modified"))
     pairs = weights * _pairs(first, second, runs.weights, lags)
     pairs /= (runs.weights @ first) * (runs.weights @ second)
-    rows = _correlations(kind, m_i, m_j, lags)
+    rows = _correlations(kind, m_i, m_j, lags, covariances)
     return 2.0 * (rows * pairs) @ rows.T, 2.0 * rows @ pairs
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Covariances:
-    """Covariances of the overlapping Allan variances at several averaging factors.
+    """Shapes and covariances of the overlapping Allan variances at several averaging factors.
 
     Parameters
     ----------
     m : array of int64, (n,)
-    quadratic : array, (n, n, 4, 4)
-    linear : array, (n, n, 4)
-        See `cross_terms`.
+    shapes : array, (n, 6)
+        Expected variance per unit of the coefficient of each of `SHAPES` and of a Gauss-Markov process; zero
+        for the last where none is considered.
+    quadratic : array, (n, n, 5, 5)
+    linear : array, (n, n, 5)
+        See `cross_terms`, for `NOISES` and the Gauss-Markov process.
     """
 
     m: IntArray
+    shapes: FloatArray
     quadratic: FloatArray
     linear: FloatArray
 
     def matrix(self, coefficients: FloatArray) -> FloatArray:
-        """Return the covariance matrix, (n, n), for the coefficients of `NOISES` and of the ramp, (5,)."""
-        noise, ramp = coefficients[:4], coefficients[4]
+        """Return the covariance matrix, (n, n), for the coefficients of the shapes, (6,)."""
+        noise, ramp = coefficients[[0, 1, 2, 3, 5]], coefficients[4]
         m = self.m.astype(np.float64)
         trend = 2.0 * ramp * np.outer(m, m) * (self.linear @ noise)
         return np.asarray(self.quadratic @ noise @ noise + trend)
 
+    def part(self, start: int, stop: int) -> Covariances:
+        """Return those of some of the averaging factors."""
+        part = slice(start, stop)
+        return Covariances(
+            self.m[part], self.shapes[part], self.quadratic[part, part], self.linear[part, part]
+        )
 
-def allan_covariances(factors: IntArray, runs: list[Runs]) -> Covariances:
-    """Return the covariances; of two averaging factors the runs of the longer one count."""
-    n = len(factors)
-    quadratic, linear = np.empty((n, n, 4, 4)), np.empty((n, n, 4))
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Family:
+    """The covariances for several correlation times of a Gauss-Markov process, and for none.
+
+    Parameters
+    ----------
+    m : array of int64, (n,)
+    runs : list of Runs
+        At each averaging factor.
+    per_loss : array, (n, 4)
+        By what lost samples multiply the expected variance of each of `NOISES`.
+    times : array, (g,)
+        Correlation times, samples.
+    quadratic, linear : arrays, (n, n, 4 + g, 4 + g) and (n, n, 4 + g)
+    """
+
+    m: IntArray
+    runs: list[Runs]
+    per_loss: FloatArray
+    times: FloatArray
+    quadratic: FloatArray
+    linear: FloatArray
+
+    def of(self, time: int | None) -> Covariances:
+        """Return the covariances with one of the correlation times, or with none."""
+        m = self.m.astype(np.float64)
+        shapes = [shape(m) for shape in SHAPES.values()]
+        shapes = [*(shape * loss for shape, loss in zip(shapes, self.per_loss.T, strict=False)), shapes[-1]]
+        shapes.append(np.zeros(len(m)) if time is None else markov_shape(m, float(self.times[time])))
+        rows = [0, 1, 2, 3, 3 if time is None else 4 + time]  # without one its coefficient is zero
+        quadratic, linear = self.quadratic[:, :, rows][..., rows], self.linear[:, :, rows]
+        return Covariances(self.m, np.column_stack(shapes), quadratic, linear)
+
+    def at(self, time: float) -> Covariances:
+        """Return the covariances with a correlation time of so many samples."""
+        return family(self.m, self.runs, self.per_loss, np.array([time])).of(0)
+
+
+def family(factors: IntArray, runs: list[Runs], per_loss: FloatArray, times: FloatArray) -> Family:
+    """Return the covariances; of two averaging factors the runs of the longer one count.
+
+    Parameters
+    ----------
+    factors : array of int64, (n,)
+    runs, per_loss, times
+        See `Family`.
+    """
+    n, p = len(factors), len(NOISES) + len(times)
+    noises = (*AUTOCOVARIANCES, *(markov(time) for time in times.tolist()))
+    quadratic, linear = np.empty((n, n, p, p)), np.empty((n, n, p))
+    more = np.column_stack([per_loss, np.ones((n, len(times)))])
     for j in range(n):
         for i in range(j + 1):
-            square, trend = cross_terms("allan", int(factors[i]), int(factors[j]), runs[j])
-            quadratic[i, j] = quadratic[j, i] = square
-            linear[i, j] = linear[j, i] = trend
-    return Covariances(factors, quadratic, linear)
+            square, trend = cross_terms("allan", int(factors[i]), int(factors[j]), runs[j], noises)
+            loss = np.sqrt(more[i] * more[j])
+            quadratic[i, j] = quadratic[j, i] = square * np.outer(loss, loss)
+            linear[i, j] = linear[j, i] = trend * loss
+    return Family(factors, runs, per_loss, times, quadratic, linear)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -222,4 +322,5 @@ class Freedom:
 
 def freedom(kind: Kind, m: int, runs: Runs) -> Freedom:
     """Return what the degrees of freedom of one overlapping variance follow from."""
-    return Freedom(_correlations(kind, m, m, np.zeros(1))[:, 0], cross_terms(kind, m, m, runs)[0])
+    mean = _correlations(kind, m, m, np.zeros(1), AUTOCOVARIANCES)[:, 0]
+    return Freedom(mean, cross_terms(kind, m, m, runs)[0])

@@ -10,6 +10,9 @@ result when it adds by more than `SHOWN`; the others keep what is there, but not
 Flicker and random walk look alike in a short record.  Where one of them is fitted, so is the other, and each
 must be called for beside the other.
 
+A first-order Gauss-Markov process, noise that is correlated for a while, is a term where the terms alone are
+far less likely (`correlated`).
+
 Conventions (IEEE Std 952-1997, annex C), sigma the Allan deviation, tau the averaging time:
 
 ====================  ===================================  =======================
@@ -20,6 +23,8 @@ bias instability B    sqrt(2 ln 2 / pi) B = 0.664 B        the flat part
 rate random walk K    K sqrt(tau / 3)                      tau = 3 s
 quantization Q        sqrt(3) Q / tau                      tau = sqrt(3) s
 rate ramp R           R tau / sqrt(2)                      tau = sqrt(2) s
+correlated noise s,   s sqrt(2 T / tau (1 - T / (2 tau)    highest, 0.617 s, at
+correlation time T    (3 - 4 exp(-tau/T) + exp(-2tau/T)))  1.89 T
 ====================  ===================================  =======================
 """
 
@@ -27,30 +32,38 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
-from scipy.optimize import nnls
-from scipy.special import gammaincc
+from scipy.special import gammainc
 
-from imumon.allan.covariance import SHAPES, Covariances
-from imumon.blocks import FloatArray, IntArray
+from imumon.allan.correlated import SHOWN, Search
+from imumon.allan.covariance import SHAPES, Covariances, Family, markov_shape
+from imumon.allan.problem import (
+    COLUMNS,
+    EVERY,
+    FILTER,
+    GOOD,
+    MARKOV,
+    QUANTIZATION,
+    RAMP,
+    WHITE,
+    WITH_MARKOV,
+    Problem,
+    Solution,
+    is_good,
+    signed,
+)
+from imumon.blocks import FloatArray
 from imumon.filters.noise import FLOOR_PER_INSTABILITY
 
 FITTED = 2.0
 """A term is in the fit when the data call for it by this many standard deviations."""
 SHORT_FITTED = 3.0
 """The same for quantization and filter, which concern the short averaging times, where all is certain."""
-SHOWN = 3.5
-"""It is in the result when they do so by this many; noise alone does that once in some hundred curves."""
 RAMP_SHOWN = 6.0
 """The same for the ramp, which one realisation of a random walk resembles at the longest averaging times."""
-GOOD = 1e-3
-"""A fit is taken for good when chi-square is exceeded by chance with at least this probability."""
-ITERATIONS = 20
-CONVERGED = 1e-5
 LONGEST_START_S = 1.0
 """The shortest averaging times are left out, up to this one, where a filter of the device has shaped them."""
 FILTERED = 1.02
@@ -66,14 +79,6 @@ ROUNDS, CLOSE, LARGEST_ERROR = 8, 0.05, 3.0
 FEWEST, FEWEST_BEFORE = 5, 4
 """Averaging times that a fit must keep; and that one before a disturbance must have."""
 
-COLUMNS = (*SHAPES, "filter")
-"""What is fitted, by the columns of the design.
-
-A low-pass filter takes from white noise, at averaging times longer than itself, what has the shape of
-quantization: its column is that shape with a minus.
-"""
-WHITE, QUANTIZATION, RAMP, FILTER = map(COLUMNS.index, ("white", "quantization", "ramp", "filter"))
-EVERY = tuple(range(len(COLUMNS)))
 ALIKE = frozenset(map(COLUMNS.index, ("flicker", "walk")))
 """Each of these can stand in the place of the other at the longest averaging times."""
 
@@ -98,8 +103,12 @@ TERMS = (
     Term("rate_random_walk", lambda dt: 3.0 / dt),
     Term("quantization", lambda dt: dt**2 / 3.0),
     Term("rate_ramp", lambda dt: 2.0 / dt**2, RAMP_SHOWN),
+    Term("correlated_noise", lambda _: 1.0),
 )
-"""In the order of `imumon.allan.covariance.NOISES`, the ramp last."""
+"""In the order of the columns of what is fitted."""
+CORRELATION_TIME = "correlation_time"
+NAMES = (*(term.name for term in TERMS), CORRELATION_TIME)
+AMBIGUOUS, CONTRADICTED, DIGITS = "ambiguous", "contradicted", "digits"
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,10 +126,12 @@ class Fit:
     Parameters
     ----------
     terms : mapping of str to Estimate or None
-        By the name in `TERMS`; None for what the data do not show.
-    coefficients : array, (5,)
-        Allan variance at one sample of all that was fitted; that of quantization is negative where a filter
-        in the device takes away more than quantization adds.
+        By `NAMES`; None for what the data do not show.
+    coefficients : array, (6,)
+        Allan variance at one sample of all that was fitted, and the variance of the correlated noise; that of
+        quantization is negative where a filter in the device takes away more than quantization adds.
+    time : float
+        Correlation time of the correlated noise, samples; NaN without any.
     first, last : int
         The averaging times that were fitted: first..last.  Where `last` is not the longest trusted one, no
         sum of the terms describes the longer ones, and only the angle random walk is told.
@@ -128,108 +139,42 @@ class Fit:
         Part of each variance by which the curve differs from any sum of the terms beyond its noise, as far
         as the fit can tell; it is in the standard deviations.  0 when chi-square is in order; above `NO_SUM`
         no term is told.
+    withheld : str
+        `AMBIGUOUS`: bias instability and random walk are not told, because noise that is correlated for a
+        while would be as likely.  `CONTRADICTED`: only the angle random walk is, because the curve lies below
+        what another term alone would make.  `DIGITS`: nothing is, because the steps of the readings hide the
+        noise.
     """
 
     terms: dict[str, Estimate | None]
     coefficients: FloatArray
+    time: float
     first: int
     last: int
     model_error: float
+    withheld: str
 
+    def rounded(self, error: float) -> Fit:
+        """Return the terms where rounding may change the variance by this part: less certain, or none."""
+        if error > NO_SUM:
+            return replace(self, terms=dict.fromkeys(NAMES), withheld=DIGITS)
+        terms = {
+            name: term
+            if term is None or name == CORRELATION_TIME
+            else Estimate(term.value, math.hypot(term.sd, 0.5 * error * term.value))
+            for name, term in self.terms.items()
+        }
+        return replace(self, terms=terms)
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Solution:
-    coefficients: FloatArray
-    covariance: FloatArray
-    chi_square: float
-    log_likelihood: float
-    factor: tuple[FloatArray, bool]
-    residual: FloatArray
-
-
-class _Problem:
-    """Variances at some averaging times, and the covariance that goes with each set of coefficients."""
-
-    def __init__(self, variances: FloatArray, covariances: Covariances, model_error: float = 0.0) -> None:
-        m = covariances.m.astype(np.float64)
+    def shares(self, m: FloatArray) -> FloatArray:
+        """Return the Allan variance that each of `TERMS` makes at averaging factors, (n, 6)."""
         shapes = [shape(m) for shape in SHAPES.values()]
-        self.design = np.column_stack([*shapes, -shapes[QUANTIZATION]])
-        self.variances = variances
-        self.covariances = covariances
-        self.model_error = model_error
-
-    def fit(self, columns: tuple[int, ...], uncertain: frozenset[int] = frozenset()) -> _Solution:
-        """Fit these terms; some may end at zero, and are then not in the covariance, if not uncertain."""
-        design = self.design[:, columns]
-        found = _bounded(design / self.variances[:, np.newaxis], np.ones(len(self.variances)))
-        for _ in range(ITERATIONS):
-            before = found
-            lower = np.linalg.cholesky(self._matrix(columns, found))
-            whitened = np.linalg.solve(lower, np.column_stack([design, self.variances]))
-            found = _bounded(whitened[:, :-1], whitened[:, -1])
-            if np.all(np.abs(found - before) <= CONVERGED * np.maximum(found, before)):
-                break
-        return self._solution(columns, found, uncertain)
-
-    def _matrix(self, columns: tuple[int, ...], found: FloatArray) -> FloatArray:
-        coefficients = _spread(columns, found)
-        expected = self.design @ coefficients
-        matrix = self.covariances.matrix(_signed(coefficients)) + np.diag((self.model_error * expected) ** 2)
-        least = 1e-9 * (np.abs(expected) + 1e-3 * self.variances) ** 2
-        return matrix + np.diag(1e-12 * np.diag(matrix) + least)
-
-    def _solution(self, columns: tuple[int, ...], found: FloatArray, uncertain: frozenset[int]) -> _Solution:
-        factor = cho_factor(self._matrix(columns, found), lower=True)
-        pairs = zip(columns, found, strict=True)
-        active = [column for column, value in pairs if value > 0.0 or column in uncertain]
-        design = self.design[:, active]
-        covariance = np.zeros((len(COLUMNS), len(COLUMNS)))
-        scale = np.linalg.norm(design, axis=0)
-        information = (design / scale).T @ cho_solve(factor, design / scale)
-        covariance[np.ix_(active, active)] = np.linalg.pinv(information) / np.outer(scale, scale)
-        coefficients = _spread(columns, found)
-        residual = self.variances - self.design @ coefficients
-        chi_square = float(residual @ cho_solve(factor, residual))
-        determinant = 2.0 * float(np.log(np.diag(factor[0])).sum())
-        return _Solution(
-            coefficients, covariance, chi_square, -0.5 * (chi_square + determinant), factor, residual
-        )
-
-    def called_for(self, solution: _Solution, column: int) -> float:
-        """Return by how many standard deviations the residual asks for one more term."""
-        active = np.flatnonzero(solution.coefficients)
-        wanted = self.design[:, column]
-        whitened = cho_solve(solution.factor, wanted)
-        design = self.design[:, active]
-        across = design.T @ whitened
-        explained = float(across @ solution.covariance[np.ix_(active, active)] @ across)
-        information = float(wanted @ whitened) - explained
-        if information <= 1e-9 * float(wanted @ whitened):
-            return 0.0
-        return float(whitened @ solution.residual) / math.sqrt(information)
+        shapes.append(markov_shape(m, self.time) if self.coefficients[MARKOV] else np.zeros(len(m)))
+        return np.column_stack(shapes) * self.coefficients
 
 
-def _bounded(design: FloatArray, target: FloatArray) -> FloatArray:
-    """Return the least-squares solution that is not negative; columns may differ by many powers of ten."""
-    scale = np.linalg.norm(design, axis=0)
-    return np.asarray(nnls(design / scale, target)[0] / scale)
-
-
-def _spread(columns: tuple[int, ...], values: FloatArray) -> FloatArray:
-    coefficients = np.zeros(len(COLUMNS))
-    coefficients[list(columns)] = values
-    return coefficients
-
-
-def _signed(coefficients: FloatArray) -> FloatArray:
-    """Return the coefficients of the five shapes, (5,), with what a filter takes away."""
-    signed = coefficients[:FILTER].copy()
-    signed[QUANTIZATION] -= coefficients[FILTER]
-    return signed
-
-
-def fit_terms(variances: FloatArray, covariances: Covariances, interval_s: float, last: int) -> Fit | None:
-    """Fit the terms to Allan variances at the averaging factors 0..last of `covariances`; None if too few.
+def fit_terms(variances: FloatArray, family: Family, interval_s: float, last: int) -> Fit | None:
+    """Fit the terms to Allan variances at the averaging factors 0..last of `family`; None if too few.
 
     The shortest averaging times are left out, one by one, while no sum of the terms describes the curve:
     a low-pass filter of the device shapes those that are not longer than itself, and lowers them.  What
@@ -240,29 +185,77 @@ def fit_terms(variances: FloatArray, covariances: Covariances, interval_s: float
     n = last + 1
     if n < 2 or not np.all(variances[:n] > 0.0):
         return None
-    start, stop, error = _range_and_error(variances[:n], covariances, interval_s)
-    problem = _Problem(variances[start:stop], _part(covariances, start, stop), error)
-    smallest = _smallest(problem)
+    variances, covariances = variances[:n], family.of(None).part(0, n)
+    start, stop, error = _range_and_error(variances, covariances, interval_s)
+    first = start if error == 0.0 and stop == n else 0
+    search = Search(variances[first:], family, first)
+    correlated = search.found()
+    if correlated is not None:
+        start, stop, error, covariances = first, n, 0.0, correlated.covariances
+    problem = Problem(variances[start:stop], covariances.part(start, stop), error)
+    smallest = _smallest(problem, EVERY if correlated is None else WITH_MARKOV)
     solution = problem.fit(_with_alike(smallest), ALIKE)
-    told = TERMS if stop == n else TERMS[:1]
-    terms: dict[str, Estimate | None] = dict.fromkeys(term.name for term in TERMS)
-    for column, term in enumerate(told if error <= NO_SUM else ()):
-        coefficient = float(solution.coefficients[column])
-        if coefficient > 0.0 and _is_shown(problem, smallest, column):
-            value = math.sqrt(coefficient * term.per_unit(interval_s))
-            spread = math.sqrt(float(solution.covariance[column, column]))
-            terms[term.name] = Estimate(value, 0.5 * value * spread / coefficient)
-    return Fit(terms, _signed(solution.coefficients), start, stop - 1, error)
+    covariance, of_time = solution.covariance, 0.0
+    if correlated is not None:
+        covariance, of_time = correlated.uncertainty(problem, solution)
+    told = _told(problem, smallest, solution) if error <= NO_SUM else []
+    told = told if stop == n else [column for column in told if column == WHITE]
+    withheld = ""
+    if correlated is None and error == 0.0 and ALIKE & frozenset(told):
+        rest = tuple(c for c in np.flatnonzero(smallest.coefficients).tolist() if c not in ALIKE)
+        if search.stands_for(rest):
+            told, withheld = [column for column in told if column not in ALIKE], AMBIGUOUS
+    if _contradicted(problem, solution.coefficients, covariance, told):
+        told, withheld = [column for column in told if column == WHITE], CONTRADICTED
+    terms: dict[str, Estimate | None] = dict.fromkeys(NAMES)
+    for column in told:
+        coefficient, variance = float(solution.coefficients[column]), float(covariance[column, column])
+        terms[TERMS[column].name] = _estimate(coefficient, variance, TERMS[column].per_unit(interval_s))
+    if correlated is not None and MARKOV in told:
+        time_s = correlated.time * interval_s
+        terms[CORRELATION_TIME] = Estimate(time_s, time_s * math.sqrt(of_time))
+    time = np.nan if correlated is None else correlated.time
+    return Fit(terms, signed(solution.coefficients), time, start, stop - 1, error, withheld)
 
 
-def _is_shown(problem: _Problem, solution: _Solution, column: int) -> bool:
+def _estimate(coefficient: float, variance: float, per_unit: float) -> Estimate:
+    value = math.sqrt(coefficient * per_unit)
+    return Estimate(value, 0.5 * value * math.sqrt(variance) / coefficient)
+
+
+def _contradicted(
+    problem: Problem, coefficients: FloatArray, covariance: FloatArray, told: list[int]
+) -> bool:
+    """Tell whether a term alone predicts more than the curve has, at some averaging time, beyond chance."""
+    for column in told:
+        alone = np.zeros(len(COLUMNS))
+        alone[column] = max(coefficients[column] - math.sqrt(covariance[column, column]), 0.0)
+        alone[FILTER] = coefficients[FILTER] if column == WHITE else 0.0
+        predicted = problem.design @ alone
+        some = predicted > 0.0
+        spread = np.diag(problem.covariances.matrix(signed(alone))) + (problem.model_error * predicted) ** 2
+        some &= spread > 0.0
+        freedom = 2.0 * predicted[some] ** 2 / spread[some]
+        ratio = problem.variances[some] / predicted[some]
+        if (gammainc(0.5 * freedom, 0.5 * freedom * ratio) < GOOD).any():
+            return True
+    return False
+
+
+def _told(problem: Problem, smallest: Solution, solution: Solution) -> list[int]:
+    """Return the columns of the terms that the data show."""
+    found = np.flatnonzero(solution.coefficients[: len(TERMS)]).tolist()
+    return [column for column in found if column == MARKOV or _is_shown(problem, smallest, column)]
+
+
+def _is_shown(problem: Problem, solution: Solution, column: int) -> bool:
     """Tell whether the fit without a term calls for it, whatever may stand in its place."""
     beside = _with_alike(solution) if column in ALIKE else np.flatnonzero(solution.coefficients).tolist()
     others = tuple(other for other in beside if other != column)
     return not others or problem.called_for(problem.fit(others), column) > TERMS[column].shown
 
 
-def _with_alike(solution: _Solution) -> tuple[int, ...]:
+def _with_alike(solution: Solution) -> tuple[int, ...]:
     """Return the columns of a solution, with what is not called for, but could stand in their place."""
     found = frozenset(np.flatnonzero(solution.coefficients).tolist())
     return tuple(sorted(found | ALIKE if found & ALIKE else found))
@@ -277,8 +270,8 @@ def _range_and_error(
     for start in range(max(1, n - FEWEST + 1)):
         if start and covariances.m[start] * interval_s > LONGEST_START_S:
             break
-        error, solution = _model_error(variances[start:], _part(covariances, start, n))
-        if start and not _is_filtered(variances[:start], covariances.m[:start], solution):
+        error, solution = _model_error(variances[start:], covariances.part(start, n))
+        if start and not _is_filtered(variances[:start], covariances.shapes[:start], solution):
             continue
         if error == 0.0:
             return start, n, 0.0
@@ -292,7 +285,7 @@ def _range_and_error(
     return start, n, error
 
 
-def _is_filtered(variances: FloatArray, m: IntArray, solution: _Solution) -> bool:
+def _is_filtered(variances: FloatArray, shapes: FloatArray, solution: Solution) -> bool:
     """Tell whether what was left out lies below what the terms say of it, as behind a low-pass filter.
 
     Quantization is none behind a filter; where it is called for, it stands for the end of a bump.
@@ -300,7 +293,6 @@ def _is_filtered(variances: FloatArray, m: IntArray, solution: _Solution) -> boo
     coefficients = solution.coefficients[:FILTER]
     if coefficients[QUANTIZATION] > 0.0:
         return False
-    shapes = np.column_stack([shape(m.astype(np.float64)) for shape in SHAPES.values()])
     return bool(np.all(variances <= FILTERED * (shapes @ coefficients)))
 
 
@@ -311,25 +303,21 @@ def _good_beginning(variances: FloatArray, covariances: Covariances) -> int:
     chi-square does not see a disturbance that has only just begun.
     """
     for stop in range(len(variances) - 1, FEWEST_BEFORE, -1):
-        if _is_good(*_everything(variances[:stop], _part(covariances, 0, stop), 0.0)):
+        if is_good(*_everything(variances[:stop], covariances.part(0, stop), 0.0)):
             return stop - 1
     return 0
 
 
-def _is_good(solution: _Solution, free: int) -> bool:
-    return float(gammaincc(0.5 * free, 0.5 * solution.chi_square)) > GOOD
-
-
-def _everything(variances: FloatArray, covariances: Covariances, error: float) -> tuple[_Solution, int]:
+def _everything(variances: FloatArray, covariances: Covariances, error: float) -> tuple[Solution, int]:
     """Return the fit of all terms and its degrees of freedom."""
-    solution = _Problem(variances, covariances, error).fit(EVERY)
+    solution = Problem(variances, covariances, error).fit(EVERY)
     return solution, max(1, len(variances) - int(np.count_nonzero(solution.coefficients)))
 
 
-def _model_error(variances: FloatArray, covariances: Covariances) -> tuple[float, _Solution]:
+def _model_error(variances: FloatArray, covariances: Covariances) -> tuple[float, Solution]:
     """Return the relative error per variance that brings chi-square to its degrees of freedom, or 0."""
     solution, free = _everything(variances, covariances, 0.0)
-    if _is_good(solution, free):
+    if is_good(solution, free):
         return 0.0, solution
     error = 1.0
     for _ in range(ROUNDS):
@@ -341,18 +329,18 @@ def _model_error(variances: FloatArray, covariances: Covariances) -> tuple[float
     return error, solution
 
 
-def _smallest(problem: _Problem) -> _Solution:
-    """Return the fit of the smallest set of terms that leaves no other called for."""
-    everything = problem.fit(EVERY)
-    for size in range(1, len(EVERY) - 1):
-        found: list[_Solution] = []
-        for columns in combinations(EVERY, size):
-            if FILTER in columns and (QUANTIZATION in columns or WHITE not in columns):
+def _smallest(problem: Problem, every: tuple[int, ...]) -> Solution:
+    """Return the fit of the smallest set of these terms that leaves no other called for."""
+    everything = problem.fit(every)
+    for size in range(1, len(every) - 1):
+        found: list[Solution] = []
+        for columns in combinations(every, size):
+            if not _is_sensible(columns, every):
                 continue
             solution = problem.fit(columns)
             if np.count_nonzero(solution.coefficients) < size:
                 continue
-            others = [column for column in EVERY if column not in columns]
+            others = [column for column in every if column not in columns]
             if all(problem.called_for(solution, column) <= _needed(column) for column in others):
                 found.append(solution)
         if found:
@@ -360,16 +348,16 @@ def _smallest(problem: _Problem) -> _Solution:
     return everything
 
 
+def _is_sensible(columns: tuple[int, ...], every: tuple[int, ...]) -> bool:
+    """Tell whether a set has the correlated noise that was found, and no filter without what it filters."""
+    filtered = FILTER not in columns or (QUANTIZATION not in columns and WHITE in columns)
+    return filtered and (MARKOV in columns or MARKOV not in every)
+
+
 def _needed(column: int) -> float:
     return SHORT_FITTED if column in (QUANTIZATION, FILTER) else FITTED
 
 
-def _merit(solution: _Solution) -> float:
+def _merit(solution: Solution) -> float:
     """Return the logarithm of the likelihood; a ramp must be far more likely than another noise."""
     return solution.log_likelihood - (0.5 * RAMP_SHOWN**2 if solution.coefficients[RAMP] else 0.0)
-
-
-def _part(covariances: Covariances, start: int, stop: int) -> Covariances:
-    part = slice(start, stop)
-    factors: IntArray = covariances.m[part]
-    return Covariances(factors, covariances.quadratic[part, part], covariances.linear[part, part])

@@ -10,7 +10,7 @@ from typing import Any
 
 from imumon.allan.analysis import Deviations, Result
 from imumon.allan.confidence import CONFIDENCE
-from imumon.allan.fit import TERMS, Estimate
+from imumon.allan.fit import Estimate
 from imumon.allan.recording import GROUPS, UNITS, group_of, rate_hz
 from imumon.blocks import FloatArray
 from imumon.config import dump_yaml
@@ -59,6 +59,10 @@ TERMS_OF = {
         "rate_ramp": TermOfSensor(
             "rad/s^2", "rate_ramp_rad_per_s2", "rate ramp", "deg/h/h", 3600.0**2 * _DEG
         ),
+        "correlated_noise": TermOfSensor(
+            "rad/s", "correlated_noise_rad_per_s", "correlated noise", "deg/h", 3600.0 * _DEG
+        ),
+        "correlation_time": TermOfSensor("s", "correlation_time_s", "  correlated for", "s", 1.0),
     },
     "accel": {
         "angle_random_walk": TermOfSensor(
@@ -78,9 +82,13 @@ TERMS_OF = {
         "rate_ramp": TermOfSensor(
             "m/s^3", "acceleration_ramp_m_per_s3", "accel. ramp", "µg/h", 3600.0 / MICRO_G
         ),
+        "correlated_noise": TermOfSensor(
+            "m/s^2", "correlated_noise_m_per_s2", "correlated noise", "µg", 1.0 / MICRO_G
+        ),
+        "correlation_time": TermOfSensor("s", "correlation_time_s", "  correlated for", "s", 1.0),
     },
 }
-"""Every term of each sensor, by the names in `imumon.allan.fit.TERMS`."""
+"""Every term of each sensor, by the names in `imumon.allan.fit.NAMES`."""
 
 
 def check_outputs(plot: Path | None, *files: Path | None) -> None:
@@ -106,9 +114,7 @@ def as_json(results: Mapping[str, Result]) -> dict[str, Any]:
 
 def _channel(name: str, result: Result) -> dict[str, Any]:
     told, fit, series = TERMS_OF[group_of(name)], result.fit, result.series
-    terms = {
-        term.name: _estimate(fit.terms[term.name] if fit else None, told[term.name].unit) for term in TERMS
-    }
+    terms = {name: _estimate(fit.terms[name] if fit else None, term.unit) for name, term in told.items()}
     return {
         "tau_s": _numbers(result.tau_s),
         "oadev": _numbers(result.allan.values),
@@ -124,6 +130,9 @@ def _channel(name: str, result: Result) -> dict[str, Any]:
         "noise": list(result.noise),
         "fit_tau_s": None if fit is None else _numbers(result.tau_s[[fit.first, fit.last]]),
         "model_error": None if fit is None else fit.model_error,
+        "withheld": None if fit is None else fit.withheld or None,
+        "step": None if result.digits is None else result.digits.step,
+        "noise_in_steps": None if result.digits is None else result.digits.ratio,
         "rate_hz": rate_hz(series),
         "samples": series.used,
         "samples_left_out": series.samples - series.used,

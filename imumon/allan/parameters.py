@@ -22,6 +22,8 @@ class GyroNoise(StrictModel):
     rate_random_walk_rad_per_s_sqrt_s: Axes = NONE
     quantization_rad: Axes = NONE
     rate_ramp_rad_per_s2: Axes = NONE
+    correlated_noise_rad_per_s: Axes = NONE
+    correlation_time_s: Axes = NONE
 
 
 class AccelNoise(StrictModel):
@@ -32,6 +34,8 @@ class AccelNoise(StrictModel):
     acceleration_random_walk_m_per_s2_sqrt_s: Axes = NONE
     quantization_m_per_s: Axes = NONE
     acceleration_ramp_m_per_s3: Axes = NONE
+    correlated_noise_m_per_s2: Axes = NONE
+    correlation_time_s: Axes = NONE
 
 
 class Noise(StrictModel):

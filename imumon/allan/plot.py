@@ -11,7 +11,6 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from imumon.allan.analysis import Result
-from imumon.allan.covariance import SHAPES
 from imumon.allan.fit import TERMS
 from imumon.allan.recording import GROUPS, group_of
 from imumon.errors import ImumonError, Reason
@@ -28,6 +27,7 @@ STYLES = {
     "rate_random_walk": (0, (5, 2)),
     "quantization": (0, (1, 3)),
     "rate_ramp": (0, (8, 2, 1, 2)),
+    "correlated_noise": (0, (3, 1, 1, 1)),
 }
 
 
@@ -84,8 +84,7 @@ def _draw_fit(axes: Any, result: Result, factor: float, color: str) -> None:
     if fit is None:
         return
     tau = np.geomspace(result.tau_s[fit.first], result.tau_s[fit.last], 100)
-    parts = np.array([shape(tau / result.series.interval_s) for shape in SHAPES.values()])
-    parts *= fit.coefficients[:, np.newaxis]
+    parts = fit.shares(tau / result.series.interval_s).T
     deviation = factor * np.sqrt(np.maximum(parts.sum(axis=0), 0.0))
     axes.plot(tau, deviation, color=color, lw=1.0, ls="--")
     for term, part in zip(TERMS, parts, strict=True):

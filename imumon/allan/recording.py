@@ -8,10 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from imumon.allan.series import BRIDGED, EvenSeries, even_channels
+from imumon.allan.fit import NO_SUM
+from imumon.allan.series import PARTS, EvenSeries, even_channels
 from imumon.blocks import SampleBlock, join
 from imumon.columns import Column
 from imumon.errors import ImumonError, Reason
+from imumon.estimation.rest.state import COARSEST_STEPS
+from imumon.filters.rounding import digits
 from imumon.recordings.reader import Stages, no_stages, open_recording
 from imumon.recordings.reduced import ACCEL, GYRO, TEMPERATURES
 
@@ -77,7 +80,7 @@ def read_channels(path: Path, stages: Stages = no_stages) -> Channels:
         *([f"{', '.join(empty)}: no number in any row; left out"] if empty else []),
         *_of_units(series),
         *_of_the_grid(series),
-        *_of_motion(samples, judged="at_rest" in recording.columns),
+        *_of_motion(samples, _hidden(series), judged="at_rest" in recording.columns),
         *_of_temperature(samples),
     ]
     return Channels(series, tuple(warnings))
@@ -154,7 +157,7 @@ def _of_the_grid(series: dict[str, EvenSeries]) -> list[str]:
         if lost:
             texts.append(
                 f"{len(channel.gap_lengths):,} gaps, {lost:,} of {len(channel.values):,} samples missing: "
-                f"bridged for averaging times {BRIDGED} times as long, crossed by no shorter one"
+                f"left out of the means of averaging times {PARTS} times as long, crossed by no shorter one"
             )
         if islands > 1:
             texts.append(
@@ -177,7 +180,18 @@ def _among(names: list[str], series: dict[str, EvenSeries]) -> str:
     return "" if len(names) == len(series) else f"{', '.join(names)}: "
 
 
-def _of_motion(samples: SampleBlock, *, judged: bool) -> list[str]:
+def _hidden(series: dict[str, EvenSeries]) -> list[str]:
+    """Return the channels whose steps hide their noise, or are coarser than the rest detector knows."""
+    coarsest = dict(zip(GROUPS, COARSEST_STEPS, strict=True))
+    found = {name: digits(channel.values[channel.there]) for name, channel in series.items()}
+    return [
+        name
+        for name, look in found.items()
+        if look is not None and (look.error > NO_SUM or look.step > coarsest[group_of(name)])
+    ]
+
+
+def _of_motion(samples: SampleBlock, hidden: list[str], *, judged: bool) -> list[str]:
     """Tell the share of motion: by the column ``at_rest`` of a table, else by the rest detector."""
     time_ns = samples["device_time_ns"]
     short = time_ns[-1] - time_ns[0] < LEAST_FOR_MOTION_S * 1e9
@@ -188,6 +202,13 @@ def _of_motion(samples: SampleBlock, *, judged: bool) -> list[str]:
     share = float(np.mean(known != 1))
     if share <= MOVING_SHARE:
         return []
+    if hidden and not judged:
+        return [f"whether the unit moved cannot be told: the steps of {', '.join(hidden)} are too coarse"]
+    if not (at_rest == 1).any() and not judged:
+        return [
+            "the rest detector found no rest: the unit moved, or is noisier than a sensor at rest can be; an "
+            "Allan deviation of a unit that moves is that of the motion"
+        ]
     how = "column at_rest" if judged else "by the rest detector"
     return [
         f"the unit moved during {share:.1%} of the recording ({how}): "

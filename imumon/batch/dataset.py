@@ -40,7 +40,8 @@ _SAMPLES = [
     ("lost", pa.int64()),
     ("file", _TEXT),
 ]
-_NOISE = ("angle_random_walk", "bias_instability", "rate_random_walk", "quantization", "rate_ramp")
+_NOISE = ("angle_random_walk", "bias_instability", "rate_random_walk", "quantization", "rate_ramp",
+    "correlated_noise", "correlation_time")  # fmt: skip
 RESULTS: dict[str, list[tuple[str, pa.DataType]]] = {
     "decode": _SAMPLES,
     "replay": [*_SAMPLES, ("identical_to_live", pa.bool_())],

@@ -74,14 +74,18 @@ def _for_odometry(
 
 def _of_the_fit(results: dict[str, Result]) -> list[str]:
     """Tell where the terms are from a part of the curve, or from none, and why."""
-    from imumon.allan.fit import NO_SUM
+    from imumon.allan.fit import AMBIGUOUS, CONTRADICTED, DIGITS, NO_SUM
 
     none = [name for name, result in results.items() if result.fit is None]
     still = [name for name in none if not results[name].allan.values.any()]
     short = [name for name in none if name not in still]
     fits = {name: result.fit for name, result in results.items() if result.fit is not None}
     cut = [f"{name} {results[name].tau_s[fit.first]:.2g} s" for name, fit in fits.items() if fit.first]
-    off = {name: fit.model_error for name, fit in fits.items() if fit.model_error}
+    off = {name: fit.model_error for name, fit in fits.items() if fit.model_error and fit.withheld != DIGITS}
+    withheld = {
+        why: [name for name, fit in fits.items() if fit.withheld == why]
+        for why in (AMBIGUOUS, CONTRADICTED, DIGITS)
+    }
     begun = [
         f"{name} {results[name].tau_s[fit.last]:.2g} s"
         for name, fit in fits.items()
@@ -99,8 +103,37 @@ def _of_the_fit(results: dict[str, Result]) -> list[str]:
         "no sum of the terms describes the curve (a vibration, a cycle, motion?): no term is told": [
             name for name, error in off.items() if error > NO_SUM
         ],
+        "correlated noise describes the curve as well as bias instability or a random walk: neither is told; "
+        "record for longer": withheld[AMBIGUOUS],
+        "the curve lies below what a term that was fitted would make alone: only the angle random walk is "
+        "told": withheld[CONTRADICTED],
+        "the steps of the readings hide the noise: no term is told": [
+            _steps(name, results[name]) for name in withheld[DIGITS]
+        ],
+        "the steps of the readings add to the noise": [
+            f"{_steps(name, result)}, {result.digits.share:.0%} of the variance"
+            for name, result in results.items()
+            if result.digits is not None and _is_rough(result)
+        ],
     }
     return [f"{', '.join(names)}: {text}" for text, names in said.items() if names]
+
+
+def _steps(name: str, result: Result) -> str:
+    """Return the steps of the readings, and how many times the noise they are."""
+    from imumon.allan.recording import UNITS, group_of
+
+    if result.digits is None:
+        return ""
+    times = 1.0 / result.digits.ratio
+    return f"{name} {result.digits.step:.3g} {UNITS[group_of(name)]}, {times:.2g} times the noise"
+
+
+def _is_rough(result: Result) -> bool:
+    """Tell whether rounding adds more to the angle random walk than its standard deviation."""
+    walk = None if result.fit is None else result.fit.terms["angle_random_walk"]
+    share = 0.0 if result.digits is None else result.digits.share
+    return walk is not None and 0.5 * share * walk.value > walk.sd
 
 
 def _percent(variance_error: float) -> str:

@@ -11,6 +11,7 @@ from imumon.blocks import FloatArray
 from imumon.diagnosis.blocks import BLOCK_S
 from imumon.diagnosis.recording import Run, unit_of
 from imumon.diagnosis.values import Look
+from imumon.filters.rounding import mean_error
 
 ROUNDED = 0.5
 """With more of its time in which nothing changes a channel is not stuck: its digits are too coarse."""
@@ -98,18 +99,13 @@ def faults(runs: Sequence[Run], channel: str, temperature: str, floor: float) ->
 
 
 def _of_digits(look: Look, channel: str, floor: float) -> Fault | None:
-    """Tell digits that are too coarse for their noise to carry what lies between them.
-
-    The mean of rounded samples errs by up to q/pi exp(-2 pi² sigma²/q²), q the step: the first term of the
-    Fourier series of the sawtooth that rounding is, averaged over normal noise.
-    """
+    """Tell digits that are too coarse for their noise to carry what lies between them."""
     if not look.step > 0.0:
         return None
     ratio = look.noise / look.step if np.isfinite(look.noise) else 0.0
     # Of samples that are mostly one value and now and then the next, the differences are those of the grid.
     ratio *= float(np.sqrt(1.0 - look.repeated))
-    error = look.step / np.pi * float(np.exp(-2.0 * (np.pi * ratio) ** 2))
-    if error < 0.5 * floor:
+    if mean_error(look.step, ratio) < 0.5 * floor:
         return None
     times = f"{1 / ratio:.1f}" if ratio > LEAST_NOISE else f"more than {1 / LEAST_NOISE:.0f}"
     text = f"quantized: steps of {look.step:.3g} {unit_of(channel)}, {times} times the noise"

@@ -11,13 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imumon.blocks import FloatArray, SampleBlock
+from imumon.filters.rounding import grid_step
 
 KEPT = 100_000
 """Samples of a channel that are kept: evenly spaced over the whole of a recording, at least half as many."""
-FEW = 0.2
-"""Distinct values, as a share of the samples, below which they lie on a grid."""
-ALIKE = 1e-3
-"""Differences of neighbouring values that are nearer than this share of one another are one step."""
 OFTEN, MORE_OFTEN = 0.01, 10.0
 """A value that has this share of all samples, and so many times more than those beside it, is no chance."""
 
@@ -104,7 +101,7 @@ class Watcher:
 
 def _look(values: FloatArray, noise: float, repeated: float) -> Look:
     distinct, count = np.unique(values, return_counts=True)
-    step = _step(distinct, len(values))
+    step = grid_step(distinct, len(values))
     at = int(np.argmax(count))
     beside = max(count[max(at - 1, 0) : at].tolist() + count[at + 1 : at + 2].tolist(), default=0)
     share = count[at] / len(values)
@@ -117,14 +114,3 @@ def _look(values: FloatArray, noise: float, repeated: float) -> Look:
         far = abs(distinct[at] - (others[0] if at == 0 else others[-1])) > noise
         place = "apart" if far else "end"
     return Look(step, noise, float(distinct[at]), float(share), place, repeated)
-
-
-def _step(distinct: FloatArray, samples: int) -> float:
-    """Return the step of the grid that distinct values lie on, in the main; 0 when there is none."""
-    if len(distinct) < 2 or len(distinct) > FEW * samples:
-        return 0.0
-    gaps = np.diff(distinct)
-    # Rounded in a decimal text or by a factor, equal steps differ in their last digits.
-    step = float(np.median(gaps[gaps <= 1.5 * np.quantile(gaps, 0.25)]))
-    whole = np.abs(gaps / step - np.round(gaps / step)) < 50 * ALIKE
-    return step if whole.mean() > 0.9 else 0.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.signal import lfilter
 
 from imumon.blocks import FloatArray
 
@@ -15,6 +16,14 @@ def flicker(rng: np.random.Generator, n: int, instability: float, interval_s: fl
     density[1:] = instability**2 / (2.0 * np.pi * frequency[1:])
     lines = rng.normal(size=len(frequency)) + 1j * rng.normal(size=len(frequency))
     return np.fft.irfft(lines * np.sqrt(density * long / (2.0 * interval_s)), long)[:n]
+
+
+def correlated(seed: int, n: int, interval_s: float, sd: float, time_s: float) -> FloatArray:
+    """Return a first-order Gauss-Markov process, (n,)."""
+    kept = np.exp(-interval_s / time_s)
+    driving = sd * np.sqrt(1.0 - kept**2) * np.random.default_rng(seed).normal(size=n)
+    driving[0] /= np.sqrt(1.0 - kept**2)
+    return np.asarray(lfilter([1.0], [1.0, -kept], driving))
 
 
 def noise(

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from imumon.allan.analysis import analyse
-from imumon.allan.fit import TERMS, Fit
+from imumon.allan.fit import DIGITS, TERMS, Fit
 from imumon.allan.series import even_channels
 from imumon.blocks import FloatArray
-from tests.allan.simulated import noise
+from tests.allan.simulated import correlated, noise
 
 INTERVAL_S = 0.02
 N = 60_000
@@ -127,3 +127,70 @@ def test_a_correlated_disturbance_is_not_taken_for_a_filter() -> None:
     estimate = fit.terms["angle_random_walk"]
     assert estimate is not None
     assert estimate.value == pytest.approx(1e-3, rel=0.05)
+
+
+@pytest.mark.parametrize(("sd", "time_s"), [(2e-3, 10.0), (2e-3, 3.0), (2e-2, 10.0)])
+def test_correlated_noise_is_told_as_such_with_its_time(sd: float, time_s: float) -> None:
+    found = fits(
+        [
+            noise(700 + row, N, INTERVAL_S, white=1e-3) + correlated(800 + row, N, INTERVAL_S, sd, time_s)
+            for row in range(3)
+        ]
+    )
+    truth = {"angle_random_walk": 1e-3, "correlated_noise": sd, "correlation_time": time_s}
+    for name, value in truth.items():
+        told = [term for fit in found if (term := fit.terms[name]) is not None]
+        assert len(told) == len(found)
+        assert max(abs(term.value - value) / term.sd for term in told) < 4.0
+    for name in ("bias_instability", "rate_random_walk", "rate_ramp", "quantization"):
+        assert not any(fit.terms[name] for fit in found)
+
+
+def test_a_told_term_never_lies_above_the_measured_curve() -> None:
+    """A random walk that was told of such noise stood seven times above the curve of a longer record."""
+    records = [
+        noise(600 + row, N, INTERVAL_S, white=1e-3) + correlated(row, N, INTERVAL_S, sd, time_s)
+        for row, (sd, time_s) in enumerate([(1e-2, 30.0), (1e-3, 30.0), (3e-4, 10.0), (1e-3, 100.0)])
+    ]
+    n = len(records[0])
+    channels = {str(row): values for row, values in enumerate(records)}
+    series = even_channels(np.arange(n) * round(INTERVAL_S * 1e9), np.zeros(n, np.int64), channels)
+    for result in analyse(series).values():
+        assert result.fit is not None
+        walk = result.fit.terms["rate_random_walk"]
+        flicker = result.fit.terms["bias_instability"]
+        upper = result.allan.high[: result.trusted]
+        if walk is not None:
+            line = (walk.value - 2 * walk.sd) * np.sqrt(result.tau_s[: result.trusted] / 3)
+            assert np.all(line < 2 * upper)
+        if flicker is not None:
+            assert np.all(0.664 * (flicker.value - 2 * flicker.sd) < 2 * upper)
+
+
+@pytest.mark.parametrize("steps", [1.0, 2.0, 2.5])
+def test_the_noise_of_rounded_readings_is_told_with_what_rounding_adds(steps: float) -> None:
+    step = steps * 1e-3 / np.sqrt(INTERVAL_S)
+    rng = np.random.default_rng(21)
+    found = fits(
+        [
+            step * np.round(noise(900 + row, N, INTERVAL_S, white=1e-3) / step + rng.uniform())
+            for row in range(8)
+        ]
+    )
+    truth = 1e-3 * np.sqrt(1.0 + steps**2 / 12.0)
+    told = [term for fit in found if (term := fit.terms["angle_random_walk"]) is not None]
+    assert len(told) == len(found)
+    assert np.sqrt(np.mean([((term.value - truth) / term.sd) ** 2 for term in told])) < 1.6
+
+
+@pytest.mark.parametrize("steps", [4.0, 10.0, 20.0])
+def test_nothing_is_told_of_noise_that_the_steps_of_the_readings_hide(steps: float) -> None:
+    step = steps * 1e-3 / np.sqrt(INTERVAL_S)
+    for fit in fits(
+        [
+            step * np.round(noise(950 + row, N, INTERVAL_S, white=1e-3) / step + 0.125 * row)
+            for row in range(1, 8)
+        ]
+    ):
+        assert not any(fit.terms.values())
+        assert fit.withheld == DIGITS

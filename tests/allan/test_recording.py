@@ -13,6 +13,7 @@ import pytest
 from imumon.allan.output import check_outputs
 from imumon.allan.recording import read_channels
 from imumon.errors import ImumonError, Reason
+from imumon.estimation.rest.stage import RestDetector
 
 N = 2000
 
@@ -101,3 +102,30 @@ def test_nothing_is_overwritten_but_a_picture(tmp_path: Path) -> None:
         check_outputs(None, tmp_path / "none" / "n.yaml")
     (tmp_path / "a.png").touch()
     check_outputs(tmp_path / "a.png", None, tmp_path / "k.yaml")
+
+
+def still(rate_hz: float, seconds: float, noise: float, step: float = 0.0) -> dict[str, Any]:
+    """Return the columns of a unit at rest, with noise in SI units per root second."""
+    n = int(rate_hz * seconds)
+    rng = np.random.default_rng(8)
+    made: dict[str, Any] = {"device_time_ns": np.arange(n) * round(1e9 / rate_hz)}
+    for sensor in ("gyro", "accel"):
+        for axis in "xyz":
+            values = noise * np.sqrt(rate_hz) * rng.normal(size=n) + 9.81 * (sensor + axis == "accelz")
+            made[f"{sensor}_{axis}"] = step * np.round(values / step) if step else values
+    return made
+
+
+def told_of_rest(path: Path) -> str:
+    return " ".join(read_channels(path, lambda _: [RestDetector()]).warnings)
+
+
+def test_a_noisy_gyro_at_a_high_rate_does_not_move(tmp_path: Path) -> None:
+    said = told_of_rest(write(tmp_path, still(4000.0, 12.0, 1e-3)))
+    assert "moved" not in said
+
+
+def test_nothing_is_said_of_motion_that_coarse_steps_hide(tmp_path: Path) -> None:
+    said = told_of_rest(write(tmp_path, still(100.0, 60.0, 1e-3, step=0.1)))
+    assert "the unit moved" not in said
+    assert "cannot be told" in said

@@ -30,18 +30,17 @@ def without(n: int, lost: list[int]) -> tuple[IntArray, FloatArray]:
     return (np.arange(n) * STEP_NS)[keep], noise(1, n, 0.005, white=1.0)[keep]
 
 
-def test_a_gap_is_crossed_only_by_averaging_times_far_longer() -> None:
+def test_a_gap_is_crossed_only_by_averaging_times_that_are_longer() -> None:
     found = series(*without(10_000, [4000, 4001]))
     assert list(found.gap_starts) == [4000]
     assert list(found.gap_lengths) == [2]
-    assert [list(part) for part in found.runs(199)] == [[0, 4002], [4000, 10_000]]
-    assert [list(part) for part in found.runs(200)] == [[0], [10_000]]
-    assert [list(part) for part in found.runs(200, bridge=False)] == [[0, 4002], [4000, 10_000]]
+    assert [list(part) for part in found.runs(7)] == [[0, 4002], [4000, 10_000]]
+    assert [list(part) for part in found.runs(8)] == [[0], [10_000]]
 
 
-def test_no_difference_crosses_a_gap_that_is_not_bridged() -> None:
+def test_no_difference_crosses_a_gap_that_is_too_long_for_it() -> None:
     n = 2000
-    time_ns, values = without(n, [1000])
+    time_ns, values = without(n, [1000, 1001, 1002])
     values[1000:] += 100.0  # a step across the gap must not be seen at short averaging times
     whole = noise(1, n, 0.005, white=1.0)
     found = allan(series(time_ns, values), np.array([1, 2, 4, 8]))
@@ -62,6 +61,41 @@ def test_lost_packets_change_the_curve_by_little_and_keep_the_long_averaging_tim
     assert lossy.used == keep.sum()
     ratio = allan(lossy, factors) / allan(whole, factors)
     assert np.all(np.abs(ratio - 1) < 0.05)
+
+
+@pytest.mark.parametrize("m", [1, 4, 16])
+def test_means_leave_out_what_is_missing(m: int) -> None:
+    rng = np.random.default_rng(11)
+    n = 1200
+    keep = rng.random(n) > 0.1
+    keep[[0, -1]] = True
+    values = rng.normal(size=n)
+    lossy = series((np.arange(n) * STEP_NS)[keep], values[keep])
+    with_holes = np.where(keep, values, np.nan)
+    squares = []
+    for start, stop in zip(*lossy.runs(m), strict=True):
+        for t in range(start, stop - 2 * m + 1):
+            first, last = with_holes[t : t + m], with_holes[t + m : t + 2 * m]
+            squares.append((np.nanmean(last) - np.nanmean(first)) ** 2 / 2)
+    assert len(squares) > 50
+    assert allan(lossy, np.array([m]))[0] == pytest.approx(np.mean(squares), rel=1e-9)
+
+
+@pytest.mark.parametrize("lost", [0.05, 0.3])
+def test_lost_samples_cost_neither_terms_nor_long_averaging_times(lost: float) -> None:
+    n, records = 60_000, 8
+    keep = np.random.default_rng(31).random(n) > lost
+    channels = {
+        str(row): noise(400 + row, n, 0.02, white=1e-3, instability=7e-4)[keep] for row in range(records)
+    }
+    time_ns = (np.arange(n) * 20_000_000)[keep]
+    found = analyse(even_channels(time_ns, np.zeros(len(time_ns), np.int64), channels))
+    for name, truth in (("angle_random_walk", 1e-3), ("bias_instability", 7e-4)):
+        told = [term for each in found.values() if each.fit and (term := each.fit.terms[name])]
+        errors = np.array([(term.value - truth) / term.sd for term in told])
+        assert len(told) >= records - 2
+        assert np.sqrt(np.mean(errors**2)) < 1.8
+    assert min(each.longest_tau_s for each in found.values()) > 80.0
 
 
 def test_a_restart_and_a_pause_end_an_island() -> None:

@@ -53,7 +53,7 @@ def strided_allan(series: EvenSeries, factors: IntArray, strides_per_tau: int) -
             x[start + 2 * m : stop + 1 : stride]
             - 2.0 * x[start + m : stop + 1 - m : stride]
             + x[start : stop + 1 - 2 * m : stride]
-            for start, stop in zip(*series.runs(m, bridge=False), strict=True)
+            for start, stop in zip(*series.runs(1), strict=True)
             if stop - start >= 2 * m
         ]
         found[row] = np.mean(np.concatenate(parts) ** 2) / (2.0 * m**2)

@@ -155,6 +155,8 @@ def _slots_of(ended: Slots, time_ns: IntArray) -> Sequence[Slot]:
     slots["within"] = np.where(
         count > 1.0, ended.variance[:, :AXES] * count / np.maximum(count - 1.0, 1.0), np.nan
     )
+    pairs = ended.step_count[:, :AXES]
+    slots["jumps"] = np.where(pairs > 0, 0.5 * ended.step_squares[:, :AXES] / np.maximum(pairs, 1), np.nan)
     slots["smallest"], slots["largest"] = ended.smallest[:, :AXES], ended.largest[:, :AXES]
     slots["first"], slots["last"] = ended.first[:, :AXES], ended.last[:, :AXES]
     slots["reference"], slots["degc"] = ended.mean[:, AXES:-1], ended.mean[:, -1]

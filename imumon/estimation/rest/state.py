@@ -44,6 +44,9 @@ class Slot:
         Time of its first sample and of the first behind it, s.
     samples, average, within : array
         Finite samples, their mean, and their variance about it (n - 1; NaN for a single one).
+    jumps : array
+        Half the mean square of the steps from sample to sample: the variance, if the noise is white; NaN
+        without any.
     smallest, largest, first, last : array
         Of the finite samples; NaN without any.
     reference : array, (3,)
@@ -57,6 +60,7 @@ class Slot:
     samples: FloatArray
     average: FloatArray
     within: FloatArray
+    jumps: FloatArray
     smallest: FloatArray
     largest: FloatArray
     first: FloatArray
@@ -65,7 +69,7 @@ class Slot:
     degc: float
 
 
-_ARRAYS = ("samples", "average", "within", "smallest", "largest", "first", "last")
+_ARRAYS = ("samples", "average", "within", "jumps", "smallest", "largest", "first", "last")
 _ONE: Any = records(Slot, 1, **dict.fromkeys(_ARRAYS, AXES), reference=3)
 
 
@@ -86,7 +90,7 @@ class Windows(NamedTuple):
         Sum and number of the samples of all slots before each.
     seconds : array, (CAPACITY + 1,)
         Seconds of all slots before each.
-    average, within : array, (CAPACITY, 6)
+    average, within, jumps : array, (CAPACITY, 6)
         Of each slot.
     reference : array, (CAPACITY, 3)
         The same of what turns with the heading.
@@ -119,6 +123,7 @@ class Windows(NamedTuple):
     seconds: FloatArray
     average: FloatArray
     within: FloatArray
+    jumps: FloatArray
     reference: FloatArray
     degc: FloatArray
     known: BoolArray
@@ -143,6 +148,7 @@ def new_windows() -> Windows:
         seconds=np.zeros(CAPACITY + 1),
         average=np.zeros((CAPACITY, AXES)),
         within=np.zeros((CAPACITY, AXES)),
+        jumps=np.zeros((CAPACITY, AXES)),
         reference=np.zeros((CAPACITY, 3)),
         degc=np.full(CAPACITY, np.nan),
         known=np.zeros(AXES, np.bool_),
@@ -366,7 +372,7 @@ class State:
         moved, windows = CAPACITY - KEPT, self.windows
         for sums in (windows.total, windows.samples, windows.seconds):
             sums[: KEPT + 1] = sums[moved:] - sums[moved]
-        for values in (windows.average, windows.within, windows.reference, windows.degc):
+        for values in (windows.average, windows.within, windows.jumps, windows.reference, windows.degc):
             values[:KEPT] = values[moved:]
         self.length = KEPT
         self.quiet_from, self.ring_from = max(self.quiet_from - moved, 0), max(self.ring_from - moved, 0)

@@ -88,7 +88,9 @@ def look(state: State, drift: FloatArray) -> Noise | None:
         return None
     mean = ring.mean(0)
     present = np.isfinite(mean)
-    if not present.any() or (present & (each > MOST_WITHIN**2)).any():
+    shaken = each > MOST_WITHIN**2
+    shaken[GYRO] &= ~_is_white(of_1 * count, each, windows.jumps[n - RING : n].mean(0))[GYRO]
+    if not present.any() or (present & shaken).any():
         return None
     of_4, of_8 = ((second_differences(ring, width) ** 2).mean(0) / 6.0 for width in (4, 8))
     sample = np.fmax(of_1, each)
@@ -107,6 +109,16 @@ def look(state: State, drift: FloatArray) -> Noise | None:
         if present[sensor].any()
     )
     return noise if rests else None
+
+
+def _is_white(of_means: FloatArray, of_samples: FloatArray, of_steps: FloatArray) -> BoolArray:
+    """Tell whether means, samples and their steps vary alike, each for white noise of the same density, (6,).
+
+    Vibration does not: below the rate of the slots the means vary by more, above it they average out, and
+    only at a quarter of the sample rate its steps are those of white noise.
+    """
+    means = (of_means < WHITE * of_samples) & (ALIKE * of_means > of_samples)
+    return np.asarray(means & (of_steps < WHITE * of_samples) & (WHITE * of_steps > of_samples))
 
 
 def _within(within: FloatArray) -> tuple[FloatArray, FloatArray]:

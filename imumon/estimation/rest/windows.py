@@ -154,6 +154,7 @@ def _add(windows: Windows, n: int, slot: Slot) -> None:
     for j in range(AXES):
         present = slot.samples[j] > 0.0
         windows.average[n, j], windows.within[n, j] = slot.average[j], slot.within[j]
+        windows.jumps[n, j] = slot.jumps[j]
         windows.total[n + 1, j] = windows.total[n, j] + (
             slot.samples[j] * slot.average[j] if present else 0.0
         )
@@ -240,7 +241,8 @@ def _shaken(windows: Windows, slot: Slot) -> bool:
     """Tell whether samples vary more within the slot than they did at rest."""
     for j in range(AXES):
         within = slot.within[j]
-        if within > MOST_WITHIN[j] ** 2:
+        # A trial may have found a gyro whose white noise alone is more.
+        if within > max(MOST_WITHIN[j] ** 2, 2.0 * windows.sample_variance[j]):
             return True
         if windows.known[j] and slot.samples[j] >= 3 and within > 2.0 * windows.sample_variance[j]:
             limit = windows.sample_variance[j] * vibration_factor(slot.samples[j])

@@ -1,0 +1,106 @@
+"""What rounding to steps leaves of a signal with noise.
+
+The mean of rounded samples errs by a periodic function of the signal; its amplitude for normal noise of
+standard deviation s, with steps q, is q/pi exp(-2 pi² s²/q²): the first term of the Fourier series of the
+sawtooth that rounding is, averaged over the noise (Widrow and Kollar, Quantization Noise, 2008, ch. 4).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import ndtr
+
+from imumon.blocks import FloatArray
+
+FEW = 0.2
+"""Distinct values, as a share of the samples, below which they lie on a grid."""
+ALIKE = 1e-3
+"""Differences of neighbouring values that are nearer than this share of one another are one step."""
+ROUNDED = 1.0 / 12.0
+"""Variance of what rounding adds, in steps squared."""
+KEPT, BLOCK = 320, 64
+"""Pieces of a channel that are looked at, and samples of each: few, for its mean to be constant."""
+FARTHEST = 6
+"""Steps from the middle of a piece that are counted apart: for noise of 1.6 steps, four sigmas."""
+RATIOS = np.geomspace(0.02, 1.6, 45)
+"""Noise in steps that is tried, 10 % apart; above the last, rounding leaves all but 1e-22."""
+PHASES = np.arange(-0.5, 0.5, 0.05)
+
+
+def mean_error(step: float, ratio: float) -> float:
+    """Return by how much the mean of rounded samples errs at the most, for noise of `ratio` steps."""
+    return step / np.pi * float(np.exp(-2.0 * (np.pi * ratio) ** 2))
+
+
+def grid_step(distinct: FloatArray, samples: int) -> float:
+    """Return the step of the grid that distinct values lie on, in the main; 0 when there is none."""
+    if len(distinct) < 2 or len(distinct) > FEW * samples:
+        return 0.0
+    gaps = np.diff(distinct)
+    # Rounded in a decimal text or by a factor, equal steps differ in their last digits.
+    step = float(np.median(gaps[gaps <= 1.5 * np.quantile(gaps, 0.25)]))
+    whole = np.abs(gaps / step - np.round(gaps / step)) < 50 * ALIKE
+    return step if whole.mean() > 0.9 else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Digits:
+    """Steps of a channel, and its noise before rounding in steps; both in the unit of the channel."""
+
+    step: float
+    ratio: float
+
+    @property
+    def error(self) -> float:
+        """Part of the variance of a slow signal that rounding may add or take away.
+
+        A slow signal of less than a step is passed on with a gain that differs from one by the slope of the
+        error of the mean, 2 exp(-2 pi² ratio²); its variance by twice that.
+        """
+        return 4.0 * np.pi * mean_error(1.0, self.ratio)
+
+    @property
+    def share(self) -> float:
+        """Part of the variance of a sample that is of rounding."""
+        return ROUNDED / (ROUNDED + self.ratio**2)
+
+
+def digits(values: FloatArray) -> Digits | None:
+    """Return the digits of samples in order, (n,); None where they are far finer than the noise.
+
+    The noise is the likeliest by how often each step is read, each short piece with a mean of its own:
+    between two steps readings toggle, in the middle of one they stand still, and both are the same noise.
+    """
+    pieces = len(values) // BLOCK
+    if not pieces:
+        return None
+    chosen = np.unique(np.linspace(0, pieces - 1, min(pieces, KEPT)).astype(np.int64))
+    looked = values[: pieces * BLOCK].reshape(pieces, BLOCK)[chosen]
+    distinct = np.unique(looked)
+    if len(distinct) == 1:  # a reading changes now and then, if ever
+        changes = np.abs(np.diff(values))
+        changes = changes[changes > 0.0]
+        return Digits(float(changes.min()), float(RATIOS[0])) if len(changes) else None
+    step = grid_step(distinct, looked.size)
+    spread = np.sqrt(np.mean(np.diff(looked, axis=1) ** 2) / 2.0)
+    if step == 0.0 or spread > RATIOS[-1] * step:
+        return None
+    middle = np.sort(looked, axis=1)[:, BLOCK // 2, np.newaxis]  # one of the readings
+    places = np.rint((looked - middle) / step).astype(np.int64)
+    places = np.clip(places, -FARTHEST, FARTHEST) + FARTHEST
+    rows = np.arange(len(places))[:, np.newaxis] * (2 * FARTHEST + 1)
+    counts = np.bincount((places + rows).ravel(), minlength=len(places) * (2 * FARTHEST + 1))
+    likely = np.log(_chances()) @ counts.reshape(len(places), -1).T
+    best = likely.max(axis=1).sum(axis=1)
+    return Digits(step, float(RATIOS[int(np.argmax(best))]))
+
+
+def _chances() -> FloatArray:
+    """Return the probability of each step from the middle, (ratios, phases, steps)."""
+    edges = np.arange(-FARTHEST, FARTHEST) + 0.5
+    scaled = (edges - PHASES[:, np.newaxis]) / RATIOS[:, np.newaxis, np.newaxis]
+    below = ndtr(scaled)
+    ends = np.ones((*below.shape[:2], 1))
+    return np.maximum(np.diff(np.concatenate([0.0 * ends, below, ends], axis=-1), axis=-1), 1e-12)
