@@ -9,7 +9,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import dask
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
@@ -45,8 +44,9 @@ def long_session(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def client() -> Iterator[Any]:
-    # A task has failed when it killed two workers, not four as by default: each takes seconds to start.
-    with dask.config.set({"distributed.scheduler.allowed-failures": 1}), workers(None, 2) as made:
+    with workers(None, 2) as made:
+        # A task has failed when it killed two workers, not four as by default: each takes seconds to start.
+        made.cluster.scheduler.allowed_failures = 1
         yield made
 
 
