@@ -18,6 +18,7 @@ from imumon.calibration.record import BLOCK_S, Record, read_session
 from imumon.calibration.refusal import LAG_S, check_columns, check_coverage
 from imumon.calibration.selection import Choice, choose, slow_variance
 from imumon.errors import ImumonError, Reason
+from imumon.geodesy import DEG_PER_H
 from imumon.models.curves.points import Points
 from imumon.models.model import UNITS, BiasModel, ChannelModel, TrainedOn
 from imumon.recordings.reduced import ACCEL, GYRO
@@ -266,7 +267,7 @@ def _by_pose(cells: Cells, findings: dict[str, Finding]) -> list[str]:
     if not cells.turned:
         return []
     far = {
-        name: f"{np.rad2deg(spread) * 3600.0:.3g}"
+        name: f"{spread / DEG_PER_H:.3g}"
         for name in GYRO
         if name in findings
         and (spread := findings[name].repeatability) is not None

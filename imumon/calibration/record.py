@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from imumon.blocks import BoolArray, FloatArray, SampleBlock
@@ -68,11 +68,12 @@ def record_of(
     device: str | None = None,
     axes: str | None = None,
     block_s: float = BLOCK_S,
+    serial: str | None = None,
 ) -> Record:
     """Reduce samples that went through the pipeline."""
     means = reduce(blocks, COLUMNS, block_s)
     rest = means.at_rest() & (means.span_s >= LEAST_COVERED * block_s)
-    return Record(name, sha256, device, axes, means, rest)
+    return Record(name, sha256, device, axes, means, rest, serial)
 
 
 def read_session(path: Path) -> tuple[Record, list[str]]:
@@ -85,11 +86,15 @@ def read_session(path: Path) -> tuple[Record, list[str]]:
     """
     recording = open_recording(path, _stages)
     record = record_of(
-        recording.blocks(), recording.name, recording.sha256(), recording.device, recording.axes
+        recording.blocks(),
+        recording.name,
+        recording.sha256(),
+        recording.device,
+        recording.axes,
+        serial=recording.serial,
     )
     if not len(record.means):
         raise ImumonError(Reason.BAD_DATA, f"{path}: there is no sample in this session")
-    record = replace(record, serial=recording.serial)
     return record, [f"{path}: {text}" for text in recording.warnings()]
 
 

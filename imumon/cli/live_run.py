@@ -9,15 +9,15 @@ import sys
 import threading
 import time
 from pathlib import Path
-from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING
 
 from imumon.cli.common import note, say
 from imumon.errors import ImumonError, Reason
 from imumon.heap import prepare_heap
+from imumon.recordings import lines
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Sequence
 
     from imumon.run.live import LiveRun, LiveSummary
     from imumon.run.setup import Setup
@@ -155,27 +155,12 @@ def ending_signals() -> list[signal.Signals]:
     return numbers
 
 
-class Lines:
+class Lines(lines.Lines):
     """Log lines on their way from the threads of the run to standard error.
 
     Only the main thread writes there: a terminal that is stopped (Ctrl-S) or a pipe that nobody reads would
     block whoever does, and that must not be the recorder or the pipeline.
     """
-
-    def __init__(self) -> None:
-        self._waiting: SimpleQueue[tuple[str, str]] = SimpleQueue()
-
-    def put(self, level: str, text: str) -> None:
-        """Take a line; returns at once."""
-        self._waiting.put((level, text))
-
-    def take(self) -> Iterator[tuple[str, str]]:
-        """Yield the lines that wait, level and text."""
-        while True:
-            try:
-                yield self._waiting.get_nowait()
-            except Empty:
-                return
 
     def write(self, before: str = "") -> None:
         """Write the lines that wait; `before` clears what stands in the terminal's line."""

@@ -10,9 +10,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import psutil
 
-from imumon.blocks import BoolArray, FloatArray, IntArray, SampleBlock
+from imumon.blocks import SampleBlock
 from imumon.run.narration import Progress
-from imumon.view.items import Drawing, Event, Instant, Samples, State, ViewItem, merge
+from imumon.view.items import Drawing, Event, Instant, Samples, State, ViewItem, first_of_steps, merge
 from imumon.view.queue import DropOldestQueue
 
 QUEUE_BYTES = 4 << 20
@@ -140,15 +140,10 @@ def picture(item: ViewItem) -> Samples | Event | None:
     times = arrival if item.host_ns is None else item.host_ns
     if times is None or not item.rows:
         return None
-    keep = _first_of_steps(times)
+    keep = first_of_steps(times, PICTURE_STEP_NS)
     columns = {
         name: values[keep]
         for name, values in item.block.columns.items()
         if values.dtype == np.float64 and np.isfinite(values).any()
     }
     return Samples(None, None, times[keep], SampleBlock(columns), item.stream) if columns else None
-
-
-def _first_of_steps(times_ns: IntArray | FloatArray) -> BoolArray:
-    step = times_ns // PICTURE_STEP_NS
-    return np.asarray(np.diff(step, prepend=step[:1] - 1) != 0)

@@ -11,13 +11,14 @@ from dataclasses import dataclass, field
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from pathlib import Path
-from queue import Empty, SimpleQueue
+from queue import SimpleQueue
 from typing import Any
 
 from imumon.rack.description import Plan
 from imumon.rack.feed import Vitals
 from imumon.rack.table import Row, markdown
 from imumon.rack.unit import Ended, Task, Update, run_unit
+from imumon.recordings.lines import waiting
 from imumon.recordings.log import SessionLog
 from imumon.view.items import Instant, Log, OfUnit, Overview, Shown, State, ViewSetup
 
@@ -79,10 +80,7 @@ class Process:
 
     def hear(self) -> list[Message]:
         """Return what it has said since the last time."""
-        said: list[Message] = []
-        with contextlib.suppress(Empty):
-            while True:
-                said.append(self._said.get_nowait())
+        said = list(waiting(self._said))
         if said:
             self.heard_s, self.has_spoken = time.monotonic(), True
         return said

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from imumon.geodesy import DEG_PER_H
 from imumon.harmless import for_markdown
 from imumon.rack.feed import Vitals
 from imumon.view.cards import DIGITS, measured
@@ -16,7 +16,6 @@ HEADINGS = (
 )  # fmt: skip
 LEFT = 2
 """Columns of words; the others are numbers and stand on the right."""
-DEG_PER_HOUR = 3600.0 * math.degrees(1.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,8 +51,8 @@ def bias(vitals: Vitals) -> str:
     """Return the bias of the three axes with the largest of their sigmas, to its second digit."""
     if not vitals.bias:
         return "–"
-    sd = DEG_PER_HOUR * max(vitals.bias_sd)
-    axes = [measured(DEG_PER_HOUR * value, sd).split(" ± ")[0] for value in vitals.bias]
+    sd = max(vitals.bias_sd) / DEG_PER_H
+    axes = [measured(value / DEG_PER_H, sd).split(" ± ")[0] for value in vitals.bias]
     return f"{' '.join(axes)} ± {measured(0.0, sd).split(' ± ')[-1]}"
 
 

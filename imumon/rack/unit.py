@@ -17,13 +17,13 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from multiprocessing.connection import Connection
 from pathlib import Path
-from queue import Empty, SimpleQueue
 
 from imumon.errors import ImumonError
 from imumon.heap import prepare_heap
 from imumon.protocols.device import DeviceFile, parse_device
 from imumon.rack.description import Plan
 from imumon.rack.feed import Feed, Vitals
+from imumon.recordings.lines import Line, Lines
 from imumon.run.live import LiveRun, nothing_decoded, warm_up
 from imumon.run.narration import view_setup
 from imumon.run.setup import Setup, parse_setup
@@ -35,9 +35,6 @@ BEFORE = -5
 """Where the system lets it (root, or a limit for niceness), a unit that records comes before all else."""
 RETRY_S = 2.0
 """How often a port that cannot be opened is tried again."""
-
-Line = tuple[str, str]
-"""Level and text of a line for the log."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,26 +74,6 @@ class Ended:
     summary: dict[str, object] | None
     problem: str
     lines: Sequence[Line]
-
-
-class Lines:
-    """Log lines that wait to be sent; `put` may be called from any thread."""
-
-    def __init__(self) -> None:
-        self._waiting: SimpleQueue[Line] = SimpleQueue()
-
-    def put(self, level: str, text: str) -> None:
-        """Take a line; returns at once."""
-        self._waiting.put((level, text))
-
-    def take(self) -> list[Line]:
-        """Return the lines since the last time."""
-        lines: list[Line] = []
-        while True:
-            try:
-                lines.append(self._waiting.get_nowait())
-            except Empty:
-                return lines
 
 
 def run_unit(task: Task, rack: Connection) -> None:

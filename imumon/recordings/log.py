@@ -6,8 +6,9 @@ import json
 import time
 from collections.abc import Callable
 from pathlib import Path
-from queue import Empty, SimpleQueue
+from queue import SimpleQueue
 
+from imumon.recordings.lines import waiting
 from imumon.recordings.metadata import iso_utc
 
 LOG_NAME = "log.jsonl"
@@ -38,12 +39,7 @@ class SessionLog:
 
     def write(self) -> None:
         """Write the lines that wait; raises OSError when that fails, and they are lost."""
-        lines = []
-        while True:
-            try:
-                lines.append(self._lines.get_nowait())
-            except Empty:
-                break
+        lines = list(waiting(self._lines))
         if lines:
             with self._path.open("a", encoding="utf-8", errors="replace") as file:
                 file.write("".join(f"{line}\n" for line in lines))

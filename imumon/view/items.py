@@ -8,7 +8,7 @@ from typing import overload
 
 import numpy as np
 
-from imumon.blocks import NO_INT, IntArray, SampleBlock, join
+from imumon.blocks import NO_INT, BoolArray, IntArray, SampleBlock, join
 from imumon.charts import Chart
 
 ITEM_BYTES = 512
@@ -293,6 +293,13 @@ def _complete(block: SampleBlock, name: str) -> IntArray | None:
     """Return an integer column that every row has, or None."""
     values = block.columns.get(name)
     return None if values is None or (values == NO_INT).any() else np.asarray(values, np.int64)
+
+
+def first_of_steps(times_ns: IntArray, step_ns: int, before_ns: int | None = None) -> BoolArray:
+    """Tell which times are the first in a step of time, (n,); `before_ns` is the last that came before."""
+    step = times_ns // step_ns
+    before = step[:1] - 1 if before_ns is None else before_ns // step_ns
+    return np.asarray(np.diff(step, prepend=before) != 0)
 
 
 @overload

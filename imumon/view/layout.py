@@ -22,7 +22,7 @@ from imumon.charts import GREY, Color
 from imumon.columns import KNOWN
 from imumon.view.cards import DIGITS, Reading
 from imumon.view.extent import LEAST_STEPS, Reach, declare_extent, entity
-from imumon.view.items import ViewSetup
+from imumon.view.items import ViewSetup, first_of_steps
 from imumon.view.window import Window, series_view
 
 FIRST = "Live"
@@ -121,10 +121,7 @@ class Rows:
         clock = self.clock
         if clock is None:
             return np.ones(len(next(iter(self.columns.values()))), np.bool_)
-        step_ns = max(step_ns, self.step_ns)
-        step = clock // step_ns
-        before = step[:1] - 1 if self.before_ns is None else self.before_ns // step_ns
-        return np.asarray(np.diff(step, prepend=before) != 0)
+        return first_of_steps(clock, max(step_ns, self.step_ns), self.before_ns)
 
     def matrix(self, names: Sequence[str]) -> FloatArray:
         """Return the named columns side by side, shape (n, len(names))."""

@@ -147,6 +147,12 @@ def write_rack(folder: Path, feeder: Feeder, device: str, names: Iterable[str] |
     return path
 
 
+def rack_command(path: Path, folder: Path, view: str) -> list[str]:
+    """Return the command for a rack whose sessions go below a folder, with its answer as JSON."""
+    options = ["--out", str(folder / "sessions"), "--view", view, "--json"]
+    return [sys.executable, "-m", "imumon", "rack", str(path), *options]
+
+
 def measure(folder: Path, units: int, rate_hz: float, minutes: float, view: str) -> Row:
     """Let units send at once for so long; no byte may be missing on disk."""
     device = folder / "fast.yaml"
@@ -156,13 +162,8 @@ def measure(folder: Path, units: int, rate_hz: float, minutes: float, view: str)
     names = [f"unit-{number:02d}" for number in range(1, units + 1)]
     with closing(Feeder(folder, names, sent, rate_hz)) as feeder:
         rack = write_rack(folder, feeder, device.name)
-        arguments = [str(rack), "--out", str(folder / "sessions"), "--view", view, "--json"]
-        with subprocess.Popen(
-            [sys.executable, "-m", "imumon", "rack", *arguments],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            text=True,
-        ) as child:
+        command = rack_command(rack, folder, view)
+        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as child:
             try:
                 assert wait_until(feeder.is_open, STARTING_S)
                 time.sleep(SETTLING_S)

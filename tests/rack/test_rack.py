@@ -4,7 +4,6 @@ import json
 import os
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
@@ -18,7 +17,7 @@ from imumon.rack.unit import Task, Update, run_unit
 from imumon.recordings.folder import open_session
 from imumon.view.items import Log, OfUnit, Overview, Samples, Shown, State
 from tests.cli.command import imumon
-from tests.faults.rack import Feeder, packets, recorded, write_rack
+from tests.faults.rack import Feeder, packets, rack_command, recorded, write_rack
 from tests.transport.helpers import wait_until
 
 RATE_HZ = 100.0
@@ -151,13 +150,8 @@ def test_the_command_follows_its_file_and_ends_in_order(tmp_path: Path) -> None:
     with feeding(tmp_path, "a", "b") as feeder:
         path = write_rack(tmp_path, feeder, "ax1", ["a"])
         (tmp_path / "more.yaml").write_text(path.read_text() + "  absent: {port: /dev/ttyNONE}\n")
-        arguments = [str(path), "--view", "none", "--out", str(tmp_path / "sessions"), "--json"]
-        with subprocess.Popen(
-            [sys.executable, "-m", "imumon", "rack", *arguments],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        ) as child:
+        command = rack_command(path, tmp_path, "none")
+        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as child:
             try:
                 assert wait_until(lambda: feeder.is_open("a"), STARTING_S)
                 feeder.start()

@@ -2,15 +2,16 @@ from __future__ import annotations
 
 import math
 
+from imumon.geodesy import DEG_PER_H
 from imumon.rack.feed import Vitals
-from imumon.rack.table import DEG_PER_HOUR, HEADINGS, Row, amount, bias, in_short, markdown, text_lines
+from imumon.rack.table import HEADINGS, Row, amount, bias, in_short, markdown, text_lines
 
 RESTING = Vitals(
     session="sessions/x",
     lanes={"port": "open", "model": "OK"},
     temperature_deg=24.567,
-    bias=(12.345 / DEG_PER_HOUR, -3.2 / DEG_PER_HOUR, 0.01 / DEG_PER_HOUR),
-    bias_sd=(0.1 / DEG_PER_HOUR, 0.234 / DEG_PER_HOUR, 0.05 / DEG_PER_HOUR),
+    bias=(12.345 * DEG_PER_H, -3.2 * DEG_PER_H, 0.01 * DEG_PER_H),
+    bias_sd=(0.1 * DEG_PER_H, 0.234 * DEG_PER_H, 0.05 * DEG_PER_H),
     packets_per_s=399.6,
     packets_lost=1234,
     bytes_received=23_200_000,
