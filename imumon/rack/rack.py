@@ -96,14 +96,11 @@ class Process:
 
     @property
     def exit_code(self) -> int | None:
-        """How it ended, minus the number of the signal where it was one; None while it lives or is heard."""
-        if self._process.is_alive():
-            return None
-        self._listener.join(1.0)  # what it said last
-        return self._process.exitcode
+        """How it ended, minus the number of the signal where it was one; None while it lives."""
+        return None if self._process.is_alive() else self._process.exitcode
 
     def close(self) -> None:
-        """Give back what a process that has ended holds."""
+        """Give back what a process that has ended holds; what it said last can be heard after it."""
         self._process.join()
         self._listener.join()
         self._ours.close()
@@ -176,6 +173,11 @@ class Unit:
             self.first = vitals
         self.cpu = share(self.vitals, vitals) or self.cpu
         self.vitals = vitals
+
+    def interrupt(self) -> None:
+        """Take note that its process ended without closing the session, if it had one."""
+        if self.vitals.session:
+            self.interrupted.append(self.vitals.session)
 
     def as_dict(self) -> dict[str, Any]:
         """Return what ``--json`` says of it."""
@@ -330,11 +332,13 @@ class Rack:
             return
         code = process.exit_code
         if code is not None:
-            self._hear(unit)
             process.close()
+            self._hear(unit)
             unit.process = None
             if not unit.ending:
                 self._mourn(unit, code, time.monotonic() - process.began_s)
+            elif code:
+                unit.interrupt()
             return
         if unit.ending:
             if time.monotonic() > unit.end_by_s:
@@ -359,8 +363,7 @@ class Rack:
 
     def _mourn(self, unit: Unit, code: int, lived_s: float) -> None:
         unit.deaths.append(code)
-        if unit.vitals.session:
-            unit.interrupted.append(unit.vitals.session)
+        unit.interrupt()
         unit.failures = 0 if lived_s > STEADY_S else unit.failures
         pause_s = self._pause(unit)
         how = f"signal {-code}" if code < 0 else f"exit code {code}"

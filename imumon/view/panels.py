@@ -138,6 +138,14 @@ PANELS: tuple[Panel, ...] = (
         look="points",
         limits=(-3.0, 3.0),
     ),
+    Strip(
+        "turn_hypothesis",
+        "Not decided: turn or change of the bias",
+        _axes("turn_hypothesis"),
+        "°/h",
+        BIAS,
+        look="steps",
+    ),
     Bands(
         "attitude_estimate_level",
         "Roll and pitch by the estimator, 2σ",

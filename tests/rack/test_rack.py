@@ -175,6 +175,7 @@ def test_the_command_follows_its_file_and_ends_in_order(tmp_path: Path) -> None:
                 child.kill()
         told = json.loads(out)["units"]
         assert list(told) == ["a", "b", "absent"]
+        assert told["a"]["sessions"], err
         sessions = [Path(one["session"]) for one in told["a"]["sessions"]]
         assert recorded(sessions) == feeder.written("a")
         assert recorded(Path(one["session"]) for one in told["b"]["sessions"]) in feeder.stream
