@@ -183,9 +183,9 @@ def interrupt(folder: Path, number: int, stopped_s: float = 2.0, patience: float
         try:
             while not (folder / "wire.mcap").exists() and child.poll() is None:
                 time.sleep(0.02)
-            line.start()
             assert child.stderr is not None
             child.stderr.readline()  # it is ready, and says that the port was opened
+            line.start()
             time.sleep(0.5)
             for each in (signal.SIGSTOP, signal.SIGCONT):
                 child.send_signal(each)
