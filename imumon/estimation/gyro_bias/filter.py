@@ -33,6 +33,8 @@ the better explanation."""
 UNNOTICED_S = 51.0
 """Mean length of a movement that nobody notices: with it a jump is certain after `PATIENCE_S`."""
 CERTAIN = 0.95
+SEEMING_TURN = 1.5e-4
+"""rad/s, 31 °/h: so fast drifting accelerometers seem to turn (`accel_drift` of the rest detector, over g)."""
 RECENT = 8
 """Slots that say what the bias has become: few, for it may be running away with the temperature."""
 PATIENCE_S = 300.0
@@ -172,12 +174,53 @@ class Contrary:
         Whether nothing has agreed since a gap in the data.
     since_degc : array (3,)
         Temperature at the first of them.
+    turned : array (3,)
+        Rotation since the first of them in this pose, if it is one, rad.
+    turned_s : float
+        In so long.
+    tilt : array (3,)
+        What gravity had shown by then, rad.
+    gravity : float
+        Logarithm of how much likelier gravity is what it is if the unit does not turn.
     """
 
     readings: list[Reading] = field(default_factory=list)
     seconds: float = 0.0
     behind_gap: bool = False
     since_degc: FloatArray = field(default_factory=_nothing)
+    turned: FloatArray = field(default_factory=_zero)
+    turned_s: float = 0.0
+    tilt: FloatArray = field(default_factory=_zero)
+    gravity: float = 0.0
+
+    def add(self, reading: Reading, off: FloatArray, up: FloatArray, tilt_noise: float) -> None:
+        """Take a slot.
+
+        Parameters
+        ----------
+        reading : Reading
+        off : array (3,)
+            Its rate less the bias, rad/s.
+        up : array (3,)
+            Zero without accelerometers, which show the rotation about what is level.
+        tilt_noise : float
+            rad sqrt(s).
+        """
+        if not self.readings:
+            self.since_degc = reading.slot.degc
+        if reading.fresh or not self.turned_s:
+            # Nobody knows when in the first slot it began.
+            self.turned, self.turned_s, self.tilt, self.gravity = np.zeros(3), 0.0, reading.tilt, 0.0
+        dt = reading.slot.dt
+        self.readings = [*self.readings, reading][-RECENT:]
+        self.seconds += dt
+        if self.seconds > dt and up.any():
+            self.turned = self.turned + dt * (off - (off @ up) * up)
+            self.turned_s += dt
+            seen = reading.tilt - self.tilt
+            unexplained = seen - self.turned
+            variance = 2.0 * tilt_noise**2 / dt + (SEEMING_TURN * self.turned_s) ** 2
+            self.gravity = float(unexplained @ unexplained - seen @ seen) / (2.0 * variance)
 
     @property
     def _prior(self) -> float:
@@ -190,8 +233,8 @@ class Contrary:
         """Probability that the bias has jumped: unnoticed movements last `UNNOTICED_S` in the mean."""
         if not self.readings:
             return 0.0
-        odds = self._prior / (1.0 - self._prior)
-        return 1.0 / (1.0 + math.exp(-self.seconds / UNNOTICED_S) / odds)
+        prior = math.log(self._prior / (1.0 - self._prior))
+        return 0.5 + 0.5 * math.tanh(0.5 * (prior + self.seconds / UNNOTICED_S + self.gravity))
 
     @property
     def rate(self) -> FloatArray:
@@ -509,15 +552,12 @@ def _take(state: State, params: Params, bank: Bank, noise: Noise, reading: Readi
 
 def _refuse(state: State, params: Params, bank: Bank, reading: Reading) -> None:
     """Note a slot that contradicts the bias; if that goes on, the bias is what these slots say."""
-    contrary = state.contrary
-    contrary.readings = [*contrary.readings, reading][-RECENT:]
-    if contrary.seconds == 0.0:
-        contrary.since_degc = reading.slot.degc
-    contrary.seconds += reading.slot.dt
-    filters.come_to_rest(bank, state.attitude.flat)
-    if contrary.jump > CERTAIN:
+    contrary, attitude = state.contrary, state.attitude
+    contrary.add(reading, reading.rate - at_slot(state.law), attitude.up, _noise(state, params).tilt)
+    filters.come_to_rest(bank, attitude.flat)
+    if contrary.jump > CERTAIN and len(contrary.readings) > 2:
         state.jumps += 1
-        state.first = contrary.readings
+        state.first = contrary.readings[1:]  # in the first it may have been the old bias yet
         _filter_again(state, params)
         state.first, state.zeroed = [], True
 

@@ -236,8 +236,8 @@ class GyroBias:
         if jumps > self._jumps:
             self._jumps = jumps
             texts.append(
-                f"for {PATIENCE_S:.0f} s at rest the rate contradicted the bias: it has jumped, or "
-                "the unit turns; the bias is estimated anew"
+                f"at rest the rate contradicted the bias, and gravity, or {PATIENCE_S:.0f} s, say that it "
+                "has jumped: the bias is estimated anew"
             )
         return texts
 

@@ -101,6 +101,34 @@ def test_a_jump_makes_the_sigma_wide_at_once_and_is_believed_in_the_end(gap_s: f
     assert any("jumped" in text for text in stage.notices())
 
 
+@pytest.mark.parametrize("size_deg", [0.1, 0.3, 2.0])
+def test_a_jump_that_gravity_shows_to_be_no_turn_is_learned_in_seconds(size_deg: float) -> None:
+    block, bias = record(TRUTH, 240.0, 3)
+    t = np.arange(len(block)) / RATE_HZ
+    jump = np.where(t > 120.25, math.radians(size_deg), 0.0)
+    added = GyroBias().process(block.with_columns({"gyro_x": block["gyro_x"] + jump}))
+    error = added["gyro_bias_x"] - bias[:, 0] - jump
+    assert np.sum(np.abs(error / added["gyro_bias_sd_x"]) > 5.0) / RATE_HZ < 3.0
+    assert np.abs(error[t > 130.0]).max() < 40.0 * DPH
+
+
+@pytest.mark.parametrize("axis", [0, 2])
+def test_a_turn_that_gravity_follows_or_cannot_show_is_no_jump(axis: int) -> None:
+    block, bias = record(TRUTH, 240.0, 3)
+    t = np.arange(len(block)) / RATE_HZ
+    rate = np.zeros((len(block), 3))
+    rate[:, axis] = np.where((t > 120.0) & (t < 160.0), math.radians(0.3), 0.0)
+    pose = Rotation.from_rotvec(np.cumsum(rate, axis=0) / RATE_HZ)
+    force = pose.inv().apply(vector(block, "accel"))
+    columns = {f"gyro_{name}": block[f"gyro_{name}"] + rate[:, j] for j, name in enumerate("xyz")}
+    columns |= {f"accel_{name}": force[:, j] for j, name in enumerate("xyz")}
+    stage = GyroBias()
+    added = stage.process(block.with_columns({**columns, "at_rest": np.ones(len(block), np.int64)}))
+    turning = (t > 125.0) & (t < 159.0)
+    assert np.abs(vector(added, "gyro_bias") - bias)[turning, axis].max() < 60.0 * DPH
+    assert not any("jumped" in text for text in stage.notices())
+
+
 def test_what_was_a_turn_or_a_change_of_the_bias_is_learned_once_it_is_rest() -> None:
     block, bias = record(TRUTH, 240.0, 3)
     t = np.arange(len(block)) / RATE_HZ
