@@ -34,7 +34,7 @@ UNNOTICED_S = 51.0
 """Mean length of a movement that nobody notices: with it a jump is certain after `PATIENCE_S`."""
 CERTAIN = 0.95
 SEEMING_TURN = 1.5e-4
-"""rad/s, 31 °/h: so fast drifting accelerometers seem to turn (`accel_drift` of the rest detector, over g)."""
+"""rad/s, 31 °/h: so fast accelerometers that drift seem to turn: `accel_drift` of the rest room over g."""
 RECENT = 8
 """Slots that say what the bias has become: few, for it may be running away with the temperature."""
 PATIENCE_S = 300.0
