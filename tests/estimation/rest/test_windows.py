@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -139,10 +140,12 @@ def test_false_alarms_are_rare_whatever_the_rate() -> None:
         assert np.all(rest[np.argmax(rest) :] == 1)
 
 
+@pytest.mark.parametrize("step", [1e-3, math.radians(1.0)])
 @pytest.mark.parametrize(("sd_steps", "hidden_steps"), [(0.0, 0.5), (0.15, 0.5), (0.5, 0.01)])
-def test_what_the_steps_of_a_gyro_hide_is_the_hypothesis(sd_steps: float, hidden_steps: float) -> None:
+def test_what_the_steps_of_a_gyro_hide_is_the_hypothesis(
+    sd_steps: float, hidden_steps: float, step: float
+) -> None:
     """A mean errs by half a step at most, and less as the noise lets the readings reach the next (Widrow)."""
-    step = 1e-3
     t, gyro, accel = noise(120.0, 100.0, sd_steps * step)
     gyro = np.round(gyro / step) * step
     gyro[0] += step  # else nobody knows the step
