@@ -7,7 +7,7 @@ import sys
 from collections.abc import Iterable
 
 import numpy as np
-from thermometer_kinds import KINDS, PER_HOUR, Kind, Profile, constant, drifting, ramp
+from thermometer_kinds import KINDS, PER_HOUR, Kind, Profile, constant, drifting, ramp, thermostat
 from thermometers_bias import bias_rows
 
 from imumon.blocks import FloatArray, SampleBlock
@@ -16,6 +16,13 @@ from imumon.estimation.temperature_rate.stage import TemperatureRate
 STEADY_S, SETTLED_S = 1800.0, 600.0
 RAMP_S, ONSET_S = 300.0, 20.0
 HOLDS_S = (60.0, 300.0, 1200.0)
+THERMOSTATS = {
+    "0.8 °C, 4 min": thermostat(0.8, 240.0),
+    "0.8 °C, 4 min, lag 1 min": thermostat(0.8, 240.0, 60.0),
+    "1 °C, 15 min, lag 40 s": thermostat(1.0, 900.0, 40.0),
+    "6 °C, 20 min": thermostat(6.0, 1200.0),
+}
+CYCLING_S = 5400.0
 BLOCK_S = 10.0
 
 
@@ -69,6 +76,14 @@ def steady_row(kind: Kind, profile: Profile, seeds: range) -> list[float]:
     ]
 
 
+def thermostat_row(kind: Kind, profile: Profile, seeds: range) -> list[float]:
+    """Return rms of the rate's error, rms and max of its z, the share beyond 3; max of temperature's z."""
+    runs = [errors(kind, profile, CYCLING_S, seed) for seed in seeds]
+    late = {name: np.concatenate([run[name][run["t"] > CYCLING_S / 3.0] for run in runs]) for name in runs[0]}
+    beyond = float(np.mean(np.abs(late["rate_z"]) > 3.0))
+    return [rms(late["rate"]), rms(late["rate_z"]), largest(late["rate_z"]), beyond, largest(late["z"])]
+
+
 def ramp_row(kind: Kind, hold_s: float, seeds: range) -> list[float]:
     """Return the largest error of temperature after the hold; later z, the rate's, its rms."""
     worst = np.full(4, np.nan)
@@ -86,13 +101,15 @@ def ramp_row(kind: Kind, hold_s: float, seeds: range) -> list[float]:
 
 
 def main() -> None:
-    """Print the three tables."""
+    """Print the four tables."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--first", type=int, default=0, help="the first seed")
     parser.add_argument("--kinds", default="", help="only kinds with this text in the name")
     parser.add_argument("--holds", type=float, nargs="*", default=HOLDS_S)
-    parser.add_argument("--part", choices=("steady", "ramp", "bias"), help="only one of the tables")
+    parser.add_argument(
+        "--part", choices=("steady", "thermostat", "ramp", "bias"), help="only one of the tables"
+    )
     given = parser.parse_args()
     seeds = range(given.first, given.first + given.seeds)
     kinds = [kind for kind in KINDS if given.kinds in kind.name]
@@ -103,6 +120,11 @@ def main() -> None:
         print("|---|---|---|---|---|---|---|")
         profiles = (("constant", constant), ("5 °C/h", drifting))
         show((k.name, name, steady_row(k, profile, seeds)) for k in kinds for name, profile in profiles)
+    if given.part in (None, "thermostat"):
+        print("\n| thermometer | swing, period | rate rms °C/h | rate z rms | z max | beyond 3 | z max |")
+        print("|---|---|---|---|---|---|---|")
+        cycling = ((k, name, profile) for k in kinds for name, profile in THERMOSTATS.items())
+        show((k.name, name, thermostat_row(k, profile, seeds)) for k, name, profile in cycling)
     if given.part in (None, "ramp"):
         print(
             "\n| thermometer | hold s | temperature max °C "

@@ -27,7 +27,7 @@ CAPACITY = 2 * KEPT
 MOST_UNITS = 4096
 
 COARSEST_STEPS = (0.035, 0.16)
-"""No gyro (rad/s) and no accelerometer (m/s²) reads in coarser steps: 2 °/s is as much as may shake at rest."""
+"""No gyro (rad/s) and no accelerometer (m/s²) reads in coarser steps: 2 °/s is what may shake at rest."""
 
 DITHER = 2.0 * np.pi**2
 """Noise of variance v lets a mean err by exp(-DITHER v) steps of the sensor, v in steps squared (Widrow)."""

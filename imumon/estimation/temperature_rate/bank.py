@@ -135,12 +135,13 @@ def _shown(interval_s: float) -> FloatArray:
 
 CHANGE_PER_S = 1.0 / 3600.0
 """Probability per second that the smoothness changes to a neighbour's."""
-JUMP_PER_S, RARE_JUMP_PER_S = 1e-4, 1e-7
-"""The same to any: a jump every three hours as where a chamber goes through its program, one in months as
-where nobody touches the unit."""
-FREQUENT, FORGOTTEN_S = 0.01, 3600.0
-"""Probability that jumps are frequent, before any is seen, and the time after which one is forgotten.  The
-estimate weighs both; its standard deviation is that of frequent jumps about it, as the next may have come."""
+RARE_JUMP_PER_S, JUMP_PER_S, CYCLING_JUMP_PER_S = 1e-7, 1e-4, 3e-3
+"""The same to any: a jump in months as where nobody touches the unit, one every three hours as where a
+chamber goes through its program, one every five minutes as where a thermostat switches."""
+FREQUENT, CYCLING, FORGOTTEN_S = 0.01, 0.01, 3600.0
+"""Probability that jumps are not rare, and of these that they come every few minutes, before any is seen, and
+the time after which one is forgotten.  The estimate weighs all; its standard deviation is that of jumps which
+are not rare about it, as the next may have come."""
 MIX_S = 3.9
 """Filters are mixed so often; a fraction of the time in which any could take over."""
 NATURE_PER_S = 1e-10
@@ -166,6 +167,8 @@ class Filter:
     ----------
     weight, rare : float
         The probability that it is right and jumps of the smoothness are frequent, or rare: of all filters 1.
+    cycling : float
+        The part of the weight with which jumps come every few minutes.
     temperature, rate, acceleration, error : float
         Means; the error is the slow one of the reading: °C, °C/s, °C/s², °C.
     tt, tr, ta, te, rr, ra, re, aa, ae, ee : float
@@ -175,6 +178,7 @@ class Filter:
 
     weight: float
     rare: float
+    cycling: float
     temperature: float
     rate: float
     acceleration: float
@@ -239,6 +243,7 @@ def started(
     share = PRIOR / PRIOR.sum() if kinds is None else kinds
     values = {
         "weight": np.repeat(share / SMOOTHNESSES, SMOOTHNESSES) * FREQUENT,
+        "cycling": np.repeat(share / SMOOTHNESSES, SMOOTHNESSES) * FREQUENT * CYCLING,
         "rare": np.repeat(share / SMOOTHNESSES, SMOOTHNESSES) * (1.0 - FREQUENT),
         "temperature": temperature[0],
         "rate": rate[0],
@@ -380,15 +385,19 @@ def mix(filters: Filters, sums: FloatArray, dt: float, slow: FloatArray, turn: i
                     to[m] += change * others[m]
                 to[SLOW_VARIANCE] += change * others[0] * slow[turn]
                 to[RARE] += change * others[RARE]
+                to[CYCLES] += change * others[CYCLES]
     frequent, rare = 0.0, 0.0
     for i in range(len(filters)):
         frequent += sums[1, i, 0]
         rare += sums[1, i, RARE]
-    returns = (FREQUENT * (frequent + rare) - frequent) * min(dt / FORGOTTEN_S, 1.0)
+    forgotten = min(dt / FORGOTTEN_S, 1.0)
+    returns = (FREQUENT * (frequent + rare) - frequent) * forgotten
     for i in range(len(filters)):
         f = filters[i]
         f.weight = sums[1, i, 0] * (1.0 + returns / frequent)
         f.rare = sums[1, i, RARE] * (1.0 - returns / rare)
+        cycling = sums[1, i, CYCLES] * (1.0 + returns / frequent)
+        f.cycling = cycling + (CYCLING * f.weight - cycling) * forgotten
         if f.weight:
             _read(f, sums[1, i])
             _add_square(f, f.temperature, f.rate, f.acceleration, f.error, -1.0)
@@ -397,8 +406,8 @@ def mix(filters: Filters, sums: FloatArray, dt: float, slow: FloatArray, turn: i
             f.acceleration += a0
 
 
-KNOWN, SLOW_VARIANCE, RARE, MOMENTS = 10, 14, 15, 16
-"""The first moments of a filter are not those of the slow error; its last one; the other weight; all."""
+KNOWN, SLOW_VARIANCE, RARE, CYCLES, MOMENTS = 10, 14, 15, 16, 17
+"""The first moments of a filter are not those of the slow error; its last one; the other weights; all."""
 
 
 @inner
@@ -421,7 +430,7 @@ def _write(f: Filter, x: float, r: float, a: float, to: FloatArray) -> None:
     to[4], to[5], to[6] = w * f.tt, w * f.tr, w * f.ta
     to[7], to[8], to[9] = w * f.rr, w * f.ra, w * f.aa
     to[10], to[11], to[12], to[13], to[14] = w * f.error, w * f.te, w * f.re, w * f.ae, w * f.ee
-    to[RARE] = f.rare
+    to[RARE], to[CYCLES] = f.rare, f.cycling
 
 
 @inner
@@ -452,11 +461,14 @@ def _pass_on(sums: FloatArray, first: int, dt: float) -> None:
             total += _flow(i, j, dt, RARE_JUMP_PER_S) * before[first + i, RARE]
         for i in range(SMOOTHNESSES):
             rare = _flow(i, j, dt, RARE_JUMP_PER_S) * before[first + i, RARE]
-            if i <= j or rare > NEGLIGIBLE * total:
-                share = _flow(i, j, dt, JUMP_PER_S)
+            if before[first + i, 0] and (i <= j or rare > NEGLIGIBLE * total):
+                cycling = before[first + i, CYCLES] / before[first + i, 0]
+                other = _flow(i, j, dt, CYCLING_JUMP_PER_S)
+                share = (1.0 - cycling) * _flow(i, j, dt, JUMP_PER_S) + cycling * other
                 for m in range(RARE):
                     after[first + j, m] += share * before[first + i, m]
                 after[first + j, RARE] += rare
+                after[first + j, CYCLES] += other * before[first + i, CYCLES]
 
 
 @inner

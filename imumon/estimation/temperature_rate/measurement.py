@@ -196,10 +196,12 @@ def measure(filters: Filters, said: Said) -> None:
             evidence = math.exp(max(log_evidence[i] - best, IMPOSSIBLE))
             f.weight *= evidence
             f.rare *= evidence
+            f.cycling *= evidence
             total += f.weight + f.rare
     for i in range(len(filters)):
         filters[i].weight /= total
         filters[i].rare /= total
+        filters[i].cycling /= total
 
 
 @inner
