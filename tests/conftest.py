@@ -42,6 +42,9 @@ def pytest_configure(config: pytest.Config) -> None:
         config.option.loadscopereorder = False  # the groups begin in the order of the tests
         if _COMPILE.exists():
             subprocess.run([sys.executable, _COMPILE], check=True)
+    else:
+        paths = [str(_TESTS / "as_installed"), os.environ.get("PYTHONPATH", "")]
+        os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, paths))
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
