@@ -36,6 +36,8 @@ BEGINS_TURNING = 0.05
 `TURN_EVERY_S` is."""
 EARTH = 7.3e-5
 """rad/s: a gyro without any bias reads up to the earth's rate."""
+SMALL_ANGLE = 1.0
+"""rad: by more a turn may bring gravity back to where it was."""
 TILTED = 0.05
 """m/s² (0.3°): less change of the specific force from rest to rest is drift of the accelerometers."""
 
@@ -83,7 +85,7 @@ def hypothesis(
     if not noisy and tilt > OBLIQUE * float(np.linalg.norm(turn)) and said is not None:
         if said is not Verdict.RESTS:  # it turns, or will have been seen to be still in seconds
             return state.turn, Explained.NO
-        if not wanders and may_jump(state, parameters, turn):
+        if not wanders and may_jump(state, parameters, turn - across):
             return np.zeros(3), Explained.PLAINLY
     if _turns_on(state, turn, recent, limit):
         return turn, Explained.NO
@@ -95,7 +97,7 @@ def hypothesis(
         if found is Explained.PLAINLY:
             return anchor.turn, found
         best = max(best, found, key=lambda one: one.value)
-    return turn - across if said is Verdict.RESTS else turn, best
+    return turn, best
 
 
 def may_jump(state: State, parameters: RestParameters, turn: FloatArray) -> bool:
@@ -253,6 +255,8 @@ def gravity_says(state: State, turn: FloatArray, drift: float, slots: int) -> Ve
     """
     longest = steady_slots(state) // 4
     window = min(slots // 2, longest)
+    while window and float(np.linalg.norm(turn)) * state.span_s(window) > SMALL_ANGLE:
+        window //= 2
     if not state.windows.known[ACCEL].all() or window == 0:
         return None
     now, before = state.means(state.length - window * np.arange(3))[:, ACCEL]

@@ -71,9 +71,10 @@ def test_a_slow_drift_of_all_axes_is_rest_and_of_the_vertical_alone_is_undecided
     assert not found(block(t, vertical, accel))[1][(t > 200.0) & (t < 240.0)].any()
 
 
-def test_a_jump_that_is_not_about_the_vertical_is_bias_for_gravity_would_have_turned() -> None:
+@pytest.mark.parametrize("jump", [0.8, 3.0, 30.0])
+def test_a_jump_that_is_not_about_the_vertical_is_bias_for_gravity_would_have_turned(jump: float) -> None:
     t, gyro, accel = noise(100.0, 25.0)
-    gyro[t > 40.0, 1] += 0.8 * DEG
+    gyro[t > 40.0, 1] += jump * DEG
     rest = found(block(t, gyro, accel))[1]
     assert not rest[(t > 40.1) & (t < 41.0)].any()
     assert rest[t > 42.0].all()
