@@ -6,11 +6,10 @@ Pandas is there for tests alone, and pyarrow loads it wherever it is, for 0.3 s 
 from __future__ import annotations
 
 import sys
-from importlib.abc import MetaPathFinder
 
 
-class _Absent(MetaPathFinder):
-    def find_spec(self, fullname: str, path: object = None, target: object = None) -> None:
+class _Absent:
+    def find_spec(self, fullname: str, *_: object) -> None:
         if fullname == "pandas":
             raise ModuleNotFoundError("no pandas, as for a user", name=fullname)
 
