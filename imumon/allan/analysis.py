@@ -178,12 +178,21 @@ def _key(series: EvenSeries) -> tuple[bytes, ...]:
     return tuple(part.tobytes() for part in (series.islands, series.gap_starts, series.gap_lengths))
 
 
+def _kurtosis(samples: FloatArray) -> float:
+    """Return the excess kurtosis of white noise, by differences of neighbours: theirs is half of it."""
+    square = np.square(np.diff(samples))
+    mean = float(square.mean())
+    return 2.0 * (float(np.square(square).mean()) / mean**2 - 3.0) if mean else 0.0
+
+
 def _analyse(series: EvenSeries, factors: IntArray, known: Uncertainty) -> Result:
     found = variances(series, factors)
     fit = fit_terms(found["allan"], known.family, series.interval_s, known.trusted - 1)
-    found_digits = digits(series.values[series.there])
-    if fit is not None and found_digits is not None:
-        fit = fit.rounded(found_digits.error)
+    samples = series.values[series.there]
+    found_digits = digits(samples)
+    if fit is not None:
+        fit = fit.with_tails(_kurtosis(samples), len(samples))
+        fit = fit if found_digits is None else fit.rounded(found_digits.error)
     noise = _WHITE if fit is None or not fit.coefficients[:4].any() else fit.coefficients[:4]
     found_intervals = {
         kind: _intervals(values, [part.of(noise) if part else 0.0 for part in known.freedoms[kind]])

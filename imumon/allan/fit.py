@@ -166,6 +166,18 @@ class Fit:
         }
         return replace(self, terms=terms)
 
+    def with_tails(self, kurtosis: float, samples: int) -> Fit:
+        """Return the angle random walk of samples with an excess kurtosis: their variance is known less well.
+
+        That of a mean square of n samples is (2 + kurtosis)/n of its square, and the covariance of the curve
+        has the 2.
+        """
+        white = self.terms["angle_random_walk"]
+        if white is None:
+            return self
+        sd = math.hypot(white.sd, 0.5 * white.value * math.sqrt(max(kurtosis, 0.0) / samples))
+        return replace(self, terms={**self.terms, "angle_random_walk": Estimate(white.value, sd)})
+
     def shares(self, m: FloatArray) -> FloatArray:
         """Return the Allan variance that each of `TERMS` makes at averaging factors, (n, 6)."""
         shapes = [shape(m) for shape in SHAPES.values()]

@@ -57,6 +57,15 @@ def test_terms_are_found_within_their_standard_deviations(truth: dict[str, float
             assert sum(fit.terms[term.name] is not None for fit in found) <= 2, term.name
 
 
+def test_noise_with_heavy_tails_is_known_less_well_and_says_so() -> None:
+    rng = np.random.default_rng(7)
+    found = fits([1e-3 / np.sqrt(2.0 * INTERVAL_S) * rng.standard_t(4.0, N) for _ in range(12)])
+    walks = [estimate for fit in found if (estimate := fit.terms["angle_random_walk"]) is not None]
+    errors = np.array([(walk.value - 1e-3) / walk.sd for walk in walks])
+    assert len(errors) == 12
+    assert 0.5 < np.sqrt(np.mean(errors**2)) < 1.5
+
+
 def test_flicker_and_random_walk_that_look_alike_do_not_take_each_others_place() -> None:
     truth = 1e-4
     found = fits(
