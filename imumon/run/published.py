@@ -11,7 +11,8 @@ import numpy as np
 from imumon.pipeline import Estimator
 from imumon.protocols.thermometer import TemperatureRateParameters
 from imumon.published import dense_zupt, random_error, self_alignment
-from imumon.published.fir import FirExponentialRate, FirStage
+from imumon.published.fir import FirRate, FirStage
+from imumon.published.fir import Params as FirParams
 from imumon.published.local_level import LocalLevel, from_noise
 from imumon.published.names import PublishedMethod
 from imumon.run.setup import Setup
@@ -30,7 +31,7 @@ def published_stages(setup: Setup, temperature: TemperatureRateParameters | None
         methods = _random_error(setup, [setup.random_error.method])
         stages.append(random_error.InsteadOfDefault(methods))
     if "fir" in setup.published:
-        stages.append(FirStage(*_fir(temperature or TemperatureRateParameters())))
+        stages.append(FirStage(_fir(temperature or TemperatureRateParameters())))
     if chosen := _chosen(setup, random_error.METHODS):
         stages.append(_random_error(setup, chosen))
     stages += [_dense_zupt(setup, method) for method in _chosen(setup, dense_zupt.METHODS)]
@@ -43,15 +44,14 @@ def published_stages(setup: Setup, temperature: TemperatureRateParameters | None
     return stages
 
 
-def fir_method(given: TemperatureRateParameters) -> Callable[[], FirExponentialRate]:
+def fir_method(given: TemperatureRateParameters) -> Callable[[], FirRate]:
     """Return what makes the FIR exponential regression with the parameters of the device file."""
-    return partial(FirExponentialRate, *_fir(given))
+    return partial(FirRate, _fir(given))
 
 
-def _fir(given: TemperatureRateParameters) -> tuple[float, float, float, int]:
-    """Return step, window, time constant and size of the buffer."""
+def _fir(given: TemperatureRateParameters) -> FirParams:
     step = DEFAULT_STEP_DEGC if given.step_degc is None else given.step_degc
-    return step, given.window_s, given.time_constant_s, given.buffer_size
+    return FirParams(step, given.window_s, given.time_constant_s, given.buffer_size)
 
 
 def _chosen(setup: Setup, names: Sequence[str]) -> list[PublishedMethod]:
