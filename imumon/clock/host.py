@@ -105,14 +105,6 @@ class HostClock:
         self._blocks = records(_Block, BLOCKS, hull=(VERTICES, 2))
 
     @property
-    def offset_ns(self) -> int | None:
-        """Host time minus device time at the latest sample; None before the first."""
-        if not self._fit.started:
-            return None
-        x = int(self._fit.last_x)
-        return int(self._fit.y0) + int(_line(self._fit, x))
-
-    @property
     def drift_ppm(self) -> float:
         """Rate of the host clock against the device clock, minus one: positive when the device is slow."""
         return float(self._fit.slope) * 1e6

@@ -200,13 +200,8 @@ def _right_rearranged(
     return verdict
 
 
-def check_of(name: str, first: int = 0, big: bool = False, zeros: int = 0) -> Check:
-    """Return the check of this name (`imumon.protocols.checksums`), over all bytes from `first` on."""
-    return unchecked if name == "none" else trailing(name, first, big, zeros)
-
-
 def trailing(name: str, first: int = 0, big: bool = False, zeros: int = 0) -> Trailing:
-    """Return the checksum of this name, which is not "none"; see `check_of`."""
+    """Return the checksum of this name (`imumon.protocols.checksums`), which is not "none"."""
     if name in CRCS:
         return CyclicCheck(CRCS[name], first, big, zeros)
     simple = {

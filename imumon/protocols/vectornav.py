@@ -224,7 +224,8 @@ def _numbers_of(text: str) -> list[float] | None:
     return None if read is None else [float(field) for field in read[1]]
 
 
-BINARY, SPLIT, SENTENCE = range(3)
+BINARY, SENTENCE = 0, 2
+"""Numbers of their frames."""
 
 
 class VectorNavDecoder(LayoutDecoder):

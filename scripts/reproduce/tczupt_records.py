@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from curve_slopes import curve_slope
 
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.geodesy import EARTH_RATE, body_to_ned
@@ -14,7 +15,7 @@ from imumon.models.curves.spline import SplineCurve
 from imumon.models.model import BiasModel, ChannelModel
 from imumon.published.dense_zupt import DenseRun, DenseSettings, dense_filter
 from imumon.published.fir import FirRate, Params
-from imumon.simulation.unit.curves import curve_slope, curve_value
+from imumon.simulation.unit.curves import curve_value
 from imumon.simulation.unit.scenario import load_scenario
 from imumon.simulation.unit.unit import SimulatedUnit
 
