@@ -12,6 +12,7 @@ from imumon.cli.common import (
     PATH,
     TABLE,
     bind_option,
+    chosen_view,
     columns_option,
     json_option,
     note,
@@ -20,8 +21,6 @@ from imumon.cli.common import (
     rate_option,
     split_columns,
     warn,
-    warn_of_no_display,
-    warn_of_readers,
     window_option,
 )
 from imumon.cli.live_run import serve
@@ -110,8 +109,7 @@ def command(
     if view != "none":
         from imumon.view.publisher import ViewPublisher
 
-        warn_of_no_display(view)
-        warn_of_readers(view, bind)
+        chosen_view(view, bind)
         publisher = ViewPublisher(view, _shown(source, opened, pipeline, window), bind=bind).start()
         _announce(publisher)
         card = {"session": str(session), "replay": "as fast as it goes" if pace is None else f"{pace:g} x"}
