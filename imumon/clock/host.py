@@ -68,7 +68,6 @@ class _Fit:
     segment: int
     x0: int
     y0: int
-    last_x: int
     last_arrival: int
     last_host: int
     block: int
@@ -160,7 +159,6 @@ def _fit_samples(
         time = min(fit.y0 + _line(fit, x) + device[i], arrival[i])
         # Should the arrival have gone back, then it is the bound that holds.
         time = min(max(time, fit.last_host), arrival[i])
-        fit.last_x = x
         fit.last_arrival = arrival[i]
         fit.last_host = time
         host[i] = time

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from importlib import import_module
 from pathlib import Path
-from typing import ClassVar, Literal, Protocol, Self
+from pkgutil import resolve_name
+from typing import Literal, Self
 
 from pydantic import Field, PositiveFloat, PositiveInt, PrivateAttr, field_validator
 
@@ -90,31 +90,6 @@ class DeviceFile(StrictModel):
         """Make an encoder that sends what the device would send."""
 
 
-class Family(Protocol):
-    """What makes decoders and encoders of a family whose device files say no more than others."""
-
-    def decoder(self, rate_hz: float | None) -> Decoder:
-        """Make a decoder for packets that come at this nominal rate."""
-
-    def encoder(self, sends: list[str]) -> Encoder:
-        """Make an encoder of what has these names."""
-
-
-class FamilyDevice(DeviceFile):
-    """Device file of a family; `sends` is for its virtual twin alone."""
-
-    family: ClassVar[Family]
-    sends: list[str]
-
-    def decoder(self) -> Decoder:
-        """Make a decoder for this device."""
-        return self.family.decoder(self.rate_hz)
-
-    def encoder(self) -> Encoder:
-        """Make an encoder that sends what the device would send."""
-        return self.family.encoder(self.sends)
-
-
 class _Header(StrictModel, extra="ignore"):
     """The part of a device file that tells which protocol reads the rest."""
 
@@ -174,9 +149,7 @@ def parse_device(text: str, source: str) -> DeviceFile:
         BAD_CONFIG, naming file and line, what was found and what was expected.
     """
     header = parse_yaml(text, _Header, source)
-    module, name = PROTOCOLS[header.protocol].split(":")
-    model = getattr(import_module(module), name)
-    device = parse_yaml(text, model, source)
+    device = parse_yaml(text, resolve_name(PROTOCOLS[header.protocol]), source)
     assert isinstance(device, DeviceFile)
     return device
 

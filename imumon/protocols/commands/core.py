@@ -48,6 +48,8 @@ SAVE_S = 3.0
 """Time for an answer to a write into flash, which takes devices up to a second."""
 CLOSE_ENOUGH = 1e-3
 """A rate is the device's own when it differs by less: 266.67 Hz is 800 / 3."""
+MOST_DIVISOR = 65_535
+"""Sixteen bits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -322,7 +324,7 @@ def nothing_to_keep(what: str, option: str) -> ImumonError:
     )
 
 
-def divisor(base_hz: float, rate_hz: float, most: int = 65535) -> int:
+def divisor(base_hz: float, rate_hz: float) -> int:
     """Return the whole number by which a base rate is divided to give this one.
 
     Raises
@@ -331,9 +333,9 @@ def divisor(base_hz: float, rate_hz: float, most: int = 65535) -> int:
         BAD_CONFIG when there is none, with the nearest rates.
     """
     exact = base_hz / rate_hz
-    by = min(max(round(exact), 1), most)
+    by = min(max(round(exact), 1), MOST_DIVISOR)
     if abs(base_hz / by / rate_hz - 1) <= CLOSE_ENOUGH:
         return by
-    low = min(max(int(exact), 1), most)
-    there = [base_hz / low, base_hz / min(low + 1, most)]
+    low = min(max(int(exact), 1), MOST_DIVISOR)
+    there = [base_hz / low, base_hz / min(low + 1, MOST_DIVISOR)]
     raise no_rate(rate_hz, there, f"the device divides {base_hz:g} Hz by a whole number")

@@ -11,7 +11,7 @@ import numpy as np
 
 from imumon.blocks import SampleBlock
 from imumon.protocols.base import Encoder
-from imumon.protocols.commands.core import BAUD, Family, Message
+from imumon.protocols.commands.core import BAUD, MOST_DIVISOR, Family, Message
 from imumon.protocols.device import DeviceFile
 
 
@@ -195,4 +195,4 @@ class Firmware(ABC):
 
 def nearest(base_hz: float, rate_hz: float) -> int:
     """Return the divisor of a base rate that comes nearest to a rate."""
-    return int(np.clip(round(base_hz / rate_hz), 1, 65535))
+    return int(np.clip(round(base_hz / rate_hz), 1, MOST_DIVISOR))
