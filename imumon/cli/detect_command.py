@@ -70,16 +70,7 @@ def command(
     fit = [item for item in evidence if item.verdict is Verdict.FRAMES]
     proposal = _propose(bytes(heard), evidence) if wrong else None
     if as_json:
-        found = [{"device": item.protocol, "baudrate": item.baudrate} for item in fit]
-        rows = [{**asdict(e), "share_framed": e.share_framed, "verdict": e.verdict.value} for e in evidence]
-        print_json(
-            {
-                "found": found[0] if found else None,
-                "fit": found,
-                "evidence": rows,
-                "proposal": proposal,
-            }
-        )
+        print_json(_as_data(evidence, fit, proposal))
     else:
         _show(evidence)
         _suggest(port, fit)
@@ -92,6 +83,13 @@ def command(
         note(f"look at {proposed}, then: imumon monitor {port} --device {proposed}")
     if wrong:
         raise wrong
+
+
+def _as_data(evidence: list[Evidence], fit: list[Evidence], proposal: str | None) -> dict[str, object]:
+    """Return what ``--json`` prints."""
+    found = [{"device": item.protocol, "baudrate": item.baudrate} for item in fit]
+    rows = [{**asdict(e), "share_framed": e.share_framed, "verdict": e.verdict.value} for e in evidence]
+    return {"found": found[0] if found else None, "fit": found, "evidence": rows, "proposal": proposal}
 
 
 def _propose(heard: bytes, evidence: list[Evidence]) -> str | None:

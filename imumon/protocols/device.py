@@ -17,8 +17,6 @@ from imumon.protocols.base import Decoder, Encoder
 from imumon.protocols.thermometer import TemperatureRateParameters
 from imumon.transport.settings import PortSettings
 
-FORMAT = "imumon-device/1"
-
 PROTOCOLS = {
     "fixed": "imumon.protocols.fixed.device:FixedDevice",
     "text": "imumon.protocols.text:TextDevice",

@@ -53,16 +53,7 @@ class TaggedEncoder(Encoder):
         self._framing, self._kind, self._role = framing, kind, role
 
     def encode(self, block: SampleBlock) -> list[bytes]:
-        """Return one packet per row; columns that the block lacks are sent as zero.
-
-        Counters and clocks wrap as in the device.  Where a value is missing but its field is sent, it is sent
-        as NaN, or as zero where the number has no NaN.
-
-        Raises
-        ------
-        ImumonError
-            BAD_DATA when a value does not fit the field that carries it.
-        """
+        """Return a packet for each row, of fields that have a value; see `imumon.protocols.base.Encoder`."""
         columns = self._sent_columns(block)
         present = np.column_stack([self._present(field, columns, len(block)) for field in self._fields])
         packets: list[bytes] = [b""] * len(block)
