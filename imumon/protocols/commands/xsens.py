@@ -28,15 +28,15 @@ from imumon.protocols.commands.core import (
     Wish,
     no_rate,
 )
-from imumon.protocols.frame_checks import Sum
 from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, Frame
 from imumon.protocols.stream import ByteArray
+from imumon.protocols.tagged_encoder import CHECKS
+from imumon.protocols.tagged_kernel import LONGEST_XBUS_PAYLOAD, XBUS
 from imumon.protocols.xsens.fields import MTDATA2_FIELDS
 from imumon.protocols.xsens.messages import ERROR, ERRORS, NAMES, identifier_name
 
 SYNC = b"\xfa\xff"
-LONGEST = 2048
-CHECK = Sum(first=1, negated=True)
+CHECK = CHECKS[XBUS]
 GO_TO_MEASUREMENT, SET_BAUDRATE, REQ_PRODUCT_CODE, GO_TO_CONFIG = 0x10, 0x18, 0x1C, 0x30
 REQ_FIRMWARE, RESET, SET_OUTPUT_CONFIGURATION = 0x12, 0x40, 0xC0
 OUTPUT = "output configuration"
@@ -76,7 +76,7 @@ def _lengths(held: ByteArray, at: IntArray) -> IntArray:
     short, long = header[at + 3], header[at + 4] << 8 | header[at + 5]
     extended = short == 0xFF
     length = np.where(extended, long + 7, short + 5)
-    length[extended & (long > LONGEST)] = IMPOSSIBLE
+    length[extended & (long > LONGEST_XBUS_PAYLOAD)] = IMPOSSIBLE
     length[at + np.where(extended, 6, 4) > len(held)] = INCOMPLETE
     return length
 
