@@ -11,7 +11,7 @@ from pydantic import Field, PositiveFloat, PositiveInt, PrivateAttr, field_valid
 
 from imumon.config import StrictModel, parse_yaml
 from imumon.errors import ImumonError, Reason
-from imumon.files import read_text
+from imumon.files import bundled, read_text
 from imumon.plugins import DEVICES, plugins
 from imumon.protocols.base import Decoder, Encoder
 from imumon.protocols.thermometer import TemperatureRateParameters
@@ -102,12 +102,6 @@ class _Header(StrictModel, extra="ignore"):
         return name
 
 
-def device_folder() -> Path:
-    """Return the folder of the device files that come with imumon."""
-    packaged = Path(__file__).resolve().parents[1] / "configs" / "devices"
-    return packaged if packaged.is_dir() else Path(__file__).resolve().parents[2] / "configs" / "devices"
-
-
 def device_names() -> list[str]:
     """Return the names that `load_device` knows without a path."""
     return sorted(_files())
@@ -115,8 +109,8 @@ def device_names() -> list[str]:
 
 def _files() -> dict[str, Path]:
     """Return the device files by name: those of imumon, which come first, and of plug-ins."""
-    folders = [*map(Path, plugins(DEVICES).values()), device_folder()]
-    return {path.stem: path for folder in folders for path in folder.glob("*.yaml")}
+    folders = map(Path, plugins(DEVICES).values())
+    return {path.stem: path for folder in folders for path in folder.glob("*.yaml")} | bundled("devices")
 
 
 def device_text(name: str) -> tuple[str, str]:
