@@ -13,7 +13,6 @@ from imumon.protocols.thermometer import TemperatureRateParameters
 from imumon.published import dense_zupt, random_error, self_alignment
 from imumon.published.fir import FirRate, FirStage
 from imumon.published.fir import Params as FirParams
-from imumon.published.local_level import LocalLevel, from_noise
 from imumon.published.names import PublishedMethod
 from imumon.run.setup import Setup
 
@@ -59,22 +58,7 @@ def _chosen(setup: Setup, names: Sequence[str]) -> list[PublishedMethod]:
 
 
 def _random_error(setup: Setup, methods: Sequence[str]) -> random_error.RandomErrorMethods:
-    given = setup.random_error_with_noise
-    known: dict[str, LocalLevel] = {
-        channel: from_noise(noise.angle_random_walk, noise.bias_instability, noise.rate_random_walk)
-        for channel, noise in given.noise.items()
-    }
-    params = random_error.Params(
-        methods=methods,
-        noise=known,
-        risk=given.risk,
-        phi_limit=given.phi_limit,
-        learn_s=given.learn_s,
-        mean_s=given.mean_s,
-        hold_s=given.hold_s,
-        assume_rest=given.assume_rest,
-    )
-    return random_error.RandomErrorMethods(params, setup.bias_model)
+    return random_error.RandomErrorMethods(methods, setup.random_error_with_noise, setup.bias_model)
 
 
 def _dense_zupt(setup: Setup, method: str) -> dense_zupt.DenseZupt:
