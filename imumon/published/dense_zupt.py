@@ -284,11 +284,6 @@ def dense_filter(
     return run
 
 
-def with_angle_random_walk(settings: DenseSettings, density: FloatArray) -> DenseSettings:
-    """Return the settings for another white noise of the gyros, rad/sqrt(s), () or (3,)."""
-    return replace(settings, angle_random_walk=density)
-
-
 class DenseZupt:
     """ZUPT on calibrated data, or TCZUPT, as a stage: ``{method}_gyro_bias_{axis}`` of the raw rate, and sd.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -69,5 +70,5 @@ def _dense_zupt(setup: Setup, method: str) -> dense_zupt.DenseZupt:
     )
     white = given.angle_random_walk_rad_per_sqrt_s
     if white is not None:
-        settings = dense_zupt.with_angle_random_walk(settings, np.array(white))
+        settings = replace(settings, angle_random_walk=np.array(white))
     return dense_zupt.DenseZupt(method, settings, setup.bias_model, given.assume_at_rest)
