@@ -8,12 +8,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from curve_slopes import curve_slope
+from dense_record import DenseRun, dense_filter
 
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.geodesy import EARTH_RATE, body_to_ned
 from imumon.models.curves.spline import SplineCurve
 from imumon.models.model import BiasModel, ChannelModel
-from imumon.published.dense_zupt import DenseRun, DenseSettings, dense_filter
+from imumon.published.dense_zupt import DenseSettings
 from imumon.published.fir import FirRate, Params
 from imumon.simulation.unit.curves import curve_value
 from imumon.simulation.unit.scenario import load_scenario
