@@ -14,6 +14,13 @@ LARGEST_TEXT = 16 << 20
 """Bytes: four for each character of the longest document."""
 
 
+def bundled(kind: str) -> dict[str, Path]:
+    """Return the files of a kind (devices, units, scenarios) that come with imumon, by their names."""
+    packaged = Path(__file__).resolve().parent / "configs" / kind
+    folder = packaged if packaged.is_dir() else packaged.parents[2] / "configs" / kind
+    return {path.stem: path for path in folder.glob("*.yaml")}
+
+
 def read_text(path: Path, reason: Reason = Reason.BAD_CONFIG, hint: str = "") -> str:
     """Return the text of a file; raises an `ImumonError` of this reason when it is huge or unreadable."""
     try:

@@ -9,7 +9,7 @@ import sys
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
@@ -130,35 +130,35 @@ def is_terminal() -> bool:
     return sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
 
 
-def refuse_without_terminal(view: str | None) -> None:
-    """Raise BAD_CONFIG where a view is to be drawn in a terminal and there is none."""
-    if view == "terminal" and not is_terminal():
+View = Literal["native", "web", "terminal", "none"]
+
+
+def chosen_view(view: View | None, bind: str) -> View:
+    """Return where the view is to be seen, and say what stands against it.
+
+    Raises
+    ------
+    ImumonError
+        BAD_CONFIG where a view is to be drawn in a terminal and there is none.
+    """
+    from imumon.view.viewer import LOCALHOST, default_mode, has_display
+
+    mode = view or default_mode()
+    if mode == "terminal" and not is_terminal():
         raise ImumonError(
             Reason.BAD_CONFIG,
             "--view terminal: standard error is no terminal",
             "run it in a terminal, or use --view web or none",
         )
-
-
-def warn_of_no_display(view: str | None) -> None:
-    """Say that no window can be opened, where one is asked for."""
-    from imumon.view.viewer import has_display
-
-    if view == "native" and not has_display():
-        warn(
-            [
-                "--view native: there is no display here, so no window opens; --view web shows the run in a"
-                " browser, monitor --view terminal where it runs"
-            ]
+    if mode == "native" and not has_display():
+        say(
+            "WARN",
+            "--view native: there is no display here, so no window opens; --view web shows the run in a"
+            " browser, monitor --view terminal where it runs",
         )
-
-
-def warn_of_readers(view: str | None, bind: str) -> None:
-    """Say that other computers can read the web view, where they can."""
-    from imumon.view.viewer import LOCALHOST, default_mode
-
-    if bind not in (LOCALHOST, "localhost") and (view or default_mode()) == "web":
+    if mode == "web" and bind not in (LOCALHOST, "localhost"):
         say("WARN", f"--bind {bind}: every computer that reaches this one can read the live view")
+    return mode
 
 
 def print_rows(rows: Mapping[str, str]) -> None:

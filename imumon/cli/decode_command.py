@@ -78,13 +78,12 @@ def command(
 
 def _result(source: Source, pipeline: Pipeline, exported: Exported) -> dict[str, object]:
     device = source.device.name if source.device is not None else None
-    return {
-        "file": source.path,
-        "device": device,
-        **exported.as_dict(),
-        **pipeline.counters.as_dict(),
-        **source.losses(),
-    }
+    return {"file": source.path, "device": device} | exported_as_data(source, pipeline, exported)
+
+
+def exported_as_data(source: Source, pipeline: Pipeline, exported: Exported) -> dict[str, object]:
+    """Return what ``--json`` prints of a run that was exported: the table, what came, what is missing."""
+    return {**exported.as_dict(), **pipeline.counters.as_dict(), **source.losses()}
 
 
 def _nothing(source: Source, pipeline: Pipeline) -> ImumonError:

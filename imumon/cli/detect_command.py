@@ -11,7 +11,6 @@ import click
 from imumon.cli.common import SECONDS, console, device_help, json_option, note, print_json, show
 
 if TYPE_CHECKING:
-    from imumon.protocols.text_proposal import Proposal
     from imumon.transport.detect import Evidence
     from imumon.transport.settings import PortSettings
 
@@ -71,31 +70,29 @@ def command(
     fit = [item for item in evidence if item.verdict is Verdict.FRAMES]
     proposal = _propose(bytes(heard), evidence) if wrong else None
     if as_json:
-        found = [{"device": item.protocol, "baudrate": item.baudrate} for item in fit]
-        rows = [{**asdict(e), "share_framed": e.share_framed, "verdict": e.verdict.value} for e in evidence]
-        print_json(
-            {
-                "found": found[0] if found else None,
-                "fit": found,
-                "evidence": rows,
-                "proposal": proposal.text if proposal else None,
-            }
-        )
+        print_json(_as_data(evidence, fit, proposal))
     else:
         _show(evidence)
         _suggest(port, fit)
         if proposal:
-            show(f"\nlines of text that no device file describes; this one may:\n\n{proposal.text}")
+            show(f"\nlines of text that no device file describes; this one may:\n\n{proposal}")
     if proposal and proposed:
         from imumon.files import write_text
 
-        write_text(proposed, proposal.text)
+        write_text(proposed, proposal)
         note(f"look at {proposed}, then: imumon monitor {port} --device {proposed}")
     if wrong:
         raise wrong
 
 
-def _propose(heard: bytes, evidence: list[Evidence]) -> Proposal | None:
+def _as_data(evidence: list[Evidence], fit: list[Evidence], proposal: str | None) -> dict[str, object]:
+    """Return what ``--json`` prints."""
+    found = [{"device": item.protocol, "baudrate": item.baudrate} for item in fit]
+    rows = [{**asdict(e), "share_framed": e.share_framed, "verdict": e.verdict.value} for e in evidence]
+    return {"found": found[0] if found else None, "fit": found, "evidence": rows, "proposal": proposal}
+
+
+def _propose(heard: bytes, evidence: list[Evidence]) -> str | None:
     """Return a device file for what was heard at the last rate, when that is lines of text."""
     last = max(evidence, key=lambda item: (item.tells_the_rate, item.text_share), default=None)
     if last is None or not last.tells_the_rate:

@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, Unpack
+from typing import TYPE_CHECKING, Unpack
 
 import click
 
@@ -17,18 +17,17 @@ from imumon.cli.common import (
     CLEAR_LINE,
     PATH,
     SECONDS,
+    View,
     baud_option,
     bind_option,
+    chosen_view,
     device_help,
     is_terminal,
     json_option,
     note,
     print_json,
     print_rows,
-    refuse_without_terminal,
     serial_option,
-    warn_of_no_display,
-    warn_of_readers,
     window_option,
 )
 from imumon.cli.keys import single_keys
@@ -43,8 +42,6 @@ if TYPE_CHECKING:
     from imumon.view.items import ViewItem, ViewSetup
     from imumon.view.publisher import ViewPublisher
     from imumon.view.terminal import TerminalView
-
-View = Literal["native", "web", "terminal", "none"]
 
 
 @click.command("monitor")
@@ -91,9 +88,7 @@ def command(
     from imumon.run.learning import compared, keep_learned
     from imumon.run.narration import view_setup
 
-    refuse_without_terminal(view)
-    warn_of_no_display(view)
-    warn_of_readers(view, bind)
+    mode = chosen_view(view, bind)
     setup = _learning(make_setup(options), learn)
     live = PortRun(port, device, baud, setup, out, seconds, serial)
     run = live.run
@@ -101,7 +96,7 @@ def command(
     try:
         # The view's process starts while this one gets ready.
         shown = view_setup(run.session, run.pipeline.units, window)
-        views = _Views(shown, run.session.view_path, view, bind)
+        views = _Views(shown, run.session.view_path, mode, bind)
         live.begin(views.publish)
         _watch(live, views)
     finally:
@@ -135,11 +130,9 @@ def _learning(setup: Setup, learn: bool) -> Setup:
 class _Views:
     """The live view, if any, and the recording of the view."""
 
-    def __init__(self, setup: ViewSetup, recording: Path, view: View | None, bind: str) -> None:
+    def __init__(self, setup: ViewSetup, recording: Path, mode: View, bind: str) -> None:
         from imumon.view.recorder import ViewRecorder
-        from imumon.view.viewer import default_mode
 
-        mode = view or default_mode()
         self._live: ViewPublisher | None = None
         self.terminal: TerminalView | None = None
         if mode == "terminal":

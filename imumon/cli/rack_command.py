@@ -18,19 +18,18 @@ from imumon.cli.common import (
     CLEAR_LINE,
     PATH,
     SECONDS,
+    View,
     bind_option,
+    chosen_view,
     is_terminal,
     json_option,
     note,
     print_json,
     print_rows,
-    refuse_without_terminal,
-    warn_of_no_display,
-    warn_of_readers,
     window_option,
 )
 from imumon.cli.live_run import Ending, Lines
-from imumon.cli.monitor_command import SCREEN_S, View
+from imumon.cli.monitor_command import SCREEN_S
 from imumon.errors import EXIT_NEGATIVE, EXIT_OK, ImumonError
 
 if TYPE_CHECKING:
@@ -79,18 +78,16 @@ def command(
     from imumon.rack.rack import Rack
     from imumon.rack.table import text_lines
 
-    refuse_without_terminal(view)
-    warn_of_no_display(view)
-    warn_of_readers(view, bind)
+    mode = chosen_view(view, bind)
     watched, plans = Watched(file), load_rack(file)
     ending, lines = Ending(seconds), Lines()
-    publisher = _publisher(file, out, view, window, bind)
+    publisher = _publisher(file, out, mode, window, bind)
     rack = Rack(out, lines.put, None if publisher is None else publisher.publish, window)
     bench = _Bench(rack, watched, ending, lines)
     try:
         rack.change(plans)
         ending.begin()
-        if view == "terminal":
+        if mode == "terminal":
             bench.run_on_screen(file.stem)
         else:
             bench.run(publisher)
@@ -109,11 +106,8 @@ def command(
     return EXIT_NEGATIVE if troubles else EXIT_OK
 
 
-def _publisher(file: Path, out: Path, view: View | None, window: float, bind: str) -> ViewPublisher | None:
+def _publisher(file: Path, out: Path, mode: View, window: float, bind: str) -> ViewPublisher | None:
     """Return the view that all units share, where there is one."""
-    from imumon.view.viewer import default_mode
-
-    mode = view or default_mode()
     if mode == "terminal" or mode == "none":
         return None
     from imumon.view.items import ViewSetup

@@ -12,6 +12,7 @@ from imumon.cli.common import (
     PATH,
     TABLE,
     bind_option,
+    chosen_view,
     columns_option,
     json_option,
     note,
@@ -20,10 +21,9 @@ from imumon.cli.common import (
     rate_option,
     split_columns,
     warn,
-    warn_of_no_display,
-    warn_of_readers,
     window_option,
 )
+from imumon.cli.decode_command import exported_as_data
 from imumon.cli.live_run import serve
 from imumon.cli.progress import reading_bar
 from imumon.cli.setup_options import SetupOptions, make_setup, setup_options
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from imumon.recordings.source import Source
     from imumon.view.items import ViewSetup
     from imumon.view.publisher import ViewPublisher
+    from imumon.view.viewer import Mode
 
 STARTING_S = 10.0
 """How long a view may take until it has an address."""
@@ -108,12 +109,7 @@ def command(
     pipeline, digest = Pipeline(source.device, stages), Digest()
     publisher = narrator = None
     if view != "none":
-        from imumon.view.publisher import ViewPublisher
-
-        warn_of_no_display(view)
-        warn_of_readers(view, bind)
-        publisher = ViewPublisher(view, _shown(source, opened, pipeline, window), bind=bind).start()
-        _announce(publisher)
+        publisher = _begun(view, _shown(source, opened, pipeline, window), bind)
         card = {"session": str(session), "replay": "as fast as it goes" if pace is None else f"{pace:g} x"}
         narrator = Narrator(pipeline, None, [publisher.publish], lambda *_: None, card, session)
     blocks = digested(replay(source.items, pipeline, narrator, pace), pipeline, digest)
@@ -133,10 +129,11 @@ def command(
     _warn(source, pipeline, opened.path, identical)
     warn(exported.warnings)
     if as_json:
-        made = {"session": source.path, **exported.as_dict()}
         compared = {"results_digest": digest.hexdigest(), "identical_to_live": identical}
         smoothing = {} if disagreement is None else {"disagreement": disagreement}
-        print_json({**made, **pipeline.counters.as_dict(), **source.losses(), **compared, **smoothing})
+        print_json(
+            {"session": source.path} | exported_as_data(source, pipeline, exported) | compared | smoothing
+        )
     said = {
         "samples": f"{exported.rows:,}, {VERDICT[identical]}",
         "losses": describe_losses(pipeline.counters),
@@ -168,12 +165,17 @@ def _compare(session: Path, given: tuple[Path, Path], out: Path | None, as_json:
     return EXIT_OK
 
 
-def _announce(publisher: ViewPublisher) -> None:
-    """Say where the view is, before what it shows is over."""
+def _begun(view: Mode, setup: ViewSetup, bind: str) -> ViewPublisher:
+    """Return a view that begins, and say where it is before what it shows is over."""
+    from imumon.view.publisher import ViewPublisher
+
+    chosen_view(view, bind)
+    publisher = ViewPublisher(view, setup, bind=bind).start()
     end = time.monotonic() + STARTING_S
     while not publisher.url and time.monotonic() < end:
         time.sleep(0.05)
     note(f"view: {publisher.url or publisher.state}")
+    return publisher
 
 
 def _warn(source: Source, pipeline: Pipeline, session: Path, identical: bool | None) -> None:

@@ -14,13 +14,12 @@ import click
 from imumon.cli.common import (
     PATH,
     bind_option,
+    chosen_view,
     json_option,
     note,
     print_json,
     print_rows,
     warn,
-    warn_of_no_display,
-    warn_of_readers,
 )
 from imumon.cli.live_run import serve
 from imumon.cli.progress import reading_bar
@@ -86,8 +85,7 @@ def command(
     if out is not None:
         rec.set_sinks(rr.FileSink(out))
     else:
-        warn_of_no_display(mode)
-        warn_of_readers(mode, bind)
+        chosen_view(mode, bind)
         url = _shown(rec, setup, mode, bind)
     comparison = Comparison(rec, setup, align)
     told = []

@@ -68,7 +68,6 @@ class _Fit:
     segment: int
     x0: int
     y0: int
-    last_x: int
     last_arrival: int
     last_host: int
     block: int
@@ -103,14 +102,6 @@ class HostClock:
         self._limit = drift_limit_ppm * 1e-6
         self._fit = record(_Fit, hull=(BLOCKS * VERTICES, 2))
         self._blocks = records(_Block, BLOCKS, hull=(VERTICES, 2))
-
-    @property
-    def offset_ns(self) -> int | None:
-        """Host time minus device time at the latest sample; None before the first."""
-        if not self._fit.started:
-            return None
-        x = int(self._fit.last_x)
-        return int(self._fit.y0) + int(_line(self._fit, x))
 
     @property
     def drift_ppm(self) -> float:
@@ -168,7 +159,6 @@ def _fit_samples(
         time = min(fit.y0 + _line(fit, x) + device[i], arrival[i])
         # Should the arrival have gone back, then it is the bound that holds.
         time = min(max(time, fit.last_host), arrival[i])
-        fit.last_x = x
         fit.last_arrival = arrival[i]
         fit.last_host = time
         host[i] = time

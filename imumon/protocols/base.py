@@ -275,6 +275,9 @@ class Encoder(ABC):
     def encode(self, block: SampleBlock) -> list[bytes]:
         """Return one packet per row; columns that the block lacks are sent as zero.
 
+        Counters and clocks wrap as in the device.  What is missing is sent as NaN, or as zero where the
+        number has no NaN.
+
         Raises
         ------
         ImumonError

@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from importlib import import_module
 from pathlib import Path
-from typing import ClassVar, Literal, Protocol, Self
+from pkgutil import resolve_name
+from typing import Literal, Self
 
 from pydantic import Field, PositiveFloat, PositiveInt, PrivateAttr, field_validator
 
 from imumon.config import StrictModel, parse_yaml
 from imumon.errors import ImumonError, Reason
-from imumon.files import read_text
+from imumon.files import bundled, read_text
 from imumon.plugins import DEVICES, plugins
 from imumon.protocols.base import Decoder, Encoder
 from imumon.protocols.thermometer import TemperatureRateParameters
 from imumon.transport.settings import PortSettings
-
-FORMAT = "imumon-device/1"
 
 PROTOCOLS = {
     "fixed": "imumon.protocols.fixed.device:FixedDevice",
@@ -90,31 +88,6 @@ class DeviceFile(StrictModel):
         """Make an encoder that sends what the device would send."""
 
 
-class Family(Protocol):
-    """What makes decoders and encoders of a family whose device files say no more than others."""
-
-    def decoder(self, rate_hz: float | None) -> Decoder:
-        """Make a decoder for packets that come at this nominal rate."""
-
-    def encoder(self, sends: list[str]) -> Encoder:
-        """Make an encoder of what has these names."""
-
-
-class FamilyDevice(DeviceFile):
-    """Device file of a family; `sends` is for its virtual twin alone."""
-
-    family: ClassVar[Family]
-    sends: list[str]
-
-    def decoder(self) -> Decoder:
-        """Make a decoder for this device."""
-        return self.family.decoder(self.rate_hz)
-
-    def encoder(self) -> Encoder:
-        """Make an encoder that sends what the device would send."""
-        return self.family.encoder(self.sends)
-
-
 class _Header(StrictModel, extra="ignore"):
     """The part of a device file that tells which protocol reads the rest."""
 
@@ -129,12 +102,6 @@ class _Header(StrictModel, extra="ignore"):
         return name
 
 
-def device_folder() -> Path:
-    """Return the folder of the device files that come with imumon."""
-    packaged = Path(__file__).resolve().parents[1] / "configs" / "devices"
-    return packaged if packaged.is_dir() else Path(__file__).resolve().parents[2] / "configs" / "devices"
-
-
 def device_names() -> list[str]:
     """Return the names that `load_device` knows without a path."""
     return sorted(_files())
@@ -142,8 +109,8 @@ def device_names() -> list[str]:
 
 def _files() -> dict[str, Path]:
     """Return the device files by name: those of imumon, which come first, and of plug-ins."""
-    folders = [*map(Path, plugins(DEVICES).values()), device_folder()]
-    return {path.stem: path for folder in folders for path in folder.glob("*.yaml")}
+    folders = map(Path, plugins(DEVICES).values())
+    return {path.stem: path for folder in folders for path in folder.glob("*.yaml")} | bundled("devices")
 
 
 def device_text(name: str) -> tuple[str, str]:
@@ -174,9 +141,7 @@ def parse_device(text: str, source: str) -> DeviceFile:
         BAD_CONFIG, naming file and line, what was found and what was expected.
     """
     header = parse_yaml(text, _Header, source)
-    module, name = PROTOCOLS[header.protocol].split(":")
-    model = getattr(import_module(module), name)
-    device = parse_yaml(text, model, source)
+    device = parse_yaml(text, resolve_name(PROTOCOLS[header.protocol]), source)
     assert isinstance(device, DeviceFile)
     return device
 

@@ -73,8 +73,14 @@ class Trailing(ABC):
 
     def sealed(self, body: bytes) -> bytes:
         """Return the packet: the body and its checksum."""
-        held = np.frombuffer(body, np.uint8)
-        return body + self.stored(self.values(held, np.array([self.first]), np.array([len(body)]))).tobytes()
+        return self.sealed_rows(np.frombuffer(body, np.uint8)[np.newaxis]).tobytes()
+
+    def sealed_rows(self, bodies: ByteArray) -> ByteArray:
+        """Return the packets of bodies of one size, (n, size), with their checksums."""
+        n, size = bodies.shape
+        begin = np.arange(n) * size
+        sums = self.values(bodies.reshape(-1), begin + self.first, begin + size)
+        return np.concatenate([bodies, self.stored(sums)], axis=1)
 
     def stored(self, values: IntArray) -> ByteArray:
         """Return checksums as they stand in packets, (n, size)."""
@@ -200,13 +206,8 @@ def _right_rearranged(
     return verdict
 
 
-def check_of(name: str, first: int = 0, big: bool = False, zeros: int = 0) -> Check:
-    """Return the check of this name (`imumon.protocols.checksums`), over all bytes from `first` on."""
-    return unchecked if name == "none" else trailing(name, first, big, zeros)
-
-
 def trailing(name: str, first: int = 0, big: bool = False, zeros: int = 0) -> Trailing:
-    """Return the checksum of this name, which is not "none"; see `check_of`."""
+    """Return the checksum of this name (`imumon.protocols.checksums`), which is not "none"."""
     if name in CRCS:
         return CyclicCheck(CRCS[name], first, big, zeros)
     simple = {

@@ -347,8 +347,8 @@ def fixed_length(size: int) -> Lengths:
     return partial(_all_of, size)
 
 
-def counted_length(at: int, size: int, more: int, longest: int, big: bool = False) -> Lengths:
-    """Return the `Lengths` of packets that say how many bytes they have besides `more`.
+def counted_length(at: int, size: int, more: int, longest: int) -> Lengths:
+    """Return the `Lengths` of packets that say how many bytes they have besides `more`, low byte first.
 
     Parameters
     ----------
@@ -358,10 +358,8 @@ def counted_length(at: int, size: int, more: int, longest: int, big: bool = Fals
         Bytes that it does not count.
     longest : int
         Longest packet that is believed.
-    big : bool
-        Whether the most significant byte of the number comes first.
     """
-    return partial(_counted, at, size, more, longest, big)
+    return partial(_counted, at, size, more, longest)
 
 
 def _all_of(size: int, held: ByteArray, at: IntArray) -> IntArray:
@@ -369,14 +367,11 @@ def _all_of(size: int, held: ByteArray, at: IntArray) -> IntArray:
     return np.full(len(at), size, np.int64)
 
 
-def _counted(
-    at: int, size: int, more: int, longest: int, big: bool, held: ByteArray, begin: IntArray
-) -> IntArray:
+def _counted(at: int, size: int, more: int, longest: int, held: ByteArray, begin: IntArray) -> IntArray:
     result = np.full(len(begin), INCOMPLETE, np.int64)
     there = np.flatnonzero(begin + at + size <= len(held))
     counted = np.zeros(len(there), np.int64)
     for k in range(size):
-        shift = 8 * (size - 1 - k if big else k)
-        counted |= held[begin[there] + at + k].astype(np.int64) << shift
+        counted |= held[begin[there] + at + k].astype(np.int64) << 8 * k
     result[there] = np.where(counted + more <= longest, counted + more, IMPOSSIBLE)
     return result

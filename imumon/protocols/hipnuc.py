@@ -19,10 +19,18 @@ from imumon.columns import KNOWN, Column
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.base import Timing
 from imumon.protocols.checksums import CRCS
-from imumon.protocols.device import FamilyDevice
 from imumon.protocols.frame_checks import CyclicCheck, rearranged
 from imumon.protocols.framing import Found, Frame, counted_length
-from imumon.protocols.messages import Message, Part, TableDecoder, TableEncoder, TableFamily, part, whole
+from imumon.protocols.messages import (
+    Message,
+    Part,
+    TableDecoder,
+    TableDevice,
+    TableEncoder,
+    TableFamily,
+    part,
+    whole,
+)
 from imumon.protocols.numbers import NUMBER_TYPES
 from imumon.protocols.tagged_columns import count, known, number, vector
 
@@ -159,7 +167,7 @@ HIPNUC = TableFamily(
 )
 
 
-class HipnucDevice(FamilyDevice):
+class HipnucDevice(TableDevice):
     """Device file of a HiPNUC unit: `sends` ``imu91``, ``ins81``, or the bits of 0x83, ``imu83:0x123``."""
 
     family = HIPNUC

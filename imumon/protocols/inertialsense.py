@@ -14,10 +14,9 @@ import numpy as np
 from imumon.blocks import ColumnArray, IntArray
 from imumon.columns import KNOWN
 from imumon.protocols.base import Timing
-from imumon.protocols.device import FamilyDevice
 from imumon.protocols.frame_checks import Fletcher
 from imumon.protocols.framing import Found, Frame, counted_length
-from imumon.protocols.messages import Message, TableDecoder, TableFamily, part, whole
+from imumon.protocols.messages import Message, TableDecoder, TableDevice, TableFamily, part, whole
 from imumon.protocols.numbers import Columns, Derived
 from imumon.protocols.stream import LONGEST_PACKET
 from imumon.protocols.tagged_columns import known, number, vector
@@ -97,7 +96,7 @@ class InertialSenseDecoder(TableDecoder):
         return np.where(data, found.held[found.at + 3].astype(np.int64), -1)
 
 
-class InertialSenseDevice(FamilyDevice):
+class InertialSenseDevice(TableDevice):
     """Device file of an Inertial Sense unit."""
 
     family = TableFamily(

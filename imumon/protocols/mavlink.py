@@ -20,10 +20,9 @@ from imumon.columns import KNOWN
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.base import MAIN, Timing
 from imumon.protocols.checksums import CRCS
-from imumon.protocols.device import FamilyDevice
 from imumon.protocols.frame_checks import CyclicCheck, sent
 from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, Found, Frame, windows
-from imumon.protocols.messages import Message, TableDecoder, TableFamily, part, whole
+from imumon.protocols.messages import Message, TableDecoder, TableDevice, TableFamily, part, whole
 from imumon.protocols.numbers import Columns, Derived
 from imumon.protocols.stream import ByteArray
 from imumon.protocols.tagged_columns import count, known, number, vector
@@ -163,7 +162,7 @@ def _wrapped(key: int, payload: bytes) -> bytes:
     return SECOND + body + _CRC.sealed(body + bytes([EXTRA[key]]))[-2:]
 
 
-class MavlinkDevice(FamilyDevice):
+class MavlinkDevice(TableDevice):
     """Device file of an autopilot."""
 
     family = TableFamily(

@@ -10,12 +10,14 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
 from imumon.blocks import IntArray, SampleBlock
 from imumon.columns import Column
 from imumon.protocols.base import COMMON, MAIN, Encoder, Timing, chosen
+from imumon.protocols.device import DeviceFile
 from imumon.protocols.framing import Found, Frame
 from imumon.protocols.numbers import NO_GROUP, NUMBER_TYPES, Derived, Placed, Value, packed
 from imumon.protocols.payload import LayoutDecoder, Record, alike
@@ -120,6 +122,21 @@ class TableFamily:
     def encoder(self, sends: Sequence[str]) -> TableEncoder:
         """Make an encoder of the messages of these names."""
         return TableEncoder(self, sends)
+
+
+class TableDevice(DeviceFile):
+    """Device file of a family; `sends` is for its virtual twin alone."""
+
+    family: ClassVar[TableFamily]
+    sends: list[str]
+
+    def decoder(self) -> TableDecoder:
+        """Make a decoder for this device."""
+        return self.family.decoder(self.rate_hz)
+
+    def encoder(self) -> TableEncoder:
+        """Make an encoder that sends what the device would send."""
+        return self.family.encoder(self.sends)
 
 
 class TableDecoder(LayoutDecoder):

@@ -15,10 +15,9 @@ from imumon.blocks import BoolArray, ColumnArray, IntArray
 from imumon.columns import KNOWN
 from imumon.protocols.base import Timing
 from imumon.protocols.checksums import CRCS
-from imumon.protocols.device import FamilyDevice
 from imumon.protocols.frame_checks import CyclicCheck
 from imumon.protocols.framing import Found, Frame, counted_length
-from imumon.protocols.messages import Message, TableDecoder, TableFamily, part, whole
+from imumon.protocols.messages import Message, TableDecoder, TableDevice, TableFamily, part, whole
 from imumon.protocols.numbers import Columns, Derived
 from imumon.protocols.stream import LONGEST_PACKET, ByteArray
 from imumon.protocols.tagged_columns import count, known, number, vector
@@ -119,7 +118,7 @@ class SbgDecoder(TableDecoder):
         return np.where(kind == 0, found.held[found.at + 2].astype(np.int64), -1)
 
 
-class SbgDevice(FamilyDevice):
+class SbgDevice(TableDevice):
     """Device file of an SBG Systems unit."""
 
     family = TableFamily(

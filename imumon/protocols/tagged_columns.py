@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from imumon.blocks import NO_INT, ColumnArray, FloatArray
+from imumon.blocks import NO_INT, ColumnArray, FloatArray, IntArray
 from imumon.columns import KNOWN, Column
 from imumon.protocols.numbers import Columns, Derived
 
@@ -44,35 +44,45 @@ MATRIX = tuple(
 )
 
 
-def _utc_to_parts(name: str, columns: Columns) -> list[ColumnArray]:
-    """Split a Unix time in ns into nanosecond, year, month, day, hour, minute, second."""
-    time = columns[name]
-    moment = np.where(time == NO_INT, 0, time).astype("datetime64[ns]")
+def unix_seconds(
+    year: IntArray, month: IntArray, day: IntArray, hour: IntArray, minute: IntArray, second: IntArray
+) -> IntArray:
+    """Return the seconds since 1970 of a calendar date, (n,)."""
+    months = ((year - 1970) * 12 + month - 1).astype("datetime64[M]")
+    days: IntArray = months.astype("datetime64[D]").astype(np.int64) + day - 1
+    return days * 86_400 + hour * 3600 + minute * 60 + second
+
+
+def calendar(seconds: IntArray) -> list[IntArray]:
+    """Return year, month, day, hour, minute and second of seconds since 1970, (n,) each."""
+    moment = seconds.astype("datetime64[s]")
     days, months, years = (moment.astype(f"datetime64[{unit}]") for unit in "DMY")
-    seconds = moment.astype("datetime64[s]")
-    second_of_day = (seconds - days).astype(np.int64)
-    parts = [
-        (moment - seconds).astype(np.int64),
+    of_day = (moment - days).astype(np.int64)
+    return [
         years.astype(np.int64) + 1970,
         (months - years).astype(np.int64) + 1,
         (days - months).astype(np.int64) + 1,
-        second_of_day // 3600,
-        second_of_day // 60 % 60,
-        second_of_day % 60,
+        of_day // 3600,
+        of_day // 60 % 60,
+        of_day % 60,
     ]
-    return [np.where(time == NO_INT, NO_INT, part) for part in parts]
+
+
+def _utc_to_parts(name: str, columns: Columns) -> list[ColumnArray]:
+    """Split a Unix time in ns into nanosecond, year, month, day, hour, minute, second."""
+    time = columns[name]
+    seconds, nano = np.divmod(np.where(time == NO_INT, 0, time), 1_000_000_000)
+    return [np.where(time == NO_INT, NO_INT, part) for part in (nano, *calendar(seconds))]
 
 
 def _parts_to_utc(prefix: str, columns: Columns) -> list[ColumnArray]:
     """Make a Unix time in ns of a date; an impossible date (all zero before the first fix) is missing."""
-    nano, year, month, day, hour, minute, second = (columns[f"_{prefix}{part}"] for part in DATE_PARTS)
+    nano, *parts = (columns[f"_{prefix}{part}"] for part in DATE_PARTS)
+    year, month, day = parts[:3]
     good = (year > 1900) & (year < 2262) & (month >= 1) & (month <= 12) & (day >= 1) & (day <= 31)
-    months = np.where(good, (year - 1970) * 12 + month - 1, 0)
-    days = months.astype("datetime64[M]").astype("datetime64[D]").astype(np.int64) + np.where(
-        good, day - 1, 0
-    )
-    seconds = days * 86_400 + np.where(good, hour * 3600 + minute * 60 + second, 0)
-    return [np.where(good, seconds * 1_000_000_000 + np.where(good, nano, 0), NO_INT)]
+    epoch = (1970, 1, 1, 0, 0, 0)
+    seconds = unix_seconds(*(np.where(good, part, first) for part, first in zip(parts, epoch, strict=True)))
+    return [np.where(good, seconds * 1_000_000_000 + nano, NO_INT)]
 
 
 def utc_time(prefix: str, result: Column) -> Derived:

@@ -10,10 +10,14 @@ import numpy.typing as npt
 from imumon.blocks import BoolArray, ColumnArray, SampleBlock
 from imumon.errors import ImumonError, Reason
 from imumon.protocols.base import Encoder
+from imumon.protocols.frame_checks import Fletcher, Sum
 from imumon.protocols.numbers import Derived, is_missing, packed
 from imumon.protocols.stream import ByteArray
 from imumon.protocols.tagged import Field
 from imumon.protocols.tagged_kernel import FIXED, LONGEST_XBUS_PAYLOAD, MIP, XBUS
+
+CHECKS = {XBUS: Sum(first=1, negated=True), MIP: Fletcher()}
+"""How the kernel checks each framing."""
 
 
 class TaggedEncoder(Encoder):
@@ -53,16 +57,7 @@ class TaggedEncoder(Encoder):
         self._framing, self._kind, self._role = framing, kind, role
 
     def encode(self, block: SampleBlock) -> list[bytes]:
-        """Return one packet per row; columns that the block lacks are sent as zero.
-
-        Counters and clocks wrap as in the device.  Where a value is missing but its field is sent, it is sent
-        as NaN, or as zero where the number has no NaN.
-
-        Raises
-        ------
-        ImumonError
-            BAD_DATA when a value does not fit the field that carries it.
-        """
+        """Return a packet for each row, of fields that have a value; see `imumon.protocols.base.Encoder`."""
         columns = self._sent_columns(block)
         present = np.column_stack([self._present(field, columns, len(block)) for field in self._fields])
         packets: list[bytes] = [b""] * len(block)
@@ -118,10 +113,5 @@ class TaggedEncoder(Encoder):
             header = [0x75, 0x65, self._kind, size]
         else:
             header = [0xFA, 0xFF, self._kind, *([size] if size < 255 else [255, size >> 8, size & 0xFF])]
-        packet = np.concatenate([np.tile(np.array(header, np.uint8), (n, 1)), payload], axis=1)
-        sums = np.cumsum(packet, axis=1, dtype=np.int64)
-        if self._framing == MIP:
-            checksum = np.column_stack([sums[:, -1], np.sum(sums, axis=1)]) & 0xFF
-        else:
-            checksum = (0xFA - sums[:, -1:]) & 0xFF
-        return np.concatenate([packet, checksum.astype(np.uint8)], axis=1)
+        headers = np.tile(np.array(header, np.uint8), (n, 1))
+        return CHECKS[self._framing].sealed_rows(np.concatenate([headers, payload], axis=1))

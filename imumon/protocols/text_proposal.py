@@ -10,7 +10,7 @@ import json
 import re
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -48,14 +48,6 @@ Keys = Mapping[str, Any]
 """Keys of the description of a line."""
 
 
-@dataclass(slots=True)
-class Proposal:
-    """A device file, and in short what was seen."""
-
-    text: str
-    reasons: list[str] = field(default_factory=list)
-
-
 @dataclass(frozen=True, slots=True)
 class _Guess:
     """A field: its first column, how many, and what stands in the file for it."""
@@ -76,8 +68,8 @@ class _Lines:
     by_key: bool
 
 
-def propose(data: bytes, seconds: float, baudrate: int | None) -> Proposal | None:
-    """Return a device file for lines of text; None when there are not enough of one kind.
+def propose(data: bytes, seconds: float, baudrate: int | None) -> str | None:
+    """Return the text of a device file for lines of text; None when there are not enough of one kind.
 
     Parameters
     ----------
@@ -107,13 +99,11 @@ def propose(data: bytes, seconds: float, baudrate: int | None) -> Proposal | Non
         f"serial: {{baudrates: [{baudrate or 115_200}]}}", "lines:", "  - name: line",
         *(f"    {key}: {json.dumps(value)}" for key, value in found.keys.items()), "    fields:",
     ]  # fmt: skip
-    reasons = []
     for guess in guesses:
         place = json.dumps(_stem(found.names, guess)) if found.by_key else str(guess.first)
         text.append(f"      # {guess.why}")
         text.append(f"      - {{{'key' if found.by_key else 'at'}: {place}, {guess.keys}}}")
-        reasons.append(f"{place}: {guess.keys}  ({guess.why})")
-    return Proposal("\n".join(text) + "\n", reasons)
+    return "\n".join(text) + "\n"
 
 
 def _stem(names: Sequence[str], guess: _Guess) -> str:

@@ -224,7 +224,8 @@ def _numbers_of(text: str) -> list[float] | None:
     return None if read is None else [float(field) for field in read[1]]
 
 
-BINARY, SPLIT, SENTENCE = range(3)
+BINARY, SENTENCE = 0, 2
+"""Numbers of their frames."""
 
 
 class VectorNavDecoder(LayoutDecoder):
@@ -380,7 +381,8 @@ class VectorNavEncoder(Encoder):
         for group, bit, _ in sent:
             words[group] = words.get(group, 0) | 1 << bit
         groups = sum(1 << group - 1 for group in words if group < 8)
-        self._header = bytes([0xFA, groups]) + b"".join(word.to_bytes(2, "little") for word in words.values())
+        header = bytes([0xFA, groups]) + b"".join(word.to_bytes(2, "little") for word in words.values())
+        self._header = np.frombuffer(header, np.uint8)
         factory = {base for base in FILTERED for *_, item in sent if f"{base}_x" in _names(item)}
         bases = [base for base in FILTERED if base not in factory]
         self._values = [_without_suffix(value, bases) for *_, item in sent for value in item.values]
@@ -389,7 +391,8 @@ class VectorNavEncoder(Encoder):
         """Return one packet per row; see `imumon.protocols.base.Encoder`."""
         rows = np.arange(len(block))
         parts = [packed("binary output", v, block.columns, rows)[:, ::-1] for v in self._values]
-        return [XMODEM.sealed(self._header + row.tobytes()) for row in np.concatenate(parts, axis=1)]
+        packets = np.concatenate([np.tile(self._header, (len(block), 1)), *parts], axis=1)
+        return [packet.tobytes() for packet in XMODEM.sealed_rows(packets)]
 
 
 def _names(item: Item) -> set[str]:

@@ -19,13 +19,12 @@ import numpy as np
 from imumon.blocks import ColumnArray, IntArray
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.base import MAIN, Timing
-from imumon.protocols.device import FamilyDevice
 from imumon.protocols.frame_checks import Sum, unchecked
 from imumon.protocols.framing import INCOMPLETE, NO_PACKET, Found, Frame, fixed_length, windows
-from imumon.protocols.messages import Message, Part, TableDecoder, TableFamily, part
+from imumon.protocols.messages import Message, Part, TableDecoder, TableDevice, TableFamily, part
 from imumon.protocols.numbers import NO_GROUP, Columns, Derived
 from imumon.protocols.stream import ByteArray
-from imumon.protocols.tagged_columns import count, known, number, vector
+from imumon.protocols.tagged_columns import calendar, count, known, number, unix_seconds, vector
 
 FORCE_FACTOR, RATE_FACTOR, ANGLE_FACTOR = (
     16 * STANDARD_GRAVITY / 32768,
@@ -58,21 +57,16 @@ RECEIVER = number("gnss_altitude", "m", "of the receiver"), number("gnss_course"
 
 def _unix_ms(columns: Columns) -> IntArray:
     """Return milliseconds since 1970 of a date."""
-    year, month, day, hour, minute, second, ms = (columns[name] for name in DATE)
-    months = (year + 30) * 12 + np.clip(month, 1, 12) - 1
-    days = months.astype("datetime64[M]").astype("datetime64[D]").astype(np.int64) + day - 1
-    result: IntArray = (days * 86_400 + hour * 3600 + minute * 60 + second) * 1000 + ms
-    return result
+    year, month, *parts, ms = (columns[name] for name in DATE)
+    seconds = unix_seconds(year + 2000, np.clip(month, 1, 12), *parts)
+    return seconds * 1000 + ms
 
 
 def _date_of(unix_ms: ColumnArray) -> list[ColumnArray]:
     """Return the parts of a date of milliseconds since 1970."""
-    moment = unix_ms.astype("datetime64[ms]")
-    days, months, years = (moment.astype(f"datetime64[{unit}]") for unit in "DMY")
-    of_day = (moment - days).astype(np.int64)
-    return [years.astype(np.int64) - 30, (months - years).astype(np.int64) + 1,
-            (days - months).astype(np.int64) + 1, of_day // 3_600_000, of_day // 60_000 % 60,
-            of_day // 1000 % 60, of_day % 1000]  # fmt: skip
+    seconds, ms = np.divmod(unix_ms, 1000)
+    year, *parts = calendar(seconds)
+    return [year - 2000, *parts, ms]
 
 
 def _degrees(value: ColumnArray) -> ColumnArray:
@@ -199,7 +193,7 @@ class WitMotionDecoder(TableDecoder):
             )
 
 
-class WitMotionDevice(FamilyDevice):
+class WitMotionDevice(TableDevice):
     """Device file of a WitMotion module."""
 
     family = TableFamily(

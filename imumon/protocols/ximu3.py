@@ -20,9 +20,8 @@ from imumon.blocks import BoolArray, IntArray
 from imumon.columns import KNOWN, Column
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.base import MAIN, Timing
-from imumon.protocols.device import FamilyDevice
 from imumon.protocols.framing import Found, Frame
-from imumon.protocols.messages import Message, TableDecoder, TableFamily, part
+from imumon.protocols.messages import Message, TableDecoder, TableDevice, TableFamily, part
 from imumon.protocols.stream import ByteArray
 from imumon.protocols.tagged_columns import known, number, vector
 from imumon.protocols.text import NUMBER, line_lengths, lines_right
@@ -143,7 +142,7 @@ FRAMES = [
 ]
 
 
-class XimuDevice(FamilyDevice):
+class XimuDevice(TableDevice):
     """Device file of an x-IMU3."""
 
     family = TableFamily(MESSAGES, FRAMES, XimuDecoder, _wrapped, Timing(tick_ns=Fraction(1000)), 1, 1)

@@ -1,6 +1,6 @@
 """The methods of the papers, as they are printed; the defaults of the estimators are elsewhere.
 
-- `fir` (with `square_root`): temperature rate of Kozlov and Tarygin; `rate_comparison` has what they compare.
+- `fir` (with `square_root`): temperature rate of Kozlov and Tarygin.
 - `random_error`: stage with the filters of Shi Gang et al., `linear` (model L) and `sigma_points` (model NL);
   they begin from `local_level` and stand beside `rest_means`.
 - `dense_zupt`: ZUPT and TCZUPT of Fontanella et al.

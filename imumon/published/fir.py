@@ -55,12 +55,10 @@ class RateSeries:
 
 @dataclass(frozen=True, slots=True)
 class Params:
-    """What a user may set.
+    """What a user may set; the paper has 300 or 180 s, 180 or 120 s, and 90 measurements.
 
     Parameters
     ----------
-    order : int
-        3: α + βu + γe^(-u) (13); 2: α + βu, the paper's section 4.2.
     step : float
         Quantization step δτ of the sensor in °C.
     window_s : float
@@ -69,13 +67,20 @@ class Params:
         Time constant T0 in s.
     buffer_size : int
         N > 2 `order`; when so many measurements are in the buffer, the oldest goes.
+    order : int
+        3: α + βu + γe^(-u) (13); 2: α + βu, the paper's section 4.2, where T0 only scales u.
+
+    Raises
+    ------
+    ValueError
+        When they are out of range.
     """
 
-    order: int
-    step: float
-    window_s: float
-    time_constant_s: float
-    buffer_size: int
+    step: float = 0.05
+    window_s: float = 300.0
+    time_constant_s: float = 180.0
+    buffer_size: int = 90
+    order: int = 3
 
     def __post_init__(self) -> None:
         positive = self.step > 0 and self.window_s > 0 and self.time_constant_s > 0
@@ -215,27 +220,14 @@ class FirRate:
 
     Parameters
     ----------
-    order, step, window_s, time_constant_s, buffer_size
-        See `Params`.
-
-    Raises
-    ------
-    ValueError
-        When they are out of range.
+    params : Params
     """
 
-    def __init__(
-        self, order: int, step: float, window_s: float, time_constant_s: float, buffer_size: int
-    ) -> None:
-        self.params = Params(order, step, window_s, time_constant_s, buffer_size)
+    def __init__(self, params: Params) -> None:
+        self.params = params
         self.state: State | None = None
         self._segment = 0
         self._origin_ns = self._last_ns = 0
-
-    @property
-    def measurements(self) -> FloatArray:
-        """The measurements in use, oldest first: value in °C and time in s, (m, 2)."""
-        return np.array(self.state.buffer) if self.state is not None else np.empty((0, 2))
 
     def process(self, time_ns: IntArray, segment: IntArray, reading: FloatArray) -> RateSeries:
         """Return the estimates of samples that follow those of the last call.
@@ -314,39 +306,6 @@ class FirRate:
         state.temperature = float(out[0])
 
 
-class FirExponentialRate(FirRate):
-    """The paper's filter: exponential model, three coefficients.
-
-    Parameters
-    ----------
-    step, window_s, time_constant_s, buffer_size
-        See `Params`; the paper's are 0.05 °C, 300 s or 180 s, 180 s or 120 s, and 90.
-    """
-
-    def __init__(
-        self,
-        step: float = 0.05,
-        window_s: float = 300.0,
-        time_constant_s: float = 180.0,
-        buffer_size: int = 90,
-    ) -> None:
-        super().__init__(3, step, window_s, time_constant_s, buffer_size)
-
-
-class FirLinearRate(FirRate):
-    """The linear variant (section 4.2): two coefficients.
-
-    Parameters
-    ----------
-    step, window_s, buffer_size
-        See `Params`.
-    """
-
-    def __init__(self, step: float = 0.05, window_s: float = 300.0, buffer_size: int = 90) -> None:
-        # The time constant only scales u; the window keeps it near 1.
-        super().__init__(2, step, window_s, window_s, buffer_size)
-
-
 class FirStage:
     """The paper's filter as a stage, one for each temperature of the block.
 
@@ -355,15 +314,14 @@ class FirStage:
 
     Parameters
     ----------
-    step, window_s, time_constant_s, buffer_size
-        See `Params`.
+    params : Params
     """
 
     CHANNELS = ("temperature", "temperature_x", "temperature_y", "temperature_z")
 
-    def __init__(self, step: float, window_s: float, time_constant_s: float, buffer_size: int) -> None:
-        self._params = Params(3, step, window_s, time_constant_s, buffer_size)
-        self._filters: dict[str, FirExponentialRate] = {}
+    def __init__(self, params: Params) -> None:
+        self._params = params
+        self._filters: dict[str, FirRate] = {}
 
     @property
     def columns(self) -> Sequence[Column]:
@@ -374,10 +332,7 @@ class FirStage:
         """Return the new columns of a block; NaN where there is no estimate."""
         for channel in self.CHANNELS:
             if channel in block and channel not in self._filters:
-                given = self._params
-                self._filters[channel] = FirExponentialRate(
-                    given.step, given.window_s, given.time_constant_s, given.buffer_size
-                )
+                self._filters[channel] = FirRate(self._params)
         found: dict[str, ColumnArray] = {}
         for channel, one in self._filters.items():
             reading = block[channel] if channel in block else np.full(len(block), np.nan)

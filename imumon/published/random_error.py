@@ -22,7 +22,8 @@ from imumon.filters.slots import SlotGatherer
 from imumon.models.model import BiasModel
 from imumon.models.predictor import BiasPredictor
 from imumon.published.linear import LinearFilter, ModelL
-from imumon.published.local_level import LEAST_MEANS, LocalLevel, fit_local_level, level_after
+from imumon.published.local_level import LEAST_MEANS, LocalLevel, fit_local_level, from_noise, level_after
+from imumon.published.parameters import RandomErrorParameters
 from imumon.published.rest_means import SLOT_S, ExponentialMean, RestMean, RestMeans, hold
 from imumon.published.shown import Shown
 from imumon.published.sigma_points import FilterSeries, ModelNL, SigmaPointFilter
@@ -33,6 +34,8 @@ METHODS = (LINEAR, UNSCENTED, RISK_SENSITIVE)
 TITLES = {LINEAR: "STF", UNSCENTED: "SR-UKF", RISK_SENSITIVE: "SR-RSUKF"}
 PHI_VARIANCE = 0.01
 """Variance of φ at the start; nothing is known but that it is zero for a local level."""
+SOFTENING = 1.0
+"""β of STF."""
 OTHER_RATE = 1.5
 """The filters start anew when the sampling interval has changed by this factor."""
 MEANS = (
@@ -41,41 +44,6 @@ MEANS = (
 )
 
 Filter = LinearFilter | SigmaPointFilter
-
-
-@dataclass(frozen=True, slots=True)
-class Params:
-    """What a user may set.
-
-    Parameters
-    ----------
-    methods : sequence of str
-        Of `METHODS`.
-    noise : mapping of gyro_x, gyro_y, gyro_z to LocalLevel
-        What is known of an axis; others are learnt.
-    risk : float
-        2 μ_x (R + q) of SR-RSUKF, without unit.
-    phi_limit : float
-        φ is held within ±phi_limit.
-    softening : float
-        β of STF.
-    learn_s : float
-        s at rest from which the noise is learnt before the filters start.
-    mean_s, hold_s : float
-        Time constant of the exponential mean, and s at rest of which the hold is the mean.
-    assume_rest : bool
-        Whether the unit is at rest throughout when nothing says (no column ``at_rest``).
-    """
-
-    methods: Sequence[str] = METHODS
-    noise: Mapping[str, LocalLevel] = field(default_factory=dict)
-    risk: float = 0.5
-    phi_limit: float = 0.9
-    softening: float = 1.0
-    learn_s: float = 60.0
-    mean_s: float = 100.0
-    hold_s: float = 60.0
-    assume_rest: bool = False
 
 
 @dataclass
@@ -115,28 +83,35 @@ class Axis:
         self.filters = {}
 
 
-def take(axis: Axis, new: RestMean, params: Params) -> None:
+def take(axis: Axis, new: RestMean, methods: Sequence[str], given: RandomErrorParameters) -> None:
     """Take in a second at rest: learn the noise, then start the filters where they do not run."""
     if new.begins and axis.noise is not None:
         axis.means.clear()
     if not axis.filters or axis.noise is None:
         axis.means.append(new)
     axis.covered_s += new.covered_s
-    if axis.noise is None and axis.covered_s >= max(params.learn_s, LEAST_MEANS):
+    if axis.noise is None and axis.covered_s >= max(given.learn_s, LEAST_MEANS):
         axis.noise = fit_local_level(axis.means).expected
         last = max(k for k, mean in enumerate(axis.means) if mean.begins)
         del axis.means[:last]
     if axis.noise is None or new.covered_s == 0.0:
         return
     if not axis.filters:
-        start(axis, *level_after(axis.means, axis.noise), new.interval_s, params)
+        start(axis, *level_after(axis.means, axis.noise), new.interval_s, methods, given)
         axis.means.clear()
     elif not 1.0 / OTHER_RATE < new.interval_s / axis.interval_s < OTHER_RATE:
         axis.stop()
-        start(axis, new.mean, axis.noise.white / new.covered_s, new.interval_s, params)
+        start(axis, new.mean, axis.noise.white / new.covered_s, new.interval_s, methods, given)
 
 
-def start(axis: Axis, level: float, variance: float, interval_s: float, params: Params) -> None:
+def start(
+    axis: Axis,
+    level: float,
+    variance: float,
+    interval_s: float,
+    methods: Sequence[str],
+    given: RandomErrorParameters,
+) -> None:
     """Begin the filters at a level in rad/s, with R and δ¹ of the noise; δ² = 0, φ = 0."""
     assert axis.noise is not None
     noise, process = axis.noise.noise_variance(interval_s), axis.noise.process_variance(interval_s)
@@ -144,15 +119,15 @@ def start(axis: Axis, level: float, variance: float, interval_s: float, params: 
     # R bounds the start as well: a wide one would be over the limit of the risk.
     variance = min(variance, 0.5 * noise)
     axis.interval_s = interval_s
-    mu = params.risk / (2.0 * (noise + process))
+    mu = given.risk / (2.0 * (noise + process))
     model = ModelNL((level, level, 0.0, delta1, 0.0), (variance, variance, PHI_VARIANCE, 0.0, 0.0), noise)
-    for method in params.methods:
+    for method in methods:
         if method == LINEAR:
             linear = ModelL(0.0, delta1, 0.0, (level, level), (variance, variance), noise)
-            axis.filters[method] = LinearFilter(linear, params.softening)
+            axis.filters[method] = LinearFilter(linear, SOFTENING)
         else:
             risk = mu if method == RISK_SENSITIVE else 0.0
-            axis.filters[method] = SigmaPointFilter(model, (risk, 0.0, 0.0, 0.0, 0.0), params.phi_limit)
+            axis.filters[method] = SigmaPointFilter(model, (risk, 0.0, 0.0, 0.0, 0.0), given.phi_limit)
 
 
 class RandomErrorMethods:
@@ -163,23 +138,33 @@ class RandomErrorMethods:
 
     Parameters
     ----------
-    params : Params
+    methods : sequence of str
+        Of `METHODS`.
+    given : RandomErrorParameters, optional
+        Its noise is that of the axes that are not learnt.
     model : BiasModel, optional
         Its bias is taken off before; axes that it lacks keep theirs.
     """
 
-    def __init__(self, params: Params | None = None, model: BiasModel | None = None) -> None:
-        self.params = params or Params()
+    def __init__(
+        self,
+        methods: Sequence[str] = METHODS,
+        given: RandomErrorParameters | None = None,
+        model: BiasModel | None = None,
+    ) -> None:
+        self.methods, self._given = methods, given or RandomErrorParameters()
         names = [f"gyro_{a}" for a in AXES if model is not None and f"gyro_{a}" in model.channels]
         self._predictor = BiasPredictor(model, names) if model is not None and names else None
         self._modelled = names
         self._gatherer = SlotGatherer(len(AXES), round(SLOT_S * 1e9))
         self._means = RestMeans()
+        noise: dict[str, LocalLevel] = {
+            channel: from_noise(one.angle_random_walk, one.bias_instability, one.rate_random_walk)
+            for channel, one in self._given.noise.items()
+        }
         self._axes = {
             axis: Axis(
-                self.params.noise.get(f"gyro_{axis}"),
-                ExponentialMean(self.params.mean_s),
-                hold(self.params.hold_s),
+                noise.get(f"gyro_{axis}"), ExponentialMean(self._given.mean_s), hold(self._given.hold_s)
             )
             for axis in AXES
         }
@@ -191,7 +176,7 @@ class RandomErrorMethods:
     def columns(self) -> Sequence[Column]:
         """The columns that `process` adds."""
         found = []
-        for method in self.params.methods:
+        for method in self.methods:
             title = TITLES[method]
             texts = [
                 ("random_error", "rad/s", f"random error by {title}"),
@@ -225,7 +210,7 @@ class RandomErrorMethods:
                 self._filter(axis, name, slice(at, row), readings[:, j], steps_ns, found)
                 at = row
                 if k < len(rows):
-                    take(axis, means[k][j], self.params)
+                    take(axis, means[k][j], self.methods, self._given)
                     shown[k, :, j] = axis.mean.step(means[k][j]), axis.hold.step(means[k][j])
                 else:
                     axis.stop()
@@ -282,7 +267,7 @@ class RandomErrorMethods:
         if "at_rest" in block:
             known = block["at_rest"]
             return np.asarray((known != 0) & (known != NO_INT))
-        return np.full(len(block), self.params.assume_rest)
+        return np.full(len(block), self._given.assume_rest)
 
     def notices(self) -> list[str]:
         """Return, once each, where the filters strained."""
@@ -297,7 +282,7 @@ class RandomErrorMethods:
                     f"smaller ({shrunk} steps so far)"
                 )
             if clamped:
-                limit = self.params.phi_limit
+                limit = self._given.phi_limit
                 found[f"{name} phi"] = (
                     f"random error of gyro {name}: φ of model NL went to ±{limit:g} and was held back "
                     f"({clamped} steps so far): the model does not fit, or the unit moved unnoticed"
@@ -321,7 +306,7 @@ class InsteadOfDefault:
 
     def __init__(self, methods: RandomErrorMethods) -> None:
         self._methods = methods
-        (prefix,) = methods.params.methods
+        (prefix,) = methods.methods
         self._names = {
             f"{prefix}_{there}": here
             for there, here in (

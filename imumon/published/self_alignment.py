@@ -30,6 +30,7 @@ import numpy as np
 from imumon.blocks import NO_INT, ColumnArray, FloatArray, SampleBlock
 from imumon.columns import Column
 from imumon.filters.slots import SlotGatherer
+from imumon.filters.turns import rotation_by
 from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY, heading_of
 from imumon.published.shown import Shown
 
@@ -120,23 +121,6 @@ def coarse(rate: FloatArray, force: FloatArray) -> FloatArray:
     return np.vstack([np.cross(north, up), north, up])
 
 
-def turn(a: FloatArray) -> FloatArray:
-    """Return exp([a×]), (3, 3), for a rotation vector in rad."""
-    x, y, z = a.tolist()
-    square = x * x + y * y + z * z
-    angle = math.sqrt(square)
-    s = 1.0 if angle < 1e-8 else math.sin(angle) / angle
-    c = 0.5 if angle < 1e-8 else (1.0 - math.cos(angle)) / square
-    # E + s [a×] + c [a×]², with [a×]² = a aᵀ - |a|² E.
-    return np.array(
-        [
-            [1.0 + c * (x * x - square), c * x * y - s * z, c * x * z + s * y],
-            [c * x * y + s * z, 1.0 + c * (y * y - square), c * y * z - s * x],
-            [c * x * z - s * y, c * y * z + s * x, 1.0 + c * (z * z - square)],
-        ]
-    )
-
-
 def step(loop: Loop, gain: Gains, earth: FloatArray, rate: FloatArray, force: FloatArray) -> FloatArray:
     """Go on by one step (4 to 7); return the control rates ω_Ec, ω_Nc in rad/s, (2,).
 
@@ -151,7 +135,7 @@ def step(loop: Loop, gain: Gains, earth: FloatArray, rate: FloatArray, force: Fl
     loop.velocity = gain.decay * loop.velocity + gain.interval_s * (loop.attitude @ force)[:2]
     control = gain.kb * np.array([-loop.velocity[1], loop.velocity[0]])
     frame[:2] -= control
-    loop.attitude = turn(gain.interval_s * frame) @ loop.attitude
+    loop.attitude = rotation_by(gain.interval_s * frame) @ loop.attitude
     return control
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -11,8 +12,8 @@ import numpy as np
 from imumon.pipeline import Estimator
 from imumon.protocols.thermometer import TemperatureRateParameters
 from imumon.published import dense_zupt, random_error, self_alignment
-from imumon.published.fir import FirExponentialRate, FirStage
-from imumon.published.local_level import LocalLevel, from_noise
+from imumon.published.fir import FirRate, FirStage
+from imumon.published.fir import Params as FirParams
 from imumon.published.names import PublishedMethod
 from imumon.run.setup import Setup
 
@@ -30,7 +31,7 @@ def published_stages(setup: Setup, temperature: TemperatureRateParameters | None
         methods = _random_error(setup, [setup.random_error.method])
         stages.append(random_error.InsteadOfDefault(methods))
     if "fir" in setup.published:
-        stages.append(FirStage(*_fir(temperature or TemperatureRateParameters())))
+        stages.append(FirStage(_fir(temperature or TemperatureRateParameters())))
     if chosen := _chosen(setup, random_error.METHODS):
         stages.append(_random_error(setup, chosen))
     stages += [_dense_zupt(setup, method) for method in _chosen(setup, dense_zupt.METHODS)]
@@ -43,15 +44,14 @@ def published_stages(setup: Setup, temperature: TemperatureRateParameters | None
     return stages
 
 
-def fir_method(given: TemperatureRateParameters) -> Callable[[], FirExponentialRate]:
+def fir_method(given: TemperatureRateParameters) -> Callable[[], FirRate]:
     """Return what makes the FIR exponential regression with the parameters of the device file."""
-    return partial(FirExponentialRate, *_fir(given))
+    return partial(FirRate, _fir(given))
 
 
-def _fir(given: TemperatureRateParameters) -> tuple[float, float, float, int]:
-    """Return step, window, time constant and size of the buffer."""
+def _fir(given: TemperatureRateParameters) -> FirParams:
     step = DEFAULT_STEP_DEGC if given.step_degc is None else given.step_degc
-    return step, given.window_s, given.time_constant_s, given.buffer_size
+    return FirParams(step, given.window_s, given.time_constant_s, given.buffer_size)
 
 
 def _chosen(setup: Setup, names: Sequence[str]) -> list[PublishedMethod]:
@@ -59,22 +59,7 @@ def _chosen(setup: Setup, names: Sequence[str]) -> list[PublishedMethod]:
 
 
 def _random_error(setup: Setup, methods: Sequence[str]) -> random_error.RandomErrorMethods:
-    given = setup.random_error_with_noise
-    known: dict[str, LocalLevel] = {
-        channel: from_noise(noise.angle_random_walk, noise.bias_instability, noise.rate_random_walk)
-        for channel, noise in given.noise.items()
-    }
-    params = random_error.Params(
-        methods=methods,
-        noise=known,
-        risk=given.risk,
-        phi_limit=given.phi_limit,
-        learn_s=given.learn_s,
-        mean_s=given.mean_s,
-        hold_s=given.hold_s,
-        assume_rest=given.assume_rest,
-    )
-    return random_error.RandomErrorMethods(params, setup.bias_model)
+    return random_error.RandomErrorMethods(methods, setup.random_error_with_noise, setup.bias_model)
 
 
 def _dense_zupt(setup: Setup, method: str) -> dense_zupt.DenseZupt:
@@ -85,5 +70,5 @@ def _dense_zupt(setup: Setup, method: str) -> dense_zupt.DenseZupt:
     )
     white = given.angle_random_walk_rad_per_sqrt_s
     if white is not None:
-        settings = dense_zupt.with_angle_random_walk(settings, np.array(white))
+        settings = replace(settings, angle_random_walk=np.array(white))
     return dense_zupt.DenseZupt(method, settings, setup.bias_model, given.assume_at_rest)

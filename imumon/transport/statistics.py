@@ -30,7 +30,6 @@ class LinkStatistics:
         self._buckets: deque[tuple[int, int]] = deque()  # number of the 0.1 s, bytes in it
         self._first_bucket: int | None = None
         self._warning = False
-        self.bytes_total = 0
 
     def add(self, n_bytes: int, time_ns: int) -> None:
         """Count bytes that arrived at `time_ns`, which must not go back."""
@@ -41,7 +40,6 @@ class LinkStatistics:
         if self._buckets and self._buckets[-1][0] == bucket:
             in_bucket += self._buckets.pop()[1]
         self._buckets.append((bucket, in_bucket))
-        self.bytes_total += n_bytes
         self._forget(bucket)
 
     def bytes_per_s(self, now_ns: int) -> float:

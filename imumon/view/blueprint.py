@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import rerun.blueprint as rrb
 
@@ -80,15 +80,16 @@ def blueprint(setup: ViewSetup, contents: Contents, timeline: str, *, live: bool
     return arranged(rrb.Tabs(first, *tabs, active_tab=0), timeline)
 
 
-def arranged(tabs: rrb.Tabs, timeline: str) -> rrb.Blueprint:
-    """Return the blueprint that shows these tabs and nothing else, and follows this timeline."""
+def arranged(
+    tabs: rrb.Tabs, timeline: str, play_state: Literal["following", "paused"] = "following"
+) -> rrb.Blueprint:
+    """Return the blueprint that shows these tabs and nothing else, on this timeline.
+
+    One that follows opens a recording at its end, where the charts are complete.
+    """
     return rrb.Blueprint(
         tabs,
-        rrb.TimePanel(
-            state="collapsed",
-            timeline=timeline,
-            play_state="following",  # a recording opens at its end, where the charts are complete
-        ),
+        rrb.TimePanel(state="collapsed", timeline=timeline, play_state=play_state),
         rrb.BlueprintPanel(state="hidden"),
         rrb.SelectionPanel(state="hidden"),
         auto_views=False,

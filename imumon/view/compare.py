@@ -11,6 +11,7 @@ import rerun.blueprint as rrb
 
 from imumon.blocks import IntArray, SampleBlock
 from imumon.charts import BLUE, GREEN, ORANGE, RED, VIOLET, Color
+from imumon.view.blueprint import arranged
 from imumon.view.extent import Extent, entity, marks_of
 from imumon.view.items import Samples, Timebase, ViewSetup
 from imumon.view.layout import FIRST, Rows, Strip, tab_of
@@ -113,18 +114,9 @@ class Comparison:
                 tabs.setdefault(place, []).append(self._view(line))
         if not tabs:
             return None
-        found = rrb.Blueprint(
-            rrb.Tabs(*[rrb.Grid(*views, grid_columns=COLUMNS, name=name) for name, views in tabs.items()]),
-            rrb.TimePanel(
-                state="collapsed",
-                timeline="device_time" if self.aligned_at_power_on else "host_time",
-                play_state="paused",
-            ),
-            rrb.BlueprintPanel(state="hidden"),
-            rrb.SelectionPanel(state="hidden"),
-            auto_views=False,
-            auto_layout=False,
-        )
+        grids = [rrb.Grid(*views, grid_columns=COLUMNS, name=name) for name, views in tabs.items()]
+        timeline = "device_time" if self.aligned_at_power_on else "host_time"
+        found = arranged(rrb.Tabs(*grids), timeline, play_state="paused")
         self._rec.send_blueprint(found)
         return found
 

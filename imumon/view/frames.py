@@ -66,7 +66,3 @@ class ReplayRequest:
 
     request: int
     after: int
-
-
-Message = Report | ReplayRequest
-"""What the view process sends."""

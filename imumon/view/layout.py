@@ -22,7 +22,7 @@ from imumon.charts import GREY, Color
 from imumon.columns import KNOWN
 from imumon.view.cards import DIGITS, Reading
 from imumon.view.extent import LEAST_STEPS, Reach, declare_extent, entity
-from imumon.view.items import ViewSetup, first_of_steps
+from imumon.view.items import Instant, ViewSetup, first_of_steps
 from imumon.view.window import Window, series_view
 
 FIRST = "Live"
@@ -128,9 +128,17 @@ class Rows:
         return np.column_stack([self.columns[name] for name in names]).astype(np.float64, copy=False)
 
 
-def single(value: int | None) -> IntArray | None:
-    """Return a time as those of one row, (1,)."""
-    return None if value is None else np.array([value], np.int64)
+def at_once(at: Instant) -> Rows:
+    """Return the times of one row, without columns."""
+    times = (at.sample, at.device_ns, at.host_ns)
+    sample, device_ns, host_ns = (None if time is None else np.array([time], np.int64) for time in times)
+    return Rows({}, sample, device_ns, host_ns)
+
+
+def log_markdown(rec: rr.RecordingStream, entity: str, markdown: str, times: Rows) -> None:
+    """Log a text as it is from a moment on."""
+    text = rr.TextDocument.columns(text=[markdown], media_type=["text/markdown"])
+    rec.send_columns(entity, indexes=times.indexes, columns=text)
 
 
 class Panel(Protocol):

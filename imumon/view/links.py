@@ -161,6 +161,3 @@ class WebLink:
         self._gate = Gate(self._door, self._behind)
         self._tell(Report("serving the web viewer", True, port, self._web.port, self._web.url))
         return Change.NEW
-
-
-Link = NativeLink | WebLink

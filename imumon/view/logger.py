@@ -21,6 +21,7 @@ from imumon.view.blueprint import Contents, blueprint
 from imumon.view.items import (
     Drawing,
     Event,
+    Instant,
     Log,
     Numbers,
     Samples,
@@ -31,7 +32,7 @@ from imumon.view.items import (
     lasting_key,
 )
 from imumon.view.lanes import COLORED_STATES, declare_lane, lane_path
-from imumon.view.layout import INTEGERS, OTHER, Rows, single, unit_text
+from imumon.view.layout import INTEGERS, OTHER, Rows, at_once, log_markdown, unit_text
 from imumon.view.log_text import LOG_TEXT, LogText
 from imumon.view.panel_log import PanelLog
 from imumon.view.pictures import Painter, log_picture
@@ -209,12 +210,11 @@ class StreamLogger:
             device = None if first.device_ns is None else int(first.device_ns[0])
             if device is not None and first.host_ns is not None and event.at.host_ns is not None:
                 device -= max(0, int(first.host_ns[0]) - event.at.host_ns)
-            self._log_event(event, Rows({}, single(first.first), single(device), None))
+            self._log_event(event, at_once(Instant(first.first, device, None)))
         self._early.clear()
 
     def _log_event(self, event: Event, rows: Rows | None = None) -> None:
-        at = event.at
-        times = rows or Rows({}, single(at.sample), single(at.device_ns), single(at.host_ns))
+        times = rows or at_once(event.at)
         indexes = times.indexes
         key = lasting_key(event)
         if key is not None:
@@ -233,13 +233,11 @@ class StreamLogger:
             self._has_log = True
             line = rr.TextLog.columns(text=[event.text], level=[event.level])
             self._rec.send_columns("/log", indexes=indexes, columns=line)
-            text = rr.TextDocument.columns(text=[self._log_text.text], media_type=["text/markdown"])
-            self._rec.send_columns(LOG_TEXT, indexes=indexes, columns=text)
+            log_markdown(self._rec, LOG_TEXT, self._log_text.text, times)
         elif isinstance(event, Drawing):
             self._waiting[event.chart.key] = event
         elif self._live or self._is_due("status", RECORDED_STATUS_S):
-            text = rr.TextDocument.columns(text=[status_card(event)], media_type=["text/markdown"])
-            self._rec.send_columns("/status", indexes=indexes, columns=text)
+            log_markdown(self._rec, "/status", status_card(event), times)
 
     def _log_series(self, numbers: Iterable[Numbers]) -> None:
         """Log numbers that follow each other together: a chunk costs 1.4 kB, whatever is in it."""
@@ -273,13 +271,12 @@ class StreamLogger:
 
     def _picture(self, event: Drawing) -> Callable[[], None]:
         """Return what draws a chart and logs the picture."""
-        chart, at = event.chart, event.at
+        chart = event.chart
         self._charts[chart.key] = chart
         places = [other.chart.place for other in self._lasting.values() if isinstance(other, Drawing)]
         beside = any(panel.place == chart.place for panel in self._panels.shown)
-        indexes = Rows({}, single(at.sample), single(at.device_ns), single(at.host_ns)).indexes
         stacked = beside and places.count(chart.place) > 1
-        return partial(log_picture, self._rec, chart, indexes, stacked=stacked)
+        return partial(log_picture, self._rec, chart, at_once(event.at).indexes, stacked=stacked)
 
     def _is_due(self, key: str, step_s: float) -> bool:
         """Tell, and remember, whether so much time has passed since this was last logged."""

@@ -8,7 +8,7 @@ import rerun as rr
 from imumon.view.cards import Cards, Reading, card
 from imumon.view.extent import TAB_HEIGHT, Extent, entity, marks_of
 from imumon.view.items import ViewSetup
-from imumon.view.layout import FIRST, LINK, Panel, Rows, tab_of
+from imumon.view.layout import FIRST, LINK, Panel, Rows, log_markdown, tab_of
 from imumon.view.shown import ShownPanels
 from imumon.view.window import slow_window
 
@@ -72,8 +72,7 @@ class PanelLog:
         self._written_ns = now
         values = self._cards.take()
         for place, readings in self.readings().items():
-            text = rr.TextDocument.columns(text=[card(readings, values)], media_type=["text/markdown"])
-            self._rec.send_columns(card_path(place), indexes=newest.indexes, columns=text)
+            log_markdown(self._rec, card_path(place), card(readings, values), newest)
 
     def readings(self) -> dict[str, list[Reading]]:
         """Return what the card of each tab shows: that of the first tab everything."""

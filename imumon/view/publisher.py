@@ -158,11 +158,6 @@ class ViewPublisher:
         """What to open: the page in a browser (web), the stream (native); empty until it is known."""
         return self._report.url
 
-    @property
-    def stream_port(self) -> int:
-        """Port of the stream."""
-        return self._report.port
-
     def close(self, timeout_s: float = 1.5) -> None:
         """Send what is left and end the view process, within `timeout_s` whatever its state.
 

@@ -12,9 +12,9 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from imumon.view.blueprint import arranged
-from imumon.view.items import OfUnit, Overview, Shown, ViewItem, ViewSetup, merge
+from imumon.view.items import Instant, OfUnit, Overview, Shown, ViewItem, ViewSetup, merge
 from imumon.view.lanes import lane_path
-from imumon.view.layout import Rows, single
+from imumon.view.layout import at_once, log_markdown
 from imumon.view.logger import StreamLogger
 from imumon.view.window import Window
 
@@ -88,9 +88,7 @@ class UnitsLogger:
     def _show_overview(self, page: Overview) -> None:
         """Log the page, and forget the units that are gone from it."""
         self._overview = page
-        text = rr.TextDocument.columns(text=[page.markdown], media_type=["text/markdown"])
-        indexes = Rows({}, None, None, single(page.at.host_ns)).indexes
-        self._rec.send_columns(OVERVIEW, indexes=indexes, columns=text)
+        log_markdown(self._rec, OVERVIEW, page.markdown, at_once(Instant(None, None, page.at.host_ns)))
         for unit in self._units.keys() - set(page.units):
             del self._units[unit]
 

@@ -146,6 +146,6 @@ def start_viewer(port: int, *arguments: str) -> subprocess.Popen[bytes]:
     return start_quietly([str(viewer_binary()), *listening, *memory, "--hide-welcome-screen", *arguments])
 
 
-def proxy_url(port: int, host: str = LOCALHOST) -> str:
+def proxy_url(port: int) -> str:
     """Return the address of the stream on this port."""
-    return f"rerun+http://{host}:{port}/proxy"
+    return f"rerun+http://{LOCALHOST}:{port}/proxy"

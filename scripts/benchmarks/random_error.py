@@ -10,7 +10,8 @@ import numpy as np
 from benchmarks.measure import Bar, Table, measure
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.published.linear import LinearFilter, ModelL
-from imumon.published.random_error import Params, RandomErrorMethods
+from imumon.published.parameters import RandomErrorParameters
+from imumon.published.random_error import RandomErrorMethods
 from imumon.published.sigma_points import ModelNL, SigmaPointFilter
 
 SAMPLES = 10_000
@@ -68,7 +69,7 @@ def _sigma_points(share: float, reading: FloatArray) -> None:
 
 
 def _stage(block: SampleBlock) -> None:
-    stage = RandomErrorMethods(Params(methods=("sr_rsukf",), learn_s=10.0))
+    stage = RandomErrorMethods(("sr_rsukf",), RandomErrorParameters(learn_s=10.0))
     size = RATE_HZ * BLOCK_S
     for start in range(0, len(block), size):
         stage.process(block.rows(start, start + size))

@@ -12,7 +12,7 @@ from benchmarks.measure import Bar, Table, measure
 from imumon.blocks import FloatArray, IntArray
 from imumon.estimation.temperature_rate.level_bank import LevelBankRate
 from imumon.estimation.temperature_rate.series import RateMethod
-from imumon.published.fir import FirExponentialRate
+from imumon.published.fir import FirRate, Params
 
 QUIET = "level bank, level unchanged"
 RATES_HZ = (10, 100, 1000)
@@ -88,4 +88,4 @@ def _level_bank(time_ns: IntArray, segment: IntArray, reading: FloatArray, size:
 
 
 def _fir(time_ns: IntArray, segment: IntArray, reading: FloatArray, size: int) -> None:
-    over(FirExponentialRate(0.05, 300.0, 180.0, 1000), time_ns, segment, reading, size)
+    over(FirRate(Params(0.05, 300.0, 180.0, 1000)), time_ns, segment, reading, size)

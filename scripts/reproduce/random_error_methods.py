@@ -6,12 +6,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from noise_fit import fit_noise
 from random_error_records import RATE_HZ, VARIANCE, Record
 from scipy.signal import lfilter
 
 from imumon.blocks import ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.estimation.gyro_bias.stage import GyroBias
-from imumon.filters.noise import NoiseTerms, fit_noise
+from imumon.filters.noise import NoiseTerms
 from imumon.published.linear import LinearFilter, ModelL
 from imumon.published.local_level import fit_local_level, means_of
 from imumon.published.rest_means import ExponentialMean, RestMean, hold

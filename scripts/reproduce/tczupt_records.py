@@ -7,14 +7,16 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from curve_slopes import curve_slope
+from dense_record import DenseRun, dense_filter
 
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.geodesy import EARTH_RATE, body_to_ned
 from imumon.models.curves.spline import SplineCurve
 from imumon.models.model import BiasModel, ChannelModel
-from imumon.published.dense_zupt import DenseRun, DenseSettings, dense_filter
-from imumon.published.fir import FirExponentialRate
-from imumon.simulation.unit.curves import curve_slope, curve_value
+from imumon.published.dense_zupt import DenseSettings
+from imumon.published.fir import FirRate, Params
+from imumon.simulation.unit.curves import curve_value
 from imumon.simulation.unit.scenario import load_scenario
 from imumon.simulation.unit.unit import SimulatedUnit
 
@@ -154,7 +156,7 @@ def _drift(record: Record, chosen: Filter, temperature: FloatArray, thermal: Flo
 def fir_rate(record: Record) -> FloatArray:
     """Return the rate by the published estimator (window 300 s, constant 180 s, 90 measurements), degC/s."""
     time_ns, segment = record.block["device_time_ns"], record.block["segment"]
-    result = FirExponentialRate(0.05).process(time_ns, segment, record.block["temperature"])
+    result = FirRate(Params(0.05)).process(time_ns, segment, record.block["temperature"])
     return np.nan_to_num(result.rate)
 
 

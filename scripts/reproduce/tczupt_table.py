@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from dense_record import dense_filter
 from tczupt_chain import Chain, calibration_errors, run_chain
 from tczupt_figures import draw_all
 from tczupt_records import (
@@ -31,7 +32,7 @@ from thermal_calibration_study import RESTARTS
 
 from imumon.blocks import FloatArray
 from imumon.estimation.gyro_bias.stage import GyroBias, Mode
-from imumon.published.dense_zupt import DenseSettings, dense_filter
+from imumon.published.dense_zupt import DenseSettings
 
 FIGURES = Path(__file__).resolve().parents[2] / "docs" / "figures" / "tczupt"
 ZUPT, TCZUPT = Filter("calibrated"), Filter("rate", k=0.5)

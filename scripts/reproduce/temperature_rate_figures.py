@@ -7,13 +7,13 @@ from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
+from temperature_rate_comparison import DifferenceRate, KalmanRate, reference_fit
 from temperature_rate_records import PER_HOUR, Record, heating, simulate
 
 from imumon.blocks import FloatArray
 from imumon.estimation.temperature_rate.level_bank import LevelBankRate
 from imumon.estimation.temperature_rate.series import Rates
-from imumon.published.fir import FirExponentialRate, FirLinearRate
-from imumon.published.rate_comparison import DifferenceRate, KalmanRate, reference_fit
+from imumon.published.fir import FirRate, Params
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
@@ -22,7 +22,7 @@ from matplotlib.axes import Axes
 STEP, BUFFER, NOISE = 0.05, 1000, 0.002
 
 
-def _run(method: FirExponentialRate | FirLinearRate | KalmanRate | DifferenceRate | LevelBankRate,
+def _run(method: FirRate | KalmanRate | DifferenceRate | LevelBankRate,
          record: Record) -> Rates:  # fmt: skip
     return method.process(record.time_ns, np.zeros(len(record.reading), np.int64), record.reading)
 
@@ -91,10 +91,10 @@ def _first_four(folder: Path, calm: Record, lively: Record) -> Iterator[Path]:
 
 
 def _comparisons(folder: Path, calm: Record, lively: Record) -> Iterator[Path]:
-    long = FirExponentialRate(STEP, 300.0, 180.0, BUFFER)
+    long = FirRate(Params(STEP, 300.0, 180.0, BUFFER))
     axes = _axes("6. Real-time filters with 2σ, self-heating (top) and with variations (bottom)", 2)
     for ax, record, window, constant in ((axes[0], calm, 300.0, 180.0), (axes[1], lively, 180.0, 120.0)):
-        fir = _run(FirExponentialRate(STEP, window, constant, BUFFER), record)
+        fir = _run(FirRate(Params(STEP, window, constant, BUFFER)), record)
         bank = _run(LevelBankRate(), record)
         _band(ax, record, fir)
         curves = {
@@ -108,12 +108,13 @@ def _comparisons(folder: Path, calm: Record, lively: Record) -> Iterator[Path]:
     pairs: list[tuple[int, str, Record, dict[str, Rates]]] = [
         (7, "7. Conventional Kalman filter", lively, {"Kalman": _run(KalmanRate(STEP), lively)}),
         (8, "8. Exponential and linear model, T_w 5 min", calm,
-         {"linear": _run(FirLinearRate(STEP, 300.0, BUFFER), calm), "exponential": _run(long, calm)}),
+         {"linear": _run(FirRate(Params(STEP, 300.0, 300.0, BUFFER, order=2)), calm),
+          "exponential": _run(long, calm)}),
         (9, "9. Windows of 3 and 5 min", lively,
-         {f"T_w {w:.0f} s": _run(FirExponentialRate(STEP, w, 120.0, BUFFER), lively)
+         {f"T_w {w:.0f} s": _run(FirRate(Params(STEP, w, 120.0, BUFFER)), lively)
           for w in (180.0, 300.0)}),
         (10, "10. Time constants of 3 and 2 min", lively,
-         {f"T0 {c:.0f} s": _run(FirExponentialRate(STEP, 180.0, c, BUFFER), lively)
+         {f"T0 {c:.0f} s": _run(FirRate(Params(STEP, 180.0, c, BUFFER)), lively)
           for c in (180.0, 120.0)}),
     ]  # fmt: skip
     for number, title, record, results in pairs:

@@ -6,11 +6,11 @@ import itertools
 from dataclasses import replace
 
 import numpy as np
+from temperature_rate_comparison import RENEWAL_S
 from temperature_rate_records import PER_HOUR, Record, simulate
 
 from imumon.blocks import FloatArray
-from imumon.published.fir import FirExponentialRate, model_row
-from imumon.published.rate_comparison import RENEWAL_S
+from imumon.published.fir import FirRate, Params, model_row
 
 STEP, BUFFER = 0.05, 1000
 WALKS = np.append(0.0, 10.0 ** np.arange(-6.0, -0.4, 0.5))
@@ -79,7 +79,7 @@ def search() -> None:
         for degc in NOISE_DEGC:
             record = simulate(shape, degc)
             segment = np.zeros(len(record.reading), np.int64)
-            fir = FirExponentialRate(STEP, window, constant, BUFFER)
+            fir = FirRate(Params(STEP, window, constant, BUFFER))
             its = float(error(record, fir.process(record.time_ns, segment, record.reading).rate))
             slow = once_a_second(record)
             errors = np.concatenate([error(slow, rates(slow, walks, s * STEP, constant)) for s in NOISES])

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 from temperature_rate_band import bound, consistency, elsewhere
+from temperature_rate_comparison import DifferenceRate, KalmanRate, reference_fit
 from temperature_rate_figures import draw_all
 from temperature_rate_kalman import search
 from temperature_rate_records import PER_HOUR, Record, measured, simulate
@@ -17,8 +18,7 @@ from temperature_rate_records import PER_HOUR, Record, measured, simulate
 from imumon.blocks import FloatArray, IntArray
 from imumon.estimation.temperature_rate.level_bank import LevelBankRate
 from imumon.estimation.temperature_rate.series import RateEstimate, Rates
-from imumon.published.fir import FirExponentialRate, FirLinearRate
-from imumon.published.rate_comparison import DifferenceRate, KalmanRate, reference_fit
+from imumon.published.fir import FirRate, Params
 
 ROOT = Path(__file__).resolve().parents[2]
 BUFFER = 1000
@@ -45,16 +45,18 @@ def two_sided(record: Record) -> RateEstimate:
 
 
 METHODS: dict[str, Method] = {
-    "FIR 300/180": lambda r: FirExponentialRate(STEP, 300.0, 180.0, BUFFER).process(
+    "FIR 300/180": lambda r: FirRate(Params(STEP, 300.0, 180.0, BUFFER)).process(
         r.time_ns, _segment(r), r.reading
     ),
-    "FIR 180/120": lambda r: FirExponentialRate(STEP, 180.0, 120.0, BUFFER).process(
+    "FIR 180/120": lambda r: FirRate(Params(STEP, 180.0, 120.0, BUFFER)).process(
         r.time_ns, _segment(r), r.reading
     ),
-    "FIR 300/180, buffer 90": lambda r: FirExponentialRate(STEP, 300.0, 180.0, 90).process(
+    "FIR 300/180, buffer 90": lambda r: FirRate(Params(STEP, 300.0, 180.0, 90)).process(
         r.time_ns, _segment(r), r.reading
     ),
-    "linear 300": lambda r: FirLinearRate(STEP, 300.0, BUFFER).process(r.time_ns, _segment(r), r.reading),
+    "linear 300": lambda r: FirRate(Params(STEP, 300.0, 300.0, BUFFER, order=2)).process(
+        r.time_ns, _segment(r), r.reading
+    ),
     "Kalman": lambda r: KalmanRate(STEP).process(r.time_ns, _segment(r), r.reading),
     "3 min difference": lambda r: DifferenceRate(STEP).process(r.time_ns, _segment(r), r.reading),
     "level bank": lambda r: LevelBankRate().process(r.time_ns, _segment(r), r.reading),

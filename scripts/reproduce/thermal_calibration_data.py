@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+from curve_slopes import curve_slope
 
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.calibration.cells import Channel, channel_of, group, levels
@@ -16,7 +17,7 @@ from imumon.models.curves.points import Points
 from imumon.recordings.importing import import_table
 from imumon.recordings.reduced import GYRO
 from imumon.simulation.unit import SimulatedUnit, load_scenario
-from imumon.simulation.unit.curves import curve_slope, curve_value
+from imumon.simulation.unit.curves import curve_value
 
 DEG_H = np.deg2rad(1.0) / 3600.0
 """1 °/h in rad/s."""

@@ -13,7 +13,7 @@ from imumon.blocks import ColumnArray, SampleBlock
 from imumon.pipeline import Pipeline
 from imumon.protocols.checksums import checksum, make_checksum
 from imumon.protocols.device import device_names, load_device
-from imumon.protocols.frame_checks import check_of
+from imumon.protocols.frame_checks import trailing
 from tests.protocols.streams import chunkings, damage, feed_in_chunks
 from tests.protocols.test_checksums import CHECK
 
@@ -40,7 +40,7 @@ def test_checks_of_many_packets_agree_with_the_catalogue(name: str, big: bool) -
     packets = [b"x123456789" + value, b"x12345678" + value, b"y123456789" + value]
     held = np.frombuffer(b"".join(packets), np.uint8)
     length = np.array([len(packet) for packet in packets])
-    right = check_of(name, first=1, big=big)(held, np.cumsum(length) - length, length)
+    right = trailing(name, first=1, big=big)(held, np.cumsum(length) - length, length)
     assert right.tolist() == [True, False, True]
 
 
@@ -50,8 +50,8 @@ def test_zeros_that_are_not_sent_count() -> None:
     crc = int(checksum(make_checksum("crc32-mpeg2"), padded, 0, 8)).to_bytes(4, "big")
     held = np.frombuffer(data + crc, np.uint8)
     one, size = np.array([0]), np.array([7])
-    assert check_of("crc32-mpeg2", big=True, zeros=5)(held, one, size).tolist() == [True]
-    assert check_of("crc32-mpeg2", big=True, zeros=4)(held, one, size).tolist() == [False]
+    assert trailing("crc32-mpeg2", big=True, zeros=5)(held, one, size).tolist() == [True]
+    assert trailing("crc32-mpeg2", big=True, zeros=4)(held, one, size).tolist() == [False]
 
 
 @pytest.mark.parametrize("family", DEVICES)

@@ -24,8 +24,7 @@ def lines(rows: list[str]) -> bytes:
 def device_for(data: bytes) -> tuple[DeviceFile, str]:
     proposal = propose(data, N / RATE, 115_200)
     assert proposal is not None
-    assert proposal.reasons
-    return parse_device(proposal.text, "proposed"), proposal.text
+    return parse_device(proposal, "proposed"), proposal
 
 
 def checked(data: bytes) -> None:

@@ -6,12 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from dense_record import DenseRun, dense_filter
 
 from imumon.blocks import FloatArray
 from imumon.geodesy import body_to_ned
 from imumon.models.curves.polynomial import PolynomialCurve
 from imumon.models.model import BiasModel, ChannelModel
-from imumon.published.dense_zupt import DenseRun, DenseSettings, DenseZupt, dense_filter
+from imumon.published.dense_zupt import DenseSettings, DenseZupt
 from tests.estimation.gyro_bias.records import ARW, DPH, GRAVITY, Truth, local_earth, record
 
 SETTINGS = DenseSettings(0.01)

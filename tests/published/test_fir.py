@@ -7,9 +7,8 @@ import pytest
 
 from imumon.blocks import FloatArray
 from imumon.published.fir import (
-    FirExponentialRate,
-    FirLinearRate,
     FirRate,
+    Params,
     move_bias,
 )
 from tests.estimation.temperature_rate.records import PER_HOUR, clock, quantized, self_heating, steady
@@ -63,14 +62,14 @@ def test_state_is_the_batch_fit_of_every_buffer_over_hours(noise: float) -> None
     temperature, _ = self_heating(3.0)
     reading = quantized(temperature, noise)
     time_ns, segment = clock(len(reading))
-    fir = FirExponentialRate()
+    fir = FirRate(Params())
     seen, worst, worst_root, at = 0.0, 0.0, 0.0, 0
     events = np.flatnonzero(np.diff(reading)) + 2
     for stop in events:
         fir.process(time_ns[at:stop], segment[at:stop], reading[at:stop])
         at = int(stop)
         assert fir.state is not None
-        x, p = batch(fir.measurements, fir.state.t0, 180.0, 3)
+        x, p = batch(np.array(fir.state.buffer), fir.state.t0, 180.0, 3)
         worst = max(worst, float(np.linalg.norm(fir.state.x - x) / np.linalg.norm(x)))
         root = fir.state.s
         p = p * 0.0125**2
@@ -87,7 +86,7 @@ def test_outputs_are_those_of_a_batch_fit_at_every_sample(order: int, noise: flo
     reading = quantized(temperature, noise)
     time_ns, segment = clock(len(reading), 1.0)
     size = 30
-    result = FirRate(order, 0.05, 300.0, 180.0, size).process(time_ns, segment, reading)
+    result = FirRate(Params(0.05, 300.0, 180.0, size, order)).process(time_ns, segment, reading)
     plain = BatchFir(order, 0.05, 300.0, 180.0, size)
     expected = np.array([plain.sample(t * 1e-9, y) for t, y in zip(time_ns, reading, strict=True)])
     for values, column in zip(
@@ -98,7 +97,7 @@ def test_outputs_are_those_of_a_batch_fit_at_every_sample(order: int, noise: flo
 
 def test_the_start_is_at_rest() -> None:
     time_ns, segment = clock(10)
-    result = FirExponentialRate().process(time_ns, segment, np.full(10, 25.0))
+    result = FirRate(Params()).process(time_ns, segment, np.full(10, 25.0))
     np.testing.assert_allclose(result.temperature, 25.0, atol=1e-6)
     np.testing.assert_allclose(result.rate, 0.0, atol=1e-8)
 
@@ -108,8 +107,8 @@ def test_pieces_of_any_size_give_the_same_bits() -> None:
     reading = quantized(temperature, 0.005)
     time_ns, segment = clock(len(reading))
     segment[9000:] = 1
-    whole = FirExponentialRate().process(time_ns, segment, reading)
-    fir = FirExponentialRate()
+    whole = FirRate(Params()).process(time_ns, segment, reading)
+    fir = FirRate(Params())
     edges = np.unique(np.random.default_rng(1).integers(0, len(reading), 200)).tolist()
     for start, stop in zip([0, *edges], [*edges, len(reading)], strict=True):
         piece = fir.process(time_ns[start:stop], segment[start:stop], reading[start:stop])
@@ -120,9 +119,9 @@ def test_pieces_of_any_size_give_the_same_bits() -> None:
 def test_a_new_segment_starts_anew() -> None:
     reading = quantized(steady(20.0, 0.5), 0.0)
     time_ns, segment = clock(len(reading))
-    fresh = FirExponentialRate().process(time_ns[9000:], segment[9000:], reading[9000:])
+    fresh = FirRate(Params()).process(time_ns[9000:], segment[9000:], reading[9000:])
     segment[9000:] = 7
-    result = FirExponentialRate().process(time_ns, segment, reading)
+    result = FirRate(Params()).process(time_ns, segment, reading)
     np.testing.assert_array_equal(result.rate[9000:], fresh.rate)
 
 
@@ -131,7 +130,7 @@ def test_readings_that_are_missing_are_passed_over() -> None:
     time_ns, segment = clock(len(reading))
     reading[:5] = np.nan
     reading[20000:20500] = np.nan
-    result = FirExponentialRate().process(time_ns, segment, reading)
+    result = FirRate(Params()).process(time_ns, segment, reading)
     assert np.isnan(result.rate[:5]).all()
     assert np.isfinite(result.rate[5:]).all()
     assert abs(result.rate[-1] * PER_HOUR - 20.0) < 0.1
@@ -140,9 +139,10 @@ def test_readings_that_are_missing_are_passed_over() -> None:
 def test_a_full_buffer_gives_up_its_oldest() -> None:
     reading = np.where(np.arange(3000) % 2, 25.0, 25.05)
     time_ns, segment = clock(len(reading))
-    fir = FirExponentialRate(buffer_size=50)
+    fir = FirRate(Params(buffer_size=50))
     assert np.isfinite(fir.process(time_ns, segment, reading).rate).all()
-    times = fir.measurements[:, 1]
+    assert fir.state is not None
+    times = np.array(fir.state.buffer)[:, 1]
     assert len(times) == 49
     np.testing.assert_allclose(np.diff(times), 0.1)
 
@@ -169,7 +169,7 @@ def test_the_linear_variant_lags_behind_a_changing_rate() -> None:
     late = slice(12000, None)
     errors = [
         np.sqrt(np.mean((f.process(time_ns, segment, reading).rate - rate)[late] ** 2)) * PER_HOUR
-        for f in (FirExponentialRate(), FirLinearRate())
+        for f in (FirRate(Params()), FirRate(Params(time_constant_s=300.0, order=2)))
     ]
     assert errors[0] < 0.2
     assert errors[1] > 2 * errors[0]
@@ -178,4 +178,4 @@ def test_the_linear_variant_lags_behind_a_changing_rate() -> None:
 @pytest.mark.parametrize("wrong", [{"step": 0.0}, {"window_s": -1.0}, {"buffer_size": 6}])
 def test_parameters_that_cannot_be_are_refused(wrong: dict[str, float]) -> None:
     with pytest.raises(ValueError, match="must be positive"):
-        FirExponentialRate(**wrong)  # type: ignore[arg-type]  # that is the point
+        Params(**wrong)  # type: ignore[arg-type]  # that is the point

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from imumon.blocks import ColumnArray, SampleBlock
 from imumon.pipeline import Estimator
-from imumon.published.local_level import LocalLevel
-from imumon.published.random_error import METHODS, InsteadOfDefault, Params, RandomErrorMethods
+from imumon.published.parameters import GyroNoise, RandomErrorParameters
+from imumon.published.random_error import METHODS, InsteadOfDefault, RandomErrorMethods
 from tests.published.records import DEG_PER_HOUR, WHITE, flicker, samples
 
-QUICK = Params(learn_s=40.0)
+QUICK = RandomErrorParameters(learn_s=40.0)
 
 
 def record(n_s: int = 200, rate_hz: int = 50, seed: int = 1, offset: float = 0.01) -> SampleBlock:
@@ -61,10 +59,10 @@ def test_neither_the_division_into_blocks_nor_rows_before_matter() -> None:
     rest = block["at_rest"].copy()
     rest[450:550] = 0
     block = block.with_columns({"segment": segment, "at_rest": rest})
-    whole = RandomErrorMethods(QUICK).process(block)
+    whole = RandomErrorMethods(given=QUICK).process(block)
     assert np.isfinite(whole["sr_rsukf_random_error_x"][740])
     for size in (1, 333):
-        pieces = in_blocks(RandomErrorMethods(QUICK), block, size)
+        pieces = in_blocks(RandomErrorMethods(given=QUICK), block, size)
         for name, values in whole.items():
             np.testing.assert_array_equal(pieces[name], values, err_msg=name)
 
@@ -109,7 +107,7 @@ def test_gaps_and_another_rate_are_survived() -> None:
             "at_rest": np.ones(n, np.int64),
         }
     )
-    added = RandomErrorMethods(QUICK).process(block)
+    added = RandomErrorMethods(given=QUICK).process(block)
     for name in ("sr_ukf_random_error_x", "sr_rsukf_random_error_x"):
         assert np.isfinite(added[name][4200:]).all()
         np.testing.assert_allclose(added[name][4200:], 0.01, atol=8e-4)
@@ -118,8 +116,9 @@ def test_gaps_and_another_rate_are_survived() -> None:
 
 
 def test_known_noise_starts_the_filters_after_a_second() -> None:
-    known = replace(QUICK, noise={"gyro_x": LocalLevel(WHITE**2, 1e-4 * WHITE**2)})
-    added = RandomErrorMethods(known).process(record(20))
+    noise = GyroNoise(angle_random_walk=WHITE, rate_random_walk=1e-2 * WHITE)
+    known = QUICK.model_copy(update={"noise": {"gyro_x": noise}})
+    added = RandomErrorMethods(given=known).process(record(20))
     assert np.isfinite(added["sr_rsukf_random_error_x"][60])
     assert np.isnan(added["sr_rsukf_random_error_y"]).all()
 
@@ -129,7 +128,7 @@ def test_motion_that_nobody_noticed_drives_phi_to_its_limit_and_that_is_said() -
     block = record(150)
     k = np.arange(len(block))
     shaken = block["gyro_x"] + np.where(k > 5000, 30.0 * np.sin(k / 50), 0.0)
-    stage = RandomErrorMethods(Params(methods=["sr_rsukf"]))
+    stage = RandomErrorMethods(["sr_rsukf"])
     added = stage.process(block.with_columns({"gyro_x": shaken}))
     assert np.nanmax(np.abs(added["sr_rsukf_phi_x"])) == 0.9
     assert np.isfinite(added["sr_rsukf_random_error_x"][5000:]).all()
@@ -144,9 +143,8 @@ def test_instead_of_the_default_it_has_the_names_of_the_default() -> None:
     default = {
         f"gyro_random_error{part}_{a}": np.full(len(block), 1.0) for part in ("", "_sd") for a in "xyz"
     }
-    only = Params(methods=["sr_rsukf"], learn_s=40.0)
-    found = InsteadOfDefault(RandomErrorMethods(only)).process(block.with_columns(default))
-    own = RandomErrorMethods(only).process(block)
+    found = InsteadOfDefault(RandomErrorMethods(["sr_rsukf"], QUICK)).process(block.with_columns(default))
+    own = RandomErrorMethods(["sr_rsukf"], QUICK).process(block)
     np.testing.assert_array_equal(found["gyro_random_error_x"], own["sr_rsukf_random_error_x"])
     np.testing.assert_array_equal(found["gyro_phi_sd_z"], own["sr_rsukf_phi_sd_z"])
     np.testing.assert_array_equal(found["gyro_drift_sd_y"], 1.0)

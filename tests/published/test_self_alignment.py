@@ -9,6 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from imumon.blocks import FloatArray, SampleBlock
+from imumon.filters.turns import rotation_by
 from imumon.geodesy import EARTH_RATE, MICRO_G, STANDARD_GRAVITY, body_to_ned
 from imumon.published.self_alignment import (
     Average,
@@ -19,7 +20,6 @@ from imumon.published.self_alignment import (
     coarse,
     gains,
     step,
-    turn,
 )
 
 LATITUDE = math.radians(36.0)
@@ -80,7 +80,7 @@ def test_the_poles_of_the_sampled_loop_are_those_of_the_continuous_one(
 
 @pytest.mark.parametrize("a", [[0.0, 0.0, 0.0], [1e-9, 0.0, -2e-9], [0.3, -0.2, 0.9]])
 def test_a_turn_is_that_of_scipy(a: list[float]) -> None:
-    np.testing.assert_allclose(turn(np.array(a)), Rotation.from_rotvec(a).as_matrix(), atol=1e-15)
+    np.testing.assert_allclose(rotation_by(np.array(a)), Rotation.from_rotvec(a).as_matrix(), atol=1e-15)
 
 
 def at_rest(heading: float, seconds: float, rate_hz: int, up: FloatArray, seed: int) -> SampleBlock:

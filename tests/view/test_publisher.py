@@ -166,7 +166,7 @@ def _second_reader_gets_exact_samples(publisher: ViewPublisher, path: Path) -> N
     stream.run_until(lambda: publisher.state.connected, 20, "connected")
     command = [
         str(viewer_binary()),
-        proxy_url(publisher.stream_port),
+        proxy_url(publisher._report.port),
         "--save",
         str(path),
         "--port=auto",
@@ -193,11 +193,11 @@ def test_killed_view_process_is_started_again_on_the_same_ports(publish: Publish
     publisher = publish("web", port)
     stream = Stream(publisher.publish)
     stream.run_until(lambda: publisher.state.connected, 20, "serving")
-    url, stream_port = publisher.url, publisher.stream_port
+    url, stream_port = publisher.url, publisher._report.port
     child().kill()
     stream.run_until(lambda: publisher.state.restarts == 1, 20, "noticed")
     stream.run_until(lambda: publisher.state.connected, 20, "serving again")
-    assert (publisher.url, publisher.stream_port) == (url, stream_port)
+    assert (publisher.url, publisher._report.port) == (url, stream_port)
 
 
 def test_servers_listen_on_this_machine_only(publish: Publish, port: int) -> None:
@@ -206,8 +206,8 @@ def test_servers_listen_on_this_machine_only(publish: Publish, port: int) -> Non
     listening = [one.laddr for one in child().net_connections() if one.status == psutil.CONN_LISTEN]
     assert all(address.ip.startswith("127.") for address in listening)
     assert {address.port for address in listening if address.ip == "127.0.0.1"} == {
-        publisher.stream_port,
-        publisher.stream_port + 1,
+        publisher._report.port,
+        publisher._report.port + 1,
     }
 
 
@@ -227,7 +227,7 @@ def test_another_web_site_cannot_read_the_stream(publish: Publish, port: int) ->
     publisher = publish("web", port)
     Stream(publisher.publish).run_until(lambda: publisher.state.connected, 20, "serving")
     path = "/rerun.sdk_comms.v1alpha1.MessageProxyService/ReadMessages"
-    ports = publisher.stream_port, publisher.stream_port + 1
+    ports = publisher._report.port, publisher._report.port + 1
     for at, (headers, status) in product(ports, ASKED):
         connection = http.client.HTTPConnection("127.0.0.1", at, timeout=10)
         asked = {"Content-Type": "application/grpc-web+proto", "X-Grpc-Web": "1", **headers}

@@ -12,7 +12,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Self
 
+import numpy as np
+
 from imumon.errors import ImumonError, Reason
+from imumon.protocols.device import DeviceFile
+from imumon.protocols.framing import INCOMPLETE, Frame
 
 OUTPUTS = {
     "inertial": "angular rate and specific force, corrected as little as the device has them",
@@ -44,6 +48,8 @@ SAVE_S = 3.0
 """Time for an answer to a write into flash, which takes devices up to a second."""
 CLOSE_ENOUGH = 1e-3
 """A rate is the device's own when it differs by less: 266.67 Hz is 800 / 3."""
+MOST_DIVISOR = 65_535
+"""Sixteen bits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,32 +134,25 @@ class Wish:
         return self.rate_hz is None and self.outputs is None
 
 
-Sizer = Callable[[bytes, int], tuple[int, Message | None]]
-"""Takes bytes and a place; returns the size of the packet there (0: none; -1: cut off), and its message."""
+def packets_among(data: bytes, frame: Frame) -> tuple[list[bytes], int]:
+    """Return the packets among bytes, and how many bytes are done with.
 
-
-def search(held: bytes, sync: bytes, sized: Sizer) -> tuple[list[Message], int]:
-    """Return the messages among bytes, and how many bytes are done with.
-
-    A packet that is cut off hides none behind it: what follows is looked at, and looked at again when more
-    has come.
+    A packet that is cut off hides none behind it, as it may be none: an answer would come too late.
     """
-    found: list[Message] = []
-    cut = -1
-    at = held.find(sync)
-    while at >= 0:
-        size, message = sized(held, at)
-        if size < 0 and cut < 0:
-            cut = at
-        if message is not None:
-            found.append(message)
-        at = held.find(sync, at + max(size, 1))
-    if cut >= 0:
-        return found, cut
-    for k in range(len(sync) - 1, 0, -1):
-        if held.endswith(sync[:k]):
-            return found, len(held) - k
-    return found, len(held)
+    held = np.frombuffer(data, np.uint8)
+    places = frame.places(held)
+    sizes = frame.measured(held, places)
+    whole = sizes > 0
+    sizes[whole] = frame.judged(held, places[whole], sizes[whole], final=True)
+    found: list[bytes] = []
+    end, cut = 0, len(data)
+    for at, size in zip(places.tolist(), sizes.tolist(), strict=True):
+        if size > 0 and at >= end:
+            found.append(data[at : at + size])
+            end = at + size
+        elif size == INCOMPLETE and at >= end:
+            cut = min(cut, at)
+    return found, cut
 
 
 class Family(ABC):
@@ -178,17 +177,24 @@ class Family(ABC):
     identity: tuple[str, ...] = ()
     """What the device says of itself, after `learn`."""
 
-    sync: ClassVar[bytes]
-    """How what may be an answer begins."""
+    answer_frame: ClassVar[Frame]
+    """How what may be an answer is told from other bytes."""
+
+    @classmethod
+    def of(cls, device: DeviceFile) -> Self:
+        """Return the family as a device file has it."""
+        del device
+        return cls()
 
     @staticmethod
     @abstractmethod
-    def sized(held: bytes, at: int) -> tuple[int, Message | None]:
-        """Return the size of what begins there, and its message; see `Sizer`."""
+    def message(packet: bytes) -> Message:
+        """Return what a packet carries."""
 
     def messages(self, held: bytes) -> tuple[list[Message], int]:
         """Return what in these bytes may be an answer, and how many of them are done with."""
-        return search(held, self.sync, self.sized)
+        packets, done = packets_among(held, self.answer_frame)
+        return [self.message(packet) for packet in packets], done
 
     @abstractmethod
     def hello(self) -> Request:
@@ -240,6 +246,19 @@ class Family(ABC):
         ImumonError
             BAD_CONFIG when the device has no such rate.
         """
+
+    def wanted_hz(self, present: Mapping[str, bytes], wish: Wish) -> float:
+        """Return the rate that is wished for, else that which is there.
+
+        Raises
+        ------
+        ImumonError
+            BAD_CONFIG when there is neither.
+        """
+        rate_hz = wish.rate_hz or (self.rate_hz(present) if present else None)
+        if rate_hz is None:
+            raise nothing_to_keep("rate", "give --rate")
+        return rate_hz
 
     def settled(self, name: str, wanted: bytes, found: bytes) -> bool:
         """Tell whether what reads back is what was wanted."""
@@ -305,7 +324,7 @@ def nothing_to_keep(what: str, option: str) -> ImumonError:
     )
 
 
-def divisor(base_hz: float, rate_hz: float, most: int = 65535) -> int:
+def divisor(base_hz: float, rate_hz: float) -> int:
     """Return the whole number by which a base rate is divided to give this one.
 
     Raises
@@ -314,9 +333,9 @@ def divisor(base_hz: float, rate_hz: float, most: int = 65535) -> int:
         BAD_CONFIG when there is none, with the nearest rates.
     """
     exact = base_hz / rate_hz
-    by = min(max(round(exact), 1), most)
+    by = min(max(round(exact), 1), MOST_DIVISOR)
     if abs(base_hz / by / rate_hz - 1) <= CLOSE_ENOUGH:
         return by
-    low = min(max(int(exact), 1), most)
-    there = [base_hz / low, base_hz / min(low + 1, most)]
+    low = min(max(int(exact), 1), MOST_DIVISOR)
+    there = [base_hz / low, base_hz / min(low + 1, MOST_DIVISOR)]
     raise no_rate(rate_hz, there, f"the device divides {base_hz:g} Hz by a whole number")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from pkgutil import resolve_name
 from typing import TYPE_CHECKING
 
 from imumon.errors import ImumonError, Reason
@@ -11,43 +11,13 @@ from imumon.protocols.device import DeviceFile
 if TYPE_CHECKING:
     from imumon.protocols.commands.core import Family
 
-
-def _xsens(device: DeviceFile) -> Family:
-    del device
-    from imumon.protocols.commands.xsens import Xsens
-
-    return Xsens()
-
-
-def _mip(device: DeviceFile) -> Family:
-    from imumon.protocols.commands.mip import Mip
-    from imumon.protocols.mip import MipDevice
-
-    assert isinstance(device, MipDevice)
-    return Mip(device.attitude, device.clock)
-
-
-def _vectornav(device: DeviceFile) -> Family:
-    del device
-    from imumon.protocols.commands.vectornav import VectorNav
-
-    return VectorNav()
-
-
-def _witmotion(device: DeviceFile) -> Family:
-    del device
-    from imumon.protocols.commands.witmotion import WitMotion
-
-    return WitMotion()
-
-
-FAMILIES: dict[str, Callable[[DeviceFile], Family]] = {
-    "xsens-mtdata2": _xsens,
-    "mip": _mip,
-    "vectornav": _vectornav,
-    "witmotion": _witmotion,
+FAMILIES = {
+    "xsens-mtdata2": "imumon.protocols.commands.xsens:Xsens",
+    "mip": "imumon.protocols.commands.mip:Mip",
+    "vectornav": "imumon.protocols.commands.vectornav:VectorNav",
+    "witmotion": "imumon.protocols.commands.witmotion:WitMotion",
 }
-"""Makes the commands for a device file of each protocol."""
+"""Class of the commands of each protocol; imported when a device of it is asked for."""
 
 
 def family_of(device: DeviceFile) -> Family:
@@ -58,11 +28,11 @@ def family_of(device: DeviceFile) -> Family:
     ImumonError
         BAD_CONFIG when imumon has none for it.
     """
-    make = FAMILIES.get(device.protocol)
-    if make is None:
+    if device.protocol not in FAMILIES:
         raise ImumonError(
             Reason.BAD_CONFIG,
             f"imumon does not configure {device.name} devices",
             "those that it does: xsens, microstrain, vectornav, witmotion; use the vendor's software",
         )
-    return make(device)
+    family: type[Family] = resolve_name(FAMILIES[device.protocol])
+    return family.of(device)

@@ -28,17 +28,23 @@ from imumon.protocols.commands.core import (
     divisor,
     nothing_to_keep,
 )
-from imumon.protocols.mip import ERRORS, FILTER, SENSOR, SET_NAMES, Clock, mip_fields
+from imumon.protocols.device import DeviceFile
+from imumon.protocols.framing import Frame, counted_length
+from imumon.protocols.mip import ERRORS, FILTER, SENSOR, SET_NAMES, Clock, MipDevice, mip_fields
 from imumon.protocols.mip_filter import Attitude
+from imumon.protocols.tagged_encoder import CHECKS
+from imumon.protocols.tagged_kernel import MIP
 
 SYNC = b"\x75\x65"
+AROUND, LONGEST = 6, 261
+"""Bytes of a packet besides its payload, and of the longest."""
+CHECK = CHECKS[MIP]
 BASE, THREE_DM = 0x01, 0x0C
 PING, IDLE, DEVICE_INFO, RESUME, COMM_SPEED = 0x01, 0x02, 0x03, 0x06, 0x09
 IMU_BASE_RATE, IMU_FORMAT, FILTER_FORMAT, FILTER_BASE_RATE = 0x06, 0x08, 0x0A, 0x0B
 BASE_RATE, FORMAT, STREAM, UART_BAUD = 0x0E, 0x0F, 0x11, 0x40
 ACK = 0xF1
 APPLY, READ, SAVE = b"\x01", b"\x02", b"\x03"
-UNKNOWN_COMMAND = 1
 ANSWERS = {(BASE, DEVICE_INFO): 0x81, (BASE, COMM_SPEED): 0x89, (THREE_DM, IMU_BASE_RATE): 0x83,
            (THREE_DM, FILTER_BASE_RATE): 0x8A, (THREE_DM, IMU_FORMAT): 0x80, (THREE_DM, FILTER_FORMAT): 0x82,
            (THREE_DM, BASE_RATE): 0x8E, (THREE_DM, FORMAT): 0x8F, (THREE_DM, STREAM): 0x85,
@@ -67,20 +73,10 @@ TIME = {"reference": (0xD5, 0xD5), "gps": (0x12, 0x11)}
 """Field that dates a packet of the sensors, and one of the filter."""
 
 
-def checksum(body: bytes) -> bytes:
-    """Return both sums of Fletcher's checksum modulo 256."""
-    low = high = 0
-    for byte in body:
-        low = (low + byte) & 0xFF
-        high = (high + low) & 0xFF
-    return bytes([low, high])
-
-
 def frame(descriptor_set: int, *fields: tuple[int, bytes]) -> bytes:
     """Return a packet of fields."""
     payload = b"".join(bytes([len(data) + 2, code]) + data for code, data in fields)
-    body = SYNC + bytes([descriptor_set, len(payload)]) + payload
-    return body + checksum(body)
+    return CHECK.sealed(SYNC + bytes([descriptor_set, len(payload)]) + payload)
 
 
 def fields(payload: bytes) -> list[tuple[int, bytes]]:
@@ -150,7 +146,7 @@ class Mip(Family):
     base_hz: Mapping[int, int] = field(default_factory=lambda: {SENSOR: USUAL_BASE_HZ, FILTER: USUAL_BASE_HZ})
     speed_in_base: bool = False
     identity: tuple[str, ...] = ()
-    sync: ClassVar[bytes] = SYNC
+    answer_frame: ClassVar[Frame] = Frame("MIP", SYNC, counted_length(3, 1, AROUND, LONGEST), CHECK)
     title: ClassVar[str] = "MicroStrain"
     verified: ClassVar[str] = (
         "frames of other programs (0x08, 0x0A), and the virtual device; never a real unit"
@@ -158,16 +154,16 @@ class Mip(Family):
     baudrates: ClassVar[Sequence[int]] = (115_200, 230_400, 460_800, 921_600)
     columns: ClassVar[Mapping[str, tuple[str, ...]]] = USUAL_COLUMNS | {"status": ("overrange",)}
 
+    @classmethod
+    def of(cls, device: DeviceFile) -> Mip:
+        """Return the family with what the device file calls attitude and clock."""
+        assert isinstance(device, MipDevice)
+        return cls(device.attitude, device.clock)
+
     @staticmethod
-    def sized(held: bytes, at: int) -> tuple[int, Message | None]:
-        """Return the size of what begins there, and its message; see `Family.sized`."""
-        if at + 4 > len(held):
-            return -1, None
-        size = held[at + 3] + 6
-        if at + size > len(held):
-            return -1, None
-        packet = held[at : at + size]
-        return (size, Message(packet[2], packet[4:-2])) if checksum(packet[:-2]) == packet[-2:] else (0, None)
+    def message(packet: bytes) -> Message:
+        """Return descriptor set and fields."""
+        return Message(packet[2], packet[4:-2])
 
     def hello(self) -> Request:
         """Return a ping."""
@@ -272,10 +268,7 @@ class Mip(Family):
                 Reason.BAD_CONFIG, "this device has no filter to take an attitude from",
                 "use a device file with attitude: imu (imumon devices microstrain)",
             )  # fmt: skip
-        rate = wish.rate_hz or self.rate_hz(present)
-        if rate is None:
-            raise nothing_to_keep("rate", "give --rate")
-        result = {}
+        rate, result = self.wanted_hz(present, wish), {}
         for name in (SENSOR_FORMAT, FILTER_FORMAT_NAME):
             of = OF_SET[name]
             if of not in self.base_hz:

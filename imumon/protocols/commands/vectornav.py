@@ -26,8 +26,9 @@ from imumon.protocols.commands.core import (
     divisor,
     nothing_to_keep,
 )
-from imumon.protocols.text import LONGEST_LINE
-from imumon.protocols.vectornav import read_header
+from imumon.protocols.framing import Frame
+from imumon.protocols.text import line_lengths, lines_right, sentence, sentence_body
+from imumon.protocols.vectornav import XMODEM, Header, read_header
 from imumon.protocols.vectornav_fields import GROUP_NAMES
 
 SYNC = b"$VN"
@@ -54,27 +55,15 @@ FAST_HZ, SLOW_HZ = 800, 400
 """Base rate of the binary outputs of a VN-100 (and 110), and of the others."""
 
 
-def xor(text: str) -> int:
-    """Return the checksum of the characters between $ and *."""
-    value = 0
-    for byte in text.encode():
-        value ^= byte
-    return value
-
-
 def frame(text: str) -> bytes:
     """Return a command: $, text, checksum, line end."""
-    return f"${text}*{xor(text):02X}\r\n".encode()
+    return sentence(f"${text}") + b"\r\n"
 
 
-def crc(data: bytes) -> int:
-    """Return CRC-16/XMODEM, which a device may use instead of the checksum of eight bits."""
-    register = 0
-    for byte in data:
-        register ^= byte << 8
-        for _ in range(8):
-            register = (register << 1 ^ (0x1021 if register & 0x8000 else 0)) & 0xFFFF
-    return register
+def _body(line: str) -> str | None:
+    """Return what a line has before its checksum, of eight bits or a CRC, or None when that is wrong."""
+    body = sentence_body(line.rstrip("\r\n"), XMODEM)
+    return body if body is not None and body.isascii() else None
 
 
 def request(command: str, meaning: str, echo: str = "", timeout_s: float = 0.5) -> Request:
@@ -151,18 +140,24 @@ class Output:
         words = "".join(f",{word:04X}" for word in self.words)
         return f"{self.port},{self.by},{self.groups:02X}{words}".encode()
 
+    @property
+    def _announced(self) -> Header | None:
+        """What its packets hold; None when that is not known."""
+        header = read_header(self.header + bytes(64)) if self.groups <= 0x7F else None
+        return header if isinstance(header, Header) else None
+
     def fields(self) -> list[str]:
         """Return the names of the fields, with their groups."""
-        header = read_header(self.header + bytes(64)) if self.groups <= 0x7F else -1
-        if isinstance(header, int):
+        header = self._announced
+        if header is None:
             return ["fields that imumon does not know"]
         names = [item.name for item in header.items]
         return [f"{' '.join(_groups(self.groups))}: {', '.join(names)}"]
 
     def packet_bytes(self) -> int:
         """Return the size of a packet; 0 when it is not known."""
-        header = read_header(self.header + bytes(64)) if self.groups <= 0x7F else -1
-        if isinstance(header, int):
+        header = self._announced
+        if header is None:
             return 0
         offsets = header.offsets(np.zeros(512, np.uint8))
         return 0 if isinstance(offsets, int) else offsets[-1] + 2
@@ -184,7 +179,7 @@ class VectorNav(Family):
 
     base_hz: int = FAST_HZ
     identity: tuple[str, ...] = ()
-    sync: ClassVar[bytes] = SYNC
+    answer_frame: ClassVar[Frame] = Frame("ascii", SYNC, line_lengths(after_end=False), lines_right(_body))
     title: ClassVar[str] = "VectorNav"
     verified: ClassVar[str] = (
         "lines of other programs and of the vendor's, and the virtual device; never a real unit"
@@ -204,20 +199,11 @@ class VectorNav(Family):
     columns: ClassVar[Mapping[str, tuple[str, ...]]] = USUAL_COLUMNS
 
     @staticmethod
-    def sized(held: bytes, at: int) -> tuple[int, Message | None]:
-        """Return the size of what begins there, and its message; see `Family.sized`."""
-        end = held.find(b"\n", at, at + LONGEST_LINE)
-        if end < 0:
-            return (-1 if len(held) - at < LONGEST_LINE else 0), None
-        body, star, given = held[at + 1 : end].rstrip(b"\r").rpartition(b"*")
-        if not star or not body.isascii() or len(given) not in (2, 4):
-            return 0, None
-        text = body.decode()
-        try:
-            right = int(given, 16) == (xor(text) if len(given) == 2 else crc(body))
-        except ValueError:
-            right = False
-        return (end + 1 - at, Message(text[2:5], text[6:].encode())) if right else (0, None)
+    def message(packet: bytes) -> Message:
+        """Return the letters of the command, and what follows them."""
+        body = _body(packet.decode("ascii", "replace"))
+        assert body is not None
+        return Message(body[3:6], body[7:].encode())
 
     def hello(self) -> Request:
         """Return a request for the model."""
@@ -287,10 +273,7 @@ class VectorNav(Family):
             return {}
         now = {name: Output.read(present[name]) for name in (OUTPUT, SECOND, THIRD) if name in present}
         old = now.get(OUTPUT, Output(0, 0, 0, ()))
-        rate = wish.rate_hz or (self.rate_hz(present) if present else None)
-        if rate is None:
-            raise nothing_to_keep("rate", "give --rate")
-        by, port = divisor(self.base_hz, rate), old.port or 1
+        by, port = divisor(self.base_hz, self.wanted_hz(present, wish)), old.port or 1
         if wish.outputs is not None:
             places = [place for name in wish.outputs for place in FIELDS[name]]
             new = Output.of(port, by, [TIME_STARTUP, *places])

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import reduce
+from operator import or_
 from typing import ClassVar
 
 from imumon.protocols.commands.core import (
@@ -22,9 +24,10 @@ from imumon.protocols.commands.core import (
     no_rate,
     nothing_to_keep,
 )
+from imumon.protocols.frame_checks import Sum
+from imumon.protocols.framing import Frame, fixed_length
+from imumon.protocols.witmotion import SIZE
 
-SYNC = b"\x55"
-SIZE = 11
 REGISTER_ANSWER = 0x5F
 CONTENT, RATE = "output content", "output rate"
 SAVE, RSW, RRATE, BAUD_REGISTER, READ_ADDRESS = 0x00, 0x02, 0x03, 0x04, 0x27
@@ -32,6 +35,7 @@ REGISTERS = {CONTENT: RSW, RATE: RRATE, BAUD: BAUD_REGISTER}
 UNLOCK = b"\xff\xaa\x69\x88\xb5"
 PAUSE_S = 0.1
 """Between writes: the vendor's code leaves 1 to 200 ms."""
+OPENING = Request("unlock", UNLOCK, None, PAUSE_S)
 RATES = {1: 0.2, 2: 0.5, 3: 1.0, 4: 2.0, 5: 5.0, 6: 10.0, 7: 20.0, 8: 50.0, 9: 100.0, 11: 200.0}
 BAUD_CODES = {
     1: 4800,
@@ -70,7 +74,7 @@ def _registers(message: Message) -> bytes | Refusal | None:
 class WitMotion(Family):
     """Commands of a WitMotion module."""
 
-    sync: ClassVar[bytes] = SYNC
+    answer_frame: ClassVar[Frame] = Frame("register", b"\x55", fixed_length(SIZE), Sum())
     title: ClassVar[str] = "WitMotion"
     verified: ClassVar[str] = "codes of the vendor's sample code, and the virtual device; never a real unit"
     save_confirmed: ClassVar[bool] = False
@@ -84,14 +88,9 @@ class WitMotion(Family):
     }
 
     @staticmethod
-    def sized(held: bytes, at: int) -> tuple[int, Message | None]:
-        """Return the size of what begins there, and its message; see `Family.sized`."""
-        packet = held[at : at + SIZE]
-        if len(packet) < SIZE:
-            return -1, None
-        if sum(packet[:-1]) & 0xFF != packet[-1]:
-            return 0, None
-        return SIZE, Message(packet[1], packet[2:10])
+    def message(packet: bytes) -> Message:
+        """Return type and data."""
+        return Message(packet[1], packet[2:10])
 
     def hello(self) -> Request:
         """Return a read of the output rate."""
@@ -109,26 +108,18 @@ class WitMotion(Family):
     def write(self, name: str, value: bytes) -> tuple[Request, ...]:
         """Return the unlocking and the write, which nothing answers."""
         meaning = f"{name}: {self.describe(name, value)}"
-        return (
-            Request("unlock", UNLOCK, None, PAUSE_S),
-            Request(meaning, frame(REGISTERS[name], value), None, PAUSE_S),
-        )
+        return OPENING, Request(meaning, frame(REGISTERS[name], value), None, PAUSE_S)
 
     def save(self, names: Sequence[str]) -> tuple[Request, ...]:
         """Return the unlocking and the save of all registers."""
         del names
-        return (
-            Request("unlock", UNLOCK, None, PAUSE_S),
-            Request("save all registers", frame(SAVE, b"\0\0"), None, 0.5),
-        )
+        return OPENING, Request("save all registers", frame(SAVE, b"\0\0"), None, 0.5)
 
     def wanted(self, present: Mapping[str, bytes], wish: Wish) -> dict[str, bytes]:
         """Return content and rate; see `Family.wanted`."""
         result: dict[str, bytes] = {}
         if wish.outputs is not None:
-            content = 0
-            for name in wish.outputs:
-                content |= FRAMES[name]
+            content = reduce(or_, (FRAMES[name] for name in wish.outputs), 0)
             result[CONTENT] = content.to_bytes(2, "little")
         elif not wish.empty and present and not any(present[CONTENT]):
             raise nothing_to_keep("output", "give --outputs")

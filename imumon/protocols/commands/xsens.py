@@ -11,6 +11,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
+import numpy as np
+
+from imumon.blocks import IntArray
 from imumon.errors import ImumonError, Reason
 from imumon.protocols.commands.core import (
     BAUD,
@@ -24,13 +27,16 @@ from imumon.protocols.commands.core import (
     Request,
     Wish,
     no_rate,
-    nothing_to_keep,
 )
+from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, Frame
+from imumon.protocols.stream import ByteArray
+from imumon.protocols.tagged_encoder import CHECKS
+from imumon.protocols.tagged_kernel import LONGEST_XBUS_PAYLOAD, XBUS
 from imumon.protocols.xsens.fields import MTDATA2_FIELDS
 from imumon.protocols.xsens.messages import ERROR, ERRORS, NAMES, identifier_name
 
 SYNC = b"\xfa\xff"
-LONGEST = 2048
+CHECK = CHECKS[XBUS]
 GO_TO_MEASUREMENT, SET_BAUDRATE, REQ_PRODUCT_CODE, GO_TO_CONFIG = 0x10, 0x18, 0x1C, 0x30
 REQ_FIRMWARE, RESET, SET_OUTPUT_CONFIGURATION = 0x12, 0x40, 0xC0
 OUTPUT = "output configuration"
@@ -61,8 +67,18 @@ MAIN_CODES = (0x4020, 0x8020, 0x4010, 0x8030)
 def frame(kind: int, payload: bytes = b"") -> bytes:
     """Return a message with its checksum: all bytes behind the preamble add up to zero."""
     size = bytes([len(payload)]) if len(payload) < 255 else b"\xff" + len(payload).to_bytes(2, "big")
-    body = bytes([0xFF, kind]) + size + payload
-    return b"\xfa" + body + bytes([-sum(body) & 0xFF])
+    return CHECK.sealed(SYNC + bytes([kind]) + size + payload)
+
+
+def _lengths(held: ByteArray, at: IntArray) -> IntArray:
+    """Return the length of the message at each place; see `imumon.protocols.framing.Lengths`."""
+    header = np.pad(held, (0, 4)).astype(np.int64)
+    short, long = header[at + 3], header[at + 4] << 8 | header[at + 5]
+    extended = short == 0xFF
+    length = np.where(extended, long + 7, short + 5)
+    length[extended & (long > LONGEST_XBUS_PAYLOAD)] = IMPOSSIBLE
+    length[at + np.where(extended, 6, 4) > len(held)] = INCOMPLETE
+    return length
 
 
 def request(kind: int, payload: bytes = b"", meaning: str = "", timeout_s: float = SAVE_S) -> Request:
@@ -95,7 +111,7 @@ class Xsens(Family):
     """Commands of an MTi."""
 
     identity: tuple[str, ...] = ()
-    sync: ClassVar[bytes] = SYNC
+    answer_frame: ClassVar[Frame] = Frame("Xbus", SYNC, _lengths, CHECK)
     title: ClassVar[str] = "Xsens MTi"
     verified: ClassVar[str] = "frames of other programs, and the virtual device; never a real unit"
     stores_at_once: ClassVar[bool] = True
@@ -105,23 +121,9 @@ class Xsens(Family):
     columns: ClassVar[Mapping[str, tuple[str, ...]]] = USUAL_COLUMNS
 
     @staticmethod
-    def sized(held: bytes, at: int) -> tuple[int, Message | None]:
-        """Return the size of what begins there, and its message; see `Family.sized`."""
-        header = held[at : at + 6]
-        if len(header) < 4:
-            return -1, None
-        size, start = header[3], at + 4
-        if size == 255:
-            if len(header) < 6:
-                return -1, None
-            size, start = int.from_bytes(header[4:6], "big"), at + 6
-        if size > LONGEST:
-            return 0, None
-        if start + size >= len(held):
-            return -1, None
-        if sum(held[at + 1 : start + size + 1]) & 0xFF:
-            return 0, None
-        return start + size + 1 - at, Message(header[2], held[start : start + size])
+    def message(packet: bytes) -> Message:
+        """Return identifier and data."""
+        return Message(packet[2], packet[6 if packet[3] == 0xFF else 4 : -1])
 
     def hello(self) -> Request:
         """Return GoToConfig: in the state of measurement an MTi answers nothing else."""
@@ -176,9 +178,7 @@ class Xsens(Family):
         """Return the output configuration; see `Family.wanted`."""
         if wish.empty:
             return {}
-        rate = wish.rate_hz or self.rate_hz(present)
-        if rate is None:
-            raise nothing_to_keep("rate", "give --rate")
+        rate = self.wanted_hz(present, wish)
         if rate not in RATES:
             raise no_rate(rate, RATES, f"the device divides {FASTEST_HZ} Hz by a whole number")
         if wish.outputs is None:

@@ -20,15 +20,7 @@ class FixedEncoder(Encoder):
         self._packets = packets
 
     def encode(self, block: SampleBlock) -> list[bytes]:
-        """Return the packets of each row; columns that the block lacks are sent as zero.
-
-        Counters and clocks wrap as in the device; NaN is sent as zero where the field is an integer.
-
-        Raises
-        ------
-        ImumonError
-            BAD_DATA when a value does not fit its field.
-        """
+        """Return the packets of each row; see `imumon.protocols.base.Encoder`."""
         parts = [_encoded(packet, block) for packet in self._packets]
         return [b"".join(row) for row in zip(*parts, strict=True)]
 

@@ -65,13 +65,7 @@ class MTData2Decoder(TaggedDecoder):
 
 
 def find_fields(names: Sequence[str], precision: Precision = "float32", frame: Frame = "ENU") -> list[Field]:
-    """Return the fields of these data identifiers in a precision.
-
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG when a name is not that of a data identifier that carries values.
-    """
+    """Return the fields of these data identifiers in a precision; raises as `MTData2Encoder`."""
     found = []
     code_of_precision = tuple(PRECISIONS).index(precision)
     there = {item.name: item for item in reversed(IDENTIFIERS) if item.values}

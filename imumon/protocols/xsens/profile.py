@@ -94,16 +94,6 @@ class Profile(StrictModel):
         return self
 
 
-def profile_bits(profile: Profile) -> tuple[int, int]:
-    """Return output mode and output settings as the device has them."""
-    settings = profile.output_settings
-    bits = TIMESTAMPS[settings.timestamp] | ORIENTATIONS[settings.orientation] | STATUS[settings.status]
-    bits |= FORMATS[settings.number_format] | (NED_BIT if settings.frame == "NED" else 0)
-    bits |= sum(bit for part, bit in CALIBRATED_OFF.items() if part not in settings.calibrated)
-    bits |= sum(bit for line, bit in ANALOG_OFF.items() if line not in settings.analog)
-    return sum(MODE_BITS[part] for part in set(profile.output_mode)), bits
-
-
 def _name_of(table: dict[str, int], bits: int) -> str:
     return next((name for name, value in table.items() if value == bits), f"unknown ({bits:#x})")
 

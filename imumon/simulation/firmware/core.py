@@ -11,7 +11,8 @@ import numpy as np
 
 from imumon.blocks import SampleBlock
 from imumon.protocols.base import Encoder
-from imumon.protocols.commands.core import Message
+from imumon.protocols.commands.core import BAUD, MOST_DIVISOR, Family, Message
+from imumon.protocols.device import DeviceFile
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,15 +101,19 @@ class Firmware(ABC):
 
     Parameters
     ----------
+    device : DeviceFile
+        Its first baud rate is that of the line as delivered.
     settings : mapping of str to bytes
-        As delivered, by the names of `imumon.protocols.commands`.
-    baudrate : int
-        Rate of the line as delivered.
+        The others as delivered, by the names of `imumon.protocols.commands`.
     """
 
-    def __init__(self, settings: dict[str, bytes], baudrate: int) -> None:
-        self.settings = Settings(settings)
-        self.baudrate = baudrate
+    family: Family
+    """Tells commands, which have the same form as answers, and what baud rates are called."""
+
+    def __init__(self, device: DeviceFile, settings: dict[str, bytes]) -> None:
+        self.baudrate, known = device.serial.baudrates[0], self.family.baudrates
+        named = self.baudrate if self.baudrate in known else known[0]
+        self.settings = Settings(settings | {BAUD: self.family.baud_value(named)})
         self.streaming = True
         self.faults = Faults()
         self.commands = 0
@@ -159,13 +164,13 @@ class Firmware(ABC):
         """Take the baud rate of the settings; a family that does it at other times has its own."""
         self.baudrate = self.baud()
 
-    @abstractmethod
     def baud(self) -> int:
         """Return the baud rate of the settings."""
+        return self.family.baud_of(self.settings.volatile[BAUD]) or self.baudrate
 
-    @abstractmethod
     def found(self, held: bytes) -> tuple[list[Message], int]:
         """Return the commands among bytes, and how many of these are done with."""
+        return self.family.messages(held)
 
     @abstractmethod
     def answer(self, command: Message) -> bytes:
@@ -190,4 +195,4 @@ class Firmware(ABC):
 
 def nearest(base_hz: float, rate_hz: float) -> int:
     """Return the divisor of a base rate that comes nearest to a rate."""
-    return int(np.clip(round(base_hz / rate_hz), 1, 65535))
+    return int(np.clip(round(base_hz / rate_hz), 1, MOST_DIVISOR))

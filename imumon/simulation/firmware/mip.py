@@ -51,34 +51,26 @@ FORMATS = {SENSOR: SENSOR_FORMAT, FILTER: FILTER_FORMAT_NAME}
 class MipFirmware(Firmware):
     """A MicroStrain device with sensors and a filter."""
 
+    family = Mip()
     old = False
     """Whether it knows the formats of single data sets only."""
 
     def __init__(self, device: DeviceFile, rate_hz: float) -> None:
         assert isinstance(device, MipDevice)
         self._device = device
-        baudrate, by = device.serial.baudrates[0], nearest(USUAL_BASE_HZ, rate_hz)
+        by = nearest(USUAL_BASE_HZ, rate_hz)
         codes = {field.name: field.key & 0xFF for field in self._fields(SENSOR)}
         settings = {
             SENSOR_FORMAT: message_format([(codes[name], by) for name in device.sends]),
             FILTER_FORMAT_NAME: message_format([]),
             SENSOR_STREAM: ON,
             FILTER_STREAM: ON,
-            BAUD: baudrate.to_bytes(4, "big"),
         }
-        super().__init__(settings, baudrate)
+        super().__init__(device, settings)
 
     def _fields(self, of: int) -> list[Field]:
         there = mip_fields(self._device.attitude, self._device.clock)
         return [field for field in there if field.key >> 8 == of and field.values]
-
-    def baud(self) -> int:
-        """Return the baud rate of the settings."""
-        return int.from_bytes(self.settings.volatile[BAUD], "big")
-
-    def found(self, held: bytes) -> tuple[list[Message], int]:
-        """Find MIP packets."""
-        return Mip().messages(held)
 
     def refusal(self, command: Message) -> bytes:
         """Return an acknowledgement that says no."""

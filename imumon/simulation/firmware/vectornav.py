@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from imumon.protocols.commands.core import BAUD, Message
 from imumon.protocols.commands.vectornav import ASCII, FAST_HZ, OUTPUT, REGISTERS, VectorNav, frame
 from imumon.protocols.commands.vectornav import Output as Register
@@ -27,25 +25,17 @@ PLACES = {
 class VectorNavFirmware(Firmware):
     """A VN-100."""
 
+    family = VectorNav()
+
     def __init__(self, device: DeviceFile, rate_hz: float) -> None:
         assert isinstance(device, VectorNavDevice)
-        baudrate = device.serial.baudrates[0]
         places = [place for place, name in PLACES.items() if name in device.sends]
         off = Register(0, 1, 0, ()).value
         settings = dict.fromkeys(REGISTERS, off) | {
             OUTPUT: Register.of(1, nearest(FAST_HZ, rate_hz), places).value,
             ASCII: b"0",
-            BAUD: str(baudrate).encode(),
         }
-        super().__init__(settings, baudrate)
-
-    def baud(self) -> int:
-        """Return the baud rate of the settings."""
-        return int(self.settings.volatile[BAUD])
-
-    def found(self, held: bytes) -> tuple[list[Message], int]:
-        """Find sentences."""
-        return VectorNav().messages(held)
+        super().__init__(device, settings)
 
     def refusal(self, command: Message) -> bytes:
         """Return an error."""
@@ -84,12 +74,8 @@ class VectorNavFirmware(Firmware):
         for name in NAMES.values():
             register = Register.read(self.settings.volatile[name]) if "binary" in name else None
             if register is not None and register.on and register.port & 1:
-                found.append(Output(_encoder, dict.fromkeys(_names(register), register.by)))
+                found.append(Output(VectorNavEncoder, dict.fromkeys(_names(register), register.by)))
         return FAST_HZ, found
-
-
-def _encoder(names: Sequence[str]) -> VectorNavEncoder:
-    return VectorNavEncoder(names)
 
 
 def _names(register: Register) -> list[str]:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
-from imumon.protocols.commands.core import BAUD, Message, search
+from imumon.protocols.commands.core import Message, packets_among
 from imumon.protocols.commands.witmotion import (
     BAUD_CODES,
     BAUD_REGISTER,
@@ -18,47 +16,39 @@ from imumon.protocols.commands.witmotion import (
     RRATE,
     RSW,
     SAVE,
-    SIZE,
     UNLOCK,
+    WitMotion,
 )
 from imumon.protocols.device import DeviceFile
-from imumon.protocols.messages import TableEncoder
-from imumon.protocols.witmotion import TYPES, WitMotionDevice
+from imumon.protocols.frame_checks import unchecked
+from imumon.protocols.framing import Frame, fixed_length
+from imumon.protocols.witmotion import SIZE, TYPES, WitMotionDevice
 from imumon.simulation.firmware.core import Firmware, Output
 
-SYNC = b"\xff\xaa"
-WRITE_SIZE = 5
+WRITE = Frame("write", b"\xff\xaa", fixed_length(5), unchecked)
+"""A command; it has no checksum."""
 FASTEST_HZ = 200.0
 FIRST_FRAME = 0x50
 NOT_ENCODED = ("time", "position")
 
 
-def _sized(held: bytes, at: int) -> tuple[int, Message | None]:
-    packet = held[at : at + WRITE_SIZE]
-    return (WRITE_SIZE, Message(packet[2], packet[3:])) if len(packet) == WRITE_SIZE else (-1, None)
-
-
 class WitMotionFirmware(Firmware):
     """A WitMotion module."""
 
+    family = WitMotion()
+
     def __init__(self, device: DeviceFile, rate_hz: float) -> None:
         assert isinstance(device, WitMotionDevice)
-        baudrate = device.serial.baudrates[0]
         bits = {message.name: 1 << kind - FIRST_FRAME for kind, message in TYPES.items()}
         content = sum(bits[name] for name in device.sends)
         rate = min(RATES, key=lambda code: abs(RATES[code] - rate_hz))
-        code = next(code for code, there in BAUD_CODES.items() if there == baudrate)
-        settings = {CONTENT: content.to_bytes(2, "little"), RATE: bytes([rate, 0]), BAUD: bytes([code, 0])}
-        super().__init__(settings, baudrate)
+        super().__init__(device, {CONTENT: content.to_bytes(2, "little"), RATE: bytes([rate, 0])})
         self._locked = True
 
-    def baud(self) -> int:
-        """Return the baud rate of the settings."""
-        return BAUD_CODES[self.settings.volatile[BAUD][0]]
-
     def found(self, held: bytes) -> tuple[list[Message], int]:
-        """Find writes; they have no checksum."""
-        return search(held, SYNC, _sized)
+        """Find writes, which are unlike answers."""
+        packets, done = packets_among(held, WRITE)
+        return [Message(packet[2], packet[3:]) for packet in packets], done
 
     def refusal(self, command: Message) -> bytes:
         """Do nothing, and say nothing."""
@@ -97,8 +87,4 @@ class WitMotionFirmware(Firmware):
         names = [TYPES[FIRST_FRAME + bit].name for bit in range(len(BITS)) if content >> bit & 1]
         rate = RATES[self.settings.volatile[RATE][0]]
         every = {name: round(FASTEST_HZ / rate) for name in names if name not in NOT_ENCODED}
-        return FASTEST_HZ, [Output(_encoder, every)]
-
-
-def _encoder(names: Sequence[str]) -> TableEncoder:
-    return WitMotionDevice.family.encoder(names)
+        return FASTEST_HZ, [Output(WitMotionDevice.family.encoder, every)]

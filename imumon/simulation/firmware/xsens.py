@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from imumon.protocols.commands.core import BAUD, Message
 from imumon.protocols.commands.xsens import (
     BAUD_CODES,
@@ -36,21 +34,13 @@ TIMELESS = {0x10, 0xE0}
 class XsensFirmware(Firmware):
     """An MTi that sends MTData2."""
 
+    family = Xsens()
+
     def __init__(self, device: DeviceFile, rate_hz: float) -> None:
         assert isinstance(device, MTData2Device)
-        baudrate = device.serial.baudrates[0]
-        code = next((code for code, rate in BAUD_CODES.items() if rate == baudrate), 0x02)
         keys = [field.key for field in find_fields(device.sends, device.precision)]
         output = [(key, WITH_EVERY_PACKET if key >> 8 in TIMELESS else round(rate_hz)) for key in keys]
-        super().__init__({OUTPUT: packed(output), BAUD: bytes([code])}, baudrate)
-
-    def baud(self) -> int:
-        """Return the baud rate of the settings."""
-        return BAUD_CODES[self.settings.volatile[BAUD][0]]
-
-    def found(self, held: bytes) -> tuple[list[Message], int]:
-        """Find Xbus messages."""
-        return Xsens().messages(held)
+        super().__init__(device, {OUTPUT: packed(output)})
 
     def refusal(self, command: Message) -> bytes:
         """Return an Error message."""
@@ -104,11 +94,7 @@ class XsensFirmware(Firmware):
             for code, rate in pairs
             if fastest and rate
         }
-        return FASTEST_HZ, [Output(_encoder, every)]
-
-
-def _encoder(names: Sequence[str]) -> MTData2Encoder:
-    return MTData2Encoder(names)
+        return FASTEST_HZ, [Output(MTData2Encoder, every)]
 
 
 def _sendable(code: int, rate: int) -> bool:

@@ -1,4 +1,4 @@
-"""Biases over temperature: value and slope of sums of terms."""
+"""Biases over temperature: sums of terms."""
 
 from __future__ import annotations
 
@@ -13,15 +13,8 @@ from imumon.simulation.unit.parameters import Curves, Polynomial, Sin, Tanh
 Terms = Sequence[Tanh | Sin | Polynomial]
 
 
-def _cosh_2(u: FloatArray) -> FloatArray:
-    return 1.0 / np.cosh(np.clip(u, -300.0, 300.0)) ** 2
-
-
-_SHAPES: dict[str, tuple[Callable[[FloatArray], FloatArray], Callable[[FloatArray], FloatArray]]] = {
-    "tanh": (np.tanh, _cosh_2),
-    "sin": (np.sin, np.cos),
-}
-"""Function and derivative of the kinds that have an amplitude."""
+_SHAPES: dict[str, Callable[[FloatArray], FloatArray]] = {"tanh": np.tanh, "sin": np.sin}
+"""Function of the kinds that have an amplitude."""
 
 
 def curve_value(terms: Terms, temperature_degc: FloatArray) -> FloatArray:
@@ -32,19 +25,7 @@ def curve_value(terms: Terms, temperature_degc: FloatArray) -> FloatArray:
         if isinstance(term, Polynomial):
             total += polynomial.polyval(u, term.coefficients)
         else:
-            total += term.amplitude * _SHAPES[term.kind][0](u)
-    return total
-
-
-def curve_slope(terms: Terms, temperature_degc: FloatArray) -> FloatArray:
-    """Return the derivative of `curve_value`, in its unit per °C; same shape."""
-    total = np.zeros_like(temperature_degc)
-    for term in terms:
-        u = (temperature_degc - term.at_degc) / term.width_degc
-        if isinstance(term, Polynomial):
-            total += polynomial.polyval(u, polynomial.polyder(term.coefficients)) / term.width_degc
-        else:
-            total += term.amplitude * _SHAPES[term.kind][1](u) / term.width_degc
+            total += term.amplitude * _SHAPES[term.kind](u)
     return total
 
 

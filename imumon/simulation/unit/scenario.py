@@ -14,7 +14,7 @@ from pydantic import Field, field_validator, model_validator
 from imumon.config import StrictModel, load_yaml, parse_yaml
 from imumon.effects.base import ACCEL
 from imumon.errors import ImumonError, Reason
-from imumon.files import read_text
+from imumon.files import bundled, read_text
 from imumon.simulation.unit.events import Event
 from imumon.simulation.unit.parameters import Thermometer, UnitParameters
 
@@ -30,7 +30,7 @@ class _Based(StrictModel):
     @classmethod
     def names(cls) -> list[str]:
         """Return the names that `load` knows without a path."""
-        return sorted(path.stem for path in _configs(f"{cls.kind}s").glob("*.yaml"))
+        return sorted(bundled(f"{cls.kind}s"))
 
     @classmethod
     def load(cls, name: str | Path) -> Self:
@@ -66,13 +66,14 @@ class _Based(StrictModel):
     def _path(cls, name: str | Path) -> Path:
         if isinstance(name, Path) or _looks_like_path(name):
             return Path(name)
-        if name not in cls.names():
+        there = bundled(f"{cls.kind}s")
+        if name not in there:
             raise ImumonError(
                 Reason.BAD_CONFIG,
                 f"no {cls.kind} {name!r}",
-                f"there are {', '.join(cls.names())}, or give a path (NAME.yaml)",
+                f"there are {', '.join(sorted(there))}, or give a path (NAME.yaml)",
             )
-        return _configs(f"{cls.kind}s") / f"{name}.yaml"
+        return there[name]
 
     @model_validator(mode="before")
     @classmethod
@@ -92,11 +93,6 @@ class _Header(StrictModel, extra="ignore"):
 
 def _looks_like_path(name: str) -> bool:
     return name.endswith((".yaml", ".yml")) or "/" in name
-
-
-def _configs(folder: str) -> Path:
-    packaged = Path(__file__).resolve().parents[2] / "configs" / folder
-    return packaged if packaged.is_dir() else Path(__file__).resolve().parents[3] / "configs" / folder
 
 
 class Attitude(StrictModel):

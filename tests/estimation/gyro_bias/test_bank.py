@@ -7,12 +7,13 @@ import math
 
 import numpy as np
 import pytest
+from dense_record import dense_filter
 
 from imumon.blocks import FloatArray
 from imumon.estimation.gyro_bias import bank as filters
 from imumon.estimation.gyro_bias.bank import AtRest, Bank
 from imumon.estimation.gyro_bias.steps import ROTATION, STATES, VELOCITY, WALK
-from imumon.published.dense_zupt import DenseSettings, dense_filter
+from imumon.published.dense_zupt import DenseSettings
 from tests.estimation.gyro_bias.records import ARW, DPH, VRW, Truth, local_earth, record
 
 ZERO, ONE = np.zeros(3), np.ones(3)

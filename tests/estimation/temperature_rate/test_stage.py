@@ -11,7 +11,7 @@ from imumon.errors import ImumonError
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.pipeline import Estimator
 from imumon.protocols.thermometer import TemperatureRateParameters
-from imumon.published.fir import FirExponentialRate
+from imumon.published.fir import FirRate, Params
 from imumon.run.stages import temperature_rate
 from tests.estimation.temperature_rate.records import clock, quantized, self_heating
 
@@ -72,7 +72,7 @@ def test_the_published_filter_can_be_chosen_in_yaml() -> None:
     reading = quantized(temperature, 0.0)
     time_ns, segment = clock(len(reading))
     added = temperature_rate(parameters).process(block(temperature=reading))
-    expected = FirExponentialRate(0.05, 180.0, 120.0, 90).process(time_ns, segment, reading)
+    expected = FirRate(Params(0.05, 180.0, 120.0, 90)).process(time_ns, segment, reading)
     np.testing.assert_array_equal(added["temperature_rate"], expected.rate)
     np.testing.assert_array_equal(added["temperature_estimate_sd"], expected.temperature_sd)
 

@@ -14,12 +14,17 @@ from imumon.protocols.tagged_kernel import FIXED, XBUS
 from imumon.protocols.xsens.messages import MTDATA
 from imumon.protocols.xsens.mtdata import MTDataDecoder, MTDataDevice, MTDataEncoder
 from imumon.protocols.xsens.profile import (
+    ANALOG_OFF,
     CALIBRATED_OFF,
+    FORMATS,
     MODE_BITS,
+    NED_BIT,
+    ORIENTATIONS,
+    STATUS,
+    TIMESTAMPS,
     OutputSettings,
     Profile,
     mtdata_field,
-    profile_bits,
     profile_lines,
     profiles_of_length,
 )
@@ -88,6 +93,16 @@ def test_every_profile_makes_the_round_trip(profile: Profile) -> None:
     has_utc = "utc" in profile.output_settings.timestamp
     assert (decoder.timing.tick_ns is not None) == has_utc == ("device_ticks" in got)
     assert (decoder.timing.counter_bits == 16) == ("packet_counter" in got)
+
+
+def profile_bits(profile: Profile) -> tuple[int, int]:
+    """Return output mode and output settings as the device has them."""
+    settings = profile.output_settings
+    bits = TIMESTAMPS[settings.timestamp] | ORIENTATIONS[settings.orientation] | STATUS[settings.status]
+    bits |= FORMATS[settings.number_format] | (NED_BIT if settings.frame == "NED" else 0)
+    bits |= sum(bit for part, bit in CALIBRATED_OFF.items() if part not in settings.calibrated)
+    bits |= sum(bit for line, bit in ANALOG_OFF.items() if line not in settings.analog)
+    return sum(MODE_BITS[part] for part in set(profile.output_mode)), bits
 
 
 @given(profiles)

@@ -2,11 +2,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from curve_slopes import curve_slope
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imumon.simulation.unit import load_unit
-from imumon.simulation.unit.curves import Terms, axis_values, curve_slope, curve_value
+from imumon.simulation.unit.curves import Terms, axis_values, curve_value
 from imumon.simulation.unit.parameters import Polynomial, Sin, Tanh
 
 SOAK = np.linspace(-20.53, 48.08, 20_001)
