@@ -49,7 +49,8 @@ class Publisher(FedProcess):
         super().__init__("imumon.publishing.child")
         self.target = target
         self._begin = Begin(target, setup)
-        self._handed = 0
+        self._published = self._handed = 0
+        self._closed = False
         self._before, self._now = Delivery(""), Delivery("begins", ready=False)
         self._lost = 0
 
@@ -59,17 +60,24 @@ class Publisher(FedProcess):
         return self
 
     def publish(self, item: Shown) -> None:
-        """Queue an item, when it is for other programs; takes microseconds."""
+        """Queue an item, when it is for other programs; takes microseconds.  Called from one thread."""
         if is_published(item):
+            self._published += item_rows(item)
             super().publish(item)
+
+    def close(self, timeout_s: float = 1.5) -> None:
+        """Send what is left and end the process, within `timeout_s`; what has not left by then is dropped."""
+        super().close(timeout_s)
+        self._closed = True
 
     @property
     def state(self) -> PublisherState:
         """How it goes now."""
         before, now = self._before, self._now
         failed = before.failed + now.failed
-        dropped = self._queue.dropped + self._lost + failed
-        return PublisherState(now.text, now.ready, before.taken + now.taken - failed, dropped)
+        sent = before.taken + now.taken - failed
+        dropped = self._published - sent if self._closed else self._queue.dropped + self._lost + failed
+        return PublisherState(now.text, now.ready, sent, dropped)
 
     def _first(self) -> Begin:
         self._settle()
