@@ -40,6 +40,8 @@ class Reason(Enum):
     """A capture, table or recording does not hold what it should."""
     REFUSED = "refused by the device"
     """The device answered, and said no, or did something else than it was told."""
+    TIMEOUT = "timeout"
+    """It took longer than it was given."""
     EXISTS = "exists already"
     """The output is already there, and nothing is overwritten."""
 
@@ -50,7 +52,7 @@ class Reason(Enum):
             return EXIT_USAGE
         if self is Reason.REFUSED:
             return EXIT_NEGATIVE
-        return EXIT_DATA if self is Reason.BAD_DATA else EXIT_PORT
+        return EXIT_DATA if self in (Reason.BAD_DATA, Reason.TIMEOUT) else EXIT_PORT
 
 
 class ImumonError(Exception):

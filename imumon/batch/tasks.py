@@ -6,6 +6,7 @@ import hashlib
 import json
 import sys
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ import numpy as np
 
 from imumon import __version__
 from imumon.batch.dataset import Row
+from imumon.batch.limit import limited
 from imumon.batch.options import BatchOptions
 from imumon.batch.places import fetched
 from imumon.blocks import ColumnArray, SampleBlock
@@ -39,12 +41,15 @@ class Job:
         Folder of the batch, which every worker sees under the same path.
     version : str
         Of the imumon that asks.
+    limit_s : float or None
+        How long a worker may take.
     """
 
     place: str
     options: BatchOptions
     out: str
     version: str = __version__
+    limit_s: float | None = None
 
     def file(self, folder: str, suffix: str) -> Path:
         """Return where a file of this session goes; two sessions of one name have two."""
@@ -67,7 +72,11 @@ def work(job: Job) -> list[Row]:
             raise ImumonError(
                 Reason.BAD_CONFIG, f"the worker has imumon {__version__}, the batch is of {job.version}"
             )
-        with fetched(job.place, _folder()) as path:
+        folder = _folder()
+        limit: AbstractContextManager[None] = nullcontext()
+        if job.limit_s is not None and folder is not None:  # where a worker may end
+            limit = limited(job.file("late", ".txt"), job.limit_s)
+        with limit, fetched(job.place, folder) as path:
             what |= _described(path)
             rows: list[Row] = [{**what, **row} for row in _COMMANDS[job.options.command](path, job)]
         if not rows:

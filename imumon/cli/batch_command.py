@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from imumon.cli.common import PATH, Number, console, json_option, print_json, print_rows, warn
+from imumon.cli.common import PATH, SECONDS, Number, console, json_option, print_json, print_rows, warn
 from imumon.errors import EXIT_NEGATIVE, EXIT_OK
 
 if TYPE_CHECKING:
-    from imumon.batch.options import BatchOptions
+    from imumon.batch.tasks import Job
 
 SHOWN_FAILURES = 5
 
@@ -43,6 +43,11 @@ def _subcommand(name: str, *options: Callable[[Any], Any]) -> Callable[[Any], cl
                 default=os.cpu_count(),
                 show_default=True,
                 help="Processes here.",
+            ),
+            click.option(
+                "--timeout",
+                type=SECONDS,
+                help="How long a session may take; one that takes longer has failed.",
             ),
             click.option("--retry", is_flag=True, help="Do again what failed."),
         )
@@ -105,12 +110,14 @@ def _run(
     out: Path,
     scheduler: str | None,
     workers: int,
+    timeout: float | None,
     retry: bool,
     as_json: bool,
 ) -> int:
     from imumon.batch.dataset import ROWS, Dataset
     from imumon.batch.options import BatchOptions
     from imumon.batch.places import find
+    from imumon.batch.tasks import Job
 
     options = BatchOptions.model_validate(settings)
     every = [*dict.fromkeys(place for given in sessions for place in find(given))]
@@ -121,7 +128,8 @@ def _run(
         done = results.done()
         left = [place for place in every if place not in done]
         if left:
-            _work(left, options, results, scheduler, workers, quiet=as_json)
+            jobs = (Job(place, options, str(results.folder), limit_s=timeout) for place in left)
+            _work(jobs, len(left), results, scheduler, workers, quiet=as_json)
     finally:
         results.close()
     failures = {place: why for place, why in results.failures().items() if place in set(every)}
@@ -142,22 +150,21 @@ def _run(
 
 
 def _work(
-    places: list[str], options: BatchOptions, results: Any, scheduler: str | None, number: int, quiet: bool
+    jobs: Iterator[Job], count: int, results: Any, scheduler: str | None, number: int, quiet: bool
 ) -> None:
     """Do the sessions that are left; Ctrl-C ends it, and what is done is kept."""
     from rich.progress import Progress
 
     from imumon.batch.running import run_jobs, workers
-    from imumon.batch.tasks import Job
 
     with (
-        workers(scheduler, min(number, len(places))) as client,
+        workers(scheduler, min(number, count)) as client,
         Progress(console=console(error=True), transient=True, disable=quiet) as bar,
     ):
-        task = bar.add_task(options.command, total=len(places))
+        task = bar.add_task("sessions", total=count)
 
         def take(rows: Any) -> None:
             results.add(rows)
             bar.advance(task)
 
-        run_jobs(client, (Job(place, options, str(results.folder)) for place in places), take)
+        run_jobs(client, jobs, take)

@@ -22,7 +22,8 @@ from imumon.errors import ImumonError, Reason
 def command(
     table: Path, map_path: Path | None, sensor: str | None, out: Path, serial: str | None, as_json: bool
 ) -> None:
-    """Make a session of TABLE: CSV or Parquet of any origin with a map, or a log of ArduPilot, PX4 or ROS.
+    """Make a session of TABLE: CSV or Parquet of any origin with a map, or a log of ArduPilot, PX4,
+    Betaflight (after blackbox_decode) or ROS.
 
     docs/import-map.md explains both.
     """
@@ -38,7 +39,8 @@ def command(
         from imumon.recordings.logs.importing import import_log
 
         found = import_log(table, sensor, out)
-        report, chosen = found.rows, {"sensor": found.sensor, "other_sensors": found.others}
+        report = found.rows
+        chosen = {"sensor": found.sensor, "other_sensors": found.others, "scaling": found.scaling}
     name_unit(out, serial)
     if report.rows_dropped:
         say("WARN", f"{report.rows_dropped} of {report.rows_in} rows were dropped, {_why(map_path)}")
@@ -55,6 +57,7 @@ def command(
     if chosen:
         others = ", ".join(chosen["other_sensors"])
         rows["sensor"] = chosen["sensor"] + (f" (--sensor: {others})" if others else "")
+        rows["scaling"] = chosen["scaling"]
     print_rows(rows)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import select
+import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -16,26 +17,60 @@ class Keys:
     def __init__(self, descriptor: int | None) -> None:
         self._descriptor = descriptor
 
+    @property
+    def possible(self) -> bool:
+        """Whether keys can come now; the system stops who reads a terminal from the background."""
+        if self._descriptor is None:
+            return False
+        try:
+            return os.tcgetpgrp(self._descriptor) == os.getpgrp()
+        except OSError:  # a terminal that controls no job
+            return True
+
     def pressed(self) -> str:
         """Return the keys since the last time."""
-        if self._descriptor is None or not select.select([self._descriptor], [], [], 0)[0]:
+        if self._descriptor is None or not self.possible:
             return ""
-        return os.read(self._descriptor, 100).decode(errors="replace")
+        try:
+            if not select.select([self._descriptor], [], [], 0)[0]:
+                return ""
+            pressed = os.read(self._descriptor, 100)
+        except OSError:
+            pressed = b""
+        if not pressed:  # the terminal was closed
+            self._descriptor = None
+        return pressed.decode(errors="replace")
 
 
 @contextmanager
 def single_keys() -> Iterator[Keys]:
-    """Let keys come without Enter and unseen, and give the terminal back as it was; Ctrl-C stays a signal."""
-    descriptor = sys.stdin.fileno() if sys.stdin.isatty() else None
+    """Let keys come without Enter and unseen, and give the terminal back as it was; Ctrl-C stays a signal.
+
+    None come to a command in the background.
+    """
+    keys = Keys(sys.stdin.fileno() if sys.stdin is not None and sys.stdin.isatty() else None)
     before: list[Any] | None = None
-    if descriptor is not None and sys.platform != "win32":
+    if keys.possible and sys.platform != "win32":
         import termios
         import tty
 
-        before = termios.tcgetattr(descriptor)
-        tty.setcbreak(descriptor, termios.TCSANOW)
+        before = termios.tcgetattr(sys.stdin)
+        tty.setcbreak(sys.stdin, termios.TCSANOW)
     try:
-        yield Keys(descriptor if before is not None else None)
+        yield keys if before is not None else Keys(None)
     finally:
-        if descriptor is not None and before is not None:
-            termios.tcsetattr(descriptor, termios.TCSANOW, before)
+        if before is not None:
+            _give_back(before)
+
+
+def _give_back(before: list[Any]) -> None:
+    """Set the terminal as it was, also from the background, for which the system would stop this command."""
+    import termios
+
+    held = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTTOU})
+    try:
+        termios.tcsetattr(sys.stdin, termios.TCSANOW, before)
+    except (OSError, termios.error):  # the terminal was closed
+        pass
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, held)

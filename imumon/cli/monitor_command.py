@@ -6,7 +6,7 @@ import math
 import os
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Unpack
@@ -30,12 +30,14 @@ from imumon.cli.common import (
     serial_option,
     window_option,
 )
-from imumon.cli.keys import single_keys
+from imumon.cli.keys import Keys, single_keys
 from imumon.cli.live_run import PortRun
+from imumon.cli.publish_options import Published, publish_option, read_targets
 from imumon.cli.setup_options import SetupOptions, make_setup, setup_options
 from imumon.errors import EXIT_NEGATIVE, EXIT_OK, ImumonError, Reason
 
 if TYPE_CHECKING:
+    from imumon.publishing.target import Target
     from imumon.run.live import LiveRun, LiveSummary
     from imumon.run.narration import Progress
     from imumon.run.setup import Setup
@@ -63,6 +65,7 @@ if TYPE_CHECKING:
     " wins.",
 )
 @setup_options
+@publish_option
 @window_option
 @bind_option
 @json_option
@@ -74,6 +77,7 @@ def command(
     out: Path | None,
     serial: str | None,
     seconds: float | None,
+    publish: tuple[str, ...],
     window: float,
     bind: str,
     learn: bool,
@@ -88,7 +92,7 @@ def command(
     from imumon.run.learning import compared, keep_learned
     from imumon.run.narration import view_setup
 
-    mode = chosen_view(view, bind)
+    mode, targets = chosen_view(view, bind), read_targets(publish)
     setup = _learning(make_setup(options), learn)
     live = PortRun(port, device, baud, setup, out, seconds, serial)
     run = live.run
@@ -96,7 +100,7 @@ def command(
     try:
         # The view's process starts while this one gets ready.
         shown = view_setup(run.session, run.pipeline.units, window)
-        views = _Views(shown, run.session.view_path, mode, bind)
+        views = _Views(shown, run.session.view_path, mode, bind, targets)
         live.begin(views.publish)
         _watch(live, views)
     finally:
@@ -106,8 +110,9 @@ def command(
         live.lines.write()
     learned = keep_learned(run.pipeline, run.session) if setup.bias_model is not None else None
     if as_json:
-        print_json({**summary.as_dict(), "view_dropped": views.dropped, "learned_model": learned})
-    _report(summary, run.progress, views.dropped)
+        also = {"view_dropped": views.dropped, "published": views.published.as_data}
+        print_json({**summary.as_dict(), **also, "learned_model": learned})
+    _report(summary, run.progress, views)
     if learned is not None:
         print_rows({"learned": f"{learned}; before and after: {compared(run.session, learned)}"})
     live.raise_problem(summary)
@@ -128,9 +133,11 @@ def _learning(setup: Setup, learn: bool) -> Setup:
 
 
 class _Views:
-    """The live view, if any, and the recording of the view."""
+    """The live view, if any, the recording of the view, and what other programs get."""
 
-    def __init__(self, setup: ViewSetup, recording: Path, mode: View, bind: str) -> None:
+    def __init__(
+        self, setup: ViewSetup, recording: Path, mode: View, bind: str, targets: Sequence[Target]
+    ) -> None:
         from imumon.view.recorder import ViewRecorder
 
         self._live: ViewPublisher | None = None
@@ -144,7 +151,8 @@ class _Views:
 
             self._live = ViewPublisher(mode, setup, bind=bind).start()
         self._recorder = ViewRecorder(recording, setup)
-        self.publish: list[Callable[[ViewItem], None]] = [self._recorder.publish]
+        self.published = Published(targets, setup)
+        self.publish: list[Callable[[ViewItem], None]] = [self._recorder.publish, *self.published.publish]
         if self._live is not None:
             self.publish.append(self._live.publish)
         if self.terminal is not None:
@@ -161,16 +169,19 @@ class _Views:
 
     @property
     def state(self) -> str:
-        return str(self._live.state) if self._live else ""
+        """What the status line says of them."""
+        return (f"  view: {self._live.state}" if self._live else "") + self.published.text
 
     def announce(self, tell: Callable[[str, str], None]) -> None:
         """Say where the view is, as soon as it is known and when it changes."""
         if self._live is not None and self._live.url and self._live.url != self._announced:
             self._announced = self._live.url
             tell("INFO", f"live view: {self._live.url}")
+        self.published.announce(tell)
 
     def close(self) -> None:
         self._recorder.end()
+        self.published.close()
         if self._live is not None:
             self._live.close()
         self._recorder.close()
@@ -178,53 +189,75 @@ class _Views:
 
 SCREEN_S = 1.0
 """At 9600 baud a line takes 0.1 s; some ten change."""
-KEYS = "  m: mark  s: start, stop"
+KEYS = "m: mark  s: start, stop"
 
 
 def _watch(live: PortRun, views: _Views) -> None:
-    """Wait for the end, with a status line on a terminal that can show one."""
+    """Wait for the end, with a status line or a screen on a terminal that can show one."""
+    views.announce(live.lines.put)
+    with single_keys() as keys:
+        marking = _Marking(live.run, keys)
+        if views.terminal is not None:
+            _watch_in_terminal(live, views, marking)
+        else:
+            _watch_line(live, views, marking)
+
+
+def _watch_line(live: PortRun, views: _Views, marking: _Marking) -> None:
+    """Renew the status line until the end, and write log lines above it."""
     interactive = is_terminal()
     clear = CLEAR_LINE if interactive else ""
     run, lines, stopped = live.run, live.lines, False
-    views.announce(lines.put)
-    if views.terminal is not None:
-        _watch_in_terminal(live, views.terminal)
-        return
+    if marking.possible and interactive:
+        lines.put("INFO", f"keys: {KEYS}")
     while live.ending.wait():
+        marking.take()
         views.announce(lines.put)
         if not run.processing and not stopped:
             stopped = True
             lines.put("ERROR", "decoding stopped; reading and recording go on, decode the session afterwards")
         lines.write(clear)
         if interactive:
-            note(status_line(run.progress, views.state), newline=False, control=clear)
+            note(status_line(run.progress) + views.state, newline=False, control=clear)
     note("", newline=False, control=clear)
 
 
-def _watch_in_terminal(live: PortRun, view: TerminalView) -> None:
+def _watch_in_terminal(live: PortRun, views: _Views, marking: _Marking) -> None:
     """Draw the screen once a second, until the end; log lines are on it."""
     from imumon.view.terminal import Screen
 
+    view = views.terminal
+    assert view is not None
     screen = Screen(lambda text: note("", newline=False, control=text))
     drawn = -math.inf
-    marking = _Marking(live.run)
-    with closing(screen), single_keys() as keys:
+    with closing(screen):
         while live.ending.wait():
-            for key in keys.pressed():
-                marking.press(key)
+            marking.take()
+            views.announce(live.lines.put)
             if time.monotonic() - drawn < SCREEN_S:
                 continue
             drawn = time.monotonic()
             columns, rows = os.get_terminal_size(sys.stderr.fileno())
-            screen.show(view.lines(columns, rows, status_line(live.run.progress, "") + KEYS), columns, rows)
+            status = f"{status_line(live.run.progress)}{views.state}  {KEYS}"
+            screen.show(view.lines(columns, rows, status), columns, rows)
 
 
 class _Marking:
     """What the keys do: m marks the moment, s starts a part of the recording or stops it."""
 
-    def __init__(self, run: LiveRun) -> None:
-        self._run = run
+    def __init__(self, run: LiveRun, keys: Keys) -> None:
+        self._run, self._keys = run, keys
         self._parts, self._inside = 0, False
+
+    @property
+    def possible(self) -> bool:
+        """Whether there are keys."""
+        return self._keys.possible
+
+    def take(self) -> None:
+        """Do what was asked for since the last time."""
+        for key in self._keys.pressed():
+            self.press(key)
 
     def press(self, key: str) -> None:
         from imumon.transport.reader import EventKind
@@ -238,18 +271,17 @@ class _Marking:
             self._run.mark(kind, f"part {self._parts}")
 
 
-def status_line(progress: Progress, view: str) -> str:
+def status_line(progress: Progress) -> str:
     """Return the one line that a terminal shows while recording."""
     counters = progress.counters
     load = "" if progress.link_load is None else f"  link {progress.link_load:.0%}"
     return (
         f"{progress.port or 'opening':7} {progress.elapsed_s:7.1f} s  {counters.packets:,} packets "
         f"{progress.packets_per_s:.1f}/s{load}  lost {counters.lost:,}  skipped {counters.bytes_skipped:,} B"
-        + (f"  view: {view}" if view else "")
     )
 
 
-def _report(summary: LiveSummary, progress: Progress, view_dropped: int) -> None:
+def _report(summary: LiveSummary, progress: Progress, views: _Views) -> None:
     from imumon.run.account import describe_disk, describe_span
     from imumon.run.narration import describe, describe_losses
 
@@ -260,8 +292,9 @@ def _report(summary: LiveSummary, progress: Progress, view_dropped: int) -> None
     rows["on disk"] = describe_disk(summary.session)
     if summary.wire.bytes_unrecorded:
         rows["NOT RECORDED"] = f"{summary.wire.bytes_unrecorded:,} bytes: {summary.recording_problem}"
-    if view_dropped:
-        rows["view"] = f"{view_dropped:,} items were not shown; the recording has them"
+    rows |= views.published.rows
+    if views.dropped:
+        rows["view"] = f"{views.dropped:,} items were not shown; the recording has them"
     rows["session"] = str(summary.session)
     rows["replay"] = f"imumon replay {summary.session} --view native"
     print_rows(rows)

@@ -8,14 +8,13 @@ zero, which says unknown, and -1 in the first place where there is no quantity, 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
 from imumon.blocks import NO_INT, BoolArray, ColumnArray, FloatArray, IntArray, SampleBlock
-from imumon.columns import Column
 from imumon.errors import missing_package
 from imumon.protocols.base import MAIN
 from imumon.recordings.ros2_messages import DEFINITIONS
@@ -29,6 +28,7 @@ TESLA = {"T": 1.0, "mT": 1e-3, "uT": 1e-6, "nT": 1e-9, "gauss": 1e-4, "mgauss": 
 UNKNOWN, NOTHING = [0.0] * 9, [-1.0] + [0.0] * 8
 OK, WARN = 0, 1
 FIX, DIAGONAL_KNOWN = "sensor_msgs/msg/NavSatFix", 2
+NOISY = ("gyro", "accel")
 SAID = (
     *(f"gyro_bias_{axis}" for axis in "xyz"),
     *(f"gyro_bias_sd_{axis}" for axis in "xyz"),
@@ -74,7 +74,7 @@ def write_ros2(tables: Mapping[str, Path], out: Path, axes: Literal["FLU", "FRD"
         writer = Writer(file)
         schemas = {name: writer.register_msgdef(name, text) for name, text in DEFINITIONS.items()}
         for stream, path in tables.items():
-            told = _Stream.of(stream, path, axes)
+            told = Stream.of(stream, path, axes)
             left_out += told.left_out
             for block in iterate_table(path):
                 for topic, kind, time_ns, message in told.messages(block):
@@ -85,49 +85,62 @@ def write_ros2(tables: Mapping[str, Path], out: Path, axes: Literal["FLU", "FRD"
     return Written(counts, left_out)
 
 
-@dataclass(frozen=True, slots=True)
-class _Stream:
-    """How a table becomes messages.
+@dataclass(slots=True)
+class Stream:
+    """How the samples of a stream become messages, block by block.
 
     Parameters
     ----------
+    units : mapping of str to str
+        Of its columns.
+    clock : str
+        The column that has the times of the messages; empty where there is none.
     flip : bool
         Whether the samples are turned by 180° about x, from forward-right-down to forward-left-up.
-    white : mapping of str to FloatArray
-        Variance of the white noise of gyros and accelerometers at rest, (3,); zero where it is not known.
     """
 
     name: str
-    columns: dict[str, Column]
+    units: Mapping[str, str]
     clock: str
     flip: bool
-    white: dict[str, FloatArray]
+    _noise: dict[str, _Noise] = field(default_factory=lambda: {kind: _Noise() for kind in NOISY})
+    _told_ns: int | None = None
+    """Time of the latest row."""
+    _last: dict[str, float] = field(default_factory=dict)
+    """The latest reading of what is told when it changes."""
 
     @classmethod
-    def of(cls, name: str, path: Path, axes: Literal["FLU", "FRD"] | None) -> _Stream:
-        columns = read_columns(path)
-        clocks, noise = set[str](), {kind: _Noise() for kind in ("gyro", "accel")}
+    def of(cls, name: str, path: Path, axes: Literal["FLU", "FRD"] | None) -> Stream:
+        """Return the stream of a table, whose noise is known."""
+        units = {column.name: column.unit for column in read_columns(path).values()}
+        clocks, made = set[str](), cls(name, units, "", axes == "FRD")
         for block in iterate_table(path):
             clocks |= {one for one in CLOCKS if one in block and (block[one] != NO_INT).any()}
-            for kind, of in noise.items():
-                of.add(block, kind)
-        clock = next((one for one in CLOCKS if one in clocks), "")
-        return cls(name, columns, clock, axes == "FRD", {kind: of.variance for kind, of in noise.items()})
+            made.learn(block)
+        made.clock = next((one for one in CLOCKS if one in clocks), "")
+        return made
+
+    def learn(self, block: SampleBlock) -> None:
+        """Take the noise of samples at rest into account, for the covariances."""
+        for kind, noise in self._noise.items():
+            noise.add(block, kind)
 
     @property
     def left_out(self) -> list[str]:
         """What has no place in a message."""
         found = [] if self.clock else [f"{self.name}: its rows have no time"]
-        if "mag_x" in self.columns and self.columns["mag_x"].unit not in TESLA:
-            found.append(f"the magnetic field: its unit is {self.columns['mag_x'].unit!r}, ROS has tesla")
+        if "mag_x" in self.units and self.units["mag_x"] not in TESLA:
+            found.append(f"the magnetic field: its unit is {self.units['mag_x']!r}, ROS has tesla")
         return found
 
     def messages(self, block: SampleBlock) -> Iterator[tuple[str, str, int, Message]]:
         """Yield topic, type, time and message, in the order of the rows."""
-        if not self.clock:
+        if not self.clock or not len(block):
             return
         times: IntArray = block[self.clock]
-        begins = np.r_[True, np.diff(times // SECOND_NS) != 0]
+        second = times // SECOND_NS
+        before = second[0] - 1 if self._told_ns is None else self._told_ns // SECOND_NS
+        begins, self._told_ns = np.diff(second, prepend=before) != 0, int(times[-1])
         makers = list(self._makers(block, begins))
         for row in np.flatnonzero(times != NO_INT).tolist():
             time_ns = int(times[row])
@@ -161,33 +174,55 @@ class _Stream:
                     _fix(block, of),
                 )
         if "pressure" in block:
-            make = _scalar(block, begins, "pressure", "fluid_pressure")
+            make = self._scalar(block, begins, "pressure", "fluid_pressure")
             yield f"{prefix}/imu/pressure", "sensor_msgs/msg/FluidPressure", make
         for name in block.columns:
             if name == "temperature" or (name[:-1] == "temperature_" and name[-1] in "xyz"):
                 yield (
                     f"{prefix}/imu/{name}",
                     "sensor_msgs/msg/Temperature",
-                    _scalar(block, begins, name, "temperature"),
+                    self._scalar(block, begins, name, "temperature"),
                 )
         if "temperature_estimate" in block:
-            make = _scalar(block, begins, "temperature_estimate", "temperature", "temperature_estimate_sd")
+            make = self._scalar(
+                block, begins, "temperature_estimate", "temperature", "temperature_estimate_sd"
+            )
             yield f"{prefix}/imu/temperature_estimate", "sensor_msgs/msg/Temperature", make
 
     def _inertial(self, block: SampleBlock) -> Iterator[tuple[str, str, Any]]:
         gyro, accel = self._vector(block, "gyro"), self._vector(block, "accel")
-        of_gyro, of_accel = (np.tile(self.white[kind], (len(block), 1)) for kind in ("gyro", "accel"))
+        of_gyro, of_accel = (np.tile(self._noise[kind].variance, (len(block), 1)) for kind in NOISY)
         if gyro is not None or accel is not None:
             raw = _Imu(gyro, of_gyro, accel, of_accel)
             yield "/imu/data_raw", "sensor_msgs/msg/Imu", raw.message
         bias, sd = self._vector(block, "gyro_bias"), _together(block, "gyro_bias_sd")
         if gyro is not None and bias is not None and sd is not None:
-            rates = np.where(self.white["gyro"].all(), sd**2 + of_gyro, 0.0)
+            rates = np.where(of_gyro.all(), sd**2 + of_gyro, 0.0)
             estimated = _Imu(gyro - bias, rates, accel, of_accel, *self._attitude(block))
             yield "/imu/data", "sensor_msgs/msg/Imu", estimated.message
         mag = self._vector(block, "mag")
-        if mag is not None and (scale := TESLA.get(self.columns["mag_x"].unit)):
+        if mag is not None and (scale := TESLA.get(self.units["mag_x"])):
             yield "/imu/mag", "sensor_msgs/msg/MagneticField", _field(mag * scale)
+
+    def _scalar(self, block: SampleBlock, begins: BoolArray, column: str, field: str, sd: str = "") -> Any:
+        """Return what makes a message of one value and its variance, zero where it is not known.
+
+        A reading is told when it has changed, and once a second; an estimate once a second.
+        """
+        values = block[column]
+        variance: ColumnArray = block[sd] ** 2 if sd in block else np.zeros(len(block))
+        told = begins.copy()
+        if not sd:
+            told |= np.diff(values, prepend=self._last.get(column, np.nan)) != 0
+            self._last[column] = float(values[-1])
+        told &= np.isfinite(values)
+
+        def make(row: int) -> Message | None:
+            if not told[row]:
+                return None
+            return {field: float(values[row]), "variance": float(np.nan_to_num(variance[row]))}
+
+        return make
 
     def _vector(self, block: SampleBlock, name: str) -> FloatArray | None:
         """Return a vector in forward-left-up axes, (n, 3)."""
@@ -320,26 +355,6 @@ def _fix(block: SampleBlock, of: str) -> Any:
             "position_covariance": _diagonal(spread),
             "position_covariance_type": DIAGONAL_KNOWN if known else 0,
         }
-
-    return make
-
-
-def _scalar(block: SampleBlock, begins: BoolArray, column: str, field: str, sd: str = "") -> Any:
-    """Return what makes a message of one value and its variance, zero where it is not known.
-
-    A reading is told when it has changed, and once a second; an estimate once a second.
-    """
-    values = block[column]
-    variance: ColumnArray = block[sd] ** 2 if sd in block else np.zeros(len(block))
-    told = begins.copy()
-    if not sd:
-        told[1:] |= values[1:] != values[:-1]
-    told &= np.isfinite(values)
-
-    def make(row: int) -> Message | None:
-        if not told[row]:
-            return None
-        return {field: float(values[row]), "variance": float(np.nan_to_num(variance[row]))}
 
     return make
 

@@ -18,12 +18,25 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mcap.data_stream import RecordBuilder
-from mcap.records import Channel, DataEnd, Footer, Header, McapRecord, Metadata, MetadataIndex, Statistics
+from mcap.records import (
+    Channel,
+    DataEnd,
+    Footer,
+    Header,
+    McapRecord,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+)
 
 from imumon import __version__
 from imumon.errors import ImumonError, Reason
 from imumon.recordings.wire_format import (
+    CDR,
+    CDR_LITTLE,
     EVENT_CHANNEL,
+    EVENT_ENCODING,
     EVENT_TOPIC,
     FOOTER_OP,
     FORMAT,
@@ -33,6 +46,7 @@ from imumon.recordings.wire_format import (
     MESSAGE_OP,
     UNRECORDED,
     WIRE_CHANNEL,
+    WIRE_ENCODING,
     WIRE_TOPIC,
     Check,
 )
@@ -110,7 +124,7 @@ class WireWriter:
         self._spool.write(_packed(Header(profile=FORMAT, library=f"imumon {__version__}")))
         self._metadata_at = self._spool.tell()
         self._spool.write(_packed(self._metadata))
-        self._spool.write(b"".join(map(_packed, _CHANNELS)))
+        self._spool.write(b"".join(map(_packed, _TOPICS)))
 
     @property
     def has_vanished(self) -> bool:
@@ -158,7 +172,7 @@ class WireWriter:
             return
         self._say_gap(item.arrival_ns if isinstance(item, Bytes) else item.time_ns)
         if isinstance(item, Bytes):
-            self._add(WIRE_CHANNEL, item.arrival_ns, item.data)
+            self._add(WIRE_CHANNEL, item.arrival_ns, CDR.pack(CDR_LITTLE, len(item.data)) + item.data)
             self._unflushed.append((self._spool.tell(), len(item.data)))
         else:
             self._add_event(item.kind.value, item.time_ns, {"detail": item.detail})
@@ -263,11 +277,11 @@ class WireWriter:
             message_end_time=self._highest_ns,
             message_start_time=self._first_ns,
             metadata_count=1,
-            schema_count=0,
+            schema_count=len(_SCHEMAS),
         )
         length = len(_packed(self._metadata))
         index = MetadataIndex(offset=self._metadata_at, length=length, name=self._metadata.name)
-        summary = b"".join(map(_packed, (*_CHANNELS, statistics, index)))
+        summary = b"".join(map(_packed, (*_TOPICS, statistics, index)))
         start = self._spool.tell()
         unchecked = _packed(Footer(summary_start=start, summary_offset_start=0, summary_crc=0))
         assert unchecked[0] == FOOTER_OP
@@ -277,10 +291,21 @@ class WireWriter:
         self._block_start = self._spool.tell()
 
 
-_CHANNELS = (
-    Channel(id=WIRE_CHANNEL, topic=WIRE_TOPIC, message_encoding="x-bytes", metadata={}, schema_id=0),
-    Channel(id=EVENT_CHANNEL, topic=EVENT_TOPIC, message_encoding="json", metadata={}, schema_id=0),
+_EVENT_SCHEMA = {
+    "title": "imumon.Event",
+    "type": "object",
+    "properties": {"kind": {"type": "string"}, "detail": {"type": "string"}},
+    "required": ["kind"],
+}
+_SCHEMAS = (
+    Schema(id=1, name="imumon/msg/Wire", encoding="ros2msg", data=b"uint8[] data"),
+    Schema(id=2, name="imumon.Event", encoding="jsonschema", data=json.dumps(_EVENT_SCHEMA).encode()),
 )
+_CHANNELS = (
+    Channel(id=WIRE_CHANNEL, topic=WIRE_TOPIC, message_encoding=WIRE_ENCODING, metadata={}, schema_id=1),
+    Channel(id=EVENT_CHANNEL, topic=EVENT_TOPIC, message_encoding=EVENT_ENCODING, metadata={}, schema_id=2),
+)
+_TOPICS: tuple[McapRecord, ...] = (*_SCHEMAS, *_CHANNELS)
 
 
 def _packed(record: McapRecord) -> bytes:

@@ -7,6 +7,7 @@ import numpy as np
 from imumon.blocks import IntArray
 from imumon.compiled import njit
 from imumon.recordings.wire_format import (
+    CDR,
     CHECK_LENGTH,
     CHECK_OP,
     CHECK_SEQUENCE_AT,
@@ -22,8 +23,8 @@ from imumon.recordings.wire_format import (
 )
 from imumon.transport.reader import ByteArray
 
-OTHER, WIRE, EVENT, FOREIGN = range(4)
-"""What a channel has."""
+OTHER, WIRE, EVENT, FOREIGN, BARE = range(5)
+"""What a channel has; BARE: reads without the head of CDR."""
 LONGEST_MESSAGE = 16 << 20
 LONGEST_RARE = 1 << 20
 LONGEST_CHUNK = 256 << 20
@@ -31,7 +32,7 @@ LONGEST_CHUNK = 256 << 20
 HEAD = 64
 """Bytes from which any beginning of a record can be judged."""
 
-_RECORD, _HEAD, _FIELDS = RECORD.size, MESSAGE.size, MESSAGE_FIELDS
+_RECORD, _HEAD, _FIELDS, _CDR = RECORD.size, MESSAGE.size, MESSAGE_FIELDS, CDR.size
 _MARKER = np.frombuffer(MARKER, np.uint8)
 _CHUNK_FIXED = 8 + 8 + 8 + 4 + 4 + 8
 """Bytes of a chunk's fields without the name of its compression."""
@@ -72,18 +73,20 @@ def gather(
             passed += 1
             offset += _RECORD + CHECK_LENGTH
             continue
-        size = little(buffer, offset + 1, 8) - _FIELDS
-        after = offset + _HEAD + size
+        topic = topics[little(buffer, offset + 9, 2)]
+        head = _HEAD + (_CDR if topic == WIRE else 0)
+        size = little(buffer, offset + 1, 8) + _RECORD - head
+        after = offset + head + size
         if (
             buffer[offset] != MESSAGE_OP
-            or topics[little(buffer, offset + 9, 2)] != WIRE
-            or not 0 <= size <= min(len(buffer) - offset - _HEAD - HEAD, len(data) - used)
+            or (topic != WIRE and topic != BARE)
+            or not 0 <= size <= min(len(buffer) - offset - head - HEAD, len(data) - used)
             or (sequence >= 0 and little(buffer, offset + SEQUENCE_AT, 4) != (sequence + n) & 0xFFFFFFFF)
             or not begins(buffer, offset, topics)
             or not begins(buffer, after, topics)
         ):
             break
-        start, to = np.uint64(offset + _HEAD), np.uint64(used)
+        start, to = np.uint64(offset + head), np.uint64(used)
         for i in range(np.uint64(size)):
             data[to + i] = buffer[start + i]
         used += size

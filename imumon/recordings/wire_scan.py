@@ -20,6 +20,9 @@ from zstandard import ZstdError
 from imumon.errors import ImumonError, Reason
 from imumon.recordings.wire_format import (
     ATTACHMENT_OP,
+    BARE_CHANNEL,
+    BARE_ENCODING,
+    CDR,
     CHANNEL_OP,
     CHECK_OP,
     CHECK_SEQUENCE_AT,
@@ -27,8 +30,10 @@ from imumon.recordings.wire_format import (
     CHUNK_OP,
     DATA_END_OP,
     EVENT_CHANNEL,
+    EVENT_ENCODING,
     EVENT_TOPIC,
     FORMAT,
+    FORMATS,
     HEADER_OP,
     MAGIC,
     MESSAGE,
@@ -40,10 +45,12 @@ from imumon.recordings.wire_format import (
     SEQUENCE_AT,
     UNRECORDED,
     WIRE_CHANNEL,
+    WIRE_ENCODING,
     WIRE_TOPIC,
     Check,
 )
 from imumon.recordings.wire_kernels import (
+    BARE,
     EVENT,
     FOREIGN,
     HEAD,
@@ -66,7 +73,11 @@ _BATCH_BYTES, _BATCH_READS, _BATCH_CHECKS = 1 << 16, 1 << 13, 1 << 10
 _BEHIND = 1 << 31
 """A sequence that is so far ahead, modulo 2^32, is behind."""
 _MASK = (1 << 32) - 1
-_TOPICS = {WIRE_TOPIC: WIRE, EVENT_TOPIC: EVENT}
+_CONTENTS = {
+    (WIRE_TOPIC, WIRE_ENCODING): WIRE,
+    (WIRE_TOPIC, BARE_ENCODING): BARE,
+    (EVENT_TOPIC, EVENT_ENCODING): EVENT,
+}
 _PASSED_OVER = (SCHEMA_OP, MESSAGE_INDEX_OP, ATTACHMENT_OP)
 _HINT = "only wire files that imumon recorded can be replayed"
 _BAD_RECORD = (McapError, ZstdError, struct.error, ValueError, RuntimeError, OverflowError, MemoryError)
@@ -165,7 +176,7 @@ class Scan:
         """Where in the file the rest begins."""
         self._crc = 0
         self._topics: ByteArray = np.zeros(1 << 16, np.uint8)  # by channel
-        self._topics[WIRE_CHANNEL], self._topics[EVENT_CHANNEL] = WIRE, EVENT
+        self._topics[[WIRE_CHANNEL, BARE_CHANNEL, EVENT_CHANNEL]] = WIRE, BARE, EVENT
         self._sequence = 0
         """That the next message must have; -1 when they are not numbered."""
         self._lost: int | None = None
@@ -320,10 +331,12 @@ class Scan:
         yield from self._payload(channel, body, time_ns)
 
     def _payload(self, channel: int, body: bytes, time_ns: int) -> Iterator[Reads | Event]:
-        if self._topics[channel] == WIRE:
+        topic = self._topics[channel]
+        if topic in (WIRE, BARE):
+            body = body[CDR.size :] if topic == WIRE else body
             data, ends = np.frombuffer(body, np.uint8), np.array([len(body)])
             yield self._counted(Reads(data, ends, np.array([time_ns])))
-        elif self._topics[channel] == EVENT:
+        elif topic == EVENT:
             yield from self._event(body, time_ns)
 
     def _number(self, view: ByteArray, after: int, sequence: int, time_ns: int) -> bool:
@@ -371,7 +384,7 @@ class Scan:
             self._end_data(before, DataEnd.read(stream).data_section_crc)
         elif opcode == HEADER_OP:
             profile = Header.read(stream).profile
-            if profile != FORMAT:
+            if profile not in FORMATS:
                 self._foreign = self._error(f"is an MCAP file of profile {profile!r}, not {FORMAT!r}")
         elif opcode == CHANNEL_OP:
             channel = Channel.read(stream)
@@ -390,8 +403,9 @@ class Scan:
 
     def _channel(self, channel: Channel) -> None:
         """Note what a channel has; ours have it even where the record that says so is damaged."""
-        if channel.topic in _TOPICS or self._topics[channel.id] == OTHER:
-            self._topics[channel.id] = _TOPICS.get(channel.topic, FOREIGN)
+        content = _CONTENTS.get((channel.topic, channel.message_encoding))
+        if content is not None or self._topics[channel.id] == OTHER:
+            self._topics[channel.id] = FOREIGN if content is None else content
 
     def _chunk(self, chunk: Chunk) -> list[Reads | Event]:
         """Return the items of a chunk, of which the messages have no numbers to rely on."""

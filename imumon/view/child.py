@@ -8,30 +8,17 @@ from __future__ import annotations
 
 import gc
 import os
-import signal
-import sys
-import threading
 import time
-import traceback
 from multiprocessing.connection import Connection
 from typing import Any
 
-import psutil
-
-from imumon.errors import ImumonError
-from imumon.heap import prepare_heap, trim_heap
+from imumon.view.fed import serve
 from imumon.view.frames import Batch, ReplayRequest, Report, Start
 
 POLL_S = 0.5
-PARENT_S = 1.0
-TRIM_S = 30.0
 GOODBYE_S = 0.6
-SWITCH_S = 0.0005
-"""While a picture is drawn, samples wait so long for the interpreter at each of ten steps (usual: 5 ms)."""
 BEHIND = 10
 """Where there are many units, their processes come before the view (and a viewer that draws by software)."""
-MAX_BYTES = 768 << 20
-"""More memory (a viewer that takes nothing for half an hour) ends the process; it is started anew."""
 
 
 class Child:
@@ -120,42 +107,5 @@ def run(stream: Connection, out: Connection) -> None:
             child.take(batch)
 
 
-def watch(parent: int) -> None:
-    """End the process when the measuring process is gone or the memory grows too far, whatever blocks."""
-    process, trimmed_s = psutil.Process(), time.monotonic()
-    while os.getppid() == parent and process.memory_info().rss < MAX_BYTES:
-        time.sleep(PARENT_S)
-        if time.monotonic() - trimmed_s > TRIM_S:
-            trim_heap()
-            trimmed_s = time.monotonic()
-    if os.getpgrp() == os.getpid():  # with what was started for this process alone
-        os.killpg(os.getpid(), signal.SIGKILL)
-    os._exit(1)
-
-
-def main() -> None:
-    """Run, then leave without Rerun's own clean-up, which waits for a stuck viewer without end."""
-    prepare_heap()
-    sys.setswitchinterval(SWITCH_S)
-    threading.Thread(target=watch, args=(os.getppid(),), daemon=True).start()
-    stream = Connection(os.dup(sys.stdin.fileno()), writable=False)
-    out = Connection(os.dup(sys.stdout.fileno()), readable=False)
-    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # a library that prints must not disturb the frames
-    code = 1
-    try:
-        run(stream, out)
-        code = 0
-    except ImumonError as error:
-        out.send(Report(error.seen, False, 0, 0, ""))
-    except (RuntimeError, OSError, EOFError) as error:
-        sys.stderr.write(f"{error}\n")
-    except BaseException:
-        traceback.print_exc()
-        raise
-    finally:
-        sys.stderr.flush()
-        os._exit(code)
-
-
 if __name__ == "__main__":
-    main()
+    serve(run, lambda error: Report(error.seen, False, 0, 0, ""))

@@ -66,3 +66,7 @@ class ReplayRequest:
 
     request: int
     after: int
+
+
+Message = Report | ReplayRequest
+"""What the view process sends."""

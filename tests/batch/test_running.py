@@ -5,6 +5,9 @@ from __future__ import annotations
 import os
 import shutil
 import signal
+import socket
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,6 +17,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from imumon.batch.dataset import RESULTS, ROWS, Row, schema_of
+from imumon.batch.limit import limited
 from imumon.batch.options import BatchOptions
 from imumon.batch.running import run_jobs, workers
 from imumon.batch.tasks import Job, work
@@ -57,7 +61,7 @@ def table(out: Path) -> list[Row]:
 
 def test_command_resumes_and_lists_failures(sessions: Path, tmp_path: Path, client: Any) -> None:
     out, scheduler = tmp_path / "out", client.scheduler.address
-    options = ("--out", out, "--scheduler", scheduler)
+    options = ("--out", out, "--scheduler", scheduler, "--timeout", 600)
     first = answer("batch", "decode", sessions / "s00", sessions / "s05", *options)
     assert (first["sessions"], first["done_before"]) == (2, 0)
     assert list(first["failed"]) == [str(sessions / "s05")]
@@ -119,6 +123,45 @@ def test_a_defect_ends_no_batch(tmp_path: Path, client: Any) -> None:
     run_jobs(client, [Job("a", DECODE, str(tmp_path))] * 2, taken.extend, _defect)
     assert [row["reason"] for row in taken] == ["defect"] * 2
     assert taken[0]["error"] == "ZeroDivisionError: of a test"
+
+
+def test_a_session_that_hangs_has_failed_and_the_others_are_done(tmp_path: Path, client: Any) -> None:
+    good, taken = Job(str(tiny(tmp_path / "good")), DECODE, str(tmp_path), limit_s=600.0), list[Row]()
+    with socket.create_server(("127.0.0.1", 0)) as silent:  # a server that never says a word
+        url = f"ftp://127.0.0.1:{silent.getsockname()[1]}/one"
+        run_jobs(client, [Job(url, DECODE, str(tmp_path), limit_s=1.0), good], taken.extend)
+    (late,) = (row for row in taken if "reason" in row)
+    assert (late["session"], late["reason"]) == (url, "timeout")
+    assert late["error"].startswith(
+        "was not done after its --timeout: it was in _opened, imumon/batch/places.py:"
+    )
+    assert {row["session"] for row in taken} == {url, good.place}
+    assert not [*(tmp_path / "late").iterdir()]
+
+
+def test_code_that_never_lets_go_of_the_interpreter_is_ended_too(tmp_path: Path) -> None:
+    script = (
+        "import re, sys, pathlib\nfrom imumon.batch.limit import limited\n"
+        "with limited(pathlib.Path(sys.argv[1]), 1.0):\n    re.match('(a+)+$', 'a' * 60 + 'b')\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script, tmp_path / "note"], timeout=60, check=False)
+    assert done.returncode == 1
+    with (
+        pytest.raises(ImumonError, match="not done after its --timeout") as error,
+        limited(tmp_path / "note", 1.0),
+    ):
+        pass
+    assert error.value.reason is Reason.TIMEOUT
+    with limited(tmp_path / "note", 60.0):  # the note counts once, and what ends in time leaves none
+        pass
+    assert not (tmp_path / "note").exists()
+
+
+def test_a_worker_that_died_of_something_else_leaves_no_timeout(tmp_path: Path) -> None:
+    (tmp_path / "note").touch()
+    with limited(tmp_path / "note", 60.0):
+        pass
+    assert not (tmp_path / "note").exists()
 
 
 def _defect(_: Job) -> list[Row]:

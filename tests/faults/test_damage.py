@@ -8,7 +8,7 @@ from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
 
 from imumon.errors import ImumonError
-from imumon.recordings.wire_format import CHECK_SIZE, MARKER
+from imumon.recordings.wire_format import CDR, CHECK_SIZE, MARKER, MESSAGE
 from imumon.recordings.wire_reader import WireReader
 from imumon.transport.reader import Bytes
 from tests.faults.damage import attack_all, made_items, record, truncate_all
@@ -30,7 +30,9 @@ def test_other_readers_of_mcap_pass_the_check_records_over(tmp_path: Path) -> No
     with (tmp_path / "w.mcap").open("rb") as file:
         assert file.read().count(MARKER) >= 20
         file.seek(0)
-        found = [(m.log_time, m.data) for _, channel, m in make_reader(file).iter_messages(["/wire"])]
+        found = [
+            (m.log_time, m.data[CDR.size :]) for _, channel, m in make_reader(file).iter_messages(["/wire"])
+        ]
         assert found == reads
         file.seek(0)
         assert make_reader(file).get_summary().statistics.message_count == len(items)  # type: ignore[union-attr]
@@ -42,13 +44,14 @@ def test_a_place_says_where_it_is_how_long_and_how_many_reads(tmp_path: Path) ->
     items = made_items(2.0, 100.0, 40, 0)
     record(tmp_path / "w.mcap", items, closed=True)
     content = bytearray((tmp_path / "w.mcap").read_bytes())
-    at = content.index(items[50].data) - 31  # type: ignore[union-attr]  # it is Bytes
-    content[at : at + 3 * 71] = bytes(3 * 71)
+    head = MESSAGE.size + CDR.size
+    at, size = content.index(items[50].data) - head, 3 * (head + 40)  # type: ignore[union-attr]  # it is Bytes
+    content[at : at + size] = bytes(size)
     (tmp_path / "w.mcap").write_bytes(content)
     reader = WireReader(tmp_path / "w.mcap")
     assert list(reader) == items[:50] + items[53:]
     [place] = reader.summary.damage.where
-    assert (place.offset, place.size, place.messages, place.altered) == (at, 3 * 71, 3, False)
+    assert (place.offset, place.size, place.messages, place.altered) == (at, size, 3, False)
     assert place.after_ns == items[49].arrival_ns  # type: ignore[union-attr]
     assert place.seconds == pytest.approx(0.04)
 

@@ -15,7 +15,15 @@ from pathlib import Path
 
 import psutil
 
-from imumon.recordings.wire_format import MAGIC, MESSAGE, MESSAGE_FIELDS, MESSAGE_OP, RECORD, WIRE_CHANNEL
+from imumon.recordings.wire_format import (
+    CDR,
+    MAGIC,
+    MESSAGE,
+    MESSAGE_FIELDS,
+    MESSAGE_OP,
+    RECORD,
+    WIRE_CHANNEL,
+)
 from tests.faults.killed import HELD_S, Line, Machine, allowed_s, end_in_order
 from tests.faults.rows import Row
 
@@ -64,7 +72,7 @@ class Lag:
             if at + RECORD.size + length > len(data):
                 break
             if opcode == MESSAGE_OP and MESSAGE.unpack_from(data, at)[2] == WIRE_CHANNEL:
-                self._kept += length - MESSAGE_FIELDS
+                self._kept += length - MESSAGE_FIELDS - CDR.size
             at += RECORD.size + length
         self._at += at
 

@@ -1,7 +1,10 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -9,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
+from mcap_ros2.decoder import DecoderFactory
 
 from imumon.errors import ImumonError, Reason
 from imumon.recordings import wire, wire_format, wire_reader
@@ -140,16 +144,62 @@ def test_the_file_is_mcap_for_other_readers(tmp_path: Path) -> None:
     assert (metadata.name, metadata.metadata) == ("imumon", {"device": "test"})
 
 
-def test_a_file_that_another_tool_put_into_chunks_is_read(tmp_path: Path) -> None:
+@pytest.mark.parametrize("profile", wire_format.FORMATS)
+def test_a_file_that_another_tool_put_into_chunks_is_read(tmp_path: Path, profile: str) -> None:
     path = tmp_path / "chunked.mcap"
     with path.open("wb") as file:
         writer = Writer(file, compression=CompressionType.ZSTD, chunk_size=4000)
-        writer.start(profile=wire_format.FORMAT)
+        writer.start(profile=profile)
         channel = writer.register_channel("/wire", "x-bytes", 0)
         for index in range(500):
             writer.add_message(channel, index, b"%d" % index, index)
         writer.finish()  # type: ignore[no-untyped-call]  # the library does not say
     assert list(WireReader(path)) == [Bytes(b"%d" % index, index) for index in range(500)]
+
+
+def test_other_tools_know_what_is_in_it(tmp_path: Path) -> None:
+    """Rerun's own loader warns of what it does not know; the reader of ROS 2 messages raises."""
+    path = tmp_path / "w.mcap"
+    record(path, ITEMS).close()
+    with path.open("rb") as file:
+        decoded = make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages("/wire")
+        assert [bytes(message.data) for *_, message in decoded] == [
+            item.data for item in ITEMS if isinstance(item, Bytes)
+        ]
+        file.seek(0)
+        for schema, channel, _ in make_reader(file).iter_messages():
+            assert schema is not None
+            assert schema.id == channel.schema_id
+    load = "import sys, rerun; rerun.RecordingStream('t').log_file_from_path(sys.argv[1])"
+    done = subprocess.run(
+        [sys.executable, "-c", load, path],
+        env=os.environ | {"RUST_LOG": "warn", "CI": "1"}, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert done.stderr == ""
+
+
+@pytest.mark.parametrize("damaged", [0, 150])
+def test_a_file_of_version_1_is_read_though_its_beginning_is_damaged(tmp_path: Path, damaged: int) -> None:
+    path = tmp_path / "w.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file, use_chunking=False)
+        writer.start(profile="imumon-wire/1")
+        bare, events = (
+            writer.register_channel(topic, encoding, 0)
+            for topic, encoding in (("/wire", "x-bytes"), ("/event", "json"))
+        )
+        for number, item in enumerate(ITEMS):
+            if isinstance(item, Bytes):
+                channel, at, data = bare, item.arrival_ns, item.data
+            else:
+                channel, at = events, item.time_ns
+                data = json.dumps({"kind": item.kind.value, "detail": item.detail}).encode()
+            writer.add_message(channel, at, data, at, number)
+        writer.finish()  # type: ignore[no-untyped-call]  # the library does not say
+    whole = path.read_bytes()
+    first = whole.index(b"open ") - 80
+    path.write_bytes(bytes(min(damaged, first)) + whole[min(damaged, first) :])
+    assert list(WireReader(path)) == ITEMS
 
 
 @pytest.mark.parametrize("content", [b"gx,gy,gz\n1,2,3\n", b"\x89MCAP1\r\n" + bytes(40)])
@@ -245,7 +295,7 @@ def test_closing_on_a_full_disk_counts_what_is_lost_and_leaves_a_readable_file(
 ) -> None:
     writer = record(tmp_path / "w.mcap", ITEMS[:2])
     writer.flush()
-    monkeypatch.setattr("imumon.recordings.wire.os.write", FullDisk(60).write)
+    monkeypatch.setattr("imumon.recordings.wire.os.write", FullDisk(68).write)
     writer.write(ITEMS[2])
     writer.write(ITEMS[4])
     with pytest.raises(OSError, match="No space left"):

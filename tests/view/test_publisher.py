@@ -19,9 +19,10 @@ from PIL import Image
 from rerun.experimental import ViewerClient
 
 from imumon.charts import AXIS_COLORS, RED, Axis, Chart, Curve
+from imumon.view.fed import QUEUE_BYTES
 from imumon.view.frames import Batch
 from imumon.view.items import Drawing, Log, Samples, State, Timebase, ViewSetup, item_bytes
-from imumon.view.publisher import QUEUE_BYTES, History, ViewPublisher
+from imumon.view.publisher import History, ViewPublisher
 from imumon.view.viewer import Mode, proxy_url, quiet_environment, viewer_binary
 from tests.view.conftest import StartViewer
 from tests.view.streams import DEVICE_NS, GYRO, RATE_HZ, Stream, block, scalars
@@ -273,7 +274,7 @@ def test_view_process_that_takes_nothing_is_started_again(
     stream = Stream(publisher.publish)
     stream.run_until(lambda: publisher.state.connected, 20, "serving")
     with monkeypatch.context() as impatient:  # on a busy machine it takes longer to start
-        impatient.setattr("imumon.view.publisher.STUCK_S", 1.0)
+        impatient.setattr("imumon.view.fed.STUCK_S", 1.0)
         os.kill(child().pid, signal.SIGSTOP)
         stream.send(20_000)  # more than a pipe holds
         stream.run_until(lambda: publisher.state.restarts == 1, 20, "noticed")

@@ -20,7 +20,7 @@ import pytest
 from imumon.protocols.device import load_device
 from imumon.recordings.wire_reader import WireReader
 from imumon.simulation.virtual_device import VirtualDevice
-from imumon.transport.reader import Event
+from imumon.transport.reader import Event, EventKind
 from imumon.view.items import Instant, Log, State, Timebase, ViewSetup
 from imumon.view.terminal import Screen, TerminalView, sparkline
 from tests.cli.command import IMUMON
@@ -111,7 +111,7 @@ def _in_terminal(
 ) -> tuple[int, str]:
     """Run a command in a terminal of so many columns and rows; return its exit code and what it wrote there.
 
-    The keys are pressed once the port is shown; when all is seen it is interrupted.
+    The keys are pressed once the port or a word on them is shown; when all is seen it is interrupted.
     """
     columns, rows = size
     ours, theirs = pty.openpty()
@@ -132,7 +132,7 @@ def _in_terminal(
         except OSError:  # the other side is closed
             break
         parts.append(part)
-        if keys and b"Port open" in part:
+        if keys and (b"Port open" in part or b"keys:" in part):
             os.write(ours, keys)
             keys = b""
         if not keys and seen is not None and seen(b"".join(parts).decode(errors="ignore")):
@@ -169,6 +169,19 @@ def test_a_live_run_in_a_real_terminal(tmp_path: Path, columns: int, rows: int) 
     for part in SHOWN:
         assert part in shown, shown
     assert "recorded" in text[text.index("\x1b[?1049l") :]
+
+
+def test_keys_mark_without_a_view_too(tmp_path: Path) -> None:
+    def is_marked(_: str) -> bool:
+        return b"key m" in b"".join(wire.read_bytes() for wire in tmp_path.glob("sessions/*/wire.mcap"))
+
+    with VirtualDevice(load_device("ax1"), tmp_path / "ahrs") as ahrs:
+        arguments = ["monitor", ahrs.port.path, "--device", "ax1", "--view", "none"]
+        code, text = _in_terminal(arguments, (80, 24), tmp_path, b"sm", is_marked)
+    assert code == 0, text
+    (wire,) = tmp_path.glob("sessions/*/wire.mcap")
+    said = [(item.kind, item.detail) for item in WireReader(wire) if isinstance(item, Event)]
+    assert said[1:3] == [(EventKind.START, "part 1"), (EventKind.MARK, "key m")]
 
 
 def test_without_a_terminal_it_says_so_and_records_nothing(tmp_path: Path) -> None:

@@ -26,6 +26,7 @@ from imumon.recordings.logs.log import (
     triple,
 )
 
+SCALING = "the units that DataFlash defines for IMU"
 HEAD = b"\xa3\x95\x80"
 """Every message begins with A3 95; the first describes the format of a message, which is number 128."""
 KEPT = {
@@ -60,7 +61,7 @@ def read(path: Path, sensor: str | None = None) -> Log:
     # A sensor without a thermometer says 0 all the time.
     if np.any(imu["T"] != 0.0):
         gyro |= named(imu, ["T"], ["temperature"])
-    return Log(name, others, Series(_time(imu), gyro), beside(found, BESIDE, _time), "FRD")
+    return Log(name, others, Series(_time(imu), gyro), beside(found, BESIDE, _time), "FRD", SCALING)
 
 
 def _messages(path: Path) -> dict[str, dict[str, Any]]:

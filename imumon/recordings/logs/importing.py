@@ -10,7 +10,7 @@ from tempfile import TemporaryDirectory
 from imumon.errors import ImumonError, Reason
 from imumon.files import write_text
 from imumon.recordings.importing import ImportReport, Origin, import_table
-from imumon.recordings.logs import ardupilot, px4, ros
+from imumon.recordings.logs import ardupilot, betaflight, px4, ros
 from imumon.recordings.logs.log import Log
 
 Reader = Callable[[Path, str | None], Log]
@@ -18,16 +18,18 @@ FORMATS: tuple[tuple[Callable[[Path, bytes], bool], Reader], ...] = (
     (ardupilot.is_one, ardupilot.read),
     (px4.is_one, px4.read),
     (ros.is_one, ros.read),
+    (betaflight.is_one, betaflight.read),
 )
 
 
 @dataclass(frozen=True, slots=True)
 class LogReport:
-    """What became of a log: its rows, the sensor that they are of, and those that were not taken."""
+    """What became of a log: its rows, the sensor that they are of, those that were not taken, the scaling."""
 
     rows: ImportReport
     sensor: str
     others: list[str]
+    scaling: str
 
 
 def import_log(path: Path, sensor: str | None, out: Path) -> LogReport:
@@ -44,7 +46,7 @@ def import_log(path: Path, sensor: str | None, out: Path) -> LogReport:
         text, dropped = log.write(table)
         write_text(table.with_suffix(".yaml"), text)
         rows = import_table(table, table.with_suffix(".yaml"), out, Origin(_file_of(path), dropped))
-    return LogReport(rows, log.sensor, log.others)
+    return LogReport(rows, log.sensor, log.others, log.scaling)
 
 
 def reader_of(path: Path) -> Reader:
@@ -67,7 +69,7 @@ def reader_of(path: Path) -> Reader:
             return read
     raise ImumonError(
         Reason.BAD_CONFIG,
-        f"{path}: is no log of ArduPilot (.BIN) or PX4 (.ulg), and no ROS bag",
+        f"{path}: is no log of ArduPilot (.BIN), PX4 (.ulg) or Betaflight (blackbox_decode), and no ROS bag",
         "a table needs --map MAP.yaml, which says what is in which column",
     )
 

@@ -66,6 +66,8 @@ class Log:
     beside : list of Series
         What is put beside them.
     axes : "FLU" or "FRD"
+    scaling : str
+        Where the units of the values are known from.
     """
 
     sensor: str
@@ -73,6 +75,7 @@ class Log:
     gyro: Series
     beside: list[Series]
     axes: str
+    scaling: str
 
     def write(self, path: Path) -> tuple[str, int]:
         """Write the table; return its map, and how many rows have no later time and were left out."""
@@ -89,7 +92,7 @@ class Log:
             if all(one in columns and np.isfinite(columns[one]).any() for one in names)
         }
         text = dump_yaml({"time": {"column": TIME, "unit": "ns"}, **groups, "axes": self.axes})
-        return text, int((~kept).sum())
+        return f"# scaling: {self.scaling}\n{text}", int((~kept).sum())
 
 
 def _increasing(time_ns: IntArray) -> BoolArray:

@@ -23,6 +23,7 @@ from imumon.recordings.logs.log import (
     triple,
 )
 
+SCALING = "the units that uORB defines for sensor_gyro and sensor_accel"
 HEAD = b"ULog\x01\x12\x35"
 TOPICS = ["sensor_gyro", "sensor_accel", "sensor_mag", "sensor_baro"]
 BESIDE = (
@@ -58,7 +59,8 @@ def read(path: Path, sensor: str | None = None) -> Log:
     name, others = pick(path, gyros, sensor)
     gyro = named(found[name], [*"xyz", "temperature"], [*triple("gyro"), "temperature"])
     accel = Wanted(f"sensor_accel.{name.rpartition('.')[2]}", [*"xyz"], triple("accel"))
-    return Log(name, others, Series(_time(found[name]), gyro), beside(found, (accel, *BESIDE), _time), "FRD")
+    joined = beside(found, (accel, *BESIDE), _time)
+    return Log(name, others, Series(_time(found[name]), gyro), joined, "FRD", SCALING)
 
 
 def _time(fields: Any) -> IntArray:

@@ -16,6 +16,7 @@ from imumon.errors import ImumonError, Reason, missing_package
 from imumon.recordings.logs.log import Log, Series, pick, triple
 
 SECOND_NS = 1_000_000_000
+SCALING = "the units that sensor_msgs/Imu defines; whether the driver keeps to them is not known"
 MCAP, BAG, SQLITE = b"\x89MCAP0\r\n", b"#ROSBAG V", b"SQLite format 3\x00"
 IMU = "sensor_msgs/msg/Imu"
 
@@ -47,7 +48,7 @@ def read(path: Path, sensor: str | None = None) -> Log:
         raise
     except Exception as error:  # each format of a bag has errors of its own
         raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read as a ROS bag: {error}") from error
-    return Log(name, others, gyro, beside, "FLU")
+    return Log(name, others, gyro, beside, "FLU", SCALING)
 
 
 def _vector(value: Any) -> list[float]:

@@ -1,0 +1,1 @@
+"""Live samples for other programs: JSON over UDP, Foxglove, ROS 2."""

@@ -1,0 +1,118 @@
+"""A server that Foxglove opens, by its own SDK: a topic of JSON for each stream, for states and the log."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import foxglove
+from foxglove.channels import LogChannel
+from foxglove.messages import Log as FoxgloveLog
+from foxglove.messages import LogLevel, Timestamp
+
+from imumon.columns import KNOWN
+from imumon.errors import ImumonError, Reason
+from imumon.publishing.messages import LOG, STATE, Lanes, Message, Published, messages, topic_of
+from imumon.publishing.target import Target
+from imumon.view.items import Samples, ViewSetup
+
+LEVELS = {"DEBUG": LogLevel.Debug, "INFO": LogLevel.Info, "WARN": LogLevel.Warning, "ERROR": LogLevel.Error}
+SECOND_NS = 1_000_000_000
+FULL = "foxglove.websocket.connected_client.send_lossy"
+"""Logger on which the SDK says that a viewer does not take what is sent; it does not count."""
+
+
+class Foxglove:
+    """The server and its channels, made when the first message of each comes.
+
+    Raises
+    ------
+    ImumonError
+        BUSY when the port cannot be had.
+    """
+
+    def __init__(self, target: Target, setup: ViewSetup) -> None:
+        self._units, self._lanes, self._slow = setup.units, Lanes(), _Slow()
+        logging.getLogger(FULL).addHandler(self._slow)
+        logging.getLogger(FULL).setLevel(logging.INFO)
+        self._context = foxglove.Context()
+        try:
+            self._server = foxglove.start_server(
+                name=f"imumon {setup.title}", host=target.host, port=target.port, context=self._context
+            )
+        except RuntimeError as error:
+            raise ImumonError(Reason.BUSY, f"cannot serve {target}: {error}", "give another port") from error
+        host = f"[{target.host}]" if ":" in target.host else target.host
+        self._url = f"ws://{host}:{self._server.port}"
+        self._channels = {STATE: self._channel(STATE, {})}
+        self._columns: dict[str, set[str]] = {}
+        self._log = LogChannel("/log", context=self._context)
+
+    @property
+    def text(self) -> str:
+        """The address, and whether a viewer is too slow."""
+        return f"{self._url}, a viewer is too slow and misses messages" if self._slow.seen else self._url
+
+    def send(self, items: Sequence[Published]) -> int:
+        """Hand messages to the SDK, which keeps the latest 1024 for a slow viewer; none fails here."""
+        wanted = [item for item in items if not isinstance(item, Samples) or self._is_wanted(item)]
+        for message in messages(wanted, self._lanes):
+            if message.topic == LOG:
+                self._log.log(_log(message), log_time=message.time_ns)
+            else:
+                self._put(message)
+        return 0
+
+    def repeat(self, time_ns: int) -> None:
+        """Say the states again."""
+        if (message := self._lanes.again(time_ns)) is not None:
+            self._put(message)
+
+    def close(self) -> None:
+        """End the server."""
+        self._server.stop()
+
+    def _is_wanted(self, item: Samples) -> bool:
+        """Have a channel that describes these columns; tell whether a viewer has subscribed to it."""
+        topic, columns = topic_of(item), {"sample", *item.block.columns}
+        known = self._columns.get(topic, set())
+        if not columns <= known:
+            self._columns[topic] = columns | known
+            if topic in self._channels:
+                self._channels[topic].close()
+            self._channels[topic] = self._channel(topic, self._described(self._columns[topic]))
+        return bool(self._channels[topic].has_sinks())
+
+    def _described(self, columns: set[str]) -> dict[str, Any]:
+        """Return the properties of a JSON schema: unit and meaning of each column."""
+        found = {}
+        for name in sorted(columns):
+            known = KNOWN.get(name)
+            unit = self._units.get(name) or (known.unit if known is not None else "1")
+            meaning = known.description if known is not None else ""
+            found[name] = {"type": "number", "description": f"{unit}: {meaning}" if meaning else unit}
+        return found
+
+    def _channel(self, topic: str, properties: Mapping[str, Any]) -> foxglove.Channel:
+        schema = {"type": "object", "title": f"imumon.{topic}", "properties": properties}
+        return foxglove.Channel(f"/{topic}", schema=schema, context=self._context)
+
+    def _put(self, message: Message) -> None:
+        self._channels[message.topic].log(dict(message.values), log_time=message.time_ns)
+
+
+class _Slow(logging.Handler):
+    """Notes that a viewer was too slow."""
+
+    seen = False
+
+    def emit(self, _: logging.LogRecord) -> None:
+        self.seen = True
+
+
+def _log(message: Message) -> FoxgloveLog:
+    at = message.time_ns or 0
+    level = LEVELS.get(str(message.values["level"]), LogLevel.Unknown)
+    when = Timestamp(at // SECOND_NS, at % SECOND_NS)
+    return FoxgloveLog(timestamp=when, level=level, message=str(message.values["text"]), name="imumon")

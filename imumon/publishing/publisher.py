@@ -1,0 +1,104 @@
+"""Live samples to other programs, as the measuring process sees it: publish and go on."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from imumon.publishing.frames import Begin, Delivery
+from imumon.publishing.messages import is_published
+from imumon.publishing.target import Target
+from imumon.view.fed import PROTOCOL, FedProcess
+from imumon.view.items import Shown, ViewSetup, item_rows
+
+
+@dataclass(frozen=True, slots=True)
+class PublisherState:
+    """How it goes.
+
+    Parameters
+    ----------
+    text : str
+        One phrase.
+    ready : bool
+        Whether the receiver can be reached, as far as is known.
+    sent, dropped : int
+        Samples and events that left this computer's program, and those that did not: the queue was full, the
+        process that sends was gone, or the system did not take them.
+    """
+
+    text: str
+    ready: bool
+    sent: int
+    dropped: int
+
+
+class Publisher(FedProcess):
+    """Feeds a process that publishes what is measured; nothing that happens there delays the caller.
+
+    Parameters
+    ----------
+    target : Target
+        To whom.
+    setup : ViewSetup
+        Title, units and frame.
+    """
+
+    def __init__(self, target: Target, setup: ViewSetup) -> None:
+        super().__init__("imumon.publishing.child")
+        self.target = target
+        self._begin = Begin(target, setup)
+        self._published = self._handed = 0
+        self._closed = False
+        self._before, self._now = Delivery(""), Delivery("begins", ready=False)
+        self._lost = 0
+
+    def start(self) -> Publisher:
+        """Start the process and return at once."""
+        self._supervisor.start()
+        return self
+
+    def publish(self, item: Shown) -> None:
+        """Queue an item, when it is for other programs; takes microseconds.  Called from one thread."""
+        if is_published(item):
+            self._published += item_rows(item)
+            super().publish(item)
+
+    def close(self, timeout_s: float = 1.5) -> None:
+        """Send what is left and end the process, within `timeout_s`; what has not left by then is dropped."""
+        super().close(timeout_s)
+        self._closed = True
+
+    @property
+    def state(self) -> PublisherState:
+        """How it goes now."""
+        before, now = self._before, self._now
+        failed = before.failed + now.failed
+        sent = before.taken + now.taken - failed
+        dropped = self._published - sent if self._closed else self._queue.dropped + self._lost + failed
+        return PublisherState(now.text, now.ready, sent, dropped)
+
+    def _first(self) -> Begin:
+        self._settle()
+        return self._begin
+
+    def _frames(self, items: Sequence[Shown]) -> list[bytes]:
+        if not items:
+            return []
+        self._handed += sum(map(item_rows, items))
+        return [pickle.dumps(items, PROTOCOL)]
+
+    def _heard(self, message: Delivery) -> None:
+        self._now = message
+
+    def _gone(self) -> None:
+        before, now = self._before, self._now
+        self._before = Delivery("", before.taken + now.taken, before.failed + now.failed)
+        text = "ended" if self._queue.is_closed() else "begins again" if now.ready else now.text
+        self._now = replace(now, text=text, taken=0, failed=0, ready=False)
+        self._settle()
+
+    def _settle(self) -> None:
+        """What no process took until now is lost."""
+        self._lost = self._handed - self._before.taken

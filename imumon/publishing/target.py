@@ -1,0 +1,117 @@
+"""Where live samples are published: what kind of receiver, and at which address."""
+
+from __future__ import annotations
+
+import importlib.util
+import ipaddress
+import socket
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+from imumon.errors import ImumonError, Reason, missing_package
+from imumon.view.viewer import LOCALHOST
+
+Kind = Literal["udp-json", "foxglove", "ros2"]
+KINDS: tuple[Kind, ...] = get_args(Kind)
+PORTS: dict[Kind, int] = {"udp-json": 9870, "foxglove": 8765, "ros2": 0}
+"""What PlotJuggler and Foxglove propose; ROS finds its readers by itself."""
+NETWORK = "network"
+"""Instead of an address for ROS 2: as far as the environment says, not this computer alone."""
+_HIGHEST_PORT = 65535
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """A kind of receiver, and where: for UDP where datagrams go, for Foxglove where the server listens."""
+
+    kind: Kind
+    host: str = LOCALHOST
+    port: int = 0
+
+    def __str__(self) -> str:
+        """Return what `parse_target` reads."""
+        if self.kind == "ros2":
+            return self.kind if self.is_local else f"{self.kind}={NETWORK}"
+        return f"{self.kind}={_joined(self.host, self.port)}"
+
+    @property
+    def is_local(self) -> bool:
+        """Whether nothing leaves this computer."""
+        return self.host != NETWORK and ipaddress.ip_address(self.host).is_loopback
+
+    @property
+    def warning(self) -> str | None:
+        """What a person must know before it begins; None where nothing leaves this computer."""
+        if self.is_local:
+            return None
+        if self.kind == "udp-json":
+            return f"--publish {self}: the measurements go to {self.host}, for all on the way to read"
+        return f"--publish {self}: every computer that reaches this one can read the measurements"
+
+
+def parse_target(text: str) -> Target:
+    """Return the target that ``KIND`` or ``KIND=HOST[:PORT]`` says; without an address nothing leaves here.
+
+    Raises
+    ------
+    ImumonError
+        BAD_CONFIG when it cannot be read, the host is not known, or a package is missing.
+    """
+    name, _, address = text.partition("=")
+    kind = next((one for one in KINDS if one == name), None)
+    if kind is None:
+        raise ImumonError(
+            Reason.BAD_CONFIG, f"--publish {text}: there is no {name!r}", f"one of: {', '.join(KINDS)}"
+        )
+    _need_packages(kind)
+    if kind == "ros2":
+        if address not in ("", NETWORK):
+            raise ImumonError(
+                Reason.BAD_CONFIG,
+                f"--publish {text}: ROS 2 takes no address",
+                f"ros2 for this computer alone, ros2={NETWORK} for as far as ROS is set up to reach",
+            )
+        return Target(kind, NETWORK if address else LOCALHOST)
+    host, port = _split(text, address, PORTS[kind])
+    return Target(kind, _resolved(text, host), port)
+
+
+def _need_packages(kind: Kind) -> None:
+    if kind == "foxglove" and importlib.util.find_spec("foxglove") is None:
+        raise missing_package("--publish foxglove", "foxglove-sdk", "foxglove")
+    if kind == "ros2" and importlib.util.find_spec("rclpy") is None:
+        raise ImumonError(
+            Reason.BAD_CONFIG,
+            "--publish ros2 needs rclpy, which comes with ROS 2 and with no package index",
+            "source /opt/ros/DISTRO/setup.bash, then start imumon with the Python that ROS was built for",
+        )
+
+
+def _split(text: str, address: str, port: int) -> tuple[str, int]:
+    """Return host and port of HOST, HOST:PORT, :PORT or [HOST]:PORT."""
+    host, number = address, str(port)
+    if address.startswith("["):
+        host, _, rest = address[1:].partition("]")
+        number = rest.removeprefix(":") or number
+    elif address.count(":") == 1:
+        host, number = address.split(":")
+    if not (number.isascii() and number.isdigit() and 0 < int(number) <= _HIGHEST_PORT):
+        raise ImumonError(
+            Reason.BAD_CONFIG, f"--publish {text}: the port is {number!r}", "HOST:PORT, with 1 to 65535"
+        )
+    return host or LOCALHOST, int(number)
+
+
+def _resolved(text: str, host: str) -> str:
+    """Return the address of a host, once: a name server must not be waited for later on."""
+    try:
+        found = socket.getaddrinfo(host, None, type=socket.SOCK_DGRAM)
+    except (OSError, UnicodeError) as error:
+        raise ImumonError(
+            Reason.BAD_CONFIG, f"--publish {text}: the host {host!r} is not known", "give its address"
+        ) from error
+    return str(found[0][4][0]).partition("%")[0]
+
+
+def _joined(host: str, port: int) -> str:
+    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"

@@ -1,0 +1,233 @@
+"""A process that is supplied with items through a bounded queue, kept alive, and can do no harm.
+
+The measuring process puts items in and goes on (`FedProcess`); the process that takes them (`serve`) may
+hang, be killed or die, and is started again.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import threading
+import time
+import traceback
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection
+from typing import Any
+
+import psutil
+
+from imumon.errors import ImumonError
+from imumon.heap import prepare_heap, trim_heap
+from imumon.view.items import Shown, merge
+from imumon.view.queue import DropOldestQueue
+from imumon.view.viewer import quiet_environment
+
+BATCH_S = 0.05
+"""Batches are sent as they come, and so far apart: what comes faster, as in a replay, is joined."""
+PROTOCOL = 5
+"""Of pickle, which writes arrays as they are from here on."""
+QUEUE_BYTES = 32 << 20
+BACKOFF_S = (0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
+STEADY_S = 30.0
+"""A process that lived this long is started again without delay."""
+STUCK_S = 30.0
+"""A process that does not take a frame in this time is killed and started again.  (A server whose browser
+hangs stalls for 16 s and then goes on.)"""
+LOOK_S = 0.5
+"""How often it is looked whether it does."""
+GOODBYE_S = 1.0
+PARENT_S = 1.0
+TRIM_S = 30.0
+SWITCH_S = 0.0005
+"""While one thread is busy, another waits so long for the interpreter at each of ten steps (usual: 5 ms)."""
+MAX_BYTES = 768 << 20
+"""More memory (a viewer that takes nothing for half an hour) ends the process; it is started anew."""
+
+
+class FedProcess(ABC):
+    """Feeds a process; nothing that happens there delays the caller.
+
+    Parameters
+    ----------
+    module : str
+        What is run, with `serve` in it.
+    """
+
+    def __init__(self, module: str) -> None:
+        self._module = module
+        self._queue: DropOldestQueue[Shown] = DropOldestQueue(QUEUE_BYTES)
+        self._sending_s = math.inf  # since when
+        self._restarts = 0
+        self._process: subprocess.Popen[bytes] | None = None
+        self._supervisor = threading.Thread(target=self._supervise, name=f"feeds {module}", daemon=True)
+
+    @abstractmethod
+    def _first(self) -> object:
+        """Return what a process that starts is told."""
+
+    @abstractmethod
+    def _frames(self, items: Sequence[Shown]) -> list[bytes]:
+        """Return what is to be sent now that these items came, maybe none."""
+
+    @abstractmethod
+    def _heard(self, message: Any) -> None:
+        """Take what the process says."""
+
+    @abstractmethod
+    def _gone(self) -> None:
+        """Note that the process has ended, and was heard to its end."""
+
+    def publish(self, item: Shown) -> None:
+        """Queue an item; takes microseconds, whatever state the process is in."""
+        self._queue.put(item)
+
+    def close(self, timeout_s: float = 1.5) -> None:
+        """Send what is left and end the process, within `timeout_s` whatever its state.
+
+        The servers of the web viewer end with it.  A native window stays open, so that one can go on looking.
+        """
+        deadline = time.monotonic() + timeout_s
+        self._queue.close()
+        self._supervisor.join(max(0.0, timeout_s - 0.3))
+        process = self._process
+        if process is not None and process.poll() is None:
+            _kill(process)
+        self._supervisor.join(max(0.1, deadline - time.monotonic()))
+
+    def _supervise(self) -> None:
+        """Keep a process alive and supplied until closed."""
+        failures = 0
+        while True:
+            started = time.monotonic()
+            self._run_process()
+            if self._queue.is_closed():
+                return
+            failures = 0 if time.monotonic() - started > STEADY_S else failures + 1
+            self._restarts += 1
+            self._wait(BACKOFF_S[min(failures, len(BACKOFF_S) - 1)])
+            if self._queue.is_closed():
+                return
+
+    def _wait(self, pause_s: float) -> None:
+        """Let time pass while the queue keeps emptying."""
+        end = time.monotonic() + pause_s
+        while (left := end - time.monotonic()) > 0 and not self._queue.is_closed():
+            self._next(wait_s=left)
+
+    def _run_process(self) -> None:
+        """Run one process from its start to its end."""
+        stdin, to_process = Pipe(duplex=False)
+        from_process, stdout = Pipe(duplex=False)
+        with stdin, stdout:
+            process = subprocess.Popen(
+                [sys.executable, "-m", self._module],
+                stdin=stdin.fileno(),
+                stdout=stdout.fileno(),
+                stderr=subprocess.DEVNULL,
+                env=quiet_environment(),
+                start_new_session=True,  # Ctrl-C is for the measuring process, which then closes this one
+            )
+        self._process = process
+        listener = threading.Thread(
+            target=self._listen, args=[from_process, process], name=f"hears {self._module}", daemon=True
+        )
+        listener.start()
+        try:
+            with to_process:
+                self._feed(process, to_process)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(GOODBYE_S)
+        finally:
+            _kill(process)
+            process.wait()
+            listener.join()
+            from_process.close()
+        self._gone()
+
+    def _feed(self, process: subprocess.Popen[bytes], pipe: Connection) -> None:
+        """Send frames until the process is gone or everything is sent and the queue closed."""
+        sent = self._send(pipe, [pickle.dumps(self._first(), PROTOCOL)])
+        closing = False
+        while sent and not closing and process.poll() is None:
+            closing = self._queue.is_closed()
+            sent = self._send(pipe, self._next(wait_s=0.25))
+
+    def _next(self, wait_s: float) -> list[bytes]:
+        """Return the frames of what came; maybe none."""
+        return self._frames(merge(self._queue.take(BATCH_S, wait_s)))
+
+    def _send(self, pipe: Connection, frames: list[bytes]) -> bool:
+        """Send frames; False when the process is gone, maybe since it was killed for taking nothing."""
+        try:
+            for frame in frames:
+                self._sending_s = time.monotonic()
+                pipe.send_bytes(frame)
+        except OSError:
+            return False
+        finally:
+            self._sending_s = math.inf
+        return True
+
+    def _listen(self, messages: Connection, process: subprocess.Popen[bytes]) -> None:
+        """Take what the process says until it ends; kill it when it does not take a frame."""
+        with contextlib.suppress(EOFError, OSError):
+            while True:
+                if messages.poll(LOOK_S):
+                    self._heard(messages.recv())
+                elif time.monotonic() - self._sending_s > STUCK_S:
+                    _kill(process)
+
+
+def _kill(process: subprocess.Popen[bytes]) -> None:
+    """End the process and what it started for itself; a native viewer has a session of its own."""
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGKILL)
+
+
+def serve(run: Callable[[Connection, Connection], None], problem: Callable[[ImumonError], object]) -> None:
+    """Run what a `FedProcess` feeds, given where frames come from and where messages go; does not return.
+
+    An `ImumonError` is told as `problem` says it.  The process leaves without the clean-up of libraries:
+    Rerun's waits for a stuck viewer without end.
+    """
+    prepare_heap()
+    sys.setswitchinterval(SWITCH_S)
+    threading.Thread(target=watch, args=(os.getppid(),), daemon=True).start()
+    stream = Connection(os.dup(sys.stdin.fileno()), writable=False)
+    out = Connection(os.dup(sys.stdout.fileno()), readable=False)
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # a library that prints must not disturb the frames
+    code = 1
+    try:
+        run(stream, out)
+        code = 0
+    except ImumonError as error:
+        out.send(problem(error))
+    except (RuntimeError, OSError, EOFError) as error:
+        sys.stderr.write(f"{error}\n")
+    except BaseException:
+        traceback.print_exc()
+        raise
+    finally:
+        sys.stderr.flush()
+        os._exit(code)
+
+
+def watch(parent: int) -> None:
+    """End the process when the measuring process is gone or the memory grows too far, whatever blocks."""
+    process, trimmed_s = psutil.Process(), time.monotonic()
+    while os.getppid() == parent and process.memory_info().rss < MAX_BYTES:
+        time.sleep(PARENT_S)
+        if time.monotonic() - trimmed_s > TRIM_S:
+            trim_heap()
+            trimmed_s = time.monotonic()
+    if os.getpgrp() == os.getpid():  # with what was started for this process alone
+        os.killpg(os.getpid(), signal.SIGKILL)
+    os._exit(1)
