@@ -120,7 +120,7 @@ def _show(evidence: list[Evidence]) -> None:
     from rich.table import Column, Table
 
     names = ("device", "baud", "bytes/s", "packets", "samples", "framed", "damaged", "verdict")
-    table = Table(*(Column(name, no_wrap=True) for name in names), box=SIMPLE, padding=0)
+    table = Table(*(Column(name, no_wrap=name != names[-1]) for name in names), box=SIMPLE, padding=0)
     for item in evidence:
         table.add_row(
             item.protocol,

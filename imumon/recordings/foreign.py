@@ -164,12 +164,15 @@ DELIMITERS = (";", "\t", ",", "|")
 
 def _check_columns(path: Path, names: Sequence[str], wanted: Sequence[str]) -> None:
     if absent := [name for name in wanted if name not in names]:
-        other = [mark for mark in DELIMITERS if len(names) == 1 and mark in names[0]]
+        hint = ""
+        if other := [mark for mark in DELIMITERS if len(names) == 1 and mark in names[0]]:
+            hint = f'; in the map: csv: {{delimiter: "{other[0]}"}}'
+        elif names and all(re.match(_NUMBER, name) for name in names):
+            hint = "; if these are the first row: csv: {header: false, columns: [NAME, ...]}"
         raise ImumonError(
             Reason.BAD_CONFIG,
             f"{path}: has no column {', '.join(map(repr, absent))}",
-            f"it has: {', '.join(map(repr, names))}"
-            + (f'; in the map: csv: {{delimiter: "{other[0]}"}}' if other else ""),
+            f"it has: {', '.join(map(repr, names))}{hint}",
         )
     if twice := [name for name in wanted if names.count(name) > 1]:
         raise ImumonError(

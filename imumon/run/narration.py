@@ -282,7 +282,8 @@ class Narrator:
     def _watch_link(self, progress: Progress, now_ns: int) -> None:
         overloaded = self._link is not None and self._link.overloaded(now_ns)
         if overloaded and not self._overloaded:
-            self.log("WARN", f"the link is {progress.link_load:.0%} full: packets will be lost", now_ns)
+            text = f"the link is {progress.link_load:.0%} full: beyond 100 % a device drops packets"
+            self.log("WARN", text, now_ns)
         self._overloaded = overloaded
         if progress.link_load is not None:
             self._lane("link", "warning: full" if overloaded else "ok", now_ns)

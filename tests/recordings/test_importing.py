@@ -269,6 +269,8 @@ def test_a_column_that_the_table_lacks_is_named_with_the_line_of_the_map(tmp_pat
     assert "delimiter" not in error.hint
     error = refused(tmp_path, "t;x;y;z\n0.5;1;2;3\n")
     assert 'csv: {delimiter: ";"}' in error.hint
+    error = refused(tmp_path, "0,0.1,0.2,0.3\n0.01,0.1,0.2,0.3\n")
+    assert "csv: {header: false, columns: [NAME, ...]}" in error.hint
 
 
 @pytest.mark.parametrize(
