@@ -210,7 +210,9 @@ class Sensor:
     def is_dead(self, now_s: float) -> bool:
         """Tell whether noise of more than a step has stopped."""
         silent = now_s - self.changed_s
-        return self.inside > self.step**2 and silent > max(DEAD_S, DEAD_INTERVALS * self.usual_s)
+        # From one slow refresh to the next a ramp scatters the readings as well.
+        noise2 = self.roughness if self.refresh.slow else self.inside
+        return noise2 > self.step**2 and silent > max(DEAD_S, DEAD_INTERVALS * self.usual_s)
 
     def linear(self, reading: Reading) -> float:
         """Return the temperature that a dithered slot shows, the quantizer's ripple taken off.

@@ -69,3 +69,12 @@ def test_a_ramp_is_never_farther_off_than_the_age_of_the_reading_allows(
     later = t > hold_s + 20.0 + interval_s
     assert np.abs(error / result.temperature_sd)[later].max() < 6.0
     assert np.abs((result.rate - RAMP) / result.rate_sd)[later].max() < 6.0
+
+
+def test_a_ramp_from_refresh_to_refresh_is_no_noise_that_a_soak_would_have_stopped() -> None:
+    t = np.arange(int(3000.0 * RATE_HZ)) / RATE_HZ
+    temperature = 25.02 + RAMP * np.clip(t - 300.0, 0.0, 1200.0)
+    time_ns, segment = clock(len(t), RATE_HZ)
+    result = LevelBankRate().process(time_ns, segment, repeated(temperature, 5.0, 0.1, 11))
+    soaked = t > 1600.0
+    assert np.abs(result.temperature - temperature)[soaked].max() < STEP
