@@ -6,7 +6,7 @@ import math
 
 from imumon.estimation.alignment.charting import heading_text
 from imumon.estimation.alignment.status import Status
-from imumon.geodesy import DEG_PER_H
+from imumon.geodesy import DEG_PER_H, EARTH_RATE
 
 DEG_PER_SQRT_H = math.pi / 180.0 / 60.0
 START_S = 10.0
@@ -29,6 +29,12 @@ def rows(status: Status, wanted_deg: float) -> dict[str, str]:
         told["condition"] = (
             "the gyros' turn-on bias is not declared: sigma holds only if that of the one that points east "
             f"is below {_short(holds)} °/h (gyro_bias_sd_deg_per_h; or --positions 2 removes it)"
+        )
+    if status.shown is not None and status.observable and status.positions == 1:
+        per_g = math.sqrt(max((EARTH_RATE / status.earth_rate) ** 2 - 1.0, 0.0))  # tan L
+        told["accelerometers"] = (
+            f"1 mg of bias of the one that points east turns the heading by "
+            f"{_short(math.degrees(1e-3 * per_g))}°; sigma has accel_bias_sd_ug of it"
         )
     told["data"] = f"{status.time_s:.0f} of {status.seconds:.0f} s counted"
     if status.positions > 1:

@@ -91,6 +91,7 @@ def test_a_bias_of_nothing_but_the_east_gyro_is_in_the_sigma_and_said() -> None:
     quiet, _ = aligned(samples(scenario(90.0)))
     assert any("turn-on bias is not declared" in text for text in quiet.notices())
     assert "sigma holds only if" in rows(quiet.status, 0.05)["condition"]
+    assert "1 mg of bias" in rows(quiet.status, 0.05)["accelerometers"]
     declared, _ = aligned(samples(scenario(90.0)), {"gyro_bias_sd_deg_per_h": 0.001})
     assert "condition" not in rows(declared.status, 0.05)
 
