@@ -138,7 +138,7 @@ class ChannelVerdict:
         """Return temperature, bias and its sigma at both ends and the middle of what training covered."""
         declared = self.channel.declared
         at = declared.middle_degc + declared.half_span_degc * np.array([-1.0, 0.0, 1.0])
-        columns = declared.columns(at)
+        columns = declared.columns(at, len(self.after.declared))
         values = columns @ self.after.declared
         spread = np.sqrt(np.einsum("ij,jk,ik->i", columns, self.declared_covariance, columns))
         return list(zip(at.tolist(), values.tolist(), spread.tolist(), strict=True))
