@@ -84,7 +84,7 @@ class Follower(DrivenEffect):
 
     def _powers(self, values: FloatArray) -> FloatArray:
         u = (values - self.middle) / self.half_span
-        return np.cumprod(np.repeat(u[:, np.newaxis], self.order, axis=1), axis=1)
+        return np.asarray(np.cumprod(np.repeat(u[:, np.newaxis], self.order, axis=1), axis=1))
 
 
 def may_sum(survey: Survey, reversals: int) -> bool:
