@@ -11,6 +11,7 @@ import numpy as np
 from imumon.blocks import FloatArray
 from imumon.diagnosis.candidates import Candidate, Part, Term, candidates
 from imumon.diagnosis.channel import Channel, ordinary, residual_rms
+from imumon.diagnosis.explaining import MATERIAL
 from imumon.diagnosis.gains import (
     CLOSE,
     CLOSE_SHARE,
@@ -415,7 +416,7 @@ class Search:
         if self.channel.known is not None and candidate.parts[0].effect.is_curve:
             return True  # a curve that was fitted with an effect in it has a share of that in its shape
         again = candidate.family in (finding.name for finding in self.findings)
-        return again and candidate.scope == "shared" and left > MISFIT * self.channel.floor.sd
+        return again and candidate.scope == "shared" and left > MATERIAL * self.channel.floor.sd
 
     def _alike(self, leader: Leader, table: Table, pooled: Mapping[str, float], left: float) -> list[str]:
         """Return the families that are not told apart from the one chosen, by gain or by what they leave."""

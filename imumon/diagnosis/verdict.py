@@ -13,6 +13,7 @@ from imumon.blocks import FloatArray
 from imumon.diagnosis.channel import Channel
 from imumon.diagnosis.explaining import (
     CLEAN,
+    MATERIAL,
     evidence_of_test,
     explained_share,
     explains,
@@ -29,8 +30,6 @@ from imumon.diagnosis.selection import Finding, Search, Turn
 from imumon.diagnosis.uncertainty import PartSigma, sigmas
 from imumon.effects.library import separated_by
 
-MATERIAL = 1.3
-"""With a declared model that leaves less than so many floors, what is missing is too small to matter."""
 BY_TEST = "the test alone proves it: in training noise as slow as the one that is seen might go as far"
 
 
