@@ -173,7 +173,7 @@ def test_a_channel_that_stands_still_is_a_fault_and_no_effect(value: float, said
 
 
 def test_digits_coarser_than_the_noise_are_said() -> None:
-    train, test = three(nothing)
+    train, test = three(nothing, 2400)
     step = 200 * WHITE_DPH * DPH
     coarse = [replace(r, mean={**r.mean, "gyro_x": np.round(r.mean["gyro_x"] / step) * step}) for r in train]
     coarse = [replace(r, variance={"gyro_x": np.zeros(len(r.time_s))}) for r in coarse]
