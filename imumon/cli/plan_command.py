@@ -67,9 +67,9 @@ def _said(made: Plan) -> str:
     asked = f"{made.question.channel}{also}: {made.question.name}?"
     if made.profile is None or made.expected is None:
         return f"{asked} No experiment is planned: {made.why_not}"
-    pair, doubt = made.expected, f"; {made.why_not}" if made.why_not else ""
+    pair = made.expected
     return (
         f"{asked} {made.profile.duration_s / 3600.0:.1f} h, {made.profile.title}: expected evidence for"
         f" {pair.truth} against {pair.rival} {pair.value:.0f} in BIC, {pair.needed:.0f} are needed;"
-        f" one more simulated unit reached {made.reached:.0f}{doubt}"
+        f" one more simulated unit reached {made.reached:.0f}"
     )

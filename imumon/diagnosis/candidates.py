@@ -34,13 +34,15 @@ class Candidate:
     """One or more parts of the same family, and whether the state at power-on of each run is free.
 
     The family is the label of its effects.  `choice` is the price in BIC for having been chosen among what
-    other drivers there are (extended BIC, gamma = 1: Chen & Chen 2008, doi:10.1093/biomet/asn034).
+    other drivers there are (extended BIC, gamma = 1: Chen & Chen 2008, doi:10.1093/biomet/asn034).  `whole`
+    says that the curve itself is over what follows the temperature, in place of the declared one.
     """
 
     family: str
     parts: tuple[Part, ...]
     free_start: bool = False
     choice: float = 0.0
+    whole: bool = False
 
     @property
     def nonlinear(self) -> int:
@@ -54,7 +56,7 @@ class Candidate:
 
     def contains(self, family: str) -> bool:
         """Tell whether what another family adds is in the main a special case of this one."""
-        return self.parts[0].effect.contains(family)
+        return (self.whole and family == "temperature_curve") or self.parts[0].effect.contains(family)
 
     def neighbours(self, survey: Survey, level: int) -> list[Candidate]:
         """Return candidates with one parameter of one part changed, closer at each level."""
@@ -85,6 +87,7 @@ def candidates(survey: Survey, families: Iterable[str] = tuple(EFFECTS)) -> list
             single = [(Part(effect),) for effect in grid]
             found += [Candidate(part[0].effect.label, part) for part in single]
             found += _driven(family, survey)
+            found += [Candidate(name, (Part(one),), whole=True) for one in family.of_curve(survey)]
             if family.free_start != "never":
                 found += [Candidate(name, part, free_start=True) for part in single]
             if family.scope == "either" and survey.runs > 1:
@@ -127,7 +130,7 @@ class Pool:
             (column, scope)
             for part in candidate.parts
             for scope in part.runs or (SHARED,)
-            for column in self._index(part.effect, "columns")
+            for column in self._index(part.effect, "followed" if candidate.whole else "columns")
         ]
         start = [
             (column, run)

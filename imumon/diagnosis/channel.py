@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Literal, Self
 
 import numpy as np
+from numpy.polynomial import Polynomial
 
 from imumon.blocks import FloatArray, IntArray
 from imumon.diagnosis.blocks import RunBlocks, WhiteFloor
@@ -39,10 +40,15 @@ class Declared:
         low, high = float(found.min()), float(found.max())
         return cls(degree, 0.5 * (low + high), max(0.5 * (high - low), 1e-3), own)
 
-    def columns(self, temperature: FloatArray) -> FloatArray:
-        """Return 1, u, ... u^degree, (n, degree + 1)."""
+    def columns(self, temperature: FloatArray, powers: int | None = None) -> FloatArray:
+        """Return 1, u, ... u^degree, (n, degree + 1), or so many of these."""
         u = (temperature - self.middle_degc) / self.half_span_degc
-        return np.asarray(u[:, np.newaxis] ** np.arange(self.degree + 1))
+        return np.asarray(u[:, np.newaxis] ** np.arange(powers or self.degree + 1))
+
+    def powers(self, curve: Polynomial) -> FloatArray:
+        """Return the coefficients of 1, u, u^2, ... of a curve over temperature."""
+        ends = self.middle_degc - self.half_span_degc, self.middle_degc + self.half_span_degc
+        return np.asarray(curve.convert(domain=ends).coef)
 
     def training(self, runs: Sequence[RunBlocks], temperature: str) -> FloatArray:
         """Return the columns over all training runs, with a constant for each further run or pose where it
@@ -120,9 +126,21 @@ class Channel:
         """Columns of the declared model over all training runs, (n, p)."""
         return self.declared.training(self.train, self.temperature)
 
-    def design(self, found: Sequence[Candidate]) -> FloatArray:
-        """Return the columns of the declared model and of what was found, (n, k)."""
-        return np.column_stack([self.base, self.pool.design(found)])
+    def design(self, found: Sequence[Candidate], *, whole: bool = False) -> FloatArray:
+        """Return the columns of the declared model and of what was found, (n, k).
+
+        The powers of the declared curve are zero where the curve is among what was found, or is to be
+        (`whole`).
+        """
+        base = self.base
+        if whole or any(one.whole for one in found):
+            base = base.copy()
+            base[:, 1 : self.declared.degree + 1] = 0.0
+        return np.column_stack([base, self.pool.design(found)])
+
+    def freed(self, found: Sequence[Candidate]) -> int:
+        """Return how many coefficients of the declared curve what was found does without."""
+        return self.declared.degree if any(one.whole for one in found) else 0
 
     def as_given(self) -> Channel:
         """Return it with the model that was given as it is, but for a constant."""

@@ -10,8 +10,9 @@ from typing import Literal
 import numpy as np
 
 from imumon.diagnosis.engine import Diagnosis
+from imumon.diagnosis.explaining import MATERIAL
 from imumon.diagnosis.extended import with_model
-from imumon.diagnosis.verdict import BY_TEST, MATERIAL, ChannelVerdict
+from imumon.diagnosis.verdict import BY_TEST, ChannelVerdict
 from imumon.effects.library import separated_by
 
 WELL_COVERED = 0.9

@@ -13,6 +13,8 @@ from imumon.diagnosis.likelihood import Likelihood
 CLEAN = 1.8
 """Residual in white floors below which nothing is missing; slow noise of the same size as the white is
 allowed."""
+MATERIAL = 1.3
+"""Of a model that leaves less than so many floors, what is missing is too small to matter."""
 EXPLAINED = 0.6
 """Share of the excess over the white floor that has to be explained before anything is named, in training
 and in the test.  Of wanders, walks, telegraph noise, bursts and a hidden supply, 384 channels, no effect

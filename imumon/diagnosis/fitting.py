@@ -64,7 +64,8 @@ class Fit:
     Parameters
     ----------
     declared : array of shape (degree + 1,)
-        Coefficients of the declared model; the constant is the one to predict with.
+        Coefficients of the declared model, or of the curve in its place; the constant is the one to predict
+        with.
     parts : list of FittedPart
     train : array of shape (n,)
         Residual in training.
@@ -96,7 +97,13 @@ def fit(channel: Channel, found: Sequence[Candidate]) -> Fit:
     for candidate in found:
         defining, start = map(len, pool.terms(candidate))
         own, starts = np.split(coefficients[at : at + defining + start], [defining])
+        if candidate.whole:
+            own = -own  # the curve less how late it is
         fitted = _parts(candidate, own, starts, runs)
+        if candidate.whole:
+            curve = channel.declared.powers(fitted[0].effect.curve())
+            model = np.pad(model, (0, max(0, fitted[0].effect.width + 1 - len(model))))
+            model[: len(curve)] += curve
         if not any(part.carries for part in fitted):
             mean = float((design[:, at : at + defining] @ own).mean())
             model[0] += mean
@@ -109,7 +116,7 @@ def fit(channel: Channel, found: Sequence[Candidate]) -> Fit:
 def fit_given(channel: Channel) -> Fit:
     """Fit what was assumed: the declared model, or to the model that was given a constant."""
     found = fit(channel.as_given(), [])
-    missing = channel.declared.degree + 1 - len(found.declared)
+    missing = max(0, channel.declared.degree + 1 - len(found.declared))
     return replace(found, declared=np.pad(found.declared, (0, missing)))
 
 
@@ -230,7 +237,8 @@ def mean_rms(parts: Sequence[FloatArray], counted: Sequence[BoolArray]) -> float
 
 def _predicted(channel: Channel, run: RunBlocks, model: Fit) -> FloatArray:
     """Return the bias that a fitted model predicts of a run, (n,)."""
-    expected = channel.declared.columns(run.temperature[channel.temperature]) @ model.declared
+    temperature = run.temperature[channel.temperature]
+    expected = channel.declared.columns(temperature, len(model.declared)) @ model.declared
     drive, which = run.drives[channel.temperature], begun(channel, run)
     for part in model.parts:
         if part.carries:

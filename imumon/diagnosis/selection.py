@@ -9,8 +9,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.diagnosis.candidates import Candidate, Part, candidates
+from imumon.diagnosis.candidates import Candidate, Part, Term, candidates
 from imumon.diagnosis.channel import Channel, ordinary, residual_rms
+from imumon.diagnosis.explaining import MATERIAL
 from imumon.diagnosis.gains import (
     CLOSE,
     CLOSE_SHARE,
@@ -158,7 +159,9 @@ class Search:
         self.first: Table | None = None
         self.last: Table | None = None
         self.refit = False
-        self.survey, self.likelihood, self.tried = survey, likelihood, tried
+        # Where a curve is known, and off the means, another cannot take its place.
+        self.tried = [one for one in tried if not (one.whole and channel.known is not None)]
+        self.survey, self.likelihood = survey, likelihood
         self._known: dict[tuple[int, ...], tuple[list[Candidate], float, Noise]] = {}
         if channel.known is not None:
             self._begin_with(channel.known)
@@ -256,23 +259,38 @@ class Search:
         both = [pool.terms(candidate) for candidate in tried]
         starts = list(dict.fromkeys(tuple(start) for _, start in both if start))
         terms = [*([*defining, *start] for defining, start in both), *map(list, starts)]
-        likelihood, noise = self._scan(terms, grid)
+        whole = [*(candidate.whole for candidate in tried), *(False for _ in starts)]
+        likelihood, noise = self._scan(terms, whole, grid)
         ratio = (2 * (likelihood - null)).tolist()
         alone = dict(zip(starts, ratio[len(tried) :], strict=True))
         scored = []
         for at, (candidate, (defining, start)) in enumerate(zip(tried, both, strict=True)):
-            fit = ratio[at] - (len(defining) + len(start)) * price
+            more = len(defining) - self._freed([candidate])
+            fit = ratio[at] - (more + len(start)) * price
             gain = fit - candidate.nonlinear * price - candidate.choice
             if start:
-                gain = min(gain, ratio[at] - max(0.0, alone[tuple(start)]) - len(defining) * price)
+                gain = min(gain, ratio[at] - max(0.0, alone[tuple(start)]) - more * price)
             scored.append(Scored(candidate, gain, fit, noise[at]))
         return scored
 
     def _scan(
-        self, terms: Sequence[Sequence[tuple[int, int]]], grid: Sequence[Noise]
+        self, terms: Sequence[Sequence[Term]], whole: Sequence[bool], grid: Sequence[Noise]
     ) -> tuple[FloatArray, list[Noise]]:
-        channel = self.channel
-        return self.likelihood.scan(channel.values, channel.design(self.found), channel.pool, terms, grid)
+        """Return the best log-likelihood with each group of terms, those of a whole curve in its place, and
+        its noise."""
+        channel, found = self.channel, np.empty(len(terms))
+        noise = [grid[0]] * len(terms)
+        for kind in set(whole):
+            places = [at for at, one in enumerate(whole) if one == kind]
+            base, groups = channel.design(self.found, whole=kind), [terms[at] for at in places]
+            found[places], best = self.likelihood.scan(channel.values, base, channel.pool, groups, grid)
+            for at, point in zip(places, best, strict=True):
+                noise[at] = point
+        return found, noise
+
+    def _freed(self, more: Sequence[Candidate]) -> int:
+        """Return how many coefficients of the declared curve are freed by more beside what was found."""
+        return self.channel.freed(more) - min(self.channel.freed(more), self.channel.freed(self.found))
 
     def _pairs(self, scored: Sequence[Scored]) -> dict[str, Leader]:
         """Look for two effects at once; a jump that is one of them may be anywhere in a block."""
@@ -283,10 +301,12 @@ class Search:
             return {}
         null, noise = self.null()
         terms = [[term for one in pair for term in pool.terms(one.candidate)[0]] for pair in pairs]
-        likelihood, _ = self._scan(terms, coarse_grid(noise, (0.3, 0.0)))
+        both = [[one.candidate for one in pair] for pair in pairs]
+        whole = [any(one.whole for one in pair) for pair in both]
+        likelihood, _ = self._scan(terms, whole, coarse_grid(noise, (0.3, 0.0)))
         number = [
-            len(group) + sum(one.candidate.nonlinear for one in pair)
-            for pair, group in zip(pairs, terms, strict=True)
+            len(group) + sum(one.nonlinear for one in pair) - self._freed(pair)
+            for pair, group in zip(both, terms, strict=True)
         ]
         choice = np.array([sum(one.candidate.choice for one in pair) for pair in pairs])
         gains = 2 * (likelihood - null) - np.array(number) * self.likelihood.price - choice
@@ -396,7 +416,7 @@ class Search:
         if self.channel.known is not None and candidate.parts[0].effect.is_curve:
             return True  # a curve that was fitted with an effect in it has a share of that in its shape
         again = candidate.family in (finding.name for finding in self.findings)
-        return again and candidate.scope == "shared" and left > MISFIT * self.channel.floor.sd
+        return again and candidate.scope == "shared" and left > MATERIAL * self.channel.floor.sd
 
     def _alike(self, leader: Leader, table: Table, pooled: Mapping[str, float], left: float) -> list[str]:
         """Return the families that are not told apart from the one chosen, by gain or by what they leave."""
@@ -555,7 +575,7 @@ class Search:
     def _evidence(self) -> float:
         """Return twice the log-likelihood of the model so far less the price of its parameters."""
         terms = (len(group) for one in self.found for group in self.channel.pool.terms(one))
-        number = sum(terms) + sum(one.nonlinear for one in self.found)
+        number = sum(terms) + sum(one.nonlinear for one in self.found) - self.channel.freed(self.found)
         choice = sum(one.choice for one in self.found)
         return 2 * self.null()[0] - number * self.likelihood.price - choice
 

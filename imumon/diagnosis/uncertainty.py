@@ -14,7 +14,7 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.diagnosis.candidates import Candidate, Part
-from imumon.diagnosis.channel import ordinary
+from imumon.diagnosis.channel import Channel, ordinary
 from imumon.diagnosis.selection import Search
 
 CHANGE = 0.01
@@ -76,8 +76,22 @@ def sigmas(found: Search, model: Sequence[Candidate]) -> Sigmas:
     searched = {one[:2]: dict[str, float]() for one in names}
     for (number, at, name), sd in zip(names, share.tolist(), strict=True):
         searched[number, at][name] = sd * getattr(model[number].parts[at].effect, name)
-    declared = linear[: channel.declared.degree + 1]
+    declared = _of_curve(channel, model, linear, width)
     return Sigmas(variance * declared @ declared.T, _of_parts(found, model, spread[width:], searched))
+
+
+def _of_curve(channel: Channel, model: Sequence[Candidate], linear: FloatArray, first: int) -> FloatArray:
+    """Return the errors of the curve's coefficients, as weights, of those of all columns, (degree + 1, n)."""
+    curve = linear[: channel.declared.degree + 1]
+    for one in model:
+        if one.whole:
+            effect = one.parts[0].effect
+            curve = np.pad(curve, ((0, max(0, effect.width + 1 - len(curve))), (0, 0)))
+            for at, row in enumerate(np.eye(effect.width)):
+                powers = channel.declared.powers(effect.with_coefficients(-row).curve())
+                curve[: len(powers)] += np.outer(powers, linear[first + at])
+        first += sum(map(len, channel.pool.terms(one)))
+    return curve
 
 
 def _of_parts(

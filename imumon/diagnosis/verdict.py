@@ -13,6 +13,7 @@ from imumon.blocks import FloatArray
 from imumon.diagnosis.channel import Channel
 from imumon.diagnosis.explaining import (
     CLEAN,
+    MATERIAL,
     evidence_of_test,
     explained_share,
     explains,
@@ -29,8 +30,6 @@ from imumon.diagnosis.selection import Finding, Search, Turn
 from imumon.diagnosis.uncertainty import PartSigma, sigmas
 from imumon.effects.library import separated_by
 
-MATERIAL = 1.3
-"""With a declared model that leaves less than so many floors, what is missing is too small to matter."""
 BY_TEST = "the test alone proves it: in training noise as slow as the one that is seen might go as far"
 
 
@@ -138,7 +137,7 @@ class ChannelVerdict:
         """Return temperature, bias and its sigma at both ends and the middle of what training covered."""
         declared = self.channel.declared
         at = declared.middle_degc + declared.half_span_degc * np.array([-1.0, 0.0, 1.0])
-        columns = declared.columns(at)
+        columns = declared.columns(at, len(self.after.declared))
         values = columns @ self.after.declared
         spread = np.sqrt(np.einsum("ij,jk,ik->i", columns, self.declared_covariance, columns))
         return list(zip(at.tolist(), values.tolist(), spread.tolist(), strict=True))

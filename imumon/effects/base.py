@@ -241,6 +241,11 @@ class Effect(StrictModel):
         return []
 
     @classmethod
+    def of_curve(cls, survey: Survey) -> list[Self]:  # noqa: ARG003 - for those that can be
+        """Return the effects worth trying that the whole curve is over."""
+        return []
+
+    @classmethod
     def sums(cls, grid: Sequence[Self]) -> list[tuple[Self, ...]]:  # noqa: ARG003 - for those that need it
         """Return sums of effects of the grid that are worth trying as one."""
         return []
@@ -325,6 +330,14 @@ class Effect(StrictModel):
     def polynomial(self) -> Polynomial | None:
         """Return it as a polynomial of the temperature for a curve to take in; None when it is not one."""
         return None
+
+    def curve(self) -> Polynomial:
+        """Return the curve over temperature that it makes late, less its constant, for those that can."""
+        raise NotImplementedError
+
+    def followed(self, drive: Drive) -> FloatArray:
+        """Return the powers of what the curve is over, of a whole run, (n, k), for those that can."""
+        raise NotImplementedError
 
     def described(self, coefficients: FloatArray) -> dict[str, Any]:  # noqa: ARG002 - for those with more to say
         """Return what else is worth reporting of fitted coefficients (runs, k)."""

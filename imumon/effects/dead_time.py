@@ -40,8 +40,12 @@ class DeadTime(Follower):
     @classmethod
     def grid(cls, survey: Survey) -> list[Self]:
         """Return delays up to an eighth of the shortest run."""
-        delays = logarithmic(SHORTEST_S, min(LONGEST_S, survey.shortest_s / 8), RATIO)
-        return [cls(delay_s=delay, **form) for form in cls.forms(survey) for delay in delays]
+        return [cls(delay_s=delay, **form) for form in cls.forms(survey) for delay in _delays(survey)]
+
+    @classmethod
+    def of_curve(cls, survey: Survey) -> list[Self]:
+        """Return the same delays, of the whole curve."""
+        return [cls(delay_s=delay, **form) for form in cls.curves(survey) for delay in _delays(survey)]
 
     def follow(self, memory: Memory, drive: Drive) -> FloatArray:
         """Return the delayed temperature, between those remembered on a straight line."""
@@ -58,3 +62,7 @@ class DeadTime(Follower):
     def settled(self, drive: Drive) -> BoolArray:
         """Tell whether the delay has passed: what was before power-on, nobody knows."""
         return np.asarray(drive.time_s > self.delay_s)
+
+
+def _delays(survey: Survey) -> list[float]:
+    return logarithmic(SHORTEST_S, min(LONGEST_S, survey.shortest_s / 8), RATIO)

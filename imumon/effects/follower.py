@@ -7,11 +7,14 @@ from itertools import combinations
 from typing import Annotated, Any, TypeVar
 
 import numpy as np
+from numpy.polynomial import Polynomial
 from pydantic import Field, FiniteFloat
 
 from imumon.blocks import FloatArray
 from imumon.effects.base import Drive, DrivenEffect, Effect, Memory, Positive, Scale, Survey
+from imumon.effects.temperature_curve import MORE_DEGREES
 
+HIGHEST_ORDER = 9
 MOST_IN_SUMS = 9
 """Parameters of which sums are tried."""
 
@@ -24,7 +27,7 @@ class Follower(DrivenEffect):
     Of another driver than the temperature, which no declared curve is over, u is a column as well, the last.
     """
 
-    order: Annotated[int, Field(ge=1, le=9)] = 1
+    order: Annotated[int, Field(ge=1, le=HIGHEST_ORDER)] = 1
     middle: FiniteFloat
     half_span: Positive
 
@@ -46,6 +49,16 @@ class Follower(DrivenEffect):
         scale = {"middle": survey.middle_degc, "half_span": survey.half_span_degc}
         return [{"order": order, **scale} for order in ((1, 3) if may_sum(survey, 4) else (1,))]
 
+    @classmethod
+    def curves(cls, survey: Survey) -> list[dict[str, Any]]:
+        """Return orders and scale of a curve that is itself over what follows: as many powers as declared, or
+        more; none where the temperature went one way only."""
+        if not survey.thermal or not may_sum(survey, 2):
+            return []
+        scale = {"middle": survey.middle_degc, "half_span": survey.half_span_degc}
+        orders = [max(survey.degree, 1) + more for more in (0, *MORE_DEGREES)]
+        return [{"order": order, **scale} for order in orders if order <= HIGHEST_ORDER]
+
     def follow(self, memory: Memory, drive: Drive) -> FloatArray:
         """Return what follows the driver, (n,), and carry the memory along."""
         raise NotImplementedError
@@ -56,13 +69,22 @@ class Follower(DrivenEffect):
 
     def advance(self, memory: Memory, drive: Drive) -> FloatArray:
         """Return the differences of powers, ahead less following."""
-        ahead, behind = (
-            np.cumprod(np.repeat(u[:, np.newaxis], self.order, axis=1), axis=1)
-            for values in (drive.of(self.driver), self.follow(memory, drive))
-            for u in [(values - self.middle) / self.half_span]
-        )
+        ahead, behind = self._powers(drive.of(self.driver)), self._powers(self.follow(memory, drive))
         late = ahead - behind
         return np.asarray(late if self.of_temperature else np.column_stack([late, ahead[:, :1]]))
+
+    def followed(self, drive: Drive) -> FloatArray:
+        """Return the powers of what follows, over a whole run, (n, order)."""
+        return self._powers(self.follow(Memory(), drive))
+
+    def curve(self) -> Polynomial:
+        """Return the curve over the driver, less its constant, of which this is how late it is."""
+        ends = self.middle - self.half_span, self.middle + self.half_span
+        return Polynomial([0.0, *(-one for one in self.coefficients)], domain=ends)
+
+    def _powers(self, values: FloatArray) -> FloatArray:
+        u = (values - self.middle) / self.half_span
+        return np.asarray(np.cumprod(np.repeat(u[:, np.newaxis], self.order, axis=1), axis=1))
 
 
 def may_sum(survey: Survey, reversals: int) -> bool:

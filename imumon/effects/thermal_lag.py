@@ -48,8 +48,12 @@ class ThermalLag(Follower):
     @classmethod
     def grid(cls, survey: Survey) -> list[Self]:
         """Return time constants up to a quarter of the shortest run."""
-        times = logarithmic(SHORTEST_S, min(LONGEST_S, survey.shortest_s / 4), RATIO)
-        return [cls(time_constant_s=tau, **form) for form in cls.forms(survey) for tau in times]
+        return [cls(time_constant_s=tau, **form) for form in cls.forms(survey) for tau in _times(survey)]
+
+    @classmethod
+    def of_curve(cls, survey: Survey) -> list[Self]:
+        """Return the same time constants, of the whole curve."""
+        return [cls(time_constant_s=tau, **form) for form in cls.curves(survey) for tau in _times(survey)]
 
     @classmethod
     def driven(cls, survey: Survey, driver: str) -> list[Self]:
@@ -90,3 +94,7 @@ class ThermalLag(Follower):
             return self
         seen = float(np.sqrt(np.mean(start**2))) * self.start_sd / abs(self.coefficients[0])
         return self.model_copy(update={"start_sd": max(START_SD_DEGC, seen)})
+
+
+def _times(survey: Survey) -> list[float]:
+    return logarithmic(SHORTEST_S, min(LONGEST_S, survey.shortest_s / 4), RATIO)

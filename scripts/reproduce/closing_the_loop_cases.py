@@ -56,6 +56,8 @@ class Setting:
     unequal: bool = False
     start_off_degc: float = 0.0
     latitude_deg: float | None = None
+    late: bool = False
+    """The whole curve is over the temperature of the die, and is bent beyond a cubic."""
     driver: str = ""
     """Which further column drives the bias, of `closing_the_loop_drivers`; "none" for columns alone."""
     label: str = ""
@@ -185,6 +187,12 @@ def _curve(rng: Generator, runs: list[Thermal], _: int) -> list[FloatArray]:
     return [np.tanh((run.board - at) / width) for run in runs]
 
 
+def _bent(rng: Generator, runs: list[Thermal], _: int) -> list[FloatArray]:
+    """Return a curve over the die's temperature."""
+    at, width = rng.uniform(20, 32), rng.uniform(5, 8)
+    return [np.tanh((run.die - at) / width) for run in runs]
+
+
 def _offset(rng: Generator, runs: list[Thermal], _: int) -> list[FloatArray]:
     levels = (0.0, rng.choice([-1.0, 1.0]), rng.uniform(-1, 1))
     return [np.full(len(run.time_s), level) for run, level in zip(runs, levels, strict=True)]
@@ -266,6 +274,7 @@ PHYSICS: dict[str, Physics] = {
     "dead_time": _dead_time,
     "temperature_rate": _rate,
     "thermal_lag": _lag,
+    "bent": _bent,
     "hysteresis": _hysteresis,
     "warm_up": _warm_up,
     "drift": _drift,
@@ -278,6 +287,8 @@ PHYSICS: dict[str, Physics] = {
     "bursts": _bursts,
     "supply": _supply,
 }
+NAMED = {"bent": "thermal_lag"}
+"""What an effect is called that has another name here."""
 OUTSIDE = ("telegraph", "slow wander", "bursts", "supply")
 POSES = np.array([[0, 0, 1], [0, 0, -1], [0, 1, 0], [0, -1, 0], [1, 0, 0], [-1, 0, 0]], float) * GRAVITY
 
@@ -298,7 +309,7 @@ def make_case(setting: Setting, seed: int) -> Case:
         for axis in setting.axes:
             for run, part in enumerate(_scaled(rng, name, setting, thermal, poses, axis, noise_rms)):
                 bias[run, axis] += part
-            truth[axis].add(name)
+            truth[axis].add(NAMED.get(name, name))
     runs = [_recorded(rng, run, bias[at], poses[at], setting, at) for at, run in enumerate(thermal)]
     if setting.turn_on_dph:
         for channel in truth:
@@ -354,7 +365,7 @@ def _recorded(
     reading = np.round((thermal.board + 0.01 * rng.standard_normal(n)) * 16) / 16
     mean: dict[str, FloatArray] = {"temperature": reading}
     variance: dict[str, FloatArray] = {}
-    u = (thermal.board - 25) / 20
+    u = ((thermal.die if setting.late else thermal.board) - 25) / 20
     second_sd = WHITE_DPH * np.sqrt(BLOCK)
     for axis, letter in enumerate("xyz"):
         turn_on = (0.0, rng.choice([-1.0, 1.0]), rng.uniform(-1, 1))[at]

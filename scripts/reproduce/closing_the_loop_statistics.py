@@ -114,6 +114,7 @@ def settings() -> list[Setting]:
         for name in unseen
         for size in (3.0, 8.0, 15.0)
     ]
+    found += [Setting(("bent",), size, late=True, label="bent curve, late") for size in (5.0, 10.0)]
     return found
 
 

@@ -84,6 +84,31 @@ def test_a_creep_and_a_dead_time_are_named_as_such_and_carry_over(bias: Bias, na
     assert [effect.name for effect in extended_model(diagnosis).channels["gyro_x"].effects] == [name]
 
 
+def late_curve(time: FloatArray, temperature: FloatArray) -> FloatArray:  # noqa: ARG001 - as all biases
+    """A bent curve, all of it over the temperature of a while ago and nothing over that of now."""
+    return np.asarray(bent(lagged(temperature, LAG_S)) - cubic(temperature))
+
+
+def bent(temperature: FloatArray) -> FloatArray:
+    return np.asarray(60.0 * np.tanh((temperature - 22.0) / 6.0) + 0.5 * temperature)
+
+
+def test_a_curve_that_is_itself_late_is_a_lag_with_the_powers_that_it_needs() -> None:
+    diagnosis = diagnose(*three(late_curve))
+    found = report(diagnosis)["channels"]["gyro_x"]
+    floor = found["noise_floor_rms"]
+    assert [effect["name"] for effect in found["effects"]] == ["thermal_lag"]
+    assert found["effects"][0]["parameters"]["time_constant_s"] == pytest.approx(LAG_S, rel=0.05)
+    assert found["before"]["test_rms"] > 5 * floor
+    assert found["after"]["test_rms"] < 1.2 * floor
+    assert not found["unexplained"]
+    # The curve of the model file is that of equilibrium, with its own sigma.
+    assert len(found["curve"]["sigma"]) == len(found["curve"]["coefficients"]) > 4
+    at = np.linspace(13.0, 39.0, 27)
+    curve = extended_model(diagnosis).channels["gyro_x"].curve.value(at)
+    assert curve == pytest.approx(bent(at) * DPH, abs=3 * floor)
+
+
 def late_and_loose(time: FloatArray, temperature: FloatArray) -> FloatArray:
     """A lag and a loop of one sign, which have most of their course in common."""
     loop = np.empty_like(temperature)
@@ -148,7 +173,7 @@ def test_a_channel_that_stands_still_is_a_fault_and_no_effect(value: float, said
 
 
 def test_digits_coarser_than_the_noise_are_said() -> None:
-    train, test = three(nothing)
+    train, test = three(nothing, 2400)
     step = 200 * WHITE_DPH * DPH
     coarse = [replace(r, mean={**r.mean, "gyro_x": np.round(r.mean["gyro_x"] / step) * step}) for r in train]
     coarse = [replace(r, variance={"gyro_x": np.zeros(len(r.time_s))}) for r in coarse]

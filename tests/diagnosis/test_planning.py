@@ -45,6 +45,18 @@ def test_a_plan_separates_what_was_not_told_apart_and_its_files_play(
         assert len(SimulatedUnit(scenario, 1).samples(10)) == 10
 
 
+def test_what_no_experiment_separates_is_said_and_no_file_is_written(
+    open_report: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert command(["plan", str(open_report), "--out", str(tmp_path), "--hours", "0.9", "--json"]) == 0
+    (plan,) = json.loads(capsys.readouterr().out)["questions"]
+    assert plan["profile"] is None
+    assert "nothing that was tried tells" in plan["why_not"]
+    assert all(f"floors with {name}" in plan["why_not"] for name in plan["answers"])
+    assert plan["files"] == []
+    assert not list(tmp_path.iterdir())
+
+
 def test_without_a_question_there_is_no_plan(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     train, test = three(lambda time, _: 0.0 * time, 3000)
     write_report(diagnose(train, test), tmp_path / "report.json")
