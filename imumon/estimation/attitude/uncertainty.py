@@ -4,17 +4,17 @@ At rest the specific force shows the vertical but for the accelerometers' error,
 on its way there.  In motion the filter takes accelerations for gravity, nobody knows how much; but
 the gyros have carried the vertical of the last rest along, with errors that are known.  So::
 
-    rest      tilt² = (accelerometer / g)² + (filter's up less the measured up)²
-    motion    tilt² = (accelerometer / g)² + turned² + (filter's up less the gyros' up)²
-    turned    = ∫ C (bias + M ω) dt, the bias and the matrix M of scale and misalignment staying as they are,
-                and what is lost between samples (`imumon.filters.turns`)
-    heading   its part about the vertical; it stays at rest
+    tilt²     = (accelerometer / g)² + turned² + (filter's up less the gyros' up)²
+    turned    = ∫ C (bias + M ω) dt since the last rest, the bias and the matrix M of scale and misalignment
+                staying as they are, and what is lost between samples (`imumon.filters.turns`)
+    heading²  = their parts about the vertical: what accelerations have turned the filter by is one of them
 
 Where the vertical that the gyros carried through a motion is not the one that the accelerometers show after
 it, beyond what else may be off, M is as large as that says (least squares over all motions so far).
 
-Both are judged once a second; until then each sample adds what it may have turned wrong since: bias, scale,
-and half an interval of its rate, as a rate may be the mean of the interval before or that of the moment.
+The gyros' part is judged once a second; until then each sample adds what it may have turned wrong since:
+bias, scale, and half an interval of its rate, as a rate may be the mean of the interval before or that of the
+moment.  How far filter and gyros are apart is seen at each sample.
 Heading is an angle about the vertical as it is taken: a tilt that is off turns the heading of an axis that
 rises or falls by its tangent.
 
@@ -33,12 +33,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from imumon.blocks import FloatArray
+from imumon.estimation.attitude.angles import shortest, times
 from imumon.estimation.attitude.fusion import TAU_MAG_S
 from imumon.filters.turns import Turn
 from imumon.geodesy import STANDARD_GRAVITY
 
 GRAVITY_SPREAD = 0.03
 """m/s²: between equator and poles gravity differs by no more from the standard (WGS-84: 9.780 to 9.832)."""
+UP = np.array([0.0, 0.0, 1.0])
 UNKNOWN = 1.0
 """Beyond so much, rad, an error is no small angle any more, and its standard deviation says nothing."""
 
@@ -82,8 +84,10 @@ class Slot:
         At its end, in the unit of the field.
     bias_sd : array (3,)
         At its end, rad/s; NaN where the bias is not known.
-    attitude, gyro_only : array (3, 3)
-        At its end, from body axes to east-north-up, and to axes of the gyros' own.
+    attitude : array (3, 3)
+        At its end, from body axes to level axes.
+    levelling : array (4,)
+        At its end: as of `Found`.
     ignored : array (3,)
         Turned, by the gyros, while it was taken for at rest, rad.
     north : bool
@@ -99,7 +103,7 @@ class Slot:
     mag: FloatArray
     bias_sd: FloatArray
     attitude: FloatArray
-    gyro_only: FloatArray
+    levelling: FloatArray
     ignored: FloatArray
     north: bool
     follows: float
@@ -190,8 +194,11 @@ class Uncertainty:
 
     Parameters
     ----------
-    up : array (3,)
-        Up at the last rest, in the axes of the gyros alone; NaN before the first rest.
+    levelled : array (4,)
+        What the levelling would be at the last rest with the vertical that was measured; NaN before one.
+    twist, twisted : float
+        How far the filter has turned about the vertical against the gyros since that rest, rad, at the end of
+        the last slot, and how much of that the heading still has.
     accel_sd : float
         Tilt by the accelerometers, rad.
     since_rest, since_north : Turned
@@ -206,10 +213,12 @@ class Uncertainty:
     magnitude : float
         Of the specific force at the last rest, m/s².
     tilt_sd, heading_sd : float
-        rad; NaN where nothing can be said.
+        By accelerometers, gyros and field, rad; NaN where nothing can be said.
     """
 
-    up: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
+    levelled: FloatArray = field(default_factory=lambda: np.full(4, np.nan))
+    twist: float = 0.0
+    twisted: float = 0.0
     accel_sd: float = math.nan
     since_rest: Turned = field(default_factory=Turned)
     since_north: Turned = field(default_factory=Turned)
@@ -224,17 +233,15 @@ class Uncertainty:
     def step(self, slot: Slot, errors: Errors) -> None:
         """Follow one slot."""
         errors = replace(errors, scale=self.scale(errors))
-        up = slot.attitude[2]
+        twist = float(self._apart(slot.levelling[np.newaxis])[1][0])
+        self.twisted, self.twist = self.twisted + twist - self.twist, twist
         if slot.rest and np.isfinite(slot.force).all():
-            measured = self._come_to_rest(slot, errors)
-            self.tilt_sd = _small(math.hypot(self.accel_sd, _angle(up, measured)))
-        else:
-            if math.isfinite(self.accel_sd):
-                self.since_rest.add(slot, errors)
-                self.since_north.add(slot, errors)
-            carried = _angle(up, slot.gyro_only.T @ self.up)
-            turned = math.sqrt(float(self.since_rest.variance(errors)[:2].mean()))
-            self.tilt_sd = _small(math.hypot(self.accel_sd, turned, carried))
+            self._come_to_rest(slot, errors)
+        elif math.isfinite(self.accel_sd):
+            self.since_rest.add(slot, errors)
+            self.since_north.add(slot, errors)
+        turned = math.sqrt(float(self.since_rest.variance(errors)[:2].mean()))
+        self.tilt_sd = _small(math.hypot(self.accel_sd, turned))
         if slot.north:
             self.heading_sd = self._magnetic(slot, errors)
         else:
@@ -244,7 +251,7 @@ class Uncertainty:
         """Return the standard deviation of the elements of M: as declared, or what motions have shown."""
         return math.sqrt(max(errors.scale**2, self.wrong / self.turned if self.turned > 0.0 else 0.0))
 
-    def at(self, since: Motion, bias_sd: FloatArray, errors: Errors) -> FloatArray:
+    def at(self, since: Motion, bias_sd: FloatArray, levelling: FloatArray, errors: Errors) -> FloatArray:
         """Return the variances of tilt and of the turn about the vertical, rad², (2, n).
 
         Parameters
@@ -253,6 +260,8 @@ class Uncertainty:
             Sums since the last slot, n + 1: the first is before the samples.
         bias_sd : array (n, 3)
             rad/s.
+        levelling : array (n, 4)
+            As of `Found`.
         errors : Errors
         """
         angle, seconds = since.angle, since.seconds[1:]
@@ -260,29 +269,41 @@ class Uncertainty:
         added += _squares(angle[1:] - angle[:-1]) / 12.0  # even chances from none of the interval to all
         if seconds[-1] > 0.0:
             added += np.where(seconds > 0.0, _squares(bias_sd) * seconds**2, 0.0)
-        return np.array([[self.tilt_sd**2], [self.heading_sd**2]]) + added
+        tilted, twist = self._apart(levelling)
+        twisted = self.twisted + twist - self.twist
+        return np.array([self.tilt_sd**2 + tilted**2, self.heading_sd**2 + twisted**2]) + added
 
-    def _come_to_rest(self, slot: Slot, errors: Errors) -> FloatArray:
+    def _apart(self, levelling: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return by how much filter and gyros differ since the last rest, rad: up, and about it; (n,) each."""
+        w, x, y, z = times(levelling, self.levelled * [1.0, -1.0, -1.0, -1.0]).T
+        off = 2.0 * np.arcsin(np.minimum(np.sqrt(x * x + y * y), 1.0))
+        return np.asarray(off), np.asarray(2.0 * np.arctan(z / w))
+
+    def _come_to_rest(self, slot: Slot, errors: Errors) -> None:
         """Take the vertical that the accelerometers show, and close the account of a motion."""
-        magnitude = float(np.linalg.norm(slot.force))
-        contradiction = max(abs(magnitude - STANDARD_GRAVITY) - GRAVITY_SPREAD, 0.0)
+        self.magnitude = float(np.linalg.norm(slot.force))
+        contradiction = max(abs(self.magnitude - STANDARD_GRAVITY) - GRAVITY_SPREAD, 0.0)
         self.accel_sd = max(errors.accel, contradiction) / STANDARD_GRAVITY
-        measured = slot.force / magnitude
-        self.magnitude = magnitude
-        self._compare(measured, slot.gyro_only, errors)
-        self.up = slot.gyro_only @ measured
-        self.heading_variance += float((self.since_north.bias[2] ** 2).sum())
+        # The measured vertical, in the filter's level axes.
+        measured = slot.attitude @ slot.force / self.magnitude
+        levelled = times(shortest(measured, UP), slot.levelling)
+        self._compare(levelled, errors)
+        self.levelled = levelled
+        drifted = float((self.since_north.bias[2] ** 2).sum()) + self.twisted**2
+        if math.isfinite(drifted):
+            self.heading_variance += drifted
         self.since_north.bias[:] = 0.0
+        self.twist = self.twisted = 0.0
         self.since_rest = Turned()
-        return np.asarray(measured)
 
-    def _compare(self, measured: FloatArray, gyro_only: FloatArray, errors: Errors) -> None:
+    def _compare(self, levelled: FloatArray, errors: Errors) -> None:
         """See how far the gyros have carried the vertical wrong through the motion that ends here."""
         turned = float((self.since_rest.scale[:2] ** 2).sum())
-        if turned > 0.0 and np.isfinite(self.up).all():
+        off = float(self._apart(levelled[np.newaxis])[0][0])
+        if turned > 0.0 and math.isfinite(off):
             without = replace(errors, scale=0.0)
             other = float(self.since_rest.variance(without)[:2].sum()) + 4.0 * self.accel_sd**2
-            self.wrong += max(_angle(measured, gyro_only.T @ self.up) ** 2 - other, 0.0)
+            self.wrong += max(off**2 - other, 0.0)
             self.turned += turned
 
     def _drifted(self, errors: Errors) -> float:
@@ -296,6 +317,7 @@ class Uncertainty:
         keep = math.exp(-slot.follows * slot.seconds / TAU_MAG_S)
         self.since_north.forget(keep)
         self.heading_variance *= keep * keep
+        self.twisted *= keep
         if slot.follows:
             self.bent += (1.0 - keep) * ((strength - errors.field) ** 2 - self.bent)
         vertical = float(slot.mag @ slot.attitude[2])
@@ -315,12 +337,6 @@ def _summed(before: FloatArray, added: FloatArray) -> FloatArray:
 def _squares(vectors: FloatArray) -> FloatArray:
     """Return the squared lengths of vectors, (n,)."""
     return np.asarray(np.einsum("ni,ni->n", vectors, vectors))
-
-
-def _angle(a: FloatArray, b: FloatArray) -> float:
-    """Return the angle between two directions, rad; small ones to full precision."""
-    chord = math.sqrt(float((a - b) @ (a - b)))
-    return 2.0 * math.asin(min(0.5 * chord, 1.0)) if math.isfinite(chord) else math.nan
 
 
 def _small(sd: float) -> float:
