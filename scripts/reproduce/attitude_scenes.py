@@ -166,7 +166,12 @@ def simulate(scene: Scene, rate_hz: float, seed: int, seconds: float = SECONDS) 
 
 
 def _sent(
-    scene: Scene, rng: np.random.Generator, t: FloatArray, rate: FloatArray, force: FloatArray, poses: FloatArray
+    scene: Scene,
+    rng: np.random.Generator,
+    t: FloatArray,
+    rate: FloatArray,
+    force: FloatArray,
+    poses: FloatArray,
 ) -> dict[str, npt.NDArray[np.float64] | npt.NDArray[np.int64]]:
     """Return the columns that a device sends: an industrial sensor."""
     sensor, n, dt = SENSORS["industrial"], len(t), t[1] - t[0]
@@ -176,7 +181,9 @@ def _sent(
     matrix = np.array(scene.swap) + rng.normal(0.0, SCALE_SD, (3, 3))
     walk = math.radians(sensor.angle_walk) / 60.0
     gyro = rate @ matrix.T + bias + drift + walk / math.sqrt(dt) * rng.normal(size=(n, 3))
-    accel = force + rng.normal(0.0, ACCEL_SD, 3) + sensor.velocity_walk / math.sqrt(dt) * rng.normal(size=(n, 3))
+    accel = (
+        force + rng.normal(0.0, ACCEL_SD, 3) + sensor.velocity_walk / math.sqrt(dt) * rng.normal(size=(n, 3))
+    )
     mag = np.einsum("nij,ni->nj", poses, FIELD_UT + _near(scene, rng, t)) @ _symmetric(rng).T
     mag += rng.normal(0.0, HARD_UT, 3) + MAG_NOISE_UT * rng.normal(size=(n, 3))
     if scene.magnet == "body":
@@ -186,7 +193,9 @@ def _sent(
         "device_time_ns": np.round(t * 1e9).astype(np.int64),
         "segment": np.zeros(n, np.int64),
         "temperature": np.round((degc + 0.02 * rng.normal(size=n)) * 16.0) / 16.0,
-        **{f"{name}_{axis}": values[:, j] for name, values in vectors.items() for j, axis in enumerate("xyz")},
+        **{
+            f"{name}_{axis}": values[:, j] for name, values in vectors.items() for j, axis in enumerate("xyz")
+        },
     }
 
 

@@ -111,9 +111,7 @@ class Fusion:
         rejected = self._vqf.state["magRejectT"] <= given["magMaxRejectionTime"]
         return 0.0 if rejected else float(1.0 / given["magRejectionFactor"])
 
-    def process(
-        self, readings: Readings, start: int, stop: int, bias_known: bool, found: Found
-    ) -> None:
+    def process(self, readings: Readings, start: int, stop: int, bias_known: bool, found: Found) -> None:
         """Follow rows start..stop, and fill in what is found."""
         start = self._learn(readings, start, stop)
         if start == stop or self._vqf is None:

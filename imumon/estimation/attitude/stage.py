@@ -22,7 +22,7 @@ from imumon.estimation.attitude.angles import (
 )
 from imumon.estimation.attitude.fusion import Found, Fusion, Readings
 from imumon.estimation.attitude.parameters import AttitudeParameters
-from imumon.estimation.attitude.uncertainty import GRAVITY_SPREAD, UNKNOWN, Errors, Motion, Slot, Uncertainty
+from imumon.estimation.attitude.uncertainty import GRAVITY_SPREAD, UNKNOWN, Errors, Motion, Slot, begin
 from imumon.filters.slots import SlotGatherer, Slots
 from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY
 from imumon.models.magnetometer import MagnetometerModel
@@ -31,6 +31,7 @@ SLOT_NS = 1_000_000_000
 """So often it is judged how far the attitude may be off: bias and path grow little in a second."""
 GAP_NS = 250_000_000
 """A longer pause hides turns."""
+CERTAIN = 0.95
 Q = tuple(f"attitude_estimate_{part}" for part in "wxyz")
 NORTH = "attitude_estimate_north"
 _REST = 6
@@ -94,7 +95,7 @@ class AttitudeEstimate:
         self._last: tuple[int, int] | None = None
         self._ended_ns = 0
         self._fusion = Fusion()
-        self._uncertainty = Uncertainty()
+        self._uncertainty = begin(self._errors)
         self._since = Motion()
         self._field = np.full(3, np.nan)
         self._gaps = 0
@@ -193,7 +194,8 @@ class AttitudeEstimate:
             if start in ended:
                 self._judge(rows, ended[start], start)
             if start in rows.begins:
-                self._fusion, self._uncertainty, self._since = Fusion(), Uncertainty(), Motion()
+                self._fusion, self._since = Fusion(), Motion()
+                self._uncertainty = self._uncertainty.anew()
             fusion = self._fusion
             fusion.process(rows.readings, start, stop, bool(known[start]), rows.found)
             if self._down == 0.0 and fusion.begun:
@@ -201,7 +203,7 @@ class AttitudeEstimate:
             part = slice(start, stop)
             self._since = self._since.then(rows.motion, part)
             rows.variance[:, part] = self._uncertainty.at(
-                self._since, rows.bias_sd[part], rows.found.levelling[part], self._errors
+                self._since, rows.bias_sd[part], rows.found.levelling[part]
             )
             if stop == n or stop in rows.begins:
                 self._turn_free(rows, begun, stop)
@@ -257,8 +259,7 @@ class AttitudeEstimate:
                 ignored=since.ignored[-1],
                 north=fusion.north,
                 follows=fusion.follows(),
-            ),
-            self._errors,
+            )
         )
 
     def lanes(self) -> Mapping[str, str]:
@@ -277,11 +278,11 @@ class AttitudeEstimate:
         if self._reported:
             return []
         begun, declared = self._fusion.begun, self._parameters.gyro_scale
-        scale, magnitude = self._uncertainty.scale(self._errors), self._uncertainty.magnitude
+        usual, magnitude = self._uncertainty.gyros.usual, self._uncertainty.magnitude
         conditions = {
             "attitude: after turns the accelerometers show another vertical than the gyros have carried, "
             f"by more than gyro_scale ({declared:.1%}) allows: are axes, signs and units right?": (
-                scale > BEYOND * declared
+                usual < 1.0 - CERTAIN
             ),
             "attitude: the specific force at rest is not gravity within accel_bias_m_per_s2 "
             f"({self._errors.accel:.2g}): are its scale and unit right?": (
