@@ -23,7 +23,7 @@ LATITUDE_DEG = 45.0
 FIELD_UT = np.array([0.0, 20.0, -43.0])
 """East, north, up: the dip is 65°."""
 ACCEL_SD, SCALE_SD = 0.05, 0.01
-"""Turn-on error of the accelerometers, m/s², and scale and misalignment of the gyros: what the stage takes for usual."""
+"""Turn-on error of the accelerometers, m/s², scale and misalignment of the gyros: as the stage takes them."""
 HARD_UT, SOFT, MAG_NOISE_UT = 0.3, 3e-3, 0.2
 """What a calibration leaves of hard and soft iron, and noise."""
 SLOPES_DPH = np.array([60.0, -45.0, 30.0])
@@ -64,7 +64,7 @@ class Record:
     axes: str
 
 
-def still(rng: np.random.Generator, t: FloatArray, much: FloatArray) -> Moves:
+def still(_: np.random.Generator, t: FloatArray, __: FloatArray) -> Moves:
     """Return no motion."""
     return np.zeros((len(t), 3)), np.zeros((len(t), 3))
 
@@ -157,7 +157,8 @@ def simulate(scene: Scene, rate_hz: float, seed: int, seconds: float = SECONDS) 
     acceleration = np.gradient(np.gradient(position, axis=0), axis=0)[1:] * FINE_HZ**2
     latitude = math.radians(LATITUDE_DEG)
     rate += EARTH_RATE * np.array([0.0, math.cos(latitude), math.sin(latitude)]) @ poses
-    force = np.einsum("nij,ni->nj", poses, acceleration + [0.0, 0.0, STANDARD_GRAVITY])
+    acceleration[:, 2] += STANDARD_GRAVITY
+    force = np.einsum("nij,ni->nj", poses, acceleration)
     rate, force = (values.reshape(n, each, 3).mean(1) for values in (rate, force))
     at = slice(each - 1, None, each)
     sent = _sent(scene, rng, t[1:][at], rate, force, poses[at])

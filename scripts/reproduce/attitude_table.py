@@ -1,4 +1,4 @@
-"""Error over sigma of the estimated attitude, over scenes, rates and seeds; tilt and heading, beside others."""
+"""Error over sigma of the estimated attitude, over scenes, rates and seeds, beside others."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from imumon.geodesy import STANDARD_GRAVITY
 RMS_BAR, LARGEST_BAR = 1.8, 7.0
 RATES_HZ = (50.0, 100.0, 400.0)
 HEADS = (
-    "scene", "Hz", "magnetometer", "tilt °", "VQF", "imufusion", "z rms", "max", "σ °", "heading °", "VQF", "imufusion",
-    "z rms", "max", "σ °", "claimed %",
+    "scene", "Hz", "magnetometer", "tilt °", "VQF", "imufusion", "z rms", "max", "σ °",
+    "heading °", "VQF", "imufusion", "z rms", "max", "σ °", "claimed %",
 )  # fmt: skip
 
 
@@ -121,9 +121,8 @@ def add(tilt: Kind, turn: Kind, record: Record, with_mag: bool, dt: float) -> No
         samples = SampleBlock({name: values for name, values in columns if not name.startswith("mag")})
     axes = cast(Literal["FRD", "FLU"], record.axes)
     told = samples
-    for stage in (
-        TemperatureRate(), RestDetector(), GyroBias(mode="learned"), AttitudeEstimate(None, axes, calibrated()),
-    ):  # fmt: skip
+    attitude = AttitudeEstimate(None, axes, calibrated())
+    for stage in (TemperatureRate(), RestDetector(), GyroBias(mode="learned"), attitude):
         told = told.with_columns(stage.process(told))
     ours = np.column_stack([told[f"attitude_estimate_{part}"] for part in "wxyz"])
     known = np.isfinite(told["attitude_estimate_tilt_sd"])

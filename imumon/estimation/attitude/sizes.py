@@ -1,8 +1,8 @@
 """How large errors are that nobody has measured: sizes side by side, each with its probability.
 
-An error that does not change, of unknown standard deviation s, comes to light as the unit moves.  What is off by
-then has the variance other + gain s², and says how likely each s is (Bayes).  Where several errors add up, each
-has sizes of its own, and all combinations have a probability.
+An error that does not change, of unknown standard deviation s, comes to light as the unit moves.  What is off
+by then has the variance other + gain s², and says how likely each s is (Bayes).  Where several errors add up,
+each has sizes of its own, and all combinations have a probability.
 """
 
 from __future__ import annotations

@@ -10,8 +10,8 @@ the gyros have carried the vertical of the last rest along, with errors that are
     heading²  = their parts about the vertical: what accelerations have turned the filter by is one of them
 
 Axes and signs may be mixed up, and then M is no small error.  So each gyro's column of M has one of several
-sizes (`sizes.Sizes`), and the vertical that the accelerometers show during and after a motion, beside the one
-that the gyros have carried, says which.  Until an axis has turned the vertical, its doubt is in the sigma.
+sizes (`sizes.Sizes`), and the vertical that the accelerometers show during and after a motion, beside the
+one that the gyros have carried, says which.  Until an axis has turned the vertical, its doubt is in the sigma.
 
 The gyros' part is judged once a second; until then each sample adds what it may have turned wrong since:
 bias, scale, and half an interval of its rate, as a rate may be the mean of the interval before or that of the
@@ -47,10 +47,9 @@ ACCELERATIONS = np.geomspace(0.01, 1.0, 5)
 """Of a motion over gravity: nobody knows how large they are, so sizes are equally likely (as of `Sizes`)."""
 ANOTHER = 0.5
 """Cosine between directions that say something new of the field's strength: 60°."""
-AXES_DOUBT, MAGNET_DOUBT = 0.05, 0.3
-"""How likely it is that an axis is not as declared, and that iron has come near since the calibration: judged, not
-measured.  Twice to five times as much changes the sigma of a unit that is right by 5 to 20 % until it has turned
-(docs/attitude.md)."""
+AXES_DOUBT, MAGNET_DOUBT = 0.05, 0.1
+"""How likely it is that an axis is not as declared, and that iron has come near since the calibration:
+judged, not measured.  What a fifth or three times as much changes is in docs/attitude.md."""
 WRONG_AXES = math.sqrt(2.0 / 3.0)
 """Of an element of M where axes and signs are mixed up: P - 1 over all 48 permutations with signs."""
 UP = np.array([0.0, 0.0, 1.0])
@@ -196,7 +195,7 @@ class Turned:
 
     @property
     def by_gyro(self) -> FloatArray:
-        """Return the squares of the angles about east, north, up for M of one in each gyro's column, (3, 3)."""
+        """Return squares of the angles about east, north, up for M of one in each gyro's column, (3, 3)."""
         return np.asarray((self.scale**2).sum(1))
 
     def variance(self, scale2: FloatArray) -> FloatArray:
@@ -302,7 +301,7 @@ class Uncertainty:
         return np.array([self.tilt_sd**2 + tilted**2, self.heading_sd**2 + twisted**2]) + added
 
     def _apart(self, levelling: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return by how much filter and gyros differ since the last rest, rad: up, and about it; (n,) each."""
+        """Return by how much filter and gyros differ since the last rest, rad: up, and about it, (n,)."""
         w, x, y, z = times(levelling, self.levelled * [1.0, -1.0, -1.0, -1.0]).T
         off = 2.0 * np.arcsin(np.minimum(np.sqrt(x * x + y * y), 1.0))
         return np.asarray(off), np.asarray(2.0 * np.arctan(z / w))
