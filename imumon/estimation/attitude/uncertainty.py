@@ -11,7 +11,8 @@ the gyros have carried the vertical of the last rest along, with errors that are
 
 Axes and signs may be mixed up, and then M is no small error.  So each gyro's column of M has one of several
 sizes (`sizes.Sizes`), and the vertical that the accelerometers show during and after a motion, beside the
-one that the gyros have carried, says which.  Until an axis has turned the vertical, its doubt is in the sigma.
+one that the gyros have carried, says which.  Until an axis has turned the vertical, its doubt is in the
+sigma.
 
 The gyros' part is judged once a second; until then each sample adds what it may have turned wrong since:
 bias, scale, and half an interval of its rate, as a rate may be the mean of the interval before or that of the
@@ -21,8 +22,8 @@ rises or falls by its tangent.
 
 A magnetometer that is calibrated ties the heading down: its error over the horizontal field, the tilt times
 the tangent of the dip, and what the gyros have added, which the filter forgets with its time constant.  Iron
-that came after the calibration bends the field, in a direction that nobody knows: by how much its strength says,
-each time that the field is seen from another side of the unit (`sizes.Sizes`).
+that came after the calibration bends the field, in a direction that nobody knows: by how much its strength
+says, each time that the field is seen from another side of the unit (`sizes.Sizes`).
 In a long motion this is a bound: nobody knows how far the accelerometers have kept the tilt better than the
 gyros.
 """
