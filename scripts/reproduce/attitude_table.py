@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, fields
 from itertools import product
 from typing import Literal, cast
 
 import imufusion
 import numpy as np
-from attitude_scenes import SCENES, SECONDS, Record, Scene, calibrated, simulate
+from attitude_scenes import SCENES, Record, Scene, calibrated, simulate
 from scipy.spatial.transform import Rotation
 from vqf import VQF
 
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.estimation.attitude.angles import heading
+from imumon.estimation.attitude.parameters import AttitudeParameters
 from imumon.estimation.attitude.stage import AttitudeEstimate
 from imumon.estimation.gyro_bias.stage import GyroBias
 from imumon.estimation.rest.stage import RestDetector
@@ -113,7 +114,7 @@ def heading_error(q: FloatArray, truth: FloatArray, since: int, free: bool) -> F
     return np.asarray(np.angle(np.exp(1j * (off - (off[since] if free else 0.0)))))
 
 
-def add(tilt: Kind, turn: Kind, record: Record, with_mag: bool, dt: float) -> None:
+def add(tilt: Kind, turn: Kind, record: Record, with_mag: bool, dt: float, given: AttitudeParameters) -> None:
     """Run ours and others on a record, from where ours has a sigma."""
     samples = record.samples
     if not with_mag:
@@ -121,7 +122,7 @@ def add(tilt: Kind, turn: Kind, record: Record, with_mag: bool, dt: float) -> No
         samples = SampleBlock({name: values for name, values in columns if not name.startswith("mag")})
     axes = cast(Literal["FRD", "FLU"], record.axes)
     told = samples
-    attitude = AttitudeEstimate(None, axes, calibrated())
+    attitude = AttitudeEstimate(given, axes, calibrated())
     for stage in (TemperatureRate(), RestDetector(), GyroBias(mode="learned"), attitude):
         told = told.with_columns(stage.process(told))
     ours = np.column_stack([told[f"attitude_estimate_{part}"] for part in "wxyz"])
@@ -138,11 +139,13 @@ def add(tilt: Kind, turn: Kind, record: Record, with_mag: bool, dt: float) -> No
         kind.ratios.append(kind.ours[-1] / sd)
 
 
-def row(name: str, rate_hz: float, with_mag: bool, seeds: range, seconds: float) -> tuple[float, str]:
+def row(
+    name: str, rate_hz: float, with_mag: bool, records: Iterable[Record], given: AttitudeParameters
+) -> tuple[float, str]:
     """Return how bad a row is, and the row."""
-    tilt, turn, scene = Kind(), Kind(), SCENES[name]
-    for seed in seeds:
-        add(tilt, turn, simulate(scene, rate_hz, seed, seconds), with_mag, 1.0 / rate_hz)
+    tilt, turn = Kind(), Kind()
+    for record in records:
+        add(tilt, turn, record, with_mag, 1.0 / rate_hz, given)
     (first, tilt_cells, known), (second, turn_cells, tied) = tilt.row(), turn.row()
     cells = [name, f"{rate_hz:.0f}", "yes" if with_mag else "no", *tilt_cells, *turn_cells]
     return max(first, second), f"| {' | '.join(cells)} | {100.0 * min(known, tied):.0f} |"
@@ -161,14 +164,19 @@ def main() -> None:
     parser.add_argument("--only", choices=list(SCENES), help="one scene")
     parser.add_argument("--rates", type=float, nargs="+", default=RATES_HZ, help="sample rates, Hz")
     parser.add_argument("--quick", action="store_true", help="some seconds of one scene at the lowest rate")
+    parser.add_argument("--axes-doubt", type=float, help="of the stage (default: its own)")
+    parser.add_argument("--magnet-doubt", type=float, help="of the stage (default: its own)")
     given = parser.parse_args()
+    doubts = {"axes_doubt": given.axes_doubt, "magnet_doubt": given.magnet_doubt}
+    stage = AttitudeParameters(**{name: value for name, value in doubts.items() if value is not None})
     seeds = range(given.first, given.first + given.seeds)
     print(f"| {' | '.join(HEADS)} |\n{'|---' * len(HEADS)}|")
     if given.quick:
-        print(row("robot arm", RATES_HZ[0], True, seeds[:1], 30.0)[1])
+        record = simulate(SCENES["robot arm"], RATES_HZ[0], given.first, 30.0)
+        print(row("robot arm", RATES_HZ[0], True, [record], stage)[1])
         return
     rows = [
-        row(name, rate_hz, with_mag, seeds, SECONDS)
+        row(name, rate_hz, with_mag, (simulate(SCENES[name], rate_hz, seed) for seed in seeds), stage)
         for name, rate_hz, with_mag in product(SCENES, given.rates, (True, False))
         if given.only in (None, name) and worth(SCENES[name], with_mag)
     ]

@@ -69,9 +69,11 @@ class Sizes:
 def usual(size: float, largest: float, doubt: float, errors: int) -> Sizes:
     """Return that errors have a usual size, or with a probability of `doubt` each any up to the largest."""
     squares = np.geomspace(size, max(largest, size), COUNT) ** 2 if size > 0.0 else np.zeros(COUNT)
-    prior = np.log(np.append(1.0 - doubt, np.full(COUNT - 1, doubt / (COUNT - 1))))
+    prior = np.log(np.append(1.0 - doubt, np.full(COUNT - 1, max(doubt, LEAST) / (COUNT - 1))))
     return Sizes(squares, reduce(np.add.outer, [prior] * errors))
 
 
+LEAST = 1e-12
+"""What no doubt is below: of an impossible size the logarithm is none."""
 COUNT = 5
 """Sizes that are tried: by a factor of three from a percent to all, so that none is off by more than 1.7."""

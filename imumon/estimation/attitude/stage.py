@@ -89,6 +89,8 @@ class AttitudeEstimate:
             0.0 if latitude_deg is None else EARTH_RATE,
             math.nan if magnetometer is None else magnetometer.error_sd,
             math.nan if magnetometer is None else magnetometer.field,
+            self._parameters.axes_doubt,
+            self._parameters.magnet_doubt,
         )
         self._heading = math.radians(heading_deg or 0.0)
         self._slots = SlotGatherer(_COLUMNS, SLOT_NS, rates=0)

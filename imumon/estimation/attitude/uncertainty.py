@@ -48,9 +48,6 @@ ACCELERATIONS = np.geomspace(0.01, 1.0, 5)
 """Of a motion over gravity: nobody knows how large they are, so sizes are equally likely (as of `Sizes`)."""
 ANOTHER = 0.5
 """Cosine between directions that say something new of the field's strength: 60°."""
-AXES_DOUBT, MAGNET_DOUBT = 0.05, 0.1
-"""How likely it is that an axis is not as declared, and that iron has come near since the calibration:
-judged, not measured.  What a fifth or three times as much changes is in docs/attitude.md."""
 WRONG_AXES = math.sqrt(2.0 / 3.0)
 """Of an element of M where axes and signs are mixed up: P - 1 over all 48 permutations with signs."""
 UP = np.array([0.0, 0.0, 1.0])
@@ -74,6 +71,8 @@ class Errors:
         Unit of the field; NaN when it is not calibrated.
     field : float
         Its strength where the magnetometer was calibrated.
+    axes_doubt, magnet_doubt : float
+        As of `AttitudeParameters`.
     """
 
     accel: float
@@ -81,6 +80,8 @@ class Errors:
     earth_rate: float
     magnetometer: float
     field: float
+    axes_doubt: float
+    magnet_doubt: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -369,11 +370,10 @@ class Uncertainty:
 
 def begin(errors: Errors) -> Uncertainty:
     """Return what is known beforehand."""
-    gyros = usual(errors.scale, WRONG_AXES, AXES_DOUBT, 3)
+    gyros = usual(errors.scale, WRONG_AXES, errors.axes_doubt, 3)
     calibrated = math.isfinite(errors.magnetometer)
-    iron = usual(
-        errors.magnetometer if calibrated else 0.0, errors.field if calibrated else 0.0, MAGNET_DOUBT, 1
-    )
+    field_sd, strength = (errors.magnetometer, errors.field) if calibrated else (0.0, 0.0)
+    iron = usual(field_sd, strength, errors.magnet_doubt, 1)
     return Uncertainty(errors, gyros, iron, gyros.mean_square)
 
 
