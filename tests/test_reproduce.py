@@ -27,6 +27,7 @@ QUICK = (
 SMALL: dict[str, list[str]] = {
     "allan_terms": ["1"],
     "bias_sigma": ["--seeds", "1", "--only", "tactical"],
+    "moving_bias": ["--seeds", "1", "--only", "rover", "--minutes", "3"],
     "alignment_site": ["1", "--only", "quiet"],
     "thermometers": ["--seeds", "1", "--kinds", "white 0.25 step, 10 Hz", "--holds", "60"],
     **{name: ["--quick"] for name in QUICK},

@@ -1,8 +1,8 @@
 """Bias of a unit that has never been at rest: gravity turns, by the gyros, with a bias that is not known.
 
-A vehicle speeds up and brakes, but its velocity stays bounded.  So in axes that the gyros carry along, what the
-accelerometers sum up over a minute is gravity times the time, and a bias of the gyros bends it (to first order of
-what is left of the errors, and iterated, Gauss and Newton)::
+A vehicle speeds up and brakes, but its velocity stays bounded.  In axes that the gyros carry along, what the
+accelerometers sum up over a minute is gravity times the time, and a bias of the gyros bends it (to first
+order of what is left of the errors, and iterated, Gauss and Newton)::
 
     ∫ C f dt = g t + v(t) - v(0) + ∫∫ [g x] C (bias + M ω) dt dt + ∫ C accelerometer bias dt
 
@@ -107,7 +107,7 @@ class Motion:
 
     @property
     def bias(self) -> tuple[FloatArray, FloatArray]:
-        """Return the bias and its variance until the next window ends, (3,) each; NaN where little is known."""
+        """Return bias and variance until the next window ends, (3,) each; NaN where little is known."""
         variance = np.diag(self.covariance)[RATE] + BIAS_WALK**2 * PART_S * PARTS
         known = variance < (0.5 * UNKNOWN_RATE) ** 2
         return np.where(known, self.mean[RATE], np.nan), np.where(known, variance, np.nan)
@@ -124,7 +124,7 @@ class _Window:
         self.force = np.asarray(total / self.seconds[-1])
 
     def summed(self, bias: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the velocities at the ends of parts, less a bias, and by what the states change them.
+        """Return the velocities at the ends of parts, less a bias, and what the states change of them.
 
         They are (n, 3) and (n, 3, 15), m/s, in the axes of the beginning.
         """
