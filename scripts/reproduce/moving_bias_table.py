@@ -63,8 +63,8 @@ class Vehicle:
         """Return a way."""
         angles = waves(rng, t, *self.sway[1:], self.sway[0])
         angles[:, 2] += waves(rng, t, *self.yaw[1:], self.yaw[0])[:, 2]
-        mean, share, *changes = self.speed
-        speed = mean * (1.0 + share * waves(rng, t, *changes, 1.0)[:, 0])
+        mean, share, slowest_hz, fastest_hz = self.speed
+        speed = mean * (1.0 + share * waves(rng, t, slowest_hz, fastest_hz, 1.0)[:, 0])
         velocity = _along(speed, angles[:, 2]) + waves(rng, t, *self.drift[1:], self.drift[0])
         return angles, velocity, waves(rng, t, *self.shakes[1:], self.shakes[0])
 
