@@ -21,12 +21,13 @@ FOLDER = ROOT / "scripts" / "reproduce"
 COMMANDS = sorted(path.name for path in FOLDER.iterdir() if path.is_file() and os.access(path, os.X_OK))
 
 QUICK = (
-    "alignment", "bias_race", "field", "random_error", "rest_detector", "smoothing", "tczupt",
+    "alignment", "attitude", "bias_race", "field", "random_error", "rest_detector", "smoothing", "tczupt",
     "temperature_rate", "thermal_calibration",
 )  # fmt: skip
 SMALL: dict[str, list[str]] = {
     "allan_terms": ["1"],
     "bias_sigma": ["--seeds", "1", "--only", "tactical"],
+    "moving_bias": ["--seeds", "1", "--only", "rover", "--minutes", "3"],
     "alignment_site": ["1", "--only", "quiet"],
     "thermometers": ["--seeds", "1", "--kinds", "white 0.25 step, 10 Hz", "--holds", "60"],
     **{name: ["--quick"] for name in QUICK},

@@ -86,7 +86,7 @@ class Record:
     rest: npt.NDArray[np.bool_]
 
 
-def _waves(rng: np.random.Generator, t: FloatArray, low_hz: float, high_hz: float, size: float) -> FloatArray:
+def waves(rng: np.random.Generator, t: FloatArray, low_hz: float, high_hz: float, size: float) -> FloatArray:
     """Return smooth motion of three axes with frequencies between these, rms `size`, (n, 3)."""
     parts = 6
     f = np.exp(rng.uniform(math.log(low_hz), math.log(high_hz), (parts, 3)))
@@ -101,16 +101,16 @@ def _moved(case: Case, rng: np.random.Generator, seconds: float) -> tuple[FloatA
     ramp = np.clip(np.minimum(t, t[-1] - t) / min(1.0, 0.25 * seconds), 0.0, 1.0)[:, np.newaxis]
     ramp = np.asarray(ramp * ramp * (3.0 - 2.0 * ramp))
     if case.motion == "hand":
-        return ramp * _waves(rng, t, 0.05, 1.0, 1.0), ramp * _waves(rng, t, 0.3, 3.0, 1.0)
+        return ramp * waves(rng, t, 0.05, 1.0, 1.0), ramp * waves(rng, t, 0.3, 3.0, 1.0)
     # It speeds up, brakes and turns; the road is rough; what tilts it comes back.
     speed, turning, slowest_hz = DRIVES[case.motion]
-    yaw = ramp[:, 0] * _waves(rng, t, slowest_hz, 0.1, turning)[:, 2]
-    along = ramp[:, 0] * speed * (1.0 + 0.5 * _waves(rng, t, slowest_hz, 0.1, 1.0)[:, 0])
+    yaw = ramp[:, 0] * waves(rng, t, slowest_hz, 0.1, turning)[:, 2]
+    along = ramp[:, 0] * speed * (1.0 + 0.5 * waves(rng, t, slowest_hz, 0.1, 1.0)[:, 0])
     heading = np.cumsum(yaw) / RATE_HZ
     velocity = along[:, np.newaxis] * np.column_stack([np.cos(heading), np.sin(heading), np.zeros(len(t))])
-    rate = np.gradient(ramp * _waves(rng, t, 0.05, 1.0, 0.03), 1.0 / RATE_HZ, axis=0)
+    rate = np.gradient(ramp * waves(rng, t, 0.05, 1.0, 0.03), 1.0 / RATE_HZ, axis=0)
     rate[:, 2] = yaw
-    return rate, np.gradient(velocity, 1.0 / RATE_HZ, axis=0) + ramp * _waves(rng, t, 2.0, 15.0, 1.0)
+    return rate, np.gradient(velocity, 1.0 / RATE_HZ, axis=0) + ramp * waves(rng, t, 2.0, 15.0, 1.0)
 
 
 def _temperature(case: Case, t: FloatArray) -> FloatArray:

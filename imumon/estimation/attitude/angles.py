@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.geodesy import LEAST_HORIZONTAL
+
+BEYOND = 3.0
+"""Standard deviations that are no chance."""
 
 
 def matrix(q: FloatArray) -> FloatArray:
@@ -55,13 +60,17 @@ def heading(q: FloatArray) -> FloatArray:
     return np.asarray(np.mod(np.arctan2(east, north), 2.0 * np.pi))
 
 
-def slope(q: FloatArray) -> FloatArray:
-    """Return the tangent of how far the axis that `heading` is of rises or falls, without sign, (n,)."""
+def slope(q: FloatArray, tilt_sd: FloatArray) -> FloatArray:
+    """Return the tangent of how far the axis that `heading` is of rises or falls, without sign, (n,).
+
+    It is infinite where the tilt, with its standard deviation in rad, (n,), leaves open which axis that is.
+    """
     w, x, y, z = q.T
     forward, side, upward = 2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)
-    steep = side * side + upward * upward < LEAST_HORIZONTAL**2
-    rise = np.abs(np.where(steep, upward, forward))
-    return np.asarray(rise / np.sqrt(np.maximum(1.0 - rise * rise, LEAST_HORIZONTAL**2)))
+    level = np.sqrt(side * side + upward * upward)
+    rise = np.abs(np.where(level < LEAST_HORIZONTAL, upward, forward))
+    tangent = rise / np.sqrt(np.maximum(1.0 - rise * rise, LEAST_HORIZONTAL**2))
+    return np.where(np.abs(level - LEAST_HORIZONTAL) < BEYOND * tilt_sd, np.inf, tangent)
 
 
 def turned_clockwise(q: FloatArray, angle: float) -> FloatArray:
@@ -69,3 +78,22 @@ def turned_clockwise(q: FloatArray, angle: float) -> FloatArray:
     c, s = np.cos(0.5 * angle), -np.sin(0.5 * angle)
     w, x, y, z = q.T
     return np.column_stack([c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w])
+
+
+def times(p: FloatArray, q: FloatArray) -> FloatArray:
+    """Return products of quaternions, (n, 4) or (4,) each: the rotation q, and p after it."""
+    a, b, c, d = p.T
+    w, x, y, z = q.T
+    product = [
+        a * w - b * x - c * y - d * z,
+        a * x + b * w + c * z - d * y,
+        a * y - b * z + c * w + d * x,
+        a * z + b * y - c * x + d * w,
+    ]
+    return np.stack(product, -1)
+
+
+def shortest(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return the quaternion, (4,), of the least rotation of one direction to another that is not opposite."""
+    q = np.append(1.0 + a @ b, np.cross(a, b))
+    return np.asarray(q / math.sqrt(q @ q))

@@ -58,6 +58,25 @@ class Readings:
     has_mag: BoolArray
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """What the filter finds, row by row; NaN and 0 where it has not begun.
+
+    Parameters
+    ----------
+    q : array (n, 4)
+        w, x, y, z, from body axes to north, or to level axes of its own.
+    levelling : array (n, 4)
+        From where the gyros alone have carried the level axes to where the filter has them.
+    north : array of int64 (n,)
+        Whether q refers to north.
+    """
+
+    q: FloatArray
+    levelling: FloatArray
+    north: IntArray
+
+
 class Fusion:
     """Attitude from one begin to the next: a restart, a gap."""
 
@@ -74,7 +93,10 @@ class Fusion:
         self.disturbed = False
         """Whether VQF takes the magnetic field for disturbed."""
         self.last = np.full(4, np.nan)
-        """The latest quaternion, w, x, y, z, (4,), from body axes to north or to level axes of its own."""
+        """The latest quaternion, w, x, y, z, (4,), from body axes to level axes of its own."""
+
+        self.levelling = np.full(4, np.nan)
+        """The latest of `Found`."""
 
     @property
     def begun(self) -> bool:
@@ -89,10 +111,8 @@ class Fusion:
         rejected = self._vqf.state["magRejectT"] <= given["magMaxRejectionTime"]
         return 0.0 if rejected else float(1.0 / given["magRejectionFactor"])
 
-    def process(
-        self, readings: Readings, start: int, stop: int, bias_known: bool, q: FloatArray, north: IntArray
-    ) -> None:
-        """Follow rows start..stop; fill their quaternions, (n, 4), and whether they refer to north, (n,)."""
+    def process(self, readings: Readings, start: int, stop: int, bias_known: bool, found: Found) -> None:
+        """Follow rows start..stop, and fill in what is found."""
         start = self._learn(readings, start, stop)
         if start == stop or self._vqf is None:
             return
@@ -104,19 +124,19 @@ class Fusion:
             level = start + int(np.argmax(has_mag)) if has_mag.any() else stop
         gyro = readings.angle[start:stop] * (1.0 / self._interval_s)
         if start < level:
-            found = self._vqf.updateBatch(gyro[: level - start], readings.accel[start:level])
-            q[start:level] = found["quat6D"]
+            said = self._vqf.updateBatchFullState(gyro[: level - start], readings.accel[start:level])
+            found.q[start:level], found.levelling[start:level] = said["quat6D"], said["accQuat"]
             if not self.begun:
-                self.first_heading = float(heading(found["quat6D"][:1])[0])
+                self.first_heading = float(heading(said["quat6D"][:1])[0])
         if level < stop:
             self.north = True
             mag = readings.mag[level:stop]
-            found = self._vqf.updateBatch(gyro[level - start :], readings.accel[level:stop], mag)
-            q[level:stop] = found["quat9D"]
+            said = self._vqf.updateBatchFullState(gyro[level - start :], readings.accel[level:stop], mag)
+            found.q[level:stop], found.levelling[level:stop] = said["quat9D"], said["accQuat"]
             # Before it has taken a field as its reference VQF calls every field disturbed, and follows it.
-            self.disturbed = bool(found["magDistDetected"][-1]) and self._vqf.getMagRefNorm() > 0.0
-            north[level:stop] = 1
-        self.last = q[stop - 1].copy()
+            self.disturbed = bool(said["magDistDetected"][-1]) and self._vqf.getMagRefNorm() > 0.0
+            found.north[level:stop] = 1
+        self.last, self.levelling = said["quat6D"][-1].copy(), said["accQuat"][-1].copy()
 
     def _learn(self, readings: Readings, start: int, stop: int) -> int:
         """Take the rate from the first intervals; return the first row that the filter may have."""
@@ -143,8 +163,3 @@ class Fusion:
         vqf.setBiasEstimate(np.zeros(3), math.radians(vqf.params["biasSigmaInit"]))
         vqf.setMotionBiasEstEnabled(not known)
         vqf.setRestBiasEstEnabled(not known)
-
-    def gyro_only(self) -> FloatArray:
-        """Return the quaternion by the gyros alone, (4,), from body axes to axes of its own."""
-        assert self._vqf is not None
-        return np.asarray(self._vqf.getQuat3D())

@@ -12,10 +12,17 @@ import numpy as np
 
 from imumon.blocks import NO_INT, BoolArray, ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.columns import Column
-from imumon.estimation.attitude.angles import heading, level_angles, matrix, slope, turned_clockwise
-from imumon.estimation.attitude.fusion import Fusion, Readings
+from imumon.estimation.attitude.angles import (
+    BEYOND,
+    heading,
+    level_angles,
+    matrix,
+    slope,
+    turned_clockwise,
+)
+from imumon.estimation.attitude.fusion import Found, Fusion, Readings
 from imumon.estimation.attitude.parameters import AttitudeParameters
-from imumon.estimation.attitude.uncertainty import GRAVITY_SPREAD, UNKNOWN, Errors, Motion, Slot, Uncertainty
+from imumon.estimation.attitude.uncertainty import GRAVITY_SPREAD, UNKNOWN, Errors, Motion, Slot, begin
 from imumon.filters.slots import SlotGatherer, Slots
 from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY
 from imumon.models.magnetometer import MagnetometerModel
@@ -24,8 +31,7 @@ SLOT_NS = 1_000_000_000
 """So often it is judged how far the attitude may be off: bias and path grow little in a second."""
 GAP_NS = 250_000_000
 """A longer pause hides turns."""
-BEYOND = 3.0
-"""Standard deviations that are no chance."""
+CERTAIN = 0.95
 Q = tuple(f"attitude_estimate_{part}" for part in "wxyz")
 NORTH = "attitude_estimate_north"
 _REST = 6
@@ -43,8 +49,7 @@ class _Rows:
     begins: set[int]
     slots: Slots
     motion: Motion
-    q: FloatArray
-    north: IntArray
+    found: Found
     variance: FloatArray
 
 
@@ -84,13 +89,15 @@ class AttitudeEstimate:
             0.0 if latitude_deg is None else EARTH_RATE,
             math.nan if magnetometer is None else magnetometer.error_sd,
             math.nan if magnetometer is None else magnetometer.field,
+            self._parameters.axes_doubt,
+            self._parameters.magnet_doubt,
         )
         self._heading = math.radians(heading_deg or 0.0)
         self._slots = SlotGatherer(_COLUMNS, SLOT_NS, rates=0)
         self._last: tuple[int, int] | None = None
         self._ended_ns = 0
         self._fusion = Fusion()
-        self._uncertainty = Uncertainty()
+        self._uncertainty = begin(self._errors)
         self._since = Motion()
         self._field = np.full(3, np.nan)
         self._gaps = 0
@@ -129,18 +136,18 @@ class AttitudeEstimate:
         self._reported |= "q_w" in block or "roll" in block
         n = len(block)
         which = np.flatnonzero((block["device_time_ns"] != NO_INT) & _whole(gyro))
-        found = self._rows(
+        rows = self._rows(
             block
             if len(which) == n
             else SampleBlock({name: values[which] for name, values in block.columns.items()})
         )
-        self._follow(found)
-        q = found.q
+        self._follow(rows)
+        q, variance = rows.found.q, rows.variance
         roll, pitch = level_angles(q, self._down)
-        found.variance[1] += slope(q) ** 2 * found.variance[0]
-        tilt_sd, heading_sd = np.sqrt(np.where(found.variance < UNKNOWN**2, found.variance, np.nan))
+        variance[1] += slope(q, np.sqrt(variance[0])) ** 2 * variance[0]
+        tilt_sd, heading_sd = np.sqrt(np.where(variance < UNKNOWN**2, variance, np.nan))
         values = [*(part.copy() for part in q.T), roll, pitch, tilt_sd, heading(q), heading_sd]
-        north = np.where(np.isnan(q[:, 0]), NO_INT, found.north)
+        north = np.where(np.isnan(q[:, 0]), NO_INT, rows.found.north)
         if len(which) < n:
             values = [_spread(part, np.nan, which, n) for part in values]
             north = _spread(north, NO_INT, which, n)
@@ -175,12 +182,12 @@ class AttitudeEstimate:
         has_mag = _whole(mag)
         readings = Readings(time_ns, angle, _or_zero(accel), _or_zero(mag), has_mag)
         slots = self._slots.process(time_ns, segment, values)
-        q, north, variance = np.full((n, 4), np.nan), np.zeros(n, np.int64), np.empty((2, n))
-        return _Rows(readings, known, bias_sd, begins, slots, motion, q, north, variance)
+        found = Found(np.full((n, 4), np.nan), np.full((n, 4), np.nan), np.zeros(n, np.int64))
+        return _Rows(readings, known, bias_sd, begins, slots, motion, found, np.empty((2, n)))
 
     def _follow(self, rows: _Rows) -> None:
         """Run the filter from edge to edge: a slot has ended, it begins anew, the bias is known from here."""
-        n, known = len(rows.q), rows.bias_known
+        n, known = len(rows.bias_known), rows.bias_known
         ended = {int(row): k for k, row in enumerate(rows.slots.row)}
         learned = np.flatnonzero(known[1:] != known[:-1]) + 1
         edges = sorted({0, n, *rows.begins, *ended, *learned.tolist()})
@@ -189,14 +196,17 @@ class AttitudeEstimate:
             if start in ended:
                 self._judge(rows, ended[start], start)
             if start in rows.begins:
-                self._fusion, self._uncertainty, self._since = Fusion(), Uncertainty(), Motion()
+                self._fusion, self._since = Fusion(), Motion()
+                self._uncertainty = self._uncertainty.anew()
             fusion = self._fusion
-            fusion.process(rows.readings, start, stop, bool(known[start]), rows.q, rows.north)
+            fusion.process(rows.readings, start, stop, bool(known[start]), rows.found)
             if self._down == 0.0 and fusion.begun:
                 self._down = 1.0 if matrix(fusion.last)[2, 2] < 0.0 else -1.0
             part = slice(start, stop)
             self._since = self._since.then(rows.motion, part)
-            rows.variance[:, part] = self._uncertainty.at(self._since, rows.bias_sd[part], self._errors)
+            rows.variance[:, part] = self._uncertainty.at(
+                self._since, rows.bias_sd[part], rows.found.levelling[part]
+            )
             if stop == n or stop in rows.begins:
                 self._turn_free(rows, begun, stop)
                 begun = stop
@@ -204,9 +214,9 @@ class AttitudeEstimate:
 
     def _turn_free(self, rows: _Rows, start: int, stop: int) -> None:
         """Let the heading of rows that nothing ties to north begin where it was said."""
-        free = np.flatnonzero(rows.north[start:stop] == 0) + start
+        q, free = rows.found.q, np.flatnonzero(rows.found.north[start:stop] == 0) + start
         if len(free) and self._fusion.begun:
-            rows.q[free] = turned_clockwise(rows.q[free], self._heading - self._fusion.first_heading)
+            q[free] = turned_clockwise(q[free], self._heading - self._fusion.first_heading)
 
     def _keep_field(self, readings: Readings, stop: int) -> None:
         """Keep the latest reading of the magnetometer before a row."""
@@ -247,12 +257,11 @@ class AttitudeEstimate:
                 mag=self._field,
                 bias_sd=rows.bias_sd[row],
                 attitude=matrix(fusion.last),
-                gyro_only=matrix(fusion.gyro_only()),
+                levelling=fusion.levelling,
                 ignored=since.ignored[-1],
                 north=fusion.north,
                 follows=fusion.follows(),
-            ),
-            self._errors,
+            )
         )
 
     def lanes(self) -> Mapping[str, str]:
@@ -271,11 +280,11 @@ class AttitudeEstimate:
         if self._reported:
             return []
         begun, declared = self._fusion.begun, self._parameters.gyro_scale
-        scale, magnitude = self._uncertainty.scale(self._errors), self._uncertainty.magnitude
+        usual, magnitude = self._uncertainty.gyros.usual, self._uncertainty.magnitude
         conditions = {
             "attitude: after turns the accelerometers show another vertical than the gyros have carried, "
             f"by more than gyro_scale ({declared:.1%}) allows: are axes, signs and units right?": (
-                scale > BEYOND * declared
+                usual < 1.0 - CERTAIN
             ),
             "attitude: the specific force at rest is not gravity within accel_bias_m_per_s2 "
             f"({self._errors.accel:.2g}): are its scale and unit right?": (

@@ -4,23 +4,26 @@ At rest the specific force shows the vertical but for the accelerometers' error,
 on its way there.  In motion the filter takes accelerations for gravity, nobody knows how much; but
 the gyros have carried the vertical of the last rest along, with errors that are known.  So::
 
-    rest      tilt² = (accelerometer / g)² + (filter's up less the measured up)²
-    motion    tilt² = (accelerometer / g)² + turned² + (filter's up less the gyros' up)²
-    turned    = ∫ C (bias + M ω) dt, the bias and the matrix M of scale and misalignment staying as they are,
-                and what is lost between samples (`imumon.filters.turns`)
-    heading   its part about the vertical; it stays at rest
+    tilt²     = (accelerometer / g)² + turned² + (filter's up less the gyros' up)²
+    turned    = ∫ C (bias + M ω) dt since the last rest, the bias and the matrix M of scale and misalignment
+                staying as they are, and what is lost between samples (`imumon.filters.turns`)
+    heading²  = their parts about the vertical: what accelerations have turned the filter by is one of them
 
-Where the vertical that the gyros carried through a motion is not the one that the accelerometers show after
-it, beyond what else may be off, M is as large as that says (least squares over all motions so far).
+Axes and signs may be mixed up, and then M is no small error.  So each gyro's column of M has one of several
+sizes (`sizes.Sizes`), and the vertical that the accelerometers show during and after a motion, beside the
+one that the gyros have carried, says which.  Until an axis has turned the vertical, its doubt is in the
+sigma.
 
-Both are judged once a second; until then each sample adds what it may have turned wrong since: bias, scale,
-and half an interval of its rate, as a rate may be the mean of the interval before or that of the moment.
+The gyros' part is judged once a second; until then each sample adds what it may have turned wrong since:
+bias, scale, and half an interval of its rate, as a rate may be the mean of the interval before or that of the
+moment.  How far filter and gyros are apart is seen at each sample.
 Heading is an angle about the vertical as it is taken: a tilt that is off turns the heading of an axis that
 rises or falls by its tangent.
 
 A magnetometer that is calibrated ties the heading down: its error over the horizontal field, the tilt times
-the tangent of the dip, and what the gyros have added, which the filter forgets with its time constant.  A
-field that is not as strong as where it was calibrated is bent by so much at least, in whatever direction.
+the tangent of the dip, and what the gyros have added, which the filter forgets with its time constant.  Iron
+that came after the calibration bends the field, in a direction that nobody knows: by how much its strength
+says, each time that the field is seen from another side of the unit (`sizes.Sizes`).
 In a long motion this is a bound: nobody knows how far the accelerometers have kept the tilt better than the
 gyros.
 """
@@ -28,17 +31,26 @@ gyros.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from imumon.blocks import FloatArray
+from imumon.estimation.attitude.angles import shortest, times
 from imumon.estimation.attitude.fusion import TAU_MAG_S
+from imumon.estimation.attitude.sizes import Sizes, usual
 from imumon.filters.turns import Turn
 from imumon.geodesy import STANDARD_GRAVITY
 
 GRAVITY_SPREAD = 0.03
 """m/s²: between equator and poles gravity differs by no more from the standard (WGS-84: 9.780 to 9.832)."""
+ACCELERATIONS = np.geomspace(0.01, 1.0, 5)
+"""Of a motion over gravity: nobody knows how large they are, so sizes are equally likely (as of `Sizes`)."""
+ANOTHER = 0.5
+"""Cosine between directions that say something new of the field's strength: 60°."""
+WRONG_AXES = math.sqrt(2.0 / 3.0)
+"""Of an element of M where axes and signs are mixed up: P - 1 over all 48 permutations with signs."""
+UP = np.array([0.0, 0.0, 1.0])
 UNKNOWN = 1.0
 """Beyond so much, rad, an error is no small angle any more, and its standard deviation says nothing."""
 
@@ -59,6 +71,8 @@ class Errors:
         Unit of the field; NaN when it is not calibrated.
     field : float
         Its strength where the magnetometer was calibrated.
+    axes_doubt, magnet_doubt : float
+        As of `AttitudeParameters`.
     """
 
     accel: float
@@ -66,6 +80,8 @@ class Errors:
     earth_rate: float
     magnetometer: float
     field: float
+    axes_doubt: float
+    magnet_doubt: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,8 +98,10 @@ class Slot:
         At its end, in the unit of the field.
     bias_sd : array (3,)
         At its end, rad/s; NaN where the bias is not known.
-    attitude, gyro_only : array (3, 3)
-        At its end, from body axes to east-north-up, and to axes of the gyros' own.
+    attitude : array (3, 3)
+        At its end, from body axes to level axes.
+    levelling : array (4,)
+        At its end: as of `Found`.
     ignored : array (3,)
         Turned, by the gyros, while it was taken for at rest, rad.
     north : bool
@@ -99,7 +117,7 @@ class Slot:
     mag: FloatArray
     bias_sd: FloatArray
     attitude: FloatArray
-    gyro_only: FloatArray
+    levelling: FloatArray
     ignored: FloatArray
     north: bool
     follows: float
@@ -177,11 +195,18 @@ class Turned:
         self.fast *= keep
         self.missed *= keep * keep
 
-    def variance(self, errors: Errors) -> FloatArray:
-        """Return the variance of the angles about east, north and up, rad², (3,)."""
-        scale = errors.scale**2 * (self.scale**2).sum((1, 2))
+    @property
+    def by_gyro(self) -> FloatArray:
+        """Return squares of the angles about east, north, up for M of one in each gyro's column, (3, 3)."""
+        return np.asarray((self.scale**2).sum(1))
+
+    def variance(self, scale2: FloatArray) -> FloatArray:
+        """Return the variance of the angles about east, north and up, rad², (3,).
+
+        `scale2` (3,) is that of an element of M in each gyro's column.
+        """
         sampled = self.coning**2 + self.fast**2 + self.missed
-        return np.asarray((self.bias**2).sum(1) + scale + self.earth**2 + sampled)
+        return np.asarray((self.bias**2).sum(1) + self.by_gyro @ scale2 + self.earth**2 + sampled)
 
 
 @dataclass(slots=True, eq=False)
@@ -190,8 +215,12 @@ class Uncertainty:
 
     Parameters
     ----------
-    up : array (3,)
-        Up at the last rest, in the axes of the gyros alone; NaN before the first rest.
+    errors : Errors
+    levelled : array (4,)
+        What the levelling would be at the last rest with the vertical that was measured; NaN before one.
+    twist, twisted : float
+        How far the filter has turned about the vertical against the gyros since that rest, rad, at the end of
+        the last slot, and how much of that the heading still has.
     accel_sd : float
         Tilt by the accelerometers, rad.
     since_rest, since_north : Turned
@@ -200,51 +229,59 @@ class Uncertainty:
         By the bias in the motions before, rad²: each rest measures the bias anew.
     bent : float
         Square of what the field that is followed differs from the calibration's strength, forgotten like it.
-    wrong, turned : float
-        Sums over motions: square of how far the vertical was carried wrong, less what else may be off, and
-        what M of one would have done, rad².
+    direction : array (3,)
+        Of the field over the body when its strength was last counted; 0 before.
+    gyros, iron : Sizes
+        What elements of M are like, for each gyro's column, and what bends the field.
+    scale2 : array (3,)
+        Mean squares of the first, with what the present motion says.
     magnitude : float
         Of the specific force at the last rest, m/s².
     tilt_sd, heading_sd : float
-        rad; NaN where nothing can be said.
+        By accelerometers, gyros and field, rad; NaN where nothing can be said.
     """
 
-    up: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
+    errors: Errors
+    gyros: Sizes
+    iron: Sizes
+    scale2: FloatArray = field(default_factory=lambda: np.zeros(3))
+    levelled: FloatArray = field(default_factory=lambda: np.full(4, np.nan))
+    twist: float = 0.0
+    twisted: float = 0.0
     accel_sd: float = math.nan
     since_rest: Turned = field(default_factory=Turned)
     since_north: Turned = field(default_factory=Turned)
     heading_variance: float = 0.0
     bent: float = 0.0
-    wrong: float = 0.0
-    turned: float = 0.0
+    direction: FloatArray = field(default_factory=lambda: np.zeros(3))
     magnitude: float = math.nan
     tilt_sd: float = math.nan
     heading_sd: float = math.nan
 
-    def step(self, slot: Slot, errors: Errors) -> None:
+    def anew(self) -> Uncertainty:
+        """Return what is known when the attitude begins anew."""
+        return Uncertainty(self.errors, self.gyros, self.iron, self.gyros.mean_square)
+
+    def step(self, slot: Slot) -> None:
         """Follow one slot."""
-        errors = replace(errors, scale=self.scale(errors))
-        up = slot.attitude[2]
-        if slot.rest and np.isfinite(slot.force).all():
-            measured = self._come_to_rest(slot, errors)
-            self.tilt_sd = _small(math.hypot(self.accel_sd, _angle(up, measured)))
-        else:
-            if math.isfinite(self.accel_sd):
-                self.since_rest.add(slot, errors)
-                self.since_north.add(slot, errors)
-            carried = _angle(up, slot.gyro_only.T @ self.up)
-            turned = math.sqrt(float(self.since_rest.variance(errors)[:2].mean()))
-            self.tilt_sd = _small(math.hypot(self.accel_sd, turned, carried))
+        twist = float(self._apart(slot.levelling[np.newaxis])[1][0])
+        self.twisted, self.twist = self.twisted + twist - self.twist, twist
+        forced = bool(np.isfinite(slot.force).all())
+        if slot.rest and forced:
+            self._come_to_rest(slot)
+        elif math.isfinite(self.accel_sd):
+            self.since_rest.add(slot, self.errors)
+            self.since_north.add(slot, self.errors)
+            if forced:
+                self.scale2 = self._seen(slot, (0.5 * slot.turn.path) ** 2 + ACCELERATIONS**2).mean_square
+        turned = math.sqrt(float(self.since_rest.variance(self.scale2)[:2].mean()))
+        self.tilt_sd = _small(math.hypot(self.accel_sd, turned))
         if slot.north:
-            self.heading_sd = self._magnetic(slot, errors)
+            self.heading_sd = self._magnetic(slot)
         else:
-            self.heading_sd = _small(self._drifted(errors)) if math.isfinite(self.accel_sd) else math.nan
+            self.heading_sd = _small(self._drifted()) if math.isfinite(self.accel_sd) else math.nan
 
-    def scale(self, errors: Errors) -> float:
-        """Return the standard deviation of the elements of M: as declared, or what motions have shown."""
-        return math.sqrt(max(errors.scale**2, self.wrong / self.turned if self.turned > 0.0 else 0.0))
-
-    def at(self, since: Motion, bias_sd: FloatArray, errors: Errors) -> FloatArray:
+    def at(self, since: Motion, bias_sd: FloatArray, levelling: FloatArray) -> FloatArray:
         """Return the variances of tilt and of the turn about the vertical, rad², (2, n).
 
         Parameters
@@ -253,58 +290,91 @@ class Uncertainty:
             Sums since the last slot, n + 1: the first is before the samples.
         bias_sd : array (n, 3)
             rad/s.
-        errors : Errors
+        levelling : array (n, 4)
+            As of `Found`.
         """
         angle, seconds = since.angle, since.seconds[1:]
-        added = self.scale(errors) ** 2 * _squares(angle[1:]) + _squares(since.ignored[1:])
+        added = angle[1:] ** 2 @ self.scale2 + _squares(since.ignored[1:])
         added += _squares(angle[1:] - angle[:-1]) / 12.0  # even chances from none of the interval to all
         if seconds[-1] > 0.0:
             added += np.where(seconds > 0.0, _squares(bias_sd) * seconds**2, 0.0)
-        return np.array([[self.tilt_sd**2], [self.heading_sd**2]]) + added
+        tilted, twist = self._apart(levelling)
+        twisted = self.twisted + twist - self.twist
+        return np.array([self.tilt_sd**2 + tilted**2, self.heading_sd**2 + twisted**2]) + added
 
-    def _come_to_rest(self, slot: Slot, errors: Errors) -> FloatArray:
+    def _apart(self, levelling: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return by how much filter and gyros differ since the last rest, rad: up, and about it, (n,)."""
+        w, x, y, z = times(levelling, self.levelled * [1.0, -1.0, -1.0, -1.0]).T
+        off = 2.0 * np.arcsin(np.minimum(np.sqrt(x * x + y * y), 1.0))
+        return np.asarray(off), np.asarray(2.0 * np.arctan(z / w))
+
+    def _come_to_rest(self, slot: Slot) -> None:
         """Take the vertical that the accelerometers show, and close the account of a motion."""
-        magnitude = float(np.linalg.norm(slot.force))
-        contradiction = max(abs(magnitude - STANDARD_GRAVITY) - GRAVITY_SPREAD, 0.0)
-        self.accel_sd = max(errors.accel, contradiction) / STANDARD_GRAVITY
-        measured = slot.force / magnitude
-        self.magnitude = magnitude
-        self._compare(measured, slot.gyro_only, errors)
-        self.up = slot.gyro_only @ measured
-        self.heading_variance += float((self.since_north.bias[2] ** 2).sum())
+        self.magnitude = float(np.linalg.norm(slot.force))
+        contradiction = max(abs(self.magnitude - STANDARD_GRAVITY) - GRAVITY_SPREAD, 0.0)
+        self.accel_sd = max(self.errors.accel, contradiction) / STANDARD_GRAVITY
+        self.gyros = self._seen(slot, 0.0)
+        self.scale2 = self.gyros.mean_square
+        self.levelled = _levelled(slot)
+        drifted = float((self.since_north.bias[2] ** 2).sum()) + self.twisted**2
+        if math.isfinite(drifted):
+            self.heading_variance += drifted
         self.since_north.bias[:] = 0.0
+        self.twist = self.twisted = 0.0
         self.since_rest = Turned()
-        return np.asarray(measured)
 
-    def _compare(self, measured: FloatArray, gyro_only: FloatArray, errors: Errors) -> None:
-        """See how far the gyros have carried the vertical wrong through the motion that ends here."""
-        turned = float((self.since_rest.scale[:2] ** 2).sum())
-        if turned > 0.0 and np.isfinite(self.up).all():
-            without = replace(errors, scale=0.0)
-            other = float(self.since_rest.variance(without)[:2].sum()) + 4.0 * self.accel_sd**2
-            self.wrong += max(_angle(measured, gyro_only.T @ self.up) ** 2 - other, 0.0)
-            self.turned += turned
+    def _seen(self, slot: Slot, other2: FloatArray | float) -> Sizes:
+        """Return what elements of M are like after the vertical is carried wrong by so much since the rest.
 
-    def _drifted(self, errors: Errors) -> float:
+        `other2` is the variance of the vertical that the specific force shows, beside the accelerometers'.
+        """
+        off = float(self._apart(_levelled(slot)[np.newaxis])[0][0])
+        turned = self.since_rest.by_gyro[:2].mean(0)
+        if not (turned.any() and math.isfinite(off)):
+            return self.gyros
+        without = float(self.since_rest.variance(np.zeros(3))[:2].mean()) + 2.0 * self.accel_sd**2
+        return self.gyros.seen(off**2, without + other2, turned, 2)
+
+    def _drifted(self) -> float:
         """Return the standard deviation of the heading by the gyros, rad."""
-        return math.sqrt(self.heading_variance + float(self.since_north.variance(errors)[2]))
+        return math.sqrt(self.heading_variance + float(self.since_north.variance(self.scale2)[2]))
 
-    def _magnetic(self, slot: Slot, errors: Errors) -> float:
+    def _magnetic(self, slot: Slot) -> float:
         """Return the standard deviation of a heading that follows the magnetometer, rad."""
         strength = math.sqrt(float(slot.mag @ slot.mag))
         # What the gyros have added is forgotten as the filter follows the field.
         keep = math.exp(-slot.follows * slot.seconds / TAU_MAG_S)
         self.since_north.forget(keep)
         self.heading_variance *= keep * keep
+        self.twisted *= keep
         if slot.follows:
-            self.bent += (1.0 - keep) * ((strength - errors.field) ** 2 - self.bent)
+            self.bent += (1.0 - keep) * ((strength - self.errors.field) ** 2 - self.bent)
         vertical = float(slot.mag @ slot.attitude[2])
         horizontal = math.sqrt(max(strength**2 - vertical**2, 0.0))
-        if not horizontal > 0.0:
+        if not (horizontal > 0.0 and math.isfinite(self.errors.magnetometer)):
             return math.nan
-        calibration = math.sqrt(max(errors.magnetometer**2, self.bent))
+        calibration = math.hypot(self.errors.magnetometer, self._bends(slot.mag / strength))
         tied = math.hypot(calibration, vertical * self.tilt_sd) / horizontal
-        return _small(math.hypot(tied, self._drifted(errors)))
+        return _small(math.hypot(tied, self._drifted()))
+
+    def _bends(self, direction: FloatArray) -> float:
+        """Return the standard deviation of what bends the field, by its strength; each direction counts once.
+
+        What is fixed to the unit adds to the field in one direction and takes from it in another.
+        """
+        seen = self.iron.seen(self.bent, self.errors.magnetometer**2, np.ones(1), 1)
+        if float(direction @ self.direction) < ANOTHER:
+            self.iron, self.direction = seen, direction
+        return math.sqrt(float(seen.mean_square[0]))
+
+
+def begin(errors: Errors) -> Uncertainty:
+    """Return what is known beforehand."""
+    gyros = usual(errors.scale, WRONG_AXES, errors.axes_doubt, 3)
+    calibrated = math.isfinite(errors.magnetometer)
+    field_sd, strength = (errors.magnetometer, errors.field) if calibrated else (0.0, 0.0)
+    iron = usual(field_sd, strength, errors.magnet_doubt, 1)
+    return Uncertainty(errors, gyros, iron, gyros.mean_square)
 
 
 def _summed(before: FloatArray, added: FloatArray) -> FloatArray:
@@ -317,10 +387,10 @@ def _squares(vectors: FloatArray) -> FloatArray:
     return np.asarray(np.einsum("ni,ni->n", vectors, vectors))
 
 
-def _angle(a: FloatArray, b: FloatArray) -> float:
-    """Return the angle between two directions, rad; small ones to full precision."""
-    chord = math.sqrt(float((a - b) @ (a - b)))
-    return 2.0 * math.asin(min(0.5 * chord, 1.0)) if math.isfinite(chord) else math.nan
+def _levelled(slot: Slot) -> FloatArray:
+    """Return the levelling with the vertical that the specific force shows."""
+    shown = slot.attitude @ slot.force / math.sqrt(float(slot.force @ slot.force))
+    return times(shortest(shown, UP), slot.levelling)
 
 
 def _small(sd: float) -> float:

@@ -17,8 +17,10 @@ from imumon.estimation.gyro_bias import bank as filters
 from imumon.estimation.gyro_bias.attitude import Attitude, Place, turned_earth
 from imumon.estimation.gyro_bias.bank import AtRest, Bank, Family
 from imumon.estimation.gyro_bias.law import LAW, Laws, at_slot, no_law, sd_at_slot
+from imumon.estimation.gyro_bias.motion import Motion
 from imumon.estimation.gyro_bias.white import WhiteNoise
 from imumon.filters.turns import STILL, Turn
+from imumon.geodesy import EARTH_RATE
 
 SAME_POSE = 0.02
 """m/s², a tenth of a degree: with 0.1 °/s/g less than 1 °/h."""
@@ -321,6 +323,8 @@ class State:
         What speaks against it.
     reference : array (3,) or None
         Specific force at the first rest: sensitivities count from there.
+    motion : Motion
+        What is known of the bias before the first rest.
     """
 
     white: WhiteNoise = field(default_factory=WhiteNoise)
@@ -347,6 +351,7 @@ class State:
     moved: Moved = field(default_factory=Moved)
     law: Laws = field(default_factory=no_law)
     reference: FloatArray | None = None
+    motion: Motion = field(default_factory=Motion)
 
 
 def restarted(state: State) -> State:
@@ -370,7 +375,28 @@ def step(state: State, params: Params, slot: Slot) -> FloatArray:
         noise = _noise(state, params)
         _coast(state, params, noise, slot)
         _show(state, params, noise, slot)
+    if state.bank is None:
+        _move(state, params, slot)
     return innovation
+
+
+def _move(state: State, params: Params, slot: Slot) -> None:
+    """Learn the bias from the motion before the first rest."""
+    motion = state.motion
+    if slot.rest or slot.gap or slot.force is None:
+        motion.interrupt()
+    elif motion.take(slot.turn, slot.force):
+        bias, variance = motion.bias
+        sensitivity_sd = params.family.sensitivity_sd
+        law = no_law()
+        law["terms"] = 0.0
+        law["terms"][0, :, 0] = bias
+        sensitivities = np.full(3, sensitivity_sd @ sensitivity_sd / len(sensitivity_sd))
+        law["covariance"] = np.diag(np.concatenate([np.zeros(2), sensitivities]))
+        law["covariance"][0, :, 0, 0] = variance + EARTH_RATE**2
+        law["degc"], law["reference"] = slot.degc, motion.force
+        law["offset"] = slot.force - motion.force
+        state.law = law
 
 
 def _follow_turn(state: State, slot: Slot) -> None:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from imumon.blocks import NO_INT, SampleBlock, join
+from imumon.estimation.attitude.angles import slope
 from imumon.estimation.attitude.parameters import AttitudeParameters
 from imumon.estimation.attitude.stage import AttitudeEstimate
 from imumon.estimation.gyro_bias.stage import GyroBias
@@ -118,6 +119,44 @@ def test_axes_that_are_mixed_up_are_said_and_widen_the_sigma() -> None:
     assert not [text for text in right.notices() if "right?" in text]
     again = slice(8000, 8300)  # the third turn: the first two have shown it
     assert not np.nanmax(wrong[again]) < 3.0 * np.nanmax(usual[again])
+
+
+def test_the_first_motion_of_mixed_axes_is_in_the_sigma_before_gravity_shows_it() -> None:
+    made = scene(seconds=60.0)
+    mixed = without_mag(made.block).with_columns({"gyro_z": -made.block["gyro_z"]})
+    for block, most in ((without_mag(made.block), 3.0), (mixed, 10.0)):
+        found = estimated(block, AttitudeEstimate(AttitudeParameters(gyro_scale=1e-3), "FRD"))
+        turn = matrices(np.column_stack([found[name] for name in Q])) @ np.swapaxes(made.attitude, 1, 2)
+        tilt = np.column_stack([turn[:, 1, 2], turn[:, 0, 2]])
+        first = slice(3900, 4300)
+        assert np.nanmax(np.abs(tilt / found["attitude_estimate_tilt_sd"][:, np.newaxis])[first]) < most
+
+
+def test_iron_that_comes_to_the_unit_is_in_the_sigma_once_turns_have_shown_it() -> None:
+    made = scene(seconds=110.0)
+    mag = made.block.mag
+    assert mag is not None
+    iron = mag + np.array([8.0, -8.0, 4.0])
+    block = made.block.with_columns({f"mag_{axis}": iron[:, j] for j, axis in enumerate("xyz")})
+    sd = {}
+    for name, sent in (("as calibrated", made.block), ("iron", block)):
+        found = estimated(sent, AttitudeEstimate(axes="FRD", magnetometer=CALIBRATED))
+        true = np.arctan2(made.attitude[:, 0, 0], made.attitude[:, 1, 0])
+        error = wrapped(found["attitude_estimate_heading"] - true + np.radians(NORTH_DEG))
+        sd[name] = found["attitude_estimate_heading_sd"]
+        later = np.isfinite(sd[name]) & (np.arange(len(error)) > 5000)
+        assert np.abs(error / sd[name])[later].max() < 5.0
+    assert np.degrees(np.nanmedian(sd["as calibrated"][7000:])) < 2.0
+    assert not np.degrees(np.nanmedian(sd["iron"][7000:])) < 10.0
+
+
+def test_a_heading_has_no_sigma_where_the_tilt_leaves_open_of_which_axis_it_is() -> None:
+    pitch = np.radians([0.0, 60.0, 83.0, 84.26, 86.0, 90.0])  # at 84.26 the x axis is 0.1 from the vertical
+    q = np.column_stack([np.cos(pitch / 2), np.zeros(6), np.sin(pitch / 2), np.zeros(6)])
+    expected = np.abs(np.tan(np.where(pitch < np.radians(84.26), pitch, pitch - np.pi / 2)))
+    found = slope(q, np.full(6, 0.005))
+    assert np.isinf(found[3])
+    np.testing.assert_allclose(np.delete(found, 3), np.delete(expected, 3), atol=1e-9)
 
 
 def test_a_specific_force_that_is_not_gravity_is_said() -> None:

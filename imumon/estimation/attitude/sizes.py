@@ -1,0 +1,79 @@
+"""How large errors are that nobody has measured: sizes side by side, each with its probability.
+
+An error that does not change, of unknown standard deviation s, comes to light as the unit moves.  What is off
+by then has the variance other + gain s², and says how likely each s is (Bayes).  Where several errors add up,
+each has sizes of its own, and all combinations have a probability.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import reduce
+
+import numpy as np
+
+from imumon.blocks import FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sizes:
+    """Standard deviations and what speaks for each.
+
+    Parameters
+    ----------
+    squares : array (k,)
+        Of the standard deviations, the usual one first.
+    evidence : array (k, ...)
+        Logarithms of the probabilities, up to a constant, an axis for each error.
+    """
+
+    squares: FloatArray
+    evidence: FloatArray
+
+    @property
+    def _probabilities(self) -> FloatArray:
+        weight = np.exp(self.evidence - self.evidence.max())
+        return np.asarray(weight / weight.sum())
+
+    @property
+    def mean_square(self) -> FloatArray:
+        """Return the mean of s² for each error, (errors,)."""
+        weight = self._probabilities
+        errors = range(weight.ndim)
+        return np.array([weight.sum(tuple(set(errors) - {j})) @ self.squares for j in errors])
+
+    @property
+    def usual(self) -> float:
+        """Return how likely it is that all errors are as usual."""
+        return float(self._probabilities.flat[0])
+
+    def seen(self, off2: float, other2: FloatArray | float, gain: FloatArray, components: int) -> Sizes:
+        """Return the same after something was off.
+
+        Parameters
+        ----------
+        off2 : float
+            Sum of the squares of so many `components`.
+        other2 : float or array (m,)
+            Variance of each without these errors; several values are equally likely.
+        gain : array
+            By which the square of each error enters.
+        components : int
+        """
+        spread = reduce(np.add.outer, [self.squares * one for one in gain.tolist()])
+        variance = np.atleast_1d(other2).reshape(-1, *[1] * spread.ndim) + spread
+        likelihood = -0.5 * (components * np.log(variance) + off2 / variance)
+        return Sizes(self.squares, self.evidence + np.logaddexp.reduce(likelihood, 0))
+
+
+def usual(size: float, largest: float, doubt: float, errors: int) -> Sizes:
+    """Return that errors have a usual size, or with a probability of `doubt` each any up to the largest."""
+    squares = np.geomspace(size, max(largest, size), COUNT) ** 2 if size > 0.0 else np.zeros(COUNT)
+    prior = np.log(np.append(1.0 - doubt, np.full(COUNT - 1, max(doubt, LEAST) / (COUNT - 1))))
+    return Sizes(squares, reduce(np.add.outer, [prior] * errors))
+
+
+LEAST = 1e-12
+"""What no doubt is below: of an impossible size the logarithm is none."""
+COUNT = 5
+"""Sizes that are tried: by a factor of three from a percent to all, so that none is off by more than 1.7."""

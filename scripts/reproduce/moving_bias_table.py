@@ -1,0 +1,194 @@
+"""Bias of units that never rest: a rover, a car, a boat, somebody who walks, a drone; beside VQF."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from attitude_scenes import ACCEL_SD, SCALE_SD, turned
+from bias_sigma_records import LATITUDE_DEG, SENSORS, TAUS_S, waves
+from scipy.signal import lfilter
+from scipy.spatial.transform import Rotation
+from vqf import VQF
+
+from imumon.blocks import FloatArray, SampleBlock
+from imumon.estimation.gyro_bias.stage import GyroBias
+from imumon.estimation.rest.stage import RestDetector
+from imumon.geodesy import DEG_PER_H, EARTH_RATE, STANDARD_GRAVITY
+
+RMS_BAR, LARGEST_BAR = 1.8, 7.0
+PER_G_DPS = 0.02
+"""Largest sensitivity to the specific force, °/s/g."""
+SETTLED_S = 70.0
+"""The first value comes after a minute."""
+HEADS = (
+    "scene", "Hz", "min", "z rms", "max", "°/h", "VQF, the same axes", "σ °/h", "claimed %", "VQF, all axes",
+)  # fmt: skip
+Moves = tuple[FloatArray, FloatArray, FloatArray]
+"""Roll, pitch and yaw, rad, velocity, m/s, and what shakes, m/s², east, north, up; (n, 3) each."""
+
+
+def _along(speed: FloatArray, yaw: FloatArray) -> FloatArray:
+    return np.column_stack([speed * np.cos(yaw), speed * np.sin(yaw), np.zeros(len(yaw))])
+
+
+@dataclass(frozen=True)
+class Vehicle:
+    """How something moves: sizes are rms, frequencies from, to, Hz.
+
+    Parameters
+    ----------
+    sway : tuple
+        Roll and pitch, rad, and frequencies.
+    yaw : tuple
+        The same.
+    speed : tuple
+        Forward, m/s, its changes as a share, and their frequencies.
+    drift : tuple
+        Velocity in any direction, m/s, and frequencies.
+    shakes : tuple
+        m/s², and frequencies.
+    """
+
+    sway: tuple[float, float, float]
+    yaw: tuple[float, float, float]
+    speed: tuple[float, float, float, float]
+    drift: tuple[float, float, float]
+    shakes: tuple[float, float, float]
+
+    def moves(self, rng: np.random.Generator, t: FloatArray) -> Moves:
+        """Return a way."""
+        angles = waves(rng, t, *self.sway[1:], self.sway[0])
+        angles[:, 2] += waves(rng, t, *self.yaw[1:], self.yaw[0])[:, 2]
+        mean, share, slowest_hz, fastest_hz = self.speed
+        speed = mean * (1.0 + share * waves(rng, t, slowest_hz, fastest_hz, 1.0)[:, 0])
+        velocity = _along(speed, angles[:, 2]) + waves(rng, t, *self.drift[1:], self.drift[0])
+        return angles, velocity, waves(rng, t, *self.shakes[1:], self.shakes[0])
+
+
+SLIPS, ROAD = (0.0, 1.0, 2.0), (1.0, 2.0, 15.0)
+VEHICLES = {
+    "rover": Vehicle((0.03, 0.1, 2.0), (1.5, 0.005, 0.1), (1.0, 0.5, 0.01, 0.1), SLIPS, ROAD),
+    "car": Vehicle((0.02, 0.1, 2.0), (1.5, 0.001, 0.03), (12.0, 0.5, 0.003, 0.05), SLIPS, ROAD),
+    "boat": Vehicle(
+        (0.09, 0.08, 0.25), (0.7, 0.002, 0.05), (3.0, 0.2, 0.002, 0.02), (0.5, 0.08, 0.25), (0.2, 10.0, 24.0)
+    ),
+    "walking": Vehicle(
+        (0.08, 0.5, 4.0), (1.5, 0.005, 0.1), (1.4, 0.2, 0.01, 0.1), (0.2, 1.0, 4.0), (1.5, 5.0, 20.0)
+    ),
+    "drone": Vehicle(
+        (0.12, 0.05, 0.6), (1.5, 0.005, 0.1), (0.0, 0.0, 0.01, 0.1), (2.0, 0.03, 0.3), (6.0, 10.0, 24.0)
+    ),
+}
+
+
+def simulate(vehicle: Vehicle, rate_hz: float, seconds: float, seed: int) -> tuple[SampleBlock, FloatArray]:
+    """Return what an industrial sensor in any pose sends, and its bias with the earth rate, rad/s, (n, 3)."""
+    rng = np.random.default_rng(seed)
+    n, sensor = round(seconds * rate_hz), SENSORS["industrial"]
+    angles, velocity, shaken = vehicle.moves(rng, np.arange(n + 1) / rate_hz)
+    lean = np.append(rng.normal(0.0, 0.1, 2), rng.uniform(-np.pi, np.pi))
+    mount = np.diag([1.0, -1.0, -1.0]) if seed % 2 else np.eye(3)
+    pose = turned(angles + lean) * Rotation.from_matrix(mount)
+    rate = (pose[:-1].inv() * pose[1:]).as_rotvec() * rate_hz
+    middle = (pose[:-1] * Rotation.from_rotvec(rate / rate_hz / 2.0)).as_matrix()
+    acceleration = np.diff(velocity, axis=0) * rate_hz + shaken[1:]
+    acceleration[:, 2] += STANDARD_GRAVITY
+    force = np.einsum("nij,ni->nj", middle, acceleration)
+    latitude = math.radians(LATITUDE_DEG)
+    earth = EARTH_RATE * np.array([0.0, math.cos(latitude), math.sin(latitude)]) @ middle
+    sensitive = rng.uniform(-1.0, 1.0, (3, 3))
+    sensitive *= math.radians(PER_G_DPS) / STANDARD_GRAVITY / np.abs(sensitive).max()
+    seen = np.radians(rng.normal(0.0, sensor.turn_on, 3)) + force @ sensitive.T + earth
+    for tau in TAUS_S:
+        decay = math.exp(-1.0 / (rate_hz * tau))
+        drive = rng.normal(size=(n, 3)) * math.sqrt(1.0 - decay * decay)
+        drive[0] = rng.normal(size=3)
+        seen += sensor.flicker_dph * DEG_PER_H * lfilter([1.0], [1.0, -decay], drive, axis=0)
+    white, jolts = rng.normal(size=(2, n, 3)) * math.sqrt(rate_hz)
+    gyro = (
+        rate
+        + rate @ rng.normal(0.0, SCALE_SD, (3, 3))
+        + seen
+        + math.radians(sensor.angle_walk) / 60.0 * white
+    )
+    accel = force + rng.normal(0.0, ACCEL_SD, 3) + sensor.velocity_walk * jolts
+    vectors = {"gyro": gyro, "accel": accel}
+    columns = {
+        "device_time_ns": np.round(np.arange(1, n + 1) / rate_hz * 1e9).astype(np.int64),
+        "segment": np.zeros(n, np.int64),
+        **{
+            f"{name}_{axis}": values[:, j] for name, values in vectors.items() for j, axis in enumerate("xyz")
+        },
+    }
+    return SampleBlock(columns), seen
+
+
+def _vectors(samples: SampleBlock, name: str) -> FloatArray:
+    return np.column_stack([samples[f"{name}_{axis}"] for axis in "xyz"])
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values**2))) if values.size else math.nan
+
+
+def row(name: str, rate_hz: float, minutes: float, seeds: range) -> tuple[float, str]:
+    """Return how bad a row is, and the row: values of each second from the first window on."""
+    each = round(rate_hz)
+    ours, ratios, same, every, sigma, claimed = [], [], [], [], [], []
+    for seed in seeds:
+        samples, seen = simulate(VEHICLES[name], rate_hz, 60.0 * minutes, seed)
+        gyro, accel = _vectors(samples, "gyro"), _vectors(samples, "accel")
+        theirs = VQF(1.0 / rate_hz).updateBatchFullState(gyro, accel)["bias"] - seen
+        for stage in (RestDetector(), GyroBias(mode="learned")):
+            samples = samples.with_columns(stage.process(samples))
+        late = slice(round(SETTLED_S * rate_hz), None, each)
+        error, sd, other = (
+            (_vectors(samples, "gyro_bias") - seen)[late],
+            _vectors(samples, "gyro_bias_sd")[late],
+            theirs[late],
+        )
+        known = np.isfinite(error)
+        ours.append(error[known])
+        sigma.append(sd[known])
+        ratios.append(error[known] / sd[known])
+        same.append(other[known])
+        every.append(other.ravel())
+        claimed.append(known.ravel())
+    z, error = np.concatenate(ratios), np.concatenate(ours)
+    largest = float(np.abs(z).max(initial=0.0))
+    in_dph = [_rms(error), _rms(np.concatenate(same)), float(np.median(np.concatenate(sigma)))]
+    cells = [name, f"{rate_hz:.0f}", f"{minutes:g}", f"{_rms(z):.2f}", f"{largest:.1f}"]
+    cells += [f"{value / DEG_PER_H:.0f}" for value in in_dph]
+    cells += [
+        f"{100.0 * np.mean(np.concatenate(claimed)):.0f}",
+        f"{_rms(np.concatenate(every)) / DEG_PER_H:.0f}",
+    ]
+    return max(_rms(z) / RMS_BAR, largest / LARGEST_BAR), f"| {' | '.join(cells)} |"
+
+
+def main() -> None:
+    """Print the table, worst row first."""
+    parser = argparse.ArgumentParser(prog="scripts/reproduce/moving_bias", description=__doc__)
+    parser.add_argument("--seeds", type=int, default=5, help="runs of each scene (default: %(default)s)")
+    parser.add_argument("--first", type=int, default=500, help="first seed (default: %(default)s)")
+    parser.add_argument("--only", choices=list(VEHICLES), help="one vehicle")
+    parser.add_argument("--rates", type=float, nargs="+", default=[50.0], help="sample rates, Hz")
+    parser.add_argument("--minutes", type=float, nargs="+", default=[10.0], help="lengths")
+    given = parser.parse_args()
+    seeds = range(given.first, given.first + given.seeds)
+    rows = [
+        row(name, rate_hz, minutes, seeds)
+        for name, rate_hz, minutes in product(VEHICLES, given.rates, given.minutes)
+        if given.only in (None, name)
+    ]
+    print(f"| {' | '.join(HEADS)} |\n{'|---' * len(HEADS)}|")
+    print("\n".join(text for _, text in sorted(rows, reverse=True)))
+    print(f"\nWorst over its bar (rms {RMS_BAR}, largest {LARGEST_BAR:.0f}): {max(rows)[0]:.2f}.")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,89 @@
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from imumon.blocks import FloatArray, SampleBlock
+from imumon.estimation.gyro_bias.motion import PART_S, PARTS, Motion
+from imumon.estimation.gyro_bias.stage import GyroBias
+from imumon.filters.turns import Turn
+from imumon.geodesy import STANDARD_GRAVITY
+from tests.estimation.gyro_bias.records import vector
+
+BIAS = np.array([0.008, -0.005, 0.006])
+
+
+def driven(seed: int, seconds: float, rate_hz: float = 25.0) -> SampleBlock:
+    """A unit on the level that is driven about, turns and sways, and never rests."""
+    rng, t = np.random.default_rng(seed), np.arange(seconds * rate_hz + 1) / rate_hz
+    phase = rng.uniform(0.0, 6.28, 4)
+    yaw = 1.5 * np.sin(0.2 * t + phase[0])
+    sway = 0.03 * np.sin(2.0 * t + phase[1])
+    speed = 1.0 + 0.5 * np.sin(0.3 * t + phase[2])
+    velocity = np.column_stack([speed * np.cos(yaw), speed * np.sin(yaw), 0.1 * np.sin(9.0 * t + phase[3])])
+    pose = Rotation.from_euler("ZYX", np.column_stack([yaw, sway, 0.5 * sway]))
+    rate = (pose[:-1].inv() * pose[1:]).as_rotvec() * rate_hz
+    middle = (pose[:-1] * Rotation.from_rotvec(0.5 * rate / rate_hz)).as_matrix()
+    acceleration = np.diff(velocity, axis=0) * rate_hz + [0.0, 0.0, STANDARD_GRAVITY]
+    force = np.einsum("nij,ni->nj", middle, acceleration) + rng.normal(0.0, 0.05, 3)
+    gyro = rate @ (np.eye(3) + rng.normal(0.0, 0.01, (3, 3))).T + BIAS + 3e-4 * rng.normal(size=rate.shape)
+    n = len(rate)
+    vectors = {"gyro": gyro, "accel": force}
+    columns = {
+        f"{name}_{axis}": values[:, j] for name, values in vectors.items() for j, axis in enumerate("xyz")
+    }
+    time_ns = np.round(t[1:] * 1e9).astype(np.int64)
+    none = np.zeros(n, np.int64)
+    return SampleBlock({"device_time_ns": time_ns, "segment": none, "at_rest": none, **columns})
+
+
+def estimated(block: SampleBlock) -> tuple[FloatArray, FloatArray]:
+    found = block.with_columns(GyroBias().process(block))
+    return vector(found, "gyro_bias"), vector(found, "gyro_bias_sd")
+
+
+def test_a_unit_that_never_rests_has_a_bias_but_about_the_vertical() -> None:
+    for seed in (1, 2, 3):
+        bias, sd = estimated(driven(seed, 200.0))
+        late = slice(62 * 25, None)
+        assert np.isnan(bias[: 55 * 25]).all()  # a window is a minute
+        assert np.isnan(bias[:, 2]).all()
+        error = (bias - BIAS)[late, :2]
+        assert np.abs(error / sd[late, :2]).max() < 4.0
+        assert np.abs(error).max() < 0.3 * np.abs(BIAS[:2]).min()
+        assert (sd[late, :2] < 0.03).all()
+
+
+def test_a_rest_takes_over() -> None:
+    moved = driven(4, 70.0)
+    rows = np.arange(25 * 70, 25 * 90)
+    rng = np.random.default_rng(5)
+    still = {
+        "device_time_ns": (rows + 1) * 40_000_000,
+        "segment": np.zeros(len(rows), np.int64),
+        "at_rest": np.ones(len(rows), np.int64),
+        **{f"gyro_{axis}": BIAS[j] + 3e-4 * rng.normal(size=len(rows)) for j, axis in enumerate("xyz")},
+        **{
+            f"accel_{axis}": 9.8 * (j == 2) + 1e-3 * rng.normal(size=len(rows))
+            for j, axis in enumerate("xyz")
+        },
+    }
+    whole = SampleBlock({name: np.concatenate([moved[name], values]) for name, values in still.items()})
+    bias, sd = estimated(whole)
+    assert np.isfinite(bias[-1]).all()
+    assert (sd[-1] < 1e-3).all()
+    assert np.abs((bias[-1] - BIAS) / sd[-1]).max() < 4.0
+
+
+def test_a_window_that_was_interrupted_begins_anew() -> None:
+    motion, force = Motion(), np.array([0.0, 0.0, STANDARD_GRAVITY])
+    slot = Turn(by_bias=0.5 * np.eye(3), seconds=0.5)
+    slots = round(PART_S * PARTS / 0.5)
+    assert not any(motion.take(slot, force) for _ in range(slots - 1))
+    motion.interrupt()
+    assert not any(motion.take(slot, force) for _ in range(slots - 1))
+    assert motion.take(slot, force)
+    bias, variance = motion.bias
+    assert np.isnan(bias[2])
+    assert np.isnan(variance[2])
+    assert np.abs(bias[:2]).max() < 1e-3  # nothing turned
