@@ -46,7 +46,9 @@ class Side:
     @property
     def doubt(self) -> FloatArray:
         """The part of the standard deviation that may be a turn; 0 where nothing is known."""
-        return np.nan_to_num(np.minimum(np.abs(self.turn), math.sqrt(1.0 - LEAST_OWN**2) * self.sd))
+        return np.asarray(
+            np.nan_to_num(np.minimum(np.abs(self.turn), math.sqrt(1.0 - LEAST_OWN**2) * self.sd))
+        )
 
 
 def decided(past: Side, future: Side, at_rest: BoolArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -62,10 +64,11 @@ def decided(past: Side, future: Side, at_rest: BoolArray) -> tuple[FloatArray, F
     apart = (past.value - future.value) ** 2
     odds = np.sqrt(own / changed) * np.exp(np.minimum(0.5 * apart * (1.0 / own - 1.0 / changed), 100.0))
     kept = np.where(at_rest | ~np.isfinite(odds), 1.0, odds / (1.0 + odds))
-    sides = (
-        np.sqrt(side.sd**2 - (1.0 - kept) * doubt) for side, doubt in zip((past, future), doubts, strict=True)
+    past_sd, future_sd = (
+        np.asarray(np.sqrt(side.sd**2 - (1.0 - kept) * doubt))
+        for side, doubt in zip((past, future), doubts, strict=True)
     )
-    return *sides, np.where(at_rest, np.sqrt(np.minimum(*doubts)), 0.0)
+    return past_sd, future_sd, np.where(at_rest, np.sqrt(np.minimum(*doubts)), 0.0)
 
 
 def combine(
