@@ -37,7 +37,7 @@ def smoothed(source: Source, setup: Setup) -> SmoothedEstimates:
             recorder.add(block)
     record = recorder.finish()
     given = source.device.temperature if source.device is not None else TemperatureRateParameters()
-    against_time = backward(record, temperature_rate(given), _bias(record, setup))
+    against_time = backward(record, temperature_rate(given), RestDetector(setup.rest), _bias(record, setup))
     return SmoothedEstimates(record, against_time, _heading(record, stages[-1], setup))
 
 

@@ -69,7 +69,7 @@ def measured(name: str, seconds: int, seed: int) -> FloatArray:
         recorder.add(block)
         truths.append(truth)
     record = recorder.finish()
-    against_time = backward(record, TemperatureRate(), GyroBias(mode="learned"))
+    against_time = backward(record, TemperatureRate(), RestDetector(), GyroBias(mode="learned"))
     stage = SmoothedEstimates(record, against_time)
     rows = np.minimum(record.stop - 1, seconds * RATE_HZ - 1)
     slots = SampleBlock({"row": np.arange(seconds * RATE_HZ)})

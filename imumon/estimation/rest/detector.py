@@ -31,7 +31,7 @@ from imumon.estimation.rest.turn import (
     turned_at_first,
     upright,
 )
-from imumon.estimation.rest.wander import SURPRISE, TURN_EVERY_S, forget, look_for_turn
+from imumon.estimation.rest.wander import SURPRISE, forget, look_for_turn
 from imumon.estimation.rest.windows import Motion, seen, set_band
 
 GAP_S = 2.5
@@ -138,9 +138,11 @@ def _wanders(state: State) -> Motion | None:
     found = None if state.past.units % LOOKS_EVERY else look_for_turn(state)
     if found is None:
         return None
-    # Older bins are too long to show that it began suddenly: what was seen then fades as turns end.
-    faded = state.doubt * np.exp(-0.5 * LOOKS_EVERY * state.span_s(EVERY) / TURN_EVERY_S)
-    state.doubt = found.doubt if found.doubt @ found.doubt > faded @ faded else faded
+    # Older bins are too long to show that it began suddenly: what was seen then is doubted for as long as the
+    # temperature, gravity and the means since leave room for a turn as fast.
+    seen, kept = (float(np.sqrt(doubt @ doubt)) for doubt in (found.doubt, state.doubt))
+    left = min(kept, found.possible)
+    state.doubt = found.doubt if seen >= left else state.doubt * (left / kept)
     if found.probability < LIKELY:
         return None
     if is_over(state.turn, state.turn + found.doubt):

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from imumon.blocks import BoolArray, FloatArray
 from imumon.compiled import records
+from imumon.estimation.rest.thermometer import EFFECTS, LAG_S, effects
 
 SLOT_S = 0.125
 AXES = 6
@@ -175,9 +176,11 @@ class Past:
     units : int
     total, samples : array, (MOST_UNITS + 1, 6)
         Sum and number of the samples before each.
-    warmth : array, (MOST_UNITS + 1,)
-        Sum of the temperatures before each, °C from that at first; zero where there is no thermometer.
-    first_degc : float
+    warmth : array, (MOST_UNITS + 1, EFFECTS)
+        Sum of the `thermometer.effects` before each, °C, from the temperature at first; zero where there is
+        no thermometer.
+    first_degc, lagged : float
+        Temperature at first, °C, and how far one that is behind it has come since.
     seconds : float
         Length of all.
     """
@@ -185,8 +188,9 @@ class Past:
     units: int = 0
     total: FloatArray = field(default_factory=lambda: np.zeros((MOST_UNITS + 1, AXES)))
     samples: FloatArray = field(default_factory=lambda: np.zeros((MOST_UNITS + 1, AXES)))
-    warmth: FloatArray = field(default_factory=lambda: np.zeros(MOST_UNITS + 1))
+    warmth: FloatArray = field(default_factory=lambda: np.zeros((MOST_UNITS + 1, EFFECTS)))
     first_degc: float = np.nan
+    lagged: float = 0.0
     seconds: float = 0.0
 
     def add(self, windows: Windows, length: int) -> None:
@@ -205,8 +209,12 @@ class Past:
         self.samples[k + 1] = self.samples[k] + windows.samples[length] - windows.samples[first]
         degc = float(windows.degc[length - 1])
         self.first_degc = degc if np.isnan(self.first_degc) else self.first_degc
-        self.warmth[k + 1] = self.warmth[k] + (0.0 if np.isnan(degc) else degc - self.first_degc)
-        self.seconds += float(windows.seconds[length] - windows.seconds[first])
+        seconds = float(windows.seconds[length] - windows.seconds[first])
+        self.warmth[k + 1] = self.warmth[k]
+        if not np.isnan(degc):
+            self.lagged += (1.0 - math.exp(-seconds / LAG_S)) * (degc - self.first_degc - self.lagged)
+            self.warmth[k + 1] += effects(degc - self.first_degc, self.lagged)
+        self.seconds += seconds
         self.units += 1
 
     @property
@@ -216,17 +224,17 @@ class Past:
 
     def forget(self) -> None:
         """Begin anew."""
-        self.units, self.seconds, self.first_degc = 0, 0.0, np.nan
+        self.units, self.seconds, self.first_degc, self.lagged = 0, 0.0, np.nan, 0.0
 
     def means(self, ages: npt.NDArray[np.intp]) -> FloatArray:
         """Return the means between neighbouring ages, units that rise, (k, 6) for (k + 1,)."""
         total, samples = self.total[self.units - ages], self.samples[self.units - ages]
         return np.asarray((total[:-1] - total[1:]) / (samples[:-1] - samples[1:]))
 
-    def degc(self, ages: npt.NDArray[np.intp]) -> FloatArray:
-        """Return the mean temperatures between the same ages, °C from that at first, (k,)."""
+    def warmed(self, ages: npt.NDArray[np.intp]) -> FloatArray:
+        """Return the mean effects of temperature between the same ages, °C, (k, EFFECTS)."""
         warmth = self.warmth[self.units - ages]
-        return np.asarray((warmth[:-1] - warmth[1:]) / np.diff(ages))
+        return np.asarray((warmth[:-1] - warmth[1:]) / np.diff(ages)[:, np.newaxis])
 
 
 class Anchor(NamedTuple):

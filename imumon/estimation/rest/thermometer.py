@@ -9,6 +9,12 @@ from imumon.blocks import FloatArray, SampleBlock
 SLOPE = np.radians(0.05)
 """Standard deviation of the slope of a gyro's bias, rad/s/K: data sheets of consumer gyros say ±0.015 °/s/K
 (BMI088), ±0.05 (BMI160), and ±20 °/s from -40 to 85 °C (MPU-6050), which is 0.16 at most."""
+CURVATURE_DEGC = 30.0
+"""Temperature difference over which a slope changes by as much as itself, as `gyro_bias.steps` says."""
+LAG_S = 30.0
+"""How far a gyro's temperature may be behind the thermometer's (sd), as `gyro_bias.thermal_input` says."""
+EFFECTS = 3
+"""What moves a bias as temperature does: it, its square, and its lag; all in °C, with a slope of `SLOPE`."""
 
 
 def temperature(block: SampleBlock) -> FloatArray:
@@ -24,6 +30,11 @@ def temperature(block: SampleBlock) -> FloatArray:
         if axes is not None:
             return np.asarray(axes.mean(1))
     return np.full(len(block), np.nan)
+
+
+def effects(degc: float, lagged: float) -> tuple[float, float, float]:
+    """Return what moves a bias, °C: temperature since a time, its square, and how far a gyro is behind it."""
+    return degc, 0.5 * degc * degc / CURVATURE_DEGC, lagged - degc
 
 
 def warmed(degc: FloatArray | float, since_degc: FloatArray | float) -> FloatArray:

@@ -2,9 +2,9 @@
 
 The history of a rest is the means of bins that grow with age, the latest 2 s, the first an hour long.  A gyro
 at rest has white noise and flicker or a random walk, so the covariance of these means is known but for their
-strength.  Where there is a thermometer, it has a slope over temperature as well, of which only the size is
-known: what the temperature explains is in the covariance, too.  Tried are ten strengths of flicker and four
-of a walk, and for each of them::
+strength.  Where there is a thermometer, it has a slope over temperature as well, which is another at another
+temperature, and the gyro lags behind: what these explain is in the covariance, too.  Tried are ten strengths
+of flicker and four of a walk, with three sizes of the slope about the vertical, and for each of them::
 
     nothing happened
     a turn began at a time, in some time, and goes on            only about the vertical
@@ -28,7 +28,7 @@ import numpy.typing as npt
 
 from imumon.blocks import BoolArray, FloatArray
 from imumon.estimation.rest.state import ACCEL, EVERY, GYRO, State
-from imumon.estimation.rest.thermometer import SLOPE
+from imumon.estimation.rest.thermometer import EFFECTS, SLOPE
 
 EDGES = np.array(
     [0, 2, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 768, 1024, 1536, 2048, 3072]
@@ -46,6 +46,9 @@ WALKS = np.geomspace(0.5, 50.0, 4)
 """The same of the slowest process alone, a random walk: by 0.01 to 0.1 of the white noise of a second."""
 SHARES = np.vstack([np.outer(STRENGTHS, np.ones(len(TAUS_S))), np.outer(WALKS, np.eye(len(TAUS_S))[-1])])
 """Variance of each process, (s, taus), for each noise that is tried."""
+SLOPES = SLOPE * np.array([[1.0, 1.0, 1.0], [1.0 / 6.0, 1.0, 1.0], [1.0 / 36.0, 1.0, 1.0]])
+"""Sizes of the slopes that are tried: about the vertical 180 to 5 °/h/K, consumer to tactical, so that a turn
+is not hidden by a slope that the history has not.  The level axes may have any: theirs says nothing of it."""
 UNKNOWN = 1e6
 """Variance of the bias at first, over that of the white noise in a unit."""
 TURN_EVERY_S = 600.0
@@ -60,15 +63,19 @@ SURPRISE = 12.0
 """Strengths so much less likely (log) than the best are left out."""
 FORGET = 0.5
 """Of what a history told of the strength of the flicker so much holds for the next."""
+LEAST_LEFT = 1e-9
+"""Share of a change, squared, that is not lost in rounding where the temperature explains it."""
 TINY = 1e-24
 
 
 class Turning(NamedTuple):
-    """That it turns now: the probability; the turn's rms, rad/s, (3,), 0 for what is decided; the mean of all
-    axes before it began, (6,), how long ago that was, s, and the temperature then, °C."""
+    """That it turns now: the probability; the turn's rms, rad/s, (3,), 0 for what is decided, and the rms of
+    those that it can be if it turns; the mean of all axes before it began, (6,), how long ago that was, s,
+    and the temperature then, °C."""
 
     probability: float
     doubt: FloatArray
+    possible: float
     before: FloatArray
     age_s: float
     degc: float
@@ -115,8 +122,8 @@ class Seen(NamedTuple):
 
     Parameters
     ----------
-    which : array of bool, (all noises,)
-        The s that are not too unlikely.
+    which : array of int, (s,)
+        Noises that are not too unlikely, one with each slope.
     likely : array, (s, 1)
         Log-likelihood without any change.
     x, size : array, (s, h, 3)
@@ -125,7 +132,7 @@ class Seen(NamedTuple):
         White noise of a unit, rad/s.
     """
 
-    which: BoolArray
+    which: npt.NDArray[np.intp]
     likely: FloatArray
     x: FloatArray
     size: FloatArray
@@ -220,27 +227,44 @@ def look_for_turn(state: State) -> Turning | None:
 def _seen(state: State, known: Changes, columns: FloatArray, white_sd: FloatArray) -> Seen:
     """Return what means, (b, 3) in units of the white noise, say of each change.
 
-    What the temperature explains adds a product to the covariance, which is inverted by Sherman and Morrison.
+    What the temperature explains adds a product to the covariance, which is inverted by Woodbury's formula.
     """
-    degc = known.whiten @ state.past.degc(known.edges)
-    part = (SLOPE / white_sd) ** 2
-    explained = part * (degc * degc).sum(1)[:, np.newaxis]
-    weight = part / (1.0 + explained)
+    warm = known.whiten @ state.past.warmed(known.edges)
     seen = known.whiten @ columns
-    along = (degc[..., np.newaxis] * seen).sum(1)
+    square, along = warm.swapaxes(1, 2) @ warm, warm.swapaxes(1, 2) @ seen
+    slopes = SLOPES if warm.any() else SLOPES[:1]
+    free = np.eye(EFFECTS) * np.square(white_sd / slopes)[..., np.newaxis, np.newaxis]
+    inverse = np.linalg.inv(square[:, np.newaxis, np.newaxis] + free)  # (s, slopes, axes, EFFECTS, EFFECTS)
+    fitted = np.einsum("scakl,sla->scka", inverse, along)
     likely = state.strengths + 3.0 * known.evidence - 0.5 * (seen * seen).sum((1, 2))
-    likely += 0.5 * (weight * along**2 - np.log1p(explained)).sum(1)
-    upright = known.shapes @ np.stack([degc, seen[..., 0]], 2)
-    shared = upright[..., 0]
-    x = upright[..., 1] - shared * (weight * along)[:, :1]
-    x /= np.sqrt(1.0 - weight[:, :1] * shared * shared)
+    gained = (along[:, np.newaxis] * fitted).sum((2, 3)) + np.linalg.slogdet(free @ inverse)[1].sum(2)
+    likely = (likely[:, np.newaxis] + 0.5 * gained).ravel()
+    each = np.repeat(np.arange(len(SHARES)), len(slopes))
+    fitted, inverse = fitted.reshape(-1, EFFECTS, 3), inverse.reshape(-1, 3, EFFECTS, EFFECTS)
+    shared, x = known.shapes @ warm, (known.shapes @ seen[..., :1])[..., 0]
+    x = (x[each] - (shared[each] @ fitted[..., :1])[..., 0]) / _left(shared[each], inverse[:, :1])[..., 0]
     best = likely + 0.5 * (x * x).max(1)
     which = best > best.max() - SURPRISE
-    both = known.shapes[which] @ seen[which]  # the level axes matter to the few that are left
-    shared, weight, along = shared[which, :, np.newaxis], weight[which, np.newaxis], along[which, np.newaxis]
-    left = np.sqrt(1.0 - weight * shared * shared)
-    size = known.size[which, :, np.newaxis] * left
-    return Seen(which, likely[which, np.newaxis], (both - shared * (weight * along)) / left, size, white_sd)
+    # The level axes matter to the few that are left.
+    each, fitted, inverse = each[which], fitted[which], inverse[which]
+    both, left = known.shapes[each] @ seen[each] - shared[each] @ fitted, _left(shared[each], inverse)
+    return Seen(
+        each, likely[which, np.newaxis], both / left, known.size[each, :, np.newaxis] * left, white_sd
+    )
+
+
+def _left(shared: FloatArray, inverse: FloatArray) -> FloatArray:
+    """Return what is left of changes where the temperature explains a part, (s, h, axes).
+
+    Parameters
+    ----------
+    shared : array, (s, h, EFFECTS)
+        Products of the changes and what moves a bias as temperature does.
+    inverse : array, (s, axes, EFFECTS, EFFECTS)
+        Covariance of its sizes when the means are known.
+    """
+    explained = ((shared[:, np.newaxis] @ inverse) * shared[:, np.newaxis]).sum(-1)
+    return np.asarray(np.sqrt(np.maximum(1.0 - explained, LEAST_LEFT)).swapaxes(1, 2))
 
 
 def _frame(state: State, means: FloatArray) -> FloatArray:
@@ -277,17 +301,19 @@ def _weigh(state: State, known: Changes, seen: Seen, up: FloatArray) -> Turning:
     most = max(float(likely.max()), float(turn.max()), float(creep.max()))
     turned = np.exp(turn - most)
     each = np.exp(likely[:, 0] - most) + (turned + np.exp(creep - most)).sum(1)
-    state.strengths_seen = np.full(len(SHARES), -SURPRISE)
-    state.strengths_seen[seen.which] = np.log(each / each.sum() + np.exp(-SURPRISE))
+    share = np.bincount(seen.which, each / each.sum(), len(SHARES))
+    state.strengths_seen = np.log(share + np.exp(-SURPRISE))
     now = turned * known.goes_on / each.sum()
     rms = np.sqrt((now * change * change).sum())
     began = int(known.began[np.argmax(now.max(0))]) + 1
     ages = known.edges[began:]
     oldest = int(np.searchsorted(ages, min(ages[0] + LEAST, ages[-1])))
     past = state.past
-    before, degc = past.means(ages[[0, oldest]])[0], past.first_degc + past.degc(ages[[0, oldest]])[0]
+    before, degc = past.means(ages[[0, oldest]])[0], past.first_degc + past.warmed(ages[[0, oldest]])[0, 0]
     doubt = np.copysign(rms, (now * change).sum()) * up
-    return Turning(float(now.sum()), doubt, before, float(ages[0]) * past.unit_s, degc)
+    probability = float(now.sum())
+    possible = float(rms / np.sqrt(probability)) if probability > 0.0 else 0.0
+    return Turning(probability, doubt, possible, before, float(ages[0]) * past.unit_s, degc)
 
 
 def _crept(state: State, known: Changes) -> FloatArray:
@@ -296,7 +322,7 @@ def _crept(state: State, known: Changes) -> FloatArray:
     if np.isnan(past.first_degc):
         return np.asarray(CREEP * past.unit_s * (known.start - known.end))
     # There and back counts twice: a bias with hysteresis comes back by another way.
-    middle, degc = 0.5 * (known.edges[1:] + known.edges[:-1]), past.degc(known.edges)
+    middle, degc = 0.5 * (known.edges[1:] + known.edges[:-1]), past.warmed(known.edges)[:, 0]
     way = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(degc)))])
     return np.asarray(SLOPE * (np.interp(known.start, middle, way) - np.interp(known.end, middle, way)))
 

@@ -9,16 +9,21 @@ from __future__ import annotations
 import numpy as np
 
 from imumon.blocks import FloatArray, SampleBlock
-from imumon.estimation.smoothing.record import READINGS, SUFFIXES, Record
+from imumon.estimation.smoothing.record import READINGS, SUFFIXES, TURN, Record
 from imumon.pipeline import Estimator
 
 
-def backward(record: Record, temperature: Estimator, bias: Estimator) -> dict[str, FloatArray]:
+def backward(
+    record: Record, temperature: Estimator, rest: Estimator, bias: Estimator
+) -> dict[str, FloatArray]:
     """Return temperature, its rate and the bias, with their sigmas, by what comes later, (n,) each.
+
+    Rest is that of the forward run; which turn it may be instead is asked anew: against time a turn begins
+    where it ends.
 
     Parameters
     ----------
-    temperature, bias : Estimator
+    temperature, rest, bias : Estimator
         New stages.  The one of the bias must know of no curve over temperature: the rates come without it.
     """
     ends = np.flatnonzero(np.diff(record.run, append=-1))
@@ -37,6 +42,8 @@ def backward(record: Record, temperature: Estimator, bias: Estimator) -> dict[st
     }
     block = SampleBlock({name: np.ascontiguousarray(values) for name, values in columns.items()})
     block = block.with_columns(temperature.process(block))
+    turn = {name: values for name, values in rest.process(block).items() if name in TURN}
+    block = block.with_columns(turn)
     block = block.with_columns(bias.process(block))
     found: dict[str, FloatArray] = {}
     for suffix in SUFFIXES:
@@ -47,6 +54,7 @@ def backward(record: Record, temperature: Estimator, bias: Estimator) -> dict[st
     for j, axis in enumerate("xyz"):
         found[f"gyro_bias_{axis}"] = curve[:, j] - block[f"gyro_bias_{axis}"][::-1]
         found[f"gyro_bias_sd_{axis}"] = block[f"gyro_bias_sd_{axis}"][::-1]
+        found[TURN[j]] = -block[TURN[j]][::-1]
     return found
 
 

@@ -16,10 +16,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imumon.blocks import FloatArray
+from imumon.blocks import BoolArray, FloatArray
 
 SUSPECT = 2.0
 """χ² with one degree of freedom is beyond the square of this in 5 %."""
+LEAST_OWN = 0.1
+"""Part of a standard deviation that is never a turn's: so two sides with the same doubt can be weighed."""
 MEDIAN = 0.6745
 """Of the magnitude of a standard normal value."""
 
@@ -33,8 +35,48 @@ class Smoothed:
     disagreement: float
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Side:
+    """What one side says of a bias, its standard deviation, and the part of it that may be a turn, (n,)."""
+
+    value: FloatArray
+    sd: FloatArray
+    turn: FloatArray
+
+    @property
+    def doubt(self) -> FloatArray:
+        """The part of the standard deviation that may be a turn; 0 where nothing is known."""
+        return np.asarray(
+            np.nan_to_num(np.minimum(np.abs(self.turn), math.sqrt(1.0 - LEAST_OWN**2) * self.sd))
+        )
+
+
+def decided(past: Side, future: Side, at_rest: BoolArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the standard deviations of both sides, (n,), and that of an error that both have.
+
+    At rest both took the turn for bias, or neither did: it is one error.  In motion each keeps what it knew
+    before; had the bias changed there, both sides would differ by as much, and where they do not, it has not:
+    a change of the size of the doubt and none were as likely before.
+    """
+    doubts = past.doubt**2, future.doubt**2
+    own = past.sd**2 + future.sd**2 - doubts[0] - doubts[1]
+    changed = own + doubts[0] + doubts[1]
+    apart = (past.value - future.value) ** 2
+    odds = np.sqrt(own / changed) * np.exp(np.minimum(0.5 * apart * (1.0 / own - 1.0 / changed), 100.0))
+    kept = np.where(at_rest | ~np.isfinite(odds), 1.0, odds / (1.0 + odds))
+    past_sd, future_sd = (
+        np.asarray(np.sqrt(side.sd**2 - (1.0 - kept) * doubt))
+        for side, doubt in zip((past, future), doubts, strict=True)
+    )
+    return past_sd, future_sd, np.where(at_rest, np.sqrt(np.minimum(*doubts)), 0.0)
+
+
 def combine(
-    forward: FloatArray, forward_sd: FloatArray, backward: FloatArray, backward_sd: FloatArray
+    forward: FloatArray,
+    forward_sd: FloatArray,
+    backward: FloatArray,
+    backward_sd: FloatArray,
+    shared: FloatArray | float = 0.0,
 ) -> Smoothed:
     """Return the estimate by both sides, (n,); where there is one side only, that one; NaN where none.
 
@@ -42,9 +84,13 @@ def combine(
     ----------
     forward, forward_sd, backward, backward_sd : array (n,)
         NaN where nothing is known.
+    shared : array (n,), optional
+        An error (sd) that both have where there are two, and that is part of both deviations: no weighing
+        takes it away, and it does not set them apart.
     """
-    past, future = forward_sd**2, backward_sd**2
-    both = np.isfinite(forward + past + backward + future)
+    both = np.isfinite(forward + forward_sd + backward + backward_sd)
+    same = np.where(both, np.square(shared), 0.0)
+    past, future = forward_sd**2 - same, backward_sd**2 - same
     ratio = (forward - backward)[both] / np.sqrt((past + future)[both])
     r = float(np.sqrt(np.mean(ratio**2))) if both.any() else math.nan
     value, variance = np.where(np.isfinite(forward_sd), forward, backward), np.fmin(past, future)
@@ -61,4 +107,4 @@ def combine(
         apart = np.abs(ratio)
         usual = max(min(r, float(np.median(apart)) / MEDIAN), 1.0)
         variance[both] *= np.maximum(usual, np.where(apart > SUSPECT, apart, 1.0)) ** 2
-    return Smoothed(value, np.sqrt(variance), r)
+    return Smoothed(value, np.sqrt(variance + same), r)

@@ -22,12 +22,14 @@ def _axes(name: str) -> list[str]:
 
 
 SENSORS = (*_axes("gyro"), *_axes("accel"))
+TURN = tuple(_axes("turn_hypothesis"))
 FORWARD = (
     *(f"{name}{suffix}" for name in ("temperature_estimate", "temperature_rate") for suffix in SUFFIXES),
     *(f"{name}_sd{suffix}" for name in ("temperature_estimate", "temperature_rate") for suffix in SUFFIXES),
     *_axes("gyro_bias"),
     *_axes("gyro_bias_sd"),
     *_axes("gyro_random_error"),
+    *TURN,
     "attitude_estimate_heading",
     "heading",
     "heading_sd",

@@ -9,7 +9,7 @@ import numpy as np
 
 from imumon.blocks import ColumnArray, FloatArray, SampleBlock
 from imumon.columns import Column
-from imumon.estimation.smoothing.combine import SUSPECT, Smoothed, combine
+from imumon.estimation.smoothing.combine import SUSPECT, Side, Smoothed, combine, decided
 from imumon.estimation.smoothing.record import SUFFIXES, Record
 
 QUANTITIES = (
@@ -18,6 +18,7 @@ QUANTITIES = (
     *((f"gyro_bias_{a}", f"gyro_bias_sd_{a}", "rad/s") for a in "xyz"),
 )
 """Columns, their standard deviations, and the unit of both."""
+BIAS = tuple(f"gyro_bias_{axis}" for axis in "xyz")
 
 
 class SmoothedEstimates:
@@ -45,7 +46,10 @@ class SmoothedEstimates:
         """Forward less backward in units of their standard deviations, rms, by quantity."""
         for value, sd, unit in QUANTITIES:
             if value in backward:
-                found = combine(record.columns[value], record.columns[sd], backward[value], backward[sd])
+                if value in BIAS:
+                    found = _of_bias(record.columns, backward, value[-1])
+                else:
+                    found = combine(record.columns[value], record.columns[sd], backward[value], backward[sd])
                 self._take(value, sd, unit, found)
         if heading is not None:
             self._take("heading", "heading_sd", "rad", heading)
@@ -94,3 +98,11 @@ def smoothed(name: str) -> str:
     for quantity in ("temperature_estimate", "temperature_rate", "gyro_bias", "heading"):
         name = name.replace(quantity, f"{quantity}_smoothed")
     return name
+
+
+def _of_bias(forward: Mapping[str, FloatArray], backward: Mapping[str, FloatArray], axis: str) -> Smoothed:
+    """Return the bias of an axis; what may be a turn instead is told apart from other errors."""
+    value, sd, turn = (f"{name}_{axis}" for name in ("gyro_bias", "gyro_bias_sd", "turn_hypothesis"))
+    past, future = (Side(one[value], one[sd], one[turn]) for one in (forward, backward))
+    past_sd, future_sd, shared = decided(past, future, forward["at_rest"] == 1.0)
+    return combine(past.value, past_sd, future.value, future_sd, shared)

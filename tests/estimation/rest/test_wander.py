@@ -78,6 +78,20 @@ def test_a_turn_below_the_wander_is_in_the_hypothesis_and_mostly_rest() -> None:
         assert np.sqrt(np.mean(hypothesis[during] ** 2)) > 0.25 * 0.05 * DEG
 
 
+@pytest.mark.parametrize("seed", [11, 12])
+def test_a_ramp_of_temperature_leaves_no_hypothesis(seed: int) -> None:
+    """The slope bends from 60 to 92 °/h/K: what seemed to be a turn at first goes with the temperature."""
+    t, gyro, accel = noise(900.0, 10.0, gyro_sd=2e-4)
+    warm = np.clip((t - 100.0) / 30.0, 0.0, 8.0) - np.clip((t - 500.0) / 30.0, 0.0, 8.0)
+    gyro += wandering(gyro, 10.0, 2.0 / 3600.0 * DEG, seed)
+    gyro[:, 2] += (60.0 * warm + 2.0 * warm**2) / 3600.0 * DEG
+    result = RestDetector().process(block(t, gyro, accel).with_columns({"temperature": 25.0 + warm}))
+    hypothesis = result["turn_hypothesis_z"] * 3600.0 / DEG
+    assert result["at_rest"][200:].all()
+    assert np.sqrt(np.mean(hypothesis[t > 150.0] ** 2)) < 80.0
+    assert np.abs(hypothesis[t > 800.0]).max() < 20.0
+
+
 def test_a_step_of_the_vertical_rate_is_a_turn_however_small_until_the_old_mean_is_back() -> None:
     t, gyro, accel = noise(900.0, 25.0, gyro_sd=5e-5)
     gyro[(t > 100.0) & (t < 700.0), 2] += 0.05 * DEG

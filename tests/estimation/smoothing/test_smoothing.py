@@ -13,8 +13,12 @@ from imumon.estimation.smoothing.backward import backward
 from imumon.estimation.smoothing.record import Recorder
 from imumon.estimation.smoothing.stage import SmoothedEstimates
 from imumon.estimation.temperature_rate.stage import TemperatureRate
+from imumon.geodesy import DEG_PER_H
 from imumon.simulation.unit.scenario import Scenario
 from imumon.simulation.unit.unit import SimulatedUnit
+from tests.estimation.rest.scenes import block as noisy
+from tests.estimation.rest.scenes import noise
+from tests.estimation.rest.test_wander import wandering
 
 RATE_HZ = 50
 
@@ -47,7 +51,7 @@ def smooth(block: SampleBlock, latitude_deg: float | None = None) -> SmoothedEst
     recorder.add(block)
     record = recorder.finish()
     bias = GyroBias(mode="learned", latitude_deg=None if latitude_deg is None else -latitude_deg)
-    return SmoothedEstimates(record, backward(record, TemperatureRate(), bias))
+    return SmoothedEstimates(record, backward(record, TemperatureRate(), RestDetector(), bias))
 
 
 def true_bias(truth: SampleBlock, vertical: float) -> FloatArray:
@@ -139,6 +143,21 @@ def test_a_jump_that_the_model_lacks_shows_in_the_disagreement() -> None:
     assert stage.notices() == []
 
 
+def test_a_slow_turn_that_is_taken_for_rest_is_doubted_in_both_directions() -> None:
+    """0.05 °/s for 8 min: at its end a filter that runs backward sees a mean as steady as that of a bias."""
+    t, gyro, accel = noise(780.0, 10.0, gyro_sd=4e-4)
+    gyro += wandering(gyro, 10.0, 20.0 * DEG_PER_H, 2)
+    still = noise(780.0, 10.0, gyro_sd=0.0)[1] + wandering(gyro, 10.0, 20.0 * DEG_PER_H, 2)
+    gyro[:, 2] += 180.0 * DEG_PER_H * np.clip(np.minimum(t - 150.0, 640.0 - t) / 10.0, 0.0, 1.0)
+    samples = noisy(t, gyro, accel)
+    for stage in (TemperatureRate(), RestDetector(), GyroBias()):
+        samples = samples.with_columns(stage.process(samples))
+    found = smooth(samples).process(samples)
+    z = (found["gyro_bias_smoothed_z"] - still[:, 2]) / found["gyro_bias_smoothed_sd_z"]
+    assert samples["at_rest"].mean() > 0.7
+    assert (np.abs(z) > 5.0).mean() < 0.01
+
+
 def test_the_result_does_not_depend_on_the_blocks() -> None:
     block, _ = recorded(7, duration_s=120.0, motion=[])
     half = len(block) // 2
@@ -153,7 +172,9 @@ def test_the_result_does_not_depend_on_the_blocks() -> None:
     record = recorder.finish()
     assert record.run[0] == 1
     assert record.run[-1] == 2
-    pieces = SmoothedEstimates(record, backward(record, TemperatureRate(), GyroBias(mode="learned")))
+    pieces = SmoothedEstimates(
+        record, backward(record, TemperatureRate(), RestDetector(), GyroBias(mode="learned"))
+    )
     expected = whole.process(block)
     got = join([SampleBlock(dict(pieces.process(part))) for part in parts])
     assert {column.name for column in whole.columns} == set(expected)
