@@ -7,7 +7,7 @@ order of what is left of the errors, and iterated, Gauss and Newton)::
     ∫ C f dt = g t + v(t) - v(0) + ∫∫ [g x] C (bias + M ω) dt dt + ∫ C accelerometer bias dt
 
 The velocity v is an Ornstein-Uhlenbeck process, of the standard deviation that the window itself shows and
-with the correlation time, of two, that makes the bias less certain.  Scale and misalignment M and the
+with the correlation time, of four, that makes the bias less certain.  Scale and misalignment M and the
 accelerometers' bias stay as they are, and go from window to window with the bias.
 
 Nothing is believed of the rate about the vertical.  It shows by how the unit sways, which is little and of
@@ -28,15 +28,15 @@ from imumon.geodesy import DEG_PER_H, STANDARD_GRAVITY
 HALF_A_SLOT_S = 0.25
 PART_S, PARTS = 5.0, 12
 """A window is a minute: a bias of a degree per second turns it by less than a radian."""
-CORRELATIONS_S = (20.0, 60.0)
+CORRELATIONS_S = (5.0, 20.0, 60.0, 200.0)
 UNKNOWN_RATE = math.radians(3.0)
 """Standard deviation of the bias before anything is known: turn-on of consumer gyros."""
 UNKNOWN_SCALE, UNKNOWN_FORCE = 0.01, 0.05
 """The same of elements of M, and of the accelerometers' bias (5 mg), m/s²: without calibration."""
 ANGLE_WALK = math.radians(0.6) / 60.0
 """Of consumer gyros, rad/sqrt(s): in motion nobody sees the noise."""
-BIAS_WALK = DEG_PER_H
-"""Random walk of the bias, rad/s/sqrt(s): 60 °/h an hour, and 20 °/h of flicker in some minutes."""
+BIAS_WALK = 30.0 * DEG_PER_H
+"""Random walk of the bias, rad/s/sqrt(s): 230 °/h a minute, as 100 °/h/°C at 2 °C/min makes it."""
 LEAST_SPEED2 = 1e-4
 """(m/s)²: nothing that moves is steadier than 1 cm/s."""
 ITERATIONS = 5
