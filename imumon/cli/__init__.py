@@ -21,9 +21,13 @@ from imumon.errors import EXIT_INTERRUPTED, EXIT_OK, EXIT_USAGE, ImumonError
 
 if TYPE_CHECKING:
     from sys import UnraisableHookArgs
+    from types import FrameType
 
 COMPLETION = "_IMUMON_COMPLETE"
 """What a shell sets when it asks what may come next."""
+
+_INTERRUPTED = threading.Event()
+"""Set by Ctrl-C, where a command has nothing else to do then."""
 
 COMMANDS = {
     "monitor": "Record a device and watch it live.",
@@ -139,10 +143,18 @@ def run(arguments: list[str]) -> int:
 
 
 def _is_interrupt(error: BaseException | None) -> bool:
-    """Tell whether an error is what became of Ctrl-C: Python 3.11 makes another where it builds a class."""
+    """Tell whether an error is what became of Ctrl-C.
+
+    Python 3.11 makes another where it builds a class, with the first as its cause; pydantic one without.
+    """
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__ or error.__context__
-    return error is not None
+    return error is not None or _INTERRUPTED.is_set()
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    _INTERRUPTED.set()
+    signal.default_int_handler(number, frame)
 
 
 def _heed_interrupts() -> None:
@@ -153,7 +165,7 @@ def _heed_interrupts() -> None:
     """
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         return
-    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGINT, _interrupt)
     # The first to be registered is the last to be called: from there on Python heeds no signal in order.
     atexit.register(signal.signal, signal.SIGINT, signal.SIG_IGN)
     usual = sys.unraisablehook

@@ -12,9 +12,13 @@ LONGEST_NOTICE = 1000
 
 @pytest.mark.parametrize("name", device_names())
 def test_the_cost_of_a_call_grows_as_its_bytes_do(name: str) -> None:
-    steep = [item for item in growth(load_device(name)) if item[2] > STEEPEST]
-    again = {item[0]: item[2] for item in growth(load_device(name))} if steep else {}  # a busy machine
-    assert not [item for item in steep if again[item[0]] > STEEPEST]
+    device, steep = load_device(name), set[str]()
+    for attempt in range(3):  # a busy machine is so once, or twice
+        found = {item[0] for item in growth(device) if item[2] > STEEPEST}
+        steep = found & steep if attempt else found
+        if not steep:
+            return
+    raise AssertionError(steep)
 
 
 @pytest.mark.parametrize("name", device_names())
