@@ -8,15 +8,19 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+import click
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from imumon import cli
 from imumon.cli import COMMANDS
+from imumon.errors import EXIT_INTERRUPTED
 from imumon.protocols.device import load_device
 from imumon.simulation.unit import SimulatedUnit, load_scenario
 from imumon.simulation.virtual_device import VirtualDevice
@@ -432,3 +436,21 @@ def test_a_virtual_device_whose_values_do_not_fit_says_so(tmp_path: Path) -> Non
     assert done.returncode == 4
     assert "179420 does not fit" in done.stderr
     assert "Traceback" not in done.stderr
+
+
+def test_what_a_library_made_of_ctrl_c_is_no_defect(monkeypatch: pytest.MonkeyPatch) -> None:
+    def validate() -> None:
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt as error:
+            lost = f"SchemaError: {type(error).__name__}"
+        raise RuntimeError(lost)
+
+    monkeypatch.setattr(cli, "_INTERRUPTED", threading.Event())
+    command = click.Command("ports", callback=validate)
+    monkeypatch.setattr(type(cli.cli), "get_command", lambda *_: command)
+    before = signal.signal(signal.SIGINT, cli._interrupt)
+    try:
+        assert cli.run(["ports"]) == EXIT_INTERRUPTED
+    finally:
+        signal.signal(signal.SIGINT, before)
