@@ -1,7 +1,8 @@
-"""Text files read whole, or refused with the reason, and written whole or not at all; values for JSON."""
+"""Text files read whole, or refused with the reason; files written whole or not at all; values for JSON."""
 
 from __future__ import annotations
 
+import io
 import math
 import os
 from collections.abc import Mapping
@@ -46,10 +47,30 @@ def write_text(path: Path, text: str) -> None:
     OSError
         When it cannot be written; a file that was there before is untouched.
     """
+    _write_whole(path, text.encode("utf-8"))
+
+
+def write_png(path: Path, figure: Any, dpi: float) -> None:
+    """Write a figure of matplotlib as a PNG, as a whole or not at all.
+
+    Raises
+    ------
+    ImumonError
+        BAD_CONFIG when the file cannot be written.
+    """
+    picture = io.BytesIO()
+    figure.savefig(picture, dpi=dpi, format="png")
+    try:
+        _write_whole(path, picture.getvalue())
+    except OSError as error:
+        raise ImumonError(Reason.BAD_CONFIG, f"{path}: cannot be written: {error.strerror}") from error
+
+
+def _write_whole(path: Path, content: bytes) -> None:
     partial = path.with_name(f"{path.name}.partial")
     try:
-        with partial.open("w", encoding="utf-8") as file:
-            file.write(text)
+        with partial.open("wb") as file:
+            file.write(content)
             file.flush()
             os.fsync(file.fileno())  # or a power cut leaves the new name with nothing in it
         partial.replace(path)

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from imumon.allan.analysis import Result
 from imumon.allan.fit import TERMS
 from imumon.allan.recording import GROUPS, group_of
-from imumon.errors import ImumonError, Reason
+from imumon.files import write_png
 from imumon.geodesy import MICRO_G
 from imumon.harmless import for_plot
 
@@ -46,10 +46,7 @@ def write_plot(path: Path, results: Mapping[str, Result], title: str) -> None:
         axes = figure.add_subplot(1, len(groups), number + 1)
         _draw(axes, group, {name: result for name, result in results.items() if group_of(name) == group})
     figure.suptitle(for_plot(title), fontsize=11)
-    try:
-        figure.savefig(path, dpi=130, format="png")
-    except OSError as error:
-        raise ImumonError(Reason.BAD_CONFIG, f"{path}: cannot be written: {error.strerror}") from error
+    write_png(path, figure, 130)
 
 
 def _draw(axes: Any, group: str, results: Mapping[str, Result]) -> None:

@@ -9,7 +9,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from imumon.calibration.magnetometer import MagnetometerFit
-from imumon.errors import ImumonError, Reason
+from imumon.files import write_png
 from imumon.harmless import for_plot
 
 PLANES = ((0, 1), (1, 2), (2, 0))
@@ -45,7 +45,4 @@ def write_magnetometer_plot(path: Path, fit: MagnetometerFit, title: str) -> Non
         f"{model.coverage:.0%} of the directions",
         fontsize=11,
     )
-    try:
-        figure.savefig(path, dpi=110, format="png")
-    except OSError as error:
-        raise ImumonError(Reason.BAD_CONFIG, f"{path}: cannot be written: {error.strerror}") from error
+    write_png(path, figure, 110)

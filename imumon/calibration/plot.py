@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from imumon.calibration.calibration import Calibration
-from imumon.errors import ImumonError, Reason
+from imumon.files import write_png
 from imumon.harmless import for_plot
 
 SHOWN = {"rad/s": ("°/h", 206264.80624709636), "m/s^2": ("mg", 1e3 / 9.80665)}
@@ -47,7 +47,4 @@ def write_calibration_plot(path: Path, result: Calibration, title: str) -> None:
         for axes in (above, below):
             axes.grid(color="0.9", lw=0.5)
     figure.suptitle(f"{for_plot(title)}: bias over temperature", fontsize=11)
-    try:
-        figure.savefig(path, dpi=110, format="png")
-    except OSError as error:
-        raise ImumonError(Reason.BAD_CONFIG, f"{path}: cannot be written: {error.strerror}") from error
+    write_png(path, figure, 110)
