@@ -16,7 +16,7 @@ import click
 from click.exceptions import Exit
 from click.shell_completion import shell_complete
 
-from imumon.cli.common import note, say
+from imumon.cli.common import INTERRUPTED, note, say
 from imumon.errors import EXIT_INTERRUPTED, EXIT_OK, EXIT_USAGE, ImumonError
 
 if TYPE_CHECKING:
@@ -25,9 +25,6 @@ if TYPE_CHECKING:
 
 COMPLETION = "_IMUMON_COMPLETE"
 """What a shell sets when it asks what may come next."""
-
-_INTERRUPTED = threading.Event()
-"""Set by Ctrl-C, where a command has nothing else to do then."""
 
 COMMANDS = {
     "monitor": "Record a device and watch it live.",
@@ -149,11 +146,11 @@ def _is_interrupt(error: BaseException | None) -> bool:
     """
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__ or error.__context__
-    return error is not None or _INTERRUPTED.is_set()
+    return error is not None or INTERRUPTED.is_set()
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
-    _INTERRUPTED.set()
+    INTERRUPTED.set()
     signal.default_int_handler(number, frame)
 
 

@@ -6,6 +6,7 @@ import json
 import math
 import os
 import sys
+import threading
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -20,6 +21,8 @@ from imumon.harmless import for_log, for_terminal
 if TYPE_CHECKING:
     from rich.console import Console
 
+INTERRUPTED = threading.Event()
+"""Set by Ctrl-C where that does nothing else: libraries make other errors of KeyboardInterrupt, or none."""
 PATH = click.Path(path_type=Path)
 TABLE = "Table to write: NAME.parquet, .csv, .npz, .mat, or .mcap (ROS 2)."
 json_option = click.option(

@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from imumon.cli.common import note, say
+from imumon.cli.common import INTERRUPTED, note, say
 from imumon.errors import ImumonError, Reason
 from imumon.heap import prepare_heap
 from imumon.recordings import lines
@@ -41,6 +41,8 @@ class Ending:
         self._signal = threading.Event()
         for number in ending_signals():
             signal.signal(number, lambda *_: self._signal.set())
+        if INTERRUPTED.is_set():  # and a library has made nothing of it
+            self._signal.set()
         # Whoever starts this command may hold signals back until it can heed them.
         if hasattr(signal, "pthread_sigmask"):  # not on Windows
             signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT, signal.SIGTERM})

@@ -19,7 +19,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from imumon import cli
-from imumon.cli import COMMANDS
+from imumon.cli import COMMANDS, live_run
+from imumon.cli.live_run import Ending, ending_signals
 from imumon.errors import EXIT_INTERRUPTED
 from imumon.protocols.device import load_device
 from imumon.simulation.unit import SimulatedUnit, load_scenario
@@ -446,7 +447,7 @@ def test_what_a_library_made_of_ctrl_c_is_no_defect(monkeypatch: pytest.MonkeyPa
             lost = f"SchemaError: {type(error).__name__}"
         raise RuntimeError(lost)
 
-    monkeypatch.setattr(cli, "_INTERRUPTED", threading.Event())
+    monkeypatch.setattr(cli, "INTERRUPTED", threading.Event())
     command = click.Command("ports", callback=validate)
     monkeypatch.setattr(type(cli.cli), "get_command", lambda *_: command)
     before = signal.signal(signal.SIGINT, cli._interrupt)
@@ -454,3 +455,17 @@ def test_what_a_library_made_of_ctrl_c_is_no_defect(monkeypatch: pytest.MonkeyPa
         assert cli.run(["ports"]) == EXIT_INTERRUPTED
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+def test_a_ctrl_c_that_a_library_lost_ends_a_command_that_waits_for_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    before = {number: signal.getsignal(number) for number in ending_signals()}
+    monkeypatch.setattr("imumon.cli.live_run.INTERRUPTED", threading.Event())
+    try:
+        assert Ending(None).wait()
+        live_run.INTERRUPTED.set()
+        assert not Ending(None).wait()
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
