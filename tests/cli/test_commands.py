@@ -19,7 +19,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from imumon import cli
-from imumon.cli import COMMANDS, live_run
+from imumon.cli import COMMANDS
 from imumon.cli.live_run import Ending, ending_signals
 from imumon.errors import EXIT_INTERRUPTED
 from imumon.protocols.device import load_device
@@ -461,10 +461,11 @@ def test_a_ctrl_c_that_a_library_lost_ends_a_command_that_waits_for_one(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     before = {number: signal.getsignal(number) for number in ending_signals()}
-    monkeypatch.setattr("imumon.cli.live_run.INTERRUPTED", threading.Event())
+    interrupted = threading.Event()
+    monkeypatch.setattr("imumon.cli.live_run.INTERRUPTED", interrupted)
     try:
         assert Ending(None).wait()
-        live_run.INTERRUPTED.set()
+        interrupted.set()
         assert not Ending(None).wait()
     finally:
         for number, handler in before.items():
