@@ -153,3 +153,12 @@ def test_a_package_that_cannot_be_imported_is_named(offered: dict[str, str]) -> 
     offered[plugins.STAGES] = "no_such_module:Stage"
     with pytest.raises(ImumonError, match=r"mine of .* \(imumon.stages\) cannot be imported"):
         estimators(None)
+
+
+def test_files_are_named_by_text_or_by_path(tmp_path: Path) -> None:
+    path = tmp_path / "bench.yaml"
+    path.write_text("format: imumon-pipeline/1\nlatitude_deg: 40.9\n")
+    assert imumon.load_setup(str(path)) == imumon.load_setup(path)
+    for load in (imumon.load_model, imumon.load_setup):
+        with pytest.raises(imumon.ImumonError, match="nothing"):
+            load(str(tmp_path / "nothing.yaml"))

@@ -189,7 +189,7 @@ class BiasModel(StrictModel):
         return dump_yaml(self.model_dump(), flow=None)
 
 
-def load_model(path: Path) -> BiasModel:
+def load_model(path: str | Path) -> BiasModel:
     """Read a model file.
 
     Raises
@@ -198,7 +198,7 @@ def load_model(path: Path) -> BiasModel:
         BAD_CONFIG, naming file and line, what was found and what was expected.
     """
     try:
-        return load_yaml(path, BiasModel)
+        return load_yaml(Path(path), BiasModel)
     except ImumonError as error:
         hint = error.hint or f"a model file is what imumon calibrate writes, of format {FORMAT}"
         raise ImumonError(Reason.BAD_CONFIG, error.seen, hint) from error

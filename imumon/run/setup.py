@@ -175,7 +175,7 @@ def recorded_setup(session: Session) -> Setup:
     return Setup() if text is None else parse_setup(text, f"{session.path} (pipeline_yaml)")
 
 
-def load_setup(path: Path) -> Setup:
+def load_setup(path: str | Path) -> Setup:
     """Read a pipeline file.
 
     Raises
@@ -183,4 +183,4 @@ def load_setup(path: Path) -> Setup:
     ImumonError
         BAD_CONFIG, naming file and line, what was found and what was expected.
     """
-    return parse_setup(read_text(path, hint=f"give a pipeline file (format: {FORMAT})"), str(path))
+    return parse_setup(read_text(Path(path), hint=f"give a pipeline file (format: {FORMAT})"), str(path))
