@@ -31,8 +31,9 @@ PART_S, PARTS = 5.0, 12
 CORRELATIONS_S = (5.0, 20.0, 60.0, 200.0)
 UNKNOWN_RATE = math.radians(3.0)
 """Standard deviation of the bias before anything is known: turn-on of consumer gyros."""
-UNKNOWN_SCALE, UNKNOWN_FORCE = 0.01, 0.05
-"""The same of elements of M, and of the accelerometers' bias (5 mg), m/s²: without calibration."""
+UNKNOWN_SCALE, UNKNOWN_FORCE = 0.03, 0.4
+"""The same of elements of M, and of the accelerometers' bias, m/s²: 3 % and 40 mg, as data sheets of consumer
+units have it."""
 ANGLE_WALK = math.radians(0.6) / 60.0
 """Of consumer gyros, rad/sqrt(s): in motion nobody sees the noise."""
 BIAS_WALK = 30.0 * DEG_PER_H
