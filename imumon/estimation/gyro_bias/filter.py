@@ -16,8 +16,10 @@ from imumon.blocks import BoolArray, FloatArray
 from imumon.estimation.gyro_bias import bank as filters
 from imumon.estimation.gyro_bias.attitude import Attitude, Place, turned_earth
 from imumon.estimation.gyro_bias.bank import AtRest, Bank, Family
+from imumon.estimation.gyro_bias.contrary import Contrary
 from imumon.estimation.gyro_bias.law import LAW, Laws, at_slot, no_law, sd_at_slot
 from imumon.estimation.gyro_bias.motion import Motion
+from imumon.estimation.gyro_bias.slot import MOVED_DEGC, Reading, Slot
 from imumon.estimation.gyro_bias.white import WhiteNoise
 from imumon.filters.turns import STILL, Turn
 from imumon.geodesy import EARTH_RATE
@@ -28,19 +30,6 @@ LARGEST_TILT = 0.03
 """rad by which a unit at rest may turn until the tilt is measured from a new reference."""
 GATE = 25.0
 """A slot whose squared innovation over its variance is beyond this in every filter contradicts the bias."""
-JUMP_PRIOR, JUMP_PRIOR_AFTER_GAP, JUMP_PRIOR_WARMED = 0.05, 0.5, 0.9
-"""How likely it is, of a slot that contradicts the bias, that the bias is another: else the unit moves
-unnoticed.  Behind a gap in the data nobody saw a movement begin; a temperature that has moved meanwhile is
-the better explanation."""
-UNNOTICED_S = 51.0
-"""Mean length of a movement that nobody notices: with it a jump is certain after `PATIENCE_S`."""
-CERTAIN = 0.95
-SEEMING_TURN = 1.5e-4
-"""rad/s, 31 °/h: so fast accelerometers that drift seem to turn: `accel_drift` of the rest room over g."""
-RECENT = 8
-"""Slots that say what the bias has become: few, for it may be running away with the temperature."""
-PATIENCE_S = 300.0
-"""2 ln(0.95 / 0.05) times `UNNOTICED_S`: so long it takes until a jump is believed, half behind a gap."""
 STILLNESS = 2e-6
 """Velocity over g at the end of a slot at rest, rad s: 0.02 mm/s; what shakes more is in the noise."""
 YAW_NOISE = 3e-8
@@ -51,8 +40,6 @@ MIX_S = 5.0
 """The filters of the bank share what they know this often."""
 FORGETTING_S = 600.0
 """Memory of the evidence for a slope."""
-MOVED_DEGC = 0.5
-"""The temperature has moved when it is this far from where it was last noted: noise does not count."""
 SIGNIFICANCE, EVIDENCE = 9.0, 8.0
 """A slope is used when d² > 9 P_dd and the log-likelihoods differ by more than 8 in its favour."""
 AXES = np.arange(3)
@@ -96,152 +83,6 @@ class Params:
     place: Place
     learns: bool
     first_slots: int
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Slot:
-    """What the samples of half a second say.
-
-    Parameters
-    ----------
-    start_s, end_s : float
-        From the end of the slot before, or the first sample at rest, to the last sample; of a gap, to the
-        first sample behind it.
-    holds_s : float
-        How long it takes until the next one ends.
-    follows : bool
-        Whether the unit was at rest, without a gap, at the end of the slot before and since then.
-    rest : bool
-        Whether it is at rest at the end.
-    rate : array (3,)
-        Mean of the gyros at rest less what the thermal model has added, rad/s; where it moves, of all.
-    force : array (3,) or None
-        Mean specific force, m/s².
-    degc : array (3,)
-        Temperature of each gyro; NaN without any.
-    growth : array (3,)
-        What an uncertain temperature has added to the variance of the bias since the start, (rad/s)².
-    lag_degc : array (3,)
-        By how much the gyros' temperatures may have fallen behind meanwhile, unseen (sd), °C.
-    undecided : array (3,)
-        A turn, rad/s, of which nobody knows whether it is a change of the bias, or, at rest, nobody knew
-        until then; else 0.
-    turn : Turn
-        Since the slot before, by rates less the thermal model's part.
-    gap : bool
-        Whether readings were missing for a while.  A slot that is nothing but a gap has no rate (NaN).
-    """
-
-    start_s: float
-    end_s: float
-    holds_s: float
-    follows: bool
-    rest: bool
-    rate: FloatArray
-    force: FloatArray | None
-    degc: FloatArray
-    growth: FloatArray
-    lag_degc: FloatArray
-    undecided: FloatArray
-    turn: Turn
-    gap: bool
-
-    @property
-    def dt(self) -> float:
-        """Length, s."""
-        return self.end_s - self.start_s
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Reading:
-    """A slot at rest, less the earth rate; `tilt` since the rest began, `fresh` when it is the first."""
-
-    slot: Slot
-    rate: FloatArray
-    tilt: FloatArray
-    fresh: bool
-
-
-@dataclass(slots=True, eq=False)
-class Contrary:
-    """Slots in a row that contradict the bias: it has jumped, or the unit moves unnoticed.
-
-    Parameters
-    ----------
-    readings : list of Reading
-        The last `RECENT` of them.
-    seconds : float
-        Length of all.
-    behind_gap : bool
-        Whether nothing has agreed since a gap in the data.
-    since_degc : array (3,)
-        Temperature at the first of them.
-    turned : array (3,)
-        Rotation since the first of them in this pose, if it is one, rad.
-    turned_s : float
-        In so long.
-    tilt : array (3,)
-        What gravity had shown by then, rad.
-    gravity : float
-        Logarithm of how much likelier gravity is what it is if the unit does not turn.
-    """
-
-    readings: list[Reading] = field(default_factory=list)
-    seconds: float = 0.0
-    behind_gap: bool = False
-    since_degc: FloatArray = field(default_factory=_nothing)
-    turned: FloatArray = field(default_factory=_zero)
-    turned_s: float = 0.0
-    tilt: FloatArray = field(default_factory=_zero)
-    gravity: float = 0.0
-
-    def add(self, reading: Reading, off: FloatArray, up: FloatArray, tilt_noise: float) -> None:
-        """Take a slot.
-
-        Parameters
-        ----------
-        reading : Reading
-        off : array (3,)
-            Its rate less the bias, rad/s.
-        up : array (3,)
-            Zero without accelerometers, which show the rotation about what is level.
-        tilt_noise : float
-            rad sqrt(s).
-        """
-        if not self.readings:
-            self.since_degc = reading.slot.degc
-        if reading.fresh or not self.turned_s:
-            # Nobody knows when in the first slot it began.
-            self.turned, self.turned_s, self.tilt, self.gravity = np.zeros(3), 0.0, reading.tilt, 0.0
-        dt = reading.slot.dt
-        self.readings = [*self.readings, reading][-RECENT:]
-        self.seconds += dt
-        if self.seconds > dt and up.any():
-            self.turned = self.turned + dt * (off - (off @ up) * up)
-            self.turned_s += dt
-            seen = reading.tilt - self.tilt
-            unexplained = seen - self.turned
-            variance = 2.0 * tilt_noise**2 / dt + (SEEMING_TURN * self.turned_s) ** 2
-            self.gravity = float(unexplained @ unexplained - seen @ seen) / (2.0 * variance)
-
-    @property
-    def _prior(self) -> float:
-        if (np.abs(self.readings[-1].slot.degc - self.since_degc) >= MOVED_DEGC).any():
-            return JUMP_PRIOR_WARMED
-        return JUMP_PRIOR_AFTER_GAP if self.behind_gap else JUMP_PRIOR
-
-    @property
-    def jump(self) -> float:
-        """Probability that the bias has jumped: unnoticed movements last `UNNOTICED_S` in the mean."""
-        if not self.readings:
-            return 0.0
-        prior = math.log(self._prior / (1.0 - self._prior))
-        return 0.5 + 0.5 * math.tanh(0.5 * (prior + self.seconds / UNNOTICED_S + self.gravity))
-
-    @property
-    def rate(self) -> FloatArray:
-        """Mean rate of the slots, rad/s, (3,)."""
-        return np.asarray(np.mean([reading.rate for reading in self.readings], 0))
 
 
 @dataclass(slots=True, eq=False)
@@ -581,9 +422,9 @@ def _refuse(state: State, params: Params, bank: Bank, reading: Reading) -> None:
     contrary, attitude = state.contrary, state.attitude
     contrary.add(reading, reading.rate - at_slot(state.law), attitude.up, _noise(state, params).tilt)
     filters.come_to_rest(bank, attitude.flat)
-    if contrary.jump > CERTAIN and len(contrary.readings) > 2:
+    if contrary.has_jumped:
         state.jumps += 1
-        state.first = contrary.readings[1:]  # in the first it may have been the old bias yet
+        state.first = contrary.readings[1:]
         _filter_again(state, params)
         state.first, state.zeroed = [], True
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from imumon.blocks import NO_INT, BoolArray, FloatArray, IntArray
-from imumon.estimation.gyro_bias.filter import Slot
+from imumon.estimation.gyro_bias.slot import Slot
 from imumon.estimation.gyro_bias.thermal_input import ThermalVariance, unseen_lag
 from imumon.filters.slots import SlotGatherer, Slots
 from imumon.filters.turns import STILL

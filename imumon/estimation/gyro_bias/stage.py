@@ -16,7 +16,8 @@ from imumon.columns import Column
 from imumon.errors import ImumonError, Reason
 from imumon.estimation.gyro_bias.attitude import Place
 from imumon.estimation.gyro_bias.bank import known_family, unknown_family
-from imumon.estimation.gyro_bias.filter import PATIENCE_S, Params, State, restarted, step
+from imumon.estimation.gyro_bias.contrary import PATIENCE_S
+from imumon.estimation.gyro_bias.filter import Params, State, restarted, step
 from imumon.estimation.gyro_bias.intake import SLOT_S, Intake, Samples, complete
 from imumon.estimation.gyro_bias.law import PATH, Laws, at_samples, no_law
 from imumon.estimation.gyro_bias.parameters import GyroBiasParameters
