@@ -27,8 +27,10 @@ from imumon.geodesy import DEG_PER_H, STANDARD_GRAVITY
 
 HALF_A_SLOT_S = 0.25
 PART_S, PARTS = 5.0, 12
-"""A window is a minute: a bias of a degree per second turns it by less than a radian."""
+"""A window is a minute: a bias of a degree per second turns it by a radian."""
 CORRELATIONS_S = (5.0, 20.0, 60.0, 200.0)
+MOST_TURNED = math.pi
+"""rad: where the bias turns a window by more than half a turn, a fit may end anywhere, and is not told."""
 UNKNOWN_RATE = math.radians(3.0)
 """Standard deviation of the bias before anything is known: turn-on of consumer gyros."""
 UNKNOWN_SCALE, UNKNOWN_FORCE = 0.03, 0.4
@@ -111,6 +113,7 @@ class Motion:
         """Return bias and variance until the next window ends, (3,) each; NaN where little is known."""
         variance = np.diag(self.covariance)[RATE] + BIAS_WALK**2 * PART_S * PARTS
         known = variance < (0.5 * UNKNOWN_RATE) ** 2
+        known &= float(np.linalg.norm(self.mean[RATE])) * PART_S * PARTS < MOST_TURNED
         return np.where(known, self.mean[RATE], np.nan), np.where(known, variance, np.nan)
 
 
