@@ -18,7 +18,10 @@ from imumon.errors import ImumonError, Reason
 
 _ALONE = threading.Lock()
 """A process has one such clock: sessions with a limit run one after the other in it."""
-_FRAME = re.compile(r'File "[^"]*/(imumon/[^"]+)", line (\d+) in (\w+)')
+_FRAME = re.compile(
+    rf'File "{re.escape(str(Path(__file__).parents[2]))}/(imumon/[^"]+)", line (\d+) in (\w+)'
+)
+"""A line of a traceback that is of this package, wherever others are."""
 _THREAD = re.compile(r"\n\n")
 
 
