@@ -90,10 +90,11 @@ def times(p: FloatArray, q: FloatArray) -> FloatArray:
         a * y - b * z + c * w + d * x,
         a * z + b * y - c * x + d * w,
     ]
-    return np.stack(product, -1)
+    return np.array(product).T
 
 
 def shortest(a: FloatArray, b: FloatArray) -> FloatArray:
     """Return the quaternion, (4,), of the least rotation of one direction to another that is not opposite."""
-    q = np.append(1.0 + a @ b, np.cross(a, b))
+    (u, v, w), (x, y, z) = a.tolist(), b.tolist()
+    q = np.array([1.0 + u * x + v * y + w * z, v * z - w * y, w * x - u * z, u * y - v * x])
     return np.asarray(q / math.sqrt(q @ q))

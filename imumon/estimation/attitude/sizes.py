@@ -8,14 +8,14 @@ each has sizes of its own, and all combinations have a probability.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import reduce
+from functools import cached_property, reduce
 
 import numpy as np
 
 from imumon.blocks import FloatArray
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Sizes:
     """Standard deviations and what speaks for each.
 
@@ -35,7 +35,7 @@ class Sizes:
         weight = np.exp(self.evidence - self.evidence.max())
         return np.asarray(weight / weight.sum())
 
-    @property
+    @cached_property
     def mean_square(self) -> FloatArray:
         """Return the mean of s² for each error, (errors,)."""
         weight = self._probabilities

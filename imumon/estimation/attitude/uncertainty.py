@@ -51,6 +51,7 @@ ANOTHER = 0.5
 WRONG_AXES = math.sqrt(2.0 / 3.0)
 """Of an element of M where axes and signs are mixed up: P - 1 over all 48 permutations with signs."""
 UP = np.array([0.0, 0.0, 1.0])
+CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])
 UNKNOWN = 1.0
 """Beyond so much, rad, an error is no small angle any more, and its standard deviation says nothing."""
 
@@ -304,7 +305,7 @@ class Uncertainty:
 
     def _apart(self, levelling: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return by how much filter and gyros differ since the last rest, rad: up, and about it, (n,)."""
-        w, x, y, z = times(levelling, self.levelled * [1.0, -1.0, -1.0, -1.0]).T
+        w, x, y, z = times(levelling, self.levelled * CONJUGATE).T
         off = 2.0 * np.arcsin(np.minimum(np.sqrt(x * x + y * y), 1.0))
         return np.asarray(off), np.asarray(2.0 * np.arctan(z / w))
 
@@ -328,10 +329,12 @@ class Uncertainty:
 
         `other2` is the variance of the vertical that the specific force shows, beside the accelerometers'.
         """
-        off = float(self._apart(_levelled(slot)[np.newaxis])[0][0])
-        turned = self.since_rest.by_gyro[:2].mean(0)
-        if not (turned.any() and math.isfinite(off)):
+        if not self.since_rest.scale.any():
             return self.gyros
+        off = float(self._apart(_levelled(slot)[np.newaxis])[0][0])
+        if not math.isfinite(off):
+            return self.gyros
+        turned = self.since_rest.by_gyro[:2].mean(0)
         without = float(self.since_rest.variance(np.zeros(3))[:2].mean()) + 2.0 * self.accel_sd**2
         return self.gyros.seen(off**2, without + other2, turned, 2)
 

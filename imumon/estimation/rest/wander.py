@@ -93,8 +93,8 @@ class Changes:
         Inverse Cholesky factors of the covariance of the bins.
     evidence : array, (s,)
         Logarithm of their determinants.
-    shapes, size : array, (s, h, b), (s, h)
-        The changes, normalised, and what they were.
+    shapes, size : array, (s, b, h), (s, h)
+        The changes as columns, normalised, and what they were.
     goes_on : array of bool, (h,)
         Whether it is a turn that has not ended.
     began : array of int, (h,)
@@ -126,7 +126,7 @@ class Seen(NamedTuple):
         Noises that are not too unlikely, one with each slope.
     likely : array, (s, 1)
         Log-likelihood without any change.
-    x, size : array, (s, h, 3)
+    x, size : array, (3, s, h)
         The changes in standard deviations, of the vertical and the level axes, and of what size one is.
     white_sd : array, (3,)
         White noise of a unit, rad/s.
@@ -156,14 +156,14 @@ def changes(last: int, unit_s: float) -> Changes:
     made = [*_begun(edges), *_over(edges)]
     start, end, stop, began = (np.array(column) for column in zip(*made, strict=True))
     profile = _ramp(edges, start, end) - _ramp(edges, stop, stop)
-    shapes = (whiten @ profile).swapaxes(1, 2)
-    size = np.sqrt((shapes * shapes).sum(-1))
+    shapes = whiten @ profile
+    size = np.sqrt((shapes * shapes).sum(1))
     alike = np.bincount(began * 2 + (stop > 0), minlength=2 * bins)[began * 2 + (stop > 0)]
     return Changes(
         edges,
         whiten,
         np.log(np.diagonal(whiten, axis1=1, axis2=2)).sum(1),
-        shapes / size[..., np.newaxis],
+        shapes / size[:, np.newaxis],
         size,
         stop == 0.0,
         began,
@@ -229,42 +229,31 @@ def _seen(state: State, known: Changes, columns: FloatArray, white_sd: FloatArra
 
     What the temperature explains adds a product to the covariance, which is inverted by Woodbury's formula.
     """
-    warm = known.whiten @ state.past.warmed(known.edges)
-    seen = known.whiten @ columns
-    square, along = warm.swapaxes(1, 2) @ warm, warm.swapaxes(1, 2) @ seen
+    warm = (known.whiten @ state.past.warmed(known.edges)).swapaxes(1, 2)  # (s, EFFECTS, b)
+    seen = (known.whiten @ columns).swapaxes(1, 2)  # (s, axes, b)
+    square, along = warm @ warm.swapaxes(1, 2), seen @ warm.swapaxes(1, 2)
     slopes = SLOPES if warm.any() else SLOPES[:1]
     free = np.eye(EFFECTS) * np.square(white_sd / slopes)[..., np.newaxis, np.newaxis]
     inverse = np.linalg.inv(square[:, np.newaxis, np.newaxis] + free)  # (s, slopes, axes, EFFECTS, EFFECTS)
-    fitted = np.einsum("scakl,sla->scka", inverse, along)
+    fitted = (inverse @ along[:, np.newaxis, ..., np.newaxis])[..., 0]
     likely = state.strengths + 3.0 * known.evidence - 0.5 * (seen * seen).sum((1, 2))
     gained = (along[:, np.newaxis] * fitted).sum((2, 3)) + np.linalg.slogdet(free @ inverse)[1].sum(2)
-    likely = (likely[:, np.newaxis] + 0.5 * gained).ravel()
-    each = np.repeat(np.arange(len(SHARES)), len(slopes))
-    fitted, inverse = fitted.reshape(-1, EFFECTS, 3), inverse.reshape(-1, 3, EFFECTS, EFFECTS)
-    shared, x = known.shapes @ warm, (known.shapes @ seen[..., :1])[..., 0]
-    x = (x[each] - (shared[each] @ fitted[..., :1])[..., 0]) / _left(shared[each], inverse[:, :1])[..., 0]
-    best = likely + 0.5 * (x * x).max(1)
-    which = best > best.max() - SURPRISE
-    # The level axes matter to the few that are left.
-    each, fitted, inverse = each[which], fitted[which], inverse[which]
-    both, left = known.shapes[each] @ seen[each] - shared[each] @ fitted, _left(shared[each], inverse)
+    likely = likely[:, np.newaxis] + 0.5 * gained
+    shared, products = warm @ known.shapes, seen @ known.shapes
+    # What is left of a change where the temperature explains a part.
+    shared, products = shared[:, np.newaxis], products[:, np.newaxis]
+    of_each = shared[:, :, np.newaxis]
+    left = np.sqrt(np.maximum(1.0 - ((inverse @ of_each) * of_each).sum(-2), LEAST_LEFT))
+    x = (products - fitted @ shared) / left
+    best = likely + 0.5 * np.square(x[:, :, 0]).max(-1)
+    each, slope = np.nonzero(best > best.max() - SURPRISE)
     return Seen(
-        each, likely[which, np.newaxis], both / left, known.size[each, :, np.newaxis] * left, white_sd
+        each,
+        likely[each, slope, np.newaxis],
+        x[each, slope].swapaxes(0, 1),
+        (known.size[each, np.newaxis] * left[each, slope]).swapaxes(0, 1),
+        white_sd,
     )
-
-
-def _left(shared: FloatArray, inverse: FloatArray) -> FloatArray:
-    """Return what is left of changes where the temperature explains a part, (s, h, axes).
-
-    Parameters
-    ----------
-    shared : array, (s, h, EFFECTS)
-        Products of the changes and what moves a bias as temperature does.
-    inverse : array, (s, axes, EFFECTS, EFFECTS)
-        Covariance of its sizes when the means are known.
-    """
-    explained = ((shared[:, np.newaxis] @ inverse) * shared[:, np.newaxis]).sum(-1)
-    return np.asarray(np.sqrt(np.maximum(1.0 - explained, LEAST_LEFT)).swapaxes(1, 2))
 
 
 def _frame(state: State, means: FloatArray) -> FloatArray:
@@ -281,23 +270,20 @@ def _frame(state: State, means: FloatArray) -> FloatArray:
 
 def _weigh(state: State, known: Changes, seen: Seen, up: FloatArray) -> Turning:
     """Return what changes make likely; up is the vertical."""
-    likely, x, ratio = seen.likely, seen.x, seen.size / seen.white_sd
-    change = x[..., 0] / ratio[..., 0]
+    likely, x = seen.likely, seen.x
+    ratio = seen.size / seen.white_sd[:, np.newaxis, np.newaxis]
+    change = x[0] / ratio[0]
     step = float(np.abs(up) @ state.windows.resolution[GYRO])
-    off = x[..., 0] / np.sqrt(1.0 + (step * ratio[..., 0]) ** 2)
+    off = x[0] / np.sqrt(1.0 + np.square(step * ratio[0]))
     prior = np.log(known.seconds / TURN_EVERY_S)
     # Rates are as likely on a logarithmic scale: exp(x²/2) times their density at x.
     turn = likely + prior + 0.5 * off * off - np.log(np.maximum(np.abs(off), 1.0) * RATES / 2.5066)
     if state.windows.known[ACCEL].all():
-        for level in (1, 2):
-            tilted = 0.5 * OBLIQUE * change * ratio[..., level]
-            turn += _explains(x[..., level], tilted * tilted)
+        turn += _explains(x[1:], np.square(0.5 * OBLIQUE * change * ratio[1:]))
     else:
         turn -= 2.0 * np.log(np.maximum(np.abs(off), 1.0))  # any direction would have done
     creep = likely + prior + np.where(known.goes_on & (known.start > known.end), 0.0, -np.inf)
-    crept = _crept(state, known)
-    for axis in range(3):
-        creep = creep + _explains(x[..., axis], (crept * ratio[..., axis]) ** 2)
+    creep += _explains(x, np.square(_crept(state, known) * ratio))
     most = max(float(likely.max()), float(turn.max()), float(creep.max()))
     turned = np.exp(turn - most)
     each = np.exp(likely[:, 0] - most) + (turned + np.exp(creep - most)).sum(1)
@@ -328,8 +314,10 @@ def _crept(state: State, known: Changes) -> FloatArray:
 
 
 def _explains(x: FloatArray, prior: FloatArray) -> FloatArray:
-    """Return the log-likelihood of x standard deviations if they have a variance of so many more."""
-    return np.asarray(0.5 * x * x * prior / (1.0 + prior) - 0.5 * np.log1p(prior))
+    """Return the log-likelihood of x standard deviations on each axis, (axes, s, h), if they have variances of
+    so many more."""
+    more = 1.0 + prior
+    return np.asarray(0.5 * ((x * x * (prior / more)).sum(0) - np.log(more.prod(0))))
 
 
 def forget(state: State, share: float = FORGET) -> None:
