@@ -314,8 +314,10 @@ def _crept(state: State, known: Changes) -> FloatArray:
 
 
 def _explains(x: FloatArray, prior: FloatArray) -> FloatArray:
-    """Return the log-likelihood of x standard deviations on each axis, (axes, s, h), if they have variances of
-    so many more."""
+    """Return the log-likelihood of x standard deviations, (axes, s, h), if they have a variance of so many more.
+
+    It is that of all axes together.
+    """
     more = 1.0 + prior
     return np.asarray(0.5 * ((x * x * (prior / more)).sum(0) - np.log(more.prod(0))))
 
