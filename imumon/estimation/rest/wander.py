@@ -314,7 +314,7 @@ def _crept(state: State, known: Changes) -> FloatArray:
 
 
 def _explains(x: FloatArray, prior: FloatArray) -> FloatArray:
-    """Return the log-likelihood of x standard deviations, (axes, s, h), if they have a variance of so many more.
+    """Return the log-likelihood of x standard deviations, (axes, s, h), if their variance is larger by `prior`.
 
     It is that of all axes together.
     """
