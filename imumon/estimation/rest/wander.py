@@ -314,9 +314,9 @@ def _crept(state: State, known: Changes) -> FloatArray:
 
 
 def _explains(x: FloatArray, prior: FloatArray) -> FloatArray:
-    """Return the log-likelihood of x standard deviations, (axes, s, h), if their variance is larger by `prior`.
+    """Return the log-likelihood of x standard deviations, (axes, s, h), all axes together, (s, h).
 
-    It is that of all axes together.
+    Their variance, which is one, is larger by `prior`.
     """
     more = 1.0 + prior
     return np.asarray(0.5 * ((x * x * (prior / more)).sum(0) - np.log(more.prod(0))))
