@@ -282,11 +282,13 @@ def _weigh(state: State, known: Changes, seen: Seen, up: FloatArray) -> Turning:
         turn += _explains(x[1:], np.square(0.5 * OBLIQUE * change * ratio[1:]))
     else:
         turn -= 2.0 * np.log(np.maximum(np.abs(off), 1.0))  # any direction would have done
-    creep = likely + prior + np.where(known.goes_on & (known.start > known.end), 0.0, -np.inf)
-    creep += _explains(x, np.square(_crept(state, known) * ratio))
-    most = max(float(likely.max()), float(turn.max()), float(creep.max()))
+    # A bias creeps on, and takes time to: of a step nobody says so.
+    creeps = np.flatnonzero(known.goes_on & (known.start > known.end))
+    crept = np.square(_crept(state, known)[creeps] * ratio[..., creeps])
+    creep = likely + prior[creeps] + _explains(x[..., creeps], crept)
+    most = max(float(likely.max()), float(turn.max()), float(creep.max(initial=-np.inf)))
     turned = np.exp(turn - most)
-    each = np.exp(likely[:, 0] - most) + (turned + np.exp(creep - most)).sum(1)
+    each = np.exp(likely[:, 0] - most) + turned.sum(1) + np.exp(creep - most).sum(1)
     share = np.bincount(seen.which, each / each.sum(), len(SHARES))
     state.strengths_seen = np.log(share + np.exp(-SURPRISE))
     now = turned * known.goes_on / each.sum()
