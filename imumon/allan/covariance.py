@@ -154,17 +154,22 @@ def _correlations(
     kind: Kind, m_i: int, m_j: int, lags: FloatArray, covariances: Sequence[Autocovariance]
 ) -> FloatArray:
     """Return the covariance of scaled differences at these lags, one row per noise."""
-    coefficients = COEFFICIENTS[kind]
     smooth = _smoothed(m_i) if kind == "modified" else None
-    rows = []
-    for covariance in covariances:
-        total = np.zeros_like(lags)
-        for (a, first), (b, second) in product(enumerate(coefficients), repeat=2):
-            shifted = lags + (b * m_j - a * m_i)
-            value = covariance(shifted) if smooth is None else smooth(covariance, shifted)
-            total += first * second * value
-        rows.append(total / (NORMS[kind] * m_i * m_j))
-    return np.array(rows)
+    shifts, weights = _differences(COEFFICIENTS[kind], m_i, m_j)
+    shifted = lags + shifts[:, np.newaxis]
+    values = [
+        covariance(shifted) if smooth is None else smooth(covariance, shifted) for covariance in covariances
+    ]
+    return np.array([weights @ value for value in values]) / (NORMS[kind] * m_i * m_j)
+
+
+def _differences(coefficients: Sequence[float], m_i: int, m_j: int) -> tuple[FloatArray, FloatArray]:
+    """Return by how much the terms of two differences are apart, and the product of their coefficients."""
+    found: dict[int, float] = {}
+    for (a, first), (b, second) in product(enumerate(coefficients), repeat=2):
+        shift = b * m_j - a * m_i
+        found[shift] = found.get(shift, 0.0) + first * second
+    return np.array([*found], np.float64), np.array([*found.values()])
 
 
 def _smoothed(m: int) -> Callable[[Callable[[FloatArray], FloatArray], FloatArray], FloatArray]:
@@ -176,7 +181,7 @@ def _smoothed(m: int) -> Callable[[Callable[[FloatArray], FloatArray], FloatArra
     def smooth(covariance: Callable[[FloatArray], FloatArray], lags: FloatArray) -> FloatArray:
         if covariance is _quantization:
             return np.where(np.abs(lags) < m, (m - np.abs(lags)) / (3.0 * m**2), 0.0)
-        return np.asarray(covariance(lags[:, np.newaxis] + shifts) @ weights)
+        return np.asarray(covariance(lags[..., np.newaxis] + shifts) @ weights)
 
     return smooth
 
@@ -232,15 +237,18 @@ class Covariances:
     def matrix(self, coefficients: FloatArray) -> FloatArray:
         """Return the covariance matrix, (n, n), for the coefficients of the shapes, (6,)."""
         noise, ramp = coefficients[[0, 1, 2, 3, 5]], coefficients[4]
-        m = self.m.astype(np.float64)
-        trend = 2.0 * ramp * np.outer(m, m) * (self.linear @ noise)
-        return np.asarray(self.quadratic @ noise @ noise + trend)
+        n = len(self.m)
+        matrix = (self.quadratic.reshape(n * n, -1) @ np.outer(noise, noise).ravel()).reshape(n, n)
+        if ramp:
+            m = self.m.astype(np.float64)
+            matrix += 2.0 * ramp * np.outer(m, m) * (self.linear @ noise)
+        return matrix
 
     def part(self, start: int, stop: int) -> Covariances:
         """Return those of some of the averaging factors."""
         part = slice(start, stop)
         return Covariances(
-            self.m[part], self.shapes[part], self.quadratic[part, part], self.linear[part, part]
+            self.m[part], self.shapes[part], self.quadratic[part, part].copy(), self.linear[part, part]
         )
 
 

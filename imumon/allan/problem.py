@@ -74,9 +74,11 @@ class Problem:
     def _matrix(self, columns: tuple[int, ...], found: FloatArray) -> FloatArray:
         coefficients = _spread(columns, found)
         expected = self.design @ coefficients
-        matrix = self.covariances.matrix(signed(coefficients)) + np.diag((self.model_error * expected) ** 2)
-        least = 1e-9 * (np.abs(expected) + 1e-3 * self.variances) ** 2
-        return matrix + np.diag(1e-12 * np.diag(matrix) + least)
+        matrix = self.covariances.matrix(signed(coefficients))
+        diagonal = np.einsum("ii->i", matrix)  # a view
+        diagonal += (self.model_error * expected) ** 2
+        diagonal += 1e-12 * diagonal + 1e-9 * (np.abs(expected) + 1e-3 * self.variances) ** 2
+        return matrix
 
     def _solution(self, columns: tuple[int, ...], found: FloatArray, uncertain: frozenset[int]) -> Solution:
         matrix = self._matrix(columns, found)
