@@ -24,6 +24,8 @@ FIELD_UT = np.array([0.0, 20.0, -43.0])
 """East, north, up: the dip is 65°."""
 ACCEL_SD, SCALE_SD = 0.05, 0.01
 """Turn-on error of the accelerometers, m/s², scale and misalignment of the gyros: as the stage takes them."""
+CONSUMER_SD = 0.4
+"""m/s²: 40 mg, as of the BMI160; the stage is not told."""
 HARD_UT, SOFT, MAG_NOISE_UT = 0.3, 3e-3, 0.2
 """What a calibration leaves of hard and soft iron, and noise."""
 SLOPES_DPH = np.array([60.0, -45.0, 30.0])
@@ -41,17 +43,21 @@ class Scene:
     moves : callable
         Of a generator, seconds (n,) and how much of the motion there is, 0 to 1, (n,).
     magnet : str
-        "": none; "near": one comes near and goes away; "body": one was fixed to the unit after calibration.
+        "": none; "near": one comes near and goes away; "body": one was fixed to the unit after calibration;
+        "put on": one is put on the unit after a minute.
     swap : array (3, 3)
         What the gyros read of the rate: the identity but where axes or signs are mixed up.
     warms : bool
         Whether the unit warms up.
+    accel_sd : float
+        Turn-on error of its accelerometers, m/s².
     """
 
     moves: Callable[[np.random.Generator, FloatArray, FloatArray], Moves]
     magnet: str = ""
     swap: tuple[tuple[float, ...], ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
     warms: bool = False
+    accel_sd: float = ACCEL_SD
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,6 +132,10 @@ SCENES = {
     "at rest, magnet comes near": Scene(still, magnet="near"),
     "by hand, magnet on the body": Scene(hand, magnet="body"),
     "rover, magnet on the body": Scene(rover, magnet="body"),
+    "by hand, magnet put on": Scene(hand, magnet="put on"),
+    "rover, magnet put on": Scene(rover, magnet="put on"),
+    "by hand, consumer accelerometers": Scene(hand, accel_sd=CONSUMER_SD),
+    "rover, consumer accelerometers": Scene(rover, accel_sd=CONSUMER_SD),
     "by hand, gyro z reversed": Scene(hand, swap=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, -1.0))),
     "robot arm, gyros x and y changed": Scene(
         arm, swap=((0.0, 1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
@@ -183,12 +193,15 @@ def _sent(
     walk = math.radians(sensor.angle_walk) / 60.0
     gyro = rate @ matrix.T + bias + drift + walk / math.sqrt(dt) * rng.normal(size=(n, 3))
     accel = (
-        force + rng.normal(0.0, ACCEL_SD, 3) + sensor.velocity_walk / math.sqrt(dt) * rng.normal(size=(n, 3))
+        force
+        + rng.normal(0.0, scene.accel_sd, 3)
+        + sensor.velocity_walk / math.sqrt(dt) * rng.normal(size=(n, 3))
     )
     mag = np.einsum("nij,ni->nj", poses, FIELD_UT + _near(scene, rng, t)) @ _symmetric(rng).T
     mag += rng.normal(0.0, HARD_UT, 3) + MAG_NOISE_UT * rng.normal(size=(n, 3))
-    if scene.magnet == "body":
-        mag += _any_direction(rng) * rng.uniform(5.0, 20.0)
+    if scene.magnet in ("body", "put on"):
+        there = t > (60.0 if scene.magnet == "put on" else 0.0)
+        mag += np.outer(there, _any_direction(rng) * rng.uniform(5.0, 20.0))
     vectors = {"gyro": gyro, "accel": accel, "mag": mag}
     return {
         "device_time_ns": np.round(t * 1e9).astype(np.int64),

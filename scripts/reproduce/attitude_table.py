@@ -164,10 +164,10 @@ def main() -> None:
     parser.add_argument("--only", choices=list(SCENES), help="one scene")
     parser.add_argument("--rates", type=float, nargs="+", default=RATES_HZ, help="sample rates, Hz")
     parser.add_argument("--quick", action="store_true", help="some seconds of one scene at the lowest rate")
-    parser.add_argument("--axes-doubt", type=float, help="of the stage (default: its own)")
-    parser.add_argument("--magnet-doubt", type=float, help="of the stage (default: its own)")
+    for of in ("accel", "axes", "magnet"):
+        parser.add_argument(f"--{of}-doubt", type=float, help="of the stage (default: its own)")
     given = parser.parse_args()
-    doubts = {"axes_doubt": given.axes_doubt, "magnet_doubt": given.magnet_doubt}
+    doubts = {f"{of}_doubt": getattr(given, f"{of}_doubt") for of in ("accel", "axes", "magnet")}
     stage = AttitudeParameters(**{name: value for name, value in doubts.items() if value is not None})
     seeds = range(given.first, given.first + given.seeds)
     print(f"| {' | '.join(HEADS)} |\n{'|---' * len(HEADS)}|")

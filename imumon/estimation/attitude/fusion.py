@@ -86,6 +86,7 @@ class Fusion:
         self._vqf: VQF | None = None
         self._interval_s = 0.0
         self._bias_known = False
+        self._to_north = math.nan
         self.first_heading = 0.0
         """Heading in axes of its own that the body began with, rad."""
         self.north = False
@@ -110,6 +111,16 @@ class Fusion:
         given = self._vqf.params
         rejected = self._vqf.state["magRejectT"] <= given["magMaxRejectionTime"]
         return 0.0 if rejected else float(1.0 / given["magRejectionFactor"])
+
+    def pulled(self) -> float:
+        """Return by how much the field has turned the heading against the gyros since the last call, rad.
+
+        It is 0 at first, when the field has shown where north is.
+        """
+        if self._vqf is None or not self.north:
+            return 0.0
+        before, self._to_north = self._to_north, float(self._vqf.getDelta())
+        return 0.0 if math.isnan(before) else math.remainder(self._to_north - before, math.tau)
 
     def process(self, readings: Readings, start: int, stop: int, bias_known: bool, found: Found) -> None:
         """Follow rows start..stop, and fill in what is found."""

@@ -7,8 +7,10 @@ each has sizes of its own, and all combinations have a probability.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, field
 from functools import cached_property, reduce
+from typing import NamedTuple
 
 import numpy as np
 
@@ -47,6 +49,12 @@ class Sizes:
         """Return how likely it is that all errors are as usual."""
         return float(self._probabilities.flat[0])
 
+    def mixed(self, other: Sizes, share: float) -> Sizes:
+        """Return these sizes, or with a probability of `share` those of another."""
+        with np.errstate(divide="ignore"):
+            own, others = np.log((1.0 - share) * self._probabilities), np.log(share * other._probabilities)
+        return Sizes(self.squares, np.logaddexp(own, others))
+
     def seen(self, off2: float, other2: FloatArray | float, gain: FloatArray, components: int) -> Sizes:
         """Return the same after something was off.
 
@@ -66,6 +74,70 @@ class Sizes:
         return Sizes(self.squares, self.evidence + np.logaddexp.reduce(likelihood, 0))
 
 
+class Look(NamedTuple):
+    """What a component of a vector seems to be, squared, and the variance of that."""
+
+    square: float
+    variance: float
+
+
+NOTHING = Look(0.0, math.inf)
+
+
+@dataclass(slots=True, eq=False)
+class OnBody:
+    """Sizes of a vector that is fixed to the body, of which looks show components.
+
+    From about the same direction they show the same ones.  So of these looks, one along the direction and one
+    across, only the latest counts along, and across the one that is most surprising.
+
+    Parameters
+    ----------
+    first : Sizes
+        Before any look.
+    now : Sizes
+        With all looks.
+    before : Sizes
+        Without those from the present direction.
+    across : Look
+        The most surprising one from the present direction.
+    direction : array (3,)
+        From which it was looked at first; 0 before any.
+    """
+
+    first: Sizes
+    now: Sizes
+    before: Sizes
+    across: Look = NOTHING
+    direction: FloatArray = field(default_factory=lambda: np.zeros(3))
+
+    @classmethod
+    def of(cls, sizes: Sizes) -> OnBody:
+        """Return what nobody has looked at."""
+        return cls(sizes, sizes, sizes)
+
+    @property
+    def sd(self) -> float:
+        """Return the standard deviation of each component."""
+        return math.sqrt(float(self.now.mean_square[0]))
+
+    def look(self, direction: FloatArray, along: Look, across: Look = NOTHING, changed: float = 0.0) -> None:
+        """Look from a direction, a unit vector, (3,).
+
+        `changed` is how likely it is that since the last look the vector has become another.
+        """
+        if float(direction @ self.direction) < ANOTHER:
+            self.before, self.direction, self.across = self.now, direction, NOTHING
+        if changed:
+            self.before = self.before.mixed(self.first, changed)
+        if across.square * self.across.variance > self.across.square * across.variance:
+            self.across = across
+        self.now = self.before
+        for look in (along, self.across):
+            if math.isfinite(look.variance):
+                self.now = self.now.seen(look.square, look.variance, np.ones(1), 1)
+
+
 def usual(size: float, largest: float, doubt: float, errors: int) -> Sizes:
     """Return that errors have a usual size, or with a probability of `doubt` each any up to the largest."""
     squares = np.geomspace(size, max(largest, size), COUNT) ** 2 if size > 0.0 else np.zeros(COUNT)
@@ -73,6 +145,8 @@ def usual(size: float, largest: float, doubt: float, errors: int) -> Sizes:
     return Sizes(squares, reduce(np.add.outer, [prior] * errors))
 
 
+ANOTHER = 0.5
+"""Cosine between directions from which a look says something new: 60°."""
 LEAST = 1e-12
 """What no doubt is below: of an impossible size the logarithm is none."""
 COUNT = 5

@@ -89,6 +89,7 @@ class AttitudeEstimate:
             0.0 if latitude_deg is None else EARTH_RATE,
             math.nan if magnetometer is None else magnetometer.error_sd,
             math.nan if magnetometer is None else magnetometer.field,
+            self._parameters.accel_doubt,
             self._parameters.axes_doubt,
             self._parameters.magnet_doubt,
         )
@@ -261,6 +262,7 @@ class AttitudeEstimate:
                 ignored=since.ignored[-1],
                 north=fusion.north,
                 follows=fusion.follows(),
+                pulled=fusion.pulled(),
             )
         )
 

@@ -38,7 +38,7 @@ import numpy as np
 from imumon.blocks import FloatArray
 from imumon.estimation.attitude.angles import shortest, times
 from imumon.estimation.attitude.fusion import TAU_MAG_S
-from imumon.estimation.attitude.sizes import Sizes, usual
+from imumon.estimation.attitude.sizes import Look, OnBody, Sizes, usual
 from imumon.filters.turns import Turn
 from imumon.geodesy import STANDARD_GRAVITY
 
@@ -46,8 +46,10 @@ GRAVITY_SPREAD = 0.03
 """m/s²: between equator and poles gravity differs by no more from the standard (WGS-84: 9.780 to 9.832)."""
 ACCELERATIONS = np.geomspace(0.01, 1.0, 5)
 """Of a motion over gravity: nobody knows how large they are, so sizes are equally likely (as of `Sizes`)."""
-ANOTHER = 0.5
-"""Cosine between directions that say something new of the field's strength: 60°."""
+LARGEST_BIAS = 0.8
+"""m/s²: data sheets of accelerometers that nobody has calibrated state 80 mg at most (MPU-6050, z)."""
+COMES_S = 28800.0
+"""Iron comes to the unit, or goes, about once in a working day: a screwdriver, another box on the rack."""
 WRONG_AXES = math.sqrt(2.0 / 3.0)
 """Of an element of M where axes and signs are mixed up: P - 1 over all 48 permutations with signs."""
 UP = np.array([0.0, 0.0, 1.0])
@@ -72,7 +74,7 @@ class Errors:
         Unit of the field; NaN when it is not calibrated.
     field : float
         Its strength where the magnetometer was calibrated.
-    axes_doubt, magnet_doubt : float
+    accel_doubt, axes_doubt, magnet_doubt : float
         As of `AttitudeParameters`.
     """
 
@@ -81,6 +83,7 @@ class Errors:
     earth_rate: float
     magnetometer: float
     field: float
+    accel_doubt: float
     axes_doubt: float
     magnet_doubt: float
 
@@ -109,6 +112,8 @@ class Slot:
         Whether the heading is by the magnetometer.
     follows : float
         How fast it follows the field: 1 as usual, 0 not at all.
+    pulled : float
+        By how much the field has turned the heading against the gyros, rad.
     """
 
     seconds: float
@@ -122,6 +127,7 @@ class Slot:
     ignored: FloatArray
     north: bool
     follows: float
+    pulled: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -223,17 +229,19 @@ class Uncertainty:
         How far the filter has turned about the vertical against the gyros since that rest, rad, at the end of
         the last slot, and how much of that the heading still has.
     accel_sd : float
-        Tilt by the accelerometers, rad.
+        Tilt by the accelerometers, rad; NaN before the first rest.
     since_rest, since_north : Turned
         What the vertical of the last rest has gone through, and the heading since it was last tied down.
     heading_variance : float
         By the bias in the motions before, rad²: each rest measures the bias anew.
     bent : float
         Square of what the field that is followed differs from the calibration's strength, forgotten like it.
-    direction : array (3,)
-        Of the field over the body when its strength was last counted; 0 before.
-    gyros, iron : Sizes
-        What elements of M are like, for each gyro's column, and what bends the field.
+    pulled : float
+        By how much the field has turned the heading against the gyros, rad, forgotten like it.
+    gyros : Sizes
+        What elements of M are like, for each gyro's column.
+    accels, iron : OnBody
+        What the accelerometers are off by, and what bends the field.
     scale2 : array (3,)
         Mean squares of the first, with what the present motion says.
     magnitude : float
@@ -244,7 +252,8 @@ class Uncertainty:
 
     errors: Errors
     gyros: Sizes
-    iron: Sizes
+    accels: OnBody
+    iron: OnBody
     scale2: FloatArray = field(default_factory=lambda: np.zeros(3))
     levelled: FloatArray = field(default_factory=lambda: np.full(4, np.nan))
     twist: float = 0.0
@@ -254,14 +263,14 @@ class Uncertainty:
     since_north: Turned = field(default_factory=Turned)
     heading_variance: float = 0.0
     bent: float = 0.0
-    direction: FloatArray = field(default_factory=lambda: np.zeros(3))
+    pulled: float = 0.0
     magnitude: float = math.nan
     tilt_sd: float = math.nan
     heading_sd: float = math.nan
 
     def anew(self) -> Uncertainty:
         """Return what is known when the attitude begins anew."""
-        return Uncertainty(self.errors, self.gyros, self.iron, self.gyros.mean_square)
+        return Uncertainty(self.errors, self.gyros, self.accels, self.iron, self.gyros.mean_square)
 
     def step(self, slot: Slot) -> None:
         """Follow one slot."""
@@ -312,8 +321,9 @@ class Uncertainty:
     def _come_to_rest(self, slot: Slot) -> None:
         """Take the vertical that the accelerometers show, and close the account of a motion."""
         self.magnitude = float(np.linalg.norm(slot.force))
-        contradiction = max(abs(self.magnitude - STANDARD_GRAVITY) - GRAVITY_SPREAD, 0.0)
-        self.accel_sd = max(self.errors.accel, contradiction) / STANDARD_GRAVITY
+        shown = Look((self.magnitude - STANDARD_GRAVITY) ** 2, GRAVITY_SPREAD**2 / 3.0)
+        self.accels.look(slot.force / self.magnitude, shown)
+        self.accel_sd = self.accels.sd / STANDARD_GRAVITY
         self.gyros = self._seen(slot, 0.0)
         self.scale2 = self.gyros.mean_square
         self.levelled = _levelled(slot)
@@ -356,19 +366,19 @@ class Uncertainty:
         horizontal = math.sqrt(max(strength**2 - vertical**2, 0.0))
         if not (horizontal > 0.0 and math.isfinite(self.errors.magnetometer)):
             return math.nan
-        calibration = math.hypot(self.errors.magnetometer, self._bends(slot.mag / strength))
+        # What is fixed to the unit adds to the field in one direction and takes from it in another; and what
+        # comes to it turns the field while the gyros show that the unit does not.
+        self.pulled = keep * self.pulled + slot.pulled
+        across2 = self.errors.magnetometer**2 + (vertical * self.tilt_sd) ** 2
+        self.iron.look(
+            slot.mag / strength,
+            Look(self.bent, self.errors.magnetometer**2),
+            Look((horizontal * self.pulled) ** 2, across2 + (horizontal * self._drifted()) ** 2),
+            slot.seconds / COMES_S,
+        )
+        calibration = math.hypot(self.errors.magnetometer, self.iron.sd)
         tied = math.hypot(calibration, vertical * self.tilt_sd) / horizontal
         return _small(math.hypot(tied, self._drifted()))
-
-    def _bends(self, direction: FloatArray) -> float:
-        """Return the standard deviation of what bends the field, by its strength; each direction counts once.
-
-        What is fixed to the unit adds to the field in one direction and takes from it in another.
-        """
-        seen = self.iron.seen(self.bent, self.errors.magnetometer**2, np.ones(1), 1)
-        if float(direction @ self.direction) < ANOTHER:
-            self.iron, self.direction = seen, direction
-        return math.sqrt(float(seen.mean_square[0]))
 
 
 def begin(errors: Errors) -> Uncertainty:
@@ -376,8 +386,9 @@ def begin(errors: Errors) -> Uncertainty:
     gyros = usual(errors.scale, WRONG_AXES, errors.axes_doubt, 3)
     calibrated = math.isfinite(errors.magnetometer)
     field_sd, strength = (errors.magnetometer, errors.field) if calibrated else (0.0, 0.0)
-    iron = usual(field_sd, strength, errors.magnet_doubt, 1)
-    return Uncertainty(errors, gyros, iron, gyros.mean_square)
+    iron = OnBody.of(usual(field_sd, strength, errors.magnet_doubt, 1))
+    accels = OnBody.of(usual(errors.accel, LARGEST_BIAS, errors.accel_doubt, 1))
+    return Uncertainty(errors, gyros, accels, iron, gyros.mean_square)
 
 
 def _summed(before: FloatArray, added: FloatArray) -> FloatArray:

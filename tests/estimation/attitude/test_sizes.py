@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imumon.estimation.attitude.sizes import Sizes, usual
+from imumon.estimation.attitude.sizes import Look, OnBody, Sizes, usual
 
 
 def test_doubt_is_in_the_mean_square_until_something_is_seen() -> None:
@@ -40,3 +40,37 @@ def test_several_variances_are_equally_likely() -> None:
 def test_what_has_no_size_is_nothing() -> None:
     assert usual(0.0, 0.0, 0.1, 3).mean_square.tolist() == [0.0] * 3
     assert isinstance(usual(0.5, 0.1, 0.1, 1), Sizes)  # as large as declared, if that is more
+
+
+UNDISTURBED = Look(0.01**2, 0.01**2)
+
+
+def test_looks_from_one_direction_count_once_and_from_others_again() -> None:
+    vector = OnBody.of(usual(0.01, 0.8, 0.1, 1))
+    east, north, up = np.eye(3)
+    vector.look(east, UNDISTURBED)
+    once = vector.sd
+    for _ in range(100):
+        vector.look(east, UNDISTURBED)
+    assert vector.sd == once < 0.1
+    vector.look(north, UNDISTURBED)
+    vector.look(up, UNDISTURBED)
+    assert vector.sd < 0.02
+
+
+@pytest.mark.parametrize("across", [True, False])
+def test_what_comes_after_many_looks_is_believed_at_once_where_it_may_come(across: bool) -> None:
+    """A magnet in the direction of the field, or across: the strength shows one, the heading the other."""
+    found = []
+    for changed in (0.0, 1e-4):
+        vector = OnBody.of(usual(0.01, 0.8, 0.1, 1))
+        for direction in (*np.eye(3), *-np.eye(3)):
+            vector.look(direction, UNDISTURBED, changed=changed)
+        assert vector.sd < 0.02
+        off = Look(0.3**2, 0.01**2)
+        if across:
+            vector.look(-np.eye(3)[2], UNDISTURBED, off, changed)
+        vector.look(-np.eye(3)[2], UNDISTURBED if across else off, changed=changed)  # what was across stays
+        found.append(vector.sd)
+    assert found[0] < found[1]
+    assert 0.2 < found[1] < 0.8

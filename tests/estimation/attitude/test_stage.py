@@ -22,7 +22,7 @@ CALIBRATED = MagnetometerModel(
     hard_iron_sd=[0.05] * 3,
     soft_iron=np.eye(3).tolist(),
     soft_iron_sd=np.full((3, 3), 1e-3).tolist(),
-    field=47.0,
+    field=47.43,
     residual_sd=0.1,
     coverage=1.0,
 )
@@ -62,7 +62,8 @@ def test_it_follows_turns_and_its_errors_are_as_its_sigma_says(
         assert np.abs(error[later]).max() < 5.0
         settled = later & made.at_rest & (np.arange(len(later)) > 100 * rate_hz)
         assert found["attitude_estimate_heading_sd"][settled].max() < np.radians(2.0)
-        assert found["attitude_estimate_tilt_sd"][settled].max() < np.radians(0.3)
+        # Of a single pose the magnitude says little of what the accelerometers are off by: 0.18° is declared.
+        assert found["attitude_estimate_tilt_sd"][settled].max() < np.radians(0.4)
         assert stage.lanes() == {"attitude": "magnetic north"}
         assert (found["attitude_estimate_north"][later] == 1).all()
 
@@ -130,6 +131,26 @@ def test_the_first_motion_of_mixed_axes_is_in_the_sigma_before_gravity_shows_it(
         tilt = np.column_stack([turn[:, 1, 2], turn[:, 0, 2]])
         first = slice(3900, 4300)
         assert np.nanmax(np.abs(tilt / found["attitude_estimate_tilt_sd"][:, np.newaxis])[first]) < most
+
+
+def test_a_magnet_that_is_put_on_while_it_rests_is_in_the_sigma_before_it_turns() -> None:
+    """It turns the field about the vertical and leaves its strength: only the gyros show the rest."""
+    made = scene(seconds=110.0)
+    mag, accel = made.block.mag, made.block.accel
+    assert mag is not None
+    assert accel is not None
+    row = int(np.flatnonzero(made.at_rest)[-1]) - 600
+    assert made.at_rest[row:].all()
+    magnet = np.cross(mag[row], accel[row])
+    turned = mag[row] + 15.0 * magnet / np.linalg.norm(magnet)
+    added = turned * np.linalg.norm(mag[row]) / np.linalg.norm(turned) - mag[row]
+    put = mag + np.outer(np.arange(len(mag)) > row, added)
+    block = made.block.with_columns({f"mag_{axis}": put[:, j] for j, axis in enumerate("xyz")})
+    found = estimated(block, AttitudeEstimate(axes="FRD", magnetometer=CALIBRATED))
+    true = np.arctan2(made.attitude[:, 0, 0], made.attitude[:, 1, 0])
+    error = wrapped(found["attitude_estimate_heading"] - true + np.radians(NORTH_DEG))[row:]
+    assert np.degrees(np.abs(error).max()) > 10.0
+    assert np.abs(error / found["attitude_estimate_heading_sd"][row:]).max() < 7.0
 
 
 def test_iron_that_comes_to_the_unit_is_in_the_sigma_once_turns_have_shown_it() -> None:
