@@ -66,6 +66,9 @@ FORGET = 0.5
 LEAST_LEFT = 1e-9
 """Share of a change, squared, that is not lost in rounding where the temperature explains it."""
 TINY = 1e-24
+_FIRST, _SECOND = np.triu_indices(EFFECTS)
+_TIMES = np.where(_FIRST == _SECOND, 1.0, 2.0)
+"""Of a quadratic form: the pairs of components, and how often each is in it."""
 
 
 class Turning(NamedTuple):
@@ -240,11 +243,12 @@ def _seen(state: State, known: Changes, columns: FloatArray, white_sd: FloatArra
     gained = (along[:, np.newaxis] * fitted).sum((2, 3)) + np.linalg.slogdet(free @ inverse)[1].sum(2)
     likely = likely[:, np.newaxis] + 0.5 * gained
     shared, products = warm @ known.shapes, seen @ known.shapes
-    # What is left of a change where the temperature explains a part.
-    shared, products = shared[:, np.newaxis], products[:, np.newaxis]
-    of_each = shared[:, :, np.newaxis]
-    left = np.sqrt(np.maximum(1.0 - ((inverse @ of_each) * of_each).sum(-2), LEAST_LEFT))
-    x = (products - fitted @ shared) / left
+    # What is left of a change where the temperature explains a part: 1 - shared' inverse shared.
+    pairs = shared[:, _FIRST] * shared[:, _SECOND]
+    of_pairs = (inverse[..., _FIRST, _SECOND] * _TIMES).reshape(len(SHARES), -1, len(_TIMES))
+    shape = (len(SHARES), len(slopes), 3, -1)
+    left = np.sqrt(np.maximum(1.0 - of_pairs @ pairs, LEAST_LEFT)).reshape(shape)
+    x = (products[:, np.newaxis] - (fitted.reshape(len(SHARES), -1, EFFECTS) @ shared).reshape(shape)) / left
     best = likely + 0.5 * np.square(x[:, :, 0]).max(-1)
     each, slope = np.nonzero(best > best.max() - SURPRISE)
     return Seen(
@@ -270,35 +274,38 @@ def _frame(state: State, means: FloatArray) -> FloatArray:
 
 def _weigh(state: State, known: Changes, seen: Seen, up: FloatArray) -> Turning:
     """Return what changes make likely; up is the vertical."""
-    likely, x = seen.likely, seen.x
-    ratio = seen.size / seen.white_sd[:, np.newaxis, np.newaxis]
-    change = x[0] / ratio[0]
+    likely, x, square = seen.likely, seen.x, np.square(seen.x)
+    ratio2 = np.square(seen.size / seen.white_sd[:, np.newaxis, np.newaxis])
+    change2 = square[0] / ratio2[0]
     step = float(np.abs(up) @ state.windows.resolution[GYRO])
-    off = x[0] / np.sqrt(1.0 + np.square(step * ratio[0]))
+    off2 = square[0] / (1.0 + step * step * ratio2[0])
     prior = np.log(known.seconds / TURN_EVERY_S)
     # Rates are as likely on a logarithmic scale: exp(x²/2) times their density at x.
-    turn = likely + prior + 0.5 * off * off - np.log(np.maximum(np.abs(off), 1.0) * RATES / 2.5066)
+    turn = likely + (prior - np.log(RATES / 2.5066)) + 0.5 * off2
+    density2 = np.maximum(off2, 1.0)
     if state.windows.known[ACCEL].all():
-        turn += _explains(x[1:], np.square(0.5 * OBLIQUE * change * ratio[1:]))
+        gained, more = _explained(square[1:], np.square(0.5 * OBLIQUE) * change2 * ratio2[1:])
+        turn += 0.5 * (gained - np.log(density2 * more))
     else:
-        turn -= 2.0 * np.log(np.maximum(np.abs(off), 1.0))  # any direction would have done
+        turn -= 1.5 * np.log(density2)  # any direction would have done
     # A bias creeps on, and takes time to: of a step nobody says so.
     creeps = np.flatnonzero(known.goes_on & (known.start > known.end))
-    crept = np.square(_crept(state, known)[creeps] * ratio[..., creeps])
-    creep = likely + prior[creeps] + _explains(x[..., creeps], crept)
+    crept2 = np.square(_crept(state, known)[creeps])
+    gained, more = _explained(square[..., creeps], crept2 * ratio2[..., creeps])
+    creep = likely + prior[creeps] + 0.5 * (gained - np.log(more))
     most = max(float(likely.max()), float(turn.max()), float(creep.max(initial=-np.inf)))
     turned = np.exp(turn - most)
     each = np.exp(likely[:, 0] - most) + turned.sum(1) + np.exp(creep - most).sum(1)
     share = np.bincount(seen.which, each / each.sum(), len(SHARES))
     state.strengths_seen = np.log(share + np.exp(-SURPRISE))
     now = turned * known.goes_on / each.sum()
-    rms = np.sqrt((now * change * change).sum())
+    rms = np.sqrt((now * change2).sum())
     began = int(known.began[np.argmax(now.max(0))]) + 1
     ages = known.edges[began:]
     oldest = int(np.searchsorted(ages, min(ages[0] + LEAST, ages[-1])))
     past = state.past
     before, degc = past.means(ages[[0, oldest]])[0], past.first_degc + past.warmed(ages[[0, oldest]])[0, 0]
-    doubt = np.copysign(rms, (now * change).sum()) * up
+    doubt = np.copysign(rms, (now * x[0] / np.sqrt(ratio2[0])).sum()) * up
     probability = float(now.sum())
     possible = float(rms / np.sqrt(probability)) if probability > 0.0 else 0.0
     return Turning(probability, doubt, possible, before, float(ages[0]) * past.unit_s, degc)
@@ -315,13 +322,13 @@ def _crept(state: State, known: Changes) -> FloatArray:
     return np.asarray(SLOPE * (np.interp(known.start, middle, way) - np.interp(known.end, middle, way)))
 
 
-def _explains(x: FloatArray, prior: FloatArray) -> FloatArray:
-    """Return the log-likelihood of x standard deviations, (axes, s, h), all axes together, (s, h).
+def _explained(square: FloatArray, prior: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return by how much chi-square falls, (s, h), if the variances, which are one, are larger by a prior.
 
-    Their variance, which is one, is larger by `prior`.
+    And the product by which they are larger.  The squares of what is seen, and the prior, are (axes, s, h).
     """
     more = 1.0 + prior
-    return np.asarray(0.5 * ((x * x * (prior / more)).sum(0) - np.log(more.prod(0))))
+    return np.asarray((square * (prior / more)).sum(0)), np.asarray(more.prod(0))
 
 
 def forget(state: State, share: float = FORGET) -> None:
