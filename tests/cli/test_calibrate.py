@@ -40,6 +40,12 @@ def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return imported(tmp_path_factory.mktemp("short"), np.linspace(20.0, 23.0, 1500))
 
 
+def few_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Train the networks in a moment, where it does not matter how good they are."""
+    for steps in ("FIRST", "LAST"):
+        monkeypatch.setattr(f"imumon.models.curves.training.{steps}", 5)
+
+
 def test_a_session_becomes_a_model(session: Path, tmp_path: Path) -> None:
     out = tmp_path / "model.yaml"
     picture, export = tmp_path / "model.png", ("--export", "ardupilot", "--imu", "1")
@@ -66,8 +72,7 @@ def test_a_session_becomes_a_model(session: Path, tmp_path: Path) -> None:
 
 
 def test_the_table_for_people_marks_what_is_chosen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for steps in ("FIRST", "LAST"):  # how good the networks are does not matter here
-        monkeypatch.setattr(f"imumon.models.curves.training.{steps}", 5)
+    few_steps(monkeypatch)
     session = imported(tmp_path, soak(300.0)[:3600:2])
     done = imumon("calibrate", session, session, "--out", tmp_path / "model.yaml")
     assert done.returncode == 0, done.stderr
@@ -78,7 +83,8 @@ def test_the_table_for_people_marks_what_is_chosen(tmp_path: Path, monkeypatch: 
     assert "earth rate" in done.stderr
 
 
-def test_a_recorded_driver_is_in_the_model(tmp_path: Path) -> None:
+def test_a_recorded_driver_is_in_the_model(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    few_steps(monkeypatch)
     (tmp_path / "map.yaml").write_text(DRIVEN_MAP, encoding="utf-8")
     sessions = [tmp_path / name for name in "abc"]
     for seed, session in enumerate(sessions, 1):
