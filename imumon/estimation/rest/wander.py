@@ -221,7 +221,7 @@ def look_for_turn(state: State) -> Turning | None:
     frame = _frame(state, means[:, GYRO])
     white = (frame * frame).T @ white
     columns = means[:, GYRO] @ frame / np.sqrt(white)
-    return _weigh(state, known, _seen(state, known, columns, np.sqrt(white)), frame[:, 0])
+    return _weigh(state, known, _seen(state, known, columns, np.sqrt(white)), frame)
 
 
 def _seen(state: State, known: Changes, columns: FloatArray, white_sd: FloatArray) -> Seen:
@@ -279,12 +279,13 @@ def _frame(state: State, means: FloatArray) -> FloatArray:
     return np.asarray(axes)
 
 
-def _weigh(state: State, known: Changes, seen: Seen, up: FloatArray) -> Turning:
-    """Return what changes make likely; up is the vertical."""
+def _weigh(state: State, known: Changes, seen: Seen, frame: FloatArray) -> Turning:
+    """Return what changes make likely; the frame's first column is the vertical."""
     likely, x, ratio = seen.likely, seen.x, seen.size / seen.white_sd
-    change = x[..., 0] / ratio[..., 0]
-    step = float(np.abs(up) @ state.windows.resolution[GYRO])
-    off = x[..., 0] / np.sqrt(1.0 + (step * ratio[..., 0]) ** 2)
+    # Any change may be what the steps of a gyro hide, whatever made it.
+    hidden = np.sqrt(1.0 + (np.abs(frame).T @ state.windows.resolution[GYRO] * ratio) ** 2)
+    x, ratio, up = x / hidden, ratio / hidden, frame[:, 0]
+    off, change = x[..., 0], x[..., 0] / ratio[..., 0]
     prior = np.log(known.seconds / TURN_EVERY_S)
     # Rates are as likely on a logarithmic scale: exp(x²/2) times their density at x.
     turn = likely + prior + 0.5 * off * off - np.log(np.maximum(np.abs(off), 1.0) * RATES / 2.5066)
