@@ -139,10 +139,14 @@ def _wanders(state: State) -> Motion | None:
     if found is None:
         return None
     # Older bins are too long to show that it began suddenly: what was seen then is doubted for as long as the
-    # temperature, gravity and the means since leave room for a turn as fast.
+    # temperature, gravity and the means since leave room for a turn as fast that began then.
     seen, kept = (float(np.sqrt(doubt @ doubt)) for doubt in (found.doubt, state.doubt))
     left = min(kept, found.possible)
-    state.doubt = found.doubt if seen >= left else state.doubt * (left / kept)
+    if seen >= left:
+        state.doubt, state.doubt_age = found.doubt, found.age
+    else:
+        state.doubt = state.doubt * (left / kept)
+    state.doubt_age += LOOKS_EVERY
     if found.probability < LIKELY:
         return None
     if is_over(state.turn, state.turn + found.doubt):

@@ -276,6 +276,8 @@ class State:
         Log-likelihoods of the noises that are tried (`wander`) before this history, and with it.
     doubt : array, (3,)
         Rms of a turn that nobody knows of, rad/s: it may have begun in this rest.
+    doubt_age : float
+        How long ago it did, units of the history.
     anchors : list of Anchor
         Means of earlier rests that differ, the latest first.
     undecided_since_s : float
@@ -310,6 +312,7 @@ class State:
     strengths: FloatArray = field(default_factory=lambda: np.zeros(14))
     strengths_seen: FloatArray = field(default_factory=lambda: np.zeros(14))
     doubt: FloatArray = field(default_factory=lambda: np.zeros(3))
+    doubt_age: float = 0.0
     anchors: list[Anchor] = field(default_factory=list)
     undecided_since_s: float = np.nan
     turn: FloatArray = field(default_factory=lambda: np.zeros(3))

@@ -69,12 +69,13 @@ TINY = 1e-24
 
 
 class Turning(NamedTuple):
-    """That it turns now: the probability; the turn's rms, rad/s, (3,), 0 for what is decided, and the rms of
-    those that it can be if it turns; the mean of all axes before it began, (6,), how long ago that was, s,
-    and the temperature then, °C."""
+    """That it turns now: the probability; the turn's rms, rad/s, (3,), 0 for what is decided, the age at which
+    it likeliest began, units, and the rms of what may turn since the age of the doubt that is kept; the mean
+    of all axes before it began, (6,), how long ago that was, s, and the temperature then, °C."""
 
     probability: float
     doubt: FloatArray
+    age: float
     possible: float
     before: FloatArray
     age_s: float
@@ -312,9 +313,21 @@ def _weigh(state: State, known: Changes, seen: Seen, frame: FloatArray) -> Turni
     past = state.past
     before, degc = past.means(ages[[0, oldest]])[0], past.first_degc + past.warmed(ages[[0, oldest]])[0, 0]
     doubt = np.copysign(rms, (now * change).sum()) * up
-    probability = float(now.sum())
-    possible = float(rms / np.sqrt(probability)) if probability > 0.0 else 0.0
-    return Turning(probability, doubt, possible, before, float(ages[0]) * past.unit_s, degc)
+    possible = _possible(known, turn, change * change + 1.0 / (ratio[..., 0] * ratio[..., 0]), state.doubt_age)
+    return Turning(
+        float(now.sum()), doubt, float(ages[0]), possible, before, float(ages[0]) * past.unit_s, degc
+    )
+
+
+def _possible(known: Changes, turn: FloatArray, rate2: FloatArray, age: float) -> float:
+    """Return the rms of the turns that may have begun in the bin of an age, units, and go on, rad/s.
+
+    turn and rate2, (s, h), are the log-likelihood and the mean square of each.
+    """
+    then = min(int(np.searchsorted(known.edges, age)), int(known.began.max()) + 1) - 1
+    begun = known.goes_on & (known.began == max(then, int(known.began.min())))
+    likely = np.exp(turn[:, begun] - turn[:, begun].max())
+    return float(np.sqrt((likely * rate2[:, begun]).sum() / likely.sum()))
 
 
 def _crept(state: State, known: Changes) -> FloatArray:
