@@ -27,7 +27,7 @@ STEADY_SIGMAS, TURN_STEADY_SIGMAS = 3.0, 2.0
 PLAIN_SIGMAS = 2.0
 """Sigmas of a change of which nobody would ask whether it is a turn."""
 BACK_SIGMAS = 3.0
-BACK_S, SLOW_BACK_S, TURN_BACK_S = 0.25, 4.0, 16.0
+BACK_S, SLOW_BACK_S = 0.25, 4.0
 ALL_CREEP = 10.0
 """What makes a bias creep, temperature, has all axes creep: one by more than ten times what both others do,
 in one unit of a hundred where each of them may have any part of the slope of the first."""
@@ -145,10 +145,11 @@ def _explained(
 def is_back(state: State, parameters: RestParameters, now_s: float) -> Anchor | None:
     """Return the earlier rest of which all means are again what they were.
 
-    For a quarter of a second after a knock, and for 4 s after what showed slowly.
+    For a quarter of a second after a knock, for 4 s after what showed slowly, and so that two means of 8 s
+    are those of the rest after what only the mean shows.
     """
     slots = state.quiet_slots
-    least_s = TURN_BACK_S if state.turning else SLOW_BACK_S if state.slow else BACK_S
+    least_s = SLOW_BACK_S if state.slow else BACK_S
     if state.span_s(min(slots, KEPT)) < least_s:
         return None
     recent, variance = recent_mean(state, slots)
@@ -156,15 +157,24 @@ def is_back(state: State, parameters: RestParameters, now_s: float) -> Anchor | 
     if state.turning:  # a turn that ends slowly is slow for longer than its mean is near
         means.append(state.means(state.length - steady_slots(state) // 2 * np.array([1, 2]))[0])
     for anchor in state.anchors:
-        limit = BACK_SIGMAS * np.sqrt(variance + anchor.variance) + state.windows.resolution
+        noise = variance + anchor.variance
+        limit = BACK_SIGMAS * np.sqrt(noise) + state.windows.resolution
         limit[ACCEL] += min(parameters.accel_drift * (now_s - anchor.at_s), TILTED)
-        change = np.max([np.abs(mean - anchor.mean) for mean in means], axis=0)
-        change = np.where(np.isfinite(recent), change, 0.0)
-        refuted = not state.slow or is_over(state.turn, change[GYRO])
+        changes = np.where(np.isfinite(recent), np.array(means) - anchor.mean, 0.0)
         # A mean so uncertain that it fits a steady turn as well says nothing yet.
         off = np.abs(anchor.turn_now(recent) - state.turn)
-        refuted &= bool(state.shaken or (off > limit[GYRO]).any())
-        if refuted and (change <= limit).all():
+        refuted = bool(state.shaken or (off > limit[GYRO]).any())
+        refuted &= not state.slow or is_over(state.turn, changes[:, GYRO])
+        if state.turning and state.turn.any():
+            axis = state.turn / np.sqrt(state.turn @ state.turn)
+            along = changes[:, GYRO] @ axis
+            refuted &= bool((np.abs(along) <= limit[GYRO] @ np.abs(axis)).all())
+            # Across the axis of the turn the bias has wandered, for gravity would show it if it turned.
+            changes[:, GYRO] -= np.outer(along, axis)
+            limit[GYRO] = np.hypot(
+                limit[GYRO], BACK_SIGMAS * np.sqrt(wander_after(state, now_s - anchor.at_s))
+            )
+        if refuted and (np.abs(changes) <= limit).all():
             return anchor
     return None
 
