@@ -13,11 +13,12 @@ import numpy as np
 from imumon.blocks import FloatArray
 from imumon.estimation.rest.compass import Verdict, verdict
 from imumon.estimation.rest.parameters import RestParameters
-from imumon.estimation.rest.state import ACCEL, AXES, EVERY, GYRO, LEVELS, Anchor, Slot, State
+from imumon.estimation.rest.state import ACCEL, AXES, EVERY, GYRO, LEVELS, Anchor, Slot, Spells, State
 from imumon.estimation.rest.trial import RING, Noise, adopt, look
 from imumon.estimation.rest.turn import (
     BEGINS_TURNING,
     Explained,
+    has_changed,
     has_settled,
     hypothesis,
     is_back,
@@ -185,6 +186,7 @@ def _leave(state: State, motion: Motion, now_s: float) -> None:
     state.caution = 1.0 if long else min((1.0 if motion.sudden else 2.0) * state.caution, MOST_CAUTION)
     state.turning = motion.turning
     state.slow = state.turning or state.caution > 1.0
+    state.chance = 1.0
     state.at_rest, state.undecided_since_s, state.steady = False, np.nan, np.full(AXES, np.nan)
     state.ring_from = state.length
     forget(state)
@@ -228,7 +230,8 @@ def _remember(state: State, anchor: Anchor) -> None:
 
 def _enter(state: State, mean: FloatArray, drift: FloatArray, turn: FloatArray, now_s: float) -> None:
     state.windows.rest_mean[:], state.rest_since_s = mean, now_s
-    state.at_rest, state.turn, state.turns_on = True, turn, 1.0
+    state.at_rest, state.turn, state.chance = True, turn, 1.0
+    state.spells = Spells()
     since_s = now_s if np.isnan(state.undecided_since_s) else state.undecided_since_s
     state.undecided_since_s = since_s if turn.any() else np.nan
     set_band(state.windows, drift)
@@ -252,6 +255,7 @@ def _judge(
     noise that no longer fits nothing is, and the trial has judged that.
     """
     turn, explained = hypothesis(state, parameters, slots, now_s)
+    first = 0.0
     if turn.any():
         said = verdict(state, turn)
         if said is not Verdict.UNDECIDED:
@@ -263,15 +267,18 @@ def _judge(
         late = now_s - state.undecided_since_s >= parameters.undecided_s
         if late and may_jump(state, parameters, turn):
             return np.zeros(3), True
-        unknown = explained is Explained.NO and bool(turn.any()) and is_upright(state, turn)
-        first = turned_at_first(state) if unknown else 0.0
+        unknown = explained is Explained.NO and bool(turn.any()) and is_upright(state, turn, slots)
+        first = turned_at_first(state, slots) if unknown else 0.0
         if first > (BEGINS_TURNING if late else 0.5) and is_steady(state, parameters):
             state.anchors.clear()  # what was taken for a rest is none to come back to
             surely = late or np.log(1.0 - first) < -SURPRISE
             return np.zeros(3) if surely else np.sqrt(1.0 - first) * turn, True
     if explained is Explained.NO:
         # About another axis it would tilt the unit: gravity says soon whether it does.
-        state.turn, state.turning = turn, state.turning or bool(turn.any() and is_upright(state, turn))
+        state.turning |= bool(turn.any() and is_upright(state, turn, slots))
+        state.chance = has_changed(state, parameters, turn, slots, now_s)
+        state.chance = state.chance if may_jump(state, parameters, turn) else first
+        state.turn = turn
         return turn, False
     if not (state.anchors and fits):
         return turn, True
@@ -290,8 +297,8 @@ def _decide(state: State, parameters: RestParameters, now_s: float) -> None:
         return
     late = now_s - state.undecided_since_s >= parameters.undecided_s
     if state.anchors:
-        state.turn, state.turns_on = still_on(state, now_s)
-    if said is Verdict.RESTS or late or np.log(state.turns_on) < -SURPRISE:
+        state.turn, state.chance = still_on(state, now_s)
+    if said is Verdict.RESTS or late or np.log(state.chance) < -SURPRISE:
         state.turn, state.undecided_since_s = np.zeros(3), np.nan
 
 

@@ -253,6 +253,24 @@ class Anchor(NamedTuple):
 
 
 @dataclass
+class Spells:
+    """Steady means in motion that gave way to others, so that they were no rest, and the latest.
+
+    Parameters
+    ----------
+    count : int
+    seconds : float
+        How long they lasted altogether.
+    since_s : float or None
+        Since when the latest has been.
+    """
+
+    count: int = 0
+    seconds: float = 0.0
+    since_s: float | None = None
+
+
+@dataclass
 class State:
     """All that is carried from slot to slot; arrays are (6,) unless another shape is given.
 
@@ -284,8 +302,11 @@ class State:
         Since when a mean has been steady that differs from the anchors; NaN when none has.
     turn : array, (3,)
         Rate, rad/s, by which the gyros differ from the latest anchor while nothing tells a turn from a bias.
-    turns_on : float
-        Probability at rest that it is a turn.
+    chance : float
+        Probability that the bias is off by as much: at rest, that it is a turn, and in motion, that it is
+        none.
+    spells : Spells
+        Of this motion.
     shown : array, (3,)
         `undecided` when something was last decided.
     steady : array
@@ -316,7 +337,8 @@ class State:
     anchors: list[Anchor] = field(default_factory=list)
     undecided_since_s: float = np.nan
     turn: FloatArray = field(default_factory=lambda: np.zeros(3))
-    turns_on: float = 1.0
+    chance: float = 1.0
+    spells: Spells = field(default_factory=Spells)
     shown: FloatArray = field(default_factory=lambda: np.zeros(3))
     steady: FloatArray = field(default_factory=lambda: np.full(AXES, np.nan))
     steady_s: float = 0.0
@@ -337,7 +359,7 @@ class State:
 
         So may half of what the noise leaves of a gyro's step, for its readings are the same with and without.
         """
-        turn = math.sqrt(self.turns_on) * self.turn if self.at_rest else self.turn
+        turn = math.sqrt(self.chance) * self.turn
         turn = turn if turn @ turn > self.doubt @ self.doubt else self.doubt
         return np.asarray(np.copysign(np.hypot(turn, 0.5 * self.windows.resolution[GYRO]), turn))
 

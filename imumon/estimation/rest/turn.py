@@ -202,7 +202,28 @@ def still_on(state: State, now_s: float) -> tuple[FloatArray, float]:
     return state.turn, float(1.0 / (1.0 + np.exp(min(0.5 * over, 100.0)) * since_s / TURN_EVERY_S))
 
 
-def turned_at_first(state: State) -> float:
+def has_changed(
+    state: State, parameters: RestParameters, turn: FloatArray, slots: int, now_s: float
+) -> float:
+    """Return the probability that a mean that is steady in motion is a bias that has changed, and note it.
+
+    None of the earlier spells of this motion was: so it is one in so many (Laplace), times how improbable it
+    is that another spell of the kind lasts as long (exponential, of a mean that only those tell).
+    """
+    spells, judged_s = state.spells, state.span_s(min(slots, KEPT))
+    if spells.since_s is None:
+        spells.since_s = now_s - judged_s
+    lasted_s = now_s - spells.since_s
+    noise = 2.0 * recent_mean(state, slots)[1][GYRO]
+    limit = SIGMAS * np.sqrt(noise) + state.windows.resolution[GYRO] + parameters.gyro_drift * lasted_s
+    if (np.abs(turn - state.turn) > limit).any():
+        spells.count, spells.seconds = spells.count + 1, spells.seconds + lasted_s
+        spells.since_s, lasted_s = now_s - judged_s, judged_s
+    longer = (spells.seconds / (spells.seconds + lasted_s)) ** spells.count
+    return 1.0 / (1.0 + spells.count * longer)
+
+
+def turned_at_first(state: State, slots: int) -> float:
     """Return the probability that the first rest was a turn and is over, if one of the two means is a turn.
 
     Two steady means look alike.  Of the biases of a gyro nobody knows the scale s: with a density of 1/s, a
@@ -211,7 +232,7 @@ def turned_at_first(state: State) -> float:
     """
     if len(state.anchors) != 1:
         return 0.0
-    now = recent_mean(state, state.quiet_slots)[0]
+    now = recent_mean(state, slots)[0]
     first2, now2 = (float(np.nansum(mean[GYRO] ** 2)) + EARTH**2 for mean in (state.anchors[0].mean, now))
     odds = BEGINS_TURNING / (1.0 - BEGINS_TURNING) * (first2 / now2) ** 1.5
     return float(odds / (1.0 + odds))
@@ -225,9 +246,9 @@ def upright(state: State, turn: FloatArray, force: FloatArray) -> FloatArray:
     return np.asarray((turn @ force) * force / gravity2)
 
 
-def is_upright(state: State, turn: FloatArray) -> bool:
-    """Tell whether a turn, (3,), is about the vertical as it is now, or gravity is not known."""
-    across = turn - upright(state, turn, recent_mean(state, state.quiet_slots)[0][ACCEL])
+def is_upright(state: State, turn: FloatArray, slots: int) -> bool:
+    """Tell whether a turn, (3,), is about the vertical of the latest slots, or gravity is not known."""
+    across = turn - upright(state, turn, recent_mean(state, slots)[0][ACCEL])
     return not across @ across > OBLIQUE**2 * (turn @ turn)
 
 

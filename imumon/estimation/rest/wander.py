@@ -69,9 +69,9 @@ TINY = 1e-24
 
 
 class Turning(NamedTuple):
-    """That it turns now: the probability; the turn's rms, rad/s, (3,), 0 for what is decided, the age at which
-    it likeliest began, units, and the rms of what may turn since the age of the doubt that is kept; the mean
-    of all axes before it began, (6,), how long ago that was, s, and the temperature then, °C."""
+    """That it turns now: the probability; the turn's rms, rad/s, (3,), 0 for what is decided, the age at
+    which it likeliest began, units, and the rms of what may turn since the age of the doubt that is kept; the
+    mean of all axes before it began, (6,), how long ago that was, s, and the temperature then, °C."""
 
     probability: float
     doubt: FloatArray
@@ -313,10 +313,9 @@ def _weigh(state: State, known: Changes, seen: Seen, frame: FloatArray) -> Turni
     past = state.past
     before, degc = past.means(ages[[0, oldest]])[0], past.first_degc + past.warmed(ages[[0, oldest]])[0, 0]
     doubt = np.copysign(rms, (now * change).sum()) * up
-    possible = _possible(known, turn, change * change + 1.0 / (ratio[..., 0] * ratio[..., 0]), state.doubt_age)
-    return Turning(
-        float(now.sum()), doubt, float(ages[0]), possible, before, float(ages[0]) * past.unit_s, degc
-    )
+    rate2 = change * change + 1.0 / (ratio[..., 0] * ratio[..., 0])
+    possible, age = _possible(known, turn, rate2, state.doubt_age), float(ages[0])
+    return Turning(float(now.sum()), doubt, age, possible, before, age * past.unit_s, degc)
 
 
 def _possible(known: Changes, turn: FloatArray, rate2: FloatArray, age: float) -> float:
