@@ -269,6 +269,11 @@ class Spells:
     seconds: float = 0.0
     since_s: float | None = None
 
+    def end(self, now_s: float) -> None:
+        """Say that the latest gives way."""
+        if self.since_s is not None:
+            self.count, self.seconds, self.since_s = self.count + 1, self.seconds + now_s - self.since_s, None
+
 
 @dataclass
 class State:
@@ -307,6 +312,8 @@ class State:
         none.
     spells : Spells
         Of this motion.
+    begun : array, (3,)
+        Rms of the turn in which the recording may have begun, rad/s: another mean has been as steady.
     shown : array, (3,)
         `undecided` when something was last decided.
     steady : array
@@ -339,6 +346,7 @@ class State:
     turn: FloatArray = field(default_factory=lambda: np.zeros(3))
     chance: float = 1.0
     spells: Spells = field(default_factory=Spells)
+    begun: FloatArray = field(default_factory=lambda: np.zeros(3))
     shown: FloatArray = field(default_factory=lambda: np.zeros(3))
     steady: FloatArray = field(default_factory=lambda: np.full(AXES, np.nan))
     steady_s: float = 0.0
@@ -359,8 +367,8 @@ class State:
 
         So may half of what the noise leaves of a gyro's step, for its readings are the same with and without.
         """
-        turn = math.sqrt(self.chance) * self.turn
-        turn = turn if turn @ turn > self.doubt @ self.doubt else self.doubt
+        likely = [math.sqrt(self.chance) * self.turn, self.doubt, self.begun if self.at_rest else np.zeros(3)]
+        turn = max(likely, key=lambda one: float(one @ one))
         return np.asarray(np.copysign(np.hypot(turn, 0.5 * self.windows.resolution[GYRO]), turn))
 
     def show(self) -> None:

@@ -34,6 +34,8 @@ in one unit of a hundred where each of them may have any part of the slope of th
 BEGINS_TURNING = 0.05
 """Share of recordings that begin in a turn: who starts one on a turntable that runs.  Assumed, as
 `TURN_EVERY_S` is."""
+UNLIKELY = 0.01
+"""What is less likely is not told: errors of more than five sigmas may be so frequent."""
 EARTH = 7.3e-5
 """rad/s: a gyro without any bias reads up to the earth's rate."""
 SMALL_ANGLE = 1.0
@@ -210,15 +212,14 @@ def has_changed(
     None of the earlier spells of this motion was: so it is one in so many (Laplace), times how improbable it
     is that another spell of the kind lasts as long (exponential, of a mean that only those tell).
     """
-    spells, judged_s = state.spells, state.span_s(min(slots, KEPT))
-    if spells.since_s is None:
-        spells.since_s = now_s - judged_s
+    spells, began_s = state.spells, now_s - state.span_s(min(slots, KEPT))
+    if spells.since_s is not None:
+        noise = 2.0 * recent_mean(state, slots)[1][GYRO]
+        limit = SIGMAS * np.sqrt(noise) + parameters.gyro_drift * (now_s - spells.since_s)
+        if (np.abs(turn - state.turn) > limit + state.windows.resolution[GYRO]).any():
+            spells.end(now_s)
+    spells.since_s = began_s if spells.since_s is None else spells.since_s
     lasted_s = now_s - spells.since_s
-    noise = 2.0 * recent_mean(state, slots)[1][GYRO]
-    limit = SIGMAS * np.sqrt(noise) + state.windows.resolution[GYRO] + parameters.gyro_drift * lasted_s
-    if (np.abs(turn - state.turn) > limit).any():
-        spells.count, spells.seconds = spells.count + 1, spells.seconds + lasted_s
-        spells.since_s, lasted_s = now_s - judged_s, judged_s
     longer = (spells.seconds / (spells.seconds + lasted_s)) ** spells.count
     return 1.0 / (1.0 + spells.count * longer)
 
@@ -235,7 +236,7 @@ def turned_at_first(state: State, slots: int) -> float:
     now = recent_mean(state, slots)[0]
     first2, now2 = (float(np.nansum(mean[GYRO] ** 2)) + EARTH**2 for mean in (state.anchors[0].mean, now))
     odds = BEGINS_TURNING / (1.0 - BEGINS_TURNING) * (first2 / now2) ** 1.5
-    return float(odds / (1.0 + odds))
+    return float(odds / (1.0 + odds)) if odds > UNLIKELY else 0.0
 
 
 def upright(state: State, turn: FloatArray, force: FloatArray) -> FloatArray:
