@@ -90,7 +90,7 @@ class Moved:
     """By how much the bias has moved in the present rest, or the last, and whether it has ended in motion.
 
     A turn of which nobody knows whether it is a change of the bias is one of two things.  While the rate is
-    no more than that, the bias may have changed by the whole of it.  Once it plainly moves, the question is
+    what it was then, the bias may have changed by the whole of it.  Once it plainly moves, the question is
     only how much of the beginning the bias has taken in.
 
     Parameters
@@ -99,16 +99,17 @@ class Moved:
         The bias, rad/s.
     doubt : array (3,)
         How fast it may have turned all the time, rad/s: what nobody had decided then.
-    undecided : array (3,)
-        The turn in question, rad/s.
+    undecided, rate : array (3,)
+        The rms of the turn in question, and the rate less the bias when it came in question, rad/s.
     plainly : bool
-        Whether it has moved faster since.
+        Whether it has moved otherwise since.
     """
 
     least: FloatArray = field(default_factory=lambda: np.full(3, np.inf))
     greatest: FloatArray = field(default_factory=lambda: np.full(3, -np.inf))
     doubt: FloatArray = field(default_factory=_zero)
     undecided: FloatArray = field(default_factory=_zero)
+    rate: FloatArray = field(default_factory=_zero)
     plainly: bool = False
 
     def see(self, bias: FloatArray, undecided: FloatArray) -> None:
@@ -119,8 +120,9 @@ class Moved:
     def move(self, undecided: FloatArray, rate: FloatArray, noise: FloatArray) -> None:
         """Take a slot in motion: the turn in question, the rate less the bias, and its noise, (3,) each."""
         if (undecided != self.undecided).any():
-            self.undecided, self.plainly = undecided, False
-        self.plainly |= bool((np.abs(rate) > 2.0 * np.abs(undecided) + math.sqrt(GATE) * noise).any())
+            self.undecided, self.rate, self.plainly = undecided, rate, False
+        moved = np.abs(rate - self.rate)
+        self.plainly |= bool((moved > np.abs(undecided) + math.sqrt(2.0 * GATE) * noise).any())
 
     def by(self, bias: FloatArray) -> FloatArray:
         """Return how much of a turn a bias can have taken in; infinite where that is not known."""

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from enum import Enum
+from itertools import product
 
 import numpy as np
 
@@ -18,6 +20,8 @@ CLEAR = 8.0
 UP = np.array([0.0, 0.0, 1.0])
 NEAR = 0.25
 """Share of the way from none to a turn, or back, by which a reading may be off: hard and soft iron."""
+ANY = (0.5, 0.75, 1.0, 1.25, 1.5)
+"""Shares of the gyros' mean that are tried where their bias is not known: it is no more than half of it."""
 
 
 class Verdict(Enum):
@@ -46,12 +50,12 @@ def reference(block: SampleBlock) -> FloatArray | None:
     return np.column_stack([np.cos(yaw), np.sin(yaw), np.zeros(len(block))])
 
 
-def verdict(state: State, turn: FloatArray) -> Verdict:
-    """Tell whether the heading has changed as a turn, (3,) rad/s, makes it change."""
+def verdict(state: State, turn: FloatArray, slots: int, shares: Sequence[float] = (1.0,)) -> Verdict:
+    """Tell whether a turn, (3,) rad/s, or one of its shares, changed the heading in the latest slots."""
     if not np.isfinite(state.windows.reference[state.length - 1, 0]):
         return Verdict.UNDECIDED
     rate = float(np.linalg.norm(turn))
-    slots = min(state.quiet_slots - ENDS, int(WANTED_RAD / (rate * SLOT_S)) + 1)
+    slots = min(slots - ENDS, int(WANTED_RAD / (rate * SLOT_S)) + 1) if rate > 0.0 else 0
     if slots < 2 * ENDS:
         return Verdict.UNDECIDED
     n, values = state.length, state.windows.reference
@@ -60,17 +64,15 @@ def verdict(state: State, turn: FloatArray) -> Verdict:
     start, end = then.mean(0), now.mean(0)
     seconds = state.span_s(slots)
     # The field turns against the body; of the yaw the sense depends on the axes.
-    if start[2] == 0.0:
-        expected = [_turned(start, UP, sense * rate * seconds) for sense in (-1.0, 1.0)]
-    else:
-        expected = [_turned(start, turn / rate, -rate * seconds)]
-    clear = min(float(np.linalg.norm(there - start)) for there in expected)
+    axis, senses = (UP, (-1.0, 1.0)) if start[2] == 0.0 else (turn / rate, (-1.0,))
+    clear = float(np.linalg.norm(_turned(start, axis, rate * seconds) - start))
     if not clear > CLEAR * noise or clear < 1e-9:
         return Verdict.UNDECIDED
     if float(np.linalg.norm(end - start)) < NEAR * clear:
         return Verdict.RESTS
-    if min(float(np.linalg.norm(end - there)) for there in expected) < NEAR * clear:
-        return Verdict.TURNS
+    for sense, share in product(senses, shares):
+        if float(np.linalg.norm(end - _turned(start, axis, sense * share * rate * seconds))) < NEAR * clear:
+            return Verdict.TURNS
     return Verdict.UNDECIDED
 
 

@@ -11,13 +11,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.estimation.rest.compass import Verdict, verdict
+from imumon.estimation.rest.compass import ANY, Verdict, verdict
 from imumon.estimation.rest.parameters import RestParameters
-from imumon.estimation.rest.state import ACCEL, AXES, EVERY, GYRO, LEVELS, Anchor, Slot, State
+from imumon.estimation.rest.state import ACCEL, AXES, EVERY, GYRO, LEVELS, Anchor, Slot, Spells, State
 from imumon.estimation.rest.trial import RING, Noise, adopt, look
 from imumon.estimation.rest.turn import (
     BEGINS_TURNING,
     Explained,
+    has_changed,
     has_settled,
     hypothesis,
     is_back,
@@ -106,12 +107,11 @@ def _decide_on(state: State, parameters: RestParameters, motion: Motion | None, 
         state.shaken = motion.sudden or (state.shaken and not state.at_rest)
         if state.at_rest:
             _leave(state, motion, end_s)
-        elif state.turn.any() and state.quiet_slots >= 2 * RING:
-            before = state.means(state.length - np.array([UNDISTURBED, UNDISTURBED + RING]))[0]
-            state.steady, state.steady_s = np.where(state.windows.known, before, np.nan), end_s
+        else:
+            _disturb(state, motion, end_s)
         _watch(state, end_s, HOLD_WINDOWS * motion.seconds)
     elif state.at_rest:
-        if state.slots % DECIDES_EVERY == 0 and state.turn.any():
+        if state.slots % DECIDES_EVERY == 0 and (state.turn.any() or not state.anchors):
             _decide(state, parameters, end_s)
     elif state.anchors and _may_be_back(state) and (anchor := is_back(state, parameters, end_s)):
         _rest_again(state, parameters, anchor.turn, end_s)
@@ -123,6 +123,15 @@ def _decide_on(state: State, parameters: RestParameters, motion: Motion | None, 
     ready = state.length - state.ring_from >= RING and end_s >= state.long_hold_s
     if ready and state.slots % TRIAL_EVERY == 0 and not _fits(state):
         _try(state, parameters, end_s)
+
+
+def _disturb(state: State, motion: Motion, now_s: float) -> None:
+    """Motion goes on: what was steady, and gives way to it slowly, was no rest; a knock may disturb one."""
+    if state.turn.any() and state.quiet_slots >= 2 * RING:
+        before = state.means(state.length - np.array([UNDISTURBED, UNDISTURBED + RING]))[0]
+        state.steady, state.steady_s = np.where(state.windows.known, before, np.nan), now_s
+    if not motion.sudden and state.quiet_slots >= SETTLE_SLOTS:
+        state.spells.end(now_s)
 
 
 def _fits(state: State) -> bool:
@@ -139,10 +148,14 @@ def _wanders(state: State) -> Motion | None:
     if found is None:
         return None
     # Older bins are too long to show that it began suddenly: what was seen then is doubted for as long as the
-    # temperature, gravity and the means since leave room for a turn as fast.
+    # temperature, gravity and the means since leave room for a turn as fast that began then.
     seen, kept = (float(np.sqrt(doubt @ doubt)) for doubt in (found.doubt, state.doubt))
     left = min(kept, found.possible)
-    state.doubt = found.doubt if seen >= left else state.doubt * (left / kept)
+    if seen >= left:
+        state.doubt, state.doubt_age = found.doubt, found.age
+    else:
+        state.doubt = state.doubt * (left / kept)
+    state.doubt_age += LOOKS_EVERY
     if found.probability < LIKELY:
         return None
     if is_over(state.turn, state.turn + found.doubt):
@@ -181,6 +194,7 @@ def _leave(state: State, motion: Motion, now_s: float) -> None:
     state.caution = 1.0 if long else min((1.0 if motion.sudden else 2.0) * state.caution, MOST_CAUTION)
     state.turning = motion.turning
     state.slow = state.turning or state.caution > 1.0
+    state.chance = 1.0
     state.at_rest, state.undecided_since_s, state.steady = False, np.nan, np.full(AXES, np.nan)
     state.ring_from = state.length
     forget(state)
@@ -224,7 +238,8 @@ def _remember(state: State, anchor: Anchor) -> None:
 
 def _enter(state: State, mean: FloatArray, drift: FloatArray, turn: FloatArray, now_s: float) -> None:
     state.windows.rest_mean[:], state.rest_since_s = mean, now_s
-    state.at_rest, state.turn, state.turns_on = True, turn, 1.0
+    state.at_rest, state.turn, state.chance = True, turn, 1.0
+    state.spells = Spells()
     since_s = now_s if np.isnan(state.undecided_since_s) else state.undecided_since_s
     state.undecided_since_s = since_s if turn.any() else np.nan
     set_band(state.windows, drift)
@@ -247,9 +262,12 @@ def _judge(
     Motion that begins or ends so slowly that only the mean shows it has ended when the mean is constant; by a
     noise that no longer fits nothing is, and the trial has judged that.
     """
+    if not state.anchors and _begins_turning(state, slots):
+        return np.zeros(3), False
     turn, explained = hypothesis(state, parameters, slots, now_s)
+    first = 0.0
     if turn.any():
-        said = verdict(state, turn)
+        said = verdict(state, turn, slots)
         if said is not Verdict.UNDECIDED:
             turn = np.zeros(3)
             explained = Explained.PLAINLY if said is Verdict.RESTS else Explained.NO
@@ -259,15 +277,21 @@ def _judge(
         late = now_s - state.undecided_since_s >= parameters.undecided_s
         if late and may_jump(state, parameters, turn):
             return np.zeros(3), True
-        unknown = explained is Explained.NO and bool(turn.any()) and is_upright(state, turn)
-        first = turned_at_first(state) if unknown else 0.0
-        if first > (BEGINS_TURNING if late else 0.5) and is_steady(state, parameters):
+        unknown = explained is Explained.NO and bool(turn.any()) and is_upright(state, turn, slots)
+        first = turned_at_first(state, slots) if unknown else 0.0
+        if first > 0.0 and is_steady(state, parameters):
+            state.begun = np.sqrt(first) * turn
+        if first > (BEGINS_TURNING if late else 0.5) and state.begun.any():
             state.anchors.clear()  # what was taken for a rest is none to come back to
+            state.begun = np.zeros(3)
             surely = late or np.log(1.0 - first) < -SURPRISE
             return np.zeros(3) if surely else np.sqrt(1.0 - first) * turn, True
     if explained is Explained.NO:
         # About another axis it would tilt the unit: gravity says soon whether it does.
-        state.turn, state.turning = turn, state.turning or bool(turn.any() and is_upright(state, turn))
+        state.turning |= bool(turn.any() and is_upright(state, turn, slots))
+        state.chance = has_changed(state, parameters, turn, slots, now_s)
+        state.chance *= 1.0 if may_jump(state, parameters, turn) else first
+        state.turn = turn
         return turn, False
     if not (state.anchors and fits):
         return turn, True
@@ -277,17 +301,36 @@ def _judge(
     return turn, has_settled(state, 2 * half, state.windows.variance[half.bit_length() - 1])
 
 
+def _begins_turning(state: State, slots: int) -> bool:
+    """Tell whether the compass says that what is the first rest, or would be, is a turn, and note it."""
+    mean = np.nan_to_num(state.latest(slots)[0])
+    gravity2 = float(mean[ACCEL] @ mean[ACCEL])
+    turn = mean[GYRO] if gravity2 == 0.0 else (mean[GYRO] @ mean[ACCEL]) * mean[ACCEL] / gravity2
+    turns = verdict(state, turn, slots, ANY) is Verdict.TURNS
+    if turns:
+        state.turn, state.chance = turn, 1.0
+    return turns
+
+
 def _decide(state: State, parameters: RestParameters, now_s: float) -> None:
     """At rest, though it may be a turn: ask the compass, the old mean, and the time it has taken."""
-    said = verdict(state, state.turn)
+    if not (state.anchors or state.turn.any()):
+        if _begins_turning(state, state.quiet_slots):
+            turn = state.turn
+            _leave(state, SLOWLY, now_s)
+            state.anchors.clear()
+            state.turn = turn
+            _watch(state, now_s, 0.0)
+        return
+    said = verdict(state, state.turn, state.quiet_slots)
     if said is Verdict.TURNS:
         _leave(state, SLOWLY, now_s)
         _watch(state, now_s, 0.0)
         return
     late = now_s - state.undecided_since_s >= parameters.undecided_s
     if state.anchors:
-        state.turn, state.turns_on = still_on(state, now_s)
-    if said is Verdict.RESTS or late or np.log(state.turns_on) < -SURPRISE:
+        state.turn, state.chance = still_on(state, now_s)
+    if said is Verdict.RESTS or late or np.log(state.chance) < -SURPRISE:
         state.turn, state.undecided_since_s = np.zeros(3), np.nan
 
 

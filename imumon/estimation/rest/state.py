@@ -253,6 +253,29 @@ class Anchor(NamedTuple):
 
 
 @dataclass
+class Spells:
+    """Steady means in motion that gave way to others, so that they were no rest, and the latest.
+
+    Parameters
+    ----------
+    count : int
+    seconds : float
+        How long they lasted altogether.
+    since_s : float or None
+        Since when the latest has been.
+    """
+
+    count: int = 0
+    seconds: float = 0.0
+    since_s: float | None = None
+
+    def end(self, now_s: float) -> None:
+        """Say that the latest gives way."""
+        if self.since_s is not None:
+            self.count, self.seconds, self.since_s = self.count + 1, self.seconds + now_s - self.since_s, None
+
+
+@dataclass
 class State:
     """All that is carried from slot to slot; arrays are (6,) unless another shape is given.
 
@@ -276,14 +299,21 @@ class State:
         Log-likelihoods of the noises that are tried (`wander`) before this history, and with it.
     doubt : array, (3,)
         Rms of a turn that nobody knows of, rad/s: it may have begun in this rest.
+    doubt_age : float
+        How long ago it did, units of the history.
     anchors : list of Anchor
         Means of earlier rests that differ, the latest first.
     undecided_since_s : float
         Since when a mean has been steady that differs from the anchors; NaN when none has.
     turn : array, (3,)
         Rate, rad/s, by which the gyros differ from the latest anchor while nothing tells a turn from a bias.
-    turns_on : float
-        Probability at rest that it is a turn.
+    chance : float
+        Probability that the bias is off by as much: at rest, that it is a turn, and in motion, that it is
+        none.
+    spells : Spells
+        Of this motion.
+    begun : array, (3,)
+        Rms of the turn in which the recording may have begun, rad/s: another mean has been as steady.
     shown : array, (3,)
         `undecided` when something was last decided.
     steady : array
@@ -310,10 +340,13 @@ class State:
     strengths: FloatArray = field(default_factory=lambda: np.zeros(14))
     strengths_seen: FloatArray = field(default_factory=lambda: np.zeros(14))
     doubt: FloatArray = field(default_factory=lambda: np.zeros(3))
+    doubt_age: float = 0.0
     anchors: list[Anchor] = field(default_factory=list)
     undecided_since_s: float = np.nan
     turn: FloatArray = field(default_factory=lambda: np.zeros(3))
-    turns_on: float = 1.0
+    chance: float = 1.0
+    spells: Spells = field(default_factory=Spells)
+    begun: FloatArray = field(default_factory=lambda: np.zeros(3))
     shown: FloatArray = field(default_factory=lambda: np.zeros(3))
     steady: FloatArray = field(default_factory=lambda: np.full(AXES, np.nan))
     steady_s: float = 0.0
@@ -334,8 +367,8 @@ class State:
 
         So may half of what the noise leaves of a gyro's step, for its readings are the same with and without.
         """
-        turn = math.sqrt(self.turns_on) * self.turn if self.at_rest else self.turn
-        turn = turn if turn @ turn > self.doubt @ self.doubt else self.doubt
+        likely = [math.sqrt(self.chance) * self.turn, self.doubt, self.begun if self.at_rest else np.zeros(3)]
+        turn = max(likely, key=lambda one: float(one @ one))
         return np.asarray(np.copysign(np.hypot(turn, 0.5 * self.windows.resolution[GYRO]), turn))
 
     def show(self) -> None:

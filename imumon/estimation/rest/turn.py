@@ -27,13 +27,15 @@ STEADY_SIGMAS, TURN_STEADY_SIGMAS = 3.0, 2.0
 PLAIN_SIGMAS = 2.0
 """Sigmas of a change of which nobody would ask whether it is a turn."""
 BACK_SIGMAS = 3.0
-BACK_S, SLOW_BACK_S, TURN_BACK_S = 0.25, 4.0, 16.0
+BACK_S, SLOW_BACK_S = 0.25, 4.0
 ALL_CREEP = 10.0
 """What makes a bias creep, temperature, has all axes creep: one by more than ten times what both others do,
 in one unit of a hundred where each of them may have any part of the slope of the first."""
 BEGINS_TURNING = 0.05
 """Share of recordings that begin in a turn: who starts one on a turntable that runs.  Assumed, as
 `TURN_EVERY_S` is."""
+UNLIKELY = 0.01
+"""What is less likely is not told: errors of more than five sigmas may be so frequent."""
 EARTH = 7.3e-5
 """rad/s: a gyro without any bias reads up to the earth's rate."""
 SMALL_ANGLE = 1.0
@@ -145,10 +147,11 @@ def _explained(
 def is_back(state: State, parameters: RestParameters, now_s: float) -> Anchor | None:
     """Return the earlier rest of which all means are again what they were.
 
-    For a quarter of a second after a knock, and for 4 s after what showed slowly.
+    For a quarter of a second after a knock, for 4 s after what showed slowly, and so that two means of 8 s
+    are those of the rest after what only the mean shows.
     """
     slots = state.quiet_slots
-    least_s = TURN_BACK_S if state.turning else SLOW_BACK_S if state.slow else BACK_S
+    least_s = SLOW_BACK_S if state.slow else BACK_S
     if state.span_s(min(slots, KEPT)) < least_s:
         return None
     recent, variance = recent_mean(state, slots)
@@ -156,15 +159,24 @@ def is_back(state: State, parameters: RestParameters, now_s: float) -> Anchor | 
     if state.turning:  # a turn that ends slowly is slow for longer than its mean is near
         means.append(state.means(state.length - steady_slots(state) // 2 * np.array([1, 2]))[0])
     for anchor in state.anchors:
-        limit = BACK_SIGMAS * np.sqrt(variance + anchor.variance) + state.windows.resolution
+        noise = variance + anchor.variance
+        limit = BACK_SIGMAS * np.sqrt(noise) + state.windows.resolution
         limit[ACCEL] += min(parameters.accel_drift * (now_s - anchor.at_s), TILTED)
-        change = np.max([np.abs(mean - anchor.mean) for mean in means], axis=0)
-        change = np.where(np.isfinite(recent), change, 0.0)
-        refuted = not state.slow or is_over(state.turn, change[GYRO])
+        changes = np.where(np.isfinite(recent), np.array(means) - anchor.mean, 0.0)
         # A mean so uncertain that it fits a steady turn as well says nothing yet.
         off = np.abs(anchor.turn_now(recent) - state.turn)
-        refuted &= bool(state.shaken or (off > limit[GYRO]).any())
-        if refuted and (change <= limit).all():
+        refuted = bool(state.shaken or (off > limit[GYRO]).any())
+        refuted &= not state.slow or is_over(state.turn, changes[:, GYRO])
+        if state.turning and state.turn.any():
+            axis = state.turn / np.sqrt(state.turn @ state.turn)
+            along = changes[:, GYRO] @ axis
+            refuted &= bool((np.abs(along) <= limit[GYRO] @ np.abs(axis)).all())
+            # Across the axis of the turn the bias has wandered, for gravity would show it if it turned.
+            changes[:, GYRO] -= np.outer(along, axis)
+            limit[GYRO] = np.hypot(
+                limit[GYRO], BACK_SIGMAS * np.sqrt(wander_after(state, now_s - anchor.at_s))
+            )
+        if refuted and (np.abs(changes) <= limit).all():
             return anchor
     return None
 
@@ -192,7 +204,27 @@ def still_on(state: State, now_s: float) -> tuple[FloatArray, float]:
     return state.turn, float(1.0 / (1.0 + np.exp(min(0.5 * over, 100.0)) * since_s / TURN_EVERY_S))
 
 
-def turned_at_first(state: State) -> float:
+def has_changed(
+    state: State, parameters: RestParameters, turn: FloatArray, slots: int, now_s: float
+) -> float:
+    """Return the probability that a mean that is steady in motion is a bias that has changed, and note it.
+
+    None of the earlier spells of this motion was: so it is one in so many (Laplace), times how improbable it
+    is that another spell of the kind lasts as long (exponential, of a mean that only those tell).
+    """
+    spells, began_s = state.spells, now_s - state.span_s(min(slots, KEPT))
+    if spells.since_s is not None:
+        noise = 2.0 * recent_mean(state, slots)[1][GYRO]
+        limit = SIGMAS * np.sqrt(noise) + parameters.gyro_drift * (now_s - spells.since_s)
+        if (np.abs(turn - state.turn) > limit + state.windows.resolution[GYRO]).any():
+            spells.end(now_s)
+    spells.since_s = began_s if spells.since_s is None else spells.since_s
+    lasted_s = now_s - spells.since_s
+    longer = (spells.seconds / (spells.seconds + lasted_s)) ** spells.count
+    return 1.0 / (1.0 + spells.count * longer)
+
+
+def turned_at_first(state: State, slots: int) -> float:
     """Return the probability that the first rest was a turn and is over, if one of the two means is a turn.
 
     Two steady means look alike.  Of the biases of a gyro nobody knows the scale s: with a density of 1/s, a
@@ -201,10 +233,10 @@ def turned_at_first(state: State) -> float:
     """
     if len(state.anchors) != 1:
         return 0.0
-    now = recent_mean(state, state.quiet_slots)[0]
+    now = recent_mean(state, slots)[0]
     first2, now2 = (float(np.nansum(mean[GYRO] ** 2)) + EARTH**2 for mean in (state.anchors[0].mean, now))
     odds = BEGINS_TURNING / (1.0 - BEGINS_TURNING) * (first2 / now2) ** 1.5
-    return float(odds / (1.0 + odds))
+    return float(odds / (1.0 + odds)) if odds > UNLIKELY else 0.0
 
 
 def upright(state: State, turn: FloatArray, force: FloatArray) -> FloatArray:
@@ -215,9 +247,9 @@ def upright(state: State, turn: FloatArray, force: FloatArray) -> FloatArray:
     return np.asarray((turn @ force) * force / gravity2)
 
 
-def is_upright(state: State, turn: FloatArray) -> bool:
-    """Tell whether a turn, (3,), is about the vertical as it is now, or gravity is not known."""
-    across = turn - upright(state, turn, recent_mean(state, state.quiet_slots)[0][ACCEL])
+def is_upright(state: State, turn: FloatArray, slots: int) -> bool:
+    """Tell whether a turn, (3,), is about the vertical of the latest slots, or gravity is not known."""
+    across = turn - upright(state, turn, recent_mean(state, slots)[0][ACCEL])
     return not across @ across > OBLIQUE**2 * (turn @ turn)
 
 

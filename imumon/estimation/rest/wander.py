@@ -72,12 +72,13 @@ _TIMES = np.where(_FIRST == _SECOND, 1.0, 2.0)
 
 
 class Turning(NamedTuple):
-    """That it turns now: the probability; the turn's rms, rad/s, (3,), 0 for what is decided, and the rms of
-    those that it can be if it turns; the mean of all axes before it began, (6,), how long ago that was, s,
-    and the temperature then, °C."""
+    """That it turns now: the probability; the turn's rms, rad/s, (3,), 0 for what is decided, the age at
+    which it likeliest began, units, and the rms of what may turn since the age of the doubt that is kept; the
+    mean of all axes before it began, (6,), how long ago that was, s, and the temperature then, °C."""
 
     probability: float
     doubt: FloatArray
+    age: float
     possible: float
     before: FloatArray
     age_s: float
@@ -224,7 +225,7 @@ def look_for_turn(state: State) -> Turning | None:
     frame = _frame(state, means[:, GYRO])
     white = (frame * frame).T @ white
     columns = means[:, GYRO] @ frame / np.sqrt(white)
-    return _weigh(state, known, _seen(state, known, columns, np.sqrt(white)), frame[:, 0])
+    return _weigh(state, known, _seen(state, known, columns, np.sqrt(white)), frame)
 
 
 def _seen(state: State, known: Changes, columns: FloatArray, white_sd: FloatArray) -> Seen:
@@ -272,13 +273,15 @@ def _frame(state: State, means: FloatArray) -> FloatArray:
     return np.asarray(axes)
 
 
-def _weigh(state: State, known: Changes, seen: Seen, up: FloatArray) -> Turning:
-    """Return what changes make likely; up is the vertical."""
-    likely, x, square = seen.likely, seen.x, np.square(seen.x)
+def _weigh(state: State, known: Changes, seen: Seen, frame: FloatArray) -> Turning:
+    """Return what changes make likely; the frame's first column is the vertical."""
+    likely, up = seen.likely, frame[:, 0]
     ratio2 = np.square(seen.size / seen.white_sd[:, np.newaxis, np.newaxis])
-    change2 = square[0] / ratio2[0]
-    step = float(np.abs(up) @ state.windows.resolution[GYRO])
-    off2 = square[0] / (1.0 + step * step * ratio2[0])
+    # Any change may be what the steps of a gyro hide, whatever made it.
+    steps2 = np.square(np.abs(frame).T @ state.windows.resolution[GYRO])
+    hidden2 = 1.0 + steps2[:, np.newaxis, np.newaxis] * ratio2
+    square, ratio2 = np.square(seen.x) / hidden2, ratio2 / hidden2
+    off2, change2 = square[0], square[0] / ratio2[0]
     prior = np.log(known.seconds / TURN_EVERY_S)
     # Rates are as likely on a logarithmic scale: exp(x²/2) times their density at x.
     turn = likely + (prior - np.log(RATES / 2.5066)) + 0.5 * off2
@@ -305,10 +308,21 @@ def _weigh(state: State, known: Changes, seen: Seen, up: FloatArray) -> Turning:
     oldest = int(np.searchsorted(ages, min(ages[0] + LEAST, ages[-1])))
     past = state.past
     before, degc = past.means(ages[[0, oldest]])[0], past.first_degc + past.warmed(ages[[0, oldest]])[0, 0]
-    doubt = np.copysign(rms, (now * x[0] / np.sqrt(ratio2[0])).sum()) * up
-    probability = float(now.sum())
-    possible = float(rms / np.sqrt(probability)) if probability > 0.0 else 0.0
-    return Turning(probability, doubt, possible, before, float(ages[0]) * past.unit_s, degc)
+    doubt = np.copysign(rms, (now * np.copysign(np.sqrt(change2), seen.x[0])).sum()) * up
+    possible = _possible(known, turn, change2 + 1.0 / ratio2[0], state.doubt_age)
+    age = float(ages[0])
+    return Turning(float(now.sum()), doubt, age, possible, before, age * past.unit_s, degc)
+
+
+def _possible(known: Changes, turn: FloatArray, rate2: FloatArray, age: float) -> float:
+    """Return the rms of the turns that may have begun in the bin of an age, units, and go on, rad/s.
+
+    turn and rate2, (s, h), are the log-likelihood and the mean square of each.
+    """
+    then = min(int(np.searchsorted(known.edges, age)), int(known.began.max()) + 1) - 1
+    begun = known.goes_on & (known.began == max(then, int(known.began.min())))
+    likely = np.exp(turn[:, begun] - turn[:, begun].max())
+    return float(np.sqrt((likely * rate2[:, begun]).sum() / likely.sum()))
 
 
 def _crept(state: State, known: Changes) -> FloatArray:

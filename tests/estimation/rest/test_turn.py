@@ -12,14 +12,22 @@ from tests.estimation.rest.scenes import DEG, GRAVITY, block, noise, rolled
 
 BEGIN_S = 150.0
 FIELD = np.array([20.0, 5.0, 40.0])
+SMALL = (0.1 * DEG, -0.05 * DEG, 0.03 * DEG)
+"""A bias against which no turn of half a degree per second looks like the smaller mean."""
+LARGEST_DPS = 0.97
+"""The `largest_jump` of a bias."""
 
 
 def turn(
-    rate_dps: float, minutes: float, ramp_s: float, gyro_sd: float = 5e-4
+    rate_dps: float,
+    minutes: float,
+    ramp_s: float,
+    gyro_sd: float = 5e-4,
+    bias: tuple[float, float, float] = (2.0 * DEG, -0.3 * DEG, 0.1 * DEG),
 ) -> tuple[SampleBlock, FloatArray]:
     """Return 150 s of rest, a turn that begins and ends evenly in ramp_s, and 90 s of rest; and its rate."""
     seconds = 60.0 * minutes + ramp_s
-    t, gyro, accel = noise(BEGIN_S + seconds + 90.0, 25.0, gyro_sd)
+    t, gyro, accel = noise(BEGIN_S + seconds + 90.0, 25.0, gyro_sd, bias=bias)
     since = t - BEGIN_S
     rate = rate_dps * DEG * np.clip(np.minimum(since, seconds - since) / ramp_s, 0.0, 1.0)
     gyro[:, 2] += rate
@@ -49,14 +57,17 @@ def found(samples: SampleBlock) -> tuple[FloatArray, FloatArray, FloatArray]:
 def test_a_steady_turn_is_no_rest_and_the_rest_after_it_is_found(
     rate_dps: float, minutes: float, ramp_s: float
 ) -> None:
-    samples, rate = turn(rate_dps, minutes, ramp_s)
+    samples, rate = turn(rate_dps, minutes, ramp_s, bias=SMALL)
     t, rest, hypothesis = found(samples)
     moving = rate != 0.0
     assert rest[moving].mean() <= 0.02
     stop = t[np.flatnonzero(moving)[-1]]
     assert np.all(rest[t > stop + 20.0] == 1)
     full = (np.abs(rate) >= abs(rate_dps) * DEG * 0.999) & (t > BEGIN_S + ramp_s + 40.0)
-    assert hypothesis[full] == pytest.approx(rate_dps * DEG, rel=0.1)
+    if abs(rate_dps) < LARGEST_DPS:
+        assert hypothesis[full] == pytest.approx(rate_dps * DEG, rel=0.1)
+    else:  # no bias changes by so much; it may have been another at first
+        assert np.abs(hypothesis[full]).max() < 0.4 * rate_dps * DEG
     before, after = t < BEGIN_S, t > stop + 20.0
     assert np.abs(hypothesis[(before | after) & (rest == 1)]).max() < 0.01 * abs(rate_dps) * DEG
 
@@ -210,6 +221,40 @@ def test_so_does_the_yaw_of_the_device_whatever_its_sense(sense: float) -> None:
     assert not hypothesis[during].any()
     still = found(samples.with_columns({"yaw": np.full(len(t), 3.1)}))[1]
     assert still[during].all()
+
+
+@pytest.mark.parametrize("rate_dps", [0.6, -8.0])
+def test_with_a_magnetometer_a_recording_that_begins_in_a_turn_is_not_at_rest(rate_dps: float) -> None:
+    t, gyro, accel = noise(200.0, 25.0)
+    rate = np.where(t < 100.0, rate_dps * DEG, 0.0)
+    gyro[:, 2] += rate
+    _, rest, hypothesis = found(with_field(block(t, gyro, accel), rate))
+    assert rest[t < 100.0].mean() < 0.25
+    told = (t > 30.0) & (t < 100.0)
+    assert not rest[told].any()
+    assert np.abs(hypothesis[told]).min() > 0.8 * abs(rate_dps) * DEG  # the whole of it may be in the bias
+    assert rest[t > 110.0].all()
+    assert np.abs(hypothesis[t > 110.0]).max() < 0.02 * DEG
+
+
+def test_without_one_the_first_mean_stays_in_doubt_once_there_was_another() -> None:
+    t, gyro, accel = noise(300.0, 25.0)
+    gyro[(t > 100.0) & (t < 200.0), 2] -= 0.7 * DEG  # a turn, or the end of one
+    _, rest, hypothesis = found(block(t, gyro, accel))
+    assert rest[t > 220.0].all()
+    assert np.abs(hypothesis[(t > 50.0) & (t < 99.0)]).max() < 0.01 * DEG
+    assert 0.05 * DEG < np.abs(hypothesis[t > 220.0]).max() < 0.7 * DEG
+
+
+@pytest.mark.parametrize("degrees", [1.0, 8.0])
+def test_who_swings_has_no_bias_that_jumps_twice_a_period(degrees: float) -> None:
+    t, gyro, accel = noise(400.0, 25.0, 2e-4)
+    largest = degrees * DEG * 2.0 * np.pi / 20.0
+    gyro[:, 2] += np.where(t > 100.0, largest * np.cos(2.0 * np.pi * t / 20.0), 0.0)
+    _, rest, hypothesis = found(block(t, gyro, accel))
+    assert rest[t > 100.0].mean() < 0.02
+    late = np.abs(hypothesis[t > 250.0])
+    assert np.sqrt((late**2).mean()) < 0.5 * largest  # one in as many as there were
 
 
 def test_a_slow_tilt_to_and_fro_is_hardly_ever_rest() -> None:
