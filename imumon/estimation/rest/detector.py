@@ -32,8 +32,9 @@ from imumon.estimation.rest.turn import (
     turned_at_first,
     upright,
 )
-from imumon.estimation.rest.wander import SURPRISE, forget, look_for_turn
+from imumon.estimation.rest.wander import OBLIQUE, SURPRISE, forget, look_for_turn
 from imumon.estimation.rest.windows import Motion, seen, set_band
+from imumon.geodesy import STANDARD_GRAVITY
 
 GAP_S = 2.5
 SETTLE_S = 1.0
@@ -69,7 +70,7 @@ def begin(state: State, now_s: float, other: bool) -> None:
     if other:
         state.undecided_since_s = np.nan
         state.anchors.clear()
-        state.turn = np.zeros(3)
+        state.turn = state.begun = np.zeros(3)
     state.ring_from = state.length
     state.long_hold_s = now_s
     state.windows.last[:] = np.nan
@@ -238,6 +239,8 @@ def _remember(state: State, anchor: Anchor) -> None:
 
 def _enter(state: State, mean: FloatArray, drift: FloatArray, turn: FloatArray, now_s: float) -> None:
     state.windows.rest_mean[:], state.rest_since_s = mean, now_s
+    if state.anchors and np.linalg.norm((mean - state.anchors[0].mean)[ACCEL]) > OBLIQUE * STANDARD_GRAVITY:
+        state.begun = np.zeros(3)  # a turn about the vertical would be about another axis now
     state.at_rest, state.turn, state.chance = True, turn, 1.0
     state.spells = Spells()
     since_s = now_s if np.isnan(state.undecided_since_s) else state.undecided_since_s

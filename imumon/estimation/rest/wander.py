@@ -309,20 +309,21 @@ def _weigh(state: State, known: Changes, seen: Seen, frame: FloatArray) -> Turni
     past = state.past
     before, degc = past.means(ages[[0, oldest]])[0], past.first_degc + past.warmed(ages[[0, oldest]])[0, 0]
     doubt = np.copysign(rms, (now * np.copysign(np.sqrt(change2), seen.x[0])).sum()) * up
-    possible = _possible(known, turn, change2 + 1.0 / ratio2[0], state.doubt_age)
-    age = float(ages[0])
+    possible, age = _possible(known, turn, change2, ratio2[0], state.doubt_age), float(ages[0])
     return Turning(float(now.sum()), doubt, age, possible, before, age * past.unit_s, degc)
 
 
-def _possible(known: Changes, turn: FloatArray, rate2: FloatArray, age: float) -> float:
+def _possible(known: Changes, turn: FloatArray, change2: FloatArray, ratio2: FloatArray, age: float) -> float:
     """Return the rms of the turns that may have begun in the bin of an age, units, and go on, rad/s.
 
-    turn and rate2, (s, h), are the log-likelihood and the mean square of each.
+    They have log-likelihoods, squared rates, and variances of these whose inverses are `ratio2`, (s, h).
     """
-    then = min(int(np.searchsorted(known.edges, age)), int(known.began.max()) + 1) - 1
-    begun = known.goes_on & (known.began == max(then, int(known.began.min())))
-    likely = np.exp(turn[:, begun] - turn[:, begun].max())
-    return float(np.sqrt((likely * rate2[:, begun]).sum() / likely.sum()))
+    then = min(int(np.searchsorted(known.edges, age)) - 1, int(known.began.max()))
+    begun = np.flatnonzero(known.goes_on & (known.began == max(then, int(known.began.min()))))
+    likely = turn[:, begun]
+    likely = np.exp(likely - likely.max())
+    rate2 = change2[:, begun] + 1.0 / ratio2[:, begun]
+    return float(np.sqrt((likely * rate2).sum() / likely.sum()))
 
 
 def _crept(state: State, known: Changes) -> FloatArray:

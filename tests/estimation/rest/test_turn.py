@@ -237,13 +237,17 @@ def test_with_a_magnetometer_a_recording_that_begins_in_a_turn_is_not_at_rest(ra
     assert np.abs(hypothesis[t > 110.0]).max() < 0.02 * DEG
 
 
-def test_without_one_the_first_mean_stays_in_doubt_once_there_was_another() -> None:
-    t, gyro, accel = noise(300.0, 25.0)
+def test_without_one_the_first_mean_stays_in_doubt_once_there_was_another_until_it_lies_otherwise() -> None:
+    t, gyro, accel = noise(400.0, 25.0)
     gyro[(t > 100.0) & (t < 200.0), 2] -= 0.7 * DEG  # a turn, or the end of one
+    gyro[(t > 300.0) & (t < 302.0), 0] += 45.0 * DEG
+    accel[t > 302.0] += [0.0, GRAVITY, GRAVITY]
     _, rest, hypothesis = found(block(t, gyro, accel))
-    assert rest[t > 220.0].all()
+    again, otherwise = (t > 220.0) & (t < 299.0), t > 320.0
+    assert rest[again | otherwise].all()
     assert np.abs(hypothesis[(t > 50.0) & (t < 99.0)]).max() < 0.01 * DEG
-    assert 0.05 * DEG < np.abs(hypothesis[t > 220.0]).max() < 0.7 * DEG
+    assert 0.05 * DEG < np.abs(hypothesis[again]).min() <= np.abs(hypothesis[again]).max() < 0.7 * DEG
+    assert np.abs(hypothesis[otherwise]).max() < 0.02 * DEG
 
 
 @pytest.mark.parametrize("degrees", [1.0, 8.0])

@@ -102,6 +102,27 @@ def test_a_step_of_the_vertical_rate_is_a_turn_however_small_until_the_old_mean_
     assert rest[t > 705.0].all()
 
 
+@pytest.mark.parametrize("seed", [3, 5])
+def test_a_turn_that_begins_slowly_on_a_coarse_gyro_is_no_creep(seed: int) -> None:
+    t, gyro, accel = noise(420.0, 25.0, gyro_sd=0.025 * DEG, seed=seed)
+    gyro += wandering(gyro, 25.0, 25.0 / 3600.0 * DEG, seed)
+    gyro[:, 2] += 0.5 * DEG * np.clip((t - 150.0) / 120.0, 0.0, 1.0)
+    gyro = 0.06 * DEG * np.round(gyro / (0.06 * DEG))
+    rest, _ = found(t, gyro, accel)
+    assert rest[t < 150.0].mean() > 0.9
+    assert not rest[t > 190.0].any()  # by then it is 0.17 °/s, ten times the wander
+
+
+def test_the_doubt_of_a_slow_turn_stays_for_as_long_as_it_may_go_on() -> None:
+    t, gyro, accel = noise(760.0, 25.0, gyro_sd=0.025 * DEG, seed=7)
+    gyro += wandering(gyro, 25.0, 50.0 / 3600.0 * DEG, 7)
+    gyro[t > 150.0, 2] += 0.05 * DEG
+    rest, hypothesis = found(t, gyro, accel)
+    late = t > 500.0
+    assert rest[late].any()
+    assert np.abs(hypothesis[late & (rest == 1)]).min() > 0.2 * 0.05 * DEG
+
+
 def test_a_knock_does_not_end_a_turn_but_the_old_mean_does() -> None:
     t, gyro, accel = noise(600.0, 25.0, gyro_sd=5e-5)
     gyro[(t > 60.0) & (t < 500.0), 2] += 0.06 * DEG
