@@ -200,9 +200,9 @@ def run_case(job: tuple[Setting, int]) -> Said:
         last = replace(last, mean={**last.mean, **change})
     stage, spent, since, texts = LiveDiagnosis(model), 0.0, np.nan, list[str]()
     for block in blocks_of(last):
-        began = time.perf_counter()
+        began = time.process_time()
         stage.process(block)
-        spent += time.perf_counter() - began
+        spent += time.process_time() - began
         for text in stage.notices():
             since = since if np.isfinite(since) else float(block["device_time_ns"][-1]) * 1e-9
             texts.append(text)
