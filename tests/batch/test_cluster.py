@@ -49,7 +49,7 @@ def program(queue: str, port: int) -> str:
     ):
         assert old in found
         found = found.replace(old, new)
-    return found
+    return str(found)
 
 
 @pytest.mark.parametrize("queue", QUEUES)
