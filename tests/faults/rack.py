@@ -196,8 +196,8 @@ def measure(folder: Path, units: int, rate_hz: float, minutes: float, view: str)
         1,
         f"{missing:,} of {units * len(feeder.stream):,} bytes missing on disk, {wrong} recordings differ"
         f" from what was sent{_moments(feeder.losing)}, {deaths} processes died; a unit takes"
-        f" {np.mean(cpu):.1%} of a core ({min(cpu):.1%} to {max(cpu):.1%}) and {np.mean(memory):.0f} MB, all {sum(cpu):.0%} and"
-        f" {sum(memory):.0f} MB; {beside}; load average of the machine {load:.1f} before and"
+        f" {np.mean(cpu):.1%} of a core ({min(cpu):.1%} to {max(cpu):.1%}) and {np.mean(memory):.0f} MB,"
+        f" all {sum(cpu):.0%} and {sum(memory):.0f} MB; {beside}; load average of the machine {load:.1f} before and"
         f" {os.getloadavg()[0]:.1f} after, {os.cpu_count()} cores",
         held=not (missing or wrong or deaths),
     )
