@@ -197,8 +197,8 @@ def measure(folder: Path, units: int, rate_hz: float, minutes: float, view: str)
         f"{missing:,} of {units * len(feeder.stream):,} bytes missing on disk, {wrong} recordings differ"
         f" from what was sent{_moments(feeder.losing)}, {deaths} processes died; a unit takes"
         f" {np.mean(cpu):.1%} of a core ({min(cpu):.1%} to {max(cpu):.1%}) and {np.mean(memory):.0f} MB,"
-        f" all {sum(cpu):.0%} and {sum(memory):.0f} MB; {beside}; load average of the machine {load:.1f} before and"
-        f" {os.getloadavg()[0]:.1f} after, {os.cpu_count()} cores",
+        f" all {sum(cpu):.0%} and {sum(memory):.0f} MB; {beside}; load average of the machine {load:.1f}"
+        f" before and {os.getloadavg()[0]:.1f} after, {os.cpu_count()} cores",
         held=not (missing or wrong or deaths),
     )
 
