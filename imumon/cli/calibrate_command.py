@@ -81,7 +81,7 @@ def command(
     if parameters is not None:
         from imumon.calibration.refuted import check_last
 
-        result.warnings += check_last(records, latitude, heading)
+        result.warnings.extend(check_last(records, latitude, heading))
     written = write_parameters(model, parameters, autopilot)
     model.write(out)
     if plot is not None:
