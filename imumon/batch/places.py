@@ -75,6 +75,7 @@ def _elsewhere(place: str) -> list[str]:
     if address.endswith(TABLE_SUFFIXES):
         return [place]
     try:
+        files.info(root)  # which says why where there is nothing: the search below passes over errors
         names = [str(name) for name in files.find(root) if str(name).endswith(f"/{METADATA_NAME}")]
     except OSError as error:
         raise ImumonError(Reason.BAD_DATA, f"{place}: cannot be read: {error}") from error

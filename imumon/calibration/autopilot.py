@@ -73,12 +73,7 @@ def parameters(
         BAD_DATA when the span is too small, or a channel has more than a curve; BAD_CONFIG when identifiers
         or gyros are missing.
     """
-    if autopilot == "px4" and ids is None:
-        raise ImumonError(
-            Reason.BAD_CONFIG,
-            "PX4 finds the calibration of a sensor by its identifier, which is not in the model",
-            "give --device-ids GYRO ACCEL: sensor_gyro.device_id and sensor_accel.device_id of its log",
-        )
+    check_ids(autopilot, ids)
     kinds = [kind for kind in KINDS if all(f"{kind}_{axis}" in model.channels for axis in "xyz")]
     if "gyro" not in kinds:
         raise ImumonError(Reason.BAD_CONFIG, "the model has not all three gyros", "calibrate all of them")
@@ -95,6 +90,16 @@ def parameters(
             for name, value in _px4(cubics, imu, reference, dict(zip(KINDS, ids or (), strict=True)))
         ]
     return Exported("\n".join(lines) + "\n", _notes(model, cubics, autopilot))
+
+
+def check_ids(autopilot: Autopilot, ids: tuple[int, int] | None) -> None:
+    """Raise BAD_CONFIG where identifiers are needed and missing, which is known before any work."""
+    if autopilot == "px4" and ids is None:
+        raise ImumonError(
+            Reason.BAD_CONFIG,
+            "PX4 finds the calibration of a sensor by its identifier, which is not in the model",
+            "give --device-ids GYRO ACCEL: sensor_gyro.device_id and sensor_accel.device_id of its log",
+        )
 
 
 def _cubic(model: BiasModel, kind: str, reference: float) -> _Cubic:

@@ -88,15 +88,23 @@ def calibrate_sessions(
         BAD_DATA when a session cannot be read or the data does not allow a model; BAD_CONFIG when latitude or
         heading cannot be used.
     """
-    _check_place(latitude_deg, heading_deg)  # before minutes of reading
-    records, warnings = [], []
-    for path in paths:
-        record, said = read_session(path)
-        records.append(record)
-        warnings += said
+    check_place(latitude_deg, heading_deg)  # before minutes of reading
+    records, warnings = read_sessions(paths)
     calibration = calibrate(records, latitude_deg, heading_deg, serial, tell)
     calibration.warnings[:0] = warnings
     return calibration
+
+
+def read_sessions(paths: Sequence[Path]) -> tuple[list[Record], list[str]]:
+    """Return the records of sessions, and what is to be said of them.
+
+    Raises
+    ------
+    ImumonError
+        BAD_DATA when one cannot be read.
+    """
+    found = [read_session(path) for path in paths]
+    return [record for record, _ in found], [text for _, said in found for text in said]
 
 
 def calibrate(
@@ -117,7 +125,7 @@ def calibrate(
         BAD_DATA, with the numbers seen, when the data does not allow a model; BAD_CONFIG when only one of
         latitude and heading is given, or the heading cannot be used.
     """
-    _check_place(latitude_deg, heading_deg)
+    check_place(latitude_deg, heading_deg)
     check_columns(records)
     cells = group(records, latitude_deg, heading_deg)
     check_coverage(records, cells)
@@ -155,7 +163,8 @@ def calibrate(
     )
 
 
-def _check_place(latitude_deg: float | None, heading_deg: float | None) -> None:
+def check_place(latitude_deg: float | None, heading_deg: float | None) -> None:
+    """Raise BAD_CONFIG where only one of them is given."""
     if (latitude_deg is None) != (heading_deg is None):
         missing = "latitude" if latitude_deg is None else "heading"
         raise ImumonError(

@@ -44,22 +44,39 @@ def autopilot_options(command: Command) -> Command:
     return command
 
 
-def write_parameters(model: BiasModel, out: Path, options: AutopilotOptions) -> dict[str, Path]:
-    """Write the parameters beside the model, and say what to know of them; return what was written.
+def check_parameters(out: Path, options: AutopilotOptions) -> Path | None:
+    """Return where the parameters go, None where none were asked for; raise before any work what is wrong.
+
+    Raises
+    ------
+    ImumonError
+        EXISTS when there is such a file; BAD_CONFIG when identifiers are missing.
+    """
+    if options["autopilot"] is None:
+        return None
+    from imumon.calibration.autopilot import SUFFIX, check_ids
+    from imumon.files import check_output
+
+    check_ids(options["autopilot"], options["device_ids"])
+    path = out.with_suffix(SUFFIX[options["autopilot"]])
+    check_output(path)
+    return path
+
+
+def write_parameters(model: BiasModel, path: Path | None, options: AutopilotOptions) -> dict[str, Path]:
+    """Write the parameters there, and say what to know of them; return what was written.
 
     Raises
     ------
     ImumonError
         As `imumon.calibration.autopilot.parameters`.
     """
-    if options["autopilot"] is None:
+    if path is None or options["autopilot"] is None:
         return {}
-    from imumon.calibration.autopilot import SUFFIX, parameters
-    from imumon.files import check_output, write_text
+    from imumon.calibration.autopilot import parameters
+    from imumon.files import write_text
 
-    path = out.with_suffix(SUFFIX[options["autopilot"]])
     made = parameters(model, options["autopilot"], options["imu"], options["device_ids"])
-    check_output(path)
     write_text(path, made.text)
     warn(made.notes)
     return {"parameters": path}

@@ -8,7 +8,12 @@ from typing import TYPE_CHECKING, Any, Unpack
 
 import click
 
-from imumon.cli.autopilot_options import AutopilotOptions, autopilot_options, write_parameters
+from imumon.cli.autopilot_options import (
+    AutopilotOptions,
+    autopilot_options,
+    check_parameters,
+    write_parameters,
+)
 from imumon.cli.common import PATH, Number, json_option, print_json, print_rows, show, warn
 from imumon.cli.diagnose_command import chosen_drivers, read
 from imumon.cli.progress import reading_bar
@@ -58,18 +63,26 @@ def command(
     """
     for path in filter(None, (out, plot)):
         check_output(path)
-    from imumon.calibration.calibration import calibrate_sessions
+    parameters = check_parameters(out, autopilot)
+    from imumon.calibration.calibration import calibrate, check_place, read_sessions
 
     chosen, driven = chosen_drivers(drivers), None
     with reading_bar(sessions, quiet=as_json) as tell:
-        result = calibrate_sessions(sessions, latitude, heading, serial, tell)
+        check_place(latitude, heading)
+        records, said = read_sessions(sessions)
+        result = calibrate(records, latitude, heading, serial, tell)
+        result.warnings[:0] = said
         if chosen != []:
             from imumon.calibration.driven import with_drivers
 
             runs = [read(path, None, at_rest=False) for path in sessions]
             driven = with_drivers(result.model, runs, chosen, tell)
     model = result.model if driven is None else driven.model
-    written = write_parameters(model, out, autopilot)
+    if parameters is not None:
+        from imumon.calibration.refuted import check_last
+
+        result.warnings.extend(check_last(records, latitude, heading))
+    written = write_parameters(model, parameters, autopilot)
     model.write(out)
     if plot is not None:
         from imumon.calibration.plot import write_calibration_plot

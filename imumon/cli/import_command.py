@@ -40,7 +40,18 @@ def command(
 
         found = import_log(table, sensor, out)
         report = found.rows
-        chosen = {"sensor": found.sensor, "other_sensors": found.others, "scaling": found.scaling}
+        damage = found.damage
+        if damage.places:
+            say(
+                "WARN",
+                f"{damage.size:,} bytes in {damage.places:,} damaged place(s) of the log were left out",
+            )
+        chosen = {
+            "sensor": found.sensor,
+            "other_sensors": found.others,
+            "scaling": found.scaling,
+            "damage": asdict(damage),
+        }
     name_unit(out, serial)
     if report.rows_dropped:
         say("WARN", f"{report.rows_dropped} of {report.rows_in} rows were dropped, {_why(map_path)}")

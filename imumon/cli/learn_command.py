@@ -24,9 +24,17 @@ if TYPE_CHECKING:
     "--model", "model_path", type=PATH, help="The present bias model: a file, or a session that ran with it."
 )
 @click.option("--device", help="Sessions of this device; needed where DIR has several.")
+@click.option("--serial", help="Sessions of the unit of this serial number; needed where DIR has several.")
 @click.option("--out", required=True, type=PATH, help="Model file to write; none is replaced.")
 @json_option
-def command(folder: Path, model_path: Path | None, device: str | None, out: Path, as_json: bool) -> int:
+def command(
+    folder: Path,
+    model_path: Path | None,
+    device: str | None,
+    serial: str | None,
+    out: Path,
+    as_json: bool,
+) -> int:
     """Diagnose all sessions at rest of a unit in DIR, the latest as the test, and write the better model.
 
     What moves or is too short is left out.  Where nothing better is found, nothing is written, and the exit
@@ -40,7 +48,9 @@ def command(folder: Path, model_path: Path | None, device: str | None, out: Path
 
     check_output(out)
     model = model_of(model_path) if model_path is not None else None
-    sessions = _of_one(sessions_in(folder), device, folder)
+    sessions = _of_one(sessions_in(folder), {"device": device, "serial": serial}, folder)
+    if model is not None:
+        warn(filter(None, {model.of_another(session.metadata.serial) for session in sessions}))
     with reading_bar([session.path for session in sessions], quiet=as_json) as tell:
         usable = [runs for session in sessions if (runs := _read(session))]
         if not usable:
@@ -59,20 +69,24 @@ def command(folder: Path, model_path: Path | None, device: str | None, out: Path
     return EXIT_OK if better else EXIT_NEGATIVE
 
 
-def _of_one(sessions: list[Session], device: str | None, folder: Path) -> list[Session]:
-    """Return the sessions of one device, the oldest first."""
-    names = sorted({session.metadata.device for session in sessions})
-    if device is None and len(names) > 1:
-        raise ImumonError(
-            Reason.BAD_CONFIG,
-            f"{folder} has sessions of {', '.join(names)}",
-            "say which unit is meant: --device NAME",
-        )
-    found = [session for session in sessions if device in (None, session.metadata.device)]
-    if not found:
-        what = "no session" if device is None else f"no session of {device}"
-        raise ImumonError(Reason.BAD_DATA, f"there is {what} in {folder}", "give the folder of the sessions")
-    return found
+def _of_one(sessions: list[Session], asked: dict[str, str | None], folder: Path) -> list[Session]:
+    """Return the sessions of one unit, the oldest first: of one device and serial number, where known.
+
+    `asked` is the device and the serial number that were given.
+    """
+    for key, value in asked.items():
+        found = [session for session in sessions if value in (None, getattr(session.metadata, key))]
+        names = sorted({name for session in found if (name := getattr(session.metadata, key)) is not None})
+        if not found:
+            what = "no session" if value is None else f"no session of {key} {value}"
+            raise ImumonError(
+                Reason.BAD_DATA, f"there is {what} in {folder}", "give the folder of the sessions"
+            )
+        if len(names) > 1:
+            seen = f"{folder} has sessions of {key} {', '.join(names)}"
+            raise ImumonError(Reason.BAD_CONFIG, seen, f"say which unit is meant: --{key} NAME")
+        sessions = found
+    return sessions
 
 
 def _read(session: Session) -> list[Run]:

@@ -146,6 +146,7 @@ def _compare(session: Path, given: tuple[Path, Path], out: Path | None, as_json:
     """Write the page of what two models leave of a session."""
     from imumon.cli.diagnose_command import model_of, read
     from imumon.diagnosis.comparing import compare, write_comparison
+    from imumon.models.model import UNITS
 
     if out is None or out.suffix != ".html":
         raise ImumonError(
@@ -160,7 +161,10 @@ def _compare(session: Path, given: tuple[Path, Path], out: Path | None, as_json:
     rows = {f"{one.run} {one.channel}": one.rms for one in compared}
     if as_json:
         print_json({"out": out, "rms": {name: list(rms) for name, rms in rows.items()}})
-    said = {name: f"{before:.3g} become {after:.3g} rad/s or m/s²" for name, (before, after) in rows.items()}
+    said = {
+        f"{one.run} {one.channel}": f"{one.rms[0]:.3g} become {one.rms[1]:.3g} {UNITS[one.channel]}"
+        for one in compared
+    }
     print_rows(said | {"page": str(out)})
     return EXIT_OK
 

@@ -174,6 +174,12 @@ class BiasModel(StrictModel):
                 raise ValueError(f"channel {name} is in {UNITS[name]}, not {channel.unit}")
         return self
 
+    def of_another(self, serial: str | None) -> str:
+        """Return what is to be said where this is the model of another unit; empty where nobody knows."""
+        if serial is None or self.serial in (None, serial):
+            return ""
+        return f"the bias model is of unit {self.serial}, this is {serial}"
+
     def write(self, path: Path) -> None:
         """Write the model file; what `load_model` reads from it equals this model, to the bit.
 

@@ -101,7 +101,8 @@ def _run(task: Task, rack: Connection) -> None:
         rack.send(Ended(None, "its port was never opened", lines.take()))
         return
     whole = view_setup(run.session, run.pipeline.units, task.window_s)
-    own = ViewSetup(plan.name, whole.recording_id, whole.units, whole.z_down, whole.window_s)
+    # Of the unit, not of its session: a tab that is there goes on when a process was begun anew.
+    own = ViewSetup(plan.name, plan.name, whole.units, whole.z_down, whole.window_s)
     recorder = ViewRecorder(run.session.view_path, whole)
     feed = Feed(str(run.session.path), pictures=task.pictures)
     run.begin([recorder.publish, feed.publish])

@@ -20,6 +20,7 @@ from imumon.blocks import SampleBlock
 from imumon.columns import KNOWN
 from imumon.errors import ImumonError, Reason
 from imumon.geodesy import STANDARD_GRAVITY
+from imumon.models.model import BiasModel
 from imumon.pipeline import Digest, Estimator, Pipeline, PipelineCounters
 from imumon.protocols.device import DeviceFile
 from imumon.recordings.folder import create_session, remove_empty
@@ -167,6 +168,8 @@ class LiveRun:
         self.session = create_session(folder, self._metadata(device, device_yaml, setup, serial))
         self._log = SessionLog(self.session.path / LOG_NAME, say)
         self._say = self._log.put
+        model = setup.model
+        self._doubt = model.of_another(serial) if isinstance(model, BiasModel) else ""
         self._writer = self._wire_writer()
         self._recorder = Recorder(self._writer, self._recording_problem, self._save)
         self._reader = reader_of(device, settings, self._recorder.put, self._items.put)
@@ -203,6 +206,8 @@ class LiveRun:
             remove_empty(self.session)
             raise
         self._recorder.start()
+        if self._doubt:
+            self._say("WARN", self._doubt)
 
     def begin(self, publish: Sequence[Publish]) -> None:
         """Decode what has come and what comes, and show it to `publish` as view items."""

@@ -35,7 +35,9 @@ SECTIONS = {
     "alignment": "benchmarks.alignment",
 }
 RACE = {"race": "benchmarks.race"}
-"""Run by its name only: it wants packages of others, which `scripts/environment race` installs."""
+"""It wants packages of others, which `scripts/environment race` installs."""
+BY_NAME = {"archive": "benchmarks.archive", **RACE}
+"""Run by their names only: these take long, or want more."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -45,7 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "sections",
         nargs="*",
         metavar="SECTION",
-        help=f"of {', '.join(SECTIONS | RACE)}; default all but race",
+        help=f"of {', '.join(SECTIONS | BY_NAME)}; default all but {' and '.join(BY_NAME)}",
     )
     parser.add_argument("--race", action="store_true", help="the section race: against other programs")
     parser.add_argument("--json", action="store_true", help="print figures as JSON")
@@ -53,7 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "--markdown", type=Path, metavar="FILE", help="write the tables to a Markdown file as well"
     )
     options = parser.parse_args(arguments)
-    every, wanted = SECTIONS | RACE, [*options.sections, *RACE] if options.race else options.sections
+    every, wanted = SECTIONS | BY_NAME, [*options.sections, *RACE] if options.race else options.sections
     if unknown := set(wanted) - every.keys():
         parser.error(f"no section {', '.join(sorted(unknown))}; there are: {', '.join(every)}")
     host, tables, bars = machine(), [], []

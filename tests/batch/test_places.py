@@ -1,9 +1,9 @@
 from __future__ import annotations
 
 import os
-import shutil
 import socket
 import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,7 +17,7 @@ from imumon.batch.tasks import Job, work
 from imumon.errors import ImumonError
 from tests.batch.sessions import tiny
 
-SERVER = shutil.which("moto_server")
+SERVER = Path(sys.prefix, "s3", "bin", "moto_server")
 
 
 def test_a_folder_gives_the_sessions_below(tmp_path: Path) -> None:
@@ -50,8 +50,8 @@ def test_what_is_not_there_is_a_failure_with_its_reason(tmp_path: Path) -> None:
 @pytest.fixture
 def bucket(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     """A server that speaks S3, with sessions in a bucket."""
-    if SERVER is None:
-        pytest.skip("there is no moto_server: pip install 'moto[server]' in an environment of its own")
+    if not SERVER.exists():
+        pytest.skip(f"there is no {SERVER}: scripts/environment dev makes it")
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     for name in ("one", "two"):
@@ -95,5 +95,7 @@ def test_sessions_in_a_bucket(bucket: str, tmp_path: Path) -> None:
     assert {row["channel"] for row in rows} > {"gyro_x", "accel_z"}
     assert all("reason" not in row for row in rows)
     assert Path(rows[0]["file"]).is_file()
+    with pytest.raises(ImumonError, match=r"s3://nobody/here\?\S*: cannot be read"):
+        find("s3://nobody/here?region=us-east-1")
     (missing,) = work(Job(f"{bucket}/three?region=us-east-1", options, str(tmp_path)))
     assert missing["reason"] == "bad data"

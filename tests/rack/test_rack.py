@@ -128,6 +128,7 @@ def test_a_unit_that_hangs_dies_or_floods_harms_no_other(tmp_path: Path) -> None
 def _sees_it_all(shown: list[Shown]) -> None:
     """The view is told of every unit, by the host's clock, with a tenth of the work."""
     items = [item for item in shown if isinstance(item, OfUnit)]
+    assert len({one.setup.title for one in items}) == len({repr(one.setup) for one in items})  # also anew
     samples = [one.item for one in items if one.setup.title == "good" and isinstance(one.item, Samples)]
     assert samples
     assert all(one.host_ns is not None and one.device_ns is None for one in samples)

@@ -23,6 +23,7 @@ from imumon.simulation.recording import record_session
 from imumon.simulation.unit import SimulatedUnit, load_scenario
 from imumon.simulation.unit.scenario import Scenario
 from imumon.simulation.unit.unit import MICROSECOND
+from tests.batch.sessions import tiny
 from tests.cli.command import IMUMON, answer, imumon
 
 RATE_HZ, SECONDS, LAG_S = 5.0, 1950, 90.0
@@ -131,3 +132,22 @@ def test_learning_without_a_model_and_from_no_sessions_is_refused(tmp_path: Path
     done = imumon("replay", tmp_path, "--compare-models", "a.yaml", "b.yaml")
     assert done.returncode == 2
     assert "--out PAGE.html" in done.stderr
+
+
+def test_sessions_of_several_units_are_not_one(tmp_path: Path, present: Path) -> None:
+    for name, serial in (("a", "SN1"), ("b", "SN2"), ("c", "null")):
+        metadata = tiny(tmp_path / "lab" / name) / "session.yaml"
+        metadata.write_text(metadata.read_text().replace("serial: null", f"serial: {serial}"))
+    given = ("learn", tmp_path / "lab", "--out", tmp_path / "model.yaml")
+    done = imumon(*given)
+    assert done.returncode == 2
+    assert "has sessions of serial SN1, SN2" in done.stderr
+    assert "--serial NAME" in done.stderr
+    done = imumon(*given, "--serial", "SN3")
+    assert "there is no session of serial SN3" in done.stderr
+    other = tmp_path / "of-another.yaml"
+    other.write_text(present.read_text().replace("serial: null", "serial: SN2"))
+    done = imumon(*given, "--serial", "SN1", "--model", other)
+    assert "the bias model is of unit SN2, this is SN1" in done.stderr
+    assert "a is left out" in done.stderr
+    assert "b is left out" not in done.stderr

@@ -25,6 +25,7 @@ from imumon.simulation.virtual_device import VirtualDevice
 from imumon.transport.reader import Bytes, Event, EventKind, Item, Reads
 from imumon.transport.settings import PortSettings
 from imumon.view.items import Log, State, Status, ViewItem
+from tests.models.models import three_curves
 from tests.transport.helpers import wait_until
 
 AX1 = load_device("ax1")
@@ -74,6 +75,20 @@ def test_reads_in_a_row_come_at_once_and_nothing_after_the_end() -> None:
     assert isinstance(reads, Reads)
     assert list(reads) == [Bytes(b"ab", 6), Bytes(b"c", 7)]
     assert reads.lengths.tolist() == [2, 1]
+
+
+@pytest.mark.parametrize(("serial", "said"), [("SN1", True), ("SN2", False), (None, False)])
+def test_a_model_of_another_unit_is_told(
+    ahrs: VirtualDevice, tmp_path: Path, serial: str | None, said: bool
+) -> None:
+    setup = Setup(model=three_curves().model_copy(update={"serial": "SN2"}))
+    watcher, settings = Watcher(), PortSettings(ahrs.port.path)
+    text = device_text("ax1")[0]
+    run = LiveRun(AX1, text, settings, setup, tmp_path / "s", watcher.say, serial=serial)
+    run.open()
+    run.begin([])
+    run.stop()
+    assert ("WARN the bias model is of unit SN2, this is SN1" in watcher.lines) is said
 
 
 @pytest.mark.usefixtures("no_leaks")

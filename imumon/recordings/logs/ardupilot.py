@@ -1,21 +1,26 @@
-"""DataFlash logs of ArduPilot (.BIN), read with pymavlink.
+"""DataFlash logs of ArduPilot (.BIN): messages without checksum, described by messages FMT among them.
 
-IMU has TimeUS in µs, the number of the sensor I, GyrX to GyrZ in rad/s, AccX to AccZ in m/s², T in °C; MAG
-the field in mGauss and BARO the pressure Press in Pa.  Axes are forward-right-down.
+A message is A3 95, its number, and its fields; FMT (number 128) has number, length, name, types and names of
+the fields of another one.  IMU has TimeUS in µs, the number of the sensor I, GyrX to GyrZ in rad/s, AccX to
+AccZ in m/s², T in °C; MAG the field in mGauss and BARO the pressure Press in Pa.  Axes are
+forward-right-down.  Source: AP_Logger/LogStructure.h.
 """
 
 from __future__ import annotations
 
-from contextlib import closing
+import struct
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from imumon.blocks import IntArray
-from imumon.errors import ImumonError, Reason, missing_package
+from imumon.errors import ImumonError, Reason
 from imumon.recordings.logs.log import (
     GAUSS_TO_TESLA,
+    Damage,
     Log,
     Series,
     Wanted,
@@ -27,13 +32,26 @@ from imumon.recordings.logs.log import (
 )
 
 SCALING = "the units that DataFlash defines for IMU"
-HEAD = b"\xa3\x95\x80"
-"""Every message begins with A3 95; the first describes the format of a message, which is number 128."""
+MARK = b"\xa3\x95"
+FORMAT = 128
+HEAD = MARK + bytes([FORMAT])
+"""A log begins with a message that describes the format of another."""
+DESCRIPTION = struct.Struct("<BB4s16s64s")
+TYPES = {
+    "a": ("64s", 0.0), "b": ("b", 1.0), "B": ("B", 1.0), "h": ("h", 1.0), "H": ("H", 1.0), "i": ("i", 1.0),
+    "I": ("I", 1.0), "f": ("f", 1.0), "d": ("d", 1.0), "n": ("4s", 0.0), "N": ("16s", 0.0), "Z": ("64s", 0.0),
+    "c": ("h", 0.01), "C": ("H", 0.01), "e": ("i", 0.01), "E": ("I", 0.01), "L": ("i", 1e-7), "M": ("B", 1.0),
+    "q": ("q", 1.0), "Q": ("Q", 1.0), "g": ("e", 1.0),
+}  # fmt: skip
+"""Of each type its code for `struct`, and what a number is times; 0 where it is none."""
 KEPT = {
     "IMU": ("TimeUS", "GyrX", "GyrY", "GyrZ", "AccX", "AccY", "AccZ", "T"),
     "MAG": ("TimeUS", "MagX", "MagY", "MagZ"),
     "BARO": ("TimeUS", "Press"),
 }
+NUMBER = "I"
+BLOCK = 256
+"""The last page of a log that was written in pages is filled up (AP_Logger_Block)."""
 BESIDE = (
     Wanted("MAG.0", ["MagX", "MagY", "MagZ"], triple("mag"), 1e-3 * GAUSS_TO_TESLA),
     Wanted("BARO.0", ["Press"], ["pressure"]),
@@ -53,52 +71,116 @@ def read(path: Path, sensor: str | None = None) -> Log:
     ImumonError
         BAD_DATA when it has no IMU messages; BAD_CONFIG when not of this sensor.
     """
-    found = _messages(path)
+    found, damage = _messages(path)
     imus = sorted(name for name in found if name.startswith("IMU."))
-    name, others = pick(path, imus, sensor)
+    name, others = pick(path, imus, sensor, damage)
     imu = found[name]
     gyro = named(imu, ["GyrX", "GyrY", "GyrZ", "AccX", "AccY", "AccZ"], [*triple("gyro"), *triple("accel")])
     # A sensor without a thermometer says 0 all the time.
     if np.any(imu["T"] != 0.0):
         gyro |= named(imu, ["T"], ["temperature"])
-    return Log(name, others, Series(_time(imu), gyro), beside(found, BESIDE, _time), "FRD", SCALING)
+    return Log(name, others, Series(_time(imu), gyro), beside(found, BESIDE, _time), "FRD", SCALING, damage)
 
 
-def _messages(path: Path) -> dict[str, dict[str, Any]]:
-    """Return the fields of the messages that are kept, by name and number of the sensor."""
+@dataclass(frozen=True, slots=True)
+class _Format:
+    """How messages of a number are read.
+
+    Parameters
+    ----------
+    length : int
+        Of a message, with its head.
+    layout : Struct
+        Of its fields, where some are kept.
+    kept : tuple of (field, factor)
+        Where each value that is kept stands among the fields; None where the message has no such field.
+    number : int or None
+        Where the number of the sensor stands.
+    """
+
+    length: int
+    name: str
+    layout: struct.Struct = DESCRIPTION
+    kept: tuple[tuple[int, float] | None, ...] = ()
+    number: int | None = None
+
+    @classmethod
+    def described(cls, description: bytes) -> tuple[int, _Format]:
+        """Return the number that a message FMT describes, and how it is read.
+
+        Raises
+        ------
+        ValueError
+            When it describes nothing that can be.
+        """
+        number, length, *texts = DESCRIPTION.unpack(description)
+        name, types, columns = (text.split(b"\0")[0].decode("ascii") for text in texts)
+        if length < len(HEAD) or number == FORMAT:
+            raise ValueError(f"{name}: {length} bytes")
+        if name not in KEPT:
+            return number, cls(length, name)
+        names = columns.split(",")
+        if not set(types) <= set(TYPES) or len(names) != len(types):
+            raise ValueError(f"{name}: {types}")
+        layout = struct.Struct("<" + "".join(TYPES[one][0] for one in types))
+        if length != len(HEAD) + layout.size:
+            raise ValueError(f"{name}: {length} bytes")
+        at = {one: (k, TYPES[types[k]][1]) for k, one in enumerate(names)}
+        kept = tuple(at.get(one) for one in KEPT[name])
+        return number, cls(length, name, layout, kept, at[NUMBER][0] if NUMBER in at else None)
+
+    def row(self, data: bytes, at: int) -> tuple[str, list[float]]:
+        """Return name and number of the sensor of the message that begins there, and what is kept of it."""
+        values = self.layout.unpack_from(data, at + len(HEAD))
+        sensor = 0 if self.number is None else values[self.number]
+        return f"{self.name}.{sensor}", [
+            np.nan if one is None else values[one[0]] * one[1] for one in self.kept
+        ]
+
+
+def _messages(path: Path) -> tuple[dict[str, dict[str, Any]], Damage]:
+    """Return the fields of the messages that are kept, by name and number of the sensor, and the damage."""
     try:
-        from pymavlink.DFReader import DFReader_binary
-    except ModuleNotFoundError as error:
-        raise missing_package("this log", "pymavlink", "autopilot") from error
-
-    class Log(DFReader_binary):  # type: ignore[misc]  # the package has no types
-        """A log whose file is closed, also when it cannot be read."""
-
-        def __init__(self) -> None:
+        data = path.read_bytes()
+    except OSError as error:
+        raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read: {error.strerror}") from error
+    formats = {FORMAT: _Format(len(HEAD) + DESCRIPTION.size, "FMT")}
+    rows, damage, good = dict[str, list[list[float]]](), Damage(), 0
+    for at, known in _walk(data, formats):
+        end = at + known.length
+        damage = damage.and_at(good, at)
+        good = end
+        if data[at + len(MARK)] == FORMAT:
             try:
-                super().__init__(str(path))
-            except BaseException:
-                self.close()
-                raise
+                number, made = _Format.described(data[at + len(HEAD) : end])
+            except ValueError:
+                continue  # of itself, or damaged: then its messages are of no known format
+            formats[number] = made
+        elif known.kept:
+            name, row = known.row(data, at)
+            rows.setdefault(name, []).append(row)
+    if len(data) - good >= BLOCK:
+        damage = damage.and_at(good, len(data))
+    return {
+        name: dict(zip(KEPT[name.partition(".")[0]], np.array(found, np.float64).T, strict=True))
+        for name, found in rows.items()
+    }, damage
 
-        def close(self) -> None:
-            for name in ("filehandle", "data_map"):
-                if hasattr(self, name):
-                    getattr(self, name).close()
 
-    rows: dict[str, list[list[float]]] = {}
-    try:
-        with closing(Log()) as log:
-            while (message := log.recv_match(type=list(KEPT))) is not None:
-                kind = message.get_type()
-                values = [getattr(message, field, np.nan) for field in KEPT[kind]]
-                rows.setdefault(f"{kind}.{getattr(message, 'I', 0)}", []).append(values)
-        return {
-            name: dict(zip(KEPT[name.partition(".")[0]], np.array(values, np.float64).T, strict=True))
-            for name, values in rows.items()
-        }
-    except Exception as error:  # pymavlink raises whatever damaged bytes lead to
-        raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read as a DataFlash log: {error}") from error
+def _walk(data: bytes, formats: Mapping[int, _Format]) -> Iterator[tuple[int, _Format]]:
+    """Yield where a message begins, and its format; `formats` may grow meanwhile.
+
+    A message counts when another one begins where it ends, or none does behind it.
+    """
+    at = 0
+    while 0 <= (at := data.find(MARK, at)) < len(data) - len(MARK):
+        known = formats.get(data[at + len(MARK)])
+        end = len(data) + 1 if known is None else at + known.length
+        if known is None or end > len(data) or (data[end : end + 2] != MARK and data.find(MARK, end) >= 0):
+            at += 1
+            continue
+        yield at, known
+        at = end
 
 
 def _time(fields: dict[str, Any]) -> IntArray:

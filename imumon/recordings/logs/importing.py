@@ -11,7 +11,7 @@ from imumon.errors import ImumonError, Reason
 from imumon.files import write_text
 from imumon.recordings.importing import ImportReport, Origin, import_table
 from imumon.recordings.logs import ardupilot, betaflight, px4, ros
-from imumon.recordings.logs.log import Log
+from imumon.recordings.logs.log import Damage, Log
 
 Reader = Callable[[Path, str | None], Log]
 FORMATS: tuple[tuple[Callable[[Path, bytes], bool], Reader], ...] = (
@@ -24,12 +24,13 @@ FORMATS: tuple[tuple[Callable[[Path, bytes], bool], Reader], ...] = (
 
 @dataclass(frozen=True, slots=True)
 class LogReport:
-    """What became of a log: its rows, the sensor that they are of, those that were not taken, the scaling."""
+    """What became of a log: its rows, the sensor that they are of, those not taken, scaling and damage."""
 
     rows: ImportReport
     sensor: str
     others: list[str]
     scaling: str
+    damage: Damage
 
 
 def import_log(path: Path, sensor: str | None, out: Path) -> LogReport:
@@ -46,7 +47,7 @@ def import_log(path: Path, sensor: str | None, out: Path) -> LogReport:
         text, dropped = log.write(table)
         write_text(table.with_suffix(".yaml"), text)
         rows = import_table(table, table.with_suffix(".yaml"), out, Origin(_file_of(path), dropped))
-    return LogReport(rows, log.sensor, log.others, log.scaling)
+    return LogReport(rows, log.sensor, log.others, log.scaling, log.damage)
 
 
 def reader_of(path: Path) -> Reader:
@@ -64,6 +65,8 @@ def reader_of(path: Path) -> Reader:
                 head = file.read(64)
         except OSError as error:
             raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read: {error.strerror}") from error
+        if not head:
+            raise ImumonError(Reason.BAD_DATA, f"{path}: is empty")
     for is_one, read in FORMATS:
         if is_one(path, head):
             return read

@@ -6,6 +6,7 @@ stands in the row nearest to it in time, once, so that its noise is what it was.
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -52,6 +53,18 @@ class Wanted:
 
 
 @dataclass(frozen=True, slots=True)
+class Damage:
+    """What of a log could not be read: how many places, and the bytes there."""
+
+    places: int = 0
+    size: int = 0
+
+    def and_at(self, begin: int, end: int) -> Damage:
+        """Return this with what stands between two offsets, if anything does."""
+        return self if end <= begin else Damage(self.places + 1, self.size + end - begin)
+
+
+@dataclass(frozen=True, slots=True)
 class Log:
     """What is taken from a log.
 
@@ -68,6 +81,8 @@ class Log:
     axes : "FLU" or "FRD"
     scaling : str
         Where the units of the values are known from.
+    damage : Damage
+        What could not be read.
     """
 
     sensor: str
@@ -76,6 +91,7 @@ class Log:
     beside: list[Series]
     axes: str
     scaling: str
+    damage: Damage = Damage()
 
     def write(self, path: Path) -> tuple[str, int]:
         """Write the table; return its map, and how many rows have no later time and were left out."""
@@ -96,20 +112,22 @@ class Log:
 
 
 def _increasing(time_ns: IntArray) -> BoolArray:
-    """Return which rows stay so that times increase: a wrong time does not take those after it along."""
-    late = _later_than_before(time_ns)
-    early = _later_than_before(-time_ns[::-1])[::-1]
-    if early.sum() <= late.sum():
-        return late
-    found = early.copy()
-    found[early] = _later_than_before(time_ns[early])
-    return found
-
-
-def _later_than_before(time_ns: IntArray) -> BoolArray:
-    """Return which rows are later than all before them."""
-    lowest = np.iinfo(np.int64).min
-    return np.asarray(time_ns > np.r_[lowest, np.maximum.accumulate(time_ns)[:-1]])
+    """Return which rows stay so that times increase: as many as can, whatever wrong times the others have."""
+    kept: BoolArray = time_ns != NO_INT
+    if np.all(np.diff(time_ns[kept]) > 0):
+        return kept
+    # Patience sorting: of the rows that increase, for each number of them, the one that ends earliest.
+    ends, last, before = list[int](), list[int](), np.full(len(time_ns), -1)
+    for row in np.flatnonzero(kept).tolist():
+        count = bisect_left(ends, time_ns[row])
+        before[row] = last[count - 1] if count else -1
+        ends[count : count + 1], last[count : count + 1] = [time_ns[row]], [row]
+    kept[:] = False
+    row = last[-1]
+    while row >= 0:
+        kept[row] = True
+        row = before[row]
+    return kept
 
 
 def _beside(series: Series, time_ns: IntArray) -> dict[str, FloatArray]:
@@ -170,7 +188,9 @@ def beside(
     ]
 
 
-def pick(path: Path, found: Sequence[str], wanted: str | None) -> tuple[str, list[str]]:
+def pick(
+    path: Path, found: Sequence[str], wanted: str | None, damage: Damage = Damage()
+) -> tuple[str, list[str]]:
     """Return the sensor that is wanted, else the first, and the others.
 
     Raises
@@ -179,7 +199,8 @@ def pick(path: Path, found: Sequence[str], wanted: str | None) -> tuple[str, lis
         BAD_DATA when the log has no inertial sensor, BAD_CONFIG when not that one.
     """
     if not found:
-        raise ImumonError(Reason.BAD_DATA, f"{path}: there is no gyro in this log")
+        broken = f", of which {damage.size:,} bytes are damaged" if damage.places else ""
+        raise ImumonError(Reason.BAD_DATA, f"{path}: there is no gyro in this log{broken}")
     if wanted is not None and wanted not in found:
         seen = f"{path}: there is no sensor {wanted!r}"
         raise ImumonError(Reason.BAD_CONFIG, seen, f"there are: {', '.join(found)}")

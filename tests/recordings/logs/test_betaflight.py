@@ -27,9 +27,11 @@ def table(path: Path, rate: str = "", force: str = "", head: str = "", rows: int
     of_rate, of_force = (f" ({unit})" if unit else "" for unit in (rate, force))
     gyros = [f"gyroADC[{k}]{of_rate}" for k in range(3)] + [f"gyroUnfilt[{k}]" for k in range(3)]
     forces = [f"accSmooth[{k}]{of_force}" for k in range(3)]
-    lines = [", ".join(["loopIteration", "time (us)", "axisP[0]", *gyros, *forces])]
+    flags = ["flightModeFlags (flags)", "failsafePhase (flags)"]
+    lines = [", ".join(["loopIteration", "time (us)", "axisP[0]", *gyros, *forces, *flags])]
     for k in range(rows):
         numbers = [k, 1_000_000 + 500 * k, 3, 20, -10, 0, 21, -11, 1, 1, 2, "1.00" if of_force else 2048]
+        numbers += ["ANGLE_MODE|ARM", "IDLE"]
         lines.append(", ".join(f"{number:>3}" for number in numbers))
     path.write_text(head + "\n".join(lines) + "\n")
     return path

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from hypothesis import strategies as st
 from imumon.blocks import FloatArray, IntArray
 from imumon.errors import ImumonError, Reason
 from imumon.recordings.folder import open_session
+from imumon.recordings.logs import ardupilot
 from imumon.recordings.logs.importing import import_log
 from imumon.recordings.logs.log import Series, _beside
 from imumon.recordings.table import read_table
@@ -65,12 +67,54 @@ def test_ardupilot(tmp_path: Path) -> None:
     np.testing.assert_allclose(samples(tmp_path / "second")["gyro_x"], 7.0)
 
 
-@pytest.mark.parametrize("wrong_us", [1, 10**12])
-def test_a_wrong_time_takes_no_other_row_along(tmp_path: Path, wrong_us: int) -> None:
-    rows = [imu(wrong_us if k == 7 else 1000 * k, 0, 0.1) for k in range(1, 40)]
+@pytest.mark.parametrize("wrong_us", [{7: 1}, {7: 10**12}, {7: 10**12, 35: 1, 20: 10**11}])
+def test_a_wrong_time_takes_no_other_row_along(tmp_path: Path, wrong_us: dict[int, int]) -> None:
+    rows = [imu(wrong_us.get(k, 1000 * k), 0, 0.1) for k in range(1, 40)]
     dataflash(tmp_path / "a.bin", rows)
     report = import_log(tmp_path / "a.bin", None, tmp_path / "session")
-    assert (report.rows.rows_out, report.rows.rows_dropped) == (38, 1)
+    dropped = len(wrong_us)
+    assert (report.rows.rows_out, report.rows.rows_dropped) == (39 - dropped, dropped)
+
+
+def test_pymavlink_reads_the_same(tmp_path: Path) -> None:
+    from pymavlink.DFReader import DFReader_binary
+
+    rows = [imu(1000 * k, k % 2, 0.1 * k) for k in range(1, 40)]
+    dataflash(tmp_path / "a.bin", [*rows, ("MAG", [500, 0, 200, -100, 400]), ("BARO", [600, 0, 1.0, 9e4])])
+    found, damage = ardupilot._messages(tmp_path / "a.bin")
+    theirs = DFReader_binary(str(tmp_path / "a.bin"))
+    for name, fields in found.items():
+        kind, number = name.split(".")
+        theirs.rewind()
+        messages = list(iter(partial(theirs.recv_match, type=[kind]), None))
+        expected = [one for one in messages if int(number) == one.I]
+        for field, values in fields.items():
+            assert values.tolist() == [getattr(one, field) for one in expected]
+    theirs.filehandle.close()
+    theirs.data_map.close()
+    assert found.keys() == {"IMU.0", "IMU.1", "MAG.0", "BARO.0"}
+    assert damage.places == 0
+
+
+def test_behind_a_damaged_place_the_log_goes_on(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    dataflash(tmp_path / "a.bin", [imu(1000 * k, 0, 0.1) for k in range(1, 400)])
+    gyro = [(1000 * k + 5, 1000 * k, 1, 0.1, 0.2, 0.3, 40.0) for k in range(1, 400)]
+    ulog(tmp_path / "a.ulg", {"sensor_gyro.0": (SENSOR, gyro)})
+    random = np.random.default_rng(1)
+    for path in (tmp_path / "a.bin", tmp_path / "a.ulg"):
+        data = bytearray(path.read_bytes())
+        hole = slice(len(data) // 4, len(data) // 4 + 500)
+        for name, junk in (("0", bytes(500)), ("r", random.bytes(500)), ("f", b"\xff" * 500)):
+            data[hole] = junk
+            path.write_bytes(data)
+            out = path.with_suffix(f"{path.suffix}-{name}")
+            report = import_log(path, None, out)
+            size = len(data) / 400
+            assert 399 - 500 / size - 4 <= report.rows.rows_out <= 399 - 500 / size + 1
+            assert report.damage.places >= 1
+            assert 450 <= report.damage.size <= 500 + 3 * size
+            assert report.rows.span_s == pytest.approx(0.398)
+    assert capfd.readouterr() == ("", "")
 
 
 def test_a_sensor_without_a_thermometer_has_no_temperature(tmp_path: Path) -> None:
