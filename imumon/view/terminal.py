@@ -12,9 +12,9 @@ import numpy as np
 from imumon.harmless import for_log
 from imumon.view.cards import AXES, Cards, Reading, cell
 from imumon.view.items import Log, Numbers, Samples, State, ViewItem, ViewSetup, merge
-from imumon.view.lanes import NAMES
 from imumon.view.layout import Rows
-from imumon.view.log_text import clock
+from imumon.view.log_text import dated
+from imumon.view.newest import states_text
 from imumon.view.queue import DropOldestQueue
 from imumon.view.shown import ShownPanels
 
@@ -60,7 +60,7 @@ class TerminalView:
         now = self._cards.take()
         for name, value in now.items():
             self._past.setdefault(name, deque(maxlen=HISTORY)).append(value)
-        found = [f"{self._setup.title}  {status}", *wrap(self._states(), columns), ""]
+        found = [f"{self._setup.title}  {status}", *wrap(states_text(self._lanes), columns), ""]
         for key in self._panels.begun:
             if readings := self._panels.readings[key]:
                 found += self._rows(readings, now, columns)
@@ -80,17 +80,12 @@ class TerminalView:
             elif isinstance(item, State):
                 self._lanes[item.lane] = item.state
             elif isinstance(item, Log):
-                self._log.append(_logged(item))
+                self._log.append(dated(item))
 
     def _gather(self, rows: Rows) -> None:
         for panel in self._panels.drawing(rows):
             self._panels.begins(panel, rows)
             self._cards.add(self._panels.readings[panel.key], rows.columns)
-
-    def _states(self) -> str:
-        order = {name: at for at, name in enumerate(NAMES)}
-        lanes = sorted(self._lanes.items(), key=lambda item: order.get(item[0], len(order)))
-        return "  ".join(f"{NAMES.get(lane, lane)} {state}" for lane, state in lanes)
 
     def _rows(self, readings: Sequence[Reading], now: Mapping[str, float], columns: int) -> list[str]:
         """Return the rows of one panel: three axes beside each other, other values below each other."""
@@ -129,11 +124,6 @@ def sparkline(values: Sequence[float]) -> str:
 
 def _label(reading: Reading, readings: Sequence[Reading]) -> str:
     return reading.row if len(readings) == 1 else f"{reading.row} {reading.name}"
-
-
-def _logged(line: Log) -> str:
-    when = "" if line.at.host_ns is None else f"{clock(line.at.host_ns)} "
-    return f"{when}{line.level + ' ' if line.level not in ('INFO', 'DEBUG') else ''}{line.text}"
 
 
 class Screen:

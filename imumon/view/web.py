@@ -1,8 +1,9 @@
-"""The web viewer on 127.0.0.1: Rerun's own page, kept from calling home, and reloaded after a restart."""
+"""The web viewer on 127.0.0.1: Rerun's own page, kept from calling home, and the newest states and log."""
 
 from __future__ import annotations
 
 import http.client
+import json
 import re
 import socket
 import sys
@@ -10,7 +11,7 @@ import threading
 import time
 import urllib.request
 import uuid
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing
 from functools import partial
 from html import escape
@@ -41,18 +42,39 @@ OURS = {"connection", "keep-alive", "transfer-encoding", "content-length", "host
 """Headers that each of two connections has of its own; ``Host`` and ``Origin`` were judged here."""
 
 SCRIPT = """
+<style>
+  #newest {{
+    position: absolute; bottom: 0; left: 0; right: 0; height: {height}px; overflow: auto; display: none;
+    font: 13px/20px monospace; white-space: pre; padding-left: 8px; background: #0d1011; color: #cad8de;
+  }}
+  .told #newest {{ display: block; }}
+  .told canvas {{ height: calc(100% - {height}px) !important; }}
+</style>
 <script>
 (() => {{
+  const say = (lines) => {{
+    const place = document.getElementById("newest") || document.createElement("div");
+    place.id = "newest";
+    place.textContent = lines.join("\\n");
+    document.body.append(place);
+    document.body.classList.toggle("told", lines.length > 0);
+  }};
   // A restarted server has another name; the page then starts anew and gets the picture back.
   setInterval(async () => {{
     try {{
-      const answer = await fetch("{alive}", {{ cache: "no-store" }});
-      if (answer.ok && (await answer.text()) !== "{name}") window.location.reload();
-    }} catch (error) {{ /* the server is away; ask again */ }}
-  }}, 2000);
+      const answer = await (await fetch("{alive}", {{ cache: "no-store" }})).json();
+      if (answer.name !== "{name}") window.location.reload();
+      say(answer.newest);
+    }} catch (error) {{ /* the server is away; ask again */
+      say(["no answer from imumon: it has ended, or cannot be reached"]);
+    }}
+  }}, {often_ms});
 }})();
 </script>
 """
+NEWEST_HEIGHT = 60
+"""Pixels: three lines."""
+OFTEN_MS = 1000
 
 
 def bundled_assets() -> dict[str, bytes]:
@@ -92,7 +114,7 @@ def page(html: str, name: str, title: str) -> str:
     """Return Rerun's page with our script and title, and without what it would load from elsewhere."""
     local = re.sub(r"<link\b[^>]*https://[^>]*>", "", html)
     local = re.sub(r"<title>.*?</title>", lambda _: f"<title>{escape(title)}</title>", local, flags=re.DOTALL)
-    script = SCRIPT.format(alive=ALIVE, name=name)
+    script = SCRIPT.format(alive=ALIVE, name=name, height=NEWEST_HEIGHT, often_ms=OFTEN_MS)
     return local.replace("<head>", "<head>" + script, 1)
 
 
@@ -125,13 +147,17 @@ class WebServer:
         self.stream = stream
         self.host = socket.gethostname() if bind == "0.0.0.0" else bind  # as others reach it
         self.url = f"http://{self.host}:{self.port}/"
-        name = uuid.uuid4().hex
+        self._name = uuid.uuid4().hex
         self.files = bundled_assets()
-        self.files["/"] = page(self.files["/"].decode(), name, title).encode()
-        self.files[ALIVE] = name.encode()
+        self.files["/"] = page(self.files["/"].decode(), self._name, title).encode()
+        self.tell([])
         handler = partial(_Handler, self)
         self._server = _Server(door, handler)
         threading.Thread(target=self._server.serve_forever, name="web viewer", daemon=True).start()
+
+    def tell(self, newest: Sequence[str]) -> None:
+        """Let every page show these lines below the picture, within a second or two."""
+        self.files[ALIVE] = json.dumps({"name": self._name, "newest": newest}).encode()
 
     def close(self) -> None:
         """Stop serving."""

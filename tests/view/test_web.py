@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import http.client
+import json
 import re
 import socket
 import threading
@@ -72,9 +73,16 @@ def test_other_paths_do_not_exist(server: WebServer) -> None:
 
 def test_name_tells_a_restarted_server(server: WebServer) -> None:
     with urllib.request.urlopen(f"{server.url}alive") as response:
-        name = response.read().decode()
+        name = json.load(response)["name"]
     with urllib.request.urlopen(server.url) as response:
         assert name in response.read().decode()
+
+
+def test_the_page_is_told_what_is_newest(server: WebServer) -> None:
+    for lines in (["Port lost", "12:00:00 unplugged"], []):
+        server.tell(lines)
+        with urllib.request.urlopen(f"{server.url}alive") as response:
+            assert json.load(response)["newest"] == lines
 
 
 def test_page_loads_nothing_from_elsewhere() -> None:
