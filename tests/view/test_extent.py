@@ -48,6 +48,31 @@ def test_a_band_is_inside_and_one_spike_of_it_is_not() -> None:
     assert ends[1] == pytest.approx(1.0 + 4 * 0.5 * 1.2)
 
 
+def test_one_spike_of_a_line_does_not_stretch_its_axis_and_a_burst_does() -> None:
+    noise = np.random.default_rng(7).normal(size=(30, 100))
+    calm, spiky, burst = Extent(), Extent(), Extent()
+    for second in range(30):
+        loud = noise[second].copy()
+        loud[50] += 1e4 if second == 10 else 0.0
+        calm_ends = calm.ends(_clock(second), _reach(list(noise[second])), MANY)
+        spiky_ends = spiky.ends(_clock(second), _reach(list(loud)), MANY)
+        loud[51] += 1e4 if second == 10 else 0.0
+        burst_ends = burst.ends(_clock(second), _reach(list(loud)), MANY)
+    assert calm_ends is not None
+    assert spiky_ends is not None
+    assert burst_ends is not None
+    assert calm_ends[1] >= noise.max(), "noise is no spike"
+    assert spiky_ends[1] < 20 * noise.max()
+    assert burst_ends[1] > 1e4
+
+
+def test_where_room_would_cost_the_finer_marks_there_is_less_of_it() -> None:
+    ends = Extent().ends(_clock(0), _reach([10.0, 690.0]), 7)
+    assert ends is not None
+    assert ends[0] > -100.0
+    assert ends[1] < 800.0
+
+
 def test_a_band_that_was_wide_at_first_is_cut_off_once_it_is_known_to_be_narrow() -> None:
     extent = Extent()
     for second in range(40):
@@ -67,7 +92,7 @@ def test_what_has_left_the_window_does_not_count() -> None:
 def test_a_long_recording_is_remembered_in_bounded_memory() -> None:
     extent = Extent()
     for second in range(2 * REMEMBERED + 10):
-        ends = extent.ends(_clock(second), _reach([5.0 if second == 7 else 1.0], 0.5), MANY)
+        ends = extent.ends(_clock(second), _reach([5.0 if second in (7, 8) else 1.0], 0.5), MANY)
     assert ends is not None
     assert ends[1] > 5.4
 
