@@ -82,7 +82,7 @@ class Comparison:
     def log(self, line: _Compared, panel: Strip, rows: Rows) -> None:
         """Log what a session has of a line."""
         if panel not in line.drawn:
-            if not all(np.isfinite(rows.columns[name]).any() for name in panel.columns):
+            if not panel.says(rows):
                 return
             line.drawn.append(panel)
             panel.declare(self._rec)

@@ -145,6 +145,7 @@ PANELS: tuple[Panel, ...] = (
         "°/h",
         BIAS,
         look="steps",
+        silent=0.0,
     ),
     Bands(
         "attitude_estimate_level",
@@ -282,7 +283,7 @@ PANELS: tuple[Panel, ...] = (
     ),
     Strip(
         "losses",
-        "Packets lost and damaged, so far",
+        "Packets lost (red) and damaged (violet), so far",
         (Line("packets_lost", "lost", RED), Line("packets_damaged", "damaged", VIOLET)),
         place=LINK,
         look="steps",

@@ -44,8 +44,8 @@ OURS = {"connection", "keep-alive", "transfer-encoding", "content-length", "host
 SCRIPT = """
 <style>
   #newest {{
-    position: absolute; bottom: 0; left: 0; right: 0; height: {height}px; overflow: auto; display: none;
-    font: 13px/20px monospace; white-space: pre; padding-left: 8px; background: #0d1011; color: #cad8de;
+    position: absolute; bottom: 0; left: 0; right: 0; height: {height}px; overflow: hidden; display: none;
+    font: 13px/18px monospace; white-space: pre-wrap; padding-left: 8px; background: #0d1011; color: #cad8de;
   }}
   .told #newest {{ display: block; }}
   .told canvas {{ height: calc(100% - {height}px) !important; }}
@@ -72,8 +72,8 @@ SCRIPT = """
 }})();
 </script>
 """
-NEWEST_HEIGHT = 60
-"""Pixels: three lines."""
+NEWEST_HEIGHT = 72
+"""Pixels: four lines, two of which the states may take."""
 OFTEN_MS = 1000
 
 

@@ -79,8 +79,10 @@ def series_view(
     y_range: tuple[float, float] | None = None,
     others: Sequence[str] = (),
     ends: Sequence[str] = (),
+    *,
+    legend: bool = True,
 ) -> Any:
-    """Return a view of series over time, with other entities beside the first, and a legend.
+    """Return a view of series over time, with other entities beside the first, and maybe a legend.
 
     `ends` are entities that say how far the vertical axis reaches now.
     """
@@ -91,7 +93,7 @@ def series_view(
         time_ranges=window.ranges,
         axis_x=window.axis,
         axis_y=rrb.ScalarAxis(range=y_range) if y_range else None,
-        plot_legend=window.legend,
+        plot_legend=window.legend if legend else rrb.PlotLegend(visible=False),
         overrides={one: [window.latest] for one in ends},
     )
 
