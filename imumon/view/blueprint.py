@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import rerun.blueprint as rrb
 
+from imumon.view.extent import entity
 from imumon.view.items import ViewSetup
 from imumon.view.layout import FIRST, LINK, SCENE, STRIPS, Panel, tab_of
 from imumon.view.log_text import LOG_TEXT
@@ -15,6 +16,8 @@ from imumon.view.pictures import chart_view
 from imumon.view.window import Window, series_view, slow_window
 
 OTHER_TAB = "Other"
+NAMES_MARGIN = 0.3
+"""Share of its window that stays free there, for a legend of whole column names."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +76,15 @@ def blueprint(setup: ViewSetup, contents: Contents, timeline: str, *, live: bool
     for place, key, title in contents.charts:
         views.setdefault(place, []).append(chart_view(key, title))
     views[OTHER_TAB] = [
-        series_view(paths[0], title, slow, others=paths[1:]) for title, paths in contents.others
+        series_view(
+            paths[0],
+            title,
+            replace(slow, margin=NAMES_MARGIN),
+            others=paths[1:],
+            ends=[entity(paths[0])],
+            legend=len(paths) > 1,
+        )
+        for title, paths in contents.others
     ]
     first = _first_tab(setup.first_tab if live else "Recording", views, window, contents)
     tabs = [_tab(place, views[place], contents) for place in views if tab_of(place) != FIRST and views[place]]

@@ -59,22 +59,24 @@ SCRIPT = """
     document.body.append(place);
     document.body.classList.toggle("told", lines.length > 0);
   }};
-  // A restarted server has another name; the page then starts anew and gets the picture back.
-  setInterval(async () => {{
-    try {{
-      const answer = await (await fetch("{alive}", {{ cache: "no-store" }})).json();
-      if (answer.name !== "{name}") window.location.reload();
-      say(answer.newest);
-    }} catch (error) {{ /* the server is away; ask again */
-      say(["no answer from imumon: it has ended, or cannot be reached"]);
-    }}
-  }}, {often_ms});
+  // Pushed, in one turn of the browser: one that draws by software has a turn or two in a second.
+  const source = new EventSource("{alive}");
+  source.onmessage = (message) => {{
+    const told = JSON.parse(message.data);
+    // A restarted server has another name; the page then starts anew and gets the picture back.
+    if (told.name !== "{name}") window.location.reload();
+    say(told.newest);
+  }};
+  source.onerror = () => {{ /* the browser asks again by itself */
+    say(["no answer from imumon: it has ended, or cannot be reached"]);
+  }};
 }})();
 </script>
 """
 NEWEST_HEIGHT = 72
 """Pixels: four lines, two of which the states may take."""
-OFTEN_MS = 1000
+PUSH_S = 5.0
+"""So often the page is told what is newest when nothing has changed, so that who went away is noticed."""
 
 
 def bundled_assets() -> dict[str, bytes]:
@@ -114,7 +116,7 @@ def page(html: str, name: str, title: str) -> str:
     """Return Rerun's page with our script and title, and without what it would load from elsewhere."""
     local = re.sub(r"<link\b[^>]*https://[^>]*>", "", html)
     local = re.sub(r"<title>.*?</title>", lambda _: f"<title>{escape(title)}</title>", local, flags=re.DOTALL)
-    script = SCRIPT.format(alive=ALIVE, name=name, height=NEWEST_HEIGHT, often_ms=OFTEN_MS)
+    script = SCRIPT.format(alive=ALIVE, name=name, height=NEWEST_HEIGHT)
     return local.replace("<head>", "<head>" + script, 1)
 
 
@@ -150,17 +152,40 @@ class WebServer:
         self._name = uuid.uuid4().hex
         self.files = bundled_assets()
         self.files["/"] = page(self.files["/"].decode(), self._name, title).encode()
+        self._newest = b""
+        self._change, self._closed = threading.Condition(), False
         self.tell([])
         handler = partial(_Handler, self)
         self._server = _Server(door, handler)
         threading.Thread(target=self._server.serve_forever, name="web viewer", daemon=True).start()
 
     def tell(self, newest: Sequence[str]) -> None:
-        """Let every page show these lines below the picture, within a second or two."""
-        self.files[ALIVE] = json.dumps({"name": self._name, "newest": newest}).encode()
+        """Let every page show these lines below the picture, at once."""
+        told = json.dumps({"name": self._name, "newest": newest}).encode()
+        if told != self._newest:
+            with self._change:
+                self._newest = told
+                self._change.notify_all()
+
+    def told(self) -> Iterator[bytes]:
+        """Yield what pages are told, now and as it changes, until the server is closed."""
+        seen = b""
+        while True:
+            with self._change:
+                self._change.wait_for(partial(self._differs, seen), PUSH_S)
+                if self._closed:
+                    return
+                seen = self._newest
+            yield seen
+
+    def _differs(self, seen: bytes) -> bool:
+        return self._closed or self._newest is not seen
 
     def close(self) -> None:
         """Stop serving."""
+        with self._change:
+            self._closed = True
+            self._change.notify_all()
         self._server.shutdown()
         self._server.server_close()
 
@@ -193,6 +218,9 @@ class _Handler(BaseHTTPRequestHandler):
         if self._refuses():
             return
         path, _, query = self.path.partition("?")
+        if path == ALIVE:
+            self._push()
+            return
         body = site.files.get(path)
         if body is None:
             self.send_error(HTTPStatus.NOT_FOUND)
@@ -213,6 +241,16 @@ class _Handler(BaseHTTPRequestHandler):
         self.send_header("rerun-final-length", str(len(body)))  # the page's progress bar asks for it
         self.end_headers()
         self.wfile.write(body)
+
+    def _push(self) -> None:
+        """Tell the page what is newest for as long as it listens."""
+        self.send_response(HTTPStatus.OK)
+        self.send_header("Content-Type", "text/event-stream")
+        self.send_header("Cache-Control", "no-store")
+        self.send_header("Connection", "close")
+        self.end_headers()
+        for newest in self._site.told():
+            self.wfile.write(b"data: %b\n\n" % newest)
 
     def do_POST(self) -> None:
         """Pass a request for the stream on, and what comes back as it comes."""

@@ -31,10 +31,13 @@ class Window:
         Length, and a margin for the legend beyond the newest data; None for a whole recording.
     full : bool
         Whether so much has come; until then it begins where the data does.
+    margin : float
+        Share of it that stays free on the right.
     """
 
     seconds: float | None = None
     full: bool = True
+    margin: float = MARGIN
 
     @property
     def latest(self) -> rrb.VisibleTimeRanges:
@@ -56,7 +59,7 @@ class Window:
         """What the axis shows; without it the viewer shows a minute around the cursor."""
         if self.seconds is None:
             return rrb.TimeAxis(view_range=rr.TimeRange(start=ENDLESS, end=ENDLESS))
-        margin = MARGIN * (self.seconds if self.full else min(self.seconds, GROWING_S))
+        margin = self.margin * (self.seconds if self.full else min(self.seconds, GROWING_S))
         end = rrb.TimeRangeBoundary.cursor_relative(seconds=margin)
         return rrb.TimeAxis(view_range=rr.TimeRange(start=self._start, end=end))
 

@@ -119,7 +119,7 @@ def test_columns_of_different_units_stand_in_different_views(tmp_path: Path) -> 
     setup = ViewSetup("test", "test", units={"supply": "V"})
     extra = plain.with_columns({"humidity": plain["temperature"], "supply": plain["temperature"]})
     found = arranged(tmp_path / "a.rrd", [Timebase().samples(extra)], setup, live=True)
-    assert {"V", "no unit"} <= set(map(str, found["ViewBlueprint:display_name"]))
+    assert {"supply [V]", "humidity"} <= set(map(str, found["ViewBlueprint:display_name"]))
 
 
 def test_recording_shows_everything(tmp_path: Path) -> None:
