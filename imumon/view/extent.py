@@ -26,9 +26,9 @@ LEAST_STEPS = 4.0
 """The axis spans at least so many steps of a quantized column, or of the last digit of a card."""
 STILL = 0.02
 """What never changes is shown on an axis of this share of its value."""
-AHEAD, SCARCE = 0.1, 0.02
-"""The ends leave so much of the span free, for what comes until the next step; the second where the first
-would need coarser marks, and with them an axis more than twice as long."""
+AHEAD = 0.1
+"""The ends leave so much of the span free, for what comes until the next step; nothing where that would need
+coarser marks, and with them an axis more than twice as long."""
 TAB_HEIGHT, FRAME_HEIGHT, MARK_HEIGHT = 750, 36, 20
 """Points, in a window of 1456 x 819: a tab; of each strip its title and times; the number of a mark."""
 LATEST_S = {True: 3.0, False: 90.0}
@@ -103,9 +103,7 @@ class Extent:
         least = max(drawn.least, LEAST_STEPS * self._resolution if np.isfinite(self._resolution) else 0.0)
         if low == high:  # nothing is known of what it resolves
             least = max(least, STILL * abs(low)) or 1.0
-        long, scarce = (
-            _with_room((low, high), least, share, drawn.floor, marks) for share in (AHEAD, SCARCE)
-        )
+        long, scarce = (_with_room((low, high), least, share, drawn.floor, marks) for share in (AHEAD, 0.0))
         return scarce if long[1] - long[0] > 2.0 * (scarce[1] - scarce[0]) else long
 
     def _seen(self) -> tuple[float, float]:
