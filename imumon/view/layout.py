@@ -18,7 +18,7 @@ import pyarrow as pa
 import rerun as rr
 
 from imumon.blocks import BoolArray, ColumnArray, FloatArray, IntArray
-from imumon.charts import GREY, Color
+from imumon.charts import COLOR_NAMES, GREY, Color
 from imumon.columns import KNOWN
 from imumon.view.cards import DIGITS, Reading
 from imumon.view.extent import LEAST_STEPS, Reach, declare_extent, entity
@@ -331,13 +331,14 @@ class Strip:
             rows.kept(ends).send(rec, f"{self.drawn}/limits", levels)
 
     def view(self, setup: ViewSetup, window: Window) -> Any:
-        """Return the view, its unit in the title."""
+        """Return the view, its unit and the colours of its lines in the title: a legend would cover data."""
         unit = self._unit(setup)
         title = f"{self.title} [{unit}]" if unit else self.title
+        if len(self.lines) > 1:
+            title += ": " + ", ".join(f"{line.name} {COLOR_NAMES[line.color]}" for line in self.lines)
         beside = [self.beside] if self.beside else []
         ends = [entity(drawn.removesuffix("/**")) for drawn in (self.drawn, *beside)]
-        legend = self.place != LINK and bool(len(self.lines) > 1 or beside)  # else the title says it
-        return series_view(self.drawn, title, window, self.y_range, beside, ends, legend=legend)
+        return series_view(self.drawn, title, window, self.y_range, beside, ends)
 
 
 @dataclass(frozen=True, slots=True)

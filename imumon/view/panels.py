@@ -48,7 +48,7 @@ def _means_at_rest(axis: str) -> tuple[Line, ...]:
 def _thermal(suffixes: dict[str, Color], readings: str) -> Iterator[Panel]:
     """Yield the panels of temperature and rate for sensors whose columns end so, with their colours."""
     rows = (
-        ("temperature_estimate", "Temperature: readings, estimate, 2σ", "°C", readings),
+        ("temperature_estimate", "Temperature, readings and 2σ", "°C", readings),
         ("temperature_rate", "Temperature rate, 2σ", "°C/h", None),
     )
     for name, title, unit, beside in rows:
@@ -121,9 +121,9 @@ PANELS: tuple[Panel, ...] = (
     ),
     Strip(
         "gyro_corrected",
-        "Angular rate: raw and corrected",
+        "Angular rate, raw and corrected",
         tuple(
-            Line(f"gyro_corrected_{axis}", f"{axis} corr.", color)
+            Line(f"gyro_corrected_{axis}", f"{axis} corrected", color)
             for axis, color in zip("xyz", (ORANGE, VIOLET, GREY), strict=True)
         ),
         "°/s",
@@ -140,7 +140,7 @@ PANELS: tuple[Panel, ...] = (
     ),
     Strip(
         "turn_hypothesis",
-        "Not decided: turn or change of the bias",
+        "Not decided, turn or change of the bias",
         _axes("turn_hypothesis"),
         "°/h",
         BIAS,
@@ -283,7 +283,7 @@ PANELS: tuple[Panel, ...] = (
     ),
     Strip(
         "losses",
-        "Packets lost (red) and damaged (violet), so far",
+        "Packets so far",
         (Line("packets_lost", "lost", RED), Line("packets_damaged", "damaged", VIOLET)),
         place=LINK,
         look="steps",

@@ -82,12 +82,11 @@ def test_what_a_device_does_not_send_has_no_view(tmp_path: Path, column: str, or
     assert "/view/gyro" in found["ViewBlueprint:space_origin"]
 
 
-def test_titles_carry_the_units_that_a_person_reads(tmp_path: Path) -> None:
+def test_titles_carry_units_and_the_colours_of_the_lines(tmp_path: Path) -> None:
     setup = ViewSetup("test", "test", units={"mag_x": "arbitrary"})
     names = arranged(tmp_path / "a.rrd", everything(), setup, live=True)["ViewBlueprint:display_name"]
-    assert {"Angular rate [°/s]", "Specific force [m/s²]", "Magnetic field [a.u.]", "Link load [%]"} <= set(
-        names
-    )
+    axes = ": x red, y green, z blue"
+    assert {f"Angular rate [°/s]{axes}", f"Magnetic field [a.u.]{axes}", "Link load [%]"} <= set(names)
 
 
 def test_live_view_follows_device_time_and_shows_the_last_seconds(tmp_path: Path) -> None:
