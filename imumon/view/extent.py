@@ -113,7 +113,8 @@ class Extent:
         calm_high = np.fmax.reduce([step.calm_high for step in steps])
         room = WIDE * (calm_high - calm_low)
         half = np.array([step.half for step in steps])
-        half = np.fmin(half, WIDE * float(np.median(half.max(axis=1))))
+        usual = float(np.median(half.max(axis=1)))
+        half = np.where(half > WIDE * usual, usual, half)
         low = np.fmax([step.low for step in steps], calm_low - room) - half
         high = np.fmin([step.high for step in steps], calm_high + room) + half
         return float(np.nanmin(low)), float(np.nanmax(high))
