@@ -16,6 +16,9 @@ from imumon.view.pictures import chart_view
 from imumon.view.window import Window, series_view, slow_window
 
 OTHER_TAB = "Other"
+LANE, LANES_FRAME, LOG, LINK_STRIP = 40.0, 42.0, 95.0, 100.0
+"""Points that a lane takes, title and times of all; that some lines of the log and three numbers above each
+other of the link need.  With eight lanes they fill the tab of a window of 1456 x 819."""
 NAMES_MARGIN = 0.3
 """Share of its window that stays free there, for a legend of whole column names."""
 
@@ -138,10 +141,10 @@ def _first_tab(name: str, views: dict[str, list[Any]], window: Window, contents:
             time_ranges=window.ranges,
             time_view=window.axis,
         )
-        right.append((0.4 * len(contents.lanes) + 0.4, states))
+        right.append((LANE * len(contents.lanes) + LANES_FRAME, states))
     if contents.log:
-        right.append((1.3, rrb.TextDocumentView(origin=LOG_TEXT, name="Log")))
-    right += [(1.2, view) for view in views[LINK]]
+        right.append((LOG, rrb.TextDocumentView(origin=LOG_TEXT, name="Log")))
+    right += [(LINK_STRIP, view) for view in views[LINK]]
     middle = [(1.0, view) for view in views[STRIPS]]
     columns = [(share, part) for share, part in ((3.0, left), (4.6, middle), (3.2, right)) if part]
     return rrb.Horizontal(
