@@ -127,9 +127,9 @@ def _tab(name: str, views: list[Any], contents: Contents) -> Any:
 
 
 def _first_tab(name: str, views: dict[str, list[Any]], window: Window, contents: Contents) -> Any:
-    left: list[tuple[float, Any]] = [(2.4, view) for view in views[SCENE]]
+    left: list[tuple[float, Any]] = [(1.9, view) for view in views[SCENE]]
     if FIRST in contents.cards:
-        left.append((2.4, rrb.TextDocumentView(origin=card_path(FIRST), name="Now")))
+        left.append((2.9, rrb.TextDocumentView(origin=card_path(FIRST), name="Now")))
     if contents.status:
         left.append((1.6, rrb.TextDocumentView(origin="/status", name="Status")))
     right: list[tuple[float, Any]] = []

@@ -174,6 +174,7 @@ PANELS: tuple[Panel, ...] = (
             (line,),
             "°/h",
             RESIDUAL,
+            card="bias less model",
         )
         for line in _axes_with_sd("gyro_random_error")
     ),
