@@ -90,7 +90,7 @@ class Extent:
     _before: FloatArray | None = None
     _steps: deque[_Step] = field(default_factory=deque)
 
-    def ends(self, clock: IntArray | None, drawn: Reach, marks: int) -> tuple[float, float] | None:
+    def ends(self, clock: IntArray | None, drawn: Reach, marks: float) -> tuple[float, float] | None:
         """Return both ends of the axis, once in a step of time; None while it goes on.
 
         They are moved outwards until three marks, and no more than `marks` steps between them, have room for
@@ -168,13 +168,13 @@ class Extent:
         self._steps.append(last)
 
 
-def marks_of(strips: int, height: float = TAB_HEIGHT) -> int:
+def marks_of(strips: int, height: float = TAB_HEIGHT) -> float:
     """Return how many steps between marks have room in each of so many strips above each other, 3 or more."""
-    return max(3, int((height / max(strips, 1) - FRAME_HEIGHT) / MARK_HEIGHT))
+    return max(3.0, (height / max(strips, 1) - FRAME_HEIGHT) / MARK_HEIGHT)
 
 
 def _with_room(
-    seen: tuple[float, float], least: float, share: float, floor: float | None, marks: int
+    seen: tuple[float, float], least: float, share: float, floor: float | None, marks: float
 ) -> tuple[float, float]:
     """Return the ends with a share of the span beyond them, and marks; what has a floor begins there."""
     low, high = seen
@@ -190,7 +190,7 @@ LARGEST = 1e300
 """No axis is longer, so that its ends and marks are numbers; a value beyond is no measurement."""
 
 
-def with_marks(low: float, high: float, most: int) -> tuple[float, float]:
+def with_marks(low: float, high: float, most: float) -> tuple[float, float]:
     """Return the ends, moved outwards until three marks, a power of ten apart, lie between them.
 
     The viewer writes numbers at powers of ten, of which it takes the finest that has room: here `most` steps.

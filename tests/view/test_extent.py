@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from imumon.view.extent import REMEMBERED, Extent, Reach, with_marks
+from imumon.view.extent import REMEMBERED, Extent, Reach, marks_of, with_marks
 
 SECOND = 1_000_000_000
 MANY = 30
@@ -126,3 +126,8 @@ def test_ends_beyond_all_measurements_are_numbers(ends: tuple[float, float]) -> 
     low, high = with_marks(*ends, 3)
     assert np.isfinite([low, high]).all()
     assert low < high
+
+
+def test_a_part_of_a_step_counts_as_room() -> None:
+    low, high = with_marks(-5.0, 725.0, marks_of(4))
+    assert (low, high) == (-5.0, 725.0), "seven steps of 100 and a bit more have room in each of four strips"
