@@ -17,6 +17,10 @@ BLUE: Color = (66, 133, 244)
 ORANGE: Color = (235, 140, 20)
 VIOLET: Color = (165, 95, 215)
 GREY: Color = (135, 140, 150)
+COLOR_NAMES = {
+    RED: "red", GREEN: "green", BLUE: "blue", ORANGE: "orange", VIOLET: "violet", GREY: "grey",
+}  # fmt: skip
+"""What a person calls them."""
 AXIS_COLORS = {"x": RED, "y": GREEN, "z": BLUE}
 """These read on the viewer's dark and on its light theme."""
 

@@ -43,24 +43,22 @@ class TermOfSensor:
 TERMS_OF = {
     "gyro": {
         "angle_random_walk": TermOfSensor(
-            "rad/sqrt(s)", "angle_random_walk_rad_per_sqrt_s", "angle random walk", "deg/√h", 60.0 * _DEG
+            "rad/sqrt(s)", "angle_random_walk_rad_per_sqrt_s", "angle random walk", "°/√h", 60.0 * _DEG
         ),
         "bias_instability": TermOfSensor(
-            "rad/s", "bias_instability_rad_per_s", "bias instability", "deg/h", 3600.0 * _DEG
+            "rad/s", "bias_instability_rad_per_s", "bias instability", "°/h", 3600.0 * _DEG
         ),
         "rate_random_walk": TermOfSensor(
             "rad/s/sqrt(s)",
             "rate_random_walk_rad_per_s_sqrt_s",
             "rate random walk",
-            "deg/h/√h",
+            "°/h/√h",
             60.0 * 3600.0 * _DEG,
         ),
         "quantization": TermOfSensor("rad", "quantization_rad", "quantization", "arcsec", 3600.0 * _DEG),
-        "rate_ramp": TermOfSensor(
-            "rad/s^2", "rate_ramp_rad_per_s2", "rate ramp", "deg/h/h", 3600.0**2 * _DEG
-        ),
+        "rate_ramp": TermOfSensor("rad/s^2", "rate_ramp_rad_per_s2", "rate ramp", "°/h/h", 3600.0**2 * _DEG),
         "correlated_noise": TermOfSensor(
-            "rad/s", "correlated_noise_rad_per_s", "correlated noise", "deg/h", 3600.0 * _DEG
+            "rad/s", "correlated_noise_rad_per_s", "correlated noise", "°/h", 3600.0 * _DEG
         ),
         "correlation_time": TermOfSensor("s", "correlation_time_s", "  correlated for", "s", 1.0),
     },

@@ -18,7 +18,7 @@ from imumon.geodesy import MICRO_G
 from imumon.harmless import for_plot
 
 COLORS = {"x": "#d03c3c", "y": "#2a9a4f", "z": "#3b78d8"}
-SHOWN = {"gyro": (float(np.rad2deg(3600.0)), "deg/h"), "accel": (1.0 / MICRO_G, "µg")}
+SHOWN = {"gyro": (float(np.rad2deg(3600.0)), "°/h"), "accel": (1.0 / MICRO_G, "µg")}
 """Factor and unit that a person reads."""
 TITLES = {"gyro": "Angular rate", "accel": "Specific force"}
 STYLES = {

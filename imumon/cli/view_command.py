@@ -94,7 +94,8 @@ def command(
             with reading_bar([path], quiet=as_json):
                 told.append(_log(path, name, comparison.session(name)))
         if comparison.arrange() is None:
-            raise ImumonError(Reason.BAD_DATA, "the sessions have no samples with times")
+            hint = "an imported table has no times of a computer: --align power-on" if align == "host" else ""
+            raise ImumonError(Reason.BAD_DATA, "the sessions have no samples with such times", hint)
         rec.flush()
     if as_json:
         print_json({"sessions": [data for data, _ in told], "out": out, "url": url or None})
@@ -134,7 +135,7 @@ def _log(path: Path, name: str, session: Session) -> tuple[dict[str, object], di
     from imumon.pipeline import Pipeline
     from imumon.recordings.folder import open_session
     from imumon.recordings.source import open_source, run_over
-    from imumon.run.account import Outages, describe_disk, describe_span, file_sizes
+    from imumon.run.account import Outages, describe_disk, describe_span, file_sizes, wall_clock
     from imumon.run.narration import describe_losses
     from imumon.run.setup import recorded_setup
     from imumon.run.stages import estimators
@@ -159,7 +160,9 @@ def _log(path: Path, name: str, session: Session) -> tuple[dict[str, object], di
         **pipeline.counters.as_dict(),
     }
     rows = {
-        "recorded": describe_span(metadata.created_ns, ended_ns),
+        "recorded": describe_span(metadata.created_ns, ended_ns)
+        if metadata.table is None  # nobody knows when a table was measured
+        else f"{metadata.duration_s:.1f} s, imported {wall_clock(metadata.created_ns, day=True)}",
         "samples": f"{samples:,}",
         "outages": outages.describe(),
         "losses": describe_losses(pipeline.counters),

@@ -30,7 +30,7 @@ from imumon.recordings.recorder import Recorder
 from imumon.recordings.source import feed
 from imumon.recordings.wire import WireCounters, WireWriter
 from imumon.run.account import Outages
-from imumon.run.marks import Marks
+from imumon.run.marks import Marks, append_request
 from imumon.run.narration import Narrator, Progress, Publish, Say
 from imumon.run.setup import Setup
 from imumon.run.stages import estimators
@@ -250,12 +250,15 @@ class LiveRun:
 
     def mark(self, kind: EventKind, text: str) -> None:
         """Put what a person says of this moment into the recording; may be called from any thread."""
-        self._reader.mark(kind, text)
+        try:
+            append_request(self.session.path, kind, text)
+        except OSError as error:
+            self._say("ERROR", f"no mark can be made: {error.strerror}")
 
     def _take_marks(self) -> None:
         with self._marking:
             for kind, text in self._marks.take():
-                self.mark(kind, text)
+                self._reader.mark(kind, text)
 
     def _wire_writer(self) -> WireWriter:
         settings = self._settings

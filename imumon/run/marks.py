@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 from contextlib import suppress
 from pathlib import Path
 
@@ -29,7 +30,8 @@ def ask_for_mark(session: Path, kind: EventKind, text: str) -> None:
     Raises
     ------
     ImumonError
-        BAD_CONFIG when the text is empty, or the session is not being recorded; BAD_DATA when there is none.
+        BAD_CONFIG when the text is empty, the session is not being recorded, or what is to stop did not
+        begin; BAD_DATA when there is no session.
     """
     if not text.strip():
         raise ImumonError(Reason.BAD_CONFIG, "the text of the mark is empty", "say what is marked")
@@ -40,8 +42,19 @@ def ask_for_mark(session: Path, kind: EventKind, text: str) -> None:
             f"{session} is not being recorded",
             "marks are made while imumon monitor runs; its summary names the session",
         )
+    if kind is EventKind.STOP and not _goes_on(opened.path / REQUESTS, for_log(text)):
+        raise ImumonError(
+            Reason.BAD_CONFIG,
+            f"no part {text!r} goes on in {session}",
+            f"it begins with: imumon mark {session} {shlex.quote(text)} --start",
+        )
+    append_request(opened.path, kind, text)
+
+
+def append_request(folder: Path, kind: EventKind, text: str) -> None:
+    """Leave a request where whoever records looks for it; raises OSError where that cannot be written."""
     line = json.dumps({"kind": kind.value, "text": for_log(text)}) + "\n"
-    descriptor = os.open(opened.path / REQUESTS, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
+    descriptor = os.open(folder / REQUESTS, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
     try:
         os.write(descriptor, line.encode())
     finally:
@@ -81,6 +94,22 @@ def _request(line: bytes) -> tuple[EventKind, str] | None:
         return KINDS[fields["kind"]], for_log(str(fields["text"]))
     except (ValueError, KeyError, TypeError, RecursionError):
         return None
+
+
+def _goes_on(requests: Path, part: str) -> bool:
+    """Tell whether the part was begun and not ended; all requests of a recording are there until its end."""
+    try:
+        lines = requests.read_bytes().splitlines()
+    except FileNotFoundError:
+        return False
+    asked = [
+        kind
+        for line in lines
+        if (found := _request(line)) is not None
+        for kind, text in [found]
+        if text == part and kind is not EventKind.MARK
+    ]
+    return asked[-1:] == [EventKind.START]
 
 
 def _is_recorded(wire: Path) -> bool:

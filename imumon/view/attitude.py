@@ -52,6 +52,10 @@ class Attitude:
     reference: Reference = DEVICE
     place: str = SCENE
 
+    def says(self, rows: Rows) -> bool:
+        """Tell whether each column has a value."""
+        return bool(np.isfinite(rows.matrix(self.columns)).any(axis=0).all())
+
     def declare(self, rec: rr.RecordingStream) -> None:
         """Log the housing with its connector and axes, and the reference axes."""
         rec.log(f"/samples/{self.key}", rr.SeriesLines(names=list(self.columns)), static=True)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import rerun.blueprint as rrb
 
+from imumon.view.extent import entity
 from imumon.view.items import ViewSetup
 from imumon.view.layout import FIRST, LINK, SCENE, STRIPS, Panel, tab_of
 from imumon.view.log_text import LOG_TEXT
@@ -15,6 +16,11 @@ from imumon.view.pictures import chart_view
 from imumon.view.window import Window, series_view, slow_window
 
 OTHER_TAB = "Other"
+LANE, LANES_FRAME, LOG, LINK_STRIP = 40.0, 42.0, 95.0, 100.0
+"""Points that a lane takes, title and times of all; that some lines of the log and three numbers above each
+other of the link need.  With eight lanes they fill the tab of a window of 1456 x 819."""
+NAMES_MARGIN = 0.3
+"""Share of its window that stays free there, for a legend of whole column names."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +79,15 @@ def blueprint(setup: ViewSetup, contents: Contents, timeline: str, *, live: bool
     for place, key, title in contents.charts:
         views.setdefault(place, []).append(chart_view(key, title))
     views[OTHER_TAB] = [
-        series_view(paths[0], title, slow, others=paths[1:]) for title, paths in contents.others
+        series_view(
+            paths[0],
+            title,
+            replace(slow, margin=NAMES_MARGIN),
+            others=paths[1:],
+            ends=[entity(paths[0])],
+            legend=len(paths) > 1,
+        )
+        for title, paths in contents.others
     ]
     first = _first_tab(setup.first_tab if live else "Recording", views, window, contents)
     tabs = [_tab(place, views[place], contents) for place in views if tab_of(place) != FIRST and views[place]]
@@ -113,9 +127,9 @@ def _tab(name: str, views: list[Any], contents: Contents) -> Any:
 
 
 def _first_tab(name: str, views: dict[str, list[Any]], window: Window, contents: Contents) -> Any:
-    left: list[tuple[float, Any]] = [(2.4, view) for view in views[SCENE]]
+    left: list[tuple[float, Any]] = [(1.9, view) for view in views[SCENE]]
     if FIRST in contents.cards:
-        left.append((2.4, rrb.TextDocumentView(origin=card_path(FIRST), name="Now")))
+        left.append((2.9, rrb.TextDocumentView(origin=card_path(FIRST), name="Now")))
     if contents.status:
         left.append((1.6, rrb.TextDocumentView(origin="/status", name="Status")))
     right: list[tuple[float, Any]] = []
@@ -127,10 +141,10 @@ def _first_tab(name: str, views: dict[str, list[Any]], window: Window, contents:
             time_ranges=window.ranges,
             time_view=window.axis,
         )
-        right.append((0.4 * len(contents.lanes) + 0.4, states))
+        right.append((LANE * len(contents.lanes) + LANES_FRAME, states))
     if contents.log:
-        right.append((1.3, rrb.TextDocumentView(origin=LOG_TEXT, name="Log")))
-    right += [(1.2, view) for view in views[LINK]]
+        right.append((LOG, rrb.TextDocumentView(origin=LOG_TEXT, name="Log")))
+    right += [(LINK_STRIP, view) for view in views[LINK]]
     middle = [(1.0, view) for view in views[STRIPS]]
     columns = [(share, part) for share, part in ((3.0, left), (4.6, middle), (3.2, right)) if part]
     return rrb.Horizontal(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -104,6 +105,10 @@ def cell(reading: Reading, now: Mapping[str, float]) -> str:
 
 def measured(value: float, sd: float = math.nan, decimals: int | None = None) -> str:
     """Return a value as it is written in a log book: with a sigma of two digits, or so many decimals."""
+    return re.sub(r"^-(?=[0.]+( |$))", "", _written(value, sd, decimals))  # no minus before zero
+
+
+def _written(value: float, sd: float, decimals: int | None) -> str:
     if not math.isfinite(value):
         return "–"
     if not (math.isfinite(sd) and sd > 0):

@@ -11,7 +11,7 @@ import rerun.blueprint as rrb
 
 from imumon.blocks import IntArray, SampleBlock
 from imumon.charts import BLUE, GREEN, ORANGE, RED, VIOLET, Color
-from imumon.view.blueprint import arranged
+from imumon.view.blueprint import NAMES_MARGIN, arranged
 from imumon.view.extent import Extent, entity, marks_of
 from imumon.view.items import Samples, Timebase, ViewSetup
 from imumon.view.layout import FIRST, Rows, Strip, tab_of
@@ -82,7 +82,7 @@ class Comparison:
     def log(self, line: _Compared, panel: Strip, rows: Rows) -> None:
         """Log what a session has of a line."""
         if panel not in line.drawn:
-            if not all(np.isfinite(rows.columns[name]).any() for name in panel.columns):
+            if not panel.says(rows):
                 return
             line.drawn.append(panel)
             panel.declare(self._rec)
@@ -125,10 +125,16 @@ class Comparison:
             times = np.array(self._span, np.int64)
             rows = Rows({}, None, *((times, None) if self.aligned_at_power_on else (None, times)))
             rows.send(self._rec, entity(line.drawn[0].drawn), np.array([line.ends, line.ends]))
-        view = line.drawn[0].view(self._setup, Window())
+        view = line.drawn[0].view(self._setup, self._window)
         others = [f"{panel.drawn}/**" for panel in line.drawn[1:]]
         title = str(view.name).replace(line.panel.title, line.title)
-        return series_view(line.drawn[0].drawn, title, Window(), line.panel.y_range, others)
+        return series_view(line.drawn[0].drawn, title, self._window, line.panel.y_range, others, legend=True)
+
+    @property
+    def _window(self) -> Window:
+        """The whole of time, and room for the names of the sessions."""
+        first, last = self._span
+        return Window(until_ns=round(last + NAMES_MARGIN * (last - first)))
 
 
 class Session:

@@ -20,13 +20,15 @@ STEP_NS = 1_000_000_000
 REMEMBERED = 1200
 """Steps; where a window has more, neighbours become one."""
 WIDE = 4.0
-"""A band wider than so many times the usual one is cut off: it would leave nothing to see of the others."""
+"""A band wider than so many times the usual one is cut off, and so is a spike that is higher by so many times
+what the line spans without it: it would leave nothing to see of the others."""
 LEAST_STEPS = 4.0
 """The axis spans at least so many steps of a quantized column, or of the last digit of a card."""
 STILL = 0.02
 """What never changes is shown on an axis of this share of its value."""
 AHEAD = 0.1
-"""The ends leave so much of the span free, for what comes until the next step."""
+"""The ends leave so much of the span free, for what comes until the next step; nothing where that would need
+coarser marks, and with them an axis more than twice as long."""
 TAB_HEIGHT, FRAME_HEIGHT, MARK_HEIGHT = 750, 36, 20
 """Points, in a window of 1456 x 819: a tab; of each strip its title and times; the number of a mark."""
 LATEST_S = {True: 3.0, False: 90.0}
@@ -56,16 +58,20 @@ class Reach:
 
 @dataclass(slots=True, eq=False)
 class _Step:
-    """The least and greatest value of each line within a step of time, and half of its widest band."""
+    """What each line spans within a step of time, also without spikes, and half of its widest band."""
 
     number: int
     low: FloatArray
     high: FloatArray
+    calm_low: FloatArray
+    calm_high: FloatArray
     half: FloatArray
 
     def take(self, other: _Step) -> None:
         self.low = np.fmin(self.low, other.low)
         self.high = np.fmax(self.high, other.high)
+        self.calm_low = np.fmin(self.calm_low, other.calm_low)
+        self.calm_high = np.fmax(self.calm_high, other.calm_high)
         self.half = np.fmax(self.half, other.half)
 
 
@@ -81,9 +87,10 @@ class Extent:
 
     window_s: float | None = None
     _resolution: float = np.inf
+    _before: FloatArray | None = None
     _steps: deque[_Step] = field(default_factory=deque)
 
-    def ends(self, clock: IntArray | None, drawn: Reach, marks: int) -> tuple[float, float] | None:
+    def ends(self, clock: IntArray | None, drawn: Reach, marks: float) -> tuple[float, float] | None:
         """Return both ends of the axis, once in a step of time; None while it goes on.
 
         They are moved outwards until three marks, and no more than `marks` steps between them, have room for
@@ -92,20 +99,25 @@ class Extent:
         began = self._gather(0 if clock is None or not len(clock) else int(clock[-1]) // STEP_NS, drawn)
         if not began:
             return None
-        half = np.array([step.half for step in self._steps])
-        half = np.fmin(half, WIDE * float(np.median(half.max(axis=1))))
-        low = float(np.nanmin(np.array([step.low for step in self._steps]) - half))
-        high = float(np.nanmax(np.array([step.high for step in self._steps]) + half))
+        low, high = self._seen()
         least = max(drawn.least, LEAST_STEPS * self._resolution if np.isfinite(self._resolution) else 0.0)
         if low == high:  # nothing is known of what it resolves
             least = max(least, STILL * abs(low)) or 1.0
-        short = max(0.0, least - (high - low))
-        ahead = AHEAD * max(high - low, least)
-        if drawn.floor is not None and low >= drawn.floor:
-            high = max(high + ahead, drawn.floor + least)
-            below, above = with_marks(drawn.floor, high, marks)
-            return drawn.floor, above + drawn.floor - below
-        return with_marks(low - 0.5 * short - ahead, high + 0.5 * short + ahead, marks)
+        long, scarce = (_with_room((low, high), least, share, drawn.floor, marks) for share in (AHEAD, 0.0))
+        return scarce if long[1] - long[0] > 2.0 * (scarce[1] - scarce[0]) else long
+
+    def _seen(self) -> tuple[float, float]:
+        """Return the ends of all lines with their bands, without spikes and bands that are much too wide."""
+        steps = self._steps
+        calm_low = np.fmin.reduce([step.calm_low for step in steps])
+        calm_high = np.fmax.reduce([step.calm_high for step in steps])
+        room = WIDE * (calm_high - calm_low)
+        half = np.array([step.half for step in steps])
+        usual = float(np.median(half.max(axis=1)))
+        half = np.where(half > WIDE * usual, usual, half)
+        low = np.fmax([step.low for step in steps], calm_low - room) - half
+        high = np.fmin([step.high for step in steps], calm_high + room) + half
+        return float(np.nanmin(low)), float(np.nanmax(high))
 
     def _gather(self, number: int, drawn: Reach) -> bool:
         """Take rows; tell whether they begin a step."""
@@ -115,8 +127,15 @@ class Extent:
         moved = change[change > 0]
         if len(moved) and np.mean(change == 0) > 0.5:  # most samples repeat the last: it comes in steps
             self._resolution = min(self._resolution, float(moved.min()))
-        low, high = np.fmin.reduce(drawn.values), np.fmax.reduce(drawn.values)
-        step = _Step(number, low, high, np.nan_to_num(np.fmax.reduce(drawn.reach)))
+        calm = self._calm(drawn.values)
+        step = _Step(
+            number,
+            np.fmin.reduce(drawn.values),
+            np.fmax.reduce(drawn.values),
+            np.fmin.reduce(calm),
+            np.fmax.reduce(calm),
+            np.nan_to_num(np.fmax.reduce(drawn.reach)),
+        )
         if self._steps and number == self._steps[-1].number:
             self._steps[-1].take(step)
             return False
@@ -128,6 +147,14 @@ class Extent:
         if len(self._steps) > REMEMBERED:
             self._halve()
         return True
+
+    def _calm(self, values: FloatArray) -> FloatArray:
+        """Return the median of each value and the two before it: a spike of one sample is gone."""
+        first = values[:1] if self._before is None else self._before
+        padded = np.concatenate([first, first[:1] if len(first) < 2 else first[:0], values])
+        self._before = padded[-2:]
+        a, b, c = padded[:-2], padded[1:-1], padded[2:]
+        return np.asarray(np.fmax(np.fmin(a, b), np.fmin(np.fmax(a, b), c)))
 
     def _halve(self) -> None:
         """Make one step of each two neighbours, but for the last, which goes on."""
@@ -141,16 +168,29 @@ class Extent:
         self._steps.append(last)
 
 
-def marks_of(strips: int, height: float = TAB_HEIGHT) -> int:
+def marks_of(strips: int, height: float = TAB_HEIGHT) -> float:
     """Return how many steps between marks have room in each of so many strips above each other, 3 or more."""
-    return max(3, int((height / max(strips, 1) - FRAME_HEIGHT) / MARK_HEIGHT))
+    return max(3.0, (height / max(strips, 1) - FRAME_HEIGHT) / MARK_HEIGHT)
+
+
+def _with_room(
+    seen: tuple[float, float], least: float, share: float, floor: float | None, marks: float
+) -> tuple[float, float]:
+    """Return the ends with a share of the span beyond them, and marks; what has a floor begins there."""
+    low, high = seen
+    ahead = share * max(high - low, least)
+    if floor is not None and low >= floor:
+        below, above = with_marks(floor, max(high + ahead, floor + least), marks)
+        return floor, above + floor - below
+    short = max(0.0, least - (high - low))
+    return with_marks(low - 0.5 * short - ahead, high + 0.5 * short + ahead, marks)
 
 
 LARGEST = 1e300
 """No axis is longer, so that its ends and marks are numbers; a value beyond is no measurement."""
 
 
-def with_marks(low: float, high: float, most: int) -> tuple[float, float]:
+def with_marks(low: float, high: float, most: float) -> tuple[float, float]:
     """Return the ends, moved outwards until three marks, a power of ten apart, lie between them.
 
     The viewer writes numbers at powers of ten, of which it takes the finest that has room: here `most` steps.

@@ -18,7 +18,7 @@ import pyarrow as pa
 import rerun as rr
 
 from imumon.blocks import BoolArray, ColumnArray, FloatArray, IntArray
-from imumon.charts import GREY, Color
+from imumon.charts import COLOR_NAMES, GREY, Color
 from imumon.columns import KNOWN
 from imumon.view.cards import DIGITS, Reading
 from imumon.view.extent import LEAST_STEPS, Reach, declare_extent, entity
@@ -158,7 +158,10 @@ class Panel(Protocol):
 
     @property
     def columns(self) -> Sequence[str]:
-        """All of these must be there, with a finite value somewhere, for the panel to appear."""
+        """All of these must be there for the panel to appear."""
+
+    def says(self, rows: Rows) -> bool:
+        """Tell whether the rows have something to show: a value of each column."""
 
     def declare(self, rec: rr.RecordingStream) -> None:
         """Log what does not change: names, colours, bodies."""
@@ -226,6 +229,8 @@ class Strip:
         What the card of the tab calls the present values; it does not show them without.
     headline : bool, optional
         Whether the card shows the last line's value large.
+    silent : float, optional
+        While the columns have no other value there is nothing to say, and no panel.
     """
 
     key: str
@@ -241,11 +246,18 @@ class Strip:
     floor: float | None = None
     card: str = ""
     headline: bool = False
+    silent: float | None = None
 
     @property
     def columns(self) -> tuple[str, ...]:
         """The columns that are drawn, and those of their sigmas."""
         return tuple(name for line in self.lines for name in (line.column, line.sd) if name is not None)
+
+    def says(self, rows: Rows) -> bool:
+        """Tell whether each column has a value, and one of them another than `silent`."""
+        values = rows.matrix(self.columns)
+        finite = np.isfinite(values)
+        return bool(finite.any(axis=0).all() and (finite & (values != self.silent)).any())
 
     @property
     def exact(self) -> str:
@@ -319,9 +331,11 @@ class Strip:
             rows.kept(ends).send(rec, f"{self.drawn}/limits", levels)
 
     def view(self, setup: ViewSetup, window: Window) -> Any:
-        """Return the view, its unit in the title."""
+        """Return the view, its unit and the colours of its lines in the title: a legend would cover data."""
         unit = self._unit(setup)
         title = f"{self.title} [{unit}]" if unit else self.title
+        if len(self.lines) > 1:
+            title += ": " + ", ".join(f"{line.name} {COLOR_NAMES[line.color]}" for line in self.lines)
         beside = [self.beside] if self.beside else []
         ends = [entity(drawn.removesuffix("/**")) for drawn in (self.drawn, *beside)]
         return series_view(self.drawn, title, window, self.y_range, beside, ends)

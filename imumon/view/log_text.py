@@ -11,6 +11,8 @@ from imumon.view.items import Log
 LOG_TEXT = "/log_text"
 """Entity of the text; the lines themselves are in ``/log``."""
 LINES = 30
+QUIET = ("INFO", "DEBUG", "TRACE")
+"""Levels that need not be said."""
 
 
 class LogText:
@@ -26,8 +28,14 @@ class LogText:
 
     def add(self, line: Log) -> None:
         """Take a line."""
-        mark = "" if line.level in ("INFO", "DEBUG", "TRACE") else f"**{line.level}** "
+        mark = "" if line.level in QUIET else f"**{line.level}** "
         self._lines.appendleft(f"`{clock(line.at.host_ns)}` {mark}{for_markdown(line.text)}")
+
+
+def dated(line: Log) -> str:
+    """Return a line as a terminal shows it: with the time of day, and its level where that matters."""
+    when = "" if line.at.host_ns is None else f"{clock(line.at.host_ns)} "
+    return f"{when}{line.level + ' ' if line.level not in QUIET else ''}{line.text}"
 
 
 def clock(host_ns: int | None) -> str:

@@ -13,8 +13,8 @@ import pyarrow as pa
 import rerun as rr
 import rerun.blueprint as rrb
 
-from imumon.blocks import NO_INT, ColumnArray, FloatArray
-from imumon.charts import AXIS_COLORS, BLUE, GREEN, RED, Chart
+from imumon.blocks import NO_INT, FloatArray
+from imumon.charts import Chart
 from imumon.harmless import for_markdown
 from imumon.view.attitude import DEVICE
 from imumon.view.blueprint import Contents, blueprint
@@ -32,8 +32,9 @@ from imumon.view.items import (
     lasting_key,
 )
 from imumon.view.lanes import COLORED_STATES, declare_lane, lane_path
-from imumon.view.layout import INTEGERS, OTHER, Rows, at_once, log_markdown, unit_text
+from imumon.view.layout import INTEGERS, Rows, at_once, log_markdown
 from imumon.view.log_text import LOG_TEXT, LogText
+from imumon.view.others import Others
 from imumon.view.panel_log import PanelLog
 from imumon.view.pictures import Painter, log_picture
 from imumon.view.window import slow_window
@@ -43,8 +44,6 @@ APPLICATION_ID = "imumon"
 ELSEWHERE = {"device_time_ns", "host_time_ns", "arrival_time_ns", "device_ticks"}
 """Integer columns that are a timeline, or of the transport: the wire recording has them."""
 
-PART_COLORS = {**AXIS_COLORS, "roll": RED, "pitch": GREEN, "yaw": BLUE}
-"""Colour of a column that no panel draws, by how its name ends."""
 RECORDED_STEP_NS = 500_000_000
 """Of so much time a recording of the view keeps the extremes."""
 PICTURE_SHARE = 0.03
@@ -77,7 +76,7 @@ class StreamLogger:
         self._setup = setup
         self._live = live
         self._panels = PanelLog(rec, setup, live=live)
-        self._others: set[str] = set()
+        self._others = Others(rec, setup, live=live)
         self._lanes: dict[str, list[str]] = {}
         self._lasting: dict[str, Event] = {}
         self._charts: dict[str, Chart] = {}
@@ -109,8 +108,7 @@ class StreamLogger:
         down = rr.ViewCoordinates.RIGHT_HAND_Z_DOWN
         rec.log(DEVICE.root, down if setup.z_down else rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         self._panels.declare()
-        for name in self._others:
-            self._declare_other(name)
+        self._others.declare()
         for lane, states in self._lanes.items():
             declare_lane(rec, lane, states)
         # A later file of a recording needs the status card anew; pictures stand in the files before.
@@ -159,7 +157,7 @@ class StreamLogger:
         for name, values in rows.columns.items():
             if values.dtype == np.float64 and name not in claimed:
                 own = name.removeprefix(f"{item.stream}_")
-                self._log_other(f"{item.stream}/{own}" if item.stream else name, values, rows)
+                self._others.log(f"{item.stream}/{own}" if item.stream else name, values, rows)
 
     def _note(self, rows: Rows) -> None:
         """Note how far the data has come: for the cards, and for when the slow tabs are full."""
@@ -192,17 +190,6 @@ class StreamLogger:
             arrays = {name: pa.array(values) for name, values in integers.items()}
             columns = rr.AnyValues.columns(True, **arrays)
             self._rec.send_columns(entity, indexes=rows.indexes, columns=columns)
-
-    def _log_other(self, name: str, values: ColumnArray, rows: Rows) -> None:
-        if name not in self._others:
-            if not np.any(np.isfinite(values) & (values != 0.0)):  # it has not said anything yet
-                return
-            self._others.add(name)
-            self._declare_other(name)
-        kept = rows.extremes(np.asarray(values, np.float64)[:, np.newaxis]) & np.isfinite(values)
-        if not kept.any():
-            return
-        rows.kept(kept).send(self._rec, f"{OTHER}/{name}", np.asarray(values[kept], np.float64))
 
     def _log_early_events(self, first: Samples) -> None:
         """Show the events before the first sample on the timelines that begin with it."""
@@ -255,7 +242,7 @@ class StreamLogger:
         rows = Rows(columns, times.sample, times.device_ns, times.host_ns)
         claimed = self._panels.log(rows)
         for name in columns.keys() - claimed:
-            self._log_other(name, columns[name], rows)
+            self._others.log(name, columns[name], rows)
 
     def _draw_charts(self) -> None:
         """Draw what is waiting and due: live the one that was drawn longest ago."""
@@ -304,21 +291,6 @@ class StreamLogger:
             known.append(event.state)
             declare_lane(self._rec, event.lane, known)
 
-    def _other_views(self) -> tuple[tuple[str, tuple[str, ...]], ...]:
-        """Return a title and the entities of each view of what no panel draws: one for stream and unit."""
-        found: dict[str, list[str]] = {}
-        for name in sorted(self._others):
-            stream, _, _ = name.rpartition("/")
-            unit = unit_text(self._setup, name.replace("/", "_")) or "no unit"
-            title = f"{stream}: {unit}" if stream else unit
-            found.setdefault(title, []).append(f"{OTHER}/{name}")
-        return tuple((title, tuple(paths)) for title, paths in found.items())
-
-    def _declare_other(self, name: str) -> None:
-        color = PART_COLORS.get(name.rpartition("_")[2])
-        look = rr.SeriesLines(names=[name], colors=None if color is None else [list(color)])
-        self._rec.log(f"{OTHER}/{name}", look, static=True)
-
     def _arrange(self) -> None:
         """Send the blueprint when what there is to see has changed."""
         contents = Contents(
@@ -327,7 +299,7 @@ class StreamLogger:
             lanes=tuple(sorted(map(lane_path, self._lanes))),
             log=self._has_log,
             status="status" in self._lasting,
-            others=self._other_views(),
+            others=self._others.views,
             cards=tuple(self._panels.readings()),
             filled=self._age_ns > 1e9 * self._setup.window_s,
             full=self._age_ns > 1e9 * slow_window(self._setup.window_s),

@@ -12,7 +12,7 @@ from imumon.view.layout import FIRST, LINK, Panel, Rows, log_markdown, tab_of
 from imumon.view.shown import ShownPanels
 from imumon.view.window import slow_window
 
-LINK_HEIGHT = 0.46 * TAB_HEIGHT
+LINK_HEIGHT = 0.4 * TAB_HEIGHT
 """What the strips of the link have below states and log."""
 LIVE_CARD_NS, RECORDED_CARD_NS = 500_000_000, 10_000_000_000
 """How often the cards are written: a person cannot read faster; in a recording each costs 2 kB."""

@@ -48,7 +48,7 @@ def _means_at_rest(axis: str) -> tuple[Line, ...]:
 def _thermal(suffixes: dict[str, Color], readings: str) -> Iterator[Panel]:
     """Yield the panels of temperature and rate for sensors whose columns end so, with their colours."""
     rows = (
-        ("temperature_estimate", "Temperature: readings, estimate, 2σ", "°C", readings),
+        ("temperature_estimate", "Temperature, readings and 2σ", "°C", readings),
         ("temperature_rate", "Temperature rate, 2σ", "°C/h", None),
     )
     for name, title, unit, beside in rows:
@@ -121,9 +121,9 @@ PANELS: tuple[Panel, ...] = (
     ),
     Strip(
         "gyro_corrected",
-        "Angular rate: raw and corrected",
+        "Angular rate, raw and corrected",
         tuple(
-            Line(f"gyro_corrected_{axis}", f"{axis} corr.", color)
+            Line(f"gyro_corrected_{axis}", f"{axis} corrected", color)
             for axis, color in zip("xyz", (ORANGE, VIOLET, GREY), strict=True)
         ),
         "°/s",
@@ -140,11 +140,12 @@ PANELS: tuple[Panel, ...] = (
     ),
     Strip(
         "turn_hypothesis",
-        "Not decided: turn or change of the bias",
+        "Not decided, turn or change of the bias",
         _axes("turn_hypothesis"),
         "°/h",
         BIAS,
         look="steps",
+        silent=0.0,
     ),
     Bands(
         "attitude_estimate_level",
@@ -173,6 +174,7 @@ PANELS: tuple[Panel, ...] = (
             (line,),
             "°/h",
             RESIDUAL,
+            card="bias less model",
         )
         for line in _axes_with_sd("gyro_random_error")
     ),
@@ -282,7 +284,7 @@ PANELS: tuple[Panel, ...] = (
     ),
     Strip(
         "losses",
-        "Packets lost and damaged, so far",
+        "Packets so far",
         (Line("packets_lost", "lost", RED), Line("packets_damaged", "damaged", VIOLET)),
         place=LINK,
         look="steps",

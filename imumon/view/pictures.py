@@ -149,11 +149,14 @@ def _frame(axes: Any, chart: Chart) -> None:
             axis.set_minor_locator(AutoMinorLocator())
     axes.grid(which="major", color=FAINT, lw=0.8)
     axes.grid(which="minor", color=FAINT, lw=0.3)
-    if any(curve.listed for curve in chart.curves):
-        axes.legend(loc="best", fontsize=9)
+    room = dict(ROOM)
+    if any(curve.listed for curve in chart.curves):  # beside the axes: there it covers no data
+        legend = axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.4, fontsize=9)
+        width = legend.get_window_extent(axes.figure.canvas.get_renderer()).width
+        room["right"] -= width / axes.figure.bbox.width
     line = TALL[1] / axes.figure.get_figheight()
     top = TOP - line * (NOTE * len(chart.notes) + (HEADLINE if chart.headline else 0.0))
-    axes.figure.subplots_adjust(top=top, bottom=line * BOTTOM, **ROOM)
+    axes.figure.subplots_adjust(top=top, bottom=line * BOTTOM, **room)
     if chart.notes:
         axes.set_title("\n".join(map(for_plot, chart.notes)), fontsize=10, loc="left", family="monospace")
     if chart.headline:

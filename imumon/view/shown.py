@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-import numpy as np
-
 from imumon.view.items import ViewSetup
 from imumon.view.layout import SCENE, Panel, Rows
 from imumon.view.panels import PANELS
@@ -41,10 +39,10 @@ class ShownPanels:
         return iter(self._drawing[names])
 
     def begins(self, panel: Panel, rows: Rows) -> bool:
-        """Take a new panel up when each of its columns has a value; only one body can turn."""
+        """Take a new panel up when it has something to say; only one body can turn."""
         if panel.key in self.begun:
             return False
-        if not all(np.isfinite(rows.columns[name]).any() for name in panel.columns):
+        if not panel.says(rows):
             return False
         if panel.place == SCENE and any(other.place == SCENE for other in self.begun.values()):
             return False

@@ -12,9 +12,9 @@ import numpy as np
 from imumon.harmless import for_log
 from imumon.view.cards import AXES, Cards, Reading, cell
 from imumon.view.items import Log, Numbers, Samples, State, ViewItem, ViewSetup, merge
-from imumon.view.lanes import NAMES
 from imumon.view.layout import Rows
-from imumon.view.log_text import clock
+from imumon.view.log_text import dated
+from imumon.view.newest import states_text
 from imumon.view.queue import DropOldestQueue
 from imumon.view.shown import ShownPanels
 
@@ -25,6 +25,8 @@ LOG_LINES = 100
 BARS = "▁▂▃▄▅▆▇█"
 NAME, CELL, UNIT, SPARK = 18, 15, 5, 10
 """Columns of text that the parts of a row take."""
+LEAST_NAME = 6
+"""Letters of a name that still tell what a number is."""
 WIDE = 120
 """From so many columns on every axis has its sparkline."""
 
@@ -60,10 +62,12 @@ class TerminalView:
         now = self._cards.take()
         for name, value in now.items():
             self._past.setdefault(name, deque(maxlen=HISTORY)).append(value)
-        found = [f"{self._setup.title}  {status}", *wrap(self._states(), columns), ""]
-        for key in self._panels.begun:
-            if readings := self._panels.readings[key]:
-                found += self._rows(readings, now, columns)
+        shown = (self._panels.readings[key] for key in self._panels.begun)
+        numbers = [row for readings in shown if readings for row in self._rows(readings, now, columns)]
+        head = f"{self._setup.title}  {status}"
+        states = [*wrap(states_text(self._lanes), columns), ""]
+        spare = rows - 1 - len(numbers)  # in a small window numbers come before all else
+        found = [head if len(head) <= columns else status, *states[: max(0, spare)], *numbers]
         room = rows - len(found) - 1
         if room > 0:
             log = [part for line in self._log for part in wrap(line, columns, subsequent_indent="  ")]
@@ -80,25 +84,22 @@ class TerminalView:
             elif isinstance(item, State):
                 self._lanes[item.lane] = item.state
             elif isinstance(item, Log):
-                self._log.append(_logged(item))
+                self._log.append(dated(item))
 
     def _gather(self, rows: Rows) -> None:
         for panel in self._panels.drawing(rows):
             self._panels.begins(panel, rows)
             self._cards.add(self._panels.readings[panel.key], rows.columns)
 
-    def _states(self) -> str:
-        order = {name: at for at, name in enumerate(NAMES)}
-        lanes = sorted(self._lanes.items(), key=lambda item: order.get(item[0], len(order)))
-        return "  ".join(f"{NAMES.get(lane, lane)} {state}" for lane, state in lanes)
-
     def _rows(self, readings: Sequence[Reading], now: Mapping[str, float], columns: int) -> list[str]:
         """Return the rows of one panel: three axes beside each other, other values below each other."""
-        if [one.name for one in readings] == AXES:
+        if [one.name for one in readings] == AXES and columns >= NAME + len(AXES) * CELL:
             cells = "".join(f"{cell(one, now):>{CELL}}" for one in readings)
             shown = readings if columns >= WIDE else [self._liveliest(readings)]
             sparks = "  ".join(f"{one.name} {self._spark(one)}" for one in shown)
             return [f"{readings[0].row:{NAME}}{cells} {readings[0].unit:{UNIT}} {sparks}"]
+        if columns < NAME + CELL + UNIT:
+            return [_narrow(_label(one, readings), cell(one, now), one.unit, columns) for one in readings]
         return [
             f"{_label(one, readings):{NAME}}{cell(one, now):>{CELL}} {one.unit:{UNIT}} {self._spark(one)}"
             for one in readings
@@ -131,9 +132,16 @@ def _label(reading: Reading, readings: Sequence[Reading]) -> str:
     return reading.row if len(readings) == 1 else f"{reading.row} {reading.name}"
 
 
-def _logged(line: Log) -> str:
-    when = "" if line.at.host_ns is None else f"{clock(line.at.host_ns)} "
-    return f"{when}{line.level + ' ' if line.level not in ('INFO', 'DEBUG') else ''}{line.text}"
+def _narrow(label: str, value: str, unit: str, columns: int) -> str:
+    """Return a row of few columns: the value whole, its sigma and the whole name where they have room."""
+    if len(value) + len(unit) + 2 + LEAST_NAME > columns:
+        value = value.partition(" ± ")[0]
+    text, words = f"{value} {unit}".rstrip(), label.split()
+    width = columns - len(text) - 1
+    while len(" ".join(words)) > width and max(map(len, words)) > 1:
+        longest = max(range(len(words)), key=lambda at: len(words[at]))
+        words[longest] = words[longest][:-1]
+    return f"{' '.join(words):{max(width, 0)}} {text}"
 
 
 class Screen:

@@ -1,8 +1,9 @@
-"""The web viewer on 127.0.0.1: Rerun's own page, kept from calling home, and reloaded after a restart."""
+"""The web viewer on 127.0.0.1: Rerun's own page, kept from calling home, and the newest states and log."""
 
 from __future__ import annotations
 
 import http.client
+import json
 import re
 import socket
 import sys
@@ -10,7 +11,7 @@ import threading
 import time
 import urllib.request
 import uuid
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing
 from functools import partial
 from html import escape
@@ -41,18 +42,41 @@ OURS = {"connection", "keep-alive", "transfer-encoding", "content-length", "host
 """Headers that each of two connections has of its own; ``Host`` and ``Origin`` were judged here."""
 
 SCRIPT = """
+<style>
+  #newest {{
+    position: absolute; bottom: 0; left: 0; right: 0; height: {height}px; overflow: hidden; display: none;
+    font: 13px/18px monospace; white-space: pre-wrap; padding-left: 8px; background: #0d1011; color: #cad8de;
+  }}
+  .told #newest {{ display: block; }}
+  .told canvas {{ height: calc(100% - {height}px) !important; }}
+</style>
 <script>
 (() => {{
-  // A restarted server has another name; the page then starts anew and gets the picture back.
-  setInterval(async () => {{
-    try {{
-      const answer = await fetch("{alive}", {{ cache: "no-store" }});
-      if (answer.ok && (await answer.text()) !== "{name}") window.location.reload();
-    }} catch (error) {{ /* the server is away; ask again */ }}
-  }}, 2000);
+  const say = (lines) => {{
+    const place = document.getElementById("newest") || document.createElement("div");
+    place.id = "newest";
+    place.textContent = lines.join("\\n");
+    document.body.append(place);
+    document.body.classList.toggle("told", lines.length > 0);
+  }};
+  // Pushed, in one turn of the browser: one that draws by software has a turn or two in a second.
+  const source = new EventSource("{alive}");
+  source.onmessage = (message) => {{
+    const told = JSON.parse(message.data);
+    // A restarted server has another name; the page then starts anew and gets the picture back.
+    if (told.name !== "{name}") window.location.reload();
+    say(told.newest);
+  }};
+  source.onerror = () => {{ /* the browser asks again by itself */
+    say(["no answer from imumon: it has ended, or cannot be reached"]);
+  }};
 }})();
 </script>
 """
+NEWEST_HEIGHT = 72
+"""Pixels: four lines, two of which the states may take."""
+PUSH_S = 5.0
+"""So often the page is told what is newest when nothing has changed, so that who went away is noticed."""
 
 
 def bundled_assets() -> dict[str, bytes]:
@@ -92,7 +116,7 @@ def page(html: str, name: str, title: str) -> str:
     """Return Rerun's page with our script and title, and without what it would load from elsewhere."""
     local = re.sub(r"<link\b[^>]*https://[^>]*>", "", html)
     local = re.sub(r"<title>.*?</title>", lambda _: f"<title>{escape(title)}</title>", local, flags=re.DOTALL)
-    script = SCRIPT.format(alive=ALIVE, name=name)
+    script = SCRIPT.format(alive=ALIVE, name=name, height=NEWEST_HEIGHT)
     return local.replace("<head>", "<head>" + script, 1)
 
 
@@ -125,16 +149,43 @@ class WebServer:
         self.stream = stream
         self.host = socket.gethostname() if bind == "0.0.0.0" else bind  # as others reach it
         self.url = f"http://{self.host}:{self.port}/"
-        name = uuid.uuid4().hex
+        self._name = uuid.uuid4().hex
         self.files = bundled_assets()
-        self.files["/"] = page(self.files["/"].decode(), name, title).encode()
-        self.files[ALIVE] = name.encode()
+        self.files["/"] = page(self.files["/"].decode(), self._name, title).encode()
+        self._newest = b""
+        self._change, self._closed = threading.Condition(), False
+        self.tell([])
         handler = partial(_Handler, self)
         self._server = _Server(door, handler)
         threading.Thread(target=self._server.serve_forever, name="web viewer", daemon=True).start()
 
+    def tell(self, newest: Sequence[str]) -> None:
+        """Let every page show these lines below the picture, at once."""
+        told = json.dumps({"name": self._name, "newest": newest}).encode()
+        if told != self._newest:
+            with self._change:
+                self._newest = told
+                self._change.notify_all()
+
+    def told(self) -> Iterator[bytes]:
+        """Yield what pages are told, now and as it changes, until the server is closed."""
+        seen = b""
+        while True:
+            with self._change:
+                self._change.wait_for(partial(self._differs, seen), PUSH_S)
+                if self._closed:
+                    return
+                seen = self._newest
+            yield seen
+
+    def _differs(self, seen: bytes) -> bool:
+        return self._closed or self._newest is not seen
+
     def close(self) -> None:
         """Stop serving."""
+        with self._change:
+            self._closed = True
+            self._change.notify_all()
         self._server.shutdown()
         self._server.server_close()
 
@@ -167,6 +218,9 @@ class _Handler(BaseHTTPRequestHandler):
         if self._refuses():
             return
         path, _, query = self.path.partition("?")
+        if path == ALIVE:
+            self._push()
+            return
         body = site.files.get(path)
         if body is None:
             self.send_error(HTTPStatus.NOT_FOUND)
@@ -187,6 +241,16 @@ class _Handler(BaseHTTPRequestHandler):
         self.send_header("rerun-final-length", str(len(body)))  # the page's progress bar asks for it
         self.end_headers()
         self.wfile.write(body)
+
+    def _push(self) -> None:
+        """Tell the page what is newest for as long as it listens."""
+        self.send_response(HTTPStatus.OK)
+        self.send_header("Content-Type", "text/event-stream")
+        self.send_header("Cache-Control", "no-store")
+        self.send_header("Connection", "close")
+        self.end_headers()
+        for newest in self._site.told():
+            self.wfile.write(b"data: %b\n\n" % newest)
 
     def do_POST(self) -> None:
         """Pass a request for the stream on, and what comes back as it comes."""

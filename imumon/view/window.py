@@ -1,4 +1,4 @@
-"""What the series of a tab show of time, and where their legend stands."""
+"""What the series of a tab show of time."""
 
 from __future__ import annotations
 
@@ -13,8 +13,6 @@ from imumon.view.extent import LATEST_S
 
 SLOW_WINDOW_S = 600.0
 """The tabs behind the first show what is slow: the time since the start, then so many seconds at least."""
-MARGIN = 0.11
-"""Share of a window that stays free on the right, for the legend: there it never covers data."""
 GROWING_S = 120.0
 """While a window grows its margin is that of one of at most this length, so that little stays empty."""
 TEMPORAL = ("device_time", "host_time")
@@ -28,13 +26,19 @@ class Window:
     Parameters
     ----------
     seconds : float or None
-        Length, and a margin for the legend beyond the newest data; None for a whole recording.
+        Length; None for a whole recording.
     full : bool
         Whether so much has come; until then it begins where the data does.
+    margin : float
+        Share of it that stays free on the right, for a legend.
+    until_ns : int, optional
+        Where the axis of a whole recording ends; with the data without.
     """
 
     seconds: float | None = None
     full: bool = True
+    margin: float = 0.0
+    until_ns: int | None = None
 
     @property
     def latest(self) -> rrb.VisibleTimeRanges:
@@ -55,15 +59,11 @@ class Window:
     def axis(self) -> rrb.TimeAxis:
         """What the axis shows; without it the viewer shows a minute around the cursor."""
         if self.seconds is None:
-            return rrb.TimeAxis(view_range=rr.TimeRange(start=ENDLESS, end=ENDLESS))
-        margin = MARGIN * (self.seconds if self.full else min(self.seconds, GROWING_S))
+            until = ENDLESS if self.until_ns is None else rrb.TimeRangeBoundary.absolute(nanos=self.until_ns)
+            return rrb.TimeAxis(view_range=rr.TimeRange(start=ENDLESS, end=until))
+        margin = self.margin * (self.seconds if self.full else min(self.seconds, GROWING_S))
         end = rrb.TimeRangeBoundary.cursor_relative(seconds=margin)
         return rrb.TimeAxis(view_range=rr.TimeRange(start=self._start, end=end))
-
-    @property
-    def legend(self) -> rrb.PlotLegend:
-        """The legend: in the margin where there is one."""
-        return rrb.PlotLegend(rrb.Corner2D.LeftTop if self.seconds is None else rrb.Corner2D.RightTop)
 
     @property
     def _start(self) -> rrb.TimeRangeBoundary:
@@ -79,8 +79,12 @@ def series_view(
     y_range: tuple[float, float] | None = None,
     others: Sequence[str] = (),
     ends: Sequence[str] = (),
+    *,
+    legend: bool = False,
 ) -> Any:
-    """Return a view of series over time, with other entities beside the first, and a legend.
+    """Return a view of series over time, with other entities beside the first, and maybe a legend.
+
+    A legend stands in the view, over data where there is no margin: better the title tells the colours.
 
     `ends` are entities that say how far the vertical axis reaches now.
     """
@@ -91,7 +95,7 @@ def series_view(
         time_ranges=window.ranges,
         axis_x=window.axis,
         axis_y=rrb.ScalarAxis(range=y_range) if y_range else None,
-        plot_legend=window.legend,
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=legend),
         overrides={one: [window.latest] for one in ends},
     )
 

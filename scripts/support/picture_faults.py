@@ -64,7 +64,7 @@ def axis_faults(recording: Path, panels: Iterable[Panel], window_s: float) -> li
     return faults
 
 
-def numbers_on(low: float, high: float, most: int) -> int:
+def numbers_on(low: float, high: float, most: float) -> int:
     """Return how many numbers the viewer writes from `low` to `high`, where so many steps have room."""
     steps = (10.0**power for power in range(-12, 12))
     step = next(step for step in steps if (high - low) / step <= most + 2)  # the ends were moved outwards

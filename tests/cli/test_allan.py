@@ -131,8 +131,8 @@ def test_the_written_files_say_the_same(done: subprocess.CompletedProcess[str], 
 
 def test_people_read_degrees_and_hours(table: Path) -> None:
     shown = allan(table).stdout
-    assert "deg/√h" in shown
-    assert "deg/h/√h" in shown
+    assert "°/√h" in shown
+    assert "°/h/√h" in shown
     row = next(line for line in shown.splitlines() if "angle random walk" in line)
     value = float(row.split()[4].split("(")[0])
     assert value == pytest.approx(np.rad2deg(WHITE) * 60, rel=0.02)

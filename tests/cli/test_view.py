@@ -60,3 +60,18 @@ def test_what_is_there_is_not_overwritten_and_no_session_is_said(
     (tmp_path / "both.rrd").touch()
     assert "is there already" in imumon("view", sessions[0], "--out", tmp_path / "both.rrd").stderr
     assert imumon("view", tmp_path, "--out", tmp_path / "new.rrd").returncode == 4
+
+
+def test_of_a_table_the_time_of_its_import_is_not_told_as_when_it_was_recorded(tmp_path: Path) -> None:
+    rows = [f"{0.01 * row:.2f},0.1,0.2,0.3" for row in range(300)]
+    (tmp_path / "a.csv").write_text("\n".join(["t,x,y,z", *rows]))
+    (tmp_path / "map.yaml").write_text(
+        "time: {column: t, unit: s}\ngyro: {columns: [x, y, z], unit: deg/s}\naxes: FLU\n"
+    )
+    made = imumon("import", tmp_path / "a.csv", "--map", tmp_path / "map.yaml", "--out", tmp_path / "s")
+    assert made.returncode == 0, made.stderr
+    done = imumon("view", tmp_path / "s", "--out", tmp_path / "one.rrd")
+    assert "recorded  3.0 s, imported 20" in done.stderr
+    refused = imumon("view", tmp_path / "s", "--align", "host", "--out", tmp_path / "two.rrd")
+    assert refused.returncode == 4
+    assert "--align power-on" in refused.stderr

@@ -82,12 +82,11 @@ def test_what_a_device_does_not_send_has_no_view(tmp_path: Path, column: str, or
     assert "/view/gyro" in found["ViewBlueprint:space_origin"]
 
 
-def test_titles_carry_the_units_that_a_person_reads(tmp_path: Path) -> None:
+def test_titles_carry_units_and_the_colours_of_the_lines(tmp_path: Path) -> None:
     setup = ViewSetup("test", "test", units={"mag_x": "arbitrary"})
     names = arranged(tmp_path / "a.rrd", everything(), setup, live=True)["ViewBlueprint:display_name"]
-    assert {"Angular rate [°/s]", "Specific force [m/s²]", "Magnetic field [a.u.]", "Link load [%]"} <= set(
-        names
-    )
+    axes = ": x red, y green, z blue"
+    assert {f"Angular rate [°/s]{axes}", f"Magnetic field [a.u.]{axes}", "Link load [%]"} <= set(names)
 
 
 def test_live_view_follows_device_time_and_shows_the_last_seconds(tmp_path: Path) -> None:
@@ -119,7 +118,7 @@ def test_columns_of_different_units_stand_in_different_views(tmp_path: Path) -> 
     setup = ViewSetup("test", "test", units={"supply": "V"})
     extra = plain.with_columns({"humidity": plain["temperature"], "supply": plain["temperature"]})
     found = arranged(tmp_path / "a.rrd", [Timebase().samples(extra)], setup, live=True)
-    assert {"V", "no unit"} <= set(map(str, found["ViewBlueprint:display_name"]))
+    assert {"supply [V]", "humidity"} <= set(map(str, found["ViewBlueprint:display_name"]))
 
 
 def test_recording_shows_everything(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from imumon.view.extent import REMEMBERED, Extent, Reach, with_marks
+from imumon.view.extent import REMEMBERED, Extent, Reach, marks_of, with_marks
 
 SECOND = 1_000_000_000
 MANY = 30
@@ -44,8 +44,32 @@ def test_a_band_is_inside_and_one_spike_of_it_is_not() -> None:
         ends = extent.ends(_clock(second), _reach([1.0], 0.5), MANY)
         assert ends == pytest.approx((0.4, 1.6))
     ends = extent.ends(_clock(11), _reach([1.0], 500.0), MANY)
+    assert ends == pytest.approx((0.4, 1.6))
+
+
+def test_one_spike_of_a_line_does_not_stretch_its_axis_and_a_burst_does() -> None:
+    noise = np.random.default_rng(7).normal(size=(30, 100))
+    calm, spiky, burst = Extent(), Extent(), Extent()
+    for second in range(30):
+        loud = noise[second].copy()
+        loud[50] += 1e4 if second == 10 else 0.0
+        calm_ends = calm.ends(_clock(second), _reach(list(noise[second])), MANY)
+        spiky_ends = spiky.ends(_clock(second), _reach(list(loud)), MANY)
+        loud[51] += 1e4 if second == 10 else 0.0
+        burst_ends = burst.ends(_clock(second), _reach(list(loud)), MANY)
+    assert calm_ends is not None
+    assert spiky_ends is not None
+    assert burst_ends is not None
+    assert calm_ends[1] >= noise.max(), "noise is no spike"
+    assert spiky_ends[1] < 20 * noise.max()
+    assert burst_ends[1] > 1e4
+
+
+def test_where_room_would_cost_the_finer_marks_there_is_less_of_it() -> None:
+    ends = Extent().ends(_clock(0), _reach([10.0, 690.0]), 7)
     assert ends is not None
-    assert ends[1] == pytest.approx(1.0 + 4 * 0.5 * 1.2)
+    assert ends[0] > -100.0
+    assert ends[1] < 800.0
 
 
 def test_a_band_that_was_wide_at_first_is_cut_off_once_it_is_known_to_be_narrow() -> None:
@@ -67,7 +91,7 @@ def test_what_has_left_the_window_does_not_count() -> None:
 def test_a_long_recording_is_remembered_in_bounded_memory() -> None:
     extent = Extent()
     for second in range(2 * REMEMBERED + 10):
-        ends = extent.ends(_clock(second), _reach([5.0 if second == 7 else 1.0], 0.5), MANY)
+        ends = extent.ends(_clock(second), _reach([5.0 if second in (7, 8) else 1.0], 0.5), MANY)
     assert ends is not None
     assert ends[1] > 5.4
 
@@ -102,3 +126,8 @@ def test_ends_beyond_all_measurements_are_numbers(ends: tuple[float, float]) -> 
     low, high = with_marks(*ends, 3)
     assert np.isfinite([low, high]).all()
     assert low < high
+
+
+def test_a_part_of_a_step_counts_as_room() -> None:
+    low, high = with_marks(-5.0, 725.0, marks_of(4))
+    assert (low, high) == (-5.0, 725.0), "seven steps of 100 and a bit more have room in each of four strips"

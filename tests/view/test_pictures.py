@@ -48,7 +48,7 @@ def _drawn(chart: Chart, color: Color) -> FloatArray:
 
 def test_a_straight_line_on_logarithmic_axes_falls_from_left_to_right() -> None:
     found = _drawn(_chart([1000.0, 100.0, 10.0, 1.0]), RED)
-    line = found[found[:, 1] < 700]  # left of the legend
+    line = found[found[:, 1] < 700]  # left of the sample in the legend
     correlation: Any = np.corrcoef(line.T)
     slope = correlation[0, 1]
     assert slope > 0.999

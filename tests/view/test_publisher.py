@@ -94,15 +94,17 @@ def test_viewer_shows_the_stream(publish: Publish, headless: StartViewer, port: 
         views = {view.name: view for view in client.get_state().views}
         assert [report for view in views.values() for report in view.reports] == []
         names = {
-            "Angular rate [°/s]",
-            "Specific force [m/s²]",
-            "Magnetic field [µT]",
+            "Angular rate [°/s]: x red, y green, z blue",
+            "Specific force [m/s²]: x red, y green, z blue",
+            "Magnetic field [µT]: x red, y green, z blue",
             "Status",
             "States",
             "Log",
         }
         assert names <= views.keys()
-        client.save_screenshot(str(tmp_path / "gyro.png"), view_id=views["Angular rate [°/s]"].view_id)
+        client.save_screenshot(
+            str(tmp_path / "gyro.png"), view_id=views["Angular rate [°/s]: x red, y green, z blue"].view_id
+        )
     assert min(colours_in(tmp_path / "gyro.png", tuple(AXIS_COLORS.values()))) > 100
 
 

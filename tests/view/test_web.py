@@ -1,11 +1,13 @@
 from __future__ import annotations
 
 import http.client
+import json
 import re
 import socket
 import threading
 import urllib.request
 from collections.abc import Iterator
+from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 import pytest
@@ -72,9 +74,35 @@ def test_other_paths_do_not_exist(server: WebServer) -> None:
 
 def test_name_tells_a_restarted_server(server: WebServer) -> None:
     with urllib.request.urlopen(f"{server.url}alive") as response:
-        name = response.read().decode()
+        name = _told(response)["name"]
     with urllib.request.urlopen(server.url) as response:
         assert name in response.read().decode()
+
+
+def test_the_page_is_told_what_is_newest_as_it_changes(server: WebServer) -> None:
+    server.tell(["one"])
+    with urllib.request.urlopen(f"{server.url}alive") as response:
+        assert response.headers["Content-Type"] == "text/event-stream"
+        assert _told(response)["newest"] == ["one"]
+        for lines in (["Port lost", "12:00:00 unplugged"], []):
+            server.tell(lines)
+            assert _told(response)["newest"] == lines
+
+
+def test_a_server_that_closes_ends_what_it_tells() -> None:
+    site = WebServer(listen(29290), ("127.0.0.1", 29876))
+    with urllib.request.urlopen(f"{site.url}alive") as response:
+        assert _told(response)["newest"] == []
+        site.close()
+        assert response.read() == b""
+
+
+def _told(response: http.client.HTTPResponse) -> dict[str, Any]:
+    """Return the next message of a stream of events."""
+    data = response.readline()
+    assert response.readline() == b"\n"
+    found: dict[str, Any] = json.loads(data.removeprefix(b"data: "))
+    return found
 
 
 def test_page_loads_nothing_from_elsewhere() -> None:

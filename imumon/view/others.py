@@ -1,0 +1,105 @@
+"""Float columns that no panel draws: a view for each stream and unit, never one for all."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import rerun as rr
+
+from imumon.blocks import ColumnArray
+from imumon.charts import AXIS_COLORS, BLUE, GREEN, RED
+from imumon.view.extent import Extent, Reach, declare_extent, entity, marks_of, with_marks
+from imumon.view.items import ViewSetup
+from imumon.view.layout import OTHER, Rows, unit_text
+from imumon.view.window import slow_window
+
+PART_COLORS = {**AXIS_COLORS, "roll": RED, "pitch": GREEN, "yaw": BLUE}
+"""Colour of a column by how its name ends."""
+
+
+class Others:
+    """Logs such columns, each to an entity of its own, once they have said something.
+
+    Parameters
+    ----------
+    rec : RecordingStream
+    setup : ViewSetup
+    live : bool
+        Whether a person is watching.
+    """
+
+    def __init__(self, rec: rr.RecordingStream, setup: ViewSetup, *, live: bool) -> None:
+        self._rec, self._setup = rec, setup
+        self._window_s = slow_window(setup.window_s) if live else None
+        self._extents: dict[str, Extent] = {}
+        self._ends: dict[str, tuple[float, float]] = {}
+
+    @property
+    def views(self) -> tuple[tuple[str, tuple[str, ...]], ...]:
+        """A title and the entities of each view; the first holds how far the axis reaches."""
+        return tuple(
+            (title if len(names) > 1 else self._alone(names[0]), tuple(map(path, names)))
+            for title, names in self._together().items()
+        )
+
+    def declare(self) -> None:
+        """Log what does not change, for a new reader."""
+        for name in self._extents:
+            self._declare(name)
+
+    def log(self, name: str, values: ColumnArray, rows: Rows) -> None:
+        """Log a column; its stream, if any, stands before its name and a slash."""
+        numbers = np.asarray(values, np.float64)
+        if name not in self._extents:
+            if not np.any(np.isfinite(numbers) & (numbers != 0.0)):  # it has not said anything yet
+                return
+            self._extents[name] = Extent(self._window_s)
+            self._declare(name)
+        kept = rows.extremes(numbers[:, np.newaxis]) & np.isfinite(numbers)
+        if kept.any():
+            rows.kept(kept).send(self._rec, path(name), numbers[kept])
+            self._log_extent(name, Reach(numbers[:, np.newaxis], np.zeros((len(numbers), 1))), rows)
+
+    def _log_extent(self, name: str, reach: Reach, rows: Rows) -> None:
+        together = self._together()
+        marks = marks_of(math.ceil(len(together) / math.ceil(math.sqrt(len(together)))))
+        ends = self._extents[name].ends(rows.clock, reach, marks)
+        if ends is None:
+            return
+        self._ends[name] = ends
+        names = together[self._title(name)]
+        found = [self._ends[one] for one in names if one in self._ends]
+        whole = with_marks(min(low for low, _ in found), max(high for _, high in found), marks)
+        last = rows.kept(np.array([len(reach.values) - 1]))
+        last.send(self._rec, entity(path(names[0])), np.array([whole]))
+
+    def _together(self) -> dict[str, list[str]]:
+        """Return the names in each view, by its title."""
+        found: dict[str, list[str]] = {}
+        for name in sorted(self._extents):
+            found.setdefault(self._title(name), []).append(name)
+        return found
+
+    def _unit(self, name: str) -> str:
+        return unit_text(self._setup, name.replace("/", "_"))
+
+    def _title(self, name: str) -> str:
+        stream, _, _ = name.rpartition("/")
+        unit = self._unit(name) or "no unit"
+        return f"{stream}: {unit}" if stream else unit
+
+    def _alone(self, name: str) -> str:
+        unit = self._unit(name)
+        return f"{name} [{unit}]" if unit else name
+
+    def _declare(self, name: str) -> None:
+        color = PART_COLORS.get(name.rpartition("_")[2])
+        look = rr.SeriesLines(names=[name], colors=None if color is None else [list(color)])
+        self._rec.log(path(name), look, static=True)
+        declare_extent(self._rec, path(name))
+
+
+def path(name: str) -> str:
+    """Return the entity of a column."""
+    return f"{OTHER}/{name}"

@@ -1,0 +1,49 @@
+"""Columns that no panel draws."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import rerun as rr
+from support.picture_faults import numbers_on, scalars
+
+from imumon.view.extent import entity
+from imumon.view.items import ViewSetup
+from imumon.view.layout import Rows
+from imumon.view.others import Others, path
+
+SETUP = ViewSetup("test", "test", units={"supply": "V", "gnss_height": "m", "gnss_depth": "m"})
+
+
+def rows_of(count: int) -> Rows:
+    return Rows({}, None, 10_000_000 * np.arange(count, dtype=np.int64), None)
+
+
+def test_one_view_for_each_stream_and_unit_and_none_of_zeros(tmp_path: Path) -> None:
+    rec = rr.RecordingStream("imumon", recording_id="test")
+    rec.set_sinks(rr.FileSink(tmp_path / "a.rrd"))
+    others = Others(rec, SETUP, live=True)
+    for name in ("supply", "gnss/height", "gnss/depth", "odd"):
+        others.log(name, np.full(100, 5.0), rows_of(100))
+    others.log("silent", np.zeros(100), rows_of(100))
+    rec.disconnect()
+    assert dict(others.views) == {
+        "gnss: m": (path("gnss/depth"), path("gnss/height")),
+        "odd": (path("odd"),),
+        "supply [V]": (path("supply"),),
+    }
+
+
+def test_an_axis_holds_all_lines_of_its_view_and_has_numbers(tmp_path: Path) -> None:
+    rec = rr.RecordingStream("imumon", recording_id="test")
+    rec.set_sinks(rr.FileSink(tmp_path / "a.rrd"))
+    others = Others(rec, SETUP, live=True)
+    rows = rows_of(300)
+    others.log("gnss/height", np.linspace(100.0, 130.0, 300), rows)
+    others.log("gnss/depth", np.linspace(-7.0, -7.0 + 1e-12, 300), rows)
+    rec.disconnect()
+    _, low, high = scalars(tmp_path / "a.rrd", entity(path("gnss/depth")))[-1]
+    assert low <= -7.0
+    assert high >= 130.0
+    assert numbers_on(low, high, 30) >= 3
