@@ -19,7 +19,7 @@ OTHER_TAB = "Other"
 LANE, LANES_FRAME, LOG, LINK_STRIP = 40.0, 42.0, 95.0, 100.0
 """Points that a lane takes, title and times of all; that some lines of the log and three numbers above each
 other of the link need.  With eight lanes they fill the tab of a window of 1456 x 819."""
-NAMES_MARGIN = 0.3
+NAMES_MARGIN = 0.1
 """Share of its window that stays free there, for a legend of whole column names."""
 
 

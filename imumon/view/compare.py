@@ -11,7 +11,7 @@ import rerun.blueprint as rrb
 
 from imumon.blocks import IntArray, SampleBlock
 from imumon.charts import BLUE, GREEN, ORANGE, RED, VIOLET, Color
-from imumon.view.blueprint import NAMES_MARGIN, arranged
+from imumon.view.blueprint import arranged
 from imumon.view.extent import Extent, entity, marks_of
 from imumon.view.items import Samples, Timebase, ViewSetup
 from imumon.view.layout import FIRST, Rows, Strip, tab_of
@@ -23,6 +23,9 @@ COLORS: tuple[Color, ...] = (BLUE, ORANGE, GREEN, VIOLET, RED)
 """Of the sessions, in their order; with more they come again."""
 COLUMNS = 3
 """Views beside each other in a tab: the three axes."""
+
+NAMES_MARGIN = 0.3
+"""Share of the time of all sessions that stays free behind it, for a legend of their names."""
 
 Alignment = Literal["power-on", "host"]
 
