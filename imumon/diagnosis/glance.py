@@ -1,7 +1,7 @@
 """A glance at the session that is running: does a better model exist, by the likelihood of the diagnosis?
 
-Each gyro by itself, one run from power-on, few candidates and a coarse grid of noise: some milliseconds.
-The whole diagnosis takes seconds, tries more, and proves what it names on other data.
+Each gyro by itself, one run from power-on, one effect at a time and a coarse grid of noise.  The whole
+diagnosis tries more, and proves what it names on other data.
 """
 
 from __future__ import annotations
@@ -14,22 +14,25 @@ from numpy.polynomial import Polynomial
 
 from imumon.blocks import FloatArray
 from imumon.diagnosis.blocks import BLOCK_S, RunBlocks, make_blocks, survey
-from imumon.diagnosis.candidates import Candidate, Part, Pool
+from imumon.diagnosis.candidates import Candidate, Pool, candidates
 from imumon.diagnosis.channel import Declared, ordinary
-from imumon.diagnosis.gains import CLOSE, PROVEN
+from imumon.diagnosis.drivers import recorded, with_drivers
+from imumon.diagnosis.earth import ALLOWANCE, turned
+from imumon.diagnosis.gains import CLOSE, CLOSE_SHARE, PROVEN
 from imumon.diagnosis.known import CUBIC, temperature_of
 from imumon.diagnosis.likelihood import Likelihood, coarse_grid
 from imumon.diagnosis.recording import SECOND_NS, Run
 from imumon.effects.base import Survey
 from imumon.effects.library import EFFECTS
 from imumon.effects.temperature_curve import TemperatureCurve
+from imumon.geodesy import EARTH_RATE
 from imumon.models.model import BiasModel, ChannelModel
 from imumon.models.predictor import BiasPredictor
 
 LEAST_BLOCKS = 40
 """As the whole diagnosis needs."""
-MOST = 6
-"""Of the grid of an effect so many are tried, spread over it: their neighbours have a gain nearly as good."""
+OWN = ("run", "event")
+"""Scopes of what no model file can have."""
 GRID = coarse_grid((0.0, 0.0), (1000.0, 1000.0))
 
 
@@ -57,8 +60,11 @@ class Better:
     model: ChannelModel
 
 
-def residual(run: Run, model: BiasModel, channels: Sequence[str]) -> RunBlocks:
-    """Return means of 30 s of what a model leaves of the channels, effects carried along from power-on."""
+def residual(run: Run, model: BiasModel, channels: Sequence[str], drivers: Sequence[str] = ()) -> RunBlocks:
+    """Return means of 30 s of what a model leaves of the channels, effects carried along from power-on.
+
+    `drivers` are what else may drive effects than temperature, time and specific force.
+    """
     temperatures = {name: temperature_of(name, model, [run]) for name in channels}
     n = len(run.time_s)
     force = [run.mean[f"accel_{axis}"] for axis in "xyz" if f"accel_{axis}" in run.mean]
@@ -75,7 +81,20 @@ def residual(run: Run, model: BiasModel, channels: Sequence[str]) -> RunBlocks:
     )
     changed = {name: run.mean[name] - bias[:, at] for at, name in enumerate(channels)}
     left = replace(run, mean={**run.mean, **changed})
-    return make_blocks(left, channels, list(dict.fromkeys(temperatures.values())), block_s=BLOCK_S)
+    return make_blocks(left, channels, list(dict.fromkeys(temperatures.values())), drivers, BLOCK_S)
+
+
+def known_to(model: BiasModel, run: Run, channels: Sequence[str]) -> Run:
+    """Return a run at rest only where its temperatures are those that a model was made of.
+
+    Beyond these its curve goes on straight for want of better: what is left there is no effect.
+    """
+    inside = np.ones(len(run.time_s), bool)
+    for name in channels:
+        values = run.mean[temperature_of(name, model, [run])]
+        known = np.isfinite(values)
+        inside &= model.channels[name].inside(np.interp(run.time_s, run.time_s[known], values[known]))
+    return replace(run, rest=np.where(inside, run.rest, 0.0))
 
 
 def better_models(run: Run, model: BiasModel, channels: Sequence[str], looks: int = 1) -> list[Better]:
@@ -84,13 +103,13 @@ def better_models(run: Run, model: BiasModel, channels: Sequence[str], looks: in
     `looks` is how often this run has been looked at, with this time: each look at each channel may be fooled,
     so a gain pays twice the logarithm of their number, as in the extended BIC (Chen & Chen 2008).
     """
-    blocks = residual(run, model, channels)
+    temperatures = [temperature_of(name, model, [run]) for name in channels]
+    blocks = residual(run, model, channels, recorded([run], [], temperatures, None, []))
     if len(blocks) < LEAST_BLOCKS:
         return []
     likelihood, glances = Likelihood([blocks], GRID), dict[str, _Glance]()
     found = []
-    for name in channels:
-        temperature = temperature_of(name, model, [run])
+    for name, temperature in zip(channels, temperatures, strict=True):
         if temperature not in glances:
             glances[temperature] = _Glance(Pool([blocks], temperature), likelihood)
         found.append(glances[temperature].better(name, model.channels[name], looks * len(channels)))
@@ -116,13 +135,15 @@ class _Glance:
         seen = survey(pool.runs, pool.temperature, CUBIC, BLOCK_S)
         degree = CUBIC if seen.thermal else 0
         self._declared = Declared.over(pool.runs, pool.temperature, degree, "")
-        self._few = _few(seen)
+        self._turned = turned(pool.runs)
+        self._few = _few(with_drivers(seen, pool.runs, pool.temperature), pool)
         self._terms = [pool.terms(candidate)[0] for candidate in self._few]
 
     def better(self, name: str, model: ChannelModel, looks: int) -> Better | None:
         """Return a better model of a channel, if one is proven."""
         values = self._blocks.mean[name]
-        tried = self._tried(values)
+        levels = self._levels(values)
+        tried = self._tried(values, levels)
         best = max(tried, key=lambda one: one.gain, default=None)
         price = 2.0 * float(np.log(looks))
         if best is None or best.gain - price <= PROVEN:
@@ -130,44 +151,56 @@ class _Glance:
         leaders: dict[str, float] = {}
         for one in tried:
             leaders[one.name] = max(one.gain, leaders.get(one.name, -np.inf))
-        near = [
-            name for name in sorted(leaders, key=lambda n: -leaders[n]) if leaders[name] > best.gain - CLOSE
-        ]
-        design = self._design(best)
+        least = best.gain - max(CLOSE, CLOSE_SHARE * best.gain)
+        near = [name for name in sorted(leaders, key=lambda n: -leaders[n]) if leaders[name] > least]
+        base = np.column_stack([levels, self._curve(best.curve)])
+        design = np.column_stack(
+            [base, *([] if best.candidate is None else [self._pool.design([best.candidate])])]
+        )
         coefficients = ordinary(design, values)
         left = values - design @ coefficients
-        before, after = float(values.std()), float(np.sqrt(np.mean(left**2)))
+        given = values - levels @ ordinary(levels, values)
+        before, after = (float(np.sqrt(np.mean(part**2))) for part in (given, left))
+        constant, rest = coefficients[: levels.shape[1]].mean(), coefficients[levels.shape[1] :]
         # What is left holds the white noise of the means as well: no smaller than it is.
-        extended = self._extended(model, best, coefficients, min(model.residual_sd, after))
+        extended = self._extended(model, best, np.array([constant, *rest]), min(model.residual_sd, after))
         return Better(name, near, best.gain - price, before, after, extended)
 
-    def _tried(self, values: FloatArray) -> list[_Tried]:
+    def _levels(self, values: FloatArray) -> FloatArray:
+        """Return the columns of the constants of a channel, (n, k): one, or one for each pose.
+
+        In each pose a gyro sees another part of the earth rate: what the poses differ by is none of the
+        bias's unless it is more than that can be.
+        """
+        pose = self._blocks.pose
+        which = np.asarray(pose[:, np.newaxis] == np.unique(pose), np.float64)
+        spread = float(np.ptp(values @ which / which.sum(axis=0)))
+        seen = self._turned and spread <= 2.0 * ALLOWANCE * EARTH_RATE
+        return which if seen else np.ones((len(values), 1))
+
+    def _tried(self, values: FloatArray, levels: FloatArray) -> list[_Tried]:
         price = self._likelihood.price
-        constant = self._base(curve=False)
-        nothing = self._best(values, constant)
+        nothing = self._best(values, levels)
         found = []
         for curve in (False, True) if self._declared.degree else (False,):
-            base = self._base(curve)
-            parameters = base.shape[1] - 1
+            powers = self._curve(curve)
+            base, parameters = np.column_stack([levels, powers]), powers.shape[1]
             if curve:
                 gain = 2 * (self._best(values, base) - nothing) - parameters * price
                 found.append(_Tried(None, curve, gain, TemperatureCurve.name))
             likelihood, _ = self._likelihood.scan(values, base, self._pool, self._terms, GRID)
             for candidate, own, value in zip(self._few, self._terms, likelihood.tolist(), strict=True):
-                cost = (parameters + len(own) + candidate.nonlinear) * price
+                cost = (parameters + len(own) + candidate.nonlinear) * price + candidate.choice
                 found.append(_Tried(candidate, curve, 2 * (value - nothing) - cost, candidate.family))
         return found
 
     def _best(self, values: FloatArray, base: FloatArray) -> float:
         return self._likelihood.best(values, base)[0]
 
-    def _base(self, curve: bool) -> FloatArray:
+    def _curve(self, curve: bool) -> FloatArray:
+        """Return the powers of a curve that is fitted anew, (n, degree); none of one that is not."""
         columns = self._declared.columns(self._blocks.temperature[self._pool.temperature])
-        return columns if curve else columns[:, :1]
-
-    def _design(self, one: _Tried) -> FloatArray:
-        more = [] if one.candidate is None else [self._pool.design([one.candidate])]
-        return np.column_stack([self._base(one.curve), *more])
+        return columns[:, 1:] if curve else columns[:, :0]
 
     def _extended(
         self, model: ChannelModel, one: _Tried, coefficients: FloatArray, residual_sd: float
@@ -183,14 +216,22 @@ class _Glance:
         return refitted(model, more, effects, residual_sd)
 
 
-def _few(seen: Survey) -> list[Candidate]:
-    """Return what may be in a model file, of each effect some that are spread over its grid."""
+def _few(seen: Survey, pool: Pool) -> list[Candidate]:
+    """Return what may be in a model file; of neighbours on a grid one, where the gain of the other is no
+    less than that of a shape which is not told from it."""
     found: list[Candidate] = []
-    for family in EFFECTS.values():
-        if family.scope in ("run", "event"):
-            continue
-        grid = [effect for effect in family.grid(seen) if not effect.is_curve and effect.width <= 3]
-        simple = [effect for effect in grid if getattr(effect, "order", 1) == 1]
-        spread = np.unique(np.linspace(0, len(simple) - 1, min(MOST, len(simple))).round().astype(int))
-        found += [Candidate(simple[at].label, (Part(simple[at]),)) for at in spread.tolist()]
-    return found
+    for candidate in candidates(seen, [name for name, kind in EFFECTS.items() if kind.scope not in OWN]):
+        effect = candidate.parts[0].effect
+        simple = getattr(effect, "order", 1) == 1 and not candidate.whole and not candidate.free_start
+        if simple and len(candidate.parts) == 1:
+            found.append(candidate)
+    columns = pool.matrix([pool.terms(candidate)[0][0] for candidate in found])
+    columns = columns - columns.mean(axis=0)
+    columns /= np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    kept: list[int] = []
+    for at, candidate in enumerate(found):
+        before = kept[-1] if kept and found[kept[-1]].family == candidate.family else None
+        alike = before is not None and (columns[:, before] @ columns[:, at]) ** 2 > 1.0 - CLOSE_SHARE
+        if not alike or len(pool.terms(candidate)[0]) > 1:
+            kept.append(at)
+    return [found[at] for at in kept]

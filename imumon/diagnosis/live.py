@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -11,11 +11,11 @@ from imumon.blocks import ColumnArray, FloatArray, SampleBlock
 from imumon.charts import BLUE, RED, Axis, Chart, Curve
 from imumon.columns import Column
 from imumon.diagnosis.blocks import BLOCK_S, REST_SHARE
-from imumon.diagnosis.recording import SECOND_NS, Run
+from imumon.diagnosis.glance import Better, better_models, known_to
+from imumon.diagnosis.recording import DRIVERS, SECOND_NS, Run, further, with_vibration
+from imumon.diagnosis.selection import MOST_NAMES
 from imumon.diagnosis.shadow import MARGIN, Shadow
 from imumon.diagnosis.through import RESIDUAL, effect_charts
-from imumon.effects.base import ACCEL as FORCE
-from imumon.effects.vibration import VIBRATION
 from imumon.geodesy import DEG_PER_H
 from imumon.models.model import BiasModel, TrainedOn
 from imumon.models.predictor import BiasPredictor
@@ -43,17 +43,17 @@ class LiveDiagnosis:
         The present one; the gyros that it has are watched.
     learn : bool
         Whether a better model is then run beside it, and offered after it has won on what came later.
+    made : collection of str
+        Columns that other stages make: they drive nothing.
     """
 
-    def __init__(self, model: BiasModel, learn: bool = False) -> None:
-        self._model, self._learn = model, learn
+    def __init__(self, model: BiasModel, learn: bool = False, made: Collection[str] = ()) -> None:
+        self._model, self._learn, self._made = model, learn, made
         self._gyros = [name for name in GYRO if name in model.channels]
         needed = BiasPredictor(model, self._gyros)
         self._temperatures = [name.replace("_estimate", "") for name in needed.temperature_columns]
         self._temperatures = list(dict.fromkeys([*self._temperatures, "temperature"]))
-        inputs = {name for gyro in self._gyros for one in model.channels[gyro].effects for name in one.inputs}
-        self._names = [*self._gyros, *self._temperatures, *(ACCEL if inputs & {FORCE, VIBRATION} else ())]
-        self._names += needed.drivers
+        self._names: list[str] = []
         self._gatherer = gatherer_of(self._names, 1.0)
         self._waiting: list[SampleBlock] = []
         self._pending: list[str] = []
@@ -78,6 +78,10 @@ class LiveDiagnosis:
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
         """Take samples; needs ``device_time_ns``, ``segment``, gyros and temperature, takes ``at_rest``."""
         if len(block) and all(name in block for name in self._gyros):
+            if not self._names:
+                drivers = [*DRIVERS, *further(block, self._made)]
+                self._names = [*dict.fromkeys([*self._gyros, *self._temperatures, *ACCEL, *drivers])]
+                self._gatherer = gatherer_of(self._names, 1.0)
             self._waiting.append(block)
             since = int(self._waiting[0]["device_time_ns"][0])
             if not 0 <= int(block["device_time_ns"][-1]) - since < HELD_NS:
@@ -115,8 +119,6 @@ class LiveDiagnosis:
                 self._look(now_s)
 
     def _look(self, elapsed_s: float) -> None:
-        from imumon.diagnosis.glance import better_models
-
         self._looks += 1
         while self._next_look_s <= elapsed_s:
             self._next_look_s *= GROWTH
@@ -128,9 +130,8 @@ class LiveDiagnosis:
             self.state, self._lacking = "", []
             return
         best = max(found, key=lambda one: one.gain)
-        axes = ", ".join(one.channel[-1] for one in found)
         before, after = (max(getattr(one, key) for one in found) / DEG_PER_H for key in ("before", "after"))
-        what = f"{' or '.join(best.names[:3])} on {axes}"
+        what = "; ".join(_said(found))
         self.state = f"MODEL CAN BE BETTER: {what}: {before:.3g} become {after:.3g} °/h"
         self._say(f"{self.state} (rms of 30 s, gain {best.gain:.0f}): {DIAGNOSE}")
         shadow = Shadow(self._model, found, elapsed_s)
@@ -155,6 +156,10 @@ class LiveDiagnosis:
             )
 
     def _run(self) -> Run:
+        """Return the run so far, in seconds; at rest only where the present model knows the temperature."""
+        return known_to(self._model, self._recorded(), self._gyros)
+
+    def _recorded(self) -> Run:
         """Return the run so far, in seconds."""
         slots = self._parts
         start_ns = int(slots[0].start_ns[0])
@@ -166,12 +171,21 @@ class LiveDiagnosis:
             grid[second] = np.concatenate([getattr(part, field)[:, at] for part in slots])
             return grid
 
+        def scattered(at: int) -> FloatArray:
+            count = laid("count", at, 0.0)
+            return np.where(
+                count > 1, laid("variance", at, np.nan) * count / np.maximum(count - 1, 1), np.nan
+            )
+
         there = [at for at, _ in enumerate(self._names) if any(part.count[:, at].any() for part in slots)]
+        mean = {self._names[at]: laid("mean", at, np.nan) for at in there}
+        if all(name in mean for name in ACCEL):
+            with_vibration(mean, {name: scattered(self._names.index(name)) for name in ACCEL})
         return Run(
             "this session",
             np.arange(n, dtype=np.float64) + 0.5,
             {self._names[at]: laid("count", at, 0.0) for at in there},
-            {self._names[at]: laid("mean", at, np.nan) for at in there},
+            mean,
             {},
             laid("mean", len(self._names), 0.0),
         )
@@ -229,3 +243,13 @@ class LiveDiagnosis:
                 notes=(f"likelihood ratio e^{score.ratio:.1f}; it wins at e^{MARGIN:.0f}",),
             ),
         ]
+
+
+def _said(found: Sequence[Better]) -> list[str]:
+    """Return which effects may be missing on which axes: up to three, or that it is not told yet."""
+    axes: dict[str, list[str]] = {}
+    for one in sorted(found, key=lambda one: -one.gain):
+        more = len(one.names) - MOST_NAMES
+        text = " or ".join(one.names[:MOST_NAMES]) + (f" or {more} others, not told yet," if more > 0 else "")
+        axes.setdefault(text, []).append(one.channel[-1])
+    return [f"{text} on {', '.join(sorted(letters))}" for text, letters in axes.items()]

@@ -133,7 +133,7 @@ def read_runs(
     # What is in a table of imumon's own beside the known columns may be made of the gyros themselves.
     own = recording.source.session is None and map_path is None
     made = {column.name for stage in stages(None) for column in stage.columns}
-    further = [] if own or not first else _further(first[0], made)
+    further = [] if own or not first else further(first[0], made)
     wanted = channels_of(sensors, first[0].columns) if first else []
     slot_s = _slot_s(first, wanted)
     watcher = Watcher(wanted)
@@ -162,7 +162,7 @@ def read_runs(
     ]
 
 
-def _further(block: SampleBlock, made: Container[str]) -> list[str]:
+def further(block: SampleBlock, made: Container[str]) -> list[str]:
     """Return the columns beyond the known ones that were measured: no counters, and none that stages made."""
     return [
         name
@@ -226,9 +226,8 @@ def _run(means: Reduced, rest: FloatArray, rows: IntArray, name: str) -> Run:
     if CLOCK in columns:
         mean[CLOCK] = rate_ppm(laid(means.smallest[:, columns[CLOCK]], np.nan), means.slot_s)
         variance[CLOCK] = np.full(n, np.nan)  # the samples of a slot are delays, no rates
-    scatter = sum((variance[key] for key in ACCEL if key in variance), np.zeros(n))
-    if columns.keys() >= set(ACCEL) and np.isfinite(scatter).mean() > 0.5:
-        mean[VIBRATION] = scatter
+    if columns.keys() >= set(ACCEL):
+        with_vibration(mean, variance)
     return Run(
         name=name,
         time_s=(np.arange(n, dtype=np.float64) + 0.5) * means.slot_s,
@@ -239,6 +238,13 @@ def _run(means: Reduced, rest: FloatArray, rows: IntArray, name: str) -> Run:
         start_ns=int(means.start_ns[rows[0]]),
         slot_s=means.slot_s,
     )
+
+
+def with_vibration(mean: dict[str, FloatArray], variance: Mapping[str, FloatArray]) -> None:
+    """Add the vibration to the means of a run, where its slots show it: by the scatter of its samples."""
+    scatter = np.sum([variance[key] for key in ACCEL], axis=0)
+    if np.isfinite(scatter).mean() > 0.5:
+        mean[VIBRATION] = scatter
 
 
 def channels_of(sensors: Iterable[str], there: Container[str]) -> list[str]:

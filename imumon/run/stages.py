@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from imumon.allan.stage import AllanStage
 from imumon.estimation.attitude.stage import AttitudeEstimate
 from imumon.estimation.gyro_bias.stage import GyroBias
@@ -30,7 +32,6 @@ def estimators(device: DeviceFile | None, setup: Setup | None = None) -> list[Es
         RestDetector(setup.rest),
         GyroBias(setup.zupt_with_noise, model, setup.mode, setup.latitude_deg, setup.heading_deg),
         ModelWatch(setup.watch, modelled=model is not None),
-        *_better_model(setup),
         AllanStage(setup.allan),
         LiveSpectrum(),
         AttitudeEstimate(setup.attitude, axes, setup.magnetometer, setup.latitude_deg, setup.heading_deg),
@@ -44,16 +45,18 @@ def estimators(device: DeviceFile | None, setup: Setup | None = None) -> list[Es
         from imumon.run.published import published_stages
 
         stages += published_stages(setup, temperature)
+    stages += _better_model(setup, stages)
     return [*stages, *(make() for make in plugins(STAGES).values())]
 
 
-def _better_model(setup: Setup) -> list[Estimator]:
+def _better_model(setup: Setup, others: Sequence[Estimator]) -> list[Estimator]:
     """Return the stage that looks for a better model than the present one, where there is one."""
     if setup.bias_model is None:
         return []
     from imumon.diagnosis.live import LiveDiagnosis  # what the diagnosis needs takes time to load
 
-    return [LiveDiagnosis(setup.bias_model, setup.watch.learn)]
+    made = {column.name for stage in others for column in stage.columns}
+    return [LiveDiagnosis(setup.bias_model, setup.watch.learn, made)]
 
 
 def temperature_rate(given: TemperatureRateParameters) -> TemperatureRate:
