@@ -31,6 +31,8 @@ from imumon.models.predictor import BiasPredictor
 
 LEAST_BLOCKS = 40
 """As the whole diagnosis needs."""
+MOST_SLOTS = 7200
+"""Two hours of seconds: the whole diagnosis of such a run is a matter of some seconds, a glance of tenths."""
 OWN = ("run", "event")
 """Scopes of what no model file can have."""
 GRID = coarse_grid((0.0, 0.0), (1000.0, 1000.0))
@@ -48,7 +50,7 @@ class Better:
     gain : float
         In BIC, less what the number of looks costs.
     before, after : float
-        rms of means of 30 s with the present model and a constant, and with the better one.
+        rms of means of blocks with the present model and a constant, and with the better one.
     model : ChannelModel
     """
 
@@ -60,8 +62,14 @@ class Better:
     model: ChannelModel
 
 
-def residual(run: Run, model: BiasModel, channels: Sequence[str], drivers: Sequence[str] = ()) -> RunBlocks:
-    """Return means of 30 s of what a model leaves of the channels, effects carried along from power-on.
+def residual(
+    run: Run,
+    model: BiasModel,
+    channels: Sequence[str],
+    drivers: Sequence[str] = (),
+    block_s: float = BLOCK_S,
+) -> RunBlocks:
+    """Return means of blocks of what a model leaves of the channels, effects carried along from power-on.
 
     `drivers` are what else may drive effects than temperature, time and specific force.
     """
@@ -81,7 +89,7 @@ def residual(run: Run, model: BiasModel, channels: Sequence[str], drivers: Seque
     )
     changed = {name: run.mean[name] - bias[:, at] for at, name in enumerate(channels)}
     left = replace(run, mean={**run.mean, **changed})
-    return make_blocks(left, channels, list(dict.fromkeys(temperatures.values())), drivers, BLOCK_S)
+    return make_blocks(left, channels, list(dict.fromkeys(temperatures.values())), drivers, block_s)
 
 
 def known_to(model: BiasModel, run: Run, channels: Sequence[str]) -> Run:
@@ -97,6 +105,35 @@ def known_to(model: BiasModel, run: Run, channels: Sequence[str]) -> Run:
     return replace(run, rest=np.where(inside, run.rest, 0.0))
 
 
+def in_few_slots(run: Run) -> Run:
+    """Return a run of seconds in longer slots where they are many: a look at it then costs no more."""
+    width = -(-len(run.time_s) // MOST_SLOTS)
+    if width <= 1:
+        return run
+    starts = np.arange(0, len(run.time_s), width)
+    samples = next(iter(run.count.values()))
+
+    def mean(values: FloatArray, weight: FloatArray) -> FloatArray:
+        weight = np.where(np.isfinite(values), weight, 0.0)
+        total = np.add.reduceat(np.where(weight > 0, values, 0.0) * weight, starts)
+        with np.errstate(invalid="ignore"):
+            return np.asarray(total / np.add.reduceat(weight, starts))
+
+    return replace(
+        run,
+        time_s=(np.arange(len(starts), dtype=np.float64) + 0.5) * width * run.slot_s,
+        count={name: np.add.reduceat(count, starts) for name, count in run.count.items()},
+        mean={name: mean(values, run.count.get(name, samples)) for name, values in run.mean.items()},
+        rest=np.nan_to_num(mean(run.rest, samples)),
+        slot_s=width * run.slot_s,
+    )
+
+
+def block_of(run: Run) -> float:
+    """Return the length in seconds of the means that a run is looked at in: 30 s, of longer slots more."""
+    return BLOCK_S * run.slot_s
+
+
 def better_models(run: Run, model: BiasModel, channels: Sequence[str], looks: int = 1) -> list[Better]:
     """Return the better models of channels of which there are any.
 
@@ -104,7 +141,7 @@ def better_models(run: Run, model: BiasModel, channels: Sequence[str], looks: in
     so a gain pays twice the logarithm of their number, as in the extended BIC (Chen & Chen 2008).
     """
     temperatures = [temperature_of(name, model, [run]) for name in channels]
-    blocks = residual(run, model, channels, recorded([run], [], temperatures, None, []))
+    blocks = residual(run, model, channels, recorded([run], [], temperatures, None, []), block_of(run))
     if len(blocks) < LEAST_BLOCKS:
         return []
     likelihood, glances = Likelihood([blocks], GRID), dict[str, _Glance]()
@@ -132,7 +169,7 @@ class _Glance:
     def __init__(self, pool: Pool, likelihood: Likelihood) -> None:
         self._pool, self._likelihood = pool, likelihood
         self._blocks = pool.runs[0]
-        seen = survey(pool.runs, pool.temperature, CUBIC, BLOCK_S)
+        seen = survey(pool.runs, pool.temperature, CUBIC, self._blocks.block_s)
         degree = CUBIC if seen.thermal else 0
         self._declared = Declared.over(pool.runs, pool.temperature, degree, "")
         self._turned = turned(pool.runs)

@@ -11,7 +11,7 @@ from imumon.blocks import ColumnArray, FloatArray, SampleBlock
 from imumon.charts import BLUE, RED, Axis, Chart, Curve
 from imumon.columns import Column
 from imumon.diagnosis.blocks import BLOCK_S, REST_SHARE
-from imumon.diagnosis.glance import Better, better_models, known_to
+from imumon.diagnosis.glance import Better, better_models, block_of, in_few_slots, known_to
 from imumon.diagnosis.recording import DRIVERS, SECOND_NS, Run, further, with_vibration
 from imumon.diagnosis.selection import MOST_NAMES
 from imumon.diagnosis.shadow import MARGIN, Shadow
@@ -133,7 +133,7 @@ class LiveDiagnosis:
         before, after = (max(getattr(one, key) for one in found) / DEG_PER_H for key in ("before", "after"))
         what = "; ".join(_said(found))
         self.state = f"MODEL CAN BE BETTER: {what}: {before:.3g} become {after:.3g} °/h"
-        self._say(f"{self.state} (rms of 30 s, gain {best.gain:.0f}): {DIAGNOSE}")
+        self._say(f"{self.state} (rms of {block_of(run):.0f} s, gain {best.gain:.0f}): {DIAGNOSE}")
         shadow = Shadow(self._model, found, elapsed_s)
         self._lacking = effect_charts(run, self._model, shadow.model, best)
         if self._learn:
@@ -156,8 +156,8 @@ class LiveDiagnosis:
             )
 
     def _run(self) -> Run:
-        """Return the run so far, in seconds; at rest only where the present model knows the temperature."""
-        return known_to(self._model, self._recorded(), self._gyros)
+        """Return the run so far, at rest only where the present model knows the temperature."""
+        return in_few_slots(known_to(self._model, self._recorded(), self._gyros))
 
     def _recorded(self) -> Run:
         """Return the run so far, in seconds."""
@@ -199,7 +199,7 @@ class LiveDiagnosis:
         return TrainedOn(
             session=session,
             sha256=sha256,
-            rest_s=float(at_rest.sum()),
+            rest_s=float(at_rest.sum()) * run.slot_s,
             blocks=int(at_rest.sum() // BLOCK_S),
             temperature_range_degc=[float(temperature.min()), float(temperature.max())],
         )
@@ -235,7 +235,7 @@ class LiveDiagnosis:
             Chart(
                 "model_better",
                 RESIDUAL,
-                f"Error of means of {BLOCK_S:.0f} s, present and better model",
+                f"Error of means of {score.block_s:.0f} s, present and better model",
                 Axis("time since power-on [min]"),
                 Axis("[°/h]"),
                 curves,

@@ -16,7 +16,7 @@ import numpy as np
 from imumon.blocks import BoolArray, FloatArray
 from imumon.diagnosis.blocks import RunBlocks
 from imumon.diagnosis.gains import PROVEN
-from imumon.diagnosis.glance import GRID, Better, residual
+from imumon.diagnosis.glance import GRID, Better, block_of, residual
 from imumon.diagnosis.known import temperature_of
 from imumon.diagnosis.likelihood import Likelihood
 from imumon.diagnosis.recording import Run
@@ -40,6 +40,8 @@ class Score:
         Of each mean, and what the models leave of it: rms over the channels that differ.
     later : int
         How many of them came later.
+    block_s : float
+        Of what length the means are.
     """
 
     ratio: float
@@ -47,6 +49,7 @@ class Score:
     present: FloatArray
     shadow: FloatArray
     later: int
+    block_s: float
 
     @property
     def won(self) -> bool:
@@ -83,7 +86,9 @@ class Shadow:
         """
         names = [one.channel for one in self.found]
         run = self._within(run, names)
-        present, shadow = (residual(run, model, names) for model in (self._present, self.model))
+        present, shadow = (
+            residual(run, model, names, block_s=block_of(run)) for model in (self._present, self.model)
+        )
         early = present.time_s < self._since_s
         if early.all() or early.sum() < LEAST_LATER:
             return self.score
@@ -94,6 +99,7 @@ class Shadow:
             both[0].left,
             both[1].left,
             int((~early).sum()),
+            block_of(run),
         )
         return self.score
 

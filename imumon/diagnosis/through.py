@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from imumon.charts import AXIS_COLORS, Axis, Chart, Curve
-from imumon.diagnosis.glance import Better, residual
+from imumon.diagnosis.glance import Better, block_of, residual
 from imumon.diagnosis.known import temperature_of
 from imumon.diagnosis.recording import Run
 from imumon.geodesy import DEG_PER_H
@@ -17,10 +17,10 @@ INK = (150, 155, 165)
 def effect_charts(run: Run, present: BiasModel, better: BiasModel, one: Better) -> list[Chart]:
     """Return what is left of a channel over time and temperature, and what the better model would take.
 
-    Means of 30 s at rest, °/h, less their mean, which is the turn-on bias.  What is drawn through them is the
+    Means at rest, °/h, less their mean, which is the turn-on bias.  What is drawn through them is the
     difference of the two models.
     """
-    left, after = (residual(run, model, [one.channel]) for model in (present, better))
+    left, after = (residual(run, model, [one.channel], block_s=block_of(run)) for model in (present, better))
     values = left.mean[one.channel]
     points, line = ((part - part.mean()) / DEG_PER_H for part in (values, values - after.mean[one.channel]))
     axis = one.channel[-1]
@@ -32,7 +32,7 @@ def effect_charts(run: Run, present: BiasModel, better: BiasModel, one: Better) 
         Chart(
             f"model_lacks_over_{key}",
             RESIDUAL,
-            f"Gyro {axis} less the model, means of 30 s, and {one.names[0]} through it",
+            f"Gyro {axis} less the model, means of {block_of(run):.0f} s, and {one.names[0]} through it",
             Axis(label),
             Axis("[°/h]"),
             (

@@ -116,7 +116,7 @@ def settings() -> list[Setting]:
 
 
 def plain_model(case: Case) -> BiasModel:
-    """Return a curve alone, fitted to the first two runs, with a constant of each pose, and what it leaves of them as its residual."""
+    """Return a curve alone, fitted to two runs with a constant of each pose, and what it leaves of them."""
     runs = [make_blocks(run, [f"gyro_{axis}" for axis in AXES], ["temperature"]) for run in case.runs[:2]]
     t = np.concatenate([run.temperature["temperature"] for run in runs])
     low, high = np.quantile(t, [0.25, 0.75] if BEYOND in case.setting.label else [0.0, 1.0]).tolist()

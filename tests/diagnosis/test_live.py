@@ -1,0 +1,107 @@
+"""The diagnosis of a running session: what it names, what it passes over, and what a look costs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from imumon.blocks import FloatArray, SampleBlock
+from imumon.diagnosis.glance import MOST_SLOTS, in_few_slots
+from imumon.diagnosis.live import FIRST_LOOK_S, LiveDiagnosis
+from imumon.diagnosis.recording import Run
+from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY
+from imumon.models.curves.points import Points
+from imumon.models.curves.polynomial import fit_polynomial
+from imumon.models.model import BiasModel, ChannelModel
+from tests.diagnosis.units import DPH, cubic, ramps, run
+
+SECONDS = int(2.5 * FIRST_LOOK_S)
+POSES = np.array([[0, 0, 1], [1, 0, 0], [0, 0, -1], [0, 1, 0]]) * STANDARD_GRAVITY
+
+
+def model(low: float = 10.0, high: float = 42.0) -> BiasModel:
+    """Return the curve that units have, as a calibration between two temperatures finds it."""
+    degc = np.linspace(low, high, 200)
+    points = Points(degc, cubic(degc) * DPH, np.ones(200), np.zeros(200, np.int64))
+    channel = ChannelModel(
+        unit="rad/s",
+        temperature_column="temperature",
+        temperature_range_degc=[low, high],
+        residual_sd=5.0 * DPH,
+        curve=fit_polynomial(points, 3),
+    )
+    return BiasModel(made_by="a test", created="2026-01-01T00:00:00Z", channels={"gyro_x": channel})
+
+
+def nothing(time: FloatArray, temperature: FloatArray) -> FloatArray:  # noqa: ARG001 - as all biases
+    return np.zeros_like(time)
+
+
+def session(bias: FloatArray | None = None, **columns: FloatArray) -> Run:
+    """Return a session with a bias in rad/s beside the curve, and these columns."""
+    told = run(5, *ramps(SECONDS, up=True), nothing)
+    more = 0.0 if bias is None else bias
+    return replace(told, mean={**told.mean, **columns, "gyro_x": told.mean["gyro_x"] + more})
+
+
+def said(told: Run, stage: LiveDiagnosis) -> str:
+    """Return what is said of a session of a sample a second, in the end."""
+    n = len(told.time_s)
+    columns = {**told.mean, "at_rest": told.rest, "segment": np.zeros(n, np.int64)}
+    columns["device_time_ns"] = (told.time_s * 1e9).astype(np.int64)
+    stage.process(SampleBlock(columns))
+    stage.process(SampleBlock({name: values[-1:] for name, values in columns.items()}))
+    return stage.state
+
+
+def turned(size: float, across: bool) -> Run:
+    """Return a session in four poses, ten minutes each and then as it was, whose bias goes with them by so
+    many rad/s: as a sensitivity to g does, or as the earth rate across the vertical."""
+    which = np.minimum(np.arange(SECONDS) * len(POSES) // SECONDS, len(POSES) - 1)
+    accel = POSES[which]
+    bias = np.array([0.9, -0.6, 0.1, -0.4])[which] if across else accel[:, 2] / STANDARD_GRAVITY
+    return session(size * bias, **{f"accel_{axis}": accel[:, at] for at, axis in enumerate("xyz")})
+
+
+def test_what_else_was_recorded_is_named_but_not_what_a_stage_made() -> None:
+    supply = 5.0 + 0.1 * np.sign(np.sin(2 * np.pi * np.arange(SECONDS) / 700.0))
+    told = session(100.0 * DPH * (supply - 5.0), supply_voltage=supply)
+    assert said(told, LiveDiagnosis(model())).startswith("MODEL CAN BE BETTER: curve(supply_voltage)")
+    assert "supply" not in said(told, LiveDiagnosis(model(), made=["supply_voltage"]))
+
+
+def test_a_sensitivity_to_g_is_named_that_is_more_than_the_earth_rate() -> None:
+    assert "g_sensitivity" in said(turned(5.0 * EARTH_RATE, across=False), LiveDiagnosis(model()))
+    assert said(turned(EARTH_RATE, across=True), LiveDiagnosis(model())) == ""
+
+
+@pytest.mark.parametrize("period_s", [130.0, 210.0, 555.0])
+def test_a_period_is_named_whatever_it_is(period_s: float) -> None:
+    swing = 8.0 * DPH * np.sin(2 * np.pi * np.arange(SECONDS) / period_s)
+    assert said(session(swing), LiveDiagnosis(model())).startswith("MODEL CAN BE BETTER: periodic on x")
+
+
+def test_what_a_curve_leaves_beyond_its_temperatures_is_no_effect() -> None:
+    assert said(session(), LiveDiagnosis(model(18.0, 28.0))) == ""
+
+
+def test_a_long_run_is_looked_at_in_few_slots_with_the_same_means() -> None:
+    told = session()
+    times = 2 * MOST_SLOTS // SECONDS + 1
+    long = replace(
+        told,
+        time_s=np.arange(times * SECONDS) + 0.5,
+        count={name: np.tile(values, times) for name, values in told.count.items()},
+        mean={name: np.tile(values, times) for name, values in told.mean.items()},
+        rest=np.tile(told.rest, times),
+    )
+    few = in_few_slots(long)
+    assert len(few.time_s) <= MOST_SLOTS
+    assert few.duration_s == pytest.approx(long.duration_s, abs=few.slot_s)
+    assert few.mean["gyro_x"][5] == pytest.approx(long.mean["gyro_x"][15:18].mean())
+    long.mean["gyro_x"][16], long.count["gyro_x"][16] = np.nan, 0.0
+    few = in_few_slots(long)
+    assert few.mean["gyro_x"][5] == pytest.approx(long.mean["gyro_x"][[15, 17]].mean())
+    assert few.count["gyro_x"][5] == long.count["gyro_x"][[15, 17]].sum()
