@@ -12,7 +12,7 @@ from imumon.charts import BLUE, RED, Axis, Chart, Curve
 from imumon.columns import Column
 from imumon.diagnosis.blocks import BLOCK_S, REST_SHARE
 from imumon.diagnosis.glance import Better, better_models, block_of, in_few_slots, known_to
-from imumon.diagnosis.recording import DRIVERS, SECOND_NS, Run, further, with_vibration
+from imumon.diagnosis.recording import DRIVERS, SECOND_NS, Run, further_columns, with_vibration
 from imumon.diagnosis.selection import MOST_NAMES
 from imumon.diagnosis.shadow import MARGIN, Shadow
 from imumon.diagnosis.through import RESIDUAL, effect_charts
@@ -79,7 +79,7 @@ class LiveDiagnosis:
         """Take samples; needs ``device_time_ns``, ``segment``, gyros and temperature, takes ``at_rest``."""
         if len(block) and all(name in block for name in self._gyros):
             if not self._names:
-                drivers = [*DRIVERS, *further(block, self._made)]
+                drivers = [*DRIVERS, *further_columns(block, self._made)]
                 self._names = [*dict.fromkeys([*self._gyros, *self._temperatures, *ACCEL, *drivers])]
                 self._gatherer = gatherer_of(self._names, 1.0)
             self._waiting.append(block)

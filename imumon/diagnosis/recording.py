@@ -133,7 +133,7 @@ def read_runs(
     # What is in a table of imumon's own beside the known columns may be made of the gyros themselves.
     own = recording.source.session is None and map_path is None
     made = {column.name for stage in stages(None) for column in stage.columns}
-    further = [] if own or not first else further(first[0], made)
+    further = [] if own or not first else further_columns(first[0], made)
     wanted = channels_of(sensors, first[0].columns) if first else []
     slot_s = _slot_s(first, wanted)
     watcher = Watcher(wanted)
@@ -162,7 +162,7 @@ def read_runs(
     ]
 
 
-def further(block: SampleBlock, made: Container[str]) -> list[str]:
+def further_columns(block: SampleBlock, made: Container[str]) -> list[str]:
     """Return the columns beyond the known ones that were measured: no counters, and none that stages made."""
     return [
         name
