@@ -19,7 +19,6 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.compiled import njit
-from imumon.filters.kalman import Estimate, correct, predict
 
 FLOOR_PER_INSTABILITY = math.sqrt(2.0 * math.log(2.0) / math.pi)
 """Floor of the Allan deviation of flicker, over the bias instability B (IEEE Std 952, C.1.3)."""
@@ -105,21 +104,29 @@ class Whitener:
 
 @njit(fastmath=True)
 def _whitened(decay: FloatArray, gain: FloatArray, sd: FloatArray, columns: FloatArray) -> FloatArray:
-    """Predict, and correct by the innovation, all columns at once: compiled, for a search has thousands."""
+    """Predict, and correct by the innovation, all columns at once: compiled, for a search has thousands.
+
+    Columns come innermost: they lie side by side in memory.
+    """
     n, m = columns.shape
     states = decay.shape[1]
     out = np.empty((n, m))
     x = np.zeros((states, m))
+    innovation = np.empty(m)
     for k in range(n):
         for c in range(m):
-            predicted = 0.0
-            for j in range(states):
-                x[j, c] *= decay[k, j]
-                predicted += x[j, c]
-            innovation = columns[k, c] - predicted
-            out[k, c] = innovation / sd[k]
-            for j in range(states):
-                x[j, c] += gain[k, j] * innovation
+            innovation[c] = columns[k, c]
+        for j in range(states):
+            kept = decay[k, j]
+            for c in range(m):
+                x[j, c] *= kept
+                innovation[c] -= x[j, c]
+        for c in range(m):
+            out[k, c] = innovation[c] / sd[k]
+        for j in range(states):
+            moved = gain[k, j]
+            for c in range(m):
+                x[j, c] += moved * innovation[c]
     return out
 
 
@@ -137,22 +144,41 @@ def whitener(noise: BiasNoise, elapsed_s: FloatArray, white: FloatArray, level: 
     level : array (f,)
         Variance of the walk at the first mean, and wherever it begins anew.
     """
-    n, m, f = len(elapsed_s), len(noise.taus_s) + 1, len(level)
-    row, unit = np.ones((1, m)), np.eye(m)
-    start = np.concatenate([level[:, np.newaxis], noise.markov_sd**2], 1)[..., np.newaxis] * unit
-    decay, gain, sd = np.zeros((n, m)), np.empty((n, f, m)), np.empty((n, f))
-    covariance = start
-    for k in range(n):
-        estimate = Estimate(np.zeros((f, m)), start)
-        if k and np.isfinite(elapsed_s[k]):
-            decay[k] = noise.decay(elapsed_s[k])
-            growth = noise.growth(elapsed_s[k])[..., np.newaxis] * unit
-            estimate = predict(Estimate(estimate.mean, covariance), np.diag(decay[k]), growth)
-        found = correct(estimate, np.ones((f, 1)), row, np.full((1, 1), white[k]))
-        # From a mean of zero, a measurement of one moves the state by the gain.
-        gain[k], covariance = found.estimate
-        sd[k] = np.sqrt(found.innovation_covariance[:, 0, 0])
+    start = np.concatenate([level[:, np.newaxis], noise.markov_sd**2], 1)
+    decay, growth = np.zeros((len(elapsed_s), start.shape[1])), np.empty((len(elapsed_s), *start.shape))
+    for k, dt in enumerate(elapsed_s.tolist()):
+        growth[k] = start
+        if k and np.isfinite(dt):
+            decay[k], growth[k] = noise.decay(dt), noise.growth(dt)
+    gain, sd = _filtered(decay, growth, np.asarray(white, np.float64))
     return Whitener(decay, gain, sd)
+
+
+@njit
+def _filtered(decay: FloatArray, growth: FloatArray, white: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return gain (n, f, m) and standard deviation of the innovation (n, f) of filters whose one measurement
+    is the sum of the states: `imumon.filters.kalman.predict` and `correct`, compiled, for there are many."""
+    n, filters, states = growth.shape
+    gain, sd = np.empty((n, filters, states)), np.empty((n, filters))
+    covariance, spread = np.empty((states, states)), np.empty(states)
+    for f in range(filters):
+        covariance[:] = 0.0
+        for k in range(n):
+            variance = white[k]
+            for i in range(states):
+                spread[i] = 0.0
+                for j in range(states):
+                    covariance[i, j] *= decay[k, i] * decay[k, j]
+                covariance[i, i] += growth[k, f, i]
+                for j in range(states):
+                    spread[i] += covariance[i, j]
+                variance += spread[i]
+            sd[k, f] = np.sqrt(variance)
+            for i in range(states):
+                gain[k, f, i] = spread[i] / variance
+                for j in range(states):
+                    covariance[i, j] -= spread[i] * spread[j] / variance
+    return gain, sd
 
 
 @dataclass(frozen=True, slots=True)

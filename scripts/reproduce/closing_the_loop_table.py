@@ -17,16 +17,18 @@ DOCS = ROOT / "docs"
 def main() -> int:
     """Run one part."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parts = ("simulated", "formulas", "plans", "measured", "heading")
+    parts = ("simulated", "live", "formulas", "plans", "measured", "heading")
     parser.add_argument("--part", choices=parts, default="simulated")
     parser.add_argument("--quick", action="store_true", help="a few seconds: the first of everything")
     parser.add_argument("data", nargs="?", type=Path, default=DATA, help="folder of the measured recordings")
     parser.add_argument(
-        "--repeat", type=int, default=4, help="simulated, formulas, plans: cases of each kind"
+        "--repeat", type=int, default=4, help="simulated, live, formulas, plans: cases of each kind"
     )
-    parser.add_argument("--first", type=int, help="simulated, formulas, plans: the first seed (0, 900, 900)")
+    parser.add_argument(
+        "--first", type=int, help="simulated, live, formulas, plans: the first seed (0, 2500, 900, 900)"
+    )
     parser.add_argument("--minutes", type=float, default=math.inf, help="simulated: begin no case after")
-    parser.add_argument("--jobs", type=int, default=2, help="simulated, plans: processes")
+    parser.add_argument("--jobs", type=int, default=2, help="simulated, live, plans: processes")
     given = parser.parse_args()
     if given.part == "simulated":
         from closing_the_loop_statistics import main as statistics
@@ -38,6 +40,13 @@ def main() -> int:
         numbers |= {"minutes": given.minutes, "jobs": given.jobs}
         options = [text for name, value in numbers.items() for text in (f"--{name}", str(value))]
         return statistics([*options, "--out", str(out)])
+    if given.part == "live":
+        from closing_the_loop_live import main as live
+
+        if given.quick:
+            return live(["--repeat", "1", "--only", "driven: load"])
+        first = 2500 if given.first is None else given.first
+        return live(["--repeat", str(given.repeat), "--first", str(first), "--jobs", str(given.jobs)])
     first = 900 if given.first is None else given.first
     if given.part == "formulas":
         from closing_the_loop_formulas import formulas
