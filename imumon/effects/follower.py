@@ -84,7 +84,11 @@ class Follower(DrivenEffect):
 
     def _powers(self, values: FloatArray) -> FloatArray:
         u = (values - self.middle) / self.half_span
-        return np.asarray(np.cumprod(np.repeat(u[:, np.newaxis], self.order, axis=1), axis=1))
+        powers = np.empty((len(u), self.order), order="F")
+        powers[:, 0] = u
+        for k in range(1, self.order):
+            powers[:, k] = powers[:, k - 1] * u
+        return powers
 
 
 def may_sum(survey: Survey, reversals: int) -> bool:
