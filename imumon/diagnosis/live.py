@@ -50,8 +50,9 @@ class LiveDiagnosis:
     def __init__(self, model: BiasModel, learn: bool = False, made: Collection[str] = ()) -> None:
         self._model, self._learn, self._made = model, learn, made
         self._gyros = [name for name in GYRO if name in model.channels]
-        needed = BiasPredictor(model, self._gyros)
-        self._temperatures = [name.replace("_estimate", "") for name in needed.temperature_columns]
+        wanted = BiasPredictor(model, self._gyros)
+        self._needed = wanted.drivers
+        self._temperatures = [name.replace("_estimate", "") for name in wanted.temperature_columns]
         self._temperatures = list(dict.fromkeys([*self._temperatures, "temperature"]))
         self._names: list[str] = []
         self._gatherer = gatherer_of(self._names, 1.0)
@@ -78,10 +79,6 @@ class LiveDiagnosis:
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
         """Take samples; needs ``device_time_ns``, ``segment``, gyros and temperature, takes ``at_rest``."""
         if len(block) and all(name in block for name in self._gyros):
-            if not self._names:
-                drivers = [*DRIVERS, *further_columns(block, self._made)]
-                self._names = [*dict.fromkeys([*self._gyros, *self._temperatures, *ACCEL, *drivers])]
-                self._gatherer = gatherer_of(self._names, 1.0)
             self._waiting.append(block)
             since = int(self._waiting[0]["device_time_ns"][0])
             if not 0 <= int(block["device_time_ns"][-1]) - since < HELD_NS:
@@ -89,6 +86,11 @@ class LiveDiagnosis:
         return {}
 
     def _reduce(self) -> None:
+        if not self._names:
+            known = [name for name in (*ACCEL, *DRIVERS) if any(name in block for block in self._waiting)]
+            more = [name for block in self._waiting for name in further_columns(block, self._made)]
+            self._names = [*dict.fromkeys([*self._gyros, *self._temperatures, *self._needed, *known, *more])]
+            self._gatherer = gatherer_of(self._names, 1.0)
         for block in self._waiting:
             for slots in kept_slots(self._gatherer, block, self._names):
                 self._take(slots)
