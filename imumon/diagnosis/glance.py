@@ -13,11 +13,12 @@ import numpy as np
 from numpy.polynomial import Polynomial
 
 from imumon.blocks import FloatArray
-from imumon.diagnosis.blocks import BLOCK_S, RunBlocks, make_blocks, survey
+from imumon.diagnosis.blocks import BLOCK_S, RunBlocks, make_blocks, survey, white_floor
 from imumon.diagnosis.candidates import Candidate, Pool, candidates
 from imumon.diagnosis.channel import Declared, ordinary
 from imumon.diagnosis.drivers import recorded, with_drivers
 from imumon.diagnosis.earth import ALLOWANCE, turned
+from imumon.diagnosis.explaining import MATERIAL
 from imumon.diagnosis.gains import CLOSE, CLOSE_SHARE, PROVEN
 from imumon.diagnosis.known import CUBIC, temperature_of
 from imumon.diagnosis.likelihood import Likelihood, coarse_grid
@@ -124,6 +125,7 @@ def in_few_slots(run: Run) -> Run:
         time_s=(np.arange(len(starts), dtype=np.float64) + 0.5) * width * run.slot_s,
         count={name: np.add.reduceat(count, starts) for name, count in run.count.items()},
         mean={name: mean(values, run.count.get(name, samples)) for name, values in run.mean.items()},
+        variance={name: np.full(len(starts), np.nan) for name in run.variance},
         rest=np.nan_to_num(mean(run.rest, samples)),
         slot_s=width * run.slot_s,
     )
@@ -149,7 +151,10 @@ def better_models(run: Run, model: BiasModel, channels: Sequence[str], looks: in
     for name, temperature in zip(channels, temperatures, strict=True):
         if temperature not in glances:
             glances[temperature] = _Glance(Pool([blocks], temperature), likelihood)
-        found.append(glances[temperature].better(name, model.channels[name], looks * len(channels)))
+        one = glances[temperature].better(name, model.channels[name], looks * len(channels))
+        floor = white_floor([run], name, block_of(run)).of_blocks([blocks])
+        # What is missing of a model that leaves hardly more than the white noise is too small to matter.
+        found.append(one if one is not None and one.before >= MATERIAL * floor.sd else None)
     return [one for one in found if one is not None]
 
 

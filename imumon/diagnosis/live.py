@@ -181,14 +181,15 @@ class LiveDiagnosis:
 
         there = [at for at, _ in enumerate(self._names) if any(part.count[:, at].any() for part in slots)]
         mean = {self._names[at]: laid("mean", at, np.nan) for at in there}
+        variance = {self._names[at]: scattered(at) for at in there}
         if all(name in mean for name in ACCEL):
-            with_vibration(mean, {name: scattered(self._names.index(name)) for name in ACCEL})
+            with_vibration(mean, variance)
         return Run(
             "this session",
             np.arange(n, dtype=np.float64) + 0.5,
             {self._names[at]: laid("count", at, 0.0) for at in there},
             mean,
-            {},
+            variance,
             laid("mean", len(self._names), 0.0),
         )
 
