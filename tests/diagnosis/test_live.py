@@ -92,7 +92,7 @@ def test_a_long_run_is_looked_at_in_few_slots_with_the_same_means() -> None:
     times = 2 * MOST_SLOTS // SECONDS + 1
     long = replace(
         told,
-        time_s=np.arange(times * SECONDS) + 0.5,
+        time_s=np.arange(times * SECONDS, dtype=np.float64) + 0.5,
         count={name: np.tile(values, times) for name, values in told.count.items()},
         mean={name: np.tile(values, times) for name, values in told.mean.items()},
         rest=np.tile(told.rest, times),
