@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -43,11 +43,13 @@ class LiveDiagnosis:
         The present one; the gyros that it has are watched.
     learn : bool
         Whether a better model is then run beside it, and offered after it has won on what came later.
-    made : collection of str
-        Columns that other stages make: they drive nothing.
+    made : callable
+        Tells which columns other stages make: they drive nothing.
     """
 
-    def __init__(self, model: BiasModel, learn: bool = False, made: Collection[str] = ()) -> None:
+    def __init__(
+        self, model: BiasModel, learn: bool = False, made: Callable[[], Collection[str]] = tuple
+    ) -> None:
         self._model, self._learn, self._made = model, learn, made
         self._gyros = [name for name in GYRO if name in model.channels]
         wanted = BiasPredictor(model, self._gyros)
@@ -88,7 +90,8 @@ class LiveDiagnosis:
     def _reduce(self) -> None:
         if not self._names:
             known = [name for name in (*ACCEL, *DRIVERS) if any(name in block for block in self._waiting)]
-            more = [name for block in self._waiting for name in further_columns(block, self._made)]
+            made = self._made()
+            more = [name for block in self._waiting for name in further_columns(block, made)]
             self._names = [*dict.fromkeys([*self._gyros, *self._temperatures, *self._needed, *known, *more])]
             self._gatherer = gatherer_of(self._names, 1.0)
         for block in self._waiting:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 from imumon.allan.stage import AllanStage
 from imumon.estimation.attitude.stage import AttitudeEstimate
@@ -55,8 +56,12 @@ def _better_model(setup: Setup, others: Sequence[Estimator]) -> list[Estimator]:
         return []
     from imumon.diagnosis.live import LiveDiagnosis  # what the diagnosis needs takes time to load
 
-    made = {column.name for stage in others for column in stage.columns}
-    return [LiveDiagnosis(setup.bias_model, setup.watch.learn, made)]
+    return [LiveDiagnosis(setup.bias_model, setup.watch.learn, partial(_made_by, tuple(others)))]
+
+
+def _made_by(stages: Sequence[Estimator]) -> set[str]:
+    """Return the columns that stages add, as far as they know by now what is sent."""
+    return {column.name for stage in stages for column in stage.columns}
 
 
 def temperature_rate(given: TemperatureRateParameters) -> TemperatureRate:

@@ -69,7 +69,7 @@ def test_what_else_was_recorded_is_named_but_not_what_a_stage_made() -> None:
     supply = 5.0 + 0.1 * np.sign(np.sin(2 * np.pi * np.arange(SECONDS) / 700.0))
     told = session(100.0 * DPH * (supply - 5.0), supply_voltage=supply)
     assert said(told, LiveDiagnosis(model())).startswith("MODEL CAN BE BETTER: curve(supply_voltage)")
-    assert "supply" not in said(told, LiveDiagnosis(model(), made=["supply_voltage"]))
+    assert "supply" not in said(told, LiveDiagnosis(model(), made=lambda: ["supply_voltage"]))
 
 
 def test_a_sensitivity_to_g_is_named_that_is_more_than_the_earth_rate() -> None:
