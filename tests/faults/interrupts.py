@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 import psutil
+import pyarrow.parquet as pq
 
 from imumon.errors import EXIT_DATA, EXIT_INTERRUPTED, EXIT_OK, Reason
 from imumon.protocols.device import load_device
@@ -28,7 +29,7 @@ STEP_S, LAST_S = 0.05, 3.0
 """Of processor time, so that a machine with much else to do is at the same place of the program."""
 IDLE_S = 1.0
 """A command that takes no processor time for so long waits for something."""
-RECORDED_S = 20
+RECORDED_S, RATE_HZ = 20, 100
 ENDS_S = 60.0
 """A command that goes on for so long after Ctrl-C has not heard it."""
 TRACE = re.compile(r"Traceback|Exception ignored|KeyboardInterrupt|Fatal Python error")
@@ -100,7 +101,7 @@ class Stage:
 def staged(folder: Path, port: str) -> Stage:
     """Make the recording."""
     session = folder / "session"
-    made = ["simulate", "bench", "--duration", str(RECORDED_S), "--rate", "100", "--out", str(session)]
+    made = ["simulate", "bench", "--duration", str(RECORDED_S), "--rate", str(RATE_HZ), "--out", str(session)]
     subprocess.run([*PROGRAM, *made], check=True, capture_output=True)
     return Stage(folder, port, session)
 
@@ -161,7 +162,7 @@ def interrupt(stage: Stage, name: str, after_s: float) -> Ended:
             said, _ = child.communicate(timeout=ENDS_S)
         except subprocess.TimeoutExpired:
             return Ended(None, f"goes on {ENDS_S:g} s after Ctrl-C")
-        wrong = _judged(command, child.returncode, said, [path.name for path in folder.iterdir()])
+        wrong = _judged(command, child.returncode, said, [*folder.iterdir()])
         if not wrong and (left := _left(mark)):
             wrong = f"left behind: {', '.join(left)}"
     finally:
@@ -173,12 +174,25 @@ def interrupt(stage: Stage, name: str, after_s: float) -> Ended:
     return Ended(child.returncode, wrong, by_itself=not reached)
 
 
-def _judged(command: Command, code: int, said: str, written: list[str]) -> str:
+def _is_whole(path: Path) -> bool:
+    """Tell whether a command had written all of its output, and was about to end, when Ctrl-C came."""
+    match path.suffix:
+        case ".parquet":
+            return bool(pq.ParquetFile(path).metadata.num_rows == RECORDED_S * RATE_HZ)
+        case ".csv":
+            return path.read_bytes().count(b"\n") == 1 + RECORDED_S * RATE_HZ
+        case ".png":
+            return path.read_bytes().endswith(b"IEND\xaeB`\x82")
+    return False
+
+
+def _judged(command: Command, code: int, said: str, written: list[Path]) -> str:
     """Return what was not as documented."""
     if TRACE.search(said):
         return said
     if code == EXIT_INTERRUPTED:
-        return f"exit code {code}, and {written} is there" if written else ""
+        parts = [path.name for path in written if not _is_whole(path)]
+        return f"exit code {code}, and a part of {parts} is there" if parts else ""
     silent = Reason.SILENT.exit_code if command.records else command.code  # ended before the first packet
     return "" if code in (command.code, silent) else f"exit code {code}: {said}"
 
