@@ -69,7 +69,7 @@ def _fuzz(_: Path, short: bool) -> Iterator[Row]:
 
 
 def _streams(_: Path, short: bool) -> Iterator[Row]:
-    yield from fuzz.stream_all(2_000 if short else 500_000, 1)
+    yield from fuzz.stream_all(2_000 if short else 10_000_000, 1)
 
 
 def _interrupts(folder: Path, short: bool) -> Iterator[Row]:
