@@ -28,7 +28,7 @@ def test_a_recording_that_is_killed_is_begun_again_and_both_sessions_are_good(tm
     assert [open_session(path).state for path in (first, second)] == ["interrupted", "closed"]
     for path in (first, second):
         told = answer("replay", path)
-        assert told["packets"] > 100
+        assert told["packets"] > 50  # of 20 kB, with what the file needs of its own for each read
         assert not told["checksum_errors"]
         assert not told["recording"]["damage"]["places"]
     lines = [json.loads(line) for line in (second / "log.jsonl").read_text().splitlines()]
