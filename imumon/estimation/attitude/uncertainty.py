@@ -22,8 +22,10 @@ rises or falls by its tangent.
 
 A magnetometer that is calibrated ties the heading down: its error over the horizontal field, the tilt times
 the tangent of the dip, and what the gyros have added, which the filter forgets with its time constant.  Iron
-that came after the calibration bends the field, in a direction that nobody knows: by how much its strength
-says, each time that the field is seen from another side of the unit (`sizes.Sizes`).
+that came after the calibration, at any time, bends the field in a direction that nobody knows: by how much
+its strength says, each time that the field is seen from another side of the unit, and by how much it turns
+the heading while the gyros show no such turn (`sizes.OnBody`).  As the field's strength does of iron, the
+magnitude of gravity tells of the accelerometers.
 In a long motion this is a bound: nobody knows how far the accelerometers have kept the tilt better than the
 gyros.
 """
