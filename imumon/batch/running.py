@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import CancelledError
 from contextlib import contextmanager
 from itertools import islice
 from typing import Any
@@ -84,13 +85,19 @@ def run_jobs(
 
 
 def _rows(future: Any, job: Job) -> Sequence[Row]:
-    """Return the rows of a task that has ended in whatever way."""
-    if future.status == "finished":
+    """Return the rows of a task that has ended in whatever way.
+
+    Whether it has is for `result` to say: the rows of one that ended are lost when the worker that holds them
+    dies before they are fetched, and then are made again.
+    """
+    from distributed.scheduler import KilledWorker
+
+    try:
         rows: Sequence[Row] = future.result()
-        return rows
-    if future.status == "cancelled":
+    except CancelledError:
         return [failure(job.place, "lost", "the scheduler has forgotten the task")]
-    error = future.exception()
-    if type(error).__name__ == "KilledWorker":
+    except KilledWorker:
         return [failure(job.place, "worker died", "each of several workers died with this session")]
-    return [failure(job.place, "defect", f"{type(error).__name__}: {error}")]
+    except Exception as error:  # noqa: BLE001 whatever a session met is its failure, not the batch's
+        return [failure(job.place, "defect", f"{type(error).__name__}: {error}")]
+    return rows
