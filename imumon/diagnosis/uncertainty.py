@@ -70,7 +70,7 @@ def sigmas(found: Search, model: Sequence[Candidate]) -> Sigmas:
     # The error of each parameter as weights on whitened noise.
     logarithms = searching[design.shape[1] :]
     least = np.linalg.pinv(design, rcond=1e-10)
-    linear = least @ np.linalg.inv(whiten) - (least @ slopes) @ logarithms
+    linear = np.linalg.solve(whiten.T, least.T).T - (least @ slopes) @ logarithms
     spread = np.sqrt(variance) * np.linalg.norm(linear, axis=1)
     share = np.sqrt(variance) * np.linalg.norm(logarithms, axis=1)
     searched = {one[:2]: dict[str, float]() for one in names}
