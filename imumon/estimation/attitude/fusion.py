@@ -86,7 +86,6 @@ class Fusion:
         self._vqf: VQF | None = None
         self._interval_s = 0.0
         self._bias_known = False
-        self._to_north = math.nan
         self.first_heading = 0.0
         """Heading in axes of its own that the body began with, rad."""
         self.north = False
@@ -112,15 +111,10 @@ class Fusion:
         rejected = self._vqf.state["magRejectT"] <= given["magMaxRejectionTime"]
         return 0.0 if rejected else float(1.0 / given["magRejectionFactor"])
 
-    def pulled(self) -> float:
-        """Return by how much the field has turned the heading against the gyros since the last call, rad.
-
-        It is 0 at first, when the field has shown where north is.
-        """
-        if self._vqf is None or not self.north:
-            return 0.0
-        before, self._to_north = self._to_north, float(self._vqf.getDelta())
-        return 0.0 if math.isnan(before) else math.remainder(self._to_north - before, math.tau)
+    @property
+    def to_north(self) -> float:
+        """How far the field has turned the heading from level axes of its own, rad; NaN while it is free."""
+        return float(self._vqf.getDelta()) if self._vqf is not None and self.north else math.nan
 
     def process(self, readings: Readings, start: int, stop: int, bias_known: bool, found: Found) -> None:
         """Follow rows start..stop, and fill in what is found."""

@@ -260,9 +260,8 @@ class AttitudeEstimate:
                 attitude=matrix(fusion.last),
                 levelling=fusion.levelling,
                 ignored=since.ignored[-1],
-                north=fusion.north,
+                to_north=fusion.to_north,
                 follows=fusion.follows(),
-                pulled=fusion.pulled(),
             )
         )
 

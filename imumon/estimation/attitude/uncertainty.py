@@ -110,12 +110,10 @@ class Slot:
         At its end: as of `Found`.
     ignored : array (3,)
         Turned, by the gyros, while it was taken for at rest, rad.
-    north : bool
-        Whether the heading is by the magnetometer.
+    to_north : float
+        At its end, how far the field has turned the heading from where the gyros have it, rad; NaN without.
     follows : float
         How fast it follows the field: 1 as usual, 0 not at all.
-    pulled : float
-        By how much the field has turned the heading against the gyros, rad.
     """
 
     seconds: float
@@ -127,9 +125,8 @@ class Slot:
     attitude: FloatArray
     levelling: FloatArray
     ignored: FloatArray
-    north: bool
+    to_north: float
     follows: float
-    pulled: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -238,8 +235,10 @@ class Uncertainty:
         By the bias in the motions before, rad²: each rest measures the bias anew.
     bent : float
         Square of what the field that is followed differs from the calibration's strength, forgotten like it.
+    to_north : float
+        Of the last slot that had it.
     pulled : float
-        By how much the field has turned the heading against the gyros, rad, forgotten like it.
+        By how much that has changed, forgotten like the field.
     gyros : Sizes
         What elements of M are like, for each gyro's column.
     accels, iron : OnBody
@@ -265,6 +264,7 @@ class Uncertainty:
     since_north: Turned = field(default_factory=Turned)
     heading_variance: float = 0.0
     bent: float = 0.0
+    to_north: float = math.nan
     pulled: float = 0.0
     magnitude: float = math.nan
     tilt_sd: float = math.nan
@@ -288,7 +288,7 @@ class Uncertainty:
                 self.scale2 = self._seen(slot, (0.5 * slot.turn.path) ** 2 + ACCELERATIONS**2).mean_square
         turned = math.sqrt(float(self.since_rest.variance(self.scale2)[:2].mean()))
         self.tilt_sd = _small(math.hypot(self.accel_sd, turned))
-        if slot.north:
+        if math.isfinite(slot.to_north):
             self.heading_sd = self._magnetic(slot)
         else:
             self.heading_sd = _small(self._drifted()) if math.isfinite(self.accel_sd) else math.nan
@@ -359,6 +359,10 @@ class Uncertainty:
         strength = math.sqrt(float(slot.mag @ slot.mag))
         # What the gyros have added is forgotten as the filter follows the field.
         keep = math.exp(-slot.follows * slot.seconds / TAU_MAG_S)
+        # It is nothing at first, when the field has shown where north is.
+        changed = math.remainder(slot.to_north - self.to_north, math.tau)
+        self.pulled = keep * self.pulled + (0.0 if math.isnan(changed) else changed)
+        self.to_north = slot.to_north
         self.since_north.forget(keep)
         self.heading_variance *= keep * keep
         self.twisted *= keep
@@ -370,7 +374,6 @@ class Uncertainty:
             return math.nan
         # What is fixed to the unit adds to the field in one direction and takes from it in another; and what
         # comes to it turns the field while the gyros show that the unit does not.
-        self.pulled = keep * self.pulled + slot.pulled
         across2 = self.errors.magnetometer**2 + (vertical * self.tilt_sd) ** 2
         self.iron.look(
             slot.mag / strength,
