@@ -54,10 +54,10 @@ def test_a_scale_that_is_no_scale_is_refused(scale: str) -> None:
 )
 def test_a_unit_that_would_be_computed_for_ever_is_refused_at_once(unit: str) -> None:
     parse_unit("mm/s^2", "m/s^2")  # imports pint
-    began = time.perf_counter()
+    began = time.process_time()
     with pytest.raises(ValueError, match="usual here"):
         parse_unit(unit, "rad/s")
-    assert time.perf_counter() - began < 0.5
+    assert time.process_time() - began < 0.5
 
 
 @given(text=st.text(alphabet="0123456789.eE^*/()-+ degrasmgu\N{DEGREE SIGN}", max_size=40))
@@ -87,10 +87,10 @@ def test_a_file_of_100_mb_is_refused_without_being_read(tmp_path: Path) -> None:
     path = tmp_path / "big.yaml"
     with path.open("wb") as file:
         file.truncate(100_000_000)
-    began = time.perf_counter()
+    began = time.process_time()
     with pytest.raises(ImumonError, match=f"more than {LARGEST_TEXT >> 20} MiB"):
         read_text(path)
-    assert time.perf_counter() - began < 1.0
+    assert time.process_time() - began < 1.0
 
 
 @given(
