@@ -204,23 +204,28 @@ def _explained(
     groups: Sequence[tuple[IntArray, IntArray]],
     count: int,
 ) -> FloatArray:
-    """Return by how much each candidate lowers the sum of squares of the whitened residual."""
+    """Return by how much each candidate lowers the sum of squares of the whitened residual.
+
+    What the base leaves of a term is never written out: the residual is orthogonal to it already.
+    """
+    within = matrix @ basis
     before = np.einsum("ij,ij->i", matrix, matrix)
-    left = matrix - (matrix @ basis) @ basis.T
-    after = np.einsum("ij,ij->i", left, left)
+    after = before - np.einsum("ij,ij->i", within, within)
     usable = after > COLLINEAR**2 * before
-    left *= np.where(usable, 1.0 / np.sqrt(np.where(usable, after, 1.0)), 0.0)[:, np.newaxis]
-    slope = left @ residual
+    scale = np.where(usable, 1.0 / np.sqrt(np.where(usable, after, 1.0)), 0.0)
+    slope = scale * (matrix @ residual)
     out = np.zeros(count)
     for which, places in groups:
         part = slope[places]
         if places.shape[1] == 1:
             out[which] = part[:, 0] ** 2
             continue
-        x = left[places]
+        x, y = matrix[places], within[places]
         # A term that the base explains has a zero row: one on the diagonal makes its coefficient zero.
         diagonal = RIDGE + (~usable[places])
-        gram = x @ x.transpose(0, 2, 1) + diagonal[:, :, np.newaxis] * np.eye(places.shape[1])
+        gram = x @ x.transpose(0, 2, 1) - y @ y.transpose(0, 2, 1)
+        gram *= scale[places][:, :, np.newaxis] * scale[places][:, np.newaxis]
+        gram += diagonal[:, :, np.newaxis] * np.eye(places.shape[1])
         solution = np.linalg.solve(gram, part[:, :, np.newaxis])[:, :, 0]
         out[which] = np.einsum("ij,ij->i", solution, part)
     return out
