@@ -18,6 +18,12 @@ AHEAD = 50
 knows of thousands when there are millions."""
 FEWEST_AHEAD = 200
 CONNECT_S = 10.0
+RESTART_S = 24 * 3600.0
+"""How long a worker that died here may take to come back.
+
+It is begun anew at once.  On a busy machine that takes longer than Dask's 15 s, after which it would be given
+up, and with the last one the batch would wait for ever.
+"""
 LOCALHOST = "127.0.0.1"
 
 
@@ -31,11 +37,13 @@ def workers(scheduler: str | None, number: int) -> Iterator[Any]:
         BAD_CONFIG when Dask is not there; NOT_FOUND when nobody answers at the address.
     """
     try:
+        import dask
         from distributed import Client, LocalCluster
     except ImportError as error:
         raise missing_package("a batch", "distributed", "batch") from error
     if scheduler is None:
         with (
+            dask.config.set({"distributed.deploy.lost-worker-timeout": RESTART_S}),
             LocalCluster(
                 n_workers=number,
                 threads_per_worker=1,

@@ -143,9 +143,7 @@ def connect(url: str, device: DeviceFile, family: Family, baudrate: int | None) 
         What opening a port raises; WRONG_BAUD when something else is there; SILENT when nothing answers.
     """
     device.decoder().feed(b"\0", 0)  # compiled kernels are loaded before bytes pile up
-    evidence: list[Evidence] = []
-    if baudrate is None:
-        evidence = detect(url, {device.name: device.decoder}, device.serial.baudrates, GLANCE_S)
+    evidence = _heard(url, device) if baudrate is None else []
     rates = [baudrate] if baudrate is not None else _rates_heard(url, device, evidence)
     line = device.serial
     settings = PortSettings(url, rates[0], line.bytesize, line.parity, line.stopbits)
@@ -163,6 +161,16 @@ def connect(url: str, device: DeviceFile, family: Family, baudrate: int | None) 
                 link.port.write(request.frame)  # it may have heard the question and be quiet since
         link.close()
         raise
+
+
+def _heard(url: str, device: DeviceFile) -> list[Evidence]:
+    """Listen at the rates of a device at a glance, and for longer where bytes came that are no packet yet."""
+    evidence: list[Evidence] = []
+    for seconds in (GLANCE_S, HEAR_S):
+        evidence = detect(url, {device.name: device.decoder}, device.serial.baudrates, seconds)
+        if evidence[0].verdict is not Verdict.NOTHING:
+            break
+    return evidence
 
 
 def _rates_heard(url: str, device: DeviceFile, evidence: list[Evidence]) -> list[int]:
