@@ -69,6 +69,12 @@ def _collect_and_freeze() -> None:
     gc.freeze()
 
 
+def pytest_unconfigure() -> None:
+    """Let the collector have everything again: else duckdb lists all that it finds alive at the end."""
+    gc.unfreeze()
+    gc.collect()
+
+
 _FD = Path("/proc/self/fd")
 
 
