@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import socket
 import sys
 import threading
 from collections.abc import Iterable, Iterator, Mapping
@@ -142,7 +143,8 @@ def chosen_view(view: View | None, bind: str) -> View:
     Raises
     ------
     ImumonError
-        BAD_CONFIG where a view is to be drawn in a terminal and there is none.
+        BAD_CONFIG where a view is to be drawn in a terminal and there is none, or served on an address that
+        is none of this computer.
     """
     from imumon.view.viewer import LOCALHOST, default_mode, has_display
 
@@ -160,8 +162,21 @@ def chosen_view(view: View | None, bind: str) -> View:
             " browser, monitor --view terminal where it runs",
         )
     if mode == "web" and bind not in (LOCALHOST, "localhost"):
+        _check_address(bind)
         say("WARN", f"--bind {bind}: every computer that reaches this one can read the live view")
     return mode
+
+
+def _check_address(bind: str) -> None:
+    """Refuse an address on which this computer cannot serve."""
+    try:
+        socket.create_server((bind, 0)).close()
+    except (OSError, UnicodeError) as error:
+        raise ImumonError(
+            Reason.BAD_CONFIG,
+            f"--bind {bind}: is no IPv4 address of this computer",
+            "`ip -4 addr` lists them; 0.0.0.0 is all of them",
+        ) from error
 
 
 def print_rows(rows: Mapping[str, str]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import shlex
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -296,5 +297,5 @@ def _report(summary: LiveSummary, progress: Progress, views: _Views) -> None:
     if views.dropped:
         rows["view"] = f"{views.dropped:,} items were not shown; the recording has them"
     rows["session"] = str(summary.session)
-    rows["replay"] = f"imumon replay {summary.session} --view native"
+    rows["replay"] = f"imumon replay {shlex.quote(str(summary.session))} --view native"
     print_rows(rows)

@@ -54,3 +54,10 @@ def test_without_a_display_a_native_view_says_so(session: Path, monkeypatch: pyt
     done = imumon("replay", session, "--view", "native", "--speed", "max")
     assert "there is no display here" in done.stderr
     assert "300" in done.stderr
+
+
+@pytest.mark.parametrize("address", ["999.1.1.1", "192.0.2.1", "::1"])
+def test_an_address_that_is_none_of_this_computer_is_refused(session: Path, address: str) -> None:
+    done = imumon("replay", session, "--view", "web", "--bind", address)
+    assert done.returncode == 2
+    assert f"--bind {address}: is no IPv4 address of this computer" in done.stderr

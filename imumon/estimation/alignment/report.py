@@ -36,7 +36,7 @@ def rows(status: Status, wanted_deg: float) -> dict[str, str]:
             f"1 mg of bias of the one that points east turns the heading by "
             f"{_short(math.degrees(1e-3 * per_g))}°; sigma has accel_bias_sd_ug of it"
         )
-    told["data"] = f"{status.time_s:.0f} of {status.seconds:.0f} s counted"
+    told["data"] = f"{min(status.time_s, status.seconds):.0f} of {status.seconds:.0f} s counted"
     if status.positions > 1:
         told["positions"] = f"{status.positions}, the last turned by {math.degrees(status.turned):.1f}°"
     if status.disturbed or status.shaken_s > START_S:
