@@ -30,8 +30,8 @@ def ask_for_mark(session: Path, kind: EventKind, text: str) -> None:
     Raises
     ------
     ImumonError
-        BAD_CONFIG when the text is empty, the session is not being recorded, or what is to stop did not
-        begin; BAD_DATA when there is no session.
+        BAD_CONFIG when the text is empty, the session is not being recorded, what is to begin goes on, or
+        what is to stop does not; BAD_DATA when there is no session.
     """
     if not text.strip():
         raise ImumonError(Reason.BAD_CONFIG, "the text of the mark is empty", "say what is marked")
@@ -42,11 +42,18 @@ def ask_for_mark(session: Path, kind: EventKind, text: str) -> None:
             f"{session} is not being recorded",
             "marks are made while imumon monitor runs; its summary names the session",
         )
-    if kind is EventKind.STOP and not _goes_on(opened.path / REQUESTS, for_log(text)):
+    goes_on = kind is not EventKind.MARK and _goes_on(opened.path / REQUESTS, for_log(text))
+    if kind is EventKind.START and goes_on:
+        raise ImumonError(
+            Reason.BAD_CONFIG,
+            f"the part {text!r} goes on already in {session}",
+            f"it ends with: imumon mark {shlex.quote(str(session))} {shlex.quote(text)} --stop",
+        )
+    if kind is EventKind.STOP and not goes_on:
         raise ImumonError(
             Reason.BAD_CONFIG,
             f"no part {text!r} goes on in {session}",
-            f"it begins with: imumon mark {session} {shlex.quote(text)} --start",
+            f"it begins with: imumon mark {shlex.quote(str(session))} {shlex.quote(text)} --start",
         )
     append_request(opened.path, kind, text)
 

@@ -50,6 +50,8 @@ def test_only_a_part_that_goes_on_can_be_stopped(tmp_path: Path) -> None:
     with VirtualDevice(AX1, tmp_path / "ahrs") as ahrs:
         run = start(ahrs.port.path, folder, Watcher())
         run.mark(EventKind.START, "by a key")
+        with pytest.raises(ImumonError, match="goes on already"):
+            ask_for_mark(folder, EventKind.START, "by a key")
         ask_for_mark(folder, EventKind.STOP, "by a key")
         for part in ("by a key", "never begun"):
             with pytest.raises(ImumonError, match=f"no part '{part}' goes on") as error:
