@@ -219,9 +219,18 @@ class Pipeline:
         """Return a pipeline that goes on where `snapshot` was taken.
 
         Only for bytes of one's own: like everything that pickle reads, they can run code.
+
+        Raises
+        ------
+        ValueError
+            They are damaged, no snapshot of a pipeline, or one of another version of imumon.
         """
-        pipeline = pickle.loads(snapshot)
-        assert isinstance(pipeline, Pipeline)
+        try:
+            pipeline = pickle.loads(snapshot)
+        except Exception as error:  # damaged bytes make pickle raise whatever there is
+            raise ValueError(f"no snapshot of a pipeline of this version of imumon: {error}") from error
+        if not isinstance(pipeline, Pipeline):
+            raise ValueError(f"a {type(pipeline).__name__} is no snapshot of a pipeline")
         return pipeline
 
     def feed(self, data: bytes, arrival_ns: int = UNDATED) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import pytest
 
 from imumon.pipeline import Digest, Pipeline
@@ -45,3 +47,12 @@ def test_every_decoder_goes_on_in_the_middle_of_a_packet(name: str) -> None:
     assert whole.counters.samples > 0
     assert parts.counters == whole.counters
     assert found.hexdigest() == expected.hexdigest()
+
+
+@pytest.mark.parametrize(
+    "damage", [lambda snapshot: b"junk", lambda snapshot: snapshot[:-100], lambda _: b"N."]
+)
+def test_what_is_no_snapshot_is_refused_in_words(damage: Callable[[bytes], bytes]) -> None:
+    snapshot = Pipeline(load_device("ax1"), []).snapshot()
+    with pytest.raises(ValueError, match="no snapshot of a pipeline"):
+        Pipeline.restore(damage(snapshot))

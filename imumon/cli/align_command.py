@@ -261,7 +261,10 @@ def as_data(status: Status, positions: int = 1) -> dict[str, object]:
         "observable": status.observable,
         "positions": status.positions,
         "estimators": {
-            name: {"heading_deg": degrees(estimate.heading), "sd_deg": math.degrees(estimate.sd)}
+            name: {
+                "heading_deg": degrees(estimate.heading),
+                "sd_deg": math.degrees(estimate.sd) if estimate.sd < math.pi else math.nan,
+            }
             for name, estimate in status.estimates.items()
         },
     }
