@@ -91,7 +91,7 @@ def blueprint(setup: ViewSetup, contents: Contents, timeline: str, *, live: bool
     ]
     first = _first_tab(setup.first_tab if live else "Recording", views, window, contents)
     tabs = [_tab(place, views[place], contents) for place in views if tab_of(place) != FIRST and views[place]]
-    return arranged(rrb.Tabs(first, *tabs, active_tab=0), timeline)
+    return arranged(rrb.Tabs(first, *tabs), timeline)
 
 
 def arranged(

@@ -41,6 +41,8 @@ from imumon.view.window import slow_window
 
 APPLICATION_ID = "imumon"
 
+Show = Callable[[rrb.Blueprint], None]
+
 ELSEWHERE = {"device_time_ns", "host_time_ns", "arrival_time_ns", "device_ticks"}
 """Integer columns that are a timeline, or of the transport: the wire recording has them."""
 
@@ -69,10 +71,15 @@ class StreamLogger:
         Title, units, frame, window.
     live : bool
         Whether the blueprint follows the last seconds or shows all of a recording.
+    show : callable, optional
+        Takes the arrangement when it has changed; without, it is sent as a blueprint of its own.
     """
 
-    def __init__(self, rec: rr.RecordingStream, setup: ViewSetup, *, live: bool) -> None:
+    def __init__(
+        self, rec: rr.RecordingStream, setup: ViewSetup, *, live: bool, show: Show | None = None
+    ) -> None:
         self._rec = rec
+        self._show = show or rec.send_blueprint
         self._setup = setup
         self._live = live
         self._panels = PanelLog(rec, setup, live=live)
@@ -88,7 +95,7 @@ class StreamLogger:
         self._timeline = "host_time"
         self._arranged: tuple[Contents, str] | None = None
         self.arrangement: rrb.Blueprint | None = None
-        """The blueprint that was sent last."""
+        """The one that was shown last."""
         self._last_ns: dict[str, int] = {}
         self._newest: Rows | None = None
         self._began_ns: int | None = None
@@ -307,7 +314,7 @@ class StreamLogger:
         if contents and (contents, self._timeline) != self._arranged:
             self._arranged = contents, self._timeline
             self.arrangement = blueprint(self._setup, contents, self._timeline, live=self._live)
-            self._rec.send_blueprint(self.arrangement)
+            self._show(self.arrangement)
 
 
 def status_card(event: Status) -> str:
