@@ -1,8 +1,8 @@
 """The arrangement of a live view, changed in place: what a person has chosen (tab, pause, sizes) stays.
 
-A blueprint that is sent as Rerun sends it takes the place of the one that is shown, and whoever looks on is led
-back to the first tab.  Here only the parts that have changed are sent, to the blueprint that a viewer makes by
-itself of an application for which none was sent: its name is that of the application.
+A blueprint that is sent as Rerun sends it replaces the one that is shown, and whoever looks on is led back to
+the first tab.  Here only the parts that have changed are sent, to the blueprint that a viewer makes by itself
+of an application for which none was sent: its name is that of the application.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ APPLICATION_ID = "imumon-live"
 TIMELINE = "blueprint"
 """Of a part the latest on it counts; what a person does comes one after the latest."""
 STEP = 1000
-"""Between parts, on `TIMELINE`, which counts microseconds: what a viewer does with half of an arrangement comes
-before the rest of it."""
+"""Between parts, on `TIMELINE`, which counts microseconds: what a viewer does with half of an arrangement
+comes before the rest of it."""
 ONE_BY_ONE = {"flush_num_rows": 1, "flush_num_bytes": 0, "chunk_max_rows_if_unsorted": 1}
 """What is inside must arrive before what it is in: a viewer takes out what it does not find, for good."""
 RECORDING, BLUEPRINT = 1, 2

@@ -144,8 +144,11 @@ def _frame(axes: Any, chart: Chart) -> None:
         if axis.log and _has_logarithm(chart, name):
             _logarithmic(axes, name)
     axes.set(xlabel=for_plot(chart.x.label), ylabel=for_plot(chart.y.label))
-    for axis, scale in ((axes.xaxis, chart.x), (axes.yaxis, chart.y)):
-        if not scale.log:
+    for axis, scale, name in ((axes.xaxis, chart.x, "x"), (axes.yaxis, chart.y, "y")):
+        if scale.names:
+            axis.set_ticks(range(len(scale.names)), [for_plot(one) for one in scale.names])
+            axes.set(**{f"{name}lim": (-0.5, len(scale.names) - 0.5)})
+        elif not scale.log:
             axis.set_minor_locator(AutoMinorLocator())
     axes.grid(which="major", color=FAINT, lw=0.8)
     axes.grid(which="minor", color=FAINT, lw=0.3)

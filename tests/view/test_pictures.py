@@ -119,3 +119,13 @@ def test_points_are_drawn_as_points() -> None:
     curve = Curve("now", x, x, GREEN, points=True, width=9.0, listed=False)
     found = _drawn(Chart("a", "b", "c", Axis("x"), Axis("y"), (curve,)), GREEN)
     assert 5 * 60 < len(found) < 5 * 400
+
+
+def test_places_have_names_and_no_numbers_between_them() -> None:
+    curve = Curve("a", np.array([0.0, 1.0]), np.array([1.0, 2.0]), GREEN, points=True, listed=False)
+
+    def ink(x: Axis) -> float:
+        return _ink(_pixels(Chart("a", "b", "c", x, Axis("y"), (curve,)))[-100:])
+
+    assert ink(Axis("x", names=("one",) * 2)) < ink(Axis("x")), "two names are less than eleven numbers"
+    assert ink(Axis("x", names=("one", "one more"))) > ink(Axis("x", names=("one",) * 2))
