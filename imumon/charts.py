@@ -30,7 +30,7 @@ ITEM_BYTES = 64
 
 @dataclass(frozen=True, slots=True)
 class Axis:
-    """One axis: what it shows with its unit, whether it is logarithmic, or the names of the places 0, 1, ...."""
+    """One axis: what it shows with its unit, whether it is logarithmic, or names of the places 0, 1, ...."""
 
     label: str
     log: bool = False

@@ -49,7 +49,7 @@ class InPlace:
             send_properties=False,
             batcher_config=rr.ChunkBatcherConfig(**ONE_BY_ONE),
         )
-        self._written = self._parts.binary_stream()
+        self._written = rr.binary_stream(self._parts)
         self._sent: dict[tuple[str, str, bool], list[pa.Array]] = {}
         self._at = 0
 
@@ -61,7 +61,8 @@ class InPlace:
         """Send what is not as it was sent last."""
         name_parts(whole.root_container)
         self._at = max(time.time_ns() // 1000, self._at)
-        whole._log_to_stream(self)
+        stream: Any = self
+        whole._log_to_stream(stream)
         if written := self._written.read():
             self._rec.log_file_from_contents("arrangement.rbl", as_blueprint(written))
 
@@ -82,7 +83,7 @@ def name_parts(part: Any, above: str = "") -> None:
     if isinstance(part, rrb.Container):
         seen: Counter[str] = Counter()
         for inner in part.contents:
-            name = inner.name or type(inner).__name__
+            name = str(inner.name or type(inner).__name__)
             name_parts(inner, f"{above}/{name}/{seen[name]}")
             seen[name] += 1
 

@@ -16,7 +16,7 @@ from imumon.blocks import FloatArray
 from imumon.charts import GREEN, Axis, Chart, Color, Curve
 from imumon.view.items import Drawing, Instant, ViewSetup, item_bytes, lasting_key
 from imumon.view.logger import StreamLogger
-from imumon.view.pictures import picture
+from imumon.view.pictures import COLORS, picture
 from tests.view.streams import record_batches
 
 RED: Color = (232, 72, 72)
@@ -90,7 +90,7 @@ def test_a_short_recording_has_the_last_picture_only(tmp_path: Path) -> None:
         for part in batch.column(name).to_pylist()
     ]
     assert len(blobs) == 1
-    assert bytes(blobs[-1][0]) == picture(charts[-1])
+    assert bytes(blobs[-1][0]) == picture(charts[-1], colors=COLORS)
 
 
 def test_a_recording_has_a_picture_every_ten_minutes_however_often_a_file_begins(
