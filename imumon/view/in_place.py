@@ -26,6 +26,8 @@ STEP = 1000
 comes before the rest of it."""
 ONE_BY_ONE = {"flush_num_rows": 1, "flush_num_bytes": 0, "chunk_max_rows_if_unsorted": 1}
 """What is inside must arrive before what it is in: a viewer takes out what it does not find, for good."""
+OUTERMOST = "viewport"
+"""The part that names the outermost."""
 RECORDING, BLUEPRINT = 1, 2
 """Kinds of stores, as Rerun writes them."""
 HEAD_BYTES, FRAME, END, PART = 12, struct.Struct("<QQ"), 0, 2
@@ -70,7 +72,8 @@ class InPlace:
         """Take a part, as a blueprint logs it."""
         key = path, type(what).__name__, static
         values = [one.as_arrow_array() for one in what.as_component_batches()]
-        if self._sent.get(key) != values:
+        # Which part is outermost a viewer changes by itself: single tabs, once somebody has clicked.
+        if path == OUTERMOST or self._sent.get(key) != values:
             self._sent[key] = values
             self._at += STEP
             self._parts.set_time(TIMELINE, sequence=self._at)

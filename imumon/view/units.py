@@ -149,7 +149,12 @@ class Below:
         """Leave the unit's properties out: they are in its session."""
 
     def take(self, whole: rrb.Blueprint) -> None:
-        """Let the arrangement show what is below the root."""
+        """Let the arrangement show what is below the root; a single tab stands for the unit.
+
+        Tabs with one tab a viewer takes out as soon as somebody clicks, and with them the name.
+        """
+        if len(whole.root_container.contents) == 1:
+            (whole.root_container,) = whole.root_container.contents
         whole.root_container.name = self._root.removeprefix("/")
         _move(whole.root_container, self._root)
 

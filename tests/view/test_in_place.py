@@ -58,10 +58,10 @@ def sent(path: Path, *arrangements: Sequence[str], forget: bool = False) -> list
 def test_only_what_has_changed_is_sent_and_what_is_inside_comes_first(tmp_path: Path) -> None:
     once, twice = sent(tmp_path / "a.rrd", "xy"), sent(tmp_path / "b.rrd", "xy", "xy")
     assert {application for application, _, _ in once} == {APPLICATION_ID}
-    assert len(twice) == len(once)
+    assert [entity for _, entity, _ in twice[len(once) :]] == ["/viewport"], "a viewer may have changed it"
     added = sent(tmp_path / "c.rrd", "xy", "xyz")[len(once) :]
     kinds = [entity.strip("/").split("/")[0] for _, entity, _ in added]
-    assert kinds == ["view"] * 4 + ["container"] * 2, "two views, their tab, the tabs"
+    assert kinds == ["view"] * 4 + ["container"] * 2 + ["viewport"], "two views, their tab, the tabs"
     assert min(at for _, _, at in added) > max(at for _, _, at in once)
 
 
