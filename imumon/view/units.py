@@ -153,8 +153,9 @@ class Below:
 
         Tabs with one tab a viewer takes out as soon as somebody clicks, and with them the name.
         """
-        if len(whole.root_container.contents) == 1:
-            (whole.root_container,) = whole.root_container.contents
+        tabs: Any = list(whole.root_container.contents)
+        if len(tabs) == 1:
+            whole.root_container = tabs[0]
         whole.root_container.name = self._root.removeprefix("/")
         _move(whole.root_container, self._root)
 

@@ -32,7 +32,7 @@ def tabs(names: Sequence[str]) -> rrb.Blueprint:
 
 
 def parts_of(path: Path) -> list[tuple[str, str, int]]:
-    """Return application, entity and time of each part of the one blueprint in a file, in its order."""
+    """Return application, entity and time of each part of the one blueprint in a file, by time."""
     reader = RrdReader(str(path))
     (store,) = reader.blueprints()
     found = []
@@ -40,7 +40,7 @@ def parts_of(path: Path) -> list[tuple[str, str, int]]:
         batch = chunk.to_record_batch()
         at = batch.column("blueprint")[0].as_py() if "blueprint" in batch.schema.names else 0
         found.append((store.application_id, chunk.entity_path, at))
-    return found
+    return sorted(found, key=lambda part: part[2])
 
 
 def sent(path: Path, *arrangements: Sequence[str], forget: bool = False) -> list[tuple[str, str, int]]:
