@@ -30,10 +30,11 @@ ITEM_BYTES = 64
 
 @dataclass(frozen=True, slots=True)
 class Axis:
-    """One axis: what it shows with its unit, and whether it is logarithmic."""
+    """One axis: what it shows with its unit, whether it is logarithmic, or names of the places 0, 1, ...."""
 
     label: str
     log: bool = False
+    names: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -20,7 +21,7 @@ LANE, LANES_FRAME, LOG, LINK_STRIP = 40.0, 42.0, 95.0, 100.0
 """Points that a lane takes, title and times of all; that some lines of the log and three numbers above each
 other of the link need.  With eight lanes they fill the tab of a window of 1456 x 819."""
 NAMES_MARGIN = 0.1
-"""Share of its window that stays free there, for a legend of whole column names."""
+"""Share of a tab that a legend of whole column names takes; it stays free in each view that has one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +44,8 @@ class Contents:
         Tabs that have a card of numbers.
     filled, full : bool
         Whether as much has come as the first tab shows, and as the slow tabs show.
+    grown_s : float
+        How much the slow tabs show, s, rounded up to a power of two while they grow.
     """
 
     panels: tuple[Panel, ...]
@@ -54,6 +57,7 @@ class Contents:
     cards: tuple[str, ...]
     filled: bool
     full: bool
+    grown_s: float
 
     def __bool__(self) -> bool:
         """Tell whether there is anything besides charts."""
@@ -78,11 +82,12 @@ def blueprint(setup: ViewSetup, contents: Contents, timeline: str, *, live: bool
         views.setdefault(panel.place, []).append(panel.view(setup, shown))
     for place, key, title in contents.charts:
         views.setdefault(place, []).append(chart_view(key, title))
+    margin_s = NAMES_MARGIN * contents.grown_s * math.ceil(math.sqrt(len(contents.others)))
     views[OTHER_TAB] = [
         series_view(
             paths[0],
             title,
-            replace(slow, margin=NAMES_MARGIN),
+            replace(slow, margin_s=margin_s if len(paths) > 1 else 0.0),
             others=paths[1:],
             ends=[entity(paths[0])],
             legend=len(paths) > 1,
@@ -91,7 +96,7 @@ def blueprint(setup: ViewSetup, contents: Contents, timeline: str, *, live: bool
     ]
     first = _first_tab(setup.first_tab if live else "Recording", views, window, contents)
     tabs = [_tab(place, views[place], contents) for place in views if tab_of(place) != FIRST and views[place]]
-    return arranged(rrb.Tabs(first, *tabs, active_tab=0), timeline)
+    return arranged(rrb.Tabs(first, *tabs), timeline)
 
 
 def arranged(

@@ -42,14 +42,17 @@ class Child:
 
         import rerun as rr
 
-        from imumon.view.logger import APPLICATION_ID, StreamLogger
+        from imumon.view.in_place import APPLICATION_ID, InPlace
+        from imumon.view.logger import StreamLogger
         from imumon.view.units import UnitsLogger
 
         self._rec = rr.RecordingStream(APPLICATION_ID, recording_id=start.setup.recording_id)
+        self._arrangement = InPlace(self._rec)
+        show = self._arrangement.send
         self._logger: Any = (
-            UnitsLogger(self._rec, start.setup)
+            UnitsLogger(self._rec, start.setup, show)
             if start.setup.several
-            else StreamLogger(self._rec, start.setup, live=True)
+            else StreamLogger(self._rec, start.setup, live=True, show=show)
         )
         self._delivered = -1
         self._request = 0
@@ -62,6 +65,7 @@ class Child:
             return
         if change.name == "NEW":
             self._delivered = -1
+            self._arrangement.forget()
             self._logger.begin()
         self._request += 1
         self._answered = False

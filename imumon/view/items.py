@@ -193,7 +193,7 @@ class ViewSetup:
     title : str
         Name of the recording as the viewer shows it.
     recording_id : str
-        The same for live view and recording, so that both are one recording.
+        The same for live view and recording.
     units : mapping of str to str
         Units that differ from `imumon.columns.KNOWN`, by column (magnetic field in arbitrary units, ...).
     z_down : bool

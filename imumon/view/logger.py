@@ -41,6 +41,8 @@ from imumon.view.window import slow_window
 
 APPLICATION_ID = "imumon"
 
+Show = Callable[[rrb.Blueprint], None]
+
 ELSEWHERE = {"device_time_ns", "host_time_ns", "arrival_time_ns", "device_ticks"}
 """Integer columns that are a timeline, or of the transport: the wire recording has them."""
 
@@ -69,10 +71,15 @@ class StreamLogger:
         Title, units, frame, window.
     live : bool
         Whether the blueprint follows the last seconds or shows all of a recording.
+    show : callable, optional
+        Takes the arrangement when it has changed; without, it is sent as a blueprint of its own.
     """
 
-    def __init__(self, rec: rr.RecordingStream, setup: ViewSetup, *, live: bool) -> None:
+    def __init__(
+        self, rec: rr.RecordingStream, setup: ViewSetup, *, live: bool, show: Show | None = None
+    ) -> None:
         self._rec = rec
+        self._show = show or rec.send_blueprint
         self._setup = setup
         self._live = live
         self._panels = PanelLog(rec, setup, live=live)
@@ -88,7 +95,7 @@ class StreamLogger:
         self._timeline = "host_time"
         self._arranged: tuple[Contents, str] | None = None
         self.arrangement: rrb.Blueprint | None = None
-        """The blueprint that was sent last."""
+        """The one that was shown last."""
         self._last_ns: dict[str, int] = {}
         self._newest: Rows | None = None
         self._began_ns: int | None = None
@@ -239,7 +246,8 @@ class StreamLogger:
             self._log_numbers(values, Rows({}, sample, device_ns, host_ns))
 
     def _log_numbers(self, columns: Mapping[str, FloatArray], times: Rows) -> None:
-        rows = Rows(columns, times.sample, times.device_ns, times.host_ns)
+        step_ns = 0 if self._live else RECORDED_STEP_NS
+        rows = Rows(columns, times.sample, times.device_ns, times.host_ns, step_ns)
         claimed = self._panels.log(rows)
         for name in columns.keys() - claimed:
             self._others.log(name, columns[name], rows)
@@ -263,7 +271,9 @@ class StreamLogger:
         places = [other.chart.place for other in self._lasting.values() if isinstance(other, Drawing)]
         beside = any(panel.place == chart.place for panel in self._panels.shown)
         stacked = beside and places.count(chart.place) > 1
-        return partial(log_picture, self._rec, chart, at_once(event.at).indexes, stacked=stacked)
+        return partial(
+            log_picture, self._rec, chart, at_once(event.at).indexes, stacked=stacked, kept=not self._live
+        )
 
     def _is_due(self, key: str, step_s: float) -> bool:
         """Tell, and remember, whether so much time has passed since this was last logged."""
@@ -291,23 +301,32 @@ class StreamLogger:
             known.append(event.state)
             declare_lane(self._rec, event.lane, known)
 
+    def _grown_s(self) -> float:
+        """Return how much the slow tabs show, s; while they grow the next power of two."""
+        age_s = max(1.0, 1e-9 * self._age_ns)
+        return min(2.0 ** math.ceil(math.log2(age_s)), slow_window(self._setup.window_s))
+
     def _arrange(self) -> None:
         """Send the blueprint when what there is to see has changed."""
+        # A recording is arranged once: an arrangement takes 340 kB there, and charts are drawn at its end.
+        coming = {} if self._live else {key: drawing.chart for key, drawing in self._waiting.items()}
+        charts = (self._charts | coming).values()
         contents = Contents(
             panels=self._panels.shown,
-            charts=tuple((chart.place, chart.key, chart.title) for chart in self._charts.values()),
+            charts=tuple((chart.place, chart.key, chart.title) for chart in charts),
             lanes=tuple(sorted(map(lane_path, self._lanes))),
             log=self._has_log,
             status="status" in self._lasting,
             others=self._others.views,
             cards=tuple(self._panels.readings()),
-            filled=self._age_ns > 1e9 * self._setup.window_s,
-            full=self._age_ns > 1e9 * slow_window(self._setup.window_s),
+            filled=self._live and self._age_ns > 1e9 * self._setup.window_s,
+            full=self._live and self._age_ns > 1e9 * slow_window(self._setup.window_s),
+            grown_s=self._grown_s() if self._live else 0.0,
         )
         if contents and (contents, self._timeline) != self._arranged:
             self._arranged = contents, self._timeline
             self.arrangement = blueprint(self._setup, contents, self._timeline, live=self._live)
-            self._rec.send_blueprint(self.arrangement)
+            self._show(self.arrangement)
 
 
 def status_card(event: Status) -> str:

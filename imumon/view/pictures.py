@@ -25,6 +25,8 @@ ROOM, BOTTOM = {"left": 0.1, "right": 0.985}, 0.065
 """Fixed: to fit them to the labels takes as long as all else."""
 LETTERS = 40
 """So many of a headline fit at full size."""
+COLORS = 64
+"""Of a picture in a recording, which is then a third as large."""
 LEAST_MARKS, READABLE = 3, ((1,), (1, 2, 5), tuple(range(1, 10)))
 """An axis has so many numbers or more: at the first of these multiples of powers of ten that give them."""
 TOP, NOTE, HEADLINE = 0.98, 0.024, 0.055
@@ -49,10 +51,13 @@ _ONE_AT_A_TIME = threading.Lock()
 
 
 def log_picture(
-    rec: rr.RecordingStream, chart: Chart, indexes: list[rr.TimeColumn], *, stacked: bool
+    rec: rr.RecordingStream, chart: Chart, indexes: list[rr.TimeColumn], *, stacked: bool, kept: bool
 ) -> None:
-    """Log a chart at one moment; `indexes` has one row.  One that is `stacked` on others is less high."""
-    blob = picture(chart, WIDE if stacked else TALL)
+    """Log a chart at one moment; `indexes` has one row.
+
+    One that is `stacked` on others is less high, one that is `kept` in a recording takes few bytes.
+    """
+    blob = picture(chart, WIDE if stacked else TALL, colors=COLORS if kept else None)
     image = rr.EncodedImage.columns(blob=[blob], media_type=["image/png"])
     rec.send_columns(f"{CHARTS}/{chart.key}", indexes=indexes, columns=image)
 
@@ -100,9 +105,10 @@ def chart_view(key: str, title: str) -> Any:
     return rrb.Spatial2DView(origin=f"{CHARTS}/{key}", name=title)
 
 
-def picture(chart: Chart, size_inch: tuple[float, float] = TALL) -> bytes:
-    """Return the chart as a PNG; only its texts while it has no point to draw."""
+def picture(chart: Chart, size_inch: tuple[float, float] = TALL, colors: int | None = None) -> bytes:
+    """Return the chart as a PNG, maybe of so many colours; only its texts while it has no point to draw."""
     import matplotlib as mpl  # takes 0.3 s, and only a run with charts needs it
+    from PIL import Image
 
     with _ONE_AT_A_TIME, mpl.rc_context(STYLE):
         figure = _figure(size_inch)
@@ -114,7 +120,12 @@ def picture(chart: Chart, size_inch: tuple[float, float] = TALL) -> bytes:
         if not any(np.isfinite(curve.x * curve.y).any() for curve in chart.curves):
             axes.axis("off")
         out = io.BytesIO()
-        figure.savefig(out, format="png", pil_kwargs={"compress_level": 3})
+        if colors is None:
+            figure.savefig(out, format="png", pil_kwargs={"compress_level": 3})
+        else:
+            figure.canvas.draw()
+            whole = Image.fromarray(np.asarray(figure.canvas.buffer_rgba())).convert("RGB")
+            whole.quantize(colors).save(out, format="png", optimize=True)
     return out.getvalue()
 
 
@@ -144,8 +155,11 @@ def _frame(axes: Any, chart: Chart) -> None:
         if axis.log and _has_logarithm(chart, name):
             _logarithmic(axes, name)
     axes.set(xlabel=for_plot(chart.x.label), ylabel=for_plot(chart.y.label))
-    for axis, scale in ((axes.xaxis, chart.x), (axes.yaxis, chart.y)):
-        if not scale.log:
+    for axis, scale, name in ((axes.xaxis, chart.x, "x"), (axes.yaxis, chart.y, "y")):
+        if scale.names:
+            axis.set_ticks(range(len(scale.names)), [for_plot(one) for one in scale.names])
+            axes.set(**{f"{name}lim": (-0.5, len(scale.names) - 0.5)})
+        elif not scale.log:
             axis.set_minor_locator(AutoMinorLocator())
     axes.grid(which="major", color=FAINT, lw=0.8)
     axes.grid(which="minor", color=FAINT, lw=0.3)

@@ -27,6 +27,9 @@ VIEWER_MEMORY = "2GB"
 SERVER_MEMORY = "128MB"
 """What a server keeps for viewers that come later."""
 
+LOGGED = "warn,re_viewer::app::logic=error"
+"""What Rerun's programs log; a viewer would say that a blueprint changes that is shown: see `in_place`."""
+
 
 class Answer(Enum):
     """What a port says when asked whether a Rerun viewer or server is behind it."""
@@ -74,7 +77,7 @@ def quiet_environment() -> dict[str, str]:
     analytics files and starts no session, unless ``FORCE_RERUN_ANALYTICS`` is set.
     """
     environment = {name: value for name, value in os.environ.items() if name != "FORCE_RERUN_ANALYTICS"}
-    return {**environment, "CI": "1", "RUST_LOG": os.environ.get("RUST_LOG", "warn")}
+    return {**environment, "CI": "1", "RUST_LOG": os.environ.get("RUST_LOG", LOGGED)}
 
 
 def probe(port: int, timeout_s: float = 0.5) -> Answer:

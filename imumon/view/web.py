@@ -1,4 +1,4 @@
-"""The web viewer on 127.0.0.1: Rerun's own page, kept from calling home, and the newest states and log."""
+"""The web viewer on 127.0.0.1: a page with Rerun's own in a frame, kept from calling home, and the newest."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 from urllib.error import URLError
-from urllib.parse import quote
 
 from imumon.errors import ImumonError, Reason
 from imumon.view.gate import hidden_address, refusal
@@ -31,7 +30,9 @@ ASSETS = {
     "/re_viewer_bg.wasm": "application/wasm",
     "/favicon.ico": "image/x-icon",
 }
-"""What the page needs, by content type.  The rest of what Rerun would serve is for other uses of it."""
+"""What the viewer needs, by content type.  The rest of what Rerun would serve is for other uses of it."""
+VIEWER = "/viewer"
+"""Where Rerun's own page is; at ``/`` is ours, which shows it in a frame."""
 
 FETCH_S = 10.0
 ALIVE = "/alive"
@@ -41,25 +42,34 @@ PART_BYTES = 1 << 16
 OURS = {"connection", "keep-alive", "transfer-encoding", "content-length", "host", "origin", "server", "date"}
 """Headers that each of two connections has of its own; ``Host`` and ``Origin`` were judged here."""
 
-SCRIPT = """
+PAGE = """<!doctype html>
+<html>
+<head>
+<meta charset="utf-8">
+<title>{title}</title>
+<link rel="icon" href="favicon.ico">
 <style>
+  html, body {{ height: 100%; margin: 0; overflow: hidden; background: #0d1011; }}
+  body {{ display: flex; flex-direction: column; }}
+  iframe {{ flex: 1; border: 0; }}
   #newest {{
-    position: absolute; bottom: 0; left: 0; right: 0; height: {height}px; overflow: hidden; display: none;
-    font: 13px/18px monospace; white-space: pre-wrap; padding-left: 8px; background: #0d1011; color: #cad8de;
+    max-height: {height}px; overflow: hidden; padding-left: 8px; color: #cad8de;
+    font: 13px/18px monospace; white-space: pre-wrap;
   }}
-  .told #newest {{ display: block; }}
-  .told canvas {{ height: calc(100% - {height}px) !important; }}
 </style>
+</head>
+<body>
+<iframe id="picture" allow="clipboard-read; clipboard-write; fullscreen"></iframe>
+<div id="newest"></div>
 <script>
-(() => {{
-  const say = (lines) => {{
-    const place = document.getElementById("newest") || document.createElement("div");
-    place.id = "newest";
-    place.textContent = lines.join("\\n");
-    document.body.append(place);
-    document.body.classList.toggle("told", lines.length > 0);
-  }};
-  // Pushed, in one turn of the browser: one that draws by software has a turn or two in a second.
+  // By another name of this computer the frame is another site, which has a process of its own: a browser
+  // that draws by software has a turn or two in a second, and in a busy one none for half a minute.
+  const names = {{"127.0.0.1": "localhost", "localhost": "127.0.0.1"}};
+  const host = (names[location.hostname] || location.hostname) + ":" + (location.port || "80");
+  const stream = encodeURIComponent("rerun+http://" + host + "/proxy");
+  const picture = document.getElementById("picture");
+  picture.src = "http://" + host + "{viewer}?url=" + stream + "&hide_welcome_screen=1";
+  const say = (lines) => {{ document.getElementById("newest").textContent = lines.join("\\n"); }};
   const source = new EventSource("{alive}");
   source.onmessage = (message) => {{
     const told = JSON.parse(message.data);
@@ -70,8 +80,9 @@ SCRIPT = """
   source.onerror = () => {{ /* the browser asks again by itself */
     say(["no answer from imumon: it has ended, or cannot be reached"]);
   }};
-}})();
 </script>
+</body>
+</html>
 """
 NEWEST_HEIGHT = 72
 """Pixels: four lines, two of which the states may take."""
@@ -112,18 +123,21 @@ def _fetch(url: str) -> bytes:
         return data
 
 
-def page(html: str, name: str, title: str) -> str:
-    """Return Rerun's page with our script and title, and without what it would load from elsewhere."""
-    local = re.sub(r"<link\b[^>]*https://[^>]*>", "", html)
-    local = re.sub(r"<title>.*?</title>", lambda _: f"<title>{escape(title)}</title>", local, flags=re.DOTALL)
-    script = SCRIPT.format(alive=ALIVE, name=name, height=NEWEST_HEIGHT)
-    return local.replace("<head>", "<head>" + script, 1)
+def page(name: str, title: str) -> str:
+    """Return our page, for the server of this name."""
+    return PAGE.format(title=escape(title), name=name, viewer=VIEWER, alive=ALIVE, height=NEWEST_HEIGHT)
+
+
+def without_elsewhere(html: str) -> str:
+    """Return Rerun's page without what it would load from elsewhere."""
+    return re.sub(r"<link\b[^>]*https://[^>]*>", "", html)
 
 
 POLICY = (
     "default-src 'self' data: blob:; connect-src 'self' data: blob:; "
     "script-src 'self' 'unsafe-inline' 'unsafe-eval' 'wasm-unsafe-eval' blob:; "
-    "style-src 'self' 'unsafe-inline'; worker-src 'self' blob:"
+    "style-src 'self' 'unsafe-inline'; worker-src 'self' blob:; "
+    "frame-src 'self' http://127.0.0.1:* http://localhost:*"
 )
 """The content security policy: this server, nothing else.  The web viewer sends usage data whatever its
 settings, asks for updates and for fonts; a browser that is told so refuses all of it."""
@@ -151,7 +165,8 @@ class WebServer:
         self.url = f"http://{self.host}:{self.port}/"
         self._name = uuid.uuid4().hex
         self.files = bundled_assets()
-        self.files["/"] = page(self.files["/"].decode(), self._name, title).encode()
+        self.files[VIEWER] = without_elsewhere(self.files["/"].decode()).encode()
+        self.files["/"] = page(self._name, title).encode()
         self._newest = b""
         self._change, self._closed = threading.Condition(), False
         self.tell([])
@@ -213,11 +228,11 @@ class _Handler(BaseHTTPRequestHandler):
         super().__init__(*arguments)
 
     def do_GET(self) -> None:
-        """Answer with a file, or lead the bare address to the one that names the stream."""
+        """Answer with a file, or tell what is newest."""
         site = self._site
         if self._refuses():
             return
-        path, _, query = self.path.partition("?")
+        path = self.path.partition("?")[0]
         if path == ALIVE:
             self._push()
             return
@@ -225,17 +240,8 @@ class _Handler(BaseHTTPRequestHandler):
         if body is None:
             self.send_error(HTTPStatus.NOT_FOUND)
             return
-        asked = self.headers.get("Host", "")
-        if path == "/" and not query:
-            here = asked if re.search(r":\d+$", asked) else f"{asked}:80"
-            stream = quote(f"rerun+http://{here}/proxy", safe="")
-            self.send_response(HTTPStatus.FOUND)
-            self.send_header("Location", f"/?url={stream}&hide_welcome_screen=1")
-            self.send_header("Content-Length", "0")
-            self.end_headers()
-            return
         self.send_response(HTTPStatus.OK)
-        self.send_header("Content-Type", ASSETS.get(path, "text/plain"))
+        self.send_header("Content-Type", ASSETS.get(path, ASSETS["/"]))
         self.send_header("Content-Length", str(len(body)))
         self.send_header("Content-Security-Policy", POLICY)
         self.send_header("rerun-final-length", str(len(body)))  # the page's progress bar asks for it

@@ -13,8 +13,6 @@ from imumon.view.extent import LATEST_S
 
 SLOW_WINDOW_S = 600.0
 """The tabs behind the first show what is slow: the time since the start, then so many seconds at least."""
-GROWING_S = 120.0
-"""While a window grows its margin is that of one of at most this length, so that little stays empty."""
 TEMPORAL = ("device_time", "host_time")
 ENDLESS = rrb.TimeRangeBoundary.infinite()
 
@@ -29,15 +27,15 @@ class Window:
         Length; None for a whole recording.
     full : bool
         Whether so much has come; until then it begins where the data does.
-    margin : float
-        Share of it that stays free on the right, for a legend.
+    margin_s : float
+        What stays free on the right, for a legend, s.
     until_ns : int, optional
         Where the axis of a whole recording ends; with the data without.
     """
 
     seconds: float | None = None
     full: bool = True
-    margin: float = 0.0
+    margin_s: float = 0.0
     until_ns: int | None = None
 
     @property
@@ -61,8 +59,7 @@ class Window:
         if self.seconds is None:
             until = ENDLESS if self.until_ns is None else rrb.TimeRangeBoundary.absolute(nanos=self.until_ns)
             return rrb.TimeAxis(view_range=rr.TimeRange(start=ENDLESS, end=until))
-        margin = self.margin * (self.seconds if self.full else min(self.seconds, GROWING_S))
-        end = rrb.TimeRangeBoundary.cursor_relative(seconds=margin)
+        end = rrb.TimeRangeBoundary.cursor_relative(seconds=self.margin_s)
         return rrb.TimeAxis(view_range=rr.TimeRange(start=self._start, end=end))
 
     @property

@@ -28,6 +28,8 @@ FLAGS = (
     "--remote-debugging-pipe",
 )
 ANSWER_S = 60.0
+FRAMES = {"autoAttach": True, "waitForDebuggerOnStart": True, "flatten": True}
+"""A frame of another site is in a process of its own, which waits until it is listened to."""
 
 
 def browser_binary() -> str | None:
@@ -51,22 +53,28 @@ class Browser:
 
     def call(self, method: str, **parameters: object) -> dict[str, Any]:
         """Call a method and return its result; events that come meanwhile are noted."""
-        self._number += 1
-        message: dict[str, object] = {"id": self._number, "method": method, "params": parameters}
-        if self.session:
-            message["sessionId"] = self.session
-        os.write(self.to, json.dumps(message).encode() + b"\0")
+        number = self._ask(self.session, method, **parameters)
         for answer in self._messages(ANSWER_S):
-            if answer.get("id") == self._number:
+            if answer.get("id") == number:
                 result: dict[str, Any] = answer.get("result", {})
                 return result
         raise TimeoutError(method)
+
+    def _ask(self, session: str, method: str, **parameters: object) -> int:
+        """Call a method of a page or frame and return the number of the call."""
+        self._number += 1
+        message: dict[str, object] = {"id": self._number, "method": method, "params": parameters}
+        if session:
+            message["sessionId"] = session
+        os.write(self.to, json.dumps(message).encode() + b"\0")
+        return self._number
 
     def open(self, url: str) -> None:
         """Open an address in a page of its own."""
         target = self.call("Target.createTarget", url="about:blank")["targetId"]
         self.session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
         self.call("Network.enable")
+        self.call("Target.setAutoAttach", **FRAMES)
         self.call("Page.navigate", url=url)
 
     def photograph(self, path: Path) -> None:
@@ -78,9 +86,9 @@ class Browser:
         for _ in self._messages(seconds):
             pass
 
-    def gone_out(self, local: str) -> list[str]:
-        """Return the addresses that were asked for and do not begin so, unless they were refused."""
-        ours = (local, "data:", "blob:", "about:", "chrome")
+    def gone_out(self, *local: str) -> list[str]:
+        """Return the addresses that were asked for and begin with none of these, unless they were refused."""
+        ours = (*local, "data:", "blob:", "about:", "chrome")
         return [
             url
             for number, url in self.requests.items()
@@ -104,6 +112,9 @@ class Browser:
             self.requests[details["requestId"]] = details["request"]["url"]
         elif message.get("method") == "Network.loadingFailed" and details.get("blockedReason") == "csp":
             self.refused.add(details["requestId"])
+        elif message.get("method") == "Target.attachedToTarget":
+            for method in ("Network.enable", "Runtime.runIfWaitingForDebugger"):
+                self._ask(details["sessionId"], method)
 
 
 @contextmanager

@@ -43,7 +43,7 @@ def main() -> None:
         sent = packets(load_device(str(device)), RATE_HZ, options.seconds + 60.0)
         rec = rr.RecordingStream(APPLICATION_ID, recording_id="rack")
         rec.set_sinks(rr.GrpcSink(place.url))
-        logger = UnitsLogger(rec, ViewSetup("rack bench", "rack", several=True))
+        logger = UnitsLogger(rec, ViewSetup("rack bench", "rack", several=True), rec.send_blueprint)
         logger.begin()
         items: list[Shown] = []
         rack = Rack(folder / "sessions", print, items.append)

@@ -55,13 +55,15 @@ def test_two_tabs_in_a_browser_show_something_and_nothing_goes_out(tmp_path: Pat
         title = page.call("Runtime.evaluate", expression="document.title")["result"]["value"]
         told = page.call("Runtime.evaluate", expression="document.getElementById('newest').textContent")
         requests = list(page.requests.values())
-        out = page.gone_out(site.url)
+        out = page.gone_out(site.url, site.url.replace("127.0.0.1", "localhost"))
+        frames = page.call("Target.getTargets", filter=[{"type": "iframe"}])["targetInfos"]
     site.close()
     rec.disconnect()
     assert "AX1" in title
     assert told["result"]["value"] == "\n".join(newest)
     assert any("/rerun." in url for url in requests), "the stream comes through the page's own port"
     assert out == []
+    assert len(frames) == 1, "the picture has a process of its own"
     assert not np.array_equal(seen[0], seen[1]), "the second tab is another picture"
 
 

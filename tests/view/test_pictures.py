@@ -16,7 +16,7 @@ from imumon.blocks import FloatArray
 from imumon.charts import GREEN, Axis, Chart, Color, Curve
 from imumon.view.items import Drawing, Instant, ViewSetup, item_bytes, lasting_key
 from imumon.view.logger import StreamLogger
-from imumon.view.pictures import picture
+from imumon.view.pictures import COLORS, picture
 from tests.view.streams import record_batches
 
 RED: Color = (232, 72, 72)
@@ -90,7 +90,7 @@ def test_a_short_recording_has_the_last_picture_only(tmp_path: Path) -> None:
         for part in batch.column(name).to_pylist()
     ]
     assert len(blobs) == 1
-    assert bytes(blobs[-1][0]) == picture(charts[-1])
+    assert bytes(blobs[-1][0]) == picture(charts[-1], colors=COLORS)
 
 
 def test_a_recording_has_a_picture_every_ten_minutes_however_often_a_file_begins(
@@ -119,3 +119,13 @@ def test_points_are_drawn_as_points() -> None:
     curve = Curve("now", x, x, GREEN, points=True, width=9.0, listed=False)
     found = _drawn(Chart("a", "b", "c", Axis("x"), Axis("y"), (curve,)), GREEN)
     assert 5 * 60 < len(found) < 5 * 400
+
+
+def test_places_have_names_and_no_numbers_between_them() -> None:
+    curve = Curve("a", np.array([0.0, 1.0]), np.array([1.0, 2.0]), GREEN, points=True, listed=False)
+
+    def ink(x: Axis) -> float:
+        return _ink(_pixels(Chart("a", "b", "c", x, Axis("y"), (curve,)))[-100:])
+
+    assert ink(Axis("x", names=("one",) * 2)) < ink(Axis("x")), "two names are less than eleven numbers"
+    assert ink(Axis("x", names=("one", "one more"))) > ink(Axis("x", names=("one",) * 2))

@@ -60,7 +60,7 @@ def page(*names: str) -> Overview:
 def logged(path: Path, *batches: list[Shown]) -> UnitsLogger:
     rec = rr.RecordingStream("imumon", recording_id="rack")
     rec.set_sinks(rr.FileSink(path))
-    logger = UnitsLogger(rec, WHOLE)
+    logger = UnitsLogger(rec, WHOLE, rec.send_blueprint)
     logger.begin()
     for batch in batches:
         logger.log(batch)

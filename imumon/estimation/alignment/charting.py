@@ -47,15 +47,16 @@ def headings(status: Status) -> Chart:
     """Return all estimators with their 2σ, as differences from the heading that is shown."""
     curves = []
     reference = status.shown.heading if status.shown is not None else math.nan
-    for k, (name, estimate) in enumerate(status.estimates.items(), 1):
+    names = tuple(name.replace("_", " ") for name in status.estimates)
+    for k, (name, (key, estimate)) in enumerate(zip(names, status.estimates.items(), strict=True)):
         off = math.degrees(math.remainder(estimate.heading - reference, 2.0 * math.pi))
         reach = 2.0 * math.degrees(estimate.sd)
         x, y = (
             np.array([k, k, np.nan, k - 0.1, k + 0.1]),
             np.array([off - reach, off + reach, np.nan, off, off]),
         )
-        curves.append(Curve(name.replace("_", " "), x, y, ESTIMATOR_COLORS[name], width=3.0))
-    x_axis, y_axis = Axis("estimator"), Axis("heading less the one shown [°]")
+        curves.append(Curve(name, x, y, ESTIMATOR_COLORS[key], width=3.0, listed=False))
+    x_axis, y_axis = Axis("estimator", names=names), Axis("heading less the one shown [°]")
     return Chart(
         "alignment_headings",
         PLACE,
