@@ -33,8 +33,8 @@ class RestParameters(StrictModel):
         Largest change of a gyro's bias within one run of the unit, rad/s.
     begins_turning : float
         Share of recordings that begin in a steady turn: the first mean at rest may have one about the
-        vertical in it.  Assumed, not measured: with one in ten five standard deviations cover every turn,
-        whatever its rate, of a gyro whose axes have biases of one scale.  0 where nothing turns at first.
+        vertical in it.  Assumed, not measured: with one in ten, the error of the bias is beyond five standard
+        deviations in one of fifteen that do.  0 where nothing turns at first.
     """
 
     gyro_drift: float = Field(default=1e-4, ge=0.0, le=1.0)

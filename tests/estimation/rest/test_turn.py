@@ -9,6 +9,8 @@ from scipy.signal import lfilter
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.estimation.rest.parameters import RestParameters
 from imumon.estimation.rest.stage import RestDetector
+from imumon.estimation.rest.state import State
+from imumon.estimation.rest.turn import may_have_begun
 from tests.estimation.rest.scenes import DEG, GRAVITY, NOTHING_TURNS, block, noise, rolled
 
 BEGIN_S = 150.0
@@ -266,6 +268,22 @@ def test_a_first_mean_may_have_a_turn_in_it_as_its_size_beside_the_other_axes_sa
     assert (turning < 5.0 * hypothesis[200:]).all()
     if not of_scale:  # of a unit at rest it is a sixth of the biases of the other axes
         assert hypothesis[200:].max() < scale * DEG / 6.0
+
+
+def test_of_drawn_biases_and_turns_the_doubt_covers_eleven_of_twelve_and_is_a_fifth_of_a_bias() -> None:
+    rng, state = np.random.default_rng(1), State()
+    state.windows.known[:] = True
+    covered, of_scale = [], []
+    for _ in range(1000):
+        scale = np.exp(rng.uniform(np.log(0.005), np.log(3.0))) * DEG
+        turn = rng.choice([-1.0, 1.0]) * np.exp(rng.uniform(np.log(0.01), np.log(300.0))) * DEG
+        mean = np.append(scale * rng.standard_normal(3), [0.0, 0.0, -GRAVITY])
+        share = RestParameters().begins_turning
+        of_scale.append(may_have_begun(state, mean, share)[2] / scale)
+        mean[2] += turn
+        covered.append(abs(turn) < 5.0 * may_have_begun(state, mean, share)[2])
+    assert np.mean(covered) > 0.92
+    assert np.median(of_scale) < 0.21
 
 
 @pytest.mark.parametrize("tilt_deg", [0.0, 40.0])

@@ -8,6 +8,7 @@ import pytest
 
 from imumon.blocks import FloatArray, SampleBlock, join
 from imumon.estimation.gyro_bias.stage import GyroBias
+from imumon.estimation.rest.parameters import RestParameters
 from imumon.estimation.rest.stage import RestDetector
 from imumon.estimation.smoothing.backward import backward
 from imumon.estimation.smoothing.record import Recorder
@@ -51,7 +52,8 @@ def smooth(block: SampleBlock, latitude_deg: float | None = None) -> SmoothedEst
     recorder.add(block)
     record = recorder.finish()
     bias = GyroBias(mode="learned", latitude_deg=None if latitude_deg is None else -latitude_deg)
-    return SmoothedEstimates(record, backward(record, TemperatureRate(), RestDetector(), bias))
+    rest = RestDetector(RestParameters(begins_turning=0.0))  # forward has no such doubt, where it has none
+    return SmoothedEstimates(record, backward(record, TemperatureRate(), rest, bias))
 
 
 def true_bias(truth: SampleBlock, vertical: float) -> FloatArray:
