@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import product
@@ -30,6 +30,7 @@ from vqf import VQF
 
 from imumon.blocks import BoolArray, FloatArray, SampleBlock
 from imumon.estimation.gyro_bias.stage import GyroBias
+from imumon.estimation.rest.parameters import RestParameters
 from imumon.estimation.rest.stage import RestDetector
 
 RATES_HZ = (100.0, 10.0, 2.0)
@@ -163,15 +164,23 @@ def bias_over_sigma(samples: SampleBlock, truth: FloatArray) -> FloatArray:
     return (matrix(told, "gyro_bias") - truth) / matrix(told, "gyro_bias_sd")
 
 
-def field_row(
-    name: str, grade: Grade, scenes: Sequence[tuple[int, Scene]], compass: bool = False
-) -> tuple[float, str]:
-    """Return how bad a row is, and the row: all seeds of a scene with sensors of a grade, and a compass."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Kind:
+    """A kind of scene: how it is made for a seed, with a magnetometer or not, and what the detector is told."""
+
+    name: str
+    make: Callable[[int], Scene]
+    compass: bool = False
+    told: RestParameters | None = None
+
+
+def field_row(kind: Kind, grade: Grade, scenes: Sequence[tuple[int, Scene]]) -> tuple[float, str]:
+    """Return how bad a row is, and the row: all seeds of a kind of scene with sensors of a grade."""
     ours, theirs, z = Tally(), Tally(), []
     for seed, scene in scenes:
         samples, truth = measure_with_bias(scene, grade, seed)
-        samples = with_field(samples, scene, seed) if compass else samples
-        columns = RestDetector().process(samples)
+        samples = with_field(samples, scene, seed) if kind.compass else samples
+        columns = RestDetector(kind.told).process(samples)
         ours.add(scene.t, scene.rest, columns["at_rest"] == 1)
         theirs.add(scene.t, scene.rest, vqf_rest(samples))
         z.append(np.abs(bias_over_sigma(samples.with_columns(columns), truth)).max(1))
@@ -179,32 +188,38 @@ def field_row(
     over = over[np.isfinite(over)]
     false, share = ours.percent(), 100.0 * float(np.mean(over > 5.0)) if len(over) else 0.0
     cells = [
-        name, grade.name, *(f"{value:.2f}" for value in (false[0], theirs.percent()[0])),
+        kind.name, grade.name, *(f"{value:.2f}" for value in (false[0], theirs.percent()[0])),
         *(f"{value:.1f}" for value in (false[1], theirs.percent()[1])), _delays(ours.to_rest),
         f"{share:.2f}", f"{over.max():.1f}" if len(over) else "-",
     ]  # fmt: skip
     return np.nan_to_num(false[0]) + share + np.nan_to_num(100.0 - false[1]), f"| {' | '.join(cells)} |"
 
 
-def kinds() -> Iterator[tuple[str, Callable[[int], Scene], bool]]:
-    """Yield the name of each kind of scene, how it is made for a seed, and whether it has a magnetometer."""
+def field_kinds() -> Iterator[Kind]:
+    """Yield turns after a rest, and what else is outside the bench."""
     for rate_dps, minutes, ramp_s, tilt_deg in TURNS:
         tilted = f", {tilt_deg:g}° from the vertical" if tilt_deg else ""
         turn = steady_turn(TURN_RATE_HZ, rate_dps, minutes, ramp_s, tilt_deg)
         name = f"turn of {rate_dps:g} deg/s, {minutes:g} min, begun in {ramp_s:g} s{tilted}"
-        yield name, partial(_same, turn), False
+        yield Kind(name, partial(_same, turn))
+    for name in FIELD:
+        yield Kind(name, partial(SCENES[name], FULL_RATE_HZ, 2 * SECONDS))
+
+
+def doubtful_kinds() -> Iterator[Kind]:
+    """Yield turns from the start, swings, and an hour of rest after a turn that may be wander."""
+    for rate_dps in FROM_START:
+        name = f"begins in a turn of {rate_dps:g} deg/s"
+        make = partial(_same, turn_from_start(TURN_RATE_HZ, rate_dps))
+        yield Kind(f"{name}, with magnetometer", make, compass=True)
+        yield Kind(f"{name}, without magnetometer", make)
+        yield Kind(f"{name}, without, begins_turning 0.1", make, told=RestParameters(begins_turning=0.1))
+    for name, (axis, degrees, period_s, arm_m) in SWINGS.items():
+        yield Kind(name, partial(_same, swing(2 * TURN_RATE_HZ, axis, degrees, period_s, arm_m)))
     for rate_dps, ramp_s in AMBIGUOUS:
         hour = rest_after_turn(TURN_RATE_HZ, rate_dps, ramp_s)
         name = f"an hour of rest after 5 min of {rate_dps:g} deg/s, begun in {ramp_s:g} s"
-        yield name, partial(_same, hour), False
-    for rate_dps, compass in product(FROM_START, (False, True)):
-        turn = turn_from_start(TURN_RATE_HZ, rate_dps)
-        name = f"begins in a turn of {rate_dps:g} deg/s, {'with' if compass else 'without'} magnetometer"
-        yield name, partial(_same, turn), compass
-    for name, (axis, degrees, period_s, arm_m) in SWINGS.items():
-        yield name, partial(_same, swing(2 * TURN_RATE_HZ, axis, degrees, period_s, arm_m)), False
-    for name in FIELD:
-        yield name, partial(SCENES[name], FULL_RATE_HZ, 2 * SECONDS), False
+        yield Kind(name, partial(_same, hour))
 
 
 def _same(scene: Scene, seed: int) -> Scene:
@@ -213,41 +228,43 @@ def _same(scene: Scene, seed: int) -> Scene:
     return scene
 
 
-def outside(seeds: int, first: int) -> None:
-    """Print the scenes in which a sigma is easily wrong, the worst row first."""
+def outside(title: str, kinds: Iterable[Kind], seeds: int, first: int) -> None:
+    """Print kinds of scenes in which a sigma is easily wrong, the worst row first."""
     rows = []
-    for name, make, compass in kinds():
+    for kind in kinds:
         scenes: list[tuple[int, Scene]] = []
         for seed in range(first, first + seeds):
-            scene = make(seed)
+            scene = kind.make(seed)
             if len(scenes) * scene.t[-1] < 60.0 * LONG_MIN * seeds:
                 scenes.append((seed, scene))
         for grade in SENSORS:
-            rows.append(field_row(name, grade, scenes, compass))
+            rows.append(field_row(kind, grade, scenes))
             print(rows[-1][1], file=sys.stderr, flush=True)
     print(
-        f"### Outside the bench, {seeds} seeds (of scenes above {LONG_MIN:g} min fewer), the worst first\n\n"
-        f"{FIELD_HEADER}"
+        f"### {title}, {seeds} seeds (of scenes above {LONG_MIN:g} min fewer), the worst first\n\n{FIELD_HEADER}"
     )
-    print("\n".join(row for _, row in sorted(rows, reverse=True)))
+    print("\n".join(row for _, row in sorted(rows, reverse=True)) + "\n")
 
 
 def main() -> None:
     """Print the scenes of the field, a table for each rate, and one of long rests."""
     parser = argparse.ArgumentParser(prog="scripts/reproduce/rest_detector", description=__doc__)
     parser.add_argument("--seeds", type=int, default=5, help="runs of each scene (default: %(default)s)")
-    parser.add_argument("--only", choices=["field", "bench"], help="one kind of scenes")
+    parser.add_argument("--only", choices=["field", "doubtful", "bench"], help="one kind of scenes")
     parser.add_argument("--first", type=int, default=0, help="number of the first seed (default: 0)")
     parser.add_argument("--quick", action="store_true", help="a few seconds: the first of everything")
     given = parser.parse_args()
     if given.quick:
-        scenes = [(given.first, SCENES[FIELD[0]](FULL_RATE_HZ, SECONDS, given.first))]
-        print(f"{FIELD_HEADER}\n{field_row(FIELD[0], SENSORS[0], scenes)[1]}")
+        kind = Kind(FIELD[0], partial(SCENES[FIELD[0]], FULL_RATE_HZ, SECONDS))
+        scenes = [(given.first, kind.make(given.first))]
+        print(f"{FIELD_HEADER}\n{field_row(kind, SENSORS[0], scenes)[1]}")
         return
     print("# Rest detector: tables\n\nMade by `scripts/reproduce/rest_detector`.\n")
-    if given.only != "bench":
-        outside(given.seeds, given.first)
-    if given.only != "field":
+    if given.only in (None, "field"):
+        outside("Outside the bench", field_kinds(), given.seeds, given.first)
+    if given.only in (None, "doubtful"):
+        outside("Turns from the start, swings, rest after a turn", doubtful_kinds(), given.seeds, given.first)
+    if given.only in (None, "bench"):
         bench(given.seeds)
 
 

@@ -16,6 +16,7 @@ from imumon.estimation.rest.parameters import RestParameters
 from imumon.estimation.rest.state import ACCEL, AXES, EVERY, GYRO, LEVELS, Anchor, Slot, Spells, State
 from imumon.estimation.rest.trial import RING, Noise, adopt, look
 from imumon.estimation.rest.turn import (
+    BEGINS_TURNING,
     Explained,
     has_changed,
     has_settled,
@@ -288,10 +289,10 @@ def _judge(
         if late and may_jump(state, parameters, turn):
             return np.zeros(3), True
         unknown = explained is Explained.NO and bool(turn.any()) and is_upright(state, turn, slots)
-        first = turned_at_first(state, slots, parameters.begins_turning) if unknown else 0.0
+        first = turned_at_first(state, slots) if unknown else 0.0
         if first > 0.0 and is_steady(state, parameters):
             state.begun = np.sqrt(first) * turn
-            if first > (parameters.begins_turning if late else 0.5):
+            if first > (BEGINS_TURNING if late else 0.5):
                 state.anchors.clear()  # what was taken for a rest is none to come back to
                 surely = late or np.log(1.0 - first) < -SURPRISE
                 return np.zeros(3) if surely else np.sqrt(1.0 - first) * turn, True

@@ -33,9 +33,9 @@ class RestParameters(StrictModel):
         Largest change of a gyro's bias within one run of the unit, rad/s.
     begins_turning : float
         Share of recordings that begin in a steady turn: the first mean at rest may have one about the
-        vertical in it.  0, for the unit on a bench is none of a turntable, and with one in ten, for which
-        five standard deviations cover every turn, its sigma without a compass is a sixth of its biases
-        (334 instead of 6 deg/h): for who records on a turntable without a magnetometer.
+        vertical in it.  0 by default, for most stand on a bench; 0.1 suits who records on a turntable without
+        a magnetometer: five standard deviations cover 93 % of its turns, and are as large as the biases of
+        the other axes where nothing turns.
     """
 
     gyro_drift: float = Field(default=1e-4, ge=0.0, le=1.0)

@@ -33,6 +33,9 @@ ALL_CREEP = 10.0
 in one unit of a hundred where each of them may have any part of the slope of the first."""
 UNLIKELY = 0.01
 """What is less likely is not told: errors of more than five sigmas may be so frequent."""
+BEGINS_TURNING = 0.05
+"""Share of recordings that begin in a turn, of those with two steady means: who starts one on a turntable?
+Assumed, as `TURN_EVERY_S` is."""
 AT_FIRST = np.radians(np.geomspace(0.01, 300.0, 120))
 AT_FIRST = np.concatenate([-AT_FIRST[::-1], AT_FIRST])
 """Turns that are tried, rad/s: as likely on a logarithmic scale, as `RATES` has it."""
@@ -248,18 +251,18 @@ def may_have_begun(state: State, mean: FloatArray, share: float) -> FloatArray:
     return np.asarray(np.hypot(rms @ axes, LEANING * np.linalg.norm(rms)))
 
 
-def turned_at_first(state: State, slots: int, share: float) -> float:
+def turned_at_first(state: State, slots: int) -> float:
     """Return the probability that the first rest was a turn and is over, if one of the two means is a turn.
 
     Two steady means look alike.  Of the biases of a gyro nobody knows the scale s: with a density of 1/s, a
     mean of size m is the bias with a density of 1/m³, the more so the smaller it is by the measure of the
-    axes that do not turn.  The share of recordings begins in a turn.
+    axes that do not turn.
     """
     if len(state.anchors) != 1:
         return 0.0
     now = recent_mean(state, slots)[0]
     first2, now2 = (float(np.nansum(mean[GYRO] ** 2)) + EARTH**2 for mean in (state.anchors[0].mean, now))
-    odds = share / (1.0 - share) * (first2 / now2) ** 1.5
+    odds = BEGINS_TURNING / (1.0 - BEGINS_TURNING) * (first2 / now2) ** 1.5
     return float(odds / (1.0 + odds)) if odds > UNLIKELY else 0.0
 
 

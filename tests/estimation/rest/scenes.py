@@ -48,8 +48,8 @@ def rolled(accel: FloatArray, roll: FloatArray) -> FloatArray:
     return force
 
 
-NOTHING_TURNS = RestParameters(begins_turning=0.0)
-"""For hypotheses of other origin: no recording of these begins in a turn."""
+ON_A_TURNTABLE = RestParameters(begins_turning=0.1)
+"""One recording in ten begins in a turn."""
 
 
 def detect(samples: SampleBlock, parameters: RestParameters | None = None) -> IntArray:

@@ -10,12 +10,12 @@ from imumon.blocks import FloatArray
 from imumon.estimation.rest.stage import RestDetector
 from imumon.estimation.rest.state import State
 from imumon.estimation.rest.wander import STRENGTHS, TAUS_S, changes, kept_edge, wander_after
-from tests.estimation.rest.scenes import DEG, NOTHING_TURNS, block, noise
+from tests.estimation.rest.scenes import DEG, block, noise
 
 
 def found(t: FloatArray, gyro: FloatArray, accel: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return at_rest and the hypothesis of a turn about z."""
-    result = RestDetector(NOTHING_TURNS).process(block(t, gyro, accel))
+    result = RestDetector().process(block(t, gyro, accel))
     return result["at_rest"], result["turn_hypothesis_z"]
 
 
@@ -56,7 +56,7 @@ def test_how_far_a_gyro_wanders_is_learnt() -> None:
     t, gyro, accel = noise(1500.0, 25.0, gyro_sd=2e-4)
     found_sd = []
     for sd in (0.0, 4e-4):
-        detector = RestDetector(NOTHING_TURNS)
+        detector = RestDetector()
         detector.process(block(t, gyro + wandering(gyro, 25.0, sd, 3), accel))
         state: State = detector._state
         found_sd.append(float(np.sqrt(wander_after(state, 100.0).mean())))
@@ -85,9 +85,7 @@ def test_a_ramp_of_temperature_leaves_no_hypothesis(seed: int) -> None:
     warm = np.clip((t - 100.0) / 30.0, 0.0, 8.0) - np.clip((t - 500.0) / 30.0, 0.0, 8.0)
     gyro += wandering(gyro, 10.0, 2.0 / 3600.0 * DEG, seed)
     gyro[:, 2] += (60.0 * warm + 2.0 * warm**2) / 3600.0 * DEG
-    result = RestDetector(NOTHING_TURNS).process(
-        block(t, gyro, accel).with_columns({"temperature": 25.0 + warm})
-    )
+    result = RestDetector().process(block(t, gyro, accel).with_columns({"temperature": 25.0 + warm}))
     hypothesis = result["turn_hypothesis_z"] * 3600.0 / DEG
     assert result["at_rest"][200:].all()
     assert np.sqrt(np.mean(hypothesis[t > 150.0] ** 2)) < 80.0

@@ -14,7 +14,7 @@ from imumon.estimation.rest.stage import RestDetector
 from imumon.estimation.rest.state import CAPACITY, LEVELS, State, empty_slots
 from imumon.estimation.rest.trial import look, second_differences
 from imumon.estimation.rest.windows import seen, vibration_factor
-from tests.estimation.rest.scenes import NOTHING_TURNS, block, detect, noise
+from tests.estimation.rest.scenes import block, detect, noise
 
 DRIFT = np.repeat([1e-4, 1.5e-3], 3)
 SD = np.repeat([1e-4, 1e-2], 3)
@@ -149,7 +149,7 @@ def test_what_the_steps_of_a_gyro_hide_is_the_hypothesis(
     t, gyro, accel = noise(120.0, 100.0, sd_steps * step)
     gyro = np.round(gyro / step) * step
     gyro[0] += step  # else nobody knows the step
-    said = RestDetector(NOTHING_TURNS).process(block(t, gyro, accel))["turn_hypothesis_x"]
+    said = RestDetector().process(block(t, gyro, accel))["turn_hypothesis_x"]
     assert np.abs(said[6000:]).max() <= (hidden_steps + 0.02) * step
     if hidden_steps == 0.5:
         assert np.abs(said[6000:]).min() > 0.25 * step

@@ -8,7 +8,6 @@ import pytest
 
 from imumon.blocks import FloatArray, SampleBlock, join
 from imumon.estimation.gyro_bias.stage import GyroBias
-from imumon.estimation.rest.parameters import RestParameters
 from imumon.estimation.rest.stage import RestDetector
 from imumon.estimation.smoothing.backward import backward
 from imumon.estimation.smoothing.record import Recorder
@@ -47,14 +46,12 @@ def recorded(seed: int, latitude_deg: float | None = None, **changes: Any) -> tu
     return block, truth
 
 
-def smooth(
-    block: SampleBlock, latitude_deg: float | None = None, rest: RestDetector | None = None
-) -> SmoothedEstimates:
+def smooth(block: SampleBlock, latitude_deg: float | None = None) -> SmoothedEstimates:
     recorder = Recorder()
     recorder.add(block)
     record = recorder.finish()
     bias = GyroBias(mode="learned", latitude_deg=None if latitude_deg is None else -latitude_deg)
-    return SmoothedEstimates(record, backward(record, TemperatureRate(), rest or RestDetector(), bias))
+    return SmoothedEstimates(record, backward(record, TemperatureRate(), RestDetector(), bias))
 
 
 def true_bias(truth: SampleBlock, vertical: float) -> FloatArray:
@@ -140,8 +137,7 @@ def test_a_jump_that_the_model_lacks_shows_in_the_disagreement() -> None:
     }
     jumped = SampleBlock(raw)
     jumped = jumped.with_columns(GyroBias(mode="learned").process(jumped))
-    # Nothing says forward that it may have begun in a turn, so nothing may say so backward.
-    stage = smooth(jumped, rest=RestDetector(RestParameters(begins_turning=0.0)))
+    stage = smooth(jumped)
     assert min(stage.disagreement[f"gyro_bias_{axis}"] for axis in "xyz") > 2.0
     assert any("contradict each other in gyro_bias_x" in text for text in stage.notices())
     assert stage.notices() == []
