@@ -166,7 +166,7 @@ def bias_over_sigma(samples: SampleBlock, truth: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Kind:
-    """A kind of scene: how it is made for a seed, with a magnetometer or not, and what the detector is told."""
+    """A kind of scene: how it is made for a seed, with a compass or not, and what the detector is told."""
 
     name: str
     make: Callable[[int], Scene]
@@ -240,9 +240,7 @@ def outside(title: str, kinds: Iterable[Kind], seeds: int, first: int) -> None:
         for grade in SENSORS:
             rows.append(field_row(kind, grade, scenes))
             print(rows[-1][1], file=sys.stderr, flush=True)
-    print(
-        f"### {title}, {seeds} seeds (of scenes above {LONG_MIN:g} min fewer), the worst first\n\n{FIELD_HEADER}"
-    )
+    print(f"### {title}, {seeds} seeds (above {LONG_MIN:g} min fewer), the worst first\n\n{FIELD_HEADER}")
     print("\n".join(row for _, row in sorted(rows, reverse=True)) + "\n")
 
 

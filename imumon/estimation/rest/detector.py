@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.estimation.rest.compass import ANY, Verdict, verdict
+from imumon.estimation.rest.compass import ANY, NEAR, Verdict, verdict
 from imumon.estimation.rest.parameters import RestParameters
 from imumon.estimation.rest.state import ACCEL, AXES, EVERY, GYRO, LEVELS, Anchor, Slot, Spells, State
 from imumon.estimation.rest.trial import RING, Noise, adopt, look
@@ -316,7 +316,10 @@ def _begins_turning(state: State, slots: int) -> bool:
     mean = np.nan_to_num(state.latest(slots)[0])
     gravity2 = float(mean[ACCEL] @ mean[ACCEL])
     turn = mean[GYRO] if gravity2 == 0.0 else (mean[GYRO] @ mean[ACCEL]) * mean[ACCEL] / gravity2
-    turns = verdict(state, turn, slots, ANY) is Verdict.TURNS
+    said = verdict(state, turn, slots, ANY)
+    # While it cannot tell, a turn goes on that it has seen, if the mean is that of the turn.
+    same = float(np.linalg.norm(turn - state.turn)) < NEAR * float(np.linalg.norm(state.turn))
+    turns = said is Verdict.TURNS or (said is Verdict.UNDECIDED and same)
     if turns:
         state.turn, state.chance = turn, 1.0
     return turns
