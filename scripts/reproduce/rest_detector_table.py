@@ -257,7 +257,9 @@ def main() -> None:
         scenes = [(given.first, kind.make(given.first))]
         print(f"{FIELD_HEADER}\n{field_row(kind, SENSORS[0], scenes)[1]}")
         return
-    print("# Rest detector: tables\n\nMade by `scripts/reproduce/rest_detector`.\n")
+    print(
+        "# Rest detector: tables\n\nMade by `scripts/reproduce/rest_detector`, each with `--only` and `--seeds` as its heading says.\n"
+    )
     if given.only in (None, "field"):
         outside("Outside the bench", field_kinds(), given.seeds, given.first)
     if given.only in (None, "doubtful"):
