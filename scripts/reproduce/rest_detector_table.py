@@ -131,6 +131,11 @@ SWINGS = {
 FROM_START = (0.5, 5.0, 30.0)
 AMBIGUOUS = ((0.05, 10.0), (0.2, 60.0))
 """deg/s, and seconds in which it begins and ends: within what a consumer gyro wanders."""
+TITLE = """\
+# Rest detector: tables
+
+Made by `scripts/reproduce/rest_detector`, each with `--only` and `--seeds` as its heading says.
+"""
 LONG_MIN = 20.0
 """Of longer scenes there are fewer seeds, so that a row of an hour costs no more than another."""
 
@@ -257,9 +262,7 @@ def main() -> None:
         scenes = [(given.first, kind.make(given.first))]
         print(f"{FIELD_HEADER}\n{field_row(kind, SENSORS[0], scenes)[1]}")
         return
-    print(
-        "# Rest detector: tables\n\nMade by `scripts/reproduce/rest_detector`, each with `--only` and `--seeds` as its heading says.\n"
-    )
+    print(TITLE)
     if given.only in (None, "field"):
         outside("Outside the bench", field_kinds(), given.seeds, given.first)
     if given.only in (None, "doubtful"):
