@@ -206,11 +206,52 @@ def steady_turn(
     scene = still(rate_hz, 150.0 + seconds + 90.0)
     since = scene.t - 150.0
     rate = turn_dps * DEG * np.clip(np.minimum(since, seconds - since) / ramp_s, 0.0, 1.0)
+    _turn(scene, rate, tilt_deg)
+    scene.rest[(since > 0.0) & (since <= seconds)] = False
+    return scene
+
+
+def _turn(scene: Scene, rate: FloatArray, tilt_deg: float = 0.0) -> None:
+    """Turn the unit at a rate, (n,) in rad/s, about an axis that is tilted."""
     axis = np.array([np.sin(tilt_deg * DEG), 0.0, np.cos(tilt_deg * DEG)])
-    turn = Rotation.from_rotvec(np.outer(np.cumsum(rate) / rate_hz, axis))
+    turn = Rotation.from_rotvec(np.outer(np.cumsum(rate) * (scene.t[1] - scene.t[0]), axis))
     placed = turn * Rotation.from_euler("ZYX", scene.angles[0, ::-1])
     scene.angles[:] = placed.as_euler("ZYX")[:, ::-1]
-    scene.rest[(since > 0.0) & (since <= seconds)] = False
+
+
+def turn_from_start(rate_hz: float, turn_dps: float) -> Scene:
+    """A turn from the start that stops after 200 s, rest of 100 s, and both again for 100 s each."""
+    scene = still(rate_hz, 500.0)
+    turns = (scene.t < 200.0) | ((scene.t >= 300.0) & (scene.t < 400.0))
+    width = round(rate_hz)  # it takes a second to stop, and to begin
+    eased = np.convolve(np.concatenate([np.ones(width), turns]), np.ones(width) / width)[width:]
+    rate = turn_dps * DEG * eased[: len(scene.t)]
+    _turn(scene, rate)
+    scene.rest[rate > 1e-9] = False
+    return scene
+
+
+def rest_after_turn(rate_hz: float, turn_dps: float, ramp_s: float) -> Scene:
+    """Rest of 150 s, a turn of 5 min that may be wander of the bias, and an hour of rest."""
+    scene = still(rate_hz, 150.0 + 300.0 + 3600.0)
+    since = scene.t - 150.0
+    rate = turn_dps * DEG * np.clip(np.minimum(since, 300.0 - since) / ramp_s, 0.0, 1.0)
+    _turn(scene, rate)
+    scene.rest[(since > 0.0) & (since <= 300.0)] = False
+    return scene
+
+
+def swing(rate_hz: float, axis: int, degrees: float, period_s: float, arm_m: float = 0.0) -> Scene:
+    """Rest of 150 s, then a swing of 150 s, or of three periods, about an axis of the unit (0 to 2).
+
+    It hangs on an arm, so that the specific force turns less than the unit; 0 is rocking about the unit.
+    """
+    scene = still(rate_hz, 150.0 + max(150.0, 3.0 * period_s))
+    since = np.maximum(scene.t - 150.0, 0.0)
+    angle = degrees * DEG * np.sin(2 * np.pi * since / period_s)
+    scene.angles[:, axis] += angle
+    scene.acceleration[:, 1] -= arm_m * np.gradient(np.gradient(angle, scene.t), scene.t)
+    scene.rest[since > 0.0] = False
     return scene
 
 
@@ -369,6 +410,14 @@ def measure_with_bias(scene: Scene, grade: Grade, seed: int) -> tuple[SampleBloc
     for i, name in enumerate("xyz"):
         columns |= {f"gyro_{name}": gyro[:, i].copy(), f"accel_{name}": accel[:, i].copy()}
     return SampleBlock(columns), BIAS + walk
+
+
+def with_field(samples: SampleBlock, scene: Scene, seed: int) -> SampleBlock:
+    """Add a magnetometer with noise of 0.5 µT, in a field of 22, 3 and 42 µT (north, east, down)."""
+    rng = np.random.default_rng([seed, 7])
+    body_to_ned = Rotation.from_euler("ZYX", scene.angles[:, ::-1])
+    field = body_to_ned.inv().apply([22.0, 3.0, 42.0]) + 0.5 * rng.standard_normal((len(scene.t), 3))
+    return samples.with_columns({f"mag_{axis}": field[:, i] for i, axis in enumerate("xyz")})
 
 
 def averaged(samples: SampleBlock, count: int) -> SampleBlock:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+import sys
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import product
 
 import numpy as np
@@ -18,12 +20,17 @@ from rest_detector_scenes import (
     averaged,
     measure,
     measure_with_bias,
+    rest_after_turn,
     steady_turn,
+    swing,
+    turn_from_start,
+    with_field,
 )
 from vqf import VQF
 
 from imumon.blocks import BoolArray, FloatArray, SampleBlock
 from imumon.estimation.gyro_bias.stage import GyroBias
+from imumon.estimation.rest.parameters import RestParameters
 from imumon.estimation.rest.stage import RestDetector
 
 RATES_HZ = (100.0, 10.0, 2.0)
@@ -111,6 +118,26 @@ FIELD_HEADER = """\
 | scene | sensors | motion missed % | by VQF % | rest found % | by VQF % | rest after s | z > 5 % | max z |
 |---|---|---|---|---|---|---|---|---|"""
 TURN_RATE_HZ = 25.0
+SWINGS = {
+    "hangs on a cable, 3 deg in 2 s": (0, 3.0, 2.0, 1.0),
+    "hangs on a cable, 0.3 deg in 2 s": (0, 0.3, 2.0, 1.0),
+    "torsion of a cable, 1 deg in 20 s": (2, 1.0, 20.0, 0.0),
+    "torsion of a cable, 30 deg in 60 s": (2, 30.0, 60.0, 0.0),
+    "rocks, 1 deg in 10 s": (0, 1.0, 10.0, 0.0),
+    "rocks, 1 deg in 60 s": (0, 1.0, 60.0, 0.0),
+    "rocks, 5 deg in 300 s": (0, 5.0, 300.0, 0.0),
+}
+"""Axis of the unit, degrees, seconds, and the arm in m."""
+FROM_START = (0.5, 5.0, 30.0)
+AMBIGUOUS = ((0.05, 10.0), (0.2, 60.0))
+"""deg/s, and seconds in which it begins and ends: within what a consumer gyro wanders."""
+TITLE = """\
+# Rest detector: tables
+
+Made by `scripts/reproduce/rest_detector`, each with `--only` and `--seeds` as its heading says.
+"""
+LONG_MIN = 20.0
+"""Of longer scenes there are fewer seeds, so that a row of an hour costs no more than another."""
 
 
 def vqf_rest(samples: SampleBlock) -> BoolArray:
@@ -142,12 +169,23 @@ def bias_over_sigma(samples: SampleBlock, truth: FloatArray) -> FloatArray:
     return (matrix(told, "gyro_bias") - truth) / matrix(told, "gyro_bias_sd")
 
 
-def field_row(name: str, grade: Grade, scenes: Sequence[tuple[int, Scene]]) -> tuple[float, str]:
-    """Return how bad a row is, and the row: all seeds of a scene with sensors of a grade."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Kind:
+    """A kind of scene: how it is made for a seed, with a compass or not, and what the detector is told."""
+
+    name: str
+    make: Callable[[int], Scene]
+    compass: bool = False
+    told: RestParameters | None = None
+
+
+def field_row(kind: Kind, grade: Grade, scenes: Sequence[tuple[int, Scene]]) -> tuple[float, str]:
+    """Return how bad a row is, and the row: all seeds of a kind of scene with sensors of a grade."""
     ours, theirs, z = Tally(), Tally(), []
     for seed, scene in scenes:
         samples, truth = measure_with_bias(scene, grade, seed)
-        columns = RestDetector().process(samples)
+        samples = with_field(samples, scene, seed) if kind.compass else samples
+        columns = RestDetector(kind.told).process(samples)
         ours.add(scene.t, scene.rest, columns["at_rest"] == 1)
         theirs.add(scene.t, scene.rest, vqf_rest(samples))
         z.append(np.abs(bias_over_sigma(samples.with_columns(columns), truth)).max(1))
@@ -155,48 +193,81 @@ def field_row(name: str, grade: Grade, scenes: Sequence[tuple[int, Scene]]) -> t
     over = over[np.isfinite(over)]
     false, share = ours.percent(), 100.0 * float(np.mean(over > 5.0)) if len(over) else 0.0
     cells = [
-        name, grade.name, *(f"{value:.2f}" for value in (false[0], theirs.percent()[0])),
+        kind.name, grade.name, *(f"{value:.2f}" for value in (false[0], theirs.percent()[0])),
         *(f"{value:.1f}" for value in (false[1], theirs.percent()[1])), _delays(ours.to_rest),
         f"{share:.2f}", f"{over.max():.1f}" if len(over) else "-",
     ]  # fmt: skip
     return np.nan_to_num(false[0]) + share + np.nan_to_num(100.0 - false[1]), f"| {' | '.join(cells)} |"
 
 
-def outside(seeds: int, first: int) -> None:
-    """Print the scenes in which a sigma is easily wrong, the worst row first."""
+def field_kinds() -> Iterator[Kind]:
+    """Yield turns after a rest, and what else is outside the bench."""
+    for rate_dps, minutes, ramp_s, tilt_deg in TURNS:
+        tilted = f", {tilt_deg:g}° from the vertical" if tilt_deg else ""
+        turn = steady_turn(TURN_RATE_HZ, rate_dps, minutes, ramp_s, tilt_deg)
+        name = f"turn of {rate_dps:g} deg/s, {minutes:g} min, begun in {ramp_s:g} s{tilted}"
+        yield Kind(name, partial(_same, turn))
+    for name in FIELD:
+        yield Kind(name, partial(SCENES[name], FULL_RATE_HZ, 2 * SECONDS))
+
+
+def doubtful_kinds() -> Iterator[Kind]:
+    """Yield turns from the start, swings, and an hour of rest after a turn that may be wander."""
+    for rate_dps in FROM_START:
+        name = f"begins in a turn of {rate_dps:g} deg/s"
+        make = partial(_same, turn_from_start(TURN_RATE_HZ, rate_dps))
+        yield Kind(f"{name}, with magnetometer", make, compass=True)
+        yield Kind(f"{name}, without magnetometer", make)
+        yield Kind(f"{name}, without, begins_turning 0.1", make, told=RestParameters(begins_turning=0.1))
+    for name, (axis, degrees, period_s, arm_m) in SWINGS.items():
+        yield Kind(name, partial(_same, swing(2 * TURN_RATE_HZ, axis, degrees, period_s, arm_m)))
+    for rate_dps, ramp_s in AMBIGUOUS:
+        hour = rest_after_turn(TURN_RATE_HZ, rate_dps, ramp_s)
+        name = f"an hour of rest after 5 min of {rate_dps:g} deg/s, begun in {ramp_s:g} s"
+        yield Kind(name, partial(_same, hour))
+
+
+def _same(scene: Scene, seed: int) -> Scene:
+    """Return a scene that is the same for every seed."""
+    del seed
+    return scene
+
+
+def outside(title: str, kinds: Iterable[Kind], seeds: int, first: int) -> None:
+    """Print kinds of scenes in which a sigma is easily wrong, the worst row first."""
     rows = []
-    for grade in SENSORS:
-        for rate_dps, minutes, ramp_s, tilt_deg in TURNS:
-            name = f"turn of {rate_dps:g} deg/s, {minutes:g} min, begun in {ramp_s:g} s"
-            if tilt_deg:
-                name += f", {tilt_deg:g}° from the vertical"
-            scene = steady_turn(TURN_RATE_HZ, rate_dps, minutes, ramp_s, tilt_deg)
-            rows.append(field_row(name, grade, [(first + seed, scene) for seed in range(seeds)]))
-        for name in FIELD:
-            scenes = [
-                (first + seed, SCENES[name](FULL_RATE_HZ, 2 * SECONDS, first + seed)) for seed in range(seeds)
-            ]
-            rows.append(field_row(name, grade, scenes))
-    print(f"### Outside the bench, {seeds} seeds, the worst first\n\n{FIELD_HEADER}")
-    print("\n".join(row for _, row in sorted(rows, reverse=True)))
+    for kind in kinds:
+        scenes: list[tuple[int, Scene]] = []
+        for seed in range(first, first + seeds):
+            scene = kind.make(seed)
+            if len(scenes) * scene.t[-1] < 60.0 * LONG_MIN * seeds:
+                scenes.append((seed, scene))
+        for grade in SENSORS:
+            rows.append(field_row(kind, grade, scenes))
+            print(rows[-1][1], file=sys.stderr, flush=True)
+    print(f"### {title}, {seeds} seeds (above {LONG_MIN:g} min fewer), the worst first\n\n{FIELD_HEADER}")
+    print("\n".join(row for _, row in sorted(rows, reverse=True)) + "\n")
 
 
 def main() -> None:
     """Print the scenes of the field, a table for each rate, and one of long rests."""
     parser = argparse.ArgumentParser(prog="scripts/reproduce/rest_detector", description=__doc__)
     parser.add_argument("--seeds", type=int, default=5, help="runs of each scene (default: %(default)s)")
-    parser.add_argument("--only", choices=["field", "bench"], help="one kind of scenes")
+    parser.add_argument("--only", choices=["field", "doubtful", "bench"], help="one kind of scenes")
     parser.add_argument("--first", type=int, default=0, help="number of the first seed (default: 0)")
     parser.add_argument("--quick", action="store_true", help="a few seconds: the first of everything")
     given = parser.parse_args()
     if given.quick:
-        scenes = [(given.first, SCENES[FIELD[0]](FULL_RATE_HZ, SECONDS, given.first))]
-        print(f"{FIELD_HEADER}\n{field_row(FIELD[0], SENSORS[0], scenes)[1]}")
+        kind = Kind(FIELD[0], partial(SCENES[FIELD[0]], FULL_RATE_HZ, SECONDS))
+        scenes = [(given.first, kind.make(given.first))]
+        print(f"{FIELD_HEADER}\n{field_row(kind, SENSORS[0], scenes)[1]}")
         return
-    print("# Rest detector: tables\n\nMade by `scripts/reproduce/rest_detector`.\n")
-    if given.only != "bench":
-        outside(given.seeds, given.first)
-    if given.only != "field":
+    print(TITLE)
+    if given.only in (None, "field"):
+        outside("Outside the bench", field_kinds(), given.seeds, given.first)
+    if given.only in (None, "doubtful"):
+        outside("Turns from the start, swings, rest after a turn", doubtful_kinds(), given.seeds, given.first)
+    if given.only in (None, "bench"):
         bench(given.seeds)
 
 

@@ -56,14 +56,15 @@ class Samples:
 
 @dataclass(slots=True, eq=False)
 class _Before:
-    """The slot before: end and usual interval, s; whether it was at rest at its end, and what was undecided
-    there; origin of time."""
+    """The slot before: end and usual interval, s; whether it was at rest at its end, what was undecided
+    there, and at the end of the last rest; origin of time."""
 
     origin_ns: int = 0
     end_s: float = 0.0
     interval_s: float = 0.0
     rest: bool = False
     turn: FloatArray = field(default_factory=lambda: np.zeros(3))
+    resting: FloatArray = field(default_factory=lambda: np.full(3, np.inf))
 
     @property
     def longest_s(self) -> float:
@@ -165,7 +166,13 @@ class Intake:
         # What had not been decided is a change of the bias when the unit is said to be at rest after all.
         first, last = slots.first[k, TURN], slots.last[k, TURN]
         undecided = (first if first.any() else before.turn) if rest else last
+        if (
+            rest and not follows
+        ):  # what was undecided in the last rest, and is, has not changed the bias since
+            same = np.minimum(np.abs(first), np.abs(before.resting))
+            undecided = np.sqrt(np.maximum(undecided**2 - same**2, 0.0))
         before.turn = last
+        before.resting = last if before.rest else before.resting
         degc = np.where(rest, slots.mean[k, DEGC], slots.last[k, DEGC])
         growth = self._thermal.step(slots.last[k, DEGC], slots.last[k, INITIAL_SD])
         rate, force, which = slots.mean[k, RATE], slots.mean[k, FORCE], FORCE

@@ -12,7 +12,7 @@ from imumon.blocks import FloatArray, SampleBlock
 from imumon.estimation.rest.state import SLOT_S, State
 
 ENDS = 8
-"""Slots whose mean is a reading of the compass."""
+"""Slots whose mean is a reading of the compass; fewer where it turns by `WANTED_RAD` in less than two."""
 WANTED_RAD = 0.7
 """A turn by so much is compared: less is near the noise, much more is ambiguous."""
 CLEAR = 8.0
@@ -55,12 +55,16 @@ def verdict(state: State, turn: FloatArray, slots: int, shares: Sequence[float] 
     if not np.isfinite(state.windows.reference[state.length - 1, 0]):
         return Verdict.UNDECIDED
     rate = float(np.linalg.norm(turn))
-    slots = min(slots - ENDS, int(WANTED_RAD / (rate * SLOT_S)) + 1) if rate > 0.0 else 0
-    if slots < 2 * ENDS:
+    if rate == 0.0:
+        return Verdict.UNDECIDED
+    wanted = int(WANTED_RAD / (rate * SLOT_S)) + 1
+    ends = min(ENDS, max(wanted // 2, 1))
+    slots = min(slots - ends, wanted)
+    if slots < 2 * ends:
         return Verdict.UNDECIDED
     n, values = state.length, state.windows.reference
-    then, now = values[n - slots - ENDS : n - slots], values[n - ENDS : n]
-    noise = float(np.sqrt(np.diff(values[n - slots - ENDS : n], axis=0).var(0).sum() / (2.0 * ENDS)))
+    then, now = values[n - slots - ends : n - slots], values[n - ends : n]
+    noise = float(np.sqrt(np.diff(values[n - slots - ends : n], axis=0).var(0).sum() / (2.0 * ends)))
     start, end = then.mean(0), now.mean(0)
     seconds = state.span_s(slots)
     # The field turns against the body; of the yaw the sense depends on the axes.

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.estimation.rest.compass import ANY, Verdict, verdict
+from imumon.estimation.rest.compass import ANY, NEAR, Verdict, verdict
 from imumon.estimation.rest.parameters import RestParameters
 from imumon.estimation.rest.state import ACCEL, AXES, EVERY, GYRO, LEVELS, Anchor, Slot, Spells, State
 from imumon.estimation.rest.trial import RING, Noise, adopt, look
@@ -25,12 +25,14 @@ from imumon.estimation.rest.turn import (
     is_over,
     is_steady,
     is_upright,
+    may_have_begun,
     may_jump,
     recent_mean,
     steady_slots,
     still_on,
     turned_at_first,
     upright,
+    was_handled,
 )
 from imumon.estimation.rest.wander import OBLIQUE, SURPRISE, forget, look_for_turn
 from imumon.estimation.rest.windows import Motion, seen, set_band
@@ -112,7 +114,7 @@ def _decide_on(state: State, parameters: RestParameters, motion: Motion | None, 
             _disturb(state, motion, end_s)
         _watch(state, end_s, HOLD_WINDOWS * motion.seconds)
     elif state.at_rest:
-        if state.slots % DECIDES_EVERY == 0 and (state.turn.any() or not state.anchors):
+        if state.slots % DECIDES_EVERY == 0 and (state.turn.any() or state.begun.any() or not state.anchors):
             _decide(state, parameters, end_s)
     elif state.anchors and _may_be_back(state) and (anchor := is_back(state, parameters, end_s)):
         _rest_again(state, parameters, anchor.turn, end_s)
@@ -237,15 +239,21 @@ def _remember(state: State, anchor: Anchor) -> None:
     state.anchors = [anchor, *others[: MOST_ANCHORS - 1]]
 
 
-def _enter(state: State, mean: FloatArray, drift: FloatArray, turn: FloatArray, now_s: float) -> None:
+def _enter(
+    state: State, parameters: RestParameters, mean: FloatArray, turn: FloatArray, now_s: float
+) -> None:
     state.windows.rest_mean[:], state.rest_since_s = mean, now_s
-    if state.anchors and np.linalg.norm((mean - state.anchors[0].mean)[ACCEL]) > OBLIQUE * STANDARD_GRAVITY:
-        state.begun = np.zeros(3)  # a turn about the vertical would be about another axis now
+    if not state.anchors:
+        state.begun = may_have_begun(state, mean, parameters.begins_turning)
+    elif state.begun.any():
+        tilted = np.linalg.norm((mean - state.anchors[0].mean)[ACCEL]) > OBLIQUE * STANDARD_GRAVITY
+        if tilted or (was_handled(state) and not turn.any()):
+            state.begun = np.zeros(3)  # it would be about another axis now, and did not go on in a hand
     state.at_rest, state.turn, state.chance = True, turn, 1.0
     state.spells = Spells()
     since_s = now_s if np.isnan(state.undecided_since_s) else state.undecided_since_s
     state.undecided_since_s = since_s if turn.any() else np.nan
-    set_band(state.windows, drift)
+    set_band(state.windows, parameters.drift)
 
 
 def _rest_again(state: State, parameters: RestParameters, turn: FloatArray, now_s: float) -> None:
@@ -254,7 +262,7 @@ def _rest_again(state: State, parameters: RestParameters, turn: FloatArray, now_
     # What was before the mean became constant is no rest to compare with.
     state.quiet_from = max(state.quiet_from, state.length - steady_slots(state))
     mean = np.where(np.isfinite(mean), mean, state.windows.rest_mean)
-    _enter(state, mean, parameters.drift, turn, now_s)
+    _enter(state, parameters, mean, turn, now_s)
 
 
 def _judge(
@@ -284,11 +292,10 @@ def _judge(
         first = turned_at_first(state, slots) if unknown else 0.0
         if first > 0.0 and is_steady(state, parameters):
             state.begun = np.sqrt(first) * turn
-        if first > (BEGINS_TURNING if late else 0.5) and state.begun.any():
-            state.anchors.clear()  # what was taken for a rest is none to come back to
-            state.begun = np.zeros(3)
-            surely = late or np.log(1.0 - first) < -SURPRISE
-            return np.zeros(3) if surely else np.sqrt(1.0 - first) * turn, True
+            if first > (BEGINS_TURNING if late else 0.5):
+                state.anchors.clear()  # what was taken for a rest is none to come back to
+                surely = late or np.log(1.0 - first) < -SURPRISE
+                return np.zeros(3) if surely else np.sqrt(1.0 - first) * turn, True
     if explained is Explained.NO:
         # About another axis it would tilt the unit: gravity says soon whether it does.
         state.turning |= bool(turn.any() and is_upright(state, turn, slots))
@@ -309,7 +316,10 @@ def _begins_turning(state: State, slots: int) -> bool:
     mean = np.nan_to_num(state.latest(slots)[0])
     gravity2 = float(mean[ACCEL] @ mean[ACCEL])
     turn = mean[GYRO] if gravity2 == 0.0 else (mean[GYRO] @ mean[ACCEL]) * mean[ACCEL] / gravity2
-    turns = verdict(state, turn, slots, ANY) is Verdict.TURNS
+    said = verdict(state, turn, slots, ANY)
+    # While it cannot tell, a turn goes on that it has seen, if the mean is that of the turn.
+    same = float(np.linalg.norm(turn - state.turn)) < NEAR * float(np.linalg.norm(state.turn))
+    turns = said is Verdict.TURNS or (said is Verdict.UNDECIDED and same)
     if turns:
         state.turn, state.chance = turn, 1.0
     return turns
@@ -317,8 +327,11 @@ def _begins_turning(state: State, slots: int) -> bool:
 
 def _decide(state: State, parameters: RestParameters, now_s: float) -> None:
     """At rest, though it may be a turn: ask the compass, the old mean, and the time it has taken."""
-    if not (state.anchors or state.turn.any()):
-        if _begins_turning(state, state.quiet_slots):
+    said = verdict(state, state.begun, state.quiet_slots)
+    if said is Verdict.RESTS or now_s - state.rest_since_s >= parameters.undecided_s:
+        state.begun = np.zeros(3)
+    if not state.turn.any():
+        if not state.anchors and _begins_turning(state, state.quiet_slots):
             turn = state.turn
             _leave(state, SLOWLY, now_s)
             state.anchors.clear()
@@ -363,5 +376,5 @@ def _try(state: State, parameters: RestParameters, now_s: float) -> None:
     turn, rests = _judge(state, parameters, RING, now_s, state.quiet_slots >= RING)
     if rests and not (state.anchors and _coasts(state, noise)):
         adopt(state, noise, noise.present)
-        _enter(state, mean, parameters.drift, turn, now_s)
+        _enter(state, parameters, mean, turn, now_s)
         _watch(state, now_s, 0.0)

@@ -31,6 +31,11 @@ class RestParameters(StrictModel):
         and bias from then on, if it differs by no more than largest_jump and nothing decides before.
     largest_jump : float
         Largest change of a gyro's bias within one run of the unit, rad/s.
+    begins_turning : float
+        Share of recordings that begin in a steady turn: the first mean at rest may have one about the
+        vertical in it.  0 by default, for most stand on a bench; 0.1 suits who records on a turntable without
+        a magnetometer: five standard deviations cover 93 % of its turns, and are as large as the biases of
+        the other axes where nothing turns.
     """
 
     gyro_drift: float = Field(default=1e-4, ge=0.0, le=1.0)
@@ -39,6 +44,7 @@ class RestParameters(StrictModel):
     gyro_walk: float = Field(default=8.7e-4, ge=0.0, le=1.0)
     undecided_s: float = Field(default=14400.0, ge=0.0, le=86400.0)
     largest_jump: float = Field(default=0.017, ge=0.0, le=10.0)
+    begins_turning: float = Field(default=0.0, ge=0.0, le=0.9)
 
     @cached_property
     def drift(self) -> FloatArray:

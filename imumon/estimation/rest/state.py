@@ -313,7 +313,7 @@ class State:
     spells : Spells
         Of this motion.
     begun : array, (3,)
-        Rms of the turn in which the recording may have begun, rad/s: another mean has been as steady.
+        Rms of the turn in which the recording may have begun, rad/s.
     shown : array, (3,)
         `undecided` when something was last decided.
     steady : array
@@ -367,7 +367,7 @@ class State:
 
         So may half of what the noise leaves of a gyro's step, for its readings are the same with and without.
         """
-        likely = [math.sqrt(self.chance) * self.turn, self.doubt, self.begun if self.at_rest else np.zeros(3)]
+        likely = [math.sqrt(self.chance) * self.turn, self.doubt, self.begun]
         turn = max(likely, key=lambda one: float(one @ one))
         return np.asarray(np.copysign(np.hypot(turn, 0.5 * self.windows.resolution[GYRO]), turn))
 

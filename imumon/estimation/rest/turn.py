@@ -31,11 +31,16 @@ BACK_S, SLOW_BACK_S = 0.25, 4.0
 ALL_CREEP = 10.0
 """What makes a bias creep, temperature, has all axes creep: one by more than ten times what both others do,
 in one unit of a hundred where each of them may have any part of the slope of the first."""
-BEGINS_TURNING = 0.05
-"""Share of recordings that begin in a turn: who starts one on a turntable that runs.  Assumed, as
-`TURN_EVERY_S` is."""
 UNLIKELY = 0.01
 """What is less likely is not told: errors of more than five sigmas may be so frequent."""
+BEGINS_TURNING = 0.05
+"""Share of recordings that begin in a turn, of those with two steady means: who starts one on a turntable?
+Assumed, as `TURN_EVERY_S` is."""
+AT_FIRST = np.radians(np.geomspace(0.01, 300.0, 120))
+AT_FIRST = np.concatenate([-AT_FIRST[::-1], AT_FIRST])
+"""Turns that are tried, rad/s: as likely on a logarithmic scale, as `RATES` has it."""
+LEANING = 0.04
+"""rad: by so much (sd) accelerometers with a bias of 40 mg (`gyro_bias.motion`) miss the vertical."""
 EARTH = 7.3e-5
 """rad/s: a gyro without any bias reads up to the earth's rate."""
 SMALL_ANGLE = 1.0
@@ -224,6 +229,28 @@ def has_changed(
     return 1.0 / (1.0 + spells.count * longer)
 
 
+def may_have_begun(state: State, mean: FloatArray, share: float) -> FloatArray:
+    """Return the rms of the turn that may be in the first steady mean, (6,), of a recording, rad/s, (3,).
+
+    About the vertical, or, where gravity is not known, about any axis.  What the other axes read is bias, for
+    there it turns about none of them.  It says how large a bias of this unit may be: of biases of one scale,
+    which is as likely on a logarithmic scale, two of size L say of a third that it has Student's density with
+    two degrees of freedom.  The share of recordings begins in a turn.
+    """
+    gyro, up = np.nan_to_num(mean[GYRO]), vertical(state, mean[ACCEL])
+    axes = np.eye(3) if up is None else up[np.newaxis]
+    along = axes @ gyro
+    others2 = (gyro @ gyro - along**2 + EARTH**2)[:, np.newaxis]
+
+    def density(bias: FloatArray) -> FloatArray:
+        return np.asarray(0.5 * others2 / (others2 + bias**2) ** 1.5)
+
+    turn = share * density(along[:, np.newaxis] - AT_FIRST) / len(AT_FIRST)
+    none = (1.0 - share) * density(along[:, np.newaxis])[:, 0]
+    rms = np.sqrt((turn @ AT_FIRST**2) / (none + turn.sum(1)))
+    return np.asarray(np.hypot(rms @ axes, LEANING * np.linalg.norm(rms)))
+
+
 def turned_at_first(state: State, slots: int) -> float:
     """Return the probability that the first rest was a turn and is over, if one of the two means is a turn.
 
@@ -239,12 +266,33 @@ def turned_at_first(state: State, slots: int) -> float:
     return float(odds / (1.0 + odds)) if odds > UNLIKELY else 0.0
 
 
-def upright(state: State, turn: FloatArray, force: FloatArray) -> FloatArray:
-    """Return the part of a turn, (3,), that is about the vertical; all of it where gravity is not known."""
+def was_handled(state: State) -> bool:
+    """Tell whether the unit was tilted, since its last rest, by more than what carries it would do.
+
+    A turntable that is knocked, slows down or stops does not tilt it; who picks it up does.
+    """
+    slots = state.length - state.ring_from
+    up = vertical(state, state.anchors[0].mean[ACCEL])
+    if up is None or not slots:
+        return False
+    rate = state.windows.average[state.ring_from : state.length, GYRO] - state.anchors[0].mean[GYRO]
+    angle = np.cumsum(np.nan_to_num(rate), 0) * state.slot_s
+    across = angle - (angle @ up)[:, np.newaxis] * up
+    return float(np.square(across).sum(1).max()) > OBLIQUE**2
+
+
+def vertical(state: State, force: FloatArray) -> FloatArray | None:
+    """Return the direction of the specific force, (3,); None where gravity is not known."""
     gravity2 = float(force @ force)
     if not (state.windows.known[ACCEL].all() and gravity2 > 25.0):
-        return turn
-    return np.asarray((turn @ force) * force / gravity2)
+        return None
+    return np.asarray(force / np.sqrt(gravity2))
+
+
+def upright(state: State, turn: FloatArray, force: FloatArray) -> FloatArray:
+    """Return the part of a turn, (3,), that is about the vertical; all of it where gravity is not known."""
+    up = vertical(state, force)
+    return turn if up is None else np.asarray((turn @ up) * up)
 
 
 def is_upright(state: State, turn: FloatArray, slots: int) -> bool:

@@ -145,6 +145,18 @@ def test_what_was_a_turn_or_a_change_of_the_bias_is_learned_once_it_is_rest() ->
     assert np.abs(error[t > 145.0]).max() < 15.0 * DPH
 
 
+def test_a_doubt_that_a_motion_leaves_as_it_was_makes_nobody_forget_the_bias() -> None:
+    block, _ = record(TRUTH, 150.0, 5)
+    t = np.arange(len(block)) / RATE_HZ
+    moving = (t > 120.0) & (t < 125.0)
+    moved = block.with_columns({"at_rest": (~moving).astype(np.int64)})
+    doubted = moved.with_columns({f"turn_hypothesis_{axis}": np.full(len(t), 0.01) for axis in "xyz"})
+    with_doubt, without = GyroBias().process(doubted), GyroBias().process(moved)
+    for axis in "xyz":
+        np.testing.assert_allclose(with_doubt[f"gyro_bias_{axis}"], without[f"gyro_bias_{axis}"], atol=1e-12)
+    assert np.nanmin(with_doubt["gyro_bias_sd_x"]) >= 0.01
+
+
 def test_a_motion_that_began_softly_leaves_no_more_doubt_than_the_bias_has_moved() -> None:
     block, bias = record(TRUTH, 240.0, 3)
     t = np.arange(len(block)) / RATE_HZ

@@ -7,8 +7,11 @@ import pytest
 from scipy.signal import lfilter
 
 from imumon.blocks import FloatArray, SampleBlock
+from imumon.estimation.rest.parameters import RestParameters
 from imumon.estimation.rest.stage import RestDetector
-from tests.estimation.rest.scenes import DEG, GRAVITY, block, noise, rolled
+from imumon.estimation.rest.state import State
+from imumon.estimation.rest.turn import may_have_begun
+from tests.estimation.rest.scenes import DEG, GRAVITY, ON_A_TURNTABLE, block, noise, rolled
 
 BEGIN_S = 150.0
 FIELD = np.array([20.0, 5.0, 40.0])
@@ -44,9 +47,11 @@ def with_field(samples: SampleBlock, rate: FloatArray) -> SampleBlock:
     return samples.with_columns({f"mag_{axis}": field[:, i] for i, axis in enumerate("xyz")})
 
 
-def found(samples: SampleBlock) -> tuple[FloatArray, FloatArray, FloatArray]:
+def found(
+    samples: SampleBlock, parameters: RestParameters | None = None
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return time, at_rest and the hypothesis of a turn about z."""
-    result = RestDetector().process(samples)
+    result = RestDetector(parameters).process(samples)
     return samples["device_time_ns"] * 1e-9, result["at_rest"], result["turn_hypothesis_z"]
 
 
@@ -248,6 +253,60 @@ def test_without_one_the_first_mean_stays_in_doubt_once_there_was_another_until_
     assert np.abs(hypothesis[(t > 50.0) & (t < 99.0)]).max() < 0.01 * DEG
     assert 0.05 * DEG < np.abs(hypothesis[again]).min() <= np.abs(hypothesis[again]).max() < 0.7 * DEG
     assert np.abs(hypothesis[otherwise]).max() < 0.02 * DEG
+
+
+@pytest.mark.parametrize("scale", [2.0, 0.02])
+@pytest.mark.parametrize("of_scale", [0.0, 0.3, 1.0, 3.0, 30.0])
+def test_a_first_mean_may_have_a_turn_in_it_as_its_size_beside_the_other_axes_says(
+    scale: float, of_scale: float
+) -> None:
+    bias = scale * DEG * np.array([0.8, -0.6, 0.5])
+    t, gyro, accel = noise(30.0, 25.0, 2e-5, bias=(bias[0], bias[1], bias[2]))
+    turning = of_scale * scale * DEG
+    gyro[:, 2] += turning
+    _, rest, hypothesis = found(block(t, gyro, accel), ON_A_TURNTABLE)
+    assert rest[200:].all()
+    assert (turning < 5.0 * hypothesis[200:]).all()
+    if not of_scale:  # of a unit at rest it is a sixth of the biases of the other axes
+        assert hypothesis[200:].max() < scale * DEG / 6.0
+
+
+def test_of_drawn_biases_and_turns_the_doubt_covers_eleven_of_twelve_and_is_a_fifth_of_a_bias() -> None:
+    rng, state = np.random.default_rng(1), State()
+    state.windows.known[:] = True
+    covered, of_scale = [], []
+    for _ in range(1000):
+        scale = np.exp(rng.uniform(np.log(0.005), np.log(3.0))) * DEG
+        turn = rng.choice([-1.0, 1.0]) * np.exp(rng.uniform(np.log(0.01), np.log(300.0))) * DEG
+        mean = np.append(scale * rng.standard_normal(3), [0.0, 0.0, -GRAVITY])
+        share = ON_A_TURNTABLE.begins_turning
+        of_scale.append(may_have_begun(state, mean, share)[2] / scale)
+        mean[2] += turn
+        covered.append(abs(turn) < 5.0 * may_have_begun(state, mean, share)[2])
+    assert np.mean(covered) > 0.92
+    assert np.median(of_scale) < 0.21
+
+
+@pytest.mark.parametrize("tilt_deg", [0.0, 40.0])
+def test_a_turn_that_was_there_at_first_is_over_when_the_unit_has_been_in_a_hand(tilt_deg: float) -> None:
+    t, gyro, accel = noise(60.0, 25.0)
+    roll = tilt_deg * DEG * np.sin(np.clip((t - 30.0) / 4.0, 0.0, 1.0) * np.pi) ** 2
+    knock = 0.2 * np.exp(-np.maximum(t - 30.0, 0.0) / 0.2) * np.sin(40.0 * t) * (t > 30.0)
+    gyro[:, 0] += np.gradient(roll, t) + knock
+    _, rest, hypothesis = found(block(t, gyro, rolled(accel, roll)), ON_A_TURNTABLE)
+    before, after = (t > 10.0) & (t < 29.0), t > 45.0
+    assert rest[before | after].all()
+    assert hypothesis[before].min() > 0.1 * DEG
+    assert (hypothesis[after] < 0.01 * DEG).all() == (tilt_deg > 0.0)
+
+
+def test_a_field_that_stays_says_that_the_recording_did_not_begin_in_a_turn() -> None:
+    t, gyro, accel = noise(90.0, 25.0)
+    samples = with_field(block(t, gyro, accel), np.zeros_like(t))
+    _, rest, hypothesis = found(samples, ON_A_TURNTABLE)
+    assert rest[t > 10.0].all()
+    assert hypothesis[(t > 5.0) & (t < 9.0)].min() > 0.1 * DEG
+    assert np.abs(hypothesis[t > 60.0]).max() < 0.01 * DEG
 
 
 @pytest.mark.parametrize("degrees", [1.0, 8.0])
