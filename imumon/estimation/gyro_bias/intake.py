@@ -166,9 +166,8 @@ class Intake:
         # What had not been decided is a change of the bias when the unit is said to be at rest after all.
         first, last = slots.first[k, TURN], slots.last[k, TURN]
         undecided = (first if first.any() else before.turn) if rest else last
-        if (
-            rest and not follows
-        ):  # what was undecided in the last rest, and is, has not changed the bias since
+        if rest and not follows:
+            # What was undecided in the last rest, and is, has not changed the bias since.
             same = np.minimum(np.abs(first), np.abs(before.resting))
             undecided = np.sqrt(np.maximum(undecided**2 - same**2, 0.0))
         before.turn = last
