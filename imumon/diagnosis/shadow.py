@@ -16,7 +16,7 @@ import numpy as np
 from imumon.blocks import BoolArray, FloatArray
 from imumon.diagnosis.blocks import RunBlocks
 from imumon.diagnosis.gains import PROVEN
-from imumon.diagnosis.glance import GRID, Better, block_of, residual
+from imumon.diagnosis.glance import Better, block_of, residual
 from imumon.diagnosis.known import temperature_of
 from imumon.diagnosis.likelihood import Likelihood
 from imumon.diagnosis.recording import Run
@@ -123,7 +123,7 @@ class _Predicted:
     @classmethod
     def of(cls, blocks: RunBlocks, names: Sequence[str], early: BoolArray) -> _Predicted:
         total, squares = 0.0, np.zeros(len(blocks))
-        likelihood = Likelihood([blocks], GRID)
+        likelihood = Likelihood([blocks])
         for name in names:
             left = blocks.mean[name] - blocks.mean[name][early].mean()
             total += likelihood.of_later(left, early)
