@@ -4,7 +4,7 @@ A curve is fitted to two runs of a unit whose bias has an undeclared effect, so 
 covers it; a third run from another power-on goes sample by sample through the stage that says MODEL CAN BE
 BETTER.
 
-Usage: closing_the_loop --part live [--repeat N] [--first SEED] [--only KIND] [--jobs N]
+Usage: closing_the_loop --part live [--repeat N] [--first SEED] [--only KIND] [--least FLOORS] [--jobs N]
 """
 
 from __future__ import annotations
@@ -233,13 +233,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--repeat", type=int, default=4)
     parser.add_argument("--first", type=int, default=2500)
     parser.add_argument("--only", default="")
+    parser.add_argument("--least", type=float, default=0.0, help="size in floors of the smallest effect")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--list", action="store_true")
     given = parser.parse_args(arguments)
     work = [
         (setting, 1000 * at + given.first + number)
         for at, setting in enumerate(settings())
-        if given.only in setting.label
+        if given.only in setting.label and setting.size >= given.least
         for number in range(given.repeat * (5 if setting.label.startswith("nothing") else 1))
     ]
     with ProcessPoolExecutor(given.jobs) as pool:
