@@ -28,6 +28,8 @@ FIRST_LOOK_S, LOOK_S = 1200.0, 600.0
 distances, so that nothing goes unseen for longer, and cost less than a thousandth of a core."""
 JUDGED_S = 300.0
 """How often a shadow is judged: ten means of 30 s."""
+HAD = 2.0
+"""A shadow has as much time to win as it was found in; then what was found last takes its place."""
 HELD_NS = 10 * SECOND_NS
 """Samples wait so long until they are reduced to seconds: short blocks then cost no more than long ones."""
 DIAGNOSE = "imumon diagnose --train SESSION --model SESSION --out DIR"
@@ -142,10 +144,10 @@ class LiveDiagnosis:
         before, after = (max(getattr(one, key) for one in found) / DEG_PER_H for key in ("before", "after"))
         what = "; ".join(_said(found))
         self.state = f"MODEL CAN BE BETTER: {what}: {before:.3g} become {after:.3g} °/h"
-        self._say(f"{self.state} (rms of {block_of(run):.0f} s, gain {best.gain:.0f}): {DIAGNOSE}")
+        self._say(f"{self.state} (rms of {block_of(run):.0f} s, gain {best.gain:.0f}): {DIAGNOSE}", what)
         shadow = Shadow(self._model, found, elapsed_s)
         self._lacking = effect_charts(run, self._model, shadow.model, best)
-        if self._learn:
+        if self._learn and (self._shadow is None or elapsed_s >= HAD * self._shadow.since_s):
             self._shadow, self._next_judged_s = shadow, elapsed_s + JUDGED_S
 
     def _judge(self, shadow: Shadow, elapsed_s: float) -> None:
@@ -184,9 +186,10 @@ class LiveDiagnosis:
             temperature_range_degc=[float(temperature.min()), float(temperature.max())],
         )
 
-    def _say(self, text: str) -> None:
-        if text not in self._said:
-            self._said.add(text)
+    def _say(self, text: str, what: str = "") -> None:
+        """Say a text for the log, unless it, or what it is about, has been said."""
+        if (what or text) not in self._said:
+            self._said.add(what or text)
             self._pending.append(text)
 
     def lanes(self) -> Mapping[str, str]:
@@ -194,7 +197,7 @@ class LiveDiagnosis:
         return {LANE: self.state} if self.state else {}
 
     def notices(self) -> list[str]:
-        """Return, once each, which model would be better, and what became of it; for the log."""
+        """Return, once for each set of effects, which model would be better, and what became of it; for the log."""
         texts, self._pending = self._pending, []
         return texts
 

@@ -11,6 +11,7 @@ from imumon.blocks import FloatArray, SampleBlock
 from imumon.diagnosis.glance import Better, better_models
 from imumon.diagnosis.live import FIRST_LOOK_S, LOOK_S, LiveDiagnosis
 from imumon.diagnosis.recording import LONGEST_GAP_S, Run
+from imumon.diagnosis.shadow import Shadow
 from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY
 from imumon.models.curves.points import Points
 from imumon.models.curves.polynomial import fit_polynomial
@@ -99,6 +100,26 @@ def test_the_same_evidence_says_less_the_more_often_one_looks() -> None:
     told = session(8.0 * DPH * np.sin(2 * np.pi * np.arange(SECONDS) / 555.0))
     first, hundredth = (better_models(told, model(), ["gyro_x"], looks)[0].gain for looks in (1, 100))
     assert first - hundredth == pytest.approx(2.0 * np.log(100 * 101 / 2))
+
+
+def test_a_shadow_has_as_much_time_to_win_as_it_was_found_in(monkeypatch: pytest.MonkeyPatch) -> None:
+    begun: list[float] = []
+
+    class Undecided(Shadow):
+        def judge(self, _: Run) -> None:
+            if self.since_s not in begun:
+                begun.append(self.since_s)
+
+    monkeypatch.setattr("imumon.diagnosis.live.Shadow", Undecided)
+    assert said(session(8.0 * DPH * np.sin(np.arange(SECONDS) / 90.0)), LiveDiagnosis(model(), learn=True))
+    np.testing.assert_allclose(begun, [FIRST_LOOK_S, 2.0 * FIRST_LOOK_S], atol=2.0)
+
+
+def test_the_log_is_told_once_of_the_same_effects() -> None:
+    stage = LiveDiagnosis(model())
+    assert said(session(8.0 * DPH * np.sin(np.arange(SECONDS) / 90.0)), stage)
+    told = [text.partition(": ")[2].partition(":")[0] for text in stage.notices()]
+    assert told == ["periodic on x"]
 
 
 def test_after_a_gap_of_many_hours_a_run_begins_anew() -> None:
