@@ -197,7 +197,7 @@ class LiveDiagnosis:
         return {LANE: self.state} if self.state else {}
 
     def notices(self) -> list[str]:
-        """Return, once for each set of effects, which model would be better, and what became of it; for the log."""
+        """Return, once for each set of effects, what would be better, and what became of it; for the log."""
         texts, self._pending = self._pending, []
         return texts
 
