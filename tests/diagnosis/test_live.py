@@ -111,7 +111,7 @@ def test_a_shadow_has_as_much_time_to_win_as_it_was_found_in(monkeypatch: pytest
                 begun.append(self.since_s)
 
     monkeypatch.setattr("imumon.diagnosis.live.Shadow", Undecided)
-    assert said(session(8.0 * DPH * np.sin(np.arange(SECONDS) / 90.0)), LiveDiagnosis(model(), learn=True))
+    assert said(session(40.0 * DPH * np.sin(np.arange(SECONDS) / 30.0)), LiveDiagnosis(model(), learn=True))
     np.testing.assert_allclose(begun, [FIRST_LOOK_S, 2.0 * FIRST_LOOK_S], atol=2.0)
 
 
