@@ -79,7 +79,7 @@ class AgedRun:
         """Return the run so far, in slots that have ended; at rest where a gyro was."""
         n = max(1, (self._last + 1) // self._width)
         count, total, scatter, free = (part[:n] for part in self._sums)
-        there = [at for at in range(len(self._names)) if count[:, at].any()]
+        there = [at for at in range(len(self._names)) if at in self._gyros or count[:, at].any()]
 
         def over(sums: FloatArray, by: FloatArray) -> dict[str, FloatArray]:
             values = np.where(by > 0, sums / np.maximum(by, 1.0), np.nan)
