@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
@@ -46,6 +46,11 @@ class AgedRun:
         """Of each slot and column: values, their sum, squares about the means of seconds, and what is free
         in these."""
         return self._count, self._total, self._scatter, self._free
+
+    def has_any(self, names: Collection[str]) -> bool:
+        """Tell whether any of these columns has values in several slots."""
+        among = [at for at, name in enumerate(self._names) if name in names]
+        return bool(((self._count[:, among] > 0).sum(axis=0) > 1).any())
 
     def elapsed_s(self, part: KeptSlots) -> FloatArray:
         """Return the time from the first sample to the end of each second, (n,)."""

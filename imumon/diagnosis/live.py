@@ -20,7 +20,7 @@ from imumon.diagnosis.through import RESIDUAL, effect_charts
 from imumon.geodesy import DEG_PER_H
 from imumon.models.model import BiasModel, TrainedOn
 from imumon.models.predictor import BiasPredictor
-from imumon.recordings.reduced import ACCEL, GYRO, KeptSlots, gatherer_of, kept_slots
+from imumon.recordings.reduced import ACCEL, GYRO, TEMPERATURES, KeptSlots, gatherer_of, kept_slots
 
 LANE = "model"
 FIRST_LOOK_S, LOOK_S = 1200.0, 600.0
@@ -131,10 +131,10 @@ class LiveDiagnosis:
                 self._look(now_s)
 
     def _look(self, elapsed_s: float) -> None:
-        self._looks += 1
         self._next_look_s = (elapsed_s // LOOK_S + 1.0) * LOOK_S
-        if self.offered is not None:
+        if self.offered is not None or not self._aged.has_any({*self._temperatures, *TEMPERATURES}):
             return
+        self._looks += 1
         run = self._run()
         found = better_models(run, self._model, self._gyros, self._looks)
         if not found:
