@@ -17,6 +17,13 @@ from imumon.effects.library import separated_by
 
 WELL_COVERED = 0.9
 """Share of a test inside what training covered below which that is said on the first screen."""
+ISOTHERMAL = (
+    "a recording at constant temperature, and imumon allan of that, tell whether it is noise of the unit."
+)
+DRIVEN = (
+    "record what else may drive it (supply, load, pressure, another thermometer) and train on that as well;"
+    " whatever is recorded is tried."
+)
 State = Literal["named", "unexplained", "nothing missing", "not proven", "faulty"]
 
 
@@ -83,11 +90,8 @@ def keep_in_mind(diagnosis: Diagnosis) -> list[str]:
         said.append(
             "a name is the shape that fits, not a cause that was seen: what else has that shape is called so"
         )
-    if any(state(one) == "unexplained" for one in verdicts):
-        said.append(
-            "unexplained is structure or slow noise: a recording at constant temperature, and imumon allan of"
-            " that, tell which"
-        )
+    if any(state(one) == "unexplained" and not one.slow.jumps for one in verdicts):
+        said.append("unexplained is structure, or slow noise, which what was recorded does not tell from it")
     return [*said, *diagnosis.caveats]
 
 
@@ -112,20 +116,15 @@ def next_steps(diagnosis: Diagnosis, folder: Path | None) -> list[NextStep]:
     asked = [question for verdict in with_model(diagnosis) for question in verdict.questions]
     for pair in _not_told(verdicts):
         steps.append(NextStep(f"To tell {pair[0]} from {pair[1]}, record {separated_by(*pair)}."))
-    if any(state(verdict) == "unexplained" for verdict in verdicts):
-        steps.append(
-            NextStep(
-                "For what is unexplained, record what else may drive it (supply, load, pressure, another"
-                " thermometer) and train on that as well; whatever is recorded is tried."
-            )
-        )
+    unexplained = [one for one in verdicts if state(one) == "unexplained"]
+    if jumping := [one.name for one in unexplained if one.slow.jumps]:
+        what = f"What is left of {_together(jumping)} jumps or comes in bursts, as no noise does: {DRIVEN}"
+        steps.append(NextStep(what))
+    if noisy := [one.name for one in unexplained if not one.slow.jumps]:
+        what = f"What is left of {_together(noisy)} moves as slow noise does: {ISOTHERMAL}"
+        steps.append(NextStep(f"{what} If the unit has less of that, {DRIVEN}"))
     if small := [one.name for one in verdicts if state(one) == "not proven" and one.test_after is not None]:
-        steps.append(
-            NextStep(
-                f"What is left of {_together(small)} is little: a recording at constant temperature, and"
-                " imumon allan of that, tell whether it is slow noise."
-            )
-        )
+        steps.append(NextStep(f"What is left of {_together(small)} is little: {ISOTHERMAL}"))
     if faulty := [verdict.name for verdict in verdicts if state(verdict) == "faulty"]:
         what = f"Record {_together(faulty)} again with a range and digits that its noise and bias fit in."
         steps.append(NextStep(what))

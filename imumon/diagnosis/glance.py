@@ -1,6 +1,6 @@
 """A glance at the session that is running: does a better model exist, by the likelihood of the diagnosis?
 
-Each gyro by itself, one run from power-on, one effect at a time and a coarse grid of noise.  The whole
+Each gyro by itself, one run from power-on, and one effect at a time.  The whole
 diagnosis tries more, and proves what it names on other data.
 """
 
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.polynomial import Polynomial
@@ -19,10 +20,11 @@ from imumon.diagnosis.channel import Declared, ordinary
 from imumon.diagnosis.drivers import recorded, with_drivers
 from imumon.diagnosis.earth import ALLOWANCE, turned
 from imumon.diagnosis.explaining import MATERIAL
-from imumon.diagnosis.gains import CLOSE, CLOSE_SHARE, PROVEN
+from imumon.diagnosis.gains import CLOSE, CLOSE_SHARE, PROVEN, SHORT_LIST, Scored, families
 from imumon.diagnosis.known import CUBIC, temperature_of
-from imumon.diagnosis.likelihood import Likelihood, coarse_grid
+from imumon.diagnosis.likelihood import Likelihood, Noise, coarse_grid, fine_grid
 from imumon.diagnosis.recording import SECOND_NS, Run
+from imumon.diagnosis.selection import REFINEMENTS
 from imumon.effects.base import Survey
 from imumon.effects.library import EFFECTS
 from imumon.effects.temperature_curve import TemperatureCurve
@@ -32,11 +34,10 @@ from imumon.models.predictor import BiasPredictor
 
 LEAST_BLOCKS = 40
 """As the whole diagnosis needs."""
-MOST_SLOTS = 7200
-"""Two hours of seconds: the whole diagnosis of such a run is a matter of some seconds, a glance of tenths."""
 OWN = ("run", "event")
 """Scopes of what no model file can have."""
-GRID = coarse_grid((0.0, 0.0), (1000.0, 1000.0))
+MOST_CLOSE = 6
+"""Effects whose parameters are looked at closely: twice as many as are named in a set."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,31 +107,6 @@ def known_to(model: BiasModel, run: Run, channels: Sequence[str]) -> Run:
     return replace(run, rest=np.where(inside, run.rest, 0.0))
 
 
-def in_few_slots(run: Run) -> Run:
-    """Return a run of seconds in longer slots where they are many: a look at it then costs no more."""
-    width = -(-len(run.time_s) // MOST_SLOTS)
-    if width <= 1:
-        return run
-    starts = np.arange(0, len(run.time_s), width)
-    samples = next(iter(run.count.values()))
-
-    def mean(values: FloatArray, weight: FloatArray) -> FloatArray:
-        weight = np.where(np.isfinite(values), weight, 0.0)
-        total = np.add.reduceat(np.where(weight > 0, values, 0.0) * weight, starts)
-        with np.errstate(invalid="ignore"):
-            return np.asarray(total / np.add.reduceat(weight, starts))
-
-    return replace(
-        run,
-        time_s=(np.arange(len(starts), dtype=np.float64) + 0.5) * width * run.slot_s,
-        count={name: np.add.reduceat(count, starts) for name, count in run.count.items()},
-        mean={name: mean(values, run.count.get(name, samples)) for name, values in run.mean.items()},
-        variance={name: np.full(len(starts), np.nan) for name in run.variance},
-        rest=np.nan_to_num(mean(run.rest, samples)),
-        slot_s=width * run.slot_s,
-    )
-
-
 def block_of(run: Run) -> float:
     """Return the length in seconds of the means that a run is looked at in: 30 s, of longer slots more."""
     return BLOCK_S * run.slot_s
@@ -139,33 +115,99 @@ def block_of(run: Run) -> float:
 def better_models(run: Run, model: BiasModel, channels: Sequence[str], looks: int = 1) -> list[Better]:
     """Return the better models of channels of which there are any.
 
-    `looks` is how often this run has been looked at, with this time: each look at each channel may be fooled,
-    so a gain pays twice the logarithm of their number, as in the extended BIC (Chen & Chen 2008).
+    `looks` is how often this run has been looked at, with this time: each look at each channel may be fooled.
+    A gain pays for the channels as in the extended BIC (Chen & Chen 2008), and the k-th look has the share
+    1 / (k (k + 1)) of what all may be fooled together, however many there will be (Bonferroni's inequality).
     """
     temperatures = [temperature_of(name, model, [run]) for name in channels]
     blocks = residual(run, model, channels, recorded([run], [], temperatures, None, []), block_of(run))
     if len(blocks) < LEAST_BLOCKS:
         return []
-    likelihood, glances = Likelihood([blocks], GRID), dict[str, _Glance]()
+    likelihood, glances = Likelihood([blocks]), dict[str, _Glance]()
+    price = 2.0 * float(np.log(len(channels) * looks * (looks + 1)))
     found = []
     for name, temperature in zip(channels, temperatures, strict=True):
         if temperature not in glances:
             glances[temperature] = _Glance(Pool([blocks], temperature), likelihood)
-        one = glances[temperature].better(name, model.channels[name], looks * len(channels))
+        one = glances[temperature].better(name, model.channels[name], price)
         floor = white_floor([run], name, block_of(run)).of_blocks([blocks])
         # What is missing of a model that leaves hardly more than the white noise is too small to matter.
         found.append(one if one is not None and one.before >= MATERIAL * floor.sd else None)
     return [one for one in found if one is not None]
 
 
+@dataclass(frozen=True, eq=False)
+class _Base:
+    """What candidates are tried beside: the constants of a channel, and the curve where that is fitted anew.
+
+    `levels` (n, k) and `powers` (n, degree) are the columns, `nothing` is the log-likelihood of the present
+    model.
+    """
+
+    pool: Pool
+    likelihood: Likelihood
+    values: FloatArray
+    levels: FloatArray
+    powers: FloatArray
+    nothing: float
+
+    @property
+    def columns(self) -> FloatArray:
+        """Those of constants and curve, (n, k + degree)."""
+        return np.column_stack([self.levels, self.powers])
+
+    @cached_property
+    def gain(self) -> float:
+        """That of the curve alone, in BIC."""
+        ratio = 2.0 * (self.likelihood.best(self.values, self.columns)[0] - self.nothing)
+        return float(ratio - self.powers.shape[1] * self.likelihood.price)
+
+    def scored(self, tried: Sequence[Candidate], grid: Sequence[Noise]) -> list[Scored]:
+        """Return candidates with their gain over the present model, that of the curve with it."""
+        terms, price = [self.pool.terms(candidate)[0] for candidate in tried], self.likelihood.price
+        found, noise = self.likelihood.scan(self.values, self.columns, self.pool, terms, grid)
+        scored = []
+        for candidate, own, value, point in zip(tried, terms, found.tolist(), noise, strict=True):
+            fit = 2.0 * (value - self.nothing) - (self.powers.shape[1] + len(own)) * price
+            scored.append(Scored(candidate, fit - candidate.nonlinear * price - candidate.choice, fit, point))
+        return scored
+
+
 @dataclass(frozen=True, slots=True)
 class _Tried:
-    """A candidate with its gain over the present model; `curve` says whether the curve is fitted anew."""
+    """A candidate beside a base, or None for the curve alone."""
 
-    candidate: Candidate | None
-    curve: bool
-    gain: float
-    name: str
+    one: Scored | None
+    base: _Base
+
+    @property
+    def name(self) -> str:
+        """Name of the effect."""
+        return TemperatureCurve.name if self.one is None else self.one.family
+
+    @property
+    def gain(self) -> float:
+        """Over the present model, in BIC."""
+        return self.base.gain if self.one is None else self.one.gain
+
+    @property
+    def effects(self) -> list[Candidate]:
+        """The candidate, if there is one."""
+        return [] if self.one is None else [self.one.candidate]
+
+    def refined(self, seen: Survey) -> _Tried:
+        """Return it with its nonlinear parameters refined, and the noise that then suits best."""
+        if self.one is None or not self.one.candidate.nonlinear:
+            return self
+        best = self.one
+        for level in range(REFINEMENTS):
+            tried = [best.candidate, *best.candidate.neighbours(seen, level)]
+            best = max(self.base.scored(tried, self.base.likelihood.neighbours(best.noise)), key=_gain)
+        return _Tried(best, self.base)
+
+
+def _gain(one: Scored | _Tried) -> float:
+    return one.gain
 
 
 class _Glance:
@@ -178,27 +220,22 @@ class _Glance:
         degree = CUBIC if seen.thermal else 0
         self._declared = Declared.over(pool.runs, pool.temperature, degree, "")
         self._turned = turned(pool.runs)
-        self._few = _few(with_drivers(seen, pool.runs, pool.temperature), pool)
-        self._terms = [pool.terms(candidate)[0] for candidate in self._few]
+        self._survey = with_drivers(seen, pool.runs, pool.temperature)
+        self._candidates = _simple(self._survey)
 
-    def better(self, name: str, model: ChannelModel, looks: int) -> Better | None:
-        """Return a better model of a channel, if one is proven."""
+    def better(self, name: str, model: ChannelModel, price: float) -> Better | None:
+        """Return a better model of a channel, if one is proven beyond what looking costs."""
         values = self._blocks.mean[name]
         levels = self._levels(values)
-        tried = self._tried(values, levels)
-        best = max(tried, key=lambda one: one.gain, default=None)
-        price = 2.0 * float(np.log(looks))
+        leaders = self._leaders(values, levels)
+        best = max(leaders.values(), key=_gain, default=None)
         if best is None or best.gain - price <= PROVEN:
             return None
-        leaders: dict[str, float] = {}
-        for one in tried:
-            leaders[one.name] = max(one.gain, leaders.get(one.name, -np.inf))
         least = best.gain - max(CLOSE, CLOSE_SHARE * best.gain)
-        near = [name for name in sorted(leaders, key=lambda n: -leaders[n]) if leaders[name] > least]
-        base = np.column_stack([levels, self._curve(best.curve)])
-        design = np.column_stack(
-            [base, *([] if best.candidate is None else [self._pool.design([best.candidate])])]
-        )
+        near = [
+            name for name in sorted(leaders, key=lambda n: -leaders[n].gain) if leaders[name].gain > least
+        ]
+        design = np.column_stack([best.base.columns, self._pool.design(best.effects)])
         coefficients = ordinary(design, values)
         left = values - design @ coefficients
         given = values - levels @ ordinary(levels, values)
@@ -220,60 +257,42 @@ class _Glance:
         seen = self._turned and spread <= 2.0 * ALLOWANCE * EARTH_RATE
         return which if seen else np.ones((len(values), 1))
 
-    def _tried(self, values: FloatArray, levels: FloatArray) -> list[_Tried]:
-        price = self._likelihood.price
-        nothing = self._best(values, levels)
-        found = []
-        for curve in (False, True) if self._declared.degree else (False,):
-            powers = self._curve(curve)
-            base, parameters = np.column_stack([levels, powers]), powers.shape[1]
-            if curve:
-                gain = 2 * (self._best(values, base) - nothing) - parameters * price
-                found.append(_Tried(None, curve, gain, TemperatureCurve.name))
-            likelihood, _ = self._likelihood.scan(values, base, self._pool, self._terms, GRID)
-            for candidate, own, value in zip(self._few, self._terms, likelihood.tolist(), strict=True):
-                cost = (parameters + len(own) + candidate.nonlinear) * price + candidate.choice
-                found.append(_Tried(candidate, curve, 2 * (value - nothing) - cost, candidate.family))
-        return found
-
-    def _best(self, values: FloatArray, base: FloatArray) -> float:
-        return self._likelihood.best(values, base)[0]
-
-    def _curve(self, curve: bool) -> FloatArray:
-        """Return the powers of a curve that is fitted anew, (n, degree); none of one that is not."""
-        columns = self._declared.columns(self._blocks.temperature[self._pool.temperature])
-        return columns[:, 1:] if curve else columns[:, :0]
+    def _leaders(self, values: FloatArray, levels: FloatArray) -> dict[str, _Tried]:
+        """Return the best of each effect; the most likely ones with their parameters refined."""
+        nothing, noise = self._likelihood.best(values, levels)
+        powers = self._declared.columns(self._blocks.temperature[self._pool.temperature])[:, 1:]
+        found: list[_Tried] = []
+        for degree in sorted({0, self._declared.degree}):
+            base = _Base(self._pool, self._likelihood, values, levels, powers[:, :degree], nothing)
+            short = families(base.scored(self._candidates, coarse_grid(noise)), SHORT_LIST).values()
+            finely = base.scored([one.candidate for group in short for one in group], fine_grid(noise))
+            found += [_Tried(one, base) for one in finely]
+            if degree:
+                found.append(_Tried(None, base))
+        leaders = {one.name: one for one in sorted(found, key=_gain)}
+        close = sorted(leaders.values(), key=_gain)[-MOST_CLOSE:]
+        return leaders | {one.name: one.refined(self._survey) for one in close}
 
     def _extended(
         self, model: ChannelModel, one: _Tried, coefficients: FloatArray, residual_sd: float
     ) -> ChannelModel:
         from imumon.diagnosis.extended import refitted
 
-        split = self._declared.degree + 1 if one.curve else 1
+        split = 1 + one.base.powers.shape[1]
         middle, half = self._declared.middle_degc, self._declared.half_span_degc
         more = Polynomial(coefficients[:split], domain=[middle - half, middle + half])
         effects = [effect for effect in model.effects if effect.polynomial() is None]
-        if one.candidate is not None:
-            effects.append(one.candidate.parts[0].effect.with_coefficients(coefficients[split:]))
+        effects += [
+            candidate.parts[0].effect.with_coefficients(coefficients[split:]) for candidate in one.effects
+        ]
         return refitted(model, more, effects, residual_sd)
 
 
-def _few(seen: Survey, pool: Pool) -> list[Candidate]:
-    """Return what may be in a model file; of neighbours on a grid one, where the gain of the other is no
-    less than that of a shape which is not told from it."""
-    found: list[Candidate] = []
-    for candidate in candidates(seen, [name for name, kind in EFFECTS.items() if kind.scope not in OWN]):
-        effect = candidate.parts[0].effect
-        simple = getattr(effect, "order", 1) == 1 and not candidate.whole and not candidate.free_start
-        if simple and len(candidate.parts) == 1:
-            found.append(candidate)
-    columns = pool.matrix([pool.terms(candidate)[0][0] for candidate in found])
-    columns = columns - columns.mean(axis=0)
-    columns /= np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
-    kept: list[int] = []
-    for at, candidate in enumerate(found):
-        before = kept[-1] if kept and found[kept[-1]].family == candidate.family else None
-        alike = before is not None and (columns[:, before] @ columns[:, at]) ** 2 > 1.0 - CLOSE_SHARE
-        if not alike or len(pool.terms(candidate)[0]) > 1:
-            kept.append(at)
-    return [found[at] for at in kept]
+def _simple(seen: Survey) -> list[Candidate]:
+    """Return what may be in a model file, each effect by itself and begun in equilibrium."""
+    return [
+        candidate
+        for candidate in candidates(seen, [name for name, kind in EFFECTS.items() if kind.scope not in OWN])
+        if getattr(candidate.parts[0].effect, "order", 1) == 1
+        and not (candidate.whole or candidate.free_start or len(candidate.parts) > 1)
+    ]

@@ -125,6 +125,14 @@ class Likelihood:
         ]
         return 2.0 * (best[1] - best[0])
 
+    def tails(self, values: FloatArray, base: FloatArray, noise: Noise) -> float:
+        """Return the gain in BIC of innovations with the tails of Student's t over normal ones.
+
+        Flicker and random walk are Gaussian: what jumps or comes in bursts is neither, however slow it is.
+        """
+        each = [self._heavy(values, base, noise, tails) for tails in TAILS]
+        return 2.0 * (max(each) - each[TAILS.index(np.inf)]) - self.price
+
     def _heavy(self, values: FloatArray, base: FloatArray, noise: Noise, tails: float) -> float:
         """Return the log-likelihood of a base with innovations of Student's t, by reweighting."""
         both = self.white(np.column_stack([base, values]), noise)

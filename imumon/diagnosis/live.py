@@ -7,26 +7,29 @@ from itertools import pairwise
 
 import numpy as np
 
-from imumon.blocks import ColumnArray, FloatArray, SampleBlock
+from imumon.blocks import ColumnArray, SampleBlock
 from imumon.charts import BLUE, RED, Axis, Chart, Curve
 from imumon.columns import Column
+from imumon.diagnosis.aged import AgedRun
 from imumon.diagnosis.blocks import BLOCK_S, REST_SHARE
-from imumon.diagnosis.glance import Better, better_models, block_of, in_few_slots, known_to
-from imumon.diagnosis.recording import DRIVERS, SECOND_NS, Run, further_columns, with_vibration
+from imumon.diagnosis.glance import Better, better_models, block_of, known_to
+from imumon.diagnosis.recording import DRIVERS, LONGEST_GAP_S, SECOND_NS, Run, further_columns
 from imumon.diagnosis.selection import MOST_NAMES
 from imumon.diagnosis.shadow import MARGIN, Shadow
 from imumon.diagnosis.through import RESIDUAL, effect_charts
 from imumon.geodesy import DEG_PER_H
 from imumon.models.model import BiasModel, TrainedOn
 from imumon.models.predictor import BiasPredictor
-from imumon.recordings.reduced import ACCEL, GYRO, KeptSlots, gatherer_of, kept_slots
+from imumon.recordings.reduced import ACCEL, GYRO, TEMPERATURES, KeptSlots, gatherer_of, kept_slots
 
 LANE = "model"
-FIRST_LOOK_S, GROWTH = 1200.0, 2.0
-"""First look, and by how much longer a run is at each next one: so the looks cost as much per second, however
-long it gets."""
+FIRST_LOOK_S, LOOK_S = 1200.0, 600.0
+"""The first look has forty means of 30 s, the least that a diagnosis needs; the next ones come at even
+distances, so that nothing goes unseen for longer, and cost less than a thousandth of a core."""
 JUDGED_S = 300.0
 """How often a shadow is judged: ten means of 30 s."""
+HAD = 2.0
+"""A shadow has as much time to win as it was found in; then what was found last takes its place."""
 HELD_NS = 10 * SECOND_NS
 """Samples wait so long until they are reduced to seconds: short blocks then cost no more than long ones."""
 DIAGNOSE = "imumon diagnose --train SESSION --model SESSION --out DIR"
@@ -35,7 +38,7 @@ DIAGNOSE = "imumon diagnose --train SESSION --model SESSION --out DIR"
 class LiveDiagnosis:
     """Says when a better model than the present one exists: MODEL CAN BE BETTER, with effect, gain and error.
 
-    A run from power-on is looked at after 20 min, and whenever it has become twice as long.
+    A run from power-on is looked at after 20 min, and every 10 min from then on.
 
     Parameters
     ----------
@@ -61,13 +64,14 @@ class LiveDiagnosis:
         self._waiting: list[SampleBlock] = []
         self._pending: list[str] = []
         self._said: set[str] = set()
+        self._last_ns = 0
         self.offered: Shadow | None = None
         """The better model that has won, to be kept when the session ends."""
         self._begin()
 
     def _begin(self) -> None:
         """Begin with a run from power-on; a shadow that has not won yet is of another."""
-        self._parts: list[KeptSlots] = []
+        self._aged = AgedRun(self._names)
         self._next_look_s, self._next_judged_s, self._looks = FIRST_LOOK_S, 0.0, 0
         self._shadow: Shadow | None = None
         self._lacking: list[Chart] = []
@@ -94,29 +98,32 @@ class LiveDiagnosis:
             more = [name for block in self._waiting for name in further_columns(block, made)]
             self._names = [*dict.fromkeys([*self._gyros, *self._temperatures, *self._needed, *known, *more])]
             self._gatherer = gatherer_of(self._names, 1.0)
+            self._begin()
         for block in self._waiting:
             for slots in kept_slots(self._gatherer, block, self._names):
                 self._take(slots)
         self._waiting = []
 
     def _take(self, slots: KeptSlots) -> None:
-        """Take the seconds that have ended; a new segment is a new run."""
-        cuts = [0, *np.flatnonzero(slots.begins).tolist(), len(slots)]
-        for start, stop in pairwise(cuts):
+        """Take the seconds that have ended; a new segment is a new run, and what comes after a long gap."""
+        if not len(slots):
+            return
+        gap_ns = np.diff(slots.start_ns, prepend=self._last_ns)
+        self._last_ns = int(slots.end_ns[-1])
+        begins = slots.begins | (gap_ns > LONGEST_GAP_S * SECOND_NS)
+        for start, stop in pairwise([0, *np.flatnonzero(begins).tolist(), len(slots)]):
             if stop > start:
-                part = slots[start:stop]
-                if part.begins[0] and self._parts:
+                if begins[start]:
                     self._begin()
-                self._follow(part)
+                self._follow(slots[start:stop])
 
     def _follow(self, part: KeptSlots) -> None:
         """Take seconds of one run, and stop wherever it is time to look or to judge."""
-        begun_ns = int((self._parts or [part])[0].start_ns[0])
         while len(part):
-            elapsed = (part.end_ns - begun_ns) / SECOND_NS
+            elapsed = self._aged.elapsed_s(part)
             due = min(self._next_look_s, self._next_judged_s if self._shadow is not None else np.inf)
             count = min(int(np.searchsorted(elapsed, due)) + 1, len(part))
-            self._parts.append(part[:count])
+            self._aged.take(part[:count])
             now_s, part = float(elapsed[count - 1]), part[count:]
             if self._shadow is not None and now_s >= self._next_judged_s:
                 self._judge(self._shadow, now_s)
@@ -124,11 +131,10 @@ class LiveDiagnosis:
                 self._look(now_s)
 
     def _look(self, elapsed_s: float) -> None:
-        self._looks += 1
-        while self._next_look_s <= elapsed_s:
-            self._next_look_s *= GROWTH
-        if self.offered is not None:
+        self._next_look_s = (elapsed_s // LOOK_S + 1.0) * LOOK_S
+        if self.offered is not None or not self._aged.has_any({*self._temperatures, *TEMPERATURES}):
             return
+        self._looks += 1
         run = self._run()
         found = better_models(run, self._model, self._gyros, self._looks)
         if not found:
@@ -138,10 +144,10 @@ class LiveDiagnosis:
         before, after = (max(getattr(one, key) for one in found) / DEG_PER_H for key in ("before", "after"))
         what = "; ".join(_said(found))
         self.state = f"MODEL CAN BE BETTER: {what}: {before:.3g} become {after:.3g} °/h"
-        self._say(f"{self.state} (rms of {block_of(run):.0f} s, gain {best.gain:.0f}): {DIAGNOSE}")
+        self._say(f"{self.state} (rms of {block_of(run):.0f} s, gain {best.gain:.0f}): {DIAGNOSE}", what)
         shadow = Shadow(self._model, found, elapsed_s)
         self._lacking = effect_charts(run, self._model, shadow.model, best)
-        if self._learn:
+        if self._learn and (self._shadow is None or elapsed_s >= HAD * self._shadow.since_s):
             self._shadow, self._next_judged_s = shadow, elapsed_s + JUDGED_S
 
     def _judge(self, shadow: Shadow, elapsed_s: float) -> None:
@@ -162,39 +168,7 @@ class LiveDiagnosis:
 
     def _run(self) -> Run:
         """Return the run so far, at rest only where the present model knows the temperature."""
-        return in_few_slots(known_to(self._model, self._recorded(), self._gyros))
-
-    def _recorded(self) -> Run:
-        """Return the run so far, in seconds."""
-        slots = self._parts
-        start_ns = int(slots[0].start_ns[0])
-        second = np.concatenate([(part.start_ns - start_ns) // SECOND_NS for part in slots])
-        n = int(second[-1]) + 1
-
-        def laid(field: str, at: int, missing: float) -> FloatArray:
-            grid = np.full(n, missing)
-            grid[second] = np.concatenate([getattr(part, field)[:, at] for part in slots])
-            return grid
-
-        def scattered(at: int) -> FloatArray:
-            count = laid("count", at, 0.0)
-            return np.where(
-                count > 1, laid("variance", at, np.nan) * count / np.maximum(count - 1, 1), np.nan
-            )
-
-        there = [at for at, _ in enumerate(self._names) if any(part.count[:, at].any() for part in slots)]
-        mean = {self._names[at]: laid("mean", at, np.nan) for at in there}
-        variance = {self._names[at]: scattered(at) for at in there}
-        if all(name in mean for name in ACCEL):
-            with_vibration(mean, variance)
-        return Run(
-            "this session",
-            np.arange(n, dtype=np.float64) + 0.5,
-            {self._names[at]: laid("count", at, 0.0) for at in there},
-            mean,
-            variance,
-            laid("mean", len(self._names), 0.0),
-        )
+        return known_to(self._model, self._aged.run(), self._gyros)
 
     def evidence(self, session: str, sha256: str) -> TrainedOn:
         """Return what a learned model says of this session."""
@@ -202,17 +176,20 @@ class LiveDiagnosis:
         at_rest = run.rest >= REST_SHARE
         known = [run.mean[name] for name in self._temperatures if name in run.mean]
         temperature = np.concatenate([values[at_rest & np.isfinite(values)] for values in known])
+        gyro = self._gyros[0]
+        rest_s = float(run.count[gyro][at_rest].sum()) / run.samples_per_slot(gyro) * run.slot_s
         return TrainedOn(
             session=session,
             sha256=sha256,
-            rest_s=float(at_rest.sum()) * run.slot_s,
-            blocks=int(at_rest.sum() // BLOCK_S),
+            rest_s=rest_s,
+            blocks=int(rest_s // BLOCK_S),
             temperature_range_degc=[float(temperature.min()), float(temperature.max())],
         )
 
-    def _say(self, text: str) -> None:
-        if text not in self._said:
-            self._said.add(text)
+    def _say(self, text: str, what: str = "") -> None:
+        """Say a text for the log, unless it, or what it is about, has been said."""
+        if (what or text) not in self._said:
+            self._said.add(what or text)
             self._pending.append(text)
 
     def lanes(self) -> Mapping[str, str]:
@@ -220,7 +197,7 @@ class LiveDiagnosis:
         return {LANE: self.state} if self.state else {}
 
     def notices(self) -> list[str]:
-        """Return, once each, which model would be better, and what became of it; for the log."""
+        """Return, once for each set of effects, what would be better, and what became of it; for the log."""
         texts, self._pending = self._pending, []
         return texts
 

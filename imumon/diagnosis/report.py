@@ -98,6 +98,7 @@ def _channel(verdict: ChannelVerdict) -> dict[str, Any]:
             "random_walk": verdict.noise[1],
             "flicker_rms": verdict.slow.flicker,
             "random_walk_per_sqrt_s": verdict.slow.walk,
+            "heavy_tails": verdict.slow.tails,
         },
         "before": {
             "train_rms": verdict.before.train_rms,

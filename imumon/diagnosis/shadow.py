@@ -16,7 +16,7 @@ import numpy as np
 from imumon.blocks import BoolArray, FloatArray
 from imumon.diagnosis.blocks import RunBlocks
 from imumon.diagnosis.gains import PROVEN
-from imumon.diagnosis.glance import GRID, Better, block_of, residual
+from imumon.diagnosis.glance import Better, block_of, residual
 from imumon.diagnosis.known import temperature_of
 from imumon.diagnosis.likelihood import Likelihood
 from imumon.diagnosis.recording import Run
@@ -76,7 +76,7 @@ class Shadow:
         channels = {**present.channels, **{one.channel: one.model for one in found}}
         self.model = present.model_copy(update={"channels": channels})
         self.found = list(found)
-        self._present, self._since_s = present, since_s
+        self._present, self.since_s = present, since_s
         self.score: Score | None = None
 
     def judge(self, run: Run) -> Score | None:
@@ -89,7 +89,7 @@ class Shadow:
         present, shadow = (
             residual(run, model, names, block_s=block_of(run)) for model in (self._present, self.model)
         )
-        early = present.time_s < self._since_s
+        early = present.time_s < self.since_s
         if early.all() or early.sum() < LEAST_LATER:
             return self.score
         both = [_Predicted.of(blocks, names, early) for blocks in (present, shadow)]
@@ -108,7 +108,7 @@ class Shadow:
         inside = np.ones(len(run.time_s), bool)
         for name in names:
             t = run.mean[temperature_of(name, self.model, [run])]
-            known = t[(run.time_s < self._since_s) & np.isfinite(t)]
+            known = t[(run.time_s < self.since_s) & np.isfinite(t)]
             inside &= (t >= known.min()) & (t <= known.max())
         return replace(run, rest=np.where(inside, run.rest, 0.0))
 
@@ -123,7 +123,7 @@ class _Predicted:
     @classmethod
     def of(cls, blocks: RunBlocks, names: Sequence[str], early: BoolArray) -> _Predicted:
         total, squares = 0.0, np.zeros(len(blocks))
-        likelihood = Likelihood([blocks], GRID)
+        likelihood = Likelihood([blocks])
         for name in names:
             left = blocks.mean[name] - blocks.mean[name][early].mean()
             total += likelihood.of_later(left, early)

@@ -23,6 +23,7 @@ from imumon.diagnosis.explaining import (
 from imumon.diagnosis.fitting import Fit, FittedPart, TestScore, fit, fit_given, goes_on, mean_rms, score
 from imumon.diagnosis.foretold import foretold
 from imumon.diagnosis.formula import Formula, formula
+from imumon.diagnosis.gains import PROVEN
 from imumon.diagnosis.likelihood import WALK_S
 from imumon.diagnosis.looking import Ranked, RunLeft, ranking, runs_left
 from imumon.diagnosis.questions import Question, questions
@@ -50,17 +51,27 @@ class Claim:
 
 @dataclass(frozen=True, slots=True)
 class SlowNoise:
-    """Flicker, rms over the correlation times of the likelihood, and random walk per root of a second."""
+    """Flicker, rms over the correlation times of the likelihood, and random walk per root of a second.
+
+    `tails` is the gain in BIC of innovations with heavy tails: where that is large it is no such noise.
+    """
 
     flicker: float = 0.0
     walk: float = 0.0
+    tails: float = 0.0
 
     @classmethod
     def of(cls, found: Search) -> Self:
         """Return that of the model that was found."""
-        flicker, walk = np.sqrt(found.null()[1])
-        sd = found.noise_sd()
-        return cls(float(flicker * sd), float(walk * sd / np.sqrt(WALK_S)))
+        noise, channel, sd = found.null()[1], found.channel, found.noise_sd()
+        flicker, walk = np.sqrt(noise)
+        tails = found.likelihood.tails(channel.values, channel.design(found.found), noise)
+        return cls(float(flicker * sd), float(walk * sd / np.sqrt(WALK_S)), tails)
+
+    @property
+    def jumps(self) -> bool:
+        """Whether it jumps or comes in bursts, as no Gaussian noise does."""
+        return self.tails > PROVEN
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,19 +4,22 @@ A curve is fitted to two runs of a unit whose bias has an undeclared effect, so 
 covers it; a third run from another power-on goes sample by sample through the stage that says MODEL CAN BE
 BETTER.
 
-Usage: closing_the_loop --part live [--repeat N] [--first SEED] [--only KIND] [--jobs N]
+Usage: closing_the_loop --part live [--repeat N] [--first SEED] [--only KIND] [--least FLOORS] [--jobs N]
+       [--results FILE] [--out PAGE]
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import re
 import sys
 import time
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 
 for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
     os.environ.setdefault(name, "1")
@@ -54,6 +57,12 @@ EFFECTS = (
 SIZES = (1.0, 2.0, 5.0, 10.0)
 BEYOND = "beyond the calibration"
 """Label of the sessions that leave the middle half of the temperatures, which the calibration is cut to."""
+HEAD = (
+    "# Closing the loop: live sessions\n\n"
+    "Made by `scripts/reproduce/closing_the_loop_live.py`. Right is what is said last when the effect is"
+    " among the three best on every axis that is named; `said` counts sessions in which anything was said at"
+    " any look. Wilson's 95 % interval.\n\n"
+)
 SAID = re.compile(r"MODEL CAN BE BETTER: (.*?): ([\d.e+-]+) become ([\d.e+-]+) °/h")
 
 
@@ -233,23 +242,48 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--repeat", type=int, default=4)
     parser.add_argument("--first", type=int, default=2500)
     parser.add_argument("--only", default="")
+    parser.add_argument("--least", type=float, default=0.0, help="size in floors of the smallest effect")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--list", action="store_true")
+    parser.add_argument("--results", type=Path, help="file of sessions that are done, which grows by these")
+    parser.add_argument("--out", type=Path, help="page to write the table to")
     given = parser.parse_args(arguments)
     work = [
         (setting, 1000 * at + given.first + number)
         for at, setting in enumerate(settings())
-        if given.only in setting.label
+        if given.only in setting.label and setting.size >= given.least
         for number in range(given.repeat * (5 if setting.label.startswith("nothing") else 1))
     ]
+    results = kept(given.results)
+    done = {(one.label, one.size, one.seed) for one in results}
+    work = [job for job in work if (job[0].label, job[0].size, job[1]) not in done]
     with ProcessPoolExecutor(given.jobs) as pool:
-        results = list(pool.map(run_case, work))
+        for one in pool.map(run_case, work):
+            results.append(one)
+            if given.results is not None:
+                with given.results.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps(asdict(one)) + "\n")
     if given.list:
         for one in results:
             mark = "" if right(one) or not one.truth else "BAD "
             print(f"{mark}{one.label} {one.size:g} #{one.seed} {one.since_s:.0f} s: {one.text}")
-    print(table(results))
+    text = table(results)
+    print(text)
+    if given.out is not None:
+        given.out.write_text(HEAD + text + "\n", encoding="utf-8")
     return 0
+
+
+def kept(path: Path | None) -> list[Said]:
+    """Return the sessions that earlier runs left in a file."""
+    if path is None or not path.exists():
+        return []
+    found = []
+    for line in path.read_text(encoding="utf-8").splitlines():
+        one = json.loads(line)
+        said = tuple((tuple(names), axes) for names, axes in one["said"])
+        found.append(Said(**(one | {"truth": tuple(one["truth"]), "said": said})))
+    return found
 
 
 def table(results: Sequence[Said]) -> str:

@@ -46,7 +46,9 @@ def main() -> int:
         if given.quick:
             return live(["--repeat", "1", "--only", "driven: load"])
         first = 2500 if given.first is None else given.first
-        return live(["--repeat", str(given.repeat), "--first", str(first), "--jobs", str(given.jobs)])
+        out = DOCS / "appendix" / "closing-the-loop-live.md"
+        options = ["--repeat", str(given.repeat), "--first", str(first), "--jobs", str(given.jobs)]
+        return live([*options, "--out", str(out)])
     first = 900 if given.first is None else given.first
     if given.part == "formulas":
         from closing_the_loop_formulas import formulas

@@ -98,6 +98,30 @@ def test_where_nothing_is_named_ranking_runs_and_the_next_experiment_are_there(
     assert in_short(unexplained.verdicts[0]).startswith("unexplained")
 
 
+def walking(seed: int) -> Bias:
+    """Return a random walk of 40 °/h in an hour."""
+
+    def bias(time: np.ndarray, _: np.ndarray) -> np.ndarray:
+        random = np.random.default_rng(seed)
+        return np.asarray(40.0 / np.sqrt(3600.0) * np.cumsum(random.standard_normal(len(time))))
+
+    return bias
+
+
+def test_who_has_a_noisy_unit_is_told_to_look_at_its_noise_and_who_has_jumps_at_what_drives_it(
+    unexplained: Diagnosis,
+) -> None:
+    first = next_steps(unexplained, None)[0].what
+    assert "jumps or comes in bursts" in first
+    assert "supply" in first
+    runs = [run(seed, *ramps(5000, up), walking(seed)) for seed, up in ((11, True), (12, False), (13, True))]
+    noisy = diagnose(runs[:2], runs[2:])
+    assert [state(one) for one in noisy.verdicts] == ["unexplained"]
+    first = next_steps(noisy, None)[0].what
+    assert "moves as slow noise does" in first
+    assert first.index("imumon allan") < first.index("supply")
+
+
 def test_without_a_test_the_next_step_is_one(lagging: Diagnosis, tmp_path: Path) -> None:
     steps = next_steps(replace(lagging, test=[]), tmp_path)
     assert any("--test NEW" in step.command for step in steps)

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from imumon.blocks import FloatArray, SampleBlock
-from imumon.diagnosis.glance import MOST_SLOTS, in_few_slots
-from imumon.diagnosis.live import FIRST_LOOK_S, LiveDiagnosis
-from imumon.diagnosis.recording import Run
+from imumon.diagnosis.glance import Better, better_models
+from imumon.diagnosis.live import FIRST_LOOK_S, LOOK_S, LiveDiagnosis
+from imumon.diagnosis.recording import LONGEST_GAP_S, Run
+from imumon.diagnosis.shadow import Shadow
 from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY
 from imumon.models.curves.points import Points
 from imumon.models.curves.polynomial import fit_polynomial
@@ -77,6 +78,70 @@ def test_a_sensitivity_to_g_is_named_that_is_more_than_the_earth_rate() -> None:
     assert said(turned(EARTH_RATE, across=True), LiveDiagnosis(model())) == ""
 
 
+def test_a_session_is_looked_at_at_even_distances_each_look_with_its_number(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    seen: list[tuple[float, int]] = []
+
+    def looked(run: Run, _: object, __: object, looks: int) -> list[Better]:
+        seen.append((run.duration_s, looks))
+        return []
+
+    monkeypatch.setattr("imumon.diagnosis.live.better_models", looked)
+    said(session(), LiveDiagnosis(model()))
+    times, numbers = zip(*seen, strict=True)
+    assert numbers == tuple(range(1, len(seen) + 1))
+    assert times[0] == pytest.approx(FIRST_LOOK_S, abs=2.0)
+    np.testing.assert_allclose(np.diff(times), LOOK_S, atol=2.0)
+    assert SECONDS - times[-1] <= LOOK_S
+
+
+def test_the_same_evidence_says_less_the_more_often_one_looks() -> None:
+    told = session(8.0 * DPH * np.sin(2 * np.pi * np.arange(SECONDS) / 555.0))
+    first, hundredth = (better_models(told, model(), ["gyro_x"], looks)[0].gain for looks in (1, 100))
+    assert first - hundredth == pytest.approx(2.0 * np.log(100 * 101 / 2))
+
+
+def test_a_shadow_has_as_much_time_to_win_as_it_was_found_in(monkeypatch: pytest.MonkeyPatch) -> None:
+    begun: list[float] = []
+
+    class Undecided(Shadow):
+        def judge(self, _: Run) -> None:
+            if self.since_s not in begun:
+                begun.append(self.since_s)
+
+    monkeypatch.setattr("imumon.diagnosis.live.Shadow", Undecided)
+    assert said(session(40.0 * DPH * np.sin(np.arange(SECONDS) / 30.0)), LiveDiagnosis(model(), learn=True))
+    np.testing.assert_allclose(begun, [FIRST_LOOK_S, 2.0 * FIRST_LOOK_S], atol=2.0)
+
+
+def test_the_log_is_told_once_of_the_same_effects() -> None:
+    stage = LiveDiagnosis(model())
+    assert said(session(8.0 * DPH * np.sin(np.arange(SECONDS) / 90.0)), stage)
+    told = [text.partition(": ")[2].partition(":")[0] for text in stage.notices()]
+    assert told == ["periodic on x"]
+
+
+def test_a_unit_that_never_rests_is_looked_at_in_vain() -> None:
+    told = session(40.0 * DPH * np.sin(np.arange(SECONDS) / 30.0))
+    assert said(replace(told, rest=np.zeros(SECONDS)), LiveDiagnosis(model())) == ""
+
+
+def test_a_session_without_any_temperature_is_looked_at_in_vain() -> None:
+    told = session(40.0 * DPH * np.sin(np.arange(SECONDS) / 30.0), temperature=np.full(SECONDS, np.nan))
+    assert said(told, LiveDiagnosis(model())) == ""
+
+
+def test_after_a_gap_of_many_hours_a_run_begins_anew() -> None:
+    stage, told = LiveDiagnosis(model()), session(100.0 * DPH * np.sin(np.arange(SECONDS) / 60.0))
+    assert said(told, stage)
+    late = {name: values[:60] for name, values in told.mean.items()}
+    time_ns = np.round((told.time_s[:60] + LONGEST_GAP_S + 2 * SECONDS) * 1e9).astype(np.int64)
+    rest, segment = np.ones(60), np.zeros(60, np.int64)
+    stage.process(SampleBlock({**late, "device_time_ns": time_ns, "at_rest": rest, "segment": segment}))
+    assert stage.state == ""
+
+
 @pytest.mark.parametrize("period_s", [130.0, 210.0, 555.0])
 def test_a_period_is_named_whatever_it_is(period_s: float) -> None:
     swing = 8.0 * DPH * np.sin(2 * np.pi * np.arange(SECONDS) / period_s)
@@ -85,23 +150,3 @@ def test_a_period_is_named_whatever_it_is(period_s: float) -> None:
 
 def test_what_a_curve_leaves_beyond_its_temperatures_is_no_effect() -> None:
     assert said(session(), LiveDiagnosis(model(18.0, 28.0))) == ""
-
-
-def test_a_long_run_is_looked_at_in_few_slots_with_the_same_means() -> None:
-    told = session()
-    times = 2 * MOST_SLOTS // SECONDS + 1
-    long = replace(
-        told,
-        time_s=np.arange(times * SECONDS, dtype=np.float64) + 0.5,
-        count={name: np.tile(values, times) for name, values in told.count.items()},
-        mean={name: np.tile(values, times) for name, values in told.mean.items()},
-        rest=np.tile(told.rest, times),
-    )
-    few = in_few_slots(long)
-    assert len(few.time_s) <= MOST_SLOTS
-    assert few.duration_s == pytest.approx(long.duration_s, abs=few.slot_s)
-    assert few.mean["gyro_x"][5] == pytest.approx(long.mean["gyro_x"][15:18].mean())
-    long.mean["gyro_x"][16], long.count["gyro_x"][16] = np.nan, 0.0
-    few = in_few_slots(long)
-    assert few.mean["gyro_x"][5] == pytest.approx(long.mean["gyro_x"][[15, 17]].mean())
-    assert few.count["gyro_x"][5] == long.count["gyro_x"][[15, 17]].sum()
