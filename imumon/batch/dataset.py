@@ -110,7 +110,7 @@ class Dataset:
             raise ImumonError(Reason.BAD_CONFIG, f"{folder}: cannot be made: {error.strerror}") from error
         try:
             self._check(options)
-        except ImumonError:
+        except (ImumonError, OSError):
             self._lock.close()
             raise
         for partial in (folder / ROWS).glob("*.partial"):
