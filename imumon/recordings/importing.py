@@ -74,8 +74,8 @@ def import_table(table: Path, map_path: Path, out: Path, origin: Origin | None =
     OSError
         When the session cannot be written.
     """
-    source = TableImport(table, map_path)
     with whole_session(out) as partial:
+        source = TableImport(table, map_path)
         with TableWriter(partial / SAMPLES_NAME, source.columns) as writer:
             for block in source.blocks():
                 writer.write(block)

@@ -113,7 +113,7 @@ def test_a_simulation_that_meets_a_full_disk_leaves_nothing_and_can_be_made_agai
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    out = tmp_path / "s"
+    out = tmp_path / "new" / "s"
     with monkeypatch.context() as patched:
         patched.setattr(WireWriter, "flush", full)
         done = imumon("simulate", "bench", "--out", out, "--duration", 1)
