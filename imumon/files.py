@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +15,10 @@ from imumon.errors import ImumonError, Reason
 
 LARGEST_TEXT = 16 << 20
 """Bytes: four for each character of the longest document."""
+TRUTH = ("session.yaml", "wire.mcap", "samples.parquet")
+"""Where one of these is, the folder is a session."""
+SESSION_FILES = (*TRUTH, "view.rrd", "log.jsonl", "truth.parquet", "scenario.yaml", "chamber.csv")
+"""What imumon keeps in a session under names of its own; no output of a command may take their place."""
 
 
 def bundled(kind: str) -> dict[str, Path]:
@@ -39,59 +45,84 @@ def read_text(path: Path, reason: Reason = Reason.BAD_CONFIG, hint: str = "") ->
         raise ImumonError(reason, f"{str(path)!r} is no path: it has a NUL character", hint) from error
 
 
-def write_text(path: Path, text: str) -> None:
-    """Write a file; whoever reads sees the old one or the new one, never a part.
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Let an OSError name this file, which is the one that a user knows, and not one on the way to it."""
+    try:
+        yield
+    except OSError as error:
+        why = os.strerror(error.errno) if error.errno else str(error)
+        raise OSError(error.errno or errno.EIO, why, str(path)) from error
+
+
+def target(path: Path) -> Path:
+    """Return the file that a path leads to: a link stays, and what it leads to is written."""
+    return Path(os.path.realpath(path))  # Path.resolve raises for links in a circle
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Give a new file to write to, which takes the place of `path` at the end, and is removed with an error.
+
+    Whoever reads sees the old file or the new one, never a part.
 
     Raises
     ------
     OSError
-        When it cannot be written; a file that was there before is untouched.
+        When it cannot be written, naming `path`; a file that was there before is untouched.
     """
-    _write_whole(path, text.encode("utf-8"))
+    place = target(path)
+    partial = place.with_name(f"{place.name}.partial")
+    with naming(path):
+        try:
+            yield partial
+            with partial.open("rb") as file:
+                os.fsync(file.fileno())  # or a power cut leaves the new name with nothing in it
+            partial.replace(place)
+        finally:
+            partial.unlink(missing_ok=True)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a file as a whole or not at all; raises OSError, as `replacing`."""
+    with replacing(path) as partial:
+        partial.write_bytes(text.encode("utf-8"))
 
 
 def write_png(path: Path, figure: Any, dpi: float) -> None:
-    """Write a figure of matplotlib as a PNG, as a whole or not at all.
-
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG when the file cannot be written.
-    """
+    """Write a figure of matplotlib as a PNG, as a whole or not at all; raises OSError, as `replacing`."""
     picture = io.BytesIO()
     figure.savefig(picture, dpi=dpi, format="png")
-    try:
-        _write_whole(path, picture.getvalue())
-    except OSError as error:
-        raise ImumonError(Reason.BAD_CONFIG, f"{path}: cannot be written: {error.strerror}") from error
-
-
-def _write_whole(path: Path, content: bytes) -> None:
-    partial = path.with_name(f"{path.name}.partial")
-    try:
-        with partial.open("wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())  # or a power cut leaves the new name with nothing in it
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
+    with replacing(path) as partial:
+        partial.write_bytes(picture.getvalue())
 
 
 def check_output(path: Path, *, replace: bool = False) -> None:
-    """Refuse an output that has no folder, or that is there already unless it may be replaced.
+    """Refuse an output that cannot be a file, that would take the place of a file of a session, whoever reads
+    it, or that is there already unless it may be replaced.
 
     Raises
     ------
     ImumonError
         EXISTS or BAD_CONFIG.
     """
+    place = target(path)
+    if str(path) == "-" or (path.exists() and not path.is_file()):
+        what = "is a folder" if path.is_dir() else "is no file"
+        raise ImumonError(Reason.BAD_CONFIG, f"{path}: the output {what}", "give the name of a file to write")
+    session = any((place.parent / name).exists() for name in TRUTH)
+    if session and (place.name in TRUTH or (place.name in SESSION_FILES and place.exists())):
+        raise ImumonError(
+            Reason.EXISTS,
+            f"{place.parent} is a session, whose {place.name} no output may be",
+            "nothing was overwritten; give another name",
+        )
     if path.exists() and not replace:
         raise ImumonError(
             Reason.EXISTS, f"{path} is there already", "nothing was overwritten; give another name"
         )
-    if not path.parent.is_dir():
-        raise ImumonError(Reason.BAD_CONFIG, f"{path}: there is no folder {path.parent}", "make it first")
+    if not place.parent.is_dir():
+        raise ImumonError(Reason.BAD_CONFIG, f"{path}: there is no folder {place.parent}", "make it first")
 
 
 def plain(value: Any) -> Any:

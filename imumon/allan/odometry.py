@@ -20,10 +20,11 @@ from typing import Any
 import numpy as np
 
 from imumon.allan.analysis import Result
-from imumon.allan.output import value_of, write_new
+from imumon.allan.output import value_of
 from imumon.allan.recording import rate_hz
 from imumon.config import dump_yaml
 from imumon.errors import ImumonError, Reason
+from imumon.files import write_text
 from imumon.geodesy import STANDARD_GRAVITY
 
 SENSORS = {"accel": ("accelerometer", "acc"), "gyro": ("gyroscope", "gyr")}
@@ -37,11 +38,13 @@ def write_kalibr(path: Path, results: Mapping[str, Result], source: Path) -> Non
     Raises
     ------
     ImumonError
-        BAD_DATA when a sensor is missing or shows no white noise; BAD_CONFIG when the file cannot be written.
+        BAD_DATA when a sensor is missing or shows no white noise.
+    OSError
+        When the file cannot be written.
     """
     body, head = _densities(results, source)
     body |= {"rostopic": "/imu0", "update_rate": _rate(results)}
-    write_new(path, "\n".join(head) + "\n" + dump_yaml(body, flow=False))
+    write_text(path, "\n".join(head) + "\n" + dump_yaml(body, flow=False))
 
 
 def write_openvins(path: Path, results: Mapping[str, Result], source: Path) -> None:
@@ -59,7 +62,7 @@ def write_openvins(path: Path, results: Mapping[str, Result], source: Path) -> N
         "Tg": np.zeros((3, 3)).tolist(),
     }
     text = dump_yaml({"imu0": chain}, flow=None)
-    write_new(path, OPENCV + "\n".join(head) + "\n" + text)
+    write_text(path, OPENCV + "\n".join(head) + "\n" + text)
 
 
 def write_vins(path: Path, results: Mapping[str, Result], source: Path) -> None:
@@ -78,7 +81,7 @@ def write_vins(path: Path, results: Mapping[str, Result], source: Path) -> None:
         values[f"{short}_w"] = float(f"{scale * body[f'{long}_random_walk']:.6g}")
     head.append(f"# Of one sample at {rate:g} Hz: the densities times the root of the rate.")
     values["g_norm"] = STANDARD_GRAVITY
-    write_new(path, OPENCV + "\n".join(head) + "\n" + dump_yaml(values, flow=False))
+    write_text(path, OPENCV + "\n".join(head) + "\n" + dump_yaml(values, flow=False))
 
 
 def _rate(results: Mapping[str, Result]) -> float | None:

@@ -15,7 +15,7 @@ from imumon.allan.recording import GROUPS, UNITS, group_of, rate_hz
 from imumon.blocks import FloatArray
 from imumon.config import dump_yaml
 from imumon.errors import ImumonError, Reason
-from imumon.files import check_output
+from imumon.files import check_output, write_text
 from imumon.geodesy import MICRO_G
 
 _DEG = math.degrees(1.0)
@@ -178,19 +178,11 @@ def write_noise(path: Path, results: Mapping[str, Result], source: Path) -> None
 
     Raises
     ------
-    ImumonError
-        BAD_CONFIG when the file cannot be written.
+    OSError
+        When the file cannot be written; one that was there before is untouched.
     """
     head = [
         f"# Noise of {source.name}, by Allan deviation; x, y, z; null: the data do not show it.",
         "# SI units.  Bias instability B: the flat part of the Allan deviation is 0.664 B.",
     ]
-    write_new(path, "\n".join(head) + "\n" + dump_yaml({"noise": noise_section(results)}, flow=None))
-
-
-def write_new(path: Path, text: str) -> None:
-    """Write a file, or raise BAD_CONFIG with the reason."""
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise ImumonError(Reason.BAD_CONFIG, f"{path}: cannot be written: {error.strerror}") from error
+    write_text(path, "\n".join(head) + "\n" + dump_yaml({"noise": noise_section(results)}, flow=None))

@@ -36,8 +36,8 @@ def write_plot(path: Path, results: Mapping[str, Result], title: str) -> None:
 
     Raises
     ------
-    ImumonError
-        BAD_CONFIG when the file cannot be written.
+    OSError
+        When the file cannot be written; one that was there before is untouched.
     """
     groups = [group for group in GROUPS if any(group_of(name) == group for name in results)]
     figure = Figure(figsize=(7.0 * len(groups), 5.6), layout="constrained")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import fcntl
-import os
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -15,7 +14,7 @@ import pyarrow.parquet as pq
 from imumon.batch.options import BatchOptions
 from imumon.config import dump_yaml, load_yaml
 from imumon.errors import ImumonError, Reason
-from imumon.files import write_text
+from imumon.files import replacing, write_text
 
 ROWS, SETTINGS_NAME, LOCK_NAME = "rows", "batch.yaml", ".lock"
 FIRST_WRITE_S = 20.0
@@ -111,7 +110,7 @@ class Dataset:
             raise ImumonError(Reason.BAD_CONFIG, f"{folder}: cannot be made: {error.strerror}") from error
         try:
             self._check(options)
-        except ImumonError:
+        except (ImumonError, OSError):
             self._lock.close()
             raise
         for partial in (folder / ROWS).glob("*.partial"):
@@ -189,9 +188,5 @@ class Dataset:
             )
 
     def _put(self, path: Path, table: pa.Table) -> None:
-        partial = path.with_name(f"{path.name}.partial")
-        with partial.open("wb") as file:
-            pq.write_table(table, file, compression="zstd")
-            file.flush()
-            os.fsync(file.fileno())  # or a power cut leaves the name with nothing in it
-        partial.replace(path)
+        with replacing(path) as partial:
+            pq.write_table(table, partial, compression="zstd")

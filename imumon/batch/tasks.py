@@ -85,6 +85,10 @@ def work(job: Job) -> list[Row]:
             )
     except ImumonError as error:
         return [failure(job.place, error.reason.value, error.seen, what)]
+    except OSError as error:
+        return [
+            failure(job.place, "system", f"{error.filename or job.place}: {error.strerror or error}", what)
+        ]
     return rows
 
 

@@ -22,8 +22,8 @@ def write_magnetometer_plot(path: Path, fit: MagnetometerFit, title: str) -> Non
 
     Raises
     ------
-    ImumonError
-        BAD_CONFIG when the file cannot be written.
+    OSError
+        When the file cannot be written; one that was there before is untouched.
     """
     model, turn = fit.model, np.linspace(0.0, 2.0 * np.pi, 200)
     every = 1 + len(fit.field) // MOST_POINTS

@@ -19,8 +19,8 @@ def write_calibration_plot(path: Path, result: Calibration, title: str) -> None:
 
     Raises
     ------
-    ImumonError
-        BAD_CONFIG when the file cannot be written.
+    OSError
+        When the file cannot be written; one that was there before is untouched.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # takes 0.3 s, and few want a picture
     from matplotlib.figure import Figure

@@ -18,6 +18,7 @@ from imumon.catalog.tables import day
 from imumon.catalog.units import Entry, Unit
 from imumon.diagnosis.figures import COLOURS, HOUR_S, shown, svg
 from imumon.diagnosis.page import environment
+from imumon.files import write_text
 from imumon.harmless import for_plot
 from imumon.models.model import BiasModel
 from imumon.recordings.folder import Session, fingerprint
@@ -99,7 +100,7 @@ def _write(
 ) -> None:
     content = {"title": title, "facts": facts, "caveats": caveats, "sections": sections}
     text = environment("imumon.catalog").get_template(TEMPLATE).render(**content)
-    path.write_text(text, encoding="utf-8")
+    write_text(path, text)
 
 
 def _sessions(entries: Sequence[Entry]) -> Section:

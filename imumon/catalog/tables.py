@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 
 from imumon.catalog.drift import Outlier, drifts
 from imumon.catalog.units import Entry, Unit
-from imumon.files import plain
+from imumon.files import plain, replacing
 
 _TEXT, _NUMBER, _TIME = pa.string(), pa.float64(), pa.timestamp("ns", "UTC")
 _FOUND = [(name, _NUMBER) for name in ("hours", "coldest_degc", "hottest_degc")]
@@ -66,7 +66,8 @@ def write_tables(rows: Mapping[str, Sequence[Mapping[str, Any]]], folder: Path) 
     written = []
     for name, given in rows.items():
         path = folder / f"{name}.parquet"
-        pq.write_table(pa.Table.from_pylist(given, SCHEMAS[name]), path, compression="zstd")
+        with replacing(path) as partial:
+            pq.write_table(pa.Table.from_pylist(given, SCHEMAS[name]), partial, compression="zstd")
         written.append(path)
     return written
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import errno
 import logging
 import os
 import signal
@@ -129,7 +130,9 @@ def run(arguments: list[str]) -> int:
     except OSError as error:
         where = f"{error.filename}: " if error.filename is not None else ""
         note(f"imumon: {where}{error.strerror or error}")
-        if error.filename is not None:
+        if error.errno in (errno.ENOSPC, errno.EDQUOT):
+            note("make room, or give a place on another disk")
+        elif error.filename is not None:
             note("is it there, and may you read it and write to its folder?")
         return EXIT_USAGE
     except Exception as error:

@@ -7,6 +7,10 @@ from pathlib import Path
 import click
 
 from imumon.cli.common import PATH, columns_option, json_option, print_json, print_rows, split_columns, warn
+from imumon.errors import ImumonError, Reason
+from imumon.files import check_output
+
+KINDS = ["parquet", "csv", "npz", "mat", "mcap"]
 
 
 @click.command("export")
@@ -15,7 +19,7 @@ from imumon.cli.common import PATH, columns_option, json_option, print_json, pri
     "--to",
     "kind",
     required=True,
-    type=click.Choice(["parquet", "csv", "npz", "mat", "mcap"]),
+    type=click.Choice(KINDS),
     help="Format; mcap: ROS 2 messages.",
 )
 @click.option("--out", type=PATH, help="Table to write; default: export.FORMAT in the session.")
@@ -31,9 +35,7 @@ def command(session: Path, kind: str, out: Path | None, columns: str | None, as_
 
     folder = open_session(session).path
     source = open_source(folder)
-    table = out or folder / f"export.{kind}"
-    if table.suffix != f".{kind}":
-        table = table.with_name(f"{table.name}.{kind}")
+    table = folder / f"export.{kind}" if out is None else _named(out, kind)
     source.refuse_output(table)
     pipeline = Pipeline(source.device)
     exported = export_run(run_over(source.items, pipeline), pipeline, source, table, split_columns(columns))
@@ -42,3 +44,17 @@ def command(session: Path, kind: str, out: Path | None, columns: str | None, as_
         streams = pipeline.counters.as_dict()["streams"]
         print_json({"session": session, **exported.as_dict(), "streams": streams} | source.losses())
     print_rows(describe_streams(pipeline.counters, exported.tables))
+
+
+def _named(out: Path, kind: str) -> Path:
+    """Return the path of a table of this kind: a bare name, of nothing that is there, gets the suffix."""
+    if out.suffix == f".{kind}":
+        return out
+    check_output(out, replace=True)
+    if out.exists() or out.suffix[1:] in KINDS:
+        raise ImumonError(
+            Reason.BAD_CONFIG,
+            f"{out}: the output of --to {kind} ends in .{kind}",
+            f"name it {out.stem}.{kind}, or give another --to",
+        )
+    return out.with_name(f"{out.name}.{kind}")

@@ -33,6 +33,12 @@ def command(what: str, out: Path, sessions: Path) -> None:
     if is_session(Path(what)):
         write_session(open_session(Path(what)), out)
     else:
+        if not sessions.is_dir():
+            raise ImumonError(
+                Reason.BAD_DATA,
+                f"{what} is no session, and there is no folder {sessions} with sessions of a unit {what}",
+                "give the folder of a session, or --sessions DIR",
+            )
         units, unusual = read(sessions)
         unit = next((unit for unit in units if unit.name == what), None)
         if unit is None:

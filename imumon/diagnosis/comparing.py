@@ -16,6 +16,7 @@ from imumon.diagnosis.known import temperature_of
 from imumon.diagnosis.page import environment
 from imumon.diagnosis.recording import Run, unit_of
 from imumon.errors import ImumonError, Reason
+from imumon.files import write_text
 from imumon.models.model import BiasModel
 
 TEMPLATE = "compared.html.j2"
@@ -86,7 +87,7 @@ def write_comparison(compared: Sequence[Compared], names: tuple[str, str], sessi
             {"run": one.run, "channel": one.channel, "numbers": numbers, "unit": unit, "drawn": drawn}
         )
     content = {"rows": rows, "names": names, "session": session, "block_s": BLOCK_S}
-    path.write_text(environment().get_template(TEMPLATE).render(**content), encoding="utf-8")
+    write_text(path, environment().get_template(TEMPLATE).render(**content))
 
 
 def _in_time(axes: Axes, one: Compared, names: tuple[str, str]) -> None:

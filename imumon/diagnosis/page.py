@@ -16,6 +16,7 @@ from imumon.diagnosis.formula import Formula
 from imumon.diagnosis.looking import RunLeft, most_different
 from imumon.diagnosis.report import report
 from imumon.diagnosis.verdict import ChannelVerdict, Claim
+from imumon.files import write_text
 from imumon.harmless import for_html
 
 TEMPLATE = "report.html.j2"
@@ -35,7 +36,7 @@ def write_page(diagnosis: Diagnosis, path: Path, progress: Progress | None = Non
         .get_template(TEMPLATE)
         .render(report=content, rows=rows, channels=channels, caveats=keep_in_mind(diagnosis))
     )
-    path.write_text(text, encoding="utf-8")
+    write_text(path, text)
 
 
 def environment(package: str = "imumon.diagnosis") -> Environment:

@@ -19,7 +19,7 @@ from imumon.diagnosis.gravity import Length
 from imumon.diagnosis.questions import Answer
 from imumon.diagnosis.verdict import ChannelVerdict, Claim
 from imumon.effects.library import separated_by
-from imumon.files import plain
+from imumon.files import plain, write_text
 
 FORMAT: Final = "imumon-diagnosis/1"
 
@@ -52,9 +52,7 @@ def report(diagnosis: Diagnosis, folder: Path | None = None) -> dict[str, Any]:
 
 def write_report(diagnosis: Diagnosis, path: Path) -> None:
     """Write report.json; raises OSError when that fails."""
-    path.write_text(
-        json.dumps(report(diagnosis, path.parent), indent=2, ensure_ascii=False) + "\n", encoding="utf-8"
-    )
+    write_text(path, json.dumps(report(diagnosis, path.parent), indent=2, ensure_ascii=False) + "\n")
 
 
 def _declared(diagnosis: Diagnosis) -> str:

@@ -8,11 +8,21 @@ from pathlib import Path
 from typing import Any, Literal
 
 from imumon.columns import Column
+from imumon.errors import ImumonError, Reason
 from imumon.recordings.table import read_table
 
 CONVERTED = (".npz", ".mat", ".mcap")
 LONGEST_NAME = 63
 """Of a variable in MATLAB; a longer one is cut."""
+
+
+def needed(suffix: str) -> tuple[str, ...]:
+    """Return the columns that a file of this suffix needs, whatever columns are asked for."""
+    if suffix != ".mcap":
+        return ()
+    from imumon.recordings.ros2 import CLOCKS
+
+    return CLOCKS
 
 
 def convert(
@@ -28,14 +38,20 @@ def convert(
     Raises
     ------
     ImumonError
-        BAD_CONFIG when a package that is needed is not installed.
+        BAD_CONFIG when a package that is needed is not installed, or the format has no place for any of it.
     """
     first = next(iter(out.values()))
     if first.suffix == ".mcap":
         from imumon.recordings.ros2 import write_ros2
 
         written = write_ros2(tables, first, axes)
-        return dict.fromkeys(tables, first), written.left_out
+        if not written.streams:
+            raise ImumonError(
+                Reason.BAD_CONFIG,
+                f"there is nothing to write as messages of ROS 2: {'; '.join(written.left_out)}",
+                "leave --columns out, or name a whole vector: gyro_x,gyro_y,gyro_z",
+            )
+        return dict.fromkeys(written.streams, first), written.left_out
     for stream, path in tables.items():
         block, columns = read_table(path)
         {".npz": _npz, ".mat": _mat}[first.suffix](out[stream], dict(block.columns), columns)

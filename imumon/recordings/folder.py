@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import hashlib
-from contextlib import suppress
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -11,7 +14,7 @@ from typing import Literal
 
 from imumon.config import dump_yaml
 from imumon.errors import ImumonError, Reason
-from imumon.files import write_text
+from imumon.files import naming, write_text
 from imumon.recordings.metadata import SessionMetadata, read_metadata
 
 METADATA_NAME = "session.yaml"
@@ -92,6 +95,34 @@ def create_session(path: Path, metadata: SessionMetadata) -> Session:
             Reason.BAD_CONFIG, f"the session {path} cannot be made: {error.strerror}", "give another folder"
         ) from error
     return session
+
+
+@contextmanager
+def whole_session(path: Path) -> Iterator[Path]:
+    """Give a new folder to make a session in, which gets its name at the end, and is removed with an error.
+
+    Raises
+    ------
+    ImumonError
+        EXISTS when there is anything but an empty folder at the path.
+    OSError
+        When it cannot be made, naming the path.
+    """
+    refuse_existing(path)
+    if not path.name or (path.is_dir() and any(path.iterdir())):
+        raise ImumonError(Reason.EXISTS, f"{path} is there already", "give the name of a new folder")
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    made = [folder for folder in path.parents if not folder.exists()]
+    with naming(path):
+        try:
+            partial.mkdir(parents=True)
+            yield partial
+            partial.rename(path)
+        finally:
+            shutil.rmtree(partial, ignore_errors=True)
+            for folder in made:
+                with suppress(OSError):  # it holds the session
+                    folder.rmdir()
 
 
 def refuse_existing(path: Path) -> None:

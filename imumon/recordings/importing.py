@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
-import shutil
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -17,7 +15,7 @@ from imumon.columns import KNOWN, Column
 from imumon.config import parse_yaml
 from imumon.errors import ImumonError, Reason
 from imumon.files import read_text
-from imumon.recordings.folder import SAMPLES_NAME, Session, fingerprint, refuse_existing
+from imumon.recordings.folder import SAMPLES_NAME, Session, fingerprint, whole_session
 from imumon.recordings.foreign import BadRow, Part, read_foreign
 from imumon.recordings.map import TableMap
 from imumon.recordings.metadata import SPAN, SessionMetadata, TableUsed
@@ -73,14 +71,11 @@ def import_table(table: Path, map_path: Path, out: Path, origin: Origin | None =
         BAD_CONFIG for a wrong map or a column that the table lacks, with file and line of the map; BAD_DATA
         for a table that cannot be read, rows that cannot be taken, or times that do not increase; EXISTS when
         the output is there already.
+    OSError
+        When the session cannot be written.
     """
-    if not out.name:
-        raise ImumonError(Reason.EXISTS, f"{out} is there already", "give the name of a new folder")
-    refuse_existing(out)
-    source = TableImport(table, map_path)
-    partial = out.with_name(f".{out.name}.{os.getpid()}.partial")
-    try:
-        partial.mkdir(parents=True)
+    with whole_session(out) as partial:
+        source = TableImport(table, map_path)
         with TableWriter(partial / SAMPLES_NAME, source.columns) as writer:
             for block in source.blocks():
                 writer.write(block)
@@ -92,15 +87,6 @@ def import_table(table: Path, map_path: Path, out: Path, origin: Origin | None =
             )
         metadata = _metadata(source, report, table if origin is None else origin.path)
         Session(partial, metadata).save(metadata)
-        partial.rename(out)
-    except OSError as error:
-        raise ImumonError(
-            Reason.BAD_CONFIG,
-            f"the session {out} cannot be made: {error.strerror or error}",
-            "give another folder",
-        ) from error
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
     return report
 
 

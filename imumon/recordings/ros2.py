@@ -43,9 +43,10 @@ SAID = (
 
 @dataclass(frozen=True, slots=True)
 class Written:
-    """What became of a run: messages of each topic, and what could not be said in ROS' terms."""
+    """What became of a run: messages of each topic, the streams they are of, what ROS has no terms for."""
 
     messages: dict[str, int]
+    streams: list[str]
     left_out: list[str]
 
 
@@ -70,19 +71,25 @@ def write_ros2(tables: Mapping[str, Path], out: Path, axes: Literal["FLU", "FRD"
         raise missing_package("a ROS 2 bag", "mcap-ros2-support", "ros2") from error
     counts: dict[str, int] = {}
     left_out: list[str] = []
+    streams: list[str] = []
     with out.open("wb") as file:
         writer = Writer(file)
         schemas = {name: writer.register_msgdef(name, text) for name, text in DEFINITIONS.items()}
         for stream, path in tables.items():
             told = Stream.of(stream, path, axes)
             left_out += told.left_out
+            before = sum(counts.values())
             for block in iterate_table(path):
                 for topic, kind, time_ns, message in told.messages(block):
                     number = counts.get(topic, 0)
                     counts[topic] = number + 1
                     writer.write_message(topic, schemas[kind], message, time_ns, sequence=number)
+            if sum(counts.values()) > before:
+                streams.append(stream)
+            elif told.clock:
+                left_out.append(f"{stream}: of its columns alone no message can be made")
         writer.finish()  # type: ignore[no-untyped-call]  # the package leaves its return type out
-    return Written(counts, left_out)
+    return Written(counts, streams, left_out)
 
 
 @dataclass(slots=True)

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 from imumon.blocks import SampleBlock
 from imumon.columns import Column
 from imumon.errors import ImumonError, Reason
-from imumon.files import check_output
+from imumon.files import check_output, naming, target
 from imumon.protocols.base import MAIN
-from imumon.recordings.conversions import CONVERTED, convert
+from imumon.recordings.conversions import CONVERTED, convert, needed
 from imumon.recordings.table import TableWriter, export_blocks
 
 if TYPE_CHECKING:
@@ -75,6 +75,9 @@ def export_run(
     ------
     ImumonError
         As `imumon.recordings.table.export_blocks`; a run with rows in side streams only has their tables.
+        BAD_CONFIG when the format has no place for any of it.
+    OSError
+        When the disk is full or fails; a file that was there before is untouched.
     """
 
     def known() -> Iterable[Column]:
@@ -83,13 +86,14 @@ def export_run(
     if out.suffix not in CONVERTED:
         return _tables(blocks, pipeline, out, columns, known)
     check_output(out, replace=True)
-    with TemporaryDirectory(prefix=".imumon-", dir=out.parent) as folder:
-        made = _tables(blocks, pipeline, Path(folder) / f"{out.stem}.parquet", columns, known)
+    with naming(out), TemporaryDirectory(prefix=".imumon-", dir=target(out).parent) as folder:
+        table = Path(folder) / f"{out.stem}.parquet"
+        made = _tables(blocks, pipeline, table, columns, known, needed(out.suffix))
         names = {stream: out if stream == MAIN else side_path(out, stream) for stream in made.tables}
         written = {stream: Path(folder) / path.name for stream, path in names.items()}
         files, left_out = convert(made.tables, written, source.axes)
         for path in dict.fromkeys(files.values()):
-            path.replace(out.with_name(path.name))
+            path.replace(target(out.with_name(path.name)))
     return Exported(made.rows, {stream: out.with_name(path.name) for stream, path in files.items()}, left_out)
 
 
@@ -99,6 +103,7 @@ def _tables(
     out: Path,
     columns: Sequence[str] | None,
     known: Callable[[], Iterable[Column]],
+    also: Sequence[str] = (),
 ) -> Exported:
     writers: dict[str, TableWriter] = {}
     with ExitStack() as stack:
@@ -113,7 +118,7 @@ def _tables(
                 yield block
 
         try:
-            rows = export_blocks(passing(), out, columns, known)
+            rows = export_blocks(passing(), out, columns, known, also)
         except ImumonError as error:
             if error.reason is not Reason.BAD_DATA or pipeline.counters.samples or not writers:
                 raise

@@ -23,7 +23,7 @@ from imumon.blocks import NO_INT, ColumnArray, SampleBlock, join
 from imumon.columns import KNOWN, Column, ColumnType
 from imumon.config import StrictModel, dump_yaml, load_yaml
 from imumon.errors import ImumonError, Reason
-from imumon.files import check_output, write_text
+from imumon.files import check_output, naming, target, write_text
 from imumon.harmless import for_csv
 from imumon.recordings.folder import Session
 
@@ -62,6 +62,7 @@ class TableWriter:
         _check_suffix(path, Reason.BAD_CONFIG)
         check_output(path, replace=True)
         self.path = path
+        self._place = target(path)
         self.rows = 0
         self._columns = dict(columns)
         self._buffer: list[SampleBlock] = []
@@ -92,7 +93,8 @@ class TableWriter:
         self._buffered += sum(values.nbytes + ARRAY_OVERHEAD for values in block.columns.values())
         self.rows += len(block)
         if self._buffered >= BUFFER_BYTES:
-            self._flush()
+            with naming(self.path):
+                self._flush()
 
     def close(self) -> None:
         """Finish the table and put it in its place.
@@ -103,12 +105,13 @@ class TableWriter:
             When the disk is full or fails; a file that was there before is untouched.
         """
         try:
-            self._flush()
-            if not self._parts:
-                self._names = list(self._columns)
-                self._begin_part()
-            self._end_part()
-            self._finish()
+            with naming(self.path):
+                self._flush()
+                if not self._parts:
+                    self._names = list(self._columns)
+                    self._begin_part()
+                self._end_part()
+                self._finish()
         finally:
             self.abort()
 
@@ -146,7 +149,7 @@ class TableWriter:
         self._part.write_table(_to_arrow(block, _schema(self._columns[name] for name in names)))
 
     def _begin_part(self) -> None:
-        part = self.path.with_name(f".{self.path.name}.{os.getpid()}-{len(self._parts)}.part")
+        part = self._place.with_name(f".{self._place.name}.{os.getpid()}-{len(self._parts)}.part")
         self._parts.append(part)
         schema = _schema(self._columns[name] for name in self._names)
         self._part = pq.ParquetWriter(part, schema, compression="zstd", use_dictionary=False)
@@ -159,11 +162,11 @@ class TableWriter:
     def _finish(self) -> None:
         """Make the table of the parts: as it is when there is one, else with nulls for what came later."""
         if self.path.suffix == ".parquet" and len(self._parts) == 1:
-            self._parts.pop().replace(self.path)
+            self._parts.pop().replace(self._place)
             return
         columns = [self._columns[name] for name in self._names]
         schema = _schema(columns)
-        merged = self.path.with_name(f".{self.path.name}.{os.getpid()}.part")
+        merged = self._place.with_name(f".{self._place.name}.{os.getpid()}.part")
         tables = _merged(self._parts, schema)
         self._parts = [*self._parts, merged]
         if self.path.suffix == ".parquet":
@@ -173,7 +176,7 @@ class TableWriter:
         else:
             _write_csv(merged, tables, schema)
             _write_units(units_path(self.path), columns)
-        merged.replace(self.path)
+        merged.replace(self._place)
 
 
 def export_blocks(
@@ -181,6 +184,7 @@ def export_blocks(
     out: Path,
     columns: Sequence[str] | None,
     known: Callable[[], Iterable[Column]],
+    also: Sequence[str] = (),
 ) -> int:
     """Write blocks to a table and return the number of rows.
 
@@ -190,26 +194,18 @@ def export_blocks(
         The columns to write, in this order; None for all that come.
     known : callable
         Returns unit and type of every column that has come so far; a device may begin to send more.
+    also : sequence of str
+        Columns to write before those, where they come.
 
     Raises
     ------
     ImumonError
-        BAD_CONFIG when a column that was asked for is not there, naming those that are, or when the table
-        cannot be written; BAD_DATA when there is no sample; a table that was there then stays as it was.
+        BAD_CONFIG when a column that was asked for is not there, naming those that are; BAD_DATA when there
+        is no sample; a table that was there then stays as it was.
+    OSError
+        When the table cannot be written; one that was there then stays as it was.
     """
-    try:
-        return _export(blocks, out, columns, known)
-    except OSError as error:
-        reason = os.strerror(error.errno) if error.errno else str(error)
-        raise ImumonError(Reason.BAD_CONFIG, f"{out}: cannot be written: {reason}") from error
-
-
-def _export(
-    blocks: Iterable[SampleBlock],
-    out: Path,
-    columns: Sequence[str] | None,
-    known: Callable[[], Iterable[Column]],
-) -> int:
+    wanted = None if columns is None else list(dict.fromkeys((*also, *columns)))
     seen: dict[str, None] = {}
     with TableWriter(out, {}) as writer:
         for block in blocks:
@@ -217,8 +213,8 @@ def _export(
                 continue
             seen.update(dict.fromkeys(block.columns))
             at_hand = {column.name: column for column in known()}
-            names = block.columns if columns is None else [name for name in columns if name in block]
-            writer.announce(at_hand[name] for name in columns or at_hand if name in at_hand)
+            names = block.columns if wanted is None else [name for name in wanted if name in block]
+            writer.announce(at_hand[name] for name in wanted or at_hand if name in at_hand)
             writer.write(SampleBlock({name: block[name] for name in names}))
         absent = [name for name in columns or () if name not in seen]
         if absent and seen:
@@ -238,11 +234,27 @@ def iterate_samples(session: Session, rows_per_block: int = READ_ROWS) -> Iterat
     Raises
     ------
     ImumonError
-        BAD_DATA when the table cannot be read, or when the session has bytes instead, which need a decoder.
+        BAD_DATA when the table cannot be read, or is not the one that was imported, or when the session has
+        bytes instead, which need a decoder.
     """
     if session.metadata.source != "import":
         raise ImumonError(Reason.BAD_DATA, f"{session.path} holds bytes, not samples: it must be decoded")
+    imported = session.metadata.table
+    if imported is not None and (rows := _rows(session.samples_path)) != imported.rows_out:
+        raise ImumonError(
+            Reason.BAD_DATA,
+            f"{session.samples_path} was changed after the import: it has {rows:,} rows, and"
+            f" {imported.rows_out:,} were imported",
+            f"import {imported.file} again, into another folder",
+        )
     return iterate_table(session.samples_path, rows_per_block)
+
+
+def _rows(path: Path) -> int:
+    try:
+        return int(pq.read_metadata(path).num_rows)
+    except (pa.ArrowException, OSError) as error:
+        raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read: {error}") from error
 
 
 def iterate_table(path: Path, rows_per_block: int = READ_ROWS) -> Iterator[SampleBlock]:

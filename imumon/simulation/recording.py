@@ -11,8 +11,9 @@ import yaml
 
 from imumon.blocks import IntArray
 from imumon.columns import KNOWN, Column
+from imumon.files import write_text
 from imumon.protocols.device import DeviceFile
-from imumon.recordings.folder import Session, create_session
+from imumon.recordings.folder import Session, create_session, whole_session
 from imumon.recordings.metadata import PortUsed, SessionMetadata
 from imumon.recordings.table import TableWriter
 from imumon.recordings.wire import WireWriter
@@ -52,23 +53,32 @@ def record_session(
         EXISTS when there is a session already; BAD_CONFIG when the packets do not fit through the line;
         BAD_DATA when a value does not fit its field.
     OSError
-        When the disk is full or fails; what was recorded stays, as of an interrupted session.
+        When the disk is full or fails; nothing is left behind.
     """
     tick_ns = device.decoder().timing.tick_ns or MICROSECOND
-    encoder, arrivals = device.encoder(), _Arrivals(device.serial.baudrates[0], seed)
-    first = encoder.encode(SimulatedUnit(scenario, seed, tick_ns).samples(1))[0]
+    first = device.encoder().encode(SimulatedUnit(scenario, seed, tick_ns).samples(1))[0]
     refuse_overload(len(first), scenario.rate_hz, device.serial.baudrates[0])
-    metadata = _metadata(scenario, device, device_yaml, seed)
-    session = create_session(folder, metadata)
     text = yaml.safe_dump(scenario.model_dump(exclude_defaults=True), sort_keys=False, allow_unicode=True)
-    (folder / SCENARIO_NAME).write_text(text, encoding="utf-8")
-    if scenario.chamber.log is not None:
-        _write_chamber(scenario, seed, folder / CHAMBER_NAME)
-    unit = SimulatedUnit(scenario, seed, tick_ns)
+    with whole_session(folder) as partial:
+        session = create_session(partial, _metadata(scenario, device, device_yaml, seed))
+        write_text(partial / SCENARIO_NAME, text)
+        if scenario.chamber.log is not None:
+            _write_chamber(scenario, seed, partial / CHAMBER_NAME)
+        closed = _record(session, scenario, device, seed, progress)
+        session.save(closed)
+    return Session(folder, closed)
+
+
+def _record(
+    session: Session, scenario: Scenario, device: DeviceFile, seed: int, progress: Progress
+) -> SessionMetadata:
+    """Write bytes and truth of a scenario; return what the session says then."""
+    encoder, arrivals = device.encoder(), _Arrivals(device.serial.baudrates[0], seed)
+    unit = SimulatedUnit(scenario, seed, device.decoder().timing.tick_ns or MICROSECOND)
     names = [KNOWN["device_time_ns"], KNOWN["segment"], *TRUTH_COLUMNS]
     with (
         closing(WireWriter(session.wire_path, {"device": device.name, "source": "simulation"})) as writer,
-        TableWriter(folder / TRUTH_NAME, {column.name: column for column in names}) as table,
+        TableWriter(session.path / TRUTH_NAME, {column.name: column for column in names}) as table,
     ):
         writer.write(Event(EventKind.OPENED, START_NS, f"simulation, seed {seed}"))
         for size in _sizes(scenario):
@@ -81,13 +91,11 @@ def record_session(
             progress(size)
         writer.write(Event(EventKind.CLOSED, arrivals.last_ns, "the end of the scenario"))
     made = writer.counters
-    closed = metadata.closed(
+    return session.metadata.closed(
         START_NS + round(scenario.samples / scenario.rate_hz * 1e9),
         counters={"samples": scenario.samples, "packets": scenario.samples, "bytes_received": made.bytes},
         events=made.events,
     )
-    session.save(closed)
-    return Session(folder, closed)
 
 
 def write_table(scenario: Scenario, seed: int, path: Path, progress: Progress) -> int:

@@ -47,6 +47,13 @@ def test_what_is_not_there_is_a_failure_with_its_reason(tmp_path: Path) -> None:
     assert "cannot be read" in row["error"]
 
 
+def test_a_disk_that_fails_is_a_failure_of_the_session_and_no_defect(tmp_path: Path) -> None:
+    gone = tmp_path / "gone"
+    (row,) = work(Job(str(tiny(tmp_path / "s")), BatchOptions(command="decode", tables=True), str(gone)))
+    assert (row["reason"], row["device"]) == ("system", "ax1")
+    assert row["error"] == f"{gone}/tables: No such file or directory"
+
+
 @pytest.fixture
 def bucket(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     """A server that speaks S3, with sessions in a bucket."""
