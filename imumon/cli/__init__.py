@@ -173,7 +173,7 @@ def _heed_interrupts() -> None:
     def again(lost: UnraisableHookArgs) -> None:
         if lost.exc_type is KeyboardInterrupt:
             threading.Timer(0.01, signal.raise_signal, [signal.SIGINT]).start()
-        else:
+        elif not INTERRUPTED.is_set():  # what was interrupted half made cannot be taken down in order
             usual(lost)
 
     sys.unraisablehook = again
