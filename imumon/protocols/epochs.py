@@ -376,8 +376,8 @@ def _stray(belongs: int, mask: int, group_masks: IntArray) -> int:
 @inner
 def _own(g: int, belongs: int, mask: int, stray: int, group_masks: IntArray) -> int:
     """Return the columns that a packet has in one of its groups; stray ones are in the first of these."""
-    own = mask & group_masks[g]
-    return own | stray if belongs & -belongs == 1 << g else own
+    first = belongs & -belongs == 1 << g
+    return int(mask & group_masks[g] | (stray if first else 0))
 
 
 @inner
