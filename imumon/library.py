@@ -17,11 +17,12 @@ import numpy as np
 
 from imumon.blocks import ColumnArray, SampleBlock, join, missing
 from imumon.columns import Column
+from imumon.errors import ImumonError, Reason
 from imumon.pipeline import Estimator, Pipeline, PipelineCounters
 from imumon.protocols.device import DeviceFile, device_text, parse_device
-from imumon.recordings.folder import is_session
+from imumon.recordings.conversions import CONVERTED, read_npz
 from imumon.recordings.source import feed, open_source, run_over
-from imumon.recordings.table import arrow_table, read_table
+from imumon.recordings.table import SUFFIXES, arrow_table, read_table, units_path
 from imumon.run.live import BATCH_S, LiveRun, arrived, reader_of, warm_up
 from imumon.run.setup import Setup, recorded_setup
 from imumon.run.stages import estimators
@@ -252,8 +253,8 @@ def open(
 
 def read(
     path: str | Path,
-    *,
     device: str | None = None,
+    *,
     setup: Setup | None = None,
     estimates: bool = True,
     stages: Sequence[Estimator] = (),
@@ -263,7 +264,7 @@ def read(
     Parameters
     ----------
     path : path
-        Session folder, capture, or table (``.parquet``, ``.csv``) with the columns of imumon.
+        Session folder, capture, or table (``.parquet``, ``.csv``, ``.npz``) with the columns of imumon.
     device : str, optional
         What sent a raw capture.
     setup : Setup, optional
@@ -279,9 +280,8 @@ def read(
         When it cannot be read, or holds nothing that can be decoded.
     """
     path = Path(path)
-    if device is None and not is_session(path) and path.suffix in (".parquet", ".csv"):
-        block, columns = read_table(path)
-        return Samples(block, columns)
+    if device is None and path.is_file() and path.suffix in (*SUFFIXES, *CONVERTED):
+        return _table(path)
     source = open_source(path, device)
     if setup is None and source.session is not None:
         setup = recorded_setup(source.session)
@@ -296,6 +296,28 @@ def read(
         _log.warning(text)
     side = {stream: _samples(rows, pipeline.stream_columns(stream)) for stream, rows in aside.items()}
     return _samples(blocks, source.columns(pipeline), side)
+
+
+def _table(path: Path) -> Samples:
+    if path.suffix in SUFFIXES:
+        block, columns = read_table(path)
+    elif path.suffix == ".npz":
+        block, columns = read_npz(path)
+    else:
+        raise ImumonError(
+            Reason.BAD_DATA,
+            f"{path}: of tables read takes {', '.join(SUFFIXES)} and .npz, not {path.suffix}",
+            "export the session to one of these, or read the session; a raw capture needs device=",
+        )
+    if path.suffix == ".csv" and not units_path(path).is_file():
+        _log.warning("%s: without %s known names have the units of imumon", path, units_path(path).name)
+    if unknown := [name for name, column in columns.items() if not column.unit]:
+        _log.warning(
+            "%s: nothing says the unit of %s; imumon import takes tables from elsewhere",
+            path,
+            ", ".join(unknown),
+        )
+    return Samples(block, columns)
 
 
 def _samples(

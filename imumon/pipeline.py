@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import hashlib
 import pickle
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from types import MappingProxyType
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, get_args, runtime_checkable
 
 import numpy as np
 
@@ -22,7 +23,7 @@ from imumon.clock.held import HeldReadings
 from imumon.clock.nominal import NominalRate
 from imumon.clock.rate import Intervals
 from imumon.clock.side import SharedCounter, SideClock
-from imumon.columns import KNOWN, TIME_COLUMNS, Column
+from imumon.columns import KNOWN, TIME_COLUMNS, Column, ColumnType
 from imumon.errors import ImumonError, Reason
 from imumon.intake import Intake
 from imumon.protocols.base import COMMON, MAIN, Counters, Timing
@@ -32,6 +33,9 @@ from imumon.protocols.stream import ByteArray
 
 UNDATED = NO_INT
 """Arrival time of bytes whose arrival nobody noted, as in a raw capture."""
+
+NAME = re.compile("[a-z][a-z0-9_]*")
+"""Names of columns, as device files and maps have them."""
 
 
 class Estimator(Protocol):
@@ -125,8 +129,10 @@ class Pipeline:
         self._device_clock = DeviceClock(self._decoder.timing if self._decoder is not None else Timing())
         self.host_clock = HostClock(self._device_clock.drift_limit_ppm)
         self._estimators = tuple(estimators)
-        self._checked: list[set[str]] = [set() for _ in self._estimators]
-        """Columns of each stage that were found to be as declared."""
+        for stage in self._estimators:
+            _refuse_stage(stage)
+        self._checked: list[dict[str, np.dtype[Any]]] = [{} for _ in self._estimators]
+        """Columns of each stage that it has declared, and their types."""
         self._intake = Intake()
         given = device is not None and device.rate_given
         self._nominal = NominalRate(self._device_clock.timing.rate_hz, given)
@@ -363,31 +369,85 @@ class Pipeline:
         taken = self._intake.process(block)
         seen, added = taken.block, dict[str, ColumnArray]()
         for at, stage in enumerate(self._estimators):
-            new = stage.process(seen)
+            new = stage.process(_seen_by(stage, seen))
             if len(block):
-                self._check(at, new, seen)
+                new = self._checked_columns(at, new, seen)
             seen = seen.with_columns(new)
             added |= {name: taken.spread(values) for name, values in new.items()}
         return block.with_columns(added)
 
-    def _check(self, at: int, new: Mapping[str, ColumnArray], seen: SampleBlock) -> None:
-        """Raise BAD_CONFIG when a stage adds what it did not declare, or what is there already."""
+    def _checked_columns(
+        self, at: int, new: Mapping[str, ColumnArray], seen: SampleBlock
+    ) -> dict[str, ColumnArray]:
+        """Return what a stage adds, in the types that it declares.
+
+        Raises BAD_CONFIG for what it did not declare, what is there already, and what is no column.
+        """
         stage = self._estimators[at]
-        name = f"stage {type(stage).__name__}"
-        if wrong := [column for column, values in new.items() if len(values) != len(seen)]:
-            lengths = f"{len(new[wrong[0]])} values for {len(seen)} samples"
-            raise ImumonError(Reason.BAD_CONFIG, f"{name}: {wrong[0]} has {lengths}", "return one for each")
-        if self._checked[at].issuperset(new):
-            return
-        declared = {column.name for column in stage.columns}
-        for column in new:
-            if column in seen:
-                what = f"{name} adds {column}, which is there already"
-                raise ImumonError(Reason.BAD_CONFIG, what, "give it another name")
-            if column not in declared:
-                what = f"{name} adds {column}, which its columns do not declare"
-                raise ImumonError(Reason.BAD_CONFIG, what, "tables and view need its unit")
-        self._checked[at].update(new)
+        if not isinstance(new, Mapping):
+            raise _wrong(stage, f"process returned {_shown(new)}", "return a dict: an array for each column")
+        types = self._checked[at]
+        if not types.keys() >= new.keys():
+            declared = {column.name: np.dtype(column.dtype) for column in stage.columns}
+            for column in new:
+                if column in seen:
+                    raise _wrong(stage, f"adds {column}, which is there already", "give it another name")
+                if column not in declared:
+                    what = f"adds {column}, which its columns do not declare"
+                    raise _wrong(stage, what, "tables and view need its unit")
+            types |= {column: declared[column] for column in new}
+        return {name: _as_declared(stage, name, new[name], types[name], len(seen)) for name in new}
+
+
+def _as_declared(
+    stage: Estimator, name: str, values: ColumnArray, dtype: np.dtype[Any], n: int
+) -> ColumnArray:
+    """Return a column of a stage in its type, where nothing is lost by that."""
+    if not isinstance(values, np.ndarray) or values.ndim != 1:
+        raise _wrong(stage, f"{name} is {_shown(values)}", "return an array of one dimension")
+    if len(values) != n:
+        raise _wrong(stage, f"{name} has {len(values)} values for {n} samples", "return one for each")
+    if values.dtype != dtype and not np.can_cast(values.dtype, dtype):
+        raise _wrong(stage, f"{name} is {values.dtype} and declared as {dtype}", "declare it as it is")
+    return values.astype(dtype, copy=False)
+
+
+def _wrong(stage: object, what: str, hint: str) -> ImumonError:
+    return ImumonError(Reason.BAD_CONFIG, f"stage {type(stage).__name__}: {what}", hint)
+
+
+def _shown(values: object) -> str:
+    if isinstance(values, np.ndarray):
+        return f"an array of shape {values.shape}"
+    return "None" if values is None else f"a {type(values).__name__}"
+
+
+def _refuse_stage(stage: Estimator) -> None:
+    """Raise BAD_CONFIG for a stage that lacks something, or declares what no table can have."""
+    for needed in ("columns", "process", "notices"):
+        if not hasattr(stage, needed):
+            raise _wrong(stage, f"has no {needed}", "a stage has columns, process and notices")
+    for column in stage.columns:
+        if not isinstance(column, Column):
+            raise _wrong(stage, f"{column!r} is no column", "declare imumon.Column(name, unit)")
+        if not isinstance(column.name, str) or not NAME.fullmatch(column.name):
+            raise _wrong(stage, f"{column.name!r} is no name of a column", "small letters, digits and _")
+        if column.dtype not in get_args(ColumnType):
+            hint = f"use {' or '.join(get_args(ColumnType))}"
+            raise _wrong(stage, f"{column.name} has type {column.dtype!r}", hint)
+
+
+def _seen_by(stage: Estimator, block: SampleBlock) -> SampleBlock:
+    """Return a block as a stage gets it: one from outside cannot write to what was sent.
+
+    Compiled code of imumon's own stages would have to be compiled anew for arrays that are read only.
+    """
+    if type(stage).__module__.partition(".")[0] == "imumon":
+        return block
+    views = {name: values.view() for name, values in block.columns.items()}
+    for view in views.values():
+        view.flags.writeable = False
+    return SampleBlock(views)
 
 
 class Digest:

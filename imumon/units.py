@@ -51,7 +51,7 @@ _COMMON = {
 """What nearly every device file needs, for a start without pint, which takes half a second.  The tests
 compare with pint."""
 EXAMPLES = {
-    "rad/s": "rad/s, deg/s, dps, mdps, deg/h",
+    "rad/s": "rad/s, deg/s, dps, mdps, deg/h, rpm",
     "m/s^2": "m/s^2, g, mg",
     "uT": "uT, nT, gauss, mgauss",
     "degC": "degC, degF, K",
@@ -113,17 +113,24 @@ def _by_pint(unit: str, target: str) -> tuple[Fraction, Fraction]:
     registry = _registry()
     try:
         source = registry.Unit(_spelled(unit))
+        # To pint radians and counts are plain numbers, and a Hz would be a rad/s.
+        ours = registry.get_root_units(registry.Unit(_spelled(target)))[1]
+        if registry.get_root_units(source)[1] != ours:
+            raise _of_another_kind(unit, target)
         at_zero, at_one = (
             Fraction(registry.Quantity(Fraction(value), source).to(_spelled(target)).magnitude)
             for value in (0, 1)
         )
     except pint.DimensionalityError as error:
-        raise ImumonError(
-            Reason.BAD_CONFIG, f"unit {unit!r} does not measure what {target!r} measures", "check the unit"
-        ) from error
+        raise _of_another_kind(unit, target) from error
     except (pint.PintError, *_MALFORMED) as error:
         raise unknown from error
     return at_one - at_zero, at_zero
+
+
+def _of_another_kind(unit: str, target: str) -> ImumonError:
+    what = f"unit {unit!r} does not measure what {target!r} measures"
+    return ImumonError(Reason.BAD_CONFIG, what, f"expected one like {EXAMPLES.get(target, target)}")
 
 
 def _spelled(unit: str) -> str:

@@ -19,6 +19,8 @@ from imumon.columns import Column
 from imumon.errors import ImumonError
 from imumon.pipeline import Pipeline
 from imumon.protocols.device import device_names, load_device
+from imumon.recordings.conversions import convert
+from imumon.recordings.table import TableWriter
 from imumon.run.stages import estimators
 from imumon.simulation.virtual_device import VirtualDevice
 
@@ -101,6 +103,38 @@ def test_tables_are_read_as_they_are(unit: Path) -> None:
     assert table.to_polars()["device_time_ns"].to_list() == [0, 10]
     assert "gyro_x" in table
     assert "gyro_y" not in table
+
+
+def test_a_table_in_a_file_of_numpy_is_read_and_others_are_refused_in_words(tmp_path: Path) -> None:
+    columns = {"gyro_x": Column("gyro_x", "rad/s"), "packet_counter": Column("packet_counter", "1", "int64")}
+    block = imumon.SampleBlock({"gyro_x": np.array([0.5, np.nan]), "packet_counter": np.array([3, 4])})
+    with TableWriter(tmp_path / "t.parquet", columns) as table:
+        table.write(block)
+    convert({"imu": tmp_path / "t.parquet"}, {"imu": tmp_path / "t.npz"}, None)
+    read = imumon.read(tmp_path / "t.npz")
+    assert read.units == {"gyro_x": "rad/s", "packet_counter": "1"}
+    np.testing.assert_array_equal(read["gyro_x"], block["gyro_x"])
+    assert read.to_arrow()["packet_counter"].to_pylist() == [3, 4]
+    (tmp_path / "t.mat").write_bytes(b"MATLAB 5.0")
+    with pytest.raises(ImumonError, match=r"takes \.parquet, \.csv and \.npz, not \.mat"):
+        imumon.read(tmp_path / "t.mat")
+    np.savez(tmp_path / "other.npz", a=np.zeros(3))
+    (tmp_path / "torn.npz").write_bytes((tmp_path / "t.npz").read_bytes()[:99])
+    for name in ("other.npz", "torn.npz"):
+        with pytest.raises(ImumonError, match="cannot be read as a table of imumon"):
+            imumon.read(tmp_path / name)
+
+
+def test_a_table_without_units_is_said_to_be_one(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    (tmp_path / "t.csv").write_text("gyro_x,flow\n1.0,2.0\n")
+    assert imumon.read(tmp_path / "t.csv").units == {"gyro_x": "rad/s", "flow": ""}
+    assert "without t.units.yaml known names have the units of imumon" in caplog.text
+    assert "nothing says the unit of flow" in caplog.text
+
+
+def test_a_capture_takes_its_device_as_the_second_argument(tmp_path: Path) -> None:
+    (tmp_path / "c.bin").write_bytes(bytes(100))
+    assert len(imumon.read(tmp_path / "c.bin", "ax1")) == 0
 
 
 class Doubled:

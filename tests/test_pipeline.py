@@ -2,6 +2,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import cache
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +12,7 @@ from hypothesis import strategies as st
 
 from imumon.blocks import NO_INT, ColumnArray, SampleBlock, join
 from imumon.columns import Column
-from imumon.errors import ImumonError
+from imumon.errors import ImumonError, Reason
 from imumon.pipeline import UNDATED, Digest, Pipeline
 from imumon.protocols.device import load_device
 from imumon.simulation.unit import SimulatedUnit, load_scenario
@@ -172,8 +174,8 @@ def test_the_digest_sees_a_single_bit_and_a_late_column() -> None:
     ("columns", "returned", "said"),
     [
         (["twice"], {"twice": 2}, "stage _Given: twice has 2 values for 3 samples"),
-        (["gyro_x"], {"gyro_x": 3}, "stage _Given adds gyro_x, which is there already"),
-        (["mine"], {"other": 3}, "stage _Given adds other, which its columns do not declare"),
+        (["gyro_x"], {"gyro_x": 3}, "stage _Given: adds gyro_x, which is there already"),
+        (["mine"], {"other": 3}, "stage _Given: adds other, which its columns do not declare"),
     ],
 )
 def test_a_stage_that_breaks_its_word_is_named(
@@ -184,6 +186,73 @@ def test_a_stage_that_breaks_its_word_is_named(
     with pytest.raises(ImumonError) as caught:
         pipeline.push(SampleBlock(block))
     assert caught.value.seen == said
+
+
+@pytest.mark.parametrize(
+    ("dtype", "returned", "said"),
+    [
+        ("float64", {"mine": [1.0, 2.0, 3.0]}, "stage _Returned: mine is a list"),
+        ("float64", {"mine": np.zeros((3, 1))}, "stage _Returned: mine is an array of shape (3, 1)"),
+        ("float64", {"mine": 1.0}, "stage _Returned: mine is a float"),
+        ("int64", {"mine": np.full(3, 1.5)}, "stage _Returned: mine is float64 and declared as int64"),
+        ("float64", None, "stage _Returned: process returned None"),
+    ],
+)
+def test_what_is_no_column_is_refused_with_stage_and_column(dtype: Any, returned: Any, said: str) -> None:
+    pipeline = Pipeline(None, [_Returned(Column("mine", "1", dtype), returned)])
+    with pytest.raises(ImumonError) as caught:
+        pipeline.push(SampleBlock({"gyro_x": np.zeros(3)}))
+    assert (caught.value.reason, caught.value.seen) == (Reason.BAD_CONFIG, said)
+
+
+def test_a_column_that_fits_its_type_gets_it() -> None:
+    pipeline = Pipeline(None, [_Returned(Column("mine", "1"), {"mine": np.arange(3, dtype=np.int32)})])
+    pipeline.push(SampleBlock({"gyro_x": np.zeros(3)}))
+    assert pipeline.take()["mine"].dtype == np.float64
+
+
+@pytest.mark.parametrize(
+    ("column", "said"),
+    [
+        (Column("mine", "1", "complex128"), "stage _Returned: mine has type 'complex128'"),  # type: ignore[arg-type]
+        (Column("My column", "1"), "stage _Returned: 'My column' is no name of a column"),
+        ("mine", "stage _Returned: 'mine' is no column"),
+    ],
+)
+def test_a_declaration_that_no_table_can_have_is_refused_at_once(column: Any, said: str) -> None:
+    with pytest.raises(ImumonError) as caught:
+        Pipeline(None, [_Returned(column, {})])
+    assert caught.value.seen == said
+
+
+@pytest.mark.parametrize("lacking", ["columns", "process", "notices"])
+def test_a_stage_that_lacks_something_is_refused_at_once(lacking: str) -> None:
+    whole = {"columns": [], "process": lambda _: {}, "notices": list}
+    stage: Any = SimpleNamespace(**{name: what for name, what in whole.items() if name != lacking})
+    with pytest.raises(ImumonError, match=f"has no {lacking}"):
+        Pipeline(None, [stage])
+
+
+def test_a_stage_cannot_change_what_was_sent() -> None:
+    class Changing(_Returned):
+        def process(self, block: SampleBlock) -> Any:
+            block["gyro_x"][:] = 7.0
+            return {}
+
+    pipeline = Pipeline(None, [Changing(Column("mine", "1"), {})])
+    with pytest.raises(ValueError, match="read-only"):
+        pipeline.push(SampleBlock({"gyro_x": np.zeros(3)}))
+
+
+class _Returned:
+    def __init__(self, column: Column, returned: Any) -> None:
+        self.columns, self._returned = [column], returned
+
+    def process(self, _: SampleBlock) -> Any:
+        return self._returned
+
+    def notices(self) -> list[str]:
+        return []
 
 
 class _Given:

@@ -14,9 +14,9 @@ HELD = ("temperature", "temperature_x", "temperature_y", "temperature_z")
 
 
 class HeldReadings:
-    """Adds to main rows the latest reading of a side stream, whatever the division into blocks.
+    """Adds to main rows the latest reading of the side streams, whatever the division into blocks.
 
-    A reading holds from the first main row that was begun after it was complete.
+    A reading holds from the first main row that was begun after it was complete; a row's own counts first.
     """
 
     def __init__(self) -> None:
@@ -30,20 +30,24 @@ class HeldReadings:
 
     def process(self, main: SampleBlock, side: Mapping[str, Epochs]) -> SampleBlock:
         """Return main rows with the columns of `HELD` that only side streams have."""
-        first, n = self._rows, len(main)
-        self._rows += n
-        for epochs in side.values():
-            for name in HELD:
-                if name in epochs.block and (name not in main or name in self._latest):
-                    main = self._with(main, name, epochs.block[name], epochs.until - first)
-        for name in self._latest.keys() - main.columns.keys():
-            main = main.with_columns({name: np.full(n, self._latest[name])})
+        first = self._rows
+        self._rows += len(main)
+        for name in HELD:
+            having = [epochs for epochs in side.values() if name in epochs.block]
+            if having or name in self._latest:
+                values = np.concatenate([np.zeros(0), *(epochs.block[name] for epochs in having)])
+                at = np.concatenate([np.zeros(0, np.int64), *(epochs.until - first for epochs in having)])
+                main = self._with(main, name, values, at)
         return main
 
     def _with(self, main: SampleBlock, name: str, values: FloatArray, at: IntArray) -> SampleBlock:
-        """Return the rows with these readings held from row `at` of the block on."""
+        """Return the rows with these readings held from row `at` of the block on, where there is none."""
         there = np.isfinite(values)
-        known = np.concatenate([[self._latest.get(name, np.nan)], values[there]])
-        which = np.searchsorted(at[there], np.arange(len(main)), side="right")
+        values, at = values[there], at[there]
+        order = np.argsort(at, kind="stable")
+        known = np.concatenate([[self._latest.get(name, np.nan)], values[order]])
+        held = known[np.searchsorted(at[order], np.arange(len(main)), side="right")]
         self._latest[name] = float(known[-1])
-        return main.with_columns({name: known[which]})
+        if name in main:
+            held = np.where(np.isnan(main[name]), held, main[name])
+        return main.with_columns({name: held})

@@ -334,14 +334,15 @@ def _assign(
     `behind` is filled with how many main rows had begun before each packet of a side stream.
     """
     groups, main = books.groups, books.groups[0]
-    columns_apart = np.int64(0)
-    for g in range(1, len(groups)):
-        if groups[g].apart:
-            columns_apart |= group_masks[g]
     for i in range(first, len(arrived.groups)):
         belongs, kind, key, mask = arrived.groups[i], arrived.kind[i], arrived.key[i], arrived.masks[i]
-        joined, together = belongs & 1 != 0, mask & ~columns_apart
+        joined, aside, stray = belongs & 1 != 0, np.int64(0), _stray(belongs, mask, group_masks)
+        for g in range(1, len(groups)):
+            if belongs >> g & 1 and groups[g].apart:
+                aside |= _own(g, belongs, mask, stray, group_masks)
+        together = mask & ~aside
         if joined:
+            together |= mask & group_masks[0]
             _add(0, i, kind, key, together, books)
         elif together and main.epoch and not _is_other(main, kind, key, together):
             _enter(0, i, together, books)
@@ -353,15 +354,30 @@ def _assign(
                 break
             if not belongs >> g & 1 or (joined and not groups[g].apart):
                 continue
-            own = mask & group_masks[g]
+            own = _own(g, belongs, mask, stray, group_masks)
             if groups[g].epoch and _is_other(groups[g], kind, key, own):
                 groups[g].apart = 1
-                columns_apart |= group_masks[g]
             _add(g, i, kind, key, own, books)
     if end:
         for g in range(len(groups)):
             if groups[g].epoch:
                 _end(g, books)
+
+
+@inner
+def _stray(belongs: int, mask: int, group_masks: IntArray) -> int:
+    """Return the columns of a packet whose own group it is not of: another message has the same quantity."""
+    for g in range(len(group_masks)):
+        if belongs >> g & 1:
+            mask &= ~group_masks[g]
+    return mask
+
+
+@inner
+def _own(g: int, belongs: int, mask: int, stray: int, group_masks: IntArray) -> int:
+    """Return the columns that a packet has in one of its groups; stray ones are in the first of these."""
+    first = belongs & -belongs == 1 << g
+    return int(mask & group_masks[g] | (stray if first else 0))
 
 
 @inner
@@ -383,17 +399,19 @@ def _add(g: int, row: int, kind: int, key: int, own: int, books: _Books) -> None
         group.key_kind, group.key, group.mask = kind, key, 0
         group.after = books.groups[0].epochs
         if g == 0 and kind != NO_TIME:
-            _pull(kind, key, books)
+            _pull(kind, key, own, books)
     _enter(g, row, own, books)
 
 
 @inner
-def _pull(kind: int, key: int, books: _Books) -> None:
-    """Take into the new main epoch what came before it with the same time."""
+def _pull(kind: int, key: int, own: int, books: _Books) -> None:
+    """Take into the new main epoch what came before it with the same time, but no field a second time."""
     entries, main = books.entries, books.groups[0]
     for g in range(1, len(books.groups)):
         group = books.groups[g]
         if group.apart or not group.epoch or group.key_kind != kind or group.key != key:
+            continue
+        if group.mask & (own | main.mask):
             continue
         for k in range(books.counts[0].entries - 1, -1, -1):
             if entries[k].epoch == group.epoch:

@@ -26,6 +26,12 @@ class NumberType:
     integer: bool
     signed: bool
 
+    @property
+    def range(self) -> tuple[int, int]:
+        """The least and the largest integer."""
+        bits = 8 * self.size
+        return (-(1 << (bits - 1)), (1 << (bits - 1)) - 1) if self.signed else (0, (1 << bits) - 1)
+
 
 NUMBER_TYPES: dict[str, NumberType] = {
     "u8": NumberType(U8, 1, True, False),
@@ -43,7 +49,7 @@ NUMBER_TYPES: dict[str, NumberType] = {
     # Xsens: 32 bits of fraction, then 16 bits of integer part, together a 48-bit two's complement number.
     "fp1632": NumberType(FP1632, 6, False, True),
 }
-"""Number types by the name that device files use.  u64 above 2**63-1 wraps to negative."""
+"""Number types by the name that device files use."""
 
 WRAPPING = ("packet_counter", "device_ticks")
 """Columns of which only the low bits are sent."""
@@ -110,9 +116,12 @@ class Placed(NamedTuple):
             raw = _of_three_bytes(raw, self.big, kind.signed)
         if value.mask:
             picked = (raw.astype(np.uint64) & np.uint64(value.mask)) >> np.uint64(value.lowest_bit)
-            raw = picked.astype(np.int64)
+            raw = picked
         if value.column.dtype == "int64" and kind.integer:
-            return raw.astype(np.int64) * int(value.factor)
+            whole = raw.astype(np.int64) * int(value.factor)
+            if kind.signed or self.name in WRAPPING:
+                return whole
+            return np.where(whole < 0, NO_INT, whole)  # more than a column of integers holds
         with np.errstate(invalid="ignore"):  # a signalling NaN becomes a quiet one
             numbers: FloatArray = raw.astype(np.float64)
             if value.factor != 1.0:
@@ -128,7 +137,7 @@ def record_type(numbers: Sequence[Placed], size: int) -> np.dtype[np.void]:
     formats: list[tuple[str, int] | str] = []
     for item in numbers:
         kind = NUMBER_TYPES[item.value.type]
-        letter = "f" if not kind.integer else "i" if kind.signed or kind.size == 8 else "u"
+        letter = "f" if not kind.integer else "i" if kind.signed else "u"
         formats.append(("u1", 3) if kind.size == 3 else f"{'>' if item.big else '<'}{letter}{kind.size}")
     names, offsets = [item.name for item in numbers], [item.at for item in numbers]
     return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": size})
@@ -186,8 +195,7 @@ def _pack_float(numbers: FloatArray, kind: NumberType, where: str) -> ByteArray:
 def _refuse_outside(numbers: ColumnArray, kind: NumberType, where: str) -> None:
     if kind.size == 8:
         return
-    bits = 8 * kind.size
-    low, high = (-(1 << (bits - 1)), (1 << (bits - 1)) - 1) if kind.signed else (0, (1 << bits) - 1)
+    low, high = kind.range
     _refuse((numbers < low) | (numbers > high), numbers, where)
 
 

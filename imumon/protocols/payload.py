@@ -8,12 +8,12 @@ from typing import Protocol
 
 import numpy as np
 
-from imumon.blocks import ColumnArray, IntArray, SampleBlock, missing
+from imumon.blocks import NO_INT, ColumnArray, IntArray, SampleBlock, missing
 from imumon.columns import KNOWN, Column
 from imumon.protocols.base import MAIN, ONLY_CORRECTED, Groups, Packets, Timing
 from imumon.protocols.epochs import GENERATION
 from imumon.protocols.framing import Found, Frame, FramedDecoder
-from imumon.protocols.numbers import Derived, Placed, record_type
+from imumon.protocols.numbers import NUMBER_TYPES, WRAPPING, Derived, Placed, record_type
 from imumon.protocols.stream import ByteArray
 
 
@@ -61,8 +61,25 @@ class Record:
         sent = [item.value.column for item in self._numbers if item.value.column is not None]
         shown = [*sent, *(column for item in self._derived for column in item.results)]
         self.columns = tuple(column for column in shown if not column.name.startswith("_"))
+        self.beyond: set[str] = set()
+        """Columns of which values came that no column of integers holds: they are missing."""
+        self._wide = {
+            item.name
+            for item in self._numbers
+            if NUMBER_TYPES[item.value.type].size == 8 and NUMBER_TYPES[item.value.type].integer
+            if item.value.column is not None and item.value.column.dtype == "int64"
+            if item.name not in WRAPPING
+        }
         self._size = size or max((item.end for item in self._numbers), default=1)
         self._type = record_type(self._numbers, self._size)
+
+    def complaints(self) -> list[str]:
+        """Return what is to be said of columns that do not hold all that was sent."""
+        return [
+            f"{name}: numbers beyond 64 bits with a sign are missing in the table;"
+            " two columns of u32 have all the bits"
+            for name in sorted(self.beyond)
+        ]
 
     def read(self, found: Found) -> dict[str, ColumnArray]:
         """Return a value a packet for each column."""
@@ -72,6 +89,9 @@ class Record:
         """Return a value a packet for each column, of the bytes of the packets, (n, size)."""
         records = packets.view(self._type)[:, 0]
         columns = {item.name: item.read(records[item.name]) for item in self._numbers}
+        for name in self._wide - self.beyond:
+            if np.any(columns[name] == NO_INT):
+                self.beyond.add(name)
         for made in self._derived:
             columns |= zip((c.name for c in made.results), made.decode(columns), strict=True)
         return columns
@@ -139,6 +159,9 @@ class LayoutDecoder(FramedDecoder):
         corrected = "gyro_compensated_x" in self._columns and "gyro_x" not in self._columns
         if corrected and sum(self._by_frame) >= GENERATION:
             self._warn(ONLY_CORRECTED)
+        for layout in self._layouts:
+            for text in layout.complaints() if isinstance(layout, Record) else ():
+                self._warn(text)
         return super().warnings()
 
     @abstractmethod

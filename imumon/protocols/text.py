@@ -12,7 +12,7 @@ import json
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache, partial, reduce
+from functools import cached_property, lru_cache, partial, reduce
 from math import isfinite
 from operator import xor
 from typing import Any, Final, Literal, Self
@@ -28,6 +28,7 @@ from imumon.protocols.device import DeviceFile
 from imumon.protocols.fixed.description import NumberField, NumberName, timing_of
 from imumon.protocols.frame_checks import Trailing
 from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, Check, Found, Frame, Lengths
+from imumon.protocols.numbers import NUMBER_TYPES, WRAPPING
 from imumon.protocols.payload import LayoutDecoder
 from imumon.protocols.stream import ByteArray
 
@@ -119,6 +120,21 @@ class Line(StrictModel):
             numbers = [self._number(words[key]) for key in self.wanted]
         except (ValueError, KeyError, IndexError, RecursionError):
             return None
+        fit = (low <= numbers[k] <= high and numbers[k].is_integer() for k, low, high in self._counts)
+        return numbers if all(fit) else None
+
+    @cached_property
+    def _counts(self) -> list[tuple[int, int, int]]:
+        """Which of the columns are counts of so many bits, and their ranges."""
+        columns = [(name, NUMBER_TYPES[field.type]) for field in self.fields for name in field.names]
+        return [
+            (k, *kind.range) for k, (name, kind) in enumerate(columns) if name in WRAPPING and kind.integer
+        ]
+
+    def wrapped(self, numbers: FloatArray) -> FloatArray:
+        """Return the numbers of lines, (n, columns), with the low bits of counts alone."""
+        for k, low, high in self._counts:
+            numbers[:, k] = (numbers[:, k] - low) % (high + 1 - low) + low
         return numbers
 
     def _words(self, body: str) -> Any:
@@ -348,7 +364,7 @@ class TextEncoder(Encoder):
         parts = []
         for line, places in self._lines:
             raw = [p.raw(block[p.column.name]) if p.column.name in block else zeros for p in places]
-            parts.append([line.write(row) for row in np.column_stack(raw).tolist()])
+            parts.append([line.write(row) for row in line.wrapped(np.column_stack(raw)).tolist()])
         return [b"".join(row) for row in zip(*parts, strict=True)]
 
 

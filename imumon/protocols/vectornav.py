@@ -239,6 +239,14 @@ class VectorNavDecoder(LayoutDecoder):
         )
         timing = Timing(tick_ns=Fraction(1), rate_hz=rate_hz)
         super().__init__(frames, timing, SIDE_GROUPS, apart=tuple(RECEIVERS.values()))
+        # Some quantities are in fields of two groups: which counts is not for the order of the packets.
+        for item in (item for items in GROUPS.values() for item in items if item is not None and item.group):
+            group = (MAIN, *SIDE_GROUPS).index(item.group)
+            self._of_column |= {
+                v.column.name: group
+                for v in item.values
+                if v.column is not None and v.column.name not in self._of_column
+            }
         self._kinds: dict[bytes, int] = {}
         self._known: list[_Kind] = []
         self._factory: frozenset[str] = frozenset()

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from io import BytesIO
 from pathlib import Path
 from typing import Any, Literal
+from zipfile import BadZipFile
 
-from imumon.columns import Column
+from imumon.blocks import SampleBlock
+from imumon.columns import KNOWN, Column, ColumnType
 from imumon.errors import ImumonError, Reason
 from imumon.recordings.table import read_table
 
@@ -64,6 +67,37 @@ def _npz(path: Path, values: dict[str, Any], columns: Mapping[str, Column]) -> N
 
     units = json.dumps({name: column.unit for name, column in columns.items()})
     np.savez_compressed(path, units=np.array(units), **values)
+
+
+def read_npz(path: Path) -> tuple[SampleBlock, dict[str, Column]]:
+    """Read what `convert` wrote as .npz; return the samples and the columns with their units.
+
+    Raises
+    ------
+    ImumonError
+        BAD_DATA when it cannot be read, or was not written by imumon.
+    """
+    import numpy as np
+
+    try:
+        with np.load(BytesIO(path.read_bytes()), allow_pickle=False) as file:
+            values = {name: file[name] for name in file.files}
+        units: dict[str, str] = json.loads(str(values.pop("units")))
+        block = SampleBlock(values)
+        dtypes: dict[str, ColumnType] = {
+            name: "int64" if part.dtype == np.int64 else "float64" for name, part in values.items()
+        }
+        columns = {
+            name: Column(name, units[name], dtypes[name], KNOWN[name].description if name in KNOWN else "")
+            for name in values
+        }
+    except (OSError, ValueError, TypeError, KeyError, EOFError, BadZipFile) as error:
+        raise ImumonError(
+            Reason.BAD_DATA,
+            f"{path}: cannot be read as a table of imumon: {error}",
+            "imumon export writes one",
+        ) from error
+    return block, columns
 
 
 def _mat(path: Path, values: dict[str, Any], columns: Mapping[str, Column]) -> None:

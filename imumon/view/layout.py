@@ -350,7 +350,7 @@ class Bands(Strip):
         rec.log(self.exact, rr.SeriesLines(names=list(self.columns)), static=True)
         for line in self.lines:
             style = rr.Measurements.from_fields(names=[line.name], colors=[list(line.color)], widths=[1.6])
-            rec.log(f"{self.drawn}/{line.name}", style, static=True)
+            rec.log(self._entity(line), style, static=True)
         declare_extent(rec, self.drawn)
 
     def reach(self, rows: Rows) -> Reach:
@@ -373,6 +373,8 @@ class Bands(Strip):
             keep = due & np.isfinite(value) & np.isfinite(sd)
             if keep.any():
                 measured = rr.Measurements.columns(values=value[keep], variances=TWO_SIGMA * sd[keep] ** 2)
-                rec.send_columns(
-                    f"{self.drawn}/{line.name}", indexes=rows.kept(keep).indexes, columns=measured
-                )
+                rec.send_columns(self._entity(line), indexes=rows.kept(keep).indexes, columns=measured)
+
+    def _entity(self, line: Line) -> str:
+        """Return the entity of a band; its name may be that of a session, with spaces."""
+        return f"{self.drawn}/{rr.escape_entity_path_part(line.name)}"

@@ -11,13 +11,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imumon.blocks import FloatArray, SampleBlock, join
+from imumon.clock.held import HeldReadings
 from imumon.pipeline import UNDATED, Digest, Pipeline
 from imumon.protocols.device import load_device
+from imumon.protocols.epochs import Epochs
+from imumon.protocols.inertialsense import InertialSenseDevice
+from imumon.protocols.mavlink import MavlinkDevice
 from tests.data_folder import measured
 from tests.protocols.wire import mip, mip_time, mip_vector, mtdata2_gnss, mtdata2_inertial, xbus
 
 START = 1_700_000_000_000_000_000
 MS = 1_000_000
+MAVLINK, INERTIAL_SENSE = MavlinkDevice.family, InertialSenseDevice.family
 
 
 def run(
@@ -273,6 +278,65 @@ def test_any_chunking_gives_the_same_rows(chunk: int, seed: int) -> None:
     again, again_side, other = run(device, data, chunk)
     assert _digest(main, side) == _digest(again, again_side)
     assert pipeline.counters == other.counters
+
+
+def _with_value(key: int, time: int, value: float) -> bytes:
+    """Return a message of MAVLink (29, 105) or Inertial Sense (11, 58) that has this in one column."""
+    if key == 29:
+        return MAVLINK.wrap(key, struct.pack("<Iffhh", time, value, 0.0, 0, 0))
+    if key == 105:
+        numbers = [*[0.0] * 9, value, 0.0, 0.0, 20.0]
+        return MAVLINK.wrap(key, struct.pack("<Q13fH", time * 1000, *numbers, 0))
+    size = INERTIAL_SENSE.messages[key].size
+    return INERTIAL_SENSE.wrap(key, struct.pack("<dIf", time / 1000, 0, value).ljust(size, b"\0"))
+
+
+@given(st.lists(st.tuples(st.booleans(), st.integers(0, 6)), max_size=80), st.integers(1, 300))
+@pytest.mark.parametrize(
+    ("device", "keys", "column", "scale"),
+    [("mavlink", (105, 29), "pressure", 100.0), ("inertialsense", (58, 11), "gyro_x", 1.0)],
+)
+@settings(max_examples=40, deadline=None)
+def test_messages_with_the_same_quantity_lose_none_of_it(
+    device: str, keys: tuple[int, int], column: str, scale: float, parts: list[tuple[bool, int]], chunk: int
+) -> None:
+    """Every value is in exactly one row of one stream, whichever came first, and whatever the reads."""
+    data = b"".join(
+        _with_value(keys[second], 1000 + time, number + 1.0) for number, (second, time) in enumerate(parts)
+    )
+    main, side, _ = run(device, data)
+    found = [block[column] / scale for block in (main, *side.values()) if column in block]
+    values = np.concatenate([np.zeros(0), *found])
+    np.testing.assert_allclose(
+        np.sort(values[np.isfinite(values)]), np.arange(1.0, len(parts) + 1), rtol=1e-6
+    )
+    assert _digest(main, side) == _digest(*run(device, data, chunk)[:2])
+
+
+def test_a_barometer_beside_one_of_the_inertial_message_is_a_stream() -> None:
+    """HIGHRES_IMU at 50 Hz has a pressure; SCALED_PRESSURE at 1 Hz, 1 ms off, too."""
+    packets = []
+    for k in range(1000):
+        packets.append(_with_value(105, 5000 + 20 * k, 1000.0 + k))
+        packets += [_with_value(29, 5001 + 20 * k, 5.0)] if k % 50 == 0 else []
+    main, side, _ = run("mavlink", b"".join(packets), 4096)
+    np.testing.assert_array_equal(main["pressure"], 100 * (1000.0 + np.arange(1000)))
+    np.testing.assert_array_equal(side["pressure"]["pressure"], np.full(20, 500.0))
+
+
+def test_a_reading_of_its_own_counts_before_a_held_one() -> None:
+    """A slow thermometer came before the rows that have a temperature of theirs: these are not replaced."""
+    held = HeldReadings()
+    one = np.zeros(1, np.int64)
+    side = [
+        Epochs(SampleBlock({"temperature": np.array([value])}), one, one + until, one)
+        for value, until in ((20.0, 3), (21.0, 1))
+    ]
+    empty = SampleBlock({"gyro_x": np.zeros(4)})
+    first = held.process(empty, dict(zip("ab", side, strict=True)))
+    np.testing.assert_array_equal(first["temperature"], [np.nan, 21.0, 21.0, 20.0])
+    rows = empty.with_columns({"temperature": np.array([30.0, np.nan, 31.0, np.nan])})
+    np.testing.assert_array_equal(held.process(rows, {})["temperature"], [30.0, 20.0, 31.0, 20.0])
 
 
 @given(st.lists(st.tuples(st.integers(0, 5), st.integers(0, 6), st.booleans()), max_size=80))

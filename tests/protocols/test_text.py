@@ -43,6 +43,23 @@ def test_lines_with_separators() -> None:
     np.testing.assert_allclose(np.rad2deg(block["gyro_z"]), [5, 6, 3])
 
 
+@pytest.mark.parametrize("bad", [b"-5", b"70000", b"1.5", b"65536"])
+def test_a_clock_that_its_type_does_not_hold_makes_a_line_bad(bad: bytes) -> None:
+    decoder = parse_device(CSV.replace("u32", "u16"), "t.yaml").decoder()
+    line = bad + b",1,2,3\n"
+    block = feed_in_chunks(decoder, b"\n0,1,2,3\n" + line + b"65535,1,2,3\n", [7])
+    assert block["device_ticks"].tolist() == [0, 65535]
+    assert decoder.counters().checksum_errors == 1
+
+
+def test_a_count_is_written_with_the_bits_that_its_type_has() -> None:
+    device = parse_device(CSV.replace("u32", "i16"), "t.yaml")
+    ticks = np.array([-32768, 32767, 32768, 65536 + 5])
+    sent = b"".join(device.encoder().encode(SampleBlock({"device_ticks": ticks})))
+    read = feed_in_chunks(device.decoder(), b"\n" + sent, [11])
+    assert read["device_ticks"].tolist() == [-32768, 32767, -32768, 5]
+
+
 def test_the_first_line_may_be_torn_and_does_not_count() -> None:
     assert len(decoded(CSV, b"00,1,2,3\n1000,1,2,3\n")) == 1
 

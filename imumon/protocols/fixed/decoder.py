@@ -56,6 +56,12 @@ class FixedDecoder(CompiledDecoder):
         """Columns of the blocks: the arrival time and what the packet has."""
         return self._columns
 
+    def warnings(self) -> list[str]:
+        """Return, once each, which columns do not hold all that was sent; see `Decoder.warnings`."""
+        for text in self._record.complaints():
+            self._warn(text)
+        return super().warnings()
+
     def _packets_by_type(self) -> dict[str, int]:
         count = int(self._stream.packets)
         return {self._name: count} if count else {}

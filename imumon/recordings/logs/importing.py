@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -47,6 +47,7 @@ def import_log(path: Path, sensor: str | None, out: Path) -> LogReport:
         text, dropped = log.write(table)
         write_text(table.with_suffix(".yaml"), text)
         rows = import_table(table, table.with_suffix(".yaml"), out, Origin(_file_of(path), dropped))
+    rows = replace(rows, warnings=(*log.warnings, *rows.warnings))
     return LogReport(rows, log.sensor, log.others, log.scaling, log.damage)
 
 

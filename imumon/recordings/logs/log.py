@@ -83,6 +83,8 @@ class Log:
         Where the units of the values are known from.
     damage : Damage
         What could not be read.
+    warnings : tuple of str
+        What whoever works with the samples has to know.
     """
 
     sensor: str
@@ -92,6 +94,7 @@ class Log:
     axes: str
     scaling: str
     damage: Damage = Damage()
+    warnings: tuple[str, ...] = ()
 
     def write(self, path: Path) -> tuple[str, int]:
         """Write the table; return its map, and how many rows have no later time and were left out."""

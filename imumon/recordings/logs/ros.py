@@ -6,6 +6,7 @@ The first topic of MagneticField, Temperature and FluidPressure goes with it.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -43,12 +44,20 @@ def read(path: Path, sensor: str | None = None) -> Log:
         with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as bag:
             topics = sorted({one.topic for one in bag.connections if one.msgtype == IMU and one.msgcount})
             name, others = pick(path, topics, sensor)
-            gyro, *beside = _collect(bag, [name, *(_first(bag, kind) for kind in BESIDE)])
+            (gyro, *beside), undated = _collect(bag, [name, *(_first(bag, kind) for kind in BESIDE)])
     except ImumonError:
         raise
     except Exception as error:  # each format of a bag has errors of its own
         raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read as a ROS bag: {error}") from error
-    return Log(name, others, gyro, beside, "FLU", SCALING)
+    warnings = [_undated(name, undated[name], len(gyro.time_ns))] if undated[name] else []
+    return Log(name, others, gyro, beside, "FLU", SCALING, warnings=tuple(warnings))
+
+
+def _undated(topic: str, count: int, n: int) -> str:
+    return (
+        f"{topic}: {count:,} of {n:,} headers have no time: the time at which the recorder received them"
+        " stands in, and its jitter and delay are not the sensor's"
+    )
 
 
 def _vector(value: Any) -> list[float]:
@@ -79,20 +88,23 @@ def _first(bag: Any, kind: str) -> str | None:
     return min((one.topic for one in bag.connections if one.msgtype == kind), default=None)
 
 
-def _collect(bag: Any, topics: list[str | None]) -> list[Series]:
-    """Return the samples of topics, in their order, those that are there."""
+def _collect(bag: Any, topics: list[str | None]) -> tuple[list[Series], Counter[str]]:
+    """Return the samples of topics, in their order, those that are there; and of each the undated ones."""
     rows: dict[str, list[list[float]]] = {topic: [] for topic in topics if topic is not None}
     times: dict[str, list[int]] = {topic: [] for topic in rows}
     kinds: dict[str, str] = {}
+    undated: Counter[str] = Counter()
     connections = [one for one in bag.connections if one.topic in rows and one.msgtype in TAKEN]
     for connection, time_ns, raw in bag.messages(connections=connections):
         message = bag.deserialize(raw, connection.msgtype)
         stamp = message.header.stamp
+        stamp_ns = stamp.sec * SECOND_NS + stamp.nanosec
         # A driver that leaves the header empty: the time at which it was recorded.
-        times[connection.topic].append(stamp.sec * SECOND_NS + stamp.nanosec or time_ns)
+        undated[connection.topic] += stamp_ns == 0
+        times[connection.topic].append(stamp_ns or time_ns)
         rows[connection.topic].append(TAKEN[connection.msgtype][0](message))
         kinds[connection.topic] = connection.msgtype
-    return [
+    found = [
         Series(
             np.array(times[topic], np.int64),
             dict(zip(TAKEN[kinds[topic]][1], np.array(values, np.float64).T, strict=True)),
@@ -100,3 +112,4 @@ def _collect(bag: Any, topics: list[str | None]) -> list[Series]:
         for topic, values in rows.items()
         if values
     ]
+    return found, undated

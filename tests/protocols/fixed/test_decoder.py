@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import struct
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
@@ -9,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from imumon.blocks import SampleBlock
+from imumon.blocks import NO_INT, SampleBlock
 from imumon.errors import ImumonError
 from imumon.protocols.base import CAPACITY, Decoder
 from imumon.protocols.device import load_device, parse_device
@@ -242,6 +243,46 @@ def test_a_packet_cut_short_by_the_end_stays_pending() -> None:
     assert len(run(decoder, data, [])) == 2
     assert decoder.counters().bytes_pending == 53
     assert decoder.counters().bytes_skipped == 0
+
+
+LARGE = """
+format: imumon-device/1
+name: large
+title: numbers of 64 bits
+protocol: fixed
+rate_hz: 200
+axes: FLU
+packet:
+  length: 34
+  byte_order: little
+  sync: [0xFA, 0x01]
+  checksum: {type: none, first: 0, last: 1, at: 0}
+  fields:
+    - {at: 2, type: u64, column: scaled, scale: 1.0e-3}
+    - {at: 2, type: u64, column: plain}
+    - {at: 10, type: i64, column: far}
+    - {at: 18, type: u64, column: device_ticks, unit: ns}
+    - {at: 26, type: u64, column: high_bits, mask: 0x7FFF000000000000}
+"""
+
+
+def test_numbers_of_64_bits_are_right_or_missing_with_a_warning() -> None:
+    device = parse_device(LARGE, "large.yaml")
+    rows = [(2**63 - 1, -(2**63) + 1, 5), (2**64 - 1, -(2**63), 2**64 - 5), (2**63, -1, 2**63)]
+    packets = [
+        b"\xfa\x01" + struct.pack("<QqQQ", wide, far, ticks, 0xFFFE << 48) for wide, far, ticks in rows
+    ]
+    decoder = device.decoder()
+    block = run(decoder, b"".join(packets), [])
+    np.testing.assert_allclose(block["scaled"], [2**63 / 1e3, 2**64 / 1e3, 2**63 / 1e3], rtol=1e-15)
+    assert block["plain"].tolist() == [2**63 - 1, NO_INT, NO_INT]
+    assert block["far"].tolist() == [-(2**63) + 1, NO_INT, -1]
+    assert block["device_ticks"].tolist() == [5, -5, NO_INT]  # the low bits of a clock, which wraps
+    assert block["high_bits"].tolist() == [0x7FFE] * 3
+    plain, far = sorted(decoder.warnings(), reverse=True)
+    assert plain.startswith("plain: numbers beyond 64 bits")
+    assert far.startswith("far: ")
+    assert not decoder.warnings()
 
 
 def test_a_float_clock_becomes_whole_nanoseconds() -> None:

@@ -144,7 +144,7 @@ def test_px4_joins_gyro_and_accelerometer_of_a_number(tmp_path: Path) -> None:
     assert found["pressure"][49] == 99_000.0
 
 
-def bag(path: Path, stamps: IntArray, rate: FloatArray) -> None:
+def bag(path: Path, stamps: IntArray, rate: FloatArray, dated: bool = True) -> None:
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
 
@@ -159,7 +159,7 @@ def bag(path: Path, stamps: IntArray, rate: FloatArray) -> None:
             for name, kind in (("/b/imu", "sensor_msgs/msg/Imu"), ("/t", "sensor_msgs/msg/Temperature"))
         }
         for time_ns, value in zip(stamps.tolist(), rate.tolist(), strict=True):
-            header = header_of(time_of(time_ns // 10**9, time_ns % 10**9), "imu")
+            header = header_of(time_of(*(divmod(time_ns, 10**9) if dated else (0, 0))), "imu")
             q = of["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
             message = of["sensor_msgs/msg/Imu"](
                 header, q, none, vector(value, 0.0, 0.0), unknown, vector(0.0, 0.0, 9.8), unknown
@@ -177,6 +177,7 @@ def test_a_ros_bag(tmp_path: Path, folder: bool) -> None:
     path = tmp_path / "drive" if folder else next((tmp_path / "drive").glob("*.mcap"))
     report = import_log(path, None, tmp_path / "session")
     assert report.sensor == "/b/imu"
+    assert not report.rows.warnings
     found = samples(tmp_path / "session")
     np.testing.assert_array_equal(found["device_time_ns"], stamps)
     np.testing.assert_allclose(found["gyro_x"], np.linspace(0.0, 1.0, 40))
@@ -186,6 +187,15 @@ def test_a_ros_bag(tmp_path: Path, folder: bool) -> None:
     with pytest.raises(ImumonError, match="there is no sensor '/c/imu'") as refused:
         import_log(path, "/c/imu", tmp_path / "other")
     assert "/b/imu" in refused.value.hint
+
+
+def test_a_bag_without_times_in_its_headers_is_dated_by_the_recorder_with_a_warning(tmp_path: Path) -> None:
+    stamps = 1_700_000_000_000_000_000 + 5_000_000 * np.arange(40)
+    bag(tmp_path / "drive", stamps, np.linspace(0.0, 1.0, 40), dated=False)
+    report = import_log(tmp_path / "drive", None, tmp_path / "session")
+    np.testing.assert_array_equal(samples(tmp_path / "session")["device_time_ns"], stamps + 5)
+    assert len(report.rows.warnings) == 1
+    assert "/b/imu: 40 of 40 headers have no time" in report.rows.warnings[0]
 
 
 @pytest.mark.parametrize(
