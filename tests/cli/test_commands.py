@@ -328,7 +328,7 @@ def test_a_recording_does_not_depend_on_who_reads_its_messages(tmp_path: Path, r
 def test_output_that_nobody_takes_is_an_error_without_a_traceback(session: Path, tmp_path: Path) -> None:
     full = shell("imumon devices > /dev/full", tmp_path)
     assert (full.returncode, full.stdout) == (2, "")
-    assert full.stderr == "imumon: No space left on device\n"
+    assert full.stderr == "imumon: No space left on device\nmake room, or give a place on another disk\n"
     assert shell("imumon --help > /dev/full", tmp_path).returncode == 2
     for reader in ("head -c 1", "true"):
         piped = shell(f"imumon replay {session} --json | {reader}", tmp_path)
