@@ -7,6 +7,9 @@ from typing import Literal
 
 ColumnType = Literal["float64", "int64"]
 
+NAME = "^[a-z][a-z0-9_]*$"
+"""Pattern of the names that device files, maps and stages give to columns."""
+
 
 @dataclass(frozen=True, slots=True)
 class Column:

@@ -23,7 +23,7 @@ from imumon.clock.held import HeldReadings
 from imumon.clock.nominal import NominalRate
 from imumon.clock.rate import Intervals
 from imumon.clock.side import SharedCounter, SideClock
-from imumon.columns import KNOWN, TIME_COLUMNS, Column, ColumnType
+from imumon.columns import KNOWN, NAME, TIME_COLUMNS, Column, ColumnType
 from imumon.errors import ImumonError, Reason
 from imumon.intake import Intake
 from imumon.protocols.base import COMMON, MAIN, Counters, Timing
@@ -33,9 +33,6 @@ from imumon.protocols.stream import ByteArray
 
 UNDATED = NO_INT
 """Arrival time of bytes whose arrival nobody noted, as in a raw capture."""
-
-NAME = re.compile("[a-z][a-z0-9_]*")
-"""Names of columns, as device files and maps have them."""
 
 
 class Estimator(Protocol):
@@ -430,7 +427,7 @@ def _refuse_stage(stage: Estimator) -> None:
     for column in stage.columns:
         if not isinstance(column, Column):
             raise _wrong(stage, f"{column!r} is no column", "declare imumon.Column(name, unit)")
-        if not isinstance(column.name, str) or not NAME.fullmatch(column.name):
+        if not isinstance(column.name, str) or not re.fullmatch(NAME, column.name):
             raise _wrong(stage, f"{column.name!r} is no name of a column", "small letters, digits and _")
         if column.dtype not in get_args(ColumnType):
             hint = f"use {' or '.join(get_args(ColumnType))}"

@@ -16,7 +16,7 @@ from pydantic import (
     model_validator,
 )
 
-from imumon.columns import KNOWN
+from imumon.columns import KNOWN, NAME
 from imumon.config import StrictModel
 from imumon.units import Unit, parse_own_unit, parse_unit
 
@@ -184,7 +184,7 @@ def _check_name(name: str) -> str:
     return name
 
 
-Name = Annotated[str, Field(pattern="^[a-z][a-z0-9_]*$"), AfterValidator(_check_name)]
+Name = Annotated[str, Field(pattern=NAME), AfterValidator(_check_name)]
 
 
 class TextFormat(StrictModel):

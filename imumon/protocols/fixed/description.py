@@ -8,7 +8,7 @@ from typing import Annotated, Literal, Self, get_args
 
 from pydantic import Field, NonNegativeInt, PositiveInt, StringConstraints, model_validator
 
-from imumon.columns import KNOWN, Column
+from imumon.columns import KNOWN, NAME, Column
 from imumon.config import LARGEST_NUMBER, StrictModel
 from imumon.errors import ImumonError
 from imumon.protocols.base import COMMON, MAIN, Timing
@@ -20,7 +20,7 @@ from imumon.units import exact_conversion
 
 ByteOrder = Literal["big", "little"]
 Byte = Annotated[int, Field(ge=0, le=255)]
-ColumnName = Annotated[str, StringConstraints(pattern=r"^[a-z][a-z0-9_]*$")]
+ColumnName = Annotated[str, StringConstraints(pattern=NAME)]
 NumberName = Literal["u8", "i8", "u16", "i16", "u24", "i24", "u32", "i32", "u64", "i64", "f32", "f64"]
 IntegerName = Literal["u8", "u16", "u32"]
 ChecksumName = Literal[
