@@ -80,6 +80,7 @@ def _interrupts(folder: Path, short: bool) -> Iterator[Row]:
 def _endurance(folder: Path, short: bool) -> Iterator[Row]:
     yield endurance.accelerated(folder, 400.0, 0.1 if short else 2.0)
     yield endurance.real_time(folder, 1000.0, 0.5 if short else 30.0)
+    yield from viewer.attack_all(folder / "stopped", 10.0 if short else 1800.0, [viewer.STOPPED])
 
 
 def _days(folder: Path, short: bool) -> Iterator[Row]:

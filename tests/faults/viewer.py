@@ -57,11 +57,11 @@ class Lag:
 
     def _run(self) -> None:
         while not self._end.wait(POLL_S):
-            now, sent, times = time.monotonic(), list(self._line.sent), list(self._line.times)
+            now, sent = time.monotonic(), len(self._line.times)
             self._look()
-            first_lost = bisect_right(sent, self._kept)
-            if first_lost < len(times) and first_lost < len(sent):
-                self.most_s = max(self.most_s, now - times[first_lost])
+            first_lost = bisect_right(self._line.sent, self._kept, 0, sent)
+            if first_lost < sent:
+                self.most_s = max(self.most_s, now - self._line.times[first_lost])
 
     def _look(self) -> None:
         """Count the bytes of the records that are there by now."""
@@ -123,10 +123,11 @@ def _nothing(_: Scene, seconds: float) -> None:
     time.sleep(seconds)
 
 
+STOPPED = "view process stopped, also at the end"
 HARMS: dict[str, tuple[str, Callable[[Scene, float], None]]] = {
     "no view": ("none", _nothing),
     "nobody looks": ("web", _nothing),
-    "view process stopped, also at the end": ("web", _stop),
+    STOPPED: ("web", _stop),
     "view process killed": ("web", _kill),
     f"{BROWSERS} browsers come and go, every fifth hangs": ("web", _browsers),
     "ports 9090 and 9876 taken": ("web", _nothing),
