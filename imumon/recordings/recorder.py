@@ -13,7 +13,7 @@ from imumon.recordings.wire import WireCounters, WireWriter
 from imumon.transport.reader import Item
 
 FLUSH_PERIOD_S = 0.05
-"""A quarter of what is promised: the import of a library can keep the interpreter for 0.1 s, and its wake-up is
+"""A quarter of what is promised: the import of a library can keep the interpreter for 0.1 s, and a wake-up is
 late by that; a flush takes some 10 µs."""
 SYNC_PERIOD_S = 0.3
 """A third of what is promised, 1 s; how long the medium takes comes on top, 0.3 s once on a busy disk."""
