@@ -75,7 +75,7 @@ def _measured(rate_hz: float) -> Cost:
         TemporaryDirectory(prefix="imumon-") as folder,
         _viewer() as (viewer, drawing),
         VirtualDevice(fast, Path(folder) / "ahrs", rate_hz) as ahrs,
-        _monitor(ahrs.port.path, Path(folder) / "session") as monitor,
+        monitored(ahrs.port.path, Path(folder), "native") as monitor,
     ):
         _wait_for(viewer, monitor)
         time.sleep(SETTLING_S)
@@ -111,11 +111,12 @@ def _viewer() -> Iterator[tuple[ViewerClient, psutil.Process]]:
 
 
 @contextmanager
-def _monitor(port: str, session: Path) -> Iterator[subprocess.Popen[bytes]]:
+def monitored(port: str, folder: Path, view: str) -> Iterator[subprocess.Popen[bytes]]:
+    """Monitor a port; what is said goes to the file ``said`` of a folder, the recording to ``session``."""
     program = [sys.executable, "-c", "from imumon.cli import main; main()", "monitor", port]
-    options = ["--device", DEVICE, "--baud", str(BAUDRATE), "--view", "native", "--out", str(session)]
-    quiet = subprocess.DEVNULL
-    process = subprocess.Popen([*program, *options], stdout=quiet, stderr=quiet)
+    options = ["--device", DEVICE, "--baud", str(BAUDRATE), "--view", view, "--out", str(folder / "session")]
+    with (folder / "said").open("wb") as said:
+        process = subprocess.Popen([*program, *options], stdout=subprocess.DEVNULL, stderr=said)
     try:
         yield process
     finally:
