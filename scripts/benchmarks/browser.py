@@ -50,8 +50,9 @@ def run() -> tuple[list[Table], list[Bar]]:
         table.rows.append([str(others), *figures, f"{os.getloadavg()[0]:.1f}"])
         bars.append(Bar(f"newest line beside {others} programs, s", OLDEST_S, longest, at_most=True))
     table.notes.append(
-        f"from `imumon mark`, {MARKS} times, to the page of a monitor at {RATE_HZ:g} Hz, beside programs that only "
-        f"compute; Chromium without a window draws by software on the {os.cpu_count()} cores that all of this has"
+        f"from `imumon mark`, {MARKS} times, to the page of a monitor at {RATE_HZ:g} Hz; others: programs"
+        " that only compute; Chromium without a window draws by software on the"
+        f" {os.cpu_count()} cores that all have"
     )
     return [table], bars
 
