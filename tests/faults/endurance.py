@@ -55,6 +55,10 @@ class Slope:
     value: float
     sd: float
 
+    def within(self, most: float) -> bool:
+        """Tell whether it is at most this, as far as it is known, or nothing is known of it."""
+        return not self.value - 2.0 * self.sd > most
+
     def __str__(self) -> str:
         """Return both as a person writes them."""
         return "no slope yet" if np.isnan(self.value) else f"{self.value:+.1f} ± {self.sd:.1f} MB/h"
@@ -133,7 +137,7 @@ def accelerated(folder: Path, rate_hz: float, hours: float) -> Row:
         f"{counters.samples:,} samples in {took:.0f} s; memory {memory[0]:.0f} to {max(memory):.0f} MB,"
         f" {slope} after a third of it; wire.mcap {wire / hours / MEGABYTE:.1f} MB/h,"
         f" view.rrd {drawn / hours / MEGABYTE:.1f} MB/h; a replay took {grown:+.0f} MB more",
-        held=(hours < SHORTEST_H or slope.value < MOST_SLOPE) and again.counters == counters,
+        held=(hours < SHORTEST_H or slope.within(MOST_SLOPE)) and again.counters == counters,
     )
 
 
@@ -183,7 +187,7 @@ def real_time(folder: Path, rate_hz: float, minutes: float) -> Row:
         f" {max(parent):.0f} MB, {slopes[0]} after {WARM_UP_MINUTES:g} min; view"
         f" {max(children):.0f} MB at most, {slopes[1]}; wire.mcap {wire / hours / MEGABYTE:.0f} MB/h,"
         f" view.rrd {drawn / hours / MEGABYTE:.1f} MB/h; exit after {left:.1f} s",
-        held=(minutes < SHORTEST_MINUTES or all(slope.value < MOST_SLOPE_LIVE for slope in slopes))
+        held=(minutes < SHORTEST_MINUTES or all(slope.within(MOST_SLOPE_LIVE) for slope in slopes))
         and not told["bytes_unrecorded"]
         and told["packets_missing"] == 0,
     )
