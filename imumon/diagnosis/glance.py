@@ -124,10 +124,15 @@ def better_models(run: Run, model: BiasModel, channels: Sequence[str]) -> list[B
     for name, temperature in zip(channels, temperatures, strict=True):
         if temperature not in glances:
             glances[temperature] = _Glance(Pool([blocks], temperature), likelihood)
-        floor = white_floor([run], name, block_of(run)).of_blocks([blocks])
-        # What is missing of a model that leaves hardly more than the white noise is too small to matter.
-        if (one := glances[temperature].at(name)).before >= MATERIAL * floor.sd:
-            looked[name] = one
+        looked[name] = glances[temperature].at(name)
+    # What is missing of a model that leaves hardly more than the white noise is too small to matter.
+    matters = {
+        name
+        for name, one in looked.items()
+        if one.before >= MATERIAL * white_floor([run], name, block_of(run)).of_blocks([blocks]).sd
+    }
+    if not matters:
+        return []
     tried = {name: dict(one.leaders) for name, one in looked.items()}
     ways = _shared(looked, tried, likelihood.price)
     gains = {
@@ -136,8 +141,9 @@ def better_models(run: Run, model: BiasModel, channels: Sequence[str]) -> list[B
     }
     return [
         looked[name].better(model.channels[name], lack, tried[name][lack.way])
-        for lack in lacks(gains, ways, len(channels))
+        for lack in lacks(gains, ways)
         for name in lack.channels
+        if name in matters
     ]
 
 
@@ -147,7 +153,7 @@ def _shared(looked: Mapping[str, _Looked], tried: dict[str, dict[str, _Tried]], 
     own = [one for leaders in tried.values() for one in leaders.values()]
     effect, cost = {one.name: one.name for one in own}, {one.name: one.choice for one in own}
     usual = sum(paid == 0.0 for paid in cost.values())
-    several = [candidate for one in own for candidate in one.effects if candidate.nonlinear]
+    several = [candidate for one in looked.values() for candidate in one.closest]
     shared = {f"{candidate.family}, shared {at}": candidate for at, candidate in enumerate(several)}
     for way, candidate in shared.items():
         effect[way], cost[way] = candidate.family, candidate.nonlinear * price + candidate.choice
@@ -241,6 +247,10 @@ def _gain(one: Scored | _Tried) -> float:
     return one.gain
 
 
+def _closest(leaders: Mapping[str, _Tried]) -> list[_Tried]:
+    return sorted(leaders.values(), key=_gain)[-MOST_CLOSE:]
+
+
 @dataclass(frozen=True, eq=False)
 class _Looked:
     """A channel that is looked at: its means (n,), and the columns of its constants (n, k)."""
@@ -260,8 +270,13 @@ class _Looked:
         """The best of each effect; the most likely ones with their parameters refined."""
         found = [one for base in self.bases for one in self.glance.tried(base)]
         leaders = {one.name: one for one in sorted(found, key=_gain)}
-        close = sorted(leaders.values(), key=_gain)[-MOST_CLOSE:]
-        return leaders | {one.name: one.refined(self.glance.survey) for one in close}
+        return leaders | {one.name: one.refined(self.glance.survey) for one in _closest(leaders)}
+
+    @property
+    def closest(self) -> list[Candidate]:
+        """The likeliest ones that have parameters to be the same for all channels."""
+        each = [candidate for one in _closest(self.leaders) for candidate in one.effects]
+        return [candidate for candidate in each if candidate.nonlinear]
 
     def fitted(self, several: Mapping[str, Candidate]) -> dict[str, _Tried]:
         """Return candidates whose parameters are those of another channel, of effects that are tried here,

@@ -66,18 +66,9 @@ class Lack:
     gain: float
 
 
-def lacks(gains: Mapping[str, Gains], ways: Ways, channels: int) -> list[Lack]:
-    """Return what channels lack that is proven.
-
-    Parameters
-    ----------
-    gains : mapping
-        Of channels to what each way gains there.
-    ways : Ways
-    channels : int
-        How many there are, with those that lack nothing that would matter.
-    """
-    price = ways.price(channels)
+def lacks(gains: Mapping[str, Gains], ways: Ways) -> list[Lack]:
+    """Return what channels lack that is proven, by what each way gains on each of them."""
+    price = ways.price(len(gains))
     found, left = list[Lack](), dict(gains)
     while left:
         alone = {
