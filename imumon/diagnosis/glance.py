@@ -1,12 +1,12 @@
 """A glance at the session that is running: does a better model exist, by the likelihood of the diagnosis?
 
-Each gyro by itself, one run from power-on, and one effect at a time.  The whole
+One run from power-on, and one effect at a time, on any of the gyros.  The whole
 diagnosis tries more, and proves what it names on other data.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -20,8 +20,9 @@ from imumon.diagnosis.channel import Declared, ordinary
 from imumon.diagnosis.drivers import recorded, with_drivers
 from imumon.diagnosis.earth import ALLOWANCE, turned
 from imumon.diagnosis.explaining import MATERIAL
-from imumon.diagnosis.gains import CLOSE, CLOSE_SHARE, PROVEN, SHORT_LIST, Scored, families
+from imumon.diagnosis.gains import SHORT_LIST, Scored, families
 from imumon.diagnosis.known import CUBIC, temperature_of
+from imumon.diagnosis.lacks import Lack, Ways, lacks
 from imumon.diagnosis.likelihood import Likelihood, Noise, coarse_grid, fine_grid
 from imumon.diagnosis.recording import SECOND_NS, Run
 from imumon.diagnosis.selection import REFINEMENTS
@@ -50,7 +51,7 @@ class Better:
     names : list of str
         What it has that the present model lacks, the best first; the others are not told from it yet.
     gain : float
-        In BIC, less what the number of looks costs.
+        In BIC, over all channels that lack the same, less what the choice costs.
     before, after : float
         rms of means of blocks with the present model and a constant, and with the better one.
     model : ChannelModel
@@ -112,36 +113,61 @@ def block_of(run: Run) -> float:
     return BLOCK_S * run.slot_s
 
 
-def better_models(run: Run, model: BiasModel, channels: Sequence[str], looks: int = 1) -> list[Better]:
-    """Return the better models of channels of which there are any.
-
-    `looks` is how often this run has been looked at, with this time: each look at each channel may be fooled.
-    A gain pays for the channels as in the extended BIC (Chen & Chen 2008), and the k-th look has the share
-    1 / (k (k + 1)) of what all may be fooled together, however many there will be (Bonferroni's inequality).
-    """
+def better_models(run: Run, model: BiasModel, channels: Sequence[str]) -> list[Better]:
+    """Return the better models of channels of which there are any; look as often as you like."""
     temperatures = [temperature_of(name, model, [run]) for name in channels]
     blocks = residual(run, model, channels, recorded([run], [], temperatures, None, []), block_of(run))
     if len(blocks) < LEAST_BLOCKS:
         return []
     likelihood, glances = Likelihood([blocks]), dict[str, _Glance]()
-    price = 2.0 * float(np.log(len(channels) * looks * (looks + 1)))
-    found = []
+    looked: dict[str, _Looked] = {}
     for name, temperature in zip(channels, temperatures, strict=True):
         if temperature not in glances:
             glances[temperature] = _Glance(Pool([blocks], temperature), likelihood)
-        one = glances[temperature].better(name, model.channels[name], price)
-        floor = white_floor([run], name, block_of(run)).of_blocks([blocks])
-        # What is missing of a model that leaves hardly more than the white noise is too small to matter.
-        found.append(one if one is not None and one.before >= MATERIAL * floor.sd else None)
-    return [one for one in found if one is not None]
+        looked[name] = glances[temperature].at(name)
+    # What is missing of a model that leaves hardly more than the white noise is too small to matter.
+    matters = {
+        name
+        for name, one in looked.items()
+        if one.before >= MATERIAL * white_floor([run], name, block_of(run)).of_blocks([blocks]).sd
+    }
+    if not matters:
+        return []
+    tried = {name: dict(one.leaders) for name, one in looked.items()}
+    ways = _shared(looked, tried, likelihood.price)
+    gains = {
+        name: {way: one.fit if way in ways.shared else one.gain + one.choice for way, one in own.items()}
+        for name, own in tried.items()
+    }
+    return [
+        looked[name].better(model.channels[name], lack, tried[name][lack.way])
+        for lack in lacks(gains, ways)
+        for name in lack.channels
+        if name in matters
+    ]
+
+
+def _shared(looked: Mapping[str, _Looked], tried: dict[str, dict[str, _Tried]], price: float) -> Ways:
+    """Return the ways in which effects may be missing, with those added to what was tried whose nonlinear
+    parameters, those of one of the channels, are the same for all; `price` is that of a parameter."""
+    own = [one for leaders in tried.values() for one in leaders.values()]
+    effect, cost = {one.name: one.name for one in own}, {one.name: one.choice for one in own}
+    usual = sum(paid == 0.0 for paid in cost.values())
+    several = [candidate for one in looked.values() for candidate in one.closest]
+    shared = {f"{candidate.family}, shared {at}": candidate for at, candidate in enumerate(several)}
+    for way, candidate in shared.items():
+        effect[way], cost[way] = candidate.family, candidate.nonlinear * price + candidate.choice
+    for name, one in looked.items():
+        tried[name] |= one.fitted(shared)
+    return Ways(effect, cost, frozenset(shared), usual)
 
 
 @dataclass(frozen=True, eq=False)
 class _Base:
     """What candidates are tried beside: the constants of a channel, and the curve where that is fitted anew.
 
-    `levels` (n, k) and `powers` (n, degree) are the columns, `nothing` is the log-likelihood of the present
-    model.
+    `levels` (n, k) and `powers` (n, degree) are the columns, `nothing` and `noise` are the log-likelihood of
+    the present model and the noise that suits it best.
     """
 
     pool: Pool
@@ -150,6 +176,7 @@ class _Base:
     levels: FloatArray
     powers: FloatArray
     nothing: float
+    noise: Noise
 
     @property
     def columns(self) -> FloatArray:
@@ -191,6 +218,16 @@ class _Tried:
         return self.base.gain if self.one is None else self.one.gain
 
     @property
+    def fit(self) -> float:
+        """The same less the price of the linear parameters alone."""
+        return self.base.gain if self.one is None else self.one.fit
+
+    @property
+    def choice(self) -> float:
+        """What of the gain it paid for having been chosen among other drivers."""
+        return 0.0 if self.one is None else self.one.candidate.choice
+
+    @property
     def effects(self) -> list[Candidate]:
         """The candidate, if there is one."""
         return [] if self.one is None else [self.one.candidate]
@@ -210,6 +247,71 @@ def _gain(one: Scored | _Tried) -> float:
     return one.gain
 
 
+def _closest(leaders: Mapping[str, _Tried]) -> list[_Tried]:
+    return sorted(leaders.values(), key=_gain)[-MOST_CLOSE:]
+
+
+@dataclass(frozen=True, eq=False)
+class _Looked:
+    """A channel that is looked at: its means (n,), and the columns of its constants (n, k)."""
+
+    glance: _Glance
+    name: str
+    values: FloatArray
+    levels: FloatArray
+
+    @cached_property
+    def bases(self) -> list[_Base]:
+        """The constants alone, and with the curve fitted anew."""
+        return self.glance.bases(self.values, self.levels)
+
+    @cached_property
+    def leaders(self) -> dict[str, _Tried]:
+        """The best of each effect; the most likely ones with their parameters refined."""
+        found = [one for base in self.bases for one in self.glance.tried(base)]
+        leaders = {one.name: one for one in sorted(found, key=_gain)}
+        return leaders | {one.name: one.refined(self.glance.survey) for one in _closest(leaders)}
+
+    @property
+    def closest(self) -> list[Candidate]:
+        """The likeliest ones that have parameters to be the same for all channels."""
+        each = [candidate for one in _closest(self.leaders) for candidate in one.effects]
+        return [candidate for candidate in each if candidate.nonlinear]
+
+    def fitted(self, several: Mapping[str, Candidate]) -> dict[str, _Tried]:
+        """Return candidates whose parameters are those of another channel, of effects that are tried here,
+        with the noise of the best of their effect or one beside it."""
+        found: dict[str, _Tried] = {}
+        for family, leader in self.leaders.items():
+            ways = [way for way, one in several.items() if one.family == family]
+            for base in self.bases if ways and leader.one is not None else []:
+                grid = base.likelihood.neighbours(leader.one.noise)
+                scored = base.scored([several[way] for way in ways], grid)
+                for way, one in zip(ways, scored, strict=True):
+                    found[way] = max(found.get(way, _Tried(one, base)), _Tried(one, base), key=_gain)
+        return found
+
+    @property
+    def before(self) -> float:
+        """rms of what the present model and constants leave."""
+        return self._rms(self.levels)
+
+    def better(self, model: ChannelModel, lack: Lack, best: _Tried) -> Better:
+        """Return the better model, with what the channel lacks as it was tried."""
+        design = np.column_stack([best.base.columns, best.base.pool.design(best.effects)])
+        coefficients, after = ordinary(design, self.values), self._rms(design)
+        split = self.levels.shape[1]
+        constant, rest = coefficients[:split].mean(), coefficients[split:]
+        # What is left holds the white noise of the means as well: no smaller than it is.
+        sd = min(model.residual_sd, after)
+        extended = self.glance.extended(model, best, np.array([constant, *rest]), sd)
+        return Better(self.name, lack.names, lack.gain, self.before, after, extended)
+
+    def _rms(self, design: FloatArray) -> float:
+        left = self.values - design @ ordinary(design, self.values)
+        return float(np.sqrt(np.mean(left**2)))
+
+
 class _Glance:
     """What is tried on channels that are over the same temperature."""
 
@@ -220,30 +322,13 @@ class _Glance:
         degree = CUBIC if seen.thermal else 0
         self._declared = Declared.over(pool.runs, pool.temperature, degree, "")
         self._turned = turned(pool.runs)
-        self._survey = with_drivers(seen, pool.runs, pool.temperature)
-        self._candidates = _simple(self._survey)
+        self.survey = with_drivers(seen, pool.runs, pool.temperature)
+        self._candidates = _simple(self.survey)
 
-    def better(self, name: str, model: ChannelModel, price: float) -> Better | None:
-        """Return a better model of a channel, if one is proven beyond what looking costs."""
+    def at(self, name: str) -> _Looked:
+        """Return what is seen of a channel."""
         values = self._blocks.mean[name]
-        levels = self._levels(values)
-        leaders = self._leaders(values, levels)
-        best = max(leaders.values(), key=_gain, default=None)
-        if best is None or best.gain - price <= PROVEN:
-            return None
-        least = best.gain - max(CLOSE, CLOSE_SHARE * best.gain)
-        near = [
-            name for name in sorted(leaders, key=lambda n: -leaders[n].gain) if leaders[name].gain > least
-        ]
-        design = np.column_stack([best.base.columns, self._pool.design(best.effects)])
-        coefficients = ordinary(design, values)
-        left = values - design @ coefficients
-        given = values - levels @ ordinary(levels, values)
-        before, after = (float(np.sqrt(np.mean(part**2))) for part in (given, left))
-        constant, rest = coefficients[: levels.shape[1]].mean(), coefficients[levels.shape[1] :]
-        # What is left holds the white noise of the means as well: no smaller than it is.
-        extended = self._extended(model, best, np.array([constant, *rest]), min(model.residual_sd, after))
-        return Better(name, near, best.gain - price, before, after, extended)
+        return _Looked(self, name, values, self._levels(values))
 
     def _levels(self, values: FloatArray) -> FloatArray:
         """Return the columns of the constants of a channel, (n, k): one, or one for each pose.
@@ -257,23 +342,23 @@ class _Glance:
         seen = self._turned and spread <= 2.0 * ALLOWANCE * EARTH_RATE
         return which if seen else np.ones((len(values), 1))
 
-    def _leaders(self, values: FloatArray, levels: FloatArray) -> dict[str, _Tried]:
-        """Return the best of each effect; the most likely ones with their parameters refined."""
+    def bases(self, values: FloatArray, levels: FloatArray) -> list[_Base]:
+        """Return what candidates are tried beside on a channel."""
         nothing, noise = self._likelihood.best(values, levels)
         powers = self._declared.columns(self._blocks.temperature[self._pool.temperature])[:, 1:]
-        found: list[_Tried] = []
-        for degree in sorted({0, self._declared.degree}):
-            base = _Base(self._pool, self._likelihood, values, levels, powers[:, :degree], nothing)
-            short = families(base.scored(self._candidates, coarse_grid(noise)), SHORT_LIST).values()
-            finely = base.scored([one.candidate for group in short for one in group], fine_grid(noise))
-            found += [_Tried(one, base) for one in finely]
-            if degree:
-                found.append(_Tried(None, base))
-        leaders = {one.name: one for one in sorted(found, key=_gain)}
-        close = sorted(leaders.values(), key=_gain)[-MOST_CLOSE:]
-        return leaders | {one.name: one.refined(self._survey) for one in close}
+        return [
+            _Base(self._pool, self._likelihood, values, levels, powers[:, :degree], nothing, noise)
+            for degree in sorted({0, self._declared.degree})
+        ]
 
-    def _extended(
+    def tried(self, base: _Base) -> list[_Tried]:
+        """Return the best few of each effect beside a base, looked at closely, and the curve alone."""
+        short = families(base.scored(self._candidates, coarse_grid(base.noise)), SHORT_LIST).values()
+        finely = base.scored([one.candidate for group in short for one in group], fine_grid(base.noise))
+        alone = [_Tried(None, base)] if base.powers.shape[1] else []
+        return [*(_Tried(one, base) for one in finely), *alone]
+
+    def extended(
         self, model: ChannelModel, one: _Tried, coefficients: FloatArray, residual_sd: float
     ) -> ChannelModel:
         from imumon.diagnosis.extended import refitted

@@ -180,14 +180,17 @@ def _filters(run: RunBlocks, grid: Sequence[Noise]) -> Whitener:
 
 
 def fine_grid(start: Noise) -> list[Noise]:
-    """Return every r and q up to the given ones: a better model leaves less for the noise to explain."""
-    return [(r, q) for r in FLICKER if r <= start[0] for q in WALK if q <= start[1]]
+    """Return every noise that is no larger: a better model leaves less for the noise to explain.
+
+    What a walk explained may have been flicker and an effect, or the other way round: both together are less.
+    """
+    return [point for point in GRID if sum(point) <= sum(start)]
 
 
 def coarse_grid(*starts: Noise) -> list[Noise]:
-    """Return a coarser grid up to the largest of the given r and q, with these among it."""
-    r_top, q_top = max(r for r, _ in starts), max(q for _, q in starts)
-    points = [(r, q) for r in COARSE_FLICKER if r <= r_top for q in COARSE_WALK if q <= q_top]
+    """Return a coarser grid of those that are no larger than the largest of these, and these."""
+    top = max(sum(start) for start in starts)
+    points = [(r, q) for r in COARSE_FLICKER for q in COARSE_WALK if r + q <= top]
     return list(dict.fromkeys([*points, *starts]))
 
 

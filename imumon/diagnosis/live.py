@@ -72,7 +72,7 @@ class LiveDiagnosis:
     def _begin(self) -> None:
         """Begin with a run from power-on; a shadow that has not won yet is of another."""
         self._aged = AgedRun(self._names)
-        self._next_look_s, self._next_judged_s, self._looks = FIRST_LOOK_S, 0.0, 0
+        self._next_look_s, self._next_judged_s = FIRST_LOOK_S, 0.0
         self._shadow: Shadow | None = None
         self._lacking: list[Chart] = []
         self.state = ""
@@ -134,9 +134,8 @@ class LiveDiagnosis:
         self._next_look_s = (elapsed_s // LOOK_S + 1.0) * LOOK_S
         if self.offered is not None or not self._aged.has_any({*self._temperatures, *TEMPERATURES}):
             return
-        self._looks += 1
         run = self._run()
-        found = better_models(run, self._model, self._gyros, self._looks)
+        found = better_models(run, self._model, self._gyros)
         if not found:
             self.state, self._lacking = "", []
             return

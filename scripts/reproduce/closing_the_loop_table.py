@@ -17,15 +17,15 @@ DOCS = ROOT / "docs"
 def main() -> int:
     """Run one part."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parts = ("simulated", "live", "formulas", "plans", "measured", "heading")
+    parts = ("simulated", "live", "limits", "formulas", "plans", "measured", "heading")
     parser.add_argument("--part", choices=parts, default="simulated")
     parser.add_argument("--quick", action="store_true", help="a few seconds: the first of everything")
     parser.add_argument("data", nargs="?", type=Path, default=DATA, help="folder of the measured recordings")
     parser.add_argument(
-        "--repeat", type=int, default=4, help="simulated, live, formulas, plans: cases of each kind"
+        "--repeat", type=int, default=4, help="simulated, live, limits, formulas, plans: cases of each kind"
     )
     parser.add_argument(
-        "--first", type=int, help="simulated, live, formulas, plans: the first seed (0, 2500, 900, 900)"
+        "--first", type=int, help="first seed: simulated 0, live 2500, limits 71000, formulas and plans 900"
     )
     parser.add_argument("--minutes", type=float, default=math.inf, help="simulated: begin no case after")
     parser.add_argument("--jobs", type=int, default=2, help="simulated, live, plans: processes")
@@ -49,6 +49,11 @@ def main() -> int:
         out = DOCS / "appendix" / "closing-the-loop-live.md"
         options = ["--repeat", str(given.repeat), "--first", str(first), "--jobs", str(given.jobs)]
         return live([*options, "--out", str(out)])
+    if given.part == "limits":
+        from closing_the_loop_limits import main as limits
+
+        first = 71000 if given.first is None else given.first
+        return limits(["--repeat", str(1 if given.quick else given.repeat), "--first", str(first)])
     first = 900 if given.first is None else given.first
     if given.part == "formulas":
         from closing_the_loop_formulas import formulas

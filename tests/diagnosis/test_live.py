@@ -78,28 +78,28 @@ def test_a_sensitivity_to_g_is_named_that_is_more_than_the_earth_rate() -> None:
     assert said(turned(EARTH_RATE, across=True), LiveDiagnosis(model())) == ""
 
 
-def test_a_session_is_looked_at_at_even_distances_each_look_with_its_number(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    seen: list[tuple[float, int]] = []
+def test_a_session_is_looked_at_at_even_distances(monkeypatch: pytest.MonkeyPatch) -> None:
+    times: list[float] = []
 
-    def looked(run: Run, _: object, __: object, looks: int) -> list[Better]:
-        seen.append((run.duration_s, looks))
+    def looked(run: Run, _: object, __: object) -> list[Better]:
+        times.append(run.duration_s)
         return []
 
     monkeypatch.setattr("imumon.diagnosis.live.better_models", looked)
     said(session(), LiveDiagnosis(model()))
-    times, numbers = zip(*seen, strict=True)
-    assert numbers == tuple(range(1, len(seen) + 1))
     assert times[0] == pytest.approx(FIRST_LOOK_S, abs=2.0)
     np.testing.assert_allclose(np.diff(times), LOOK_S, atol=2.0)
     assert SECONDS - times[-1] <= LOOK_S
 
 
-def test_the_same_evidence_says_less_the_more_often_one_looks() -> None:
-    told = session(8.0 * DPH * np.sin(2 * np.pi * np.arange(SECONDS) / 555.0))
-    first, hundredth = (better_models(told, model(), ["gyro_x"], looks)[0].gain for looks in (1, 100))
-    assert first - hundredth == pytest.approx(2.0 * np.log(100 * 101 / 2))
+def test_what_one_gyro_hardly_shows_is_named_where_three_show_it() -> None:
+    names = [f"gyro_{axis}" for axis in "xyz"]
+    told = run(5, *ramps(SECONDS, up=True), lambda time, _: 7.0 * time / SECONDS, tuple(names))
+    every = model().model_copy(update={"channels": dict.fromkeys(names, model().channels["gyro_x"])})
+    assert [better_models(told, every, [name]) for name in names[1:]] == [[], []]
+    assert [(one.channel, one.names) for one in better_models(told, every, names)] == [
+        (name, ["drift"]) for name in names
+    ]
 
 
 def test_a_shadow_has_as_much_time_to_win_as_it_was_found_in(monkeypatch: pytest.MonkeyPatch) -> None:
