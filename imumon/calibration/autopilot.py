@@ -1,8 +1,8 @@
 """A bias model as the temperature calibration of an autopilot: its cubic, in its parameters.
 
-Both take c0 + c1 d + c2 d² + c3 d³ of d = T - T_ref off a rate or a force, in the axes of the board, which are
-forward-right-down, and hold the correction beyond the range.  Read in one version of each source, of ArduPilot that with a fixed
-reference (a development version before 4.1 took the middle of the range):
+Both take c0 + c1 d + c2 d² + c3 d³ of d = T - T_ref off a rate or a force, in the axes of the board,
+forward-right-down, and hold the correction beyond the range.  Read in one version of each source, of ArduPilot
+that with a fixed reference (a development version before 4.1 took the middle of the range):
 
 - ArduPilot, `AP_InertialSensor_tempcal.cpp`: INS_TCALn_, T_ref is 35 °C, coefficients times 1e6, no
   constant: that is left to its own offsets, which remember the temperature that they are of.
@@ -34,7 +34,7 @@ INT, FLOAT = 6, 9
 """MAVLink's types of a parameter, as QGroundControl's files have them."""
 KINDS = {"gyro": ("GYR", "G"), "accel": ("ACC", "A")}
 TO_BOARD = {"FRD": (1.0, 1.0, 1.0), "FLU": (1.0, -1.0, -1.0), None: (1.0, 1.0, 1.0)}
-"""What x, y, z of a model are times in the axes of the board; axes that nobody stated are taken for the board's."""
+"""What x, y, z of a model are times in the axes of the board; unstated ones are taken for the board's."""
 
 
 @dataclass(frozen=True, slots=True)
