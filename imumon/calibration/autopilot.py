@@ -1,8 +1,8 @@
 """A bias model as the temperature calibration of an autopilot: its cubic, in its parameters.
 
 Both take c0 + c1 d + c2 d² + c3 d³ of d = T - T_ref off a rate or a force, in the axes of the board,
-forward-right-down, and hold the correction beyond the range.  Read in one version of each source, of ArduPilot
-that with a fixed reference (a development version before 4.1 took the middle of the range):
+forward-right-down, and hold the correction beyond the range.  Read in one version of each source, of
+ArduPilot that with a fixed reference (a development version before 4.1 took the middle of the range):
 
 - ArduPilot, `AP_InertialSensor_tempcal.cpp`: INS_TCALn_, T_ref is 35 °C, coefficients times 1e6, no
   constant: that is left to its own offsets, which remember the temperature that they are of.

@@ -49,7 +49,7 @@ def import_log(path: Path, sensor: str | None, out: Path) -> LogReport:
             raise ImumonError(
                 Reason.BAD_DATA,
                 f"{path}: none of the {dropped:,} samples of {log.sensor} has a time",
-                "a log that has it under another name can be imported as a table: --map MAP.yaml",
+                "make a table of it (mavlogdump.py --format csv), and give --map MAP.yaml",
             )
         write_text(table.with_suffix(".yaml"), text)
         rows = import_table(table, table.with_suffix(".yaml"), out, Origin(_file_of(path), dropped))
