@@ -1,8 +1,8 @@
 """A bias model as the temperature calibration of an autopilot: its cubic, in its parameters.
 
-Both take c0 + c1 d + c2 d² + c3 d³ of d = T - T_ref off a rate or a force, in the axes of the board, and hold
-the correction beyond the range.  Read in one version of each source, of ArduPilot that with a fixed
-reference (a development version before 4.1 took the middle of the range):
+Both take c0 + c1 d + c2 d² + c3 d³ of d = T - T_ref off a rate or a force, in the axes of the board,
+forward-right-down, and hold the correction beyond the range.  Read in one version of each source, of
+ArduPilot that with a fixed reference (a development version before 4.1 took the middle of the range):
 
 - ArduPilot, `AP_InertialSensor_tempcal.cpp`: INS_TCALn_, T_ref is 35 °C, coefficients times 1e6, no
   constant: that is left to its own offsets, which remember the temperature that they are of.
@@ -33,6 +33,8 @@ LEAST_SPAN_DEGC = 10.0
 INT, FLOAT = 6, 9
 """MAVLink's types of a parameter, as QGroundControl's files have them."""
 KINDS = {"gyro": ("GYR", "G"), "accel": ("ACC", "A")}
+TO_BOARD = {"FRD": (1.0, 1.0, 1.0), "FLU": (1.0, -1.0, -1.0), None: (1.0, 1.0, 1.0)}
+"""What x, y, z of a model are times in the axes of the board; unstated ones are taken for the board's."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +116,7 @@ def _cubic(model: BiasModel, kind: str, reference: float) -> _Cubic:
         )
     degc = np.linspace(low, high, POINTS)
     found, errors = [], dict[str, float]()
-    for axis, channel in zip("xyz", channels, strict=True):
+    for axis, channel, sign in zip("xyz", channels, TO_BOARD[model.axes], strict=True):
         if channel.effects:
             names = ", ".join(dict.fromkeys(effect.name for effect in channel.effects))
             raise ImumonError(
@@ -122,7 +124,7 @@ def _cubic(model: BiasModel, kind: str, reference: float) -> _Cubic:
                 f"{kind}_{axis} has more than a curve over temperature ({names}), which no autopilot knows",
                 "export a model of imumon calibrate without effects, and see what it errs by in diagnose",
             )
-        value = channel.value(degc)
+        value = sign * channel.value(degc)
         cubic = Polynomial.fit(degc - reference, value, 3)
         errors[f"{kind}_{axis}"] = float(np.sqrt(np.mean((cubic(degc - reference) - value) ** 2)))
         found.append(cubic.convert().coef)
@@ -173,6 +175,11 @@ def _notes(model: BiasModel, cubics: dict[str, _Cubic], autopilot: Autopilot) ->
                     f" curve itself errs ({channel.residual_sd:.3g}): calibrate over the temperatures of its"
                     " work only"
                 )
+    if model.axes is None:
+        said.append(
+            "the model does not say its axes: they are taken for those of the board, forward-right-down;"
+            " if they are not, the correction has the wrong sign"
+        )
     if autopilot == "px4" and model.earth_rate == "included":
         said.append("the gyros' constant holds the earth rate of the test, up to 15 °/h")
     if len(model.trained_on) < 2:

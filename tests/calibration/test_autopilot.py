@@ -72,6 +72,27 @@ def test_ardupilot_corrects_from_one_temperature_to_another_as_the_model_does() 
     assert any("outside -10.0 to 60.0 °C" in note for note in made.notes)
 
 
+def test_a_unit_of_other_axes_is_turned_into_those_of_the_board() -> None:
+    """Both autopilots are forward-right-down: y and z of a forward-left-up unit point the other way."""
+    frd, flu = (model().model_copy(update={"axes": axes}) for axes in ("FRD", "FLU"))
+    for kind, name in (("gyro", "GYR"), ("accel", "ACC")):
+        board, unit = (of_ardupilot(parameters(one, "ardupilot", 0).text) for one in (frd, flu))
+        for axis, sign in zip("XYZ", (1.0, -1.0, -1.0), strict=True):
+            for power in (1, 2, 3):
+                key = f"INS_TCAL1_{name}{power}_{axis}"
+                assert unit[key] == sign * board[key] != 0.0, (kind, key)
+    board4, unit4 = (of_px4(parameters(one, "px4", 0, (1, 2)).text) for one in (frd, flu))
+    for number, sign in enumerate((1.0, -1.0, -1.0)):
+        assert unit4[f"TC_G0_X0_{number}"][0] == sign * board4[f"TC_G0_X0_{number}"][0] != 0.0
+
+
+def test_axes_that_nobody_stated_are_said() -> None:
+    unstated = parameters(model(), "ardupilot", 0).notes
+    assert any("does not say its axes" in note for note in unstated)
+    stated = parameters(model().model_copy(update={"axes": "FRD"}), "ardupilot", 0).notes
+    assert not any("axes" in note for note in stated)
+
+
 def test_px4_has_the_constant_of_gyros_and_none_of_accelerometers() -> None:
     unit = model()
     found = of_px4(parameters(unit, "px4", 0, (2490378, 2621450)).text)

@@ -2,7 +2,8 @@
 
 A message is A3 95, its number, and its fields; FMT (number 128) has number, length, name, types and names of
 the fields of another one.  IMU has TimeUS in µs, the number of the sensor I, GyrX to GyrZ in rad/s, AccX to
-AccZ in m/s², T in °C; MAG the field in mGauss and BARO the pressure Press in Pa.  Axes are
+AccZ in m/s², T in °C (before 4.1 each sensor has a message of its own: IMU, IMU2, IMU3); MAG the field in
+mGauss and BARO the pressure Press in Pa.  Axes are
 forward-right-down.  Source: AP_Logger/LogStructure.h.
 """
 
@@ -50,6 +51,8 @@ KEPT = {
     "BARO": ("TimeUS", "Press"),
 }
 NUMBER = "I"
+OWN = {"IMU2": ("IMU", 1), "IMU3": ("IMU", 2)}
+"""Messages that are of one sensor, in logs whose messages have no number of it."""
 BLOCK = 256
 """The last page of a log that was written in pages is filled up (AP_Logger_Block)."""
 BESIDE = (
@@ -96,6 +99,8 @@ class _Format:
         Where each value that is kept stands among the fields; None where the message has no such field.
     number : int or None
         Where the number of the sensor stands.
+    sensor : int
+        Its number where none stands.
     """
 
     length: int
@@ -103,6 +108,7 @@ class _Format:
     layout: struct.Struct = DESCRIPTION
     kept: tuple[tuple[int, float] | None, ...] = ()
     number: int | None = None
+    sensor: int = 0
 
     @classmethod
     def described(cls, description: bytes) -> tuple[int, _Format]:
@@ -117,6 +123,7 @@ class _Format:
         name, types, columns = (text.split(b"\0")[0].decode("ascii") for text in texts)
         if length < len(HEAD) or number == FORMAT:
             raise ValueError(f"{name}: {length} bytes")
+        name, sensor = OWN.get(name, (name, 0))
         if name not in KEPT:
             return number, cls(length, name)
         names = columns.split(",")
@@ -127,12 +134,12 @@ class _Format:
             raise ValueError(f"{name}: {length} bytes")
         at = {one: (k, TYPES[types[k]][1]) for k, one in enumerate(names)}
         kept = tuple(at.get(one) for one in KEPT[name])
-        return number, cls(length, name, layout, kept, at[NUMBER][0] if NUMBER in at else None)
+        return number, cls(length, name, layout, kept, at[NUMBER][0] if NUMBER in at else None, sensor)
 
     def row(self, data: bytes, at: int) -> tuple[str, list[float]]:
         """Return name and number of the sensor of the message that begins there, and what is kept of it."""
         values = self.layout.unpack_from(data, at + len(HEAD))
-        sensor = 0 if self.number is None else values[self.number]
+        sensor = self.sensor if self.number is None else values[self.number]
         return f"{self.name}.{sensor}", [
             np.nan if one is None else values[one[0]] * one[1] for one in self.kept
         ]
@@ -159,12 +166,18 @@ def _messages(path: Path) -> tuple[dict[str, dict[str, Any]], Damage]:
         elif known.kept:
             name, row = known.row(data, at)
             rows.setdefault(name, []).append(row)
-    if len(data) - good >= BLOCK:
+    if len(data) - good >= BLOCK or _is_begun(data[good:], formats):
         damage = damage.and_at(good, len(data))
     return {
         name: dict(zip(KEPT[name.partition(".")[0]], np.array(found, np.float64).T, strict=True))
         for name, found in rows.items()
     }, damage
+
+
+def _is_begun(tail: bytes, formats: Mapping[int, _Format]) -> bool:
+    """Tell whether what stands behind the last message is the beginning of another one, which was cut."""
+    head, number = tail[: len(MARK)], tail[len(MARK) : len(HEAD)]
+    return bool(head) and head == MARK[: len(head)] and (not number or number[0] in formats)
 
 
 def _walk(data: bytes, formats: Mapping[int, _Format]) -> Iterator[tuple[int, _Format]]:

@@ -45,6 +45,12 @@ def import_log(path: Path, sensor: str | None, out: Path) -> LogReport:
     with TemporaryDirectory(prefix="imumon-log-") as folder:
         table = Path(folder) / "log.parquet"
         text, dropped = log.write(table)
+        if dropped == len(log.gyro.time_ns):
+            raise ImumonError(
+                Reason.BAD_DATA,
+                f"{path}: none of the {dropped:,} samples of {log.sensor} has a time",
+                "make a table of it (mavlogdump.py --format csv), and give --map MAP.yaml",
+            )
         write_text(table.with_suffix(".yaml"), text)
         rows = import_table(table, table.with_suffix(".yaml"), out, Origin(_file_of(path), dropped))
     rows = replace(rows, warnings=(*log.warnings, *rows.warnings))

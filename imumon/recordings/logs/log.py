@@ -1,7 +1,8 @@
 """Logs of autopilots and ROS bags as tables that `import` takes: one inertial sensor, and what goes with it.
 
 A log holds several sensors at rates of their own.  The rows are those of the gyro; a sample of another sensor
-stands in the row nearest to it in time, once, so that its noise is what it was.
+stands in the row nearest to it in time, once, so that its noise is what it was; not where that is farther
+than the sensors' samples are apart.
 """
 
 from __future__ import annotations
@@ -104,6 +105,12 @@ class Log:
         columns |= {name: values[kept] for name, values in self.gyro.values.items()}
         for series in self.beside:
             columns |= _beside(series, time[kept])
+        # An infinite value is damage, and as good as none; the others of its row are none the worse for it.
+        columns |= {
+            name: np.where(np.isfinite(values), values, np.nan)
+            for name, values in columns.items()
+            if name != TIME
+        }
         pq.write_table(pa.table(columns), path)
         groups = {
             name: {"columns": names, "unit": unit}
@@ -134,7 +141,11 @@ def _increasing(time_ns: IntArray) -> BoolArray:
 
 
 def _beside(series: Series, time_ns: IntArray) -> dict[str, FloatArray]:
-    """Return the samples in the rows nearest to them in time, NaN elsewhere; of two for a row the nearer."""
+    """Return the samples in the rows nearest to them in time, NaN elsewhere; of two for a row the nearer.
+
+    A sample is of a row no farther than the rows or the samples usually are apart, whichever is more: another
+    has a wrong time, or the rows have a hole there.
+    """
     found = {name: np.full(len(time_ns), np.nan) for name in series.values}
     if not len(series.time_ns) or not len(time_ns):
         return found
@@ -142,11 +153,18 @@ def _beside(series: Series, time_ns: IntArray) -> dict[str, FloatArray]:
     before = after - 1
     after = np.minimum(after, len(time_ns) - 1)
     row = np.where(series.time_ns - time_ns[before] <= time_ns[after] - series.time_ns, before, after)
+    away = np.abs(time_ns[row] - series.time_ns)
     # The nearest comes last, and stays.
-    order = np.argsort(-np.abs(time_ns[row] - series.time_ns), kind="stable")
+    order = np.argsort(-away, kind="stable")
+    order = order[away[order] <= max(_usual_step(time_ns), _usual_step(series.time_ns))]
     for name, values in series.values.items():
         found[name][row[order]] = values[order]
     return found
+
+
+def _usual_step(time_ns: IntArray) -> float:
+    """Return by how much times usually differ; 0 of less than two."""
+    return float(np.median(np.abs(np.diff(time_ns)))) if len(time_ns) > 1 else 0.0
 
 
 def named(values: Mapping[str, Any], names: Sequence[str], targets: Sequence[str], scale: float = 1.0) -> Any:

@@ -1,7 +1,8 @@
 """Logs of PX4 (.ulg), read with pyulog.
 
 sensor_gyro has x, y, z in rad/s, sensor_accel in m/s², both with a temperature in °C; sensor_mag in gauss,
-sensor_baro a pressure in Pa.  timestamp_sample, in µs, is the time of validity.  Axes are forward-right-down.
+sensor_baro a pressure in Pa, before v1.14 in millibar.  timestamp_sample, in µs, is the time of validity.  Axes
+are forward-right-down.
 """
 
 from __future__ import annotations
@@ -11,6 +12,8 @@ import struct
 from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from imumon.blocks import IntArray
 from imumon.errors import ImumonError, Reason, missing_package
@@ -41,10 +44,9 @@ OFFSETS = slice(16, 40)
 """Where FLAGS says that data was appended after a crash; they are messages as all others."""
 SURE = 2
 """So many messages must follow one behind a damaged place; behind a good one it is one."""
-BESIDE = (
-    Wanted("sensor_mag.0", [*"xyz"], triple("mag"), GAUSS_TO_TESLA),
-    Wanted("sensor_baro.0", ["pressure"], ["pressure"]),
-)
+MILLIBAR_TO_PASCAL = 100.0
+LEAST_PASCAL = 1200.0
+"""Below, a pressure is in millibar: 1200 Pa are 30 km up, and no weather on the ground has 1200 millibar."""
 
 
 def is_one(_: Path, head: bytes) -> bool:
@@ -77,8 +79,17 @@ def read(path: Path, sensor: str | None = None) -> Log:
     name, others = pick(path, gyros, sensor, damage)
     gyro = named(found[name], [*"xyz", "temperature"], [*triple("gyro"), "temperature"])
     accel = Wanted(f"sensor_accel.{name.rpartition('.')[2]}", [*"xyz"], triple("accel"))
-    joined = beside(found, (accel, *BESIDE), _time)
+    mag = Wanted("sensor_mag.0", [*"xyz"], triple("mag"), GAUSS_TO_TESLA)
+    joined = beside(found, (accel, mag, _baro(found)), _time)
     return Log(name, others, Series(_time(found[name]), gyro), joined, "FRD", SCALING, damage)
+
+
+def _baro(found: dict[str, Any]) -> Wanted:
+    """Return the barometer with the unit that it has: the log does not say it, and firmwares differ."""
+    pressure = np.asarray(found.get("sensor_baro.0", {}).get("pressure", ()), np.float64)
+    pressure = pressure[np.isfinite(pressure)]
+    old = len(pressure) > 0 and np.median(pressure) < LEAST_PASCAL
+    return Wanted("sensor_baro.0", ["pressure"], ["pressure"], MILLIBAR_TO_PASCAL if old else 1.0)
 
 
 def _mended(data: bytes) -> tuple[bytes, Damage]:

@@ -48,7 +48,11 @@ def read(path: Path, sensor: str | None = None) -> Log:
     except ImumonError:
         raise
     except Exception as error:  # each format of a bag has errors of its own
-        raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read as a ROS bag: {error}") from error
+        raise ImumonError(
+            Reason.BAD_DATA,
+            f"{path}: cannot be read as a ROS bag: {str(error) or type(error).__name__}",
+            "if it was cut or damaged, mend it first: mcap recover, ros2 bag reindex or rosbag reindex",
+        ) from error
     warnings = [_undated(name, undated[name], len(gyro.time_ns))] if undated[name] else []
     return Log(name, others, gyro, beside, "FLU", SCALING, warnings=tuple(warnings))
 

@@ -7,16 +7,20 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-DATAFLASH_TYPES = {"Q": "Q", "B": "B", "f": "f", "I": "I"}
+DATAFLASH = {
+    "IMU": (129, "QBffffffIIfBBHH", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ,EG,EA,T,GH,AH,GHz,AHz"),
+    "MAG": (130, "QBhhh", "TimeUS,I,MagX,MagY,MagZ"),
+    "BARO": (131, "QBff", "TimeUS,I,Alt,Press"),
+}
+"""Messages of a log of 4.1 and later: number, types and names of the fields."""
 
 
-def dataflash(path: Path, rows: Sequence[tuple[str, Sequence[Any]]]) -> None:
-    """Write a DataFlash log of messages IMU, MAG and BARO."""
-    kinds = {
-        "IMU": (129, "QBffffffIIfBBHH", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ,EG,EA,T,GH,AH,GHz,AHz"),
-        "MAG": (130, "QBhhh", "TimeUS,I,MagX,MagY,MagZ"),
-        "BARO": (131, "QBff", "TimeUS,I,Alt,Press"),
-    }
+def dataflash(
+    path: Path,
+    rows: Sequence[tuple[str, Sequence[Any]]],
+    kinds: Mapping[str, tuple[int, str, str]] = DATAFLASH,
+) -> None:
+    """Write a DataFlash log."""
     out = bytearray()
     formats = {}
     for name, (number, layout, columns) in {"FMT": (128, "BBnNZ", "Type,Length,Name,Format,Columns")}.items():

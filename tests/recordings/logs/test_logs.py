@@ -144,6 +144,64 @@ def test_px4_joins_gyro_and_accelerometer_of_a_number(tmp_path: Path) -> None:
     assert found["pressure"][49] == 99_000.0
 
 
+def test_the_barometer_of_an_older_px4_is_in_millibar(tmp_path: Path) -> None:
+    """Before v1.14 `sensor_baro.pressure` was in millibar, and nothing in the log says so."""
+    gyro = [(10 * k + 5, 10 * k, 1, 0.1, 0.2, 0.3, 40.0) for k in range(1, 50)]
+    for name, sent in (("old", 990.0), ("new", 99_000.0)):
+        topics: dict[str, tuple[str, list[tuple[Any, ...]]]] = {
+            "sensor_gyro.0": (SENSOR, gyro),
+            "sensor_baro.0": (BARO, [(100 * k, 100 * k, 1, sent) for k in range(1, 5)]),
+        }
+        ulog(tmp_path / f"{name}.ulg", topics)
+        import_log(tmp_path / f"{name}.ulg", None, tmp_path / name)
+        pressure = samples(tmp_path / name)["pressure"]
+        np.testing.assert_allclose(pressure[np.isfinite(pressure)], 99_000.0)
+
+
+def test_the_sensors_of_an_older_ardupilot_have_messages_of_their_own(tmp_path: Path) -> None:
+    """Before 4.1 there is no number in the message: IMU, IMU2, IMU3."""
+    columns = "TimeUS,GyrX,GyrY,GyrZ,AccX,AccY,AccZ,EG,EA,T"
+    rows = [
+        (name, [1000 * k, rate, 0.0, 0.0, 0.0, 0.0, -9.8, 0, 0, 30.0])
+        for k in range(1, 30)
+        for name, rate in (("IMU", 0.1), ("IMU2", 0.2))
+    ]
+    kinds = {name: (129 + k, "QffffffIIf", columns) for k, name in enumerate(("IMU", "IMU2"))}
+    dataflash(tmp_path / "old.BIN", rows, kinds)
+    report = import_log(tmp_path / "old.BIN", None, tmp_path / "first")
+    assert (report.sensor, report.others) == ("IMU.0", ["IMU.1"])
+    import_log(tmp_path / "old.BIN", "IMU.1", tmp_path / "second")
+    np.testing.assert_allclose(samples(tmp_path / "first")["gyro_x"], 0.1, rtol=1e-6)
+    np.testing.assert_allclose(samples(tmp_path / "second")["gyro_x"], 0.2, rtol=1e-6)
+
+
+def test_a_log_whose_messages_have_no_known_time_is_refused(tmp_path: Path) -> None:
+    kinds = {"IMU": (129, "Iffffff", "TimeMS,GyrX,GyrY,GyrZ,AccX,AccY,AccZ")}
+    dataflash(tmp_path / "old.BIN", [("IMU", [k, 0.1, 0.2, 0.3, 0.0, 0.0, -9.8]) for k in range(20)], kinds)
+    with pytest.raises(ImumonError, match=r"old\.BIN: none of the 20 samples of IMU\.0 has a time"):
+        import_log(tmp_path / "old.BIN", None, tmp_path / "session")
+
+
+@pytest.mark.parametrize("left", [1, 2, 3, 40])
+def test_a_message_that_was_cut_is_damage(tmp_path: Path, left: int) -> None:
+    dataflash(tmp_path / "a.bin", [imu(1000 * k, 0, 0.1) for k in range(1, 21)])
+    data = (tmp_path / "a.bin").read_bytes()
+    last = data.rfind(ardupilot.MARK)
+    (tmp_path / "a.bin").write_bytes(data[: last + left])
+    report = import_log(tmp_path / "a.bin", None, tmp_path / "session")
+    assert (report.rows.rows_out, report.damage.places, report.damage.size) == (19, 1, left)
+
+
+def test_an_infinite_value_is_missing_and_the_log_is_taken(tmp_path: Path) -> None:
+    rows = [imu(1000 * k, 0, np.inf if k == 5 else 0.1) for k in range(1, 21)]
+    dataflash(tmp_path / "a.bin", rows)
+    report = import_log(tmp_path / "a.bin", None, tmp_path / "session")
+    assert report.rows.rows_out == 20
+    found = samples(tmp_path / "session")
+    assert np.flatnonzero(np.isnan(found["gyro_x"])).tolist() == [4]
+    np.testing.assert_allclose(found["accel_z"], -9.8, rtol=1e-6)
+
+
 def bag(path: Path, stamps: IntArray, rate: FloatArray, dated: bool = True) -> None:
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
@@ -248,3 +306,13 @@ def test_what_is_put_beside_stands_in_the_nearest_row_once(rows: list[int], othe
     for row in np.flatnonzero(np.isfinite(found)):
         distance = abs(others[int(found[row])] - rows[row])
         assert distance == min(abs(others[int(found[row])] - time) for time in rows)
+
+
+@pytest.mark.parametrize("wrong", [3_600_000, -50_000])
+def test_what_is_far_from_all_rows_stands_in_none(wrong: int) -> None:
+    """A sample of the magnetometer with a wrong time, or of before the gyro began, is not of the last row."""
+    rows = np.arange(0, 1000, 10, dtype=np.int64)
+    others = np.append(np.arange(200, 800, 100), wrong).astype(np.int64)
+    found = _beside(Series(others, {"a": np.append(np.zeros(6), 9.0)}), rows)["a"]
+    assert np.isfinite(found).sum() == 6
+    assert not np.any(found == 9.0)
