@@ -12,8 +12,8 @@ from imumon.view.extent import entity
 from imumon.view.items import ViewSetup
 from imumon.view.layout import FIRST, LINK, SCENE, STRIPS, Panel, tab_of
 from imumon.view.log_text import LOG_TEXT
+from imumon.view.painter import chart_view
 from imumon.view.panel_log import card_path
-from imumon.view.pictures import chart_view
 from imumon.view.window import Window, series_view, slow_window
 
 OTHER_TAB = "Other"

@@ -31,8 +31,8 @@ AHEAD = 0.1
 coarser marks, and with them an axis more than twice as long."""
 TAB_HEIGHT, FRAME_HEIGHT, MARK_HEIGHT = 750, 36, 20
 """Points, in a window of 1456 x 819: a tab; of each strip its title and times; the number of a mark."""
-LATEST_S = {True: 3.0, False: 90.0}
-"""The invisible line is looked at so far back, in a live view and in a recording, which comes in batches."""
+LATEST_S = 3.0
+"""Of the invisible line a live view looks at so much."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import threading
+import time
 from collections import deque
 from pathlib import Path
 
@@ -28,6 +29,8 @@ QUEUE_BYTES = 64 << 20
 FLUSH_S = 5.0
 WORTH_BYTES = 1 << 20
 """Smaller segments are not compacted."""
+LAST_S, LOOK_S = 3.0, 0.02
+"""The end waits so long for the compaction of the last segment (0.2 s), and looks so often."""
 PRIORITY = 15
 
 
@@ -114,10 +117,11 @@ class ViewRecorder:
             trim_heap()
             if self._compaction is not None and self._compaction.is_done():
                 self._compaction = None
-        self._logger.finish()
-        self._rec.disconnect()
         if self._compaction is not None:
             self._compaction.stop()
+        self._logger.finish()
+        self._rec.disconnect()
+        self._compact_last()
 
     def _write_next(self) -> None:
         """Write what has come; where that cannot be, count it."""
@@ -175,8 +179,21 @@ class ViewRecorder:
             return None, item
         return item.part(0, row) if row else None, item.part(row, item.rows)
 
+    def _compact_last(self) -> None:
+        """Compact the last segment as well, unless somebody waits for long."""
+        if self._error or self._files[-1].stat().st_size < WORTH_BYTES:
+            return
+        last, end_s = Compaction(self._files[-1]), time.monotonic() + LAST_S
+        while not last.is_done():
+            if time.monotonic() > end_s:
+                last.stop()
+                return
+            time.sleep(LOOK_S)
+
     def _open_segment(self) -> None:
         count = len(self._files)
+        if count:
+            self._logger.end_file()
         path = self._path if count == 0 else self._path.with_suffix(f".{count:04d}{self._path.suffix}")
         self._rec.set_sinks(rr.FileSink(path))
         if count and self._compaction is None and self._files[-1].stat().st_size > WORTH_BYTES:
