@@ -41,8 +41,6 @@ from imumon.view.panel_log import PanelLog
 from imumon.view.pictures import TALL, WIDE, picture, pictures_apart
 from imumon.view.window import slow_window
 
-APPLICATION_ID = "imumon"
-
 Show = Callable[[rrb.Blueprint], None]
 
 ELSEWHERE = {"device_time_ns", "host_time_ns", "arrival_time_ns", "device_ticks"}
@@ -53,7 +51,7 @@ RECORDED_STEP_NS, STEP_ROWS, LONGEST_STEP_NS = 500_000_000, 50, 2_500_000_000
 never of more time than the last."""
 PICTURE_SHARE = 0.03
 """Live, drawing charts takes so much of the time at the most."""
-FIRST_PICTURES_S, LATER, PICTURES_S = 30.0, 4.0, 600.0
+FIRST_PICTURES_S, LATER, PICTURES_S = 30.0, 6.0, 600.0
 """In a recording charts (25 kB each) are drawn after the first time, then when it is so many times as long,
 at the latest so long after those before, and as they are at the end."""
 NICE = 15
@@ -108,6 +106,7 @@ class StreamLogger:
         self._newest: Rows | None = None
         self._began_ns: int | None = None
         self._age_ns = 0
+        self._step_ns = 0 if live else RECORDED_STEP_NS
         self._log_text = LogText()
 
     def begin(self, *, arrange: bool = True) -> None:
@@ -153,6 +152,7 @@ class StreamLogger:
         rows = Rows(item.block.columns, count, item.device_ns, item.host_ns, before_ns=before_ns)
         if not self._live:
             rows = replace(rows, step_ns=recorded_step(rows.clock))
+            self._step_ns = self._step_ns if item.stream else rows.step_ns
         if rows.clock is not None and len(rows.clock):
             self._last_ns[item.stream] = int(rows.clock[-1])
         if item.device_ns is not None:
@@ -254,8 +254,7 @@ class StreamLogger:
             log_markdown(self._rec, "/status", [status_card(events[-1])], at_instants(events[-1].at))
 
     def _log_numbers(self, columns: Mapping[str, FloatArray], times: Rows) -> None:
-        step_ns = 0 if self._live else RECORDED_STEP_NS
-        rows = Rows(columns, times.sample, times.device_ns, times.host_ns, step_ns)
+        rows = Rows(columns, times.sample, times.device_ns, times.host_ns, self._step_ns)
         claimed = self._panels.log(rows)
         for name in columns.keys() - claimed:
             self._others.log(name, columns[name], rows)
@@ -327,7 +326,7 @@ class StreamLogger:
 
     def _arrange(self) -> None:
         """Send the blueprint when what there is to see has changed."""
-        # A recording is arranged once: an arrangement takes 340 kB there, and charts are drawn at its end.
+        # A recording is not arranged anew for charts, which are drawn later: an arrangement takes 370 kB.
         coming = {} if self._live else {key: drawing.chart for key, drawing in self._waiting.items()}
         charts = (self._charts | coming).values()
         contents = Contents(

@@ -38,7 +38,7 @@ class Window:
     margin_s: float = 0.0
     until_ns: int | None = None
 
-    def looks(self, ends: Sequence[str]) -> dict[str, Any]:
+    def looks(self, ends: Sequence[str]) -> dict[Any, Any]:
         """Return what is queried of the ends of axes: live the latest, which are of the whole window each."""
         if self.seconds is None:
             return {}

@@ -111,7 +111,7 @@ def test_a_recording_has_pictures_early_and_then_every_ten_minutes_however_often
         if minute % 7 == 6:
             logger.begin(arrange=False)
         logger.log([Drawing(Instant(minute, None, None), _chart([1.0, 2.0]))])
-    assert drawn == [1, 4, 14, 24]
+    assert drawn == [1, 6, 16, 26]
 
 
 def test_pictures_that_cannot_be_drawn_apart_are_left_out() -> None:
