@@ -27,7 +27,7 @@ from imumon.view.window import Window, series_view
 
 FIRST = "Live"
 """The first tab."""
-SCENE, STRIPS, LINK = "scene", "strips", "link"
+SCENE, STRIPS = "scene", "strips"
 """Places in the first tab; any other place is a tab of that name."""
 OTHER = "/samples/other"
 """Float columns that no panel draws: one entity each, in a tab of their own."""
@@ -43,7 +43,7 @@ TWO_SIGMA = 4.0
 
 def tab_of(place: str) -> str:
     """Return the name of the tab in which a place is."""
-    return FIRST if place in (SCENE, STRIPS, LINK) else place
+    return FIRST if place in (SCENE, STRIPS) else place
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +152,7 @@ class Panel(Protocol):
 
     @property
     def place(self) -> str:
-        """`SCENE`, `STRIPS`, `LINK`, or the name of a tab."""
+        """`SCENE`, `STRIPS`, or the name of a tab."""
 
     @property
     def drawn(self) -> str:

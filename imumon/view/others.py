@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import rerun as rr
 
@@ -65,7 +63,7 @@ class Others:
 
     def _log_extent(self, name: str, reach: Reach, rows: Rows) -> None:
         together = self._together()
-        marks = marks_of(math.ceil(len(together) / math.ceil(math.sqrt(len(together)))))
+        marks = marks_of(len(together))
         ends = self._extents[name].ends(rows.clock, reach, marks)
         if ends is None:
             return

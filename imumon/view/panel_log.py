@@ -7,14 +7,12 @@ import rerun as rr
 
 from imumon.view.axes import Axes
 from imumon.view.cards import Cards, Reading, card
-from imumon.view.extent import TAB_HEIGHT, Extent, marks_of
+from imumon.view.extent import Extent, marks_of
 from imumon.view.items import ViewSetup
-from imumon.view.layout import FIRST, LINK, Panel, Rows, log_markdown, tab_of
+from imumon.view.layout import FIRST, Panel, Rows, log_markdown, tab_of
 from imumon.view.shown import ShownPanels
 from imumon.view.window import slow_window
 
-LINK_HEIGHT = 0.4 * TAB_HEIGHT
-"""What the strips of the link have below states and log."""
 LIVE_CARD_NS, RECORDED_CARD_NS = 500_000_000, 10_000_000_000
 """How often the cards are written: a person cannot read faster; in a recording each costs 2 kB."""
 
@@ -92,8 +90,7 @@ class PanelLog:
             return
         extent = self._extents.setdefault(panel.key, Extent(self._window_s(panel)))
         strips = sum(other.place == panel.place for other in self._panels.begun.values())
-        height = LINK_HEIGHT if panel.place == LINK else TAB_HEIGHT
-        ends = extent.ends(rows.clock, reach, marks_of(strips, height))
+        ends = extent.ends(rows.clock, reach, marks_of(strips))
         if ends is not None:
             self._axes.set(panel.drawn, ends, rows.kept(np.array([len(reach.values) - 1])))
 
