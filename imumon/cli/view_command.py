@@ -72,7 +72,7 @@ def command(
 
     from imumon.view.compare import Comparison
     from imumon.view.items import ViewSetup
-    from imumon.view.logger import APPLICATION_ID
+    from imumon.view.rrd import APPLICATION
     from imumon.view.viewer import default_mode
 
     if out is not None:
@@ -80,7 +80,7 @@ def command(
     names = _names(sessions)
     setup = ViewSetup(" and ".join(names), f"view-{time.time_ns()}")
     mode = view or default_mode()
-    rec = rr.RecordingStream(APPLICATION_ID, recording_id=setup.recording_id)
+    rec = rr.RecordingStream(APPLICATION, recording_id=setup.recording_id)
     url = ""
     if out is not None:
         rec.set_sinks(rr.FileSink(out))

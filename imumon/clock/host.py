@@ -47,6 +47,9 @@ MARGIN = 1 / 6
 """Part of the span at either end that the chord leaves out."""
 TOUCH = 1 / 32
 """Uncertainty of a point of contact, as a part of the mean distance of the points from the line."""
+POLL_NS = 16_000_000
+"""The slowest that adapters poll.  In a beat with the samples the quickest packets come in steps of no more,
+and of no more than samples are apart; scatter does not show them."""
 
 NOT_FAR = -1
 
@@ -81,6 +84,7 @@ class _Fit:
     sum_x: float
     sum_y: float
     slope: float
+    slope_sd: float
 
 
 class HostClock:
@@ -107,6 +111,12 @@ class HostClock:
     def drift_ppm(self) -> float:
         """Rate of the host clock against the device clock, minus one: positive when the device is slow."""
         return float(self._fit.slope) * 1e6
+
+    @property
+    def drift_sd_ppm(self) -> float:
+        """Standard deviation of `drift_ppm`; NaN while it is a bound, or no better known than before."""
+        sd = float(self._fit.slope_sd)
+        return sd * 1e6 if 0.0 < sd < PRIOR * self._limit else math.nan
 
     @property
     def delay_ns(self) -> int | None:
@@ -200,6 +210,7 @@ def _start(fit: _Fit, blocks: Sequence[_Block], device: int, segment: int, arriv
     fit.far_since = NOT_FAR
     fit.left = fit.right = 0
     fit.slope = 0.0
+    fit.slope_sd = math.inf
     _empty(fit)
     for block in blocks:
         _empty(block)
@@ -284,7 +295,12 @@ def _support(fit: _Fit, limit: float) -> None:
     distance = fit.sum_y / fit.count - y_left - chord * (fit.sum_x / fit.count - x_left)
     # Least squares of the prior, 0 with sigma PRIOR * limit, and the chord, sigma TOUCH * distance / span.
     unsure = TOUCH * max(distance, 0.0) / (PRIOR * limit * span)
-    slope = min(max(chord / (1.0 + unsure * unsure), -limit), limit)
+    slope = chord / (1.0 + unsure * unsure)
+    of_touch = PRIOR * limit * unsure / math.sqrt(1.0 + unsure * unsure)
+    of_step = min(span / fit.count, POLL_NS) / (math.sqrt(12.0) * span)
+    fit.slope_sd = math.hypot(of_touch, of_step)
+    if abs(slope) > limit:
+        slope, fit.slope_sd = math.copysign(limit, slope), math.inf
     while k < last and _slope(hull, k) < slope:
         k += 1
     while k > 0 and _slope(hull, k - 1) > slope:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
@@ -18,6 +19,7 @@ from imumon.recordings.folder import Session
 from imumon.transport.reader import Event, EventKind
 from imumon.transport.settings import PortSettings
 from imumon.transport.statistics import LinkStatistics
+from imumon.view.cards import measured
 from imumon.view.items import Drawing, Log, Numbers, State, Status, Timebase, ViewItem, ViewSetup
 
 Publish = Callable[[ViewItem], None]
@@ -69,6 +71,7 @@ class Progress:
     link_load: float | None
     port: str
     drift_ppm: float
+    drift_sd_ppm: float
     delay_ms: float | None
 
 
@@ -253,6 +256,7 @@ class Narrator:
             link_load=self._link.load(now_ns) if self._link is not None else None,
             port=self._lanes.get("port", ""),
             drift_ppm=self._pipeline.host_clock.drift_ppm,
+            drift_sd_ppm=self._pipeline.host_clock.drift_sd_ppm,
             delay_ms=None if delay is None else delay * 1e-6,
         )
 
@@ -345,13 +349,20 @@ def describe(progress: Progress) -> dict[str, str]:
         "packets": f"{counters.packets:,} ({progress.packets_per_s:.1f}/s)",
         "bytes": f"{counters.bytes_received:,} received, {counters.bytes_skipped:,} skipped",
         "losses": describe_losses(counters),
-        "clock": f"{progress.drift_ppm:+.1f} ppm, {counters.clock_restarts} restarts",
+        "clock": f"{_drift(progress)}, {counters.clock_restarts} restarts",
     }
     if progress.delay_ms is not None:
         rows["latest delay"] = f"{progress.delay_ms:.1f} ms above the least"
     if progress.link_load is not None:
         rows["link load"] = f"{progress.link_load:.0%}"
     return rows
+
+
+def _drift(progress: Progress) -> str:
+    """Return how fast the host's clock is against the device's, as far as that is known."""
+    if not math.isfinite(progress.drift_sd_ppm):
+        return "drift not known yet"
+    return f"{measured(progress.drift_ppm, progress.drift_sd_ppm)} ppm"
 
 
 _AT = {

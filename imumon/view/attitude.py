@@ -56,9 +56,10 @@ class Attitude:
         """Tell whether each column has a value."""
         return bool(np.isfinite(rows.matrix(self.columns)).any(axis=0).all())
 
-    def declare(self, rec: rr.RecordingStream) -> None:
+    def declare(self, rec: rr.RecordingStream, *, live: bool) -> None:
         """Log the housing with its connector and axes, and the reference axes."""
-        rec.log(f"/samples/{self.key}", rr.SeriesLines(names=list(self.columns)), static=True)
+        if live:
+            rec.log(f"/samples/{self.key}", rr.SeriesLines(names=list(self.columns)), static=True)
         housing = rr.Boxes3D(
             centers=[[0.0, 0.0, 0.0], [-0.62, 0.0, 0.0], [0.42, 0.0, 0.0]],
             half_sizes=[[0.5, 0.34, 0.13], [0.12, 0.12, 0.07], [0.05, 0.3, 0.135]],

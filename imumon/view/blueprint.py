@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import rerun.blueprint as rrb
 
-from imumon.view.extent import entity
+from imumon.view.extent import columns_of, entity
 from imumon.view.items import ViewSetup
-from imumon.view.layout import FIRST, LINK, SCENE, STRIPS, Panel, tab_of
+from imumon.view.layout import FIRST, SCENE, STRIPS, Panel, tab_of
 from imumon.view.log_text import LOG_TEXT
+from imumon.view.painter import chart_view
 from imumon.view.panel_log import card_path
-from imumon.view.pictures import chart_view
 from imumon.view.window import Window, series_view, slow_window
 
 OTHER_TAB = "Other"
-LANE, LANES_FRAME, LOG, LINK_STRIP = 40.0, 42.0, 95.0, 100.0
-"""Points that a lane takes, title and times of all; that some lines of the log and three numbers above each
-other of the link need.  With eight lanes they fill the tab of a window of 1456 x 819."""
+LANE, LANES_FRAME, LOG = 40.0, 42.0, 150.0
+"""Points that a lane takes, title and times of all; that some lines of the log need."""
 NAMES_MARGIN = 0.1
 """Share of a tab that a legend of whole column names takes; it stays free in each view that has one."""
 
@@ -76,13 +74,13 @@ def blueprint(setup: ViewSetup, contents: Contents, timeline: str, *, live: bool
     """
     window = Window(setup.window_s, contents.filled) if live else Window()
     slow = Window(slow_window(setup.window_s), contents.full) if live else Window()
-    views: dict[str, list[Any]] = {SCENE: [], STRIPS: [], LINK: []}
+    views: dict[str, list[Any]] = {SCENE: [], STRIPS: []}
     for panel in contents.panels:
         shown = window if tab_of(panel.place) == FIRST else slow
         views.setdefault(panel.place, []).append(panel.view(setup, shown))
     for place, key, title in contents.charts:
         views.setdefault(place, []).append(chart_view(key, title))
-    margin_s = NAMES_MARGIN * contents.grown_s * math.ceil(math.sqrt(len(contents.others)))
+    margin_s = NAMES_MARGIN * contents.grown_s * columns_of(len(contents.others))
     views[OTHER_TAB] = [
         series_view(
             paths[0],
@@ -123,12 +121,18 @@ def _tab(name: str, views: list[Any], contents: Contents) -> Any:
     numbers = [rrb.TextDocumentView(origin=card_path(name), name="Now")] if name in contents.cards else []
     parts: list[tuple[float, Any]] = [(0.9, view) for view in numbers]
     if series:
-        parts.append((2.2, rrb.Grid(*series) if name == OTHER_TAB else rrb.Vertical(*series)))
+        parts.append((2.2, _strips(series)))
     if charts:
         parts.append((2.0, rrb.Vertical(*charts) if series else rrb.Grid(*charts)))
     return rrb.Horizontal(
         *[part for _, part in parts], column_shares=[share for share, _ in parts], name=name
     )
+
+
+def _strips(views: list[Any]) -> Any:
+    """Return views of series above each other, and beside each other where there are many."""
+    columns = columns_of(len(views))
+    return rrb.Vertical(*views) if columns == 1 else rrb.Grid(*views, grid_columns=columns)
 
 
 def _first_tab(name: str, views: dict[str, list[Any]], window: Window, contents: Contents) -> Any:
@@ -149,8 +153,7 @@ def _first_tab(name: str, views: dict[str, list[Any]], window: Window, contents:
         right.append((LANE * len(contents.lanes) + LANES_FRAME, states))
     if contents.log:
         right.append((LOG, rrb.TextDocumentView(origin=LOG_TEXT, name="Log")))
-    right += [(LINK_STRIP, view) for view in views[LINK]]
-    middle = [(1.0, view) for view in views[STRIPS]]
+    middle = [(1.0, _strips(views[STRIPS]))] if views[STRIPS] else []
     columns = [(share, part) for share, part in ((3.0, left), (4.6, middle), (3.2, right)) if part]
     return rrb.Horizontal(
         *[

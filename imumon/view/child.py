@@ -42,11 +42,12 @@ class Child:
 
         import rerun as rr
 
-        from imumon.view.in_place import APPLICATION_ID, InPlace
+        from imumon.view.in_place import InPlace
         from imumon.view.logger import StreamLogger
+        from imumon.view.rrd import LIVE_APPLICATION
         from imumon.view.units import UnitsLogger
 
-        self._rec = rr.RecordingStream(APPLICATION_ID, recording_id=start.setup.recording_id)
+        self._rec = rr.RecordingStream(LIVE_APPLICATION, recording_id=start.setup.recording_id)
         self._arrangement = InPlace(self._rec)
         show = self._arrangement.send
         self._logger: Any = (

@@ -88,7 +88,7 @@ class Comparison:
             if not panel.says(rows):
                 return
             line.drawn.append(panel)
-            panel.declare(self._rec)
+            panel.declare(self._rec, live=False)
         panel.log(self._rec, rows)
         self._blocks += 1  # sessions overlap in time: the extent is told of a step for each block
         clock = np.array([self._blocks * 1_000_000_000])

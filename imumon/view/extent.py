@@ -29,10 +29,16 @@ STILL = 0.02
 AHEAD = 0.1
 """The ends leave so much of the span free, for what comes until the next step; nothing where that would need
 coarser marks, and with them an axis more than twice as long."""
-TAB_HEIGHT, FRAME_HEIGHT, MARK_HEIGHT = 750, 36, 20
-"""Points, in a window of 1456 x 819: a tab; of each strip its title and times; the number of a mark."""
-LATEST_S = {True: 3.0, False: 90.0}
-"""The invisible line is looked at so far back, in a live view and in a recording, which comes in batches."""
+TAB_HEIGHT, FRAME_HEIGHT = 560, 47
+"""Points: a tab in a browser's window of 1456 x 819, the least provided for; title and times of a strip."""
+MARK_HEIGHT = 22
+"""Points between marks: with less their numbers are too faint to read, at 20 they are gone."""
+EDGE = 8.0 / MARK_HEIGHT
+"""Half of a number, in such distances: nearer to the end of the axis it is cut."""
+MOST_STRIPS = 4
+"""Above each other: in a fifth of a tab only the first of ten steps are fine enough for three numbers."""
+LATEST_S = 3.0
+"""Of the invisible line a live view looks at so much."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -168,9 +174,15 @@ class Extent:
         self._steps.append(last)
 
 
-def marks_of(strips: int, height: float = TAB_HEIGHT) -> float:
-    """Return how many steps between marks have room in each of so many strips above each other, 3 or more."""
-    return max(3.0, (height / max(strips, 1) - FRAME_HEIGHT) / MARK_HEIGHT)
+def columns_of(strips: int) -> int:
+    """Return beside each other how many strips of a tab stand."""
+    return math.ceil(strips / MOST_STRIPS)
+
+
+def marks_of(strips: int) -> float:
+    """Return how many steps between marks have room in each of so many strips of a tab, 3 or more."""
+    rows = math.ceil(strips / max(columns_of(strips), 1))
+    return max(3.0, (TAB_HEIGHT / max(rows, 1) - FRAME_HEIGHT) / MARK_HEIGHT)
 
 
 def _with_room(
@@ -180,8 +192,8 @@ def _with_room(
     low, high = seen
     ahead = share * max(high - low, least)
     if floor is not None and low >= floor:
-        below, above = with_marks(floor, max(high + ahead, floor + least), marks)
-        return floor, above + floor - below
+        top = max(high + ahead, floor + least)
+        return with_marks(floor - EDGE / marks * (top - floor), top, marks)
     short = max(0.0, least - (high - low))
     return with_marks(low - 0.5 * short - ahead, high + 0.5 * short + ahead, marks)
 
@@ -191,20 +203,33 @@ LARGEST = 1e300
 
 
 def with_marks(low: float, high: float, most: float) -> tuple[float, float]:
-    """Return the ends, moved outwards until three marks, a power of ten apart, lie between them.
+    """Return the ends, moved outwards until three marks, a power of ten apart, and their numbers are inside.
 
     The viewer writes numbers at powers of ten, of which it takes the finest that has room: here `most` steps.
     """
     low, high = (min(max(end, -LARGEST), LARGEST) for end in (low, high))
     span = max(high - low, 1e-12 * max(abs(low), abs(high)), 1e-300)
     step = 10.0 ** math.ceil(math.log10(span / most) - 1e-9)
-    first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
+    ends = _about_marks(low, high, step, EDGE / most)
+    while ends[1] - ends[0] > most * step * (1.0 + 1e-9):  # moved so far that these have no room any more
+        step *= 10.0
+        ends = _about_marks(low, high, step, EDGE / most)
+    return ends
+
+
+def _about_marks(low: float, high: float, step: float, edge: float) -> tuple[float, float]:
+    """Return the ends, moved until three multiples of a step are so much of the axis away from each."""
+    room = edge * (high - low)
+    first, last = math.ceil((low + room) / step - 1e-9), math.floor((high - room) / step + 1e-9)
     while last - first < 2:
         if high / step - last > first - low / step:
             last += 1
         else:
             first -= 1
-    return min(low, first * step), max(high, last * step)
+    bottom, top = first * step, last * step
+    one, both = 1.0 - edge, 1.0 - 2.0 * edge  # what is left where one end moves, or both
+    room = edge * max(high - low, (high - bottom) / one, (top - low) / one, (top - bottom) / both)
+    return min(low, bottom - room), max(high, top + room)
 
 
 def entity(drawn: str) -> str:

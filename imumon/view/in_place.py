@@ -7,18 +7,28 @@ of an application for which none was sent: its name is that of the application.
 
 from __future__ import annotations
 
-import struct
 import time
 import uuid
 from collections import Counter
+from io import BytesIO
 from typing import Any
 
 import pyarrow as pa
 import rerun as rr
 import rerun.blueprint as rrb
 
-APPLICATION_ID = "imumon-live"
-"""Apart from that of recordings, for which blueprints are sent, and kept by a viewer until the next time."""
+from imumon.view.rrd import (
+    BLUEPRINT,
+    END,
+    FRAME,
+    HEAD_BYTES,
+    LIVE_APPLICATION,
+    PART,
+    RECORDING,
+    messages,
+    store_id,
+)
+
 TIMELINE = "blueprint"
 """Of a part the latest on it counts; what a person does comes one after the latest."""
 STEP = 1000
@@ -28,10 +38,6 @@ ONE_BY_ONE = {"flush_num_rows": 1, "flush_num_bytes": 0, "chunk_max_rows_if_unso
 """What is inside must arrive before what it is in: a viewer takes out what it does not find, for good."""
 OUTERMOST = "viewport"
 """The part that names the outermost."""
-RECORDING, BLUEPRINT = 1, 2
-"""Kinds of stores, as Rerun writes them."""
-HEAD_BYTES, FRAME, END, PART = 12, struct.Struct("<QQ"), 0, 2
-"""Of what Rerun writes: the bytes before the first message; kind and size before each; two of the kinds."""
 
 
 class InPlace:
@@ -40,14 +46,14 @@ class InPlace:
     Parameters
     ----------
     rec : RecordingStream
-        Of the application `APPLICATION_ID`.
+        Of the application `LIVE_APPLICATION`.
     """
 
     def __init__(self, rec: rr.RecordingStream) -> None:
         self._rec = rec
         self._parts = rr.RecordingStream(
-            APPLICATION_ID,
-            recording_id=APPLICATION_ID,
+            LIVE_APPLICATION,
+            recording_id=LIVE_APPLICATION,
             send_properties=False,
             batcher_config=rr.ChunkBatcherConfig(**ONE_BY_ONE),
         )
@@ -93,19 +99,6 @@ def name_parts(part: Any, above: str = "") -> None:
 
 def as_blueprint(written: bytes) -> bytes:
     """Return the parts that Rerun wrote for a recording, for the blueprint of the application."""
-    here, there = (store_id(kind, APPLICATION_ID) for kind in (RECORDING, BLUEPRINT))
-    kept, at = [written[:HEAD_BYTES]], HEAD_BYTES
-    while at < len(written):
-        kind, size = FRAME.unpack_from(written, at)
-        if kind == END:
-            break
-        if kind == PART:
-            kept.append(written[at : at + FRAME.size + size].replace(here, there))
-        at += FRAME.size + size
-    return b"".join([*kept, FRAME.pack(END, 0)])
-
-
-def store_id(kind: int, name: str) -> bytes:
-    """Return how Rerun writes of which store a message is: kind, name, application of the same name."""
-    text = bytes([len(name)]) + name.encode()
-    return bytes([0x08, kind, 0x12, *text, 0x1A, len(text) + 1, 0x0A, *text])
+    here, there = (store_id(kind, LIVE_APPLICATION, LIVE_APPLICATION) for kind in (RECORDING, BLUEPRINT))
+    parts = [message.replace(here, there) for kind, message in messages(BytesIO(written)) if kind == PART]
+    return b"".join([written[:HEAD_BYTES], *parts, FRAME.pack(END, 0)])

@@ -27,7 +27,7 @@ from imumon.view.window import Window, series_view
 
 FIRST = "Live"
 """The first tab."""
-SCENE, STRIPS, LINK = "scene", "strips", "link"
+SCENE, STRIPS = "scene", "strips"
 """Places in the first tab; any other place is a tab of that name."""
 OTHER = "/samples/other"
 """Float columns that no panel draws: one entity each, in a tab of their own."""
@@ -43,7 +43,7 @@ TWO_SIGMA = 4.0
 
 def tab_of(place: str) -> str:
     """Return the name of the tab in which a place is."""
-    return FIRST if place in (SCENE, STRIPS, LINK) else place
+    return FIRST if place in (SCENE, STRIPS) else place
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,16 +128,18 @@ class Rows:
         return np.column_stack([self.columns[name] for name in names]).astype(np.float64, copy=False)
 
 
-def at_once(at: Instant) -> Rows:
-    """Return the times of one row, without columns."""
-    times = (at.sample, at.device_ns, at.host_ns)
-    sample, device_ns, host_ns = (None if time is None else np.array([time], np.int64) for time in times)
+def at_instants(*instants: Instant) -> Rows:
+    """Return the times of moments that know the same timelines, a row each, without columns."""
+    times = [(at.sample, at.device_ns, at.host_ns) for at in instants]
+    sample, device_ns, host_ns = (
+        None if column[0] is None else np.array(column, np.int64) for column in zip(*times, strict=True)
+    )
     return Rows({}, sample, device_ns, host_ns)
 
 
-def log_markdown(rec: rr.RecordingStream, entity: str, markdown: str, times: Rows) -> None:
-    """Log a text as it is from a moment on."""
-    text = rr.TextDocument.columns(text=[markdown], media_type=["text/markdown"])
+def log_markdown(rec: rr.RecordingStream, entity: str, texts: Sequence[str], times: Rows) -> None:
+    """Log a text as it is from each moment on."""
+    text = rr.TextDocument.columns(text=texts, media_type=["text/markdown"] * len(texts))
     rec.send_columns(entity, indexes=times.indexes, columns=text)
 
 
@@ -150,7 +152,7 @@ class Panel(Protocol):
 
     @property
     def place(self) -> str:
-        """`SCENE`, `STRIPS`, `LINK`, or the name of a tab."""
+        """`SCENE`, `STRIPS`, or the name of a tab."""
 
     @property
     def drawn(self) -> str:
@@ -163,8 +165,8 @@ class Panel(Protocol):
     def says(self, rows: Rows) -> bool:
         """Tell whether the rows have something to show: a value of each column."""
 
-    def declare(self, rec: rr.RecordingStream) -> None:
-        """Log what does not change: names, colours, bodies."""
+    def declare(self, rec: rr.RecordingStream, *, live: bool) -> None:
+        """Log what does not change: names, colours, bodies; live also the names of exact values."""
 
     def log(self, rec: rr.RecordingStream, rows: Rows) -> None:
         """Log rows."""
@@ -269,7 +271,7 @@ class Strip:
         """Entity of what is drawn."""
         return self.exact if self.unit is None else f"/view/{self.key}"
 
-    def declare(self, rec: rr.RecordingStream) -> None:
+    def declare(self, rec: rr.RecordingStream, *, live: bool) -> None:  # noqa: ARG002
         """Log names, colours and styles."""
         style: Any = {
             "names": [line.name for line in self.lines],
@@ -345,9 +347,10 @@ class Strip:
 class Bands(Strip):
     """A panel that draws estimates inside their 2σ bands, in a `unit`."""
 
-    def declare(self, rec: rr.RecordingStream) -> None:
+    def declare(self, rec: rr.RecordingStream, *, live: bool) -> None:
         """Log names and colours; each band is an entity of its own."""
-        rec.log(self.exact, rr.SeriesLines(names=list(self.columns)), static=True)
+        if live:
+            rec.log(self.exact, rr.SeriesLines(names=list(self.columns)), static=True)
         for line in self.lines:
             style = rr.Measurements.from_fields(names=[line.name], colors=[list(line.color)], widths=[1.6])
             rec.log(self._entity(line), style, static=True)

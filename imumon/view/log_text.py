@@ -26,10 +26,11 @@ class LogText:
         """The lines as Markdown."""
         return "\n\n".join(self._lines)
 
-    def add(self, line: Log) -> None:
-        """Take a line."""
+    def add(self, line: Log) -> str:
+        """Take a line; return the text with it."""
         mark = "" if line.level in QUIET else f"**{line.level}** "
         self._lines.appendleft(f"`{clock(line.at.host_ns)}` {mark}{for_markdown(line.text)}")
+        return self.text
 
 
 def dated(line: Log) -> str:

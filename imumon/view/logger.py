@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Mapping
-from functools import partial
-from itertools import groupby
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import rerun as rr
 import rerun.blueprint as rrb
 
-from imumon.blocks import NO_INT, FloatArray
+from imumon.blocks import NO_INT, FloatArray, IntArray
 from imumon.charts import Chart
 from imumon.harmless import for_markdown
 from imumon.view.attitude import DEVICE
+from imumon.view.axes import Axes
 from imumon.view.blueprint import Contents, blueprint
 from imumon.view.items import (
     Drawing,
@@ -32,27 +33,29 @@ from imumon.view.items import (
     lasting_key,
 )
 from imumon.view.lanes import COLORED_STATES, declare_lane, lane_path
-from imumon.view.layout import INTEGERS, Rows, at_once, log_markdown
+from imumon.view.layout import INTEGERS, Rows, at_instants, log_markdown
 from imumon.view.log_text import LOG_TEXT, LogText
 from imumon.view.others import Others
+from imumon.view.painter import Painter, log_picture
 from imumon.view.panel_log import PanelLog
-from imumon.view.pictures import Painter, log_picture
+from imumon.view.pictures import TALL, WIDE, picture, pictures_apart
 from imumon.view.window import slow_window
-
-APPLICATION_ID = "imumon"
 
 Show = Callable[[rrb.Blueprint], None]
 
 ELSEWHERE = {"device_time_ns", "host_time_ns", "arrival_time_ns", "device_ticks"}
 """Integer columns that are a timeline, or of the transport: the wire recording has them."""
 
-RECORDED_STEP_NS = 500_000_000
-"""Of so much time a recording of the view keeps the extremes."""
+RECORDED_STEP_NS, STEP_ROWS, LONGEST_STEP_NS = 500_000_000, 50, 2_500_000_000
+"""Of so much time a recording of the view keeps the extremes; where fewer samples came in it, of so many, and
+never of more time than the last."""
 PICTURE_SHARE = 0.03
 """Live, drawing charts takes so much of the time at the most."""
-RECORDED_PICTURE_S = 600.0
-"""In a recording a chart is drawn so often (it takes 60 kB), and as it is at the end."""
-RECORDED_STATUS_S = 10.0
+FIRST_PICTURES_S, LATER, PICTURES_S = 30.0, 6.0, 600.0
+"""In a recording charts (25 kB each) are drawn after the first time, then when it is so many times as long,
+at the latest so long after those before, and as they are at the end."""
+NICE = 15
+"""While samples come, they come before the charts of a recording."""
 EARLY_EVENTS = 1000
 """Events before the first sample that are shown again on the timelines that begin with it."""
 
@@ -82,14 +85,17 @@ class StreamLogger:
         self._show = show or rec.send_blueprint
         self._setup = setup
         self._live = live
-        self._panels = PanelLog(rec, setup, live=live)
-        self._others = Others(rec, setup, live=live)
+        self._axes = Axes(rec, live=live)
+        self._panels = PanelLog(rec, setup, self._axes, live=live)
+        self._others = Others(rec, setup, self._axes, live=live)
         self._lanes: dict[str, list[str]] = {}
         self._lasting: dict[str, Event] = {}
         self._charts: dict[str, Chart] = {}
         self._waiting: dict[str, Drawing] = {}
         self._painter = Painter(PICTURE_SHARE)
         self._drawn_s: dict[str, float] = {}
+        self._began_s = time.monotonic()
+        self._pictures_s = FIRST_PICTURES_S
         self._early: list[Event] = []
         self._has_log = False
         self._timeline = "host_time"
@@ -100,6 +106,7 @@ class StreamLogger:
         self._newest: Rows | None = None
         self._began_ns: int | None = None
         self._age_ns = 0
+        self._step_ns = 0 if live else RECORDED_STEP_NS
         self._log_text = LogText()
 
     def begin(self, *, arrange: bool = True) -> None:
@@ -118,27 +125,22 @@ class StreamLogger:
         self._others.declare()
         for lane, states in self._lanes.items():
             declare_lane(rec, lane, states)
-        # A later file of a recording needs the status card anew; pictures stand in the files before.
-        self._drawn_s = {} if arrange else {key: s for key, s in self._drawn_s.items() if key != "status"}
-        for event in self._lasting.values():
-            self._log_event(event)
+        self._log_events(list(self._lasting.values()), again=True)
         if arrange:
             self._arranged = None
         self._arrange()
 
     def log(self, items: Iterable[ViewItem]) -> None:
         """Log items, samples in batches as they come; join them with `items.merge` first."""
-        numbers: list[Numbers] = []
+        events: list[Event] = []
         for item in items:
             if isinstance(item, Samples):
                 self._log_samples(item)
-            elif isinstance(item, Numbers) and item.at.sample is not None:
-                numbers.append(item)
             else:
-                self._log_event(item)
-                if item.at.sample is None and len(self._early) < EARLY_EVENTS:
-                    self._early.append(item)
-        self._log_series(numbers)
+                events.append(item)
+        self._log_events(events)
+        early = [event for event in events if event.at.sample is None]
+        self._early += early[: EARLY_EVENTS - len(self._early)]
         if self._newest is not None:
             self._panels.log_cards(self._newest)
         self._draw_charts()
@@ -146,9 +148,11 @@ class StreamLogger:
 
     def _log_samples(self, item: Samples) -> None:
         count = None if item.first is None else np.arange(item.first, item.first + item.rows, dtype=np.int64)
-        step_ns = 0 if self._live else RECORDED_STEP_NS
         before_ns = self._last_ns.get(item.stream)
-        rows = Rows(item.block.columns, count, item.device_ns, item.host_ns, step_ns, before_ns)
+        rows = Rows(item.block.columns, count, item.device_ns, item.host_ns, before_ns=before_ns)
+        if not self._live:
+            rows = replace(rows, step_ns=recorded_step(rows.clock))
+            self._step_ns = self._step_ns if item.stream else rows.step_ns
         if rows.clock is not None and len(rows.clock):
             self._last_ns[item.stream] = int(rows.clock[-1])
         if item.device_ns is not None:
@@ -200,106 +204,120 @@ class StreamLogger:
 
     def _log_early_events(self, first: Samples) -> None:
         """Show the events before the first sample on the timelines that begin with it."""
+        moved: list[Event] = []
         for event in self._early:
             device = None if first.device_ns is None else int(first.device_ns[0])
             if device is not None and first.host_ns is not None and event.at.host_ns is not None:
                 device -= max(0, int(first.host_ns[0]) - event.at.host_ns)
-            self._log_event(event, at_once(Instant(first.first, device, None)))
+            moved.append(replace(event, at=Instant(first.first, device, None)))
         self._early.clear()
+        self._log_events(moved, again=True)
 
-    def _log_event(self, event: Event, rows: Rows | None = None) -> None:
-        times = rows or at_once(event.at)
-        indexes = times.indexes
-        key = lasting_key(event)
-        if key is not None:
-            self._lasting[key] = event
-        if isinstance(event, Log) and rows is None:
-            self._log_text.add(event)
-        if not indexes:
+    def _log_events(self, events: Sequence[Event], *, again: bool = False) -> None:
+        """Log events, those of a kind together: a chunk costs 2 kB, whatever is in it.
+
+        What is shown `again` has its place among the newest lines, and in time, already.
+        """
+        kinds: dict[tuple[object, ...], list[Event]] = {}
+        for event in events:
+            kinds.setdefault(_kind_of(event), []).append(event)
+            key = lasting_key(event)
+            if key is not None and not again:
+                self._lasting[key] = event
+        for found in kinds.values():
+            self._log_kind(found, again=again)
+
+    def _log_kind(self, events: list[Any], *, again: bool) -> None:
+        """Log events of one kind."""
+        first, times = events[0], at_instants(*(event.at for event in events))
+        if isinstance(first, Drawing):
+            self._waiting[first.chart.key] = events[-1]
+        elif isinstance(first, Log):
+            texts = [self._log_text.text if again else self._log_text.add(event) for event in events]
+            if times.indexes:
+                self._has_log = True
+                lines = rr.TextLog.columns(
+                    text=[event.text for event in events], level=[event.level for event in events]
+                )
+                self._rec.send_columns("/log", indexes=times.indexes, columns=lines)
+                log_markdown(self._rec, LOG_TEXT, texts, times)
+        elif not times.indexes:
             return
-        if isinstance(event, Numbers):
-            self._log_numbers({name: np.array([value]) for name, value in event.values.items()}, times)
-        elif isinstance(event, State):
-            self._know_state(event)
-            change = rr.StateChange.columns(state=[event.state])
-            self._rec.send_columns(lane_path(event.lane), indexes=indexes, columns=change)
-        elif isinstance(event, Log):
-            self._has_log = True
-            line = rr.TextLog.columns(text=[event.text], level=[event.level])
-            self._rec.send_columns("/log", indexes=indexes, columns=line)
-            log_markdown(self._rec, LOG_TEXT, self._log_text.text, times)
-        elif isinstance(event, Drawing):
-            self._waiting[event.chart.key] = event
-        elif self._live or self._is_due("status", RECORDED_STATUS_S):
-            log_markdown(self._rec, "/status", status_card(event), times)
-
-    def _log_series(self, numbers: Iterable[Numbers]) -> None:
-        """Log numbers that follow each other together: a chunk costs 1.4 kB, whatever is in it."""
-        for _, group in groupby(numbers, _kind_of):
-            found = list(group)
-            values = {name: np.array([one.values[name] for one in found]) for name in found[0].values}
-            times = [(one.at.sample, one.at.device_ns, one.at.host_ns) for one in found]
-            sample, device_ns, host_ns = (
-                None if column[0] is None else np.array(column, np.int64)
-                for column in zip(*times, strict=True)
-            )
-            self._log_numbers(values, Rows({}, sample, device_ns, host_ns))
+        elif isinstance(first, Numbers):
+            values = {name: np.array([event.values[name] for event in events]) for name in first.values}
+            self._log_numbers(values, times)
+        elif isinstance(first, State):
+            self._know_states(events)
+            change = rr.StateChange.columns(state=[event.state for event in events])
+            self._rec.send_columns(lane_path(first.lane), indexes=times.indexes, columns=change)
+        else:
+            log_markdown(self._rec, "/status", [status_card(events[-1])], at_instants(events[-1].at))
 
     def _log_numbers(self, columns: Mapping[str, FloatArray], times: Rows) -> None:
-        step_ns = 0 if self._live else RECORDED_STEP_NS
-        rows = Rows(columns, times.sample, times.device_ns, times.host_ns, step_ns)
+        rows = Rows(columns, times.sample, times.device_ns, times.host_ns, self._step_ns)
         claimed = self._panels.log(rows)
         for name in columns.keys() - claimed:
             self._others.log(name, columns[name], rows)
 
     def _draw_charts(self) -> None:
         """Draw what is waiting and due: live the one that was drawn longest ago."""
+        age_s = time.monotonic() - self._began_s
         if not self._live:
-            for key in self._waiting:
-                self._drawn_s.setdefault(key, time.monotonic())  # it begins with nothing worth 60 kB
-            for key in [key for key in self._waiting if self._is_due(key, RECORDED_PICTURE_S)]:
-                self._picture(self._waiting.pop(key))()
+            if age_s >= self._pictures_s:
+                self._pictures_s = min(LATER * age_s, age_s + PICTURES_S)
+                self._draw_apart(list(self._waiting.values()), niceness=NICE)
         elif self._waiting and self._painter.is_free:
             key = min(self._waiting, key=lambda key: self._drawn_s.get(key, -math.inf))
-            self._drawn_s[key] = time.monotonic()
-            self._painter.begin(self._picture(self._waiting.pop(key)))
+            self._drawn_s[key] = age_s
+            self._painter.begin(self._draw(self._waiting.pop(key)))
 
-    def _picture(self, event: Drawing) -> Callable[[], None]:
+    def _draw(self, event: Drawing) -> Callable[[], None]:
         """Return what draws a chart and logs the picture."""
-        chart = event.chart
+        chart, size, times = event.chart, self._size(event.chart), at_instants(event.at)
         self._charts[chart.key] = chart
+        return lambda: log_picture(self._rec, chart.key, picture(chart, size), times.indexes)
+
+    def _draw_apart(self, events: Sequence[Drawing], niceness: int = 0) -> None:
+        """Draw charts for a recording."""
+        self._waiting.clear()
+        self._charts |= {event.chart.key: event.chart for event in events}
+        charts = [(event.chart, self._size(event.chart)) for event in events]
+        for event, blob in zip(events, pictures_apart(charts, niceness=niceness), strict=False):
+            log_picture(self._rec, event.chart.key, blob, at_instants(event.at).indexes)
+
+    def _size(self, chart: Chart) -> tuple[float, float]:
+        """Return the size of a picture, inches: those above each other, beside panels, are less high."""
         places = [other.chart.place for other in self._lasting.values() if isinstance(other, Drawing)]
         beside = any(panel.place == chart.place for panel in self._panels.shown)
-        stacked = beside and places.count(chart.place) > 1
-        return partial(
-            log_picture, self._rec, chart, at_once(event.at).indexes, stacked=stacked, kept=not self._live
-        )
+        return WIDE if beside and places.count(chart.place) > 1 else TALL
 
-    def _is_due(self, key: str, step_s: float) -> bool:
-        """Tell, and remember, whether so much time has passed since this was last logged."""
-        now = time.monotonic()
-        due = now - self._drawn_s.get(key, -math.inf) >= step_s
-        if due:
-            self._drawn_s[key] = now
-        return due
+    def end_file(self) -> None:
+        """Log what a file of a recording has at its end."""
+        self._axes.finish()
 
     def finish(self) -> None:
         """Log the charts and the status card as they are at the end."""
+        self.end_file()
         self._painter.wait()
-        self._drawn_s.clear()
         self._waiting.clear()
-        for event in self._lasting.values():
-            if isinstance(event, Drawing):
-                self._picture(event)()
-            elif isinstance(event, Status):
-                self._log_event(event)
+        lasting = self._lasting.values()
+        drawings = [event for event in lasting if isinstance(event, Drawing)]
+        if self._live:
+            for event in drawings:
+                self._draw(event)()
+        else:
+            self._draw_apart(drawings)
+        self._log_events([event for event in lasting if isinstance(event, Status)])
         self._arrange()
 
-    def _know_state(self, event: State) -> None:
-        known = self._lanes.setdefault(event.lane, [])
-        if event.state not in known and len(known) < COLORED_STATES:
-            known.append(event.state)
-            declare_lane(self._rec, event.lane, known)
+    def _know_states(self, events: Sequence[State]) -> None:
+        """Declare the colours of a lane anew where it has states that it had not."""
+        lane = events[0].lane
+        known = self._lanes.setdefault(lane, [])
+        new = [state for state in dict.fromkeys(event.state for event in events) if state not in known]
+        if new and len(known) < COLORED_STATES:
+            known += new[: COLORED_STATES - len(known)]
+            declare_lane(self._rec, lane, known)
 
     def _grown_s(self) -> float:
         """Return how much the slow tabs show, s; while they grow the next power of two."""
@@ -308,7 +326,7 @@ class StreamLogger:
 
     def _arrange(self) -> None:
         """Send the blueprint when what there is to see has changed."""
-        # A recording is arranged once: an arrangement takes 340 kB there, and charts are drawn at its end.
+        # A recording is not arranged anew for charts, which are drawn later: an arrangement takes 370 kB.
         coming = {} if self._live else {key: drawing.chart for key, drawing in self._waiting.items()}
         charts = (self._charts | coming).values()
         contents = Contents(
@@ -329,13 +347,23 @@ class StreamLogger:
             self._show(self.arrangement)
 
 
+def recorded_step(clock: IntArray | None) -> int:
+    """Return of how much time a recording keeps the extremes, ns, by the times of some samples."""
+    if clock is None or len(clock) < 2:
+        return RECORDED_STEP_NS
+    rows_ns = STEP_ROWS * int(np.median(np.diff(clock)))
+    return min(max(RECORDED_STEP_NS, rows_ns), LONGEST_STEP_NS)
+
+
 def status_card(event: Status) -> str:
     """Return the status card as a compact Markdown table."""
     rows = [f"| **{for_markdown(name)}** | {for_markdown(value)} |" for name, value in event.fields.items()]
     return "\n".join(["| | |", "|:--|:--|", *rows])
 
 
-def _kind_of(numbers: Numbers) -> tuple[object, ...]:
-    """Return what numbers must have in common to be logged together."""
-    at = numbers.at
-    return tuple(numbers.values), at.device_ns is None, at.host_ns is None
+def _kind_of(event: Event) -> tuple[object, ...]:
+    """Return what events must have in common to be logged together."""
+    at, what = event.at, lasting_key(event)
+    if isinstance(event, Numbers):
+        what = ",".join(event.values)
+    return type(event), what, at.sample is None, at.device_ns is None, at.host_ns is None

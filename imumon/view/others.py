@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import rerun as rr
 
 from imumon.blocks import ColumnArray
 from imumon.charts import AXIS_COLORS, BLUE, GREEN, RED
-from imumon.view.extent import Extent, Reach, declare_extent, entity, marks_of, with_marks
+from imumon.view.axes import Axes
+from imumon.view.extent import Extent, Reach, declare_extent, marks_of, with_marks
 from imumon.view.items import ViewSetup
 from imumon.view.layout import OTHER, Rows, unit_text
 from imumon.view.window import slow_window
@@ -25,12 +24,13 @@ class Others:
     ----------
     rec : RecordingStream
     setup : ViewSetup
+    axes : Axes
     live : bool
         Whether a person is watching.
     """
 
-    def __init__(self, rec: rr.RecordingStream, setup: ViewSetup, *, live: bool) -> None:
-        self._rec, self._setup = rec, setup
+    def __init__(self, rec: rr.RecordingStream, setup: ViewSetup, axes: Axes, *, live: bool) -> None:
+        self._rec, self._setup, self._axes = rec, setup, axes
         self._window_s = slow_window(setup.window_s) if live else None
         self._extents: dict[str, Extent] = {}
         self._ends: dict[str, tuple[float, float]] = {}
@@ -63,7 +63,7 @@ class Others:
 
     def _log_extent(self, name: str, reach: Reach, rows: Rows) -> None:
         together = self._together()
-        marks = marks_of(math.ceil(len(together) / math.ceil(math.sqrt(len(together)))))
+        marks = marks_of(len(together))
         ends = self._extents[name].ends(rows.clock, reach, marks)
         if ends is None:
             return
@@ -71,8 +71,7 @@ class Others:
         names = together[self._title(name)]
         found = [self._ends[one] for one in names if one in self._ends]
         whole = with_marks(min(low for low, _ in found), max(high for _, high in found), marks)
-        last = rows.kept(np.array([len(reach.values) - 1]))
-        last.send(self._rec, entity(path(names[0])), np.array([whole]))
+        self._axes.set(path(names[0]), whole, rows.kept(np.array([len(reach.values) - 1])))
 
     def _together(self) -> dict[str, list[str]]:
         """Return the names in each view, by its title."""

@@ -5,15 +5,14 @@ from __future__ import annotations
 import numpy as np
 import rerun as rr
 
+from imumon.view.axes import Axes
 from imumon.view.cards import Cards, Reading, card
-from imumon.view.extent import TAB_HEIGHT, Extent, entity, marks_of
+from imumon.view.extent import Extent, marks_of
 from imumon.view.items import ViewSetup
-from imumon.view.layout import FIRST, LINK, Panel, Rows, log_markdown, tab_of
+from imumon.view.layout import FIRST, Panel, Rows, log_markdown, tab_of
 from imumon.view.shown import ShownPanels
 from imumon.view.window import slow_window
 
-LINK_HEIGHT = 0.4 * TAB_HEIGHT
-"""What the strips of the link have below states and log."""
 LIVE_CARD_NS, RECORDED_CARD_NS = 500_000_000, 10_000_000_000
 """How often the cards are written: a person cannot read faster; in a recording each costs 2 kB."""
 
@@ -25,12 +24,13 @@ class PanelLog:
     ----------
     rec : RecordingStream
     setup : ViewSetup
+    axes : Axes
     live : bool
         Whether a person is watching.
     """
 
-    def __init__(self, rec: rr.RecordingStream, setup: ViewSetup, *, live: bool) -> None:
-        self._rec, self._setup, self._live = rec, setup, live
+    def __init__(self, rec: rr.RecordingStream, setup: ViewSetup, axes: Axes, *, live: bool) -> None:
+        self._rec, self._setup, self._axes, self._live = rec, setup, axes, live
         self._step_ns = LIVE_CARD_NS if live else RECORDED_CARD_NS
         self._panels = ShownPanels(setup)
         self._extents: dict[str, Extent] = {}
@@ -45,7 +45,7 @@ class PanelLog:
     def declare(self) -> None:
         """Log what does not change, for a new reader."""
         for panel in self._panels.begun.values():
-            panel.declare(self._rec)
+            panel.declare(self._rec, live=self._live)
 
     def log(self, rows: Rows) -> set[str]:
         """Log rows; return the columns that panels draw."""
@@ -54,7 +54,7 @@ class PanelLog:
         for panel in self._panels.drawing(rows):
             claimed.update(panel.columns)
             if self._panels.begins(panel, rows):
-                panel.declare(self._rec)
+                panel.declare(self._rec, live=self._live)
             if panel.key in self._panels.begun:
                 panel.log(self._rec, rows)
                 logged.append(panel)
@@ -72,7 +72,7 @@ class PanelLog:
         self._written_ns = now
         values = self._cards.take()
         for place, readings in self.readings().items():
-            log_markdown(self._rec, card_path(place), card(readings, values), newest)
+            log_markdown(self._rec, card_path(place), [card(readings, values)], newest)
 
     def readings(self) -> dict[str, list[Reading]]:
         """Return what the card of each tab shows: that of the first tab everything."""
@@ -90,11 +90,9 @@ class PanelLog:
             return
         extent = self._extents.setdefault(panel.key, Extent(self._window_s(panel)))
         strips = sum(other.place == panel.place for other in self._panels.begun.values())
-        height = LINK_HEIGHT if panel.place == LINK else TAB_HEIGHT
-        ends = extent.ends(rows.clock, reach, marks_of(strips, height))
+        ends = extent.ends(rows.clock, reach, marks_of(strips))
         if ends is not None:
-            last = rows.kept(np.array([len(reach.values) - 1]))
-            last.send(self._rec, entity(panel.drawn), np.array([ends]))
+            self._axes.set(panel.drawn, ends, rows.kept(np.array([len(reach.values) - 1])))
 
     def _window_s(self, panel: Panel) -> float | None:
         first = tab_of(panel.place) == FIRST

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 from imumon.charts import AXIS_COLORS, BLUE, GREEN, GREY, ORANGE, RED, VIOLET, Color
 from imumon.view.attitude import EARTH, Attitude
-from imumon.view.layout import LINK, Bands, Line, Panel, Strip
+from imumon.view.layout import Bands, Line, Panel, Strip
 
 THERMAL = "Temperature"
 """Tab of the temperature estimates."""
@@ -18,11 +18,14 @@ BIAS = "Gyro bias"
 RESIDUAL = "Residual"
 """Tab of what the bias model leaves over; its chart stands there, too."""
 ATTITUDE = "Attitude"
-"""Tab of the attitude by the estimator, apart from what a device reports."""
+"""Tab of the attitude: what a device reports, and the estimator's, each a strip of its own."""
+PRESSURE = "Pressure"
 PUBLISHED = "SR-RSUKF"
 """Tab of the published filter and what it must be compared with."""
 ALIGNMENT = "Alignment"
 """Tab of the heading by the earth rate; its charts stand there, too."""
+LINK = "Link"
+"""Tab of the port: rates, load, losses."""
 METHODS = "Published"
 """Tab of the published methods that `--published` chooses, each beside the default."""
 
@@ -98,6 +101,7 @@ PANELS: tuple[Panel, ...] = (
         "Attitude as reported",
         (Line("roll", "roll", RED), Line("pitch", "pitch", GREEN), Line("yaw", "yaw", BLUE)),
         "°",
+        ATTITUDE,
         card="reported",
     ),
     Strip(
@@ -260,7 +264,7 @@ PANELS: tuple[Panel, ...] = (
         )
         for axis in "xyz"
     ),
-    Strip("pressure", "Pressure", (Line("pressure", "static", VIOLET),), card="pressure"),
+    Strip("pressure", "Pressure", (Line("pressure", "static", VIOLET),), place=PRESSURE, card="pressure"),
     Strip(
         "packet_rate",
         "Packet rate",

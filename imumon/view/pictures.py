@@ -3,30 +3,31 @@
 from __future__ import annotations
 
 import io
-import math
+import os
+import pickle
+import subprocess
+import sys
 import threading
-import time
-from collections.abc import Callable
+from collections.abc import Sequence
 from functools import cache
 from typing import Any
 
 import numpy as np
-import rerun as rr
-import rerun.blueprint as rrb
 
 from imumon.blocks import FloatArray
 from imumon.charts import Chart, Curve
 from imumon.harmless import for_plot
 
-CHARTS = "/charts"
 TALL, WIDE, DOTS_PER_INCH = (8.0, 7.4), (8.0, 4.9), 130
 """Inches: for half of a tab, or a quarter; sharp on a full HD screen, and readable on one of 4K."""
 ROOM, BOTTOM = {"left": 0.1, "right": 0.985}, 0.065
 """Fixed: to fit them to the labels takes as long as all else."""
 LETTERS = 40
 """So many of a headline fit at full size."""
-COLORS = 64
-"""Of a picture in a recording, which is then a third as large."""
+COLORS = 32
+"""Of a picture in a recording, which is then a quarter as large; with 16 the axes take each other's."""
+APART_S = 60.0
+"""Longer nobody waits for pictures."""
 LEAST_MARKS, READABLE = 3, ((1,), (1, 2, 5), tuple(range(1, 10)))
 """An axis has so many numbers or more: at the first of these multiples of powers of ten that give them."""
 TOP, NOTE, HEADLINE = 0.98, 0.024, 0.055
@@ -50,59 +51,26 @@ _ONE_AT_A_TIME = threading.Lock()
 """The figures, and matplotlib's style, are those of the whole program."""
 
 
-def log_picture(
-    rec: rr.RecordingStream, chart: Chart, indexes: list[rr.TimeColumn], *, stacked: bool, kept: bool
-) -> None:
-    """Log a chart at one moment; `indexes` has one row.
+def pictures_apart(charts: Sequence[tuple[Chart, tuple[float, float]]], *, niceness: int = 0) -> list[bytes]:
+    """Return each chart, given with its size in inches, as a small PNG; none when that cannot be.
 
-    One that is `stacked` on others is less high, one that is `kept` in a recording takes few bytes.
+    They are drawn by a process of its own, which takes the 40 MB of matplotlib with it when it ends.
     """
-    blob = picture(chart, WIDE if stacked else TALL, colors=COLORS if kept else None)
-    image = rr.EncodedImage.columns(blob=[blob], media_type=["image/png"])
-    rec.send_columns(f"{CHARTS}/{chart.key}", indexes=indexes, columns=image)
-
-
-class Painter:
-    """Draws live charts in a thread of its own: one takes 0.1 s or longer, in which samples go on.
-
-    Parameters
-    ----------
-    share : float
-        Of the time that drawing takes at the most.
-    """
-
-    def __init__(self, share: float) -> None:
-        self._share = share
-        self._thread: threading.Thread | None = None
-        self._next_s = -math.inf
-
-    @property
-    def is_free(self) -> bool:
-        """Tell whether the next one can be drawn now."""
-        return time.monotonic() >= self._next_s
-
-    def begin(self, draw: Callable[[], None]) -> None:
-        """Draw, when it is free."""
-        self._next_s = math.inf
-        self._thread = threading.Thread(target=self._run, args=[draw], name="painter", daemon=True)
-        self._thread.start()
-
-    def wait(self) -> None:
-        """Let what has begun be done."""
-        if self._thread is not None:
-            self._thread.join()
-
-    def _run(self, draw: Callable[[], None]) -> None:
-        began = time.thread_time()
-        try:
-            draw()
-        finally:
-            self._next_s = time.monotonic() + (time.thread_time() - began) / self._share
-
-
-def chart_view(key: str, title: str) -> Any:
-    """Return the view of one chart."""
-    return rrb.Spatial2DView(origin=f"{CHARTS}/{key}", name=title)
+    if not charts:
+        return []
+    try:
+        done = subprocess.run(
+            [sys.executable, "-m", __name__, str(niceness)],
+            input=pickle.dumps(charts),
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            timeout=APART_S,
+            check=True,
+        )
+    except (OSError, subprocess.SubprocessError):
+        return []
+    drawn: list[bytes] = pickle.loads(done.stdout)
+    return drawn
 
 
 def picture(chart: Chart, size_inch: tuple[float, float] = TALL, colors: int | None = None) -> bytes:
@@ -199,3 +167,14 @@ def _logarithmic(axes: Any, name: str) -> None:
 def _has_logarithm(chart: Chart, name: str) -> bool:
     values: list[FloatArray] = [getattr(curve, name) for curve in chart.curves]
     return any(bool((np.asarray(part) > 0).any()) for part in values)
+
+
+def _main() -> None:
+    """Draw what comes on the standard input, for `pictures_apart`."""
+    os.nice(int(sys.argv[1]))
+    charts: list[tuple[Chart, tuple[float, float]]] = pickle.load(sys.stdin.buffer)
+    pickle.dump([picture(chart, size, COLORS) for chart, size in charts], sys.stdout.buffer)
+
+
+if __name__ == "__main__":
+    _main()

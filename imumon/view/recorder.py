@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import threading
+import time
 from collections import deque
 from pathlib import Path
 
@@ -15,8 +16,9 @@ from imumon.blocks import IntArray
 from imumon.errors import ImumonError, Reason
 from imumon.heap import trim_heap
 from imumon.view.items import Samples, ViewItem, ViewSetup, item_rows, merge
-from imumon.view.logger import APPLICATION_ID, StreamLogger
+from imumon.view.logger import StreamLogger
 from imumon.view.queue import DropOldestQueue
+from imumon.view.rrd import APPLICATION, copy_latest
 from imumon.view.viewer import start_quietly, viewer_binary
 
 BATCH_S = 30.0
@@ -28,6 +30,8 @@ QUEUE_BYTES = 64 << 20
 FLUSH_S = 5.0
 WORTH_BYTES = 1 << 20
 """Smaller segments are not compacted."""
+LAST_S, LOOK_S = 3.0, 0.02
+"""The end waits so long for the compaction of the last segment (0.2 s), and looks so often."""
 PRIORITY = 15
 
 
@@ -62,7 +66,7 @@ class ViewRecorder:
         self._path = path
         self._segment_ns = round(segment_s * 1e9)
         self._began_ns: int | None = None
-        self._rec = rr.RecordingStream(APPLICATION_ID, recording_id=setup.recording_id)
+        self._rec = rr.RecordingStream(APPLICATION, recording_id=setup.recording_id)
         self._logger = StreamLogger(self._rec, setup, live=False)
         self._queue: DropOldestQueue[ViewItem] = DropOldestQueue(QUEUE_BYTES)
         self._refused = 0
@@ -114,10 +118,11 @@ class ViewRecorder:
             trim_heap()
             if self._compaction is not None and self._compaction.is_done():
                 self._compaction = None
-        self._logger.finish()
-        self._rec.disconnect()
         if self._compaction is not None:
             self._compaction.stop()
+        self._logger.finish()
+        self._rec.disconnect()
+        self._compact_last()
 
     def _write_next(self) -> None:
         """Write what has come; where that cannot be, count it."""
@@ -175,12 +180,25 @@ class ViewRecorder:
             return None, item
         return item.part(0, row) if row else None, item.part(row, item.rows)
 
+    def _compact_last(self) -> None:
+        """Compact the last segment as well, unless somebody waits for long."""
+        if self._error:
+            return
+        last, end_s = compaction_of(self._files[-1]), time.monotonic() + LAST_S
+        while last is not None and not last.is_done():
+            if time.monotonic() > end_s:
+                last.stop()
+                return
+            time.sleep(LOOK_S)
+
     def _open_segment(self) -> None:
         count = len(self._files)
+        if count:
+            self._logger.end_file()
         path = self._path if count == 0 else self._path.with_suffix(f".{count:04d}{self._path.suffix}")
         self._rec.set_sinks(rr.FileSink(path))
-        if count and self._compaction is None and self._files[-1].stat().st_size > WORTH_BYTES:
-            self._compaction = Compaction(self._files[-1])
+        if count and self._compaction is None:
+            self._compaction = compaction_of(self._files[-1])
         self._files.append(path)
         self._logger.begin(arrange=count == 0)
 
@@ -192,10 +210,20 @@ def _times_ns(item: ViewItem) -> IntArray | None:
     return None if item.at.device_ns is None else np.array([item.at.device_ns], np.int64)
 
 
+def compaction_of(path: Path) -> Compaction | None:
+    """Begin to compact a finished segment; None where that is not worth it, or the disk is full."""
+    if path.stat().st_size < WORTH_BYTES:
+        return None
+    try:
+        return Compaction(path)
+    except OSError:
+        return None
+
+
 class Compaction:
     """One run of ``rerun rrd optimize`` at low priority: few large chunks in place of many small ones.
 
-    The segment is replaced when it has succeeded, and not before.
+    Of several arrangements the last stays.  The segment is replaced when it has succeeded, and not before.
 
     Parameters
     ----------
@@ -211,8 +239,14 @@ class Compaction:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._part = path.with_name(f".{path.stem}.part{path.suffix}")
+        self._copy = path.with_name(f".{path.stem}.copy{path.suffix}")
+        try:
+            copy_latest(path, self._copy)
+        except OSError:
+            self._tidy()
+            raise
         self._process = start_quietly(
-            [str(viewer_binary()), "rrd", "optimize", str(path), "-o", str(self._part)]
+            [str(viewer_binary()), "rrd", "optimize", str(self._copy), "-o", str(self._part)]
         )
         with contextlib.suppress(ProcessLookupError):  # done already
             os.setpriority(os.PRIO_PROCESS, self._process.pid, PRIORITY)
@@ -224,11 +258,15 @@ class Compaction:
             return False
         if code == 0 and self._part.exists():
             self._part.replace(self._path)
-        self._part.unlink(missing_ok=True)
+        self._tidy()
         return True
 
     def stop(self) -> None:
         """End it; the segment stays as it was."""
         self._process.kill()
         self._process.wait()
-        self._part.unlink(missing_ok=True)
+        self._tidy()
+
+    def _tidy(self) -> None:
+        for left in (self._copy, self._part):
+            left.unlink(missing_ok=True)

@@ -14,7 +14,7 @@ import rerun.blueprint as rrb
 from imumon.view.blueprint import arranged
 from imumon.view.items import Instant, OfUnit, Overview, Shown, ViewItem, ViewSetup, merge
 from imumon.view.lanes import lane_path
-from imumon.view.layout import at_once, log_markdown
+from imumon.view.layout import at_instants, log_markdown
 from imumon.view.logger import Show, StreamLogger
 from imumon.view.window import Window
 
@@ -89,7 +89,7 @@ class UnitsLogger:
     def _show_overview(self, page: Overview) -> None:
         """Log the page, and forget the units that are gone from it."""
         self._overview = page
-        log_markdown(self._rec, OVERVIEW, page.markdown, at_once(Instant(None, None, page.at.host_ns)))
+        log_markdown(self._rec, OVERVIEW, [page.markdown], at_instants(Instant(None, None, page.at.host_ns)))
         for unit in self._units.keys() - set(page.units):
             del self._units[unit]
 

@@ -38,12 +38,14 @@ class Window:
     margin_s: float = 0.0
     until_ns: int | None = None
 
-    @property
-    def latest(self) -> rrb.VisibleTimeRanges:
-        """What is queried of the ends of an axis, which are of the whole window each."""
-        start = rrb.TimeRangeBoundary.cursor_relative(seconds=-LATEST_S[self.seconds is not None])
+    def looks(self, ends: Sequence[str]) -> dict[Any, Any]:
+        """Return what is queried of the ends of axes: live the latest, which are of the whole window each."""
+        if self.seconds is None:
+            return {}
+        start = rrb.TimeRangeBoundary.cursor_relative(seconds=-LATEST_S)
         end = rrb.TimeRangeBoundary.cursor_relative()
-        return rrb.VisibleTimeRanges([rrb.VisibleTimeRange(one, start=start, end=end) for one in TEMPORAL])
+        ranges = [rrb.VisibleTimeRange(one, start=start, end=end) for one in TEMPORAL]
+        return {one: [rrb.VisibleTimeRanges(ranges)] for one in ends}
 
     @property
     def ranges(self) -> list[rrb.VisibleTimeRange] | None:
@@ -92,8 +94,8 @@ def series_view(
         time_ranges=window.ranges,
         axis_x=window.axis,
         axis_y=rrb.ScalarAxis(range=y_range) if y_range else None,
-        plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=legend),
-        overrides={one: [window.latest] for one in ends},
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop if legend else None, visible=legend),
+        overrides=window.looks(ends),
     )
 
 

@@ -12,8 +12,8 @@ from PIL import Image
 from rerun.chunk import RrdReader
 
 from imumon.blocks import FloatArray
-from imumon.view.extent import WIDE, entity, marks_of
-from imumon.view.layout import Panel, tab_of
+from imumon.view.extent import EDGE, WIDE, entity, marks_of
+from imumon.view.layout import Panel
 
 LEGEND = 0.86
 """Where the legend of a view begins, as a share of its width."""
@@ -51,7 +51,7 @@ def axis_faults(recording: Path, panels: Iterable[Panel], window_s: float) -> li
     for panel in shown:
         low, high = ends[panel][-1, 1:]
         strips = sum(other.place == panel.place for other in shown)
-        if tab_of(panel.place) == panel.place and numbers_on(low, high, marks_of(strips)) < 3:
+        if numbers_on(low, high, marks_of(strips)) < 3:
             faults.append(f"{panel.key}: fewer than three numbers from {low:g} to {high:g}")
         bands = measured(recording, f"{panel.drawn}/**")
         if len(bands):
@@ -65,10 +65,11 @@ def axis_faults(recording: Path, panels: Iterable[Panel], window_s: float) -> li
 
 
 def numbers_on(low: float, high: float, most: float) -> int:
-    """Return how many numbers the viewer writes from `low` to `high`, where so many steps have room."""
+    """Return how many whole numbers the viewer writes from `low` to `high`, where so many steps have room."""
     steps = (10.0**power for power in range(-12, 12))
-    step = next(step for step in steps if (high - low) / step <= most + 2)  # the ends were moved outwards
-    return int(np.floor(high / step + 1e-6) - np.ceil(low / step - 1e-6)) + 1
+    step = next(step for step in steps if (high - low) / step <= most + 1e-6)
+    edge = EDGE * (high - low) / most
+    return int(np.floor((high - edge) / step + 1e-6) - np.ceil((low + edge) / step - 1e-6)) + 1
 
 
 def scalars(recording: Path, path: str) -> FloatArray:

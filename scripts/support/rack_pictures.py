@@ -17,7 +17,7 @@ from imumon.protocols.device import device_text, load_device
 from imumon.rack.description import load_rack
 from imumon.rack.rack import Rack
 from imumon.view.items import Shown, ViewSetup
-from imumon.view.logger import APPLICATION_ID
+from imumon.view.rrd import APPLICATION
 from imumon.view.units import UnitsLogger
 from support.screenshots import COLORS, PICTURES, studio
 from tests.faults.rack import Feeder, packets, write_rack
@@ -41,7 +41,7 @@ def main() -> None:
         text = device_text("ax1")[0].replace("name: ax1", "name: fast")
         device.write_text(text.replace("baudrates: [115200", "baudrates: [921600"))
         sent = packets(load_device(str(device)), RATE_HZ, options.seconds + 60.0)
-        rec = rr.RecordingStream(APPLICATION_ID, recording_id="rack")
+        rec = rr.RecordingStream(APPLICATION, recording_id="rack")
         rec.set_sinks(rr.GrpcSink(place.url))
         logger = UnitsLogger(rec, ViewSetup("rack bench", "rack", several=True), rec.send_blueprint)
         logger.begin()

@@ -18,8 +18,9 @@ from PIL import Image
 from rerun.experimental import ViewerClient
 
 from imumon.view.items import ViewItem, ViewSetup, merge
-from imumon.view.logger import APPLICATION_ID, StreamLogger
+from imumon.view.logger import StreamLogger
 from imumon.view.panels import PANELS
+from imumon.view.rrd import APPLICATION
 from imumon.view.viewer import free_port, proxy_url, quiet_environment, viewer_binary
 from imumon.view.window import slow_window
 from support.picture_faults import axis_faults, is_empty, views_of
@@ -65,7 +66,7 @@ class Studio:
         """Show items and save a picture of every tab (`picture_name`); return what is wrong with them."""
         with tempfile.TemporaryDirectory(prefix="imumon-") as scratch:
             stream = Path(scratch) / "stream.rrd"
-            rec = rr.RecordingStream(APPLICATION_ID, recording_id=setup.recording_id)
+            rec = rr.RecordingStream(APPLICATION, recording_id=setup.recording_id)
             rec.set_sinks(rr.FileSink(stream), rr.GrpcSink(self.url))
             logger = StreamLogger(rec, setup, live=live)
             logger.begin()

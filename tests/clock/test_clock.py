@@ -100,6 +100,24 @@ class TestHostClock:
                 error = error_ms(fit(device, arrival), truth)
                 assert p99(error[device >= 60 * S]) < bound_ms
 
+    @pytest.mark.parametrize("poll_ms", [0.0, 1.0, 16.0, 50.0])
+    def test_the_drift_has_a_sigma_that_holds_once_it_is_known_and_none_before(self, poll_ms: float) -> None:
+        rng = np.random.default_rng(11)
+        errors = []
+        for _ in range(12):
+            device = np.arange(12_000, dtype=np.int64) * 10 * MS
+            drift_ppm = rng.normal(0.0, 50.0)
+            truth = device * (1.0 + drift_ppm * 1e-6)
+            phase = rng.uniform(0.0, poll_ms) * MS
+            polled = np.ceil((truth - phase) / (poll_ms * MS)) * poll_ms * MS + phase if poll_ms else truth
+            arrival = np.maximum.accumulate(polled + rng.exponential(0.3 * MS, len(truth))).astype(np.int64)
+            clock = HostClock()
+            clock.process(device[:800], np.zeros(800, np.int64), arrival[:800])
+            assert np.isnan(clock.drift_sd_ppm), "8 s"
+            clock.process(device[800:], np.zeros(len(device) - 800, np.int64), arrival[800:])
+            errors.append((clock.drift_ppm - drift_ppm) / clock.drift_sd_ppm)
+        assert np.sqrt(np.mean(np.square(errors))) < 1.6
+
     @pytest.mark.parametrize("drift_ppm", [-120.0, 35.0])
     def test_tells_drift_offset_and_delay(self, drift_ppm: float) -> None:
         device = device_times(100.0, 200.0)

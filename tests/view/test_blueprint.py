@@ -66,6 +66,7 @@ def test_every_panel_with_data_has_a_view(tmp_path: Path) -> None:
             "/samples/losses",
             "/",
             "/cards/Live",
+            "/cards/Link",
             "/log_text",
             "/status",
         ]
@@ -123,8 +124,7 @@ def test_columns_of_different_units_stand_in_different_views(tmp_path: Path) -> 
 
 def test_recording_shows_everything(tmp_path: Path) -> None:
     found = arranged(tmp_path / "a.rrd", everything(), SETUP, live=False)
-    ranges = found["VisibleTimeRanges:ranges"]
-    assert all("-90000000000" in str(one) for one in ranges), "of the ends of the axes only"
+    assert "VisibleTimeRanges:ranges" not in found
     assert "TimeAxis:view_range" in found
 
 

@@ -15,7 +15,8 @@ from rerun.experimental import ViewerClient
 from support.screenshots import studio
 
 from imumon.view.blueprint import arranged
-from imumon.view.in_place import APPLICATION_ID, InPlace
+from imumon.view.in_place import InPlace
+from imumon.view.rrd import LIVE_APPLICATION
 from imumon.view.viewer import free_port
 from tests.view.conftest import StartViewer
 
@@ -44,7 +45,7 @@ def parts_of(path: Path) -> list[tuple[str, str, int]]:
 
 
 def sent(path: Path, *arrangements: Sequence[str], forget: bool = False) -> list[tuple[str, str, int]]:
-    rec = rr.RecordingStream(APPLICATION_ID, recording_id="test")
+    rec = rr.RecordingStream(LIVE_APPLICATION, recording_id="test")
     rec.set_sinks(rr.FileSink(path))
     place = InPlace(rec)
     for names in arrangements:
@@ -57,7 +58,7 @@ def sent(path: Path, *arrangements: Sequence[str], forget: bool = False) -> list
 
 def test_only_what_has_changed_is_sent_and_what_is_inside_comes_first(tmp_path: Path) -> None:
     once, twice = sent(tmp_path / "a.rrd", "xy"), sent(tmp_path / "b.rrd", "xy", "xy")
-    assert {application for application, _, _ in once} == {APPLICATION_ID}
+    assert {application for application, _, _ in once} == {LIVE_APPLICATION}
     assert [entity for _, entity, _ in twice[len(once) :]] == ["/viewport"], "a viewer may have changed it"
     added = sent(tmp_path / "c.rrd", "xy", "xyz")[len(once) :]
     kinds = [entity.strip("/").split("/")[0] for _, entity, _ in added]
@@ -98,7 +99,7 @@ def wait_for(viewer: ViewerClient, names: Sequence[str]) -> str:
 def test_whoever_looks_at_a_tab_stays_there(headless: StartViewer) -> None:
     headless(free_port(29600)).kill()  # skips where no viewer starts
     with studio() as place:
-        rec = rr.RecordingStream(APPLICATION_ID, recording_id="test")
+        rec = rr.RecordingStream(LIVE_APPLICATION, recording_id="test")
         rec.set_sinks(rr.GrpcSink(place.url))
         arrangement = InPlace(rec)
         rec.set_time("host_time", timestamp=1.0)

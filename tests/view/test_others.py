@@ -8,6 +8,7 @@ import numpy as np
 import rerun as rr
 from support.picture_faults import numbers_on, scalars
 
+from imumon.view.axes import Axes
 from imumon.view.extent import entity
 from imumon.view.items import ViewSetup
 from imumon.view.layout import Rows
@@ -23,7 +24,7 @@ def rows_of(count: int) -> Rows:
 def test_one_view_for_each_stream_and_unit_and_none_of_zeros(tmp_path: Path) -> None:
     rec = rr.RecordingStream("imumon", recording_id="test")
     rec.set_sinks(rr.FileSink(tmp_path / "a.rrd"))
-    others = Others(rec, SETUP, live=True)
+    others = Others(rec, SETUP, Axes(rec, live=True), live=True)
     for name in ("supply", "gnss/height", "gnss/depth", "odd"):
         others.log(name, np.full(100, 5.0), rows_of(100))
     others.log("silent", np.zeros(100), rows_of(100))
@@ -38,7 +39,7 @@ def test_one_view_for_each_stream_and_unit_and_none_of_zeros(tmp_path: Path) -> 
 def test_an_axis_holds_all_lines_of_its_view_and_has_numbers(tmp_path: Path) -> None:
     rec = rr.RecordingStream("imumon", recording_id="test")
     rec.set_sinks(rr.FileSink(tmp_path / "a.rrd"))
-    others = Others(rec, SETUP, live=True)
+    others = Others(rec, SETUP, Axes(rec, live=True), live=True)
     rows = rows_of(300)
     others.log("gnss/height", np.linspace(100.0, 130.0, 300), rows)
     others.log("gnss/depth", np.linspace(-7.0, -7.0 + 1e-12, 300), rows)
