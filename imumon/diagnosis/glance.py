@@ -284,7 +284,9 @@ class _Looked:
         found: dict[str, _Tried] = {}
         for family, leader in self.leaders.items():
             ways = [way for way, one in several.items() if one.family == family]
-            for base in self.bases if ways and leader.one is not None else []:
+            if not ways or leader.one is None:
+                continue
+            for base in self.bases:
                 grid = base.likelihood.neighbours(leader.one.noise)
                 scored = base.scored([several[way] for way in ways], grid)
                 for way, one in zip(ways, scored, strict=True):
