@@ -136,7 +136,7 @@ def better_models(run: Run, model: BiasModel, channels: Sequence[str]) -> list[B
     tried = {name: dict(one.leaders) for name, one in looked.items()}
     ways = _shared(looked, tried, likelihood.price)
     gains = {
-        name: {way: one.fit if way in ways.shared else one.gain + one.choice for way, one in own.items()}
+        name: {way: one.gain + one.choice if way == ways.effect[way] else one.fit for way, one in own.items()}
         for name, own in tried.items()
     }
     return [
@@ -159,7 +159,7 @@ def _shared(looked: Mapping[str, _Looked], tried: dict[str, dict[str, _Tried]], 
         effect[way], cost[way] = candidate.family, candidate.nonlinear * price + candidate.choice
     for name, one in looked.items():
         tried[name] |= one.fitted(shared)
-    return Ways(effect, cost, frozenset(shared), usual)
+    return Ways(effect, cost, usual)
 
 
 @dataclass(frozen=True, eq=False)
@@ -284,7 +284,9 @@ class _Looked:
         found: dict[str, _Tried] = {}
         for family, leader in self.leaders.items():
             ways = [way for way, one in several.items() if one.family == family]
-            for base in self.bases if ways and leader.one is not None else []:
+            if not ways or leader.one is None:
+                continue
+            for base in self.bases:
                 grid = base.likelihood.neighbours(leader.one.noise)
                 scored = base.scored([several[way] for way in ways], grid)
                 for way, one in zip(ways, scored, strict=True):

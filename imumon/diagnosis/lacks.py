@@ -26,18 +26,15 @@ class Ways:
     Parameters
     ----------
     effect : dict of str to str
-        Name of the effect of each way.
+        Name of the effect of each way; it is that of the way with parameters of each channel's own.
     cost : dict of str to float
         In BIC, once for all channels: of shared parameters, and of the choice among other drivers.
-    shared : frozenset of str
-        Those whose nonlinear parameters are the same for all channels.
     usual : int
         How many effects of temperature, time or specific force there are.
     """
 
     effect: dict[str, str]
     cost: dict[str, float]
-    shared: frozenset[str]
     usual: int
 
     def price(self, channels: int) -> float:

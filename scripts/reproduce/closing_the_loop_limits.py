@@ -32,8 +32,8 @@ KNOWN = (0.3, 0.0)
 """The noise of the grid that is nearest to theirs: flicker of 1 beside white noise of 1.6 °/h."""
 EARTHS = 10
 """Numbers that the earth rate leaves open: three constants, the latitude, and six headings."""
-STARTS = 24
-"""From which the latitude and headings are looked for."""
+STARTS = 40
+"""Latitudes from which it is looked for, with the headings that the gyros then show."""
 
 
 def case_of(setting: Setting, seed: int) -> Case:
@@ -97,8 +97,12 @@ def beyond_earth(setting: Setting, seed: int) -> float:
         parts = [roots[at] @ (levels[at] - DPH * x[at] - rate[:, at]) for at in range(3)]
         return np.concatenate(parts)
 
-    rng = np.random.default_rng(seed)
-    starts = rng.uniform(-1.0, 1.0, (STARTS, EARTHS)) * np.array([5.0] * 3 + [1.5] + [np.pi] * 6)
+    rng, level = np.random.default_rng(seed), np.array(levels).T / DPH
+    starts = []
+    for latitude in np.linspace(-1.4, 1.4, STARTS):
+        constant = level.mean(axis=0) + rng.normal(0.0, 1.0, 3)
+        seen = np.einsum("pka,pa->pk", across, level - constant)
+        starts.append([*constant, latitude, *np.arctan2(seen[:, 1], seen[:, 0])])
     least = min(2.0 * least_squares(left, start).cost for start in starts)
     return float(least - (3 * len(up) - EARTHS) * likelihood.price)
 

@@ -18,7 +18,7 @@ def ways(choice: float = 0.0, **shared: float) -> Ways:
     """Return the ways of three effects with own parameters, the last of another driver, and shared ones."""
     effect = {name: name for name in EFFECTS} | {f"{name}, shared": name for name in shared}
     cost = {"drift": 0.0, "warm_up": 0.0, "curve(pressure)": choice}
-    return Ways(effect, cost | {f"{name}, shared": paid for name, paid in shared.items()}, frozenset(), 2)
+    return Ways(effect, cost | {f"{name}, shared": paid for name, paid in shared.items()}, 2)
 
 
 def axes(drift: tuple[float, ...], warm_up: tuple[float, ...] = (-9.0, -9.0, -9.0)) -> dict[str, Gains]:
