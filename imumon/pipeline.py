@@ -293,7 +293,7 @@ class Pipeline:
         if self._dated_by_rate:
             decoded = [*decoded, *self._nominal.notices(self._ended)]
         decoded = [*decoded, *self._intake.notices()]
-        return [*decoded, *(text for stage in self._estimators for text in stage.notices())]
+        return [*decoded, *(text for stage in self._estimators for text in _notices(stage))]
 
     def charts(self) -> list[Chart]:
         """Return the charts of the estimators as they are now."""
@@ -366,7 +366,7 @@ class Pipeline:
         taken = self._intake.process(block)
         seen, added = taken.block, dict[str, ColumnArray]()
         for at, stage in enumerate(self._estimators):
-            new = stage.process(_seen_by(stage, seen))
+            new = _processed(stage, seen)
             if len(block):
                 new = self._checked_columns(at, new, seen)
             seen = seen.with_columns(new)
@@ -381,8 +381,6 @@ class Pipeline:
         Raises BAD_CONFIG for what it did not declare, what is there already, and what is no column.
         """
         stage = self._estimators[at]
-        if not isinstance(new, Mapping):
-            raise _wrong(stage, f"process returned {_shown(new)}", "return a dict: an array for each column")
         types = self._checked[at]
         if not types.keys() >= new.keys():
             declared = {column.name: np.dtype(column.dtype) for column in stage.columns}
@@ -394,6 +392,46 @@ class Pipeline:
                     raise _wrong(stage, what, "tables and view need its unit")
             types |= {column: declared[column] for column in new}
         return {name: _as_declared(stage, name, new[name], types[name], len(seen)) for name in new}
+
+
+def _processed(stage: Estimator, seen: SampleBlock) -> Mapping[str, ColumnArray]:
+    """Return what a stage makes of a block.
+
+    Raises BAD_CONFIG, naming the stage, where one from outside fails or returns no mapping.
+    """
+    if _is_own(stage):
+        return stage.process(seen)
+    # It cannot write to what was sent.  Compiled code of imumon's own stages would have to be compiled anew
+    # for arrays that are read only.
+    views = {name: values.view() for name, values in seen.columns.items()}
+    for view in views.values():
+        view.flags.writeable = False
+    try:
+        new = stage.process(SampleBlock(views))
+    except Exception as error:  # whatever somebody else's code raises
+        what = f"process failed: {type(error).__name__}: {error}"
+        raise _wrong(stage, what, "mend it, or run without it") from error
+    if not isinstance(new, Mapping):
+        raise _wrong(stage, f"process returned {_shown(new)}", "return a dict: an array for each column")
+    return new
+
+
+def _is_own(stage: Estimator) -> bool:
+    return type(stage).__module__.partition(".")[0] == "imumon"
+
+
+def _notices(stage: Estimator) -> list[str]:
+    """Return what a stage has to say; BAD_CONFIG, naming it, where one from outside fails or says no text."""
+    if _is_own(stage):
+        return stage.notices()
+    try:
+        said = list(stage.notices())
+    except Exception as error:  # whatever somebody else's code raises
+        what = f"notices failed: {type(error).__name__}: {error}"
+        raise _wrong(stage, what, "mend it, or run without it") from error
+    if not all(isinstance(text, str) for text in said):
+        raise _wrong(stage, "notices returned what is no text", "return a list of str")
+    return said
 
 
 def _as_declared(
@@ -432,19 +470,6 @@ def _refuse_stage(stage: Estimator) -> None:
         if column.dtype not in get_args(ColumnType):
             hint = f"use {' or '.join(get_args(ColumnType))}"
             raise _wrong(stage, f"{column.name} has type {column.dtype!r}", hint)
-
-
-def _seen_by(stage: Estimator, block: SampleBlock) -> SampleBlock:
-    """Return a block as a stage gets it: one from outside cannot write to what was sent.
-
-    Compiled code of imumon's own stages would have to be compiled anew for arrays that are read only.
-    """
-    if type(stage).__module__.partition(".")[0] == "imumon":
-        return block
-    views = {name: values.view() for name, values in block.columns.items()}
-    for view in views.values():
-        view.flags.writeable = False
-    return SampleBlock(views)
 
 
 class Digest:

@@ -9,6 +9,7 @@ import textwrap
 from collections.abc import Iterator
 from importlib.metadata import EntryPoint, EntryPoints
 from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -16,6 +17,8 @@ import pytest
 import imumon
 from imumon import plugins
 from imumon.columns import Column
+from imumon.effects.drift import Drift
+from imumon.effects.library import _is_effect
 from imumon.errors import ImumonError
 from imumon.pipeline import Pipeline
 from imumon.protocols.device import device_names, load_device
@@ -187,6 +190,76 @@ def test_a_package_that_cannot_be_imported_is_named(offered: dict[str, str]) -> 
     offered[plugins.STAGES] = "no_such_module:Stage"
     with pytest.raises(ImumonError, match=r"mine of .* \(imumon.stages\) cannot be imported"):
         estimators(None)
+
+
+def _raises() -> imumon.Estimator:
+    raise RuntimeError("no licence")
+
+
+def _nothing() -> None:
+    """Be no stage."""
+
+
+class Broken(Doubled):
+    def process(self, block: imumon.SampleBlock) -> dict[str, Any]:  # noqa: ARG002 - as a stage has it
+        raise ZeroDivisionError("of mine")
+
+
+class Silent(Doubled):
+    def process(self, block: imumon.SampleBlock) -> dict[str, Any]:  # noqa: ARG002 - as a stage has it
+        return None  # type: ignore[return-value]
+
+
+class Talks(Doubled):
+    def notices(self) -> list[str]:
+        return [3]  # type: ignore[list-item]
+
+
+@pytest.mark.parametrize(
+    ("offer", "said"),
+    [
+        ("NUMBER", r"mine of .* \(imumon.stages\) is no callable that returns a stage: 3"),
+        ("_raises", r"the plug-in mine \(imumon.stages\) makes no stage: RuntimeError: no licence"),
+        ("_nothing", "stage NoneType: has no columns"),
+        ("Broken", "stage Broken: process failed: ZeroDivisionError: of mine"),
+        ("Silent", "stage Silent: process returned None"),
+        ("Talks", "stage Talks: notices returned what is no text"),
+    ],
+)
+def test_a_stage_that_fails_is_one_error_that_names_it(
+    offered: dict[str, str], monkeypatch: pytest.MonkeyPatch, offer: str, said: str
+) -> None:
+    monkeypatch.setattr(sys.modules[__name__], "NUMBER", 3, raising=False)
+    offered[plugins.STAGES] = f"{__name__}:{offer}"
+    for n in (0, 3):
+        with pytest.raises(ImumonError, match=said):
+            _run_plugins(n)
+
+
+def _run_plugins(n: int) -> None:
+    pipeline = Pipeline(None, estimators(None))
+    pipeline.push(imumon.SampleBlock({"device_time_ns": np.arange(n), "segment": np.zeros(n, np.int64),
+                                      "gyro_x": np.arange(float(n))}))  # fmt: skip
+    pipeline.warnings()
+
+
+@pytest.mark.parametrize("folder", ["/no/such/folder", 3, None])
+def test_a_folder_of_devices_that_is_none_is_named(
+    offered: dict[str, str], monkeypatch: pytest.MonkeyPatch, folder: object
+) -> None:
+    monkeypatch.setattr(sys.modules[__name__], "FOLDER", folder, raising=False)
+    offered[plugins.DEVICES] = f"{__name__}:FOLDER"
+    with pytest.raises(ImumonError, match=r"mine of .* is no path of a folder of device files"):
+        device_names()
+
+
+def test_an_effect_has_the_name_under_which_it_is_offered() -> None:
+    class Creep(Drift):
+        kind: Literal["creep"] = "creep"  # type: ignore[assignment]
+
+    assert _is_effect("creep", Creep)
+    for name, offered in (("other", Creep), ("drift", Drift), ("creep", 3), ("creep", "creep")):
+        assert not _is_effect(name, offered)
 
 
 def test_files_are_named_by_text_or_by_path(tmp_path: Path) -> None:

@@ -240,7 +240,7 @@ def test_a_stage_cannot_change_what_was_sent() -> None:
             return {}
 
     pipeline = Pipeline(None, [Changing(Column("mine", "1"), {})])
-    with pytest.raises(ValueError, match="read-only"):
+    with pytest.raises(ImumonError, match="read-only"):
         pipeline.push(SampleBlock({"gyro_x": np.zeros(3)}))
 
 

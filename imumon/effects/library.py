@@ -38,7 +38,15 @@ def _effect(name: str) -> type[Effect]:
     )
 
 
-EFFECTS: dict[str, type[Effect]] = {name: _effect(name) for name in FILES} | plugins(OFFERED)
+def _is_effect(name: str, offered: object) -> bool:
+    """Tell whether an effect is offered, under the name that it has and that none of imumon's has."""
+    known = isinstance(offered, type) and issubclass(offered, Effect) and name not in FILES
+    return known and getattr(offered, "name", None) == name
+
+
+EFFECTS: dict[str, type[Effect]] = {name: _effect(name) for name in FILES} | plugins(
+    OFFERED, "effect of that name", _is_effect
+)
 _OPERATORS = {kind.operator: kind for kind in EFFECTS.values() if issubclass(kind, DrivenEffect)}
 
 

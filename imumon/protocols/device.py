@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from abc import abstractmethod
 from pathlib import Path
 from pkgutil import resolve_name
@@ -109,8 +110,12 @@ def device_names() -> list[str]:
 
 def _files() -> dict[str, Path]:
     """Return the device files by name: those of imumon, which come first, and of plug-ins."""
-    folders = map(Path, plugins(DEVICES).values())
+    folders = map(Path, plugins(DEVICES, "path of a folder of device files", _is_folder).values())
     return {path.stem: path for folder in folders for path in folder.glob("*.yaml")} | bundled("devices")
+
+
+def _is_folder(_: str, offered: object) -> bool:
+    return isinstance(offered, str | os.PathLike) and Path(offered).is_dir()
 
 
 def device_text(name: str) -> tuple[str, str]:

@@ -12,7 +12,7 @@ from typing import Any
 from imumon.errors import ImumonError, Reason
 from imumon.protocols.commands.core import BAUD, CommandError, Family, Request, Wish
 from imumon.protocols.device import DeviceFile
-from imumon.run.command_link import CommandLink
+from imumon.run.command_link import HEAR_S, CommandLink
 from imumon.run.measured_stream import Stream, measure
 from imumon.transport.settings import PortSettings
 
@@ -307,7 +307,7 @@ class Configuration:
     def _restore(self) -> None:
         """Put back what was begun, the last first, and let the data come again if they came before."""
         self._report.result = "failed"
-        left = self._begun[::-1]
+        left, silent = self._begun[::-1], self._link.streaming and bool(self._family.resume())
         try:
             if left:
                 self._tell("putting the device back as it was")
@@ -317,11 +317,18 @@ class Configuration:
                 left.pop(0)
             for request in self._family.save(self._saving) if self._saving else ():
                 self._link.ask(request)
-            if self._link.streaming:
+            if silent:
                 self._resume()
+                silent = False
         except (CommandError, ImumonError) as error:
             self._report.not_restored += [self._shown(change) for change in left]
+            self._report.not_restored += ["sending of data: on"] if silent and self._hears_nothing() else []
             self._report.warnings.append(f"putting back stopped: {error}".splitlines()[0])
+
+    def _hears_nothing(self) -> bool:
+        with suppress(ImumonError):
+            return not self._link.discard(HEAR_S)
+        return True
 
     def _put_back(self, change: Change) -> None:
         """Put a setting back; one that the device refuses does not keep the others from it."""

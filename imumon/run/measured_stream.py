@@ -21,6 +21,8 @@ PERIODS = 2.5
 """At any rate so many samples are waited for."""
 SETTLE_S = 0.3
 """Time after a change of which nothing is measured: what was kept back comes at once."""
+FEWEST = 4
+"""A rate is told by two intervals behind a first packet that may have waited."""
 MAIN_COLUMNS = ("gyro_x", "accel_x", "delta_velocity_x", "q_w", "roll", "mag_x", "temperature", "pressure")
 """What the rate is measured on: the first of them that comes."""
 
@@ -35,14 +37,17 @@ class Stream:
         Time listened.
     columns : tuple of str
         Columns with values.
+    samples : int
+        Of the first of `MAIN_COLUMNS` that came.
     rate_hz : float or None
-        Rate of the first of `MAIN_COLUMNS`; None when too few came to tell.
+        Their rate; None when they were too few to tell.
     warnings : tuple of str
         Why the numbers are not fit for an estimate, as the decoder has it.
     """
 
     seconds: float
     columns: tuple[str, ...]
+    samples: int
     rate_hz: float | None
     warnings: tuple[str, ...]
 
@@ -56,6 +61,9 @@ class Stream:
         missing = [group[0] for group in wanted if not set(group) & set(self.columns)]
         if missing:
             return f"{', '.join(missing)} did not come within {self.seconds:.1f} s"
+        due = (rate_hz or 0.0) * (1 - TOLERANCE) * self.seconds
+        if self.samples and self.rate_hz is None and due >= FEWEST:
+            return f"{self.samples} samples came within {self.seconds:.1f} s, not at {rate_hz:.6g} Hz"
         if rate_hz and self.rate_hz and abs(self.rate_hz / rate_hz - 1) > TOLERANCE:
             return f"data come at {self.rate_hz:.4g} Hz, not at {rate_hz:.6g} Hz"
         return ""
@@ -86,4 +94,4 @@ def measure(link: CommandLink, device: DeviceFile, rate_hz: float | None) -> Str
     main = next((heard[name] for name in MAIN_COLUMNS if name in columns), np.zeros(0, np.int64))
     after = main[main > main[0]] if len(main) else main  # the first may have waited together
     rate = len(after) * 1e9 / float(after[-1] - main[0]) if len(after) >= 2 else None
-    return Stream(seconds, columns, rate, tuple(decoder.warnings()))
+    return Stream(seconds, columns, len(main), rate, tuple(decoder.warnings()))

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from functools import partial
 
 from imumon.allan.stage import AllanStage
+from imumon.errors import ImumonError, Reason
 from imumon.estimation.attitude.stage import AttitudeEstimate
 from imumon.estimation.gyro_bias.stage import GyroBias
 from imumon.estimation.rest.stage import RestDetector
@@ -47,7 +48,32 @@ def estimators(device: DeviceFile | None, setup: Setup | None = None) -> list[Es
 
         stages += published_stages(setup, temperature)
     stages += _better_model(setup, stages)
-    return [*stages, *(make() for make in plugins(STAGES).values())]
+    return [*stages, *_of_plugins()]
+
+
+def _of_plugins() -> list[Estimator]:
+    """Return a new stage of each plug-in.
+
+    Raises
+    ------
+    ImumonError
+        BAD_CONFIG, naming it, when it makes none.
+    """
+    made: list[Estimator] = []
+    for name, make in plugins(STAGES, "callable that returns a stage", _is_callable).items():
+        try:
+            made.append(make())
+        except Exception as error:  # whatever somebody else's code raises
+            raise ImumonError(
+                Reason.BAD_CONFIG,
+                f"the plug-in {name} ({STAGES}) makes no stage: {type(error).__name__}: {error}",
+                "mend or remove the package that offers it",
+            ) from error
+    return made
+
+
+def _is_callable(_: str, offered: object) -> bool:
+    return callable(offered)
 
 
 def _better_model(setup: Setup, others: Sequence[Estimator]) -> list[Estimator]:

@@ -170,6 +170,19 @@ def test_what_cannot_be_put_back_is_said(monkeypatch: pytest.MonkeyPatch, name: 
     assert said > 2
 
 
+@pytest.mark.parametrize("name", ["xsens", "microstrain", "vectornav"])
+def test_a_device_that_is_left_silent_is_said_to_be(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    """It was told to be quiet, and does not answer any more when it is told to send again."""
+    left = 0
+    for k in range(2, commands_of(monkeypatch, name)):
+        one = looped(monkeypatch, name)
+        one.port.firmware.faults = Faults(dies_after=k)
+        if outcome(one) is not None and one.report.result == "failed" and not one.port.firmware.streaming:
+            left += 1
+            assert "sending of data: on" in one.report.not_restored, k
+    assert left > 2
+
+
 def test_more_than_the_line_carries_is_refused_before_anything_is_written(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -205,6 +218,15 @@ def test_a_device_that_sends_at_another_rate_than_it_says_is_put_back(
     real = one.port.firmware.outputs
     monkeypatch.setattr(one.port.firmware, "outputs", lambda: (real()[0] / 2, real()[1]))
     assert "Hz, not at 20 Hz" in failed(one, WISH, None, False).seen
+    assert one.as_found
+
+
+def test_a_device_that_hardly_sends_is_put_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of one or two samples no rate can be told, and it was taken for the right one."""
+    one = looped(monkeypatch, "vectornav")
+    real = one.port.firmware.outputs
+    monkeypatch.setattr(one.port.firmware, "outputs", lambda: (real()[0] / 20, real()[1]))
+    assert "s, not at 20 Hz" in failed(one, WISH, None, False).seen
     assert one.as_found
 
 

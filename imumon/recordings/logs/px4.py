@@ -1,8 +1,8 @@
 """Logs of PX4 (.ulg), read with pyulog.
 
 sensor_gyro has x, y, z in rad/s, sensor_accel in m/s², both with a temperature in °C; sensor_mag in gauss,
-sensor_baro a pressure in Pa, before v1.14 in millibar.  timestamp_sample, in µs, is the time of validity.  Axes
-are forward-right-down.
+sensor_baro a pressure in Pa, before v1.14 in millibar.  timestamp_sample, in µs, is the time of validity.
+Axes are forward-right-down.
 """
 
 from __future__ import annotations
