@@ -9,11 +9,13 @@ from __future__ import annotations
 import gc
 import os
 import time
+from dataclasses import replace
 from multiprocessing.connection import Connection
 from typing import Any
 
 from imumon.view.fed import serve
 from imumon.view.frames import Batch, ReplayRequest, Report, Start
+from imumon.view.items import WEB_TAB
 
 POLL_S = 0.5
 GOODBYE_S = 0.6
@@ -47,13 +49,14 @@ class Child:
         from imumon.view.rrd import LIVE_APPLICATION
         from imumon.view.units import UnitsLogger
 
-        self._rec = rr.RecordingStream(LIVE_APPLICATION, recording_id=start.setup.recording_id)
+        setup = replace(start.setup, tab_height=WEB_TAB) if start.mode == "web" else start.setup
+        self._rec = rr.RecordingStream(LIVE_APPLICATION, recording_id=setup.recording_id)
         self._arrangement = InPlace(self._rec)
         show = self._arrangement.send
         self._logger: Any = (
-            UnitsLogger(self._rec, start.setup, show)
-            if start.setup.several
-            else StreamLogger(self._rec, start.setup, live=True, show=show)
+            UnitsLogger(self._rec, setup, show)
+            if setup.several
+            else StreamLogger(self._rec, setup, live=True, show=show)
         )
         self._delivered = -1
         self._request = 0

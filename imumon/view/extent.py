@@ -29,8 +29,8 @@ STILL = 0.02
 AHEAD = 0.1
 """The ends leave so much of the span free, for what comes until the next step; nothing where that would need
 coarser marks, and with them an axis more than twice as long."""
-TAB_HEIGHT, FRAME_HEIGHT = 560, 47
-"""Points: a tab in a browser's window of 1456 x 819, the least provided for; title and times of a strip."""
+FRAME_HEIGHT = 47
+"""Points: title and times of a strip."""
 MARK_HEIGHT = 22
 """Points between marks: with less their numbers are too faint to read, at 20 they are gone."""
 EDGE = 8.0 / MARK_HEIGHT
@@ -179,10 +179,10 @@ def columns_of(strips: int) -> int:
     return math.ceil(strips / MOST_STRIPS)
 
 
-def marks_of(strips: int) -> float:
+def marks_of(strips: int, tab_height: float) -> float:
     """Return how many steps between marks have room in each of so many strips of a tab, 3 or more."""
     rows = math.ceil(strips / max(columns_of(strips), 1))
-    return max(3.0, (TAB_HEIGHT / max(rows, 1) - FRAME_HEIGHT) / MARK_HEIGHT)
+    return max(3.0, (tab_height / max(rows, 1) - FRAME_HEIGHT) / MARK_HEIGHT)
 
 
 def _with_room(
@@ -193,7 +193,7 @@ def _with_room(
     ahead = share * max(high - low, least)
     if floor is not None and low >= floor:
         top = max(high + ahead, floor + least)
-        return with_marks(floor - EDGE / marks * (top - floor), top, marks)
+        return with_marks(floor - EDGE / marks * (top - floor), top, marks, upwards=True)
     short = max(0.0, least - (high - low))
     return with_marks(low - 0.5 * short - ahead, high + 0.5 * short + ahead, marks)
 
@@ -202,27 +202,28 @@ LARGEST = 1e300
 """No axis is longer, so that its ends and marks are numbers; a value beyond is no measurement."""
 
 
-def with_marks(low: float, high: float, most: float) -> tuple[float, float]:
+def with_marks(low: float, high: float, most: float, *, upwards: bool = False) -> tuple[float, float]:
     """Return the ends, moved outwards until three marks, a power of ten apart, and their numbers are inside.
 
     The viewer writes numbers at powers of ten, of which it takes the finest that has room: here `most` steps.
+    With `upwards` it is the upper end that is moved.
     """
     low, high = (min(max(end, -LARGEST), LARGEST) for end in (low, high))
     span = max(high - low, 1e-12 * max(abs(low), abs(high)), 1e-300)
     step = 10.0 ** math.ceil(math.log10(span / most) - 1e-9)
-    ends = _about_marks(low, high, step, EDGE / most)
+    ends = _about_marks(low, high, step, EDGE / most, upwards=upwards)
     while ends[1] - ends[0] > most * step * (1.0 + 1e-9):  # moved so far that these have no room any more
         step *= 10.0
-        ends = _about_marks(low, high, step, EDGE / most)
+        ends = _about_marks(low, high, step, EDGE / most, upwards=upwards)
     return ends
 
 
-def _about_marks(low: float, high: float, step: float, edge: float) -> tuple[float, float]:
+def _about_marks(low: float, high: float, step: float, edge: float, *, upwards: bool) -> tuple[float, float]:
     """Return the ends, moved until three multiples of a step are so much of the axis away from each."""
     room = edge * (high - low)
     first, last = math.ceil((low + room) / step - 1e-9), math.floor((high - room) / step + 1e-9)
     while last - first < 2:
-        if high / step - last > first - low / step:
+        if upwards or high / step - last > first - low / step:
             last += 1
         else:
             first -= 1

@@ -11,6 +11,8 @@ import numpy as np
 from imumon.blocks import NO_INT, BoolArray, IntArray, SampleBlock, join
 from imumon.charts import Chart
 
+NATIVE_TAB, WEB_TAB = 740.0, 560.0
+"""Points of a tab in a window of 1456 x 819: a browser and its page have lines of their own about it."""
 ITEM_BYTES = 512
 """What an item costs in memory beside its arrays, roughly."""
 
@@ -206,6 +208,8 @@ class ViewSetup:
         What else describes the session: device, port, rate.
     several : bool
         Whether the items are those of several units, `OfUnit` and `Overview`.
+    tab_height : float
+        Points that a tab has at least, `NATIVE_TAB` or `WEB_TAB`.
     """
 
     title: str
@@ -216,6 +220,7 @@ class ViewSetup:
     first_tab: str = "Live"
     properties: Mapping[str, str] = field(default_factory=dict)
     several: bool = False
+    tab_height: float = NATIVE_TAB
 
 
 class Timebase:

@@ -63,7 +63,7 @@ class Others:
 
     def _log_extent(self, name: str, reach: Reach, rows: Rows) -> None:
         together = self._together()
-        marks = marks_of(len(together))
+        marks = marks_of(len(together), self._setup.tab_height)
         ends = self._extents[name].ends(rows.clock, reach, marks)
         if ends is None:
             return

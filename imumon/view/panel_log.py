@@ -90,7 +90,7 @@ class PanelLog:
             return
         extent = self._extents.setdefault(panel.key, Extent(self._window_s(panel)))
         strips = sum(other.place == panel.place for other in self._panels.begun.values())
-        ends = extent.ends(rows.clock, reach, marks_of(strips))
+        ends = extent.ends(rows.clock, reach, marks_of(strips, self._setup.tab_height))
         if ends is not None:
             self._axes.set(panel.drawn, ends, rows.kept(np.array([len(reach.values) - 1])))
 

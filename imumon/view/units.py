@@ -6,6 +6,7 @@ import math
 import re
 import time
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any
 
 import rerun as rr
@@ -79,6 +80,7 @@ class UnitsLogger:
 
     def _meet(self, setup: ViewSetup) -> None:
         """Begin with a unit that is new, or that has begun anew with another device."""
+        setup = replace(setup, tab_height=self._setup.tab_height)
         known = self._units.get(setup.title)
         if known is None or known[0] != setup:
             below: Any = Below(self._rec, f"/{setup.title}")

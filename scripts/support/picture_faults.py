@@ -13,6 +13,7 @@ from rerun.chunk import RrdReader
 
 from imumon.blocks import FloatArray
 from imumon.view.extent import EDGE, WIDE, entity, marks_of
+from imumon.view.items import NATIVE_TAB
 from imumon.view.layout import Panel
 
 LEGEND = 0.86
@@ -51,7 +52,7 @@ def axis_faults(recording: Path, panels: Iterable[Panel], window_s: float) -> li
     for panel in shown:
         low, high = ends[panel][-1, 1:]
         strips = sum(other.place == panel.place for other in shown)
-        if numbers_on(low, high, marks_of(strips)) < 3:
+        if numbers_on(low, high, marks_of(strips, NATIVE_TAB)) < 3:
             faults.append(f"{panel.key}: fewer than three numbers from {low:g} to {high:g}")
         bands = measured(recording, f"{panel.drawn}/**")
         if len(bands):

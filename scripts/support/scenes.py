@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from imumon.estimation.watch.parameters import WatchParameters
 from imumon.models.curves.polynomial import PolynomialCurve
 from imumon.models.model import BiasModel, ChannelModel
 from imumon.pipeline import Pipeline
@@ -26,6 +27,18 @@ from imumon.transport.reader import Bytes, Event, EventKind, Item
 from imumon.transport.settings import PortSettings
 from imumon.view.items import ViewItem, ViewSetup
 
+SHAKING = [
+    {
+        "kind": "vibration",
+        "at_s": 0.0,
+        "duration_s": 20.0,
+        "frequency_hz": frequency_hz,
+        "acceleration_m_per_s2": (0.0, 0.0, amplitude),
+        "tilt_deg": (0.01 * amplitude, 0.0, 0.0),
+    }
+    for frequency_hz, amplitude in ((47.0, 0.4), (133.0, 0.2))
+]
+"""A motor and what it drives."""
 READ_S = 0.01
 """A capture has no times of arrival; it is taken to have come evenly, in reads of this length."""
 
@@ -137,6 +150,11 @@ def with_model() -> Setup:
     return Setup(model=crs05_model(), latitude_deg=40.93)
 
 
+def learning() -> Setup:
+    """Return the same, and that it is to learn."""
+    return with_model().model_copy(update={"watch": WatchParameters(learn=True)})
+
+
 def scenes(data: Path) -> dict[str, Scene]:
     """Return all scenes by name; captures are in the folder `data`, and left out where it is absent."""
     found = {
@@ -159,11 +177,17 @@ def scenes(data: Path) -> dict[str, Scene]:
             "ax1",
             simulated("slow-rotation", "ax1", 240.0, motion=[]),
         ),
+        "learning": Scene(
+            "A warm-up at 20 Hz with --learn and a bias model that is wrong in z, after 40 min",
+            "ax1",
+            simulated("warm-up", "ax1", 2400.0, 20.0),
+            learning,
+        ),
         "slow": Scene("The demo at 20 Hz, after 2 min", "ax1", simulated("bench", "ax1", 120.0, 20.0)),
         "fast": Scene(
-            "A unit at 1 kHz, after 20 s",
+            "A unit on a shaking table at 1 kHz, after 20 s",
             "xsens",
-            simulated("bench", "xsens", 20.0, 1000.0, 2_000_000),
+            simulated("bench", "xsens", 20.0, 1000.0, 2_000_000, motion=SHAKING),
             baudrate=2_000_000,
         ),
     }

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from support.picture_faults import numbers_on
 
 from imumon.view.extent import REMEMBERED, Extent, Reach, marks_of, with_marks
+from imumon.view.items import WEB_TAB
 
 SECOND = 1_000_000_000
 MANY = 30
@@ -131,5 +132,5 @@ def test_ends_beyond_all_measurements_are_numbers(ends: tuple[float, float]) -> 
 
 
 def test_a_part_of_a_step_counts_as_room() -> None:
-    low, high = with_marks(-5.0, 405.0, marks_of(4))
+    low, high = with_marks(-5.0, 405.0, marks_of(4, WEB_TAB))
     assert (low, high) == (-5.0, 405.0), "four steps of 100 and a bit more have room in each of four strips"
