@@ -7,7 +7,7 @@ from typing import Literal
 from pydantic import Field
 
 from imumon.config import StrictModel
-from imumon.diagnosis.engine import CUBIC
+from imumon.models.curves.polynomial import CUBIC
 
 Command = Literal["decode", "replay", "calibrate", "allan", "diagnose"]
 

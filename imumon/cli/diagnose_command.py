@@ -87,10 +87,11 @@ def command(
     tell most.
     """
     from imumon.diagnosis.conclusion import conclusion, next_steps
-    from imumon.diagnosis.engine import CUBIC, diagnose, parse_declared
+    from imumon.diagnosis.engine import diagnose, parse_declared
     from imumon.diagnosis.extended import extended_model, with_model
     from imumon.diagnosis.page import write_page
     from imumon.diagnosis.report import report, write_report
+    from imumon.models.curves.polynomial import CUBIC
 
     if declared is not None and model_path is not None:
         raise ImumonError(

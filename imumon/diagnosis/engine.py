@@ -47,6 +47,7 @@ from imumon.effects.base import LEAST_SPAN_DEGC, Survey
 from imumon.effects.library import effects_for
 from imumon.errors import ImumonError, Reason
 from imumon.geodesy import DEG_PER_H
+from imumon.models.curves.polynomial import CUBIC
 from imumon.models.model import BiasModel
 
 LEAST_BLOCKS = 40
@@ -60,9 +61,6 @@ MOST_SEARCH_BLOCKS = 700
 SHORTER, LEAST_SEARCH_BLOCKS = (1, 2, 3), 200
 """Shorter runs in blocks of a half or a third: of few blocks the one with a jump in it decides."""
 HIGHEST_DEGREE = 8
-
-CUBIC = "polynomial 3"
-"""What is declared where nothing is said."""
 
 Progress = Callable[[str], None]
 

@@ -175,8 +175,8 @@ class TaggedDecoder(CompiledDecoder):
         for kind, role in roles.items():
             self._state.roles[kind] = role
         self._compiled = table.compiled(framing)
-        floats = np.full((table.float_count, CAPACITY), np.nan)
-        ints = np.full((table.int_count, CAPACITY), NO_INT, np.int64)
+        floats = np.zeros((table.float_count, CAPACITY + 1))
+        ints = np.zeros((table.int_count, CAPACITY + 1), np.int64)
         self._decoded = Rows(floats, ints, np.zeros(len(table.fields), np.int64))
         self._seen = _Seen(b"", (), (), (KNOWN["arrival_time_ns"],))
 

@@ -28,7 +28,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from imumon.blocks import FloatArray, IntArray
+from imumon.blocks import NO_INT, FloatArray, IntArray
 from imumon.compiled import inner, njit
 from imumon.protocols.base import CAPACITY
 from imumon.protocols.numbers import F32, F64, FP1632
@@ -104,7 +104,11 @@ class Table(NamedTuple):
 
 
 class Rows(NamedTuple):
-    """Columns of what is decoded, the first integers arrivals and groups; how often each field came."""
+    """Columns of what is decoded, the first integers arrivals and groups; how often each field came.
+
+    Of the hundreds of columns of a protocol a device sends a few: memory that is zero takes no pages, and a
+    column is made missing, to the last cell behind all rows, when a field of it comes for the first time.
+    """
 
     floats: FloatArray
     ints: IntArray
@@ -220,6 +224,21 @@ def _four(a: np.uint8, b: np.uint8, c: np.uint8, d: np.uint8) -> np.uint64:
 
 
 @inner
+def _begin_columns(
+    field: CompiledField, values: Sequence[CompiledValue], floats: FloatArray, ints: IntArray
+) -> None:
+    """Make missing the columns of a field that no other field has begun."""
+    for v in range(field.first, field.stop):
+        column = values[v].column
+        if column >= 0 and floats[column, CAPACITY] == 0.0:
+            for row in range(CAPACITY + 1):
+                floats[column, row] = np.nan
+        elif column < 0 and ints[~column, CAPACITY] == 0:
+            for row in range(CAPACITY + 1):
+                ints[~column, row] = NO_INT
+
+
+@inner
 def _decode(begin: int, end: int, layout: int, stream: Stream, state: State, table: Table, rows: Rows) -> int:
     """Decode a payload into the next row; return how many of its fields had values.
 
@@ -251,8 +270,10 @@ def _decode(begin: int, end: int, layout: int, stream: Stream, state: State, tab
                 _note_unknown(int(key), int(size), state)
                 at += size
                 continue
-        seen[number] += 1
         field = fields[number]
+        if seen[number] == 0:
+            _begin_columns(field, values, floats, ints)
+        seen[number] += 1
         first, stop = np.uint64(field.first), np.uint64(field.stop)
         known += int(stop > first)
         groups |= field.group

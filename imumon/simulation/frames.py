@@ -8,7 +8,6 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from imumon.blocks import ColumnArray, FloatArray
 from imumon.geodesy import EARTH_RATE
@@ -16,9 +15,8 @@ from imumon.geodesy import EARTH_RATE
 FIELD_UT = np.array([20.0, 1.0, 43.0])
 """Magnetic field north, east, down, as in central Europe."""
 
-# North-east-down to east-north-up, and forward-right-down to forward-left-up.
-_NED_TO_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 FRD_TO_FLU = np.diag([1.0, -1.0, -1.0])
+"""Forward-right-down to forward-left-up."""
 
 
 def body_rates(angles: FloatArray, rates: FloatArray) -> FloatArray:
@@ -59,14 +57,15 @@ def earth_rate(latitude_deg: float) -> FloatArray:
 
 def reported(angles: FloatArray, axes: Literal["FLU", "FRD"]) -> dict[str, ColumnArray]:
     """Return the columns of the attitude as a device reports it: to NED for FRD, to ENU for FLU."""
-    attitude = Rotation.from_euler("ZYX", angles[:, ::-1])
-    if axes == "FLU":
-        attitude = Rotation.from_matrix(_NED_TO_ENU @ attitude.as_matrix() @ FRD_TO_FLU)
-    x, y, z, w = attitude.as_quat(canonical=True).T
-    matrix = attitude.as_matrix()
-    yaw = np.arctan2(matrix[:, 1, 0], matrix[:, 0, 0])
-    pitch = -np.arcsin(np.clip(matrix[:, 2, 0], -1.0, 1.0))
-    roll = np.arctan2(matrix[:, 2, 1], matrix[:, 2, 2])
+    (cr, cp, cy), (sr, sp, sy) = np.cos(0.5 * angles).T, np.sin(0.5 * angles).T
+    w, x = cr * cp * cy + sr * sp * sy, sr * cp * cy - cr * sp * sy
+    y, z = cr * sp * cy + sr * cp * sy, cr * cp * sy - sr * sp * cy
+    if axes == "FLU":  # half a turn about forward in the body, and about north-east in the world
+        w, x, y, z = np.sqrt(0.5) * np.array([w + z, x + y, x - y, w - z])
+    w, x, y, z = np.where(w < 0.0, -1.0, 1.0) * np.array([w, x, y, z])
+    yaw = np.arctan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z))
+    pitch = -np.arcsin(np.clip(2.0 * (x * z - w * y), -1.0, 1.0))
+    roll = np.arctan2(2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y))
     if axes == "FRD":  # a compass heading, 0 to 360 degrees
         yaw = np.mod(yaw, 2 * np.pi)
     return {"q_w": w, "q_x": x, "q_y": y, "q_z": z, "roll": roll, "pitch": pitch, "yaw": yaw}

@@ -22,7 +22,7 @@ from imumon.estimation.attitude.angles import (
 )
 from imumon.estimation.attitude.fusion import Found, Fusion, Readings
 from imumon.estimation.attitude.parameters import AttitudeParameters
-from imumon.estimation.attitude.uncertainty import GRAVITY_SPREAD, UNKNOWN, Errors, Motion, Slot, begin
+from imumon.estimation.attitude.uncertainty import GRAVITY_SPREAD, SINCE, UNKNOWN, Errors, Motion, Slot, begin
 from imumon.filters.slots import SlotGatherer, Slots
 from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY
 from imumon.models.magnetometer import MagnetometerModel
@@ -99,7 +99,7 @@ class AttitudeEstimate:
         self._ended_ns = 0
         self._fusion = Fusion()
         self._uncertainty = begin(self._errors)
-        self._since = Motion()
+        self._since = np.zeros(1, SINCE)
         self._field = np.full(3, np.nan)
         self._gaps = 0
         self._reported = False
@@ -197,17 +197,14 @@ class AttitudeEstimate:
             if start in ended:
                 self._judge(rows, ended[start], start)
             if start in rows.begins:
-                self._fusion, self._since = Fusion(), Motion()
+                self._fusion, self._since[:] = Fusion(), 0
                 self._uncertainty = self._uncertainty.anew()
             fusion = self._fusion
             fusion.process(rows.readings, start, stop, bool(known[start]), rows.found)
             if self._down == 0.0 and fusion.begun:
                 self._down = 1.0 if matrix(fusion.last)[2, 2] < 0.0 else -1.0
-            part = slice(start, stop)
-            self._since = self._since.then(rows.motion, part)
-            rows.variance[:, part] = self._uncertainty.at(
-                self._since, rows.bias_sd[part], rows.found.levelling[part]
-            )
+            sent = rows.motion, rows.bias_sd, rows.found.levelling
+            self._uncertainty.at(self._since, range(start, stop), *sent, rows.variance)
             if stop == n or stop in rows.begins:
                 self._turn_free(rows, begun, stop)
                 begun = stop
@@ -245,7 +242,8 @@ class AttitudeEstimate:
         fusion, slots = self._fusion, rows.slots
         start_ns = int(slots.start_ns[k]) if slots.begins[k] else self._ended_ns
         self._ended_ns = int(slots.end_ns[k])
-        since, self._since = self._since, Motion()
+        ignored = self._since["ignored"][0].copy()
+        self._since[:] = 0
         if not fusion.begun:
             return
         self._keep_field(rows.readings, row)
@@ -259,7 +257,7 @@ class AttitudeEstimate:
                 bias_sd=rows.bias_sd[row],
                 attitude=matrix(fusion.last),
                 levelling=fusion.levelling,
-                ignored=since.ignored[-1],
+                ignored=ignored,
                 to_north=fusion.to_north,
                 follows=fusion.follows(),
             )

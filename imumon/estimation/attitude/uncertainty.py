@@ -34,10 +34,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from imumon.blocks import FloatArray
+from imumon.compiled import inner, njit
 from imumon.estimation.attitude.angles import shortest, times
 from imumon.estimation.attitude.fusion import TAU_MAG_S
 from imumon.estimation.attitude.sizes import Look, OnBody, Sizes, usual
@@ -55,7 +57,6 @@ COMES_S = 28800.0
 WRONG_AXES = math.sqrt(2.0 / 3.0)
 """Of an element of M where axes and signs are mixed up: P - 1 over all 48 permutations with signs."""
 UP = np.array([0.0, 0.0, 1.0])
-CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])
 UNKNOWN = 1.0
 """Beyond so much, rad, an error is no small angle any more, and its standard deviation says nothing."""
 
@@ -129,9 +130,8 @@ class Slot:
     follows: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Motion:
-    """What samples turned, each since the one before, or running sums of that; (n, 3) and (n,).
+class Motion(NamedTuple):
+    """What samples turned, each since the one before.
 
     Parameters
     ----------
@@ -143,17 +143,13 @@ class Motion:
         In motion.
     """
 
-    angle: FloatArray = field(default_factory=lambda: np.zeros((1, 3)))
-    ignored: FloatArray = field(default_factory=lambda: np.zeros((1, 3)))
-    seconds: FloatArray = field(default_factory=lambda: np.zeros(1))
+    angle: FloatArray
+    ignored: FloatArray
+    seconds: FloatArray
 
-    def then(self, later: Motion, part: slice) -> Motion:
-        """Return running sums that go on from the last of these, over a part of later samples."""
-        return Motion(
-            _summed(self.angle, later.angle[part]),
-            _summed(self.ignored, later.ignored[part]),
-            _summed(self.seconds, later.seconds[part]),
-        )
+
+SINCE = np.dtype([("angle", np.float64, 3), ("ignored", np.float64, 3), ("seconds", np.float64)])
+"""Running sums of a motion since a moment."""
 
 
 @dataclass(slots=True, eq=False)
@@ -276,7 +272,7 @@ class Uncertainty:
 
     def step(self, slot: Slot) -> None:
         """Follow one slot."""
-        twist = float(self._apart(slot.levelling[np.newaxis])[1][0])
+        twist = self._apart(slot.levelling)[1]
         self.twisted, self.twist = self.twisted + twist - self.twist, twist
         forced = bool(np.isfinite(slot.force).all())
         if slot.rest and forced:
@@ -293,32 +289,33 @@ class Uncertainty:
         else:
             self.heading_sd = _small(self._drifted()) if math.isfinite(self.accel_sd) else math.nan
 
-    def at(self, since: Motion, bias_sd: FloatArray, levelling: FloatArray) -> FloatArray:
-        """Return the variances of tilt and of the turn about the vertical, rad², (2, n).
+    def at(
+        self, since: Any, rows: range, motion: Motion, bias_sd: FloatArray, levelling: FloatArray,
+        variance: FloatArray,
+    ) -> None:  # fmt: skip
+        """Fill in the variances of tilt and of the turn about the vertical, rad², (2, n), of some rows.
 
         Parameters
         ----------
-        since : Motion
-            Sums since the last slot, n + 1: the first is before the samples.
+        since : array of SINCE (1,)
+            Sums since the last slot, which go on.
+        rows : range
+        motion : Motion
         bias_sd : array (n, 3)
             rad/s.
         levelling : array (n, 4)
             As of `Found`.
+        variance : array (2, n)
         """
-        angle, seconds = since.angle, since.seconds[1:]
-        added = angle[1:] ** 2 @ self.scale2 + _squares(since.ignored[1:])
-        added += _squares(angle[1:] - angle[:-1]) / 12.0  # even chances from none of the interval to all
-        if seconds[-1] > 0.0:
-            added += np.where(seconds > 0.0, _squares(bias_sd) * seconds**2, 0.0)
-        tilted, twist = self._apart(levelling)
-        twisted = self.twisted + twist - self.twist
-        return np.array([self.tilt_sd**2 + tilted**2, self.heading_sd**2 + twisted**2]) + added
+        known = np.array([self.tilt_sd**2, self.heading_sd**2])
+        _at(
+            since, rows.start, rows.stop, *motion, self.scale2, bias_sd, levelling, self.levelled, known,
+            self.twisted - self.twist, variance,
+        )  # fmt: skip
 
-    def _apart(self, levelling: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return by how much filter and gyros differ since the last rest, rad: up, and about it, (n,)."""
-        w, x, y, z = times(levelling, self.levelled * CONJUGATE).T
-        off = 2.0 * np.arcsin(np.minimum(np.sqrt(x * x + y * y), 1.0))
-        return np.asarray(off), np.asarray(2.0 * np.arctan(z / w))
+    def _apart(self, levelling: FloatArray) -> tuple[float, float]:
+        """Return by how much filter and gyros differ since the last rest, rad: up, and about it."""
+        return _apart(levelling, self.levelled)
 
     def _come_to_rest(self, slot: Slot) -> None:
         """Take the vertical that the accelerometers show, and close the account of a motion."""
@@ -343,7 +340,7 @@ class Uncertainty:
         """
         if not self.since_rest.scale.any():
             return self.gyros
-        off = float(self._apart(_levelled(slot)[np.newaxis])[0][0])
+        off = self._apart(_levelled(slot))[0]
         if not math.isfinite(off):
             return self.gyros
         turned = self.since_rest.by_gyro[:2].mean(0)
@@ -396,14 +393,39 @@ def begin(errors: Errors) -> Uncertainty:
     return Uncertainty(errors, gyros, accels, iron, gyros.mean_square)
 
 
-def _summed(before: FloatArray, added: FloatArray) -> FloatArray:
-    """Return running sums that go on from the last row of others, in the same order whatever the blocks."""
-    return np.cumsum(np.concatenate([before[-1:], added]), axis=0)
+@inner
+def _apart(levelling: FloatArray, levelled: FloatArray) -> tuple[float, float]:
+    """Return the tilt and the twist, rad, of a levelling after the inverse of another, w, x, y, z each."""
+    a, b, c, d = levelling[0], levelling[1], levelling[2], levelling[3]
+    w, x, y, z = levelled[0], -levelled[1], -levelled[2], -levelled[3]
+    forward, side = a * x + b * w + c * z - d * y, a * y - b * z + c * w + d * x
+    across = math.sqrt(forward * forward + side * side)
+    about, along = a * z + b * y - c * x + d * w, a * w - b * x - c * y - d * z
+    twist = math.atan2(math.copysign(1.0, along) * about, abs(along))  # of q and of -q the same
+    return 2.0 * math.asin(1.0 if across > 1.0 else across), 2.0 * twist
 
 
-def _squares(vectors: FloatArray) -> FloatArray:
-    """Return the squared lengths of vectors, (n,)."""
-    return np.asarray(np.einsum("ni,ni->n", vectors, vectors))
+@njit
+def _at(
+    since: Any, start: int, stop: int, angle: FloatArray, ignored: FloatArray, seconds: FloatArray,
+    scale2: FloatArray, bias_sd: FloatArray, levelling: FloatArray, levelled: FloatArray, known: FloatArray,
+    twisted: float, variance: FloatArray,
+) -> None:  # fmt: skip
+    """Fill in what `Uncertainty.at` says."""
+    total = since[0]
+    for i in range(start, stop):
+        total.seconds += seconds[i]
+        added = 0.0
+        for j in range(3):
+            total.angle[j] += angle[i, j]
+            total.ignored[j] += ignored[i, j]
+            # Even chances from none of the interval to all.
+            added += total.angle[j] ** 2 * scale2[j] + total.ignored[j] ** 2 + angle[i, j] ** 2 / 12.0
+            if total.seconds > 0.0:
+                added += (bias_sd[i, j] * total.seconds) ** 2
+        tilt, twist = _apart(levelling[i], levelled)
+        variance[0, i] = known[0] + tilt**2 + added
+        variance[1, i] = known[1] + (twisted + twist) ** 2 + added
 
 
 def _levelled(slot: Slot) -> FloatArray:

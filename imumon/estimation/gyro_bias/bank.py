@@ -94,10 +94,6 @@ class Family:
 NO_SENSITIVITY = np.zeros(1)
 GROWTH = np.append(1.0, 2.0 / TAUS_S)
 """Variance by which the walk and the processes move in a second, over K² and sd²."""
-_TERMS = np.zeros((TERMS, STATES))
-"""What makes the terms of a law of the states: the first sums the walk and the processes."""
-_TERMS[0, WALK:SLOPE] = 1.0
-_TERMS[1:, SLOPE:] = np.eye(TERMS - 1)
 
 
 def unknown_family(sensitivity_sd: FloatArray = NO_SENSITIVITY) -> Family:
@@ -337,20 +333,12 @@ def law(bank: Bank, family: Family, white: FloatArray, ahead_s: float) -> tuple[
     The terms are those of `law.Law`.  Before the pose has changed, `family` says what the sensitivities are.
     The covariance is that of `ahead_s` seconds later, few against 10: meanwhile the bias wanders unseen.
     """
-    rows, states = bank.weight.shape[:2], bank.mean.shape[-1]
-    terms = _TERMS[:, :states]
-    value = bank.mean @ terms.T
-    share = bank.weight[..., np.newaxis, :]
-    mean = share @ value
-    off = value - mean
-    of_all = (share @ bank.covariance.reshape(*bank.weight.shape, -1)).reshape(*rows, states, states)
-    covariance = terms @ of_all @ terms.T + (off.swapaxes(-1, -2) * share) @ off
-    mean = mean[..., 0, :]
-    if states < STATES:
-        unseen = np.arange(2, TERMS)
-        unseen2 = family.sensitivity_sd @ family.sensitivity_sd / len(family.sensitivity_sd)
-        covariance[..., unseen, unseen] = unseen2
-    growth = (bank.family.strength2 @ GROWTH)[..., np.newaxis]
-    weight = bank.weight.reshape(len(mean), 3, -1, growth.shape[1])
-    covariance[..., 0, 0] += ahead_s * bank.family.unit2(white) * (weight @ growth)[..., 0].sum(-1)
-    return mean, covariance
+    mean, covariance, _ = bank.in_a_row
+    rows = bank.weight.shape[:2]
+    unseen2 = float(family.sensitivity_sd @ family.sensitivity_sd) / len(family.sensitivity_sd)
+    value, known = np.empty((*rows, TERMS)), np.zeros((*rows, TERMS, TERMS))
+    weight = bank.weight.reshape(-1, bank.weight.shape[-1])
+    growth = ahead_s * bank.family.unit2(white)[:, np.newaxis] * (bank.family.strength2 @ GROWTH)
+    of_rows = value.reshape(len(weight), TERMS), known.reshape(len(weight), TERMS, TERMS)
+    steps.law(mean, covariance, weight, growth, unseen2, *of_rows)
+    return value, known

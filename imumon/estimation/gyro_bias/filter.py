@@ -20,6 +20,7 @@ from imumon.estimation.gyro_bias.contrary import Contrary
 from imumon.estimation.gyro_bias.law import LAW, Laws, at_slot, no_law, sd_at_slot
 from imumon.estimation.gyro_bias.motion import Motion
 from imumon.estimation.gyro_bias.slot import MOVED_DEGC, Reading, Slot
+from imumon.estimation.gyro_bias.steps import mix_variants
 from imumon.estimation.gyro_bias.white import WhiteNoise
 from imumon.filters.turns import STILL, Turn
 from imumon.geodesy import EARTH_RATE
@@ -42,7 +43,6 @@ FORGETTING_S = 600.0
 """Memory of the evidence for a slope."""
 SIGNIFICANCE, EVIDENCE = 9.0, 8.0
 """A slope is used when d² > 9 P_dd and the log-likelihoods differ by more than 8 in its favour."""
-AXES = np.arange(3)
 REFILTERED = (8, 30)
 """Slots of the first rest after which, besides its end, all of it is filtered anew with the noise known."""
 
@@ -441,15 +441,14 @@ def _show(state: State, params: Params, noise: Noise, slot: Slot) -> None:
     # It holds until the next slot ends; at rest the one that waits comes on top.
     ahead_s = slot.holds_s * (2.0 if state.at_rest else 1.0)
     mean, covariance = filters.law(state.bank, params.family, noise.rate, ahead_s)
-    terms, known = mean[0], covariance[0]
     if params.learns:
         if state.at_rest:
             slope, variance = mean[1, :, 1], covariance[1, :, 1, 1]
             state.chosen = (slope**2 > SIGNIFICANCE * variance) & (state.evidence > EVIDENCE)
-        terms, known = _of_both(mean, covariance, state.chosen, state.evidence)
+        mix_variants(mean, covariance, state.chosen, state.evidence)
     law = np.zeros(1, LAW)
     law["moved"] = np.inf
-    law["terms"], law["covariance"], law["degc"] = terms, known, state.at_degc
+    law["terms"], law["covariance"], law["degc"] = mean[0], covariance[0], state.at_degc
     if state.reference is not None and slot.force is not None:
         law["reference"] = state.reference
         law["offset"] = _offset(state, params, slot.force) if state.at_rest else slot.force - state.reference
@@ -465,15 +464,3 @@ def _show(state: State, params: Params, noise: Noise, slot: Slot) -> None:
         law["undecided"], law["moved"] = slot.undecided, state.moved.by(bias)
         law["turned"] = np.sqrt(turned_earth(state.attitude.up, params.place, state.turn))
     state.law = law
-
-
-def _of_both(
-    mean: FloatArray, covariance: FloatArray, chosen: BoolArray, evidence: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return the terms of the variant that is chosen on each axis, and the covariance of both together."""
-    own = chosen.astype(np.int64)
-    terms, known = mean[own, AXES], covariance[own, AXES]
-    off, other = mean[1 - own, AXES] - terms, covariance[1 - own, AXES]
-    against = np.where(chosen, -evidence, evidence)
-    share = (0.5 + 0.5 * np.tanh(0.5 * against))[:, np.newaxis, np.newaxis]
-    return terms, known + share * (other - known + off[:, :, np.newaxis] * off[:, np.newaxis])

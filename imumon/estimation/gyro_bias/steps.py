@@ -15,7 +15,7 @@ import math
 
 import numpy as np
 
-from imumon.blocks import FloatArray
+from imumon.blocks import BoolArray, FloatArray
 from imumon.compiled import inner, njit
 
 ROTATION, VELOCITY, WALK, SLOPE, SENSITIVITY, STATES = 0, 1, 2, 6, 7, 10
@@ -211,6 +211,65 @@ def _make_common(first: int, weight: FloatArray, share: FloatArray, common: Floa
             factor = max(common[g] / whole, LEAST_WEIGHT) / share[r, g]
             for w in range(weight.shape[2]):
                 weight[r, g, w] = max(weight[r, g, w] * factor, LEAST_WEIGHT)
+
+
+@njit
+def law(
+    mean: FloatArray, covariance: FloatArray, weight: FloatArray, growth: FloatArray, unseen2: float,
+    value: FloatArray, known: FloatArray,
+) -> None:  # fmt: skip
+    """Fill in what `bank.law` returns, (rows, terms) and (rows, terms, terms), of zeros.
+
+    The first term sums the walk and the processes, the others are the states behind these; `unseen2` is the
+    variance of those that there are not yet, `growth` (3, wanders) that by which the bias wanders unseen.
+    """
+    rows, filters = weight.shape
+    states, terms = mean.shape[1], value.shape[1]
+    seen = states - SLOPE + 1
+    of_one, part = np.empty((filters, seen)), np.empty((seen, states))
+    for r in range(rows):
+        value[r] = 0.0
+        for h in range(filters):
+            x = mean[r * filters + h]
+            of_one[h, 0] = x[WALK] + x[WALK + 1] + x[WALK + 2] + x[WALK + 3]
+            for m in range(1, seen):
+                of_one[h, m] = x[SLOPE - 1 + m]
+            for m in range(seen):
+                value[r, m] += weight[r, h] * of_one[h, m]
+        for h in range(filters):
+            p = covariance[r * filters + h]
+            for j in range(WALK, states):
+                part[0, j] = p[WALK, j] + p[WALK + 1, j] + p[WALK + 2, j] + p[WALK + 3, j]
+                for m in range(1, seen):
+                    part[m, j] = p[SLOPE - 1 + m, j]
+            for m in range(seen):
+                off = of_one[h, m] - value[r, m]
+                summed = part[m, WALK] + part[m, WALK + 1] + part[m, WALK + 2] + part[m, WALK + 3]
+                known[r, m, 0] += weight[r, h] * (summed + off * (of_one[h, 0] - value[r, 0]))
+                for n in range(1, seen):
+                    spread = off * (of_one[h, n] - value[r, n])
+                    known[r, m, n] += weight[r, h] * (part[m, SLOPE - 1 + n] + spread)
+            known[r, 0, 0] += weight[r, h] * growth[r % AXES, h % growth.shape[1]]
+        for m in range(seen, terms):
+            known[r, m, m] = unseen2
+
+
+@njit
+def mix_variants(value: FloatArray, known: FloatArray, chosen: BoolArray, evidence: FloatArray) -> None:
+    """Put into the first variant's law the terms of the one that is chosen, and the covariance of both.
+
+    Laws are those of `bank.law`; `evidence` (3,) is the logarithm of the odds of the second variant.
+    """
+    terms = value.shape[2]
+    for a in range(AXES):
+        own, other = (1, 0) if chosen[a] else (0, 1)
+        share = 0.5 + 0.5 * math.tanh(0.5 * (-evidence[a] if chosen[a] else evidence[a]))
+        off = value[other, a] - value[own, a]
+        for m in range(terms):
+            for n in range(terms):
+                spread = known[other, a, m, n] - known[own, a, m, n] + off[m] * off[n]
+                known[0, a, m, n] = known[own, a, m, n] + share * spread
+            value[0, a, m] = value[own, a, m]
 
 
 @njit
