@@ -16,6 +16,15 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 
+ANOTHER = 0.5
+"""Cosine between directions from which a look says something new: 60°."""
+LEAST = 1e-12
+"""What no doubt is below: of an impossible size the logarithm is none."""
+COUNT = 5
+"""Sizes that are tried: by a factor of three from a percent to all, so that none is off by more than 1.7."""
+ANY_SIZE = 1.0 - 1.0 / COUNT
+"""The doubt by which each of them is as likely."""
+
 
 @dataclass(frozen=True, eq=False)
 class Sizes:
@@ -138,16 +147,8 @@ class OnBody:
                 self.now = self.now.seen(look.square, look.variance, np.ones(1), 1)
 
 
-def usual(size: float, largest: float, doubt: float, errors: int) -> Sizes:
+def usual(size: float, largest: float, doubt: float, errors: int = 1, count: int = COUNT) -> Sizes:
     """Return that errors have a usual size, or with a probability of `doubt` each any up to the largest."""
-    squares = np.geomspace(size, max(largest, size), COUNT) ** 2 if size > 0.0 else np.zeros(COUNT)
-    prior = np.log(np.append(1.0 - doubt, np.full(COUNT - 1, max(doubt, LEAST) / (COUNT - 1))))
+    squares = np.geomspace(size, max(largest, size), count) ** 2 if size > 0.0 else np.zeros(count)
+    prior = np.log(np.append(1.0 - doubt, np.full(count - 1, max(doubt, LEAST) / (count - 1))))
     return Sizes(squares, reduce(np.add.outer, [prior] * errors))
-
-
-ANOTHER = 0.5
-"""Cosine between directions from which a look says something new: 60°."""
-LEAST = 1e-12
-"""What no doubt is below: of an impossible size the logarithm is none."""
-COUNT = 5
-"""Sizes that are tried: by a factor of three from a percent to all, so that none is off by more than 1.7."""

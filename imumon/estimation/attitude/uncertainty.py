@@ -40,7 +40,7 @@ import numpy as np
 from imumon.blocks import FloatArray
 from imumon.estimation.attitude.angles import shortest, times
 from imumon.estimation.attitude.fusion import TAU_MAG_S
-from imumon.estimation.attitude.sizes import Look, OnBody, Sizes, usual
+from imumon.estimation.attitude.sizes import ANY_SIZE, Look, OnBody, Sizes, usual
 from imumon.filters.turns import Turn
 from imumon.geodesy import STANDARD_GRAVITY
 
@@ -48,12 +48,15 @@ GRAVITY_SPREAD = 0.03
 """m/s²: between equator and poles gravity differs by no more from the standard (WGS-84: 9.780 to 9.832)."""
 ACCELERATIONS = np.geomspace(0.01, 1.0, 5)
 """Of a motion over gravity: nobody knows how large they are, so sizes are equally likely (as of `Sizes`)."""
-LARGEST_BIAS = 0.8
-"""m/s²: data sheets of accelerometers that nobody has calibrated state 80 mg at most (MPU-6050, z)."""
+LEAST_BIAS, LARGEST_BIAS = 0.05, 0.8
+"""m/s², where it is not declared: data sheets of calibrated MEMS units state 5 mg, those of chips that nobody
+has calibrated 20 (BMI088, LSM6DSO), 40 (BMI160) and 80 mg at most (MPU-6050, z)."""
 COMES_S = 28800.0
 """Iron comes to the unit, or goes, about once in a working day: a screwdriver, another box on the rack."""
-WRONG_AXES = math.sqrt(2.0 / 3.0)
-"""Of an element of M where axes and signs are mixed up: P - 1 over all 48 permutations with signs."""
+WRONG_AXES, KINDS_OF_AXES = math.sqrt(0.8), 3
+"""Of an element of M where axes and signs are mixed up: of six columns of P - 1 five are not zero, four of two
+and one of four squared.  Axes are right, or mixed up, or their scale is (mg for g, rad for 60°): what is
+between comes from nowhere, and would take from the likelihood of what happens."""
 UP = np.array([0.0, 0.0, 1.0])
 CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])
 UNKNOWN = 1.0
@@ -66,8 +69,8 @@ class Errors:
 
     Parameters
     ----------
-    accel : float
-        m/s².
+    accel : float or None
+        m/s²; None where it is not declared.
     scale : float
         Of the angle turned over itself.
     earth_rate : float
@@ -80,7 +83,7 @@ class Errors:
         As of `AttitudeParameters`.
     """
 
-    accel: float
+    accel: float | None
     scale: float
     earth_rate: float
     magnetometer: float
@@ -388,12 +391,15 @@ class Uncertainty:
 
 def begin(errors: Errors) -> Uncertainty:
     """Return what is known beforehand."""
-    gyros = usual(errors.scale, WRONG_AXES, errors.axes_doubt, 3)
+    gyros = usual(errors.scale, WRONG_AXES, errors.axes_doubt, 3, KINDS_OF_AXES)
     calibrated = math.isfinite(errors.magnetometer)
     field_sd, strength = (errors.magnetometer, errors.field) if calibrated else (0.0, 0.0)
-    iron = OnBody.of(usual(field_sd, strength, errors.magnet_doubt, 1))
-    accels = OnBody.of(usual(errors.accel, LARGEST_BIAS, errors.accel_doubt, 1))
-    return Uncertainty(errors, gyros, accels, iron, gyros.mean_square)
+    iron = OnBody.of(usual(field_sd, strength, errors.magnet_doubt))
+    if errors.accel is None:
+        accels = usual(LEAST_BIAS, LARGEST_BIAS, ANY_SIZE)
+    else:
+        accels = usual(errors.accel, LARGEST_BIAS, errors.accel_doubt)
+    return Uncertainty(errors, gyros, OnBody.of(accels), iron, gyros.mean_square)
 
 
 def _summed(before: FloatArray, added: FloatArray) -> FloatArray:
