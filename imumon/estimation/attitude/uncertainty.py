@@ -54,9 +54,9 @@ has calibrated 20 (BMI088, LSM6DSO), 40 (BMI160) and 80 mg at most (MPU-6050, z)
 COMES_S = 28800.0
 """Iron comes to the unit, or goes, about once in a working day: a screwdriver, another box on the rack."""
 WRONG_AXES, KINDS_OF_AXES = math.sqrt(0.8), 3
-"""Of an element of M where axes and signs are mixed up: of six columns of P - 1 five are not zero, four of two
-and one of four squared.  Axes are right, or mixed up, or their scale is (mg for g, rad for 60°): what is
-between comes from nowhere, and would take from the likelihood of what happens."""
+"""Of an element of M where axes and signs are mixed up: of the six columns that P - 1 may have five are not
+zero, four have a squared length of 2 and one of 4.  Axes are right, or mixed up, or a scale is wrong by tens
+of percent: sizes that nothing makes would take from the probability of those that happen."""
 UP = np.array([0.0, 0.0, 1.0])
 CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])
 UNKNOWN = 1.0
