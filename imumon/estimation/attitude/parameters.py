@@ -20,7 +20,7 @@ class AttitudeParameters(StrictModel):
     gyro_scale : float
         Standard deviation of each element of the matrix of scale and misalignment: 1 % without calibration.
     accel_doubt, axes_doubt, magnet_doubt : float
-        How likely it is that the accelerometers are off by more than was given, that an axis of the gyros is
+        How likely it is that the accelerometers are off by more than was given, that a scale or the
         not as declared, and that iron has come to the unit since its magnetometer was calibrated: in the
         sigma until rests and turns have spoken.  Judged, not measured; docs/attitude.md says what they cost.
     """
@@ -29,5 +29,5 @@ class AttitudeParameters(StrictModel):
     accel_bias_m_per_s2: float | None = Field(default=None, ge=0.0, le=10.0)
     gyro_scale: float = Field(default=0.01, ge=0.0, le=0.5)
     accel_doubt: float = Field(default=0.05, ge=0.0, le=0.5)
-    axes_doubt: float = Field(default=0.25, ge=0.0, le=0.5)
+    axes_doubt: float = Field(default=0.1, ge=0.0, le=0.5)
     magnet_doubt: float = Field(default=0.1, ge=0.0, le=0.5)
