@@ -24,8 +24,8 @@ EARTH_TWICE = 1.46e-4
 """rad/s: a gyro that is turned round sees the earth's rate the other way."""
 SIGMAS = 6.0
 STEADY_SIGMAS, TURN_STEADY_SIGMAS = 3.0, 1.5
-"""Of how the mean has grown, where it is to be constant: 87 of 100 true rests are found at once by 1.5, and of
-gyros of which a turn that slows down has three sigmas in 20 s, 7 of 100 looks take it for one."""
+"""Of how the mean has grown, where it is to be constant: by 1.5 a true rest is found at once in 87 of 100
+and a turn that slows down, and shows with three sigmas in 20 s, is taken for one in 7 of 100 looks."""
 PLAIN_SIGMAS = 2.0
 """Sigmas of a change of which nobody would ask whether it is a turn."""
 BACK_SIGMAS = 3.0
