@@ -6,6 +6,7 @@ import argparse
 import math
 
 import numpy as np
+from alignment_runs import ACCEL_BIAS_UG
 from alignment_site_scenes import SCENES, Scene, mean_heading, record
 
 from imumon.blocks import FloatArray
@@ -15,8 +16,6 @@ from imumon.estimation.alignment.stage import Alignment
 AT_S = (20, 60, 600)
 FROM_S = 60
 """From then on a heading must be shown, and as good as that of the means."""
-NAVIGATION_UG = 30.0
-"""Of accelerometers of navigation grade, as they are declared where the scene says nothing else."""
 RATIO, RMS_Z, MAX_Z, SHOWN = 1.5, 1.8, 5.0, 0.9
 """Bars: error over that of the better mean, error over sigma, and how often there must be a heading."""
 
@@ -38,7 +37,7 @@ def outcome(scene: Scene, seed: int) -> tuple[FloatArray, FloatArray]:
     These are the ratios of error and sigma once in a second, NaN where nothing is shown.
     """
     rec = record(scene, max(AT_S) + 1.0, seed)
-    parameters = AlignmentParameters.model_validate({"accel_bias_sd_ug": NAVIGATION_UG, **scene.parameters})
+    parameters = AlignmentParameters.model_validate({"accel_bias_sd_ug": ACCEL_BIAS_UG, **scene.parameters})
     stage = Alignment(parameters, scene.latitude_deg, None if scene.any_attitude else "FRD")
     out = stage.process(rec.block)
     off = np.remainder(out["heading"] - rec.heading + math.pi, 2.0 * math.pi) - math.pi
