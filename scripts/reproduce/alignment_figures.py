@@ -93,7 +93,7 @@ def draw_loop(folder: Path) -> None:
 def draw_run(folder: Path) -> None:
     """Draw figures 7, 8 and 9: 83.7 µg, 150 s, navigation-grade gyros, 15 minutes."""
     tau = 150.0
-    run = align(plan(Case("figures"), tau, 0.0, 900.0), 1)
+    run = align(plan(Case("figures"), tau, 0.0, 900.0), 1, Case("figures").parameters)
     t = np.arange(1, len(run.error["shown"]) + 1, dtype=float)
     figure, ax = _axes("Figure 7: control rate about east, and its integral", 2)
     rate = np.degrees(run.columns["fixed_gain_loop_control_rate_east"]) * 3600.0

@@ -24,6 +24,8 @@ ARW = 2.43e-4
 """deg/√h: 1e-6 rad/s per sample at 200 Hz."""
 VRW = 5e-5
 """m/s/√s of the accelerometers: 5 µg/√Hz."""
+ACCEL_BIAS_UG = 30.0
+"""Of accelerometers of navigation grade, as they are declared."""
 GYRO_BIAS = 0.002
 """deg/h, standard deviation of the gyros' bias from run to run."""
 INPUTS = ("device_time_ns", "segment", *(f"{s}_{a}" for s in ("gyro", "accel") for a in "xyz"))
@@ -42,7 +44,8 @@ class Case:
     @property
     def parameters(self) -> AlignmentParameters:
         """What the stage is told."""
-        return AlignmentParameters(gyro_bias_sd_deg_per_h=self.gyro_bias if self.declared else None)
+        declared = self.gyro_bias if self.declared else None
+        return AlignmentParameters(gyro_bias_sd_deg_per_h=declared, accel_bias_sd_ug=ACCEL_BIAS_UG)
 
 
 CASES = (
@@ -89,7 +92,7 @@ def plan(
     )
 
 
-def align(scenario: Scenario, seed: int, parameters: AlignmentParameters | None = None) -> Run:
+def align(scenario: Scenario, seed: int, parameters: AlignmentParameters) -> Run:
     """Run a scenario through the stage."""
     sent, _ = SimulatedUnit(scenario, seed).run(scenario.samples)
     stage = Alignment(parameters, LATITUDE_DEG, "FRD")

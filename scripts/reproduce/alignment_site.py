@@ -6,6 +6,7 @@ import argparse
 import math
 
 import numpy as np
+from alignment_runs import ACCEL_BIAS_UG
 from alignment_site_scenes import SCENES, Scene, mean_heading, record
 
 from imumon.blocks import FloatArray
@@ -36,7 +37,7 @@ def outcome(scene: Scene, seed: int) -> tuple[FloatArray, FloatArray]:
     These are the ratios of error and sigma once in a second, NaN where nothing is shown.
     """
     rec = record(scene, max(AT_S) + 1.0, seed)
-    parameters = AlignmentParameters.model_validate(scene.parameters)
+    parameters = AlignmentParameters.model_validate({"accel_bias_sd_ug": ACCEL_BIAS_UG, **scene.parameters})
     stage = Alignment(parameters, scene.latitude_deg, None if scene.any_attitude else "FRD")
     out = stage.process(rec.block)
     off = np.remainder(out["heading"] - rec.heading + math.pi, 2.0 * math.pi) - math.pi

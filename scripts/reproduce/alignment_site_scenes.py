@@ -58,6 +58,8 @@ class Scene:
         How far above the pivot of a tilt the accelerometers are; they see its acceleration, too.
     steps_ug : float
         Standard deviation of jumps of each accelerometer, one in 100 s.
+    force_ug : float
+        Bias of each level accelerometer, its sign drawn.
     any_attitude : bool
         The body stands on any of its sides, rather than level.
     """
@@ -72,13 +74,16 @@ class Scene:
     vrw: float = VRW
     lever_m: float = 0.0
     steps_ug: float = 0.0
+    force_ug: float = 0.0
     latitude_deg: float = LATITUDE_DEG
     rate_hz: float = RATE_HZ
     any_attitude: bool = False
-    parameters: Mapping[str, float] = field(default_factory=dict)
+    parameters: Mapping[str, float | None] = field(default_factory=dict)
 
 
 MICRO = 1e-6
+ANY = {"accel_bias_sd_ug": None}
+"""Accelerometers that nobody has declared."""
 SCENES = (
     Scene("quiet, noise of the paper", PAPER_ARW),
     Scene("quiet", SITE_ARW),
@@ -220,6 +225,17 @@ SCENES = (
         SITE_ARW,
         together(sway(1000 * MICRO, 1 / 14), sway(1000 * MICRO, 1 / 15)),
     ),
+    Scene("accelerometers off by 100 µg, not declared", SITE_ARW, force_ug=100.0, parameters=ANY),
+    Scene("accelerometers off by 1000 µg, not declared", SITE_ARW, force_ug=1000.0, parameters=ANY),
+    Scene(
+        "accelerometers off by 100 µg, not declared, noise of the paper",
+        PAPER_ARW,
+        force_ug=100.0,
+        parameters=ANY,
+    ),
+    Scene(
+        "tactical, accelerometers off by 1000 µg, not declared", TACTICAL_ARW, force_ug=1000.0, parameters=ANY
+    ),
     Scene("at 80°, quiet, 200 Hz", SITE_ARW, latitude_deg=80.0, rate_hz=200.0),
 )
 
@@ -282,6 +298,8 @@ def _at_rest(scene: Scene, n: int, heading: float, rng: np.random.Generator) -> 
     accel = rng.normal(size=(n, 3)) * scene.vrw / math.sqrt(step) - STANDARD_GRAVITY * down
     amplitude, tau = scene.warm_up
     accel[:, :2] -= amplitude * MICRO_G * np.expm1(-step * np.arange(n) / tau)[:, None]
+    if scene.force_ug:
+        accel[:, :2] += scene.force_ug * MICRO_G * rng.choice([-1.0, 1.0], 2)
     if scene.steps_ug:
         jumps = rng.normal(size=(n, 2)) * (rng.uniform(size=(n, 2)) < step / 100.0)
         accel[:, :2] += scene.steps_ug * MICRO_G * np.cumsum(jumps, axis=0)

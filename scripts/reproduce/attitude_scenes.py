@@ -24,8 +24,9 @@ FIELD_UT = np.array([0.0, 20.0, -43.0])
 """East, north, up: the dip is 65°."""
 ACCEL_SD, SCALE_SD = 0.05, 0.01
 """Turn-on error of the accelerometers, m/s², scale and misalignment of the gyros: as the stage takes them."""
-CONSUMER_SD = 0.4
-"""m/s²: 40 mg, as of the BMI160; the stage is not told."""
+CONSUMER_SD, CONSUMER_SCALE_SD = 0.4, 0.03
+"""The same of the BMI160, 40 mg, and the MPU-6050; the stage is not told."""
+Z_REVERSED = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, -1.0))
 HARD_UT, SOFT, MAG_NOISE_UT = 0.3, 3e-3, 0.2
 """What a calibration leaves of hard and soft iron, and noise."""
 SLOPES_DPH = np.array([60.0, -45.0, 30.0])
@@ -51,6 +52,8 @@ class Scene:
         Whether the unit warms up.
     accel_sd : float
         Turn-on error of its accelerometers, m/s².
+    scale_sd : float
+        Scale and misalignment of its gyros.
     """
 
     moves: Callable[[np.random.Generator, FloatArray, FloatArray], Moves]
@@ -58,6 +61,7 @@ class Scene:
     swap: tuple[tuple[float, ...], ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
     warms: bool = False
     accel_sd: float = ACCEL_SD
+    scale_sd: float = SCALE_SD
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +140,10 @@ SCENES = {
     "rover, magnet put on": Scene(rover, magnet="put on"),
     "by hand, consumer accelerometers": Scene(hand, accel_sd=CONSUMER_SD),
     "rover, consumer accelerometers": Scene(rover, accel_sd=CONSUMER_SD),
-    "by hand, gyro z reversed": Scene(hand, swap=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, -1.0))),
+    "at rest, consumer accelerometers": Scene(still, accel_sd=CONSUMER_SD),
+    "by hand, consumer gyros": Scene(hand, scale_sd=CONSUMER_SCALE_SD),
+    "by hand, gyro z reversed": Scene(hand, swap=Z_REVERSED),
+    "rover, gyro z reversed": Scene(rover, swap=Z_REVERSED),
     "robot arm, gyros x and y changed": Scene(
         arm, swap=((0.0, 1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
     ),
@@ -189,7 +196,7 @@ def _sent(
     degc = 25.0 + (20.0 * -np.expm1(-t / 400.0) if scene.warms else np.zeros(n))
     bias = np.radians(rng.normal(0.0, sensor.turn_on, 3))
     drift = np.radians(SLOPES_DPH / 3600.0) * (degc - 25.0)[:, np.newaxis]
-    matrix = np.array(scene.swap) + rng.normal(0.0, SCALE_SD, (3, 3))
+    matrix = np.array(scene.swap) + rng.normal(0.0, scene.scale_sd, (3, 3))
     walk = math.radians(sensor.angle_walk) / 60.0
     gyro = rate @ matrix.T + bias + drift + walk / math.sqrt(dt) * rng.normal(size=(n, 3))
     accel = (

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from alignment_runs import ACCEL_BIAS_UG
 
 from imumon.blocks import SampleBlock
 from imumon.diagnosis.engine import diagnose
@@ -72,8 +73,9 @@ def heading() -> int:
 def _errors(seed: int, known: KnownWarmUp | None) -> list[list[float]]:
     """Return the heading error in degrees of each estimator at some times of one alignment."""
     block = _sent(ALIGNMENT_S, seed)
-    free = Alignment(AlignmentParameters(), LATITUDE_DEG, "FRD").process(block)
-    found = Alignment(AlignmentParameters(known_warm_up=known), LATITUDE_DEG, "FRD").process(block)
+    free = Alignment(AlignmentParameters(accel_bias_sd_ug=ACCEL_BIAS_UG), LATITUDE_DEG, "FRD").process(block)
+    told = AlignmentParameters(known_warm_up=known, accel_bias_sd_ug=ACCEL_BIAS_UG)
+    found = Alignment(told, LATITUDE_DEG, "FRD").process(block)
     columns = (free["heading_gyro_mean"], free["heading_hann_mean"], free["heading"], found["heading"])
     rows = [min(round(second * 50), len(block)) - 1 for second in AT_S]
     values = np.array([np.degrees(np.asarray(column)[rows]) for column in columns])

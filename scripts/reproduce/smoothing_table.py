@@ -6,8 +6,10 @@ import argparse
 from collections.abc import Iterator
 
 import numpy as np
+from alignment_runs import ACCEL_BIAS_UG
 
 from imumon.blocks import FloatArray, SampleBlock
+from imumon.estimation.alignment.parameters import AlignmentParameters
 from imumon.estimation.alignment.stage import Alignment
 from imumon.estimation.gyro_bias.stage import GyroBias
 from imumon.estimation.rest.stage import RestDetector
@@ -86,11 +88,12 @@ def heading(seed: int) -> tuple[float, float, float, float]:
     scenario, recorder = load_scenario("alignment").played(RATE_HZ, "FRD"), Recorder()
     block, _ = SimulatedUnit(scenario, seed).run(scenario.samples)
     latitude_deg, true = scenario.latitude_deg or 0.0, np.radians(scenario.attitude.heading_deg)
-    stage = Alignment(None, latitude_deg, "FRD")
+    declared = AlignmentParameters(accel_bias_sd_ug=ACCEL_BIAS_UG)
+    stage = Alignment(declared, latitude_deg, "FRD")
     block = block.with_columns({"at_rest": np.ones(len(block), np.int64)})
     recorder.add(block.with_columns(stage.process(block)))
     record = recorder.finish()
-    found = still_heading(record, stage.finish(), lambda: Alignment(None, latitude_deg, "FRD"))
+    found = still_heading(record, stage.finish(), lambda: Alignment(declared, latitude_deg, "FRD"))
     middle = len(found.value) // 2
     off = np.degrees(np.remainder(record.columns["heading"] - true + np.pi, 2.0 * np.pi) - np.pi)
     error = float(np.degrees(np.remainder(found.value[middle] - true + np.pi, 2.0 * np.pi) - np.pi))

@@ -11,7 +11,7 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.estimation.alignment import fit
-from imumon.estimation.alignment.account import ANY_ANGLE_SD, Account, Passage, typical_scale
+from imumon.estimation.alignment.account import ANY_ANGLE_SD, Account, Passage, typical_force, typical_scale
 from imumon.estimation.alignment.motion import LEAST, Motion, Slot
 from imumon.estimation.alignment.parameters import AlignmentParameters
 from imumon.estimation.alignment.posterior import Heading, Place, heading
@@ -256,7 +256,7 @@ class Aligner:
             self._stands(passage.before)
             return True
         self._stands(attitude)
-        level_sd = math.hypot(level, math.sqrt(2.0) * self.parameters.accel_bias_sd_ug * 1e-6)
+        level_sd = math.hypot(level, math.sqrt(2.0) * self.force_sd)
         scale_sd = self._scale_sd()
         unexplained = passage.unexplained(up / np.sqrt(up @ up), scale_sd, level_sd)
         alone = Account().after(passage, unexplained).azimuth_variance(scale_sd)
@@ -280,10 +280,18 @@ class Aligner:
 
     def _scale_sd(self) -> float:
         """Return the standard deviation of the gyros' scale factor, as declared or by their noise."""
-        declared, state = self.parameters.gyro_scale_sd_ppm, self.state
-        if declared is not None:
-            return declared * 1e-6
-        return typical_scale(math.sqrt(min((one.quietest for one in state.fits), default=0.0)))
+        declared = self.parameters.gyro_scale_sd_ppm
+        return typical_scale(self._arw) if declared is None else declared * 1e-6
+
+    @property
+    def force_sd(self) -> float:
+        """Standard deviation of the accelerometers' bias, g, as declared or by the noise of the gyros."""
+        declared = self.parameters.accel_bias_sd_ug
+        return typical_force(self._arw) if declared is None else declared * 1e-6
+
+    @property
+    def _arw(self) -> float:
+        return math.sqrt(min((one.quietest for one in self.state.fits), default=0.0))
 
     def evaluate(self) -> None:
         """Fit anew what may have changed, and renew the heading."""
@@ -312,7 +320,7 @@ class Aligner:
         sizes, log_prior = self._bias_prior(math.sqrt(min(one.quietest for one in fits)))
         place = Place(
             self.latitude, sizes, log_prior, (parameters.gyro_flicker_deg_per_h or 0.0) * DEG_PER_H,
-            parameters.accel_bias_sd_ug * 1e-6,
+            self.force_sd,
         )  # fmt: skip
         state.found = heading(fits, attitudes, np.array(turns), place)
         self._means()

@@ -56,8 +56,9 @@ class AlignmentParameters(StrictModel):
     gyro_scale_sd_ppm : float, optional
         Standard deviation of a gyro's scale factor and misalignment: by so much a turn between two positions
         is mismeasured.  When it is not given, it is judged by the noise, and 300 at least.
-    accel_bias_sd_ug : float
-        Standard deviation of the constant bias of an accelerometer; it tilts the level.
+    accel_bias_sd_ug : float, optional
+        Standard deviation of the constant bias of an accelerometer; it tilts the level.  When it is not
+        given, it is judged by the noise of the gyros, and 300 at least.
     known_warm_up : KnownWarmUp, optional
         Counted from the first sample of the device.
     """
@@ -70,5 +71,5 @@ class AlignmentParameters(StrictModel):
     gyro_bias_sd_deg_per_h: float | None = Field(default=None, ge=0.0, le=1e5)
     gyro_flicker_deg_per_h: float | None = Field(default=None, ge=0.0, le=1e5)
     gyro_scale_sd_ppm: float | None = Field(default=None, ge=0.0, le=1e5)
-    accel_bias_sd_ug: float = Field(default=30.0, ge=0.0, le=1e5)
+    accel_bias_sd_ug: float | None = Field(default=None, ge=0.0, le=1e5)
     known_warm_up: KnownWarmUp | None = None

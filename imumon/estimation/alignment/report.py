@@ -34,7 +34,8 @@ def rows(status: Status, wanted_deg: float) -> dict[str, str]:
         per_g = math.sqrt(max((EARTH_RATE / status.earth_rate) ** 2 - 1.0, 0.0))  # tan L
         told["accelerometers"] = (
             f"1 mg of bias of the one that points east turns the heading by "
-            f"{_short(math.degrees(1e-3 * per_g))}°; sigma has accel_bias_sd_ug of it"
+            f"{_short(math.degrees(1e-3 * per_g))}°; sigma has it for {_short(1e3 * status.force_sd)} mg "
+            "(accel_bias_sd_ug)"
         )
     told["data"] = f"{min(status.time_s, status.seconds):.0f} of {status.seconds:.0f} s counted"
     if status.positions > 1:

@@ -335,6 +335,7 @@ class Alignment:
             position_sd=math.inf if last is None else math.sqrt(last.variance[0]) / aligner.level_rate,
             turned=self._aligner.turned,
             bias_declared=self._parameters.gyro_bias_sd_deg_per_h is not None,
+            force_sd=aligner.force_sd,
         )
 
     def _phase(self) -> str:

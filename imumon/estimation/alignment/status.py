@@ -86,6 +86,8 @@ class Status:
         Angle about the vertical since the pose before, rad, clockwise; also while the unit is being turned.
     bias_declared : bool
         Whether the pipeline file says how large the gyros' biases are.
+    force_sd : float
+        Standard deviation of the accelerometers' bias, g.
     """
 
     phase: str
@@ -113,6 +115,7 @@ class Status:
     position_sd: float
     turned: float
     bias_declared: bool
+    force_sd: float
 
     @property
     def chosen(self) -> str | None:

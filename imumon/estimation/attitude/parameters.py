@@ -14,20 +14,20 @@ class AttitudeParameters(StrictModel):
     ----------
     use_magnetometer : bool
         Whether the heading is taken from the magnetometer, where there is one.
-    accel_bias_m_per_s2 : float
-        Standard deviation of what the accelerometers are off at rest.  The default, 5 mg, is the turn-on
-        error that data sheets of calibrated MEMS units state.
+    accel_bias_m_per_s2 : float, optional
+        Standard deviation of what the accelerometers are off at rest.  When it is not given it may be
+        anything that data sheets state, from the 5 mg of calibrated MEMS units to the 80 mg of an MPU-6050.
     gyro_scale : float
         Standard deviation of each element of the matrix of scale and misalignment: 1 % without calibration.
     accel_doubt, axes_doubt, magnet_doubt : float
-        How likely it is that the accelerometers are off by more, that an axis of the gyros is not as
-        declared, and that iron has come to the unit since its magnetometer was calibrated: in the sigma
-        until rests and turns have spoken.  Judged, not measured; docs/attitude.md says what they cost.
+        How likely it is that the accelerometers are off by more than was given, that a scale or the
+        not as declared, and that iron has come to the unit since its magnetometer was calibrated: in the
+        sigma until rests and turns have spoken.  Judged, not measured; docs/attitude.md says what they cost.
     """
 
     use_magnetometer: bool = True
-    accel_bias_m_per_s2: float = Field(default=0.05, ge=0.0, le=10.0)
+    accel_bias_m_per_s2: float | None = Field(default=None, ge=0.0, le=10.0)
     gyro_scale: float = Field(default=0.01, ge=0.0, le=0.5)
     accel_doubt: float = Field(default=0.05, ge=0.0, le=0.5)
-    axes_doubt: float = Field(default=0.05, ge=0.0, le=0.5)
+    axes_doubt: float = Field(default=0.1, ge=0.0, le=0.5)
     magnet_doubt: float = Field(default=0.1, ge=0.0, le=0.5)

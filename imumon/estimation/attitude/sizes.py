@@ -8,6 +8,7 @@ each has sizes of its own, and all combinations have a probability.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, reduce
 from typing import NamedTuple
@@ -16,6 +17,15 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 
+ANOTHER = 0.5
+"""Cosine between directions from which a look says something new: 60°."""
+LEAST = 1e-12
+"""What no doubt is below: of an impossible size the logarithm is none."""
+COUNT = 5
+"""Sizes that are tried: by a factor of three from a percent to all, so that none is off by more than 1.7."""
+ANY_SIZE = 1.0 - 1.0 / COUNT
+"""The doubt by which each of them is as likely."""
+
 
 @dataclass(frozen=True, eq=False)
 class Sizes:
@@ -23,8 +33,8 @@ class Sizes:
 
     Parameters
     ----------
-    squares : array (k,)
-        Of the standard deviations, the usual one first.
+    squares : array (errors, k)
+        Of the standard deviations of each error, the usual one first.
     evidence : array (k, ...)
         Logarithms of the probabilities, up to a constant, an axis for each error.
     """
@@ -42,7 +52,7 @@ class Sizes:
         """Return the mean of s² for each error, (errors,)."""
         weight = self._probabilities
         errors = range(weight.ndim)
-        return np.array([weight.sum(tuple(set(errors) - {j})) @ self.squares for j in errors])
+        return np.array([weight.sum(tuple(set(errors) - {j})) @ self.squares[j] for j in errors])
 
     @property
     def usual(self) -> float:
@@ -64,11 +74,11 @@ class Sizes:
             Sum of the squares of so many `components`.
         other2 : float or array (m,)
             Variance of each without these errors; several values are equally likely.
-        gain : array
+        gain : array (errors,)
             By which the square of each error enters.
         components : int
         """
-        spread = reduce(np.add.outer, [self.squares * one for one in gain.tolist()])
+        spread = reduce(np.add.outer, list(self.squares * gain[:, np.newaxis]))
         variance = np.atleast_1d(other2).reshape(-1, *[1] * spread.ndim) + spread
         likelihood = -0.5 * (components * np.log(variance) + off2 / variance)
         return Sizes(self.squares, self.evidence + np.logaddexp.reduce(likelihood, 0))
@@ -138,16 +148,9 @@ class OnBody:
                 self.now = self.now.seen(look.square, look.variance, np.ones(1), 1)
 
 
-def usual(size: float, largest: float, doubt: float, errors: int) -> Sizes:
-    """Return that errors have a usual size, or with a probability of `doubt` each any up to the largest."""
-    squares = np.geomspace(size, max(largest, size), COUNT) ** 2 if size > 0.0 else np.zeros(COUNT)
-    prior = np.log(np.append(1.0 - doubt, np.full(COUNT - 1, max(doubt, LEAST) / (COUNT - 1))))
-    return Sizes(squares, reduce(np.add.outer, [prior] * errors))
-
-
-ANOTHER = 0.5
-"""Cosine between directions from which a look says something new: 60°."""
-LEAST = 1e-12
-"""What no doubt is below: of an impossible size the logarithm is none."""
-COUNT = 5
-"""Sizes that are tried: by a factor of three from a percent to all, so that none is off by more than 1.7."""
+def usual(size: float, largest: Sequence[float], doubt: float, count: int = COUNT) -> Sizes:
+    """Return that errors have a usual size, or with a probability of `doubt` each any up to its largest."""
+    most = np.maximum(largest, size)
+    squares = np.geomspace(size, most, count, axis=1) ** 2 if size > 0.0 else np.zeros((len(most), count))
+    prior = np.log(np.append(1.0 - doubt, np.full(count - 1, max(doubt, LEAST) / (count - 1))))
+    return Sizes(squares, reduce(np.add.outer, [prior] * len(most)))

@@ -22,7 +22,16 @@ from imumon.estimation.attitude.angles import (
 )
 from imumon.estimation.attitude.fusion import Found, Fusion, Readings
 from imumon.estimation.attitude.parameters import AttitudeParameters
-from imumon.estimation.attitude.uncertainty import GRAVITY_SPREAD, SINCE, UNKNOWN, Errors, Motion, Slot, begin
+from imumon.estimation.attitude.uncertainty import (
+    GRAVITY_SPREAD,
+    LEAST_BIAS,
+    SINCE,
+    UNKNOWN,
+    Errors,
+    Motion,
+    Slot,
+    begin,
+)
 from imumon.filters.slots import SlotGatherer, Slots
 from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY
 from imumon.models.magnetometer import MagnetometerModel
@@ -280,14 +289,15 @@ class AttitudeEstimate:
             return []
         begun, declared = self._fusion.begun, self._parameters.gyro_scale
         usual, magnitude = self._uncertainty.gyros.usual, self._uncertainty.magnitude
+        accel_sd = LEAST_BIAS if self._errors.accel is None else self._errors.accel
         conditions = {
             "attitude: after turns the accelerometers show another vertical than the gyros have carried, "
             f"by more than gyro_scale ({declared:.1%}) allows: are axes, signs and units right?": (
                 usual < 1.0 - CERTAIN
             ),
-            "attitude: the specific force at rest is not gravity within accel_bias_m_per_s2 "
-            f"({self._errors.accel:.2g}): are its scale and unit right?": (
-                abs(magnitude - STANDARD_GRAVITY) > GRAVITY_SPREAD + BEYOND * self._errors.accel
+            "attitude: the specific force at rest is not gravity within what accelerometers are off by "
+            f"({accel_sd:.2g} m/s²): are its scale and unit right?": (
+                abs(magnitude - STANDARD_GRAVITY) > GRAVITY_SPREAD + BEYOND * accel_sd
             ),
             "attitude: without a magnetometer the heading is free; it counts from "
             f"{math.degrees(self._heading):.0f}° at the beginning": begun and not self._fusion.north,

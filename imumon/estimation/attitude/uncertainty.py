@@ -9,10 +9,10 @@ the gyros have carried the vertical of the last rest along, with errors that are
                 staying as they are, and what is lost between samples (`imumon.filters.turns`)
     heading²  = their parts about the vertical: what accelerations have turned the filter by is one of them
 
-Axes and signs may be mixed up, and then M is no small error.  So each gyro's column of M has one of several
-sizes (`sizes.Sizes`), and the vertical that the accelerometers show during and after a motion, beside the
-one that the gyros have carried, says which.  Until an axis has turned the vertical, its doubt is in the
-sigma.
+Axes and signs may be mixed up, and then M is no small error.  So in each gyro's column of M scale and
+misalignment have one of several sizes each (`sizes.Sizes`): what only reverses an axis hardly moves the
+vertical.  Which it is says the vertical that the accelerometers show during and after a motion, beside the
+one that the gyros have carried.  Until an axis has turned the vertical, its doubt is in the sigma.
 
 The gyros' part is judged once a second; until then each sample adds what it may have turned wrong since:
 bias, scale, and half an interval of its rate, as a rate may be the mean of the interval before or that of the
@@ -40,9 +40,9 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.compiled import inner, njit
-from imumon.estimation.attitude.angles import shortest, times
+from imumon.estimation.attitude.angles import matrix, shortest, times
 from imumon.estimation.attitude.fusion import TAU_MAG_S
-from imumon.estimation.attitude.sizes import Look, OnBody, Sizes, usual
+from imumon.estimation.attitude.sizes import ANY_SIZE, Look, OnBody, Sizes, usual
 from imumon.filters.turns import Turn
 from imumon.geodesy import STANDARD_GRAVITY
 
@@ -50,13 +50,17 @@ GRAVITY_SPREAD = 0.03
 """m/s²: between equator and poles gravity differs by no more from the standard (WGS-84: 9.780 to 9.832)."""
 ACCELERATIONS = np.geomspace(0.01, 1.0, 5)
 """Of a motion over gravity: nobody knows how large they are, so sizes are equally likely (as of `Sizes`)."""
-LARGEST_BIAS = 0.8
-"""m/s²: data sheets of accelerometers that nobody has calibrated state 80 mg at most (MPU-6050, z)."""
+LEAST_BIAS, LARGEST_BIAS = 0.05, 0.8
+"""m/s², where it is not declared: data sheets of calibrated MEMS units state 5 mg, those of chips that nobody
+has calibrated 20 (BMI088, LSM6DSO), 40 (BMI160) and 80 mg at most (MPU-6050, z)."""
 COMES_S = 28800.0
 """Iron comes to the unit, or goes, about once in a working day: a screwdriver, another box on the rack."""
-WRONG_AXES = math.sqrt(2.0 / 3.0)
-"""Of an element of M where axes and signs are mixed up: P - 1 over all 48 permutations with signs."""
+WRONG_AXES, KINDS_OF_AXES = (math.sqrt(1.6), math.sqrt(0.4)), 3
+"""Of a diagonal element of M and of another where axes and signs are mixed up: of the six columns that P - 1
+may have one is zero, one reversed (-2), and four have -1 and ±1.  Axes are right, or mixed up, or a scale is
+wrong by tens of percent: sizes that nothing makes would take from the probability of those that happen."""
 UP = np.array([0.0, 0.0, 1.0])
+CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])
 UNKNOWN = 1.0
 """Beyond so much, rad, an error is no small angle any more, and its standard deviation says nothing."""
 
@@ -67,8 +71,8 @@ class Errors:
 
     Parameters
     ----------
-    accel : float
-        m/s².
+    accel : float or None
+        m/s²; None where it is not declared.
     scale : float
         Of the angle turned over itself.
     earth_rate : float
@@ -81,7 +85,7 @@ class Errors:
         As of `AttitudeParameters`.
     """
 
-    accel: float
+    accel: float | None
     scale: float
     earth_rate: float
     magnetometer: float
@@ -176,10 +180,10 @@ class Turned:
     fast: float = 0.0
     missed: float = 0.0
 
-    def add(self, slot: Slot, errors: Errors) -> None:
-        """Add a slot."""
+    def add(self, slot: Slot, attitude: FloatArray, errors: Errors) -> None:
+        """Add a slot with the attitude at its end, (3, 3)."""
         turn = slot.turn
-        begun = slot.attitude @ turn.rotation.T
+        begun = attitude @ turn.rotation.T
         self.missed += float(slot.ignored @ slot.ignored)
         self.bias += begun @ turn.by_bias * slot.bias_sd
         self.scale += (begun @ turn.by_scale.reshape(3, 9)).reshape(3, 3, 3)
@@ -199,13 +203,15 @@ class Turned:
 
     @property
     def by_gyro(self) -> FloatArray:
-        """Return squares of the angles about east, north, up for M of one in each gyro's column, (3, 3)."""
-        return np.asarray((self.scale**2).sum(1))
+        """Return squares of the angles about east, north, up by M of one: as of `scale2`, (3, 6)."""
+        square = self.scale**2
+        scales = square.diagonal(axis1=1, axis2=2)
+        return np.hstack([scales, square.sum(1) - scales])
 
     def variance(self, scale2: FloatArray) -> FloatArray:
         """Return the variance of the angles about east, north and up, rad², (3,).
 
-        `scale2` (3,) is that of an element of M in each gyro's column.
+        `scale2` (6,) is that of elements of M: of each gyro the one on the diagonal, then the others.
         """
         sampled = self.coning**2 + self.fast**2 + self.missed
         return np.asarray((self.bias**2).sum(1) + self.by_gyro @ scale2 + self.earth**2 + sampled)
@@ -236,10 +242,10 @@ class Uncertainty:
     pulled : float
         By how much that has changed, forgotten like the field.
     gyros : Sizes
-        What elements of M are like, for each gyro's column.
+        What elements of M are like: of each gyro the one on the diagonal, then the others of its column.
     accels, iron : OnBody
         What the accelerometers are off by, and what bends the field.
-    scale2 : array (3,)
+    scale2 : array (6,)
         Mean squares of the first, with what the present motion says.
     magnitude : float
         Of the specific force at the last rest, m/s².
@@ -251,7 +257,7 @@ class Uncertainty:
     gyros: Sizes
     accels: OnBody
     iron: OnBody
-    scale2: FloatArray = field(default_factory=lambda: np.zeros(3))
+    scale2: FloatArray = field(default_factory=lambda: np.zeros(6))
     levelled: FloatArray = field(default_factory=lambda: np.full(4, np.nan))
     twist: float = 0.0
     twisted: float = 0.0
@@ -278,8 +284,11 @@ class Uncertainty:
         if slot.rest and forced:
             self._come_to_rest(slot)
         elif math.isfinite(self.accel_sd):
-            self.since_rest.add(slot, self.errors)
-            self.since_north.add(slot, self.errors)
+            # By the gyros alone: what accelerations have turned the filter by would make one that stays of a
+            # turn to and fro.
+            apart = times(slot.levelling, self.levelled * CONJUGATE)
+            self.since_rest.add(slot, matrix(apart * CONJUGATE) @ slot.attitude, self.errors)
+            self.since_north.add(slot, slot.attitude, self.errors)
             if forced:
                 self.scale2 = self._seen(slot, (0.5 * slot.turn.path) ** 2 + ACCELERATIONS**2).mean_square
         turned = math.sqrt(float(self.since_rest.variance(self.scale2)[:2].mean()))
@@ -308,8 +317,10 @@ class Uncertainty:
         variance : array (2, n)
         """
         known = np.array([self.tilt_sd**2, self.heading_sd**2])
+        # About which axis that is nobody asks within a second: as much as any element makes.
+        scale2 = self.scale2.reshape(2, 3).max(0)
         _at(
-            since, rows.start, rows.stop, *motion, self.scale2, bias_sd, levelling, self.levelled, known,
+            since, rows.start, rows.stop, *motion, scale2, bias_sd, levelling, self.levelled, known,
             self.twisted - self.twist, variance,
         )  # fmt: skip
 
@@ -344,7 +355,7 @@ class Uncertainty:
         if not math.isfinite(off):
             return self.gyros
         turned = self.since_rest.by_gyro[:2].mean(0)
-        without = float(self.since_rest.variance(np.zeros(3))[:2].mean()) + 2.0 * self.accel_sd**2
+        without = float(self.since_rest.variance(np.zeros(6))[:2].mean()) + 2.0 * self.accel_sd**2
         return self.gyros.seen(off**2, without + other2, turned, 2)
 
     def _drifted(self) -> float:
@@ -385,12 +396,15 @@ class Uncertainty:
 
 def begin(errors: Errors) -> Uncertainty:
     """Return what is known beforehand."""
-    gyros = usual(errors.scale, WRONG_AXES, errors.axes_doubt, 3)
+    gyros = usual(errors.scale, np.repeat(WRONG_AXES, 3).tolist(), errors.axes_doubt, KINDS_OF_AXES)
     calibrated = math.isfinite(errors.magnetometer)
     field_sd, strength = (errors.magnetometer, errors.field) if calibrated else (0.0, 0.0)
-    iron = OnBody.of(usual(field_sd, strength, errors.magnet_doubt, 1))
-    accels = OnBody.of(usual(errors.accel, LARGEST_BIAS, errors.accel_doubt, 1))
-    return Uncertainty(errors, gyros, accels, iron, gyros.mean_square)
+    iron = OnBody.of(usual(field_sd, [strength], errors.magnet_doubt))
+    if errors.accel is None:
+        accels = usual(LEAST_BIAS, [LARGEST_BIAS], ANY_SIZE)
+    else:
+        accels = usual(errors.accel, [LARGEST_BIAS], errors.accel_doubt)
+    return Uncertainty(errors, gyros, OnBody.of(accels), iron, gyros.mean_square)
 
 
 @inner

@@ -49,9 +49,10 @@ HOLD_WINDOWS, LONGEST_HOLD_S = 4.0, 16.0
 """What showed only in windows of some length is watched for so many of them, 16 s at most, before it is rest
 again."""
 SHORT_REST_S, MOST_CAUTION = 20.0, 8.0
-"""A rest shorter than this that ends slowly was none, perhaps: the next is watched for twice as long."""
+"""A rest shorter than this that ends slowly was none, perhaps: the next is watched for twice as long, and its
+mean is none to come back to."""
 LEAST_REST_S = 4.0
-"""A shorter one is no rest to come back to."""
+"""One that a knock ends may be as short."""
 MOST_ANCHORS, SAME_SIGMAS = 3, 6.0
 """Means of earlier rests that are remembered, and by how much they differ."""
 TURN_HOLD_S = 8.0
@@ -223,7 +224,7 @@ def _note(state: State, motion: Motion, now_s: float) -> None:
     turn = anchor.turn_now(recent)
     if motion.turning and state.turn.any() and state.anchors:  # it has been seen before, and grows, or ends
         turn = state.anchors[0].turn_now(recent)
-    elif not state.anchors or now_s - state.rest_since_s > LEAST_REST_S:
+    elif not state.anchors or now_s - state.rest_since_s > (LEAST_REST_S if motion.sudden else SHORT_REST_S):
         _remember(state, anchor)
     if not motion.sudden:
         state.turn = upright(state, turn, windows.rest_mean[ACCEL]) if motion.turning else turn

@@ -203,7 +203,7 @@ def _ramp(edges: npt.NDArray[np.intp], start: FloatArray, end: FloatArray) -> Fl
     return np.asarray(np.diff(integral, axis=0) / np.diff(age, axis=0))
 
 
-def _correlation(edges: npt.NDArray[np.intp], unit_s: float) -> FloatArray:
+def _correlation(edges: npt.NDArray[np.intp] | npt.NDArray[np.floating], unit_s: float) -> FloatArray:
     """Return the covariance of the bins' means of each process if it has unit variance, (taus, b, b)."""
     age = edges * unit_s
     lag = np.abs(age[:, np.newaxis] - age)[..., np.newaxis] / TAUS_S
@@ -351,6 +351,35 @@ def forget(state: State, share: float = FORGET) -> None:
     state.past.forget()
     state.strengths = state.strengths_seen = share * (state.strengths_seen - state.strengths_seen.max())
     state.doubt = np.zeros(3)
+
+
+@lru_cache(16)
+def _slopes(count: int, width: float, unit_s: float) -> tuple[FloatArray, FloatArray]:
+    """Return weights of means of `width` units, the latest first, that tell how they grow, and the variance.
+
+    They tell the change from the middle of the oldest of `count` to that of the latest best (Gauss-Markov)
+    for each noise that is tried: (s, count), and (s,) over the variance of the white noise in a unit.
+    """
+    age = width * np.arange(count + 1)
+    variance = unit_s * np.tensordot(SHARES, _correlation(age, unit_s), 1)
+    inverse = np.linalg.inv(np.eye(count) / width + variance + UNKNOWN)
+    profile = np.linspace(0.5, -0.5, count)
+    weights = inverse @ profile
+    information = weights @ profile
+    return weights / information[:, np.newaxis], 1.0 / information
+
+
+def grown(state: State, means: FloatArray, slots: int) -> tuple[FloatArray, FloatArray]:
+    """Return by how much gyros' means, (n, 3), of so many slots each, the latest first, have grown evenly.
+
+    And the variance of that by white noise and wander, (3,) each.
+    """
+    unit_s = float(f"{EVERY * state.slot_s:.2g}")
+    weights, variance = _slopes(len(means), slots / EVERY, unit_s)
+    share = np.exp(state.strengths_seen - state.strengths_seen.max())
+    share /= share.sum()
+    white = np.maximum(state.windows.variance[3, GYRO], state.windows.resolution[GYRO] ** 2 / 12.0) + TINY
+    return share @ weights @ means, white * np.exp(share @ np.log(variance))
 
 
 def wander_after(state: State, seconds: float) -> FloatArray:

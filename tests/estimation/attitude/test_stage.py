@@ -10,8 +10,11 @@ from imumon.blocks import NO_INT, SampleBlock, join
 from imumon.estimation.attitude.angles import slope
 from imumon.estimation.attitude.parameters import AttitudeParameters
 from imumon.estimation.attitude.stage import AttitudeEstimate
+from imumon.estimation.attitude.uncertainty import Errors, Slot, begin
 from imumon.estimation.gyro_bias.stage import GyroBias
 from imumon.estimation.rest.stage import RestDetector
+from imumon.filters.turns import STILL
+from imumon.geodesy import STANDARD_GRAVITY
 from imumon.models.magnetometer import MagnetometerModel
 from tests.estimation.attitude.scenes import NORTH_DEG, matrices, scene, without_mag, wrapped
 
@@ -125,12 +128,29 @@ def test_axes_that_are_mixed_up_are_said_and_widen_the_sigma() -> None:
 def test_the_first_motion_of_mixed_axes_is_in_the_sigma_before_gravity_shows_it() -> None:
     made = scene(seconds=60.0)
     mixed = without_mag(made.block).with_columns({"gyro_z": -made.block["gyro_z"]})
-    for block, most in ((without_mag(made.block), 3.0), (mixed, 10.0)):
+    for block, most in ((without_mag(made.block), 3.0), (mixed, 7.0)):
         found = estimated(block, AttitudeEstimate(AttitudeParameters(gyro_scale=1e-3), "FRD"))
         turn = matrices(np.column_stack([found[name] for name in Q])) @ np.swapaxes(made.attitude, 1, 2)
         tilt = np.column_stack([turn[:, 1, 2], turn[:, 0, 2]])
         first = slice(3900, 4300)
         assert np.nanmax(np.abs(tilt / found["attitude_estimate_tilt_sd"][:, np.newaxis])[first]) < most
+
+
+@pytest.mark.parametrize("off_mg", [1.0, 5.0, 20.0, 50.0])
+def test_accelerometers_of_any_grade_are_in_the_first_sigma_without_being_declared(off_mg: float) -> None:
+    rng = np.random.default_rng(11)
+    errors = Errors(None, 0.01, 0.0, np.nan, np.nan, 0.05, 0.25, 0.1)
+    ratios = []
+    for off in off_mg * 1e-3 * STANDARD_GRAVITY * rng.normal(size=(400, 3)):
+        told = begin(errors)
+        force = off + np.array([0.0, 0.0, STANDARD_GRAVITY + rng.uniform(-0.03, 0.03)])
+        none = np.zeros(3)
+        level = np.array([1.0, 0.0, 0.0, 0.0])
+        told.step(Slot(1.0, True, STILL, force, none, none, np.eye(3), level, none, np.nan, 1.0))
+        ratios.append(off[:2] / STANDARD_GRAVITY / told.tilt_sd)
+    z = np.array(ratios)
+    assert np.sqrt(np.mean(z**2)) < 1.8
+    assert np.abs(z).max() < 7.0
 
 
 def test_a_magnet_that_is_put_on_while_it_rests_is_in_the_sigma_before_it_turns() -> None:
@@ -160,8 +180,9 @@ def test_iron_that_comes_to_the_unit_is_in_the_sigma_once_turns_have_shown_it() 
     iron = mag + np.array([8.0, -8.0, 4.0])
     block = made.block.with_columns({f"mag_{axis}": iron[:, j] for j, axis in enumerate("xyz")})
     sd = {}
+    given = AttitudeParameters(accel_bias_m_per_s2=0.05)
     for name, sent in (("as calibrated", made.block), ("iron", block)):
-        found = estimated(sent, AttitudeEstimate(axes="FRD", magnetometer=CALIBRATED))
+        found = estimated(sent, AttitudeEstimate(given, "FRD", CALIBRATED))
         true = np.arctan2(made.attitude[:, 0, 0], made.attitude[:, 1, 0])
         error = wrapped(found["attitude_estimate_heading"] - true + np.radians(NORTH_DEG))
         sd[name] = found["attitude_estimate_heading_sd"]
