@@ -32,7 +32,7 @@ SHOWN = {
     "live-view": ("demo", "Live"),
     "temperature": ("slow", "Temperature"),
     "gyro-bias": ("recorded", "Gyro bias"),
-    "residual": ("learning", "Residual"),
+    "residual": ("recorded", "Residual"),
     "attitude": ("slow", "Attitude"),
     "spectrum": ("fast", "Spectrum"),
     "allan": ("isothermal", "Allan"),
