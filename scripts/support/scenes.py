@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from imumon.estimation.watch.parameters import WatchParameters
 from imumon.models.curves.polynomial import PolynomialCurve
 from imumon.models.model import BiasModel, ChannelModel
 from imumon.pipeline import Pipeline
@@ -23,19 +22,20 @@ from imumon.run.stages import estimators
 from imumon.simulation.recording import START_NS, record_session
 from imumon.simulation.unit import SimulatedUnit, load_scenario
 from imumon.simulation.unit.curves import curve_value
+from imumon.simulation.unit.events import Vibration
 from imumon.transport.reader import Bytes, Event, EventKind, Item
 from imumon.transport.settings import PortSettings
 from imumon.view.items import ViewItem, ViewSetup
 
 SHAKING = [
-    {
-        "kind": "vibration",
-        "at_s": 0.0,
-        "duration_s": 20.0,
-        "frequency_hz": frequency_hz,
-        "acceleration_m_per_s2": (0.0, 0.0, amplitude),
-        "tilt_deg": (0.01 * amplitude, 0.0, 0.0),
-    }
+    Vibration(
+        kind="vibration",
+        at_s=0.0,
+        duration_s=20.0,
+        frequency_hz=frequency_hz,
+        acceleration_m_per_s2=(0.0, 0.0, amplitude),
+        tilt_deg=(0.01 * amplitude, 0.0, 0.0),
+    )
     for frequency_hz, amplitude in ((47.0, 0.4), (133.0, 0.2))
 ]
 """A motor and what it drives."""
@@ -150,11 +150,6 @@ def with_model() -> Setup:
     return Setup(model=crs05_model(), latitude_deg=40.93)
 
 
-def learning() -> Setup:
-    """Return the same, and that it is to learn."""
-    return with_model().model_copy(update={"watch": WatchParameters(learn=True)})
-
-
 def scenes(data: Path) -> dict[str, Scene]:
     """Return all scenes by name; captures are in the folder `data`, and left out where it is absent."""
     found = {
@@ -176,12 +171,6 @@ def scenes(data: Path) -> dict[str, Scene]:
             "A MEMS unit that rests at one temperature, for 4 min",
             "ax1",
             simulated("slow-rotation", "ax1", 240.0, motion=[]),
-        ),
-        "learning": Scene(
-            "A warm-up at 20 Hz with --learn and a bias model that is wrong in z, after 40 min",
-            "ax1",
-            simulated("warm-up", "ax1", 2400.0, 20.0),
-            learning,
         ),
         "slow": Scene("The demo at 20 Hz, after 2 min", "ax1", simulated("bench", "ax1", 120.0, 20.0)),
         "fast": Scene(

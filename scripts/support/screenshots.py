@@ -8,7 +8,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -32,7 +32,7 @@ SHOWN = {
     "live-view": ("demo", "Live"),
     "temperature": ("slow", "Temperature"),
     "gyro-bias": ("recorded", "Gyro bias"),
-    "residual": ("learning", "Residual"),
+    "residual": ("recorded", "Residual"),
     "attitude": ("slow", "Attitude"),
     "spectrum": ("fast", "Spectrum"),
     "allan": ("isothermal", "Allan"),
@@ -90,17 +90,25 @@ class Studio:
             rec.send_blueprint(arrangement)
             rec.flush()
             time.sleep(self.settle_s)
-            self.viewer.save_screenshot(str(folder / picture_name(title, str(tab.name))))
+            self._save(folder / picture_name(title, str(tab.name)))
             for view in views_of(tab):
                 if not self._shows(view, scratch / "view.png"):
                     faults.append(f"{tab.name}: {view.name}: empty")
         reports = {f"{view.name}: {one}" for view in self.viewer.get_state().views for one in view.reports}
         return [*faults, *sorted(reports)]
 
+    def _save(self, picture: Path, **view: str) -> None:
+        """Save what the viewer shows; on a busy machine it may need more time than it gives itself."""
+        for _ in range(TRIES - 1):
+            with suppress(TimeoutError):
+                self.viewer.save_screenshot(str(picture), **view)
+                return
+        self.viewer.save_screenshot(str(picture), **view)
+
     def _shows(self, view: Any, picture: Path) -> bool:
         """Tell whether a view shows something, now or after a while: a busy machine draws late."""
         for _ in range(TRIES):
-            self.viewer.save_screenshot(str(picture), view_id=str(view.id))
+            self._save(picture, view_id=str(view.id))
             if not is_empty(view, picture):
                 return True
             time.sleep(self.settle_s)

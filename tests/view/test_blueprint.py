@@ -8,10 +8,12 @@ import rerun as rr
 from rerun.chunk import RrdReader
 
 from imumon.estimation.gyro_bias.stage import GyroBias
+from imumon.protocols.device import load_device
 from imumon.published.names import PUBLISHED, PublishedMethod
 from imumon.published.parameters import RandomErrorParameters
 from imumon.run.published import published_stages
 from imumon.run.setup import Setup
+from imumon.run.stages import estimators
 from imumon.view.items import Log, Numbers, State, Status, Timebase, ViewItem, ViewSetup
 from imumon.view.logger import StreamLogger
 from tests.view.streams import block
@@ -159,4 +161,19 @@ def test_every_published_method_is_drawn_in_a_tab_of_its_own(tmp_path: Path, met
     extra = {column.name: np.full(50, 1e-3) for stage in stages for column in stage.columns}
     found = arranged(tmp_path / "a.rrd", [Timebase().samples(plain.with_columns(extra))], SETUP, live=True)
     assert "Published" in found["ContainerBlueprint:display_name"]
+    assert "Other" not in found["ContainerBlueprint:display_name"]
+
+
+def test_all_that_the_estimators_say_has_a_panel(tmp_path: Path) -> None:
+    stages = estimators(load_device("ax1"), Setup(latitude_deg=40.0))
+    extra = {
+        column.name: np.full(50, 1e-3)
+        for stage in stages
+        for column in stage.columns
+        if column.dtype == "float64"
+    }
+    found = arranged(
+        tmp_path / "a.rrd", [Timebase().samples(block(0, 50).with_columns(extra))], SETUP, live=True
+    )
+    assert "/view/heading" in found["ViewBlueprint:space_origin"]
     assert "Other" not in found["ContainerBlueprint:display_name"]
