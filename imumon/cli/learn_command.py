@@ -48,7 +48,8 @@ def command(
 
     check_output(out)
     model = model_of(model_path) if model_path is not None else None
-    sessions = _of_one(sessions_in(folder), {"device": device, "serial": serial}, folder)
+    found = sessions_in(folder, lambda said: warn([said]))
+    sessions = _of_one(found, {"device": device, "serial": serial}, folder)
     if model is not None:
         warn(filter(None, {model.of_another(session.metadata.serial) for session in sessions}))
     with reading_bar([session.path for session in sessions], quiet=as_json) as tell:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -180,13 +180,19 @@ def name_unit(path: Path, serial: str | None) -> None:
         session.save(session.metadata.model_copy(update={"serial": serial}))
 
 
-def sessions_in(folder: Path) -> list[Session]:
-    """Return the sessions whose folders are in this one, the oldest first; what cannot be read is no
-    session."""
+def sessions_in(folder: Path, tell: Callable[[str], None] | None = None) -> list[Session]:
+    """Return the sessions whose folders are in this one, the oldest first.
+
+    What is a session by its files and cannot be read is left out, and that is told.
+    """
     found = []
     for path in sorted(folder.iterdir()) if folder.is_dir() else ():
-        with suppress(ImumonError):
+        try:
             found.append(open_session(path))
+        except ImumonError as error:
+            names = (METADATA_NAME, WIRE_NAME, SAMPLES_NAME)
+            if tell is not None and any((path / name).is_file() for name in names):
+                tell(f"{path.name} is left out: {error.seen}")
     return sorted(found, key=lambda session: session.metadata.created_ns)
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from imumon.errors import ImumonError, Reason
 from imumon.recordings import folder
-from imumon.recordings.folder import create_session, default_path, is_session, open_session
+from imumon.recordings.folder import create_session, default_path, is_session, open_session, sessions_in
 from imumon.recordings.metadata import PortUsed, SessionMetadata
 
 NOW = 1_767_268_805_000_000_007
@@ -84,6 +84,18 @@ def test_a_session_without_its_data_is_refused(tmp_path: Path) -> None:
     create_session(tmp_path / "s", metadata())
     with pytest.raises(ImumonError, match=r"there is no wire\.mcap"):
         open_session(tmp_path / "s")
+
+
+def test_a_session_of_a_folder_that_cannot_be_opened_is_told(tmp_path: Path) -> None:
+    for name in ("good", "broken", "bare"):
+        create_session(tmp_path / name, metadata()).wire_path.touch()
+    (tmp_path / "broken" / "session.yaml").write_text("{")
+    (tmp_path / "bare" / "session.yaml").unlink()
+    (tmp_path / "notes").mkdir()
+    (tmp_path / "model.yaml").touch()
+    told: list[str] = []
+    assert [session.path.name for session in sessions_in(tmp_path, told.append)] == ["good"]
+    assert [text.partition(":")[0] for text in told] == ["bare is left out", "broken is left out"]
 
 
 def test_metadata_of_another_format_is_refused_with_file_and_line(tmp_path: Path) -> None:
