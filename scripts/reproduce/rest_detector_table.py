@@ -10,6 +10,7 @@ from functools import partial
 from itertools import product
 
 import numpy as np
+import rest_detector_limit as limit
 from rest_detector_scenes import (
     BIAS,
     GRADES,
@@ -112,6 +113,7 @@ TURNS = (
     (30.0, 30.0, 120.0, 0.0), (300.0, 10.0, 20.0, 0.0),
 )  # fmt: skip
 """deg/s, minutes, seconds in which it begins and ends, and degrees from the vertical to the axis."""
+SLOWLY = TURNS[3]
 FIELD = ("tilted slowly, 1 deg in 60 s", "breathing, 0.1 deg/s", "idling engine", "driving in town",
          "driving on a smooth road", "held in a hand", "fan")  # fmt: skip
 FIELD_HEADER = """\
@@ -253,7 +255,7 @@ def main() -> None:
     """Print the scenes of the field, a table for each rate, and one of long rests."""
     parser = argparse.ArgumentParser(prog="scripts/reproduce/rest_detector", description=__doc__)
     parser.add_argument("--seeds", type=int, default=5, help="runs of each scene (default: %(default)s)")
-    parser.add_argument("--only", choices=["field", "doubtful", "bench"], help="one kind of scenes")
+    parser.add_argument("--only", choices=["field", "doubtful", "bench", "limit"], help="one kind of scenes")
     parser.add_argument("--first", type=int, default=0, help="number of the first seed (default: 0)")
     parser.add_argument("--quick", action="store_true", help="a few seconds: the first of everything")
     given = parser.parse_args()
@@ -269,6 +271,13 @@ def main() -> None:
         outside("Turns from the start, swings, rest after a turn", doubtful_kinds(), given.seeds, given.first)
     if given.only in (None, "bench"):
         bench(given.seeds)
+    if given.only in (None, "limit"):
+        rate_dps, minutes, ramp_s, tilt_deg = SLOWLY
+        what = f"a turn of {rate_dps:g} deg/s that begins in {ramp_s:g} s"
+        print(f"### When {what} can be known, {given.seeds} seeds\n\n{limit.HEADER}")
+        scene = steady_turn(TURN_RATE_HZ, rate_dps, minutes, ramp_s, tilt_deg)
+        seeds = range(given.first, given.first + given.seeds)
+        print("\n".join(limit.rows(scene, SENSORS, seeds, rate_dps / ramp_s)))
 
 
 def bench(seeds: int) -> None:
