@@ -1,7 +1,7 @@
 """How soon can anybody know that a turn about the vertical has begun slowly, by gyros alone?
 
-The best filter is told the white noise and the flicker of each gyro and which way is up, and nothing more than
-the detector is: a turn may have begun at any time, in any time, at any rate, or all axes may creep.  It
+The best filter is told the white noise and the flicker of each gyro and which way is up, and no more than the
+detector otherwise: a turn may have begun at any time, in any time, at any rate, or all axes may creep.  It
 finds a turn from the probability on that the detector takes.  Its priors are those of the detector, so that
 noise alone is between the two.
 """
