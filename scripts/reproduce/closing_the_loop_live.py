@@ -292,7 +292,9 @@ def table(results: Sequence[Said]) -> str:
         "| effect | floors | said | right | first said, min, median | °/h before | after |",
         "|---|---|---|---|---|---|---|",
     ]
-    for label, size in dict.fromkeys((one.label, one.size) for one in results):
+    labels = list(dict.fromkeys(one.label for one in results))
+    kinds = {(one.label, one.size) for one in results}
+    for label, size in sorted(kinds, key=lambda kind: (labels.index(kind[0]), kind[1])):
         found = [one for one in results if (one.label, one.size) == (label, size)]
         said = [one for one in found if one.said]
         ever = sum(bool(one.text) for one in found)
