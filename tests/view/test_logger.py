@@ -11,7 +11,7 @@ from imumon.blocks import ColumnArray, SampleBlock
 from imumon.charts import BLUE, GREEN, GREY, ORANGE, RED, VIOLET
 from imumon.view.attitude import xyzw
 from imumon.view.items import Numbers, State, Status, Timebase, ViewItem, ViewSetup, merge
-from imumon.view.layout import INTEGERS, OTHER, Line, Rows, Strip, unit_text
+from imumon.view.layout import INTEGERS, OTHER, Line, Rows, Strip, read_as
 from imumon.view.logger import StreamLogger, status_card
 from imumon.view.panels import PANELS
 from imumon.view.window import Window
@@ -225,9 +225,9 @@ def test_euler_angles_and_quaternion_turn_the_body_alike() -> None:
 
 
 def test_units_are_those_of_the_device() -> None:
-    assert unit_text(ViewSetup("t", "t"), "mag_x") == "µT"
-    assert unit_text(ViewSetup("t", "t", units={"mag_x": "arbitrary"}), "mag_x") == "a.u."
-    assert unit_text(ViewSetup("t", "t"), "unheard_of") == ""
+    assert read_as(ViewSetup("t", "t"), "mag_x") == ("µT", 1.0)
+    assert read_as(ViewSetup("t", "t", units={"mag_x": "arbitrary"}), "mag_x") == ("a.u.", 1.0)
+    assert read_as(ViewSetup("t", "t"), "unheard_of") == ("", 1.0)
 
 
 def test_status_card_is_a_table() -> None:
