@@ -90,7 +90,7 @@ class Others:
         return read_as(self._setup, name.replace("/", "_"))
 
     def _drawn(self, name: str) -> str:
-        """Return the entity of what is drawn: in another unit than that of the column, beside the exact one."""
+        """Return the entity of what is drawn: in another unit than the column, beside the exact one."""
         _, factor = self._read_as(name)
         return path(name) if factor == 1.0 else f"{DRAWN}/{name}"
 
