@@ -17,7 +17,10 @@ from imumon.view.window import Window, series_view, slow_window
 
 OTHER_TAB = "Other"
 LANE, LANES_FRAME, LOG = 40.0, 42.0, 150.0
-"""Points that a lane takes, title and times of all; that some lines of the log need."""
+"""Points that a lane takes, title and times of all; that some lines of the log need at least."""
+SIDE_CHARTS = 2
+"""So many charts stand above each other beside strips; more get two columns and half of the tab, as in a third
+of its height the numbers of a chart cannot be read."""
 NAMES_MARGIN = 0.1
 """Share of a tab that a legend of whole column names takes; it stays free in each view that has one."""
 
@@ -92,7 +95,8 @@ def blueprint(setup: ViewSetup, contents: Contents, timeline: str, *, live: bool
         )
         for title, paths in contents.others
     ]
-    first = _first_tab(setup.first_tab if live else "Recording", views, window, contents)
+    name = setup.first_tab if live else "Recording"
+    first = _first_tab(name, views, window, contents, setup.tab_height)
     tabs = [_tab(place, views[place], contents) for place in views if tab_of(place) != FIRST and views[place]]
     return arranged(rrb.Tabs(first, *tabs), timeline)
 
@@ -120,10 +124,12 @@ def _tab(name: str, views: list[Any], contents: Contents) -> Any:
     series = [view for view in views if view not in charts]
     numbers = [rrb.TextDocumentView(origin=card_path(name), name="Now")] if name in contents.cards else []
     parts: list[tuple[float, Any]] = [(0.9, view) for view in numbers]
+    many = len(charts) > SIDE_CHARTS
     if series:
-        parts.append((2.2, _strips(series)))
+        parts.append((1.5 if many else 2.2, _strips(series)))
     if charts:
-        parts.append((2.0, rrb.Vertical(*charts) if series else rrb.Grid(*charts)))
+        beside = rrb.Grid(*charts, grid_columns=2) if many else rrb.Vertical(*charts)
+        parts.append((3.0 if many else 2.0, beside if series else rrb.Grid(*charts)))
     return rrb.Horizontal(
         *[part for _, part in parts], column_shares=[share for share, _ in parts], name=name
     )
@@ -135,13 +141,17 @@ def _strips(views: list[Any]) -> Any:
     return rrb.Vertical(*views) if columns == 1 else rrb.Grid(*views, grid_columns=columns)
 
 
-def _first_tab(name: str, views: dict[str, list[Any]], window: Window, contents: Contents) -> Any:
+def _first_tab(
+    name: str, views: dict[str, list[Any]], window: Window, contents: Contents, height: float
+) -> Any:
+    """Return the first tab; in one that is `height` points high lanes have what they need, the log the rest."""
     left: list[tuple[float, Any]] = [(1.9, view) for view in views[SCENE]]
     if FIRST in contents.cards:
         left.append((2.9, rrb.TextDocumentView(origin=card_path(FIRST), name="Now")))
     if contents.status:
         left.append((1.6, rrb.TextDocumentView(origin="/status", name="Status")))
     right: list[tuple[float, Any]] = []
+    lanes = LANE * len(contents.lanes) + LANES_FRAME
     if contents.lanes:
         states = rrb.StateTimelineView(
             origin="/",
@@ -150,9 +160,9 @@ def _first_tab(name: str, views: dict[str, list[Any]], window: Window, contents:
             time_ranges=window.ranges,
             time_view=window.axis,
         )
-        right.append((LANE * len(contents.lanes) + LANES_FRAME, states))
+        right.append((lanes, states))
     if contents.log:
-        right.append((LOG, rrb.TextDocumentView(origin=LOG_TEXT, name="Log")))
+        right.append((max(LOG, height - lanes), rrb.TextDocumentView(origin=LOG_TEXT, name="Log")))
     middle = [(1.0, _strips(views[STRIPS]))] if views[STRIPS] else []
     columns = [(share, part) for share, part in ((3.0, left), (4.6, middle), (3.2, right)) if part]
     return rrb.Horizontal(

@@ -142,7 +142,7 @@ def crs05_model(slope_z_dph: float = 0.0) -> BiasModel:
         half = 0.5 * (high - low)
         channels[f"gyro_{axis}"] = ChannelModel(
             unit="rad/s",
-            temperature_column="temperature_estimate",
+            temperature_column=f"temperature_{axis}",
             temperature_range_degc=[low, high],
             residual_sd=2e-6,
             curve=PolynomialCurve(
@@ -159,7 +159,7 @@ def wrong_in_z() -> Setup:
 
 def learning() -> Setup:
     """Return a setup with the right curves, that lets a better model run beside this one."""
-    return Setup(model=crs05_model(), latitude_deg=40.93, watch=WatchParameters(learn=True))
+    return Setup(model=crs05_model(), watch=WatchParameters(learn=True))
 
 
 def scenes(data: Path) -> dict[str, Scene]:
@@ -186,9 +186,9 @@ def scenes(data: Path) -> dict[str, Scene]:
             simulated("slow-rotation", "ax1", 240.0, motion=[]),
         ),
         "learning": Scene(
-            "monitor --learn on a unit whose gyros follow their thermometers 90 s late, after 40 min",
+            "monitor --learn on a unit whose gyros are 90 s behind their thermometers, after 40 min",
             "ax1",
-            simulated("crs05-ramp-lag", "ax1", 2400.0, 20.0, chamber=TURNING, unit=late),
+            simulated("crs05-ramp-lag", "ax1", 2400.0, 10.0, chamber=TURNING, unit=late),
             learning,
         ),
         "slow": Scene("The demo at 20 Hz, after 2 min", "ax1", simulated("bench", "ax1", 120.0, 20.0)),
