@@ -19,7 +19,7 @@ OTHER_TAB = "Other"
 LANE, LANES_FRAME, LOG = 40.0, 42.0, 150.0
 """Points that a lane takes, title and times of all; that some lines of the log need at least."""
 SIDE_CHARTS = 2
-"""So many charts stand above each other beside strips; more get two columns and half of the tab, as in a third
+"""So many charts stand above each other beside strips.  More get two columns and half of the tab: in a third
 of its height the numbers of a chart cannot be read."""
 NAMES_MARGIN = 0.1
 """Share of a tab that a legend of whole column names takes; it stays free in each view that has one."""
@@ -144,7 +144,7 @@ def _strips(views: list[Any]) -> Any:
 def _first_tab(
     name: str, views: dict[str, list[Any]], window: Window, contents: Contents, height: float
 ) -> Any:
-    """Return the first tab; in one that is `height` points high lanes have what they need, the log the rest."""
+    """Return the first tab; if it is `height` points high lanes have what they need, the log the rest."""
     left: list[tuple[float, Any]] = [(1.9, view) for view in views[SCENE]]
     if FIRST in contents.cards:
         left.append((2.9, rrb.TextDocumentView(origin=card_path(FIRST), name="Now")))
