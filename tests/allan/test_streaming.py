@@ -152,7 +152,8 @@ def test_the_stage_draws_a_chart_with_the_line_of_the_data_sheet() -> None:
 
 def test_the_slope_is_that_of_the_random_walk_whatever_comes_at_long_times() -> None:
     drifting = block(200_000)
-    drifting["gyro_x"][:] += 3e-4 * np.arange(200_000) * 0.01
+    for axis in "xyz":
+        drifting[f"gyro_{axis}"][:] += 3e-4 * np.arange(200_000) * 0.01
     stage = AllanStage()
     stage.process(drifting)
     (chart,) = stage.charts()
