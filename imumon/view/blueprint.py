@@ -21,6 +21,8 @@ LANE, LANES_FRAME, LOG = 40.0, 42.0, 150.0
 SIDE_CHARTS = 2
 """So many charts stand above each other beside strips.  More get two columns and half of the tab: in a third
 of its height the numbers of a chart cannot be read."""
+CHARTS_ROWS = 6.4
+"""Height of two rows of charts, where a card of one row has 1: it needs a hundred points of `NATIVE_TAB`."""
 NAMES_MARGIN = 0.1
 """Share of a tab that a legend of whole column names takes; it stays free in each view that has one."""
 
@@ -119,17 +121,22 @@ def arranged(
 
 
 def _tab(name: str, views: list[Any], contents: Contents) -> Any:
-    """Return a tab of its own: its numbers, series above each other, charts to their right."""
+    """Return a tab of its own: its numbers, series above each other, charts to their right.
+
+    Beside many charts the numbers stand above them: series need the width for the numbers of their time axis.
+    """
     charts = [view for view in views if isinstance(view, rrb.Spatial2DView)]
     series = [view for view in views if view not in charts]
     numbers = [rrb.TextDocumentView(origin=card_path(name), name="Now")] if name in contents.cards else []
+    if series and len(charts) > SIDE_CHARTS:
+        grid = rrb.Grid(*charts, grid_columns=2)
+        rows = rrb.Vertical(*numbers, grid, row_shares=[1.0] * len(numbers) + [CHARTS_ROWS])
+        return rrb.Horizontal(_strips(series), rows, column_shares=[2.4, 3.0], name=name)
     parts: list[tuple[float, Any]] = [(0.9, view) for view in numbers]
-    many = len(charts) > SIDE_CHARTS
     if series:
-        parts.append((1.5 if many else 2.2, _strips(series)))
+        parts.append((2.2, _strips(series)))
     if charts:
-        beside = rrb.Grid(*charts, grid_columns=2) if many else rrb.Vertical(*charts)
-        parts.append((3.0 if many else 2.0, beside if series else rrb.Grid(*charts)))
+        parts.append((2.0, rrb.Vertical(*charts) if series else rrb.Grid(*charts)))
     return rrb.Horizontal(
         *[part for _, part in parts], column_shares=[share for share, _ in parts], name=name
     )

@@ -87,7 +87,7 @@ def test_charts_beside_strips_have_two_columns_before_they_are_too_small(charts:
         for part in blueprint(SETUP, contents, "device_time", live=True).root_container.contents
         if part.name == RESIDUAL
     )
-    beside = tab.contents[-1]
+    beside = tab.contents[-1] if columns == 1 else tab.contents[-1].contents[-1]
     assert len(beside.contents) == charts
     assert (beside.grid_columns or 1) == columns
     assert (tab.column_shares[-1] > sum(tab.column_shares[:-1])) == (columns == 2), "half of the tab, or more"
