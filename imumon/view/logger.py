@@ -210,6 +210,9 @@ class StreamLogger:
             if device is not None and first.host_ns is not None and event.at.host_ns is not None:
                 device -= max(0, int(first.host_ns[0]) - event.at.host_ns)
             moved.append(replace(event, at=Instant(first.first, device, None)))
+            key = lasting_key(event)
+            if key is not None and self._lasting[key] is event:
+                self._lasting[key] = moved[-1]
         self._early.clear()
         self._log_events(moved, again=True)
 
@@ -303,6 +306,14 @@ class StreamLogger:
             self._draw_apart(drawings)
         self._log_events([event for event in lasting if isinstance(event, Status)])
         self._arrange()
+
+    def repeat(self) -> None:
+        """Log the latest states, status card and log lines once more, for who takes the newest first."""
+        if self._newest is None:
+            return
+        self._log_events([one for one in self._lasting.values() if not isinstance(one, Drawing)], again=True)
+        if self._has_log:
+            log_markdown(self._rec, LOG_TEXT, [self._log_text.text], self._newest)
 
     def _know_states(self, events: Sequence[State]) -> None:
         """Declare the colours of a lane anew where it has states that it had not."""

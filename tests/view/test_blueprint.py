@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -82,11 +83,8 @@ def test_charts_beside_strips_have_two_columns_before_they_are_too_small(charts:
     strips = tuple(panel for panel in PANELS if panel.place == RESIDUAL)
     drawn = tuple((RESIDUAL, f"chart {number}", "title") for number in range(charts))
     contents = Contents(strips, drawn, (), False, False, (), (), False, False, 0.0)
-    (tab,) = (
-        part
-        for part in blueprint(SETUP, contents, "device_time", live=True).root_container.contents
-        if part.name == RESIDUAL
-    )
+    root: Any = blueprint(SETUP, contents, "device_time", live=True).root_container
+    (tab,) = (part for part in root.contents if part.name == RESIDUAL)
     beside = tab.contents[-1] if columns == 1 else tab.contents[-1].contents[-1]
     assert len(beside.contents) == charts
     assert (beside.grid_columns or 1) == columns
