@@ -109,7 +109,7 @@ def _note(axis: str, curve: LiveCurve, group: str) -> str:
     walk = least = "-"
     if len(curve.tau_s):
         (_, unit, factor), (per_root_hour, walks) = _GROUPS[group], _WALKS[group]
-        near = int(np.argmin(np.abs(np.log(curve.tau_s))))
+        near = _at_1_s(curve)
         if 0.5 <= curve.tau_s[near] <= 2.0:
             scale = walks * math.sqrt(curve.tau_s[near])
             reach = 0.5 * (curve.high[near] - curve.low[near]) * scale
@@ -120,11 +120,16 @@ def _note(axis: str, curve: LiveCurve, group: str) -> str:
     return f"{axis}  random walk {walk:24} lowest {least}"
 
 
+def _at_1_s(curve: LiveCurve) -> int:
+    """Return which point of a curve is the nearest to 1 s."""
+    return int(np.argmin(np.abs(np.log(curve.tau_s))))
+
+
 def _guide(shown: Mapping[str, LiveCurve], factor: float) -> Curve:
-    """Return a line of the slope of white noise through the longest curve at its middle."""
+    """Return a line of the slope of white noise through the longest curve where its random walk is read."""
     curve = max(shown.values(), key=lambda one: len(one.tau_s))
-    middle = len(curve.tau_s) // 2
-    line = factor * curve.deviation[middle] * np.sqrt(curve.tau_s[middle] / curve.tau_s)
+    near = _at_1_s(curve)
+    line = factor * curve.deviation[near] * np.sqrt(curve.tau_s[near] / curve.tau_s)
     return Curve("slope -1/2", curve.tau_s, line, GREY, width=0.7)
 
 

@@ -39,6 +39,8 @@ class Finding:
     choice : Choice
     points : Points
         What the curve was fitted to, each run less its turn-on offset.
+    white : array (n,)
+        Variance that the samples' own noise leaves in each of the points, if it is white.
     offset : array (runs,)
         Turn-on offset of each run from the mean of all, in the channel's unit; NaN where it cannot be told.
     lag_rms : float
@@ -47,6 +49,7 @@ class Finding:
 
     choice: Choice
     points: Points
+    white: FloatArray
     offset: FloatArray
     lag_rms: float
     comparable: bool = True
@@ -193,9 +196,10 @@ def _all_channels(
             warnings.append(_apart_text(name, np.flatnonzero(np.isnan(offset))))
         keep = ~apart if name in ACCEL else np.ones(len(points), np.bool_)
         shifted = points.shifted(np.nan_to_num(offset)[channel.run]).only(keep)
-        choice = choose(channel.only(keep), shifted, knots)
+        channel = channel.only(keep)
+        choice = choose(channel, shifted, knots)
         own = not (cells.turned and name in ACCEL)
-        findings[name] = Finding(choice, shifted, offset, _lag_rms(choice, cells), own)
+        findings[name] = Finding(choice, shifted, channel.white, offset, _lag_rms(choice, cells), own)
         channels[name] = _channel_model(name, channel, choice, shifted)
     return findings, channels, warnings
 

@@ -6,6 +6,7 @@ import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -29,6 +30,9 @@ from imumon.files import check_output
 if TYPE_CHECKING:
     import rerun as rr
 
+    from imumon.pipeline import Pipeline
+    from imumon.recordings.folder import Session as RecordedSession
+    from imumon.recordings.source import Source
     from imumon.view.compare import Alignment, Session
     from imumon.view.frames import Report
     from imumon.view.items import ViewSetup
@@ -78,6 +82,9 @@ def command(
     if out is not None:
         check_output(out)
     names = _names(sessions)
+    recorded = [
+        _Recorded.at(path) for path in sessions
+    ]  # what is wrong with one is said before a viewer comes
     setup = ViewSetup(" and ".join(names), f"view-{time.time_ns()}")
     mode = view or default_mode()
     rec = rr.RecordingStream(APPLICATION, recording_id=setup.recording_id)
@@ -90,13 +97,15 @@ def command(
     comparison = Comparison(rec, setup, align)
     told = []
     with _kept_when_whole(rec, out):
-        for path, name in zip(sessions, names, strict=True):
-            with reading_bar([path], quiet=as_json):
-                told.append(_log(path, name, comparison.session(name)))
+        for one, name in zip(recorded, names, strict=True):
+            with reading_bar([one.session.path], quiet=as_json):
+                told.append(_log(one, name, comparison.session(name)))
         if comparison.arrange() is None:
             hint = "an imported table has no times of a computer: --align power-on" if align == "host" else ""
             raise ImumonError(Reason.BAD_DATA, "the sessions have no samples with such times", hint)
         rec.flush()
+    if url:
+        note(f"view: {url}")
     if as_json:
         print_json({"sessions": [data for data, _ in told], "out": out, "url": url or None})
     for name, (_, rows) in zip(names, told, strict=True):
@@ -130,19 +139,42 @@ def _names(paths: Sequence[Path]) -> list[str]:
     return names
 
 
-def _log(path: Path, name: str, session: Session) -> tuple[dict[str, object], dict[str, str]]:
+@dataclass(frozen=True, slots=True)
+class _Recorded:
+    """A session that is open, and the pipeline that it is to run through."""
+
+    session: RecordedSession
+    source: Source
+    pipeline: Pipeline
+
+    @classmethod
+    def at(cls, path: Path) -> _Recorded:
+        """Open it.
+
+        Raises
+        ------
+        ImumonError
+            As `open_source` and `recorded_setup` do.
+        """
+        from imumon.pipeline import Pipeline
+        from imumon.recordings.folder import open_session
+        from imumon.recordings.source import open_source
+        from imumon.run.setup import recorded_setup
+        from imumon.run.stages import estimators
+
+        session, source = open_session(path), open_source(path)
+        stages = estimators(source.device, recorded_setup(session))
+        return cls(session, source, Pipeline(source.device, stages))
+
+
+def _log(recorded: _Recorded, name: str, session: Session) -> tuple[dict[str, object], dict[str, str]]:
     """Run a session and log it; return what is told of it, to programs and to people."""
-    from imumon.pipeline import Pipeline
-    from imumon.recordings.folder import open_session
-    from imumon.recordings.source import open_source, run_over
+    from imumon.recordings.source import run_over
     from imumon.run.account import Outages, describe_disk, describe_span, file_sizes, wall_clock
     from imumon.run.narration import describe_losses
-    from imumon.run.setup import recorded_setup
-    from imumon.run.stages import estimators
 
-    opened, source, outages = open_session(path), open_source(path), Outages()
-    metadata = opened.metadata
-    pipeline = Pipeline(source.device, estimators(source.device, recorded_setup(opened)))
+    source, pipeline, outages = recorded.source, recorded.pipeline, Outages()
+    metadata, path = recorded.session.metadata, recorded.session.path
     samples = 0
     for block in run_over(outages.watch(source.items), pipeline):
         samples += len(block)
@@ -190,5 +222,4 @@ def _shown(rec: rr.RecordingStream, setup: ViewSetup, mode: Mode, bind: str) -> 
             text = reports[-1].text if reports else "no viewer"
             raise ImumonError(Reason.NOT_FOUND, text, "use --view web, or --out NAME.rrd")
         time.sleep(0.1)
-    note(f"view: {reports[-1].url}")
     return reports[-1].url

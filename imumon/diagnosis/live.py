@@ -212,6 +212,7 @@ class LiveDiagnosis:
             Curve("better model", minutes, score.shadow / DEG_PER_H, BLUE),
         )
         before, after = (value / DEG_PER_H for value in score.rms)
+        verdict = "it wins beyond" if self.offered is None else "it has won, beyond"
         return [
             *self._lacking,
             Chart(
@@ -222,7 +223,7 @@ class LiveDiagnosis:
                 Axis("[°/h]"),
                 curves,
                 headline=f"{before:.3g} → {after:.3g} °/h since it was found",
-                notes=(f"likelihood ratio e^{score.ratio:.1f}; it wins at e^{MARGIN:.0f}",),
+                notes=(f"likelihood ratio e^{score.ratio:.1f}; {verdict} e^{MARGIN:.0f}",),
             ),
         ]
 

@@ -182,7 +182,7 @@ class LiveRun:
 
     @property
     def progress(self) -> Progress:
-        """The numbers of the moment, renewed twice a second."""
+        """The numbers of the moment, renewed twice a second; in the end with the rates of the whole run."""
         return self._progress
 
     @property
@@ -322,7 +322,7 @@ class LiveRun:
                     self._progress = self._narrator.tick(self._clock.now_ns())
             self.pipeline.finish()
             self._hand_on(self.pipeline.take())
-            self._progress = self._narrator.tick(self._clock.now_ns())
+            self._progress = self._narrator.ended(self._narrator.tick(self._clock.now_ns()))
             self._finished = True
         except ImumonError as error:
             # Reading and recording go on; what could not be decoded can be decoded from the recording.

@@ -6,7 +6,7 @@ import math
 import shlex
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 
@@ -141,6 +141,7 @@ class Narrator:
         self._history: deque[tuple[int, PipelineCounters]] = deque()
         self._lanes: dict[str, str] = {}
         self._began_ns: int | None = None
+        self._last_ns = 0
         self._segment = 0
         self._segment_began_ns = 0
         self._status: int | None = None
@@ -154,6 +155,7 @@ class Narrator:
         """Count bytes that arrived."""
         if self._began_ns is None:
             self._began_ns = time_ns
+        self._last_ns = time_ns
         if self._link is not None:
             self._link.add(n_bytes, time_ns)
 
@@ -238,6 +240,16 @@ class Narrator:
         self._charts_samples, self._charts_ns = samples, now_ns
         for chart in self._pipeline.charts():
             self._emit(Drawing(self._timebase.at(now_ns), chart))
+
+    def ended(self, last: Progress) -> Progress:
+        """Return the last numbers with rates that are means, from the first byte that came to the last."""
+        span_s = 0.0 if self._began_ns is None else (self._last_ns - self._began_ns) * 1e-9
+        if span_s <= 0.0:
+            return last
+        bytes_per_s = last.counters.bytes_received / span_s
+        load = self._link.load_of(bytes_per_s) if self._link is not None else None
+        packets_per_s = max(last.counters.packets - 1, 0) / span_s  # as many intervals
+        return replace(last, packets_per_s=packets_per_s, bytes_per_s=bytes_per_s, link_load=load)
 
     def progress(self, now_ns: int) -> Progress:
         """Return the numbers of the moment."""
@@ -343,7 +355,10 @@ def view_setup(
 
 
 def describe(progress: Progress) -> dict[str, str]:
-    """Return the progress as a person reads it, label and text, for card and summary."""
+    """Return the progress as a person reads it, label and text, for card and summary.
+
+    Rates and load of the card are those of the last 2 s, those of the summary means (`Narrator.ended`).
+    """
     counters = progress.counters
     rows = {
         "packets": f"{counters.packets:,} ({progress.packets_per_s:.1f}/s)",

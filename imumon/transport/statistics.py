@@ -59,7 +59,11 @@ class LinkStatistics:
 
     def load(self, now_ns: int) -> float | None:
         """Return the share of the line's capacity in use, or None when there is no line."""
-        return None if self._capacity is None else self.bytes_per_s(now_ns) / self._capacity
+        return self.load_of(self.bytes_per_s(now_ns))
+
+    def load_of(self, bytes_per_s: float) -> float | None:
+        """Return the share of the line's capacity that a rate takes, or None when there is no line."""
+        return None if self._capacity is None else bytes_per_s / self._capacity
 
     def overloaded(self, now_ns: int) -> bool:
         """Tell whether to warn: above 80 % load, until it is below 70 %.

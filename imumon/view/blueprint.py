@@ -17,7 +17,12 @@ from imumon.view.window import Window, series_view, slow_window
 
 OTHER_TAB = "Other"
 LANE, LANES_FRAME, LOG = 40.0, 42.0, 150.0
-"""Points that a lane takes, title and times of all; that some lines of the log need."""
+"""Points that a lane takes, title and times of all; that some lines of the log need at least."""
+SIDE_CHARTS = 2
+"""So many charts stand above each other beside strips.  More get two columns and half of the tab: in a third
+of its height the numbers of a chart cannot be read."""
+CHARTS_ROWS = 6.4
+"""Height of two rows of charts, where a card of one row has 1: it needs a hundred points of `NATIVE_TAB`."""
 NAMES_MARGIN = 0.1
 """Share of a tab that a legend of whole column names takes; it stays free in each view that has one."""
 
@@ -92,7 +97,8 @@ def blueprint(setup: ViewSetup, contents: Contents, timeline: str, *, live: bool
         )
         for title, paths in contents.others
     ]
-    first = _first_tab(setup.first_tab if live else "Recording", views, window, contents)
+    name = setup.first_tab if live else "Recording"
+    first = _first_tab(name, views, window, contents, setup.tab_height)
     tabs = [_tab(place, views[place], contents) for place in views if tab_of(place) != FIRST and views[place]]
     return arranged(rrb.Tabs(first, *tabs), timeline)
 
@@ -115,10 +121,17 @@ def arranged(
 
 
 def _tab(name: str, views: list[Any], contents: Contents) -> Any:
-    """Return a tab of its own: its numbers, series above each other, charts to their right."""
+    """Return a tab of its own: its numbers, series above each other, charts to their right.
+
+    Beside many charts the numbers stand above them: series need the width for the numbers of their time axis.
+    """
     charts = [view for view in views if isinstance(view, rrb.Spatial2DView)]
     series = [view for view in views if view not in charts]
     numbers = [rrb.TextDocumentView(origin=card_path(name), name="Now")] if name in contents.cards else []
+    if series and len(charts) > SIDE_CHARTS:
+        grid = rrb.Grid(*charts, grid_columns=2)
+        rows = rrb.Vertical(*numbers, grid, row_shares=[1.0] * len(numbers) + [CHARTS_ROWS])
+        return rrb.Horizontal(_strips(series), rows, column_shares=[2.4, 3.0], name=name)
     parts: list[tuple[float, Any]] = [(0.9, view) for view in numbers]
     if series:
         parts.append((2.2, _strips(series)))
@@ -135,13 +148,17 @@ def _strips(views: list[Any]) -> Any:
     return rrb.Vertical(*views) if columns == 1 else rrb.Grid(*views, grid_columns=columns)
 
 
-def _first_tab(name: str, views: dict[str, list[Any]], window: Window, contents: Contents) -> Any:
+def _first_tab(
+    name: str, views: dict[str, list[Any]], window: Window, contents: Contents, height: float
+) -> Any:
+    """Return the first tab; if it is `height` points high lanes have what they need, the log the rest."""
     left: list[tuple[float, Any]] = [(1.9, view) for view in views[SCENE]]
     if FIRST in contents.cards:
         left.append((2.9, rrb.TextDocumentView(origin=card_path(FIRST), name="Now")))
     if contents.status:
         left.append((1.6, rrb.TextDocumentView(origin="/status", name="Status")))
     right: list[tuple[float, Any]] = []
+    lanes = LANE * len(contents.lanes) + LANES_FRAME
     if contents.lanes:
         states = rrb.StateTimelineView(
             origin="/",
@@ -150,9 +167,9 @@ def _first_tab(name: str, views: dict[str, list[Any]], window: Window, contents:
             time_ranges=window.ranges,
             time_view=window.axis,
         )
-        right.append((LANE * len(contents.lanes) + LANES_FRAME, states))
+        right.append((lanes, states))
     if contents.log:
-        right.append((LOG, rrb.TextDocumentView(origin=LOG_TEXT, name="Log")))
+        right.append((max(LOG, height - lanes), rrb.TextDocumentView(origin=LOG_TEXT, name="Log")))
     middle = [(1.0, _strips(views[STRIPS]))] if views[STRIPS] else []
     columns = [(share, part) for share, part in ((3.0, left), (4.6, middle), (3.2, right)) if part]
     return rrb.Horizontal(

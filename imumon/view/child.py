@@ -21,6 +21,9 @@ POLL_S = 0.5
 GOODBYE_S = 0.6
 BEHIND = 10
 """Where there are many units, their processes come before the view (and a viewer that draws by software)."""
+REPEAT_S = 2.0
+"""So often a browser is told the states and the log again: it takes the newest first, and a slow one would
+have what was said once after all samples since then; until then its panes are empty."""
 
 
 class Child:
@@ -58,12 +61,17 @@ class Child:
             if setup.several
             else StreamLogger(self._rec, setup, live=True, show=show)
         )
+        self._repeats = start.mode == "web"
+        self._repeated_s = time.monotonic()
         self._delivered = -1
         self._request = 0
         self._answered = True
 
     def poll(self) -> None:
         """Look after the viewer; ask for what it has not seen."""
+        if self._repeats and time.monotonic() - self._repeated_s > REPEAT_S:
+            self._repeated_s = time.monotonic()
+            self._logger.repeat()
         change = self._link.poll(self._rec)
         if change is None:
             return

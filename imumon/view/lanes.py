@@ -27,7 +27,7 @@ LAST = 9
 GOOD, WAIT, BAD, PLAIN = 0x2E9E5BFF, 0xE0A020FF, 0xD64545FF, 0x6C7A92FF
 _WORDS = {
     GOOD: "open ok good synchronised connected running recording rest valid settled",
-    WAIT: "opening waiting silent starting reconnecting warning acquiring aligning",
+    WAIT: "opening waiting silent starting reconnecting warning acquiring aligning better",
     BAD: "lost closed error failed bad jumped invalid clipping suspect disturbed hangs dead",
     PLAIN: "not",
 }

@@ -181,19 +181,21 @@ class Panel(Protocol):
         """Return the view for the blueprint."""
 
 
-UNIT_TEXT = {"rad/s": "rad/s", "m/s^2": "m/s²", "uT": "µT", "degC": "°C", "arbitrary": "a.u."}
-"""Units as a person writes them, by the unit that pint reads."""
 DEG = float(np.rad2deg(1.0))
 FACTORS = {"": 1.0, "°": DEG, "°/s": DEG, "°/h": 3600.0 * DEG, "°C": 1.0, "°C/h": 3600.0, "µg": 1e6}
 FACTORS |= {"1/s": 1.0, "%": 100.0}
 """Units that are drawn, and how many of each are one unit of the columns."""
+READ_AS = {"rad": ("°", DEG), "rad/s": ("°/s", DEG), "rad/s^2": ("°/s²", DEG), "deg": ("°", 1.0)}
+READ_AS |= {"m/s^2": ("m/s²", 1.0), "uT": ("µT", 1.0), "degC": ("°C", 1.0), "arbitrary": ("a.u.", 1.0)}
+READ_AS |= {"1": ("", 1.0)}
+"""As what a person reads a unit that pint reads, and how many of it one is; others as they are."""
 
 
-def unit_text(setup: ViewSetup, column: str) -> str:
-    """Return the unit of a column as a person writes it; empty when it has none."""
+def read_as(setup: ViewSetup, column: str) -> tuple[str, float]:
+    """Return the unit in which a person reads a column, empty without one, and how many of it are one."""
     known = KNOWN[column].unit if column in KNOWN else ""
     unit = setup.units.get(column, known)
-    return "" if unit == "1" else UNIT_TEXT.get(unit, unit)
+    return READ_AS.get(unit, (unit, 1.0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -312,7 +314,7 @@ class Strip:
         return FACTORS[self.unit or ""]
 
     def _unit(self, setup: ViewSetup) -> str:
-        return unit_text(setup, self.lines[0].column) if self.unit is None else self.unit
+        return read_as(setup, self.lines[0].column)[0] if self.unit is None else self.unit
 
     def log(self, rec: rr.RecordingStream, rows: Rows) -> None:
         """Log the exact values, and those in the unit that is drawn."""

@@ -38,7 +38,7 @@ from imumon.view.log_text import LOG_TEXT, LogText
 from imumon.view.others import Others
 from imumon.view.painter import Painter, log_picture
 from imumon.view.panel_log import PanelLog
-from imumon.view.pictures import TALL, WIDE, picture, pictures_apart
+from imumon.view.pictures import picture, pictures_apart
 from imumon.view.window import slow_window
 
 Show = Callable[[rrb.Blueprint], None]
@@ -53,7 +53,7 @@ PICTURE_SHARE = 0.03
 """Live, drawing charts takes so much of the time at the most."""
 FIRST_PICTURES_S, LATER, PICTURES_S = 30.0, 6.0, 600.0
 """In a recording charts (25 kB each) are drawn after the first time, then when it is so many times as long,
-at the latest so long after those before, and as they are at the end."""
+at the latest so long after those before, and as they are at the end; these replace those before."""
 NICE = 15
 """While samples come, they come before the charts of a recording."""
 EARLY_EVENTS = 1000
@@ -210,6 +210,9 @@ class StreamLogger:
             if device is not None and first.host_ns is not None and event.at.host_ns is not None:
                 device -= max(0, int(first.host_ns[0]) - event.at.host_ns)
             moved.append(replace(event, at=Instant(first.first, device, None)))
+            key = lasting_key(event)
+            if key is not None and self._lasting[key] is event:
+                self._lasting[key] = moved[-1]
         self._early.clear()
         self._log_events(moved, again=True)
 
@@ -273,23 +276,17 @@ class StreamLogger:
 
     def _draw(self, event: Drawing) -> Callable[[], None]:
         """Return what draws a chart and logs the picture."""
-        chart, size, times = event.chart, self._size(event.chart), at_instants(event.at)
+        chart, times = event.chart, at_instants(event.at)
         self._charts[chart.key] = chart
-        return lambda: log_picture(self._rec, chart.key, picture(chart, size), times.indexes)
+        return lambda: log_picture(self._rec, chart.key, picture(chart), times.indexes)
 
     def _draw_apart(self, events: Sequence[Drawing], niceness: int = 0) -> None:
-        """Draw charts for a recording."""
+        """Draw charts for a recording, which has the last of each alone, whatever moment is looked at."""
         self._waiting.clear()
         self._charts |= {event.chart.key: event.chart for event in events}
-        charts = [(event.chart, self._size(event.chart)) for event in events]
+        charts = [event.chart for event in events]
         for event, blob in zip(events, pictures_apart(charts, niceness=niceness), strict=False):
-            log_picture(self._rec, event.chart.key, blob, at_instants(event.at).indexes)
-
-    def _size(self, chart: Chart) -> tuple[float, float]:
-        """Return the size of a picture, inches: those above each other, beside panels, are less high."""
-        places = [other.chart.place for other in self._lasting.values() if isinstance(other, Drawing)]
-        beside = any(panel.place == chart.place for panel in self._panels.shown)
-        return WIDE if beside and places.count(chart.place) > 1 else TALL
+            log_picture(self._rec, event.chart.key, blob, [])
 
     def end_file(self) -> None:
         """Log what a file of a recording has at its end."""
@@ -309,6 +306,14 @@ class StreamLogger:
             self._draw_apart(drawings)
         self._log_events([event for event in lasting if isinstance(event, Status)])
         self._arrange()
+
+    def repeat(self) -> None:
+        """Log the latest states, status card and log lines once more, for who takes the newest first."""
+        if self._newest is None:
+            return
+        self._log_events([one for one in self._lasting.values() if not isinstance(one, Drawing)], again=True)
+        if self._has_log:
+            log_markdown(self._rec, LOG_TEXT, [self._log_text.text], self._newest)
 
     def _know_states(self, events: Sequence[State]) -> None:
         """Declare the colours of a lane anew where it has states that it had not."""

@@ -10,9 +10,11 @@ from imumon.charts import AXIS_COLORS, BLUE, GREEN, RED
 from imumon.view.axes import Axes
 from imumon.view.extent import Extent, Reach, declare_extent, marks_of, with_marks
 from imumon.view.items import ViewSetup
-from imumon.view.layout import OTHER, Rows, unit_text
+from imumon.view.layout import OTHER, Rows, read_as
 from imumon.view.window import slow_window
 
+DRAWN = "/view/other"
+"""Columns that a person reads in another unit."""
 PART_COLORS = {**AXIS_COLORS, "roll": RED, "pitch": GREEN, "yaw": BLUE}
 """Colour of a column by how its name ends."""
 
@@ -39,7 +41,7 @@ class Others:
     def views(self) -> tuple[tuple[str, tuple[str, ...]], ...]:
         """A title and the entities of each view; the first holds how far the axis reaches."""
         return tuple(
-            (title if len(names) > 1 else self._alone(names[0]), tuple(map(path, names)))
+            (title if len(names) > 1 else self._alone(names[0]), tuple(map(self._drawn, names)))
             for title, names in self._together().items()
         )
 
@@ -58,8 +60,12 @@ class Others:
             self._declare(name)
         kept = rows.extremes(numbers[:, np.newaxis]) & np.isfinite(numbers)
         if kept.any():
-            rows.kept(kept).send(self._rec, path(name), numbers[kept])
-            self._log_extent(name, Reach(numbers[:, np.newaxis], np.zeros((len(numbers), 1))), rows)
+            _, factor = self._read_as(name)
+            if factor != 1.0 and not rows.step_ns:
+                rows.kept(kept).send(self._rec, path(name), numbers[kept])
+            drawn = factor * numbers
+            rows.kept(kept).send(self._rec, self._drawn(name), drawn[kept])
+            self._log_extent(name, Reach(drawn[:, np.newaxis], np.zeros((len(drawn), 1))), rows)
 
     def _log_extent(self, name: str, reach: Reach, rows: Rows) -> None:
         together = self._together()
@@ -71,7 +77,7 @@ class Others:
         names = together[self._title(name)]
         found = [self._ends[one] for one in names if one in self._ends]
         whole = with_marks(min(low for low, _ in found), max(high for _, high in found), marks)
-        self._axes.set(path(names[0]), whole, rows.kept(np.array([len(reach.values) - 1])))
+        self._axes.set(self._drawn(names[0]), whole, rows.kept(np.array([len(reach.values) - 1])))
 
     def _together(self) -> dict[str, list[str]]:
         """Return the names in each view, by its title."""
@@ -80,25 +86,30 @@ class Others:
             found.setdefault(self._title(name), []).append(name)
         return found
 
-    def _unit(self, name: str) -> str:
-        return unit_text(self._setup, name.replace("/", "_"))
+    def _read_as(self, name: str) -> tuple[str, float]:
+        return read_as(self._setup, name.replace("/", "_"))
+
+    def _drawn(self, name: str) -> str:
+        """Return the entity of what is drawn: in another unit than the column, beside the exact one."""
+        _, factor = self._read_as(name)
+        return path(name) if factor == 1.0 else f"{DRAWN}/{name}"
 
     def _title(self, name: str) -> str:
         stream, _, _ = name.rpartition("/")
-        unit = self._unit(name) or "no unit"
+        unit = self._read_as(name)[0] or "no unit"
         return f"{stream}: {unit}" if stream else unit
 
     def _alone(self, name: str) -> str:
-        unit = self._unit(name)
+        unit, _ = self._read_as(name)
         return f"{name} [{unit}]" if unit else name
 
     def _declare(self, name: str) -> None:
         color = PART_COLORS.get(name.rpartition("_")[2])
         look = rr.SeriesLines(names=[name], colors=None if color is None else [list(color)])
-        self._rec.log(path(name), look, static=True)
-        declare_extent(self._rec, path(name))
+        self._rec.log(self._drawn(name), look, static=True)
+        declare_extent(self._rec, self._drawn(name))
 
 
 def path(name: str) -> str:
-    """Return the entity of a column."""
+    """Return the entity of the exact values of a column."""
     return f"{OTHER}/{name}"

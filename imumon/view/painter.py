@@ -15,7 +15,7 @@ CHARTS = "/charts"
 
 
 def log_picture(rec: rr.RecordingStream, key: str, blob: bytes, indexes: list[rr.TimeColumn]) -> None:
-    """Log the picture of a chart, a PNG, at one moment; `indexes` has one row."""
+    """Log the picture of a chart, a PNG, at one moment; without `indexes` as the only one that there is."""
     image = rr.EncodedImage.columns(blob=[blob], media_type=["image/png"])
     rec.send_columns(f"{CHARTS}/{key}", indexes=indexes, columns=image)
 

@@ -18,9 +18,10 @@ from imumon.blocks import FloatArray
 from imumon.charts import Chart, Curve
 from imumon.harmless import for_plot
 
-TALL, WIDE, DOTS_PER_INCH = (8.0, 7.4), (8.0, 4.9), 130
-"""Inches: for half of a tab, or a quarter; sharp on a full HD screen, and readable on one of 4K."""
-ROOM, BOTTOM = {"left": 0.1, "right": 0.985}, 0.065
+SIZE, DOTS_PER_INCH = (7.0, 5.6), 150
+"""Inches, of all charts at all times: the viewer warns of a picture whose size changes.  Sharp in half of a
+tab on a full HD screen, readable in a quarter."""
+ROOM, BOTTOM = {"left": 0.114, "right": 0.985}, 0.086
 """Fixed: to fit them to the labels takes as long as all else."""
 LETTERS = 40
 """So many of a headline fit at full size."""
@@ -30,7 +31,7 @@ APART_S = 60.0
 """Longer nobody waits for pictures."""
 LEAST_MARKS, READABLE = 3, ((1,), (1, 2, 5), tuple(range(1, 10)))
 """An axis has so many numbers or more: at the first of these multiples of powers of ten that give them."""
-TOP, NOTE, HEADLINE = 0.98, 0.024, 0.055
+TOP, NOTE, HEADLINE = 0.98, 0.032, 0.073
 """Where the axes end, and what a line of notes and a headline take of it."""
 PAPER, INK, FAINT = "#0d0d0d", "#d8d8d8", "#3a3a3a"
 """Those of the viewer's dark theme; on the light one it stands as a dark picture."""
@@ -51,8 +52,8 @@ _ONE_AT_A_TIME = threading.Lock()
 """The figures, and matplotlib's style, are those of the whole program."""
 
 
-def pictures_apart(charts: Sequence[tuple[Chart, tuple[float, float]]], *, niceness: int = 0) -> list[bytes]:
-    """Return each chart, given with its size in inches, as a small PNG; none when that cannot be.
+def pictures_apart(charts: Sequence[Chart], *, niceness: int = 0) -> list[bytes]:
+    """Return each chart as a small PNG; none when that cannot be.
 
     They are drawn by a process of its own, which takes the 40 MB of matplotlib with it when it ends.
     """
@@ -73,13 +74,13 @@ def pictures_apart(charts: Sequence[tuple[Chart, tuple[float, float]]], *, nicen
     return drawn
 
 
-def picture(chart: Chart, size_inch: tuple[float, float] = TALL, colors: int | None = None) -> bytes:
+def picture(chart: Chart, colors: int | None = None) -> bytes:
     """Return the chart as a PNG, maybe of so many colours; only its texts while it has no point to draw."""
     import matplotlib as mpl  # takes 0.3 s, and only a run with charts needs it
     from PIL import Image
 
     with _ONE_AT_A_TIME, mpl.rc_context(STYLE):
-        figure = _figure(size_inch)
+        figure = _figure()
         figure.clear()
         axes = figure.add_subplot()
         for curve in chart.curves:
@@ -98,12 +99,12 @@ def picture(chart: Chart, size_inch: tuple[float, float] = TALL, colors: int | N
 
 
 @cache
-def _figure(size_inch: tuple[float, float]) -> Any:
-    """Return the figure of this size: each has pixels of 4 MB, which would wait for the garbage collector."""
+def _figure() -> Any:
+    """Return the figure: each has pixels of 4 MB, which would wait for the garbage collector."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=size_inch, dpi=DOTS_PER_INCH)
+    figure = Figure(figsize=SIZE, dpi=DOTS_PER_INCH)
     FigureCanvasAgg(figure)
     return figure
 
@@ -136,9 +137,8 @@ def _frame(axes: Any, chart: Chart) -> None:
         legend = axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.4, fontsize=9)
         width = legend.get_window_extent(axes.figure.canvas.get_renderer()).width
         room["right"] -= width / axes.figure.bbox.width
-    line = TALL[1] / axes.figure.get_figheight()
-    top = TOP - line * (NOTE * len(chart.notes) + (HEADLINE if chart.headline else 0.0))
-    axes.figure.subplots_adjust(top=top, bottom=line * BOTTOM, **room)
+    top = TOP - NOTE * len(chart.notes) - (HEADLINE if chart.headline else 0.0)
+    axes.figure.subplots_adjust(top=top, bottom=BOTTOM, **room)
     if chart.notes:
         axes.set_title("\n".join(map(for_plot, chart.notes)), fontsize=10, loc="left", family="monospace")
     if chart.headline:
@@ -172,8 +172,8 @@ def _has_logarithm(chart: Chart, name: str) -> bool:
 def _main() -> None:
     """Draw what comes on the standard input, for `pictures_apart`."""
     os.nice(int(sys.argv[1]))
-    charts: list[tuple[Chart, tuple[float, float]]] = pickle.load(sys.stdin.buffer)
-    pickle.dump([picture(chart, size, COLORS) for chart, size in charts], sys.stdout.buffer)
+    charts: list[Chart] = pickle.load(sys.stdin.buffer)
+    pickle.dump([picture(chart, COLORS) for chart in charts], sys.stdout.buffer)
 
 
 if __name__ == "__main__":

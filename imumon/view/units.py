@@ -73,6 +73,11 @@ class UnitsLogger:
             self._units[unit][1].log(merge(own))
         self._arrange()
 
+    def repeat(self) -> None:
+        """Log the latest states of all units once more, for who takes the newest first."""
+        for _, logger in self._units.values():
+            logger.repeat()
+
     def finish(self) -> None:
         """Log how it was at the end."""
         for _, logger in self._units.values():

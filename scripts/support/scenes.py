@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from imumon.estimation.watch.parameters import WatchParameters
 from imumon.models.curves.polynomial import PolynomialCurve
 from imumon.models.model import BiasModel, ChannelModel
 from imumon.pipeline import Pipeline
@@ -23,6 +24,7 @@ from imumon.simulation.recording import START_NS, record_session
 from imumon.simulation.unit import SimulatedUnit, load_scenario
 from imumon.simulation.unit.curves import curve_value
 from imumon.simulation.unit.events import Vibration
+from imumon.simulation.unit.scenario import Chamber, Step
 from imumon.transport.reader import Bytes, Event, EventKind, Item
 from imumon.transport.settings import PortSettings
 from imumon.view.items import ViewItem, ViewSetup
@@ -39,6 +41,8 @@ SHAKING = [
     for frequency_hz, amplitude in ((47.0, 0.4), (133.0, 0.2))
 ]
 """A motor and what it drives."""
+TURNING = Chamber(start_degc=25.0, steps=[Step(to_degc=to, rate_degc_per_min=2.0) for to in (40.0, 25.0) * 5])
+"""A chamber that always turns round, so that what is late shows."""
 READ_S = 0.01
 """A capture has no times of arrival; it is taken to have come evenly, in reads of this length."""
 
@@ -121,8 +125,11 @@ def capture(path: Path, seconds: float) -> Callable[[Path], Iterator[Item]]:
     return record
 
 
-def crs05_model() -> BiasModel:
-    """Return the curves over temperature that the simulated unit of "crs05" has, but for a slope in z."""
+def crs05_model(slope_z_dph: float = 0.0) -> BiasModel:
+    """Return the curves over temperature that the simulated unit of "crs05" has.
+
+    In z they are wrong by a line, which rises by so many °/h between the ends.
+    """
     unit = SimulatedUnit(load_scenario("warm-up"), seed=0).scenario.unit
     low, high = 20.0, 50.0
     at = np.linspace(low, high, 400)
@@ -130,12 +137,12 @@ def crs05_model() -> BiasModel:
     for axis in "xyz":
         values = np.radians(curve_value(getattr(unit.gyro_bias_deg_per_s, axis), at))
         if axis == "z":
-            values += np.radians(20.0 / 3600.0) * (at - low) / (high - low)
+            values += np.radians(slope_z_dph / 3600.0) * (at - low) / (high - low)
         series = np.polynomial.Chebyshev.fit(at, values, 8, domain=[low, high])
         half = 0.5 * (high - low)
         channels[f"gyro_{axis}"] = ChannelModel(
             unit="rad/s",
-            temperature_column="temperature_estimate",
+            temperature_column=f"temperature_{axis}",
             temperature_range_degc=[low, high],
             residual_sd=2e-6,
             curve=PolynomialCurve(
@@ -145,20 +152,26 @@ def crs05_model() -> BiasModel:
     return BiasModel(made_by="the unit file", created="2026-01-01T00:00:00Z", channels=channels)
 
 
-def with_model() -> Setup:
-    """Return a setup with `crs05_model`."""
-    return Setup(model=crs05_model(), latitude_deg=40.93)
+def wrong_in_z() -> Setup:
+    """Return a setup with a model that is wrong in z."""
+    return Setup(model=crs05_model(20.0), latitude_deg=40.93)
+
+
+def learning() -> Setup:
+    """Return a setup with the right curves, that lets a better model run beside this one."""
+    return Setup(model=crs05_model(), watch=WatchParameters(learn=True))
 
 
 def scenes(data: Path) -> dict[str, Scene]:
     """Return all scenes by name; captures are in the folder `data`, and left out where it is absent."""
+    late = load_scenario("crs05-ramp-lag").unit.model_copy(update={"gyro_lag_s": (90.0,) * 3})
     found = {
         "demo": Scene("The demo: a virtual AHRS after 40 s", "ax1", simulated("bench", "ax1", 40.0)),
         "recorded": Scene(
             "A warm-up with a bias model that is wrong in z, opened afterwards: rerun view.rrd",
             "ax1",
             simulated("warm-up", "ax1", 600.0),
-            with_model,
+            wrong_in_z,
             live=False,
         ),
         "alignment": Scene(
@@ -171,6 +184,12 @@ def scenes(data: Path) -> dict[str, Scene]:
             "A MEMS unit that rests at one temperature, for 4 min",
             "ax1",
             simulated("slow-rotation", "ax1", 240.0, motion=[]),
+        ),
+        "learning": Scene(
+            "monitor --learn on a unit whose gyros are 90 s behind their thermometers, after 40 min",
+            "ax1",
+            simulated("crs05-ramp-lag", "ax1", 2400.0, 10.0, chamber=TURNING, unit=late),
+            learning,
         ),
         "slow": Scene("The demo at 20 Hz, after 2 min", "ax1", simulated("bench", "ax1", 120.0, 20.0)),
         "fast": Scene(

@@ -33,6 +33,7 @@ SHOWN = {
     "temperature": ("slow", "Temperature"),
     "gyro-bias": ("recorded", "Gyro bias"),
     "residual": ("recorded", "Residual"),
+    "learning": ("learning", "Residual"),
     "attitude": ("slow", "Attitude"),
     "spectrum": ("fast", "Spectrum"),
     "allan": ("isothermal", "Allan"),

@@ -150,6 +150,18 @@ def test_the_stage_draws_a_chart_with_the_line_of_the_data_sheet() -> None:
     assert chart.curves[0].y[0] == pytest.approx(np.rad2deg(1e-3) * 3600 * 10, rel=0.05)
 
 
+def test_the_slope_is_that_of_the_random_walk_whatever_comes_at_long_times() -> None:
+    drifting = block(200_000)
+    for axis in "xyz":
+        drifting[f"gyro_{axis}"][:] += 3e-4 * np.arange(200_000) * 0.01
+    stage = AllanStage()
+    stage.process(drifting)
+    (chart,) = stage.charts()
+    slope = next(curve for curve in chart.curves if curve.name == "slope -1/2")
+    at_1_s = np.exp(np.interp(0.0, np.log(slope.x), np.log(slope.y)))
+    assert at_1_s == pytest.approx(np.rad2deg(1e-3) * 3600, rel=0.2)
+
+
 def test_motion_does_not_count() -> None:
     n = 5000
     at_rest = np.ones(n, np.int64)

@@ -53,6 +53,13 @@ def test_the_residual_is_that_of_the_truth(soaked: Calibration) -> None:
         assert 0.5 * actual < channel.residual_sd / DEG_H < 6.0
 
 
+def test_points_scatter_about_the_curve_by_the_noise_of_their_samples(soaked: Calibration) -> None:
+    for finding in soaked.findings.values():
+        points = finding.points
+        left = points.value - finding.choice.curve.value(points.temperature)
+        assert 0.8 < np.sqrt(np.mean(left**2 / finding.white)) < 1.4
+
+
 def test_every_kind_of_curve_was_tried_and_the_worst_is_not_chosen(soaked: Calibration) -> None:
     for finding in soaked.findings.values():
         rms = finding.choice.held_out_rms

@@ -62,6 +62,13 @@ def test_what_is_there_is_not_overwritten_and_no_session_is_said(
     assert imumon("view", tmp_path, "--out", tmp_path / "new.rrd").returncode == 4
 
 
+def test_what_is_wrong_with_a_session_is_said_before_anything_is_shown(sessions: list[Path]) -> None:
+    done = imumon("view", sessions[0], "NOPE", "--view", "web")
+    assert done.returncode == 4
+    assert "http://" not in done.stderr
+    assert "NOPE is not a session" in done.stderr
+
+
 def test_of_a_table_the_time_of_its_import_is_not_told_as_when_it_was_recorded(tmp_path: Path) -> None:
     rows = [f"{0.01 * row:.2f},0.1,0.2,0.3" for row in range(300)]
     (tmp_path / "a.csv").write_text("\n".join(["t,x,y,z", *rows]))

@@ -2,6 +2,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from imumon.pipeline import Pipeline
 from imumon.protocols.device import load_device
 from imumon.run.narration import Narrator, advised
@@ -52,6 +54,15 @@ def test_rates_losses_and_lanes_follow_the_data() -> None:
     assert states(items, "data") == ["ok"]
     assert states(items, "status") == ["0x0007"]
     assert states(items, "link")[-1] == "ok"
+
+
+def test_the_rates_of_a_run_that_has_ended_are_those_from_its_first_byte_to_its_last() -> None:
+    pipeline, narrator, _ = narrated()
+    last = narrator.tick(send(pipeline, narrator, 10) + 1_200_000_000)  # a port takes its time to close
+    assert last.packets_per_s < 50
+    ended = narrator.ended(last)
+    assert ended.packets_per_s == pytest.approx(100.0)
+    assert ended.link_load == pytest.approx(ended.bytes_per_s / 11520, rel=1e-6)
 
 
 def test_bytes_that_do_not_frame_are_called_so_once() -> None:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,8 +15,10 @@ from imumon.published.parameters import RandomErrorParameters
 from imumon.run.published import published_stages
 from imumon.run.setup import Setup
 from imumon.run.stages import estimators
+from imumon.view.blueprint import Contents, blueprint
 from imumon.view.items import Log, Numbers, State, Status, Timebase, ViewItem, ViewSetup
 from imumon.view.logger import StreamLogger
+from imumon.view.panels import PANELS, RESIDUAL
 from tests.view.streams import block
 
 
@@ -73,6 +76,19 @@ def test_every_panel_with_data_has_a_view(tmp_path: Path) -> None:
             "/status",
         ]
     )
+
+
+@pytest.mark.parametrize(("charts", "columns"), [(1, 1), (2, 1), (3, 2), (4, 2)])
+def test_charts_beside_strips_have_two_columns_before_they_are_too_small(charts: int, columns: int) -> None:
+    strips = tuple(panel for panel in PANELS if panel.place == RESIDUAL)
+    drawn = tuple((RESIDUAL, f"chart {number}", "title") for number in range(charts))
+    contents = Contents(strips, drawn, (), False, False, (), (), False, False, 0.0)
+    root: Any = blueprint(SETUP, contents, "device_time", live=True).root_container
+    (tab,) = (part for part in root.contents if part.name == RESIDUAL)
+    beside = tab.contents[-1] if columns == 1 else tab.contents[-1].contents[-1]
+    assert len(beside.contents) == charts
+    assert (beside.grid_columns or 1) == columns
+    assert (tab.column_shares[-1] > sum(tab.column_shares[:-1])) == (columns == 2), "half of the tab, or more"
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ def test_state_colours_follow_the_first_word() -> None:
     assert state_color("segment 3") == PLAIN
     assert state_color("MODEL OK") == GOOD
     assert state_color("MODEL SUSPECT: the bias follows dT/dt, ok otherwise") == BAD
+    assert state_color("MODEL CAN BE BETTER: thermal_lag on x: 100 become 10 °/h") == WAIT
     assert state_color("not valid") == PLAIN
 
 

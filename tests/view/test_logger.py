@@ -6,12 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rerun as rr
+from rerun.chunk import RrdReader
 
 from imumon.blocks import ColumnArray, SampleBlock
 from imumon.charts import BLUE, GREEN, GREY, ORANGE, RED, VIOLET
 from imumon.view.attitude import xyzw
-from imumon.view.items import Numbers, State, Status, Timebase, ViewItem, ViewSetup, merge
-from imumon.view.layout import INTEGERS, OTHER, Line, Rows, Strip, unit_text
+from imumon.view.items import Instant, Log, Numbers, State, Status, Timebase, ViewItem, ViewSetup, merge
+from imumon.view.layout import INTEGERS, OTHER, Line, Rows, Strip, read_as
+from imumon.view.log_text import LOG_TEXT
 from imumon.view.logger import StreamLogger, status_card
 from imumon.view.panels import PANELS
 from imumon.view.window import Window
@@ -225,9 +227,9 @@ def test_euler_angles_and_quaternion_turn_the_body_alike() -> None:
 
 
 def test_units_are_those_of_the_device() -> None:
-    assert unit_text(ViewSetup("t", "t"), "mag_x") == "µT"
-    assert unit_text(ViewSetup("t", "t", units={"mag_x": "arbitrary"}), "mag_x") == "a.u."
-    assert unit_text(ViewSetup("t", "t"), "unheard_of") == ""
+    assert read_as(ViewSetup("t", "t"), "mag_x") == ("µT", 1.0)
+    assert read_as(ViewSetup("t", "t", units={"mag_x": "arbitrary"}), "mag_x") == ("a.u.", 1.0)
+    assert read_as(ViewSetup("t", "t"), "unheard_of") == ("", 1.0)
 
 
 def test_status_card_is_a_table() -> None:
@@ -299,3 +301,21 @@ def test_an_estimate_is_drawn_in_its_two_sigma_band(write: Callable[[Write], Pat
         variances = np.concatenate([b.column("Measurements:variances").flatten().to_numpy() for b in batches])
         np.testing.assert_allclose(variances, (2 * sd) ** 2)
         assert len(variances) == drawn
+
+
+def test_states_and_log_are_repeated_on_all_timelines_for_who_takes_the_newest_first(tmp_path: Path) -> None:
+    rec = rr.RecordingStream("imumon", recording_id="test")
+    rec.set_sinks(rr.FileSink(tmp_path / "a.rrd"))
+    logger = StreamLogger(rec, ViewSetup("test", "test"), live=True)
+    logger.begin()
+    timebase = Timebase()
+    early = Instant(None, None, 1)
+    logger.log([State(early, "port", "open"), Log(early, "opened")])
+    logger.log([timebase.samples(block(0, 50))])
+    rec.flush()
+    rec.set_sinks(rr.FileSink(tmp_path / "later.rrd"))
+    logger.repeat()
+    rec.disconnect()
+    for entity in ("/1-Port", LOG_TEXT):
+        chunks = RrdReader(str(tmp_path / "later.rrd")).stream().filter(content=[entity])
+        assert any("device_time" in chunk.to_record_batch().schema.names for chunk in chunks)

@@ -36,6 +36,18 @@ def test_one_view_for_each_stream_and_unit_and_none_of_zeros(tmp_path: Path) -> 
     }
 
 
+def test_angles_are_read_in_degrees_here_too_and_kept_exactly(tmp_path: Path) -> None:
+    rec = rr.RecordingStream("imumon", recording_id="test")
+    rec.set_sinks(rr.FileSink(tmp_path / "a.rrd"))
+    others = Others(rec, ViewSetup("t", "t", units={"nav_roll": "rad"}), Axes(rec, live=True), live=True)
+    others.log("nav/roll", np.full(100, 0.5), rows_of(100))
+    rec.disconnect()
+    ((title, (drawn,)),) = others.views
+    assert title == "nav/roll [°]"
+    np.testing.assert_allclose(scalars(tmp_path / "a.rrd", drawn)[:, 1], np.rad2deg(0.5))
+    np.testing.assert_array_equal(scalars(tmp_path / "a.rrd", path("nav/roll"))[:, 1], 0.5)
+
+
 def test_an_axis_holds_all_lines_of_its_view_and_has_numbers(tmp_path: Path) -> None:
     rec = rr.RecordingStream("imumon", recording_id="test")
     rec.set_sinks(rr.FileSink(tmp_path / "a.rrd"))

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 import rerun as rr
 from PIL import Image
+from rerun.chunk import RrdReader
 
 from imumon.blocks import FloatArray
 from imumon.charts import GREEN, Axis, Chart, Color, Curve
 from imumon.view.items import Drawing, Instant, ViewSetup, item_bytes, lasting_key
 from imumon.view.logger import StreamLogger
 from imumon.view.pictures import COLORS, picture, pictures_apart
-from tests.view.streams import record_batches
 
 RED: Color = (232, 72, 72)
 
@@ -82,9 +82,11 @@ def test_a_short_recording_has_the_last_picture_only(tmp_path: Path) -> None:
         logger.log([Drawing(Instant(number, None, None), chart)])
     logger.finish()
     rec.disconnect()
+    chunks = list(RrdReader(str(path)).stream().filter(content=["/charts/allan"]))
+    assert all(chunk.is_static for chunk in chunks)
     blobs = [
         part
-        for batch in record_batches(path, "/charts/allan")
+        for batch in (chunk.to_record_batch() for chunk in chunks)
         for name in batch.schema.names
         if name.endswith(":blob")
         for part in batch.column(name).to_pylist()
@@ -98,7 +100,7 @@ def test_a_recording_has_pictures_early_and_then_every_ten_minutes_however_often
 ) -> None:
     minute, drawn = 0, list[int]()
 
-    def draw(charts: list[tuple[Chart, object]], niceness: int) -> list[bytes]:
+    def draw(charts: list[Chart], niceness: int) -> list[bytes]:
         assert niceness > 0, "samples come first"
         drawn.append(minute)
         return [b"" for _ in charts]
@@ -115,7 +117,7 @@ def test_a_recording_has_pictures_early_and_then_every_ten_minutes_however_often
 
 
 def test_pictures_that_cannot_be_drawn_apart_are_left_out() -> None:
-    assert pictures_apart([("no chart", (1.0, 1.0))]) == []  # type: ignore[list-item]
+    assert pictures_apart(["no chart"]) == []  # type: ignore[list-item]
 
 
 def test_a_later_chart_replaces_an_earlier_one_in_a_queue_that_knows_its_size() -> None:
