@@ -427,13 +427,15 @@ class Search:
             if other.scored.candidate.contains(chosen):
                 continue
             near = _near(other.gain, best)
-            if name in pooled and chosen in pooled and other.gain < leader.gain:
+            if name in pooled and chosen in pooled:
                 # What the axes agree on goes first, but not against what fits this one better.
-                near &= _near(pooled[name], pooled[chosen])
+                near &= other.gain >= leader.gain or _near(pooled[name], pooled[chosen])
+                # And what they leave open together, the shape of one of them does not settle.
+                near |= pooled[chosen] - pooled[name] < CLOSE
             if not near and left > MISFIT * self.channel.floor.sd and other.gain > 0.5 * best:
                 near = self._left(other.scored.candidate) < ALIKE * left
             if near:
-                close.append((other.gain, name))
+                close.append((pooled.get(name, other.gain), name))
         names = [name for _, name in sorted(close, reverse=True)[: MOST_NAMES - 1]]
         return [chosen, *names] if names else []
 

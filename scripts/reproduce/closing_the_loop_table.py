@@ -17,15 +17,20 @@ DOCS = ROOT / "docs"
 def main() -> int:
     """Run one part."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parts = ("simulated", "live", "limits", "formulas", "plans", "measured", "heading")
+    parts = ("simulated", "live", "limits", "told", "formulas", "plans", "measured", "heading")
     parser.add_argument("--part", choices=parts, default="simulated")
     parser.add_argument("--quick", action="store_true", help="a few seconds: the first of everything")
     parser.add_argument("data", nargs="?", type=Path, default=DATA, help="folder of the measured recordings")
     parser.add_argument(
-        "--repeat", type=int, default=4, help="simulated, live, limits, formulas, plans: cases of each kind"
+        "--repeat",
+        type=int,
+        default=4,
+        help="simulated, live, limits, told, formulas, plans: cases of each kind",
     )
     parser.add_argument(
-        "--first", type=int, help="first seed: simulated 0, live 2500, limits 71000, formulas and plans 900"
+        "--first",
+        type=int,
+        help="first seed: simulated 0, live 2500, limits 71000, told 500000, formulas and plans 900",
     )
     parser.add_argument("--minutes", type=float, default=math.inf, help="simulated: begin no case after")
     parser.add_argument("--jobs", type=int, default=2, help="simulated, live, plans: processes")
@@ -54,6 +59,11 @@ def main() -> int:
 
         first = 71000 if given.first is None else given.first
         return limits(["--repeat", str(1 if given.quick else given.repeat), "--first", str(first)])
+    if given.part == "told":
+        from closing_the_loop_told import told
+
+        first = 500000 if given.first is None else given.first
+        return told(1 if given.quick else given.repeat, first, quick=given.quick)
     first = 900 if given.first is None else given.first
     if given.part == "formulas":
         from closing_the_loop_formulas import formulas
