@@ -41,7 +41,7 @@ class ImportReport:
     span_s: float
     """Time from the first to the last row, summed over the segments."""
     rate_hz: float
-    """Rate that the map gives, else the mean; NaN when there is no span."""
+    """Rate that the map gives, else rows per second where none is missing; NaN when there is no span."""
     bad_rows: tuple[BadRow, ...]
     """The first rows that were dropped."""
     warnings: tuple[str, ...]
@@ -154,7 +154,7 @@ class TableImport:
             columns_unused=tuple(name for name in self._names if name not in used),
             segments=self._times.segment + 1,
             span_s=span_s,
-            rate_hz=self.map.rate_hz or _mean_rate(self._rows_out - self._times.segment - 1, span_s),
+            rate_hz=self.map.rate_hz or self._times.intervals.rate_hz or math.nan,
             bad_rows=tuple(self._listed),
             warnings=tuple(self.warnings()),
         )
@@ -174,10 +174,6 @@ class TableImport:
             "mend the table, pass over lines before the data with csv: {skip_rows: N},"
             " or add bad_rows: drop to the map to import the others",
         )
-
-
-def _mean_rate(steps: int, span_s: float) -> float:
-    return steps / span_s if span_s else math.nan
 
 
 def _columns(table_map: TableMap) -> dict[str, Column]:

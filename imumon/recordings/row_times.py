@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 
 from imumon.blocks import BoolArray, IntArray
+from imumon.clock.rate import Intervals
 from imumon.errors import ImumonError, Reason
 from imumon.recordings.foreign import Part
 from imumon.recordings.map import TableMap
@@ -32,6 +33,7 @@ class RowTimes:
     table_map: TableMap
     segment: int = 0
     span_ns: int = 0
+    intervals: Intervals = field(default_factory=Intervals)
     last: tuple[int, int] | None = None
     """Time and line of the last row."""
     counted: int = 0
@@ -69,6 +71,7 @@ class RowTimes:
             )
         segments = self.segment + np.concatenate([np.zeros(1 - len(before), np.int64), np.cumsum(back)])
         self._note(steps, lines, back, hours)
+        self.intervals.add(times, segments)
         self.last = int(times[-1]), int(line[-1])
         self.segment = int(segments[-1])
         return times, segments

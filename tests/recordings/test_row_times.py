@@ -192,3 +192,11 @@ def test_parquet_timestamps_without_a_zone_are_local(tmp_path: Path, zone: str |
     (tmp_path / "map.yaml").write_text(DATES)
     report = import_table(tmp_path / "t.parquet", tmp_path / "map.yaml", tmp_path / "session")
     assert len(report.warnings) == leaps
+
+
+def test_the_rate_is_that_of_the_rows_without_gaps_and_restarts(tmp_path: Path) -> None:
+    times = [*range(0, 1000, 10), *range(60_000, 61_000, 10), *range(0, 1000, 10)]
+    stamp = "time: {column: t, unit: ms, backwards: segment}\npressure: {columns: [p], unit: Pa}\n"
+    report, _, _ = run(tmp_path, times, stamp)
+    assert report.rate_hz == pytest.approx(100.0)
+    assert report.span_s == pytest.approx(61.98)
