@@ -158,7 +158,8 @@ def _creeping(
     """
     later_s = np.triu(np.tile([fit.creep.before_s + fit.creep.after_s for fit in fits], (len(fits), 1)), 1)
     turned = 1j * north * (later_s + np.diag([fit.creep.after_s for fit in fits]))
-    own = np.sqrt([fit.creep.rest.variance for fit in fits])
+    # The noise of the mean is that of the vertical rate already; a turn by it is nothing beside its heading.
+    own = np.sqrt([max(fit.creep.rest.variance - fit.vertical_variance, 0.0) for fit in fits])
     rates = np.hypot(own, np.r_[0.0, RATES][:, None])
     share = np.log(np.r_[1.0 - ALL_ALONG, np.full(len(RATES), ALL_ALONG / len(RATES))])
     sizes = np.hstack(
