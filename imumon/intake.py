@@ -139,16 +139,28 @@ class Intake:
         """Leave out what all axes of a sensor repeat more often than by chance."""
         name = sensor[0].removesuffix("_x")
         readings = np.stack([block[axis] for axis in sensor])
+        length = np.abs(readings).max(axis=0)
+        if name == "accel":  # one that is off says zero; of a unit that falls, noise is left
+            self._leave_out(sensor, length == 0.0, f"{name} that is zero in all axes", block, changed)
         stands = still.judge(readings)
         if stands is None:
             return
         least, most = IMPOSSIBLE_AT_REST[name]
-        length = np.abs(readings).max(axis=0)
-        stands &= (length < least) | (length > most)
-        if stands.any():
-            for axis in sensor:
-                changed[axis] = np.where(stands, np.nan, changed.get(axis, block[axis]))
-            self._left_out[f"{name} while its axes stand still where none can at rest"] += int(stands.sum())
+        stands &= ((length > 0.0) & (length < least)) | (length > most)
+        why = f"{name} while its axes stand still where none can at rest"
+        self._leave_out(sensor, stands, why, block, changed)
+
+    def _leave_out(
+        self, columns: tuple[str, ...], rows: BoolArray, why: str, block: SampleBlock,
+        changed: dict[str, ColumnArray],
+    ) -> None:  # fmt: skip
+        """Take rows of a sensor for missing, and count them."""
+        count = int(rows.sum())
+        if not count:
+            return
+        for name in columns:
+            changed[name] = np.where(rows, np.nan, changed.get(name, block[name]))
+        self._left_out[why] += count
 
     def _begin(
         self, sensor: str, columns: tuple[str, ...], block: SampleBlock, changed: dict[str, ColumnArray]
@@ -171,11 +183,7 @@ class Intake:
         begun = np.maximum.accumulate(said)
         if begun[-1:].any():
             self._begun.add(sensor)
-        silent &= ~begun
-        if count := int(silent.sum()):
-            for name in columns:
-                changed[name] = np.where(silent, np.nan, changed.get(name, block[name]))
-            self._left_out[f"{sensor} while it has said {why}"] += count
+        self._leave_out(columns, silent & ~begun, f"{sensor} while it has said {why}", block, changed)
 
 
 @cache

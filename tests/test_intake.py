@@ -83,6 +83,18 @@ def test_a_gyro_that_has_had_one_reading_only_has_no_bias() -> None:
     ]
 
 
+def test_an_accelerometer_that_is_off_says_zero_and_is_left_out() -> None:
+    columns = record(500)
+    columns |= {f"accel_{axis}": columns[f"gyro_{axis}"].copy() for axis in "xyz"}
+    columns["accel_x"][50] = 0.0
+    for axis in "xyz":
+        columns[f"accel_{axis}"][100:110] = 0.0
+    block, intake = seen(columns)
+    assert np.flatnonzero(np.isnan(block["accel_x"])).tolist() == list(range(100, 110))
+    assert intake.notices() == ["left out of all estimates: accel that is zero in all axes"]
+    assert intake.left_out == 10
+
+
 def test_one_axis_of_a_gyro_may_stay_as_it_is() -> None:
     columns = record(500)
     columns["gyro_x"][:] = 0.01

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import cmath
 import copy
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.estimation.alignment import fit
 from imumon.estimation.alignment.account import ANY_ANGLE_SD, Account, Passage, typical_force, typical_scale
+from imumon.estimation.alignment.creep import Rest, upright_turn
 from imumon.estimation.alignment.motion import LEAST, Motion, Slot
 from imumon.estimation.alignment.parameters import AlignmentParameters
 from imumon.estimation.alignment.posterior import Heading, Place, heading
@@ -66,6 +68,10 @@ class State:
     """Body axes to the frame of the first pose, now."""
     ahead: float = 0.0
     """Direction of the body in that frame, rad, from its forward to its left."""
+    crept: float = 0.0
+    """What it has turned about the vertical, unnoticed, since the last fit, rad, counter-clockwise."""
+    followed_s: float = 0.0
+    """Time since that fit in which this was followed."""
     field_sum: list[float] = field(default_factory=lambda: [0.0] * 4)
     """Of the magnetometer in this pose, body axes, and its samples."""
     now_s: float = 0.0
@@ -141,6 +147,7 @@ class Aligner:
             cause = motion.judge(slot)
             if cause:
                 motion.begin(slot, cause)
+                self._turns_already()
         if motion.disturbed:
             self._disturbed(slot)
         else:
@@ -148,6 +155,17 @@ class Aligner:
             self._add(slot, len(state.poses) - 1, counts=True)
         if not motion.disturbed:
             self._at_rest(slot, magnetic)
+
+    def _turns_already(self) -> None:
+        """Take the vertical gyro's rate at the last rest for what it reads if it stands."""
+        base, up = self.state.motion.base, self.state.attitude[2]
+        if base is not None and self._told_here:
+            base += up * (self.state.fits[-1].creep.rest.rate - float(up @ base))
+
+    @property
+    def _told_here(self) -> bool:
+        """Whether the pose of now has been fitted."""
+        return 0 < len(self.state.fits) == len(self.state.poses)
 
     def count(self, slot: Slot, magnetic: Sequence[float]) -> None:
         """Count a slot by which `Motion.rest_on` has gone on."""
@@ -221,6 +239,11 @@ class Aligner:
         state.record.add(slot.time_s, weight, slot.mean[:3], slot.mean[3:], pose)
         if counts:
             state.counted_s += slot.length_s
+            if self._told_here:
+                state.followed_s += slot.length_s
+                state.crept += slot.length_s * (
+                    float(state.attitude[2] @ slot.mean[:3]) - state.fits[-1].creep.rest.rate
+                )
         else:
             state.shaken_s += slot.length_s
 
@@ -296,16 +319,23 @@ class Aligner:
     def evaluate(self) -> None:
         """Fit anew what may have changed, and renew the heading."""
         state = self.state
-        fits, attitudes, turns = [], [], []
+        told: list[tuple[Pose, fit.PoseFit, FloatArray]] = []
         for number, pose in enumerate(state.poses):
-            told = pose.told or self._fitted(number, pose)
-            if told is None:
-                continue
-            if number < len(state.poses) - 1:
-                pose.told = told
-            fits.append(told[0])
-            attitudes.append(told[1])
-            turns.append(pose.turn_variance)
+            own = pose.told or self._fitted(number, pose, told[-1] if told else None)
+            if own is not None:
+                told.append((pose, *own))
+                pose.told = own if number < len(state.poses) - 1 else None
+        fits: list[fit.PoseFit] = []
+        attitudes: list[FloatArray] = []
+        crept = 0.0
+        # From now back, in a frame in which the unit lies now as if it had stood in all poses.
+        for pose, one, attitude in reversed(told):
+            back = -crept - one.creep.after
+            fits.insert(0, replace(one, mean=one.mean * cmath.exp(1j * back)))
+            attitudes.insert(0, upright_turn(back) @ attitude)
+            pose.crept_after = crept
+            crept += one.creep.before + one.creep.after
+        turns = [pose.turn_variance for pose, _, _ in told]
         state.fits = fits
         if fits:
             self._find(fits, attitudes, turns)
@@ -322,12 +352,18 @@ class Aligner:
             self.latitude, sizes, log_prior, (parameters.gyro_flicker_deg_per_h or 0.0) * DEG_PER_H,
             self.force_sd,
         )  # fmt: skip
-        state.found = heading(fits, attitudes, np.array(turns), place)
+        state.found, state.crept, state.followed_s = (
+            heading(fits, attitudes, np.array(turns), place),
+            0.0,
+            0.0,
+        )
         self._means()
         self._settle()
 
-    def _fitted(self, number: int, pose: Pose) -> tuple[fit.PoseFit, FloatArray] | None:
-        """Return what a pose tells, and its attitude with the level of all of it."""
+    def _fitted(
+        self, number: int, pose: Pose, before: tuple[Pose, fit.PoseFit, FloatArray] | None
+    ) -> tuple[fit.PoseFit, FloatArray] | None:
+        """Return what a pose tells, with the one before, and its attitude with the level of all of it."""
         record = self.state.record
         rows = record.of_pose(number)
         if len(rows) < fit.LEAST_CELLS:
@@ -340,8 +376,20 @@ class Aligner:
         level = record.force[rows] @ attitude.T / gravity
         angle = -1j * (level[:, 0] + 1j * level[:, 1]) - self._known(record.time_s[rows], attitude)
         kept = fit.PoseRecord(time, weight, record.rate[rows] @ attitude.T, angle)
-        found = fit.fit_pose(kept, self._drift_sd())
+        known = None if before is None else self._at_rest_in(attitude, *before[1:])
+        found = fit.fit_pose(kept, self._drift_sd(), known)
         return None if found is None else (found, attitude)
+
+    def _at_rest_in(
+        self, attitude: FloatArray, before: fit.PoseFit, attitude_before: FloatArray
+    ) -> Rest | None:
+        """Return what a pose says of what the vertical gyro reads at rest in the next one."""
+        found = self.state.found
+        if found is None:
+            return None
+        other = float(np.sum((attitude[2] - attitude_before[2]) ** 2)) * found.supposed_sd**2
+        flicker = (self.parameters.gyro_flicker_deg_per_h or 0.0) * DEG_PER_H
+        return Rest(before.creep.rest.rate, before.creep.rest.variance + other + flicker**2)
 
     def _known(self, time_s: FloatArray, attitude: FloatArray) -> FloatArray:
         """Return the angle that a known warm-up makes, rad, (n,) complex as the level."""
@@ -426,12 +474,15 @@ class Aligner:
         if motion.disturbed and motion.passed:
             going_on = state.turns.after(self._passage(state.slot_end_s))
             variance = going_on.azimuth_variance(self._scale_sd())
+        if self._told_here:
+            variance += state.fits[-1].creep.rest.variance * state.followed_s**2
         return min(math.hypot(state.found.sd, math.sqrt(variance)), ANY_ANGLE_SD)
 
     @property
     def heading(self) -> float:
         """Heading of now, rad, 0 to 2π; NaN while there is none."""
-        return self.as_heading(math.nan if self.state.found is None else self.state.found.north)
+        found = self.state.found
+        return self.as_heading(math.nan if found is None else found.north - self.state.crept)
 
     def finish(self) -> list[Position]:
         """Fit what has come since the last fit; return where the unit stood still until now."""
@@ -444,7 +495,7 @@ class Aligner:
                 continue
             sd = min(math.hypot(state.found.sd, math.sqrt(pose.turn_variance)), ANY_ANGLE_SD)
             shown = sd < math.radians(self.parameters.observable_deg)
-            north = state.found.north - ahead_of(pose.attitude) if shown else math.nan
+            north = state.found.north - ahead_of(pose.attitude) + pose.crept_after if shown else math.nan
             found.append(Position(self.run, float(times[0]), float(times[-1]), north % (2.0 * math.pi), sd))
         return found
 

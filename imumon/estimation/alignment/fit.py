@@ -3,21 +3,23 @@
 In a pose the gyros see, in level axes that do not turn (complex: forward + i left),
 
     y = c' + dφ/dt + noise,   c' = c + b       (earth rate c, bias b)
-    v = Ω sin L + b_up + noise                 (vertical)
+    v = Ω sin L + b_up + dψ/dt + noise         (vertical)
 
 and the accelerometers, as an angle, see φ + d + noise: the true tilt φ of the unit and the drift d of their
 own bias while they warm up.  Their sum alone cannot be divided; the gyros see φ and not d.  `hypotheses` says
-how the unit may tilt, and what c' is then.
+how the unit may tilt, and what c' is then.  By ψ the unit turns about the vertical meanwhile: `creep` tells
+it, and it is turned back to where it stood in the middle.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from imumon.blocks import ColumnArray, FloatArray
+from imumon.estimation.alignment.creep import Creep, Rest, creep
 from imumon.estimation.alignment.hypotheses import Seen, courses, told
 from imumon.estimation.alignment.lines import without_lines
 from imumon.estimation.alignment.loudness import quietness
@@ -89,8 +91,9 @@ class PoseFit:
         Of each axis.
     settles : array, (h,)
         One where the unit settles.
-    vertical, vertical_variance : float
-        Mean of the vertical gyro, rad/s.
+    vertical_variance : float
+        Of the mean of the vertical gyro, (rad/s)².
+    creep : Creep
     white, quietest : float
         Power spectral density of the noise at frequency zero, (rad/s)²/Hz: of a horizontal gyro, and of the
         quietest, as that of the unit at rest.
@@ -102,14 +105,14 @@ class PoseFit:
     mean: ColumnArray
     variance: FloatArray
     settles: FloatArray
-    vertical: float
     vertical_variance: float
+    creep: Creep
     white: float
     quietest: float
     seconds: float
 
 
-def fit_pose(record: PoseRecord, drift_sd: float = WARM_UP) -> PoseFit | None:
+def fit_pose(record: PoseRecord, drift_sd: float = WARM_UP, before: Rest | None = None) -> PoseFit | None:
     """Fit a pose, or return None when there is too little.
 
     Parameters
@@ -117,10 +120,14 @@ def fit_pose(record: PoseRecord, drift_sd: float = WARM_UP) -> PoseFit | None:
     record : PoseRecord
     drift_sd : float
         Standard deviation of each part of the drift of an accelerometer, in g.
+    before : Rest or None
+        What the pose before says of the vertical gyro.
     """
     valid = record.weight > 0.0
     if valid.sum() < LEAST_CELLS:
         return None
+    turned = creep(record.time_s, record.weight, record.rate[:, 2], before)
+    record = _turned_back(record, turned)
     quiet = quietness(record.rate, valid)
     seen = [_in_cells(record, valid.astype(np.float64))]
     if not seen[0].sets:
@@ -144,19 +151,25 @@ def fit_pose(record: PoseRecord, drift_sd: float = WARM_UP) -> PoseFit | None:
     best = int(np.argmax(found.log_weight))
     counted = length_s * float(cells.quiet.sum())
     white = found.noise[best] / float(gram[0, 0]) * counted
-    above = upright_windows.products(np.column_stack([np.ones(len(slopes)), upright.rate[:, 2]]))
-    vertical_variance = upright_noise / float(above[0, 0])
+    vertical_variance = upright_noise / float(upright_windows.products(np.ones((len(slopes), 1)))[0, 0])
     return PoseFit(
         found.log_weight,
         complex(*cells.middle[:2]) + found.mean,
         found.variance,
         found.settles,
-        float(upright.middle[2] + above[0, 1] / above[0, 0]),
         vertical_variance + FINEST**2,
+        turned,
         white,
         min(white, vertical_variance * length_s * float(upright.quiet.sum())),
         counted,
     )
+
+
+def _turned_back(record: PoseRecord, turned: Creep) -> PoseRecord:
+    """Return a record as of a unit that does not turn about the vertical."""
+    horizontal = (record.rate[:, 0] + 1j * record.rate[:, 1]) * np.exp(1j * turned.angle)
+    rate = np.column_stack([horizontal.real, horizontal.imag, turned.noise])
+    return replace(record, rate=rate)
 
 
 @dataclass(frozen=True, slots=True)

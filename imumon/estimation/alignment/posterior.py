@@ -1,7 +1,9 @@
 """The heading from all poses: mean and standard deviation over what cannot be known.
 
 The hypotheses of `fit` are weighed by their probability, and so is the size of the gyros' bias: what the
-vertical gyro shows beyond Ω sin L, and the horizontal ones beyond the length Ω cos L, tell of it.
+vertical gyro shows beyond Ω sin L, and the horizontal ones beyond the length Ω cos L, tell of it.  A turn
+about the vertical that has gone on all the time adds to the vertical rate as a bias does, and it has turned
+the unit away from where each pose saw north.
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ import numpy as np
 
 from imumon.blocks import FloatArray, IntArray
 from imumon.estimation.alignment.account import ANY_ANGLE_SD
+from imumon.estimation.alignment.creep import ALL_ALONG, RATES
 from imumon.estimation.alignment.fit import FINEST, PoseFit
 from imumon.geodesy import EARTH_RATE
 
@@ -56,7 +59,8 @@ class Heading:
     Parameters
     ----------
     north : float
-        Direction of north in the frame of the first pose, rad from its forward to its left.
+        Direction of north at the end of the last pose, in the frame of the attitudes, rad from its forward to
+        its left.
     sd : float
         rad.
     bias_sd : float
@@ -86,7 +90,7 @@ def heading(
     ----------
     fits : sequence of PoseFit, (p,)
     attitudes : sequence of array (3, 3)
-        Body axes to the frame of the first pose, level as in that pose.
+        Body axes in the middle of each pose to a level frame, that of the means of the fits.
     turn_variances : array, (p,)
         Of their angles about the vertical, rad².
     """
@@ -98,7 +102,7 @@ def heading(
     spread += common + level**2 * turn_variances
     settles = np.max([fit.settles[k] for fit, k in zip(fits, which, strict=True)], axis=0)
     seen = np.concatenate(
-        [values.real, values.imag, np.tile([fit.vertical for fit in fits], (len(values), 1))], 1
+        [values.real, values.imag, np.tile([fit.creep.rest.rate for fit in fits], (len(values), 1))], 1
     )
     vertical = np.array([fit.vertical_variance for fit in fits]) + common
     noise = np.concatenate([spread, spread, np.tile(vertical, (len(values), 1))], 1)
@@ -108,10 +112,11 @@ def heading(
     by_north[:poses, 0] = by_north[poses : 2 * poses, 1] = level
     offered = np.zeros((*seen.shape, 3))
     offered[..., 0], offered[..., 1:] = seen - upward, -by_north
-    forms, log_determinant = _without_bias(offered, noise, by_bias, place.bias_sds)
     start = math.atan2(*(float(x) for x in _first_guess(seen[0], noise[0], poses)))
+    by_creep, sizes, size_log_prior = _creeping(fits, place, level * np.exp(1j * start))
+    forms, log_determinant = _without_bias(offered, noise, np.hstack([by_bias, by_creep]), sizes)
     angle, misfit, curvature = _closest(forms, start)
-    logs = log_weight[:, None] + place.bias_log_prior - 0.5 * misfit
+    logs = log_weight[:, None] + size_log_prior - 0.5 * misfit
     logs -= 0.5 * log_determinant + 0.5 * np.log(curvature)
     probability = np.exp(logs - logs.max())
     probability /= probability.sum()
@@ -121,7 +126,7 @@ def heading(
     turned = (place.level_sd * math.tan(place.latitude)) ** 2 if abs(place.latitude) < 1.5 else math.inf
     white = 1.0 / float(np.sum(1.0 / spread[0])) / level**2
     by_size = probability.sum(0)
-    supposed = math.sqrt(float(by_size @ np.mean(place.bias_sds**2, axis=1)))
+    supposed = math.sqrt(float(by_size @ np.mean(sizes[:, :3] ** 2, axis=1)))
     left_over = max(float(by_size @ (1.0 / curvature[0])) - white, 0.0)
     return Heading(
         centre,
@@ -131,6 +136,37 @@ def heading(
         float(probability.sum(1) @ settles),
         math.sqrt(white),
     )
+
+
+def _creeping(
+    fits: Sequence[PoseFit], place: Place, north: complex
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return how what is seen depends on the rate by which each pose turns more than its `creep` says.
+
+    Parameters
+    ----------
+    north : complex
+        About the horizontal earth rate, rad/s.
+
+    Returns
+    -------
+    array, (3 p, p)
+    array, (s, 3 + p)
+        Standard deviations of biases and of these rates, rad/s, that are thought of: hardly any, or turns.
+    array, (s,)
+        Logarithms of their prior probabilities.
+    """
+    later_s = np.triu(np.tile([fit.creep.before_s + fit.creep.after_s for fit in fits], (len(fits), 1)), 1)
+    turned = 1j * north * (later_s + np.diag([fit.creep.after_s for fit in fits]))
+    # The noise of the mean is that of the vertical rate already; a turn by it is nothing beside its heading.
+    own = np.sqrt([max(fit.creep.rest.variance - fit.vertical_variance, 0.0) for fit in fits])
+    rates = np.hypot(own, np.r_[0.0, RATES][:, None])
+    share = np.log(np.r_[1.0 - ALL_ALONG, np.full(len(RATES), ALL_ALONG / len(RATES))])
+    sizes = np.hstack(
+        [np.tile(place.bias_sds, (len(rates), 1)), np.repeat(rates, len(place.bias_sds), axis=0)]
+    )
+    prior = (share[:, None] + place.bias_log_prior).ravel()
+    return np.concatenate([turned.real, turned.imag, np.eye(len(fits))]), sizes, prior
 
 
 def _together(fits: Sequence[PoseFit]) -> tuple[FloatArray, IntArray]:
@@ -150,16 +186,16 @@ def _without_bias(
 ) -> tuple[FloatArray, FloatArray]:
     """Return products of columns, weighted by noise and biases of each size, and that log determinant.
 
-    The covariance is D + A S² Aᵀ; its inverse is of rank three beside that of D (Woodbury).
+    The covariance is D + A S² Aᵀ; its inverse is of rank k beside that of D (Woodbury).
 
     Parameters
     ----------
     columns : array, (h, n, 3)
     noise : array, (h, n)
         Diagonal of D.
-    by_bias : array, (n, 3)
+    by_bias : array, (n, k)
         A.
-    sizes : array, (s, 3)
+    sizes : array, (s, k)
         Diagonals of S.
 
     Returns
@@ -169,8 +205,8 @@ def _without_bias(
     weighted = columns / noise[..., None]
     own = weighted.transpose(0, 2, 1) @ columns
     known = (by_bias.T[None] / noise[:, None]) @ by_bias
-    shared = sizes[:, :, None] * (by_bias.T @ weighted)[:, None]  # (h, s, 3, 3)
-    grown = np.eye(3) + sizes[:, :, None] * known[:, None] * sizes[:, None, :]
+    shared = sizes[:, :, None] * (by_bias.T @ weighted)[:, None]  # (h, s, k, 3)
+    grown = np.eye(sizes.shape[1]) + sizes[:, :, None] * known[:, None] * sizes[:, None, :]
     forms = own[:, None] - shared.swapaxes(-1, -2) @ np.linalg.solve(grown, shared)
     return forms, np.log(np.linalg.det(grown)) + np.log(noise).sum(1)[:, None]
 

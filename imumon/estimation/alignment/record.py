@@ -33,6 +33,8 @@ class Pose:
         Undisturbed time before it.
     passage_variance : float
         Of the angle since the pose before.
+    crept_after : float
+        How far it has turned about the vertical unnoticed after this pose, rad, counter-clockwise.
     told : PoseFit and array (3, 3), or None
         What it tells, and its attitude with the level of all of it, once it is over.
     """
@@ -41,6 +43,7 @@ class Pose:
     turn_variance: float
     counted_s: float
     passage_variance: float = 0.0
+    crept_after: float = 0.0
     told: tuple[PoseFit, FloatArray] | None = None
 
 

@@ -197,6 +197,8 @@ class Alignment:
             self._collect()
             if state.due_s != due_s:
                 row, due_s = self._headings(), state.due_s
+            if not math.isnan(row[0]):
+                row[:2] = aligner.heading, aligner.heading_sd  # a creep is followed from fit to fit
             row[6] = self._magnetic()
             rows[first + k] = row
         if len(levels):

@@ -36,6 +36,8 @@ SURE = 4.0
 NOTHING = 1e-2
 """A window that weighs less than this share of another tells nothing."""
 FLOOR = 1e-30
+DEPENDENT = 1e-10
+"""Windows that see the same cells differ by rounding: least over largest eigenvalue of their covariance."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,7 +186,7 @@ def slow_columns(basis: FloatArray, count: float) -> FloatArray:
 def _made(weights: FloatArray, quiet: FloatArray, beside: float) -> Windows | None:
     """Return windows of these weights, (k, n), over cells that correlate so much with their neighbours.
 
-    None when they are worth too few: nothing is left to scatter.
+    None when they are worth too few, as where hardly any cell counts: nothing is left to scatter.
     """
     together = -(-len(weights) // ROWS)
     weights = np.add.reduceat(weights, np.arange(0, len(weights), together), axis=0)
@@ -196,6 +198,9 @@ def _made(weights: FloatArray, quiet: FloatArray, beside: float) -> Windows | No
     own = np.diagonal(covariance)
     count = float(own.sum() ** 2 / (own @ own))
     if count < LEAST_ROWS:
+        return None
+    eigenvalues = np.linalg.eigvalsh(covariance)
+    if eigenvalues[0] < DEPENDENT * eigenvalues[-1]:
         return None
     slow = np.linalg.qr(weights @ slow_columns(slowly(weights.shape[1]), count))[0]
     jitter = np.diff(weights, axis=1, prepend=0.0, append=0.0)

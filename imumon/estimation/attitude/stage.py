@@ -110,6 +110,7 @@ class AttitudeEstimate:
         self._uncertainty = begin(self._errors)
         self._since = np.zeros(1, SINCE)
         self._field = np.full(3, np.nan)
+        self._bias_sd = np.full(3, np.nan)
         self._gaps = 0
         self._reported = False
         self._names = [column.name for column in self.columns if column.name != NORTH]
@@ -217,7 +218,7 @@ class AttitudeEstimate:
             if stop == n or stop in rows.begins:
                 self._turn_free(rows, begun, stop)
                 begun = stop
-        self._keep_field(rows.readings, n)
+        self._keep_latest(rows, n)
 
     def _turn_free(self, rows: _Rows, start: int, stop: int) -> None:
         """Let the heading of rows that nothing ties to north begin where it was said."""
@@ -225,11 +226,13 @@ class AttitudeEstimate:
         if len(free) and self._fusion.begun:
             q[free] = turned_clockwise(q[free], self._heading - self._fusion.first_heading)
 
-    def _keep_field(self, readings: Readings, stop: int) -> None:
-        """Keep the latest reading of the magnetometer before a row."""
-        found = np.flatnonzero(readings.has_mag[:stop])
+    def _keep_latest(self, rows: _Rows, stop: int) -> None:
+        """Keep the latest reading of the magnetometer before a row, and how well the bias was known there."""
+        found = np.flatnonzero(rows.readings.has_mag[:stop])
         if len(found):
-            self._field = readings.mag[found[-1]].copy()
+            self._field = rows.readings.mag[found[-1]].copy()
+        if stop:
+            self._bias_sd = rows.bias_sd[stop - 1].copy()
 
     def _intervals(self, time_ns: IntArray, segment: IntArray) -> tuple[set[int], FloatArray]:
         """Return the rows that begin anew, after a restart or a gap, and the time since the row before, s."""
@@ -255,7 +258,7 @@ class AttitudeEstimate:
         self._since[:] = 0
         if not fusion.begun:
             return
-        self._keep_field(rows.readings, row)
+        self._keep_latest(rows, row)
         self._uncertainty.step(
             Slot(
                 seconds=(self._ended_ns - start_ns) * 1e-9,
@@ -263,7 +266,7 @@ class AttitudeEstimate:
                 turn=slots.turns.at(k),
                 force=slots.mean[k, 3:6],
                 mag=self._field,
-                bias_sd=rows.bias_sd[row],
+                bias_sd=self._bias_sd,  # the row behind may be of a new segment: nothing is known there
                 attitude=matrix(fusion.last),
                 levelling=fusion.levelling,
                 ignored=ignored,

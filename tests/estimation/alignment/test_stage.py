@@ -68,12 +68,19 @@ def test_a_mems_gyro_whose_bias_happens_to_be_zero_shows_no_north_either() -> No
 
 def test_a_declared_bias_counts_and_is_contradicted_when_it_is_too_small() -> None:
     block = samples(scenario(100.0, gyro_turn_on={"offset_deg_per_h": [0.0, 0.0, 6.0]}))
-    stage, _ = aligned(block, {"gyro_bias_sd_deg_per_h": 0.01})
+    declared = {"gyro_bias_sd_deg_per_h": 0.01}
+    stage, _ = aligned(block, declared)
     assert any("contradict the declared bias" in text for text in stage.notices())
+    expected = 0.1 / (15.041 * math.cos(math.radians(36.0)))
+    # Or the unit has turned all along.
+    assert stage.status.shown is not None
+    assert stage.status.shown.sd > expected
+    stage, _ = aligned(
+        samples(scenario(100.0, gyro_turn_on={"offset_deg_per_h": [3.0, -3.0, 3.0]})), declared
+    )
     assert not stage.status.observable
     stage, _ = aligned(samples(scenario(100.0)), {"gyro_bias_sd_deg_per_h": 0.1})
     assert stage.status.shown is not None
-    expected = 0.1 / (15.041 * math.cos(math.radians(36.0)))
     assert stage.status.shown.sd == pytest.approx(expected, rel=0.1)
 
 

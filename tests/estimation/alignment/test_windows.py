@@ -8,7 +8,7 @@ import pytest
 from imumon.blocks import FloatArray
 from imumon.estimation.alignment.fit import PoseRecord, fit_pose
 from imumon.estimation.alignment.lines import without_lines
-from imumon.estimation.alignment.windows import CELLS, bank, in_cells, layout, trend
+from imumon.estimation.alignment.windows import CELLS, bank, in_cells, layout, trend, weighted_bank
 
 SLOT_S = 0.25
 
@@ -82,3 +82,12 @@ def test_a_tripod_of_any_time_constant_is_followed(tau_s: float) -> None:
     assert best > 0
     assert abs(found.mean[best] - (5e-5 + 2e-5j)) < 4.0 * math.sqrt(found.variance[best])
     assert math.sqrt(found.variance[best]) < 2e-7
+
+
+def test_windows_that_see_the_same_few_cells_are_no_set() -> None:
+    # What two lorries left of a record: between cells that do not count lie single ones, which several see.
+    quiet = np.full(77, 2.079496e-6)
+    quiet[[3, 8, 11, 12, 22, 23, 26, 27, 29, 30, 35, 42, 43, 45, 46, 51, 52, 72, 73, 74]] = 0.0
+    for windows in weighted_bank(quiet, 3):
+        values = np.linalg.eigvalsh(windows.covariance)
+        assert values[0] > 1e-10 * values[-1]

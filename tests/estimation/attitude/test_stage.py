@@ -106,6 +106,18 @@ def test_without_a_magnetometer_the_heading_is_free_and_its_change_has_a_sigma()
         assert stage.notices() == []
 
 
+def test_a_restart_while_it_turns_takes_nothing_from_what_is_known_of_the_gyros() -> None:
+    made = scene()
+    turning = int(np.flatnonzero(made.at_rest == 0)[60])
+    block = without_mag(made.block).with_columns(
+        {"segment": (np.arange(len(made.at_rest)) >= turning).astype(np.int64)}
+    )
+    found = estimated(block, AttitudeEstimate(axes="FRD"))
+    known = np.isfinite(found["attitude_estimate_tilt_sd"])
+    assert known[turning - 1]
+    assert known[-1]
+
+
 def test_a_heading_at_rest_does_not_drift() -> None:
     made = scene(turns=False)
     found = estimated(without_mag(made.block), AttitudeEstimate(axes="FRD"))
