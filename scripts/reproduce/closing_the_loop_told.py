@@ -8,14 +8,17 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import closing_the_loop_cases as cases
 import numpy as np
-from closing_the_loop_cases import Case, Generator, Physics, Setting, Thermal, make_case, relays
-from closing_the_loop_live import plain_model
+from closing_the_loop_cases import BLOCK, Case, Generator, Physics, Setting, Thermal, make_case, relays
+from closing_the_loop_live import blocks_of, plain_model
 
 from imumon.blocks import FloatArray
 from imumon.diagnosis.engine import diagnose
+from imumon.diagnosis.live import LiveDiagnosis
+from imumon.diagnosis.recording import Run
 from imumon.diagnosis.verdict import ChannelVerdict
 from imumon.models.model import BiasModel
 
@@ -24,16 +27,19 @@ INSIDE = (
     "temperature_curve",
     "temperature_rate",
     "thermal_lag",
-    "dead_time",
     "hysteresis",
     "warm_up",
-    "stress_relaxation",
     "drift",
     "periodic",
+    "g_sensitivity",
+    "stress_relaxation",
+    "dead_time",
 )
 """Effects that a calibration has inside."""
 STRONG = 10.0
 LIMIT = 1.3
+QUIET_H = (0, 4, 22)
+"""Hours at one temperature before two hours that show an effect: means are then of 30 s, 2 min, 8 min."""
 
 
 def loops(rng: Generator, runs: list[Thermal], _: int) -> list[FloatArray]:
@@ -86,13 +92,41 @@ def told(repeat: int, first: int, *, quick: bool) -> int:
     print(f"\n| calibrated with it, {STRONG:g} floors | named | after, each axis | above {LIMIT} |")
     print("|---|---|---|---|")
     for at, name in enumerate(INSIDE[: 1 if quick else None]):
-        setting = Setting((name,), STRONG, label=name)
+        setting = Setting((name,), STRONG, poses=name == "g_sensitivity", label=name)
         found = list(_verdicts(setting, repeat, first + 1000 * at, plain_model))
         right = sum(_said(one, name) in ("alone", "set") for _, one in found)
         after = [one.test_after.rms / floor for floor, one in found if one.test_after is not None]
         above, each = sum(value > LIMIT for value in after), ", ".join(f"{value:.2f}" for value in after)
         print(f"| {name} | {right}/{len(found)} | {each} | {above} |", flush=True)
+    print("\n| effect, 5 floors | " + " | ".join(f"after {hours} h" for hours in QUIET_H) + " |")
+    print("|---" * (len(QUIET_H) + 1) + "|")
+    for name in INSIDE[2 : 3 if quick else 4]:
+        late = [_late(name, hours, repeat, first) for hours in QUIET_H[: 1 if quick else None]]
+        print(f"| {name} | {' | '.join(late)} |", flush=True)
     return 0
+
+
+def _late(name: str, hours: int, repeat: int, first: int) -> str:
+    """Return in how many sessions an effect is among what is said live at their end."""
+    found = 0
+    for seed in range(first, first + repeat):
+        case = make_case(Setting((name,), 5.0, label=name), seed)
+        stage = LiveDiagnosis(plain_model(case))
+        for block in blocks_of(_begun_still(case.runs[2], 3600 * hours, seed)):
+            stage.process(block)
+        found += name in stage.state
+    return f"{found}/{repeat}"
+
+
+def _begun_still(run: Run, seconds: int, seed: int) -> Run:
+    """Return a run after so many seconds at the temperature that it begins with, the bias as it is then."""
+    rng, mean = np.random.default_rng([seed, 7]), {}
+    for key, values in run.mean.items():
+        level = values[:BLOCK].mean()
+        sd = values[:BLOCK].std() if key != "temperature" else 0.0
+        mean[key] = np.concatenate([level + sd * rng.standard_normal(seconds), values])
+    n = len(mean["temperature"])
+    return replace(run, mean=mean, time_s=np.arange(n, dtype=np.float64) + 0.5, rest=np.ones(n))
 
 
 def _nothing_given(_: Case) -> None:
