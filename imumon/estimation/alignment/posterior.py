@@ -150,9 +150,10 @@ def _creeping(
 
     Returns
     -------
-    array, (3 p, p)
-    array, (s, 3 + p)
-        Standard deviations of biases and of these rates, rad/s, that are thought of: hardly any, or turns.
+    array, (3 p, 2)
+        On what `creep` leaves unknown of all poses, over its standard deviation, and on one rate all along.
+    array, (s, 5)
+        Standard deviations of biases and of these two, rad/s, that are thought of: no rate, or turns.
     array, (s,)
         Logarithms of their prior probabilities.
     """
@@ -160,13 +161,14 @@ def _creeping(
     turned = 1j * north * (later_s + np.diag([fit.creep.after_s for fit in fits]))
     # The noise of the mean is that of the vertical rate already; a turn by it is nothing beside its heading.
     own = np.sqrt([max(fit.creep.rest.variance - fit.vertical_variance, 0.0) for fit in fits])
-    rates = np.hypot(own, np.r_[0.0, RATES][:, None])
     share = np.log(np.r_[1.0 - ALL_ALONG, np.full(len(RATES), ALL_ALONG / len(RATES))])
+    rates = np.column_stack([np.ones(1 + len(RATES)), np.r_[0.0, RATES]])
     sizes = np.hstack(
         [np.tile(place.bias_sds, (len(rates), 1)), np.repeat(rates, len(place.bias_sds), axis=0)]
     )
     prior = (share[:, None] + place.bias_log_prior).ravel()
-    return np.concatenate([turned.real, turned.imag, np.eye(len(fits))]), sizes, prior
+    each = np.concatenate([turned.real, turned.imag, np.eye(len(fits))])
+    return np.column_stack([each @ own, each.sum(1)]), sizes, prior
 
 
 def _together(fits: Sequence[PoseFit]) -> tuple[FloatArray, IntArray]:
