@@ -132,7 +132,11 @@ class LiveDiagnosis:
 
     def _look(self, elapsed_s: float) -> None:
         self._next_look_s = (elapsed_s // LOOK_S + 1.0) * LOOK_S
-        if self.offered is not None or not self._aged.has_any({*self._temperatures, *TEMPERATURES}):
+        if self.offered is not None:
+            return
+        if not self._aged.has_any({*self._temperatures, *TEMPERATURES}):
+            wanted = " or ".join(self._temperatures)
+            self._say(f"what the model lacks is not told: the device has not sent any {wanted} so far")
             return
         run = self._run()
         found = better_models(run, self._model, self._gyros)

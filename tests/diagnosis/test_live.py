@@ -127,9 +127,13 @@ def test_a_unit_that_never_rests_is_looked_at_in_vain() -> None:
     assert said(replace(told, rest=np.zeros(SECONDS)), LiveDiagnosis(model())) == ""
 
 
-def test_a_session_without_any_temperature_is_looked_at_in_vain() -> None:
+def test_a_session_without_any_temperature_is_looked_at_in_vain_and_that_is_said_once() -> None:
     told = session(40.0 * DPH * np.sin(np.arange(SECONDS) / 30.0), temperature=np.full(SECONDS, np.nan))
-    assert said(told, LiveDiagnosis(model())) == ""
+    stage = LiveDiagnosis(model())
+    assert said(told, stage) == ""
+    assert stage.notices() == [
+        "what the model lacks is not told: the device has not sent any temperature so far"
+    ]
 
 
 def test_after_a_gap_of_many_hours_a_run_begins_anew() -> None:
