@@ -21,7 +21,7 @@ from pyarrow import csv
 
 from imumon.errors import ImumonError, Reason
 from imumon.geodesy import STANDARD_GRAVITY
-from imumon.recordings.logs.log import AXES, Log, Series, named, nanoseconds, pick, triple
+from imumon.recordings.logs.log import AXES, Damage, Log, Series, named, nanoseconds, pick, triple
 
 BEGIN = b"H Product:Blackbox"
 TABLE = re.compile(rb"\s*loopIteration\s*,\s*time \(")
@@ -59,7 +59,7 @@ def read(path: Path, sensor: str | None = None) -> Log:
         its gyro, or it has no such gyro.
     """
     lines, skip = _head(path)
-    table = _read_table(path, skip)
+    table, damage = _read_table(path, skip)
     columns = _columns(table.column_names)
     if "time" not in columns:
         raise ImumonError(Reason.BAD_DATA, f"{path}: has no time in {', '.join(MICROSECONDS)}")
@@ -74,7 +74,7 @@ def read(path: Path, sensor: str | None = None) -> Log:
         if force is not None:
             gyro |= named(values, _parts("accSmooth"), triple("accel"), force)
     time = nanoseconds(np.nan_to_num(values["time"] * MICROSECONDS[columns["time"].unit], nan=-1.0))
-    return Log(name, others, Series(time, gyro), [], "FLU", f"gyro {said}, by {scaling.source}")
+    return Log(name, others, Series(time, gyro), [], "FLU", f"gyro {said}, by {scaling.source}", damage)
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,22 +150,30 @@ def _head(path: Path) -> tuple[dict[str, str], int]:
     return _fields(b"".join(lines)), count
 
 
-def _read_table(path: Path, skip: int) -> pa.Table:
-    """Return the columns that may be taken, as float64."""
+def _read_table(path: Path, skip: int) -> tuple[pa.Table, Damage]:
+    """Return the columns that may be taken, as float64, and the rows that are cut."""
+    cut: list[int] = []
+
+    def leave_out(row: csv.InvalidRow) -> str:
+        cut.append(len(row.text.encode()))
+        return "skip"
+
     try:
-        names = csv.open_csv(path, csv.ReadOptions(skip_rows=skip)).schema.names
+        passed = csv.ParseOptions(invalid_row_handler=lambda _: "skip")
+        names = csv.open_csv(path, csv.ReadOptions(skip_rows=skip), passed).schema.names
         columns = _columns([name.strip() for name in names])
         wanted = [name for name in names if name.strip() in {one.title for one in columns.values()}]
         table = csv.read_csv(
             path,
             csv.ReadOptions(skip_rows=skip),
+            csv.ParseOptions(invalid_row_handler=leave_out),
             convert_options=csv.ConvertOptions(
                 include_columns=wanted, column_types=dict.fromkeys(wanted, pa.float64())
             ),
         )
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
         raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read as a table: {error}") from error
-    return table.rename_columns([name.strip() for name in table.column_names])
+    return table.rename_columns([name.strip() for name in table.column_names]), Damage(len(cut), sum(cut))
 
 
 def _columns(titles: list[str]) -> dict[str, _Column]:

@@ -130,6 +130,16 @@ def test_a_damaged_table_is_refused(tmp_path: Path) -> None:
     assert error.value.reason is Reason.BAD_DATA
 
 
+def test_a_row_that_is_cut_is_left_out_and_counted(tmp_path: Path) -> None:
+    path = table(tmp_path / "a.csv", head=HEAD)
+    whole = path.read_text().rstrip("\n")
+    row = whole.rsplit("\n", 1)[1]
+    path.write_text(f"{whole}\n{row[: row.index('-10')]}")
+    report = import_log(path, None, tmp_path / "s")
+    assert report.rows.rows_out == ROWS
+    assert (report.damage.places, report.damage.size) == (1, row.index("-10"))
+
+
 def test_the_command_says_the_scaling(tmp_path: Path) -> None:
     found = answer("import", table(tmp_path / "a.csv", head=HEAD), "--out", tmp_path / "s")
     assert found["scaling"] == "gyro raw x 1 °/s, accelerometer raw / 2048 g, by the head of a.csv"
