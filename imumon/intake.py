@@ -139,12 +139,14 @@ class Intake:
         """Leave out what all axes of a sensor repeat more often than by chance."""
         name = sensor[0].removesuffix("_x")
         readings = np.stack([block[axis] for axis in sensor])
-        length = np.abs(readings).max(axis=0)
         if name == "accel":  # one that is off says zero; of a unit that falls, noise is left
-            self._leave_out(sensor, length == 0.0, f"{name} that is zero in all axes", block, changed)
+            self._leave_out(
+                sensor, (readings == 0.0).all(axis=0), f"{name} that is zero in all axes", block, changed
+            )
         stands = still.judge(readings)
         if stands is None:
             return
+        length = np.abs(readings).max(axis=0)
         least, most = IMPOSSIBLE_AT_REST[name]
         stands &= ((length > 0.0) & (length < least)) | (length > most)
         why = f"{name} while its axes stand still where none can at rest"
