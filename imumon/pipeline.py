@@ -9,7 +9,8 @@ from __future__ import annotations
 import hashlib
 import pickle
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from types import MappingProxyType
 from typing import Any, Protocol, get_args, runtime_checkable
@@ -406,14 +407,21 @@ def _processed(stage: Estimator, seen: SampleBlock) -> Mapping[str, ColumnArray]
     views = {name: values.view() for name, values in seen.columns.items()}
     for view in views.values():
         view.flags.writeable = False
-    try:
+    with _failing(stage, "process"):
         new = stage.process(SampleBlock(views))
-    except Exception as error:  # whatever somebody else's code raises
-        what = f"process failed: {type(error).__name__}: {error}"
-        raise _wrong(stage, what, "mend it, or run without it") from error
     if not isinstance(new, Mapping):
         raise _wrong(stage, f"process returned {_shown(new)}", "return a dict: an array for each column")
     return new
+
+
+@contextmanager
+def _failing(stage: Estimator, call: str) -> Iterator[None]:
+    """Raise BAD_CONFIG, naming the stage and the call, for whatever somebody else's code raises."""
+    try:
+        yield
+    except Exception as error:
+        what = f"{call} failed: {type(error).__name__}: {error}"
+        raise _wrong(stage, what, "mend it, or run without it") from error
 
 
 def _is_own(stage: Estimator) -> bool:
@@ -424,11 +432,8 @@ def _notices(stage: Estimator) -> list[str]:
     """Return what a stage has to say; BAD_CONFIG, naming it, where one from outside fails or says no text."""
     if _is_own(stage):
         return stage.notices()
-    try:
+    with _failing(stage, "notices"):
         said = list(stage.notices())
-    except Exception as error:  # whatever somebody else's code raises
-        what = f"notices failed: {type(error).__name__}: {error}"
-        raise _wrong(stage, what, "mend it, or run without it") from error
     if not all(isinstance(text, str) for text in said):
         raise _wrong(stage, "notices returned what is no text", "return a list of str")
     return said
