@@ -14,6 +14,7 @@ import closing_the_loop_cases as cases
 import numpy as np
 from closing_the_loop_cases import BLOCK, Case, Generator, Physics, Setting, Thermal, make_case, relays
 from closing_the_loop_live import blocks_of, plain_model
+from closing_the_loop_statistics import IN_LIBRARY
 
 from imumon.blocks import FloatArray
 from imumon.diagnosis.engine import diagnose
@@ -23,18 +24,7 @@ from imumon.diagnosis.verdict import ChannelVerdict
 from imumon.models.model import BiasModel
 
 SIZES = (1.0, 2.0, 5.0)
-INSIDE = (
-    "temperature_curve",
-    "temperature_rate",
-    "thermal_lag",
-    "hysteresis",
-    "warm_up",
-    "drift",
-    "periodic",
-    "g_sensitivity",
-    "stress_relaxation",
-    "dead_time",
-)
+INSIDE = tuple(name for name in IN_LIBRARY if name not in ("step", "run_offset"))
 """Effects that a calibration has inside."""
 STRONG = 10.0
 LIMIT = 1.3
