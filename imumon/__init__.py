@@ -46,6 +46,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 from imumon.errors import ImumonError, Reason
+from imumon.version import __version__
 
 if TYPE_CHECKING:
     from imumon.blocks import SampleBlock
@@ -54,8 +55,6 @@ if TYPE_CHECKING:
     from imumon.models.model import load_model
     from imumon.pipeline import Estimator, Pipeline
     from imumon.run.setup import Setup, load_setup
-
-__version__ = "0.1.0"
 
 __all__ = [
     "Column",

@@ -27,10 +27,11 @@ from imumon.clock.side import SharedCounter, SideClock
 from imumon.columns import KNOWN, NAME, TIME_COLUMNS, Column, ColumnType
 from imumon.errors import ImumonError, Reason
 from imumon.intake import Intake
-from imumon.protocols.base import COMMON, MAIN, Counters, Timing
+from imumon.protocols.base import COMMON, MAIN, Timing
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.epochs import EpochAssembler, EpochCounters
 from imumon.protocols.stream import ByteArray
+from imumon.transport.statistics import Counters
 
 UNDATED = NO_INT
 """Arrival time of bytes whose arrival nobody noted, as in a raw capture."""

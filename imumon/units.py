@@ -7,12 +7,10 @@ from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
 from tokenize import TokenError
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from imumon.blocks import FloatArray
 from imumon.errors import ImumonError, Reason
-
-if TYPE_CHECKING:
-    from imumon.blocks import FloatArray
 
 # What the field writes and pint reads otherwise or not at all.
 _SPELLINGS = {

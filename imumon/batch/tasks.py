@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from imumon import __version__
 from imumon.batch.dataset import Row
 from imumon.batch.limit import limited
 from imumon.batch.options import BatchOptions
@@ -27,6 +26,7 @@ from imumon.recordings.source import Source, open_source, run_over
 from imumon.run.replay import digested, identical_to_live
 from imumon.run.setup import parse_setup, recorded_setup
 from imumon.run.stages import estimators
+from imumon.version import __version__
 
 
 @dataclass(frozen=True, slots=True)

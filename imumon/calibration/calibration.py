@@ -10,7 +10,6 @@ from typing import Literal
 
 import numpy as np
 
-from imumon import __version__
 from imumon.blocks import FloatArray, IntArray
 from imumon.calibration.cells import Cells, Channel, channel_of, group, levels
 from imumon.calibration.offsets import turn_on_offsets
@@ -22,6 +21,7 @@ from imumon.geodesy import DEG_PER_H
 from imumon.models.curves.points import Points
 from imumon.models.model import UNITS, BiasModel, ChannelModel, TrainedOn
 from imumon.recordings.reduced import ACCEL, GYRO
+from imumon.version import __version__
 
 Tell = Callable[[str], None]
 """Takes what is being done now."""

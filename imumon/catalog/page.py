@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from imumon import __version__
 from imumon.blocks import FloatArray
 from imumon.catalog.drift import Drift, Outlier, drifts
 from imumon.catalog.tables import day
@@ -26,6 +25,7 @@ from imumon.recordings.reader import open_recording
 from imumon.recordings.reduced import GYRO, TEMPERATURES, Reduced, reduce
 from imumon.run.setup import recorded_setup
 from imumon.run.stages import estimators
+from imumon.version import __version__
 
 TEMPLATE = "record.html.j2"
 POINTS = 400

@@ -30,10 +30,10 @@ def command(session: Path, out: Path, model: Path | None, plot: Path | None, as_
         check_output(plot)
     from datetime import UTC, datetime
 
-    from imumon import __version__
     from imumon.calibration.magnetometer import fit_magnetometer
     from imumon.models.model import BiasModel, load_model
     from imumon.recordings.reader import open_recording
+    from imumon.version import __version__
 
     known = None if model is None else load_model(model)
     recording = open_recording(session)

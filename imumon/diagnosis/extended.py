@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.polynomial import Chebyshev, Polynomial
 
-from imumon import __version__
 from imumon.diagnosis.blocks import RunBlocks
 from imumon.effects.base import Effect
 from imumon.effects.temperature_curve import TemperatureCurve
 from imumon.models.curves.polynomial import HIGHEST_ORDER, PolynomialCurve
 from imumon.models.model import UNITS, BiasModel, ChannelModel, TrainedOn
+from imumon.version import __version__
 
 if TYPE_CHECKING:
     from imumon.diagnosis.engine import Diagnosis

@@ -10,7 +10,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from imumon import __version__
 from imumon.diagnosis.conclusion import conclusion, next_steps, state
 from imumon.diagnosis.engine import Diagnosis
 from imumon.diagnosis.fitting import FittedPart
@@ -20,6 +19,7 @@ from imumon.diagnosis.questions import Answer
 from imumon.diagnosis.verdict import ChannelVerdict, Claim
 from imumon.effects.library import separated_by
 from imumon.files import plain, write_text
+from imumon.version import __version__
 
 FORMAT: Final = "imumon-diagnosis/1"
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from fractions import Fraction
 from typing import TypeVar
 
@@ -15,6 +15,7 @@ from imumon.columns import Column
 from imumon.compiled import alone
 from imumon.errors import ImumonError, Reason
 from imumon.protocols.stream import CHUNK, ByteArray, append, new_stream
+from imumon.transport.statistics import Counters
 
 T = TypeVar("T")
 
@@ -56,24 +57,6 @@ class Timing:
     tick_ns: Fraction | None = None
     tick_bits: int = 0
     rate_hz: float | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Counters:
-    """What became of every byte: received = in packets + skipped + pending."""
-
-    bytes_received: int = 0
-    bytes_in_packets: int = 0
-    bytes_skipped: int = 0
-    packets: int = 0
-    checksum_errors: int = 0
-    length_errors: int = 0
-    packets_by_type: dict[str, int] = field(default_factory=dict)
-
-    @property
-    def bytes_pending(self) -> int:
-        """Bytes that may still become part of a packet."""
-        return self.bytes_received - self.bytes_in_packets - self.bytes_skipped
 
 
 @dataclass(frozen=True, slots=True)

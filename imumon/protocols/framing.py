@@ -23,8 +23,9 @@ from functools import partial
 import numpy as np
 
 from imumon.blocks import BoolArray, IntArray
-from imumon.protocols.base import Counters, Decoder, Packets
+from imumon.protocols.base import Decoder, Packets
 from imumon.protocols.stream import CHUNK, ByteArray
+from imumon.transport.statistics import Counters
 
 INCOMPLETE, NO_PACKET, IMPOSSIBLE, BAD_SUM = -1, -2, -3, -4
 """Instead of a length: more bytes must come, nothing of this kind, no such length, the checksum differs."""

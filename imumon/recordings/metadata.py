@@ -11,10 +11,10 @@ from typing import Any, Final, Literal
 
 from pydantic import Field, NonNegativeInt
 
-from imumon import __version__
 from imumon.config import StrictModel, parse_yaml
 from imumon.errors import ImumonError, Reason
 from imumon.files import read_text
+from imumon.version import __version__
 
 FORMAT: Final = "imumon-session/1"
 SourceKind = Literal["live", "simulation", "import"]

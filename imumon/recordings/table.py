@@ -18,7 +18,6 @@ import pyarrow as pa
 import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
 
-from imumon import __version__
 from imumon.blocks import NO_INT, ColumnArray, SampleBlock, join
 from imumon.columns import KNOWN, Column, ColumnType
 from imumon.config import StrictModel, dump_yaml, load_yaml
@@ -26,6 +25,7 @@ from imumon.errors import ImumonError, Reason
 from imumon.files import check_output, naming, target, write_text
 from imumon.harmless import for_csv
 from imumon.recordings.folder import Session
+from imumon.version import __version__
 
 FORMAT = "imumon-table/1"
 SUFFIXES = (".parquet", ".csv")

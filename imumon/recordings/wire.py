@@ -30,7 +30,6 @@ from mcap.records import (
     Statistics,
 )
 
-from imumon import __version__
 from imumon.errors import ImumonError, Reason
 from imumon.recordings.wire_format import (
     CDR,
@@ -51,6 +50,7 @@ from imumon.recordings.wire_format import (
     Check,
 )
 from imumon.transport.reader import Bytes, Item
+from imumon.version import __version__
 
 PENDING_LIMIT = 8 << 20
 """Bytes that are kept for a disk that is full or stuck; what comes on top is counted, not kept."""

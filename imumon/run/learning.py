@@ -6,10 +6,10 @@ import shlex
 from datetime import UTC, datetime
 from pathlib import Path
 
-from imumon import __version__
 from imumon.models.model import BiasModel
 from imumon.pipeline import Pipeline
 from imumon.recordings.folder import Session, fingerprint
+from imumon.version import __version__
 
 LEARNED_NAME = "learned-model.yaml"
 

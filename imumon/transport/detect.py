@@ -6,15 +6,13 @@ import time
 from collections.abc import Callable, Iterable, Mapping, Sequence, Sized
 from dataclasses import dataclass
 from enum import Enum
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 from imumon.errors import ImumonError, Reason
 from imumon.transport.errors import silent_error, wrong_baud_error
 from imumon.transport.port import open_port
 from imumon.transport.settings import PortSettings
-
-if TYPE_CHECKING:
-    from imumon.protocols.base import Counters
+from imumon.transport.statistics import Counters
 
 COMMON_BAUDRATES = (
     *(115200, 921600, 460800, 230400, 57600, 38400, 9600, 19200),

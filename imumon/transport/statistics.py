@@ -1,8 +1,9 @@
-"""How full the link is: bytes per second, load, bursts."""
+"""What arrives on a link: how full it is, and what became of every byte."""
 
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import dataclass, field
 
 from imumon.transport.settings import PortSettings
 
@@ -78,3 +79,21 @@ class LinkStatistics:
     def _forget(self, bucket: int) -> None:
         while self._buckets and self._buckets[0][0] < bucket - WINDOW_BUCKETS:
             self._buckets.popleft()
+
+
+@dataclass(frozen=True, slots=True)
+class Counters:
+    """What became of every byte: received = in packets + skipped + pending."""
+
+    bytes_received: int = 0
+    bytes_in_packets: int = 0
+    bytes_skipped: int = 0
+    packets: int = 0
+    checksum_errors: int = 0
+    length_errors: int = 0
+    packets_by_type: dict[str, int] = field(default_factory=dict)
+
+    @property
+    def bytes_pending(self) -> int:
+        """Bytes that may still become part of a packet."""
+        return self.bytes_received - self.bytes_in_packets - self.bytes_skipped

@@ -8,7 +8,8 @@ import numpy as np
 from hypothesis import strategies as st
 
 from imumon.blocks import SampleBlock
-from imumon.protocols.base import Counters, Decoder
+from imumon.protocols.base import Decoder
+from imumon.transport.statistics import Counters
 
 chunkings = st.lists(st.integers(1, 400), min_size=1, max_size=20)
 """Lengths of chunks, repeated as long as there are bytes."""

@@ -8,10 +8,10 @@ from contextlib import contextmanager
 import pytest
 
 from imumon.errors import ImumonError, Reason
-from imumon.protocols.base import Counters
 from imumon.simulation.virtual_port import VirtualPort
 from imumon.transport.detect import COMMON_BAUDRATES, Verdict, baudrates_to_try, detect, failure
 from imumon.transport.settings import PortSettings
+from imumon.transport.statistics import Counters
 from tests.transport.helpers import tcp_server
 
 pytestmark = pytest.mark.usefixtures("no_leaks")
