@@ -38,6 +38,8 @@ ONE_BY_ONE = {"flush_num_rows": 1, "flush_num_bytes": 0, "chunk_max_rows_if_unso
 """What is inside must arrive before what it is in: a viewer takes out what it does not find, for good."""
 OUTERMOST = "viewport"
 """The part that names the outermost."""
+ROOM = 1000
+"""Parts that are handed over at once: Rerun 0.41 takes 1024 and then waits for ever, with the interpreter."""
 
 
 class InPlace:
@@ -71,8 +73,13 @@ class InPlace:
         self._at = max(time.time_ns() // 1000, self._at)
         stream: Any = self
         whole._log_to_stream(stream)
-        if written := self._written.read():
-            self._rec.log_file_from_contents("arrangement.rbl", as_blueprint(written))
+        written = self._written.read() or b""
+        parts = as_blueprint(written)
+        for first in range(0, len(parts), ROOM):
+            piece = b"".join([written[:HEAD_BYTES], *parts[first : first + ROOM], FRAME.pack(END, 0)])
+            self._rec.log_file_from_contents("arrangement.rbl", piece)
+            if first + ROOM < len(parts):
+                self._rec.flush()  # or the pieces overtake each other
 
     def log(self, path: str, what: Any, *, static: bool = False) -> None:
         """Take a part, as a blueprint logs it."""
@@ -97,8 +104,7 @@ def name_parts(part: Any, above: str = "") -> None:
             seen[name] += 1
 
 
-def as_blueprint(written: bytes) -> bytes:
+def as_blueprint(written: bytes) -> list[bytes]:
     """Return the parts that Rerun wrote for a recording, for the blueprint of the application."""
     here, there = (store_id(kind, LIVE_APPLICATION, LIVE_APPLICATION) for kind in (RECORDING, BLUEPRINT))
-    parts = [message.replace(here, there) for kind, message in messages(BytesIO(written)) if kind == PART]
-    return b"".join([written[:HEAD_BYTES], *parts, FRAME.pack(END, 0)])
+    return [message.replace(here, there) for kind, message in messages(BytesIO(written)) if kind == PART]

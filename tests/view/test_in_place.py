@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +15,10 @@ from rerun.chunk import RrdReader
 from rerun.experimental import ViewerClient
 from support.screenshots import studio
 
+from imumon.view import in_place
 from imumon.view.blueprint import arranged
 from imumon.view.in_place import InPlace
-from imumon.view.rrd import LIVE_APPLICATION
+from imumon.view.rrd import LIVE_APPLICATION, messages
 from imumon.view.viewer import free_port
 from tests.view.conftest import StartViewer
 
@@ -69,6 +71,26 @@ def test_only_what_has_changed_is_sent_and_what_is_inside_comes_first(tmp_path: 
 def test_a_new_reader_gets_everything(tmp_path: Path) -> None:
     once = sent(tmp_path / "a.rrd", "xy")
     assert len(sent(tmp_path / "b.rrd", "xy", "xy", forget=True)) == 2 * len(once)
+
+
+def test_an_arrangement_of_many_units_is_handed_over_in_pieces(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sizes, hand_over = [], rr.RecordingStream.log_file_from_contents
+
+    def count_and_hand_over(rec: rr.RecordingStream, name: str, contents: bytes) -> None:
+        sizes.append(sum(1 for _ in messages(BytesIO(contents))))
+        hand_over(rec, name, contents)
+
+    monkeypatch.setattr(rr.RecordingStream, "log_file_from_contents", count_and_hand_over)
+    in_one = sent(tmp_path / "a.rrd", "abcdef")
+    whole = sizes.pop()
+    monkeypatch.setattr(in_place, "ROOM", 7)
+    in_pieces = sent(tmp_path / "b.rrd", "abcdef")
+    assert whole == len(in_one) > 20
+    assert max(sizes) == 7, "Rerun never ends with more than it has room for"
+    assert sum(sizes) == whole
+    assert [entity for _, entity, _ in in_pieces] == [entity for _, entity, _ in in_one]
 
 
 def looked_at(viewer: ViewerClient) -> tuple[dict[str, Any], dict[str, Any], list[str], str]:
