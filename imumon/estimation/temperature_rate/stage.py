@@ -13,7 +13,7 @@ from imumon.columns import Column
 from imumon.errors import ImumonError, Reason
 from imumon.estimation.temperature_rate.level_bank import LevelBankRate
 from imumon.estimation.temperature_rate.readings import StepWatch
-from imumon.estimation.temperature_rate.series import RateMethod
+from imumon.filters.rates import RateMethod
 from imumon.protocols.thermometer import TemperatureRateParameters
 
 CHANNEL = "temperature"
