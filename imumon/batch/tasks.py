@@ -212,11 +212,13 @@ def _allan(path: Path, _: Job) -> Iterator[Row]:
 
 
 def _calibrate(path: Path, job: Job) -> Iterator[Row]:
-    from imumon.calibration.calibration import calibrate_sessions
+    from imumon.calibration.calibration import calibrate, check_place, read_sessions
 
     options = job.options
     serial = open_session(path).metadata.serial
-    found = calibrate_sessions([path], options.latitude_deg, options.heading_deg, serial)
+    check_place(options.latitude_deg, options.heading_deg)  # before minutes of reading
+    records, _ = read_sessions([path])
+    found = calibrate(records, options.latitude_deg, options.heading_deg, serial)
     file = job.file("models", ".yaml")
     found.model.write(file)
     for name, finding in found.findings.items():

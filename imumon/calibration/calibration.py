@@ -76,28 +76,6 @@ class Calibration:
     """Whether its runs are in several poses: their offsets then hold what gravity and the earth rate do."""
 
 
-def calibrate_sessions(
-    paths: Sequence[Path],
-    latitude_deg: float | None = None,
-    heading_deg: float | None = None,
-    serial: str | None = None,
-    tell: Tell = lambda _: None,
-) -> Calibration:
-    """Make a bias model of sessions of one unit; see `calibrate`.  `tell` is told what is being done.
-
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when a session cannot be read or the data does not allow a model; BAD_CONFIG when latitude or
-        heading cannot be used.
-    """
-    check_place(latitude_deg, heading_deg)  # before minutes of reading
-    records, warnings = read_sessions(paths)
-    calibration = calibrate(records, latitude_deg, heading_deg, serial, tell)
-    calibration.warnings[:0] = warnings
-    return calibration
-
-
 def read_sessions(paths: Sequence[Path]) -> tuple[list[Record], list[str]]:
     """Return the records of sessions, and what is to be said of them.
 

@@ -67,12 +67,11 @@ def record_of(
     sha256: str,
     device: str | None = None,
     axes: str | None = None,
-    block_s: float = BLOCK_S,
     serial: str | None = None,
 ) -> Record:
     """Reduce samples that went through the pipeline."""
-    means = reduce(blocks, COLUMNS, block_s)
-    rest = means.at_rest() & (means.span_s >= LEAST_COVERED * block_s)
+    means = reduce(blocks, COLUMNS, BLOCK_S)
+    rest = means.at_rest() & (means.span_s >= LEAST_COVERED * BLOCK_S)
     return Record(name, sha256, device, axes, means, rest, serial)
 
 

@@ -42,8 +42,8 @@ def command(
     """
     from imumon.diagnosis.engine import diagnose
     from imumon.diagnosis.extended import extended_model, with_model
-    from imumon.diagnosis.holding_out import latest
     from imumon.diagnosis.report import report
+    from imumon.diagnosis.train_and_test import latest
     from imumon.recordings.folder import sessions_in
 
     check_output(out)

@@ -18,13 +18,11 @@ from imumon.diagnosis.blocks import (
 )
 from imumon.diagnosis.candidates import Pool
 from imumon.diagnosis.channel import Channel, Declared, Own
-from imumon.diagnosis.continuing import continued, predecessor
 from imumon.diagnosis.device_clock import CLOCK
 from imumon.diagnosis.drivers import recorded, shadows, with_drivers
 from imumon.diagnosis.earth import EarthRate, earth_rate, turned, without
 from imumon.diagnosis.faults import faults, without_standstill
 from imumon.diagnosis.gravity import Length, at_poses, length
-from imumon.diagnosis.holding_out import STRETCHES, divided
 from imumon.diagnosis.known import (
     drivers_of,
     effects_of,
@@ -42,6 +40,7 @@ from imumon.diagnosis.recording import (
     unit_of,
 )
 from imumon.diagnosis.selection import search
+from imumon.diagnosis.train_and_test import STRETCHES, divided, in_order
 from imumon.diagnosis.verdict import ChannelVerdict, settle
 from imumon.effects.base import LEAST_SPAN_DEGC, Survey
 from imumon.effects.library import effects_for
@@ -141,7 +140,7 @@ def diagnose(
     if len(channels) > 1 and not all(CLOCK in run.mean for run in (*train, *test)):
         channels = [name for name in channels if name != CLOCK]
     train, test = (_sound(runs, channels, caveats) for runs in (train, test))
-    test = _in_order(train, _unseen(train, test, caveats), caveats)
+    test = in_order(train, test, caveats)
     long = len(train) == 1 and train[0].duration_s >= 2 * LEAST_BLOCKS * common_block_s(train)
     held = long and not test
     if held:
@@ -290,34 +289,6 @@ def _sound(runs: Sequence[Run], channels: Sequence[str], caveats: list[str]) -> 
     both = [without_standstill(run, channels) for run in runs]
     caveats += [text for _, said in both for text in said]
     return [run for run, _ in both]
-
-
-def _unseen(train: Sequence[Run], test: Sequence[Run], caveats: list[str]) -> list[Run]:
-    """Return the test runs without those that the training has: by their bytes, whatever their names."""
-    known = {(run.origin.sha256, run.origin.index, run.start_ns) for run in train if run.origin is not None}
-    found = []
-    for run in test:
-        if run.origin is not None and (run.origin.sha256, run.origin.index, run.start_ns) in known:
-            caveats.append(f"{run.name}: not used as a test, the training has the same recording")
-        else:
-            found.append(run)
-    return found
-
-
-def _in_order(train: Sequence[Run], test: Sequence[Run], caveats: list[str]) -> list[Run]:
-    """Return the test runs; those that go on where another run ended have its time and temperatures."""
-    found: list[Run] = []
-    for run in test:
-        before = predecessor(run, [*found, *train])
-        if before is None:
-            found.append(run)
-            continue
-        caveats.append(
-            f"{run.name} goes on where {before.name} ended, by the device's clock: time since power-on, lag"
-            " and loop go on as well"
-        )
-        found.append(continued(before, run))
-    return found
 
 
 def search_block(blocks: Sequence[RunBlocks]) -> float:

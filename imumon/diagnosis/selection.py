@@ -94,19 +94,25 @@ class Finding:
 
 
 @dataclass(frozen=True, slots=True)
-class Turn:
-    """A turn of the loop: what was done, the model that it led to, and the gain in BIC where there was one.
+class Step:
+    """A turn of the loop.
 
     Parameters
     ----------
     done : str
     model : sequence of Candidate
+        That it led to.
     gain : float
+        In BIC, where there was one.
+    train_rms, test_rms : float
+        What the model leaves, once it is fitted.
     """
 
     done: str
     model: Sequence[Candidate]
     gain: float = float("nan")
+    train_rms: float = float("nan")
+    test_rms: float = float("nan")
 
 
 def search(
@@ -153,7 +159,7 @@ class Search:
     ) -> None:
         self.channel = channel
         self.findings: list[Finding] = []
-        self.turns: list[Turn] = []
+        self.turns: list[Step] = []
         self.many_events = False
         self.finished = False
         self.first: Table | None = None
@@ -213,7 +219,7 @@ class Search:
         gain = self._evidence() - before - (self.channel.declared.degree) * self.likelihood.price
         self.refit = gain > PROVEN
         if self.refit:
-            self.turns.append(Turn("what was given is fitted anew", self.found, gain))
+            self.turns.append(Step("what was given is fitted anew", self.found, gain))
 
     def resume(self, kept: Sequence[Finding], refuted: Sequence[str]) -> bool:
         """Look again beside what is kept, without what the test has refuted; tell whether there is more.
@@ -221,7 +227,7 @@ class Search:
         The channel goes by itself now: with what others have in common it was led wrong.
         """
         self.findings = list(kept)
-        self.turns.append(Turn(f"the test refutes {', '.join(refuted)}", self.found))
+        self.turns.append(Step(f"the test refutes {', '.join(refuted)}", self.found))
         self.tried = [one for one in self.tried if one.family not in refuted]
         self.finished = self.many_events
         while not self.finished and len(self.findings) < len(kept) + MOST_STAGES:
@@ -327,7 +333,7 @@ class Search:
             if self._second_event(finding):
                 break
             self.findings.append(finding)
-            self.turns.append(Turn(finding.name, self.found, finding.gain))
+            self.turns.append(Step(finding.name, self.found, finding.gain))
             return
         self.finished = True
 

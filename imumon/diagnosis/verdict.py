@@ -27,7 +27,7 @@ from imumon.diagnosis.gains import PROVEN
 from imumon.diagnosis.likelihood import WALK_S
 from imumon.diagnosis.looking import Ranked, RunLeft, ranking, runs_left
 from imumon.diagnosis.questions import Question, questions
-from imumon.diagnosis.selection import Finding, Search, Turn
+from imumon.diagnosis.selection import Finding, Search, Step
 from imumon.diagnosis.uncertainty import PartSigma, sigmas
 from imumon.effects.library import separated_by
 
@@ -72,16 +72,6 @@ class SlowNoise:
     def jumps(self) -> bool:
         """Whether it jumps or comes in bursts, as no Gaussian noise does."""
         return self.tails > PROVEN
-
-
-@dataclass(frozen=True, slots=True)
-class Step:
-    """A turn of the loop: what was done, its gain in BIC, and what the model that it led to leaves (rms)."""
-
-    done: str
-    gain: float
-    train_rms: float
-    test_rms: float
 
 
 @dataclass(slots=True)
@@ -314,12 +304,12 @@ def _refit(channel: Channel, found: Search, kept: Sequence[Finding]) -> list[str
 
 def _turns(channel: Channel, found: Search, given: Fit) -> list[Step]:
     """Return the turns of the loop with what is left after each, in training and test."""
-    steps = [(Turn("what was assumed", ()), given)]
-    steps += [(turn, fit(channel, turn.model)) for turn in found.turns]
-    tests = [score(channel, model).rms if channel.test else float("nan") for _, model in steps]
+    steps = [Step("what was assumed", ()), *found.turns]
+    models = [given, *(fit(channel, step.model) for step in found.turns)]
+    tests = [score(channel, model).rms if channel.test else float("nan") for model in models]
     return [
-        Step(turn.done, turn.gain, model.train_rms, test)
-        for (turn, model), test in zip(steps, tests, strict=True)
+        replace(step, train_rms=model.train_rms, test_rms=test)
+        for step, model, test in zip(steps, models, tests, strict=True)
     ]
 
 

@@ -159,8 +159,8 @@ INS_ITEMS = (
 def _receiver_items(prefix: str) -> tuple[Item | None, ...]:
     """Return the fields of a receiver."""
 
-    def real(name: str, unit: str, kind: str = "f32", factor: float = 1.0) -> Value:
-        return Value(number(f"{prefix}_{name}", unit, f"receiver {prefix}: {name}"), kind, factor)
+    def real(name: str, unit: str, kind: str = "f32") -> Value:
+        return Value(number(f"{prefix}_{name}", unit, f"receiver {prefix}: {name}"), kind)
 
     def whole(name: str, kind: str, unit: str = "1") -> tuple[Value, ...]:
         return _whole(f"{prefix}_{name}", f"receiver {prefix}: {name.replace('_', ' ')}", kind, unit)

@@ -26,6 +26,8 @@ import numpy as np
 
 from imumon.blocks import ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.columns import Column
+from imumon.filters.rates import RateEstimate
+from imumon.filters.segments import Breaks
 from imumon.published.square_root import fit, pull_back, update
 
 START_SD = 1e6
@@ -38,19 +40,6 @@ LEAST_SHARE = 1e-4
 """A measurement is pulled back only when the others leave this share of its variance to it."""
 STRETCH = 64
 """Samples that are evaluated at once at first; twice as many each time nothing happens."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RateSeries:
-    """Temperature and its rate with their standard deviations, arrays of shape (n,).
-
-    °C, °C/s, °C and °C/s; NaN where there is no estimate.
-    """
-
-    temperature: FloatArray
-    rate: FloatArray
-    temperature_sd: FloatArray
-    rate_sd: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,7 +181,7 @@ def refit(state: State, params: Params) -> None:
     state.shift = 0.0
 
 
-def evaluate(state: State, params: Params, seconds: FloatArray) -> RateSeries:
+def evaluate(state: State, params: Params, seconds: FloatArray) -> RateEstimate:
     """Return the four outputs (13, 17) at these times.
 
     Written out, not as a product of matrices: the same sample must give the same bits in any block.
@@ -203,11 +192,11 @@ def evaluate(state: State, params: Params, seconds: FloatArray) -> RateSeries:
     if params.order == 2:
         temperature_sd = np.sqrt(s[0, 0] ** 2 + t1**2)
         rate = np.full(len(u), x[1] / constant)
-        return RateSeries(x[0] + u * x[1], rate, temperature_sd, np.full(len(u), abs(s[1, 1]) / constant))
+        return RateEstimate(x[0] + u * x[1], rate, temperature_sd, np.full(len(u), abs(s[1, 1]) / constant))
     decay = np.exp(-u)
     t2 = s[0, 2] + u * s[1, 2] + decay * s[2, 2]
     r2 = s[1, 2] - decay * s[2, 2]
-    return RateSeries(
+    return RateEstimate(
         x[0] + u * x[1] + decay * x[2],
         (x[1] - decay * x[2]) / constant,
         np.sqrt(s[0, 0] ** 2 + t1**2 + t2**2),
@@ -226,10 +215,10 @@ class FirRate:
     def __init__(self, params: Params) -> None:
         self.params = params
         self.state: State | None = None
-        self._segment = 0
-        self._origin_ns = self._last_ns = 0
+        self._breaks = Breaks()
+        self._origin_ns = 0
 
-    def process(self, time_ns: IntArray, segment: IntArray, reading: FloatArray) -> RateSeries:
+    def process(self, time_ns: IntArray, segment: IntArray, reading: FloatArray) -> RateEstimate:
         """Return the estimates of samples that follow those of the last call.
 
         Parameters
@@ -242,12 +231,10 @@ class FirRate:
         n = len(reading)
         out = np.full((4, n), np.nan)
         if not n:
-            return RateSeries(*out)
-        broken = np.diff(segment, prepend=self._segment) != 0
-        broken |= np.diff(time_ns, prepend=self._last_ns) < 0
-        edges = [0, *(np.flatnonzero(broken[1:]) + 1).tolist(), n]
-        for begin, end in pairwise(edges):
-            if broken[begin]:
+            return RateEstimate(*out)
+        breaks = self._breaks.rows(time_ns, segment)
+        for begin, end in pairwise(sorted({0, *breaks, n})):
+            if begin in breaks:
                 self.state = None
             if self.state is None:
                 valid = np.flatnonzero(np.isfinite(reading[begin:end]))
@@ -258,8 +245,7 @@ class FirRate:
                 self.state = start(self.params, 0.0, float(reading[begin]))
             seconds = (time_ns[begin:end] - self._origin_ns).astype(np.float64) * 1e-9
             self._run(self.state, seconds, reading[begin:end], out[:, begin:end])
-        self._segment, self._last_ns = int(segment[-1]), int(time_ns[-1])
-        return RateSeries(*out)
+        return RateEstimate(*out)
 
     def _run(self, state: State, seconds: FloatArray, reading: FloatArray, out: FloatArray) -> None:
         """Fill (4, n): listing 2 at each sample at which something happens, its outputs at the others."""

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from imumon.blocks import NO_INT, FloatArray, IntArray, SampleBlock
+from imumon.blocks import FloatArray, IntArray, SampleBlock
+from imumon.filters.segments import Breaks
 from imumon.filters.slots import held
 
 
@@ -21,19 +22,11 @@ class Shown:
 
     def __init__(self, shape: Sequence[int]) -> None:
         self._values = np.full(tuple(shape), np.nan)
-        self._time_ns, self._segment = NO_INT, 0
+        self._breaks = Breaks()
 
     def breaks(self, block: SampleBlock) -> list[int]:
-        """Return the rows of the next block at which a segment begins or time runs back."""
-        dated = np.flatnonzero(block["device_time_ns"] != NO_INT)
-        if not len(dated):
-            return []
-        times, segments = block["device_time_ns"][dated], block["segment"][dated]
-        first = self._time_ns == NO_INT
-        other = np.diff(segments, prepend=segments[0] if first else self._segment) != 0
-        back = np.diff(times, prepend=times[0] if first else self._time_ns) < 0
-        self._time_ns, self._segment = int(times[-1]), int(segments[-1])
-        return [int(row) for row in dated[other | back]]
+        """Return the rows of the next block from which on nothing that was said before holds."""
+        return self._breaks.rows(block["device_time_ns"], block["segment"])
 
     def spread(self, rows: IntArray, said: FloatArray, breaks: Sequence[int], n: int) -> FloatArray:
         """Return what is shown at n rows, (n, ...), of what slots said that are known from `rows` on."""

@@ -10,7 +10,8 @@ from pathlib import Path
 
 from imumon.errors import ImumonError, Reason
 from imumon.recordings.wire import WireWriter
-from imumon.recordings.wire_reader import WireReader, WireSummary
+from imumon.recordings.wire_reader import WireReader
+from imumon.recordings.wire_scan import WireSummary
 from imumon.transport.reader import Bytes, Event
 
 ORIGINAL = "original"

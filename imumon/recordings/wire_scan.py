@@ -145,19 +145,26 @@ class Damage:
 
 
 @dataclass(slots=True)
-class Found:
-    """What a scan has found so far."""
+class WireSummary:
+    """What a wire file held, known after it was read to its end."""
 
     reads: int = 0
     bytes: int = 0
     events: int = 0
-    unrecorded: int = 0
-    metadata: dict[str, str] = field(default_factory=dict)
-    damage: Damage = field(default_factory=Damage)
+    bytes_unrecorded: int = 0
+    """Bytes that the recorder got and could not write, as the file says."""
+    tail_bytes: int = 0
+    """Bytes at the end of the file that are not a whole record, or are damaged: not of use."""
+    complete: bool = False
+    """The file was finished in order; False after a power failure, a kill or a full disk."""
     checksum_ok: bool | None = None
-    data_ended: bool = False
-    good: bool = False
-    """A record was found at all."""
+    """Whether the checksum over the file agrees; None when there is none because it was not finished."""
+    last_ns: int = 0
+    """Unix time of the last message."""
+    damage: Damage = field(default_factory=Damage)
+    """What is missing in the middle, or is not as it was written."""
+    metadata: dict[str, str] = field(default_factory=dict)
+    """What the recording program wanted to say."""
 
 
 class Scan:
@@ -169,7 +176,12 @@ class Scan:
     """
 
     def __init__(self, path: Path) -> None:
-        self.found = Found()
+        self.found = WireSummary()
+        """What was found so far."""
+        self.done = False
+        """Whether nothing of use can follow."""
+        self._good = False
+        """Whether a record was found at all."""
         self._path = path
         self._rest = b""
         self._position = 0
@@ -184,19 +196,12 @@ class Scan:
         self._open: tuple[int, int] | None = None
         """Offset and size of a damaged place behind which there was no message yet."""
         self._block = _Block()
-        self.last_ns = 0
-        """Unix time of the last message."""
         self._strange: list[ImumonError] = []
         """Events that are not understood: damage, or from a newer version; the next check tells."""
         self._foreign: ImumonError | None = None
         """A profile that is not ours, likewise."""
         self._at = 0
         self._waiting = False
-
-    @property
-    def done(self) -> bool:
-        """Nothing of use can follow."""
-        return self.found.data_ended
 
     def begin(self, magic: bytes) -> None:
         """Take the first bytes of the file in, which tell what it is; they may be damaged."""
@@ -217,21 +222,22 @@ class Scan:
         self._position += self._at
         self._rest = buffer[self._at :]
 
-    def finish(self, size: int) -> int:
-        """Return how many bytes at the end of the file, of so many, are of no use.
+    def finish(self, size: int, last: bytes) -> None:
+        """Say how a file of so many bytes ends, the last of which are given.
 
         Raises
         ------
         ImumonError
             BAD_DATA when this is no wire file of a format that is known.
         """
-        if not self.found.good and self._lost == 0:
+        if not self._good and self._lost == 0:
             raise ImumonError(Reason.BAD_DATA, f"{self._path}: is not a wire file", _HINT)
         self._resolve(None)
         if self._lost is None:
             self._settle(0, 0)
-            return 0
-        return size - self._lost
+        else:
+            self.found.tail_bytes = size - self._lost
+        self.found.complete = self.done and last == MAGIC
 
     # Records
 
@@ -256,7 +262,7 @@ class Scan:
         data.setflags(write=False)  # as what comes from a port: the decoders need one kernel for both
         if n:
             self._settle(int(arrivals_ns[0]), 0)
-            self.last_ns = int(arrivals_ns[n - 1])
+            self.found.last_ns = int(arrivals_ns[n - 1])
             if self._sequence >= 0:
                 self._sequence = (self._sequence + n) & _MASK
         for at in checks[:passed].tolist():
@@ -267,7 +273,7 @@ class Scan:
     def _counted(self, reads: Reads) -> Reads:
         self.found.reads += len(reads.ends)
         self.found.bytes += len(reads.data)
-        self.found.good = True
+        self._good = True
         return reads
 
     def _record(self, buffer: bytes, view: ByteArray, end: bool) -> Iterator[Reads | Event]:
@@ -298,7 +304,7 @@ class Scan:
             except _BAD_RECORD:
                 self._lose()
             else:
-                self.found.good = True
+                self._good = True
                 self._at = after
                 yield from items
 
@@ -326,7 +332,7 @@ class Scan:
         if not self._number(view, after, sequence, time_ns):
             self._lose()
             return
-        self._at, self.last_ns, self.found.good = after, time_ns, True
+        self._at, self.found.last_ns, self._good = after, time_ns, True
         body = buffer[at + MESSAGE.size : after]
         yield from self._payload(channel, body, time_ns)
 
@@ -352,7 +358,7 @@ class Scan:
         if ahead >= _BEHIND and sequence == 0:  # another tool wrote them without numbers
             self._sequence = -1
             return True
-        if ahead >= _BEHIND and time_ns <= self.last_ns:
+        if ahead >= _BEHIND and time_ns <= self.found.last_ns:
             return False
         self._settle(time_ns, ahead if ahead < _BEHIND else 0)
         self._sequence = (sequence + 1) & _MASK
@@ -363,7 +369,7 @@ class Scan:
             fields = json.loads(body)
             kind = fields["kind"]
             if kind == UNRECORDED:
-                self.found.unrecorded += int(fields["bytes"])
+                self.found.bytes_unrecorded += int(fields["bytes"])
             else:
                 event = Event(EventKind(kind), time_ns, str(fields["detail"]))
                 self.found.events += 1
@@ -418,7 +424,7 @@ class Scan:
             elif isinstance(inside, Message):
                 if inside.log_time >= 1 << 63:
                     raise ValueError("the time is out of range")
-                self.last_ns = inside.log_time
+                self.found.last_ns = inside.log_time
                 items += self._payload(inside.channel_id, inside.data, inside.log_time)
         return items
 
@@ -450,15 +456,17 @@ class Scan:
             return
         offset, size = self._open or (self._position + self._at, 0)
         self._open, self._block.damaged = None, True
-        self.found.damage.add(Place(offset, size, self.last_ns, time_ns, messages, altered=False))
+        self.found.damage.add(Place(offset, size, self.found.last_ns, time_ns, messages, altered=False))
 
     def _check(self, buffer: bytes, at: int) -> None:
         """Compare the block that ends here with what was written."""
         check, block = Check.unpack(buffer, at), self._block
         if check is None:  # its beginning is good, so this costs no read, and the next block begins behind it
-            self.found.damage.add(Place(self._position + at, CHECK_SIZE, self.last_ns, 0, 0, altered=False))
+            self.found.damage.add(
+                Place(self._position + at, CHECK_SIZE, self.found.last_ns, 0, 0, altered=False)
+            )
             self._resolve(None)
-            self._block = _Block(begin=at + CHECK_SIZE, after_ns=self.last_ns)
+            self._block = _Block(begin=at + CHECK_SIZE, after_ns=self.found.last_ns)
             return
         block.take(memoryview(buffer)[block.begin : at])
         ahead = (check.sequence - self._sequence) & _MASK if self._sequence >= 0 and at == self._at else 0
@@ -470,13 +478,13 @@ class Scan:
         if self._sequence >= 0 and at == self._at:
             self._sequence = check.sequence
         self._resolve(as_written)
-        self.found.good = True
+        self._good = True
         self._block = _Block(begin=at + CHECK_SIZE, after_ns=check.time_ns)
 
     def _end_data(self, before: memoryview, expected: int) -> None:
         self.found.checksum_ok = zlib.crc32(before, self._crc) == expected if expected else None
         self._resolve(self.found.checksum_ok)
-        self.found.data_ended = True
+        self.done = True
 
     def _error(self, seen: str) -> ImumonError:
         return ImumonError(Reason.BAD_DATA, f"{self._path}: {seen}", f"a newer imumon wrote it, or {_HINT}")

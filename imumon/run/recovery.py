@@ -12,7 +12,8 @@ from imumon.recordings.folder import METADATA_NAME, Session, open_session
 from imumon.recordings.metadata import SessionMetadata
 from imumon.recordings.recovery import is_sound, keep_original, read_summary, refuse_recording, rewrite
 from imumon.recordings.source import Source, open_source
-from imumon.recordings.wire_reader import WireReader, WireSummary
+from imumon.recordings.wire_reader import WireReader
+from imumon.recordings.wire_scan import WireSummary
 from imumon.run.live import flat_counters, stream_summaries
 from imumon.run.narration import Narrator, view_setup
 from imumon.run.replay import replay

@@ -21,6 +21,8 @@ from pathlib import Path
 
 from imumon.errors import ImumonError, Reason
 
+DRAIN_S = 10.0
+"""How long the last bytes are waited for at the most."""
 BITS_PER_BYTE = 10
 """8N1: start bit, eight data bits, stop bit."""
 BACKLOG = 1 << 20
@@ -93,10 +95,10 @@ class VirtualPort:
             self.bytes_lost += len(data[room:])
             self._changed.notify_all()
 
-    def drain(self, timeout_s: float = 10.0) -> bool:
+    def drain(self) -> bool:
         """Wait until all that was written has left; return whether it has."""
         with self._changed:
-            return self._changed.wait_for(lambda: not self._backlog, timeout_s)
+            return self._changed.wait_for(lambda: not self._backlog, DRAIN_S)
 
     def read(self, timeout_s: float = 0.0) -> bytes:
         """Return what the host has sent, as the device samples it, waiting at most `timeout_s`."""

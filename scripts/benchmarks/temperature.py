@@ -11,7 +11,7 @@ import numpy as np
 from benchmarks.measure import Bar, Table, measure
 from imumon.blocks import FloatArray, IntArray
 from imumon.estimation.temperature_rate.level_bank import LevelBankRate
-from imumon.estimation.temperature_rate.series import RateMethod
+from imumon.filters.rates import RateMethod
 from imumon.published.fir import FirRate, Params
 
 QUIET = "level bank, level unchanged"

@@ -11,7 +11,8 @@ import numpy as np
 
 from imumon.blocks import FloatArray, IntArray
 from imumon.filters.kalman import Estimate, correct
-from imumon.published.fir import RateSeries, model_row
+from imumon.filters.rates import RateEstimate
+from imumon.published.fir import model_row
 
 
 class DifferenceRate:
@@ -30,7 +31,7 @@ class DifferenceRate:
     def __init__(self, step: float = 0.05, window_s: float = 180.0) -> None:
         self._step, self._window_s = step, window_s
 
-    def process(self, time_ns: IntArray, segment: IntArray, reading: FloatArray) -> RateSeries:
+    def process(self, time_ns: IntArray, segment: IntArray, reading: FloatArray) -> RateEstimate:
         """Return the estimates of a record in one segment, NaN in its first window."""
         del segment
         seconds = (time_ns - time_ns[0]) * 1e-9
@@ -39,7 +40,7 @@ class DifferenceRate:
         span = np.where(full, seconds - seconds[before], np.nan)
         rate = (reading - reading[before]) / span
         sd = self._step / math.sqrt(12.0)
-        return RateSeries(reading, rate, np.full(len(reading), sd), math.sqrt(2.0) * sd / span)
+        return RateEstimate(reading, rate, np.full(len(reading), sd), math.sqrt(2.0) * sd / span)
 
 
 class KalmanRate:
@@ -67,7 +68,7 @@ class KalmanRate:
     ) -> None:
         self._step, self._constant, self._walk = step, time_constant_s, np.square(walk)
 
-    def process(self, time_ns: IntArray, segment: IntArray, reading: FloatArray) -> RateSeries:
+    def process(self, time_ns: IntArray, segment: IntArray, reading: FloatArray) -> RateEstimate:
         """Return the estimates of a record."""
         del segment
         seconds = ((time_ns - time_ns[0]) * 1e-9).tolist()
@@ -90,7 +91,7 @@ class KalmanRate:
             temperature, last = float(h @ estimate.mean), value
             variance = [row @ estimate.covariance @ row for row in (h, slope)]
             out[:, i] = temperature, slope @ estimate.mean, *np.sqrt(variance)
-        return RateSeries(*out)
+        return RateEstimate(*out)
 
 
 RENEWAL_S = 1.0
@@ -104,7 +105,7 @@ def reference_fit(
     window_s: float = 240.0,
     time_constant_s: float = 1800.0,
     every_s: float = 10.0,
-) -> RateSeries:
+) -> RateEstimate:
     """Return the paper's reference (section 2.3, eqs. 4 to 7): local fits in a centred moving window.
 
     Four coefficients, (α0 + β0 t/T0) + (α1 + β1 t/T0) e^(-t/T0), fitted to the level changes within the
@@ -124,12 +125,12 @@ def reference_fit(
     at = np.flatnonzero(np.abs(np.diff(reading)) > step / 2) + 1
     times, values = seconds[at], 0.5 * (reading[at] + reading[at - 1])
     if len(times) < 8:
-        return RateSeries(*np.full((4, len(reading)), np.nan))
+        return RateEstimate(*np.full((4, len(reading)), np.nan))
     knots = np.append(np.arange(0.0, seconds[-1], every_s), seconds[-1])
     fits = np.array(
         [_local_fit(t, times, values, step, window_s, time_constant_s, seconds[-1]) for t in knots]
     )
-    return RateSeries(*(np.interp(seconds, knots, column) for column in fits.T))
+    return RateEstimate(*(np.interp(seconds, knots, column) for column in fits.T))
 
 
 def _local_fit(

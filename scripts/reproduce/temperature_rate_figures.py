@@ -12,7 +12,7 @@ from temperature_rate_records import PER_HOUR, Record, heating, simulate
 
 from imumon.blocks import FloatArray
 from imumon.estimation.temperature_rate.level_bank import LevelBankRate
-from imumon.estimation.temperature_rate.series import Rates
+from imumon.filters.rates import RateEstimate
 from imumon.published.fir import FirRate, Params
 
 mpl.use("Agg")
@@ -23,7 +23,7 @@ STEP, BUFFER, NOISE = 0.05, 1000, 0.002
 
 
 def _run(method: FirRate | KalmanRate | DifferenceRate | LevelBankRate,
-         record: Record) -> Rates:  # fmt: skip
+         record: Record) -> RateEstimate:  # fmt: skip
     return method.process(record.time_ns, np.zeros(len(record.reading), np.int64), record.reading)
 
 
@@ -53,7 +53,7 @@ def _curves(ax: Axes, record: Record, curves: Mapping[str, FloatArray], top: flo
     ax.legend(fontsize=8)
 
 
-def _band(ax: Axes, record: Record, result: Rates) -> None:
+def _band(ax: Axes, record: Record, result: RateEstimate) -> None:
     every = slice(None, None, 50)
     middle, width = result.rate[every] * PER_HOUR, 2 * result.rate_sd[every] * PER_HOUR
     ax.fill_between(
@@ -105,7 +105,7 @@ def _comparisons(folder: Path, calm: Record, lively: Record) -> Iterator[Path]:
         }
         _curves(ax, record, curves, 20)
     yield _save(folder, 6)
-    pairs: list[tuple[int, str, Record, dict[str, Rates]]] = [
+    pairs: list[tuple[int, str, Record, dict[str, RateEstimate]]] = [
         (7, "7. Conventional Kalman filter", lively, {"Kalman": _run(KalmanRate(STEP), lively)}),
         (8, "8. Exponential and linear model, T_w 5 min", calm,
          {"linear": _run(FirRate(Params(STEP, 300.0, 300.0, BUFFER, order=2)), calm),

@@ -17,7 +17,7 @@ from temperature_rate_records import PER_HOUR, Record, measured, simulate
 
 from imumon.blocks import FloatArray, IntArray
 from imumon.estimation.temperature_rate.level_bank import LevelBankRate
-from imumon.estimation.temperature_rate.series import RateEstimate, Rates
+from imumon.filters.rates import RateEstimate
 from imumon.published.fir import FirRate, Params
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -25,7 +25,7 @@ BUFFER = 1000
 STEP = 0.05
 SETTLED_MIN = 20.0
 
-Method = Callable[[Record], Rates]
+Method = Callable[[Record], RateEstimate]
 
 
 def _segment(record: Record) -> IntArray:
@@ -80,7 +80,7 @@ def delay_s(rate: FloatArray, truth: FloatArray, interval_s: float) -> float:
     return float(lags[int(np.argmin(errors))] * interval_s)
 
 
-def row(record: Record, result: Rates, settled_min: float) -> tuple[float, ...]:
+def row(record: Record, result: RateEstimate, settled_min: float) -> tuple[float, ...]:
     """Return rms, largest error, largest change between samples (°C/h), delay (s), share within 2σ."""
     late = (record.minutes > settled_min) & np.isfinite(result.rate)
     rate, truth = result.rate[late], record.rate[late]

@@ -19,7 +19,8 @@ from imumon.recordings.folder import METADATA_NAME
 from imumon.recordings.metadata import SessionMetadata, read_metadata
 from imumon.recordings.wire import WireWriter
 from imumon.recordings.wire_format import WIRE_CHANNEL
-from imumon.recordings.wire_reader import WireReader, WireSummary
+from imumon.recordings.wire_reader import WireReader
+from imumon.recordings.wire_scan import WireSummary
 from imumon.transport.reader import Bytes, Event, EventKind, Item
 from tests.faults.rows import Row
 

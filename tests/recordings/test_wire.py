@@ -17,7 +17,8 @@ from mcap_ros2.decoder import DecoderFactory
 from imumon.errors import ImumonError, Reason
 from imumon.recordings import wire, wire_format, wire_reader
 from imumon.recordings.wire import WireWriter
-from imumon.recordings.wire_reader import WireReader, WireSummary
+from imumon.recordings.wire_reader import WireReader
+from imumon.recordings.wire_scan import WireSummary
 from imumon.transport.reader import Bytes, Event, EventKind, Item
 
 ITEMS: list[Item] = [

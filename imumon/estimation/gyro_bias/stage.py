@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from imumon.blocks import NO_INT, BoolArray, ColumnArray, FloatArray, IntArray, SampleBlock
+from imumon.blocks import NO_INT, BoolArray, ColumnArray, FloatArray, SampleBlock
 from imumon.charts import Chart
 from imumon.columns import Column
 from imumon.errors import ImumonError, Reason
@@ -23,6 +23,7 @@ from imumon.estimation.gyro_bias.law import PATH, Laws, at_samples, no_law
 from imumon.estimation.gyro_bias.parameters import GyroBiasParameters
 from imumon.estimation.gyro_bias.thermal_input import ThermalInput
 from imumon.estimation.gyro_bias.trail import BiasTrail
+from imumon.filters.segments import Breaks
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.models.model import BiasModel
 
@@ -91,7 +92,7 @@ class GyroBias:
         self._intake = Intake(self._thermal.variance)
         self._law, self._path = no_law(), np.zeros(1, PATH)
         self._trail = BiasTrail(model)
-        self._last: tuple[int, int] | None = None
+        self._breaks = Breaks()
         self._origin_ns = 0
         self._pending = _notices_at_start(latitude_deg, heading_deg)
         self._said: set[str] = set()
@@ -126,7 +127,7 @@ class GyroBias:
         if gyro is None:
             gyro = np.full((n, 3), np.nan)
         first = 0
-        if self._last is None:
+        if not self._breaks.begun:
             usable = (block["device_time_ns"] != NO_INT) & complete(gyro)
             first = int(np.argmax(usable)) if usable.any() else n
         result = np.full((6, 3, n), np.nan)
@@ -144,7 +145,7 @@ class GyroBias:
         bias, sd, corrected, innovation, drift, drift_sd = result
         n, accel = len(block), block.accel
         temperature = self._thermal.temperature(block)
-        breaks = self._breaks(block["device_time_ns"], block["segment"])
+        breaks = self._breaks.rows(block["device_time_ns"], block["segment"])
         total, curve, initial_sd = self._model_input(block, temperature, breaks)
         samples = Samples(
             block["device_time_ns"],
@@ -181,19 +182,6 @@ class GyroBias:
         np.subtract(bias, curve, out=drift)
         seen = rows[rows < n]
         self._trail.add(block["device_time_ns"][seen], temperature[seen], bias[seen])
-
-    def _breaks(self, time_ns: IntArray, segment: IntArray) -> list[int]:
-        """Return the rows at which a segment begins or time runs back."""
-        dated = np.flatnonzero(time_ns != NO_INT)
-        if not len(dated):
-            return []
-        times, labels = time_ns[dated], segment[dated]
-        last_time, last_label = self._last if self._last is not None else (int(times[0]), int(labels[0]))
-        self._last = int(times[-1]), int(labels[-1])
-        begins = np.empty(len(dated), np.bool_)
-        begins[0] = labels[0] != last_label or times[0] < last_time
-        begins[1:] = (labels[1:] != labels[:-1]) | (times[1:] < times[:-1])
-        return [int(row) for row in dated[begins]]
 
     def _model_input(
         self, block: SampleBlock, temperature: FloatArray, breaks: Sequence[int]

@@ -14,6 +14,7 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 
+MOST_PEAKS = 3
 FALSE_ALARM = 0.01
 """Chance that white noise shows a peak anywhere in a spectrum."""
 FLOOR_BINS = 15
@@ -82,7 +83,7 @@ def welch(values: FloatArray, interval_s: float, length: int) -> Spectrum:
     return Spectrum(frequency, np.asarray(density), len(parts))
 
 
-def peaks(spectrum: Spectrum, most: int = 3) -> list[Peak]:
+def peaks(spectrum: Spectrum) -> list[Peak]:
     """Return the strongest lines that noise of this floor does not make, the strongest first."""
     density, frequency = spectrum.density, spectrum.frequency_hz
     if len(density) < 2 * FLOOR_BINS:
@@ -103,7 +104,7 @@ def peaks(spectrum: Spectrum, most: int = 3) -> list[Peak]:
         if power.sum() > 0:
             middle = float(power @ frequency[line] / power.sum())
             found.append(Peak(middle, float(np.sqrt(power.sum() * frequency[1]))))
-    return sorted(found, key=lambda peak: -peak.rms)[:most]
+    return sorted(found, key=lambda peak: -peak.rms)[:MOST_PEAKS]
 
 
 def _floor(density: FloatArray) -> FloatArray:

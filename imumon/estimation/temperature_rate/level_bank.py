@@ -10,7 +10,7 @@ from imumon.blocks import NO_INT, FloatArray, IntArray
 from imumon.estimation.temperature_rate.bank import SLOT_S, WHITE_SIGMAS
 from imumon.estimation.temperature_rate.filter import State, extrapolate, step
 from imumon.estimation.temperature_rate.readings import SLOT_NS, Readings
-from imumon.estimation.temperature_rate.series import RateEstimate
+from imumon.filters.rates import RateEstimate
 
 
 class LevelBankRate:

@@ -10,51 +10,36 @@ import numpy as np
 
 from imumon.blocks import ColumnArray, FloatArray, SampleBlock
 from imumon.columns import Column
-from imumon.errors import ImumonError, Reason
 from imumon.estimation.temperature_rate.level_bank import LevelBankRate
 from imumon.estimation.temperature_rate.readings import StepWatch
-from imumon.estimation.temperature_rate.series import RateMethod
+from imumon.filters.rates import RateMethod
 from imumon.protocols.thermometer import TemperatureRateParameters
 
 CHANNEL = "temperature"
-KNOWN_CHANNELS = (CHANNEL, *(f"{CHANNEL}_{axis}" for axis in "xyz"))
+CHANNELS = (CHANNEL, *(f"{CHANNEL}_{axis}" for axis in "xyz"))
 
 
 class TemperatureRate:
-    """Temperature, its rate, and the standard deviation of both for each temperature channel.
+    """Temperature, its rate, and the standard deviation of both for each temperature channel that comes.
+
+    These are the columns "temperature" and "temperature_x" and so on; what follows "temperature" is added to
+    the names of the results.
 
     Parameters
     ----------
-    channels : sequence of str, or None
-        Columns of the block to estimate, "temperature" or "temperature_x" and so on; what follows
-        "temperature" is added to the names of the results.  None for those that come.
     parameters : TemperatureRateParameters
         One set for all channels.
     new_method : callable, optional
         Makes the method of a channel; default the level bank.
-
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG when a channel is not a temperature.
     """
 
     def __init__(
         self,
-        channels: Sequence[str] | None = None,
         parameters: TemperatureRateParameters | None = None,
         new_method: Callable[[], RateMethod] | None = None,
     ) -> None:
-        for channel in channels or ():
-            if channel != CHANNEL and not channel.startswith(f"{CHANNEL}_"):
-                raise ImumonError(
-                    Reason.BAD_CONFIG,
-                    f"temperature rate of the column {channel!r}",
-                    "only temperature, temperature_x and the like can be",
-                )
         self._parameters = parameters or TemperatureRateParameters()
         self._new_method = new_method or partial(LevelBankRate, self._parameters.step_degc)
-        self._follow = channels is None
         self._methods: dict[str, RateMethod] = {}
         self._begun: set[str] = set()
         self._watches: dict[str, StepWatch] = {}
@@ -62,8 +47,6 @@ class TemperatureRate:
         self._stuck: set[str] = set()
         self._outside: dict[str, float] = {}
         """What of each channel was first out of range, until it is said; then NaN."""
-        for channel in channels or ():
-            self._add(channel)
 
     @property
     def columns(self) -> Sequence[Column]:
@@ -75,10 +58,11 @@ class TemperatureRate:
 
         Needs ``device_time_ns`` and ``segment``; a channel that is not in the block is missing throughout.
         """
-        if self._follow:
-            for channel in KNOWN_CHANNELS:
-                if channel in block and channel not in self._methods:
-                    self._add(channel)
+        for channel in CHANNELS:
+            if channel in block and channel not in self._methods:
+                self._methods[channel] = self._new_method()
+                if self._parameters.step_degc is not None:
+                    self._watches[channel] = StepWatch(self._parameters.step_degc)
         added: dict[str, ColumnArray] = {}
         for channel in self._methods:
             for column, part in zip(_columns(channel), self._estimate(channel, block), strict=True):
@@ -117,12 +101,6 @@ class TemperatureRate:
             if channel not in self._outside and (outside := given[np.isfinite(given) & ~inside]).size:
                 self._outside[channel] = float(outside[0])
         return reading
-
-    def _add(self, channel: str) -> None:
-        parameters = self._parameters
-        self._methods[channel] = self._new_method()
-        if parameters.step_degc is not None:
-            self._watches[channel] = StepWatch(parameters.step_degc)
 
     def notices(self) -> list[str]:
         """Return, once each, what is wrong with the declared step and with the readings; for the log."""

@@ -25,7 +25,7 @@ import numpy as np
 from imumon.blocks import FloatArray
 from imumon.compiled import inner, njit, record
 
-BLOCK = 10
+BLOCK, BLOCK_S = 10, 5.0
 """Slots of half a second at rest that make a step of the tests."""
 LEARNING = 20
 """Slots after a start that do not count: the filter is still measuring the noise."""
@@ -133,9 +133,9 @@ def begin() -> State:
     return state
 
 
-def limit(false_alarm_hours: float, slot_s: float = 0.5) -> float:
+def limit(false_alarm_hours: float) -> float:
     """Return the value at which a CUSUM alarms, for a mean time at rest to a false alarm of so many hours."""
-    return math.log(TESTS * max(false_alarm_hours * 3600.0 / (BLOCK * slot_s), 1.0))
+    return math.log(TESTS * max(false_alarm_hours * 3600.0 / BLOCK_S, 1.0))
 
 
 def watch(

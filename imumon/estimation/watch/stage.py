@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 
 import numpy as np
 
-from imumon.blocks import ColumnArray, FloatArray, IntArray, SampleBlock
+from imumon.blocks import NO_INT, ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.columns import Column
-from imumon.estimation.temperature_rate.series import SegmentClock
 from imumon.estimation.watch import evidence
 from imumon.estimation.watch.parameters import WatchParameters
 from imumon.estimation.watch.verdict import judge
+from imumon.filters.segments import Breaks
 
 AXES = "xyz"
 LANE = "model"
@@ -38,7 +39,7 @@ class ModelWatch:
         self._alarm_at = evidence.limit(given.false_alarm_hours)
         self._modelled = modelled
         self._state = evidence.begin()
-        self._clock = SegmentClock()
+        self._breaks, self._origin_ns = Breaks(), NO_INT
         self._suspect_segment: int | None = None
         self._pending: list[str] = []
         self._said: set[str] = set()
@@ -79,16 +80,19 @@ class ModelWatch:
     ) -> list[tuple[int, int | None]]:
         """Take the slots; return the rows from which on a segment, or none, is suspect."""
         changes: list[tuple[int, int | None]] = []
-        segments = block["segment"][slots]
+        time_ns, segments = block["device_time_ns"][slots], block["segment"][slots]
         temperature = _of_axes(block, "temperature_estimate", slots)
         rate = _of_axes(block, "temperature_rate", slots)
-        for start, stop, begins, seconds in self._clock.runs(block["device_time_ns"][slots], segments):
-            if begins:
+        breaks = self._breaks.rows(time_ns, segments)
+        for start, stop in pairwise(sorted({0, *breaks, len(slots)})):
+            if start in breaks:
                 self._state = evidence.begin()
                 changes.append((int(slots[start]), None))
+            if start in breaks or self._origin_ns == NO_INT:
+                self._origin_ns = int(time_ns[start])
             found = evidence.watch(
                 self._state,
-                seconds,
+                1e-9 * (time_ns[start:stop] - self._origin_ns),
                 innovation[start:stop],
                 temperature[start:stop],
                 rate[start:stop],

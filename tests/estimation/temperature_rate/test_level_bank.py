@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 
 from imumon.blocks import FloatArray
 from imumon.estimation.temperature_rate.level_bank import LevelBankRate
-from imumon.estimation.temperature_rate.series import RateEstimate
+from imumon.filters.rates import RateEstimate
 from tests.estimation.temperature_rate.records import PER_HOUR, clock, quantized, self_heating, steady
 
 RATE_HZ = 10.0
