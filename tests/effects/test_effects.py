@@ -230,14 +230,19 @@ def test_a_delay_gives_the_temperature_that_was() -> None:
     assert np.all(was[:400] == 20.0)
 
 
-def test_a_stretched_exponential_with_a_small_exponent_is_a_logarithm() -> None:
-    drive, stretched = run(), StressRelaxation(time_constant_s=10.0, exponent=0.01)
-    columns = [drive.time_s * 0 + 1, np.log(drive.time_s)]
-    late = drive.time_s > 100.0
-    values = stretched.columns(drive)[late, 0]
-    design = np.column_stack(columns)[late]
-    left = values - design @ np.linalg.lstsq(design, values, rcond=None)[0]
-    assert np.std(left) < 0.01 * np.std(values)
+@pytest.mark.parametrize("exponent", [0.3, 0.5, 0.7])
+def test_a_creep_of_four_steps_has_the_shape_of_a_stretched_exponential(exponent: float) -> None:
+    drive = Drive(np.arange(15.0, 7200.0, 30.0), np.full(240, 20.0))
+    true = np.exp(-((drive.time_s / 200.0) ** exponent))
+
+    def left(effect: StressRelaxation) -> float:
+        design = np.column_stack([np.ones(len(drive)), effect.columns(drive)])
+        return float(np.std(true - design @ np.linalg.lstsq(design, true, rcond=None)[0]) / np.std(true))
+
+    tried = StressRelaxation.grid(SURVEY)
+    one, four = (min(left(effect) for effect in tried if effect.steps == steps) for steps in (1, 4))
+    assert four < 0.02
+    assert one > 3 * four
 
 
 def test_what_the_runs_cannot_show_is_not_tried() -> None:
