@@ -155,7 +155,7 @@ def test_a_period_is_named_whatever_it_is(period_s: float) -> None:
 def test_after_a_week_a_period_of_less_than_an_hour_is_named() -> None:
     """As the session is then: slots of 128 s, whose noise is as of so many seconds."""
     slots, slot_s, period_s = 4725, 128.0, 3300.0
-    time, rng = (np.arange(slots) + 0.5) * slot_s, np.random.default_rng(3)
+    time, rng = np.arange(0.5, slots) * slot_s, np.random.default_rng(3)
     temperature = 26.0 + 10.0 * np.sin(2 * np.pi * time / 86400.0)
     rate = (cubic(temperature) + 2.0 * np.sin(2 * np.pi * time / period_s) + rng.normal(size=slots)) * DPH
     unknown, count = np.full(slots, np.nan), np.full(slots, 1e4)
