@@ -14,7 +14,7 @@ import numpy as np
 from numpy.polynomial import Polynomial
 
 from imumon.blocks import FloatArray
-from imumon.diagnosis.blocks import BLOCK_S, RunBlocks, make_blocks, survey, white_floor
+from imumon.diagnosis.blocks import BLOCK_S, RunBlocks, common_block_s, make_blocks, survey, white_floor
 from imumon.diagnosis.candidates import Candidate, Pool, candidates
 from imumon.diagnosis.channel import Declared, ordinary
 from imumon.diagnosis.drivers import recorded, with_drivers
@@ -108,15 +108,11 @@ def known_to(model: BiasModel, run: Run, channels: Sequence[str]) -> Run:
     return replace(run, rest=np.where(inside, run.rest, 0.0))
 
 
-def block_of(run: Run) -> float:
-    """Return the length in seconds of the means that a run is looked at in: 30 s, of longer slots more."""
-    return BLOCK_S * run.slot_s
-
-
 def better_models(run: Run, model: BiasModel, channels: Sequence[str]) -> list[Better]:
     """Return the better models of channels of which there are any; look as often as you like."""
     temperatures = [temperature_of(name, model, [run]) for name in channels]
-    blocks = residual(run, model, channels, recorded([run], [], temperatures, None, []), block_of(run))
+    block_s = common_block_s([run])
+    blocks = residual(run, model, channels, recorded([run], [], temperatures, None, []), block_s)
     if len(blocks) < LEAST_BLOCKS:
         return []
     likelihood, glances = Likelihood([blocks]), dict[str, _Glance]()
@@ -129,7 +125,7 @@ def better_models(run: Run, model: BiasModel, channels: Sequence[str]) -> list[B
     matters = {
         name
         for name, one in looked.items()
-        if one.before >= MATERIAL * white_floor([run], name, block_of(run)).of_blocks([blocks]).sd
+        if one.before >= MATERIAL * white_floor([run], name, block_s).of_blocks([blocks]).sd
     }
     if not matters:
         return []

@@ -11,8 +11,8 @@ from imumon.blocks import ColumnArray, SampleBlock
 from imumon.charts import BLUE, RED, Axis, Chart, Curve
 from imumon.columns import Column
 from imumon.diagnosis.aged import AgedRun
-from imumon.diagnosis.blocks import BLOCK_S, REST_SHARE
-from imumon.diagnosis.glance import Better, better_models, block_of, known_to
+from imumon.diagnosis.blocks import BLOCK_S, REST_SHARE, common_block_s
+from imumon.diagnosis.glance import Better, better_models, known_to
 from imumon.diagnosis.recording import DRIVERS, LONGEST_GAP_S, SECOND_NS, Run, further_columns
 from imumon.diagnosis.selection import MOST_NAMES
 from imumon.diagnosis.shadow import MARGIN, Shadow
@@ -147,7 +147,8 @@ class LiveDiagnosis:
         before, after = (max(getattr(one, key) for one in found) / DEG_PER_H for key in ("before", "after"))
         what = "; ".join(_said(found))
         self.state = f"MODEL CAN BE BETTER: {what}: {before:.3g} become {after:.3g} °/h"
-        self._say(f"{self.state} (rms of {block_of(run):.0f} s, gain {best.gain:.0f}): {DIAGNOSE}", what)
+        length = common_block_s([run])
+        self._say(f"{self.state} (rms of {length:.0f} s, gain {best.gain:.0f}): {DIAGNOSE}", what)
         shadow = Shadow(self._model, found, elapsed_s)
         self._lacking = effect_charts(run, self._model, shadow.model, best)
         if self._learn and (self._shadow is None or elapsed_s >= HAD * self._shadow.since_s):

@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imumon.blocks import BoolArray, FloatArray
-from imumon.diagnosis.blocks import RunBlocks
+from imumon.diagnosis.blocks import RunBlocks, common_block_s
 from imumon.diagnosis.gains import PROVEN
-from imumon.diagnosis.glance import Better, block_of, residual
+from imumon.diagnosis.glance import Better, residual
 from imumon.diagnosis.known import temperature_of
 from imumon.diagnosis.likelihood import Likelihood
 from imumon.diagnosis.recording import Run
@@ -86,8 +86,9 @@ class Shadow:
         """
         names = [one.channel for one in self.found]
         run = self._within(run, names)
+        block_s = common_block_s([run])
         present, shadow = (
-            residual(run, model, names, block_s=block_of(run)) for model in (self._present, self.model)
+            residual(run, model, names, block_s=block_s) for model in (self._present, self.model)
         )
         early = present.time_s < self.since_s
         if early.all() or early.sum() < LEAST_LATER:
@@ -99,7 +100,7 @@ class Shadow:
             both[0].left,
             both[1].left,
             int((~early).sum()),
-            block_of(run),
+            block_s,
         )
         return self.score
 

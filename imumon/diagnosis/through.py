@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from imumon.charts import AXIS_COLORS, Axis, Chart, Curve
-from imumon.diagnosis.glance import Better, block_of, residual
+from imumon.diagnosis.blocks import common_block_s
+from imumon.diagnosis.glance import Better, residual
 from imumon.diagnosis.known import temperature_of
 from imumon.diagnosis.recording import Run
 from imumon.geodesy import DEG_PER_H
@@ -20,7 +21,8 @@ def effect_charts(run: Run, present: BiasModel, better: BiasModel, one: Better) 
     Means at rest, °/h, less their mean, which is the turn-on bias.  What is drawn through them is the
     difference of the two models.
     """
-    left, after = (residual(run, model, [one.channel], block_s=block_of(run)) for model in (present, better))
+    block_s = common_block_s([run])
+    left, after = (residual(run, model, [one.channel], block_s=block_s) for model in (present, better))
     values = left.mean[one.channel]
     points, line = ((part - part.mean()) / DEG_PER_H for part in (values, values - after.mean[one.channel]))
     axis = one.channel[-1]
@@ -32,7 +34,7 @@ def effect_charts(run: Run, present: BiasModel, better: BiasModel, one: Better) 
         Chart(
             f"model_lacks_over_{key}",
             RESIDUAL,
-            f"Gyro {axis} less the model, means of {block_of(run):.0f} s, and {one.names[0]} through it",
+            f"Gyro {axis} less the model, means of {block_s:.0f} s, and {one.names[0]} through it",
             Axis(label),
             Axis("[°/h]"),
             (

@@ -179,6 +179,8 @@ class Effect(StrictModel):
     """Parameters that are searched and refined."""
     free_start: ClassVar[Literal["never", "alone", "in sums"]] = "never"
     """Whether an unknown state at power-on is fitted as well: of the effect alone, or of sums of it, too."""
+    one_sign: ClassVar[bool] = False
+    """Whether coefficients of both signs are none of it."""
     start_looks_like: ClassVar[tuple[str, ...]] = ()
     """Effects that an unknown state at power-on passes for."""
     suspected_by: ClassVar[tuple[str, ...]] = ()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import pairwise
 from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
@@ -11,23 +12,28 @@ from pydantic import Field, FiniteFloat
 from imumon.blocks import FloatArray
 from imumon.effects.base import Drive, Effect, Memory, Positive, Survey, logarithmic
 
-SHORTEST_S = 10.0
-LONGEST_S = 2000.0
+SHORTEST_S = 5.0
 RATIO = 1.6
-EXPONENTS = (0.0, 0.3, 0.5)
-LARGEST_EXPONENT = 0.6
-"""Nearer to 1 it is a warm-up."""
+WIDTHS = (4.0, 16.0)
+MOST_STEPS = 5
+"""Up to five steps of these widths leave 0.4 to 1.2 % (rms, median; 10.3 % at most) of creeps through thirty
+random barriers and of stretched exponentials, in 20 min, in 2 h and in 20 h."""
+BEGUN = 1e-9
+"""Share of a time constant: at power-on itself either integral is infinite, and their difference is not."""
 
 
 class StressRelaxation(Effect):
-    """exp(-(t / time constant)^exponent) (Kohlrausch); with exponent 0, log(1 + t / time constant).
+    """E1(t / longest) - E1(t / shortest) for each step of a spectrum of barriers, t since power-on.
 
-    The logarithm is what the other tends to as its exponent goes to 0.  t since power-on.
+    That is what barriers make that are equally many at each logarithm of their time constant between two
+    ends (Primak 1955, doi:10.1103/PhysRev.100.1677).  The first step begins at `time_constant_s`, each is
+    `ratio` wide, and no spectrum has barriers of both signs.
     """
 
     kind: Literal["stress_relaxation"] = "stress_relaxation"
     scope = "either"
-    nonlinear = ("time_constant_s", "exponent")
+    one_sign = True
+    nonlinear = ("time_constant_s", "ratio")
     suspected_by = ("time since start",)
     separated_by: ClassVar[Mapping[str, str]] = {
         "warm_up": "a run of ten time constants of the warm-up: a relaxation goes on",
@@ -36,21 +42,35 @@ class StressRelaxation(Effect):
         "step": "another run: a relaxation comes again at the same time",
     }
     time_constant_s: Positive
-    exponent: Annotated[FiniteFloat, Field(ge=0.0, lt=1.0)] = 0.0
+    ratio: Annotated[FiniteFloat, Field(gt=1.0)]
+    steps: Annotated[int, Field(ge=1, le=MOST_STEPS)] = 1
+
+    @property
+    def width(self) -> int:
+        """One for each step of the spectrum."""
+        return self.steps
 
     @classmethod
     def grid(cls, survey: Survey) -> list[Self]:
-        """Return time constants up to a tenth of the shortest run: with longer ones it is a drift."""
-        times = logarithmic(SHORTEST_S, min(LONGEST_S, survey.shortest_s / 10), RATIO)
-        return [cls(time_constant_s=tau, exponent=power) for power in EXPONENTS for tau in times]
+        """Return spectra whose slowest step begins within a third of the shortest run: others are a drift."""
+        return [
+            cls(time_constant_s=tau, ratio=ratio, steps=steps)
+            for ratio in WIDTHS
+            for steps in range(1, MOST_STEPS + 1)
+            for tau in logarithmic(SHORTEST_S, survey.shortest_s / 3 / ratio ** (steps - 1), RATIO)
+        ]
 
     def moved(self, name: str, step: float, survey: Survey) -> float:
-        """Return a parameter moved; the exponent no nearer to 1 than `LARGEST_EXPONENT`."""
-        value = super().moved(name, step, survey)
-        return min(value, LARGEST_EXPONENT) if name == "exponent" else value
+        """Return a parameter moved; a ratio stays above 1."""
+        if name == "ratio":
+            return 1.0 + (self.ratio - 1.0) * float(np.exp(0.3 * step))
+        return super().moved(name, step, survey)
 
     def advance(self, memory: Memory, drive: Drive) -> FloatArray:  # noqa: ARG002 - time is its memory
-        """Return the decay, or the logarithm."""
-        ratio = np.maximum(drive.time_s, 0.0) / self.time_constant_s
-        column = np.exp(-(ratio**self.exponent)) if self.exponent else np.log1p(ratio)
-        return np.asarray(column[:, np.newaxis])
+        """Return what is left of each step."""
+        from scipy.special import exp1  # 0.13 s, which no command spends that has no such effect
+
+        ends = self.time_constant_s * self.ratio ** np.arange(self.steps + 1)
+        time = np.maximum(drive.time_s, BEGUN * self.time_constant_s)
+        integrals = [exp1(time / end) for end in ends]
+        return np.column_stack([slow - fast for fast, slow in pairwise(integrals)])

@@ -29,7 +29,7 @@ INSIDE = tuple(name for name in IN_LIBRARY if name not in ("step", "run_offset")
 STRONG = 10.0
 LIMIT = 1.3
 QUIET_H = (0, 4, 22)
-"""Hours at one temperature before two hours that show an effect: means are then of 30 s, 2 min, 8 min."""
+"""Hours at one temperature before two hours that show an effect: means are then of 30, 48 and 96 s."""
 
 
 def loops(rng: Generator, runs: list[Thermal], _: int) -> list[FloatArray]:

@@ -7,7 +7,9 @@ import numpy as np
 from imumon.diagnosis.blocks import make_blocks
 from imumon.diagnosis.candidates import Candidate, Part, Pool
 from imumon.diagnosis.likelihood import GRID, TAUS_S, Likelihood, coarse_grid, fine_grid
+from imumon.effects.base import Drive
 from imumon.effects.drift import Drift
+from imumon.effects.stress_relaxation import StressRelaxation
 from tests.diagnosis.units import DPH, WHITE_DPH, ramps, run
 
 SECONDS = 7200
@@ -40,3 +42,18 @@ def test_what_is_a_walk_without_a_drift_is_flicker_with_it() -> None:
     _, (noise,) = likelihood.scan(blocks.mean["gyro_x"] / DPH, curve, pool, terms, fine_grid(walk))
     assert noise[0] > walk[0]
     assert noise[1] < walk[1]
+
+
+def test_a_spectrum_with_both_signs_explains_nothing() -> None:
+    creep = StressRelaxation(time_constant_s=20.0, ratio=16.0, steps=2)
+    for weights, explains in (((30.0, 10.0), True), ((-30.0, 10.0), False)):
+        effect = creep.with_coefficients(weights)
+        told = run(6, *ramps(SECONDS, up=True), lambda time, t: effect.simulate(Drive(time, t)))  # noqa: B023 - called at once
+        blocks = make_blocks(told, ["gyro_x"], ["temperature"])
+        curve = (blocks.temperature["temperature"] - 25.0)[:, np.newaxis] ** np.arange(4)
+        likelihood, pool = Likelihood([blocks]), Pool([blocks], "temperature")
+        values, white = blocks.mean["gyro_x"] / DPH, (0.0, 0.0)
+        terms = [pool.terms(Candidate("stress_relaxation", (Part(creep),)))[0]]
+        found, _ = likelihood.scan(values, curve, pool, terms, [white])
+        gain = float(found[0]) - likelihood.at(values, curve, white)
+        assert gain > 50.0 if explains else abs(gain) < 1e-6

@@ -152,5 +152,26 @@ def test_a_period_is_named_whatever_it_is(period_s: float) -> None:
     assert said(session(swing), LiveDiagnosis(model())).startswith("MODEL CAN BE BETTER: periodic on x")
 
 
+def test_after_a_week_a_period_of_less_than_an_hour_is_named() -> None:
+    """As the session is then: slots of 128 s, whose noise is as of so many seconds."""
+    slots, slot_s, period_s = 4725, 128.0, 3300.0
+    time, rng = np.arange(0.5, slots) * slot_s, np.random.default_rng(3)
+    temperature = 26.0 + 10.0 * np.sin(2 * np.pi * time / 86400.0)
+    rate = (cubic(temperature) + 2.0 * np.sin(2 * np.pi * time / period_s) + rng.normal(size=slots)) * DPH
+    unknown, count = np.full(slots, np.nan), np.full(slots, 1e4)
+    week = Run(
+        "a week",
+        time,
+        {"gyro_x": count, "temperature": count},
+        {"gyro_x": rate, "temperature": temperature},
+        {"gyro_x": unknown, "temperature": unknown},
+        np.ones(slots),
+        slot_s=slot_s,
+    )
+    found = better_models(week, model(), ["gyro_x"])
+    assert [one.names for one in found] == [["periodic"]]
+    assert found[0].model.effects[-1].model_dump()["period_s"] == pytest.approx(period_s, rel=1e-3)
+
+
 def test_what_a_curve_leaves_beyond_its_temperatures_is_no_effect() -> None:
     assert said(session(), LiveDiagnosis(model(18.0, 28.0))) == ""

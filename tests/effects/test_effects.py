@@ -230,14 +230,26 @@ def test_a_delay_gives_the_temperature_that_was() -> None:
     assert np.all(was[:400] == 20.0)
 
 
-def test_a_stretched_exponential_with_a_small_exponent_is_a_logarithm() -> None:
-    drive, stretched = run(), StressRelaxation(time_constant_s=10.0, exponent=0.01)
-    columns = [drive.time_s * 0 + 1, np.log(drive.time_s)]
-    late = drive.time_s > 100.0
-    values = stretched.columns(drive)[late, 0]
-    design = np.column_stack(columns)[late]
-    left = values - design @ np.linalg.lstsq(design, values, rcond=None)[0]
-    assert np.std(left) < 0.01 * np.std(values)
+@pytest.mark.parametrize("exponent", [0.3, 0.5, 0.7])
+def test_a_spectrum_of_one_sign_has_the_shape_of_a_stretched_exponential(exponent: float) -> None:
+    drive = Drive(np.arange(15.0, 7200.0, 30.0), np.full(240, 20.0))
+    true = np.exp(-((drive.time_s / 200.0) ** exponent))
+
+    def left(effect: StressRelaxation) -> float:
+        design = np.column_stack([np.ones(len(drive)), effect.columns(drive)])
+        found = np.linalg.lstsq(design, true, rcond=None)[0]
+        return float(np.std(true - design @ found) / np.std(true)) if found[1:].min() > 0 else 1.0
+
+    tried = StressRelaxation.grid(SURVEY)
+    assert min(map(left, tried)) < 0.015
+    assert min(left(effect) for effect in tried if effect.steps == 1) > 0.025
+
+
+def test_a_narrow_step_of_barriers_is_an_exponential_and_one_at_power_on_is_its_width() -> None:
+    narrow = StressRelaxation(time_constant_s=100.0, ratio=1.01)
+    time = np.array([0.0, 50.0, 400.0])
+    columns = narrow.columns(Drive(time, np.full(3, 20.0)))[:, 0] / np.log(1.01)
+    np.testing.assert_allclose(columns, np.exp(-time / 100.5), rtol=1e-3)
 
 
 def test_what_the_runs_cannot_show_is_not_tried() -> None:
