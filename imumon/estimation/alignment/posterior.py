@@ -113,10 +113,11 @@ def heading(
     offered = np.zeros((*seen.shape, 3))
     offered[..., 0], offered[..., 1:] = seen - upward, -by_north
     start = math.atan2(*(float(x) for x in _first_guess(seen[0], noise[0], poses)))
-    by_creep, sizes, size_log_prior = _creeping(fits, place, level * np.exp(1j * start))
+    by_creep, rates, rate_log_prior = _creeping(fits, level * np.exp(1j * start))
+    sizes = [*place.bias_sds.T, rates, np.ones(1)]
     forms, log_determinant = _without_bias(offered, noise, np.hstack([by_bias, by_creep]), sizes)
     angle, misfit, curvature = _closest(forms, start)
-    logs = log_weight[:, None] + size_log_prior - 0.5 * misfit
+    logs = log_weight[:, None, None] + rate_log_prior + place.bias_log_prior - 0.5 * misfit  # (h, r, s)
     logs -= 0.5 * log_determinant + 0.5 * np.log(curvature)
     probability = np.exp(logs - logs.max())
     probability /= probability.sum()
@@ -126,21 +127,19 @@ def heading(
     turned = (place.level_sd * math.tan(place.latitude)) ** 2 if abs(place.latitude) < 1.5 else math.inf
     white = 1.0 / float(np.sum(1.0 / spread[0])) / level**2
     by_size = probability.sum(0)
-    supposed = math.sqrt(float(by_size @ np.mean(sizes[:, :3] ** 2, axis=1)))
-    left_over = max(float(by_size @ (1.0 / curvature[0])) - white, 0.0)
+    supposed = math.sqrt(float(by_size.sum(0) @ np.mean(place.bias_sds**2, axis=1)))
+    left_over = max(float(np.vdot(by_size, 1.0 / curvature[0])) - white, 0.0)
     return Heading(
         centre,
         min(math.sqrt(variance + turned), ANY_ANGLE_SD),
         math.sqrt(left_over) * level,
         supposed,
-        float(probability.sum(1) @ settles),
+        float(probability.sum((1, 2)) @ settles),
         math.sqrt(white),
     )
 
 
-def _creeping(
-    fits: Sequence[PoseFit], place: Place, north: complex
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _creeping(fits: Sequence[PoseFit], north: complex) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return how what is seen depends on the rate by which each pose turns more than its `creep` says.
 
     Parameters
@@ -151,24 +150,19 @@ def _creeping(
     Returns
     -------
     array, (3 p, 2)
-        On what `creep` leaves unknown of all poses, over its standard deviation, and on one rate all along.
-    array, (s, 5)
-        Standard deviations of biases and of these two, rad/s, that are thought of: no rate, or turns.
-    array, (s,)
+        On one rate all along, and on what `creep` leaves unknown of all poses, over its standard deviation.
+    array, (r, 1)
+        Standard deviations of that rate, rad/s, that are thought of: no rate, or turns.
+    array, (r, 1)
         Logarithms of their prior probabilities.
     """
     later_s = np.triu(np.tile([fit.creep.before_s + fit.creep.after_s for fit in fits], (len(fits), 1)), 1)
     turned = 1j * north * (later_s + np.diag([fit.creep.after_s for fit in fits]))
     # The noise of the mean is that of the vertical rate already; a turn by it is nothing beside its heading.
     own = np.sqrt([max(fit.creep.rest.variance - fit.vertical_variance, 0.0) for fit in fits])
-    share = np.log(np.r_[1.0 - ALL_ALONG, np.full(len(RATES), ALL_ALONG / len(RATES))])
-    rates = np.column_stack([np.ones(1 + len(RATES)), np.r_[0.0, RATES]])
-    sizes = np.hstack(
-        [np.tile(place.bias_sds, (len(rates), 1)), np.repeat(rates, len(place.bias_sds), axis=0)]
-    )
-    prior = (share[:, None] + place.bias_log_prior).ravel()
+    prior = np.log(np.r_[1.0 - ALL_ALONG, np.full(len(RATES), ALL_ALONG / len(RATES))])
     each = np.concatenate([turned.real, turned.imag, np.eye(len(fits))])
-    return np.column_stack([each @ own, each.sum(1)]), sizes, prior
+    return np.column_stack([each.sum(1), each @ own]), np.r_[0.0, RATES][:, None], prior[:, None]
 
 
 def _together(fits: Sequence[PoseFit]) -> tuple[FloatArray, IntArray]:
@@ -184,11 +178,12 @@ def _together(fits: Sequence[PoseFit]) -> tuple[FloatArray, IntArray]:
 
 
 def _without_bias(
-    columns: FloatArray, noise: FloatArray, by_bias: FloatArray, sizes: FloatArray
+    columns: FloatArray, noise: FloatArray, by_bias: FloatArray, sizes: Sequence[FloatArray]
 ) -> tuple[FloatArray, FloatArray]:
     """Return products of columns, weighted by noise and biases of each size, and that log determinant.
 
-    The covariance is D + A S² Aᵀ; its inverse is of rank k beside that of D (Woodbury).
+    The covariance is D + Σ sⱼ² aⱼ aⱼᵀ.  Each term is of rank one and changes the products by one, too
+    (Sherman and Morrison): those with the a that are still to come among them, as in Gauss elimination.
 
     Parameters
     ----------
@@ -196,21 +191,23 @@ def _without_bias(
     noise : array, (h, n)
         Diagonal of D.
     by_bias : array, (n, k)
-        A.
-    sizes : array, (s, k)
-        Diagonals of S.
+        The a, of which the last is taken first.
+    sizes : sequence of array, (k,)
+        The s, that broadcast to (r, s).
 
     Returns
     -------
-    array, (h, s, 3, 3), and array, (h, s)
+    array, (h, r, s, 3, 3), and array, (h, r, s)
     """
-    weighted = columns / noise[..., None]
-    own = weighted.transpose(0, 2, 1) @ columns
-    known = (by_bias.T[None] / noise[:, None]) @ by_bias
-    shared = sizes[:, :, None] * (by_bias.T @ weighted)[:, None]  # (h, s, k, 3)
-    grown = np.eye(sizes.shape[1]) + sizes[:, :, None] * known[:, None] * sizes[:, None, :]
-    forms = own[:, None] - shared.swapaxes(-1, -2) @ np.linalg.solve(grown, shared)
-    return forms, np.log(np.linalg.det(grown)) + np.log(noise).sum(1)[:, None]
+    every = np.concatenate([columns, np.broadcast_to(by_bias, (*noise.shape, len(sizes)))], axis=2)
+    products = ((every / noise[..., None]).swapaxes(1, 2) @ every)[:, None, None]
+    log_determinant = np.log(noise).sum(1)[:, None, None]
+    for size in reversed(sizes):
+        of_bias, pivot = products[..., :-1, -1], 1.0 + size**2 * products[..., -1, -1]
+        share = (size**2 / pivot)[..., None] * of_bias
+        products = products[..., :-1, :-1] - share[..., :, None] * of_bias[..., None, :]
+        log_determinant = log_determinant + np.log(pivot)
+    return products, log_determinant
 
 
 def _closest(forms: FloatArray, start: float) -> tuple[FloatArray, FloatArray, FloatArray]:
