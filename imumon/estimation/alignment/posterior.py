@@ -16,7 +16,7 @@ import numpy as np
 
 from imumon.blocks import FloatArray, IntArray
 from imumon.estimation.alignment.account import ANY_ANGLE_SD
-from imumon.estimation.alignment.creep import ALL_ALONG, RATES
+from imumon.estimation.alignment.creep import ALL_ALONG, RATES, Rest
 from imumon.estimation.alignment.fit import FINEST, PoseFit
 from imumon.geodesy import EARTH_RATE
 
@@ -71,6 +71,8 @@ class Heading:
         Probability that the unit settles, or tilts ever farther.
     noise_sd : float
         What white noise alone leaves, rad.
+    rest : Rest
+        What the vertical gyro reads at rest in the last pose.
     """
 
     north: float
@@ -79,6 +81,7 @@ class Heading:
     supposed_sd: float
     tilting: float
     noise_sd: float
+    rest: Rest
 
 
 def heading(
@@ -95,26 +98,36 @@ def heading(
         Of their angles about the vertical, rad².
     """
     poses, level = len(fits), EARTH_RATE * math.cos(place.latitude)
-    log_weight, which = _together(fits)
+    log_weight, which, rests = _together(fits)
     values = np.stack([fit.mean[k] for fit, k in zip(fits, which, strict=True)], 1)  # (h, p)
     common = FINEST**2 + place.flicker**2
     spread = np.stack([fit.variance[k] for fit, k in zip(fits, which, strict=True)], 1)
     spread += common + level**2 * turn_variances
     settles = np.max([fit.settles[k] for fit, k in zip(fits, which, strict=True)], axis=0)
-    seen = np.concatenate(
-        [values.real, values.imag, np.tile([fit.creep.rest.rate for fit in fits], (len(values), 1))], 1
-    )
-    vertical = np.array([fit.vertical_variance for fit in fits]) + common
-    noise = np.concatenate([spread, spread, np.tile(vertical, (len(values), 1))], 1)
+    at_rest = np.array([fit.creep.rest.rate for fit in fits])
+    rate = np.stack([fit.creep.rests.rate[k] for fit, k in zip(fits, rests, strict=True)], 1)
+    vertical = np.stack([
+        np.maximum(fit.creep.rests.variance[k], fit.vertical_variance)
+        for fit, k in zip(fits, rests, strict=True)
+    ], 1)  # fmt: skip
+    seen = np.concatenate([values.real, values.imag, rate], 1)
+    noise = np.concatenate([spread, spread, vertical + common], 1)
     by_bias = np.concatenate([np.stack([matrix[axis] for matrix in attitudes]) for axis in range(3)])
     upward = np.r_[np.zeros(2 * poses), np.full(poses, EARTH_RATE * math.sin(place.latitude))]
     by_north = np.zeros((3 * poses, 2))
     by_north[:poses, 0] = by_north[poses : 2 * poses, 1] = level
+    # What a pose turned beyond its `creep` is what the gyro reads at rest there less what it truly does.
+    start = math.atan2(*(float(x) for x in _first_guess(seen[0], noise[0], poses)))
+    beyond = _beyond(fits, level * np.exp(1j * start))
+    by_bias[: 2 * poses] -= beyond @ by_bias[2 * poses :]
     offered = np.zeros((*seen.shape, 3))
     offered[..., 0], offered[..., 1:] = seen - upward, -by_north
-    start = math.atan2(*(float(x) for x in _first_guess(seen[0], noise[0], poses)))
-    by_creep, sizes, size_log_prior = _creeping(fits, place, level * np.exp(1j * start))
-    forms, log_determinant = _without_bias(offered, noise, np.hstack([by_bias, by_creep]), sizes)
+    offered[..., : 2 * poses, 0] -= beyond @ (at_rest - upward[2 * poses :])
+    all_along = np.r_[np.zeros(2 * poses), np.ones(poses)]
+    sizes, size_log_prior = _sizes(place)
+    forms, log_determinant, biases = _without_bias(
+        offered, noise, np.column_stack([by_bias, all_along]), sizes, np.r_[by_bias[-1], 0.0]
+    )
     angle, misfit, curvature = _closest(forms, start)
     logs = log_weight[:, None] + size_log_prior - 0.5 * misfit
     logs -= 0.5 * log_determinant + 0.5 * np.log(curvature)
@@ -126,6 +139,7 @@ def heading(
     turned = (place.level_sd * math.tan(place.latitude)) ** 2 if abs(place.latitude) < 1.5 else math.inf
     white = 1.0 / float(np.sum(1.0 / spread[0])) / level**2
     by_size = probability.sum(0)
+    upright, uncertain = _mixed(probability, *_at(biases, angle))
     supposed = math.sqrt(float(by_size @ np.mean(sizes[:, :3] ** 2, axis=1)))
     left_over = max(float(by_size @ (1.0 / curvature[0])) - white, 0.0)
     return Heading(
@@ -135,58 +149,54 @@ def heading(
         supposed,
         float(probability.sum(1) @ settles),
         math.sqrt(white),
+        Rest(upward[-1] + upright, uncertain),
     )
 
 
-def _creeping(
-    fits: Sequence[PoseFit], place: Place, north: complex
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return how what is seen depends on the rate by which each pose turns more than its `creep` says.
+def _beyond(fits: Sequence[PoseFit], north: complex) -> FloatArray:
+    """Return how horizontal rates depend on those by which the poses turn beyond their `creep`, (2 p, p).
 
-    Parameters
-    ----------
-    north : complex
-        About the horizontal earth rate, rad/s.
-
-    Returns
-    -------
-    array, (3 p, 2)
-        On what `creep` leaves unknown of all poses, over its standard deviation, and on one rate all along.
-    array, (s, 5)
-        Standard deviations of biases and of these two, rad/s, that are thought of: no rate, or turns.
-    array, (s,)
-        Logarithms of their prior probabilities.
+    `north` is about the horizontal earth rate, rad/s.
     """
     later_s = np.triu(np.tile([fit.creep.before_s + fit.creep.after_s for fit in fits], (len(fits), 1)), 1)
     turned = 1j * north * (later_s + np.diag([fit.creep.after_s for fit in fits]))
-    # The noise of the mean is that of the vertical rate already; a turn by it is nothing beside its heading.
-    own = np.sqrt([max(fit.creep.rest.variance - fit.vertical_variance, 0.0) for fit in fits])
+    return np.concatenate([turned.real, turned.imag])
+
+
+def _sizes(place: Place) -> tuple[FloatArray, FloatArray]:
+    """Return standard deviations that are thought of, (s, 4), and logarithms of their probabilities, (s,).
+
+    They are those of the biases, and of a rate all along that looks like one of the vertical gyro, rad/s.
+    """
     share = np.log(np.r_[1.0 - ALL_ALONG, np.full(len(RATES), ALL_ALONG / len(RATES))])
-    rates = np.column_stack([np.ones(1 + len(RATES)), np.r_[0.0, RATES]])
-    sizes = np.hstack(
-        [np.tile(place.bias_sds, (len(rates), 1)), np.repeat(rates, len(place.bias_sds), axis=0)]
-    )
-    prior = (share[:, None] + place.bias_log_prior).ravel()
-    each = np.concatenate([turned.real, turned.imag, np.eye(len(fits))])
-    return np.column_stack([each @ own, each.sum(1)]), sizes, prior
+    rates = np.repeat(np.r_[0.0, RATES], len(place.bias_sds))
+    sizes = np.column_stack([np.tile(place.bias_sds, (len(share), 1)), rates])
+    return sizes, (share[:, None] + place.bias_log_prior).ravel()
 
 
-def _together(fits: Sequence[PoseFit]) -> tuple[FloatArray, IntArray]:
-    """Return the likeliest hypotheses of all poses: log weight (h,), and which of each pose (p, h)."""
-    log_weight, which = np.zeros(1), np.zeros((0, 1), np.int64)
+def _together(fits: Sequence[PoseFit]) -> tuple[FloatArray, IntArray, IntArray]:
+    """Return the likeliest hypotheses of all poses: log weight (h,), and which of tilt and creep, (p, h)."""
+    weight, log_weight = np.zeros(1), np.zeros(1)  # the first with what is usual, which is not known twice
+    which = np.zeros((2, 0, 1), np.int64)
     for fit in fits:
+        rests = fit.creep.rests
         own = np.argsort(-fit.log_weight)[:LIKELIEST]
-        log_weight = (log_weight[:, None] + fit.log_weight[own]).ravel()
-        which = np.vstack([np.repeat(which, len(own), axis=1), np.tile(own, which.shape[1])])
-        best = np.argsort(-log_weight)[:LIKELIEST]
-        log_weight, which = log_weight[best], which[:, best]
-    return log_weight, which
+        pairs = np.stack(np.meshgrid(own, np.arange(len(rests.rate)), indexing="ij")).reshape(2, 1, -1)
+        more = (fit.log_weight[pairs[0]] + rests.log_weight[pairs[1]]).ravel()
+        log_weight = (log_weight[:, None] + more).ravel()
+        weight = (weight[:, None] + more + fit.creep.log_usual[pairs[1]]).ravel()
+        which = np.concatenate(
+            [np.repeat(which, pairs.shape[2], axis=2), np.tile(pairs, which.shape[2])], axis=1
+        )
+        best = np.argsort(-weight)[:LIKELIEST]
+        weight, log_weight, which = weight[best], log_weight[best], which[..., best]
+    return log_weight, which[0], which[1]
 
 
 def _without_bias(
-    columns: FloatArray, noise: FloatArray, by_bias: FloatArray, sizes: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return products of columns, weighted by noise and biases of each size, and that log determinant.
+    columns: FloatArray, noise: FloatArray, by_bias: FloatArray, sizes: FloatArray, wanted: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return products of columns, weighted by noise and biases of each size, log determinant, and a bias.
 
     The covariance is D + A S² Aᵀ; its inverse is of rank k beside that of D (Woodbury).
 
@@ -199,18 +209,35 @@ def _without_bias(
         A.
     sizes : array, (s, k)
         Diagonals of S.
+    wanted : array, (k,)
+        The bias that is returned is this sum of the k.
 
     Returns
     -------
-    array, (h, s, 3, 3), and array, (h, s)
+    array, (h, s, 3, 3), array, (h, s), and array, (h, s, 4)
+        The bias by the columns, and its variance.
     """
     weighted = columns / noise[..., None]
     own = weighted.transpose(0, 2, 1) @ columns
     known = (by_bias.T[None] / noise[:, None]) @ by_bias
     shared = sizes[:, :, None] * (by_bias.T @ weighted)[:, None]  # (h, s, k, 3)
     grown = np.eye(sizes.shape[1]) + sizes[:, :, None] * known[:, None] * sizes[:, None, :]
-    forms = own[:, None] - shared.swapaxes(-1, -2) @ np.linalg.solve(grown, shared)
-    return forms, np.log(np.linalg.det(grown)) + np.log(noise).sum(1)[:, None]
+    sought = np.broadcast_to((sizes * wanted)[..., None], (*shared.shape[:3], 1))
+    solved = np.linalg.solve(grown, np.concatenate([shared, sought], -1))
+    forms = own[:, None] - shared.swapaxes(-1, -2) @ solved[..., :3]
+    bias = (sought.swapaxes(-1, -2) @ solved)[..., 0, :]
+    return forms, np.log(np.linalg.det(grown)) + np.log(noise).sum(1)[:, None], bias
+
+
+def _at(biases: FloatArray, angle: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return means and variances, (h, s), of the biases of `_without_bias` at a direction of north, rad."""
+    return biases[..., 0] + biases[..., 1] * np.cos(angle) + biases[..., 2] * np.sin(angle), biases[..., 3]
+
+
+def _mixed(probability: FloatArray, means: FloatArray, variances: FloatArray) -> tuple[float, float]:
+    """Return mean and variance of a mixture."""
+    mean = float(np.sum(probability * means))
+    return mean, float(np.sum(probability * (variances + (means - mean) ** 2)))
 
 
 def _closest(forms: FloatArray, start: float) -> tuple[FloatArray, FloatArray, FloatArray]:
