@@ -13,7 +13,7 @@ import numpy as np
 from imumon.blocks import FloatArray
 from imumon.estimation.alignment import fit
 from imumon.estimation.alignment.account import ANY_ANGLE_SD, Account, Passage, typical_force, typical_scale
-from imumon.estimation.alignment.creep import Rest, upright_turn
+from imumon.estimation.alignment.creep import Rest, Usual, upright_turn
 from imumon.estimation.alignment.motion import LEAST, Motion, Slot
 from imumon.estimation.alignment.parameters import AlignmentParameters
 from imumon.estimation.alignment.posterior import Heading, Place, heading
@@ -159,13 +159,14 @@ class Aligner:
     def _turns_already(self) -> None:
         """Take the vertical gyro's rate at the last rest for what it reads if it stands."""
         base, up = self.state.motion.base, self.state.attitude[2]
-        if base is not None and self._told_here:
-            base += up * (self.state.fits[-1].creep.rest.rate - float(up @ base))
+        if base is not None and self._rest_here is not None:
+            base += up * (self._rest_here.rate - float(up @ base))
 
     @property
-    def _told_here(self) -> bool:
-        """Whether the pose of now has been fitted."""
-        return 0 < len(self.state.fits) == len(self.state.poses)
+    def _rest_here(self) -> Rest | None:
+        """What the vertical gyro reads at rest in the pose of now, if it has been fitted."""
+        told_here = 0 < len(self.state.fits) == len(self.state.poses)
+        return self.state.found.rest if told_here and self.state.found is not None else None
 
     def count(self, slot: Slot, magnetic: Sequence[float]) -> None:
         """Count a slot by which `Motion.rest_on` has gone on."""
@@ -239,10 +240,10 @@ class Aligner:
         state.record.add(slot.time_s, weight, slot.mean[:3], slot.mean[3:], pose)
         if counts:
             state.counted_s += slot.length_s
-            if self._told_here:
+            if self._rest_here is not None:
                 state.followed_s += slot.length_s
                 state.crept += slot.length_s * (
-                    float(state.attitude[2] @ slot.mean[:3]) - state.fits[-1].creep.rest.rate
+                    float(state.attitude[2] @ slot.mean[:3]) - self._rest_here.rate
                 )
         else:
             state.shaken_s += slot.length_s
@@ -329,20 +330,28 @@ class Aligner:
         attitudes: list[FloatArray] = []
         crept = 0.0
         # From now back, in a frame in which the unit lies now as if it had stood in all poses.
-        for pose, one, attitude in reversed(told):
+        for _, one, attitude in reversed(told):
             back = -crept - one.creep.after
             fits.insert(0, replace(one, mean=one.mean * cmath.exp(1j * back)))
             attitudes.insert(0, upright_turn(back) @ attitude)
-            pose.crept_after = crept
             crept += one.creep.before + one.creep.after
         turns = [pose.turn_variance for pose, _, _ in told]
         state.fits = fits
         if fits:
             self._find(fits, attitudes, turns)
+            self._crept(told)
         here_s = state.counted_s - state.poses[-1].counted_s
         # A bias that hides the north goes on to do so until the unit is turned.
         after_s = here_s if self.hidden else min(RENEWED_SHARE * here_s, RENEWED_S[1])
         state.due_s = state.counted_s + max(after_s, RENEWED_S[0])
+
+    def _crept(self, told: Sequence[tuple[Pose, fit.PoseFit, FloatArray]]) -> None:
+        """Note how far it has turned unnoticed after each pose."""
+        assert self.state.found is not None
+        after = 0.0
+        for pose, one, _ in reversed(told):
+            pose.crept_after = after
+            after += one.creep.turned(self.state.found.rest)
 
     def _find(self, fits: list[fit.PoseFit], attitudes: list[FloatArray], turns: list[float]) -> None:
         """Renew the heading from what the poses tell."""
@@ -377,7 +386,7 @@ class Aligner:
         angle = -1j * (level[:, 0] + 1j * level[:, 1]) - self._known(record.time_s[rows], attitude)
         kept = fit.PoseRecord(time, weight, record.rate[rows] @ attitude.T, angle)
         known = None if before is None else self._at_rest_in(attitude, *before[1:])
-        found = fit.fit_pose(kept, self._drift_sd(), known)
+        found = fit.fit_pose(kept, self._usual(attitude[2]), self._drift_sd(), known)
         return None if found is None else (found, attitude)
 
     def _at_rest_in(
@@ -389,7 +398,13 @@ class Aligner:
             return None
         other = float(np.sum((attitude[2] - attitude_before[2]) ** 2)) * found.supposed_sd**2
         flicker = (self.parameters.gyro_flicker_deg_per_h or 0.0) * DEG_PER_H
-        return Rest(before.creep.rest.rate, before.creep.rest.variance + other + flicker**2)
+        rest = before.creep.rests.together()
+        return Rest(rest.rate, rest.variance + other + flicker**2)
+
+    def _usual(self, up: FloatArray) -> Usual:
+        """Return what a vertical gyro should read at rest; `up` in body axes, (3,)."""
+        sizes, log_prior = self._bias_prior(self._arw)
+        return Usual(EARTH_RATE * math.sin(self.latitude), sizes**2 @ up**2, log_prior)
 
     def _known(self, time_s: FloatArray, attitude: FloatArray) -> FloatArray:
         """Return the angle that a known warm-up makes, rad, (n,) complex as the level."""
@@ -474,8 +489,8 @@ class Aligner:
         if motion.disturbed and motion.passed:
             going_on = state.turns.after(self._passage(state.slot_end_s))
             variance = going_on.azimuth_variance(self._scale_sd())
-        if self._told_here:
-            variance += state.fits[-1].creep.rest.variance * state.followed_s**2
+        if self._rest_here is not None:
+            variance += self._rest_here.variance * state.followed_s**2
         return min(math.hypot(state.found.sd, math.sqrt(variance)), ANY_ANGLE_SD)
 
     @property

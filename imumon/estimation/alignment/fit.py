@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imumon.blocks import ColumnArray, FloatArray
-from imumon.estimation.alignment.creep import Creep, Rest, creep
+from imumon.estimation.alignment.creep import Creep, Rest, Usual, creep
 from imumon.estimation.alignment.hypotheses import Seen, courses, told
 from imumon.estimation.alignment.lines import without_lines
 from imumon.estimation.alignment.loudness import quietness
@@ -112,12 +112,16 @@ class PoseFit:
     seconds: float
 
 
-def fit_pose(record: PoseRecord, drift_sd: float = WARM_UP, before: Rest | None = None) -> PoseFit | None:
+def fit_pose(
+    record: PoseRecord, usual: Usual, drift_sd: float = WARM_UP, before: Rest | None = None
+) -> PoseFit | None:
     """Fit a pose, or return None when there is too little.
 
     Parameters
     ----------
     record : PoseRecord
+    usual : Usual
+        What the vertical gyro should read at rest.
     drift_sd : float
         Standard deviation of each part of the drift of an accelerometer, in g.
     before : Rest or None
@@ -126,7 +130,7 @@ def fit_pose(record: PoseRecord, drift_sd: float = WARM_UP, before: Rest | None 
     valid = record.weight > 0.0
     if valid.sum() < LEAST_CELLS:
         return None
-    turned = creep(record.time_s, record.weight, record.rate[:, 2], before)
+    turned = creep(record.time_s, record.weight, record.rate[:, 2], usual, before)
     record = _turned_back(record, turned)
     quiet = quietness(record.rate, valid)
     seen = [_in_cells(record, valid.astype(np.float64))]

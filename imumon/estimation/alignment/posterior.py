@@ -16,7 +16,7 @@ import numpy as np
 
 from imumon.blocks import FloatArray, IntArray
 from imumon.estimation.alignment.account import ANY_ANGLE_SD
-from imumon.estimation.alignment.creep import ALL_ALONG, RATES
+from imumon.estimation.alignment.creep import ALL_ALONG, RATES, Rest
 from imumon.estimation.alignment.fit import FINEST, PoseFit
 from imumon.geodesy import EARTH_RATE
 
@@ -71,6 +71,8 @@ class Heading:
         Probability that the unit settles, or tilts ever farther.
     noise_sd : float
         What white noise alone leaves, rad.
+    rest : Rest
+        What the vertical gyro reads at rest in the last pose.
     """
 
     north: float
@@ -79,6 +81,39 @@ class Heading:
     supposed_sd: float
     tilting: float
     noise_sd: float
+    rest: Rest
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Seen:
+    """What is seen of all poses, which is linear in the direction of north and in rates.
+
+    Parameters
+    ----------
+    columns : array, (h, 3 p, 3)
+        Their products with (1, cos a, sin a) are the residuals of a direction a of north, by each hypothesis.
+    noise : array, (h, 3 p)
+        Variances.
+    by_rates : array, (3 p, k)
+        What the biases change, and last one rate all along; this is the one that is taken first.
+    sizes : sequence of array, (k,)
+        Standard deviations of these rates that are thought of, which broadcast to (r, s).
+    rate_log_prior : array, (r, 1)
+        Of the sizes of the last.
+    log_weight, settles : array, (h,)
+        Of each hypothesis, and whether the unit settles by it, or tilts ever farther.
+    start : float
+        About the direction of north, rad.
+    """
+
+    columns: FloatArray
+    noise: FloatArray
+    by_rates: FloatArray
+    sizes: Sequence[FloatArray]
+    rate_log_prior: FloatArray
+    log_weight: FloatArray
+    settles: FloatArray
+    start: float
 
 
 def heading(
@@ -94,120 +129,142 @@ def heading(
     turn_variances : array, (p,)
         Of their angles about the vertical, rad².
     """
-    poses, level = len(fits), EARTH_RATE * math.cos(place.latitude)
-    log_weight, which = _together(fits)
-    values = np.stack([fit.mean[k] for fit, k in zip(fits, which, strict=True)], 1)  # (h, p)
-    common = FINEST**2 + place.flicker**2
-    spread = np.stack([fit.variance[k] for fit, k in zip(fits, which, strict=True)], 1)
-    spread += common + level**2 * turn_variances
-    settles = np.max([fit.settles[k] for fit, k in zip(fits, which, strict=True)], axis=0)
-    seen = np.concatenate(
-        [values.real, values.imag, np.tile([fit.creep.rest.rate for fit in fits], (len(values), 1))], 1
-    )
-    vertical = np.array([fit.vertical_variance for fit in fits]) + common
-    noise = np.concatenate([spread, spread, np.tile(vertical, (len(values), 1))], 1)
-    by_bias = np.concatenate([np.stack([matrix[axis] for matrix in attitudes]) for axis in range(3)])
-    upward = np.r_[np.zeros(2 * poses), np.full(poses, EARTH_RATE * math.sin(place.latitude))]
-    by_north = np.zeros((3 * poses, 2))
-    by_north[:poses, 0] = by_north[poses : 2 * poses, 1] = level
-    offered = np.zeros((*seen.shape, 3))
-    offered[..., 0], offered[..., 1:] = seen - upward, -by_north
-    start = math.atan2(*(float(x) for x in _first_guess(seen[0], noise[0], poses)))
-    by_creep, rates, rate_log_prior = _creeping(fits, level * np.exp(1j * start))
-    sizes = [*place.bias_sds.T, rates, np.ones(1)]
-    forms, log_determinant = _without_bias(offered, noise, np.hstack([by_bias, by_creep]), sizes)
-    angle, misfit, curvature = _closest(forms, start)
-    logs = log_weight[:, None, None] + rate_log_prior + place.bias_log_prior - 0.5 * misfit  # (h, r, s)
-    logs -= 0.5 * log_determinant + 0.5 * np.log(curvature)
+    seen = _seen(fits, attitudes, turn_variances, place)
+    forms, log_determinant = _without_bias(seen)
+    angle, misfit, curvature = _closest(forms, seen.start)
+    prior = seen.log_weight[:, None, None] + seen.rate_log_prior + place.bias_log_prior  # (h, r, s)
+    logs = prior - 0.5 * (misfit + log_determinant + np.log(curvature))
     probability = np.exp(logs - logs.max())
     probability /= probability.sum()
     centre = float(np.angle(np.sum(probability * np.exp(1j * angle))))
     off = np.remainder(angle - centre + math.pi, 2.0 * math.pi) - math.pi
     variance = float(np.sum(probability * (1.0 / curvature + off**2)))
     turned = (place.level_sd * math.tan(place.latitude)) ** 2 if abs(place.latitude) < 1.5 else math.inf
-    white = 1.0 / float(np.sum(1.0 / spread[0])) / level**2
+    level = EARTH_RATE * math.cos(place.latitude)
+    white = 1.0 / float(np.sum(1.0 / seen.noise[0, : len(fits)])) / level**2
     by_size = probability.sum(0)
     supposed = math.sqrt(float(by_size.sum(0) @ np.mean(place.bias_sds**2, axis=1)))
     left_over = max(float(np.vdot(by_size, 1.0 / curvature[0])) - white, 0.0)
+    upright = _upward_bias(seen, probability, angle)
     return Heading(
         centre,
         min(math.sqrt(variance + turned), ANY_ANGLE_SD),
         math.sqrt(left_over) * level,
         supposed,
-        float(probability.sum((1, 2)) @ settles),
+        float(probability.sum((1, 2)) @ seen.settles),
         math.sqrt(white),
+        Rest(EARTH_RATE * math.sin(place.latitude) + upright.rate, upright.variance),
     )
 
 
-def _creeping(fits: Sequence[PoseFit], north: complex) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return how what is seen depends on the rate by which each pose turns more than its `creep` says.
+def _seen(
+    fits: Sequence[PoseFit], attitudes: Sequence[FloatArray], turn_variances: FloatArray, place: Place
+) -> Seen:
+    """Return what is seen of all poses; parameters as those of `heading`."""
+    poses, level = len(fits), EARTH_RATE * math.cos(place.latitude)
+    log_weight, which, rests = _together(fits)
+    values = np.stack([fit.mean[k] for fit, k in zip(fits, which, strict=True)], 1)  # (h, p)
+    common = FINEST**2 + place.flicker**2
+    spread = np.stack([fit.variance[k] for fit, k in zip(fits, which, strict=True)], 1)
+    spread += common + level**2 * turn_variances
+    settles = np.max([fit.settles[k] for fit, k in zip(fits, which, strict=True)], axis=0)
+    at_rest = np.array([fit.creep.rest.rate for fit in fits])
+    rate = np.stack([fit.creep.rests.rate[k] for fit, k in zip(fits, rests, strict=True)], 1)
+    vertical = np.stack([
+        np.maximum(fit.creep.rests.variance[k], fit.vertical_variance)
+        for fit, k in zip(fits, rests, strict=True)
+    ], 1)  # fmt: skip
+    by_bias = np.concatenate([np.stack([matrix[axis] for matrix in attitudes]) for axis in range(3)])
+    upward = EARTH_RATE * math.sin(place.latitude)
+    # What a pose turned beyond its `creep` is what the gyro reads at rest there less what it truly does.
+    start = float(np.angle(np.sum(values[0] / spread[0])))
+    beyond = _beyond(fits, level * np.exp(1j * start))
+    by_bias[: 2 * poses] -= beyond @ by_bias[2 * poses :]
+    columns = np.zeros((len(values), 3 * poses, 3))
+    columns[..., 0] = np.concatenate([values.real, values.imag, rate - upward], 1)
+    columns[..., : 2 * poses, 0] -= beyond @ (at_rest - upward)
+    columns[:, :poses, 1] = columns[:, poses : 2 * poses, 2] = -level
+    all_along = np.r_[np.zeros(2 * poses), np.ones(poses)]
+    share = np.log(np.r_[1.0 - ALL_ALONG, np.full(len(RATES), ALL_ALONG / len(RATES))])
+    return Seen(
+        columns,
+        np.concatenate([spread, spread, vertical + common], 1),
+        np.column_stack([by_bias, all_along]),
+        [*place.bias_sds.T, np.r_[0.0, RATES][:, None]],
+        share[:, None],
+        log_weight,
+        settles,
+        start,
+    )
 
-    Parameters
-    ----------
-    north : complex
-        About the horizontal earth rate, rad/s.
 
-    Returns
-    -------
-    array, (3 p, 2)
-        On one rate all along, and on what `creep` leaves unknown of all poses, over its standard deviation.
-    array, (r, 1)
-        Standard deviations of that rate, rad/s, that are thought of: no rate, or turns.
-    array, (r, 1)
-        Logarithms of their prior probabilities.
+def _beyond(fits: Sequence[PoseFit], north: complex) -> FloatArray:
+    """Return how horizontal rates depend on those by which the poses turn beyond their `creep`, (2 p, p).
+
+    `north` is about the horizontal earth rate, rad/s.
     """
     later_s = np.triu(np.tile([fit.creep.before_s + fit.creep.after_s for fit in fits], (len(fits), 1)), 1)
     turned = 1j * north * (later_s + np.diag([fit.creep.after_s for fit in fits]))
-    # The noise of the mean is that of the vertical rate already; a turn by it is nothing beside its heading.
-    own = np.sqrt([max(fit.creep.rest.variance - fit.vertical_variance, 0.0) for fit in fits])
-    prior = np.log(np.r_[1.0 - ALL_ALONG, np.full(len(RATES), ALL_ALONG / len(RATES))])
-    each = np.concatenate([turned.real, turned.imag, np.eye(len(fits))])
-    return np.column_stack([each.sum(1), each @ own]), np.r_[0.0, RATES][:, None], prior[:, None]
+    return np.concatenate([turned.real, turned.imag])
 
 
-def _together(fits: Sequence[PoseFit]) -> tuple[FloatArray, IntArray]:
-    """Return the likeliest hypotheses of all poses: log weight (h,), and which of each pose (p, h)."""
-    log_weight, which = np.zeros(1), np.zeros((0, 1), np.int64)
+def _together(fits: Sequence[PoseFit]) -> tuple[FloatArray, IntArray, IntArray]:
+    """Return the likeliest hypotheses of all poses: log weight (h,), and which of tilt and creep, (p, h)."""
+    weight, log_weight = np.zeros(1), np.zeros(1)  # the first with what is usual, which is not known twice
+    which = np.zeros((2, 0, 1), np.int64)
     for fit in fits:
+        rests = fit.creep.rests
         own = np.argsort(-fit.log_weight)[:LIKELIEST]
-        log_weight = (log_weight[:, None] + fit.log_weight[own]).ravel()
-        which = np.vstack([np.repeat(which, len(own), axis=1), np.tile(own, which.shape[1])])
-        best = np.argsort(-log_weight)[:LIKELIEST]
-        log_weight, which = log_weight[best], which[:, best]
-    return log_weight, which
+        pairs = np.stack(np.meshgrid(own, np.arange(len(rests.rate)), indexing="ij")).reshape(2, 1, -1)
+        more = (fit.log_weight[pairs[0]] + rests.log_weight[pairs[1]]).ravel()
+        log_weight = (log_weight[:, None] + more).ravel()
+        weight = (weight[:, None] + more + fit.creep.log_usual[pairs[1]]).ravel()
+        which = np.concatenate(
+            [np.repeat(which, pairs.shape[2], axis=2), np.tile(pairs, which.shape[2])], axis=1
+        )
+        best = np.argsort(-weight)[:LIKELIEST]
+        weight, log_weight, which = weight[best], log_weight[best], which[..., best]
+    return log_weight, which[0], which[1]
 
 
-def _without_bias(
-    columns: FloatArray, noise: FloatArray, by_bias: FloatArray, sizes: Sequence[FloatArray]
-) -> tuple[FloatArray, FloatArray]:
-    """Return products of columns, weighted by noise and biases of each size, and that log determinant.
+def _without_bias(seen: Seen) -> tuple[FloatArray, FloatArray]:
+    """Return products of columns, weighted by noise and rates, (h, r, s, 3, 3), and the log determinant.
 
     The covariance is D + Σ sⱼ² aⱼ aⱼᵀ.  Each term is of rank one and changes the products by one, too
     (Sherman and Morrison): those with the a that are still to come among them, as in Gauss elimination.
-
-    Parameters
-    ----------
-    columns : array, (h, n, 3)
-    noise : array, (h, n)
-        Diagonal of D.
-    by_bias : array, (n, k)
-        The a, of which the last is taken first.
-    sizes : sequence of array, (k,)
-        The s, that broadcast to (r, s).
-
-    Returns
-    -------
-    array, (h, r, s, 3, 3), and array, (h, r, s)
     """
-    every = np.concatenate([columns, np.broadcast_to(by_bias, (*noise.shape, len(sizes)))], axis=2)
+    noise = seen.noise
+    every = np.concatenate(
+        [seen.columns, np.broadcast_to(seen.by_rates, (*noise.shape, len(seen.sizes)))], axis=2
+    )
     products = ((every / noise[..., None]).swapaxes(1, 2) @ every)[:, None, None]
     log_determinant = np.log(noise).sum(1)[:, None, None]
-    for size in reversed(sizes):
-        of_bias, pivot = products[..., :-1, -1], 1.0 + size**2 * products[..., -1, -1]
-        share = (size**2 / pivot)[..., None] * of_bias
-        products = products[..., :-1, :-1] - share[..., :, None] * of_bias[..., None, :]
+    for size in reversed(seen.sizes):
+        of_rate, pivot = products[..., :-1, -1], 1.0 + size**2 * products[..., -1, -1]
+        share = (size**2 / pivot)[..., None] * of_rate
+        products = products[..., :-1, :-1] - share[..., :, None] * of_rate[..., None, :]
         log_determinant = log_determinant + np.log(pivot)
     return products, log_determinant
+
+
+def _upward_bias(seen: Seen, probability: FloatArray, angle: FloatArray) -> Rest:
+    """Return the bias of the vertical gyro in the last pose: Gaussian given what is seen, by the likeliest.
+
+    `probability` and the direction of north, `angle`, rad, are those of each hypothesis and size, (h, r, s).
+    """
+    which = np.unravel_index(np.argsort(-probability, axis=None)[:LIKELIEST], probability.shape)
+    north = np.stack([np.ones(len(which[0])), np.cos(angle[which]), np.sin(angle[which])], 1)
+    residuals = (seen.columns[which[0]] @ north[..., None])[..., 0]
+    variances = np.stack([np.broadcast_to(s, probability.shape[1:])[which[1:]] ** 2 for s in seen.sizes], 1)
+    white = seen.noise[which[0], :, None] * np.eye(seen.noise.shape[1])
+    covariance = (seen.by_rates * variances[:, None]) @ seen.by_rates.T + white
+    upward = np.r_[seen.by_rates[-1, :-1], 0.0]  # the last is a turn, and no bias
+    shared = variances * upward @ seen.by_rates.T
+    gain = np.linalg.solve(covariance, shared[..., None])[..., 0]
+    means, left = np.sum(gain * residuals, 1), variances @ upward**2 - np.sum(gain * shared, 1)
+    weight = probability[which] / probability[which].sum()
+    mean = float(weight @ means)
+    return Rest(mean, float(weight @ (left + (means - mean) ** 2)))
 
 
 def _closest(forms: FloatArray, start: float) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -221,9 +278,3 @@ def _closest(forms: FloatArray, start: float) -> tuple[FloatArray, FloatArray, F
         curvature = np.maximum(cos_cos * s**2 - 2.0 * cos_sin * s * c + sin_sin * c**2, FLAT)
         angle = angle + np.clip((s * along - c * across) / curvature, -0.5, 0.5)
     return angle, constant + (by_cos + along) * c + (by_sin + across) * s, curvature
-
-
-def _first_guess(seen: FloatArray, noise: FloatArray, poses: int) -> tuple[float, float]:
-    """Return left and forward part of the mean of the poses."""
-    weight = 1.0 / noise[:poses]
-    return float(weight @ seen[poses : 2 * poses]), float(weight @ seen[:poses])

@@ -19,6 +19,7 @@ from imumon.estimation.alignment.hypotheses import (
     courses,
     told,
 )
+from tests.estimation.alignment.units import ANY_REST
 
 SLOT_S = 0.25
 TRUTH = 5e-5 + 2e-5j
@@ -95,7 +96,7 @@ def test_a_sway_of_few_periods_is_told_from_the_earth_rate_or_leaves_a_wide_sigm
         rate = 5.8e-7 * rng.normal(size=(n, 3)) + [TRUTH.real, TRUTH.imag, 4e-5]
         rate[:, 0] += np.diff(angle) / SLOT_S
         level = seen * angle[1:] + 1e-5 * (rng.normal(size=n) + 1j * rng.normal(size=n))
-        fit = fit_pose(PoseRecord(SLOT_S * np.arange(0.5, n), np.full(n, 25.0), rate, level))
+        fit = fit_pose(PoseRecord(SLOT_S * np.arange(0.5, n), np.full(n, 25.0), rate, level), ANY_REST)
         assert fit is not None
         weight = np.exp(fit.log_weight - fit.log_weight.max())
         weight /= weight.sum()

@@ -12,7 +12,7 @@ from imumon.estimation.alignment.fit import PoseFit, PoseRecord, fit_pose
 from imumon.estimation.alignment.loudness import quietness
 from imumon.estimation.alignment.windows import bank
 from imumon.geodesy import STANDARD_GRAVITY
-from tests.estimation.alignment.units import aligned, error_deg, samples, scenario
+from tests.estimation.alignment.units import ANY_REST, aligned, error_deg, samples, scenario
 
 ARW, RATE_HZ, SLOT_S = 1e-3, 50.0, 0.25
 DEG_PER_SQRT_H = math.pi / 180.0 / 60.0
@@ -103,7 +103,7 @@ def test_a_detector_that_sees_no_rest_in_a_sway_stops_nothing() -> None:
 def _fit(rate: FloatArray) -> PoseFit:
     rng, n = np.random.default_rng(1), len(rate)
     level = 1e-5 * (rng.normal(size=n) + 1j * rng.normal(size=n))
-    found = fit_pose(PoseRecord(SLOT_S * np.arange(0.5, n), np.full(n, 25.0), rate, level))
+    found = fit_pose(PoseRecord(SLOT_S * np.arange(0.5, n), np.full(n, 25.0), rate, level), ANY_REST)
     assert found is not None
     return found
 

@@ -9,6 +9,7 @@ from imumon.blocks import FloatArray
 from imumon.estimation.alignment.fit import PoseRecord, fit_pose
 from imumon.estimation.alignment.lines import without_lines
 from imumon.estimation.alignment.windows import CELLS, bank, in_cells, layout, trend, weighted_bank
+from tests.estimation.alignment.units import ANY_REST
 
 SLOT_S = 0.25
 
@@ -66,7 +67,9 @@ def test_a_sway_stays_out_of_the_mean(hertz: float, amplitude: float) -> None:
     edges = SLOT_S * np.arange(481)
     errors = []
     for seed in range(6):
-        found = fit_pose(_pose(120.0, amplitude * np.sin(2.0 * math.pi * hertz * edges + seed), seed))
+        found = fit_pose(
+            _pose(120.0, amplitude * np.sin(2.0 * math.pi * hertz * edges + seed), seed), ANY_REST
+        )
         assert found is not None
         errors.append(found.mean[0] - (5e-5 + 2e-5j))
         assert found.variance[0] < (2.0 * 2.9e-7) ** 2 / 120.0
@@ -76,7 +79,7 @@ def test_a_sway_stays_out_of_the_mean(hertz: float, amplitude: float) -> None:
 @pytest.mark.parametrize("tau_s", [13.0, 70.0])
 def test_a_tripod_of_any_time_constant_is_followed(tau_s: float) -> None:
     edges = SLOT_S * np.arange(1201)
-    found = fit_pose(_pose(300.0, -5e-4 * np.expm1(-edges / tau_s)))
+    found = fit_pose(_pose(300.0, -5e-4 * np.expm1(-edges / tau_s)), ANY_REST)
     assert found is not None
     best = int(np.argmax(found.log_weight))
     assert best > 0
