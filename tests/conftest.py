@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import gc
+import importlib
 import os
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -47,6 +49,19 @@ def pytest_configure(config: pytest.Config) -> None:
         os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, paths))
 
 
+def pytest_collection(session: pytest.Session) -> None:
+    """Let each of the parallel processes begin elsewhere: what one has compiled, the others find."""
+    gc.disable()  # what is imported stays
+    given = getattr(session.config, "workerinput", None)
+    if given is not None and session.config.args == session.config.getini("testpaths"):
+        files = sorted(_TESTS.rglob("test_*.py"))
+        share = -(-len(files) // given["workercount"])
+        first = int(given["workerid"].removeprefix("gw")) * share
+        for path in files[first : first + share]:
+            with suppress(Exception, pytest.skip.Exception):  # the collection will say it
+                importlib.import_module(".".join(path.relative_to(_TESTS.parent).with_suffix("").parts))
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Give each file to one of the parallel processes, as its tests share fixtures; viewers only to one."""
     viewers = {item.path for item in items if item.get_closest_marker("viewer")}
@@ -60,6 +75,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 def pytest_collection_finish() -> None:
     """Spare the garbage collector what the collection made, which stays until the end."""
+    gc.enable()
     _collect_and_freeze()
 
 

@@ -27,6 +27,8 @@ from tests.faults.rows import Row
 PROGRAM = [sys.executable, "-m", "imumon"]
 STEP_S, LAST_S = 0.05, 3.0
 """Of processor time, so that a machine with much else to do is at the same place of the program."""
+TICK_S = 0.01
+"""Processor time is counted in no finer steps."""
 IDLE_S = 1.0
 """A command that takes no processor time for so long waits for something."""
 RECORDED_S, RATE_HZ = 20, 100
@@ -143,7 +145,7 @@ def _reached(child: subprocess.Popen[str], after_s: float) -> bool:
             used_s, since = times.user + times.system, time.monotonic()
         if used_s >= after_s or time.monotonic() - since > IDLE_S:
             return True
-        time.sleep(0.002)
+        time.sleep(TICK_S)
     return False
 
 
