@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 
 from imumon.blocks import BoolArray, ColumnArray, FloatArray, IntArray, SampleBlock
+from imumon.protocols.ranges import Ranges
 
 RANGES: dict[str, tuple[float, float, str]] = {
     "gyro_": (-1e3, 1e3, "rad/s"),
@@ -69,9 +69,18 @@ class Intake:
     """Keeps out of the stages what no estimate may be made from, and counts it.
 
     The result does not depend on the division into blocks.
+
+    Parameters
+    ----------
+    ranges : Ranges
+        What is declared: from there on a reading is the end of the range, and nobody knows what it was.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, ranges: Ranges | None = None) -> None:
+        self._limits = {} if ranges is None else ranges.limits()
+        """By the beginning of a column's name: what is inside, and what is said of the rest."""
+        for start, (low, high, unit) in RANGES.items():
+            self._limits[start] = low, high, f"beyond {low:g} to {high:g} {unit}".rstrip()
         self._clock = _Clock()
         self._still = {sensor: _Still() for sensor in IMPOSSIBLE_AT_REST}
         self._begun: set[str] = set()
@@ -90,7 +99,7 @@ class Intake:
         """Return what the stages may see of a block."""
         changed: dict[str, ColumnArray] = {}
         for name, values in block.columns.items():
-            limits = _limits(name) if values.dtype == np.float64 else None
+            limits = self._limits_of(name) if values.dtype == np.float64 else None
             if limits is not None and (sound := self._sound(name, values, limits)) is not None:
                 changed[name] = sound
         for sensor, still in self._still.items():
@@ -121,16 +130,19 @@ class Intake:
         self._said.update(new)
         return [f"left out of all estimates: {what}" for what in new]
 
+    def _limits_of(self, name: str) -> tuple[float, float, str] | None:
+        return next((limits for start, limits in self._limits.items() if name.startswith(start)), None)
+
     def _sound(self, name: str, values: FloatArray, limits: tuple[float, float, str]) -> FloatArray | None:
         """Return the values with NaN where none can be, or None when all can."""
-        low, high, unit = limits
+        low, high, said = limits
         if not len(values) or (low <= values.min() and values.max() <= high):  # not so where one is NaN
             return None
         bad = ~((values >= low) & (values <= high)) & ~np.isnan(values)
         count = int(bad.sum())
         if not count:
             return None
-        self._left_out[f"{name} beyond {low:g} to {high:g} {unit}".rstrip()] += count
+        self._left_out[f"{name} {said}"] += count
         return np.where(bad, np.nan, values)
 
     def _stand_still(
@@ -186,11 +198,6 @@ class Intake:
         if begun[-1:].any():
             self._begun.add(sensor)
         self._leave_out(columns, silent & ~begun, f"{sensor} while it has said {why}", block, changed)
-
-
-@cache
-def _limits(name: str) -> tuple[float, float, str] | None:
-    return next((limits for start, limits in RANGES.items() if name.startswith(start)), None)
 
 
 class _Still:

@@ -246,7 +246,8 @@ def open(
     settings = known.port_settings(port, baudrate)
     warm_up(known, setup)
     if record is None:
-        return _Unrecorded(known, settings, Pipeline(known, [*estimators(known, setup), *stages]))
+        pipeline = Pipeline(known, [*estimators(known, setup), *stages], setup.range)
+        return _Unrecorded(known, settings, pipeline)
     run = LiveRun(known, text, settings, setup, Path(record), _logged, stages)
     return _Recorded(run)
 
@@ -286,7 +287,7 @@ def read(
     if setup is None and source.session is not None:
         setup = recorded_setup(source.session)
     own = estimators(source.device, setup) if estimates else []
-    pipeline = Pipeline(source.device, [*own, *stages])
+    pipeline = Pipeline(source.device, [*own, *stages], None if setup is None else setup.range)
     blocks, aside = [], dict[str, list[SampleBlock]]()
     for block in run_over(source.items, pipeline):
         blocks.append(block)

@@ -30,6 +30,7 @@ from imumon.intake import Intake
 from imumon.protocols.base import COMMON, MAIN, Timing
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.epochs import EpochAssembler, EpochCounters
+from imumon.protocols.ranges import Ranges
 from imumon.protocols.stream import ByteArray
 from imumon.transport.statistics import Counters
 
@@ -121,9 +122,13 @@ class Pipeline:
         What sends the bytes; None when samples come from a table, through `push`.
     estimators : sequence of Estimator
         Stages behind the clock, each of which sees the columns of those before it.
+    ranges : Ranges, optional
+        Of gyros and accelerometers, where they are other than the device file says.
     """
 
-    def __init__(self, device: DeviceFile | None, estimators: Sequence[Estimator] = ()) -> None:
+    def __init__(
+        self, device: DeviceFile | None, estimators: Sequence[Estimator] = (), ranges: Ranges | None = None
+    ) -> None:
         self._decoder = device.decoder() if device is not None else None
         self._device_clock = DeviceClock(self._decoder.timing if self._decoder is not None else Timing())
         self.host_clock = HostClock(self._device_clock.drift_limit_ppm)
@@ -132,7 +137,7 @@ class Pipeline:
             _refuse_stage(stage)
         self._checked: list[dict[str, np.dtype[Any]]] = [{} for _ in self._estimators]
         """Columns of each stage that it has declared, and their types."""
-        self._intake = Intake()
+        self._intake = Intake((ranges or Ranges()).over(device.range if device is not None else Ranges()))
         given = device is not None and device.rate_given
         self._nominal = NominalRate(self._device_clock.timing.rate_hz, given)
         self._ended = False

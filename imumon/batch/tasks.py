@@ -155,7 +155,7 @@ def _replay(path: Path, job: Job) -> Iterator[Row]:
     text = job.options.pipeline_yaml
     setup = recorded_setup(session) if text is None else parse_setup(text, "--pipeline")
     source, digest = open_source(path), Digest()
-    pipeline = Pipeline(source.device, estimators(source.device, setup))
+    pipeline = Pipeline(source.device, estimators(source.device, setup), setup.range)
     blocks = digested(run_over(source.items, pipeline), pipeline, digest)
     rows = [*_samples(source, job, pipeline, blocks)]
     identical = identical_to_live(session, setup, digest)

@@ -144,7 +144,7 @@ def _recorded(path: Path, device: str | None, make: Callable[..., Setup]) -> Ali
     needed = [
         stage for stage in estimators(source.device, setup) if isinstance(stage, RestDetector | Alignment)
     ]
-    pipeline = Pipeline(source.device, needed)
+    pipeline = Pipeline(source.device, needed, setup.range)
     stage = _stage_of(pipeline)
     with _Shown(stage) as shown:
         for _ in run_over(source.items, pipeline):

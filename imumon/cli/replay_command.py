@@ -106,7 +106,7 @@ def command(
 
         stage = smoothed(open_source(session, rate_hz=rate), setup)
         stages, disagreement = [*stages, stage], stage.disagreement
-    pipeline, digest = Pipeline(source.device, stages), Digest()
+    pipeline, digest = Pipeline(source.device, stages, setup.range), Digest()
     publisher = narrator = None
     if view != "none":
         publisher = _begun(view, _shown(source, opened, pipeline, window), bind)

@@ -163,8 +163,9 @@ class _Recorded:
         from imumon.run.stages import estimators
 
         session, source = open_session(path), open_source(path)
-        stages = estimators(source.device, recorded_setup(session))
-        return cls(session, source, Pipeline(source.device, stages))
+        setup = recorded_setup(session)
+        stages = estimators(source.device, setup)
+        return cls(session, source, Pipeline(source.device, stages, setup.range))
 
 
 def _log(recorded: _Recorded, name: str, session: Session) -> tuple[dict[str, object], dict[str, str]]:

@@ -15,6 +15,7 @@ from imumon.errors import ImumonError, Reason
 from imumon.files import bundled, read_text
 from imumon.plugins import DEVICES, plugins
 from imumon.protocols.base import Decoder, Encoder
+from imumon.protocols.ranges import Ranges
 from imumon.protocols.thermometer import TemperatureRateParameters
 from imumon.transport.settings import PortSettings
 
@@ -58,6 +59,7 @@ class DeviceFile(StrictModel):
     serial: SerialSettings = SerialSettings()
     rate_hz: PositiveFloat | None = None
     axes: Literal["FLU", "FRD"]
+    range: Ranges = Ranges()
     temperature: TemperatureRateParameters = TemperatureRateParameters()
     _rate_given: bool = PrivateAttr(default=False)
 

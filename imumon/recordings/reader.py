@@ -13,6 +13,7 @@ from imumon.columns import Column
 from imumon.errors import ImumonError, Reason
 from imumon.pipeline import Estimator, Pipeline
 from imumon.protocols.device import DeviceFile
+from imumon.protocols.ranges import Ranges
 from imumon.recordings.folder import fingerprint, is_session
 from imumon.recordings.importing import TableImport
 from imumon.recordings.source import Source, open_source, run_over
@@ -76,7 +77,9 @@ class Recording:
         return fingerprint(self.truth)
 
 
-def open_recording(path: Path, stages: Stages = no_stages, map_path: Path | None = None) -> Recording:
+def open_recording(
+    path: Path, stages: Stages = no_stages, map_path: Path | None = None, ranges: Ranges | None = None
+) -> Recording:
     """Open a session, live or imported, or a table: one that imumon wrote, or any with its map.
 
     Parameters
@@ -87,6 +90,8 @@ def open_recording(path: Path, stages: Stages = no_stages, map_path: Path | None
         What the samples run through; a stage of which a table has a column already is left out.
     map_path : Path or None
         Says what is in which column of a table from elsewhere.
+    ranges : Ranges or None
+        Of the sensors of a session, where they are other than its device file says.
 
     Raises
     ------
@@ -94,7 +99,7 @@ def open_recording(path: Path, stages: Stages = no_stages, map_path: Path | None
         BAD_DATA when there is nothing to read, or something that is no recording; BAD_CONFIG for a wrong map.
     """
     if is_session(path) or path.is_dir():
-        return _session(path, stages)
+        return _session(path, stages, ranges)
     if not path.exists():
         raise ImumonError(
             Reason.BAD_DATA,
@@ -123,25 +128,26 @@ def open_recording(path: Path, stages: Stages = no_stages, map_path: Path | None
     return _table(Source(path, blocks, None, None, tuple(columns.values())), stages, None)
 
 
-def _session(path: Path, stages: Stages) -> Recording:
+def _session(path: Path, stages: Stages, ranges: Ranges | None) -> Recording:
     source = open_source(path)
     assert source.session is not None
     session, metadata = source.session, source.session.metadata
     device = None if metadata.device == "import" else metadata.device
     name = session.path.name or str(session.path)
-    return Recording(name, session.truth_path, device, metadata.axes, source, _pipeline(source, stages))
+    pipeline = _pipeline(source, stages, ranges)
+    return Recording(name, session.truth_path, device, metadata.axes, source, pipeline)
 
 
 def _table(source: Source, stages: Stages, axes: str | None) -> Recording:
     return Recording(source.path.name, source.path, None, axes, source, _pipeline(source, stages))
 
 
-def _pipeline(source: Source, stages: Stages) -> Pipeline:
+def _pipeline(source: Source, stages: Stages, ranges: Ranges | None = None) -> Pipeline:
     """Return the pipeline, without the stages of which the table has a column."""
     there = {column.name for column in source.imported}
     made = stages(source.device)
     wanted = [stage for stage in made if there.isdisjoint(column.name for column in stage.columns)]
-    return Pipeline(source.device, wanted)
+    return Pipeline(source.device, wanted, ranges)
 
 
 def _with_segment(blocks: Iterable[SampleBlock]) -> Iterator[SampleBlock]:

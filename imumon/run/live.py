@@ -156,7 +156,7 @@ class LiveRun:
         serial: str | None = None,
     ) -> None:
         self._device = device
-        self.pipeline = Pipeline(device, [*estimators(device, setup), *stages])
+        self.pipeline = Pipeline(device, [*estimators(device, setup), *stages], setup.range)
         self.taken: Callable[[SampleBlock, Mapping[str, SampleBlock]], None] | None = None
         """Given, in the pipeline's thread, the samples and those of the side streams as they come."""
         self._settings = settings

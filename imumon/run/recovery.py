@@ -81,7 +81,8 @@ def recover(path: Path) -> Recovered:
 
 def _run_again(session: Session, source: Source, result: Recovered) -> tuple[SessionMetadata, list[str]]:
     """Run over the bytes as the live run did; write the view, and return the metadata of a closed session."""
-    pipeline = Pipeline(source.device, estimators(source.device, recorded_setup(session)))
+    setup = recorded_setup(session)
+    pipeline = Pipeline(source.device, estimators(source.device, setup), setup.range)
     partial = session.path / "recovering.rrd"
     for left in session.path.glob("recovering*.rrd"):
         left.unlink()

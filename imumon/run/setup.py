@@ -19,6 +19,7 @@ from imumon.estimation.watch.parameters import WatchParameters
 from imumon.files import read_text
 from imumon.models.magnetometer import MagnetometerModel
 from imumon.models.model import BiasModel, load_model
+from imumon.protocols.ranges import Ranges
 from imumon.published.names import PublishedMethod
 from imumon.published.parameters import Channel, GyroNoise, RandomErrorParameters
 from imumon.recordings.folder import Session
@@ -43,6 +44,7 @@ class Setup(StrictModel):
     heading_deg: float | None = Field(default=None, ge=-360, le=360)
     zupt_mode: ZuptMode | None = None
     model: BiasModel | str | None = None
+    range: Ranges = Ranges()
     rest: RestParameters = RestParameters()
     zupt: GyroBiasParameters = GyroBiasParameters()
     random_error: RandomErrorParameters = RandomErrorParameters()

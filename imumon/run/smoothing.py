@@ -32,7 +32,7 @@ def smoothed(source: Source, setup: Setup) -> SmoothedEstimates:
         needed = (*NEEDED, Alignment)
     stages = [stage for stage in estimators(source.device, setup) if isinstance(stage, needed)]
     recorder = Recorder()
-    for block in run_over(source.items, Pipeline(source.device, stages)):
+    for block in run_over(source.items, Pipeline(source.device, stages, setup.range)):
         if len(block):
             recorder.add(block)
     record = recorder.finish()

@@ -1,0 +1,42 @@
+"""The full-scale range of gyros and accelerometers, where a device file or a pipeline file declares it."""
+
+from __future__ import annotations
+
+import math
+
+from pydantic import Field
+
+from imumon.config import StrictModel
+from imumon.geodesy import STANDARD_GRAVITY
+
+ROUNDED = 2.0**-9
+"""Share of a range: data sheets round it and its scale, as 16.4 for 16.384 counts per °/s, 0.1 %."""
+
+
+class Ranges(StrictModel):
+    """What a sensor reads at most, either way; beyond, it says the end of its range.
+
+    Parameters
+    ----------
+    gyro_deg_per_s, accel_g : float, optional
+    """
+
+    gyro_deg_per_s: float | None = Field(default=None, gt=0.0, le=1e5)
+    accel_g: float | None = Field(default=None, gt=0.0, le=1e5)
+
+    def over(self, other: Ranges) -> Ranges:
+        """Return these, and what only the other declares."""
+        return other.model_copy(update=self.model_dump(exclude_none=True))
+
+    def limits(self) -> dict[str, tuple[float, float, str]]:
+        """Return for each column the least and largest reading inside, SI units, and what it is beyond."""
+        ends = {
+            "gyro": (self.gyro_deg_per_s, math.pi / 180.0, "deg/s"),
+            "accel": (self.accel_g, STANDARD_GRAVITY, "g"),
+        }
+        inside = {
+            sensor: (math.nextafter((1.0 - ROUNDED) * end * unit, 0.0), f"at its range of {end:g} {name}")
+            for sensor, (end, unit, name) in ends.items()
+            if end is not None
+        }
+        return {f"{s}_{axis}": (-most, most, said) for s, (most, said) in inside.items() for axis in "xyz"}
