@@ -52,12 +52,13 @@ class StressRelaxation(Effect):
 
     @classmethod
     def grid(cls, survey: Survey) -> list[Self]:
-        """Return spectra whose slowest step begins within a third of the shortest run: others are a drift."""
+        """Return spectra that begin within a third of the shortest run, their slowest step within all of it:
+        others are a drift."""
         return [
             cls(time_constant_s=tau, ratio=ratio, steps=steps)
             for ratio in WIDTHS
             for steps in range(1, MOST_STEPS + 1)
-            for tau in logarithmic(SHORTEST_S, survey.shortest_s / 3 / ratio ** (steps - 1), RATIO)
+            for tau in logarithmic(SHORTEST_S, survey.shortest_s / max(3.0, ratio ** (steps - 1)), RATIO)
         ]
 
     def moved(self, name: str, step: float, survey: Survey) -> float:
