@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from imumon.cli.common import INTERRUPTED, note, say
 from imumon.errors import ImumonError, Reason
 from imumon.heap import prepare_heap
-from imumon.recordings import session_log
+from imumon.recordings import lines
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -157,7 +157,7 @@ def ending_signals() -> list[signal.Signals]:
     return numbers
 
 
-class Lines(session_log.Lines):
+class Lines(lines.Lines):
     """Log lines on their way from the threads of the run to standard error.
 
     Only the main thread writes there: a terminal that is stopped (Ctrl-S) or a pipe that nobody reads would
