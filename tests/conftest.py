@@ -31,7 +31,10 @@ settings.load_profile("ci" if os.environ.get("CI") == "true" else "home")
 _TESTS = Path(__file__).parent
 _COMPILE = _TESTS.parent / "scripts" / "support" / "compile_kernels.py"
 _VIEWERS = "viewers"
-_LONG = (_VIEWERS, "test_reproduce.py", "cli/test_commands.py", "diagnosis/test_diagnose.py")
+_LONG = (
+    _VIEWERS, "diagnosis/test_diagnose.py", "test_reproduce.py", "batch/test_running.py",
+    "cli/test_commands.py", "faults/test_viewer.py", "faults/test_recovery.py", "view/test_terminal.py",
+)  # fmt: skip
 """These take longest: begun last, they would leave one of the parallel processes alone with one of them."""
 
 
@@ -62,6 +65,7 @@ def pytest_collection(session: pytest.Session) -> None:
                 importlib.import_module(".".join(path.relative_to(_TESTS.parent).with_suffix("").parts))
 
 
+@pytest.hookimpl(tryfirst=True)  # xdist looks for the groups in the same hook
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Give each file to one of the parallel processes, as its tests share fixtures; viewers only to one."""
     viewers = {item.path for item in items if item.get_closest_marker("viewer")}
