@@ -23,7 +23,7 @@ from imumon.heap import prepare_heap
 from imumon.protocols.device import DeviceFile, parse_device
 from imumon.rack.description import Plan
 from imumon.rack.feed import Feed, Vitals
-from imumon.recordings.session_log import Line, Lines
+from imumon.recordings.lines import Line, Lines
 from imumon.run.live import LiveRun, nothing_decoded, warm_up
 from imumon.run.narration import view_setup
 from imumon.run.setup import Setup, parse_setup

@@ -1,46 +1,17 @@
-"""Log lines on their way to another thread, and into the log of a session.
-
-That has what was said as lines of JSON, for who looks for the reason the next morning.
-"""
+"""The log of a session: what was said, as lines of JSON, for who looks for the reason the next morning."""
 
 from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Iterator
-from contextlib import suppress
+from collections.abc import Callable
 from pathlib import Path
-from queue import Empty, SimpleQueue
-from typing import TypeVar
+from queue import SimpleQueue
 
+from imumon.recordings.lines import waiting
 from imumon.recordings.metadata import iso_utc
 
 LOG_NAME = "log.jsonl"
-T = TypeVar("T")
-Line = tuple[str, str]
-"""Level and text of a line."""
-
-
-def waiting(queue: SimpleQueue[T]) -> Iterator[T]:
-    """Take what waits in a queue, and wait for nothing."""
-    with suppress(Empty):
-        while True:
-            yield queue.get_nowait()
-
-
-class Lines:
-    """Log lines on their way to another thread or process; `put` may be called from any thread."""
-
-    def __init__(self) -> None:
-        self._waiting: SimpleQueue[Line] = SimpleQueue()
-
-    def put(self, level: str, text: str) -> None:
-        """Take a line; returns at once."""
-        self._waiting.put((level, text))
-
-    def take(self) -> list[Line]:
-        """Return the lines since the last time."""
-        return list(waiting(self._waiting))
 
 
 class SessionLog:
