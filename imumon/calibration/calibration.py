@@ -14,8 +14,9 @@ from imumon.blocks import FloatArray, IntArray
 from imumon.calibration.cells import Cells, Channel, channel_of, group, levels
 from imumon.calibration.offsets import turn_on_offsets
 from imumon.calibration.record import BLOCK_S, Record, read_session
-from imumon.calibration.refusal import LAG_S, check_columns, check_coverage
+from imumon.calibration.refusal import check_columns, check_coverage
 from imumon.calibration.selection import Choice, choose, slow_variance
+from imumon.effects.thermal_lag import UNTOLD_S
 from imumon.errors import ImumonError, Reason
 from imumon.geodesy import DEG_PER_H
 from imumon.models.curves.points import Points
@@ -44,7 +45,7 @@ class Finding:
     offset : array (runs,)
         Turn-on offset of each run from the mean of all, in the channel's unit; NaN where it cannot be told.
     lag_rms : float
-        What a gyro `imumon.calibration.refusal.LAG_S` behind its thermometer would err by in this data.
+        What a gyro `imumon.effects.thermal_lag.UNTOLD_S` behind its thermometer would err by in this data.
     """
 
     choice: Choice
@@ -210,7 +211,7 @@ def _channel_model(name: str, channel: Channel, choice: Choice, points: Points) 
 
 
 def _lag_rms(choice: Choice, cells: Cells) -> float:
-    missed = LAG_S * cells.rate * choice.curve.slope(cells.temperature)
+    missed = UNTOLD_S * cells.rate * choice.curve.slope(cells.temperature)
     return float(np.sqrt(np.average(missed**2, weights=cells.seconds)))
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from imumon.calibration.cells import Cells
 from imumon.calibration.record import BLOCK_S, LEAST_COVERED, Record
+from imumon.effects.thermal_lag import UNTOLD_S
 from imumon.errors import ImumonError, Reason
 from imumon.recordings.reduced import COLDEST_DEGC, GYRO, HOTTEST_DEGC
 
@@ -19,8 +20,6 @@ LEAST_BANDS = 4
 LEAST_IN_BAND_S = 30.0
 WIDEST_HOLE = 0.4
 """Share of the span without data that a curve cannot bridge."""
-LAG_S = 30.0
-"""A gyro may be this much behind its thermometer; the recording cannot tell."""
 MOST_LAG = 0.1
 """Share of the span that the temperature may be wrong by for that reason."""
 
@@ -109,11 +108,11 @@ def _check_levels(cells: Cells, low: float, high: float) -> None:
 
 def _check_rate(cells: Cells, span: float) -> None:
     rate = float(np.sqrt(np.average(cells.rate**2, weights=cells.seconds)))
-    wrong = LAG_S * rate
+    wrong = UNTOLD_S * rate
     if wrong > MOST_LAG * span:
         raise ImumonError(
             Reason.BAD_DATA,
-            f"the temperature moves at {60 * rate:.2f} °C/min (rms): a gyro {LAG_S:g} s behind its "
+            f"the temperature moves at {60 * rate:.2f} °C/min (rms): a gyro {UNTOLD_S:g} s behind its "
             f"thermometer would be wrong by {wrong:.2f} °C, {wrong / span:.0%} of the {span:.2f} °C span; "
             f"a model allows {MOST_LAG:.0%}",
             "heat and cool more slowly, hold levels, or cover a wider range",

@@ -15,6 +15,8 @@ from imumon.diagnosis.recording import Origin, Run
 from imumon.effects.base import Drive, Survey
 
 BLOCK_S = 30.0
+LEAST_BLOCKS = 40
+"""Of a training: fewer tell nothing."""
 LEAST_SLOTS = 6
 """Slots in a block: halves and thirds of it are blocks, too, and differences inside tell the white floor."""
 LEAST_SHARE = 0.5

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from imumon.diagnosis.blocks import (
+    LEAST_BLOCKS,
     REST_SHARE,
     RunBlocks,
     common_block_s,
@@ -49,7 +50,6 @@ from imumon.geodesy import DEG_PER_H
 from imumon.models.curves.polynomial import CUBIC
 from imumon.models.model import BiasModel
 
-LEAST_BLOCKS = 40
 LEAST_RUN_BLOCKS = 8
 LEAST_REST = 0.5
 LEAST_THERE = 0.1

@@ -14,7 +14,15 @@ import numpy as np
 from numpy.polynomial import Polynomial
 
 from imumon.blocks import FloatArray
-from imumon.diagnosis.blocks import BLOCK_S, RunBlocks, common_block_s, make_blocks, survey, white_floor
+from imumon.diagnosis.blocks import (
+    BLOCK_S,
+    LEAST_BLOCKS,
+    RunBlocks,
+    common_block_s,
+    make_blocks,
+    survey,
+    white_floor,
+)
 from imumon.diagnosis.candidates import Candidate, Pool, candidates
 from imumon.diagnosis.channel import Declared, ordinary
 from imumon.diagnosis.drivers import recorded, with_drivers
@@ -33,8 +41,6 @@ from imumon.geodesy import EARTH_RATE
 from imumon.models.model import BiasModel, ChannelModel
 from imumon.models.predictor import BiasPredictor
 
-LEAST_BLOCKS = 40
-"""As the whole diagnosis needs."""
 OWN = ("run", "event")
 """Scopes of what no model file can have."""
 MOST_CLOSE = 6

@@ -95,18 +95,8 @@ class Finding:
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """A turn of the loop.
-
-    Parameters
-    ----------
-    done : str
-    model : sequence of Candidate
-        That it led to.
-    gain : float
-        In BIC, where there was one.
-    train_rms, test_rms : float
-        What the model leaves, once it is fitted.
-    """
+    """A turn of the loop: what was done, the model that it led to, its gain in BIC where there was one, and
+    what the model leaves (rms) once it is fitted."""
 
     done: str
     model: Sequence[Candidate]

@@ -17,6 +17,8 @@ LONGEST_S = 1500.0
 RATIO = 1.3
 FAST_S = 60.0
 """A faster lag, in means of 30 s, is a rate: it has gone before the next mean."""
+UNTOLD_S = 0.5 * FAST_S
+"""How far a gyro's temperature may be behind the thermometer's (sd): half of what is told from a rate."""
 START_SD_DEGC = 1.0
 """How far from equilibrium a unit is at power-on, where nothing better is known (standard deviation)."""
 

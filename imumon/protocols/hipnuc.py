@@ -32,7 +32,7 @@ from imumon.protocols.messages import (
     whole,
 )
 from imumon.protocols.numbers import NUMBER_TYPES
-from imumon.protocols.tagged_columns import count, known, number, vector
+from imumon.protocols.tagged_columns import ANGLES, QUATERNION, count, known, number, vector
 
 SYNC = b"\x5a\xa5"
 HEADER, LONGEST = 6, 512 + 6
@@ -42,7 +42,6 @@ SHORT_MAG: Final = 0.030517
 OF_BITS = 0x83
 
 FORCE, RATE, MAG = (known(*(f"{base}_{axis}" for axis in "xyz")) for base in ("accel", "gyro", "mag"))
-ANGLES, QUATERNION = known("roll", "pitch", "yaw"), known("q_w", "q_x", "q_y", "q_z")
 TEMPERATURE, PRESSURE = known("temperature"), known("pressure")
 STATUS = part(1, "u16", [KNOWN["status"]])
 INS_STATUS = whole(3, "u8", "ins_status", "status of the filter")

@@ -19,7 +19,7 @@ from imumon.protocols.framing import Found, Frame, counted_length
 from imumon.protocols.messages import Message, TableDecoder, TableDevice, TableFamily, part, whole
 from imumon.protocols.numbers import Columns, Derived
 from imumon.protocols.stream import LONGEST_PACKET
-from imumon.protocols.tagged_columns import known, number, vector
+from imumon.protocols.tagged_columns import ANGLES, known, number, vector
 
 SYNC = b"\xef\x49"
 HEADER, AROUND = 6, 8
@@ -32,7 +32,6 @@ STATUS = [KNOWN["status"]]
 DELTA_TIME = [number("delta_time", "s", "time over which the increments were summed")]
 THETA = vector("delta_theta", "rad", "rotation over the sample")
 DELTA_VELOCITY = vector("delta_velocity", "m/s", "velocity increment")
-ANGLES = known("roll", "pitch", "yaw")
 BODY_VELOCITY = vector("velocity_body", "m/s", "velocity in the body frame")
 POSITION = known("latitude", "longitude", "altitude")
 OF_WEEK = (whole(0, "u32", "gps_week", "GPS week"), part(4, "f64", [number("gps_time_of_week", "s", "GPS")]))

@@ -25,7 +25,7 @@ from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, Found, Frame, windo
 from imumon.protocols.messages import Message, TableDecoder, TableDevice, TableFamily, part, whole
 from imumon.protocols.numbers import Columns, Derived
 from imumon.protocols.stream import ByteArray
-from imumon.protocols.tagged_columns import count, known, number, vector
+from imumon.protocols.tagged_columns import ANGLES, QUATERNION, count, known, number, vector
 
 FIRST, SECOND = b"\xfe", b"\xfd"
 HEADERS = {FIRST: 6, SECOND: 10}
@@ -38,7 +38,6 @@ LONGEST: Final = 64
 FORCE, RATE, MAG = (known(*(f"{base}_{axis}" for axis in "xyz")) for base in ("accel", "gyro", "mag"))
 TICKS = [KNOWN["device_ticks"]]
 HUNDREDTHS = count("_hundredths", "temperature, 0 when there is none")
-ANGLES, QUATERNION = known("roll", "pitch", "yaw"), known("q_w", "q_x", "q_y", "q_z")
 FILTER_RATE = vector("gyro_compensated", "rad/s", "angular rate less the filter's bias")
 
 

@@ -20,7 +20,7 @@ from imumon.protocols.framing import Found, Frame, counted_length
 from imumon.protocols.messages import Message, TableDecoder, TableDevice, TableFamily, part, whole
 from imumon.protocols.numbers import Columns, Derived
 from imumon.protocols.stream import LONGEST_PACKET, ByteArray
-from imumon.protocols.tagged_columns import count, known, number, vector
+from imumon.protocols.tagged_columns import ANGLES, count, known, number, vector
 
 SYNC, END = b"\xff\x5a", 0x33
 HEADER, AROUND = 6, 9
@@ -50,7 +50,6 @@ def _of_rates(columns: Columns) -> list[ColumnArray]:
 
 RATES = Derived(tuple(column.name for column in RAW_RATE), RATE, _to_rates, _of_rates)
 
-ANGLES = known("roll", "pitch", "yaw")
 ANGLE_SIGMA = tuple(
     number(f"{name}_sigma", "rad", f"uncertainty of {name}") for name in ("roll", "pitch", "yaw")
 )

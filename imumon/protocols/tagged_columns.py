@@ -38,7 +38,7 @@ def date(prefix: str) -> tuple[Column, ...]:
     return tuple(count(f"_{prefix}{part}", part) for part in DATE_PARTS)
 
 
-QUATERNION = known("q_w", "q_x", "q_y", "q_z")
+QUATERNION, ANGLES = known("q_w", "q_x", "q_y", "q_z"), known("roll", "pitch", "yaw")
 MATRIX = tuple(
     number(f"_matrix_{i}{j}", "1", "rotation matrix, reference to body") for i in "123" for j in "123"
 )

@@ -24,7 +24,7 @@ from imumon.protocols.framing import INCOMPLETE, NO_PACKET, Found, Frame, fixed_
 from imumon.protocols.messages import Message, Part, TableDecoder, TableDevice, TableFamily, part
 from imumon.protocols.numbers import NO_GROUP, Columns, Derived
 from imumon.protocols.stream import ByteArray
-from imumon.protocols.tagged_columns import calendar, count, known, number, unix_seconds, vector
+from imumon.protocols.tagged_columns import ANGLES, calendar, count, known, number, unix_seconds, vector
 
 FORCE_FACTOR, RATE_FACTOR, ANGLE_FACTOR = (
     16 * STANDARD_GRAVITY / 32768,
@@ -48,7 +48,6 @@ DATE_PARTS = ("year", "month", "day", "hour", "minute", "second", "millisecond")
 DATE = tuple(f"_{name}" for name in DATE_PARTS)
 FORCE = known("accel_x", "accel_y", "accel_z")
 RATE = known("gyro_x", "gyro_y", "gyro_z")
-ANGLES = known("roll", "pitch", "yaw")
 CLOCK = count("device_clock", "calendar of the device as Unix time; not that of the sample", "ns")
 SATELLITES, SPEED = [count("gnss_satellites", "in use")], [number("gnss_speed", "m/s", "over ground")]
 DILUTIONS = [number(f"gnss_{c}dop", "1", "dilution") for c in "phv"]

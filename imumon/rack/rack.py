@@ -19,7 +19,7 @@ from imumon.rack.feed import Vitals
 from imumon.rack.table import Row, markdown
 from imumon.rack.unit import Ended, Task, Update, run_unit
 from imumon.recordings.lines import waiting
-from imumon.recordings.log import SessionLog
+from imumon.recordings.session_log import SessionLog
 from imumon.view.items import Instant, Log, OfUnit, Overview, Shown, State, ViewSetup
 
 LOG_NAME = "rack.jsonl"

@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from imumon.blocks import BoolArray, FloatArray, SampleBlock
+from imumon.effects.thermal_lag import UNTOLD_S
+from imumon.estimation.gyro_bias.slot import MOVED_DEGC
 from imumon.estimation.temperature_rate.bank import START_ACCELERATION, START_RATE
 from imumon.models.model import BiasModel
 from imumon.models.predictor import BiasPredictor
@@ -15,11 +17,6 @@ from imumon.models.predictor import BiasPredictor
 GYROS = ("gyro_x", "gyro_y", "gyro_z")
 CORRELATION_DEGC = 5.0
 """Errors of a curve at temperatures farther apart than about this have little to do with each other."""
-MARK_DEGC = 0.5
-"""The temperature has moved when it is this far from where it was last noted: noise does not count."""
-LAG_S = 30.0
-"""How far a gyro's temperature may be behind the thermometer's (sd): half of what `effects.thermal_lag` needs
-to tell it from an effect of the rate."""
 
 
 def unseen_lag(gap_s: float, rate_sd: FloatArray) -> FloatArray:
@@ -28,7 +25,7 @@ def unseen_lag(gap_s: float, rate_sd: FloatArray) -> FloatArray:
     `rate_sd` (3,) is what is known of the thermometer's rate behind it, °C/s; NaN where nobody estimates it.
     """
     unseen = np.where(np.isfinite(rate_sd), rate_sd, min(START_ACCELERATION * gap_s, START_RATE))
-    return np.asarray(-LAG_S * math.expm1(-gap_s / LAG_S) * unseen)
+    return np.asarray(-UNTOLD_S * math.expm1(-gap_s / UNTOLD_S) * unseen)
 
 
 @dataclass(slots=True, eq=False)
@@ -71,7 +68,7 @@ class ThermalVariance:
             return self.variance
         self.mark_degc = np.where(np.isfinite(self.mark_degc), self.mark_degc, degc)
         moved = np.abs(degc - self.mark_degc)
-        has_moved = moved >= MARK_DEGC
+        has_moved = moved >= MOVED_DEGC
         self.variance = self.variance + np.where(
             has_moved, 2.0 * self.residual**2 * moved / CORRELATION_DEGC, 0.0
         )

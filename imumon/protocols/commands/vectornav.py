@@ -29,7 +29,7 @@ from imumon.protocols.commands.core import (
 from imumon.protocols.framing import Frame
 from imumon.protocols.text import line_lengths, lines_right, sentence, sentence_body
 from imumon.protocols.vectornav import XMODEM, Header, read_header
-from imumon.protocols.vectornav_fields import GROUP_NAMES
+from imumon.protocols.vectornav_fields import ATTITUDE, COMMON, GROUP_NAMES, IMU
 
 SYNC = b"$VN"
 ERRORS = {1: "hard fault", 2: "serial buffer overflow", 3: "invalid checksum", 4: "invalid command",
@@ -38,7 +38,6 @@ ERRORS = {1: "hard fault", 2: "serial buffer overflow", 3: "invalid checksum", 4
           12: "insufficient baud rate", 255: "error buffer overflow"}  # fmt: skip
 OUTPUT, SECOND, THIRD, ASCII = "binary output 1", "binary output 2", "binary output 3", "ASCII output"
 REGISTERS = {OUTPUT: 75, SECOND: 76, THIRD: 77, ASCII: 6, BAUD: 5}
-COMMON, IMU, ATTITUDE = 1, 3, 5
 TIME_STARTUP = (COMMON, 0)
 FIELDS: Mapping[str, tuple[tuple[int, int], ...]] = {
     "inertial": ((IMU, 2), (IMU, 3)),
