@@ -8,6 +8,7 @@ the unit away from where each pose saw north.
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,8 +21,12 @@ from imumon.estimation.alignment.creep import ALL_ALONG, RATES, Rest
 from imumon.estimation.alignment.fit import FINEST, PoseFit
 from imumon.geodesy import EARTH_RATE
 
-ROUNDS = 4
-"""Gauss-Newton steps to the heading."""
+PASSES = 2
+"""The first tells about where north is, which the second needs where a pose has turned."""
+NO_TURN = np.array([1.0, 1.0, 1.0, 0.0])
+"""Of the errors, those that the vertical gyro reads at rest."""
+STARTS, ROUNDS = np.arange(16) * math.pi / 8.0, 4
+"""Directions tried, rad, and Gauss-Newton steps from the best to the heading."""
 LIKELIEST = 24
 """Hypotheses that are looked at; the others have lost by far."""
 FLAT = 1e-3
@@ -116,24 +121,30 @@ def heading(
     upward = np.r_[np.zeros(2 * poses), np.full(poses, EARTH_RATE * math.sin(place.latitude))]
     by_north = np.zeros((3 * poses, 2))
     by_north[:poses, 0] = by_north[poses : 2 * poses, 1] = level
-    # What a pose turned beyond its `creep` is what the gyro reads at rest there less what it truly does.
-    start = math.atan2(*(float(x) for x in _first_guess(seen[0], noise[0], poses)))
-    beyond = _beyond(fits, level * np.exp(1j * start))
-    by_bias[: 2 * poses] -= beyond @ by_bias[2 * poses :]
-    offered = np.zeros((*seen.shape, 3))
-    offered[..., 0], offered[..., 1:] = seen - upward, -by_north
-    offered[..., : 2 * poses, 0] -= beyond @ (at_rest - upward[2 * poses :])
+    of_bias = np.array([fit.creep.of_bias for fit in fits])[:, None]
+    of_bias = of_bias * (by_bias[:poses] + 1j * by_bias[poses : 2 * poses])
+    by_bias[: 2 * poses] = np.concatenate([of_bias.real, of_bias.imag])
     all_along = np.r_[np.zeros(2 * poses), np.ones(poses)]
     sizes, size_log_prior = _sizes(place)
-    forms, log_determinant, biases = _without_bias(
-        offered, noise, np.column_stack([by_bias, all_along]), sizes, np.r_[by_bias[-1], 0.0]
-    )
-    angle, misfit, curvature = _closest(forms, start)
-    logs = log_weight[:, None] + size_log_prior - 0.5 * misfit
-    logs -= 0.5 * log_determinant + 0.5 * np.log(curvature)
-    probability = np.exp(logs - logs.max())
-    probability /= probability.sum()
-    centre = float(np.angle(np.sum(probability * np.exp(1j * angle))))
+    north = 0j
+    for _ in range(PASSES):
+        # What a pose turned beyond its `creep` is what it takes for rest there less what rest is.
+        beyond = _beyond(fits, north)
+        offered = np.zeros((*seen.shape, 3))
+        offered[..., 0], offered[..., 1:] = seen - upward, -by_north
+        offered[..., : 2 * poses, 0] -= beyond @ (at_rest - upward[2 * poses :])
+        by_error = np.column_stack([by_bias, all_along])
+        by_error[: 2 * poses, :3] -= beyond @ by_bias[2 * poses :]
+        forms, log_determinant, biases = _without_bias(
+            offered, noise, by_error, sizes, by_error[-1] * NO_TURN
+        )
+        angle, misfit, curvature = _closest(forms)
+        logs = log_weight[:, None] + size_log_prior - 0.5 * misfit
+        logs -= 0.5 * log_determinant + 0.5 * np.log(curvature)
+        probability = np.exp(logs - logs.max())
+        probability /= probability.sum()
+        centre = float(np.angle(np.sum(probability * np.exp(1j * angle))))
+        north = level * cmath.exp(1j * centre)
     off = np.remainder(angle - centre + math.pi, 2.0 * math.pi) - math.pi
     variance = float(np.sum(probability * (1.0 / curvature + off**2)))
     turned = (place.level_sd * math.tan(place.latitude)) ** 2 if abs(place.latitude) < 1.5 else math.inf
@@ -240,20 +251,15 @@ def _mixed(probability: FloatArray, means: FloatArray, variances: FloatArray) ->
     return mean, float(np.sum(probability * (variances + (means - mean) ** 2)))
 
 
-def _closest(forms: FloatArray, start: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _closest(forms: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return where (1, cos a, sin a) makes each form least, (h, s): a, the form, and its curvature."""
     constant, by_cos, by_sin = forms[..., 0, 0], forms[..., 0, 1], forms[..., 0, 2]
     cos_cos, cos_sin, sin_sin = forms[..., 1, 1], forms[..., 1, 2], forms[..., 2, 2]
-    angle = np.full(constant.shape, start)
+    around = np.stack([np.ones(len(STARTS)), np.cos(STARTS), np.sin(STARTS)])
+    angle = STARTS[np.argmin(np.einsum("ik,hsij,jk->hsk", around, forms, around, optimize=True), axis=-1)]
     for _ in range(ROUNDS):
         c, s = np.cos(angle), np.sin(angle)
         along, across = by_cos + cos_cos * c + cos_sin * s, by_sin + cos_sin * c + sin_sin * s
         curvature = np.maximum(cos_cos * s**2 - 2.0 * cos_sin * s * c + sin_sin * c**2, FLAT)
         angle = angle + np.clip((s * along - c * across) / curvature, -0.5, 0.5)
     return angle, constant + (by_cos + along) * c + (by_sin + across) * s, curvature
-
-
-def _first_guess(seen: FloatArray, noise: FloatArray, poses: int) -> tuple[float, float]:
-    """Return left and forward part of the mean of the poses."""
-    weight = 1.0 / noise[:poses]
-    return float(weight @ seen[poses : 2 * poses]), float(weight @ seen[:poses])
