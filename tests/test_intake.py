@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from imumon.blocks import ColumnArray, SampleBlock, join
 from imumon.intake import STUBBORN, Intake
+from imumon.protocols.ranges import Ranges
 
 Columns = dict[str, ColumnArray]
 
@@ -50,6 +51,36 @@ def test_what_no_gyro_says_is_left_out_and_said_once(value: float) -> None:
     assert intake.notices() == ["left out of all estimates: gyro_y beyond -1000 to 1000 rad/s"]
     assert not intake.notices()
     assert intake.left_out == 1
+
+
+def test_readings_at_the_end_of_a_declared_range_are_left_out_axis_by_axis() -> None:
+    columns = record(3000)
+    end = np.radians(100.0)
+    sent = np.clip(columns["gyro_y"], -end, end)
+    columns["gyro_y"] = sent
+    intake = Intake(Ranges(gyro_deg_per_s=100.1))
+    block = intake.process(SampleBlock(columns)).block
+    beyond = np.abs(sent) >= 0.999 * end
+    assert 0 < beyond.sum() < 1500
+    np.testing.assert_array_equal(np.isnan(block["gyro_y"]), beyond)
+    inside = np.abs(columns["gyro_x"]) < 0.999 * end
+    np.testing.assert_array_equal(block["gyro_x"][inside], columns["gyro_x"][inside])
+    assert "left out of all estimates: gyro_y at its range of 100.1 deg/s" in intake.notices()
+    undeclared = Intake()
+    assert undeclared.process(SampleBlock(columns)).block["gyro_y"] is sent
+    assert undeclared.left_out == 0
+
+
+def test_a_declared_range_is_that_of_the_sensor_alone() -> None:
+    columns = {**record(50), "accel_temperature_x": np.full(50, 45.0), "accel_z": np.full(50, 9.8)}
+    block = Intake(Ranges(accel_g=2.0)).process(SampleBlock(columns)).block
+    assert not np.isnan(block["accel_temperature_x"]).any()
+    assert not np.isnan(block["accel_z"]).any()
+
+
+def test_what_a_pipeline_file_declares_goes_before_the_device() -> None:
+    device = Ranges(gyro_deg_per_s=2000.0, accel_g=16.0)
+    assert Ranges(gyro_deg_per_s=250.0).over(device) == Ranges(gyro_deg_per_s=250.0, accel_g=16.0)
 
 
 def test_a_gyro_that_stands_still_is_left_out_until_it_moves() -> None:

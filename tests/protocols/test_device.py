@@ -2,10 +2,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from imumon.blocks import ColumnArray, SampleBlock
 from imumon.errors import EXIT_USAGE, ImumonError, Reason
+from imumon.estimation.rest.stage import RestDetector
+from imumon.pipeline import Pipeline
 from imumon.protocols.device import device_names, load_device, parse_device
+from imumon.protocols.ranges import Ranges
 
 GOOD = """\
 format: imumon-device/1
@@ -92,3 +97,22 @@ def test_a_device_can_be_given_by_path(tmp_path: Path) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text(GOOD, encoding="utf-8")
     assert load_device(str(path)).name == "demo"
+
+
+def test_a_device_file_declares_the_range_of_its_sensors() -> None:
+    assert load_device("witmotion").range == Ranges(gyro_deg_per_s=2000.0, accel_g=16.0)
+    assert parse_device(GOOD, "my.yaml").range == Ranges()
+    assert "range.gyro_deg_per_s" in complaint(GOOD + "range: {gyro_deg_per_s: -200}\n")
+
+
+@pytest.mark.parametrize(("given", "end_deg_per_s"), [(None, 100.0), (Ranges(gyro_deg_per_s=50.0), 50.0)])
+def test_the_range_of_a_device_holds_unless_another_is_given(
+    given: Ranges | None, end_deg_per_s: float
+) -> None:
+    device = parse_device(GOOD + "range: {gyro_deg_per_s: 100}\n", "my.yaml")
+    sent: dict[str, ColumnArray] = {f"gyro_{axis}": np.linspace(0.01, 3.0, 301) for axis in "xyz"}
+    sent |= {"device_time_ns": 10_000_000 * np.arange(301), "segment": np.zeros(301, np.int64)}
+    pipeline = Pipeline(device, [RestDetector()], given)
+    pipeline.push(SampleBlock(sent))
+    beyond = sent["gyro_x"] > 0.998 * np.radians(end_deg_per_s)
+    assert pipeline.counters.left_out == 3 * np.sum(beyond) > 0

@@ -7,7 +7,8 @@ import pytest
 from imumon.errors import ImumonError
 from imumon.models.curves.polynomial import PolynomialCurve
 from imumon.models.model import BiasModel, ChannelModel
-from imumon.run.setup import Setup, load_setup, parse_setup
+from imumon.protocols.ranges import Ranges
+from imumon.run.setup import FORMAT, Setup, load_setup, parse_setup
 
 
 def _model() -> BiasModel:
@@ -106,3 +107,11 @@ def test_what_an_estimator_is_told_itself_comes_first_and_what_is_not_known_is_l
 def test_a_setup_with_noise_says_the_same_again() -> None:
     setup = parse_setup(NOISE, "pipeline.yaml")
     assert parse_setup(setup.text() or "", "session.yaml") == setup
+
+
+def test_a_pipeline_file_declares_the_range_and_a_session_keeps_it() -> None:
+    setup = parse_setup(f"format: {FORMAT}\nrange: {{gyro_deg_per_s: 200, accel_g: 8}}\n", "my.yaml")
+    assert setup.range == Ranges(gyro_deg_per_s=200.0, accel_g=8.0)
+    kept = setup.text()
+    assert kept is not None
+    assert parse_setup(kept, "session") == setup

@@ -113,6 +113,8 @@ class Creep:
         How well each agrees with what is usual, a logarithm.
     before_s, after_s : float
         From the beginning to that middle, and from there to the end.
+    of_bias : complex
+        What is left of a level bias, which turns with the unit, in the mean of rates that are turned back.
     """
 
     angle: FloatArray
@@ -122,6 +124,7 @@ class Creep:
     log_usual: FloatArray
     before_s: float
     after_s: float
+    of_bias: complex
 
     @property
     def before(self) -> float:
@@ -178,6 +181,7 @@ def creep(
         angle, rate - turns * smooth, Rest(rest, spread),
         Rests(rests.rate[best], rests.variance[best], rests.log_weight[best]), log_usual[best],
         middle_s - float(time_s[0]), float(time_s[-1]) - middle_s,
+        complex(weight @ np.exp(1j * angle) / weight.sum()),
     )  # fmt: skip
 
 

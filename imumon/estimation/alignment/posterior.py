@@ -8,9 +8,10 @@ the unit away from where each pose saw north.
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,8 +21,8 @@ from imumon.estimation.alignment.creep import ALL_ALONG, RATES, Rest
 from imumon.estimation.alignment.fit import FINEST, PoseFit
 from imumon.geodesy import EARTH_RATE
 
-ROUNDS = 4
-"""Gauss-Newton steps to the heading."""
+STARTS, ROUNDS = np.arange(16) * math.pi / 8.0, 4
+"""Directions tried, rad, and Gauss-Newton steps from the best to the heading."""
 LIKELIEST = 24
 """Hypotheses that are looked at; the others have lost by far."""
 FLAT = 1e-3
@@ -102,8 +103,6 @@ class Seen:
         Of the sizes of the last.
     log_weight, settles : array, (h,)
         Of each hypothesis, and whether the unit settles by it, or tilts ever farther.
-    start : float
-        About the direction of north, rad.
     """
 
     columns: FloatArray
@@ -113,7 +112,6 @@ class Seen:
     rate_log_prior: FloatArray
     log_weight: FloatArray
     settles: FloatArray
-    start: float
 
 
 def heading(
@@ -129,18 +127,19 @@ def heading(
     turn_variances : array, (p,)
         Of their angles about the vertical, rad².
     """
-    seen = _seen(fits, attitudes, turn_variances, place)
-    forms, log_determinant = _without_bias(seen)
-    angle, misfit, curvature = _closest(forms, seen.start)
-    prior = seen.log_weight[:, None, None] + seen.rate_log_prior + place.bias_log_prior  # (h, r, s)
-    logs = prior - 0.5 * (misfit + log_determinant + np.log(curvature))
-    probability = np.exp(logs - logs.max())
-    probability /= probability.sum()
-    centre = float(np.angle(np.sum(probability * np.exp(1j * angle))))
+    standing = _seen(fits, attitudes, turn_variances, place)
+    # What turns do to the rates depends on where north is, of which the likeliest hypothesis tells enough.
+    likeliest = replace(
+        standing, columns=standing.columns[:1], noise=standing.noise[:1], log_weight=standing.log_weight[:1]
+    )
+    about = _weighed(likeliest, place).centre
+    level = EARTH_RATE * math.cos(place.latitude)
+    seen = _with_turns(standing, fits, level * cmath.exp(1j * about), place)
+    found = _weighed(seen, place)
+    angle, curvature, probability, centre = found.angle, found.curvature, found.probability, found.centre
     off = np.remainder(angle - centre + math.pi, 2.0 * math.pi) - math.pi
     variance = float(np.sum(probability * (1.0 / curvature + off**2)))
     turned = (place.level_sd * math.tan(place.latitude)) ** 2 if abs(place.latitude) < 1.5 else math.inf
-    level = EARTH_RATE * math.cos(place.latitude)
     white = 1.0 / float(np.sum(1.0 / seen.noise[0, : len(fits)])) / level**2
     by_size = probability.sum(0)
     supposed = math.sqrt(float(by_size.sum(0) @ np.mean(place.bias_sds**2, axis=1)))
@@ -160,7 +159,7 @@ def heading(
 def _seen(
     fits: Sequence[PoseFit], attitudes: Sequence[FloatArray], turn_variances: FloatArray, place: Place
 ) -> Seen:
-    """Return what is seen of all poses; parameters as those of `heading`."""
+    """Return what is seen of poses that stand; parameters as those of `heading`."""
     poses, level = len(fits), EARTH_RATE * math.cos(place.latitude)
     log_weight, which, rests = _together(fits)
     values = np.stack([fit.mean[k] for fit, k in zip(fits, which, strict=True)], 1)  # (h, p)
@@ -168,21 +167,18 @@ def _seen(
     spread = np.stack([fit.variance[k] for fit, k in zip(fits, which, strict=True)], 1)
     spread += common + level**2 * turn_variances
     settles = np.max([fit.settles[k] for fit, k in zip(fits, which, strict=True)], axis=0)
-    at_rest = np.array([fit.creep.rest.rate for fit in fits])
     rate = np.stack([fit.creep.rests.rate[k] for fit, k in zip(fits, rests, strict=True)], 1)
     vertical = np.stack([
         np.maximum(fit.creep.rests.variance[k], fit.vertical_variance)
         for fit, k in zip(fits, rests, strict=True)
     ], 1)  # fmt: skip
     by_bias = np.concatenate([np.stack([matrix[axis] for matrix in attitudes]) for axis in range(3)])
-    upward = EARTH_RATE * math.sin(place.latitude)
-    # What a pose turned beyond its `creep` is what the gyro reads at rest there less what it truly does.
-    start = float(np.angle(np.sum(values[0] / spread[0])))
-    beyond = _beyond(fits, level * np.exp(1j * start))
-    by_bias[: 2 * poses] -= beyond @ by_bias[2 * poses :]
+    of_bias = np.array([fit.creep.of_bias for fit in fits])[:, None]
+    of_bias = of_bias * (by_bias[:poses] + 1j * by_bias[poses : 2 * poses])
+    by_bias[: 2 * poses] = np.concatenate([of_bias.real, of_bias.imag])
     columns = np.zeros((len(values), 3 * poses, 3))
+    upward = EARTH_RATE * math.sin(place.latitude)
     columns[..., 0] = np.concatenate([values.real, values.imag, rate - upward], 1)
-    columns[..., : 2 * poses, 0] -= beyond @ (at_rest - upward)
     columns[:, :poses, 1] = columns[:, poses : 2 * poses, 2] = -level
     all_along = np.r_[np.zeros(2 * poses), np.ones(poses)]
     share = np.log(np.r_[1.0 - ALL_ALONG, np.full(len(RATES), ALL_ALONG / len(RATES))])
@@ -194,18 +190,53 @@ def _seen(
         share[:, None],
         log_weight,
         settles,
-        start,
     )
 
 
-def _beyond(fits: Sequence[PoseFit], north: complex) -> FloatArray:
-    """Return how horizontal rates depend on those by which the poses turn beyond their `creep`, (2 p, p).
+def _with_turns(seen: Seen, fits: Sequence[PoseFit], north: complex, place: Place) -> Seen:
+    """Return what is seen of poses that turn beyond their `creep`.
 
-    `north` is about the horizontal earth rate, rad/s.
+    What each turns is what it takes for rest there less what rest is.  `north` is about the horizontal earth
+    rate, rad/s.
     """
+    level = slice(0, 2 * len(fits))
     later_s = np.triu(np.tile([fit.creep.before_s + fit.creep.after_s for fit in fits], (len(fits), 1)), 1)
     turned = 1j * north * (later_s + np.diag([fit.creep.after_s for fit in fits]))
-    return np.concatenate([turned.real, turned.imag])
+    beyond = np.concatenate([turned.real, turned.imag])
+    columns, by_rates = seen.columns.copy(), seen.by_rates.copy()
+    at_rest = np.array([fit.creep.rest.rate for fit in fits]) - EARTH_RATE * math.sin(place.latitude)
+    columns[:, level, 0] -= beyond @ at_rest
+    by_rates[level, :-1] -= beyond @ by_rates[level.stop :, :-1]
+    return replace(seen, columns=columns, by_rates=by_rates)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Weighed:
+    """Directions of north by each hypothesis and sizes of the rates, all (h, r, s), and their mean.
+
+    Parameters
+    ----------
+    angle, curvature, probability : array
+        rad; 1/rad²; a sum of 1.
+    centre : float
+        rad.
+    """
+
+    angle: FloatArray
+    curvature: FloatArray
+    probability: FloatArray
+    centre: float
+
+
+def _weighed(seen: Seen, place: Place) -> Weighed:
+    """Return the likeliest direction by each hypothesis, and its probability."""
+    forms, log_determinant = _without_bias(seen)
+    angle, misfit, curvature = _closest(forms)
+    prior = seen.log_weight[:, None, None] + seen.rate_log_prior + place.bias_log_prior
+    logs = prior - 0.5 * (misfit + log_determinant + np.log(curvature))
+    probability = np.exp(logs - logs.max())
+    probability /= probability.sum()
+    return Weighed(angle, curvature, probability, float(np.angle(np.sum(probability * np.exp(1j * angle)))))
 
 
 def _together(fits: Sequence[PoseFit]) -> tuple[FloatArray, IntArray, IntArray]:
@@ -252,7 +283,7 @@ def _upward_bias(seen: Seen, probability: FloatArray, angle: FloatArray) -> Rest
 
     `probability` and the direction of north, `angle`, rad, are those of each hypothesis and size, (h, r, s).
     """
-    which = np.unravel_index(np.argsort(-probability, axis=None)[:LIKELIEST], probability.shape)
+    which = np.unravel_index(np.argsort(-probability, axis=None)[: 4 * LIKELIEST], probability.shape)
     north = np.stack([np.ones(len(which[0])), np.cos(angle[which]), np.sin(angle[which])], 1)
     residuals = (seen.columns[which[0]] @ north[..., None])[..., 0]
     variances = np.stack([np.broadcast_to(s, probability.shape[1:])[which[1:]] ** 2 for s in seen.sizes], 1)
@@ -267,11 +298,13 @@ def _upward_bias(seen: Seen, probability: FloatArray, angle: FloatArray) -> Rest
     return Rest(mean, float(weight @ (left + (means - mean) ** 2)))
 
 
-def _closest(forms: FloatArray, start: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _closest(forms: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return where (1, cos a, sin a) makes each form least, (h, s): a, the form, and its curvature."""
     constant, by_cos, by_sin = forms[..., 0, 0], forms[..., 0, 1], forms[..., 0, 2]
     cos_cos, cos_sin, sin_sin = forms[..., 1, 1], forms[..., 1, 2], forms[..., 2, 2]
-    angle = np.full(constant.shape, start)
+    c, s = np.cos(STARTS), np.sin(STARTS)
+    terms = np.stack([by_cos, by_sin, cos_cos, cos_sin, sin_sin], -1)
+    angle = STARTS[np.argmin(terms @ np.stack([2.0 * c, 2.0 * s, c**2, 2.0 * c * s, s**2]), axis=-1)]
     for _ in range(ROUNDS):
         c, s = np.cos(angle), np.sin(angle)
         along, across = by_cos + cos_cos * c + cos_sin * s, by_sin + cos_sin * c + sin_sin * s

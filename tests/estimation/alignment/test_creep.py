@@ -59,6 +59,14 @@ def test_a_creep_after_half_a_turn_of_gyros_with_a_bias(degrees: float) -> None:
     assert sd < 1.5 * turned_sd()
 
 
+@pytest.mark.parametrize("bias", [2.0, 30.0])
+def test_a_creep_before_half_a_turn_of_gyros_with_a_bias(bias: float) -> None:
+    half = {**HALF_TURN, "at_s": 110.0}
+    off, sd = found(260.0, 181.0, crept(1.0, 0.0, 100.0), half, bias=bias)
+    assert abs(off) < 4.0 * sd
+    assert sd < 1.0
+
+
 @pytest.mark.parametrize("degrees", [0.3, 3.0, 10.0])
 def test_a_creep_all_along_at_a_changing_rate_is_told_by_the_rate_of_the_earth(degrees: float) -> None:
     off, sd = found(200.0, degrees, crept(degrees, 0.0, 200.0))

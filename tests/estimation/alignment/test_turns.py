@@ -10,10 +10,13 @@ from scipy.spatial.transform import Rotation
 
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.estimation.alignment.account import Account, Passage, typical_scale
+from imumon.estimation.alignment.parameters import AlignmentParameters
 from imumon.estimation.alignment.stage import Alignment
 from imumon.filters.turns import Turn
 from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY
-from tests.estimation.alignment.units import aligned, error_deg
+from imumon.pipeline import Pipeline
+from imumon.protocols.ranges import Ranges
+from tests.estimation.alignment.units import aligned, error_deg, samples, scenario
 
 LATITUDE = math.radians(36.0)
 EARTH = EARTH_RATE * np.array([0.0, math.cos(LATITUDE), math.sin(LATITUDE)])
@@ -139,3 +142,19 @@ def test_a_noisy_gyro_has_a_large_scale_error() -> None:
     assert ppm[:2] == pytest.approx([300.0, 300.0])
     assert 4e3 < ppm[2] < 1e4
     assert ppm[3] == pytest.approx(3e4)
+
+
+def test_a_turn_beyond_the_declared_range_is_in_the_sigma() -> None:
+    """Half a turn in 2 s has 169 °/s at most; of what a gyro of 165 °/s cannot say, 0.7° are lost."""
+    turn = {"kind": "turn", "at_s": 30.0, "duration_s": 2.0, "heading_deg": 180.0}
+    plan = scenario(60.0, arw=1e-3, rate_hz=50.0, warm_up=(0.0, 100.0), motion=[turn])
+    sent = dict(samples(plan).columns)
+    sent["gyro_z"] = np.clip(sent["gyro_z"], -math.radians(165.0), math.radians(165.0))
+    stage = Alignment(AlignmentParameters(accel_bias_sd_ug=30.0), 36.0, "FRD")
+    pipeline = Pipeline(None, [stage], Ranges(gyro_deg_per_s=165.0))
+    pipeline.push(SampleBlock(sent))
+    out = pipeline.take()
+    off, sd = error_deg(out["heading"][-1], 210.0), math.degrees(out["heading_sd"][-1])
+    assert 0.3 < abs(off) < 3.0 * sd
+    assert sd < 10.0
+    assert pipeline.counters.left_out > 5
