@@ -107,6 +107,11 @@ def test_a_written_file_is_read_again(tmp_path: Path) -> None:
     [
         ("format: imumon-bias-model/2", "format: imumon-bias-model/9", ":1: format: "),
         ("    effects: []", "    effects: [{kind: drift}]", "drift needs 1 coefficients, there are 0"),
+        (
+            "    effects: []",
+            "    effects: [{kind: stress_relaxation, time_constant_s: 60.0, exponent: 0.3}]",
+            "a stretched exponential, which no longer is: find the effect again with imumon diagnose",
+        ),
         ("    unit: rad/s", "    unit: deg/s", "unit: "),
         ("    unit: rad/s", "    unit: m/s^2", "channel gyro_x is in rad/s, not m/s^2"),
         ("  gyro_x:", "  gyro_q:", "channel 'gyro_q' is not known"),
