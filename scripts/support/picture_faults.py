@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import rerun.blueprint as rrb
 from PIL import Image
-from rerun.chunk import RrdReader
+from rerun.chunk import ChunkStore, RrdReader
 
 from imumon.blocks import FloatArray
 from imumon.view.extent import EDGE, WIDE, entity, marks_of
@@ -46,7 +46,8 @@ def is_empty(view: Any, picture: Path) -> bool:
 
 def axis_faults(recording: Path, panels: Iterable[Panel], window_s: float) -> list[str]:
     """Return what is wrong with the vertical axes of a live stream that shows the last `window_s`."""
-    ends = {panel: scalars(recording, entity(panel.drawn)) for panel in panels}
+    logged = stored(recording)
+    ends = {panel: scalars(logged, entity(panel.drawn)) for panel in panels}
     shown = [panel for panel, found in ends.items() if len(found)]
     faults = []
     for panel in shown:
@@ -54,7 +55,7 @@ def axis_faults(recording: Path, panels: Iterable[Panel], window_s: float) -> li
         strips = sum(other.place == panel.place for other in shown)
         if numbers_on(low, high, marks_of(strips, NATIVE_TAB)) < 3:
             faults.append(f"{panel.key}: fewer than three numbers from {low:g} to {high:g}")
-        bands = measured(recording, f"{panel.drawn}/**")
+        bands = measured(logged, f"{panel.drawn}/**")
         if len(bands):
             bands = bands[bands[:, 0] > bands[-1, 0] - window_s]
             half = np.sqrt(bands[:, 2])
@@ -73,19 +74,24 @@ def numbers_on(low: float, high: float, most: float) -> int:
     return int(np.floor((high - edge) / step + 1e-6) - np.ceil((low + edge) / step - 1e-6)) + 1
 
 
-def scalars(recording: Path, path: str) -> FloatArray:
+def stored(recording: Path) -> ChunkStore:
+    """Return what a recording holds, read once."""
+    return RrdReader(str(recording)).stream().collect()
+
+
+def scalars(logged: ChunkStore, path: str) -> FloatArray:
     """Return device time in s and the scalars of an entity, a row each."""
-    return _columns(recording, path, ("Scalars:scalars",))
+    return _columns(logged, path, ("Scalars:scalars",))
 
 
-def measured(recording: Path, path: str) -> FloatArray:
+def measured(logged: ChunkStore, path: str) -> FloatArray:
     """Return device time in s, value and variance of all measurements below an entity, a row each."""
-    return _columns(recording, path, ("Measurements:values", "Measurements:variances"))
+    return _columns(logged, path, ("Measurements:values", "Measurements:variances"))
 
 
-def _columns(recording: Path, path: str, names: tuple[str, ...]) -> FloatArray:
+def _columns(logged: ChunkStore, path: str, names: tuple[str, ...]) -> FloatArray:
     parts = []
-    for chunk in RrdReader(str(recording)).stream().filter(content=[path], has_timeline="device_time"):
+    for chunk in logged.stream().filter(content=[path], has_timeline="device_time"):
         batch = chunk.to_record_batch()
         if all(name in batch.schema.names for name in names):
             time_s = 1e-9 * batch.column("device_time").cast("int64").to_numpy(zero_copy_only=False)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import rerun as rr
-from support.picture_faults import numbers_on, scalars
+from support.picture_faults import numbers_on, scalars, stored
 
 from imumon.view.axes import Axes
 from imumon.view.extent import entity
@@ -44,8 +44,8 @@ def test_angles_are_read_in_degrees_here_too_and_kept_exactly(tmp_path: Path) ->
     rec.disconnect()
     ((title, (drawn,)),) = others.views
     assert title == "nav/roll [°]"
-    np.testing.assert_allclose(scalars(tmp_path / "a.rrd", drawn)[:, 1], np.rad2deg(0.5))
-    np.testing.assert_array_equal(scalars(tmp_path / "a.rrd", path("nav/roll"))[:, 1], 0.5)
+    np.testing.assert_allclose(scalars(stored(tmp_path / "a.rrd"), drawn)[:, 1], np.rad2deg(0.5))
+    np.testing.assert_array_equal(scalars(stored(tmp_path / "a.rrd"), path("nav/roll"))[:, 1], 0.5)
 
 
 def test_an_axis_holds_all_lines_of_its_view_and_has_numbers(tmp_path: Path) -> None:
@@ -56,7 +56,7 @@ def test_an_axis_holds_all_lines_of_its_view_and_has_numbers(tmp_path: Path) -> 
     others.log("gnss/height", np.linspace(100.0, 130.0, 300), rows)
     others.log("gnss/depth", np.linspace(-7.0, -7.0 + 1e-12, 300), rows)
     rec.disconnect()
-    _, low, high = scalars(tmp_path / "a.rrd", entity(path("gnss/depth")))[-1]
+    _, low, high = scalars(stored(tmp_path / "a.rrd"), entity(path("gnss/depth")))[-1]
     assert low <= -7.0
     assert high >= 130.0
     assert numbers_on(low, high, 30) >= 3
