@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import asdict
+from functools import cache
 
 import numpy as np
 import pytest
@@ -266,13 +267,21 @@ def _digest(main: SampleBlock, side: dict[str, SampleBlock]) -> str:
     return digest.hexdigest()
 
 
+@cache
+def _xsens_stream() -> tuple[str, list[bytes]]:
+    return "xsens", _mti(150, "shared")
+
+
+@cache
+def _microstrain_stream() -> tuple[str, list[bytes]]:
+    return "microstrain", _mip_epochs(120, split=True)
+
+
 @given(chunk=st.integers(1, 3000), seed=st.integers(0, 50))
 @settings(max_examples=30, deadline=None)
 def test_any_chunking_gives_the_same_rows(chunk: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
-    device, packets = (("xsens", _mti(150, "shared")), ("microstrain", _mip_epochs(120, split=True)))[
-        seed % 2
-    ]
+    device, packets = (_xsens_stream, _microstrain_stream)[seed % 2]()
     data = b"".join(packet for packet in packets if rng.random() > 0.05)
     main, side, pipeline = run(device, data)
     again, again_side, other = run(device, data, chunk)
