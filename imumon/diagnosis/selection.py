@@ -290,7 +290,8 @@ class Search:
 
     def _freed(self, more: Sequence[Candidate]) -> int:
         """Return how many coefficients of the declared curve are freed by more beside what was found."""
-        return self.channel.freed(more) - min(self.channel.freed(more), self.channel.freed(self.found))
+        already = any(finding.candidate.whole for finding in self.findings)
+        return 0 if already else self.channel.freed(more)
 
     def _pairs(self, scored: Sequence[Scored]) -> dict[str, Leader]:
         """Look for two effects at once; a jump that is one of them may be anywhere in a block."""
