@@ -11,10 +11,13 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import settings
+from xdist.scheduler import LoadScopeScheduling
 
 # As in the command line; read when NumPy is imported, which no test has done yet.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -67,14 +70,37 @@ def pytest_collection(session: pytest.Session) -> None:
 
 @pytest.hookimpl(tryfirst=True)  # xdist looks for the groups in the same hook
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Give each file to one of the parallel processes, as its tests share fixtures; viewers only to one."""
-    viewers = {item.path for item in items if item.get_closest_marker("viewer")}
-    groups = {
-        item: _VIEWERS if item.path in viewers else item.path.relative_to(_TESTS).as_posix() for item in items
-    }
-    for item, group in groups.items():
-        item.add_marker(pytest.mark.xdist_group(group))
-    items.sort(key=lambda item: _LONG.index(groups[item]) if groups[item] in _LONG else len(_LONG))
+    """Begin with the groups that take longest."""
+    groups = [_group(item.nodeid) for item in items]
+    place = {group: _LONG.index(group) if group in _LONG else len(_LONG) for group in groups}
+    items.sort(key=lambda item: place[_group(item.nodeid)])
+
+
+def _group(nodeid: str) -> str:
+    """Return what a test belongs to, as its file shares fixtures: the file, or all that start viewers."""
+    file = nodeid.partition("::")[0].removeprefix("tests/")
+    return _VIEWERS if file in _viewer_files() else file
+
+
+@cache
+def _viewer_files() -> set[str]:
+    files = _TESTS.rglob("test_*.py")
+    return {file.relative_to(_TESTS).as_posix() for file in files if "mark.viewer" in file.read_text()}
+
+
+class _ByGroup(LoadScopeScheduling):  # type: ignore[misc]  # xdist has no types
+    """Gives each group to one of the parallel processes.
+
+    The marks of `--dist loadgroup` do nothing: pytest 9.2 has other names of tests than xdist 3.8 writes to.
+    """
+
+    def _split_scope(self, nodeid: str) -> str:
+        return _group(nodeid)
+
+
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> _ByGroup:
+    """Return what gives the tests to the parallel processes."""
+    return _ByGroup(config, log)
 
 
 def pytest_collection_finish() -> None:
