@@ -23,8 +23,6 @@ from imumon.geodesy import EARTH_RATE
 
 PASSES = 2
 """The first tells about where north is, which the second needs where a pose has turned."""
-NO_TURN = np.array([1.0, 1.0, 1.0, 0.0])
-"""Of the errors, those that the vertical gyro reads at rest."""
 STARTS, ROUNDS = np.arange(16) * math.pi / 8.0, 4
 """Directions tried, rad, and Gauss-Newton steps from the best to the heading."""
 LIKELIEST = 24
@@ -135,12 +133,10 @@ def heading(
         offered[..., : 2 * poses, 0] -= beyond @ (at_rest - upward[2 * poses :])
         by_error = np.column_stack([by_bias, all_along])
         by_error[: 2 * poses, :3] -= beyond @ by_bias[2 * poses :]
-        forms, log_determinant, biases = _without_bias(
-            offered, noise, by_error, sizes, by_error[-1] * NO_TURN
-        )
-        angle, misfit, curvature = _closest(forms)
-        logs = log_weight[:, None] + size_log_prior - 0.5 * misfit
-        logs -= 0.5 * log_determinant + 0.5 * np.log(curvature)
+        forms, log_determinant = _without_bias(offered, noise, by_error, sizes)
+        logs = log_weight[:, None] + size_log_prior - 0.5 * log_determinant
+        angle, misfit, curvature = _closest(forms, cmath.phase(north) if north else _likeliest(forms, logs))
+        logs -= 0.5 * misfit + 0.5 * np.log(curvature)
         probability = np.exp(logs - logs.max())
         probability /= probability.sum()
         centre = float(np.angle(np.sum(probability * np.exp(1j * angle))))
@@ -150,7 +146,11 @@ def heading(
     turned = (place.level_sd * math.tan(place.latitude)) ** 2 if abs(place.latitude) < 1.5 else math.inf
     white = 1.0 / float(np.sum(1.0 / spread[0])) / level**2
     by_size = probability.sum(0)
-    upright, uncertain = _mixed(probability, *_at(biases, angle))
+    # Of the last pose alone: large sizes leave no digits in a bias by all of them.
+    own, other = sizes[:, :3] ** 2 @ by_bias[-1] ** 2, noise[:, -1:] + sizes[:, 3] ** 2
+    means = (seen[:, -1:] - upward[-1]) * own / (own + other)
+    upright = float(np.sum(probability * means))
+    uncertain = float(np.sum(probability * (own * other / (own + other) + (means - upright) ** 2)))
     supposed = math.sqrt(float(by_size @ np.mean(sizes[:, :3] ** 2, axis=1)))
     left_over = max(float(by_size @ (1.0 / curvature[0])) - white, 0.0)
     return Heading(
@@ -205,9 +205,9 @@ def _together(fits: Sequence[PoseFit]) -> tuple[FloatArray, IntArray, IntArray]:
 
 
 def _without_bias(
-    columns: FloatArray, noise: FloatArray, by_bias: FloatArray, sizes: FloatArray, wanted: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return products of columns, weighted by noise and biases of each size, log determinant, and a bias.
+    columns: FloatArray, noise: FloatArray, by_bias: FloatArray, sizes: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return products of columns, weighted by noise and biases of each size, and that log determinant.
 
     The covariance is D + A S² Aᵀ; its inverse is of rank k beside that of D (Woodbury).
 
@@ -220,43 +220,32 @@ def _without_bias(
         A.
     sizes : array, (s, k)
         Diagonals of S.
-    wanted : array, (k,)
-        The bias that is returned is this sum of the k.
 
     Returns
     -------
-    array, (h, s, 3, 3), array, (h, s), and array, (h, s, 4)
-        The bias by the columns, and its variance.
+    array, (h, s, 3, 3), and array, (h, s)
     """
     weighted = columns / noise[..., None]
     own = weighted.transpose(0, 2, 1) @ columns
     known = (by_bias.T[None] / noise[:, None]) @ by_bias
     shared = sizes[:, :, None] * (by_bias.T @ weighted)[:, None]  # (h, s, k, 3)
     grown = np.eye(sizes.shape[1]) + sizes[:, :, None] * known[:, None] * sizes[:, None, :]
-    sought = np.broadcast_to((sizes * wanted)[..., None], (*shared.shape[:3], 1))
-    solved = np.linalg.solve(grown, np.concatenate([shared, sought], -1))
-    forms = own[:, None] - shared.swapaxes(-1, -2) @ solved[..., :3]
-    bias = (sought.swapaxes(-1, -2) @ solved)[..., 0, :]
-    return forms, np.log(np.linalg.det(grown)) + np.log(noise).sum(1)[:, None], bias
+    forms = own[:, None] - shared.swapaxes(-1, -2) @ np.linalg.solve(grown, shared)
+    return forms, np.log(np.linalg.det(grown)) + np.log(noise).sum(1)[:, None]
 
 
-def _at(biases: FloatArray, angle: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return means and variances, (h, s), of the biases of `_without_bias` at a direction of north, rad."""
-    return biases[..., 0] + biases[..., 1] * np.cos(angle) + biases[..., 2] * np.sin(angle), biases[..., 3]
+def _likeliest(forms: FloatArray, logs: FloatArray) -> float:
+    """Return the likeliest of the directions tried, rad; forms as of `_closest`, their weights (h, s)."""
+    around = np.stack([np.ones(len(STARTS)), np.cos(STARTS), np.sin(STARTS)])
+    misfit = np.einsum("ik,hsij,jk->hsk", around, forms, around, optimize=True)
+    return float(STARTS[np.argmax(np.max(logs[..., None] - 0.5 * misfit, axis=(0, 1)))])
 
 
-def _mixed(probability: FloatArray, means: FloatArray, variances: FloatArray) -> tuple[float, float]:
-    """Return mean and variance of a mixture."""
-    mean = float(np.sum(probability * means))
-    return mean, float(np.sum(probability * (variances + (means - mean) ** 2)))
-
-
-def _closest(forms: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _closest(forms: FloatArray, start: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return where (1, cos a, sin a) makes each form least, (h, s): a, the form, and its curvature."""
     constant, by_cos, by_sin = forms[..., 0, 0], forms[..., 0, 1], forms[..., 0, 2]
     cos_cos, cos_sin, sin_sin = forms[..., 1, 1], forms[..., 1, 2], forms[..., 2, 2]
-    around = np.stack([np.ones(len(STARTS)), np.cos(STARTS), np.sin(STARTS)])
-    angle = STARTS[np.argmin(np.einsum("ik,hsij,jk->hsk", around, forms, around, optimize=True), axis=-1)]
+    angle = np.full(constant.shape, start)
     for _ in range(ROUNDS):
         c, s = np.cos(angle), np.sin(angle)
         along, across = by_cos + cos_cos * c + cos_sin * s, by_sin + cos_sin * c + sin_sin * s
