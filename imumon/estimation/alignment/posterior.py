@@ -135,7 +135,7 @@ def heading(
     about = _weighed(likeliest, place).centre
     level = EARTH_RATE * math.cos(place.latitude)
     seen = _with_turns(standing, fits, level * cmath.exp(1j * about), place)
-    found = _weighed(seen, place)
+    found = _weighed(seen, place, about)
     angle, curvature, probability, centre = found.angle, found.curvature, found.probability, found.centre
     off = np.remainder(angle - centre + math.pi, 2.0 * math.pi) - math.pi
     variance = float(np.sum(probability * (1.0 / curvature + off**2)))
@@ -144,7 +144,7 @@ def heading(
     by_size = probability.sum(0)
     supposed = math.sqrt(float(by_size.sum(0) @ np.mean(place.bias_sds**2, axis=1)))
     left_over = max(float(np.vdot(by_size, 1.0 / curvature[0])) - white, 0.0)
-    upright = _upward_bias(seen, probability, angle)
+    upright = _upward_bias(seen, probability)
     return Heading(
         centre,
         min(math.sqrt(variance + turned), ANY_ANGLE_SD),
@@ -228,12 +228,13 @@ class Weighed:
     centre: float
 
 
-def _weighed(seen: Seen, place: Place) -> Weighed:
-    """Return the likeliest direction by each hypothesis, and its probability."""
+def _weighed(seen: Seen, place: Place, start: float | None = None) -> Weighed:
+    """Return the direction by each hypothesis, and its probability; `start` is about where, rad, if known."""
     forms, log_determinant = _without_bias(seen)
-    angle, misfit, curvature = _closest(forms)
     prior = seen.log_weight[:, None, None] + seen.rate_log_prior + place.bias_log_prior
-    logs = prior - 0.5 * (misfit + log_determinant + np.log(curvature))
+    logs = prior - 0.5 * log_determinant
+    angle, misfit, curvature = _closest(forms, _likeliest(forms, logs) if start is None else start)
+    logs = logs - 0.5 * (misfit + np.log(curvature))
     probability = np.exp(logs - logs.max())
     probability /= probability.sum()
     return Weighed(angle, curvature, probability, float(np.angle(np.sum(probability * np.exp(1j * angle)))))
@@ -278,33 +279,30 @@ def _without_bias(seen: Seen) -> tuple[FloatArray, FloatArray]:
     return products, log_determinant
 
 
-def _upward_bias(seen: Seen, probability: FloatArray, angle: FloatArray) -> Rest:
-    """Return the bias of the vertical gyro in the last pose: Gaussian given what is seen, by the likeliest.
+def _upward_bias(seen: Seen, probability: FloatArray) -> Rest:
+    """Return the bias of the vertical gyro in the last pose: what it reads there, and the sizes, tell of it.
 
-    `probability` and the direction of north, `angle`, rad, are those of each hypothesis and size, (h, r, s).
+    The other poses do not: large sizes leave no digits in what all of them tell together.
     """
-    which = np.unravel_index(np.argsort(-probability, axis=None)[: 4 * LIKELIEST], probability.shape)
-    north = np.stack([np.ones(len(which[0])), np.cos(angle[which]), np.sin(angle[which])], 1)
-    residuals = (seen.columns[which[0]] @ north[..., None])[..., 0]
-    variances = np.stack([np.broadcast_to(s, probability.shape[1:])[which[1:]] ** 2 for s in seen.sizes], 1)
-    white = seen.noise[which[0], :, None] * np.eye(seen.noise.shape[1])
-    covariance = (seen.by_rates * variances[:, None]) @ seen.by_rates.T + white
-    upward = np.r_[seen.by_rates[-1, :-1], 0.0]  # the last is a turn, and no bias
-    shared = variances * upward @ seen.by_rates.T
-    gain = np.linalg.solve(covariance, shared[..., None])[..., 0]
-    means, left = np.sum(gain * residuals, 1), variances @ upward**2 - np.sum(gain * shared, 1)
-    weight = probability[which] / probability[which].sum()
-    mean = float(weight @ means)
-    return Rest(mean, float(weight @ (left + (means - mean) ** 2)))
+    own = sum(size**2 * share**2 for size, share in zip(seen.sizes[:-1], seen.by_rates[-1], strict=False))
+    other = seen.noise[:, -1, None, None] + seen.sizes[-1] ** 2  # (h, r, 1)
+    means = seen.columns[:, -1, 0, None, None] * own / (own + other)
+    mean = float(np.sum(probability * means))
+    return Rest(mean, float(np.sum(probability * (own * other / (own + other) + (means - mean) ** 2))))
 
 
-def _closest(forms: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return where (1, cos a, sin a) makes each form least, (h, s): a, the form, and its curvature."""
+def _likeliest(forms: FloatArray, logs: FloatArray) -> float:
+    """Return the likeliest of the directions tried, rad; forms as of `_closest`, their weights (h, r, s)."""
+    around = np.stack([np.ones(len(STARTS)), np.cos(STARTS), np.sin(STARTS)])
+    misfit = np.sum(around * (forms @ around), axis=-2)
+    return float(STARTS[np.argmax(np.max(logs[..., None] - 0.5 * misfit, axis=(0, 1, 2)))])
+
+
+def _closest(forms: FloatArray, start: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return where (1, cos a, sin a) makes each form least, (h, r, s): a, the form, and its curvature."""
     constant, by_cos, by_sin = forms[..., 0, 0], forms[..., 0, 1], forms[..., 0, 2]
     cos_cos, cos_sin, sin_sin = forms[..., 1, 1], forms[..., 1, 2], forms[..., 2, 2]
-    c, s = np.cos(STARTS), np.sin(STARTS)
-    terms = np.stack([by_cos, by_sin, cos_cos, cos_sin, sin_sin], -1)
-    angle = STARTS[np.argmin(terms @ np.stack([2.0 * c, 2.0 * s, c**2, 2.0 * c * s, s**2]), axis=-1)]
+    angle = np.full(constant.shape, start)
     for _ in range(ROUNDS):
         c, s = np.cos(angle), np.sin(angle)
         along, across = by_cos + cos_cos * c + cos_sin * s, by_sin + cos_sin * c + sin_sin * s
