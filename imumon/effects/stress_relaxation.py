@@ -82,7 +82,7 @@ class StressRelaxation(Effect):
 
 @cache
 def _integral() -> tuple[FloatArray, FloatArray]:
-    """Return logarithms of x and E1(x), between which a line errs by 1.1e-7; a call takes ten times as long."""
+    """Return logarithms of x and E1(x), between which a line errs by 1.1e-7; calls take ten times as long."""
     from scipy.special import exp1  # 0.13 s, which no command spends that has no such effect
 
     logarithm = np.linspace(np.log(BEGUN / LONGEST), np.log(NOTHING_LEFT), POINTS)
