@@ -53,6 +53,8 @@ LEAST_REST_S = 4.0
 """One that a knock ends may be as short."""
 MOST_ANCHORS, SAME_SIGMAS = 3, 6.0
 """Means of earlier rests that are remembered, and by how much they differ."""
+TURN_HOLD_S = 8.0
+"""A turn that was steady is watched for no longer: its mean says when it ends."""
 DECIDES_EVERY = 32
 LOOKS_EVERY = 4
 """Units of the history between two looks for a turn."""
@@ -177,7 +179,8 @@ def _may_return(state: State) -> bool:
 
 def _watch(state: State, now_s: float, seconds: float) -> None:
     """Forget all windows; the next rest is so many seconds away at least."""
-    state.hold_s = now_s + min(state.caution * max(seconds, SETTLE_S), LONGEST_HOLD_S)
+    hold_s = min(state.caution * max(seconds, SETTLE_S), LONGEST_HOLD_S)
+    state.hold_s = now_s + (min(hold_s, TURN_HOLD_S) if state.turning else hold_s)
     if seconds > SETTLE_S:
         state.long_hold_s = state.hold_s
     state.quiet_from, state.quiet_since_s = state.length, now_s
