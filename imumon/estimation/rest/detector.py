@@ -22,6 +22,7 @@ from imumon.estimation.rest.turn import (
     has_settled,
     hypothesis,
     is_back,
+    is_over,
     is_steady,
     is_upright,
     may_have_begun,
@@ -33,8 +34,9 @@ from imumon.estimation.rest.turn import (
     upright,
     was_handled,
 )
-from imumon.estimation.rest.wander import SURPRISE, forget, look_for_turn
+from imumon.estimation.rest.wander import OBLIQUE, SURPRISE, forget, look_for_turn
 from imumon.estimation.rest.windows import Motion, seen, set_band
+from imumon.geodesy import STANDARD_GRAVITY
 
 GAP_S = 2.5
 SETTLE_S = 1.0
@@ -53,8 +55,6 @@ LEAST_REST_S = 4.0
 """One that a knock ends may be as short."""
 MOST_ANCHORS, SAME_SIGMAS = 3, 6.0
 """Means of earlier rests that are remembered, and by how much they differ."""
-TURN_HOLD_S = 8.0
-"""A turn that was steady is watched for no longer: its mean says when it ends."""
 DECIDES_EVERY = 32
 LOOKS_EVERY = 4
 """Units of the history between two looks for a turn."""
@@ -160,6 +160,9 @@ def _wanders(state: State) -> Motion | None:
     state.doubt_age += LOOKS_EVERY
     if found.probability < LIKELY:
         return None
+    if is_over(state.turn, state.turn + found.doubt):
+        forget(state)
+        return None
     seconds = state.span_s(1 << SHORT)
     return Motion(SHORT, seconds, False, (0, 0), True, found.before, found.age_s, found.degc)
 
@@ -179,8 +182,7 @@ def _may_return(state: State) -> bool:
 
 def _watch(state: State, now_s: float, seconds: float) -> None:
     """Forget all windows; the next rest is so many seconds away at least."""
-    hold_s = min(state.caution * max(seconds, SETTLE_S), LONGEST_HOLD_S)
-    state.hold_s = now_s + (min(hold_s, TURN_HOLD_S) if state.turning else hold_s)
+    state.hold_s = now_s + min(state.caution * max(seconds, SETTLE_S), LONGEST_HOLD_S)
     if seconds > SETTLE_S:
         state.long_hold_s = state.hold_s
     state.quiet_from, state.quiet_since_s = state.length, now_s
@@ -241,8 +243,10 @@ def _enter(
     state.windows.rest_mean[:], state.rest_since_s = mean, now_s
     if not state.anchors:
         state.begun = may_have_begun(state, mean, parameters.begins_turning)
-    elif state.begun.any() and not turn.any() and was_handled(state):
-        state.begun = np.zeros(3)  # it would be about another axis now, and did not go on in a hand
+    elif state.begun.any():
+        tilted = np.linalg.norm((mean - state.anchors[0].mean)[ACCEL]) > OBLIQUE * STANDARD_GRAVITY
+        if tilted or (was_handled(state) and not turn.any()):
+            state.begun = np.zeros(3)  # it would be about another axis now, and did not go on in a hand
     state.at_rest, state.turn, state.chance = True, turn, 1.0
     state.spells = Spells()
     since_s = now_s if np.isnan(state.undecided_since_s) else state.undecided_since_s
