@@ -90,9 +90,7 @@ class Rests:
 
     def together(self) -> Rest:
         """Return mean and variance, whatever is usual."""
-        probability = _probability(self.log_weight)
-        rate = float(probability @ self.rate)
-        return Rest(rate, float(probability @ (self.variance + (self.rate - rate) ** 2)))
+        return mixture(probabilities(self.log_weight), self.rate, self.variance)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -163,7 +161,7 @@ def creep(
     )
     logs, at_rest, variance = usual.given(rests)
     log_usual = np.logaddexp.reduce(logs, axis=1)
-    probability = _probability(rests.log_weight[:, None] + logs)
+    probability = probabilities(rests.log_weight[:, None] + logs)
     rest = float(at_rest.flat[np.argmax(probability)])
     spread = float(np.sum(probability * (variance + (at_rest - rest) ** 2)))
     which = np.searchsorted([part[0] for part in parts[1:]], np.arange(len(rate)), "right")
@@ -209,14 +207,20 @@ def _at_rest(mean: FloatArray, noise: FloatArray, inside: FloatArray) -> Rests:
     left = off - rest[..., None] - turns * turn[..., None]
     misfit = np.sum(precision * left**2, -1) + common * turn**2
     logs = 0.5 * (np.log(precision).sum(-1) + np.log(common / total) - misfit)
-    probability = _probability(logs, axis=1)
+    probability = probabilities(logs, axis=1)
     rates = np.sum(probability * rest, 1)
     variance = np.sum(probability * ((turning + common) / total + (rest - rates[:, None]) ** 2), 1)
     prior = np.r_[1.0 - CREEPING, np.full(len(inside) - 1, CREEPING / max(len(inside) - 1, 1))]
     return Rests(middle + rates, variance, np.logaddexp.reduce(logs, axis=1) + np.log(prior / len(RATES)))
 
 
-def _probability(logs: FloatArray, axis: int | None = None) -> FloatArray:
+def mixture(probability: FloatArray, rates: FloatArray, variances: FloatArray) -> Rest:
+    """Return mean and variance of a mixture; arrays of any shape."""
+    rate = float(np.sum(probability * rates))
+    return Rest(rate, float(np.sum(probability * (variances + (rates - rate) ** 2))))
+
+
+def probabilities(logs: FloatArray, axis: int | None = None) -> FloatArray:
     """Return probabilities that add up to one along an axis, or over all."""
     weight = np.exp(logs - logs.max(axis=axis, keepdims=True))
     return np.asarray(weight / weight.sum(axis=axis, keepdims=True))

@@ -17,7 +17,7 @@ import numpy as np
 
 from imumon.blocks import FloatArray, IntArray
 from imumon.estimation.alignment.account import ANY_ANGLE_SD
-from imumon.estimation.alignment.creep import ALL_ALONG, RATES, Rest
+from imumon.estimation.alignment.creep import ALL_ALONG, RATES, Rest, mixture, probabilities
 from imumon.estimation.alignment.fit import FINEST, PoseFit
 from imumon.geodesy import EARTH_RATE
 
@@ -235,8 +235,7 @@ def _weighed(seen: Seen, place: Place, start: float | None = None) -> Weighed:
     logs = prior - 0.5 * log_determinant
     angle, misfit, curvature = _closest(forms, _likeliest(forms, logs) if start is None else start)
     logs = logs - 0.5 * (misfit + np.log(curvature))
-    probability = np.exp(logs - logs.max())
-    probability /= probability.sum()
+    probability = probabilities(logs)
     return Weighed(angle, curvature, probability, float(np.angle(np.sum(probability * np.exp(1j * angle)))))
 
 
@@ -287,8 +286,7 @@ def _upward_bias(seen: Seen, probability: FloatArray) -> Rest:
     own = sum(size**2 * share**2 for size, share in zip(seen.sizes[:-1], seen.by_rates[-1], strict=False))
     other = seen.noise[:, -1, None, None] + seen.sizes[-1] ** 2  # (h, r, 1)
     means = seen.columns[:, -1, 0, None, None] * own / (own + other)
-    mean = float(np.sum(probability * means))
-    return Rest(mean, float(np.sum(probability * (own * other / (own + other) + (means - mean) ** 2))))
+    return mixture(probability, means, own * other / (own + other))
 
 
 def _likeliest(forms: FloatArray, logs: FloatArray) -> float:
