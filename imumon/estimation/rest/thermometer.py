@@ -12,7 +12,8 @@ SLOPE = np.radians(0.05)
 CURVATURE_DEGC = 30.0
 """Temperature difference over which a slope changes by as much as itself, as `gyro_bias.steps` says."""
 LAG_S = 30.0
-"""How far a gyro's temperature may be behind the thermometer's (sd): `effects.thermal_lag.UNTOLD_S`."""
+"""How far a gyro's temperature may be behind the thermometer's (sd): `effects.thermal_lag.UNTOLD_S`, written
+again, for the compiled windows of rest would begin anew with each edit of the effects."""
 EFFECTS = 3
 """What moves a bias as temperature does: it, its square, and its lag; all in °C, with a slope of `SLOPE`."""
 
