@@ -24,7 +24,7 @@ TABLE_SUFFIXES = (".parquet", ".csv")
 READ_SIZE = 1 << 16
 SHOWN_PLACES = 5
 """Damaged places that are said one by one."""
-BATCH_BYTES = 1 << 18
+BATCH_BYTES = 1 << 19
 """Samples are handed on about as often as so many bytes were fed: thousands at once, as each block costs."""
 
 
