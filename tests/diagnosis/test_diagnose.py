@@ -259,8 +259,10 @@ def test_a_channel_with_one_value_is_left_out_and_said() -> None:
     assert any("gyro_y is left out: it has one value throughout" in text for text in diagnosis.caveats)
 
 
-@pytest.mark.parametrize(("rate", "hours"), [(0.01, 40.0), (0.2, 4.0), (0.9, 2.0), (10.0, 0.5)])
-@pytest.mark.parametrize("gap_s", [0.0, 0.3])
+@pytest.mark.parametrize(
+    ("rate", "hours", "gap_s"),
+    [(0.01, 40.0, 0.3), (0.2, 4.0, 0.3), (0.9, 2.0, 0.0), (0.9, 2.0, 0.3), (10.0, 0.5, 0.3)],
+)
 def test_any_log_will_do(rate: float, hours: float, gap_s: float, tmp_path: Path) -> None:
     found = []
     for seed in (1, 2, 3):
@@ -422,7 +424,7 @@ def test_what_is_found_in_a_measured_run_hangs_on_no_block_and_on_no_boundary_of
         said = [claim.finding.name for claim in verdict.claims]
         return said, verdict.test_before.rms, verdict.test_after.rms
 
-    for first, lost in [(0, 30 * block) for block in range(0, at // 30, 100)] + [(7, 0), (23, 0)]:
+    for first, lost in [(0, 30 * block) for block in range(0, at // 30, 200)] + [(7, 0), (23, 0)]:
         said, before, after = found(first, lost)
         assert "step" in said, (first, lost)
         assert after < 0.55 * before, (first, lost)
