@@ -41,11 +41,6 @@ def nothing(time: FloatArray, temperature: FloatArray) -> FloatArray:  # noqa: A
     return np.zeros_like(time)
 
 
-def telegraph(time: FloatArray, temperature: FloatArray) -> FloatArray:  # noqa: ARG001 - as all biases
-    flips = np.random.default_rng(int(time[-1]) + 5).random(len(time)) < 1 / 500
-    return np.where(np.cumsum(flips) % 2 == 0, 8.0, -8.0)
-
-
 @pytest.fixture(scope="module")
 def lagging() -> Diagnosis:
     return diagnose(*three(lag))
@@ -300,12 +295,6 @@ def test_any_log_will_do(rate: float, hours: float, gap_s: float, tmp_path: Path
     score = diagnosis.verdicts[0].test_after
     assert score is not None
     assert score.rms < 1.3 * diagnosis.verdicts[0].channel.floor.sd
-
-
-def test_what_no_effect_explains_is_called_unexplained() -> None:
-    diagnosis = diagnose(*three(telegraph))
-    assert names(diagnosis) == []
-    assert diagnosis.verdicts[0].unexplained
 
 
 def test_a_jump_is_named_followed_and_left_out_of_the_model_file() -> None:
