@@ -16,9 +16,9 @@ from functools import partial
 from typing import Any, TypeVar, cast, overload
 
 import numba
-import numba.np.linalg
 import numpy as np
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
+from numba.core.runtime.nrt import rtsys
 from numba.extending import register_jitable
 
 from imumon.sources import stamp
@@ -28,10 +28,6 @@ Fields = TypeVar("Fields")
 Row = TypeVar("Row", bound=tuple[Any, ...])
 
 PACKAGE = __name__.partition(".")[0]
-
-# Before its first kernel numba imports scipy.linalg, 0.13 s, to see that there is a BLAS.  SciPy is among the
-# requirements, and numba imports it again where a kernel multiplies matrices.
-numba.np.linalg.ensure_blas = lambda: None
 
 _log = logging.getLogger(__name__)
 _modules: dict[str, bool] = {}
@@ -181,8 +177,13 @@ class _Cache(FunctionCache):
         )
 
     def load_overload(self, sig: object, target_context: object) -> object:
-        """Return the stored code for a signature, or None: then numba compiles."""
-        code = super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+        """Return the stored code for a signature, or None: then numba compiles.
+
+        numba's own would first import all that it may need to compile, 0.2 s: this is what code needs to run.
+        """
+        rtsys.initialize(target_context)
+        with self._guard_against_spurious_io_errors():
+            code = self._load_overload(sig, target_context)  # type: ignore[no-untyped-call]
         if code is None and not _modules[self._module]:
             _announce(self._module)
         _modules[self._module] = True

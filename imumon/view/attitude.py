@@ -119,6 +119,7 @@ def xyzw(values: FloatArray) -> FloatArray:
     """Return quaternions x, y, z, w, (n, 4), from w, x, y, z, or from roll, pitch, yaw in rad."""
     if values.shape[1] == 4:
         return np.ascontiguousarray(values[:, [1, 2, 3, 0]])
-    from scipy.spatial.transform import Rotation  # takes 0.3 s, and few devices send angles alone
-
-    return np.asarray(Rotation.from_euler("ZYX", values[:, ::-1]).as_quat())
+    (cr, cp, cy), (sr, sp, sy) = np.cos(0.5 * values).T, np.sin(0.5 * values).T
+    x, y = sr * cp * cy - cr * sp * sy, cr * sp * cy + sr * cp * sy
+    z, w = cr * cp * sy - sr * sp * cy, cr * cp * cy + sr * sp * sy
+    return np.column_stack([x, y, z, w])

@@ -13,7 +13,7 @@ from tests.allan.simulated import correlated, noise
 
 INTERVAL_S = 0.02
 N = 60_000
-SEEDS = 30
+SEEDS = 20
 
 
 def fits(records: list[FloatArray]) -> list[Fit]:

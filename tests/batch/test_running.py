@@ -23,6 +23,7 @@ from imumon.batch.running import run_jobs, workers
 from imumon.batch.tasks import Job, work
 from imumon.errors import ImumonError, Reason
 from tests.batch.sessions import tiny
+from tests.calibration.records import few_steps
 from tests.cli.command import answer, imumon
 from tests.transport.helpers import wait_until
 
@@ -194,8 +195,9 @@ def test_every_command_has_rows_or_a_reason(command: Any, tmp_path: Path) -> Non
 
 @pytest.mark.parametrize("command", ["calibrate", "diagnose"])
 def test_a_long_session_has_rows_of_every_channel_that_the_table_takes(
-    command: Any, long_session: Path, tmp_path: Path
+    command: Any, long_session: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    few_steps(monkeypatch)
     rows = work(Job(str(long_session), BatchOptions(command=command), str(tmp_path)))
     units = {row["channel"]: row["unit"] for row in rows}
     assert units.keys() > {"gyro_x", "accel_z"}

@@ -5,6 +5,7 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
+import pytest
 
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.calibration.record import Record, record_of
@@ -68,3 +69,9 @@ def samples(
 def record(temperature: FloatArray, name: str = "soak", **given: object) -> Record:
     """Return the record of `samples`."""
     return record_of([samples(temperature, **given)], name, "0" * 64)  # type: ignore[arg-type]  # passed through
+
+
+def few_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Train the networks in a moment, where it does not matter how good they are."""
+    for steps in ("FIRST", "LAST"):
+        monkeypatch.setattr(f"imumon.models.curves.training.{steps}", 5)

@@ -8,9 +8,14 @@ import pytest
 from imumon.calibration.record import Record, record_of
 from imumon.calibration.refuted import check_last, followed
 from imumon.errors import ImumonError, Reason
-from tests.calibration.records import record, samples, soak
+from tests.calibration.records import few_steps, record, samples, soak
 
 SHORT_S = 600.0
+
+
+@pytest.fixture(autouse=True)
+def _soon(monkeypatch: pytest.MonkeyPatch) -> None:
+    few_steps(monkeypatch)
 
 
 def soaks(*seeds: int) -> list[Record]:

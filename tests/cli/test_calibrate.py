@@ -10,7 +10,7 @@ import pytest
 
 from imumon.blocks import FloatArray
 from imumon.models import load_model
-from tests.calibration.records import DEG_H, samples, soak, true_bias
+from tests.calibration.records import DEG_H, few_steps, samples, soak, true_bias
 from tests.cli.command import MAP, imumon
 from tests.data_folder import measured
 from tests.diagnosis.test_drivers import MAP as DRIVEN_MAP
@@ -38,12 +38,6 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A session that is soon read, and gives no model."""
     return imported(tmp_path_factory.mktemp("short"), np.linspace(20.0, 23.0, 1500))
-
-
-def few_steps(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Train the networks in a moment, where it does not matter how good they are."""
-    for steps in ("FIRST", "LAST"):
-        monkeypatch.setattr(f"imumon.models.curves.training.{steps}", 5)
 
 
 def test_a_session_becomes_a_model(session: Path, tmp_path: Path) -> None:
@@ -136,7 +130,10 @@ def test_a_folder_that_is_not_there_is_said(short: Path, tmp_path: Path) -> None
     assert imumon("calibrate", tmp_path / "nothing", "--out", tmp_path / "m.yaml").returncode == 4
 
 
-def test_a_measured_chamber_cycle_gives_a_model_that_admits_its_residual(tmp_path: Path) -> None:
+def test_a_measured_chamber_cycle_gives_a_model_that_admits_its_residual(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    few_steps(monkeypatch)
     table = measured("chamber-cycle/cooling-heating.csv")
     done = imumon("import", table, "--map", table.with_name("map.yaml"), "--out", tmp_path / "session")
     assert done.returncode == 0, done.stderr

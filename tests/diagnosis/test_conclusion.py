@@ -14,8 +14,7 @@ from imumon.diagnosis.conclusion import conclusion, in_short, next_steps, state
 from imumon.diagnosis.engine import Diagnosis, diagnose
 from imumon.diagnosis.page import write_page
 from imumon.diagnosis.report import report
-from tests.diagnosis.test_diagnose import telegraph
-from tests.diagnosis.units import DPH, Bias, lagged, ramps, run, three
+from tests.diagnosis.units import DPH, Bias, lagged, ramps, run, telegraph, three
 
 TAU_S = 220.0
 

@@ -37,10 +37,10 @@ EFFECT = {
 
 
 def recorded(folder: Path, seed: int) -> Path:
-    """Return a table of 40 min in which the supply is switched and the temperature goes up or down."""
+    """Return a table of 25 min in which the supply is switched and the temperature goes up or down."""
     random = np.random.default_rng(seed)
-    levels = random.uniform(4.9, 5.1, 24).repeat(2)
-    corners = np.sort(np.r_[np.arange(24) * 100.0, np.arange(1, 25) * 100.0 - 1.0])
+    levels = random.uniform(4.9, 5.1, 15).repeat(2)
+    corners = np.sort(np.r_[np.arange(15) * 100.0, np.arange(1, 16) * 100.0 - 1.0])
     scenario = Scenario.model_validate(
         {
             "format": "imumon-scenario/1",
@@ -50,7 +50,7 @@ def recorded(folder: Path, seed: int) -> Path:
                 "gyro_effects_deg_per_h": {"x": [EFFECT]},
             },
             "rate_hz": 10,
-            "duration_s": 2400,
+            "duration_s": 1500,
             "latitude_deg": 0,
             "chamber": {
                 "start_degc": 25,

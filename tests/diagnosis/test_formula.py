@@ -7,14 +7,13 @@ from pathlib import Path
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.diagnosis.engine import Diagnosis, diagnose
+from imumon.diagnosis.engine import diagnose
 from imumon.diagnosis.extended import extended_model
 from imumon.diagnosis.formula import Node
 from imumon.diagnosis.page import write_page
 from imumon.diagnosis.report import report
 from imumon.effects.base import Drive
-from tests.diagnosis.test_diagnose import telegraph
-from tests.diagnosis.units import lagged, three
+from tests.diagnosis.units import lagged, telegraph, three
 
 
 def strained(time: FloatArray, temperature: FloatArray) -> FloatArray:  # noqa: ARG001 - as all biases
@@ -38,14 +37,11 @@ def test_a_rate_of_either_sign_is_described_and_foretold(tmp_path: Path) -> None
 
 
 def test_what_nothing_foretells_stays_unexplained() -> None:
-    found = report(_telegraph())["channels"]["gyro_x"]
+    found = report(diagnose(*three(telegraph)))["channels"]["gyro_x"]
+    assert found["effects"] == []
     assert found["unexplained"]
     assert found["formula"] is None
     assert "describes" not in found["summary"]
-
-
-def _telegraph() -> Diagnosis:
-    return diagnose(*three(telegraph))
 
 
 def test_no_operator_looks_ahead() -> None:

@@ -22,6 +22,12 @@ def cubic(temperature: FloatArray) -> FloatArray:
     return np.asarray(30 + 20 * u - 8 * u**2 + 3 * u**3)
 
 
+def telegraph(time: FloatArray, temperature: FloatArray) -> FloatArray:  # noqa: ARG001 - as all biases
+    """Return a bias that jumps to and fro at any time, which no effect explains."""
+    flips = np.random.default_rng(int(time[-1]) + 5).random(len(time)) < 1 / 500
+    return np.where(np.cumsum(flips) % 2 == 0, 8.0, -8.0)
+
+
 def ramps(seconds: int, up: bool, rate: float = 1.5) -> tuple[FloatArray, FloatArray]:
     """Return time and temperature: ramps in °C/min between 12 and 40 °C, with soaks, from 25 °C."""
     time = np.arange(seconds, dtype=np.float64) + 0.5

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import fcntl
+import json
 import os
 import shutil
 from pathlib import Path
@@ -62,6 +63,15 @@ def test_a_killed_session_is_finished_and_the_originals_stay(
     assert {name: (killed / f"{name}.original").read_bytes() for name in NAMES} == before
     assert sorted(result["originals"]) == sorted(str(killed / f"{name}.original") for name in NAMES)
     assert not list(killed.glob("*partial*")) + list(killed.glob("recovering*"))
+
+
+def test_before_that_it_replays_and_that_it_was_not_closed_is_said(broken: Path) -> None:
+    done = imumon("replay", broken, "--json")
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout)
+    assert told["packets"] > 1000
+    assert told["identical_to_live"] is None
+    assert "not closed" in done.stderr
 
 
 def test_a_second_recovery_does_nothing(recovered: tuple[Path, dict[str, Any]]) -> None:

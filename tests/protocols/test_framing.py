@@ -71,7 +71,7 @@ def test_any_chunking_gives_the_same_packets(family: str, lengths: list[int], se
 
 
 @pytest.mark.parametrize("family", DEVICES)
-@pytest.mark.parametrize("lengths", [[1], [13], [997], [65536]])
+@pytest.mark.parametrize("lengths", [[1], [13], [65536]])
 def test_no_intact_packet_is_lost_on_a_damaged_stream(family: str, lengths: list[int]) -> None:
     packets = packets_of(family, 40 if lengths == [1] else 400)
     stream, whole = damage(packets, np.random.default_rng(5), 0.1, 0.1, 0.2)
@@ -107,7 +107,7 @@ def test_every_sample_is_a_row_of_the_pipeline(name: str) -> None:
 
 @pytest.mark.parametrize("family", DEVICES)
 @given(data=st.binary(max_size=600), seed=st.integers(0, 1000))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=12, deadline=None)
 def test_rubbish_between_packets_is_no_harm(family: str, data: bytes, seed: int) -> None:
     rng = np.random.default_rng(seed)
     packets = packets_of(family, 5)

@@ -31,9 +31,7 @@ def response(settings: DenseSettings, axis: int, seconds: float) -> FloatArray:
     ("k", "p0", "expected", "below_s"),
     [
         (0.0, 2.2, [13.33, 10.21, 7.57, 4.98, 2.96], 368.6),
-        (0.1, 2.2, [13.31, 10.10, 7.27, 4.36, 1.93], 229.9),
         (0.5, 2.2, [12.94, 7.86, 3.34, 0.57, 0.02], 76.4),
-        (0.1, 15.0, [2.20, 0.66, 0.32, 0.15, 0.06], 10.6),
         (0.5, 15.0, [2.18, 0.59, 0.20, 0.03, 0.00], 10.5),
     ],
 )
@@ -62,9 +60,9 @@ def test_the_sigma_reaches_the_information_limit() -> None:
 
 def test_velocity_alone_does_not_show_the_vertical_gyro() -> None:
     settings = replace(SETTINGS, bias_sd=15.0 * DPH, yaw_hold_sd=None)
-    left = response(settings, 2, 540.0)
+    left = response(settings, 2, 300.0)
     assert left[-1] > 14.0
-    assert abs(response(replace(settings, yaw_hold_sd=1e-4), 2, 540.0)[-1]) < 0.1
+    assert abs(response(replace(settings, yaw_hold_sd=1e-4), 2, 300.0)[-1]) < 0.1
 
 
 def both(seed: int, attitude: FloatArray) -> tuple[DenseRun, DenseRun, FloatArray]:

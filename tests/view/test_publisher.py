@@ -203,17 +203,6 @@ def test_killed_view_process_is_started_again_on_the_same_ports(publish: Publish
     assert (publisher.url, publisher._report.port) == (url, stream_port)
 
 
-def test_servers_listen_on_this_machine_only(publish: Publish, port: int) -> None:
-    publisher = publish("web", port)
-    Stream(publisher.publish).run_until(lambda: publisher.state.connected, 20, "serving")
-    listening = [one.laddr for one in child().net_connections() if one.status == psutil.CONN_LISTEN]
-    assert all(address.ip.startswith("127.") for address in listening)
-    assert {address.port for address in listening if address.ip == "127.0.0.1"} == {
-        publisher._report.port,
-        publisher._report.port + 1,
-    }
-
-
 HERE = socket.gethostname()
 ASKED = [
     ({}, 200),
@@ -226,9 +215,17 @@ ASKED = [
 ]
 
 
-def test_another_web_site_cannot_read_the_stream(publish: Publish, port: int) -> None:
+def test_on_this_machine_only_and_by_no_other_web_site_the_stream_is_read(
+    publish: Publish, port: int
+) -> None:
     publisher = publish("web", port)
     Stream(publisher.publish).run_until(lambda: publisher.state.connected, 20, "serving")
+    listening = [one.laddr for one in child().net_connections() if one.status == psutil.CONN_LISTEN]
+    assert all(address.ip.startswith("127.") for address in listening)
+    assert {address.port for address in listening if address.ip == "127.0.0.1"} == {
+        publisher._report.port,
+        publisher._report.port + 1,
+    }
     path = "/rerun.sdk_comms.v1alpha1.MessageProxyService/ReadMessages"
     ports = publisher._report.port, publisher._report.port + 1
     for at, (headers, status) in product(ports, ASKED):

@@ -173,14 +173,14 @@ def test_full_disk_is_reported_and_what_is_missing_counted(tmp_path: Path) -> No
         from imumon.view import recorder as rooms
         from imumon.view.recorder import ViewRecorder
         from tests.view.streams import Stream
-        rooms.BATCH_S = 0.5
+        rooms.BATCH_S = 0.05
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
         resource.setrlimit(resource.RLIMIT_FSIZE, (500_000, 500_000))
         recorder = ViewRecorder(Path(sys.argv[1]), ViewSetup("test", "full"))
         stream = Stream(recorder.publish)
         while not recorder.error:
-            stream.send(20_000)
-            time.sleep(0.02)
+            stream.send(5000)
+            time.sleep(0.1)
         before = recorder.dropped
         stream.send(500)
         recorder.close()

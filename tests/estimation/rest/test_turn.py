@@ -57,7 +57,7 @@ def found(
 
 @pytest.mark.parametrize(
     ("rate_dps", "minutes", "ramp_s"),
-    [(0.5, 10, 0.5), (-0.5, 20, 10.0), (5.0, 10, 5.0), (30.0, 25, 20.0), (0.5, 15, 120.0), (2.0, 10, 60.0)],
+    [(0.5, 10, 0.5), (-0.5, 20, 10.0), (30.0, 10, 20.0), (0.5, 15, 120.0)],
 )
 def test_a_steady_turn_is_no_rest_and_the_rest_after_it_is_found(
     rate_dps: float, minutes: float, ramp_s: float
@@ -96,7 +96,7 @@ def test_a_jump_that_is_not_about_the_vertical_is_bias_for_gravity_would_have_tu
     assert rest[t > 42.0].all()
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_turn_about_a_level_axis_is_no_rest_for_gravity_turns_as_the_gyros_say(seed: int) -> None:
     """0.5 °/s for 10 min: the means of two seconds are alike to their noise, as those of a rest are."""
     t, gyro, accel = noise(BEGIN_S + 690.0, 25.0, 0.025 * DEG, 0.02, seed=seed)
@@ -123,7 +123,7 @@ def test_a_warmer_unit_may_have_a_bias_that_no_jump_explains() -> None:
     assert found(warmer)[1][settled].all()
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_turn_that_may_be_wander_is_rest_and_the_hypothesis_until_it_is_over(seed: int) -> None:
     """A gyro with 30 °/h of flicker, turned by 0.1 °/s: five of the deviations that it wanders by."""
     ramp_s = 10.0
@@ -152,7 +152,7 @@ def flickering(gyro: FloatArray, seed: int) -> FloatArray:
     return bias
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_level_axes_that_wander_do_not_make_a_turn_a_bias(seed: int) -> None:
     """0.2 °/s for 10 min, seven sigmas of the wander: whatever is said of rest, the hypothesis covers it."""
     t, gyro, accel = noise(900.0, 25.0, 0.025 * DEG)
