@@ -25,7 +25,7 @@ from imumon.recordings.side_tables import export_run
 from imumon.recordings.source import Source, open_source, run_over
 from imumon.run.replay import digested, identical_to_live
 from imumon.run.setup import parse_setup, recorded_setup
-from imumon.run.stages import estimators
+from imumon.run.stages import pipeline_of
 from imumon.version import __version__
 
 
@@ -155,7 +155,7 @@ def _replay(path: Path, job: Job) -> Iterator[Row]:
     text = job.options.pipeline_yaml
     setup = recorded_setup(session) if text is None else parse_setup(text, "--pipeline")
     source, digest = open_source(path), Digest()
-    pipeline = Pipeline(source.device, estimators(source.device, setup), setup.range)
+    pipeline = pipeline_of(source, setup)
     blocks = digested(run_over(source.items, pipeline), pipeline, digest)
     rows = [*_samples(source, job, pipeline, blocks)]
     identical = identical_to_live(session, setup, digest)

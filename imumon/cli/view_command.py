@@ -156,16 +156,13 @@ class _Recorded:
         ImumonError
             As `open_source` and `recorded_setup` do.
         """
-        from imumon.pipeline import Pipeline
         from imumon.recordings.folder import open_session
         from imumon.recordings.source import open_source
         from imumon.run.setup import recorded_setup
-        from imumon.run.stages import estimators
+        from imumon.run.stages import pipeline_of
 
         session, source = open_session(path), open_source(path)
-        setup = recorded_setup(session)
-        stages = estimators(source.device, setup)
-        return cls(session, source, Pipeline(source.device, stages, setup.range))
+        return cls(session, source, pipeline_of(source, recorded_setup(session)))
 
 
 def _log(recorded: _Recorded, name: str, session: Session) -> tuple[dict[str, object], dict[str, str]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from contextvars import ContextVar
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
@@ -13,7 +13,8 @@ from imumon.columns import Column
 from imumon.errors import ImumonError, Reason
 from imumon.pipeline import UNDATED, Pipeline
 from imumon.protocols.device import DeviceFile, load_device, parse_device
-from imumon.recordings.folder import WIRE_NAME, Session, is_session, open_session
+from imumon.protocols.ranges import Ranges, declared
+from imumon.recordings.folder import METADATA_NAME, WIRE_NAME, Session, is_session, open_session
 from imumon.recordings.metadata import iso_utc
 from imumon.recordings.table import iterate_samples, read_columns
 from imumon.recordings.wire_reader import WireReader
@@ -44,6 +45,8 @@ class Source:
         Columns of an imported session's table.
     doubts : callable
         Returns what is not known of a table from elsewhere, after the run.
+    range : Ranges
+        Of its sensors, as the session's pipeline file or map declares it, before that of the device file.
     """
 
     path: Path
@@ -52,6 +55,7 @@ class Source:
     session: Session | None
     imported: tuple[Column, ...] = ()
     doubts: Callable[[], list[str]] = list
+    range: Ranges = field(default_factory=Ranges)
 
     def columns(self, pipeline: Pipeline) -> list[Column]:
         """Return the columns that the run's blocks have so far; `pipeline` is the one it runs through."""
@@ -187,6 +191,7 @@ def open_source(path: Path, device_name: str | None = None, rate_hz: float | Non
             )
         return Source(path, capture_items(path), load_device(device_name).at_rate(rate_hz), None)
     session = open_session(path)
+    ranges = _declared(session)
     if session.metadata.source == "import":
         if rate_hz is not None:
             raise ImumonError(
@@ -195,9 +200,17 @@ def open_source(path: Path, device_name: str | None = None, rate_hz: float | Non
                 "rate_hz in the map of an import spaces rows without a time",
             )
         columns = tuple(read_columns(session.samples_path).values())
-        return Source(path, iterate_samples(session), None, session, columns)
+        return Source(path, iterate_samples(session), None, session, columns, range=ranges)
     device = session_device(session) if device_name is None else load_device(device_name)
-    return Source(path, WireReader(session.wire_path), device.at_rate(rate_hz), session)
+    return Source(path, WireReader(session.wire_path), device.at_rate(rate_hz), session, range=ranges)
+
+
+def _declared(session: Session) -> Ranges:
+    """Return the range that a session declares: its pipeline file, and what only its map has."""
+    name, metadata = session.path / METADATA_NAME, session.metadata
+    by_map = None if metadata.table is None else metadata.table.map_yaml
+    by_pipeline = declared(metadata.pipeline_yaml, f"{name} (pipeline_yaml)")
+    return by_pipeline.over(declared(by_map, f"{name} (map_yaml)"))
 
 
 def session_device(session: Session) -> DeviceFile:

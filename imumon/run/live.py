@@ -33,7 +33,7 @@ from imumon.run.account import Outages
 from imumon.run.marks import Marks, append_request
 from imumon.run.narration import Narrator, Progress, Publish, Say
 from imumon.run.setup import Setup
-from imumon.run.stages import estimators
+from imumon.run.stages import estimators, pipeline_of
 from imumon.transport.reader import (
     SILENT_AFTER_S,
     Bytes,
@@ -63,7 +63,7 @@ def warm_up(device: DeviceFile, setup: Setup) -> None:
     The compiled code is kept on disk: the first start after an installation takes ten seconds or so, later
     ones some tenths of a second.
     """
-    pipeline = Pipeline(device, estimators(device, setup))
+    pipeline = pipeline_of(device, setup)
     sent = SampleBlock({column.name: np.zeros(3, column.dtype) for column in KNOWN.values()})
     for number, packet in enumerate(device.encoder().encode(sent)):
         pipeline.feed(packet, number)
@@ -156,7 +156,7 @@ class LiveRun:
         serial: str | None = None,
     ) -> None:
         self._device = device
-        self.pipeline = Pipeline(device, [*estimators(device, setup), *stages], setup.range)
+        self.pipeline = pipeline_of(device, setup, stages)
         self.taken: Callable[[SampleBlock, Mapping[str, SampleBlock]], None] | None = None
         """Given, in the pipeline's thread, the samples and those of the side streams as they come."""
         self._settings = settings
