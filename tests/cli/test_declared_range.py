@@ -39,7 +39,7 @@ READERS: dict[str, Callable[[Path], Iterable[str]]] = {
 
 @pytest.fixture(scope="module")
 def sessions(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Five minutes at rest with 1 g on z, whose range is said by the map, the pipeline file, or not at all."""
+    """Five minutes at rest with 1 g on z; the map, the pipeline file or nothing says the range."""
     folder = tmp_path_factory.mktemp("range")
     values = np.random.default_rng(0).normal([0.0, 0.0, 1.0, 0.0, 0.0, 0.0], 1e-3, (N, 6))
     np.savetxt(folder / "t.csv", values, "%.6f", delimiter=",", header="x,y,z,p,q,r", comments="")
