@@ -21,11 +21,11 @@ from imumon.diagnosis.explaining import (
     shown,
 )
 from imumon.diagnosis.fitting import Fit, FittedPart, TestScore, fit, fit_given, goes_on, mean_rms, score
-from imumon.diagnosis.foretold import foretold
 from imumon.diagnosis.formula import Formula, formula
 from imumon.diagnosis.gains import PROVEN
 from imumon.diagnosis.likelihood import WALK_S
 from imumon.diagnosis.looking import Ranked, RunLeft, ranking, runs_left
+from imumon.diagnosis.proven_by_test import proven_by_test
 from imumon.diagnosis.questions import Question, questions
 from imumon.diagnosis.selection import Finding, Search, Step
 from imumon.diagnosis.uncertainty import PartSigma, sigmas
@@ -38,7 +38,7 @@ BY_TEST = "the test alone proves it: in training noise as slow as the one that i
 class Claim:
     """An effect that is claimed, with its evidence; `parts` and `sigmas` are those of the whole model.
 
-    `test_gain` is the evidence of the test for it, beside the rest; NaN where it foretells nothing.
+    `test_gain` is the evidence of the test for it, beside the rest; NaN where it predicts nothing.
     """
 
     finding: Finding
@@ -236,7 +236,7 @@ def judge(channel: Channel, found: Search, left_out: Sequence[dict[str, Any]]) -
     if not claimed:
         kept, after = refit, before
     if not claimed and not found.many_events and before.train_rms >= CLEAN * floor:
-        one = foretold(channel, found, before, refit)
+        one = proven_by_test(channel, found, before, refit)
         if one is not None:
             kept, claimed = [*refit, one], [one]
             after = _fit(channel, kept)

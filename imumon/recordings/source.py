@@ -43,7 +43,7 @@ class Source:
         None for a raw capture.
     imported : sequence of Column
         Columns of an imported session's table.
-    doubts : callable
+    caveats : callable
         Returns what is not known of a table from elsewhere, after the run.
     range : Ranges
         Of its sensors, as the session's pipeline file or map declares it, before that of the device file.
@@ -54,7 +54,7 @@ class Source:
     device: DeviceFile | None
     session: Session | None
     imported: tuple[Column, ...] = ()
-    doubts: Callable[[], list[str]] = list
+    caveats: Callable[[], list[str]] = list
     range: Ranges = field(default_factory=Ranges)
 
     def columns(self, pipeline: Pipeline) -> list[Column]:
@@ -78,7 +78,7 @@ class Source:
     def warnings(self) -> list[str]:
         """Return what is missing from the recording, as it is known after the run."""
         if not isinstance(self.items, WireReader):
-            return self.doubts()
+            return self.caveats()
         said, summary = [], self.items.summary
         if self.session is not None and self.session.state == "interrupted":
             said.append("the session was not closed: it is still being recorded, or was interrupted")

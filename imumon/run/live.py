@@ -169,7 +169,7 @@ class LiveRun:
         self._log = SessionLog(self.session.path / LOG_NAME, say)
         self._say = self._log.put
         model = setup.model
-        self._doubt = model.of_another(serial) if isinstance(model, BiasModel) else ""
+        self._of_another = model.of_another(serial) if isinstance(model, BiasModel) else ""
         self._writer = self._wire_writer()
         self._recorder = Recorder(self._writer, self._recording_problem, self._save)
         self._reader = reader_of(device, settings, self._recorder.put, self._items.put)
@@ -206,8 +206,8 @@ class LiveRun:
             remove_empty(self.session)
             raise
         self._recorder.start()
-        if self._doubt:
-            self._say("WARN", self._doubt)
+        if self._of_another:
+            self._say("WARN", self._of_another)
 
     def begin(self, publish: Sequence[Publish]) -> None:
         """Decode what has come and what comes, and show it to `publish` as view items."""

@@ -97,7 +97,7 @@ class Moved:
     ----------
     least, greatest : array (3,)
         The bias, rad/s.
-    doubt : array (3,)
+    turned : array (3,)
         How fast it may have turned all the time, rad/s: what nobody had decided then.
     undecided, rate : array (3,)
         The rms of the turn in question, and the rate less the bias when it came in question, rad/s.
@@ -107,7 +107,7 @@ class Moved:
 
     least: FloatArray = field(default_factory=lambda: np.full(3, np.inf))
     greatest: FloatArray = field(default_factory=lambda: np.full(3, -np.inf))
-    doubt: FloatArray = field(default_factory=_zero)
+    turned: FloatArray = field(default_factory=_zero)
     undecided: FloatArray = field(default_factory=_zero)
     rate: FloatArray = field(default_factory=_zero)
     plainly: bool = False
@@ -115,7 +115,7 @@ class Moved:
     def see(self, bias: FloatArray, undecided: FloatArray) -> None:
         """Take the bias of a slot at rest."""
         self.least, self.greatest = np.fmin(self.least, bias), np.fmax(self.greatest, bias)
-        self.doubt = np.maximum(self.doubt, np.abs(undecided))
+        self.turned = np.maximum(self.turned, np.abs(undecided))
 
     def move(self, undecided: FloatArray, rate: FloatArray, noise: FloatArray) -> None:
         """Take a slot in motion: the turn in question, the rate less the bias, and its noise, (3,) each."""
@@ -128,7 +128,7 @@ class Moved:
         """Return how much of a turn a bias can have taken in; infinite where that is not known."""
         if not self.plainly:
             return np.full(3, np.inf)
-        off = np.fmax(self.greatest - bias, bias - self.least) + self.doubt
+        off = np.fmax(self.greatest - bias, bias - self.least) + self.turned
         return np.where(np.isfinite(off), np.abs(off), np.inf)
 
 

@@ -297,9 +297,9 @@ class State:
         History of this rest.
     strengths, strengths_seen : array, (14,)
         Log-likelihoods of the noises that are tried (`wander`) before this history, and with it.
-    doubt : array, (3,)
+    unseen : array, (3,)
         Rms of a turn that nobody knows of, rad/s: it may have begun in this rest.
-    doubt_age : float
+    unseen_age : float
         How long ago it did, units of the history.
     anchors : list of Anchor
         Means of earlier rests that differ, the latest first.
@@ -339,8 +339,8 @@ class State:
     past: Past = field(default_factory=Past)
     strengths: FloatArray = field(default_factory=lambda: np.zeros(14))
     strengths_seen: FloatArray = field(default_factory=lambda: np.zeros(14))
-    doubt: FloatArray = field(default_factory=lambda: np.zeros(3))
-    doubt_age: float = 0.0
+    unseen: FloatArray = field(default_factory=lambda: np.zeros(3))
+    unseen_age: float = 0.0
     anchors: list[Anchor] = field(default_factory=list)
     undecided_since_s: float = np.nan
     turn: FloatArray = field(default_factory=lambda: np.zeros(3))
@@ -367,7 +367,7 @@ class State:
 
         So may half of what the noise leaves of a gyro's step, for its readings are the same with and without.
         """
-        likely = [math.sqrt(self.chance) * self.turn, self.doubt, self.begun]
+        likely = [math.sqrt(self.chance) * self.turn, self.unseen, self.begun]
         turn = max(likely, key=lambda one: float(one @ one))
         return np.asarray(np.copysign(np.hypot(turn, 0.5 * self.windows.resolution[GYRO]), turn))
 

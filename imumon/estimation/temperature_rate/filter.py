@@ -208,9 +208,9 @@ def step(state: State, reading: Reading) -> Shown:
     return state.given
 
 
-def _raw(sensor: Sensor, reading: Reading, doubt: float) -> Shown:
+def _raw(sensor: Sensor, reading: Reading, off: float) -> Shown:
     """Return the mean of a slot's readings and how far they may be off; the rate is not known (NaN)."""
-    sd = math.sqrt(sensor.step**2 + sensor.inside + sensor.roughness + reading.variance + doubt**2)
+    sd = math.sqrt(sensor.step**2 + sensor.inside + sensor.roughness + reading.variance + off**2)
     return Shown(reading.end_s, reading.mean, 0.0, math.nan, sd, math.nan)
 
 
@@ -268,8 +268,8 @@ def _estimate(state: State, reading: Reading) -> Shown:
     state.shown = state.shown._replace(lively=state.lively)
     if math.isfinite(state.stuck) and not state.lively:
         # Nobody knows which of two levels is the fault.
-        doubt = abs(state.stuck - state.shown.temperature)
-        sd = math.hypot(state.shown.temperature_sd, doubt)
+        between = abs(state.stuck - state.shown.temperature)
+        sd = math.hypot(state.shown.temperature_sd, between)
         state.shown = state.shown._replace(temperature_sd=sd)
     if (heard or repeats) and not state.faults:
         _keep_near(state, means.slow, reading if taken is None else taken, reading.end_s)
@@ -397,12 +397,12 @@ def extrapolate(
             at = shown.temperature + age * shown.rate + left
             low, high = min(before, reading[i]) - shown.reach, max(before, reading[i]) + shown.reach
             off = min(at - low, 0.0) + max(at - high, 0.0)
-            doubted = not shown.lively and math.isfinite(reading[i])
-            doubt = max(abs(reading[i] - at) - shown.reach, 0.0) if doubted else 0.0
+            unsure = not shown.lively and math.isfinite(reading[i])
+            beyond = max(abs(reading[i] - at) - shown.reach, 0.0) if unsure else 0.0
             off = off if abs(off) < FASTEST * (SLOT_S + age) else 0.0
             temperature[i] = at - off
             rate[i] = shown.rate + age * shown.acceleration + rate_left
-            temperature_sd[i] = math.hypot(shown.temperature_sd, left) + max(abs(off), doubt)
+            temperature_sd[i] = math.hypot(shown.temperature_sd, left) + max(abs(off), beyond)
             rate_sd[i] = math.hypot(shown.rate_sd, rate_left)
         elif math.isfinite(reading[i]):
             temperature[i], rate[i], temperature_sd[i], rate_sd[i] = reading[i], 0.0, scatter, START_RATE
