@@ -17,10 +17,7 @@ from imumon.recordings.source import TABLE_SUFFIXES
 def find(place: str) -> list[str]:
     """Return the sessions at a place in order: itself, or all in the folders below; a table is one, too.
 
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when there is none, or the place cannot be read; BAD_CONFIG when a package is missing.
+    Raises BAD_DATA when there is none, or the place cannot be read; BAD_CONFIG when a package is missing.
     """
     found = _elsewhere(place) if is_url(place) else _here(Path(place))
     if not found:
@@ -39,10 +36,7 @@ def fetched(place: str, folder: Path | None = None) -> Iterator[Path]:
 
     Copied are its metadata and what everything else follows from; a recording of the view stays where it is.
 
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when it cannot be read.
+    Raises BAD_DATA when it cannot be read.
     """
     if not is_url(place):
         yield Path(place)

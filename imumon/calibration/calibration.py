@@ -80,10 +80,7 @@ class Calibration:
 def read_sessions(paths: Sequence[Path]) -> tuple[list[Record], list[str]]:
     """Return the records of sessions, and what is to be said of them.
 
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when one cannot be read.
+    Raises BAD_DATA when one cannot be read.
     """
     found = [read_session(path) for path in paths]
     return [record for record, _ in found], [text for _, said in found for text in said]
@@ -101,11 +98,8 @@ def calibrate(
     With latitude and heading, the earth rate is taken from the gyros (levelled by the accelerometers);
     otherwise it stays in the constant of their curves.
 
-    Raises
-    ------
-    ImumonError
-        BAD_DATA, with the numbers seen, when the data does not allow a model; BAD_CONFIG when only one of
-        latitude and heading is given, or the heading cannot be used.
+    Raises BAD_DATA, with the numbers seen, when the data does not allow a model; BAD_CONFIG when only one of
+    latitude and heading is given, or the heading cannot be used.
     """
     check_place(latitude_deg, heading_deg)
     check_columns(records)

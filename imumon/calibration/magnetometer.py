@@ -58,18 +58,15 @@ class MagnetometerFit:
 def fit_magnetometer(blocks: Iterable[SampleBlock], unit: str, source: str) -> MagnetometerFit:
     """Fit hard and soft iron to the magnetometer of samples.
 
+    Raises BAD_DATA when there is no magnetometer, too little was turned, or the readings are on no ellipsoid;
+    it says how much of the directions was seen, and what to turn next.
+
     Parameters
     ----------
     unit : str
         Of the readings.
     source : str
         Name for messages.
-
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when there is no magnetometer, too little was turned, or the readings are on no ellipsoid;
-        it says how much of the directions was seen, and what to turn next.
     """
     found = [part for part in (_columns(block) for block in blocks) if part is not None]
     if not found:

@@ -78,10 +78,7 @@ def record_of(
 def read_session(path: Path) -> tuple[Record, list[str]]:
     """Read a session, recorded or imported; return its record, and what the user should know of it.
 
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when there is no session, or it cannot be read.
+    Raises BAD_DATA when there is no session, or it cannot be read.
     """
     recording = open_recording(path, _stages)
     record = record_of(

@@ -113,15 +113,12 @@ class Unit:
 def read_sessions(folder: Path, results: Path, tell: Tell = lambda _: None) -> list[Entry]:
     """Return the sessions below a folder, the oldest first; what `results` does not have of them is replayed.
 
+    Raises BAD_DATA when there is no session; as `Dataset` for the results.
+
     Parameters
     ----------
     results : Path
         Folder of ``imumon batch replay``, to which the new ones are added.
-
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when there is no session; as `Dataset` for the results.
     """
     options = BatchOptions(command="replay")
     places = find(str(folder))

@@ -151,10 +151,7 @@ class _Recorded:
     def at(cls, path: Path) -> _Recorded:
         """Open it.
 
-        Raises
-        ------
-        ImumonError
-            As `open_source` and `recorded_setup` do.
+        Raises ImumonError as `open_source` and `recorded_setup` do.
         """
         from imumon.recordings.folder import open_session
         from imumon.recordings.source import open_source
@@ -204,10 +201,7 @@ def _log(recorded: _Recorded, name: str, session: Session) -> tuple[dict[str, ob
 def _shown(rec: rr.RecordingStream, setup: ViewSetup, mode: Mode, bind: str) -> str:
     """Connect the stream to a viewer or to the page that shows it; return where that is.
 
-    Raises
-    ------
-    ImumonError
-        NOT_FOUND when no viewer comes up.
+    Raises NOT_FOUND when no viewer comes up.
     """
     from imumon.view.frames import Start
     from imumon.view.links import NativeLink, WebLink

@@ -49,10 +49,7 @@ class Compared:
 def compare(runs: Sequence[Run], models: tuple[BiasModel, BiasModel]) -> list[Compared]:
     """Return what two models leave of every channel that both have.
 
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when there is none, or the unit was never at rest for 30 s.
+    Raises BAD_DATA when there is none, or the unit was never at rest for 30 s.
     """
     found = []
     for run in runs:

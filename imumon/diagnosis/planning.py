@@ -368,10 +368,7 @@ def _searched(run: Run, channel: str, degree: int, kinds: Sequence[str]) -> Sear
 def write_plan(report: Report, number: int, made: Plan, folder: Path) -> list[Path]:
     """Write an experiment: the chamber's course, and a scenario of it for each answer.
 
-    Raises
-    ------
-    OSError
-        When a file cannot be written.
+    Raises OSError when a file cannot be written.
     """
     if made.profile is None:
         return []

@@ -120,10 +120,7 @@ def read_runs(
     `sensors` are those that are to be diagnosed, see `channels_of`; `at_rest` says that the unit was
     at rest all the time, whatever the samples look like.
 
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when there is nothing to read, no run of five minutes, or a table that needs a map.
+    Raises BAD_DATA when there is nothing to read, no run of five minutes, or a table that needs a map.
     """
     recording = open_recording(path, stages, map_path)
     blocks = recording.blocks()

@@ -72,6 +72,8 @@ def predict(
 def correct(estimate: Estimate, measurement: FloatArray, model: FloatArray, noise: FloatArray) -> Correction:
     """Update with z = H x + v, v of covariance R, in Joseph's form.
 
+    Raises numpy.linalg.LinAlgError when the covariance of the innovation is singular.
+
     Parameters
     ----------
     measurement : array, (..., m)
@@ -80,11 +82,6 @@ def correct(estimate: Estimate, measurement: FloatArray, model: FloatArray, nois
         H.
     noise : array, (..., m, m)
         R.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        When the covariance of the innovation is singular.
     """
     mean, covariance = estimate
     innovation = measurement - np.einsum("...ij,...j->...i", model, mean)

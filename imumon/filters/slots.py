@@ -114,6 +114,8 @@ NO_RATES = -1
 class SlotGatherer:
     """Gathers rows into slots; the same slots whatever the division into blocks.
 
+    Raises ValueError when the length is not positive.
+
     Parameters
     ----------
     columns : int
@@ -122,11 +124,6 @@ class SlotGatherer:
         Length of a slot.
     rates : int, optional
         First of three columns that are the rates of turn about the body axes, rad/s, which are integrated.
-
-    Raises
-    ------
-    ValueError
-        When the length is not positive.
     """
 
     def __init__(self, columns: int, length_ns: int, rates: int | None = None) -> None:

@@ -183,10 +183,7 @@ class BiasModel(StrictModel):
     def write(self, path: Path) -> None:
         """Write the model file; what `load_model` reads from it equals this model, to the bit.
 
-        Raises
-        ------
-        OSError
-            When it cannot be written; a file that was there before is untouched.
+        Raises OSError when it cannot be written; a file that was there before is untouched.
         """
         write_text(path, self.to_yaml())
 
@@ -198,10 +195,7 @@ class BiasModel(StrictModel):
 def load_model(path: str | Path) -> BiasModel:
     """Read a model file.
 
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG, naming file and line, what was found and what was expected.
+    Raises BAD_CONFIG, naming file and line, what was found and what was expected.
     """
     try:
         return load_yaml(Path(path), BiasModel)

@@ -50,16 +50,13 @@ class BiasPredictor:
     about 0.1 µs per sample and channel, whatever the curve, and 50 µs per block; an effect costs 40 to 90 ns
     in long blocks, and 0.2 ms for each block.
 
+    Raises BAD_CONFIG when the model lacks a channel.
+
     Parameters
     ----------
     model : BiasModel
     channels : sequence of str
         Such as gyro_x; the columns of the result, in this order.
-
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG when the model lacks a channel.
     """
 
     def __init__(self, model: BiasModel, channels: Sequence[str]) -> None:

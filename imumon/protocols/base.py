@@ -261,20 +261,14 @@ class Encoder(ABC):
         Counters and clocks wrap as in the device.  What is missing is sent as NaN, or as zero where the
         number has no NaN.
 
-        Raises
-        ------
-        ImumonError
-            BAD_DATA when a value does not fit the field that carries it.
+        Raises BAD_DATA when a value does not fit the field that carries it.
         """
 
 
 def chosen(names: Sequence[str], there: Mapping[str, T], what: str) -> list[T]:
     """Return what is sent, by its names.
 
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG when there is nothing of a name, or nothing to send.
+    Raises BAD_CONFIG when there is nothing of a name, or nothing to send.
     """
     for name in names:
         if name not in there:

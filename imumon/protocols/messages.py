@@ -186,16 +186,13 @@ class TableDecoder(LayoutDecoder):
 class TableEncoder(Encoder):
     """Makes the packets of a sample, one message after the other.
 
+    Raises BAD_CONFIG when there is no such message.
+
     Parameters
     ----------
     family : TableFamily
     names : sequence of str
         Names of messages, in the order in which they are sent.
-
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG when there is no such message.
     """
 
     def __init__(self, family: TableFamily, names: Sequence[str]) -> None:

@@ -46,6 +46,8 @@ STRETCH = 64
 class Params:
     """What a user may set; the paper has 300 or 180 s, 180 or 120 s, and 90 measurements.
 
+    Raises ValueError when they are out of range.
+
     Parameters
     ----------
     step : float
@@ -58,11 +60,6 @@ class Params:
         N > 2 `order`; when so many measurements are in the buffer, the oldest goes.
     order : int
         3: α + βu + γe^(-u) (13); 2: α + βu, the paper's section 4.2, where T0 only scales u.
-
-    Raises
-    ------
-    ValueError
-        When they are out of range.
     """
 
     step: float = 0.05

@@ -97,10 +97,7 @@ def means_of(time_ns: IntArray, reading: FloatArray) -> list[RestMean]:
 def fit_local_level(means: Sequence[RestMean]) -> LocalLevelFit:
     """Fit white noise and random walk by likelihood.
 
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when there are too few means.
+    Raises BAD_DATA when there are too few means.
     """
     count = sum(1 for mean in means if mean.covered_s > 0.0)
     if count < LEAST_MEANS:

@@ -111,6 +111,8 @@ class State(NamedTuple):
 class SigmaPointFilter(ScalarFilter[FilterSeries]):
     """SR-RSUKF of one axis; with μ = 0 it is the SR-UKF.
 
+    Raises BAD_CONFIG when μ would make the covariance lose its sign, with the limit.
+
     Parameters
     ----------
     model : ModelNL
@@ -119,11 +121,6 @@ class SigmaPointFilter(ScalarFilter[FilterSeries]):
         Diagonal of μ in 1/unit²; zero for φ, δ¹ and δ².
     phi_limit : float
         φ is held within ±phi_limit; infinity lets it go, as the paper does.
-
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG when μ would make the covariance lose its sign, with the limit.
     """
 
     def __init__(
@@ -157,10 +154,7 @@ class SigmaPointFilter(ScalarFilter[FilterSeries]):
 def check_risk(model: ModelNL, risk: Sequence[float]) -> None:
     """Refuse a risk that breaks the filter at once or in the long run.
 
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG, with what was given and the limit.
+    Raises BAD_CONFIG, with what was given and the limit.
     """
     names = dict(zip(STATES, risk, strict=True))
     if any(value < 0.0 or not math.isfinite(value) for value in risk):

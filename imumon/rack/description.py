@@ -109,10 +109,7 @@ class Plan:
 def load_rack(path: Path) -> dict[str, Plan]:
     """Read a rack and every file that it names; return the plan of each unit by its name.
 
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG, with file and line, what was found and what was expected.
+    Raises BAD_CONFIG, with file and line, what was found and what was expected.
     """
     text = read_text(path, hint=f"give a rack file (format: {FORMAT})")
     rack = parse_yaml(text, RackFile, str(path))

@@ -79,10 +79,7 @@ def read_foreign(
 
     Whether it is Parquet or text is decided by the content, not by the name.
 
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when it cannot be read; BAD_CONFIG when it lacks a column, naming those that it has.
+    Raises BAD_DATA when it cannot be read; BAD_CONFIG when it lacks a column, naming those that it has.
     """
     try:
         with path.open("rb") as file:

@@ -79,6 +79,9 @@ class Recording:
 def open_recording(path: Path, stages: Stages = no_stages, map_path: Path | None = None) -> Recording:
     """Open a session, live or imported, or a table: one that imumon wrote, or any with its map.
 
+    Raises BAD_DATA when there is nothing to read, or something that is no recording; BAD_CONFIG for a wrong
+    map.
+
     Parameters
     ----------
     path : Path
@@ -87,11 +90,6 @@ def open_recording(path: Path, stages: Stages = no_stages, map_path: Path | None
         What the samples run through; a stage of which a table has a column already is left out.
     map_path : Path or None
         Says what is in which column of a table from elsewhere.
-
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when there is nothing to read, or something that is no recording; BAD_CONFIG for a wrong map.
     """
     if is_session(path) or path.is_dir():
         return _session(path, stages)

@@ -53,17 +53,14 @@ class Written:
 def write_ros2(tables: Mapping[str, Path], out: Path, axes: Literal["FLU", "FRD"] | None) -> Written:
     """Write tables of a run as one MCAP file.
 
+    Raises BAD_CONFIG when the package mcap-ros2-support is not installed.
+
     Parameters
     ----------
     tables : mapping of str to Path
         Of the main stream and of each side stream, Parquet.
     axes : "FLU", "FRD" or None
         Body axes of the samples; where they are not known the samples stay as they are.
-
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG when the package mcap-ros2-support is not installed.
     """
     try:
         from mcap_ros2.writer import Writer

@@ -48,11 +48,8 @@ class RowTimes:
     def take(self, part: Part) -> tuple[IntArray, IntArray]:
         """Return the times of rows in ns, and their segments.
 
-        Raises
-        ------
-        ImumonError
-            BAD_DATA at the first time that does not increase, unless it goes back and that begins a segment,
-            and for times beyond 64 bits.
+        Raises BAD_DATA at the first time that does not increase, unless it goes back and that begins a
+        segment, and for times beyond 64 bits.
         """
         times = self._times(part)
         if not len(times):

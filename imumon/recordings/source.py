@@ -160,16 +160,13 @@ def _place(place: Place, began_ns: int) -> str:
 def open_source(path: Path, device_name: str | None = None, rate_hz: float | None = None) -> Source:
     """Open a session folder, or a raw capture of the device named.
 
+    Raises BAD_DATA when there is nothing to read; BAD_CONFIG for a capture without a device, or a rate for an
+    imported session, whose samples have their times.
+
     Parameters
     ----------
     rate_hz : float, optional
         Packets per second, which dates those of a device that sends no time; default: the device file's.
-
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when there is nothing to read; BAD_CONFIG for a capture without a device, or a rate for an
-        imported session, whose samples have their times.
     """
     if not is_session(path):
         if path.is_dir():
@@ -216,10 +213,7 @@ def _declared(session: Session) -> Ranges:
 def session_device(session: Session) -> DeviceFile:
     """Return the device of a session as it was when the session was recorded.
 
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when the session keeps no device file.
+    Raises BAD_DATA when the session keeps no device file.
     """
     if session.metadata.device_yaml is None:
         raise ImumonError(Reason.BAD_DATA, f"{session.path}: session.yaml has no device_yaml")
@@ -229,10 +223,7 @@ def session_device(session: Session) -> DeviceFile:
 def capture_items(path: Path) -> Iterator[Item]:
     """Yield the bytes of a raw capture, whose arrival times nobody knows.
 
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when the file cannot be read.
+    Raises BAD_DATA when the file cannot be read.
     """
     try:
         with path.open("rb") as file:

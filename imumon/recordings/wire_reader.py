@@ -31,10 +31,7 @@ class WireReader:
     def __iter__(self) -> Iterator[Item]:
         """Yield the items in the order in which they were written, each read by itself.
 
-        Raises
-        ------
-        ImumonError
-            As `batches`.
+        Raises ImumonError as `batches`.
         """
         for item in self.batches():
             if isinstance(item, Event):
@@ -45,10 +42,7 @@ class WireReader:
     def batches(self) -> Iterator[Reads | Event]:
         """Yield the items in the order in which they were written, reads that follow each other together.
 
-        Raises
-        ------
-        ImumonError
-            BAD_DATA, when the file cannot be read or is not a wire file.
+        Raises BAD_DATA, when the file cannot be read or is not a wire file.
         """
         scan = Scan(self.path)
         self.damage = scan.found.damage

@@ -225,10 +225,7 @@ class Scan:
     def finish(self, size: int, last: bytes) -> None:
         """Say how a file of so many bytes ends, the last of which are given.
 
-        Raises
-        ------
-        ImumonError
-            BAD_DATA when this is no wire file of a format that is known.
+        Raises BAD_DATA when this is no wire file of a format that is known.
         """
         if not self._good and self._lost == 0:
             raise ImumonError(Reason.BAD_DATA, f"{self._path}: is not a wire file", _HINT)
@@ -380,10 +377,7 @@ class Scan:
     def _rare(self, opcode: int, before: memoryview, body: bytes) -> Iterator[Reads | Event]:
         """Take in a rare record: header, channel, end, or a chunk if another tool rewrote the file.
 
-        Raises
-        ------
-        ValueError
-            When it is not what its first byte says; the library has others.
+        Raises ValueError when it is not what its first byte says; the library has others.
         """
         stream = ReadDataStream(BytesIO(body))
         if opcode == DATA_END_OP:

@@ -119,6 +119,8 @@ class LiveSummary:
 class LiveRun:
     """Records and decodes a port until it is stopped.
 
+    Raises EXISTS when the folder holds a session; BAD_CONFIG when it cannot be written.
+
     Parameters
     ----------
     device : DeviceFile
@@ -137,11 +139,6 @@ class LiveRun:
         More stages, behind the others.
     serial : str or None
         Serial number of the unit, kept with the session.
-
-    Raises
-    ------
-    ImumonError
-        EXISTS when the folder holds a session; BAD_CONFIG when it cannot be written.
     """
 
     def __init__(
@@ -193,10 +190,8 @@ class LiveRun:
     def open(self) -> None:
         """Open the port, and read and record from now on.
 
-        Raises
-        ------
-        ImumonError
-            The reasons of `Reader.start` when the port cannot be opened; then no session is left behind.
+        Raises ImumonError the reasons of `Reader.start` when the port cannot be opened; then no session is
+        left behind.
         """
         try:
             self._reader.start()

@@ -72,10 +72,7 @@ class Stream:
 def measure(link: CommandLink, device: DeviceFile, rate_hz: float | None) -> Stream:
     """Listen to a device and return what it sends.
 
-    Raises
-    ------
-    ImumonError
-        LOST when the port failed.
+    Raises LOST when the port failed.
     """
     decoder, times = device.decoder(), dict[str, list[np.ndarray]]()
     seconds = max(min(max(PACKETS / rate_hz, LEAST_S), MOST_S), PERIODS / rate_hz) if rate_hz else LEAST_S

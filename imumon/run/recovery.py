@@ -44,12 +44,8 @@ class Recovered:
 def recover(path: Path) -> Recovered:
     """Make a session whole that was interrupted or damaged; one that is whole is left as it is.
 
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when this is no session with a wire file; BUSY when it is being recorded.
-    OSError
-        When the disk is full or fails; each file is then as it was, or whole and new.
+    Raises BAD_DATA when this is no session with a wire file; BUSY when it is being recorded; OSError when the
+    disk is full or fails; each file is then as it was, or whole and new.
     """
     session = open_session(path)
     if session.metadata.source == "import":

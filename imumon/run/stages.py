@@ -79,10 +79,7 @@ def estimators(device: DeviceFile | None, setup: Setup | None = None) -> list[Es
 def _of_plugins() -> list[Estimator]:
     """Return a new stage of each plug-in.
 
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG, naming it, when it makes none.
+    Raises BAD_CONFIG, naming it, when it makes none.
     """
     made: list[Estimator] = []
     for name, make in plugins(STAGES, "callable that returns a stage", _is_callable).items():

@@ -153,6 +153,9 @@ def detect(
 ) -> list[Evidence]:
     """Listen at one rate after the other until the bytes frame; return the evidence, the best first.
 
+    Raises ImumonError when the port cannot be opened or is lost.  A rate that the adapter does not offer is
+    passed over.
+
     Parameters
     ----------
     url : str
@@ -167,11 +170,6 @@ def detect(
         Told what is tried next.
     heard : callable
         Given the bytes as they come.
-
-    Raises
-    ------
-    ImumonError
-        When the port cannot be opened or is lost.  A rate that the adapter does not offer is passed over.
     """
     for factory in candidates.values():
         factory().feed(b"\0", 0)  # compiled kernels are loaded before bytes pile up

@@ -187,10 +187,8 @@ class Reader:
     def start(self) -> None:
         """Open the port and start reading.
 
-        Raises
-        ------
-        ImumonError
-            When the port cannot be opened now: the name may be wrong, so it is not tried again.
+        Raises ImumonError when the port cannot be opened now: the name may be wrong, so it is not tried
+        again.
         """
         port, wakeup = open_port(self.settings), Wakeup()
         name = f"reader of {self.settings.url}"

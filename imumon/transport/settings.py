@@ -17,6 +17,8 @@ _ALLOWED: dict[str, tuple[object, ...]] = {
 class PortSettings:
     """Where the bytes come from and how the line is set.
 
+    Raises BAD_CONFIG when a value is not one of these.
+
     Parameters
     ----------
     url : str
@@ -26,11 +28,6 @@ class PortSettings:
         Bits per second on the line; a ``socket://`` has no line, so it does not matter there.
     bytesize, parity, stopbits
         Data bits 5 to 8; parity N, E, O, M or S; stop bits 1, 1.5 or 2.
-
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG when a value is not one of these.
     """
 
     url: str

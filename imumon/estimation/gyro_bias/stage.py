@@ -49,6 +49,8 @@ class GyroBias:
     bias, and `notices` says so.  There is no estimate (NaN) until the unit was at rest for some seconds, or
     for a minute in motion, which says nothing of an upright axis.
 
+    Raises BAD_CONFIG when the thermal mode has no model, or the model lacks a gyro.
+
     Parameters
     ----------
     parameters : GyroBiasParameters
@@ -62,11 +64,6 @@ class GyroBias:
     latitude_deg, heading_deg : float or None
         Of the place, and of the body's x axis (where that is vertical: of -z) at the first rest, clockwise
         from north.
-
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG when the thermal mode has no model, or the model lacks a gyro.
     """
 
     def __init__(

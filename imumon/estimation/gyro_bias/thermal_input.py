@@ -90,17 +90,14 @@ class ThermalVariance:
 class ThermalInput:
     """Sum of the model's increments since the start, and of the variance that they bring.
 
+    Raises BAD_CONFIG when the model lacks a gyro.
+
     Parameters
     ----------
     model : BiasModel or None
         None: the bias stays where it is.
     form : "increments" or "slope_rate"
         b(T_k) - b(T_k-1), or the published T_s (∂b/∂T) Ṫ with the rate from the columns temperature_rate.
-
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG when the model lacks a gyro.
     """
 
     def __init__(self, model: BiasModel | None, form: str = "increments") -> None:

@@ -56,10 +56,7 @@ class PolynomialCurve(StrictModel):
 def fit_polynomial(points: Points, order: int) -> PolynomialCurve:
     """Fit a polynomial of this order by weighted least squares.
 
-    Raises
-    ------
-    ValueError
-        When there are fewer distinct temperatures than coefficients.
+    Raises ValueError when there are fewer distinct temperatures than coefficients.
     """
     low, high = float(points.temperature.min()), float(points.temperature.max())
     if len(np.unique(points.temperature)) <= order:

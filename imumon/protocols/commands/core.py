@@ -241,19 +241,13 @@ class Family(ABC):
     def wanted(self, present: Mapping[str, bytes], wish: Wish) -> dict[str, bytes]:
         """Return the settings that make the wish true.
 
-        Raises
-        ------
-        ImumonError
-            BAD_CONFIG when the device has no such rate.
+        Raises BAD_CONFIG when the device has no such rate.
         """
 
     def wanted_hz(self, present: Mapping[str, bytes], wish: Wish) -> float:
         """Return the rate that is wished for, else that which is there.
 
-        Raises
-        ------
-        ImumonError
-            BAD_CONFIG when there is neither.
+        Raises BAD_CONFIG when there is neither.
         """
         rate_hz = wish.rate_hz or (self.rate_hz(present) if present else None)
         if rate_hz is None:
@@ -288,10 +282,7 @@ class Family(ABC):
     def check(self, wish: Wish, baudrate: int | None) -> None:
         """Refuse what no device of the family has, before anything is sent.
 
-        Raises
-        ------
-        ImumonError
-            BAD_CONFIG, naming what there is.
+        Raises BAD_CONFIG, naming what there is.
         """
         for name in wish.outputs or ():
             if name not in OUTPUTS:
@@ -327,10 +318,7 @@ def nothing_to_keep(what: str, option: str) -> ImumonError:
 def divisor(base_hz: float, rate_hz: float) -> int:
     """Return the whole number by which a base rate is divided to give this one.
 
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG when there is none, with the nearest rates.
+    Raises BAD_CONFIG when there is none, with the nearest rates.
     """
     exact = base_hz / rate_hz
     by = min(max(round(exact), 1), MOST_DIVISOR)

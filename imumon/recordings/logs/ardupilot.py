@@ -69,10 +69,7 @@ def is_one(_: Path, head: bytes) -> bool:
 def read(path: Path, sensor: str | None = None) -> Log:
     """Return a sensor of a log, by its number, IMU.0 the first.
 
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when it has no IMU messages; BAD_CONFIG when not of this sensor.
+    Raises BAD_DATA when it has no IMU messages; BAD_CONFIG when not of this sensor.
     """
     found, damage = _messages(path)
     imus = sorted(name for name in found if name.startswith("IMU."))
@@ -114,10 +111,7 @@ class _Format:
     def described(cls, description: bytes) -> tuple[int, _Format]:
         """Return the number that a message FMT describes, and how it is read.
 
-        Raises
-        ------
-        ValueError
-            When it describes nothing that can be.
+        Raises ValueError when it describes nothing that can be.
         """
         number, length, *texts = DESCRIPTION.unpack(description)
         name, types, columns = (text.split(b"\0")[0].decode("ascii") for text in texts)

@@ -52,11 +52,8 @@ def is_one(_: Path, head: bytes) -> bool:
 def read(path: Path, sensor: str | None = None) -> Log:
     """Return the gyro of a table, gyroADC unless gyroUnfilt is asked for, and accSmooth.
 
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when it cannot be read; BAD_CONFIG when it was not decoded, when nothing says the scale of
-        its gyro, or it has no such gyro.
+    Raises BAD_DATA when it cannot be read; BAD_CONFIG when it was not decoded, when nothing says the scale of
+    its gyro, or it has no such gyro.
     """
     lines, skip = _head(path)
     table, damage = _read_table(path, skip)

@@ -36,10 +36,7 @@ class LogReport:
 def import_log(path: Path, sensor: str | None, out: Path) -> LogReport:
     """Make a session of one inertial sensor of a log; rows whose time does not increase are counted only.
 
-    Raises
-    ------
-    ImumonError
-        As `reader_of`, the reader of the log, and `imumon.recordings.importing.import_table`.
+    Raises ImumonError as `reader_of`, the reader of the log, and `imumon.recordings.importing.import_table`.
     """
     log = reader_of(path)(path, sensor)
     with TemporaryDirectory(prefix="imumon-log-") as folder:
@@ -60,10 +57,7 @@ def import_log(path: Path, sensor: str | None, out: Path) -> LogReport:
 def reader_of(path: Path) -> Reader:
     """Return what reads a log, as its content says, not its name.
 
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when it cannot be read; BAD_CONFIG when it is none of these logs, and needs a map.
+    Raises BAD_DATA when it cannot be read; BAD_CONFIG when it is none of these logs, and needs a map.
     """
     head = b""
     if not path.is_dir():

@@ -214,10 +214,7 @@ def pick(
 ) -> tuple[str, list[str]]:
     """Return the sensor that is wanted, else the first, and the others.
 
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when the log has no inertial sensor, BAD_CONFIG when not that one.
+    Raises BAD_DATA when the log has no inertial sensor, BAD_CONFIG when not that one.
     """
     if not found:
         broken = f", of which {damage.size:,} bytes are damaged" if damage.places else ""

@@ -57,10 +57,7 @@ def is_one(_: Path, head: bytes) -> bool:
 def read(path: Path, sensor: str | None = None) -> Log:
     """Return a gyro of a log and the accelerometer of the same number, sensor_gyro.0 the first.
 
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when it has no sensor_gyro; BAD_CONFIG when not this one.
+    Raises BAD_DATA when it has no sensor_gyro; BAD_CONFIG when not this one.
     """
     try:
         from pyulog import ULog

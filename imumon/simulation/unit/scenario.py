@@ -36,10 +36,7 @@ class _Based(StrictModel):
     def load(cls, name: str | Path) -> Self:
         """Read one by its known name or the path of its file.
 
-        Raises
-        ------
-        ImumonError
-            BAD_CONFIG, naming file and line, what was found and what was expected.
+        Raises BAD_CONFIG, naming file and line, what was found and what was expected.
         """
         path = cls._path(name)
         text = read_text(path)

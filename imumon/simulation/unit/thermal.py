@@ -112,10 +112,7 @@ def chamber_log(scenario: Scenario, seed: int) -> tuple[FloatArray, FloatArray]:
 
     The case has the temperature of the unit without its own heat.
 
-    Raises
-    ------
-    ValueError
-        When the scenario has no log.
+    Raises ValueError when the scenario has no log.
     """
     chamber = scenario.chamber
     if chamber.log is None:
