@@ -23,21 +23,15 @@ _DEG = math.degrees(1.0)
 
 @dataclass(frozen=True, slots=True)
 class TermOfSensor:
-    """How a term of one sensor is told.
-
-    Parameters
-    ----------
-    unit, key : str
-        SI unit, and key in the noise section of a pipeline.
-    title, shown, factor : str, str, float
-        What a person reads: its name, its unit, and how many of it are one SI unit.
-    """
+    """How a term of one sensor is told."""
 
     unit: str
     key: str
+    """SI unit, and key in the noise section of a pipeline."""
     title: str
     shown: str
     factor: float
+    """What a person reads: its name, its unit, and how many of it are one SI unit."""
 
 
 TERMS_OF = {

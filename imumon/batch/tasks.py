@@ -31,25 +31,17 @@ from imumon.version import __version__
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """A session, what is to be done with it, and where files of it go.
-
-    Parameters
-    ----------
-    place : str
-        Path or URL of the session.
-    out : str
-        Folder of the batch, which every worker sees under the same path.
-    version : str
-        Of the imumon that asks.
-    limit_s : float or None
-        How long a worker may take.
-    """
+    """A session, what is to be done with it, and where files of it go."""
 
     place: str
+    """Path or URL of the session."""
     options: BatchOptions
     out: str
+    """Folder of the batch, which every worker sees under the same path."""
     version: str = __version__
+    """Of the imumon that asks."""
     limit_s: float | None = None
+    """How long a worker may take."""
 
     def file(self, folder: str, suffix: str) -> Path:
         """Return where a file of this session goes; two sessions of one name have two."""

@@ -33,26 +33,18 @@ MARGIN = 0.005
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What was found of one channel.
-
-    Parameters
-    ----------
-    choice : Choice
-    points : Points
-        What the curve was fitted to, each run less its turn-on offset.
-    white : array (n,)
-        Variance that the samples' own noise leaves in each of the points, if it is white.
-    offset : array (runs,)
-        Turn-on offset of each run from the mean of all, in the channel's unit; NaN where it cannot be told.
-    lag_rms : float
-        What a gyro `imumon.effects.thermal_lag.UNTOLD_S` behind its thermometer would err by in this data.
-    """
+    """What was found of one channel."""
 
     choice: Choice
     points: Points
+    """What the curve was fitted to, each run less its turn-on offset."""
     white: FloatArray
+    """Variance that the samples' own noise leaves in each of the points, if it is white, (n,)."""
     offset: FloatArray
+    """Turn-on offset of each run from the mean of all, in the channel's unit, (runs,); NaN where it cannot
+    be told."""
     lag_rms: float
+    """What a gyro `imumon.effects.thermal_lag.UNTOLD_S` behind its thermometer would err by in this data."""
     comparable: bool = True
     """Whether the offsets are the sensor's own; those of an accelerometer in several poses are gravity's."""
 

@@ -38,21 +38,14 @@ TRIANGLE = np.triu_indices(3)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MagnetometerFit:
-    """A calibration, and what it was made of.
-
-    Parameters
-    ----------
-    model : MagnetometerModel
-    readings, field : array (n, 3)
-        As sent, and corrected; the readings that counted.
-    residual_before : float
-        Scatter of the strength as sent, in the same unit.
-    """
+    """A calibration, and what it was made of."""
 
     model: MagnetometerModel
     readings: FloatArray
     field: FloatArray
+    """As sent, and corrected, (n, 3); the readings that counted."""
     residual_before: float
+    """Scatter of the strength as sent, in the same unit."""
 
 
 def fit_magnetometer(blocks: Iterable[SampleBlock], unit: str, source: str) -> MagnetometerFit:

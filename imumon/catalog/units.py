@@ -28,23 +28,15 @@ Tell = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Entry:
-    """A session of the catalog.
-
-    Parameters
-    ----------
-    session : Session
-    model : BiasModel or None
-        That it ran with.
-    channels : mapping of str to row
-        What a replay says of each channel: mean, sd, least, greatest.
-    failure : str
-        Why there are none; empty when there are.
-    """
+    """A session of the catalog."""
 
     session: Session
     model: BiasModel | None
+    """That it ran with."""
     channels: Mapping[str, Mapping[str, Any]]
+    """What a replay says of each channel: mean, sd, least, greatest."""
     failure: str = ""
+    """Why there are none; empty when there are."""
 
     @property
     def hours(self) -> float:
@@ -81,15 +73,10 @@ class Dated:
 
 @dataclass(slots=True, eq=False)
 class Unit:
-    """A unit: its sessions, the oldest first, and its models, in the order of their data.
-
-    Parameters
-    ----------
-    name : str
-        Serial number; of sessions without one the device, in brackets.
-    """
+    """A unit: its sessions, the oldest first, and its models, in the order of their data."""
 
     name: str
+    """Serial number; of sessions without one the device, in brackets."""
     device: str
     entries: list[Entry] = field(default_factory=list)
     models: list[Dated] = field(default_factory=list)

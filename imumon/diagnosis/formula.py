@@ -152,28 +152,19 @@ class Term(Effect):
 
 @dataclass(frozen=True, slots=True)
 class Formula:
-    """What describes a residual that no known effect explains.
-
-    Parameters
-    ----------
-    terms : list of (Node, float)
-        With the coefficient, in the unit of the channel.
-    tried : int
-        Number of terms that it was chosen from.
-    gain : float
-        Over what was claimed, in BIC, after the price of the search.
-    fit : Fit
-        Of the declared model, what is claimed, and the terms.
-    test_before, test_rms : float
-        What is left of the test with what is claimed, and with the formula.
-    """
+    """What describes a residual that no known effect explains."""
 
     terms: list[tuple[Node, float]]
+    """With the coefficient, in the unit of the channel."""
     tried: int
+    """Number of terms that it was chosen from."""
     gain: float
+    """Over what was claimed, in BIC, after the price of the search."""
     fit: Fit
+    """Of the declared model, what is claimed, and the terms."""
     test_before: float
     test_rms: float
+    """What is left of the test with what is claimed, and with the formula."""
 
     @property
     def scales(self) -> dict[str, Scale]:

@@ -111,20 +111,14 @@ class Open:
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """How a profile does.
-
-    Parameters
-    ----------
-    value, needed : float
-        Difference of gains in BIC for the pair that is told apart worst, and what is needed for it.
-    truth, rival : str
-        That pair.
-    """
+    """How a profile does."""
 
     value: float
     needed: float
+    """Difference of gains in BIC for the pair that is told apart worst, and what is needed for it."""
     truth: str
     rival: str
+    """That pair."""
 
     @property
     def ratio(self) -> float:

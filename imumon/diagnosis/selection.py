@@ -53,39 +53,26 @@ Progress = Callable[[str], None]
 
 @dataclass(slots=True)
 class Finding:
-    """An effect that was found in a channel.
-
-    Parameters
-    ----------
-    candidate : Candidate
-        With refined parameters; coefficients come with the fit.
-    gain : float
-        Over the model so far, in BIC.
-    pooled_gain : float
-        The same over all channels that show something, with shared nonlinear parameters.
-    rivals : dict of str to float
-        Gain of every family at that stage.
-    alike : list of str
-        Families that cannot be told apart from it, it among them; empty when there is no other.
-    size : float
-        rms of what it takes away from the residual.
-    by_test : bool
-        Whether the test alone proves it.
-    others : dict of str to Candidate
-        The best of each other family that is not told apart from it.
-    known : bool
-        Whether it is of the model that was given, and fitted anew.
-    """
+    """An effect that was found in a channel."""
 
     candidate: Candidate
+    """With refined parameters; coefficients come with the fit."""
     gain: float
+    """Over the model so far, in BIC."""
     pooled_gain: float
+    """The same over all channels that show something, with shared nonlinear parameters."""
     rivals: dict[str, float]
+    """Gain of every family at that stage."""
     alike: list[str]
+    """Families that cannot be told apart from it, it among them; empty when there is no other."""
     size: float
+    """rms of what it takes away from the residual."""
     by_test: bool = False
+    """Whether the test alone proves it."""
     others: dict[str, Candidate] = field(default_factory=dict)
+    """The best of each other family that is not told apart from it."""
     known: bool = False
+    """Whether it is of the model that was given, and fitted anew."""
 
     @property
     def name(self) -> str:

@@ -76,58 +76,42 @@ class SlowNoise:
 
 @dataclass(slots=True)
 class ChannelVerdict:
-    """What is said of a channel.
-
-    Parameters
-    ----------
-    before, after : Fit
-        Declared and extended model.
-    test_before, test_after : TestScore or None
-        None without a test.
-    left_out : list of dict
-        What was found but made the test worse.
-    slow : SlowNoise
-        In the unit of the channel.
-    questions : list of Question
-        What is open.
-    predicts : bool
-        Whether the extended model goes into the model file; else the declared one does: nothing of what is
-        claimed carries over, or the levels of the test make the prediction worse with it.
-    refit : list of str
-        What was fitted anew of a model that was given, its curve first; empty when that stays as it is.
-    turns : list of Step
-        The turns of the loop.
-    formula : Formula or None
-        What describes the unexplained, if anything does.
-    ranking : list of Ranked
-        The effects that gain most at first, each alone.
-    runs : list of RunLeft
-        What each run is left with.
-    declared_covariance : array of shape (degree + 1, degree + 1)
-        Of the coefficients of the declared model.
-    """
+    """What is said of a channel."""
 
     channel: Channel
     before: Fit
     after: Fit
+    """Declared and extended model."""
     test_before: TestScore | None
     test_after: TestScore | None
+    """None without a test."""
     claims: list[Claim]
     unexplained: bool
     summary: str
     explained: float
     noise: tuple[float, float]
     left_out: list[dict[str, Any]] = field(default_factory=list)
+    """What was found but made the test worse."""
     remark: str = ""
     predicts: bool = True
+    """Whether the extended model goes into the model file; else the declared one does: nothing of what is
+    claimed carries over, or the levels of the test make the prediction worse with it."""
     slow: SlowNoise = SlowNoise()
+    """In the unit of the channel."""
     questions: list[Question] = field(default_factory=list)
+    """What is open."""
     refit: list[str] = field(default_factory=list)
+    """What was fitted anew of a model that was given, its curve first; empty when that stays as it is."""
     turns: list[Step] = field(default_factory=list)
+    """The turns of the loop."""
     formula: Formula | None = None
+    """What describes the unexplained, if anything does."""
     ranking: list[Ranked] = field(default_factory=list)
+    """The effects that gain most at first, each alone."""
     runs: list[RunLeft] = field(default_factory=list)
+    """What each run is left with."""
     declared_covariance: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
+    """Of the coefficients of the declared model, (degree + 1, degree + 1)."""
 
     @property
     def name(self) -> str:

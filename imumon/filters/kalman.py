@@ -23,23 +23,15 @@ class Estimate(NamedTuple):
 
 
 class Correction(NamedTuple):
-    """What a measurement did.
-
-    Parameters
-    ----------
-    estimate : Estimate
-        After the measurement.
-    innovation : array, (..., m)
-        Measurement less its prediction.
-    innovation_covariance : array, (..., m, m)
-    log_likelihood : array, (...)
-        Logarithm of the density of the measurement as it was predicted.
-    """
+    """What a measurement did."""
 
     estimate: Estimate
+    """After the measurement."""
     innovation: FloatArray
+    """Measurement less its prediction."""
     innovation_covariance: FloatArray
     log_likelihood: FloatArray
+    """Logarithm of the density of the measurement as it was predicted."""
 
     @property
     def standardised(self) -> FloatArray:

@@ -32,24 +32,16 @@ NO_TIME, COUNTED, TIMED = range(3)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Epochs:
-    """Epochs of one stream.
-
-    Parameters
-    ----------
-    block : SampleBlock
-        One row each.
-    after : array of int64, (n,)
-        How many rows of the main stream were complete when each began.
-    until : array of int64, (n,)
-        How many were complete when each ended.
-    more : array of int64, (n,)
-        Steps of the packet counter within the epoch: packets that came besides the first.
-    """
+    """Epochs of one stream."""
 
     block: SampleBlock
+    """One row each."""
     after: IntArray
+    """How many rows of the main stream were complete when each began, (n,)."""
     until: IntArray
+    """How many were complete when each ended, (n,)."""
     more: IntArray
+    """Steps of the packet counter within the epoch, (n,): packets that came besides the first."""
 
 
 @dataclass(slots=True)

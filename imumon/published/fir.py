@@ -47,26 +47,18 @@ class Params:
     """What a user may set; the paper has 300 or 180 s, 180 or 120 s, and 90 measurements.
 
     Raises ValueError when they are out of range.
-
-    Parameters
-    ----------
-    step : float
-        Quantization step δτ of the sensor in °C.
-    window_s : float
-        Least length T_w of the window in s.
-    time_constant_s : float
-        Time constant T0 in s.
-    buffer_size : int
-        N > 2 `order`; when so many measurements are in the buffer, the oldest goes.
-    order : int
-        3: α + βu + γe^(-u) (13); 2: α + βu, the paper's section 4.2, where T0 only scales u.
     """
 
     step: float = 0.05
+    """Quantization step δτ of the sensor in °C."""
     window_s: float = 300.0
+    """Least length T_w of the window in s."""
     time_constant_s: float = 180.0
+    """Time constant T0 in s."""
     buffer_size: int = 90
+    """N > 2 `order`; when so many measurements are in the buffer, the oldest goes."""
     order: int = 3
+    """3: α + βu + γe^(-u) (13); 2: α + βu, the paper's section 4.2, where T0 only scales u."""
 
     def __post_init__(self) -> None:
         positive = self.step > 0 and self.window_s > 0 and self.time_constant_s > 0
@@ -81,31 +73,21 @@ class Params:
 
 @dataclass
 class State:
-    """What the filter carries from sample to sample.
-
-    Parameters
-    ----------
-    x : array (n,)
-        α, β (and γ), °C.
-    s : array (n, n)
-        Upper triangular, S Sᵀ the covariance.
-    t0 : float
-        Time bias, s.
-    last_reading, temperature : float
-        Of the last sample, °C.
-    buffer : deque of (value, time)
-        Measurements in use, oldest first, °C and s.
-    shift : float
-        Time constants by which t0 moved since the last fit.
-    """
+    """What the filter carries from sample to sample."""
 
     x: FloatArray
+    """α, β (and γ), °C, (n,)."""
     s: FloatArray
+    """Upper triangular, S Sᵀ the covariance, (n, n)."""
     t0: float
+    """Time bias, s."""
     last_reading: float
     temperature: float
+    """Of the last sample, °C."""
     buffer: deque[tuple[float, float]] = field(default_factory=deque)
+    """Measurements in use, oldest first, °C and s."""
     shift: float = 0.0
+    """Time constants by which t0 moved since the last fit."""
 
 
 def model_row(order: int, u: float) -> FloatArray:

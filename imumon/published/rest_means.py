@@ -20,27 +20,18 @@ LEAST_S = 0.5
 
 @dataclass(frozen=True, slots=True)
 class RestMean:
-    """One second of one axis.
-
-    Parameters
-    ----------
-    begins : bool
-        Whether a segment begins here.
-    elapsed_s : float
-        From the middle of the last slot to the middle of this one.
-    covered_s : float
-        Time at rest with readings; 0 where the slot says nothing.
-    mean : float
-        rad/s; NaN where the slot says nothing.
-    interval_s : float
-        Between samples.
-    """
+    """One second of one axis."""
 
     begins: bool
+    """Whether a segment begins here."""
     elapsed_s: float
+    """From the middle of the last slot to the middle of this one."""
     covered_s: float
+    """Time at rest with readings; 0 where the slot says nothing."""
     mean: float
+    """rad/s; NaN where the slot says nothing."""
     interval_s: float
+    """Between samples."""
 
 
 class RestMeans:

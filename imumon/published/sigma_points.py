@@ -45,19 +45,13 @@ REGULAR = 1.5
 
 @dataclass(frozen=True, slots=True)
 class ModelNL:
-    """Where model NL begins.
-
-    Parameters
-    ----------
-    mean, variance : sequence of 5 float
-        X and the diagonal of its covariance, in the unit of the data and its square (φ has none).
-    noise_variance : float
-        R, of one measurement.
-    """
+    """Where model NL begins."""
 
     mean: Sequence[float]
     variance: Sequence[float]
+    """X and the diagonal of its covariance, in the unit of the data and its square (φ has none)."""
     noise_variance: float
+    """R, of one measurement."""
 
     @property
     def process_variance(self) -> float:
@@ -66,21 +60,15 @@ class ModelNL:
 
 
 class FilterSeries(NamedTuple):
-    """What a filter says at each sample, arrays of shape (n,).
-
-    Parameters
-    ----------
-    predicted, estimate, sd : array
-        x_k|k-1, x_k|k and its standard deviation, in the unit of the data.
-    phi, phi_sd : array
-        φ and its standard deviation.
-    """
+    """What a filter says at each sample, arrays of shape (n,)."""
 
     predicted: FloatArray
     estimate: FloatArray
     sd: FloatArray
+    """x_k|k-1, x_k|k and its standard deviation, in the unit of the data."""
     phi: FloatArray
     phi_sd: FloatArray
+    """φ and its standard deviation."""
 
 
 class Settings(NamedTuple):
@@ -92,20 +80,14 @@ class Settings(NamedTuple):
 
 
 class State(NamedTuple):
-    """What the filter carries from sample to sample, changed in place.
-
-    Parameters
-    ----------
-    mean, factor : array (5,), (5, 5)
-        X and the lower triangular S of its covariance S Sᵀ.
-    shrunk, clamped : array of int64 (1,)
-        Steps with a smaller μ, and steps at which φ was held back.
-    """
+    """What the filter carries from sample to sample, changed in place."""
 
     mean: FloatArray
     factor: FloatArray
+    """X and the lower triangular S of its covariance S Sᵀ, (5,)."""
     shrunk: IntArray
     clamped: IntArray
+    """Steps with a smaller μ, and steps at which φ was held back, (1,)."""
 
 
 class SigmaPointFilter(ScalarFilter[FilterSeries]):

@@ -44,31 +44,21 @@ class BadRow:
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """Rows of a table as they come.
-
-    Parameters
-    ----------
-    rows_in : int
-        Rows in the table, good and bad; blank lines are none.
-    index : array of shape (n,)
-        Number of each good row among all rows, from 0.
-    line : array of shape (n,)
-        Line (text) or row (Parquet) of each good row, from 1.
-    time_ns : array of shape (n,), or None when the table has no time
-        As the column says it, also where it wraps.
-    local : bool
-        Whether it is dates without a zone, as local clocks write them; they are taken for UTC.
-    values : array of shape (k, n)
-        The columns of data that were asked for, in the units of the table; NaN where a cell is empty.
-    bad : list of BadRow
-    """
+    """Rows of a table as they come."""
 
     rows_in: int
+    """Rows in the table, good and bad; blank lines are none."""
     index: IntArray
+    """Number of each good row among all rows, from 0, (n,)."""
     line: IntArray
+    """Line (text) or row (Parquet) of each good row, from 1, (n,)."""
     time_ns: IntArray | None
+    """As the column says it, also where it wraps, (n,)."""
     local: bool
+    """Whether it is dates without a zone, as local clocks write them; they are taken for UTC."""
     values: FloatArray
+    """The columns of data that were asked for, in the units of the table, (k, n); NaN where a cell is
+    empty."""
     bad: list[BadRow]
 
 

@@ -29,28 +29,19 @@ def no_stages(_: DeviceFile | None) -> Sequence[Estimator]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
-    """A recording that is open; its samples can be read once.
-
-    Parameters
-    ----------
-    name : str
-        Of its folder or file.
-    truth : Path
-        The file that everything follows from.
-    device, axes : str or None
-        What sent it, and in which body axes; None for a table.
-    source : Source
-        What is read.
-    pipeline : Pipeline
-        What it runs through.
-    """
+    """A recording that is open; its samples can be read once."""
 
     name: str
+    """Of its folder or file."""
     truth: Path
+    """The file that everything follows from."""
     device: str | None
     axes: str | None
+    """What sent it, and in which body axes; None for a table."""
     source: Source
+    """What is read."""
     pipeline: Pipeline
+    """What it runs through."""
 
     @property
     def columns(self) -> dict[str, Column]:

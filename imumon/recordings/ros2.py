@@ -91,22 +91,15 @@ def write_ros2(tables: Mapping[str, Path], out: Path, axes: Literal["FLU", "FRD"
 
 @dataclass(slots=True)
 class Stream:
-    """How the samples of a stream become messages, block by block.
-
-    Parameters
-    ----------
-    units : mapping of str to str
-        Of its columns.
-    clock : str
-        The column that has the times of the messages; empty where there is none.
-    flip : bool
-        Whether the samples are turned by 180° about x, from forward-right-down to forward-left-up.
-    """
+    """How the samples of a stream become messages, block by block."""
 
     name: str
     units: Mapping[str, str]
+    """Of its columns."""
     clock: str
+    """The column that has the times of the messages; empty where there is none."""
     flip: bool
+    """Whether the samples are turned by 180° about x, from forward-right-down to forward-left-up."""
     _noise: dict[str, _Noise] = field(default_factory=lambda: {kind: _Noise() for kind in NOISY})
     _told_ns: int | None = None
     """Time of the latest row."""

@@ -21,13 +21,7 @@ WITH_ZONE = "write the times in UTC or with their zone (+01:00)"
 
 @dataclass(slots=True)
 class RowTimes:
-    """Times of the rows so far: checks that they increase, counts segments, sums the span.
-
-    Parameters
-    ----------
-    table : Path
-    table_map : TableMap
-    """
+    """Times of the rows so far: checks that they increase, counts segments, sums the span."""
 
     table: Path
     table_map: TableMap

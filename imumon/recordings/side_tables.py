@@ -24,21 +24,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Exported:
-    """What was written.
-
-    Parameters
-    ----------
-    rows : int
-        Of the main stream.
-    tables : dict of str to Path
-        Of each stream that has rows.
-    left_out : list of str
-        What the format has no place for.
-    """
+    """What was written."""
 
     rows: int
+    """Of the main stream."""
     tables: dict[str, Path]
+    """Of each stream that has rows."""
     left_out: list[str] = field(default_factory=list)
+    """What the format has no place for."""
 
     def as_dict(self) -> dict[str, Any]:
         """Return it as ``--json`` has it."""

@@ -31,31 +31,21 @@ BATCH_BYTES = 1 << 18
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """Something recorded, ready to be run over.
-
-    Parameters
-    ----------
-    items : iterable
-        What `run_over` takes.
-    device : DeviceFile or None
-        What sent the bytes; None for an imported session.
-    session : Session or None
-        None for a raw capture.
-    imported : sequence of Column
-        Columns of an imported session's table.
-    caveats : callable
-        Returns what is not known of a table from elsewhere, after the run.
-    range : Ranges
-        Of its sensors, as the session's pipeline file or map declares it, before that of the device file.
-    """
+    """Something recorded, ready to be run over."""
 
     path: Path
     items: Iterable[Item] | Iterable[SampleBlock]
+    """What `run_over` takes."""
     device: DeviceFile | None
+    """What sent the bytes; None for an imported session."""
     session: Session | None
+    """None for a raw capture."""
     imported: tuple[Column, ...] = ()
+    """Columns of an imported session's table."""
     caveats: Callable[[], list[str]] = list
+    """Returns what is not known of a table from elsewhere, after the run."""
     range: Ranges = field(default_factory=Ranges)
+    """Of its sensors, as the session's pipeline file or map declares it, before that of the device file."""
 
     def columns(self, pipeline: Pipeline) -> list[Column]:
         """Return the columns that the run's blocks have so far; `pipeline` is the one it runs through."""

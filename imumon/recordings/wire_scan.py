@@ -86,26 +86,18 @@ _BAD_RECORD = (McapError, ZstdError, struct.error, ValueError, RuntimeError, Ove
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """A damaged place of a wire file.
-
-    Parameters
-    ----------
-    offset, size : int
-        Where in the file, and how many bytes of the file; 0 when bytes were cut out.
-    after_ns, before_ns : int
-        Unix time of the last message before and of the first one after it; 0 when there is none.
-    messages : int
-        Reads and events that are missing, as the numbers of those before and after say.
-    altered : bool
-        The messages are there, but are not as they were written: the checksum over the place differs.
-    """
+    """A damaged place of a wire file."""
 
     offset: int
     size: int
+    """Where in the file, and how many bytes of the file; 0 when bytes were cut out."""
     after_ns: int
     before_ns: int
+    """Unix time of the last message before and of the first one after it; 0 when there is none."""
     messages: int
+    """Reads and events that are missing, as the numbers of those before and after say."""
     altered: bool
+    """The messages are there, but are not as they were written: the checksum over the place differs."""
 
     @property
     def seconds(self) -> float:

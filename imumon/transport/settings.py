@@ -18,23 +18,17 @@ class PortSettings:
     """Where the bytes come from and how the line is set.
 
     Raises BAD_CONFIG when a value is not one of these.
-
-    Parameters
-    ----------
-    url : str
-        A device (``/dev/ttyUSB0``) or any URL that pyserial knows (``socket://host:port``,
-        ``rfc2217://host:port``, ``spy:///dev/ttyUSB0``, ``loop://``, ``hwgrep://regexp``).
-    baudrate : int
-        Bits per second on the line; a ``socket://`` has no line, so it does not matter there.
-    bytesize, parity, stopbits
-        Data bits 5 to 8; parity N, E, O, M or S; stop bits 1, 1.5 or 2.
     """
 
     url: str
+    """A device (``/dev/ttyUSB0``) or any URL that pyserial knows (``socket://host:port``,
+    ``rfc2217://host:port``, ``spy:///dev/ttyUSB0``, ``loop://``, ``hwgrep://regexp``)."""
     baudrate: int = 115200
+    """Bits per second on the line; a ``socket://`` has no line, so it does not matter there."""
     bytesize: int = 8
     parity: str = "N"
     stopbits: float = 1
+    """Data bits 5 to 8; parity N, E, O, M or S; stop bits 1, 1.5 or 2."""
 
     def __post_init__(self) -> None:
         """Check the values."""

@@ -34,17 +34,13 @@ class ThermalVariance:
 
     Within the calibrated range the error of the curve is a random walk over temperature; outside it the slope
     itself is unknown.  An unknown state at power-on has moved the bias by its sd at first less that now.
-
-    Parameters
-    ----------
-    residual, steepness, low_degc, high_degc : array (3,)
-        Residual of the curve, its rms slope per °C, and the calibrated range.
     """
 
     residual: FloatArray
     steepness: FloatArray
     low_degc: FloatArray
     high_degc: FloatArray
+    """Residual of the curve, its rms slope per °C, and the calibrated range, (3,)."""
     variance: FloatArray = field(init=False)
     mark_degc: FloatArray = field(init=False)
     outside_degc: FloatArray = field(init=False)

@@ -56,89 +56,60 @@ thermostat that switches every 2 min keeps it at 5 to 7, popcorn noise at 25 to 
 
 
 class Shown(NamedTuple):
-    """What is shown from a time on: a parabola, and remainders of what was shown before that fade away.
-
-    Parameters
-    ----------
-    time_s : float
-    temperature, rate, acceleration : float
-        °C, °C/s, °C/s².
-    temperature_sd, rate_sd : float
-    temperature_left, rate_left : float
-        The remainders at `time_s`.
-    reach : float
-        No sample is shown farther from the readings beside it than this, °C.
-    lively : bool
-        Whether readings have changed, so that a fault shows as one.
-    """
+    """What is shown from a time on: a parabola, and remainders of what was shown before that fade away."""
 
     time_s: float = 0.0
     temperature: float = math.nan
     rate: float = math.nan
     acceleration: float = math.nan
+    """°C, °C/s, °C/s²."""
     temperature_sd: float = math.nan
     rate_sd: float = math.nan
     temperature_left: float = 0.0
     rate_left: float = 0.0
+    """The remainders at `time_s`."""
     reach: float = math.inf
+    """No sample is shown farther from the readings beside it than this, °C."""
     lively: bool = True
+    """Whether readings have changed, so that a fault shows as one."""
 
 
 @dataclass(slots=True, eq=False)
 class State:
-    """All that is known of one thermometer and its temperature.
-
-    Parameters
-    ----------
-    sensor : Sensor
-    bank : Bank or None
-        None without an estimate.
-    shown : Shown
-    time_s, end_s : float
-        What the bank refers to, and the end of the last slot.
-    last, last_s : float
-        Last reading and the middle of its slot; a slot's mean before.
-    usual_s : float
-        Time between the last two slots with readings.
-    slowest, fastest : float
-        Rates that the last two readings show and allow until the next, °C/s; for slow refreshes.
-    step : float
-        The step that the bank takes the readings to have, °C.
-    faults : int
-        Slots that were passed over in a row.
-    stuck, stuck_s : float
-        What the first of them ended with, °C, NaN once that has changed; and when that was.
-    stuck_at : float
-        Where it stuck last, °C; NaN if it never did.
-    lively : bool
-        Whether readings have changed in this segment.
-    broken : float
-        Contradictions of late: sudden changes of the rate that its standard deviation did not allow.
-    refuses : bool
-        Whether there are too many for an estimate: then the readings themselves are given.
-    given : Shown
-        What is given to the user: what is shown, or the readings.
-    """
+    """All that is known of one thermometer and its temperature."""
 
     sensor: Sensor
     bank: Bank | None = None
+    """None without an estimate."""
     shown: Shown = field(default_factory=Shown)
     time_s: float = 0.0
     end_s: float = 0.0
+    """What the bank refers to, and the end of the last slot."""
     last: float = math.nan
     last_s: float = -math.inf
+    """Last reading and the middle of its slot; a slot's mean before."""
     usual_s: float = 0.0
+    """Time between the last two slots with readings."""
     slowest: float = 0.0
     fastest: float = 0.0
+    """Rates that the last two readings show and allow until the next, °C/s; for slow refreshes."""
     step: float = 0.0
+    """The step that the bank takes the readings to have, °C."""
     faults: int = 0
+    """Slots that were passed over in a row."""
     stuck: float = math.nan
     stuck_s: float = math.nan
+    """What the first of them ended with, °C, NaN once that has changed; and when that was."""
     stuck_at: float = math.nan
+    """Where it stuck last, °C; NaN if it never did."""
     lively: bool = False
+    """Whether readings have changed in this segment."""
     broken: float = 0.0
+    """Contradictions of late: sudden changes of the rate that its standard deviation did not allow."""
     refuses: bool = False
+    """Whether there are too many for an estimate: then the readings themselves are given."""
     given: Shown = field(default_factory=Shown)
+    """What is given to the user: what is shown, or the readings."""
 
     @classmethod
     def new(cls, step_degc: float | None) -> State:

@@ -73,24 +73,16 @@ Reader = Callable[[Message], bytes | Refusal | None]
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """Something to send.
-
-    Parameters
-    ----------
-    meaning : str
-        In words.
-    frame : bytes
-        As it goes over the line.
-    answer : callable or None
-        Finds the answer; None when the device does not answer to it.
-    timeout_s : float
-        How long to wait for the answer.
-    """
+    """Something to send."""
 
     meaning: str
+    """In words."""
     frame: bytes
+    """As it goes over the line."""
     answer: Reader | None
+    """Finds the answer; None when the device does not answer to it."""
     timeout_s: float = ANSWER_S
+    """How long to wait for the answer."""
 
     @property
     def shown(self) -> str:

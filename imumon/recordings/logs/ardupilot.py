@@ -84,28 +84,19 @@ def read(path: Path, sensor: str | None = None) -> Log:
 
 @dataclass(frozen=True, slots=True)
 class _Format:
-    """How messages of a number are read.
-
-    Parameters
-    ----------
-    length : int
-        Of a message, with its head.
-    layout : Struct
-        Of its fields, where some are kept.
-    kept : tuple of (field, factor)
-        Where each value that is kept stands among the fields; None where the message has no such field.
-    number : int or None
-        Where the number of the sensor stands.
-    sensor : int
-        Its number where none stands.
-    """
+    """How messages of a number are read."""
 
     length: int
+    """Of a message, with its head."""
     name: str
     layout: struct.Struct = DESCRIPTION
+    """Of its fields, where some are kept."""
     kept: tuple[tuple[int, float] | None, ...] = ()
+    """Where each value that is kept stands among the fields; None where the message has no such field."""
     number: int | None = None
+    """Where the number of the sensor stands."""
     sensor: int = 0
+    """Its number where none stands."""
 
     @classmethod
     def described(cls, description: bytes) -> tuple[int, _Format]:

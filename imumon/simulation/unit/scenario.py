@@ -192,36 +192,27 @@ class Course(StrictModel):
 
 
 class Scenario(_Based):
-    """A scenario, complete: everything that `imumon.simulation.unit.SimulatedUnit` needs but the seed.
-
-    Parameters
-    ----------
-    unit : Unit
-        The name of a file of configs/units, a path, or a mapping.
-    rate_hz, duration_s : float
-        Packets per second; how long the scenario lasts (a unit goes on after that, as it is).
-    axes : "FRD" or "FLU"
-        Body axes of the unit.
-    latitude_deg, gravity_m_per_s2 : float
-        They give the earth rate and the specific force at rest.
-    drivers : dict of str to Course
-        Further columns; effects of the unit may depend on them.
-    """
+    """A scenario, complete: everything that `imumon.simulation.unit.SimulatedUnit` needs but the seed."""
 
     kind = "scenario"
 
     format: Literal["imumon-scenario/1"]
     title: str = ""
     unit: Unit
+    """The name of a file of configs/units, a path, or a mapping."""
     rate_hz: float = Field(gt=0.0, le=10_000.0)
     duration_s: float = Field(gt=0.0, le=1e7)
+    """Packets per second; how long the scenario lasts (a unit goes on after that, as it is)."""
     axes: Literal["FRD", "FLU"] = "FRD"
+    """Body axes of the unit."""
     latitude_deg: float = Field(ge=-90.0, le=90.0)
     gravity_m_per_s2: float = Field(default=9.80665, gt=9.0, lt=10.0)
+    """They give the earth rate and the specific force at rest."""
     attitude: Attitude = Attitude()
     chamber: Chamber
     motion: list[Event] = Field(default_factory=list)
     drivers: dict[str, Course] = Field(default_factory=dict)
+    """Further columns; effects of the unit may depend on them."""
 
     @model_validator(mode="after")
     def _has_what_drives_the_unit(self) -> Self:
