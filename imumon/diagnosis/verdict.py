@@ -205,7 +205,7 @@ def judge(channel: Channel, found: Search, left_out: Sequence[dict[str, Any]]) -
     findings = [one for one in found.findings if not (small and one.candidate.scope == "event")]
     refit = [one for one in findings if one.known]
     before = _fit(channel, refit) if found.refit else given
-    kept, refuted = _not_worse(channel, given, findings)
+    kept, refuted = _not_worse(channel, findings)
     after = _fit(channel, kept)
     # What the digits alone make of a smooth bias is no structure.
     floor, remark = float(np.hypot(channel.floor.sd, channel.blind)), ""
@@ -308,14 +308,8 @@ def _scores(channel: Channel, before: Fit, after: Fit) -> tuple[TestScore, TestS
     return score(channel, before, like=after), score(channel, after)
 
 
-def _not_worse(
-    channel: Channel, given: Fit, findings: Sequence[Finding]
-) -> tuple[list[Finding], list[dict[str, Any]]]:
-    """Return the findings without those that the test refutes, and what those did.
-
-    A finding is refuted when the test is worse with it.  At last nothing stays that makes the prediction as a
-    whole worse.
-    """
+def _not_worse(channel: Channel, findings: Sequence[Finding]) -> tuple[list[Finding], list[dict[str, Any]]]:
+    """Return the findings without those that the test refutes, being worse with them, and what those did."""
     kept = list(findings)
     left_out: list[dict[str, Any]] = []
     while kept and channel.test:
@@ -326,27 +320,7 @@ def _not_worse(
             break
         left_out.append(trials[worst][1])
         kept.pop(worst)
-    while kept and (record := _worst_predicted(channel, given, kept)) is not None:
-        left_out.append(record)
-        kept = [finding for finding in kept if finding.name != record["name"]]
     return kept, left_out
-
-
-def _worst_predicted(channel: Channel, given: Fit, kept: Sequence[Finding]) -> dict[str, Any] | None:
-    """Return the numbers of the finding without which the prediction is best, if with all it is worse than
-    the declared one; else None."""
-    everything = _fit(channel, kept)
-    scores = _scores(channel, given, everything)
-    if scores is None or not scores[1].rms > scores[0].rms:
-        return None
-    if not all(part.carries for part in everything.parts):
-        return None  # the level of the test is another anyway: following it has shown what they are worth
-    without = {
-        finding.name: score(channel, _fit(channel, _others(kept, finding)), like=everything).rms
-        for finding in kept
-    }
-    name = min(without, key=without.__getitem__)
-    return {"name": name, "test_rms_with": scores[1].rms, "test_rms_without": without[name]}
 
 
 def _others(kept: Sequence[Finding], finding: Finding) -> list[Finding]:

@@ -153,8 +153,6 @@ class Effect(StrictModel):
     """Whether an unknown state at power-on is fitted as well: of the effect alone, or of sums of it, too."""
     one_sign: ClassVar[bool] = False
     """Whether coefficients of both signs are none of it."""
-    start_looks_like: ClassVar[tuple[str, ...]] = ()
-    """Effects that an unknown state at power-on passes for."""
     suspected_by: ClassVar[tuple[str, ...]] = ()
     """What the innovations of a bias filter follow when the model lacks it, see `imumon.estimation.watch`."""
     separated_by: ClassVar[Mapping[str, str]] = {}

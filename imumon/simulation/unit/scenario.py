@@ -138,25 +138,16 @@ class ChamberLog(StrictModel):
 
 
 class Chamber(StrictModel):
-    """The temperature around the unit; after the last step it stays.
-
-    Parameters
-    ----------
-    start_degc : float
-        Temperature at power-on, of chamber and unit.
-    steps : list of Step
-    wobble : Wobble or None
-    lag_s : float
-        Time constant with which the unit follows the chamber, a first-order filter; 0: at once.
-    log : ChamberLog or None
-        What is logged of the chamber beside the unit.
-    """
+    """The temperature around the unit; after the last step it stays."""
 
     start_degc: float
+    """Temperature at power-on, of chamber and unit."""
     steps: list[Step] = Field(default_factory=list)
     wobble: Wobble | None = None
     lag_s: float = Field(default=0.0, ge=0.0)
+    """Time constant with which the unit follows the chamber, a first-order filter; 0: at once."""
     log: ChamberLog | None = None
+    """What is logged of the chamber beside the unit."""
 
 
 class Unit(UnitParameters, _Based):
@@ -166,21 +157,14 @@ class Unit(UnitParameters, _Based):
 
 
 class Course(StrictModel):
-    """What a further sensor shows: straight between its corners, held after the last, with white noise.
-
-    Parameters
-    ----------
-    unit : str
-    at_s, value : list of float
-        The corners, times since power-on increasing.
-    noise : float
-        Standard deviation of a reading.
-    """
+    """What a further sensor shows: straight between its corners, held after the last, with white noise."""
 
     unit: str
     at_s: list[float] = Field(min_length=1)
     value: list[float] = Field(min_length=1)
+    """The corners, times since power-on increasing."""
     noise: float = Field(default=0.0, ge=0.0)
+    """Standard deviation of a reading."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
