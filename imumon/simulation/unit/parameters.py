@@ -76,7 +76,7 @@ class Hysteresis(StrictModel):
     """A loop h y(T) on top of the bias curve, with y between -1 (cooled) and 1 (heated), 0 at power-on."""
 
     kind: Literal["smooth", "play"] = "smooth"
-    r"""y' = (T' - \|T'\| y) / w; or y = (T - p) / w with the play p, which follows T at a distance w."""
+    """y' = (T' - |T'| y) / w; or y = (T - p) / w with the play p, which follows T at a distance w."""
     half_width_deg_per_h: Three
     """h."""
     width_degc: float = Field(gt=0.0)
