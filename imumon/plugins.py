@@ -25,7 +25,6 @@ def plugins(group: str, needed: str, fits: Callable[[str, Any], bool]) -> dict[s
 
     Parameters
     ----------
-    group : str
     needed : str
         What is offered there, in words.
     fits : callable

@@ -35,7 +35,6 @@ def limited(note: Path, limit_s: float) -> Iterator[None]:
     ----------
     note : Path
         Where it is said that it did; taken away again by who finds it, or when it ends in time.
-    limit_s : float
     """
     if (where := _taken(note)) is not None:
         raise ImumonError(Reason.TIMEOUT, f"was not done after its --timeout{where}")

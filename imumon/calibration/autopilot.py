@@ -65,7 +65,6 @@ def parameters(
 
     Parameters
     ----------
-    model : BiasModel
     autopilot : "ardupilot" or "px4"
     imu : int
         Number of the inertial sensor, from 0, as the logs count.

@@ -31,7 +31,6 @@ class Record:
     ----------
     name, sha256 : str
         Where it comes from, and the fingerprint of its bytes.
-    device, axes, serial : str or None
     means : Reduced
         Over `COLUMNS`.
     rest : array (n,) of bool

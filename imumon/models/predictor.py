@@ -46,7 +46,6 @@ class BiasPredictor:
 
     Parameters
     ----------
-    model : BiasModel
     channels : sequence of str
         Such as gyro_x; the columns of the result, in this order.
     """

@@ -122,12 +122,7 @@ class _Books(NamedTuple):
 
 
 class EpochAssembler:
-    """Puts packets together to epochs, whatever the division into blocks.
-
-    Parameters
-    ----------
-    groups : Groups
-    """
+    """Puts packets together to epochs, whatever the division into blocks."""
 
     def __init__(self, groups: Groups) -> None:
         self._groups = groups

@@ -168,7 +168,6 @@ class TableEncoder(Encoder):
 
     Parameters
     ----------
-    family : TableFamily
     names : sequence of str
         Names of messages, in the order in which they are sent.
     """

@@ -184,12 +184,7 @@ def evaluate(state: State, params: Params, seconds: FloatArray) -> RateEstimate:
 
 
 class FirRate:
-    """Least squares of a short-term model over the level changes of the last few minutes.
-
-    Parameters
-    ----------
-    params : Params
-    """
+    """Least squares of a short-term model over the level changes of the last few minutes."""
 
     def __init__(self, params: Params) -> None:
         self.params = params
@@ -276,10 +271,6 @@ class FirStage:
 
     Columns are ``fir_temperature_estimate``, ``fir_temperature_rate`` and their standard deviations, with the
     ending of the channel (``_x`` of ``temperature_x``).
-
-    Parameters
-    ----------
-    params : Params
     """
 
     CHANNELS = ("temperature", "temperature_x", "temperature_y", "temperature_z")

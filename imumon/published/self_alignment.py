@@ -209,7 +209,6 @@ class SelfAlignment:
 
     Parameters
     ----------
-    params : Params
     methods : sequence of str
         Of `METHODS`: whose columns are given.
     """

@@ -65,7 +65,6 @@ def import_table(table: Path, map_path: Path, out: Path, origin: Origin | None =
 
     Parameters
     ----------
-    table, map_path, out : Path
     origin : Origin, optional
         Where the table is only a step on the way.
     """
@@ -90,10 +89,6 @@ class TableImport:
 
     Raises BAD_CONFIG for a wrong map or a column that the table lacks, with file and line of the map;
     BAD_DATA for a table that cannot be read.
-
-    Parameters
-    ----------
-    table, map_path : Path
     """
 
     def __init__(self, table: Path, map_path: Path) -> None:

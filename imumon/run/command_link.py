@@ -131,7 +131,6 @@ def connect(url: str, device: DeviceFile, family: Family, baudrate: int | None) 
         The port.
     device : DeviceFile
         Its decoder and its rates; what its packets are known by.
-    family : Family
     baudrate : int or None
         Rate at which the device talks; found when None.
     """

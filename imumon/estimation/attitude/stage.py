@@ -72,7 +72,6 @@ class AttitudeEstimate:
 
     Parameters
     ----------
-    parameters : AttitudeParameters
     axes : "FRD", "FLU" or None
         Body axes, for roll and pitch; None: whichever stands upright at the beginning.
     magnetometer : MagnetometerModel or None

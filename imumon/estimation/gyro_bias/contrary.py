@@ -52,7 +52,6 @@ class Contrary:
 
         Parameters
         ----------
-        reading : Reading
         off : array (3,)
             Its rate less the bias, rad/s.
         up : array (3,)

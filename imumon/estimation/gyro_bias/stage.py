@@ -53,7 +53,6 @@ class GyroBias:
 
     Parameters
     ----------
-    parameters : GyroBiasParameters
     model : BiasModel or None
         Bias over temperature.
     mode : "standard", "thermal" or "learned"

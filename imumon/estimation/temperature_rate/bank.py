@@ -212,7 +212,6 @@ def started(
     ----------
     temperature, rate : (float, float)
         And their standard deviations, to which what any rate has is added: °C, °C/s.
-    slow : Slow
     kinds : array (k,), optional
         Weights of the kinds of noise, where they are known.
     """

@@ -98,8 +98,6 @@ class CommandError(Exception):
 
     Parameters
     ----------
-    request : Request
-    why : str
     refused : bool
         Whether the device said no; else it did not answer.
     """

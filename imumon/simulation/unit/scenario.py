@@ -128,7 +128,6 @@ class ChamberLog(StrictModel):
 
     Parameters
     ----------
-    interval_s : float
     thermometer : Thermometer
         Of either; the default is a thermocouple behind a data logger.
     """

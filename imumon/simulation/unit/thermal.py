@@ -76,12 +76,10 @@ class Thermometers:
 
     Parameters
     ----------
-    parameters : Thermometer
     count : int
         Number of thermometers k.
     rate_hz : float
         Packets per second; a reading is held for a whole number of packets.
-    seed : int
     name : str
         Of their noise.
     """
