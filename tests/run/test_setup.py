@@ -124,3 +124,10 @@ def test_a_session_with_the_older_names_of_a_probability_is_read() -> None:
     )
     assert setup.attitude == AttitudeParameters(accel_error_probability=0.2, axes_error_probability=0.0)
     assert parse_setup(setup.text() or "", "session.yaml") == setup
+
+
+def test_a_session_that_names_the_one_form_of_the_thermal_mode_is_read() -> None:
+    text = f"format: {FORMAT}\nzupt: {{zeroing_s: 30.0, thermal_form: increments}}\n"
+    assert parse_setup(text, "session.yaml").zupt.zeroing_s == 30.0
+    with pytest.raises(ImumonError, match="thermal_form: unknown key"):
+        parse_setup(text.replace("increments", "slope_rate"), "session.yaml")
