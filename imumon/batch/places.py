@@ -11,7 +11,7 @@ from typing import Any
 from imumon.errors import ImumonError, Reason, missing_package
 from imumon.recordings.folder import METADATA_NAME, Session, is_session
 from imumon.recordings.metadata import read_metadata
-from imumon.recordings.source import TABLE_SUFFIXES
+from imumon.recordings.table import SUFFIXES
 
 
 def find(place: str) -> list[str]:
@@ -45,7 +45,7 @@ def fetched(place: str, folder: Path | None = None) -> Iterator[Path]:
     with TemporaryDirectory(prefix="imumon-", dir=folder) as made:
         copy = Path(made) / path.rstrip("/").rpartition("/")[2]
         try:
-            if copy.suffix in TABLE_SUFFIXES:
+            if copy.suffix in SUFFIXES:
                 files.get_file(path, str(copy))
             else:
                 copy.mkdir()
@@ -58,7 +58,7 @@ def fetched(place: str, folder: Path | None = None) -> Iterator[Path]:
 
 
 def _here(path: Path) -> list[str]:
-    if is_session(path) or path.suffix in TABLE_SUFFIXES:
+    if is_session(path) or path.suffix in SUFFIXES:
         return [str(path.absolute())]
     return [str(each.parent.absolute()) for each in sorted(path.rglob(METADATA_NAME))]
 
@@ -66,7 +66,7 @@ def _here(path: Path) -> list[str]:
 def _elsewhere(place: str) -> list[str]:
     files, root = _opened(place)
     address, mark, options = place.partition("?")
-    if address.endswith(TABLE_SUFFIXES):
+    if address.endswith(SUFFIXES):
         return [place]
     try:
         files.info(root)  # which says why where there is nothing: the search below passes over errors

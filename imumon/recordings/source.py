@@ -16,12 +16,11 @@ from imumon.protocols.device import DeviceFile, load_device, parse_device
 from imumon.protocols.ranges import Ranges, declared
 from imumon.recordings.folder import METADATA_NAME, WIRE_NAME, Session, is_session, open_session
 from imumon.recordings.metadata import iso_utc
-from imumon.recordings.table import iterate_samples, read_columns
+from imumon.recordings.table import SUFFIXES, iterate_samples, read_columns
 from imumon.recordings.wire_reader import WireReader
 from imumon.recordings.wire_scan import Damage, Place
 from imumon.transport.reader import Bytes, EventKind, Item, Reads
 
-TABLE_SUFFIXES = (".parquet", ".csv")
 READ_SIZE = 1 << 16
 SHOWN_PLACES = 5
 """Damaged places that are said one by one."""
@@ -234,7 +233,7 @@ reading: ContextVar[Callable[[int], object]] = ContextVar("reading", default=lam
 def recorded_bytes(path: Path) -> int | None:
     """Return how many bytes `reading` will be told of; None where that is not known before, as of a table."""
     if not is_session(path):
-        return path.stat().st_size if path.is_file() and path.suffix not in TABLE_SUFFIXES else None
+        return path.stat().st_size if path.is_file() and path.suffix not in SUFFIXES else None
     session = open_session(path)
     if session.metadata.source == "import":
         return None
