@@ -46,6 +46,15 @@ def read_text(path: Path, reason: Reason = Reason.BAD_CONFIG, hint: str = "") ->
 
 
 @contextmanager
+def readable(path: Path, hint: str = "") -> Iterator[None]:
+    """Raise BAD_DATA, naming the file, where it cannot be read."""
+    try:
+        yield
+    except OSError as error:
+        raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read: {error.strerror}", hint) from error
+
+
+@contextmanager
 def naming(path: Path) -> Iterator[None]:
     """Let an OSError name this file, which is the one that a user knows, and not one on the way to it."""
     try:

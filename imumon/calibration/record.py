@@ -25,24 +25,17 @@ LEAST_COVERED = 0.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Record:
-    """The block means of one recording.
-
-    Parameters
-    ----------
-    name, sha256 : str
-        Where it comes from, and the fingerprint of its bytes.
-    means : Reduced
-        Over `COLUMNS`.
-    rest : array (n,) of bool
-        Blocks at rest and complete.
-    """
+    """The block means of one recording."""
 
     name: str
     sha256: str
+    """Where it comes from, and the fingerprint of its bytes."""
     device: str | None
     axes: str | None
     means: Reduced
+    """Over `COLUMNS`."""
     rest: BoolArray
+    """Blocks at rest and complete, (n,)."""
     serial: str | None = None
 
     def of(self, name: str) -> FloatArray:

@@ -79,18 +79,12 @@ class RestMeans:
 
 @dataclass
 class ExponentialMean:
-    """Mean with exponentially fading memory; over what there is so far until that is as long as the memory.
-
-    Parameters
-    ----------
-    time_constant_s : float
-        s at rest; infinity for the mean of everything.
-    longest_s : float
-        After so many s at rest the mean is held.
-    """
+    """Mean with exponentially fading memory; over what there is until that is as long as the memory."""
 
     time_constant_s: float
+    """s at rest; infinity for the mean of everything."""
     longest_s: float = math.inf
+    """After so many s at rest the mean is held."""
     rest_s: float = field(default=0.0, init=False)
     mean: float = field(default=math.nan, init=False)
 

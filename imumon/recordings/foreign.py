@@ -21,6 +21,7 @@ import pyarrow.parquet as pq
 
 from imumon.blocks import FloatArray, IntArray
 from imumon.errors import ImumonError, Reason
+from imumon.files import readable
 from imumon.recordings.map import TIMESTAMPS, TextFormat, TimeColumn
 from imumon.units import parse_unit
 
@@ -71,11 +72,8 @@ def read_foreign(
 
     Raises BAD_DATA when it cannot be read; BAD_CONFIG when it lacks a column, naming those that it has.
     """
-    try:
-        with path.open("rb") as file:
-            head = file.read(4096)
-    except OSError as error:
-        raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read: {error.strerror}") from error
+    with readable(path), path.open("rb") as file:
+        head = file.read(4096)
     if not head:
         raise ImumonError(Reason.BAD_DATA, f"{path}: is empty")
     wanted = [*columns, *([time.column] if time is not None else [])]
@@ -237,16 +235,13 @@ def _read_text(
 ) -> Iterator[Part]:
     """Yield the rows of a text table; bytes that are not text become part of a bad row."""
     first_row = 0
-    try:
-        with path.open(encoding=encoding, errors="replace") as file:
-            numbered = enumerate(islice(file, skip, None), skip + 1)
-            while chunk := list(islice(numbered, ROWS_PER_PART)):
-                rows = [(number, stripped) for number, line in chunk if (stripped := line.strip(" \r\n"))]
-                if rows:
-                    yield _text_part(rows, first_row, layout, time)
-                first_row += len(rows)
-    except OSError as error:
-        raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read: {error.strerror}") from error
+    with readable(path), path.open(encoding=encoding, errors="replace") as file:
+        numbered = enumerate(islice(file, skip, None), skip + 1)
+        while chunk := list(islice(numbered, ROWS_PER_PART)):
+            rows = [(number, stripped) for number, line in chunk if (stripped := line.strip(" \r\n"))]
+            if rows:
+                yield _text_part(rows, first_row, layout, time)
+            first_row += len(rows)
 
 
 def _text_part(rows: list[tuple[int, str]], first_row: int, layout: _Layout, time: TimeColumn | None) -> Part:

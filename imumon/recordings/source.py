@@ -11,6 +11,7 @@ from typing import Any, Literal
 from imumon.blocks import SampleBlock
 from imumon.columns import Column
 from imumon.errors import ImumonError, Reason
+from imumon.files import readable
 from imumon.pipeline import UNDATED, Pipeline
 from imumon.protocols.device import DeviceFile, load_device, parse_device
 from imumon.protocols.ranges import Ranges, declared
@@ -214,16 +215,10 @@ def capture_items(path: Path) -> Iterator[Item]:
 
     Raises BAD_DATA when the file cannot be read.
     """
-    try:
-        with path.open("rb") as file:
-            while data := file.read(READ_SIZE):
-                yield Bytes(data, UNDATED)
-    except OSError as error:
-        raise ImumonError(
-            Reason.BAD_DATA,
-            f"{path}: cannot be read: {error.strerror}",
-            "give a raw capture, or a session folder (which has a session.yaml)",
-        ) from error
+    hint = "give a raw capture, or a session folder (which has a session.yaml)"
+    with readable(path, hint), path.open("rb") as file:
+        while data := file.read(READ_SIZE):
+            yield Bytes(data, UNDATED)
 
 
 reading: ContextVar[Callable[[int], object]] = ContextVar("reading", default=lambda _: None)

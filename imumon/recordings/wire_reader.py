@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from imumon.errors import ImumonError, Reason
+from imumon.files import readable
 from imumon.recordings.wire_format import MAGIC
 from imumon.recordings.wire_scan import Damage, Scan, WireSummary
 from imumon.transport.reader import Event, Item, Reads
@@ -46,15 +46,12 @@ class WireReader:
         """
         scan = Scan(self.path)
         self.damage = scan.found.damage
-        try:
-            with self.path.open("rb") as file:
-                scan.begin(file.read(len(MAGIC)))
-                while not scan.done and (data := file.read(READ_SIZE)):
-                    yield from scan.feed(data)
-                yield from scan.feed(b"", end=True)
-                size = file.seek(0, os.SEEK_END)
-                file.seek(max(0, size - len(MAGIC)))
-                scan.finish(size, file.read())
-                self.summary = scan.found
-        except OSError as error:
-            raise ImumonError(Reason.BAD_DATA, f"{self.path}: cannot be read: {error.strerror}") from error
+        with readable(self.path), self.path.open("rb") as file:
+            scan.begin(file.read(len(MAGIC)))
+            while not scan.done and (data := file.read(READ_SIZE)):
+                yield from scan.feed(data)
+            yield from scan.feed(b"", end=True)
+            size = file.seek(0, os.SEEK_END)
+            file.seek(max(0, size - len(MAGIC)))
+            scan.finish(size, file.read())
+            self.summary = scan.found

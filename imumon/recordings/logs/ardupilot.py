@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from imumon.blocks import IntArray
-from imumon.errors import ImumonError, Reason
+from imumon.files import readable
 from imumon.recordings.logs.log import (
     GAUSS_TO_TESLA,
     Damage,
@@ -132,10 +132,8 @@ class _Format:
 
 def _messages(path: Path) -> tuple[dict[str, dict[str, Any]], Damage]:
     """Return the fields of the messages that are kept, by name and number of the sensor, and the damage."""
-    try:
+    with readable(path):
         data = path.read_bytes()
-    except OSError as error:
-        raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read: {error.strerror}") from error
     formats = {FORMAT: _Format(len(HEAD) + DESCRIPTION.size, "FMT")}
     rows, damage, good = dict[str, list[list[float]]](), Damage(), 0
     for at, known in _walk(data, formats):

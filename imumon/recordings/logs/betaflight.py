@@ -20,6 +20,7 @@ import pyarrow as pa
 from pyarrow import csv
 
 from imumon.errors import ImumonError, Reason
+from imumon.files import readable
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.recordings.logs.log import AXES, Damage, Log, Series, named, nanoseconds, pick, triple
 
@@ -132,14 +133,11 @@ class _Scaling:
 
 def _head(path: Path) -> tuple[dict[str, str], int]:
     """Return the H lines at the head of a table, and how many they are."""
-    try:
-        with path.open("rb") as file:
-            lines, count = [], 0
-            while (line := file.readline(1 << 16)).startswith(b"H "):
-                lines.append(line)
-                count += 1
-    except OSError as error:
-        raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read: {error.strerror}") from error
+    lines, count = [], 0
+    with readable(path), path.open("rb") as file:
+        while (line := file.readline(1 << 16)).startswith(b"H "):
+            lines.append(line)
+            count += 1
     if TABLE.match(line) is None:
         raise ImumonError(
             Reason.BAD_CONFIG, f"{path}: is a blackbox log as it was recorded", f"blackbox_decode {path}"

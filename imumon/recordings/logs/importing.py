@@ -8,7 +8,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from imumon.errors import ImumonError, Reason
-from imumon.files import write_text
+from imumon.files import readable, write_text
 from imumon.recordings.importing import ImportReport, Origin, import_table
 from imumon.recordings.logs import ardupilot, betaflight, px4, ros
 from imumon.recordings.logs.log import Damage, Log
@@ -61,11 +61,8 @@ def reader_of(path: Path) -> Reader:
     """
     head = b""
     if not path.is_dir():
-        try:
-            with path.open("rb") as file:
-                head = file.read(64)
-        except OSError as error:
-            raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read: {error.strerror}") from error
+        with readable(path), path.open("rb") as file:
+            head = file.read(64)
         if not head:
             raise ImumonError(Reason.BAD_DATA, f"{path}: is empty")
     for is_one, read in FORMATS:

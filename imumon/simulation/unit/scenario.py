@@ -124,16 +124,11 @@ class Wobble(StrictModel):
 
 
 class ChamberLog(StrictModel):
-    """Two thermometers on a computer of their own: at the inner wall of the chamber, and on the unit's case.
-
-    Parameters
-    ----------
-    thermometer : Thermometer
-        Of either; the default is a thermocouple behind a data logger.
-    """
+    """Two thermometers on a computer of their own: at the chamber's inner wall, and on the unit's case."""
 
     interval_s: float = Field(default=10.0, gt=0.0)
     thermometer: Thermometer = Thermometer(step_degc=0.1, noise_degc=0.05)
+    """Of either; the default is a thermocouple behind a data logger."""
 
 
 class Chamber(StrictModel):
