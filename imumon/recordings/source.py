@@ -44,8 +44,8 @@ class Source:
     """Columns of an imported session's table."""
     caveats: Callable[[], list[str]] = list
     """Returns what is not known of a table from elsewhere, after the run."""
-    range: Ranges = field(default_factory=Ranges)
-    """Of its sensors, as the session's pipeline file or map declares it, before that of the device file."""
+    by_map: Ranges = field(default_factory=Ranges)
+    """Range that the map of a table declares which is read without a session."""
 
     def columns(self, pipeline: Pipeline) -> list[Column]:
         """Return the columns that the run's blocks have so far; `pipeline` is the one it runs through."""
@@ -58,6 +58,19 @@ class Source:
         if self.device is not None:
             return self.device.axes
         return None if self.session is None else self.session.metadata.axes
+
+    @property
+    def range(self) -> Ranges:
+        """Of its sensors, as pipeline file or map declare it: it comes before that of the device file.
+
+        Raises BAD_CONFIG when what the session keeps of them cannot be read.
+        """
+        if self.session is None:
+            return self.by_map
+        name, metadata = self.session.path / METADATA_NAME, self.session.metadata
+        by_map = None if metadata.table is None else metadata.table.map_yaml
+        by_pipeline = declared(metadata.pipeline_yaml, f"{name} (pipeline_yaml)")
+        return by_pipeline.over(declared(by_map, f"{name} (map_yaml)"))
 
     def refuse_output(self, out: Path | None) -> None:
         """Raise EXISTS when the output would replace what is read."""
@@ -178,7 +191,6 @@ def open_source(path: Path, device_name: str | None = None, rate_hz: float | Non
             )
         return Source(path, capture_items(path), load_device(device_name).at_rate(rate_hz), None)
     session = open_session(path)
-    ranges = _declared(session)
     if session.metadata.source == "import":
         if rate_hz is not None:
             raise ImumonError(
@@ -187,17 +199,9 @@ def open_source(path: Path, device_name: str | None = None, rate_hz: float | Non
                 "rate_hz in the map of an import spaces rows without a time",
             )
         columns = tuple(read_columns(session.samples_path).values())
-        return Source(path, iterate_samples(session), None, session, columns, range=ranges)
+        return Source(path, iterate_samples(session), None, session, columns)
     device = session_device(session) if device_name is None else load_device(device_name)
-    return Source(path, WireReader(session.wire_path), device.at_rate(rate_hz), session, range=ranges)
-
-
-def _declared(session: Session) -> Ranges:
-    """Return the range that a session declares: its pipeline file, and what only its map has."""
-    name, metadata = session.path / METADATA_NAME, session.metadata
-    by_map = None if metadata.table is None else metadata.table.map_yaml
-    by_pipeline = declared(metadata.pipeline_yaml, f"{name} (pipeline_yaml)")
-    return by_pipeline.over(declared(by_map, f"{name} (map_yaml)"))
+    return Source(path, WireReader(session.wire_path), device.at_rate(rate_hz), session)
 
 
 def session_device(session: Session) -> DeviceFile:

@@ -20,6 +20,7 @@ from imumon.recordings.importing import import_table
 from imumon.recordings.source import open_source, run_over
 from imumon.run.setup import Setup
 from imumon.run.stages import pipeline_of
+from tests.cli.command import imumon
 
 N = 1300
 MAP = "rate_hz: 4\naccel: {columns: [x, y, z], unit: g}\ngyro: {columns: [p, q, r], unit: deg/s}\n"
@@ -81,3 +82,16 @@ def test_the_range_of_another_setup_comes_before_that_of_the_recording(
             pass
         found[range_g] = pipeline.counters.left_out
     assert found == {None: 0 if declared_by == "nobody" else N, 0.95: N, 1.2: 0}
+
+
+def test_samples_come_out_of_a_session_whose_pipeline_file_is_damaged(tmp_path: Path) -> None:
+    table = tmp_path / "t.csv"
+    table.write_text("x,y,z,p,q,r\n" + "0,0,1,0,0,0\n" * 9, encoding="utf-8")
+    (tmp_path / "map.yaml").write_text(MAP, encoding="utf-8")
+    import_table(table, tmp_path / "map.yaml", tmp_path / "session")
+    session = open_session(tmp_path / "session")
+    session.save(session.metadata.model_copy(update={"pipeline_yaml": "range: {accel_g: -1}"}))
+    assert imumon("export", tmp_path / "session", "--to", "csv", "--out", tmp_path / "o.csv").returncode == 0
+    told = imumon("allan", tmp_path / "session")
+    assert told.returncode == 2
+    assert "(pipeline_yaml):1: range.accel_g" in told.stderr
