@@ -23,17 +23,17 @@ from imumon.run.setup import Setup
 
 
 def pipeline_of(
-    sent: DeviceFile | Source | None,
+    sent: DeviceFile | Source,
     setup: Setup | None = None,
     more: Sequence[Estimator] = (),
     only: tuple[type, ...] = (object,),
 ) -> Pipeline:
-    """Return the pipeline of a device, a recording or a table: the stages of a setup, then more.
+    """Return the pipeline of a device or a recording: the stages of a setup, then more.
 
     Parameters
     ----------
-    sent : DeviceFile, Source or None
-        What sends, or was recorded; None for a table.
+    sent : DeviceFile or Source
+        What sends, or what was recorded.
     more : sequence of Estimator
         Stages behind those of the setup.
     only : tuple of type
