@@ -19,15 +19,12 @@ ColumnArray = npt.NDArray[Any]
 class SampleBlock:
     """Samples in order of arrival, one array per column.
 
+    Raises ValueError when the arrays differ in length.
+
     Parameters
     ----------
     columns : mapping of str to array, each of shape (n,)
         float64 or int64, named and in the units of `imumon.columns.KNOWN`.  Not to be written to.
-
-    Raises
-    ------
-    ValueError
-        When the arrays differ in length.
     """
 
     columns: Mapping[str, ColumnArray]

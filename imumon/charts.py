@@ -39,52 +39,36 @@ class Axis:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Curve:
-    """Points in the units of the axes, (n,) each; NaN interrupts a line.
-
-    Parameters
-    ----------
-    color : Color
-    points : bool
-        Draw points, not a line.
-    width : float
-        Of the line, or the diameter of the points, in pixels.
-    listed : bool
-        Whether the legend names it.
-    """
+    """Points in the units of the axes, (n,) each; NaN interrupts a line."""
 
     name: str
     x: FloatArray
     y: FloatArray
     color: Color
     points: bool = False
+    """Draw points, not a line."""
     width: float = 1.6
+    """Of the line, or the diameter of the points, in pixels."""
     listed: bool = True
+    """Whether the legend names it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Chart:
-    """Curves on two axes.
-
-    Parameters
-    ----------
-    key : str
-        Unique among the charts of a run; a later chart of the same key replaces the earlier.
-    place : str
-        The tab it stands in.
-    headline : str
-        What matters most, large.
-    notes : tuple of str
-        Values that belong to the curves, a line each.
-    """
+    """Curves on two axes."""
 
     key: str
+    """Unique among the charts of a run; a later chart of the same key replaces the earlier."""
     place: str
+    """The tab it stands in."""
     title: str
     x: Axis
     y: Axis
     curves: tuple[Curve, ...]
     headline: str = ""
+    """What matters most, large."""
     notes: tuple[str, ...] = ()
+    """Values that belong to the curves, a line each."""
 
     @property
     def nbytes(self) -> int:

@@ -94,10 +94,7 @@ def record(fields: type[Fields], **shapes: int | tuple[int, ...]) -> Fields:
 def records(fields: type[Fields], count: int, **shapes: int | tuple[int, ...]) -> Sequence[Fields]:
     """Return an array of so many such records.
 
-    Raises
-    ------
-    ValueError
-        When a NumPy record has an attribute of its own with the name of a field.
+    Raises ValueError when a NumPy record has an attribute of its own with the name of a field.
     """
     if taken := [name for name in fields.__annotations__ if hasattr(np.record, name)]:
         raise ValueError(f"{fields.__name__}: NumPy has another meaning for {', '.join(taken)}")

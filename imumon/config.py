@@ -66,10 +66,7 @@ Model = TypeVar("Model", bound=BaseModel)
 def load_yaml(path: Path, model: type[Model]) -> Model:
     """Read a YAML file into a pydantic model.
 
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG, naming file and line, what was found and what was expected.
+    Raises BAD_CONFIG, naming file and line, what was found and what was expected.
     """
     return parse_yaml(read_text(path), model, str(path))
 
@@ -77,10 +74,7 @@ def load_yaml(path: Path, model: type[Model]) -> Model:
 def parse_yaml(text: str, model: type[Model], source: str) -> Model:
     """Parse YAML text into a pydantic model; `source` names it in errors.
 
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG, naming source and line, what was found and what was expected.
+    Raises BAD_CONFIG, naming source and line, what was found and what was expected.
     """
     try:
         _refuse_deep(text, source)

@@ -58,6 +58,8 @@ class Reason(Enum):
 class ImumonError(Exception):
     """An error that a user can act on: what was seen, and what to do about it.
 
+    "Raises BAD_DATA" in a docstring means this error with that reason.
+
     Parameters
     ----------
     reason : Reason

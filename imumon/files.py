@@ -46,6 +46,15 @@ def read_text(path: Path, reason: Reason = Reason.BAD_CONFIG, hint: str = "") ->
 
 
 @contextmanager
+def readable(path: Path, hint: str = "") -> Iterator[None]:
+    """Raise BAD_DATA, naming the file, where it cannot be read."""
+    try:
+        yield
+    except OSError as error:
+        raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read: {error.strerror}", hint) from error
+
+
+@contextmanager
 def naming(path: Path) -> Iterator[None]:
     """Let an OSError name this file, which is the one that a user knows, and not one on the way to it."""
     try:
@@ -66,10 +75,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
     Whoever reads sees the old file or the new one, never a part.
 
-    Raises
-    ------
-    OSError
-        When it cannot be written, naming `path`; a file that was there before is untouched.
+    Raises OSError when it cannot be written, naming `path`; a file that was there before is untouched.
     """
     place = target(path)
     partial = place.with_name(f"{place.name}.partial")
@@ -101,10 +107,7 @@ def check_output(path: Path, *, replace: bool = False) -> None:
     """Refuse an output that cannot be a file, that would take the place of a file of a session, whoever reads
     it, or that is there already unless it may be replaced.
 
-    Raises
-    ------
-    ImumonError
-        EXISTS or BAD_CONFIG.
+    Raises EXISTS or BAD_CONFIG.
     """
     place = target(path)
     if str(path) == "-" or (path.exists() and not path.is_file()):

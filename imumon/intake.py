@@ -42,18 +42,12 @@ BY_CHANCE = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class Taken:
-    """What the stages see of a block.
-
-    Parameters
-    ----------
-    block : SampleBlock
-        Its rows that are taken, values that are not left out.
-    rows : array of bool, or None
-        Which rows of the block these are; None for all.
-    """
+    """What the stages see of a block."""
 
     block: SampleBlock
+    """Its rows that are taken, values that are not left out."""
     rows: BoolArray | None
+    """Which rows of the block these are; None for all."""
 
     def spread(self, column: ColumnArray) -> ColumnArray:
         """Return a column of the rows that were taken as one of all rows, missing in between."""

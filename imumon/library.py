@@ -25,7 +25,7 @@ from imumon.recordings.source import feed, open_source, run_over
 from imumon.recordings.table import SUFFIXES, arrow_table, read_table, units_path
 from imumon.run.live import BATCH_S, LiveRun, arrived, reader_of, warm_up
 from imumon.run.setup import Setup, recorded_setup
-from imumon.run.stages import estimators
+from imumon.run.stages import pipeline_of
 from imumon.transport.reader import Event, EventKind, Item
 from imumon.transport.settings import PortSettings
 
@@ -246,8 +246,7 @@ def open(
     settings = known.port_settings(port, baudrate)
     warm_up(known, setup)
     if record is None:
-        pipeline = Pipeline(known, [*estimators(known, setup), *stages], setup.range)
-        return _Unrecorded(known, settings, pipeline)
+        return _Unrecorded(known, settings, pipeline_of(known, setup, stages))
     run = LiveRun(known, text, settings, setup, Path(record), _logged, stages)
     return _Recorded(run)
 
@@ -286,8 +285,7 @@ def read(
     source = open_source(path, device)
     if setup is None and source.session is not None:
         setup = recorded_setup(source.session)
-    own = estimators(source.device, setup) if estimates else []
-    pipeline = Pipeline(source.device, [*own, *stages], None if setup is None else setup.range)
+    pipeline = pipeline_of(source, setup, stages, (object,) if estimates else ())
     blocks, aside = [], dict[str, list[SampleBlock]]()
     for block in run_over(source.items, pipeline):
         blocks.append(block)

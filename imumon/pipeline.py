@@ -230,10 +230,7 @@ class Pipeline:
 
         Only for bytes of one's own: like everything that pickle reads, they can run code.
 
-        Raises
-        ------
-        ValueError
-            They are damaged, no snapshot of a pipeline, or one of another version of imumon.
+        Raises ValueError they are damaged, no snapshot of a pipeline, or one of another version of imumon.
         """
         try:
             pipeline = pickle.loads(snapshot)

@@ -21,18 +21,14 @@ EFFECTS = "imumon.effects"
 def plugins(group: str, needed: str, fits: Callable[[str, Any], bool]) -> dict[str, Any]:
     """Return what installed packages offer in a group, by name.
 
+    Raises BAD_CONFIG when one cannot be imported or is something else, or two have the same name.
+
     Parameters
     ----------
-    group : str
     needed : str
         What is offered there, in words.
     fits : callable
         Tells of a name and what is offered under it whether it is that.
-
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG when one cannot be imported or is something else, or two have the same name.
     """
     found: dict[str, Any] = {}
     for entry in sorted(entry_points(group=group), key=lambda entry: entry.name):

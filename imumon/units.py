@@ -88,10 +88,7 @@ def _registry() -> Any:
 def exact_conversion(unit: str, target: str) -> tuple[Fraction, Fraction]:
     """Return (factor, offset), not rounded, so that value_in_target = factor * value_in_unit + offset.
 
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG when the unit is unknown or measures something else than the target.
+    Raises BAD_CONFIG when the unit is unknown or measures something else than the target.
     """
     if unit == target:
         return Fraction(1), Fraction(0)
@@ -157,10 +154,7 @@ def parse_unit(text: str, target: str) -> Unit:
 
     A number that it is divided by is a scale: in "g/16384" a g has 16384 counts.
 
-    Raises
-    ------
-    ValueError
-        When it is unknown, not a unit, or of another kind.
+    Raises ValueError when it is unknown, not a unit, or of another kind.
     """
     usual = f"usual here: {EXAMPLES.get(target, target)}"
     if len(text) > 2 * LONGEST:
@@ -179,10 +173,7 @@ def parse_unit(text: str, target: str) -> Unit:
 def parse_own_unit(text: str) -> Unit:
     """Parse a unit that is kept, whatever it measures; of raw counts, the one that is divided.
 
-    Raises
-    ------
-    ValueError
-        When it is unknown, or not a unit.
+    Raises ValueError when it is unknown, or not a unit.
     """
     scaled = _SCALED.fullmatch(text)
     bare = scaled["unit"] if scaled else text

@@ -46,36 +46,26 @@ class Deviations:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Result:
-    """What is known of the noise of one channel.
-
-    Parameters
-    ----------
-    series : EvenSeries
-        What it was computed from.
-    tau_s : array, (n,)
-        Averaging times, in octaves.
-    allan, modified, hadamard : Deviations
-        All overlapping, with intervals of `imumon.allan.confidence.CONFIDENCE`.
-    noise : tuple of str
-        The term that the fit has most of at each averaging time.
-    fit : Fit or None
-        None when there are too few averaging times.
-    trusted : int
-        How many of the averaging times can be trusted, from the shortest on: those that had `TRUSTED_FREEDOM`
-        degrees of freedom if they were a random walk of the rate, and more for every other noise.
-    digits : Digits or None
-        Steps of the readings, where they are not far finer than the noise.
-    """
+    """What is known of the noise of one channel."""
 
     series: EvenSeries
+    """What it was computed from."""
     tau_s: FloatArray
+    """Averaging times, in octaves, (n,)."""
     allan: Deviations
     modified: Deviations
     hadamard: Deviations
+    """All overlapping, with intervals of `imumon.allan.confidence.CONFIDENCE`."""
     noise: tuple[str, ...]
+    """The term that the fit has most of at each averaging time."""
     fit: Fit | None
+    """None when there are too few averaging times."""
     trusted: int
+    """How many of the averaging times can be trusted, from the shortest on: those that had
+    `TRUSTED_FREEDOM` degrees of freedom if they were a random walk of the rate, and more for every other
+    noise."""
     digits: Digits | None
+    """Steps of the readings, where they are not far finer than the noise."""
 
     @property
     def longest_tau_s(self) -> float:

@@ -68,8 +68,6 @@ class Search:
     ----------
     variances : array, (k,)
         At the averaging factors start..n of the family, n = start + k.
-    family : Family
-    start : int
     """
 
     def __init__(self, variances: FloatArray, family: Family, start: int) -> None:

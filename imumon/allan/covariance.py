@@ -216,23 +216,17 @@ def cross_terms(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Covariances:
-    """Shapes and covariances of the overlapping Allan variances at several averaging factors.
-
-    Parameters
-    ----------
-    m : array of int64, (n,)
-    shapes : array, (n, 6)
-        Expected variance per unit of the coefficient of each of `SHAPES` and of a Gauss-Markov process; zero
-        for the last where none is considered.
-    quadratic : array, (n, n, 5, 5)
-    linear : array, (n, n, 5)
-        See `cross_terms`, for `NOISES` and the Gauss-Markov process.
-    """
+    """Shapes and covariances of the overlapping Allan variances at several averaging factors."""
 
     m: IntArray
+    """Array, (n,)."""
     shapes: FloatArray
+    """Expected variance per unit of the coefficient of each of `SHAPES` and of a Gauss-Markov process, (n,
+    6); zero for the last where none is considered."""
     quadratic: FloatArray
+    """Array, (n, n, 5, 5)."""
     linear: FloatArray
+    """See `cross_terms`, for `NOISES` and the Gauss-Markov process, (n, n, 5)."""
 
     def matrix(self, coefficients: FloatArray) -> FloatArray:
         """Return the covariance matrix, (n, n), for the coefficients of the shapes, (6,)."""
@@ -254,26 +248,19 @@ class Covariances:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Family:
-    """The covariances for several correlation times of a Gauss-Markov process, and for none.
-
-    Parameters
-    ----------
-    m : array of int64, (n,)
-    runs : list of Runs
-        At each averaging factor.
-    per_loss : array, (n, 4)
-        By what lost samples multiply the expected variance of each of `NOISES`.
-    times : array, (g,)
-        Correlation times, samples.
-    quadratic, linear : arrays, (n, n, 4 + g, 4 + g) and (n, n, 4 + g)
-    """
+    """The covariances for several correlation times of a Gauss-Markov process, and for none."""
 
     m: IntArray
+    """Array, (n,)."""
     runs: list[Runs]
+    """At each averaging factor."""
     per_loss: FloatArray
+    """By what lost samples multiply the expected variance of each of `NOISES`, (n, 4)."""
     times: FloatArray
+    """Correlation times, samples, (g,)."""
     quadratic: FloatArray
     linear: FloatArray
+    """Array, (n, n, 4 + g, 4 + g)."""
 
     def of(self, time: int | None) -> Covariances:
         """Return the covariances with one of the correlation times, or with none."""

@@ -121,38 +121,28 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
-    """The terms of one channel.
-
-    Parameters
-    ----------
-    terms : mapping of str to Estimate or None
-        By `NAMES`; None for what the data do not show.
-    coefficients : array, (6,)
-        Allan variance at one sample of all that was fitted, and the variance of the correlated noise; that of
-        quantization is negative where a filter in the device takes away more than quantization adds.
-    time : float
-        Correlation time of the correlated noise, samples; NaN without any.
-    first, last : int
-        The averaging times that were fitted: first..last.  Where `last` is not the longest trusted one, no
-        sum of the terms describes the longer ones, and only the angle random walk is told.
-    model_error : float
-        Part of each variance by which the curve differs from any sum of the terms beyond its noise, as far
-        as the fit can tell; it is in the standard deviations.  0 when chi-square is in order; above `NO_SUM`
-        no term is told.
-    withheld : str
-        `AMBIGUOUS`: bias instability and random walk are not told, because noise that is correlated for a
-        while would be as likely.  `CONTRADICTED`: only the angle random walk is, because the curve lies below
-        what another term alone would make.  `DIGITS`: nothing is, because the steps of the readings hide the
-        noise.
-    """
+    """The terms of one channel."""
 
     terms: dict[str, Estimate | None]
+    """By `NAMES`; None for what the data do not show."""
     coefficients: FloatArray
+    """Allan variance at one sample of all that was fitted, and the variance of the correlated noise, (6,);
+    that of quantization is negative where a filter in the device takes away more than quantization adds."""
     time: float
+    """Correlation time of the correlated noise, samples; NaN without any."""
     first: int
     last: int
+    """The averaging times that were fitted: first..last.  Where `last` is not the longest trusted one, no
+    sum of the terms describes the longer ones, and only the angle random walk is told."""
     model_error: float
+    """Part of each variance by which the curve differs from any sum of the terms beyond its noise, as far
+    as the fit can tell; it is in the standard deviations.  0 when chi-square is in order; above `NO_SUM`
+    no term is told."""
     withheld: str
+    """`AMBIGUOUS`: bias instability and random walk are not told, because noise that is correlated for a
+    while would be as likely.  `CONTRADICTED`: only the angle random walk is, because the curve lies below
+    what another term alone would make.  `DIGITS`: nothing is, because the steps of the readings hide the
+    noise."""
 
     def rounded(self, error: float) -> Fit:
         """Return the terms where rounding may change the variance by this part: less certain, or none."""

@@ -35,12 +35,7 @@ OPENCV = "%YAML:1.0\n"
 def write_kalibr(path: Path, results: Mapping[str, Result], source: Path) -> None:
     """Write Kalibr's imu.yaml.
 
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when a sensor is missing or shows no white noise.
-    OSError
-        When the file cannot be written.
+    Raises BAD_DATA when a sensor is missing or shows no white noise; OSError when the file cannot be written.
     """
     body, head = _densities(results, source)
     body |= {"rostopic": "/imu0", "update_rate": _rate(results)}

@@ -23,21 +23,15 @@ _DEG = math.degrees(1.0)
 
 @dataclass(frozen=True, slots=True)
 class TermOfSensor:
-    """How a term of one sensor is told.
-
-    Parameters
-    ----------
-    unit, key : str
-        SI unit, and key in the noise section of a pipeline.
-    title, shown, factor : str, str, float
-        What a person reads: its name, its unit, and how many of it are one SI unit.
-    """
+    """How a term of one sensor is told."""
 
     unit: str
     key: str
+    """SI unit, and key in the noise section of a pipeline."""
     title: str
     shown: str
     factor: float
+    """What a person reads: its name, its unit, and how many of it are one SI unit."""
 
 
 TERMS_OF = {
@@ -92,11 +86,8 @@ TERMS_OF = {
 def check_outputs(plot: Path | None, *files: Path | None) -> None:
     """Refuse outputs that could not be written, or would replace what a person may have edited.
 
-    Raises
-    ------
-    ImumonError
-        EXISTS for a file that is there (a picture is replaced); BAD_CONFIG for a picture that is not a PNG,
-        and where there is no folder.
+    Raises EXISTS for a file that is there (a picture is replaced); BAD_CONFIG for a picture that is not a
+    PNG, and where there is no folder.
     """
     if plot is not None and plot.suffix.lower() != ".png":
         raise ImumonError(Reason.BAD_CONFIG, f"{plot}: the picture is a PNG", "name it NAME.png")
@@ -176,10 +167,7 @@ def value_of(result: Result | None, term: str) -> float | None:
 def write_noise(path: Path, results: Mapping[str, Result], source: Path) -> None:
     """Write the noise section of a pipeline YAML.
 
-    Raises
-    ------
-    OSError
-        When the file cannot be written; one that was there before is untouched.
+    Raises OSError when the file cannot be written; one that was there before is untouched.
     """
     head = [
         f"# Noise of {source.name}, by Allan deviation; x, y, z; null: the data do not show it.",

@@ -34,10 +34,7 @@ STYLES = {
 def write_plot(path: Path, results: Mapping[str, Result], title: str) -> None:
     """Draw the overlapping Allan deviations with their intervals, and the fit, to a PNG.
 
-    Raises
-    ------
-    OSError
-        When the file cannot be written; one that was there before is untouched.
+    Raises OSError when the file cannot be written; one that was there before is untouched.
     """
     groups = [group for group in GROUPS if any(group_of(name) == group for name in results)]
     figure = Figure(figsize=(7.0 * len(groups), 5.6), layout="constrained")

@@ -49,15 +49,12 @@ class Channels:
 def read_channels(path: Path, stages: Stages = no_stages) -> Channels:
     """Read the gyro and accelerometer channels of a session, or of a table of samples.
 
+    Raises BAD_DATA when there is nothing to read, no such channel, too few samples or no even rate.
+
     Parameters
     ----------
     stages : callable
         A rest detector, which tells motion where the table has no column ``at_rest``.
-
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when there is nothing to read, no such channel, too few samples or no even rate.
     """
     recording = open_recording(path, stages)
     _check_units(path, recording.columns)

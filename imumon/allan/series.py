@@ -27,31 +27,21 @@ SHORTEST_ISLAND = 4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EvenSeries:
-    """Samples on an even grid.
-
-    Parameters
-    ----------
-    interval_s : float
-        Time from sample to sample.
-    values : array, (n,)
-        All islands one after the other; the mean where a sample is missing.
-    islands : array of int64, (k + 1,)
-        Bounds of the islands in `values`.
-    gap_starts, gap_lengths : arrays of int64, (g,)
-        The missing samples.
-    samples : int
-        Finite samples that there were.
-    jitter : float
-        RMS deviation of the time between neighbours, as a part of the interval.
-    """
+    """Samples on an even grid."""
 
     interval_s: float
+    """Time from sample to sample."""
     values: FloatArray
+    """All islands one after the other, (n,); the mean where a sample is missing."""
     islands: IntArray
+    """Bounds of the islands in `values`, (k + 1,)."""
     gap_starts: IntArray
     gap_lengths: IntArray
+    """The missing samples, (g,)."""
     samples: int
+    """Finite samples that there were."""
     jitter: float
+    """RMS deviation of the time between neighbours, as a part of the interval."""
 
     @property
     def used(self) -> int:

@@ -36,36 +36,25 @@ _SLOPES = np.array([-1.0, 0.0, 1.0, -2.0])
 
 
 class _Run:
-    """What is carried from sample to sample.
-
-    Parameters
-    ----------
-    interval_ns, offset : float
-        Time from sample to sample, 0 while it is being learned; what is taken from every value.
-    rings : array, (RINGS, RING)
-        Running sums at the last positions of each stride.
-    sums, counts : arrays, (OCTAVES,)
-        Of the squared differences.
-    position : int
-        Samples in the run; -1: there is no run.
-    total : float
-        Running sum of the run.
-    time_ns, segment : int
-        Of the last sample.
-    misfits : int
-        Steps in a row that did not fit the interval.
-    """
+    """What is carried from sample to sample."""
 
     interval_ns: float
     offset: float
+    """Time from sample to sample, 0 while it is being learned; what is taken from every value."""
     rings: FloatArray
+    """Running sums at the last positions of each stride, (RINGS, RING)."""
     sums: FloatArray
     counts: IntArray
+    """Of the squared differences, (OCTAVES,)."""
     position: int
+    """Samples in the run; -1: there is no run."""
     total: float
+    """Running sum of the run."""
     time_ns: int
     segment: int
+    """Of the last sample."""
     misfits: int
+    """Steps in a row that did not fit the interval."""
 
 
 @njit

@@ -78,18 +78,15 @@ class Dataset:
     A file appears under its name when it is complete and on the medium, and never changes; it has all rows
     of its sessions.
 
+    Raises EXISTS when it was begun with others; BUSY when another program adds to it; BAD_CONFIG when it
+    cannot be made.
+
     Parameters
     ----------
     folder : Path
         Made where there is none.
     options : BatchOptions
         Must be those with which the folder was begun.
-
-    Raises
-    ------
-    ImumonError
-        EXISTS when it was begun with others; BUSY when another program adds to it; BAD_CONFIG when it cannot
-        be made.
     """
 
     def __init__(self, folder: Path, options: BatchOptions) -> None:

@@ -29,16 +29,12 @@ _THREAD = re.compile(r"\n\n")
 def limited(note: Path, limit_s: float) -> Iterator[None]:
     """End this process where what follows takes longer.
 
+    Raises TIMEOUT when there is such a note already.
+
     Parameters
     ----------
     note : Path
         Where it is said that it did; taken away again by who finds it, or when it ends in time.
-    limit_s : float
-
-    Raises
-    ------
-    ImumonError
-        TIMEOUT when there is such a note already.
     """
     if (where := _taken(note)) is not None:
         raise ImumonError(Reason.TIMEOUT, f"was not done after its --timeout{where}")

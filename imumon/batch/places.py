@@ -11,16 +11,13 @@ from typing import Any
 from imumon.errors import ImumonError, Reason, missing_package
 from imumon.recordings.folder import METADATA_NAME, Session, is_session
 from imumon.recordings.metadata import read_metadata
-from imumon.recordings.source import TABLE_SUFFIXES
+from imumon.recordings.table import SUFFIXES
 
 
 def find(place: str) -> list[str]:
     """Return the sessions at a place in order: itself, or all in the folders below; a table is one, too.
 
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when there is none, or the place cannot be read; BAD_CONFIG when a package is missing.
+    Raises BAD_DATA when there is none, or the place cannot be read; BAD_CONFIG when a package is missing.
     """
     found = _elsewhere(place) if is_url(place) else _here(Path(place))
     if not found:
@@ -39,10 +36,7 @@ def fetched(place: str, folder: Path | None = None) -> Iterator[Path]:
 
     Copied are its metadata and what everything else follows from; a recording of the view stays where it is.
 
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when it cannot be read.
+    Raises BAD_DATA when it cannot be read.
     """
     if not is_url(place):
         yield Path(place)
@@ -51,7 +45,7 @@ def fetched(place: str, folder: Path | None = None) -> Iterator[Path]:
     with TemporaryDirectory(prefix="imumon-", dir=folder) as made:
         copy = Path(made) / path.rstrip("/").rpartition("/")[2]
         try:
-            if copy.suffix in TABLE_SUFFIXES:
+            if copy.suffix in SUFFIXES:
                 files.get_file(path, str(copy))
             else:
                 copy.mkdir()
@@ -64,7 +58,7 @@ def fetched(place: str, folder: Path | None = None) -> Iterator[Path]:
 
 
 def _here(path: Path) -> list[str]:
-    if is_session(path) or path.suffix in TABLE_SUFFIXES:
+    if is_session(path) or path.suffix in SUFFIXES:
         return [str(path.absolute())]
     return [str(each.parent.absolute()) for each in sorted(path.rglob(METADATA_NAME))]
 
@@ -72,7 +66,7 @@ def _here(path: Path) -> list[str]:
 def _elsewhere(place: str) -> list[str]:
     files, root = _opened(place)
     address, mark, options = place.partition("?")
-    if address.endswith(TABLE_SUFFIXES):
+    if address.endswith(SUFFIXES):
         return [place]
     try:
         files.info(root)  # which says why where there is nothing: the search below passes over errors

@@ -25,31 +25,23 @@ from imumon.recordings.side_tables import export_run
 from imumon.recordings.source import Source, open_source, run_over
 from imumon.run.replay import digested, identical_to_live
 from imumon.run.setup import parse_setup, recorded_setup
-from imumon.run.stages import estimators
+from imumon.run.stages import pipeline_of
 from imumon.version import __version__
 
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """A session, what is to be done with it, and where files of it go.
-
-    Parameters
-    ----------
-    place : str
-        Path or URL of the session.
-    out : str
-        Folder of the batch, which every worker sees under the same path.
-    version : str
-        Of the imumon that asks.
-    limit_s : float or None
-        How long a worker may take.
-    """
+    """A session, what is to be done with it, and where files of it go."""
 
     place: str
+    """Path or URL of the session."""
     options: BatchOptions
     out: str
+    """Folder of the batch, which every worker sees under the same path."""
     version: str = __version__
+    """Of the imumon that asks."""
     limit_s: float | None = None
+    """How long a worker may take."""
 
     def file(self, folder: str, suffix: str) -> Path:
         """Return where a file of this session goes; two sessions of one name have two."""
@@ -155,7 +147,7 @@ def _replay(path: Path, job: Job) -> Iterator[Row]:
     text = job.options.pipeline_yaml
     setup = recorded_setup(session) if text is None else parse_setup(text, "--pipeline")
     source, digest = open_source(path), Digest()
-    pipeline = Pipeline(source.device, estimators(source.device, setup), setup.range)
+    pipeline = pipeline_of(source, setup)
     blocks = digested(run_over(source.items, pipeline), pipeline, digest)
     rows = [*_samples(source, job, pipeline, blocks)]
     identical = identical_to_live(session, setup, digest)

@@ -60,20 +60,16 @@ def parameters(
 ) -> Exported:
     """Return a model as the parameters of an autopilot.
 
+    Raises BAD_DATA when the span is too small, or a channel has more than a curve; BAD_CONFIG when
+    identifiers or gyros are missing.
+
     Parameters
     ----------
-    model : BiasModel
     autopilot : "ardupilot" or "px4"
     imu : int
         Number of the inertial sensor, from 0, as the logs count.
     ids : tuple of int, optional
         PX4's device identifiers of gyro and accelerometer.
-
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when the span is too small, or a channel has more than a curve; BAD_CONFIG when identifiers
-        or gyros are missing.
     """
     check_ids(autopilot, ids)
     kinds = [kind for kind in KINDS if all(f"{kind}_{axis}" in model.channels for axis in "xyz")]

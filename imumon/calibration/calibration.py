@@ -33,26 +33,18 @@ MARGIN = 0.005
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What was found of one channel.
-
-    Parameters
-    ----------
-    choice : Choice
-    points : Points
-        What the curve was fitted to, each run less its turn-on offset.
-    white : array (n,)
-        Variance that the samples' own noise leaves in each of the points, if it is white.
-    offset : array (runs,)
-        Turn-on offset of each run from the mean of all, in the channel's unit; NaN where it cannot be told.
-    lag_rms : float
-        What a gyro `imumon.effects.thermal_lag.UNTOLD_S` behind its thermometer would err by in this data.
-    """
+    """What was found of one channel."""
 
     choice: Choice
     points: Points
+    """What the curve was fitted to, each run less its turn-on offset."""
     white: FloatArray
+    """Variance that the samples' own noise leaves in each of the points, if it is white, (n,)."""
     offset: FloatArray
+    """Turn-on offset of each run from the mean of all, in the channel's unit, (runs,); NaN where it cannot
+    be told."""
     lag_rms: float
+    """What a gyro `imumon.effects.thermal_lag.UNTOLD_S` behind its thermometer would err by in this data."""
     comparable: bool = True
     """Whether the offsets are the sensor's own; those of an accelerometer in several poses are gravity's."""
 
@@ -80,10 +72,7 @@ class Calibration:
 def read_sessions(paths: Sequence[Path]) -> tuple[list[Record], list[str]]:
     """Return the records of sessions, and what is to be said of them.
 
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when one cannot be read.
+    Raises BAD_DATA when one cannot be read.
     """
     found = [read_session(path) for path in paths]
     return [record for record, _ in found], [text for _, said in found for text in said]
@@ -101,11 +90,8 @@ def calibrate(
     With latitude and heading, the earth rate is taken from the gyros (levelled by the accelerometers);
     otherwise it stays in the constant of their curves.
 
-    Raises
-    ------
-    ImumonError
-        BAD_DATA, with the numbers seen, when the data does not allow a model; BAD_CONFIG when only one of
-        latitude and heading is given, or the heading cannot be used.
+    Raises BAD_DATA, with the numbers seen, when the data does not allow a model; BAD_CONFIG when only one of
+    latitude and heading is given, or the heading cannot be used.
     """
     check_place(latitude_deg, heading_deg)
     check_columns(records)

@@ -26,28 +26,20 @@ SHORTEST_RUN_S = 60.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Channel:
-    """A channel's means over cells of nearly constant temperature, from all records.
-
-    Parameters
-    ----------
-    temperature, value : array (n,)
-        °C, and rad/s or m/s².
-    white : array (n,)
-        Variance that the samples' own noise leaves in the value, if it is white.
-    seconds : array (n,)
-        Time at rest in the cell.
-    run, level : array (n,) of int
-        From power-on to the next, or to another pose; temperature level, upwards.
-    """
+    """A channel's means over cells of nearly constant temperature, from all records."""
 
     name: str
     temperature_column: str
     temperature: FloatArray
     value: FloatArray
+    """°C, and rad/s or m/s², (n,)."""
     white: FloatArray
+    """Variance that the samples' own noise leaves in the value, if it is white, (n,)."""
     seconds: FloatArray
+    """Time at rest in the cell, (n,)."""
     run: IntArray
     level: IntArray
+    """From power-on to the next, or to another pose, (n,); temperature level, upwards."""
 
     def only(self, chosen: BoolArray) -> Channel:
         """Return the cells that are chosen."""

@@ -37,10 +37,7 @@ def with_drivers(
     which a driver is found gets all that was found in it, for the rest was fitted beside the driver; the
     others stay as they are.
 
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when the data is too short for it; BAD_CONFIG for a driver that is not there.
+    Raises BAD_DATA when the data is too short for it; BAD_CONFIG for a driver that is not there.
     """
     diagnosis = diagnose(*latest(recordings), DECLARED, tell, model=model, drivers=drivers)
     found = [verdict for verdict in diagnosis.verdicts if verdict.predicts and _has_driver(verdict)]

@@ -38,25 +38,21 @@ TRIANGLE = np.triu_indices(3)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MagnetometerFit:
-    """A calibration, and what it was made of.
-
-    Parameters
-    ----------
-    model : MagnetometerModel
-    readings, field : array (n, 3)
-        As sent, and corrected; the readings that counted.
-    residual_before : float
-        Scatter of the strength as sent, in the same unit.
-    """
+    """A calibration, and what it was made of."""
 
     model: MagnetometerModel
     readings: FloatArray
     field: FloatArray
+    """As sent, and corrected, (n, 3); the readings that counted."""
     residual_before: float
+    """Scatter of the strength as sent, in the same unit."""
 
 
 def fit_magnetometer(blocks: Iterable[SampleBlock], unit: str, source: str) -> MagnetometerFit:
     """Fit hard and soft iron to the magnetometer of samples.
+
+    Raises BAD_DATA when there is no magnetometer, too little was turned, or the readings are on no ellipsoid;
+    it says how much of the directions was seen, and what to turn next.
 
     Parameters
     ----------
@@ -64,12 +60,6 @@ def fit_magnetometer(blocks: Iterable[SampleBlock], unit: str, source: str) -> M
         Of the readings.
     source : str
         Name for messages.
-
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when there is no magnetometer, too little was turned, or the readings are on no ellipsoid;
-        it says how much of the directions was seen, and what to turn next.
     """
     found = [part for part in (_columns(block) for block in blocks) if part is not None]
     if not found:

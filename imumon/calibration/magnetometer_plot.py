@@ -20,10 +20,7 @@ MOST_POINTS = 1500
 def write_magnetometer_plot(path: Path, fit: MagnetometerFit, title: str) -> None:
     """Draw readings, field, and the circle that the field should lie in, to a PNG.
 
-    Raises
-    ------
-    OSError
-        When the file cannot be written; one that was there before is untouched.
+    Raises OSError when the file cannot be written; one that was there before is untouched.
     """
     model, turn = fit.model, np.linspace(0.0, 2.0 * np.pi, 200)
     every = 1 + len(fit.field) // MOST_POINTS

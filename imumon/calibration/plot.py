@@ -29,10 +29,7 @@ def write_calibration_plot(path: Path, result: Calibration, title: str) -> None:
     A residual has a bar of one standard deviation, the white noise of its samples; the band is the model's
     `residual_sd`, of the bias about the curve without that noise: far narrower where the noise is all.
 
-    Raises
-    ------
-    OSError
-        When the file cannot be written; one that was there before is untouched.
+    Raises OSError when the file cannot be written; one that was there before is untouched.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # takes 0.3 s, and few want a picture
     from matplotlib.figure import Figure

@@ -25,25 +25,17 @@ LEAST_COVERED = 0.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Record:
-    """The block means of one recording.
-
-    Parameters
-    ----------
-    name, sha256 : str
-        Where it comes from, and the fingerprint of its bytes.
-    device, axes, serial : str or None
-    means : Reduced
-        Over `COLUMNS`.
-    rest : array (n,) of bool
-        Blocks at rest and complete.
-    """
+    """The block means of one recording."""
 
     name: str
     sha256: str
+    """Where it comes from, and the fingerprint of its bytes."""
     device: str | None
     axes: str | None
     means: Reduced
+    """Over `COLUMNS`."""
     rest: BoolArray
+    """Blocks at rest and complete, (n,)."""
     serial: str | None = None
 
     def of(self, name: str) -> FloatArray:
@@ -78,10 +70,7 @@ def record_of(
 def read_session(path: Path) -> tuple[Record, list[str]]:
     """Read a session, recorded or imported; return its record, and what the user should know of it.
 
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when there is no session, or it cannot be read.
+    Raises BAD_DATA when there is no session, or it cannot be read.
     """
     recording = open_recording(path, _stages)
     record = record_of(

@@ -33,10 +33,7 @@ class Followed:
 def check_last(records: Sequence[Record], latitude_deg: float | None, heading_deg: float | None) -> list[str]:
     """Compare curves made without the last record with that one; return what is to be said.
 
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when some curve errs more in it than no curve does.
+    Raises BAD_DATA when some curve errs more in it than no curve does.
     """
     if len(records) < 2:
         return []
@@ -61,10 +58,7 @@ def followed(
 ) -> list[Followed]:
     """Return how much of the curves made without the last record that one has, by the means of its levels.
 
-    Raises
-    ------
-    ImumonError
-        As `calibrate`, of the records without the last.
+    Raises ImumonError as `calibrate`, of the records without the last.
     """
     model = calibrate(records[:-1], latitude_deg, heading_deg).model
     last = records[-1:]

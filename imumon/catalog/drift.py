@@ -24,27 +24,19 @@ TO_SIGMA = 0.6745
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Drift:
-    """The bias of a channel at one temperature, by each of the unit's models.
-
-    Parameters
-    ----------
-    at_degc : float
-        Middle of the temperatures that all models know.
-    time_ns : array of int64, (n,)
-        Unix time of the latest data of each model.
-    bias, sd : array, (n,)
-        In the channel's unit.  The sigma is that of the curve and of the turn-on offset together.
-    per_month, per_month_sd : float
-        Slope of the straight line; NaN with one model, or with all from one moment.
-    """
+    """The bias of a channel at one temperature, by each of the unit's models."""
 
     channel: str
     at_degc: float
+    """Middle of the temperatures that all models know."""
     time_ns: IntArray
+    """Unix time of the latest data of each model, (n,)."""
     bias: FloatArray
     sd: FloatArray
+    """In the channel's unit, (n,).  The sigma is that of the curve and of the turn-on offset together."""
     per_month: float
     per_month_sd: float
+    """Slope of the straight line; NaN with one model, or with all from one moment."""
 
 
 def drifts(unit: Unit) -> list[Drift]:

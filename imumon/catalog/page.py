@@ -72,7 +72,7 @@ def write_unit(unit: Unit, unusual: Sequence[Outlier], path: Path) -> None:
 def write_session(session: Session, path: Path) -> None:
     """Replay a session and write its record; raises `ImumonError` and OSError when that fails."""
     setup, metadata = recorded_setup(session), session.metadata
-    recording = open_recording(session.path, lambda device: estimators(device, setup), ranges=setup.range)
+    recording = open_recording(session.path, lambda device: estimators(device, setup))
     names = [*GYRO, *TEMPERATURES, *itertools.chain(*BIASES)]
     slot_s = max(1.0, np.nan_to_num(metadata.duration_s) / POINTS)
     means = reduce(recording.blocks(), names, slot_s)

@@ -28,23 +28,15 @@ Tell = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Entry:
-    """A session of the catalog.
-
-    Parameters
-    ----------
-    session : Session
-    model : BiasModel or None
-        That it ran with.
-    channels : mapping of str to row
-        What a replay says of each channel: mean, sd, least, greatest.
-    failure : str
-        Why there are none; empty when there are.
-    """
+    """A session of the catalog."""
 
     session: Session
     model: BiasModel | None
+    """That it ran with."""
     channels: Mapping[str, Mapping[str, Any]]
+    """What a replay says of each channel: mean, sd, least, greatest."""
     failure: str = ""
+    """Why there are none; empty when there are."""
 
     @property
     def hours(self) -> float:
@@ -81,15 +73,10 @@ class Dated:
 
 @dataclass(slots=True, eq=False)
 class Unit:
-    """A unit: its sessions, the oldest first, and its models, in the order of their data.
-
-    Parameters
-    ----------
-    name : str
-        Serial number; of sessions without one the device, in brackets.
-    """
+    """A unit: its sessions, the oldest first, and its models, in the order of their data."""
 
     name: str
+    """Serial number; of sessions without one the device, in brackets."""
     device: str
     entries: list[Entry] = field(default_factory=list)
     models: list[Dated] = field(default_factory=list)
@@ -113,15 +100,12 @@ class Unit:
 def read_sessions(folder: Path, results: Path, tell: Tell = lambda _: None) -> list[Entry]:
     """Return the sessions below a folder, the oldest first; what `results` does not have of them is replayed.
 
+    Raises BAD_DATA when there is no session; as `Dataset` for the results.
+
     Parameters
     ----------
     results : Path
         Folder of ``imumon batch replay``, to which the new ones are added.
-
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when there is no session; as `Dataset` for the results.
     """
     options = BatchOptions(command="replay")
     places = find(str(folder))

@@ -133,18 +133,14 @@ def _recorded(path: Path, device: str | None, make: Callable[..., Setup]) -> Ali
     """Go through a recording to its end."""
     from imumon.estimation.alignment.stage import Alignment
     from imumon.estimation.rest.stage import RestDetector
-    from imumon.pipeline import Pipeline
     from imumon.recordings.source import open_source, run_over
-    from imumon.run.stages import estimators
+    from imumon.run.stages import pipeline_of
 
     source = open_source(path, device)
     recorded = None if source.session is None else source.session.metadata.pipeline_yaml
     setup = make(recorded, f"{path} (pipeline_yaml)")
     # Only what the heading needs: the other estimators do not change it.
-    needed = [
-        stage for stage in estimators(source.device, setup) if isinstance(stage, RestDetector | Alignment)
-    ]
-    pipeline = Pipeline(source.device, needed, setup.range)
+    pipeline = pipeline_of(source, setup, only=(RestDetector, Alignment))
     stage = _stage_of(pipeline)
     with _Shown(stage) as shown:
         for _ in run_over(source.items, pipeline):

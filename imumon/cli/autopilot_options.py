@@ -47,10 +47,7 @@ def autopilot_options(command: Command) -> Command:
 def check_parameters(out: Path, options: AutopilotOptions) -> Path | None:
     """Return where the parameters go, None where none were asked for; raise before any work what is wrong.
 
-    Raises
-    ------
-    ImumonError
-        EXISTS when there is such a file; BAD_CONFIG when identifiers are missing.
+    Raises EXISTS when there is such a file; BAD_CONFIG when identifiers are missing.
     """
     if options["autopilot"] is None:
         return None
@@ -66,10 +63,7 @@ def check_parameters(out: Path, options: AutopilotOptions) -> Path | None:
 def write_parameters(model: BiasModel, path: Path | None, options: AutopilotOptions) -> dict[str, Path]:
     """Write the parameters there, and say what to know of them; return what was written.
 
-    Raises
-    ------
-    ImumonError
-        As `imumon.calibration.autopilot.parameters`.
+    Raises ImumonError as `imumon.calibration.autopilot.parameters`.
     """
     if path is None or options["autopilot"] is None:
         return {}

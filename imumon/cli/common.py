@@ -79,10 +79,7 @@ def print_json(data: Mapping[str, Any]) -> None:
 def split_columns(text: str | None) -> list[str] | None:
     """Split ``a,b,c``; None stays None.
 
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG when a name is empty or there twice.
+    Raises BAD_CONFIG when a name is empty or there twice.
     """
     if text is None:
         return None
@@ -140,11 +137,8 @@ View = Literal["native", "web", "terminal", "none"]
 def chosen_view(view: View | None, bind: str) -> View:
     """Return where the view is to be seen, and say what stands against it.
 
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG where a view is to be drawn in a terminal and there is none, or served on an address that
-        is none of this computer.
+    Raises BAD_CONFIG where a view is to be drawn in a terminal and there is none, or served on an address
+    that is none of this computer.
     """
     from imumon.view.viewer import LOCALHOST, default_mode, has_display
 

@@ -31,7 +31,7 @@ from imumon.errors import EXIT_OK, ImumonError, Reason
 from imumon.files import check_output
 
 if TYPE_CHECKING:
-    from imumon.pipeline import Pipeline
+    from imumon.pipeline import Estimator, Pipeline
     from imumon.recordings.folder import Session
     from imumon.recordings.source import Source
     from imumon.view.items import ViewSetup
@@ -85,13 +85,13 @@ def command(
     """Run SESSION again through the same code, bit for bit, to a table or to the view."""
     if compare_models is not None:
         return _compare(session, compare_models, out, as_json)
-    from imumon.pipeline import Digest, Pipeline
+    from imumon.pipeline import Digest
     from imumon.recordings.folder import open_session
     from imumon.recordings.side_tables import Exported, export_run
     from imumon.recordings.source import open_source
     from imumon.run.narration import Narrator, describe_losses, describe_streams
     from imumon.run.replay import digested, identical_to_live, replay
-    from imumon.run.stages import estimators
+    from imumon.run.stages import pipeline_of
 
     opened = open_session(session)  # a raw capture has no times: that is for decode
     recorded = opened.metadata.pipeline_yaml
@@ -99,14 +99,14 @@ def command(
     source = open_source(session, rate_hz=rate)
     source.refuse_output(out)
     pace = _speed(speed, view)
-    stages = estimators(source.device, setup)
+    more: list[Estimator] = []
     disagreement: dict[str, float] | None = None
     if smooth:
         from imumon.run.smoothing import smoothed
 
         stage = smoothed(open_source(session, rate_hz=rate), setup)
-        stages, disagreement = [*stages, stage], stage.disagreement
-    pipeline, digest = Pipeline(source.device, stages, setup.range), Digest()
+        more, disagreement = [stage], stage.disagreement
+    pipeline, digest = pipeline_of(source, setup, more), Digest()
     publisher = narrator = None
     if view != "none":
         publisher = _begun(view, _shown(source, opened, pipeline, window), bind)

@@ -68,10 +68,7 @@ def setup_options(command: Command) -> Command:
 def make_setup(given: SetupOptions, recorded: str | None = None, source: str = "") -> Setup:
     """Return the setup of a run: the pipeline file, else that of the recording, changed by the options.
 
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG when a file cannot be read, or the parts contradict each other.
+    Raises BAD_CONFIG when a file cannot be read, or the parts contradict each other.
     """
     from imumon.run.setup import Setup, load_setup, parse_setup
 

@@ -151,21 +151,15 @@ class _Recorded:
     def at(cls, path: Path) -> _Recorded:
         """Open it.
 
-        Raises
-        ------
-        ImumonError
-            As `open_source` and `recorded_setup` do.
+        Raises ImumonError as `open_source` and `recorded_setup` do.
         """
-        from imumon.pipeline import Pipeline
         from imumon.recordings.folder import open_session
         from imumon.recordings.source import open_source
         from imumon.run.setup import recorded_setup
-        from imumon.run.stages import estimators
+        from imumon.run.stages import pipeline_of
 
         session, source = open_session(path), open_source(path)
-        setup = recorded_setup(session)
-        stages = estimators(source.device, setup)
-        return cls(session, source, Pipeline(source.device, stages, setup.range))
+        return cls(session, source, pipeline_of(source, recorded_setup(session)))
 
 
 def _log(recorded: _Recorded, name: str, session: Session) -> tuple[dict[str, object], dict[str, str]]:
@@ -207,10 +201,7 @@ def _log(recorded: _Recorded, name: str, session: Session) -> tuple[dict[str, ob
 def _shown(rec: rr.RecordingStream, setup: ViewSetup, mode: Mode, bind: str) -> str:
     """Connect the stream to a viewer or to the page that shows it; return where that is.
 
-    Raises
-    ------
-    ImumonError
-        NOT_FOUND when no viewer comes up.
+    Raises NOT_FOUND when no viewer comes up.
     """
     from imumon.view.frames import Start
     from imumon.view.links import NativeLink, WebLink

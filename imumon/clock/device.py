@@ -118,15 +118,12 @@ class DeviceClock:
     source has the time of the row before; after 1000 such rows the next best source takes over, in a new
     segment.
 
+    Raises BAD_CONFIG when the numbers in `timing` cannot be.
+
     Parameters
     ----------
     timing : Timing
         How the device counts.
-
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG when the numbers in `timing` cannot be.
     """
 
     def __init__(self, timing: Timing) -> None:
@@ -184,6 +181,8 @@ class DeviceClock:
     ) -> tuple[IntArray, IntArray]:
         """Return device time in ns (n,) and segment (n,) for samples in order of arrival.
 
+        Raises BAD_CONFIG when neither ticks, counter, rate nor arrival times can date the samples.
+
         Parameters
         ----------
         packet_counter, device_ticks : array, (n,), or None
@@ -192,11 +191,6 @@ class DeviceClock:
             Unix time in ns, `NO_INT` where it is not known.
         n : int
             Number of samples.
-
-        Raises
-        ------
-        ImumonError
-            BAD_CONFIG when neither ticks, counter, rate nor arrival times can date the samples.
         """
         dated = self._sources[TICKS].limit and device_ticks is not None
         if n and not dated and not self._sources[ROWS].limit and arrival_ns is None:

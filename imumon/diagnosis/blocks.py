@@ -32,41 +32,28 @@ TURN_SHARE = 0.2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunBlocks:
-    """One run as block means at rest.
-
-    Parameters
-    ----------
-    name : str
-        Where it comes from.
-    block_s : float
-        Nominal length of a block.
-    time_s : array of shape (n,)
-        Mean time of the samples of each block since power-on.
-    white : array of shape (n,)
-        Variance of the white noise of each block over that of a full block.
-    mean : mapping of str to array of shape (n,)
-        Channels, in SI units.
-    temperature : mapping of str to array of shape (n,)
-        Temperatures in °C.
-    drives : mapping of str to Drive
-        What drives the effects, each slot, for each temperature; gaps are bridged.
-    weight : array of shape (slots,)
-        Of each slot in the means: samples, over those of a whole slot.
-    pose : array of shape (n,)
-        Number of the pose of each block, from 0; the same number is the same pose.
-    """
+    """One run as block means at rest."""
 
     name: str
+    """Where it comes from."""
     block_s: float
+    """Nominal length of a block."""
     time_s: FloatArray
+    """Mean time of the samples of each block since power-on, (n,)."""
     white: FloatArray
+    """Variance of the white noise of each block over that of a full block, (n,)."""
     mean: dict[str, FloatArray]
+    """Channels, in SI units, (n,) each."""
     temperature: dict[str, FloatArray]
+    """Temperatures in °C, (n,) each."""
     drives: dict[str, Drive]
+    """What drives the effects, each slot, for each temperature; gaps are bridged."""
     weight: FloatArray
+    """Of each slot in the means, (slots,): samples, over those of a whole slot."""
     slots: int
     duration_s: float
     pose: IntArray
+    """Number of the pose of each block, from 0; the same number is the same pose, (n,)."""
     origin: Origin | None = None
     begun_in: str = ""
 

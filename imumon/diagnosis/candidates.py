@@ -110,17 +110,11 @@ def _driven(family: type[Effect], survey: Survey) -> list[Candidate]:
 
 @dataclass(slots=True)
 class Pool:
-    """Columns of effects as block means, made once for each effect and run.
-
-    Parameters
-    ----------
-    runs : sequence of RunBlocks
-    temperature : str
-        Which temperature drives the effects.
-    """
+    """Columns of effects as block means, made once for each effect and run."""
 
     runs: Sequence[RunBlocks]
     temperature: str
+    """Which temperature drives the effects."""
     _columns: list[list[FloatArray]] = field(default_factory=list)
     _spectra: list[int] = field(default_factory=list)
     _known: dict[tuple[int, str], tuple[Effect, list[int]]] = field(default_factory=dict)

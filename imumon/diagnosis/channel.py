@@ -68,34 +68,22 @@ class Declared:
 
 @dataclass(frozen=True, eq=False)
 class Channel:
-    """A channel over the runs that it is searched and fitted in, and those that prove what was found.
-
-    Parameters
-    ----------
-    name, unit : str
-    floor : WhiteFloor
-        Of a block.
-    declared : Declared
-    pool : Pool
-        Training runs, which temperature drives the channel, and the columns of effects over them.
-    test : sequence of RunBlocks
-    faults : sequence of Fault
-        What is wrong with its data.
-    known : tuple of Effect, or None
-        Of the model that was given, whose curve is off the means already; None when none was given.
-    kept : tuple of Effect
-        Those of them that stay as they are: these runs do not show them.
-    """
+    """A channel over the runs that it is searched and fitted in, and those that prove what was found."""
 
     name: str
     unit: str
     floor: WhiteFloor
+    """Of a block."""
     declared: Declared
     pool: Pool
+    """Training runs, which temperature drives the channel, and the columns of effects over them."""
     test: Sequence[RunBlocks]
     faults: Sequence[Fault] = ()
+    """What is wrong with its data."""
     known: tuple[Effect, ...] | None = None
+    """Of the model that was given, whose curve is off the means already; None when none was given."""
     kept: tuple[Effect, ...] = ()
+    """Those of them that stay as they are: these runs do not show them."""
 
     @property
     def blind(self) -> float:

@@ -24,20 +24,14 @@ TEMPLATE = "compared.html.j2"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Compared:
-    """What two models leave of a channel in a run, as means of 30 s at rest.
-
-    Parameters
-    ----------
-    temperature : str
-        That the first model's curve is over.
-    left : tuple of RunBlocks
-        With the first and with the second model.
-    """
+    """What two models leave of a channel in a run, as means of 30 s at rest."""
 
     run: str
     channel: str
     temperature: str
+    """That the first model's curve is over."""
     left: tuple[RunBlocks, RunBlocks]
+    """With the first and with the second model."""
 
     @property
     def rms(self) -> tuple[float, float]:
@@ -49,10 +43,7 @@ class Compared:
 def compare(runs: Sequence[Run], models: tuple[BiasModel, BiasModel]) -> list[Compared]:
     """Return what two models leave of every channel that both have.
 
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when there is none, or the unit was never at rest for 30 s.
+    Raises BAD_DATA when there is none, or the unit was never at rest for 30 s.
     """
     found = []
     for run in runs:

@@ -37,10 +37,7 @@ def recorded(
 
     `beside` are the temperatures that the curves are over.
 
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG when one that is wanted is not there.
+    Raises BAD_CONFIG when one that is wanted is not there.
     """
     there = dict.fromkeys(name for run in train for name in run.mean)
     possible = [name for name in there if name not in CHANNELS and name not in beside]

@@ -97,10 +97,7 @@ def parse_declared(text: str) -> tuple[int, bool]:
     """Return degree and whether each run has an offset of its own, from ``polynomial 3`` or ``polynomial 3
     + offset``.
 
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG for anything else.
+    Raises BAD_CONFIG for anything else.
     """
     match = re.fullmatch(r"\s*polynomial\s+(\d+)(\s*\+\s*offset)?\s*", text)
     if match is None or int(match[1]) > HIGHEST_DEGREE:
@@ -129,10 +126,7 @@ def diagnose(
     `drivers` are what may drive an effect beside temperature, time and specific force; None: all that was
     recorded and varies.
 
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when the data cannot show anything, saying why; BAD_CONFIG for a wrong declared model.
+    Raises BAD_DATA when the data cannot show anything, saying why; BAD_CONFIG for a wrong declared model.
     """
     degree, offsets = parse_declared(declared)
     caveats = [*dict.fromkeys(text for run in (*train, *test) for text in run.warnings)]
@@ -301,10 +295,7 @@ def search_block(blocks: Sequence[RunBlocks]) -> float:
 def _channels(runs: Sequence[Run], sensors: Sequence[str], caveats: list[str]) -> list[str]:
     """Return the channels that every training run has at a tenth of its time or more, and that vary at all.
 
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when there is none.
+    Raises BAD_DATA when there is none.
     """
     found = []
     for name in channels_of(sensors, {name for run in runs for name in run.variance}):
@@ -331,10 +322,7 @@ def _channels(runs: Sequence[Run], sensors: Sequence[str], caveats: list[str]) -
 def _temperature_of(channel: str, runs: Sequence[Run]) -> str:
     """Return the temperature that a channel's bias is over: that of its axis where there is one.
 
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when there is no temperature.
+    Raises BAD_DATA when there is no temperature.
     """
     lacking = "there is no temperature in the training data, so there is no bias over temperature to diagnose"
     return common_temperature(f"temperature_{channel[-1]}", runs, lacking, but=channel)
@@ -355,10 +343,7 @@ def _usable(
 ) -> list[RunBlocks]:
     """Return the runs as blocks, without those that cannot be used, which are named.
 
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when the unit was hardly at rest.
+    Raises BAD_DATA when the unit was hardly at rest.
     """
     found = []
     moving = []

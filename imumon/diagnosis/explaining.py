@@ -18,7 +18,7 @@ MATERIAL = 1.3
 EXPLAINED = 0.6
 """Share of the excess over the white floor that has to be explained before anything is named, in training
 and in the test.  Of wanders, walks, telegraph noise, bursts and a hidden supply, 384 channels, no effect
-foretold more than 0.54 of the test, with one run to train on, or than 0.35, with two."""
+predicted more than 0.54 of the test, with one run to train on, or than 0.35, with two."""
 
 
 def explained_share(before: float, after: float, floor: float) -> float:

@@ -27,18 +27,12 @@ REPEATED = 0.3
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """What is wrong with the data of a channel.
-
-    Parameters
-    ----------
-    text : str
-    blind : float
-        rms of what it alone makes of a smooth bias: a smaller effect cannot be seen.  Infinite where nothing
-        that is fitted would be the bias.
-    """
+    """What is wrong with the data of a channel."""
 
     text: str
     blind: float = 0.0
+    """rms of what it alone makes of a smooth bias: a smaller effect cannot be seen.  Infinite where
+    nothing that is fitted would be the bias."""
 
 
 def without_standstill(run: Run, channels: Sequence[str]) -> tuple[Run, list[str]]:

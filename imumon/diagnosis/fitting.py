@@ -26,25 +26,17 @@ WIDER = 2.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedPart:
-    """An effect with the coefficients that carry over, and with what each run had.
-
-    Parameters
-    ----------
-    runs : tuple of int
-        Empty where the coefficients are shared.
-    own : array of shape (runs, k)
-        One row where they are shared.
-    start : array of shape (runs, m)
-        Of `Effect.start_columns`; empty when the start is not free.
-    carries : bool
-        Whether anything carries over to another run.
-    """
+    """An effect with the coefficients that carry over, and with what each run had."""
 
     effect: Effect
     runs: tuple[int, ...]
+    """Empty where the coefficients are shared."""
     own: FloatArray
+    """One row where they are shared, (runs, k)."""
     start: FloatArray
+    """Of `Effect.start_columns`, (runs, m); empty when the start is not free."""
     carries: bool
+    """Whether anything carries over to another run."""
 
     def added(self, run: RunBlocks, drive: Drive, at: int) -> FloatArray:
         """Return what it adds to the training run of index `at`, (n,)."""
@@ -59,24 +51,16 @@ class FittedPart:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
-    """An extended model fitted by ordinary least squares.
-
-    Parameters
-    ----------
-    declared : array of shape (degree + 1,)
-        Coefficients of the declared model, or of the curve in its place; the constant is the one to predict
-        with.
-    parts : list of FittedPart
-    train : array of shape (n,)
-        Residual in training.
-    lifted : float
-        How much of the constant is the mean of jumps and the like, which a new run begins without.
-    """
+    """An extended model fitted by ordinary least squares."""
 
     declared: FloatArray
+    """Coefficients of the declared model, or of the curve in its place, (degree + 1,); the constant is the
+    one to predict with."""
     parts: list[FittedPart]
     train: FloatArray
+    """Residual in training, (n,)."""
     lifted: float = 0.0
+    """How much of the constant is the mean of jumps and the like, which a new run begins without."""
 
     @property
     def train_rms(self) -> float:
@@ -153,34 +137,24 @@ def _carried(part: Part, own: FloatArray) -> tuple[FloatArray, bool]:
 
 @dataclass(slots=True, eq=False)
 class TestScore:
-    """How a model does on runs that it has not seen.
-
-    Parameters
-    ----------
-    rms : float
-        Predicted: no gyro of the test is used.
-    tracked_rms : float
-        With what was seen before in the test itself.
-    coverage : float
-        Share of the blocks inside the trained temperatures.
-    scored : float
-        Share of those that count: after the state at power-on is forgotten.
-    residual, tracked : list of array
-        Of each run, at every block.
-    counted, quiet : list of array
-        Blocks that count; those of them that are not too near a jump.
-    """
+    """How a model does on runs that it has not seen."""
 
     __test__ = False
 
     rms: float
+    """Predicted: no gyro of the test is used."""
     tracked_rms: float
+    """With what was seen before in the test itself."""
     coverage: float
+    """Share of the blocks inside the trained temperatures."""
     scored: float
+    """Share of those that count: after the state at power-on is forgotten."""
     residual: list[FloatArray]
     tracked: list[FloatArray]
+    """Of each run, at every block."""
     counted: list[BoolArray]
     quiet: list[BoolArray]
+    """Blocks that count; those of them that are not too near a jump."""
 
 
 def score(channel: Channel, model: Fit, like: Fit | None = None) -> TestScore:

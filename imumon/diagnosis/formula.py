@@ -3,7 +3,7 @@
 A term is an operator, or one within another, over temperature, time, specific force and drivers.  It goes
 through the search of the diagnosis as any effect does: the same likelihood, the same rules for what counts.
 Its price for having been chosen is twice the logarithm of how many terms there are that are no longer than it
-(extended BIC, Chen & Chen 2008).  A formula is a description, no cause, and is offered only when it foretells
+(extended BIC, Chen & Chen 2008).  A formula is a description, no cause, and is offered only when it predicts
 a test that it has not seen.
 """
 
@@ -23,9 +23,9 @@ from imumon.diagnosis.candidates import Candidate, Part, Pool
 from imumon.diagnosis.channel import Channel
 from imumon.diagnosis.explaining import EXPLAINED, evidence_of_test, explained_share
 from imumon.diagnosis.fitting import Fit, fit, score
-from imumon.diagnosis.foretold import woven
 from imumon.diagnosis.gains import PROVEN
 from imumon.diagnosis.likelihood import GRID, Likelihood
+from imumon.diagnosis.proven_by_test import woven
 from imumon.diagnosis.selection import Finding, Search
 from imumon.effects.base import TEMPERATURE, Drive, Effect, Memory, Scale, Survey
 from imumon.effects.drift import HOUR_S
@@ -152,28 +152,19 @@ class Term(Effect):
 
 @dataclass(frozen=True, slots=True)
 class Formula:
-    """What describes a residual that no known effect explains.
-
-    Parameters
-    ----------
-    terms : list of (Node, float)
-        With the coefficient, in the unit of the channel.
-    tried : int
-        Number of terms that it was chosen from.
-    gain : float
-        Over what was claimed, in BIC, after the price of the search.
-    fit : Fit
-        Of the declared model, what is claimed, and the terms.
-    test_before, test_rms : float
-        What is left of the test with what is claimed, and with the formula.
-    """
+    """What describes a residual that no known effect explains."""
 
     terms: list[tuple[Node, float]]
+    """With the coefficient, in the unit of the channel."""
     tried: int
+    """Number of terms that it was chosen from."""
     gain: float
+    """Over what was claimed, in BIC, after the price of the search."""
     fit: Fit
+    """Of the declared model, what is claimed, and the terms."""
     test_before: float
     test_rms: float
+    """What is left of the test with what is claimed, and with the formula."""
 
     @property
     def scales(self) -> dict[str, Scale]:
@@ -187,7 +178,7 @@ class Formula:
 
 
 def formula(channel: Channel, found: Search, before: Fit, beside: Sequence[Finding]) -> Formula | None:
-    """Return the formula that describes what is left of a channel, if it foretells the test.
+    """Return the formula that describes what is left of a channel, if it predicts the test.
 
     Parameters
     ----------

@@ -49,25 +49,16 @@ MOST_CLOSE = 6
 
 @dataclass(frozen=True, slots=True)
 class Better:
-    """A better model of a channel.
-
-    Parameters
-    ----------
-    channel : str
-    names : list of str
-        What it has that the present model lacks, the best first; the others are not told from it yet.
-    gain : float
-        In BIC, over all channels that lack the same, less what the choice costs.
-    before, after : float
-        rms of means of blocks with the present model and a constant, and with the better one.
-    model : ChannelModel
-    """
+    """A better model of a channel."""
 
     channel: str
     names: list[str]
+    """What it has that the present model lacks, the best first; the others are not told from it yet."""
     gain: float
+    """In BIC, over all channels that lack the same, less what the choice costs."""
     before: float
     after: float
+    """rms of means of blocks with the present model and a constant, and with the better one."""
     model: ChannelModel
 
 

@@ -52,30 +52,22 @@ def _levels(run: RunBlocks, force: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Length:
-    """What follows from |f| = g of an accelerometer triad, at the middle of the temperatures.
-
-    Parameters
-    ----------
-    bias, bias_per_half : array of shape (3,)
-        m/s², and its linear change up to the warm end; it may be as curved as the declared model.
-    scale, scale_per_half : array of shape (3,)
-        Excess of the scale factors over 1; their mean is not told from the gravity of the place.
-    misalignment : array of shape (3,)
-        Of yz, xz and xy, rad; NaN with too few poses.
-    bias_sd, scale_sd : array of shape (3,)
-    before, after : float
-        rms of |f| - g, m/s².
-    """
+    """What follows from |f| = g of an accelerometer triad, at the middle of the temperatures."""
 
     bias: FloatArray
     bias_per_half: FloatArray
+    """m/s², and its linear change up to the warm end, (3,); it may be as curved as the declared model."""
     scale: FloatArray
     scale_per_half: FloatArray
+    """Excess of the scale factors over 1; their mean is not told from the gravity of the place, (3,)."""
     misalignment: FloatArray
+    """Of yz, xz and xy, rad, (3,); NaN with too few poses."""
     bias_sd: FloatArray
     scale_sd: FloatArray
+    """Array, (3,)."""
     before: float
     after: float
+    """rms of |f| - g, m/s²."""
 
     def said(self, poses: int) -> str:
         """Return it in words."""

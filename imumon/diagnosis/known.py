@@ -21,10 +21,7 @@ CUBIC = 3
 def modelled(channels: Sequence[str], model: BiasModel) -> list[str]:
     """Return the channels that the model has.
 
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG when there is none.
+    Raises BAD_CONFIG when there is none.
     """
     found = [name for name in channels if name in model.channels]
     if not found:
@@ -39,10 +36,7 @@ def modelled(channels: Sequence[str], model: BiasModel) -> list[str]:
 def temperature_of(channel: str, model: BiasModel, runs: Sequence[Run]) -> str:
     """Return the temperature in the runs that the model's curve of a channel is over.
 
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when a run lacks it.
+    Raises BAD_DATA when a run lacks it.
     """
     name = model.channels[channel].temperature_column.replace("_estimate", "")
     return common_temperature(name, runs, f"the bias model needs {name}, which not every run has")

@@ -21,21 +21,14 @@ Gains = Mapping[str, float]
 
 @dataclass(frozen=True, slots=True)
 class Ways:
-    """The ways in which effects may be missing: with parameters of each channel's own, or the same for all.
-
-    Parameters
-    ----------
-    effect : dict of str to str
-        Name of the effect of each way; it is that of the way with parameters of each channel's own.
-    cost : dict of str to float
-        In BIC, once for all channels: of shared parameters, and of the choice among other drivers.
-    usual : int
-        How many effects of temperature, time or specific force there are.
-    """
+    """The ways in which effects may be missing: with parameters of each channel, or the same for all."""
 
     effect: dict[str, str]
+    """Name of the effect of each way; it is that of the way with parameters of each channel's own."""
     cost: dict[str, float]
+    """In BIC, once for all channels: of shared parameters, and of the choice among other drivers."""
     usual: int
+    """How many effects of temperature, time or specific force there are."""
 
     def price(self, channels: int) -> float:
         """Return what it costs to look for any effect on any set of channels (extended BIC: Chen & Chen

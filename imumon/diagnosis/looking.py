@@ -19,7 +19,7 @@ MOST_RANKED = 6
 @dataclass(frozen=True, slots=True)
 class Ranked:
     """An effect alone beside what was assumed: gain in BIC, and the rms that it leaves of training and of the
-    test, by what it foretells of that; NaN without one."""
+    test, by what it predicts of that; NaN without one."""
 
     name: str
     gain: float

@@ -111,20 +111,14 @@ class Open:
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """How a profile does.
-
-    Parameters
-    ----------
-    value, needed : float
-        Difference of gains in BIC for the pair that is told apart worst, and what is needed for it.
-    truth, rival : str
-        That pair.
-    """
+    """How a profile does."""
 
     value: float
     needed: float
+    """Difference of gains in BIC for the pair that is told apart worst, and what is needed for it."""
     truth: str
     rival: str
+    """That pair."""
 
     @property
     def ratio(self) -> float:
@@ -368,10 +362,7 @@ def _searched(run: Run, channel: str, degree: int, kinds: Sequence[str]) -> Sear
 def write_plan(report: Report, number: int, made: Plan, folder: Path) -> list[Path]:
     """Write an experiment: the chamber's course, and a scenario of it for each answer.
 
-    Raises
-    ------
-    OSError
-        When a file cannot be written.
+    Raises OSError when a file cannot be written.
     """
     if made.profile is None:
         return []

@@ -27,15 +27,7 @@ POSES = (Turn(kind="turn", at_s=0.0, duration_s=10.0, roll_deg=90.0),) * 3 + (
 
 @dataclass(frozen=True, slots=True)
 class Profile:
-    """One experiment.
-
-    Parameters
-    ----------
-    title : str
-    chamber : Chamber
-    duration_s : float
-    turns : tuple of Turn
-    """
+    """One experiment."""
 
     title: str
     chamber: Chamber

@@ -31,11 +31,8 @@ class Answer:
     carries: bool = True
 
 
-@dataclass(frozen=True, slots=True)
-class Question:
-    """Which of these is it?"""
-
-    answers: tuple[Answer, ...]
+Question = list[Answer]
+"""Which of these is it?"""
 
 
 def questions(channel: Channel, found: Search, kept: Sequence[Finding], unexplained: bool) -> list[Question]:
@@ -64,11 +61,11 @@ def _may_be_tried(candidate: Candidate) -> bool:
 def _question(
     channel: Channel, beside: Sequence[Candidate], tried: Sequence[Candidate], *, nothing: bool = False
 ) -> Question:
-    answers = []
+    answers: Question = []
     for one in tried:
         model = fit(channel, [*beside, one])
         own = model.parts[-len(one.parts) :]
         answers.append(Answer(one.family, model, all(part.carries for part in own)))
     if nothing:
         answers.insert(0, Answer(NOTHING, fit(channel, beside)))
-    return Question(tuple(answers))
+    return answers

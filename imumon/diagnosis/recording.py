@@ -46,54 +46,36 @@ class Origin:
 
 @dataclass(slots=True)
 class Run:
-    """One run from power-on in means of a slot, a second in most; a slot without samples is NaN.
-
-    Parameters
-    ----------
-    name : str
-        Where it comes from.
-    time_s : array of shape (n,)
-        Middle of each slot since the first sample.
-    count : mapping of str to array of shape (n,)
-        Samples in each slot.
-    mean : mapping of str to array of shape (n,)
-        Mean of channels in SI units and of temperatures in °C.
-    variance : mapping of str to array of shape (n,)
-        Variance of the samples within each slot; NaN with fewer than two.
-    rest : array of shape (n,)
-        Share of the samples at which the unit was at rest.
-    origin : Origin or None
-        None when it is not from a file.
-    start_ns : int or None
-        Device time of the first sample; None when it is not known.
-    earlier : int
-        Slots at the beginning that are of another run, which this one goes on from.
-    begun_in : str
-        The run that began at this power-on, where that is another: what jumped in it stays where it is.
-    warnings : tuple of str
-        Why its numbers may not be fit for an estimate: the device has corrected its rates itself, say.
-    slot_s : float
-        Whole seconds; more than one where a log is slower than a sample a second.
-    share : float
-        Of it that is used; the rest of it is held out for a test, or was.
-    looks : mapping of str to Look
-        What was seen of the single samples of channels, in the whole recording.
-    """
+    """One run from power-on in means of a slot, a second in most; a slot without samples is NaN."""
 
     name: str
+    """Where it comes from."""
     time_s: FloatArray
+    """Middle of each slot since the first sample, (n,)."""
     count: dict[str, FloatArray]
+    """Samples in each slot, (n,) each."""
     mean: dict[str, FloatArray]
+    """Mean of channels in SI units and of temperatures in °C, (n,) each."""
     variance: dict[str, FloatArray]
+    """Variance of the samples within each slot, (n,) each; NaN with fewer than two."""
     rest: FloatArray
+    """Share of the samples at which the unit was at rest, (n,)."""
     origin: Origin | None = None
+    """None when it is not from a file."""
     start_ns: int | None = None
+    """Device time of the first sample; None when it is not known."""
     earlier: int = 0
+    """Slots at the beginning that are of another run, which this one goes on from."""
     begun_in: str = ""
+    """The run that began at this power-on, where that is another: what jumped in it stays where it is."""
     warnings: tuple[str, ...] = ()
+    """Why its numbers may not be fit for an estimate: the device has corrected its rates itself, say."""
     slot_s: float = 1.0
+    """Whole seconds; more than one where a log is slower than a sample a second."""
     share: float = 1.0
+    """Of it that is used; the rest of it is held out for a test, or was."""
     looks: Mapping[str, Look] = field(default_factory=dict)
+    """What was seen of the single samples of channels, in the whole recording."""
 
     @property
     def duration_s(self) -> float:
@@ -120,10 +102,7 @@ def read_runs(
     `sensors` are those that are to be diagnosed, see `channels_of`; `at_rest` says that the unit was
     at rest all the time, whatever the samples look like.
 
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when there is nothing to read, no run of five minutes, or a table that needs a map.
+    Raises BAD_DATA when there is nothing to read, no run of five minutes, or a table that needs a map.
     """
     recording = open_recording(path, stages, map_path)
     blocks = recording.blocks()

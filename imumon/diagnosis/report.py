@@ -125,7 +125,7 @@ def _channel(verdict: ChannelVerdict) -> dict[str, Any]:
             for claim in verdict.claims
             for other in claim.finding.alike[1:]
         ],
-        "questions": [[_answer(one) for one in asked.answers] for asked in verdict.questions],
+        "questions": [[_answer(one) for one in asked] for asked in verdict.questions],
         "turns": [
             {
                 "done": step.done,

@@ -10,7 +10,7 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.diagnosis.candidates import Candidate, Part, Term, candidates
-from imumon.diagnosis.channel import Channel, ordinary, residual_rms
+from imumon.diagnosis.channel import Channel, residual_rms
 from imumon.diagnosis.explaining import MATERIAL
 from imumon.diagnosis.gains import (
     CLOSE,
@@ -43,49 +43,32 @@ MISFIT = 1.5
 ALIKE = 1.25
 """Residuals that differ by less than this factor are alike."""
 REFINEMENTS = 4
-PREDICTED = 1.1
-"""Factor by which the runs must predict one another better for a family to go before one of larger gain."""
-PREDICTING = 0.7
-"""A family with less than this share of the gain is not taken for how it predicts."""
 
 Progress = Callable[[str], None]
 
 
 @dataclass(slots=True)
 class Finding:
-    """An effect that was found in a channel.
-
-    Parameters
-    ----------
-    candidate : Candidate
-        With refined parameters; coefficients come with the fit.
-    gain : float
-        Over the model so far, in BIC.
-    pooled_gain : float
-        The same over all channels that show something, with shared nonlinear parameters.
-    rivals : dict of str to float
-        Gain of every family at that stage.
-    alike : list of str
-        Families that cannot be told apart from it, it among them; empty when there is no other.
-    size : float
-        rms of what it takes away from the residual.
-    by_test : bool
-        Whether the test alone proves it.
-    others : dict of str to Candidate
-        The best of each other family that is not told apart from it.
-    known : bool
-        Whether it is of the model that was given, and fitted anew.
-    """
+    """An effect that was found in a channel."""
 
     candidate: Candidate
+    """With refined parameters; coefficients come with the fit."""
     gain: float
+    """Over the model so far, in BIC."""
     pooled_gain: float
+    """The same over all channels that show something, with shared nonlinear parameters."""
     rivals: dict[str, float]
+    """Gain of every family at that stage."""
     alike: list[str]
+    """Families that cannot be told apart from it, it among them; empty when there is no other."""
     size: float
+    """rms of what it takes away from the residual."""
     by_test: bool = False
+    """Whether the test alone proves it."""
     others: dict[str, Candidate] = field(default_factory=dict)
+    """The best of each other family that is not told apart from it."""
     known: bool = False
+    """Whether it is of the model that was given, and fitted anew."""
 
     @property
     def name(self) -> str:
@@ -316,8 +299,6 @@ class Search:
         while order and leaders[order[0]].gain > PROVEN:
             name = self._choose(order, leaders, pooled)
             finding = self._finding(leaders[name], table, pooled)
-            if finding is not None and (other := self._better_predicted(finding, leaders)):
-                finding = self._finding(leaders[other], table, pooled) or finding
             if finding is None:
                 order = [other for other in order if other != name and leaders[other].gain > PROVEN]
                 continue
@@ -436,32 +417,6 @@ class Search:
         names = [name for _, name in sorted(close, reverse=True)[: MOST_NAMES - 1]]
         return [chosen, *names] if names else []
 
-    def _better_predicted(self, finding: Finding, leaders: Mapping[str, Leader]) -> str | None:
-        """Return the family, of those not told apart, by which the runs predict one another better."""
-        if self.survey.runs < 2 or not finding.alike:
-            return None
-        errors = {
-            name: self._error_between_runs(
-                finding.candidate if name == finding.name else leaders[name].scored.candidate
-            )
-            for name in finding.alike
-            if name == finding.name or leaders[name].gain > PREDICTING * leaders[finding.name].gain
-        }
-        best = min(errors, key=errors.__getitem__)
-        return best if errors[best] < errors[finding.name] / PREDICTED else None
-
-    def _error_between_runs(self, candidate: Candidate) -> float:
-        """Return the rms error with which each run is predicted by the others, its own constant given."""
-        values, design = self.channel.values, self.channel.design([*self.found, candidate])
-        lengths = [len(run) for run in self.channel.train]
-        which = np.repeat(np.arange(len(lengths)), lengths)
-        total = 0.0
-        for run in range(len(lengths)):
-            rows = which == run
-            left = values[rows] - design[rows] @ ordinary(design[~rows], values[~rows])
-            total += float(np.sum((left - left.mean()) ** 2))
-        return float(np.sqrt(total / len(values)))
-
     def _second_event(self, finding: Finding) -> bool:
         """Tell, and remember, whether a run has a second jump that is not small beside the first."""
         same = [other for other in self.findings if other.name == finding.name]
@@ -489,7 +444,6 @@ class Search:
         """Drop what later findings made needless, and refine what is left."""
         self._drop_needless()
         self._exchange()
-        self._merge_start()
         if len(self.findings) > 1:
             self._refine()
         if self.channel.known is not None:
@@ -555,21 +509,6 @@ class Search:
         worth = before - self._evidence()
         self.findings = everything
         return worth
-
-    def _merge_start(self) -> None:
-        """Take for a start out of equilibrium what passed for an effect of its own, if that does."""
-        for lag in self.findings:
-            looks_like = lag.candidate.parts[0].effect.start_looks_like
-            other = next((one for one in self.findings if one.name in looks_like), None)
-            if other is None or lag.candidate.free_start:
-                continue
-            everything, fixed, before = list(self.findings), lag.candidate, self._evidence()
-            self.findings = [finding for finding in everything if finding is not other]
-            free = Scored(replace(fixed, free_start=True), 0.0, 0.0, self.null()[1])
-            lag.candidate = self._refined(free).candidate
-            if before - self._evidence() > CLOSE:
-                self.findings, lag.candidate = everything, fixed
-            return
 
     def _evidence(self) -> float:
         """Return twice the log-likelihood of the model so far less the price of its parameters."""

@@ -30,26 +30,18 @@ LEAST_LATER = 10
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Score:
-    """How two models do on what came later.
-
-    Parameters
-    ----------
-    ratio : float
-        Logarithm of the ratio of the likelihoods, the better model's over the present one's.
-    time_s, present, shadow : array (n,)
-        Of each mean, and what the models leave of it: rms over the channels that differ.
-    later : int
-        How many of them came later.
-    block_s : float
-        Of what length the means are.
-    """
+    """How two models do on what came later."""
 
     ratio: float
+    """Logarithm of the ratio of the likelihoods, the better model's over the present one's."""
     time_s: FloatArray
     present: FloatArray
     shadow: FloatArray
+    """Of each mean, and what the models leave of it, (n,): rms over the channels that differ."""
     later: int
+    """How many of them came later."""
     block_s: float
+    """Of what length the means are."""
 
     @property
     def won(self) -> bool:

@@ -23,18 +23,12 @@ CHANGE = 0.01
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PartSigma:
-    """Standard deviations of a part of a model.
-
-    Parameters
-    ----------
-    coefficients : array of shape (runs, k)
-        One row where they are shared.
-    searched : dict of str to float
-        Of each nonlinear parameter, in its unit.
-    """
+    """Standard deviations of a part of a model."""
 
     coefficients: FloatArray
+    """One row where they are shared, (runs, k)."""
     searched: dict[str, float]
+    """Of each nonlinear parameter, in its unit."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -21,28 +21,20 @@ OFTEN, MORE_OFTEN = 0.01, 10.0
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """What is seen of a channel's values.
-
-    Parameters
-    ----------
-    step : float
-        Of the grid that they lie on; 0 when there is none.
-    noise : float
-        Standard deviation of a sample about its neighbours, of those that differ; NaN when none does.
-    atom, atom_share : float
-        The value that comes far more often than those beside it, and its share of all; NaN and 0 without one.
-    place : "inside", "end" or "apart"
-        Where it is: within the others, at their end, or away from them.
-    repeated : float
-        Share of the samples that equal the one before.
-    """
+    """What is seen of a channel's values."""
 
     step: float
+    """Of the grid that they lie on; 0 when there is none."""
     noise: float
+    """Standard deviation of a sample about its neighbours, of those that differ; NaN when none does."""
     atom: float
     atom_share: float
+    """The value that comes far more often than those beside it, and its share of all; NaN and 0 without
+    one."""
     place: str
+    """Where it is: within the others, at their end, or away from them."""
     repeated: float
+    """Share of the samples that equal the one before."""
 
     def without(self, share: float) -> Look:
         """Return what is seen beside this share of the samples, in which its frequent value stood still."""

@@ -21,11 +21,11 @@ from imumon.diagnosis.explaining import (
     shown,
 )
 from imumon.diagnosis.fitting import Fit, FittedPart, TestScore, fit, fit_given, goes_on, mean_rms, score
-from imumon.diagnosis.foretold import foretold
 from imumon.diagnosis.formula import Formula, formula
 from imumon.diagnosis.gains import PROVEN
 from imumon.diagnosis.likelihood import WALK_S
 from imumon.diagnosis.looking import Ranked, RunLeft, ranking, runs_left
+from imumon.diagnosis.proven_by_test import proven_by_test
 from imumon.diagnosis.questions import Question, questions
 from imumon.diagnosis.selection import Finding, Search, Step
 from imumon.diagnosis.uncertainty import PartSigma, sigmas
@@ -38,7 +38,7 @@ BY_TEST = "the test alone proves it: in training noise as slow as the one that i
 class Claim:
     """An effect that is claimed, with its evidence; `parts` and `sigmas` are those of the whole model.
 
-    `test_gain` is the evidence of the test for it, beside the rest; NaN where it foretells nothing.
+    `test_gain` is the evidence of the test for it, beside the rest; NaN where it predicts nothing.
     """
 
     finding: Finding
@@ -76,58 +76,42 @@ class SlowNoise:
 
 @dataclass(slots=True)
 class ChannelVerdict:
-    """What is said of a channel.
-
-    Parameters
-    ----------
-    before, after : Fit
-        Declared and extended model.
-    test_before, test_after : TestScore or None
-        None without a test.
-    left_out : list of dict
-        What was found but made the test worse.
-    slow : SlowNoise
-        In the unit of the channel.
-    questions : list of Question
-        What is open.
-    predicts : bool
-        Whether the extended model goes into the model file; else the declared one does: nothing of what is
-        claimed carries over, or the levels of the test make the prediction worse with it.
-    refit : list of str
-        What was fitted anew of a model that was given, its curve first; empty when that stays as it is.
-    turns : list of Step
-        The turns of the loop.
-    formula : Formula or None
-        What describes the unexplained, if anything does.
-    ranking : list of Ranked
-        The effects that gain most at first, each alone.
-    runs : list of RunLeft
-        What each run is left with.
-    declared_covariance : array of shape (degree + 1, degree + 1)
-        Of the coefficients of the declared model.
-    """
+    """What is said of a channel."""
 
     channel: Channel
     before: Fit
     after: Fit
+    """Declared and extended model."""
     test_before: TestScore | None
     test_after: TestScore | None
+    """None without a test."""
     claims: list[Claim]
     unexplained: bool
     summary: str
     explained: float
     noise: tuple[float, float]
     left_out: list[dict[str, Any]] = field(default_factory=list)
+    """What was found but made the test worse."""
     remark: str = ""
     predicts: bool = True
+    """Whether the extended model goes into the model file; else the declared one does: nothing of what is
+    claimed carries over, or the levels of the test make the prediction worse with it."""
     slow: SlowNoise = SlowNoise()
+    """In the unit of the channel."""
     questions: list[Question] = field(default_factory=list)
+    """What is open."""
     refit: list[str] = field(default_factory=list)
+    """What was fitted anew of a model that was given, its curve first; empty when that stays as it is."""
     turns: list[Step] = field(default_factory=list)
+    """The turns of the loop."""
     formula: Formula | None = None
+    """What describes the unexplained, if anything does."""
     ranking: list[Ranked] = field(default_factory=list)
+    """The effects that gain most at first, each alone."""
     runs: list[RunLeft] = field(default_factory=list)
+    """What each run is left with."""
     declared_covariance: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
+    """Of the coefficients of the declared model, (degree + 1, degree + 1)."""
 
     @property
     def name(self) -> str:
@@ -221,7 +205,7 @@ def judge(channel: Channel, found: Search, left_out: Sequence[dict[str, Any]]) -
     findings = [one for one in found.findings if not (small and one.candidate.scope == "event")]
     refit = [one for one in findings if one.known]
     before = _fit(channel, refit) if found.refit else given
-    kept, refuted = _not_worse(channel, given, findings)
+    kept, refuted = _not_worse(channel, findings)
     after = _fit(channel, kept)
     # What the digits alone make of a smooth bias is no structure.
     floor, remark = float(np.hypot(channel.floor.sd, channel.blind)), ""
@@ -236,7 +220,7 @@ def judge(channel: Channel, found: Search, left_out: Sequence[dict[str, Any]]) -
     if not claimed:
         kept, after = refit, before
     if not claimed and not found.many_events and before.train_rms >= CLEAN * floor:
-        one = foretold(channel, found, before, refit)
+        one = proven_by_test(channel, found, before, refit)
         if one is not None:
             kept, claimed = [*refit, one], [one]
             after = _fit(channel, kept)
@@ -324,14 +308,8 @@ def _scores(channel: Channel, before: Fit, after: Fit) -> tuple[TestScore, TestS
     return score(channel, before, like=after), score(channel, after)
 
 
-def _not_worse(
-    channel: Channel, given: Fit, findings: Sequence[Finding]
-) -> tuple[list[Finding], list[dict[str, Any]]]:
-    """Return the findings without those that the test refutes, and what those did.
-
-    A finding is refuted when the test is worse with it.  At last nothing stays that makes the prediction as a
-    whole worse.
-    """
+def _not_worse(channel: Channel, findings: Sequence[Finding]) -> tuple[list[Finding], list[dict[str, Any]]]:
+    """Return the findings without those that the test refutes, being worse with them, and what those did."""
     kept = list(findings)
     left_out: list[dict[str, Any]] = []
     while kept and channel.test:
@@ -342,27 +320,7 @@ def _not_worse(
             break
         left_out.append(trials[worst][1])
         kept.pop(worst)
-    while kept and (record := _worst_predicted(channel, given, kept)) is not None:
-        left_out.append(record)
-        kept = [finding for finding in kept if finding.name != record["name"]]
     return kept, left_out
-
-
-def _worst_predicted(channel: Channel, given: Fit, kept: Sequence[Finding]) -> dict[str, Any] | None:
-    """Return the numbers of the finding without which the prediction is best, if with all it is worse than
-    the declared one; else None."""
-    everything = _fit(channel, kept)
-    scores = _scores(channel, given, everything)
-    if scores is None or not scores[1].rms > scores[0].rms:
-        return None
-    if not all(part.carries for part in everything.parts):
-        return None  # the level of the test is another anyway: following it has shown what they are worth
-    without = {
-        finding.name: score(channel, _fit(channel, _others(kept, finding)), like=everything).rms
-        for finding in kept
-    }
-    name = min(without, key=without.__getitem__)
-    return {"name": name, "test_rms_with": scores[1].rms, "test_rms_without": without[name]}
 
 
 def _others(kept: Sequence[Finding], finding: Finding) -> list[Finding]:

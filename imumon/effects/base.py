@@ -44,24 +44,16 @@ FORGOTTEN = float(np.exp(-3.0))
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """What drives the effects in one run from power-on.
-
-    Parameters
-    ----------
-    time_s : array of shape (n,)
-        Time since power-on, increasing.
-    temperature_degc : array of shape (n,)
-        Finite.
-    accel : array of shape (n, 3), or None
-        Specific force in m/s², body axes.
-    others : mapping of str to array of shape (n,)
-        Whatever else was recorded, each in its own unit; finite.
-    """
+    """What drives the effects in one run from power-on."""
 
     time_s: FloatArray
+    """Time since power-on, increasing, (n,)."""
     temperature_degc: FloatArray
+    """Finite, (n,)."""
     accel: FloatArray | None = None
+    """Specific force in m/s², body axes, (n, 3)."""
     others: Mapping[str, FloatArray] = field(default_factory=dict)
+    """Whatever else was recorded, each in its own unit, (n,) each; finite."""
 
     def of(self, driver: str) -> FloatArray:
         """Return what drives an effect, (n,)."""
@@ -82,40 +74,28 @@ class Scale:
 
 @dataclass(frozen=True, slots=True)
 class Survey:
-    """What the training runs can show: it decides which parameters of an effect are worth trying.
-
-    Parameters
-    ----------
-    durations_s : sequence of float
-        Length of each run.
-    span_degc : float
-        From the lowest to the highest temperature.
-    reversals : int
-        Turns of the temperature by more than a fifth of the span, summed over the runs.
-    accel_range : float
-        Largest range of any component of the specific force within a run, m/s².
-    block_s : float
-        Length of the blocks whose means are regressed.
-    degree : int
-        Degree of the declared polynomial.
-    middle_degc, half_span_degc : float
-        Temperature is scaled to u = (T - middle) / half span.
-    others : mapping of str to Scale
-        Further drivers that were recorded and that vary.
-    choices : float
-        Effective number of things that an effect of these can be: as many as are independent of one another.
-    """
+    """What the training runs can show: it decides which parameters of an effect are worth trying."""
 
     durations_s: Sequence[float]
+    """Length of each run."""
     span_degc: float
+    """From the lowest to the highest temperature."""
     reversals: int
+    """Turns of the temperature by more than a fifth of the span, summed over the runs."""
     accel_range: float
+    """Largest range of any component of the specific force within a run, m/s²."""
     block_s: float
+    """Length of the blocks whose means are regressed."""
     degree: int
+    """Degree of the declared polynomial."""
     middle_degc: float
     half_span_degc: float
+    """Temperature is scaled to u = (T - middle) / half span."""
     others: Mapping[str, Scale] = field(default_factory=dict)
+    """Further drivers that were recorded and that vary."""
     choices: float = 1.0
+    """Effective number of things that an effect of these can be: as many as are independent of one
+    another."""
 
     @property
     def scale(self) -> Scale:
@@ -140,25 +120,17 @@ class Survey:
 
 @dataclass(slots=True)
 class Memory:
-    """What an effect carries from one block to the next; NaN at power-on.
-
-    Parameters
-    ----------
-    time_s, driver : float
-        The last ones seen (behind the slack of a smooth loop).
-    follower : float
-        Where the one stands that follows the driver: lagged, or dragged along.
-    ahead : float
-        How far the driver of a smooth loop is ahead of what it drags.
-    past : array of shape (k, 2)
-        Earlier times and values of the driver, where a delay needs them.
-    """
+    """What an effect carries from one block to the next; NaN at power-on."""
 
     time_s: float = NAN
     driver: float = NAN
+    """The last ones seen (behind the slack of a smooth loop)."""
     follower: float = NAN
+    """Where the one stands that follows the driver: lagged, or dragged along."""
     ahead: float = NAN
+    """How far the driver of a smooth loop is ahead of what it drags."""
     past: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
+    """Earlier times and values of the driver, where a delay needs them, (k, 2)."""
 
 
 class Effect(StrictModel):
@@ -181,8 +153,6 @@ class Effect(StrictModel):
     """Whether an unknown state at power-on is fitted as well: of the effect alone, or of sums of it, too."""
     one_sign: ClassVar[bool] = False
     """Whether coefficients of both signs are none of it."""
-    start_looks_like: ClassVar[tuple[str, ...]] = ()
-    """Effects that an unknown state at power-on passes for."""
     suspected_by: ClassVar[tuple[str, ...]] = ()
     """What the innovations of a bias filter follow when the model lacks it, see `imumon.estimation.watch`."""
     separated_by: ClassVar[Mapping[str, str]] = {}
@@ -347,19 +317,14 @@ class Effect(StrictModel):
 
 
 class DrivenEffect(Effect):
-    """An effect of the temperature, or of whatever else was recorded.
-
-    Parameters
-    ----------
-    driver : str
-        The temperature that the channel's curve is over, or another recorded column.  Parameters that are not
-        times are in its unit.
-    """
+    """An effect of the temperature, or of whatever else was recorded."""
 
     operator: ClassVar[str]
     """What it does with its driver, in a word; it is in the name of an effect of another driver."""
 
     driver: Annotated[str, Field(min_length=1)] = TEMPERATURE
+    """The temperature that the channel's curve is over, or another recorded column.  Parameters that are
+    not times are in its unit."""
 
     @property
     def label(self) -> str:

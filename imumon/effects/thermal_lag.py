@@ -34,7 +34,6 @@ class ThermalLag(Follower):
     operator = "lag"
     nonlinear = ("time_constant_s",)
     free_start = "in sums"
-    start_looks_like = ("warm_up", "stress_relaxation")
     suspected_by = ("temperature rate",)
     separated_by: ClassVar[Mapping[str, str]] = {
         "temperature_rate": "a fast ramp into a soak: the lag goes on for its time constant",

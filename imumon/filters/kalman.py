@@ -23,23 +23,15 @@ class Estimate(NamedTuple):
 
 
 class Correction(NamedTuple):
-    """What a measurement did.
-
-    Parameters
-    ----------
-    estimate : Estimate
-        After the measurement.
-    innovation : array, (..., m)
-        Measurement less its prediction.
-    innovation_covariance : array, (..., m, m)
-    log_likelihood : array, (...)
-        Logarithm of the density of the measurement as it was predicted.
-    """
+    """What a measurement did."""
 
     estimate: Estimate
+    """After the measurement."""
     innovation: FloatArray
+    """Measurement less its prediction."""
     innovation_covariance: FloatArray
     log_likelihood: FloatArray
+    """Logarithm of the density of the measurement as it was predicted."""
 
     @property
     def standardised(self) -> FloatArray:
@@ -72,6 +64,8 @@ def predict(
 def correct(estimate: Estimate, measurement: FloatArray, model: FloatArray, noise: FloatArray) -> Correction:
     """Update with z = H x + v, v of covariance R, in Joseph's form.
 
+    Raises numpy.linalg.LinAlgError when the covariance of the innovation is singular.
+
     Parameters
     ----------
     measurement : array, (..., m)
@@ -80,11 +74,6 @@ def correct(estimate: Estimate, measurement: FloatArray, model: FloatArray, nois
         H.
     noise : array, (..., m, m)
         R.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        When the covariance of the innovation is singular.
     """
     mean, covariance = estimate
     innovation = measurement - np.einsum("...ij,...j->...i", model, mean)

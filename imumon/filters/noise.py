@@ -29,21 +29,14 @@ decade, have together the density sd² pi / (2 pi f ln 10), which is to be that 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BiasNoise:
-    """Flicker and random walk; the white noise belongs to the measurement.
-
-    Parameters
-    ----------
-    taus_s : array (m,)
-        Correlation times.
-    markov_sd : array (..., m)
-        Standard deviation of each process, in the unit of the bias.
-    walk : array (...)
-        K, per sqrt(s).
-    """
+    """Flicker and random walk; the white noise belongs to the measurement."""
 
     taus_s: FloatArray
+    """Correlation times, (m,)."""
     markov_sd: FloatArray
+    """Standard deviation of each process, in the unit of the bias."""
     walk: FloatArray
+    """K, per sqrt(s)."""
 
     def decay(self, dt: float) -> FloatArray:
         """Return the diagonal of F, (m + 1,)."""
@@ -82,19 +75,14 @@ class Whitener:
 
     The innovations over their standard deviations are the data behind the inverse Cholesky factor of the
     covariance, in linear time.
-
-    Parameters
-    ----------
-    decay : array (n, m + 1)
-        Diagonal of F up to each mean; zero where the filter begins anew.
-    gain : array (n, f, m + 1)
-    sd : array (n, f)
-        Standard deviation of each innovation.
     """
 
     decay: FloatArray
+    """Diagonal of F up to each mean, (n, m + 1); zero where the filter begins anew."""
     gain: FloatArray
+    """Array, (n, f, m + 1)."""
     sd: FloatArray
+    """Standard deviation of each innovation, (n, f)."""
 
     def __call__(self, columns: FloatArray, at: int = 0) -> FloatArray:
         """Return columns (n, k) whitened by one of the filters."""
@@ -183,17 +171,12 @@ def _filtered(decay: FloatArray, growth: FloatArray, white: FloatArray) -> tuple
 
 @dataclass(frozen=True, slots=True)
 class NoiseTerms:
-    """White noise N, bias instability B and rate random walk K of a sensor, as IEEE Std 952 has them.
-
-    Parameters
-    ----------
-    white, instability, walk : float
-        rad/sqrt(s), rad/s and rad/s/sqrt(s), or of any unit; zero where there is none.
-    """
+    """White noise N, bias instability B and rate random walk K of a sensor, as IEEE Std 952 has them."""
 
     white: float
     instability: float
     walk: float
+    """rad/sqrt(s), rad/s and rad/s/sqrt(s), or of any unit; zero where there is none."""
 
     def allan_variance(self, tau_s: FloatArray) -> FloatArray:
         """Return the Allan variance at averaging times."""

@@ -12,18 +12,13 @@ from imumon.blocks import FloatArray, IntArray
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RateEstimate:
-    """Temperature and its rate with their standard deviations, one value per sample.
-
-    Parameters
-    ----------
-    temperature, rate, temperature_sd, rate_sd : array, (n,)
-        °C, °C/s, °C and °C/s; NaN where there is no estimate.
-    """
+    """Temperature and its rate with their standard deviations, one value per sample."""
 
     temperature: FloatArray
     rate: FloatArray
     temperature_sd: FloatArray
     rate_sd: FloatArray
+    """°C, °C/s, °C and °C/s, (n,); NaN where there is no estimate."""
 
     @classmethod
     def empty(cls, n: int) -> RateEstimate:

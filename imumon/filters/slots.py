@@ -24,53 +24,37 @@ Number = TypeVar("Number", np.float64, np.int64)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Slots:
-    """m slots of k columns that ended, in order.
-
-    Parameters
-    ----------
-    row : array of int64, (m,)
-        First row of the block behind the slot: from there on what the slot says is known.
-    segment : array of int64, (m,)
-        Segment of the slot's samples.
-    begins : array of bool, (m,)
-        Whether this is the first slot of its segment, or of a time that ran back.
-    start_ns, end_ns : array of int64, (m,)
-        Device time of the first and the last sample in it.
-    samples : array of int64, (m,)
-        Rows in the slot, whether or not they have values.
-    count : array of int64, (m, k)
-        Finite values.
-    mean, variance : array, (m, k)
-        Of the finite values, the variance about their mean; NaN without any.
-    smallest, largest, first, last : array, (m, k)
-        Of the finite values; NaN without any.
-    step_count : array of int64, (m, k)
-        Pairs of finite values in successive rows of the segment, the later of which is in the slot.
-    step_squares : array, (m, k)
-        Sum of their squared differences.
-    changes : array of int64, (m, k)
-        How many of them differ at all.
-    turns : Turns
-        How the unit turned; without any where the gatherer was told of no rates.
-    """
+    """m slots of k columns that ended, in order."""
 
     row: IntArray
+    """First row of the block behind the slot, (m,): from there on what the slot says is known."""
     segment: IntArray
+    """Segment of the slot's samples, (m,)."""
     begins: BoolArray
+    """Whether this is the first slot of its segment, or of a time that ran back, (m,)."""
     start_ns: IntArray
     end_ns: IntArray
+    """Device time of the first and the last sample in it, (m,)."""
     samples: IntArray
+    """Rows in the slot, whether or not they have values, (m,)."""
     count: IntArray
+    """Finite values, (m, k)."""
     mean: FloatArray
     variance: FloatArray
+    """Of the finite values, the variance about their mean, (m, k); NaN without any."""
     smallest: FloatArray
     largest: FloatArray
     first: FloatArray
     last: FloatArray
+    """Of the finite values, (m, k); NaN without any."""
     step_count: IntArray
+    """Pairs of finite values in successive rows of the segment, the later of which is in the slot, (m, k)."""
     step_squares: FloatArray
+    """Sum of their squared differences, (m, k)."""
     changes: IntArray
+    """How many of them differ at all, (m, k)."""
     turns: Turns
+    """How the unit turned; without any where the gatherer was told of no rates."""
 
     def __len__(self) -> int:
         """Return the number of slots."""
@@ -114,6 +98,8 @@ NO_RATES = -1
 class SlotGatherer:
     """Gathers rows into slots; the same slots whatever the division into blocks.
 
+    Raises ValueError when the length is not positive.
+
     Parameters
     ----------
     columns : int
@@ -122,11 +108,6 @@ class SlotGatherer:
         Length of a slot.
     rates : int, optional
         First of three columns that are the rates of turn about the body axes, rad/s, which are integrated.
-
-    Raises
-    ------
-    ValueError
-        When the length is not positive.
     """
 
     def __init__(self, columns: int, length_ns: int, rates: int | None = None) -> None:

@@ -43,37 +43,26 @@ SERIES = 1e-2
 
 @dataclass(slots=True, eq=False)
 class Turn:
-    """A turn, from body axes at its beginning to those at its end, and what may be wrong with it.
-
-    Parameters
-    ----------
-    rotation : array (3, 3)
-        C: vectors in the axes of its end to those of its beginning.
-    by_bias : array (3, 3)
-        Integral of C dt, s: times a bias it is the angle that this adds, in the axes of the beginning.
-    by_scale : array (3, 3, 3)
-        Integral of C[a, i] rate[j] dt, rad: the angle about a by the element i, j of the matrix of scale and
-        misalignment.
-    coning : array (3,)
-        What may be missing or too much between samples, rad, with one sign.
-    fast : float
-        The same of motion that is nearly too fast for the samples, rad, in any direction.
-    missed : float
-        Variance by samples that are missing, rad².
-    seconds : float
-        Time of all samples, each since the one before; without pauses.
-    path : float
-        Sum of the angles of the parts that it is made of, rad.
-    """
+    """A turn, from body axes at its beginning to those at its end, and what may be wrong with it."""
 
     rotation: FloatArray = field(default_factory=lambda: np.eye(3))
+    """C: vectors in the axes of its end to those of its beginning, (3, 3)."""
     by_bias: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
+    """Integral of C dt, s, (3, 3): times a bias it is the angle that this adds, in the axes of the
+    beginning."""
     by_scale: FloatArray = field(default_factory=lambda: np.zeros((3, 3, 3)))
+    """Integral of C[a, i] rate[j] dt, rad, (3, 3, 3): the angle about a by the element i, j of the matrix
+    of scale and misalignment."""
     coning: FloatArray = field(default_factory=lambda: np.zeros(3))
+    """What may be missing or too much between samples, rad, with one sign, (3,)."""
     fast: float = 0.0
+    """The same of motion that is nearly too fast for the samples, rad, in any direction."""
     missed: float = 0.0
+    """Variance by samples that are missing, rad²."""
     seconds: float = 0.0
+    """Time of all samples, each since the one before; without pauses."""
     path: float = 0.0
+    """Sum of the angles of the parts that it is made of, rad."""
 
     def less(self, bias: FloatArray) -> Turn:
         """Return the turn by rates without a constant bias, rad/s, (3,), to first order of its angle."""

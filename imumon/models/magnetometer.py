@@ -15,36 +15,25 @@ _NotNegative = Annotated[FiniteFloat, Field(ge=0.0)]
 
 
 class MagnetometerModel(StrictModel):
-    """Field = soft_iron (reading - hard_iron), as `imumon magnetometer` finds it.
-
-    Parameters
-    ----------
-    unit : str
-        Of readings and field, as the device has it.
-    hard_iron, hard_iron_sd : [x, y, z]
-        Reading where there is no field.
-    soft_iron, soft_iron_sd : three rows of three
-        Symmetric; it leaves the mean strength of the field as it was read.
-    field : float
-        Strength of the field.
-    residual_sd : float
-        What a reading is off from that strength after the correction, noise and all.
-    coverage : float
-        Share of the directions that were seen, 0 to 1.
-    session, sha256 : str
-        The recording.
-    """
+    """Field = soft_iron (reading - hard_iron), as `imumon magnetometer` finds it."""
 
     unit: str
+    """Of readings and field, as the device has it."""
     hard_iron: _Three
     hard_iron_sd: _Three
+    """Reading where there is no field."""
     soft_iron: Annotated[list[_Three], Field(min_length=3, max_length=3)]
     soft_iron_sd: Annotated[list[_Three], Field(min_length=3, max_length=3)]
+    """Symmetric; it leaves the mean strength of the field as it was read."""
     field: Annotated[FiniteFloat, Field(gt=0.0)]
+    """Strength of the field."""
     residual_sd: _NotNegative
+    """What a reading is off from that strength after the correction, noise and all."""
     coverage: Annotated[FiniteFloat, Field(ge=0.0, le=1.0)]
+    """Share of the directions that were seen, 0 to 1."""
     session: str | None = None
     sha256: str | None = None
+    """The recording."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

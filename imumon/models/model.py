@@ -39,32 +39,21 @@ _Sha256 = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
 
 
 class ChannelModel(StrictModel):
-    """Bias of one channel over temperature.
-
-    Parameters
-    ----------
-    unit : "rad/s" or "m/s^2"
-        Of all values of the channel.
-    temperature_column : str
-        Column of the samples that the curve is over.
-    temperature_range_degc : [low, high]
-        Where the curve is supported by data.
-    residual_sd : float
-        Standard deviation of the bias about the curve, from levels that the fit had not seen.
-    held_out_rms : dict of str to float
-        rms error at levels that were left out, for each candidate curve.
-    curve : PolynomialCurve, SplineCurve or NetworkCurve
-    effects : list of Effect
-        What the bias has beyond the curve, with coefficients; `value` and `slope` are without them.
-    """
+    """Bias of one channel over temperature."""
 
     unit: Literal["rad/s", "m/s^2"]
+    """Of all values of the channel."""
     temperature_column: Annotated[str, Field(pattern="^temperature(_estimate)?(_[xyz])?$")]
+    """Column of the samples that the curve is over."""
     temperature_range_degc: Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)]
+    """Where the curve is supported by data."""
     residual_sd: _NonNegative
+    """Standard deviation of the bias about the curve, from levels that the fit had not seen."""
     held_out_rms: dict[str, _NonNegative] = Field(default_factory=dict)
+    """rms error at levels that were left out, for each candidate curve."""
     curve: Curve
     effects: list[AnyEffect] = Field(default_factory=list)
+    """What the bias has beyond the curve, with coefficients; `value` and `slope` are without them."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -123,45 +112,33 @@ class TrainedOn(StrictModel):
 
 
 class BiasModel(StrictModel):
-    """Bias over temperature of a unit, as `imumon calibrate` finds it and `imumon diagnose` extends it.
-
-    Parameters
-    ----------
-    made_by, created : str
-        Version of imumon, and UTC time.
-    device, serial : str, optional
-        Device name and the unit's serial number.
-    axes : "FLU", "FRD" or None
-        Body axes of the data.
-    earth_rate : "included" or "removed"
-        Whether the constant of the gyro curves holds the earth rate of the place and attitude of the test.
-    latitude_deg, heading_deg : float or None
-        With which it was removed.
-    trained_on : list of TrainedOn
-        The data.
-    channels : dict of str to ChannelModel
-        gyro_x and so on.  The curve of an accelerometer is the change from the middle of its range, for its
-        constant cannot be told from gravity.
-    magnetometer : MagnetometerModel or None
-        Hard and soft iron.
-    """
+    """Bias over temperature of a unit, as `imumon calibrate` finds it and `imumon diagnose` extends it."""
 
     format: Annotated[
         Literal["imumon-bias-model/2"], BeforeValidator(lambda given: FORMAT if given in READ else given)
     ] = FORMAT
     made_by: str
     created: str
+    """Version of imumon, and UTC time."""
     device: str | None = None
     serial: str | None = None
+    """Device name and the unit's serial number."""
     axes: Literal["FLU", "FRD"] | None = None
+    """Body axes of the data."""
     earth_rate: Literal["included", "removed"] = "included"
+    """Whether the constant of the gyro curves holds the earth rate of the place and attitude of the test."""
     latitude_deg: Annotated[FiniteFloat, Field(ge=-90.0, le=90.0)] | None = None
     heading_deg: FiniteFloat | None = None
+    """With which it was removed."""
     block_s: Annotated[FiniteFloat, Field(gt=0.0)] | None = None
     levels_degc: list[FiniteFloat] = Field(default_factory=list)
     trained_on: list[TrainedOn] = Field(default_factory=list)
+    """The data."""
     channels: dict[str, ChannelModel] = Field(default_factory=dict)
+    """gyro_x and so on.  The curve of an accelerometer is the change from the middle of its range, for its
+    constant cannot be told from gravity."""
     magnetometer: MagnetometerModel | None = None
+    """Hard and soft iron."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -183,10 +160,7 @@ class BiasModel(StrictModel):
     def write(self, path: Path) -> None:
         """Write the model file; what `load_model` reads from it equals this model, to the bit.
 
-        Raises
-        ------
-        OSError
-            When it cannot be written; a file that was there before is untouched.
+        Raises OSError when it cannot be written; a file that was there before is untouched.
         """
         write_text(path, self.to_yaml())
 
@@ -198,10 +172,7 @@ class BiasModel(StrictModel):
 def load_model(path: str | Path) -> BiasModel:
     """Read a model file.
 
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG, naming file and line, what was found and what was expected.
+    Raises BAD_CONFIG, naming file and line, what was found and what was expected.
     """
     try:
         return load_yaml(Path(path), BiasModel)

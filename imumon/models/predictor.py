@@ -20,25 +20,17 @@ PIECES = 2048
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prediction:
-    """What a model expects of k channels at n samples.
-
-    Parameters
-    ----------
-    bias : array (n, k)
-        rad/s or m/s²; NaN before the first temperature.
-    slope : array (n, k)
-        db/dT of the curve, per °C; NaN before the first temperature.
-    inside : array (n, k) of bool
-        Whether the temperature is where the model was calibrated; False before the first.
-    start_sd : array (n, k)
-        Standard deviation of the bias due to the unknown state at power-on of effects with memory; it dies
-        away.
-    """
+    """What a model expects of k channels at n samples."""
 
     bias: FloatArray
+    """rad/s or m/s², (n, k); NaN before the first temperature."""
     slope: FloatArray
+    """db/dT of the curve, per °C; NaN before the first temperature, (n, k)."""
     inside: BoolArray
+    """Whether the temperature is where the model was calibrated, (n, k); False before the first."""
     start_sd: FloatArray
+    """Standard deviation of the bias due to the unknown state at power-on of effects with memory, (n, k);
+    it dies away."""
 
 
 class BiasPredictor:
@@ -50,16 +42,12 @@ class BiasPredictor:
     about 0.1 µs per sample and channel, whatever the curve, and 50 µs per block; an effect costs 40 to 90 ns
     in long blocks, and 0.2 ms for each block.
 
+    Raises BAD_CONFIG when the model lacks a channel.
+
     Parameters
     ----------
-    model : BiasModel
     channels : sequence of str
         Such as gyro_x; the columns of the result, in this order.
-
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG when the model lacks a channel.
     """
 
     def __init__(self, model: BiasModel, channels: Sequence[str]) -> None:

@@ -39,59 +39,39 @@ CAPACITY = 4096 + 8
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """How a device counts time.
-
-    Parameters
-    ----------
-    counter_bits : int or None
-        ``packet_counter`` wraps at 2**counter_bits and rises by one a packet; None when there is no counter.
-    tick_ns : Fraction or None
-        Nanoseconds per count of ``device_ticks``; None when the device sends no time.
-    tick_bits : int
-        ``device_ticks`` wraps at 2**tick_bits; 0 when it never wraps.
-    rate_hz : float or None
-        Nominal packet rate, which dates packets of a device that sends no time.
-    """
+    """How a device counts time."""
 
     counter_bits: int | None = None
+    """``packet_counter`` wraps at 2**counter_bits and rises by one a packet; None when there is no
+    counter."""
     tick_ns: Fraction | None = None
+    """Nanoseconds per count of ``device_ticks``; None when the device sends no time."""
     tick_bits: int = 0
+    """``device_ticks`` wraps at 2**tick_bits; 0 when it never wraps."""
     rate_hz: float | None = None
+    """Nominal packet rate, which dates packets of a device that sends no time."""
 
 
 @dataclass(frozen=True, slots=True)
 class Groups:
-    """Which columns belong together.
-
-    Parameters
-    ----------
-    names : tuple of str
-        Groups in the order of their bits; the first is `MAIN`.
-    of_column : mapping of str to int
-        Group of each column; a column that is not here goes with every row of its packet.
-    apart : tuple of bool
-        Groups that never join the main stream.
-    """
+    """Which columns belong together."""
 
     names: tuple[str, ...]
+    """Groups in the order of their bits; the first is `MAIN`."""
     of_column: Mapping[str, int]
+    """Group of each column; a column that is not here goes with every row of its packet."""
     apart: tuple[bool, ...]
+    """Groups that never join the main stream."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Packets:
-    """Decoded packets in order of arrival.
-
-    Parameters
-    ----------
-    block : SampleBlock
-        One row each.
-    groups : array of int64, (n,)
-        Bits of the groups of which the packet has fields.
-    """
+    """Decoded packets in order of arrival."""
 
     block: SampleBlock
+    """One row each."""
     groups: IntArray
+    """Bits of the groups of which the packet has fields, (n,)."""
 
     def __len__(self) -> int:
         """Return the number of packets."""
@@ -261,20 +241,14 @@ class Encoder(ABC):
         Counters and clocks wrap as in the device.  What is missing is sent as NaN, or as zero where the
         number has no NaN.
 
-        Raises
-        ------
-        ImumonError
-            BAD_DATA when a value does not fit the field that carries it.
+        Raises BAD_DATA when a value does not fit the field that carries it.
         """
 
 
 def chosen(names: Sequence[str], there: Mapping[str, T], what: str) -> list[T]:
     """Return what is sent, by its names.
 
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG when there is nothing of a name, or nothing to send.
+    Raises BAD_CONFIG when there is nothing of a name, or nothing to send.
     """
     for name in names:
         if name not in there:

@@ -123,10 +123,7 @@ def _is_folder(_: str, offered: object) -> bool:
 def device_text(name: str) -> tuple[str, str]:
     """Return the text of a device file and what to call it in errors; `name` is a known name or a path.
 
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG when there is no such device, naming those that there are.
+    Raises BAD_CONFIG when there is no such device, naming those that there are.
     """
     looks_like_path = name.endswith((".yaml", ".yml")) or "/" in name
     path = Path(name) if looks_like_path else _files().get(name)
@@ -142,10 +139,7 @@ def device_text(name: str) -> tuple[str, str]:
 def parse_device(text: str, source: str) -> DeviceFile:
     """Read the text of a device file.
 
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG, naming file and line, what was found and what was expected.
+    Raises BAD_CONFIG, naming file and line, what was found and what was expected.
     """
     header = parse_yaml(text, _Header, source)
     device = parse_yaml(text, resolve_name(PROTOCOLS[header.protocol]), source)
@@ -156,9 +150,6 @@ def parse_device(text: str, source: str) -> DeviceFile:
 def load_device(name: str) -> DeviceFile:
     """Read a device by its known name or the path of its file.
 
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG, naming file and line, what was found and what was expected.
+    Raises BAD_CONFIG, naming file and line, what was found and what was expected.
     """
     return parse_device(*device_text(name))

@@ -32,24 +32,16 @@ NO_TIME, COUNTED, TIMED = range(3)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Epochs:
-    """Epochs of one stream.
-
-    Parameters
-    ----------
-    block : SampleBlock
-        One row each.
-    after : array of int64, (n,)
-        How many rows of the main stream were complete when each began.
-    until : array of int64, (n,)
-        How many were complete when each ended.
-    more : array of int64, (n,)
-        Steps of the packet counter within the epoch: packets that came besides the first.
-    """
+    """Epochs of one stream."""
 
     block: SampleBlock
+    """One row each."""
     after: IntArray
+    """How many rows of the main stream were complete when each began, (n,)."""
     until: IntArray
+    """How many were complete when each ended, (n,)."""
     more: IntArray
+    """Steps of the packet counter within the epoch, (n,): packets that came besides the first."""
 
 
 @dataclass(slots=True)
@@ -130,12 +122,7 @@ class _Books(NamedTuple):
 
 
 class EpochAssembler:
-    """Puts packets together to epochs, whatever the division into blocks.
-
-    Parameters
-    ----------
-    groups : Groups
-    """
+    """Puts packets together to epochs, whatever the division into blocks."""
 
     def __init__(self, groups: Groups) -> None:
         self._groups = groups

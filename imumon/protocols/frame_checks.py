@@ -90,28 +90,19 @@ class Trailing(ABC):
 
 @dataclass(frozen=True)
 class Sum(Trailing):
-    """A checksum that adds up numbers.
-
-    Parameters
-    ----------
-    first : int
-        Place in the packet of the first byte that counts.
-    size : int
-        Bytes of the checksum.
-    negated : bool
-        The sum and the checksum add up to zero.
-    big : bool
-        Whether the most significant byte comes first.
-    words : str
-        "little" or "big": not bytes are added but numbers of 16 bits in this order; a last one that lacks its
-        second byte has zero there.
-    """
+    """A checksum that adds up numbers."""
 
     first: int = 0
+    """Place in the packet of the first byte that counts."""
     size: int = 1
+    """Bytes of the checksum."""
     negated: bool = False
+    """The sum and the checksum add up to zero."""
     big: bool = False
+    """Whether the most significant byte comes first."""
     words: Literal["", "little", "big"] = ""
+    """"little" or "big": not bytes are added but numbers of 16 bits in this order; a last one that lacks
+    its second byte has zero there."""
 
     def _of(self, data: ByteArray, size: IntArray) -> IntArray:
         if self.words:

@@ -41,27 +41,18 @@ Check = Callable[[ByteArray, IntArray, IntArray], BoolArray]
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """How packets of one kind are told from other bytes.
-
-    Parameters
-    ----------
-    name : str
-        What the kind is called in the counters.
-    sync : bytes
-        What a packet begins with.
-    lengths : callable
-        See `Lengths`.
-    check : callable
-        See `Check`.
-    tail : bytes
-        What may or may not follow a packet, and belongs to it.
-    """
+    """How packets of one kind are told from other bytes."""
 
     name: str
+    """What the kind is called in the counters."""
     sync: bytes
+    """What a packet begins with."""
     lengths: Lengths
+    """See `Lengths`."""
     check: Check
+    """See `Check`."""
     tail: bytes = b""
+    """What may or may not follow a packet, and belongs to it."""
 
     def places(self, held: ByteArray) -> IntArray:
         """Return where the sync pattern is, also where its first bytes are at the very end."""

@@ -41,30 +41,20 @@ def whole(at: int, kind: str, name: str, description: str, unit: str = "1") -> P
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """What packets with one identifier carry.
-
-    Parameters
-    ----------
-    name : str
-        What the device file and the counters call it.
-    size : int
-        Bytes of the payload of today's devices.
-    parts : tuple of Part
-        Its numbers, as `part` makes them.
-    group : str
-        Group of its columns; times and counters have none.
-    derived : tuple of Derived
-        Columns that are computed.
-    least : int
-        Bytes of the shortest payload that is read; `size` when 0.
-    """
+    """What packets with one identifier carry."""
 
     name: str
+    """What the device file and the counters call it."""
     size: int
+    """Bytes of the payload of today's devices."""
     parts: tuple[Part, ...]
+    """Its numbers, as `part` makes them."""
     group: str = MAIN
+    """Group of its columns; times and counters have none."""
     derived: tuple[Derived, ...] = ()
+    """Columns that are computed."""
     least: int = 0
+    """Bytes of the shortest payload that is read; `size` when 0."""
 
     @property
     def numbers(self) -> list[Placed]:
@@ -83,37 +73,25 @@ class Message:
 
 @dataclass(frozen=True, slots=True)
 class TableFamily:
-    """A family that is a table of messages.
-
-    Parameters
-    ----------
-    messages : mapping of int to Message
-        What each identifier means.
-    frames : sequence of Frame
-        Kinds of packets.
-    decodes : callable
-        Makes a `TableDecoder`, which says where the identifier stands.
-    wrap : callable
-        Makes a packet of an identifier and a payload.
-    timing : Timing
-        How the devices count time.
-    start, more : int
-        Bytes before the payload; bytes of the packet besides the payload.
-    big : bool
-        Whether the most significant byte comes first.
-    apart : sequence of str
-        Groups that never join the main rows.
-    """
+    """A family that is a table of messages."""
 
     messages: Mapping[int, Message]
+    """What each identifier means."""
     frames: Sequence[Frame]
+    """Kinds of packets."""
     decodes: Callable[[TableFamily, float | None], TableDecoder]
+    """Makes a `TableDecoder`, which says where the identifier stands."""
     wrap: Callable[[int, bytes], bytes]
+    """Makes a packet of an identifier and a payload."""
     timing: Timing
+    """How the devices count time."""
     start: int
     more: int
+    """Bytes before the payload; bytes of the packet besides the payload."""
     big: bool = False
+    """Whether the most significant byte comes first."""
     apart: Sequence[str] = ()
+    """Groups that never join the main rows."""
 
     def decoder(self, rate_hz: float | None) -> TableDecoder:
         """Make a decoder for packets that come at this nominal rate."""
@@ -186,16 +164,12 @@ class TableDecoder(LayoutDecoder):
 class TableEncoder(Encoder):
     """Makes the packets of a sample, one message after the other.
 
+    Raises BAD_CONFIG when there is no such message.
+
     Parameters
     ----------
-    family : TableFamily
     names : sequence of str
         Names of messages, in the order in which they are sent.
-
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG when there is no such message.
     """
 
     def __init__(self, family: TableFamily, names: Sequence[str]) -> None:

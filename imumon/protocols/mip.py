@@ -304,6 +304,8 @@ class MipDecoder(TaggedDecoder):
 class MipEncoder(TaggedEncoder):
     """Makes MIP data packets of one descriptor set.
 
+    Raises BAD_CONFIG when there is no such field in the set.
+
     Parameters
     ----------
     names : sequence of str
@@ -312,11 +314,6 @@ class MipEncoder(TaggedEncoder):
         Descriptor set that they belong to.
     attitude, clock : str
         As for the decoder.
-
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG when there is no such field in the set.
     """
 
     def __init__(

@@ -158,10 +158,7 @@ def is_missing(values: ColumnArray) -> BoolArray:
 def packed(name: str, value: Value, columns: Columns, rows: npt.NDArray[np.intp]) -> ByteArray:
     """Return the bytes of one number of a field of this name, most significant first, (n, size).
 
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when a value does not fit.
+    Raises BAD_DATA when a value does not fit.
     """
     kind = NUMBER_TYPES[value.type]
     if value.column is None or value.column.name not in columns:

@@ -1,4 +1,4 @@
-"""The full-scale range of gyros and accelerometers, where a device file or a pipeline file declares it."""
+"""The full-scale range of gyros and accelerometers, where a device file, a pipeline file or a map has it."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 
 from pydantic import Field
 
-from imumon.config import StrictModel
+from imumon.config import StrictModel, parse_yaml
 from imumon.geodesy import STANDARD_GRAVITY
 
 ROUNDED = 2.0**-9
@@ -40,3 +40,14 @@ class Ranges(StrictModel):
             if end is not None
         }
         return {f"{s}_{axis}": (-most, most, said) for s, (most, said) in inside.items() for axis in "xyz"}
+
+
+class _Declaring(StrictModel, extra="ignore"):
+    """The part of a file that declares the range."""
+
+    range: Ranges = Ranges()
+
+
+def declared(text: str | None, source: str) -> Ranges:
+    """Return the range that the text of a pipeline file or a map declares; none where there is no text."""
+    return Ranges() if text is None else parse_yaml(text, _Declaring, source).range

@@ -23,6 +23,8 @@ CHECKS = {XBUS: Sum(first=1, negated=True), MIP: Fletcher()}
 class TaggedEncoder(Encoder):
     """Makes one Xbus or MIP packet per row.
 
+    Raises BAD_CONFIG when a field has no values to encode or the packet becomes too long.
+
     Parameters
     ----------
     fields : sequence of Field
@@ -35,11 +37,6 @@ class TaggedEncoder(Encoder):
         Packet type.
     role : int
         LIST (each field has a header) or FIXED (none has).
-
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG when a field has no values to encode or the packet becomes too long.
     """
 
     def __init__(

@@ -366,15 +366,12 @@ def _without_suffix(value: Value, bases: Sequence[str]) -> Value:
 class VectorNavEncoder(Encoder):
     """Makes binary packets of one output.
 
+    Raises BAD_CONFIG when there is no such field.
+
     Parameters
     ----------
     names : sequence of str
         GROUP.FIELD, for example ``Imu.UncompGyro``; sent in the order of their bits.
-
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG when there is no such field.
     """
 
     def __init__(self, names: Sequence[str]) -> None:

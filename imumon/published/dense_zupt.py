@@ -41,42 +41,30 @@ METHODS = ("dense_zupt", "dense_tczupt")
 
 @dataclass(frozen=True)
 class DenseSettings:
-    """Noise and start of the filter, SI units.
-
-    Parameters
-    ----------
-    interval_s : float
-        Between samples.
-    latitude_deg, heading_deg : float or None
-        Of the place, and of the body's x axis clockwise from north.  Without the heading the filter knows of
-        the earth rate the vertical part only, without the latitude nothing: the rest is part of the bias.
-    angle_random_walk, velocity_random_walk : float, or array (3,)
-        rad/sqrt(s) and m/s/sqrt(s).
-    bias_random_walk, bias_sd : float
-        K in rad/s/sqrt(s), and the standard deviation p0 of the bias at the start, rad/s.
-    accel_bias_random_walk, accel_bias_sd : float
-        m/s^2/sqrt(s) and m/s^2.
-    angle_sd, velocity_sd : float
-        Of tilt and yaw (rad) and of the velocity (m/s) at the start.
-    zero_velocity_sd : float
-        Of a velocity measurement every `MEASURED_S`, m/s.
-    yaw_hold_sd : float or None
-        Of a yaw measurement every `MEASURED_S`, rad.  None: yaw is free, and so is the vertical bias.
-    """
+    """Noise and start of the filter, SI units."""
 
     interval_s: float
+    """Between samples."""
     latitude_deg: float | None = 40.93
     heading_deg: float | None = 0.0
+    """Of the place, and of the body's x axis clockwise from north.  Without the heading the filter knows
+    of the earth rate the vertical part only, without the latitude nothing: the rest is part of the bias."""
     angle_random_walk: float | FloatArray = math.radians(0.28) / 60
     velocity_random_walk: float | FloatArray = 1e-3
+    """rad/sqrt(s) and m/s/sqrt(s), (3,)."""
     bias_random_walk: float = math.radians(0.1) / 3600
     bias_sd: float = math.radians(2.2) / 3600
+    """K in rad/s/sqrt(s), and the standard deviation p0 of the bias at the start, rad/s."""
     accel_bias_random_walk: float = 1e-6 * STANDARD_GRAVITY
     accel_bias_sd: float = 1e-3 * STANDARD_GRAVITY
+    """m/s^2/sqrt(s) and m/s^2."""
     angle_sd: float = 1e-4
     velocity_sd: float = 1e-3
+    """Of tilt and yaw (rad) and of the velocity (m/s) at the start."""
     zero_velocity_sd: float = 1e-3
+    """Of a velocity measurement every `MEASURED_S`, m/s."""
     yaw_hold_sd: float | None = 1e-4
+    """Of a yaw measurement every `MEASURED_S`, rad.  None: yaw is free, and so is the vertical bias."""
 
     @cached_property
     def earth(self) -> FloatArray:

@@ -46,30 +46,19 @@ STRETCH = 64
 class Params:
     """What a user may set; the paper has 300 or 180 s, 180 or 120 s, and 90 measurements.
 
-    Parameters
-    ----------
-    step : float
-        Quantization step δτ of the sensor in °C.
-    window_s : float
-        Least length T_w of the window in s.
-    time_constant_s : float
-        Time constant T0 in s.
-    buffer_size : int
-        N > 2 `order`; when so many measurements are in the buffer, the oldest goes.
-    order : int
-        3: α + βu + γe^(-u) (13); 2: α + βu, the paper's section 4.2, where T0 only scales u.
-
-    Raises
-    ------
-    ValueError
-        When they are out of range.
+    Raises ValueError when they are out of range.
     """
 
     step: float = 0.05
+    """Quantization step δτ of the sensor in °C."""
     window_s: float = 300.0
+    """Least length T_w of the window in s."""
     time_constant_s: float = 180.0
+    """Time constant T0 in s."""
     buffer_size: int = 90
+    """N > 2 `order`; when so many measurements are in the buffer, the oldest goes."""
     order: int = 3
+    """3: α + βu + γe^(-u) (13); 2: α + βu, the paper's section 4.2, where T0 only scales u."""
 
     def __post_init__(self) -> None:
         positive = self.step > 0 and self.window_s > 0 and self.time_constant_s > 0
@@ -84,31 +73,21 @@ class Params:
 
 @dataclass
 class State:
-    """What the filter carries from sample to sample.
-
-    Parameters
-    ----------
-    x : array (n,)
-        α, β (and γ), °C.
-    s : array (n, n)
-        Upper triangular, S Sᵀ the covariance.
-    t0 : float
-        Time bias, s.
-    last_reading, temperature : float
-        Of the last sample, °C.
-    buffer : deque of (value, time)
-        Measurements in use, oldest first, °C and s.
-    shift : float
-        Time constants by which t0 moved since the last fit.
-    """
+    """What the filter carries from sample to sample."""
 
     x: FloatArray
+    """α, β (and γ), °C, (n,)."""
     s: FloatArray
+    """Upper triangular, S Sᵀ the covariance, (n, n)."""
     t0: float
+    """Time bias, s."""
     last_reading: float
     temperature: float
+    """Of the last sample, °C."""
     buffer: deque[tuple[float, float]] = field(default_factory=deque)
+    """Measurements in use, oldest first, °C and s."""
     shift: float = 0.0
+    """Time constants by which t0 moved since the last fit."""
 
 
 def model_row(order: int, u: float) -> FloatArray:
@@ -205,12 +184,7 @@ def evaluate(state: State, params: Params, seconds: FloatArray) -> RateEstimate:
 
 
 class FirRate:
-    """Least squares of a short-term model over the level changes of the last few minutes.
-
-    Parameters
-    ----------
-    params : Params
-    """
+    """Least squares of a short-term model over the level changes of the last few minutes."""
 
     def __init__(self, params: Params) -> None:
         self.params = params
@@ -297,10 +271,6 @@ class FirStage:
 
     Columns are ``fir_temperature_estimate``, ``fir_temperature_rate`` and their standard deviations, with the
     ending of the channel (``_x`` of ``temperature_x``).
-
-    Parameters
-    ----------
-    params : Params
     """
 
     CHANNELS = ("temperature", "temperature_x", "temperature_y", "temperature_z")

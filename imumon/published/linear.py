@@ -21,24 +21,17 @@ FORGETTING = 0.95
 
 @dataclass(frozen=True, slots=True)
 class ModelL:
-    """Model L and where it begins.
-
-    Parameters
-    ----------
-    phi, delta1, delta2 : float
-        Parameters of x_k = (1+φ) x_k-1 - φ x_k-2 + δ¹ a_k - δ² a_k-1.
-    mean, variance : tuple of 2 float
-        (x_k, x_k-1) and the diagonal of its covariance.
-    noise_variance : float
-        R, of one measurement.
-    """
+    """Model L and where it begins."""
 
     phi: float
     delta1: float
     delta2: float
+    """Parameters of x_k = (1+φ) x_k-1 - φ x_k-2 + δ¹ a_k - δ² a_k-1."""
     mean: tuple[float, float]
     variance: tuple[float, float]
+    """(x_k, x_k-1) and the diagonal of its covariance."""
     noise_variance: float
+    """R, of one measurement."""
 
 
 class LinearSeries(NamedTuple):
@@ -59,22 +52,15 @@ class Settings(NamedTuple):
 
 
 class State(NamedTuple):
-    """What the filter carries from sample to sample, changed in place.
-
-    Parameters
-    ----------
-    mean, covariance : array (2,), (2, 2)
-        Of (x_k, x_k-1).
-    seen : array (1,)
-        V, the variance of the innovations as it is seen; NaN before the first.
-    largest_fading : array (1,)
-        The largest λ so far.
-    """
+    """What the filter carries from sample to sample, changed in place."""
 
     mean: FloatArray
     covariance: FloatArray
+    """Of (x_k, x_k-1), (2,)."""
     seen: FloatArray
+    """V, the variance of the innovations as it is seen, (1,); NaN before the first."""
     largest_fading: FloatArray
+    """The largest λ so far, (1,)."""
 
 
 class LinearFilter(ScalarFilter[LinearSeries]):

@@ -33,18 +33,12 @@ TO_INSTABILITY = math.sqrt(math.pi / math.log(10.0))
 
 @dataclass(frozen=True, slots=True)
 class LocalLevel:
-    """Noise of a local level.
-
-    Parameters
-    ----------
-    white : float
-        Density of the white noise, (rad/s)² s.
-    walk : float
-        (rad/s)²/s.
-    """
+    """Noise of a local level."""
 
     white: float
+    """Density of the white noise, (rad/s)² s."""
     walk: float
+    """(rad/s)²/s."""
 
     def noise_variance(self, interval_s: float) -> float:
         """Return R of a sample, (rad/s)²."""
@@ -61,25 +55,17 @@ class LocalLevel:
 
 @dataclass(frozen=True, slots=True)
 class LocalLevelFit:
-    """Fit of a local level.
-
-    Parameters
-    ----------
-    best : LocalLevel
-        Most likely; its walk may be 0.
-    expected : LocalLevel
-        Mean over the logarithm of the walk, weighted by the likelihood: never without a walk, for without
-        process noise the covariance of the filters degenerates.
-    walk_range : tuple of 2 float
-        95 % limits of the walk; the lower one is 0 when the data do not show that there is one.
-    means : int
-        Seconds at rest that were used.
-    """
+    """Fit of a local level."""
 
     best: LocalLevel
+    """Most likely; its walk may be 0."""
     expected: LocalLevel
+    """Mean over the logarithm of the walk, weighted by the likelihood: never without a walk, for without
+    process noise the covariance of the filters degenerates."""
     walk_range: tuple[float, float]
+    """95 % limits of the walk; the lower one is 0 when the data do not show that there is one."""
     means: int
+    """Seconds at rest that were used."""
 
     @property
     def identified(self) -> bool:
@@ -97,10 +83,7 @@ def means_of(time_ns: IntArray, reading: FloatArray) -> list[RestMean]:
 def fit_local_level(means: Sequence[RestMean]) -> LocalLevelFit:
     """Fit white noise and random walk by likelihood.
 
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when there are too few means.
+    Raises BAD_DATA when there are too few means.
     """
     count = sum(1 for mean in means if mean.covered_s > 0.0)
     if count < LEAST_MEANS:

@@ -48,29 +48,20 @@ Filter = LinearFilter | SigmaPointFilter
 
 @dataclass
 class Axis:
-    """State of one axis.
-
-    Parameters
-    ----------
-    noise : LocalLevel or None
-        R and δ¹ per second; None until learnt.
-    means : list of RestMean
-        Those of the segment, and while the noise is being learnt all so far.
-    covered_s : float
-        Time at rest in `means`.
-    filters : mapping of method to filter
-        Empty until they start.
-    interval_s : float
-        Between the samples that they were started for.
-    """
+    """State of one axis."""
 
     noise: LocalLevel | None
+    """R and δ¹ per second; None until learnt."""
     mean: ExponentialMean
     hold: ExponentialMean
     means: list[RestMean] = field(default_factory=list)
+    """Those of the segment, and while the noise is being learnt all so far."""
     covered_s: float = 0.0
+    """Time at rest in `means`."""
     filters: dict[str, Filter] = field(default_factory=dict)
+    """Empty until they start."""
     interval_s: float = 0.0
+    """Between the samples that they were started for."""
     shrunk: int = 0
     clamped: int = 0
 

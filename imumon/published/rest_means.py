@@ -20,27 +20,18 @@ LEAST_S = 0.5
 
 @dataclass(frozen=True, slots=True)
 class RestMean:
-    """One second of one axis.
-
-    Parameters
-    ----------
-    begins : bool
-        Whether a segment begins here.
-    elapsed_s : float
-        From the middle of the last slot to the middle of this one.
-    covered_s : float
-        Time at rest with readings; 0 where the slot says nothing.
-    mean : float
-        rad/s; NaN where the slot says nothing.
-    interval_s : float
-        Between samples.
-    """
+    """One second of one axis."""
 
     begins: bool
+    """Whether a segment begins here."""
     elapsed_s: float
+    """From the middle of the last slot to the middle of this one."""
     covered_s: float
+    """Time at rest with readings; 0 where the slot says nothing."""
     mean: float
+    """rad/s; NaN where the slot says nothing."""
     interval_s: float
+    """Between samples."""
 
 
 class RestMeans:
@@ -88,18 +79,12 @@ class RestMeans:
 
 @dataclass
 class ExponentialMean:
-    """Mean with exponentially fading memory; over what there is so far until that is as long as the memory.
-
-    Parameters
-    ----------
-    time_constant_s : float
-        s at rest; infinity for the mean of everything.
-    longest_s : float
-        After so many s at rest the mean is held.
-    """
+    """Mean with exponentially fading memory; over what there is until that is as long as the memory."""
 
     time_constant_s: float
+    """s at rest; infinity for the mean of everything."""
     longest_s: float = math.inf
+    """After so many s at rest the mean is held."""
     rest_s: float = field(default=0.0, init=False)
     mean: float = field(default=math.nan, init=False)
 

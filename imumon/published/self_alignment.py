@@ -44,22 +44,15 @@ METHODS = (LOOP, AVERAGE, CURVE)
 
 @dataclass(frozen=True, slots=True)
 class Params:
-    """What a user may set.
-
-    Parameters
-    ----------
-    latitude : float
-        rad.
-    coarse_s : float
-        s of averaging that the loop starts from.
-    corner_hz, damping : float
-        ω_n / 2π and ζ of the loop.
-    """
+    """What a user may set."""
 
     latitude: float
+    """rad."""
     coarse_s: float = 30.0
+    """s of averaging that the loop starts from."""
     corner_hz: float = 2.0
     damping: float = 0.7
+    """ω_n / 2π and ζ of the loop."""
 
     @property
     def corner(self) -> float:
@@ -74,18 +67,12 @@ class Params:
 
 @dataclass
 class Loop:
-    """State of the loop.
-
-    Parameters
-    ----------
-    attitude : array (3, 3)
-        C, body to east-north-up.
-    velocity : array (2,)
-        East, north, m/s.
-    """
+    """State of the loop."""
 
     attitude: FloatArray
+    """C, body to east-north-up, (3, 3)."""
     velocity: FloatArray = field(default_factory=lambda: np.zeros(2))
+    """East, north, m/s, (2,)."""
 
 
 @lru_cache(maxsize=16)
@@ -222,7 +209,6 @@ class SelfAlignment:
 
     Parameters
     ----------
-    params : Params
     methods : sequence of str
         Of `METHODS`: whose columns are given.
     """

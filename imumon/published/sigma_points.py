@@ -45,19 +45,13 @@ REGULAR = 1.5
 
 @dataclass(frozen=True, slots=True)
 class ModelNL:
-    """Where model NL begins.
-
-    Parameters
-    ----------
-    mean, variance : sequence of 5 float
-        X and the diagonal of its covariance, in the unit of the data and its square (φ has none).
-    noise_variance : float
-        R, of one measurement.
-    """
+    """Where model NL begins."""
 
     mean: Sequence[float]
     variance: Sequence[float]
+    """X and the diagonal of its covariance, in the unit of the data and its square (φ has none)."""
     noise_variance: float
+    """R, of one measurement."""
 
     @property
     def process_variance(self) -> float:
@@ -66,21 +60,15 @@ class ModelNL:
 
 
 class FilterSeries(NamedTuple):
-    """What a filter says at each sample, arrays of shape (n,).
-
-    Parameters
-    ----------
-    predicted, estimate, sd : array
-        x_k|k-1, x_k|k and its standard deviation, in the unit of the data.
-    phi, phi_sd : array
-        φ and its standard deviation.
-    """
+    """What a filter says at each sample, arrays of shape (n,)."""
 
     predicted: FloatArray
     estimate: FloatArray
     sd: FloatArray
+    """x_k|k-1, x_k|k and its standard deviation, in the unit of the data."""
     phi: FloatArray
     phi_sd: FloatArray
+    """φ and its standard deviation."""
 
 
 class Settings(NamedTuple):
@@ -92,24 +80,20 @@ class Settings(NamedTuple):
 
 
 class State(NamedTuple):
-    """What the filter carries from sample to sample, changed in place.
-
-    Parameters
-    ----------
-    mean, factor : array (5,), (5, 5)
-        X and the lower triangular S of its covariance S Sᵀ.
-    shrunk, clamped : array of int64 (1,)
-        Steps with a smaller μ, and steps at which φ was held back.
-    """
+    """What the filter carries from sample to sample, changed in place."""
 
     mean: FloatArray
     factor: FloatArray
+    """X and the lower triangular S of its covariance S Sᵀ, (5,)."""
     shrunk: IntArray
     clamped: IntArray
+    """Steps with a smaller μ, and steps at which φ was held back, (1,)."""
 
 
 class SigmaPointFilter(ScalarFilter[FilterSeries]):
     """SR-RSUKF of one axis; with μ = 0 it is the SR-UKF.
+
+    Raises BAD_CONFIG when μ would make the covariance lose its sign, with the limit.
 
     Parameters
     ----------
@@ -119,11 +103,6 @@ class SigmaPointFilter(ScalarFilter[FilterSeries]):
         Diagonal of μ in 1/unit²; zero for φ, δ¹ and δ².
     phi_limit : float
         φ is held within ±phi_limit; infinity lets it go, as the paper does.
-
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG when μ would make the covariance lose its sign, with the limit.
     """
 
     def __init__(
@@ -157,10 +136,7 @@ class SigmaPointFilter(ScalarFilter[FilterSeries]):
 def check_risk(model: ModelNL, risk: Sequence[float]) -> None:
     """Refuse a risk that breaks the filter at once or in the long run.
 
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG, with what was given and the limit.
+    Raises BAD_CONFIG, with what was given and the limit.
     """
     names = dict(zip(STATES, risk, strict=True))
     if any(value < 0.0 or not math.isfinite(value) for value in risk):

@@ -26,10 +26,7 @@ FULL = "foxglove.websocket.connected_client.send_lossy"
 class Foxglove:
     """The server and its channels, made when the first message of each comes.
 
-    Raises
-    ------
-    ImumonError
-        BUSY when the port cannot be had.
+    Raises BUSY when the port cannot be had.
     """
 
     def __init__(self, target: Target, setup: ViewSetup) -> None:

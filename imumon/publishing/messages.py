@@ -22,18 +22,12 @@ Value = float | int | str
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """Values of one moment.
-
-    Parameters
-    ----------
-    topic : str
-        The stream (`MAIN`, "gnss", ...), `STATE` or `LOG`.
-    time_ns : int or None
-        Unix time.
-    """
+    """Values of one moment."""
 
     topic: str
+    """The stream (`MAIN`, "gnss", ...), `STATE` or `LOG`."""
     time_ns: int | None
+    """Unix time."""
     values: Mapping[str, Value]
 
 

@@ -85,10 +85,7 @@ def _datagram(topic: str, time_ns: int | None, values: object) -> bytes:
 def make_outlet(target: Target, setup: ViewSetup) -> Outlet:
     """Return the outlet for a target.
 
-    Raises
-    ------
-    ImumonError
-        BUSY or BAD_CONFIG when it cannot be opened.
+    Raises BUSY or BAD_CONFIG when it cannot be opened.
     """
     return _MAKERS[target.kind](target, setup)
 

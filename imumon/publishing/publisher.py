@@ -15,23 +15,16 @@ from imumon.view.items import Shown, ViewSetup, item_rows
 
 @dataclass(frozen=True, slots=True)
 class PublisherState:
-    """How it goes.
-
-    Parameters
-    ----------
-    text : str
-        One phrase.
-    ready : bool
-        Whether the receiver can be reached, as far as is known.
-    sent, dropped : int
-        Samples and events that left this computer's program, and those that did not: the queue was full, the
-        process that sends was gone, or the system did not take them.
-    """
+    """How it goes."""
 
     text: str
+    """One phrase."""
     ready: bool
+    """Whether the receiver can be reached, as far as is known."""
     sent: int
     dropped: int
+    """Samples and events that left this computer's program, and those that did not: the queue was full,
+    the process that sends was gone, or the system did not take them."""
 
 
 class Publisher(FedProcess):

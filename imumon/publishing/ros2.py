@@ -24,10 +24,7 @@ class Ros2:
 
     Publishers are reliable, as those who ask for less get their messages too.
 
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG when ROS cannot be started.
+    Raises BAD_CONFIG when ROS cannot be started.
     """
 
     def __init__(self, target: Target, setup: ViewSetup) -> None:

@@ -52,10 +52,7 @@ class Target:
 def parse_target(text: str) -> Target:
     """Return the target that ``KIND`` or ``KIND=HOST[:PORT]`` says; without an address nothing leaves here.
 
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG when it cannot be read, the host is not known, or a package is missing.
+    Raises BAD_CONFIG when it cannot be read, the host is not known, or a package is missing.
     """
     name, _, address = text.partition("=")
     kind = next((one for one in KINDS if one == name), None)

@@ -84,35 +84,24 @@ class RackFile(StrictModel):
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """One unit as its process is told: nothing in it refers to a file.
-
-    Parameters
-    ----------
-    device_yaml, source : str
-        Text of the device file, and what errors call it.
-    settings : PortSettings
-        The port.
-    serial : str or None
-        Serial number of the unit.
-    pipeline_yaml : str or None
-        What the estimators are told, the bias model in it; None for the defaults.
-    """
+    """One unit as its process is told: nothing in it refers to a file."""
 
     name: str
     device_yaml: str
     source: str
+    """Text of the device file, and what errors call it."""
     settings: PortSettings
+    """The port."""
     serial: str | None
+    """Serial number of the unit."""
     pipeline_yaml: str | None
+    """What the estimators are told, the bias model in it; None for the defaults."""
 
 
 def load_rack(path: Path) -> dict[str, Plan]:
     """Read a rack and every file that it names; return the plan of each unit by its name.
 
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG, with file and line, what was found and what was expected.
+    Raises BAD_CONFIG, with file and line, what was found and what was expected.
     """
     text = read_text(path, hint=f"give a rack file (format: {FORMAT})")
     rack = parse_yaml(text, RackFile, str(path))

@@ -26,39 +26,28 @@ MEGABYTE = 1e6
 
 @dataclass(frozen=True, slots=True)
 class Vitals:
-    """How a unit is, once a second.
-
-    Parameters
-    ----------
-    session : str
-        Folder of its recording; empty while its port cannot be opened.
-    lanes : mapping
-        Present state of each lane: port, data, motion, model.
-    temperature_deg : float
-        °C, mean over its sensors; NaN until there is one.
-    bias, bias_sd : tuple of float
-        Gyro bias of each axis and its standard deviation, rad/s; empty until there is one.
-    packets_lost : int
-        Missing by their counter, or damaged.
-    at_s, cpu_s : float
-        When this was, by a clock that only goes forwards, and the processor time since its process began.
-    memory_mb : float
-        MB: pages of its own, and its share of those that it has in common with other processes.
-    """
+    """How a unit is, once a second."""
 
     session: str = ""
+    """Folder of its recording; empty while its port cannot be opened."""
     elapsed_s: float = 0.0
     lanes: Mapping[str, str] = field(default_factory=dict)
+    """Present state of each lane: port, data, motion, model."""
     temperature_deg: float = math.nan
+    """°C, mean over its sensors; NaN until there is one."""
     bias: tuple[float, ...] = ()
     bias_sd: tuple[float, ...] = ()
+    """Gyro bias of each axis and its standard deviation, rad/s; empty until there is one."""
     packets_per_s: float = 0.0
     packets_lost: int = 0
+    """Missing by their counter, or damaged."""
     bytes_received: int = 0
     bytes_skipped: int = 0
     at_s: float = 0.0
     cpu_s: float = 0.0
+    """When this was, by a clock that only goes forwards, and the processor time since its process began."""
     memory_mb: float = math.nan
+    """MB: pages of its own, and its share of those that it has in common with other processes."""
 
 
 class Feed:

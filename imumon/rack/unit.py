@@ -39,22 +39,15 @@ RETRY_S = 2.0
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """What the process of a unit is told.
-
-    Parameters
-    ----------
-    sessions : Path
-        Folder of the sessions.
-    window_s : float
-        Seconds that the strips of the view show.
-    pictures : bool
-        Whether there is a view that shows more than numbers.
-    """
+    """What the process of a unit is told."""
 
     plan: Plan
     sessions: Path
+    """Folder of the sessions."""
     window_s: float
+    """Seconds that the strips of the view show."""
     pictures: bool
+    """Whether there is a view that shows more than numbers."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -33,15 +33,13 @@ def convert(
 ) -> tuple[dict[str, Path], list[str]]:
     """Write Parquet tables as files of the suffix of `out`; return what was made, and what was left out.
 
+    Raises BAD_CONFIG when a package that is needed is not installed, or the format has no place for any of
+    it.
+
     Parameters
     ----------
     tables, out : mapping of str to Path
         Of each stream.  All streams of a ROS 2 bag go to the first.
-
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG when a package that is needed is not installed, or the format has no place for any of it.
     """
     first = next(iter(out.values()))
     if first.suffix == ".mcap":
@@ -72,10 +70,7 @@ def _npz(path: Path, values: dict[str, Any], columns: Mapping[str, Column]) -> N
 def read_npz(path: Path) -> tuple[SampleBlock, dict[str, Column]]:
     """Read what `convert` wrote as .npz; return the samples and the columns with their units.
 
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when it cannot be read, or was not written by imumon.
+    Raises BAD_DATA when it cannot be read, or was not written by imumon.
     """
     import numpy as np
 

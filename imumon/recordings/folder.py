@@ -74,11 +74,8 @@ def default_path(device: str, now_ns: int) -> Path:
 def create_session(path: Path, metadata: SessionMetadata) -> Session:
     """Make the folder, if need be with its parents, and write session.yaml into it.
 
-    Raises
-    ------
-    ImumonError
-        EXISTS when the folder holds a session already or the path is a file; BAD_CONFIG when it
-        cannot be made.
+    Raises EXISTS when the folder holds a session already or the path is a file; BAD_CONFIG when it cannot be
+    made.
     """
     refuse_existing(path)
     session = Session(path, metadata)
@@ -101,12 +98,8 @@ def create_session(path: Path, metadata: SessionMetadata) -> Session:
 def whole_session(path: Path) -> Iterator[Path]:
     """Give a new folder to make a session in, which gets its name at the end, and is removed with an error.
 
-    Raises
-    ------
-    ImumonError
-        EXISTS when there is anything but an empty folder at the path.
-    OSError
-        When it cannot be made, naming the path.
+    Raises EXISTS when there is anything but an empty folder at the path; OSError when it cannot be made,
+    naming the path.
     """
     refuse_existing(path)
     if not path.name or (path.is_dir() and any(path.iterdir())):
@@ -156,10 +149,8 @@ def is_session(path: Path) -> bool:
 def open_session(path: Path) -> Session:
     """Open a session for reading; `path` names the folder or its session.yaml.
 
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when there is no session, saying what there is, or when its metadata or its data is missing.
+    Raises BAD_DATA when there is no session, saying what there is, or when its metadata or its data is
+    missing.
     """
     folder = _folder(path)
     if not (folder / METADATA_NAME).is_file():

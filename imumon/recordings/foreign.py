@@ -21,6 +21,7 @@ import pyarrow.parquet as pq
 
 from imumon.blocks import FloatArray, IntArray
 from imumon.errors import ImumonError, Reason
+from imumon.files import readable
 from imumon.recordings.map import TIMESTAMPS, TextFormat, TimeColumn
 from imumon.units import parse_unit
 
@@ -44,31 +45,21 @@ class BadRow:
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """Rows of a table as they come.
-
-    Parameters
-    ----------
-    rows_in : int
-        Rows in the table, good and bad; blank lines are none.
-    index : array of shape (n,)
-        Number of each good row among all rows, from 0.
-    line : array of shape (n,)
-        Line (text) or row (Parquet) of each good row, from 1.
-    time_ns : array of shape (n,), or None when the table has no time
-        As the column says it, also where it wraps.
-    local : bool
-        Whether it is dates without a zone, as local clocks write them; they are taken for UTC.
-    values : array of shape (k, n)
-        The columns of data that were asked for, in the units of the table; NaN where a cell is empty.
-    bad : list of BadRow
-    """
+    """Rows of a table as they come."""
 
     rows_in: int
+    """Rows in the table, good and bad; blank lines are none."""
     index: IntArray
+    """Number of each good row among all rows, from 0, (n,)."""
     line: IntArray
+    """Line (text) or row (Parquet) of each good row, from 1, (n,)."""
     time_ns: IntArray | None
+    """As the column says it, also where it wraps, (n,)."""
     local: bool
+    """Whether it is dates without a zone, as local clocks write them; they are taken for UTC."""
     values: FloatArray
+    """The columns of data that were asked for, in the units of the table, (k, n); NaN where a cell is
+    empty."""
     bad: list[BadRow]
 
 
@@ -79,16 +70,10 @@ def read_foreign(
 
     Whether it is Parquet or text is decided by the content, not by the name.
 
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when it cannot be read; BAD_CONFIG when it lacks a column, naming those that it has.
+    Raises BAD_DATA when it cannot be read; BAD_CONFIG when it lacks a column, naming those that it has.
     """
-    try:
-        with path.open("rb") as file:
-            head = file.read(4096)
-    except OSError as error:
-        raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read: {error.strerror}") from error
+    with readable(path), path.open("rb") as file:
+        head = file.read(4096)
     if not head:
         raise ImumonError(Reason.BAD_DATA, f"{path}: is empty")
     wanted = [*columns, *([time.column] if time is not None else [])]
@@ -250,16 +235,13 @@ def _read_text(
 ) -> Iterator[Part]:
     """Yield the rows of a text table; bytes that are not text become part of a bad row."""
     first_row = 0
-    try:
-        with path.open(encoding=encoding, errors="replace") as file:
-            numbered = enumerate(islice(file, skip, None), skip + 1)
-            while chunk := list(islice(numbered, ROWS_PER_PART)):
-                rows = [(number, stripped) for number, line in chunk if (stripped := line.strip(" \r\n"))]
-                if rows:
-                    yield _text_part(rows, first_row, layout, time)
-                first_row += len(rows)
-    except OSError as error:
-        raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read: {error.strerror}") from error
+    with readable(path), path.open(encoding=encoding, errors="replace") as file:
+        numbered = enumerate(islice(file, skip, None), skip + 1)
+        while chunk := list(islice(numbered, ROWS_PER_PART)):
+            rows = [(number, stripped) for number, line in chunk if (stripped := line.strip(" \r\n"))]
+            if rows:
+                yield _text_part(rows, first_row, layout, time)
+            first_row += len(rows)
 
 
 def _text_part(rows: list[tuple[int, str]], first_row: int, layout: _Layout, time: TimeColumn | None) -> Part:

@@ -59,20 +59,14 @@ class Origin:
 def import_table(table: Path, map_path: Path, out: Path, origin: Origin | None = None) -> ImportReport:
     """Make a session of a CSV or Parquet table; on any error nothing is left behind.
 
+    Raises BAD_CONFIG for a wrong map or a column that the table lacks, with file and line of the map;
+    BAD_DATA for a table that cannot be read, rows that cannot be taken, or times that do not increase; EXISTS
+    when the output is there already; OSError when the session cannot be written.
+
     Parameters
     ----------
-    table, map_path, out : Path
     origin : Origin, optional
         Where the table is only a step on the way.
-
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG for a wrong map or a column that the table lacks, with file and line of the map; BAD_DATA
-        for a table that cannot be read, rows that cannot be taken, or times that do not increase; EXISTS when
-        the output is there already.
-    OSError
-        When the session cannot be written.
     """
     with whole_session(out) as partial:
         source = TableImport(table, map_path)
@@ -93,15 +87,8 @@ def import_table(table: Path, map_path: Path, out: Path, origin: Origin | None =
 class TableImport:
     """The rows of a table from elsewhere as samples, read once, and what became of them.
 
-    Parameters
-    ----------
-    table, map_path : Path
-
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG for a wrong map or a column that the table lacks, with file and line of the map; BAD_DATA
-        for a table that cannot be read.
+    Raises BAD_CONFIG for a wrong map or a column that the table lacks, with file and line of the map;
+    BAD_DATA for a table that cannot be read.
     """
 
     def __init__(self, table: Path, map_path: Path) -> None:
@@ -122,11 +109,8 @@ class TableImport:
     def blocks(self) -> Iterator[SampleBlock]:
         """Yield the samples.
 
-        Raises
-        ------
-        ImumonError
-            BAD_DATA for rows that cannot be taken, unless the map drops them, once all are counted; for times
-            that do not increase; and when no row can be taken.
+        Raises BAD_DATA for rows that cannot be taken, unless the map drops them, once all are counted; for
+        times that do not increase; and when no row can be taken.
         """
         strict = self.map.bad_rows == "error"
         for part in self._parts:

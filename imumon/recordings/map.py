@@ -18,6 +18,7 @@ from pydantic import (
 
 from imumon.columns import KNOWN, NAME
 from imumon.config import StrictModel
+from imumon.protocols.ranges import Ranges
 from imumon.units import Unit, parse_own_unit, parse_unit
 
 TIMESTAMPS = "iso8601"
@@ -222,6 +223,7 @@ class TableMap(StrictModel):
     pressure: Pressure | None = None
     other: dict[Name, Other] = Field(default_factory=dict)
     axes: Literal["FLU", "FRD"] | None = None
+    range: Ranges = Ranges()
     csv: TextFormat = TextFormat()
     bad_rows: Literal["error", "drop"] = "error"
 

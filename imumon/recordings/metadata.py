@@ -122,10 +122,7 @@ def versions_in_use() -> dict[str, str]:
 def read_metadata(path: Path) -> SessionMetadata:
     """Read session.yaml.
 
-    Raises
-    ------
-    ImumonError
-        BAD_DATA, naming file and line, when it cannot be read or is not in the format of this version.
+    Raises BAD_DATA, naming file and line, when it cannot be read or is not in the format of this version.
     """
     text = read_text(path, Reason.BAD_DATA)
     try:

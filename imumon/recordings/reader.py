@@ -13,7 +13,6 @@ from imumon.columns import Column
 from imumon.errors import ImumonError, Reason
 from imumon.pipeline import Estimator, Pipeline
 from imumon.protocols.device import DeviceFile
-from imumon.protocols.ranges import Ranges
 from imumon.recordings.folder import fingerprint, is_session
 from imumon.recordings.importing import TableImport
 from imumon.recordings.source import Source, open_source, run_over
@@ -30,28 +29,19 @@ def no_stages(_: DeviceFile | None) -> Sequence[Estimator]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
-    """A recording that is open; its samples can be read once.
-
-    Parameters
-    ----------
-    name : str
-        Of its folder or file.
-    truth : Path
-        The file that everything follows from.
-    device, axes : str or None
-        What sent it, and in which body axes; None for a table.
-    source : Source
-        What is read.
-    pipeline : Pipeline
-        What it runs through.
-    """
+    """A recording that is open; its samples can be read once."""
 
     name: str
+    """Of its folder or file."""
     truth: Path
+    """The file that everything follows from."""
     device: str | None
     axes: str | None
+    """What sent it, and in which body axes; None for a table."""
     source: Source
+    """What is read."""
     pipeline: Pipeline
+    """What it runs through."""
 
     @property
     def columns(self) -> dict[str, Column]:
@@ -77,10 +67,11 @@ class Recording:
         return fingerprint(self.truth)
 
 
-def open_recording(
-    path: Path, stages: Stages = no_stages, map_path: Path | None = None, ranges: Ranges | None = None
-) -> Recording:
+def open_recording(path: Path, stages: Stages = no_stages, map_path: Path | None = None) -> Recording:
     """Open a session, live or imported, or a table: one that imumon wrote, or any with its map.
+
+    Raises BAD_DATA when there is nothing to read, or something that is no recording; BAD_CONFIG for a wrong
+    map.
 
     Parameters
     ----------
@@ -90,16 +81,9 @@ def open_recording(
         What the samples run through; a stage of which a table has a column already is left out.
     map_path : Path or None
         Says what is in which column of a table from elsewhere.
-    ranges : Ranges or None
-        Of the sensors of a session, where they are other than its device file says.
-
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when there is nothing to read, or something that is no recording; BAD_CONFIG for a wrong map.
     """
     if is_session(path) or path.is_dir():
-        return _session(path, stages, ranges)
+        return _session(path, stages)
     if not path.exists():
         raise ImumonError(
             Reason.BAD_DATA,
@@ -109,7 +93,7 @@ def open_recording(
     if map_path is not None:
         table = TableImport(path, map_path)
         imported = tuple(table.columns.values())
-        source = Source(path, table.blocks(), None, None, imported, table.warnings)
+        source = Source(path, table.blocks(), None, None, imported, table.warnings, table.map.range)
         return _table(source, stages, table.map.axes)
     if path.suffix not in SUFFIXES:
         raise ImumonError(
@@ -128,26 +112,25 @@ def open_recording(
     return _table(Source(path, blocks, None, None, tuple(columns.values())), stages, None)
 
 
-def _session(path: Path, stages: Stages, ranges: Ranges | None) -> Recording:
+def _session(path: Path, stages: Stages) -> Recording:
     source = open_source(path)
     assert source.session is not None
     session, metadata = source.session, source.session.metadata
     device = None if metadata.device == "import" else metadata.device
     name = session.path.name or str(session.path)
-    pipeline = _pipeline(source, stages, ranges)
-    return Recording(name, session.truth_path, device, metadata.axes, source, pipeline)
+    return Recording(name, session.truth_path, device, metadata.axes, source, _pipeline(source, stages))
 
 
 def _table(source: Source, stages: Stages, axes: str | None) -> Recording:
     return Recording(source.path.name, source.path, None, axes, source, _pipeline(source, stages))
 
 
-def _pipeline(source: Source, stages: Stages, ranges: Ranges | None = None) -> Pipeline:
+def _pipeline(source: Source, stages: Stages) -> Pipeline:
     """Return the pipeline, without the stages of which the table has a column."""
     there = {column.name for column in source.imported}
     made = stages(source.device)
     wanted = [stage for stage in made if there.isdisjoint(column.name for column in stage.columns)]
-    return Pipeline(source.device, wanted, ranges)
+    return Pipeline(source.device, wanted, source.range)
 
 
 def _with_segment(blocks: Iterable[SampleBlock]) -> Iterator[SampleBlock]:

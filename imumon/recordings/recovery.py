@@ -47,10 +47,7 @@ def rewrite(path: Path) -> Path:
     What is missing is said in the new file at its place.  Until the new file is on the medium under the name
     of the old one, the old one is there.
 
-    Raises
-    ------
-    OSError
-        When the disk is full or fails; the file is then as it was.
+    Raises OSError when the disk is full or fails; the file is then as it was.
     """
     partial = path.with_name(f"{path.name}.partial")
     partial.unlink(missing_ok=True)

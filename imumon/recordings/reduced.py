@@ -33,42 +33,30 @@ JERK = 0.02
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reduced:
-    """m columns of a recording over n slots; a slot without samples is not there.
-
-    Parameters
-    ----------
-    names : tuple of str
-        The m columns.
-    slot_s : float
-        Length of a slot.
-    run, number : array of int64, (n,)
-        Which run (a new segment, or a clock that goes back, begins another), and which slot of its grid.
-    segment, start_ns : array of int64, (n,)
-        Segment, and device time at which the slot begins.
-    span_s : array, (n,)
-        Time between its first and its last sample.
-    rest_share : array, (n,)
-        Share of its samples at rest; NaN when nobody judged.
-    count : array of int64, (n, m)
-        Finite values.
-    mean, variance : array, (n, m)
-        Mean (NaN without any value) and unbiased variance (NaN with fewer than two) of the values.
-    smallest : array, (n, m)
-        Of the values; NaN without any.
-    """
+    """m columns of a recording over n slots; a slot without samples is not there."""
 
     names: tuple[str, ...]
+    """The m columns."""
     slot_s: float
+    """Length of a slot."""
     run: IntArray
     number: IntArray
+    """Which run (a new segment, or a clock that goes back, begins another), and which slot of its grid,
+    (n,)."""
     segment: IntArray
     start_ns: IntArray
+    """Segment, and device time at which the slot begins, (n,)."""
     span_s: FloatArray
+    """Time between its first and its last sample, (n,)."""
     rest_share: FloatArray
+    """Share of its samples at rest, (n,); NaN when nobody judged."""
     count: IntArray
+    """Finite values, (n, m)."""
     mean: FloatArray
     variance: FloatArray
+    """Mean (NaN without any value) and unbiased variance (NaN with fewer than two) of the values, (n, m)."""
     smallest: FloatArray
+    """Of the values, (n, m); NaN without any."""
 
     def __len__(self) -> int:
         """Return the number of slots."""

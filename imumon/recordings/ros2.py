@@ -53,17 +53,14 @@ class Written:
 def write_ros2(tables: Mapping[str, Path], out: Path, axes: Literal["FLU", "FRD"] | None) -> Written:
     """Write tables of a run as one MCAP file.
 
+    Raises BAD_CONFIG when the package mcap-ros2-support is not installed.
+
     Parameters
     ----------
     tables : mapping of str to Path
         Of the main stream and of each side stream, Parquet.
     axes : "FLU", "FRD" or None
         Body axes of the samples; where they are not known the samples stay as they are.
-
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG when the package mcap-ros2-support is not installed.
     """
     try:
         from mcap_ros2.writer import Writer
@@ -94,22 +91,15 @@ def write_ros2(tables: Mapping[str, Path], out: Path, axes: Literal["FLU", "FRD"
 
 @dataclass(slots=True)
 class Stream:
-    """How the samples of a stream become messages, block by block.
-
-    Parameters
-    ----------
-    units : mapping of str to str
-        Of its columns.
-    clock : str
-        The column that has the times of the messages; empty where there is none.
-    flip : bool
-        Whether the samples are turned by 180° about x, from forward-right-down to forward-left-up.
-    """
+    """How the samples of a stream become messages, block by block."""
 
     name: str
     units: Mapping[str, str]
+    """Of its columns."""
     clock: str
+    """The column that has the times of the messages; empty where there is none."""
     flip: bool
+    """Whether the samples are turned by 180° about x, from forward-right-down to forward-left-up."""
     _noise: dict[str, _Noise] = field(default_factory=lambda: {kind: _Noise() for kind in NOISY})
     _told_ns: int | None = None
     """Time of the latest row."""

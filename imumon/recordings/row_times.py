@@ -21,13 +21,7 @@ WITH_ZONE = "write the times in UTC or with their zone (+01:00)"
 
 @dataclass(slots=True)
 class RowTimes:
-    """Times of the rows so far: checks that they increase, counts segments, sums the span.
-
-    Parameters
-    ----------
-    table : Path
-    table_map : TableMap
-    """
+    """Times of the rows so far: checks that they increase, counts segments, sums the span."""
 
     table: Path
     table_map: TableMap
@@ -48,11 +42,8 @@ class RowTimes:
     def take(self, part: Part) -> tuple[IntArray, IntArray]:
         """Return the times of rows in ns, and their segments.
 
-        Raises
-        ------
-        ImumonError
-            BAD_DATA at the first time that does not increase, unless it goes back and that begins a segment,
-            and for times beyond 64 bits.
+        Raises BAD_DATA at the first time that does not increase, unless it goes back and that begins a
+        segment, and for times beyond 64 bits.
         """
         times = self._times(part)
         if not len(times):

@@ -24,21 +24,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Exported:
-    """What was written.
-
-    Parameters
-    ----------
-    rows : int
-        Of the main stream.
-    tables : dict of str to Path
-        Of each stream that has rows.
-    left_out : list of str
-        What the format has no place for.
-    """
+    """What was written."""
 
     rows: int
+    """Of the main stream."""
     tables: dict[str, Path]
+    """Of each stream that has rows."""
     left_out: list[str] = field(default_factory=list)
+    """What the format has no place for."""
 
     def as_dict(self) -> dict[str, Any]:
         """Return it as ``--json`` has it."""
@@ -64,20 +57,16 @@ def export_run(
 ) -> Exported:
     """Write what a run yields, in the format that the suffix of `out` says.
 
+    Raises ImumonError as `imumon.recordings.table.export_blocks`; a run with rows in side streams only has
+    their tables. BAD_CONFIG when the format has no place for any of it; OSError when the disk is full or
+    fails; a file that was there before is untouched.
+
     Parameters
     ----------
     blocks : iterable of SampleBlock
         The run over `source`, which goes through `pipeline`.
     columns : sequence of str, or None
         Columns of the main table, and no others are written; None for all, and all side streams.
-
-    Raises
-    ------
-    ImumonError
-        As `imumon.recordings.table.export_blocks`; a run with rows in side streams only has their tables.
-        BAD_CONFIG when the format has no place for any of it.
-    OSError
-        When the disk is full or fails; a file that was there before is untouched.
     """
 
     def known() -> Iterable[Column]:

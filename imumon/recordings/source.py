@@ -4,23 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from contextvars import ContextVar
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
 from imumon.blocks import SampleBlock
 from imumon.columns import Column
 from imumon.errors import ImumonError, Reason
+from imumon.files import readable
 from imumon.pipeline import UNDATED, Pipeline
 from imumon.protocols.device import DeviceFile, load_device, parse_device
-from imumon.recordings.folder import WIRE_NAME, Session, is_session, open_session
+from imumon.protocols.ranges import Ranges, declared
+from imumon.recordings.folder import METADATA_NAME, WIRE_NAME, Session, is_session, open_session
 from imumon.recordings.metadata import iso_utc
-from imumon.recordings.table import iterate_samples, read_columns
+from imumon.recordings.table import SUFFIXES, iterate_samples, read_columns
 from imumon.recordings.wire_reader import WireReader
 from imumon.recordings.wire_scan import Damage, Place
 from imumon.transport.reader import Bytes, EventKind, Item, Reads
 
-TABLE_SUFFIXES = (".parquet", ".csv")
 READ_SIZE = 1 << 16
 SHOWN_PLACES = 5
 """Damaged places that are said one by one."""
@@ -30,28 +31,21 @@ BATCH_BYTES = 1 << 19
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """Something recorded, ready to be run over.
-
-    Parameters
-    ----------
-    items : iterable
-        What `run_over` takes.
-    device : DeviceFile or None
-        What sent the bytes; None for an imported session.
-    session : Session or None
-        None for a raw capture.
-    imported : sequence of Column
-        Columns of an imported session's table.
-    doubts : callable
-        Returns what is not known of a table from elsewhere, after the run.
-    """
+    """Something recorded, ready to be run over."""
 
     path: Path
     items: Iterable[Item] | Iterable[SampleBlock]
+    """What `run_over` takes."""
     device: DeviceFile | None
+    """What sent the bytes; None for an imported session."""
     session: Session | None
+    """None for a raw capture."""
     imported: tuple[Column, ...] = ()
-    doubts: Callable[[], list[str]] = list
+    """Columns of an imported session's table."""
+    caveats: Callable[[], list[str]] = list
+    """Returns what is not known of a table from elsewhere, after the run."""
+    by_map: Ranges = field(default_factory=Ranges)
+    """Range that the map of a table declares which is read without a session."""
 
     def columns(self, pipeline: Pipeline) -> list[Column]:
         """Return the columns that the run's blocks have so far; `pipeline` is the one it runs through."""
@@ -65,6 +59,19 @@ class Source:
             return self.device.axes
         return None if self.session is None else self.session.metadata.axes
 
+    @property
+    def range(self) -> Ranges:
+        """Of its sensors, as pipeline file or map declare it: it comes before that of the device file.
+
+        Raises BAD_CONFIG when what the session keeps of them cannot be read.
+        """
+        if self.session is None:
+            return self.by_map
+        name, metadata = self.session.path / METADATA_NAME, self.session.metadata
+        by_map = None if metadata.table is None else metadata.table.map_yaml
+        by_pipeline = declared(metadata.pipeline_yaml, f"{name} (pipeline_yaml)")
+        return by_pipeline.over(declared(by_map, f"{name} (map_yaml)"))
+
     def refuse_output(self, out: Path | None) -> None:
         """Raise EXISTS when the output would replace what is read."""
         read = [self.path] if self.session is None else [self.session.wire_path, self.session.samples_path]
@@ -74,7 +81,7 @@ class Source:
     def warnings(self) -> list[str]:
         """Return what is missing from the recording, as it is known after the run."""
         if not isinstance(self.items, WireReader):
-            return self.doubts()
+            return self.caveats()
         said, summary = [], self.items.summary
         if self.session is not None and self.session.state == "interrupted":
             said.append("the session was not closed: it is still being recorded, or was interrupted")
@@ -156,16 +163,13 @@ def _place(place: Place, began_ns: int) -> str:
 def open_source(path: Path, device_name: str | None = None, rate_hz: float | None = None) -> Source:
     """Open a session folder, or a raw capture of the device named.
 
+    Raises BAD_DATA when there is nothing to read; BAD_CONFIG for a capture without a device, or a rate for an
+    imported session, whose samples have their times.
+
     Parameters
     ----------
     rate_hz : float, optional
         Packets per second, which dates those of a device that sends no time; default: the device file's.
-
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when there is nothing to read; BAD_CONFIG for a capture without a device, or a rate for an
-        imported session, whose samples have their times.
     """
     if not is_session(path):
         if path.is_dir():
@@ -203,10 +207,7 @@ def open_source(path: Path, device_name: str | None = None, rate_hz: float | Non
 def session_device(session: Session) -> DeviceFile:
     """Return the device of a session as it was when the session was recorded.
 
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when the session keeps no device file.
+    Raises BAD_DATA when the session keeps no device file.
     """
     if session.metadata.device_yaml is None:
         raise ImumonError(Reason.BAD_DATA, f"{session.path}: session.yaml has no device_yaml")
@@ -216,21 +217,12 @@ def session_device(session: Session) -> DeviceFile:
 def capture_items(path: Path) -> Iterator[Item]:
     """Yield the bytes of a raw capture, whose arrival times nobody knows.
 
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when the file cannot be read.
+    Raises BAD_DATA when the file cannot be read.
     """
-    try:
-        with path.open("rb") as file:
-            while data := file.read(READ_SIZE):
-                yield Bytes(data, UNDATED)
-    except OSError as error:
-        raise ImumonError(
-            Reason.BAD_DATA,
-            f"{path}: cannot be read: {error.strerror}",
-            "give a raw capture, or a session folder (which has a session.yaml)",
-        ) from error
+    hint = "give a raw capture, or a session folder (which has a session.yaml)"
+    with readable(path, hint), path.open("rb") as file:
+        while data := file.read(READ_SIZE):
+            yield Bytes(data, UNDATED)
 
 
 reading: ContextVar[Callable[[int], object]] = ContextVar("reading", default=lambda _: None)
@@ -240,7 +232,7 @@ reading: ContextVar[Callable[[int], object]] = ContextVar("reading", default=lam
 def recorded_bytes(path: Path) -> int | None:
     """Return how many bytes `reading` will be told of; None where that is not known before, as of a table."""
     if not is_session(path):
-        return path.stat().st_size if path.is_file() and path.suffix not in TABLE_SUFFIXES else None
+        return path.stat().st_size if path.is_file() and path.suffix not in SUFFIXES else None
     session = open_session(path)
     if session.metadata.source == "import":
         return None

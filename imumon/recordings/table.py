@@ -44,6 +44,8 @@ class TableWriter:
     A column may begin in any block: the rows before have no value there.  NaN and `NO_INT` become null, an
     empty cell in CSV.  As a context manager it closes at the end, or drops everything when there is an error.
 
+    Raises BAD_CONFIG for another suffix, or when the folder of the output does not exist.
+
     Parameters
     ----------
     path : Path
@@ -51,11 +53,6 @@ class TableWriter:
     columns : mapping of str to Column
         Every column that may come, in the order in which the table shall have them; only those that come
         are written (all of them when no row comes).
-
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG for another suffix, or when the folder of the output does not exist.
     """
 
     def __init__(self, path: Path, columns: Mapping[str, Column]) -> None:
@@ -78,12 +75,8 @@ class TableWriter:
     def write(self, block: SampleBlock) -> None:
         """Append the samples of a block.
 
-        Raises
-        ------
-        ValueError
-            When the block has a column that was not announced.
-        OSError
-            When the disk is full or fails.
+        Raises ValueError when the block has a column that was not announced; OSError when the disk is full or
+        fails.
         """
         if not len(block):
             return
@@ -99,10 +92,7 @@ class TableWriter:
     def close(self) -> None:
         """Finish the table and put it in its place.
 
-        Raises
-        ------
-        OSError
-            When the disk is full or fails; a file that was there before is untouched.
+        Raises OSError when the disk is full or fails; a file that was there before is untouched.
         """
         try:
             with naming(self.path):
@@ -188,6 +178,10 @@ def export_blocks(
 ) -> int:
     """Write blocks to a table and return the number of rows.
 
+    Raises BAD_CONFIG when a column that was asked for is not there, naming those that are; BAD_DATA when
+    there is no sample; a table that was there then stays as it was; OSError when the table cannot be written;
+    one that was there then stays as it was.
+
     Parameters
     ----------
     columns : sequence of str, or None
@@ -196,14 +190,6 @@ def export_blocks(
         Returns unit and type of every column that has come so far; a device may begin to send more.
     also : sequence of str
         Columns to write before those, where they come.
-
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG when a column that was asked for is not there, naming those that are; BAD_DATA when there
-        is no sample; a table that was there then stays as it was.
-    OSError
-        When the table cannot be written; one that was there then stays as it was.
     """
     wanted = None if columns is None else list(dict.fromkeys((*also, *columns)))
     seen: dict[str, None] = {}
@@ -231,11 +217,8 @@ def export_blocks(
 def iterate_samples(session: Session, rows_per_block: int = READ_ROWS) -> Iterator[SampleBlock]:
     """Yield the samples of an imported session in order.
 
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when the table cannot be read, or is not the one that was imported, or when the session has
-        bytes instead, which need a decoder.
+    Raises BAD_DATA when the table cannot be read, or is not the one that was imported, or when the session
+    has bytes instead, which need a decoder.
     """
     if session.metadata.source != "import":
         raise ImumonError(Reason.BAD_DATA, f"{session.path} holds bytes, not samples: it must be decoded")
@@ -260,10 +243,7 @@ def _rows(path: Path) -> int:
 def iterate_table(path: Path, rows_per_block: int = READ_ROWS) -> Iterator[SampleBlock]:
     """Yield the samples of a table that imumon wrote, or one with the same names, in order.
 
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when the table cannot be read or has a column that is neither float nor integer.
+    Raises BAD_DATA when the table cannot be read or has a column that is neither float nor integer.
     """
     columns = read_columns(path)
     schema = _schema(columns.values())
@@ -278,10 +258,7 @@ def iterate_table(path: Path, rows_per_block: int = READ_ROWS) -> Iterator[Sampl
 def read_table(path: Path) -> tuple[SampleBlock, dict[str, Column]]:
     """Read a whole table into memory; return the samples and the columns with their units.
 
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when the table cannot be read or has a column that is neither float nor integer.
+    Raises BAD_DATA when the table cannot be read or has a column that is neither float nor integer.
     """
     columns = read_columns(path)
     blocks = list(iterate_table(path))
@@ -292,10 +269,7 @@ def read_table(path: Path) -> tuple[SampleBlock, dict[str, Column]]:
 def read_columns(path: Path) -> dict[str, Column]:
     """Return the columns of a table; where the table does not tell the unit, that of the known name, or "".
 
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when the table cannot be read or has a column that is neither float nor integer.
+    Raises BAD_DATA when the table cannot be read or has a column that is neither float nor integer.
     """
     _check_suffix(path, Reason.BAD_DATA)
     try:

@@ -77,19 +77,14 @@ class WireWriter:
     Not for use from several threads at once, but for `sync`.  The file is locked while it is written
     (``flock``), so that nobody takes a recording that goes on for one that was killed.
 
+    Raises EXISTS when there is such a file; OSError when it cannot be created.
+
     Parameters
     ----------
     path : Path
         New file.
     metadata : mapping of str to str
         Written into the file as the metadata record "imumon".
-
-    Raises
-    ------
-    ImumonError
-        EXISTS when there is such a file.
-    OSError
-        When it cannot be created.
     """
 
     def __init__(self, path: Path, metadata: Mapping[str, str]) -> None:
@@ -138,12 +133,8 @@ class WireWriter:
     def begin_again(self) -> None:
         """Make the file anew, with its folder, after it has vanished; its first event says what is missing.
 
-        Raises
-        ------
-        OSError
-            When that cannot be done; what comes until it can is lost as well.
-        ImumonError
-            EXISTS when there is another file by now.
+        Raises OSError when that cannot be done; what comes until it can is lost as well; EXISTS when there is
+        another file by now.
         """
         gone = self._spool
         self._path.parent.mkdir(parents=True, exist_ok=True)
@@ -186,10 +177,8 @@ class WireWriter:
     def flush(self) -> None:
         """Hand everything to the operating system.
 
-        Raises
-        ------
-        OSError
-            When the disk is full or fails; nothing is lost yet, and the next `flush` goes on from there.
+        Raises OSError when the disk is full or fails; nothing is lost yet, and the next `flush` goes on from
+        there.
         """
         self._seal()
         try:
@@ -201,20 +190,15 @@ class WireWriter:
     def sync(self) -> None:
         """Wait until the medium has what was flushed; may be called from another thread.
 
-        Raises
-        ------
-        OSError
-            When the disk fails.
+        Raises OSError when the disk fails.
         """
         self._spool.sync()
 
     def close(self) -> None:
         """Finish and close the file; what cannot be written now is counted as unrecorded.
 
-        Raises
-        ------
-        OSError
-            When the last bytes cannot be written; the file is closed, and what it holds is readable.
+        Raises OSError when the last bytes cannot be written; the file is closed, and what it holds is
+        readable.
         """
         if self._spool.closed:
             return

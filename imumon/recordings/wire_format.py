@@ -48,26 +48,18 @@ CHECK_SEQUENCE_AT = RECORD.size + 16 + 8 + 8
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """A check record.
-
-    Parameters
-    ----------
-    start, size : int
-        Where in the file the bytes begin that it seals, and how many they are; the record itself is not among
-        them.
-    sequence : int
-        Of the message that follows, modulo 2^32.
-    crc : int
-        CRC-32 of the bytes.
-    time_ns : int
-        Unix time of the latest message before, 0 when there is none.
-    """
+    """A check record."""
 
     start: int
     size: int
+    """Where in the file the bytes begin that it seals, and how many they are; the record itself is not
+    among them."""
     sequence: int
+    """Of the message that follows, modulo 2^32."""
     crc: int
+    """CRC-32 of the bytes."""
     time_ns: int
+    """Unix time of the latest message before, 0 when there is none."""
 
     def pack(self) -> bytes:
         """Return the record."""

@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from imumon.errors import ImumonError, Reason
+from imumon.files import readable
 from imumon.recordings.wire_format import MAGIC
 from imumon.recordings.wire_scan import Damage, Scan, WireSummary
 from imumon.transport.reader import Event, Item, Reads
@@ -31,10 +31,7 @@ class WireReader:
     def __iter__(self) -> Iterator[Item]:
         """Yield the items in the order in which they were written, each read by itself.
 
-        Raises
-        ------
-        ImumonError
-            As `batches`.
+        Raises ImumonError as `batches`.
         """
         for item in self.batches():
             if isinstance(item, Event):
@@ -45,22 +42,16 @@ class WireReader:
     def batches(self) -> Iterator[Reads | Event]:
         """Yield the items in the order in which they were written, reads that follow each other together.
 
-        Raises
-        ------
-        ImumonError
-            BAD_DATA, when the file cannot be read or is not a wire file.
+        Raises BAD_DATA, when the file cannot be read or is not a wire file.
         """
         scan = Scan(self.path)
         self.damage = scan.found.damage
-        try:
-            with self.path.open("rb") as file:
-                scan.begin(file.read(len(MAGIC)))
-                while not scan.done and (data := file.read(READ_SIZE)):
-                    yield from scan.feed(data)
-                yield from scan.feed(b"", end=True)
-                size = file.seek(0, os.SEEK_END)
-                file.seek(max(0, size - len(MAGIC)))
-                scan.finish(size, file.read())
-                self.summary = scan.found
-        except OSError as error:
-            raise ImumonError(Reason.BAD_DATA, f"{self.path}: cannot be read: {error.strerror}") from error
+        with readable(self.path), self.path.open("rb") as file:
+            scan.begin(file.read(len(MAGIC)))
+            while not scan.done and (data := file.read(READ_SIZE)):
+                yield from scan.feed(data)
+            yield from scan.feed(b"", end=True)
+            size = file.seek(0, os.SEEK_END)
+            file.seek(max(0, size - len(MAGIC)))
+            scan.finish(size, file.read())
+            self.summary = scan.found

@@ -86,26 +86,18 @@ _BAD_RECORD = (McapError, ZstdError, struct.error, ValueError, RuntimeError, Ove
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """A damaged place of a wire file.
-
-    Parameters
-    ----------
-    offset, size : int
-        Where in the file, and how many bytes of the file; 0 when bytes were cut out.
-    after_ns, before_ns : int
-        Unix time of the last message before and of the first one after it; 0 when there is none.
-    messages : int
-        Reads and events that are missing, as the numbers of those before and after say.
-    altered : bool
-        The messages are there, but are not as they were written: the checksum over the place differs.
-    """
+    """A damaged place of a wire file."""
 
     offset: int
     size: int
+    """Where in the file, and how many bytes of the file; 0 when bytes were cut out."""
     after_ns: int
     before_ns: int
+    """Unix time of the last message before and of the first one after it; 0 when there is none."""
     messages: int
+    """Reads and events that are missing, as the numbers of those before and after say."""
     altered: bool
+    """The messages are there, but are not as they were written: the checksum over the place differs."""
 
     @property
     def seconds(self) -> float:
@@ -225,10 +217,7 @@ class Scan:
     def finish(self, size: int, last: bytes) -> None:
         """Say how a file of so many bytes ends, the last of which are given.
 
-        Raises
-        ------
-        ImumonError
-            BAD_DATA when this is no wire file of a format that is known.
+        Raises BAD_DATA when this is no wire file of a format that is known.
         """
         if not self._good and self._lost == 0:
             raise ImumonError(Reason.BAD_DATA, f"{self._path}: is not a wire file", _HINT)
@@ -380,10 +369,7 @@ class Scan:
     def _rare(self, opcode: int, before: memoryview, body: bytes) -> Iterator[Reads | Event]:
         """Take in a rare record: header, channel, end, or a chunk if another tool rewrote the file.
 
-        Raises
-        ------
-        ValueError
-            When it is not what its first byte says; the library has others.
+        Raises ValueError when it is not what its first byte says; the library has others.
         """
         stream = ReadDataStream(BytesIO(body))
         if opcode == DATA_END_OP:

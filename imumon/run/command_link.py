@@ -52,12 +52,7 @@ class CommandLink:
     def ask(self, request: Request, tries: int = TRIES) -> bytes:
         """Send a request and return its answer; empty for one that devices do not answer.
 
-        Raises
-        ------
-        CommandError
-            The device said no, or nothing.
-        ImumonError
-            LOST when the port failed.
+        Raises CommandError the device said no, or nothing; LOST when the port failed.
         """
         for number in range(tries):
             self.discard()
@@ -127,20 +122,17 @@ class CommandLink:
 def connect(url: str, device: DeviceFile, family: Family, baudrate: int | None) -> CommandLink:
     """Open a port at the rate of the device, found by listening, and ask whether it is one of the family.
 
+    Raises ImumonError what opening a port raises; WRONG_BAUD when something else is there; SILENT when
+    nothing answers.
+
     Parameters
     ----------
     url : str
         The port.
     device : DeviceFile
         Its decoder and its rates; what its packets are known by.
-    family : Family
     baudrate : int or None
         Rate at which the device talks; found when None.
-
-    Raises
-    ------
-    ImumonError
-        What opening a port raises; WRONG_BAUD when something else is there; SILENT when nothing answers.
     """
     device.decoder().feed(b"\0", 0)  # compiled kernels are loaded before bytes pile up
     evidence = _heard(url, device) if baudrate is None else []

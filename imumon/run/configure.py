@@ -89,10 +89,7 @@ def _as_dict(request: Request) -> dict[str, str]:
 def planned(family: Family, wish: Wish, baudrate: int | None, save: bool, now: int) -> list[Request]:
     """Return all that would be sent to a device of which only its baud rate `now` is known, in order.
 
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG when that depends on what the device sends now.
+    Raises BAD_CONFIG when that depends on what the device sends now.
     """
     if not wish.empty and (wish.rate_hz is None or wish.outputs is None):
         raise ImumonError(
@@ -122,10 +119,7 @@ def _in_order(names: Iterable[str], baudrate: int | None, now: int) -> list[str]
 def check_load(family: Family, values: Mapping[str, bytes], line: PortSettings) -> str:
     """Return a warning when the line is nearly full; else nothing.
 
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG when the settings send more than the line carries, with the numbers.
+    Raises BAD_CONFIG when the settings send more than the line carries, with the numbers.
     """
     needed, there = family.bytes_per_s(values), line.capacity_bytes_per_s
     if there is None or needed <= NEARLY_FULL * there:
@@ -174,12 +168,9 @@ class Configuration:
     def run(self, wish: Wish, baudrate: int | None, save: bool) -> None:
         """Make the wish true, or leave the device as it was.
 
-        Raises
-        ------
-        ImumonError
-            BAD_CONFIG when the device has no such rate, or it does not fit through the line; REFUSED when
-            the device says no or does something else; SILENT when it stops answering; LOST.  What was
-            changed has been put back, and the report says what could not be.
+        Raises BAD_CONFIG when the device has no such rate, or it does not fit through the line; REFUSED when
+        the device says no or does something else; SILENT when it stops answering; LOST.  What was changed has
+        been put back, and the report says what could not be.
         """
         try:
             changes = self._prepare(wish, baudrate, save)

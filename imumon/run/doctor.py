@@ -51,23 +51,15 @@ class State(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """Something that was looked at.
-
-    Parameters
-    ----------
-    subject : str
-        What was looked at.
-    state : State
-    seen : str
-        What is there.
-    remedy : str
-        What to do; empty when it is good.
-    """
+    """Something that was looked at."""
 
     subject: str
+    """What was looked at."""
     state: State
     seen: str
+    """What is there."""
     remedy: str = ""
+    """What to do; empty when it is good."""
 
 
 def examine(folder: Path) -> Iterator[Finding]:

@@ -33,7 +33,7 @@ from imumon.run.account import Outages
 from imumon.run.marks import Marks, append_request
 from imumon.run.narration import Narrator, Progress, Publish, Say
 from imumon.run.setup import Setup
-from imumon.run.stages import estimators
+from imumon.run.stages import estimators, pipeline_of
 from imumon.transport.reader import (
     SILENT_AFTER_S,
     Bytes,
@@ -63,7 +63,7 @@ def warm_up(device: DeviceFile, setup: Setup) -> None:
     The compiled code is kept on disk: the first start after an installation takes ten seconds or so, later
     ones some tenths of a second.
     """
-    pipeline = Pipeline(device, estimators(device, setup))
+    pipeline = pipeline_of(device, setup)
     sent = SampleBlock({column.name: np.zeros(3, column.dtype) for column in KNOWN.values()})
     for number, packet in enumerate(device.encoder().encode(sent)):
         pipeline.feed(packet, number)
@@ -119,6 +119,8 @@ class LiveSummary:
 class LiveRun:
     """Records and decodes a port until it is stopped.
 
+    Raises EXISTS when the folder holds a session; BAD_CONFIG when it cannot be written.
+
     Parameters
     ----------
     device : DeviceFile
@@ -137,11 +139,6 @@ class LiveRun:
         More stages, behind the others.
     serial : str or None
         Serial number of the unit, kept with the session.
-
-    Raises
-    ------
-    ImumonError
-        EXISTS when the folder holds a session; BAD_CONFIG when it cannot be written.
     """
 
     def __init__(
@@ -156,7 +153,7 @@ class LiveRun:
         serial: str | None = None,
     ) -> None:
         self._device = device
-        self.pipeline = Pipeline(device, [*estimators(device, setup), *stages], setup.range)
+        self.pipeline = pipeline_of(device, setup, stages)
         self.taken: Callable[[SampleBlock, Mapping[str, SampleBlock]], None] | None = None
         """Given, in the pipeline's thread, the samples and those of the side streams as they come."""
         self._settings = settings
@@ -169,7 +166,7 @@ class LiveRun:
         self._log = SessionLog(self.session.path / LOG_NAME, say)
         self._say = self._log.put
         model = setup.model
-        self._doubt = model.of_another(serial) if isinstance(model, BiasModel) else ""
+        self._of_another = model.of_another(serial) if isinstance(model, BiasModel) else ""
         self._writer = self._wire_writer()
         self._recorder = Recorder(self._writer, self._recording_problem, self._save)
         self._reader = reader_of(device, settings, self._recorder.put, self._items.put)
@@ -193,10 +190,8 @@ class LiveRun:
     def open(self) -> None:
         """Open the port, and read and record from now on.
 
-        Raises
-        ------
-        ImumonError
-            The reasons of `Reader.start` when the port cannot be opened; then no session is left behind.
+        Raises ImumonError the reasons of `Reader.start` when the port cannot be opened; then no session is
+        left behind.
         """
         try:
             self._reader.start()
@@ -206,8 +201,8 @@ class LiveRun:
             remove_empty(self.session)
             raise
         self._recorder.start()
-        if self._doubt:
-            self._say("WARN", self._doubt)
+        if self._of_another:
+            self._say("WARN", self._of_another)
 
     def begin(self, publish: Sequence[Publish]) -> None:
         """Decode what has come and what comes, and show it to `publish` as view items."""

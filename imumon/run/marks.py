@@ -27,11 +27,8 @@ MOST_BYTES = 1 << 16
 def ask_for_mark(session: Path, kind: EventKind, text: str) -> None:
     """Ask whoever records this session for a mark, or for the start or stop of a part.
 
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG when the text is empty, the session is not being recorded, what is to begin goes on, or
-        what is to stop does not; BAD_DATA when there is no session.
+    Raises BAD_CONFIG when the text is empty, the session is not being recorded, what is to begin goes on, or
+    what is to stop does not; BAD_DATA when there is no session.
     """
     if not text.strip():
         raise ImumonError(Reason.BAD_CONFIG, "the text of the mark is empty", "say what is marked")

@@ -29,27 +29,18 @@ MAIN_COLUMNS = ("gyro_x", "accel_x", "delta_velocity_x", "q_w", "roll", "mag_x",
 
 @dataclass(frozen=True, slots=True)
 class Stream:
-    """What came within a time.
-
-    Parameters
-    ----------
-    seconds : float
-        Time listened.
-    columns : tuple of str
-        Columns with values.
-    samples : int
-        Of the first of `MAIN_COLUMNS` that came.
-    rate_hz : float or None
-        Their rate; None when they were too few to tell.
-    warnings : tuple of str
-        Why the numbers are not fit for an estimate, as the decoder has it.
-    """
+    """What came within a time."""
 
     seconds: float
+    """Time listened."""
     columns: tuple[str, ...]
+    """Columns with values."""
     samples: int
+    """Of the first of `MAIN_COLUMNS` that came."""
     rate_hz: float | None
+    """Their rate; None when they were too few to tell."""
     warnings: tuple[str, ...]
+    """Why the numbers are not fit for an estimate, as the decoder has it."""
 
     def problem(self, wanted: Sequence[tuple[str, ...]], rate_hz: float | None) -> str:
         """Return why this is not what was asked for; empty when it is.
@@ -72,10 +63,7 @@ class Stream:
 def measure(link: CommandLink, device: DeviceFile, rate_hz: float | None) -> Stream:
     """Listen to a device and return what it sends.
 
-    Raises
-    ------
-    ImumonError
-        LOST when the port failed.
+    Raises LOST when the port failed.
     """
     decoder, times = device.decoder(), dict[str, list[np.ndarray]]()
     seconds = max(min(max(PACKETS / rate_hz, LEAST_S), MOST_S), PERIODS / rate_hz) if rate_hz else LEAST_S

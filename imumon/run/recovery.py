@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from imumon.errors import ImumonError, Reason
-from imumon.pipeline import Pipeline
 from imumon.recordings.folder import METADATA_NAME, Session, open_session
 from imumon.recordings.metadata import SessionMetadata
 from imumon.recordings.recovery import is_sound, keep_original, read_summary, refuse_recording, rewrite
@@ -18,7 +17,7 @@ from imumon.run.live import flat_counters, stream_summaries
 from imumon.run.narration import Narrator, view_setup
 from imumon.run.replay import replay
 from imumon.run.setup import recorded_setup
-from imumon.run.stages import estimators
+from imumon.run.stages import pipeline_of
 from imumon.view.recorder import ViewRecorder
 
 WINDOW_S = 15.0
@@ -45,12 +44,8 @@ class Recovered:
 def recover(path: Path) -> Recovered:
     """Make a session whole that was interrupted or damaged; one that is whole is left as it is.
 
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when this is no session with a wire file; BUSY when it is being recorded.
-    OSError
-        When the disk is full or fails; each file is then as it was, or whole and new.
+    Raises BAD_DATA when this is no session with a wire file; BUSY when it is being recorded; OSError when the
+    disk is full or fails; each file is then as it was, or whole and new.
     """
     session = open_session(path)
     if session.metadata.source == "import":
@@ -82,7 +77,7 @@ def recover(path: Path) -> Recovered:
 def _run_again(session: Session, source: Source, result: Recovered) -> tuple[SessionMetadata, list[str]]:
     """Run over the bytes as the live run did; write the view, and return the metadata of a closed session."""
     setup = recorded_setup(session)
-    pipeline = Pipeline(source.device, estimators(source.device, setup), setup.range)
+    pipeline = pipeline_of(source, setup)
     partial = session.path / "recovering.rrd"
     for left in session.path.glob("recovering*.rrd"):
         left.unlink()

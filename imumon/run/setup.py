@@ -154,10 +154,7 @@ class Setup(StrictModel):
 def parse_setup(text: str, source: str) -> Setup:
     """Read the text of a pipeline file; a model that it names is read from beside `source`.
 
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG, naming file and line, what was found and what was expected.
+    Raises BAD_CONFIG, naming file and line, what was found and what was expected.
     """
     setup = parse_yaml(text, Setup, source)
     if isinstance(setup.model, str):
@@ -168,10 +165,7 @@ def parse_setup(text: str, source: str) -> Setup:
 def recorded_setup(session: Session) -> Setup:
     """Return the setup that a session ran with.
 
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG when what it keeps of it cannot be read.
+    Raises BAD_CONFIG when what it keeps of it cannot be read.
     """
     text = session.metadata.pipeline_yaml
     return Setup() if text is None else parse_setup(text, f"{session.path} (pipeline_yaml)")
@@ -180,9 +174,6 @@ def recorded_setup(session: Session) -> Setup:
 def load_setup(path: str | Path) -> Setup:
     """Read a pipeline file.
 
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG, naming file and line, what was found and what was expected.
+    Raises BAD_CONFIG, naming file and line, what was found and what was expected.
     """
     return parse_setup(read_text(Path(path), hint=f"give a pipeline file (format: {FORMAT})"), str(path))

@@ -14,11 +14,11 @@ from imumon.estimation.smoothing.combine import Smoothed
 from imumon.estimation.smoothing.record import Record, Recorder
 from imumon.estimation.smoothing.stage import SmoothedEstimates
 from imumon.estimation.temperature_rate.stage import TemperatureRate
-from imumon.pipeline import Estimator, Pipeline
+from imumon.pipeline import Estimator
 from imumon.protocols.thermometer import TemperatureRateParameters
 from imumon.recordings.source import Source, run_over
 from imumon.run.setup import Setup, ZuptMode
-from imumon.run.stages import estimators, temperature_rate
+from imumon.run.stages import pipeline_of, temperature_rate
 
 NEEDED = (TemperatureRate, RestDetector, GyroBias, AttitudeEstimate)
 
@@ -30,15 +30,14 @@ def smoothed(source: Source, setup: Setup) -> SmoothedEstimates:
         from imumon.estimation.alignment.stage import Alignment
 
         needed = (*NEEDED, Alignment)
-    stages = [stage for stage in estimators(source.device, setup) if isinstance(stage, needed)]
-    recorder = Recorder()
-    for block in run_over(source.items, Pipeline(source.device, stages, setup.range)):
+    pipeline, recorder = pipeline_of(source, setup, only=needed), Recorder()
+    for block in run_over(source.items, pipeline):
         if len(block):
             recorder.add(block)
     record = recorder.finish()
     given = source.device.temperature if source.device is not None else TemperatureRateParameters()
     against_time = backward(record, temperature_rate(given), RestDetector(setup.rest), _bias(record, setup))
-    return SmoothedEstimates(record, against_time, _heading(record, stages[-1], setup))
+    return SmoothedEstimates(record, against_time, _heading(record, pipeline.estimators[-1], setup))
 
 
 def _heading(record: Record, stage: Estimator, setup: Setup) -> Smoothed | None:

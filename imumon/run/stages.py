@@ -13,11 +13,36 @@ from imumon.estimation.rest.stage import RestDetector
 from imumon.estimation.spectrum.stage import LiveSpectrum
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.estimation.watch.stage import ModelWatch
-from imumon.pipeline import Estimator
+from imumon.pipeline import Estimator, Pipeline
 from imumon.plugins import STAGES, plugins
 from imumon.protocols.device import DeviceFile
+from imumon.protocols.ranges import Ranges
 from imumon.protocols.thermometer import TemperatureRateParameters
+from imumon.recordings.source import Source
 from imumon.run.setup import Setup
+
+
+def pipeline_of(
+    sent: DeviceFile | Source,
+    setup: Setup | None = None,
+    more: Sequence[Estimator] = (),
+    only: tuple[type, ...] = (object,),
+) -> Pipeline:
+    """Return the pipeline of a device or a recording: the stages of a setup, then more.
+
+    Parameters
+    ----------
+    sent : DeviceFile or Source
+        What sends, or what was recorded.
+    more : sequence of Estimator
+        Stages behind those of the setup.
+    only : tuple of type
+        Which stages of the setup.
+    """
+    setup = setup or Setup()
+    device, declared = (sent.device, sent.range) if isinstance(sent, Source) else (sent, Ranges())
+    stages = [stage for stage in estimators(device, setup) if isinstance(stage, only)] if only else []
+    return Pipeline(device, [*stages, *more], setup.range.over(declared))
 
 
 def estimators(device: DeviceFile | None, setup: Setup | None = None) -> list[Estimator]:
@@ -54,10 +79,7 @@ def estimators(device: DeviceFile | None, setup: Setup | None = None) -> list[Es
 def _of_plugins() -> list[Estimator]:
     """Return a new stage of each plug-in.
 
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG, naming it, when it makes none.
+    Raises BAD_CONFIG, naming it, when it makes none.
     """
     made: list[Estimator] = []
     for name, make in plugins(STAGES, "callable that returns a stage", _is_callable).items():

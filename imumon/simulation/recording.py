@@ -47,13 +47,9 @@ def record_session(
     The truth is in truth.parquet, one row a packet, the scenario as it was played in scenario.yaml, and the
     log of the chamber, where there is one, in chamber.csv; all are ignored by whatever reads the session.
 
-    Raises
-    ------
-    ImumonError
-        EXISTS when there is a session already; BAD_CONFIG when the packets do not fit through the line;
-        BAD_DATA when a value does not fit its field.
-    OSError
-        When the disk is full or fails; nothing is left behind.
+    Raises EXISTS when there is a session already; BAD_CONFIG when the packets do not fit through the line;
+    BAD_DATA when a value does not fit its field; OSError when the disk is full or fails; nothing is left
+    behind.
     """
     tick_ns = device.decoder().timing.tick_ns or MICROSECOND
     first = device.encoder().encode(SimulatedUnit(scenario, seed, tick_ns).samples(1))[0]
@@ -101,12 +97,8 @@ def _record(
 def write_table(scenario: Scenario, seed: int, path: Path, progress: Progress) -> int:
     """Write a scenario to one table, the truth in columns that begin with true_; return the number of rows.
 
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG for a suffix that is neither .parquet nor .csv, or when the folder does not exist.
-    OSError
-        When the disk is full or fails; a file that was there before is untouched.
+    Raises BAD_CONFIG for a suffix that is neither .parquet nor .csv, or when the folder does not exist;
+    OSError when the disk is full or fails; a file that was there before is untouched.
     """
     unit = SimulatedUnit(scenario, seed)
     known = KNOWN | {"supply_voltage": Column("supply_voltage", "V")}

@@ -39,6 +39,8 @@ def refuse_overload(packet_bytes: int, rate_hz: float, baudrate: int) -> None:
 class VirtualDevice:
     """Sends the packets of a device in real time from its own thread until it is closed.
 
+    Raises BAD_CONFIG when the packets do not fit through the line at this rate.
+
     Parameters
     ----------
     device : DeviceFile
@@ -53,11 +55,6 @@ class VirtualDevice:
         Port to send through; one is made when None.  Closed with the device.
     scenario : Scenario or None
         What the unit does, in the axes of the device; the scenario "bench" when None.
-
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG when the packets do not fit through the line at this rate.
     """
 
     def __init__(

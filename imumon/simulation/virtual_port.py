@@ -42,6 +42,9 @@ _CFLAG, _ISPEED, _OSPEED = 2, 9, 10  # position of these ints
 class VirtualPort:
     """A device on a cable; the host opens `path` as it would open ``/dev/ttyUSB0``.
 
+    Raises EXISTS when there is something under the name of the link, unless it is a link that leads nowhere,
+    as a killed process leaves it; BAD_CONFIG when the link cannot be made.
+
     Parameters
     ----------
     link : Path or None
@@ -49,12 +52,6 @@ class VirtualPort:
         when the device is plugged in again, as under ``/dev/serial/by-id``.
     baudrate : int
         Rate of the device, 8N1.
-
-    Raises
-    ------
-    ImumonError
-        EXISTS when there is something under the name of the link, unless it is a link that leads nowhere, as
-        a killed process leaves it; BAD_CONFIG when the link cannot be made.
     """
 
     def __init__(self, link: Path | None = None, baudrate: int = 115200) -> None:

@@ -76,40 +76,28 @@ _RANK = {verdict: rank for rank, verdict in enumerate(Verdict)}
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """What was seen at one baud rate with one protocol.
-
-    Parameters
-    ----------
-    protocol : str
-        Name of the candidate.
-    baudrate : int or None
-        Rate in bit/s; None where there is no line (``socket://``).
-    seconds : float
-        Time listened.
-    bytes_received, bytes_in_packets, bytes_pending : int
-        All bytes; those in valid packets; those of a packet cut off at the end.
-    packets, checksum_errors, length_errors : int
-        Valid packets, and what looked like a packet and was none.
-    samples : int
-        Samples in the packets; a device of the same family may frame the packets and understand none.
-    odd_share : float
-        Share of bytes that are 0x00 or 0xFF, which a wrong rate or an inverted line gives.
-    text_share : float
-        Share of bytes that are printable ASCII or line ends.
-    """
+    """What was seen at one baud rate with one protocol."""
 
     protocol: str
+    """Name of the candidate."""
     baudrate: int | None
+    """Rate in bit/s; None where there is no line (``socket://``)."""
     seconds: float
+    """Time listened."""
     bytes_received: int
     bytes_in_packets: int
     bytes_pending: int
+    """All bytes; those in valid packets; those of a packet cut off at the end."""
     packets: int
     checksum_errors: int
     length_errors: int
+    """Valid packets, and what looked like a packet and was none."""
     samples: int
+    """Samples in the packets; a device of the same family may frame the packets and understand none."""
     odd_share: float
+    """Share of bytes that are 0x00 or 0xFF, which a wrong rate or an inverted line gives."""
     text_share: float
+    """Share of bytes that are printable ASCII or line ends."""
 
     @property
     def bytes_per_s(self) -> float:
@@ -153,6 +141,9 @@ def detect(
 ) -> list[Evidence]:
     """Listen at one rate after the other until the bytes frame; return the evidence, the best first.
 
+    Raises ImumonError when the port cannot be opened or is lost.  A rate that the adapter does not offer is
+    passed over.
+
     Parameters
     ----------
     url : str
@@ -167,11 +158,6 @@ def detect(
         Told what is tried next.
     heard : callable
         Given the bytes as they come.
-
-    Raises
-    ------
-    ImumonError
-        When the port cannot be opened or is lost.  A rate that the adapter does not offer is passed over.
     """
     for factory in candidates.values():
         factory().feed(b"\0", 0)  # compiled kernels are loaded before bytes pile up

@@ -86,10 +86,7 @@ class Port:
 
         A readable `wake_fd` ends the wait early.
 
-        Raises
-        ------
-        ImumonError
-            LOST when the port failed, hung up, or the peer closed the connection.
+        Raises LOST when the port failed, hung up, or the peer closed the connection.
         """
         try:
             if self._fd is None:
@@ -103,10 +100,7 @@ class Port:
     def write(self, data: bytes) -> None:
         """Send bytes to the device.
 
-        Raises
-        ------
-        ImumonError
-            LOST when the port failed or takes no bytes for 1 s.
+        Raises LOST when the port failed or takes no bytes for 1 s.
         """
         try:
             self._handle.write(data)
@@ -116,10 +110,7 @@ class Port:
     def set_baudrate(self, baudrate: int) -> None:
         """Let the line run at another rate, without closing the port.
 
-        Raises
-        ------
-        ImumonError
-            BAD_CONFIG when the adapter has no such rate; LOST when the port failed.
+        Raises BAD_CONFIG when the adapter has no such rate; LOST when the port failed.
         """
         try:
             self._handle.baudrate = baudrate
@@ -200,11 +191,8 @@ class Port:
 def open_port(settings: PortSettings) -> Port:
     """Open a port exclusively and try to set low-latency mode.
 
-    Raises
-    ------
-    ImumonError
-        NOT_FOUND, PERMISSION, BUSY, LOST (the device does not answer its driver) or BAD_CONFIG, each with
-        what was seen and what to do.
+    Raises NOT_FOUND, PERMISSION, BUSY, LOST (the device does not answer its driver) or BAD_CONFIG, each with
+    what was seen and what to do.
     """
     try:
         handle = _make_handle(settings)

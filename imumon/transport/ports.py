@@ -18,40 +18,27 @@ TRIES, PAUSE_S = 3, 0.05
 
 @dataclass(frozen=True, slots=True)
 class PortInfo:
-    """A serial port that exists.
-
-    Parameters
-    ----------
-    device : str
-        Name to open it by.
-    description : str
-        What the adapter or the operating system calls it.
-    vid, pid : int or None
-        USB vendor and product id; None for a port that is not USB.
-    serial_number : str or None
-        USB serial number.
-    driver : str or None
-        Kernel driver.
-    by_id : str or None
-        Name under ``/dev/serial/by-id``, which stays the same when adapters are replugged in another order.
-    latency_timer_ms : int or None
-        How long an FTDI adapter holds bytes back at the most; None where the driver has no such timer.
-    accessible : bool
-        Whether this user may read and write it.
-    holders : tuple of str
-        Other programs that have it open, as far as this user may see them.
-    """
+    """A serial port that exists."""
 
     device: str
+    """Name to open it by."""
     description: str
+    """What the adapter or the operating system calls it."""
     vid: int | None
     pid: int | None
+    """USB vendor and product id; None for a port that is not USB."""
     serial_number: str | None
+    """USB serial number."""
     driver: str | None
+    """Kernel driver."""
     by_id: str | None
+    """Name under ``/dev/serial/by-id``, which stays the same when adapters are replugged in another order."""
     latency_timer_ms: int | None
+    """How long an FTDI adapter holds bytes back at the most; None where the driver has no such timer."""
     accessible: bool
+    """Whether this user may read and write it."""
     holders: tuple[str, ...]
+    """Other programs that have it open, as far as this user may see them."""
 
     @property
     def usb_id(self) -> str:

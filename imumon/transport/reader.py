@@ -65,21 +65,14 @@ class Bytes:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reads:
-    """Several reads one after the other, as a recording has them: faster to go through than each by itself.
-
-    Parameters
-    ----------
-    data : array of uint8
-        The bytes of all.
-    ends : array of int64, (n,)
-        Where each read ends in the data.
-    arrivals_ns : array of int64, (n,)
-        Unix time right after each.
-    """
+    """Several reads one after the other, as a recording has them: faster to go through than each alone."""
 
     data: ByteArray
+    """The bytes of all."""
     ends: IntArray
+    """Where each read ends in the data, (n,)."""
     arrivals_ns: IntArray
+    """Unix time right after each, (n,)."""
 
     @classmethod
     def of(cls, reads: Sequence[Bytes]) -> Reads:
@@ -187,10 +180,8 @@ class Reader:
     def start(self) -> None:
         """Open the port and start reading.
 
-        Raises
-        ------
-        ImumonError
-            When the port cannot be opened now: the name may be wrong, so it is not tried again.
+        Raises ImumonError when the port cannot be opened now: the name may be wrong, so it is not tried
+        again.
         """
         port, wakeup = open_port(self.settings), Wakeup()
         name = f"reader of {self.settings.url}"

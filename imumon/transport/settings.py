@@ -17,27 +17,18 @@ _ALLOWED: dict[str, tuple[object, ...]] = {
 class PortSettings:
     """Where the bytes come from and how the line is set.
 
-    Parameters
-    ----------
-    url : str
-        A device (``/dev/ttyUSB0``) or any URL that pyserial knows (``socket://host:port``,
-        ``rfc2217://host:port``, ``spy:///dev/ttyUSB0``, ``loop://``, ``hwgrep://regexp``).
-    baudrate : int
-        Bits per second on the line; a ``socket://`` has no line, so it does not matter there.
-    bytesize, parity, stopbits
-        Data bits 5 to 8; parity N, E, O, M or S; stop bits 1, 1.5 or 2.
-
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG when a value is not one of these.
+    Raises BAD_CONFIG when a value is not one of these.
     """
 
     url: str
+    """A device (``/dev/ttyUSB0``) or any URL that pyserial knows (``socket://host:port``,
+    ``rfc2217://host:port``, ``spy:///dev/ttyUSB0``, ``loop://``, ``hwgrep://regexp``)."""
     baudrate: int = 115200
+    """Bits per second on the line; a ``socket://`` has no line, so it does not matter there."""
     bytesize: int = 8
     parity: str = "N"
     stopbits: float = 1
+    """Data bits 5 to 8; parity N, E, O, M or S; stop bits 1, 1.5 or 2."""
 
     def __post_init__(self) -> None:
         """Check the values."""

@@ -17,7 +17,6 @@ class Axes:
 
     Parameters
     ----------
-    rec : RecordingStream
     live : bool
         Whether a person is watching.
     """

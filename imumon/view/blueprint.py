@@ -29,38 +29,26 @@ NAMES_MARGIN = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Contents:
-    """What there is to see.
-
-    Parameters
-    ----------
-    panels : tuple of Panel
-        Those that have data.
-    charts : tuple of (place, key, title)
-        Those that have been drawn.
-    lanes : tuple of str
-        Entities of the lanes of states, from above.
-    log, status : bool
-        Whether there are log lines, a status card.
-    others : tuple of (title, entities)
-        Views of the columns that no panel draws.
-    cards : tuple of str
-        Tabs that have a card of numbers.
-    filled, full : bool
-        Whether as much has come as the first tab shows, and as the slow tabs show.
-    grown_s : float
-        How much the slow tabs show, s, rounded up to a power of two while they grow.
-    """
+    """What there is to see."""
 
     panels: tuple[Panel, ...]
+    """Those that have data."""
     charts: tuple[tuple[str, str, str], ...]
+    """Those that have been drawn."""
     lanes: tuple[str, ...]
+    """Entities of the lanes of states, from above."""
     log: bool
     status: bool
+    """Whether there are log lines, a status card."""
     others: tuple[tuple[str, tuple[str, ...]], ...]
+    """Views of the columns that no panel draws."""
     cards: tuple[str, ...]
+    """Tabs that have a card of numbers."""
     filled: bool
     full: bool
+    """Whether as much has come as the first tab shows, and as the slow tabs show."""
     grown_s: float
+    """How much the slow tabs show, s, rounded up to a power of two while they grow."""
 
     def __bool__(self) -> bool:
         """Tell whether there is anything besides charts."""

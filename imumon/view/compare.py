@@ -57,7 +57,6 @@ class Comparison:
 
     Parameters
     ----------
-    rec : RecordingStream
     setup : ViewSetup
         Title and units.
     align : "power-on" or "host"

@@ -43,23 +43,16 @@ LATEST_S = 3.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reach:
-    """What is drawn in some rows, in the unit that is drawn.
-
-    Parameters
-    ----------
-    values : array of shape (n, lines)
-    reach : array of shape (n, lines)
-        Half of the height of the band about each value; zero without one.
-    least : float
-        The axis spans at least as much.
-    floor : float, optional
-        The axis begins here, where no value is below.
-    """
+    """What is drawn in some rows, in the unit that is drawn."""
 
     values: FloatArray
+    """Array, (n, lines)."""
     reach: FloatArray
+    """Half of the height of the band about each value, (n, lines); zero without one."""
     least: float = 0.0
+    """The axis spans at least as much."""
     floor: float | None = None
+    """The axis begins here, where no value is below."""
 
 
 @dataclass(slots=True, eq=False)
@@ -83,15 +76,10 @@ class _Step:
 
 @dataclass(slots=True)
 class Extent:
-    """The ends of what a panel has to show in its window, found anew with each step; in constant memory.
-
-    Parameters
-    ----------
-    window_s : float, optional
-        What the panel shows of time; all without.
-    """
+    """The ends of what a panel has to show in its window, found anew with each step; in constant memory."""
 
     window_s: float | None = None
+    """What the panel shows of time; all without."""
     _resolution: float = np.inf
     _before: FloatArray | None = None
     _steps: deque[_Step] = field(default_factory=deque)

@@ -11,14 +11,7 @@ from imumon.view.viewer import LOCALHOST, VIEWER_PORT, WEB_PORT, Mode
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """The first frame: what to show and where.
-
-    Parameters
-    ----------
-    open_viewer : bool
-        Whether a native viewer may be started; False after a restart, so that a viewer that the user closed
-        stays closed.
-    """
+    """The first frame: what to show and where."""
 
     setup: ViewSetup
     mode: Mode
@@ -26,6 +19,8 @@ class Start:
     web_port: int = WEB_PORT
     bind: str = LOCALHOST
     open_viewer: bool = True
+    """Whether a native viewer may be started; False after a restart, so that a viewer that the user closed
+    stays closed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,25 +34,17 @@ class Batch:
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """What the view process says of itself.
-
-    Parameters
-    ----------
-    text : str
-        One phrase for the status line.
-    connected : bool
-        Whether the items reach a viewer, or a server that viewers can open.
-    port, web_port : int
-        Ports in use.
-    url : str
-        What to open in a browser, or where the stream is.
-    """
+    """What the view process says of itself."""
 
     text: str
+    """One phrase for the status line."""
     connected: bool
+    """Whether the items reach a viewer, or a server that viewers can open."""
     port: int
     web_port: int
+    """Ports in use."""
     url: str
+    """What to open in a browser, or where the stream is."""
 
 
 @dataclass(frozen=True, slots=True)

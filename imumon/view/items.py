@@ -19,21 +19,14 @@ ITEM_BYTES = 512
 
 @dataclass(frozen=True, slots=True)
 class Instant:
-    """A moment on the three timelines; None where a timeline does not know it.
-
-    Parameters
-    ----------
-    sample : int or None
-        Running index of the latest sample.
-    device_ns : int or None
-        Device time, ns, continued across segments (see `Timebase`).
-    host_ns : int or None
-        Unix time, ns.
-    """
+    """A moment on the three timelines; None where a timeline does not know it."""
 
     sample: int | None
+    """Running index of the latest sample."""
     device_ns: int | None
+    """Device time, ns, continued across segments (see `Timebase`)."""
     host_ns: int | None
+    """Unix time, ns."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -188,39 +181,26 @@ def lasting_key(item: Shown) -> str | None:
 
 @dataclass(frozen=True, slots=True)
 class ViewSetup:
-    """What the view must know before the first sample.
-
-    Parameters
-    ----------
-    title : str
-        Name of the recording as the viewer shows it.
-    recording_id : str
-        The same for live view and recording.
-    units : mapping of str to str
-        Units that differ from `imumon.columns.KNOWN`, by column (magnetic field in arbitrary units, ...).
-    z_down : bool
-        True for a device with FRD axes, whose reference frame has z down.
-    window_s : float
-        Seconds that the live strips show.
-    first_tab : str
-        What the first tab is called while the data comes.
-    properties : mapping of str to str
-        What else describes the session: device, port, rate.
-    several : bool
-        Whether the items are those of several units, `OfUnit` and `Overview`.
-    tab_height : float
-        Points that a tab has at least, `NATIVE_TAB` or `WEB_TAB`.
-    """
+    """What the view must know before the first sample."""
 
     title: str
+    """Name of the recording as the viewer shows it."""
     recording_id: str
+    """The same for live view and recording."""
     units: Mapping[str, str] = field(default_factory=dict)
+    """Units that differ from `imumon.columns.KNOWN`, by column (magnetic field in arbitrary units, ...)."""
     z_down: bool = False
+    """True for a device with FRD axes, whose reference frame has z down."""
     window_s: float = 30.0
+    """Seconds that the live strips show."""
     first_tab: str = "Live"
+    """What the first tab is called while the data comes."""
     properties: Mapping[str, str] = field(default_factory=dict)
+    """What else describes the session: device, port, rate."""
     several: bool = False
+    """Whether the items are those of several units, `OfUnit` and `Overview`."""
     tab_height: float = NATIVE_TAB
+    """Points that a tab has at least, `NATIVE_TAB` or `WEB_TAB`."""
 
 
 class Timebase:

@@ -210,47 +210,33 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class Strip:
-    """A panel that draws columns over time.
-
-    Parameters
-    ----------
-    unit : str, optional
-        Draw the values in this unit of `FACTORS`, and keep the exact ones in ``/samples`` all the same.
-    look : "lines", "steps" or "points"
-        Join the values by straight lines, or hold each until the next; or draw points and log only the rows
-        that have a value, where most have none.
-    beside : str, optional
-        Entity of another panel, drawn in the same view.
-    y_range : (low, high), optional
-        Fixed range of the y axis; it follows the data otherwise.
-    limits : (low, high), optional
-        Two level lines, in the unit that is drawn.
-    least : float, optional
-        The axis spans at least as much, in the unit that is drawn.
-    floor : float, optional
-        The axis begins here.
-    card : str, optional
-        What the card of the tab calls the present values; it does not show them without.
-    headline : bool, optional
-        Whether the card shows the last line's value large.
-    silent : float, optional
-        While the columns have no other value there is nothing to say, and no panel.
-    """
+    """A panel that draws columns over time."""
 
     key: str
     title: str
     lines: tuple[Line, ...]
     unit: str | None = None
+    """Draw the values in this unit of `FACTORS`, and keep the exact ones in ``/samples`` all the same."""
     place: str = STRIPS
     look: Literal["lines", "steps", "points"] = "lines"
+    """Join the values by straight lines, or hold each until the next; or draw points and log only the rows
+    that have a value, where most have none."""
     beside: str | None = None
+    """Entity of another panel, drawn in the same view."""
     y_range: tuple[float, float] | None = None
+    """Fixed range of the y axis; it follows the data otherwise."""
     limits: tuple[float, float] | None = None
+    """Two level lines, in the unit that is drawn."""
     least: float = 0.0
+    """The axis spans at least as much, in the unit that is drawn."""
     floor: float | None = None
+    """The axis begins here."""
     card: str = ""
+    """What the card of the tab calls the present values; it does not show them without."""
     headline: bool = False
+    """Whether the card shows the last line's value large."""
     silent: float | None = None
+    """While the columns have no other value there is nothing to say, and no panel."""
 
     @property
     def columns(self) -> tuple[str, ...]:

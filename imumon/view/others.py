@@ -24,9 +24,6 @@ class Others:
 
     Parameters
     ----------
-    rec : RecordingStream
-    setup : ViewSetup
-    axes : Axes
     live : bool
         Whether a person is watching.
     """

@@ -22,9 +22,6 @@ class PanelLog:
 
     Parameters
     ----------
-    rec : RecordingStream
-    setup : ViewSetup
-    axes : Axes
     live : bool
         Whether a person is watching.
     """

@@ -43,6 +43,8 @@ class ViewRecorder:
     its own footer, names, styles and latest states.  A segment that was cut short by a crash opens as well.
     A finished segment is compacted while the next one is written.
 
+    Raises EXISTS when there is a file already; NOT_FOUND when the folder is missing.
+
     Parameters
     ----------
     path : Path
@@ -51,11 +53,6 @@ class ViewRecorder:
         As for the live view, so that both are the same recording.
     segment_s : float
         A new segment begins when this much time has passed in the data.
-
-    Raises
-    ------
-    ImumonError
-        EXISTS when there is a file already; NOT_FOUND when the folder is missing.
     """
 
     def __init__(self, path: Path, setup: ViewSetup, *, segment_s: float = SEGMENT_S) -> None:
@@ -225,15 +222,12 @@ class Compaction:
 
     Of several arrangements the last stays.  The segment is replaced when it has succeeded, and not before.
 
+    Raises NOT_FOUND when this installation has no viewer program.
+
     Parameters
     ----------
     path : Path
         A segment that is finished.
-
-    Raises
-    ------
-    ImumonError
-        NOT_FOUND when this installation has no viewer program.
     """
 
     def __init__(self, path: Path) -> None:

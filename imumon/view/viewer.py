@@ -54,10 +54,7 @@ def has_display() -> bool:
 def viewer_binary() -> Path:
     """Return the viewer's executable itself; the `rerun` on the path is a script that would stay in between.
 
-    Raises
-    ------
-    ImumonError
-        NOT_FOUND when this installation has none.
+    Raises NOT_FOUND when this installation has none.
     """
     spec = find_spec("rerun_cli")
     folders = spec.submodule_search_locations if spec else None
@@ -107,10 +104,7 @@ def free_port(preferred: int, bind: str = LOCALHOST) -> int:
     For Rerun's own programs, which report a port in use in their log only; another program may take it
     before they do.
 
-    Raises
-    ------
-    ImumonError
-        BUSY when the next hundred are all in use.
+    Raises BUSY when the next hundred are all in use.
     """
     with listen(preferred, bind) as trial:
         return int(trial.getsockname()[1])
@@ -119,10 +113,7 @@ def free_port(preferred: int, bind: str = LOCALHOST) -> int:
 def listen(preferred: int, bind: str = LOCALHOST) -> socket.socket:
     """Return a socket that listens on the preferred port or the next one free, so that nobody else takes it.
 
-    Raises
-    ------
-    ImumonError
-        BUSY when the next hundred are all in use.
+    Raises BUSY when the next hundred are all in use.
     """
     for port in range(preferred, min(preferred + 100, 65536)):
         with contextlib.suppress(OSError):

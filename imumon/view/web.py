@@ -93,10 +93,7 @@ PUSH_S = 5.0
 def bundled_assets() -> dict[str, bytes]:
     """Return the web viewer's files, which are inside the viewer's executable, by path.
 
-    Raises
-    ------
-    ImumonError
-        NOT_FOUND when the executable is missing or does not hand them out within 10 s.
+    Raises NOT_FOUND when the executable is missing or does not hand them out within 10 s.
     """
     address, port = hidden_address()
     command = [str(viewer_binary()), proxy_url(1), "--serve-web", f"--bind={address}"]

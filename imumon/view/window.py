@@ -19,24 +19,16 @@ ENDLESS = rrb.TimeRangeBoundary.infinite()
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """What the series of a tab show of a timeline, all the same.
-
-    Parameters
-    ----------
-    seconds : float or None
-        Length; None for a whole recording.
-    full : bool
-        Whether so much has come; until then it begins where the data does.
-    margin_s : float
-        What stays free on the right, for a legend, s.
-    until_ns : int, optional
-        Where the axis of a whole recording ends; with the data without.
-    """
+    """What the series of a tab show of a timeline, all the same."""
 
     seconds: float | None = None
+    """Length; None for a whole recording."""
     full: bool = True
+    """Whether so much has come; until then it begins where the data does."""
     margin_s: float = 0.0
+    """What stays free on the right, for a legend, s."""
     until_ns: int | None = None
+    """Where the axis of a whole recording ends; with the data without."""
 
     def looks(self, ends: Sequence[str]) -> dict[Any, Any]:
         """Return what is queried of the ends of axes: live the latest, which are of the whole window each."""

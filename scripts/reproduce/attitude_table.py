@@ -165,11 +165,13 @@ def main() -> None:
     parser.add_argument("--rates", type=float, nargs="+", default=RATES_HZ, help="sample rates, Hz")
     parser.add_argument("--quick", action="store_true", help="some seconds of one scene at the lowest rate")
     for of in ("accel", "axes", "magnet"):
-        parser.add_argument(f"--{of}-doubt", type=float, help="of the stage (default: its own)")
+        parser.add_argument(
+            f"--{of}-error", type=float, help="its probability, of the stage (default: its own)"
+        )
     parser.add_argument("--accel-bias", type=float, help="of the stage, m/s² (default: not declared)")
     given = parser.parse_args()
-    doubts = {f"{of}_doubt": getattr(given, f"{of}_doubt") for of in ("accel", "axes", "magnet")}
-    declared = {name: value for name, value in doubts.items() if value is not None}
+    errors = {f"{of}_error_probability": getattr(given, f"{of}_error") for of in ("accel", "axes", "magnet")}
+    declared = {name: value for name, value in errors.items() if value is not None}
     stage = AttitudeParameters(accel_bias_m_per_s2=given.accel_bias, **declared)
     seeds = range(given.first, given.first + given.seeds)
     print(f"| {' | '.join(HEADS)} |\n{'|---' * len(HEADS)}|")

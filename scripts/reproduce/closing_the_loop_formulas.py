@@ -1,4 +1,4 @@
-"""What no effect of the library is: how often a formula is offered, how well it foretells, how often falsely.
+"""What no effect of the library is: how often a formula is offered, how well it predicts, how often falsely.
 
 Usage: closing_the_loop --part formulas [--repeat N] [--first SEED]
 """

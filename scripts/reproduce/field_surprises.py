@@ -1,4 +1,4 @@
-"""What nobody foretells: gaps, ramps that end, broken thermometers, bias that jumps; with physics of its own.
+"""What nobody predicts: gaps, ramps that end, broken thermometers, bias that jumps; with physics of its own.
 
 A unit at rest: its gyros' temperature lags that of the thermometer, their bias follows it by a parabola, and
 1/f noise is three Gauss-Markov processes.

@@ -12,14 +12,13 @@ import numpy as np
 from imumon.estimation.watch.parameters import WatchParameters
 from imumon.models.curves.polynomial import PolynomialCurve
 from imumon.models.model import BiasModel, ChannelModel
-from imumon.pipeline import Pipeline
 from imumon.protocols.device import DeviceFile, device_text, load_device, parse_device
 from imumon.recordings.folder import open_session
 from imumon.recordings.wire_reader import WireReader
 from imumon.run.narration import Narrator
 from imumon.run.replay import replay
 from imumon.run.setup import Setup
-from imumon.run.stages import estimators
+from imumon.run.stages import pipeline_of
 from imumon.simulation.recording import START_NS, record_session
 from imumon.simulation.unit import SimulatedUnit, load_scenario
 from imumon.simulation.unit.curves import curve_value
@@ -72,7 +71,7 @@ class Scene:
 def view_items(name: str, scene: Scene) -> tuple[ViewSetup, list[ViewItem]]:
     """Return what the view is told of a scene: before the first sample, and then in order."""
     device = at_baud(load_device(scene.device), scene.baudrate)
-    pipeline = Pipeline(device, estimators(device, scene.setup()))
+    pipeline = pipeline_of(device, scene.setup())
     items: list[ViewItem] = []
     port = PortSettings("/dev/ttyUSB0", device.serial.baudrates[0])
     card = {"device": device.title, "port": str(port), "recording": f"sessions/{name}"}

@@ -128,7 +128,7 @@ def test_a_lag_and_a_loop_are_both_named() -> None:
     assert found["after"]["test_rms"] < 1.3 * found["noise_floor_rms"]
 
 
-def test_the_model_file_foretells_the_test_as_well_as_the_report_says(
+def test_the_model_file_predicts_the_test_as_well_as_the_report_says(
     lagging: Diagnosis, tmp_path: Path
 ) -> None:
     path = tmp_path / "model.yaml"

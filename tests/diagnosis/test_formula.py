@@ -1,4 +1,4 @@
-"""What is outside the library is described by a formula where that foretells the test, else left alone."""
+"""What is outside the library is described by a formula where that predicts the test, else left alone."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def strained(time: FloatArray, temperature: FloatArray) -> FloatArray:  # noqa: 
     return 15.0 / 1.5 * 60.0 * np.abs(np.gradient(lagged(temperature, 30.0)))
 
 
-def test_a_rate_of_either_sign_is_described_and_foretold(tmp_path: Path) -> None:
+def test_a_rate_of_either_sign_is_described_and_predicted(tmp_path: Path) -> None:
     diagnosis = diagnose(*three(strained))
     found = report(diagnosis)["channels"]["gyro_x"]
     formula, floor = found["formula"], found["noise_floor_rms"]
@@ -36,7 +36,7 @@ def test_a_rate_of_either_sign_is_described_and_foretold(tmp_path: Path) -> None
     assert "|rate(temperature, " in (tmp_path / "report.html").read_text(encoding="utf-8")
 
 
-def test_what_nothing_foretells_stays_unexplained() -> None:
+def test_what_nothing_predicts_stays_unexplained() -> None:
     found = report(diagnose(*three(telegraph)))["channels"]["gyro_x"]
     assert found["effects"] == []
     assert found["unexplained"]

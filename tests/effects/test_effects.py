@@ -218,7 +218,7 @@ def test_the_library_has_a_line_for_every_file_with_an_effect() -> None:
 
 def test_all_that_an_effect_says_of_others_is_of_the_library() -> None:
     for name, effect in EFFECTS.items():
-        assert {*effect.separated_by, *effect.start_looks_like} <= set(EFFECTS) - {name}
+        assert {*effect.separated_by} <= set(EFFECTS) - {name}
 
 
 def test_a_delay_gives_the_temperature_that_was() -> None:

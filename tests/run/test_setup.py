@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from imumon.errors import ImumonError
+from imumon.estimation.attitude.parameters import AttitudeParameters
 from imumon.models.curves.polynomial import PolynomialCurve
 from imumon.models.model import BiasModel, ChannelModel
 from imumon.protocols.ranges import Ranges
@@ -115,3 +116,18 @@ def test_a_pipeline_file_declares_the_range_and_a_session_keeps_it() -> None:
     kept = setup.text()
     assert kept is not None
     assert parse_setup(kept, "session") == setup
+
+
+def test_a_session_with_the_older_names_of_a_probability_is_read() -> None:
+    setup = parse_setup(
+        f"format: {FORMAT}\nattitude: {{accel_doubt: 0.2, axes_doubt: 0.0}}\n", "session.yaml"
+    )
+    assert setup.attitude == AttitudeParameters(accel_error_probability=0.2, axes_error_probability=0.0)
+    assert parse_setup(setup.text() or "", "session.yaml") == setup
+
+
+def test_a_session_that_names_the_one_form_of_the_thermal_mode_is_read() -> None:
+    text = f"format: {FORMAT}\nzupt: {{zeroing_s: 30.0, thermal_form: increments}}\n"
+    assert parse_setup(text, "session.yaml").zupt.zeroing_s == 30.0
+    with pytest.raises(ImumonError, match="thermal_form: unknown key"):
+        parse_setup(text.replace("increments", "slope_rate"), "session.yaml")

@@ -20,11 +20,11 @@ from imumon.blocks import FloatArray
 ANOTHER = 0.5
 """Cosine between directions from which a look says something new: 60°."""
 LEAST = 1e-12
-"""What no doubt is below: of an impossible size the logarithm is none."""
+"""What no such probability is below: of an impossible size the logarithm is none."""
 COUNT = 5
 """Sizes that are tried: by a factor of three from a percent to all, so that none is off by more than 1.7."""
 ANY_SIZE = 1.0 - 1.0 / COUNT
-"""The doubt by which each of them is as likely."""
+"""The probability by which each of them is as likely."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,9 +148,9 @@ class OnBody:
                 self.now = self.now.seen(look.square, look.variance, np.ones(1), 1)
 
 
-def usual(size: float, largest: Sequence[float], doubt: float, count: int = COUNT) -> Sizes:
-    """Return that errors have a usual size, or with a probability of `doubt` each any up to its largest."""
+def usual(size: float, largest: Sequence[float], probability: float, count: int = COUNT) -> Sizes:
+    """Return that errors have a usual size, or with a probability each any up to its largest."""
     most = np.maximum(largest, size)
     squares = np.geomspace(size, most, count, axis=1) ** 2 if size > 0.0 else np.zeros((len(most), count))
-    prior = np.log(np.append(1.0 - doubt, np.full(count - 1, max(doubt, LEAST) / (count - 1))))
+    prior = np.log(np.append(1.0 - probability, np.full(count - 1, max(probability, LEAST) / (count - 1))))
     return Sizes(squares, reduce(np.add.outer, [prior] * len(most)))

@@ -72,7 +72,6 @@ class AttitudeEstimate:
 
     Parameters
     ----------
-    parameters : AttitudeParameters
     axes : "FRD", "FLU" or None
         Body axes, for roll and pitch; None: whichever stands upright at the beginning.
     magnetometer : MagnetometerModel or None
@@ -98,9 +97,9 @@ class AttitudeEstimate:
             0.0 if latitude_deg is None else EARTH_RATE,
             math.nan if magnetometer is None else magnetometer.error_sd,
             math.nan if magnetometer is None else magnetometer.field,
-            self._parameters.accel_doubt,
-            self._parameters.axes_doubt,
-            self._parameters.magnet_doubt,
+            self._parameters.accel_error_probability,
+            self._parameters.axes_error_probability,
+            self._parameters.magnet_error_probability,
         )
         self._heading = math.radians(heading_deg or 0.0)
         self._slots = SlotGatherer(_COLUMNS, SLOT_NS, rates=0)

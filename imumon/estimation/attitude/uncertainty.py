@@ -12,7 +12,7 @@ the gyros have carried the vertical of the last rest along, with errors that are
 Axes and signs may be mixed up, and then M is no small error.  So in each gyro's column of M scale and
 misalignment have one of several sizes each (`sizes.Sizes`): what only reverses an axis hardly moves the
 vertical.  Which it is says the vertical that the accelerometers show during and after a motion, beside the
-one that the gyros have carried.  Until an axis has turned the vertical, its doubt is in the sigma.
+one that the gyros have carried.  Until an axis has turned the vertical, its error is in the sigma.
 
 The gyros' part is judged once a second; until then each sample adds what it may have turned wrong since:
 bias, scale, and half an interval of its rate, as a rate may be the mean of the interval before or that of the
@@ -81,7 +81,7 @@ class Errors:
         Unit of the field; NaN when it is not calibrated.
     field : float
         Its strength where the magnetometer was calibrated.
-    accel_doubt, axes_doubt, magnet_doubt : float
+    accel_error_probability, axes_error_probability, magnet_error_probability : float
         As of `AttitudeParameters`.
     """
 
@@ -90,9 +90,9 @@ class Errors:
     earth_rate: float
     magnetometer: float
     field: float
-    accel_doubt: float
-    axes_doubt: float
-    magnet_doubt: float
+    accel_error_probability: float
+    axes_error_probability: float
+    magnet_error_probability: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -396,14 +396,16 @@ class Uncertainty:
 
 def begin(errors: Errors) -> Uncertainty:
     """Return what is known beforehand."""
-    gyros = usual(errors.scale, np.repeat(WRONG_AXES, 3).tolist(), errors.axes_doubt, KINDS_OF_AXES)
+    gyros = usual(
+        errors.scale, np.repeat(WRONG_AXES, 3).tolist(), errors.axes_error_probability, KINDS_OF_AXES
+    )
     calibrated = math.isfinite(errors.magnetometer)
     field_sd, strength = (errors.magnetometer, errors.field) if calibrated else (0.0, 0.0)
-    iron = OnBody.of(usual(field_sd, [strength], errors.magnet_doubt))
+    iron = OnBody.of(usual(field_sd, [strength], errors.magnet_error_probability))
     if errors.accel is None:
         accels = usual(LEAST_BIAS, [LARGEST_BIAS], ANY_SIZE)
     else:
-        accels = usual(errors.accel, [LARGEST_BIAS], errors.accel_doubt)
+        accels = usual(errors.accel, [LARGEST_BIAS], errors.accel_error_probability)
     return Uncertainty(errors, gyros, OnBody.of(accels), iron, gyros.mean_square)
 
 

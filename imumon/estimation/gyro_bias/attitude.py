@@ -53,25 +53,17 @@ def cross(a: FloatArray, b: FloatArray) -> FloatArray:
 
 @dataclass(slots=True, eq=False)
 class Attitude:
-    """Up, north and earth rate at the last rest, body axes.
-
-    Parameters
-    ----------
-    gravity : float
-        Specific force at rest, m/s²; 0 without accelerometers.
-    up, north : array (3,)
-        Unit vectors; zero where not known.
-    earth : array (3,)
-        What is known of the earth rate, rad/s.
-    flat : array (3,)
-        Share of the rotation about each axis that gravity shows.
-    """
+    """Up, north and earth rate at the last rest, body axes."""
 
     gravity: float = 0.0
+    """Specific force at rest, m/s²; 0 without accelerometers."""
     up: FloatArray = field(default_factory=lambda: np.zeros(3))
     north: FloatArray = field(default_factory=lambda: np.zeros(3))
+    """Unit vectors, (3,); zero where not known."""
     earth: FloatArray = field(default_factory=lambda: np.zeros(3))
+    """What is known of the earth rate, rad/s, (3,)."""
     flat: FloatArray = field(default_factory=lambda: np.zeros(3))
+    """Share of the rotation about each axis that gravity shows, (3,)."""
     placed: bool = False
 
     def tilt(self, force: FloatArray) -> FloatArray:

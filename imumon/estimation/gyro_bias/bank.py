@@ -52,24 +52,17 @@ what is noisy drifts with temperature as well.  60 °/h/°C at 0.28 °/√h."""
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Family:
-    """What the filters of a bank assume of the bias.
-
-    Parameters
-    ----------
-    strength2 : array (3, filters, 4)
-        K² of the walk and sd² of each process, of each axis.
-    prior : array (filters,)
-        Weights before any measurement.
-    relative : bool
-        Whether the noise is in units of the axis' angular random walk, or in rad/s.
-    sensitivity_sd : array (groups,)
-        Standard deviations of the sensitivities to the specific force that are tried, rad/s per m/s².
-    """
+    """What the filters of a bank assume of the bias."""
 
     strength2: FloatArray
+    """K² of the walk and sd² of each process, of each axis, (3, filters, 4)."""
     prior: FloatArray
+    """Weights before any measurement, (filters,)."""
     relative: bool
+    """Whether the noise is in units of the axis' angular random walk, or in rad/s."""
     sensitivity_sd: FloatArray
+    """Standard deviations of the sensitivities to the specific force that are tried, rad/s per m/s²,
+    (groups,)."""
 
     @property
     def in_one_pose(self) -> Family:
@@ -116,21 +109,14 @@ def known_family(
 
 @dataclass(slots=True, eq=False)
 class Bank:
-    """The filters of three axes, without and (when it is learned) with slope.
-
-    Parameters
-    ----------
-    family : Family
-    mean, covariance : array (variants, 3, filters, 10), (variants, 3, filters, 10, 10)
-        Of the states.
-    weight : array (variants, 3, filters)
-        Probabilities.
-    """
+    """The filters of three axes, without and (when it is learned) with slope."""
 
     family: Family
     mean: FloatArray
     covariance: FloatArray
+    """Of the states, (variants, 3, filters, 10)."""
     weight: FloatArray
+    """Probabilities, (variants, 3, filters)."""
 
     @property
     def in_a_row(self) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -223,29 +209,20 @@ def wander(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AtRest:
-    """A slot at rest, as the bank sees it.
-
-    Parameters
-    ----------
-    dt : float
-        Its length, s.
-    rate, tilt : array (3,)
-        Mean of the gyro, rad/s, and of the tilt by the accelerometers, rad.
-    force : array (3,)
-        Specific force less that of the first rest, m/s².
-    white2, tilt2 : array (3,)
-        Densities of the white noises of rate and tilt, rad²/s and rad² s.
-    still2 : array (3,)
-        Variance of the velocity over g at rest, (rad s)².
-    """
+    """A slot at rest, as the bank sees it."""
 
     dt: float
+    """Its length, s."""
     rate: FloatArray
     tilt: FloatArray
+    """Mean of the gyro, rad/s, and of the tilt by the accelerometers, rad, (3,)."""
     force: FloatArray
+    """Specific force less that of the first rest, m/s², (3,)."""
     white2: FloatArray
     tilt2: FloatArray
+    """Densities of the white noises of rate and tilt, rad²/s and rad² s, (3,)."""
     still2: FloatArray
+    """Variance of the velocity over g at rest, (rad s)², (3,)."""
 
 
 def bias_row(bank: Bank, force: FloatArray) -> FloatArray:

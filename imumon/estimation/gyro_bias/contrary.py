@@ -28,43 +28,30 @@ PATIENCE_S = 300.0
 
 @dataclass(slots=True, eq=False)
 class Contrary:
-    """Slots in a row that contradict the bias: it has jumped, or the unit moves unnoticed.
-
-    Parameters
-    ----------
-    readings : list of Reading
-        The last `RECENT` of them.
-    seconds : float
-        Length of all.
-    behind_gap : bool
-        Whether nothing has agreed since a gap in the data.
-    since_degc : array (3,)
-        Temperature at the first of them.
-    turned : array (3,)
-        Rotation since the first of them in this pose, if it is one, rad.
-    turned_s : float
-        In so long.
-    tilt : array (3,)
-        What gravity had shown by then, rad.
-    gravity : float
-        Logarithm of how much likelier gravity is what it is if the unit does not turn.
-    """
+    """Slots in a row that contradict the bias: it has jumped, or the unit moves unnoticed."""
 
     readings: list[Reading] = field(default_factory=list)
+    """The last `RECENT` of them."""
     seconds: float = 0.0
+    """Length of all."""
     behind_gap: bool = False
+    """Whether nothing has agreed since a gap in the data."""
     since_degc: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
+    """Temperature at the first of them, (3,)."""
     turned: FloatArray = field(default_factory=lambda: np.zeros(3))
+    """Rotation since the first of them in this pose, if it is one, rad, (3,)."""
     turned_s: float = 0.0
+    """In so long."""
     tilt: FloatArray = field(default_factory=lambda: np.zeros(3))
+    """What gravity had shown by then, rad, (3,)."""
     gravity: float = 0.0
+    """Logarithm of how much likelier gravity is what it is if the unit does not turn."""
 
     def add(self, reading: Reading, off: FloatArray, up: FloatArray, tilt_noise: float) -> None:
         """Take a slot.
 
         Parameters
         ----------
-        reading : Reading
         off : array (3,)
             Its rate less the bias, rad/s.
         up : array (3,)

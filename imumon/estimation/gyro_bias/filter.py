@@ -60,29 +60,19 @@ def _zero() -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Params:
-    """What does not change.
-
-    Parameters
-    ----------
-    family : Family
-        Filters of the bank.
-    white : array (3,)
-        Angular random walk, rad/sqrt(s); NaN where it is to be measured.
-    tilt_noise : float
-        Velocity random walk, m/s/sqrt(s); NaN when it is to be measured.
-    place : Place
-    learns : bool
-        Whether the slope over temperature is learned.
-    first_slots : int
-        Length of the first rest that is filtered again, slots.
-    """
+    """What does not change."""
 
     family: Family
+    """Filters of the bank."""
     white: FloatArray
+    """Angular random walk, rad/sqrt(s), (3,); NaN where it is to be measured."""
     tilt_noise: float
+    """Velocity random walk, m/s/sqrt(s); NaN when it is to be measured."""
     place: Place
     learns: bool
+    """Whether the slope over temperature is learned."""
     first_slots: int
+    """Length of the first rest that is filtered again, slots."""
 
 
 @dataclass(slots=True, eq=False)
@@ -92,30 +82,23 @@ class Moved:
     A turn of which nobody knows whether it is a change of the bias is one of two things.  While the rate is
     what it was then, the bias may have changed by the whole of it.  Once it plainly moves, the question is
     only how much of the beginning the bias has taken in.
-
-    Parameters
-    ----------
-    least, greatest : array (3,)
-        The bias, rad/s.
-    doubt : array (3,)
-        How fast it may have turned all the time, rad/s: what nobody had decided then.
-    undecided, rate : array (3,)
-        The rms of the turn in question, and the rate less the bias when it came in question, rad/s.
-    plainly : bool
-        Whether it has moved otherwise since.
     """
 
     least: FloatArray = field(default_factory=lambda: np.full(3, np.inf))
     greatest: FloatArray = field(default_factory=lambda: np.full(3, -np.inf))
-    doubt: FloatArray = field(default_factory=_zero)
+    """The bias, rad/s, (3,)."""
+    turned: FloatArray = field(default_factory=_zero)
+    """How fast it may have turned all the time, rad/s, (3,): what nobody had decided then."""
     undecided: FloatArray = field(default_factory=_zero)
     rate: FloatArray = field(default_factory=_zero)
+    """The rms of the turn in question, and the rate less the bias when it came in question, rad/s, (3,)."""
     plainly: bool = False
+    """Whether it has moved otherwise since."""
 
     def see(self, bias: FloatArray, undecided: FloatArray) -> None:
         """Take the bias of a slot at rest."""
         self.least, self.greatest = np.fmin(self.least, bias), np.fmax(self.greatest, bias)
-        self.doubt = np.maximum(self.doubt, np.abs(undecided))
+        self.turned = np.maximum(self.turned, np.abs(undecided))
 
     def move(self, undecided: FloatArray, rate: FloatArray, noise: FloatArray) -> None:
         """Take a slot in motion: the turn in question, the rate less the bias, and its noise, (3,) each."""
@@ -128,73 +111,53 @@ class Moved:
         """Return how much of a turn a bias can have taken in; infinite where that is not known."""
         if not self.plainly:
             return np.full(3, np.inf)
-        off = np.fmax(self.greatest - bias, bias - self.least) + self.doubt
+        off = np.fmax(self.greatest - bias, bias - self.least) + self.turned
         return np.where(np.isfinite(off), np.abs(off), np.inf)
 
 
 @dataclass(slots=True, eq=False)
 class State:
-    """All that is carried from slot to slot.
-
-    Parameters
-    ----------
-    white : WhiteNoise
-    bank : Bank or None
-        None until the noise is known.
-    attitude, turn, lost : Attitude, Turn, bool
-        At the last rest, since then, and whether readings were missing meanwhile.
-    at_rest, fresh : bool
-        Whether it is at rest, and has just come to it.
-    waiting : Reading or None
-        What counts if the next slot is at rest as well.
-    first : list of Reading
-        Those of the first rest.
-    zeroed : bool
-        Whether the first rest is over.
-    used_s, left_s : float
-        Time of the bank, and when the unit left its last rest.
-    at_degc, noted_degc : array (3,)
-        Temperature of the bank, and where a move was last noted.
-    growth, arrival : array (3,)
-        Variance used so far, and that of coming to rest in another attitude.
-    evidence, chosen : array (3,)
-        For a slope, and whether it is used.
-    moved : Moved
-    law : Laws
-        The estimate, less the thermal model's part.
-    contrary : Contrary
-        What speaks against it.
-    reference : array (3,) or None
-        Specific force at the first rest: sensitivities count from there.
-    motion : Motion
-        What is known of the bias before the first rest.
-    """
+    """All that is carried from slot to slot."""
 
     white: WhiteNoise = field(default_factory=WhiteNoise)
     bank: Bank | None = None
+    """None until the noise is known."""
     attitude: Attitude = field(default_factory=Attitude)
     turn: Turn = STILL
     lost: bool = False
+    """At the last rest, since then, and whether readings were missing meanwhile."""
     at_rest: bool = False
     fresh: bool = False
+    """Whether it is at rest, and has just come to it."""
     waiting: Reading | None = None
+    """What counts if the next slot is at rest as well."""
     first: list[Reading] = field(default_factory=list)
+    """Those of the first rest."""
     zeroed: bool = False
+    """Whether the first rest is over."""
     used_s: float = 0.0
     left_s: float = 0.0
+    """Time of the bank, and when the unit left its last rest."""
     unmixed_s: float = 0.0
     jumps: int = 0
     contrary: Contrary = field(default_factory=Contrary)
+    """What speaks against it."""
     at_degc: FloatArray = field(default_factory=_zero)
     noted_degc: FloatArray = field(default_factory=_zero)
+    """Temperature of the bank, and where a move was last noted, (3,)."""
     growth: FloatArray = field(default_factory=_zero)
     arrival: FloatArray = field(default_factory=_zero)
+    """Variance used so far, and that of coming to rest in another attitude, (3,)."""
     evidence: FloatArray = field(default_factory=_zero)
     chosen: BoolArray = field(default_factory=lambda: np.zeros(3, bool))
+    """For a slope, and whether it is used, (3,)."""
     moved: Moved = field(default_factory=Moved)
     law: Laws = field(default_factory=no_law)
+    """The estimate, less the thermal model's part."""
     reference: FloatArray | None = None
+    """Specific force at the first rest, (3,): sensitivities count from there."""
     motion: Motion = field(default_factory=Motion)
+    """What is known of the bias before the first rest."""
 
 
 def restarted(state: State) -> State:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from imumon.config import StrictModel
 
@@ -30,9 +30,6 @@ class GyroBiasParameters(StrictModel):
         The same for the accelerometers.  Measured at rest when it is not given.
     zeroing_s : float
         At first rest for so long the noise is being learned, and the beginning is filtered anew with it.
-    thermal_form : "increments" or "slope_rate"
-        Whether the thermal mode adds b(T_k) - b(T_k-1), or the published slope times rate, which needs the
-        columns temperature_rate.
     assume_at_rest : bool
         Whether data without the column at_rest are taken as at rest throughout.
     """
@@ -42,5 +39,12 @@ class GyroBiasParameters(StrictModel):
     rate_random_walk_rad_per_s_per_sqrt_s: _PerAxisOrNone | None = None
     velocity_random_walk_m_per_s_per_sqrt_s: _Positive | None = None
     zeroing_s: float = Field(default=60.0, ge=5.0, le=240.0)
-    thermal_form: Literal["increments", "slope_rate"] = "increments"
     assume_at_rest: bool = False
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_today(cls, given: Any) -> Any:
+        """Take what sessions of before say by default: what is added was chosen once."""
+        if isinstance(given, dict) and given.get("thermal_form") == "increments":
+            return {key: value for key, value in given.items() if key != "thermal_form"}
+        return given

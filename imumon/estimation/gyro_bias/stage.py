@@ -49,9 +49,10 @@ class GyroBias:
     bias, and `notices` says so.  There is no estimate (NaN) until the unit was at rest for some seconds, or
     for a minute in motion, which says nothing of an upright axis.
 
+    Raises BAD_CONFIG when the thermal mode has no model, or the model lacks a gyro.
+
     Parameters
     ----------
-    parameters : GyroBiasParameters
     model : BiasModel or None
         Bias over temperature.
     mode : "standard", "thermal" or "learned"
@@ -62,11 +63,6 @@ class GyroBias:
     latitude_deg, heading_deg : float or None
         Of the place, and of the body's x axis (where that is vertical: of -z) at the first rest, clockwise
         from north.
-
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG when the thermal mode has no model, or the model lacks a gyro.
     """
 
     def __init__(
@@ -84,16 +80,13 @@ class GyroBias:
                 "give a model, or take the mode learned",
             )
         self._parameters = parameters or GyroBiasParameters()
-        self._thermal = ThermalInput(
-            model, self._parameters.thermal_form if mode == "thermal" else "increments"
-        )
+        self._thermal = ThermalInput(model)
         self._params = _params(self._parameters, mode, Place(_angle(latitude_deg), _angle(heading_deg)))
         self._state = State()
         self._intake = Intake(self._thermal.variance)
         self._law, self._path = no_law(), np.zeros(1, PATH)
         self._trail = BiasTrail(model)
         self._breaks = Breaks()
-        self._origin_ns = 0
         self._pending = _notices_at_start(latitude_deg, heading_deg)
         self._said: set[str] = set()
         self._lacks_rest = False
@@ -192,10 +185,8 @@ class GyroBias:
         for start, stop in pairwise(edges):
             if start in breaks:
                 self._thermal.begin()
-                self._origin_ns = int(block["device_time_ns"][start])
             rows = block if stop - start == len(block) else block.rows(start, stop)
-            seconds = (rows["device_time_ns"] - self._origin_ns) * 1e-9
-            parts.append(self._thermal.process(seconds, rows, temperature[start:stop]))
+            parts.append(self._thermal.process(rows, temperature[start:stop]))
         total, curve, initial_sd = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
         return total, curve, initial_sd
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from imumon.blocks import BoolArray, FloatArray, SampleBlock
+from imumon.blocks import FloatArray, SampleBlock
 from imumon.effects.thermal_lag import UNTOLD_S
 from imumon.estimation.gyro_bias.slot import MOVED_DEGC
 from imumon.estimation.temperature_rate.bank import START_ACCELERATION, START_RATE
@@ -34,17 +34,13 @@ class ThermalVariance:
 
     Within the calibrated range the error of the curve is a random walk over temperature; outside it the slope
     itself is unknown.  An unknown state at power-on has moved the bias by its sd at first less that now.
-
-    Parameters
-    ----------
-    residual, steepness, low_degc, high_degc : array (3,)
-        Residual of the curve, its rms slope per °C, and the calibrated range.
     """
 
     residual: FloatArray
     steepness: FloatArray
     low_degc: FloatArray
     high_degc: FloatArray
+    """Residual of the curve, its rms slope per °C, and the calibrated range, (3,)."""
     variance: FloatArray = field(init=False)
     mark_degc: FloatArray = field(init=False)
     outside_degc: FloatArray = field(init=False)
@@ -90,22 +86,16 @@ class ThermalVariance:
 class ThermalInput:
     """Sum of the model's increments since the start, and of the variance that they bring.
 
+    Raises BAD_CONFIG when the model lacks a gyro.
+
     Parameters
     ----------
     model : BiasModel or None
         None: the bias stays where it is.
-    form : "increments" or "slope_rate"
-        b(T_k) - b(T_k-1), or the published T_s (∂b/∂T) Ṫ with the rate from the columns temperature_rate.
-
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG when the model lacks a gyro.
     """
 
-    def __init__(self, model: BiasModel | None, form: str = "increments") -> None:
+    def __init__(self, model: BiasModel | None) -> None:
         self._predictor = BiasPredictor(model, GYROS) if model is not None else None
-        self._by_rate = form == "slope_rate"
         columns = self._predictor.temperature_columns if self._predictor is not None else ["temperature"] * 3
         self._sources = [_sources(name, axis) for name, axis in zip(columns, "xyz", strict=True)]
         trust = np.zeros((3, 4))
@@ -117,8 +107,6 @@ class ThermalInput:
                 row[:] = channel.residual_sd, np.sqrt(np.mean(slopes**2)), low, high
         self.variance = ThermalVariance(*trust.T)
         self._reference = np.full(3, np.nan)
-        self._total = np.zeros(3)
-        self._last_s = np.full(3, np.nan)
         self.outside = False
         """Whether the temperature has been outside the range that the model was made for."""
         self.lacking = False
@@ -131,8 +119,7 @@ class ThermalInput:
 
     def begin(self) -> None:
         """Start the sums at zero."""
-        self._reference[:] = self._last_s[:] = np.nan
-        self._total[:] = 0.0
+        self._reference[:] = np.nan
 
     def temperature(self, block: SampleBlock) -> FloatArray:
         """Return the temperature of each gyro in °C, the estimated one where there is one, (n, 3)."""
@@ -153,14 +140,12 @@ class ThermalInput:
         return result
 
     def process(
-        self, seconds: FloatArray, block: SampleBlock, temperature: FloatArray
+        self, block: SampleBlock, temperature: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return what the model has added to the bias since `begin` and its curve (rad/s), and its sd.
 
         Parameters
         ----------
-        seconds : array (n,)
-            Time, s.
         block : SampleBlock
             Of one segment.
         temperature : array (n, 3)
@@ -180,37 +165,12 @@ class ThermalInput:
         predicted = self._predictor.process(times, segment, temperature, block.accel, others)
         known = np.isfinite(predicted.bias)
         sd = np.where(known, predicted.start_sd, np.nan)
-        if self._by_rate:
-            found, total = self._summed(seconds, block, predicted.slope)
-            sd[:] = 0.0
-        else:
-            found = known
-            for j in np.flatnonzero(np.isnan(self._reference) & known.any(0)):
-                self._reference[j] = predicted.bias[np.argmax(known[:, j]), j]
-            total = np.where(known, predicted.bias - self._reference, 0.0)
+        for j in np.flatnonzero(np.isnan(self._reference) & known.any(0)):
+            self._reference[j] = predicted.bias[np.argmax(known[:, j]), j]
+        total = np.where(known, predicted.bias - self._reference, 0.0)
         self.outside |= bool((np.isfinite(temperature) & ~predicted.inside).any())
-        self.lacking |= bool(n and not found.any())
+        self.lacking |= bool(n and not known.any())
         return total, predicted.bias, sd
-
-    def _summed(
-        self, seconds: FloatArray, block: SampleBlock, slope: FloatArray
-    ) -> tuple[BoolArray, FloatArray]:
-        """Return where slope times rate is known, and its sum over time, (n, 3) each."""
-        known, total = np.zeros(slope.shape, bool), np.zeros(slope.shape)
-        for j, axis in enumerate("xyz"):
-            rates = [f"temperature_rate_{axis}", "temperature_rate"]
-            name = next((name for name in rates if name in block), None)
-            if name is not None:
-                increase = slope[:, j] * block[name]
-                known[:, j] = np.isfinite(increase)
-                at = seconds[known[:, j]]
-                steps = np.zeros(len(seconds))
-                steps[known[:, j]] = increase[known[:, j]] * np.diff(at, prepend=self._last_s[j])
-                steps[np.isnan(steps)] = 0.0
-                self._last_s[j] = at[-1] if len(at) else self._last_s[j]
-                total[:, j] = np.cumsum(np.append(self._total[j], steps))[1:]
-                self._total[j] = total[-1, j] if len(total) else self._total[j]
-        return known, total
 
 
 def _sources(column: str, axis: str) -> list[str]:

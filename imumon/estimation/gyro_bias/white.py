@@ -26,22 +26,15 @@ LEAST_RATE, LEAST_TILT = 3e-7, 1e-6
 
 @dataclass(slots=True, eq=False)
 class WhiteNoise:
-    """What is known of the noise so far.
-
-    Parameters
-    ----------
-    squares : array (4,)
-        Sums of squared second differences over what they are at unit density: of the three rates, and
-        the sum of those of the two tilts.
-    count : float
-        Of second differences, faded.
-    last : list of (dt, rate and tilt)
-        The slots in a row, two at the most.
-    """
+    """What is known of the noise so far."""
 
     squares: FloatArray = field(default_factory=lambda: np.zeros(4))
+    """Sums of squared second differences over what they are at unit density, (4,): of the three rates, and
+    the sum of those of the two tilts."""
     count: float = 0.0
+    """Of second differences, faded."""
     last: list[tuple[float, FloatArray]] = field(default_factory=list)
+    """The slots in a row, two at the most, (dt, rate and tilt) each."""
 
     @property
     def known(self) -> bool:

@@ -149,18 +149,18 @@ def _wanders(state: State) -> Motion | None:
     found = None if state.past.units % LOOKS_EVERY else look_for_turn(state)
     if found is None:
         return None
-    # Older bins are too long to show that it began suddenly: what was seen then is doubted for as long as the
+    # Older bins are too long to show that it began suddenly: what was seen then is kept for as long as the
     # temperature, gravity and the means since leave room for a turn as fast that began then.
-    seen, kept = (float(np.sqrt(doubt @ doubt)) for doubt in (found.doubt, state.doubt))
+    seen, kept = (float(np.sqrt(rms @ rms)) for rms in (found.turn, state.unseen))
     left = min(kept, found.possible)
     if seen >= left:
-        state.doubt, state.doubt_age = found.doubt, found.age
+        state.unseen, state.unseen_age = found.turn, found.age
     else:
-        state.doubt = state.doubt * (left / kept)
-    state.doubt_age += LOOKS_EVERY
+        state.unseen = state.unseen * (left / kept)
+    state.unseen_age += LOOKS_EVERY
     if found.probability < LIKELY:
         return None
-    if is_over(state.turn, state.turn + found.doubt):
+    if is_over(state.turn, state.turn + found.turn):
         forget(state)
         return None
     seconds = state.span_s(1 << SHORT)

@@ -37,37 +37,27 @@ ROUNDED = 1.0 / 12.0
 
 
 class Slot:
-    """One slot of samples of the six axes; a record, arrays are (6,).
-
-    Parameters
-    ----------
-    start_s, end_s : float
-        Time of its first sample and of the first behind it, s.
-    samples, average, within : array
-        Finite samples, their mean, and their variance about it (n - 1; NaN for a single one).
-    jumps : array
-        Half the mean square of the steps from sample to sample: the variance, if the noise is white; NaN
-        without any.
-    smallest, largest, first, last : array
-        Of the finite samples; NaN without any.
-    reference : array, (3,)
-        Mean of what turns with the heading (`compass`); NaN without any.
-    degc : float
-        Temperature, °C; NaN without any.
-    """
+    """One slot of samples of the six axes; a record, arrays are (6,)."""
 
     start_s: float
     end_s: float
+    """Time of its first sample and of the first behind it, s."""
     samples: FloatArray
     average: FloatArray
     within: FloatArray
+    """Finite samples, their mean, and their variance about it (n - 1; NaN for a single one)."""
     jumps: FloatArray
+    """Half the mean square of the steps from sample to sample: the variance, if the noise is white; NaN
+    without any."""
     smallest: FloatArray
     largest: FloatArray
     first: FloatArray
     last: FloatArray
+    """Of the finite samples; NaN without any."""
     reference: FloatArray
+    """Mean of what turns with the heading (`compass`), (3,); NaN without any."""
     degc: float
+    """Temperature, °C; NaN without any."""
 
 
 _ARRAYS = ("samples", "average", "within", "jumps", "smallest", "largest", "first", "last")
@@ -84,61 +74,43 @@ class Windows(NamedTuple):
     """The latest slots, oldest first, and the noise at rest that windows of them had; filled in place.
 
     The mean of any window is a difference of running sums (`means`).
-
-    Parameters
-    ----------
-    total, samples : array, (CAPACITY + 1, 6)
-        Sum and number of the samples of all slots before each.
-    seconds : array, (CAPACITY + 1,)
-        Seconds of all slots before each.
-    average, within, jumps : array, (CAPACITY, 6)
-        Of each slot.
-    reference : array, (CAPACITY, 3)
-        The same of what turns with the heading.
-    degc : array, (CAPACITY,)
-        Temperature, °C, the last that was known; NaN before there was one.
-    known : array of bool, (6,)
-        Axes whose noise at rest is known.
-    sample_variance : array, (6,)
-        Variance of a sample at rest.
-    quietest : array, (6,)
-        The least that it was, for what it leaves of the steps (`windows.QUIETER`).
-    variance, gain : array, (LEVELS, 6)
-        Variance of the mean of a window at rest, and the share of the next window in it.
-    step : array, (6,)
-        Least difference of two readings that was seen.
-    resolution : array, (6,)
-        What is left of the step after this noise; 0 until the noise is known.
-    last : array, (6,)
-        Last reading.
-    rest_mean : array, (6,)
-        Mean at rest, while there is rest.
-    low, high : array, (6,)
-        Band of single readings of a unit at rest.
-    recent : array, (3, 6)
-        Means that are being compared: the latest window and the two before it.
     """
 
     total: FloatArray
     samples: FloatArray
+    """Sum and number of the samples of all slots before each, (CAPACITY + 1, 6)."""
     seconds: FloatArray
+    """Seconds of all slots before each, (CAPACITY + 1,)."""
     average: FloatArray
     within: FloatArray
     jumps: FloatArray
+    """Of each slot, (CAPACITY, 6)."""
     reference: FloatArray
+    """The same of what turns with the heading, (CAPACITY, 3)."""
     degc: FloatArray
+    """Temperature, °C, the last that was known, (CAPACITY,); NaN before there was one."""
     known: BoolArray
+    """Axes whose noise at rest is known, (6,)."""
     sample_variance: FloatArray
+    """Variance of a sample at rest, (6,)."""
     quietest: FloatArray
+    """The least that it was, for what it leaves of the steps (`windows.QUIETER`), (6,)."""
     variance: FloatArray
     gain: FloatArray
+    """Variance of the mean of a window at rest, and the share of the next window in it, (LEVELS, 6)."""
     step: FloatArray
+    """Least difference of two readings that was seen, (6,)."""
     resolution: FloatArray
+    """What is left of the step after this noise, (6,); 0 until the noise is known."""
     last: FloatArray
+    """Last reading, (6,)."""
     rest_mean: FloatArray
+    """Mean at rest, while there is rest, (6,)."""
     low: FloatArray
     high: FloatArray
+    """Band of single readings of a unit at rest, (6,)."""
     recent: FloatArray
+    """Means that are being compared, (3, 6): the latest window and the two before it."""
 
 
 def new_windows() -> Windows:
@@ -169,29 +141,20 @@ def new_windows() -> Windows:
 
 @dataclass
 class Past:
-    """History of a rest in units of `EVERY` slots, for `wander`; running sums as in `Windows`.
-
-    Parameters
-    ----------
-    units : int
-    total, samples : array, (MOST_UNITS + 1, 6)
-        Sum and number of the samples before each.
-    warmth : array, (MOST_UNITS + 1, EFFECTS)
-        Sum of the `thermometer.effects` before each, °C, from the temperature at first; zero where there is
-        no thermometer.
-    first_degc, lagged : float
-        Temperature at first, °C, and how far one that is behind it has come since.
-    seconds : float
-        Length of all.
-    """
+    """History of a rest in units of `EVERY` slots, for `wander`; running sums as in `Windows`."""
 
     units: int = 0
     total: FloatArray = field(default_factory=lambda: np.zeros((MOST_UNITS + 1, AXES)))
     samples: FloatArray = field(default_factory=lambda: np.zeros((MOST_UNITS + 1, AXES)))
+    """Sum and number of the samples before each, (MOST_UNITS + 1, 6)."""
     warmth: FloatArray = field(default_factory=lambda: np.zeros((MOST_UNITS + 1, EFFECTS)))
+    """Sum of the `thermometer.effects` before each, °C, from the temperature at first, (MOST_UNITS + 1,
+    EFFECTS); zero where there is no thermometer."""
     first_degc: float = np.nan
     lagged: float = 0.0
+    """Temperature at first, °C, and how far one that is behind it has come since."""
     seconds: float = 0.0
+    """Length of all."""
 
     def add(self, windows: Windows, length: int) -> None:
         """Take the latest slots; a full history forgets its older half, and without gyros it begins anew."""
@@ -254,20 +217,13 @@ class Anchor(NamedTuple):
 
 @dataclass
 class Spells:
-    """Steady means in motion that gave way to others, so that they were no rest, and the latest.
-
-    Parameters
-    ----------
-    count : int
-    seconds : float
-        How long they lasted altogether.
-    since_s : float or None
-        Since when the latest has been.
-    """
+    """Steady means in motion that gave way to others, so that they were no rest, and the latest."""
 
     count: int = 0
     seconds: float = 0.0
+    """How long they lasted altogether."""
     since_s: float | None = None
+    """Since when the latest has been."""
 
     def end(self, now_s: float) -> None:
         """Say that the latest gives way."""
@@ -277,84 +233,59 @@ class Spells:
 
 @dataclass
 class State:
-    """All that is carried from slot to slot; arrays are (6,) unless another shape is given.
-
-    Parameters
-    ----------
-    windows : Windows
-    length : int
-        Slots in them.
-    quiet_from, ring_from : int
-        Places where the windows, and the slots of a trial, may begin.
-    at_rest : bool
-    quiet_since_s : float
-        When the last sign of motion was.
-    hold_s, long_hold_s : float
-        Times before which there is no rest again; the latter for a trial.
-    slots : int
-        Slots since the beginning.
-    past : Past
-        History of this rest.
-    strengths, strengths_seen : array, (14,)
-        Log-likelihoods of the noises that are tried (`wander`) before this history, and with it.
-    doubt : array, (3,)
-        Rms of a turn that nobody knows of, rad/s: it may have begun in this rest.
-    doubt_age : float
-        How long ago it did, units of the history.
-    anchors : list of Anchor
-        Means of earlier rests that differ, the latest first.
-    undecided_since_s : float
-        Since when a mean has been steady that differs from the anchors; NaN when none has.
-    turn : array, (3,)
-        Rate, rad/s, by which the gyros differ from the latest anchor while nothing tells a turn from a bias.
-    chance : float
-        Probability that the bias is off by as much: at rest, that it is a turn, and in motion, that it is
-        none.
-    spells : Spells
-        Of this motion.
-    begun : array, (3,)
-        Rms of the turn in which the recording may have begun, rad/s.
-    shown : array, (3,)
-        `undecided` when something was last decided.
-    steady : array
-        Mean of a turn, when it was last undisturbed, at `steady_s`; NaN without any.
-    rest_since_s : float
-        When the last rest was found.
-    caution : float
-        Factor of the time for which motion that is no longer seen is watched for.
-    slow, turning, shaken : bool
-        Whether the last rest ended so slowly that its end was hard to see, whether a steady turn has been
-        the hypothesis since, and whether what moved since was more than a steady turn.
-    """
+    """All that is carried from slot to slot; arrays are (6,) unless another shape is given."""
 
     windows: Windows = field(default_factory=new_windows)
     length: int = 0
+    """Slots in them."""
     quiet_from: int = 0
     ring_from: int = 0
+    """Places where the windows, and the slots of a trial, may begin."""
     at_rest: bool = False
     quiet_since_s: float = -np.inf
+    """When the last sign of motion was."""
     hold_s: float = -np.inf
     long_hold_s: float = -np.inf
+    """Times before which there is no rest again; the latter for a trial."""
     slots: int = 0
+    """Slots since the beginning."""
     past: Past = field(default_factory=Past)
+    """History of this rest."""
     strengths: FloatArray = field(default_factory=lambda: np.zeros(14))
     strengths_seen: FloatArray = field(default_factory=lambda: np.zeros(14))
-    doubt: FloatArray = field(default_factory=lambda: np.zeros(3))
-    doubt_age: float = 0.0
+    """Log-likelihoods of the noises that are tried (`wander`) before this history, and with it, (14,)."""
+    unseen: FloatArray = field(default_factory=lambda: np.zeros(3))
+    """Rms of a turn that nobody knows of, rad/s, (3,): it may have begun in this rest."""
+    unseen_age: float = 0.0
+    """How long ago it did, units of the history."""
     anchors: list[Anchor] = field(default_factory=list)
+    """Means of earlier rests that differ, the latest first."""
     undecided_since_s: float = np.nan
+    """Since when a mean has been steady that differs from the anchors; NaN when none has."""
     turn: FloatArray = field(default_factory=lambda: np.zeros(3))
+    """Rate, rad/s, by which the gyros differ from the latest anchor while nothing tells a turn from a
+    bias, (3,)."""
     chance: float = 1.0
+    """Probability that the bias is off by as much: at rest, that it is a turn, and in motion, that it is
+    none."""
     spells: Spells = field(default_factory=Spells)
+    """Of this motion."""
     begun: FloatArray = field(default_factory=lambda: np.zeros(3))
+    """Rms of the turn in which the recording may have begun, rad/s, (3,)."""
     shown: FloatArray = field(default_factory=lambda: np.zeros(3))
+    """`undecided` when something was last decided, (3,)."""
     steady: FloatArray = field(default_factory=lambda: np.full(AXES, np.nan))
+    """Mean of a turn, when it was last undisturbed, at `steady_s`; NaN without any."""
     steady_s: float = 0.0
     rest_since_s: float = -np.inf
+    """When the last rest was found."""
     caution: float = 1.0
+    """Factor of the time for which motion that is no longer seen is watched for."""
     slow: bool = False
     turning: bool = False
     shaken: bool = False
+    """Whether the last rest ended so slowly that its end was hard to see, whether a steady turn has been
+    the hypothesis since, and whether what moved since was more than a steady turn."""
 
     @property
     def quiet_slots(self) -> int:
@@ -367,7 +298,7 @@ class State:
 
         So may half of what the noise leaves of a gyro's step, for its readings are the same with and without.
         """
-        likely = [math.sqrt(self.chance) * self.turn, self.doubt, self.begun]
+        likely = [math.sqrt(self.chance) * self.turn, self.unseen, self.begun]
         turn = max(likely, key=lambda one: float(one @ one))
         return np.asarray(np.copysign(np.hypot(turn, 0.5 * self.windows.resolution[GYRO]), turn))
 

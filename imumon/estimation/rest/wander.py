@@ -73,11 +73,11 @@ _TIMES = np.where(_FIRST == _SECOND, 1.0, 2.0)
 
 class Turning(NamedTuple):
     """That it turns now: the probability; the turn's rms, rad/s, (3,), 0 for what is decided, the age at
-    which it likeliest began, units, and the rms of what may turn since the age of the doubt that is kept; the
+    which it likeliest began, units, and the rms of what may turn since the age of the one that is kept; the
     mean of all axes before it began, (6,), how long ago that was, s, and the temperature then, °C."""
 
     probability: float
-    doubt: FloatArray
+    turn: FloatArray
     age: float
     possible: float
     before: FloatArray
@@ -308,9 +308,9 @@ def _weigh(state: State, known: Changes, seen: Seen, frame: FloatArray) -> Turni
     oldest = int(np.searchsorted(ages, min(ages[0] + LEAST, ages[-1])))
     past = state.past
     before, degc = past.means(ages[[0, oldest]])[0], past.first_degc + past.warmed(ages[[0, oldest]])[0, 0]
-    doubt = np.copysign(rms, (now * np.copysign(np.sqrt(change2), seen.x[0])).sum()) * up
-    possible, age = _possible(known, turn, change2, ratio2[0], state.doubt_age), float(ages[0])
-    return Turning(float(now.sum()), doubt, age, possible, before, age * past.unit_s, degc)
+    unseen = np.copysign(rms, (now * np.copysign(np.sqrt(change2), seen.x[0])).sum()) * up
+    possible, age = _possible(known, turn, change2, ratio2[0], state.unseen_age), float(ages[0])
+    return Turning(float(now.sum()), unseen, age, possible, before, age * past.unit_s, degc)
 
 
 def _possible(known: Changes, turn: FloatArray, change2: FloatArray, ratio2: FloatArray, age: float) -> float:
@@ -350,7 +350,7 @@ def forget(state: State, share: float = FORGET) -> None:
     """Begin a history; of what the last told of the strength of the flicker, a share holds."""
     state.past.forget()
     state.strengths = state.strengths_seen = share * (state.strengths_seen - state.strengths_seen.max())
-    state.doubt = np.zeros(3)
+    state.unseen = np.zeros(3)
 
 
 @lru_cache(16)

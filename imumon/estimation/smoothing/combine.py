@@ -21,7 +21,7 @@ from imumon.blocks import BoolArray, FloatArray
 SUSPECT = 2.0
 """χ² with one degree of freedom is beyond the square of this in 5 %."""
 LEAST_OWN = 0.1
-"""Part of a standard deviation that is never a turn's: so two sides with the same doubt can be weighed."""
+"""Part of a standard deviation that is never a turn's: so two sides that have it can be weighed."""
 MEDIAN = 0.6745
 """Of the magnitude of a standard normal value."""
 
@@ -44,7 +44,7 @@ class Side:
     turn: FloatArray
 
     @property
-    def doubt(self) -> FloatArray:
+    def turn_sd(self) -> FloatArray:
         """The part of the standard deviation that may be a turn; 0 where nothing is known."""
         return np.asarray(
             np.nan_to_num(np.minimum(np.abs(self.turn), math.sqrt(1.0 - LEAST_OWN**2) * self.sd))
@@ -56,19 +56,19 @@ def decided(past: Side, future: Side, at_rest: BoolArray) -> tuple[FloatArray, F
 
     At rest both took the turn for bias, or neither did: it is one error.  In motion each keeps what it knew
     before; had the bias changed there, both sides would differ by as much, and where they do not, it has not:
-    a change of the size of the doubt and none were as likely before.
+    a change of the size of the turn and none were as likely before.
     """
-    doubts = past.doubt**2, future.doubt**2
-    own = past.sd**2 + future.sd**2 - doubts[0] - doubts[1]
-    changed = own + doubts[0] + doubts[1]
+    turns2 = past.turn_sd**2, future.turn_sd**2
+    own = past.sd**2 + future.sd**2 - turns2[0] - turns2[1]
+    changed = own + turns2[0] + turns2[1]
     apart = (past.value - future.value) ** 2
     odds = np.sqrt(own / changed) * np.exp(np.minimum(0.5 * apart * (1.0 / own - 1.0 / changed), 100.0))
     kept = np.where(at_rest | ~np.isfinite(odds), 1.0, odds / (1.0 + odds))
     past_sd, future_sd = (
-        np.asarray(np.sqrt(side.sd**2 - (1.0 - kept) * doubt))
-        for side, doubt in zip((past, future), doubts, strict=True)
+        np.asarray(np.sqrt(side.sd**2 - (1.0 - kept) * turn2))
+        for side, turn2 in zip((past, future), turns2, strict=True)
     )
-    return past_sd, future_sd, np.where(at_rest, np.sqrt(np.minimum(*doubts)), 0.0)
+    return past_sd, future_sd, np.where(at_rest, np.sqrt(np.minimum(*turns2)), 0.0)
 
 
 def combine(

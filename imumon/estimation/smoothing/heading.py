@@ -24,7 +24,6 @@ def still_heading(record: Record, positions: Sequence[Position], later: Callable
 
     Parameters
     ----------
-    record : Record
     positions : sequence of Position
         As the alignment of the whole recording left them.
     later : callable

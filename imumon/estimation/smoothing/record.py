@@ -39,25 +39,17 @@ NAMES = (*SENSORS, *READINGS, "at_rest", *FORWARD)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Record:
-    """n slots of a recording, in order.
-
-    Parameters
-    ----------
-    stop : array of int64 (n,)
-        Row of the recording behind each.
-    run : array of int64 (n,)
-        Counts restarts.
-    middle_ns : array of int64 (n,)
-        Device time.
-    columns : dict of str to array (n,)
-        Means of the sensors; of readings, rest and estimates the last value.  While the unit moves, of the
-        gyros the rate that turns it by as much as all samples.
-    """
+    """n slots of a recording, in order."""
 
     stop: IntArray
+    """Row of the recording behind each, (n,)."""
     run: IntArray
+    """Counts restarts, (n,)."""
     middle_ns: IntArray
+    """Device time, (n,)."""
     columns: dict[str, FloatArray]
+    """Means of the sensors, (n,) each; of readings, rest and estimates the last value.  While the unit
+    moves, of the gyros the rate that turns it by as much as all samples."""
 
     def vector(self, name: str) -> FloatArray:
         """Return the three axes of a column, (n, 3)."""

@@ -28,21 +28,14 @@ on overlapped segments, 1 + 2 ρ² with ρ² = (1/6)²."""
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Spectrum:
-    """A one-sided power spectral density.
-
-    Parameters
-    ----------
-    frequency_hz : array of shape (n,)
-        From 0 to half the rate.
-    density : array of shape (n,)
-        Unit² per Hz.
-    segments : int
-        Segments that were averaged.
-    """
+    """A one-sided power spectral density."""
 
     frequency_hz: FloatArray
+    """From 0 to half the rate, (n,)."""
     density: FloatArray
+    """Unit² per Hz, (n,)."""
     segments: int
+    """Segments that were averaged."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -53,24 +53,16 @@ WALKED_S = 900.0
 
 
 class Kind(NamedTuple):
-    """A kind of the sensor's noise: its white noise, slow error and walk.
-
-    Parameters
-    ----------
-    white : float
-        Standard deviation in steps, of a level kind; else variance over that seen from slot to slot.
-    slow : float
-        Variance of the process in units² of the sensor; else the part that it has in what is seen.
-    time_s : float
-        Its correlation time.
-    walk : float
-        Variance that the walk gains, in units² per second, or over that seen from slot to slot.
-    """
+    """A kind of the sensor's noise: its white noise, slow error and walk."""
 
     white: float
+    """Standard deviation in steps, of a level kind; else variance over that seen from slot to slot."""
     slow: float = 0.0
+    """Variance of the process in units² of the sensor; else the part that it has in what is seen."""
     time_s: float = 1.0
+    """Its correlation time."""
     walk: float = 0.0
+    """Variance that the walk gains, in units² per second, or over that seen from slot to slot."""
 
 
 def _mean_kind(ratio: float, time_s: float, walk: float = 0.0) -> Kind:
@@ -161,28 +153,19 @@ LEAST_LEFT = 1e-10
 
 
 class Filter:
-    """One filter: its probability, means and covariances, these by the first letters of the two.
-
-    Parameters
-    ----------
-    weight, rare : float
-        The probability that it is right and jumps of the smoothness are frequent, or rare: of all filters 1.
-    cycling : float
-        The part of the weight with which jumps come every few minutes.
-    temperature, rate, acceleration, error : float
-        Means; the error is the slow one of the reading: °C, °C/s, °C/s², °C.
-    tt, tr, ta, te, rr, ra, re, aa, ae, ee : float
-    growth : float
-        By which the variance of the reading grew since the last slot, °C².
-    """
+    """One filter: its probability, means and covariances, these by the first letters of the two."""
 
     weight: float
     rare: float
+    """The probability that it is right and jumps of the smoothness are frequent, or rare: of all filters
+    1."""
     cycling: float
+    """The part of the weight with which jumps come every few minutes."""
     temperature: float
     rate: float
     acceleration: float
     error: float
+    """Means; the error is the slow one of the reading: °C, °C/s, °C/s², °C."""
     tt: float
     tr: float
     ta: float
@@ -194,6 +177,7 @@ class Filter:
     ae: float
     ee: float
     growth: float
+    """By which the variance of the reading grew since the last slot, °C²."""
 
 
 Filters = Sequence[Filter]
@@ -201,20 +185,13 @@ Filters = Sequence[Filter]
 
 @dataclass(slots=True)
 class Bank:
-    """The filters: for each of the `KINDS` of noise those of the `JERKS`, one after the other.
-
-    Parameters
-    ----------
-    filters : records
-    unmixed_s : float
-        Since they were last mixed.
-    turn : int
-        The kind of noise that may wake at the next mixing.
-    """
+    """The filters: for each of the `KINDS` of noise those of the `JERKS`, one after the other."""
 
     filters: Filters
     unmixed_s: float = 0.0
+    """Since they were last mixed."""
     turn: int = 0
+    """The kind of noise that may wake at the next mixing."""
 
     @property
     def kinds(self) -> FloatArray:
@@ -235,7 +212,6 @@ def started(
     ----------
     temperature, rate : (float, float)
         And their standard deviations, to which what any rate has is added: °C, °C/s.
-    slow : Slow
     kinds : array (k,), optional
         Weights of the kinds of noise, where they are known.
     """

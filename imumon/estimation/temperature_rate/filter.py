@@ -56,89 +56,60 @@ thermostat that switches every 2 min keeps it at 5 to 7, popcorn noise at 25 to 
 
 
 class Shown(NamedTuple):
-    """What is shown from a time on: a parabola, and remainders of what was shown before that fade away.
-
-    Parameters
-    ----------
-    time_s : float
-    temperature, rate, acceleration : float
-        °C, °C/s, °C/s².
-    temperature_sd, rate_sd : float
-    temperature_left, rate_left : float
-        The remainders at `time_s`.
-    reach : float
-        No sample is shown farther from the readings beside it than this, °C.
-    lively : bool
-        Whether readings have changed, so that a fault shows as one.
-    """
+    """What is shown from a time on: a parabola, and remainders of what was shown before that fade away."""
 
     time_s: float = 0.0
     temperature: float = math.nan
     rate: float = math.nan
     acceleration: float = math.nan
+    """°C, °C/s, °C/s²."""
     temperature_sd: float = math.nan
     rate_sd: float = math.nan
     temperature_left: float = 0.0
     rate_left: float = 0.0
+    """The remainders at `time_s`."""
     reach: float = math.inf
+    """No sample is shown farther from the readings beside it than this, °C."""
     lively: bool = True
+    """Whether readings have changed, so that a fault shows as one."""
 
 
 @dataclass(slots=True, eq=False)
 class State:
-    """All that is known of one thermometer and its temperature.
-
-    Parameters
-    ----------
-    sensor : Sensor
-    bank : Bank or None
-        None without an estimate.
-    shown : Shown
-    time_s, end_s : float
-        What the bank refers to, and the end of the last slot.
-    last, last_s : float
-        Last reading and the middle of its slot; a slot's mean before.
-    usual_s : float
-        Time between the last two slots with readings.
-    slowest, fastest : float
-        Rates that the last two readings show and allow until the next, °C/s; for slow refreshes.
-    step : float
-        The step that the bank takes the readings to have, °C.
-    faults : int
-        Slots that were passed over in a row.
-    stuck, stuck_s : float
-        What the first of them ended with, °C, NaN once that has changed; and when that was.
-    stuck_at : float
-        Where it stuck last, °C; NaN if it never did.
-    lively : bool
-        Whether readings have changed in this segment.
-    broken : float
-        Contradictions of late: sudden changes of the rate that its standard deviation did not allow.
-    refuses : bool
-        Whether there are too many for an estimate: then the readings themselves are given.
-    given : Shown
-        What is given to the user: what is shown, or the readings.
-    """
+    """All that is known of one thermometer and its temperature."""
 
     sensor: Sensor
     bank: Bank | None = None
+    """None without an estimate."""
     shown: Shown = field(default_factory=Shown)
     time_s: float = 0.0
     end_s: float = 0.0
+    """What the bank refers to, and the end of the last slot."""
     last: float = math.nan
     last_s: float = -math.inf
+    """Last reading and the middle of its slot; a slot's mean before."""
     usual_s: float = 0.0
+    """Time between the last two slots with readings."""
     slowest: float = 0.0
     fastest: float = 0.0
+    """Rates that the last two readings show and allow until the next, °C/s; for slow refreshes."""
     step: float = 0.0
+    """The step that the bank takes the readings to have, °C."""
     faults: int = 0
+    """Slots that were passed over in a row."""
     stuck: float = math.nan
     stuck_s: float = math.nan
+    """What the first of them ended with, °C, NaN once that has changed; and when that was."""
     stuck_at: float = math.nan
+    """Where it stuck last, °C; NaN if it never did."""
     lively: bool = False
+    """Whether readings have changed in this segment."""
     broken: float = 0.0
+    """Contradictions of late: sudden changes of the rate that its standard deviation did not allow."""
     refuses: bool = False
+    """Whether there are too many for an estimate: then the readings themselves are given."""
     given: Shown = field(default_factory=Shown)
+    """What is given to the user: what is shown, or the readings."""
 
     @classmethod
     def new(cls, step_degc: float | None) -> State:
@@ -208,9 +179,9 @@ def step(state: State, reading: Reading) -> Shown:
     return state.given
 
 
-def _raw(sensor: Sensor, reading: Reading, doubt: float) -> Shown:
+def _raw(sensor: Sensor, reading: Reading, off: float) -> Shown:
     """Return the mean of a slot's readings and how far they may be off; the rate is not known (NaN)."""
-    sd = math.sqrt(sensor.step**2 + sensor.inside + sensor.roughness + reading.variance + doubt**2)
+    sd = math.sqrt(sensor.step**2 + sensor.inside + sensor.roughness + reading.variance + off**2)
     return Shown(reading.end_s, reading.mean, 0.0, math.nan, sd, math.nan)
 
 
@@ -268,8 +239,8 @@ def _estimate(state: State, reading: Reading) -> Shown:
     state.shown = state.shown._replace(lively=state.lively)
     if math.isfinite(state.stuck) and not state.lively:
         # Nobody knows which of two levels is the fault.
-        doubt = abs(state.stuck - state.shown.temperature)
-        sd = math.hypot(state.shown.temperature_sd, doubt)
+        between = abs(state.stuck - state.shown.temperature)
+        sd = math.hypot(state.shown.temperature_sd, between)
         state.shown = state.shown._replace(temperature_sd=sd)
     if (heard or repeats) and not state.faults:
         _keep_near(state, means.slow, reading if taken is None else taken, reading.end_s)
@@ -397,12 +368,12 @@ def extrapolate(
             at = shown.temperature + age * shown.rate + left
             low, high = min(before, reading[i]) - shown.reach, max(before, reading[i]) + shown.reach
             off = min(at - low, 0.0) + max(at - high, 0.0)
-            doubted = not shown.lively and math.isfinite(reading[i])
-            doubt = max(abs(reading[i] - at) - shown.reach, 0.0) if doubted else 0.0
+            unsure = not shown.lively and math.isfinite(reading[i])
+            beyond = max(abs(reading[i] - at) - shown.reach, 0.0) if unsure else 0.0
             off = off if abs(off) < FASTEST * (SLOT_S + age) else 0.0
             temperature[i] = at - off
             rate[i] = shown.rate + age * shown.acceleration + rate_left
-            temperature_sd[i] = math.hypot(shown.temperature_sd, left) + max(abs(off), doubt)
+            temperature_sd[i] = math.hypot(shown.temperature_sd, left) + max(abs(off), beyond)
             rate_sd[i] = math.hypot(shown.rate_sd, rate_left)
         elif math.isfinite(reading[i]):
             temperature[i], rate[i], temperature_sd[i], rate_sd[i] = reading[i], 0.0, scatter, START_RATE

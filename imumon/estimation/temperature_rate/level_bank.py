@@ -16,15 +16,12 @@ from imumon.filters.rates import RateEstimate
 class LevelBankRate:
     """Temperature and rate of one thermometer by a bank of filters that hears what a level says by staying.
 
+    Raises ValueError when the step is not positive.
+
     Parameters
     ----------
     step_degc : float, optional
         Quantization step in °C, if it is known; it is found from the readings in any case.
-
-    Raises
-    ------
-    ValueError
-        When the step is not positive.
     """
 
     def __init__(self, step_degc: float | None = None) -> None:

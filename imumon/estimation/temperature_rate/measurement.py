@@ -62,53 +62,38 @@ NO_STEP, MANY, STAY, FLICKER = range(4)
 
 
 class Said(NamedTuple):
-    """What a slot's readings say, as all filters need it; °C, °C², s.
-
-    Parameters
-    ----------
-    case : int
-        NO_STEP of the sensor is known; MANY levels; STAY on one; FLICKER between two, or cross.
-    step, duration_s, gap_s : float
-    mean, linear : float
-        Of the readings, and with the quantizer's ripple taken off.
-    independent : float
-        Independent readings, 1 at least.
-    levels : float
-        Levels that were read.
-    white : float
-        Variance of the mean.
-    cell : float
-        Between values that the mean can have.
-    edge : float
-        FLICKER: between the two levels.
-    above, below : float
-        Independent readings on either side of it.
-    lattice : float
-        Log of the number of orders in which they can come.
-    readings, changes, since_s : float
-        Readings, how many of them differ from the one before, and time from a single crossing to the middle.
-    upward : bool
-        The direction of a single crossing.
-    """
+    """What a slot's readings say, as all filters need it; °C, °C², s."""
 
     case: int
+    """NO_STEP of the sensor is known; MANY levels; STAY on one; FLICKER between two, or cross."""
     step: float
     duration_s: float
     gap_s: float
     mean: float
     linear: float
+    """Of the readings, and with the quantizer's ripple taken off."""
     independent: float
+    """Independent readings, 1 at least."""
     levels: float
+    """Levels that were read."""
     white: float
+    """Variance of the mean."""
     cell: float
+    """Between values that the mean can have."""
     edge: float = 0.0
+    """FLICKER: between the two levels."""
     above: float = 0.0
     below: float = 0.0
+    """Independent readings on either side of it."""
     lattice: float = 0.0
+    """Log of the number of orders in which they can come."""
     readings: float = 0.0
     changes: int = 0
     since_s: float = 0.0
+    """Readings, how many of them differ from the one before, and time from a single crossing to the
+    middle."""
     upward: bool = False
+    """The direction of a single crossing."""
 
 
 def said(reading: Reading, sensor: Sensor) -> Said:

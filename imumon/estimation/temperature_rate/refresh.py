@@ -27,24 +27,16 @@ KNOWN, MOST = math.log(1000.0), 3.0 * math.log(1000.0)
 
 @dataclass(slots=True)
 class RefreshFinder:
-    """Finds the interval at which a reading is refreshed, where that is longer than a slot.
-
-    Parameters
-    ----------
-    interval_s : float
-        0 as long as there is no candidate.
-    evidence : float
-        Log odds that changes are bound to it.
-    changed_s : float
-        Time of the last change; NaN before the first.
-    change : float
-        The last change, °C.
-    """
+    """Finds the interval at which a reading is refreshed, where that is longer than a slot."""
 
     interval_s: float = 0.0
+    """0 as long as there is no candidate."""
     evidence: float = 0.0
+    """Log odds that changes are bound to it."""
     changed_s: float = float("nan")
+    """Time of the last change; NaN before the first."""
     change: float = 0.0
+    """The last change, °C."""
 
     @property
     def slow(self) -> bool:

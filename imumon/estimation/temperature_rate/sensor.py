@@ -34,39 +34,28 @@ DITHERED = 0.2
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """The readings of one thermometer in one slot.
-
-    Parameters
-    ----------
-    start_s, end_s : float
-        First and last sample, s since the segment began.
-    count : int
-        Readings; all below is NaN or zero without any.
-    mean, variance, low, high, first, last : float
-        °C, °C².
-    changes : int
-        How many readings differ from the one before.
-    step_squares : float
-        Sum of squared differences of neighbours, °C².
-    before : float
-        Last reading of the slot before; NaN if that is long ago.
-    gap_s : float
-        Time between two readings.
-    """
+    """The readings of one thermometer in one slot."""
 
     start_s: float
     end_s: float
+    """First and last sample, s since the segment began."""
     count: int
+    """Readings; all below is NaN or zero without any."""
     mean: float
     variance: float
     low: float
     high: float
     first: float
     last: float
+    """°C, °C²."""
     changes: int
+    """How many readings differ from the one before."""
     step_squares: float
+    """Sum of squared differences of neighbours, °C²."""
     before: float
+    """Last reading of the slot before; NaN if that is long ago."""
     gap_s: float
+    """Time between two readings."""
 
     def newest(self, time_s: float, gap_s: float) -> Reading:
         """Return the last of the readings alone, taken at a time, so long after the one before."""
@@ -104,53 +93,36 @@ class Reading:
 
 @dataclass(slots=True)
 class Sensor:
-    """What has been learned of a thermometer.
-
-    Parameters
-    ----------
-    finder : StepFinder
-    step : float
-        The quantization step in °C as far as it is known, 0 when there is none.
-    inside : float
-        Variance of the readings about their short-term mean, °C².
-    roughness : float
-        Variance of a slot's mean as seen from three neighbouring slots, °C².
-    dither : float
-        Variance of white noise before the quantizer, steps².
-    squares, spread : float
-        Squared differences of neighbours in a slot, and what they would be if all readings were independent:
-        less where readings are repeated or correlated, °C².
-    interval_s : float
-        Time within which the reading does not change twice: the refresh interval or more.
-    usual_s : float
-        Usual time between slots that change.
-    changed_s, change : float
-        When the reading changed last, and by how much, °C.
-    refresh : RefreshFinder
-        When a reading that is repeated over slots is a new one.
-    learned, reversed : int
-        Slots that changed; and those in which a reading went back within `FLICKER_S`.
-    slots : int
-    means : tuple
-        Means of the last slots, °C.
-    """
+    """What has been learned of a thermometer."""
 
     finder: StepFinder
     step: float = field(init=False)
+    """The quantization step in °C as far as it is known, 0 when there is none."""
     inside: float = 0.0
+    """Variance of the readings about their short-term mean, °C²."""
     roughness: float = 0.0
+    """Variance of a slot's mean as seen from three neighbouring slots, °C²."""
     dither: float = DITHERED**2
+    """Variance of white noise before the quantizer, steps²."""
     squares: float = 0.0
     spread: float = 0.0
+    """Squared differences of neighbours in a slot, and what they would be if all readings were
+    independent: less where readings are repeated or correlated, °C²."""
     interval_s: float = 0.0
+    """Time within which the reading does not change twice: the refresh interval or more."""
     usual_s: float = 0.0
+    """Usual time between slots that change."""
     changed_s: float = float("nan")
     change: float = 0.0
+    """When the reading changed last, and by how much, °C."""
     refresh: RefreshFinder = field(default_factory=RefreshFinder)
+    """When a reading that is repeated over slots is a new one."""
     learned: int = 0
     reversed: int = 0
+    """Slots that changed; and those in which a reading went back within `FLICKER_S`."""
     slots: int = 0
     means: tuple[float, ...] = field(default=())
+    """Means of the last slots, °C."""
 
     def __post_init__(self) -> None:
         """Begin with the step that the finder begins with."""

@@ -26,25 +26,17 @@ FINEST_STEP = 1e-4
 
 @dataclass(slots=True)
 class StepFinder:
-    """Finds the step of one sensor and says when it is not the declared one.
-
-    Parameters
-    ----------
-    declared : float, optional
-        The step in °C that the sensor is said to have.
-    size : float
-        The step as far as it is known, °C.
-    support, seen : int
-        Changes that are multiples of it, and all since it was first seen.
-    misfit : float
-        Share of changes that are no multiples of it.
-    """
+    """Finds the step of one sensor and says when it is not the declared one."""
 
     declared: float | None = None
+    """The step in °C that the sensor is said to have."""
     size: float = FIRST_STEP
+    """The step as far as it is known, °C."""
     support: int = 0
     seen: int = 0
+    """Changes that are multiples of it, and all since it was first seen."""
     misfit: float = 0.0
+    """Share of changes that are no multiples of it."""
 
     def __post_init__(self) -> None:
         """Begin with the declared step."""

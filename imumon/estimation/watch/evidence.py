@@ -77,49 +77,34 @@ _TESTED[PAST:, len(THETAS) :] = False
 
 
 class State:
-    """All that is carried from slot to slot, per axis: a record (`imumon.compiled.record`).
-
-    Parameters
-    ----------
-    low : array (3, 5)
-        Low-passes of the temperature and its rate; NaN before the first value.
-    scale : array (3, 6)
-        Largest values of the regressors of temperature and rate.
-    past : array (3, 3)
-        Means of earlier innovations.
-    along, absolute, power : array (3, 12)
-        Sums of r v, abs(r) and r² over the block.
-    square : array (3,)
-        Sum of v² over the block.
-    tests : array (3, 12, 6)
-        CUSUM of each regressor, for each θ, positive first.
-    sizes : array (3, 2)
-        CUSUM of each test of size.
-    peaks : array (3, 13)
-        Largest value of the tests of each regressor, and of the size, since the start.
-    at_alarm : array (3, 13)
-        The same when there was the alarm.
-    first_s, last_s : float
-        Time of the first slot and of the last, s.
-    slots, alarm : int
-        Slots since the start, and whether there was an alarm.
-    """
+    """All that is carried from slot to slot, per axis: a record (`imumon.compiled.record`)."""
 
     low: FloatArray
+    """Low-passes of the temperature and its rate, (3, 5); NaN before the first value."""
     scale: FloatArray
+    """Largest values of the regressors of temperature and rate, (3, 6)."""
     past: FloatArray
+    """Means of earlier innovations, (3, 3)."""
     along: FloatArray
     absolute: FloatArray
     power: FloatArray
+    """Sums of r v, abs(r) and r² over the block, (3, 12)."""
     square: FloatArray
+    """Sum of v² over the block, (3,)."""
     tests: FloatArray
+    """CUSUM of each regressor, for each θ, positive first, (3, 12, 6)."""
     sizes: FloatArray
+    """CUSUM of each test of size, (3, 2)."""
     peaks: FloatArray
+    """Largest value of the tests of each regressor, and of the size, since the start, (3, 13)."""
     at_alarm: FloatArray
+    """The same when there was the alarm, (3, 13)."""
     first_s: float
     last_s: float
+    """Time of the first slot and of the last, s."""
     slots: int
     alarm: int
+    """Slots since the start, and whether there was an alarm."""
 
 
 def begin() -> State:

@@ -29,7 +29,6 @@ class ModelWatch:
 
     Parameters
     ----------
-    parameters : WatchParameters
     modelled : bool
         Whether the filter uses a bias model; it decides what is advised.
     """

@@ -21,20 +21,14 @@ ALLAN = "imumon allan SESSION"
 
 @dataclass(frozen=True, slots=True)
 class Trait:
-    """Something the innovations may do that they should not.
-
-    Parameters
-    ----------
-    text : str
-        What they do, after "the innovations".
-        An effect that would make them do so has it in `suspected_by`.
-    first, stop : int
-        The regressors of `evidence` that find it.
-    """
+    """Something the innovations may do that they should not."""
 
     text: str
+    """What they do, after "the innovations". An effect that would make them do so has it in
+    `suspected_by`."""
     first: int
     stop: int
+    """The regressors of `evidence` that find it."""
 
 
 TEMPERATURE = Trait("temperature", evidence.TEMPERATURE, evidence.RATE_HIGH)

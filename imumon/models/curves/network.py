@@ -20,35 +20,25 @@ _Positive = Annotated[FiniteFloat, Field(gt=0.0)]
 
 
 class NetworkCurve(StrictModel):
-    """b(T) = offset + scale (w3 · tanh(W2 tanh(w1 u + b1) + b2) + b3), u = (T - center) / half_width.
-
-    Parameters
-    ----------
-    center_degc, half_width_degc : float
-        °C.
-    offset, scale : float
-        In the unit of the channel.
-    first_weights, first_biases : list of n float
-        w1, b1.
-    second_weights : list of n rows of n float
-        W2; a row per neuron of the second layer.
-    second_biases, output_weights : list of n float
-        b2, w3.
-    output_bias : float
-        b3.
-    """
+    """b(T) = offset + scale (w3 · tanh(W2 tanh(w1 u + b1) + b2) + b3), u = (T - center) / half_width."""
 
     kind: Literal["network"] = "network"
     center_degc: FiniteFloat
     half_width_degc: _Positive
+    """°C."""
     offset: FiniteFloat
     scale: _Positive
+    """In the unit of the channel."""
     first_weights: _Layer
     first_biases: _Layer
+    """w1, b1."""
     second_weights: Annotated[list[_Layer], Field(min_length=1, max_length=MOST_NEURONS)]
+    """W2; a row per neuron of the second layer."""
     second_biases: _Layer
     output_weights: _Layer
+    """b2, w3."""
     output_bias: FiniteFloat
+    """b3."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

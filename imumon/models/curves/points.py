@@ -11,24 +11,16 @@ from imumon.blocks import BoolArray, FloatArray, IntArray
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Points:
-    """Means of one channel at rest, each over a stretch of nearly constant temperature.
-
-    Parameters
-    ----------
-    temperature : array (n,)
-        °C.
-    value : array (n,)
-        Mean of the channel, rad/s or m/s².
-    weight : array (n,)
-        Inverse variance of the mean, in any unit.
-    level : array (n,) of int
-        Temperature level that the mean belongs to, numbered upwards; what is left out together.
-    """
+    """Means of one channel at rest, each over a stretch of nearly constant temperature."""
 
     temperature: FloatArray
+    """°C, (n,)."""
     value: FloatArray
+    """Mean of the channel, rad/s or m/s², (n,)."""
     weight: FloatArray
+    """Inverse variance of the mean, in any unit, (n,)."""
     level: IntArray
+    """Temperature level that the mean belongs to, numbered upwards, (n,); what is left out together."""
 
     def __len__(self) -> int:
         """Return the number of means."""

@@ -19,20 +19,14 @@ CUBIC = "polynomial 3"
 
 
 class PolynomialCurve(StrictModel):
-    """b(T) = sum of c_k C_k(u), u = (T - center) / half_width, C_k Chebyshev polynomials of the first kind.
-
-    Parameters
-    ----------
-    center_degc, half_width_degc : float
-        °C; u is -1 to 1 over the calibrated range.
-    coefficients : list of float
-        c_0, c_1, ..., in the unit of the channel.
-    """
+    """b(T) = sum of c_k C_k(u), u = (T - center) / half_width, C_k the Chebyshev polynomials."""
 
     kind: Literal["polynomial"] = "polynomial"
     center_degc: FiniteFloat
     half_width_degc: Annotated[FiniteFloat, Field(gt=0.0)]
+    """°C; u is -1 to 1 over the calibrated range."""
     coefficients: Annotated[list[FiniteFloat], Field(min_length=1, max_length=HIGHEST_ORDER + 1)]
+    """c_0, c_1, ..., in the unit of the channel."""
 
     def value(self, temperature: npt.ArrayLike) -> FloatArray:
         """Return b at temperatures in °C, in the unit of the channel."""
@@ -56,10 +50,7 @@ class PolynomialCurve(StrictModel):
 def fit_polynomial(points: Points, order: int) -> PolynomialCurve:
     """Fit a polynomial of this order by weighted least squares.
 
-    Raises
-    ------
-    ValueError
-        When there are fewer distinct temperatures than coefficients.
+    Raises ValueError when there are fewer distinct temperatures than coefficients.
     """
     low, high = float(points.temperature.min()), float(points.temperature.max())
     if len(np.unique(points.temperature)) <= order:

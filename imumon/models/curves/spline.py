@@ -19,20 +19,14 @@ MOST_KNOTS = 1000
 
 
 class SplineCurve(StrictModel):
-    """A piecewise cubic by its values and slopes at the knots.
-
-    Parameters
-    ----------
-    knots_degc : list of float
-        °C, increasing; the first and the last piece go on outside.
-    values, slopes : list of float
-        b and db/dT at the knots, in the unit of the channel and per °C.
-    """
+    """A piecewise cubic by its values and slopes at the knots."""
 
     kind: Literal["spline"] = "spline"
     knots_degc: Annotated[list[FiniteFloat], Field(min_length=2, max_length=MOST_KNOTS)]
+    """°C, increasing; the first and the last piece go on outside."""
     values: list[FiniteFloat]
     slopes: list[FiniteFloat]
+    """b and db/dT at the knots, in the unit of the channel and per °C."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

@@ -73,24 +73,16 @@ Reader = Callable[[Message], bytes | Refusal | None]
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """Something to send.
-
-    Parameters
-    ----------
-    meaning : str
-        In words.
-    frame : bytes
-        As it goes over the line.
-    answer : callable or None
-        Finds the answer; None when the device does not answer to it.
-    timeout_s : float
-        How long to wait for the answer.
-    """
+    """Something to send."""
 
     meaning: str
+    """In words."""
     frame: bytes
+    """As it goes over the line."""
     answer: Reader | None
+    """Finds the answer; None when the device does not answer to it."""
     timeout_s: float = ANSWER_S
+    """How long to wait for the answer."""
 
     @property
     def shown(self) -> str:
@@ -106,8 +98,6 @@ class CommandError(Exception):
 
     Parameters
     ----------
-    request : Request
-    why : str
     refused : bool
         Whether the device said no; else it did not answer.
     """
@@ -241,19 +231,13 @@ class Family(ABC):
     def wanted(self, present: Mapping[str, bytes], wish: Wish) -> dict[str, bytes]:
         """Return the settings that make the wish true.
 
-        Raises
-        ------
-        ImumonError
-            BAD_CONFIG when the device has no such rate.
+        Raises BAD_CONFIG when the device has no such rate.
         """
 
     def wanted_hz(self, present: Mapping[str, bytes], wish: Wish) -> float:
         """Return the rate that is wished for, else that which is there.
 
-        Raises
-        ------
-        ImumonError
-            BAD_CONFIG when there is neither.
+        Raises BAD_CONFIG when there is neither.
         """
         rate_hz = wish.rate_hz or (self.rate_hz(present) if present else None)
         if rate_hz is None:
@@ -288,10 +272,7 @@ class Family(ABC):
     def check(self, wish: Wish, baudrate: int | None) -> None:
         """Refuse what no device of the family has, before anything is sent.
 
-        Raises
-        ------
-        ImumonError
-            BAD_CONFIG, naming what there is.
+        Raises BAD_CONFIG, naming what there is.
         """
         for name in wish.outputs or ():
             if name not in OUTPUTS:
@@ -327,10 +308,7 @@ def nothing_to_keep(what: str, option: str) -> ImumonError:
 def divisor(base_hz: float, rate_hz: float) -> int:
     """Return the whole number by which a base rate is divided to give this one.
 
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG when there is none, with the nearest rates.
+    Raises BAD_CONFIG when there is none, with the nearest rates.
     """
     exact = base_hz / rate_hz
     by = min(max(round(exact), 1), MOST_DIVISOR)

@@ -23,10 +23,7 @@ FAMILIES = {
 def family_of(device: DeviceFile) -> Family:
     """Return the commands for a device.
 
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG when imumon has none for it.
+    Raises BAD_CONFIG when imumon has none for it.
     """
     if device.protocol not in FAMILIES:
         raise ImumonError(

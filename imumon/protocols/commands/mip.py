@@ -126,25 +126,17 @@ def message_format(items: Sequence[tuple[int, int]]) -> bytes:
 
 @dataclass(frozen=True)
 class Mip(Family):
-    """Commands of a MicroStrain device.
-
-    Parameters
-    ----------
-    attitude, clock : str
-        As in the device file.
-    modern : bool
-        Whether one command has the format of any data set.
-    base_hz : mapping of int to int
-        Base rate of each data set that the device has, of those that are configured.
-    speed_in_base : bool
-        Whether the baud rate is set by a base command.
-    """
+    """Commands of a MicroStrain device."""
 
     attitude: Attitude = "filter"
     clock: Clock = "reference"
+    """As in the device file."""
     modern: bool = True
+    """Whether one command has the format of any data set."""
     base_hz: Mapping[int, int] = field(default_factory=lambda: {SENSOR: USUAL_BASE_HZ, FILTER: USUAL_BASE_HZ})
+    """Base rate of each data set that the device has, of those that are configured."""
     speed_in_base: bool = False
+    """Whether the baud rate is set by a base command."""
     identity: tuple[str, ...] = ()
     answer_frame: ClassVar[Frame] = Frame("MIP", SYNC, counted_length(3, 1, AROUND, LONGEST), CHECK)
     title: ClassVar[str] = "MicroStrain"

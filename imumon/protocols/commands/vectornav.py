@@ -168,15 +168,10 @@ def _groups(mask: int) -> list[str]:
 
 @dataclass(frozen=True)
 class VectorNav(Family):
-    """Commands of a VectorNav.
-
-    Parameters
-    ----------
-    base_hz : int
-        What the divisors of the outputs divide.
-    """
+    """Commands of a VectorNav."""
 
     base_hz: int = FAST_HZ
+    """What the divisors of the outputs divide."""
     identity: tuple[str, ...] = ()
     answer_frame: ClassVar[Frame] = Frame("ascii", SYNC, line_lengths(after_end=False), lines_right(_body))
     title: ClassVar[str] = "VectorNav"

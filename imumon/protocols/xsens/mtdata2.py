@@ -80,6 +80,8 @@ def find_fields(names: Sequence[str], precision: Precision = "float32", frame: F
 class MTData2Encoder(TaggedEncoder):
     """Makes MTData2 messages.
 
+    Raises BAD_CONFIG when a name is not that of a data identifier that carries values.
+
     Parameters
     ----------
     names : sequence of str
@@ -88,11 +90,6 @@ class MTData2Encoder(TaggedEncoder):
         float32, fp12.20, fp16.32 or float64.
     frame : str
         ENU, NED or NWU, for the bits in the identifiers; values are sent as they are.
-
-    Raises
-    ------
-    ImumonError
-        BAD_CONFIG when a name is not that of a data identifier that carries values.
     """
 
     def __init__(self, names: Sequence[str], precision: Precision = "float32", frame: Frame = "ENU") -> None:

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from imumon.blocks import IntArray
-from imumon.errors import ImumonError, Reason
+from imumon.files import readable
 from imumon.recordings.logs.log import (
     GAUSS_TO_TESLA,
     Damage,
@@ -69,10 +69,7 @@ def is_one(_: Path, head: bytes) -> bool:
 def read(path: Path, sensor: str | None = None) -> Log:
     """Return a sensor of a log, by its number, IMU.0 the first.
 
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when it has no IMU messages; BAD_CONFIG when not of this sensor.
+    Raises BAD_DATA when it has no IMU messages; BAD_CONFIG when not of this sensor.
     """
     found, damage = _messages(path)
     imus = sorted(name for name in found if name.startswith("IMU."))
@@ -87,37 +84,25 @@ def read(path: Path, sensor: str | None = None) -> Log:
 
 @dataclass(frozen=True, slots=True)
 class _Format:
-    """How messages of a number are read.
-
-    Parameters
-    ----------
-    length : int
-        Of a message, with its head.
-    layout : Struct
-        Of its fields, where some are kept.
-    kept : tuple of (field, factor)
-        Where each value that is kept stands among the fields; None where the message has no such field.
-    number : int or None
-        Where the number of the sensor stands.
-    sensor : int
-        Its number where none stands.
-    """
+    """How messages of a number are read."""
 
     length: int
+    """Of a message, with its head."""
     name: str
     layout: struct.Struct = DESCRIPTION
+    """Of its fields, where some are kept."""
     kept: tuple[tuple[int, float] | None, ...] = ()
+    """Where each value that is kept stands among the fields; None where the message has no such field."""
     number: int | None = None
+    """Where the number of the sensor stands."""
     sensor: int = 0
+    """Its number where none stands."""
 
     @classmethod
     def described(cls, description: bytes) -> tuple[int, _Format]:
         """Return the number that a message FMT describes, and how it is read.
 
-        Raises
-        ------
-        ValueError
-            When it describes nothing that can be.
+        Raises ValueError when it describes nothing that can be.
         """
         number, length, *texts = DESCRIPTION.unpack(description)
         name, types, columns = (text.split(b"\0")[0].decode("ascii") for text in texts)
@@ -147,10 +132,8 @@ class _Format:
 
 def _messages(path: Path) -> tuple[dict[str, dict[str, Any]], Damage]:
     """Return the fields of the messages that are kept, by name and number of the sensor, and the damage."""
-    try:
+    with readable(path):
         data = path.read_bytes()
-    except OSError as error:
-        raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read: {error.strerror}") from error
     formats = {FORMAT: _Format(len(HEAD) + DESCRIPTION.size, "FMT")}
     rows, damage, good = dict[str, list[list[float]]](), Damage(), 0
     for at, known in _walk(data, formats):

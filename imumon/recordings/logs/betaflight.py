@@ -20,6 +20,7 @@ import pyarrow as pa
 from pyarrow import csv
 
 from imumon.errors import ImumonError, Reason
+from imumon.files import readable
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.recordings.logs.log import AXES, Damage, Log, Series, named, nanoseconds, pick, triple
 
@@ -52,11 +53,8 @@ def is_one(_: Path, head: bytes) -> bool:
 def read(path: Path, sensor: str | None = None) -> Log:
     """Return the gyro of a table, gyroADC unless gyroUnfilt is asked for, and accSmooth.
 
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when it cannot be read; BAD_CONFIG when it was not decoded, when nothing says the scale of
-        its gyro, or it has no such gyro.
+    Raises BAD_DATA when it cannot be read; BAD_CONFIG when it was not decoded, when nothing says the scale of
+    its gyro, or it has no such gyro.
     """
     lines, skip = _head(path)
     table, damage = _read_table(path, skip)
@@ -135,14 +133,11 @@ class _Scaling:
 
 def _head(path: Path) -> tuple[dict[str, str], int]:
     """Return the H lines at the head of a table, and how many they are."""
-    try:
-        with path.open("rb") as file:
-            lines, count = [], 0
-            while (line := file.readline(1 << 16)).startswith(b"H "):
-                lines.append(line)
-                count += 1
-    except OSError as error:
-        raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read: {error.strerror}") from error
+    lines, count = [], 0
+    with readable(path), path.open("rb") as file:
+        while (line := file.readline(1 << 16)).startswith(b"H "):
+            lines.append(line)
+            count += 1
     if TABLE.match(line) is None:
         raise ImumonError(
             Reason.BAD_CONFIG, f"{path}: is a blackbox log as it was recorded", f"blackbox_decode {path}"

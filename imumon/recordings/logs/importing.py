@@ -8,7 +8,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from imumon.errors import ImumonError, Reason
-from imumon.files import write_text
+from imumon.files import readable, write_text
 from imumon.recordings.importing import ImportReport, Origin, import_table
 from imumon.recordings.logs import ardupilot, betaflight, px4, ros
 from imumon.recordings.logs.log import Damage, Log
@@ -36,10 +36,7 @@ class LogReport:
 def import_log(path: Path, sensor: str | None, out: Path) -> LogReport:
     """Make a session of one inertial sensor of a log; rows whose time does not increase are counted only.
 
-    Raises
-    ------
-    ImumonError
-        As `reader_of`, the reader of the log, and `imumon.recordings.importing.import_table`.
+    Raises ImumonError as `reader_of`, the reader of the log, and `imumon.recordings.importing.import_table`.
     """
     log = reader_of(path)(path, sensor)
     with TemporaryDirectory(prefix="imumon-log-") as folder:
@@ -60,18 +57,12 @@ def import_log(path: Path, sensor: str | None, out: Path) -> LogReport:
 def reader_of(path: Path) -> Reader:
     """Return what reads a log, as its content says, not its name.
 
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when it cannot be read; BAD_CONFIG when it is none of these logs, and needs a map.
+    Raises BAD_DATA when it cannot be read; BAD_CONFIG when it is none of these logs, and needs a map.
     """
     head = b""
     if not path.is_dir():
-        try:
-            with path.open("rb") as file:
-                head = file.read(64)
-        except OSError as error:
-            raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read: {error.strerror}") from error
+        with readable(path), path.open("rb") as file:
+            head = file.read(64)
         if not head:
             raise ImumonError(Reason.BAD_DATA, f"{path}: is empty")
     for is_one, read in FORMATS:

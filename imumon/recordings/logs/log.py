@@ -30,17 +30,12 @@ EXACT_US = 2**53
 
 @dataclass(frozen=True, slots=True)
 class Series:
-    """Samples of one sensor.
-
-    Parameters
-    ----------
-    time_ns : array, (n,)
-    values : mapping of str to array, (n,)
-        By their names in the table.
-    """
+    """Samples of one sensor."""
 
     time_ns: IntArray
+    """Array, (n,)."""
     values: Mapping[str, FloatArray]
+    """By their names in the table, (n,) each."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,35 +62,23 @@ class Damage:
 
 @dataclass(frozen=True, slots=True)
 class Log:
-    """What is taken from a log.
-
-    Parameters
-    ----------
-    sensor : str
-        Which inertial sensor it is.
-    others : list of str
-        The inertial sensors that are not taken.
-    gyro : Series
-        Its rows are those of the table.
-    beside : list of Series
-        What is put beside them.
-    axes : "FLU" or "FRD"
-    scaling : str
-        Where the units of the values are known from.
-    damage : Damage
-        What could not be read.
-    warnings : tuple of str
-        What whoever works with the samples has to know.
-    """
+    """What is taken from a log."""
 
     sensor: str
+    """Which inertial sensor it is."""
     others: list[str]
+    """The inertial sensors that are not taken."""
     gyro: Series
+    """Its rows are those of the table."""
     beside: list[Series]
+    """What is put beside them."""
     axes: str
     scaling: str
+    """Where the units of the values are known from."""
     damage: Damage = Damage()
+    """What could not be read."""
     warnings: tuple[str, ...] = ()
+    """What whoever works with the samples has to know."""
 
     def write(self, path: Path) -> tuple[str, int]:
         """Write the table; return its map, and how many rows have no later time and were left out."""
@@ -214,10 +197,7 @@ def pick(
 ) -> tuple[str, list[str]]:
     """Return the sensor that is wanted, else the first, and the others.
 
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when the log has no inertial sensor, BAD_CONFIG when not that one.
+    Raises BAD_DATA when the log has no inertial sensor, BAD_CONFIG when not that one.
     """
     if not found:
         broken = f", of which {damage.size:,} bytes are damaged" if damage.places else ""

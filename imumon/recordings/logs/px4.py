@@ -17,6 +17,7 @@ import numpy as np
 
 from imumon.blocks import IntArray
 from imumon.errors import ImumonError, Reason, missing_package
+from imumon.files import readable
 from imumon.recordings.logs.log import (
     GAUSS_TO_TESLA,
     Damage,
@@ -57,21 +58,18 @@ def is_one(_: Path, head: bytes) -> bool:
 def read(path: Path, sensor: str | None = None) -> Log:
     """Return a gyro of a log and the accelerometer of the same number, sensor_gyro.0 the first.
 
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when it has no sensor_gyro; BAD_CONFIG when not this one.
+    Raises BAD_DATA when it has no sensor_gyro; BAD_CONFIG when not this one.
     """
     try:
         from pyulog import ULog
     except ModuleNotFoundError as error:
         raise missing_package("this log", "pyulog", "autopilot") from error
+    with readable(path):
+        recorded = path.read_bytes()
     try:
-        data, damage = _mended(path.read_bytes())
+        data, damage = _mended(recorded)
         with redirect_stdout(io.StringIO()):  # where it says what it makes of damage
             log = ULog(io.BytesIO(data), TOPICS)
-    except OSError as error:
-        raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read: {error.strerror}") from error
     except Exception as error:  # pyulog raises whatever damaged bytes lead to
         raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read as a ULog: {error}") from error
     found = {f"{one.name}.{one.multi_id}": one.data for one in log.data_list}

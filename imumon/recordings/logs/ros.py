@@ -30,10 +30,7 @@ def is_one(path: Path, head: bytes) -> bool:
 def read(path: Path, sensor: str | None = None) -> Log:
     """Return an Imu topic of a bag, the first by name unless it is named.
 
-    Raises
-    ------
-    ImumonError
-        BAD_DATA when it has none, or cannot be read; BAD_CONFIG when not this one.
+    Raises BAD_DATA when it has none, or cannot be read; BAD_CONFIG when not this one.
     """
     try:
         from rosbags.highlevel import AnyReader

@@ -17,21 +17,15 @@ from imumon.protocols.device import DeviceFile
 
 @dataclass(frozen=True, slots=True)
 class Faults:
-    """What goes wrong; commands count from 1.
-
-    Parameters
-    ----------
-    refused, unheard, ignored : frozenset of int
-        Commands that the device refuses, does not hear, or confirms and does not carry out.
-    dies_after, unplugged_after : int or None
-        Command after which the device says and sends nothing more, or after which the cable is pulled.
-    """
+    """What goes wrong; commands count from 1."""
 
     refused: frozenset[int] = frozenset()
     unheard: frozenset[int] = frozenset()
     ignored: frozenset[int] = frozenset()
+    """Commands that the device refuses, does not hear, or confirms and does not carry out."""
     dies_after: int | None = None
     unplugged_after: int | None = None
+    """Command after which the device says and sends nothing more, or after which the cable is pulled."""
 
 
 @dataclass(frozen=True, slots=True)

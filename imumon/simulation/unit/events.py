@@ -37,21 +37,15 @@ class Rotation(_Lasting):
 
 
 class Bump(_Timed):
-    """A knock against the table: it rings at a frequency and dies away.
-
-    Parameters
-    ----------
-    acceleration_m_per_s2 : three numbers
-        First amplitude north, east, down.
-    tilt_deg : three numbers
-        First amplitude of roll, pitch, heading.
-    """
+    """A knock against the table: it rings at a frequency and dies away."""
 
     kind: Literal["bump"]
     frequency_hz: float = Field(gt=0.0)
     decay_s: float = Field(gt=0.0)
     acceleration_m_per_s2: Three = NONE
+    """First amplitude north, east, down."""
     tilt_deg: Three = NONE
+    """First amplitude of roll, pitch, heading."""
 
 
 class Vibration(_Lasting):

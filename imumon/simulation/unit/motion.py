@@ -21,22 +21,15 @@ _RATIOS = np.array([1.0, 1.27, 0.81])
 
 @dataclass(slots=True)
 class Movement:
-    """Motion at n times.
-
-    Parameters
-    ----------
-    angles, rates : array of shape (n, 3)
-        Roll, pitch, heading in rad, and their derivatives in rad/s.
-    acceleration : array of shape (n, 3)
-        North, east, down, in m/s².
-    moving : bool array of shape (n,)
-        False at rest; a fan shakes a unit that is at rest.
-    """
+    """Motion at n times."""
 
     angles: FloatArray
     rates: FloatArray
+    """Roll, pitch, heading in rad, and their derivatives in rad/s, (n, 3)."""
     acceleration: FloatArray
+    """North, east, down, in m/s², (n, 3)."""
     moving: np.ndarray[tuple[int], np.dtype[np.bool_]]
+    """False at rest, (n,); a fan shakes a unit that is at rest."""
 
 
 def movement(events: Sequence[Event], start_rad: FloatArray, time_s: FloatArray) -> Movement:

@@ -76,7 +76,6 @@ class RandomWalk:
     ----------
     density : sequence of float
         Standard deviation after one second, for each of k columns.
-    step_s : float
     """
 
     def __init__(

@@ -73,21 +73,14 @@ class Effects(StrictModel):
 
 
 class Hysteresis(StrictModel):
-    """A loop h y(T) on top of the bias curve, with y between -1 (cooled) and 1 (heated), 0 at power-on.
-
-    Parameters
-    ----------
-    kind : "smooth" or "play"
-        y' = (T' - \\|T'\\| y) / w; or y = (T - p) / w with the play p, which follows T at a distance w.
-    half_width_deg_per_h : three numbers
-        h.
-    width_degc : float
-        w.
-    """
+    """A loop h y(T) on top of the bias curve, with y between -1 (cooled) and 1 (heated), 0 at power-on."""
 
     kind: Literal["smooth", "play"] = "smooth"
+    """y' = (T' - |T'| y) / w; or y = (T - p) / w with the play p, which follows T at a distance w."""
     half_width_deg_per_h: Three
+    """h."""
     width_degc: float = Field(gt=0.0)
+    """w."""
 
 
 class GyroFlicker(StrictModel):
@@ -148,19 +141,13 @@ class SelfHeating(StrictModel):
 
 
 class Thermometer(StrictModel):
-    """One thermometer at each gyro and one on the board.
-
-    Parameters
-    ----------
-    step_degc, noise_degc : float
-        Quantization step (0: none), and standard deviation of a reading before it is quantized.
-    rate_hz : float or None
-        New readings per second, held in between; None for one with each packet.
-    """
+    """One thermometer at each gyro and one on the board."""
 
     step_degc: float = Field(default=0.05, ge=0.0)
     noise_degc: float = Field(default=0.005, ge=0.0)
+    """Quantization step (0: none), and standard deviation of a reading before it is quantized."""
     rate_hz: float | None = Field(default=None, gt=0.0)
+    """New readings per second, held in between; None for one with each packet."""
 
 
 class UnitParameters(StrictModel):

@@ -36,10 +36,7 @@ class _Based(StrictModel):
     def load(cls, name: str | Path) -> Self:
         """Read one by its known name or the path of its file.
 
-        Raises
-        ------
-        ImumonError
-            BAD_CONFIG, naming file and line, what was found and what was expected.
+        Raises BAD_CONFIG, naming file and line, what was found and what was expected.
         """
         path = cls._path(name)
         text = read_text(path)
@@ -127,39 +124,24 @@ class Wobble(StrictModel):
 
 
 class ChamberLog(StrictModel):
-    """Two thermometers on a computer of their own: at the inner wall of the chamber, and on the unit's case.
-
-    Parameters
-    ----------
-    interval_s : float
-    thermometer : Thermometer
-        Of either; the default is a thermocouple behind a data logger.
-    """
+    """Two thermometers on a computer of their own: at the chamber's inner wall, and on the unit's case."""
 
     interval_s: float = Field(default=10.0, gt=0.0)
     thermometer: Thermometer = Thermometer(step_degc=0.1, noise_degc=0.05)
+    """Of either; the default is a thermocouple behind a data logger."""
 
 
 class Chamber(StrictModel):
-    """The temperature around the unit; after the last step it stays.
-
-    Parameters
-    ----------
-    start_degc : float
-        Temperature at power-on, of chamber and unit.
-    steps : list of Step
-    wobble : Wobble or None
-    lag_s : float
-        Time constant with which the unit follows the chamber, a first-order filter; 0: at once.
-    log : ChamberLog or None
-        What is logged of the chamber beside the unit.
-    """
+    """The temperature around the unit; after the last step it stays."""
 
     start_degc: float
+    """Temperature at power-on, of chamber and unit."""
     steps: list[Step] = Field(default_factory=list)
     wobble: Wobble | None = None
     lag_s: float = Field(default=0.0, ge=0.0)
+    """Time constant with which the unit follows the chamber, a first-order filter; 0: at once."""
     log: ChamberLog | None = None
+    """What is logged of the chamber beside the unit."""
 
 
 class Unit(UnitParameters, _Based):
@@ -169,21 +151,14 @@ class Unit(UnitParameters, _Based):
 
 
 class Course(StrictModel):
-    """What a further sensor shows: straight between its corners, held after the last, with white noise.
-
-    Parameters
-    ----------
-    unit : str
-    at_s, value : list of float
-        The corners, times since power-on increasing.
-    noise : float
-        Standard deviation of a reading.
-    """
+    """What a further sensor shows: straight between its corners, held after the last, with white noise."""
 
     unit: str
     at_s: list[float] = Field(min_length=1)
     value: list[float] = Field(min_length=1)
+    """The corners, times since power-on increasing."""
     noise: float = Field(default=0.0, ge=0.0)
+    """Standard deviation of a reading."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -195,36 +170,27 @@ class Course(StrictModel):
 
 
 class Scenario(_Based):
-    """A scenario, complete: everything that `imumon.simulation.unit.SimulatedUnit` needs but the seed.
-
-    Parameters
-    ----------
-    unit : Unit
-        The name of a file of configs/units, a path, or a mapping.
-    rate_hz, duration_s : float
-        Packets per second; how long the scenario lasts (a unit goes on after that, as it is).
-    axes : "FRD" or "FLU"
-        Body axes of the unit.
-    latitude_deg, gravity_m_per_s2 : float
-        They give the earth rate and the specific force at rest.
-    drivers : dict of str to Course
-        Further columns; effects of the unit may depend on them.
-    """
+    """A scenario, complete: everything that `imumon.simulation.unit.SimulatedUnit` needs but the seed."""
 
     kind = "scenario"
 
     format: Literal["imumon-scenario/1"]
     title: str = ""
     unit: Unit
+    """The name of a file of configs/units, a path, or a mapping."""
     rate_hz: float = Field(gt=0.0, le=10_000.0)
     duration_s: float = Field(gt=0.0, le=1e7)
+    """Packets per second; how long the scenario lasts (a unit goes on after that, as it is)."""
     axes: Literal["FRD", "FLU"] = "FRD"
+    """Body axes of the unit."""
     latitude_deg: float = Field(ge=-90.0, le=90.0)
     gravity_m_per_s2: float = Field(default=9.80665, gt=9.0, lt=10.0)
+    """They give the earth rate and the specific force at rest."""
     attitude: Attitude = Attitude()
     chamber: Chamber
     motion: list[Event] = Field(default_factory=list)
     drivers: dict[str, Course] = Field(default_factory=dict)
+    """Further columns; effects of the unit may depend on them."""
 
     @model_validator(mode="after")
     def _has_what_drives_the_unit(self) -> Self:

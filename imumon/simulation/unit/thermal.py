@@ -76,12 +76,10 @@ class Thermometers:
 
     Parameters
     ----------
-    parameters : Thermometer
     count : int
         Number of thermometers k.
     rate_hz : float
         Packets per second; a reading is held for a whole number of packets.
-    seed : int
     name : str
         Of their noise.
     """
@@ -112,10 +110,7 @@ def chamber_log(scenario: Scenario, seed: int) -> tuple[FloatArray, FloatArray]:
 
     The case has the temperature of the unit without its own heat.
 
-    Raises
-    ------
-    ValueError
-        When the scenario has no log.
+    Raises ValueError when the scenario has no log.
     """
     chamber = scenario.chamber
     if chamber.log is None:

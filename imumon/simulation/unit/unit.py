@@ -47,7 +47,6 @@ class SimulatedUnit:
 
     Parameters
     ----------
-    scenario : Scenario
     seed : int
         Seed of all noise and of the turn-on biases.
     tick_ns : Fraction
@@ -201,8 +200,6 @@ class LowPass:
 
     Parameters
     ----------
-    cutoff_hz : float or None
-    rate_hz : float
     start : array of shape (k,)
         The signal before the first sample, without noise.
     """

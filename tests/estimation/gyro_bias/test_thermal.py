@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from imumon.blocks import FloatArray, SampleBlock
-from imumon.estimation.gyro_bias.parameters import GyroBiasParameters
 from imumon.estimation.gyro_bias.stage import GyroBias, Mode
 from tests.estimation.gyro_bias.records import (
     ARW,
@@ -55,15 +54,11 @@ def test_on_calibrated_data_and_thermal_it_is_one_filter() -> None:
     assert rms(block, bias, GyroBias()).min() > 6.0
 
 
-def test_slope_times_rate_is_the_same_while_the_rate_is_true() -> None:
+def test_a_model_without_its_temperature_says_so() -> None:
     block, _ = warming(triangle(540.0))
-    model, published = slope_model(SLOPE), GyroBiasParameters(thermal_form="slope_rate")
-    rate = vector(GyroBias(published, model, "thermal").process(block))
-    increments = vector(GyroBias(None, model, "thermal").process(block))
-    np.testing.assert_allclose(rate[100:], increments[100:], atol=0.5 * DPH)
-    no_rate = SampleBlock({k: v for k, v in block.columns.items() if k != "temperature_rate"})
-    stage = GyroBias(published, model, "thermal")
-    stage.process(no_rate)
+    none = SampleBlock({k: v for k, v in block.columns.items() if not k.startswith("temperature")})
+    stage = GyroBias(model=slope_model(SLOPE), mode="thermal")
+    stage.process(none)
     assert any("lacks its temperature" in text for text in stage.notices())
 
 

@@ -1,4 +1,4 @@
-"""What training cannot tell from a wander: a loop is proven by a test that it foretells, a jump never is."""
+"""What training cannot tell from a wander: a loop is proven by a test that it predicts, a jump never is."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ def wandering(seed: int, dph_per_sqrt_s: float, loop_dph: float, tails: bool = F
 
 
 @pytest.mark.parametrize(("loop_dph", "names"), [(70.0, ["hysteresis"]), (0.0, [])])
-def test_a_loop_that_training_cannot_prove_is_proven_by_what_it_foretells(
+def test_a_loop_that_training_cannot_prove_is_proven_by_what_it_predicts(
     loop_dph: float, names: list[str]
 ) -> None:
     diagnosis = diagnose([wandering(11, 0.5, loop_dph)], [wandering(12, 0.1, loop_dph)])
     (verdict,) = diagnosis.verdicts
     assert [claim.finding.name for claim in verdict.claims] == names
     assert verdict.unexplained
-    assert verdict.questions[0].answers[0].name == "nothing"
+    assert verdict.questions[0][0].name == "nothing"
     if names:
         assert verdict.claims[0].finding.by_test
         assert "the test alone proves it" in verdict.summary

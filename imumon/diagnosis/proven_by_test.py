@@ -1,4 +1,4 @@
-"""An effect that training alone cannot prove, and the test does: what it foretells comes true.
+"""An effect that training alone cannot prove, and the test does: what it predicts comes true.
 
 Noise that wanders as fast as it does within minutes may go anywhere within the hour, so that no likelihood
 tells a loop that was gone through once from a wander.  But a wander does not go the same way again.
@@ -17,8 +17,8 @@ from imumon.diagnosis.fitting import Fit, begun, fit, score
 from imumon.diagnosis.selection import ALIKE, MOST_NAMES, Finding, Search
 
 
-def foretold(channel: Channel, found: Search, before: Fit, beside: Sequence[Finding]) -> Finding | None:
-    """Return the effect that foretells the test best, if it does so well, where nothing was proven.
+def proven_by_test(channel: Channel, found: Search, before: Fit, beside: Sequence[Finding]) -> Finding | None:
+    """Return the effect that predicts the test best, if it does so well, where nothing was proven.
 
     `beside` is what is fitted anew of a model that was given.  Only effects count that make the training
     likelier, by more than their coefficients cost, and only a test that is not woven into the training.
