@@ -18,7 +18,7 @@ closed form (Bayesian linear regression), and the evidence of each is, too.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -79,9 +79,8 @@ class Family:
     seen: bool
     share: float
 
-    def beside(self, other: Family, which: int, share: float) -> Family:
-        """Return these, each together with one of another family, that has the index `which`."""
-        k, size = divmod(which, len(other.precision))
+    def beside(self, other: Family, k: int, size: int, share: float) -> Family:
+        """Return these, each together with one of another family, the k-th of this size."""
         columns, precision = other.columns[k], other.precision[size]
         return Family(
             np.concatenate([self.columns, np.tile(columns, (len(self.columns), 1))], axis=1),
@@ -121,8 +120,10 @@ class Seen:
         Observations in them.
     noise : float
         The least variance of the noise.
-    information, level : array, (kinds, kinds), and (kinds,) complex
-        What the accelerometers tell of the angles, and that times their means.
+    information, level : array, (d, kinds, kinds), and (d, kinds) complex
+        What the accelerometers tell of the angles, and that times their means, by each of their drifts.
+    drifts : array, (d,)
+        Logarithm of prior probability times evidence of these, if the unit stands.
     """
 
     gram: FloatArray
@@ -130,6 +131,13 @@ class Seen:
     noise: float
     information: FloatArray
     level: ColumnArray
+    drifts: FloatArray
+
+    def of_drift(self, which: int) -> Seen:
+        """Return what is seen if the accelerometers drift so."""
+        return replace(
+            self, **{name: getattr(self, name)[[which]] for name in ("information", "level", "drifts")}
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,15 +167,14 @@ def told(seen: Seen) -> Told:
     """Return what each hypothesis says of c'.
 
     A unit may settle and sway: what settles is tried beside the likeliest sway, and what sways beside the
-    likeliest way to settle.
+    likeliest way to settle, each with the drift that makes this the likeliest.
     """
     settles, sways = _family(seen, SETTLES), _family(seen, SWAYS)
-    both = 0.5 * SETTLING * SWAYING
-    sway, settle = int(np.argmax(sways.log_weight)), int(np.argmax(settles.log_weight))
-    parts = [
-        _stands(seen), settles, sways, _family(seen, UNSEEN),
-        _family(seen, SETTLES.beside(SWAYS, sway, both)), _family(seen, SWAYS.beside(SETTLES, settle, both)),
-    ]  # fmt: skip
+    parts = [_stands(seen), settles, sways, _family(seen, UNSEEN)]
+    for own, other, likeliest in ((SETTLES, SWAYS, sways), (SWAYS, SETTLES, settles)):
+        shape = len(other.columns), len(seen.drifts), len(other.precision)
+        k, drift, size = (int(at) for at in np.unravel_index(np.argmax(likeliest.log_weight), shape))
+        parts.append(_family(seen.of_drift(drift), own.beside(other, k, size, 0.5 * SETTLING * SWAYING)))
     parts[1].settles[:] = parts[4].settles[:] = parts[5].settles[:] = 1.0
     return Told(*(np.concatenate([getattr(part, name) for part in parts]) for name in Told.__slots__))
 
@@ -186,11 +193,12 @@ def _stands(seen: Seen) -> Told:
     total = seen.gram[0, 0] / (seen.noise * NOISES)
     mean = np.full((1, len(NOISES)), complex(seen.gram[0, -2], seen.gram[0, -1]) / seen.gram[0, 0])
     given = _Given(np.zeros((1, len(NOISES))), total[None], mean)
-    return _over_noises(seen, given, np.full(1, math.log((1.0 - SETTLING) * (1.0 - SWAYING))))
+    log_prior = math.log((1.0 - SETTLING) * (1.0 - SWAYING)) + np.logaddexp.reduce(seen.drifts)
+    return _over_noises(seen, given, np.full(1, log_prior))
 
 
 def _family(seen: Seen, family: Family) -> Told:
-    """Return what the hypotheses of a family say; sizes vary fastest.
+    """Return what the hypotheses of a family say; sizes vary fastest, then drifts.
 
     In the axes in which the gyros' information of the angles is diagonal and what is known without them is
     one, all sizes of the noise cost one decomposition.
@@ -210,33 +218,40 @@ def _family(seen: Seen, family: Family) -> Told:
     evidence = 0.5 * np.sum(loss * (pulled.real**2 + pulled.imag**2), axis=-1) + np.log(loss.prod(-1))
     count = len(NOISES)
     given = _Given(evidence.reshape(-1, count), left.reshape(-1, count), mean.reshape(-1, count))
-    log_prior = log_prior + math.log(family.share / given.left.shape[0])
+    log_prior = log_prior + math.log(family.share / (len(columns) * len(family.precision)))
     return _over_noises(seen, given, np.broadcast_to(log_prior, evidence.shape[:2]).ravel())
 
 
 def _axes(seen: Seen, family: Family) -> tuple[FloatArray, FloatArray, ColumnArray, FloatArray]:
     """Return what is known along axes in which all is diagonal.
 
-    These are the gyros' information (k, s, r), the axes (k, s, r, r), what the accelerometers say there, and
-    how well they agree with the sizes of the angles, a logarithm (k, s).
+    These are the gyros' information (k, d s, r), the axes (k, d s, r, r), what the accelerometers say there,
+    and how well they agree with the sizes of the angles, a logarithm (k, d s).
     """
     columns, own = family.columns, family.precision
     slopes = seen.gram[1:-2, 1:-2][columns[:, :, None], columns[:, None, :]]
-    known = seen.information[columns[:, :, None], columns[:, None, :]][:, None]
-    level = seen.level[columns][:, None, :, None]
+    known = seen.information[:, columns[:, :, None], columns[:, None, :]].swapaxes(0, 1)[:, :, None]
+    level = seen.level[:, columns].swapaxes(0, 1)[:, :, None, :, None]
     both = known + own[:, :, None] * np.eye(columns.shape[1])
     lower = np.linalg.cholesky(both)
     log_prior = np.log(own).sum(1) - 2.0 * np.log(np.diagonal(lower, axis1=-2, axis2=-1)).sum(-1)
+    log_prior = log_prior + seen.drifts[:, None]  # (k, d, s)
     root = np.linalg.inv(lower)
     if not family.seen:
         # The accelerometers sway by angles of their own, of the same size; the axes are those of all sizes.
         explained = (np.abs(root @ level) ** 2).sum((-2, -1))
         values, vectors = np.linalg.eigh(slopes)
         turn = vectors.swapaxes(-1, -2)[:, None] / np.sqrt(own)[:, :, None]
-        return values[:, None] / own, turn, np.zeros(1, np.complex128), log_prior + 0.5 * explained
-    values, vectors = np.linalg.eigh(root @ slopes[:, None] @ root.swapaxes(-1, -2))
+        log_prior = np.logaddexp.reduce(log_prior + 0.5 * explained, axis=1)
+        return values[:, None] / own, turn, np.zeros(1, np.complex128), log_prior
+    values, vectors = np.linalg.eigh(root @ slopes[:, None, None] @ root.swapaxes(-1, -2))
     turn = vectors.swapaxes(-1, -2) @ root
-    return values, turn, (turn @ level)[..., None, :, 0], log_prior
+    level = turn @ level
+    count, rank = columns.shape
+    return (
+        values.reshape(count, -1, rank), turn.reshape(count, -1, rank, rank),
+        level.reshape(count, -1, 1, rank), log_prior.reshape(count, -1),
+    )  # fmt: skip
 
 
 def _over_noises(seen: Seen, given: _Given, log_prior: FloatArray) -> Told:
