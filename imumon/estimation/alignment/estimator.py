@@ -70,6 +70,8 @@ class State:
     """Direction of the body in that frame, rad, from its forward to its left."""
     crept: float = 0.0
     """What it has turned about the vertical, unnoticed, since the last fit, rad, counter-clockwise."""
+    told_up: FloatArray = field(default_factory=lambda: np.zeros(3))
+    """Vertical of the last pose of that fit, body axes."""
     followed_s: float = 0.0
     """Time since that fit in which this was followed."""
     field_sum: list[float] = field(default_factory=lambda: [0.0] * 4)
@@ -164,9 +166,19 @@ class Aligner:
 
     @property
     def _rest_here(self) -> Rest | None:
-        """What the vertical gyro reads at rest in the pose of now, if it has been fitted."""
-        told_here = 0 < len(self.state.fits) == len(self.state.poses)
-        return self.state.found.rest if told_here and self.state.found is not None else None
+        """What the vertical gyro reads at rest as the unit lies now, better than turns ask for."""
+        found = self.state.found
+        if found is None:
+            return None
+        rest = self._in_another(found.rest, self.state.attitude[2] - self.state.told_up)
+        return rest if rest.variance < EARTH_RATE**2 else None
+
+    def _in_another(self, rest: Rest, tilted: FloatArray) -> Rest:
+        """Return what is known of rest where up is another by `tilted`, body axes, (3,)."""
+        assert self.state.found is not None
+        flicker = (self.parameters.gyro_flicker_deg_per_h or 0.0) * DEG_PER_H
+        other = float(tilted @ tilted) * self.state.found.supposed_sd**2
+        return Rest(rest.rate, rest.variance + other + flicker**2)
 
     def count(self, slot: Slot, magnetic: Sequence[float]) -> None:
         """Count a slot by which `Motion.rest_on` has gone on."""
@@ -338,6 +350,7 @@ class Aligner:
         turns = [pose.turn_variance for pose, _, _ in told]
         state.fits = fits
         if fits:
+            state.told_up = attitudes[-1][2]
             self._find(fits, attitudes, turns)
             self._crept(told)
         here_s = state.counted_s - state.poses[-1].counted_s
@@ -393,13 +406,9 @@ class Aligner:
         self, attitude: FloatArray, before: fit.PoseFit, attitude_before: FloatArray
     ) -> Rest | None:
         """Return what a pose says of what the vertical gyro reads at rest in the next one."""
-        found = self.state.found
-        if found is None:
+        if self.state.found is None:
             return None
-        other = float(np.sum((attitude[2] - attitude_before[2]) ** 2)) * found.supposed_sd**2
-        flicker = (self.parameters.gyro_flicker_deg_per_h or 0.0) * DEG_PER_H
-        rest = before.creep.rests.together()
-        return Rest(rest.rate, rest.variance + other + flicker**2)
+        return self._in_another(before.creep.rests.together(), attitude[2] - attitude_before[2])
 
     def _usual(self, up: FloatArray) -> Usual:
         """Return what a vertical gyro should read at rest; `up` in body axes, (3,)."""
