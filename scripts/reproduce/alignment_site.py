@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 from alignment_runs import ACCEL_BIAS_UG
-from alignment_site_scenes import SCENES, Scene, mean_heading, record
+from alignment_site_scenes import CREEPS, SCENES, Scene, mean_heading, record
 
 from imumon.blocks import FloatArray
 from imumon.estimation.alignment.parameters import AlignmentParameters
@@ -40,13 +40,15 @@ def outcome(scene: Scene, seed: int) -> tuple[FloatArray, FloatArray]:
     parameters = AlignmentParameters.model_validate({"accel_bias_sd_ug": ACCEL_BIAS_UG, **scene.parameters})
     stage = Alignment(parameters, scene.latitude_deg, None if scene.any_attitude else "FRD")
     out = stage.process(rec.block)
-    off = np.remainder(out["heading"] - rec.heading + math.pi, 2.0 * math.pi) - math.pi
+    # What is shown with a sample is that of the slots that ended before it.
+    truth = np.concatenate([rec.heading[:1], rec.heading[:-1]])
+    off = np.remainder(out["heading"] - truth + math.pi, 2.0 * math.pi) - math.pi
     rows = []
     for second in AT_S:
         n = round(second * scene.rate_hz)
         means = [mean_heading(rec.level_rate[:n], weights) for weights in (np.ones, np.hanning)]
         found = math.degrees(off[n]), math.degrees(out["heading_sd"][n])
-        rows.append([*found, *(off_deg(mean, rec.heading) for mean in means)])
+        rows.append([*found, *(off_deg(mean, rec.heading[n]) for mean in means)])
     return np.array(rows), (off / out["heading_sd"])[:: round(scene.rate_hz)]
 
 
@@ -79,13 +81,14 @@ def main() -> None:
     parser.add_argument("runs", nargs="?", type=int, default=10)
     parser.add_argument("--first", type=int, default=0, help="first seed")
     parser.add_argument("--only", default="", help="part of a scene's name")
+    parser.add_argument("--creeps", action="store_true", help="turns about the vertical instead")
     given = parser.parse_args()
     names = ["rms error °", "over the better mean", "σ", "shown", "rms z", "max z"]
     heads = [f"{name}, {second} s" for second in AT_S for name in names]
     print("| site | " + " | ".join(heads) + " | beyond 5 σ |")
     print("|---" * (2 + len(heads)) + "|")
     seeds = range(given.first, given.first + given.runs)
-    rows = [row(scene, seeds) for scene in SCENES if given.only in scene.name]
+    rows = [row(scene, seeds) for scene in (CREEPS if given.creeps else SCENES) if given.only in scene.name]
     for _, text in sorted(rows, reverse=True):
         print(text)
 
