@@ -4,7 +4,7 @@ Gyros see the rate of the tilt, dφ/dt, on top of c'; accelerometers see φ itse
 hypothesis is a set of courses of which φ is the sum, with coefficients of some standard deviation:
 
     the unit stands                              φ = 0
-    a tripod settles, or tilts ever farther      three neighbours of eight exponentials, or two ramps
+    a tripod settles, or tilts ever farther      three neighbours of eight exponentials
     it sways slowly, in a narrow band            sine and cosine at four neighbouring frequencies
     it settles and sways                         two of these together
 
@@ -25,13 +25,9 @@ import numpy as np
 from imumon.blocks import ColumnArray, FloatArray, IntArray
 
 TIME_CONSTANTS_S = np.geomspace(5.0, 640.0, 8)
-"""Of a tripod that settles.  Three neighbours together follow any time constant between them."""
-RAMP_S = 640.0
-"""A steady tilt is told by its angle over this time."""
-LATER = (0.25, 0.5, 0.75)
-"""Shares of the time after which a steady tilt may have begun."""
-_STEADY = len(TIME_CONSTANTS_S)
-_SWAYS = _STEADY + 1 + len(LATER)
+"""Of a tripod that settles.  Three neighbours together follow any time constant between them, a steady tilt,
+and one that begins later."""
+_SWAYS = len(TIME_CONSTANTS_S)
 CYCLES = 0.25 * np.arange(1.0, 25.0)
 """Periods in the record of the sways: four neighbours together follow all between them to 1 %."""
 SIZES = np.array([1e-5, 1e-4, 1e-3])
@@ -50,10 +46,7 @@ def _sway_columns(nodes: IntArray) -> IntArray:
     return np.concatenate([_SWAYS + 2 * nodes, _SWAYS + 2 * nodes + 1], axis=1)
 
 
-_TRIPLES = np.array(
-    [(k, k + 1, k + 2) for k in range(_STEADY - 2)]
-    + [(_STEADY - 1, _STEADY, _STEADY + 1 + k) for k in range(len(LATER))]
-)
+_TRIPLES = np.arange(_SWAYS - 2)[:, None] + np.arange(3)
 _BANDS = _sway_columns(np.arange(0, len(CYCLES) - 3, 2)[:, None] + np.arange(4))
 _OF_ONE = SIZES[:, None] ** -2.0
 
@@ -101,8 +94,6 @@ SWAYS, UNSEEN = (
 def courses(time_s: FloatArray) -> FloatArray:
     """Return the course of each kind of tilt, per its angle, (n, kinds), since the pose began."""
     kinds = [-np.expm1(-time_s / tau) for tau in TIME_CONSTANTS_S]
-    kinds.append(time_s / RAMP_S)
-    kinds += [np.maximum(time_s - share * time_s[-1], 0.0) / RAMP_S for share in LATER]
     phase = 2.0 * math.pi * np.outer((time_s - time_s[0]) / (time_s[-1] - time_s[0]), CYCLES)
     waves = np.stack([np.cos(phase), np.sin(phase)], axis=2).reshape(len(time_s), -1)
     return np.concatenate([np.column_stack(kinds), waves], axis=1)
