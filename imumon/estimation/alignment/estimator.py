@@ -72,6 +72,8 @@ class State:
     """What it has turned about the vertical, unnoticed, since the last fit, rad, counter-clockwise."""
     told_up: FloatArray = field(default_factory=lambda: np.zeros(3))
     """Vertical of the last pose of that fit, body axes."""
+    rest: Rest | None = None
+    """What the vertical gyro reads at rest, if that is known better than turns ask for."""
     followed_s: float = 0.0
     """Time since that fit in which this was followed."""
     field_sum: list[float] = field(default_factory=lambda: [0.0] * 4)
@@ -161,17 +163,8 @@ class Aligner:
     def _turns_already(self) -> None:
         """Take the vertical gyro's rate at the last rest for what it reads if it stands."""
         base, up = self.state.motion.base, self.state.attitude[2]
-        if base is not None and self._rest_here is not None:
-            base += up * (self._rest_here.rate - float(up @ base))
-
-    @property
-    def _rest_here(self) -> Rest | None:
-        """What the vertical gyro reads at rest as the unit lies now, better than turns ask for."""
-        found = self.state.found
-        if found is None:
-            return None
-        rest = self._in_another(found.rest, self.state.attitude[2] - self.state.told_up)
-        return rest if rest.variance < EARTH_RATE**2 else None
+        if base is not None and self.state.rest is not None:
+            base += up * (self.state.rest.rate - float(up @ base))
 
     def _in_another(self, rest: Rest, tilted: FloatArray) -> Rest:
         """Return what is known of rest where up is another by `tilted`, body axes, (3,)."""
@@ -203,6 +196,14 @@ class Aligner:
     def _stands(self, attitude: FloatArray) -> None:
         """Take a new attitude."""
         self.state.attitude, self.state.ahead = attitude, ahead_of(attitude)
+        self._rests()
+
+    def _rests(self) -> None:
+        """Note what the vertical gyro reads at rest as the unit lies now."""
+        state = self.state
+        if state.found is not None:
+            rest = self._in_another(state.found.rest, state.attitude[2] - state.told_up)
+            state.rest = rest if rest.variance < EARTH_RATE**2 else None
 
     def _disturbed(self, slot: Slot) -> None:
         """Follow the unit until it rests again."""
@@ -252,11 +253,9 @@ class Aligner:
         state.record.add(slot.time_s, weight, slot.mean[:3], slot.mean[3:], pose)
         if counts:
             state.counted_s += slot.length_s
-            if self._rest_here is not None:
+            if state.rest is not None:
                 state.followed_s += slot.length_s
-                state.crept += slot.length_s * (
-                    float(state.attitude[2] @ slot.mean[:3]) - self._rest_here.rate
-                )
+                state.crept += slot.length_s * (float(state.attitude[2] @ slot.mean[:3]) - state.rest.rate)
         else:
             state.shaken_s += slot.length_s
 
@@ -352,6 +351,7 @@ class Aligner:
         if fits:
             state.told_up = attitudes[-1][2]
             self._find(fits, attitudes, turns)
+            self._rests()
             self._crept(told)
         here_s = state.counted_s - state.poses[-1].counted_s
         # A bias that hides the north goes on to do so until the unit is turned.
@@ -498,8 +498,8 @@ class Aligner:
         if motion.disturbed and motion.passed:
             going_on = state.turns.after(self._passage(state.slot_end_s))
             variance = going_on.azimuth_variance(self._scale_sd())
-        if self._rest_here is not None:
-            variance += self._rest_here.variance * state.followed_s**2
+        if state.rest is not None:
+            variance += state.rest.variance * state.followed_s**2
         return min(math.hypot(state.found.sd, math.sqrt(variance)), ANY_ANGLE_SD)
 
     @property
