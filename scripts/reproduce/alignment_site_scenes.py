@@ -9,17 +9,23 @@ from dataclasses import dataclass, field
 import numpy as np
 from alignment_site_tilts import (
     Tilt,
+    Turn,
     creeping,
     door,
     footsteps,
     gusts,
     in_hand,
+    in_turn,
     lorry,
     lorry_once,
     settling,
+    slowing,
+    steadily,
     sway,
     swelling,
+    swinging,
     together,
+    turning,
     wind,
 )
 
@@ -44,6 +50,8 @@ class Scene:
         deg/√h.
     tilt : Tilt
         How the unit moves.
+    turn : Turn
+        How it turns about the vertical.
     warm_up : (float, float)
         µg of both level accelerometers, and s.
     bias_deg_per_h : float
@@ -78,6 +86,7 @@ class Scene:
     latitude_deg: float = LATITUDE_DEG
     rate_hz: float = RATE_HZ
     any_attitude: bool = False
+    turn: Turn | None = None
     parameters: Mapping[str, float | None] = field(default_factory=dict)
 
 
@@ -239,20 +248,68 @@ SCENES = (
     Scene("at 80°, quiet, 200 Hz", SITE_ARW, latitude_deg=80.0, rate_hz=200.0),
 )
 
+DEGREE = math.pi / 180.0
+HALF_TURN = turning(math.pi, 300.0, 308.0)
+CREEPS = (
+    *(
+        Scene(f"{angle:g}° in {seconds:g} s", turn=turning(angle * DEGREE, 0.0, seconds))
+        for seconds in (20.0, 60.0, 200.0, 600.0)
+        for angle in (0.03, 0.3, 3.0, 30.0)
+    ),
+    *(
+        Scene(
+            f"3° in {seconds:g} s, biases of {bias:g} °/h",
+            bias_deg_per_h=bias,
+            turn=turning(3.0 * DEGREE, 0.0, seconds),
+        )
+        for seconds in (200.0, 600.0)
+        for bias in (0.01, 0.1, 0.5, 2.0)
+    ),
+    Scene(
+        "3° in 200 s, tactical, biases of 0.03 °/h",
+        TACTICAL_ARW,
+        bias_deg_per_h=0.03,
+        turn=turning(3.0 * DEGREE, 0.0, 200.0),
+    ),
+    Scene("3° from 60 to 300 s", turn=turning(3.0 * DEGREE, 60.0, 300.0)),
+    Scene("0.3° in 600 s, steadily", turn=steadily(0.3 * DEGREE, 600.0)),
+    Scene("3° in 600 s, steadily", turn=steadily(3.0 * DEGREE, 600.0)),
+    Scene("3° in 300 s, steadily", turn=steadily(3.0 * DEGREE, 300.0)),
+    Scene("3°, slowing down in 30 s", turn=slowing(3.0 * DEGREE, 30.0)),
+    Scene("3°, slowing down in 300 s", turn=slowing(3.0 * DEGREE, 300.0)),
+    Scene("to and fro by 0.1° in 100 s", turn=swinging(0.1 * DEGREE, 100.0)),
+    Scene("to and fro by 1° in 400 s", turn=swinging(DEGREE, 400.0)),
+    Scene("half a turn, biases of 2 °/h", bias_deg_per_h=2.0, turn=HALF_TURN),
+    *(
+        Scene(
+            f"{first:g}° in 280 s, half a turn, {then:g}° in 280 s, biases of {bias:g} °/h",
+            bias_deg_per_h=bias,
+            turn=in_turn(
+                turning(first * DEGREE, 10.0, 290.0), HALF_TURN, turning(then * DEGREE, 315.0, 595.0)
+            ),
+        )
+        for first, then, bias in ((0, 10, 30), (10, 0, 30), (3, -3, 2), (3, 3, 2), (0, 3, 0), (1, 0, 0.5))
+    ),
+)  # fmt: skip
+"""Turns about the vertical, each from the first sample on, but where it says otherwise."""
+
 
 @dataclass(frozen=True)
 class Record:
-    """What the unit sent, its heading, rad, and its gyros in level axes forward and right, (n, 2)."""
+    """What the unit sent, its heading, rad, (n,), and its gyros in level axes forward and right, (n, 2)."""
 
     block: SampleBlock
-    heading: float
+    heading: FloatArray
     level_rate: FloatArray
 
 
 def record(scene: Scene, seconds: float, seed: int) -> Record:
     """Return a seeded record of a unit; it is level, in forward-right-down axes, if not in any attitude."""
     rng = np.random.default_rng([seed, sum(map(ord, scene.name))])
-    n, heading = round(seconds * scene.rate_hz), rng.uniform(0.0, 2.0 * math.pi)
+    n = round(seconds * scene.rate_hz)
+    heading = np.full(n, rng.uniform(0.0, 2.0 * math.pi))
+    if scene.turn is not None:
+        heading += scene.turn(np.asarray(np.arange(n) / scene.rate_hz, np.float64))
     gyro, accel = _at_rest(scene, n, heading, rng)
     if scene.tilt is not None:
         step = 1.0 / scene.rate_hz
@@ -278,14 +335,17 @@ def record(scene: Scene, seconds: float, seed: int) -> Record:
     return Record(block, heading, level)
 
 
-def _at_rest(scene: Scene, n: int, heading: float, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+def _at_rest(
+    scene: Scene, n: int, heading: FloatArray, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
     """Return what gyros and accelerometers of a level unit at rest send, (n, 3) each."""
     step, latitude = 1.0 / scene.rate_hz, math.radians(scene.latitude_deg)
-    north = np.array([math.cos(heading), -math.sin(heading), 0.0])
-    east = np.array([math.sin(heading), math.cos(heading), 0.0])
+    north = np.column_stack([np.cos(heading), -np.sin(heading), np.zeros(n)])
+    east = np.array([math.sin(heading[0]), math.cos(heading[0]), 0.0])
     down = np.array([0.0, 0.0, 1.0])
     gyro = rng.normal(size=(n, 3)) * math.radians(scene.arw) / 60.0 / math.sqrt(step)
     gyro += EARTH_RATE * (math.cos(latitude) * north - math.sin(latitude) * down)
+    gyro[1:, 2] += np.diff(heading) / step
     gyro += scene.bias_deg_per_h * DEG_PER_H * rng.choice([-1.0, 1.0], 3)
     gyro += scene.east_bias_deg_per_h * DEG_PER_H * rng.choice([-1.0, 1.0]) * east
     if scene.flicker_deg_per_h:

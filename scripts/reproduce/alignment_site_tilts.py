@@ -1,4 +1,4 @@
-"""How a unit that should stand still moves: sway, wind, footsteps, a tripod that settles, a lorry."""
+"""How a unit that should stand still moves: sway, wind, footsteps, a tripod that settles, a lorry, creep."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from imumon.blocks import FloatArray
 
 Tilt = Callable[[FloatArray, np.random.Generator], FloatArray]
 """From seconds (n,) to the angle about the body's level axes, rad, (n, 2)."""
+Turn = Callable[[FloatArray], FloatArray]
+"""From seconds (n,) to the angle about the vertical, rad, clockwise from above, (n,)."""
 
 
 def _direction(rng: np.random.Generator) -> FloatArray:
@@ -163,3 +165,33 @@ def creeping(amplitude: float, tau_s: float) -> Tilt:
 def together(*parts: Tilt) -> Tilt:
     """Return the sum of motions."""
     return lambda t, rng: np.sum([part(t, rng) for part in parts], axis=0)
+
+
+def turning(angle: float, from_s: float, until_s: float) -> Turn:
+    """Return a turn that begins and ends gently; its rate and acceleration do not jump."""
+
+    def turn(t: FloatArray) -> FloatArray:
+        share = np.clip((t - from_s) / (until_s - from_s), 0.0, 1.0)
+        return np.asarray(angle * share**3 * (10.0 - 15.0 * share + 6.0 * share**2))
+
+    return turn
+
+
+def steadily(angle: float, until_s: float) -> Turn:
+    """Return a turn at one rate from the first sample on."""
+    return lambda t: np.asarray(angle * np.minimum(t / until_s, 1.0))
+
+
+def slowing(angle: float, tau_s: float) -> Turn:
+    """Return a turn that slows down, as of a head that has just been clamped."""
+    return lambda t: np.asarray(-angle * np.expm1(-t / tau_s))
+
+
+def swinging(angle: float, period_s: float) -> Turn:
+    """Return a turn to and fro, as of a mast in the sun."""
+    return lambda t: np.asarray(angle * np.sin(2.0 * math.pi * t / period_s + 1.0))
+
+
+def in_turn(*parts: Turn) -> Turn:
+    """Return the sum of turns."""
+    return lambda t: np.asarray(np.sum([part(t) for part in parts], axis=0))

@@ -26,16 +26,17 @@ def typical_scale(arw: float) -> float:
     return float(np.clip(TYPICAL_SCALE * (arw / TYPICAL_ARW) ** SCALE_POWER, TYPICAL_SCALE, LARGEST_SCALE))
 
 
-TYPICAL_FORCE, LEAST_FORCE, LARGEST_FORCE = 1e-3, 3e-4, 0.04
-"""g: accelerometers beside a gyro of the noise N are off by about 1 mg (N / 0.1 °/√h)^1.4, as its scale, and
-by 0.3 mg at least.  Data sheets, noise in °/√h and bias in mg: KVH 1750 0.012 and 2, 1775 0.012 and 0.5,
-Northrop LN-200 0.07 and 0.3, FSAS 0.1 and 1, HG1700 0.125 and 1, STIM300 0.15 and 0.75, BMI088 0.84 and 20.
+TYPICAL_FORCE, LARGEST_FORCE = 7.5e-4, 0.04
+"""g: accelerometers beside a gyro of the noise N are off by about 0.75 mg (N / 0.1 °/√h)^1.4, as its scale,
+and no less than that, the geometric mean of those up to 0.15 °/√h, where it does not follow N.  Data sheets,
+noise in °/√h and bias in mg: KVH 1750 0.012 and 2, 1775 0.012 and 0.5, Northrop LN-200 0.07 and 0.3, FSAS 0.1
+and 1, HG1700 0.125 and 1, STIM300 0.15 and 0.75, BMI088 0.84 and 20.
 Those of navigation, 25 µg, look the same: they must be declared."""
 
 
 def typical_force(arw: float) -> float:
     """Return the standard deviation, g, of accelerometers' bias beside a gyro with this noise, rad/√s."""
-    return float(np.clip(TYPICAL_FORCE * (arw / TYPICAL_ARW) ** SCALE_POWER, LEAST_FORCE, LARGEST_FORCE))
+    return float(np.clip(TYPICAL_FORCE * (arw / TYPICAL_ARW) ** SCALE_POWER, TYPICAL_FORCE, LARGEST_FORCE))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -70,6 +70,10 @@ class State:
     """Direction of the body in that frame, rad, from its forward to its left."""
     crept: float = 0.0
     """What it has turned about the vertical, unnoticed, since the last fit, rad, counter-clockwise."""
+    told_up: FloatArray = field(default_factory=lambda: np.zeros(3))
+    """Vertical of the last pose of that fit, body axes."""
+    rest: Rest | None = None
+    """What the vertical gyro reads at rest, if that is known better than turns ask for."""
     followed_s: float = 0.0
     """Time since that fit in which this was followed."""
     field_sum: list[float] = field(default_factory=lambda: [0.0] * 4)
@@ -159,14 +163,15 @@ class Aligner:
     def _turns_already(self) -> None:
         """Take the vertical gyro's rate at the last rest for what it reads if it stands."""
         base, up = self.state.motion.base, self.state.attitude[2]
-        if base is not None and self._rest_here is not None:
-            base += up * (self._rest_here.rate - float(up @ base))
+        if base is not None and self.state.rest is not None:
+            base += up * (self.state.rest.rate - float(up @ base))
 
-    @property
-    def _rest_here(self) -> Rest | None:
-        """What the vertical gyro reads at rest in the pose of now, if it has been fitted."""
-        told_here = 0 < len(self.state.fits) == len(self.state.poses)
-        return self.state.found.rest if told_here and self.state.found is not None else None
+    def _in_another(self, rest: Rest, tilted: FloatArray) -> Rest:
+        """Return what is known of rest where up is another by `tilted`, body axes, (3,)."""
+        assert self.state.found is not None
+        flicker = (self.parameters.gyro_flicker_deg_per_h or 0.0) * DEG_PER_H
+        other = float(tilted @ tilted) * self.state.found.supposed_sd**2
+        return Rest(rest.rate, rest.variance + other + flicker**2)
 
     def count(self, slot: Slot, magnetic: Sequence[float]) -> None:
         """Count a slot by which `Motion.rest_on` has gone on."""
@@ -191,6 +196,14 @@ class Aligner:
     def _stands(self, attitude: FloatArray) -> None:
         """Take a new attitude."""
         self.state.attitude, self.state.ahead = attitude, ahead_of(attitude)
+        self._rests()
+
+    def _rests(self) -> None:
+        """Note what the vertical gyro reads at rest as the unit lies now."""
+        state = self.state
+        if state.found is not None:
+            rest = self._in_another(state.found.rest, state.attitude[2] - state.told_up)
+            state.rest = rest if rest.variance < EARTH_RATE**2 else None
 
     def _disturbed(self, slot: Slot) -> None:
         """Follow the unit until it rests again."""
@@ -240,11 +253,9 @@ class Aligner:
         state.record.add(slot.time_s, weight, slot.mean[:3], slot.mean[3:], pose)
         if counts:
             state.counted_s += slot.length_s
-            if self._rest_here is not None:
+            if state.rest is not None:
                 state.followed_s += slot.length_s
-                state.crept += slot.length_s * (
-                    float(state.attitude[2] @ slot.mean[:3]) - self._rest_here.rate
-                )
+                state.crept += slot.length_s * (float(state.attitude[2] @ slot.mean[:3]) - state.rest.rate)
         else:
             state.shaken_s += slot.length_s
 
@@ -338,7 +349,9 @@ class Aligner:
         turns = [pose.turn_variance for pose, _, _ in told]
         state.fits = fits
         if fits:
+            state.told_up = attitudes[-1][2]
             self._find(fits, attitudes, turns)
+            self._rests()
             self._crept(told)
         here_s = state.counted_s - state.poses[-1].counted_s
         # A bias that hides the north goes on to do so until the unit is turned.
@@ -386,20 +399,16 @@ class Aligner:
         angle = -1j * (level[:, 0] + 1j * level[:, 1]) - self._known(record.time_s[rows], attitude)
         kept = fit.PoseRecord(time, weight, record.rate[rows] @ attitude.T, angle)
         known = None if before is None else self._at_rest_in(attitude, *before[1:])
-        found = fit.fit_pose(kept, self._usual(attitude[2]), self._drift_sd(), known)
+        found = fit.fit_pose(kept, self._usual(attitude[2]), self._drift_sds(), known)
         return None if found is None else (found, attitude)
 
     def _at_rest_in(
         self, attitude: FloatArray, before: fit.PoseFit, attitude_before: FloatArray
     ) -> Rest | None:
         """Return what a pose says of what the vertical gyro reads at rest in the next one."""
-        found = self.state.found
-        if found is None:
+        if self.state.found is None:
             return None
-        other = float(np.sum((attitude[2] - attitude_before[2]) ** 2)) * found.supposed_sd**2
-        flicker = (self.parameters.gyro_flicker_deg_per_h or 0.0) * DEG_PER_H
-        rest = before.creep.rests.together()
-        return Rest(rest.rate, rest.variance + other + flicker**2)
+        return self._in_another(before.creep.rests.together(), attitude[2] - attitude_before[2])
 
     def _usual(self, up: FloatArray) -> Usual:
         """Return what a vertical gyro should read at rest; `up` in body axes, (3,)."""
@@ -416,12 +425,12 @@ class Aligner:
         angle: FloatArray = -1j * (seen[:, 0] + 1j * seen[:, 1])
         return angle
 
-    def _drift_sd(self) -> float:
+    def _drift_sds(self) -> Sequence[float]:
         warm = self.parameters.known_warm_up
         if warm is None or warm.amplitude_sd_ug is None:
-            return fit.WARM_UP
+            return fit.DRIFTS
         relative = warm.time_constant_sd_s / float(np.mean(warm.time_constant_s))
-        return math.hypot(warm.amplitude_sd_ug, relative * max(map(abs, warm.amplitude_ug))) * 1e-6
+        return (math.hypot(warm.amplitude_sd_ug, relative * max(map(abs, warm.amplitude_ug))) * 1e-6,)
 
     def _bias_prior(self, arw: float) -> tuple[FloatArray, FloatArray]:
         """Return sizes of biases that are thought of, rad/s, (s, 3), and the logs of their probabilities.
@@ -489,8 +498,8 @@ class Aligner:
         if motion.disturbed and motion.passed:
             going_on = state.turns.after(self._passage(state.slot_end_s))
             variance = going_on.azimuth_variance(self._scale_sd())
-        if self._rest_here is not None:
-            variance += self._rest_here.variance * state.followed_s**2
+        if state.rest is not None:
+            variance += state.rest.variance * state.followed_s**2
         return min(math.hypot(state.found.sd, math.sqrt(variance)), ANY_ANGLE_SD)
 
     @property

@@ -14,6 +14,7 @@ it, and it is turned back to where it stood in the middle.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -36,9 +37,12 @@ from imumon.estimation.alignment.windows import (
     weighted_bank,
 )
 
-WARM_UPS_S = np.array([30.0, 100.0, 300.0, 1000.0])
-WARM_UP = 1e-4
-"""Time constants of accelerometers, and the standard deviation of each part of the drift, in g."""
+WARM_UPS_S = np.array([100.0, 300.0, 1000.0])
+DRIFTS = (0.0, 1e-4)
+"""Time constants of accelerometers that warm up, and standard deviations of each part of the drift, in g,
+equally likely: they have warmed up, or they do.  With the larger alone what they see would always be shared
+between drift and tilt, and a tilt along a parallel, which leaves the length of the rate, would be luck.  With
+a part of 30 s slow drifts would be unlikely, and a clean warm-up of 300 s a tilt."""
 WALK = 1e-7
 """Random walk of an accelerometer, g/√s: 6 µg in an hour."""
 LEVEL = 1e-3
@@ -113,7 +117,7 @@ class PoseFit:
 
 
 def fit_pose(
-    record: PoseRecord, usual: Usual, drift_sd: float = WARM_UP, before: Rest | None = None
+    record: PoseRecord, usual: Usual, drift_sds: Sequence[float] = DRIFTS, before: Rest | None = None
 ) -> PoseFit | None:
     """Fit a pose, or return None when there is too little.
 
@@ -122,8 +126,8 @@ def fit_pose(
     record : PoseRecord
     usual : Usual
         What the vertical gyro should read at rest.
-    drift_sd : float
-        Standard deviation of each part of the drift of an accelerometer, in g.
+    drift_sds : sequence of float
+        Standard deviations of each part of the drift of an accelerometer, in g, that are thought of.
     before : Rest or None
         What the pose before says of the vertical gyro.
     """
@@ -150,7 +154,7 @@ def fit_pose(
     # Of several sets, that with the least scatter may have it by luck; the vertical gyro sees no tilt.
     least = max(scatter * LUCKY, ALIKE * own_noise)
     gram = windows.products(np.column_stack([np.ones(len(slopes)), slopes, cells.rate[:, :2]]))
-    level = _accelerometers(cells, 0.5 * (angles[1:] + angles[:-1]), drift_sd)
+    level = _accelerometers(cells, 0.5 * (angles[1:] + angles[:-1]), drift_sds)
     found = told(Seen(gram, windows.count, least, *level))
     best = int(np.argmax(found.log_weight))
     counted = length_s * float(cells.quiet.sum())
@@ -239,8 +243,10 @@ def _sharpest(
     return found
 
 
-def _accelerometers(cells: _Cells, courses: FloatArray, drift_sd: float) -> tuple[FloatArray, ColumnArray]:
-    """Return the accelerometers' information of the angles, (kinds, kinds), and that times their means.
+def _accelerometers(
+    cells: _Cells, courses: FloatArray, drift_sds: Sequence[float]
+) -> tuple[FloatArray, ColumnArray, FloatArray]:
+    """Return what the accelerometers tell of the angles for each drift: as of `hypotheses.Seen`.
 
     Their drift is a sum of exponentials with unknown parts and a random walk; the level itself is unknown.
     """
@@ -260,12 +266,16 @@ def _accelerometers(cells: _Cells, courses: FloatArray, drift_sd: float) -> tupl
     left = root * values
     left = left - slow @ (slow.T @ left)
     noise = float(np.vdot(left, left).real) / (2.0 * (known - slow.shape[1]))
-    drifts = drift_sd * -np.expm1(-time[:, None] / WARM_UPS_S)
-    covariance = LEVEL**2 + drifts @ drifts.T + WALK**2 * np.minimum.outer(time, time)
-    covariance[np.diag_indices(len(time))] += noise / weight + 1e-14
-    # Whitened one by one: the products of such columns have no negative eigenvalue, whatever the rounding.
+    warm_ups = -np.expm1(-time[:, None] / WARM_UPS_S)
     values = values - weight @ values / weight.sum()
     columns = np.column_stack([means[:, :-3], values.real, values.imag])
-    white = np.linalg.solve(np.linalg.cholesky(covariance), columns)
-    products = white[:, :-2].T @ white
-    return products[:, :-2], products[:, -2] + 1j * products[:, -1]
+    covariance = LEVEL**2 + WALK**2 * np.minimum.outer(time, time)
+    covariance[np.diag_indices(len(time))] += noise / weight + 1e-14
+    lower = np.linalg.cholesky(covariance + np.square(drift_sds)[:, None, None] * (warm_ups @ warm_ups.T))
+    # Whitened one by one: the products of such columns have no negative eigenvalue, whatever the rounding.
+    white = np.linalg.solve(lower, columns)
+    products = white.swapaxes(-1, -2) @ white
+    misfit = products[:, -2, -2] + products[:, -1, -1]
+    evidence = -2.0 * np.log(np.diagonal(lower, axis1=-2, axis2=-1)).sum(-1) - 0.5 * misfit
+    information, level = products[:, :-2, :-2], products[:, :-2, -2] + 1j * products[:, :-2, -1]
+    return information, level, evidence - math.log(len(drift_sds))

@@ -4,7 +4,7 @@ Gyros see the rate of the tilt, dφ/dt, on top of c'; accelerometers see φ itse
 hypothesis is a set of courses of which φ is the sum, with coefficients of some standard deviation:
 
     the unit stands                              φ = 0
-    a tripod settles, or tilts ever farther      three neighbours of eight exponentials, or two ramps
+    a tripod settles, or tilts ever farther      three neighbours of eight exponentials
     it sways slowly, in a narrow band            sine and cosine at four neighbouring frequencies
     it settles and sways                         two of these together
 
@@ -18,20 +18,16 @@ closed form (Bayesian linear regression), and the evidence of each is, too.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from imumon.blocks import ColumnArray, FloatArray, IntArray
 
 TIME_CONSTANTS_S = np.geomspace(5.0, 640.0, 8)
-"""Of a tripod that settles.  Three neighbours together follow any time constant between them."""
-RAMP_S = 640.0
-"""A steady tilt is told by its angle over this time."""
-LATER = (0.25, 0.5, 0.75)
-"""Shares of the time after which a steady tilt may have begun."""
-_STEADY = len(TIME_CONSTANTS_S)
-_SWAYS = _STEADY + 1 + len(LATER)
+"""Of a tripod that settles.  Three neighbours together follow any time constant between them, a steady tilt,
+and one that begins later."""
+_SWAYS = len(TIME_CONSTANTS_S)
 CYCLES = 0.25 * np.arange(1.0, 25.0)
 """Periods in the record of the sways: four neighbours together follow all between them to 1 %."""
 SIZES = np.array([1e-5, 1e-4, 1e-3])
@@ -50,10 +46,7 @@ def _sway_columns(nodes: IntArray) -> IntArray:
     return np.concatenate([_SWAYS + 2 * nodes, _SWAYS + 2 * nodes + 1], axis=1)
 
 
-_TRIPLES = np.array(
-    [(k, k + 1, k + 2) for k in range(_STEADY - 2)]
-    + [(_STEADY - 1, _STEADY, _STEADY + 1 + k) for k in range(len(LATER))]
-)
+_TRIPLES = np.arange(_SWAYS - 2)[:, None] + np.arange(3)
 _BANDS = _sway_columns(np.arange(0, len(CYCLES) - 3, 2)[:, None] + np.arange(4))
 _OF_ONE = SIZES[:, None] ** -2.0
 
@@ -79,9 +72,8 @@ class Family:
     seen: bool
     share: float
 
-    def beside(self, other: Family, which: int, share: float) -> Family:
-        """Return these, each together with one of another family, that has the index `which`."""
-        k, size = divmod(which, len(other.precision))
+    def beside(self, other: Family, k: int, size: int, share: float) -> Family:
+        """Return these, each together with one of another family, the k-th of this size."""
         columns, precision = other.columns[k], other.precision[size]
         return Family(
             np.concatenate([self.columns, np.tile(columns, (len(self.columns), 1))], axis=1),
@@ -102,8 +94,6 @@ SWAYS, UNSEEN = (
 def courses(time_s: FloatArray) -> FloatArray:
     """Return the course of each kind of tilt, per its angle, (n, kinds), since the pose began."""
     kinds = [-np.expm1(-time_s / tau) for tau in TIME_CONSTANTS_S]
-    kinds.append(time_s / RAMP_S)
-    kinds += [np.maximum(time_s - share * time_s[-1], 0.0) / RAMP_S for share in LATER]
     phase = 2.0 * math.pi * np.outer((time_s - time_s[0]) / (time_s[-1] - time_s[0]), CYCLES)
     waves = np.stack([np.cos(phase), np.sin(phase)], axis=2).reshape(len(time_s), -1)
     return np.concatenate([np.column_stack(kinds), waves], axis=1)
@@ -121,8 +111,10 @@ class Seen:
         Observations in them.
     noise : float
         The least variance of the noise.
-    information, level : array, (kinds, kinds), and (kinds,) complex
-        What the accelerometers tell of the angles, and that times their means.
+    information, level : array, (d, kinds, kinds), and (d, kinds) complex
+        What the accelerometers tell of the angles, and that times their means, by each of their drifts.
+    drifts : array, (d,)
+        Logarithm of prior probability times evidence of these, if the unit stands.
     """
 
     gram: FloatArray
@@ -130,6 +122,13 @@ class Seen:
     noise: float
     information: FloatArray
     level: ColumnArray
+    drifts: FloatArray
+
+    def of_drift(self, which: int) -> Seen:
+        """Return what is seen if the accelerometers drift so."""
+        return replace(
+            self, **{name: getattr(self, name)[[which]] for name in ("information", "level", "drifts")}
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,15 +158,14 @@ def told(seen: Seen) -> Told:
     """Return what each hypothesis says of c'.
 
     A unit may settle and sway: what settles is tried beside the likeliest sway, and what sways beside the
-    likeliest way to settle.
+    likeliest way to settle, each with the drift that makes this the likeliest.
     """
     settles, sways = _family(seen, SETTLES), _family(seen, SWAYS)
-    both = 0.5 * SETTLING * SWAYING
-    sway, settle = int(np.argmax(sways.log_weight)), int(np.argmax(settles.log_weight))
-    parts = [
-        _stands(seen), settles, sways, _family(seen, UNSEEN),
-        _family(seen, SETTLES.beside(SWAYS, sway, both)), _family(seen, SWAYS.beside(SETTLES, settle, both)),
-    ]  # fmt: skip
+    parts = [_stands(seen), settles, sways, _family(seen, UNSEEN)]
+    for own, other, likeliest in ((SETTLES, SWAYS, sways), (SWAYS, SETTLES, settles)):
+        shape = len(other.columns), len(seen.drifts), len(other.precision)
+        k, drift, size = (int(at) for at in np.unravel_index(np.argmax(likeliest.log_weight), shape))
+        parts.append(_family(seen.of_drift(drift), own.beside(other, k, size, 0.5 * SETTLING * SWAYING)))
     parts[1].settles[:] = parts[4].settles[:] = parts[5].settles[:] = 1.0
     return Told(*(np.concatenate([getattr(part, name) for part in parts]) for name in Told.__slots__))
 
@@ -186,11 +184,12 @@ def _stands(seen: Seen) -> Told:
     total = seen.gram[0, 0] / (seen.noise * NOISES)
     mean = np.full((1, len(NOISES)), complex(seen.gram[0, -2], seen.gram[0, -1]) / seen.gram[0, 0])
     given = _Given(np.zeros((1, len(NOISES))), total[None], mean)
-    return _over_noises(seen, given, np.full(1, math.log((1.0 - SETTLING) * (1.0 - SWAYING))))
+    log_prior = math.log((1.0 - SETTLING) * (1.0 - SWAYING)) + np.logaddexp.reduce(seen.drifts)
+    return _over_noises(seen, given, np.full(1, log_prior))
 
 
 def _family(seen: Seen, family: Family) -> Told:
-    """Return what the hypotheses of a family say; sizes vary fastest.
+    """Return what the hypotheses of a family say; sizes vary fastest, then drifts.
 
     In the axes in which the gyros' information of the angles is diagonal and what is known without them is
     one, all sizes of the noise cost one decomposition.
@@ -210,33 +209,40 @@ def _family(seen: Seen, family: Family) -> Told:
     evidence = 0.5 * np.sum(loss * (pulled.real**2 + pulled.imag**2), axis=-1) + np.log(loss.prod(-1))
     count = len(NOISES)
     given = _Given(evidence.reshape(-1, count), left.reshape(-1, count), mean.reshape(-1, count))
-    log_prior = log_prior + math.log(family.share / given.left.shape[0])
+    log_prior = log_prior + math.log(family.share / (len(columns) * len(family.precision)))
     return _over_noises(seen, given, np.broadcast_to(log_prior, evidence.shape[:2]).ravel())
 
 
 def _axes(seen: Seen, family: Family) -> tuple[FloatArray, FloatArray, ColumnArray, FloatArray]:
     """Return what is known along axes in which all is diagonal.
 
-    These are the gyros' information (k, s, r), the axes (k, s, r, r), what the accelerometers say there, and
-    how well they agree with the sizes of the angles, a logarithm (k, s).
+    These are the gyros' information (k, d s, r), the axes (k, d s, r, r), what the accelerometers say there,
+    and how well they agree with the sizes of the angles, a logarithm (k, d s).
     """
     columns, own = family.columns, family.precision
     slopes = seen.gram[1:-2, 1:-2][columns[:, :, None], columns[:, None, :]]
-    known = seen.information[columns[:, :, None], columns[:, None, :]][:, None]
-    level = seen.level[columns][:, None, :, None]
+    known = seen.information[:, columns[:, :, None], columns[:, None, :]].swapaxes(0, 1)[:, :, None]
+    level = seen.level[:, columns].swapaxes(0, 1)[:, :, None, :, None]
     both = known + own[:, :, None] * np.eye(columns.shape[1])
     lower = np.linalg.cholesky(both)
     log_prior = np.log(own).sum(1) - 2.0 * np.log(np.diagonal(lower, axis1=-2, axis2=-1)).sum(-1)
+    log_prior = log_prior + seen.drifts[:, None]  # (k, d, s)
     root = np.linalg.inv(lower)
     if not family.seen:
         # The accelerometers sway by angles of their own, of the same size; the axes are those of all sizes.
         explained = (np.abs(root @ level) ** 2).sum((-2, -1))
         values, vectors = np.linalg.eigh(slopes)
         turn = vectors.swapaxes(-1, -2)[:, None] / np.sqrt(own)[:, :, None]
-        return values[:, None] / own, turn, np.zeros(1, np.complex128), log_prior + 0.5 * explained
-    values, vectors = np.linalg.eigh(root @ slopes[:, None] @ root.swapaxes(-1, -2))
+        log_prior = np.logaddexp.reduce(log_prior + 0.5 * explained, axis=1)
+        return values[:, None] / own, turn, np.zeros(1, np.complex128), log_prior
+    values, vectors = np.linalg.eigh(root @ slopes[:, None, None] @ root.swapaxes(-1, -2))
     turn = vectors.swapaxes(-1, -2) @ root
-    return values, turn, (turn @ level)[..., None, :, 0], log_prior
+    level = turn @ level
+    count, rank = columns.shape
+    return (
+        values.reshape(count, -1, rank), turn.reshape(count, -1, rank, rank),
+        level.reshape(count, -1, 1, rank), log_prior.reshape(count, -1),
+    )  # fmt: skip
 
 
 def _over_noises(seen: Seen, given: _Given, log_prior: FloatArray) -> Told:

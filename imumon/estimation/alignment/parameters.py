@@ -58,7 +58,7 @@ class AlignmentParameters(StrictModel):
         is mismeasured.  When it is not given, it is judged by the noise, and 300 at least.
     accel_bias_sd_ug : float, optional
         Standard deviation of the constant bias of an accelerometer; it tilts the level.  When it is not
-        given, it is judged by the noise of the gyros, and 300 at least.
+        given, it is judged by the noise of the gyros, and 750 at least.
     known_warm_up : KnownWarmUp, optional
         Counted from the first sample of the device.
     """

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -23,6 +24,8 @@ from tests.estimation.alignment.units import ANY_REST
 
 SLOT_S = 0.25
 TRUTH = 5e-5 + 2e-5j
+DRIFTS = np.array([1.0, 1.5])
+"""Drifts of accelerometers that are noise, over that of the level."""
 
 
 def _problem(seed: int) -> tuple[Seen, FloatArray, ColumnArray, FloatArray, ColumnArray]:
@@ -35,8 +38,12 @@ def _problem(seed: int) -> tuple[Seen, FloatArray, ColumnArray, FloatArray, Colu
     swing = 2e-5 * np.sin(0.2 * np.arange(rows + 1.0))
     rate, level = rate + np.diff(swing), level + 0.5 * (swing[1:] + swing[:-1])
     columns = np.column_stack([np.ones(rows), slopes, rate.real, rate.imag])
-    information = middles.T @ middles / level_sd**2
-    seen = Seen(columns.T @ columns, rows, noise**2 / 16.0, information, middles.T @ level / level_sd**2)
+    precision = (DRIFTS * level_sd) ** -2.0
+    drifts = 2.0 * rows * np.log(1.0 / DRIFTS) - 0.5 * precision * np.vdot(level, level).real - math.log(2.0)
+    seen = Seen(
+        columns.T @ columns, rows, noise**2 / 16.0, precision[:, None, None] * (middles.T @ middles),
+        precision[:, None] * (middles.T @ level), drifts,
+    )  # fmt: skip
     return seen, slopes, rate, middles / level_sd, level / level_sd
 
 
@@ -47,36 +54,41 @@ def _density(values: ColumnArray, covariance: FloatArray) -> float:
     return float(-determinant - 0.5 * (values.conj() @ np.linalg.solve(covariance, values)).real)
 
 
-@pytest.mark.parametrize("which", [0, 5, 3 * 4 + 1])
+@pytest.mark.parametrize("which", [(0, 0, 0), (1, 1, 2), (4, 0, 1)])
 @pytest.mark.parametrize("seen_by_all", [True, False])
-def test_a_hypothesis_is_the_batch_fit_of_gyros_and_accelerometers(which: int, seen_by_all: bool) -> None:
+def test_a_hypothesis_is_the_batch_fit_of_gyros_and_accelerometers(
+    which: tuple[int, int, int], seen_by_all: bool
+) -> None:
     """Covariances of all rows, the mean rate with a prior so wide that it does not matter."""
-    seen, slopes, rate, middles, level = _problem(which)
+    seen, slopes, rate, middles, level = _problem(sum(which))
     family = SWAYS if seen_by_all else hypotheses.UNSEEN
     found, stands = hypotheses._family(seen, family), hypotheses._stands(seen)
-    k, size = divmod(which, len(SIZES))
+    k, drift, size = which
     columns, variance, wide, n = family.columns[k], 1.0 / family.precision[size], 1e-4, len(rate)
 
-    def density(noise: float, tilts: bool) -> float:
+    def density(noise: float, accelerometers: float, tilts: bool) -> float:
         left = slopes[:, columns] * np.sqrt(variance) * tilts
         right = middles[:, columns] * np.sqrt(variance) * tilts
         across = left @ right.T if seen_by_all else np.zeros((n, n))
         gyros = left @ left.T + wide**2 + noise * np.eye(n)
-        whole = np.block([[gyros, across], [across.T, right @ right.T + np.eye(n)]])
+        whole = np.block([[gyros, across], [across.T, right @ right.T + accelerometers**2 * np.eye(n)]])
         return _density(np.concatenate([rate, level]), whole)
 
-    def over_noises(tilts: bool) -> float:
-        logs = np.array([density(seen.noise * share, tilts) for share in NOISES])
-        return float(logs.max() + np.log(np.exp(logs - logs.max()).sum()))
+    def summed(tilts: bool, drifts: FloatArray) -> float:
+        every = [density(seen.noise * share, sd, tilts) for share in NOISES for sd in drifts]
+        return float(np.logaddexp.reduce(every))
 
-    share = math.log(family.share / found.mean.size) - math.log((1.0 - SETTLING) * (1.0 - SWAYING))
-    expected = over_noises(True) - over_noises(False) + share
-    assert found.log_weight[which] - stands.log_weight[0] == pytest.approx(expected, abs=1e-2)
+    drifts = DRIFTS[[drift]] if seen_by_all else DRIFTS
+    share = math.log(family.share / len(family.columns) / len(SIZES) / ((1.0 - SETTLING) * (1.0 - SWAYING)))
+    expected = summed(True, drifts) - summed(False, DRIFTS) + share
+    shape = len(family.columns), len(DRIFTS) if seen_by_all else 1, len(SIZES)
+    at = np.ravel_multi_index((k, drift if seen_by_all else 0, size), shape)
+    assert found.log_weight[at] - stands.log_weight[0] == pytest.approx(expected, abs=1e-2)
 
 
 def test_prior_probabilities_add_up_to_one() -> None:
     both = 0.5 * SETTLING * SWAYING
-    beside = SETTLES.beside(SWAYS, 4, both), SWAYS.beside(SETTLES, 7, both)
+    beside = SETTLES.beside(SWAYS, 1, 1, both), SWAYS.beside(SETTLES, 2, 1, both)
     shares = [family.share for family in (SETTLES, SWAYS, hypotheses.UNSEEN, *beside)]
     assert (1.0 - SETTLING) * (1.0 - SWAYING) + sum(shares) == pytest.approx(1.0)
     assert beside[0].columns.shape == (len(SETTLES.columns), 11)
@@ -109,6 +121,6 @@ def test_a_sway_of_few_periods_is_told_from_the_earth_rate_or_leaves_a_wide_sigm
 
 def test_the_noise_is_found_whatever_the_least_that_is_thought_of() -> None:
     seen, *_ = _problem(3)
-    small = told(Seen(seen.gram, seen.rows, seen.noise / 4.0, seen.information, seen.level))
+    small = told(replace(seen, noise=seen.noise / 4.0))
     best = int(np.argmax(told(seen).log_weight))
     assert small.noise[best] == pytest.approx(told(seen).noise[best], rel=0.3)
