@@ -21,8 +21,8 @@ from imumon.estimation.alignment.creep import ALL_ALONG, RATES, Rest, mixture, p
 from imumon.estimation.alignment.fit import FINEST, PoseFit
 from imumon.geodesy import EARTH_RATE
 
-STARTS, ROUNDS = np.arange(16) * math.pi / 8.0, 4
-"""Directions tried, rad, and Gauss-Newton steps from the best to the heading."""
+ROUNDS = 16
+"""Newton's steps to a heading; after 8 tenths of a sigma may be left, where two are nearly as likely."""
 LIKELIEST = 24
 """Hypotheses that are looked at; the others have lost by far."""
 FLAT = 1e-3
@@ -135,7 +135,7 @@ def heading(
     about = _weighed(likeliest, place).centre
     level = EARTH_RATE * math.cos(place.latitude)
     seen = _with_turns(standing, fits, level * cmath.exp(1j * about), place)
-    found = _weighed(seen, place, about)
+    found = _weighed(seen, place)
     angle, curvature, probability, centre = found.angle, found.curvature, found.probability, found.centre
     off = np.remainder(angle - centre + math.pi, 2.0 * math.pi) - math.pi
     variance = float(np.sum(probability * (1.0 / curvature + off**2)))
@@ -228,13 +228,12 @@ class Weighed:
     centre: float
 
 
-def _weighed(seen: Seen, place: Place, start: float | None = None) -> Weighed:
-    """Return the direction by each hypothesis, and its probability; `start` is about where, rad, if known."""
+def _weighed(seen: Seen, place: Place) -> Weighed:
+    """Return the direction by each hypothesis, and its probability."""
     forms, log_determinant = _without_bias(seen)
     prior = seen.log_weight[:, None, None] + seen.rate_log_prior + place.bias_log_prior
-    logs = prior - 0.5 * log_determinant
-    angle, misfit, curvature = _closest(forms, _likeliest(forms, logs) if start is None else start)
-    logs = logs - 0.5 * (misfit + np.log(curvature))
+    angle, misfit, curvature = _closest(forms)
+    logs = prior - 0.5 * (log_determinant + misfit + np.log(curvature))
     probability = probabilities(logs)
     return Weighed(angle, curvature, probability, float(np.angle(np.sum(probability * np.exp(1j * angle)))))
 
@@ -289,21 +288,28 @@ def _upward_bias(seen: Seen, probability: FloatArray) -> Rest:
     return mixture(probability, means, own * other / (own + other))
 
 
-def _likeliest(forms: FloatArray, logs: FloatArray) -> float:
-    """Return the likeliest of the directions tried, rad; forms as of `_closest`, their weights (h, r, s)."""
-    around = np.stack([np.ones(len(STARTS)), np.cos(STARTS), np.sin(STARTS)])
-    misfit = np.sum(around * (forms @ around), axis=-2)
-    return float(STARTS[np.argmax(np.max(logs[..., None] - 0.5 * misfit, axis=(0, 1, 2)))])
+def _closest(forms: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return where (1, cos a, sin a) makes each form least, (h, r, s): a, the form, and its curvature.
 
-
-def _closest(forms: FloatArray, start: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return where (1, cos a, sin a) makes each form least, (h, r, s): a, the form, and its curvature."""
+    Of all a: the least of a quadratic form on the circle, a trust region's (Moré and Sorensen 1983).  In the
+    axes in which its quadratic part is diagonal, gap and zero, it is at -b / (gap + m, m), with the m > 0 for
+    which this has length one; Newton's steps to it, of one over the length, come from below and only grow.
+    """
     constant, by_cos, by_sin = forms[..., 0, 0], forms[..., 0, 1], forms[..., 0, 2]
     cos_cos, cos_sin, sin_sin = forms[..., 1, 1], forms[..., 1, 2], forms[..., 2, 2]
-    angle = np.full(constant.shape, start)
+    half = 0.5 * (cos_cos - sin_sin)
+    gap, axis = 2.0 * np.hypot(half, cos_sin), 0.5 * np.arctan2(cos_sin, half)
+    c, s = np.cos(axis), np.sin(axis)
+    b, d = by_cos * c + by_sin * s, by_sin * c - by_cos * s
+    d = np.where(np.abs(d) > FLAT, d, np.copysign(FLAT, d))
+    multiplier = np.maximum(np.abs(d), np.abs(b) - gap)
     for _ in range(ROUNDS):
-        c, s = np.cos(angle), np.sin(angle)
-        along, across = by_cos + cos_cos * c + cos_sin * s, by_sin + cos_sin * c + sin_sin * s
-        curvature = np.maximum(cos_cos * s**2 - 2.0 * cos_sin * s * c + sin_sin * c**2, FLAT)
-        angle = angle + np.clip((s * along - c * across) / curvature, -0.5, 0.5)
+        x, y = b / (gap + multiplier), d / multiplier
+        square = x * x + y * y
+        slope = x * x / (gap + multiplier) + y * y / multiplier
+        multiplier = multiplier + square * (np.sqrt(square) - 1.0) / slope
+    angle = axis + np.arctan2(-d / multiplier, -b / (gap + multiplier))
+    c, s = np.cos(angle), np.sin(angle)
+    along, across = by_cos + cos_cos * c + cos_sin * s, by_sin + cos_sin * c + sin_sin * s
+    curvature = np.maximum(cos_cos * s**2 - 2.0 * cos_sin * s * c + sin_sin * c**2, FLAT)
     return angle, constant + (by_cos + along) * c + (by_sin + across) * s, curvature

@@ -112,6 +112,17 @@ def test_a_declared_scale_error_is_in_the_sigma_of_the_turn_and_of_coning() -> N
     assert np.abs(ratios).max() < 4.0
 
 
+@pytest.mark.parametrize("heading_deg", [0.0, 7.0, 12.0, 83.0])
+def test_half_a_turn_of_a_table_whose_axis_leans(heading_deg: float) -> None:
+    # The bias along the axis is then a constant level rate: with a turn all along it could explain any north.
+    s = np.clip((times(6.0, 100.0) - BEGIN_S) / 6.0, 0.0, 1.0)
+    begun = Rotation.from_euler("ZYX", [0.7, -0.01, 0.02])
+    turned = begun * Rotation.from_rotvec(math.pi * np.outer(s, UP)) * begun.inv()
+    block, truth = sent(Rotation.from_rotvec(math.radians(heading_deg) * UP) * turned, 100.0)
+    error, sd = error_and_sd(aligned(block)[0], truth)
+    assert abs(error) < 4.0 * sd < 4.0
+
+
 def test_the_heading_says_while_it_is_waved_how_far_it_may_be_off() -> None:
     block, _ = sent(waved(times(30.0, 20.0), 30.0, 60.0, 5), 20.0)
     _, out = aligned(block)
