@@ -102,7 +102,7 @@ class Windows(NamedTuple):
     sample_variance : array, (6,)
         Variance of a sample at rest.
     quietest : array, (6,)
-        The least that it was, for what it leaves of the steps (`windows.QUIETER`).
+        As little as its least value allows, for what it leaves of the steps (`windows.QUIETER`).
     variance, gain : array, (LEVELS, 6)
         Variance of the mean of a window at rest, and the share of the next window in it.
     step : array, (6,)

@@ -277,8 +277,9 @@ def _weigh(state: State, known: Changes, seen: Seen, frame: FloatArray) -> Turni
     """Return what changes make likely; the frame's first column is the vertical."""
     likely, up = seen.likely, frame[:, 0]
     ratio2 = np.square(seen.size / seen.white_sd[:, np.newaxis, np.newaxis])
-    # Any change may be what the steps of a gyro hide, whatever made it.
-    steps2 = np.square(np.abs(frame).T @ state.windows.resolution[GYRO])
+    # Any change may be what the steps of a gyro hide, whatever made it: of two means a twelfth of a step
+    # squared each, as anywhere in a step is as likely.
+    steps2 = np.square(np.abs(frame).T @ state.windows.resolution[GYRO]) / 6.0
     hidden2 = 1.0 + steps2[:, np.newaxis, np.newaxis] * ratio2
     square, ratio2 = np.square(seen.x) / hidden2, ratio2 / hidden2
     off2, change2 = square[0], square[0] / ratio2[0]
