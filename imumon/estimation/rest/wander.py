@@ -386,6 +386,6 @@ def grown(state: State, means: FloatArray, slots: int) -> tuple[FloatArray, Floa
 def wander_after(state: State, seconds: float) -> FloatArray:
     """Return the mean square by which each gyro's mean of 8 s may differ after a time, (3,)."""
     weight = np.exp(state.strengths_seen - state.strengths_seen.max())
-    moved = np.exp(weight @ np.log(SHARES @ (-2.0 * np.expm1(-seconds / TAUS_S))) / weight.sum())
+    moved = weight @ (SHARES @ (-2.0 * np.expm1(-seconds / TAUS_S))) / weight.sum()
     white = state.windows.variance[3, GYRO] * EVERY * state.slot_s
     return np.asarray(white * (2.0 / 8.0 + moved))
