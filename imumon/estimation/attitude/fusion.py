@@ -20,8 +20,8 @@ from imumon.estimation.attitude.angles import heading
 
 LEARNED = 16
 """Intervals that the rate is taken from."""
-TAU_MAG_S = 9.0
-"""VQF's default: so slowly the heading follows the magnetometer."""
+TAU_ACC_S, TAU_MAG_S = 3.0, 9.0
+"""VQF's defaults: so slowly the vertical follows the accelerometers, and the heading the magnetometer."""
 
 
 def _stored(filter_: VQF) -> tuple[Callable[..., VQF], tuple[Any, ...]]:
@@ -158,7 +158,9 @@ class Fusion:
         usual = intervals[intervals <= 1.5 * np.median(intervals)]
         self._interval_s = max(float(usual.mean()), 1.0) * 1e-9
         between_mag = len(self._first) / self._seen_mag if self._seen_mag else 1.0
-        self._vqf = VQF(self._interval_s, magTs=between_mag * self._interval_s, tauMag=TAU_MAG_S)
+        self._vqf = VQF(
+            self._interval_s, magTs=between_mag * self._interval_s, tauAcc=TAU_ACC_S, tauMag=TAU_MAG_S
+        )
 
     def _know_bias(self, vqf: VQF, known: bool) -> None:
         """Let VQF estimate the bias while nobody else knows it."""

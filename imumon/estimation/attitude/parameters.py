@@ -28,9 +28,10 @@ class AttitudeParameters(StrictModel):
     gyro_scale : float
         Standard deviation of each element of the matrix of scale and misalignment: 1 % without calibration.
     accel_error_probability, axes_error_probability, magnet_error_probability : float
-        How likely it is that the accelerometers are off by more than was given, that a scale or the
-        not as declared, and that iron has come to the unit since its magnetometer was calibrated: in the
-        sigma until rests and turns have spoken.  Judged, not measured; docs/attitude.md says what they cost.
+        How likely it is that the accelerometers are off by more than was given, that a gyro has another scale
+        or shows other axes than declared, and that iron has come to the unit since its magnetometer was
+        calibrated: in the sigma until rests and turns have spoken.  Judged, not measured; docs/attitude.md
+        says what they cost.
     """
 
     use_magnetometer: bool = True

@@ -42,46 +42,85 @@ class Sizes:
     squares: FloatArray
     evidence: FloatArray
 
-    @property
-    def _probabilities(self) -> FloatArray:
+    @cached_property
+    def probabilities(self) -> FloatArray:
+        """Return how likely each combination is, (k, ...)."""
         weight = np.exp(self.evidence - self.evidence.max())
         return np.asarray(weight / weight.sum())
 
     @cached_property
     def mean_square(self) -> FloatArray:
         """Return the mean of s² for each error, (errors,)."""
-        weight = self._probabilities
+        weight = self.probabilities
         errors = range(weight.ndim)
         return np.array([weight.sum(tuple(set(errors) - {j})) @ self.squares[j] for j in errors])
+
+    def weighed(self, likely: FloatArray) -> Sizes:
+        """Return the same with the logarithm of how likely each combination makes something, (k, ...)."""
+        return Sizes(self.squares, self.evidence + likely)
+
+    @staticmethod
+    def sums(added: FloatArray) -> FloatArray:
+        """Return what each combination adds to a variance, (k, ...), for what each size adds, (errors, k)."""
+        return np.asarray(reduce(np.add.outer, list(added)))
 
     @property
     def usual(self) -> float:
         """Return how likely it is that all errors are as usual."""
-        return float(self._probabilities.flat[0])
+        return float(self.probabilities.flat[0])
 
     def mixed(self, other: Sizes, share: float) -> Sizes:
         """Return these sizes, or with a probability of `share` those of another."""
         with np.errstate(divide="ignore"):
-            own, others = np.log((1.0 - share) * self._probabilities), np.log(share * other._probabilities)
+            own, others = np.log((1.0 - share) * self.probabilities), np.log(share * other.probabilities)
         return Sizes(self.squares, np.logaddexp(own, others))
 
-    def seen(self, off2: float, other2: FloatArray | float, gain: FloatArray, components: int) -> Sizes:
+    def seen(self, off2: float, other2: float, added: FloatArray, components: int) -> Sizes:
         """Return the same after something was off.
 
         Parameters
         ----------
         off2 : float
             Sum of the squares of so many `components`.
-        other2 : float or array (m,)
-            Variance of each without these errors; several values are equally likely.
-        gain : array (errors,)
-            By which the square of each error enters.
+        other2 : float
+            Variance of each without these errors.
+        added : array (errors, k)
+            And what each size adds to that.
         components : int
         """
-        spread = reduce(np.add.outer, list(self.squares * gain[:, np.newaxis]))
-        variance = np.atleast_1d(other2).reshape(-1, *[1] * spread.ndim) + spread
-        likelihood = -0.5 * (components * np.log(variance) + off2 / variance)
-        return Sizes(self.squares, self.evidence + np.logaddexp.reduce(likelihood, 0))
+        variance = other2 + self.sums(added)
+        return self.weighed(-0.5 * (components * np.log(variance) + off2 / variance))
+
+
+@dataclass(slots=True, eq=False)
+class Watched:
+    """Sizes of errors that are watched: looks at one motion show one draw of them, and count as one together.
+
+    Parameters
+    ----------
+    before : Sizes
+        Without these looks.
+    now : Sizes
+    told : array (k, ...)
+        Sum of the logarithms of how likely each combination makes the looks, by their seconds.
+    seconds : float
+    """
+
+    before: Sizes
+    now: Sizes = field(init=False)
+    told: FloatArray = field(init=False)
+    seconds: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Begin with what was known before."""
+        self.now, self.told = self.before, np.zeros_like(self.before.evidence)
+
+    def look(self, likely: FloatArray, seconds: float) -> None:
+        """Take the logarithm of how likely each combination makes a look, (k, ...), up to a constant."""
+        self.told += seconds * likely
+        self.seconds += seconds
+        if self.seconds > 0.0:
+            self.now = self.before.weighed(self.told / self.seconds)
 
 
 class Look(NamedTuple):
@@ -145,7 +184,7 @@ class OnBody:
         self.now = self.before
         for look in (along, self.across):
             if math.isfinite(look.variance):
-                self.now = self.now.seen(look.square, look.variance, np.ones(1), 1)
+                self.now = self.now.seen(look.square, look.variance, self.now.squares, 1)
 
 
 def usual(size: float, largest: Sequence[float], probability: float, count: int = COUNT) -> Sizes:

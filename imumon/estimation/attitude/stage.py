@@ -290,7 +290,7 @@ class AttitudeEstimate:
         if self._reported:
             return []
         begun, declared = self._fusion.begun, self._parameters.gyro_scale
-        usual, magnitude = self._uncertainty.gyros.usual, self._uncertainty.magnitude
+        usual, magnitude = self._uncertainty.gyros.now.usual, self._uncertainty.magnitude
         accel_sd = LEAST_BIAS if self._errors.accel is None else self._errors.accel
         conditions = {
             "attitude: after turns the accelerometers show another vertical than the gyros have carried, "

@@ -4,19 +4,21 @@ At rest the specific force shows the vertical but for the accelerometers' error,
 on its way there.  In motion the filter takes accelerations for gravity, nobody knows how much; but
 the gyros have carried the vertical of the last rest along, with errors that are known.  So::
 
-    tilt²     = (accelerometer / g)² + turned² + (filter's up less the gyros' up)²
     turned    = ∫ C (bias + M ω) dt since the last rest, the bias and the matrix M of scale and misalignment
                 staying as they are, and what is lost between samples (`imumon.filters.turns`)
-    heading²  = their parts about the vertical: what accelerations have turned the filter by is one of them
+    apart     = the filter's up less the gyros' up = what it has followed of turned, with its time constant,
+                and of accelerations
+    tilt²     = (accelerometer / g)² + E (turned - apart)², given what apart is
+    heading²  = what turned about the vertical: what accelerations have turned the filter by is one of them
 
 Axes and signs may be mixed up, and then M is no small error.  So in each gyro's column of M scale and
 misalignment have one of several sizes each (`sizes.Sizes`): what only reverses an axis hardly moves the
-vertical.  Which it is says the vertical that the accelerometers show during and after a motion, beside the
-one that the gyros have carried.  Until an axis has turned the vertical, its error is in the sigma.
+vertical.  Which it is says the vertical that the accelerometers show after a motion, and how far the
+filter is apart during it.  Until an axis has turned the vertical, its error is in the sigma.
 
 The gyros' part is judged once a second; until then each sample adds what it may have turned wrong since:
-bias, scale, and half an interval of its rate, as a rate may be the mean of the interval before or that of the
-moment.  How far filter and gyros are apart is seen at each sample.
+bias, scale, half an interval of its rate, as a rate may be the mean of the interval before or that of the
+moment, and by what filter and gyros have come apart since.
 Heading is an angle about the vertical as it is taken: a tilt that is off turns the heading of an axis that
 rises or falls by its tangent.
 
@@ -26,8 +28,6 @@ that came after the calibration, at any time, bends the field in a direction tha
 its strength says, each time that the field is seen from another side of the unit, and by how much it turns
 the heading while the gyros show no such turn (`sizes.OnBody`).  As the field's strength does of iron, the
 magnitude of gravity tells of the accelerometers.
-In a long motion this is a bound: nobody knows how far the accelerometers have kept the tilt better than the
-gyros.
 """
 
 from __future__ import annotations
@@ -42,14 +42,16 @@ from imumon.blocks import FloatArray
 from imumon.compiled import inner, njit
 from imumon.estimation.attitude.angles import matrix, shortest, times
 from imumon.estimation.attitude.fusion import TAU_MAG_S
-from imumon.estimation.attitude.sizes import ANY_SIZE, Look, OnBody, Sizes, usual
+from imumon.estimation.attitude.sizes import ANY_SIZE, Look, OnBody, Sizes, Watched, usual
+from imumon.estimation.attitude.turned import BIASES, Followed, Turned, of_vertical
 from imumon.filters.turns import Turn
 from imumon.geodesy import STANDARD_GRAVITY
 
 GRAVITY_SPREAD = 0.03
 """m/s²: between equator and poles gravity differs by no more from the standard (WGS-84: 9.780 to 9.832)."""
 ACCELERATIONS = np.geomspace(0.01, 1.0, 5)
-"""Of a motion over gravity: nobody knows how large they are, so sizes are equally likely (as of `Sizes`)."""
+"""Of a motion over gravity, as the filter has followed them: nobody knows how large they are, so sizes are
+equally likely (as of `Sizes`)."""
 LEAST_BIAS, LARGEST_BIAS = 0.05, 0.8
 """m/s², where it is not declared: data sheets of calibrated MEMS units state 5 mg, those of chips that nobody
 has calibrated 20 (BMI088, LSM6DSO), 40 (BMI160) and 80 mg at most (MPU-6050, z)."""
@@ -157,67 +159,6 @@ SINCE = np.dtype([("angle", np.float64, 3), ("ignored", np.float64, 3), ("second
 
 
 @dataclass(slots=True, eq=False)
-class Turned:
-    """Error of the angles since some moment, east, north, up, for each error of the gyros that stays.
-
-    Parameters
-    ----------
-    bias : array (3, 3)
-        ∫ C sd dt: by the bias of each gyro, rad.
-    scale : array (3, 3, 3)
-        ∫ C ω dt: by each element of the matrix of scale and misalignment; what turns back takes it back.
-    earth : float
-        By the earth rate that the bias does not hold, rad.
-    coning : array (3,)
-    fast, missed : float
-        For want of samples: as of `Turn`.
-    """
-
-    bias: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
-    scale: FloatArray = field(default_factory=lambda: np.zeros((3, 3, 3)))
-    earth: float = 0.0
-    coning: FloatArray = field(default_factory=lambda: np.zeros(3))
-    fast: float = 0.0
-    missed: float = 0.0
-
-    def add(self, slot: Slot, attitude: FloatArray, errors: Errors) -> None:
-        """Add a slot with the attitude at its end, (3, 3)."""
-        turn = slot.turn
-        begun = attitude @ turn.rotation.T
-        self.missed += float(slot.ignored @ slot.ignored)
-        self.bias += begun @ turn.by_bias * slot.bias_sd
-        self.scale += (begun @ turn.by_scale.reshape(3, 9)).reshape(3, 3, 3)
-        self.coning += begun @ turn.coning
-        self.fast += turn.fast
-        self.missed += turn.missed
-        self.earth += errors.earth_rate * slot.seconds
-
-    def forget(self, keep: float) -> None:
-        """Keep a share."""
-        self.bias *= keep
-        self.scale *= keep
-        self.earth *= keep
-        self.coning *= keep
-        self.fast *= keep
-        self.missed *= keep * keep
-
-    @property
-    def by_gyro(self) -> FloatArray:
-        """Return squares of the angles about east, north, up by M of one: as of `scale2`, (3, 6)."""
-        square = self.scale**2
-        scales = square.diagonal(axis1=1, axis2=2)
-        return np.hstack([scales, square.sum(1) - scales])
-
-    def variance(self, scale2: FloatArray) -> FloatArray:
-        """Return the variance of the angles about east, north and up, rad², (3,).
-
-        `scale2` (6,) is that of elements of M: of each gyro the one on the diagonal, then the others.
-        """
-        sampled = self.coning**2 + self.fast**2 + self.missed
-        return np.asarray((self.bias**2).sum(1) + self.by_gyro @ scale2 + self.earth**2 + sampled)
-
-
-@dataclass(slots=True, eq=False)
 class Uncertainty:
     """What has come together since the attitude began.
 
@@ -226,6 +167,8 @@ class Uncertainty:
     errors : Errors
     levelled : array (4,)
         What the levelling would be at the last rest with the vertical that was measured; NaN before one.
+    levelling : array (4,)
+        That of the last slot.
     twist, twisted : float
         How far the filter has turned about the vertical against the gyros since that rest, rad, at the end of
         the last slot, and how much of that the heading still has.
@@ -233,6 +176,8 @@ class Uncertainty:
         Tilt by the accelerometers, rad; NaN before the first rest.
     since_rest, since_north : Turned
         What the vertical of the last rest has gone through, and the heading since it was last tied down.
+    followed : Followed
+        What the filter has followed of the first.
     heading_variance : float
         By the bias in the motions before, rad²: each rest measures the bias anew.
     bent : float
@@ -241,29 +186,28 @@ class Uncertainty:
         Of the last slot that had it.
     pulled : float
         By how much that has changed, forgotten like the field.
-    gyros : Sizes
+    gyros : Watched
         What elements of M are like: of each gyro the one on the diagonal, then the others of its column.
     accels, iron : OnBody
         What the accelerometers are off by, and what bends the field.
-    scale2 : array (6,)
-        Mean squares of the first, with what the present motion says.
     magnitude : float
         Of the specific force at the last rest, m/s².
     tilt_sd, heading_sd : float
-        By accelerometers, gyros and field, rad; NaN where nothing can be said.
+        At the end of the last slot, rad; NaN where nothing can be said.
     """
 
     errors: Errors
-    gyros: Sizes
+    gyros: Watched
     accels: OnBody
     iron: OnBody
-    scale2: FloatArray = field(default_factory=lambda: np.zeros(6))
     levelled: FloatArray = field(default_factory=lambda: np.full(4, np.nan))
+    levelling: FloatArray = field(default_factory=lambda: np.full(4, np.nan))
     twist: float = 0.0
     twisted: float = 0.0
     accel_sd: float = math.nan
     since_rest: Turned = field(default_factory=Turned)
     since_north: Turned = field(default_factory=Turned)
+    followed: Followed = field(default_factory=Followed)
     heading_variance: float = 0.0
     bent: float = 0.0
     to_north: float = math.nan
@@ -274,11 +218,12 @@ class Uncertainty:
 
     def anew(self) -> Uncertainty:
         """Return what is known when the attitude begins anew."""
-        return Uncertainty(self.errors, self.gyros, self.accels, self.iron, self.gyros.mean_square)
+        return Uncertainty(self.errors, self.gyros, self.accels, self.iron)
 
     def step(self, slot: Slot) -> None:
         """Follow one slot."""
-        twist = self._apart(slot.levelling)[1]
+        self.levelling = slot.levelling
+        apart, twist = _apart(slot.levelling, self.levelled)
         self.twisted, self.twist = self.twisted + twist - self.twist, twist
         forced = bool(np.isfinite(slot.force).all())
         if slot.rest and forced:
@@ -286,13 +231,14 @@ class Uncertainty:
         elif math.isfinite(self.accel_sd):
             # By the gyros alone: what accelerations have turned the filter by would make one that stays of a
             # turn to and fro.
-            apart = times(slot.levelling, self.levelled * CONJUGATE)
-            self.since_rest.add(slot, matrix(apart * CONJUGATE) @ slot.attitude, self.errors)
-            self.since_north.add(slot, slot.attitude, self.errors)
-            if forced:
-                self.scale2 = self._seen(slot, (0.5 * slot.turn.path) ** 2 + ACCELERATIONS**2).mean_square
-        turned = math.sqrt(float(self.since_rest.variance(self.scale2)[:2].mean()))
-        self.tilt_sd = _small(math.hypot(self.accel_sd, turned))
+            off = times(slot.levelling, self.levelled * CONJUGATE)
+            lost = slot.bias_sd, self.errors.earth_rate * slot.seconds, float(slot.ignored @ slot.ignored)
+            self.since_rest.add(slot.turn, matrix(off * CONJUGATE) @ slot.attitude, *lost)
+            self.since_north.add(slot.turn, slot.attitude, *lost)
+            followed_s = slot.seconds * forced
+            self.followed.follow(self.since_rest, followed_s)
+            carried2 = self._carried(0.5 * apart**2, followed_s)
+            self.tilt_sd = _small(math.sqrt(self.accel_sd**2 + carried2))
         if math.isfinite(slot.to_north):
             self.heading_sd = self._magnetic(slot)
         else:
@@ -318,15 +264,11 @@ class Uncertainty:
         """
         known = np.array([self.tilt_sd**2, self.heading_sd**2])
         # About which axis that is nobody asks within a second: as much as any element makes.
-        scale2 = self.scale2.reshape(2, 3).max(0)
+        scale2 = self.gyros.now.mean_square.reshape(2, 3).max(0)
         _at(
-            since, rows.start, rows.stop, *motion, scale2, bias_sd, levelling, self.levelled, known,
-            self.twisted - self.twist, variance,
+            since, rows.start, rows.stop, *motion, scale2, bias_sd, levelling, self.levelling, known,
+            self.twisted, variance,
         )  # fmt: skip
-
-    def _apart(self, levelling: FloatArray) -> tuple[float, float]:
-        """Return by how much filter and gyros differ since the last rest, rad: up, and about it."""
-        return _apart(levelling, self.levelled)
 
     def _come_to_rest(self, slot: Slot) -> None:
         """Take the vertical that the accelerometers show, and close the account of a motion."""
@@ -334,33 +276,54 @@ class Uncertainty:
         shown = Look((self.magnitude - STANDARD_GRAVITY) ** 2, GRAVITY_SPREAD**2 / 3.0)
         self.accels.look(slot.force / self.magnitude, shown)
         self.accel_sd = self.accels.sd / STANDARD_GRAVITY
-        self.gyros = self._seen(slot, 0.0)
-        self.scale2 = self.gyros.mean_square
-        self.levelled = _levelled(slot)
-        drifted = float((self.since_north.bias[2] ** 2).sum()) + self.twisted**2
+        levelled = _levelled(slot)
+        off, _ = _apart(levelled, self.levelled)
+        if self.since_rest.parts.any() and np.isfinite(self.since_rest.parts).all() and math.isfinite(off):
+            parts, gyros = self.since_rest.parts, self.gyros.now
+            without, added = of_vertical(parts, parts, gyros.squares)
+            other2 = without + float(self.since_rest.sampled[:2].mean()) + 2.0 * self.accel_sd**2
+            self.gyros = Watched(gyros.seen(off**2, other2, added, 2))
+        self.levelled = levelled
+        on_its_way, _ = _apart(slot.levelling, levelled)
+        self.tilt_sd = _small(math.hypot(self.accel_sd, math.sqrt(0.5) * on_its_way))
+        drifted = float((self.since_north.parts[2, BIASES] ** 2).sum()) + self.twisted**2
         if math.isfinite(drifted):
             self.heading_variance += drifted
-        self.since_north.bias[:] = 0.0
+        self.since_north.parts[:, BIASES] = 0.0
         self.twist = self.twisted = 0.0
-        self.since_rest = Turned()
+        self.since_rest, self.followed = Turned(), Followed()
 
-    def _seen(self, slot: Slot, other2: FloatArray | float) -> Sizes:
-        """Return what elements of M are like after the vertical is carried wrong by so much since the rest.
+    def _carried(self, apart2: float, seconds: float) -> float:
+        """Return the mean square of a component of what gyros and accelerations have turned the vertical by.
 
-        `other2` is the variance of the vertical that the specific force shows, beside the accelerometers'.
+        `apart2` is that of how far the filter's up is from the gyros': what it has followed of either, for so
+        many `seconds` more.  It says how likely each size is, of M and of accelerations, and with each what
+        the error is; NaN where the bias was not known.
         """
-        if not self.since_rest.scale.any():
-            return self.gyros
-        off = self._apart(_levelled(slot))[0]
-        if not math.isfinite(off):
-            return self.gyros
-        turned = self.since_rest.by_gyro[:2].mean(0)
-        without = float(self.since_rest.variance(np.zeros(6))[:2].mean()) + 2.0 * self.accel_sd**2
-        return self.gyros.seen(off**2, without + other2, turned, 2)
+        since, followed = self.since_rest.parts, self.followed.parts
+        if not (np.isfinite(since).all() and math.isfinite(apart2)):
+            return math.nan
+        turned, both, seen = (
+            without + Sizes.sums(added)
+            for without, added in (
+                of_vertical(one, other, self.gyros.now.squares)
+                for one, other in ((since, since), (since, followed), (followed, followed))
+            )
+        )
+        moved = 2.0 * self.accel_sd**2 + ACCELERATIONS**2
+        spread = seen + moved.reshape(-1, *[1] * seen.ndim)
+        likely = np.exp(-apart2 / spread) / spread
+        alike = likely.sum(0)
+        self.gyros.look(np.log(alike), seconds)
+        share = both / spread
+        left = turned - both * share + apart2 * (1.0 - share) ** 2
+        weight = self.gyros.now.probabilities / alike
+        return float((weight * (likely * left).sum(0)).sum()) + float(self.since_rest.sampled[:2].mean())
 
     def _drifted(self) -> float:
         """Return the standard deviation of the heading by the gyros, rad."""
-        return math.sqrt(self.heading_variance + float(self.since_north.variance(self.scale2)[2]))
+        turned = self.since_north.variance(self.gyros.now.mean_square)
+        return math.sqrt(self.heading_variance + float(turned[2]))
 
     def _magnetic(self, slot: Slot) -> float:
         """Return the standard deviation of a heading that follows the magnetometer, rad."""
@@ -406,7 +369,7 @@ def begin(errors: Errors) -> Uncertainty:
         accels = usual(LEAST_BIAS, [LARGEST_BIAS], ANY_SIZE)
     else:
         accels = usual(errors.accel, [LARGEST_BIAS], errors.accel_error_probability)
-    return Uncertainty(errors, gyros, OnBody.of(accels), iron, gyros.mean_square)
+    return Uncertainty(errors, Watched(gyros), OnBody.of(accels), iron)
 
 
 @inner
@@ -424,7 +387,7 @@ def _apart(levelling: FloatArray, levelled: FloatArray) -> tuple[float, float]:
 @njit
 def _at(
     since: Any, start: int, stop: int, angle: FloatArray, ignored: FloatArray, seconds: FloatArray,
-    scale2: FloatArray, bias_sd: FloatArray, levelling: FloatArray, levelled: FloatArray, known: FloatArray,
+    scale2: FloatArray, bias_sd: FloatArray, levelling: FloatArray, latest: FloatArray, known: FloatArray,
     twisted: float, variance: FloatArray,
 ) -> None:  # fmt: skip
     """Fill in what `Uncertainty.at` says."""
@@ -439,8 +402,8 @@ def _at(
             added += total.angle[j] ** 2 * scale2[j] + total.ignored[j] ** 2 + angle[i, j] ** 2 / 12.0
             if total.seconds > 0.0:
                 added += (bias_sd[i, j] * total.seconds) ** 2
-        tilt, twist = _apart(levelling[i], levelled)
-        variance[0, i] = known[0] + tilt**2 + added
+        tilt, twist = _apart(levelling[i], latest)
+        variance[0, i] = known[0] + 0.5 * tilt**2 + added
         variance[1, i] = known[1] + (twisted + twist) ** 2 + added
 
 

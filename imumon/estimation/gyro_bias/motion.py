@@ -6,8 +6,9 @@ order of what is left of the errors, and iterated, Gauss and Newton)::
 
     ∫ C f dt = g t + v(t) - v(0) + ∫∫ [g x] C (bias + M ω) dt dt + ∫ C accelerometer bias dt
 
-The velocity v is an Ornstein-Uhlenbeck process, of the standard deviation that the window itself shows and
-with the correlation time, of four, that makes the bias less certain.  Scale and misalignment M and the
+The velocity v is a Matern process, of the standard deviation that the window itself shows: jerky (an
+Ornstein-Uhlenbeck process) or smooth (once differentiable), with one of four correlation times, each as
+likely as it makes the window.  Scale and misalignment M and the
 accelerometers' bias stay as they are, and go from window to window with the bias.
 
 Nothing is believed of the rate about the vertical.  It shows by how the unit sways, which is little and of
@@ -18,6 +19,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -99,8 +101,8 @@ class Motion:
             return False
         window = _Window(self.parts)
         self.covariance[RATE, RATE] += np.eye(3) * BIAS_WALK**2 * window.seconds[-1]
-        fits = [_fitted(window, self.mean, self.covariance, tau) for tau in CORRELATIONS_S]
-        self.mean, self.covariance = max(fits, key=lambda fit: float(np.trace(fit[1][RATE, RATE])))
+        fits = [_fitted(window, self.mean, self.covariance, process) for process in processes(window.seconds)]
+        self.mean, self.covariance = _mixed(fits)
         vertical = window.force / math.sqrt(float(window.force @ window.force))
         known = float(vertical @ self.covariance[RATE, RATE] @ vertical)
         self.covariance[RATE, RATE] += max(UNKNOWN_RATE**2 - known, 0.0) * np.outer(vertical, vertical)
@@ -156,14 +158,39 @@ def _cross(vector: FloatArray) -> FloatArray:
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
-def _fitted(
-    window: _Window, prior: FloatArray, covariance: FloatArray, tau: float
-) -> tuple[FloatArray, FloatArray]:
-    """Return mean and covariance of the states after a window, for a correlation time of the velocity, s."""
+def processes(seconds: FloatArray) -> list[FloatArray]:
+    """Return covariances of changes of velocity since the beginning, by the variance of the velocity."""
+    at = np.append(0.0, seconds)
+    apart = np.abs(np.subtract.outer(at, at))
+    jerky = [np.exp(-apart / tau) for tau in CORRELATIONS_S]
+    ranges = [math.sqrt(3.0) * apart / tau for tau in CORRELATIONS_S]
+    smooth = [(1.0 + x) * np.exp(-x) for x in ranges]
+    return [p[1:, 1:] - p[1:, :1] - p[:1, 1:] + 1.0 for p in jerky + smooth]
+
+
+class Fit(NamedTuple):
+    """Mean and covariance of the states, and how likely the window is, as a logarithm up to a constant."""
+
+    mean: FloatArray
+    covariance: FloatArray
+    evidence: float
+
+
+def _mixed(fits: list[Fit]) -> tuple[FloatArray, FloatArray]:
+    """Return mean and covariance of states that are one of these."""
+    evidence = np.array([fit.evidence for fit in fits])
+    share = np.exp(evidence - evidence.max())
+    share /= share.sum()
+    mean = np.asarray(sum(p * fit.mean for p, fit in zip(share, fits, strict=True)))
+    cover = np.zeros_like(fits[0].covariance)
+    for p, fit in zip(share, fits, strict=True):
+        cover += p * (fit.covariance + np.outer(fit.mean - mean, fit.mean - mean))
+    return mean, cover
+
+
+def _fitted(window: _Window, prior: FloatArray, covariance: FloatArray, process: FloatArray) -> Fit:
+    """Return the states after a window, for a process of the velocity: as of `processes`."""
     t, n = window.seconds, len(window.seconds)
-    at = np.append(0.0, t)
-    process = np.exp(-np.abs(np.subtract.outer(at, at)) / tau)
-    process = process[1:, 1:] - process[1:, :1] - process[:1, 1:] + 1.0
     first, last = np.minimum.outer(t, t), np.maximum.outer(t, t)
     walk = (ANGLE_WALK * STANDARD_GRAVITY) ** 2 * first**2 / 6.0 * (3.0 * last - first)
     known = np.linalg.inv(covariance)
@@ -188,4 +215,8 @@ def _fitted(
             free = 3.0 * n - float(np.trace(np.linalg.solve(information, normal)))
             speed2 = max(speed2 * float(np.einsum("ai,ab,bi->", left, weight, left)) / free, LEAST_SPEED2)
         mean, cover = found[3:], np.linalg.inv(information)[3:, 3:]
-    return mean, cover
+    spread = np.linalg.slogdet(speed2 * process + walk)[1]
+    off = mean - prior
+    misfit = float(np.einsum("ai,ab,bi->", left, weight, left)) + float(off @ known @ off)
+    evidence = -0.5 * (3.0 * spread + float(np.linalg.slogdet(information)[1]) + misfit)
+    return Fit(mean, cover, evidence)

@@ -10,7 +10,7 @@ import numpy as np
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.effects.thermal_lag import UNTOLD_S
 from imumon.estimation.gyro_bias.slot import MOVED_DEGC
-from imumon.estimation.temperature_rate.bank import START_ACCELERATION, START_RATE
+from imumon.estimation.temperature_rate.bank import START_ACCELERATION, UNSEEN_RATE
 from imumon.models.model import BiasModel
 from imumon.models.predictor import BiasPredictor
 
@@ -24,7 +24,7 @@ def unseen_lag(gap_s: float, rate_sd: FloatArray) -> FloatArray:
 
     `rate_sd` (3,) is what is known of the thermometer's rate behind it, °C/s; NaN where nobody estimates it.
     """
-    unseen = np.where(np.isfinite(rate_sd), rate_sd, min(START_ACCELERATION * gap_s, START_RATE))
+    unseen = np.where(np.isfinite(rate_sd), rate_sd, min(START_ACCELERATION * gap_s, UNSEEN_RATE))
     return np.asarray(-UNTOLD_S * math.expm1(-gap_s / UNTOLD_S) * unseen)
 
 

@@ -56,7 +56,7 @@ LEAST_REST_S = 4.0
 MOST_ANCHORS, SAME_SIGMAS = 3, 6.0
 """Means of earlier rests that are remembered, and by how much they differ."""
 DECIDES_EVERY = 32
-LOOKS_EVERY = 4
+LOOKS_EVERY = 2
 """Units of the history between two looks for a turn."""
 LIKELY, SHORT = 0.75, 4
 """Probability from which on it is no rest, and level of the windows that say how fast it turns by then."""

@@ -94,7 +94,7 @@ class Windows(NamedTuple):
     sample_variance: FloatArray
     """Variance of a sample at rest, (6,)."""
     quietest: FloatArray
-    """The least that it was, for what it leaves of the steps (`windows.QUIETER`), (6,)."""
+    """As little as its least value allows, for what it leaves of the steps (`windows.QUIETER`), (6,)."""
     variance: FloatArray
     gain: FloatArray
     """Variance of the mean of a window at rest, and the share of the next window in it, (LEVELS, 6)."""

@@ -12,7 +12,7 @@ import numpy as np
 from imumon.blocks import BoolArray, FloatArray
 from imumon.estimation.rest.state import ACCEL, GYRO, LEVELS, State
 from imumon.estimation.rest.wander import forget
-from imumon.estimation.rest.windows import CHI_SQUARE, COLOUR, MOST_WITHIN, QUIET, SLOTS, TINY
+from imumon.estimation.rest.windows import CHI_SQUARE, COLOUR, MOST_WITHIN, QUIET, QUIETER, SLOTS, TINY
 
 RING = 32
 """Slots that a trial looks at."""
@@ -165,7 +165,8 @@ def adopt(state: State, noise: Noise, which: BoolArray) -> None:
     start += [of_8 * NEIGHBOUR**k for k in range(1, LEVELS - 3)]
     windows = state.windows
     windows.known[new] = True
-    windows.sample_variance[new] = windows.quietest[new] = noise.sample[new]
+    windows.sample_variance[new] = noise.sample[new]
+    windows.quietest[new] = QUIETER * noise.sample[new]
     windows.variance[:, new] = np.array(start)[:, new]
     if new[GYRO].any():
         forget(state, 0.0)

@@ -277,8 +277,9 @@ def _weigh(state: State, known: Changes, seen: Seen, frame: FloatArray) -> Turni
     """Return what changes make likely; the frame's first column is the vertical."""
     likely, up = seen.likely, frame[:, 0]
     ratio2 = np.square(seen.size / seen.white_sd[:, np.newaxis, np.newaxis])
-    # Any change may be what the steps of a gyro hide, whatever made it.
-    steps2 = np.square(np.abs(frame).T @ state.windows.resolution[GYRO])
+    # Any change may be what the steps of a gyro hide, whatever made it: of two means a twelfth of a step
+    # squared each, as anywhere in a step is as likely.
+    steps2 = np.square(np.abs(frame).T @ state.windows.resolution[GYRO]) / 6.0
     hidden2 = 1.0 + steps2[:, np.newaxis, np.newaxis] * ratio2
     square, ratio2 = np.square(seen.x) / hidden2, ratio2 / hidden2
     off2, change2 = square[0], square[0] / ratio2[0]
@@ -385,6 +386,6 @@ def grown(state: State, means: FloatArray, slots: int) -> tuple[FloatArray, Floa
 def wander_after(state: State, seconds: float) -> FloatArray:
     """Return the mean square by which each gyro's mean of 8 s may differ after a time, (3,)."""
     weight = np.exp(state.strengths_seen - state.strengths_seen.max())
-    moved = np.exp(weight @ np.log(SHARES @ (-2.0 * np.expm1(-seconds / TAUS_S))) / weight.sum())
+    moved = weight @ (SHARES @ (-2.0 * np.expm1(-seconds / TAUS_S))) / weight.sum()
     white = state.windows.variance[3, GYRO] * EVERY * state.slot_s
     return np.asarray(white * (2.0 / 8.0 + moved))

@@ -25,6 +25,7 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.compiled import inner, njit, records
+from imumon.estimation.temperature_rate.refresh import FASTEST
 
 JERKS = 10.0 ** np.append(np.arange(-27.0, -3.5, 1.5), -2.0)
 """Jerk densities, °C²/s⁵: from a rate that keeps to 0.001 °C/h for a day to a jump of 10 °C/min in 2 s."""
@@ -142,10 +143,10 @@ LEAST_WEIGHT = 3e-11
 """A kind with less probability rests until its turn comes to get what `NATURE_PER_S` grants it."""
 NEGLIGIBLE = 1e-4
 """A filter takes up no rougher one that would be less of it than this: it would lose what it knows."""
-START_RATE = 200.0 / 3600.0
-START_ACCELERATION = START_RATE / 300.0
-"""Standard deviations of rate and acceleration at the start, °C/s and °C/s²: a board that warms by 20 °C with
-a time constant of 6 min begins with 200 °C/h."""
+UNSEEN_RATE = 200.0 / 3600.0
+START_ACCELERATION = UNSEEN_RATE / 300.0
+"""Standard deviations of a rate that nobody has seen change, and of the acceleration, °C/s and °C/s²: a board
+that warms by 20 °C with a time constant of 6 min begins with 200 °C/h.  At the start it may be any rate."""
 
 
 LEAST_LEFT = 1e-10
@@ -224,7 +225,7 @@ def started(
         "temperature": temperature[0],
         "rate": rate[0],
         "tt": temperature[1] ** 2,
-        "rr": (START_RATE + rate[1]) ** 2,
+        "rr": (FASTEST + rate[1]) ** 2,
         "aa": np.tile(np.minimum(START_ACCELERATION**2, JERKS * FORGETTING_S / 2.0), KINDS),
         "ee": np.repeat(slow.variance, SMOOTHNESSES),
     }

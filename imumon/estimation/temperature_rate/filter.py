@@ -12,7 +12,7 @@ from imumon.compiled import njit
 from imumon.estimation.temperature_rate.bank import (
     SLOT_S,
     START_ACCELERATION,
-    START_RATE,
+    UNSEEN_RATE,
     Bank,
     advance,
     started,
@@ -314,7 +314,7 @@ def _shown(state: State, means: Merged, end_s: float, fresh: bool) -> Shown:
     ahead = end_s - state.time_s
     temperature = means.temperature + ahead * means.rate
     rate = means.rate + ahead * means.acceleration
-    frozen = min(DRIFT_PER_S * max(end_s - state.sensor.changed_s - FROZEN_S, 0.0), START_RATE)
+    frozen = min(DRIFT_PER_S * max(end_s - state.sensor.changed_s - FROZEN_S, 0.0), UNSEEN_RATE)
     unseen = state.sensor.finder.unseen
     hidden = COARSEST / math.sqrt(12.0) if unseen else state.sensor.edges
     late = abs(rate) * min(state.sensor.interval_s, SLOW_S) / math.sqrt(3.0)
@@ -376,12 +376,12 @@ def extrapolate(
             temperature_sd[i] = math.hypot(shown.temperature_sd, left) + max(abs(off), beyond)
             rate_sd[i] = math.hypot(shown.rate_sd, rate_left)
         elif math.isfinite(reading[i]):
-            temperature[i], rate[i], temperature_sd[i], rate_sd[i] = reading[i], 0.0, scatter, START_RATE
+            temperature[i], rate[i], temperature_sd[i], rate_sd[i] = reading[i], 0.0, scatter, FASTEST
             if late:
                 # Where the reading is not where the rate led, the rate is another: in the mean by so much.
                 astray = abs(reading[i] - shown.temperature - age * shown.rate)
                 changed = 2.0 * max(astray - scatter, 0.0) / age
-                unseen = math.hypot(min(START_ACCELERATION * age, START_RATE), changed)
+                unseen = math.hypot(min(START_ACCELERATION * age, UNSEEN_RATE), changed)
                 rate[i], rate_sd[i] = shown.rate, math.hypot(shown.rate_sd, unseen)
         else:
             temperature[i] = rate[i] = temperature_sd[i] = rate_sd[i] = math.nan

@@ -5,11 +5,13 @@ from typing import Literal
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from imumon.blocks import NO_INT, SampleBlock, join
+from imumon.blocks import NO_INT, FloatArray, SampleBlock, join
 from imumon.estimation.attitude.angles import slope
 from imumon.estimation.attitude.parameters import AttitudeParameters
 from imumon.estimation.attitude.stage import AttitudeEstimate
+from imumon.estimation.attitude.turned import Followed, Turned
 from imumon.estimation.attitude.uncertainty import Errors, Slot, begin
 from imumon.estimation.gyro_bias.stage import GyroBias
 from imumon.estimation.rest.stage import RestDetector
@@ -304,6 +306,52 @@ def test_intervals_that_differ_do_not_turn_the_heading() -> None:
     heading = np.unwrap(found["attitude_estimate_heading"][20:])
     true = np.unwrap(np.arctan2(made.attitude[keep][20:, 0, 0], made.attitude[keep][20:, 1, 0]))
     assert abs((heading - true)[-1] - (heading - true)[2900]) < np.radians(2.0)
+
+
+def spun(seconds: float, rate_hz: float = 50.0) -> tuple[SampleBlock, FloatArray]:
+    """A unit at rest for 20 s that is spun about an axis that leans by 30°, by gyros with 1 % too much."""
+    rng, n = np.random.default_rng(3), round((20.0 + seconds) * rate_hz)
+    t = np.arange(1, n + 1) / rate_hz
+    speed = np.clip(t - 20.0, 0.0, 1.0) * np.radians(40.0) * (1.0 + 0.3 * np.sin(0.7 * t))
+    angle = np.cumsum(speed) / rate_hz
+    pose = Rotation.from_euler("y", 30.0, degrees=True) * Rotation.from_rotvec(np.outer(angle, [0, 0, 1]))
+    force = pose.inv().apply([0.0, 0.0, STANDARD_GRAVITY]) + 0.01 * rng.normal(size=(n, 3))
+    gyro = np.outer(1.01 * speed, [0.0, 0.0, 1.0])
+    columns = {
+        "device_time_ns": np.round(t * 1e9).astype(np.int64),
+        "segment": np.zeros(n, np.int64),
+        "at_rest": (t < 20.0).astype(np.int64),
+        **{f"gyro_{axis}": gyro[:, j] for j, axis in enumerate("xyz")},
+        **{f"gyro_corrected_{axis}": gyro[:, j] for j, axis in enumerate("xyz")},
+        **{f"gyro_bias_sd_{axis}": np.full(n, 1e-5) for axis in "xyz"},
+        **{f"accel_{axis}": force[:, j] for j, axis in enumerate("xyz")},
+    }
+    return SampleBlock(columns), pose.as_matrix()
+
+
+def test_in_a_motion_the_tilt_is_known_as_the_filter_follows_gravity() -> None:
+    block, truth = spun(40.0)
+    found = AttitudeEstimate(AttitudeParameters(accel_bias_m_per_s2=0.05), "FLU").process(block)
+    turn = matrices(np.column_stack([found[name] for name in Q])) @ np.swapaxes(truth, 1, 2)
+    late, sd = slice(-500, None), found["attitude_estimate_tilt_sd"]
+    assert np.max(np.abs(np.column_stack([turn[:, 1, 2], turn[:, 0, 2]]) / sd[:, np.newaxis])[late]) < 4.0
+    assert np.max(sd[late]) < np.radians(6.0)  # of the gyros alone: 15°
+
+
+def test_what_the_filter_follows_is_what_its_low_pass_lets_through() -> None:
+    rng, dt, tau = np.random.default_rng(1), 0.01, 3.0
+    parts = np.repeat(np.cumsum(rng.normal(size=40)), 100)
+    low, slope_, through = 0.0, 0.0, []
+    for value in parts:  # Butterworth, second order, 1/e after the time constant
+        slope_ += dt * 2.0 * ((value - low) / tau**2 - slope_ / tau)
+        low += dt * slope_
+        through.append(low)
+    followed, turned = Followed(), Turned()
+    for k in range(40):
+        # It takes what comes in a second for half of it on the average: a ramp is given as one.
+        turned.parts[:] = 2.0 * parts[100 * k] - followed.last
+        followed.follow(turned, 1.0)
+        np.testing.assert_allclose(followed.parts, through[100 * k + 99], atol=0.02 * np.abs(parts).max())
 
 
 def test_gyros_without_gravity_have_no_attitude() -> None:

@@ -365,7 +365,7 @@ def test_after_a_gap_nobody_knows_what_the_temperature_has_done() -> None:
         assert np.max(np.abs(result.rate[after] - rate) / result.rate_sd[after]) < 5.0
 
 
-@pytest.mark.parametrize("time_constant_s", [300.0, 900.0])
+@pytest.mark.parametrize("time_constant_s", [20.0, 60.0, 300.0, 900.0])
 def test_a_warm_up_from_power_on_is_within_what_the_beginning_claims(time_constant_s: float) -> None:
     time_s = np.arange(0.0, 10.0, 0.01)
     temperature = 22.0 + 20.0 * -np.expm1(-time_s / time_constant_s)
