@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import pytest
 
+from imumon.effects.stress_relaxation import StressRelaxation
 from imumon.effects.warm_up import WarmUp
 from imumon.estimation.alignment.stage import Alignment
 from imumon.estimation.alignment.warm_up import known_warm_up
@@ -61,6 +62,16 @@ def test_the_warm_up_of_a_model_is_that_of_its_accelerometers() -> None:
     assert found.amplitude_ug == pytest.approx([80.0, 0.0, 0.0])
     assert found.time_constant_s[0] == 150.0
     assert found.amplitude_sd_ug == pytest.approx(5.0)
+
+
+def test_an_accelerometer_that_may_drift_otherwise_leaves_the_level_unknown() -> None:
+    model = _model()
+    relaxing = StressRelaxation(time_constant_s=1.0, ratio=1e4, coefficients=[60.0 * MICRO_G])
+    other = model.channels["accel_x"].model_copy(update={"effects": [relaxing]})
+    found = known_warm_up(model.model_copy(update={"channels": model.channels | {"accel_y": other}}))
+    assert found is not None
+    assert found.amplitude_ug == pytest.approx([80.0, 0.0, 0.0])
+    assert found.amplitude_sd_ug is None
 
 
 def test_the_stage_takes_the_warm_up_from_the_model_unless_told_another() -> None:
