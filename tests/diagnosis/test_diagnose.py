@@ -470,7 +470,7 @@ def test_data_that_cannot_show_anything_are_refused_in_words(change, said: str) 
 def test_gaps_are_left_out_and_said() -> None:
     train, test = three(lag)
     holes = train[0].mean["gyro_x"].copy()
-    holes[1000:2400] = np.nan
+    holes[1000:2120] = np.nan
     train[0] = replace(train[0], mean={**train[0].mean, "gyro_x": holes})
     diagnosis = diagnose(train, test)
     assert any("72% of its time" in text for text in diagnosis.caveats)

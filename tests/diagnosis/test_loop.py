@@ -16,7 +16,7 @@ from imumon.pipeline import Estimator
 from imumon.simulation.unit import SimulatedUnit, load_scenario
 from imumon.simulation.unit.scenario import Scenario
 
-RATE_HZ = 10.0
+RATE_HZ = 5.0
 LAG_S = 90.0
 GYRO = ("gyro_x", "gyro_y", "gyro_z")
 

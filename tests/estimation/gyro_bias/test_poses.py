@@ -64,7 +64,7 @@ def in_the_hand(
 
 
 @pytest.mark.parametrize(
-    ("per_g_deg", "place_known"), [(0.0, True), (0.01, False), (0.03, True), (0.1, False)]
+    ("per_g_deg", "place_known"), [(0.0, True), (0.01, False), (0.1, True), (0.1, False)]
 )
 def test_the_sigma_holds_in_the_hand(per_g_deg: float, place_known: bool) -> None:
     at_ends, before_rests, in_motion, late = [], [], [], []
