@@ -99,8 +99,8 @@ class Changes:
         Logarithm of their determinants.
     shapes, size : array, (s, b, h), (s, h)
         The changes as columns, normalised, and what they were.
-    goes_on : array of bool, (h,)
-        Whether it is a turn that has not ended.
+    creeps, goes_on : int
+        So many of them take time and go on, and so many go on: the first.
     began : array of int, (h,)
         Bin in whose oldest part it began.
     start, end : array, (h,)
@@ -114,7 +114,8 @@ class Changes:
     evidence: FloatArray
     shapes: FloatArray
     size: FloatArray
-    goes_on: BoolArray
+    creeps: int
+    goes_on: int
     began: npt.NDArray[np.intp]
     start: FloatArray
     end: FloatArray
@@ -130,17 +131,18 @@ class Seen(NamedTuple):
         Noises that are not too unlikely, one with each slope.
     likely : array, (s, 1)
         Log-likelihood without any change.
-    x, size : array, (3, s, h)
-        The changes in standard deviations, of the vertical and the level axes, and of what size one is.
-    white_sd : array, (3,)
-        White noise of a unit, rad/s.
+    square, ratio2 : array, (3, s, h)
+        The changes over their variances, squared, and one over the variances, of the vertical and the level
+        axes.
+    clockwise : array of bool, (s, h)
+        Whether the change about the vertical is.
     """
 
     which: npt.NDArray[np.intp]
     likely: FloatArray
-    x: FloatArray
-    size: FloatArray
-    white_sd: FloatArray
+    square: FloatArray
+    ratio2: FloatArray
+    clockwise: BoolArray
 
 
 def kept_edge(units: int) -> int:
@@ -169,7 +171,8 @@ def changes(last: int, unit_s: float) -> Changes:
         np.log(np.diagonal(whiten, axis1=1, axis2=2)).sum(1),
         shapes / size[:, np.newaxis],
         size,
-        stop == 0.0,
+        int((start > end)[stop == 0.0].sum()),
+        int((stop == 0.0).sum()),
         began,
         start,
         end,
@@ -178,14 +181,18 @@ def changes(last: int, unit_s: float) -> Changes:
 
 
 def _begun(edges: npt.NDArray[np.intp]) -> list[tuple[float, float, float, int]]:
-    """Return turns that go on: the ages at which they began and were at full rate, 0, and the bin."""
+    """Return turns that go on: the ages at which they began and were at full rate, 0, and the bin.
+
+    Those that take time first.
+    """
     made: list[tuple[float, float, float, int]] = []
+    at_once: list[tuple[float, float, float, int]] = []
     for i in range(1, len(edges) - 1):
         young, old = float(edges[i - 1]), float(edges[i])
         made += [(old, float(end), 0.0, i - 1) for end in edges[: i - 1]]
         for age in (old, (young + 2.0 * old) / 3.0, (2.0 * young + old) / 3.0):
-            made.append((age, age, 0.0, i - 1))
-    return made
+            at_once.append((age, age, 0.0, i - 1))
+    return made + at_once
 
 
 def _over(edges: npt.NDArray[np.intp]) -> list[tuple[float, float, float, int]]:
@@ -241,23 +248,28 @@ def _seen(state: State, known: Changes, columns: FloatArray, white_sd: FloatArra
     inverse = np.linalg.inv(square[:, np.newaxis, np.newaxis] + free)  # (s, slopes, axes, EFFECTS, EFFECTS)
     fitted = (inverse @ along[:, np.newaxis, ..., np.newaxis])[..., 0]
     likely = state.strengths + 3.0 * known.evidence - 0.5 * (seen * seen).sum((1, 2))
-    gained = (along[:, np.newaxis] * fitted).sum((2, 3)) + np.linalg.slogdet(free @ inverse)[1].sum(2)
+    told = along[:, np.newaxis] * fitted
+    gained = told.sum((2, 3)) + np.linalg.slogdet(free @ inverse)[1].sum(2)
     likely = likely[:, np.newaxis] + 0.5 * gained
+    # No change of the vertical explains more than all that is seen there.
+    most = likely + 0.5 * ((seen[:, 0] * seen[:, 0]).sum(1)[:, np.newaxis] - told[:, :, 0].sum(2))
+    each, slope = np.nonzero(most > likely.max() - SURPRISE)
     shared, products = warm @ known.shapes, seen @ known.shapes
     # What is left of a change where the temperature explains a part: 1 - shared' inverse shared.
     pairs = shared[:, _FIRST] * shared[:, _SECOND]
     of_pairs = (inverse[..., _FIRST, _SECOND] * _TIMES).reshape(len(SHARES), -1, len(_TIMES))
-    shape = (len(SHARES), len(slopes), 3, -1)
-    left = np.sqrt(np.maximum(1.0 - of_pairs @ pairs, LEAST_LEFT)).reshape(shape)
-    x = (products[:, np.newaxis] - (fitted.reshape(len(SHARES), -1, EFFECTS) @ shared).reshape(shape)) / left
-    best = likely + 0.5 * np.square(x[:, :, 0]).max(-1)
-    each, slope = np.nonzero(best > best.max() - SURPRISE)
+    by_axes = (len(SHARES), len(slopes), 3, -1)
+    left2 = np.maximum(1.0 - (of_pairs @ pairs).reshape(by_axes)[each, slope], LEAST_LEFT)
+    explained = fitted.reshape(len(SHARES), -1, EFFECTS) @ shared
+    change = products[each] - explained.reshape(by_axes)[each, slope]
+    ratio2 = left2 * np.square(known.size)[each, np.newaxis]
+    ratio2 /= np.square(white_sd)[:, np.newaxis]
     return Seen(
         each,
         likely[each, slope, np.newaxis],
-        x[each, slope].swapaxes(0, 1),
-        (known.size[each, np.newaxis] * left[each, slope]).swapaxes(0, 1),
-        white_sd,
+        (change * change / left2).swapaxes(0, 1),
+        ratio2.swapaxes(0, 1),
+        change[:, 0] < 0.0,
     )
 
 
@@ -276,12 +288,13 @@ def _frame(state: State, means: FloatArray) -> FloatArray:
 def _weigh(state: State, known: Changes, seen: Seen, frame: FloatArray) -> Turning:
     """Return what changes make likely; the frame's first column is the vertical."""
     likely, up = seen.likely, frame[:, 0]
-    ratio2 = np.square(seen.size / seen.white_sd[:, np.newaxis, np.newaxis])
-    # Any change may be what the steps of a gyro hide, whatever made it: of two means a twelfth of a step
-    # squared each, as anywhere in a step is as likely.
+    square, ratio2 = seen.square, seen.ratio2
     steps2 = np.square(np.abs(frame).T @ state.windows.resolution[GYRO]) / 6.0
-    hidden2 = 1.0 + steps2[:, np.newaxis, np.newaxis] * ratio2
-    square, ratio2 = np.square(seen.x) / hidden2, ratio2 / hidden2
+    if steps2.any():
+        # Any change may be what the steps of a gyro hide, whatever made it: of two means a twelfth of a step
+        # squared each, as anywhere in a step is as likely.
+        hidden2 = 1.0 + steps2[:, np.newaxis, np.newaxis] * ratio2
+        square, ratio2 = square / hidden2, ratio2 / hidden2
     off2, change2 = square[0], square[0] / ratio2[0]
     prior = np.log(known.seconds / TURN_EVERY_S)
     # Rates are as likely on a logarithmic scale: exp(x²/2) times their density at x.
@@ -293,7 +306,7 @@ def _weigh(state: State, known: Changes, seen: Seen, frame: FloatArray) -> Turni
     else:
         turn -= 1.5 * np.log(density2)  # any direction would have done
     # A bias creeps on, and takes time to: of a step nobody says so.
-    creeps = np.flatnonzero(known.goes_on & (known.start > known.end))
+    creeps = slice(known.creeps)
     crept2 = np.square(_crept(state, known)[creeps])
     gained, more = _explained(square[..., creeps], crept2 * ratio2[..., creeps])
     creep = likely + prior[creeps] + 0.5 * (gained - np.log(more))
@@ -302,14 +315,17 @@ def _weigh(state: State, known: Changes, seen: Seen, frame: FloatArray) -> Turni
     each = np.exp(likely[:, 0] - most) + turned.sum(1) + np.exp(creep - most).sum(1)
     share = np.bincount(seen.which, each / each.sum(), len(SHARES))
     state.strengths_seen = np.log(share + np.exp(-SURPRISE))
-    now = turned * known.goes_on / each.sum()
-    rms = np.sqrt((now * change2).sum())
+    goes_on = slice(known.goes_on)
+    now, rates2 = turned[:, goes_on] / each.sum(), change2[:, goes_on]
+    rms = np.sqrt((now * rates2).sum())
     began = int(known.began[np.argmax(now.max(0))]) + 1
     ages = known.edges[began:]
     oldest = int(np.searchsorted(ages, min(ages[0] + LEAST, ages[-1])))
     past = state.past
     before, degc = past.means(ages[[0, oldest]])[0], past.first_degc + past.warmed(ages[[0, oldest]])[0, 0]
-    unseen = np.copysign(rms, (now * np.copysign(np.sqrt(change2), seen.x[0])).sum()) * up
+    rates = np.sqrt(rates2)
+    clockwise = (now * np.where(seen.clockwise[:, goes_on], rates, -rates)).sum() > 0.0
+    unseen = (-rms if clockwise else rms) * up
     possible, age = _possible(known, turn, change2, ratio2[0], state.unseen_age), float(ages[0])
     return Turning(float(now.sum()), unseen, age, possible, before, age * past.unit_s, degc)
 
@@ -320,7 +336,7 @@ def _possible(known: Changes, turn: FloatArray, change2: FloatArray, ratio2: Flo
     They have log-likelihoods, squared rates, and variances of these whose inverses are `ratio2`, (s, h).
     """
     then = min(int(np.searchsorted(known.edges, age)) - 1, int(known.began.max()))
-    begun = np.flatnonzero(known.goes_on & (known.began == max(then, int(known.began.min()))))
+    begun = np.flatnonzero(known.began[: known.goes_on] == max(then, int(known.began.min())))
     likely = turn[:, begun]
     likely = np.exp(likely - likely.max())
     rate2 = change2[:, begun] + 1.0 / ratio2[:, begun]

@@ -49,7 +49,7 @@ def test_every_history_has_changes_of_unit_size(units: int) -> None:
     assert known.edges[-1] == last
     assert np.isfinite(known.shapes).all()
     assert (known.shapes**2).sum(1) == pytest.approx(1.0)
-    assert known.seconds[known.goes_on].sum() == pytest.approx(known.edges[-2])
+    assert known.seconds[: known.goes_on].sum() == pytest.approx(known.edges[-2])
 
 
 def test_how_far_a_gyro_wanders_is_learnt() -> None:
