@@ -123,11 +123,11 @@ class NativeLink:
             return "viewer connected"
         if self._phase is _Phase.PAUSED or answer is Answer.SILENT:
             return "viewer does not respond"
-        if self._seen:
-            return f"viewer closed; `rerun --bind {LOCALHOST} --port {self._port}` brings it back"
         code = self._viewer.poll() if self._viewer else None
-        if code is not None:
-            return f"the viewer could not start (exit code {code}); try --view web"
+        if code:  # one without a display may have answered a moment before
+            return f"the viewer could not start or go on (exit code {code}); try --view web"
+        if self._seen or code == 0:
+            return f"viewer closed; `rerun --bind {LOCALHOST} --port {self._port}` brings it back"
         return "viewer starts"
 
 
