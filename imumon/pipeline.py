@@ -140,6 +140,8 @@ class Pipeline:
         self._intake = Intake((ranges or Ranges()).over(device.range if device is not None else Ranges()))
         given = device is not None and device.rate_given
         self._nominal = NominalRate(self._device_clock.timing.rate_hz, given)
+        self.as_seen = False
+        """Whether `take` returns the samples as the stages see them, not as they were sent."""
         self._ended = False
         self._samples = 0
         self._ready: list[SampleBlock] = []
@@ -365,7 +367,7 @@ class Pipeline:
 
     def _estimate(self, block: SampleBlock) -> SampleBlock:
         """Run the stages over what no sensor fault spoils; the columns that were sent stay as they are."""
-        if not self._estimators:
+        if not self._estimators and not self.as_seen:
             return block
         taken = self._intake.process(block)
         seen, added = taken.block, dict[str, ColumnArray]()
@@ -375,7 +377,7 @@ class Pipeline:
                 new = self._checked_columns(at, new, seen)
             seen = seen.with_columns(new)
             added |= {name: taken.spread(values) for name, values in new.items()}
-        return block.with_columns(added)
+        return seen if self.as_seen else block.with_columns(added)
 
     def _checked_columns(
         self, at: int, new: Mapping[str, ColumnArray], seen: SampleBlock
