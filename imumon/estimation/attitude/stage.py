@@ -111,7 +111,7 @@ class AttitudeEstimate:
         self._field = np.full(3, np.nan)
         self._bias_sd = np.full(3, np.nan)
         self._anew = 0
-        """How often it has begun anew."""
+        """How often an attitude has ended, for another to begin."""
         self._reported = False
         self._names = [column.name for column in self.columns if column.name != NORTH]
         self._said: set[str] = set()
@@ -208,6 +208,7 @@ class AttitudeEstimate:
             if start in ended:
                 self._judge(rows, ended[start], start)
             if start in rows.begins:
+                self._anew += self._fusion.begun
                 self._fusion, self._since[:] = Fusion(), 0
                 self._uncertainty = self._uncertainty.anew()
             fusion = self._fusion
@@ -246,7 +247,6 @@ class AttitudeEstimate:
         changed = np.empty(len(segment), bool)
         changed[0], changed[1:] = segment[0] != last_segment, segment[1:] != segment[:-1]
         begins = set(np.flatnonzero(changed | (interval > GAP_NS) | (interval < 0)).tolist())
-        self._anew += len(begins)
         return begins, np.asarray(interval * 1e-9, np.float64)
 
     def _judge(self, rows: _Rows, k: int, row: int) -> None:

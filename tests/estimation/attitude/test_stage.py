@@ -317,6 +317,14 @@ def test_each_new_reference_of_a_free_heading_is_said(heading_deg: float | None)
     assert all(text.endswith(f"the free heading counts from {reference:.0f}° again") for text in said)
 
 
+def test_samples_too_far_apart_for_an_attitude_do_not_begin_one_anew() -> None:
+    block = without_mag(scene(seconds=30.0).block)
+    slow = block.with_columns({"device_time_ns": 50 * block["device_time_ns"]})  # 2 Hz
+    stage = AttitudeEstimate(axes="FRD")
+    assert np.isnan(estimated(slow, stage)["attitude_estimate_w"]).all()
+    assert not [text for text in stage.notices() if "begun anew" in text]
+
+
 def test_intervals_that_differ_do_not_turn_the_heading() -> None:
     made = scene(seconds=100.0)
     keep = np.ones(len(made.block), bool)
